@@ -1,0 +1,144 @@
+"""The Rust core. Private: use :mod:`fieldbake` or :mod:`fieldbake.arrays`.
+
+Arrays come in C-contiguous and checked for dtype and shape by the Python layer; values are checked here.
+Every function releases the GIL, stops on Ctrl-C and raises the exception classes of :mod:`fieldbake.errors`.
+"""
+
+from collections.abc import Callable
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+__version__: str
+
+@final
+class Mesh:
+    """Checked triangles; the search tree is built at the first query and kept."""
+
+    def __new__(cls, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Mesh:
+        """``vertices`` (n, 3), ``faces`` (m, 3). Raises MeshError naming the array, index and value."""
+    @property
+    def vertices(self) -> NDArray[np.float32]:
+        """World positions of the kept vertices, (n, 3)."""
+    @property
+    def faces(self) -> NDArray[np.uint32]:
+        """Kept triangles, (m, 3), indices into ``vertices``."""
+    @property
+    def source_vertices(self) -> NDArray[np.int64]:
+        """Row of the input that each kept vertex came from, (n,)."""
+    @property
+    def source_faces(self) -> NDArray[np.int64]:
+        """Row of the input that each kept face came from, (m,)."""
+    @property
+    def center(self) -> NDArray[np.float64]:
+        """Centre of the box; the core stores float32 offsets from it, (3,)."""
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Lower and upper corner, (2, 3)."""
+    @property
+    def nbytes(self) -> int:
+        """Memory of vertices, faces and, once built, the tree."""
+    def topology(self) -> dict[str, Any]:
+        """Facts of the surface, each an int unless said otherwise: ``boundary_edges``, ``nonmanifold_edges``,
+        ``flipped_faces``, ``duplicate_faces``, ``degenerate_faces`` (dropped), ``dropped_vertices`` (not finite,
+        unused), ``components``, ``closed`` (bool)."""
+
+def bake(
+    mesh: Mesh,
+    lower: tuple[float, float, float],
+    upper: tuple[float, float, float],
+    shape: tuple[int, int, int],
+    *,
+    sign: str = "auto",
+    band: float | None = None,
+    thickness: float | None = None,
+    device: str = "auto",
+    progress: Callable[[float], object] | None = None,
+) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    """Distances (nx, ny, nz), x fastest in memory, and the report. ``band`` in voxels; ``thickness`` in world units
+    makes the field two-sided: unsigned minus half the thickness. ``progress`` gets 0 to 1 about ten times a second.
+
+    The report: ``sign_method`` ("scan", "winding", "parity", "pseudonormal", "normal", "unsigned"), ``sign_reason``
+    (one sentence), the facts of :meth:`Mesh.topology`, ``undecided_voxels``, ``inside_voxels``, ``device``,
+    ``seconds`` (dict: stage to float), ``peak_bytes``, ``warnings`` (list of sentences)."""
+
+def signed_distance(
+    mesh: Mesh,
+    points: NDArray[np.float64],
+    *,
+    sign: str = "auto",
+    device: str = "auto",
+    progress: Callable[[float], object] | None = None,
+) -> NDArray[np.float32]:
+    """Signed distance at ``points`` (n, 3), shape (n,)."""
+
+def closest_point(
+    mesh: Mesh, points: NDArray[np.float64], *, progress: Callable[[float], object] | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.uint32]]:
+    """Closest points (n, 3), unsigned distances (n,), faces (n,) as rows of ``mesh.faces``."""
+
+def sample(
+    distances: NDArray[np.float32],
+    lower: tuple[float, float, float],
+    upper: tuple[float, float, float],
+    inner_lower: tuple[float, float, float],
+    inner_upper: tuple[float, float, float],
+    points: NDArray[np.float64],
+    *,
+    filter: str = "linear",
+) -> NDArray[np.float32]:
+    """Field at world ``points`` (n, 3). ``distances`` is (nx, ny, nz) with x fastest. Outside the box: a proven
+    lower bound, for a surface that lies in the inner box."""
+
+def gradient(
+    distances: NDArray[np.float32],
+    lower: tuple[float, float, float],
+    upper: tuple[float, float, float],
+    points: NDArray[np.float64],
+) -> NDArray[np.float32]:
+    """Gradient of the trilinear field, (n, 3), distance per world unit; outside the box, of its nearest point."""
+
+def resample(
+    distances: NDArray[np.float32],
+    lower: tuple[float, float, float],
+    upper: tuple[float, float, float],
+    shape: tuple[int, int, int],
+) -> NDArray[np.float32]:
+    """The trilinear field at the voxel centres of another grid over the same box."""
+
+def surface_nets(
+    distances: NDArray[np.float32],
+    lower: tuple[float, float, float],
+    upper: tuple[float, float, float],
+    level: float,
+) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
+    """Vertices (n, 3), world, and faces (m, 3) of the level set, counter-clockwise seen from outside."""
+
+def raymarch(
+    distances: NDArray[np.float32],
+    lower: tuple[float, float, float],
+    upper: tuple[float, float, float],
+    pose: NDArray[np.float64],
+    *,
+    fov_deg: float = 45.0,
+    size: tuple[int, int] = (512, 512),
+    light_directions: NDArray[np.float32] | None = None,
+    light_colors: NDArray[np.float32] | None = None,
+    ambient: float = 0.2,
+    color: tuple[float, float, float] = (0.8, 0.8, 0.8),
+    specular: float = 0.25,
+    shininess: float = 32.0,
+    background: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0),
+    shadows: str = "hard",
+    device: str = "auto",
+    progress: Callable[[float], object] | None = None,
+) -> dict[str, Any]:
+    """Draw the zero level set. ``pose`` (4, 4) world from camera, looking along -Z; ``size`` is (width, height).
+    ``light_directions`` (k, 3), the way the light travels. Keys: ``color`` (h, w, 4) linear RGBA, ``depth`` (h, w)
+    along the view axis, inf where nothing is hit, ``normal`` (h, w, 3), ``object_id`` (h, w) int32, -1 for nothing,
+    ``shadow`` (h, w) or (h, w, k), ``steps`` (h, w) uint32, ``device``, ``seconds``."""
+
+def devices() -> list[dict[str, Any]]:
+    """What can compute: ``name``, ``backend``, ``type`` ("cpu", "discrete", "integrated", "software", ...),
+    ``hardware`` (bool) and ``limits`` (dict). The first is always the CPU."""

@@ -1,0 +1,78 @@
+//! Every way a user's request can fail, one enum per stage.
+//!
+//! Messages name the argument as the user wrote it, what came, and what to do. The Python layer maps each stage to
+//! its own exception class; nothing a user can cause is a panic.
+
+use thiserror::Error;
+
+/// A mesh that cannot be used.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum MeshError {
+    #[error("faces[{face}] refers to vertex {index}, the mesh has {vertices} vertices (valid: 0 to {})", vertices - 1)]
+    IndexOutOfRange { face: usize, index: i64, vertices: usize },
+    #[error("vertices[{vertex}] = ({x}, {y}, {z}) is not finite and faces[{face}] uses it; remove or repair it")]
+    NotFinite { vertex: usize, face: usize, x: f64, y: f64, z: f64 },
+    #[error("the mesh is empty: it has {vertices} vertices and {faces} faces; a surface needs at least one face")]
+    Empty { vertices: usize, faces: usize },
+    #[error("the mesh has no surface: all {faces} faces are degenerate (two equal corners or zero area)")]
+    AllDegenerate { faces: usize },
+    #[error("the mesh spans {extent:e} units, outside the range that float32 distances can hold ({min:e} to {max:e}); scale it")]
+    Extent { extent: f64, min: f64, max: f64 },
+    #[error("the mesh has {count} {what}, the limit is {limit}")]
+    TooLarge { what: &'static str, count: usize, limit: usize },
+}
+
+/// An option that makes no sense, named as in the Python interface.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[error("{argument}: {problem}")]
+pub struct ArgumentError {
+    pub argument: &'static str,
+    pub problem: String,
+}
+
+impl ArgumentError {
+    pub fn new(argument: &'static str, problem: impl Into<String>) -> Self {
+        Self { argument, problem: problem.into() }
+    }
+}
+
+/// A request that does not fit in memory, refused before it starts.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[error("{what} needs {needed} bytes ({:.1} GiB), {available} bytes ({:.1} GiB) are available; {advice}", *needed as f64 / GIB, *available as f64 / GIB)]
+pub struct CapacityError {
+    pub what: String,
+    pub needed: u64,
+    pub available: u64,
+    pub advice: &'static str,
+}
+
+const GIB: f64 = (1u64 << 30) as f64;
+
+/// A compute device that is missing or failed.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum DeviceError {
+    #[error("device: '{requested}' is not available: {reason}")]
+    NotAvailable { requested: String, reason: String },
+    #[error("device: '{requested}' is unknown; use \"auto\", \"cpu\", \"gpu\" or a name from fieldbake.devices()")]
+    Unknown { requested: String },
+}
+
+/// Any failure of the core.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum Error {
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
+    #[error(transparent)]
+    Argument(#[from] ArgumentError),
+    #[error(transparent)]
+    Capacity(#[from] CapacityError),
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+    #[error("cancelled")]
+    Cancelled,
+}
+
+pub type Result<T, E = Error> = std::result::Result<T, E>;
