@@ -1,0 +1,33 @@
+//! The Python module `fieldbake._core`: arrays in, the core's call without the GIL, arrays out. No algorithm lives here.
+//!
+//! The Python layer hands over C-contiguous arrays of the right dtype and shape; `_core.pyi` beside it is the contract.
+
+mod bake;
+mod convert;
+mod device;
+mod error;
+mod mesh;
+mod query;
+mod run;
+
+use pyo3::prelude::*;
+
+/// The whole exported surface.
+#[pymodule]
+mod _core {
+    #[pymodule_export]
+    use super::bake::bake;
+    #[pymodule_export]
+    use super::device::devices;
+    #[pymodule_export]
+    use super::mesh::Mesh;
+    #[pymodule_export]
+    use super::query::{closest_point, signed_distance};
+
+    use super::*;
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        module.add("__version__", env!("CARGO_PKG_VERSION"))
+    }
+}
