@@ -17,6 +17,9 @@ pub mod openings;
 pub mod pseudonormal;
 pub mod winding;
 
+#[cfg(test)]
+mod tests;
+
 use crate::bvh::closest::ClosestPoint;
 use crate::error::ArgumentError;
 use crate::geometry::triangle_cross;
