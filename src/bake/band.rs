@@ -60,8 +60,13 @@ impl Band {
         self.width
     }
 
+    /// What to store for a distance: itself within the band, a lower bound beyond.
+    pub fn clip(&self, voxel: [usize; 3], distance: f64) -> f64 {
+        if distance <= self.width { distance } else { self.lower_bound(voxel).max(self.width) }
+    }
+
     /// A lower bound of the distance at a sample.
-    pub fn lower_bound(&self, voxel: [usize; 3]) -> f64 {
+    fn lower_bound(&self, voxel: [usize; 3]) -> f64 {
         let node = voxel.map(|i| i / STRIDE);
         let fraction = voxel.map(|i| (i % STRIDE) as f64 / STRIDE as f64);
         let mut mean = 0.0;

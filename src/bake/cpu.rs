@@ -1,7 +1,7 @@
 //! The bake on the CPU.
 
 use super::band::Band;
-use super::{Bake, BakeOptions, LocalGrid, Report};
+use super::{Bake, BakeOptions, LocalGrid, Report, dense};
 use crate::error::Error;
 use crate::grid::Grid;
 use crate::memory::allocate_samples;
@@ -90,41 +90,44 @@ impl Job<'_> {
     /// Unsigned distances, world units. Rules that look at the closest point set the sign here too; returns the number
     /// of samples they found inside.
     fn distances(&self, out: &mut [f32], band: Option<&Band>) -> Result<Counts, Error> {
-        let [nx, ny, _] = self.grid.shape;
-        let by_closest = matches!(self.rule, SignRule::Pseudonormal | SignRule::Normal);
-        let step = self.local.step();
-        let inside = AtomicUsize::new(0);
-        out.par_chunks_mut(nx * ny).enumerate().try_for_each(|(z, plane)| -> Result<(), Error> {
-            for (y, row) in plane.chunks_exact_mut(nx).enumerate() {
-                // A neighbour's distance plus the way to it bounds the next one.
-                let mut bound = f64::INFINITY;
-                for (x, sample) in row.iter_mut().enumerate() {
-                    let voxel = [x, y, z];
-                    let p = self.local.at(voxel);
-                    let far_bound = band.map_or(0.0, |band| band.lower_bound(voxel));
-                    let width = band.map_or(f64::INFINITY, Band::width);
-                    let closest = if by_closest {
-                        Some(self.mesh.closest_point(p))
-                    } else if far_bound > width {
-                        None
-                    } else {
-                        let found = self.mesh.closest_point_within(p, squared_bound(bound.min(width)));
-                        found.or_else(|| band.is_none().then(|| self.mesh.closest_point(p)))
-                    };
-                    let distance = closest.map_or(f64::INFINITY, |closest| closest.distance);
-                    bound = distance + step.x;
-                    let mut stored = if distance <= width { distance } else { far_bound.max(width) };
-                    if let Some(closest) = closest.filter(|_| by_closest)
-                        && self.rule.is_inside(self.mesh, p, &closest)
-                    {
-                        stored = -stored;
-                        inside.fetch_add(1, Ordering::Relaxed);
-                    }
-                    *sample = (stored * self.mesh.scale()) as f32;
-                }
-                self.progress.advance(nx as u64)?;
+        if matches!(self.rule, SignRule::Pseudonormal | SignRule::Normal) {
+            return self.closest_points(out, band);
+        }
+        let limit = band.map_or(f64::INFINITY, Band::width);
+        dense::distances(self.mesh.bvh(), &self.local, limit as f32, self.progress, out)?;
+        let scale = self.mesh.scale();
+        let nx = self.grid.shape[0];
+        out.par_chunks_mut(nx).enumerate().for_each(|(row, samples)| {
+            for (x, sample) in samples.iter_mut().enumerate() {
+                let distance = f64::from(*sample);
+                let stored = band.map_or(distance, |band| band.clip(self.voxel(x, row), distance));
+                *sample = (stored * scale) as f32;
             }
-            Ok(())
+        });
+        Ok(Counts::default())
+    }
+
+    fn voxel(&self, x: usize, row: usize) -> [usize; 3] {
+        [x, row % self.grid.shape[1], row / self.grid.shape[1]]
+    }
+
+    /// Closest points sample by sample, for the rules that need them.
+    fn closest_points(&self, out: &mut [f32], band: Option<&Band>) -> Result<Counts, Error> {
+        let nx = self.grid.shape[0];
+        let inside = AtomicUsize::new(0);
+        out.par_chunks_mut(nx).enumerate().try_for_each(|(row, samples)| {
+            for (x, sample) in samples.iter_mut().enumerate() {
+                let voxel = self.voxel(x, row);
+                let p = self.local.at(voxel);
+                let closest = self.mesh.closest_point(p);
+                let mut stored = band.map_or(closest.distance, |band| band.clip(voxel, closest.distance));
+                if self.rule.is_inside(self.mesh, p, &closest) {
+                    stored = -stored;
+                    inside.fetch_add(1, Ordering::Relaxed);
+                }
+                *sample = (stored * self.mesh.scale()) as f32;
+            }
+            self.progress.advance(nx as u64)
         })?;
         Ok(Counts { inside: inside.into_inner(), undecided: 0 })
     }
@@ -229,8 +232,3 @@ impl Job<'_> {
 
 /// A winding number this close to 1/2 is reported as undecided.
 const NEAR_HALF: f64 = 0.05;
-/// A bound on a distance as the search wants it, with room for its float32 rounding (a few 1e-7 of the local box).
-fn squared_bound(distance: f64) -> f32 {
-    let slack = 1e-5 * distance + 1e-6;
-    ((distance + slack) * (distance + slack)) as f32
-}

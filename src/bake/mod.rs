@@ -6,6 +6,7 @@
 
 mod band;
 mod cpu;
+mod dense;
 mod report;
 
 pub use report::Report;

@@ -1,5 +1,6 @@
 //! The nearest triangle of one point: depth first, near child first, pruned by the best squared distance so far.
 
+use super::pack::TriangleFrame;
 use super::{Bvh, ChildRef, MAX_STACK, Node, WIDTH};
 use crate::geometry::{TrianglePoint, closest_point_on_triangle};
 use crate::mesh::Mesh;
@@ -8,8 +9,17 @@ use glam::{DVec3, Vec3};
 /// The nearest face of a point and its squared distance, in float32 as the search compared it.
 #[derive(Debug, Clone, Copy)]
 pub struct Nearest {
+    /// The pack and the lane that hold the face.
+    pub slot: Slot,
     pub face: u32,
     pub distance_squared: f32,
+}
+
+/// A triangle's place in the tree.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Slot {
+    pub pack: u32,
+    pub lane: u8,
 }
 
 /// The nearest point of a mesh in float64, local units.
@@ -40,6 +50,13 @@ impl Mesh {
 }
 
 impl Node {
+    /// Longest side of a child's box.
+    #[inline(always)]
+    pub fn size(&self, lane: usize) -> f32 {
+        let side = |axis: usize| self.max[axis][lane] - self.min[axis][lane];
+        side(0).max(side(1)).max(side(2))
+    }
+
     /// Squared distance of `p` to each child's box, infinite for an absent child.
     #[inline(always)]
     pub fn distances_squared(&self, p: Vec3) -> [f32; WIDTH] {
@@ -83,7 +100,7 @@ impl Bvh {
         stack[0] = (0.0, Bvh::ROOT);
         let mut top = 1;
         let mut best = bound_squared;
-        let mut best_face = None;
+        let mut best_slot = None;
         while top > 0 {
             top -= 1;
             let (box_squared, child) = stack[top];
@@ -94,9 +111,9 @@ impl Bvh {
                 let pack = &self.packs[child.index()];
                 let found = pack.distances_squared(p);
                 for lane in 0..WIDTH {
-                    if found[lane] < best || (found[lane] == best && best_face.is_none()) {
+                    if found[lane] < best || (found[lane] == best && best_slot.is_none()) {
                         best = found[lane];
-                        best_face = Some(pack.face(lane));
+                        best_slot = Some(Slot { pack: child.index() as u32, lane: lane as u8 });
                     }
                 }
                 continue;
@@ -117,7 +134,17 @@ impl Bvh {
                 }
             }
         }
-        best_face.map(|face| Nearest { face, distance_squared: best })
+        best_slot.map(|slot| Nearest { slot, face: self.face(slot), distance_squared: best })
+    }
+
+    /// The face in a slot.
+    pub fn face(&self, slot: Slot) -> u32 {
+        self.packs[slot.pack as usize].face(usize::from(slot.lane))
+    }
+
+    /// The triangle in a slot.
+    pub fn frame(&self, slot: Slot) -> TriangleFrame {
+        self.packs[slot.pack as usize].frame(usize::from(slot.lane))
     }
 
     /// All faces whose float32 distance to `p` is at most `radius`.

@@ -9,50 +9,35 @@
 //! triangle wins; its distance is then found in float64.
 
 use super::WIDTH;
-use glam::{DVec3, Vec3};
+use glam::{DVec2, DVec3, Vec3};
 
-/// Up to eight triangles; empty lanes repeat the first.
-#[derive(Debug, Clone)]
-#[repr(C, align(32))]
-pub struct Pack {
-    /// Frame origin and axes, one row per coordinate.
-    a: [[f32; WIDTH]; 3],
-    u: [[f32; WIDTH]; 3],
-    v: [[f32; WIDTH]; 3],
-    n: [[f32; WIDTH]; 3],
+/// One triangle in its own frame.
+#[derive(Debug, Clone, Copy, Default)]
+#[repr(C)]
+pub struct TriangleFrame {
+    /// Origin and axes.
+    a: [f32; 3],
+    u: [f32; 3],
+    v: [f32; 3],
+    n: [f32; 3],
     /// Length of the edge along `u`, and of the edges from its two ends to the apex, with their unit directions.
-    length: [f32; WIDTH],
-    left: [[f32; WIDTH]; 2],
-    left_length: [f32; WIDTH],
-    right: [[f32; WIDTH]; 2],
-    right_length: [f32; WIDTH],
-    faces: [u32; WIDTH],
-    count: u32,
+    length: f32,
+    left: [f32; 2],
+    left_length: f32,
+    right: [f32; 2],
+    right_length: f32,
 }
 
-impl Pack {
-    pub fn new(positions: &[Vec3], faces: &[[u32; 3]], members: &[u32]) -> Self {
-        let mut pack = Self {
-            a: [[0.0; WIDTH]; 3],
-            u: [[0.0; WIDTH]; 3],
-            v: [[0.0; WIDTH]; 3],
-            n: [[0.0; WIDTH]; 3],
-            length: [0.0; WIDTH],
-            left: [[0.0; WIDTH]; 2],
-            left_length: [0.0; WIDTH],
-            right: [[0.0; WIDTH]; 2],
-            right_length: [0.0; WIDTH],
-            faces: [0; WIDTH],
-            count: members.len() as u32,
-        };
-        for lane in 0..WIDTH {
-            let face = members[if lane < members.len() { lane } else { 0 }];
-            pack.set(lane, face, faces[face as usize].map(|v| positions[v as usize].as_dvec3()));
-        }
-        pack
-    }
+/// A point seen from a triangle: how far, and the way from the nearest point to it in the triangle's frame.
+struct Offset {
+    squared: f32,
+    along_u: f32,
+    along_v: f32,
+    along_n: f32,
+}
 
-    fn set(&mut self, lane: usize, face: u32, corners: [DVec3; 3]) {
+impl TriangleFrame {
+    pub fn new(corners: [DVec3; 3]) -> Self {
         // Start at the longest edge: its direction is the best known one.
         let squared = |i: usize| corners[i].distance_squared(corners[(i + 1) % 3]);
         let first = (1..3).fold(0, |best, i| if squared(i) > squared(best) { i } else { best });
@@ -62,24 +47,92 @@ impl Pack {
         let n = (b - a).cross(c - a).normalize();
         let v = n.cross(u);
         let length = (b - a).length();
-        let apex = glam::DVec2::new((c - a).dot(u), (c - a).dot(v));
-        let left = apex.normalize();
-        let base = apex - glam::DVec2::new(length, 0.0);
-        let right = base.normalize();
-        for axis in 0..3 {
-            self.a[axis][lane] = a[axis] as f32;
-            self.u[axis][lane] = u[axis] as f32;
-            self.v[axis][lane] = v[axis] as f32;
-            self.n[axis][lane] = n[axis] as f32;
+        let apex = DVec2::new((c - a).dot(u), (c - a).dot(v));
+        let from_end = apex - DVec2::new(length, 0.0);
+        Self {
+            a: a.as_vec3().to_array(),
+            u: u.as_vec3().to_array(),
+            v: v.as_vec3().to_array(),
+            n: n.as_vec3().to_array(),
+            length: length as f32,
+            left: apex.normalize().as_vec2().to_array(),
+            left_length: apex.length() as f32,
+            right: from_end.normalize().as_vec2().to_array(),
+            right_length: from_end.length() as f32,
         }
-        self.length[lane] = length as f32;
-        for axis in 0..2 {
-            self.left[axis][lane] = left[axis] as f32;
-            self.right[axis][lane] = right[axis] as f32;
+    }
+
+    /// The offset of a point from its nearest point.
+    #[inline(always)]
+    fn offset(&self, p: [f32; 3]) -> Offset {
+        let d = [p[0] - self.a[0], p[1] - self.a[1], p[2] - self.a[2]];
+        let dot = |axis: &[f32; 3]| d[0] * axis[0] + d[1] * axis[1] + d[2] * axis[2];
+        let (x, y, height) = (dot(&self.u), dot(&self.v), dot(&self.n));
+
+        // The edge along u.
+        let base_x = x - clamp(x, self.length);
+        let base = base_x * base_x + y * y;
+        // The edge from the origin to the apex: the way along it, and to its left.
+        let [ex, ey] = self.left;
+        let (along, beside) = (x * ex + y * ey, ex * y - ey * x);
+        let past = along - clamp(along, self.left_length);
+        let left = past * past + beside * beside;
+        let (left_x, left_y) = (past * ex - beside * ey, past * ey + beside * ex);
+        // The edge from the far end to the apex.
+        let [ex, ey] = self.right;
+        let end_x = x - self.length;
+        let (along, aside) = (end_x * ex + y * ey, ex * y - ey * end_x);
+        let past = along - clamp(along, self.right_length);
+        let right = past * past + aside * aside;
+        let (right_x, right_y) = (past * ex - aside * ey, past * ey + aside * ex);
+
+        let inside = (y >= 0.0) & (beside <= 0.0) & (aside >= 0.0);
+        let (edge, edge_x, edge_y) = if left < right { (left, left_x, left_y) } else { (right, right_x, right_y) };
+        let (edge, edge_x, edge_y) = if base < edge { (base, base_x, y) } else { (edge, edge_x, edge_y) };
+        let (flat, along_u, along_v) = if inside { (0.0, 0.0, 0.0) } else { (edge, edge_x, edge_y) };
+        Offset { squared: height * height + flat, along_u, along_v, along_n: height }
+    }
+
+    /// Squared distance of one point.
+    #[inline(always)]
+    pub fn distance_squared(&self, p: Vec3) -> f32 {
+        self.offset(p.to_array()).squared
+    }
+
+    /// Squared distances of eight points.
+    #[inline(always)]
+    pub fn distances_squared(&self, p: [[f32; WIDTH]; 3]) -> [f32; WIDTH] {
+        let mut result = [0.0; WIDTH];
+        for i in 0..WIDTH {
+            result[i] = self.offset([p[0][i], p[1][i], p[2][i]]).squared;
         }
-        self.left_length[lane] = apex.length() as f32;
-        self.right_length[lane] = base.length() as f32;
-        self.faces[lane] = face;
+        result
+    }
+}
+
+/// Up to eight triangles, one row of lanes per number of their frames; empty lanes repeat the first.
+#[derive(Debug, Clone)]
+#[repr(C, align(32))]
+pub struct Pack {
+    frames: [[f32; WIDTH]; FRAME_FLOATS],
+    faces: [u32; WIDTH],
+    count: u32,
+}
+
+const FRAME_FLOATS: usize = size_of::<TriangleFrame>() / size_of::<f32>();
+
+impl Pack {
+    pub fn new(positions: &[Vec3], faces: &[[u32; 3]], members: &[u32]) -> Self {
+        let mut pack = Self { frames: [[0.0; WIDTH]; FRAME_FLOATS], faces: [0; WIDTH], count: members.len() as u32 };
+        for lane in 0..WIDTH {
+            let face = members[if lane < members.len() { lane } else { 0 }];
+            let frame = TriangleFrame::new(faces[face as usize].map(|v| positions[v as usize].as_dvec3()));
+            for (row, value) in pack.frames.iter_mut().zip(frame.floats()) {
+                row[lane] = value;
+            }
+            pack.faces[lane] = face;
+        }
+        pack
     }
 
     /// The faces in this pack.
@@ -92,35 +145,67 @@ impl Pack {
         self.faces[lane]
     }
 
+    /// Bit i set where lane i holds a triangle.
+    pub fn mask(&self) -> u8 {
+        u8::MAX >> (WIDTH as u32 - self.count)
+    }
+
+    /// The triangle of a lane.
+    #[inline(always)]
+    pub fn frame(&self, lane: usize) -> TriangleFrame {
+        let row = |i: usize| self.frames[i][lane];
+        TriangleFrame {
+            a: [row(0), row(1), row(2)],
+            u: [row(3), row(4), row(5)],
+            v: [row(6), row(7), row(8)],
+            n: [row(9), row(10), row(11)],
+            length: row(12),
+            left: [row(13), row(14)],
+            left_length: row(15),
+            right: [row(16), row(17)],
+            right_length: row(18),
+        }
+    }
+
     /// Squared distance of `p` to each triangle.
     #[inline(always)]
     pub fn distances_squared(&self, p: Vec3) -> [f32; WIDTH] {
         let mut result = [0.0; WIDTH];
         for i in 0..WIDTH {
-            let (px, py, pz) = (p.x - self.a[0][i], p.y - self.a[1][i], p.z - self.a[2][i]);
-            let x = px * self.u[0][i] + py * self.u[1][i] + pz * self.u[2][i];
-            let y = px * self.v[0][i] + py * self.v[1][i] + pz * self.v[2][i];
-            let height = px * self.n[0][i] + py * self.n[1][i] + pz * self.n[2][i];
-
-            // The edge along u.
-            let dx = x - clamp(x, self.length[i]);
-            let base = dx * dx + y * y;
-            // The edge from the origin to the apex: along it, and to its left.
-            let (ex, ey) = (self.left[0][i], self.left[1][i]);
-            let (along, beside) = (x * ex + y * ey, ex * y - ey * x);
-            let d = along - clamp(along, self.left_length[i]);
-            let left = d * d + beside * beside;
-            // The edge from the far end to the apex.
-            let (ex, ey, x) = (self.right[0][i], self.right[1][i], x - self.length[i]);
-            let (along, aside) = (x * ex + y * ey, ex * y - ey * x);
-            let d = along - clamp(along, self.right_length[i]);
-            let right = d * d + aside * aside;
-
-            let inside = (y >= 0.0) & (beside <= 0.0) & (aside >= 0.0);
-            let flat = if inside { 0.0 } else { min(base, min(left, right)) };
-            result[i] = height * height + flat;
+            result[i] = self.frame(i).offset(p.to_array()).squared;
         }
         result
+    }
+
+    /// Distance of `p` to each triangle, and its gradient: the unit vector from the nearest point to `p`, or zero where
+    /// the distance is zero.
+    #[inline(always)]
+    pub fn tangents(&self, p: Vec3) -> ([f32; WIDTH], [[f32; WIDTH]; 3]) {
+        let mut value = [0.0; WIDTH];
+        let mut gradient = [[0.0; WIDTH]; 3];
+        for i in 0..WIDTH {
+            let frame = self.frame(i);
+            let Offset { squared, along_u, along_v, along_n } = frame.offset(p.to_array());
+            value[i] = squared.sqrt();
+            let inverse = if value[i] > 0.0 { 1.0 / value[i] } else { 0.0 };
+            for axis in 0..3 {
+                gradient[axis][i] =
+                    (along_u * frame.u[axis] + along_v * frame.v[axis] + along_n * frame.n[axis]) * inverse;
+            }
+        }
+        (value, gradient)
+    }
+}
+
+impl TriangleFrame {
+    fn floats(&self) -> [f32; FRAME_FLOATS] {
+        let Self { a, u, v, n, length, left, left_length, right, right_length } = *self;
+        let mut floats = [0.0; FRAME_FLOATS];
+        for (i, axis) in [a, u, v, n].into_iter().enumerate() {
+            floats[3 * i..3 * i + 3].copy_from_slice(&axis);
+        }
+        floats[12..].copy_from_slice(&[length, left[0], left[1], left_length, right[0], right[1], right_length]);
+        floats
     }
 }
 
@@ -128,12 +213,7 @@ impl Pack {
 #[inline(always)]
 fn clamp(x: f32, length: f32) -> f32 {
     let x = if x > 0.0 { x } else { 0.0 };
-    min(x, length)
-}
-
-#[inline(always)]
-fn min(a: f32, b: f32) -> f32 {
-    if a < b { a } else { b }
+    if x < length { x } else { length }
 }
 
 #[cfg(test)]
