@@ -4,9 +4,8 @@
 //! that frame the triangle is flat: corners (0, 0), (length, 0) and an apex. The distance is the height over the plane,
 //! joined to the 2D distance in it: zero inside, else the least of three clamped edges. No branch, no division.
 //!
-//! *Precision.* Frames are found in float64 and rounded once, so even a needle's normal is good to 6e-8 and the
-//! distance of `p` is good to a few 1e-7 of |p - a|, also when it is small against that. This decides only which
-//! triangle wins; its distance is then found in float64.
+//! *Precision.* Frames are found in float64 and rounded once, so even a needle's frame is good to 6e-8 and the
+//! distance of `p` is good to a few 1e-7 of |p - a|, also when it is small against that.
 
 use super::WIDTH;
 use glam::{DVec2, DVec3, Vec3};
@@ -44,7 +43,9 @@ impl TriangleFrame {
         let [a, b, c] = [0, 1, 2].map(|i| corners[(first + i) % 3]);
 
         let u = (b - a).normalize();
-        let n = (b - a).cross(c - a).normalize();
+        // At a right angle to u, also where a needle's cross product is all rounding: any plane through it will do.
+        let cross = u.cross(c - a);
+        let n = (cross - u * cross.dot(u)).try_normalize().unwrap_or_else(|| u.any_orthonormal_vector());
         let v = n.cross(u);
         let length = (b - a).length();
         let apex = DVec2::new((c - a).dot(u), (c - a).dot(v));

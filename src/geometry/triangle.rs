@@ -23,10 +23,14 @@ pub struct TrianglePoint {
 /// Closest point to `p` on triangle `abc`, by Voronoi regions.
 ///
 /// Ericson, *Real-Time Collision Detection*, 2005, section 5.1.5. The plane projection divides by the sum of the
-/// three barycentrics, which the region tests have shown to be positive.
+/// three barycentrics, which the region tests have shown to be positive. A needle whose sides are parallel to rounding
+/// has no plane to project on; its edges are all there is.
 pub fn closest_point_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> TrianglePoint {
     let at = |point, feature| TrianglePoint { point, feature };
     let (ab, ac) = (b - a, c - a);
+    if ab.cross(ac).length_squared() <= NEEDLE * ab.length_squared() * ac.length_squared() {
+        return closest_point_on_edges(p, [a, b, c]);
+    }
 
     let ap = p - a;
     let (d1, d2) = (ab.dot(ap), ac.dot(ap));
@@ -57,6 +61,29 @@ pub fn closest_point_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> TrianglePoi
     }
     let scale = 1.0 / (va + vb + vc);
     at(a + ab * (vb * scale) + ac * (vc * scale), Feature::Face)
+}
+
+/// Squared sine of an angle below which float64 does not know the plane of a triangle to 1e-6.
+const NEEDLE: f64 = 1e-20;
+
+fn closest_point_on_edges(p: DVec3, corners: [DVec3; 3]) -> TrianglePoint {
+    let on_edge = |i: u8| {
+        let next = (i + 1) % 3;
+        let (a, b) = (corners[usize::from(i)], corners[usize::from(next)]);
+        let t = (p - a).dot(b - a) / (b - a).length_squared();
+        let (point, feature) = if t <= 0.0 {
+            (a, Feature::Vertex(i))
+        } else if t >= 1.0 {
+            (b, Feature::Vertex(next))
+        } else {
+            (a + (b - a) * t, Feature::Edge(i))
+        };
+        TrianglePoint { point, feature }
+    };
+    let nearer = |x: TrianglePoint, y: TrianglePoint| {
+        if y.point.distance_squared(p) < x.point.distance_squared(p) { y } else { x }
+    };
+    nearer(nearer(on_edge(0), on_edge(1)), on_edge(2))
 }
 
 /// Cross product of two edges: normal direction, and twice the area in its length.
@@ -105,6 +132,15 @@ mod tests {
             let cell = (b - a).length().max((c - a).length()).max((c - b).length()) / n as f64;
             prop_assert!(nearest_lattice <= cell);
         }
+    }
+
+    /// A needle of float32 corners, thinner than float64 can resolve against its length, is its edges.
+    #[test]
+    fn a_needle_is_as_near_as_its_edges() {
+        let corners = [DVec3::Z, DVec3::new(0.1, 0.0, 0.9), DVec3::new(1e-17, 3e-18, 1.0)];
+        let p = DVec3::new(0.05, 0.3, 0.95);
+        let found = closest_point_on_triangle(p, corners).point;
+        assert!((found - DVec3::new(0.05, 0.0, 0.95)).length() < 1e-15, "{found}");
     }
 
     #[test]
