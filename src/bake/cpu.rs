@@ -8,7 +8,7 @@ use crate::memory::allocate_samples;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::sign::crossing::{Axes, Surface, scan_row};
-use crate::sign::openings::Openings;
+use crate::sign::openings::{Openings, SampleBlock};
 use crate::sign::{SignChoice, SignMethod, SignRule, parity};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -29,18 +29,17 @@ pub(super) fn bake(mesh: &Mesh, grid: &Grid, options: &BakeOptions, progress: &P
     progress.set_total(2 * grid.len() as u64);
 
     let start = Instant::now();
-    mesh.bvh();
+    let (_, topology) = rayon::join(|| mesh.bvh(), || mesh.topology());
     progress.check()?;
-    stage("tree", start);
+    stage("tree and topology", start);
 
     let start = Instant::now();
-    let topology = mesh.topology();
     let method = if options.thickness.is_some() { SignMethod::Unsigned } else { options.sign };
     let choice = SignChoice::new(mesh, method);
     choice.rule.prepare(mesh);
     let mut report = Report::new(mesh, topology, &choice);
     progress.check()?;
-    stage("topology", start);
+    stage("sign rule", start);
 
     let start = Instant::now();
     let job = Job { mesh, grid, local, rule: &choice.rule, progress };
@@ -94,16 +93,16 @@ impl Job<'_> {
             return self.closest_points(out, band);
         }
         let limit = band.map_or(f64::INFINITY, Band::width);
-        dense::distances(self.mesh.bvh(), &self.local, limit as f32, self.progress, out)?;
+        // The scale is a power of two: the product is exact.
         let scale = self.mesh.scale();
-        let nx = self.grid.shape[0];
-        out.par_chunks_mut(nx).enumerate().for_each(|(row, samples)| {
-            for (x, sample) in samples.iter_mut().enumerate() {
-                let distance = f64::from(*sample);
-                let stored = band.map_or(distance, |band| band.clip(self.voxel(x, row), distance));
-                *sample = (stored * scale) as f32;
-            }
-        });
+        dense::distances(self.mesh.bvh(), &self.local, limit as f32, scale as f32, self.progress, out)?;
+        if let Some(band) = band {
+            out.par_chunks_mut(self.grid.shape[0]).enumerate().for_each(|(row, samples)| {
+                for (x, sample) in samples.iter_mut().enumerate() {
+                    *sample = (band.clip(self.voxel(x, row), f64::from(*sample) / scale) * scale) as f32;
+                }
+            });
+        }
         Ok(Counts::default())
     }
 
@@ -161,7 +160,8 @@ impl Job<'_> {
         if !openings.caps.is_empty() {
             let at = |[x, y, z]: [usize; 3]| self.local.at([x, y, first_plane + z]);
             let mut set = |[x, y, z]: [usize; 3], rounded| fractions[x + nx * (y + ny * z)] = rounded;
-            counts.undecided = openings.for_each_rounded_fraction([0; 3], [nx, ny, planes], &at, &mut set);
+            let block = SampleBlock { low: [0; 3], high: [nx, ny, planes], at: &at };
+            counts.undecided = openings.for_each_rounded_fraction(&block, &mut set);
         }
         let surface = Surface::new(self.mesh, &openings.caps);
         let mut windings = vec![0i16; nx * ny];

@@ -14,9 +14,9 @@
 //!
 //! The walk goes from blocks of 16^3 samples over 8^3 to 4^3. A block inherits the nodes that its parent kept, tests their
 //! children, opens those larger than itself, and passes the rest on. T is the triangle nearest to the centre. A block of
-//! 4^3 opens what is left down to single triangles and keeps the tangent of each. Groups of 2^3 samples then need no new
-//! geometry: their samples are their corners, the tangents still hold, and the best distances so far are the bound, sample
-//! by sample, in any order.
+//! 4^3 opens what is left down to single triangles and keeps the tangent of each. Groups of 16 samples then need no new
+//! geometry: the tangents still hold, and the best distances so far are the bound, sample by sample, in any order; the
+//! nearest come first.
 //!
 //! # Rounding
 //!
@@ -30,6 +30,7 @@
 //! a node test. The result does not depend on threads or instruction set.
 
 use super::LocalGrid;
+use crate::bvh::closest::Slot;
 use crate::bvh::pack::TriangleFrame;
 use crate::bvh::{Bvh, Node, WIDTH};
 use crate::error::Error;
@@ -40,18 +41,22 @@ use rayon::prelude::*;
 /// Samples along the side of the blocks that are tasks, and of those that list triangles.
 const TASK: usize = 16;
 const LEAF: usize = 4;
-/// Lanes: the samples of a group of 2^3, or the corners of a block.
-const LANES: usize = 8;
+/// Samples of a group, evaluated side by side.
+const GROUP: [usize; 3] = [4, 2, 2];
+const LANES: usize = GROUP[0] * GROUP[1] * GROUP[2];
+/// Corners of a block.
+const CORNERS: usize = 8;
 /// Margin of the culling test, relative to the largest coordinate: ten times the rounding of either side.
 const SLACK: f32 = 4e-6;
 
-/// Distances of every sample of a grid, local units.
+/// Distances of every sample of a grid, times `scale`.
 ///
-/// `limit` is the distance up to which they are wanted: a block that lies wholly beyond it keeps infinity.
+/// `limit` is the distance up to which they are wanted, local units: a block that lies wholly beyond it gets infinity.
 pub(super) fn distances(
     bvh: &Bvh,
     grid: &LocalGrid,
     limit: f32,
+    scale: f32,
     progress: &Progress,
     out: &mut [f32],
 ) -> Result<(), Error> {
@@ -67,7 +72,7 @@ pub(super) fn distances(
             Tile { bvh, grid, slack: SLACK * reach, limit, low, samples: [f32::INFINITY; TASK * TASK * TASK] };
         tile.fill(scratch, low, high);
         // SAFETY: tasks are disjoint boxes of the grid, and each writes only rows of its own box.
-        unsafe { rows.write(low, high, &tile.samples) };
+        unsafe { rows.write(low, high, &tile.samples, scale) };
         progress.advance(high.iter().zip(low).map(|(h, l)| (h - l) as u64).product())
     })
 }
@@ -82,17 +87,20 @@ struct SharedRows {
 unsafe impl Sync for SharedRows {}
 
 impl SharedRows {
-    /// Copy a tile to its place.
+    /// Put a tile, scaled, in its place.
     ///
     /// # Safety
     /// The box `low..high` lies in the grid, and no other thread writes to it.
-    unsafe fn write(&self, low: [usize; 3], high: [usize; 3], tile: &[f32]) {
+    unsafe fn write(&self, low: [usize; 3], high: [usize; 3], tile: &[f32], scale: f32) {
         for z in low[2]..high[2] {
             for y in low[1]..high[1] {
                 let offset = low[0] + self.shape[0] * (y + self.shape[1] * z);
                 let row = &tile[TASK * ((y - low[1]) + TASK * (z - low[2]))..][..high[0] - low[0]];
                 // SAFETY: by the contract above, the row lies in the output and is this caller's alone.
-                unsafe { std::ptr::copy_nonoverlapping(row.as_ptr(), self.samples.add(offset), row.len()) };
+                let target = unsafe { std::slice::from_raw_parts_mut(self.samples.add(offset), row.len()) };
+                for (to, from) in target.iter_mut().zip(row) {
+                    *to = from * scale;
+                }
             }
         }
     }
@@ -106,16 +114,17 @@ type Candidates = Vec<(u32, u8)>;
 struct Scratch {
     levels: [Candidates; 3],
     stack: Candidates,
-    triangles: Vec<Tangent>,
+    tangents: Vec<Tangent>,
+    triangles: Vec<(Tangent, TriangleFrame)>,
 }
 
-/// A triangle that can matter to a block, and the tangent of its distance at the block's centre.
+/// The tangent of a triangle's distance at the centre of a block.
 #[derive(Clone, Copy)]
 struct Tangent {
     gradient: [f32; 3],
-    /// The tangent's value at the centre, the margin taken off.
+    /// At the centre, the margin taken off.
     value: f32,
-    frame: TriangleFrame,
+    slot: Slot,
 }
 
 /// A box of samples: centre and half size of the box around their positions.
@@ -126,28 +135,32 @@ struct Block {
 }
 
 impl Block {
-    /// Its corners, as offsets from the centre.
+    /// The positions of its corners; bit `axis` of the index picks the upper side.
     #[inline(always)]
-    fn corners(&self) -> [[f32; LANES]; 3] {
-        let mut corners = [[0.0; LANES]; 3];
+    fn corners(&self) -> [[f32; CORNERS]; 3] {
+        let mut corners = [[0.0; CORNERS]; 3];
         for axis in 0..3 {
-            for i in 0..LANES {
-                corners[axis][i] = if i >> axis & 1 == 1 { self.half[axis] } else { -self.half[axis] };
+            for i in 0..CORNERS {
+                let half = self.half[axis];
+                corners[axis][i] = self.center[axis] + if i >> axis & 1 == 1 { half } else { -half };
             }
         }
         corners
     }
 
-    /// The positions of its corners.
+    /// The largest value a tangent may have at the centre without lying above every bound: max over the corners of the
+    /// bound there less the tangent's rise to there.
     #[inline(always)]
-    fn corner_positions(&self) -> [[f32; LANES]; 3] {
-        let mut corners = self.corners();
-        for axis in 0..3 {
-            for i in 0..LANES {
-                corners[axis][i] += self.center[axis];
-            }
+    fn slackest(&self, gradient: [f32; 3], bounds: &[f32; CORNERS]) -> f32 {
+        let [x, y, z] = [0, 1, 2].map(|axis| gradient[axis] * self.half[axis]);
+        let (sum, difference) = (x + y, x - y);
+        // The rise to the corners with both x and y up, x alone, y alone, neither; below and above.
+        let rises = [sum, difference, -difference, -sum];
+        let mut slackest = f32::NEG_INFINITY;
+        for (corner, rise) in [3, 1, 2, 0].into_iter().zip(rises) {
+            slackest = max(slackest, max(bounds[corner] - (rise - z), bounds[corner + 4] - (rise + z)));
         }
-        corners
+        slackest
     }
 }
 
@@ -191,7 +204,7 @@ impl Tile<'_> {
 
     #[inline(always)]
     fn fill_portable(&mut self, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
-        let Scratch { levels: [root, middle, leaf], stack, triangles } = scratch;
+        let Scratch { levels: [root, middle, packs], stack, tangents, triangles } = scratch;
         let block = self.block(low, high);
         let Some(nearest) = self.bvh.nearest(block.center, f32::INFINITY) else { return };
         if self.is_beyond(&block, nearest.distance_squared) {
@@ -202,7 +215,7 @@ impl Tile<'_> {
         stack.push((0, u8::MAX));
         self.cull_nodes(&block, &first, stack, root);
 
-        for sub in blocks(low, high, TASK / 2) {
+        for sub in blocks(low, high, [TASK / 2; 3]) {
             let block = self.block(sub.0, sub.1);
             let bound = first.distance_squared(block.center) * (1.0 + 1e-5) + 1e-12;
             let found = self.bvh.nearest(block.center, bound);
@@ -214,11 +227,15 @@ impl Tile<'_> {
             stack.extend_from_slice(root);
             self.cull_nodes(&block, &frame, stack, middle);
 
-            for sub in blocks(sub.0, sub.1, LEAF) {
+            // The best triangle of the block before may be nearer than that of the parent.
+            let mut previous = frame;
+            for sub in blocks(sub.0, sub.1, [LEAF; 3]) {
                 let block = self.block(sub.0, sub.1);
+                let of_previous = previous.distance_squared(block.center);
+                let near = if of_previous < frame.distance_squared(block.center) { previous } else { frame };
                 stack.clear();
                 stack.extend_from_slice(middle);
-                self.list_triangles(&block, &frame, stack, leaf, triangles);
+                previous = self.list_triangles(&block, &near, stack, packs, tangents, triangles);
                 self.evaluate(&block, sub.0, sub.1, triangles);
             }
         }
@@ -238,12 +255,11 @@ impl Tile<'_> {
     #[inline(always)]
     fn cull_nodes(&self, block: &Block, nearest: &TriangleFrame, stack: &mut Candidates, kept: &mut Candidates) {
         kept.clear();
-        let corners = block.corners();
-        let bounds = roots(nearest.distances_squared(block.corner_positions()));
+        let bounds = roots(nearest.distances_squared(block.corners()));
         let size = 2.0 * block.half.max_element();
         while let Some((index, mask)) = stack.pop() {
             let node = &self.bvh.nodes[index as usize];
-            let mut rest = self.survivors(node, block, &corners, &bounds) & mask;
+            let mut rest = self.survivors(node, block, &bounds) & mask;
             let mut keep = rest;
             while rest != 0 {
                 let lane = rest.trailing_zeros() as usize;
@@ -262,175 +278,164 @@ impl Tile<'_> {
 
     /// Which children of a node pass the culling test.
     #[inline(always)]
-    fn survivors(&self, node: &Node, block: &Block, corners: &[[f32; LANES]; 3], bounds: &[f32; LANES]) -> u8 {
-        // Distance of the centre to each box, and its direction.
-        let mut g = [[0.0f32; WIDTH]; 3];
-        let mut squared = [0.0f32; WIDTH];
-        for axis in 0..3 {
-            for i in 0..WIDTH {
-                let below = block.center[axis] - node.min[axis][i];
-                let above = block.center[axis] - node.max[axis][i];
-                let nearest = if below < 0.0 { below } else { 0.0 };
-                g[axis][i] = if above > 0.0 { above } else { nearest };
-                squared[i] += g[axis][i] * g[axis][i];
-            }
-        }
-        let mut value = [0.0f32; WIDTH];
+    fn survivors(&self, node: &Node, block: &Block, bounds: &[f32; CORNERS]) -> u8 {
+        let mut excess = [0.0f32; WIDTH];
         for i in 0..WIDTH {
-            value[i] = squared[i].sqrt();
-            let inverse = if value[i] > 0.0 { 1.0 / value[i] } else { 0.0 };
+            // From the nearest point of the box to the centre.
+            let mut g = [0.0f32; 3];
             for axis in 0..3 {
-                g[axis][i] *= inverse;
+                let above_min = block.center[axis] - node.min[axis][i];
+                let above_max = block.center[axis] - node.max[axis][i];
+                g[axis] = max(above_max, min(above_min, 0.0));
             }
-            value[i] -= self.slack;
+            let value = (g[0] * g[0] + g[1] * g[1] + g[2] * g[2]).sqrt();
+            let inverse = if value > 0.0 { 1.0 / value } else { 0.0 };
+            // An absent child is infinitely far and its gradient NaN, which no comparison lets through.
+            excess[i] = value - self.slack - block.slackest(g.map(|x| x * inverse), bounds);
         }
-        // An absent child is infinitely far: its NaN gradient must not keep it.
-        let mut alive = [false; WIDTH];
-        for k in 0..LANES {
-            for i in 0..WIDTH {
-                let tangent = value[i] + g[0][i] * corners[0][k] + g[1][i] * corners[1][k] + g[2][i] * corners[2][k];
-                alive[i] |= tangent <= bounds[k];
-            }
-        }
-        mask(&alive)
+        not_positive(&excess)
     }
 
-    /// The triangles that can matter to the samples of a block, each with its tangent.
+    /// The triangles that can matter to the samples of a block, nearest first; returns the nearest to its centre.
     #[inline(always)]
     fn list_triangles(
         &self,
         block: &Block,
-        nearest: &TriangleFrame,
+        near: &TriangleFrame,
         stack: &mut Candidates,
         packs: &mut Candidates,
-        triangles: &mut Vec<Tangent>,
-    ) {
+        tangents: &mut Vec<Tangent>,
+        triangles: &mut Vec<(Tangent, TriangleFrame)>,
+    ) -> TriangleFrame {
         let corners = block.corners();
-        let positions = block.corner_positions();
-        let bounds = roots(nearest.distances_squared(positions));
+        let bounds = roots(near.distances_squared(corners));
         packs.clear();
         while let Some((index, mask)) = stack.pop() {
             let node = &self.bvh.nodes[index as usize];
-            let mut rest = self.survivors(node, block, &corners, &bounds) & mask;
+            let mut rest = self.survivors(node, block, &bounds) & mask;
             while rest != 0 {
                 let lane = rest.trailing_zeros() as usize;
                 rest &= rest - 1;
                 let child = node.children[lane];
-                if child.is_pack() {
-                    packs.push((child.index() as u32, 0));
-                } else {
-                    stack.push((child.index() as u32, u8::MAX));
-                }
+                let list = if child.is_pack() { &mut *packs } else { &mut *stack };
+                list.push((child.index() as u32, u8::MAX));
             }
         }
 
-        // Tangents of all of them first: the nearest gives the sharpest bound.
-        triangles.clear();
-        let mut best = (f32::INFINITY, *nearest);
+        // The tangents first: the nearest triangle gives the sharpest bound for all.
+        tangents.clear();
+        let mut nearest: Option<Tangent> = None;
         for &(index, _) in packs.iter() {
             let pack = &self.bvh.packs[index as usize];
             let (value, gradient) = pack.tangents(block.center);
-            let mut alive = [false; WIDTH];
-            for k in 0..LANES {
-                for i in 0..WIDTH {
-                    let tangent = value[i] - self.slack
-                        + gradient[0][i] * corners[0][k]
-                        + gradient[1][i] * corners[1][k]
-                        + gradient[2][i] * corners[2][k];
-                    alive[i] |= tangent <= bounds[k];
-                }
+            let mut excess = [0.0f32; WIDTH];
+            for i in 0..WIDTH {
+                let slackest = block.slackest([gradient[0][i], gradient[1][i], gradient[2][i]], &bounds);
+                excess[i] = value[i] - self.slack - slackest;
             }
-            let mut rest = mask(&alive) & pack.mask();
+            let mut rest = not_positive(&excess) & pack.mask();
             while rest != 0 {
                 let lane = rest.trailing_zeros() as usize;
                 rest &= rest - 1;
-                let frame = pack.frame(lane);
-                if value[lane] < best.0 {
-                    best = (value[lane], frame);
+                let tangent = Tangent {
+                    gradient: [0, 1, 2].map(|axis| gradient[axis][lane]),
+                    value: value[lane] - self.slack,
+                    slot: Slot { pack: index, lane: lane as u8 },
+                };
+                if nearest.is_none_or(|nearest| tangent.value < nearest.value) {
+                    nearest = Some(tangent);
                 }
-                let gradient = [0, 1, 2].map(|axis| gradient[axis][lane]);
-                triangles.push(Tangent { gradient, value: value[lane] - self.slack, frame });
+                tangents.push(tangent);
             }
         }
-        let bounds = roots(best.1.distances_squared(positions));
-        triangles.retain(|triangle| {
-            let mut alive = false;
-            for k in 0..LANES {
-                alive |= triangle.at([corners[0][k], corners[1][k], corners[2][k]]) <= bounds[k];
-            }
-            alive
-        });
-        triangles.sort_unstable_by(|a, b| a.value.total_cmp(&b.value));
+        let frame = nearest.map_or(*near, |nearest| self.bvh.frame(nearest.slot));
+        let bounds = roots(frame.distances_squared(corners));
+        tangents.retain(|tangent| tangent.value <= block.slackest(tangent.gradient, &bounds));
+        tangents.sort_unstable_by(|a, b| a.value.total_cmp(&b.value));
+        triangles.clear();
+        triangles.extend(tangents.iter().map(|tangent| (*tangent, self.bvh.frame(tangent.slot))));
+        frame
     }
 
-    /// Distances of the samples of a block, two by two by two.
+    /// Distances of the samples of a block, a group at a time.
     #[inline(always)]
-    fn evaluate(&mut self, block: &Block, low: [usize; 3], high: [usize; 3], triangles: &[Tangent]) {
-        for (low_group, high_group) in blocks(low, high, 2) {
+    fn evaluate(&mut self, block: &Block, low: [usize; 3], high: [usize; 3], triangles: &[(Tangent, TriangleFrame)]) {
+        for (low, high) in blocks(low, high, GROUP) {
             // The samples of the group; past the edge of the grid the last one is repeated.
-            let index = |i: usize| [0, 1, 2].map(|axis| (low_group[axis] + (i >> axis & 1)).min(high_group[axis] - 1));
             let mut p = [[0.0f32; LANES]; 3];
             let mut offset = [[0.0f32; LANES]; 3];
             for i in 0..LANES {
-                let voxel = index(i);
+                let voxel = sample_of_group(low, high, i);
                 for axis in 0..3 {
                     p[axis][i] = self.grid.axes[axis].at(voxel[axis]) as f32;
                     offset[axis][i] = p[axis][i] - block.center[axis];
                 }
             }
             let mut best = [f32::INFINITY; LANES];
-            for triangle in triangles {
+            for (tangent, frame) in triangles {
+                let [gx, gy, gz] = tangent.gradient;
                 let mut matters = false;
                 for i in 0..LANES {
-                    matters |= triangle.at([offset[0][i], offset[1][i], offset[2][i]]) <= best[i];
+                    let bound = tangent.value + gx * offset[0][i] + gy * offset[1][i] + gz * offset[2][i];
+                    matters |= bound <= best[i];
                 }
                 if matters {
-                    let found = roots(triangle.frame.distances_squared(p));
+                    let found = roots(frame.distances_squared(p));
                     for i in 0..LANES {
-                        best[i] = if found[i] < best[i] { found[i] } else { best[i] };
+                        best[i] = min(found[i], best[i]);
                     }
                 }
             }
             for i in 0..LANES {
-                let [x, y, z] = [0, 1, 2].map(|axis| index(i)[axis] - self.low[axis]);
+                let voxel = sample_of_group(low, high, i);
+                let [x, y, z] = [0, 1, 2].map(|axis| voxel[axis] - self.low[axis]);
                 self.samples[x + TASK * (y + TASK * z)] = best[i];
             }
         }
     }
 }
 
-impl Tangent {
-    /// The lower bound at an offset from the block's centre.
-    #[inline(always)]
-    fn at(&self, offset: [f32; 3]) -> f32 {
-        self.value + self.gradient[0] * offset[0] + self.gradient[1] * offset[1] + self.gradient[2] * offset[2]
-    }
+/// Voxel of a lane of the group `low..high`.
+#[inline(always)]
+fn sample_of_group(low: [usize; 3], high: [usize; 3], lane: usize) -> [usize; 3] {
+    let step = [lane % GROUP[0], lane / GROUP[0] % GROUP[1], lane / (GROUP[0] * GROUP[1])];
+    [0, 1, 2].map(|axis| (low[axis] + step[axis]).min(high[axis] - 1))
 }
 
 #[inline(always)]
-fn roots(mut squares: [f32; LANES]) -> [f32; LANES] {
-    for i in 0..LANES {
+fn roots<const N: usize>(mut squares: [f32; N]) -> [f32; N] {
+    for i in 0..N {
         squares[i] = squares[i].sqrt();
     }
     squares
 }
 
-/// Cut a box of samples into blocks of at most `side` samples.
-fn blocks(low: [usize; 3], high: [usize; 3], side: usize) -> impl Iterator<Item = ([usize; 3], [usize; 3])> {
-    let steps = [0, 1, 2].map(|axis| (high[axis] - low[axis]).div_ceil(side));
+#[inline(always)]
+fn max(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+#[inline(always)]
+fn min(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
+/// Cut a box of samples into blocks of at most `side` samples, x fastest.
+fn blocks(low: [usize; 3], high: [usize; 3], side: [usize; 3]) -> impl Iterator<Item = ([usize; 3], [usize; 3])> {
+    let steps = [0, 1, 2].map(|axis| (high[axis] - low[axis]).div_ceil(side[axis]));
     (0..steps.iter().product()).map(move |i: usize| {
         let step = [i % steps[0], i / steps[0] % steps[1], i / (steps[0] * steps[1])];
-        let from = [0, 1, 2].map(|axis| low[axis] + step[axis] * side);
-        (from, [0, 1, 2].map(|axis| (from[axis] + side).min(high[axis])))
+        let from = [0, 1, 2].map(|axis| low[axis] + step[axis] * side[axis]);
+        (from, [0, 1, 2].map(|axis| (from[axis] + side[axis]).min(high[axis])))
     })
 }
 
-/// Bit i set where lane i holds.
+/// Bit i set where lane i is zero or less.
 #[inline(always)]
-fn mask(lanes: &[bool; 8]) -> u8 {
+fn not_positive(lanes: &[f32; WIDTH]) -> u8 {
     let mut bits = 0;
-    for i in 0..8 {
-        bits |= u8::from(lanes[i]) << i;
+    for i in 0..WIDTH {
+        bits |= u8::from(lanes[i] <= 0.0) << i;
     }
     bits
 }
@@ -448,7 +453,7 @@ mod tests {
         let grid = Grid::new(lower, upper, shape).unwrap();
         let local = LocalGrid::new(&grid, mesh);
         let mut out = vec![f32::NAN; grid.len()];
-        distances(mesh.bvh(), &local, f32::INFINITY, &Progress::new(), &mut out).unwrap();
+        distances(mesh.bvh(), &local, f32::INFINITY, 1.0, &Progress::new(), &mut out).unwrap();
         // The promise of the module: 1e-6 of the box that holds mesh and grid, in practice a tenth of it.
         let reach = local.at([0; 3]).abs().max(local.at(shape.map(|n| n - 1)).abs()).max_element().max(1.0);
         for z in 0..shape[2] {
@@ -590,7 +595,7 @@ mod tests {
         let progress = Progress::new();
         progress.cancel();
         let result =
-            distances(mesh.bvh(), &LocalGrid::new(&grid, &mesh), f32::INFINITY, &progress, &mut vec![0.0; 64000]);
+            distances(mesh.bvh(), &LocalGrid::new(&grid, &mesh), f32::INFINITY, 1.0, &progress, &mut [0.0; 64000]);
         assert_eq!(result, Err(Error::Cancelled));
     }
 }

@@ -100,11 +100,11 @@ impl TriangleFrame {
         self.offset(p.to_array()).squared
     }
 
-    /// Squared distances of eight points.
+    /// Squared distances of points side by side.
     #[inline(always)]
-    pub fn distances_squared(&self, p: [[f32; WIDTH]; 3]) -> [f32; WIDTH] {
-        let mut result = [0.0; WIDTH];
-        for i in 0..WIDTH {
+    pub fn distances_squared<const N: usize>(&self, p: [[f32; N]; 3]) -> [f32; N] {
+        let mut result = [0.0; N];
+        for i in 0..N {
             result[i] = self.offset([p[0][i], p[1][i], p[2][i]]).squared;
         }
         result

@@ -11,7 +11,7 @@
 //! an integer winding number everywhere, and allows nested, hollow, touching and self-intersecting surfaces.
 
 use super::Mesh;
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 /// What a face counts for in the winding number.
@@ -150,14 +150,14 @@ pub fn direction(orientation: Orientation) -> f64 {
 
 /// For each vertex the lowest index with the same position, -0 and 0 being equal.
 fn weld(mesh: &Mesh) -> Vec<u32> {
-    let positions = mesh.positions();
-    let key = |v: u32| positions[v as usize].to_array().map(|x| (x + 0.0).to_bits());
-    let mut order: Vec<u32> = (0..positions.len() as u32).collect();
-    order.par_sort_unstable_by_key(|&v| (key(v), v));
-    let mut welded = vec![0; positions.len()];
-    for group in order.chunk_by(|&a, &b| key(a) == key(b)) {
-        for &v in group {
-            welded[v as usize] = group[0];
+    // Keys beside their rows sort several times faster than keys looked up.
+    let key = |p: &Vec3| p.to_array().map(|x| (x + 0.0).to_bits());
+    let mut order: Vec<([u32; 3], u32)> = mesh.positions().iter().map(key).zip(0..).collect();
+    order.par_sort_unstable();
+    let mut welded = vec![0; order.len()];
+    for group in order.chunk_by(|a, b| a.0 == b.0) {
+        for &(_, v) in group {
+            welded[v as usize] = group[0].1;
         }
     }
     welded
@@ -165,16 +165,16 @@ fn weld(mesh: &Mesh) -> Vec<u32> {
 
 /// Mark every face with the same three corners as an earlier one.
 fn skip_duplicates(faces: &[[u32; 3]], orientation: &mut [Orientation]) -> usize {
-    let corners = |f: u32| {
-        let mut corners = faces[f as usize];
+    let corners = |face: &[u32; 3]| {
+        let mut corners = *face;
         corners.sort_unstable();
         corners
     };
-    let mut order: Vec<u32> = (0..faces.len() as u32).collect();
-    order.par_sort_unstable_by_key(|&f| (corners(f), f));
+    let mut order: Vec<([u32; 3], u32)> = faces.iter().map(corners).zip(0..).collect();
+    order.par_sort_unstable();
     let mut duplicates = 0;
-    for group in order.chunk_by(|&a, &b| corners(a) == corners(b)) {
-        for &f in &group[1..] {
+    for group in order.chunk_by(|a, b| a.0 == b.0) {
+        for &(_, f) in &group[1..] {
             orientation[f as usize] = Orientation::Skipped;
             duplicates += 1;
         }

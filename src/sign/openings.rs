@@ -6,22 +6,44 @@
 //! for an integer W that is simply **W != round(f)**.
 //!
 //! f jumps only at the cones, and elsewhere its gradient is that of the rim alone, by the Biot-Savart law: |grad f| <=
-//! sum over rim edges of length / (4 pi distance^2). So one value decides whole blocks of samples away from the openings,
-//! and the angles of the cones are summed only near them. The cost of that is the number of rim edges a sample, which is
-//! why this is used for few of them; see [`super::winding`] for the rest.
+//! sum over rim edges of length / (4 pi distance^2). So one value decides whole blocks of samples away from the openings.
+//! From afar a cone covers at most its area over the squared distance; it is left out of the sum while what is left out
+//! cannot change the nearest integer. So only samples near an opening pay, by the number of its rim edges; see
+//! [`super::winding`] for meshes that are all openings.
 
-use crate::geometry::closest_point_on_triangle;
+use crate::geometry::{closest_point_on_triangle, triangle_cross};
 use crate::mesh::Mesh;
 use glam::DVec3;
 use robust::{Coord3D, orient3d};
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::f64::consts::PI;
+use std::ops::Range;
 
 /// The cones over the rims of all openings, local units. Empty for a closed mesh.
 #[derive(Debug, Default)]
 pub struct Openings {
     pub caps: Vec<[DVec3; 3]>,
+    cones: Vec<Cone>,
 }
+
+/// One opening: its triangles among the caps, and what is seen of it from afar: a ball that holds it, and its area.
+#[derive(Debug, Clone)]
+struct Cone {
+    caps: Range<usize>,
+    center: DVec3,
+    radius: f64,
+    area: f64,
+}
+
+/// A box of samples, and where each of them is.
+pub struct SampleBlock<'a> {
+    pub low: [usize; 3],
+    pub high: [usize; 3],
+    pub at: &'a dyn Fn([usize; 3]) -> DVec3,
+}
+
+/// Share of a turn that cones left out of a sum may add up to.
+const LEFT_OUT: f64 = 0.1;
 
 /// Where the apex sits off the centre of its rim, in rim sizes: away from the planes that grids and models favour, so
 /// that no sample lies on a cone by symmetry.
@@ -60,62 +82,71 @@ impl Openings {
             let entry = rims.entry(root(&mut opening_of, from)).or_insert((DVec3::ZERO, 0, p, p));
             *entry = (entry.0 + p, entry.1 + 1, entry.2.min(p), entry.3.max(p));
         }
-        let caps = rim
-            .iter()
-            .map(|&[from, to]| {
-                let (sum, count, low, high) = rims[&root(&mut opening_of, from)];
-                let apex = sum / count as f64 + APEX_OFFSET * (high - low).max_element();
-                // The closing face walks the edge backwards. The predicates want coordinates of few bits.
-                [position(to), position(from), apex.as_vec3().as_dvec3()]
-            })
-            .collect();
-        Self { caps }
+        let mut by_opening: BTreeMap<u32, Vec<[DVec3; 3]>> = BTreeMap::new();
+        for &[from, to] in rim {
+            let opening = root(&mut opening_of, from);
+            let (sum, count, low, high) = rims[&opening];
+            let apex = sum / count as f64 + APEX_OFFSET * (high - low).max_element();
+            // The closing face walks the edge backwards. The predicates want coordinates of few bits.
+            by_opening.entry(opening).or_default().push([position(to), position(from), apex.as_vec3().as_dvec3()]);
+        }
+        let mut openings = Self::default();
+        for caps in by_opening.into_values() {
+            let center = caps[0][2];
+            let first = openings.caps.len();
+            openings.cones.push(Cone {
+                caps: first..first + caps.len(),
+                center,
+                radius: caps.iter().flatten().map(|p| p.distance(center)).fold(0.0, f64::max),
+                area: caps.iter().map(|&cap| 0.5 * triangle_cross(cap).length()).sum(),
+            });
+            openings.caps.extend(caps);
+        }
+        openings
     }
 
-    /// Winding number of the cones alone, and its nearest integer. `None` for the integer when it is undecided.
+    /// Winding number of the cones alone.
     pub fn fraction(&self, p: DVec3) -> f64 {
         self.caps.iter().map(|cap| angle_from(p, cap)).sum::<f64>() / (4.0 * PI)
     }
 
-    /// The integer nearest to the fraction everywhere within `radius` of `center`, if there is one.
-    pub fn rounded_fraction_within(&self, center: DVec3, radius: f64) -> Option<i8> {
-        let (mut fraction, mut change) = (0.0, 0.0);
-        for cap in &self.caps {
-            // The first edge of a cap is the rim; no jump within the radius, and the rim's field bounded.
-            let reach = closest_point_on_triangle(center, *cap).point.distance(center) - radius;
-            if reach <= 0.0 {
-                return None;
-            }
-            let rim_reach = distance_to_segment(center, cap[0], cap[1]) - radius;
-            change += cap[0].distance(cap[1]) / (rim_reach * rim_reach);
-            fraction += angle_from(center, cap);
-        }
-        let (fraction, change) = (fraction / (4.0 * PI), radius * change / (4.0 * PI));
-        let nearest = fraction.round();
-        // The margin covers the rounding of the sum.
-        ((fraction - nearest).abs() + change < 0.5 - 1e-9).then_some(nearest as i8)
+    /// The nearest integer of the fraction at each sample of a block, given to `set`; returns how many samples were close
+    /// to undecided.
+    pub fn for_each_rounded_fraction(&self, block: &SampleBlock<'_>, set: &mut impl FnMut([usize; 3], i8)) -> usize {
+        self.decide(block, &self.cones, 0.0, set)
     }
 
-    /// The nearest integer of the fraction at each sample of a block; returns how many were close to undecided.
-    ///
-    /// `at` gives the position of a sample, `set` takes its integer. The block is `low..high` in samples.
-    pub fn for_each_rounded_fraction(
+    /// `near` are the cones that matter to the block; the others add less than `left_out` anywhere in it.
+    fn decide(
         &self,
-        low: [usize; 3],
-        high: [usize; 3],
-        at: &impl Fn([usize; 3]) -> DVec3,
+        block: &SampleBlock<'_>,
+        near: &[Cone],
+        mut left_out: f64,
         set: &mut impl FnMut([usize; 3], i8),
     ) -> usize {
-        let first = at(low);
-        let last = at(high.map(|i| i - 1));
-        let (center, radius) = ((first + last) * 0.5, first.distance(last) * 0.5);
-        let single = (0..3).all(|axis| high[axis] - low[axis] == 1);
-        if single {
-            let fraction = self.fraction(center);
+        let &SampleBlock { low, high, at } = block;
+        let (first, last) = (at(low), at(high.map(|i| i - 1)));
+        let center = (first + last) * 0.5;
+        let radius = first.distance(last) * 0.5 * (1.0 + 1e-9);
+        let mut nearer = near.to_vec();
+        nearer.retain(|cone| {
+            let reach = (cone.center.distance(center) - cone.radius - radius).max(0.0);
+            let largest = cone.area / (4.0 * PI * reach * reach);
+            let matters = left_out + largest > LEFT_OUT;
+            left_out += if matters { 0.0 } else { largest };
+            matters
+        });
+
+        if (0..3).all(|axis| high[axis] - low[axis] == 1) {
+            let sum_of = |caps: Range<usize>| self.caps[caps].iter().map(|cap| angle_from(center, cap)).sum::<f64>();
+            let mut fraction = nearer.iter().map(|cone| sum_of(cone.caps.clone())).sum::<f64>() / (4.0 * PI);
+            if (fraction - fraction.round()).abs() + left_out >= 0.5 - UNDECIDED {
+                fraction = self.fraction(center);
+            }
             set(low, fraction.round() as i8);
             return usize::from((fraction - fraction.round()).abs() > 0.5 - UNDECIDED);
         }
-        if let Some(rounded) = self.rounded_fraction_within(center, radius * (1.0 + 1e-9)) {
+        if let Some(rounded) = self.rounded_within(center, radius, &nearer, left_out) {
             for z in low[2]..high[2] {
                 for y in low[1]..high[1] {
                     for x in low[0]..high[0] {
@@ -127,12 +158,30 @@ impl Openings {
         }
         // Halve the longest side.
         let axis = (0..3).max_by_key(|&axis| high[axis] - low[axis]).unwrap_or(0);
-        let middle = low[axis].midpoint(high[axis]);
         let (mut left_high, mut right_low) = (high, low);
-        left_high[axis] = middle;
-        right_low[axis] = middle;
-        self.for_each_rounded_fraction(low, left_high, at, set)
-            + self.for_each_rounded_fraction(right_low, high, at, set)
+        left_high[axis] = low[axis].midpoint(high[axis]);
+        right_low[axis] = left_high[axis];
+        let left = SampleBlock { low, high: left_high, at };
+        let right = SampleBlock { low: right_low, high, at };
+        self.decide(&left, &nearer, left_out, set) + self.decide(&right, &nearer, left_out, set)
+    }
+
+    /// The integer nearest to the fraction everywhere within `radius` of `center`, if one value can tell.
+    fn rounded_within(&self, center: DVec3, radius: f64, near: &[Cone], left_out: f64) -> Option<i8> {
+        let (mut fraction, mut change) = (0.0, 0.0);
+        for cap in near.iter().flat_map(|cone| &self.caps[cone.caps.clone()]) {
+            // No jump within the radius, and the field of the rim bounded. The first edge of a cap is the rim.
+            if closest_point_on_triangle(center, *cap).point.distance(center) <= radius {
+                return None;
+            }
+            let rim_reach = distance_to_segment(center, cap[0], cap[1]) - radius;
+            change += cap[0].distance(cap[1]) / (rim_reach * rim_reach);
+            fraction += angle_from(center, cap);
+        }
+        let (fraction, change) = (fraction / (4.0 * PI), radius * change / (4.0 * PI));
+        let nearest = fraction.round();
+        // The margin covers the rounding of the sum.
+        ((fraction - nearest).abs() + change + left_out < 0.5 - 1e-9).then_some(nearest as i8)
     }
 }
 

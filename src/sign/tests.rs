@@ -1,6 +1,7 @@
 //! Every exact rule against brute-force winding numbers, on meshes and points chosen to hit ties.
 
 use super::crossing::{Axes, Samples, Surface, scan_row};
+use super::openings::SampleBlock;
 use super::*;
 use crate::geometry::solid_angle;
 use proptest::prelude::*;
@@ -147,7 +148,8 @@ proptest! {
         let openings = Openings::of(&mesh);
         let at = |voxel: [usize; 3]| DVec3::from_array(voxel.map(|i| -1.2 + i as f64 * 0.11));
         let mut seen = 0;
-        openings.for_each_rounded_fraction([0; 3], [23, 22, 21], &at, &mut |voxel, rounded| {
+        let block = SampleBlock { low: [0; 3], high: [23, 22, 21], at: &at };
+        openings.for_each_rounded_fraction(&block, &mut |voxel, rounded| {
             seen += 1;
             assert_eq!(rounded, openings.fraction(at(voxel)).round() as i8);
         });
