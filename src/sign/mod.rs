@@ -142,7 +142,7 @@ impl SignRule {
         match self {
             Self::Counted(openings) => {
                 let count = Surface::new(mesh, &openings.caps).winding(p, Axes::X);
-                count != openings.fraction(p).round() as i32
+                count != i32::from(openings.rounded_fraction(p))
             }
             Self::Winding => mesh.moments().winding(mesh, p).abs() > 0.5,
             Self::Parity => parity(mesh, p).0,

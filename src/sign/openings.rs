@@ -110,6 +110,24 @@ impl Openings {
         self.caps.iter().map(|cap| angle_from(p, cap)).sum::<f64>() / (4.0 * PI)
     }
 
+    /// The nearest integer of the fraction at a point.
+    pub fn rounded_fraction(&self, p: DVec3) -> i8 {
+        let mut left_out = 0.0;
+        let near: Vec<Cone> = self.cones.iter().filter(|cone| cone.matters(p, 0.0, &mut left_out)).cloned().collect();
+        self.round(p, &near, left_out).0
+    }
+
+    /// The nearest integer of the fraction at a point, and whether it is clear; the cones not in `near` add less than
+    /// `left_out`.
+    fn round(&self, p: DVec3, near: &[Cone], left_out: f64) -> (i8, bool) {
+        let caps = near.iter().flat_map(|cone| &self.caps[cone.caps.clone()]);
+        let mut fraction = caps.map(|cap| angle_from(p, cap)).sum::<f64>() / (4.0 * PI);
+        if (fraction - fraction.round()).abs() + left_out >= 0.5 - UNDECIDED {
+            fraction = self.fraction(p);
+        }
+        (fraction.round() as i8, (fraction - fraction.round()).abs() <= 0.5 - UNDECIDED)
+    }
+
     /// The nearest integer of the fraction at each sample of a block, given to `set`; returns how many samples were close
     /// to undecided.
     pub fn for_each_rounded_fraction(&self, block: &SampleBlock<'_>, set: &mut impl FnMut([usize; 3], i8)) -> usize {
@@ -129,22 +147,12 @@ impl Openings {
         let center = (first + last) * 0.5;
         let radius = first.distance(last) * 0.5 * (1.0 + 1e-9);
         let mut nearer = near.to_vec();
-        nearer.retain(|cone| {
-            let reach = (cone.center.distance(center) - cone.radius - radius).max(0.0);
-            let largest = cone.area / (4.0 * PI * reach * reach);
-            let matters = left_out + largest > LEFT_OUT;
-            left_out += if matters { 0.0 } else { largest };
-            matters
-        });
+        nearer.retain(|cone| cone.matters(center, radius, &mut left_out));
 
         if (0..3).all(|axis| high[axis] - low[axis] == 1) {
-            let sum_of = |caps: Range<usize>| self.caps[caps].iter().map(|cap| angle_from(center, cap)).sum::<f64>();
-            let mut fraction = nearer.iter().map(|cone| sum_of(cone.caps.clone())).sum::<f64>() / (4.0 * PI);
-            if (fraction - fraction.round()).abs() + left_out >= 0.5 - UNDECIDED {
-                fraction = self.fraction(center);
-            }
-            set(low, fraction.round() as i8);
-            return usize::from((fraction - fraction.round()).abs() > 0.5 - UNDECIDED);
+            let (rounded, decided) = self.round(center, &nearer, left_out);
+            set(low, rounded);
+            return usize::from(!decided);
         }
         if let Some(rounded) = self.rounded_within(center, radius, &nearer, left_out) {
             for z in low[2]..high[2] {
@@ -182,6 +190,17 @@ impl Openings {
         let nearest = fraction.round();
         // The margin covers the rounding of the sum.
         ((fraction - nearest).abs() + change + left_out < 0.5 - 1e-9).then_some(nearest as i8)
+    }
+}
+
+impl Cone {
+    /// Whether the cone is needed within `radius` of `center`; if not, what it can add there joins `left_out`.
+    fn matters(&self, center: DVec3, radius: f64, left_out: &mut f64) -> bool {
+        let reach = (self.center.distance(center) - self.radius - radius).max(0.0);
+        let largest = self.area / (4.0 * PI * reach * reach);
+        let matters = *left_out + largest > LEFT_OUT;
+        *left_out += if matters { 0.0 } else { largest };
+        matters
     }
 }
 

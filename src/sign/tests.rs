@@ -152,6 +152,7 @@ proptest! {
         openings.for_each_rounded_fraction(&block, &mut |voxel, rounded| {
             seen += 1;
             assert_eq!(rounded, openings.fraction(at(voxel)).round() as i8);
+            assert_eq!(rounded, openings.rounded_fraction(at(voxel)));
         });
         prop_assert_eq!(seen, 23 * 22 * 21);
     }
