@@ -15,3 +15,4 @@ pub mod progress;
 mod python;
 pub mod query;
 pub mod sign;
+pub mod volume;
