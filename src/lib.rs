@@ -14,4 +14,6 @@ pub mod progress;
 #[cfg(feature = "python")]
 mod python;
 pub mod query;
+pub mod render;
 pub mod sign;
+pub mod volume;
