@@ -188,6 +188,15 @@ def diagonal(vertices: ArrayLike, faces: ArrayLike) -> float:
     return float(np.linalg.norm(used.max(axis=0) - used.min(axis=0)))
 
 
+def tolerance(vertices: ArrayLike, faces: ArrayLike, distances: ArrayLike = 0.0) -> Array:
+    """How far a distance may be off: the package's promise, and two float32 roundings of the distance itself.
+
+    Near the mesh the promise alone is the bound. A point a thousand diagonals away has a distance whose last float32
+    bit is worth more: one rounding for choosing the nearest triangle, one for the result.
+    """
+    return EXACT * diagonal(vertices, faces) + 2 * FLOAT32_ROUNDING * np.abs(np.asarray(distances, np.float64))
+
+
 def volume(vertices: ArrayLike, faces: ArrayLike) -> float:
     """Signed volume of a closed mesh by the divergence theorem, positive if it faces outwards."""
     a, b, c = (corners(vertices, faces)[:, i] for i in range(3))
