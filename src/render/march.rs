@@ -95,8 +95,6 @@ pub fn clip_to_box(origin: DVec3, direction: DVec3, shape: DVec3) -> Option<Clip
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hit {
     pub t: f32,
-    /// The cell that holds the root.
-    pub cell: IVec3,
     /// The ray began at a value that was not above zero.
     pub at_start: bool,
 }
@@ -166,10 +164,10 @@ impl<'a> Marcher<'a> {
                 let t_face = if t_faces[next] > t { t_faces[next] } else { t };
                 let t_end = if t_face < ray.t_max { t_face } else { ray.t_max };
                 let corners = self.field.corners(IVec3::from(cell));
-                if smallest(&corners) <= 0.0 {
-                    if let Some(hit) = hit_in_cell(&corners, ray, cell, t, t_end) {
-                        return March { hit: Some(hit), steps };
-                    }
+                if smallest(&corners) <= 0.0
+                    && let Some(hit) = hit_in_cell(&corners, ray, cell, t, t_end)
+                {
+                    return March { hit: Some(hit), steps };
                 }
                 if t_end >= ray.t_max {
                     return March { hit: None, steps };
@@ -220,12 +218,11 @@ impl Line {
 /// The root of the field in one cell, on the part `[t, t_end]` of the ray.
 #[inline]
 fn hit_in_cell(corners: &[f32; 8], ray: &GridRay, cell: [i32; 3], t: f32, t_end: f32) -> Option<Hit> {
-    let cell = IVec3::from(cell);
-    let p = ray.origin + t * ray.direction - cell.as_vec3();
+    let p = ray.origin + t * ray.direction - IVec3::from(cell).as_vec3();
     let cubic = Cubic::along_ray(corners, p, ray.direction);
     // In units of the largest corner: products of coefficients stay in range at any scale.
     let s = cubic.scaled(1.0 / largest(corners)).first_root(t_end - t)?;
-    Some(Hit { t: t + s, cell, at_start: t + s == 0.0 && cubic.c0 <= 0.0 })
+    Some(Hit { t: t + s, at_start: t + s == 0.0 && cubic.c0 <= 0.0 })
 }
 
 /// The axis whose face comes first.
@@ -243,7 +240,7 @@ fn first_axis(t_faces: &[f32; 3]) -> usize {
 
 /// Round down a grid coordinate, which is at least -1/2 in the box; one above it, truncation does it.
 #[inline]
-fn floor(coordinate: f32) -> i32 {
+pub(super) fn floor(coordinate: f32) -> i32 {
     (coordinate + 1.0) as i32 - 1
 }
 
