@@ -566,6 +566,14 @@ mod tests {
     }
 
     #[test]
+    fn voxels_much_larger_than_triangles_are_exact() {
+        // Thousands of packs for each block: more than a list takes.
+        let mesh = sphere(100, 1.0);
+        assert!(mesh.bvh().packs.len() > 4 * MOST_PACKS);
+        assert_exact(&mesh, DVec3::splat(-1.1), DVec3::splat(1.1), [7, 6, 5]);
+    }
+
+    #[test]
     fn a_needle_fan_is_exact() {
         // Hundreds of needles from one tip: every box overlaps every other near it.
         let n = 300;
