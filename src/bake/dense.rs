@@ -120,17 +120,50 @@ type Candidates = Vec<(u32, u8)>;
 struct Scratch {
     levels: [Candidates; 3],
     stack: Candidates,
-    tangents: Vec<Tangent>,
-    triangles: Vec<(Tangent, TriangleFrame)>,
+    tangents: Tangents,
+    list: List,
 }
 
-/// The tangent of a triangle's distance at the centre of a block.
+/// Tangents of triangles at the centre of a block, one array a number so that lanes can go over them.
+#[derive(Default)]
+struct Tangents {
+    /// At the centre, the margin taken off.
+    value: Vec<f32>,
+    gradient: [Vec<f32>; 3],
+    slot: Vec<Slot>,
+}
+
+impl Tangents {
+    fn clear(&mut self) {
+        self.value.clear();
+        self.gradient.iter_mut().for_each(Vec::clear);
+        self.slot.clear();
+    }
+
+    #[inline(always)]
+    fn push(&mut self, value: f32, gradient: [f32; 3], slot: Slot) {
+        self.value.push(value);
+        for axis in 0..3 {
+            self.gradient[axis].push(gradient[axis]);
+        }
+        self.slot.push(slot);
+    }
+}
+
+/// The triangles of a block, nearest to its centre first.
+#[derive(Default)]
+struct List {
+    /// Value at the centre and row in `Tangents`, in one number that sorts by the value.
+    keys: Vec<u64>,
+    tangents: Vec<Tangent>,
+    frames: Vec<TriangleFrame>,
+}
+
+/// A lower bound that is linear: its value at the centre of the block, and its gradient.
 #[derive(Clone, Copy)]
 struct Tangent {
-    gradient: [f32; 3],
-    /// At the centre, the margin taken off.
     value: f32,
-    slot: Slot,
+    gradient: [f32; 3],
 }
 
 /// A box of samples: centre and half size of the box around their positions.
@@ -200,7 +233,7 @@ impl Tile<'_> {
 
     #[inline(always)]
     fn fill_portable(&mut self, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
-        let Scratch { levels: [root, middle, packs], stack, tangents, triangles } = scratch;
+        let Scratch { levels: [root, middle, packs], stack, tangents, list } = scratch;
         let block = self.block(low, high);
         let Some(nearest) = self.bvh.nearest(block.center, f32::INFINITY) else { return };
         if self.is_beyond(&block, nearest.distance_squared) {
@@ -244,8 +277,8 @@ impl Tile<'_> {
                 if packs.len() > MOST_PACKS {
                     previous = self.search(&near, sub.0, sub.1);
                 } else {
-                    previous = self.list_triangles(&block, &near, packs, tangents, triangles);
-                    self.evaluate(&block, sub.0, sub.1, triangles);
+                    previous = self.list_triangles(&block, &near, packs, tangents, list);
+                    self.evaluate(&block, sub.0, sub.1, list);
                 }
             }
         }
@@ -354,14 +387,14 @@ impl Tile<'_> {
         block: &Block,
         near: &TriangleFrame,
         packs: &Candidates,
-        tangents: &mut Vec<Tangent>,
-        triangles: &mut Vec<(Tangent, TriangleFrame)>,
+        tangents: &mut Tangents,
+        list: &mut List,
     ) -> TriangleFrame {
         let corners = block.corners();
         let bounds = roots(near.distances_squared(corners));
         // The tangents first: the nearest triangle gives the sharpest bound for all.
         tangents.clear();
-        let mut nearest: Option<Tangent> = None;
+        let mut nearest = (f32::INFINITY, None);
         for &(index, _) in packs.iter() {
             let pack = &self.bvh.packs[index as usize];
             let (value, gradient) = pack.tangents(block.center);
@@ -374,42 +407,74 @@ impl Tile<'_> {
             while rest != 0 {
                 let lane = rest.trailing_zeros() as usize;
                 rest &= rest - 1;
-                let tangent = Tangent {
-                    gradient: [0, 1, 2].map(|axis| gradient[axis][lane]),
-                    value: value[lane] - self.slack,
-                    slot: Slot { pack: index, lane: lane as u8 },
-                };
-                if nearest.is_none_or(|nearest| tangent.value < nearest.value) {
-                    nearest = Some(tangent);
+                let slot = Slot { pack: index, lane: lane as u8 };
+                tangents.push(value[lane] - self.slack, [0, 1, 2].map(|axis| gradient[axis][lane]), slot);
+                if value[lane] < nearest.0 {
+                    nearest = (value[lane], Some(slot));
                 }
-                tangents.push(tangent);
             }
         }
-        let frame = nearest.map_or(*near, |nearest| self.bvh.frame(nearest.slot));
+        let frame = nearest.1.map_or(*near, |slot| self.bvh.frame(slot));
         let bounds = roots(frame.distances_squared(corners));
-        tangents.retain(|tangent| tangent.value <= block.slackest(tangent.gradient, &bounds));
-        tangents.sort_unstable_by(|a, b| a.value.total_cmp(&b.value));
-        triangles.clear();
-        triangles.extend(tangents.iter().map(|tangent| (*tangent, self.bvh.frame(tangent.slot))));
+
+        // Cull once more by that bound, a row of lanes at a time; what pads the last row is infinitely far.
+        let count = tangents.slot.len();
+        let padded = count.next_multiple_of(WIDTH);
+        tangents.value.resize(padded, f32::INFINITY);
+        tangents.gradient.iter_mut().for_each(|row| row.resize(padded, 0.0));
+        list.keys.clear();
+        for start in (0..padded).step_by(WIDTH) {
+            let row = |values: &[f32]| -> [f32; WIDTH] { std::array::from_fn(|i| values[start + i]) };
+            let (value, gradient) = (row(&tangents.value), [0, 1, 2].map(|axis| row(&tangents.gradient[axis])));
+            let mut excess = [0.0f32; WIDTH];
+            for i in 0..WIDTH {
+                excess[i] = value[i] - block.slackest([gradient[0][i], gradient[1][i], gradient[2][i]], &bounds);
+            }
+            let mut rest = not_positive(&excess);
+            while rest != 0 {
+                let lane = rest.trailing_zeros() as usize;
+                rest &= rest - 1;
+                // The bits of numbers that are not negative sort as the numbers do.
+                list.keys.push(u64::from(max(value[lane], 0.0).to_bits()) << 32 | (start + lane) as u64);
+            }
+        }
+        list.keys.sort_unstable();
+        list.tangents.clear();
+        list.frames.clear();
+        for &key in &list.keys {
+            let row = key as u32 as usize;
+            let gradient = [0, 1, 2].map(|axis| tangents.gradient[axis][row]);
+            list.tangents.push(Tangent { value: tangents.value[row], gradient });
+            list.frames.push(self.bvh.frame(tangents.slot[row]));
+        }
         frame
     }
 
     /// Distances of the samples of a block, a group at a time.
     #[inline(always)]
-    fn evaluate(&mut self, block: &Block, low: [usize; 3], high: [usize; 3], triangles: &[(Tangent, TriangleFrame)]) {
+    fn evaluate(&mut self, block: &Block, low: [usize; 3], high: [usize; 3], list: &List) {
         for (low, high) in blocks(low, high, GROUP) {
             // The samples of the group; past the edge of the grid the last one is repeated.
             let mut p = [[0.0f32; LANES]; 3];
             let mut offset = [[0.0f32; LANES]; 3];
+            let mut reach = 0.0f32;
             for i in 0..LANES {
                 let voxel = sample_of_group(low, high, i);
                 for axis in 0..3 {
                     p[axis][i] = self.grid.axes[axis].at(voxel[axis]) as f32;
                     offset[axis][i] = p[axis][i] - block.center[axis];
                 }
+                let [x, y, z] = [0, 1, 2].map(|axis| offset[axis][i]);
+                reach = max(reach, x * x + y * y + z * z);
             }
+            // A tangent falls by no more than the way to a sample; the margin covers the rounding of its gradient.
+            let reach = reach.sqrt() * (1.0 + 1e-5);
             let mut best = [f32::INFINITY; LANES];
-            for (tangent, frame) in triangles {
+            let mut farthest = f32::INFINITY;
+            for (tangent, frame) in list.tangents.iter().zip(&list.frames) {
+                if tangent.value - reach > farthest {
+                    break;
+                }
                 let [gx, gy, gz] = tangent.gradient;
                 let mut matters = false;
                 for i in 0..LANES {
@@ -418,8 +483,10 @@ impl Tile<'_> {
                 }
                 if matters {
                     let found = roots(frame.distances_squared(p));
+                    farthest = 0.0;
                     for i in 0..LANES {
                         best[i] = min(found[i], best[i]);
+                        farthest = max(farthest, best[i]);
                     }
                 }
             }
