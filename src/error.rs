@@ -17,7 +17,9 @@ pub enum MeshError {
     Empty { vertices: usize, faces: usize },
     #[error("the mesh has no surface: all {faces} faces are degenerate (two equal corners or zero area)")]
     AllDegenerate { faces: usize },
-    #[error("the mesh spans {extent:e} units, outside the range that float32 distances can hold ({min:e} to {max:e}); scale it")]
+    #[error(
+        "the mesh spans {extent:e} units, outside the range that float32 distances can hold ({min:e} to {max:e}); scale it"
+    )]
     Extent { extent: f64, min: f64, max: f64 },
     #[error("the mesh has {count} {what}, the limit is {limit}")]
     TooLarge { what: &'static str, count: usize, limit: usize },
@@ -39,15 +41,20 @@ impl ArgumentError {
 
 /// A request that does not fit in memory, refused before it starts.
 #[derive(Debug, Clone, PartialEq, Error)]
-#[error("{what} needs {needed} bytes ({:.1} GiB), {available} bytes ({:.1} GiB) are available; {advice}", *needed as f64 / GIB, *available as f64 / GIB)]
+#[error("{what} needs {}, {}; {advice}", bytes(*needed), available.map_or_else(
+    || "more than the system grants this process".to_owned(), |n| format!("{} are available", bytes(n))))]
 pub struct CapacityError {
     pub what: String,
     pub needed: u64,
-    pub available: u64,
+    /// Free memory as far as the system tells.
+    pub available: Option<u64>,
     pub advice: &'static str,
 }
 
-const GIB: f64 = (1u64 << 30) as f64;
+/// A byte count for people, exact and rounded.
+fn bytes(count: u64) -> String {
+    format!("{count} bytes ({:.1} GiB)", count as f64 / (1u64 << 30) as f64)
+}
 
 /// A compute device that is missing or failed.
 #[derive(Debug, Clone, PartialEq, Error)]

@@ -21,10 +21,18 @@ impl Grid {
             return Err(ArgumentError::new("bounds", format!("must be finite, got {lower} to {upper}")).into());
         }
         if !(upper - lower).cmpgt(DVec3::ZERO).all() {
-            return Err(ArgumentError::new("bounds", format!("upper must exceed lower on every axis, got {lower} to {upper}")).into());
+            return Err(ArgumentError::new(
+                "bounds",
+                format!("upper must exceed lower on every axis, got {lower} to {upper}"),
+            )
+            .into());
         }
         if shape.contains(&0) {
-            return Err(ArgumentError::new("resolution", format!("every side needs at least one voxel, got {shape:?}")).into());
+            return Err(ArgumentError::new(
+                "resolution",
+                format!("every side needs at least one voxel, got {shape:?}"),
+            )
+            .into());
         }
         let samples = shape.iter().try_fold(1usize, |product, &n| product.checked_mul(n));
         if samples.is_none_or(|n| n > MAX_SAMPLES) {

@@ -2,6 +2,18 @@
 //!
 //! Data walks one street: mesh, bake, volume, render. See ARCHITECTURE.md for the map and the conventions.
 
+pub mod bake;
+pub mod bvh;
 pub mod error;
+pub mod geometry;
+pub mod gpu;
 pub mod grid;
+mod memory;
+pub mod mesh;
 pub mod progress;
+#[cfg(feature = "python")]
+mod python;
+pub mod query;
+pub mod render;
+pub mod sign;
+pub mod volume;

@@ -79,7 +79,7 @@ def torus_knot(
     rim = np.cos(angle)[None, :, None] * normal[:, None] + np.sin(angle)[None, :, None] * binormal[:, None]
     vertices = (curve[:, None] + thickness * rim).reshape(-1, 3)
     rows = np.arange(segments * sides).reshape(segments, sides)
-    return Mesh(vertices, _quads(np.roll(rows, -1, axis=0), rows))
+    return Mesh(vertices, _quads(rows, np.roll(rows, -1, axis=0)))
 
 
 def gear(
@@ -138,11 +138,11 @@ def gear(
         [np.column_stack([distance[:, None] * circle, np.full_like(angle, z)]) for distance, z in rings]
     )
     rows = np.arange(len(vertices)).reshape(len(rings), -1).T
-    return Mesh(vertices, _quads(rows, np.roll(rows, -1, axis=0)))
+    return Mesh(vertices, _quads(np.roll(rows, -1, axis=0), rows))
 
 
 def _quads(before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArray[np.int64]:
     """Two triangles for each cell between two tables of rings, each row a ring of vertices."""
     a, b = before, after
     c, d = np.roll(after, -1, axis=1), np.roll(before, -1, axis=1)
-    return np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3).astype(np.int64)
+    return np.stack([a, c, b, a, d, c], axis=-1).reshape(-1, 3).astype(np.int64)

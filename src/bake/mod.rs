@@ -1,0 +1,77 @@
+//! Mesh to signed distance grid.
+//!
+//! Two passes over slabs of the grid: distances, then signs. Every sample's distance is that of the nearest triangle,
+//! found in float32 and evaluated in float64 (see `bvh`), and does not depend on the sign. The work is cut by slabs of
+//! the grid, never by threads, so the same input gives the same bytes on any number of them.
+
+mod band;
+mod cpu;
+mod dense;
+mod report;
+
+pub use report::Report;
+
+use crate::error::{ArgumentError, Error};
+use crate::grid::Grid;
+use crate::mesh::Mesh;
+use crate::progress::Progress;
+use crate::sign::SignMethod;
+use crate::sign::crossing::Samples;
+use glam::DVec3;
+
+/// What to bake besides the mesh and the grid.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct BakeOptions {
+    pub sign: SignMethod,
+    /// Exact within this many voxels of the surface, a lower bound beyond; exact everywhere if absent.
+    pub band: Option<f64>,
+    /// Two-sided: the unsigned distance less half this thickness, world units.
+    pub thickness: Option<f64>,
+}
+
+/// A finished field.
+#[derive(Debug)]
+pub struct Bake {
+    /// World units, x fastest.
+    pub distances: Vec<f32>,
+    pub report: Report,
+}
+
+/// Bake on the CPU.
+pub fn bake(mesh: &Mesh, grid: &Grid, options: &BakeOptions, progress: &Progress) -> Result<Bake, Error> {
+    options.check()?;
+    cpu::bake(mesh, grid, options, progress)
+}
+
+impl BakeOptions {
+    fn check(&self) -> Result<(), ArgumentError> {
+        for (argument, value) in [("band", self.band), ("thickness", self.thickness)] {
+            if let Some(value) = value.filter(|value| !(value.is_finite() && *value > 0.0)) {
+                return Err(ArgumentError::new(argument, format!("must be a positive number, got {value}")));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The grid in a mesh's local coordinates: sample positions along each axis.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct LocalGrid {
+    pub axes: [Samples; 3],
+}
+
+impl LocalGrid {
+    pub fn new(grid: &Grid, mesh: &Mesh) -> Self {
+        let first = mesh.local_from_world(grid.center(0, 0, 0));
+        let step = grid.spacing() / mesh.scale();
+        Self { axes: [0, 1, 2].map(|i| Samples { first: first[i], step: step[i], count: grid.shape[i] }) }
+    }
+
+    pub fn at(&self, [x, y, z]: [usize; 3]) -> DVec3 {
+        DVec3::new(self.axes[0].at(x), self.axes[1].at(y), self.axes[2].at(z))
+    }
+
+    pub fn step(&self) -> DVec3 {
+        DVec3::new(self.axes[0].step, self.axes[1].step, self.axes[2].step)
+    }
+}

@@ -1,0 +1,122 @@
+//! Bounding volume hierarchy over triangles, eight wide.
+//!
+//! *Theory.* A node holds the boxes of up to eight children side by side, so that one pass of eight lanes measures all of
+//! them; a leaf is one pack of up to eight triangles, measured the same way. Built top down by binned surface area
+//! heuristic (Wald, *On fast construction of SAH-based bounding volume hierarchies*, 2007), splitting the largest child
+//! until there are eight (Ylitie et al. 2017 do the same after a binary build).
+//!
+//! *Practice.* [`Bvh::build`] costs about 0.3 us a face and thread, 110 bytes a face. [`closest`] finds nearest
+//! triangles; other rooms walk the tree with [`Bvh::visit`].
+
+mod build;
+pub mod closest;
+pub mod pack;
+
+use crate::geometry::Aabb;
+use glam::Vec3;
+use pack::Pack;
+
+/// Lanes of a node and of a pack.
+pub const WIDTH: usize = 8;
+
+/// Eight child boxes, one array per coordinate. An absent child has an empty box and [`ChildRef::NONE`].
+#[derive(Debug, Clone)]
+#[repr(C, align(32))]
+pub struct Node {
+    pub min: [[f32; WIDTH]; 3],
+    pub max: [[f32; WIDTH]; 3],
+    pub children: [ChildRef; WIDTH],
+}
+
+/// What a lane of a node leads to: an inner node, a pack of triangles, or nothing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(transparent)]
+pub struct ChildRef(u32);
+
+impl ChildRef {
+    const PACK: u32 = 1 << 31;
+    pub const NONE: Self = Self(u32::MAX);
+
+    fn node(index: usize) -> Self {
+        Self(index as u32)
+    }
+
+    fn pack(index: usize) -> Self {
+        Self(index as u32 | Self::PACK)
+    }
+
+    pub fn is_none(self) -> bool {
+        self == Self::NONE
+    }
+
+    pub fn is_pack(self) -> bool {
+        self.0 & Self::PACK != 0
+    }
+
+    /// Index into [`Bvh::nodes`] or [`Bvh::packs`].
+    pub fn index(self) -> usize {
+        (self.0 & !Self::PACK) as usize
+    }
+}
+
+/// The tree. The root is node 0; every inner node comes before its children.
+#[derive(Debug)]
+pub struct Bvh {
+    pub nodes: Vec<Node>,
+    pub packs: Vec<Pack>,
+    pub bounds: Aabb,
+}
+
+/// Entries that a depth-first walk can have waiting: seven siblings on each level, and the root.
+pub const MAX_STACK: usize = build::MAX_DEPTH * (WIDTH - 1) + 1;
+
+impl Bvh {
+    pub const ROOT: ChildRef = ChildRef(0);
+
+    /// `faces` index `positions`; every face has area.
+    pub fn build(positions: &[Vec3], faces: &[[u32; 3]]) -> Self {
+        build::build(positions, faces)
+    }
+
+    pub fn bytes(&self) -> usize {
+        size_of_val(&self.nodes[..]) + size_of_val(&self.packs[..])
+    }
+
+    /// Walk all nodes and packs whose box `overlaps` accepts, in memory order.
+    pub fn visit(&self, overlaps: impl Fn(&Node) -> [bool; WIDTH], mut on_pack: impl FnMut(&Pack)) {
+        let mut stack = vec![0usize];
+        while let Some(index) = stack.pop() {
+            let node = &self.nodes[index];
+            let accepted = overlaps(node);
+            for lane in 0..WIDTH {
+                let child = node.children[lane];
+                if !accepted[lane] || child.is_none() {
+                    continue;
+                }
+                if child.is_pack() {
+                    on_pack(&self.packs[child.index()]);
+                } else {
+                    stack.push(child.index());
+                }
+            }
+        }
+    }
+}
+
+impl Node {
+    fn empty() -> Self {
+        Self {
+            min: [[f32::INFINITY; WIDTH]; 3],
+            max: [[f32::NEG_INFINITY; WIDTH]; 3],
+            children: [ChildRef::NONE; WIDTH],
+        }
+    }
+
+    fn set(&mut self, lane: usize, bounds: Aabb, child: ChildRef) {
+        for axis in 0..3 {
+            self.min[axis][lane] = bounds.min[axis];
+            self.max[axis][lane] = bounds.max[axis];
+        }
+        self.children[lane] = child;
+    }
+}

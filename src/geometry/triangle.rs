@@ -1,0 +1,165 @@
+//! Closest point on a triangle, and the solid angle it covers, in float64.
+//!
+//! The search compares triangles in float32 (see `bvh::pack`); the winner is evaluated again here, so that a stored
+//! distance carries one rounding to float32 and the closest *feature* (face, edge or vertex) is known.
+
+use glam::DVec3;
+
+/// The part of a triangle that holds its closest point. Edge `i` joins corner `i` and corner `(i + 1) % 3`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Feature {
+    Face,
+    Edge(u8),
+    Vertex(u8),
+}
+
+/// The closest point of a triangle, and where on it that lies.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TrianglePoint {
+    pub point: DVec3,
+    pub feature: Feature,
+}
+
+/// Closest point to `p` on triangle `abc`, by Voronoi regions.
+///
+/// Ericson, *Real-Time Collision Detection*, 2005, section 5.1.5. The plane projection divides by the sum of the
+/// three barycentrics, which the region tests have shown to be positive. A needle whose sides are parallel to rounding
+/// has no plane to project on; its edges are all there is.
+pub fn closest_point_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> TrianglePoint {
+    let at = |point, feature| TrianglePoint { point, feature };
+    let (ab, ac) = (b - a, c - a);
+    if ab.cross(ac).length_squared() <= NEEDLE * ab.length_squared() * ac.length_squared() {
+        return closest_point_on_edges(p, [a, b, c]);
+    }
+
+    let ap = p - a;
+    let (d1, d2) = (ab.dot(ap), ac.dot(ap));
+    if d1 <= 0.0 && d2 <= 0.0 {
+        return at(a, Feature::Vertex(0));
+    }
+    let bp = p - b;
+    let (d3, d4) = (ab.dot(bp), ac.dot(bp));
+    if d3 >= 0.0 && d4 <= d3 {
+        return at(b, Feature::Vertex(1));
+    }
+    let vc = d1 * d4 - d3 * d2;
+    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
+        return at(a + ab * (d1 / (d1 - d3)), Feature::Edge(0));
+    }
+    let cp = p - c;
+    let (d5, d6) = (ab.dot(cp), ac.dot(cp));
+    if d6 >= 0.0 && d5 <= d6 {
+        return at(c, Feature::Vertex(2));
+    }
+    let vb = d5 * d2 - d1 * d6;
+    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
+        return at(a + ac * (d2 / (d2 - d6)), Feature::Edge(2));
+    }
+    let va = d3 * d6 - d5 * d4;
+    if va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0 {
+        return at(b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6))), Feature::Edge(1));
+    }
+    let scale = 1.0 / (va + vb + vc);
+    at(a + ab * (vb * scale) + ac * (vc * scale), Feature::Face)
+}
+
+/// Squared sine of an angle below which float64 does not know the plane of a triangle to 1e-6.
+const NEEDLE: f64 = 1e-20;
+
+fn closest_point_on_edges(p: DVec3, corners: [DVec3; 3]) -> TrianglePoint {
+    let on_edge = |i: u8| {
+        let next = (i + 1) % 3;
+        let (a, b) = (corners[usize::from(i)], corners[usize::from(next)]);
+        let t = (p - a).dot(b - a) / (b - a).length_squared();
+        let (point, feature) = if t <= 0.0 {
+            (a, Feature::Vertex(i))
+        } else if t >= 1.0 {
+            (b, Feature::Vertex(next))
+        } else {
+            (a + (b - a) * t, Feature::Edge(i))
+        };
+        TrianglePoint { point, feature }
+    };
+    let nearer = |x: TrianglePoint, y: TrianglePoint| {
+        if y.point.distance_squared(p) < x.point.distance_squared(p) { y } else { x }
+    };
+    nearer(nearer(on_edge(0), on_edge(1)), on_edge(2))
+}
+
+/// Cross product of two edges: normal direction, and twice the area in its length.
+pub fn triangle_cross([a, b, c]: [DVec3; 3]) -> DVec3 {
+    (b - a).cross(c - a)
+}
+
+/// Signed solid angle of triangle `abc` seen from the origin, in steradians, positive when it is seen from behind
+/// (its counter-clockwise side faces away), so that a closed outward mesh gives +4 pi inside.
+///
+/// Van Oosterom and Strackee, *The solid angle of a plane triangle*, IEEE Trans. Biomed. Eng. 30(2), 1983.
+pub fn solid_angle([a, b, c]: [DVec3; 3]) -> f64 {
+    let (la, lb, lc) = (a.length(), b.length(), c.length());
+    let numerator = a.dot(b.cross(c));
+    let denominator = la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb;
+    2.0 * numerator.atan2(denominator)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::f64::consts::PI;
+
+    fn vector() -> impl Strategy<Value = DVec3> {
+        (-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64).prop_map(|(x, y, z)| DVec3::new(x, y, z))
+    }
+
+    proptest! {
+        /// No point of a fine barycentric lattice is closer, and the point found lies on the triangle.
+        #[test]
+        fn closest_point_beats_a_lattice(p in vector(), a in vector(), b in vector(), c in vector()) {
+            let found = closest_point_on_triangle(p, [a, b, c]).point;
+            let best = found.distance(p);
+            let n = 24;
+            let mut nearest_lattice = f64::INFINITY;
+            for i in 0..=n {
+                for j in 0..=(n - i) {
+                    let (u, v) = (i as f64 / n as f64, j as f64 / n as f64);
+                    let q = a + (b - a) * u + (c - a) * v;
+                    prop_assert!(best <= q.distance(p) + 1e-12);
+                    nearest_lattice = nearest_lattice.min(q.distance(found));
+                }
+            }
+            // The lattice is at most one cell away from any point of the triangle.
+            let cell = (b - a).length().max((c - a).length()).max((c - b).length()) / n as f64;
+            prop_assert!(nearest_lattice <= cell);
+        }
+    }
+
+    /// A needle of float32 corners, thinner than float64 can resolve against its length, is its edges.
+    #[test]
+    fn a_needle_is_as_near_as_its_edges() {
+        let corners = [DVec3::Z, DVec3::new(0.1, 0.0, 0.9), DVec3::new(1e-17, 3e-18, 1.0)];
+        let p = DVec3::new(0.05, 0.3, 0.95);
+        let found = closest_point_on_triangle(p, corners).point;
+        assert!((found - DVec3::new(0.05, 0.0, 0.95)).length() < 1e-15, "{found}");
+    }
+
+    #[test]
+    fn features_are_named() {
+        let t = [DVec3::ZERO, DVec3::X, DVec3::Y];
+        let feature = |x: f64, y: f64| closest_point_on_triangle(DVec3::new(x, y, 1.0), t).feature;
+        assert_eq!(feature(0.25, 0.25), Feature::Face);
+        assert_eq!(feature(0.5, -1.0), Feature::Edge(0));
+        assert_eq!(feature(1.0, 1.0), Feature::Edge(1));
+        assert_eq!(feature(-1.0, 0.5), Feature::Edge(2));
+        assert_eq!(feature(-1.0, -1.0), Feature::Vertex(0));
+        assert_eq!(feature(2.0, 0.0), Feature::Vertex(1));
+        assert_eq!(feature(0.0, 2.0), Feature::Vertex(2));
+    }
+
+    #[test]
+    fn octant_covers_an_eighth_of_the_sphere() {
+        let octant = solid_angle([DVec3::X, DVec3::Y, DVec3::Z]);
+        assert!((octant - 4.0 * PI / 8.0).abs() < 1e-14);
+        assert!((solid_angle([DVec3::Y, DVec3::X, DVec3::Z]) + octant).abs() < 1e-14);
+    }
+}

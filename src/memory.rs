@@ -1,0 +1,63 @@
+//! Large allocations that fail as an error, before any work is done.
+
+use crate::error::{CapacityError, Error};
+use std::alloc::Layout;
+
+/// A zeroed buffer of `count` samples, or an error that tells its size.
+///
+/// `scratch` is what the job will need besides. Linux grants memory it does not have, so the free memory is asked for
+/// first; a limit on the process shows in the allocation itself.
+pub fn allocate_samples(what: &str, count: usize, scratch: usize) -> Result<Vec<f32>, Error> {
+    let needed = (count as u64).saturating_mul(size_of::<f32>() as u64).saturating_add(scratch as u64);
+    let refuse = |available| CapacityError {
+        what: what.to_owned(),
+        needed,
+        available,
+        advice: "lower the resolution, or bake parts of the box through bounds=",
+    };
+    let available = available_bytes();
+    if needed > available {
+        return Err(refuse(Some(available)).into());
+    }
+    let layout = Layout::array::<f32>(count).map_err(|_| refuse(None))?;
+    if layout.size() == 0 {
+        return Ok(Vec::new());
+    }
+    // SAFETY: the layout is not empty. Zeroed memory comes from the system page by page as it is touched, so the worker
+    // threads share that cost; `Vec` has no fallible way to ask for it.
+    let start = unsafe { std::alloc::alloc_zeroed(layout) }.cast::<f32>();
+    if start.is_null() {
+        return Err(refuse(None).into());
+    }
+    // SAFETY: the global allocator gave `count` floats with a float's alignment, and zero bits are the float zero.
+    Ok(unsafe { Vec::from_raw_parts(start, count, count) })
+}
+
+/// Free memory of the machine, or of the container where that is less.
+fn available_bytes() -> u64 {
+    let mut system = sysinfo::System::new();
+    system.refresh_memory();
+    let machine = if system.available_memory() > 0 { system.available_memory() } else { u64::MAX };
+    system.cgroup_limits().map_or(machine, |limits| machine.min(limits.free_memory))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_start_at_zero() {
+        assert_eq!(allocate_samples("a test", 1000, 0).unwrap(), vec![0.0; 1000]);
+        assert!(allocate_samples("a test", 0, 0).unwrap().is_empty());
+    }
+
+    #[test]
+    fn what_cannot_fit_is_refused_with_its_size() {
+        let error = allocate_samples("a field of 4096 x 4096 x 65536 samples", 1 << 40, 0).unwrap_err().to_string();
+        assert!(
+            error.starts_with("a field of 4096 x 4096 x 65536 samples needs 4398046511104 bytes (4096.0 GiB)"),
+            "{error}"
+        );
+        assert!(allocate_samples("a test", usize::MAX, usize::MAX).is_err());
+    }
+}

@@ -1,0 +1,286 @@
+//! Triangles, checked once when they enter and trusted afterwards.
+//!
+//! Positions come in float64 and are kept in float32 *local* coordinates: offsets from the centre of the mesh's box,
+//! divided by a power of two that brings the longest side to between 1/2 and 1. So a mesh of size 1e-6, or one a million
+//! units from the origin, keeps its relative accuracy (half an ulp of the half extent, 3e-8), squares neither overflow
+//! nor vanish, and the division is exact. `world = center + scale * local`. The rooms below work in local coordinates.
+//!
+//! Dropped on entry, and counted: vertices that are not finite and unused, and faces that are degenerate (a repeated
+//! corner, or zero area). A degenerate face still takes part in [`topology`], where it closes the surface around it.
+
+pub mod topology;
+
+use crate::bvh::Bvh;
+use crate::error::MeshError;
+use crate::geometry::triangle_cross;
+use crate::sign::pseudonormal::Pseudonormals;
+use crate::sign::winding::Moments;
+use glam::{DVec3, Vec3};
+use std::sync::OnceLock;
+use topology::Topology;
+
+/// A checked triangle mesh with at least one face of positive area.
+#[derive(Debug)]
+pub struct Mesh {
+    center: DVec3,
+    scale: f64,
+    positions: Vec<Vec3>,
+    faces: Vec<[u32; 3]>,
+    degenerate: Vec<[u32; 3]>,
+    source_vertices: Vec<u32>,
+    source_faces: Vec<u32>,
+    dropped_vertices: usize,
+    topology: OnceLock<Topology>,
+    bvh: OnceLock<Bvh>,
+    moments: OnceLock<Moments>,
+    pseudonormals: OnceLock<Pseudonormals>,
+}
+
+/// The tree's child index is 31 bits wide, and faces times three must fit in u32.
+const MAX_FACES: usize = 1 << 30;
+/// World distances are float32: a grid a thousand times the mesh, and a distance a millionth of it, must be normal numbers.
+const EXTENT_RANGE: (f64, f64) = (1e-30, 1e34);
+
+impl Mesh {
+    /// Check and recentre a mesh. Indices are signed so that a negative one can be reported as such.
+    pub fn new(vertices: &[[f64; 3]], faces: &[[i64; 3]]) -> Result<Self, MeshError> {
+        for (what, count, limit) in [("vertices", vertices.len(), u32::MAX as usize), ("faces", faces.len(), MAX_FACES)]
+        {
+            if count > limit {
+                return Err(MeshError::TooLarge { what, count, limit });
+            }
+        }
+        if vertices.is_empty() || faces.is_empty() {
+            return Err(MeshError::Empty { vertices: vertices.len(), faces: faces.len() });
+        }
+        check_faces(vertices, faces)?;
+
+        // Keep every finite vertex, in order.
+        let mut kept_row = vec![u32::MAX; vertices.len()];
+        let mut source_vertices = Vec::with_capacity(vertices.len());
+        for (row, vertex) in vertices.iter().enumerate() {
+            if vertex.iter().all(|x| x.is_finite()) {
+                kept_row[row] = source_vertices.len() as u32;
+                source_vertices.push(row as u32);
+            }
+        }
+
+        // The box of what the faces use: stray vertices must not cost precision.
+        let position = |row: i64| DVec3::from_array(vertices[row as usize]);
+        let (mut lower, mut upper) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for row in faces.iter().flatten() {
+            lower = lower.min(position(*row));
+            upper = upper.max(position(*row));
+        }
+        let extent = (upper - lower).max_element();
+        if extent > EXTENT_RANGE.1 || (extent > 0.0 && extent < EXTENT_RANGE.0) {
+            return Err(MeshError::Extent { extent, min: EXTENT_RANGE.0, max: EXTENT_RANGE.1 });
+        }
+        // Halves first: the corners of a finite box may be too far apart for their sum.
+        let center = lower * 0.5 + upper * 0.5;
+        let scale = power_of_two_above(extent);
+        let positions: Vec<Vec3> =
+            source_vertices.iter().map(|&row| ((position(i64::from(row)) - center) / scale).as_vec3()).collect();
+
+        let mut kept = Vec::with_capacity(faces.len());
+        let mut source_faces = Vec::with_capacity(faces.len());
+        let mut degenerate = Vec::new();
+        for (row, face) in faces.iter().enumerate() {
+            let corners = face.map(|index| kept_row[index as usize]);
+            if has_area(&positions, corners) {
+                kept.push(corners);
+                source_faces.push(row as u32);
+            } else {
+                degenerate.push(corners);
+            }
+        }
+        if kept.is_empty() {
+            return Err(MeshError::AllDegenerate { faces: faces.len() });
+        }
+
+        Ok(Self {
+            center,
+            scale,
+            positions,
+            faces: kept,
+            degenerate,
+            dropped_vertices: vertices.len() - source_vertices.len(),
+            source_vertices,
+            source_faces,
+            topology: OnceLock::new(),
+            bvh: OnceLock::new(),
+            moments: OnceLock::new(),
+            pseudonormals: OnceLock::new(),
+        })
+    }
+
+    /// Centre of the box of all faces, world units.
+    pub fn center(&self) -> DVec3 {
+        self.center
+    }
+
+    /// World units per local unit, a power of two.
+    pub fn scale(&self) -> f64 {
+        self.scale
+    }
+
+    pub fn local_from_world(&self, p_world: DVec3) -> DVec3 {
+        (p_world - self.center) / self.scale
+    }
+
+    pub fn world_from_local(&self, p: DVec3) -> DVec3 {
+        self.center + p * self.scale
+    }
+
+    /// Local positions of the vertices.
+    pub fn positions(&self) -> &[Vec3] {
+        &self.positions
+    }
+
+    pub fn faces(&self) -> &[[u32; 3]] {
+        &self.faces
+    }
+
+    /// Faces without area: no part of the surface, but of its connectivity.
+    pub fn degenerate_faces(&self) -> &[[u32; 3]] {
+        &self.degenerate
+    }
+
+    /// Input row of each kept vertex.
+    pub fn source_vertices(&self) -> &[u32] {
+        &self.source_vertices
+    }
+
+    /// Input row of each kept face.
+    pub fn source_faces(&self) -> &[u32] {
+        &self.source_faces
+    }
+
+    /// Vertices dropped because they were not finite (and unused).
+    pub fn dropped_vertices(&self) -> usize {
+        self.dropped_vertices
+    }
+
+    /// Local corners of a face, exact in float64.
+    pub fn triangle(&self, face: u32) -> [DVec3; 3] {
+        self.faces[face as usize].map(|v| self.positions[v as usize].as_dvec3())
+    }
+
+    /// Lower and upper corner of the kept faces, world units.
+    pub fn bounds(&self) -> [DVec3; 2] {
+        let (mut lower, mut upper) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+        for &v in self.faces.iter().flatten() {
+            lower = lower.min(self.positions[v as usize]);
+            upper = upper.max(self.positions[v as usize]);
+        }
+        [lower, upper].map(|corner| self.world_from_local(corner.as_dvec3()))
+    }
+
+    /// The search tree, built at the first call.
+    pub fn bvh(&self) -> &Bvh {
+        self.bvh.get_or_init(|| Bvh::build(&self.positions, &self.faces))
+    }
+
+    /// Connectivity, found at the first call.
+    pub fn topology(&self) -> &Topology {
+        self.topology.get_or_init(|| Topology::of(self))
+    }
+
+    /// Multipole moments for the fast winding number, found at the first call.
+    pub fn moments(&self) -> &Moments {
+        self.moments.get_or_init(|| Moments::of(self))
+    }
+
+    /// Angle-weighted normals of vertices and edges, found at the first call.
+    pub fn pseudonormals(&self) -> &Pseudonormals {
+        self.pseudonormals.get_or_init(|| Pseudonormals::of(self))
+    }
+
+    /// Bytes held: positions, faces, and what has been built from them so far.
+    pub fn bytes(&self) -> usize {
+        size_of_val(&self.positions[..])
+            + size_of_val(&self.faces[..])
+            + size_of_val(&self.degenerate[..])
+            + size_of_val(&self.source_vertices[..])
+            + size_of_val(&self.source_faces[..])
+            + self.bvh.get().map_or(0, Bvh::bytes)
+            + self.topology.get().map_or(0, Topology::bytes)
+            + self.moments.get().map_or(0, Moments::bytes)
+            + self.pseudonormals.get().map_or(0, Pseudonormals::bytes)
+    }
+}
+
+/// The power of two that brings `extent` to the interval (1/2, 1]; 1 for a single point.
+fn power_of_two_above(extent: f64) -> f64 {
+    if extent > 0.0 { extent.log2().ceil().exp2() } else { 1.0 }
+}
+
+/// Every index must name a vertex, and that vertex must be finite.
+fn check_faces(vertices: &[[f64; 3]], faces: &[[i64; 3]]) -> Result<(), MeshError> {
+    for (face, corners) in faces.iter().enumerate() {
+        for &index in corners {
+            let Some(&[x, y, z]) = usize::try_from(index).ok().and_then(|i| vertices.get(i)) else {
+                return Err(MeshError::IndexOutOfRange { face, index, vertices: vertices.len() });
+            };
+            if !(x.is_finite() && y.is_finite() && z.is_finite()) {
+                return Err(MeshError::NotFinite { vertex: index as usize, face, x, y, z });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Three different corners, not on one line. Differences of float32 numbers and their products are exact in float64
+/// unless magnitudes differ by 2^29, so a face that is degenerate as stored is recognised as such.
+fn has_area(positions: &[Vec3], face: [u32; 3]) -> bool {
+    let [a, b, c] = face;
+    a != b && b != c && c != a && triangle_cross(face.map(|v| positions[v as usize].as_dvec3())) != DVec3::ZERO
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SQUARE: [[f64; 3]; 4] = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]];
+
+    #[test]
+    fn bad_indices_are_named() {
+        let error = Mesh::new(&SQUARE, &[[0, 1, 2], [0, 2, 4]]).unwrap_err();
+        assert_eq!(error, MeshError::IndexOutOfRange { face: 1, index: 4, vertices: 4 });
+        let error = Mesh::new(&SQUARE, &[[0, -1, 2]]).unwrap_err();
+        assert_eq!(error, MeshError::IndexOutOfRange { face: 0, index: -1, vertices: 4 });
+    }
+
+    #[test]
+    fn a_used_vertex_must_be_finite_and_an_unused_one_is_dropped() {
+        let mut vertices = SQUARE.to_vec();
+        vertices.insert(0, [f64::NAN, 0.0, 0.0]);
+        let error = Mesh::new(&vertices, &[[1, 2, 3], [1, 3, 0]]).unwrap_err();
+        assert!(error.to_string().starts_with("vertices[0] = (NaN, 0, 0)"), "{error}");
+        let mesh = Mesh::new(&vertices, &[[1, 2, 3]]).unwrap();
+        assert_eq!((mesh.dropped_vertices(), mesh.faces()), (1, &[[0, 1, 2]][..]));
+    }
+
+    #[test]
+    fn degenerate_faces_are_dropped_and_kept_apart() {
+        let mesh = Mesh::new(&SQUARE, &[[0, 1, 1], [0, 1, 2]]).unwrap();
+        assert_eq!((mesh.faces().len(), mesh.degenerate_faces().len(), mesh.source_faces()), (1, 1, &[1][..]));
+        assert_eq!(Mesh::new(&SQUARE, &[[0, 1, 1]]).unwrap_err(), MeshError::AllDegenerate { faces: 1 });
+        assert_eq!(Mesh::new(&SQUARE, &[]).unwrap_err(), MeshError::Empty { vertices: 4, faces: 0 });
+    }
+
+    #[test]
+    fn a_far_mesh_keeps_its_shape() {
+        let far: Vec<_> = SQUARE.iter().map(|v| v.map(|x| x * 1e-3 + 1e6)).collect();
+        let mesh = Mesh::new(&far, &[[0, 1, 2]]).unwrap();
+        // float64 itself rounds 1e6 + 1e-3 by up to 6e-11, 1.2e-7 of the square's size.
+        let side = f64::from(mesh.positions()[1].distance(mesh.positions()[0])) * mesh.scale();
+        assert!((side - 1e-3).abs() < 3e-7 * 1e-3, "{side}");
+    }
+
+    #[test]
+    fn sizes_that_float32_cannot_hold_are_refused() {
+        let huge: Vec<_> = SQUARE.iter().map(|v| v.map(|x| x * 1e36)).collect();
+        assert!(matches!(Mesh::new(&huge, &[[0, 1, 2]]), Err(MeshError::Extent { .. })));
+    }
+}

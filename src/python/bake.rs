@@ -1,0 +1,65 @@
+//! `fieldbake._core.bake`.
+
+use super::convert::volume_array;
+use super::error::Failure;
+use super::mesh::Mesh;
+use super::run::run;
+use crate::bake::{BakeOptions, Report, bake as bake_field};
+use crate::gpu::check_cpu_only;
+use crate::grid::Grid;
+use crate::sign::SignMethod;
+use glam::DVec3;
+use numpy::PyArray3;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+/// Distances (nx, ny, nz) and the report of the bake.
+#[pyfunction]
+#[pyo3(signature = (mesh, lower, upper, shape, *, sign="auto", band=None, thickness=None, device="auto", progress=None))]
+pub fn bake<'py>(
+    py: Python<'py>,
+    mesh: &Mesh,
+    lower: [f64; 3],
+    upper: [f64; 3],
+    shape: [usize; 3],
+    sign: &str,
+    band: Option<f64>,
+    thickness: Option<f64>,
+    device: &str,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<(Bound<'py, PyArray3<f32>>, Bound<'py, PyDict>)> {
+    let mesh = mesh.0.clone();
+    let prepared = || -> Result<(Grid, BakeOptions), Failure> {
+        check_cpu_only(device, "bake")?;
+        let grid = Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape)?;
+        Ok((grid, BakeOptions { sign: sign.parse::<SignMethod>()?, band, thickness }))
+    };
+    let (grid, options) = prepared()?;
+    let baked = run(py, progress, |progress| bake_field(&mesh, &grid, &options, progress))?;
+    Ok((volume_array(py, baked.distances, shape)?, report_dict(py, &baked.report)?))
+}
+
+fn report_dict<'py>(py: Python<'py>, report: &Report) -> PyResult<Bound<'py, PyDict>> {
+    let facts = PyDict::new(py);
+    facts.set_item("sign_method", report.sign_method)?;
+    facts.set_item("sign_reason", &report.sign_reason)?;
+    facts.set_item("boundary_edges", report.boundary_edges)?;
+    facts.set_item("nonmanifold_edges", report.nonmanifold_edges)?;
+    facts.set_item("flipped_faces", report.flipped_faces)?;
+    facts.set_item("duplicate_faces", report.duplicate_faces)?;
+    facts.set_item("degenerate_faces", report.degenerate_faces)?;
+    facts.set_item("dropped_vertices", report.dropped_vertices)?;
+    facts.set_item("components", report.components)?;
+    facts.set_item("closed", report.closed)?;
+    facts.set_item("undecided_voxels", report.undecided_voxels)?;
+    facts.set_item("inside_voxels", report.inside_voxels)?;
+    facts.set_item("device", &report.device)?;
+    let seconds = PyDict::new(py);
+    for (stage, duration) in &report.seconds {
+        seconds.set_item(stage, duration)?;
+    }
+    facts.set_item("seconds", seconds)?;
+    facts.set_item("peak_bytes", report.peak_bytes)?;
+    facts.set_item("warnings", &report.warnings)?;
+    Ok(facts)
+}

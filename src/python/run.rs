@@ -1,0 +1,92 @@
+//! Long jobs: without the GIL, with progress, stopped by Ctrl-C.
+
+use super::error::{Failure, exception};
+use crate::error::Error;
+use crate::progress::Progress;
+use pyo3::prelude::*;
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::mpsc::{RecvTimeoutError, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+/// How often the waiting thread looks for signals and reports progress.
+const POLL: Duration = Duration::from_millis(50);
+
+/// Run `job` on the worker threads while this thread waits for it, handles signals and calls `callback` with the share
+/// done. An exception in either cancels the job and is raised once it has stopped.
+pub fn run<T: Send>(
+    py: Python<'_>,
+    callback: Option<&Bound<'_, PyAny>>,
+    job: impl FnOnce(&Progress) -> Result<T, Error> + Send,
+) -> Result<T, Failure> {
+    let pool = worker_pool(py)?;
+    let progress = Progress::new();
+    let callback: Option<Py<PyAny>> = callback.map(|callback| callback.clone().unbind());
+    let (outcome, interrupt) = py.detach(|| {
+        std::thread::scope(|scope| {
+            let (sender, receiver) = sync_channel(1);
+            let progress = &progress;
+            scope.spawn(move || {
+                let outcome = catch_unwind(AssertUnwindSafe(|| pool.install(|| job(progress))));
+                // The receiver waits until this arrives.
+                let _ = sender.send(outcome);
+            });
+            let mut interrupt = None;
+            loop {
+                match receiver.recv_timeout(POLL) {
+                    Ok(outcome) => return (outcome, interrupt),
+                    Err(RecvTimeoutError::Timeout) if interrupt.is_none() => {
+                        if let Err(error) = Python::attach(|py| look_at_python(py, callback.as_ref(), progress)) {
+                            progress.cancel();
+                            interrupt = Some(error);
+                        }
+                    }
+                    Err(RecvTimeoutError::Timeout) => {}
+                    Err(RecvTimeoutError::Disconnected) => return (Ok(Err(Error::Cancelled)), interrupt),
+                }
+            }
+        })
+    });
+    if let Some(error) = interrupt {
+        return Err(Failure::Python(error));
+    }
+    let value = outcome.map_err(|panic| internal_error(py, &*panic))??;
+    if let Some(callback) = callback {
+        callback.call1(py, (1.0,)).map_err(Failure::Python)?;
+    }
+    Ok(value)
+}
+
+fn look_at_python(py: Python<'_>, callback: Option<&Py<PyAny>>, progress: &Progress) -> PyResult<()> {
+    py.check_signals()?;
+    if let Some(callback) = callback {
+        callback.call1(py, (progress.fraction(),))?;
+    }
+    Ok(())
+}
+
+/// A panic is our bug; it must still be an exception that `except Exception` catches.
+fn internal_error(py: Python<'_>, panic: &(dyn Any + Send)) -> Failure {
+    let text =
+        panic.downcast_ref::<&str>().map(ToString::to_string).or_else(|| panic.downcast_ref::<String>().cloned());
+    let message = format!("internal error, please report it: {}", text.unwrap_or_else(|| "unknown panic".into()));
+    Failure::Python(exception(py, "Error", message))
+}
+
+/// The worker threads of this process. A forked child inherits the handle but not the threads, so it makes its own.
+fn worker_pool(py: Python<'_>) -> Result<Arc<rayon::ThreadPool>, Failure> {
+    static POOL: Mutex<Option<(u32, Arc<rayon::ThreadPool>)>> = Mutex::new(None);
+    let process = std::process::id();
+    let mut pool = POOL.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some((owner, pool)) = pool.as_ref()
+        && *owner == process
+    {
+        return Ok(pool.clone());
+    }
+    let made = rayon::ThreadPoolBuilder::new().thread_name(|i| format!("fieldbake-{i}")).build();
+    let made = Arc::new(made.map_err(|error| Failure::Python(exception(py, "Error", error.to_string())))?);
+    // A pool of the parent process is leaked: joining threads that do not exist would wait for ever.
+    std::mem::forget(pool.replace((process, made.clone())));
+    Ok(made)
+}

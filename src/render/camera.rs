@@ -1,0 +1,129 @@
+//! A pinhole camera in the OpenGL convention: it looks along its -Z axis, +Y is up, +X right.
+
+use crate::error::{ArgumentError, Error};
+use glam::DVec3;
+
+/// Where the picture is taken from.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Camera {
+    pub eye: DVec3,
+    /// The camera's axes in world space, unit length.
+    pub right: DVec3,
+    pub up: DVec3,
+    pub back: DVec3,
+    tan_half_fov: f64,
+}
+
+/// Largest cosine between two axes of a pose, so that float32 matrices pass and sheared ones do not.
+const LARGEST_SKEW: f64 = 1e-3;
+
+impl Camera {
+    /// A camera from its pose, rows of the matrix `world_from_camera`, and the vertical field of view in degrees.
+    ///
+    /// A scale in the pose is dropped: depth is in world units. A mirrored pose gives a mirrored picture.
+    pub fn from_pose(pose: &[[f64; 4]; 4], fov_deg: f64) -> Result<Self, Error> {
+        let error = |problem: String| Err(ArgumentError::new("pose", problem).into());
+        if let Some((row, column)) = entries().find(|&(row, column)| !pose[row][column].is_finite()) {
+            return error(format!("[{row}, {column}] is {}, expected a finite number", pose[row][column]));
+        }
+        if pose[3] != [0.0, 0.0, 0.0, 1.0] {
+            return error(format!(
+                "the last row must be 0 0 0 1, got {:?}; the position belongs in the last column",
+                pose[3]
+            ));
+        }
+        let column = |j: usize| DVec3::new(pose[0][j], pose[1][j], pose[2][j]);
+        let axes = [0, 1, 2].map(|j| {
+            // Through the largest entry, so that tiny and huge scales keep their direction.
+            let axis = column(j);
+            (axis / axis.abs().max_element()).normalize_or_zero()
+        });
+        if let Some(j) = axes.iter().position(|axis| *axis == DVec3::ZERO) {
+            return error(format!("column {j} is zero, expected an axis of the camera"));
+        }
+        let [right, up, back] = axes;
+        let skew = right.dot(up).abs().max(up.dot(back).abs()).max(back.dot(right).abs());
+        if skew > LARGEST_SKEW {
+            return error(format!("the axes must be perpendicular, the largest cosine between two is {skew:.3}"));
+        }
+        if !(fov_deg > 0.0 && fov_deg < 180.0) {
+            let problem = format!("must lie between 0 and 180 degrees, got {fov_deg}");
+            return Err(ArgumentError::new("fov_deg", problem).into());
+        }
+        Ok(Self { eye: column(3), right, up, back, tan_half_fov: (0.5 * fov_deg.to_radians()).tan() })
+    }
+
+    /// World direction through the centre of pixel `(x, y)`, row 0 on top; one unit long along the viewing axis, so a
+    /// multiple of it is a depth.
+    pub fn pixel_direction(&self, x: u32, y: u32, [width, height]: [u32; 2]) -> DVec3 {
+        let pixel = 2.0 * self.tan_half_fov / height as f64;
+        let right = (x as f64 + 0.5 - 0.5 * width as f64) * pixel;
+        let up = (0.5 * height as f64 - 0.5 - y as f64) * pixel;
+        right * self.right + up * self.up - self.back
+    }
+
+    /// A direction of camera space in world space.
+    pub fn world_from_camera(&self, direction: DVec3) -> DVec3 {
+        direction.x * self.right + direction.y * self.up + direction.z * self.back
+    }
+}
+
+fn entries() -> impl Iterator<Item = (usize, usize)> {
+    (0..4).flat_map(|row| (0..4).map(move |column| (row, column)))
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    /// Pose of a camera at `eye` that looks at `target`, +Y up.
+    pub fn look_at(eye: DVec3, target: DVec3) -> [[f64; 4]; 4] {
+        let back = (eye - target).normalize();
+        let right = DVec3::Y.cross(back).normalize();
+        let up = back.cross(right);
+        [
+            [right.x, up.x, back.x, eye.x],
+            [right.y, up.y, back.y, eye.y],
+            [right.z, up.z, back.z, eye.z],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    }
+
+    const IDENTITY: [[f64; 4]; 4] =
+        [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+
+    #[test]
+    fn pixels_look_along_minus_z_with_row_0_on_top() {
+        let camera = Camera::from_pose(&IDENTITY, 90.0).unwrap();
+        let near = |a: DVec3, b: DVec3| (a - b).length() < 1e-12;
+        assert!(near(camera.pixel_direction(0, 0, [1, 1]), DVec3::NEG_Z));
+        // 90 degrees: the picture spans -1 to 1 vertically at depth 1; pixel centres are 1/4 from its edges.
+        assert!(near(camera.pixel_direction(0, 0, [4, 4]), DVec3::new(-0.75, 0.75, -1.0)));
+        assert!(near(camera.pixel_direction(7, 3, [8, 4]), DVec3::new(1.75, -0.75, -1.0)));
+    }
+
+    #[test]
+    fn a_scale_in_the_pose_is_dropped() {
+        let mut pose = IDENTITY;
+        for j in 0..3 {
+            pose[j][j] = 1e-200;
+        }
+        assert_eq!(Camera::from_pose(&pose, 45.0), Camera::from_pose(&IDENTITY, 45.0));
+    }
+
+    #[test]
+    fn bad_poses_and_angles_are_refused() {
+        let with = |row: usize, column: usize, value: f64| {
+            let mut pose = IDENTITY;
+            pose[row][column] = value;
+            Camera::from_pose(&pose, 45.0).unwrap_err().to_string()
+        };
+        assert!(with(1, 2, f64::NAN).contains("[1, 2] is NaN"));
+        assert!(with(1, 1, 0.0).contains("column 1 is zero"));
+        assert!(with(0, 1, 0.5).contains("perpendicular"));
+        assert!(with(3, 0, 2.0).contains("last row"));
+        for fov_deg in [0.0, 180.0, -10.0, f64::NAN, f64::INFINITY] {
+            assert!(Camera::from_pose(&IDENTITY, fov_deg).unwrap_err().to_string().starts_with("fov_deg: "));
+        }
+    }
+}

@@ -1,0 +1,358 @@
+//! The first point on a ray where the stored field is not above zero.
+//!
+//! # Theory
+//!
+//! The ray walks in grid space (voxel centres at integers, see [`crate::volume`]) with a unit direction, so `t` counts
+//! voxels. Each turn of the loop takes the ray out of
+//!
+//! - *a cube of empty blocks*, where it is far from every surface ([`super::empty`]), or else
+//! - *one cell*. If a corner is not above zero, the cubic that the trilinear field is along the ray ([`super::cubic`])
+//!   is solved on the part of the ray in the cell; with all corners above zero there is no root.
+//!
+//! and into the next cell, by the walk of Amanatides and Woo (1987). Both are exact for *any* stored numbers (noise,
+//! other people's fields, a narrow band, an open mesh), where steps by the distance itself would overshoot: the stored
+//! field is no lower bound. No epsilon decides a hit: a hit is a root of the trilinear field, to the rounding of f32.
+//! Where the box is entered, or the ray starts in it, at a value that is not above zero, the hit is right there.
+//!
+//! Along the ray the pieces `[t, t_end]` join without a gap, whatever rounding does to the cells: each ends where the
+//! next begins, and a piece that begins at or below zero is a hit.
+//!
+//! # Practice
+//!
+//! [`Marcher::new`] reads the grid once; build it once a frame. The loop is bounded by the number of cells that a ray
+//! can cross, for a cell index never moves back. Everything in it is f32 or i32 and will run the same in a shader.
+
+use super::cubic::Cubic;
+use super::empty::{BLOCK_CELLS, EmptySpace};
+use crate::error::Error;
+use crate::progress::Progress;
+use crate::volume::FieldView;
+use glam::{DVec3, IVec3, Vec3};
+
+/// An axis on which the direction is smaller than this counts as parallel: over 2^40 voxels the ray moves less than an
+/// f32 can tell.
+const PARALLEL: f32 = 1e-20;
+
+/// Beyond every `t`; stands for infinity.
+const FAR: f32 = 1e30;
+
+/// A ray in grid space that begins in the box.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GridRay {
+    pub origin: Vec3,
+    /// Unit length, in voxels.
+    pub direction: Vec3,
+    /// Where the ray leaves the box.
+    pub t_max: f32,
+}
+
+/// A ray clipped to the box, and how it got there.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ClippedRay {
+    pub ray: GridRay,
+    /// Length of the part before the box, in multiples of the direction that was given.
+    pub t_enter: f64,
+    /// Axis of the face through which the ray enters; none if it starts inside.
+    pub enter_axis: Option<usize>,
+}
+
+/// The part of a ray that lies in the box of `shape` voxels, in grid space; `None` where it misses.
+///
+/// In f64, because an eye may be far away from a small box.
+pub fn clip_to_box(origin: DVec3, direction: DVec3, shape: DVec3) -> Option<ClippedRay> {
+    let (mut t_enter, mut t_leave) = (0.0, f64::INFINITY);
+    let mut enter_axis = None;
+    for axis in 0..3 {
+        let (lower, upper) = (-0.5, shape[axis] - 0.5);
+        if direction[axis] == 0.0 {
+            if origin[axis] < lower || origin[axis] > upper {
+                return None;
+            }
+            continue;
+        }
+        let to_lower = (lower - origin[axis]) / direction[axis];
+        let to_upper = (upper - origin[axis]) / direction[axis];
+        let (near, far) = if to_lower < to_upper { (to_lower, to_upper) } else { (to_upper, to_lower) };
+        if near > t_enter {
+            t_enter = near;
+            enter_axis = Some(axis);
+        }
+        t_leave = t_leave.min(far);
+    }
+    let voxels_per_t = direction.length();
+    if t_leave < t_enter || voxels_per_t == 0.0 {
+        return None;
+    }
+    let ray = GridRay {
+        origin: (origin + t_enter * direction).as_vec3(),
+        direction: (direction / voxels_per_t).as_vec3(),
+        t_max: ((t_leave - t_enter) * voxels_per_t) as f32,
+    };
+    Some(ClippedRay { ray, t_enter, enter_axis })
+}
+
+/// Where a ray met the surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Hit {
+    pub t: f32,
+    /// The cell that holds the root.
+    pub cell: IVec3,
+    /// The ray began at a value that was not above zero.
+    pub at_start: bool,
+}
+
+/// What became of a ray.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct March {
+    pub hit: Option<Hit>,
+    /// Cells and leaps.
+    pub steps: u32,
+}
+
+/// A field made ready for rays.
+#[derive(Debug, Clone)]
+pub struct Marcher<'a> {
+    pub field: FieldView<'a>,
+    empty: EmptySpace,
+}
+
+impl<'a> Marcher<'a> {
+    /// Fails where a distance is not a finite number of reasonable size.
+    pub fn new(field: FieldView<'a>, progress: &Progress) -> Result<Self, Error> {
+        Ok(Self { field, empty: EmptySpace::new(&field, progress)? })
+    }
+
+    /// Walk along a ray to its first hit.
+    pub fn march(&self, ray: &GridRay) -> March {
+        let GridRay { origin, direction, t_max } = *ray;
+        let shape = IVec3::from(self.field.grid().shape.map(|n| n as i32));
+        let (first_cell, last_cell) = (IVec3::NEG_ONE, shape - 1);
+
+        // Per axis: 1 or 0 for the side by which the ray leaves a cell, and t per voxel.
+        let side = Vec3::select(direction.cmpgt(Vec3::ZERO), Vec3::ONE, Vec3::ZERO).as_ivec3();
+        let is_parallel = direction.abs().cmplt(Vec3::splat(PARALLEL));
+        let inverse = 1.0 / Vec3::select(is_parallel, Vec3::ONE, direction);
+
+        let mut t = 0.0f32;
+        let mut cell = origin.floor().as_ivec3().clamp(first_cell, last_cell);
+        // Every turn but the last moves on by a cell or more, along one axis at least and back along none.
+        let max_steps = (shape.element_sum() + 4) as u32;
+        for steps in 1..=max_steps {
+            let block = EmptySpace::block_of(cell);
+            let distance = self.empty.distance(block);
+
+            // The cells to leave, and the faces by which the ray does.
+            let (first, cells) = if distance > 0 {
+                ((block - (distance - 1)) * BLOCK_CELLS - 1, (2 * distance - 1) * BLOCK_CELLS)
+            } else {
+                (cell, 1)
+            };
+            let face = first + side * cells;
+            let to_faces = Vec3::select(is_parallel, Vec3::splat(FAR), (face.as_vec3() - origin) * inverse);
+            let to_next = to_faces.min_element();
+            let t_end = to_next.max(t).min(t_max);
+
+            if distance == 0 {
+                let corners = self.field.corners(cell);
+                if smallest(&corners) <= 0.0 {
+                    let p = origin + t * direction - cell.as_vec3();
+                    let cubic = Cubic::along_ray(&corners, p, direction);
+                    // In units of the largest corner: products of coefficients stay in range at any scale.
+                    if let Some(s) = cubic.scaled(1.0 / largest(&corners)).first_root(t_end - t) {
+                        return March {
+                            hit: Some(Hit { t: t + s, cell, at_start: t + s == 0.0 && cubic.c0 <= 0.0 }),
+                            steps,
+                        };
+                    }
+                }
+            }
+            if t_end >= t_max {
+                return March { hit: None, steps };
+            }
+
+            // Into the next cell: exact on the axis of the face, never back on the others.
+            t = t_end;
+            let beyond = face + side - 1;
+            if distance > 0 {
+                let here = (origin + t * direction).floor().as_ivec3();
+                cell = IVec3::select(side.cmpgt(IVec3::ZERO), cell.max(here), cell.min(here));
+            }
+            if to_faces.x == to_next {
+                cell.x = beyond.x;
+            } else if to_faces.y == to_next {
+                cell.y = beyond.y;
+            } else {
+                cell.z = beyond.z;
+            }
+            cell = cell.clamp(first_cell, last_cell);
+        }
+        debug_assert!(false, "a ray took more than {max_steps} steps: {ray:?}");
+        March { hit: None, steps: max_steps }
+    }
+}
+
+#[inline]
+fn smallest(corners: &[f32; 8]) -> f32 {
+    let [c0, c1, c2, c3, c4, c5, c6, c7] = *corners;
+    c0.min(c1).min(c2.min(c3)).min(c4.min(c5).min(c6.min(c7)))
+}
+
+/// Largest magnitude, at least the smallest normal number.
+#[inline]
+fn largest(corners: &[f32; 8]) -> f32 {
+    corners.iter().fold(f32::MIN_POSITIVE, |largest, corner| largest.max(corner.abs()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grid::Grid;
+    use proptest::prelude::*;
+
+    fn unit_grid(shape: [usize; 3]) -> Grid {
+        let upper = DVec3::new(shape[0] as f64, shape[1] as f64, shape[2] as f64);
+        Grid::new(DVec3::ZERO, upper, shape).unwrap()
+    }
+
+    fn marcher(grid: Grid, distances: &[f32]) -> Marcher<'_> {
+        Marcher::new(FieldView::new(grid, distances).unwrap(), &Progress::new()).unwrap()
+    }
+
+    fn field_at(field: &FieldView<'_>, p_grid: Vec3) -> f32 {
+        // The grid is in unit voxels with its corner at zero.
+        field.sample_linear(p_grid.as_dvec3() + 0.5)
+    }
+
+    /// Roundings of a position in a box of up to 16 voxels, times slopes of up to 2 a voxel on each axis.
+    const ROUNDING: f32 = 16.0 * 6.0 * 4.0 * f32::EPSILON;
+
+    fn check_against_dense_samples(field: &FieldView<'_>, ray: &GridRay) {
+        let marcher = Marcher::new(*field, &Progress::new()).unwrap();
+        let march = marcher.march(ray);
+        let t_last = march.hit.map_or(ray.t_max, |hit| hit.t);
+        if let Some(hit) = march.hit {
+            let value = field_at(field, ray.origin + hit.t * ray.direction);
+            if hit.at_start {
+                return assert!(hit.t == 0.0 && value <= ROUNDING);
+            }
+            assert!(value.abs() <= ROUNDING, "{value} at {hit:?}");
+        }
+        let samples = 200 * (1 + ray.t_max as usize);
+        for i in 0..samples {
+            let t = t_last * i as f32 / samples as f32;
+            let value = field_at(field, ray.origin + t * ray.direction);
+            assert!(value > -ROUNDING, "skipped {value} at t = {t}, found {march:?} on {ray:?}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn noise_is_never_skipped(
+            shape in prop::array::uniform3(1..9usize),
+            seed in prop::collection::vec(-1.0..1.0f32, 512),
+            lift in 0.0..1.0f32,
+            from in prop::array::uniform3(-20.0..20.0f64),
+            to in prop::array::uniform3(0.0..1.0f64),
+        ) {
+            let grid = unit_grid(shape);
+            let distances: Vec<f32> = seed[..grid.len()].iter().map(|d| d + lift).collect();
+            let field = FieldView::new(grid, &distances).unwrap();
+            let (from, to) = (DVec3::from(from), DVec3::from(to) * grid.upper - 0.5);
+            if let Some(clipped) = clip_to_box(from, to - from, grid.upper) {
+                check_against_dense_samples(&field, &clipped.ray);
+            }
+        }
+
+        #[test]
+        fn axis_parallel_rays_on_cell_faces_skip_nothing(
+            seed in prop::collection::vec(-1.0..1.0f32, 125),
+            lift in 0.0..1.0f32,
+            axis in 0..3usize,
+            forward in any::<bool>(),
+            a in 0..11i32,
+            b in 0..11i32,
+        ) {
+            let grid = unit_grid([5, 5, 5]);
+            let distances: Vec<f32> = seed.iter().map(|d| d + lift).collect();
+            let field = FieldView::new(grid, &distances).unwrap();
+            // Half-integer steps: box faces, cell faces, voxel centres and cell middles.
+            let mut origin = DVec3::splat(-3.0);
+            origin[(axis + 1) % 3] = a as f64 / 2.0 - 0.5;
+            origin[(axis + 2) % 3] = b as f64 / 2.0 - 0.5;
+            let mut direction = DVec3::ZERO;
+            direction[axis] = 1.0;
+            if !forward {
+                origin[axis] = 9.0;
+                direction[axis] = -1.0;
+            }
+            let clipped = clip_to_box(origin, direction, grid.upper).unwrap();
+            prop_assert_eq!(clipped.ray.t_max, 5.0);
+            check_against_dense_samples(&field, &clipped.ray);
+        }
+
+        #[test]
+        fn diagonal_rays_through_voxel_centres_skip_nothing(
+            seed in prop::collection::vec(-1.0..1.0f32, 125),
+            lift in 0.0..1.0f32,
+            start in prop::array::uniform3(0..5i32),
+            direction in prop::array::uniform3(-1..2i32),
+        ) {
+            prop_assume!(direction != [0, 0, 0]);
+            let grid = unit_grid([5, 5, 5]);
+            let distances: Vec<f32> = seed.iter().map(|d| d + lift).collect();
+            let field = FieldView::new(grid, &distances).unwrap();
+            let direction = IVec3::from(direction).as_dvec3();
+            let origin = IVec3::from(start).as_dvec3() - 10.0 * direction;
+            let clipped = clip_to_box(origin, direction, grid.upper).unwrap();
+            check_against_dense_samples(&field, &clipped.ray);
+        }
+    }
+
+    #[test]
+    fn a_plane_is_hit_where_it_is() {
+        let grid = unit_grid([64, 8, 8]);
+        let distances: Vec<f32> = (0..grid.len()).map(|i| 40.25 - (i % 64) as f32).collect();
+        let marcher = marcher(grid, &distances);
+        let clipped = clip_to_box(DVec3::new(-100.0, 3.3, 3.7), DVec3::X, grid.upper).unwrap();
+        let march = marcher.march(&clipped.ray);
+        // Grid coordinate 40.25, from the face at -0.5.
+        assert!((march.hit.unwrap().t - 40.75).abs() <= 64.0 * f32::EPSILON);
+        // Leaps halve what is left of the empty part, down to a block.
+        assert!(march.steps < 12, "{march:?}");
+    }
+
+    #[test]
+    fn clipping_knows_the_entry_face_and_parallel_rays() {
+        let shape = DVec3::new(4.0, 4.0, 4.0);
+        let clipped = clip_to_box(DVec3::new(1.0, -2.5, 1.0), DVec3::new(0.0, 2.0, 0.0), shape).unwrap();
+        assert_eq!((clipped.enter_axis, clipped.t_enter, clipped.ray.t_max), (Some(1), 1.0, 4.0));
+        assert_eq!(clip_to_box(DVec3::new(9.0, -2.0, 1.0), DVec3::Y, shape), None);
+        assert_eq!(clip_to_box(DVec3::new(1.0, 9.0, 1.0), DVec3::Y, shape), None);
+        assert_eq!(clip_to_box(DVec3::ONE, DVec3::Y, shape).unwrap().enter_axis, None);
+        assert_eq!(clip_to_box(DVec3::ONE, DVec3::ZERO, shape), None);
+    }
+
+    #[test]
+    fn a_constant_field_is_hit_at_the_entry_or_not_at_all() {
+        let grid = unit_grid([1, 1, 1]);
+        let ray = clip_to_box(DVec3::new(-3.0, 0.1, 0.2), DVec3::X, grid.upper).unwrap().ray;
+        for (value, hit) in [(1.0f32, false), (0.0, true), (-1.0, true)] {
+            let march = marcher(grid, &[value]).march(&ray);
+            assert_eq!(march.hit.map(|hit| (hit.t, hit.at_start)), hit.then_some((0.0, true)));
+        }
+    }
+
+    #[test]
+    fn tiny_and_huge_values_march_alike() {
+        let grid = unit_grid([6, 6, 6]);
+        let ray = clip_to_box(DVec3::new(-3.0, -2.1, 0.7), DVec3::new(1.0, 0.9, 0.31), grid.upper).unwrap().ray;
+        let hit = |scale: f32| {
+            let distances: Vec<f32> = (0..grid.len()).map(|i| scale * ((i * 7919 % 101) as f32 - 20.0)).collect();
+            marcher(grid, &distances).march(&ray).hit.unwrap().t
+        };
+        let expected = hit(1.0);
+        for exponent in [-120, -60, 60, 116] {
+            assert_eq!(hit(2.0f32.powi(exponent)), expected);
+        }
+    }
+}

@@ -1,0 +1,298 @@
+//! Pictures of a stored field: its zero level set, seen by a camera and lit.
+//!
+//! # Theory
+//!
+//! For each pixel: a ray through its centre ([`camera`]), clipped to the box of the grid and marched to the first root
+//! of the trilinear field ([`march`], [`empty`], [`cubic`]), then shaded ([`shade`]). The ray is set up in f64 and brought to grid
+//! space, where voxel centres are integers and f32 is exact enough at any scale and offset of the world; from there on
+//! everything is f32 with bounded loops, so that a shader can do the same.
+//!
+//! What is drawn is the solid "field not above zero, inside the box". Where the box cuts it, the cut is drawn as a
+//! flat face. A camera inside the solid sees it at depth 0.
+//!
+//! # Practice
+//!
+//! [`raymarch`] runs on all cores by rows, counts its progress in rows and stops when it is cancelled. Its cost is that
+//! of the steps in `Frame::steps` plus as many for each light.
+
+pub mod camera;
+pub mod cubic;
+pub mod empty;
+pub mod march;
+mod shade;
+
+pub use camera::Camera;
+
+use crate::error::{ArgumentError, Error};
+use crate::progress::Progress;
+use crate::volume::FieldView;
+use glam::{DVec3, Vec3};
+use march::{Marcher, clip_to_box};
+use rayon::prelude::*;
+use shade::{Shader, Surface};
+
+/// Light from infinitely far away.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DirectionalLight {
+    /// The way the light travels, world space, any length.
+    pub direction: Vec3,
+    /// Linear RGB; 1 lights a surface that faces the light to its own colour.
+    pub color: Vec3,
+}
+
+/// How shadows are made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Shadows {
+    /// Every light reaches every surface.
+    None,
+    /// A light arrives or it does not.
+    #[default]
+    Hard,
+}
+
+impl Shadows {
+    /// The shadows that the Python interface calls `name`.
+    pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
+        match name {
+            "none" => Ok(Self::None),
+            "hard" => Ok(Self::Hard),
+            _ => Err(ArgumentError::new("shadows", format!("expected \"hard\" or \"none\", got {name:?}"))),
+        }
+    }
+}
+
+/// What a picture looks like. The names are those of the Python interface.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RaymarchOptions {
+    /// Width and height, pixels.
+    pub size: [u32; 2],
+    /// `None`: one key light from over the camera's left shoulder. An empty list: ambient light only.
+    pub lights: Option<Vec<DirectionalLight>>,
+    /// Light from all round, most from above (+Y), as a share of a light of colour 1.
+    pub ambient: f32,
+    /// Linear RGB of the surface.
+    pub color: Vec3,
+    /// Strength of the highlight.
+    pub specular: f32,
+    /// Sharpness of the highlight, the exponent of Blinn-Phong.
+    pub shininess: f32,
+    /// Linear RGBA where nothing is hit.
+    pub background: [f32; 4],
+    pub shadows: Shadows,
+}
+
+impl Default for RaymarchOptions {
+    fn default() -> Self {
+        Self {
+            size: [512, 512],
+            lights: None,
+            ambient: 0.2,
+            color: Vec3::splat(0.8),
+            specular: 0.25,
+            shininess: 32.0,
+            background: [1.0; 4],
+            shadows: Shadows::Hard,
+        }
+    }
+}
+
+/// A picture and what it was made from; each array by rows, row 0 on top.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Frame {
+    pub width: usize,
+    pub height: usize,
+    /// Lights per pixel in `shadow`.
+    pub lights: usize,
+    /// Linear RGBA, 4 a pixel.
+    pub color: Vec<f32>,
+    /// Distance along the viewing axis, world units; infinite where nothing is hit.
+    pub depth: Vec<f32>,
+    /// World space, unit, 3 a pixel; zero where nothing is hit.
+    pub normal: Vec<f32>,
+    /// 0 for the field, -1 where nothing is hit.
+    pub object_id: Vec<i32>,
+    /// Share of each light that arrives, 1 lit, 0 dark, `lights` a pixel; 1 where nothing is hit.
+    pub shadow: Vec<f32>,
+    /// Cells visited and empty regions leapt over by the ray of the pixel.
+    pub steps: Vec<u32>,
+}
+
+/// Pixels of a picture at most: 16384 x 16384, about 12 GiB of frame.
+const MAX_PIXELS: u64 = 1 << 28;
+
+/// Where the default key light comes from, in camera space: left, above, and behind the camera.
+const KEY_LIGHT_FROM: DVec3 = DVec3::new(-0.5, 0.7, 1.0);
+
+/// Draw the zero level set of a field.
+pub fn raymarch(
+    field: FieldView<'_>,
+    camera: &Camera,
+    options: &RaymarchOptions,
+    progress: &Progress,
+) -> Result<Frame, Error> {
+    options.check()?;
+    let lights = options.unit_lights(camera)?;
+    let marcher = Marcher::new(field, progress)?;
+    let shader = Shader::new(&marcher, options, &lights);
+    let view = View {
+        camera,
+        eye_grid: field.grid_from_world(camera.eye),
+        spacing: field.grid().spacing(),
+        shape: field.shape(),
+        marcher: &marcher,
+        shader,
+        options,
+    };
+
+    let [width, height] = options.size.map(|n| n as usize);
+    progress.set_total(height as u64);
+    let mut frame = Frame::new(width, height, lights.len());
+    frame.rows().into_par_iter().enumerate().try_for_each(|(y, mut row)| {
+        for x in 0..width {
+            view.draw_pixel(x, y, &mut row);
+        }
+        progress.advance(1)
+    })?;
+    Ok(frame)
+}
+
+/// What every pixel needs.
+struct View<'a> {
+    camera: &'a Camera,
+    eye_grid: DVec3,
+    spacing: DVec3,
+    shape: DVec3,
+    marcher: &'a Marcher<'a>,
+    shader: Shader<'a>,
+    options: &'a RaymarchOptions,
+}
+
+impl View<'_> {
+    /// Fill pixel `x` of row `y`; the row already says "nothing hit".
+    fn draw_pixel(&self, x: usize, y: usize, row: &mut Row<'_>) {
+        row.color[4 * x..][..4].copy_from_slice(&self.options.background);
+
+        // Multiples of `direction` are depths, in world and in grid space.
+        let direction = self.camera.pixel_direction(x as u32, y as u32, self.options.size);
+        let direction_grid = direction / self.spacing;
+        let Some(clipped) = clip_to_box(self.eye_grid, direction_grid, self.shape) else { return };
+        let march = self.marcher.march(&clipped.ray);
+        row.steps[x] = march.steps;
+        let Some(hit) = march.hit else { return };
+
+        let p_grid = clipped.ray.origin + hit.t * clipped.ray.direction;
+        let to_eye = -direction.normalize().as_vec3();
+        let normal = match (hit.at_start, clipped.enter_axis) {
+            // The cut on a face of the box.
+            (true, Some(axis)) => {
+                let mut normal = Vec3::ZERO;
+                normal[axis] = to_eye[axis].signum();
+                normal
+            }
+            // The eye is in the solid.
+            (true, None) => to_eye,
+            (false, _) => self.shader.normal(&hit, p_grid, to_eye),
+        };
+        let shadow = &mut row.shadow[x * row.lights..][..row.lights];
+        let color = self.shader.shade(&Surface { p_grid, normal, to_eye }, shadow);
+
+        row.color[4 * x..][..4].copy_from_slice(&[color.x, color.y, color.z, 1.0]);
+        row.depth[x] = (clipped.t_enter + hit.t as f64 / direction_grid.length()) as f32;
+        row.normal[3 * x..][..3].copy_from_slice(&normal.to_array());
+        row.object_id[x] = 0;
+    }
+}
+
+impl RaymarchOptions {
+    fn check(&self) -> Result<(), Error> {
+        let error = |argument, problem: String| Err(ArgumentError::new(argument, problem).into());
+        let [width, height] = self.size;
+        if width == 0 || height == 0 || width as u64 * height as u64 > MAX_PIXELS {
+            return error("size", format!("expected 1 to {MAX_PIXELS} pixels, got {width} x {height}"));
+        }
+        if !(self.ambient.is_finite() && self.ambient >= 0.0) {
+            return error("ambient", format!("must be finite and at least 0, got {}", self.ambient));
+        }
+        if !self.color.is_finite() {
+            return error("color", format!("must be finite, got {}", self.color));
+        }
+        if !self.specular.is_finite() {
+            return error("specular", format!("must be finite, got {}", self.specular));
+        }
+        if !(self.shininess.is_finite() && self.shininess >= 0.0) {
+            return error("shininess", format!("must be finite and at least 0, got {}", self.shininess));
+        }
+        Ok(())
+    }
+
+    /// The lights, or the default one, with unit directions.
+    fn unit_lights(&self, camera: &Camera) -> Result<Vec<DirectionalLight>, Error> {
+        let Some(lights) = &self.lights else {
+            let direction = -camera.world_from_camera(KEY_LIGHT_FROM).normalize().as_vec3();
+            return Ok(vec![DirectionalLight { direction, color: Vec3::ONE }]);
+        };
+        let unit = |(i, light): (usize, &DirectionalLight)| {
+            let direction = light.direction.as_dvec3().normalize_or_zero().as_vec3();
+            if direction == Vec3::ZERO {
+                let problem = format!("[{i}] is {}, expected a finite direction that is not zero", light.direction);
+                return Err(ArgumentError::new("light_directions", problem).into());
+            }
+            if !light.color.is_finite() {
+                let problem = format!("[{i}] is {}, expected finite numbers", light.color);
+                return Err(ArgumentError::new("light_colors", problem).into());
+            }
+            Ok(DirectionalLight { direction, color: light.color })
+        };
+        lights.iter().enumerate().map(unit).collect()
+    }
+}
+
+/// One row of every array of a frame.
+struct Row<'a> {
+    lights: usize,
+    color: &'a mut [f32],
+    depth: &'a mut [f32],
+    normal: &'a mut [f32],
+    object_id: &'a mut [i32],
+    shadow: &'a mut [f32],
+    steps: &'a mut [u32],
+}
+
+impl Frame {
+    /// A picture of nothing.
+    fn new(width: usize, height: usize, lights: usize) -> Self {
+        let pixels = width * height;
+        Self {
+            width,
+            height,
+            lights,
+            color: vec![0.0; 4 * pixels],
+            depth: vec![f32::INFINITY; pixels],
+            normal: vec![0.0; 3 * pixels],
+            object_id: vec![-1; pixels],
+            shadow: vec![1.0; lights * pixels],
+            steps: vec![0; pixels],
+        }
+    }
+
+    fn rows(&mut self) -> Vec<Row<'_>> {
+        let (width, lights) = (self.width, self.lights);
+        let mut shadow = self.shadow.as_mut_slice();
+        self.color
+            .chunks_mut(4 * width)
+            .zip(self.depth.chunks_mut(width))
+            .zip(self.normal.chunks_mut(3 * width))
+            .zip(self.object_id.chunks_mut(width))
+            .zip(self.steps.chunks_mut(width))
+            .map(|((((color, depth), normal), object_id), steps)| {
+                // Not chunked like the rest: without lights the rows of `shadow` are empty.
+                let (row, rest) = std::mem::take(&mut shadow).split_at_mut(lights * width);
+                shadow = rest;
+                Row { lights, color, depth, normal, object_id, shadow: row, steps }
+            })
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests;

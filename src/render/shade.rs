@@ -1,0 +1,107 @@
+//! Colour of a hit: Blinn-Phong (Blinn 1977) with directional lights, a hemisphere of ambient light, hard shadows.
+//!
+//! The normal is the analytic gradient of the trilinear field in the cell that was hit, turned to world space, so
+//! oblong voxels are right. On a face of the box where the ray entered the solid, the surface that is seen is the cut,
+//! and the normal is that of the face.
+//!
+//! A shadow ray is marched like any other ([`super::march`]). It starts [`SHADOW_BIAS_VOXELS`] above the surface, along
+//! the normal: a distance in voxels, because what it has to clear is the facets of the trilinear surface, whose size is
+//! the voxel's. A side that is turned away from a light gets none of it.
+
+use super::march::{Hit, Marcher, clip_to_box};
+use super::{DirectionalLight, RaymarchOptions, Shadows};
+use crate::volume::trilinear_gradient;
+use glam::{DVec3, Vec3};
+
+/// Start of a shadow ray above the surface. A trilinear surface departs from a smooth one by h^2 / (8 R), less than an
+/// eighth of a voxel for a radius of a voxel or more; a ray that grazes it rises by as much again over the next voxels.
+const SHADOW_BIAS_VOXELS: f32 = 0.5;
+
+/// Ambient light that comes from below, as a share of the light from above.
+const GROUND_SHARE: f32 = 0.4;
+
+/// Where a picture's ray met the surface.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Surface {
+    pub p_grid: Vec3,
+    /// World space, unit, outward.
+    pub normal: Vec3,
+    /// World space, unit, towards the eye.
+    pub to_eye: Vec3,
+}
+
+/// Everything that is the same for all pixels.
+#[derive(Debug, Clone)]
+pub(super) struct Shader<'a> {
+    marcher: &'a Marcher<'a>,
+    options: &'a RaymarchOptions,
+    lights: &'a [DirectionalLight],
+    shape: DVec3,
+    /// Voxel size relative to its smallest side: a scale of the world would cancel everywhere below.
+    relative_spacing: Vec3,
+}
+
+impl<'a> Shader<'a> {
+    /// `lights` have unit directions.
+    pub fn new(marcher: &'a Marcher<'a>, options: &'a RaymarchOptions, lights: &'a [DirectionalLight]) -> Self {
+        let spacing = marcher.field.grid().spacing();
+        Self {
+            marcher,
+            options,
+            lights,
+            shape: marcher.field.shape(),
+            relative_spacing: (spacing / spacing.min_element()).as_vec3(),
+        }
+    }
+
+    /// World normal of the trilinear surface at a hit; `fallback` where the field has no slope.
+    pub fn normal(&self, hit: &Hit, p_grid: Vec3, fallback: Vec3) -> Vec3 {
+        let corners = self.marcher.field.corners(hit.cell);
+        let per_voxel = trilinear_gradient(&corners, p_grid - hit.cell.as_vec3());
+        // Scaled by its largest entry first: the squares of a length must not leave the range of f32.
+        let largest = per_voxel.abs().max_element();
+        if largest == 0.0 {
+            return fallback;
+        }
+        (per_voxel / largest / self.relative_spacing).normalize_or(fallback)
+    }
+
+    /// Linear RGB of a surface; writes the share of each light that arrives.
+    pub fn shade(&self, surface: &Surface, shadow: &mut [f32]) -> Vec3 {
+        let options = self.options;
+        // From the ground (normal down) to the sky (normal up).
+        let sky = 0.5 + 0.5 * surface.normal.y;
+        let ambient = options.ambient * (GROUND_SHARE + (1.0 - GROUND_SHARE) * sky);
+        let mut color = ambient * options.color;
+        for (light, share) in self.lights.iter().zip(shadow) {
+            let to_light = -light.direction;
+            *share = match options.shadows {
+                Shadows::None => 1.0,
+                Shadows::Hard => self.share_that_arrives(surface, to_light),
+            };
+            let cosine = surface.normal.dot(to_light);
+            if *share > 0.0 && cosine > 0.0 {
+                let half = (to_light + surface.to_eye).normalize_or_zero();
+                let highlight = options.specular * surface.normal.dot(half).max(0.0).powf(options.shininess);
+                color += *share * light.color * (cosine * options.color + highlight);
+            }
+        }
+        color
+    }
+
+    /// 1 where nothing of the field stands between the surface and the light, else 0.
+    fn share_that_arrives(&self, surface: &Surface, to_light: Vec3) -> f32 {
+        if surface.normal.dot(to_light) <= 0.0 {
+            return 0.0;
+        }
+        // The bias is as long as the voxel is in the direction of the normal.
+        let voxel = (surface.normal * self.relative_spacing).length();
+        let bias = SHADOW_BIAS_VOXELS * voxel * surface.normal / self.relative_spacing;
+        let origin = surface.p_grid + bias;
+        let direction = to_light / self.relative_spacing;
+        match clip_to_box(origin.as_dvec3(), direction.as_dvec3(), self.shape) {
+            Some(clipped) if self.marcher.march(&clipped.ray).hit.is_some() => 0.0,
+            _ => 1.0,
+        }
+    }
+}

@@ -1,0 +1,179 @@
+//! Which side of the surface a point is on.
+//!
+//! `auto` looks at the topology once and takes the strongest rule that holds:
+//!
+//! | surface | rule | exact |
+//! |---|---|---|
+//! | closed | winding number counted by rays ([`crossing`]) | yes, by exact predicates |
+//! | few open edges | the same with the openings closed, less the cones' angle ([`openings`]) | yes |
+//! | soup | fast winding number ([`winding`]) | to about 0.01 of a turn |
+//!
+//! Inside is where the winding number's magnitude exceeds 1/2: nested and overlapping parts are solid, a reversed shell
+//! within a solid is a cavity, and a mesh wound inside out is the same solid. The distance itself never depends on the
+//! sign. `parity`, `pseudonormal` and `normal` are there to compare with; each fails where its module says.
+
+mod caps;
+pub mod crossing;
+pub mod openings;
+pub mod pseudonormal;
+pub mod winding;
+
+#[cfg(test)]
+mod tests;
+
+use crate::bvh::closest::ClosestPoint;
+use crate::error::ArgumentError;
+use crate::geometry::triangle_cross;
+use crate::mesh::Mesh;
+use crossing::{Axes, Surface};
+use glam::DVec3;
+use openings::Openings;
+use std::str::FromStr;
+
+/// A rule by name, as a user asks for it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum SignMethod {
+    #[default]
+    Auto,
+    /// Generalised winding number.
+    Winding,
+    /// Odd number of crossings, by a vote of three axes (article 003).
+    Parity,
+    /// Angle-weighted pseudonormal.
+    Pseudonormal,
+    /// Normal of the face that is nearest when each is nudged along its normal (article 001).
+    Normal,
+    Unsigned,
+}
+
+impl SignMethod {
+    pub const NAMES: [(&'static str, Self); 6] = [
+        ("auto", Self::Auto),
+        ("winding", Self::Winding),
+        ("parity", Self::Parity),
+        ("pseudonormal", Self::Pseudonormal),
+        ("normal", Self::Normal),
+        ("unsigned", Self::Unsigned),
+    ];
+
+    pub fn name(self) -> &'static str {
+        Self::NAMES.iter().find(|(_, method)| *method == self).map_or("", |(name, _)| name)
+    }
+}
+
+impl FromStr for SignMethod {
+    type Err = ArgumentError;
+
+    fn from_str(name: &str) -> Result<Self, ArgumentError> {
+        Self::NAMES.iter().find(|(known, _)| *known == name).map(|(_, method)| *method).ok_or_else(|| {
+            let known = Self::NAMES.map(|(known, _)| format!("\"{known}\"")).join(", ");
+            ArgumentError::new("sign", format!("unknown method \"{name}\"; use one of {known}"))
+        })
+    }
+}
+
+/// A rule bound to a mesh, ready to be asked.
+#[derive(Debug)]
+pub enum SignRule {
+    /// Winding number of a mesh whose openings, if any, are closed by cones.
+    Counted(Openings),
+    /// Fast winding number.
+    Winding,
+    Parity,
+    Pseudonormal,
+    Normal,
+    Unsigned,
+}
+
+/// A rule, the method it stands for, and why it was taken.
+#[derive(Debug)]
+pub struct SignChoice {
+    pub rule: SignRule,
+    pub method: SignMethod,
+    pub reason: String,
+}
+
+/// Rims up to this many edges are closed by cones: each costs about 40 ns at the samples around the openings.
+const MAX_CAPS: usize = 2048;
+/// Article 001 nudges by 1e-4 in a scene of about unit size; local coordinates are of about unit size.
+const NUDGE: f64 = 1e-4;
+
+impl SignChoice {
+    pub fn new(mesh: &Mesh, method: SignMethod) -> Self {
+        let topology = mesh.topology();
+        let rim = topology.rim.len();
+        let few = rim <= MAX_CAPS && rim * 8 <= mesh.faces().len().max(64);
+        let (rule, method, reason) = match method {
+            SignMethod::Auto | SignMethod::Winding if topology.closed => (
+                SignRule::Counted(Openings::default()),
+                SignMethod::Winding,
+                "the surface is closed: exact winding number by counted crossings".to_owned(),
+            ),
+            SignMethod::Auto | SignMethod::Winding if few => (
+                SignRule::Counted(Openings::of(mesh)),
+                SignMethod::Winding,
+                format!("the surface has {rim} open edges: exact generalised winding number, openings closed by cones"),
+            ),
+            SignMethod::Auto | SignMethod::Winding => (
+                SignRule::Winding,
+                SignMethod::Winding,
+                format!("the surface has {rim} open edges: fast generalised winding number"),
+            ),
+            SignMethod::Parity => (SignRule::Parity, method, "asked for".to_owned()),
+            SignMethod::Pseudonormal => (SignRule::Pseudonormal, method, "asked for".to_owned()),
+            SignMethod::Normal => (SignRule::Normal, method, "asked for".to_owned()),
+            SignMethod::Unsigned => (SignRule::Unsigned, method, "asked for".to_owned()),
+        };
+        Self { rule, method, reason }
+    }
+}
+
+impl SignRule {
+    /// Build what the rule needs from the mesh, so that its cost is paid (and timed) before the samples.
+    pub fn prepare(&self, mesh: &Mesh) {
+        match self {
+            Self::Winding => drop(mesh.moments()),
+            Self::Pseudonormal => drop(mesh.pseudonormals()),
+            Self::Counted(_) | Self::Parity | Self::Normal | Self::Unsigned => {}
+        }
+    }
+
+    /// Whether a local point is inside. `closest` is its closest point, for the rules that look there.
+    pub fn is_inside(&self, mesh: &Mesh, p: DVec3, closest: &ClosestPoint) -> bool {
+        match self {
+            Self::Counted(openings) => {
+                let count = Surface::new(mesh, &openings.caps).winding(p, Axes::X);
+                count != i32::from(openings.rounded_fraction(p))
+            }
+            Self::Winding => mesh.moments().winding(mesh, p).abs() > 0.5,
+            Self::Parity => parity(mesh, p).0,
+            Self::Pseudonormal => mesh.pseudonormals().is_inside(mesh, p, closest),
+            Self::Normal => is_behind_nudged_face(mesh, p, closest),
+            Self::Unsigned => false,
+        }
+    }
+}
+
+/// Whether most of three axis rays cross an odd number of faces, and whether they all agree.
+pub fn parity(mesh: &Mesh, p: DVec3) -> (bool, bool) {
+    let surface = Surface::new(mesh, &[]);
+    let votes = [Axes::X, Axes::Y, Axes::Z].iter().filter(|&&axes| surface.crossings(p, axes) % 2 == 1).count();
+    (votes >= 2, votes == 0 || votes == 3)
+}
+
+/// Article 001: move every face's closest point along its normal by a small step, take the nearest, and see which side of
+/// that face the point is on. The step breaks ties at edges; here it scales with the mesh.
+fn is_behind_nudged_face(mesh: &Mesh, p: DVec3, closest: &ClosestPoint) -> bool {
+    let mut best = (f64::INFINITY, false);
+    // A nudge changes a distance by its length at most, so no other face can win.
+    let reach = (closest.distance + 2.0 * NUDGE) * (1.0 + 1e-6);
+    mesh.bvh().faces_within(p.as_vec3(), reach as f32, |face| {
+        let normal = triangle_cross(mesh.triangle(face)).normalize();
+        let q = mesh.closest_point_on_face(face, p).on_triangle.point;
+        let nudged = (q + normal * NUDGE).distance(p);
+        if nudged < best.0 {
+            best = (nudged, (p - q).dot(normal) < 0.0);
+        }
+    });
+    best.1
+}

@@ -1,0 +1,203 @@
+//! Every exact rule against brute-force winding numbers, on meshes and points chosen to hit ties.
+
+use super::crossing::{Axes, Samples, Surface, scan_row};
+use super::openings::SampleBlock;
+use super::*;
+use crate::geometry::solid_angle;
+use proptest::prelude::*;
+use std::f64::consts::PI;
+
+/// Winding number by definition: the sum of all solid angles.
+fn brute_force(mesh: &Mesh, p: DVec3) -> f64 {
+    let oriented = (0..mesh.faces().len() as u32).filter_map(|f| mesh.topology().oriented_face(mesh, f));
+    let corner = |v: u32| mesh.positions()[v as usize].as_dvec3() - p;
+    oriented.map(|face| solid_angle(face.map(corner))).sum::<f64>() / (4.0 * PI)
+}
+
+fn mesh(vertices: &[[f64; 3]], faces: &[[i64; 3]]) -> Mesh {
+    Mesh::new(vertices, faces).unwrap()
+}
+
+/// A box of integer corners, twelve outward faces.
+fn add_box(vertices: &mut Vec<[f64; 3]>, faces: &mut Vec<[i64; 3]>, low: [f64; 3], high: [f64; 3]) {
+    let first = vertices.len() as i64;
+    vertices.extend((0..8).map(|i| [0, 1, 2].map(|axis| if i >> axis & 1 == 1 { high[axis] } else { low[axis] })));
+    let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    faces.extend(quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).map(|face| face.map(|v| v + first)));
+}
+
+/// Two boxes that overlap, and a cavity in the first.
+fn boxes() -> Mesh {
+    let (mut vertices, mut faces) = (Vec::new(), Vec::new());
+    add_box(&mut vertices, &mut faces, [0.0; 3], [4.0; 3]);
+    add_box(&mut vertices, &mut faces, [2.0, 2.0, 3.0], [6.0, 6.0, 7.0]);
+    let before = faces.len();
+    add_box(&mut vertices, &mut faces, [1.0; 3], [2.0; 3]);
+    faces[before..].iter_mut().for_each(|face| face.swap(0, 1));
+    mesh(&vertices, &faces)
+}
+
+/// A bumpy closed surface: a subdivided octahedron with radii from a small generator.
+fn bumpy_sphere(seed: u64) -> (Vec<[f64; 3]>, Vec<[i64; 3]>) {
+    let (rings, sectors) = (12usize, 17usize);
+    let mut state = seed | 1;
+    let mut next = || {
+        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        0.6 + 0.8 * (state >> 33) as f64 / (1u64 << 31) as f64
+    };
+    let mut vertices = vec![[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]];
+    for ring in 1..rings {
+        let theta = PI * ring as f64 / rings as f64;
+        for sector in 0..sectors {
+            let phi = 2.0 * PI * sector as f64 / sectors as f64;
+            let r = next();
+            vertices.push([r * theta.sin() * phi.cos(), r * theta.sin() * phi.sin(), r * theta.cos()]);
+        }
+    }
+    let at = |ring: usize, sector: usize| (2 + (ring - 1) * sectors + sector % sectors) as i64;
+    let mut faces = Vec::new();
+    for sector in 0..sectors {
+        faces.push([0, at(1, sector), at(1, sector + 1)]);
+        faces.push([1, at(rings - 1, sector + 1), at(rings - 1, sector)]);
+        for ring in 1..rings - 1 {
+            faces.push([at(ring, sector), at(ring + 1, sector), at(ring + 1, sector + 1)]);
+            faces.push([at(ring, sector), at(ring + 1, sector + 1), at(ring, sector + 1)]);
+        }
+    }
+    (vertices, faces)
+}
+
+/// Points whose rays run along faces and edges and through corners: every half integer around the boxes.
+#[test]
+fn counted_crossings_survive_every_tie() {
+    let mesh = boxes();
+    let surface = Surface::new(&mesh, &[]);
+    for axes in [Axes::X, Axes::Y, Axes::Z] {
+        for x in -1..=13 {
+            for y in -1..=13 {
+                for z in -1..=15 {
+                    let world = DVec3::new(f64::from(x), f64::from(y), f64::from(z)) * 0.5;
+                    let p = mesh.local_from_world(world);
+                    if mesh.closest_point(p).distance > 1e-9 {
+                        assert_eq!(surface.winding(p, axes), brute_force(&mesh, p).round() as i32, "{world} {axes:?}");
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The grid scan and the single ray are the same function, sample by sample, on a grid aligned with the faces.
+#[test]
+fn a_scanned_row_equals_single_rays() {
+    let mesh = boxes();
+    let surface = Surface::new(&mesh, &[]);
+    // Steps of half a unit in local coordinates, from a corner of the first box.
+    let step = 0.5 / mesh.scale();
+    let first = mesh.local_from_world(DVec3::splat(-1.0));
+    let samples = |axis: usize| Samples { first: first[axis], step, count: 18 };
+    for axes in [Axes::X, Axes::Y, Axes::Z, Axes { ray: 1, column: 0, row: 2 }] {
+        let (columns, along, rows) = (samples(axes.column), samples(axes.ray), samples(axes.row));
+        let mut windings = vec![0i16; columns.count * along.count];
+        for row in 0..rows.count {
+            scan_row(&surface, axes, rows.at(row), &columns, &along, &mut windings);
+            for column in 0..columns.count {
+                for i in 0..along.count {
+                    let mut p = DVec3::ZERO;
+                    p[axes.row] = rows.at(row);
+                    p[axes.column] = columns.at(column);
+                    p[axes.ray] = along.at(i);
+                    let expected = surface.winding(p, axes);
+                    assert_eq!(i32::from(windings[column * along.count + i]), expected, "{p} {axes:?}");
+                }
+            }
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(60))]
+
+    /// A closed surface, and the same one with any faces missing: counted crossings less the cones' angle give the
+    /// generalised winding number.
+    #[test]
+    fn closing_cones_give_the_winding_number_of_an_open_mesh(
+        seed in any::<u64>(), missing in proptest::collection::vec(0usize..340, 0..12),
+        points in proptest::collection::vec((-1.3..1.3f64, -1.3..1.3f64, -1.3..1.3f64), 50)
+    ) {
+        let (vertices, mut faces) = bumpy_sphere(seed);
+        for f in missing {
+            faces.swap_remove(f % faces.len());
+        }
+        let mesh = mesh(&vertices, &faces);
+        let openings = Openings::of(&mesh);
+        let surface = Surface::new(&mesh, &openings.caps);
+        for (x, y, z) in points {
+            let p = mesh.local_from_world(DVec3::new(x, y, z));
+            let found = f64::from(surface.winding(p, Axes::X)) - openings.fraction(p);
+            prop_assert!((found - brute_force(&mesh, p)).abs() < 1e-9);
+        }
+    }
+
+    /// What one value decides for a block is what every sample of it would say.
+    #[test]
+    fn block_decisions_hold_for_every_sample(seed in any::<u64>(), missing in 1usize..40) {
+        let (vertices, mut faces) = bumpy_sphere(seed);
+        faces.drain(..missing);
+        let mesh = mesh(&vertices, &faces);
+        let openings = Openings::of(&mesh);
+        let at = |voxel: [usize; 3]| DVec3::from_array(voxel.map(|i| -1.2 + i as f64 * 0.11));
+        let mut seen = 0;
+        let block = SampleBlock { low: [0; 3], high: [23, 22, 21], at: &at };
+        openings.for_each_rounded_fraction(&block, &mut |voxel, rounded| {
+            seen += 1;
+            assert_eq!(rounded, openings.fraction(at(voxel)).round() as i8);
+            assert_eq!(rounded, openings.rounded_fraction(at(voxel)));
+        });
+        prop_assert_eq!(seen, 23 * 22 * 21);
+    }
+
+    /// The fast winding number stays within the error that its module states.
+    #[test]
+    fn fast_winding_numbers_are_good_to_a_hundredth(
+        seed in any::<u64>(), missing in 0usize..200, x in -1.5..1.5f64, y in -1.5..1.5f64, z in -1.5..1.5f64
+    ) {
+        let (vertices, mut faces) = bumpy_sphere(seed);
+        faces.drain(..missing);
+        let mesh = mesh(&vertices, &faces);
+        let p = mesh.local_from_world(DVec3::new(x, y, z));
+        let error = (mesh.moments().winding(&mesh, p) - brute_force(&mesh, p)).abs();
+        prop_assert!(error < 0.01, "{error}");
+    }
+
+    /// On a clean mesh every rule gives the same answer.
+    #[test]
+    fn all_rules_agree_on_a_clean_mesh(seed in any::<u64>(), x in -1.3..1.3f64, y in -1.3..1.3f64, z in -1.3..1.3f64) {
+        let (vertices, faces) = bumpy_sphere(seed);
+        let mesh = mesh(&vertices, &faces);
+        let p = mesh.local_from_world(DVec3::new(x, y, z));
+        let closest = mesh.closest_point(p);
+        // The nudge of the `normal` rule is 1e-4; nearer than that it has no say.
+        prop_assume!(closest.distance > 1e-3);
+        let inside = brute_force(&mesh, p) > 0.5;
+        for rule in [SignRule::Counted(Openings::default()), SignRule::Winding, SignRule::Parity, SignRule::Pseudonormal] {
+            prop_assert_eq!(rule.is_inside(&mesh, p, &closest), inside, "{:?}", rule);
+        }
+    }
+}
+
+#[test]
+fn auto_takes_the_strongest_rule() {
+    let (vertices, faces) = bumpy_sphere(1);
+    let choose = |faces: &[[i64; 3]]| SignChoice::new(&mesh(&vertices, faces), SignMethod::Auto);
+    assert!(matches!(choose(&faces).rule, SignRule::Counted(openings) if openings.caps.is_empty()));
+    assert!(matches!(choose(&faces[1..]).rule, SignRule::Counted(openings) if openings.caps.len() == 3));
+    let scattered: Vec<[i64; 3]> = faces.iter().copied().step_by(2).collect();
+    assert!(matches!(choose(&scattered).rule, SignRule::Winding));
+}
+
+#[test]
+fn unknown_methods_list_the_known_ones() {
+    let error = "odd".parse::<SignMethod>().unwrap_err().to_string();
+    assert!(error.starts_with("sign: unknown method \"odd\"; use one of \"auto\", \"winding\""), "{error}");
+}

@@ -1,0 +1,406 @@
+//! A stored field read back: samples, gradients, other resolutions, and its surface as a mesh.
+//!
+//! # Theory
+//!
+//! Samples sit at voxel centres. Between the centres the field is trilinear; in the outer half voxel of the box, where
+//! there is no centre on one side, it is the value of the nearest point that has centres all round (the texture
+//! samplers' "clamp to edge"). This module's [`trilinear`] and [`FieldView::corners`] are that function, and there is
+//! no second one: sampling, gradients, resampling and the raymarcher read the field through them, so a picture shows
+//! exactly the surface that `sample` reports.
+//!
+//! Positions are in *grid space*: voxel centres at integers, `p_grid = (p_world - lower) / spacing - 1/2`. The
+//! subtraction happens in f64, so a box far from the origin loses nothing; the weights are f32.
+//!
+//! Cell `i` on an axis lies between the centres `i` and `i + 1`. With `n` voxels the cells run from -1 to n - 1: the
+//! first and the last are the outer half voxels, whose corners are clamped to the same sample.
+//!
+//! ```text
+//!   box   |   .   |   .   |   .   |     n = 3 voxels, centres at 0, 1, 2
+//!   cells |-1 |   0   |   1   | 2 |     cells -1 and 2 are constant along this axis
+//! ```
+//!
+//! Outside the box nothing is stored; see [`outside`] for the lower bound that is returned there.
+//!
+//! # Practice
+//!
+//! [`FieldView`] borrows the distances; build one wherever it is needed. Batches run on all cores in chunks, count
+//! their progress in points, and stop when it is cancelled.
+
+pub mod outside;
+mod resample;
+mod surface;
+
+pub use surface::SurfaceMesh;
+
+use crate::error::{ArgumentError, Error};
+use crate::grid::Grid;
+use crate::progress::Progress;
+use glam::{DVec3, IVec3, Vec3};
+use rayon::prelude::*;
+
+/// A grid and its distances, x fastest.
+#[derive(Debug, Clone, Copy)]
+pub struct FieldView<'a> {
+    grid: Grid,
+    distances: &'a [f32],
+}
+
+/// How a value is made from the stored samples.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Filter {
+    /// The trilinear field.
+    #[default]
+    Linear,
+    /// The sample of the voxel that holds the point.
+    Nearest,
+}
+
+impl Filter {
+    /// The filter that the Python interface calls `name`.
+    pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
+        match name {
+            "linear" => Ok(Self::Linear),
+            "nearest" => Ok(Self::Nearest),
+            _ => Err(ArgumentError::new("filter", format!("expected \"linear\" or \"nearest\", got {name:?}"))),
+        }
+    }
+}
+
+/// Points in a block of a batch: about 0.2 ms of work, so that cancelling is prompt and scheduling costs nothing.
+const CHUNK_POINTS: usize = 4096;
+
+/// How far rounding may put a voxel centre from its integer in grid space: f64 at a box 1e6 voxels from the origin
+/// stays below 1e-9.
+const CENTRE_SNAP_VOXELS: f64 = 1e-6;
+
+impl<'a> FieldView<'a> {
+    pub fn new(grid: Grid, distances: &'a [f32]) -> Result<Self, Error> {
+        if distances.len() != grid.len() {
+            let [nx, ny, nz] = grid.shape;
+            let problem = format!("{nx} x {ny} x {nz} voxels need {} values, got {}", grid.len(), distances.len());
+            return Err(ArgumentError::new("distances", problem).into());
+        }
+        Ok(Self { grid, distances })
+    }
+
+    pub fn grid(&self) -> &Grid {
+        &self.grid
+    }
+
+    pub fn distances(&self) -> &'a [f32] {
+        self.distances
+    }
+
+    /// The trilinear field at a world point; of the nearest point of the box when `p` lies outside.
+    pub fn sample_linear(&self, p: DVec3) -> f32 {
+        let (cell, fraction) = self.locate(p);
+        trilinear(&self.corners(cell), fraction)
+    }
+
+    /// The sample of the voxel that holds `p`; of the nearest voxel when `p` lies outside.
+    pub fn sample_nearest(&self, p: DVec3) -> f32 {
+        let voxel = self.clamp_to_box(self.grid_from_world(p)).round();
+        let [nx, ny, nz] = self.grid.shape;
+        // `as` saturates, and a point on the upper face rounds to n: both are clamped here.
+        let index = |coordinate: f64, n: usize| (coordinate as usize).min(n - 1);
+        self.distances[self.grid.offset(index(voxel.x, nx), index(voxel.y, ny), index(voxel.z, nz))]
+    }
+
+    /// Gradient of the trilinear field, distance per world unit; of the nearest point of the box when outside.
+    ///
+    /// Zero along an axis in the outer half voxel, where the field is constant along it. It jumps between cells.
+    pub fn gradient(&self, p: DVec3) -> Vec3 {
+        let p_grid = self.clamp_to_box(self.grid_from_world(p));
+        // The outermost centres belong to the cell between centres, whichever side of them rounding has put `p` on.
+        let last = self.shape() - 1.0;
+        let between_centres = p_grid.max(DVec3::ZERO).min(last);
+        let at_centre = (p_grid - between_centres).abs().cmplt(DVec3::splat(CENTRE_SNAP_VOXELS));
+        let p_grid = DVec3::select(at_centre, between_centres, p_grid);
+        let cell = DVec3::select(at_centre, p_grid.floor().min(last - 1.0), p_grid.floor());
+        let fraction = (p_grid - cell).as_vec3();
+        let cell = cell.as_ivec3();
+        (trilinear_gradient(&self.corners(cell), fraction).as_dvec3() / self.grid.spacing()).as_vec3()
+    }
+
+    /// Field at many points. Outside the box: a lower bound on the distance to a surface that lies in the box `inner`
+    /// (lower and upper corner), see [`outside`]. A point that is not a number gives NaN.
+    pub fn sample(
+        &self,
+        points: &[DVec3],
+        inner: [DVec3; 2],
+        filter: Filter,
+        progress: &Progress,
+    ) -> Result<Vec<f32>, Error> {
+        batch(points, progress, |p| {
+            if p.is_nan() {
+                f32::NAN
+            } else if !self.contains(p) {
+                self.distance_bound(p, inner)
+            } else {
+                match filter {
+                    Filter::Linear => self.sample_linear(p),
+                    Filter::Nearest => self.sample_nearest(p),
+                }
+            }
+        })
+    }
+
+    /// [`FieldView::gradient`] at many points. A point that is not a number gives NaN.
+    pub fn gradients(&self, points: &[DVec3], progress: &Progress) -> Result<Vec<Vec3>, Error> {
+        batch(points, progress, |p| if p.is_nan() { Vec3::NAN } else { self.gradient(p) })
+    }
+
+    /// Whether the box, faces included, holds `p`.
+    pub fn contains(&self, p: DVec3) -> bool {
+        p.cmpge(self.grid.lower).all() && p.cmple(self.grid.upper).all()
+    }
+
+    /// The samples at the corners of a cell; bit 0 of the index is x, bit 1 y, bit 2 z. Cells run from -1 to n - 1.
+    #[inline]
+    pub fn corners(&self, cell: IVec3) -> [f32; 8] {
+        let [nx, ny, nz] = self.grid.shape;
+        let clamp = |i: i32, n: usize| (i.max(0) as usize).min(n - 1);
+        let (x0, x1) = (clamp(cell.x, nx), clamp(cell.x + 1, nx));
+        let (y0, y1) = (clamp(cell.y, ny) * nx, clamp(cell.y + 1, ny) * nx);
+        let (z0, z1) = (clamp(cell.z, nz) * nx * ny, clamp(cell.z + 1, nz) * nx * ny);
+        let d = self.distances;
+        [
+            d[x0 + y0 + z0],
+            d[x1 + y0 + z0],
+            d[x0 + y1 + z0],
+            d[x1 + y1 + z0],
+            d[x0 + y0 + z1],
+            d[x1 + y0 + z1],
+            d[x0 + y1 + z1],
+            d[x1 + y1 + z1],
+        ]
+    }
+
+    /// Grid space: voxel centres at integers.
+    pub fn grid_from_world(&self, p: DVec3) -> DVec3 {
+        (p - self.grid.lower) / self.grid.spacing() - 0.5
+    }
+
+    fn clamp_to_box(&self, p_grid: DVec3) -> DVec3 {
+        p_grid.max(DVec3::splat(-0.5)).min(self.shape() - 0.5)
+    }
+
+    /// Cell that holds the nearest point of the box, and the position in it, 0 to 1.
+    fn locate(&self, p: DVec3) -> (IVec3, Vec3) {
+        let p_grid = self.clamp_to_box(self.grid_from_world(p));
+        let cell = p_grid.floor();
+        (cell.as_ivec3(), (p_grid - cell).as_vec3())
+    }
+
+    /// Voxels along each axis.
+    pub(crate) fn shape(&self) -> DVec3 {
+        let [nx, ny, nz] = self.grid.shape;
+        DVec3::new(nx as f64, ny as f64, nz as f64)
+    }
+}
+
+/// The trilinear function of a cell's corners: along x, then y, then z.
+#[inline]
+pub fn trilinear(corners: &[f32; 8], fraction: Vec3) -> f32 {
+    let x00 = lerp(corners[0], corners[1], fraction.x);
+    let x10 = lerp(corners[2], corners[3], fraction.x);
+    let x01 = lerp(corners[4], corners[5], fraction.x);
+    let x11 = lerp(corners[6], corners[7], fraction.x);
+    let y0 = lerp(x00, x10, fraction.y);
+    let y1 = lerp(x01, x11, fraction.y);
+    lerp(y0, y1, fraction.z)
+}
+
+/// Gradient of [`trilinear`] with respect to `fraction`: distance per voxel.
+#[inline]
+pub fn trilinear_gradient(corners: &[f32; 8], fraction: Vec3) -> Vec3 {
+    let [c0, c1, c2, c3, c4, c5, c6, c7] = *corners;
+    let Vec3 { x, y, z } = fraction;
+    let along_x = lerp(lerp(c1 - c0, c3 - c2, y), lerp(c5 - c4, c7 - c6, y), z);
+    let along_y = lerp(lerp(c2 - c0, c3 - c1, x), lerp(c6 - c4, c7 - c5, x), z);
+    let along_z = lerp(lerp(c4 - c0, c5 - c1, x), lerp(c6 - c2, c7 - c3, x), y);
+    Vec3::new(along_x, along_y, along_z)
+}
+
+#[inline]
+fn lerp(a: f32, b: f32, fraction: f32) -> f32 {
+    a + (b - a) * fraction
+}
+
+/// Evaluate `f` at every point, in parallel chunks.
+fn batch<T: Copy + Default + Send>(
+    points: &[DVec3],
+    progress: &Progress,
+    f: impl Fn(DVec3) -> T + Sync,
+) -> Result<Vec<T>, Error> {
+    progress.set_total(points.len() as u64);
+    let mut values = vec![T::default(); points.len()];
+    values.par_chunks_mut(CHUNK_POINTS).zip(points.par_chunks(CHUNK_POINTS)).try_for_each(|(values, points)| {
+        for (value, &p) in values.iter_mut().zip(points) {
+            *value = f(p);
+        }
+        progress.advance(points.len() as u64)
+    })?;
+    Ok(values)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// A field that trilinear interpolation reproduces: every product of x, y, z to the first power.
+    fn multilinear(p: DVec3) -> f64 {
+        1.0 + 2.0 * p.x - p.y + 0.5 * p.z + 0.3 * p.x * p.y - 0.7 * p.y * p.z + 0.2 * p.z * p.x + 0.1 * p.x * p.y * p.z
+    }
+
+    fn multilinear_gradient(p: DVec3) -> DVec3 {
+        DVec3::new(
+            2.0 + 0.3 * p.y + 0.2 * p.z + 0.1 * p.y * p.z,
+            -1.0 + 0.3 * p.x - 0.7 * p.z + 0.1 * p.z * p.x,
+            0.5 - 0.7 * p.y + 0.2 * p.x + 0.1 * p.x * p.y,
+        )
+    }
+
+    fn oblong_grid() -> Grid {
+        Grid::new(DVec3::new(-1.0, 0.5, 2.0), DVec3::new(1.0, 2.0, 2.5), [5, 4, 3]).unwrap()
+    }
+
+    pub(super) fn fill(grid: &Grid, f: impl Fn(DVec3) -> f64) -> Vec<f32> {
+        let mut values = Vec::with_capacity(grid.len());
+        for z in 0..grid.shape[2] {
+            for y in 0..grid.shape[1] {
+                for x in 0..grid.shape[0] {
+                    values.push(f(grid.center(x, y, z)) as f32);
+                }
+            }
+        }
+        values
+    }
+
+    /// Largest magnitude of the test field is below 8; a dozen f32 roundings stay below this.
+    const ROUNDING: f64 = 8.0 * 12.0 * f32::EPSILON as f64;
+
+    proptest! {
+        #[test]
+        fn linear_reproduces_a_multilinear_field_and_its_gradient(u in 0.0..1.0f64, v in 0.0..1.0f64, w in 0.0..1.0f64) {
+            let grid = oblong_grid();
+            let distances = fill(&grid, multilinear);
+            let field = FieldView::new(grid, &distances).unwrap();
+            let h = grid.spacing();
+            let p = grid.lower + 0.5 * h + (grid.upper - grid.lower - h) * DVec3::new(u, v, w);
+            prop_assert!((field.sample_linear(p) as f64 - multilinear(p)).abs() < ROUNDING);
+            // A difference of two samples is divided by the smallest spacing, 1/6.
+            prop_assert!((field.gradient(p).as_dvec3() - multilinear_gradient(p)).abs().max_element() < 6.0 * 2.0 * ROUNDING);
+        }
+
+        #[test]
+        fn gradient_is_the_derivative_of_the_samples(seed in any::<[i8; 27]>(), u in 0.0..1.0f64, v in 0.0..1.0f64, w in 0.0..1.0f64) {
+            let grid = Grid::new(DVec3::ZERO, DVec3::new(3.0, 6.0, 1.5), [3, 3, 3]).unwrap();
+            let distances: Vec<f32> = seed.iter().map(|&value| value as f32 / 127.0).collect();
+            let field = FieldView::new(grid, &distances).unwrap();
+            let h = grid.spacing();
+            let step = 1e-3;
+            let inside = |a: f64| a.clamp(0.0, 3.0).fract().clamp(2.0 * step, 1.0 - 2.0 * step) + a.clamp(0.0, 3.0 - 1e-9).floor();
+            let p_grid = DVec3::new(inside(3.0 * u), inside(3.0 * v), inside(3.0 * w)) - 0.5;
+            // Keep away from the cell faces at the integers, where the gradient jumps.
+            let p_grid = p_grid + DVec3::select((p_grid - p_grid.round()).abs().cmplt(DVec3::splat(2.0 * step)), DVec3::splat(4.0 * step), DVec3::ZERO);
+            let p = grid.lower + (p_grid + 0.5) * h;
+            for axis in 0..3 {
+                let mut offset = DVec3::ZERO;
+                offset[axis] = step * h[axis];
+                let slope = (field.sample_linear(p + offset) as f64 - field.sample_linear(p - offset) as f64) / (2.0 * step * h[axis]);
+                let tolerance = 8.0 * f32::EPSILON as f64 / (2.0 * step * h[axis]);
+                prop_assert!((slope - field.gradient(p)[axis] as f64).abs() <= tolerance);
+            }
+        }
+    }
+
+    #[test]
+    fn voxel_centres_return_the_stored_samples() {
+        let grid = oblong_grid();
+        let distances = fill(&grid, multilinear);
+        let field = FieldView::new(grid, &distances).unwrap();
+        for z in 0..3 {
+            for y in 0..4 {
+                for x in 0..5 {
+                    let stored = distances[grid.offset(x, y, z)];
+                    let p = grid.center(x, y, z);
+                    assert_eq!(field.sample_nearest(p), stored);
+                    assert!((field.sample_linear(p) - stored).abs() as f64 <= ROUNDING);
+                    assert!(
+                        (field.gradient(p).as_dvec3() - multilinear_gradient(p)).abs().max_element() < 12.0 * ROUNDING
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_outer_half_voxel_is_clamped() {
+        let grid = Grid::new(DVec3::ZERO, DVec3::new(4.0, 4.0, 4.0), [4, 4, 4]).unwrap();
+        let distances = fill(&grid, |p| p.x + 10.0 * p.y);
+        let field = FieldView::new(grid, &distances).unwrap();
+        assert_eq!(field.sample_linear(DVec3::new(0.1, 2.0, 2.0)), 20.5);
+        assert_eq!(field.gradient(DVec3::new(0.1, 2.0, 2.0)), Vec3::new(0.0, 10.0, 0.0));
+        assert_eq!(field.gradient(DVec3::new(-7.0, 2.0, 2.0)), Vec3::new(0.0, 10.0, 0.0));
+        assert_eq!(field.sample_linear(DVec3::splat(4.0)), 38.5);
+        assert_eq!(field.sample_nearest(DVec3::splat(4.0)), 38.5);
+    }
+
+    #[test]
+    fn a_single_voxel_is_constant() {
+        let grid = Grid::new(DVec3::ZERO, DVec3::ONE, [1, 1, 1]).unwrap();
+        let field = FieldView::new(grid, &[-3.0]).unwrap();
+        for p in [DVec3::ZERO, DVec3::splat(0.5), DVec3::ONE, DVec3::splat(9.0)] {
+            assert_eq!(field.sample_linear(p), -3.0);
+            assert_eq!(field.sample_nearest(p), -3.0);
+            assert_eq!(field.gradient(p), Vec3::ZERO);
+        }
+    }
+
+    #[test]
+    fn an_offset_costs_no_precision() {
+        let shift = DVec3::splat(1e6);
+        let here = Grid::new(DVec3::ZERO, DVec3::ONE, [8, 8, 8]).unwrap();
+        let there = Grid::new(shift, shift + 1.0, [8, 8, 8]).unwrap();
+        let distances = fill(&here, multilinear);
+        let (near, far) = (FieldView::new(here, &distances).unwrap(), FieldView::new(there, &distances).unwrap());
+        // A world coordinate of 1e6 has steps of 1.2e-10; the field's slope is below 4.
+        for p in [DVec3::new(0.3, 0.6, 0.9), DVec3::new(0.11, 0.22, 0.33)] {
+            assert!((near.sample_linear(p) - far.sample_linear(p + shift)).abs() < 2.0 * 8.0 * f32::EPSILON);
+        }
+    }
+
+    #[test]
+    fn points_that_are_no_numbers_give_nan_and_infinity_an_infinite_bound() {
+        let grid = oblong_grid();
+        let distances = fill(&grid, multilinear);
+        let field = FieldView::new(grid, &distances).unwrap();
+        let points = [DVec3::new(f64::NAN, 1.0, 2.2), DVec3::new(f64::INFINITY, 1.0, 2.2)];
+        let inner = [grid.lower, grid.upper];
+        let values = field.sample(&points, inner, Filter::Linear, &Progress::new()).unwrap();
+        assert!(values[0].is_nan());
+        assert_eq!(values[1], f32::INFINITY);
+        assert!(field.gradients(&points, &Progress::new()).unwrap()[0].is_nan());
+    }
+
+    #[test]
+    fn batches_stop_when_cancelled() {
+        let grid = oblong_grid();
+        let distances = fill(&grid, multilinear);
+        let field = FieldView::new(grid, &distances).unwrap();
+        let progress = Progress::new();
+        progress.cancel();
+        let result = field.sample(&[DVec3::ONE], [grid.lower, grid.upper], Filter::Linear, &progress);
+        assert_eq!(result, Err(Error::Cancelled));
+    }
+
+    #[test]
+    fn wrong_length_and_unknown_filter_are_refused() {
+        let message = FieldView::new(oblong_grid(), &[0.0; 7]).unwrap_err().to_string();
+        assert_eq!(message, "distances: 5 x 4 x 3 voxels need 60 values, got 7");
+        assert!(Filter::from_name("cubic").unwrap_err().to_string().contains("cubic"));
+        assert_eq!(Filter::from_name("nearest"), Ok(Filter::Nearest));
+    }
+}
