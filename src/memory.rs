@@ -5,10 +5,10 @@ use std::alloc::Layout;
 
 /// A zeroed buffer of `count` samples, or an error that tells its size.
 ///
-/// `scratch` is what the job will need besides. Linux grants memory it does not have, so the free memory is asked for
+/// `scratch` is what the job will need besides, in bytes. Linux grants memory it does not have, so the free memory is asked for
 /// first; a limit on the process shows in the allocation itself.
 pub fn allocate_samples(what: &str, count: usize, scratch: usize) -> Result<Vec<f32>, Error> {
-    let needed = (count as u64).saturating_mul(size_of::<f32>() as u64).saturating_add(scratch as u64);
+    let needed = (count as u64).saturating_mul(size_of::<f32>() as u64);
     let refuse = |available| CapacityError {
         what: what.to_owned(),
         needed,
@@ -16,7 +16,7 @@ pub fn allocate_samples(what: &str, count: usize, scratch: usize) -> Result<Vec<
         advice: "lower the resolution, or bake parts of the box through bounds=",
     };
     let available = available_bytes();
-    if needed > available {
+    if needed.saturating_add(scratch as u64) > available {
         return Err(refuse(Some(available)).into());
     }
     let layout = Layout::array::<f32>(count).map_err(|_| refuse(None))?;

@@ -175,8 +175,9 @@ def signed_distance(
 
     Examples
     --------
+    >>> import fieldbake
     >>> corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
-    >>> tetrahedron = Mesh(corners, [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])
+    >>> tetrahedron = fieldbake.Mesh(corners, [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])
     >>> signed_distance(tetrahedron, [(0, 0, -2), (0.25, 0.25, 0.125)]).tolist()
     [2.0, -0.125]
     """
@@ -212,7 +213,8 @@ def closest_point(mesh: MeshLike, points: ArrayLike, *, progress: Progress = Non
 
     Examples
     --------
-    >>> triangle = Mesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
+    >>> import fieldbake
+    >>> triangle = fieldbake.Mesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
     >>> closest = closest_point(triangle, [(0.25, 0.25, 3.0)])
     >>> closest.points.tolist(), closest.distances.tolist(), closest.faces.tolist()
     ([[0.25, 0.25, 0.0]], [3.0], [0])

@@ -90,7 +90,7 @@ def _subjects(meshes: list[str] | None) -> Iterator[tuple[str, Mesh, tuple[float
         yield Path(path).stem, load_mesh(path), PLAIN, np.array([-0.55, -0.4, -1.0])
     if not meshes:
         yield "knot", torus_knot(), CLAY, np.array([-0.35, -0.45, -1.0])
-        yield "gear", gear(), STEEL, np.array([-0.55, -0.5, -1.0])
+        yield "gear", gear(), STEEL, np.array([0.55, -0.5, -1.0])
 
 
 def slice_image(volume: Volume, *, height_px: int = 480) -> NDArray[np.uint8]:

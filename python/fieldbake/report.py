@@ -29,11 +29,11 @@ class Report:
     Attributes
     ----------
     sign_method : str
-        ``"scan"``, ``"winding"``, ``"parity"``, ``"pseudonormal"``, ``"normal"`` or ``"unsigned"``.
+        ``"winding"``, ``"parity"``, ``"pseudonormal"``, ``"normal"`` or ``"unsigned"``.
     sign_reason : str
         Why, in one sentence.
     closed : bool
-        No boundary, and wound one way.
+        No opening: after the repairs counted here every edge is walked equally often in both directions.
     faces, vertices : int
         Kept.
     boundary_edges, nonmanifold_edges, flipped_faces, duplicate_faces, components : int

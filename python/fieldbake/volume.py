@@ -115,8 +115,7 @@ class Volume:
     @property
     def spacing(self) -> NDArray[np.float64]:
         """Size of a voxel, (3,), world units."""
-        spacing: NDArray[np.float64] = (self._bounds[1] - self._bounds[0]) / np.array(self._distances.shape)
-        return spacing
+        return np.asarray((self._bounds[1] - self._bounds[0]) / np.array(self._distances.shape))
 
     @property
     def origin(self) -> NDArray[np.float64]:
@@ -156,7 +155,7 @@ class Volume:
         -------
         (n,) float32
             World units. Outside the box: a proven lower bound of the distance, sqrt(a^2 + s^2) for a point at
-            distance a from the box whose nearest point of the box has the value s.
+            distance a from the box of the outermost samples, s being a lower bound at the nearest point of that.
 
         Raises
         ------
@@ -210,7 +209,8 @@ class Volume:
         Returns
         -------
         Mesh
-            Counter-clockwise seen from the larger values. Open where the box cuts the surface.
+            Counter-clockwise seen from the larger values. Always closed: where the box cuts the surface, by a flat
+            cap.
 
         Raises
         ------
