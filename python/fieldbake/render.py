@@ -95,6 +95,8 @@ def raymarch(
     H. Hansson-Soderlund, A. Evans, T. Akenine-Moller, Ray tracing of signed distance function grids, JCGT 11(3), 2022.
     """
     width, height = _size(size)
+    _checks.text("shadows", shadows)
+    _checks.text("device", device)
     if camera is not None and not isinstance(camera, Camera):
         raise SceneError(f"camera: must be a Camera, got {_checks.describe(camera)}; see Camera.from_pose")
     shade = {
