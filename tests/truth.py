@@ -189,12 +189,13 @@ def diagonal(vertices: ArrayLike, faces: ArrayLike) -> float:
 
 
 def tolerance(vertices: ArrayLike, faces: ArrayLike, distances: ArrayLike = 0.0) -> Array:
-    """How far a distance may be off: the package's promise, and two float32 roundings of the distance itself.
+    """How far a distance may be off: the package's promise, and the float32 roundings of a large distance.
 
     Near the mesh the promise alone is the bound. A point a thousand diagonals away has a distance whose last float32
-    bit is worth more: one rounding for choosing the nearest triangle, one for the result.
+    bit is worth more; position (1), difference (1), sum of squares (3, halved by the root) and root (1) add up to less
+    than five roundings.
     """
-    return EXACT * diagonal(vertices, faces) + 2 * FLOAT32_ROUNDING * np.abs(np.asarray(distances, np.float64))
+    return EXACT * diagonal(vertices, faces) + 5 * FLOAT32_ROUNDING * np.abs(np.asarray(distances, np.float64))
 
 
 def volume(vertices: ArrayLike, faces: ArrayLike) -> float:

@@ -16,7 +16,7 @@
 //! children, opens those larger than itself, and passes the rest on. T is the triangle nearest to the centre. A block of
 //! 4^3 opens what is left down to single triangles and keeps the tangent of each. Groups of 16 samples then need no new
 //! geometry: the tangents still hold, and the best distances so far are the bound, sample by sample, in any order; the
-//! nearest come first.
+//! nearest come first. Where a block has too many triangles for a list, each of its samples searches by itself.
 //!
 //! # Rounding
 //!
@@ -49,6 +49,9 @@ const GROUP: [usize; 3] = [4, 2, 2];
 const LANES: usize = GROUP[0] * GROUP[1] * GROUP[2];
 /// Corners of a block.
 const CORNERS: usize = 8;
+/// Packs of a list from which a search for each sample of the block is cheaper: where triangles are much smaller than
+/// voxels. Measured on 870,000 faces at 64^3: three times faster than lists of any length, and flat from 300 to 600.
+const MOST_PACKS: usize = 400;
 /// Margin of the culling test, relative to the largest coordinate: ten times the rounding of either side.
 const SLACK: f32 = 4e-6;
 
@@ -237,8 +240,13 @@ impl Tile<'_> {
                 }
                 stack.clear();
                 stack.extend_from_slice(middle);
-                previous = self.list_triangles(&block, &near, stack, packs, tangents, triangles);
-                self.evaluate(&block, sub.0, sub.1, triangles);
+                self.list_packs(&block, &near, stack, packs);
+                if packs.len() > MOST_PACKS {
+                    previous = self.search(&near, sub.0, sub.1);
+                } else {
+                    previous = self.list_triangles(&block, &near, packs, tangents, triangles);
+                    self.evaluate(&block, sub.0, sub.1, triangles);
+                }
             }
         }
     }
@@ -298,19 +306,10 @@ impl Tile<'_> {
         not_positive(&excess)
     }
 
-    /// The triangles that can matter to the samples of a block, nearest first; returns the nearest to its centre.
+    /// The packs that can matter to the samples of a block; stops once they are too many for a list.
     #[inline(always)]
-    fn list_triangles(
-        &self,
-        block: &Block,
-        near: &TriangleFrame,
-        stack: &mut Candidates,
-        packs: &mut Candidates,
-        tangents: &mut Vec<Tangent>,
-        triangles: &mut Vec<(Tangent, TriangleFrame)>,
-    ) -> TriangleFrame {
-        let corners = block.corners();
-        let bounds = roots(near.distances_squared(corners));
+    fn list_packs(&self, block: &Block, near: &TriangleFrame, stack: &mut Candidates, packs: &mut Candidates) {
+        let bounds = roots(near.distances_squared(block.corners()));
         packs.clear();
         while let Some((index, mask)) = stack.pop() {
             let node = &self.bvh.nodes[index as usize];
@@ -322,8 +321,44 @@ impl Tile<'_> {
                 let list = if child.is_pack() { &mut *packs } else { &mut *stack };
                 list.push((child.index() as u32, u8::MAX));
             }
+            if packs.len() > MOST_PACKS {
+                return;
+            }
         }
+    }
 
+    /// Distances of the samples of a block, each by its own search; returns the triangle nearest to the last.
+    #[inline(always)]
+    fn search(&mut self, near: &TriangleFrame, low: [usize; 3], high: [usize; 3]) -> TriangleFrame {
+        let mut near = *near;
+        for z in low[2]..high[2] {
+            for y in low[1]..high[1] {
+                for x in low[0]..high[0] {
+                    let p = self.grid.at([x, y, z]).as_vec3();
+                    let bound = near.distance_squared(p);
+                    let found = self.bvh.nearest(p, bound * (1.0 + 1e-5) + 1e-12);
+                    near = found.map_or(near, |nearest| self.bvh.frame(nearest.slot));
+                    let squared = found.map_or(bound, |nearest| nearest.distance_squared);
+                    let [i, j, k] = [x - self.low[0], y - self.low[1], z - self.low[2]];
+                    self.samples[i + TASK * (j + TASK * k)] = squared.sqrt();
+                }
+            }
+        }
+        near
+    }
+
+    /// The triangles that can matter to the samples of a block, nearest first; returns the nearest to its centre.
+    #[inline(always)]
+    fn list_triangles(
+        &self,
+        block: &Block,
+        near: &TriangleFrame,
+        packs: &Candidates,
+        tangents: &mut Vec<Tangent>,
+        triangles: &mut Vec<(Tangent, TriangleFrame)>,
+    ) -> TriangleFrame {
+        let corners = block.corners();
+        let bounds = roots(near.distances_squared(corners));
         // The tangents first: the nearest triangle gives the sharpest bound for all.
         tangents.clear();
         let mut nearest: Option<Tangent> = None;
@@ -528,6 +563,14 @@ mod tests {
         let mesh = sphere(40, 1.0);
         assert_exact(&mesh, DVec3::splat(-1.1), DVec3::splat(1.1), [33; 3]);
         assert_exact(&mesh, DVec3::splat(-1e-3), DVec3::splat(1e-3), [9; 3]);
+    }
+
+    #[test]
+    fn voxels_much_larger_than_triangles_are_exact() {
+        // Thousands of packs for each block: more than a list takes.
+        let mesh = sphere(100, 1.0);
+        assert!(mesh.bvh().packs.len() > 4 * MOST_PACKS);
+        assert_exact(&mesh, DVec3::splat(-1.1), DVec3::splat(1.1), [7, 6, 5]);
     }
 
     #[test]
