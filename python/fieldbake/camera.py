@@ -51,6 +51,9 @@ class Camera:
         position = _checks.vector("eye", eye, 3, SceneError)
         ahead = _checks.vector("target", target, 3, SceneError)
         upward = _checks.vector("up", up, 3, SceneError)
+        for name, place in (("eye", position), ("target", ahead), ("up", upward)):
+            if np.abs(place).max() > _checks.FAR:
+                raise SceneError(f"{name}: must be at most {_checks.FAR:g} from 0, got {place.tolist()}")
         if not np.linalg.norm(position - ahead) > 0:
             raise SceneError(f"target: must differ from eye, both are {position.tolist()}")
         if not np.linalg.norm(upward) > 0:

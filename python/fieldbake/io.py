@@ -65,6 +65,12 @@ def atomic_write(target: Path) -> Iterator[IO[bytes]]:
     """A temporary file beside the target that takes its place when the block ends well."""
     import tempfile
 
+    # Said here, about the file that was asked for; below it would be about the temporary one.
+    if not target.parent.is_dir():
+        raise FileNotFoundError(errno.ENOENT, "the folder does not exist", os.fspath(target))
+    if target.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "is a directory", os.fspath(target))
+
     mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
     descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".tmp")
     temporary = Path(name)

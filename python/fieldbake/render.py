@@ -158,6 +158,8 @@ def _lights(lights: Sequence[Light] | None, camera: Camera) -> tuple[NDArray[np.
     if lights is None:
         key = camera.pose[:3, :3] @ KEY_LIGHT
         lights = [DirectionalLight(_checks.triple(key))]
+    if not isinstance(lights, Sequence):
+        raise SceneError(f"lights: must be a list of DirectionalLight, got {_checks.describe(lights)}")
     for number, light in enumerate(lights):
         if not isinstance(light, DirectionalLight):
             raise SceneError(f"lights[{number}]: raymarch draws DirectionalLight only, got {_checks.describe(light)}")
