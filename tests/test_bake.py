@@ -206,7 +206,10 @@ ADVERSARIAL = {
     "box within one triangle": (meshes.triangle(), [(0.2, 0.2, -1e-3), (0.3, 0.3, 1e-3)]),
     "box that cuts the mesh": (meshes.knot(64, 8), [(0, -1, -0.5), (4, 2, 0.5)]),
     "box much larger than the mesh": (meshes.torus(segments=32, sides=12), [(-50, -40, -30), (60, 70, 80)]),
-    "box around the smaller of two balls": (meshes.size_ratio(), [(1.5 - 3e-6, -3e-6, -3e-6), (1.5 + 3e-6, 3e-6, 3e-6)]),
+    "box around the smaller of two balls": (
+        meshes.size_ratio(),
+        [(1.5 - 3e-6, -3e-6, -3e-6), (1.5 + 3e-6, 3e-6, 3e-6)],
+    ),
     "needles from end to end": (meshes.needle_fan(), [(-1.2, -1.2, -0.3), (1.2, 1.2, 0.3)]),
     "faces doubled in place": (meshes.doubled(meshes.flat_sheet()), [(-1, -1, -1), (1, 1, 1)]),
     "oblong voxels": (meshes.knot(64, 8), [(-4, -4, -0.01), (4, 4, 0.01)]),

@@ -44,8 +44,6 @@ def test_shapes_and_types(random):
     assert (found.distances >= 0).all()
 
 
-
-
 def test_no_points_no_answers():
     found = fb.closest_point(CUBE, np.empty((0, 3)))
 

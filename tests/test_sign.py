@@ -282,7 +282,10 @@ def test_a_hole_the_size_of_one_triangle_does_not_leak():
         (lambda: meshes.flat_sheet(4), {"closed": False, "boundary_edges": 16}),
         (lambda: meshes.soup(50), {"closed": False, "components": 50, "boundary_edges": 150}),
         (
-            lambda: meshes.Geometry(np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, 0, 0]], float), np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]])),
+            lambda: meshes.Geometry(
+                np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, 0, 0]], float),
+                np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]]),
+            ),
             {"nonmanifold_edges": 1, "boundary_edges": 6},
         ),
     ],
