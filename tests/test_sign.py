@@ -6,10 +6,11 @@ here.
 
 import itertools
 
-import fieldbake as fb
-import meshes
 import numpy as np
 import pytest
+
+import fieldbake as fb
+import meshes
 import truth
 
 #: How far the fast winding number may be off on a mesh that is all openings (Barill et al. 2018, second order, beta 2).
@@ -37,7 +38,7 @@ def voxel_centres(volume):
     return truth.grid_points(*volume.bounds, volume.resolution).reshape(-1, 3)
 
 
-# ----------------------------------------------------------------------------------------------------------------- closed
+# --- closed
 
 
 @pytest.mark.parametrize("name", meshes.CLOSED)
@@ -123,7 +124,7 @@ def test_both_sides_of_a_sliver_fin():
     fin = meshes.sliver_fin()
     height = np.linspace(0.1, 0.9, 9)
     inside = np.stack([0 * height + 0.37, 0 * height, height], axis=1)
-    beside = inside + (0, 2e-4, 0)
+    beside = inside - (0, 2e-4, 0)
 
     assert (fb.signed_distance(fin, inside) < 0).all()
     assert (fb.signed_distance(fin, beside) > 0).all()
@@ -180,17 +181,15 @@ def test_two_cubes_that_share_an_edge():
     assert_signs(touching, voxel_centres(volume), volume.distances.ravel())
 
 
-# ------------------------------------------------------------------------------------------------------------ open and dirty
+# --- open and dirty
 
 
 @pytest.mark.parametrize("name", meshes.OPEN)
 @pytest.mark.parametrize("method", ["auto", "winding"])
 def test_open_and_dirty_meshes_follow_the_winding_number(name, method):
     geometry = meshes.OPEN[name]()
-    if name == "flipped_faces":
-        reference = meshes.icosphere()  # faces turned against their neighbours are turned back
-    else:
-        reference = geometry
+    # Faces turned against their neighbours are turned back.
+    reference = meshes.icosphere() if name == "flipped_faces" else geometry
     points = meshes.points_around(geometry, 1_000)
 
     assert_signs(reference, points, fb.signed_distance(geometry, points, sign=method), undecided=FAST_WINDING_ERROR)
@@ -270,7 +269,7 @@ def test_a_hole_the_size_of_one_triangle_does_not_leak():
     assert_signs(pierced, voxel_centres(volume), volume.distances.ravel(), undecided=FAST_WINDING_ERROR)
 
 
-# -------------------------------------------------------------------------------------------------------------- the report
+# --- the report
 
 
 @pytest.mark.parametrize(

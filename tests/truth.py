@@ -37,7 +37,7 @@ class ClosestPoints(NamedTuple):
     faces: NDArray[np.int64]
 
 
-# ------------------------------------------------------------------------------------------------ one triangle, one point
+# --- one triangle, one point
 
 
 def dot(a: Array, b: Array) -> Array:
@@ -104,7 +104,7 @@ def distance_to_segment(p: Array, a: Array, b: Array) -> Array:
     return np.linalg.norm(p - (a + t[..., None] * (b - a)), axis=-1)
 
 
-# ------------------------------------------------------------------------------------------------------------- whole meshes
+# --- whole meshes
 
 
 def corners(vertices: ArrayLike, faces: ArrayLike) -> Array:
@@ -215,7 +215,7 @@ def from_trimesh(signed: ArrayLike) -> Array:
     return -np.asarray(signed, np.float64)
 
 
-# ------------------------------------------------------------------------------------------------------------- closed forms
+# --- closed forms
 
 
 def sphere(points: ArrayLike, radius: float = 1.0, center: ArrayLike = (0, 0, 0)) -> Array:
@@ -272,7 +272,7 @@ def max_enclosing_radius(vertices: ArrayLike, faces: ArrayLike) -> float:
     return float(np.where(acute, circumradius, sides[:, 2] / 2).max())
 
 
-# -------------------------------------------------------------------------------------------------------- grids and fields
+# --- grids and fields
 
 
 def grid_points(lower: ArrayLike, upper: ArrayLike, shape: tuple[int, int, int]) -> Array:
