@@ -203,7 +203,7 @@ def _from_file(path: str | os.PathLike[str]) -> list[_Piece]:
         raise MeshError(f"{path}: unknown kind of file '{file.suffix}'; readable here: {known}") from error
     except Exception as error:  # Readers of damaged files fail in every way there is.
         reason = str(error) or type(error).__name__
-        raise MeshError(f"{path}: cannot be read as a {file.suffix.lstrip('.').upper()} mesh: {reason}") from error
+        raise MeshError(f"{path}: cannot be read as a mesh ({file.suffix.lstrip('.').upper()}): {reason}") from error
 
 
 def _resolver(file: Path) -> Any:
