@@ -5,7 +5,7 @@ use super::error::Failure;
 use super::mesh::Mesh;
 use super::run::run;
 use crate::bake::{BakeOptions, Report, bake as bake_field};
-use crate::gpu::check_cpu_only;
+use crate::gpu::device::choose_cpu;
 use crate::grid::Grid;
 use crate::sign::SignMethod;
 use glam::DVec3;
@@ -30,7 +30,7 @@ pub fn bake<'py>(
 ) -> PyResult<(Bound<'py, PyArray3<f32>>, Bound<'py, PyDict>)> {
     let mesh = mesh.0.clone();
     let prepared = || -> Result<(Grid, BakeOptions), Failure> {
-        check_cpu_only(device, "bake")?;
+        choose_cpu(device, "bake")?;
         let grid = Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape)?;
         Ok((grid, BakeOptions { sign: sign.parse::<SignMethod>()?, band, thickness }))
     };

@@ -4,7 +4,7 @@ use super::convert::rows;
 use super::error::Failure;
 use super::mesh::Mesh;
 use super::run::run;
-use crate::gpu::check_cpu_only;
+use crate::gpu::device::choose_cpu;
 use crate::query;
 use crate::sign::SignMethod;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
@@ -23,7 +23,7 @@ pub fn signed_distance<'py>(
 ) -> PyResult<Bound<'py, PyArray1<f32>>> {
     let mesh = mesh.0.clone();
     let points = rows(&points, "points")?;
-    check_cpu_only(device, "signed_distance").map_err(Failure::from)?;
+    choose_cpu(device, "signed_distance").map_err(Failure::from)?;
     let method = sign.parse::<SignMethod>().map_err(Failure::from)?;
     let distances = run(py, progress, |progress| query::signed_distances(&mesh, points, method, progress))?;
     Ok(distances.into_pyarray(py))
