@@ -8,6 +8,7 @@ mod band;
 mod cpu;
 mod dense;
 mod report;
+mod signs;
 
 pub use report::Report;
 
