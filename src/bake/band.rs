@@ -9,10 +9,11 @@
 //! f the fraction of p between two nodes at spacing H (Jensen's inequality). The bound is exact at the nodes, continuous,
 //! and off by about H^2 / 8d between them. Where it clears the band no search is needed.
 
-use super::LocalGrid;
+use super::{LocalGrid, dense};
 use crate::error::Error;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
+use crate::sign::crossing::Samples;
 use rayon::prelude::*;
 
 /// Voxels between two nodes of the coarse grid.
@@ -34,15 +35,15 @@ impl Band {
     /// `voxels` is the half width of the band, in the longest side of a voxel.
     pub fn new(mesh: &Mesh, local: &LocalGrid, voxels: f64, progress: &Progress) -> Result<Self, Error> {
         let nodes = local.axes.map(|axis| (axis.count - 1).div_ceil(STRIDE) + 1);
+        let coarse = LocalGrid {
+            axes: [0, 1, 2].map(|axis| {
+                let Samples { first, step, .. } = local.axes[axis];
+                Samples { first, step: step * STRIDE as f64, count: nodes[axis] }
+            }),
+        };
         let mut squares = vec![0.0; nodes.iter().product()];
-        squares.par_chunks_mut(nodes[0]).enumerate().try_for_each(|(i, row)| {
-            let (y, z) = (i % nodes[1], i / nodes[1]);
-            for (x, square) in row.iter_mut().enumerate() {
-                let distance = mesh.closest_point(local.at([x, y, z].map(|node| node * STRIDE))).distance;
-                *square = (distance * distance) as f32;
-            }
-            progress.check()
-        })?;
+        dense::distances(mesh.bvh(), &coarse, f32::INFINITY, 1.0, progress, &mut squares)?;
+        squares.par_iter_mut().for_each(|distance| *distance *= *distance);
         Ok(Self {
             width: voxels * local.step().max_element(),
             nodes,

@@ -232,7 +232,16 @@ impl Tile<'_> {
             for sub in blocks(sub.0, sub.1, [LEAF; 3]) {
                 let block = self.block(sub.0, sub.1);
                 let of_previous = previous.distance_squared(block.center);
-                let near = if of_previous < frame.distance_squared(block.center) { previous } else { frame };
+                let mut near = if of_previous < frame.distance_squared(block.center) { previous } else { frame };
+                // With a limit most blocks are beyond it, and a search at the centre is cheaper than a list.
+                if self.limit.is_finite() {
+                    let bound = near.distance_squared(block.center) * (1.0 + 1e-5) + 1e-12;
+                    let found = self.bvh.nearest(block.center, bound);
+                    near = found.map_or(near, |nearest| self.bvh.frame(nearest.slot));
+                    if self.is_beyond(&block, near.distance_squared(block.center)) {
+                        continue;
+                    }
+                }
                 stack.clear();
                 stack.extend_from_slice(middle);
                 previous = self.list_triangles(&block, &near, stack, packs, tangents, triangles);

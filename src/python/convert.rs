@@ -1,7 +1,14 @@
 //! Arrays across the border.
 
-use super::error::exception;
-use numpy::{PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray2};
+use super::error::{Failure, exception};
+use crate::error::Error;
+use crate::grid::Grid;
+use crate::volume::FieldView;
+use glam::DVec3;
+use numpy::{
+    IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3,
+    PyUntypedArrayMethods,
+};
 use pyo3::prelude::*;
 
 /// The rows of an (n, 3) array, without a copy.
@@ -20,4 +27,52 @@ pub fn volume_array<'py>(
 ) -> PyResult<Bound<'py, PyArray3<f32>>> {
     let array = PyArray1::from_vec(py, samples).reshape([nz, ny, nx])?;
     array.permute(Some([2, 1, 0]))
+}
+
+/// An (n, 3) array of points, as the core takes them.
+pub fn points(array: &Bound<'_, PyAny>) -> PyResult<Vec<DVec3>> {
+    let array: PyReadonlyArray2<'_, f64> = array.extract()?;
+    Ok(rows(&array, "points")?.iter().copied().map(DVec3::from_array).collect())
+}
+
+/// An (n, 3) array from rows.
+pub fn row_array<'py, T: numpy::Element>(
+    py: Python<'py>,
+    rows: impl ExactSizeIterator<Item = [T; 3]>,
+) -> PyResult<Bound<'py, PyArray2<T>>> {
+    let count = rows.len();
+    let flat: Vec<T> = rows.flatten().collect();
+    flat.into_pyarray(py).reshape([count, 3])
+}
+
+/// An image from its pixels, row 0 on top.
+pub fn image_array<'py, T: numpy::Element>(
+    py: Python<'py>,
+    pixels: Vec<T>,
+    shape: &[usize],
+) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
+    pixels.into_pyarray(py).reshape(shape)
+}
+
+/// A stored field as Python hands it over: (nx, ny, nz) with x fastest, and its box.
+pub struct Field<'a> {
+    grid: Grid,
+    samples: &'a [f32],
+}
+
+impl<'a> Field<'a> {
+    pub fn new(distances: &'a PyReadonlyArray3<'_, f32>, lower: [f64; 3], upper: [f64; 3]) -> PyResult<Self> {
+        let shape = std::array::from_fn(|axis| distances.shape()[axis]);
+        let samples = distances.as_slice().ok().filter(|_| distances.is_fortran_contiguous());
+        let samples = samples.ok_or_else(|| {
+            let message = "distances: must be (nx, ny, nz) float32 with x fastest in memory (Fortran order)";
+            exception(distances.py(), "ArgumentError", message.to_owned())
+        })?;
+        let grid = Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape);
+        Ok(Self { grid: grid.map_err(Failure::from)?, samples })
+    }
+
+    pub fn view(&self) -> Result<FieldView<'a>, Error> {
+        FieldView::new(self.grid, self.samples)
+    }
 }

@@ -1,9 +1,9 @@
 //! `fieldbake._core.Mesh`.
 
-use super::convert::rows;
+use super::convert::{row_array, rows};
 use super::error::Failure;
 use crate::mesh;
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
+use numpy::{PyArray1, PyArray2, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::Arc;
@@ -11,12 +11,6 @@ use std::sync::Arc;
 /// Checked triangles; the search tree is built at the first query and kept.
 #[pyclass(frozen, module = "fieldbake._core")]
 pub struct Mesh(pub Arc<mesh::Mesh>);
-
-fn array2<'py, T: numpy::Element>(py: Python<'py>, rows: Vec<[T; 3]>) -> PyResult<Bound<'py, PyArray2<T>>> {
-    let count = rows.len();
-    let flat: Vec<T> = rows.into_iter().flatten().collect();
-    flat.into_pyarray(py).reshape([count, 3])
-}
 
 #[pymethods]
 impl Mesh {
@@ -30,12 +24,12 @@ impl Mesh {
     #[getter]
     fn vertices<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let world = |p: &glam::Vec3| self.0.world_from_local(p.as_dvec3()).as_vec3().to_array();
-        array2(py, self.0.positions().iter().map(world).collect())
+        row_array(py, self.0.positions().iter().map(world))
     }
 
     #[getter]
     fn faces<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
-        array2(py, self.0.faces().to_vec())
+        row_array(py, self.0.faces().iter().copied())
     }
 
     #[getter]
@@ -55,7 +49,7 @@ impl Mesh {
 
     #[getter]
     fn bounds<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        array2(py, self.0.bounds().map(|corner| corner.to_array()).to_vec())
+        row_array(py, self.0.bounds().into_iter().map(|corner| corner.to_array()))
     }
 
     #[getter]

@@ -8,7 +8,9 @@ mod device;
 mod error;
 mod mesh;
 mod query;
+mod render;
 mod run;
+mod volume;
 
 use pyo3::prelude::*;
 
@@ -23,6 +25,10 @@ mod _core {
     use super::mesh::Mesh;
     #[pymodule_export]
     use super::query::{closest_point, signed_distance};
+    #[pymodule_export]
+    use super::render::raymarch;
+    #[pymodule_export]
+    use super::volume::{gradient, resample, sample, surface_nets};
 
     use super::*;
 

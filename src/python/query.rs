@@ -1,13 +1,13 @@
 //! `fieldbake._core.signed_distance` and `closest_point`.
 
-use super::convert::rows;
+use super::convert::{row_array, rows};
 use super::error::Failure;
 use super::mesh::Mesh;
 use super::run::run;
 use crate::gpu::device::choose_cpu;
 use crate::query;
 use crate::sign::SignMethod;
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2};
 use pyo3::prelude::*;
 
 /// Signed distance at points (n, 3).
@@ -42,7 +42,6 @@ pub fn closest_point<'py>(
     let mesh = mesh.0.clone();
     let points = rows(&points, "points")?;
     let found = run(py, progress, |progress| query::closest_points(&mesh, points, progress))?;
-    let positions: Vec<f64> = found.points.into_iter().flatten().collect();
-    let positions = positions.into_pyarray(py).reshape([found.distances.len(), 3])?;
+    let positions = row_array(py, found.points.into_iter())?;
     Ok((positions, found.distances.into_pyarray(py), found.faces.into_pyarray(py)))
 }

@@ -1,0 +1,103 @@
+//! `fieldbake._core.raymarch`.
+
+use super::convert::{Field, image_array, rows};
+use super::error::{Failure, exception};
+use super::run::run;
+use crate::gpu::check_cpu_only;
+use crate::render::{Camera, DirectionalLight, Frame, RaymarchOptions, Shadows, raymarch as draw};
+use glam::Vec3;
+use numpy::{PyReadonlyArray2, PyReadonlyArray3};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::time::Instant;
+
+/// Draw the zero level set of a field.
+#[pyfunction]
+#[pyo3(signature = (
+    distances, lower, upper, pose, *, fov_deg=45.0, size=[512, 512], light_directions=None, light_colors=None,
+    ambient=0.2, color=[0.8, 0.8, 0.8], specular=0.25, shininess=32.0, background=[1.0, 1.0, 1.0, 1.0],
+    shadows="hard", device="auto", progress=None
+))]
+pub fn raymarch<'py>(
+    py: Python<'py>,
+    distances: PyReadonlyArray3<'py, f32>,
+    lower: [f64; 3],
+    upper: [f64; 3],
+    pose: PyReadonlyArray2<'py, f64>,
+    fov_deg: f64,
+    size: [u32; 2],
+    light_directions: Option<PyReadonlyArray2<'py, f32>>,
+    light_colors: Option<PyReadonlyArray2<'py, f32>>,
+    ambient: f32,
+    color: [f32; 3],
+    specular: f32,
+    shininess: f32,
+    background: [f32; 4],
+    shadows: &str,
+    device: &str,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyDict>> {
+    check_cpu_only(device, "raymarch").map_err(Failure::from)?;
+    let field = Field::new(&distances, lower, upper)?;
+    let camera = Camera::from_pose(&pose_matrix(&pose)?, fov_deg).map_err(Failure::from)?;
+    let options = RaymarchOptions {
+        size,
+        lights: lights(light_directions.as_ref(), light_colors.as_ref())?,
+        ambient,
+        color: Vec3::from_array(color),
+        specular,
+        shininess,
+        background,
+        shadows: Shadows::from_name(shadows).map_err(Failure::from)?,
+    };
+    let start = Instant::now();
+    let frame = run(py, progress, |progress| draw(field.view()?, &camera, &options, progress))?;
+    let seconds = start.elapsed().as_secs_f64();
+
+    let images = frame_dict(py, frame)?;
+    images.set_item("device", "cpu")?;
+    images.set_item("seconds", seconds)?;
+    Ok(images)
+}
+
+fn pose_matrix(pose: &PyReadonlyArray2<'_, f64>) -> PyResult<[[f64; 4]; 4]> {
+    let pose_array = pose.as_array();
+    if pose_array.shape() != [4, 4] {
+        let message = format!("pose: must be a (4, 4) matrix, got shape {:?}", pose_array.shape());
+        return Err(exception(pose.py(), "ArgumentError", message));
+    }
+    Ok(std::array::from_fn(|row| std::array::from_fn(|column| pose_array[[row, column]])))
+}
+
+fn lights(
+    directions: Option<&PyReadonlyArray2<'_, f32>>,
+    colors: Option<&PyReadonlyArray2<'_, f32>>,
+) -> PyResult<Option<Vec<DirectionalLight>>> {
+    let Some(directions) = directions else { return Ok(None) };
+    let py = directions.py();
+    let directions = rows(directions, "light_directions")?;
+    let colors = match colors {
+        Some(colors) => rows(colors, "light_colors")?.to_vec(),
+        None => vec![[1.0; 3]; directions.len()],
+    };
+    if colors.len() != directions.len() {
+        let message = format!("light_colors: {} colours for {} lights", colors.len(), directions.len());
+        return Err(exception(py, "ArgumentError", message));
+    }
+    let light = |(&direction, color)| DirectionalLight { direction: Vec3::from_array(direction), color };
+    Ok(Some(directions.iter().zip(colors.into_iter().map(Vec3::from_array)).map(light).collect()))
+}
+
+fn frame_dict<'py>(py: Python<'py>, frame: Frame) -> PyResult<Bound<'py, PyDict>> {
+    let (height, width) = (frame.height, frame.width);
+    let images = PyDict::new(py);
+    images.set_item("color", image_array(py, frame.color, &[height, width, 4])?)?;
+    images.set_item("depth", image_array(py, frame.depth, &[height, width])?)?;
+    images.set_item("normal", image_array(py, frame.normal, &[height, width, 3])?)?;
+    images.set_item("object_id", image_array(py, frame.object_id, &[height, width])?)?;
+    let shadow_shape = [height, width, frame.lights];
+    let shadow_shape = if frame.lights == 1 { &shadow_shape[..2] } else { &shadow_shape };
+    images.set_item("shadow", image_array(py, frame.shadow, shadow_shape)?)?;
+    images.set_item("steps", image_array(py, frame.steps, &[height, width])?)?;
+    Ok(images)
+}

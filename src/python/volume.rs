@@ -1,0 +1,73 @@
+//! `fieldbake._core.sample`, `gradient`, `resample` and `surface_nets`.
+
+use super::convert::{Field, points, row_array, volume_array};
+use super::error::Failure;
+use super::run::run;
+use crate::volume::Filter;
+use glam::DVec3;
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray3};
+use pyo3::prelude::*;
+
+/// Field at points (n, 3); a proven lower bound outside the box.
+#[pyfunction]
+#[pyo3(signature = (distances, lower, upper, inner_lower, inner_upper, points, *, filter="linear"))]
+pub fn sample<'py>(
+    py: Python<'py>,
+    distances: PyReadonlyArray3<'py, f32>,
+    lower: [f64; 3],
+    upper: [f64; 3],
+    inner_lower: [f64; 3],
+    inner_upper: [f64; 3],
+    #[pyo3(from_py_with = points)] points: Vec<DVec3>,
+    filter: &str,
+) -> PyResult<Bound<'py, PyArray1<f32>>> {
+    let field = Field::new(&distances, lower, upper)?;
+    let filter = Filter::from_name(filter).map_err(Failure::from)?;
+    let inner = [DVec3::from_array(inner_lower), DVec3::from_array(inner_upper)];
+    let values = run(py, None, |progress| field.view()?.sample(&points, inner, filter, progress))?;
+    Ok(values.into_pyarray(py))
+}
+
+/// Gradient of the trilinear field at points (n, 3).
+#[pyfunction]
+pub fn gradient<'py>(
+    py: Python<'py>,
+    distances: PyReadonlyArray3<'py, f32>,
+    lower: [f64; 3],
+    upper: [f64; 3],
+    #[pyo3(from_py_with = points)] points: Vec<DVec3>,
+) -> PyResult<Bound<'py, PyArray2<f32>>> {
+    let field = Field::new(&distances, lower, upper)?;
+    let gradients = run(py, None, |progress| field.view()?.gradients(&points, progress))?;
+    row_array(py, gradients.iter().map(glam::Vec3::to_array))
+}
+
+/// The trilinear field on another grid over the same box.
+#[pyfunction]
+pub fn resample<'py>(
+    py: Python<'py>,
+    distances: PyReadonlyArray3<'py, f32>,
+    lower: [f64; 3],
+    upper: [f64; 3],
+    shape: [usize; 3],
+) -> PyResult<Bound<'py, PyArray3<f32>>> {
+    let field = Field::new(&distances, lower, upper)?;
+    let samples = run(py, None, |progress| field.view()?.resample(shape, progress))?;
+    volume_array(py, samples, shape)
+}
+
+/// Vertices (n, 3) and faces (m, 3) of a level set.
+#[pyfunction]
+#[expect(clippy::type_complexity, reason = "a pair of arrays is what Python unpacks")]
+pub fn surface_nets<'py>(
+    py: Python<'py>,
+    distances: PyReadonlyArray3<'py, f32>,
+    lower: [f64; 3],
+    upper: [f64; 3],
+    level: f32,
+) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<u32>>)> {
+    let field = Field::new(&distances, lower, upper)?;
+    let surface = run(py, None, |_| field.view()?.surface_nets(level))?;
+    let vertices = row_array(py, surface.vertices.iter().map(DVec3::to_array))?;
+    Ok((vertices, row_array(py, surface.faces.into_iter())?))
+}
