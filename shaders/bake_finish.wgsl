@@ -26,10 +26,10 @@ struct FinishParams {
 @group(0) @binding(1) var<storage, read> inside_bits: array<u32>;
 @group(0) @binding(2) var<storage, read> squares: array<f32>;
 @group(0) @binding(4) var<storage, read_write> distances: array<f32>;
-@group(0) @binding(5) var<storage, read_write> inside_count: atomic<u32>;
+@group(0) @binding(5) var<storage, read_write> negative_count: atomic<u32>;
 
-// Room for float32 rounding of the squares and of the sums here, relative.
-const SLACK: f32 = 2e-5;
+// Room for float32 rounding of the squares and of the sums here, relative; the same as on the CPU.
+const SLACK: f32 = 1e-5;
 const WORKGROUPS_PER_ROW: u32 = 32768u;
 
 // A lower bound of the distance at a sample, from the exact squares at the nodes around it (see src/bake/band.rs).
@@ -66,6 +66,6 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
         if ((word >> (voxel.x % 32u)) & 1u) == 1u { distance = -distance; }
     }
     distance -= params.half_thickness;
-    if distance < 0.0 { atomicAdd(&inside_count, 1u); }
+    if distance < 0.0 { atomicAdd(&negative_count, 1u); }
     distances[offset] = distance;
 }

@@ -69,15 +69,21 @@ impl Context {
     pub fn upload<T: Pod>(&self, label: &str, items: &[T]) -> Result<wgpu::Buffer, DeviceError> {
         let bytes = size_of_val(items).max(size_of::<T>()) as u64;
         let buffer = self.storage(label, bytes)?;
+        self.fill(label, &buffer, items)?;
+        Ok(buffer)
+    }
+
+    /// Copy `items` to the start of a buffer.
+    pub fn fill<T: Pod>(&self, label: &str, buffer: &wgpu::Buffer, items: &[T]) -> Result<(), DeviceError> {
         // In pieces: the queue keeps a copy of each until it is submitted.
         let piece = (STAGING_BYTES as usize / size_of::<T>()).max(1);
         for (i, part) in items.chunks(piece).enumerate() {
-            self.write(label, &buffer, (i * piece * size_of::<T>()) as u64, part)?;
+            self.write(label, buffer, (i * piece * size_of::<T>()) as u64, part)?;
             self.guarded(label, 0, || self.queue.submit([]))?;
         }
         self.counters.uploads.fetch_add(1, Ordering::Relaxed);
         self.counters.uploaded_bytes.fetch_add(size_of_val(items) as u64, Ordering::Relaxed);
-        Ok(buffer)
+        Ok(())
     }
 
     /// Overwrite a part of a buffer, ahead of the next submission.

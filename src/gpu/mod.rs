@@ -21,7 +21,7 @@ pub mod pipeline;
 pub mod shader;
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 pub use context::{Context, context};
 pub use device::{DeviceInfo, Place, choose, devices};
