@@ -13,7 +13,7 @@ struct QueryParams {
 @group(0) @binding(0) var<uniform> params: QueryParams;
 // Local positions, three numbers a point.
 @group(0) @binding(3) var<storage, read> points: array<f32>;
-// Faces of the mesh, NO_TRIANGLE where the search ran out of rounds.
+// Faces of the mesh, NOTHING where the search ran out of rounds.
 @group(0) @binding(4) var<storage, read_write> faces: array<u32>;
 
 @compute @workgroup_size(64)
@@ -22,5 +22,5 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     let i = params.first + id.x;
     let p = vec3f(points[3u * i], points[3u * i + 1u], points[3u * i + 2u]);
     let found = nearest_triangle(p, Nearest(FAR, 0u, false));
-    faces[i] = select(NO_TRIANGLE, triangles[found.slot].face, found.complete);
+    faces[i] = select(NOTHING, triangles[found.slot].face, found.complete);
 }

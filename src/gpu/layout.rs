@@ -9,12 +9,15 @@ use bytemuck::{Pod, Zeroable};
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Node {
-    pub min: [f32; 3],
-    /// An inner node: the first of its two children. A leaf: its first triangle.
-    pub first: u32,
-    pub max: [f32; 3],
-    /// Triangles of a leaf; zero for an inner node.
-    pub count: u32,
+    pub left_min: [f32; 3],
+    /// A child: the index of a node, or a leaf (see `bvh::binary`).
+    pub left: u32,
+    pub left_max: [f32; 3],
+    pub right: u32,
+    pub right_min: [f32; 3],
+    pub pad_0: u32,
+    pub right_max: [f32; 3],
+    pub pad_1: u32,
 }
 
 /// A triangle in its own frame; `shaders/shared/triangle.wgsl`.
@@ -120,7 +123,7 @@ mod tests {
 
     #[test]
     fn structs_have_the_layout_that_the_shaders_read() {
-        assert_twin!("bake_distance", Node { min, first, max, count });
+        assert_twin!("bake_distance", Node { left_min, left, left_max, right, right_min, pad_0, right_max, pad_1 });
         assert_twin!("bake_distance", Triangle { a, face, u, length, v, left_length, n, right_length, left, right });
         assert_twin!(
             "bake_distance",
