@@ -10,6 +10,20 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+__all__ = [
+    "Mesh",
+    "__version__",
+    "bake",
+    "closest_point",
+    "devices",
+    "gradient",
+    "raymarch",
+    "resample",
+    "sample",
+    "signed_distance",
+    "surface_nets",
+]
+
 __version__: str
 
 @final
@@ -59,7 +73,7 @@ def bake(
     """Distances (nx, ny, nz), x fastest in memory, and the report. ``band`` in voxels; ``thickness`` in world units
     makes the field two-sided: unsigned minus half the thickness. ``progress`` gets 0 to 1 about ten times a second.
 
-    The report: ``sign_method`` ("scan", "winding", "parity", "pseudonormal", "normal", "unsigned"), ``sign_reason``
+    The report: ``sign_method`` ("winding", "parity", "pseudonormal", "normal", "unsigned"), ``sign_reason``
     (one sentence), the facts of :meth:`Mesh.topology`, ``undecided_voxels``, ``inside_voxels``, ``device``,
     ``seconds`` (dict: stage to float), ``peak_bytes``, ``warnings`` (list of sentences)."""
 
@@ -122,22 +136,24 @@ def raymarch(
     pose: NDArray[np.float64],
     *,
     fov_deg: float = 45.0,
-    size: tuple[int, int] = (512, 512),
+    size: tuple[int, int],
     light_directions: NDArray[np.float32] | None = None,
     light_colors: NDArray[np.float32] | None = None,
     ambient: float = 0.2,
-    color: tuple[float, float, float] = (0.8, 0.8, 0.8),
+    color: tuple[float, float, float] | None = None,
     specular: float = 0.25,
     shininess: float = 32.0,
-    background: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0),
+    background: tuple[float, float, float, float] | None = None,
     shadows: str = "hard",
     device: str = "auto",
     progress: Callable[[float], object] | None = None,
 ) -> dict[str, Any]:
     """Draw the zero level set. ``pose`` (4, 4) world from camera, looking along -Z; ``size`` is (width, height).
-    ``light_directions`` (k, 3), the way the light travels. Keys: ``color`` (h, w, 4) linear RGBA, ``depth`` (h, w)
-    along the view axis, inf where nothing is hit, ``normal`` (h, w, 3), ``object_id`` (h, w) int32, -1 for nothing,
-    ``shadow`` (h, w) or (h, w, k), ``steps`` (h, w) uint32, ``device``, ``seconds``."""
+    ``light_directions`` (k, 3), the way the light travels; None: a key light over the camera's shoulder.
+
+    Keys: ``color`` (h, w, 4) linear RGBA, ``depth`` (h, w) along the view axis, inf where nothing is hit, ``normal``
+    (h, w, 3), ``object_id`` (h, w) int32, -1 for nothing, ``shadow`` (h, w) or (h, w, k), ``steps`` (h, w) uint32,
+    ``device``, ``seconds``."""
 
 def devices() -> list[dict[str, Any]]:
     """What can compute: ``name``, ``backend``, ``type`` ("cpu", "discrete", "integrated", "software", ...),

@@ -28,6 +28,9 @@
 //!
 //! On a mesh of 70,000 faces at 128^3, a sample costs about 25 triangle evaluations in one lane of eight, and a fraction of
 //! a node test. The result does not depend on threads or instruction set.
+//!
+//! AVX-512 would make it 1.2 times faster, and is not used: one optimised build with rustc 1.95 left whole blocks
+//! unwritten on that path alone, and right again with a print added.
 
 use super::LocalGrid;
 use crate::bvh::closest::Slot;
@@ -177,22 +180,12 @@ impl Tile<'_> {
     fn fill(&mut self, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
         #[cfg(target_arch = "x86_64")]
         {
-            if std::arch::is_x86_feature_detected!("avx512f") && std::arch::is_x86_feature_detected!("avx512vl") {
+            if std::arch::is_x86_feature_detected!("avx2") {
                 // SAFETY: the processor has these instructions. No fused operation is enabled into the arithmetic, so
                 // every path gives the same bits.
-                return unsafe { self.fill_avx512(scratch, low, high) };
-            }
-            if std::arch::is_x86_feature_detected!("avx2") {
-                // SAFETY: as above.
                 return unsafe { self.fill_avx2(scratch, low, high) };
             }
         }
-        self.fill_portable(scratch, low, high);
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx512f,avx512vl")]
-    fn fill_avx512(&mut self, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
         self.fill_portable(scratch, low, high);
     }
 

@@ -14,9 +14,9 @@ use std::time::Instant;
 /// Draw the zero level set of a field.
 #[pyfunction]
 #[pyo3(signature = (
-    distances, lower, upper, pose, *, fov_deg=45.0, size=[512, 512], light_directions=None, light_colors=None,
-    ambient=0.2, color=[0.8, 0.8, 0.8], specular=0.25, shininess=32.0, background=[1.0, 1.0, 1.0, 1.0],
-    shadows="hard", device="auto", progress=None
+    distances, lower, upper, pose, *, fov_deg=45.0, size, light_directions=None, light_colors=None,
+    ambient=0.2, color=None, specular=0.25, shininess=32.0, background=None, shadows="hard", device="auto",
+    progress=None
 ))]
 pub fn raymarch<'py>(
     py: Python<'py>,
@@ -29,10 +29,10 @@ pub fn raymarch<'py>(
     light_directions: Option<PyReadonlyArray2<'py, f32>>,
     light_colors: Option<PyReadonlyArray2<'py, f32>>,
     ambient: f32,
-    color: [f32; 3],
+    color: Option<[f32; 3]>,
     specular: f32,
     shininess: f32,
-    background: [f32; 4],
+    background: Option<[f32; 4]>,
     shadows: &str,
     device: &str,
     progress: Option<&Bound<'py, PyAny>>,
@@ -40,14 +40,15 @@ pub fn raymarch<'py>(
     check_cpu_only(device, "raymarch").map_err(Failure::from)?;
     let field = Field::new(&distances, lower, upper)?;
     let camera = Camera::from_pose(&pose_matrix(&pose)?, fov_deg).map_err(Failure::from)?;
+    let usual = RaymarchOptions::default();
     let options = RaymarchOptions {
         size,
         lights: lights(light_directions.as_ref(), light_colors.as_ref())?,
         ambient,
-        color: Vec3::from_array(color),
+        color: color.map_or(usual.color, Vec3::from_array),
         specular,
         shininess,
-        background,
+        background: background.unwrap_or(usual.background),
         shadows: Shadows::from_name(shadows).map_err(Failure::from)?,
     };
     let start = Instant::now();

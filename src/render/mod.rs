@@ -3,7 +3,7 @@
 //! # Theory
 //!
 //! For each pixel: a ray through its centre ([`camera`]), clipped to the box of the grid and marched to the first root
-//! of the trilinear field ([`march`], [`cubic`]), then shaded ([`shade`]). The ray is set up in f64 and brought to grid
+//! of the trilinear field ([`march`], [`empty`], [`cubic`]), then shaded ([`shade`]). The ray is set up in f64 and brought to grid
 //! space, where voxel centres are integers and f32 is exact enough at any scale and offset of the world; from there on
 //! everything is f32 with bounded loops, so that a shader can do the same.
 //!
@@ -17,6 +17,7 @@
 
 pub mod camera;
 pub mod cubic;
+pub mod empty;
 pub mod march;
 mod shade;
 
@@ -112,7 +113,7 @@ pub struct Frame {
     pub object_id: Vec<i32>,
     /// Share of each light that arrives, 1 lit, 0 dark, `lights` a pixel; 1 where nothing is hit.
     pub shadow: Vec<f32>,
-    /// Cells visited by the ray of the pixel.
+    /// Cells visited and empty regions leapt over by the ray of the pixel.
     pub steps: Vec<u32>,
 }
 
@@ -131,14 +132,14 @@ pub fn raymarch(
 ) -> Result<Frame, Error> {
     options.check()?;
     let lights = options.unit_lights(camera)?;
-    let marcher = Marcher::new(field)?;
-    let shader = Shader::new(marcher, options, &lights);
+    let marcher = Marcher::new(field, progress)?;
+    let shader = Shader::new(&marcher, options, &lights);
     let view = View {
         camera,
         eye_grid: field.grid_from_world(camera.eye),
         spacing: field.grid().spacing(),
         shape: field.shape(),
-        marcher,
+        marcher: &marcher,
         shader,
         options,
     };
@@ -161,7 +162,7 @@ struct View<'a> {
     eye_grid: DVec3,
     spacing: DVec3,
     shape: DVec3,
-    marcher: Marcher<'a>,
+    marcher: &'a Marcher<'a>,
     shader: Shader<'a>,
     options: &'a RaymarchOptions,
 }

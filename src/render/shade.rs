@@ -33,7 +33,7 @@ pub(super) struct Surface {
 /// Everything that is the same for all pixels.
 #[derive(Debug, Clone)]
 pub(super) struct Shader<'a> {
-    marcher: Marcher<'a>,
+    marcher: &'a Marcher<'a>,
     options: &'a RaymarchOptions,
     lights: &'a [DirectionalLight],
     shape: DVec3,
@@ -43,7 +43,7 @@ pub(super) struct Shader<'a> {
 
 impl<'a> Shader<'a> {
     /// `lights` have unit directions.
-    pub fn new(marcher: Marcher<'a>, options: &'a RaymarchOptions, lights: &'a [DirectionalLight]) -> Self {
+    pub fn new(marcher: &'a Marcher<'a>, options: &'a RaymarchOptions, lights: &'a [DirectionalLight]) -> Self {
         let spacing = marcher.field.grid().spacing();
         Self {
             marcher,

@@ -12,6 +12,7 @@
 //! within a solid is a cavity, and a mesh wound inside out is the same solid. The distance itself never depends on the
 //! sign. `parity`, `pseudonormal` and `normal` are there to compare with; each fails where its module says.
 
+mod caps;
 pub mod crossing;
 pub mod openings;
 pub mod pseudonormal;

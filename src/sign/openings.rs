@@ -11,9 +11,11 @@
 //! cannot change the nearest integer. So only samples near an opening pay, by the number of its rim edges; see
 //! [`super::winding`] for meshes that are all openings.
 
-use crate::geometry::{closest_point_on_triangle, triangle_cross};
+use super::caps::{ANGLE_ERROR, CapPack};
+use crate::bvh::WIDTH;
+use crate::geometry::triangle_cross;
 use crate::mesh::Mesh;
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use robust::{Coord3D, orient3d};
 use std::collections::{BTreeMap, HashMap};
 use std::f64::consts::PI;
@@ -23,13 +25,14 @@ use std::ops::Range;
 #[derive(Debug, Default)]
 pub struct Openings {
     pub caps: Vec<[DVec3; 3]>,
+    packs: Vec<CapPack>,
     cones: Vec<Cone>,
 }
 
-/// One opening: its triangles among the caps, and what is seen of it from afar: a ball that holds it, and its area.
+/// One opening: its triangles among the packs, and what is seen of it from afar: a ball that holds it, and its area.
 #[derive(Debug, Clone)]
 struct Cone {
-    caps: Range<usize>,
+    packs: Range<usize>,
     center: DVec3,
     radius: f64,
     area: f64,
@@ -93,9 +96,10 @@ impl Openings {
         let mut openings = Self::default();
         for caps in by_opening.into_values() {
             let center = caps[0][2];
-            let first = openings.caps.len();
+            let first = openings.packs.len();
+            openings.packs.extend(caps.chunks(WIDTH).map(CapPack::new));
             openings.cones.push(Cone {
-                caps: first..first + caps.len(),
+                packs: first..openings.packs.len(),
                 center,
                 radius: caps.iter().flatten().map(|p| p.distance(center)).fold(0.0, f64::max),
                 area: caps.iter().map(|&cap| 0.5 * triangle_cross(cap).length()).sum(),
@@ -120,12 +124,19 @@ impl Openings {
     /// The nearest integer of the fraction at a point, and whether it is clear; the cones not in `near` add less than
     /// `left_out`.
     fn round(&self, p: DVec3, near: &[Cone], left_out: f64) -> (i8, bool) {
-        let caps = near.iter().flat_map(|cone| &self.caps[cone.caps.clone()]);
-        let mut fraction = caps.map(|cap| angle_from(p, cap)).sum::<f64>() / (4.0 * PI);
-        if (fraction - fraction.round()).abs() + left_out >= 0.5 - UNDECIDED {
-            fraction = self.fraction(p);
-        }
+        let fast = self
+            .fast_fraction(p, near)
+            .filter(|(fraction, error)| (fraction - fraction.round()).abs() + left_out + error < 0.5 - UNDECIDED);
+        let fraction = fast.map_or_else(|| self.fraction(p), |(fraction, _)| fraction);
         (fraction.round() as i8, (fraction - fraction.round()).abs() <= 0.5 - UNDECIDED)
+    }
+
+    /// The share of some cones in the fraction by lanes, and its error, unless the point is too close to one of them.
+    fn fast_fraction(&self, p: DVec3, near: &[Cone]) -> Option<(f64, f64)> {
+        let packs = near.iter().flat_map(|cone| &self.packs[cone.packs.clone()]);
+        let sum = sum_angles(packs.clone(), p.as_vec3())?;
+        let error = ANGLE_ERROR * (packs.count() * WIDTH) as f64;
+        Some((f64::from(sum) / (4.0 * PI), error / (4.0 * PI)))
     }
 
     /// The nearest integer of the fraction at each sample of a block, given to `set`; returns how many samples were close
@@ -176,21 +187,60 @@ impl Openings {
 
     /// The integer nearest to the fraction everywhere within `radius` of `center`, if one value can tell.
     fn rounded_within(&self, center: DVec3, radius: f64, near: &[Cone], left_out: f64) -> Option<i8> {
-        let (mut fraction, mut change) = (0.0, 0.0);
-        for cap in near.iter().flat_map(|cone| &self.caps[cone.caps.clone()]) {
-            // No jump within the radius, and the field of the rim bounded. The first edge of a cap is the rim.
-            if closest_point_on_triangle(center, *cap).point.distance(center) <= radius {
-                return None;
-            }
-            let rim_reach = distance_to_segment(center, cap[0], cap[1]) - radius;
-            change += cap[0].distance(cap[1]) / (rim_reach * rim_reach);
-            fraction += angle_from(center, cap);
+        // No jump within the radius, and the field of the rim bounded.
+        let packs = near.iter().flat_map(|cone| &self.packs[cone.packs.clone()]);
+        let (nearest, change) = least_reach(packs, center.as_vec3(), radius as f32);
+        if f64::from(nearest.sqrt()) <= radius * (1.0 + ROUNDING) + ROUNDING {
+            return None;
         }
-        let (fraction, change) = (fraction / (4.0 * PI), radius * change / (4.0 * PI));
-        let nearest = fraction.round();
-        // The margin covers the rounding of the sum.
-        ((fraction - nearest).abs() + change + left_out < 0.5 - 1e-9).then_some(nearest as i8)
+        let change = radius * f64::from(change) * (1.0 + ROUNDING) / (4.0 * PI);
+        let (fraction, error) = self.fast_fraction(center, near)?;
+        let rounded = fraction.round();
+        ((fraction - rounded).abs() + change + error + left_out < 0.5).then_some(rounded as i8)
     }
+}
+
+/// Relative and absolute room for float32 in a distance; a hundred times its rounding.
+const ROUNDING: f64 = 1e-5;
+
+/// Sum of the solid angles of packs, with the widest registers there are.
+fn sum_angles<'a>(packs: impl Iterator<Item = &'a CapPack>, p: Vec3) -> Option<f32> {
+    #[cfg(target_arch = "x86_64")]
+    {
+        #[target_feature(enable = "avx2")]
+        fn wide<'a>(mut packs: impl Iterator<Item = &'a CapPack>, p: Vec3) -> Option<f32> {
+            packs.try_fold(0.0, |sum, pack| Some(sum + pack.angles(p)?))
+        }
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has AVX2.
+            return unsafe { wide(packs, p) };
+        }
+    }
+    let mut packs = packs;
+    packs.try_fold(0.0, |sum, pack| Some(sum + pack.angles(p)?))
+}
+
+/// Least squared distance to packs, and the sum of their rims' fields.
+fn least_reach<'a>(packs: impl Iterator<Item = &'a CapPack>, p: Vec3, radius: f32) -> (f32, f32) {
+    #[inline(always)]
+    fn fold<'a>(packs: impl Iterator<Item = &'a CapPack>, p: Vec3, radius: f32) -> (f32, f32) {
+        packs.fold((f32::INFINITY, 0.0), |(least, sum), pack| {
+            let (nearest, change) = pack.reach(p, radius);
+            (least.min(nearest), sum + change)
+        })
+    }
+    #[cfg(target_arch = "x86_64")]
+    {
+        #[target_feature(enable = "avx2")]
+        fn wide<'a>(packs: impl Iterator<Item = &'a CapPack>, p: Vec3, radius: f32) -> (f32, f32) {
+            fold(packs, p, radius)
+        }
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has AVX2.
+            return unsafe { wide(packs, p, radius) };
+        }
+    }
+    fold(packs, p, radius)
 }
 
 impl Cone {
@@ -213,10 +263,4 @@ fn angle_from(p: DVec3, corners: &[DVec3; 3]) -> f64 {
     let (la, lb, lc) = (a.length(), b.length(), c.length());
     let denominator = la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb;
     2.0 * numerator.atan2(denominator)
-}
-
-fn distance_to_segment(p: DVec3, a: DVec3, b: DVec3) -> f64 {
-    let ab = b - a;
-    let t = ((p - a).dot(ab) / ab.length_squared()).clamp(0.0, 1.0);
-    p.distance(a + ab * t)
 }

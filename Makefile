@@ -1,0 +1,67 @@
+# Two commands matter: `make demo` shows what it does, `make test` checks everything. Both set themselves up.
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+SOURCES := $(shell find src shaders -type f 2>/dev/null) Cargo.toml Cargo.lock pyproject.toml
+
+.PHONY: help demo test check bench fix wheel clean
+
+help: ## Show this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+demo: $(VENV)/.built ## Bake real geometry, save it, draw it: pictures in out/
+	$(BIN)/fieldbake demo --output out
+
+test: check ## Everything CI runs: format, lints, types, Rust tests, Python tests
+	cargo test --quiet
+	$(BIN)/python -m mypy.stubtest fieldbake._core --ignore-disjoint-bases
+	PYOPENGL_PLATFORM=osmesa $(BIN)/pytest -n 2
+
+check: $(VENV)/.built $(VENV)/.test ## Format, lints and types only
+	$(BIN)/ruff format --check --quiet .
+	$(BIN)/ruff check --quiet .
+	cargo fmt --check
+	cargo clippy --quiet --all-targets --features python -- --deny warnings
+	$(BIN)/mypy
+
+bench: $(VENV)/.built $(VENV)/.bench ## Bake real meshes side by side with other tools
+	$(BIN)/python benches/peers.py
+
+fix: $(VENV)/.test ## Format, and repair what lints can repair
+	$(BIN)/ruff check --fix --quiet . || true
+	$(BIN)/ruff format --quiet .
+	cargo fmt
+
+wheel: $(VENV)/.made ## Build the wheel for this machine into dist/
+	$(BIN)/maturin build --release --out dist
+
+clean: ## Remove what the other targets made
+	rm -rf $(VENV) target dist out
+
+# The environment; each stamp is newer than what it was made from.
+$(VENV)/.made: scripts/make_venv.sh
+	scripts/make_venv.sh $(PYTHON) $(VENV)
+	touch $@
+
+$(VENV)/.built: $(SOURCES) | $(VENV)/.made
+	@command -v cargo >/dev/null || { echo "cargo is missing: install Rust from https://rustup.rs" >&2; exit 1; }
+	$(BIN)/maturin develop --release --quiet
+	touch $@
+
+$(VENV)/.test: pyproject.toml scripts/system_packages.sh | $(VENV)/.made
+	scripts/system_packages.sh test
+	$(BIN)/pip install --quiet --group test
+	# pyrender pins a PyOpenGL that cannot draw without a screen; one call for both would walk back to an old pyrender.
+	$(BIN)/pip install --quiet pyrender
+	$(BIN)/pip install --quiet --no-deps PyOpenGL==3.1.10
+	touch $@
+
+$(VENV)/.bench: pyproject.toml scripts/system_packages.sh | $(VENV)/.made
+	scripts/system_packages.sh bench
+	CPATH=/usr/include/eigen3 $(BIN)/pip install --quiet --group bench
+	touch $@

@@ -1,0 +1,134 @@
+"""Checks of arguments, shared by the whole package: each returns the clean value or raises, naming the argument."""
+
+from __future__ import annotations
+
+import math
+import operator
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import ArgumentError, Error
+
+E = TypeVar("E", bound=Error)
+
+
+def describe(value: object) -> str:
+    """One short line about a value, for error messages."""
+    if isinstance(value, np.ndarray):
+        return f"an array of shape {value.shape} and dtype {value.dtype}"
+    text = repr(value)
+    return f"{text if len(text) <= 60 else text[:57] + '...'} ({type(value).__name__})"
+
+
+def number(name: str, value: object, *, above: float | None = None, least: float | None = None) -> float:
+    """A finite real number, optionally bounded below."""
+    wanted = "a finite number"
+    if above is not None:
+        wanted += f" above {above:g}"
+    if least is not None:
+        wanted += f" of at least {least:g}"
+    try:
+        if isinstance(value, (bool, str, bytes, np.bool_)):
+            raise TypeError
+        result = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        raise ArgumentError(f"{name}: must be {wanted}, got {describe(value)}") from None
+    if not math.isfinite(result) or (above is not None and result <= above) or (least is not None and result < least):
+        raise ArgumentError(f"{name}: must be {wanted}, got {describe(value)}")
+    return result
+
+
+def integer(name: str, value: object, *, least: int, most: int, error: type[Error] = ArgumentError) -> int:
+    """A whole number from ``least`` to ``most``; 64.0 and True are refused."""
+    try:
+        if isinstance(value, (bool, np.bool_)):
+            raise TypeError
+        result = operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        raise error(f"{name}: must be a whole number, got {describe(value)}") from None
+    if not least <= result <= most:
+        raise error(f"{name}: must be from {least} to {most}, got {result}")
+    return result
+
+
+def real_array(name: str, value: ArrayLike, shape: str, error: type[Error] = ArgumentError) -> NDArray[Any]:
+    """Any real numeric array, not yet converted; ``shape`` only words the message."""
+    try:
+        array = np.asarray(value)
+    except (ValueError, TypeError) as reason:
+        raise error(f"{name}: must be an array of shape {shape}, got {describe(value)} ({reason})") from None
+    if array.dtype.kind not in "fiu":
+        raise error(f"{name}: must hold real numbers in shape {shape}, got {describe(array)}")
+    return array
+
+
+def as_float64(array: NDArray[Any]) -> NDArray[np.float64]:
+    """C-contiguous float64; a number too large for it becomes infinite and is reported by whoever checks values."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.ascontiguousarray(array, dtype=np.float64)
+
+
+def vector(name: str, value: ArrayLike, length: int, error: type[Error] = ArgumentError) -> NDArray[np.float64]:
+    """A finite vector of the given length, as a new float64 array."""
+    return matrix(name, value, (length,), error)
+
+
+def matrix(
+    name: str, value: ArrayLike, shape: tuple[int, ...], error: type[Error] = ArgumentError
+) -> NDArray[np.float64]:
+    """A finite array of exactly this shape, as a new float64 array."""
+    array = real_array(name, value, str(shape), error)
+    if array.shape != shape:
+        raise error(f"{name}: must have shape {shape}, got {describe(array)}")
+    result = np.array(as_float64(array))
+    if not np.isfinite(result).all():
+        raise error(f"{name}: must be finite, got {result.tolist()}")
+    return result
+
+
+def points(value: ArrayLike) -> tuple[NDArray[np.float64], tuple[int, ...]]:
+    """Finite positions of shape (..., 3) as (n, 3) float64, and the shape without its last axis."""
+    array = real_array("points", value, "(n, 3)")
+    if array.ndim == 0 or array.shape[-1] != 3:
+        raise ArgumentError(f"points: must have shape (n, 3), got {describe(array)}")
+    flat = as_float64(array.reshape(-1, 3))
+    finite = np.isfinite(flat)
+    if not finite.all():
+        row = int(np.flatnonzero(~finite.all(axis=1))[0])
+        raise ArgumentError(f"points[{row}]: must be finite, got {flat[row].tolist()}")
+    return flat, array.shape[:-1]
+
+
+def box(name: str, value: ArrayLike, error: type[Error] = ArgumentError, *, flat: bool = False) -> NDArray[np.float64]:
+    """Two corners, (2, 3), the first below the second on every axis; with ``flat`` they may be equal on some."""
+    corners = matrix(name, value, (2, 3), error)
+    extent = corners[1] - corners[0]
+    if not ((extent >= 0).all() if flat else (extent > 0).all()):
+        raise error(f"{name}: the upper corner must exceed the lower on every axis, got {corners.tolist()}")
+    return corners
+
+
+def affine(name: str, value: ArrayLike, error: type[Error]) -> NDArray[np.float64]:
+    """A 4x4 affine transform, column vectors, that can be undone."""
+    transform = matrix(name, value, (4, 4), error)
+    if not np.allclose(transform[3], (0, 0, 0, 1), atol=1e-12):
+        raise error(f"{name}: the last row must be (0, 0, 0, 1), got {transform[3].tolist()}; is it transposed?")
+    # Singular relative to its own size, so that a uniform scale by 1e-6 is no problem.
+    scale = np.abs(transform[:3, :3]).max()
+    if scale == 0 or abs(np.linalg.det(transform[:3, :3] / scale)) < 1e-12:
+        raise error(f"{name}: cannot be undone, its 3x3 part is singular: {transform[:3, :3].tolist()}")
+    return transform
+
+
+def triple(corner: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Three plain floats, as the core takes them."""
+    x, y, z = corner.tolist()
+    return float(x), float(y), float(z)
+
+
+def frozen(array: NDArray[Any]) -> NDArray[Any]:
+    """The same array, made read-only."""
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,131 @@
+"""The same jobs bound straight from Rust: bare arrays in, bare arrays out, nothing kept between calls.
+
+For programs that have their own mesh and image types. Arrays are taken as they are where their type fits: float32
+distances with x fastest in memory, float64 vertices, int64 faces; anything else is converted once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import _checks, _core
+from .bake import Sign
+from .camera import Camera
+from .grid import MAX_SIDE
+from .mesh import check_faces, check_vertices
+from .render import _size
+from .volume import check_distances
+
+__all__ = ["bake", "raymarch"]
+
+
+def bake(
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    lower: ArrayLike,
+    upper: ArrayLike,
+    shape: tuple[int, int, int],
+    *,
+    sign: Sign = "auto",
+    device: str = "auto",
+) -> NDArray[np.float32]:
+    """Distances of a mesh at the voxel centres of a box.
+
+    Parameters
+    ----------
+    vertices : (n, 3) real
+        Positions, world units.
+    faces : (m, 3) integer
+        Rows of `vertices`.
+    lower, upper : (3,) real
+        Corners of the box, world units.
+    shape : (nx, ny, nz)
+        Voxels along each side.
+    sign, device
+        As for :func:`fieldbake.bake`.
+
+    Returns
+    -------
+    (nx, ny, nz) float32
+        Signed distances, negative inside, x fastest in memory: voxel (i, j, k) at
+        ``lower + (index + 0.5) * (upper - lower) / shape``.
+
+    Raises
+    ------
+    MeshError, ArgumentError, CapacityError, DeviceError
+        As for :func:`fieldbake.bake`.
+    """
+    corners = _box(lower, upper)
+    nx, ny, nz = (_checks.integer("shape", n, least=1, most=MAX_SIDE) for n in _three(shape))
+    mesh = _core.Mesh(_checks.as_float64(check_vertices(vertices)), check_faces(faces))
+    distances, _ = _core.bake(mesh, *corners, (nx, ny, nz), sign=sign, device=device)
+    return distances
+
+
+def raymarch(
+    distances: ArrayLike,
+    lower: ArrayLike,
+    upper: ArrayLike,
+    pose: ArrayLike,
+    *,
+    fov_deg: float = 45.0,
+    size: tuple[int, int] = (512, 512),
+    device: str = "auto",
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Draw the zero level set of a grid of distances.
+
+    Parameters
+    ----------
+    distances : (nx, ny, nz) real
+        Samples at the voxel centres.
+    lower, upper : (3,) real
+        Corners of the box, world units.
+    pose : (4, 4) real
+        World from camera; it looks along -Z, +Y is up.
+    fov_deg : float, default 45
+        Vertical field of view, degrees.
+    size : (width, height), default (512, 512)
+        In pixels.
+    device : str, default "auto"
+        As for :func:`fieldbake.raymarch`.
+
+    Returns
+    -------
+    color : (h, w, 4) float32
+        Linear RGB and opacity.
+    depth : (h, w) float32
+        Distance along the viewing axis, world units; inf where nothing was hit.
+
+    Raises
+    ------
+    ArgumentError, SceneError, DeviceError
+        As for :func:`fieldbake.raymarch`.
+    """
+    corners = _box(lower, upper)
+    camera = Camera.from_pose(pose, fov_deg)
+    result = _core.raymarch(
+        check_distances(distances),
+        *corners,
+        camera.pose,
+        fov_deg=camera.fov_deg,
+        size=_size(size),
+        device=device,
+    )
+    return result["color"], result["depth"]
+
+
+def _box(lower: ArrayLike, upper: ArrayLike) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    first, second = _checks.vector("lower", lower, 3), _checks.vector("upper", upper, 3)
+    corners = _checks.box("lower, upper", np.stack([first, second]))
+    return _checks.triple(corners[0]), _checks.triple(corners[1])
+
+
+def _three(shape: tuple[int, int, int]) -> tuple[int, int, int]:
+    try:
+        x, y, z = shape
+    except (TypeError, ValueError):
+        from .errors import ArgumentError
+
+        raise ArgumentError(f"shape: must be (nx, ny, nz), got {_checks.describe(shape)}") from None
+    return x, y, z

@@ -1,0 +1,261 @@
+"""The command line: ``fieldbake bake | info | render | devices | demo``.
+
+Exit codes: 0 done, 1 something is wrong with the input (one line on stderr), 2 wrong usage.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from typer.core import TyperGroup
+
+import fieldbake as fb
+
+from .report import bytes_text
+
+out = Console(highlight=False)
+err = Console(stderr=True, highlight=False)
+
+
+class Group(TyperGroup):
+    """Turns what a user can cause into one line and exit code 1; bugs keep their traceback."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command; see the class."""
+        try:
+            return super().invoke(ctx)
+        except (fb.Error, OSError) as error:
+            text = str(error)
+            if isinstance(error, OSError) and error.strerror:
+                text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+            err.print(f"[bold red]error:[/] {escape(text)}", soft_wrap=True)
+            raise typer.Exit(1) from None
+
+
+app = typer.Typer(
+    cls=Group,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Exact signed distance fields from triangle meshes.",
+)
+
+Device = Annotated[str, typer.Option(help='"auto", "cpu", "gpu" or a name from `fieldbake devices`.')]
+Sign = Literal["auto", "winding", "parity", "pseudonormal", "normal", "unsigned"]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        out.print(f"fieldbake {fb.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Options that come before the command."""
+
+
+def parse_resolution(text: str) -> int | tuple[int, int, int]:
+    """``64`` or ``64x48x32``."""
+    try:
+        sides = [int(side) for side in text.lower().split("x")]
+    except ValueError:
+        sides = []
+    if len(sides) == 1:
+        return sides[0]
+    if len(sides) == 3:
+        return sides[0], sides[1], sides[2]
+    raise typer.BadParameter(f"'{text}' is not a number such as 64, nor three such as 64x48x32")
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """``640x480``."""
+    try:
+        width, height = (int(side) for side in text.lower().split("x"))
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is not a size such as 640x480") from None
+    return width, height
+
+
+def parse_vector(text: str) -> tuple[float, float, float]:
+    """``1,2.5,-3``."""
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is not three numbers such as 1,2.5,-3") from None
+    return x, y, z
+
+
+Resolution = Annotated[
+    Any,
+    typer.Option("--resolution", "-r", parser=parse_resolution, metavar="N|NxNxN", help="Voxels, longest side or all."),
+]
+
+
+@app.command()
+def bake(
+    mesh: Annotated[list[Path], typer.Argument(help="Mesh files; several become one field.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The .npz file to write.")],
+    resolution: Resolution = "64",
+    voxel_size: Annotated[float | None, typer.Option(help="Side of a voxel, in place of the resolution.")] = None,
+    margin: Annotated[float, typer.Option(help="Extra room around the mesh, as a share of its box.")] = 0.1,
+    sign: Annotated[Sign, typer.Option(help="How to tell inside from outside.")] = "auto",
+    band: Annotated[float | None, typer.Option(help="Exact only within so many voxels of the surface.")] = None,
+    two_sided: Annotated[bool, typer.Option("--two-sided", help="Treat the surface as a sheet.")] = False,
+    thickness: Annotated[float | None, typer.Option(help="Of the sheet; one voxel if not given.")] = None,
+    device: Device = "auto",
+) -> None:
+    """Bake the signed distance field of a mesh into a file."""
+    if output.suffix.lower() != ".npz":
+        raise typer.BadParameter(f"'{output}' must end in .npz", param_hint="--output")
+    volume = fb.bake(
+        [str(path) for path in mesh] if len(mesh) > 1 else mesh[0],
+        resolution,
+        voxel_size=voxel_size,
+        margin=margin,
+        sign=sign,
+        band=band,
+        two_sided=two_sided,
+        thickness=thickness,
+        device=device,
+        progress=err.is_terminal,
+    )
+    volume.save(output)
+    _show(f"{output}", _volume_rows(volume))
+
+
+@app.command()
+def info(
+    file: Annotated[Path, typer.Argument(help="A baked .npz file or a mesh.")],
+) -> None:
+    """Say what is in a file."""
+    if file.suffix.lower() == ".npz":
+        _show(str(file), _volume_rows(fb.load(file)))
+    else:
+        _show(str(file), _mesh_rows(fb.load_mesh(file)))
+
+
+@app.command()
+def render(
+    file: Annotated[Path, typer.Argument(help="A baked .npz file or a mesh.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write: .png, .jpg, ...")],
+    size: Annotated[Any, typer.Option(parser=parse_size, metavar="WxH", help="Pixels.")] = "640x480",
+    resolution: Resolution = "128",
+    eye: Annotated[Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Where to look from.")] = None,
+    target: Annotated[Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Where to look at.")] = None,
+    up: Annotated[Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Upwards in the picture.")] = "0,1,0",
+    fov: Annotated[float, typer.Option(help="Vertical field of view, degrees.")] = 45.0,
+    color: Annotated[
+        Any, typer.Option(parser=parse_vector, metavar="R,G,B", help="Of the surface, linear, 0 to 1.")
+    ] = "0.8,0.8,0.8",
+    shadows: Annotated[Literal["hard", "none"], typer.Option(help="Whether the surface shades itself.")] = "hard",
+    heatmap: Annotated[
+        Literal["steps", "depth", "shadow"] | None, typer.Option(help="Show this in place of the colours.")
+    ] = None,
+    device: Device = "auto",
+) -> None:
+    """Draw a baked field, or a mesh through a field baked for it."""
+    if file.suffix.lower() == ".npz":
+        volume = fb.load(file)
+    else:
+        volume = fb.bake(file, resolution, device=device, progress=err.is_terminal)
+    bounds = volume.inner_bounds
+    if eye is None:
+        camera = fb.Camera.fit(bounds, up=up, fov_deg=fov, aspect=size[0] / size[1] if size[1] > 0 else 1.0)
+        if target is not None:
+            raise typer.BadParameter("needs --eye", param_hint="--target")
+    else:
+        camera = fb.Camera(eye, bounds.mean(axis=0) if target is None else target, up, fov)
+    frame = fb.raymarch(
+        volume, camera, size=size, color=color, shadows=shadows, device=device, progress=err.is_terminal
+    )
+    if heatmap is None:
+        frame.save(output)
+    else:
+        from .frame import save_image
+
+        save_image(frame.heatmap(heatmap), output)
+    out.print(f"[bold]{escape(str(output))}[/]  {escape(repr(frame))}", soft_wrap=True)
+
+
+@app.command()
+def devices() -> None:
+    """List what can compute here."""
+    table = Table("name", "backend", "type", "hardware")
+    for device in fb.devices():
+        table.add_row(escape(device.name), device.backend, device.type, "yes" if device.hardware else "no")
+    out.print(table)
+
+
+@app.command()
+def demo(
+    mesh: Annotated[list[Path] | None, typer.Argument(help="Mesh files; models made in code if not given.")] = None,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the files.")] = Path("out"),
+    resolution: Annotated[int, typer.Option("--resolution", "-r", help="Voxels along the longest side.")] = 128,
+) -> None:
+    """Bake, save, load and draw; writes pictures and says what it did."""
+    from .demo import run
+
+    run(
+        output,
+        [str(path) for path in mesh or []],
+        resolution=resolution,
+        progress=err.is_terminal,
+        tell=lambda line: out.print(escape(line), soft_wrap=True),
+    )
+
+
+def _show(title: str, rows: list[tuple[str, str]]) -> None:
+    table = Table(title=escape(title), title_justify="left", show_header=False, title_style="bold")
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column(overflow="fold")
+    for label, text in rows:
+        table.add_row(label, escape(text), style="yellow" if label == "warning" else None)
+    out.print(table)
+
+
+def _box_text(bounds: Any) -> str:
+    lower, upper = ("(" + ", ".join(f"{x:.5g}" for x in corner) + ")" for corner in bounds)
+    return f"{lower} to {upper}"
+
+
+def _volume_rows(volume: fb.Volume) -> list[tuple[str, str]]:
+    low, high = float(volume.distances.min()), float(volume.distances.max())
+    rows = [
+        ("voxels", " x ".join(map(str, volume.resolution)) + f", {bytes_text(volume.nbytes)}"),
+        ("voxel size", " x ".join(f"{side:.5g}" for side in volume.spacing)),
+        ("box", _box_text(volume.bounds)),
+        ("surface box", _box_text(volume.inner_bounds)),
+        ("distances", f"{low:.5g} to {high:.5g}"),
+    ]
+    return rows + (volume.report.rows() if volume.report.sign_method else [])
+
+
+def _mesh_rows(mesh: fb.Mesh) -> list[tuple[str, str]]:
+    rows = [
+        ("vertices", f"{len(mesh.vertices):,}"),
+        ("faces", f"{len(mesh.faces):,}"),
+        ("box", _box_text(mesh.bounds)),
+        ("memory", bytes_text(mesh.nbytes)),
+    ]
+    facts = mesh.topology()
+    rows.append(("closed", "yes" if facts.pop("closed") else "no"))
+    rows += [(name.replace("_", " "), f"{count:,}") for name, count in facts.items()]
+    rows += [("part", f"{part.name or '-'}: {len(part.faces):,} faces, {part.alpha_mode}") for part in mesh.parts]
+    return rows
+
+
+def main() -> None:
+    """Run the command line."""
+    app(prog_name="fieldbake")

@@ -1,0 +1,41 @@
+"""The exceptions of fieldbake: one base class, and one class for each thing that can be wrong.
+
+Errors about a value also derive from :class:`ValueError`, so code that knows nothing of fieldbake can catch them.
+A missing file stays :class:`FileNotFoundError`.
+"""
+
+
+class Error(Exception):
+    """Base of every exception that fieldbake raises on purpose."""
+
+
+class ArgumentError(Error, ValueError):
+    """An option or array that makes no sense; the message starts with the argument's name."""
+
+
+class MeshError(Error, ValueError):
+    """A mesh, or the file it comes from, that cannot be used."""
+
+
+class ShapeError(Error, ValueError):
+    """A CSG shape that cannot be built or evaluated."""
+
+
+class SceneError(Error, ValueError):
+    """A camera, light or instance that cannot be drawn."""
+
+
+class AtlasError(Error, ValueError):
+    """Volumes that do not fit an atlas."""
+
+
+class FormatError(Error, ValueError):
+    """A file that is not ours, is damaged, or was written by a newer version."""
+
+
+class DeviceError(Error, RuntimeError):
+    """A compute device that is missing, too small, or has failed."""
+
+
+class CapacityError(Error, MemoryError):
+    """A request that does not fit in memory, refused before it starts."""

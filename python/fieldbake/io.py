@@ -1,0 +1,246 @@
+"""Our files: an .npz archive that plain NumPy can read, and that is checked before a byte of it is believed.
+
+Layout, version 1: a zip archive of two uncompressed members.
+
+``header.npy``
+    A zero-dimensional string: JSON with ``format``, ``kind``, ``version``, ``bounds``, ``inner_bounds``, ``report``.
+``distances.npy``
+    float32 little-endian, Fortran order (x fastest), shape (nx, ny, nz).
+
+Because members must be stored uncompressed, an archive cannot unfold to more than its own size. The sizes in the zip
+directory, in the array headers and in the JSON are compared before anything is allocated, and nothing is unpickled.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from . import _checks, _core
+from .errors import ArgumentError, FormatError
+from .report import Report
+from .volume import Volume, check_distances
+
+VERSION = 1
+
+#: The JSON of a volume takes about a kilobyte.
+MAX_HEADER_BYTES = 4 << 20
+
+#: Read in pieces, so that a large member is not held twice.
+CHUNK_BYTES = 16 << 20
+
+
+def save_volume(volume: Volume, path: str | os.PathLike[str]) -> None:
+    """Write a volume; the file appears whole or not at all."""
+    target = Path(path)
+    if target.suffix.lower() != ".npz":
+        raise FormatError(f"{path}: a volume is written as .npz, got the ending '{target.suffix}'")
+    header = {
+        "format": "fieldbake",
+        "kind": "volume",
+        "version": VERSION,
+        "written_by": f"fieldbake {_core.__version__}",
+        "resolution": list(volume.resolution),
+        "bounds": volume.bounds.tolist(),
+        "inner_bounds": volume.inner_bounds.tolist(),
+        "report": volume.report.to_dict(),
+    }
+    text = np.array(json.dumps(header))
+    with atomic_write(target) as stream:
+        np.savez(stream, header=text, distances=volume.distances)
+
+
+@contextmanager
+def atomic_write(target: Path) -> Iterator[IO[bytes]]:
+    """A temporary file beside the target that takes its place when the block ends well."""
+    import tempfile
+
+    mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
+    descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".tmp")
+    temporary = Path(name)
+    try:
+        with os.fdopen(descriptor, "w+b") as stream:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+        temporary.chmod(mode)
+        temporary.replace(target)
+    except BaseException:
+        temporary.unlink()
+        raise
+
+
+def _umask() -> int:
+    """The process's umask; it can only be read by setting it."""
+    mask = os.umask(0o022)
+    os.umask(mask)
+    return mask
+
+
+def load(path: str | os.PathLike[str]) -> Volume:
+    """Read what fieldbake wrote.
+
+    Parameters
+    ----------
+    path : str or path
+        An .npz file of :meth:`Volume.save`.
+
+    Returns
+    -------
+    Volume
+        Bit for bit what was saved.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    FormatError
+        If the file is of another kind, damaged, unsafe to read, or written by a newer version.
+    """
+    if Path(path).is_dir():
+        raise FormatError(f"{path}: is a directory, not a fieldbake file")
+    with open(path, "rb") as stream:
+        size = os.fstat(stream.fileno()).st_size
+        try:
+            with zipfile.ZipFile(stream) as archive:
+                return _read_volume(archive, size)
+        except FormatError as error:
+            raise FormatError(f"{path}: {error}") from None
+        except zipfile.BadZipFile as error:
+            if Path(path).suffix.lower() == ".npz":
+                raise FormatError(f"{path}: is damaged or not an .npz file ({error})") from None
+            raise FormatError(f"{path}: is not a fieldbake file; meshes are read by load_mesh or bake") from None
+        except (MemoryError, OSError):
+            raise
+        except Exception as error:  # A damaged archive fails in every way there is.
+            raise FormatError(f"{path}: is damaged ({type(error).__name__}: {error})") from error
+
+
+def _read_volume(archive: zipfile.ZipFile, size: int) -> Volume:
+    members = _members(archive, size)
+    header = _read_header(archive, members)
+    bounds = _corners(header, "bounds", flat=False)
+    inner_bounds = _corners(header, "inner_bounds", flat=True)
+    distances = _read_array(archive, members, "distances.npy")
+    if distances.dtype != np.dtype("<f4") or distances.ndim != 3 or distances.size == 0:
+        raise FormatError(f"distances must be float32 of shape (nx, ny, nz), got {_checks.describe(distances)}")
+    if header.get("resolution") != list(distances.shape):
+        raise FormatError(f"the header says {header.get('resolution')} voxels, the distances are {distances.shape}")
+    try:
+        samples = check_distances(distances)
+    except ArgumentError as error:
+        raise FormatError(str(error)) from None
+    return Volume._wrap(samples, bounds, inner_bounds, _report(header))
+
+
+def _members(archive: zipfile.ZipFile, size: int) -> dict[str, zipfile.ZipInfo]:
+    """The directory of the archive, if it is harmless."""
+    members: dict[str, zipfile.ZipInfo] = {}
+    for info in archive.infolist():
+        if info.filename in members:
+            raise FormatError(f"member '{info.filename}' is there twice")
+        if info.compress_type != zipfile.ZIP_STORED or info.flag_bits & 1:
+            raise FormatError(f"member '{info.filename}' is compressed or encrypted; ours are stored plainly")
+        if info.file_size != info.compress_size or info.header_offset + info.file_size > size:
+            raise FormatError(f"member '{info.filename}' claims {info.file_size} bytes, the file has {size}")
+        members[info.filename] = info
+    return members
+
+
+def _read_header(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo]) -> dict[str, Any]:
+    """The JSON, checked for kind and version."""
+    if "header.npy" not in members:
+        raise FormatError("is not a fieldbake file: it has no header; read it with numpy.load")
+    if members["header.npy"].file_size > MAX_HEADER_BYTES:
+        raise FormatError(f"the header has {members['header.npy'].file_size} bytes, more than {MAX_HEADER_BYTES}")
+    text = _read_array(archive, members, "header.npy")
+    if text.ndim != 0 or text.dtype.kind != "U":
+        raise FormatError(f"is not a fieldbake file: its header is {_checks.describe(text)}")
+    header = json.loads(str(text))
+    if not isinstance(header, dict) or header.get("format") != "fieldbake":
+        raise FormatError("is not a fieldbake file: its header does not say so")
+    version = header.get("version")
+    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
+        raise FormatError(f"the header's version is {version!r}")
+    if version > VERSION:
+        raise FormatError(
+            f"is of version {version}, this fieldbake reads up to {VERSION}; install a newer fieldbake "
+            f"(written by {str(header.get('written_by'))[:60]})"
+        )
+    if header.get("kind") != "volume":
+        raise FormatError(f"holds a {str(header.get('kind'))[:60]}, expected a volume")
+    return header
+
+
+def _read_array(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], name: str) -> NDArray[Any]:
+    """One .npy member, allocated only once its size is known to be true."""
+    if name not in members:
+        raise FormatError(f"member '{name}' is missing")
+    with archive.open(members[name]) as stream:
+        major, minor = npy.read_magic(stream)
+        if (major, minor) not in ((1, 0), (2, 0)):
+            raise FormatError(f"member '{name}' is .npy version {major}.{minor}")
+        read = npy.read_array_header_1_0 if major == 1 else npy.read_array_header_2_0
+        shape, fortran_order, dtype = read(stream)
+        if dtype.hasobject or dtype.kind not in "fiuU":
+            raise FormatError(f"member '{name}' holds {dtype}, which is never read")
+        # Python integers: a huge shape cannot overflow here.
+        expected = dtype.itemsize
+        for side in shape:
+            if side < 0:
+                raise FormatError(f"member '{name}' has shape {shape}")
+            expected *= side
+        left = members[name].file_size - stream.tell()
+        if expected != left:
+            raise FormatError(f"member '{name}' should hold {expected} bytes for {shape} {dtype}, it has {left}")
+        array = np.empty(shape, dtype=dtype, order="F" if fortran_order else "C")
+        if expected:
+            _fill(stream, array)
+        # At the end of the member zipfile compares its checksum.
+        if stream.read(1):
+            raise FormatError(f"member '{name}' is longer than it says")
+    return array
+
+
+def _fill(stream: IO[bytes], array: NDArray[Any]) -> None:
+    """Read straight into the array, in pieces."""
+    memory = array.reshape(-1, order="A").view(np.uint8)
+    done = 0
+    while done < len(memory):
+        piece = stream.read(min(CHUNK_BYTES, len(memory) - done))
+        if not piece:
+            raise FormatError("the file ends too early")
+        memory[done : done + len(piece)] = np.frombuffer(piece, dtype=np.uint8)
+        done += len(piece)
+
+
+def _corners(header: dict[str, Any], name: str, *, flat: bool) -> NDArray[np.float64]:
+    try:
+        return _checks.box(name, header.get(name, []), FormatError, flat=flat)
+    except FormatError as error:
+        raise FormatError(f"header: {error}") from None
+
+
+def _report(header: dict[str, Any]) -> Report:
+    """The report, each fact only if it has the type it should have."""
+    facts = header.get("report", {})
+    if not isinstance(facts, dict):
+        raise FormatError("header: report must be an object")
+    blank = Report().to_dict()
+    for name, value in facts.items():
+        if name in blank and type(value) is not type(blank[name]):
+            raise FormatError(f"header: report.{name} must be {type(blank[name]).__name__}, got {value!r:.60}")
+    if not all(isinstance(text, str) for text in facts.get("warnings", [])):
+        raise FormatError("header: report.warnings must be text")
+    if not all(isinstance(seconds, (int, float)) for seconds in facts.get("seconds", {}).values()):
+        raise FormatError("header: report.seconds must be numbers")
+    return Report.from_dict(facts)

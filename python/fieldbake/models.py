@@ -1,0 +1,148 @@
+"""Closed meshes made in code, for trying things out without a file."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _checks
+from .errors import ArgumentError
+from .mesh import Mesh
+
+
+def torus_knot(
+    p: int = 2,
+    q: int = 3,
+    *,
+    radius: float = 1.0,
+    depth: float = 0.45,
+    thickness: float = 0.24,
+    segments: int = 480,
+    sides: int = 48,
+) -> Mesh:
+    """A tube along a torus knot; (2, 3) is the trefoil.
+
+    Parameters
+    ----------
+    p, q : int, default 2 and 3
+        Turns round the axis of the torus, and round its ring; without a common divisor.
+    radius, depth : float, default 1 and 0.45
+        Of the torus: of the ring, and of the tube that the knot lies on, world units.
+    thickness : float, default 0.24
+        Radius of the knot's own tube, world units.
+    segments, sides : int, default 480 and 48
+        Steps along the knot and round its tube; twice their product is the number of faces.
+
+    Returns
+    -------
+    Mesh
+        Closed, around the origin, the torus's axis along z.
+
+    Raises
+    ------
+    ArgumentError
+        If `p` and `q` share a divisor or a size makes no sense.
+
+    Examples
+    --------
+    >>> torus_knot(segments=64, sides=8)
+    Mesh(512 vertices, 1024 faces, 3.078 x 3.204 x 1.38 units)
+    """
+    p = _checks.integer("p", p, least=1, most=64)
+    q = _checks.integer("q", q, least=1, most=64)
+    if math.gcd(p, q) != 1:
+        raise ArgumentError(f"p, q: must have no common divisor, got {p} and {q}")
+    radius = _checks.number("radius", radius, above=0)
+    depth = _checks.number("depth", depth, above=0)
+    thickness = _checks.number("thickness", thickness, above=0)
+    segments = _checks.integer("segments", segments, least=3, most=1 << 20)
+    sides = _checks.integer("sides", sides, least=3, most=1 << 12)
+
+    t = np.linspace(0, 2 * np.pi, segments, endpoint=False)
+    ring = np.stack([np.cos(p * t), np.sin(p * t), np.zeros_like(t)], axis=1)
+    up = np.array([0.0, 0.0, 1.0])
+    outward = np.cos(q * t)[:, None] * ring + np.sin(q * t)[:, None] * up
+    curve = radius * ring + depth * outward
+
+    # A frame that closes: the tangent, and the torus's own normal made perpendicular to it.
+    around = np.stack([-np.sin(p * t), np.cos(p * t), np.zeros_like(t)], axis=1)
+    turning = -np.sin(q * t)[:, None] * ring + np.cos(q * t)[:, None] * up
+    tangent = p * (radius + depth * np.cos(q * t))[:, None] * around + q * depth * turning
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    normal = outward - np.sum(outward * tangent, axis=1, keepdims=True) * tangent
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    binormal = np.cross(tangent, normal)
+
+    angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    rim = np.cos(angle)[None, :, None] * normal[:, None] + np.sin(angle)[None, :, None] * binormal[:, None]
+    vertices = (curve[:, None] + thickness * rim).reshape(-1, 3)
+    rows = np.arange(segments * sides).reshape(segments, sides)
+    return Mesh(vertices, _quads(rows, np.roll(rows, -1, axis=0)))
+
+
+def gear(
+    teeth: int = 18,
+    *,
+    radius: float = 1.0,
+    tooth: float = 0.16,
+    hole: float = 0.4,
+    thickness: float = 0.35,
+) -> Mesh:
+    """A gear wheel with a round hole: flat faces, sharp edges.
+
+    Parameters
+    ----------
+    teeth : int, default 18
+        How many.
+    radius, tooth, hole : float, default 1, 0.16 and 0.4
+        Outer radius, height of a tooth and radius of the hole, world units.
+    thickness : float, default 0.35
+        Along z, world units.
+
+    Returns
+    -------
+    Mesh
+        Closed, around the origin, its axis along z.
+
+    Raises
+    ------
+    ArgumentError
+        If a size makes no sense.
+
+    Examples
+    --------
+    >>> gear(teeth=6).topology()["closed"]
+    True
+    """
+    teeth = _checks.integer("teeth", teeth, least=3, most=1 << 12)
+    radius = _checks.number("radius", radius, above=0)
+    tooth = _checks.number("tooth", tooth, above=0)
+    hole = _checks.number("hole", hole, above=0)
+    thickness = _checks.number("thickness", thickness, above=0)
+    if hole + tooth >= radius:
+        raise ArgumentError(f"hole: {hole:g} and tooth {tooth:g} leave nothing of the radius {radius:g}")
+
+    # Eight steps a tooth: four on the foot, a flank, two on the tip, a flank.
+    per_tooth = np.array([0.0, 0.125, 0.25, 0.375, 0.5, 0.6, 0.75, 0.9])
+    raised = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
+    angle = ((np.arange(teeth)[:, None] + per_tooth) * (2 * np.pi / teeth)).ravel()
+    outline = radius - tooth + tooth * np.tile(raised, teeth)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+    # Round the wheel's section: outer top, inner top, inner bottom, outer bottom.
+    half = thickness / 2
+    rings = [(outline, half), (np.full_like(angle, hole), half), (np.full_like(angle, hole), -half), (outline, -half)]
+    vertices = np.concatenate(
+        [np.column_stack([distance[:, None] * circle, np.full_like(angle, z)]) for distance, z in rings]
+    )
+    rows = np.arange(len(vertices)).reshape(len(rings), -1).T
+    return Mesh(vertices, _quads(np.roll(rows, -1, axis=0), rows))
+
+
+def _quads(before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Two triangles for each cell between two tables of rings, each row a ring of vertices."""
+    a, b = before, after
+    c, d = np.roll(after, -1, axis=1), np.roll(before, -1, axis=1)
+    return np.stack([a, c, b, a, d, c], axis=-1).reshape(-1, 3).astype(np.int64)

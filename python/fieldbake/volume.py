@@ -1,0 +1,319 @@
+"""The volume: a signed distance field on a regular grid."""
+
+from __future__ import annotations
+
+import os
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from . import _checks, _core
+from .errors import ArgumentError
+from .mesh import Mesh
+from .report import Report, bytes_text
+
+Filter = Literal["linear", "nearest"]
+
+
+class Volume:
+    """Signed distances on a regular grid, negative inside, in the mesh's own units. Immutable.
+
+    Made by :func:`fieldbake.bake` or :func:`fieldbake.load`, or from an array:
+
+    Parameters
+    ----------
+    distances : (nx, ny, nz) real
+        Samples at the voxel centres. Kept as float32 with x fastest in memory.
+    bounds : (2, 3) array
+        Lower and upper corner of the box, world units.
+    inner_bounds : (2, 3) array, optional
+        Box that holds the whole surface; `bounds` if not given. Needed for the lower bound outside the box.
+    report : Report, optional
+        Where the distances came from.
+
+    Raises
+    ------
+    ArgumentError
+        For a wrong shape, a distance that is not finite, or an empty box.
+
+    Examples
+    --------
+    >>> x = np.linspace(-0.75, 0.75, 4)
+    >>> half_space = Volume(np.broadcast_to(x[:, None, None], (4, 4, 4)), [(-1, -1, -1), (1, 1, 1)])
+    >>> half_space.sample([(0.25, 0.0, 0.0)]).tolist()
+    [0.25]
+    >>> half_space.gradient([(0.25, 0.0, 0.0)]).tolist()
+    [[1.0, 0.0, 0.0]]
+    """
+
+    __slots__ = ("_bounds", "_distances", "_inner_bounds", "_report")
+
+    _bounds: NDArray[np.float64]
+    _distances: NDArray[np.float32]
+    _inner_bounds: NDArray[np.float64]
+    _report: Report
+
+    def __init__(
+        self,
+        distances: ArrayLike,
+        bounds: ArrayLike,
+        *,
+        inner_bounds: ArrayLike | None = None,
+        report: Report | None = None,
+    ) -> None:
+        box = _checks.box("bounds", bounds)
+        inner = box.copy() if inner_bounds is None else _checks.box("inner_bounds", inner_bounds, flat=True)
+        self._set(np.array(check_distances(distances), order="F"), box, inner, report or Report())
+
+    def _set(
+        self,
+        distances: NDArray[np.float32],
+        bounds: NDArray[np.float64],
+        inner_bounds: NDArray[np.float64],
+        report: Report,
+    ) -> None:
+        self._distances = _checks.frozen(distances)
+        self._bounds = _checks.frozen(bounds)
+        self._inner_bounds = _checks.frozen(inner_bounds)
+        self._report = report
+
+    @classmethod
+    def _wrap(
+        cls,
+        distances: NDArray[np.float32],
+        bounds: NDArray[np.float64],
+        inner_bounds: NDArray[np.float64],
+        report: Report,
+    ) -> Volume:
+        """Take over checked arrays without a copy."""
+        volume = cls.__new__(cls)
+        volume._set(distances, bounds, inner_bounds, report)
+        return volume
+
+    @property
+    def distances(self) -> NDArray[np.float32]:
+        """Samples, (nx, ny, nz) float32, world units, x fastest in memory; a read-only view."""
+        return self._distances[...]
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Lower and upper corner of the box, (2, 3); samples lie half a voxel inside."""
+        return self._bounds
+
+    @property
+    def inner_bounds(self) -> NDArray[np.float64]:
+        """Box that holds the whole surface, (2, 3)."""
+        return self._inner_bounds
+
+    @property
+    def resolution(self) -> tuple[int, int, int]:
+        """Voxels along x, y and z."""
+        x, y, z = self._distances.shape
+        return x, y, z
+
+    @property
+    def spacing(self) -> NDArray[np.float64]:
+        """Size of a voxel, (3,), world units."""
+        return np.asarray((self._bounds[1] - self._bounds[0]) / np.array(self._distances.shape))
+
+    @property
+    def origin(self) -> NDArray[np.float64]:
+        """Centre of voxel (0, 0, 0), (3,), world units."""
+        corner: NDArray[np.float64] = self._bounds[0]
+        return corner + self.spacing / 2
+
+    @property
+    def report(self) -> Report:
+        """What the bake found and did."""
+        return self._report
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the samples."""
+        return self._distances.nbytes
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        wanted = np.dtype(np.float32 if dtype is None else dtype)
+        if wanted == self._distances.dtype and not copy:
+            return self._distances[...]
+        if copy is False:
+            raise ValueError(f"distances are float32: {wanted} needs a copy")
+        return np.array(self._distances, dtype=wanted)
+
+    def sample(self, points: ArrayLike, *, filter: Filter = "linear") -> NDArray[np.float32]:
+        """The field at any points.
+
+        Parameters
+        ----------
+        points : (n, 3) real
+            World positions; any leading shape will do.
+        filter : "linear" or "nearest", default "linear"
+            Trilinear between the eight samples around, or the nearest one.
+
+        Returns
+        -------
+        (n,) float32
+            World units. Outside the box: a proven lower bound of the distance, sqrt(a^2 + s^2) for a point at
+            distance a from the box of the outermost samples, s being a lower bound at the nearest point of that.
+
+        Raises
+        ------
+        ArgumentError
+            For a wrong shape, a point that is not finite, or an unknown filter.
+        """
+        flat, shape = _checks.points(points)
+        lower, upper = self._corners()
+        inner = self._inner_bounds
+        values = _core.sample(
+            self._distances,
+            lower,
+            upper,
+            _checks.triple(inner[0]),
+            _checks.triple(inner[1]),
+            flat,
+            filter=filter,
+        )
+        return values.reshape(shape)
+
+    def gradient(self, points: ArrayLike) -> NDArray[np.float32]:
+        """Gradient of the trilinear field at any points; on the surface it points outwards.
+
+        Parameters
+        ----------
+        points : (n, 3) real
+            World positions; any leading shape will do. Outside the box its nearest point is taken.
+
+        Returns
+        -------
+        (n, 3) float32
+            Distance per world unit: near length 1 away from edges of the field.
+
+        Raises
+        ------
+        ArgumentError
+            For a wrong shape or a point that is not finite.
+        """
+        flat, shape = _checks.points(points)
+        lower, upper = self._corners()
+        return _core.gradient(self._distances, lower, upper, flat).reshape(*shape, 3)
+
+    def to_mesh(self, level: float = 0.0) -> Mesh:
+        """The surface where the field has the value `level`, by surface nets.
+
+        Parameters
+        ----------
+        level : float, default 0
+            World units; positive values give a grown surface, negative a shrunk one.
+
+        Returns
+        -------
+        Mesh
+            Counter-clockwise seen from the larger values. Always closed: where the box cuts the surface, by a flat
+            cap.
+
+        Raises
+        ------
+        ArgumentError
+            If the field does not take that value between samples.
+
+        References
+        ----------
+        S. Gibson, Constrained elastic surface nets, MICCAI 1998.
+        """
+        level = _checks.number("level", level)
+        lowest, highest = float(self._distances.min()), float(self._distances.max())
+        if lowest < level < highest:
+            vertices, faces = _core.surface_nets(self._distances, *self._corners(), level)
+            if len(faces):
+                return Mesh(vertices, faces.astype(np.int64))
+        raise ArgumentError(f"level: no surface at {level:g}, the samples run from {lowest:g} to {highest:g}")
+
+    def downsample(self, factor: int = 2) -> Volume:
+        """A coarser volume over the same box.
+
+        Parameters
+        ----------
+        factor : int, default 2
+            Each side gets 1/`factor` of its voxels, rounded up.
+
+        Returns
+        -------
+        Volume
+            Trilinear values at the new voxel centres; not a lower bound of the distance.
+
+        Raises
+        ------
+        ArgumentError
+            If `factor` is not a whole number of at least 1.
+        """
+        factor = _checks.integer("factor", factor, least=1, most=2**31)
+        nx, ny, nz = ((side + factor - 1) // factor for side in self.resolution)
+        distances = _core.resample(self._distances, *self._corners(), (nx, ny, nz))
+        return Volume._wrap(distances, self._bounds, self._inner_bounds, self._report)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write an .npz file; a file of that name is replaced only once the new one is complete.
+
+        Parameters
+        ----------
+        path : str or path
+            Must end in ``.npz``. Read it with :func:`fieldbake.load`, or without fieldbake by ``numpy.load``.
+
+        Raises
+        ------
+        FormatError
+            For another ending.
+        OSError
+            If the file cannot be written.
+        """
+        from .io import save_volume
+
+        save_volume(self, path)
+
+    def _corners(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        return _checks.triple(self._bounds[0]), _checks.triple(self._bounds[1])
+
+    def _repr_png_(self) -> bytes | None:
+        """A picture, for notebooks; None if there is no surface to see."""
+        from .render import raymarch
+
+        if not self._distances.min() <= 0 <= self._distances.max():
+            return None
+        return raymarch(self, size=(256, 256), device="cpu")._repr_png_()
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if hasattr(self, name):
+            raise AttributeError(f"a Volume cannot be changed ({name}); make a new one")
+        super().__setattr__(name, value)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restore, (self._distances, self._bounds, self._inner_bounds, self._report)
+
+    def __repr__(self) -> str:
+        shape = " x ".join(str(side) for side in self.resolution)
+        spacing = self.spacing
+        same = np.allclose(spacing, spacing[0], rtol=1e-6)
+        voxel = f"{spacing[0]:.4g}" if same else " x ".join(f"{side:.4g}" for side in spacing)
+        made = f", sign {self._report.sign_method} on {self._report.device}" if self._report.sign_method else ""
+        return f"Volume({shape} voxels of {voxel} units, {bytes_text(self.nbytes)}{made})"
+
+
+def _restore(distances: Any, bounds: Any, inner_bounds: Any, report: Report) -> Volume:
+    return Volume(distances, bounds, inner_bounds=inner_bounds, report=report)
+
+
+def check_distances(value: ArrayLike) -> NDArray[np.float32]:
+    """Finite samples of shape (nx, ny, nz), float32 with x fastest, copied only where needed."""
+    array = _checks.real_array("distances", value, "(nx, ny, nz)")
+    if array.ndim != 3 or array.size == 0:
+        raise ArgumentError(f"distances: must have shape (nx, ny, nz), got {_checks.describe(array)}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        samples = np.asfortranarray(array, dtype=np.float32)
+    # The sum is finite only if all samples are; only then is the slower look worth it.
+    with np.errstate(over="ignore", invalid="ignore"):
+        suspicious = not np.isfinite(samples.sum(dtype=np.float64))
+    if suspicious and not (finite := np.isfinite(samples)).all():
+        where = tuple(np.argwhere(~finite)[0].tolist())
+        raise ArgumentError(f"distances[{', '.join(map(str, where))}]: must be finite, got {samples[where]}")
+    return samples

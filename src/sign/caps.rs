@@ -1,0 +1,137 @@
+//! Solid angles of many triangles at once, in float32 lanes: a fast answer that knows when it is not good enough.
+
+use crate::bvh::WIDTH;
+use crate::bvh::pack::Pack;
+use glam::{DVec3, Vec3};
+
+/// Eight triangles, their first edge on the rim of an opening. Empty lanes have three equal corners far away and add
+/// nothing.
+#[derive(Debug)]
+pub(super) struct CapPack {
+    corners: [[[f32; WIDTH]; 3]; 3],
+    /// The same triangles as the closest-point search sees them.
+    distances: Pack,
+}
+
+/// The rounding that a lane's result may carry, in turns times 4 pi; see [`CapPack::angles`].
+pub(super) const ANGLE_ERROR: f64 = 1e-4;
+/// A numerator below this share of the product of lengths has no certain sign in float32: coordinates are of about unit
+/// size and rounded to 6e-8, and three of them multiply.
+const FLAT: f32 = 1e-5;
+/// Corners of an empty lane.
+const FAR: f32 = 1e3;
+
+impl CapPack {
+    /// `caps` is one to eight triangles.
+    pub fn new(caps: &[[DVec3; 3]]) -> Self {
+        let mut corners = [[[FAR; WIDTH]; 3]; 3];
+        for (lane, cap) in caps.iter().enumerate() {
+            for corner in 0..3 {
+                for axis in 0..3 {
+                    corners[corner][axis][lane] = cap[corner][axis] as f32;
+                }
+            }
+        }
+        let positions: Vec<Vec3> = caps.iter().flatten().map(|p| p.as_vec3()).collect();
+        let faces: Vec<[u32; 3]> = (0..caps.len() as u32).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
+        let members: Vec<u32> = (0..caps.len() as u32).collect();
+        Self { corners, distances: Pack::new(&positions, &faces, &members) }
+    }
+
+    /// Sum of the solid angles seen from `p`, each within [`ANGLE_ERROR`]; none if `p` is so close to the face of a
+    /// triangle that float32 cannot tell the side.
+    ///
+    /// The formula is that of [`crate::geometry::solid_angle`].
+    #[inline(always)]
+    pub fn angles(&self, p: Vec3) -> Option<f32> {
+        let mut sum = [0.0f32; WIDTH];
+        let mut doubtful = [0.0f32; WIDTH];
+        for i in 0..WIDTH {
+            let [a, b, c] = self.corners.map(|corner| [corner[0][i] - p.x, corner[1][i] - p.y, corner[2][i] - p.z]);
+            let dot = |u: [f32; 3], v: [f32; 3]| u[0] * v[0] + u[1] * v[1] + u[2] * v[2];
+            let cross = [b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]];
+            let numerator = dot(a, cross);
+            let (la, lb, lc) = (dot(a, a).sqrt(), dot(b, b).sqrt(), dot(c, c).sqrt());
+            let lengths = la * lb * lc;
+            let denominator = lengths + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb;
+            sum[i] = 2.0 * arctangent(numerator, denominator);
+            // The angle jumps only where the point lies in the triangle's own plane, within its sides.
+            let flat = numerator.abs() - FLAT * lengths;
+            let behind = denominator - FLAT * lengths;
+            doubtful[i] = if flat > behind { flat } else { behind };
+        }
+        let worst = doubtful.iter().fold(f32::INFINITY, |worst, &x| if x < worst { x } else { worst });
+        (worst > 0.0).then(|| sum.iter().sum())
+    }
+
+    /// Squared distance of `p` to the nearest triangle, and the sum over the rim edges of length / (distance - radius)^2.
+    #[inline(always)]
+    pub fn reach(&self, p: Vec3, radius: f32) -> (f32, f32) {
+        let nearest = self.distances.distances_squared(p).iter().fold(f32::INFINITY, |least, &x| least.min(x));
+        let mut change = [0.0f32; WIDTH];
+        for i in 0..WIDTH {
+            let [a, b, _] = self.corners.map(|corner| [corner[0][i] - p.x, corner[1][i] - p.y, corner[2][i] - p.z]);
+            let along = [b[0] - a[0], b[1] - a[1], b[2] - a[2]];
+            let squared = along[0] * along[0] + along[1] * along[1] + along[2] * along[2];
+            let t = -(a[0] * along[0] + a[1] * along[1] + a[2] * along[2]) / (squared + f32::MIN_POSITIVE);
+            let t = t.clamp(0.0, 1.0);
+            let q = [a[0] + t * along[0], a[1] + t * along[1], a[2] + t * along[2]];
+            let reach = (q[0] * q[0] + q[1] * q[1] + q[2] * q[2]).sqrt() - radius;
+            change[i] = squared.sqrt() / (reach * reach);
+        }
+        (nearest, change.iter().sum())
+    }
+}
+
+/// atan2 to 2e-6, without a branch: a minimax polynomial for the arc tangent on 0 to 1 (Hastings, *Approximations for
+/// digital computers*, 1955, sheet 13), reflected into the other octants.
+#[inline(always)]
+fn arctangent(y: f32, x: f32) -> f32 {
+    let (ax, ay) = (x.abs(), y.abs());
+    let (low, high) = if ax < ay { (ax, ay) } else { (ay, ax) };
+    let t = low / (high + f32::MIN_POSITIVE);
+    let s = t * t;
+    let polynomial = -0.013_480_47 * s + 0.057_477_314;
+    let polynomial = polynomial * s - 0.121_239_07;
+    let polynomial = polynomial * s + 0.195_635_93;
+    let polynomial = polynomial * s - 0.332_994_6;
+    let polynomial = polynomial * s + 0.999_995_6;
+    let octant = polynomial * t;
+    let quadrant = if ax < ay { std::f32::consts::FRAC_PI_2 - octant } else { octant };
+    let half = if x < 0.0 { std::f32::consts::PI - quadrant } else { quadrant };
+    if y < 0.0 { -half } else { half }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::solid_angle;
+    use proptest::prelude::*;
+
+    fn vector() -> impl Strategy<Value = DVec3> {
+        (-0.5..0.5f32, -0.5..0.5f32, -0.5..0.5f32).prop_map(|(x, y, z)| Vec3::new(x, y, z).as_dvec3())
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(3000))]
+        #[test]
+        fn lanes_match_float64(p in vector(), caps in proptest::collection::vec([vector(), vector(), vector()], 1..8)) {
+            if let Some(found) = CapPack::new(&caps).angles(p.as_vec3()) {
+                let exact: f64 = caps.iter().map(|cap| solid_angle(cap.map(|corner| corner - p))).sum();
+                prop_assert!((f64::from(found) - exact).abs() < ANGLE_ERROR * caps.len() as f64, "{found} {exact}");
+            }
+        }
+
+        #[test]
+        fn the_arc_tangent_is_good_to_a_few_millionths(y in -1.0..1.0f32, x in -1.0..1.0f32) {
+            prop_assert!((arctangent(y, x) - y.atan2(x)).abs() < 5e-6);
+        }
+    }
+
+    #[test]
+    fn a_point_on_a_face_is_left_to_exact_arithmetic() {
+        let cap = [DVec3::ZERO, DVec3::X, DVec3::Y];
+        assert_eq!(CapPack::new(&[cap]).angles(Vec3::new(0.25, 0.25, 0.0)), None);
+        assert!(CapPack::new(&[cap]).angles(Vec3::new(1.25, 0.25, 0.0)).is_some());
+    }
+}

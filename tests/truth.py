@@ -1,0 +1,316 @@
+"""What the answers should be, in float64 and by means that share nothing with the package.
+
+Three kinds of truth:
+
+* brute force over all pairs of point and triangle (`closest_point`, `winding_number`): slow, short, readable;
+* `Reference`, the same two questions answered by libigl's trees, for real models; `test_truth.py` compares the two;
+* closed forms (`sphere`, `box`, `torus`, ...) with `facet_error`, the most that flat triangles can be off a curved
+  surface.
+
+Negative is inside, as in the package. trimesh counts the other way round: `from_trimesh` is the one place that knows.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+#: Promise of the package: distances are right to this share of the box's diagonal.
+EXACT = 1e-6
+
+#: Pairs of point and triangle worked on at a time: some 20 arrays of (pairs, 3) float64 stay near 100 MB.
+CHUNK_PAIRS = 200_000
+
+#: Half an ulp of float32, relative: the error of one rounding.
+FLOAT32_ROUNDING = 2.0**-24
+
+
+class ClosestPoints(NamedTuple):
+    """The nearest surface points, their distances and the triangles they lie on."""
+
+    points: Array
+    distances: Array
+    faces: NDArray[np.int64]
+
+
+# ------------------------------------------------------------------------------------------------ one triangle, one point
+
+
+def dot(a: Array, b: Array) -> Array:
+    """Scalar product along the last axis."""
+    return np.einsum("...i,...i->...", a, b)
+
+
+def closest_point_on_triangle(p: Array, a: Array, b: Array, c: Array) -> Array:
+    """The nearest point of triangle abc, all arrays broadcast to (..., 3).
+
+    Ericson, Real-Time Collision Detection (2005), section 5.1.5: find the Voronoi region of `p` among three corners,
+    three edges and the face, then answer in closed form. A triangle without area has no face region; its edges
+    still answer.
+    """
+    ab, ac, ap = b - a, c - a, p - a
+    d1, d2 = dot(ab, ap), dot(ac, ap)
+    bp = p - b
+    d3, d4 = dot(ab, bp), dot(ac, bp)
+    cp = p - c
+    d5, d6 = dot(ab, cp), dot(ac, cp)
+    va = d3 * d6 - d5 * d4
+    vb = d5 * d2 - d1 * d6
+    vc = d1 * d4 - d3 * d2
+
+    on_ab = a + _ratio(d1, d1 - d3)[..., None] * ab
+    on_ac = a + _ratio(d2, d2 - d6)[..., None] * ac
+    on_bc = b + _ratio(d4 - d3, (d4 - d3) + (d5 - d6))[..., None] * (c - b)
+    inside = a + _ratio(vb, va + vb + vc)[..., None] * ab + _ratio(vc, va + vb + vc)[..., None] * ac
+
+    regions = [
+        (d1 <= 0) & (d2 <= 0),
+        (d3 >= 0) & (d4 <= d3),
+        (d6 >= 0) & (d5 <= d6),
+        (vc <= 0) & (d1 >= 0) & (d3 <= 0),
+        (vb <= 0) & (d2 >= 0) & (d6 <= 0),
+        (va <= 0) & (d4 - d3 >= 0) & (d5 - d6 >= 0),
+    ]
+    answers = [np.broadcast_to(x, inside.shape) for x in (a, b, c, on_ab, on_ac, on_bc)]
+    return np.select([region[..., None] for region in regions], answers, default=inside)
+
+
+def _ratio(numerator: Array, denominator: Array) -> Array:
+    """Their quotient within 0 to 1, and 0 where the denominator vanishes."""
+    safe = np.where(denominator == 0, 1.0, denominator)
+    return np.clip(np.where(denominator == 0, 0.0, numerator / safe), 0.0, 1.0)
+
+
+def distance_to_triangle(p: Array, a: Array, b: Array, c: Array) -> Array:
+    """The same distance by another road: three segments, and the plane where the foot lies inside the triangle."""
+    segments = np.minimum(
+        np.minimum(distance_to_segment(p, a, b), distance_to_segment(p, b, c)), distance_to_segment(p, c, a)
+    )
+    normal = np.cross(b - a, c - a)
+    length = np.linalg.norm(normal, axis=-1)
+    height = np.abs(dot(normal, p - a)) / np.where(length == 0, 1.0, length)
+    sides = [dot(np.cross(v - u, p - u), normal) for u, v in ((a, b), (b, c), (c, a))]
+    above = (sides[0] >= 0) & (sides[1] >= 0) & (sides[2] >= 0) & (length > 0)
+    return np.where(above, np.minimum(height, segments), segments)
+
+
+def distance_to_segment(p: Array, a: Array, b: Array) -> Array:
+    """Distance from `p` to the segment ab."""
+    t = _ratio(dot(p - a, b - a), dot(b - a, b - a))
+    return np.linalg.norm(p - (a + t[..., None] * (b - a)), axis=-1)
+
+
+# ------------------------------------------------------------------------------------------------------------- whole meshes
+
+
+def corners(vertices: ArrayLike, faces: ArrayLike) -> Array:
+    """The triangles' corners, (m, 3 corners, 3 coordinates)."""
+    return np.asarray(vertices, np.float64)[np.asarray(faces, np.int64)]
+
+
+def closest_point(vertices: ArrayLike, faces: ArrayLike, points: ArrayLike) -> ClosestPoints:
+    """The nearest surface point of each of `points`, by trying every triangle."""
+    a, b, c = (corners(vertices, faces)[None, :, i] for i in range(3))
+    points = np.asarray(points, np.float64)
+    nearest = np.empty(points.shape)
+    distances = np.empty(len(points))
+    winners = np.empty(len(points), np.int64)
+    for rows in _chunks(len(points), a.shape[1]):
+        p = points[rows, None]
+        candidates = closest_point_on_triangle(p, a, b, c)
+        lengths = np.linalg.norm(candidates - p, axis=-1)
+        winners[rows] = lengths.argmin(axis=1)
+        pick = np.arange(len(lengths)), winners[rows]
+        nearest[rows], distances[rows] = candidates[pick], lengths[pick]
+    return ClosestPoints(nearest, distances, winners)
+
+
+def winding_number(vertices: ArrayLike, faces: ArrayLike, points: ArrayLike) -> Array:
+    """How often the surface wraps around each point: the sum of the triangles' solid angles over 4 pi.
+
+    Van Oosterom and Strackee, The Solid Angle of a Plane Triangle (1983). 1 inside a closed mesh that faces
+    outwards, 0 outside, anything in between near a hole (Jacobson et al. 2013).
+    """
+    triangles = corners(vertices, faces)
+    points = np.asarray(points, np.float64)
+    result = np.empty(len(points))
+    for rows in _chunks(len(points), len(triangles)):
+        a, b, c = (triangles[None, :, i] - points[rows, None] for i in range(3))
+        la, lb, lc = (np.linalg.norm(x, axis=-1) for x in (a, b, c))
+        volume = dot(a, np.cross(b, c))
+        denominator = la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb
+        result[rows] = 2 * np.arctan2(volume, denominator).sum(axis=1) / (4 * np.pi)
+    return result
+
+
+def signed_distance(vertices: ArrayLike, faces: ArrayLike, points: ArrayLike) -> Array:
+    """Distance by brute force, negative where the winding number says inside."""
+    distances = closest_point(vertices, faces, points).distances
+    return np.where(winding_number(vertices, faces, points) > 0.5, -distances, distances)
+
+
+def _chunks(points: int, triangles: int) -> list[slice]:
+    size = max(1, CHUNK_PAIRS // max(1, triangles))
+    return [slice(start, start + size) for start in range(0, points, size)]
+
+
+class Reference:
+    """Distance and winding number for models of real size: libigl's trees, exact, in float64."""
+
+    def __init__(self, vertices: ArrayLike, faces: ArrayLike) -> None:
+        import igl
+
+        self._igl = igl
+        self._vertices = np.ascontiguousarray(vertices, np.float64)
+        self._faces = np.ascontiguousarray(faces, np.int64)
+        self._tree = igl.AABB()
+        self._tree.init(self._vertices, self._faces)
+
+    def distance(self, points: ArrayLike) -> Array:
+        """Unsigned distance."""
+        squared, _, _ = self._tree.squared_distance(
+            self._vertices, self._faces, np.ascontiguousarray(points, np.float64)
+        )
+        return np.sqrt(squared)
+
+    def winding_number(self, points: ArrayLike) -> Array:
+        """The generalised winding number by exact hierarchical summation (Jacobson et al. 2013), not the fast one."""
+        return self._igl.winding_number(self._vertices, self._faces, np.ascontiguousarray(points, np.float64))
+
+
+def diagonal(vertices: ArrayLike, faces: ArrayLike) -> float:
+    """Diagonal of the box of the vertices that faces use."""
+    used = corners(vertices, faces).reshape(-1, 3)
+    return float(np.linalg.norm(used.max(axis=0) - used.min(axis=0)))
+
+
+def tolerance(vertices: ArrayLike, faces: ArrayLike, distances: ArrayLike = 0.0) -> Array:
+    """How far a distance may be off: the package's promise, and two float32 roundings of the distance itself.
+
+    Near the mesh the promise alone is the bound. A point a thousand diagonals away has a distance whose last float32
+    bit is worth more: one rounding for choosing the nearest triangle, one for the result.
+    """
+    return EXACT * diagonal(vertices, faces) + 2 * FLOAT32_ROUNDING * np.abs(np.asarray(distances, np.float64))
+
+
+def volume(vertices: ArrayLike, faces: ArrayLike) -> float:
+    """Signed volume of a closed mesh by the divergence theorem, positive if it faces outwards."""
+    a, b, c = (corners(vertices, faces)[:, i] for i in range(3))
+    return float(dot(a, np.cross(b, c)).sum() / 6)
+
+
+def sign_errors(found: ArrayLike, distance: Array, inside: NDArray[np.bool_], tolerance: float) -> int:
+    """How many signs are wrong, where the point is farther from the surface than `tolerance`."""
+    decided = distance > tolerance
+    return int(((np.asarray(found) < 0) != inside)[decided].sum())
+
+
+def from_trimesh(signed: ArrayLike) -> Array:
+    """trimesh's signed distance is positive inside; ours is negative there."""
+    return -np.asarray(signed, np.float64)
+
+
+# ------------------------------------------------------------------------------------------------------------- closed forms
+
+
+def sphere(points: ArrayLike, radius: float = 1.0, center: ArrayLike = (0, 0, 0)) -> Array:
+    """Signed distance to a sphere."""
+    return np.linalg.norm(np.asarray(points, np.float64) - center, axis=-1) - radius
+
+
+def box(points: ArrayLike, lower: ArrayLike = (-1, -1, -1), upper: ArrayLike = (1, 1, 1)) -> Array:
+    """Signed distance to an axis-aligned box."""
+    lower, upper = np.asarray(lower, np.float64), np.asarray(upper, np.float64)
+    q = np.abs(np.asarray(points, np.float64) - (lower + upper) / 2) - (upper - lower) / 2
+    return np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(axis=-1), 0)
+
+
+def torus(points: ArrayLike, major: float = 1.0, minor: float = 0.25) -> Array:
+    """Signed distance to a torus around the z axis."""
+    p = np.asarray(points, np.float64)
+    return np.hypot(np.hypot(p[..., 0], p[..., 1]) - major, p[..., 2]) - minor
+
+
+def capsule(points: ArrayLike, half_height: float = 1.0, radius: float = 0.5) -> Array:
+    """Signed distance to a capsule along the z axis; `half_height` reaches to the centres of its caps."""
+    p = np.array(points, np.float64)
+    p[..., 2] -= np.clip(p[..., 2], -half_height, half_height)
+    return np.linalg.norm(p, axis=-1) - radius
+
+
+def plane(points: ArrayLike, normal: ArrayLike, offset: float = 0.0) -> Array:
+    """Signed height over the plane ``normal . p = offset``; `normal` is unit."""
+    return np.asarray(points, np.float64) @ np.asarray(normal, np.float64) - offset
+
+
+def facet_error(vertices: ArrayLike, faces: ArrayLike, curvature: float) -> float:
+    """The most that a closed mesh with its vertices *on* a surface can be off it, both ways.
+
+    The surface's distance function f vanishes at the corners of a triangle. Linear interpolation errs by at most
+    M r^2 / 2, where r is the radius of the smallest circle around the triangle and M bounds the second derivative
+    of f (Waldron 1998). For a surface of curvature at most k, M = k / (1 - k e) at distance e from it; the largest
+    e with e = M r^2 / 2 is the bound. For a sphere this is the sagitta, R - sqrt(R^2 - r^2), to first order above.
+    """
+    radius = max_enclosing_radius(vertices, faces)
+    slack = 1 - 2 * (curvature * radius) ** 2
+    assert slack > 0, "triangles too large for this curvature"
+    return (1 - np.sqrt(slack)) / (2 * curvature)
+
+
+def max_enclosing_radius(vertices: ArrayLike, faces: ArrayLike) -> float:
+    """The largest radius of a smallest circle around a triangle: half the longest edge, or the circumradius."""
+    a, b, c = (corners(vertices, faces)[:, i] for i in range(3))
+    sides = np.sort(np.stack([np.linalg.norm(x, axis=1) for x in (b - a, c - b, a - c)], axis=1), axis=1)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    acute = sides[:, 0] ** 2 + sides[:, 1] ** 2 > sides[:, 2] ** 2
+    circumradius = sides.prod(axis=1) / np.where(acute, 4 * area, np.inf)
+    return float(np.where(acute, circumradius, sides[:, 2] / 2).max())
+
+
+# -------------------------------------------------------------------------------------------------------- grids and fields
+
+
+def grid_points(lower: ArrayLike, upper: ArrayLike, shape: tuple[int, int, int]) -> Array:
+    """Voxel centres, (nx, ny, nz, 3): ``lower + (index + 0.5) * spacing``."""
+    lower, upper = np.asarray(lower, np.float64), np.asarray(upper, np.float64)
+    index = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1)
+    return lower + (index + 0.5) * ((upper - lower) / shape)
+
+
+def trilinear(distances: ArrayLike, lower: ArrayLike, upper: ArrayLike, points: ArrayLike) -> Array:
+    """The linear interpolant of voxel-centre samples, float64, positions clamped to the outermost centres."""
+    values = np.asarray(distances, np.float64)
+    lower, upper = np.asarray(lower, np.float64), np.asarray(upper, np.float64)
+    shape = np.array(values.shape)
+    u = (np.asarray(points, np.float64) - lower) / ((upper - lower) / shape) - 0.5
+    u = np.clip(u, 0, shape - 1)
+    low = np.minimum(u.astype(np.int64), np.maximum(shape - 2, 0))
+    high = np.minimum(low + 1, shape - 1)
+    t = u - low
+    result = np.zeros(len(u))
+    for corner in np.ndindex(2, 2, 2):
+        pick = np.where(corner, high, low)
+        weight = np.where(corner, t, 1 - t).prod(axis=1)
+        result += weight * values[pick[:, 0], pick[:, 1], pick[:, 2]]
+    return result
+
+
+def ray_sphere(origins: Array, directions: Array, radius: float) -> Array:
+    """Parameter of the first hit of unit-direction rays with a sphere at the origin, inf for a miss."""
+    b = dot(origins, directions)
+    discriminant = b * b - (dot(origins, origins) - radius**2)
+    with np.errstate(invalid="ignore"):
+        t = -b - np.sqrt(discriminant)
+    return np.where((discriminant >= 0) & (t > 0), t, np.inf)
+
+
+def ray_box(origins: Array, directions: Array, lower: ArrayLike, upper: ArrayLike) -> Array:
+    """Parameter of the first hit of rays with an axis-aligned box, seen from outside, inf for a miss."""
+    with np.errstate(divide="ignore"):
+        t0, t1 = (np.asarray(lower) - origins) / directions, (np.asarray(upper) - origins) / directions
+    near, far = np.minimum(t0, t1).max(axis=-1), np.maximum(t0, t1).min(axis=-1)
+    return np.where((near <= far) & (near > 0), near, np.inf)
