@@ -60,7 +60,7 @@ def bake(
     nx, ny, nz = (_checks.integer("shape", n, least=1, most=MAX_SIDE) for n in _three(shape))
     mesh = _core.Mesh(_checks.as_float64(check_vertices(vertices)), check_faces(faces))
     distances, _ = _core.bake(mesh, *corners, (nx, ny, nz), sign=sign, device=device)
-    return distances
+    return distances.read() if isinstance(distances, _core.DeviceField) else distances
 
 
 def raymarch(

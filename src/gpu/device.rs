@@ -31,6 +31,16 @@ pub enum Place {
     Gpu(Arc<Context>),
 }
 
+impl Place {
+    /// Times that a query looks at its points: on a device once more, for the search there.
+    pub fn passes(&self) -> u64 {
+        match self {
+            Self::Cpu => 1,
+            Self::Gpu(_) => 2,
+        }
+    }
+}
+
 /// The environment variable that stands in for `device="auto"`.
 pub const OVERRIDE: &str = "FIELDBAKE_DEVICE";
 

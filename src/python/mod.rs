@@ -20,7 +20,7 @@ mod _core {
     #[pymodule_export]
     use super::bake::bake;
     #[pymodule_export]
-    use super::device::devices;
+    use super::device::{DeviceField, devices};
     #[pymodule_export]
     use super::mesh::Mesh;
     #[pymodule_export]

@@ -3,7 +3,7 @@
 use super::convert::{Field, image_array, rows};
 use super::error::{Failure, exception};
 use super::run::run;
-use crate::gpu::check_cpu_only;
+use crate::gpu::device::choose_cpu;
 use crate::render::{Camera, DirectionalLight, Frame, RaymarchOptions, Shadows, raymarch as draw};
 use glam::Vec3;
 use numpy::{PyReadonlyArray2, PyReadonlyArray3};
@@ -37,7 +37,7 @@ pub fn raymarch<'py>(
     device: &str,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    check_cpu_only(device, "raymarch").map_err(Failure::from)?;
+    choose_cpu(device, "raymarch").map_err(Failure::from)?;
     let field = Field::new(&distances, lower, upper)?;
     let camera = Camera::from_pose(&pose_matrix(&pose)?, fov_deg).map_err(Failure::from)?;
     let usual = RaymarchOptions::default();
