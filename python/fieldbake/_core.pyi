@@ -154,7 +154,7 @@ def surface_nets(
     """Vertices (n, 3), world, and faces (m, 3) of the level set, counter-clockwise seen from outside."""
 
 def raymarch(
-    distances: NDArray[np.float32],
+    distances: NDArray[np.float32] | DeviceField,
     lower: tuple[float, float, float],
     upper: tuple[float, float, float],
     pose: NDArray[np.float64],

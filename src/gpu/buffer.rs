@@ -157,7 +157,9 @@ impl Context {
         let start = Instant::now();
         loop {
             let poll = wgpu::PollType::Wait { submission_index: Some(submission.clone()), timeout: Some(LOOK) };
+            let lane = self.lane();
             let outcome = self.device.poll(poll);
+            drop(lane);
             self.check(what)?;
             match outcome {
                 Ok(_) => return Ok(progress.check()?),

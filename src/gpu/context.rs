@@ -13,7 +13,7 @@ use super::pipeline::Pipelines;
 use crate::error::DeviceError;
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// An open device, its queue, its compiled kernels and what went wrong with it.
 #[derive(Debug)]
@@ -25,6 +25,9 @@ pub struct Context {
     pub counters: Counters,
     pub(super) pipelines: Pipelines,
     trouble: Arc<Trouble>,
+    /// Held during every call into wgpu: its submissions and waits are not safe against each other in wgpu 30.0, and a
+    /// mapping that another thread's wait completed must be seen complete.
+    lane: Mutex<()>,
     // Dropped last: the device comes from it.
     _instance: wgpu::Instance,
 }
@@ -107,6 +110,7 @@ impl Context {
             counters: Counters::default(),
             pipelines: Pipelines::default(),
             trouble,
+            lane: Mutex::new(()),
             _instance: instance,
         })
     }
@@ -146,12 +150,14 @@ impl Context {
     /// Run `call` between error scopes. `needed` is what it allocates, for the message.
     pub fn guarded<T>(&self, what: &str, needed: u64, call: impl FnOnce() -> T) -> Result<T, DeviceError> {
         self.check(what)?;
+        let lane = self.lane();
         let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
         let internal = self.device.push_error_scope(wgpu::ErrorFilter::Internal);
         let value = call();
         // Innermost first; the futures are ready at once on native backends.
         let errors = [internal.pop(), validation.pop(), memory.pop()].map(pollster::block_on);
+        drop(lane);
         self.check(what)?;
         match errors.into_iter().flatten().next() {
             None => Ok(value),
@@ -160,6 +166,11 @@ impl Context {
             }
             Some(error) => Err(self.failed(what, error.to_string())),
         }
+    }
+
+    /// The right to call into wgpu.
+    pub(super) fn lane(&self) -> MutexGuard<'_, ()> {
+        self.lane.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     pub(super) fn failed(&self, what: &str, reason: String) -> DeviceError {

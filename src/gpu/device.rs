@@ -32,6 +32,14 @@ pub enum Place {
 }
 
 impl Place {
+    /// As reports show it.
+    pub fn label(&self) -> String {
+        match self {
+            Self::Cpu => "cpu".into(),
+            Self::Gpu(context) => context.label(),
+        }
+    }
+
     /// Times that a query looks at its points: on a device once more, for the search there.
     pub fn passes(&self) -> u64 {
         match self {

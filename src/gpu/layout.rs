@@ -98,6 +98,60 @@ pub struct QueryParams {
     pub pad_1: u32,
 }
 
+/// `shaders/raymarch.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct MarchParams {
+    pub shape: [u32; 3],
+    pub light_count: u32,
+    pub start: [f32; 3],
+    pub width: u32,
+    pub start_right: [f32; 3],
+    pub height: u32,
+    pub start_up: [f32; 3],
+    pub first_row: u32,
+    pub forward: [f32; 3],
+    pub ambient: f32,
+    pub right: [f32; 3],
+    pub specular: f32,
+    pub up: [f32; 3],
+    pub shininess: f32,
+    pub world_forward: [f32; 3],
+    pub pixel: f32,
+    pub world_right: [f32; 3],
+    pub shadows: u32,
+    pub world_up: [f32; 3],
+    pub pad_0: u32,
+    pub color: [f32; 3],
+    pub pad_1: u32,
+    pub relative_spacing: [f32; 3],
+    pub pad_2: u32,
+    pub background: [f32; 4],
+}
+
+/// `shaders/raymarch.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct Light {
+    pub direction: [f32; 3],
+    pub pad_0: u32,
+    pub color: [f32; 3],
+    pub pad_1: u32,
+}
+
+/// `shaders/raymarch.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct Pixel {
+    pub color: [f32; 4],
+    pub normal: [f32; 3],
+    pub depth: f32,
+    pub steps: u32,
+    pub is_hit: u32,
+    pub pad_0: u32,
+    pub pad_1: u32,
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -158,6 +212,38 @@ mod tests {
             BruteParams { shape, first_triangle, triangle_count, first_sample, sample_count, sign_rule }
         );
         assert_twin!("bake_brute", BruteState { squared, nudged_squared, behind, crossings });
+        assert_twin!(
+            "raymarch",
+            MarchParams {
+                shape,
+                light_count,
+                start,
+                width,
+                start_right,
+                height,
+                start_up,
+                first_row,
+                forward,
+                ambient,
+                right,
+                specular,
+                up,
+                shininess,
+                world_forward,
+                pixel,
+                world_right,
+                shadows,
+                world_up,
+                pad_0,
+                color,
+                pad_1,
+                relative_spacing,
+                pad_2,
+                background
+            }
+        );
+        assert_twin!("raymarch", Light { direction, pad_0, color, pad_1 });
+        assert_twin!("raymarch", Pixel { color, normal, depth, steps, is_hit, pad_0, pad_1 });
         assert_twin!("query_points", QueryParams { first, count, pad_0, pad_1 });
     }
 }

@@ -11,12 +11,15 @@ pub const KERNELS: &[(&str, &str)] = &[
     ("bake_brute", include_str!("../../shaders/bake_brute.wgsl")),
     ("bake_distance", include_str!("../../shaders/bake_distance.wgsl")),
     ("bake_finish", include_str!("../../shaders/bake_finish.wgsl")),
+    ("raymarch", include_str!("../../shaders/raymarch.wgsl")),
     ("query_points", include_str!("../../shaders/query_points.wgsl")),
 ];
 
 const SHARED: &[(&str, &str)] = &[
     ("bvh", include_str!("../../shaders/shared/bvh.wgsl")),
     ("grid", include_str!("../../shaders/shared/grid.wgsl")),
+    ("ray", include_str!("../../shaders/shared/ray.wgsl")),
+    ("sampling", include_str!("../../shaders/shared/sampling.wgsl")),
     ("triangle", include_str!("../../shaders/shared/triangle.wgsl")),
 ];
 
