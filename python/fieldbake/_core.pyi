@@ -15,6 +15,7 @@ __all__ = [
     "Mesh",
     "__version__",
     "bake",
+    "bake_brute",
     "closest_point",
     "devices",
     "gradient",
@@ -77,6 +78,17 @@ def bake(
     The report: ``sign_method`` ("winding", "parity", "pseudonormal", "normal", "unsigned"), ``sign_reason``
     (one sentence), the facts of :meth:`Mesh.topology`, ``undecided_voxels``, ``inside_voxels``, ``device``,
     ``seconds`` (dict: stage to float), ``peak_bytes``, ``warnings`` (list of sentences)."""
+
+def bake_brute(
+    mesh: Mesh,
+    lower: tuple[float, float, float],
+    upper: tuple[float, float, float],
+    shape: tuple[int, int, int],
+    sign: str,
+    device: str,
+) -> NDArray[np.float32]:
+    """The articles' own bake on a graphics device, every sample against every triangle. ``sign`` is "normal", "parity" or
+    "unsigned". A reference for tests."""
 
 @final
 class DeviceField:

@@ -292,6 +292,6 @@ impl<'a> Job<'a> {
 }
 
 /// Positions along x, then y, then z, as the shaders look them up.
-fn positions(grid: &LocalGrid) -> Vec<f32> {
+pub(super) fn positions(grid: &LocalGrid) -> Vec<f32> {
     grid.axes.iter().flat_map(|axis| (0..axis.count).map(|i| axis.at(i) as f32)).collect()
 }

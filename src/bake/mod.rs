@@ -5,6 +5,7 @@
 //! the grid, never by threads, so the same input gives the same bytes on any number of them.
 
 mod band;
+mod brute;
 mod cpu;
 mod dense;
 mod gpu;
@@ -13,6 +14,7 @@ mod gpu_tests;
 mod report;
 mod signs;
 
+pub use brute::bake_brute;
 pub use report::Report;
 
 use crate::error::{ArgumentError, Error};

@@ -5,10 +5,13 @@ use super::device::{DeviceField, choose};
 use super::error::Failure;
 use super::mesh::Mesh;
 use super::run::run;
-use crate::bake::{BakeOptions, Field, Report, bake_at};
+use crate::bake::{BakeOptions, Field, Report, bake_at, bake_brute as brute};
+use crate::error::DeviceError;
+use crate::gpu::Place;
 use crate::grid::Grid;
 use crate::sign::SignMethod;
 use glam::DVec3;
+use numpy::PyArray3;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -40,6 +43,32 @@ pub fn bake<'py>(
         Field::Device(field) => Bound::new(py, DeviceField(field))?.into_any(),
     };
     Ok((distances, report_dict(py, &report)?))
+}
+
+/// The articles' own bake, every sample against every triangle, on a graphics device: distances (nx, ny, nz).
+#[pyfunction]
+pub fn bake_brute<'py>(
+    py: Python<'py>,
+    mesh: &Mesh,
+    lower: [f64; 3],
+    upper: [f64; 3],
+    shape: [usize; 3],
+    sign: &str,
+    device: &str,
+) -> PyResult<Bound<'py, PyArray3<f32>>> {
+    let mesh = mesh.0.clone();
+    let grid = Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape).map_err(Failure::from)?;
+    let sign = sign.parse::<SignMethod>().map_err(Failure::from)?;
+    let context = match choose(py, device)? {
+        Place::Gpu(context) => context,
+        Place::Cpu => {
+            let reason = "brute force runs on a graphics device only".to_owned();
+            let missing = DeviceError::NotAvailable { requested: device.to_owned(), reason };
+            return Err(Failure::from(missing).into());
+        }
+    };
+    let baked = run(py, None, |progress| brute(&context, &mesh, &grid, sign, progress))?;
+    volume_array(py, baked.distances, shape)
 }
 
 fn report_dict<'py>(py: Python<'py>, report: &Report) -> PyResult<Bound<'py, PyDict>> {
