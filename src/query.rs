@@ -108,7 +108,7 @@ struct Search<'a> {
 /// In place of a face, as in the shader.
 const UNFINISHED: u32 = u32::MAX;
 /// Workgroups of a dispatch: the first one, and the most that one dimension holds. Each answers 64 points.
-const WORKGROUPS: (u64, u64) = (64, 65_535);
+const WORKGROUPS: (u64, u64) = (4, 65_535);
 /// Points that are on the device at a time: 16 bytes each, within any binding.
 const BATCH: usize = 1 << 22;
 

@@ -35,8 +35,9 @@ use std::time::Instant;
 const STRIDE: usize = super::band::STRIDE;
 /// Side of a workgroup's block, as in the shader.
 const BLOCK: usize = 4;
-/// Blocks of a dispatch: the first one, and the most that one dimension of workgroups holds.
-const BLOCKS: (u64, u64) = (128, 65_535);
+/// Blocks of a dispatch: the first one, and the most that one dimension of workgroups holds. The first is small because a
+/// software adapter may compute during the submission, which nothing can interrupt.
+const BLOCKS: (u64, u64) = (4, 65_535);
 /// Workgroups along x of the finishing kernel, as in the shader.
 const WORKGROUPS_PER_ROW: u64 = 32_768;
 /// Room above the band's width for the rounding of a square, relative.
