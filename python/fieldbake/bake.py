@@ -199,7 +199,9 @@ def signed_distance(
     return values.reshape(shape)
 
 
-def closest_point(mesh: MeshLike, points: ArrayLike, *, progress: Progress = None) -> ClosestPoints:
+def closest_point(
+    mesh: MeshLike, points: ArrayLike, *, device: str = "auto", progress: Progress = None
+) -> ClosestPoints:
     """The nearest point of a mesh to any points, exact.
 
     Parameters
@@ -208,7 +210,7 @@ def closest_point(mesh: MeshLike, points: ArrayLike, *, progress: Progress = Non
         Hand over a `Mesh` to keep the search tree between calls.
     points : (n, 3) real
         World positions; any leading shape will do.
-    progress : bool or callable, optional
+    device, progress
         As for :func:`bake`.
 
     Returns
@@ -219,7 +221,7 @@ def closest_point(mesh: MeshLike, points: ArrayLike, *, progress: Progress = Non
 
     Raises
     ------
-    MeshError, ArgumentError
+    MeshError, ArgumentError, DeviceError
         As for :func:`bake`; ArgumentError also for a point that is not finite.
 
     Examples
@@ -234,7 +236,7 @@ def closest_point(mesh: MeshLike, points: ArrayLike, *, progress: Progress = Non
     checked = as_mesh(mesh)
     _check_reach("points", checked, flat, MAX_POINT_REACH)
     with progress_callback(progress, "closest point") as callback:
-        nearest, distances, kept = _core.closest_point(checked._core, flat, progress=callback)
+        nearest, distances, kept = _core.closest_point(checked._core, flat, device=device, progress=callback)
     faces = kept.astype(np.int64) if mesh is checked else checked._core.source_faces[kept]
     return ClosestPoints(nearest.reshape(*shape, 3), distances.reshape(shape), faces.reshape(shape))
 
