@@ -5,11 +5,14 @@ use std::alloc::Layout;
 
 /// A zeroed buffer of `count` samples, or an error that tells its size.
 ///
-/// `scratch` is what the job will need besides. Linux grants memory it does not have, so the free memory is asked for
+/// `scratch` is what the job will need besides, in bytes. Linux grants memory it does not have, so the free memory is asked for
 /// first; a limit on the process shows in the allocation itself.
 pub fn allocate_samples(what: &str, count: usize, scratch: usize) -> Result<Vec<f32>, Error> {
-    let needed = (count as u64).saturating_mul(size_of::<f32>() as u64).saturating_add(scratch as u64);
-    require(what, needed)?;
+    let needed = (count as u64).saturating_mul(size_of::<f32>() as u64);
+    let available = available_bytes();
+    if needed.saturating_add(scratch as u64) > available {
+        return Err(refusal(what, needed, Some(available)).into());
+    }
     let layout = Layout::array::<f32>(count).map_err(|_| refusal(what, needed, None))?;
     if layout.size() == 0 {
         return Ok(Vec::new());

@@ -1,22 +1,31 @@
 //! Closest points and signed distances at arbitrary positions.
 //!
-//! The search runs on the CPU or on a graphics device; what is returned is found from the winning face in float64 on the
-//! CPU in both cases, and so is the sign.
+//! *Theory.* Many points are answered along a space-filling curve (Morton order of their positions), so that one point's
+//! answer helps the next: the part of the tree is in the cache, the last triangle bounds the search, and the side can be
+//! carried over. The last by the shell lemma: within the distance of p no surface lies, so every point there is on the same
+//! side as p; with openings, within the part of that ball that keeps clear of the cones which close them.
+//!
+//! On a graphics device the search for the nearest faces is done there, for all points at once ([`device`]).
+//!
+//! The order is cut into chunks of fixed size, so the result does not depend on the number of threads.
 
-use crate::bvh::binary::BinaryTree;
+mod device;
+
 use crate::bvh::closest::ClosestPoint;
 use crate::error::{ArgumentError, Error};
-use crate::gpu::layout::QueryParams;
-use crate::gpu::pace::in_pieces;
-use crate::gpu::{Context, Place};
+use crate::gpu::Place;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
-use crate::sign::{SignChoice, SignMethod};
+use crate::sign::{SignChoice, SignMethod, SignRule};
 use glam::DVec3;
 use rayon::prelude::*;
 
 /// Points answered between two looks at the progress: a few milliseconds of work.
 const CHUNK: usize = 1024;
+/// Bits of the Morton code for each axis.
+const MORTON_BITS: u32 = 21;
+/// Room for the float32 rounding of a bound, relative and in local units; ten times what it takes.
+const SLACK: (f64, f64) = (1e-5, 1e-6);
 
 /// The closest points of a mesh, one entry a query point.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -38,25 +47,20 @@ pub fn closest_points(
 ) -> Result<ClosestPoints, Error> {
     check_points(points)?;
     mesh.bvh();
-    let search = Search::new(place, mesh, points, progress)?;
+    let answers = answer_in_order(place, mesh, points, progress, |walk, p, row| {
+        let closest = walk.closest_point(p, row);
+        (mesh.world_from_local(closest.on_triangle.point), (closest.distance * mesh.scale()) as f32, closest.face)
+    })?;
     let mut found = ClosestPoints {
         points: vec![[0.0; 3]; points.len()],
         distances: vec![0.0; points.len()],
         faces: vec![0; points.len()],
     };
-    progress.set_total(place.passes() * points.len() as u64);
-    let chunks = points.par_chunks(CHUNK).enumerate().zip(found.points.par_chunks_mut(CHUNK));
-    let results = found.distances.par_chunks_mut(CHUNK).zip(found.faces.par_chunks_mut(CHUNK));
-    chunks.zip(results).try_for_each(|(((chunk, queries), positions), (distances, faces))| {
-        for (i, &query) in queries.iter().enumerate() {
-            let p = mesh.local_from_world(DVec3::from_array(query));
-            let closest = search.closest_point(p, chunk * CHUNK + i);
-            positions[i] = mesh.world_from_local(closest.on_triangle.point).to_array();
-            distances[i] = (closest.distance * mesh.scale()) as f32;
-            faces[i] = closest.face;
-        }
-        progress.advance(queries.len() as u64)
-    })?;
+    for (row, (point, distance, face)) in answers {
+        found.points[row as usize] = point.to_array();
+        found.distances[row as usize] = distance;
+        found.faces[row as usize] = face;
+    }
     Ok(found)
 }
 
@@ -72,23 +76,117 @@ pub fn signed_distances(
     mesh.bvh();
     let choice = SignChoice::new(mesh, method);
     choice.rule.prepare(mesh);
-    progress.set_total(place.passes() * points.len() as u64);
-    let search = Search::new(place, mesh, points, progress)?;
-    let mut distances = vec![0.0; points.len()];
-    let chunks = points.par_chunks(CHUNK).enumerate().zip(distances.par_chunks_mut(CHUNK));
-    chunks.try_for_each(|((chunk, queries), distances)| {
-        for (i, (&query, distance)) in queries.iter().zip(distances).enumerate() {
-            let p = mesh.local_from_world(DVec3::from_array(query));
-            let closest = search.closest_point(p, chunk * CHUNK + i);
-            let unsigned = closest.distance * mesh.scale();
-            *distance = if choice.rule.is_inside(mesh, p, &closest) { -unsigned } else { unsigned } as f32;
-        }
-        progress.advance(queries.len() as u64)
+    let answers = answer_in_order(place, mesh, points, progress, |walk, p, row| {
+        let closest = walk.closest_point(p, row);
+        let inside = walk.is_inside(&choice.rule, p, &closest);
+        let unsigned = closest.distance * mesh.scale();
+        (if inside { -unsigned } else { unsigned }) as f32
     })?;
+    let mut distances = vec![0.0; points.len()];
+    for (row, distance) in answers {
+        distances[row as usize] = distance;
+    }
     Ok(distances)
 }
 
+/// One walk along the curve: what the points before have shown.
+struct Walk<'a> {
+    mesh: &'a Mesh,
+    /// The nearest face of each point where a device has searched; else empty.
+    faces: &'a [u32],
+    last: Option<(DVec3, f64)>,
+    /// A ball in which every point is on the same side.
+    known: Option<(DVec3, f64, bool)>,
+}
+
+impl Walk<'_> {
+    fn closest_point(&mut self, p: DVec3, row: u32) -> ClosestPoint {
+        if let Some(&face) = self.faces.get(row as usize).filter(|face| **face != device::UNFINISHED) {
+            return self.mesh.closest_point_on_face(face, p);
+        }
+        let bound = self.last.map_or(f64::INFINITY, |(q, distance)| distance + p.distance(q));
+        let bound = bound * (1.0 + SLACK.0) + SLACK.1;
+        let found = self.mesh.closest_point_within(p, (bound * bound) as f32);
+        let closest = found.unwrap_or_else(|| self.mesh.closest_point(p));
+        self.last = Some((p, closest.distance));
+        closest
+    }
+
+    fn is_inside(&mut self, rule: &SignRule, p: DVec3, closest: &ClosestPoint) -> bool {
+        if let Some((center, radius, inside)) = self.known
+            && p.distance(center) < radius
+        {
+            return inside;
+        }
+        let inside = rule.is_inside(self.mesh, p, closest);
+        self.known = rule.same_side_within(p, closest.distance).map(|radius| (p, radius, inside));
+        inside
+    }
+}
+
+/// Answer every point, near ones after each other; rows and answers in the order of the curve.
+fn answer_in_order<T: Send>(
+    place: &Place,
+    mesh: &Mesh,
+    points: &[[f64; 3]],
+    progress: &Progress,
+    answer: impl Fn(&mut Walk<'_>, DVec3, u32) -> T + Sync,
+) -> Result<Vec<(u32, T)>, Error> {
+    progress.set_total(place.passes() * points.len() as u64);
+    let faces = match place {
+        Place::Cpu => Vec::new(),
+        Place::Gpu(context) => device::nearest_faces(context, mesh, points, progress)?,
+    };
+    let chunks: Vec<Vec<(u32, T)>> = curve(points)
+        .par_chunks(CHUNK)
+        .map(|rows| -> Result<_, Error> {
+            let mut walk = Walk { mesh, faces: &faces, last: None, known: None };
+            let position = |row: u32| mesh.local_from_world(DVec3::from_array(points[row as usize]));
+            let answers = rows.iter().map(|&(_, row)| (row, answer(&mut walk, position(row), row))).collect();
+            progress.advance(rows.len() as u64)?;
+            Ok(answers)
+        })
+        .collect::<Result<_, Error>>()?;
+    Ok(chunks.into_iter().flatten().collect())
+}
+
+/// Rows by Morton code; as they come where there are too few to gain.
+fn curve(points: &[[f64; 3]]) -> Vec<(u64, u32)> {
+    if points.len() <= CHUNK {
+        return (0..points.len() as u32).map(|row| (0, row)).collect();
+    }
+    let (lower, upper) = points
+        .iter()
+        .map(|&p| DVec3::from_array(p))
+        .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(lower, upper), p| (lower.min(p), upper.max(p)));
+    // Halved first: the difference of two finite numbers may not be finite.
+    let cells = f64::from(1u32 << MORTON_BITS) - 1.0;
+    let scale = cells * 0.5 / (upper * 0.5 - lower * 0.5).max(DVec3::splat(f64::MIN_POSITIVE));
+    let code = |&p: &[f64; 3]| {
+        let cell = (DVec3::from_array(p) * 0.5 - lower * 0.5) * 2.0 * scale;
+        // Casting saturates.
+        spread(cell.x as u64) | spread(cell.y as u64) << 1 | spread(cell.z as u64) << 2
+    };
+    let mut order: Vec<(u64, u32)> =
+        points.par_iter().map(code).zip((0..points.len() as u32).into_par_iter()).collect();
+    order.par_sort_unstable();
+    order
+}
+
+/// Two empty bits after each of the low 21 bits.
+fn spread(x: u64) -> u64 {
+    let x = x & 0x1f_ffff;
+    let x = (x | x << 32) & 0x1f_0000_0000_ffff;
+    let x = (x | x << 16) & 0x1f_0000_ff00_00ff;
+    let x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
+    let x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
+    (x | x << 2) & 0x1249_2492_4924_9249
+}
+
 fn check_points(points: &[[f64; 3]]) -> Result<(), ArgumentError> {
+    if u32::try_from(points.len()).is_err() {
+        return Err(ArgumentError::new("points", format!("at most {} at a time, got {}", u32::MAX, points.len())));
+    }
     match points.iter().position(|point| point.iter().any(|x| !x.is_finite())) {
         None => Ok(()),
         Some(row) => {
@@ -98,68 +196,78 @@ fn check_points(points: &[[f64; 3]]) -> Result<(), ArgumentError> {
     }
 }
 
-/// The search for the nearest face: done point by point, or ahead for all points on a device.
-struct Search<'a> {
-    mesh: &'a Mesh,
-    /// By point, [`UNFINISHED`] where the device ran out of rounds; empty on the CPU.
-    faces: Vec<u32>,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// In place of a face, as in the shader.
-const UNFINISHED: u32 = u32::MAX;
-/// Workgroups of a dispatch: the first one, and the most that one dimension holds. Each answers 64 points.
-const WORKGROUPS: (u64, u64) = (4, 65_535);
-/// Points that are on the device at a time: 16 bytes each, within any binding.
-const BATCH: usize = 1 << 22;
-
-impl<'a> Search<'a> {
-    fn new(place: &Place, mesh: &'a Mesh, points: &[[f64; 3]], progress: &Progress) -> Result<Self, Error> {
-        let faces = match place {
-            Place::Cpu => Vec::new(),
-            Place::Gpu(context) => nearest_faces(context, mesh, points, progress)?,
+    /// A box without a lid, as a lattice of small faces on each side.
+    fn open_box(n: i64) -> Mesh {
+        let (mut vertices, mut faces) = (Vec::new(), Vec::new());
+        let mut side = |at: &dyn Fn(f64, f64) -> [f64; 3]| {
+            let first = vertices.len() as i64;
+            for j in 0..=n {
+                for i in 0..=n {
+                    vertices.push(at(i as f64 / n as f64, j as f64 / n as f64));
+                }
+            }
+            for j in 0..n {
+                for i in 0..n {
+                    let a = first + i + j * (n + 1);
+                    faces.push([a, a + 1, a + n + 2]);
+                    faces.push([a, a + n + 2, a + n + 1]);
+                }
+            }
         };
-        Ok(Self { mesh, faces })
+        side(&|u, v| [v, u, 0.0]);
+        side(&|u, v| [u, 0.0, v]);
+        side(&|u, v| [v, 1.0, u]);
+        side(&|u, v| [0.0, v, u]);
+        side(&|u, v| [1.0, u, v]);
+        Mesh::new(&vertices, &faces).unwrap()
     }
 
-    /// The closest point to a local position, that of point `index`.
-    fn closest_point(&self, p: DVec3, index: usize) -> ClosestPoint {
-        match self.faces.get(index) {
-            Some(&face) if face != UNFINISHED => self.mesh.closest_point_on_face(face, p),
-            _ => self.mesh.closest_point(p),
+    fn scattered(count: usize) -> Vec<[f64; 3]> {
+        let mut state = 17u64;
+        let mut next = || {
+            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            1.6 * (state >> 33) as f64 / (1u64 << 31) as f64 - 0.3
+        };
+        (0..count).map(|_| [next(), next(), next()]).collect()
+    }
+
+    /// Carrying bounds and sides along the curve changes nothing: each point alone gives the same bits.
+    #[test]
+    fn many_points_are_answered_as_one() {
+        let mesh = open_box(12);
+        let points = scattered(6000);
+        let together = signed_distances(&Place::Cpu, &mesh, &points, SignMethod::Auto, &Progress::new()).unwrap();
+        let closest = closest_points(&Place::Cpu, &mesh, &points, &Progress::new()).unwrap();
+        for (i, &point) in points.iter().enumerate() {
+            let alone = signed_distances(&Place::Cpu, &mesh, &[point], SignMethod::Auto, &Progress::new()).unwrap()[0];
+            assert!((together[i] - alone).abs() <= 1e-6, "{point:?}: {} {alone}", together[i]);
+            assert!((closest.distances[i] - alone.abs()).abs() <= 1e-6, "{point:?}");
         }
     }
-}
 
-/// The nearest face of every point, on a device.
-fn nearest_faces(context: &Context, mesh: &Mesh, points: &[[f64; 3]], progress: &Progress) -> Result<Vec<u32>, Error> {
-    let mut faces = vec![0u32; points.len()];
-    if points.is_empty() {
-        return Ok(faces);
+    #[test]
+    fn the_curve_visits_every_point_once_and_near_ones_together() {
+        let points = scattered(5000);
+        let order = curve(&points);
+        let mut rows: Vec<u32> = order.iter().map(|&(_, row)| row).collect();
+        let at = |row: u32| DVec3::from_array(points[row as usize]);
+        let along: f64 = rows.windows(2).map(|pair| at(pair[0]).distance(at(pair[1]))).sum();
+        let as_given: f64 = (1..points.len() as u32).map(|row| at(row).distance(at(row - 1))).sum();
+        assert!(along < 0.2 * as_given, "{along} {as_given}");
+        rows.sort_unstable();
+        assert!(rows.iter().enumerate().all(|(i, &row)| i as u32 == row));
     }
-    let tree = BinaryTree::new(mesh.bvh(), mesh.positions(), mesh.faces());
-    let nodes = context.upload("tree", &tree.nodes)?;
-    let triangles = context.upload("triangles", &tree.triangles)?;
-    let kernel = context.kernel("query_points", "main")?;
-    for (queries, faces) in points.chunks(BATCH).zip(faces.chunks_mut(BATCH)) {
-        let local: Vec<f32> = queries
-            .iter()
-            .flat_map(|&query| mesh.local_from_world(DVec3::from_array(query)).as_vec3().to_array())
-            .collect();
-        let positions = context.upload("points", &local)?;
-        let found = context.storage("nearest faces", size_of_val(faces) as u64)?;
-        let mut params = QueryParams::default();
-        let uniform = context.uniform("query parameters", &params)?;
-        let buffers = [(0, &uniform), (1, &nodes), (2, &triangles), (3, &positions), (4, &found)];
-        let group = context.bind("query", &kernel, &buffers)?;
-        let workgroups = (queries.len() as u64).div_ceil(64);
-        in_pieces(context, "the query kernel", workgroups, WORKGROUPS.0, WORKGROUPS.1, progress, |first, count| {
-            params.first = 64 * first as u32;
-            params.count = (64 * count as u32).min(queries.len() as u32 - params.first);
-            context.write("query parameters", &uniform, 0, &[params])?;
-            progress.advance(params.count.into())?;
-            Ok(context.dispatch("query", &kernel, &group, [count as u32, 1, 1])?)
-        })?;
-        context.read("nearest faces", &found, faces, progress)?;
+
+    #[test]
+    fn points_that_are_not_finite_are_named() {
+        let mesh = open_box(2);
+        let points = [[0.0; 3], [0.0, f64::NAN, 0.0]];
+        let error = closest_points(&Place::Cpu, &mesh, &points, &Progress::new()).unwrap_err().to_string();
+        assert_eq!(error, "points: points[1] = (0, NaN, 0) is not finite");
+        assert!(closest_points(&Place::Cpu, &mesh, &[], &Progress::new()).unwrap().faces.is_empty());
     }
-    Ok(faces)
 }

@@ -18,7 +18,7 @@ class Geometry(NamedTuple):
     faces: NDArray[np.int64]
 
 
-# ----------------------------------------------------------------------------------------------------------------- closed
+# --- closed
 
 
 def box(lower: ArrayLike = (-1, -1, -1), upper: ArrayLike = (1, 1, 1)) -> Geometry:
@@ -69,7 +69,7 @@ def capsule(half_height: float = 1.0, radius: float = 0.5, rings: int = 24, segm
     polar = np.linspace(0, np.pi / 2, rings + 1)
     cap = np.stack([np.sin(polar), np.cos(polar)], axis=1) * radius
     barrel = np.stack([np.full(8, radius), np.linspace(half_height, -half_height, 10)[1:-1]], axis=1)
-    top, bottom = cap + (0, half_height), cap[::-1] * (1, -1) - (0, half_height)
+    top, bottom = cap - (0, -half_height), cap[::-1] * (1, -1) - (0, half_height)
     return _lathe(np.concatenate([top, barrel, bottom]), segments)
 
 
@@ -125,7 +125,7 @@ def size_ratio() -> Geometry:
     return join(icosphere(3, 1.0), icosphere(2, 1e-6, center=(1.5, 0, 0)))
 
 
-# ------------------------------------------------------------------------------------------------------------------- open
+# --- open
 
 
 def open_box() -> Geometry:
@@ -166,7 +166,7 @@ def soup(count: int = 200, seed: int = 1) -> Geometry:
     return Geometry(corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
 
 
-# ----------------------------------------------------------------------------------------------------------------- damage
+# --- damage
 
 
 def flip(geometry: Geometry) -> Geometry:
@@ -266,7 +266,7 @@ OPEN = {
 """Open and dirty ones: distance stays exact, inside is what the winding number says."""
 
 
-# ---------------------------------------------------------------------------------------------------------------- helpers
+# --- helpers
 
 
 def _angles(count: int) -> NDArray[np.float64]:

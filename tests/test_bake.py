@@ -1,5 +1,7 @@
 """The bake: where samples sit, what they hold, what it costs, and how it stops."""
 
+import os
+import re
 import subprocess
 import sys
 import textwrap
@@ -7,10 +9,11 @@ import threading
 import time
 from pathlib import Path
 
-import fieldbake as fb
-import meshes
 import numpy as np
 import pytest
+
+import fieldbake as fb
+import meshes
 import truth
 
 CUBE = meshes.box()
@@ -19,8 +22,6 @@ SLAB = meshes.box((0, 0, 0), (4, 2, 1))
 
 def run_python(script, *, env=None, **options):
     """Run a script in a process of its own, the folder of these tests on its path."""
-    import os
-
     preamble = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
     return subprocess.Popen(
         [sys.executable, "-c", preamble + textwrap.dedent(script)],
@@ -32,7 +33,7 @@ def run_python(script, *, env=None, **options):
     )
 
 
-# ----------------------------------------------------------------------------------------------------------------- the grid
+# --- the grid
 
 
 def test_samples_sit_at_voxel_centres(device):
@@ -55,10 +56,10 @@ def test_x_comes_first_in_the_shape_and_is_fastest_in_memory():
 
 
 def test_one_number_gives_cubic_voxels_along_the_longest_side():
-    volume = fb.bake(SLAB, resolution=20)
+    volume = fb.bake(SLAB, resolution=40)
 
-    assert volume.resolution[0] == 20
-    assert volume.spacing == pytest.approx([4 * 1.1 / 20] * 3)
+    assert volume.resolution[0] == 40
+    assert volume.spacing == pytest.approx([4 * 1.1 / 40] * 3)
     assert volume.bounds.mean(axis=0) == pytest.approx((2, 1, 0.5))
     wanted = np.array([[0, 0, 0], [4, 2, 1]]) + np.array([[-0.05], [0.05]]) * (4, 2, 1)
     assert (volume.bounds[0] <= wanted[0] + 1e-9).all()
@@ -167,7 +168,7 @@ def test_an_unknown_device_is_refused():
         fb.bake(CUBE, resolution=8, device="abacus")
 
 
-# -------------------------------------------------------------------------------------------------------------- the samples
+# --- the samples
 
 
 @pytest.mark.parametrize(
@@ -206,7 +207,10 @@ ADVERSARIAL = {
     "box within one triangle": (meshes.triangle(), [(0.2, 0.2, -1e-3), (0.3, 0.3, 1e-3)]),
     "box that cuts the mesh": (meshes.knot(64, 8), [(0, -1, -0.5), (4, 2, 0.5)]),
     "box much larger than the mesh": (meshes.torus(segments=32, sides=12), [(-50, -40, -30), (60, 70, 80)]),
-    "box around the smaller of two balls": (meshes.size_ratio(), [(1.5 - 3e-6, -3e-6, -3e-6), (1.5 + 3e-6, 3e-6, 3e-6)]),
+    "box around the smaller of two balls": (
+        meshes.size_ratio(),
+        [(1.5 - 3e-6, -3e-6, -3e-6), (1.5 + 3e-6, 3e-6, 3e-6)],
+    ),
     "needles from end to end": (meshes.needle_fan(), [(-1.2, -1.2, -0.3), (1.2, 1.2, 0.3)]),
     "faces doubled in place": (meshes.doubled(meshes.flat_sheet()), [(-1, -1, -1), (1, 1, 1)]),
     "oblong voxels": (meshes.knot(64, 8), [(-4, -4, -0.01), (4, 4, 0.01)]),
@@ -271,7 +275,7 @@ def test_repr_tells_shape_size_and_device():
     assert "cpu" in text
 
 
-# ------------------------------------------------------------------------------------------------------- band and two-sided
+# --- band and two-sided
 
 
 @pytest.mark.parametrize("band", [1, 3, 7.5])
@@ -319,17 +323,19 @@ def test_the_box_of_a_thick_sheet_holds_all_of_it():
     assert all((side > 0).all() for side in outermost)
 
 
-# ------------------------------------------------------------------------------------------------------------- same bytes
+# --- same bytes
 
 
 BYTES = """
     import hashlib, meshes, fieldbake as fb
-    cases = [(meshes.knot(64, 8), {}), (meshes.open_box(), {}), (meshes.soup(), {}), (meshes.cracked(meshes.icosphere()), {"band": 3}),
-             (meshes.knot(64, 8), {"sign": "pseudonormal"}), (meshes.icosphere(4), {"sign": "parity"})]
+    knot, ball = meshes.knot(64, 8), meshes.icosphere(4)
+    cases = [
+        (knot, {}), (meshes.open_box(), {}), (meshes.soup(), {}), (meshes.cracked(ball), {"band": 3}),
+        (knot, {"sign": "pseudonormal"}), (ball, {"sign": "parity"}),
+    ]
     for geometry, options in cases:
         print(hashlib.sha256(fb.bake(geometry, 40, **options).distances.tobytes()).hexdigest())
-    points = fb.bake(meshes.knot(64, 8), 40).bounds[0] + fb.signed_distance(meshes.knot(64, 8), [[0, 0, 0]])
-    print(hashlib.sha256(fb.raymarch(fb.bake(meshes.knot(64, 8), 40), size=(40, 40)).color.tobytes()).hexdigest())
+    print(hashlib.sha256(fb.raymarch(fb.bake(knot, 40), size=(40, 40)).color.tobytes()).hexdigest())
 """
 
 
@@ -353,13 +359,15 @@ def test_the_same_bytes_in_any_order_of_work():
     assert fb.bake(knot, resolution=24).distances.tobytes() == first
 
 
-# -------------------------------------------------------------------------------------------------------- cost and manners
+# --- cost and manners
 
 
 def test_a_request_that_cannot_fit_fails_first_with_its_bytes():
-    with pytest.raises(fb.CapacityError, match="2048000000000 bytes") as caught:
+    with pytest.raises(fb.CapacityError, match=r"needs (\d+) bytes") as caught:
         fb.bake(CUBE, resolution=(8000, 8000, 8000))
 
+    needed = int(re.search(r"needs (\d+) bytes", str(caught.value))[1])
+    assert 4 * 8000**3 <= needed <= 4 * 8000**3 + (64 << 20)
     assert isinstance(caught.value, MemoryError)
 
 
@@ -411,13 +419,13 @@ def test_everything_long_takes_progress(function):
 
 
 def test_an_exception_in_progress_stops_the_bake():
-    class Enough(Exception):
+    class StopError(Exception):
         pass
 
     def stop(share):
-        raise Enough
+        raise StopError
 
-    with pytest.raises(Enough):
+    with pytest.raises(StopError):
         fb.bake(meshes.knot(400, 40), resolution=160, progress=stop)
     assert fb.bake(CUBE, resolution=8).distances.shape == (8, 8, 8)
 
@@ -463,7 +471,7 @@ INTERRUPTED = {
     "band": "fb.bake(mesh, 1200, band=20, progress=ready)",
     "signed_distance": "fb.signed_distance(mesh, points, progress=ready)",
     "closest_point": "fb.closest_point(mesh, points, progress=ready)",
-    "raymarch": "fb.raymarch(fb.bake(mesh, 64), size=(12000, 12000), progress=ready)",
+    "raymarch": "fb.raymarch(fb.bake(mesh, 64), size=(4000, 4000), progress=ready)",
 }
 
 #: The promise of the interface, in seconds.
@@ -477,7 +485,8 @@ def test_ctrl_c_stops_within_half_a_second(name):
         import signal, time, numpy as np, meshes, fieldbake as fb
         signal.signal(signal.SIGINT, signal.default_int_handler)
         mesh = fb.Mesh(*meshes.knot(1000, 40))
-        points = np.random.default_rng(0).uniform(-3, 3, size=(5_000_000, 3)) if "points" in {INTERRUPTED[name]!r} else None
+        count = 5_000_000 if "points" in {INTERRUPTED[name]!r} else 0
+        points = np.random.default_rng(0).uniform(-3, 3, size=(count, 3))
         told = []
         def ready(share):
             if not told and share > 0:

@@ -1,9 +1,10 @@
 """The closest point: exact against brute force in float64 on every shape, near, far, on the surface and at ties."""
 
-import fieldbake as fb
-import meshes
 import numpy as np
 import pytest
+
+import fieldbake as fb
+import meshes
 import truth
 
 CUBE = meshes.box()
@@ -42,8 +43,6 @@ def test_shapes_and_types(random):
     assert found.distances.dtype == np.float32
     assert found.faces.dtype.kind in "iu"
     assert (found.distances >= 0).all()
-
-
 
 
 def test_no_points_no_answers():
@@ -138,7 +137,7 @@ def test_faces_are_rows_of_what_was_passed():
     useless = [[0, 0, 1], [3, 3, 3]]
     vertices, faces = meshes.triangle()
     two = meshes.Geometry(
-        np.concatenate([vertices, vertices + (0, 0, 5)]), np.concatenate([useless, faces, useless, faces + 3])
+        np.concatenate([vertices, vertices - (0, 0, -5)]), np.concatenate([useless, faces, useless, faces + 3])
     )
 
     found = fb.closest_point(two, [[0.2, 0.2, 1], [0.2, 0.2, 4]])

@@ -1,11 +1,16 @@
-"""Inside or outside: every kind of surface by name, against brute-force winding numbers."""
+"""Inside or outside: every kind of surface by name, against exact winding numbers.
+
+Whole grids are judged by libigl's exact summation, which `test_truth.py` holds against brute force on every shape used
+here.
+"""
 
 import itertools
 
-import fieldbake as fb
-import meshes
 import numpy as np
 import pytest
+
+import fieldbake as fb
+import meshes
 import truth
 
 #: How far the fast winding number may be off on a mesh that is all openings (Barill et al. 2018, second order, beta 2).
@@ -17,18 +22,23 @@ SIGNED_METHODS = ["auto", "winding", "parity", "pseudonormal", "normal"]
 
 def assert_signs(geometry, points, found, undecided=0.0):
     """No wrong sign where the point is off the surface and the winding number is not within `undecided` of 1/2."""
-    winding = np.abs(truth.winding_number(*geometry, points))
-    distance = truth.closest_point(*geometry, points).distances
+    reference = truth.Reference(*geometry)
+    winding, distance = np.abs(reference.winding_number(points)), reference.distance(points)
     clear = np.abs(winding - 0.5) > undecided
     tolerance = truth.tolerance(*geometry).item()
     assert truth.sign_errors(found[clear], distance[clear], winding[clear] > 0.5, tolerance) == 0
+
+
+def assert_same_field(geometry, found, expected):
+    """Equal but for what the order and direction of faces does to the last bits of either."""
+    assert np.abs(found.distances - expected.distances).max() <= 2 * truth.tolerance(*geometry).item()
 
 
 def voxel_centres(volume):
     return truth.grid_points(*volume.bounds, volume.resolution).reshape(-1, 3)
 
 
-# ----------------------------------------------------------------------------------------------------------------- closed
+# --- closed
 
 
 @pytest.mark.parametrize("name", meshes.CLOSED)
@@ -76,9 +86,10 @@ def test_a_cube_aligned_with_the_grid(method):
     volume = fb.bake(meshes.box(), resolution=(9, 9, 9), bounds=[(-2.25,) * 3, (2.25,) * 3], sign=method)
 
     expected = truth.box(truth.grid_points(*volume.bounds, volume.resolution))
-    # -0.0 on the surface is as good as 0.
-    assert np.abs(volume.distances - expected).max() <= truth.FLOAT32_ROUNDING * np.abs(expected).max()
-    assert np.array_equal(volume.distances < 0, expected < 0)
+    off_surface = expected != 0  # by half a unit or more
+    assert np.abs(volume.distances - expected).max() <= truth.tolerance(*meshes.box()).item()
+    assert np.array_equal(volume.distances[off_surface] < 0, expected[off_surface] < 0)
+    assert not off_surface.all()
 
 
 @pytest.mark.parametrize("method", SIGNED_METHODS)
@@ -113,7 +124,7 @@ def test_both_sides_of_a_sliver_fin():
     fin = meshes.sliver_fin()
     height = np.linspace(0.1, 0.9, 9)
     inside = np.stack([0 * height + 0.37, 0 * height, height], axis=1)
-    beside = inside + (0, 2e-4, 0)
+    beside = inside - (0, 2e-4, 0)
 
     assert (fb.signed_distance(fin, inside) < 0).all()
     assert (fb.signed_distance(fin, beside) > 0).all()
@@ -124,7 +135,7 @@ def test_an_inside_out_sphere_is_the_same_solid():
 
     volume = fb.bake(meshes.flip(sphere), resolution=24)
 
-    assert np.array_equal(volume.distances, fb.bake(sphere, resolution=24).distances)
+    assert_same_field(sphere, volume, fb.bake(sphere, resolution=24))
     assert any("inside out" in warning for warning in volume.report.warnings)
 
 
@@ -170,17 +181,15 @@ def test_two_cubes_that_share_an_edge():
     assert_signs(touching, voxel_centres(volume), volume.distances.ravel())
 
 
-# ------------------------------------------------------------------------------------------------------------ open and dirty
+# --- open and dirty
 
 
 @pytest.mark.parametrize("name", meshes.OPEN)
 @pytest.mark.parametrize("method", ["auto", "winding"])
 def test_open_and_dirty_meshes_follow_the_winding_number(name, method):
     geometry = meshes.OPEN[name]()
-    if name == "flipped_faces":
-        reference = meshes.icosphere()  # faces turned against their neighbours are turned back
-    else:
-        reference = geometry
+    # Faces turned against their neighbours are turned back.
+    reference = meshes.icosphere() if name == "flipped_faces" else geometry
     points = meshes.points_around(geometry, 1_000)
 
     assert_signs(reference, points, fb.signed_distance(geometry, points, sign=method), undecided=FAST_WINDING_ERROR)
@@ -193,7 +202,7 @@ def test_no_method_loses_its_distance_on_a_dirty_mesh(name, method):
 
     volume = fb.bake(geometry, resolution=12, sign=method)
 
-    expected = truth.closest_point(*geometry, voxel_centres(volume)).distances
+    expected = truth.Reference(*geometry).distance(voxel_centres(volume))
     assert np.abs(np.abs(volume.distances.ravel()) - expected).max() <= truth.tolerance(*geometry, expected).max()
 
 
@@ -220,7 +229,9 @@ def test_a_cracked_sphere_is_as_solid_as_a_whole_one():
     sphere = meshes.icosphere()
     volume = fb.bake(meshes.cracked(sphere, 1e-5), resolution=24)
 
-    expected = truth.signed_distance(*sphere, voxel_centres(volume))
+    reference = truth.Reference(*sphere)
+    distance, winding = reference.distance(voxel_centres(volume)), reference.winding_number(voxel_centres(volume))
+    expected = np.where(winding > 0.5, -distance, distance)
     # Every corner moved by 1e-5 at most, so the surface did too.
     assert np.abs(volume.distances.ravel() - expected).max() <= 1e-5 + truth.tolerance(*sphere).item()
     assert volume.report.boundary_edges == 3 * len(sphere.faces)
@@ -235,7 +246,7 @@ def test_flipped_faces_are_turned_and_counted(share):
     volume = fb.bake(flipped, resolution=24)
 
     assert volume.report.flipped_faces == turned
-    assert np.array_equal(volume.distances, fb.bake(sphere, resolution=24).distances)
+    assert_same_field(sphere, volume, fb.bake(sphere, resolution=24))
 
 
 @pytest.mark.parametrize("double", [meshes.doubled, meshes.doubled_opposite])
@@ -245,7 +256,7 @@ def test_a_doubled_mesh_is_the_same_solid(double):
     volume = fb.bake(double(sphere), resolution=24)
 
     assert volume.report.duplicate_faces == len(sphere.faces)
-    assert np.array_equal(volume.distances, fb.bake(sphere, resolution=24).distances)
+    assert_same_field(sphere, volume, fb.bake(sphere, resolution=24))
 
 
 def test_a_hole_the_size_of_one_triangle_does_not_leak():
@@ -258,7 +269,7 @@ def test_a_hole_the_size_of_one_triangle_does_not_leak():
     assert_signs(pierced, voxel_centres(volume), volume.distances.ravel(), undecided=FAST_WINDING_ERROR)
 
 
-# -------------------------------------------------------------------------------------------------------------- the report
+# --- the report
 
 
 @pytest.mark.parametrize(
@@ -270,7 +281,10 @@ def test_a_hole_the_size_of_one_triangle_does_not_leak():
         (lambda: meshes.flat_sheet(4), {"closed": False, "boundary_edges": 16}),
         (lambda: meshes.soup(50), {"closed": False, "components": 50, "boundary_edges": 150}),
         (
-            lambda: meshes.Geometry(np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, 0, 0]], float), np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]])),
+            lambda: meshes.Geometry(
+                np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, 0, 0]], float),
+                np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]]),
+            ),
             {"nonmanifold_edges": 1, "boundary_edges": 6},
         ),
     ],

@@ -1,8 +1,9 @@
-"""The yardstick measured: brute force against closed forms, against a second formula, against libigl; and the zoo itself."""
+"""The yardstick measured: brute force against closed forms, a second formula and libigl; and the zoo itself."""
 
-import meshes
 import numpy as np
 import pytest
+
+import meshes
 import truth
 
 #: float64 throughout, coordinates near 1, some twenty operations.

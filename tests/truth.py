@@ -37,7 +37,7 @@ class ClosestPoints(NamedTuple):
     faces: NDArray[np.int64]
 
 
-# ------------------------------------------------------------------------------------------------ one triangle, one point
+# --- one triangle, one point
 
 
 def dot(a: Array, b: Array) -> Array:
@@ -104,7 +104,7 @@ def distance_to_segment(p: Array, a: Array, b: Array) -> Array:
     return np.linalg.norm(p - (a + t[..., None] * (b - a)), axis=-1)
 
 
-# ------------------------------------------------------------------------------------------------------------- whole meshes
+# --- whole meshes
 
 
 def corners(vertices: ArrayLike, faces: ArrayLike) -> Array:
@@ -189,12 +189,13 @@ def diagonal(vertices: ArrayLike, faces: ArrayLike) -> float:
 
 
 def tolerance(vertices: ArrayLike, faces: ArrayLike, distances: ArrayLike = 0.0) -> Array:
-    """How far a distance may be off: the package's promise, and two float32 roundings of the distance itself.
+    """How far a distance may be off: the package's promise, and the float32 roundings of a large distance.
 
     Near the mesh the promise alone is the bound. A point a thousand diagonals away has a distance whose last float32
-    bit is worth more: one rounding for choosing the nearest triangle, one for the result.
+    bit is worth more; position (1), difference (1), sum of squares (3, halved by the root) and root (1) add up to less
+    than five roundings.
     """
-    return EXACT * diagonal(vertices, faces) + 2 * FLOAT32_ROUNDING * np.abs(np.asarray(distances, np.float64))
+    return EXACT * diagonal(vertices, faces) + 5 * FLOAT32_ROUNDING * np.abs(np.asarray(distances, np.float64))
 
 
 def volume(vertices: ArrayLike, faces: ArrayLike) -> float:
@@ -214,7 +215,7 @@ def from_trimesh(signed: ArrayLike) -> Array:
     return -np.asarray(signed, np.float64)
 
 
-# ------------------------------------------------------------------------------------------------------------- closed forms
+# --- closed forms
 
 
 def sphere(points: ArrayLike, radius: float = 1.0, center: ArrayLike = (0, 0, 0)) -> Array:
@@ -271,7 +272,7 @@ def max_enclosing_radius(vertices: ArrayLike, faces: ArrayLike) -> float:
     return float(np.where(acute, circumradius, sides[:, 2] / 2).max())
 
 
-# -------------------------------------------------------------------------------------------------------- grids and fields
+# --- grids and fields
 
 
 def grid_points(lower: ArrayLike, upper: ArrayLike, shape: tuple[int, int, int]) -> Array:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 import operator
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import ArgumentError, Error
 
-E = TypeVar("E", bound=Error)
+#: Farthest coordinate of a point: distances to it still fit in float32.
+FAR = 1e37
 
 
 def describe(value: object) -> str:
@@ -88,22 +89,33 @@ def matrix(
     return result
 
 
+def text(name: str, value: object) -> str:
+    """A string; what it may say is checked by the core."""
+    if not isinstance(value, str):
+        raise ArgumentError(f"{name}: must be text, got {describe(value)}")
+    return value
+
+
 def points(value: ArrayLike) -> tuple[NDArray[np.float64], tuple[int, ...]]:
     """Finite positions of shape (..., 3) as (n, 3) float64, and the shape without its last axis."""
     array = real_array("points", value, "(n, 3)")
+    if array.shape == (0,):
+        array = array.reshape(0, 3)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise ArgumentError(f"points: must have shape (n, 3), got {describe(array)}")
     flat = as_float64(array.reshape(-1, 3))
-    finite = np.isfinite(flat)
-    if not finite.all():
-        row = int(np.flatnonzero(~finite.all(axis=1))[0])
-        raise ArgumentError(f"points[{row}]: must be finite, got {flat[row].tolist()}")
+    near = np.abs(flat) <= FAR  # false for nan too
+    if not near.all():
+        row = int(np.flatnonzero(~near.all(axis=1))[0])
+        raise ArgumentError(f"points[{row}]: must be finite and at most {FAR:g} from 0, got {flat[row].tolist()}")
     return flat, array.shape[:-1]
 
 
 def box(name: str, value: ArrayLike, error: type[Error] = ArgumentError, *, flat: bool = False) -> NDArray[np.float64]:
     """Two corners, (2, 3), the first below the second on every axis; with ``flat`` they may be equal on some."""
     corners = matrix(name, value, (2, 3), error)
+    if not (np.abs(corners) <= FAR).all():
+        raise error(f"{name}: must be at most {FAR:g} from 0, got {corners.tolist()}")
     extent = corners[1] - corners[0]
     if not ((extent >= 0).all() if flat else (extent > 0).all()):
         raise error(f"{name}: the upper corner must exceed the lower on every axis, got {corners.tolist()}")

@@ -59,7 +59,9 @@ def bake(
     corners = _box(lower, upper)
     nx, ny, nz = (_checks.integer("shape", n, least=1, most=MAX_SIDE) for n in _three(shape))
     mesh = _core.Mesh(_checks.as_float64(check_vertices(vertices)), check_faces(faces))
-    distances, _ = _core.bake(mesh, *corners, (nx, ny, nz), sign=sign, device=device)
+    distances, _ = _core.bake(
+        mesh, *corners, (nx, ny, nz), sign=_checks.text("sign", sign), device=_checks.text("device", device)
+    )
     return distances.read() if isinstance(distances, _core.DeviceField) else distances
 
 
@@ -110,7 +112,7 @@ def raymarch(
         camera.pose,
         fov_deg=camera.fov_deg,
         size=_size(size),
-        device=device,
+        device=_checks.text("device", device),
     )
     return result["color"], result["depth"]
 

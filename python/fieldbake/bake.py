@@ -12,6 +12,7 @@ from . import _checks, _core
 from .convert import MeshLike, as_mesh
 from .errors import ArgumentError
 from .grid import DEFAULT_RESOLUTION, Resolution, make_grid
+from .mesh import Mesh
 from .progress import Progress, progress_callback
 from .report import Report
 from .volume import Volume
@@ -19,6 +20,12 @@ from .volume import Volume
 logger = logging.getLogger("fieldbake")
 
 Sign = Literal["auto", "winding", "parity", "pseudonormal", "normal", "unsigned"]
+
+
+#: How far from the mesh's centre samples may lie, in sizes of the mesh. The core works in those, in float32: a bake
+#: squares distances, a query does so in float64.
+MAX_GRID_REACH = 1e15
+MAX_POINT_REACH = 1e36
 
 
 class ClosestPoints(NamedTuple):
@@ -110,6 +117,7 @@ def bake(
     >>> bool(volume.sample([(0.2, 0.2, 0.2)])[0] < 0)
     True
     """
+    method, where = _choices(sign, device)
     if band is not None:
         band = _checks.number("band", band, above=0)
     if thickness is not None:
@@ -126,16 +134,17 @@ def bake(
         thickness = max(grid.spacing)
         inner += np.array([[-thickness / 2], [thickness / 2]])
 
+    _check_reach("bounds", checked, np.array([grid.lower, grid.upper]), MAX_GRID_REACH)
     with progress_callback(progress, "bake") as callback:
         distances, facts = _core.bake(
             checked._core,
             grid.lower,
             grid.upper,
             grid.shape,
-            sign=sign,
+            sign=method,
             band=band,
             thickness=thickness,
-            device=device,
+            device=where,
             progress=callback,
         )
     report = Report.from_dict({**facts, "faces": len(checked.faces), "vertices": len(checked.vertices)})
@@ -181,10 +190,12 @@ def signed_distance(
     >>> signed_distance(tetrahedron, [(0, 0, -2), (0.25, 0.25, 0.125)]).tolist()
     [2.0, -0.125]
     """
+    method, where = _choices(sign, device)
     flat, shape = _checks.points(points)
     checked = as_mesh(mesh)
+    _check_reach("points", checked, flat, MAX_POINT_REACH)
     with progress_callback(progress, "signed distance") as callback:
-        values = _core.signed_distance(checked._core, flat, sign=sign, device=device, progress=callback)
+        values = _core.signed_distance(checked._core, flat, sign=method, device=where, progress=callback)
     return values.reshape(shape)
 
 
@@ -223,7 +234,27 @@ def closest_point(
     """
     flat, shape = _checks.points(points)
     checked = as_mesh(mesh)
+    _check_reach("points", checked, flat, MAX_POINT_REACH)
     with progress_callback(progress, "closest point") as callback:
-        nearest, distances, kept = _core.closest_point(checked._core, flat, device=device, progress=callback)
+        nearest, distances, kept = _core.closest_point(
+            checked._core, flat, device=_checks.text("device", device), progress=callback
+        )
     faces = kept.astype(np.int64) if mesh is checked else checked._core.source_faces[kept]
     return ClosestPoints(nearest.reshape(*shape, 3), distances.reshape(shape), faces.reshape(shape))
+
+
+def _choices(sign: Sign, device: str) -> tuple[str, str]:
+    """Both as text; the core knows which words it takes."""
+    return _checks.text("sign", sign), _checks.text("device", device)
+
+
+def _check_reach(name: str, mesh: Mesh, positions: NDArray[np.float64], limit: float) -> None:
+    """Refuse positions so far out that distances, in sizes of the mesh, would not fit."""
+    if positions.size == 0:
+        return
+    size = float((mesh.bounds[1] - mesh.bounds[0]).max())
+    reach = float(max(positions.max() - mesh.center.min(), mesh.center.max() - positions.min()))
+    if reach > limit * size:
+        raise ArgumentError(
+            f"{name}: {reach:.3g} away from a mesh of size {size:.3g} is too far; at most {limit:g} times its size"
+        )

@@ -51,6 +51,9 @@ class Camera:
         position = _checks.vector("eye", eye, 3, SceneError)
         ahead = _checks.vector("target", target, 3, SceneError)
         upward = _checks.vector("up", up, 3, SceneError)
+        for name, place in (("eye", position), ("target", ahead), ("up", upward)):
+            if np.abs(place).max() > _checks.FAR:
+                raise SceneError(f"{name}: must be at most {_checks.FAR:g} from 0, got {place.tolist()}")
         if not np.linalg.norm(position - ahead) > 0:
             raise SceneError(f"target: must differ from eye, both are {position.tolist()}")
         if not np.linalg.norm(upward) > 0:
@@ -113,7 +116,7 @@ class Camera:
         aspect: float = 1.0,
         border: float = 0.05,
     ) -> Camera:
-        """Stand so far back that a box just fills the picture.
+        """Stand so far back that a box just fills the picture, and in the middle of it.
 
         Parameters
         ----------
@@ -152,13 +155,18 @@ class Camera:
         # Aim from one radius away only to get the axes and the checks; the distance comes next.
         aim = cls(center - forward * radius, center, up, fov_deg)
 
-        # A corner at (x, y, z) from the centre is inside the picture once depth + z >= |y| / tan, |x| / (aspect tan).
+        # A corner at (x, y, depth) from the centre is seen from (ex, ey, distance) if |x - ex| <= aspect * slope *
+        # (distance - depth) and |y - ey| <= slope * (distance - depth): on each axis the two outermost corners decide.
         slope = np.tan(np.radians(aim.fov_deg) / 2) / (1 + border)
         corners = np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]]) - center
-        right, above, behind = (corners @ aim.pose[:3, axis] for axis in range(3))
-        needed = np.maximum(np.abs(above) / slope, np.abs(right) / (slope * aspect)) + behind
+        x, y, depth = (corners @ aim.pose[:3, axis] for axis in range(3))
+        wide, tall = slope * aspect, slope
+        right, left = (x + wide * depth).max(), (wide * depth - x).max()
+        above, below = (y + tall * depth).max(), (tall * depth - y).max()
+        center = center + aim.pose[:3, :2] @ np.array([right - left, above - below]) / 2
+        needed = max((right + left) / (2 * wide), (above + below) / (2 * tall))
         # Never nearer than just outside the box's sphere, so that a very wide view does not start inside.
-        distance = max(float(needed.max()), 1.01 * radius)
+        distance = max(float(needed), 1.01 * radius)
         return cls(center - forward * distance, center, up, fov_deg)
 
     @property

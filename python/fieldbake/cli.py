@@ -84,7 +84,9 @@ def parse_size(text: str) -> tuple[int, int]:
     try:
         width, height = (int(side) for side in text.lower().split("x"))
     except ValueError:
-        raise typer.BadParameter(f"'{text}' is not a size such as 640x480") from None
+        width = height = 0
+    if min(width, height) < 1:
+        raise typer.BadParameter(f"'{text}' is not a size such as 640x480")
     return width, height
 
 
@@ -172,7 +174,7 @@ def render(
         volume = fb.bake(file, resolution, device=device, progress=err.is_terminal)
     bounds = volume.inner_bounds
     if eye is None:
-        camera = fb.Camera.fit(bounds, up=up, fov_deg=fov, aspect=size[0] / size[1] if size[1] > 0 else 1.0)
+        camera = fb.Camera.fit(bounds, up=up, fov_deg=fov, aspect=size[0] / size[1])
         if target is not None:
             raise typer.BadParameter("needs --eye", param_hint="--target")
     else:

@@ -29,6 +29,9 @@ class Device(str):
     hardware: bool
     limits: Mapping[str, Any]
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _device, (str(self), self.backend, self.type, self.hardware, dict(self.limits))
+
     @property
     def name(self) -> str:
         """The name as plain text."""
@@ -43,12 +46,16 @@ def devices() -> list[Device]:
     >>> "cpu" in devices()
     True
     """
-    found = []
-    for facts in _core.devices():
-        device = Device(facts["name"])
-        device.backend = facts["backend"]
-        device.type = facts["type"]
-        device.hardware = facts["hardware"]
-        device.limits = MappingProxyType(dict(facts["limits"]))
-        found.append(device)
-    return found
+    return [
+        _device(facts["name"], facts["backend"], facts["type"], facts["hardware"], facts["limits"])
+        for facts in _core.devices()
+    ]
+
+
+def _device(name: str, backend: str, type: str, hardware: bool, limits: Mapping[str, Any]) -> Device:
+    device = Device(name)
+    device.backend = backend
+    device.type = type
+    device.hardware = hardware
+    device.limits = MappingProxyType(dict(limits))
+    return device

@@ -17,6 +17,9 @@ from .errors import ArgumentError, FormatError
 
 Quantity = Literal["steps", "depth", "shadow"]
 
+#: What a frame holds.
+ARRAYS = ("color", "depth", "normal", "object_id", "shadow", "steps")
+
 #: Stops of the heat map, dark to light, sRGB from 0 to 1, evenly spaced.
 HEAT = np.array(
     [[0.03, 0.03, 0.12], [0.25, 0.12, 0.45], [0.70, 0.20, 0.42], [0.96, 0.50, 0.25], [1.00, 0.92, 0.60]],
@@ -123,6 +126,10 @@ class Frame:
         buffer = BytesIO()
         Image.fromarray(self.image).save(buffer, format="PNG")
         return buffer.getvalue()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        arrays = {name: np.array(getattr(self, name)) for name in ARRAYS}
+        return Frame, (arrays, dict(self.report))
 
     def __repr__(self) -> str:
         hit = np.count_nonzero(self.object_id >= 0) / self.object_id.size

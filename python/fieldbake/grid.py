@@ -89,7 +89,7 @@ def make_grid(
     border_voxels = 2 if outer is None else 0
 
     if voxel_size is not None:
-        return _cubic(center, extent, wanted, border_voxels, voxel_size)
+        return _cubic(center, extent, wanted, border_voxels, voxel_size, "voxel_size")
     try:
         sides = list(resolution)  # type: ignore[arg-type]
     except TypeError:
@@ -113,7 +113,7 @@ def _cubic_from_count(
         spacing = max(spacing, float(extent.max()) / (count - border_voxels))
     else:
         border_voxels = 0
-    return _cubic(center, extent, wanted, border_voxels, spacing)
+    return _cubic(center, extent, wanted, border_voxels, spacing, "resolution")
 
 
 def _cubic(
@@ -122,11 +122,14 @@ def _cubic(
     wanted: NDArray[np.float64],
     border_voxels: int,
     spacing: float,
+    argument: str,
 ) -> Grid:
     """Whole cubic voxels that cover ``wanted``, and ``extent`` with its border."""
     counts = np.maximum(wanted, extent + border_voxels * spacing) / spacing
     if not (counts < MAX_SIDE).all():
-        raise ArgumentError(f"voxel_size: {spacing:g} would need {counts.max():.3g} voxels on the longest side")
+        raise ArgumentError(
+            f"{argument}: voxels of {spacing:g} would make {counts.max():.3g} of them along the longest side"
+        )
     shape = [max(1, math.ceil(count - WHOLE)) for count in counts.tolist()]
     half = np.array(shape) * (spacing / 2)
     return _grid(center - half, center + half, shape)

@@ -13,6 +13,7 @@ directory, in the array headers and in the JSON are compared before anything is 
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import zipfile
@@ -63,6 +64,12 @@ def save_volume(volume: Volume, path: str | os.PathLike[str]) -> None:
 def atomic_write(target: Path) -> Iterator[IO[bytes]]:
     """A temporary file beside the target that takes its place when the block ends well."""
     import tempfile
+
+    # Said here, about the file that was asked for; below it would be about the temporary one.
+    if not target.parent.is_dir():
+        raise FileNotFoundError(errno.ENOENT, "the folder does not exist", os.fspath(target))
+    if target.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "is a directory", os.fspath(target))
 
     mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
     descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".tmp")
@@ -119,9 +126,11 @@ def load(path: str | os.PathLike[str]) -> Volume:
             if Path(path).suffix.lower() == ".npz":
                 raise FormatError(f"{path}: is damaged or not an .npz file ({error})") from None
             raise FormatError(f"{path}: is not a fieldbake file; meshes are read by load_mesh or bake") from None
-        except (MemoryError, OSError):
+        except MemoryError:
             raise
-        except Exception as error:  # A damaged archive fails in every way there is.
+        except Exception as error:  # A damaged archive fails in every way there is, seeking before its start too.
+            if isinstance(error, OSError) and error.errno != errno.EINVAL:
+                raise
             raise FormatError(f"{path}: is damaged ({type(error).__name__}: {error})") from error
 
 
@@ -150,7 +159,7 @@ def _members(archive: zipfile.ZipFile, size: int) -> dict[str, zipfile.ZipInfo]:
             raise FormatError(f"member '{info.filename}' is there twice")
         if info.compress_type != zipfile.ZIP_STORED or info.flag_bits & 1:
             raise FormatError(f"member '{info.filename}' is compressed or encrypted; ours are stored plainly")
-        if info.file_size != info.compress_size or info.header_offset + info.file_size > size:
+        if info.file_size != info.compress_size or not 0 <= info.header_offset <= size - info.file_size:
             raise FormatError(f"member '{info.filename}' claims {info.file_size} bytes, the file has {size}")
         members[info.filename] = info
     return members
@@ -177,7 +186,7 @@ def _read_header(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo]) 
             f"(written by {str(header.get('written_by'))[:60]})"
         )
     if header.get("kind") != "volume":
-        raise FormatError(f"holds a {str(header.get('kind'))[:60]}, expected a volume")
+        raise FormatError(f"holds something else than a volume: {str(header.get('kind'))[:60]}")
     return header
 
 

@@ -95,6 +95,8 @@ def raymarch(
     H. Hansson-Soderlund, A. Evans, T. Akenine-Moller, Ray tracing of signed distance function grids, JCGT 11(3), 2022.
     """
     width, height = _size(size)
+    _checks.text("shadows", shadows)
+    _checks.text("device", device)
     if camera is not None and not isinstance(camera, Camera):
         raise SceneError(f"camera: must be a Camera, got {_checks.describe(camera)}; see Camera.from_pose")
     shade = {
@@ -156,6 +158,8 @@ def _lights(lights: Sequence[Light] | None, camera: Camera) -> tuple[NDArray[np.
     if lights is None:
         key = camera.pose[:3, :3] @ KEY_LIGHT
         lights = [DirectionalLight(_checks.triple(key))]
+    if not isinstance(lights, Sequence):
+        raise SceneError(f"lights: must be a list of DirectionalLight, got {_checks.describe(lights)}")
     for number, light in enumerate(lights):
         if not isinstance(light, DirectionalLight):
             raise SceneError(f"lights[{number}]: raymarch draws DirectionalLight only, got {_checks.describe(light)}")

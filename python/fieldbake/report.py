@@ -22,6 +22,11 @@ def count_text(count: int, thing: str, things: str | None = None) -> str:
     return f"{count:,} {thing if count == 1 else things or thing + 's'}"
 
 
+def seconds_text(seconds: float) -> str:
+    """A time in the unit that reads best."""
+    return f"{seconds:.2f} s" if seconds >= 1 else f"{seconds * 1e3:.{2 if seconds < 0.01 else 0}f} ms"
+
+
 @dataclass(frozen=True)
 class Report:
     """Facts of the surface and of the work; `print` it, or read the attributes.
@@ -108,7 +113,7 @@ class Report:
         if self.undecided_voxels:
             inside += f" ({self.undecided_voxels:,} undecided)"
         rows.append(("inside", inside))
-        stages = ", ".join(f"{stage} {seconds:.3g} s" for stage, seconds in self.seconds.items())
+        stages = ", ".join(f"{stage} {seconds_text(seconds)}" for stage, seconds in self.seconds.items())
         rows.append(("time", f"{stages} on {self.device}" if stages else f"on {self.device}"))
         rows.append(("memory", f"{bytes_text(self.peak_bytes)} at most"))
         rows.extend(("warning", warning) for warning in self.warnings)

@@ -193,7 +193,7 @@ class Volume:
             _checks.triple(inner[0]),
             _checks.triple(inner[1]),
             flat,
-            filter=filter,
+            filter=_checks.text("filter", filter),
         )
         return values.reshape(shape)
 

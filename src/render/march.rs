@@ -23,7 +23,7 @@
 //! can cross, for a cell index never moves back. Everything in it is f32 or i32 and will run the same in a shader.
 
 use super::cubic::Cubic;
-use super::empty::{BLOCK_CELLS, EmptySpace};
+use super::empty::EmptySpace;
 use crate::error::Error;
 use crate::progress::Progress;
 use crate::volume::FieldView;
@@ -95,8 +95,6 @@ pub fn clip_to_box(origin: DVec3, direction: DVec3, shape: DVec3) -> Option<Clip
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hit {
     pub t: f32,
-    /// The cell that holds the root.
-    pub cell: IVec3,
     /// The ray began at a value that was not above zero.
     pub at_start: bool,
 }
@@ -124,77 +122,134 @@ impl<'a> Marcher<'a> {
 
     /// Walk along a ray to its first hit.
     pub fn march(&self, ray: &GridRay) -> March {
-        let GridRay { origin, direction, t_max } = *ray;
-        let shape = IVec3::from(self.field.grid().shape.map(|n| n as i32));
-        let (first_cell, last_cell) = (IVec3::NEG_ONE, shape - 1);
-
-        // Per axis: 1 or 0 for the side by which the ray leaves a cell, and t per voxel.
-        let side = Vec3::select(direction.cmpgt(Vec3::ZERO), Vec3::ONE, Vec3::ZERO).as_ivec3();
-        let is_parallel = direction.abs().cmplt(Vec3::splat(PARALLEL));
-        let inverse = 1.0 / Vec3::select(is_parallel, Vec3::ONE, direction);
-
+        let shape = self.field.grid().shape.map(|n| n as i32);
+        let line = Line::new(ray);
         let mut t = 0.0f32;
-        let mut cell = origin.floor().as_ivec3().clamp(first_cell, last_cell);
+        let mut cell = [0, 1, 2].map(|axis| floor(line.origin[axis]).clamp(-1, shape[axis] - 1));
+
         // Every turn but the last moves on by a cell or more, along one axis at least and back along none.
-        let max_steps = (shape.element_sum() + 4) as u32;
-        for steps in 1..=max_steps {
-            let block = EmptySpace::block_of(cell);
+        let max_steps = (shape[0] + shape[1] + shape[2] + 4) as u32;
+        let mut steps = 0;
+        while steps < max_steps {
+            let block = cell.map(EmptySpace::block_of);
             let distance = self.empty.distance(block);
 
-            // The cells to leave, and the faces by which the ray does.
-            let (first, cells) = if distance > 0 {
-                ((block - (distance - 1)) * BLOCK_CELLS - 1, (2 * distance - 1) * BLOCK_CELLS)
-            } else {
-                (cell, 1)
-            };
-            let face = first + side * cells;
-            let to_faces = Vec3::select(is_parallel, Vec3::splat(FAR), (face.as_vec3() - origin) * inverse);
-            let to_next = to_faces.min_element();
-            let t_end = to_next.max(t).min(t_max);
-
-            if distance == 0 {
-                let corners = self.field.corners(cell);
-                if smallest(&corners) <= 0.0 {
-                    let p = origin + t * direction - cell.as_vec3();
-                    let cubic = Cubic::along_ray(&corners, p, direction);
-                    // In units of the largest corner: products of coefficients stay in range at any scale.
-                    if let Some(s) = cubic.scaled(1.0 / largest(&corners)).first_root(t_end - t) {
-                        return March {
-                            hit: Some(Hit { t: t + s, cell, at_start: t + s == 0.0 && cubic.c0 <= 0.0 }),
-                            steps,
-                        };
-                    }
-                }
-            }
-            if t_end >= t_max {
-                return March { hit: None, steps };
-            }
-
-            // Into the next cell: exact on the axis of the face, never back on the others.
-            t = t_end;
-            let beyond = face + side - 1;
+            // Leap to the side of the empty cube around the block.
             if distance > 0 {
-                let here = (origin + t * direction).floor().as_ivec3();
-                cell = IVec3::select(side.cmpgt(IVec3::ZERO), cell.max(here), cell.min(here));
+                steps += 1;
+                let first = block.map(|b| EmptySpace::first_cell(b - (distance - 1)));
+                let cells = EmptySpace::first_cell(2 * distance - 1) - EmptySpace::first_cell(0);
+                let face = [0, 1, 2].map(|axis| if line.forward[axis] { first[axis] + cells } else { first[axis] });
+                let t_faces = [0, 1, 2].map(|axis| line.t_at(axis, face[axis]));
+                let next = first_axis(&t_faces);
+                t = if t_faces[next] > t { t_faces[next] } else { t };
+                if t >= ray.t_max {
+                    return March { hit: None, steps };
+                }
+                // Exact on the axis of the face, never back on the others.
+                for axis in 0..3 {
+                    let here = floor(line.origin[axis] + t * line.direction[axis]);
+                    let moved = if line.forward[axis] { here.max(cell[axis]) } else { here.min(cell[axis]) };
+                    cell[axis] = moved.clamp(-1, shape[axis] - 1);
+                }
+                cell[next] = (if line.forward[next] { face[next] } else { face[next] - 1 }).clamp(-1, shape[next] - 1);
+                continue;
             }
-            if to_faces.x == to_next {
-                cell.x = beyond.x;
-            } else if to_faces.y == to_next {
-                cell.y = beyond.y;
-            } else {
-                cell.z = beyond.z;
+
+            // Walk from cell to cell to the side of the block.
+            let mut t_faces = [0, 1, 2].map(|axis| line.t_at(axis, line.face(axis, cell[axis])));
+            loop {
+                steps += 1;
+                let next = first_axis(&t_faces);
+                let t_face = if t_faces[next] > t { t_faces[next] } else { t };
+                let t_end = if t_face < ray.t_max { t_face } else { ray.t_max };
+                let corners = self.field.corners(IVec3::from(cell));
+                if smallest(&corners) <= 0.0
+                    && let Some(hit) = hit_in_cell(&corners, ray, cell, t, t_end)
+                {
+                    return March { hit: Some(hit), steps };
+                }
+                if t_end >= ray.t_max {
+                    return March { hit: None, steps };
+                }
+                t = t_end;
+                cell[next] += if line.forward[next] { 1 } else { -1 };
+                if EmptySpace::block_of(cell[next]) != block[next] {
+                    cell[next] = cell[next].clamp(-1, shape[next] - 1);
+                    break;
+                }
+                t_faces[next] = line.t_at(next, line.face(next, cell[next]));
             }
-            cell = cell.clamp(first_cell, last_cell);
         }
         debug_assert!(false, "a ray took more than {max_steps} steps: {ray:?}");
-        March { hit: None, steps: max_steps }
+        March { hit: None, steps }
     }
 }
 
+/// A ray and what does not change along it.
+struct Line {
+    origin: [f32; 3],
+    direction: [f32; 3],
+    /// `t` per voxel; 0 where the ray is parallel to the faces.
+    inverse: [f32; 3],
+    forward: [bool; 3],
+}
+
+impl Line {
+    fn new(ray: &GridRay) -> Self {
+        let direction = ray.direction.to_array();
+        let inverse = direction.map(|d| if d.abs() < PARALLEL { 0.0 } else { 1.0 / d });
+        Self { origin: ray.origin.to_array(), direction, inverse, forward: direction.map(|d| d > 0.0) }
+    }
+
+    /// The face by which the ray leaves a cell along an axis.
+    #[inline]
+    fn face(&self, axis: usize, cell: i32) -> i32 {
+        if self.forward[axis] { cell + 1 } else { cell }
+    }
+
+    /// Where the ray crosses a face.
+    #[inline]
+    fn t_at(&self, axis: usize, face: i32) -> f32 {
+        if self.inverse[axis] == 0.0 { FAR } else { (face as f32 - self.origin[axis]) * self.inverse[axis] }
+    }
+}
+
+/// The root of the field in one cell, on the part `[t, t_end]` of the ray.
+#[inline]
+fn hit_in_cell(corners: &[f32; 8], ray: &GridRay, cell: [i32; 3], t: f32, t_end: f32) -> Option<Hit> {
+    let p = ray.origin + t * ray.direction - IVec3::from(cell).as_vec3();
+    let cubic = Cubic::along_ray(corners, p, ray.direction);
+    // In units of the largest corner: products of coefficients stay in range at any scale.
+    let s = cubic.scaled(1.0 / largest(corners)).first_root(t_end - t)?;
+    Some(Hit { t: t + s, at_start: t + s == 0.0 && cubic.c0 <= 0.0 })
+}
+
+/// The axis whose face comes first.
+#[inline]
+fn first_axis(t_faces: &[f32; 3]) -> usize {
+    let [x, y, z] = *t_faces;
+    if x <= y && x <= z {
+        0
+    } else if y <= z {
+        1
+    } else {
+        2
+    }
+}
+
+/// Round down a grid coordinate, which is at least -1/2 in the box; one above it, truncation does it.
+#[inline]
+pub(super) fn floor(coordinate: f32) -> i32 {
+    (coordinate + 1.0) as i32 - 1
+}
+
+/// Plain comparisons, for `f32::min` has to look out for NaN, which [`EmptySpace`] has excluded.
 #[inline]
 fn smallest(corners: &[f32; 8]) -> f32 {
+    let min = |a: f32, b: f32| if a < b { a } else { b };
     let [c0, c1, c2, c3, c4, c5, c6, c7] = *corners;
-    c0.min(c1).min(c2.min(c3)).min(c4.min(c5).min(c6.min(c7)))
+    min(min(min(c0, c1), min(c2, c3)), min(min(c4, c5), min(c6, c7)))
 }
 
 /// Largest magnitude, at least the smallest normal number.

@@ -128,7 +128,10 @@ pub struct Frame {
 const MAX_PIXELS: u64 = 1 << 28;
 
 /// Where the default key light comes from, in camera space: left, above, and behind the camera.
-const KEY_LIGHT_FROM: DVec3 = DVec3::new(-0.5, 0.7, 1.0);
+const KEY_LIGHT_FROM: DVec3 = DVec3::new(-1.0, 1.2, 1.0);
+
+/// Colour of the default key light: with the default ambient light, white stays below 1 outside the highlight.
+const KEY_LIGHT_COLOR: Vec3 = Vec3::splat(0.75);
 
 /// Draw the zero level set of a field.
 pub fn raymarch(
@@ -251,7 +254,7 @@ impl View<'_> {
             }
             // The eye is in the solid.
             (true, None) => to_eye,
-            (false, _) => self.shader.normal(&hit, p_grid, to_eye),
+            (false, _) => self.shader.normal(p_grid, to_eye),
         };
         let shadow = &mut row.shadow[x * row.lights..][..row.lights];
         let color = self.shader.shade(&Surface { p_grid, normal, to_eye }, shadow);
@@ -289,7 +292,7 @@ impl RaymarchOptions {
     fn unit_lights(&self, camera: &Camera) -> Result<Vec<DirectionalLight>, Error> {
         let Some(lights) = &self.lights else {
             let direction = -camera.world_from_camera(KEY_LIGHT_FROM).normalize().as_vec3();
-            return Ok(vec![DirectionalLight { direction, color: Vec3::ONE }]);
+            return Ok(vec![DirectionalLight { direction, color: KEY_LIGHT_COLOR }]);
         };
         let unit = |(i, light): (usize, &DirectionalLight)| {
             let direction = light.direction.as_dvec3().normalize_or_zero().as_vec3();

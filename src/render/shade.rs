@@ -1,17 +1,18 @@
 //! Colour of a hit: Blinn-Phong (Blinn 1977) with directional lights, a hemisphere of ambient light, hard shadows.
 //!
-//! The normal is the analytic gradient of the trilinear field in the cell that was hit, turned to world space, so
-//! oblong voxels are right. On a face of the box where the ray entered the solid, the surface that is seen is the cut,
+//! The normal is the gradient of the trilinear field averaged over a voxel around the hit (a central difference of half
+//! a voxel is that average along its axis), turned to world space, so oblong voxels are right. The gradient at the point
+//! itself jumps from cell to cell and would draw the grid on every smooth surface; the average is continuous. On a face of the box where the ray entered the solid, the surface that is seen is the cut,
 //! and the normal is that of the face.
 //!
 //! A shadow ray is marched like any other ([`super::march`]). It starts [`SHADOW_BIAS_VOXELS`] above the surface, along
 //! the normal: a distance in voxels, because what it has to clear is the facets of the trilinear surface, whose size is
 //! the voxel's. A side that is turned away from a light gets none of it.
 
-use super::march::{Hit, Marcher, clip_to_box};
+use super::march::{Marcher, clip_to_box, floor};
 use super::{DirectionalLight, RaymarchOptions, Shadows};
-use crate::volume::trilinear_gradient;
-use glam::{DVec3, Vec3};
+use crate::volume::trilinear;
+use glam::{DVec3, IVec3, Vec3};
 
 /// Start of a shadow ray above the surface. A trilinear surface departs from a smooth one by h^2 / (8 R), less than an
 /// eighth of a voxel for a radius of a voxel or more; a ray that grazes it rises by as much again over the next voxels.
@@ -37,6 +38,8 @@ pub(super) struct Shader<'a> {
     options: &'a RaymarchOptions,
     lights: &'a [DirectionalLight],
     shape: DVec3,
+    /// Upper corner of the box in grid space.
+    last_point: Vec3,
     /// Voxel size relative to its smallest side: a scale of the world would cancel everywhere below.
     relative_spacing: Vec3,
 }
@@ -50,20 +53,28 @@ impl<'a> Shader<'a> {
             options,
             lights,
             shape: marcher.field.shape(),
+            last_point: (marcher.field.shape() - 0.5).as_vec3(),
             relative_spacing: (spacing / spacing.min_element()).as_vec3(),
         }
     }
 
-    /// World normal of the trilinear surface at a hit; `fallback` where the field has no slope.
-    pub fn normal(&self, hit: &Hit, p_grid: Vec3, fallback: Vec3) -> Vec3 {
-        let corners = self.marcher.field.corners(hit.cell);
-        let per_voxel = trilinear_gradient(&corners, p_grid - hit.cell.as_vec3());
+    /// World normal at a hit; `fallback` where the field has no slope.
+    pub fn normal(&self, p_grid: Vec3, fallback: Vec3) -> Vec3 {
+        let across = |half: Vec3| self.field_at(p_grid + half) - self.field_at(p_grid - half);
+        let per_voxel = Vec3::new(across(0.5 * Vec3::X), across(0.5 * Vec3::Y), across(0.5 * Vec3::Z));
         // Scaled by its largest entry first: the squares of a length must not leave the range of f32.
         let largest = per_voxel.abs().max_element();
         if largest == 0.0 {
             return fallback;
         }
         (per_voxel / largest / self.relative_spacing).normalize_or(fallback)
+    }
+
+    /// The trilinear field at a point of grid space.
+    fn field_at(&self, p_grid: Vec3) -> f32 {
+        let p_grid = p_grid.clamp(Vec3::splat(-0.5), self.last_point);
+        let cell = IVec3::from(p_grid.to_array().map(floor));
+        trilinear(&self.marcher.field.corners(cell), p_grid - cell.as_vec3())
     }
 
     /// Linear RGB of a surface; writes the share of each light that arrives.

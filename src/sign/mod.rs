@@ -138,6 +138,16 @@ impl SignRule {
         }
     }
 
+    /// Radius of a ball around a local point in which every point is on the same side, `distance` being that of the
+    /// surface; none for rules that promise nothing.
+    pub fn same_side_within(&self, p: DVec3, distance: f64) -> Option<f64> {
+        match self {
+            Self::Counted(openings) => Some(distance.min(openings.clearance(p)) * (1.0 - 1e-9)),
+            Self::Unsigned => Some(f64::INFINITY),
+            Self::Winding | Self::Parity | Self::Pseudonormal | Self::Normal => None,
+        }
+    }
+
     /// Whether a local point is inside. `closest` is its closest point, for the rules that look there.
     pub fn is_inside(&self, mesh: &Mesh, p: DVec3, closest: &ClosestPoint) -> bool {
         match self {

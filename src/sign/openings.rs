@@ -121,6 +121,15 @@ impl Openings {
         self.round(p, &near, left_out).0
     }
 
+    /// How far a point may move without meeting a cone, and without the fraction's nearest integer leaving 0; negative
+    /// near an opening.
+    pub fn clearance(&self, p: DVec3) -> f64 {
+        // Each cone keeps to its share of just under a half turn.
+        let share = 4.0 * PI * (0.5 - UNDECIDED) / self.cones.len() as f64;
+        let reach = |cone: &Cone| p.distance(cone.center) - cone.radius - (cone.area / share).sqrt();
+        self.cones.iter().map(reach).fold(f64::INFINITY, f64::min)
+    }
+
     /// The nearest integer of the fraction at a point, and whether it is clear; the cones not in `near` add less than
     /// `left_out`.
     fn round(&self, p: DVec3, near: &[Cone], left_out: f64) -> (i8, bool) {

@@ -160,20 +160,32 @@ impl<'a> FieldView<'a> {
     #[inline]
     pub fn corners(&self, cell: IVec3) -> [f32; 8] {
         let [nx, ny, nz] = self.grid.shape;
+        // A cell between centres needs no clamping. Negative indices become large ones here.
+        let [x, y, z] = cell.to_array().map(|i| i as u32 as usize);
+        if x + 1 < nx && y + 1 < ny && z + 1 < nz {
+            let d = &self.distances[x + nx * (y + ny * z)..];
+            let (y, z) = (nx, nx * ny);
+            return [d[0], d[1], d[y], d[y + 1], d[z], d[z + 1], d[y + z], d[y + z + 1]];
+        }
+        self.clamped_corners(cell)
+    }
+
+    #[cold]
+    fn clamped_corners(&self, cell: IVec3) -> [f32; 8] {
+        let [nx, ny, nz] = self.grid.shape;
         let clamp = |i: i32, n: usize| (i.max(0) as usize).min(n - 1);
-        let (x0, x1) = (clamp(cell.x, nx), clamp(cell.x + 1, nx));
-        let (y0, y1) = (clamp(cell.y, ny) * nx, clamp(cell.y + 1, ny) * nx);
-        let (z0, z1) = (clamp(cell.z, nz) * nx * ny, clamp(cell.z + 1, nz) * nx * ny);
-        let d = self.distances;
+        let [x0, y0, z0] = [clamp(cell.x, nx), clamp(cell.y, ny), clamp(cell.z, nz)];
+        let [x1, y1, z1] = [clamp(cell.x + 1, nx), clamp(cell.y + 1, ny), clamp(cell.z + 1, nz)];
+        let sample = |x, y, z| self.distances[self.grid.offset(x, y, z)];
         [
-            d[x0 + y0 + z0],
-            d[x1 + y0 + z0],
-            d[x0 + y1 + z0],
-            d[x1 + y1 + z0],
-            d[x0 + y0 + z1],
-            d[x1 + y0 + z1],
-            d[x0 + y1 + z1],
-            d[x1 + y1 + z1],
+            sample(x0, y0, z0),
+            sample(x1, y0, z0),
+            sample(x0, y1, z0),
+            sample(x1, y1, z0),
+            sample(x0, y0, z1),
+            sample(x1, y0, z1),
+            sample(x0, y1, z1),
+            sample(x1, y1, z1),
         ]
     }
 

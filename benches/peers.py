@@ -1,0 +1,287 @@
+"""Signed distance grids side by side with other tools: same mesh, same samples, same threads, one process.
+
+    make bench                                      # bunny, armadillo, spot (and dragon if it is there) at 64 and 128
+    python benches/peers.py --mesh bunny.obj -r 64  # any mesh
+
+Runs are interleaved, so that a machine that slows down slows everything; medians are compared as ratios. Each time
+includes the tool's own tree. Errors are against float64: distances by libigl's tree, signs by its exact winding number,
+at random samples of the grid. Signs are judged where the distance exceeds 1e-6 of the diagonal; on an open mesh the
+winding number is a convention, which tools for closed meshes do not share.
+"""
+
+import argparse
+import ctypes
+import datetime
+import json
+import os
+import platform
+import statistics
+import subprocess
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import meshes
+
+HERE = Path(__file__).parent
+MARGIN = 1.1
+#: Samples that are checked: enough for every thousandth wrong one to show.
+CHECKED = 50_000
+#: trimesh needs about 0.2 ms a point.
+TRIMESH_POINTS = 1_000
+
+
+@dataclass
+class Case:
+    """A mesh, a grid, and its samples in memory order of (x, y, z) with z fastest."""
+
+    name: str
+    vertices: np.ndarray
+    faces: np.ndarray
+    resolution: int
+
+    def __post_init__(self) -> None:
+        lower, upper = self.vertices.min(0).astype(float), self.vertices.max(0).astype(float)
+        half = (upper - lower).max() / 2 * MARGIN
+        center = (lower + upper) / 2
+        self.bounds = np.array([center - half, center + half])
+        axes = [self.bounds[0, a] + (np.arange(self.resolution) + 0.5) * 2 * half / self.resolution for a in range(3)]
+        self.points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+        self.points32 = self.points.astype(np.float32)
+        self.diagonal = float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
+
+
+Run = Callable[[Case], np.ndarray]
+
+
+def fieldbake(case: Case) -> np.ndarray:
+    import fieldbake as fb
+
+    volume = fb.bake((case.vertices, case.faces), (case.resolution,) * 3, bounds=case.bounds)
+    return volume.distances
+
+
+def fieldbake_band(case: Case) -> np.ndarray:
+    import fieldbake as fb
+
+    return fb.bake((case.vertices, case.faces), (case.resolution,) * 3, bounds=case.bounds, band=3).distances
+
+
+def open3d(case: Case) -> np.ndarray:
+    import open3d as o3d
+
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(o3d.core.Tensor(case.vertices), o3d.core.Tensor(case.faces))
+    return scene.compute_signed_distance(o3d.core.Tensor(case.points32)).numpy()
+
+
+def libigl(case: Case) -> np.ndarray:
+    import igl
+
+    vertices, faces = case.vertices.astype(np.float64), case.faces.astype(np.int64)
+    tree, winding = igl.AABB(), igl.FastWindingNumberBVH()
+    tree.init(vertices, faces)
+    winding.init(vertices, faces)
+    unsigned = np.sqrt(tree.squared_distance(vertices, faces, case.points)[0])
+    # The sign alone: libigl's own signed distance multiplies by 1 - 2w, which is off where w is not whole.
+    return np.where(np.asarray(winding.winding_number(case.points)) > 0.5, -unsigned, unsigned)
+
+
+def pysdf(case: Case) -> np.ndarray:
+    from pysdf import SDF
+
+    return -SDF(case.vertices, case.faces)(case.points32)
+
+
+def parry() -> Run:
+    """Build the small Rust library beside this file, once."""
+    folder = HERE / "parry"
+    subprocess.run(["cargo", "build", "--release", "--quiet"], cwd=folder, check=True)
+    built = [path for path in (folder / "target/release").glob("*fieldbake_bench_parry*") if path.suffix != ".d"]
+    library = ctypes.CDLL(str(built[0]))
+    library.parry_build.restype = ctypes.c_void_p
+    floats, indices = ctypes.POINTER(ctypes.c_float), ctypes.POINTER(ctypes.c_uint32)
+
+    def run(case: Case) -> np.ndarray:
+        mesh = library.parry_build(
+            case.vertices.ctypes.data_as(floats),
+            ctypes.c_size_t(len(case.vertices)),
+            case.faces.ctypes.data_as(indices),
+            ctypes.c_size_t(len(case.faces)),
+        )
+        if not mesh:
+            raise RuntimeError("parry refuses this mesh")
+        out = np.empty(len(case.points32), np.float32)
+        library.parry_signed_distance(
+            ctypes.c_void_p(mesh),
+            case.points32.ctypes.data_as(floats),
+            ctypes.c_size_t(len(out)),
+            out.ctypes.data_as(floats),
+        )
+        library.parry_free(ctypes.c_void_p(mesh))
+        return out
+
+    return run
+
+
+def trimesh_points(case: Case) -> np.ndarray:
+    """A few points only; scaled to size 100, below which its closest point is off by up to 0.2 %."""
+    import trimesh
+
+    scale = 100 / case.diagonal
+    mesh = trimesh.Trimesh(case.vertices * scale, case.faces, process=False)
+    return -trimesh.proximity.signed_distance(mesh, checked(case, TRIMESH_POINTS)[1] * scale) / scale
+
+
+def peers() -> dict[str, Run]:
+    """Every tool that is installed; the others are named with the reason."""
+    wanted: dict[str, Callable[[], Run]] = {
+        "fieldbake": lambda: fieldbake,
+        "fieldbake, band=3": lambda: fieldbake_band,
+        "parry3d": parry,
+        "Open3D": lambda: open3d,
+        "libigl": lambda: libigl,
+        "pysdf": lambda: pysdf,
+        "trimesh": lambda: trimesh_points,
+    }
+    tiny = Case("tiny", *_tetrahedron(), 4)
+    found = {}
+    for name, make in wanted.items():
+        try:
+            run = make()
+            run(tiny)
+        except Exception as error:
+            print(f"{name} is left out: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}")
+        else:
+            found[name] = run
+    return found
+
+
+def _tetrahedron() -> tuple[np.ndarray, np.ndarray]:
+    corners = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], np.float32)
+    return corners, np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)], np.uint32)
+
+
+def checked(case: Case, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Random samples of the grid: their numbers and positions."""
+    rows = np.random.default_rng(0).choice(len(case.points), min(count, len(case.points)), replace=False)
+    return rows, case.points[rows]
+
+
+def truth(case: Case, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """float64 distance and exact winding number at so many checked samples."""
+    import igl
+
+    vertices, faces = case.vertices.astype(np.float64), case.faces.astype(np.int64)
+    tree = igl.AABB()
+    tree.init(vertices, faces)
+    points = checked(case, count)[1]
+    distances = np.sqrt(tree.squared_distance(vertices, faces, points)[0])
+    return distances, np.abs(igl.winding_number(vertices, faces, points))
+
+
+def judge(case: Case, name: str, values: np.ndarray, exact: np.ndarray, winding: np.ndarray) -> dict[str, Any]:
+    """Largest error over the diagonal, and wrong signs."""
+    error = np.abs(np.abs(values) - exact)
+    if "band" in name:
+        error = error[exact <= 3 * (case.bounds[1] - case.bounds[0])[0] / case.resolution]
+    clear = exact > 1e-6 * case.diagonal
+    wrong = ((values < 0) != (winding > 0.5)) & clear
+    return {"error": float(error.max() / case.diagonal), "wrong": int(wrong.sum()), "checked": int(clear.sum())}
+
+
+def measure(case: Case, runs: dict[str, Run], repetitions: int) -> list[dict[str, Any]]:
+    """Times and errors of every tool, the runs in turn."""
+    values: dict[str, np.ndarray] = {}
+    seconds: dict[str, list[float]] = {name: [] for name in runs}
+    cpu: dict[str, list[float]] = {name: [] for name in runs}
+    for repetition in range(repetitions):
+        for name, run in runs.items():
+            # Once is enough for what takes long.
+            if repetition and min(seconds[name]) > 20:
+                continue
+            wall, busy = time.perf_counter(), time.process_time()
+            values[name] = run(case)
+            seconds[name].append(time.perf_counter() - wall)
+            cpu[name].append(time.process_time() - busy)
+    sampled = checked(case, CHECKED)[0]
+    usual, few = truth(case, CHECKED), truth(case, TRIMESH_POINTS)
+    base = statistics.median(seconds["fieldbake"])
+    rows = []
+    for name in runs:
+        median = statistics.median(seconds[name])
+        count = TRIMESH_POINTS if name == "trimesh" else len(case.points)
+        rows.append(
+            {
+                "tool": name,
+                "seconds": median,
+                "nanoseconds": median / count * 1e9,
+                # Per sample, so that a tool that only did some of them compares.
+                "ratio": (median / count) / (base / len(case.points)),
+                "threads": statistics.median(cpu[name]) / median,
+                **(
+                    judge(case, name, values[name], *few)
+                    if name == "trimesh"
+                    else judge(case, name, values[name].reshape(-1)[sampled], *usual)
+                ),
+            }
+        )
+    return rows
+
+
+def table(case: Case, rows: list[dict[str, Any]]) -> str:
+    lines = [
+        f"### {case.name}, {len(case.faces):,} faces, {case.resolution}^3",
+        "",
+        "| tool | time | ns a sample | times fieldbake | threads busy | max error / diagonal | wrong signs |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for row in sorted(rows, key=lambda row: row["ratio"]):
+        lines.append(
+            f"| {row['tool']} | {row['seconds']:.3f} s | {row['nanoseconds']:,.0f} | {row['ratio']:.2f} "
+            f"| {row['threads']:.1f} | {row['error']:.1e} | {row['wrong']} of {row['checked']:,} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def machine() -> str:
+    processor = platform.processor() or platform.machine()
+    for line in Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []:
+        if line.startswith("model name"):
+            processor = line.split(":")[1].strip()
+            break
+    return f"{processor}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--mesh", type=Path, action="append", help="a mesh file; the usual ones if not given")
+    parser.add_argument("-r", "--resolution", type=int, action="append", help="64 and 128 if not given")
+    parser.add_argument("-n", "--repetitions", type=int, default=3)
+    parser.add_argument("-o", "--output", type=Path, help="Markdown file; benches/results/DATE-peers.md if not given")
+    arguments = parser.parse_args()
+
+    runs = peers()
+    chosen = [meshes.load(path) for path in arguments.mesh] if arguments.mesh else list(meshes.find())
+    today = datetime.date.today().isoformat()
+    text = f"# Peers, {today}\n\n{machine()}. Medians of {arguments.repetitions}, tree included.\n"
+    print(text)
+    results = []
+    for name, vertices, faces in chosen:
+        for resolution in arguments.resolution or [64, 128]:
+            case = Case(name, vertices, faces, resolution)
+            rows = measure(case, runs, arguments.repetitions)
+            results.append({"mesh": name, "faces": len(faces), "resolution": resolution, "rows": rows})
+            print(table(case, rows), flush=True)
+            text += "\n" + table(case, rows)
+    output = arguments.output or HERE / "results" / f"{today}-peers.md"
+    output.write_text(text)
+    output.with_suffix(".json").write_text(json.dumps({"machine": machine(), "results": results}, indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,165 @@
+//! The dense bake against the single-point search, on shapes that are hard to cull.
+
+use super::*;
+use crate::grid::Grid;
+use crate::mesh::Mesh;
+use glam::DVec3;
+use proptest::prelude::*;
+
+/// Every sample of the grid against the closest point of the single-point search, whose own test is brute force.
+fn assert_exact(mesh: &Mesh, lower: DVec3, upper: DVec3, shape: [usize; 3]) {
+    let grid = Grid::new(lower, upper, shape).unwrap();
+    let local = LocalGrid::new(&grid, mesh);
+    let mut out = vec![f32::NAN; grid.len()];
+    distances(mesh.bvh(), &local, f32::INFINITY, 1.0, &Progress::new(), &mut out).unwrap();
+    // The promise of the module: 1e-6 of the box that holds mesh and grid, in practice a tenth of it.
+    let reach = local.at([0; 3]).abs().max(local.at(shape.map(|n| n - 1)).abs()).max_element().max(1.0);
+    for z in 0..shape[2] {
+        for y in 0..shape[1] {
+            for x in 0..shape[0] {
+                let exact = mesh.closest_point(local.at([x, y, z])).distance;
+                let found = f64::from(out[grid.offset(x, y, z)]);
+                assert!((found - exact).abs() <= 1e-6 * reach, "{:?}: {found} is not {exact}", [x, y, z]);
+            }
+        }
+    }
+}
+
+/// A soup of `count` triangles of about `size` within the unit cube.
+fn soup(count: usize, size: f64, seed: u64) -> Mesh {
+    let mut state = seed | 1;
+    let mut next = || {
+        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        (state >> 33) as f64 / (1u64 << 31) as f64 - 0.5
+    };
+    let vertices: Vec<[f64; 3]> = (0..count)
+        .flat_map(|_| {
+            let center = [next(), next(), next()];
+            [0; 3].map(|_| center.map(|x| x + size * next()))
+        })
+        .collect();
+    Mesh::new(&vertices, &(0..count as i64).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect::<Vec<_>>()).unwrap()
+}
+
+/// A sphere of latitude rings, all its triangles nearly equally far from the centre.
+fn sphere(rings: usize, radius: f64) -> Mesh {
+    let sectors = 2 * rings;
+    let vertices: Vec<[f64; 3]> = (0..=rings)
+        .flat_map(|ring| {
+            let theta = std::f64::consts::PI * ring as f64 / rings as f64;
+            (0..sectors).map(move |sector| {
+                let phi = std::f64::consts::TAU * sector as f64 / sectors as f64;
+                [theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()].map(|x| radius * x)
+            })
+        })
+        .collect();
+    let at = |ring: usize, sector: usize| (ring * sectors + sector % sectors) as i64;
+    let faces: Vec<[i64; 3]> = (0..rings)
+        .flat_map(|ring| {
+            (0..sectors).flat_map(move |sector| {
+                let (a, b) = (at(ring, sector), at(ring, sector + 1));
+                let (c, d) = (at(ring + 1, sector), at(ring + 1, sector + 1));
+                [[a, c, d], [a, d, b]]
+            })
+        })
+        .collect();
+    Mesh::new(&vertices, &faces).unwrap()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(40))]
+    /// Random soups, from dust to triangles larger than the grid, on oblong grids of any size.
+    #[test]
+    fn soups_are_exact(
+        count in 1usize..600, log_size in -3.0..1.0f64, seed in any::<u64>(),
+        nx in 1usize..40, ny in 1usize..40, nz in 1usize..40, stretch in 0.3..3.0f64
+    ) {
+        let mesh = soup(count, 10f64.powf(log_size), seed);
+        assert_exact(&mesh, DVec3::new(-0.6, -0.6 * stretch, -0.7), DVec3::new(0.6, 0.6, 0.7), [nx, ny, nz]);
+    }
+}
+
+#[test]
+fn a_sphere_seen_from_its_centre_is_exact() {
+    let mesh = sphere(40, 1.0);
+    assert_exact(&mesh, DVec3::splat(-1.1), DVec3::splat(1.1), [33; 3]);
+    assert_exact(&mesh, DVec3::splat(-1e-3), DVec3::splat(1e-3), [9; 3]);
+}
+
+#[test]
+fn voxels_much_larger_than_triangles_are_exact() {
+    // Thousands of packs for each block: more than a list takes.
+    let mesh = sphere(100, 1.0);
+    assert!(mesh.bvh().packs.len() > 4 * MOST_PACKS);
+    assert_exact(&mesh, DVec3::splat(-1.1), DVec3::splat(1.1), [7, 6, 5]);
+}
+
+#[test]
+fn a_needle_fan_is_exact() {
+    // Hundreds of needles from one tip: every box overlaps every other near it.
+    let n = 300;
+    let tip = [[0.0, 0.0, 0.0]];
+    let rim = (0..=n).map(|i| {
+        let angle = 0.3 * f64::from(i) / f64::from(n);
+        [angle.cos(), angle.sin(), 0.02 * (9.0 * angle).sin()]
+    });
+    let vertices: Vec<[f64; 3]> = tip.into_iter().chain(rim).collect();
+    let faces: Vec<[i64; 3]> = (1..=i64::from(n)).map(|i| [0, i, i + 1]).collect();
+    assert_exact(&Mesh::new(&vertices, &faces).unwrap(), DVec3::splat(-0.2), DVec3::splat(1.1), [31, 29, 30]);
+}
+
+#[test]
+fn doubled_faces_and_extreme_sizes_are_exact() {
+    let (mut vertices, mut faces) = (Vec::new(), Vec::new());
+    for size in [1.0, 1.0, 1e-6] {
+        let first = vertices.len() as i64;
+        vertices.extend([[0.1, 0.2, 0.3], [0.1 + size, 0.2, 0.3], [0.1, 0.2 + size, 0.3 + 0.5 * size]]);
+        faces.push([first, first + 1, first + 2]);
+    }
+    assert_exact(&Mesh::new(&vertices, &faces).unwrap(), DVec3::splat(-0.5), DVec3::splat(1.5), [20; 3]);
+}
+
+#[test]
+fn far_and_tiny_grids_are_exact() {
+    let mesh = soup(500, 0.1, 3);
+    assert_exact(&mesh, DVec3::splat(50.0), DVec3::splat(51.0), [17; 3]);
+    assert_exact(&mesh, DVec3::splat(0.1), DVec3::splat(0.1 + 1e-5), [12; 3]);
+    // Inside one triangle, far from its edges.
+    let one = Mesh::new(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.1], [0.0, 1.0, 0.2]], &[[0, 1, 2]]).unwrap();
+    assert_exact(&one, DVec3::splat(0.2), DVec3::splat(0.3), [16; 3]);
+    assert_exact(&one, DVec3::splat(-1.0), DVec3::splat(1.0), [1; 3]);
+}
+
+#[test]
+fn every_instruction_set_gives_the_same_bits() {
+    let mesh = soup(800, 0.2, 11);
+    let grid = Grid::new(DVec3::splat(-0.6), DVec3::splat(0.6), [TASK; 3]).unwrap();
+    let local = LocalGrid::new(&grid, &mesh);
+    let tile = |portable: bool| {
+        let mut tile = Tile {
+            bvh: mesh.bvh(),
+            grid: &local,
+            slack: SLACK,
+            limit: f32::INFINITY,
+            low: [0; 3],
+            samples: [0.0; TASK * TASK * TASK],
+        };
+        if portable {
+            tile.fill_portable(&mut Scratch::default(), [0; 3], [TASK; 3]);
+        } else {
+            tile.fill(&mut Scratch::default(), [0; 3], [TASK; 3]);
+        }
+        tile.samples.map(f32::to_bits)
+    };
+    assert_eq!(tile(true), tile(false));
+}
+
+#[test]
+fn cancelling_stops_the_work() {
+    let mesh = soup(100, 0.2, 5);
+    let grid = Grid::new(DVec3::splat(-0.6), DVec3::splat(0.6), [40; 3]).unwrap();
+    let progress = Progress::new();
+    progress.cancel();
+    let result = distances(mesh.bvh(), &LocalGrid::new(&grid, &mesh), f32::INFINITY, 1.0, &progress, &mut [0.0; 64000]);
+    assert_eq!(result, Err(Error::Cancelled));
+}

@@ -1,0 +1,237 @@
+"""The command line: what it writes, what it says, and its exit codes."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import fieldbake as fb
+import meshes
+
+DONE, BAD_INPUT, BAD_USAGE = 0, 1, 2
+
+
+def fieldbake(*arguments, **options):
+    """Run the command in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "fieldbake", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+        **options,
+    )
+
+
+@pytest.fixture
+def cube(tmp_path):
+    """A mesh file."""
+    path = tmp_path / "cube.obj"
+    vertices, faces = meshes.box()
+    path.write_text("\n".join([f"v {x} {y} {z}" for x, y, z in vertices] + [f"f {a} {b} {c}" for a, b, c in faces + 1]))
+    return path
+
+
+def assert_one_clear_line(result, *words):
+    lines = [line for line in result.stderr.splitlines() if line.strip()]
+    assert len(lines) == 1, result.stderr
+    assert all(word in lines[0] for word in words)
+    assert "Traceback" not in result.stderr
+
+
+def test_bake_writes_what_the_library_bakes(cube, tmp_path):
+    result = fieldbake("bake", cube, "-r", 24, "-o", tmp_path / "cube.npz")
+
+    assert result.returncode == DONE, result.stderr
+    assert np.array_equal(fb.load(tmp_path / "cube.npz").distances, fb.bake(cube, resolution=24).distances)
+    assert "24 x 24 x 24" in result.stdout
+    assert "closed" in result.stdout
+
+
+def test_bake_takes_three_numbers_and_options(cube, tmp_path):
+    output = tmp_path / "cube.npz"
+
+    result = fieldbake(
+        "bake", cube, "-r", "8x9x10", "--margin", "0.5", "--sign", "pseudonormal", "--band", "2", "-o", output
+    )
+
+    assert result.returncode == DONE, result.stderr
+    expected = fb.bake(cube, resolution=(8, 9, 10), margin=0.5, sign="pseudonormal", band=2)
+    assert np.array_equal(fb.load(output).distances, expected.distances)
+
+
+def test_several_meshes_become_one_field(cube, tmp_path):
+    result = fieldbake("bake", cube, cube, "-r", 8, "-o", tmp_path / "both.npz")
+
+    assert result.returncode == DONE, result.stderr
+    assert fb.load(tmp_path / "both.npz").report.faces == 24
+
+
+def test_info_of_a_volume_and_of_a_mesh(cube, tmp_path):
+    fb.bake(cube, resolution=8).save(tmp_path / "cube.npz")
+
+    volume, mesh = fieldbake("info", tmp_path / "cube.npz"), fieldbake("info", cube)
+
+    assert volume.returncode == mesh.returncode == DONE
+    assert "8 x 8 x 8" in volume.stdout
+    assert "12" in mesh.stdout
+
+
+@pytest.mark.parametrize("source", ["mesh", "volume"])
+def test_render_writes_a_picture(cube, tmp_path, source):
+    image = pytest.importorskip("PIL.Image")
+    fb.bake(cube, resolution=16).save(tmp_path / "cube.npz")
+    file = cube if source == "mesh" else tmp_path / "cube.npz"
+
+    result = fieldbake("render", file, "-r", 16, "--size", "64x48", "-o", tmp_path / "cube.png")
+
+    assert result.returncode == DONE, result.stderr
+    with image.open(tmp_path / "cube.png") as picture:
+        assert picture.size == (64, 48)
+        assert np.asarray(picture)[..., :3].std() > 0
+
+
+def test_render_looks_from_where_it_is_told(cube, tmp_path):
+    image = pytest.importorskip("PIL.Image")
+
+    result = fieldbake(
+        "render",
+        cube,
+        "-r",
+        16,
+        "--size",
+        "32x32",
+        "--eye",
+        "0,0,5",
+        "--target",
+        "0,0,50",
+        "-o",
+        tmp_path / "nothing.png",
+    )
+
+    assert result.returncode == DONE, result.stderr
+    with image.open(tmp_path / "nothing.png") as picture:
+        assert np.asarray(picture)[..., :3].std() == 0
+
+
+def test_devices_lists_the_cpu():
+    result = fieldbake("devices")
+
+    assert result.returncode == DONE
+    assert "cpu" in result.stdout
+
+
+def test_demo_writes_pictures(cube, tmp_path):
+    result = fieldbake("demo", cube, "-r", 16, "-o", tmp_path / "out")
+
+    assert result.returncode == DONE, result.stderr
+    assert list((tmp_path / "out").glob("*.png"))
+    assert list((tmp_path / "out").glob("*.npz"))
+
+
+@pytest.mark.parametrize("arguments", [["--version"], ["--help"], ["bake", "--help"]])
+def test_help_and_version(arguments):
+    result = fieldbake(*arguments)
+
+    assert result.returncode == DONE
+    assert "fieldbake" in result.stdout
+    if arguments == ["--version"]:
+        assert fb.__version__ in result.stdout
+
+
+@pytest.mark.parametrize("command", [["bake", "-o", "x.npz"], ["info"], ["render", "-o", "x.png"]], ids=lambda c: c[0])
+def test_a_missing_file_is_one_clear_line(command, tmp_path):
+    name, *rest = command
+
+    result = fieldbake(name, "nowhere.obj", *rest, cwd=tmp_path)
+
+    assert result.returncode == BAD_INPUT
+    assert_one_clear_line(result, "nowhere.obj")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", ["bad.obj"]),
+        (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 7\n", ["bad.obj"]),
+        (b"v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n", ["bad.obj", "vertices[2]"]),
+        (b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", ["bad.obj", "degenerate"]),
+    ],
+    ids=["empty", "index", "nan", "no area"],
+)
+def test_a_bad_mesh_is_one_clear_line(tmp_path, content, words):
+    (tmp_path / "bad.obj").write_bytes(content)
+
+    result = fieldbake("bake", "bad.obj", "-o", "out.npz", cwd=tmp_path)
+
+    assert result.returncode == BAD_INPUT
+    assert_one_clear_line(result, *words)
+    assert not (tmp_path / "out.npz").exists()
+
+
+def test_a_bad_volume_is_one_clear_line(tmp_path):
+    (tmp_path / "bad.npz").write_bytes(b"PK")
+
+    result = fieldbake("info", "bad.npz", cwd=tmp_path)
+
+    assert result.returncode == BAD_INPUT
+    assert_one_clear_line(result, "bad.npz")
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["-r", 0],
+        ["--voxel-size", -1],
+        ["--band", 0],
+        ["--thickness", 1],
+        ["-r", "8000x8000x8000"],
+        ["--device", "abacus"],
+    ],
+    ids=str,
+)
+def test_an_option_that_makes_no_sense_is_one_clear_line(cube, tmp_path, options):
+    result = fieldbake("bake", cube, "-o", tmp_path / "out.npz", *options)
+
+    assert result.returncode == BAD_INPUT
+    assert_one_clear_line(result)
+
+
+def test_a_folder_that_is_not_there_is_one_clear_line(cube, tmp_path):
+    result = fieldbake("bake", cube, "-r", 8, "-o", tmp_path / "nowhere" / "out.npz")
+
+    assert result.returncode == BAD_INPUT
+    assert_one_clear_line(result, "nowhere")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["paint"],
+        ["bake"],
+        ["bake", "cube.obj"],
+        ["bake", "cube.obj", "-o", "out.npz", "-r", "many"],
+        ["bake", "cube.obj", "-o", "out.npz", "-r", "1x2"],
+        ["bake", "cube.obj", "-o", "out.npz", "--sign", "guess"],
+        ["bake", "cube.obj", "-o", "out.txt"],
+        ["render", "cube.obj", "-o", "out.png", "--size", "big"],
+        ["render", "cube.obj", "-o", "out.png", "--eye", "1,2"],
+        ["info", "--loud", "cube.obj"],
+    ],
+    ids=" ".join,
+)
+def test_wrong_usage(cube, arguments):
+    result = fieldbake(*arguments, cwd=cube.parent)
+
+    assert result.returncode == BAD_USAGE
+    assert "Traceback" not in result.stderr
+    assert not (cube.parent / "out.npz").exists()
+
+
+def test_no_arguments_show_the_help():
+    result = fieldbake()
+
+    assert "bake" in result.stdout + result.stderr
+    assert result.returncode in (DONE, BAD_USAGE)

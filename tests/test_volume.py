@@ -1,0 +1,587 @@
+"""The stored field: sampling, gradients, the bound outside, other resolutions, its surface, and its file."""
+
+import copy
+import io
+import json
+import os
+import pickle
+import struct
+import zipfile
+
+import numpy as np
+import pytest
+
+import fieldbake as fb
+import meshes
+import truth
+
+BOX = np.array([(-1.0, -2.0, -3.0), (1.5, 2.0, 1.0)])
+SHAPE = (9, 7, 5)
+
+
+@pytest.fixture
+def noise(random):
+    """Independent samples: any mix-up of neighbours or axes shows."""
+    return fb.Volume(random.standard_normal(SHAPE), BOX)
+
+
+@pytest.fixture(scope="module")
+def sphere():
+    return fb.bake(meshes.icosphere(3), resolution=32)
+
+
+# --- made by hand
+
+
+def test_a_volume_from_an_array():
+    values = np.arange(24).reshape(2, 3, 4)
+
+    volume = fb.Volume(values, [(0, 0, 0), (2, 3, 4)])
+
+    assert np.array_equal(volume.distances, values)
+    assert volume.resolution == (2, 3, 4)
+    assert np.array_equal(volume.spacing, (1, 1, 1))
+    assert np.array_equal(volume.origin, (0.5, 0.5, 0.5))
+    assert volume.distances.strides[0] == 4
+    assert np.array_equal(volume.inner_bounds, volume.bounds)
+
+
+@pytest.mark.parametrize(
+    ("distances", "bounds", "message"),
+    [
+        (np.zeros((2, 2)), [(0, 0, 0), (1, 1, 1)], "distances"),
+        (np.zeros((0, 2, 2)), [(0, 0, 0), (1, 1, 1)], "distances"),
+        (np.full((2, 2, 2), np.nan), [(0, 0, 0), (1, 1, 1)], r"distances\[0, 0, 0\]"),
+        (np.full((2, 2, 2), 1e300), [(0, 0, 0), (1, 1, 1)], r"distances\[0, 0, 0\]"),
+        (np.full((2, 2, 2), "a"), [(0, 0, 0), (1, 1, 1)], "distances"),
+        (np.zeros((2, 2, 2)), [(0, 0, 0), (1, 0, 1)], "bounds"),
+        (np.zeros((2, 2, 2)), [(0, 0), (1, 1)], "bounds"),
+        (np.zeros((2, 2, 2)), [(0, 0, 0), (1, 1, np.inf)], "bounds"),
+    ],
+)
+def test_a_volume_that_makes_no_sense(distances, bounds, message):
+    with pytest.raises(fb.ArgumentError, match=message):
+        fb.Volume(distances, bounds)
+
+
+def test_a_volume_does_not_change(noise):
+    with pytest.raises(ValueError, match="read-only"):
+        noise.distances[0, 0, 0] = 1
+    with pytest.raises(AttributeError, match="cannot be changed"):
+        noise.distances = np.zeros(SHAPE)
+    with pytest.raises(ValueError, match="read-only"):
+        noise.bounds[0, 0] = 1
+
+
+def test_a_volume_keeps_a_copy_of_the_array_it_was_made_from():
+    values = np.asfortranarray(np.ones((4, 4, 4), np.float32))
+    volume = fb.Volume(values, [(0, 0, 0), (1, 1, 1)])
+    values[:] = 5
+
+    assert (volume.distances == 1).all()
+
+
+@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, lambda v: pickle.loads(pickle.dumps(v))])
+def test_copies_are_equal(sphere, duplicate):
+    twin = duplicate(sphere)
+
+    assert np.array_equal(twin.distances, sphere.distances)
+    assert np.array_equal(twin.bounds, sphere.bounds)
+    assert twin.report == sphere.report
+
+
+# --- sampling
+
+
+@pytest.mark.parametrize("filter", ["linear", "nearest"])
+def test_samples_at_voxel_centres_are_the_stored_ones(noise, filter):
+    centres = truth.grid_points(*noise.bounds, noise.resolution)
+
+    found = noise.sample(centres, filter=filter)
+
+    # Centres are reached in float64 and may miss by an ulp of it, worth less than one float32 rounding of a sample.
+    assert found.shape == SHAPE
+    assert np.abs(found - noise.distances).max() <= truth.FLOAT32_ROUNDING * np.abs(noise.distances).max()
+
+
+def test_linear_samples_equal_the_formula(noise, random):
+    points = random.uniform(*BOX, size=(5_000, 3))
+
+    found = noise.sample(points)
+
+    # Weights (one rounding each axis) and seven interpolations of two roundings each.
+    rounding = 17 * truth.FLOAT32_ROUNDING * np.abs(noise.distances).max()
+    assert np.abs(found - truth.trilinear(noise.distances, *BOX, points)).max() <= rounding
+
+
+def test_nearest_samples_are_those_of_the_voxel(noise, random):
+    points = random.uniform(*BOX, size=(5_000, 3))
+
+    found = noise.sample(points, filter="nearest")
+
+    voxel = np.floor((points - BOX[0]) / noise.spacing).astype(int)
+    assert np.array_equal(found, noise.distances[tuple(voxel.T)])
+
+
+def test_the_outer_half_voxel_continues_the_outermost_samples(noise):
+    corner = BOX[0] + 1e-3
+    middle_of_face = np.array([BOX[0][0] + 1e-3, *noise.origin[1:]])
+
+    assert noise.sample([corner, middle_of_face]) == pytest.approx([noise.distances[0, 0, 0]] * 2)
+
+
+def test_sampling_keeps_its_accuracy_far_from_the_origin(random):
+    values = random.standard_normal(SHAPE)
+    shift = np.array([2.0**20, -(2.0**20), 2.0**20])
+    points = random.uniform(*BOX, size=(500, 3))
+
+    here, there = fb.Volume(values, BOX).sample(points), fb.Volume(values, BOX + shift).sample(points + shift)
+
+    # The moved points are rounded by 2^-33 of a unit; samples differ by a few units between voxels half a unit apart.
+    assert np.abs(here - there).max() <= 1e-6
+
+
+def test_any_shape_of_points(noise):
+    assert noise.sample(np.zeros((2, 5, 3))).shape == (2, 5)
+    assert noise.sample(np.zeros(3)).shape == ()
+    assert noise.sample(np.zeros((0, 3))).shape == (0,)
+    assert noise.gradient(np.zeros((2, 5, 3))).shape == (2, 5, 3)
+    assert noise.sample([[0, 0, 0]]).dtype == np.float32
+
+
+@pytest.mark.parametrize("points", [np.zeros((3, 2)), [[0, 0, np.nan]], [["a", "b", "c"]]])
+@pytest.mark.parametrize("method", ["sample", "gradient"])
+def test_bad_points_are_refused(noise, method, points):
+    with pytest.raises(fb.ArgumentError, match="points"):
+        getattr(noise, method)(points)
+
+
+def test_an_unknown_filter_is_refused(noise):
+    with pytest.raises(fb.ArgumentError, match="filter"):
+        noise.sample([[0, 0, 0]], filter="cubic")
+
+
+# --- gradient
+
+
+def test_the_gradient_is_that_of_the_interpolant(noise, random):
+    # Inside one cell the field is linear along each axis, so a difference quotient is exact whatever its step.
+    cell = random.integers(0, np.array(SHAPE) - 1, size=(2_000, 3))
+    points = noise.origin + (cell + random.uniform(0.2, 0.8, size=cell.shape)) * noise.spacing
+
+    found = noise.gradient(points)
+
+    step = 0.1 * noise.spacing
+    quotients = [
+        (truth.trilinear(noise.distances, *BOX, points + e) - truth.trilinear(noise.distances, *BOX, points - e))
+        / (2 * e.max())
+        for e in np.diag(step)
+    ]
+    rounding = 17 * truth.FLOAT32_ROUNDING * 2 * np.abs(noise.distances).max() / noise.spacing.min()
+    assert np.abs(found - np.stack(quotients, axis=1)).max() <= rounding
+
+
+def test_the_gradient_of_a_plane_is_its_normal(random):
+    normal = np.array([2, -1, 2]) / 3
+    points = truth.grid_points(*BOX, SHAPE)
+    volume = fb.Volume(truth.plane(points, normal), BOX)
+
+    found = volume.gradient(random.uniform(BOX[0] + volume.spacing, BOX[1] - volume.spacing, size=(500, 3)))
+
+    assert (
+        np.abs(found - normal).max()
+        <= 17 * truth.FLOAT32_ROUNDING * np.abs(volume.distances).max() * 2 / volume.spacing.min()
+    )
+
+
+def test_on_a_sphere_the_gradient_points_outwards(sphere, random):
+    direction = random.standard_normal((500, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+
+    gradient = sphere.gradient(direction)
+
+    # The normal turns by at most a voxel's diagonal over the radius within a cell, and by as much again at facets.
+    length = np.linalg.norm(gradient, axis=1)
+    assert (truth.dot(gradient, direction) / length).min() >= np.cos(2 * np.linalg.norm(sphere.spacing))
+    assert length.max() <= np.sqrt(3)
+
+
+# --- outside the box
+
+
+@pytest.mark.parametrize("name", ["knot", "cube", "torus", "open_box", "flat_sheet", "soup"])
+def test_outside_the_box_samples_are_a_lower_bound(name, random):
+    geometry = {**meshes.CLOSED, **meshes.OPEN}[name]()
+    volume = fb.bake(geometry, resolution=24)
+    points = meshes.points_around(geometry, 4_000, spread=4.0)
+    points = points[((points < volume.bounds[0]) | (points > volume.bounds[1])).any(axis=1)]
+
+    bound = volume.sample(points)
+
+    exact = truth.Reference(*geometry).distance(points)
+    to_box = np.linalg.norm(np.maximum(np.maximum(volume.bounds[0] - points, points - volume.bounds[1]), 0), axis=1)
+    assert (bound <= exact + truth.tolerance(*geometry, exact)).all()
+    assert (bound >= to_box - truth.tolerance(*geometry, exact)).all()
+
+
+def test_the_outside_bound_is_tight(random):
+    knot = meshes.knot(96, 10)
+    volume = fb.bake(knot, resolution=48)
+    points = meshes.points_around(knot, 4_000, spread=4.0)
+    points = points[((points < volume.bounds[0]) | (points > volume.bounds[1])).any(axis=1)]
+    exact = truth.Reference(*knot).distance(points)
+    to_box = np.linalg.norm(np.maximum(np.maximum(volume.bounds[0] - points, points - volume.bounds[1]), 0), axis=1)
+
+    bound = volume.sample(points)
+
+    assert (bound / exact).mean() > (to_box / exact).mean()
+    assert (bound / exact).mean() > 0.8
+
+
+def test_at_the_side_of_the_box_the_bound_continues_the_field(sphere):
+    side = np.array([sphere.bounds[1][0], 0.1, 0.2])
+
+    inside, outside = sphere.sample([side - (1e-6, 0, 0), side - (-1e-6, 0, 0)])
+
+    # Between the outermost centre and the side of the box neither can be off by more than that half voxel.
+    assert abs(outside - inside) <= sphere.spacing[0] / 2
+
+
+# --- downsample
+
+
+def test_downsample_halves_each_side_over_the_same_box(noise):
+    half = noise.downsample()
+
+    assert half.resolution == (5, 4, 3)
+    assert np.array_equal(half.bounds, noise.bounds)
+
+
+def test_downsample_holds_the_interpolant_at_the_new_centres(noise):
+    coarse = noise.downsample(3)
+
+    centres = truth.grid_points(*coarse.bounds, coarse.resolution)
+    expected = truth.trilinear(noise.distances, *BOX, centres.reshape(-1, 3))
+    rounding = 17 * truth.FLOAT32_ROUNDING * np.abs(noise.distances).max()
+    assert np.abs(coarse.distances.ravel() - expected).max() <= rounding
+
+
+def test_downsample_by_one_is_the_same_field(noise):
+    assert np.array_equal(noise.downsample(1).distances, noise.distances)
+
+
+def test_downsample_to_a_single_voxel(noise):
+    assert noise.downsample(100).resolution == (1, 1, 1)
+
+
+@pytest.mark.parametrize("factor", [0, -1, 2.0, "2", True])
+def test_downsample_by_nonsense(noise, factor):
+    with pytest.raises(fb.ArgumentError, match="factor"):
+        noise.downsample(factor)
+
+
+# --- to_mesh
+
+
+@pytest.mark.parametrize("name", ["icosphere", "torus", "knot", "cube", "hollow_sphere"])
+def test_the_surface_comes_back_closed_and_near(name):
+    geometry = meshes.CLOSED[name]()
+    volume = fb.bake(geometry, resolution=48)
+
+    surface = volume.to_mesh()
+
+    assert surface.topology()["closed"]
+    # A surface-net vertex lies in a cell that the surface crosses, so within a cell's diagonal of it.
+    diagonal = np.linalg.norm(volume.spacing)
+    assert np.abs(fb.signed_distance(geometry, surface.vertices)).max() <= diagonal
+    area = np.linalg.norm(np.cross(*(np.diff(truth.corners(*geometry), axis=1).transpose(1, 0, 2))), axis=1).sum() / 2
+    found, expected = truth.volume(surface.vertices, surface.faces), truth.volume(*geometry)
+    assert abs(found - expected) <= area * diagonal
+    assert found > 0
+
+
+def test_the_surface_of_a_cube_has_its_volume_to_a_percent():
+    volume = fb.bake(meshes.box(), resolution=64)
+    surface = volume.to_mesh()
+
+    # Only the edges are cut: twelve of length 2, each by less than a square voxel.
+    assert truth.volume(surface.vertices, surface.faces) == pytest.approx(8, abs=12 * 2 * volume.spacing.max() ** 2)
+
+
+def test_a_level_grows_the_surface(sphere):
+    grown = sphere.to_mesh(level=0.04)
+
+    radius = np.linalg.norm(grown.vertices, axis=1)
+    assert np.abs(radius - 1.04).max() <= np.linalg.norm(sphere.spacing)
+    assert radius.mean() == pytest.approx(1.04, abs=0.01)
+
+
+def test_a_surface_cut_by_the_box_is_closed_by_a_flat_cap():
+    half = fb.bake(meshes.icosphere(3), resolution=(20, 40, 40), bounds=[(0, -2, -2), (2, 2, 2)])
+
+    surface = half.to_mesh()
+
+    assert surface.topology()["closed"]
+    assert surface.bounds[0][0] == pytest.approx(0, abs=half.spacing[0])
+    # Half a ball, its surface off by less than half a voxel.
+    volume = truth.volume(surface.vertices, surface.faces)
+    assert volume == pytest.approx(2 / 3 * np.pi, abs=3 * np.pi * half.spacing[0] / 2)
+
+
+@pytest.mark.parametrize("level", [-5, 5, float("nan"), "zero"])
+def test_no_surface_at_that_level(sphere, level):
+    with pytest.raises(fb.ArgumentError, match="level"):
+        sphere.to_mesh(level)
+
+
+# --- file
+
+
+def test_save_and_load_give_the_same_bits(tmp_path):
+    volume = fb.bake(meshes.open_box(), resolution=(9, 10, 11), bounds=[(-1 / 3, -2, -3), (1, 2, 1e6)])
+    volume.save(tmp_path / "box.npz")
+
+    loaded = fb.load(tmp_path / "box.npz")
+
+    assert loaded.distances.tobytes() == volume.distances.tobytes()
+    assert np.array_equal(loaded.bounds, volume.bounds)
+    assert np.array_equal(loaded.inner_bounds, volume.inner_bounds)
+    assert loaded.report == volume.report
+    assert loaded.distances.strides == volume.distances.strides
+
+
+def test_plain_numpy_reads_the_file(sphere, tmp_path):
+    sphere.save(tmp_path / "sphere.npz")
+
+    with np.load(tmp_path / "sphere.npz", allow_pickle=False) as archive:
+        assert np.array_equal(archive["distances"], sphere.distances)
+
+
+@pytest.mark.parametrize("kind", [str, lambda path: path], ids=["str", "Path"])
+def test_paths_of_any_kind(sphere, tmp_path, kind):
+    sphere.save(kind(tmp_path / "sphere.npz"))
+
+    assert fb.load(kind(tmp_path / "sphere.npz")).resolution == sphere.resolution
+
+
+def test_another_ending_is_refused(sphere, tmp_path):
+    with pytest.raises(fb.FormatError, match=r"\.npz"):
+        sphere.save(tmp_path / "sphere.png")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_file_or_folder_stays_missing(sphere, tmp_path):
+    with pytest.raises(FileNotFoundError):
+        fb.load(tmp_path / "nowhere.npz")
+    with pytest.raises(FileNotFoundError):
+        sphere.save(tmp_path / "nowhere" / "sphere.npz")
+
+
+@pytest.mark.parametrize("broken", ["fsync", "replace"])
+def test_a_failed_save_leaves_the_old_file_and_no_litter(sphere, tmp_path, monkeypatch, broken):
+    path = tmp_path / "sphere.npz"
+    sphere.save(path)
+    before = path.read_bytes()
+
+    def fail(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, broken, fail)
+    with pytest.raises(OSError, match="No space left"):
+        fb.Volume(np.zeros((3, 3, 3)), [(0, 0, 0), (1, 1, 1)]).save(path)
+
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_saving_over_a_file_replaces_it(sphere, noise, tmp_path):
+    sphere.save(tmp_path / "v.npz")
+    noise.save(tmp_path / "v.npz")
+
+    assert fb.load(tmp_path / "v.npz").resolution == SHAPE
+
+
+def members_of(path):
+    with zipfile.ZipFile(path) as archive:
+        return {info.filename: archive.read(info) for info in archive.infolist()}
+
+
+def write_archive(path, members, compression=zipfile.ZIP_STORED):
+    with zipfile.ZipFile(path, "w", compression) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+
+
+def npy(array, **options):
+    stream = io.BytesIO()
+    np.lib.format.write_array(stream, np.asarray(array), **options)
+    return stream.getvalue()
+
+
+def with_header(members, **changes):
+    """The members with facts of their header replaced, or removed where None."""
+    header = json.loads(str(np.load(io.BytesIO(members["header.npy"]))))
+    header.update(changes)
+    header = {name: value for name, value in header.items() if value is not None}
+    return {**members, "header.npy": npy(json.dumps(header))}
+
+
+class Trap:
+    """Pickled into a file, this would leave a mark when read."""
+
+    def __init__(self, mark):
+        self.mark = mark
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.mark),)
+
+
+HOSTILE = {
+    "no header": lambda m: {"distances.npy": m["distances.npy"]},
+    "no distances": lambda m: {"header.npy": m["header.npy"]},
+    "header is a number": lambda m: {**m, "header.npy": npy(3.0)},
+    "header is a list": lambda m: {**m, "header.npy": npy(json.dumps([1]))},
+    "header is no JSON": lambda m: {**m, "header.npy": npy("{")},
+    "header nested a million deep": lambda m: {**m, "header.npy": npy("[" * 1_000_000)},
+    "header of another program": lambda m: with_header(m, format="other"),
+    "no format": lambda m: with_header(m, format=None),
+    "no version": lambda m: with_header(m, version=None),
+    "version is text": lambda m: with_header(m, version="1"),
+    "version 0": lambda m: with_header(m, version=0),
+    "another kind": lambda m: with_header(m, kind="mystery"),
+    "no bounds": lambda m: with_header(m, bounds=None),
+    "bounds upside down": lambda m: with_header(m, bounds=[[1, 1, 1], [0, 0, 0]]),
+    "bounds of text": lambda m: with_header(m, bounds="far"),
+    "bounds not finite": lambda m: with_header(m, bounds=[[0, 0, 0], [1, 1, float("inf")]]),
+    "bounds of three corners": lambda m: with_header(m, bounds=[[0, 0, 0]] * 3),
+    "resolution does not fit": lambda m: with_header(m, resolution=[1, 2, 3]),
+    "report of a wrong kind": lambda m: with_header(m, report=[1, 2]),
+    "fact of a wrong kind": lambda m: with_header(m, report={"closed": "yes"}),
+    "distances in double": lambda m: {**m, "distances.npy": npy(np.zeros((9, 7, 5)))},
+    "distances in the plane": lambda m: {**m, "distances.npy": npy(np.zeros((9, 35), np.float32))},
+    "distances of another shape": lambda m: {**m, "distances.npy": npy(np.zeros((5, 7, 9), np.float32))},
+    "distances not finite": lambda m: {**m, "distances.npy": npy(np.full(SHAPE, np.nan, np.float32, order="F"))},
+    "more bytes than the shape says": lambda m: {**m, "distances.npy": m["distances.npy"] + b"\0" * 400},
+    "fewer bytes than the shape says": lambda m: {**m, "distances.npy": m["distances.npy"][:-400]},
+    "no array at all": lambda m: {**m, "distances.npy": b"hello"},
+    "a shape that overflows": lambda m: {
+        **m,
+        "distances.npy": m["distances.npy"].replace(b"(9, 7, 5)", b"(%d,%d,4)" % (2**31, 2**31)),
+    },
+}
+
+
+@pytest.fixture
+def good_members(noise, tmp_path):
+    noise.save(tmp_path / "good.npz")
+    return members_of(tmp_path / "good.npz")
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_file_that_is_wrong_inside(good_members, tmp_path, name):
+    path = tmp_path / "hostile.npz"
+    write_archive(path, HOSTILE[name](good_members))
+
+    with pytest.raises(fb.FormatError, match=r"hostile\.npz"):
+        fb.load(path)
+
+
+def test_the_rewritten_file_is_good_otherwise(good_members, tmp_path, noise):
+    write_archive(tmp_path / "same.npz", with_header(good_members))
+
+    assert np.array_equal(fb.load(tmp_path / "same.npz").distances, noise.distances)
+
+
+def test_a_newer_version_says_so(good_members, tmp_path):
+    write_archive(tmp_path / "new.npz", with_header(good_members, version=1_000))
+
+    with pytest.raises(fb.FormatError, match=r"version 1000.*newer"):
+        fb.load(tmp_path / "new.npz")
+
+
+@pytest.mark.parametrize("member", ["header.npy", "distances.npy", "extra.npy"])
+def test_nothing_is_ever_unpickled(good_members, tmp_path, member):
+    mark = tmp_path / "mark"
+    trapped = np.empty(1, object)
+    trapped[0] = Trap(mark)
+    write_archive(tmp_path / "trap.npz", {**good_members, member: npy(trapped, allow_pickle=True)})
+
+    try:
+        fb.load(tmp_path / "trap.npz")
+    except fb.FormatError:
+        pass
+    else:
+        assert member == "extra.npy"  # not read, so harmless
+    assert not mark.exists()
+
+
+def test_a_pickle_instead_of_an_archive(tmp_path):
+    mark = tmp_path / "mark"
+    (tmp_path / "trap.npz").write_bytes(pickle.dumps(Trap(mark)))
+
+    with pytest.raises(fb.FormatError):
+        fb.load(tmp_path / "trap.npz")
+    assert not mark.exists()
+
+
+def test_a_zip_bomb_is_not_unfolded(good_members, tmp_path):
+    path = tmp_path / "bomb.npz"
+    huge = npy(np.zeros((512, 512, 128), np.float32))  # 128 MiB, 130 KiB when packed
+    write_archive(
+        path, {**with_header(good_members, resolution=[512, 512, 128]), "distances.npy": huge}, zipfile.ZIP_DEFLATED
+    )
+
+    with pytest.raises(fb.FormatError, match="compressed"):
+        fb.load(path)
+
+
+def test_a_directory_that_lies_about_sizes(good_members, tmp_path):
+    path = tmp_path / "liar.npz"
+    write_archive(path, good_members)
+    content = bytearray(path.read_bytes())
+    entry = content.rindex(b"PK\x01\x02")
+    content[entry + 20 : entry + 28] = struct.pack("<II", 2**31, 2**31)
+    path.write_bytes(content)
+
+    with pytest.raises(fb.FormatError):
+        fb.load(path)
+
+
+@pytest.mark.parametrize("length", [0, 1, 30, 100, 1_000, -1, -20, -200])
+def test_a_truncated_file(good_members, tmp_path, length):
+    path = tmp_path / "cut.npz"
+    write_archive(path, good_members)
+    path.write_bytes(path.read_bytes()[:length])
+
+    with pytest.raises(fb.FormatError, match=r"cut\.npz"):
+        fb.load(path)
+
+
+def test_a_flipped_bit_among_the_samples(good_members, tmp_path):
+    path = tmp_path / "flipped.npz"
+    write_archive(path, good_members)
+    content = bytearray(path.read_bytes())
+    content[content.index(b"(9, 7, 5)") + 300] ^= 1
+    path.write_bytes(content)
+
+    with pytest.raises(fb.FormatError, match=r"flipped\.npz"):
+        fb.load(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"\x00" * 100, b"v 0 0 0\n", b"PK\x05\x06" + b"\x00" * 18])
+@pytest.mark.parametrize("name", ["other.npz", "other.obj", "other"])
+def test_a_file_of_something_else(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+
+    with pytest.raises(fb.FormatError, match=name):
+        fb.load(tmp_path / name)
+
+
+def test_a_folder_is_no_file(tmp_path):
+    with pytest.raises(fb.FormatError, match="directory"):
+        fb.load(tmp_path)
+
+
+def test_a_notebook_shows_a_picture(sphere, noise):
+    assert sphere._repr_png_().startswith(b"\x89PNG")
+    assert fb.Volume(np.ones((3, 3, 3)), [(0, 0, 0), (1, 1, 1)])._repr_png_() is None
