@@ -87,8 +87,8 @@ def bake_brute(
     sign: str,
     device: str,
 ) -> NDArray[np.float32]:
-    """The articles' own bake on a graphics device, every sample against every triangle. ``sign`` is "normal", "parity" or
-    "unsigned". A reference for tests."""
+    """The articles' own bake on a graphics device, every sample against every triangle; a reference for tests. ``sign``
+    is "normal", "parity" or "unsigned"."""
 
 @final
 class DeviceField:

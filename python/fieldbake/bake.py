@@ -236,7 +236,9 @@ def closest_point(
     checked = as_mesh(mesh)
     _check_reach("points", checked, flat, MAX_POINT_REACH)
     with progress_callback(progress, "closest point") as callback:
-        nearest, distances, kept = _core.closest_point(checked._core, flat, device=device, progress=callback)
+        nearest, distances, kept = _core.closest_point(
+            checked._core, flat, device=_checks.text("device", device), progress=callback
+        )
     faces = kept.astype(np.int64) if mesh is checked else checked._core.source_faces[kept]
     return ClosestPoints(nearest.reshape(*shape, 3), distances.reshape(shape), faces.reshape(shape))
 

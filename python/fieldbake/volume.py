@@ -76,9 +76,10 @@ class Volume:
         inner_bounds: NDArray[np.float64],
         report: Report,
     ) -> None:
-        on_device = isinstance(distances, _core.DeviceField)
-        self._field = distances if on_device else None
-        self._samples = None if on_device else _checks.frozen(distances)
+        if isinstance(distances, _core.DeviceField):
+            self._field, self._samples = distances, None
+        else:
+            self._field, self._samples = None, _checks.frozen(distances)
         nx, ny, nz = distances.shape
         self._shape = (nx, ny, nz)
         self._bounds = _checks.frozen(bounds)
@@ -110,7 +111,7 @@ class Volume:
     def _source(self, device: str) -> NDArray[np.float32] | _core.DeviceField:
         """The samples where a call with this `device` runs, if they are there."""
         field = self._field
-        return field if field is not None and field.serves(device) else self._distances
+        return field if field is not None and field.serves(_checks.text("device", device)) else self._distances
 
     @property
     def distances(self) -> NDArray[np.float32]:

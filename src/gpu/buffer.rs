@@ -162,7 +162,7 @@ impl Context {
             drop(lane);
             self.check(what)?;
             match outcome {
-                Ok(_) => return Ok(progress.check()?),
+                Ok(_) => return progress.check(),
                 Err(wgpu::PollError::Timeout) if start.elapsed() > HANG => {
                     self.abandon("it did not answer");
                     self.check(what)?;

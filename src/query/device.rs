@@ -1,4 +1,6 @@
-//! The search for the nearest faces of many points on a graphics device.
+//! The search for the nearest faces of a list of points on a graphics device (`shaders/query_points.wgsl`).
+//!
+//! Only the search runs there: the distance is found from the winning face in float64 on the CPU, and so is the side.
 
 use crate::bvh::binary::BinaryTree;
 use crate::error::Error;
@@ -9,7 +11,7 @@ use crate::mesh::Mesh;
 use crate::progress::Progress;
 use glam::DVec3;
 
-/// In place of a face, as in the shader.
+/// In place of a face where a search ran out of rounds, as in the shader.
 pub(super) const UNFINISHED: u32 = u32::MAX;
 /// Workgroups of a dispatch: the first one, and the most that one dimension holds. Each answers 64 points.
 const WORKGROUPS: (u64, u64) = (4, 65_535);

@@ -5,12 +5,11 @@
 //! carried over. The last by the shell lemma: within the distance of p no surface lies, so every point there is on the same
 //! side as p; with openings, within the part of that ball that keeps clear of the cones which close them.
 //!
-//! The order is cut into chunks of fixed size, so the result does not depend on the number of threads.
+//! On a graphics device the search for the nearest faces is done there, for all points at once ([`device`]).
 //!
-//! The search runs on the CPU or on a graphics device; what is returned is found from the winning face in float64 on the
-//! CPU in both cases, and so is the sign.
+//! The order is cut into chunks of fixed size, so the result does not depend on the number of threads.
 
-mod gpu;
+mod device;
 
 use crate::bvh::closest::ClosestPoint;
 use crate::error::{ArgumentError, Error};
@@ -47,6 +46,7 @@ pub fn closest_points(
     progress: &Progress,
 ) -> Result<ClosestPoints, Error> {
     check_points(points)?;
+    mesh.bvh();
     let answers = answer_in_order(place, mesh, points, progress, |walk, p, row| {
         let closest = walk.closest_point(p, row);
         (mesh.world_from_local(closest.on_triangle.point), (closest.distance * mesh.scale()) as f32, closest.face)
@@ -73,6 +73,7 @@ pub fn signed_distances(
     progress: &Progress,
 ) -> Result<Vec<f32>, Error> {
     check_points(points)?;
+    mesh.bvh();
     let choice = SignChoice::new(mesh, method);
     choice.rule.prepare(mesh);
     let answers = answer_in_order(place, mesh, points, progress, |walk, p, row| {
@@ -91,7 +92,7 @@ pub fn signed_distances(
 /// One walk along the curve: what the points before have shown.
 struct Walk<'a> {
     mesh: &'a Mesh,
-    /// Nearest faces that a device has found, by point; empty on the CPU.
+    /// The nearest face of each point where a device has searched; else empty.
     faces: &'a [u32],
     last: Option<(DVec3, f64)>,
     /// A ball in which every point is on the same side.
@@ -99,9 +100,8 @@ struct Walk<'a> {
 }
 
 impl Walk<'_> {
-    /// The closest point to `p`, which is point `row` of the query.
     fn closest_point(&mut self, p: DVec3, row: u32) -> ClosestPoint {
-        if let Some(&face) = self.faces.get(row as usize).filter(|&&face| face != gpu::UNFINISHED) {
+        if let Some(&face) = self.faces.get(row as usize).filter(|face| **face != device::UNFINISHED) {
             return self.mesh.closest_point_on_face(face, p);
         }
         let bound = self.last.map_or(f64::INFINITY, |(q, distance)| distance + p.distance(q));
@@ -132,11 +132,10 @@ fn answer_in_order<T: Send>(
     progress: &Progress,
     answer: impl Fn(&mut Walk<'_>, DVec3, u32) -> T + Sync,
 ) -> Result<Vec<(u32, T)>, Error> {
-    mesh.bvh();
     progress.set_total(place.passes() * points.len() as u64);
     let faces = match place {
         Place::Cpu => Vec::new(),
-        Place::Gpu(context) => gpu::nearest_faces(context, mesh, points, progress)?,
+        Place::Gpu(context) => device::nearest_faces(context, mesh, points, progress)?,
     };
     let chunks: Vec<Vec<(u32, T)>> = curve(points)
         .par_chunks(CHUNK)
