@@ -9,7 +9,9 @@ SwiftShader) and tells nothing about a GPU.
 from __future__ import annotations
 
 import argparse
+import functools
 import time
+from pathlib import Path
 
 import numpy as np
 
@@ -34,24 +36,23 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=1)
     options = parser.parse_args()
 
-    print(
-        f"{'mesh':24} {'faces':>8} {'cpu s':>9} {'device s':>9} {'cpu/device':>10} {'error/diag':>11} {'signs':>6} {'pixels':>7}"
-    )
+    row = "{:24} {:>8} {:>9} {:>9} {:>10} {:>11} {:>6} {:>7}"
+    print(row.format("mesh", "faces", "cpu s", "device s", "cpu/device", "error/diag", "signs", "pixels"))
     name = ""
     for path in options.meshes or [None]:
-        mesh = fb.load_mesh(path) if path else fb.models.knot()
-        cpu, cpu_s = best_of(options.repeat, lambda: fb.bake(mesh, options.resolution, device="cpu"))
-        gpu, gpu_s = best_of(options.repeat, lambda: fb.bake(mesh, options.resolution, device=options.device))
+        mesh = fb.load_mesh(path) if path else fb.models.torus_knot()
+        bake = functools.partial(fb.bake, mesh, options.resolution)
+        cpu, cpu_s = best_of(options.repeat, functools.partial(bake, device="cpu"))
+        gpu, gpu_s = best_of(options.repeat, functools.partial(bake, device=options.device))
         name = gpu.report.device
         frames = [fb.raymarch(volume, device=device) for volume, device in ((cpu, "cpu"), (gpu, options.device))]
         diagonal = np.linalg.norm(cpu.bounds[1] - cpu.bounds[0])
         error = np.abs(cpu.distances - gpu.distances).max() / diagonal
         signs = np.count_nonzero(np.signbit(cpu.distances) != np.signbit(gpu.distances))
         pixels = np.count_nonzero(frames[0].object_id != frames[1].object_id)
-        label = str(path or "knot").rsplit("/", 1)[-1]
-        print(
-            f"{label:24} {len(mesh.faces):8} {cpu_s:9.3f} {gpu_s:9.3f} {cpu_s / gpu_s:10.2f} {error:11.1e} {signs:6} {pixels:7}"
-        )
+        label = Path(path).name if path else "knot"
+        times = f"{cpu_s:.3f}", f"{gpu_s:.3f}", f"{cpu_s / gpu_s:.2f}"
+        print(row.format(label, len(mesh.faces), *times, f"{error:.1e}", signs, pixels))
     print(f"device: {name}")
 
 
