@@ -64,6 +64,22 @@ pub enum DeviceError {
     NotAvailable { requested: String, reason: String },
     #[error("device: '{requested}' is unknown; use \"auto\", \"cpu\", \"gpu\" or a name from fieldbake.devices()")]
     Unknown { requested: String },
+    #[error(
+        "device: '{device}' was opened before this process was forked, and graphics drivers do not survive a fork; start worker processes with the \"spawn\" method, or use device=\"cpu\" in them"
+    )]
+    Forked { device: String },
+    #[error("{device}: {what} needs {needed} bytes, the device allows {limit}; {advice}")]
+    TooLarge { device: String, what: String, needed: u64, limit: u64, advice: &'static str },
+    #[error(
+        "{device}: out of memory for {what} ({needed} bytes); lower the resolution, bake parts of the box through bounds=, or use device=\"cpu\""
+    )]
+    OutOfMemory { device: String, what: String, needed: u64 },
+    #[error("{device}: the device was lost during {what} ({reason}); the next call opens it again")]
+    Lost { device: String, what: String, reason: String },
+    #[error("{device}: shader {kernel} was refused: {reason}")]
+    Shader { device: String, kernel: String, reason: String },
+    #[error("{device}: {what} failed: {reason}")]
+    Failed { device: String, what: String, reason: String },
 }
 
 /// Any failure of the core.

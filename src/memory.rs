@@ -5,21 +5,12 @@ use std::alloc::Layout;
 
 /// A zeroed buffer of `count` samples, or an error that tells its size.
 ///
-/// `scratch` is what the job will need besides, in bytes. Linux grants memory it does not have, so the free memory is asked for
-/// first; a limit on the process shows in the allocation itself.
+/// `scratch` is what the job will need besides, in bytes. Linux grants memory it does not have, so the free memory is
+/// asked for first; a limit on the process shows in the allocation itself.
 pub fn allocate_samples(what: &str, count: usize, scratch: usize) -> Result<Vec<f32>, Error> {
     let needed = (count as u64).saturating_mul(size_of::<f32>() as u64);
-    let refuse = |available| CapacityError {
-        what: what.to_owned(),
-        needed,
-        available,
-        advice: "lower the resolution, or bake parts of the box through bounds=",
-    };
-    let available = available_bytes();
-    if needed.saturating_add(scratch as u64) > available {
-        return Err(refuse(Some(available)).into());
-    }
-    let layout = Layout::array::<f32>(count).map_err(|_| refuse(None))?;
+    require(what, needed, scratch as u64)?;
+    let layout = Layout::array::<f32>(count).map_err(|_| refusal(what, needed, None))?;
     if layout.size() == 0 {
         return Ok(Vec::new());
     }
@@ -27,10 +18,25 @@ pub fn allocate_samples(what: &str, count: usize, scratch: usize) -> Result<Vec<
     // threads share that cost; `Vec` has no fallible way to ask for it.
     let start = unsafe { std::alloc::alloc_zeroed(layout) }.cast::<f32>();
     if start.is_null() {
-        return Err(refuse(None).into());
+        return Err(refusal(what, needed, None).into());
     }
     // SAFETY: the global allocator gave `count` floats with a float's alignment, and zero bits are the float zero.
     Ok(unsafe { Vec::from_raw_parts(start, count, count) })
+}
+
+/// Fails if the machine does not have `needed` bytes free, and `scratch` besides.
+pub fn require(what: &str, needed: u64, scratch: u64) -> Result<(), Error> {
+    let available = available_bytes();
+    if needed.saturating_add(scratch) > available { Err(refusal(what, needed, Some(available)).into()) } else { Ok(()) }
+}
+
+fn refusal(what: &str, needed: u64, available: Option<u64>) -> CapacityError {
+    CapacityError {
+        what: what.to_owned(),
+        needed,
+        available,
+        advice: "lower the resolution, or bake parts of the box through bounds=",
+    }
 }
 
 /// Free memory of the machine, or of the container where that is less.

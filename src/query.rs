@@ -5,10 +5,15 @@
 //! carried over. The last by the shell lemma: within the distance of p no surface lies, so every point there is on the same
 //! side as p; with openings, within the part of that ball that keeps clear of the cones which close them.
 //!
+//! On a graphics device the search for the nearest faces is done there, for all points at once ([`device`]).
+//!
 //! The order is cut into chunks of fixed size, so the result does not depend on the number of threads.
+
+mod device;
 
 use crate::bvh::closest::ClosestPoint;
 use crate::error::{ArgumentError, Error};
+use crate::gpu::Place;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::sign::{SignChoice, SignMethod, SignRule};
@@ -34,11 +39,16 @@ pub struct ClosestPoints {
 }
 
 /// Closest point of the mesh to each world position.
-pub fn closest_points(mesh: &Mesh, points: &[[f64; 3]], progress: &Progress) -> Result<ClosestPoints, Error> {
+pub fn closest_points(
+    place: &Place,
+    mesh: &Mesh,
+    points: &[[f64; 3]],
+    progress: &Progress,
+) -> Result<ClosestPoints, Error> {
     check_points(points)?;
     mesh.bvh();
-    let answers = answer_in_order(mesh, points, progress, |walk, p| {
-        let closest = walk.closest_point(p);
+    let answers = answer_in_order(place, mesh, points, progress, |walk, p, row| {
+        let closest = walk.closest_point(p, row);
         (mesh.world_from_local(closest.on_triangle.point), (closest.distance * mesh.scale()) as f32, closest.face)
     })?;
     let mut found = ClosestPoints {
@@ -56,6 +66,7 @@ pub fn closest_points(mesh: &Mesh, points: &[[f64; 3]], progress: &Progress) -> 
 
 /// Signed distance of each world position, world units, negative inside.
 pub fn signed_distances(
+    place: &Place,
     mesh: &Mesh,
     points: &[[f64; 3]],
     method: SignMethod,
@@ -65,8 +76,8 @@ pub fn signed_distances(
     mesh.bvh();
     let choice = SignChoice::new(mesh, method);
     choice.rule.prepare(mesh);
-    let answers = answer_in_order(mesh, points, progress, |walk, p| {
-        let closest = walk.closest_point(p);
+    let answers = answer_in_order(place, mesh, points, progress, |walk, p, row| {
+        let closest = walk.closest_point(p, row);
         let inside = walk.is_inside(&choice.rule, p, &closest);
         let unsigned = closest.distance * mesh.scale();
         (if inside { -unsigned } else { unsigned }) as f32
@@ -81,13 +92,18 @@ pub fn signed_distances(
 /// One walk along the curve: what the points before have shown.
 struct Walk<'a> {
     mesh: &'a Mesh,
+    /// The nearest face of each point where a device has searched; else empty.
+    faces: &'a [u32],
     last: Option<(DVec3, f64)>,
     /// A ball in which every point is on the same side.
     known: Option<(DVec3, f64, bool)>,
 }
 
 impl Walk<'_> {
-    fn closest_point(&mut self, p: DVec3) -> ClosestPoint {
+    fn closest_point(&mut self, p: DVec3, row: u32) -> ClosestPoint {
+        if let Some(&face) = self.faces.get(row as usize).filter(|face| **face != device::UNFINISHED) {
+            return self.mesh.closest_point_on_face(face, p);
+        }
         let bound = self.last.map_or(f64::INFINITY, |(q, distance)| distance + p.distance(q));
         let bound = bound * (1.0 + SLACK.0) + SLACK.1;
         let found = self.mesh.closest_point_within(p, (bound * bound) as f32);
@@ -110,18 +126,23 @@ impl Walk<'_> {
 
 /// Answer every point, near ones after each other; rows and answers in the order of the curve.
 fn answer_in_order<T: Send>(
+    place: &Place,
     mesh: &Mesh,
     points: &[[f64; 3]],
     progress: &Progress,
-    answer: impl Fn(&mut Walk<'_>, DVec3) -> T + Sync,
+    answer: impl Fn(&mut Walk<'_>, DVec3, u32) -> T + Sync,
 ) -> Result<Vec<(u32, T)>, Error> {
-    progress.set_total(points.len() as u64);
+    progress.set_total(place.passes() * points.len() as u64);
+    let faces = match place {
+        Place::Cpu => Vec::new(),
+        Place::Gpu(context) => device::nearest_faces(context, mesh, points, progress)?,
+    };
     let chunks: Vec<Vec<(u32, T)>> = curve(points)
         .par_chunks(CHUNK)
         .map(|rows| -> Result<_, Error> {
-            let mut walk = Walk { mesh, last: None, known: None };
+            let mut walk = Walk { mesh, faces: &faces, last: None, known: None };
             let position = |row: u32| mesh.local_from_world(DVec3::from_array(points[row as usize]));
-            let answers = rows.iter().map(|&(_, row)| (row, answer(&mut walk, position(row)))).collect();
+            let answers = rows.iter().map(|&(_, row)| (row, answer(&mut walk, position(row), row))).collect();
             progress.advance(rows.len() as u64)?;
             Ok(answers)
         })
@@ -219,10 +240,10 @@ mod tests {
     fn many_points_are_answered_as_one() {
         let mesh = open_box(12);
         let points = scattered(6000);
-        let together = signed_distances(&mesh, &points, SignMethod::Auto, &Progress::new()).unwrap();
-        let closest = closest_points(&mesh, &points, &Progress::new()).unwrap();
+        let together = signed_distances(&Place::Cpu, &mesh, &points, SignMethod::Auto, &Progress::new()).unwrap();
+        let closest = closest_points(&Place::Cpu, &mesh, &points, &Progress::new()).unwrap();
         for (i, &point) in points.iter().enumerate() {
-            let alone = signed_distances(&mesh, &[point], SignMethod::Auto, &Progress::new()).unwrap()[0];
+            let alone = signed_distances(&Place::Cpu, &mesh, &[point], SignMethod::Auto, &Progress::new()).unwrap()[0];
             assert!((together[i] - alone).abs() <= 1e-6, "{point:?}: {} {alone}", together[i]);
             assert!((closest.distances[i] - alone.abs()).abs() <= 1e-6, "{point:?}");
         }
@@ -245,8 +266,8 @@ mod tests {
     fn points_that_are_not_finite_are_named() {
         let mesh = open_box(2);
         let points = [[0.0; 3], [0.0, f64::NAN, 0.0]];
-        let error = closest_points(&mesh, &points, &Progress::new()).unwrap_err().to_string();
+        let error = closest_points(&Place::Cpu, &mesh, &points, &Progress::new()).unwrap_err().to_string();
         assert_eq!(error, "points: points[1] = (0, NaN, 0) is not finite");
-        assert!(closest_points(&mesh, &[], &Progress::new()).unwrap().faces.is_empty());
+        assert!(closest_points(&Place::Cpu, &mesh, &[], &Progress::new()).unwrap().faces.is_empty());
     }
 }

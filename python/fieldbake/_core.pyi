@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "DeviceField",
     "Mesh",
     "__version__",
     "bake",
+    "bake_brute",
     "closest_point",
     "devices",
     "gradient",
@@ -69,13 +71,43 @@ def bake(
     thickness: float | None = None,
     device: str = "auto",
     progress: Callable[[float], object] | None = None,
-) -> tuple[NDArray[np.float32], dict[str, Any]]:
+) -> tuple[NDArray[np.float32] | DeviceField, dict[str, Any]]:
     """Distances (nx, ny, nz), x fastest in memory, and the report. ``band`` in voxels; ``thickness`` in world units
     makes the field two-sided: unsigned minus half the thickness. ``progress`` gets 0 to 1 about ten times a second.
 
     The report: ``sign_method`` ("winding", "parity", "pseudonormal", "normal", "unsigned"), ``sign_reason``
     (one sentence), the facts of :meth:`Mesh.topology`, ``undecided_voxels``, ``inside_voxels``, ``device``,
     ``seconds`` (dict: stage to float), ``peak_bytes``, ``warnings`` (list of sentences)."""
+
+def bake_brute(
+    mesh: Mesh,
+    lower: tuple[float, float, float],
+    upper: tuple[float, float, float],
+    shape: tuple[int, int, int],
+    sign: str,
+    device: str,
+) -> NDArray[np.float32]:
+    """The articles' own bake on a graphics device, every sample against every triangle; a reference for tests. ``sign``
+    is "normal", "parity" or "unsigned"."""
+
+@final
+class DeviceField:
+    """Distances in the memory of a graphics device. Made by :func:`bake`."""
+
+    @property
+    def shape(self) -> tuple[int, int, int]: ...
+    @property
+    def nbytes(self) -> int: ...
+    @property
+    def device(self) -> str: ...
+    def read(self) -> NDArray[np.float32]:
+        """The samples, (nx, ny, nz) with x fastest in memory; each call copies them anew."""
+    def serves(self, device: str) -> bool:
+        """Whether a call with this ``device`` runs where the field is."""
+    def _transfers(self) -> dict[str, int]:
+        """Uploads, read-backs and their bytes on this device so far; for tests."""
+    def _destroy_device(self) -> None:
+        """Give the device up as if the driver had taken it away; for tests."""
 
 def signed_distance(
     mesh: Mesh,
@@ -88,7 +120,11 @@ def signed_distance(
     """Signed distance at ``points`` (n, 3), shape (n,)."""
 
 def closest_point(
-    mesh: Mesh, points: NDArray[np.float64], *, progress: Callable[[float], object] | None = None
+    mesh: Mesh,
+    points: NDArray[np.float64],
+    *,
+    device: str = "auto",
+    progress: Callable[[float], object] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.uint32]]:
     """Closest points (n, 3), unsigned distances (n,), faces (n,) as rows of ``mesh.faces``."""
 
@@ -130,7 +166,7 @@ def surface_nets(
     """Vertices (n, 3), world, and faces (m, 3) of the level set, counter-clockwise seen from outside."""
 
 def raymarch(
-    distances: NDArray[np.float32],
+    distances: NDArray[np.float32] | DeviceField,
     lower: tuple[float, float, float],
     upper: tuple[float, float, float],
     pose: NDArray[np.float64],

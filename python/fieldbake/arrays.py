@@ -62,7 +62,7 @@ def bake(
     distances, _ = _core.bake(
         mesh, *corners, (nx, ny, nz), sign=_checks.text("sign", sign), device=_checks.text("device", device)
     )
-    return distances
+    return distances.read() if isinstance(distances, _core.DeviceField) else distances
 
 
 def raymarch(

@@ -200,7 +200,9 @@ def signed_distance(
     return values.reshape(shape)
 
 
-def closest_point(mesh: MeshLike, points: ArrayLike, *, progress: Progress = None) -> ClosestPoints:
+def closest_point(
+    mesh: MeshLike, points: ArrayLike, *, device: str = "auto", progress: Progress = None
+) -> ClosestPoints:
     """The nearest point of a mesh to any points, exact.
 
     Parameters
@@ -209,7 +211,7 @@ def closest_point(mesh: MeshLike, points: ArrayLike, *, progress: Progress = Non
         Hand over a `Mesh` to keep the search tree between calls.
     points : (n, 3) real
         World positions; any leading shape will do.
-    progress : bool or callable, optional
+    device, progress
         As for :func:`bake`.
 
     Returns
@@ -220,7 +222,7 @@ def closest_point(mesh: MeshLike, points: ArrayLike, *, progress: Progress = Non
 
     Raises
     ------
-    MeshError, ArgumentError
+    MeshError, ArgumentError, DeviceError
         As for :func:`bake`; ArgumentError also for a point that is not finite.
 
     Examples
@@ -235,7 +237,9 @@ def closest_point(mesh: MeshLike, points: ArrayLike, *, progress: Progress = Non
     checked = as_mesh(mesh)
     _check_reach("points", checked, flat, MAX_POINT_REACH)
     with progress_callback(progress, "closest point") as callback:
-        nearest, distances, kept = _core.closest_point(checked._core, flat, progress=callback)
+        nearest, distances, kept = _core.closest_point(
+            checked._core, flat, device=_checks.text("device", device), progress=callback
+        )
     faces = kept.astype(np.int64) if mesh is checked else checked._core.source_faces[kept]
     return ClosestPoints(nearest.reshape(*shape, 3), distances.reshape(shape), faces.reshape(shape))
 

@@ -113,7 +113,7 @@ def raymarch(
     lower, upper = volume._corners()
     with progress_callback(progress, "raymarch") as callback:
         result = _core.raymarch(
-            volume._distances,
+            volume._source(device),
             lower,
             upper,
             camera.pose,

@@ -47,10 +47,13 @@ class Volume:
     [[1.0, 0.0, 0.0]]
     """
 
-    __slots__ = ("_bounds", "_distances", "_inner_bounds", "_report")
+    __slots__ = ("_bounds", "_field", "_inner_bounds", "_report", "_samples", "_shape")
 
     _bounds: NDArray[np.float64]
-    _distances: NDArray[np.float32]
+    # Samples on a graphics device, and here: either may be missing, not both.
+    _field: _core.DeviceField | None
+    _samples: NDArray[np.float32] | None
+    _shape: tuple[int, int, int]
     _inner_bounds: NDArray[np.float64]
     _report: Report
 
@@ -68,12 +71,17 @@ class Volume:
 
     def _set(
         self,
-        distances: NDArray[np.float32],
+        distances: NDArray[np.float32] | _core.DeviceField,
         bounds: NDArray[np.float64],
         inner_bounds: NDArray[np.float64],
         report: Report,
     ) -> None:
-        self._distances = _checks.frozen(distances)
+        if isinstance(distances, _core.DeviceField):
+            self._field, self._samples = distances, None
+        else:
+            self._field, self._samples = None, _checks.frozen(distances)
+        nx, ny, nz = distances.shape
+        self._shape = (nx, ny, nz)
         self._bounds = _checks.frozen(bounds)
         self._inner_bounds = _checks.frozen(inner_bounds)
         self._report = report
@@ -81,7 +89,7 @@ class Volume:
     @classmethod
     def _wrap(
         cls,
-        distances: NDArray[np.float32],
+        distances: NDArray[np.float32] | _core.DeviceField,
         bounds: NDArray[np.float64],
         inner_bounds: NDArray[np.float64],
         report: Report,
@@ -90,6 +98,20 @@ class Volume:
         volume = cls.__new__(cls)
         volume._set(distances, bounds, inner_bounds, report)
         return volume
+
+    @property
+    def _distances(self) -> NDArray[np.float32]:
+        """The samples, read back from the device at the first use."""
+        if self._samples is None:
+            assert self._field is not None
+            object.__setattr__(self, "_samples", _checks.frozen(self._field.read()))
+        assert self._samples is not None
+        return self._samples
+
+    def _source(self, device: str) -> NDArray[np.float32] | _core.DeviceField:
+        """The samples where a call with this `device` runs, if they are there."""
+        field = self._field
+        return field if field is not None and field.serves(_checks.text("device", device)) else self._distances
 
     @property
     def distances(self) -> NDArray[np.float32]:
@@ -109,13 +131,12 @@ class Volume:
     @property
     def resolution(self) -> tuple[int, int, int]:
         """Voxels along x, y and z."""
-        x, y, z = self._distances.shape
-        return x, y, z
+        return self._shape
 
     @property
     def spacing(self) -> NDArray[np.float64]:
         """Size of a voxel, (3,), world units."""
-        return np.asarray((self._bounds[1] - self._bounds[0]) / np.array(self._distances.shape))
+        return np.asarray((self._bounds[1] - self._bounds[0]) / np.array(self._shape))
 
     @property
     def origin(self) -> NDArray[np.float64]:
@@ -131,7 +152,8 @@ class Volume:
     @property
     def nbytes(self) -> int:
         """Memory of the samples."""
-        return self._distances.nbytes
+        nx, ny, nz = self._shape
+        return 4 * nx * ny * nz
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
         wanted = np.dtype(np.float32 if dtype is None else dtype)

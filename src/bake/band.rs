@@ -9,15 +9,14 @@
 //! f the fraction of p between two nodes at spacing H (Jensen's inequality). The bound is exact at the nodes, continuous,
 //! and off by about H^2 / 8d between them. Where it clears the band no search is needed.
 
-use super::{LocalGrid, dense};
+use super::{LocalGrid, coarse_grid, dense};
 use crate::error::Error;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
-use crate::sign::crossing::Samples;
 use rayon::prelude::*;
 
 /// Voxels between two nodes of the coarse grid.
-const STRIDE: usize = 4;
+pub(super) const STRIDE: usize = 4;
 /// Room for float32 rounding of the stored squares, relative.
 const SLACK: f64 = 1e-5;
 
@@ -34,13 +33,8 @@ pub(super) struct Band {
 impl Band {
     /// `voxels` is the half width of the band, in the longest side of a voxel.
     pub fn new(mesh: &Mesh, local: &LocalGrid, voxels: f64, progress: &Progress) -> Result<Self, Error> {
-        let nodes = local.axes.map(|axis| (axis.count - 1).div_ceil(STRIDE) + 1);
-        let coarse = LocalGrid {
-            axes: [0, 1, 2].map(|axis| {
-                let Samples { first, step, .. } = local.axes[axis];
-                Samples { first, step: step * STRIDE as f64, count: nodes[axis] }
-            }),
-        };
+        let coarse = coarse_grid(local, STRIDE);
+        let nodes = coarse.shape();
         let mut squares = vec![0.0; nodes.iter().product()];
         dense::distances(mesh.bvh(), &coarse, f32::INFINITY, 1.0, progress, &mut squares)?;
         squares.par_iter_mut().for_each(|distance| *distance *= *distance);

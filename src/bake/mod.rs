@@ -5,19 +5,28 @@
 //! the grid, never by threads, so the same input gives the same bytes on any number of them.
 
 mod band;
+mod brute;
 mod cpu;
 mod dense;
+mod gpu;
+#[cfg(test)]
+mod gpu_tests;
 mod report;
+mod signs;
 
+pub use brute::bake_brute;
 pub use report::Report;
 
 use crate::error::{ArgumentError, Error};
+use crate::gpu::{Context, Place};
 use crate::grid::Grid;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::sign::SignMethod;
 use crate::sign::crossing::Samples;
+use crate::volume::device::DeviceField;
 use glam::DVec3;
+use std::sync::Arc;
 
 /// What to bake besides the mesh and the grid.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -35,6 +44,42 @@ pub struct Bake {
     /// World units, x fastest.
     pub distances: Vec<f32>,
     pub report: Report,
+}
+
+/// A finished field that stays where it was made.
+#[derive(Debug)]
+pub enum Field {
+    /// World units, x fastest.
+    Host(Vec<f32>),
+    Device(DeviceField),
+}
+
+/// Bake at a place.
+pub fn bake_at(
+    place: &Place,
+    mesh: &Mesh,
+    grid: &Grid,
+    options: &BakeOptions,
+    progress: &Progress,
+) -> Result<(Field, Report), Error> {
+    match place {
+        Place::Cpu => bake(mesh, grid, options, progress).map(|baked| (Field::Host(baked.distances), baked.report)),
+        Place::Gpu(context) => {
+            bake_on_device(context, mesh, grid, options, progress).map(|(field, report)| (Field::Device(field), report))
+        }
+    }
+}
+
+/// Bake on a graphics device, and leave the field there.
+pub fn bake_on_device(
+    context: &Arc<Context>,
+    mesh: &Mesh,
+    grid: &Grid,
+    options: &BakeOptions,
+    progress: &Progress,
+) -> Result<(DeviceField, Report), Error> {
+    options.check()?;
+    gpu::bake(context, mesh, grid, options, u64::MAX, progress)
 }
 
 /// Bake on the CPU.
@@ -67,11 +112,26 @@ impl LocalGrid {
         Self { axes: [0, 1, 2].map(|i| Samples { first: first[i], step: step[i], count: grid.shape[i] }) }
     }
 
+    pub fn shape(&self) -> [usize; 3] {
+        self.axes.map(|axis| axis.count)
+    }
+
     pub fn at(&self, [x, y, z]: [usize; 3]) -> DVec3 {
         DVec3::new(self.axes[0].at(x), self.axes[1].at(y), self.axes[2].at(z))
     }
 
     pub fn step(&self) -> DVec3 {
         DVec3::new(self.axes[0].step, self.axes[1].step, self.axes[2].step)
+    }
+}
+
+/// Every `stride`-th sample of a grid, and one past its end where the last is not one of them.
+fn coarse_grid(grid: &LocalGrid, stride: usize) -> LocalGrid {
+    LocalGrid {
+        axes: grid.axes.map(|Samples { first, step, count }| Samples {
+            first,
+            step: step * stride as f64,
+            count: (count - 1).div_ceil(stride) + 1,
+        }),
     }
 }

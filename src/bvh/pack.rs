@@ -8,6 +8,7 @@
 //! distance of `p` is good to a few 1e-7 of |p - a|, also when it is small against that.
 
 use super::WIDTH;
+use crate::gpu::layout::Triangle;
 use glam::{DVec2, DVec3, Vec3};
 
 /// One triangle in its own frame.
@@ -199,6 +200,12 @@ impl Pack {
 }
 
 impl TriangleFrame {
+    /// The layout that shaders read.
+    pub fn for_device(&self, face: u32) -> Triangle {
+        let Self { a, u, v, n, length, left, left_length, right, right_length } = *self;
+        Triangle { a, face, u, length, v, left_length, n, right_length, left, right }
+    }
+
     fn floats(&self) -> [f32; FRAME_FLOATS] {
         let Self { a, u, v, n, length, left, left_length, right, right_length } = *self;
         let mut floats = [0.0; FRAME_FLOATS];

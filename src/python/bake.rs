@@ -1,11 +1,13 @@
 //! `fieldbake._core.bake`.
 
 use super::convert::volume_array;
+use super::device::{DeviceField, choose};
 use super::error::Failure;
 use super::mesh::Mesh;
 use super::run::run;
-use crate::bake::{BakeOptions, Report, bake as bake_field};
-use crate::gpu::check_cpu_only;
+use crate::bake::{BakeOptions, Field, Report, bake_at, bake_brute as brute};
+use crate::error::DeviceError;
+use crate::gpu::Place;
 use crate::grid::Grid;
 use crate::sign::SignMethod;
 use glam::DVec3;
@@ -13,7 +15,7 @@ use numpy::PyArray3;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-/// Distances (nx, ny, nz) and the report of the bake.
+/// Distances (nx, ny, nz), on a graphics device a `DeviceField`, and the report of the bake.
 #[pyfunction]
 #[pyo3(signature = (mesh, lower, upper, shape, *, sign="auto", band=None, thickness=None, device="auto", progress=None))]
 pub fn bake<'py>(
@@ -27,16 +29,46 @@ pub fn bake<'py>(
     thickness: Option<f64>,
     device: &str,
     progress: Option<&Bound<'py, PyAny>>,
-) -> PyResult<(Bound<'py, PyArray3<f32>>, Bound<'py, PyDict>)> {
+) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyDict>)> {
     let mesh = mesh.0.clone();
     let prepared = || -> Result<(Grid, BakeOptions), Failure> {
-        check_cpu_only(device, "bake")?;
         let grid = Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape)?;
         Ok((grid, BakeOptions { sign: sign.parse::<SignMethod>()?, band, thickness }))
     };
     let (grid, options) = prepared()?;
-    let baked = run(py, progress, |progress| bake_field(&mesh, &grid, &options, progress))?;
-    Ok((volume_array(py, baked.distances, shape)?, report_dict(py, &baked.report)?))
+    let place = choose(py, device)?;
+    let (field, report) = run(py, progress, |progress| bake_at(&place, &mesh, &grid, &options, progress))?;
+    let distances = match field {
+        Field::Host(samples) => volume_array(py, samples, shape)?.into_any(),
+        Field::Device(field) => Bound::new(py, DeviceField(field))?.into_any(),
+    };
+    Ok((distances, report_dict(py, &report)?))
+}
+
+/// The articles' own bake, every sample against every triangle, on a graphics device: distances (nx, ny, nz).
+#[pyfunction]
+pub fn bake_brute<'py>(
+    py: Python<'py>,
+    mesh: &Mesh,
+    lower: [f64; 3],
+    upper: [f64; 3],
+    shape: [usize; 3],
+    sign: &str,
+    device: &str,
+) -> PyResult<Bound<'py, PyArray3<f32>>> {
+    let mesh = mesh.0.clone();
+    let grid = Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape).map_err(Failure::from)?;
+    let sign = sign.parse::<SignMethod>().map_err(Failure::from)?;
+    let context = match choose(py, device)? {
+        Place::Gpu(context) => context,
+        Place::Cpu => {
+            let reason = "brute force runs on a graphics device only".to_owned();
+            let missing = DeviceError::NotAvailable { requested: device.to_owned(), reason };
+            return Err(Failure::from(missing).into());
+        }
+    };
+    let baked = run(py, None, |progress| brute(&context, &mesh, &grid, sign, progress))?;
+    volume_array(py, baked.distances, shape)
 }
 
 fn report_dict<'py>(py: Python<'py>, report: &Report) -> PyResult<Bound<'py, PyDict>> {

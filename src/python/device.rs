@@ -1,6 +1,11 @@
-//! `fieldbake._core.devices`.
+//! `fieldbake._core.devices` and `DeviceField`.
 
-use crate::gpu;
+use super::convert::volume_array;
+use super::error::Failure;
+use super::run::run;
+use crate::gpu::{self, Place};
+use crate::volume::device;
+use numpy::PyArray3;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -24,4 +29,62 @@ pub fn devices(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
             Ok(facts)
         })
         .collect()
+}
+
+/// Where a call with this `device=` runs.
+pub fn choose(py: Python<'_>, device: &str) -> PyResult<Place> {
+    py.detach(|| gpu::choose(device)).map_err(|error| Failure::from(error).into())
+}
+
+/// Distances in device memory, read back on request.
+#[pyclass(frozen, module = "fieldbake._core")]
+pub struct DeviceField(pub device::DeviceField);
+
+#[pymethods]
+impl DeviceField {
+    #[getter]
+    fn shape(&self) -> (usize, usize, usize) {
+        self.0.shape().into()
+    }
+
+    #[getter]
+    fn nbytes(&self) -> u64 {
+        self.0.bytes()
+    }
+
+    #[getter]
+    fn device(&self) -> String {
+        self.0.context().label()
+    }
+
+    /// The samples, (nx, ny, nz) float32 with x fastest.
+    fn read<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
+        let samples = run(py, None, |progress| self.0.read(progress))?;
+        volume_array(py, samples, self.0.shape())
+    }
+
+    /// Whether a call with this `device=` runs where the field is.
+    fn serves(&self, py: Python<'_>, device: &str) -> PyResult<bool> {
+        Ok(match choose(py, device)? {
+            Place::Gpu(context) => std::sync::Arc::ptr_eq(&context, self.0.context()),
+            Place::Cpu => false,
+        })
+    }
+
+    /// Transfers of the device so far, for tests.
+    fn _transfers<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        use std::sync::atomic::Ordering::Relaxed;
+        let counters = &self.0.context().counters;
+        let facts = PyDict::new(py);
+        facts.set_item("uploads", counters.uploads.load(Relaxed))?;
+        facts.set_item("uploaded_bytes", counters.uploaded_bytes.load(Relaxed))?;
+        facts.set_item("readbacks", counters.readbacks.load(Relaxed))?;
+        facts.set_item("readback_bytes", counters.readback_bytes.load(Relaxed))?;
+        Ok(facts)
+    }
+
+    /// Give the device up as if the driver had taken it away, for tests.
+    fn _destroy_device(&self) {
+        self.0.context().destroy();
+    }
 }

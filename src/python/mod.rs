@@ -18,9 +18,9 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _core {
     #[pymodule_export]
-    use super::bake::bake;
+    use super::bake::{bake, bake_brute};
     #[pymodule_export]
-    use super::device::devices;
+    use super::device::{DeviceField, devices};
     #[pymodule_export]
     use super::mesh::Mesh;
     #[pymodule_export]

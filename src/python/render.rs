@@ -1,11 +1,12 @@
 //! `fieldbake._core.raymarch`.
 
 use super::convert::{Field, image_array, rows};
+use super::device::{DeviceField, choose};
 use super::error::{Failure, exception};
 use super::run::run;
-use crate::gpu::check_cpu_only;
-use crate::render::{Camera, DirectionalLight, Frame, RaymarchOptions, Shadows, raymarch as draw};
-use glam::Vec3;
+use crate::grid::Grid;
+use crate::render::{Camera, DirectionalLight, Frame, RaymarchOptions, Shadows, Source, raymarch_at};
+use glam::{DVec3, Vec3};
 use numpy::{PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -20,7 +21,7 @@ use std::time::Instant;
 ))]
 pub fn raymarch<'py>(
     py: Python<'py>,
-    distances: PyReadonlyArray3<'py, f32>,
+    distances: &Bound<'py, PyAny>,
     lower: [f64; 3],
     upper: [f64; 3],
     pose: PyReadonlyArray2<'py, f64>,
@@ -37,8 +38,7 @@ pub fn raymarch<'py>(
     device: &str,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    check_cpu_only(device, "raymarch").map_err(Failure::from)?;
-    let field = Field::new(&distances, lower, upper)?;
+    let place = choose(py, device)?;
     let camera = Camera::from_pose(&pose_matrix(&pose)?, fov_deg).map_err(Failure::from)?;
     let usual = RaymarchOptions::default();
     let options = RaymarchOptions {
@@ -52,11 +52,28 @@ pub fn raymarch<'py>(
         shadows: Shadows::from_name(shadows).map_err(Failure::from)?,
     };
     let start = Instant::now();
-    let frame = run(py, progress, |progress| draw(field.view()?, &camera, &options, progress))?;
+    let frame = match distances.cast::<DeviceField>() {
+        Ok(field) => {
+            let field = &field.get().0;
+            let [lower, upper] = [lower, upper].map(DVec3::from_array);
+            let grid = Grid::new(lower, upper, field.shape()).map_err(Failure::from)?;
+            run(py, progress, |progress| {
+                raymarch_at(&place, Source::Device(field), &grid, &camera, &options, progress)
+            })?
+        }
+        Err(_) => {
+            let distances: PyReadonlyArray3<'py, f32> = distances.extract()?;
+            let field = Field::new(&distances, lower, upper)?;
+            run(py, progress, |progress| {
+                let view = field.view()?;
+                raymarch_at(&place, Source::Host(view.distances()), view.grid(), &camera, &options, progress)
+            })?
+        }
+    };
     let seconds = start.elapsed().as_secs_f64();
 
     let images = frame_dict(py, frame)?;
-    images.set_item("device", "cpu")?;
+    images.set_item("device", place.label())?;
     images.set_item("seconds", seconds)?;
     Ok(images)
 }

@@ -56,10 +56,15 @@ impl Camera {
     /// World direction through the centre of pixel `(x, y)`, row 0 on top; one unit long along the viewing axis, so a
     /// multiple of it is a depth.
     pub fn pixel_direction(&self, x: u32, y: u32, [width, height]: [u32; 2]) -> DVec3 {
-        let pixel = 2.0 * self.tan_half_fov / height as f64;
+        let pixel = self.pixel_size(height);
         let right = (x as f64 + 0.5 - 0.5 * width as f64) * pixel;
         let up = (0.5 * height as f64 - 0.5 - y as f64) * pixel;
         right * self.right + up * self.up - self.back
+    }
+
+    /// Side of a pixel on the plane at depth 1.
+    pub fn pixel_size(&self, height: u32) -> f64 {
+        2.0 * self.tan_half_fov / height as f64
     }
 
     /// A direction of camera space in world space.

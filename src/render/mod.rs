@@ -18,18 +18,25 @@
 pub mod camera;
 pub mod cubic;
 pub mod empty;
+mod gpu;
+#[cfg(test)]
+mod gpu_tests;
 pub mod march;
 mod shade;
 
 pub use camera::Camera;
 
 use crate::error::{ArgumentError, Error};
+use crate::gpu::Place;
+use crate::grid::Grid;
 use crate::progress::Progress;
 use crate::volume::FieldView;
+use crate::volume::device::DeviceField;
 use glam::{DVec3, Vec3};
 use march::{Marcher, clip_to_box};
 use rayon::prelude::*;
 use shade::{Shader, Surface};
+use std::sync::Arc;
 
 /// Light from infinitely far away.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -157,6 +164,59 @@ pub fn raymarch(
         progress.advance(1)
     })?;
     Ok(frame)
+}
+
+/// Where the samples of a field are.
+#[derive(Debug, Clone, Copy)]
+pub enum Source<'a> {
+    /// x fastest.
+    Host(&'a [f32]),
+    Device(&'a DeviceField),
+}
+
+/// Draw at a place; samples that are elsewhere are copied there first.
+pub fn raymarch_at(
+    place: &Place,
+    source: Source<'_>,
+    grid: &Grid,
+    camera: &Camera,
+    options: &RaymarchOptions,
+    progress: &Progress,
+) -> Result<Frame, Error> {
+    let read: Vec<f32>;
+    let samples = match (place, source) {
+        (Place::Gpu(context), Source::Device(field)) if Arc::ptr_eq(context, field.context()) => {
+            return raymarch_on_device(field, grid, camera, options, progress);
+        }
+        (_, Source::Device(field)) => {
+            read = field.read(progress)?;
+            &read
+        }
+        (_, Source::Host(samples)) => samples,
+    };
+    let view = FieldView::new(*grid, samples)?;
+    match place {
+        Place::Cpu => raymarch(view, camera, options, progress),
+        Place::Gpu(context) => {
+            let field = DeviceField::upload(context, grid.shape, view.distances())?;
+            raymarch_on_device(&field, grid, camera, options, progress)
+        }
+    }
+}
+
+/// Draw a field that is in device memory, there.
+///
+/// The same picture as [`raymarch`] to float32 rounding; `Frame::steps` counts cells alone, for nothing is leapt over.
+pub fn raymarch_on_device(
+    field: &DeviceField,
+    grid: &Grid,
+    camera: &Camera,
+    options: &RaymarchOptions,
+    progress: &Progress,
+) -> Result<Frame, Error> {
+    options.check()?;
+    let lights = options.unit_lights(camera)?;
+    gpu::raymarch(field, grid, camera, options, &lights, progress)
 }
 
 /// What every pixel needs.

@@ -26,6 +26,7 @@
 //! [`FieldView`] borrows the distances; build one wherever it is needed. Batches run on all cores in chunks, count
 //! their progress in points, and stop when it is cancelled.
 
+pub mod device;
 pub mod outside;
 mod resample;
 mod surface;

@@ -1,0 +1,65 @@
+// Unsigned distances of a grid, local units: one invocation a sample, one workgroup a block of 4^3 samples.
+//
+// `coarse` answers every fourth sample and remembers its triangle; `main` starts each search from the triangle of the
+// nearest coarse sample, which is already a sharp bound. Twin of src/bake/dense.rs (the same numbers, another search).
+
+#import bvh
+#import grid
+
+struct DistanceParams {
+    // Samples of the grid.
+    shape: vec3u,
+    // The first block of this dispatch, in the blocks of the slab.
+    first_block: u32,
+    // Samples of the coarse grid.
+    coarse_shape: vec3u,
+    // Samples between two coarse ones.
+    stride: u32,
+    // The slab: planes that the output holds.
+    first_plane: u32,
+    planes: u32,
+    // Blocks of this dispatch.
+    block_count: u32,
+    // Squared distance up to which the answer matters.
+    limit_squared: f32,
+}
+
+@group(0) @binding(0) var<uniform> params: DistanceParams;
+@group(0) @binding(4) var<storage, read_write> coarse_slots: array<u32>;
+// Distances (main) or their squares (coarse); negative where the search ran out of rounds.
+@group(0) @binding(5) var<storage, read_write> results: array<f32>;
+@group(0) @binding(6) var<storage, read_write> overflows: atomic<u32>;
+
+const BLOCK: u32 = 4u;
+
+// The sample of an invocation, relative to the slab. Past the slab's edge it is not to be used.
+fn slab_sample(block: u32, local: vec3u) -> vec3u {
+    let slab = vec3u(params.shape.xy, params.planes);
+    return unravel(params.first_block + block, (slab + BLOCK - 1u) / BLOCK) * BLOCK + local;
+}
+
+@compute @workgroup_size(4, 4, 4)
+fn coarse(@builtin(workgroup_id) block: vec3u, @builtin(local_invocation_id) local: vec3u) {
+    let voxel = slab_sample(block.x, local);
+    if any(voxel >= vec3u(params.shape.xy, params.planes)) { return; }
+    let p = sample_position(voxel + vec3u(0u, 0u, params.first_plane), params.shape);
+    let found = nearest_triangle(p, Nearest(FAR, 0u, false));
+    if !found.complete { atomicAdd(&overflows, 1u); }
+    let offset = sample_offset(voxel, params.shape);
+    coarse_slots[offset] = found.slot;
+    results[offset] = select(-1.0, found.squared, found.complete);
+}
+
+@compute @workgroup_size(4, 4, 4)
+fn main(@builtin(workgroup_id) block: vec3u, @builtin(local_invocation_id) local: vec3u) {
+    let voxel = slab_sample(block.x, local);
+    if any(voxel >= vec3u(params.shape.xy, params.planes)) { return; }
+    let sample = voxel + vec3u(0u, 0u, params.first_plane);
+    let p = sample_position(sample, params.shape);
+    let node = min((sample + params.stride / 2u) / params.stride, params.coarse_shape - 1u);
+    let slot = coarse_slots[sample_offset(node, params.coarse_shape)];
+    let bound = triangle_distance_squared(triangles[slot], p);
+    let found = nearest_triangle(p, Nearest(min(bound, params.limit_squared), slot, false));
+    if !found.complete { atomicAdd(&overflows, 1u); }
+    results[sample_offset(voxel, params.shape)] = select(-1.0, sqrt(found.squared), found.complete);
+}

@@ -1,0 +1,97 @@
+// The binary tree over triangles and its closest-triangle search. Twin of src/bvh/binary.rs.
+//
+// One flat loop: a round tests one triangle of the leaf at hand, or opens one node. Software adapters stop an invocation
+// after 65,535 rounds of all its loops together, without an error, so the rounds are counted here and a search that
+// needs more says so; the caller then redoes it on the CPU. They also run both sides of every branch, so a round reads
+// little: a node holds the boxes of both its children.
+
+#import triangle
+
+struct Node {
+    left_min: vec3f,
+    // A child: the index of a node, or a leaf (see LEAF).
+    left: u32,
+    left_max: vec3f,
+    right: u32,
+    right_min: vec3f,
+    pad_0: u32,
+    right_max: vec3f,
+    pad_1: u32,
+}
+
+@group(0) @binding(1) var<storage, read> nodes: array<Node>;
+@group(0) @binding(2) var<storage, read> triangles: array<Triangle>;
+
+// Below the 65,535 of software adapters.
+const MAX_ROUNDS: u32 = 65000u;
+// Waiting children; the tree is never deeper (checked when it is built).
+const MAX_STACK: u32 = 96u;
+// Larger than any squared distance in local coordinates. WGSL has no infinity.
+const FAR: f32 = 3.0e38;
+
+// A leaf is a run of triangles: the top bit, their number less one, the first of them.
+const LEAF: u32 = 0x80000000u;
+const LEAF_ONE: u32 = 0x10000000u;
+const LEAF_FIRST: u32 = 0x0fffffffu;
+
+// No child, or none left to look at.
+const NOTHING: u32 = 0xffffffffu;
+
+struct Nearest {
+    squared: f32,
+    // Index into `triangles`.
+    slot: u32,
+    // False if the rounds ran out: then `squared` is only an upper bound.
+    complete: bool,
+}
+
+fn box_distance_squared(low: vec3f, high: vec3f, p: vec3f) -> f32 {
+    let outside = max(max(low - p, p - high), vec3f(0.0));
+    return dot(outside, outside);
+}
+
+// The triangle nearest to `p` among those nearer than `start`; `start` itself if there is none.
+fn nearest_triangle(p: vec3f, start: Nearest) -> Nearest {
+    var best = start;
+    best.complete = false;
+    var stack: array<u32, MAX_STACK>;
+    var stack_squared: array<f32, MAX_STACK>;
+    var top = 0u;
+    var current = 0u;
+    for (var round = 0u; round < MAX_ROUNDS; round++) {
+        if current == NOTHING {
+            // Take what waits; most of it has been beaten by now, so look at two.
+            if top > 1u && stack_squared[top - 1u] >= best.squared { top--; }
+            if top == 0u {
+                best.complete = true;
+                return best;
+            }
+            top--;
+            if stack_squared[top] < best.squared { current = stack[top]; }
+        }
+        if current == NOTHING { continue; }
+        if current >= LEAF {
+            let slot = current & LEAF_FIRST;
+            let squared = triangle_distance_squared(triangles[slot], p);
+            if squared < best.squared {
+                best.squared = squared;
+                best.slot = slot;
+            }
+            // The rest of the leaf is a leaf.
+            current = select(NOTHING, current - LEAF_ONE + 1u, current - LEAF >= LEAF_ONE);
+        } else {
+            // Go on with the near child, put the far one on the stack.
+            let node = nodes[current];
+            let left = box_distance_squared(node.left_min, node.left_max, p);
+            let right = box_distance_squared(node.right_min, node.right_max, p);
+            let near = select(node.left, node.right, right < left);
+            if max(left, right) < best.squared {
+                stack[top] = select(node.right, node.left, right < left);
+                stack_squared[top] = max(left, right);
+                top++;
+            }
+            current = select(NOTHING, near, min(left, right) < best.squared);
+        }
+    }
+    return best;
+}

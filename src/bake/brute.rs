@@ -1,0 +1,98 @@
+//! The articles' own bake on a graphics device: every sample looks at every triangle (`shaders/bake_brute.wgsl`).
+//!
+//! A reference to test against and a piece to read; it costs samples times triangles. All float32, so its signs can fail
+//! where a ray grazes an edge; the exact rules are in [`crate::sign`].
+
+use super::gpu::positions;
+use super::{Bake, LocalGrid, Report};
+use crate::bvh::pack::TriangleFrame;
+use crate::error::{ArgumentError, Error};
+use crate::gpu::Context;
+use crate::gpu::layout::{BruteParams, BruteState, Triangle};
+use crate::gpu::pace::in_pieces;
+use crate::grid::Grid;
+use crate::memory::allocate_samples;
+use crate::mesh::Mesh;
+use crate::progress::Progress;
+use crate::sign::{SignChoice, SignMethod};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Triangles of a dispatch, as in the shader: a quarter of the rounds that software adapters allow an invocation.
+const TRIANGLES: usize = 16_384;
+/// Workgroups of 64 samples a dispatch: the first one, and the most.
+const WORKGROUPS: (u64, u64) = (16, 32_768);
+/// Larger than any squared local distance.
+const FAR: f32 = 3.0e38;
+
+/// Bake by brute force. `sign` is `Normal` (article 001), `Parity` (article 003) or `Unsigned`.
+pub fn bake_brute(
+    context: &Arc<Context>,
+    mesh: &Mesh,
+    grid: &Grid,
+    sign: SignMethod,
+    progress: &Progress,
+) -> Result<Bake, Error> {
+    let sign_rule = match sign {
+        SignMethod::Unsigned => 0,
+        SignMethod::Normal => 1,
+        SignMethod::Parity => 2,
+        _ => {
+            let problem = "brute force knows \"normal\", \"parity\" and \"unsigned\" only";
+            return Err(ArgumentError::new("sign", problem).into());
+        }
+    };
+    let start = Instant::now();
+    let what = format!("a field of {} x {} x {} samples", grid.shape[0], grid.shape[1], grid.shape[2]);
+    let mut distances = allocate_samples(&what, grid.len(), size_of::<BruteState>() * grid.len())?;
+    context.check_size(&what, (size_of::<BruteState>() * grid.len()) as u64)?;
+
+    let local = LocalGrid::new(grid, mesh);
+    let faces = 0..mesh.faces().len() as u32;
+    let triangles: Vec<Triangle> =
+        faces.clone().map(|face| TriangleFrame::new(mesh.triangle(face)).for_device(face)).collect();
+    let corners: Vec<[f32; 4]> =
+        faces.flat_map(|face| mesh.triangle(face)).map(|corner| corner.as_vec3().extend(0.0).to_array()).collect();
+    let nothing = BruteState { squared: FAR, nudged_squared: FAR, ..BruteState::default() };
+    let state = context.upload("brute force state", &vec![nothing; grid.len()])?;
+    let corners = context.upload("corners", &corners)?;
+    let frames = context.upload("triangles", &triangles)?;
+    let axes = context.upload("sample positions", &positions(&local))?;
+    let out = context.storage(&what, 4 * grid.len() as u64)?;
+    let mut params = BruteParams { shape: grid.shape.map(|n| n as u32), sign_rule, ..BruteParams::default() };
+    let uniform = context.uniform("brute force parameters", &params)?;
+    let kernel = context.kernel("bake_brute", "main")?;
+    let buffers = [(0, &uniform), (1, &corners), (2, &frames), (3, &axes), (4, &state), (5, &out)];
+    let group = context.bind("brute force", &kernel, &buffers)?;
+
+    let workgroups = (grid.len() as u64).div_ceil(64);
+    progress.set_total(workgroups * triangles.len().div_ceil(TRIANGLES) as u64);
+    for first_triangle in (0..triangles.len()).step_by(TRIANGLES) {
+        params.first_triangle = first_triangle as u32;
+        params.triangle_count = TRIANGLES.min(triangles.len() - first_triangle) as u32;
+        in_pieces(
+            context,
+            "the brute force kernel",
+            workgroups,
+            WORKGROUPS.0,
+            WORKGROUPS.1,
+            progress,
+            |first, count| {
+                params.first_sample = 64 * first as u32;
+                params.sample_count = (64 * count as u32).min(grid.len() as u32 - params.first_sample);
+                context.write("brute force parameters", &uniform, 0, &[params])?;
+                progress.advance(count)?;
+                Ok(context.dispatch("brute force", &kernel, &group, [count as u32, 1, 1])?)
+            },
+        )?;
+    }
+    context.read("read back a field", &out, &mut distances, progress)?;
+    let scale = mesh.scale() as f32;
+    distances.iter_mut().for_each(|distance| *distance *= scale);
+
+    let mut report = Report::new(mesh, mesh.topology(), &SignChoice::new(mesh, sign));
+    report.finish(distances.iter().filter(|distance| **distance < 0.0).count(), 0);
+    report.device = context.label();
+    report.seconds = vec![("brute force", start.elapsed().as_secs_f64())];
+    Ok(Bake { distances, report })
+}

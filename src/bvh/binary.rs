@@ -1,0 +1,220 @@
+//! The tree as a graphics device walks it: two children a node, at most four triangles a leaf.
+//!
+//! A device has no eight lanes to share among the children of one point, so each eight-wide node becomes three levels of
+//! two-wide ones. The children of a node come in the order of the splits that made them, so halving that list gives
+//! compact boxes. A node holds the boxes of its two children and is 64 bytes; a triangle is 80.
+
+use super::pack::TriangleFrame;
+use super::{Bvh, ChildRef, WIDTH};
+use crate::geometry::Aabb;
+use crate::gpu::layout::{Node, Triangle};
+use glam::Vec3;
+
+/// Triangles of a leaf at most.
+pub const LEAF: usize = 4;
+/// Nodes that a search can have waiting: one a level. An eight-wide level gives three, a pack one.
+pub const MAX_DEPTH: usize = 96;
+const _: () = assert!(super::build::MAX_DEPTH * 3 + 2 <= MAX_DEPTH);
+
+/// A leaf is this bit, the number of its triangles less one from [`LEAF_ONE`] on, and the first of them.
+const LEAF_BIT: u32 = 1 << 31;
+const LEAF_ONE: u32 = 1 << 28;
+/// In place of a child that is not there.
+const NOTHING: u32 = u32::MAX;
+/// An absent child's box is a point this far away: never nearer than anything, and its square is a float32.
+const FAR_AWAY: f32 = 1e18;
+
+/// Nodes and triangles, ready to upload. The root is node 0.
+#[derive(Debug)]
+pub struct BinaryTree {
+    pub nodes: Vec<Node>,
+    pub triangles: Vec<Triangle>,
+}
+
+/// What becomes a child: a part of an eight-wide node's children, or of a pack's triangles.
+enum Part {
+    Children(Vec<(Aabb, ChildRef)>),
+    Triangles(Vec<(Aabb, u32, TriangleFrame)>),
+}
+
+/// Where a child is written: a node, and the side of it.
+type Place = (usize, Side);
+
+#[derive(Clone, Copy)]
+enum Side {
+    Left,
+    Right,
+}
+
+impl BinaryTree {
+    /// `positions` and `faces` are those that the tree was built from.
+    pub fn new(bvh: &Bvh, positions: &[Vec3], faces: &[[u32; 3]]) -> Self {
+        let mut tree = Self { nodes: vec![absent()], triangles: Vec::with_capacity(faces.len()) };
+        let expand = |child: ChildRef| expand(bvh, positions, faces, child);
+        // The root is always a node; a mesh of one leaf has it on the left.
+        let mut waiting: Vec<(Place, Part)> = Vec::new();
+        match expand(Bvh::ROOT).halves() {
+            Ok([left, right]) => waiting.extend([((0, Side::Right), right), ((0, Side::Left), left)]),
+            Err(whole) => waiting.push(((0, Side::Left), whole)),
+        }
+        while let Some((place, part)) = waiting.pop() {
+            let bounds = part.bounds();
+            match part.halves() {
+                Ok([left, right]) => {
+                    let index = tree.nodes.len();
+                    tree.nodes.push(absent());
+                    tree.set(place, bounds, index as u32);
+                    waiting.extend([((index, Side::Right), right), ((index, Side::Left), left)]);
+                }
+                Err(Part::Triangles(triangles)) => {
+                    let first = tree.triangles.len() as u32;
+                    tree.set(place, bounds, LEAF_BIT + LEAF_ONE * (triangles.len() as u32 - 1) + first);
+                    tree.triangles.extend(triangles.iter().map(|(_, face, frame)| frame.for_device(*face)));
+                }
+                // A single child stands for itself.
+                Err(Part::Children(children)) => {
+                    waiting.extend(children.into_iter().map(|(_, child)| (place, expand(child))));
+                }
+            }
+        }
+        tree
+    }
+
+    fn set(&mut self, (index, side): Place, bounds: Aabb, child: u32) {
+        let node = &mut self.nodes[index];
+        let (min, max) = (bounds.min.to_array(), bounds.max.to_array());
+        match side {
+            Side::Left => (node.left_min, node.left_max, node.left) = (min, max, child),
+            Side::Right => (node.right_min, node.right_max, node.right) = (min, max, child),
+        }
+    }
+}
+
+/// What a child of an eight-wide node holds.
+fn expand(bvh: &Bvh, positions: &[Vec3], faces: &[[u32; 3]], child: ChildRef) -> Part {
+    if child.is_pack() {
+        let pack = &bvh.packs[child.index()];
+        let box_of = |face: u32| Aabb::of_points(&faces[face as usize].map(|v| positions[v as usize]));
+        let lanes = pack.faces().iter().enumerate();
+        return Part::Triangles(lanes.map(|(lane, &face)| (box_of(face), face, pack.frame(lane))).collect());
+    }
+    let node = &bvh.nodes[child.index()];
+    let corner = |of: &[[f32; WIDTH]; 3], i: usize| Vec3::new(of[0][i], of[1][i], of[2][i]);
+    let lanes = (0..WIDTH).filter(|&i| !node.children[i].is_none());
+    Part::Children(
+        lanes.map(|i| (Aabb { min: corner(&node.min, i), max: corner(&node.max, i) }, node.children[i])).collect(),
+    )
+}
+
+impl Part {
+    fn bounds(&self) -> Aabb {
+        let join = |bounds: Aabb, of: &Aabb| bounds.union(*of);
+        match self {
+            Self::Children(children) => children.iter().map(|(bounds, _)| bounds).fold(Aabb::EMPTY, join),
+            Self::Triangles(triangles) => triangles.iter().map(|(bounds, ..)| bounds).fold(Aabb::EMPTY, join),
+        }
+    }
+
+    /// Two parts, or itself if it is a single child or a leaf.
+    fn halves(self) -> Result<[Self; 2], Self> {
+        let bounds = self.bounds();
+        match self {
+            Self::Children(mut left) if left.len() > 1 => {
+                let right = left.split_off(left.len() / 2);
+                Ok([Self::Children(left), Self::Children(right)])
+            }
+            Self::Triangles(mut left) if left.len() > LEAF => {
+                let extent = bounds.extent();
+                let axis = (1..3).fold(0, |longest, i| if extent[i] > extent[longest] { i } else { longest });
+                let key = |bounds: &Aabb| bounds.min[axis] + bounds.max[axis];
+                left.sort_by(|a, b| key(&a.0).total_cmp(&key(&b.0)).then(a.1.cmp(&b.1)));
+                let right = left.split_off(left.len() / 2);
+                Ok([Self::Triangles(left), Self::Triangles(right)])
+            }
+            whole => Err(whole),
+        }
+    }
+}
+
+/// A node without children.
+fn absent() -> Node {
+    let far = [FAR_AWAY; 3];
+    Node {
+        left_min: far,
+        left_max: far,
+        left: NOTHING,
+        right_min: far,
+        right_max: far,
+        right: NOTHING,
+        pad_0: 0,
+        pad_1: 0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::Mesh;
+
+    /// The search of `shaders/shared/bvh.wgsl`, with the deepest stack it needed.
+    fn nearest(tree: &BinaryTree, frames: &[TriangleFrame], p: Vec3) -> (f32, usize) {
+        let distance = |low: [f32; 3], high: [f32; 3]| {
+            let outside = (Vec3::from(low) - p).max(p - Vec3::from(high)).max(Vec3::ZERO);
+            outside.dot(outside)
+        };
+        let (mut best, mut deepest, mut stack) = (f32::INFINITY, 0, vec![(0.0, 0u32)]);
+        while let Some((squared, child)) = stack.pop() {
+            if squared >= best {
+                continue;
+            }
+            if child >= LEAF_BIT {
+                let (first, count) = (child & (LEAF_ONE - 1), (child - LEAF_BIT) / LEAF_ONE + 1);
+                for slot in first..first + count {
+                    best = best.min(frames[tree.triangles[slot as usize].face as usize].distance_squared(p));
+                }
+                continue;
+            }
+            let node = &tree.nodes[child as usize];
+            let mut children = [
+                (distance(node.left_min, node.left_max), node.left),
+                (distance(node.right_min, node.right_max), node.right),
+            ];
+            children.sort_by(|a, b| b.0.total_cmp(&a.0));
+            stack.extend(children.iter().filter(|(squared, _)| *squared < best));
+            deepest = deepest.max(stack.len());
+        }
+        (best, deepest)
+    }
+
+    #[test]
+    fn it_holds_every_face_once_and_finds_the_same_distances() {
+        for faces in [1usize, 3, 9, 200, 5000] {
+            let mut state = faces as u64;
+            let mut next = || {
+                state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+                (state >> 33) as f64 / (1u64 << 31) as f64
+            };
+            let vertices: Vec<[f64; 3]> = (0..faces)
+                .flat_map(|_| {
+                    let center = [next(), next(), next()];
+                    [0; 3].map(|_| center.map(|x| x + 0.1 * next()))
+                })
+                .collect();
+            let corners: Vec<[i64; 3]> = (0..faces as i64).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
+            let mesh = Mesh::new(&vertices, &corners).unwrap();
+            let tree = BinaryTree::new(mesh.bvh(), mesh.positions(), mesh.faces());
+
+            let mut named: Vec<u32> = tree.triangles.iter().map(|triangle| triangle.face).collect();
+            named.sort_unstable();
+            assert_eq!(named, (0..mesh.faces().len() as u32).collect::<Vec<_>>());
+            let frames: Vec<_> =
+                (0..mesh.faces().len() as u32).map(|face| TriangleFrame::new(mesh.triangle(face))).collect();
+            for _ in 0..50 {
+                let p = Vec3::new(next() as f32, next() as f32, next() as f32) - 0.5;
+                let (squared, deepest) = nearest(&tree, &frames, p);
+                assert_eq!(squared, mesh.bvh().nearest(p, f32::INFINITY).unwrap().distance_squared);
+                assert!(deepest <= MAX_DEPTH);
+            }
+        }
+    }
+}

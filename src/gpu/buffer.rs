@@ -1,0 +1,175 @@
+//! Device memory: up, down, and how often.
+//!
+//! Sizes are checked against the device's limits before anything is allocated: software adapters allocate lazily and
+//! grant what they do not have. Uploads and read-backs are counted, so that a test can show that a field which was baked
+//! on the device is drawn without leaving it.
+
+use super::context::Context;
+use crate::error::{DeviceError, Error};
+use crate::progress::Progress;
+use bytemuck::Pod;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+/// Transfers of a context so far.
+#[derive(Debug, Default)]
+pub struct Counters {
+    pub uploads: AtomicU64,
+    pub uploaded_bytes: AtomicU64,
+    pub readbacks: AtomicU64,
+    pub readback_bytes: AtomicU64,
+}
+
+/// How often a wait looks at the progress, for cancellation.
+const LOOK: Duration = Duration::from_millis(50);
+/// A dispatch is kept near 50 ms; a device that has not finished one by now hangs.
+const HANG: Duration = Duration::from_secs(120);
+/// Read back in pieces of this size, so that the staging memory stays small.
+const STAGING_BYTES: u64 = 64 << 20;
+/// What to do about a buffer that is too large.
+const ADVICE: &str = "lower the resolution, bake parts of the box through bounds=, or use device=\"cpu\"";
+
+impl Context {
+    /// The largest buffer that a kernel can bind whole, a multiple of 256 bytes.
+    pub fn max_binding(&self) -> u64 {
+        self.limits.max_buffer_size.min(self.limits.max_storage_buffer_binding_size) / 256 * 256
+    }
+
+    /// Fails if a buffer of this size cannot be bound.
+    pub fn check_size(&self, what: &str, bytes: u64) -> Result<(), DeviceError> {
+        let limit = self.max_binding();
+        if bytes > limit {
+            return Err(DeviceError::TooLarge {
+                device: self.label(),
+                what: what.into(),
+                needed: bytes,
+                limit,
+                advice: ADVICE,
+            });
+        }
+        Ok(())
+    }
+
+    /// A zeroed buffer that kernels read and write, and that can be copied from and to.
+    pub fn storage(&self, label: &str, bytes: u64) -> Result<wgpu::Buffer, DeviceError> {
+        let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST;
+        self.allocate(label, bytes, usage)
+    }
+
+    /// A buffer for a struct of parameters.
+    pub fn uniform<T: Pod>(&self, label: &str, value: &T) -> Result<wgpu::Buffer, DeviceError> {
+        let usage = wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST;
+        let buffer = self.allocate(label, size_of::<T>() as u64, usage)?;
+        self.write(label, &buffer, 0, std::slice::from_ref(value))?;
+        Ok(buffer)
+    }
+
+    /// A storage buffer that holds `items`; one zeroed item if there are none, since an empty buffer cannot be bound.
+    pub fn upload<T: Pod>(&self, label: &str, items: &[T]) -> Result<wgpu::Buffer, DeviceError> {
+        let bytes = size_of_val(items).max(size_of::<T>()) as u64;
+        let buffer = self.storage(label, bytes)?;
+        self.fill(label, &buffer, items)?;
+        Ok(buffer)
+    }
+
+    /// Copy `items` to the start of a buffer.
+    pub fn fill<T: Pod>(&self, label: &str, buffer: &wgpu::Buffer, items: &[T]) -> Result<(), DeviceError> {
+        // In pieces: the queue keeps a copy of each until it is submitted.
+        let piece = (STAGING_BYTES as usize / size_of::<T>()).max(1);
+        for (i, part) in items.chunks(piece).enumerate() {
+            self.write(label, buffer, (i * piece * size_of::<T>()) as u64, part)?;
+            self.guarded(label, 0, || self.queue.submit([]))?;
+        }
+        self.counters.uploads.fetch_add(1, Ordering::Relaxed);
+        self.counters.uploaded_bytes.fetch_add(size_of_val(items) as u64, Ordering::Relaxed);
+        Ok(())
+    }
+
+    /// Overwrite a part of a buffer, ahead of the next submission.
+    pub fn write<T: Pod>(
+        &self,
+        label: &str,
+        buffer: &wgpu::Buffer,
+        offset: u64,
+        items: &[T],
+    ) -> Result<(), DeviceError> {
+        self.guarded(label, 0, || self.queue.write_buffer(buffer, offset, bytemuck::cast_slice(items)))
+    }
+
+    fn allocate(&self, label: &str, bytes: u64, usage: wgpu::BufferUsages) -> Result<wgpu::Buffer, DeviceError> {
+        self.check_size(label, bytes)?;
+        let descriptor = wgpu::BufferDescriptor {
+            label: Some(label),
+            size: bytes.next_multiple_of(4),
+            usage,
+            mapped_at_creation: false,
+        };
+        self.guarded(label, bytes, || self.device.create_buffer(&descriptor))
+    }
+
+    /// Copy a buffer's first items to `out`.
+    pub fn read<T: Pod>(
+        &self,
+        label: &str,
+        buffer: &wgpu::Buffer,
+        out: &mut [T],
+        progress: &Progress,
+    ) -> Result<(), Error> {
+        let bytes: &mut [u8] = bytemuck::cast_slice_mut(out);
+        let total = bytes.len() as u64;
+        if total == 0 {
+            return Ok(());
+        }
+        let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
+        let staging = self.allocate(label, total.min(STAGING_BYTES), usage)?;
+        for (i, part) in bytes.chunks_mut(STAGING_BYTES as usize).enumerate() {
+            let (offset, size) = (i as u64 * STAGING_BYTES, part.len() as u64);
+            let mapped = Arc::new(AtomicBool::new(false));
+            let done = mapped.clone();
+            let submission = self.guarded(label, size, || {
+                let mut encoder =
+                    self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
+                encoder.copy_buffer_to_buffer(buffer, offset, &staging, 0, size);
+                let submission = self.queue.submit([encoder.finish()]);
+                staging.map_async(wgpu::MapMode::Read, 0..size, move |result| {
+                    done.store(result.is_ok(), Ordering::Release);
+                });
+                submission
+            })?;
+            self.wait(label, &submission, progress)?;
+            if !mapped.load(Ordering::Acquire) {
+                self.check(label)?;
+                return Err(self.failed(label, "the result could not be mapped".into()).into());
+            }
+            let view = staging.get_mapped_range(0..size).map_err(|error| self.failed(label, error.to_string()))?;
+            part.copy_from_slice(&view);
+            drop(view);
+            staging.unmap();
+        }
+        self.counters.readbacks.fetch_add(1, Ordering::Relaxed);
+        self.counters.readback_bytes.fetch_add(total, Ordering::Relaxed);
+        Ok(())
+    }
+
+    /// Wait for a submission. A cancelled job stops waiting; what it submitted finishes by itself.
+    pub fn wait(&self, what: &str, submission: &wgpu::SubmissionIndex, progress: &Progress) -> Result<(), Error> {
+        let start = Instant::now();
+        loop {
+            let poll = wgpu::PollType::Wait { submission_index: Some(submission.clone()), timeout: Some(LOOK) };
+            let lane = self.lane();
+            let outcome = self.device.poll(poll);
+            drop(lane);
+            self.check(what)?;
+            match outcome {
+                Ok(_) => return progress.check(),
+                Err(wgpu::PollError::Timeout) if start.elapsed() > HANG => {
+                    self.abandon("it did not answer");
+                    self.check(what)?;
+                }
+                Err(wgpu::PollError::Timeout) => progress.check()?,
+                Err(error) => return Err(self.failed(what, error.to_string()).into()),
+            }
+        }
+    }
+}

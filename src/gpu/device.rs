@@ -1,0 +1,161 @@
+//! Which devices there are, and which one a call runs on.
+
+use super::context::{Context, context};
+use crate::error::DeviceError;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// A device that can compute.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DeviceInfo {
+    pub name: String,
+    /// "cpu", "vulkan", "metal" or "dx12".
+    pub backend: String,
+    /// "cpu", "discrete", "integrated", "virtual", "software" or "other".
+    pub kind: &'static str,
+    /// False for the CPU and for drivers that emulate a GPU on it.
+    pub hardware: bool,
+    pub limits: Vec<(&'static str, u64)>,
+}
+
+impl DeviceInfo {
+    /// Name and backend, as reports show it.
+    pub fn label(&self) -> String {
+        format!("{} ({})", self.name, self.backend)
+    }
+}
+
+/// Where a call runs.
+#[derive(Debug, Clone)]
+pub enum Place {
+    Cpu,
+    Gpu(Arc<Context>),
+}
+
+impl Place {
+    /// As reports show it.
+    pub fn label(&self) -> String {
+        match self {
+            Self::Cpu => "cpu".into(),
+            Self::Gpu(context) => context.label(),
+        }
+    }
+
+    /// Times that a query looks at its points: on a device once more, for the search there.
+    pub fn passes(&self) -> u64 {
+        match self {
+            Self::Cpu => 1,
+            Self::Gpu(_) => 2,
+        }
+    }
+}
+
+/// The environment variable that stands in for `device="auto"`.
+pub const OVERRIDE: &str = "FIELDBAKE_DEVICE";
+
+/// The place that a user's `device=` names: "auto" (hardware, else the CPU), "cpu", "gpu" (hardware, else a software
+/// adapter) or an adapter by name.
+pub fn choose(device: &str) -> Result<Place, DeviceError> {
+    let named = std::env::var(OVERRIDE).ok().filter(|name| device == "auto" && !name.is_empty());
+    let device = named.as_deref().unwrap_or(device);
+    match device {
+        "cpu" => Ok(Place::Cpu),
+        "auto" => match offered().iter().find(|info| info.hardware) {
+            // A forked child cannot use the parent's device; "auto" may take the CPU instead.
+            Some(_) if super::context::is_forked() => Ok(Place::Cpu),
+            Some(info) => Ok(Place::Gpu(context(info)?)),
+            None => Ok(Place::Cpu),
+        },
+        "gpu" => {
+            let offered = offered();
+            let best = offered.iter().find(|info| info.hardware).or(offered.first());
+            Ok(Place::Gpu(context(best.ok_or_else(|| no_adapter(device))?)?))
+        }
+        name => {
+            let offered = offered();
+            let wanted = name.to_lowercase();
+            let exact = offered.iter().find(|info| info.name.to_lowercase() == wanted);
+            let mut partial = offered.iter().filter(|info| info.name.to_lowercase().contains(&wanted));
+            match (exact, partial.next(), partial.next()) {
+                (Some(info), ..) | (None, Some(info), None) => Ok(Place::Gpu(context(info)?)),
+                _ => Err(DeviceError::Unknown { requested: name.into() }),
+            }
+        }
+    }
+}
+
+/// Where a call runs that exists only on the CPU.
+pub fn choose_cpu(device: &str, job: &str) -> Result<(), DeviceError> {
+    match device {
+        "auto" | "cpu" => Ok(()),
+        "gpu" => Err(DeviceError::NotAvailable {
+            requested: device.into(),
+            reason: format!("{job} runs on the CPU only; use device=\"auto\" or \"cpu\""),
+        }),
+        _ => Err(DeviceError::Unknown { requested: device.into() }),
+    }
+}
+
+fn no_adapter(requested: &str) -> DeviceError {
+    DeviceError::NotAvailable {
+        requested: requested.into(),
+        reason: "no Vulkan, Metal or DX12 driver offers an adapter; install one (Mesa's lavapipe emulates a GPU on the CPU), or use device=\"cpu\"".into(),
+    }
+}
+
+/// The CPU, then every adapter that the drivers offer.
+pub fn devices() -> Vec<DeviceInfo> {
+    let threads = rayon::current_num_threads() as u64;
+    let cpu = DeviceInfo {
+        name: "cpu".into(),
+        backend: "cpu".into(),
+        kind: "cpu",
+        hardware: false,
+        limits: vec![("threads", threads)],
+    };
+    let found = enumerate().1;
+    let mut list = vec![cpu];
+    list.extend(found.iter().map(describe));
+    list
+}
+
+/// What the drivers offered when this process first asked: loading them costs 50 to 250 ms.
+fn offered() -> Vec<DeviceInfo> {
+    static OFFERED: Mutex<Option<Vec<DeviceInfo>>> = Mutex::new(None);
+    let mut offered = OFFERED.lock().unwrap_or_else(PoisonError::into_inner);
+    offered.get_or_insert_with(|| enumerate().1.iter().map(describe).collect()).clone()
+}
+
+/// A new instance and its adapters. An instance must outlive what comes from it, and a lost device needs a new one.
+pub(super) fn enumerate() -> (wgpu::Instance, Vec<wgpu::Adapter>) {
+    let backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
+    let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+    descriptor.backends = backends;
+    let instance = wgpu::Instance::new(descriptor);
+    let adapters = pollster::block_on(instance.enumerate_adapters(backends));
+    (instance, adapters)
+}
+
+pub(super) fn describe(adapter: &wgpu::Adapter) -> DeviceInfo {
+    let info = adapter.get_info();
+    let limits = adapter.limits();
+    let kind = match info.device_type {
+        wgpu::DeviceType::DiscreteGpu => "discrete",
+        wgpu::DeviceType::IntegratedGpu => "integrated",
+        wgpu::DeviceType::VirtualGpu => "virtual",
+        wgpu::DeviceType::Cpu => "software",
+        wgpu::DeviceType::Other => "other",
+    };
+    DeviceInfo {
+        name: info.name,
+        backend: info.backend.to_str().to_owned(),
+        kind,
+        hardware: kind != "software",
+        limits: vec![
+            ("max_buffer_size", limits.max_buffer_size),
+            ("max_storage_buffer_binding_size", limits.max_storage_buffer_binding_size),
+            ("max_compute_invocations_per_workgroup", limits.max_compute_invocations_per_workgroup.into()),
+            ("max_texture_dimension_2d", limits.max_texture_dimension_2d.into()),
+            ("max_texture_dimension_3d", limits.max_texture_dimension_3d.into()),
+        ],
+    }
+}

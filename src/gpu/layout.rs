@@ -1,0 +1,249 @@
+//! Structs that cross the border, each the twin of the WGSL struct of the same name.
+//!
+//! Fields are ordered so that no padding is needed: a three-component vector is followed by a scalar. A test parses
+//! the WGSL and compares names, offsets and sizes.
+
+use bytemuck::{Pod, Zeroable};
+
+/// A node of the binary tree; `shaders/shared/bvh.wgsl`.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Node {
+    pub left_min: [f32; 3],
+    /// A child: the index of a node, or a leaf (see `bvh::binary`).
+    pub left: u32,
+    pub left_max: [f32; 3],
+    pub right: u32,
+    pub right_min: [f32; 3],
+    pub pad_0: u32,
+    pub right_max: [f32; 3],
+    pub pad_1: u32,
+}
+
+/// A triangle in its own frame; `shaders/shared/triangle.wgsl`.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Triangle {
+    pub a: [f32; 3],
+    pub face: u32,
+    pub u: [f32; 3],
+    pub length: f32,
+    pub v: [f32; 3],
+    pub left_length: f32,
+    pub n: [f32; 3],
+    pub right_length: f32,
+    pub left: [f32; 2],
+    pub right: [f32; 2],
+}
+
+/// `shaders/bake_distance.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct DistanceParams {
+    pub shape: [u32; 3],
+    pub first_block: u32,
+    pub coarse_shape: [u32; 3],
+    pub stride: u32,
+    pub first_plane: u32,
+    pub planes: u32,
+    pub block_count: u32,
+    pub limit_squared: f32,
+}
+
+/// `shaders/bake_finish.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct FinishParams {
+    pub shape: [u32; 3],
+    pub first_plane: u32,
+    pub coarse_shape: [u32; 3],
+    pub planes: u32,
+    pub spacing_squared: [f32; 3],
+    pub scale: f32,
+    pub width: f32,
+    pub half_thickness: f32,
+    pub words_per_row: u32,
+    pub stride: u32,
+}
+
+/// `shaders/bake_brute.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct BruteParams {
+    pub shape: [u32; 3],
+    pub first_triangle: u32,
+    pub triangle_count: u32,
+    pub first_sample: u32,
+    pub sample_count: u32,
+    pub sign_rule: u32,
+}
+
+/// What a sample of the brute-force bake knows so far; `shaders/bake_brute.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct BruteState {
+    pub squared: f32,
+    pub nudged_squared: f32,
+    pub behind: u32,
+    pub crossings: u32,
+}
+
+/// `shaders/query_points.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct QueryParams {
+    pub first: u32,
+    pub count: u32,
+    pub pad_0: u32,
+    pub pad_1: u32,
+}
+
+/// `shaders/raymarch.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct MarchParams {
+    pub shape: [u32; 3],
+    pub light_count: u32,
+    pub start: [f32; 3],
+    pub width: u32,
+    pub start_right: [f32; 3],
+    pub height: u32,
+    pub start_up: [f32; 3],
+    pub first_row: u32,
+    pub forward: [f32; 3],
+    pub ambient: f32,
+    pub right: [f32; 3],
+    pub specular: f32,
+    pub up: [f32; 3],
+    pub shininess: f32,
+    pub world_forward: [f32; 3],
+    pub pixel: f32,
+    pub world_right: [f32; 3],
+    pub shadows: u32,
+    pub world_up: [f32; 3],
+    pub pad_0: u32,
+    pub color: [f32; 3],
+    pub pad_1: u32,
+    pub relative_spacing: [f32; 3],
+    pub pad_2: u32,
+    pub background: [f32; 4],
+}
+
+/// `shaders/raymarch.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct Light {
+    pub direction: [f32; 3],
+    pub pad_0: u32,
+    pub color: [f32; 3],
+    pub pad_1: u32,
+}
+
+/// `shaders/raymarch.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct Pixel {
+    pub color: [f32; 4],
+    pub normal: [f32; 3],
+    pub depth: f32,
+    pub steps: u32,
+    pub is_hit: u32,
+    pub pad_0: u32,
+    pub pad_1: u32,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::shader::source;
+    use std::mem::offset_of;
+    use wgpu::naga;
+
+    /// Names and offsets of a WGSL struct, and its size.
+    fn wgsl_struct(kernel: &str, name: &str) -> (Vec<(String, u32)>, u32) {
+        let module = naga::front::wgsl::parse_str(&source(kernel).unwrap()).unwrap();
+        let (_, ty) = module.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(name)).unwrap();
+        let naga::TypeInner::Struct { members, span } = &ty.inner else { panic!("{name} is not a struct") };
+        (members.iter().map(|m| (m.name.clone().unwrap(), m.offset)).collect(), *span)
+    }
+
+    macro_rules! assert_twin {
+        ($kernel:literal, $name:ident { $($field:ident),* }) => {
+            let (members, span) = wgsl_struct($kernel, stringify!($name));
+            let ours = vec![$((stringify!($field).to_owned(), offset_of!($name, $field) as u32)),*];
+            assert_eq!((members, span), (ours, size_of::<$name>() as u32), stringify!($name));
+        };
+    }
+
+    #[test]
+    fn structs_have_the_layout_that_the_shaders_read() {
+        assert_twin!("bake_distance", Node { left_min, left, left_max, right, right_min, pad_0, right_max, pad_1 });
+        assert_twin!("bake_distance", Triangle { a, face, u, length, v, left_length, n, right_length, left, right });
+        assert_twin!(
+            "bake_distance",
+            DistanceParams {
+                shape,
+                first_block,
+                coarse_shape,
+                stride,
+                first_plane,
+                planes,
+                block_count,
+                limit_squared
+            }
+        );
+        assert_twin!(
+            "bake_finish",
+            FinishParams {
+                shape,
+                first_plane,
+                coarse_shape,
+                planes,
+                spacing_squared,
+                scale,
+                width,
+                half_thickness,
+                words_per_row,
+                stride
+            }
+        );
+        assert_twin!(
+            "bake_brute",
+            BruteParams { shape, first_triangle, triangle_count, first_sample, sample_count, sign_rule }
+        );
+        assert_twin!("bake_brute", BruteState { squared, nudged_squared, behind, crossings });
+        assert_twin!(
+            "raymarch",
+            MarchParams {
+                shape,
+                light_count,
+                start,
+                width,
+                start_right,
+                height,
+                start_up,
+                first_row,
+                forward,
+                ambient,
+                right,
+                specular,
+                up,
+                shininess,
+                world_forward,
+                pixel,
+                world_right,
+                shadows,
+                world_up,
+                pad_0,
+                color,
+                pad_1,
+                relative_spacing,
+                pad_2,
+                background
+            }
+        );
+        assert_twin!("raymarch", Light { direction, pad_0, color, pad_1 });
+        assert_twin!("raymarch", Pixel { color, normal, depth, steps, is_hit, pad_0, pad_1 });
+        assert_twin!("query_points", QueryParams { first, count, pad_0, pad_1 });
+    }
+}

@@ -1,0 +1,52 @@
+//! How much work to put into one dispatch.
+//!
+//! A long dispatch trips the driver's watchdog (two seconds on some systems) and cannot be cancelled; a short one wastes
+//! the device. How long an invocation takes is unknown and differs by a factor of ten thousand between a software adapter
+//! and a large GPU, so the size is found as the job runs: doubled while dispatches are quick, halved when they are slow.
+
+use super::context::Context;
+use crate::error::Error;
+use crate::progress::Progress;
+use std::time::{Duration, Instant};
+
+/// Aim between these two.
+const QUICK: Duration = Duration::from_millis(40);
+const SLOW: Duration = Duration::from_millis(160);
+
+/// Split `total` units of work into dispatches. `dispatch(first, count)` submits one; results do not depend on the cut.
+///
+/// Two dispatches are in flight, so that the device never waits for the CPU.
+pub fn in_pieces(
+    context: &Context,
+    what: &str,
+    total: u64,
+    smallest: u64,
+    largest: u64,
+    progress: &Progress,
+    mut dispatch: impl FnMut(u64, u64) -> Result<wgpu::SubmissionIndex, Error>,
+) -> Result<(), Error> {
+    let mut size = smallest;
+    let mut first = 0;
+    let mut waiting: Option<wgpu::SubmissionIndex> = None;
+    let mut since = Instant::now();
+    while first < total {
+        let count = size.min(total - first);
+        let submission = dispatch(first, count)?;
+        first += count;
+        if let Some(earlier) = waiting.replace(submission) {
+            context.wait(what, &earlier, progress)?;
+            let took = since.elapsed();
+            since = Instant::now();
+            if took < QUICK {
+                size = (size * 2).min(largest);
+            } else if took > SLOW {
+                size = (size / 2).max(smallest);
+            }
+        }
+        progress.check()?;
+    }
+    match waiting {
+        Some(last) => context.wait(what, &last, progress),
+        None => Ok(()),
+    }
+}

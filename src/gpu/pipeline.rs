@@ -1,0 +1,93 @@
+//! Compiled kernels, one for each entry point and context, and their dispatch.
+
+use super::context::Context;
+use super::shader::source;
+use crate::error::DeviceError;
+use std::collections::HashMap;
+use std::sync::{Mutex, PoisonError};
+
+/// Kernels by name and entry point.
+#[derive(Debug, Default)]
+pub struct Pipelines(Mutex<HashMap<(&'static str, &'static str), wgpu::ComputePipeline>>);
+
+impl Context {
+    /// A kernel of `shaders/`, compiled at the first use.
+    pub fn kernel(&self, name: &'static str, entry: &'static str) -> Result<wgpu::ComputePipeline, DeviceError> {
+        let mut pipelines = self.pipelines.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(pipeline) = pipelines.get(&(name, entry)) {
+            return Ok(pipeline.clone());
+        }
+        let text = source(name).map_err(|reason| self.refused(name, reason))?;
+        let pipeline = self.compile(name, entry, &text)?;
+        pipelines.insert((name, entry), pipeline.clone());
+        Ok(pipeline)
+    }
+
+    /// Compile one entry point of a WGSL text. The bind group layout follows from the text.
+    pub fn compile(&self, name: &str, entry: &str, text: &str) -> Result<wgpu::ComputePipeline, DeviceError> {
+        let compiled = self.guarded(name, 0, || {
+            let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+                label: Some(name),
+                source: wgpu::ShaderSource::Wgsl(text.into()),
+            });
+            self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some(name),
+                layout: None,
+                module: &module,
+                entry_point: Some(entry),
+                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                cache: None,
+            })
+        });
+        compiled.map_err(|error| match error {
+            DeviceError::Failed { reason, .. } => self.refused(name, reason),
+            other => other,
+        })
+    }
+
+    fn refused(&self, kernel: &str, reason: String) -> DeviceError {
+        DeviceError::Shader { device: self.label(), kernel: kernel.into(), reason }
+    }
+
+    /// Bind whole buffers to group 0 in order of binding.
+    pub fn bind(
+        &self,
+        label: &str,
+        pipeline: &wgpu::ComputePipeline,
+        buffers: &[(u32, &wgpu::Buffer)],
+    ) -> Result<wgpu::BindGroup, DeviceError> {
+        let entries: Vec<_> = buffers
+            .iter()
+            .map(|(binding, buffer)| wgpu::BindGroupEntry { binding: *binding, resource: buffer.as_entire_binding() })
+            .collect();
+        self.guarded(label, 0, || {
+            self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some(label),
+                layout: &pipeline.get_bind_group_layout(0),
+                entries: &entries,
+            })
+        })
+    }
+
+    /// Put one dispatch into the queue.
+    pub fn dispatch(
+        &self,
+        label: &str,
+        pipeline: &wgpu::ComputePipeline,
+        group: &wgpu::BindGroup,
+        workgroups: [u32; 3],
+    ) -> Result<wgpu::SubmissionIndex, DeviceError> {
+        self.guarded(label, 0, || {
+            let mut encoder =
+                self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
+            {
+                let mut pass = encoder
+                    .begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some(label), timestamp_writes: None });
+                pass.set_pipeline(pipeline);
+                pass.set_bind_group(0, group, &[]);
+                pass.dispatch_workgroups(workgroups[0], workgroups[1], workgroups[2]);
+            }
+            self.queue.submit([encoder.finish()])
+        })
+    }
+}

@@ -1,0 +1,58 @@
+//! WGSL sources and the rule that joins them.
+//!
+//! A file in `shaders/` is plain WGSL, except that a line `#import name` stands for the text of `shaders/shared/name.wgsl`
+//! and of what that imports, each once, before the file that needs it. No names are mangled: the joined text is what a
+//! person reads, what the driver compiles, and what another WebGPU program can paste.
+
+use std::fmt::Write;
+
+/// Every kernel by name, and its file.
+pub const KERNELS: &[(&str, &str)] = &[
+    ("bake_brute", include_str!("../../shaders/bake_brute.wgsl")),
+    ("bake_distance", include_str!("../../shaders/bake_distance.wgsl")),
+    ("bake_finish", include_str!("../../shaders/bake_finish.wgsl")),
+    ("raymarch", include_str!("../../shaders/raymarch.wgsl")),
+    ("query_points", include_str!("../../shaders/query_points.wgsl")),
+];
+
+const SHARED: &[(&str, &str)] = &[
+    ("bvh", include_str!("../../shaders/shared/bvh.wgsl")),
+    ("grid", include_str!("../../shaders/shared/grid.wgsl")),
+    ("ray", include_str!("../../shaders/shared/ray.wgsl")),
+    ("sampling", include_str!("../../shaders/shared/sampling.wgsl")),
+    ("triangle", include_str!("../../shaders/shared/triangle.wgsl")),
+];
+
+/// The whole text of a kernel.
+pub fn source(kernel: &str) -> Result<String, String> {
+    let text = find(KERNELS, kernel).ok_or_else(|| format!("there is no kernel '{kernel}'"))?;
+    let mut joined = String::new();
+    let mut seen = Vec::new();
+    join(kernel, text, &mut seen, &mut joined)?;
+    Ok(joined)
+}
+
+fn find<'a>(files: &[(&str, &'a str)], name: &str) -> Option<&'a str> {
+    files.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
+}
+
+/// Append `text`, what it imports first.
+fn join<'a>(name: &str, text: &'a str, seen: &mut Vec<&'a str>, joined: &mut String) -> Result<(), String> {
+    for line in text.lines() {
+        let Some(import) = line.trim().strip_prefix("#import ") else { continue };
+        let import = import.trim();
+        if !seen.contains(&import) {
+            seen.push(import);
+            let shared =
+                find(SHARED, import).ok_or_else(|| format!("{name} imports '{import}', which does not exist"))?;
+            join(import, shared, seen, joined)?;
+        }
+    }
+    // Writing to a string cannot fail.
+    let _ = writeln!(joined, "// ---- {name}.wgsl ----");
+    for line in text.lines().filter(|line| !line.trim().starts_with("#import ")) {
+        joined.push_str(line);
+        joined.push('\n');
+    }
+    Ok(())
+}
