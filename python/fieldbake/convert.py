@@ -185,17 +185,21 @@ def _from_file(path: str | os.PathLike[str]) -> list[_Piece]:
         raise MeshError(f"{path}: is a directory, not a mesh file")
     # Opening it first keeps FileNotFoundError and PermissionError as they are.
     with file.open("rb") as stream:
-        head = stream.read() if file.suffix.lower() == ".obj" else b""
+        head = stream.read() if file.suffix.lower() in (".obj", ".off") else b""
 
     import trimesh
 
     # Without texture coordinates trimesh can keep the file's own order of vertices; with them it has to split some.
-    options: dict[str, Any] = {"maintain_order": True} if head and b"vt " not in head else {}
+    keeps_order = file.suffix.lower() == ".obj" and b"vt " not in head
+    options: dict[str, Any] = {"maintain_order": True} if keeps_order else {}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             scene = trimesh.load_scene(str(file), process=False, resolver=_resolver(file), **options)
-            return _from_scene(scene, os.fspath(path))
+            pieces = _from_scene(scene, os.fspath(path))
+        if file.suffix.lower() == ".off":
+            _check_off_is_whole(head, sum(len(piece.faces) for piece in pieces))
+        return pieces
     except MeshError:
         raise
     except NotImplementedError as error:
@@ -204,6 +208,15 @@ def _from_file(path: str | os.PathLike[str]) -> list[_Piece]:
     except Exception as error:  # Readers of damaged files fail in every way there is.
         reason = str(error) or type(error).__name__
         raise MeshError(f"{path}: cannot be read as a mesh ({file.suffix.lstrip('.').upper()}): {reason}") from error
+
+
+def _check_off_is_whole(content: bytes, faces: int) -> None:
+    """An OFF file says how many faces it has; its reader takes what is there. Polygons only make more of them."""
+    lines = (line.split(b"#")[0].split() for line in content.splitlines())
+    words = [word for line in lines for word in line][:4]
+    counts = words[1:] if words and words[0].upper().endswith(b"OFF") else words
+    if len(counts) >= 2 and counts[1].isdigit() and faces < int(counts[1]):
+        raise ValueError(f"it says {int(counts[1])} faces and has {faces}; is it complete?")
 
 
 def _resolver(file: Path) -> Any:
