@@ -75,9 +75,15 @@ const SHADOW_BIAS_VOXELS: f32 = 0.5;
 const GROUND_SHARE: f32 = 0.4;
 const MAX_LIGHTS: u32 = 64u;
 
-// World normal of the trilinear surface at a hit; `fallback` where the field has no slope.
-fn surface_normal(hit: Hit, p_grid: vec3f, fallback: vec3f) -> vec3f {
-    let per_voxel = trilinear_gradient(cell_corners(hit.cell, params.shape), p_grid - vec3f(hit.cell));
+// World normal at a point of the surface: the gradient averaged over a voxel around it; `fallback` where the field has no
+// slope.
+fn surface_normal(p_grid: vec3f, fallback: vec3f) -> vec3f {
+    var per_voxel: vec3f;
+    for (var axis = 0u; axis < 3u; axis++) {
+        var half_voxel = vec3f(0.0);
+        half_voxel[axis] = 0.5;
+        per_voxel[axis] = field_at(p_grid + half_voxel, params.shape) - field_at(p_grid - half_voxel, params.shape);
+    }
     let sizes = abs(per_voxel);
     let largest = max(sizes.x, max(sizes.y, sizes.z));
     if largest < TINY { return fallback; }
@@ -120,7 +126,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
             let to_eye = -normalize(world);
             var normal: vec3f;
             if !hit.at_start {
-                normal = surface_normal(hit, p_grid, to_eye);
+                normal = surface_normal(p_grid, to_eye);
             } else if ray.enter_axis != NO_AXIS {
                 // The cut on a face of the box.
                 normal[ray.enter_axis] = select(-1.0, 1.0, to_eye[ray.enter_axis] >= 0.0);

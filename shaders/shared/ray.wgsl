@@ -29,7 +29,6 @@ struct Hit {
     is_hit: bool,
     // The ray began at a value that was not above zero.
     at_start: bool,
-    cell: vec3i,
     steps: u32,
 }
 
@@ -94,7 +93,6 @@ fn march(ray: ClippedRay, shape: vec3u) -> Hit {
                 hit.is_hit = true;
                 hit.t = t + s;
                 hit.at_start = hit.t == 0.0 && cubic.x <= 0.0;
-                hit.cell = cell;
                 return hit;
             }
         }

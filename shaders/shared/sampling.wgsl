@@ -24,13 +24,18 @@ fn lerp(a: f32, b: f32, fraction: f32) -> f32 {
     return a + (b - a) * fraction;
 }
 
-// Gradient of the trilinear field with respect to the place in the cell: distance per voxel.
-fn trilinear_gradient(c: array<f32, 8>, f: vec3f) -> vec3f {
-    return vec3f(
-        lerp(lerp(c[1] - c[0], c[3] - c[2], f.y), lerp(c[5] - c[4], c[7] - c[6], f.y), f.z),
-        lerp(lerp(c[2] - c[0], c[3] - c[1], f.x), lerp(c[6] - c[4], c[7] - c[5], f.x), f.z),
-        lerp(lerp(c[4] - c[0], c[5] - c[1], f.x), lerp(c[6] - c[2], c[7] - c[3], f.x), f.y),
-    );
+// The value at a place in a cell, 0 to 1 on every axis.
+fn trilinear(c: array<f32, 8>, f: vec3f) -> f32 {
+    let y0 = lerp(lerp(c[0], c[1], f.x), lerp(c[2], c[3], f.x), f.y);
+    let y1 = lerp(lerp(c[4], c[5], f.x), lerp(c[6], c[7], f.x), f.y);
+    return lerp(y0, y1, f.z);
+}
+
+// The trilinear field at a point of grid space; outside the box, at its nearest point.
+fn field_at(p_grid: vec3f, shape: vec3u) -> f32 {
+    let p = clamp(p_grid, vec3f(-0.5), vec3f(shape) - 0.5);
+    let cell = floor(p);
+    return trilinear(cell_corners(vec3i(cell), shape), p - cell);
 }
 
 // c0 + c1 s + c2 s^2 + c3 s^3, as (c0, c1, c2, c3): the trilinear field along p + s direction.

@@ -4,7 +4,9 @@
 //! |q|^2 - 2 p.q over the surface points q, each linear in p. So between nodes of a coarse grid, with trilinear weights
 //! w_i of the nodes c_i around p,
 //!
-//!     d(p)^2 >= sum_i w_i d_i^2 - sum_i w_i |c_i - p|^2,   the last sum being sum_axis H^2 f (1 - f),
+//! ```text
+//! d(p)^2 >= sum_i w_i d_i^2 - sum_i w_i |c_i - p|^2,   the last sum being sum_axis H^2 f (1 - f),
+//! ```
 //!
 //! f the fraction of p between two nodes at spacing H (Jensen's inequality). The bound is exact at the nodes, continuous,
 //! and off by about H^2 / 8d between them. Where it clears the band no search is needed.

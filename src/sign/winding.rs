@@ -6,7 +6,9 @@
 //! first moment C (Barill, Dickson, Schmidt, Levin, Jacobson, *Fast winding numbers for soups and clouds*, 2018). With
 //! x from p to that centre:
 //!
-//!     4 pi w  ~  N.x / |x|^3  +  (tr C - 3 x.C x / |x|^2) / |x|^3
+//! ```text
+//! 4 pi w  ~  N.x / |x|^3  +  (tr C - 3 x.C x / |x|^2) / |x|^3
+//! ```
 //!
 //! Only the symmetric part of C takes part, six numbers. A part is far when |x| exceeds [`BETA`] times its radius;
 //! near leaves are summed exactly. The error is of order (radius/|x|)^2 of a part's own angle; measured on the test
