@@ -1,27 +1,32 @@
 """The command line: what it writes, what it says, and its exit codes."""
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import fieldbake as fb
 import meshes
+from fieldbake.cli import app
 
 DONE, BAD_INPUT, BAD_USAGE = 0, 1, 2
 
 
-def fieldbake(*arguments, **options):
-    """Run the command in a process of its own."""
-    return subprocess.run(
-        [sys.executable, "-m", "fieldbake", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-        **options,
-    )
+def fieldbake(*arguments, cwd=None):
+    """Run the command in this process; an exception that would be a traceback fails the test."""
+    before = Path.cwd()
+    os.chdir(cwd or before)
+    try:
+        result = CliRunner().invoke(app, [str(argument) for argument in arguments], prog_name="fieldbake")
+    finally:
+        os.chdir(before)
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
 
 
 @pytest.fixture
@@ -37,13 +42,12 @@ def assert_one_clear_line(result, *words):
     lines = [line for line in result.stderr.splitlines() if line.strip()]
     assert len(lines) == 1, result.stderr
     assert all(word in lines[0] for word in words)
-    assert "Traceback" not in result.stderr
 
 
 def test_bake_writes_what_the_library_bakes(cube, tmp_path):
     result = fieldbake("bake", cube, "-r", 24, "-o", tmp_path / "cube.npz")
 
-    assert result.returncode == DONE, result.stderr
+    assert result.exit_code == DONE, result.stderr
     assert np.array_equal(fb.load(tmp_path / "cube.npz").distances, fb.bake(cube, resolution=24).distances)
     assert "24 x 24 x 24" in result.stdout
     assert "closed" in result.stdout
@@ -56,7 +60,7 @@ def test_bake_takes_three_numbers_and_options(cube, tmp_path):
         "bake", cube, "-r", "8x9x10", "--margin", "0.5", "--sign", "pseudonormal", "--band", "2", "-o", output
     )
 
-    assert result.returncode == DONE, result.stderr
+    assert result.exit_code == DONE, result.stderr
     expected = fb.bake(cube, resolution=(8, 9, 10), margin=0.5, sign="pseudonormal", band=2)
     assert np.array_equal(fb.load(output).distances, expected.distances)
 
@@ -64,7 +68,7 @@ def test_bake_takes_three_numbers_and_options(cube, tmp_path):
 def test_several_meshes_become_one_field(cube, tmp_path):
     result = fieldbake("bake", cube, cube, "-r", 8, "-o", tmp_path / "both.npz")
 
-    assert result.returncode == DONE, result.stderr
+    assert result.exit_code == DONE, result.stderr
     assert fb.load(tmp_path / "both.npz").report.faces == 24
 
 
@@ -73,7 +77,7 @@ def test_info_of_a_volume_and_of_a_mesh(cube, tmp_path):
 
     volume, mesh = fieldbake("info", tmp_path / "cube.npz"), fieldbake("info", cube)
 
-    assert volume.returncode == mesh.returncode == DONE
+    assert volume.exit_code == mesh.exit_code == DONE
     assert "8 x 8 x 8" in volume.stdout
     assert "12" in mesh.stdout
 
@@ -86,7 +90,7 @@ def test_render_writes_a_picture(cube, tmp_path, source):
 
     result = fieldbake("render", file, "-r", 16, "--size", "64x48", "-o", tmp_path / "cube.png")
 
-    assert result.returncode == DONE, result.stderr
+    assert result.exit_code == DONE, result.stderr
     with image.open(tmp_path / "cube.png") as picture:
         assert picture.size == (64, 48)
         assert np.asarray(picture)[..., :3].std() > 0
@@ -110,7 +114,7 @@ def test_render_looks_from_where_it_is_told(cube, tmp_path):
         tmp_path / "nothing.png",
     )
 
-    assert result.returncode == DONE, result.stderr
+    assert result.exit_code == DONE, result.stderr
     with image.open(tmp_path / "nothing.png") as picture:
         assert np.asarray(picture)[..., :3].std() == 0
 
@@ -118,14 +122,14 @@ def test_render_looks_from_where_it_is_told(cube, tmp_path):
 def test_devices_lists_the_cpu():
     result = fieldbake("devices")
 
-    assert result.returncode == DONE
+    assert result.exit_code == DONE
     assert "cpu" in result.stdout
 
 
 def test_demo_writes_pictures(cube, tmp_path):
     result = fieldbake("demo", cube, "-r", 16, "-o", tmp_path / "out")
 
-    assert result.returncode == DONE, result.stderr
+    assert result.exit_code == DONE, result.stderr
     assert list((tmp_path / "out").glob("*.png"))
     assert list((tmp_path / "out").glob("*.npz"))
 
@@ -134,7 +138,7 @@ def test_demo_writes_pictures(cube, tmp_path):
 def test_help_and_version(arguments):
     result = fieldbake(*arguments)
 
-    assert result.returncode == DONE
+    assert result.exit_code == DONE
     assert "fieldbake" in result.stdout
     if arguments == ["--version"]:
         assert fb.__version__ in result.stdout
@@ -146,7 +150,7 @@ def test_a_missing_file_is_one_clear_line(command, tmp_path):
 
     result = fieldbake(name, "nowhere.obj", *rest, cwd=tmp_path)
 
-    assert result.returncode == BAD_INPUT
+    assert result.exit_code == BAD_INPUT
     assert_one_clear_line(result, "nowhere.obj")
     assert list(tmp_path.iterdir()) == []
 
@@ -166,7 +170,7 @@ def test_a_bad_mesh_is_one_clear_line(tmp_path, content, words):
 
     result = fieldbake("bake", "bad.obj", "-o", "out.npz", cwd=tmp_path)
 
-    assert result.returncode == BAD_INPUT
+    assert result.exit_code == BAD_INPUT
     assert_one_clear_line(result, *words)
     assert not (tmp_path / "out.npz").exists()
 
@@ -176,7 +180,7 @@ def test_a_bad_volume_is_one_clear_line(tmp_path):
 
     result = fieldbake("info", "bad.npz", cwd=tmp_path)
 
-    assert result.returncode == BAD_INPUT
+    assert result.exit_code == BAD_INPUT
     assert_one_clear_line(result, "bad.npz")
 
 
@@ -195,14 +199,14 @@ def test_a_bad_volume_is_one_clear_line(tmp_path):
 def test_an_option_that_makes_no_sense_is_one_clear_line(cube, tmp_path, options):
     result = fieldbake("bake", cube, "-o", tmp_path / "out.npz", *options)
 
-    assert result.returncode == BAD_INPUT
+    assert result.exit_code == BAD_INPUT
     assert_one_clear_line(result)
 
 
 def test_a_folder_that_is_not_there_is_one_clear_line(cube, tmp_path):
     result = fieldbake("bake", cube, "-r", 8, "-o", tmp_path / "nowhere" / "out.npz")
 
-    assert result.returncode == BAD_INPUT
+    assert result.exit_code == BAD_INPUT
     assert_one_clear_line(result, "nowhere")
 
 
@@ -225,8 +229,7 @@ def test_a_folder_that_is_not_there_is_one_clear_line(cube, tmp_path):
 def test_wrong_usage(cube, arguments):
     result = fieldbake(*arguments, cwd=cube.parent)
 
-    assert result.returncode == BAD_USAGE
-    assert "Traceback" not in result.stderr
+    assert result.exit_code == BAD_USAGE
     assert not (cube.parent / "out.npz").exists()
 
 
@@ -234,4 +237,23 @@ def test_no_arguments_show_the_help():
     result = fieldbake()
 
     assert "bake" in result.stdout + result.stderr
-    assert result.returncode in (DONE, BAD_USAGE)
+    assert result.exit_code in (DONE, BAD_USAGE)
+
+
+def test_the_module_is_the_command(cube, tmp_path):
+    command = [sys.executable, "-m", "fieldbake", "bake", str(cube), "-r", "8", "-o", str(tmp_path / "cube.npz")]
+
+    result = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+
+    assert result.returncode == DONE, result.stderr
+    assert fb.load(tmp_path / "cube.npz").resolution == (8, 8, 8)
+
+
+def test_an_error_of_the_process_is_one_line_and_code_1(tmp_path):
+    command = [sys.executable, "-m", "fieldbake", "info", str(tmp_path / "nowhere.npz")]
+
+    result = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+
+    assert result.returncode == BAD_INPUT
+    assert result.stdout == ""
+    assert_one_clear_line(result, "nowhere.npz")

@@ -300,14 +300,25 @@ def test_an_unknown_ending(tmp_path):
         fb.load_mesh(path)
 
 
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.99])
-@pytest.mark.parametrize("suffix", ["ply", "stl", "glb", "off"])
-def test_a_truncated_file(tmp_path, suffix, share):
+READ_SHORT = pytest.mark.xfail(
+    reason="trimesh reads the faces that are there and forgets how many the header announced"
+)
+
+
+@pytest.mark.parametrize(
+    ("kind", "share"),
+    [
+        *((kind, share) for kind in ("ply", "stl", "glb", "stl_ascii", "off") for share in (0.1, 0.5, 0.7, 0.99)),
+        *(("ply_ascii", share) for share in (0.1, 0.5)),
+        *(pytest.param("ply_ascii", share, marks=READ_SHORT) for share in (0.7, 0.99)),
+    ],
+)
+def test_a_truncated_file(tmp_path, kind, share):
     trimesh = pytest.importorskip("trimesh")
-    whole = tmp_path / f"whole.{suffix}"
-    trimesh.Trimesh(*meshes.icosphere(2), process=False).export(whole)
-    cut = tmp_path / f"cut.{suffix}"
-    content = whole.read_bytes()
+    body = trimesh.Trimesh(*meshes.icosphere(2), process=False)
+    whole = body.export(file_type="ply", encoding="ascii") if kind == "ply_ascii" else body.export(file_type=kind)
+    content = whole.encode() if isinstance(whole, str) else whole
+    cut = tmp_path / f"cut.{kind.partition('_')[0]}"
     cut.write_bytes(content[: int(len(content) * share)])
 
     with pytest.raises(fb.MeshError, match=cut.name):

@@ -229,10 +229,10 @@ def test_garbage_fields_are_refused_cleanly_or_kept(distances):
     assert np.isfinite(volume.sample([[0, 0, 0]])).all()
 
 
-@given(st.sampled_from(["bounds", "margin", "band", "thickness", "progress"]), arrays)
+@given(st.sampled_from(["bounds", "margin", "band", "two_sided", "thickness", "progress"]), arrays)
 def test_garbage_options_are_refused_cleanly(option, value):
     with contextlib.suppress(fb.ArgumentError, fb.CapacityError):
-        fb.bake(meshes.tetrahedron(), 2, two_sided=option == "thickness", **{option: value})
+        fb.bake(meshes.tetrahedron(), 2, **{"two_sided": option == "thickness", option: value})
 
 
 @given(st.binary(max_size=300), st.sampled_from(["npz", "obj", "ply", "stl", "off", "glb"]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import operator
 from typing import Any
 
@@ -11,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .errors import ArgumentError, Error
 
-#: Farthest coordinate of a point: distances to it still fit in float32.
+#: Largest magnitude of a number or coordinate: what is made of it still fits in float32.
 FAR = 1e37
 
 
@@ -24,7 +23,7 @@ def describe(value: object) -> str:
 
 
 def number(name: str, value: object, *, above: float | None = None, least: float | None = None) -> float:
-    """A finite real number, optionally bounded below."""
+    """A real number that float32 can hold, optionally bounded below."""
     wanted = "a finite number"
     if above is not None:
         wanted += f" above {above:g}"
@@ -36,8 +35,8 @@ def number(name: str, value: object, *, above: float | None = None, least: float
         result = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
         raise ArgumentError(f"{name}: must be {wanted}, got {describe(value)}") from None
-    if not math.isfinite(result) or (above is not None and result <= above) or (least is not None and result < least):
-        raise ArgumentError(f"{name}: must be {wanted}, got {describe(value)}")
+    if not abs(result) <= FAR or (above is not None and result <= above) or (least is not None and result < least):
+        raise ArgumentError(f"{name}: must be {wanted} (at most {FAR:g}), got {describe(value)}")
     return result
 
 
@@ -87,6 +86,13 @@ def matrix(
     if not np.isfinite(result).all():
         raise error(f"{name}: must be finite, got {result.tolist()}")
     return result
+
+
+def flag(name: str, value: object) -> bool:
+    """True or False; anything else is a mistake, such as a number meant for the next argument."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise ArgumentError(f"{name}: must be True or False, got {describe(value)}")
+    return bool(value)
 
 
 def text(name: str, value: object) -> str:

@@ -118,6 +118,7 @@ def bake(
     True
     """
     method, where = _choices(sign, device)
+    two_sided = _checks.flag("two_sided", two_sided)
     if band is not None:
         band = _checks.number("band", band, above=0)
     if thickness is not None:

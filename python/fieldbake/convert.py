@@ -6,6 +6,8 @@ thing, are applied in float64; a mirroring one also turns the faces, so that out
 
 from __future__ import annotations
 
+import io
+import itertools
 import os
 import warnings
 from collections.abc import Iterable, Sequence
@@ -212,8 +214,8 @@ def _from_file(path: str | os.PathLike[str]) -> list[_Piece]:
 
 def _check_off_is_whole(content: bytes, faces: int) -> None:
     """An OFF file says how many faces it has; its reader takes what is there. Polygons only make more of them."""
-    lines = (line.split(b"#")[0].split() for line in content.splitlines())
-    words = [word for line in lines for word in line][:4]
+    lines = (line.split(b"#")[0].split() for line in io.BytesIO(content))
+    words = list(itertools.islice(itertools.chain.from_iterable(lines), 4))
     counts = words[1:] if words and words[0].upper().endswith(b"OFF") else words
     if len(counts) >= 2 and counts[1].isdigit() and faces < int(counts[1]):
         raise ValueError(f"it says {int(counts[1])} faces and has {faces}; is it complete?")

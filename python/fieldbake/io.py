@@ -80,7 +80,7 @@ def atomic_write(target: Path) -> Iterator[IO[bytes]]:
             stream.flush()
             os.fsync(stream.fileno())
         temporary.chmod(mode)
-        temporary.replace(target)
+        os.replace(temporary, target)  # noqa: PTH105 - the system call by its name
     except BaseException:
         temporary.unlink()
         raise
