@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import itertools
 import os
+import re
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -25,6 +26,10 @@ from .mesh import ALPHA_MODES, Mesh, Part, check_faces, check_uv, check_vertices
 #: What stands for a mesh everywhere: a Mesh, a path, a trimesh.Trimesh or Scene, (vertices, faces), or a list of
 #: those, each optionally as (thing, transform).
 MeshLike = Any
+
+
+#: The head of a PLY or OFF file, with what it announces, is shorter.
+HEAD_BYTES = 1 << 16
 
 
 @dataclass
@@ -187,7 +192,7 @@ def _from_file(path: str | os.PathLike[str]) -> list[_Piece]:
         raise MeshError(f"{path}: is a directory, not a mesh file")
     # Opening it first keeps FileNotFoundError and PermissionError as they are.
     with file.open("rb") as stream:
-        head = stream.read() if file.suffix.lower() in (".obj", ".off") else b""
+        head = stream.read(None if file.suffix.lower() == ".obj" else HEAD_BYTES)
 
     import trimesh
 
@@ -199,8 +204,7 @@ def _from_file(path: str | os.PathLike[str]) -> list[_Piece]:
             warnings.simplefilter("ignore")
             scene = trimesh.load_scene(str(file), process=False, resolver=_resolver(file), **options)
             pieces = _from_scene(scene, os.fspath(path))
-        if file.suffix.lower() == ".off":
-            _check_off_is_whole(head, sum(len(piece.faces) for piece in pieces))
+        _check_is_whole(_announced_faces(file.suffix.lower(), head), sum(len(piece.faces) for piece in pieces))
         return pieces
     except MeshError:
         raise
@@ -212,13 +216,23 @@ def _from_file(path: str | os.PathLike[str]) -> list[_Piece]:
         raise MeshError(f"{path}: cannot be read as a mesh ({file.suffix.lstrip('.').upper()}): {reason}") from error
 
 
-def _check_off_is_whole(content: bytes, faces: int) -> None:
-    """An OFF file says how many faces it has; its reader takes what is there. Polygons only make more of them."""
-    lines = (line.split(b"#")[0].split() for line in io.BytesIO(content))
-    words = list(itertools.islice(itertools.chain.from_iterable(lines), 4))
-    counts = words[1:] if words and words[0].upper().endswith(b"OFF") else words
-    if len(counts) >= 2 and counts[1].isdigit() and faces < int(counts[1]):
-        raise ValueError(f"it says {int(counts[1])} faces and has {faces}; is it complete?")
+def _announced_faces(kind: str, content: bytes) -> int:
+    """How many faces the head of an OFF or PLY file says it has; their readers take what is there."""
+    if kind == ".off":
+        lines = (line.split(b"#")[0].split() for line in io.BytesIO(content))
+        words = list(itertools.islice(itertools.chain.from_iterable(lines), 4))
+        counts = words[1:] if words and words[0].upper().endswith(b"OFF") else words
+        return int(counts[1]) if len(counts) >= 2 and counts[1].isdigit() else 0
+    if kind == ".ply":
+        announced = re.search(rb"^element\s+face\s+(\d+)", content.split(b"end_header")[0], re.MULTILINE)
+        return int(announced[1]) if announced else 0
+    return 0
+
+
+def _check_is_whole(announced: int, faces: int) -> None:
+    """Polygons only make more faces of what was announced."""
+    if faces < announced:
+        raise ValueError(f"it says {announced} faces and has {faces}; is it complete?")
 
 
 def _resolver(file: Path) -> Any:
