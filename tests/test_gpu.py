@@ -228,6 +228,30 @@ def test_a_forked_child_gets_an_error():
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the limit and the size of the process are Linux's")
+def test_memory_that_runs_out_is_an_error_and_the_next_bake_works():
+    done = python(
+        """
+        import pathlib, resource
+        import fieldbake as fb
+        knot = fb.models.torus_knot(segments=64, sides=8)
+        fb.bake(knot, 8, device="gpu")
+        pages = int(pathlib.Path("/proc/self/statm").read_text().split()[0])
+        free = resource.RLIM_INFINITY
+        resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + (300 << 20), free))
+        try:
+            fb.bake(knot, (640, 640, 640), device="gpu")
+        except fb.DeviceError as error:
+            assert "memory" in str(error), error
+        else:
+            raise SystemExit("a gigabyte in 300 MiB")
+        resource.setrlimit(resource.RLIMIT_AS, (free, free))
+        fb.bake(knot, 8, device="gpu").distances
+        """
+    )
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.skipif(os.name == "nt", reason="interrupts are sent another way there")
 def test_an_interrupt_stops_a_long_bake_and_the_next_one_works():
     done = python(
@@ -247,7 +271,9 @@ def test_an_interrupt_stops_a_long_bake_and_the_next_one_works():
             late = time.perf_counter() - sent[0]
         else:
             raise SystemExit("not interrupted")
-        assert late < 2.0, late
+        # A software driver computes a piece of work where nothing can interrupt it, on cores that others use too; the
+        # whole bake takes minutes.
+        assert late < 10.0, late
         fb.bake(ball, 4, device="gpu").distances
         """
     )
