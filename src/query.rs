@@ -45,7 +45,7 @@ pub fn closest_points(
     points: &[[f64; 3]],
     progress: &Progress,
 ) -> Result<ClosestPoints, Error> {
-    check_points(points)?;
+    check_points(mesh, points)?;
     mesh.bvh();
     let answers = answer_in_order(place, mesh, points, progress, |walk, p, row| {
         let closest = walk.closest_point(p, row);
@@ -72,7 +72,7 @@ pub fn signed_distances(
     method: SignMethod,
     progress: &Progress,
 ) -> Result<Vec<f32>, Error> {
-    check_points(points)?;
+    check_points(mesh, points)?;
     mesh.bvh();
     let choice = SignChoice::new(mesh, method);
     choice.rule.prepare(mesh);
@@ -80,7 +80,7 @@ pub fn signed_distances(
         let closest = walk.closest_point(p, row);
         let inside = walk.is_inside(&choice.rule, p, &closest);
         let unsigned = closest.distance * mesh.scale();
-        (if inside { -unsigned } else { unsigned }) as f32
+        (if inside && unsigned > 0.0 { -unsigned } else { unsigned }) as f32
     })?;
     let mut distances = vec![0.0; points.len()];
     for (row, distance) in answers {
@@ -183,17 +183,16 @@ fn spread(x: u64) -> u64 {
     (x | x << 2) & 0x1249_2492_4924_9249
 }
 
-fn check_points(points: &[[f64; 3]]) -> Result<(), ArgumentError> {
+fn check_points(mesh: &Mesh, points: &[[f64; 3]]) -> Result<(), ArgumentError> {
     if u32::try_from(points.len()).is_err() {
         return Err(ArgumentError::new("points", format!("at most {} at a time, got {}", u32::MAX, points.len())));
     }
-    match points.iter().position(|point| point.iter().any(|x| !x.is_finite())) {
-        None => Ok(()),
-        Some(row) => {
-            let [x, y, z] = points[row];
-            Err(ArgumentError::new("points", format!("points[{row}] = ({x}, {y}, {z}) is not finite")))
-        }
-    }
+    // Not finite is out of reach too.
+    let Some(row) = points.iter().position(|&point| !mesh.can_reach(DVec3::from_array(point))) else { return Ok(()) };
+    let [x, y, z] = points[row];
+    let finite = x.is_finite() && y.is_finite() && z.is_finite();
+    let problem = if finite { "is too far from the mesh for float32 distances" } else { "is not finite" };
+    Err(ArgumentError::new("points", format!("points[{row}] = ({x}, {y}, {z}) {problem}")))
 }
 
 #[cfg(test)]
@@ -268,6 +267,8 @@ mod tests {
         let points = [[0.0; 3], [0.0, f64::NAN, 0.0]];
         let error = closest_points(&Place::Cpu, &mesh, &points, &Progress::new()).unwrap_err().to_string();
         assert_eq!(error, "points: points[1] = (0, NaN, 0) is not finite");
+        let error = closest_points(&Place::Cpu, &mesh, &[[0.0, 1e20, 0.0]], &Progress::new()).unwrap_err().to_string();
+        assert!(error.ends_with("is too far from the mesh for float32 distances"), "{error}");
         assert!(closest_points(&Place::Cpu, &mesh, &[], &Progress::new()).unwrap().faces.is_empty());
     }
 }

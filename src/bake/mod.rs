@@ -78,18 +78,22 @@ pub fn bake_on_device(
     options: &BakeOptions,
     progress: &Progress,
 ) -> Result<(DeviceField, Report), Error> {
-    options.check()?;
+    options.check(mesh, grid)?;
     gpu::bake(context, mesh, grid, options, u64::MAX, progress)
 }
 
 /// Bake on the CPU.
 pub fn bake(mesh: &Mesh, grid: &Grid, options: &BakeOptions, progress: &Progress) -> Result<Bake, Error> {
-    options.check()?;
+    options.check(mesh, grid)?;
     cpu::bake(mesh, grid, options, progress)
 }
 
 impl BakeOptions {
-    fn check(&self) -> Result<(), ArgumentError> {
+    fn check(&self, mesh: &Mesh, grid: &Grid) -> Result<(), ArgumentError> {
+        if let Some(corner) = [grid.lower, grid.upper].into_iter().find(|&corner| !mesh.can_reach(corner)) {
+            let problem = format!("the corner {corner} is too far from the mesh for float32 distances");
+            return Err(ArgumentError::new("bounds", problem));
+        }
         for (argument, value) in [("band", self.band), ("thickness", self.thickness)] {
             if let Some(value) = value.filter(|value| !(value.is_finite() && *value > 0.0)) {
                 return Err(ArgumentError::new(argument, format!("must be a positive number, got {value}")));

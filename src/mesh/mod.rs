@@ -38,6 +38,8 @@ pub struct Mesh {
 
 /// The tree's child index is 31 bits wide, and faces times three must fit in u32.
 const MAX_FACES: usize = 1 << 30;
+/// Largest local coordinate of a query: the sum of three squared differences stays below 3e38.
+const MAX_REACH: f64 = 1e18;
 /// World distances are float32: a grid a thousand times the mesh, and a distance a millionth of it, must be normal numbers.
 const EXTENT_RANGE: (f64, f64) = (1e-30, 1e34);
 
@@ -126,6 +128,11 @@ impl Mesh {
 
     pub fn local_from_world(&self, p_world: DVec3) -> DVec3 {
         (p_world - self.center) / self.scale
+    }
+
+    /// Whether float32 can square the distance from a world position to the mesh; 1e18 mesh sizes is its limit.
+    pub fn can_reach(&self, p_world: DVec3) -> bool {
+        self.local_from_world(p_world).abs().cmplt(DVec3::splat(MAX_REACH)).all()
     }
 
     pub fn world_from_local(&self, p: DVec3) -> DVec3 {
