@@ -15,12 +15,36 @@ def random():
     return np.random.default_rng(0)
 
 
-def test_both_formulas_for_a_triangle_agree(random):
-    p, a, b, c = random.standard_normal((4, 20_000, 3))
+def distance_by_regions(p, a, b, c):
+    """The same by another road: which corner, edge or face `p` is over (Ericson 2005, 5.1.5), one point at a time."""
+    ab, ac = b - a, c - a
+    d1, d2 = ab @ (p - a), ac @ (p - a)
+    d3, d4 = ab @ (p - b), ac @ (p - b)
+    d5, d6 = ab @ (p - c), ac @ (p - c)
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    if d1 <= 0 and d2 <= 0:
+        q = a
+    elif d3 >= 0 and d4 <= d3:
+        q = b
+    elif d6 >= 0 and d5 <= d6:
+        q = c
+    elif vc <= 0 and d1 >= 0 and d3 <= 0:
+        q = a + d1 / (d1 - d3) * ab
+    elif vb <= 0 and d2 >= 0 and d6 <= 0:
+        q = a + d2 / (d2 - d6) * ac
+    elif va <= 0 and d4 >= d3 and d5 >= d6:
+        q = b + (d4 - d3) / ((d4 - d3) + (d5 - d6)) * (c - b)
+    else:
+        q = a + (vb * ab + vc * ac) / (va + vb + vc)
+    return np.linalg.norm(p - q)
 
-    by_regions = np.linalg.norm(truth.closest_point_on_triangle(p, a, b, c) - p, axis=1)
 
-    assert np.abs(by_regions - truth.distance_to_triangle(p, a, b, c)).max() <= 1e-10  # needles among random triangles
+def test_two_formulas_for_a_triangle_agree(random):
+    p, a, b, c = random.standard_normal((4, 3_000, 3))
+
+    by_regions = [distance_by_regions(*one) for one in zip(p, a, b, c, strict=True)]
+
+    assert np.abs(truth.distance_to_triangle(p, a, b, c) - by_regions).max() <= 1e-10  # needles among random triangles
 
 
 def test_the_closest_point_lies_in_the_triangle(random):
@@ -29,6 +53,20 @@ def test_the_closest_point_lies_in_the_triangle(random):
     nearest = truth.closest_point_on_triangle(p, a, b, c)
 
     assert truth.distance_to_triangle(nearest, a, b, c).max() <= 1e-10
+
+
+@pytest.mark.parametrize("width", [1e-3, 1e-5, 1e-7])
+def test_slivers_are_exact_too(random, width):
+    # Points straight above one long edge: their distance is their height.
+    a, b, c = np.array([[0, 0, 0], [1, 0, 0], [0.4, width, 0]])
+    height = random.uniform(-1, 1, size=1_000)
+    above = np.stack([random.uniform(0, 1, size=1_000), np.zeros(1_000), height], axis=1)
+    turn = meshes.rotation(6)
+
+    found = truth.distance_to_triangle(above @ turn.T, turn @ a, turn @ b, turn @ c)
+
+    # The normal of a sliver is known to a rounding over its width.
+    assert np.abs(found - np.abs(height)).max() <= FLOAT64_NOISE + 2.0**-50 / width
 
 
 @pytest.mark.parametrize(
