@@ -110,14 +110,7 @@ def test_points_on_faces_are_on_the_surface(random):
     assert fb.closest_point(knot, on_surface).distances.max() <= truth.tolerance(*knot).item()
 
 
-CANCELS = pytest.mark.xfail(
-    reason="deciding by Voronoi regions cancels on slivers: use edges and foot, as truth.py does"
-)
-
-
-@pytest.mark.parametrize(
-    "width", [1e-2, 1e-3, 1e-4, *(pytest.param(width, marks=CANCELS) for width in (1e-5, 1e-6, 1e-7))]
-)
+@pytest.mark.parametrize("width", [1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7])
 def test_slivers_are_as_exact_as_any_triangle(random, width):
     for seed in range(40):
         corners = np.array([[0, 0, 0], [random.uniform(0.1, 1), 0, 0], [random.uniform(-0.2, 1.2), width, 0]])

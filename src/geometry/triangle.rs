@@ -23,13 +23,14 @@ pub struct TrianglePoint {
 /// Closest point to `p` on triangle `abc`, by Voronoi regions.
 ///
 /// Ericson, *Real-Time Collision Detection*, 2005, section 5.1.5. The plane projection divides by the sum of the
-/// three barycentrics, which the region tests have shown to be positive. A needle whose sides are parallel to rounding
-/// has no plane to project on; its edges are all there is.
+/// three barycentrics, which the region tests have shown to be positive. On slivers the products of those tests cancel,
+/// so they are decided by the foot on the plane and the edges.
 pub fn closest_point_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> TrianglePoint {
     let at = |point, feature| TrianglePoint { point, feature };
     let (ab, ac) = (b - a, c - a);
-    if ab.cross(ac).length_squared() <= NEEDLE * ab.length_squared() * ac.length_squared() {
-        return closest_point_on_edges(p, [a, b, c]);
+    let longest = ab.length_squared().max(ac.length_squared()).max((c - b).length_squared());
+    if ab.cross(ac).length_squared() <= SLIVER * longest * longest {
+        return closest_point_on_sliver(p, [a, b, c]);
     }
 
     let ap = p - a;
@@ -63,8 +64,24 @@ pub fn closest_point_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> TrianglePoi
     at(a + ab * (vb * scale) + ac * (vc * scale), Feature::Face)
 }
 
-/// Squared sine of an angle below which float64 does not know the plane of a triangle to 1e-6.
+/// Squared sine of an angle below which float64 does not know the plane of a triangle to 1e-6: its edges are all there is.
 const NEEDLE: f64 = 1e-20;
+
+/// Squared ratio of width to length below which the products of the region tests cancel.
+const SLIVER: f64 = 1e-6;
+
+/// The foot on the plane where that lies inside, else the nearest of the edges: slower, and nothing cancels.
+fn closest_point_on_sliver(p: DVec3, corners: [DVec3; 3]) -> TrianglePoint {
+    let [a, b, c] = corners;
+    let normal = (b - a).cross(c - a);
+    let resolved = normal.length_squared() > NEEDLE * (b - a).length_squared() * (c - a).length_squared();
+    let inside = |u: DVec3, v: DVec3| (v - u).cross(p - u).dot(normal) >= 0.0;
+    if resolved && inside(a, b) && inside(b, c) && inside(c, a) {
+        let point = p - normal * (normal.dot(p - a) / normal.length_squared());
+        return TrianglePoint { point, feature: Feature::Face };
+    }
+    closest_point_on_edges(p, corners)
+}
 
 fn closest_point_on_edges(p: DVec3, corners: [DVec3; 3]) -> TrianglePoint {
     let on_edge = |i: u8| {
