@@ -234,7 +234,7 @@ mod tests {
         (0..count).map(|_| [next(), next(), next()]).collect()
     }
 
-    /// Carrying bounds and sides along the curve changes nothing: each point alone gives the same bits.
+    /// Carrying bounds and sides along the curve changes no side, and no distance beyond the module's bound of 1e-6.
     #[test]
     fn many_points_are_answered_as_one() {
         let mesh = open_box(12);

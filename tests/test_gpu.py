@@ -271,9 +271,7 @@ def test_an_interrupt_stops_a_long_bake_and_the_next_one_works():
             late = time.perf_counter() - sent[0]
         else:
             raise SystemExit("not interrupted")
-        # A software driver computes a piece of work where nothing can interrupt it, on cores that others use too; the
-        # whole bake takes minutes.
-        assert late < 10.0, late
+        assert late < 2.0, late
         fb.bake(ball, 4, device="gpu").distances
         """
     )
