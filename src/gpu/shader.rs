@@ -17,7 +17,9 @@ pub const KERNELS: &[(&str, &str)] = &[
 
 const SHARED: &[(&str, &str)] = &[
     ("bvh", include_str!("../../shaders/shared/bvh.wgsl")),
+    ("clip", include_str!("../../shaders/shared/clip.wgsl")),
     ("grid", include_str!("../../shaders/shared/grid.wgsl")),
+    ("picture", include_str!("../../shaders/shared/picture.wgsl")),
     ("ray", include_str!("../../shaders/shared/ray.wgsl")),
     ("sampling", include_str!("../../shaders/shared/sampling.wgsl")),
     ("triangle", include_str!("../../shaders/shared/triangle.wgsl")),

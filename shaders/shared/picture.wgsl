@@ -1,0 +1,161 @@
+// A picture of a field: one invocation a pixel, its ray and its shadow rays. Twin of src/render/mod.rs and
+// src/render/shade.rs. The kernel that imports this brings `field_at` and `march`.
+//
+// Rays start on the plane `start_depth` before the camera, just before the box: the CPU moves the eye there in float64,
+// so that float32 is exact enough for a camera at any distance.
+
+#import clip
+
+struct MarchParams {
+    // The field's voxels.
+    shape: vec3u,
+    light_count: u32,
+    // Where the ray of the middle of the picture starts, and what one unit to the right and up on the plane at depth 1
+    // adds to it; grid space.
+    start: vec3f,
+    width: u32,
+    start_right: vec3f,
+    height: u32,
+    start_up: vec3f,
+    // The first row of this dispatch.
+    first_row: u32,
+    // The direction of that ray, and what one unit to the right and up adds; grid space. Depth is counted in the smallest
+    // side of a voxel.
+    forward: vec3f,
+    ambient: f32,
+    right: vec3f,
+    specular: f32,
+    up: vec3f,
+    shininess: f32,
+    // The same in world space.
+    world_forward: vec3f,
+    // Side of a pixel on the plane at depth 1.
+    pixel: f32,
+    world_right: vec3f,
+    // 1 for hard shadows, 0 for none.
+    shadows: u32,
+    world_up: vec3f,
+    pad_0: u32,
+    color: vec3f,
+    pad_1: u32,
+    // Voxel size relative to its smallest side.
+    relative_spacing: vec3f,
+    pad_2: u32,
+    background: vec4f,
+}
+
+struct Light {
+    // The way the light travels, unit.
+    direction: vec3f,
+    pad_0: u32,
+    color: vec3f,
+    pad_1: u32,
+}
+
+struct Pixel {
+    color: vec4f,
+    normal: vec3f,
+    // Depth beyond the start of the ray, in the smallest side of a voxel.
+    depth: f32,
+    steps: u32,
+    is_hit: u32,
+    pad_0: u32,
+    pad_1: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: MarchParams;
+@group(0) @binding(2) var<storage, read> lights: array<Light>;
+@group(0) @binding(3) var<storage, read_write> pixels: array<Pixel>;
+// Share of each light that arrives, `light_count` a pixel.
+@group(0) @binding(4) var<storage, read_write> shares: array<f32>;
+
+// Start of a shadow ray above the surface.
+const SHADOW_BIAS_VOXELS: f32 = 0.5;
+// Ambient light that comes from below, as a share of the light from above.
+const GROUND_SHARE: f32 = 0.4;
+const MAX_LIGHTS: u32 = 64u;
+
+// World normal at a point of the surface: the gradient averaged over a voxel around it; `fallback` where the field has no
+// slope.
+fn surface_normal(p_grid: vec3f, fallback: vec3f) -> vec3f {
+    var per_voxel: vec3f;
+    for (var axis = 0u; axis < 3u; axis++) {
+        var half_voxel = vec3f(0.0);
+        half_voxel[axis] = 0.5;
+        per_voxel[axis] = field_at(p_grid + half_voxel, params.shape) - field_at(p_grid - half_voxel, params.shape);
+    }
+    let sizes = abs(per_voxel);
+    let largest = max(sizes.x, max(sizes.y, sizes.z));
+    if largest < TINY { return fallback; }
+    return normalize(per_voxel / largest / params.relative_spacing);
+}
+
+// 1 where nothing of the field stands between the surface and the light, else 0.
+fn share_that_arrives(p_grid: vec3f, normal: vec3f, to_light: vec3f) -> f32 {
+    if dot(normal, to_light) <= 0.0 { return 0.0; }
+    // The bias is as long as the voxel is in the direction of the normal.
+    let voxel = length(normal * params.relative_spacing);
+    let origin = p_grid + SHADOW_BIAS_VOXELS * voxel * normal / params.relative_spacing;
+    let ray = clip_to_box(origin, to_light / params.relative_spacing, params.shape);
+    if !ray.is_in_box { return 1.0; }
+    return select(1.0, 0.0, march(ray, params.shape).is_hit);
+}
+
+@compute @workgroup_size(8, 8)
+fn main(@builtin(global_invocation_id) id: vec3u) {
+    let x = id.x;
+    let y = id.y + params.first_row;
+    if x >= params.width || y >= params.height { return; }
+    let index = x + params.width * y;
+    var pixel: Pixel;
+    pixel.color = params.background;
+    for (var i = 0u; i < min(params.light_count, MAX_LIGHTS); i++) { shares[index * params.light_count + i] = 1.0; }
+
+    let along_right = (f32(x) + 0.5 - 0.5 * f32(params.width)) * params.pixel;
+    let along_up = (0.5 * f32(params.height) - 0.5 - f32(y)) * params.pixel;
+    let start = params.start + along_right * params.start_right + along_up * params.start_up;
+    let direction = params.forward + along_right * params.right + along_up * params.up;
+    let ray = clip_to_box(start, direction, params.shape);
+    if ray.is_in_box {
+        let hit = march(ray, params.shape);
+        pixel.steps = hit.steps;
+        if hit.is_hit {
+            let p_grid = ray.origin + hit.t * ray.direction;
+            let world =
+                params.world_forward + along_right * params.world_right + along_up * params.world_up;
+            let to_eye = -normalize(world);
+            var normal: vec3f;
+            if !hit.at_start {
+                normal = surface_normal(p_grid, to_eye);
+            } else if ray.enter_axis != NO_AXIS {
+                // The cut on a face of the box.
+                normal[ray.enter_axis] = select(-1.0, 1.0, to_eye[ray.enter_axis] >= 0.0);
+            } else {
+                // The eye is in the solid.
+                normal = to_eye;
+            }
+
+            // From the ground (normal down) to the sky (normal up), then light by light: Blinn-Phong.
+            let sky = 0.5 + 0.5 * normal.y;
+            var color = params.ambient * (GROUND_SHARE + (1.0 - GROUND_SHARE) * sky) * params.color;
+            for (var i = 0u; i < min(params.light_count, MAX_LIGHTS); i++) {
+                let to_light = -lights[i].direction;
+                var share = 1.0;
+                if params.shadows == 1u { share = share_that_arrives(p_grid, normal, to_light); }
+                shares[index * params.light_count + i] = share;
+                let cosine = dot(normal, to_light);
+                if share > 0.0 && cosine > 0.0 {
+                    let between = to_light + to_eye;
+                    let half_way = between / max(length(between), TINY);
+                    let highlight = params.specular * pow(max(dot(normal, half_way), 0.0), params.shininess);
+                    color += share * lights[i].color * (cosine * params.color + highlight);
+                }
+            }
+            pixel.color = vec4f(color, 1.0);
+            pixel.normal = normal;
+            pixel.depth = ray.t_enter + hit.t / length(direction);
+            pixel.is_hit = 1u;
+        }
+    }
+    pixels[index] = pixel;
+}
