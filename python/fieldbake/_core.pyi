@@ -181,6 +181,7 @@ def raymarch(
     shininess: float = 32.0,
     background: tuple[float, float, float, float] | None = None,
     shadows: str = "hard",
+    filter: str = "linear",
     device: str = "auto",
     progress: Callable[[float], object] | None = None,
 ) -> dict[str, Any]:

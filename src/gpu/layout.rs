@@ -98,7 +98,21 @@ pub struct QueryParams {
     pub pad_1: u32,
 }
 
-/// `shaders/raymarch.wgsl`.
+/// `shaders/field_to_texture.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct TextureParams {
+    pub width: u32,
+    pub height: u32,
+    pub first_plane: u32,
+    pub planes: u32,
+    pub words_per_row: u32,
+    pub per_voxel: f32,
+    pub workgroups_across: u32,
+    pub pad_0: u32,
+}
+
+/// `shaders/shared/picture.wgsl`.
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
 pub struct MarchParams {
@@ -129,7 +143,7 @@ pub struct MarchParams {
     pub background: [f32; 4],
 }
 
-/// `shaders/raymarch.wgsl`.
+/// `shaders/shared/picture.wgsl`.
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
 pub struct Light {
@@ -139,7 +153,7 @@ pub struct Light {
     pub pad_1: u32,
 }
 
-/// `shaders/raymarch.wgsl`.
+/// `shaders/shared/picture.wgsl`.
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
 pub struct Pixel {
@@ -241,6 +255,10 @@ mod tests {
                 pad_2,
                 background
             }
+        );
+        assert_twin!(
+            "field_to_texture",
+            TextureParams { width, height, first_plane, planes, words_per_row, per_voxel, workgroups_across, pad_0 }
         );
         assert_twin!("raymarch", Light { direction, pad_0, color, pad_1 });
         assert_twin!("raymarch", Pixel { color, normal, depth, steps, is_hit, pad_0, pad_1 });

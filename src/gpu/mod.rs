@@ -19,6 +19,7 @@ pub mod layout;
 pub mod pace;
 pub mod pipeline;
 pub mod shader;
+pub mod texture;
 
 #[cfg(test)]
 pub(crate) mod tests;

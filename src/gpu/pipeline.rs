@@ -56,10 +56,18 @@ impl Context {
         pipeline: &wgpu::ComputePipeline,
         buffers: &[(u32, &wgpu::Buffer)],
     ) -> Result<wgpu::BindGroup, DeviceError> {
-        let entries: Vec<_> = buffers
-            .iter()
-            .map(|(binding, buffer)| wgpu::BindGroupEntry { binding: *binding, resource: buffer.as_entire_binding() })
-            .collect();
+        self.bind_resources(label, pipeline, buffers.iter().map(|(at, buffer)| (*at, buffer.as_entire_binding())))
+    }
+
+    /// Bind buffers, textures and samplers to group 0 in order of binding.
+    pub fn bind_resources<'a>(
+        &self,
+        label: &str,
+        pipeline: &wgpu::ComputePipeline,
+        resources: impl IntoIterator<Item = (u32, wgpu::BindingResource<'a>)>,
+    ) -> Result<wgpu::BindGroup, DeviceError> {
+        let entries: Vec<_> =
+            resources.into_iter().map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
         self.guarded(label, 0, || {
             self.device.create_bind_group(&wgpu::BindGroupDescriptor {
                 label: Some(label),

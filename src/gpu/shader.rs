@@ -11,7 +11,9 @@ pub const KERNELS: &[(&str, &str)] = &[
     ("bake_brute", include_str!("../../shaders/bake_brute.wgsl")),
     ("bake_distance", include_str!("../../shaders/bake_distance.wgsl")),
     ("bake_finish", include_str!("../../shaders/bake_finish.wgsl")),
+    ("field_to_texture", include_str!("../../shaders/field_to_texture.wgsl")),
     ("raymarch", include_str!("../../shaders/raymarch.wgsl")),
+    ("raymarch_filtered", include_str!("../../shaders/raymarch_filtered.wgsl")),
     ("query_points", include_str!("../../shaders/query_points.wgsl")),
 ];
 
@@ -21,6 +23,7 @@ const SHARED: &[(&str, &str)] = &[
     ("grid", include_str!("../../shaders/shared/grid.wgsl")),
     ("picture", include_str!("../../shaders/shared/picture.wgsl")),
     ("ray", include_str!("../../shaders/shared/ray.wgsl")),
+    ("ray_filtered", include_str!("../../shaders/shared/ray_filtered.wgsl")),
     ("sampling", include_str!("../../shaders/shared/sampling.wgsl")),
     ("triangle", include_str!("../../shaders/shared/triangle.wgsl")),
 ];

@@ -5,7 +5,7 @@ use super::device::{DeviceField, choose};
 use super::error::{Failure, exception};
 use super::run::run;
 use crate::grid::Grid;
-use crate::render::{Camera, DirectionalLight, Frame, RaymarchOptions, Shadows, Source, raymarch_at};
+use crate::render::{Camera, DirectionalLight, Filter, Frame, RaymarchOptions, Shadows, Source, raymarch_at};
 use glam::{DVec3, Vec3};
 use numpy::{PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::prelude::*;
@@ -16,8 +16,8 @@ use std::time::Instant;
 #[pyfunction]
 #[pyo3(signature = (
     distances, lower, upper, pose, *, fov_deg=45.0, size, light_directions=None, light_colors=None,
-    ambient=0.2, color=None, specular=0.25, shininess=32.0, background=None, shadows="hard", device="auto",
-    progress=None
+    ambient=0.2, color=None, specular=0.25, shininess=32.0, background=None, shadows="hard",
+    filter="linear", device="auto", progress=None
 ))]
 pub fn raymarch<'py>(
     py: Python<'py>,
@@ -35,6 +35,7 @@ pub fn raymarch<'py>(
     shininess: f32,
     background: Option<[f32; 4]>,
     shadows: &str,
+    filter: &str,
     device: &str,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
@@ -50,6 +51,7 @@ pub fn raymarch<'py>(
         shininess,
         background: background.unwrap_or(usual.background),
         shadows: Shadows::from_name(shadows).map_err(Failure::from)?,
+        filter: Filter::from_name(filter).map_err(Failure::from)?,
     };
     let start = Instant::now();
     let frame = match distances.cast::<DeviceField>() {

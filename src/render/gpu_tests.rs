@@ -68,6 +68,28 @@ fn pictures_agree_far_from_the_origin_and_from_afar() {
 }
 
 #[test]
+fn a_field_in_slabs_is_drawn_by_the_texture_hardware() {
+    let Some(context) = test_context() else { return };
+    let (grid, distances) = blob([33, 20, 24], 0.1, DVec3::ZERO, 1.0);
+    let camera = Camera::from_pose(&look_at(DVec3::new(1.5, 2.0, 3.0), DVec3::ZERO), 45.0).unwrap();
+    let options = RaymarchOptions { size: [64, 48], filter: Filter::Hardware, ..RaymarchOptions::default() };
+    let draw = |max_bytes: u64| {
+        let field = DeviceField::allocate(&context, grid.shape, max_bytes).unwrap();
+        for slab in field.slabs() {
+            let plane = 33 * 20;
+            context
+                .fill("a slab", &slab.buffer, &distances[slab.first_plane * plane..][..slab.planes * plane])
+                .unwrap();
+        }
+        (field.slabs().len(), raymarch_on_device(&field, &grid, &camera, &options, &Progress::new()).unwrap())
+    };
+    let ((one, whole), (many, cut)) = (draw(u64::MAX), draw(33 * 20 * 4 * 8));
+    assert_eq!((one, many), (1, 3));
+    assert!(whole.object_id.contains(&0));
+    assert_eq!(whole, cut);
+}
+
+#[test]
 fn a_solid_cut_by_the_box_shows_the_cut() {
     let (mut grid, distances) = blob([24, 24, 24], 0.0, DVec3::ZERO, 1.0);
     // The same samples in a smaller box read as a sphere that sticks out of it.

@@ -68,6 +68,27 @@ impl Shadows {
     }
 }
 
+/// Who interpolates between the samples.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Filter {
+    /// The trilinear field in float32; a hit is its root.
+    #[default]
+    Linear,
+    /// The texture hardware of a graphics device: rounded weights and half floats.
+    Hardware,
+}
+
+impl Filter {
+    /// The filter that the Python interface calls `name`.
+    pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
+        match name {
+            "linear" => Ok(Self::Linear),
+            "hardware" => Ok(Self::Hardware),
+            _ => Err(ArgumentError::new("filter", format!("expected \"linear\" or \"hardware\", got {name:?}"))),
+        }
+    }
+}
+
 /// What a picture looks like. The names are those of the Python interface.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RaymarchOptions {
@@ -86,6 +107,7 @@ pub struct RaymarchOptions {
     /// Linear RGBA where nothing is hit.
     pub background: [f32; 4],
     pub shadows: Shadows,
+    pub filter: Filter,
 }
 
 impl Default for RaymarchOptions {
@@ -99,6 +121,7 @@ impl Default for RaymarchOptions {
             shininess: 32.0,
             background: [1.0; 4],
             shadows: Shadows::Hard,
+            filter: Filter::Linear,
         }
     }
 }
@@ -141,6 +164,10 @@ pub fn raymarch(
     progress: &Progress,
 ) -> Result<Frame, Error> {
     options.check()?;
+    if options.filter == Filter::Hardware {
+        let problem = "\"hardware\" needs a graphics device, and this picture is drawn on the CPU; use device=\"gpu\"";
+        return Err(ArgumentError::new("filter", problem).into());
+    }
     let lights = options.unit_lights(camera)?;
     let marcher = Marcher::new(field, progress)?;
     let shader = Shader::new(&marcher, options, &lights);
@@ -206,7 +233,7 @@ pub fn raymarch_at(
 
 /// Draw a field that is in device memory, there.
 ///
-/// The same picture as [`raymarch`] to float32 rounding; `Frame::steps` counts cells alone, for nothing is leapt over.
+/// The same picture as [`raymarch`] to float32 rounding with [`Filter::Linear`]; `Frame::steps` counts cells alone, for nothing is leapt over.
 pub fn raymarch_on_device(
     field: &DeviceField,
     grid: &Grid,
