@@ -152,9 +152,9 @@ def test_hardware_filtering_is_as_near_as_it_says(random):
 
 def test_hardware_filtering_needs_a_device_and_a_name_that_exists():
     volume = fb.bake(trimesh.creation.box(), 8)
-    with pytest.raises(fb.ArgumentError, match="filter.*device"):
+    with pytest.raises(fb.ArgumentError, match=r"filter.*device"):
         fb.raymarch(volume, size=(8, 8), filter="hardware", device="cpu")
-    with pytest.raises(fb.ArgumentError, match="filter.*cubic"):
+    with pytest.raises(fb.ArgumentError, match=r"filter.*cubic"):
         fb.raymarch(volume, size=(8, 8), filter="cubic", device="cpu")
     with pytest.raises(fb.DeviceError, match="texels"):
         fb.raymarch(fb.bake(trimesh.creation.box(), (40_000, 1, 1)), size=(8, 8), filter="hardware", device="gpu")

@@ -95,9 +95,9 @@ def raymarch(
     ray is a cubic polynomial. What lies outside the volume's box is not seen and casts no shadow.
 
     ``filter="hardware"`` reads half floats through weights of 8 bits or so: at a hit the trilinear field is within 0.01
-    voxels of zero on the devices it was tested on; WebGPU promises no number. It takes the samples for distances:
-    where they are not, or where a ray is in the solid for less than half a voxel, it can miss a hit. Fields too large for
-    one buffer of the device are drawn this way only.
+    voxels of zero on the devices that were tested; WebGPU promises no number. It takes the samples for distances, and
+    where they are not, or where a ray is in the solid for less than half a voxel, it can miss a hit. A field too large
+    for one buffer of the device is drawn this way only.
 
     References
     ----------

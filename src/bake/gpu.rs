@@ -220,7 +220,6 @@ impl<'a> Job<'a> {
         let samples = if entry == "main" { (nx * ny * slab.planes) as u64 } else { 0 };
         in_pieces(context, "the distance kernel", blocks, BLOCKS.0, BLOCKS.1, self.progress, |first, count| {
             params.first_block = first as u32;
-            params.block_count = count as u32;
             context.write("distance parameters", &uniform, 0, &[params])?;
             let submission = context.dispatch("distance", &kernel, &group, [count as u32, 1, 1])?;
             self.progress.advance(samples * (first + count) / blocks - samples * first / blocks)?;
