@@ -18,8 +18,7 @@ struct DistanceParams {
     // The slab: planes that the output holds.
     first_plane: u32,
     planes: u32,
-    // Blocks of this dispatch.
-    block_count: u32,
+    pad_0: u32,
     // Squared distance up to which the answer matters.
     limit_squared: f32,
 }

@@ -131,6 +131,14 @@ def test_a_picture_agrees_with_the_cpu():
     assert np.abs(cpu.depth[both] - gpu.depth[both]).max() <= 1e-4 * diagonal
 
 
+def test_a_picture_in_bands_is_the_same_as_on_the_cpu():
+    volume = fb.bake(trimesh.creation.icosphere(subdivisions=2), 6, device="cpu")
+    # 48 bytes a pixel, 64 MiB a band: two bands.
+    cpu, gpu = (fb.raymarch(volume, size=(1500, 1000), shadows="none", device=device) for device in ("cpu", "gpu"))
+    assert np.count_nonzero(cpu.object_id != gpu.object_id) <= cpu.object_id.size / 10_000
+    assert np.mean(np.abs(cpu.color - gpu.color) > 1e-3) < 1e-4
+
+
 def test_hardware_filtering_is_as_near_as_it_says(random):
     volume = fb.bake(knot(), (40, 48, 37), device="cpu")
     camera = fb.Camera.fit(volume.inner_bounds)

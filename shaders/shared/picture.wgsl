@@ -35,12 +35,13 @@ struct MarchParams {
     // 1 for hard shadows, 0 for none.
     shadows: u32,
     world_up: vec3f,
-    pad_0: u32,
+    // The first row that `pixels` holds, and the one after the last.
+    band_start: u32,
     color: vec3f,
-    pad_1: u32,
+    band_end: u32,
     // Voxel size relative to its smallest side.
     relative_spacing: vec3f,
-    pad_2: u32,
+    pad_0: u32,
     background: vec4f,
 }
 
@@ -105,8 +106,8 @@ fn share_that_arrives(p_grid: vec3f, normal: vec3f, to_light: vec3f) -> f32 {
 fn main(@builtin(global_invocation_id) id: vec3u) {
     let x = id.x;
     let y = id.y + params.first_row;
-    if x >= params.width || y >= params.height { return; }
-    let index = x + params.width * y;
+    if x >= params.width || y >= params.band_end { return; }
+    let index = x + params.width * (y - params.band_start);
     var pixel: Pixel;
     pixel.color = params.background;
     for (var i = 0u; i < min(params.light_count, MAX_LIGHTS); i++) { shares[index * params.light_count + i] = 1.0; }

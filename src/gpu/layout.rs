@@ -46,7 +46,7 @@ pub struct DistanceParams {
     pub stride: u32,
     pub first_plane: u32,
     pub planes: u32,
-    pub block_count: u32,
+    pub pad_0: u32,
     pub limit_squared: f32,
 }
 
@@ -135,11 +135,11 @@ pub struct MarchParams {
     pub world_right: [f32; 3],
     pub shadows: u32,
     pub world_up: [f32; 3],
-    pub pad_0: u32,
+    pub band_start: u32,
     pub color: [f32; 3],
-    pub pad_1: u32,
+    pub band_end: u32,
     pub relative_spacing: [f32; 3],
-    pub pad_2: u32,
+    pub pad_0: u32,
     pub background: [f32; 4],
 }
 
@@ -195,16 +195,7 @@ mod tests {
         assert_twin!("bake_distance", Triangle { a, face, u, length, v, left_length, n, right_length, left, right });
         assert_twin!(
             "bake_distance",
-            DistanceParams {
-                shape,
-                first_block,
-                coarse_shape,
-                stride,
-                first_plane,
-                planes,
-                block_count,
-                limit_squared
-            }
+            DistanceParams { shape, first_block, coarse_shape, stride, first_plane, planes, pad_0, limit_squared }
         );
         assert_twin!(
             "bake_finish",
@@ -248,11 +239,11 @@ mod tests {
                 world_right,
                 shadows,
                 world_up,
-                pad_0,
+                band_start,
                 color,
-                pad_1,
+                band_end,
                 relative_spacing,
-                pad_2,
+                pad_0,
                 background
             }
         );

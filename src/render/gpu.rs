@@ -18,6 +18,8 @@ use glam::DVec3;
 const TILE: u32 = 8;
 /// Rows of workgroups of a dispatch: the first one, and the most.
 const TILE_ROWS: (u64, u64) = (4, 1024);
+/// A picture is drawn in bands of rows of this size, in device memory.
+const BAND_BYTES: u64 = 64 << 20;
 /// A field becomes a texture in pieces of this size.
 const TEXTURE_PIECE_BYTES: u64 = 32 << 20;
 /// Workgroups that a device starts along one axis.
@@ -40,7 +42,6 @@ pub(super) fn raymarch(
         return Err(ArgumentError::new("light_directions", problem).into());
     }
     let [width, height] = options.size;
-    let pixel_count = width as usize * height as usize;
     let start_depth = depth_before_box(grid, camera);
     let unit = grid.spacing().min_element();
     let mut params = params(grid, camera, options, lights.len(), start_depth);
@@ -50,8 +51,15 @@ pub(super) fn raymarch(
         .collect();
     let uniform = context.uniform("picture parameters", &params)?;
     let light_buffer = context.upload("lights", &light_rows)?;
-    let pixels = context.storage("a picture", (pixel_count * size_of::<Pixel>()) as u64)?;
-    let shares = context.storage("light shares", (4 * pixel_count * lights.len().max(1)) as u64)?;
+    // In bands of rows, each in a buffer that the device can bind.
+    let share_bytes = 4 * lights.len().max(1) as u64;
+    let row_bytes = u64::from(width) * share_bytes.max(size_of::<Pixel>() as u64);
+    let fitting =
+        u64::from(TILE).max(BAND_BYTES.min(context.max_binding()) / row_bytes / u64::from(TILE) * u64::from(TILE));
+    let band_rows = fitting.min(u64::from(height)) as u32;
+    let band_pixels = width as usize * band_rows as usize;
+    let pixels = context.storage("a picture", (band_pixels * size_of::<Pixel>()) as u64)?;
+    let shares = context.storage("light shares", band_pixels as u64 * share_bytes)?;
     let shared = [(0, &uniform), (2, &light_buffer), (3, &pixels), (4, &shares)];
     let shared = shared.into_iter().map(|(binding, buffer)| (binding, buffer.as_entire_binding()));
     let (kernel, group) = match options.filter {
@@ -73,25 +81,32 @@ pub(super) fn raymarch(
         }
     };
     progress.set_total(u64::from(height));
-    let rows = u64::from(height.div_ceil(TILE));
-    in_pieces(context, "the raymarch kernel", rows, TILE_ROWS.0, TILE_ROWS.1, progress, |first, count| {
-        params.first_row = first as u32 * TILE;
-        context.write("picture parameters", &uniform, 0, &[params])?;
-        progress.advance((count * u64::from(TILE)).min(u64::from(height - params.first_row)))?;
-        Ok(context.dispatch("raymarch", &kernel, &group, [width.div_ceil(TILE), count as u32, 1])?)
-    })?;
-
-    let mut found = vec![Pixel::default(); pixel_count];
-    context.read("a picture", &pixels, &mut found, progress)?;
     let mut frame = Frame::new(width as usize, height as usize, lights.len());
-    context.read("light shares", &shares, &mut frame.shadow, progress)?;
-    for (i, pixel) in found.iter().enumerate() {
-        frame.color[4 * i..][..4].copy_from_slice(&pixel.color);
-        frame.steps[i] = pixel.steps;
-        if pixel.is_hit == 1 {
-            frame.depth[i] = (start_depth + unit * f64::from(pixel.depth)) as f32;
-            frame.normal[3 * i..][..3].copy_from_slice(&pixel.normal);
-            frame.object_id[i] = 0;
+    let mut found = vec![Pixel::default(); band_pixels];
+    for band_start in (0..height).step_by(band_rows as usize) {
+        let band_end = height.min(band_start + band_rows);
+        (params.band_start, params.band_end) = (band_start, band_end);
+        let rows = u64::from((band_end - band_start).div_ceil(TILE));
+        in_pieces(context, "the raymarch kernel", rows, TILE_ROWS.0, TILE_ROWS.1, progress, |first, count| {
+            params.first_row = band_start + first as u32 * TILE;
+            context.write("picture parameters", &uniform, 0, &[params])?;
+            progress.advance((count * u64::from(TILE)).min(u64::from(band_end - params.first_row)))?;
+            Ok(context.dispatch("raymarch", &kernel, &group, [width.div_ceil(TILE), count as u32, 1])?)
+        })?;
+
+        let [start, end] = [band_start, band_end].map(|row| row as usize * width as usize);
+        let found = &mut found[..end - start];
+        context.read("a picture", &pixels, found, progress)?;
+        let shadow = &mut frame.shadow[start * lights.len()..end * lights.len()];
+        context.read("light shares", &shares, shadow, progress)?;
+        for (i, pixel) in (start..end).zip(found) {
+            frame.color[4 * i..][..4].copy_from_slice(&pixel.color);
+            frame.steps[i] = pixel.steps;
+            if pixel.is_hit == 1 {
+                frame.depth[i] = (start_depth + unit * f64::from(pixel.depth)) as f32;
+                frame.normal[3 * i..][..3].copy_from_slice(&pixel.normal);
+                frame.object_id[i] = 0;
+            }
         }
     }
     Ok(frame)
