@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 import fieldbake as fb
-from fieldbake import _core
+from fieldbake import arrays
 
 
 @pytest.fixture(autouse=True)
@@ -101,12 +101,24 @@ def test_more_faces_than_a_software_adapter_loops_over():
     assert_same_field(*(fb.bake(mesh, 14, device=device) for device in ("cpu", "gpu")))
 
 
-def test_brute_force_agrees():
-    mesh = _core.Mesh(np.ascontiguousarray(knot().vertices), np.ascontiguousarray(knot().faces))
-    box = (-4.0, -4.0, -2.0), (4.0, 4.0, 2.0), (12, 12, 6)
-    brute = _core.bake_brute(mesh, *box, "unsigned", "gpu")
-    exact, _ = _core.bake(mesh, *box, sign="unsigned", device="cpu")
-    assert np.abs(brute - exact).max() <= 1e-6 * 12
+@pytest.mark.parametrize("sign", ["unsigned", "parity", "normal"])
+def test_brute_force_agrees(sign):
+    job = knot().vertices, knot().faces, (-4, -4, -2), (4, 4, 2), (12, 12, 6)
+    brute = arrays.bake(*job, sign=sign, method="brute", device="gpu")
+    exact = arrays.bake(*job, sign=sign, device="cpu")
+    assert np.abs(np.abs(brute) - np.abs(exact)).max() <= 1e-6 * 12
+    if sign == "parity":
+        assert np.array_equal(np.signbit(brute), np.signbit(exact))
+
+
+def test_brute_force_runs_on_a_device_only():
+    job = knot().vertices, knot().faces, (-4, -4, -2), (4, 4, 2), (2, 2, 2)
+    with pytest.raises(fb.DeviceError, match="brute force"):
+        arrays.bake(*job, sign="parity", method="brute", device="cpu")
+    with pytest.raises(fb.ArgumentError, match="sign"):
+        arrays.bake(*job, sign="winding", method="brute", device="gpu")
+    with pytest.raises(fb.ArgumentError, match="method"):
+        arrays.bake(*job, method="guess")
 
 
 def test_points_agree_with_the_cpu(random):

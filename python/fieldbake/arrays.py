@@ -6,16 +6,21 @@ distances with x fastest in memory, float64 vertices, int64 faces; anything else
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _checks, _core
 from .bake import Sign
 from .camera import Camera
+from .errors import ArgumentError
 from .grid import MAX_SIDE
 from .mesh import check_faces, check_vertices
 from .render import _size
 from .volume import check_distances
+
+Method = Literal["tree", "brute"]
 
 __all__ = ["bake", "raymarch"]
 
@@ -28,6 +33,7 @@ def bake(
     shape: tuple[int, int, int],
     *,
     sign: Sign = "auto",
+    method: Method = "tree",
     device: str = "auto",
 ) -> NDArray[np.float32]:
     """Distances of a mesh at the voxel centres of a box.
@@ -44,6 +50,10 @@ def bake(
         Voxels along each side.
     sign, device
         As for :func:`fieldbake.bake`.
+    method : "tree" or "brute", default "tree"
+        ``"brute"`` is the bake of the articles: every sample looks at every triangle, all in float32 on a graphics
+        device. A reference to compare with and a shader to read (``shaders/bake_brute.wgsl``); it knows ``sign="normal"``
+        (article 001), ``"parity"`` (article 003) and ``"unsigned"``, and takes time in proportion to samples times faces.
 
     Returns
     -------
@@ -59,9 +69,13 @@ def bake(
     corners = _box(lower, upper)
     nx, ny, nz = (_checks.integer("shape", n, least=1, most=MAX_SIDE) for n in _three(shape))
     mesh = _core.Mesh(_checks.as_float64(check_vertices(vertices)), check_faces(faces))
-    distances, _ = _core.bake(
-        mesh, *corners, (nx, ny, nz), sign=_checks.text("sign", sign), device=_checks.text("device", device)
-    )
+    _checks.text("sign", sign)
+    _checks.text("device", device)
+    if _checks.text("method", method) not in ("tree", "brute"):
+        raise ArgumentError(f'method: expected "tree" or "brute", got {method!r}')
+    if method == "brute":
+        return _core.bake_brute(mesh, *corners, (nx, ny, nz), sign, device)
+    distances, _ = _core.bake(mesh, *corners, (nx, ny, nz), sign=sign, device=device)
     return distances.read() if isinstance(distances, _core.DeviceField) else distances
 
 
@@ -127,7 +141,5 @@ def _three(shape: tuple[int, int, int]) -> tuple[int, int, int]:
     try:
         x, y, z = shape
     except (TypeError, ValueError):
-        from .errors import ArgumentError
-
         raise ArgumentError(f"shape: must be (nx, ny, nz), got {_checks.describe(shape)}") from None
     return x, y, z
