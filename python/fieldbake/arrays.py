@@ -52,8 +52,9 @@ def bake(
         As for :func:`fieldbake.bake`.
     method : "tree" or "brute", default "tree"
         ``"brute"`` is the bake of the articles: every sample looks at every triangle, all in float32 on a graphics
-        device. A reference to compare with and a shader to read (``shaders/bake_brute.wgsl``); it knows ``sign="normal"``
-        (article 001), ``"parity"`` (article 003) and ``"unsigned"``, and takes time in proportion to samples times faces.
+        device. A reference to compare with and a shader to read (``shaders/bake_brute.wgsl``). It knows
+        ``sign="normal"`` (article 001), ``"parity"`` (article 003) and ``"unsigned"``; its time grows with samples
+        times faces.
 
     Returns
     -------
