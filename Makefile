@@ -31,6 +31,7 @@ check: $(VENV)/.built $(VENV)/.test ## Format, lints and types only
 
 bench: $(VENV)/.built $(VENV)/.bench ## Bake real meshes side by side with other tools
 	$(BIN)/python benches/peers.py
+	$(BIN)/python benches/exactness.py
 	$(BIN)/python benches/curves.py
 
 fix: $(VENV)/.test ## Format, and repair what lints can repair
