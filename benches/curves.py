@@ -10,13 +10,13 @@ import argparse
 import datetime
 import json
 import os
-import resource
 import statistics
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import memory
 import meshes
 
 HERE = Path(__file__).parent
@@ -30,14 +30,17 @@ def one(faces: int, size: int) -> dict[str, float]:
     import fieldbake as fb
 
     _, vertices, indices = meshes.knot(faces)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    before = memory.peak_mib()
     seconds = []
     for _ in range(3 if size < 512 else 1):
         start = time.perf_counter()
         volume = fb.bake((vertices, indices), (size,) * 3)
         seconds.append(time.perf_counter() - start)
-    peak = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
-    return {"seconds": statistics.median(seconds), "peak_mib": peak, "output_mib": volume.nbytes / 2**20}
+    return {
+        "seconds": statistics.median(seconds),
+        "peak_mib": memory.peak_mib() - before,
+        "output_mib": volume.nbytes / 2**20,
+    }
 
 
 def measure(faces: int, size: int, threads: int) -> dict[str, float]:

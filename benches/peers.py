@@ -2,11 +2,13 @@
 
     make bench                                      # bunny, armadillo, spot (and dragon if it is there) at 64 and 128
     python benches/peers.py --mesh bunny.obj -r 64  # any mesh
+    python benches/peers.py -p 1 -p 1000000         # random points instead of grids; a single one is the tree's build
 
 Runs are interleaved, so that a machine that slows down slows everything; medians are compared as ratios. Each time
-includes the tool's own tree. Errors are against float64: distances by libigl's tree, signs by its exact winding number,
-at random samples of the grid. Signs are judged where the distance exceeds 1e-6 of the diagonal; on an open mesh the
-winding number is a convention, which tools for closed meshes do not share.
+includes the tool's own tree. Memory is the peak of a process of its own, above its level when mesh and samples are there.
+Errors are against float64: distances by libigl's tree, signs by its exact winding number, at random samples of the grid.
+Signs are judged where the distance exceeds 1e-6 of the diagonal; on an open mesh the winding number is a convention,
+which tools for closed meshes do not share.
 """
 
 import argparse
@@ -17,6 +19,7 @@ import os
 import platform
 import statistics
 import subprocess
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,6 +28,7 @@ from typing import Any
 
 import numpy as np
 
+import memory
 import meshes
 
 HERE = Path(__file__).parent
@@ -37,32 +41,54 @@ TRIMESH_POINTS = 1_000
 
 @dataclass
 class Case:
-    """A mesh, a grid, and its samples in memory order of (x, y, z) with z fastest."""
+    """A mesh, and the samples of a grid around it with z fastest, or so many random points in the same box."""
 
     name: str
     vertices: np.ndarray
     faces: np.ndarray
-    resolution: int
+    resolution: int = 0
+    random_points: int = 0
 
     def __post_init__(self) -> None:
         lower, upper = self.vertices.min(0).astype(float), self.vertices.max(0).astype(float)
         half = (upper - lower).max() / 2 * MARGIN
         center = (lower + upper) / 2
         self.bounds = np.array([center - half, center + half])
+        if self.random_points:
+            self.points = np.random.default_rng(1).uniform(*self.bounds, (self.random_points, 3))
+            self.points32 = self.points.astype(np.float32)
+            self.points = self.points32.astype(np.float64)
+            self.diagonal = float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
+            return
         axes = [self.bounds[0, a] + (np.arange(self.resolution) + 0.5) * 2 * half / self.resolution for a in range(3)]
         self.points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
         self.points32 = self.points.astype(np.float32)
         self.diagonal = float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
 
+    @property
+    def samples(self) -> str:
+        """What is asked, for headings."""
+        return f"{self.random_points:,} random points" if self.random_points else f"{self.resolution}^3"
 
-Run = Callable[[Case], np.ndarray]
+
+#: The values, or a way to collect them that is not the tool's own work and is not timed.
+Run = Callable[[Case], "np.ndarray | Callable[[], np.ndarray]"]
+
+#: What answers without a sign.
+UNSIGNED = {"FCPW, unsigned", "fieldbake, unsigned"}
 
 
-def fieldbake(case: Case) -> np.ndarray:
+def fieldbake(case: Case, sign: str = "auto") -> np.ndarray:
     import fieldbake as fb
 
-    volume = fb.bake((case.vertices, case.faces), (case.resolution,) * 3, bounds=case.bounds)
+    if case.random_points:
+        return fb.signed_distance((case.vertices, case.faces), case.points32, sign=sign)
+    volume = fb.bake((case.vertices, case.faces), (case.resolution,) * 3, bounds=case.bounds, sign=sign)
     return volume.distances
+
+
+def fieldbake_unsigned(case: Case) -> np.ndarray:
+    return fieldbake(case, "unsigned")
 
 
 def fieldbake_band(case: Case) -> np.ndarray:
@@ -77,6 +103,20 @@ def open3d(case: Case) -> np.ndarray:
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(o3d.core.Tensor(case.vertices), o3d.core.Tensor(case.faces))
     return scene.compute_signed_distance(o3d.core.Tensor(case.points32)).numpy()
+
+
+def fcpw(case: Case) -> Callable[[], np.ndarray]:
+    import fcpw as package
+
+    scene = package.scene_3D()
+    scene.set_object_count(1)
+    scene.set_object_vertices(np.asfortranarray(case.vertices), 0)
+    scene.set_object_triangles(np.asfortranarray(case.faces.astype(np.int32)), 0)
+    scene.build(package.aggregate_type.bvh_surface_area, True)
+    found = package.interaction_3D_list()
+    points = np.asfortranarray(case.points32)
+    scene.find_closest_points(points, np.full(len(points), np.inf, np.float32), found)
+    return lambda: np.array([interaction.d for interaction in found], np.float32)
 
 
 def libigl(case: Case) -> np.ndarray:
@@ -137,13 +177,15 @@ def trimesh_points(case: Case) -> np.ndarray:
     return -trimesh.proximity.signed_distance(mesh, checked(case, TRIMESH_POINTS)[1] * scale) / scale
 
 
-def peers() -> dict[str, Run]:
-    """Every tool that is installed; the others are named with the reason."""
+def peers(names: list[str] | None = None) -> dict[str, Run]:
+    """Every tool that is installed, or those of them that are named; the others are told with the reason."""
     wanted: dict[str, Callable[[], Run]] = {
         "fieldbake": lambda: fieldbake,
+        "fieldbake, unsigned": lambda: fieldbake_unsigned,
         "fieldbake, band=3": lambda: fieldbake_band,
         "parry3d": parry,
         "Open3D": lambda: open3d,
+        "FCPW, unsigned": lambda: fcpw,
         "libigl": lambda: libigl,
         "pysdf": lambda: pysdf,
         "trimesh": lambda: trimesh_points,
@@ -151,6 +193,8 @@ def peers() -> dict[str, Run]:
     tiny = Case("tiny", *_tetrahedron(), 4)
     found = {}
     for name, make in wanted.items():
+        if names is not None and name not in names:
+            continue
         try:
             run = make()
             run(tiny)
@@ -191,11 +235,37 @@ def judge(case: Case, name: str, values: np.ndarray, exact: np.ndarray, winding:
         error = error[exact <= 3 * (case.bounds[1] - case.bounds[0])[0] / case.resolution]
     clear = exact > 1e-6 * case.diagonal
     wrong = ((values < 0) != (winding > 0.5)) & clear
-    return {"error": float(error.max() / case.diagonal), "wrong": int(wrong.sum()), "checked": int(clear.sum())}
+    facts = {"error": float(error.max() / case.diagonal), "checked": int(clear.sum())}
+    return facts if name in UNSIGNED else {**facts, "wrong": int(wrong.sum())}
+
+
+def peak_mib(case: Case, name: str) -> float:
+    """What a tool takes in a process of its own, above the level before it starts."""
+    code = "import peers, sys; print(peers.own_peak_mib(sys.stdin.buffer, sys.argv[1], *map(int, sys.argv[2:])))"
+    numbers = [str(n) for n in (case.resolution, case.random_points, len(case.vertices))]
+    mesh = case.vertices.tobytes() + case.faces.tobytes()
+    command = [sys.executable, "-c", code, name, *numbers]
+    done = subprocess.run(command, input=mesh, cwd=HERE, capture_output=True, check=True)
+    return float(done.stdout.split()[-1])
+
+
+def own_peak_mib(mesh: Any, name: str, resolution: int, random_points: int, vertex_count: int) -> float:
+    """The same, in that process; `mesh` streams float32 vertices, then uint32 faces."""
+    vertices = np.frombuffer(mesh.read(12 * vertex_count), np.float32).reshape(-1, 3)
+    faces = np.frombuffer(mesh.read(), np.uint32).reshape(-1, 3)
+    case = Case("mesh", vertices, faces, resolution, random_points)
+    # Its library, its threads.
+    run = peers([name])[name]
+    before = memory.peak_mib()
+    run(case)
+    return memory.peak_mib() - before
 
 
 def measure(case: Case, runs: dict[str, Run], repetitions: int) -> list[dict[str, Any]]:
     """Times and errors of every tool, the runs in turn."""
+    if case.random_points:
+        # A band is a matter of grids; trimesh takes a fifth of a millisecond a point.
+        runs = {name: run for name, run in runs.items() if name not in {"fieldbake, band=3", "trimesh"}}
     values: dict[str, np.ndarray] = {}
     seconds: dict[str, list[float]] = {name: [] for name in runs}
     cpu: dict[str, list[float]] = {name: [] for name in runs}
@@ -205,16 +275,17 @@ def measure(case: Case, runs: dict[str, Run], repetitions: int) -> list[dict[str
             if repetition and min(seconds[name]) > 20:
                 continue
             wall, busy = time.perf_counter(), time.process_time()
-            values[name] = run(case)
+            result = run(case)
             seconds[name].append(time.perf_counter() - wall)
             cpu[name].append(time.process_time() - busy)
+            values[name] = result() if callable(result) else result
     sampled = checked(case, CHECKED)[0]
     usual, few = truth(case, CHECKED), truth(case, TRIMESH_POINTS)
     base = statistics.median(seconds["fieldbake"])
     rows = []
     for name in runs:
         median = statistics.median(seconds[name])
-        count = TRIMESH_POINTS if name == "trimesh" else len(case.points)
+        count = min(TRIMESH_POINTS, len(case.points)) if name == "trimesh" else len(case.points)
         rows.append(
             {
                 "tool": name,
@@ -223,6 +294,7 @@ def measure(case: Case, runs: dict[str, Run], repetitions: int) -> list[dict[str
                 # Per sample, so that a tool that only did some of them compares.
                 "ratio": (median / count) / (base / len(case.points)),
                 "threads": statistics.median(cpu[name]) / median,
+                "peak_mib": peak_mib(case, name),
                 **(
                     judge(case, name, values[name], *few)
                     if name == "trimesh"
@@ -234,16 +306,27 @@ def measure(case: Case, runs: dict[str, Run], repetitions: int) -> list[dict[str
 
 
 def table(case: Case, rows: list[dict[str, Any]]) -> str:
+    columns = [
+        "tool",
+        "time",
+        "ns a sample",
+        "times fieldbake",
+        "threads busy",
+        "peak",
+        "error / diagonal",
+        "wrong signs",
+    ]
     lines = [
-        f"### {case.name}, {len(case.faces):,} faces, {case.resolution}^3",
+        f"### {case.name}, {len(case.faces):,} faces, {case.samples}",
         "",
-        "| tool | time | ns a sample | times fieldbake | threads busy | max error / diagonal | wrong signs |",
-        "|---|---|---|---|---|---|---|",
+        "| " + " | ".join(columns) + " |",
+        "|---" * len(columns) + "|",
     ]
     for row in sorted(rows, key=lambda row: row["ratio"]):
+        signs = f"{row['wrong']} of {row['checked']:,}" if "wrong" in row else ""
         lines.append(
             f"| {row['tool']} | {row['seconds']:.3f} s | {row['nanoseconds']:,.0f} | {row['ratio']:.2f} "
-            f"| {row['threads']:.1f} | {row['error']:.1e} | {row['wrong']} of {row['checked']:,} |"
+            f"| {row['threads']:.1f} | {row['peak_mib']:,.0f} MiB | {row['error']:.1e} | {signs} |"
         )
     return "\n".join(lines) + "\n"
 
@@ -261,6 +344,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--mesh", type=Path, action="append", help="a mesh file; the usual ones if not given")
     parser.add_argument("-r", "--resolution", type=int, action="append", help="64 and 128 if not given")
+    parser.add_argument("-p", "--points", type=int, action="append", help="so many random points instead of a grid")
     parser.add_argument("-n", "--repetitions", type=int, default=3)
     parser.add_argument("-o", "--output", type=Path, help="Markdown file; benches/results/DATE-peers.md if not given")
     arguments = parser.parse_args()
@@ -272,10 +356,12 @@ def main() -> None:
     print(text)
     results = []
     for name, vertices, faces in chosen:
-        for resolution in arguments.resolution or [64, 128]:
-            case = Case(name, vertices, faces, resolution)
+        grids = arguments.resolution or ([] if arguments.points else [64, 128])
+        cases = [Case(name, vertices, faces, resolution) for resolution in grids]
+        cases += [Case(name, vertices, faces, random_points=count) for count in arguments.points or []]
+        for case in cases:
             rows = measure(case, runs, arguments.repetitions)
-            results.append({"mesh": name, "faces": len(faces), "resolution": resolution, "rows": rows})
+            results.append({"mesh": name, "faces": len(faces), "samples": case.samples, "rows": rows})
             print(table(case, rows), flush=True)
             text += "\n" + table(case, rows)
     output = arguments.output or HERE / "results" / f"{today}-peers.md"

@@ -1,0 +1,16 @@
+"""How much memory a process has needed so far."""
+
+import resource
+import sys
+from pathlib import Path
+
+
+def peak_mib() -> float:
+    """Peak of the resident memory of this process."""
+    status = Path("/proc/self/status")
+    if status.exists():
+        # Not ru_maxrss, which on Linux starts at the level of the process that started this one.
+        line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM:"))
+        return int(line.split()[1]) / 1024
+    unit = 2**20 if sys.platform == "darwin" else 2**10
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
