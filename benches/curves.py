@@ -30,6 +30,7 @@ def one(faces: int, size: int) -> dict[str, float]:
     import fieldbake as fb
 
     _, vertices, indices = meshes.knot(faces)
+    memory.reset_peak()
     before = memory.peak_mib()
     seconds = []
     for _ in range(3 if size < 512 else 1):

@@ -5,9 +5,9 @@
     python benches/peers.py -p 1 -p 1000000         # random points instead of grids; a single one is the tree's build
 
 Runs are interleaved, so that a machine that slows down slows everything; medians are compared as ratios. Each time
-includes the tool's own tree. Memory is the peak of a process of its own, above its level when mesh and samples are there.
-Errors are against float64: distances by libigl's tree, signs by its exact winding number, at random samples of the grid.
-Signs are judged where the distance exceeds 1e-6 of the diagonal; on an open mesh the winding number is a convention,
+includes the tool's own tree. Memory is the peak of a process of its own, above its level when mesh and samples are
+there. Errors are against float64: distances by libigl's tree, signs by its exact winding number, at random samples of the
+grid. Signs are judged where the distance exceeds 1e-6 of the diagonal; on an open mesh the winding number is a convention,
 which tools for closed meshes do not share.
 """
 
@@ -256,6 +256,7 @@ def own_peak_mib(mesh: Any, name: str, resolution: int, random_points: int, vert
     case = Case("mesh", vertices, faces, resolution, random_points)
     # Its library, its threads.
     run = peers([name])[name]
+    memory.reset_peak()
     before = memory.peak_mib()
     run(case)
     return memory.peak_mib() - before
