@@ -6,9 +6,9 @@
 
 Runs are interleaved, so that a machine that slows down slows everything; medians are compared as ratios. Each time
 includes the tool's own tree. Memory is the peak of a process of its own, above its level when mesh and samples are
-there. Errors are against float64: distances by libigl's tree, signs by its exact winding number, at random samples of the
-grid. Signs are judged where the distance exceeds 1e-6 of the diagonal; on an open mesh the winding number is a convention,
-which tools for closed meshes do not share.
+there. Errors are against float64: distances by libigl's tree, signs by its exact winding number, at random samples
+of the grid. Signs are judged where the distance exceeds 1e-6 of the diagonal; on an open mesh the winding number
+is a convention, which tools for closed meshes do not share.
 """
 
 import argparse
