@@ -6,6 +6,7 @@ use super::error::{Failure, exception};
 use super::run::run;
 use crate::grid::Grid;
 use crate::render::{Camera, DirectionalLight, Filter, Frame, RaymarchOptions, Shadows, Source, raymarch_at};
+use crate::volume::Trilinear;
 use glam::{DVec3, Vec3};
 use numpy::{PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::prelude::*;

@@ -3,7 +3,7 @@
 use super::convert::{Field, points, row_array, volume_array};
 use super::error::Failure;
 use super::run::run;
-use crate::volume::Filter;
+use crate::volume::{Filter, Trilinear};
 use glam::DVec3;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray3};
 use pyo3::prelude::*;

@@ -19,14 +19,15 @@
 //!
 //! # Practice
 //!
-//! [`Marcher::new`] reads the grid once; build it once a frame. The loop is bounded by the number of cells that a ray
+//! [`Marcher::new`] reads the field once; build it once a frame. It takes every field that is cut into blocks of cells
+//! ([`super::blocks`]). The loop is bounded by the number of cells that a ray
 //! can cross, for a cell index never moves back. Everything in it is f32 or i32 and will run the same in a shader.
 
+use super::blocks::{Block, Blocks};
 use super::cubic::Cubic;
 use super::empty::EmptySpace;
 use crate::error::Error;
 use crate::progress::Progress;
-use crate::volume::FieldView;
 use glam::{DVec3, IVec3, Vec3};
 
 /// An axis on which the direction is smaller than this counts as parallel: over 2^40 voxels the ray moves less than an
@@ -109,15 +110,16 @@ pub struct March {
 
 /// A field made ready for rays.
 #[derive(Debug, Clone)]
-pub struct Marcher<'a> {
-    pub field: FieldView<'a>,
+pub struct Marcher<F> {
+    pub field: F,
     empty: EmptySpace,
 }
 
-impl<'a> Marcher<'a> {
+impl<F: Blocks> Marcher<F> {
     /// Fails where a distance is not a finite number of reasonable size.
-    pub fn new(field: FieldView<'a>, progress: &Progress) -> Result<Self, Error> {
-        Ok(Self { field, empty: EmptySpace::new(&field, progress)? })
+    pub fn new(field: F, progress: &Progress) -> Result<Self, Error> {
+        let empty = EmptySpace::new(field.block_counts(), &field.occupied(progress)?, progress)?;
+        Ok(Self { field, empty })
     }
 
     /// Walk along a ray to its first hit.
@@ -131,14 +133,14 @@ impl<'a> Marcher<'a> {
         let max_steps = (shape[0] + shape[1] + shape[2] + 4) as u32;
         let mut steps = 0;
         while steps < max_steps {
-            let block = cell.map(EmptySpace::block_of);
-            let distance = self.empty.distance(block);
+            let index = cell.map(F::block_of);
+            let distance = self.empty.distance(index);
 
             // Leap to the side of the empty cube around the block.
             if distance > 0 {
                 steps += 1;
-                let first = block.map(|b| EmptySpace::first_cell(b - (distance - 1)));
-                let cells = EmptySpace::first_cell(2 * distance - 1) - EmptySpace::first_cell(0);
+                let first = index.map(|b| F::first_cell(b - (distance - 1)));
+                let cells = (2 * distance - 1) * F::SIDE;
                 let face = [0, 1, 2].map(|axis| if line.forward[axis] { first[axis] + cells } else { first[axis] });
                 let t_faces = [0, 1, 2].map(|axis| line.t_at(axis, face[axis]));
                 let next = first_axis(&t_faces);
@@ -157,28 +159,45 @@ impl<'a> Marcher<'a> {
             }
 
             // Walk from cell to cell to the side of the block.
-            let mut t_faces = [0, 1, 2].map(|axis| line.t_at(axis, line.face(axis, cell[axis])));
+            let block = self.field.block(index);
+            let (origin, shift) = (block.origin(), block.cell_shift());
+            let mut local = [0, 1, 2].map(|axis| (cell[axis] - origin[axis]) >> shift);
+            let face = |axis: usize, local: i32| origin[axis] + (line.far_side(axis, local) << shift);
+            let mut t_faces = [0, 1, 2].map(|axis| line.t_at(axis, face(axis, local[axis])));
             loop {
                 steps += 1;
                 let next = first_axis(&t_faces);
                 let t_face = if t_faces[next] > t { t_faces[next] } else { t };
                 let t_end = if t_face < ray.t_max { t_face } else { ray.t_max };
-                let corners = self.field.corners(IVec3::from(cell));
-                if smallest(&corners) <= 0.0
-                    && let Some(hit) = hit_in_cell(&corners, ray, cell, t, t_end)
-                {
-                    return March { hit: Some(hit), steps };
+                let corners = block.corners(local);
+                if smallest(&corners) <= 0.0 {
+                    let corner = [0, 1, 2].map(|axis| origin[axis] + (local[axis] << shift));
+                    if let Some(hit) = hit_in_cell(&corners, ray, corner, shift, t, t_end) {
+                        return March { hit: Some(hit), steps };
+                    }
                 }
                 if t_end >= ray.t_max {
                     return March { hit: None, steps };
                 }
                 t = t_end;
-                cell[next] += if line.forward[next] { 1 } else { -1 };
-                if EmptySpace::block_of(cell[next]) != block[next] {
-                    cell[next] = cell[next].clamp(-1, shape[next] - 1);
+                local[next] += if line.forward[next] { 1 } else { -1 };
+                if !block.contains(next, local[next]) {
+                    for axis in 0..3 {
+                        let low = origin[axis] + (local[axis] << shift);
+                        let high = low + (1 << shift) - 1;
+                        // A cell of many voxels is left where the ray is; the face is exact on its own axis.
+                        let here = if axis == next {
+                            if line.forward[axis] { low } else { high }
+                        } else if shift > 0 {
+                            floor(line.origin[axis] + t * line.direction[axis]).clamp(low, high)
+                        } else {
+                            low
+                        };
+                        cell[axis] = here.clamp(-1, shape[axis] - 1);
+                    }
                     break;
                 }
-                t_faces[next] = line.t_at(next, line.face(next, cell[next]));
+                t_faces[next] = line.t_at(next, face(next, local[next]));
             }
         }
         debug_assert!(false, "a ray took more than {max_steps} steps: {ray:?}");
@@ -202,9 +221,9 @@ impl Line {
         Self { origin: ray.origin.to_array(), direction, inverse, forward: direction.map(|d| d > 0.0) }
     }
 
-    /// The face by which the ray leaves a cell along an axis.
+    /// The side by which the ray leaves a cell along an axis.
     #[inline]
-    fn face(&self, axis: usize, cell: i32) -> i32 {
+    fn far_side(&self, axis: usize, cell: i32) -> i32 {
         if self.forward[axis] { cell + 1 } else { cell }
     }
 
@@ -215,11 +234,14 @@ impl Line {
     }
 }
 
-/// The root of the field in one cell, on the part `[t, t_end]` of the ray.
+/// The root of the field in one cell, on the part `[t, t_end]` of the ray. The cell has its lower corner at `first` and
+/// `1 << shift` voxels along its side.
 #[inline]
-fn hit_in_cell(corners: &[f32; 8], ray: &GridRay, cell: [i32; 3], t: f32, t_end: f32) -> Option<Hit> {
-    let p = ray.origin + t * ray.direction - IVec3::from(cell).as_vec3();
-    let cubic = Cubic::along_ray(corners, p, ray.direction);
+fn hit_in_cell(corners: &[f32; 8], ray: &GridRay, first: [i32; 3], shift: u32, t: f32, t_end: f32) -> Option<Hit> {
+    // A power of two: exact.
+    let per_voxel = 1.0 / (1 << shift) as f32;
+    let p = (ray.origin + t * ray.direction - IVec3::from(first).as_vec3()) * per_voxel;
+    let cubic = Cubic::along_ray(corners, p, ray.direction * per_voxel);
     // In units of the largest corner: products of coefficients stay in range at any scale.
     let s = cubic.scaled(1.0 / largest(corners)).first_root(t_end - t)?;
     Some(Hit { t: t + s, at_start: t + s == 0.0 && cubic.c0 <= 0.0 })
@@ -244,7 +266,7 @@ pub(super) fn floor(coordinate: f32) -> i32 {
     (coordinate + 1.0) as i32 - 1
 }
 
-/// Plain comparisons, for `f32::min` has to look out for NaN, which [`EmptySpace`] has excluded.
+/// Plain comparisons, for `f32::min` has to look out for NaN, which [`Blocks::occupied`] has excluded.
 #[inline]
 fn smallest(corners: &[f32; 8]) -> f32 {
     let min = |a: f32, b: f32| if a < b { a } else { b };
@@ -262,6 +284,7 @@ fn largest(corners: &[f32; 8]) -> f32 {
 mod tests {
     use super::*;
     use crate::grid::Grid;
+    use crate::volume::{FieldView, Trilinear};
     use proptest::prelude::*;
 
     fn unit_grid(shape: [usize; 3]) -> Grid {
@@ -269,7 +292,7 @@ mod tests {
         Grid::new(DVec3::ZERO, upper, shape).unwrap()
     }
 
-    fn marcher(grid: Grid, distances: &[f32]) -> Marcher<'_> {
+    fn marcher(grid: Grid, distances: &[f32]) -> Marcher<FieldView<'_>> {
         Marcher::new(FieldView::new(grid, distances).unwrap(), &Progress::new()).unwrap()
     }
 

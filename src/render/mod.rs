@@ -15,6 +15,7 @@
 //! [`raymarch`] runs on all cores by rows, counts its progress in rows and stops when it is cancelled. Its cost is that
 //! of the steps in `Frame::steps` plus as many for each light.
 
+pub mod blocks;
 pub mod camera;
 pub mod cubic;
 pub mod empty;
@@ -32,6 +33,7 @@ use crate::grid::Grid;
 use crate::progress::Progress;
 use crate::volume::FieldView;
 use crate::volume::device::DeviceField;
+use blocks::Blocks;
 use glam::{DVec3, Vec3};
 use march::{Marcher, clip_to_box};
 use rayon::prelude::*;
@@ -157,8 +159,8 @@ const KEY_LIGHT_FROM: DVec3 = DVec3::new(-1.0, 1.2, 1.0);
 const KEY_LIGHT_COLOR: Vec3 = Vec3::splat(0.75);
 
 /// Draw the zero level set of a field.
-pub fn raymarch(
-    field: FieldView<'_>,
+pub fn raymarch<F: Blocks>(
+    field: F,
     camera: &Camera,
     options: &RaymarchOptions,
     progress: &Progress,
@@ -173,9 +175,9 @@ pub fn raymarch(
     let shader = Shader::new(&marcher, options, &lights);
     let view = View {
         camera,
-        eye_grid: field.grid_from_world(camera.eye),
-        spacing: field.grid().spacing(),
-        shape: field.shape(),
+        eye_grid: marcher.field.grid_from_world(camera.eye),
+        spacing: marcher.field.grid().spacing(),
+        shape: marcher.field.shape(),
         marcher: &marcher,
         shader,
         options,
@@ -247,17 +249,17 @@ pub fn raymarch_on_device(
 }
 
 /// What every pixel needs.
-struct View<'a> {
+struct View<'a, F> {
     camera: &'a Camera,
     eye_grid: DVec3,
     spacing: DVec3,
     shape: DVec3,
-    marcher: &'a Marcher<'a>,
-    shader: Shader<'a>,
+    marcher: &'a Marcher<F>,
+    shader: Shader<'a, F>,
     options: &'a RaymarchOptions,
 }
 
-impl View<'_> {
+impl<F: Blocks> View<'_, F> {
     /// Fill pixel `x` of row `y`; the row already says "nothing hit".
     fn draw_pixel(&self, x: usize, y: usize, row: &mut Row<'_>) {
         row.color[4 * x..][..4].copy_from_slice(&self.options.background);

@@ -9,9 +9,9 @@
 //! the normal: a distance in voxels, because what it has to clear is the facets of the trilinear surface, whose size is
 //! the voxel's. A side that is turned away from a light gets none of it.
 
+use super::blocks::Blocks;
 use super::march::{Marcher, clip_to_box, floor};
 use super::{DirectionalLight, RaymarchOptions, Shadows};
-use crate::volume::trilinear;
 use glam::{DVec3, IVec3, Vec3};
 
 /// Start of a shadow ray above the surface. A trilinear surface departs from a smooth one by h^2 / (8 R), less than an
@@ -33,8 +33,8 @@ pub(super) struct Surface {
 
 /// Everything that is the same for all pixels.
 #[derive(Debug, Clone)]
-pub(super) struct Shader<'a> {
-    marcher: &'a Marcher<'a>,
+pub(super) struct Shader<'a, F> {
+    marcher: &'a Marcher<F>,
     options: &'a RaymarchOptions,
     lights: &'a [DirectionalLight],
     shape: DVec3,
@@ -44,9 +44,9 @@ pub(super) struct Shader<'a> {
     relative_spacing: Vec3,
 }
 
-impl<'a> Shader<'a> {
+impl<'a, F: Blocks> Shader<'a, F> {
     /// `lights` have unit directions.
-    pub fn new(marcher: &'a Marcher<'a>, options: &'a RaymarchOptions, lights: &'a [DirectionalLight]) -> Self {
+    pub fn new(marcher: &'a Marcher<F>, options: &'a RaymarchOptions, lights: &'a [DirectionalLight]) -> Self {
         let spacing = marcher.field.grid().spacing();
         Self {
             marcher,
@@ -74,7 +74,7 @@ impl<'a> Shader<'a> {
     fn field_at(&self, p_grid: Vec3) -> f32 {
         let p_grid = p_grid.clamp(Vec3::splat(-0.5), self.last_point);
         let cell = IVec3::from(p_grid.to_array().map(floor));
-        trilinear(&self.marcher.field.corners(cell), p_grid - cell.as_vec3())
+        self.marcher.field.cell(cell).at(p_grid.as_dvec3())
     }
 
     /// Linear RGB of a surface; writes the share of each light that arrives.

@@ -3,6 +3,7 @@
 use super::camera::tests::look_at;
 use super::*;
 use crate::grid::Grid;
+use crate::volume::Trilinear;
 
 /// A field sampled on a grid, ready to be drawn.
 struct Scene {

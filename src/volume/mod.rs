@@ -4,9 +4,9 @@
 //!
 //! Samples sit at voxel centres. Between the centres the field is trilinear; in the outer half voxel of the box, where
 //! there is no centre on one side, it is the value of the nearest point that has centres all round (the texture
-//! samplers' "clamp to edge"). This module's [`trilinear`] and [`FieldView::corners`] are that function, and there is
-//! no second one: sampling, gradients, resampling and the raymarcher read the field through them, so a picture shows
-//! exactly the surface that `sample` reports.
+//! samplers' "clamp to edge"). [`Trilinear`] is that function for every kind of field, and there is no second one:
+//! sampling, gradients, resampling and the raymarcher read the field through it, so a picture shows exactly the surface
+//! that `sample` reports.
 //!
 //! Positions are in *grid space*: voxel centres at integers, `p_grid = (p_world - lower) / spacing - 1/2`. The
 //! subtraction happens in f64, so a box far from the origin loses nothing; the weights are f32.
@@ -30,14 +30,14 @@ pub mod device;
 pub mod outside;
 mod resample;
 mod surface;
+mod trilinear;
 
 pub use surface::SurfaceMesh;
+pub use trilinear::{Cell, Filter, Trilinear, trilinear, trilinear_gradient};
 
 use crate::error::{ArgumentError, Error};
 use crate::grid::Grid;
-use crate::progress::Progress;
-use glam::{DVec3, IVec3, Vec3};
-use rayon::prelude::*;
+use glam::{DVec3, IVec3};
 
 /// A grid and its distances, x fastest.
 #[derive(Debug, Clone, Copy)]
@@ -45,34 +45,6 @@ pub struct FieldView<'a> {
     grid: Grid,
     distances: &'a [f32],
 }
-
-/// How a value is made from the stored samples.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Filter {
-    /// The trilinear field.
-    #[default]
-    Linear,
-    /// The sample of the voxel that holds the point.
-    Nearest,
-}
-
-impl Filter {
-    /// The filter that the Python interface calls `name`.
-    pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
-        match name {
-            "linear" => Ok(Self::Linear),
-            "nearest" => Ok(Self::Nearest),
-            _ => Err(ArgumentError::new("filter", format!("expected \"linear\" or \"nearest\", got {name:?}"))),
-        }
-    }
-}
-
-/// Points in a block of a batch: about 0.2 ms of work, so that cancelling is prompt and scheduling costs nothing.
-const CHUNK_POINTS: usize = 4096;
-
-/// How far rounding may put a voxel centre from its integer in grid space: f64 at a box 1e6 voxels from the origin
-/// stays below 1e-9.
-const CENTRE_SNAP_VOXELS: f64 = 1e-6;
 
 impl<'a> FieldView<'a> {
     pub fn new(grid: Grid, distances: &'a [f32]) -> Result<Self, Error> {
@@ -84,76 +56,8 @@ impl<'a> FieldView<'a> {
         Ok(Self { grid, distances })
     }
 
-    pub fn grid(&self) -> &Grid {
-        &self.grid
-    }
-
     pub fn distances(&self) -> &'a [f32] {
         self.distances
-    }
-
-    /// The trilinear field at a world point; of the nearest point of the box when `p` lies outside.
-    pub fn sample_linear(&self, p: DVec3) -> f32 {
-        let (cell, fraction) = self.locate(p);
-        trilinear(&self.corners(cell), fraction)
-    }
-
-    /// The sample of the voxel that holds `p`; of the nearest voxel when `p` lies outside.
-    pub fn sample_nearest(&self, p: DVec3) -> f32 {
-        let voxel = self.clamp_to_box(self.grid_from_world(p)).round();
-        let [nx, ny, nz] = self.grid.shape;
-        // `as` saturates, and a point on the upper face rounds to n: both are clamped here.
-        let index = |coordinate: f64, n: usize| (coordinate as usize).min(n - 1);
-        self.distances[self.grid.offset(index(voxel.x, nx), index(voxel.y, ny), index(voxel.z, nz))]
-    }
-
-    /// Gradient of the trilinear field, distance per world unit; of the nearest point of the box when outside.
-    ///
-    /// Zero along an axis in the outer half voxel, where the field is constant along it. It jumps between cells.
-    pub fn gradient(&self, p: DVec3) -> Vec3 {
-        let p_grid = self.clamp_to_box(self.grid_from_world(p));
-        // The outermost centres belong to the cell between centres, whichever side of them rounding has put `p` on.
-        let last = self.shape() - 1.0;
-        let between_centres = p_grid.max(DVec3::ZERO).min(last);
-        let at_centre = (p_grid - between_centres).abs().cmplt(DVec3::splat(CENTRE_SNAP_VOXELS));
-        let p_grid = DVec3::select(at_centre, between_centres, p_grid);
-        let cell = DVec3::select(at_centre, p_grid.floor().min(last - 1.0), p_grid.floor());
-        let fraction = (p_grid - cell).as_vec3();
-        let cell = cell.as_ivec3();
-        (trilinear_gradient(&self.corners(cell), fraction).as_dvec3() / self.grid.spacing()).as_vec3()
-    }
-
-    /// Field at many points. Outside the box: a lower bound on the distance to a surface that lies in the box `inner`
-    /// (lower and upper corner), see [`outside`]. A point that is not a number gives NaN.
-    pub fn sample(
-        &self,
-        points: &[DVec3],
-        inner: [DVec3; 2],
-        filter: Filter,
-        progress: &Progress,
-    ) -> Result<Vec<f32>, Error> {
-        batch(points, progress, |p| {
-            if p.is_nan() {
-                f32::NAN
-            } else if !self.contains(p) {
-                self.distance_bound(p, inner)
-            } else {
-                match filter {
-                    Filter::Linear => self.sample_linear(p),
-                    Filter::Nearest => self.sample_nearest(p),
-                }
-            }
-        })
-    }
-
-    /// [`FieldView::gradient`] at many points. A point that is not a number gives NaN.
-    pub fn gradients(&self, points: &[DVec3], progress: &Progress) -> Result<Vec<Vec3>, Error> {
-        batch(points, progress, |p| if p.is_nan() { Vec3::NAN } else { self.gradient(p) })
-    }
-
-    /// Whether the box, faces included, holds `p`.
-    pub fn contains(&self, p: DVec3) -> bool {
-        p.cmpge(self.grid.lower).all() && p.cmple(self.grid.upper).all()
     }
 
     /// The samples at the corners of a cell; bit 0 of the index is x, bit 1 y, bit 2 z. Cells run from -1 to n - 1.
@@ -188,78 +92,28 @@ impl<'a> FieldView<'a> {
             sample(x1, y1, z1),
         ]
     }
-
-    /// Grid space: voxel centres at integers.
-    pub fn grid_from_world(&self, p: DVec3) -> DVec3 {
-        (p - self.grid.lower) / self.grid.spacing() - 0.5
-    }
-
-    fn clamp_to_box(&self, p_grid: DVec3) -> DVec3 {
-        p_grid.max(DVec3::splat(-0.5)).min(self.shape() - 0.5)
-    }
-
-    /// Cell that holds the nearest point of the box, and the position in it, 0 to 1.
-    fn locate(&self, p: DVec3) -> (IVec3, Vec3) {
-        let p_grid = self.clamp_to_box(self.grid_from_world(p));
-        let cell = p_grid.floor();
-        (cell.as_ivec3(), (p_grid - cell).as_vec3())
-    }
-
-    /// Voxels along each axis.
-    pub(crate) fn shape(&self) -> DVec3 {
-        let [nx, ny, nz] = self.grid.shape;
-        DVec3::new(nx as f64, ny as f64, nz as f64)
-    }
 }
 
-/// The trilinear function of a cell's corners: along x, then y, then z.
-#[inline]
-pub fn trilinear(corners: &[f32; 8], fraction: Vec3) -> f32 {
-    let x00 = lerp(corners[0], corners[1], fraction.x);
-    let x10 = lerp(corners[2], corners[3], fraction.x);
-    let x01 = lerp(corners[4], corners[5], fraction.x);
-    let x11 = lerp(corners[6], corners[7], fraction.x);
-    let y0 = lerp(x00, x10, fraction.y);
-    let y1 = lerp(x01, x11, fraction.y);
-    lerp(y0, y1, fraction.z)
-}
+impl Trilinear for FieldView<'_> {
+    fn grid(&self) -> &Grid {
+        &self.grid
+    }
 
-/// Gradient of [`trilinear`] with respect to `fraction`: distance per voxel.
-#[inline]
-pub fn trilinear_gradient(corners: &[f32; 8], fraction: Vec3) -> Vec3 {
-    let [c0, c1, c2, c3, c4, c5, c6, c7] = *corners;
-    let Vec3 { x, y, z } = fraction;
-    let along_x = lerp(lerp(c1 - c0, c3 - c2, y), lerp(c5 - c4, c7 - c6, y), z);
-    let along_y = lerp(lerp(c2 - c0, c3 - c1, x), lerp(c6 - c4, c7 - c5, x), z);
-    let along_z = lerp(lerp(c4 - c0, c5 - c1, x), lerp(c6 - c2, c7 - c3, x), y);
-    Vec3::new(along_x, along_y, along_z)
-}
+    #[inline]
+    fn cell(&self, index: IVec3) -> Cell {
+        Cell { corners: self.corners(index), first: index, size: 1 }
+    }
 
-#[inline]
-fn lerp(a: f32, b: f32, fraction: f32) -> f32 {
-    a + (b - a) * fraction
-}
-
-/// Evaluate `f` at every point, in parallel chunks.
-fn batch<T: Copy + Default + Send>(
-    points: &[DVec3],
-    progress: &Progress,
-    f: impl Fn(DVec3) -> T + Sync,
-) -> Result<Vec<T>, Error> {
-    progress.set_total(points.len() as u64);
-    let mut values = vec![T::default(); points.len()];
-    values.par_chunks_mut(CHUNK_POINTS).zip(points.par_chunks(CHUNK_POINTS)).try_for_each(|(values, points)| {
-        for (value, &p) in values.iter_mut().zip(points) {
-            *value = f(p);
-        }
-        progress.advance(points.len() as u64)
-    })?;
-    Ok(values)
+    fn distance_bound(&self, p: DVec3, inner: [DVec3; 2]) -> f32 {
+        self.bound_outside(p, inner)
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::progress::Progress;
+    use glam::Vec3;
     use proptest::prelude::*;
 
     /// A field that trilinear interpolation reproduces: every product of x, y, z to the first power.

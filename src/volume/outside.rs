@@ -37,12 +37,12 @@
 //! True up to the error of the stored distances; the last rounding to f32 is downward. For a sphere in a box with a
 //! margin of 10 % the bound is on average 0.85 of the distance, over the points within one box length of the box.
 
-use super::FieldView;
+use super::{FieldView, Trilinear};
 use glam::DVec3;
 
 impl FieldView<'_> {
     /// Lower bound, zero or more, on the distance from `p`, outside the box, to a surface inside the box `inner`.
-    pub fn distance_bound(&self, p: DVec3, inner: [DVec3; 2]) -> f32 {
+    pub(super) fn bound_outside(&self, p: DVec3, inner: [DVec3; 2]) -> f32 {
         let grid = self.grid();
         let h = grid.spacing();
         let (hull_lower, hull_upper) = (grid.lower + 0.5 * h, grid.upper - 0.5 * h);

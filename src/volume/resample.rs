@@ -4,7 +4,7 @@
 //! resolution puts every new centre in the middle of eight old ones: the result is their mean. Going down by more than
 //! two at once skips samples; halve repeatedly if all of them shall count.
 
-use super::{FieldView, trilinear};
+use super::{FieldView, Trilinear, trilinear};
 use crate::error::Error;
 use crate::grid::Grid;
 use crate::progress::Progress;

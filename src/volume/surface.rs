@@ -8,7 +8,7 @@
 //! box (a sample `-v` inside and `+v` outside cross half way), so the mesh is always closed: it is the solid "below
 //! the level and in the box".
 
-use super::FieldView;
+use super::{FieldView, Trilinear};
 use crate::error::{ArgumentError, Error};
 use fast_surface_nets::ndshape::{RuntimeShape, Shape};
 use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};

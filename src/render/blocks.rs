@@ -1,0 +1,204 @@
+//! Fields cut into cubic blocks of cells, as rays walk through them.
+//!
+//! Cell -1 of the grid is the first of block 0. A ray asks [`super::empty`] how far it may leap, and walks through the
+//! cells of a block where it may not. A field says which of its blocks hold a surface, and what their cells are.
+
+use crate::error::{ArgumentError, Error};
+use crate::progress::Progress;
+use crate::volume::{FieldView, Trilinear};
+use glam::IVec3;
+use rayon::prelude::*;
+
+/// A field whose blocks have the same number of voxels along each side.
+pub trait Blocks: Trilinear {
+    /// Voxels along the side of a block.
+    const SIDE: i32;
+    type Block<'b>: Block
+    where
+        Self: 'b;
+
+    /// Whether each block, x fastest, has a corner that is not above zero. Fails where the field is not a finite number
+    /// of reasonable size.
+    fn occupied(&self, progress: &Progress) -> Result<Vec<bool>, Error>;
+
+    /// The cells around an occupied block.
+    fn block(&self, index: [i32; 3]) -> Self::Block<'_>;
+
+    /// Blocks along each axis: the cells run from -1 to n - 1, n + 1 of them.
+    fn block_counts(&self) -> [usize; 3] {
+        self.grid().shape.map(|n| (n + 1).div_ceil(Self::SIDE as usize))
+    }
+
+    /// The block that holds a cell, on any axis.
+    #[inline]
+    fn block_of(cell: i32) -> i32 {
+        // One below the grid is a block of its own.
+        (cell + 1).div_euclid(Self::SIDE)
+    }
+
+    /// The first cell of a block, on any axis; blocks outside the grid have one too.
+    #[inline]
+    fn first_cell(block: i32) -> i32 {
+        block * Self::SIDE - 1
+    }
+}
+
+/// A cube of cells, all of one size.
+pub trait Block {
+    /// Grid coordinates of the lower corner of cell 0, from which the block counts its cells.
+    fn origin(&self) -> [i32; 3];
+    /// Voxels along the side of a cell, to base 2.
+    fn cell_shift(&self) -> u32;
+    /// Whether the block has cells at this place along an axis.
+    fn contains(&self, axis: usize, cell: i32) -> bool;
+    /// The samples at the corners of a cell.
+    fn corners(&self, cell: [i32; 3]) -> [f32; 8];
+}
+
+/// Field values must lie within this: the coefficients of a cell's cubic are up to ten times as large.
+pub(super) const LARGEST_VALUE: f32 = 1e37;
+
+impl Blocks for FieldView<'_> {
+    const SIDE: i32 = 4;
+    type Block<'b>
+        = DenseBlock<'b>
+    where
+        Self: 'b;
+
+    fn occupied(&self, progress: &Progress) -> Result<Vec<bool>, Error> {
+        let [bx, by, bz] = self.block_counts();
+        let side = Self::SIDE as usize;
+        let grid = self.grid();
+        let mut occupied = vec![false; bx * by * bz];
+        occupied.par_chunks_mut(bx * by).enumerate().try_for_each(|(z_block, slice)| {
+            progress.check()?;
+            // Voxels that are corners of the block's cells: from one before its first cell's upper corner to its end.
+            let voxels = |block: usize, n: usize| (block * side).saturating_sub(1)..(block * side + side).min(n);
+            for y_block in 0..by {
+                let row_of_blocks = &mut slice[y_block * bx..][..bx];
+                for z in voxels(z_block, grid.shape[2]) {
+                    for y in voxels(y_block, grid.shape[1]) {
+                        let row = &self.distances()[grid.offset(0, y, z)..][..grid.shape[0]];
+                        check_row(row, y, z)?;
+                        for (x_block, occupied) in row_of_blocks.iter_mut().enumerate() {
+                            let lowest = row[voxels(x_block, row.len())].iter().copied().fold(f32::INFINITY, f32::min);
+                            *occupied |= lowest <= 0.0;
+                        }
+                    }
+                }
+            }
+            Ok::<(), Error>(())
+        })?;
+        Ok(occupied)
+    }
+
+    #[inline]
+    fn block(&self, index: [i32; 3]) -> DenseBlock<'_> {
+        DenseBlock { field: self, index }
+    }
+}
+
+/// A block of a dense field: its cells are single voxels, counted as those of the grid.
+#[derive(Debug, Clone, Copy)]
+pub struct DenseBlock<'a> {
+    field: &'a FieldView<'a>,
+    index: [i32; 3],
+}
+
+impl Block for DenseBlock<'_> {
+    #[inline]
+    fn origin(&self) -> [i32; 3] {
+        [0; 3]
+    }
+
+    #[inline]
+    fn cell_shift(&self) -> u32 {
+        0
+    }
+
+    #[inline]
+    fn contains(&self, axis: usize, cell: i32) -> bool {
+        FieldView::block_of(cell) == self.index[axis]
+    }
+
+    #[inline]
+    fn corners(&self, cell: [i32; 3]) -> [f32; 8] {
+        self.field.corners(IVec3::from(cell))
+    }
+}
+
+fn check_row(row: &[f32], y: usize, z: usize) -> Result<(), Error> {
+    if row.iter().fold(true, |fine, value| fine & (value.abs() <= LARGEST_VALUE)) {
+        return Ok(());
+    }
+    let x = row.iter().position(|value| value.is_nan() || value.abs() > LARGEST_VALUE).unwrap_or(0);
+    let problem = format!("[{x}, {y}, {z}] is {}; every distance must be finite, at most {LARGEST_VALUE:e}", row[x]);
+    Err(ArgumentError::new("distances", problem).into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::empty::{EmptySpace, MAX_DISTANCE};
+    use super::*;
+    use crate::grid::Grid;
+    use glam::DVec3;
+    use proptest::prelude::*;
+
+    fn empty_space(field: &FieldView<'_>) -> Result<EmptySpace, Error> {
+        let progress = Progress::new();
+        EmptySpace::new(field.block_counts(), &field.occupied(&progress)?, &progress)
+    }
+
+    fn grid(shape: [usize; 3]) -> Grid {
+        Grid::new(DVec3::ZERO, DVec3::ONE, shape).unwrap()
+    }
+
+    proptest! {
+        #[test]
+        fn distances_are_those_of_brute_force(
+            shape in prop::array::uniform3(1..20usize),
+            solid in prop::collection::vec(prop::array::uniform3(0..20usize), 0..4),
+        ) {
+            let grid = grid(shape);
+            let mut values = vec![1.0; grid.len()];
+            for [x, y, z] in solid {
+                values[grid.offset(x % shape[0], y % shape[1], z % shape[2])] = -1.0;
+            }
+            let field = FieldView::new(grid, &values).unwrap();
+            let empty = empty_space(&field).unwrap();
+
+            let [nx, ny, nz] = shape.map(|n| n as i32);
+            let cells = |n: i32| -1..n;
+            let mut occupied = Vec::new();
+            for z in cells(nz) {
+                for y in cells(ny) {
+                    for x in cells(nx) {
+                        let cell = IVec3::new(x, y, z);
+                        if field.corners(cell).iter().any(|&value| value <= 0.0) {
+                            occupied.push(IVec3::from(cell.to_array().map(FieldView::block_of)));
+                        }
+                    }
+                }
+            }
+            for z in cells(nz) {
+                for y in cells(ny) {
+                    for x in cells(nx) {
+                        let block = IVec3::from([x, y, z].map(FieldView::block_of));
+                        let nearest = occupied.iter().map(|other| (block - other).abs().max_element()).min();
+                        prop_assert_eq!(empty.distance(block.to_array()), nearest.unwrap_or(MAX_DISTANCE as i32));
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn values_that_are_not_finite_are_named() {
+        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 2e37] {
+            let values = [1.0, 1.0, 1.0, bad];
+            let field = FieldView::new(grid([2, 2, 1]), &values).unwrap();
+            let message = empty_space(&field).unwrap_err().to_string();
+            assert!(message.starts_with("distances: [1, 1, 0] is "), "{message}");
+        }
+    }
+}
