@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-#: Devices that the `device` fixture runs a test on. Add "gpu" once bake and raymarch run there.
-DEVICES = ["cpu"]
+#: Devices that the `device` fixture runs a test on.
+DEVICES = ["cpu", "gpu"]
 
 # The same examples on every run; `HYPOTHESIS_PROFILE=search` looks for new ones.
 settings.register_profile(

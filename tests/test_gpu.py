@@ -95,6 +95,12 @@ def test_options_mean_the_same(options):
     assert np.abs(cpu.distances - gpu.distances).max() <= 1e-6 * diagonal
 
 
+@pytest.mark.parametrize("name", ["spot/spot.obj", "fandisk.obj", "rocker-arm.obj"])
+def test_closed_models_agree_with_the_cpu(model_path, name):
+    mesh = fb.load_mesh(model_path(name))
+    assert_same_field(*(fb.bake(mesh, 48, device=device) for device in ("cpu", "gpu")))
+
+
 def test_more_faces_than_a_software_adapter_loops_over():
     mesh = fb.Mesh(*(lambda m: (m.vertices, m.faces))(knot(100, 360)))
     assert len(mesh.faces) > 70_000
