@@ -39,6 +39,20 @@ impl ArgumentError {
     }
 }
 
+/// A camera, light, instance or material that cannot be drawn, named as in the Python interface.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[error("{what}: {problem}")]
+pub struct SceneError {
+    pub what: String,
+    pub problem: String,
+}
+
+impl SceneError {
+    pub fn new(what: impl Into<String>, problem: impl Into<String>) -> Self {
+        Self { what: what.into(), problem: problem.into() }
+    }
+}
+
 /// A request that does not fit in memory, refused before it starts.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[error("{what} needs {}, {}; {advice}", bytes(*needed), available.map_or_else(
@@ -90,6 +104,8 @@ pub enum Error {
     Mesh(#[from] MeshError),
     #[error(transparent)]
     Argument(#[from] ArgumentError),
+    #[error(transparent)]
+    Scene(#[from] SceneError),
     #[error(transparent)]
     Capacity(#[from] CapacityError),
     #[error(transparent)]

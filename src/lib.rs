@@ -16,5 +16,6 @@ pub mod progress;
 mod python;
 pub mod query;
 pub mod render;
+pub mod scene;
 pub mod sign;
 pub mod volume;

@@ -13,7 +13,7 @@ Distances are negative inside and in the mesh's own units. ``distances[x, y, z]`
 
 import logging as _logging
 
-from . import arrays, models
+from . import arrays, fields, models
 from ._core import __version__
 from .bake import ClosestPoints, bake, closest_point, signed_distance
 from .camera import Camera
@@ -33,9 +33,11 @@ from .errors import (
 from .frame import Frame
 from .io import load
 from .lights import DirectionalLight, PointLight
+from .materials import Material
 from .mesh import Mesh, Part
 from .render import raymarch
 from .report import Report
+from .scene import Instance, Scene, render
 from .volume import Volume
 
 __all__ = [
@@ -50,11 +52,14 @@ __all__ = [
     "Error",
     "FormatError",
     "Frame",
+    "Instance",
+    "Material",
     "Mesh",
     "MeshError",
     "Part",
     "PointLight",
     "Report",
+    "Scene",
     "SceneError",
     "ShapeError",
     "Volume",
@@ -64,10 +69,12 @@ __all__ = [
     "bake",
     "closest_point",
     "devices",
+    "fields",
     "load",
     "load_mesh",
     "models",
     "raymarch",
+    "render",
     "signed_distance",
 ]
 

@@ -13,6 +13,10 @@ from numpy.typing import NDArray
 __all__ = [
     "DeviceField",
     "Mesh",
+    "Scene",
+    "SceneField",
+    "SceneMesh",
+    "Texture",
     "__version__",
     "bake",
     "bake_brute",
@@ -20,6 +24,7 @@ __all__ = [
     "devices",
     "gradient",
     "raymarch",
+    "render",
     "resample",
     "sample",
     "signed_distance",
@@ -191,6 +196,79 @@ def raymarch(
     Keys: ``color`` (h, w, 4) linear RGBA, ``depth`` (h, w) along the view axis, inf where nothing is hit, ``normal``
     (h, w, 3), ``object_id`` (h, w) int32, -1 for nothing, ``shadow`` (h, w) or (h, w, k), ``steps`` (h, w) uint32,
     ``device``, ``seconds``."""
+
+@final
+class SceneField:
+    """Distances made ready for the rays of a scene; a copy."""
+
+    def __new__(
+        cls,
+        distances: NDArray[np.float32],
+        lower: tuple[float, float, float],
+        upper: tuple[float, float, float],
+        inner_lower: tuple[float, float, float],
+        inner_upper: tuple[float, float, float],
+    ) -> SceneField: ...
+
+@final
+class SceneMesh:
+    """Triangles with smooth normals, texture coordinates (n, 2) and the material of each face (m,)."""
+
+    def __new__(cls, mesh: Mesh, uv: NDArray[np.float32] | None, material: NDArray[np.uint32]) -> SceneMesh: ...
+    @property
+    def nbytes(self) -> int: ...
+
+@final
+class Texture:
+    """An image (h, w, 4), sRGB and opacity, and its smaller copies."""
+
+    def __new__(cls, pixels: NDArray[np.uint8]) -> Texture: ...
+    @property
+    def nbytes(self) -> int: ...
+
+@final
+class Scene:
+    """Instances, materials and textures, ready to be drawn."""
+
+    def __new__(
+        cls,
+        meshes: list[SceneMesh | None],
+        fields: list[SceneField | None],
+        transforms: NDArray[np.float64],
+        first_materials: list[int],
+        opacities: list[float],
+        casts_shadow: list[bool],
+        visible: list[bool],
+        materials: NDArray[np.float32],
+        textures: list[Texture],
+    ) -> Scene:
+        """One item an instance; ``transforms`` (n, 4, 4) world from local. ``materials`` (k, 13): RGBA, specular,
+        shininess, alpha mode (0 opaque, 1 mask, 2 blend), cutoff, two sided, scattering RGB, texture or -1; an
+        instance has those from its first on, as many as its mesh names."""
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Lower and upper corner of everything, (2, 3), world units."""
+
+def render(
+    scene: Scene,
+    pose: NDArray[np.float64],
+    *,
+    fov_deg: float,
+    size: tuple[int, int],
+    lights: NDArray[np.float64],
+    primary: str,
+    shadows: str,
+    area_samples: int,
+    ambient: float,
+    occlusion: float | None,
+    background: tuple[float, float, float, float],
+    exposure: float,
+    samples: int,
+    device: str,
+    progress: Callable[[float], object] | None = None,
+) -> dict[str, Any]:
+    """Draw a scene. ``lights`` has three rows a light: kind (0 directional, 1 point), tangent of half its angle, radius;
+    direction or position; colour. Keys as for :func:`raymarch`, ``seconds`` a dict of passes."""
 
 def devices() -> list[dict[str, Any]]:
     """What can compute: ``name``, ``backend``, ``type`` ("cpu", "discrete", "integrated", "software", ...),

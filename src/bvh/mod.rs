@@ -12,6 +12,7 @@ pub mod binary;
 mod build;
 pub mod closest;
 pub mod pack;
+pub mod ray;
 
 use crate::geometry::Aabb;
 use glam::Vec3;

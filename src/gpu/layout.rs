@@ -166,6 +166,18 @@ pub struct Pixel {
     pub pad_1: u32,
 }
 
+/// A node of the tree over a scene's instances; `shaders/shared/scene.wgsl`.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct SceneNode {
+    pub min: [f32; 3],
+    /// First item of a leaf, or left child; the right one follows it.
+    pub first: u32,
+    pub max: [f32; 3],
+    /// Items of a leaf; 0 for an inner node.
+    pub count: u32,
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -10,6 +10,7 @@ mod mesh;
 mod query;
 mod render;
 mod run;
+mod scene;
 mod volume;
 
 use pyo3::prelude::*;
@@ -27,6 +28,8 @@ mod _core {
     use super::query::{closest_point, signed_distance};
     #[pymodule_export]
     use super::render::raymarch;
+    #[pymodule_export]
+    use super::scene::{Scene, SceneField, SceneMesh, Texture, render};
     #[pymodule_export]
     use super::volume::{gradient, resample, sample, surface_nets};
 

@@ -81,7 +81,7 @@ pub fn raymarch<'py>(
     Ok(images)
 }
 
-fn pose_matrix(pose: &PyReadonlyArray2<'_, f64>) -> PyResult<[[f64; 4]; 4]> {
+pub fn pose_matrix(pose: &PyReadonlyArray2<'_, f64>) -> PyResult<[[f64; 4]; 4]> {
     let pose_array = pose.as_array();
     if pose_array.shape() != [4, 4] {
         let message = format!("pose: must be a (4, 4) matrix, got shape {:?}", pose_array.shape());
@@ -109,7 +109,7 @@ fn lights(
     Ok(Some(directions.iter().zip(colors.into_iter().map(Vec3::from_array)).map(light).collect()))
 }
 
-fn frame_dict<'py>(py: Python<'py>, frame: Frame) -> PyResult<Bound<'py, PyDict>> {
+pub fn frame_dict<'py>(py: Python<'py>, frame: Frame) -> PyResult<Bound<'py, PyDict>> {
     let (height, width) = (frame.height, frame.width);
     let images = PyDict::new(py);
     images.set_item("color", image_array(py, frame.color, &[height, width, 4])?)?;

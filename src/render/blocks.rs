@@ -94,14 +94,20 @@ impl Blocks for FieldView<'_> {
 
     #[inline]
     fn block(&self, index: [i32; 3]) -> DenseBlock<'_> {
-        DenseBlock { field: self, index }
+        DenseBlock::new(*self, index)
+    }
+}
+
+impl<'a> DenseBlock<'a> {
+    pub fn new(field: FieldView<'a>, index: [i32; 3]) -> Self {
+        Self { field, index }
     }
 }
 
 /// A block of a dense field: its cells are single voxels, counted as those of the grid.
 #[derive(Debug, Clone, Copy)]
 pub struct DenseBlock<'a> {
-    field: &'a FieldView<'a>,
+    field: FieldView<'a>,
     index: [i32; 3],
 }
 

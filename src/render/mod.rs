@@ -340,19 +340,19 @@ impl RaymarchOptions {
 }
 
 /// One row of every array of a frame.
-struct Row<'a> {
-    lights: usize,
-    color: &'a mut [f32],
-    depth: &'a mut [f32],
-    normal: &'a mut [f32],
-    object_id: &'a mut [i32],
-    shadow: &'a mut [f32],
-    steps: &'a mut [u32],
+pub(crate) struct Row<'a> {
+    pub lights: usize,
+    pub color: &'a mut [f32],
+    pub depth: &'a mut [f32],
+    pub normal: &'a mut [f32],
+    pub object_id: &'a mut [i32],
+    pub shadow: &'a mut [f32],
+    pub steps: &'a mut [u32],
 }
 
 impl Frame {
     /// A picture of nothing.
-    fn new(width: usize, height: usize, lights: usize) -> Self {
+    pub(crate) fn new(width: usize, height: usize, lights: usize) -> Self {
         let pixels = width * height;
         Self {
             width,
@@ -367,7 +367,7 @@ impl Frame {
         }
     }
 
-    fn rows(&mut self) -> Vec<Row<'_>> {
+    pub(crate) fn rows(&mut self) -> Vec<Row<'_>> {
         let (width, lights) = (self.width, self.lights);
         let mut shadow = self.shadow.as_mut_slice();
         self.color

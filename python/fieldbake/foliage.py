@@ -1,0 +1,84 @@
+"""Masked surfaces for baking: the parts of triangles that a texture leaves standing."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .mesh import Mesh
+
+#: Triangles are cut until their edges are this long, in voxels: finer detail is lost in the field anyway.
+EDGE_VOXELS = 0.75
+
+#: Cuts of a triangle at most: 4^6 pieces.
+MAX_CUTS = 6
+
+#: A sheet grows by half its thickness, a voxel, past its outline. What remains is taken back from the mask by this much.
+EROSION_VOXELS = 0.5
+
+Corners = NDArray[np.float64]
+
+
+def kept_triangles(mesh: Mesh, resolution: int) -> Mesh:
+    """A mesh without what its alpha masks cut away; the mesh itself where there is no mask.
+
+    Triangles of masked parts are cut into pieces of a voxel's size. A piece stays if the opacity, averaged over its
+    place, is above the cutoff, and the mask there is as wide as the thickness that a sheet gets.
+    """
+    masked = [part for part in mesh.parts if part.alpha_mode == "mask" and part.alpha is not None]
+    if not masked or mesh.uv is None:
+        return mesh
+    voxel = float((mesh.bounds[1] - mesh.bounds[0]).max()) * 1.1 / resolution
+    vertices, uv = mesh.vertices.astype(np.float64), mesh.uv.astype(np.float64)
+    pieces = []
+    for part in mesh.parts:
+        faces = mesh.faces[part.faces.start : part.faces.stop]
+        corners = vertices[faces]
+        if part not in masked or part.alpha is None:
+            pieces.append(corners)
+            continue
+        for triangle, coordinates in zip(corners, uv[faces], strict=True):
+            pieces.append(_standing(triangle, coordinates, part.alpha, voxel))
+    kept = np.concatenate(pieces)
+    if len(kept) == 0:
+        # Everything is cut away: one speck, so that there is something to bake.
+        center = mesh.bounds.mean(axis=0)
+        kept = (center + 1e-3 * voxel * np.eye(3))[None]
+    return Mesh(kept.reshape(-1, 3), np.arange(3 * len(kept)).reshape(-1, 3))
+
+
+def _standing(triangle: Corners, coordinates: Corners, alpha: NDArray[np.float32], voxel: float) -> Corners:
+    """The pieces of one triangle that stay, (n, 3 corners, 3)."""
+    both = np.concatenate([triangle, coordinates], axis=1)[None]
+    longest = np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1).max()
+    cuts = int(np.clip(np.ceil(np.log2(max(longest / (EDGE_VOXELS * voxel), 1))), 0, MAX_CUTS))
+    for _ in range(cuts):
+        both = _cut(both)
+    # World length of a texture width, along this triangle.
+    uv_area = abs(np.linalg.det(np.stack([coordinates[1] - coordinates[0], coordinates[2] - coordinates[0]])))
+    area = np.linalg.norm(np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0]))
+    erosion = EROSION_VOXELS * voxel * np.sqrt(uv_area / area) if area > 0 else 0.0
+    centers = both[:, :, 3:].mean(axis=1)
+    # Pieces near the outline fall to the erosion: all around must stand.
+    angles = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    around = erosion * np.concatenate([[[0.0, 0.0]], np.stack([np.cos(angles), np.sin(angles)], axis=1)])
+    opacity = _sample(alpha, centers[:, None] + around[None])
+    stays = opacity.min(axis=1) >= 0.5
+    return np.asarray(both[stays][:, :, :3])
+
+
+def _cut(both: Corners) -> Corners:
+    """Every triangle in four, positions and coordinates alike."""
+    a, b, c = both[:, 0], both[:, 1], both[:, 2]
+    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+    quarters = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    return np.concatenate([np.stack(quarter, axis=1) for quarter in quarters])
+
+
+def _sample(alpha: NDArray[np.float32], uv: Corners) -> NDArray[np.float32]:
+    """Nearest texel, coordinates repeated, v upwards."""
+    height, width = alpha.shape
+    wrapped = uv - np.floor(uv)
+    x = np.minimum((wrapped[..., 0] * width).astype(np.int64), width - 1)
+    y = np.minimum(((1 - wrapped[..., 1]) * height).astype(np.int64), height - 1)
+    return alpha[y, x]

@@ -1,0 +1,259 @@
+//! `fieldbake._core.Scene` and what it is made of, and `render`.
+
+use super::convert::{Field, row_array, rows};
+use super::device::choose;
+use super::error::Failure;
+use super::mesh::Mesh;
+use super::render::{frame_dict, pose_matrix};
+use super::run::run;
+use crate::error::{DeviceError, SceneError};
+use crate::gpu::Place;
+use crate::render::Camera;
+use crate::scene::field::{DenseField, SampledField};
+use crate::scene::texture::Texture as CoreTexture;
+use crate::scene::triangles::Triangles;
+use crate::volume::Trilinear;
+use crate::scene::{self, Alpha, InstanceInput, Light, Material, Primary, RenderOptions, SceneShadows};
+use glam::{DAffine3, DMat4, DVec3, Vec2, Vec3};
+use numpy::{PyArray2, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::sync::Arc;
+
+/// Distances made ready for the rays of a scene.
+#[pyclass(frozen, module = "fieldbake._core")]
+pub struct SceneField(Arc<dyn scene::field::Field>);
+
+#[pymethods]
+impl SceneField {
+    #[new]
+    fn new(
+        py: Python<'_>,
+        distances: PyReadonlyArray3<'_, f32>,
+        lower: [f64; 3],
+        upper: [f64; 3],
+        inner_lower: [f64; 3],
+        inner_upper: [f64; 3],
+    ) -> PyResult<Self> {
+        let field = Field::new(&distances, lower, upper)?;
+        let inner = [DVec3::from_array(inner_lower), DVec3::from_array(inner_upper)];
+        let made = run(py, None, |progress| {
+            let view = field.view()?;
+            SampledField::new(DenseField::new(*view.grid(), view.distances().to_vec())?, inner, progress)
+        })?;
+        Ok(Self(Arc::new(made)))
+    }
+}
+
+/// Triangles with normals, texture coordinates and materials.
+#[pyclass(frozen, module = "fieldbake._core")]
+pub struct SceneMesh(Arc<Triangles>);
+
+#[pymethods]
+impl SceneMesh {
+    #[new]
+    fn new(
+        py: Python<'_>,
+        mesh: &Mesh,
+        uv: Option<PyReadonlyArray2<'_, f32>>,
+        material: PyReadonlyArray1<'_, u32>,
+    ) -> PyResult<Self> {
+        let mesh = mesh.0.clone();
+        let uv: Vec<Vec2> =
+            uv.map_or_else(Vec::new, |uv| uv.as_array().rows().into_iter().map(|row| Vec2::new(row[0], row[1])).collect());
+        let material: Vec<u32> = material.as_array().to_vec();
+        let made = py.detach(|| Triangles::new(mesh, uv, material)).map_err(Failure::from)?;
+        Ok(Self(Arc::new(made)))
+    }
+
+    #[getter]
+    fn nbytes(&self) -> usize {
+        self.0.bytes()
+    }
+}
+
+/// An image and its smaller copies.
+#[pyclass(frozen, module = "fieldbake._core")]
+pub struct Texture(Arc<CoreTexture>);
+
+#[pymethods]
+impl Texture {
+    #[new]
+    fn new(py: Python<'_>, pixels: PyReadonlyArray3<'_, u8>) -> PyResult<Self> {
+        let (height, width) = (pixels.shape()[0], pixels.shape()[1]);
+        let bytes: Vec<u8> = pixels.as_array().iter().copied().collect();
+        let made = py.detach(|| CoreTexture::new(&bytes, width, height)).map_err(Failure::from)?;
+        Ok(Self(Arc::new(made)))
+    }
+
+    #[getter]
+    fn nbytes(&self) -> usize {
+        self.0.bytes()
+    }
+}
+
+/// Instances, materials and textures, ready to be drawn.
+#[pyclass(frozen, module = "fieldbake._core")]
+pub struct Scene(Arc<scene::Scene>);
+
+/// Columns of the material table.
+const MATERIAL_COLUMNS: usize = 13;
+
+#[pymethods]
+impl Scene {
+    #[new]
+    fn new(
+        py: Python<'_>,
+        meshes: Vec<Option<Py<SceneMesh>>>,
+        fields: Vec<Option<Py<SceneField>>>,
+        transforms: PyReadonlyArray3<'_, f64>,
+        first_materials: Vec<u32>,
+        opacities: Vec<f32>,
+        casts_shadow: Vec<bool>,
+        visible: Vec<bool>,
+        materials: PyReadonlyArray2<'_, f32>,
+        textures: Vec<Py<Texture>>,
+    ) -> PyResult<Self> {
+        let count = meshes.len();
+        let lengths = [fields.len(), first_materials.len(), opacities.len(), casts_shadow.len(), visible.len()];
+        let shapes_fit = transforms.shape() == [count, 4, 4] && materials.shape()[1] == MATERIAL_COLUMNS;
+        if lengths != [count; 5] || !shapes_fit {
+            return Err(Failure::from(SceneError::new("instances", "lists of different lengths")).into());
+        }
+        let transforms = transforms.as_array();
+        let inputs = (0..count)
+            .map(|i| {
+                let entry = |row: usize, column: usize| transforms[[i, row, column]];
+                let columns = std::array::from_fn(|c| std::array::from_fn(|r| entry(r, c)));
+                InstanceInput {
+                    triangles: meshes[i].as_ref().map(|mesh| mesh.get().0.clone()),
+                    field: fields[i].as_ref().map(|field| field.get().0.clone()),
+                    world_from_local: DAffine3::from_mat4(DMat4::from_cols_array_2d(&columns)),
+                    first_material: first_materials[i],
+                    opacity: opacities[i],
+                    casts_shadow: casts_shadow[i],
+                    visible: visible[i],
+                }
+            })
+            .collect();
+        let textures: Vec<_> = textures.iter().map(|texture| texture.get().0.clone()).collect();
+        let materials = materials.as_array();
+        let materials =
+            materials.rows().into_iter().map(|row| material(&row.to_vec(), textures.len())).collect::<PyResult<_>>()?;
+        let made = py.detach(|| scene::Scene::new(inputs, materials, textures)).map_err(Failure::from)?;
+        Ok(Self(Arc::new(made)))
+    }
+
+    #[getter]
+    fn bounds<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        row_array(py, self.0.bounds().into_iter().map(|corner| corner.to_array()))
+    }
+}
+
+/// A row of the material table: RGBA, specular, shininess, alpha mode (0 opaque, 1 mask, 2 blend), cutoff, two sided,
+/// scattering RGB, texture or -1.
+fn material(row: &[f32], textures: usize) -> PyResult<Material> {
+    if !row.iter().all(|value| value.is_finite()) {
+        return Err(Failure::from(SceneError::new("material", format!("must be finite, got {row:?}"))).into());
+    }
+    let texture = (row[12] >= 0.0).then_some(row[12] as u32);
+    if texture.is_some_and(|texture| texture as usize >= textures) {
+        return Err(Failure::from(SceneError::new("material", "refers to a texture that is not there")).into());
+    }
+    Ok(Material {
+        color: [row[0], row[1], row[2], row[3]],
+        specular: row[4],
+        shininess: row[5],
+        alpha: match row[6] as i32 {
+            1 => Alpha::Mask(row[7]),
+            2 => Alpha::Blend,
+            _ => Alpha::Opaque,
+        },
+        two_sided: row[8] != 0.0,
+        scattering: [row[9], row[10], row[11]],
+        texture,
+    })
+}
+
+/// Draw a scene.
+#[pyfunction]
+#[pyo3(signature = (
+    scene, pose, *, fov_deg, size, lights, primary, shadows, area_samples, ambient, occlusion, background, exposure,
+    samples, device, progress=None
+))]
+pub fn render<'py>(
+    py: Python<'py>,
+    scene: &Scene,
+    pose: PyReadonlyArray2<'py, f64>,
+    fov_deg: f64,
+    size: [u32; 2],
+    lights: PyReadonlyArray2<'py, f64>,
+    primary: &str,
+    shadows: &str,
+    area_samples: u32,
+    ambient: f32,
+    occlusion: Option<f64>,
+    background: [f32; 4],
+    exposure: f32,
+    samples: u32,
+    device: &str,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let place = choose(py, device)?;
+    let camera = Camera::from_pose(&pose_matrix(&pose)?, fov_deg).map_err(Failure::from)?;
+    let options = RenderOptions {
+        size,
+        primary: match primary {
+            "auto" => Primary::Auto,
+            "raster" => Primary::Raster,
+            "raymarch" => Primary::Raymarch,
+            other => return Err(unknown("primary", "\"auto\", \"raster\" or \"raymarch\"", other)),
+        },
+        shadows: match shadows {
+            "none" => SceneShadows::None,
+            "hard" => SceneShadows::Hard,
+            "soft" => SceneShadows::Soft,
+            "area" => SceneShadows::Area(area_samples),
+            "article" => SceneShadows::Article,
+            other => return Err(unknown("shadows", "\"soft\", \"hard\", \"none\" or \"area\"", other)),
+        },
+        lights: rows::<f64>(&lights, "lights")?.as_chunks::<3>().0.iter().map(light).collect(),
+        ambient,
+        occlusion,
+        background,
+        exposure,
+        samples,
+    };
+    let scene = scene.0.clone();
+    let rendered = match &place {
+        Place::Cpu => run(py, progress, |progress| scene::render(&scene, &camera, &options, progress))?,
+        Place::Gpu(_) => {
+            let reason = "scenes are drawn on the CPU only so far; use device=\"cpu\"".to_owned();
+            let missing = DeviceError::NotAvailable { requested: device.to_owned(), reason };
+            return Err(Failure::from(missing).into());
+        }
+    };
+    let images = frame_dict(py, rendered.frame)?;
+    images.set_item("device", place.label())?;
+    let seconds = PyDict::new(py);
+    for (stage, duration) in rendered.seconds {
+        seconds.set_item(stage, duration)?;
+    }
+    images.set_item("seconds", seconds)?;
+    Ok(images)
+}
+
+/// Three rows of three: kind (0 directional, 1 point), slope, radius; direction or position; colour.
+fn light(rows: &[[f64; 3]; 3]) -> Light {
+    let [[kind, slope, radius], place, color] = *rows;
+    let (place, color) = (DVec3::from_array(place), DVec3::from_array(color).as_vec3());
+    if kind == 0.0 {
+        Light::Directional { direction: place, color, slope: slope as f32 }
+    } else {
+        Light::Point { position: place, color: Vec3::from(color), radius }
+    }
+}
+
+fn unknown(what: &str, expected: &str, got: &str) -> PyErr {
+    Failure::from(SceneError::new(what, format!("must be {expected}, got {got:?}"))).into()
+}

@@ -1,0 +1,223 @@
+//! What light meets in a thing: a distance field, as shadow, occlusion and scattering rays ask it.
+//!
+//! A [`Field`] has a space of its own, in which its rays are plain: grid space for a sampled volume (voxel centres at
+//! whole numbers). Distances are in the thing's own units. Whatever answers the five questions of the trait can stand
+//! in a scene; [`SampledField`] does so with the trilinear cells of a stored volume.
+//!
+//! Outside its box a sampled field knows less. With `b` the nearest point of the box at distance `a`, and `s` the distance
+//! there, the surface is at least `sqrt(a^2 + s^2)` away, because the box is convex: rays may step that far. The nearest
+//! surface point of `b`, `q = b - s gradient`, lies on the surface, so `|p - q|` is no less than the truth; penumbrae take
+//! that, which is off by second order only.
+
+use crate::error::Error;
+use crate::grid::Grid;
+use crate::progress::Progress;
+use crate::render::blocks::{Blocks, DenseBlock};
+use crate::render::march::{GridRay, Marcher};
+use crate::volume::{Cell, FieldView, Trilinear, trilinear};
+use glam::{DAffine3, DMat3, DVec3, IVec3, Vec3};
+
+/// A ray in field space: `origin + t direction`, with `t` in the unit of whoever asks.
+#[derive(Debug, Clone, Copy)]
+pub struct FieldRay {
+    pub origin: Vec3,
+    pub direction: Vec3,
+}
+
+/// A hit of a ray with the surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FieldHit {
+    pub t: f32,
+    /// The ray began inside, or entered the data where it is inside.
+    pub at_start: bool,
+}
+
+/// A solid known by its distances.
+pub trait Field: Send + Sync {
+    /// From the thing's own coordinates to those of the field.
+    fn field_from_local(&self) -> DAffine3;
+
+    /// Lower and upper corner of the data, field space.
+    fn bounds(&self) -> [Vec3; 2];
+
+    /// Lower and upper corner of a box that holds the surface, field space.
+    fn surface_bounds(&self) -> [Vec3; 2];
+
+    /// The smallest detail, in the thing's units: the voxel.
+    fn voxel(&self) -> f64;
+
+    /// The first point with `t` in `[0, t_max]` that is inside, exact for what the field is made of, and the steps taken.
+    /// The ray lies in `bounds`.
+    fn first_hit(&self, ray: &FieldRay, t_max: f32) -> (Option<FieldHit>, u32);
+
+    /// The distance at a point, in the thing's units, negative inside; outside the data a lower bound.
+    fn distance(&self, p: Vec3) -> f32;
+
+    /// A better guess than `distance` outside the data, where it may exceed the truth by second order.
+    fn distance_guess(&self, p: Vec3) -> f32;
+
+    /// Gradient of the distance in the thing's own axes, near length 1; zero where there is none.
+    fn gradient(&self, p: Vec3) -> Vec3;
+
+    /// The dense grid behind it, which devices take.
+    fn dense(&self) -> Option<&SampledField<DenseField>>;
+}
+
+/// A stored field of trilinear cells, made ready for rays.
+#[derive(Debug)]
+pub struct SampledField<F> {
+    marcher: Marcher<F>,
+    /// Corners of the surface's box, grid space.
+    surface: [Vec3; 2],
+    spacing: Vec3,
+    last_point: Vec3,
+}
+
+impl<F: Blocks> SampledField<F> {
+    /// `inner` holds the surface, world units of the grid. Fails where a distance is not a finite number of reasonable size.
+    pub fn new(field: F, inner: [DVec3; 2], progress: &Progress) -> Result<Self, Error> {
+        let last_point = (field.shape() - 0.5).as_vec3();
+        // The trilinear surface may leave the true one by less than a voxel.
+        let lower = (field.grid_from_world(inner[0]).as_vec3() - 1.0).clamp(Vec3::splat(-0.5), last_point);
+        let upper = (field.grid_from_world(inner[1]).as_vec3() + 1.0).clamp(Vec3::splat(-0.5), last_point);
+        let spacing = field.grid().spacing().as_vec3();
+        Ok(Self { marcher: Marcher::new(field, progress)?, surface: [lower, upper], spacing, last_point })
+    }
+
+    pub fn marcher(&self) -> &Marcher<F> {
+        &self.marcher
+    }
+
+    /// The trilinear field at the nearest point of the box.
+    #[inline]
+    fn sample(&self, p: Vec3) -> f32 {
+        let p = p.clamp(Vec3::splat(-0.5), self.last_point);
+        let index = p.floor();
+        let cell = self.marcher.field.cell(IVec3::new(index.x as i32, index.y as i32, index.z as i32));
+        trilinear(&cell.corners, (p - cell.first.as_vec3()) / cell.size as f32)
+    }
+}
+
+impl<F: Blocks + Send + Sync + AsDense> Field for SampledField<F> {
+    fn field_from_local(&self) -> DAffine3 {
+        let grid = self.marcher.field.grid();
+        let inverse = 1.0 / grid.spacing();
+        DAffine3::from_mat3_translation(DMat3::from_diagonal(inverse), -grid.lower * inverse - 0.5)
+    }
+
+    fn bounds(&self) -> [Vec3; 2] {
+        [Vec3::splat(-0.5), self.last_point]
+    }
+
+    fn surface_bounds(&self) -> [Vec3; 2] {
+        self.surface
+    }
+
+    fn voxel(&self) -> f64 {
+        self.marcher.field.grid().spacing().max_element()
+    }
+
+    fn first_hit(&self, ray: &FieldRay, t_max: f32) -> (Option<FieldHit>, u32) {
+        let voxels_per_t = ray.direction.length();
+        let grid_ray =
+            GridRay { origin: ray.origin, direction: ray.direction / voxels_per_t, t_max: t_max * voxels_per_t };
+        let march = self.marcher.march(&grid_ray);
+        let hit = march.hit.map(|hit| FieldHit { t: hit.t / voxels_per_t, at_start: hit.at_start });
+        (hit, march.steps)
+    }
+
+    #[inline]
+    fn distance(&self, p: Vec3) -> f32 {
+        let b = p.clamp(Vec3::splat(-0.5), self.last_point);
+        let a_squared = ((p - b) * self.spacing).length_squared();
+        let s = self.sample(b);
+        if a_squared == 0.0 { s } else { (a_squared + s.max(0.0) * s.max(0.0)).sqrt() }
+    }
+
+    #[inline]
+    fn distance_guess(&self, p: Vec3) -> f32 {
+        let b = p.clamp(Vec3::splat(-0.5), self.last_point);
+        let s = self.sample(b);
+        if p == b || s <= 0.0 {
+            return self.distance(p);
+        }
+        ((p - b) * self.spacing + s * self.gradient(b)).length()
+    }
+
+    fn gradient(&self, p: Vec3) -> Vec3 {
+        // Averaged over a voxel, and inward of the outer half voxel, where the field is constant along an axis.
+        let low = Vec3::splat(0.5).min(self.last_point - 1.0);
+        let p = p.max(low).min((self.last_point - 1.0).max(low));
+        let across = |half: Vec3| self.sample(p + half) - self.sample(p - half);
+        let slope = Vec3::new(across(0.5 * Vec3::X), across(0.5 * Vec3::Y), across(0.5 * Vec3::Z)) / self.spacing;
+        let largest = slope.abs().max_element();
+        if largest == 0.0 { Vec3::ZERO } else { (slope / largest).normalize_or_zero() }
+    }
+
+    fn dense(&self) -> Option<&SampledField<DenseField>> {
+        F::as_dense(self)
+    }
+}
+
+/// Fields that may be dense ones, which devices can take.
+pub trait AsDense: Sized {
+    fn as_dense(field: &SampledField<Self>) -> Option<&SampledField<DenseField>>;
+}
+
+/// A grid of distances that owns its samples, x fastest.
+#[derive(Debug)]
+pub struct DenseField {
+    grid: Grid,
+    samples: Vec<f32>,
+}
+
+impl DenseField {
+    pub fn new(grid: Grid, samples: Vec<f32>) -> Result<Self, Error> {
+        FieldView::new(grid, &samples)?;
+        Ok(Self { grid, samples })
+    }
+
+    pub fn samples(&self) -> &[f32] {
+        &self.samples
+    }
+
+    #[inline]
+    fn view(&self) -> FieldView<'_> {
+        FieldView::new(self.grid, &self.samples).expect("checked when it was made")
+    }
+}
+
+impl AsDense for DenseField {
+    fn as_dense(field: &SampledField<Self>) -> Option<&SampledField<DenseField>> {
+        Some(field)
+    }
+}
+
+impl Trilinear for DenseField {
+    fn grid(&self) -> &Grid {
+        &self.grid
+    }
+
+    #[inline]
+    fn cell(&self, index: IVec3) -> Cell {
+        self.view().cell(index)
+    }
+
+    fn distance_bound(&self, p: DVec3, inner: [DVec3; 2]) -> f32 {
+        self.view().distance_bound(p, inner)
+    }
+}
+
+impl Blocks for DenseField {
+    const SIDE: i32 = <FieldView<'static> as Blocks>::SIDE;
+    type Block<'b> = DenseBlock<'b>;
+
+    fn occupied(&self, progress: &Progress) -> Result<Vec<bool>, Error> {
+        self.view().occupied(progress)
+    }
+
+    #[inline]
+    fn block(&self, index: [i32; 3]) -> DenseBlock<'_> {
+        DenseBlock::new(self.view(), index)
+    }
+}

@@ -1,0 +1,403 @@
+//! Scenes: instances of meshes and volumes under any affine transform, seen by a camera and lit through distance fields.
+//!
+//! # Theory
+//!
+//! A picture is made in two passes that meet in a G-buffer. The *primary* pass ([`primary`]) finds what each pixel sees:
+//! triangles exactly, as a rasteriser would at pixel centres, or the root of a field. The *light* pass ([`light`]) asks the
+//! scene's distance fields ([`field`], [`shadow`]) how much of each light arrives, how open the surroundings are, and how
+//! much matter lies behind the surface. Both walk a tree over the instances' boxes ([`tree`]).
+//!
+//! Spaces: *world*, as the user has it; *scene*, `(world - center) / scale` with a power of two, where the scene spans about
+//! 1 and float32 is good; *local*, the coordinates of the thing in an instance; *field*, see [`field`]. Matrices are
+//! named target-from-source. A distance `d` of an instance reaches `d / |L r|` along a scene ray `r`, `L` taking scene to
+//! local: safe for any affine transform, as the local ball around a point is an ellipsoid in the scene.
+//!
+//! # Practice
+//!
+//! Build a [`Scene`] once and [`render`] it as often as you like. Things are shared: a forest of one tree holds one field.
+//! To let another kind of thing cast shadows, implement [`field::Field`].
+
+pub mod article;
+pub mod field;
+pub mod light;
+pub mod primary;
+pub mod shadow;
+pub mod texture;
+pub mod tree;
+pub mod triangles;
+
+use crate::error::{Error, SceneError};
+use crate::geometry::Aabb;
+use crate::progress::Progress;
+use crate::render::{Camera, Frame};
+use field::Field;
+use glam::{DAffine3, DMat3, DVec3, Mat3, Vec3};
+use std::sync::Arc;
+use std::time::Instant;
+use texture::Texture;
+use tree::Tree;
+use triangles::Triangles;
+
+/// What a surface looks like.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Material {
+    /// Linear RGB and opacity; a factor of the texture.
+    pub color: [f32; 4],
+    /// Index of a texture of the scene.
+    pub texture: Option<u32>,
+    pub specular: f32,
+    pub shininess: f32,
+    pub alpha: Alpha,
+    /// The back of faces is seen too.
+    pub two_sided: bool,
+    /// How far light goes inside before 1/e of it is left, world units, for each of RGB; 0 where it does not enter.
+    pub scattering: [f32; 3],
+}
+
+/// What opacity means.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Alpha {
+    Opaque,
+    /// Cut out where the opacity is below this.
+    Mask(f32),
+    Blend,
+}
+
+/// A thing and where it stands, as the caller gives it.
+#[derive(Clone)]
+pub struct InstanceInput {
+    pub triangles: Option<Arc<Triangles>>,
+    pub field: Option<Arc<dyn Field>>,
+    pub world_from_local: DAffine3,
+    /// First of the thing's materials in the scene's list.
+    pub first_material: u32,
+    pub opacity: f32,
+    pub casts_shadow: bool,
+    pub visible: bool,
+}
+
+/// An instance with what rays need of it.
+pub struct Instance {
+    pub triangles: Option<Arc<Triangles>>,
+    pub field: Option<Arc<dyn Field>>,
+    pub first_material: u32,
+    pub opacity: f32,
+    pub casts_shadow: bool,
+    pub visible: bool,
+    /// Local coordinates of the mesh's tree (`Mesh::local_from_world`) from scene space.
+    pub tree_from_scene: DAffine3,
+    /// Scene normals from normals of the thing.
+    pub scene_from_normal: Mat3,
+    pub field_from_scene: DAffine3,
+    /// Local directions from scene directions.
+    pub local_from_scene: Mat3,
+    /// Field normals from scene normals. Of a unit normal, its length is what a plane must move to be one voxel off.
+    pub field_normal_from_scene: Mat3,
+    /// Field units that a scene unit spans along each axis.
+    pub field_extent: Vec3,
+    /// Scene units of one local unit, least and most over the directions.
+    pub stretch: [f32; 2],
+}
+
+impl Instance {
+    /// Whether a transform keeps shapes, so that one factor turns local distances to scene distances.
+    pub fn is_uniform(&self) -> bool {
+        self.stretch[1] <= self.stretch[0] * 1.0001
+    }
+}
+
+/// A light in world units.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Light {
+    /// `direction` is the way the light travels, any length; `slope` the tangent of half its angle.
+    Directional { direction: DVec3, color: Vec3, slope: f32 },
+    Point { position: DVec3, color: Vec3, radius: f64 },
+}
+
+/// Lights of a scene at most.
+pub const MAX_LIGHTS: usize = 16;
+
+/// Instances, materials and textures, ready to be drawn.
+pub struct Scene {
+    pub center: DVec3,
+    /// World units of a scene unit.
+    pub scale: f64,
+    pub instances: Vec<Instance>,
+    pub materials: Vec<Material>,
+    pub textures: Vec<Arc<Texture>>,
+    pub tree: Tree,
+    /// Scene boxes of the instances.
+    pub boxes: Vec<Aabb>,
+}
+
+/// How the first surface of a pixel is found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Primary {
+    /// Triangles where there are some, else the field.
+    #[default]
+    Auto,
+    Raster,
+    Raymarch,
+}
+
+/// How shadows are made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum SceneShadows {
+    None,
+    Hard,
+    #[default]
+    Soft,
+    /// So many rays to each light: the reference that soft is measured against.
+    Area(u32),
+    /// The march of the article, with its constants in world units.
+    Article,
+}
+
+/// What a picture looks like.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RenderOptions {
+    pub size: [u32; 2],
+    pub primary: Primary,
+    pub shadows: SceneShadows,
+    pub lights: Vec<Light>,
+    /// Light from all round, as a share of a light of colour 1.
+    pub ambient: f32,
+    /// How far occlusion of the ambient light looks, world units; none without it.
+    pub occlusion: Option<f64>,
+    /// Linear RGBA where nothing is hit.
+    pub background: [f32; 4],
+    pub exposure: f32,
+    /// Rays a pixel for its colour; 1, or a square number.
+    pub samples: u32,
+}
+
+/// A picture and how long its passes took, in seconds.
+#[derive(Debug)]
+pub struct Rendered {
+    pub frame: Frame,
+    pub seconds: Vec<(&'static str, f64)>,
+}
+
+/// Instances at most.
+const MAX_INSTANCES: usize = 1 << 24;
+
+impl Scene {
+    pub fn new(
+        inputs: Vec<InstanceInput>,
+        materials: Vec<Material>,
+        textures: Vec<Arc<Texture>>,
+    ) -> Result<Self, Error> {
+        if inputs.is_empty() || inputs.len() > MAX_INSTANCES {
+            let problem = format!("a scene needs 1 to {MAX_INSTANCES} instances, got {}", inputs.len());
+            return Err(SceneError::new("instances", problem).into());
+        }
+        let world_boxes = inputs.iter().enumerate().map(|(i, input)| world_box(i, input)).collect::<Result<Vec<_>, _>>()?;
+        let lower = world_boxes.iter().fold(DVec3::INFINITY, |lower, b| lower.min(b[0]));
+        let upper = world_boxes.iter().fold(DVec3::NEG_INFINITY, |upper, b| upper.max(b[1]));
+        let center = lower * 0.5 + upper * 0.5;
+        let scale = (upper - lower).max_element().max(f64::MIN_POSITIVE).log2().ceil().exp2();
+        let boxes: Vec<Aabb> = world_boxes
+            .iter()
+            .map(|b| Aabb { min: ((b[0] - center) / scale).as_vec3(), max: ((b[1] - center) / scale).as_vec3() })
+            .collect();
+        let instances = inputs
+            .into_iter()
+            .enumerate()
+            .map(|(i, input)| instance(i, input, center, scale, materials.len()))
+            .collect::<Result<_, _>>()?;
+        let tree = Tree::new(&boxes);
+        Ok(Self { center, scale, instances, materials, textures, tree, boxes })
+    }
+
+    pub fn scene_from_world(&self, p: DVec3) -> DVec3 {
+        (p - self.center) / self.scale
+    }
+
+    /// Box of everything, world units.
+    pub fn bounds(&self) -> [DVec3; 2] {
+        let all = self.boxes.iter().fold(Aabb::EMPTY, |all, &b| all.union(b));
+        [all.min, all.max].map(|corner| self.center + corner.as_dvec3() * self.scale)
+    }
+}
+
+/// Draw a scene on the CPU.
+pub fn render(
+    scene: &Scene,
+    camera: &Camera,
+    options: &RenderOptions,
+    progress: &Progress,
+) -> Result<Rendered, Error> {
+    check(scene, options)?;
+    let sides = (options.samples as f64).sqrt().round() as u32;
+    let passes = if sides == 1 { 1 } else { 1 + sides * sides };
+    progress.set_total(u64::from(passes) * 2 * u64::from(options.size[1]));
+
+    let lights = light::Lights::new(scene, camera, options);
+    let mut seconds = vec![("primary", 0.0), ("light", 0.0)];
+    let mut frame: Option<Frame> = None;
+    let mut sum: Vec<f32> = Vec::new();
+    for pass in 0..passes {
+        // The first pass looks through pixel centres; the others fill each pixel evenly, for its colour alone.
+        let offset = match pass.checked_sub(1) {
+            None => [0.5, 0.5],
+            Some(i) => [i % sides, i / sides].map(|k| (f64::from(k) + 0.5) / f64::from(sides)),
+        };
+        let start = Instant::now();
+        let buffer = primary::draw(scene, camera, options, offset, progress)?;
+        seconds[0].1 += start.elapsed().as_secs_f64();
+        let start = Instant::now();
+        let lit = light::shade(scene, &buffer, &lights, options, progress)?;
+        seconds[1].1 += start.elapsed().as_secs_f64();
+        match &mut frame {
+            None => frame = Some(lit),
+            Some(_) if sum.is_empty() => sum = lit.color,
+            Some(_) => sum.iter_mut().zip(lit.color).for_each(|(sum, color)| *sum += color),
+        }
+    }
+    let mut frame = frame.expect("at least one pass");
+    if !sum.is_empty() {
+        let share = 1.0 / (sides * sides) as f32;
+        frame.color = sum.into_iter().map(|color| color * share).collect();
+    }
+    Ok(Rendered { frame, seconds })
+}
+
+/// Pixels of a picture at most, as for volumes.
+const MAX_PIXELS: u64 = 1 << 28;
+
+pub(crate) fn check(scene: &Scene, options: &RenderOptions) -> Result<(), Error> {
+    let error = |what: &str, problem: String| Err(SceneError::new(what, problem).into());
+    let [width, height] = options.size;
+    if width == 0 || height == 0 || u64::from(width) * u64::from(height) > MAX_PIXELS {
+        return error("size", format!("expected 1 to {MAX_PIXELS} pixels, got {width} x {height}"));
+    }
+    if options.lights.len() > MAX_LIGHTS {
+        return error("lights", format!("at most {MAX_LIGHTS}, got {}", options.lights.len()));
+    }
+    let sides = (f64::from(options.samples)).sqrt().round() as u32;
+    if options.samples == 0 || options.samples > 64 || sides * sides != options.samples {
+        return error("samples", format!("must be a square number from 1 to 64, got {}", options.samples));
+    }
+    for (i, instance) in scene.instances.iter().enumerate().filter(|(_, instance)| instance.visible) {
+        if options.primary == Primary::Raster && instance.triangles.is_none() {
+            return error(
+                "primary",
+                format!("instances[{i}] has no triangles to raster; use \"auto\" or \"raymarch\""),
+            );
+        }
+        if options.primary == Primary::Raymarch && instance.field.is_none() {
+            return error("primary", format!("instances[{i}] has no field to march; use \"auto\" or \"raster\""));
+        }
+    }
+    Ok(())
+}
+
+/// Where an instance is, world units.
+fn world_box(index: usize, input: &InstanceInput) -> Result<[DVec3; 2], Error> {
+    let (mut lower, mut upper) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    let mut grow = |corners: [DVec3; 2], world_from: DAffine3| {
+        for i in 0..8 {
+            let pick = |axis: usize| corners[i >> axis & 1][axis];
+            let p = world_from.transform_point3(DVec3::new(pick(0), pick(1), pick(2)));
+            lower = lower.min(p);
+            upper = upper.max(p);
+        }
+    };
+    if let Some(triangles) = &input.triangles {
+        grow(triangles.mesh.bounds(), input.world_from_local);
+    }
+    if let Some(field) = &input.field {
+        let corners = field.surface_bounds().map(|corner| corner.as_dvec3());
+        grow(corners, input.world_from_local * field.field_from_local().inverse());
+    }
+    let what = || format!("instances[{index}]");
+    if input.triangles.is_none() && input.field.is_none() {
+        return Err(SceneError::new(what(), "has neither triangles nor a field").into());
+    }
+    let extent = (upper - lower).max_element();
+    if !(extent.is_finite() && lower.is_finite() && upper.is_finite() && extent < 1e30) {
+        return Err(SceneError::new(what(), format!("spans {lower} to {upper}, which is too large to draw")).into());
+    }
+    Ok([lower, upper])
+}
+
+/// Ratio of the largest to the smallest singular value past which a transform counts as singular.
+const LARGEST_CONDITION: f64 = 1e9;
+
+fn instance(
+    index: usize,
+    input: InstanceInput,
+    center: DVec3,
+    scale: f64,
+    materials: usize,
+) -> Result<Instance, Error> {
+    let what = || format!("instances[{index}]");
+    let world_from_local = input.world_from_local;
+    let linear = world_from_local.matrix3;
+    let singular = singular_values(linear);
+    if !(singular[0] > 0.0 && singular[1].is_finite() && singular[1] / singular[0] < LARGEST_CONDITION) {
+        return Err(SceneError::new(what(), "transform cannot be undone: it is singular or not finite").into());
+    }
+    if !(0.0..=1.0).contains(&input.opacity) {
+        return Err(SceneError::new(what(), format!("opacity must lie from 0 to 1, got {}", input.opacity)).into());
+    }
+    let of_thing = input.triangles.as_ref().map_or(1, |t| t.material.iter().max().map_or(1, |&last| last as usize + 1));
+    if input.first_material as usize + of_thing > materials {
+        return Err(SceneError::new(what(), "refers to a material that the scene does not have").into());
+    }
+    let world_from_scene = DAffine3::from_mat3_translation(DMat3::from_diagonal(DVec3::splat(scale)), center);
+    let local_from_scene = world_from_local.inverse() * world_from_scene;
+    let tree_from_local = input.triangles.as_ref().map_or(DAffine3::IDENTITY, |triangles| {
+        let mesh = &triangles.mesh;
+        DAffine3::from_mat3_translation(
+            DMat3::from_diagonal(DVec3::splat(1.0 / mesh.scale())),
+            -mesh.center() / mesh.scale(),
+        )
+    });
+    let field_from_local = input.field.as_ref().map_or(DAffine3::IDENTITY, |field| field.field_from_local());
+    let field_from_scene = field_from_local * local_from_scene;
+    let rows = field_from_scene.matrix3.transpose();
+    Ok(Instance {
+        tree_from_scene: tree_from_local * local_from_scene,
+        scene_from_normal: (local_from_scene.matrix3 * scale).transpose().as_mat3(),
+        field_from_scene,
+        local_from_scene: local_from_scene.matrix3.as_mat3(),
+        field_normal_from_scene: field_from_scene.matrix3.inverse().transpose().as_mat3(),
+        field_extent: DVec3::new(rows.x_axis.length(), rows.y_axis.length(), rows.z_axis.length()).as_vec3(),
+        stretch: [(singular[0] / scale) as f32, (singular[1] / scale) as f32],
+        triangles: input.triangles,
+        field: input.field,
+        first_material: input.first_material,
+        opacity: input.opacity,
+        casts_shadow: input.casts_shadow,
+        visible: input.visible,
+    })
+}
+
+/// Least and largest singular value, by the eigenvalues of `m^T m` (Jacobi rotations).
+fn singular_values(m: DMat3) -> [f64; 2] {
+    let size = m.to_cols_array().iter().fold(0.0f64, |size, x| size.max(x.abs()));
+    if !(size > 0.0 && size.is_finite()) {
+        return [0.0, size];
+    }
+    let m = m * (1.0 / size);
+    let mut a = (m.transpose() * m).to_cols_array_2d();
+    for _ in 0..30 {
+        for (p, q) in [(0, 1), (0, 2), (1, 2)] {
+            if a[p][q] == 0.0 {
+                continue;
+            }
+            let theta = 0.5 * (2.0 * a[p][q]).atan2(a[q][q] - a[p][p]);
+            let (s, c) = theta.sin_cos();
+            let mut turn = DMat3::IDENTITY.to_cols_array_2d();
+            (turn[p][p], turn[q][q], turn[p][q], turn[q][p]) = (c, c, -s, s);
+            let turn = DMat3::from_cols_array_2d(&turn);
+            a = (turn.transpose() * DMat3::from_cols_array_2d(&a) * turn).to_cols_array_2d();
+        }
+    }
+    let values = [a[0][0], a[1][1], a[2][2]].map(|value| value.max(0.0).sqrt() * size);
+    [values.into_iter().fold(f64::INFINITY, f64::min), values.into_iter().fold(0.0, f64::max)]
+}
+
+#[cfg(test)]
+mod tests;

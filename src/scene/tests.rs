@@ -1,0 +1,1 @@
+//! Scenes whose pictures are known in closed form.

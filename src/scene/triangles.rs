@@ -1,0 +1,152 @@
+//! A mesh as a camera sees it: smooth normals, texture coordinates, and which material each face has.
+//!
+//! Files rarely carry normals that fit their faces, so they are made here: at each corner the mean of the faces around
+//! the vertex, weighed by their angle there, but only of those within [`CREASE_DEG`] of the corner's own face. So a
+//! scan is smooth and a box keeps its edges.
+
+use crate::error::{Error, SceneError};
+use crate::mesh::Mesh;
+use glam::{DVec3, Vec2, Vec3};
+use std::sync::Arc;
+
+/// Faces that meet at more than this are divided by an edge.
+const CREASE_DEG: f64 = 45.0;
+
+/// A mesh ready to be drawn.
+#[derive(Debug)]
+pub struct Triangles {
+    pub mesh: Arc<Mesh>,
+    /// One row a vertex; empty without texture coordinates.
+    pub uv: Vec<Vec2>,
+    /// Index of the material of each face, among those of the mesh.
+    pub material: Vec<u32>,
+    /// Unit normals of each face's corners, the mesh's axes.
+    pub normals: Vec<[Vec3; 3]>,
+}
+
+impl Triangles {
+    pub fn new(mesh: Arc<Mesh>, uv: Vec<Vec2>, material: Vec<u32>) -> Result<Self, Error> {
+        let (vertices, faces) = (mesh.positions().len(), mesh.faces().len());
+        if !(uv.is_empty() || uv.len() == vertices) {
+            return Err(SceneError::new("uv", format!("{} rows for {vertices} vertices", uv.len())).into());
+        }
+        if material.len() != faces {
+            return Err(SceneError::new("material", format!("{} rows for {faces} faces", material.len())).into());
+        }
+        let normals = corner_normals(&mesh);
+        Ok(Self { mesh, uv, material, normals })
+    }
+
+    /// Texture coordinates at barycentric weights of the second and third corner; zero without any.
+    pub fn uv_at(&self, face: u32, u: f32, v: f32) -> Vec2 {
+        if self.uv.is_empty() {
+            return Vec2::ZERO;
+        }
+        let [a, b, c] = self.mesh.faces()[face as usize].map(|vertex| self.uv[vertex as usize]);
+        a * (1.0 - u - v) + b * u + c * v
+    }
+
+    /// Smooth normal, the mesh's axes, not unit.
+    pub fn normal_at(&self, face: u32, u: f32, v: f32) -> Vec3 {
+        let [a, b, c] = self.normals[face as usize];
+        a * (1.0 - u - v) + b * u + c * v
+    }
+
+    /// Texture widths per local unit on a face: the square root of the ratio of areas.
+    pub fn uv_density(&self, face: u32) -> f32 {
+        if self.uv.is_empty() {
+            return 0.0;
+        }
+        let [a, b, c] = self.mesh.faces()[face as usize].map(|vertex| self.uv[vertex as usize]);
+        let (ab, ac) = (b - a, c - a);
+        let [p, q, r] = self.mesh.triangle(face);
+        let area = (q - p).cross(r - p).length() as f32;
+        (ab.perp_dot(ac).abs() / area.max(f32::MIN_POSITIVE)).sqrt()
+    }
+
+    pub fn bytes(&self) -> usize {
+        self.mesh.bytes() + size_of_val(&self.uv[..]) + size_of_val(&self.material[..]) + size_of_val(&self.normals[..])
+    }
+}
+
+fn corner_normals(mesh: &Mesh) -> Vec<[Vec3; 3]> {
+    let welded = &mesh.topology().welded;
+    let unit: Vec<DVec3> = (0..mesh.faces().len() as u32)
+        .map(|face| {
+            let [a, b, c] = mesh.triangle(face);
+            (b - a).cross(c - a).normalize_or_zero()
+        })
+        .collect();
+    // The corners at each place: face and angle, sorted by place.
+    let mut around: Vec<(u32, u32, f64)> = Vec::with_capacity(3 * mesh.faces().len());
+    for (face, corners) in mesh.faces().iter().enumerate() {
+        let p = mesh.triangle(face as u32);
+        for i in 0..3 {
+            let (to_next, to_last) = (p[(i + 1) % 3] - p[i], p[(i + 2) % 3] - p[i]);
+            around.push((welded[corners[i] as usize], face as u32, to_next.angle_between(to_last)));
+        }
+    }
+    around.sort_by_key(|&(place, face, _)| (place, face));
+    let mut first = vec![0usize; mesh.positions().len() + 1];
+    for &(place, ..) in &around {
+        first[place as usize + 1] += 1;
+    }
+    for i in 1..first.len() {
+        first[i] += first[i - 1];
+    }
+
+    let crease = CREASE_DEG.to_radians().cos();
+    let normal_of = |face: usize, vertex: u32| {
+        let own = unit[face];
+        let place = welded[vertex as usize] as usize;
+        let sum: DVec3 = around[first[place]..first[place + 1]]
+            .iter()
+            .filter(|(_, other, _)| unit[*other as usize].dot(own) >= crease)
+            .map(|(_, other, angle)| unit[*other as usize] * *angle)
+            .sum();
+        sum.try_normalize().unwrap_or(own).as_vec3()
+    };
+    mesh.faces().iter().enumerate().map(|(face, corners)| corners.map(|vertex| normal_of(face, vertex))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn triangles(vertices: &[[f64; 3]], faces: &[[i64; 3]]) -> Triangles {
+        Triangles::new(Arc::new(Mesh::new(vertices, faces).unwrap()), vec![], vec![0; faces.len()]).unwrap()
+    }
+
+    #[test]
+    fn a_right_angle_is_an_edge_and_a_gentle_one_is_smooth() {
+        // Two quads that share the y axis; the second rises by `angle`.
+        let folded = |angle: f64| {
+            let (x, z) = (angle.cos(), angle.sin());
+            let vertices = [
+                [-1.0, 0.0, 0.0],
+                [0.0, 0.0, 0.0],
+                [0.0, 1.0, 0.0],
+                [-1.0, 1.0, 0.0],
+                // The shared edge again: equal places count as one.
+                [0.0, 0.0, 0.0],
+                [x, 0.0, z],
+                [x, 1.0, z],
+                [0.0, 1.0, 0.0],
+            ];
+            triangles(&vertices, &[[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+        };
+        let sharp = folded(1.2);
+        assert!(sharp.normal_at(0, 1.0, 0.0).distance(Vec3::Z) < 1e-6);
+        let smooth = folded(0.4);
+        let at_edge = smooth.normal_at(0, 1.0, 0.0).normalize();
+        assert!(at_edge.x < -0.05 && at_edge.z > 0.9);
+        assert!(smooth.normal_at(0, 0.0, 0.0).distance(Vec3::Z) < 1e-6);
+    }
+
+    #[test]
+    fn rows_must_match() {
+        let mesh = Arc::new(Mesh::new(&[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], &[[0, 1, 2]]).unwrap());
+        assert!(Triangles::new(mesh.clone(), vec![Vec2::ZERO; 2], vec![0]).is_err());
+        assert!(Triangles::new(mesh, vec![], vec![]).is_err());
+    }
+}
