@@ -279,9 +279,21 @@ impl Tile<'_> {
                 } else {
                     previous = self.list_triangles(&block, &near, packs, tangents, list);
                     self.evaluate(&block, sub.0, sub.1, list);
+                    if self.is_unwritten(sub.0) {
+                        previous = self.search(&near, sub.0, sub.1);
+                    }
                 }
             }
         }
+    }
+
+    /// Whether a block still has no distances. Its list is never empty, for the triangle nearest to its centre passes every
+    /// test; but the AVX2 path of one build skipped whole blocks (see *Cost*).
+    #[cold]
+    #[inline(never)]
+    fn is_unwritten(&self, low: [usize; 3]) -> bool {
+        let [i, j, k] = [0, 1, 2].map(|axis| low[axis] - self.low[axis]);
+        self.samples[i + TASK * (j + TASK * k)] == f32::INFINITY
     }
 
     fn block(&self, low: [usize; 3], high: [usize; 3]) -> Block {

@@ -185,7 +185,7 @@ impl Sheared {
             return None;
         }
         let t = self.shear[2] * (u * a.2 + v * b.2 + w * c.2) / sum;
-        Some(RayHit { t, face: 0, u: v / sum, v: w / sum, is_front: sum < 0.0 })
+        Some(RayHit { t, face: 0, u: v / sum, v: w / sum, is_front: sum > 0.0 })
     }
 }
 
