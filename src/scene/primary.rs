@@ -174,7 +174,6 @@ impl Eye<'_> {
         let to_tree = instance.tree_from_scene;
         let origin = to_tree.transform_point3(eye);
         let along = to_tree.matrix3 * (direction / scene.scale);
-        let mirrored = to_tree.matrix3.determinant() < 0.0;
         let material_of = |hit: &RayHit| instance.first_material + triangles.material[hit.face as usize];
         let color_of = |hit: &RayHit| {
             let material = &scene.materials[material_of(hit) as usize];
@@ -191,7 +190,8 @@ impl Eye<'_> {
                 return false;
             }
             let material = &scene.materials[material_of(hit) as usize];
-            if !material.two_sided && hit.is_front == mirrored {
+            // Which side is seen is the same in any space, mirrored or not.
+            if !material.two_sided && !hit.is_front {
                 return false;
             }
             match material.alpha {
@@ -216,7 +216,7 @@ impl Eye<'_> {
             normal: toward_eye(normal, direction, || {
                 let [a, b, c] = triangles.mesh.triangle(hit.face);
                 instance.scene_from_normal * (b - a).cross(c - a).normalize_or_zero().as_vec3()
-            }, hit.is_front != mirrored),
+            }, hit.is_front),
             color,
             is_triangle: true,
         })

@@ -15,9 +15,9 @@
 //! matter covers it. What remains, the penumbra and the shade of thin things, is asked again by [`PARTS`] narrow cones that
 //! share the disc evenly, where edges are straight enough.
 //!
-//! Where the axis itself is blocked, depth inside tells how far the edge is only if matter goes on beside it; the middle of
-//! a thin wall is as shallow as its rim. So the field is looked up one cone's radius further in: only what is deeper there
-//! counts as an edge, everything else as a wall. Walls do not leak, however thin.
+//! Where the axis itself is blocked, depth inside tells how far the edge is only if there is one: the middle of a thin wall is
+//! as shallow as its rim. So a ray is sent just past the presumed edge, and only if it arrives does the edge count. Closed walls
+//! do not leak, however thin, and in however many parts.
 //!
 //! *Bias.* Only the surface's own instance needs one, for its field and its triangles disagree by a part of a voxel: the ray
 //! starts so many voxels off the surface. Nothing is in world units, so scale does not matter; other instances touch the
@@ -50,6 +50,9 @@ pub struct Ray {
 
 /// Cones that share a light's disc where one is not enough.
 pub const PARTS: u32 = 16;
+
+/// How far past an edge the ray goes that is to prove it, in depths.
+const PAST_EDGE: f32 = 1.25;
 
 /// Steps of one cone past one instance. Steps of half a voxel at least cross the diagonal of 128^3 in 450; few cones stay
 /// so near for so long.
@@ -169,7 +172,17 @@ impl Scene {
             least_step: 0.5 / speed as f32,
         };
         match self.hit_of(item, field, place, ray, steps) {
-            Some(t) => walk.inside(t, steps),
+            Some(t) => {
+                let (cone, edge) = walk.inside(t, steps);
+                // It is an edge only if a ray past it is free.
+                let is_edge = edge.is_some_and(|edge| {
+                    let direction = ray.direction + edge.as_dvec3();
+                    let length = direction.length();
+                    let past = Ray { direction: direction / length, t_max: ray.t_max * length };
+                    self.ray_share(place, &past, steps) > 0.0
+                });
+                if cone.is_covered || is_edge { cone } else { Cone { x: -1.0, is_covered: false } }
+            }
             None => Cone { x: walk.beside(steps), is_covered: false },
         }
     }
@@ -337,8 +350,9 @@ impl ConeWalk<'_> {
         x
     }
 
-    /// The axis enters matter at `t_hit`.
-    fn inside(&self, t_hit: f32, steps: &mut u32) -> Cone {
+    /// The axis enters matter at `t_hit`: how deep it gets, in radii, and the offset of a unit direction that would pass the
+    /// nearest edge, if that is near enough.
+    fn inside(&self, t_hit: f32, steps: &mut u32) -> (Cone, Option<Vec3>) {
         let dark = Cone { x: -1.0, is_covered: false };
         let mut deepest = (0.0f32, t_hit);
         // Just past the surface, where the field is below zero.
@@ -352,7 +366,7 @@ impl ConeWalk<'_> {
             }
             let x = self.across(distance, p) / (self.slope * t);
             if x <= -1.0 {
-                return Cone { x: -1.0, is_covered: true };
+                return (Cone { x: -1.0, is_covered: true }, None);
             }
             if x < deepest.0 {
                 deepest = (x, t);
@@ -362,22 +376,15 @@ impl ConeWalk<'_> {
                 break;
             }
         }
-        // Is there more of it one radius further from the nearest surface, across the ray?
+        // The nearest surface across the ray, and a ray just past it.
         let (x, t) = deepest;
         let p = self.at(t);
         let normal = self.instance.local_from_scene.transpose() * self.field.gradient(p);
         let across = normal - normal.dot(self.ray_scene) * self.ray_scene;
-        let Some(across) = across.try_normalize() else { return dark };
-        let radius = self.slope * t;
-        let further = p - self.instance.field_from_scene.matrix3.as_mat3() * (radius * across);
-        let [lower, upper] = self.field.bounds();
-        if further != further.clamp(lower, upper) {
-            return dark;
-        }
-        // A straight edge is a radius deeper there; half of that is trusted in full.
-        let depth_there = -self.across(self.field.distance(further), further) / radius.max(f32::MIN_POSITIVE);
-        let trust = ((depth_there + x) * 2.0).clamp(0.0, 1.0);
-        Cone { x: -1.0 + trust * (x + 1.0), is_covered: false }
+        let Some(across) = across.try_normalize() else { return (dark, None) };
+        let past = PAST_EDGE * -x * self.slope + self.least_step * self.instance.stretch[1] / self.instance.stretch[0] / t;
+        let edge = (past <= 2.0 * self.slope).then_some(past * across);
+        (Cone { x, is_covered: false }, edge)
     }
 }
 
