@@ -31,6 +31,7 @@ from .errors import (
     ShapeError,
 )
 from .frame import Frame
+from .gltf import load_scene
 from .io import load
 from .lights import DirectionalLight, PointLight
 from .materials import Material
@@ -72,6 +73,7 @@ __all__ = [
     "fields",
     "load",
     "load_mesh",
+    "load_scene",
     "models",
     "raymarch",
     "render",

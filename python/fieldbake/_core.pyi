@@ -267,8 +267,8 @@ def render(
     device: str,
     progress: Callable[[float], object] | None = None,
 ) -> dict[str, Any]:
-    """Draw a scene. ``lights`` has three rows a light: kind (0 directional, 1 point), tangent of half its angle, radius;
-    direction or position; colour. Keys as for :func:`raymarch`, ``seconds`` a dict of passes."""
+    """Draw a scene. ``lights`` has three rows a light: kind (0 directional, 1 point), tangent of half its angle,
+    radius; direction or position; colour. Keys as for :func:`raymarch`, ``seconds`` a dict of passes."""
 
 def devices() -> list[dict[str, Any]]:
     """What can compute: ``name``, ``backend``, ``type`` ("cpu", "discrete", "integrated", "software", ...),

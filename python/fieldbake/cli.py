@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.markup import escape
@@ -150,37 +151,60 @@ def info(
 
 @app.command()
 def render(
-    file: Annotated[Path, typer.Argument(help="A baked .npz file or a mesh.")],
+    file: Annotated[Path, typer.Argument(help="A scene, a mesh, or a baked .npz file.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write: .png, .jpg, ...")],
     size: Annotated[Any, typer.Option(parser=parse_size, metavar="WxH", help="Pixels.")] = "640x480",
-    resolution: Resolution = "128",
+    resolution: Resolution = "64",
     eye: Annotated[Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Where to look from.")] = None,
     target: Annotated[Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Where to look at.")] = None,
     up: Annotated[Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Upwards in the picture.")] = "0,1,0",
     fov: Annotated[float, typer.Option(help="Vertical field of view, degrees.")] = 45.0,
     color: Annotated[
-        Any, typer.Option(parser=parse_vector, metavar="R,G,B", help="Of the surface, linear, 0 to 1.")
-    ] = "0.8,0.8,0.8",
-    shadows: Annotated[Literal["hard", "none"], typer.Option(help="Whether the surface shades itself.")] = "hard",
+        Any, typer.Option(parser=parse_vector, metavar="R,G,B", help="Of all surfaces, linear, 0 to 1.")
+    ] = None,
+    shadows: Annotated[
+        Literal["soft", "hard", "none", "area"], typer.Option(help="How lights are held back.")
+    ] = "soft",
+    primary: Annotated[
+        Literal["auto", "raster", "raymarch"], typer.Option(help="Triangles where there are some, or fields alone.")
+    ] = "auto",
+    occlusion: Annotated[bool, typer.Option("--occlusion", help="Darken what is shut in.")] = False,
+    samples: Annotated[int, typer.Option(help="Rays a pixel for clean edges: 1, 4, 9, 16, ...")] = 1,
+    light: Annotated[
+        list[Any] | None,
+        typer.Option(
+            parser=parse_vector, metavar="X,Y,Z", help="Where the sun shines to; in place of the file's lights."
+        ),
+    ] = None,
+    angle: Annotated[float, typer.Option(help="Under which --light is seen, degrees.")] = 2.0,
+    floor: Annotated[bool, typer.Option("--floor", help="Put a floor under everything.")] = False,
     heatmap: Annotated[
         Literal["steps", "depth", "shadow"] | None, typer.Option(help="Show this in place of the colours.")
     ] = None,
     device: Device = "auto",
 ) -> None:
-    """Draw a baked field, or a mesh through a field baked for it."""
-    if file.suffix.lower() == ".npz":
-        volume = fb.load(file)
-    else:
-        volume = fb.bake(file, resolution, device=device, progress=err.is_terminal)
-    bounds = volume.inner_bounds
-    if eye is None:
+    """Draw a scene: a glTF or any mesh file with its textures, cameras and lights, or a baked field."""
+    if target is not None and eye is None:
+        raise typer.BadParameter("needs --eye", param_hint="--target")
+    scene = _scene(file, resolution, color, light, angle, floor)
+    camera = None
+    if eye is not None:
+        camera = fb.Camera(eye, scene.bounds.mean(axis=0) if target is None else target, up, fov)
+    elif not scene.cameras:
+        things = scene.instances[:-1] if floor else scene.instances
+        boxes = np.stack([instance.bounds for instance in things])
+        bounds = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
         camera = fb.Camera.fit(bounds, up=up, fov_deg=fov, aspect=size[0] / size[1])
-        if target is not None:
-            raise typer.BadParameter("needs --eye", param_hint="--target")
-    else:
-        camera = fb.Camera(eye, bounds.mean(axis=0) if target is None else target, up, fov)
-    frame = fb.raymarch(
-        volume, camera, size=size, color=color, shadows=shadows, device=device, progress=err.is_terminal
+    frame = fb.render(
+        scene,
+        camera,
+        size=size,
+        primary=primary,
+        shadows=shadows,
+        ambient_occlusion=occlusion,
+        samples=samples,
+        device=device,
+        progress=err.is_terminal,
     )
     if heatmap is None:
         frame.save(output)
@@ -189,6 +213,36 @@ def render(
 
         save_image(frame.heatmap(heatmap), output)
     out.print(f"[bold]{escape(str(output))}[/]  {escape(repr(frame))}", soft_wrap=True)
+
+
+def _scene(
+    file: Path,
+    resolution: Any,
+    color: tuple[float, float, float] | None,
+    light: list[Any] | None,
+    angle: float,
+    floor: bool,
+) -> fb.Scene:
+    """What `render` draws."""
+    material = None if color is None else fb.Material(color=color)
+    lights = None if not light else [fb.DirectionalLight(way, angle_deg=angle) for way in light]
+    if file.suffix.lower() == ".npz":
+        scene = fb.Scene([fb.Instance(fb.load(file), material=material)])
+    else:
+        voxels = resolution if isinstance(resolution, int) else max(resolution)
+        scene = fb.load_scene(file, resolution=voxels)
+    instances = [
+        item if material is None else fb.Instance(item.thing, item.transform, material, resolution=item.resolution)
+        for item in scene.instances
+    ]
+    if floor:
+        lower, upper = scene.bounds
+        middle, reach = (lower + upper) / 2, 1.5 * float(np.linalg.norm(upper - lower))
+        corners = [
+            (middle[0] + x * reach, lower[1], middle[2] + z * reach) for x, z in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        ]
+        instances.append(fb.Instance(fb.Mesh(corners, [(0, 2, 1), (0, 3, 2)])))
+    return fb.Scene(instances, scene.lights if lights is None else lights, cameras=scene.cameras)
 
 
 @app.command()

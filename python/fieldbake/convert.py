@@ -11,7 +11,7 @@ import itertools
 import os
 import re
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -187,6 +187,11 @@ def _is_table(value: Any) -> bool:
 
 
 def _from_file(path: str | os.PathLike[str]) -> list[_Piece]:
+    return _read_file(path, lambda scene: _from_scene(scene, os.fspath(path)))
+
+
+def _read_file(path: str | os.PathLike[str], take: Callable[[Any], list[_Piece]]) -> list[_Piece]:
+    """The pieces that `take` finds in the file's scene, every failure of a reader as a MeshError."""
     file = Path(path)
     if file.is_dir():
         raise MeshError(f"{path}: is a directory, not a mesh file")
@@ -203,7 +208,7 @@ def _from_file(path: str | os.PathLike[str]) -> list[_Piece]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             scene = trimesh.load_scene(str(file), process=False, resolver=_resolver(file), **options)
-            pieces = _from_scene(scene, os.fspath(path))
+            pieces = take(scene)
         _check_is_whole(_announced_faces(file.suffix.lower(), head), sum(len(piece.faces) for piece in pieces))
         return pieces
     except MeshError:
@@ -214,6 +219,32 @@ def _from_file(path: str | os.PathLike[str]) -> list[_Piece]:
     except Exception as error:  # Readers of damaged files fail in every way there is.
         reason = str(error) or type(error).__name__
         raise MeshError(f"{path}: cannot be read as a mesh ({file.suffix.lstrip('.').upper()}): {reason}") from error
+
+
+def load_nodes(path: str | os.PathLike[str]) -> list[tuple[Mesh, NDArray[np.float64]]]:
+    """The meshes of a file, each with its world-from-local transform; nodes of one geometry share the Mesh."""
+    keys: list[str] = []
+    transforms: list[NDArray[np.float64]] = []
+
+    def take(scene: Any) -> list[_Piece]:
+        pieces = {}
+        for node in scene.graph.nodes_geometry:
+            transform, key = scene.graph[node]
+            geometry = scene.geometry[key]
+            if hasattr(geometry, "faces") and len(geometry.faces) > 0:
+                keys.append(key)
+                transforms.append(_checks.affine(f"{path}: transform of node '{node}'", transform, MeshError))
+                if key not in pieces:
+                    pieces[key] = _from_trimesh(geometry, key)
+        if not pieces:
+            raise MeshError(f"{path}: has no triangles")
+        names.extend(pieces)
+        return list(pieces.values())
+
+    names: list[str] = []
+    pieces = _read_file(path, take)
+    meshes = {name: _mesh([piece], os.fspath(path)) for name, piece in zip(names, pieces, strict=True)}
+    return [(meshes[key], transform) for key, transform in zip(keys, transforms, strict=True)]
 
 
 def _announced_faces(kind: str, content: bytes) -> int:

@@ -1,9 +1,9 @@
 """Fields for the instances of scenes: baked on demand, kept in memory and, where asked for, on disk.
 
-A field is known by a hash of the triangles, the options and the version of the package, so a changed mesh never meets an
-old field. On disk each is one ``.npz`` of our own format that appears whole or not at all: any number of processes may
-share the folder. It is ``platformdirs.user_cache_dir("fieldbake")``, or what ``FIELDBAKE_CACHE`` names; nothing is written
-unless that variable is set or :func:`use_disk` was called.
+A field is known by a hash of the triangles, the options and the version of the package, so a changed mesh never meets
+an old field. On disk each is one ``.npz`` of our own format that appears whole or not at all: any number of processes
+may share the folder. It is ``platformdirs.user_cache_dir("fieldbake")``, or what ``FIELDBAKE_CACHE`` names; nothing is
+written unless that variable is set or :func:`use_disk` was called.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import os
 from collections import OrderedDict
 from pathlib import Path
 from threading import Lock
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,13 +34,13 @@ MEMORY_BYTES = 1 << 30
 #: A mesh thinner than this share of its longest side is flat.
 FLAT = 1e-6
 
-#: Thickness of a flat sheet in voxels. Its samples lie on it, so a plate keeps its faces however thin it is; the outline of
-#: any other shape is right on average where the field dips this deep under it.
+#: Thickness of a flat sheet in voxels. Its samples lie on it, so a plate keeps its faces however thin; the outline
+#: of any other shape is right on average where the field dips this deep under it.
 PLATE_VOXELS = 0.02
 OUTLINE_VOXELS = 0.36
 
 _lock = Lock()
-_kept: OrderedDict[object, tuple[Any, int, Any]] = OrderedDict()
+_kept: OrderedDict[object, tuple[_core.SceneField, int, object]] = OrderedDict()
 _disk: Path | None = None
 
 
@@ -174,7 +173,7 @@ def _field(volume: Volume) -> _core.SceneField:
     return _core.SceneField(volume._distances, lower, upper, _checks.triple(inner[0]), _checks.triple(inner[1]))
 
 
-def _find(key: object) -> Any:
+def _find(key: object) -> _core.SceneField | None:
     with _lock:
         if key not in _kept:
             return None
@@ -182,7 +181,7 @@ def _find(key: object) -> Any:
         return _kept[key][0]
 
 
-def _keep(key: object, field: Any, size: int, owner: object) -> Any:
+def _keep(key: object, field: _core.SceneField, size: int, owner: object) -> _core.SceneField:
     with _lock:
         _kept[key] = (field, size, owner)
         total = sum(entry[1] for entry in _kept.values())

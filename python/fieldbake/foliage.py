@@ -13,7 +13,7 @@ EDGE_VOXELS = 0.75
 #: Cuts of a triangle at most: 4^6 pieces.
 MAX_CUTS = 6
 
-#: A sheet grows by half its thickness, a voxel, past its outline. What remains is taken back from the mask by this much.
+#: A sheet grows by half its thickness, a voxel, past its outline; the mask gives way by as much.
 EROSION_VOXELS = 0.5
 
 Corners = NDArray[np.float64]
@@ -81,4 +81,5 @@ def _sample(alpha: NDArray[np.float32], uv: Corners) -> NDArray[np.float32]:
     wrapped = uv - np.floor(uv)
     x = np.minimum((wrapped[..., 0] * width).astype(np.int64), width - 1)
     y = np.minimum(((1 - wrapped[..., 1]) * height).astype(np.int64), height - 1)
-    return alpha[y, x]
+    opacity: NDArray[np.float32] = alpha[y, x]
+    return opacity

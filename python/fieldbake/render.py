@@ -17,7 +17,7 @@ from .lights import DirectionalLight, Light
 from .progress import Progress, progress_callback
 from .volume import Volume
 
-Shadows = Literal["hard", "none"]
+Shadows = Literal["hard", "none", "soft", "area"]
 Filter = Literal["linear", "hardware"]
 
 #: What is not a Volume yet is baked with so many voxels along its longest side.
@@ -46,12 +46,13 @@ def raymarch(
     device: str = "auto",
     progress: Progress = None,
 ) -> Frame:
-    """Draw the zero level set of a volume by marching rays.
+    """Draw the zero level set of a volume, or all fields of a scene, by marching rays.
 
     Parameters
     ----------
-    thing : Volume, or anything :func:`bake` takes
-        What is not a Volume is baked first, with 128 voxels along its longest side.
+    thing : Volume, Scene, or anything :func:`bake` takes
+        What is not a Volume is baked first, with 128 voxels along its longest side. A Scene brings its own lights and
+        materials and is drawn by :func:`render` with ``primary="raymarch"``; for it `shadows` may be ``"soft"`` too.
     camera : Camera, optional
         Fits the surface if not given: ``Camera.fit(volume.inner_bounds)``.
     size : (width, height), default (512, 512)
@@ -103,6 +104,24 @@ def raymarch(
     ----------
     H. Hansson-Soderlund, A. Evans, T. Akenine-Moller, Ray tracing of signed distance function grids, JCGT 11(3), 2022.
     """
+    from .scene import Scene, render
+
+    if isinstance(thing, Scene):
+        usual = (lights, ambient, specular, shininess, np.shape(color), np.shape(background)) == (
+            None,
+            0.2,
+            0.25,
+            32.0,
+            (3,),
+            (4,),
+        )
+        if (
+            not usual
+            or tuple(np.ravel(color)) != (0.8, 0.8, 0.8)
+            or tuple(np.ravel(background)) != (1.0, 1.0, 1.0, 1.0)
+        ):
+            raise SceneError("lights, ambient, color, specular, shininess and background belong to the Scene")
+        return render(thing, camera, size=size, primary="raymarch", shadows=shadows, device=device, progress=progress)
     width, height = _size(size)
     _checks.text("shadows", shadows)
     _checks.text("filter", filter)

@@ -44,7 +44,8 @@ class Instance:
     Parameters
     ----------
     thing : Mesh, Volume, or anything :func:`bake` takes
-        A mesh is rastered and throws the shadow of its field, which is baked when needed and kept; a volume is raymarched.
+        A mesh is rastered and throws the shadow of its field, which is baked when needed and kept; a volume is
+        raymarched.
     transform : (4, 4), default identity
         World from the thing's own coordinates: any affine map that can be undone.
     material : Material, optional
@@ -71,7 +72,7 @@ class Instance:
     >>> move = np.eye(4)
     >>> move[:3, 3] = 0, 1, 0
     >>> fb.Instance(fb.models.gear(teeth=6), transform=move).bounds.round(3).tolist()
-    [[-0.966, 0.0, -0.175], [0.966, 2.0, 0.175]]
+    [[-0.995, 0.005, -0.175], [0.995, 1.995, 0.175]]
     """
 
     thing: Any
@@ -212,7 +213,7 @@ class Scene:
 
 
 def render(
-    scene: Scene,
+    scene: Any,
     camera: Camera | None = None,
     *,
     size: tuple[int, int] = (512, 512),
@@ -231,7 +232,7 @@ def render(
     Parameters
     ----------
     scene : Scene
-        Or a single thing, or a list of them.
+        Or a thing, or a list of things and Instances.
     camera : Camera, optional
         The scene's first camera, or one that fits its box, if not given.
     size : (width, height), default (512, 512)
@@ -242,16 +243,17 @@ def render(
         ``"soft"``: penumbrae as wide as the lights' sizes make them, by cones. ``"hard"``: lights are points.
         ``"area"``: `area_samples` rays to each light, slow, the reference for soft.
     ambient_occlusion : bool or float, default False
-        Darken what is shut in; a number says how far matter counts, world units (True: 0.15 of the scene's diagonal).
+        Darken what is shut in; a number says how far matter counts, world units (True: 0.15 of the scene's
+        diagonal).
     samples : int, default 1
-        Rays a pixel for its colour: 1, 4, 9, 16, ... for clean edges. Depth and the like are always of the pixel's centre.
+        Rays a pixel for its colour: 1, 4, 9, 16, ... for clean edges. Depth and the like are of the pixel's centre.
     exposure : float, default 1
         Factor of the picture's light.
     area_samples : int, default 64
         Rays to each light for ``shadows="area"``.
     method : "fieldbake" or "article", default "fieldbake"
-        ``"article"``: shadows by the article's own march (100 steps, hit at 0.01, bias 0.05 world units, one loop over all
-        instances), for comparison.
+        ``"article"``: shadows by the article's own march (100 steps, hit at 0.01, bias 0.05 world units, one loop over
+        all instances), for comparison.
     device : str, default "auto"
         ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`.
     progress : bool or callable, optional
@@ -260,8 +262,8 @@ def render(
     Returns
     -------
     Frame
-        Colour, depth, normals, object ids, shadows and steps as arrays. ``report`` has the device, the seconds in all, and
-        the milliseconds of each pass.
+        Colour, depth, normals, object ids, shadows and steps as arrays. ``report`` has the device, the seconds in all,
+        and the milliseconds of each pass.
 
     Raises
     ------
@@ -273,9 +275,9 @@ def render(
     Notes
     -----
     ``color = exposure * (ambient * open * albedo + sum of arrives * light * (max(0, n.l) * albedo + specular * max(0,
-    n.h)^shininess))``, linear; lights do not fade with distance. Penumbrae follow S. Aaltonen, GPU-based clay simulation and
-    ray-tracing tech in Claybook, GDC 2018, centred on the hard edge; the light's disc is shared by 16 cones where one does
-    not decide.
+    n.h)^shininess))``, linear; lights do not fade with distance. Penumbrae follow S. Aaltonen, GPU-based clay
+    simulation and ray-tracing tech in Claybook, GDC 2018, centred on the hard edge; the light's disc is shared by 16
+    cones where one does not decide.
 
     Examples
     --------

@@ -12,8 +12,8 @@ use crate::render::Camera;
 use crate::scene::field::{DenseField, SampledField};
 use crate::scene::texture::Texture as CoreTexture;
 use crate::scene::triangles::Triangles;
-use crate::volume::Trilinear;
 use crate::scene::{self, Alpha, InstanceInput, Light, Material, Primary, RenderOptions, SceneShadows};
+use crate::volume::Trilinear;
 use glam::{DAffine3, DMat4, DVec3, Vec2, Vec3};
 use numpy::{PyArray2, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -59,8 +59,9 @@ impl SceneMesh {
         material: PyReadonlyArray1<'_, u32>,
     ) -> PyResult<Self> {
         let mesh = mesh.0.clone();
-        let uv: Vec<Vec2> =
-            uv.map_or_else(Vec::new, |uv| uv.as_array().rows().into_iter().map(|row| Vec2::new(row[0], row[1])).collect());
+        let uv: Vec<Vec2> = uv.map_or_else(Vec::new, |uv| {
+            uv.as_array().rows().into_iter().map(|row| Vec2::new(row[0], row[1])).collect()
+        });
         let material: Vec<u32> = material.as_array().to_vec();
         let made = py.detach(|| Triangles::new(mesh, uv, material)).map_err(Failure::from)?;
         Ok(Self(Arc::new(made)))

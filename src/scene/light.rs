@@ -46,8 +46,16 @@ pub struct Lights {
 #[derive(Debug, Clone, Copy)]
 pub enum SceneLight {
     /// Unit direction to the light.
-    Directional { to_light: DVec3, color: Vec3, slope: f32 },
-    Point { position: DVec3, color: Vec3, radius: f64 },
+    Directional {
+        to_light: DVec3,
+        color: Vec3,
+        slope: f32,
+    },
+    Point {
+        position: DVec3,
+        color: Vec3,
+        radius: f64,
+    },
 }
 
 impl Lights {
@@ -56,11 +64,9 @@ impl Lights {
             Light::Directional { direction, color, slope } => {
                 SceneLight::Directional { to_light: -direction.normalize(), color, slope }
             }
-            Light::Point { position, color, radius } => SceneLight::Point {
-                position: scene.scene_from_world(position),
-                color,
-                radius: radius / scene.scale,
-            },
+            Light::Point { position, color, radius } => {
+                SceneLight::Point { position: scene.scene_from_world(position), color, radius: radius / scene.scale }
+            }
         };
         Self { lights: options.lights.iter().map(in_scene).collect() }
     }

@@ -110,8 +110,16 @@ impl Instance {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Light {
     /// `direction` is the way the light travels, any length; `slope` the tangent of half its angle.
-    Directional { direction: DVec3, color: Vec3, slope: f32 },
-    Point { position: DVec3, color: Vec3, radius: f64 },
+    Directional {
+        direction: DVec3,
+        color: Vec3,
+        slope: f32,
+    },
+    Point {
+        position: DVec3,
+        color: Vec3,
+        radius: f64,
+    },
 }
 
 /// Lights of a scene at most.
@@ -191,7 +199,8 @@ impl Scene {
             let problem = format!("a scene needs 1 to {MAX_INSTANCES} instances, got {}", inputs.len());
             return Err(SceneError::new("instances", problem).into());
         }
-        let world_boxes = inputs.iter().enumerate().map(|(i, input)| world_box(i, input)).collect::<Result<Vec<_>, _>>()?;
+        let world_boxes =
+            inputs.iter().enumerate().map(|(i, input)| world_box(i, input)).collect::<Result<Vec<_>, _>>()?;
         let lower = world_boxes.iter().fold(DVec3::INFINITY, |lower, b| lower.min(b[0]));
         let upper = world_boxes.iter().fold(DVec3::NEG_INFINITY, |upper, b| upper.max(b[1]));
         let center = lower * 0.5 + upper * 0.5;
@@ -221,12 +230,7 @@ impl Scene {
 }
 
 /// Draw a scene on the CPU.
-pub fn render(
-    scene: &Scene,
-    camera: &Camera,
-    options: &RenderOptions,
-    progress: &Progress,
-) -> Result<Rendered, Error> {
+pub fn render(scene: &Scene, camera: &Camera, options: &RenderOptions, progress: &Progress) -> Result<Rendered, Error> {
     check(scene, options)?;
     let sides = (options.samples as f64).sqrt().round() as u32;
     let passes = if sides == 1 { 1 } else { 1 + sides * sides };

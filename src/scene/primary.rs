@@ -213,10 +213,15 @@ impl Eye<'_> {
             instance: item,
             material: material_of(&hit),
             depth: hit.t,
-            normal: toward_eye(normal, direction, || {
-                let [a, b, c] = triangles.mesh.triangle(hit.face);
-                instance.scene_from_normal * (b - a).cross(c - a).normalize_or_zero().as_vec3()
-            }, hit.is_front),
+            normal: toward_eye(
+                normal,
+                direction,
+                || {
+                    let [a, b, c] = triangles.mesh.triangle(hit.face);
+                    instance.scene_from_normal * (b - a).cross(c - a).normalize_or_zero().as_vec3()
+                },
+                hit.is_front,
+            ),
             color,
             is_triangle: true,
         })

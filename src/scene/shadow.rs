@@ -137,10 +137,7 @@ impl Scene {
             let voxel = (instance.field_normal_from_scene * place.normal).length();
             p += (place.bias_voxels * voxel * place.normal).as_dvec3();
         }
-        (
-            instance.field_from_scene.transform_point3(p),
-            instance.field_from_scene.matrix3 * ray.direction,
-        )
+        (instance.field_from_scene.transform_point3(p), instance.field_from_scene.matrix3 * ray.direction)
     }
 
     /// Look along a cone of radius `slope t` past one instance.
@@ -382,21 +379,15 @@ impl ConeWalk<'_> {
         let normal = self.instance.local_from_scene.transpose() * self.field.gradient(p);
         let across = normal - normal.dot(self.ray_scene) * self.ray_scene;
         let Some(across) = across.try_normalize() else { return (dark, None) };
-        let past = PAST_EDGE * -x * self.slope + self.least_step * self.instance.stretch[1] / self.instance.stretch[0] / t;
+        let past =
+            PAST_EDGE * -x * self.slope + self.least_step * self.instance.stretch[1] / self.instance.stretch[0] / t;
         let edge = (past <= 2.0 * self.slope).then_some(past * across);
         (Cone { x, is_covered: false }, edge)
     }
 }
 
 /// The part of `origin + t direction` in a box, with `t` from `t_min` to `t_max`.
-pub fn clip(
-    origin: DVec3,
-    direction: DVec3,
-    lower: Vec3,
-    upper: Vec3,
-    t_min: f64,
-    t_max: f64,
-) -> Option<(f64, f64)> {
+pub fn clip(origin: DVec3, direction: DVec3, lower: Vec3, upper: Vec3, t_min: f64, t_max: f64) -> Option<(f64, f64)> {
     let (mut enter, mut leave) = (t_min, t_max);
     for axis in 0..3 {
         let (low, high) = (f64::from(lower[axis]) - origin[axis], f64::from(upper[axis]) - origin[axis]);

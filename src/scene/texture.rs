@@ -28,7 +28,8 @@ pub struct Level {
 const MAX_SIDE: usize = 16384;
 
 /// Linear light of every sRGB byte.
-static LINEAR: LazyLock<[f32; 256]> = LazyLock::new(|| std::array::from_fn(|byte| linear_from_srgb(byte as f32 / 255.0)));
+static LINEAR: LazyLock<[f32; 256]> =
+    LazyLock::new(|| std::array::from_fn(|byte| linear_from_srgb(byte as f32 / 255.0)));
 
 /// IEC 61966-2-1.
 pub fn linear_from_srgb(value: f32) -> f32 {
@@ -46,7 +47,8 @@ impl Texture {
             let problem = format!("expected 1 to {MAX_SIDE} pixels a side, RGBA, got {width} x {height}");
             return Err(SceneError::new("texture", problem).into());
         }
-        let mut level: Vec<Vec4> = pixels.as_chunks::<4>().0.iter().map(|&texel| unpack(u32::from_le_bytes(texel))).collect();
+        let mut level: Vec<Vec4> =
+            pixels.as_chunks::<4>().0.iter().map(|&texel| unpack(u32::from_le_bytes(texel))).collect();
         let (mut width, mut height) = (width, height);
         let mut levels = Vec::new();
         let mut texels = Vec::new();
@@ -133,8 +135,9 @@ mod tests {
     use super::*;
 
     fn checkers(n: usize) -> Texture {
-        let pixels: Vec<u8> =
-            (0..n * n).flat_map(|i| if (i % n + i / n) % 2 == 0 { [255, 255, 255, 255] } else { [0, 0, 0, 255] }).collect();
+        let pixels: Vec<u8> = (0..n * n)
+            .flat_map(|i| if (i % n + i / n) % 2 == 0 { [255, 255, 255, 255] } else { [0, 0, 0, 255] })
+            .collect();
         Texture::new(&pixels, n, n).unwrap()
     }
 
