@@ -106,8 +106,7 @@ def _nodes(document: dict[str, Any]) -> Iterator[tuple[dict[str, Any], NDArray[n
 def _transform(node: dict[str, Any]) -> NDArray[np.float64]:
     """Parent from node: a matrix by columns, or scale, then rotation (quaternion x, y, z, w), then translation."""
     if "matrix" in node:
-        columns: NDArray[np.float64] = np.array(node["matrix"], dtype=np.float64).reshape(4, 4)
-        return columns.T
+        return np.transpose(np.array(node["matrix"], dtype=np.float64).reshape(4, 4))
     x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
     matrix = np.eye(4)
     matrix[:3, :3] = np.array(

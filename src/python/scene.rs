@@ -14,7 +14,7 @@ use crate::scene::texture::Texture as CoreTexture;
 use crate::scene::triangles::Triangles;
 use crate::scene::{self, Alpha, InstanceInput, Light, Material, Primary, RenderOptions, SceneShadows};
 use crate::volume::Trilinear;
-use glam::{DAffine3, DMat4, DVec3, Vec2, Vec3};
+use glam::{DAffine3, DMat4, DVec3, Vec2};
 use numpy::{PyArray2, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -251,7 +251,7 @@ fn light(rows: &[[f64; 3]; 3]) -> Light {
     if kind == 0.0 {
         Light::Directional { direction: place, color, slope: slope as f32 }
     } else {
-        Light::Point { position: place, color: Vec3::from(color), radius }
+        Light::Point { position: place, color, radius }
     }
 }
 

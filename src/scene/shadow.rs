@@ -77,7 +77,7 @@ impl Cone {
 pub fn visible_share(x: f32) -> f32 {
     let x = x.clamp(-1.0, 1.0);
     let s = x * x;
-    0.5 + x * (0.636_62 - s * (0.106_10 + s * (0.015_92 + s * 0.014_60)))
+    0.5 + x * (std::f32::consts::FRAC_2_PI - s * (0.106_10 + s * (0.015_92 + s * 0.014_60)))
 }
 
 /// Two unit vectors at right angles to a unit vector and to each other (Duff et al., *Building an orthonormal basis,
@@ -120,7 +120,7 @@ impl Scene {
 
     /// Where a ray enters an instance's matter, in scene units.
     fn hit_of(&self, item: u32, field: &dyn Field, place: &Place, ray: &Ray, steps: &mut u32) -> Option<f32> {
-        let (origin, direction) = self.into_field(item, place, ray);
+        let (origin, direction) = self.ray_in_field(item, place, ray);
         let [lower, upper] = field.surface_bounds();
         let (enter, leave) = clip(origin, direction, lower, upper, 0.0, ray.t_max)?;
         let start = FieldRay { origin: (origin + enter * direction).as_vec3(), direction: direction.as_vec3() };
@@ -130,7 +130,7 @@ impl Scene {
     }
 
     /// A ray in an instance's field space, its start moved off the surface if that is the instance's own.
-    fn into_field(&self, item: u32, place: &Place, ray: &Ray) -> (DVec3, DVec3) {
+    fn ray_in_field(&self, item: u32, place: &Place, ray: &Ray) -> (DVec3, DVec3) {
         let instance = &self.instances[item as usize];
         let mut p = place.p;
         if item == place.own {
@@ -143,7 +143,7 @@ impl Scene {
     /// Look along a cone of radius `slope t` past one instance.
     fn cone_past(&self, item: u32, field: &dyn Field, place: &Place, ray: &Ray, slope: f32, steps: &mut u32) -> Cone {
         let instance = &self.instances[item as usize];
-        let (origin, direction) = self.into_field(item, place, ray);
+        let (origin, direction) = self.ray_in_field(item, place, ray);
         let [lower, upper] = field.surface_bounds();
         // The box grown by the cone's radius at its far side; see `Line::cone`.
         let speed = direction.length();
@@ -252,7 +252,7 @@ impl Scene {
         // Start inside: the bias the other way round.
         let inside = Place { bias_voxels: -place.bias_voxels, ..*place };
         let ray = Ray { direction, t_max: f64::INFINITY };
-        let (origin, step) = self.into_field(place.own, &inside, &ray);
+        let (origin, step) = self.ray_in_field(place.own, &inside, &ray);
         let [lower, upper] = field.surface_bounds();
         let Some((enter, leave)) = clip(origin, step, lower, upper, 0.0, f64::INFINITY) else { return 0.0 };
         let (start, step) = ((origin + enter * step).as_vec3(), step.as_vec3());

@@ -136,7 +136,7 @@ mod tests {
 
     fn checkers(n: usize) -> Texture {
         let pixels: Vec<u8> = (0..n * n)
-            .flat_map(|i| if (i % n + i / n) % 2 == 0 { [255, 255, 255, 255] } else { [0, 0, 0, 255] })
+            .flat_map(|i| if (i % n + i / n).is_multiple_of(2) { [255, 255, 255, 255] } else { [0, 0, 0, 255] })
             .collect();
         Texture::new(&pixels, n, n).unwrap()
     }
