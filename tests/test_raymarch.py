@@ -500,3 +500,22 @@ def test_depth_agrees_with_pyrender(cow, device, monkeypatch):
     both = np.isfinite(frame.depth) & (expected > 0)
     assert (np.isfinite(frame.depth) != (expected > 0)).mean() <= 0.02
     assert (np.abs(frame.depth[both] - expected[both]) <= 2 * volume.spacing.max()).mean() >= 0.97
+
+
+def test_a_volume_is_lit_by_lamps_and_softly_too(ball):
+    lamp = fb.PointLight((0, 6, 0), radius=0.5)
+    frame = fb.raymarch(ball, size=(48, 48), shadows="soft", lights=[lamp], color=(0.9, 0.1, 0.1), device="cpu")
+    hit = frame.object_id == 0
+    assert hit.any()
+    assert frame.shadow[hit].max() == 1
+    assert frame.shadow[hit].min() == 0
+    assert np.all(frame.color[hit][:, 0] >= frame.color[hit][:, 1])
+
+
+def test_a_scene_is_marched_and_brings_its_own_surface(ball):
+    scene = fb.Scene([fb.Instance(ball)])
+    frame = fb.raymarch(scene, size=(32, 32), device="cpu")
+    assert (frame.object_id == 0).any()
+    for name, value in {"lights": [], "ambient": 0.1, "color": (1, 0, 0), "background": (0, 0, 0)}.items():
+        with pytest.raises(fb.SceneError, match=name):
+            fb.raymarch(scene, size=(8, 8), **{name: value})

@@ -13,7 +13,7 @@ from .bake import bake
 from .camera import Camera
 from .errors import ArgumentError, SceneError
 from .frame import Frame
-from .lights import DirectionalLight, Light
+from .lights import DirectionalLight, Light, PointLight
 from .progress import Progress, progress_callback
 from .volume import Volume
 
@@ -38,11 +38,11 @@ def raymarch(
     shadows: Shadows = "hard",
     filter: Filter = "linear",
     lights: Sequence[Light] | None = None,
-    ambient: float = 0.2,
-    color: ArrayLike = (0.8, 0.8, 0.8),
-    specular: float = 0.25,
-    shininess: float = 32.0,
-    background: ArrayLike = (1.0, 1.0, 1.0, 1.0),
+    ambient: float | None = None,
+    color: ArrayLike | None = None,
+    specular: float | None = None,
+    shininess: float | None = None,
+    background: ArrayLike | None = None,
     device: str = "auto",
     progress: Progress = None,
 ) -> Frame:
@@ -52,25 +52,25 @@ def raymarch(
     ----------
     thing : Volume, Scene, or anything :func:`bake` takes
         What is not a Volume is baked first, with 128 voxels along its longest side. A Scene brings its own lights and
-        materials and is drawn by :func:`render` with ``primary="raymarch"``; for it `shadows` may be ``"soft"`` too.
+        materials and is drawn by :func:`render` with ``primary="raymarch"``.
     camera : Camera, optional
         Fits the surface if not given: ``Camera.fit(volume.inner_bounds)``.
     size : (width, height), default (512, 512)
         In pixels.
-    shadows : "hard" or "none", default "hard"
-        Whether the surface shades itself.
+    shadows : "hard", "soft", "area" or "none", default "hard"
+        Whether the surface shades itself, and how; ``"soft"`` and ``"area"`` as for :func:`render`.
     filter : "linear" or "hardware", default "linear"
         How the field is read between its samples: exactly, or by the texture units of a graphics device (see Notes).
-    lights : sequence of DirectionalLight, optional
+    lights : sequence of DirectionalLight and PointLight, optional
         If not given, one white light over the right shoulder of who looks.
-    ambient : float, default 0.2
-        Light from everywhere, as a share of the colour.
-    color : (3,), default light grey
-        Of the surface, linear RGB.
-    specular, shininess : float, default 0.25 and 32
-        Strength and sharpness of the highlight (Blinn-Phong).
-    background : (3,) or (4,), default opaque white
-        Where nothing is hit, linear RGB and opacity.
+    ambient : float, optional
+        Light from everywhere, as a share of the colour; 0.2 if not given.
+    color : (3,), optional
+        Of the surface, linear RGB; light grey if not given.
+    specular, shininess : float, optional
+        Strength and sharpness of the highlight (Blinn-Phong); 0.25 and 32 if not given.
+    background : (3,) or (4,), optional
+        Where nothing is hit, linear RGB and opacity; opaque white if not given.
     device : str, default "auto"
         ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`.
     progress : bool or callable, optional
@@ -104,23 +104,23 @@ def raymarch(
     ----------
     H. Hansson-Soderlund, A. Evans, T. Akenine-Moller, Ray tracing of signed distance function grids, JCGT 11(3), 2022.
     """
-    from .scene import Scene, render
+    from .materials import Material
+    from .scene import Instance, Scene, render
 
+    surface_options = {
+        "lights": lights,
+        "ambient": ambient,
+        "color": color,
+        "specular": specular,
+        "shininess": shininess,
+        "background": background,
+    }
     if isinstance(thing, Scene):
-        usual = (lights, ambient, specular, shininess, np.shape(color), np.shape(background)) == (
-            None,
-            0.2,
-            0.25,
-            32.0,
-            (3,),
-            (4,),
-        )
-        if (
-            not usual
-            or tuple(np.ravel(color)) != (0.8, 0.8, 0.8)
-            or tuple(np.ravel(background)) != (1.0, 1.0, 1.0, 1.0)
-        ):
-            raise SceneError("lights, ambient, color, specular, shininess and background belong to the Scene")
+        for name, value in surface_options.items():
+            if value is not None:
+                raise SceneError(f"{name}: a Scene brings its own; make the Scene or its Material with it")
+        if filter != "linear":
+            raise SceneError('filter: scenes are drawn with "linear" only')
         return render(thing, camera, size=size, primary="raymarch", shadows=shadows, device=device, progress=progress)
     width, height = _size(size)
     _checks.text("shadows", shadows)
@@ -129,15 +129,21 @@ def raymarch(
     if camera is not None and not isinstance(camera, Camera):
         raise SceneError(f"camera: must be a Camera, got {_checks.describe(camera)}; see Camera.from_pose")
     shade = {
-        "ambient": _checks.number("ambient", ambient, least=0),
-        "specular": _checks.number("specular", specular, least=0),
-        "shininess": _checks.number("shininess", shininess, above=0),
+        "ambient": _checks.number("ambient", 0.2 if ambient is None else ambient, least=0),
+        "specular": _checks.number("specular", 0.25 if specular is None else specular, least=0),
+        "shininess": _checks.number("shininess", 32.0 if shininess is None else shininess, above=0),
     }
-    surface = _checks.triple(_color("color", color, 3))
-    behind = _color("background", background, 4)
+    surface = _checks.triple(_color("color", (0.8, 0.8, 0.8) if color is None else color, 3))
+    behind = _color("background", (1.0, 1.0, 1.0, 1.0) if background is None else background, 4)
     volume = thing if isinstance(thing, Volume) else bake(thing, PICTURE_RESOLUTION, device=device, progress=progress)
     if camera is None:
         camera = Camera.fit(volume.inner_bounds, aspect=width / height)
+    if shadows in ("soft", "area") or any(isinstance(light, PointLight) for light in lights or ()):
+        if filter != "linear":
+            raise ArgumentError('filter: "hardware" goes with directional lights and shadows "hard" or "none"')
+        material = Material(color=surface, specular=shade["specular"], shininess=shade["shininess"])
+        scene = Scene([Instance(volume, material=material)], lights, ambient=shade["ambient"], background=behind)
+        return render(scene, camera, size=size, primary="raymarch", shadows=shadows, device=device, progress=progress)
     directions, colors = _lights(lights, camera)
     lower, upper = volume._corners()
     with progress_callback(progress, "raymarch") as callback:

@@ -71,11 +71,18 @@ impl Cone {
     pub const FREE: Self = Self { x: 1.0, is_covered: false };
 }
 
+/// Room for the rounding of an edge's place, in radii.
+const RIM_ROUNDING: f32 = 1e-5;
+
 /// The share of a disc that is seen when an edge passes at `x` radii from its centre, negative where it is covered.
 ///
 /// `1/2 + (asin x + x sqrt(1 - x^2)) / pi` by its series, the last term chosen so that 1 gives 1: within 0.004.
 pub fn visible_share(x: f32) -> f32 {
-    let x = x.clamp(-1.0, 1.0);
+    // An edge that rounding has put a little inside the rim is at the rim: what is dark is exactly dark.
+    let x = ((1.0 + RIM_ROUNDING) * x).clamp(-1.0, 1.0);
+    if x == -1.0 {
+        return 0.0;
+    }
     let s = x * x;
     0.5 + x * (std::f32::consts::FRAC_2_PI - s * (0.106_10 + s * (0.015_92 + s * 0.014_60)))
 }
