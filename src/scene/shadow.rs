@@ -78,10 +78,10 @@ const RIM_ROUNDING: f32 = 1e-5;
 ///
 /// `1/2 + (asin x + x sqrt(1 - x^2)) / pi` by its series, the last term chosen so that 1 gives 1: within 0.004.
 pub fn visible_share(x: f32) -> f32 {
-    // An edge that rounding has put a little inside the rim is at the rim: what is dark is exactly dark.
+    // An edge that rounding has put a little inside the rim is at the rim: dark is exactly 0, lit exactly 1.
     let x = ((1.0 + RIM_ROUNDING) * x).clamp(-1.0, 1.0);
-    if x == -1.0 {
-        return 0.0;
+    if x.abs() == 1.0 {
+        return 0.5 + 0.5 * x;
     }
     let s = x * x;
     0.5 + x * (std::f32::consts::FRAC_2_PI - s * (0.106_10 + s * (0.015_92 + s * 0.014_60)))
