@@ -4,6 +4,7 @@
 
 pub mod bake;
 pub mod bvh;
+pub mod encoding;
 pub mod error;
 pub mod geometry;
 pub mod gpu;

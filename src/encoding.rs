@@ -1,0 +1,265 @@
+//! How one signed distance is stored in 32, 16 or 8 bits.
+//!
+//! # Theory
+//!
+//! A field that a ray marches through must never promise more room than there is. So every encoding rounds *toward zero*:
+//! the decoded value has a magnitude of at most the original's, and the same sign unless it is zero.
+//!
+//! | encoding | stored | range | error, at most |
+//! |---|---|---|---|
+//! | float32 | the value | all | 0 |
+//! | float16 | the value | 65504 | 2^-10 of the value, 2^-24 below 2^-14 |
+//! | snorm16 | value / scale * 32767 | scale | scale / 32767 |
+//! | snorm8 | value / scale * 127 | scale | scale / 127 |
+//!
+//! What lies outside the range is stored as its end: still a lower bound, no longer a distance. `scale` is the width of
+//! the band around the surface that keeps its distances, in world units; the floats do not use it. The normalised
+//! formats are those of texture hardware: a sampler of an R8 or R16 snorm texture returns `value / scale`.
+//!
+//! # Practice
+//!
+//! Encoding what was decoded gives the same bits again. [`Encoding::encode`] and [`Encoding::decode`] are the
+//! definition; the slice forms are the same function, faster.
+
+use crate::error::ArgumentError;
+use half::f16;
+use half::slice::HalfFloatSliceExt;
+
+/// A format for stored distances.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum Encoding {
+    #[default]
+    Float32,
+    Float16,
+    Snorm16,
+    Snorm8,
+}
+
+/// Largest step of an 8-bit and of a 16-bit normalised integer; the most negative integer is not used.
+const SNORM8_STEPS: f32 = 127.0;
+const SNORM16_STEPS: f32 = 32767.0;
+/// Relative error of a truncated half: one step of its 11 significant bits.
+const HALF_EPSILON: f32 = 1.0 / 1024.0;
+/// Distance of two halves below 2^-14, where they are evenly spaced.
+const HALF_SUBNORMAL: f32 = 1.0 / (1u32 << 24) as f32;
+
+impl Encoding {
+    /// The encoding that the Python interface calls `name`.
+    pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
+        Self::ALL.into_iter().find(|encoding| encoding.name() == name).ok_or_else(|| {
+            let names = Self::ALL.map(|encoding| format!("\"{}\"", encoding.name())).join(", ");
+            ArgumentError::new("encoding", format!("expected one of {names}, got {name:?}"))
+        })
+    }
+
+    pub const ALL: [Self; 4] = [Self::Float32, Self::Float16, Self::Snorm16, Self::Snorm8];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Float32 => "float32",
+            Self::Float16 => "float16",
+            Self::Snorm16 => "snorm16",
+            Self::Snorm8 => "snorm8",
+        }
+    }
+
+    /// Bytes of a stored value.
+    pub fn bytes(self) -> usize {
+        match self {
+            Self::Float32 => 4,
+            Self::Float16 | Self::Snorm16 => 2,
+            Self::Snorm8 => 1,
+        }
+    }
+
+    /// Whether values are stored as a share of `scale`.
+    pub fn is_normalised(self) -> bool {
+        matches!(self, Self::Snorm16 | Self::Snorm8)
+    }
+
+    /// The bits of a value, in the low [`Encoding::bytes`] bytes, rounded toward zero. `scale` must be positive.
+    #[inline]
+    pub fn encode(self, value: f32, scale: f32) -> u32 {
+        match self {
+            Self::Float32 => value.to_bits(),
+            Self::Float16 => u32::from(half_toward_zero(value, f16::from_f32(value)).to_bits()),
+            Self::Snorm16 => u32::from(snorm_toward_zero(value, scale, SNORM16_STEPS) as i16 as u16),
+            Self::Snorm8 => u32::from(snorm_toward_zero(value, scale, SNORM8_STEPS) as i8 as u8),
+        }
+    }
+
+    /// The value of stored bits.
+    #[inline]
+    pub fn decode(self, bits: u32, scale: f32) -> f32 {
+        match self {
+            Self::Float32 => f32::from_bits(bits),
+            Self::Float16 => f16::from_bits(bits as u16).to_f32(),
+            Self::Snorm16 => snorm_value(f32::from(bits as u16 as i16), scale, SNORM16_STEPS),
+            Self::Snorm8 => snorm_value(f32::from(bits as u8 as i8), scale, SNORM8_STEPS),
+        }
+    }
+
+    /// The most that a decoded value can be off, for values within the range whose magnitude is at most `magnitude`.
+    pub fn error_bound(self, magnitude: f32, scale: f32) -> f32 {
+        // A normalised value takes two roundings of f32 on its way back.
+        let step = |steps: f32| scale / steps + 2.0 * f32::EPSILON * scale;
+        match self {
+            Self::Float32 => 0.0,
+            Self::Float16 => (magnitude * HALF_EPSILON).max(HALF_SUBNORMAL),
+            Self::Snorm16 => step(SNORM16_STEPS),
+            Self::Snorm8 => step(SNORM8_STEPS),
+        }
+    }
+
+    /// Encode a slice into native-endian bytes; `out` has [`Encoding::bytes`] for each value and is aligned to them.
+    pub fn encode_slice(self, values: &[f32], scale: f32, out: &mut [u8]) {
+        match self {
+            Self::Float32 => out.copy_from_slice(bytemuck::cast_slice(values)),
+            Self::Float16 => {
+                let out: &mut [u16] = bytemuck::cast_slice_mut(out);
+                let halves: &mut [f16] = half::slice::HalfBitsSliceExt::reinterpret_cast_mut(out);
+                halves.convert_from_f32_slice(values);
+                for (half, &value) in halves.iter_mut().zip(values) {
+                    *half = half_toward_zero(value, *half);
+                }
+            }
+            Self::Snorm16 => {
+                for (bits, &value) in bytemuck::cast_slice_mut::<_, i16>(out).iter_mut().zip(values) {
+                    *bits = snorm_toward_zero(value, scale, SNORM16_STEPS) as i16;
+                }
+            }
+            Self::Snorm8 => {
+                for (bits, &value) in bytemuck::cast_slice_mut::<_, i8>(out).iter_mut().zip(values) {
+                    *bits = snorm_toward_zero(value, scale, SNORM8_STEPS) as i8;
+                }
+            }
+        }
+    }
+
+    /// Decode what [`Encoding::encode_slice`] wrote.
+    pub fn decode_slice(self, bytes: &[u8], scale: f32, out: &mut [f32]) {
+        match self {
+            Self::Float32 => out.copy_from_slice(bytemuck::cast_slice(bytes)),
+            Self::Float16 => {
+                let halves: &[f16] =
+                    half::slice::HalfBitsSliceExt::reinterpret_cast(bytemuck::cast_slice::<_, u16>(bytes));
+                halves.convert_to_f32_slice(out);
+            }
+            Self::Snorm16 => {
+                for (value, &bits) in out.iter_mut().zip(bytemuck::cast_slice::<_, i16>(bytes)) {
+                    *value = snorm_value(f32::from(bits), scale, SNORM16_STEPS);
+                }
+            }
+            Self::Snorm8 => {
+                for (value, &bits) in out.iter_mut().zip(bytemuck::cast_slice::<_, i8>(bytes)) {
+                    *value = snorm_value(f32::from(bits), scale, SNORM8_STEPS);
+                }
+            }
+        }
+    }
+}
+
+/// What a texture sampler returns for a normalised integer, times the scale; the most negative integer counts as -1.
+#[inline]
+fn snorm_value(stored: f32, scale: f32, steps: f32) -> f32 {
+    (stored / steps).max(-1.0) * scale
+}
+
+/// The normalised integer whose decoded value is the nearest to `value` that is not beyond it, seen from zero.
+#[inline]
+fn snorm_toward_zero(value: f32, scale: f32, steps: f32) -> f32 {
+    let magnitude = value.abs();
+    // One step up first: the quotient may have been rounded below the integer it stands for.
+    let guess = (magnitude / scale * steps).min(steps).floor();
+    let above = (guess + 1.0).min(steps);
+    let stored = if snorm_value(above, scale, steps) <= magnitude {
+        above
+    } else if snorm_value(guess, scale, steps) <= magnitude {
+        guess
+    } else {
+        (guess - 1.0).max(0.0)
+    };
+    stored.copysign(value)
+}
+
+/// `rounded`, or the half next to it toward zero if it lies beyond `value`.
+#[inline]
+fn half_toward_zero(value: f32, rounded: f16) -> f16 {
+    // Halves of one sign are ordered as their bits; below infinity is the largest finite one.
+    if rounded.to_f32().abs() > value.abs() { f16::from_bits(rounded.to_bits() - 1) } else { rounded }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const SCALES: [f32; 6] = [1.0, 0.1, 3.0, 1e-20, 7e12, 0.062_500_004];
+
+    fn round_trip(encoding: Encoding, value: f32, scale: f32) -> f32 {
+        encoding.decode(encoding.encode(value, scale), scale)
+    }
+
+    #[test]
+    fn names_are_taken_back_and_others_refused() {
+        for encoding in Encoding::ALL {
+            assert_eq!(Encoding::from_name(encoding.name()), Ok(encoding));
+        }
+        let told = Encoding::from_name("uint8").unwrap_err().to_string();
+        assert_eq!(told, "encoding: expected one of \"float32\", \"float16\", \"snorm16\", \"snorm8\", got \"uint8\"");
+    }
+
+    #[test]
+    fn every_stored_number_comes_back_as_itself() {
+        for encoding in [Encoding::Float16, Encoding::Snorm16, Encoding::Snorm8] {
+            for scale in SCALES {
+                for bits in 0..1u32 << (8 * encoding.bytes()) {
+                    let value = encoding.decode(bits, scale);
+                    // Not infinities, the unused integer, and the negative zero that integers do not have.
+                    let stored = encoding.encode(value, scale);
+                    if value.is_finite() && !(encoding.is_normalised() && bits == 1 << (8 * encoding.bytes() - 1)) {
+                        assert_eq!(stored, bits, "{encoding:?} {scale} {value}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_out_of_range_becomes_its_end() {
+        assert_eq!(round_trip(Encoding::Float16, 1e9, 1.0), 65504.0);
+        assert_eq!(round_trip(Encoding::Float16, -65519.0, 1.0), -65504.0);
+        assert_eq!(round_trip(Encoding::Snorm8, 5.0, 0.5), 0.5);
+        assert_eq!(round_trip(Encoding::Snorm16, -5.0, 0.5), -0.5);
+    }
+
+    proptest! {
+        #[test]
+        fn rounding_is_toward_zero_and_within_the_bound(mantissa in -2.0..2.0f32, exponent in -30..14i32, which in 0..6usize) {
+            for encoding in Encoding::ALL {
+                let scale = SCALES[which];
+                let value = if encoding.is_normalised() { mantissa * scale } else { mantissa * 2f32.powi(exponent) };
+                let back = round_trip(encoding, value, scale);
+                prop_assert!(back.abs() <= value.abs(), "{encoding:?}: {value} became {back}");
+                prop_assert!(back == 0.0 || back.signum() == value.signum());
+                if !encoding.is_normalised() || value.abs() <= scale {
+                    prop_assert!((back - value).abs() <= encoding.error_bound(value.abs(), scale));
+                }
+            }
+        }
+
+        #[test]
+        fn slices_are_encoded_as_their_values(values in prop::collection::vec(-3.0..3.0f32, 0..40)) {
+            for encoding in Encoding::ALL {
+                // Room for the alignment of any encoding.
+                let mut words = vec![0u32; values.len()];
+                let bytes = &mut bytemuck::cast_slice_mut(&mut words)[..values.len() * encoding.bytes()];
+                encoding.encode_slice(&values, 2.0, bytes);
+                let mut back = vec![0.0; values.len()];
+                encoding.decode_slice(bytes, 2.0, &mut back);
+                let expected: Vec<f32> = values.iter().map(|&value| round_trip(encoding, value, 2.0)).collect();
+                prop_assert_eq!(back, expected);
+            }
+        }
+    }
+}
