@@ -94,24 +94,21 @@ impl<'a> FieldView<'a> {
 
     /// The trilinear field at a world point; of the nearest point of the box when `p` lies outside.
     pub fn sample_linear(&self, p: DVec3) -> f32 {
-        let (cell, fraction) = self.locate(p);
+        let (cell, fraction) = self.grid.locate(p);
         trilinear(&self.corners(cell), fraction)
     }
 
     /// The sample of the voxel that holds `p`; of the nearest voxel when `p` lies outside.
     pub fn sample_nearest(&self, p: DVec3) -> f32 {
-        let voxel = self.clamp_to_box(self.grid_from_world(p)).round();
-        let [nx, ny, nz] = self.grid.shape;
-        // `as` saturates, and a point on the upper face rounds to n: both are clamped here.
-        let index = |coordinate: f64, n: usize| (coordinate as usize).min(n - 1);
-        self.distances[self.grid.offset(index(voxel.x, nx), index(voxel.y, ny), index(voxel.z, nz))]
+        let [x, y, z] = self.grid.nearest_voxel(p);
+        self.distances[self.grid.offset(x, y, z)]
     }
 
     /// Gradient of the trilinear field, distance per world unit; of the nearest point of the box when outside.
     ///
     /// Zero along an axis in the outer half voxel, where the field is constant along it. It jumps between cells.
     pub fn gradient(&self, p: DVec3) -> Vec3 {
-        let p_grid = self.clamp_to_box(self.grid_from_world(p));
+        let p_grid = self.grid.clamp_to_box(self.grid_from_world(p));
         // The outermost centres belong to the cell between centres, whichever side of them rounding has put `p` on.
         let last = self.shape() - 1.0;
         let between_centres = p_grid.max(DVec3::ZERO).min(last);
@@ -153,7 +150,7 @@ impl<'a> FieldView<'a> {
 
     /// Whether the box, faces included, holds `p`.
     pub fn contains(&self, p: DVec3) -> bool {
-        p.cmpge(self.grid.lower).all() && p.cmple(self.grid.upper).all()
+        self.grid.contains(p)
     }
 
     /// The samples at the corners of a cell; bit 0 of the index is x, bit 1 y, bit 2 z. Cells run from -1 to n - 1.
@@ -191,24 +188,12 @@ impl<'a> FieldView<'a> {
 
     /// Grid space: voxel centres at integers.
     pub fn grid_from_world(&self, p: DVec3) -> DVec3 {
-        (p - self.grid.lower) / self.grid.spacing() - 0.5
-    }
-
-    fn clamp_to_box(&self, p_grid: DVec3) -> DVec3 {
-        p_grid.max(DVec3::splat(-0.5)).min(self.shape() - 0.5)
-    }
-
-    /// Cell that holds the nearest point of the box, and the position in it, 0 to 1.
-    fn locate(&self, p: DVec3) -> (IVec3, Vec3) {
-        let p_grid = self.clamp_to_box(self.grid_from_world(p));
-        let cell = p_grid.floor();
-        (cell.as_ivec3(), (p_grid - cell).as_vec3())
+        self.grid.grid_from_world(p)
     }
 
     /// Voxels along each axis.
     pub(crate) fn shape(&self) -> DVec3 {
-        let [nx, ny, nz] = self.grid.shape;
-        DVec3::new(nx as f64, ny as f64, nz as f64)
+        self.grid.sides()
     }
 }
 
@@ -236,12 +221,12 @@ pub fn trilinear_gradient(corners: &[f32; 8], fraction: Vec3) -> Vec3 {
 }
 
 #[inline]
-fn lerp(a: f32, b: f32, fraction: f32) -> f32 {
+pub(crate) fn lerp(a: f32, b: f32, fraction: f32) -> f32 {
     a + (b - a) * fraction
 }
 
 /// Evaluate `f` at every point, in parallel chunks.
-fn batch<T: Copy + Default + Send>(
+pub(crate) fn batch<T: Copy + Default + Send>(
     points: &[DVec3],
     progress: &Progress,
     f: impl Fn(DVec3) -> T + Sync,
