@@ -2,6 +2,7 @@
 //!
 //! Data walks one street: mesh, bake, volume, render. See ARCHITECTURE.md for the map and the conventions.
 
+pub mod atlas;
 pub mod bake;
 pub mod bvh;
 pub mod encoding;

@@ -15,6 +15,7 @@ import logging as _logging
 
 from . import arrays, models
 from ._core import __version__
+from .atlas import Atlas, pack
 from .bake import ClosestPoints, bake, closest_point, signed_distance
 from .camera import Camera
 from .convert import as_mesh, load_mesh
@@ -40,6 +41,7 @@ from .volume import Volume
 
 __all__ = [
     "ArgumentError",
+    "Atlas",
     "AtlasError",
     "Camera",
     "CapacityError",
@@ -67,6 +69,7 @@ __all__ = [
     "load",
     "load_mesh",
     "models",
+    "pack",
     "raymarch",
     "signed_distance",
 ]

@@ -28,6 +28,7 @@ impl From<Failure> for PyErr {
 fn raise(py: Python<'_>, error: &Error) -> PyErr {
     let class = match error {
         Error::Mesh(_) => "MeshError",
+        Error::Atlas(_) => "AtlasError",
         Error::Argument(_) => "ArgumentError",
         Error::Capacity(_) => "CapacityError",
         Error::Device(_) => "DeviceError",

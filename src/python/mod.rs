@@ -2,6 +2,7 @@
 //!
 //! The Python layer hands over C-contiguous arrays of the right dtype and shape; `_core.pyi` beside it is the contract.
 
+mod atlas;
 mod bake;
 mod convert;
 mod device;
@@ -17,6 +18,11 @@ use pyo3::prelude::*;
 /// The whole exported surface.
 #[pymodule]
 mod _core {
+    #[pymodule_export]
+    use super::atlas::{
+        atlas_clear, atlas_entries, atlas_plan, atlas_read, atlas_sample, atlas_sound, atlas_texture_coordinates,
+        atlas_write, require_memory,
+    };
     #[pymodule_export]
     use super::bake::{bake, bake_brute};
     #[pymodule_export]
