@@ -4,6 +4,7 @@ import copy
 import io
 import json
 import pickle
+import re
 import threading
 import zipfile
 
@@ -627,3 +628,33 @@ def test_a_damaged_file_is_a_format_error(good_file, tmp_path_factory, data):
         return
     # What nobody reads may be damaged; the rest is covered by checksums.
     assert [atlas.unpack(i).resolution for i in atlas.indices] == [(4, 4, 4)] * 3
+
+
+# --- shader text
+
+
+@pytest.mark.parametrize("language", ["wgsl", "glsl", "hlsl", "msl"])
+@pytest.mark.parametrize("layout", ["shelves", "strips"])
+def test_the_shader_text_has_the_functions_with_comments(language, layout):
+    text = fb.pack(cubes(1, 4), layout=layout, page_size=64).shader(language)
+
+    for function in ("atlas_sample", "atlas_sample_filtered", "atlas_sample_nearest", "atlas_texture_coordinates"):
+        definition = re.search(rf"(//.*\n)+.*\b{function}\(", text)
+        assert definition is not None, f"{function} is not there, or not explained"
+    assert "AtlasEntry" in text
+
+
+def test_the_shader_text_is_wgsl_by_default_and_depends_on_the_atlas():
+    first, second = (fb.pack(cubes(1, 4), page_size=size) for size in (64, 128))
+
+    assert first.shader() == first.shader("wgsl") != second.shader()
+    assert "texture_2d_array<f32>" in first.shader()
+
+
+def test_shaders_that_cannot_be():
+    atlas = fb.pack(cubes(1, 4), layout="strips", page_size=64)
+    with pytest.raises(fb.ArgumentError, match="language"):
+        atlas.shader("cg")
+    atlas.remove(0)
+    with pytest.raises(fb.AtlasError, match="add a volume"):
+        atlas.shader()

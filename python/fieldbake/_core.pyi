@@ -19,6 +19,7 @@ __all__ = [
     "atlas_plan",
     "atlas_read",
     "atlas_sample",
+    "atlas_shader",
     "atlas_sound",
     "atlas_texture_coordinates",
     "atlas_write",
@@ -275,3 +276,6 @@ def atlas_entries(
 ) -> bytes:
     """The std430 records of ``blocks`` (n, 10). ``boxes``: twelve numbers each, inner lower and upper, outer lower and
     upper corner; ``models``: sixteen, row by row."""
+
+def atlas_shader(language: str, layout: str, page_size: int, gutter: int, encoding: str, side: int) -> str:
+    """Sampling functions as text in "wgsl", "glsl", "hlsl" or "msl"; ``side`` is that of the cubes in strips."""

@@ -19,6 +19,7 @@ from .volume import Volume
 Layout = Literal["shelves", "strips"]
 Encoding = Literal["float32", "float16", "snorm16", "snorm8"]
 AtlasFilter = Literal["linear", "nearest", "slice"]
+Language = Literal["wgsl", "glsl", "hlsl", "msl"]
 
 #: Texels of each encoding. Normalised integers stand for a share of the entry's scale.
 TEXELS: dict[str, np.dtype[Any]] = {
@@ -332,6 +333,38 @@ class Atlas:
         lower, upper = _checks.triple(self._boxes[i, 2]), _checks.triple(self._boxes[i, 3])
         found = _core.atlas_texture_coordinates(self._blocks[i : i + 1], self._page_size, lower, upper, flat)
         return found.reshape(*shape, 2)
+
+    def shader(self, language: Language = "wgsl") -> str:
+        """Functions that sample the pages in a shader, as commented text.
+
+        Parameters
+        ----------
+        language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
+            GLSL is that of WebGL 2 (ES 3.00); newer versions take it with another first line.
+
+        Returns
+        -------
+        str
+            The struct ``AtlasEntry``, whose bytes are those of :attr:`entries`; ``atlas_sample(entry, p)``, the exact
+            trilinear field; ``atlas_sample_filtered``, the same by two taps of the hardware's filter;
+            ``atlas_sample_nearest``; ``atlas_texture_coordinates``. With an entry point it is a whole shader. It stays
+            valid while volumes come and go.
+
+        Raises
+        ------
+        ArgumentError
+            For another language.
+        AtlasError
+            For strips without a volume, whose size is not known.
+        """
+        blocks = self._blocks[self._blocks[:, 0] != VACANT]
+        if self._layout == "strips" and not len(blocks):
+            raise AtlasError(
+                "shader: the strips are empty, so the size of their cubes is not known; add a volume first"
+            )
+        side = int(blocks[0, 9]) if len(blocks) else 0
+        name = _checks.text("language", language)
+        return _core.atlas_shader(name, self._layout, self._page_size, self._gutter, self._encoding, side)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write an .npz file; a file of that name is replaced only once the new one is complete.

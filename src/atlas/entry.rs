@@ -23,7 +23,7 @@ pub struct StripEntry {
     pub atlas_offset: i32,
     /// Of the normalised encodings. In the article these eight bytes are padding, and they are zero for floats.
     pub scale: f32,
-    pub pad_0: u32,
+    pub padding: u32,
 }
 
 /// The record of a field of any shape; `shaders/shared/atlas.wgsl`.
@@ -81,7 +81,7 @@ impl Facts {
             atlas_index,
             atlas_offset,
             scale,
-            pad_0: 0,
+            padding: 0,
         }
     }
 

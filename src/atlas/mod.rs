@@ -27,6 +27,7 @@ pub mod entry;
 pub mod plan;
 pub mod rectangles;
 pub mod sample;
+pub mod shader;
 pub mod texels;
 
 use crate::error::ArgumentError;

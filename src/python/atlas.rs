@@ -7,6 +7,7 @@ use super::error::{Failure, exception};
 use super::run::run;
 use crate::atlas::entry::{AtlasEntry, Facts, StripEntry};
 use crate::atlas::sample::{AtlasField, AtlasFilter, texture_coordinates};
+use crate::atlas::shader::{Language, ShaderOptions, shader};
 use crate::atlas::texels::{self, Item};
 use crate::atlas::{Block, Layout, plan};
 use crate::encoding::Encoding;
@@ -206,6 +207,23 @@ pub fn atlas_entries<'py>(
         }
     }
     Ok(PyBytes::new(py, &bytes))
+}
+
+/// The sampling functions of an atlas as text.
+#[pyfunction]
+pub fn atlas_shader(
+    language: &str,
+    layout: &str,
+    page_size: u32,
+    gutter: u32,
+    encoding: &str,
+    side: u32,
+) -> PyResult<String> {
+    let layout = Layout::from_name(layout, gutter).map_err(Failure::from)?;
+    let encoding = Encoding::from_name(encoding).map_err(Failure::from)?;
+    let language = Language::from_name(language).map_err(Failure::from)?;
+    let options = ShaderOptions { layout, encoding, page_size, side };
+    Ok(shader(&options, language).map_err(Failure::from)?)
 }
 
 /// Raise if the machine does not have so many bytes free.
