@@ -57,6 +57,11 @@ pub enum AtlasError {
     TooManyPages { item: usize, limit: u32 },
 }
 
+/// A file that is damaged, or not what it should be.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[error("{0}")]
+pub struct FormatError(pub String);
+
 fn voxels([nx, ny, nz]: &[u32; 3]) -> String {
     format!("{nx} x {ny} x {nz} voxels")
 }
@@ -112,6 +117,8 @@ pub enum Error {
     Mesh(#[from] MeshError),
     #[error(transparent)]
     Atlas(#[from] AtlasError),
+    #[error(transparent)]
+    Format(#[from] FormatError),
     #[error(transparent)]
     Argument(#[from] ArgumentError),
     #[error(transparent)]

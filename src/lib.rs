@@ -7,6 +7,7 @@ pub mod bake;
 pub mod bvh;
 pub mod encoding;
 pub mod error;
+pub mod exchange;
 pub mod geometry;
 pub mod gpu;
 pub mod grid;

@@ -27,6 +27,8 @@ __all__ = [
     "bake_brute",
     "closest_point",
     "devices",
+    "exr_read",
+    "exr_write",
     "gradient",
     "raymarch",
     "require_memory",
@@ -34,6 +36,9 @@ __all__ = [
     "sample",
     "signed_distance",
     "surface_nets",
+    "texture_decode",
+    "texture_read",
+    "texture_write",
 ]
 
 __version__: str
@@ -279,3 +284,18 @@ def atlas_entries(
 
 def atlas_shader(language: str, layout: str, page_size: int, gutter: int, encoding: str, side: int) -> str:
     """Sampling functions as text in "wgsl", "glsl", "hlsl" or "msl"; ``side`` is that of the cubes in strips."""
+
+def texture_write(kind: str, distances: NDArray[np.float32], encoding: str, scale: float, facts: str) -> bytes:
+    """``distances`` (nx, ny, nz), x fastest, as a "dds" or "ktx2" file; the latter holds ``facts``, a text of ours."""
+
+def texture_read(kind: str, bytes: bytes) -> tuple[str, list[int], bytes, str]:
+    """Encoding, (width, height, depth), texels and our text of such a file."""
+
+def texture_decode(texels: NDArray[np.uint8], shape: list[int], encoding: str, scale: float) -> NDArray[np.float32]:
+    """Distances (nx, ny, nz) from the bytes of texels."""
+
+def exr_write(texels: NDArray[np.uint8], width: int, height: int, encoding: str) -> bytes:
+    """An OpenEXR file with the channel Y: the bytes of (height, width) float32 or float16."""
+
+def exr_read(bytes: bytes, width: int, height: int, encoding: str) -> bytes:
+    """The texels of such a file, if it has this size; float32 for normalised encodings."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Iterable
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,9 @@ from .errors import ArgumentError, AtlasError
 from .progress import Progress, progress_callback
 from .report import Report, bytes_text, count_text
 from .volume import Volume
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Layout = Literal["shelves", "strips"]
 Encoding = Literal["float32", "float16", "snorm16", "snorm8"]
@@ -249,6 +252,11 @@ class Atlas:
             self._reports[i] = Report()
             self._entries = None
 
+    def resolution(self, i: int) -> tuple[int, int, int]:
+        """Voxels of the volume with index `i` along x, y and z."""
+        nx, ny, nz = self._blocks[self._index(i), 7:].tolist()
+        return nx, ny, nz
+
     def unpack(self, i: int) -> Volume:
         """The volume with index `i`: bit for bit what was packed, or what its encoding kept of it.
 
@@ -367,21 +375,56 @@ class Atlas:
         return _core.atlas_shader(name, self._layout, self._page_size, self._gutter, self._encoding, side)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an .npz file; a file of that name is replaced only once the new one is complete.
+        """Write a file; one of that name is replaced only once the new one is complete.
 
-        Read it with :func:`fieldbake.load`, or without fieldbake by ``numpy.load``.
+        Parameters
+        ----------
+        path : str or path
+            ``.npz``: ours, and NumPy's. ``.exr``: one channel, the pages below each other, exact. ``.png``: 16 bits
+            around the middle (8 for snorm8); floats become snorm16, scaled to each volume's largest distance, with an
+            8-bit preview for people beside it. Images have a JSON beside them that says where each volume lies. Read
+            any with :func:`fieldbake.load`.
 
         Raises
         ------
         FormatError
-            For an ending that is not known.
+            For an ending that is not known, or an image of an empty atlas.
         OSError
             If the file cannot be written.
         """
+        from . import exchange
         from .io import save_atlas
 
         with self._lock:
-            save_atlas(self, path)
+            if os.path.splitext(path)[1].lower() in exchange.ATLAS_ENDINGS:  # noqa: PTH122 - bytes and paths alike
+                exchange.save_atlas_as(self, path)
+            else:
+                save_atlas(self, path)
+
+    def plot(self, page: int = 0) -> Figure:
+        """One page with the surfaces as lines, a frame around each volume and its index.
+
+        Parameters
+        ----------
+        page : int, default 0
+            Which.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A notebook shows it; ``.savefig("atlas.png")`` saves it.
+
+        Raises
+        ------
+        Error
+            If matplotlib is not installed, or the atlas is empty.
+        ArgumentError
+            If there is no such page.
+        """
+        from .plot import plot_atlas
+
+        with self._lock:
+            return plot_atlas(self, page)
 
     def _place(self, items: list[tuple[Volume, NDArray[np.float64]]], progress: Progress) -> list[int]:
         """Plan room for volumes, open pages and fill in their texels; the indices."""
@@ -395,7 +438,7 @@ class Atlas:
                 gutter=self._gutter,
                 encoding=self._encoding,
             )
-            scales = [_scale(volume, self._band) for volume, _ in items]
+            scales = [scale_of(volume, self._band) for volume, _ in items]
             self._open_pages(int(blocks[:, 0].max(initial=0)) + 1 if len(blocks) else 0)
             with progress_callback(progress, "pack") as callback:
                 _core.atlas_write(
@@ -571,7 +614,27 @@ def _checked_item(i: int, item: object) -> tuple[Volume, NDArray[np.float64]]:
     return volume, np.eye(4) if model is None else _checks.affine(f"volumes[{i}] transform", model, ArgumentError)
 
 
-def _scale(volume: Volume, band: float) -> float:
+def scale_of(volume: Volume, band: float) -> float:
     """World width of `band` voxels, as float32 holds it."""
-    scale = np.float32(min(band * float(volume.spacing.max()), _checks.FAR))
-    return float(max(scale, np.finfo(np.float32).tiny))
+    return _positive(band * float(volume.spacing.max()))
+
+
+def _positive(scale: float) -> float:
+    return float(np.clip(np.float32(min(scale, _checks.FAR)), np.finfo(np.float32).tiny, None))
+
+
+def normalised_copy(atlas: Atlas, encoding: Encoding) -> Atlas:
+    """The same atlas in a normalised encoding, each volume scaled to its largest distance."""
+    copy = Atlas(
+        layout=atlas.layout, page_size=atlas.page_size, gutter=atlas.gutter, encoding=encoding, band=atlas.band
+    )
+    copy._blocks, copy._boxes, copy._models = atlas._blocks.copy(), atlas._boxes.copy(), atlas._models.copy()
+    copy._scales, copy._reports = atlas._scales.copy(), list(atlas._reports)
+    copy._pages = np.zeros(atlas._pages.shape, TEXELS[encoding])
+    for i in atlas.indices:
+        distances = atlas.unpack(i).distances
+        copy._scales[i] = _positive(float(np.abs(distances).max()))
+        _core.atlas_write(
+            copy._bytes(), copy._blocks[i : i + 1], [distances], [float(copy._scales[i])], encoding=encoding
+        )
+    return copy

@@ -20,7 +20,7 @@ import errno
 import json
 import os
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -138,12 +138,12 @@ def load(path: str | os.PathLike[str]) -> Any:
     Parameters
     ----------
     path : str or path
-        An .npz file of :meth:`Volume.save` or :meth:`Atlas.save`.
+        A file of :meth:`Volume.save` or :meth:`Atlas.save`, of any of their endings.
 
     Returns
     -------
     Volume or Atlas
-        Bit for bit what was saved.
+        Bit for bit what was saved, in the encoding that the file has.
 
     Raises
     ------
@@ -157,6 +157,8 @@ def load(path: str | os.PathLike[str]) -> Any:
     with open(path, "rb") as stream:
         size = os.fstat(stream.fileno()).st_size
         try:
+            if (foreign := _foreign_reader(path)) is not None:
+                return foreign(Path(path))
             with zipfile.ZipFile(stream) as archive:
                 members = _members(archive, size)
                 header = _read_header(archive, members)
@@ -178,9 +180,18 @@ def load(path: str | os.PathLike[str]) -> Any:
             raise FormatError(f"{path}: is damaged ({type(error).__name__}: {error})") from error
 
 
+def _foreign_reader(path: str | os.PathLike[str]) -> Callable[[Path], Volume | Atlas] | None:
+    """Who reads files of this ending, if it is not ours."""
+    from . import exchange
+
+    ending = Path(path).suffix.lower()
+    if ending in exchange.VOLUME_ENDINGS:
+        return exchange.load_volume_from
+    return exchange.load_atlas_from if ending in exchange.ATLAS_ENDINGS else None
+
+
 def _read_volume(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], header: dict[str, Any]) -> Volume:
-    bounds = _corners(header, "bounds", flat=False)
-    inner_bounds = _corners(header, "inner_bounds", flat=True)
+    bounds, inner_bounds, report = read_facts(header)
     distances = _read_array(archive, members, "distances.npy")
     if distances.dtype != np.dtype("<f4") or distances.ndim != 3 or distances.size == 0:
         raise FormatError(f"distances must be float32 of shape (nx, ny, nz), got {_checks.describe(distances)}")
@@ -190,7 +201,7 @@ def _read_volume(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], 
         samples = check_distances(distances)
     except ArgumentError as error:
         raise FormatError(str(error)) from None
-    return Volume._wrap(samples, bounds, inner_bounds, _report(header))
+    return Volume._wrap(samples, bounds, inner_bounds, report)
 
 
 def _read_atlas(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], header: dict[str, Any]) -> Atlas:
@@ -290,7 +301,15 @@ def _read_header(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo]) 
     if text.ndim != 0 or text.dtype.kind != "U":
         raise FormatError(f"is not a fieldbake file: its header is {_checks.describe(text)}")
     header = json.loads(str(text))
-    if not isinstance(header, dict) or header.get("format") != "fieldbake":
+    if not isinstance(header, dict):
+        raise FormatError("is not a fieldbake file: its header does not say so")
+    check_version(header)
+    return header
+
+
+def check_version(header: dict[str, Any]) -> None:
+    """Fails unless we wrote this, and know how to read it."""
+    if header.get("format") != "fieldbake":
         raise FormatError("is not a fieldbake file: its header does not say so")
     version = header.get("version")
     if not isinstance(version, int) or isinstance(version, bool) or version < 1:
@@ -300,7 +319,6 @@ def _read_header(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo]) 
             f"is of version {version}, this fieldbake reads up to {VERSION}; install a newer fieldbake "
             f"(written by {str(header.get('written_by'))[:60]})"
         )
-    return header
 
 
 def _read_array(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], name: str) -> NDArray[Any]:
@@ -343,6 +361,11 @@ def _fill(stream: IO[bytes], array: NDArray[Any]) -> None:
             raise FormatError("the file ends too early")
         memory[done : done + len(piece)] = np.frombuffer(piece, dtype=np.uint8)
         done += len(piece)
+
+
+def read_facts(header: dict[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.float64], Report]:
+    """Outer and inner box and report of a volume."""
+    return _corners(header, "bounds", flat=False), _corners(header, "inner_bounds", flat=True), _report(header)
 
 
 def _corners(header: dict[str, Any], name: str, *, flat: bool) -> NDArray[np.float64]:

@@ -29,6 +29,7 @@ fn raise(py: Python<'_>, error: &Error) -> PyErr {
     let class = match error {
         Error::Mesh(_) => "MeshError",
         Error::Atlas(_) => "AtlasError",
+        Error::Format(_) => "FormatError",
         Error::Argument(_) => "ArgumentError",
         Error::Capacity(_) => "CapacityError",
         Error::Device(_) => "DeviceError",

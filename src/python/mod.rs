@@ -7,6 +7,7 @@ mod bake;
 mod convert;
 mod device;
 mod error;
+mod exchange;
 mod mesh;
 mod query;
 mod render;
@@ -27,6 +28,8 @@ mod _core {
     use super::bake::{bake, bake_brute};
     #[pymodule_export]
     use super::device::{DeviceField, devices};
+    #[pymodule_export]
+    use super::exchange::{exr_read, exr_write, texture_decode, texture_read, texture_write};
     #[pymodule_export]
     use super::mesh::Mesh;
     #[pymodule_export]
