@@ -53,6 +53,33 @@ impl SceneError {
     }
 }
 
+/// Fields that do not fit an atlas.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum AtlasError {
+    #[error(
+        "volumes[{item}]: {} do not fit a page of {page_size} x {page_size} texels; page_size must be at least {needed}",
+        voxels(shape)
+    )]
+    PageTooSmall { item: usize, shape: [u32; 3], page_size: u32, needed: u64 },
+    #[error(
+        "volumes[{item}]: strips hold equal cubes, here of {side}, got {}; bake with resolution=({side}, {side}, {side}), or use layout=\"shelves\"",
+        voxels(shape)
+    )]
+    NotEqualCubes { item: usize, shape: [u32; 3], side: u32 },
+    #[error("volumes[{item}]: the atlas has {limit} pages, more are not supported; use a larger page_size")]
+    TooManyPages { item: usize, limit: u32 },
+}
+
+/// A file that is damaged, or not what it should be.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[error("{0}")]
+pub struct FormatError(pub String);
+
+fn voxels([nx, ny, nz]: &[u32; 3]) -> String {
+    format!("{nx} x {ny} x {nz} voxels")
+}
+
 /// A request that does not fit in memory, refused before it starts.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[error("{what} needs {}, {}; {advice}", bytes(*needed), available.map_or_else(
@@ -62,7 +89,7 @@ pub struct CapacityError {
     pub needed: u64,
     /// Free memory as far as the system tells.
     pub available: Option<u64>,
-    pub advice: &'static str,
+    pub advice: String,
 }
 
 /// A byte count for people, exact and rounded.
@@ -102,6 +129,10 @@ pub enum DeviceError {
 pub enum Error {
     #[error(transparent)]
     Mesh(#[from] MeshError),
+    #[error(transparent)]
+    Atlas(#[from] AtlasError),
+    #[error(transparent)]
+    Format(#[from] FormatError),
     #[error(transparent)]
     Argument(#[from] ArgumentError),
     #[error(transparent)]

@@ -2,10 +2,12 @@
 //!
 //! Data walks one street: mesh, bake, volume, render. See ARCHITECTURE.md for the map and the conventions.
 
+pub mod atlas;
 pub mod bake;
 pub mod bvh;
 pub mod encoding;
 pub mod error;
+pub mod exchange;
 pub mod geometry;
 pub mod gpu;
 pub mod grid;

@@ -10,7 +10,7 @@ use std::alloc::Layout;
 pub fn allocate_samples(what: &str, count: usize, scratch: usize) -> Result<Vec<f32>, Error> {
     let needed = (count as u64).saturating_mul(size_of::<f32>() as u64);
     require(what, needed, scratch as u64)?;
-    let layout = Layout::array::<f32>(count).map_err(|_| refusal(what, needed, None))?;
+    let layout = Layout::array::<f32>(count).map_err(|_| refusal(what, needed, None, ADVICE))?;
     if layout.size() == 0 {
         return Ok(Vec::new());
     }
@@ -18,7 +18,7 @@ pub fn allocate_samples(what: &str, count: usize, scratch: usize) -> Result<Vec<
     // threads share that cost; `Vec` has no fallible way to ask for it.
     let start = unsafe { std::alloc::alloc_zeroed(layout) }.cast::<f32>();
     if start.is_null() {
-        return Err(refusal(what, needed, None).into());
+        return Err(refusal(what, needed, None, ADVICE).into());
     }
     // SAFETY: the global allocator gave `count` floats with a float's alignment, and zero bits are the float zero.
     Ok(unsafe { Vec::from_raw_parts(start, count, count) })
@@ -26,17 +26,24 @@ pub fn allocate_samples(what: &str, count: usize, scratch: usize) -> Result<Vec<
 
 /// Fails if the machine does not have `needed` bytes free, and `scratch` besides.
 pub fn require(what: &str, needed: u64, scratch: u64) -> Result<(), Error> {
-    let available = available_bytes();
-    if needed.saturating_add(scratch) > available { Err(refusal(what, needed, Some(available)).into()) } else { Ok(()) }
+    require_for(what, needed, scratch, ADVICE)
 }
 
-fn refusal(what: &str, needed: u64, available: Option<u64>) -> CapacityError {
-    CapacityError {
-        what: what.to_owned(),
-        needed,
-        available,
-        advice: "lower the resolution, or bake parts of the box through bounds=",
+/// [`require`], with what to do about it.
+pub fn require_for(what: &str, needed: u64, scratch: u64, advice: &str) -> Result<(), Error> {
+    let available = available_bytes();
+    if needed.saturating_add(scratch) > available {
+        Err(refusal(what, needed, Some(available), advice).into())
+    } else {
+        Ok(())
     }
+}
+
+/// What to do about a grid that does not fit.
+const ADVICE: &str = "lower the resolution, or bake parts of the box through bounds=";
+
+fn refusal(what: &str, needed: u64, available: Option<u64>, advice: &str) -> CapacityError {
+    CapacityError { what: what.to_owned(), needed, available, advice: advice.to_owned() }
 }
 
 /// Free memory of the machine, or of the container where that is less.

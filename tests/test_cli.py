@@ -257,3 +257,42 @@ def test_an_error_of_the_process_is_one_line_and_code_1(tmp_path):
     assert result.returncode == BAD_INPUT
     assert result.stdout == ""
     assert_one_clear_line(result, "nowhere.npz")
+
+
+@pytest.mark.parametrize("ending", [".npz", ".exr", ".png"])
+def test_pack_makes_an_atlas_of_fields_and_meshes(cube, tmp_path, ending):
+    fb.bake(cube, resolution=(12, 12, 12)).save(tmp_path / "cube.npz")
+    output, shader = tmp_path / f"atlas{ending}", tmp_path / "atlas.glsl"
+    options = ["--layout", "strips", "-r", 12, "--page-size", 144, "--encoding", "snorm16", "--shader", shader]
+
+    result = fieldbake("pack", tmp_path / "cube.npz", cube, "-o", output, *options)
+
+    assert result.exit_code == DONE, result.stderr
+    atlas = fb.load(output)
+    volume = fb.bake(cube, resolution=(12, 12, 12))
+    expected = fb.pack([volume, volume], layout="strips", page_size=144, encoding="snorm16")
+    assert np.array_equal(atlas.pages, expected.pages)
+    assert shader.read_text() == atlas.shader("glsl")
+    assert "12 x 12 x 12 voxels, page 0, offset 1" in result.stdout
+    assert fieldbake("info", output).stdout.splitlines()[1:] == result.stdout.splitlines()[1:]
+
+
+def test_pack_says_what_cannot_be_packed(cube, tmp_path):
+    small = fieldbake("pack", cube, "-o", tmp_path / "a.npz", "-r", 24, "--page-size", 64)
+    assert small.exit_code == BAD_INPUT
+    assert_one_clear_line(small, "volumes[0]", "page_size must be at least")
+
+    fieldbake("pack", cube, "-o", tmp_path / "a.npz", "-r", 8, "--page-size", 64)
+    nested = fieldbake("pack", tmp_path / "a.npz", "-o", tmp_path / "b.npz")
+    assert nested.exit_code == BAD_INPUT
+    assert_one_clear_line(nested, "holds an atlas")
+
+    for arguments in (["-o", "a.tiff"], ["-o", "a.npz", "--shader", "a.txt"], ["-o", "a.npz", "--layout", "spiral"]):
+        assert fieldbake("pack", cube, *arguments, cwd=tmp_path).exit_code == BAD_USAGE
+
+
+@pytest.mark.parametrize("ending", [".dds", ".ktx2"])
+def test_info_shows_textures(cube, tmp_path, ending):
+    fb.bake(cube, resolution=8).save(tmp_path / f"cube{ending}")
+
+    assert "8 x 8 x 8" in fieldbake("info", tmp_path / f"cube{ending}").stdout

@@ -15,6 +15,7 @@ import logging as _logging
 
 from . import arrays, fields, models
 from ._core import __version__
+from .atlas import Atlas, pack
 from .bake import ClosestPoints, bake, closest_point, signed_distance
 from .camera import Camera
 from .convert import as_mesh, load_mesh
@@ -43,6 +44,7 @@ from .volume import Volume
 
 __all__ = [
     "ArgumentError",
+    "Atlas",
     "AtlasError",
     "Camera",
     "CapacityError",
@@ -75,6 +77,7 @@ __all__ = [
     "load_mesh",
     "load_scene",
     "models",
+    "pack",
     "raymarch",
     "render",
     "signed_distance",

@@ -18,17 +18,32 @@ __all__ = [
     "SceneMesh",
     "Texture",
     "__version__",
+    "atlas_clear",
+    "atlas_entries",
+    "atlas_plan",
+    "atlas_read",
+    "atlas_sample",
+    "atlas_shader",
+    "atlas_sound",
+    "atlas_texture_coordinates",
+    "atlas_write",
     "bake",
     "bake_brute",
     "closest_point",
     "devices",
+    "exr_read",
+    "exr_write",
     "gradient",
     "raymarch",
     "render",
+    "require_memory",
     "resample",
     "sample",
     "signed_distance",
     "surface_nets",
+    "texture_decode",
+    "texture_read",
+    "texture_write",
 ]
 
 __version__: str
@@ -273,3 +288,93 @@ def render(
 def devices() -> list[dict[str, Any]]:
     """What can compute: ``name``, ``backend``, ``type`` ("cpu", "discrete", "integrated", "software", ...),
     ``hardware`` (bool) and ``limits`` (dict). The first is always the CPU."""
+
+def require_memory(what: str, needed: int, advice: str) -> None:
+    """Raise CapacityError if the machine does not have `needed` bytes free."""
+
+def atlas_plan(
+    shapes: NDArray[np.uint32],
+    taken: NDArray[np.uint32],
+    *,
+    layout: str,
+    page_size: int,
+    gutter: int,
+    encoding: str,
+) -> NDArray[np.uint32]:
+    """Blocks for fields of ``shapes`` (n, 3) beside those that are ``taken`` (k, 10). A block is a row of ten numbers:
+    page, corner (2), tile (2), columns, gutter, shape (3); the page of an index without a field is 2**32 - 1."""
+
+def atlas_sound(blocks: NDArray[np.uint32], page_size: int, pages: int) -> list[bool]:
+    """Which blocks (n, 10) lie on the pages and are safe to read through."""
+
+def atlas_write(
+    pages: NDArray[np.uint8],
+    blocks: NDArray[np.uint32],
+    volumes: list[NDArray[np.float32]],
+    scales: list[float],
+    *,
+    encoding: str,
+    progress: Callable[[float], object] | None = None,
+) -> None:
+    """Fill the blocks (n, 10) of ``volumes`` (nx, ny, nz), x fastest. ``pages`` (pages, size, size * bytes), a view of
+    the texels as bytes."""
+
+def atlas_clear(pages: NDArray[np.uint8], block: NDArray[np.uint32], encoding: str) -> None:
+    """Zero the texels of a block (1, 10)."""
+
+def atlas_read(pages: NDArray[np.uint8], block: NDArray[np.uint32], encoding: str, scale: float) -> NDArray[np.float32]:
+    """The field of a block (1, 10), (nx, ny, nz) with x fastest."""
+
+def atlas_sample(
+    pages: NDArray[np.uint8],
+    block: NDArray[np.uint32],
+    encoding: str,
+    scale: float,
+    lower: tuple[float, float, float],
+    upper: tuple[float, float, float],
+    inner_lower: tuple[float, float, float],
+    inner_upper: tuple[float, float, float],
+    points: NDArray[np.float64],
+    *,
+    filter: str = "linear",
+) -> NDArray[np.float32]:
+    """The field of a block (1, 10) at ``points`` (n, 3); ``filter`` is "linear", "nearest" or "slice"."""
+
+def atlas_texture_coordinates(
+    block: NDArray[np.uint32],
+    page_size: int,
+    lower: tuple[float, float, float],
+    upper: tuple[float, float, float],
+    points: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Where ``points`` (n, 3) fall on the page of a block (1, 10), (n, 2), 0 to 1."""
+
+def atlas_entries(
+    blocks: NDArray[np.uint32],
+    boxes: list[list[float]],
+    models: list[list[float]],
+    scales: list[float],
+    layout: str,
+    page_size: int,
+    encoding: str,
+) -> bytes:
+    """The std430 records of ``blocks`` (n, 10). ``boxes``: twelve numbers each, inner lower and upper, outer lower and
+    upper corner; ``models``: sixteen, row by row."""
+
+def atlas_shader(language: str, layout: str, page_size: int, gutter: int, encoding: str, side: int) -> str:
+    """Sampling functions as text in "wgsl", "glsl", "hlsl" or "msl"; ``side`` is that of the cubes in strips."""
+
+def texture_write(kind: str, distances: NDArray[np.float32], encoding: str, scale: float, facts: str) -> bytes:
+    """``distances`` (nx, ny, nz), x fastest, as a "dds" or "ktx2" file; the latter holds ``facts``, a text of ours."""
+
+def texture_read(kind: str, bytes: bytes) -> tuple[str, list[int], bytes, str]:
+    """Encoding, (width, height, depth), texels and our text of such a file."""
+
+def texture_decode(texels: NDArray[np.uint8], shape: list[int], encoding: str, scale: float) -> NDArray[np.float32]:
+    """Distances (nx, ny, nz) from the bytes of texels."""
+
+def exr_write(texels: NDArray[np.uint8], width: int, height: int, encoding: str) -> bytes:
+    """An OpenEXR file with the channel Y: the bytes of (height, width) float32 or float16."""
+
+def exr_read(bytes: bytes, width: int, height: int, encoding: str) -> bytes:
+    """The texels of such a file, if it has this size; float32 for normalised encodings."""

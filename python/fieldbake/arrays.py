@@ -6,23 +6,27 @@ distances with x fastest in memory, float64 vertices, int64 faces; anything else
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Iterable
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _checks, _core
+from .atlas import Layout
+from .atlas import pack as pack_volumes
 from .bake import Sign
 from .camera import Camera
 from .errors import ArgumentError
 from .grid import MAX_SIDE
 from .mesh import check_faces, check_vertices
 from .render import _size
-from .volume import check_distances
+from .report import Report
+from .volume import Volume, check_distances
 
 Method = Literal["tree", "brute"]
 
-__all__ = ["bake", "raymarch"]
+__all__ = ["bake", "pack", "raymarch"]
 
 
 def bake(
@@ -78,6 +82,44 @@ def bake(
         return _core.bake_brute(mesh, *corners, (nx, ny, nz), sign, device)
     distances, _ = _core.bake(mesh, *corners, (nx, ny, nz), sign=sign, device=device)
     return distances.read() if isinstance(distances, _core.DeviceField) else distances
+
+
+def pack(
+    distances: Iterable[ArrayLike], *, layout: Layout = "shelves", page_size: int = 4096
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Grids of distances in the pages of an atlas.
+
+    Parameters
+    ----------
+    distances : list of (nx, ny, nz) real
+        For strips equal cubes.
+    layout, page_size
+        As for :func:`fieldbake.pack`.
+
+    Returns
+    -------
+    pages : (pages, page_size, page_size) float32
+        Texels, row 0 first.
+    entries : (n,) structured
+        As :attr:`fieldbake.Atlas.entries`; the boxes are in voxels, from (0, 0, 0) to (nx, ny, nz).
+
+    Raises
+    ------
+    AtlasError, ArgumentError, CapacityError
+        As for :func:`fieldbake.pack`.
+
+    Examples
+    --------
+    >>> pages, entries = pack([np.ones((8, 8, 8))], layout="strips", page_size=64)
+    >>> pages.shape, entries.itemsize
+    ((1, 64, 64), 208)
+    """
+    volumes = []
+    for samples in map(check_distances, distances):
+        box = np.array([(0, 0, 0), samples.shape], np.float64)
+        volumes.append(Volume._wrap(samples[...], box, box.copy(), Report()))
+    atlas = pack_volumes(volumes, layout=layout, page_size=page_size)
+    return atlas.pages, atlas.entries
 
 
 def raymarch(

@@ -1,4 +1,4 @@
-"""The command line: ``fieldbake bake | info | render | devices | demo``.
+"""The command line: ``fieldbake bake | info | pack | render | devices | demo``.
 
 Exit codes: 0 done, 1 something is wrong with the input (one line on stderr), 2 wrong usage.
 """
@@ -17,6 +17,8 @@ from typer.core import TyperGroup
 
 import fieldbake as fb
 
+from .atlas import Language
+from .exchange import ATLAS_ENDINGS, VOLUME_ENDINGS
 from .report import bytes_text
 
 out = Console(highlight=False)
@@ -140,13 +142,65 @@ def bake(
 
 @app.command()
 def info(
-    file: Annotated[Path, typer.Argument(help="A baked .npz file or a mesh.")],
+    file: Annotated[Path, typer.Argument(help="Any file of fieldbake's, or a mesh.")],
 ) -> None:
     """Say what is in a file."""
-    if file.suffix.lower() == ".npz":
-        _show(str(file), _volume_rows(fb.load(file)))
+    if file.suffix.lower() in (".npz", *VOLUME_ENDINGS, *ATLAS_ENDINGS):
+        found = fb.load(file)
+        _show(str(file), _atlas_rows(found) if isinstance(found, fb.Atlas) else _volume_rows(found))
     else:
         _show(str(file), _mesh_rows(fb.load_mesh(file)))
+
+
+@app.command()
+def pack(
+    files: Annotated[list[Path], typer.Argument(help="Baked fields (.npz, .dds, ...) and meshes, which are baked.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The atlas to write: .npz, .exr or .png.")],
+    layout: Annotated[
+        Literal["shelves", "strips"], typer.Option(help="Any sizes, or the article's cubes.")
+    ] = "shelves",
+    resolution: Resolution = "64",
+    page_size: Annotated[int, typer.Option(help="Width and height of a page, texels.")] = 4096,
+    gutter: Annotated[int, typer.Option(help="Copies of its border around each slice, texels.")] = 1,
+    encoding: Annotated[
+        Literal["float32", "float16", "snorm16", "snorm8"], typer.Option(help="How a distance is stored.")
+    ] = "float32",
+    band: Annotated[float, typer.Option(help="Voxels that snorm encodings keep on each side of the surface.")] = 4.0,
+    shader: Annotated[
+        Path | None, typer.Option(help="Also write the sampling functions: .wgsl, .glsl, .hlsl or .metal.")
+    ] = None,
+    device: Device = "auto",
+) -> None:
+    """Pack baked fields and meshes into a texture atlas."""
+    if output.suffix.lower() not in (".npz", *ATLAS_ENDINGS):
+        raise typer.BadParameter(f"'{output}' must end in .npz, .exr or .png", param_hint="--output")
+    languages: dict[str, Language] = {".wgsl": "wgsl", ".glsl": "glsl", ".hlsl": "hlsl", ".metal": "msl"}
+    if shader is not None and shader.suffix.lower() not in languages:
+        raise typer.BadParameter(f"'{shader}' must end in {', '.join(languages)}", param_hint="--shader")
+    # The article's strips hold cubes.
+    sides = (resolution,) * 3 if layout == "strips" and isinstance(resolution, int) else resolution
+    volumes = []
+    for file in files:
+        if file.suffix.lower() in (".npz", *VOLUME_ENDINGS):
+            volume = fb.load(file)
+            if not isinstance(volume, fb.Volume):
+                raise fb.FormatError(f"{file}: holds an atlas, only volumes and meshes can be packed")
+        else:
+            volume = fb.bake(file, sides, device=device, progress=err.is_terminal)
+        volumes.append(volume)
+    atlas = fb.pack(
+        volumes,
+        layout=layout,
+        page_size=page_size,
+        gutter=gutter,
+        encoding=encoding,
+        band=band,
+        progress=err.is_terminal,
+    )
+    atlas.save(output)
+    if shader is not None:
+        shader.write_text(atlas.shader(languages[shader.suffix.lower()]), encoding="utf-8")
+    _show(f"{output}", _atlas_rows(atlas))
 
 
 @app.command()
@@ -296,6 +350,20 @@ def _volume_rows(volume: fb.Volume) -> list[tuple[str, str]]:
         ("distances", f"{low:.5g} to {high:.5g}"),
     ]
     return rows + (volume.report.rows() if volume.report.sign_method else [])
+
+
+def _atlas_rows(atlas: fb.Atlas) -> list[tuple[str, str]]:
+    count, size = len(atlas.pages), atlas.page_size
+    rows = [
+        ("pages", f"{count} of {size} x {size} {atlas.encoding}, {bytes_text(atlas.nbytes)}, {atlas.fill:.0%} full"),
+        ("layout", atlas.layout if atlas.layout == "strips" else f"{atlas.layout}, gutter {atlas.gutter}"),
+    ]
+    for i in atlas.indices:
+        entry = atlas.entries[i]
+        shape = " x ".join(map(str, atlas.resolution(i)))
+        place = f"page {entry['atlas_index']}, offset {entry['atlas_offset']}"
+        rows.append((f"volume {i}", f"{shape} voxels, {place}"))
+    return rows
 
 
 def _mesh_rows(mesh: fb.Mesh) -> list[tuple[str, str]]:

@@ -1,11 +1,14 @@
 """Our files: an .npz archive that plain NumPy can read, and that is checked before a byte of it is believed.
 
-Layout, version 1: a zip archive of two uncompressed members.
+Layout, version 1: a zip archive of uncompressed members. A volume has two:
 
 ``header.npy``
     A zero-dimensional string: JSON with ``format``, ``kind``, ``version``, ``bounds``, ``inner_bounds``, ``report``.
 ``distances.npy``
     float32 little-endian, Fortran order (x fastest), shape (nx, ny, nz).
+
+An atlas has the header, ``pages.npy``, a row of ``blocks``, ``boxes``, ``models`` and ``scales`` for each index, and
+the reports as JSON in bytes.
 
 Because members must be stored uncompressed, an archive cannot unfold to more than its own size. The sizes in the zip
 directory, in the array headers and in the JSON are compared before anything is allocated, and nothing is unpickled.
@@ -17,10 +20,10 @@ import errno
 import json
 import os
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.lib import format as npy
@@ -31,6 +34,9 @@ from .errors import ArgumentError, FormatError
 from .report import Report
 from .volume import Volume, check_distances
 
+if TYPE_CHECKING:
+    from .atlas import Atlas
+
 VERSION = 1
 
 #: The JSON of a volume takes about a kilobyte.
@@ -38,6 +44,9 @@ MAX_HEADER_BYTES = 4 << 20
 
 #: Read in pieces, so that a large member is not held twice.
 CHUNK_BYTES = 16 << 20
+
+#: What an atlas keeps for each of its volumes.
+ATLAS_ARRAYS = ("blocks", "boxes", "models", "scales")
 
 
 def save_volume(volume: Volume, path: str | os.PathLike[str]) -> None:
@@ -58,6 +67,36 @@ def save_volume(volume: Volume, path: str | os.PathLike[str]) -> None:
     text = np.array(json.dumps(header))
     with atomic_write(target) as stream:
         np.savez(stream, header=text, distances=volume.distances)
+
+
+def save_atlas(atlas: Atlas, path: str | os.PathLike[str]) -> None:
+    """Write an atlas; the file appears whole or not at all."""
+    target = Path(path)
+    if target.suffix.lower() != ".npz":
+        raise FormatError(f"{path}: an atlas is written as .npz, got the ending '{target.suffix}'")
+    header = {
+        "format": "fieldbake",
+        "kind": "atlas",
+        "version": VERSION,
+        "written_by": f"fieldbake {_core.__version__}",
+        "layout": atlas.layout,
+        "page_size": atlas.page_size,
+        "gutter": atlas.gutter,
+        "encoding": atlas.encoding,
+        "band": atlas.band,
+    }
+    reports = json.dumps([report.to_dict() for report in atlas._reports]).encode()
+    with atomic_write(target) as stream:
+        np.savez(
+            stream,
+            header=np.array(json.dumps(header)),
+            pages=atlas._pages,
+            blocks=atlas._blocks,
+            boxes=atlas._boxes,
+            models=atlas._models,
+            scales=atlas._scales,
+            reports=np.frombuffer(reports, np.uint8),
+        )
 
 
 @contextmanager
@@ -93,18 +132,18 @@ def _umask() -> int:
     return mask
 
 
-def load(path: str | os.PathLike[str]) -> Volume:
+def load(path: str | os.PathLike[str]) -> Any:
     """Read what fieldbake wrote.
 
     Parameters
     ----------
     path : str or path
-        An .npz file of :meth:`Volume.save`.
+        A file of :meth:`Volume.save` or :meth:`Atlas.save`, of any of their endings.
 
     Returns
     -------
-    Volume
-        Bit for bit what was saved.
+    Volume or Atlas
+        Bit for bit what was saved, in the encoding that the file has.
 
     Raises
     ------
@@ -118,8 +157,15 @@ def load(path: str | os.PathLike[str]) -> Volume:
     with open(path, "rb") as stream:
         size = os.fstat(stream.fileno()).st_size
         try:
+            if (foreign := _foreign_reader(path)) is not None:
+                return foreign(Path(path))
             with zipfile.ZipFile(stream) as archive:
-                return _read_volume(archive, size)
+                members = _members(archive, size)
+                header = _read_header(archive, members)
+                reader = {"volume": _read_volume, "atlas": _read_atlas}.get(str(header.get("kind")))
+                if reader is None:
+                    raise FormatError(f"holds something else than a volume: {str(header.get('kind'))[:60]}")
+                return reader(archive, members, header)
         except FormatError as error:
             raise FormatError(f"{path}: {error}") from None
         except zipfile.BadZipFile as error:
@@ -134,11 +180,18 @@ def load(path: str | os.PathLike[str]) -> Volume:
             raise FormatError(f"{path}: is damaged ({type(error).__name__}: {error})") from error
 
 
-def _read_volume(archive: zipfile.ZipFile, size: int) -> Volume:
-    members = _members(archive, size)
-    header = _read_header(archive, members)
-    bounds = _corners(header, "bounds", flat=False)
-    inner_bounds = _corners(header, "inner_bounds", flat=True)
+def _foreign_reader(path: str | os.PathLike[str]) -> Callable[[Path], Volume | Atlas] | None:
+    """Who reads files of this ending, if it is not ours."""
+    from . import exchange
+
+    ending = Path(path).suffix.lower()
+    if ending in exchange.VOLUME_ENDINGS:
+        return exchange.load_volume_from
+    return exchange.load_atlas_from if ending in exchange.ATLAS_ENDINGS else None
+
+
+def _read_volume(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], header: dict[str, Any]) -> Volume:
+    bounds, inner_bounds, report = read_facts(header)
     distances = _read_array(archive, members, "distances.npy")
     if distances.dtype != np.dtype("<f4") or distances.ndim != 3 or distances.size == 0:
         raise FormatError(f"distances must be float32 of shape (nx, ny, nz), got {_checks.describe(distances)}")
@@ -148,7 +201,80 @@ def _read_volume(archive: zipfile.ZipFile, size: int) -> Volume:
         samples = check_distances(distances)
     except ArgumentError as error:
         raise FormatError(str(error)) from None
-    return Volume._wrap(samples, bounds, inner_bounds, _report(header))
+    return Volume._wrap(samples, bounds, inner_bounds, report)
+
+
+def _read_atlas(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], header: dict[str, Any]) -> Atlas:
+    arrays = {name: _read_array(archive, members, f"{name}.npy") for name in (*ATLAS_ARRAYS, "pages", "reports")}
+    reports = json.loads(arrays.pop("reports").tobytes())
+    return make_atlas(header, arrays, reports, arrays.pop("pages"))
+
+
+def make_atlas(header: dict[str, Any], arrays: dict[str, NDArray[Any]], reports: Any, pages: NDArray[Any]) -> Atlas:
+    """An atlas from what a file says, once all of it is known to fit together."""
+    from .atlas import BLOCK_NUMBERS, MAX_GUTTER, MAX_PAGE_SIZE, TEXELS, VACANT, Atlas, choice
+
+    try:
+        atlas = Atlas(
+            layout=choice("layout", header.get("layout"), ("shelves", "strips")),
+            page_size=_checks.integer("page_size", header.get("page_size"), least=1, most=MAX_PAGE_SIZE),
+            gutter=_checks.integer("gutter", header.get("gutter"), least=0, most=MAX_GUTTER),
+            encoding=choice("encoding", header.get("encoding"), tuple(TEXELS)),
+            band=_checks.number("band", header.get("band"), above=0),
+        )
+    except ArgumentError as error:
+        raise FormatError(f"header: {error}") from None
+    size = atlas.page_size
+    if pages.dtype != TEXELS[atlas.encoding] or pages.ndim != 3 or pages.shape[1:] != (size, size):
+        raise FormatError(f"pages must be (pages, {size}, {size}) {atlas.encoding}, got {_checks.describe(pages)}")
+    if not pages.flags.c_contiguous or not _all_finite(pages):
+        raise FormatError("pages must be finite, and row by row")
+
+    rows = len(arrays["blocks"]) if arrays["blocks"].ndim else 0
+    wanted: dict[str, tuple[tuple[int, ...], str]] = {
+        "blocks": ((rows, BLOCK_NUMBERS), "u4"),
+        "boxes": ((rows, 4, 3), "f8"),
+        "models": ((rows, 4, 4), "f8"),
+        "scales": ((rows,), "f4"),
+    }
+    for name, (shape, kind) in wanted.items():
+        array = arrays[name]
+        if array.shape != shape or array.dtype != np.dtype(kind) or not array.flags.c_contiguous:
+            raise FormatError(f"{name} must have shape {shape} and dtype {kind}, got {_checks.describe(array)}")
+        if not _all_finite(array):
+            raise FormatError(f"{name} must be finite")
+    blocks, boxes = arrays["blocks"], arrays["boxes"]
+    sound = np.array(_core.atlas_sound(blocks, size, len(pages)), bool)
+    if atlas.layout == "strips":
+        side = blocks[:, 9]
+        cube = (blocks[:, 7:] == side[:, None]).all(axis=1) & (blocks[:, 5] == side) & (blocks[:, 6] == 0)
+        placed = (blocks[:, 1] == 0) & (blocks[:, 2] % np.maximum(side, 1) == 0)
+        sound &= (cube & placed) | (blocks[:, 0] == VACANT)
+    if not sound.all():
+        raise FormatError(f"blocks[{int(np.argmin(sound))}] does not lie on the pages")
+    live = blocks[:, 0] != VACANT
+    ordered = (boxes[:, 0] <= boxes[:, 1]).all(axis=1) & (boxes[:, 2] < boxes[:, 3]).all(axis=1)
+    if not (ordered | ~live).all() or not (np.abs(boxes) <= _checks.FAR).all():
+        raise FormatError(f"boxes[{int(np.argmin(ordered | ~live))}] is no box")
+    for i in np.flatnonzero(live):
+        _checks.affine(f"models[{i}]", arrays["models"][i], FormatError)
+    if not (arrays["scales"] > 0).all():
+        raise FormatError("scales must be above 0")
+    if not isinstance(reports, list) or len(reports) != rows:
+        raise FormatError(f"there must be {rows} reports")
+
+    atlas._pages = pages
+    atlas._blocks, atlas._boxes, atlas._models, atlas._scales = (arrays[name] for name in ATLAS_ARRAYS)
+    atlas._reports = [_report({"report": facts}) for facts in reports]
+    return atlas
+
+
+def _all_finite(array: NDArray[Any]) -> bool:
+    """Whether there is no inf and no nan."""
+    if array.dtype.kind != "f":
+        return True
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.isfinite(array.sum(dtype=np.float64)) or np.isfinite(array).all())
 
 
 def _members(archive: zipfile.ZipFile, size: int) -> dict[str, zipfile.ZipInfo]:
@@ -175,7 +301,15 @@ def _read_header(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo]) 
     if text.ndim != 0 or text.dtype.kind != "U":
         raise FormatError(f"is not a fieldbake file: its header is {_checks.describe(text)}")
     header = json.loads(str(text))
-    if not isinstance(header, dict) or header.get("format") != "fieldbake":
+    if not isinstance(header, dict):
+        raise FormatError("is not a fieldbake file: its header does not say so")
+    check_version(header)
+    return header
+
+
+def check_version(header: dict[str, Any]) -> None:
+    """Fails unless we wrote this, and know how to read it."""
+    if header.get("format") != "fieldbake":
         raise FormatError("is not a fieldbake file: its header does not say so")
     version = header.get("version")
     if not isinstance(version, int) or isinstance(version, bool) or version < 1:
@@ -185,9 +319,6 @@ def _read_header(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo]) 
             f"is of version {version}, this fieldbake reads up to {VERSION}; install a newer fieldbake "
             f"(written by {str(header.get('written_by'))[:60]})"
         )
-    if header.get("kind") != "volume":
-        raise FormatError(f"holds something else than a volume: {str(header.get('kind'))[:60]}")
-    return header
 
 
 def _read_array(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], name: str) -> NDArray[Any]:
@@ -230,6 +361,11 @@ def _fill(stream: IO[bytes], array: NDArray[Any]) -> None:
             raise FormatError("the file ends too early")
         memory[done : done + len(piece)] = np.frombuffer(piece, dtype=np.uint8)
         done += len(piece)
+
+
+def read_facts(header: dict[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.float64], Report]:
+    """Outer and inner box and report of a volume."""
+    return _corners(header, "bounds", flat=False), _corners(header, "inner_bounds", flat=True), _report(header)
 
 
 def _corners(header: dict[str, Any], name: str, *, flat: bool) -> NDArray[np.float64]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -12,6 +12,9 @@ from . import _checks, _core
 from .errors import ArgumentError
 from .mesh import Mesh
 from .report import Report, bytes_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Filter = Literal["linear", "nearest"]
 
@@ -274,23 +277,61 @@ class Volume:
         distances = _core.resample(self._distances, *self._corners(), (nx, ny, nz))
         return Volume._wrap(distances, self._bounds, self._inner_bounds, self._report)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an .npz file; a file of that name is replaced only once the new one is complete.
+    def plot_slices(self, at: ArrayLike | None = None) -> Figure:
+        """The slices through a point along the three axes, coloured by distance, with iso-lines.
+
+        Parameters
+        ----------
+        at : (3,) array, optional
+            World position; the middle of the box if not given.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A notebook shows it; ``.savefig("slices.png")`` saves it.
+
+        Raises
+        ------
+        Error
+            If matplotlib is not installed.
+        ArgumentError
+            If `at` is no position.
+        """
+        from .plot import plot_slices
+
+        return plot_slices(self, at)
+
+    def save(self, path: str | os.PathLike[str], *, encoding: str = "float32", band: float = 4.0) -> None:
+        """Write a file; one of that name is replaced only once the new one is complete.
 
         Parameters
         ----------
         path : str or path
-            Must end in ``.npz``. Read it with :func:`fieldbake.load`, or without fieldbake by ``numpy.load``.
+            ``.npz``: ours, and NumPy's; ``.dds`` or ``.ktx2``: a 3D texture; ``.nrrd``: for ParaView and 3D Slicer,
+            needs the package pynrrd. Read any with :func:`fieldbake.load`.
+        encoding : str, default "float32"
+            Of a texture: ``"float32"``, ``"float16"``, ``"snorm16"`` or ``"snorm8"``, as for :func:`fieldbake.pack`.
+        band : float, default 4
+            Half the width of the band that a normalised encoding keeps, voxels.
 
         Raises
         ------
         FormatError
             For another ending.
+        ArgumentError
+            For an encoding that the file cannot have.
         OSError
             If the file cannot be written.
         """
+        from . import exchange
         from .io import save_volume
 
+        ending = os.path.splitext(path)[1].lower()  # noqa: PTH122 - bytes and paths alike
+        if ending in exchange.VOLUME_ENDINGS:
+            exchange.save_volume_as(self, path, encoding, band)
+            return
+        if encoding != "float32":
+            raise ArgumentError(f'encoding: {ending or "such"} files hold "float32", got {_checks.describe(encoding)}')
         save_volume(self, path)
 
     def _corners(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:

@@ -28,6 +28,8 @@ impl From<Failure> for PyErr {
 fn raise(py: Python<'_>, error: &Error) -> PyErr {
     let class = match error {
         Error::Mesh(_) => "MeshError",
+        Error::Atlas(_) => "AtlasError",
+        Error::Format(_) => "FormatError",
         Error::Argument(_) => "ArgumentError",
         Error::Scene(_) => "SceneError",
         Error::Capacity(_) => "CapacityError",

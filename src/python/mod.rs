@@ -2,10 +2,12 @@
 //!
 //! The Python layer hands over C-contiguous arrays of the right dtype and shape; `_core.pyi` beside it is the contract.
 
+mod atlas;
 mod bake;
 mod convert;
 mod device;
 mod error;
+mod exchange;
 mod mesh;
 mod query;
 mod render;
@@ -19,9 +21,16 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _core {
     #[pymodule_export]
+    use super::atlas::{
+        atlas_clear, atlas_entries, atlas_plan, atlas_read, atlas_sample, atlas_shader, atlas_sound,
+        atlas_texture_coordinates, atlas_write, require_memory,
+    };
+    #[pymodule_export]
     use super::bake::{bake, bake_brute};
     #[pymodule_export]
     use super::device::{DeviceField, devices};
+    #[pymodule_export]
+    use super::exchange::{exr_read, exr_write, texture_decode, texture_read, texture_write};
     #[pymodule_export]
     use super::mesh::Mesh;
     #[pymodule_export]

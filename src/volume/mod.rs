@@ -33,6 +33,7 @@ mod surface;
 mod trilinear;
 
 pub use surface::SurfaceMesh;
+pub(crate) use trilinear::{batch, lerp};
 pub use trilinear::{Cell, Filter, Trilinear, trilinear, trilinear_gradient};
 
 use crate::error::{ArgumentError, Error};

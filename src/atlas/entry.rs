@@ -1,0 +1,112 @@
+//! What a shader needs to know about each field: records for a storage buffer.
+//!
+//! Strips have the article's record, 208 bytes in std430, to the byte. Shelves have the same 200 bytes of fields, then
+//! what it takes to find a slice. Matrices are stored by columns, as GLSL and WGSL read them.
+
+use super::Block;
+use bytemuck::{Pod, Zeroable};
+use glam::{DMat4, DVec3};
+
+/// The article's `PackedSdfOffsetDetail`.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct StripEntry {
+    pub model: [f32; 16],
+    pub inverse_model: [f32; 16],
+    pub inner_min: [f32; 4],
+    pub inner_max: [f32; 4],
+    pub outer_min: [f32; 4],
+    pub outer_max: [f32; 4],
+    /// Page; -1 for an entry without a field.
+    pub atlas_index: i32,
+    /// Row of strips.
+    pub atlas_offset: i32,
+    /// Of the normalised encodings. In the article these eight bytes are padding, and they are zero for floats.
+    pub scale: f32,
+    pub padding: u32,
+}
+
+/// The record of a field of any shape; `shaders/shared/atlas.wgsl`.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct AtlasEntry {
+    pub model: [f32; 16],
+    pub inverse_model: [f32; 16],
+    pub inner_min: [f32; 4],
+    pub inner_max: [f32; 4],
+    pub outer_min: [f32; 4],
+    pub outer_max: [f32; 4],
+    /// Page; -1 for an entry without a field.
+    pub atlas_index: i32,
+    /// First texel of the block, counted row by row.
+    pub atlas_offset: i32,
+    /// What a texel is multiplied by: 1 for floats, the band for normalised encodings.
+    pub scale: f32,
+    /// Slices in a row.
+    pub columns: u32,
+    pub shape: [u32; 3],
+    pub gutter: u32,
+    /// First texel of the block: column, row.
+    pub corner: [u32; 2],
+    /// Size of a slice with its gutters.
+    pub tile: [u32; 2],
+}
+
+/// A field's place and boxes, world units.
+#[derive(Debug, Clone, Copy)]
+pub struct Facts {
+    pub block: Block,
+    pub inner: [DVec3; 2],
+    pub outer: [DVec3; 2],
+    /// World from the field's own space.
+    pub model: DMat4,
+    /// `None` for the float encodings.
+    pub scale: Option<f32>,
+}
+
+impl Facts {
+    pub fn strip_entry(&self) -> StripEntry {
+        let block = &self.block;
+        let AtlasEntry { model, inverse_model, inner_min, inner_max, outer_min, outer_max, atlas_index, .. } =
+            self.atlas_entry(0);
+        let atlas_offset = (block.corner[1] / block.shape[1]) as i32;
+        let scale = self.scale.unwrap_or(0.0);
+        StripEntry {
+            model,
+            inverse_model,
+            inner_min,
+            inner_max,
+            outer_min,
+            outer_max,
+            atlas_index,
+            atlas_offset,
+            scale,
+            padding: 0,
+        }
+    }
+
+    pub fn atlas_entry(&self, page_size: u32) -> AtlasEntry {
+        let block = &self.block;
+        AtlasEntry {
+            model: self.model.as_mat4().to_cols_array(),
+            inverse_model: self.model.inverse().as_mat4().to_cols_array(),
+            inner_min: position(self.inner[0]),
+            inner_max: position(self.inner[1]),
+            outer_min: position(self.outer[0]),
+            outer_max: position(self.outer[1]),
+            atlas_index: block.page as i32,
+            atlas_offset: (block.corner[1] * page_size + block.corner[0]) as i32,
+            scale: self.scale.unwrap_or(1.0),
+            columns: block.columns,
+            shape: block.shape,
+            gutter: block.gutter,
+            corner: block.corner,
+            tile: block.tile,
+        }
+    }
+}
+
+/// A position as a vec4.
+fn position(p: DVec3) -> [f32; 4] {
+    p.as_vec3().extend(1.0).to_array()
+}

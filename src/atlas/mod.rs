@@ -1,0 +1,109 @@
+//! The atlas: many fields in the layers of one 2D texture.
+//!
+//! # Theory
+//!
+//! A field is cut into its slices along z, and each slice is a tile of the page. The tiles of a field form one
+//! [`Block`]: `columns` tiles to a row, rows below each other. Two layouts differ only in how blocks are made:
+//!
+//! - *Strips*, of the article "Packing 3D SDF to a 2D Texture": cubes of n voxels, all tiles in one row, blocks below
+//!   each other. Texel (x + z n, y + row n); 64 fields of 64^3 fill a page of 4096^2.
+//! - *Shelves*: fields of any shape, slices wrapped over rows, blocks where there is room ([`rectangles`]). Around each
+//!   slice lies a gutter of copies of its border, so that a sampler that rounds its weights reads no neighbour.
+//!
+//! ```text
+//!   strips   | z=0 | z=1 | z=2 | z=3 |        shelves   | z=0 | z=1 |   . gutter   n = 4, columns = 2
+//!                                                       | z=2 | z=3 |
+//! ```
+//!
+//! Sampling takes one bilinear value from each of the two slices around the point and interpolates between them: the
+//! trilinear function, where the article's single tap leaves steps along z ([`sample`]).
+//!
+//! # Practice
+//!
+//! [`plan`] finds blocks, [`texels::write`] fills pages, [`texels::read`] gives a field back bit for bit. The plan depends
+//! only on what is taken: an atlas grows and shrinks without moving anything, also after it was saved.
+
+pub mod entry;
+pub mod plan;
+pub mod rectangles;
+pub mod sample;
+pub mod shader;
+pub mod texels;
+
+use crate::error::ArgumentError;
+use bytemuck::{Pod, Zeroable};
+use rectangles::Rectangle;
+
+/// How blocks are laid out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Layout {
+    /// Any shapes, slices wrapped over rows, `gutter` texels around each.
+    Shelves { gutter: u32 },
+    /// Equal cubes, all slices in one row, as the article has it.
+    Strips,
+}
+
+impl Layout {
+    /// The layout that the Python interface calls `name`; strips have no gutter.
+    pub fn from_name(name: &str, gutter: u32) -> Result<Self, ArgumentError> {
+        match name {
+            "shelves" => Ok(Self::Shelves { gutter }),
+            "strips" => Ok(Self::Strips),
+            _ => Err(ArgumentError::new("layout", format!("expected \"shelves\" or \"strips\", got {name:?}"))),
+        }
+    }
+}
+
+/// Where the slices of a field lie.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Block {
+    pub page: u32,
+    /// First texel: column, row.
+    pub corner: [u32; 2],
+    /// Size of a slice with its gutters.
+    pub tile: [u32; 2],
+    /// Slices in a row.
+    pub columns: u32,
+    pub gutter: u32,
+    /// Voxels along x, y and z.
+    pub shape: [u32; 3],
+}
+
+impl Block {
+    /// Texels that the slices and their gutters take.
+    pub fn rectangle(&self) -> Rectangle {
+        let [x, y] = self.corner;
+        Rectangle { x, y, width: self.columns * self.tile[0], height: self.rows() * self.tile[1] }
+    }
+
+    /// Rows of slices.
+    pub fn rows(&self) -> u32 {
+        self.shape[2].div_ceil(self.columns)
+    }
+
+    /// Texel of voxel (0, 0, z).
+    pub fn slice(&self, z: u32) -> [u32; 2] {
+        [
+            self.corner[0] + z % self.columns * self.tile[0] + self.gutter,
+            self.corner[1] + z / self.columns * self.tile[1] + self.gutter,
+        ]
+    }
+
+    pub fn voxels(&self) -> usize {
+        self.shape.iter().map(|&n| n as usize).product()
+    }
+
+    /// Whether this is a block that [`plan`] could have made on pages of this size, and so is safe to read through.
+    pub fn is_sound(&self, page_size: u32, pages: u32) -> bool {
+        let wide = |a: u32, b: u32| u64::from(a) * u64::from(b);
+        let limit = u64::from(page_size);
+        self.page < pages
+            && self.columns > 0
+            && self.shape.iter().all(|&n| n > 0 && n <= page_size)
+            && self.gutter <= page_size
+            && (0..2).all(|axis| u64::from(self.tile[axis]) == u64::from(self.shape[axis]) + wide(2, self.gutter))
+            && u64::from(self.corner[0]) + wide(self.columns, self.tile[0]) <= limit
+            && u64::from(self.corner[1]) + wide(self.rows(), self.tile[1]) <= limit
+    }
+}

@@ -1,0 +1,377 @@
+//! The sampling function of an atlas as shader text, for programs of the user.
+//!
+//! The WGSL files in `shaders/atlas/` are the source; naga writes the other languages from them. What comes out is whole
+//! but for the entry point: the text and a `main` of the user make a shader. naga drops comments, so they are put back
+//! in front of what they explain.
+
+use super::Layout;
+use crate::encoding::Encoding;
+use crate::error::{ArgumentError, Error};
+use naga::back::{glsl, hlsl, msl};
+use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
+use naga::{Module, ShaderStage, front, proc};
+use std::fmt::Write;
+
+const SHELVES: &str = include_str!("../../shaders/atlas/shelves.wgsl");
+const STRIPS: &str = include_str!("../../shaders/atlas/strips.wgsl");
+const SAMPLING: &str = include_str!("../../shaders/atlas/sampling.wgsl");
+
+/// A shading language.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Language {
+    Wgsl,
+    /// GLSL ES 3.00, which is WebGL 2; newer desktop versions take it with another first line.
+    Glsl,
+    Hlsl,
+    Msl,
+}
+
+impl Language {
+    /// The language that the Python interface calls `name`.
+    pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
+        match name {
+            "wgsl" => Ok(Self::Wgsl),
+            "glsl" => Ok(Self::Glsl),
+            "hlsl" => Ok(Self::Hlsl),
+            "msl" => Ok(Self::Msl),
+            _ => Err(ArgumentError::new(
+                "language",
+                format!("expected one of \"wgsl\", \"glsl\", \"hlsl\", \"msl\", got {name:?}"),
+            )),
+        }
+    }
+}
+
+/// What the text depends on.
+#[derive(Debug, Clone, Copy)]
+pub struct ShaderOptions {
+    pub layout: Layout,
+    pub encoding: Encoding,
+    pub page_size: u32,
+    /// Voxels along a side of the cubes in strips.
+    pub side: u32,
+}
+
+/// Makes every function reachable, and is cut off again.
+const ENTRY: &str = "
+@fragment fn entry_point() {
+    var entry: AtlasEntry;
+    let p = vec3f(atlas_texture_coordinates(entry, vec3f(0.0)), 0.0);
+    var sum = atlas_sample(entry, p) + atlas_sample_filtered(entry, p) + atlas_sample_nearest(entry, p);
+}
+";
+
+/// The sampling functions of an atlas in some language.
+pub fn shader(options: &ShaderOptions, language: Language) -> Result<String, Error> {
+    let wgsl = wgsl(options);
+    if language == Language::Wgsl {
+        return Ok(wgsl);
+    }
+    let (module, info) = parse(&format!("{wgsl}{ENTRY}"))?;
+    let translated = match language {
+        Language::Wgsl => unreachable!("returned above"),
+        Language::Glsl => write_glsl(&module, &info)?,
+        Language::Hlsl => write_hlsl(&module, &info)?,
+        Language::Msl => write_msl(&module, &info)?,
+    };
+    Ok(with_comments(&plain_names(&translated), &wgsl, language))
+}
+
+/// The whole WGSL text.
+pub fn wgsl(options: &ShaderOptions) -> String {
+    let size = options.page_size;
+    let (layout, entry) = match options.layout {
+        Layout::Shelves { .. } => ("shelves", SHELVES),
+        Layout::Strips => ("strips", STRIPS),
+    };
+    let format = match options.encoding {
+        Encoding::Float32 => "r32float",
+        Encoding::Float16 => "r16float",
+        Encoding::Snorm16 => "r16snorm",
+        Encoding::Snorm8 => "r8snorm",
+    };
+    let mut text = format!(
+        "// Sampling of a fieldbake atlas: layout \"{layout}\", pages of {size} x {size} texels of format {format}.\n\
+         // Bind the pages as the layers of a 2D array texture. Points are in the space that a volume was baked in:\n\
+         // for an instance, entry.inverse_model * world. Distances are negative inside.\n\n\
+         const ATLAS_PAGE_SIZE: f32 = {size}.0;\n"
+    );
+    if options.layout == Layout::Strips {
+        // Writing to a string cannot fail.
+        let _ = writeln!(text, "const ATLAS_SIDE: u32 = {}u;", options.side);
+        let _ = writeln!(text, "const ATLAS_IS_NORMALISED: bool = {};", options.encoding.is_normalised());
+    }
+    text + "\n" + entry + "\n" + SAMPLING
+}
+
+fn parse(text: &str) -> Result<(Module, ModuleInfo), Error> {
+    let module = front::wgsl::parse_str(text).map_err(|error| refused(&error.emit_to_string(text)))?;
+    let info = Validator::new(ValidationFlags::all(), Capabilities::empty())
+        .validate(&module)
+        .map_err(|error| refused(&error.emit_to_string(text)))?;
+    Ok((module, info))
+}
+
+/// A text of ours that naga refuses: our bug, told as one.
+fn refused(reason: &str) -> Error {
+    ArgumentError::new("language", format!("the shader could not be translated: {reason}")).into()
+}
+
+fn write_glsl(module: &Module, info: &ModuleInfo) -> Result<String, Error> {
+    let options =
+        glsl::Options { version: glsl::Version::Embedded { version: 300, is_webgl: true }, ..Default::default() };
+    let pipeline = glsl::PipelineOptions {
+        shader_stage: ShaderStage::Fragment,
+        entry_point: "entry_point".into(),
+        multiview: None,
+    };
+    let mut text = String::new();
+    let policies = proc::BoundsCheckPolicies::default();
+    let mut writer = glsl::Writer::new(&mut text, module, info, &options, &pipeline, policies)
+        .map_err(|error| refused(&error.to_string()))?;
+    writer.write().map_err(|error| refused(&error.to_string()))?;
+    // A sampler has no name of its own here, and the texture one that only naga could love.
+    Ok(before(&text, "void main()").replace("_group_0_binding_0_fs", "atlas_pages"))
+}
+
+fn write_hlsl(module: &Module, info: &ModuleInfo) -> Result<String, Error> {
+    let options = hlsl::Options { fake_missing_bindings: true, ..Default::default() };
+    let pipeline = hlsl::PipelineOptions::default();
+    let mut text = String::new();
+    let mut writer = hlsl::Writer::new(&mut text, &options, &pipeline);
+    writer.write(module, info, None).map_err(|error| refused(&error.to_string()))?;
+    // naga takes samplers from a heap of its own; here there is one.
+    let is_heap = |line: &str| line.starts_with("Sampler") || line.contains("SamplerIndexArray");
+    let mut plain = String::new();
+    for line in before(&text, "void entry_point").lines().filter(|line| !is_heap(line)) {
+        plain = plain + line + "\n";
+        if line.starts_with("Texture2DArray") {
+            plain += "SamplerState atlas_sampler : register(s0);\n";
+        }
+    }
+    Ok(plain)
+}
+
+fn write_msl(module: &Module, info: &ModuleInfo) -> Result<String, Error> {
+    let options = msl::Options { fake_missing_bindings: true, ..Default::default() };
+    let pipeline = msl::PipelineOptions::default();
+    let (text, _) =
+        msl::write_string(module, info, &options, &pipeline).map_err(|error| refused(&error.to_string()))?;
+    Ok(before(&text, "fragment void entry_point"))
+}
+
+/// What comes before the entry point.
+fn before(text: &str, entry: &str) -> String {
+    text.find(entry).map_or(text, |end| &text[..end]).trim_end().to_owned() + "\n"
+}
+
+/// naga numbers the parameters throughout the text; within a function these names are free.
+fn plain_names(text: &str) -> String {
+    let mut plain = String::new();
+    let mut rest = text;
+    while let Some(start) = rest.find(is_word) {
+        let (between, word) = rest.split_at(start);
+        let end = word.find(|c| !is_word(c)).unwrap_or(word.len());
+        let (word, after) = word.split_at(end);
+        let numbered = ["entry", "p"].into_iter().find(|name| {
+            let number = word.strip_prefix(name).and_then(|rest| rest.strip_prefix('_'));
+            number.is_some_and(|digits| !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_digit()))
+        });
+        plain = plain + between + numbered.unwrap_or(word);
+        rest = after;
+    }
+    plain + rest
+}
+
+fn is_word(c: char) -> bool {
+    c.is_ascii_alphanumeric() || c == '_'
+}
+
+/// The comments of the WGSL text in front of the functions and structs of its translation, and its head at the top.
+fn with_comments(translated: &str, wgsl: &str, language: Language) -> String {
+    let mut head: String =
+        wgsl.lines().take_while(|line| line.starts_with("//")).flat_map(|line| [line, "\n"]).collect();
+    if language == Language::Hlsl {
+        // HLSL counts rows where the others count columns.
+        head = head.replace("entry.inverse_model * world", "mul(world, entry.inverse_model)");
+    }
+    let comments = comments(wgsl);
+    let mut text = String::new();
+    let mut lines = translated.lines().skip_while(|line| line.is_empty()).peekable();
+    // A version or an include must stay in the first lines.
+    while let Some(line) = lines.next_if(|line| line.starts_with('#') || line.starts_with("//")) {
+        text = text + line + "\n";
+    }
+    text = text + &head + "\n";
+    let mut lines = lines.skip_while(|line| line.is_empty()).peekable();
+    while let Some(line) = lines.next() {
+        if let Some((_, comment)) = comments.iter().find(|(name, _)| defines(line, name)) {
+            text += comment;
+        }
+        // One empty line in a row.
+        if !(line.is_empty() && lines.peek().is_none_or(|next| next.is_empty())) {
+            text = text + line + "\n";
+        }
+    }
+    text
+}
+
+/// Name and comment of each function and struct of a WGSL text.
+fn comments(wgsl: &str) -> Vec<(&str, String)> {
+    let mut found = Vec::new();
+    let mut pending = String::new();
+    for line in wgsl.lines() {
+        if line.starts_with("//") {
+            pending = pending + line + "\n";
+            continue;
+        }
+        let definition = line.strip_prefix("fn ").or(line.strip_prefix("struct "));
+        if let Some(name) = definition.and_then(|rest| rest.split(['(', ' ']).next()) {
+            found.push((name, pending.clone()));
+        }
+        pending.clear();
+    }
+    found
+}
+
+/// Whether a line of a C-like text begins the definition of a struct or function.
+fn defines(line: &str, name: &str) -> bool {
+    let is_function = line.contains(&format!(" {name}(")) && !line.starts_with([' ', '\t']) && !line.ends_with(';');
+    is_function || line.starts_with(&format!("struct {name} "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::entry::{AtlasEntry, StripEntry};
+    use super::*;
+    use std::mem::offset_of;
+
+    const LANGUAGES: [Language; 4] = [Language::Wgsl, Language::Glsl, Language::Hlsl, Language::Msl];
+    const FUNCTIONS: [&str; 5] =
+        ["atlas_sample", "atlas_sample_filtered", "atlas_sample_nearest", "atlas_texture_coordinates", "atlas_slice"];
+
+    fn every_option() -> impl Iterator<Item = ShaderOptions> {
+        [Layout::Strips, Layout::Shelves { gutter: 1 }].into_iter().flat_map(|layout| {
+            Encoding::ALL.map(|encoding| ShaderOptions { layout, encoding, page_size: 4096, side: 64 })
+        })
+    }
+
+    #[test]
+    fn the_text_is_valid_and_every_language_has_every_function_with_its_comment() {
+        for options in every_option() {
+            parse(&wgsl(&options)).unwrap();
+            for language in LANGUAGES {
+                let text = shader(&options, language).unwrap();
+                for function in FUNCTIONS {
+                    let lines: Vec<&str> = text.lines().collect();
+                    let at = lines.iter().position(|line| line.contains(&format!(" {function}("))).unwrap();
+                    assert!(lines[at - 1].starts_with("// "), "{language:?} {function}: {}", lines[at - 1]);
+                }
+                assert!(text.contains("Distances are negative inside."));
+                assert!(!text.contains("entry_point") && !text.contains("entry_1") && !text.contains("nagaS"));
+                assert!(!text.contains("\n\n\n"));
+                assert_eq!(text, shader(&options, language).unwrap());
+            }
+        }
+    }
+
+    #[test]
+    fn a_main_after_the_glsl_text_makes_a_shader() {
+        for options in every_option() {
+            let text = shader(&options, Language::Glsl).unwrap();
+            assert!(text.starts_with("#version 300 es\n"), "{text}");
+            assert!(text.contains("uniform highp sampler2DArray atlas_pages;"));
+            assert!(!text.contains("main"));
+        }
+    }
+
+    /// Names and offsets of the struct that a module has under some name, and its size.
+    fn layout_of(module: &Module, name: &str) -> (Vec<(String, u32)>, u32) {
+        let (_, found) = module.types.iter().find(|(_, found)| found.name.as_deref() == Some(name)).unwrap();
+        let naga::TypeInner::Struct { members, span } = &found.inner else { panic!("{name} is not a struct") };
+        (members.iter().map(|member| (member.name.clone().unwrap(), member.offset)).collect(), *span)
+    }
+
+    macro_rules! offsets {
+        ($name:ident { $($field:ident),* }) => {
+            (vec![$((stringify!($field).to_owned(), offset_of!($name, $field) as u32)),*], size_of::<$name>() as u32)
+        };
+    }
+
+    #[test]
+    fn records_have_the_layout_that_the_shaders_read() {
+        let module = |layout| {
+            parse(&wgsl(&ShaderOptions { layout, encoding: Encoding::Float32, page_size: 64, side: 8 })).unwrap().0
+        };
+        let strips = offsets!(StripEntry {
+            model,
+            inverse_model,
+            inner_min,
+            inner_max,
+            outer_min,
+            outer_max,
+            atlas_index,
+            atlas_offset,
+            scale,
+            padding
+        });
+        assert_eq!(layout_of(&module(Layout::Strips), "AtlasEntry"), strips);
+        let shelves = offsets!(AtlasEntry {
+            model,
+            inverse_model,
+            inner_min,
+            inner_max,
+            outer_min,
+            outer_max,
+            atlas_index,
+            atlas_offset,
+            scale,
+            columns,
+            shape,
+            gutter,
+            corner,
+            tile
+        });
+        assert_eq!(layout_of(&module(Layout::Shelves { gutter: 1 }), "AtlasEntry"), shelves);
+    }
+
+    /// The buffer as the article "Packing 3D SDF to a 2D Texture" declares it.
+    const ARTICLE: &str = "#version 450
+        struct PackedSdfOffsetDetail {
+            mat4 modelMat;
+            mat4 invModelMat;
+            vec4 innerBBMin;
+            vec4 innerBBMax;
+            vec4 outerBBMin;
+            vec4 outerBBMax;
+            int atlasIndex;
+            int atlasOffset;
+        };
+        layout(std430, binding = 0) buffer PackedSdfOffsetDetailBuffer {
+            int offsetSize;
+            PackedSdfOffsetDetail offsets[];
+        };
+        void main() { offsetSize = offsets[0].atlasIndex; }";
+
+    #[test]
+    fn a_strip_entry_is_the_articles_struct() {
+        let options = front::glsl::Options::from(ShaderStage::Vertex);
+        let module = front::glsl::Frontend::default().parse(&options, ARTICLE).unwrap();
+        let (members, size) = layout_of(&module, "PackedSdfOffsetDetail");
+        let (ours, our_size) = offsets!(StripEntry {
+            model,
+            inverse_model,
+            inner_min,
+            inner_max,
+            outer_min,
+            outer_max,
+            atlas_index,
+            atlas_offset
+        });
+        assert_eq!(size, our_size);
+        assert_eq!(
+            members.iter().map(|member| member.1).collect::<Vec<_>>(),
+            ours.iter().map(|o| o.1).collect::<Vec<_>>()
+        );
+    }
+}

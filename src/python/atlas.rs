@@ -1,0 +1,268 @@
+//! `fieldbake._core.atlas_*`: planning, packing and reading atlases.
+//!
+//! Blocks cross as rows of ten numbers, the fields of `atlas::Block` in order; pages as bytes, (pages, size, size * bytes).
+
+use super::convert::{points, volume_array};
+use super::error::{Failure, exception};
+use super::run::run;
+use crate::atlas::entry::{AtlasEntry, Facts, StripEntry};
+use crate::atlas::sample::{AtlasField, AtlasFilter, texture_coordinates};
+use crate::atlas::shader::{Language, ShaderOptions, shader};
+use crate::atlas::texels::{self, Item};
+use crate::atlas::{Block, Layout, plan};
+use crate::encoding::Encoding;
+use crate::grid::Grid;
+use crate::memory;
+use glam::{DMat4, DVec3};
+use numpy::{
+    IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3,
+    PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+use pyo3::types::PyBytes;
+
+type Blocks<'py> = PyReadonlyArray2<'py, u32>;
+
+/// Numbers in a row of blocks.
+const BLOCK_NUMBERS: usize = size_of::<Block>() / size_of::<u32>();
+/// In place of the page in a row without a field.
+const VACANT: u32 = u32::MAX;
+
+/// Blocks (n, 10) for fields of these shapes (n, 3), beside those that are taken.
+#[pyfunction]
+#[pyo3(signature = (shapes, taken, *, layout, page_size, gutter, encoding))]
+pub fn atlas_plan<'py>(
+    py: Python<'py>,
+    shapes: PyReadonlyArray2<'py, u32>,
+    taken: Blocks<'py>,
+    layout: &str,
+    page_size: u32,
+    gutter: u32,
+    encoding: &str,
+) -> PyResult<Bound<'py, PyArray2<u32>>> {
+    let shapes = super::convert::rows(&shapes, "shapes")?;
+    let taken: Vec<Block> = blocks(&taken)?.iter().filter(|block| block.page != VACANT).copied().collect();
+    let layout = Layout::from_name(layout, gutter).map_err(Failure::from)?;
+    let encoding = Encoding::from_name(encoding).map_err(Failure::from)?;
+    let placed = run(py, None, |_| plan::plan(layout, page_size, align(encoding), &taken, shapes))?;
+    let numbers: Vec<u32> = bytemuck::cast_slice(&placed).to_vec();
+    numbers.into_pyarray(py).reshape([placed.len(), BLOCK_NUMBERS])
+}
+
+/// A device writes whole words, so blocks start at one.
+fn align(encoding: Encoding) -> u32 {
+    (size_of::<u32>() / encoding.bytes()) as u32
+}
+
+/// Which of the blocks are safe to read through.
+#[pyfunction]
+pub fn atlas_sound(blocks: Blocks<'_>, page_size: u32, pages: u32) -> PyResult<Vec<bool>> {
+    Ok(self::blocks(&blocks)?.iter().map(|block| block.page == VACANT || block.is_sound(page_size, pages)).collect())
+}
+
+/// Fill the blocks of some fields.
+#[pyfunction]
+#[pyo3(signature = (pages, blocks, volumes, scales, *, encoding, progress=None))]
+pub fn atlas_write<'py>(
+    py: Python<'py>,
+    mut pages: PyReadwriteArray3<'py, u8>,
+    blocks: Blocks<'py>,
+    volumes: Vec<PyReadonlyArray3<'py, f32>>,
+    scales: Vec<f32>,
+    encoding: &str,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<()> {
+    let encoding = Encoding::from_name(encoding).map_err(Failure::from)?;
+    let page_size = check_pages(py, pages.shape(), encoding, self::blocks(&blocks)?)?;
+    let blocks = self::blocks(&blocks)?;
+    let items: Vec<Item<'_>> = blocks
+        .iter()
+        .zip(&volumes)
+        .zip(scales)
+        .map(|((&block, volume), scale)| {
+            let distances = volume.as_slice().ok().filter(|samples| samples.len() == block.voxels());
+            let distances = distances.filter(|_| volume.is_fortran_contiguous());
+            let distances = distances.ok_or_else(|| broken(py, "volumes must fit their blocks, x fastest"))?;
+            Ok(Item { block, distances, scale })
+        })
+        .collect::<PyResult<_>>()?;
+    let texels = pages.as_slice_mut()?;
+    run(py, progress, |progress| texels::write(texels, page_size, encoding, &items, progress))?;
+    Ok(())
+}
+
+/// Zero the texels of one block.
+#[pyfunction]
+pub fn atlas_clear<'py>(
+    py: Python<'py>,
+    mut pages: PyReadwriteArray3<'py, u8>,
+    block: Blocks<'py>,
+    encoding: &str,
+) -> PyResult<()> {
+    let encoding = Encoding::from_name(encoding).map_err(Failure::from)?;
+    let page_size = check_pages(py, pages.shape(), encoding, blocks(&block)?)?;
+    for block in blocks(&block)? {
+        texels::clear(pages.as_slice_mut()?, page_size, encoding, block);
+    }
+    Ok(())
+}
+
+/// Distances (nx, ny, nz) of one block.
+#[pyfunction]
+pub fn atlas_read<'py>(
+    py: Python<'py>,
+    pages: PyReadonlyArray3<'py, u8>,
+    block: Blocks<'py>,
+    encoding: &str,
+    scale: f32,
+) -> PyResult<Bound<'py, PyArray3<f32>>> {
+    let encoding = Encoding::from_name(encoding).map_err(Failure::from)?;
+    let page_size = check_pages(py, pages.shape(), encoding, blocks(&block)?)?;
+    let block = only(py, &block)?;
+    let texels = pages.as_slice()?;
+    let samples = run(py, None, |progress| texels::read(texels, page_size, encoding, &block, scale, progress))?;
+    volume_array(py, samples, block.shape.map(|n| n as usize))
+}
+
+/// The field of one block at points (n, 3) of its own space.
+#[pyfunction]
+#[pyo3(signature = (pages, block, encoding, scale, lower, upper, inner_lower, inner_upper, points, *, filter="linear"))]
+pub fn atlas_sample<'py>(
+    py: Python<'py>,
+    pages: PyReadonlyArray3<'py, u8>,
+    block: Blocks<'py>,
+    encoding: &str,
+    scale: f32,
+    lower: [f64; 3],
+    upper: [f64; 3],
+    inner_lower: [f64; 3],
+    inner_upper: [f64; 3],
+    #[pyo3(from_py_with = points)] points: Vec<DVec3>,
+    filter: &str,
+) -> PyResult<Bound<'py, PyArray1<f32>>> {
+    let encoding = Encoding::from_name(encoding).map_err(Failure::from)?;
+    let filter = AtlasFilter::from_name(filter).map_err(Failure::from)?;
+    let page_size = check_pages(py, pages.shape(), encoding, blocks(&block)?)?;
+    let block = only(py, &block)?;
+    let grid = grid(&block, lower, upper)?;
+    let texels = pages.as_slice()?;
+    let inner = [DVec3::from_array(inner_lower), DVec3::from_array(inner_upper)];
+    let values = run(py, None, |progress| {
+        AtlasField::new(texels, page_size, encoding, scale, &block, grid).sample(&points, inner, filter, progress)
+    })?;
+    Ok(values.into_pyarray(py))
+}
+
+/// Where points (n, 3) fall on the page, (n, 2).
+#[pyfunction]
+pub fn atlas_texture_coordinates<'py>(
+    py: Python<'py>,
+    block: Blocks<'py>,
+    page_size: u32,
+    lower: [f64; 3],
+    upper: [f64; 3],
+    #[pyo3(from_py_with = points)] points: Vec<DVec3>,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let block = only(py, &block)?;
+    let coordinates = texture_coordinates(&block, page_size, &grid(&block, lower, upper)?, &points);
+    let count = coordinates.len();
+    coordinates.into_flattened().into_pyarray(py).reshape([count, 2])
+}
+
+/// The records of all blocks as bytes. `boxes` (n, 12): inner lower and upper, outer lower and upper corner; `models`
+/// (n, 16): world from field, row by row; `scales` of a float encoding are not written.
+#[pyfunction]
+pub fn atlas_entries<'py>(
+    py: Python<'py>,
+    blocks: Blocks<'py>,
+    boxes: Vec<[f64; 12]>,
+    models: Vec<[f64; 16]>,
+    scales: Vec<f32>,
+    layout: &str,
+    page_size: u32,
+    encoding: &str,
+) -> PyResult<Bound<'py, PyBytes>> {
+    let layout = Layout::from_name(layout, 0).map_err(Failure::from)?;
+    let normalised = Encoding::from_name(encoding).map_err(Failure::from)?.is_normalised();
+    let mut bytes = Vec::new();
+    for (((&block, boxes), model), scale) in self::blocks(&blocks)?.iter().zip(&boxes).zip(&models).zip(scales) {
+        let corner = |i: usize| DVec3::from_slice(&boxes[3 * i..]);
+        let facts = Facts {
+            block,
+            inner: [corner(0), corner(1)],
+            outer: [corner(2), corner(3)],
+            model: DMat4::from_cols_array(model).transpose(),
+            scale: normalised.then_some(scale),
+        };
+        let vacant = block.page == VACANT;
+        match layout {
+            Layout::Strips if vacant => {
+                bytes.extend(bytemuck::bytes_of(&StripEntry { atlas_index: -1, ..StripEntry::default() }));
+            }
+            Layout::Strips => bytes.extend(bytemuck::bytes_of(&facts.strip_entry())),
+            Layout::Shelves { .. } if vacant => {
+                bytes.extend(bytemuck::bytes_of(&AtlasEntry { atlas_index: -1, ..AtlasEntry::default() }));
+            }
+            Layout::Shelves { .. } => bytes.extend(bytemuck::bytes_of(&facts.atlas_entry(page_size))),
+        }
+    }
+    Ok(PyBytes::new(py, &bytes))
+}
+
+/// The sampling functions of an atlas as text.
+#[pyfunction]
+pub fn atlas_shader(
+    language: &str,
+    layout: &str,
+    page_size: u32,
+    gutter: u32,
+    encoding: &str,
+    side: u32,
+) -> PyResult<String> {
+    let layout = Layout::from_name(layout, gutter).map_err(Failure::from)?;
+    let encoding = Encoding::from_name(encoding).map_err(Failure::from)?;
+    let language = Language::from_name(language).map_err(Failure::from)?;
+    let options = ShaderOptions { layout, encoding, page_size, side };
+    Ok(shader(&options, language).map_err(Failure::from)?)
+}
+
+/// Raise if the machine does not have so many bytes free.
+#[pyfunction]
+pub fn require_memory(what: &str, needed: u64, advice: &str) -> PyResult<()> {
+    Ok(memory::require_for(what, needed, 0, advice).map_err(Failure::from)?)
+}
+
+fn blocks<'a>(rows: &'a Blocks<'_>) -> PyResult<&'a [Block]> {
+    let numbers = rows.as_slice().ok().filter(|_| rows.shape()[1] == BLOCK_NUMBERS);
+    Ok(bytemuck::cast_slice(numbers.ok_or_else(|| broken(rows.py(), "blocks must be rows of ten numbers"))?))
+}
+
+fn only(py: Python<'_>, rows: &Blocks<'_>) -> PyResult<Block> {
+    match blocks(rows)? {
+        [block] => Ok(*block),
+        _ => Err(broken(py, "one block is wanted")),
+    }
+}
+
+fn grid(block: &Block, lower: [f64; 3], upper: [f64; 3]) -> PyResult<Grid> {
+    let shape = block.shape.map(|n| n as usize);
+    Ok(Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape).map_err(Failure::from)?)
+}
+
+/// The side of square pages, if every block lies on them.
+fn check_pages(py: Python<'_>, shape: &[usize], encoding: Encoding, blocks: &[Block]) -> PyResult<u32> {
+    let [pages, size, row_bytes] = [shape[0], shape[1], shape[2]];
+    let page_size = u32::try_from(size).ok().filter(|&size| size <= plan::MAX_PAGE_SIZE);
+    let page_size = page_size.filter(|_| row_bytes == size * encoding.bytes());
+    let page_size = page_size.ok_or_else(|| broken(py, "pages must be square"))?;
+    if blocks.iter().all(|block| block.is_sound(page_size, pages as u32)) {
+        Ok(page_size)
+    } else {
+        Err(broken(py, "a block does not lie on the pages"))
+    }
+}
+
+/// What only a mistake in the Python layer can cause.
+fn broken(py: Python<'_>, problem: &str) -> PyErr {
+    exception(py, "AtlasError", format!("atlas: {problem}"))
+}

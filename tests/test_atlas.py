@@ -1,0 +1,660 @@
+"""The atlas: where texels go, what comes back, and that sampling it is sampling the volumes."""
+
+import copy
+import io
+import json
+import pickle
+import re
+import threading
+import zipfile
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import fieldbake as fb
+import truth
+
+#: Weights in [0, 1] of values up to 1: eight products and seven sums in float32, and the float32 of a weight.
+FLOAT32_SAMPLE = 16 * 2.0**-24
+
+#: The article's struct in std430: name, offset, bytes.
+ARTICLE_STRUCT = [
+    ("model", 0, 64),
+    ("inverse_model", 64, 64),
+    ("inner_min", 128, 16),
+    ("inner_max", 144, 16),
+    ("outer_min", 160, 16),
+    ("outer_max", 176, 16),
+    ("atlas_index", 192, 4),
+    ("atlas_offset", 196, 4),
+]
+
+#: The most that an encoding changes a distance of at most 1 in a band of 1 unit.
+ENCODING_ERROR = {"float32": 0.0, "float16": 2.0**-10, "snorm16": 1 / 32767, "snorm8": 1 / 127}
+
+
+def noise(shape, seed=0, bounds=((-1, -0.5, -2), (1, 0.75, 1.5))):
+    """A volume of random distances from -1 to 1."""
+    values = np.random.default_rng(seed).uniform(-1, 1, shape)
+    return fb.Volume(values, bounds, inner_bounds=[(-0.2, -0.1, -0.3), (0.3, 0.2, 0.1)])
+
+
+def cubes(count, side):
+    return [noise((side,) * 3, seed) for seed in range(count)]
+
+
+@pytest.fixture(scope="module")
+def mixed():
+    """Volumes of many shapes."""
+    sides = np.random.default_rng(3).integers(1, 20, (12, 3))
+    return [noise(tuple(shape), seed) for seed, shape in enumerate(sides.tolist())]
+
+
+# --- strips: the article to the byte
+
+
+def test_strips_are_the_articles_formula():
+    side, page_size, count = 6, 40, 8
+    volumes = cubes(count, side)
+
+    atlas = fb.pack(volumes, layout="strips", page_size=page_size)
+
+    rows = page_size // side
+    expected = np.zeros((2, page_size, page_size), np.float32)
+    for i, volume in enumerate(volumes):
+        for x, y, z in np.ndindex(volume.resolution):
+            expected[i // rows, y + (i % rows) * side, x + z * side] = volume.distances[x, y, z]
+    assert np.array_equal(atlas.pages, expected)
+    assert atlas.entries["atlas_index"].tolist() == [i // rows for i in range(count)]
+    assert atlas.entries["atlas_offset"].tolist() == [i % rows for i in range(count)]
+
+
+def test_64_fields_of_64_fill_a_page_and_the_65th_opens_another():
+    box = [(0, 0, 0), (1, 1, 1)]
+    fields = [fb.Volume(np.full((64, 64, 64), value, np.float32), box) for value in range(1, 66)]
+
+    full, over = (fb.pack(fields[:count], layout="strips") for count in (64, 65))
+
+    assert full.pages.shape == (1, 4096, 4096)
+    assert np.array_equal(full.pages[0], np.repeat(np.arange(1, 65, dtype=np.float32), 64)[:, None] * np.ones(4096))
+    assert over.pages.shape == (2, 4096, 4096)
+    assert over.entries[["atlas_index", "atlas_offset"]][64].tolist() == (1, 0)
+    assert np.all(over.pages[1, :64] == 65)
+    assert not over.pages[1, 64:].any()
+
+
+def test_a_strip_entry_has_the_bytes_of_the_articles_struct():
+    model = np.array([[0, -2, 0, 5], [2, 0, 0, 6], [0, 0, 2, 7], [0, 0, 0, 1]], float)
+    volume = noise((4, 4, 4))
+
+    atlas = fb.pack([volume, (volume, model)], layout="strips", page_size=16)
+
+    entries = atlas.entries
+    assert entries.dtype.itemsize == 208
+    assert [
+        (name, offset, kind.itemsize) for name, (kind, offset, *_) in entries.dtype.fields.items()
+    ] == ARTICLE_STRUCT
+    record = np.frombuffer(entries.tobytes(), np.float32).reshape(2, 52)[1]
+    assert np.array_equal(record[:16], model.T.ravel())  # column by column
+    assert np.allclose(record[16:32].reshape(4, 4).T @ model, np.eye(4), atol=1e-6)
+    assert np.array_equal(entries["model"][1].T, model)
+    boxes = np.concatenate([volume.inner_bounds, volume.bounds])
+    assert np.allclose(record[32:48].reshape(4, 4), np.column_stack([boxes, np.ones(4)]), rtol=1e-7)
+    assert record[48:].view(np.int32).tolist() == [0, 1, 0, 0]
+
+
+def test_texture_coordinates_are_convert_world_to_texture(random):
+    side, page_size = 8, 100
+    atlas = fb.pack(cubes(5, side), layout="strips", page_size=page_size)
+    lower, upper = atlas.unpack(3).bounds
+    points = random.uniform(lower, upper, (200, 3))
+
+    found = atlas.texture_coordinates(3, points)
+
+    inside = (points - lower) / ((upper - lower) / side)
+    u = inside[:, 0] / page_size + np.floor(inside[:, 2]) * side / page_size
+    v = inside[:, 1] / page_size + 3 * side / page_size
+    assert np.allclose(found, np.column_stack([u, v]), atol=1e-12)
+
+
+def test_texture_coordinates_of_voxel_centres_are_those_of_their_texels(mixed):
+    atlas = fb.pack(mixed, page_size=128)
+
+    for i, volume in enumerate(mixed):
+        centres = truth.grid_points(*volume.bounds, volume.resolution)
+        texels = atlas.texture_coordinates(i, centres) * 128
+        assert np.allclose(texels % 1, 0.5, atol=1e-6)
+        column, row = np.moveaxis(texels.astype(int), -1, 0)
+        assert np.array_equal(atlas.pages[atlas.entries["atlas_index"][i], row, column], volume.distances)
+
+
+@pytest.mark.parametrize("points", [[(5, 5, 5)], [(1, 0.75, 1.5)], [(-9, 0, 1.5)]])
+def test_texture_coordinates_stay_in_the_strip(points):
+    atlas = fb.pack(cubes(2, 4), layout="strips", page_size=16)
+
+    u, v = atlas.texture_coordinates(1, points)[0]
+
+    assert 0 <= u <= 1
+    assert 0.25 <= v <= 0.5
+
+
+# --- shelves
+
+
+def test_200_volumes_of_random_sizes_come_back_bit_for_bit(record_property):
+    sides = np.random.default_rng(11).integers(4, 49, (200, 3))
+    volumes = [noise(tuple(shape), seed) for seed, shape in enumerate(sides.tolist())]
+
+    atlas = fb.pack(volumes, page_size=512)
+
+    owners = np.zeros(atlas.pages.shape, np.int32)
+    for i, (volume, entry) in enumerate(zip(volumes, atlas.entries, strict=True)):
+        unpacked = atlas.unpack(i)
+        assert np.array_equal(unpacked.distances, volume.distances)
+        assert np.array_equal(unpacked.bounds, volume.bounds)
+        assert np.array_equal(unpacked.inner_bounds, volume.inner_bounds)
+        (x, y), (width, height) = entry["corner"], entry["tile"]
+        assert entry["atlas_offset"] == y * 512 + x
+        for z in range(volume.resolution[2]):
+            column, row = x + z % entry["columns"] * width, y + z // entry["columns"] * height
+            tile = np.s_[entry["atlas_index"], row : row + height, column : column + width]
+            assert owners[tile].shape == (height, width)
+            assert not owners[tile].any(), "two slices share a texel"
+            owners[tile] = i + 1
+    assert atlas.fill == pytest.approx(np.count_nonzero(owners) / owners.size)
+    assert not atlas.pages[owners == 0].any()
+    print(f"fill of {len(atlas.pages)} pages: {atlas.fill:.3f}")
+    assert atlas.fill > 0.85
+
+
+@pytest.mark.parametrize("gutter", [0, 1, 3])
+def test_the_gutter_repeats_the_border(gutter):
+    volume = noise((5, 4, 3))
+
+    atlas = fb.pack([volume], page_size=64, gutter=gutter)
+
+    x, y = atlas.entries["corner"][0]
+    width, height = atlas.entries["tile"][0]
+    padded = np.pad(volume.distances[:, :, 0].T, gutter, mode="edge")
+    assert padded.shape == (height, width)
+    assert np.array_equal(atlas.pages[0, y : y + height, x : x + width], padded)
+
+
+def test_an_atlas_grows_without_moving_what_is_there(mixed):
+    atlas = fb.pack(mixed, page_size=128)
+    before, entries = atlas.pages.copy(), atlas.entries.copy()
+    large = noise((40, 10, 20), 99)
+
+    index = atlas.add(large)
+
+    assert index == len(mixed)
+    assert np.array_equal(atlas.entries[:index], entries)
+    changed = atlas.pages[: len(before)] != before
+    assert not before[changed].any(), "a texel of another volume changed"
+    assert np.array_equal(atlas.unpack(index).distances, large.distances)
+
+
+def test_removing_frees_the_index_and_the_room(mixed):
+    atlas = fb.pack(mixed, page_size=128)
+    pages, rest = len(atlas.pages), [i for i in range(len(mixed)) if i != 4]
+
+    atlas.remove(4)
+
+    assert len(atlas) == len(mixed) - 1
+    assert atlas.indices == tuple(rest)
+    assert atlas.entries["atlas_index"][4] == -1
+    with pytest.raises(fb.AtlasError, match="removed"):
+        atlas.unpack(4)
+    for i in rest:
+        assert np.array_equal(atlas.unpack(i).distances, mixed[i].distances)
+    assert atlas.add(mixed[4]) == 4
+    assert len(atlas.pages) == pages
+    for i, volume in enumerate(mixed):
+        assert np.array_equal(atlas.unpack(i).distances, volume.distances)
+
+
+def test_removed_texels_are_zero():
+    atlas = fb.pack(cubes(3, 4), layout="strips", page_size=16)
+    for i in range(3):
+        atlas.remove(i)
+
+    assert not atlas.pages.any()
+    assert atlas.fill == 0
+    assert atlas.add(noise((4, 4, 4))) == 0
+
+
+def test_an_atlas_that_was_loaded_grows_like_the_one_that_was_saved(mixed, tmp_path):
+    atlas = fb.pack(mixed, page_size=128)
+    atlas.remove(2)
+    atlas.save(tmp_path / "a.npz")
+    loaded = fb.load(tmp_path / "a.npz")
+
+    for one in (atlas, loaded):
+        one.add(noise((9, 9, 9), 50))
+        one.add(noise((3, 20, 6), 51))
+
+    assert np.array_equal(atlas.pages, loaded.pages)
+    assert np.array_equal(atlas.entries, loaded.entries)
+
+
+# --- sampling
+
+
+def points_of_interest(volume, random, count=300):
+    """Inside, outside, on every face, edge and corner of the box, at centres, and within half a voxel of the border."""
+    lower, upper = volume.bounds
+    inside = random.uniform(lower, upper, (count, 3))
+    snapped = np.where(random.random((count, 3)) < 0.4, np.where(random.random((count, 3)) < 0.5, lower, upper), inside)
+    border = lower + volume.spacing * random.uniform(0, 0.5, (count, 3))
+    outside = random.uniform(lower - 1, upper + 1, (count, 3))
+    centres = truth.grid_points(lower, upper, volume.resolution).reshape(-1, 3)[:count]
+    return np.concatenate([inside, snapped, border, outside, centres])
+
+
+@pytest.mark.parametrize("layout", ["shelves", "strips"])
+def test_sampling_the_atlas_is_sampling_the_volume(layout, random):
+    shapes = [(7, 7, 7)] * 3 if layout == "strips" else [(7, 5, 9), (1, 1, 1), (2, 1, 6)]
+    volumes = [noise(shape, seed) for seed, shape in enumerate(shapes)]
+    atlas = fb.pack(volumes, layout=layout, page_size=64)
+
+    for i, volume in enumerate(volumes):
+        points = points_of_interest(volume, random)
+        for filter in ("linear", "nearest"):
+            assert np.array_equal(atlas.sample(i, points, filter=filter), volume.sample(points, filter=filter))
+        inside = points[((points >= volume.bounds[0]) & (points <= volume.bounds[1])).all(axis=1)]
+        expected = truth.trilinear(volume.distances, *volume.bounds, inside)
+        assert np.abs(atlas.sample(i, inside) - expected).max() < FLOAT32_SAMPLE
+
+
+@pytest.mark.parametrize("layout", ["shelves", "strips"])
+@pytest.mark.parametrize("encoding", ["float16", "snorm16", "snorm8"])
+def test_small_encodings_stay_within_their_bounds_and_never_exceed_the_truth(layout, encoding, random):
+    volume = noise((8, 8, 8), bounds=[(0, 0, 0), (2, 2, 2)])  # a band of 4 voxels is 1 unit
+
+    atlas = fb.pack([volume, volume], layout=layout, page_size=64, encoding=encoding)
+
+    stored = atlas.unpack(1).distances
+    assert np.all(np.abs(stored) <= np.abs(volume.distances))
+    # Two float32 roundings on the way back.
+    error = ENCODING_ERROR[encoding] + 2 * 2.0**-23
+    assert np.abs(stored - volume.distances).max() <= error
+    points = random.uniform(*volume.bounds, (500, 3))
+    assert np.abs(atlas.sample(1, points) - volume.sample(points)).max() <= error + FLOAT32_SAMPLE
+    assert np.array_equal(atlas.sample(1, points), atlas.unpack(1).sample(points))
+
+
+@pytest.mark.parametrize("encoding", ["snorm16", "snorm8"])
+def test_texels_are_a_share_of_the_entrys_scale(encoding):
+    volume = noise((8, 8, 8), bounds=[(0, 0, 0), (2, 2, 2)])
+
+    atlas = fb.pack([volume], page_size=64, encoding=encoding, band=2)
+
+    assert atlas.entries["scale"].tolist() == [0.5]
+    x, y = atlas.entries["corner"][0] + 1
+    texels = atlas.pages[0, y : y + 8, x : x + 8].astype(np.float64) / np.iinfo(atlas.pages.dtype).max
+    expected = np.clip(volume.distances[:, :, 0].T / 0.5, -1, 1)
+    assert np.abs(texels - expected).max() <= 1 / np.iinfo(atlas.pages.dtype).max
+
+
+def test_the_articles_filter_is_blocky_along_z_and_ours_is_not():
+    # A ramp along z, as the side of a box has it.
+    box = np.array([(-1.0, -1, -1), (1, 1, 1)])
+    centres = truth.grid_points(*box, (8, 8, 8))
+    atlas = fb.pack([fb.Volume(centres[..., 2], box)], layout="strips", page_size=64)
+    points = np.zeros((400, 3))
+    points[:, 2] = np.linspace(-0.8, 0.8, 400)
+
+    article, ours = (atlas.sample(0, points, filter=filter) for filter in ("slice", "linear"))
+
+    assert np.abs(ours - points[:, 2]).max() < FLOAT32_SAMPLE
+    assert len(np.unique(article)) == 8
+    assert np.abs(article - points[:, 2]).max() == pytest.approx(0.125, abs=0.01)
+
+
+@given(
+    shape=st.tuples(*[st.integers(1, 6)] * 3),
+    gutter=st.integers(0, 2),
+    encoding=st.sampled_from(["float32", "float16", "snorm16", "snorm8"]),
+    seed=st.integers(0, 1000),
+)
+def test_any_volume_is_sampled_as_what_was_kept_of_it(shape, gutter, encoding, seed):
+    volume = noise(shape, seed)
+    atlas = fb.pack([volume, volume], page_size=64, gutter=gutter, encoding=encoding)
+    points = np.random.default_rng(seed).uniform(-2.5, 2.5, (50, 3))
+
+    assert np.array_equal(atlas.sample(1, points), atlas.unpack(1).sample(points))
+
+
+def test_points_of_any_shape(mixed):
+    atlas = fb.pack(mixed, page_size=128)
+
+    assert atlas.sample(0, np.zeros((2, 5, 3))).shape == (2, 5)
+    assert atlas.sample(0, (0, 0, 0)).shape == ()
+    assert atlas.texture_coordinates(0, np.zeros((2, 5, 3))).shape == (2, 5, 2)
+
+
+# --- bare arrays
+
+
+def test_bare_arrays_are_packed_like_volumes():
+    fields = [np.random.default_rng(seed).standard_normal((5, 5, 5)) for seed in range(3)]
+
+    pages, entries = fb.arrays.pack(fields, layout="strips", page_size=32)
+
+    assert pages.shape == (1, 32, 32)
+    assert np.array_equal(pages[0, 5:10, 10:15], fields[1][:, :, 2].T.astype(np.float32))
+    assert entries["outer_max"].tolist() == [[5, 5, 5, 1]] * 3
+    assert fields[0].flags.writeable
+
+
+# --- the object
+
+
+def test_an_empty_atlas_can_be_filled(tmp_path):
+    atlas = fb.pack([], page_size=32)
+    assert atlas.pages.shape == (0, 32, 32)
+    assert len(atlas) == len(atlas.entries) == 0
+    atlas.save(tmp_path / "empty.npz")
+
+    assert fb.load(tmp_path / "empty.npz").add(noise((4, 4, 4))) == 0
+
+
+def test_pages_and_entries_are_read_only(mixed):
+    atlas = fb.pack(mixed, page_size=128)
+
+    with pytest.raises(ValueError, match="read-only"):
+        atlas.pages[0, 0, 0] = 1
+    with pytest.raises(ValueError, match="read-only"):
+        atlas.entries["columns"] = 1
+    assert atlas.entries is atlas.entries
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda atlas: pickle.loads(pickle.dumps(atlas))])
+def test_copies_are_equal_and_apart(mixed, duplicate):
+    atlas = fb.pack(mixed, page_size=128)
+
+    other = duplicate(atlas)
+    other.remove(0)
+
+    assert len(atlas) == len(mixed)
+    assert np.array_equal(other.unpack(1).distances, atlas.unpack(1).distances)
+
+
+def test_the_report_of_a_bake_survives(tmp_path):
+    volume = fb.bake(fb.models.gear(), 16)
+    atlas = fb.pack([volume], page_size=128)
+    atlas.save(tmp_path / "a.npz")
+
+    assert fb.load(tmp_path / "a.npz").unpack(0).report.sign_method == volume.report.sign_method != ""
+
+
+def test_threads_sample_while_volumes_come_and_go(mixed):
+    atlas = fb.pack(mixed, page_size=256)
+    points = np.random.default_rng(1).uniform(-1, 1, (2000, 3))
+    expected, wrong = mixed[0].sample(points), []
+
+    def look():
+        wrong.extend(not np.array_equal(atlas.sample(0, points), expected) for _ in range(20))
+
+    threads = [threading.Thread(target=look) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for _ in range(10):
+        atlas.remove(atlas.add(noise((5, 5, 5))))
+    for thread in threads:
+        thread.join()
+    assert not any(wrong)
+
+
+def test_progress_is_told():
+    told = []
+    fb.pack(cubes(2, 4), page_size=64, progress=told.append)
+
+    assert told[-1] == 1.0
+
+
+def test_repr_says_what_there_is(mixed):
+    assert repr(fb.pack(mixed[:1], page_size=128)).startswith("Atlas(1 volume on 1 page of 128 x 128 float32, shelves")
+
+
+# --- mistakes
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"page_size": 0}, fb.ArgumentError, "page_size"),
+        ({"page_size": 2**20}, fb.ArgumentError, "page_size"),
+        ({"page_size": 64.0}, fb.ArgumentError, "page_size"),
+        ({"gutter": -1}, fb.ArgumentError, "gutter"),
+        ({"gutter": 1000}, fb.ArgumentError, "gutter"),
+        ({"layout": "rows"}, fb.ArgumentError, 'layout: must be one of "shelves", "strips"'),
+        ({"layout": None}, fb.ArgumentError, "layout"),
+        ({"layout": [1]}, fb.ArgumentError, "layout"),
+        ({"encoding": "uint8"}, fb.ArgumentError, "encoding"),
+        ({"band": 0}, fb.ArgumentError, "band"),
+        ({"page_size": 9}, fb.AtlasError, r"volumes\[0\]: 5 x 5 x 5 voxels do not fit .* at least 21"),
+        ({"page_size": 24, "layout": "strips"}, fb.AtlasError, r"volumes\[0\]: .* at least 25"),
+    ],
+)
+def test_options_that_make_no_sense(arguments, error, message):
+    with pytest.raises(error, match=message):
+        fb.pack([noise((5, 5, 5))], **{"page_size": 64, **arguments})
+
+
+def test_the_page_size_that_is_told_would_do():
+    fb.pack([noise((5, 5, 5))], page_size=21)
+    fb.pack([noise((5, 5, 5))], page_size=25, layout="strips")
+
+
+@pytest.mark.parametrize("shape", [(4, 4, 5), (5, 5, 5)])
+def test_strips_hold_equal_cubes_only(shape):
+    with pytest.raises(fb.AtlasError, match=r"volumes\[1\]: strips hold equal cubes, here of 4.*shelves"):
+        fb.pack([noise((4, 4, 4)), noise(shape)], layout="strips")
+    atlas = fb.pack([noise((4, 4, 4))], layout="strips", page_size=32)
+    with pytest.raises(fb.AtlasError, match="equal cubes"):
+        atlas.add(noise(shape))
+    assert len(atlas) == 1
+
+
+@pytest.mark.parametrize(
+    "volumes", [None, 3, noise((2, 2, 2)), [None], [np.zeros((4, 4, 4))], [(noise((2, 2, 2)), np.zeros((4, 4)))]]
+)
+def test_things_that_are_not_volumes(volumes):
+    with pytest.raises(fb.ArgumentError, match="volumes"):
+        fb.pack(volumes)
+
+
+@pytest.mark.parametrize("i", [2, -3, 1.0, "0", None])
+def test_an_index_that_is_not_there(i):
+    atlas = fb.pack(cubes(2, 4), page_size=64)
+
+    for call in (atlas.unpack, atlas.remove, lambda i: atlas.sample(i, [(0, 0, 0)])):
+        with pytest.raises(fb.AtlasError, match=r"^i:"):
+            call(i)
+    with pytest.raises(fb.AtlasError, match=r"^i:"):
+        atlas.texture_coordinates(i, [(0, 0, 0)])
+
+
+def test_negative_indices_count_from_the_end():
+    volumes = cubes(2, 4)
+    assert np.array_equal(fb.pack(volumes, page_size=64).unpack(-1).distances, volumes[1].distances)
+
+
+@pytest.mark.parametrize("points", [np.zeros((3, 2)), [[0, 0, np.nan]]])
+def test_bad_points_are_refused(points):
+    atlas = fb.pack(cubes(1, 4), page_size=64)
+    for call in (atlas.sample, atlas.texture_coordinates):
+        with pytest.raises(fb.ArgumentError, match="points"):
+            call(0, points)
+
+
+def test_an_unknown_filter_is_refused():
+    with pytest.raises(fb.ArgumentError, match='filter: expected "linear", "nearest" or "slice"'):
+        fb.pack(cubes(1, 4), page_size=64).sample(0, [(0, 0, 0)], filter="cubic")
+
+
+def test_pages_that_cannot_fit_in_memory_are_refused_before_any_work():
+    # 181 strips to a page of 4 GiB.
+    volumes = [fb.Volume(np.zeros((181,) * 3, np.float32), [(0, 0, 0), (1, 1, 1)])] * (181 * 200)
+    with pytest.raises(fb.CapacityError, match=r"an atlas of 200 pages .* use a smaller page_size"):
+        fb.pack(volumes, layout="strips", page_size=32768)
+
+
+# --- files
+
+
+@pytest.mark.parametrize("layout", ["shelves", "strips"])
+@pytest.mark.parametrize("encoding", ["float32", "float16", "snorm16", "snorm8"])
+def test_save_and_load_give_the_same_bits(layout, encoding, tmp_path):
+    atlas = fb.pack(cubes(3, 5), layout=layout, page_size=32, encoding=encoding, gutter=2, band=3)
+    atlas.remove(1)
+    atlas.save(tmp_path / "a.npz")
+
+    loaded = fb.load(tmp_path / "a.npz")
+
+    assert np.array_equal(loaded.pages, atlas.pages)
+    assert loaded.pages.dtype == atlas.pages.dtype
+    assert loaded.entries.tobytes() == atlas.entries.tobytes()
+    assert repr(loaded) == repr(atlas)
+    assert (loaded.gutter, loaded.band) == (atlas.gutter, atlas.band)
+    assert np.array_equal(loaded.unpack(2).distances, atlas.unpack(2).distances)
+
+
+def test_another_ending_is_refused(tmp_path):
+    with pytest.raises(fb.FormatError, match="ending"):
+        fb.pack([], page_size=8).save(tmp_path / "atlas.tiff")
+
+
+@pytest.fixture(scope="module")
+def good_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("atlas") / "good.npz"
+    fb.pack(cubes(3, 4), page_size=24).save(path)
+    return path.read_bytes()
+
+
+def rewrite(content, change_header=None, **arrays):
+    """The archive with facts of the header, or arrays, replaced."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        members = {info.filename: archive.read(info) for info in archive.infolist()}
+    header = json.loads(str(np.load(io.BytesIO(members["header.npy"]))))
+    arrays["header"] = np.array(json.dumps({**header, **(change_header or {})}))
+    for name, array in arrays.items():
+        stream = io.BytesIO()
+        np.lib.format.write_array(stream, np.asarray(array))
+        members[f"{name}.npy"] = stream.getvalue()
+    result = io.BytesIO()
+    with zipfile.ZipFile(result, "w") as archive:
+        for name, member in members.items():
+            archive.writestr(name, member)
+    return result.getvalue()
+
+
+def array_of(content, name):
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        return np.load(io.BytesIO(archive.read(f"{name}.npy")))
+
+
+HOSTILE = {
+    "newer version": {"change_header": {"version": 99}},
+    "layout": {"change_header": {"layout": "spiral"}},
+    "another layout": {"change_header": {"layout": "strips"}},
+    "encoding": {"change_header": {"encoding": "float16"}},
+    "page size": {"change_header": {"page_size": 48}},
+    "huge page size": {"change_header": {"page_size": 2**40}},
+    "gutter": {"change_header": {"gutter": "one"}},
+    "band": {"change_header": {"band": -1}},
+    "pages of nan": {"pages": np.full((1, 24, 24), np.nan, np.float32)},
+    "pages in the plane": {"pages": np.zeros((24, 24), np.float32)},
+    "pages too few": {"pages": np.zeros((0, 24, 24), np.float32)},
+    "pages by columns": {"pages": np.zeros((1, 24, 24), np.float32, order="F")},
+    "blocks too short": {"blocks": np.zeros((3, 9), np.uint32)},
+    "blocks of zeros": {"blocks": np.zeros((3, 10), np.uint32)},
+    "blocks too many": {"blocks": np.zeros((4, 10), np.uint32)},
+    "blocks without rows": {"blocks": np.uint32(3)},
+    "boxes upside down": {"boxes": np.ones((3, 4, 3))},
+    "boxes of nan": {"boxes": np.full((3, 4, 3), np.nan)},
+    "boxes far away": {"boxes": np.full((3, 4, 3), 1e300)},
+    "models singular": {"models": np.zeros((3, 4, 4))},
+    "scales zero": {"scales": np.zeros(3, np.float32)},
+    "reports of something else": {"reports": np.frombuffer(b"[1, 2, 3]", np.uint8)},
+    "reports too few": {"reports": np.frombuffer(b"[]", np.uint8)},
+    "reports of no text": {"reports": np.zeros(9)},
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_file_that_is_wrong_inside(good_file, tmp_path, name):
+    path = tmp_path / "hostile.npz"
+    path.write_bytes(rewrite(good_file, **HOSTILE[name]))
+
+    with pytest.raises(fb.FormatError, match=r"hostile\.npz"):
+        fb.load(path)
+
+
+@pytest.mark.parametrize("column", range(10))
+@pytest.mark.parametrize("value", [0, 23, 25, 2**31, 2**32 - 2])
+def test_bad_offsets_never_leave_the_pages(good_file, tmp_path, column, value):
+    blocks = array_of(good_file, "blocks")
+    blocks[1, column] = value
+    path = tmp_path / "offset.npz"
+    path.write_bytes(rewrite(good_file, blocks=blocks))
+
+    try:
+        atlas = fb.load(path)
+    except fb.FormatError:
+        return
+    # Some other place on the pages: harmless.
+    assert atlas.unpack(1).distances.shape == tuple(blocks[1, 7:])
+
+
+@given(data=st.data())
+@settings(max_examples=150)
+def test_a_damaged_file_is_a_format_error(good_file, tmp_path_factory, data):
+    content = bytearray(good_file)
+    path = tmp_path_factory.getbasetemp() / "damaged.npz"
+    if data.draw(st.booleans()):
+        content = content[: data.draw(st.integers(0, len(content) - 1))]
+    else:
+        for _ in range(data.draw(st.integers(1, 8))):
+            content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    path.write_bytes(content)
+
+    try:
+        atlas = fb.load(path)
+    except fb.FormatError:
+        return
+    # What nobody reads may be damaged; the rest is covered by checksums.
+    assert [atlas.unpack(i).resolution for i in atlas.indices] == [(4, 4, 4)] * 3
+
+
+# --- shader text
+
+
+@pytest.mark.parametrize("language", ["wgsl", "glsl", "hlsl", "msl"])
+@pytest.mark.parametrize("layout", ["shelves", "strips"])
+def test_the_shader_text_has_the_functions_with_comments(language, layout):
+    text = fb.pack(cubes(1, 4), layout=layout, page_size=64).shader(language)
+
+    for function in ("atlas_sample", "atlas_sample_filtered", "atlas_sample_nearest", "atlas_texture_coordinates"):
+        definition = re.search(rf"(//.*\n)+.*\b{function}\(", text)
+        assert definition is not None, f"{function} is not there, or not explained"
+    assert "AtlasEntry" in text
+
+
+def test_the_shader_text_is_wgsl_by_default_and_depends_on_the_atlas():
+    first, second = (fb.pack(cubes(1, 4), page_size=size) for size in (64, 128))
+
+    assert first.shader() == first.shader("wgsl") != second.shader()
+    assert "texture_2d_array<f32>" in first.shader()
+
+
+def test_shaders_that_cannot_be():
+    atlas = fb.pack(cubes(1, 4), layout="strips", page_size=64)
+    with pytest.raises(fb.ArgumentError, match="language"):
+        atlas.shader("cg")
+    atlas.remove(0)
+    with pytest.raises(fb.AtlasError, match="add a volume"):
+        atlas.shader()

@@ -1,0 +1,318 @@
+"""Files for other programs, read back by other readers and by us."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import fieldbake as fb
+
+#: Width of a stored step, as a share of the scale.
+STEPS = {"snorm16": 32767, "snorm8": 127}
+DTYPES = {"float32": np.float32, "float16": np.float16, "snorm16": np.int16, "snorm8": np.int8}
+#: DXGI_FORMAT and VkFormat of one channel, from the headers of Direct3D and Vulkan.
+DXGI = {"float32": 41, "float16": 54, "snorm16": 58, "snorm8": 63}
+VULKAN = {"float32": 100, "float16": 76, "snorm16": 71, "snorm8": 10}
+
+
+@pytest.fixture(scope="module")
+def volume():
+    values = np.random.default_rng(5).uniform(-1, 1, (6, 5, 4))
+    return fb.Volume(values, [(-1, 0, 2), (2, 2.5, 4)], inner_bounds=[(0, 1, 2.5), (1, 2, 3)])
+
+
+@pytest.fixture(scope="module")
+def baked():
+    return [fb.bake(fb.models.gear(), 12), fb.bake(fb.models.torus_knot(), 10)]
+
+
+def assert_same_place(found, volume):
+    assert np.array_equal(found.bounds, volume.bounds)
+    assert np.array_equal(found.inner_bounds, volume.inner_bounds)
+    assert found.resolution == volume.resolution
+
+
+def stored(volume, encoding, band=4):
+    """Texels [z, y, x] by an independent rule: toward zero, as a share of the band."""
+    values = volume.distances.T.astype(np.float64)
+    if encoding == "float32":
+        return values.astype(np.float32)
+    if encoding == "float16":
+        nearest = values.astype(np.float16)
+        return np.where(np.abs(nearest) > np.abs(values), np.nextafter(nearest, np.float16(0)), nearest)
+    scale = np.float32(band * volume.spacing.max()).astype(np.float64)
+    return np.trunc(np.clip(values / scale, -1, 1) * STEPS[encoding]).astype(DTYPES[encoding])
+
+
+# --- volumes as textures
+
+
+@pytest.mark.parametrize("encoding", DTYPES)
+def test_a_dds_file_is_a_3d_texture(volume, encoding, tmp_path):
+    volume.save(tmp_path / "v.dds", encoding=encoding)
+
+    content = (tmp_path / "v.dds").read_bytes()
+    # Programming Guide for DDS: magic, DDS_HEADER (124 bytes), DDS_HEADER_DXT10 (20 bytes), texels.
+    assert content[:4] == b"DDS "
+    size, _flags, height, width, _pitch, depth = struct.unpack_from("<6I", content, 4)
+    assert (size, width, height, depth) == (124, 6, 5, 4)
+    assert content[84:88] == b"DX10"
+    assert struct.unpack_from("<I", content, 112)[0] & 0x200000  # DDSCAPS2_VOLUME
+    dxgi_format, dimension, _, array_size, _ = struct.unpack_from("<5I", content, 128)
+    assert (dxgi_format, dimension, array_size) == (DXGI[encoding], 4, 1)
+    texels = np.frombuffer(content, DTYPES[encoding], offset=148).reshape(4, 5, 6)
+    assert np.array_equal(texels, stored(volume, encoding))
+
+
+@pytest.mark.parametrize("encoding", DTYPES)
+def test_a_ktx2_file_is_a_3d_texture(volume, encoding, tmp_path):
+    volume.save(tmp_path / "v.ktx2", encoding=encoding)
+
+    content = (tmp_path / "v.ktx2").read_bytes()
+    # KTX 2.0, section 3: identifier, header, index, level index.
+    assert content[:12] == b"\xabKTX 20\xbb\r\n\x1a\n"
+    header = struct.unpack_from("<9I", content, 12)
+    itemsize = np.dtype(DTYPES[encoding]).itemsize
+    assert header == (VULKAN[encoding], itemsize, 6, 5, 4, 0, 1, 1, 0)
+    formats_at, formats_size, pairs_at, pairs_size = struct.unpack_from("<4I", content, 48)
+    offset, length, unpacked = struct.unpack_from("<3Q", content, 80)
+    assert offset % 4 == 0
+    assert length == unpacked == 120 * itemsize == len(content) - offset
+    assert struct.unpack_from("<I", content, formats_at)[0] == formats_size
+    assert pairs_at + pairs_size <= offset
+    texels = np.frombuffer(content, DTYPES[encoding], offset=offset).reshape(4, 5, 6)
+    assert np.array_equal(texels, stored(volume, encoding))
+
+
+@pytest.mark.parametrize("encoding", DTYPES)
+@pytest.mark.parametrize("ending", [".dds", ".ktx2"])
+def test_textures_come_back(volume, encoding, ending, tmp_path):
+    volume.save(tmp_path / f"v{ending}", encoding=encoding, band=2)
+
+    found = fb.load(tmp_path / f"v{ending}")
+
+    assert_same_place(found, volume)
+    assert np.all(np.abs(found.distances) <= np.abs(volume.distances))
+    texels = stored(volume, encoding, band=2).T.astype(np.float64)
+    scale = 2 * volume.spacing.max() / STEPS[encoding] if encoding in STEPS else 1
+    assert np.allclose(found.distances, texels * scale, rtol=4 * 2.0**-24, atol=0)
+
+
+def test_the_report_of_a_bake_survives(baked, tmp_path):
+    for ending in (".dds", ".ktx2", ".nrrd"):
+        baked[0].save(tmp_path / f"gear{ending}")
+        assert fb.load(tmp_path / f"gear{ending}").report == baked[0].report
+
+
+# --- NRRD
+
+
+def test_another_reader_finds_the_samples_in_their_place(volume, tmp_path):
+    nrrd = pytest.importorskip("nrrd")
+    volume.save(tmp_path / "v.nrrd")
+
+    samples, header = nrrd.read(str(tmp_path / "v.nrrd"), index_order="F")
+
+    assert samples.dtype == np.float32
+    assert np.array_equal(samples, volume.distances)
+    assert np.allclose(header["space origin"], volume.origin)
+    assert np.allclose(header["space directions"], np.diag(volume.spacing))
+
+
+def test_a_nrrd_file_comes_back_bit_for_bit(volume, tmp_path):
+    pytest.importorskip("nrrd")
+    volume.save(tmp_path / "v.nrrd")
+
+    found = fb.load(tmp_path / "v.nrrd")
+
+    assert_same_place(found, volume)
+    assert np.array_equal(found.distances, volume.distances)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        (b"encoding: raw", b"encoding: gzip"),
+        (b"sizes: 6 5 4", b"sizes: 60000 50000 40000"),
+        (b"sizes: 6 5 4", b"sizes: -6 -5 4"),
+        (b"type: float", b"type: double"),
+        (b"encoding: raw", b"encoding: raw\ndata file: /etc/passwd"),
+        (b'"kind": "volume texture"', b'"kind": "atlas image"'),
+    ],
+)
+def test_hostile_nrrd_files(volume, tmp_path, before, after):
+    pytest.importorskip("nrrd")
+    volume.save(tmp_path / "v.nrrd")
+    content = (tmp_path / "v.nrrd").read_bytes()
+    assert before in content
+    (tmp_path / "v.nrrd").write_bytes(content.replace(before, after))
+
+    with pytest.raises(fb.FormatError, match=r"v\.nrrd"):
+        fb.load(tmp_path / "v.nrrd")
+
+
+# --- atlases as images
+
+
+@pytest.mark.parametrize("encoding", DTYPES)
+def test_another_reader_finds_the_pages_in_the_exr(baked, encoding, tmp_path):
+    exr = pytest.importorskip("OpenEXR")
+    atlas = fb.pack(baked * 5, page_size=64, encoding=encoding)
+    assert len(atlas.pages) > 1
+    atlas.save(tmp_path / "a.exr")
+
+    with exr.File(str(tmp_path / "a.exr")) as file:
+        pixels = file.channels()["Y"].pixels.copy()
+
+    assert pixels.dtype == (np.float16 if encoding == "float16" else np.float32)
+    expected = atlas.pages.reshape(-1, 64)
+    if encoding in STEPS:
+        expected = (expected / STEPS[encoding]).astype(np.float32)
+    assert np.array_equal(pixels, expected)
+
+
+@pytest.mark.parametrize("encoding", ["snorm16", "snorm8"])
+def test_another_reader_finds_the_pages_in_the_png(baked, encoding, tmp_path):
+    imageio = pytest.importorskip("imageio.v3")
+    atlas = fb.pack(baked, page_size=64, encoding=encoding)
+    atlas.save(tmp_path / "a.png")
+
+    pixels = imageio.imread(tmp_path / "a.png").astype(np.int64)
+
+    middle = 32768 if encoding == "snorm16" else 128
+    assert np.array_equal(pixels - middle, atlas.pages.reshape(-1, 64))
+    preview = imageio.imread(tmp_path / "a.preview.png")
+    assert preview.dtype == np.uint8
+    assert preview.shape == pixels.shape
+
+
+@pytest.mark.parametrize("layout", ["shelves", "strips"])
+@pytest.mark.parametrize("encoding", DTYPES)
+@pytest.mark.parametrize("ending", [".exr", ".png"])
+def test_images_of_an_atlas_come_back(layout, encoding, ending, tmp_path):
+    values = np.random.default_rng(1).uniform(-1, 1, (3, 6, 6, 6))
+    volumes = [fb.Volume(v, [(0, 0, 0), (1, 1, 1)]) for v in values]
+    atlas = fb.pack(volumes, layout=layout, page_size=40, encoding=encoding)
+    atlas.remove(1)
+    atlas.save(tmp_path / f"a{ending}")
+
+    found = fb.load(tmp_path / f"a{ending}")
+
+    if ending == ".exr" or encoding in STEPS:
+        assert np.array_equal(found.pages, atlas.pages)
+        assert found.entries.tobytes() == atlas.entries.tobytes()
+    else:
+        # Floats in 16 bits: each volume scaled to its largest distance, and never beyond the truth.
+        assert found.encoding == "snorm16"
+        for i in (0, 2):
+            exact, kept = atlas.unpack(i).distances, found.unpack(i).distances
+            assert np.all(np.abs(kept) <= np.abs(exact))
+            assert np.abs(kept - exact).max() <= np.abs(exact).max() / 32767 * (1 + 1e-5)
+    assert found.add(volumes[1]) == 1
+
+
+def test_the_json_says_where_each_volume_lies(baked, tmp_path):
+    atlas = fb.pack(baked, page_size=64)
+    atlas.save(tmp_path / "a.exr")
+
+    facts = json.loads((tmp_path / "a.exr.json").read_text())
+
+    assert facts["page_size"] == 64
+    assert [volume["shape"] for volume in facts["volumes"]] == [list(volume.resolution) for volume in baked]
+    assert [volume["corner"] for volume in facts["volumes"]] == atlas.entries["corner"].tolist()
+    assert facts["volumes"][0]["bounds"] == baked[0].bounds.tolist()
+
+
+# --- mistakes and hostile files
+
+
+def test_endings_that_are_not_known(volume, tmp_path):
+    for thing, ending in ((volume, ".exr"), (volume, ".vdb"), (fb.pack([volume], page_size=64), ".dds")):
+        with pytest.raises(fb.FormatError, match="ending"):
+            thing.save(tmp_path / f"x{ending}")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_encodings_that_a_file_cannot_have(volume, tmp_path):
+    with pytest.raises(fb.ArgumentError, match="encoding"):
+        volume.save(tmp_path / "v.npz", encoding="float16")
+    with pytest.raises(fb.ArgumentError, match="encoding"):
+        volume.save(tmp_path / "v.nrrd", encoding="snorm8")
+    with pytest.raises(fb.ArgumentError, match="encoding"):
+        volume.save(tmp_path / "v.dds", encoding="bc4")
+
+
+def test_an_empty_atlas_has_no_image(tmp_path):
+    with pytest.raises(fb.FormatError, match="empty"):
+        fb.pack([], page_size=16).save(tmp_path / "a.exr")
+
+
+def test_a_missing_json_is_named(volume, tmp_path):
+    for name, thing in (("v.dds", volume), ("a.exr", fb.pack([volume], page_size=64))):
+        thing.save(tmp_path / name)
+        (tmp_path / f"{name}.json").unlink()
+        with pytest.raises(fb.FormatError, match=rf"{name}\.json is missing"):
+            fb.load(tmp_path / name)
+
+
+HOSTILE = {
+    "newer": {"version": 99},
+    "another program": {"format": "other"},
+    "another kind": {"kind": "volume"},
+    "more pages": {"pages": 2},
+    "huge": {"page_size": 32768, "pages": 60000},
+    "size of text": {"page_size": "large"},
+    "another size": {"page_size": 32},
+    "another encoding": {"encoding": "float16"},
+    "no volumes": {"volumes": None},
+    "volumes of text": {"volumes": ["a", "b"]},
+    "volumes of nothing": {"volumes": [{}, {}]},
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize("ending", [".exr", ".png"])
+def test_facts_that_do_not_fit_the_image(baked, name, ending, tmp_path):
+    path = tmp_path / f"a{ending}"
+    fb.pack(baked, page_size=64, encoding="snorm8").save(path)
+    beside = tmp_path / f"a{ending}.json"
+    beside.write_text(json.dumps({**json.loads(beside.read_text()), **HOSTILE[name]}))
+
+    with pytest.raises(fb.FormatError, match=rf"a\{ending}"):
+        fb.load(path)
+
+
+@pytest.mark.parametrize("key", ["page", "corner", "tile", "columns", "gutter", "shape", "model", "scale", "bounds"])
+@pytest.mark.parametrize("value", [None, -1, 2**200, [1e300, 1e300], "x", [[]]])
+def test_bad_facts_of_a_volume(baked, key, value, tmp_path):
+    fb.pack(baked, page_size=64).save(tmp_path / "a.exr")
+    beside = tmp_path / "a.exr.json"
+    facts = json.loads(beside.read_text())
+    facts["volumes"][1][key] = value
+    beside.write_text(json.dumps(facts))
+
+    with pytest.raises(fb.FormatError):
+        fb.load(tmp_path / "a.exr")
+
+
+@given(data=st.data(), ending=st.sampled_from([".dds", ".ktx2", ".nrrd", ".exr", ".png"]))
+def test_a_damaged_file_is_a_format_error_or_other_texels(volume, tmp_path_factory, data, ending):
+    path = tmp_path_factory.getbasetemp() / f"damaged{ending}"
+    thing = volume if ending in (".dds", ".ktx2", ".nrrd") else fb.pack([volume], page_size=32, encoding="snorm16")
+    thing.save(path)
+    content = bytearray(path.read_bytes())
+    if data.draw(st.booleans()):
+        content = content[: data.draw(st.integers(0, len(content) - 1))]
+    else:
+        for _ in range(data.draw(st.integers(1, 6))):
+            content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    path.write_bytes(content)
+
+    try:
+        found = fb.load(path)
+    except fb.FormatError:
+        return
+    assert np.isfinite(found.distances if isinstance(found, fb.Volume) else found.unpack(0).distances).all()
