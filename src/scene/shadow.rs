@@ -75,7 +75,9 @@ impl Cone {
 ///
 /// `1/2 + (asin x + x sqrt(1 - x^2)) / pi` by its series, the last term chosen so that 1 gives 1: within 0.004.
 pub fn visible_share(x: f32) -> f32 {
-    let x = x.clamp(-1.0, 1.0);
+    if x.abs() >= 1.0 {
+        return if x > 0.0 { 1.0 } else { 0.0 };
+    }
     let s = x * x;
     0.5 + x * (std::f32::consts::FRAC_2_PI - s * (0.106_10 + s * (0.015_92 + s * 0.014_60)))
 }
@@ -284,7 +286,7 @@ pub struct ConeShare {
 }
 
 /// The ray to another point of the disc; `offset` in radii.
-fn toward(ray: &Ray, [right, up]: [DVec3; 2], slope: f32, offset: Vec2) -> Ray {
+pub fn toward(ray: &Ray, [right, up]: [DVec3; 2], slope: f32, offset: Vec2) -> Ray {
     let aside = f64::from(slope * offset.x) * right + f64::from(slope * offset.y) * up;
     let direction = ray.direction + aside;
     let length = direction.length();
