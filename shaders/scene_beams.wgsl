@@ -256,7 +256,9 @@ fn reach(p: vec3f, low: vec3f, high: vec3f) -> f32 {
 
 fn meets(beam: Beam, low: vec3f, high: vec3f) -> bool {
     var grown = 0.0;
-    if beam.slope > 0.0 { grown = beam.slope / (1.0 - min(beam.slope, 0.9)) * reach(beam.p, low, high); }
+    if beam.slope > 0.0 {
+        grown = min(beam.slope / (1.0 - min(beam.slope, 0.9)) * reach(beam.p, low, high), beam.slope * beam.t_max);
+    }
     let span = clip(beam.p, beam.direction, low - grown, high + grown, beam.t_max);
     return span.x <= span.y * 1.000001;
 }
@@ -359,7 +361,8 @@ fn cone_past(index: u32, beam: Beam) -> Cone {
     let grid = grids[(*to).grid];
     let ray = ray_in_field(index, beam);
     let speed = length(ray.direction);
-    let radius = beam.slope / (1.0 - min(beam.slope, 0.9)) * reach(beam.p, (*to).box_min, (*to).box_max);
+    let widest = beam.slope / (1.0 - min(beam.slope, 0.9)) * reach(beam.p, (*to).box_min, (*to).box_max);
+    let radius = min(widest, beam.slope * beam.t_max);
     let grown = (*to).field_extent * radius;
     let span = clip(ray.origin, ray.direction, (*to).surface_lower - grown, (*to).surface_upper + grown, beam.t_max);
     if span.x > span.y { return Cone(1.0, false); }

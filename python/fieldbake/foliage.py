@@ -13,8 +13,8 @@ EDGE_VOXELS = 0.75
 #: Cuts of a triangle at most: 4^6 pieces.
 MAX_CUTS = 6
 
-#: A sheet grows by half its thickness, a voxel, past its outline, and the pieces' jags stick out by a fifth of their size:
-#: the mask gives way by as much.
+#: A sheet grows by half its thickness, a voxel, past its outline, and the pieces' jags stick out by a fifth of their
+#: size: the mask gives way by as much.
 EROSION_VOXELS = 0.5 + 0.2 * EDGE_VOXELS
 
 Corners = NDArray[np.float64]

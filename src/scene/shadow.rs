@@ -152,7 +152,7 @@ impl Scene {
         let bounds = &self.boxes[item as usize];
         let p = place.p.as_vec3();
         let far = (p - bounds.min).abs().max((p - bounds.max).abs()).length();
-        let radius = f64::from(slope / (1.0 - slope.min(0.9)) * far);
+        let radius = f64::from(slope / (1.0 - slope.min(0.9)) * far).min(f64::from(slope) * ray.t_max);
         let grown = instance.field_extent * radius as f32;
         let Some((enter, leave)) = clip(origin, direction, lower - grown, upper + grown, 0.0, ray.t_max) else {
             return Cone::FREE;
