@@ -166,7 +166,7 @@ pub struct Pixel {
     pub pad_1: u32,
 }
 
-/// A node of the tree over a scene's instances; `shaders/shared/scene.wgsl`.
+/// A node of the tree over a scene's instances; `shaders/scene_beams.wgsl`.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct SceneNode {
@@ -176,6 +176,85 @@ pub struct SceneNode {
     pub max: [f32; 3],
     /// Items of a leaf; 0 for an inner node.
     pub count: u32,
+}
+
+/// `shaders/scene_beams.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct SceneInstance {
+    pub field_x: [f32; 4],
+    pub field_y: [f32; 4],
+    pub field_z: [f32; 4],
+    pub local_x: [f32; 3],
+    pub opacity: f32,
+    pub local_y: [f32; 3],
+    pub least_stretch: f32,
+    pub local_z: [f32; 3],
+    pub largest_stretch: f32,
+    pub normal_x: [f32; 3],
+    pub grid: u32,
+    pub normal_y: [f32; 3],
+    pub casts_shadow: u32,
+    pub normal_z: [f32; 3],
+    pub pad_0: u32,
+    pub box_min: [f32; 3],
+    pub pad_1: u32,
+    pub box_max: [f32; 3],
+    pub pad_2: u32,
+    pub surface_lower: [f32; 3],
+    pub pad_3: u32,
+    pub surface_upper: [f32; 3],
+    pub pad_4: u32,
+    pub field_extent: [f32; 3],
+    pub pad_5: u32,
+}
+
+/// `shaders/scene_beams.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct SceneGrid {
+    pub shape: [u32; 3],
+    pub first_sample: u32,
+    pub spacing: [f32; 3],
+    pub first_block: u32,
+    pub blocks: [u32; 3],
+    pub pad_0: u32,
+}
+
+/// `shaders/scene_beams.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct Beam {
+    pub p: [f32; 3],
+    pub t_max: f32,
+    pub direction: [f32; 3],
+    pub slope: f32,
+    pub normal: [f32; 3],
+    pub bias_voxels: f32,
+    pub own: u32,
+    pub is_coarse: u32,
+    pub pad_0: u32,
+    pub pad_1: u32,
+}
+
+/// `shaders/scene_beams.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct Answer {
+    pub value: f32,
+    pub is_proven: u32,
+    pub steps: u32,
+    pub is_complete: u32,
+}
+
+/// `shaders/scene_beams.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct BeamParams {
+    pub first: u32,
+    pub count: u32,
+    pub pad_0: u32,
+    pub pad_1: u32,
 }
 
 #[cfg(test)]
@@ -265,6 +344,44 @@ mod tests {
         );
         assert_twin!("raymarch", Light { direction, pad_0, color, pad_1 });
         assert_twin!("raymarch", Pixel { color, normal, depth, steps, is_hit, pad_0, pad_1 });
+        assert_twin!("scene_beams", SceneNode { min, first, max, count });
+        assert_twin!(
+            "scene_beams",
+            SceneInstance {
+                field_x,
+                field_y,
+                field_z,
+                local_x,
+                opacity,
+                local_y,
+                least_stretch,
+                local_z,
+                largest_stretch,
+                normal_x,
+                grid,
+                normal_y,
+                casts_shadow,
+                normal_z,
+                pad_0,
+                box_min,
+                pad_1,
+                box_max,
+                pad_2,
+                surface_lower,
+                pad_3,
+                surface_upper,
+                pad_4,
+                field_extent,
+                pad_5
+            }
+        );
+        assert_twin!("scene_beams", SceneGrid { shape, first_sample, spacing, first_block, blocks, pad_0 });
+        assert_twin!(
+            "scene_beams",
+            Beam { p, t_max, direction, slope, normal, bias_voxels, own, is_coarse, pad_0, pad_1 }
+        );
+        assert_twin!("scene_beams", Answer { value, is_proven, steps, is_complete });
+        assert_twin!("scene_beams", BeamParams { first, count, pad_0, pad_1 });
         assert_twin!("query_points", QueryParams { first, count, pad_0, pad_1 });
     }
 }

@@ -14,12 +14,14 @@ pub const KERNELS: &[(&str, &str)] = &[
     ("field_to_texture", include_str!("../../shaders/field_to_texture.wgsl")),
     ("raymarch", include_str!("../../shaders/raymarch.wgsl")),
     ("raymarch_filtered", include_str!("../../shaders/raymarch_filtered.wgsl")),
+    ("scene_beams", include_str!("../../shaders/scene_beams.wgsl")),
     ("query_points", include_str!("../../shaders/query_points.wgsl")),
 ];
 
 const SHARED: &[(&str, &str)] = &[
     ("bvh", include_str!("../../shaders/shared/bvh.wgsl")),
     ("clip", include_str!("../../shaders/shared/clip.wgsl")),
+    ("cubic", include_str!("../../shaders/shared/cubic.wgsl")),
     ("grid", include_str!("../../shaders/shared/grid.wgsl")),
     ("picture", include_str!("../../shaders/shared/picture.wgsl")),
     ("ray", include_str!("../../shaders/shared/ray.wgsl")),

@@ -6,8 +6,7 @@ use super::error::Failure;
 use super::mesh::Mesh;
 use super::render::{frame_dict, pose_matrix};
 use super::run::run;
-use crate::error::{DeviceError, SceneError};
-use crate::gpu::Place;
+use crate::error::SceneError;
 use crate::render::Camera;
 use crate::scene::field::{DenseField, SampledField};
 use crate::scene::texture::Texture as CoreTexture;
@@ -226,14 +225,7 @@ pub fn render<'py>(
         samples,
     };
     let scene = scene.0.clone();
-    let rendered = match &place {
-        Place::Cpu => run(py, progress, |progress| scene::render(&scene, &camera, &options, progress))?,
-        Place::Gpu(_) => {
-            let reason = "scenes are drawn on the CPU only so far; use device=\"cpu\"".to_owned();
-            let missing = DeviceError::NotAvailable { requested: device.to_owned(), reason };
-            return Err(Failure::from(missing).into());
-        }
-    };
+    let rendered = run(py, progress, |progress| scene::render(&place, &scene, &camera, &options, progress))?;
     let images = frame_dict(py, rendered.frame)?;
     images.set_item("device", place.label())?;
     let seconds = PyDict::new(py);

@@ -65,6 +65,16 @@ impl EmptySpace {
         Ok(Self { shape, distance })
     }
 
+    /// Blocks along each axis.
+    pub fn shape(&self) -> [usize; 3] {
+        self.shape
+    }
+
+    /// Of every block, x fastest.
+    pub fn distances(&self) -> &[u8] {
+        &self.distance
+    }
+
     /// Distance of a block in the grid to the nearest block with a surface; 0 if it has one.
     #[inline]
     pub fn distance(&self, [x, y, z]: [i32; 3]) -> i32 {

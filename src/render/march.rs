@@ -122,6 +122,11 @@ impl<F: Blocks> Marcher<F> {
         Ok(Self { field, empty })
     }
 
+    /// What is known of empty blocks.
+    pub fn empty(&self) -> &EmptySpace {
+        &self.empty
+    }
+
     /// Walk along a ray to its first hit.
     pub fn march(&self, ray: &GridRay) -> March {
         let shape = self.field.grid().shape.map(|n| n as i32);

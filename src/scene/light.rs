@@ -15,13 +15,15 @@
 //! Barre-Brisebois and Bouchard, GDC 2011) and takes no more than the cosine leaves, so no surface sends out more than
 //! arrives.
 
+use super::gpu::{DeviceScene, beam};
 use super::primary::{GBuffer, Layer};
-use super::shadow::{Place, Ray, basis};
+use super::shadow::{PARTS, Place, Ray, basis, disc_point, toward};
 use super::{Light, RenderOptions, Scene, SceneShadows};
 use crate::error::Error;
+use crate::gpu::layout::{Answer, Beam};
 use crate::progress::Progress;
-use crate::render::{Camera, Frame};
-use glam::{DVec3, Vec3};
+use crate::render::Frame;
+use glam::{DVec3, Vec3, Vec4};
 use rayon::prelude::*;
 
 /// Cones of ambient occlusion: one along the normal and a ring of six.
@@ -59,7 +61,7 @@ pub enum SceneLight {
 }
 
 impl Lights {
-    pub fn new(scene: &Scene, _camera: &Camera, options: &RenderOptions) -> Self {
+    pub fn new(scene: &Scene, options: &RenderOptions) -> Self {
         let in_scene = |light: &Light| match *light {
             Light::Directional { direction, color, slope } => {
                 SceneLight::Directional { to_light: -direction.normalize(), color, slope }
@@ -88,6 +90,17 @@ impl SceneLight {
     }
 }
 
+/// What the fields say about the light on one layer.
+#[derive(Debug, Clone, Default)]
+struct Found {
+    /// Share of each light that arrives.
+    shares: Vec<f32>,
+    /// Share of the surroundings' light.
+    open: f32,
+    /// Matter of the own instance along the way to each light, scene units; only where it scatters.
+    thickness: Vec<f32>,
+}
+
 /// Light every layer and lay the layers over the background.
 pub fn shade(
     scene: &Scene,
@@ -96,24 +109,196 @@ pub fn shade(
     options: &RenderOptions,
     progress: &Progress,
 ) -> Result<Frame, Error> {
+    let ask = |surface: &Surface<'_>, x: usize, y: usize, found: &mut Found| {
+        surface.look(scene, lights, options, pixel_turn(x, y), found)
+    };
+    compose(scene, buffer, lights, options, progress, ask)
+}
+
+/// The same with rays and cones on a graphics device.
+pub fn shade_on_device(
+    scene: &Scene,
+    device: &DeviceScene,
+    buffer: &GBuffer,
+    lights: &Lights,
+    options: &RenderOptions,
+    progress: &Progress,
+) -> Result<Frame, Error> {
+    // A bunch of rows at a time: beams take 64 bytes each.
+    let beams_per_layer = lights.lights.len().max(1)
+        * if let SceneShadows::Area(count) = options.shadows { count as usize } else { PARTS as usize }
+        + AO_CONES;
+    let mut found: Vec<Vec<(Found, u32)>> = Vec::with_capacity(buffer.rows.len());
+    let mut first = 0;
+    while first < buffer.rows.len() {
+        let mut layers = 0;
+        let mut end = first;
+        while end < buffer.rows.len() && (end == first || layers * beams_per_layer < MOST_BEAMS) {
+            layers += buffer.rows[end].len();
+            end += 1;
+        }
+        found.extend(look_on_device(scene, device, buffer, lights, options, first..end, progress)?);
+        first = end;
+    }
+    let ask = |surface: &Surface<'_>, _: usize, y: usize, wanted: &mut Found| {
+        let (answer, steps) = &found[y][surface.index];
+        wanted.clone_from(answer);
+        *steps
+    };
+    compose(scene, buffer, lights, options, progress, ask)
+}
+
+/// Beams that go to a device at a time, about: 64 MiB.
+const MOST_BEAMS: usize = 1 << 20;
+
+/// What the fields say about the layers of some rows, with the steps it took.
+fn look_on_device(
+    scene: &Scene,
+    device: &DeviceScene,
+    buffer: &GBuffer,
+    lights: &Lights,
+    options: &RenderOptions,
+    rows: std::ops::Range<usize>,
+    progress: &Progress,
+) -> Result<Vec<Vec<(Found, u32)>>, Error> {
+    let mut surfaces = Vec::new();
+    for y in rows.clone() {
+        for (index, layer) in buffer.rows[y].iter().enumerate() {
+            let direction = buffer.view.direction(layer.x, y as u32);
+            surfaces.push((y, Surface::new(scene, layer, index, buffer.view.camera.eye, direction)));
+        }
+    }
+    // First round: one beam a light, all of an area light, the cones of occlusion.
+    let (mut beams, mut through) = (Vec::new(), Vec::new());
+    for (y, surface) in &surfaces {
+        if let Some(distance) = options.occlusion {
+            beams.extend(
+                surface
+                    .open_rays(distance / scene.scale)
+                    .map(|(ray, _)| Beam { is_coarse: 1, ..beam(&surface.place, &ray, AO_SLOPE) }),
+            );
+        }
+        for light in &lights.lights {
+            let (ray, slope, _) = light.seen_from(surface.place.p);
+            if surface.asks_for(&ray, options) {
+                match options.shadows {
+                    SceneShadows::Soft => beams.push(beam(&surface.place, &ray, slope)),
+                    SceneShadows::Area(count) if slope > 0.0 => {
+                        let (axes, turn) = (basis(ray.direction), pixel_turn(surface.layer.x as usize, *y));
+                        beams.extend((0..count).map(|i| {
+                            beam(&surface.place, &toward(&ray, axes, slope, disc_point(i, count, turn)), 0.0)
+                        }));
+                    }
+                    _ => beams.push(beam(&surface.place, &ray, 0.0)),
+                }
+            }
+            if surface.scatters(scene) {
+                through.push(beam(&surface.place, &ray, 0.0));
+            }
+        }
+    }
+    let first = device.shares(scene, &beams, progress)?;
+    let thick = device.thicknesses(&through, progress)?;
+
+    // Second round: discs that one cone did not decide.
+    let mut parts = Vec::new();
+    if options.shadows == SceneShadows::Soft {
+        for (beam_of_disc, _) in beams.iter().zip(&first).filter(|(beam, answer)| is_undecided(beam, answer)) {
+            let ray = Ray {
+                direction: Vec3::from_array(beam_of_disc.direction).as_dvec3(),
+                t_max: f64::from(beam_of_disc.t_max),
+            };
+            let axes = basis(ray.direction);
+            parts.extend((0..PARTS).map(|i| {
+                let part = toward(&ray, axes, beam_of_disc.slope, disc_point(i, PARTS, 0.0));
+                Beam {
+                    direction: part.direction.as_vec3().to_array(),
+                    t_max: part.t_max as f32,
+                    slope: beam_of_disc.slope / (PARTS as f32).sqrt(),
+                    ..*beam_of_disc
+                }
+            }));
+        }
+    }
+    let second = device.shares(scene, &parts, progress)?;
+    let mut discs = second.chunks_exact(PARTS as usize);
+
+    let mut answers = beams.iter().zip(&first);
+    let mut thick = thick.iter();
+    let mut result: Vec<Vec<(Found, u32)>> = rows.clone().map(|_| Vec::new()).collect();
+    for (y, surface) in &surfaces {
+        let (mut found, mut steps) = (Found { open: 1.0, ..Found::default() }, 0);
+        if let Some(distance) = options.occlusion {
+            let (mut sum, mut weights) = (0.0, 0.0);
+            for (_, weight) in surface.open_rays(distance / scene.scale) {
+                let (_, answer) = answers.next().expect("one answer a cone");
+                sum += weight * answer.value;
+                weights += weight;
+                steps += answer.steps;
+            }
+            found.open = sum / weights;
+        }
+        for light in &lights.lights {
+            let (ray, slope, _) = light.seen_from(surface.place.p);
+            let share = if !surface.asks_for(&ray, options) {
+                if options.shadows == SceneShadows::None { 1.0 } else { 0.0 }
+            } else {
+                let count = match options.shadows {
+                    SceneShadows::Area(count) if slope > 0.0 => count,
+                    _ => 1,
+                };
+                let mut sum = 0.0;
+                for _ in 0..count {
+                    let (beam, answer) = answers.next().expect("one answer a ray");
+                    steps += answer.steps;
+                    sum += answer.value;
+                    if options.shadows == SceneShadows::Soft && is_undecided(beam, answer) {
+                        let parts = discs.next().expect("the parts of each disc");
+                        steps += parts.iter().map(|part| part.steps).sum::<u32>();
+                        sum = parts.iter().map(|part| part.value).sum::<f32>() / PARTS as f32;
+                    }
+                }
+                sum / count as f32
+            };
+            found.shares.push(share);
+            let is_thick = surface.scatters(scene);
+            found.thickness.push(if is_thick { thick.next().expect("one answer a light").value } else { 0.0 });
+        }
+        result[y - rows.start].push((found, steps));
+    }
+    Ok(result)
+}
+
+/// Whether a cone to a light's disc needs a closer look. The cones of occlusion do not.
+fn is_undecided(beam: &Beam, answer: &Answer) -> bool {
+    beam.slope > 0.0 && beam.is_coarse == 0 && answer.is_proven == 0
+}
+
+/// Shade the layers by what `ask` finds, which returns the steps it took, and lay them over the background.
+fn compose(
+    scene: &Scene,
+    buffer: &GBuffer,
+    lights: &Lights,
+    options: &RenderOptions,
+    progress: &Progress,
+    ask: impl Fn(&Surface<'_>, usize, usize, &mut Found) -> u32 + Sync,
+) -> Result<Frame, Error> {
     let [width, height] = options.size.map(|n| n as usize);
     let mut frame = Frame::new(width, height, lights.lights.len());
     frame.rows().into_par_iter().enumerate().try_for_each(|(y, row)| {
         row.steps.copy_from_slice(&buffer.steps[y]);
         let layers = &buffer.rows[y];
-        let mut rest = layers.as_slice();
-        let mut shares = vec![0.0f32; lights.lights.len()];
+        let mut next = 0;
+        let mut found = Found::default();
         for x in 0..width {
-            let count = rest.iter().take_while(|layer| layer.x as usize == x).count();
-            let (own, after) = rest.split_at(count);
-            rest = after;
-            let mut color = glam::Vec4::ZERO;
+            let mut color = Vec4::ZERO;
             let mut passes = 1.0;
             let mut is_first = true;
-            for layer in own {
+            while let Some(layer) = layers.get(next).filter(|layer| layer.x as usize == x) {
                 let direction = buffer.view.direction(x as u32, y as u32);
-                let surface = Surface::new(scene, layer, buffer.view.camera.eye, direction);
-                let light = surface.shade(scene, lights, options, &mut shares, &mut row.steps[x], pixel_turn(x, y));
+                let surface = Surface::new(scene, layer, next, buffer.view.camera.eye, direction);
+                row.steps[x] += ask(&surface, x, y, &mut found);
+                let light = surface.shade(scene, lights, options, &found);
                 color += passes * layer.color.w * light.extend(1.0);
                 passes *= 1.0 - layer.color.w;
                 // The pixel belongs to the first surface that hides half or more of what is behind it.
@@ -122,10 +307,11 @@ pub fn shade(
                     row.depth[x] = layer.depth as f32;
                     row.normal[3 * x..][..3].copy_from_slice(&layer.normal.to_array());
                     row.object_id[x] = layer.instance as i32;
-                    row.shadow[x * row.lights..][..row.lights].copy_from_slice(&shares);
+                    row.shadow[x * row.lights..][..row.lights].copy_from_slice(&found.shares);
                 }
+                next += 1;
             }
-            let behind = glam::Vec4::from_array(options.background);
+            let behind = Vec4::from_array(options.background);
             let rgb = (color.truncate() + passes * behind.truncate()) * options.exposure;
             let pixel = [rgb.x, rgb.y, rgb.z, color.w + passes * behind.w];
             row.color[4 * x..][..4].copy_from_slice(&pixel);
@@ -144,95 +330,111 @@ fn pixel_turn(x: usize, y: usize) -> f32 {
 /// A layer in scene space.
 struct Surface<'a> {
     layer: &'a Layer,
+    /// Place of the layer in its row.
+    index: usize,
     place: Place,
     to_eye: Vec3,
 }
 
 impl<'a> Surface<'a> {
-    fn new(scene: &Scene, layer: &'a Layer, eye: DVec3, direction: DVec3) -> Self {
+    fn new(scene: &Scene, layer: &'a Layer, index: usize, eye: DVec3, direction: DVec3) -> Self {
         let place = Place {
             p: scene.scene_from_world(eye + layer.depth * direction),
             normal: layer.normal,
             own: layer.instance,
             bias_voxels: if layer.is_triangle { BIAS_TRIANGLE } else { BIAS_FIELD },
         };
-        Self { layer, place, to_eye: -direction.normalize().as_vec3() }
+        Self { layer, index, place, to_eye: -direction.normalize().as_vec3() }
     }
 
-    /// Linear RGB; writes the share of each light that arrives.
-    fn shade(
-        &self,
-        scene: &Scene,
-        lights: &Lights,
-        options: &RenderOptions,
-        shares: &mut [f32],
-        steps: &mut u32,
-        turn: f32,
-    ) -> Vec3 {
+    fn cosine(&self, ray: &Ray) -> f32 {
+        self.layer.normal.dot(ray.direction.as_vec3())
+    }
+
+    /// Whether a light's share is a question: a side that is turned away gets none.
+    fn asks_for(&self, ray: &Ray, options: &RenderOptions) -> bool {
+        options.shadows != SceneShadows::None && self.cosine(ray) > 0.0
+    }
+
+    fn scatters(&self, scene: &Scene) -> bool {
+        scene.materials[self.layer.material as usize].scattering != [0.0; 3]
+    }
+
+    /// Ask the fields about each light and the surroundings; returns the steps taken.
+    fn look(&self, scene: &Scene, lights: &Lights, options: &RenderOptions, turn: f32, found: &mut Found) -> u32 {
+        let mut steps = 0;
+        found.open = match options.occlusion {
+            None => 1.0,
+            Some(distance) => {
+                let (mut sum, mut weights) = (0.0, 0.0);
+                for (ray, weight) in self.open_rays(distance / scene.scale) {
+                    sum += weight * scene.cone_share(&self.place, &ray, AO_SLOPE, &mut steps).share;
+                    weights += weight;
+                }
+                sum / weights
+            }
+        };
+        found.shares.clear();
+        found.thickness.clear();
+        for light in &lights.lights {
+            let (ray, slope, _) = light.seen_from(self.place.p);
+            let place = &self.place;
+            found.shares.push(match options.shadows {
+                SceneShadows::None => 1.0,
+                _ if !self.asks_for(&ray, options) => 0.0,
+                SceneShadows::Hard => scene.ray_share(place, &ray, &mut steps),
+                SceneShadows::Soft => scene.disc_share(place, &ray, slope, &mut steps),
+                SceneShadows::Area(count) => scene.area_share(place, &ray, slope, count, turn, &mut steps),
+                SceneShadows::Article => scene.article_share(place, &ray, &mut steps),
+            });
+            let is_thick = self.scatters(scene);
+            found.thickness.push(if is_thick { scene.thickness(place, ray.direction, &mut steps) } else { 0.0 });
+        }
+        steps
+    }
+
+    /// The cones over the hemisphere with their weights; matter within `distance`, scene units, counts.
+    fn open_rays(&self, distance: f64) -> impl Iterator<Item = (Ray, f32)> {
+        let normal = self.place.normal.as_dvec3();
+        let [right, up] = basis(normal);
+        (0..AO_CONES).map(move |i| {
+            if i == 0 {
+                return (Ray { direction: normal, t_max: distance }, 1.0);
+            }
+            let angle = (i - 1) as f64 * (std::f64::consts::TAU / (AO_CONES - 1) as f64);
+            let aside = angle.cos() * right + angle.sin() * up;
+            (Ray { direction: AO_RING.0 * normal + AO_RING.1 * aside, t_max: distance }, AO_RING.0 as f32)
+        })
+    }
+
+    /// Linear RGB.
+    fn shade(&self, scene: &Scene, lights: &Lights, options: &RenderOptions, found: &Found) -> Vec3 {
         let material = &scene.materials[self.layer.material as usize];
         let albedo = self.layer.color.truncate();
-        let open = match options.occlusion {
-            Some(distance) => self.openness(scene, distance / scene.scale, steps),
-            None => 1.0,
-        };
-        let mut color = options.ambient * open * albedo;
-        for (light, share) in lights.lights.iter().zip(shares) {
-            let (ray, slope, light_color) = light.seen_from(self.place.p);
-            let cosine = self.layer.normal.dot(ray.direction.as_vec3());
-            *share = if options.shadows == SceneShadows::None {
-                1.0
-            } else if cosine <= 0.0 {
-                0.0
-            } else {
-                match options.shadows {
-                    SceneShadows::None => 1.0,
-                    SceneShadows::Hard => scene.ray_share(&self.place, &ray, steps),
-                    SceneShadows::Soft => scene.disc_share(&self.place, &ray, slope, steps),
-                    SceneShadows::Area(count) => scene.area_share(&self.place, &ray, slope, count, turn, steps),
-                    SceneShadows::Article => scene.article_share(&self.place, &ray, steps),
-                }
-            };
-            if *share > 0.0 && cosine > 0.0 {
+        let mut color = options.ambient * found.open * albedo;
+        for ((light, &share), &thickness) in lights.lights.iter().zip(&found.shares).zip(&found.thickness) {
+            let (ray, _, light_color) = light.seen_from(self.place.p);
+            let cosine = self.cosine(&ray);
+            if share > 0.0 && cosine > 0.0 {
                 let half = (ray.direction.as_vec3() + self.to_eye).normalize_or_zero();
                 let highlight = material.specular * self.layer.normal.dot(half).max(0.0).powf(material.shininess);
-                color += *share * light_color * (cosine * albedo + highlight);
+                color += share * light_color * (cosine * albedo + highlight);
             }
-            if material.scattering != [0.0; 3] {
-                color += light_color * albedo * self.through(scene, &ray, cosine, steps);
+            if self.scatters(scene) {
+                let through = self.through(&material.scattering, &ray, cosine, thickness * scene.scale as f32);
+                color += light_color * albedo * through;
             }
         }
         color
     }
 
-    /// Share of the surroundings' light that is not held back by matter within `distance`, scene units.
-    fn openness(&self, scene: &Scene, distance: f64, steps: &mut u32) -> f32 {
-        let normal = self.place.normal.as_dvec3();
-        let [right, up] = basis(normal);
-        let (mut sum, mut weights) = (0.0, 0.0);
-        for i in 0..AO_CONES {
-            let (direction, weight) = if i == 0 {
-                (normal, 1.0)
-            } else {
-                let angle = (i - 1) as f64 * (std::f64::consts::TAU / (AO_CONES - 1) as f64);
-                let aside = angle.cos() * right + angle.sin() * up;
-                (AO_RING.0 * normal + AO_RING.1 * aside, AO_RING.0 as f32)
-            };
-            let ray = Ray { direction, t_max: distance };
-            sum += weight * scene.cone_share(&self.place, &ray, AO_SLOPE, steps).share;
-            weights += weight;
-        }
-        sum / weights
-    }
-
-    /// Light that comes through the instance from its far side, for each of RGB.
-    fn through(&self, scene: &Scene, ray: &Ray, cosine: f32, steps: &mut u32) -> Vec3 {
+    /// Light that comes through so much of the instance, world units, from its far side, for each of RGB.
+    fn through(&self, scattering: &[f32; 3], ray: &Ray, cosine: f32, thickness: f32) -> Vec3 {
         /// How much the normal bends the light on its way out, and how narrow the glow against the light is.
         const BEND: f32 = 0.3;
         const GLOW: i32 = 4;
         let to_light = ray.direction.as_vec3();
-        let thickness = scene.thickness(&self.place, ray.direction, steps) * scene.scale as f32;
-        let scattering = Vec3::from_array(scene.materials[self.layer.material as usize].scattering);
-        let left = scattering.to_array().map(|length| if length > 0.0 { (-thickness / length).exp() } else { 0.0 });
+        let left = scattering.map(|length| if length > 0.0 { (-thickness / length).exp() } else { 0.0 });
         let out = -(to_light + BEND * self.layer.normal).normalize_or_zero();
         let glow = out.dot(self.to_eye).max(0.0).powi(GLOW);
         // What the cosine term leaves of the light that falls on the surface.

@@ -19,6 +19,7 @@
 
 pub mod article;
 pub mod field;
+pub mod gpu;
 pub mod light;
 pub mod primary;
 pub mod shadow;
@@ -26,13 +27,15 @@ pub mod texture;
 pub mod tree;
 pub mod triangles;
 
-use crate::error::{Error, SceneError};
+use crate::error::{DeviceError, Error, SceneError};
 use crate::geometry::Aabb;
+use crate::gpu::{Context, Place};
 use crate::progress::Progress;
 use crate::render::{Camera, Frame};
 use field::Field;
 use glam::{DAffine3, DMat3, DVec3, Mat3, Vec3};
-use std::sync::Arc;
+use gpu::DeviceScene;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 use texture::Texture;
 use tree::Tree;
@@ -136,6 +139,8 @@ pub struct Scene {
     pub tree: Tree,
     /// Scene boxes of the instances.
     pub boxes: Vec<Aabb>,
+    /// On the device that drew it last.
+    uploaded: Mutex<Option<Arc<DeviceScene>>>,
 }
 
 /// How the first surface of a pixel is found.
@@ -215,7 +220,7 @@ impl Scene {
             .map(|(i, input)| instance(i, input, center, scale, materials.len()))
             .collect::<Result<_, _>>()?;
         let tree = Tree::new(&boxes);
-        Ok(Self { center, scale, instances, materials, textures, tree, boxes })
+        Ok(Self { center, scale, instances, materials, textures, tree, boxes, uploaded: Mutex::new(None) })
     }
 
     pub fn scene_from_world(&self, p: DVec3) -> DVec3 {
@@ -229,14 +234,41 @@ impl Scene {
     }
 }
 
-/// Draw a scene on the CPU.
-pub fn render(scene: &Scene, camera: &Camera, options: &RenderOptions, progress: &Progress) -> Result<Rendered, Error> {
+impl Scene {
+    /// The scene in a device's memory, copied there at the first call.
+    fn on_device(&self, context: &Arc<Context>) -> Result<Arc<DeviceScene>, Error> {
+        let mut uploaded = self.uploaded.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(scene) = uploaded.as_ref().filter(|scene| Arc::ptr_eq(scene.context(), context)) {
+            return Ok(scene.clone());
+        }
+        let scene = Arc::new(DeviceScene::upload(context, self)?);
+        *uploaded = Some(scene.clone());
+        Ok(scene)
+    }
+}
+
+/// Draw a scene. On a graphics device the light pass runs there, the primary pass on the CPU.
+pub fn render(
+    place: &Place,
+    scene: &Scene,
+    camera: &Camera,
+    options: &RenderOptions,
+    progress: &Progress,
+) -> Result<Rendered, Error> {
     check(scene, options)?;
     let sides = (options.samples as f64).sqrt().round() as u32;
     let passes = if sides == 1 { 1 } else { 1 + sides * sides };
     progress.set_total(u64::from(passes) * 2 * u64::from(options.size[1]));
 
-    let lights = light::Lights::new(scene, camera, options);
+    let device = match place {
+        Place::Cpu => None,
+        Place::Gpu(context) if options.shadows == SceneShadows::Article => {
+            let reason = "the article's march runs on the CPU only; use device=\"cpu\"".to_owned();
+            return Err(DeviceError::NotAvailable { requested: context.label(), reason }.into());
+        }
+        Place::Gpu(context) => Some(scene.on_device(context)?),
+    };
+    let lights = light::Lights::new(scene, options);
     let mut seconds = vec![("primary", 0.0), ("light", 0.0)];
     let mut frame: Option<Frame> = None;
     let mut sum: Vec<f32> = Vec::new();
@@ -250,7 +282,10 @@ pub fn render(scene: &Scene, camera: &Camera, options: &RenderOptions, progress:
         let buffer = primary::draw(scene, camera, options, offset, progress)?;
         seconds[0].1 += start.elapsed().as_secs_f64();
         let start = Instant::now();
-        let lit = light::shade(scene, &buffer, &lights, options, progress)?;
+        let lit = match &device {
+            None => light::shade(scene, &buffer, &lights, options, progress)?,
+            Some(device) => light::shade_on_device(scene, device, &buffer, &lights, options, progress)?,
+        };
         seconds[1].1 += start.elapsed().as_secs_f64();
         match &mut frame {
             None => frame = Some(lit),

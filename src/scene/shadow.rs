@@ -157,7 +157,7 @@ impl Scene {
         let bounds = &self.boxes[item as usize];
         let p = place.p.as_vec3();
         let far = (p - bounds.min).abs().max((p - bounds.max).abs()).length();
-        let radius = f64::from(slope / (1.0 - slope.min(0.9)) * far);
+        let radius = f64::from(slope / (1.0 - slope.min(0.9)) * far).min(f64::from(slope) * ray.t_max);
         let grown = instance.field_extent * radius as f32;
         let Some((enter, leave)) = clip(origin, direction, lower - grown, upper + grown, 0.0, ray.t_max) else {
             return Cone::FREE;
@@ -291,7 +291,7 @@ pub struct ConeShare {
 }
 
 /// The ray to another point of the disc; `offset` in radii.
-fn toward(ray: &Ray, [right, up]: [DVec3; 2], slope: f32, offset: Vec2) -> Ray {
+pub fn toward(ray: &Ray, [right, up]: [DVec3; 2], slope: f32, offset: Vec2) -> Ray {
     let aside = f64::from(slope * offset.x) * right + f64::from(slope * offset.y) * up;
     let direction = ray.direction + aside;
     let length = direction.length();

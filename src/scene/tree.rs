@@ -28,6 +28,8 @@ pub struct Line {
     inverse: Vec3,
     /// Growth of boxes by the distance of their far corner: 0 for a ray.
     spread: f32,
+    /// Of the cone's side.
+    slope: f32,
 }
 
 /// Stands for the inverse of zero.
@@ -43,7 +45,7 @@ impl Line {
         let inverse = |d: f32| if d.abs() < 1.0 / PARALLEL { PARALLEL } else { 1.0 / d };
         let inverse = Vec3::new(inverse(direction.x), inverse(direction.y), inverse(direction.z));
         // A point of the box in the cone lies within `far` of the origin, and its foot on the axis within `far / (1 - slope)`.
-        Self { origin, inverse, spread: slope / (1.0 - slope.min(0.9)) }
+        Self { origin, inverse, spread: slope / (1.0 - slope.min(0.9)), slope }
     }
 
     /// Where the ray is in a box: from and to, `t` not below 0; `None` where it misses.
@@ -52,7 +54,8 @@ impl Line {
         // A cone meets the box where its axis meets the box grown by the largest radius there.
         let grown = if self.spread > 0.0 {
             let far = (self.origin - min).abs().max((self.origin - max).abs()).length();
-            self.spread * far
+            // Nor does the cone get wider than at its end.
+            (self.spread * far).min(self.slope * t_max)
         } else {
             0.0
         };

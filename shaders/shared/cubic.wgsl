@@ -1,0 +1,106 @@
+// The trilinear function of a cell, and the first root of the cubic that it is along a ray. Twin of src/volume/mod.rs and
+// src/render/cubic.rs.
+
+fn lerp(a: f32, b: f32, fraction: f32) -> f32 {
+    return a + (b - a) * fraction;
+}
+
+// The value at a place in a cell, 0 to 1 on every axis.
+fn trilinear(c: array<f32, 8>, f: vec3f) -> f32 {
+    let y0 = lerp(lerp(c[0], c[1], f.x), lerp(c[2], c[3], f.x), f.y);
+    let y1 = lerp(lerp(c[4], c[5], f.x), lerp(c[6], c[7], f.x), f.y);
+    return lerp(y0, y1, f.z);
+}
+
+// c0 + c1 s + c2 s^2 + c3 s^3, as (c0, c1, c2, c3): the trilinear field along p + s direction.
+fn cubic_along_ray(c: array<f32, 8>, p: vec3f, direction: vec3f) -> vec4f {
+    // Along x: four linear functions. Along y: two quadratic ones. Along z: the cubic.
+    let x00 = vec2f(lerp(c[0], c[1], p.x), (c[1] - c[0]) * direction.x);
+    let x10 = vec2f(lerp(c[2], c[3], p.x), (c[3] - c[2]) * direction.x);
+    let x01 = vec2f(lerp(c[4], c[5], p.x), (c[5] - c[4]) * direction.x);
+    let x11 = vec2f(lerp(c[6], c[7], p.x), (c[7] - c[6]) * direction.x);
+    let a = x10 - x00;
+    let b = x11 - x01;
+    let y0 = vec3f(x00.x + a.x * p.y, x00.y + a.y * p.y + a.x * direction.y, a.y * direction.y);
+    let y1 = vec3f(x01.x + b.x * p.y, x01.y + b.y * p.y + b.x * direction.y, b.y * direction.y);
+    let d = y1 - y0;
+    return vec4f(
+        y0.x + d.x * p.z,
+        y0.y + d.y * p.z + d.x * direction.z,
+        y0.z + d.z * p.z + d.y * direction.z,
+        d.z * direction.z,
+    );
+}
+
+fn cubic_value(c: vec4f, s: f32) -> f32 {
+    return c.x + s * (c.y + s * (c.z + s * c.w));
+}
+
+fn cubic_slope(c: vec4f, s: f32) -> f32 {
+    return c.y + s * (2.0 * c.z + s * 3.0 * c.w);
+}
+
+// numerator / denominator if that lies in (0, limit), else limit; never divides by a number that is too small.
+fn quotient_below(numerator: f32, denominator: f32, limit: f32) -> f32 {
+    let same_sign = (numerator > 0.0 && denominator > 0.0) || (numerator < 0.0 && denominator < 0.0);
+    if same_sign && abs(numerator) < limit * abs(denominator) { return numerator / denominator; }
+    return limit;
+}
+
+// Newton steps at most: every second one at least halves the bracket.
+const MAX_NEWTON_STEPS: u32 = 48u;
+// Newton stops below this step, in voxels: one ulp at 1.
+const SMALLEST_STEP: f32 = 1.1920929e-7;
+const NO_ROOT: f32 = -1.0;
+
+// The root in [start, end], where the cubic falls from above zero to zero or below: Newton's method, bisecting where a
+// step leaves the bracket or shrinks too slowly.
+fn falling_root(c: vec4f, start: f32, end: f32) -> f32 {
+    var low = start;
+    var high = end;
+    let value_low = cubic_value(c, low);
+    var s = low + (high - low) * (value_low / (value_low - cubic_value(c, high)));
+    var last_step = high - low;
+    for (var i = 0u; i < MAX_NEWTON_STEPS; i++) {
+        let value = cubic_value(c, s);
+        if value > 0.0 { low = s; } else { high = s; }
+        let slope = cubic_slope(c, s);
+        var step = 2.0 * last_step;
+        if slope < 0.0 { step = -value / slope; }
+        let newton = s + step;
+        let converges = newton >= low && newton <= high && abs(step) <= 0.5 * last_step;
+        let next = select(0.5 * (low + high), newton, converges);
+        last_step = abs(next - s);
+        s = next;
+        if last_step <= SMALLEST_STEP { break; }
+    }
+    return s;
+}
+
+// The first s in [0, s_end] where the cubic is not above zero, or NO_ROOT.
+fn first_root(c: vec4f, s_end: f32) -> f32 {
+    if c.x <= 0.0 { return 0.0; }
+    // Roots of the derivative a s^2 + 2 b s + c1, without cancellation: q has the sign of -b.
+    let a = 3.0 * c.w;
+    let discriminant = c.z * c.z - a * c.y;
+    var turns = vec2f(s_end);
+    if discriminant > 0.0 {
+        let root = sqrt(discriminant);
+        let q = select(-root - c.z, root - c.z, c.z < 0.0);
+        let first = quotient_below(q, a, s_end);
+        let second = quotient_below(c.y, q, s_end);
+        turns = vec2f(min(first, second), max(first, second));
+    }
+    var start = 0.0;
+    // The first of the three pieces that ends at or below zero holds the root.
+    if turns.x > start {
+        if cubic_value(c, turns.x) <= 0.0 { return falling_root(c, start, turns.x); }
+        start = turns.x;
+    }
+    if turns.y > start {
+        if cubic_value(c, turns.y) <= 0.0 { return falling_root(c, start, turns.y); }
+        start = turns.y;
+    }
+    if s_end > start && cubic_value(c, s_end) <= 0.0 { return falling_root(c, start, s_end); }
+    return NO_ROOT;
+}
