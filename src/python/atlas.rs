@@ -232,7 +232,8 @@ pub fn atlas_sample<'py>(
     let texels = pages.as_slice()?;
     let inner = [DVec3::from_array(inner_lower), DVec3::from_array(inner_upper)];
     let values = run(py, None, |progress| {
-        AtlasField::new(texels, page_size, encoding, scale, &block, grid).sample(&points, inner, filter, progress)
+        AtlasField::new(texels, page_size, encoding, scale, &block, grid)
+            .sample_filtered(&points, inner, filter, progress)
     })?;
     Ok(values.into_pyarray(py))
 }
