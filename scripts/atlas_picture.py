@@ -1,7 +1,7 @@
-"""Make docs/atlas.png: one field from an atlas, drawn by three filters. Run with an environment that has the package.
+"""Make docs/atlas.png: one field from an atlas, drawn by three filters: .venv/bin/python scripts/atlas_picture.py
 
-Left: the nearest texel. Middle: the single bilinear tap of the article "Packing 3D SDF to a 2D Texture", smooth within a
-slice and blocky along z. Right: two taps and a step along z, which is the trilinear field.
+Left: the nearest texel. Middle: the single bilinear tap of the article "Packing 3D SDF to a 2D Texture", smooth
+within a slice and blocky along z. Right: two taps and a step along z, which is the trilinear field.
 """
 
 from pathlib import Path
@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw
 
 import fieldbake as fb
 
-WIDTH_PX, HEIGHT_PX = 320, 300
+WIDTH_PX, HEIGHT_PX = 320, 240
 LABELS = {"nearest": "nearest texel", "slice": "the article's filter", "linear": "two taps and a z step"}
 COLOR = np.array([0.80, 0.36, 0.18])
 #: A marched step is the distance, as long as that is known to half a voxel.
@@ -83,7 +83,8 @@ def picture(atlas, filter, camera):
 volume = fb.bake(fb.models.torus_knot(), (32, 32, 32))
 atlas = fb.pack([volume], layout="strips", page_size=1024)
 # From the side, where slices are seen edge on.
-camera = fb.Camera.fit(volume.inner_bounds, direction=(-0.5, -0.9, -0.45), up=(0, 0, 1), aspect=WIDTH_PX / HEIGHT_PX)
+center = volume.inner_bounds.mean(axis=0)
+camera = fb.Camera(center + np.array([1.9, 3.4, 1.7]), center, up=(0, 0, 1), fov_deg=45)
 sheet = Image.new("RGB", (WIDTH_PX * len(LABELS), HEIGHT_PX + 20), "white")
 for column, (filter, label) in enumerate(LABELS.items()):
     sheet.paste(picture(atlas, filter, camera), (column * WIDTH_PX, 0))
