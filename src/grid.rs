@@ -4,7 +4,7 @@
 //! `offset = x + nx * (y + ny * z)`.
 
 use crate::error::{ArgumentError, Error};
-use glam::{DVec3, IVec3, Vec3};
+use glam::DVec3;
 
 /// An axis-aligned box cut into `shape` voxels.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -51,7 +51,7 @@ impl Grid {
 
     /// Size of a voxel, world units.
     pub fn spacing(&self) -> DVec3 {
-        (self.upper - self.lower) / self.sides()
+        (self.upper - self.lower) / DVec3::new(self.shape[0] as f64, self.shape[1] as f64, self.shape[2] as f64)
     }
 
     /// Centre of voxel `(x, y, z)`.
@@ -66,40 +66,6 @@ impl Grid {
 
     pub fn diagonal(&self) -> f64 {
         (self.upper - self.lower).length()
-    }
-
-    /// Whether the box, faces included, holds `p`.
-    pub fn contains(&self, p: DVec3) -> bool {
-        p.cmpge(self.lower).all() && p.cmple(self.upper).all()
-    }
-
-    /// Grid space: voxel centres at integers.
-    pub fn grid_from_world(&self, p: DVec3) -> DVec3 {
-        (p - self.lower) / self.spacing() - 0.5
-    }
-
-    /// The nearest point of the box, in grid space.
-    pub fn clamp_to_box(&self, p_grid: DVec3) -> DVec3 {
-        p_grid.max(DVec3::splat(-0.5)).min(self.sides() - 0.5)
-    }
-
-    /// Cell that holds the nearest point of the box, and the position in it, 0 to 1.
-    pub fn locate(&self, p: DVec3) -> (IVec3, Vec3) {
-        let p_grid = self.clamp_to_box(self.grid_from_world(p));
-        let cell = p_grid.floor();
-        (cell.as_ivec3(), (p_grid - cell).as_vec3())
-    }
-
-    /// Voxel that holds the nearest point of the box.
-    pub fn nearest_voxel(&self, p: DVec3) -> [usize; 3] {
-        let voxel = self.clamp_to_box(self.grid_from_world(p)).round().to_array();
-        // `as` saturates, and a point on the upper face rounds to n: both are clamped here.
-        std::array::from_fn(|axis| (voxel[axis] as usize).min(self.shape[axis] - 1))
-    }
-
-    /// Voxels along each axis.
-    pub(crate) fn sides(&self) -> DVec3 {
-        DVec3::from_array(self.shape.map(|n| n as f64))
     }
 }
 

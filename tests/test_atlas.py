@@ -3,6 +3,7 @@
 import copy
 import io
 import json
+import os
 import pickle
 import re
 import threading
@@ -43,6 +44,15 @@ def noise(shape, seed=0, bounds=((-1, -0.5, -2), (1, 0.75, 1.5))):
 
 def cubes(count, side):
     return [noise((side,) * 3, seed) for seed in range(count)]
+
+
+@pytest.fixture
+def gpu():
+    """An adapter, or the reason why not."""
+    if all(found.type == "cpu" for found in fb.devices()):
+        complain = pytest.fail if os.environ.get("FIELDBAKE_REQUIRE_GPU") == "1" else pytest.skip
+        complain("no GPU adapter found: install a Vulkan driver, for example Mesa's lavapipe")
+    return "gpu"
 
 
 @pytest.fixture(scope="module")
@@ -628,6 +638,44 @@ def test_a_damaged_file_is_a_format_error(good_file, tmp_path_factory, data):
         return
     # What nobody reads may be damaged; the rest is covered by checksums.
     assert [atlas.unpack(i).resolution for i in atlas.indices] == [(4, 4, 4)] * 3
+
+
+# --- packing on a device
+
+
+@pytest.mark.parametrize("layout", ["shelves", "strips"])
+@pytest.mark.parametrize("encoding", ["float32", "float16", "snorm16", "snorm8"])
+def test_a_device_packs_the_same_bytes(layout, encoding, gpu):
+    volumes = [fb.bake(fb.models.gear(), (13, 13, 13)), noise((13, 13, 13))]
+    options = {"layout": layout, "page_size": 200, "encoding": encoding}
+
+    here, there = fb.pack(volumes, **options), fb.pack(volumes, **options, device=gpu)
+
+    assert repr(there) == repr(here)
+    assert there.entries.tobytes() == here.entries.tobytes()
+    assert np.array_equal(there.pages, here.pages)
+    assert there.add(volumes[0]) == 2
+    there.remove(0)
+    assert np.array_equal(there.unpack(2).distances, fb.pack(volumes, **options).unpack(0).distances)
+
+
+def test_what_is_on_the_device_is_packed_without_a_round_trip(gpu):
+    volumes = [fb.bake(fb.models.gear(), 12, device=gpu) for _ in range(2)]
+    field = volumes[0]._field
+    before = field._transfers()
+
+    atlas = fb.pack(volumes, page_size=128, device=gpu)
+
+    after = field._transfers()
+    assert after["readbacks"] == before["readbacks"]
+    # One number for each volume: the value of a whole texel.
+    assert after["uploaded_bytes"] - before["uploaded_bytes"] <= 2 * 4
+    assert np.array_equal(atlas.unpack(1).distances, volumes[1].distances)
+
+
+def test_an_unknown_device_is_refused():
+    with pytest.raises(fb.DeviceError, match="abacus"):
+        fb.pack(cubes(1, 4), page_size=64, device="abacus")
 
 
 # --- shader text

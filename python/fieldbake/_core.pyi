@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 __all__ = [
     "DeviceField",
+    "DevicePages",
     "Mesh",
     "Scene",
     "SceneField",
@@ -20,6 +21,7 @@ __all__ = [
     "__version__",
     "atlas_clear",
     "atlas_entries",
+    "atlas_pack_device",
     "atlas_plan",
     "atlas_read",
     "atlas_sample",
@@ -378,3 +380,26 @@ def exr_write(texels: NDArray[np.uint8], width: int, height: int, encoding: str)
 
 def exr_read(bytes: bytes, width: int, height: int, encoding: str) -> bytes:
     """The texels of such a file, if it has this size; float32 for normalised encodings."""
+
+@final
+class DevicePages:
+    """Pages of an atlas in the memory of a graphics device. Made by :func:`atlas_pack_device`."""
+
+    def __len__(self) -> int: ...
+    @property
+    def device(self) -> str: ...
+    def read(self) -> NDArray[np.uint8]:
+        """The texels of all pages as bytes; each call copies them anew."""
+
+def atlas_pack_device(
+    blocks: NDArray[np.uint32],
+    volumes: list[NDArray[np.float32] | DeviceField],
+    scales: list[float],
+    *,
+    page_size: int,
+    pages: int,
+    encoding: str,
+    device: str,
+    progress: Callable[[float], object] | None = None,
+) -> DevicePages | None:
+    """Fill new pages on a device; fields that are not there are uploaded. None where ``device`` is the CPU."""

@@ -120,7 +120,9 @@ class Atlas:
         self._gutter = 0 if layout == "strips" else gutter
         self._encoding: Encoding = encoding
         self._band = band
-        self._pages: NDArray[Any] = np.zeros((0, page_size, page_size), TEXELS[encoding])
+        # On the host, and on a graphics device: either may be missing, not both.
+        self._host: NDArray[Any] | None = np.zeros((0, page_size, page_size), TEXELS[encoding])
+        self._device: _core.DevicePages | None = None
         # One row for each index.
         self._blocks = np.zeros((0, BLOCK_NUMBERS), np.uint32)
         self._boxes = np.zeros((0, 4, 3))  # inner lower and upper, outer lower and upper corner
@@ -130,6 +132,27 @@ class Atlas:
         self._entries: NDArray[Any] | None = None
         # Volumes come and go while other threads sample.
         self._lock = threading.RLock()
+
+    @property
+    def _pages(self) -> NDArray[Any]:
+        """The texels, read back from the device at the first use."""
+        with self._lock:
+            if self._host is None:
+                assert self._device is not None
+                size = self._page_size
+                self._host = self._device.read().view(TEXELS[self._encoding]).reshape(-1, size, size)
+            return self._host
+
+    @_pages.setter
+    def _pages(self, pages: NDArray[Any]) -> None:
+        self._host, self._device = pages, None
+
+    @property
+    def _page_count(self) -> int:
+        if self._host is not None:
+            return len(self._host)
+        assert self._device is not None
+        return len(self._device)
 
     @property
     def pages(self) -> NDArray[Any]:
@@ -204,12 +227,12 @@ class Atlas:
         """Share of the pages' texels that belong to a slice or its gutter."""
         blocks = self._blocks[self._blocks[:, 0] != VACANT].astype(np.float64)
         used = float((blocks[:, 3] * blocks[:, 4] * blocks[:, 9]).sum())
-        return used / self._pages.size if self._pages.size else 0.0
+        return used / (self._page_count * self._page_size**2) if self._page_count else 0.0
 
     @property
     def nbytes(self) -> int:
         """Memory of the pages."""
-        return self._pages.nbytes
+        return self._page_count * self._page_size**2 * TEXELS[self._encoding].itemsize
 
     def add(self, volume: Volume, transform: ArrayLike | None = None) -> int:
         """Put one more volume in, without moving the others.
@@ -245,7 +268,7 @@ class Atlas:
         """
         with self._lock:
             i = self._index(i)
-            _core.atlas_clear(self._bytes(), self._blocks[i : i + 1], self._encoding)
+            _core.atlas_clear(self._writable(), self._blocks[i : i + 1], self._encoding)
             self._blocks[i] = 0
             self._blocks[i, 0] = VACANT
             self._boxes[i], self._models[i], self._scales[i] = 0, np.eye(4), 1
@@ -426,7 +449,9 @@ class Atlas:
         with self._lock:
             return plot_atlas(self, page)
 
-    def _place(self, items: list[tuple[Volume, NDArray[np.float64]]], progress: Progress) -> list[int]:
+    def _place(
+        self, items: list[tuple[Volume, NDArray[np.float64]]], progress: Progress, device: str = "cpu"
+    ) -> list[int]:
         """Plan room for volumes, open pages and fill in their texels; the indices."""
         shapes = np.array([volume.resolution for volume, _ in items], np.uint32).reshape(-1, 3)
         with self._lock:
@@ -439,16 +464,33 @@ class Atlas:
                 encoding=self._encoding,
             )
             scales = [scale_of(volume, self._band) for volume, _ in items]
-            self._open_pages(int(blocks[:, 0].max(initial=0)) + 1 if len(blocks) else 0)
+            count = max(int(blocks[:, 0].max(initial=0)) + 1 if len(blocks) else 0, self._page_count)
             with progress_callback(progress, "pack") as callback:
-                _core.atlas_write(
-                    self._bytes(),
-                    blocks,
-                    [volume.distances for volume, _ in items],
-                    scales,
-                    encoding=self._encoding,
-                    progress=callback,
-                )
+                # A device fills pages that are new.
+                packed = None
+                if count and not self._page_count and _is_worth_it([volume for volume, _ in items], device):
+                    packed = _core.atlas_pack_device(
+                        blocks,
+                        [volume._source(device) for volume, _ in items],
+                        scales,
+                        page_size=self._page_size,
+                        pages=count,
+                        encoding=self._encoding,
+                        device=device,
+                        progress=callback,
+                    )
+                if packed is not None:
+                    self._host, self._device = None, packed
+                else:
+                    self._open_pages(count)
+                    _core.atlas_write(
+                        self._writable(),
+                        blocks,
+                        [volume.distances for volume, _ in items],
+                        scales,
+                        encoding=self._encoding,
+                        progress=callback,
+                    )
 
             # Only now, so that an interrupted call leaves no entry behind.
             free = [i for i in range(len(self._blocks)) if self._blocks[i, 0] == VACANT]
@@ -463,12 +505,11 @@ class Atlas:
             return indices
 
     def _open_pages(self, count: int) -> None:
-        more = count - len(self._pages)
-        if more > 0:
+        if count > self._page_count:
             size = self._page_size
             _core.require_memory(
                 f"an atlas of {count} pages of {size} x {size} texels",
-                count * size * size * self._pages.itemsize,
+                count * size * size * TEXELS[self._encoding].itemsize,
                 "use a smaller page_size, or an encoding of fewer bits",
             )
             pages = np.zeros((count, size, size), self._pages.dtype)
@@ -488,6 +529,11 @@ class Atlas:
         """The pages as the core takes them."""
         return self._pages.view(np.uint8)
 
+    def _writable(self) -> NDArray[np.uint8]:
+        """The pages as bytes, to be changed: what is on a device is given up."""
+        self._pages = self._pages
+        return self._bytes()
+
     def _index(self, i: object) -> int:
         """The index of a volume that is there; negative ones count from the end."""
         count = len(self._blocks)
@@ -503,14 +549,16 @@ class Atlas:
         return len(self.indices)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_lock"}
+        state = {**self.__dict__, "_host": self._pages, "_device": None}
+        del state["_lock"]
+        return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._lock = threading.RLock()
 
     def __repr__(self) -> str:
-        held, pages = count_text(len(self), "volume"), count_text(len(self._pages), "page")
+        held, pages = count_text(len(self), "volume"), count_text(self._page_count, "page")
         size = f"{self._page_size} x {self._page_size}"
         return (
             f"Atlas({held} on {pages} of {size} {self._encoding}, {self._layout}, {self.fill:.0%} full, "
@@ -526,6 +574,7 @@ def pack(
     gutter: int = 1,
     encoding: Encoding = "float32",
     band: float = DEFAULT_BAND,
+    device: str = "auto",
     progress: Progress = None,
 ) -> Atlas:
     """Pack volumes into the pages of an atlas.
@@ -548,6 +597,9 @@ def pack(
         All round toward the surface: a stored magnitude never exceeds the true one.
     band : float, default 4
         Half the width of that band, voxels.
+    device : str, default "auto"
+        Volumes that were baked on a graphics device are packed there, with the same bytes, and the pages stay there
+        until somebody asks for them. ``"auto"`` does so if all of them are on the hardware GPU.
     progress : bool or callable, optional
         As for :func:`fieldbake.bake`.
 
@@ -565,6 +617,8 @@ def pack(
         If an option makes no sense.
     CapacityError
         If the pages do not fit in memory.
+    DeviceError
+        If the device is not there, or a page is too large for it.
 
     References
     ----------
@@ -594,8 +648,16 @@ def pack(
         listed = list(volumes)
     except TypeError:
         raise ArgumentError(f"volumes: must be a list of volumes, got {_checks.describe(volumes)}") from None
-    atlas._place([_checked_item(i, item) for i, item in enumerate(listed)], progress)
+    items = [_checked_item(i, item) for i, item in enumerate(listed)]
+    atlas._place(items, progress, _checks.text("device", device))
     return atlas
+
+
+def _is_worth_it(volumes: list[Volume], device: str) -> bool:
+    """Whether to pack on this device: where the user says so, or where all volumes are already."""
+    if device == "cpu":
+        return False
+    return device != "auto" or all(isinstance(volume._source(device), _core.DeviceField) for volume in volumes)
 
 
 def choice(name: str, value: object, wanted: tuple[str, ...]) -> Any:

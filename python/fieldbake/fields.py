@@ -202,8 +202,8 @@ def _from_disk(name: str) -> Volume | None:
     if folder is None or not (folder / f"{name}.npz").is_file():
         return None
     try:
-        volume = load(folder / f"{name}.npz")
-        return volume if isinstance(volume, Volume) else None
+        found = load(folder / f"{name}.npz")
+        return found if isinstance(found, Volume) else None
     except (FormatError, OSError) as error:
         logger.warning("a cached field cannot be used and is baked again: %s", error)
         return None

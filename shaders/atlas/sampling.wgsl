@@ -36,7 +36,7 @@ fn atlas_sample(entry: AtlasEntry, p: vec3f) -> f32 {
 }
 
 // The same by two taps of the hardware's filter, whose weights have 8 bits or so: off by up to 1/256 of the difference
-// between neighbours.
+// between neighbours. Without a gutter, and strips have none, the border takes as much from the next slice.
 fn atlas_sample_filtered(entry: AtlasEntry, p: vec3f) -> f32 {
     // Clamped to the outermost centres, which is the same function: beyond them the field is constant.
     let last = vec3f(atlas_shape(entry)) - 1.0;

@@ -20,10 +20,13 @@
 //!
 //! # Practice
 //!
-//! [`plan`] finds blocks, [`texels::write`] fills pages, [`texels::read`] gives a field back bit for bit. The plan depends
+//! [`plan`] finds blocks, [`texels::write`] (on a device [`gpu`]) fills pages, [`texels::read`] gives a field back bit for bit. The plan depends
 //! only on what is taken: an atlas grows and shrinks without moving anything, also after it was saved.
 
 pub mod entry;
+pub mod gpu;
+#[cfg(test)]
+mod gpu_tests;
 pub mod plan;
 pub mod rectangles;
 pub mod sample;

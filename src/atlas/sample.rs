@@ -18,8 +18,8 @@ use crate::encoding::Encoding;
 use crate::error::{ArgumentError, Error};
 use crate::grid::Grid;
 use crate::progress::Progress;
-use crate::volume::outside::distance_bound;
-use crate::volume::{batch, lerp, trilinear};
+use crate::volume::outside::bound_outside;
+use crate::volume::{Cell, Filter, Trilinear, trilinear};
 use glam::{DVec2, DVec3, IVec3};
 
 /// How a value is made from the texels.
@@ -76,81 +76,83 @@ impl<'a> AtlasField<'a> {
     }
 
     /// Field at many points of its own space; outside the box a lower bound on the distance to a surface in the box
-    /// `inner`, as `FieldView::sample` has it.
-    pub fn sample(
+    /// `inner`.
+    pub fn sample_filtered(
         &self,
         points: &[DVec3],
         inner: [DVec3; 2],
         filter: AtlasFilter,
         progress: &Progress,
     ) -> Result<Vec<f32>, Error> {
-        // The encoding is fixed for the batch: each gets its own loop.
-        match self.encoding {
-            Encoding::Float32 => self.sample_as(texel::<4>, points, inner, filter, progress),
-            Encoding::Float16 | Encoding::Snorm16 => self.sample_as(texel::<2>, points, inner, filter, progress),
-            Encoding::Snorm8 => self.sample_as(texel::<1>, points, inner, filter, progress),
+        match filter {
+            AtlasFilter::Linear => self.sample(points, inner, Filter::Linear, progress),
+            AtlasFilter::Nearest => self.sample(points, inner, Filter::Nearest, progress),
+            AtlasFilter::Slice => BySlice(self).sample(points, inner, Filter::Linear, progress),
         }
     }
 
-    fn sample_as(
-        &self,
-        bits: impl Fn(&[u8], usize) -> u32 + Sync,
-        points: &[DVec3],
-        inner: [DVec3; 2],
-        filter: AtlasFilter,
-        progress: &Progress,
-    ) -> Result<Vec<f32>, Error> {
-        let at = |texel: usize| self.encoding.decode(bits(self.page, texel), self.scale);
-        batch(points, progress, |p| {
-            if p.is_nan() {
-                return f32::NAN;
-            }
-            if !self.grid.contains(p) {
-                return distance_bound(&self.grid, |cell| self.corners(&at, cell), p, inner);
-            }
-            match filter {
-                AtlasFilter::Linear => {
-                    let (cell, fraction) = self.grid.locate(p);
-                    trilinear(&self.corners(&at, cell), fraction)
-                }
-                AtlasFilter::Nearest => {
-                    let [x, y, z] = self.grid.nearest_voxel(p);
-                    at(self.slices[z] + y * self.row_texels + x)
-                }
-                AtlasFilter::Slice => {
-                    let (cell, fraction) = self.grid.locate(p);
-                    let [_, _, z] = self.grid.nearest_voxel(p);
-                    let c = self.corners(&at, cell.with_z(z as i32));
-                    lerp(lerp(c[0], c[1], fraction.x), lerp(c[2], c[3], fraction.x), fraction.y)
-                }
-            }
-        })
-    }
-
-    /// The samples at the corners of a cell, as `FieldView::corners` has them: the four of a slice, then of the next.
+    /// The samples at the corners of a cell, texels having `N` bytes: the four of a slice, then of the next.
     #[inline]
-    fn corners(&self, at: &impl Fn(usize) -> f32, cell: IVec3) -> [f32; 8] {
+    fn corners<const N: usize>(&self, index: IVec3) -> [f32; 8] {
         let [nx, ny, nz] = self.grid.shape;
         let clamp = |i: i32, n: usize| (i.max(0) as usize).min(n - 1);
-        let (x0, x1) = (clamp(cell.x, nx), clamp(cell.x + 1, nx));
-        let (y0, y1) = (clamp(cell.y, ny) * self.row_texels, clamp(cell.y + 1, ny) * self.row_texels);
-        let (z0, z1) = (self.slices[clamp(cell.z, nz)], self.slices[clamp(cell.z + 1, nz)]);
-        [
-            at(z0 + y0 + x0),
-            at(z0 + y0 + x1),
-            at(z0 + y1 + x0),
-            at(z0 + y1 + x1),
-            at(z1 + y0 + x0),
-            at(z1 + y0 + x1),
-            at(z1 + y1 + x0),
-            at(z1 + y1 + x1),
-        ]
+        let (x0, x1) = (clamp(index.x, nx), clamp(index.x + 1, nx));
+        let (y0, y1) = (clamp(index.y, ny) * self.row_texels, clamp(index.y + 1, ny) * self.row_texels);
+        let (z0, z1) = (self.slices[clamp(index.z, nz)], self.slices[clamp(index.z + 1, nz)]);
+        [z0 + y0 + x0, z0 + y0 + x1, z0 + y1 + x0, z0 + y1 + x1, z1 + y0 + x0, z1 + y0 + x1, z1 + y1 + x0, z1 + y1 + x1]
+            .map(|texel| self.encoding.decode(bits::<N>(self.page, texel), self.scale))
+    }
+}
+
+impl Trilinear for AtlasField<'_> {
+    fn grid(&self) -> &Grid {
+        &self.grid
+    }
+
+    #[inline]
+    fn cell(&self, index: IVec3) -> Cell {
+        let corners = match self.encoding {
+            Encoding::Float32 => self.corners::<4>(index),
+            Encoding::Float16 | Encoding::Snorm16 => self.corners::<2>(index),
+            Encoding::Snorm8 => self.corners::<1>(index),
+        };
+        Cell { corners, first: index, size: 1 }
+    }
+
+    fn distance_bound(&self, p: DVec3, inner: [DVec3; 2]) -> f32 {
+        bound_outside(self, p, inner)
+    }
+}
+
+/// The same texels by the article's filter.
+struct BySlice<'a>(&'a AtlasField<'a>);
+
+impl Trilinear for BySlice<'_> {
+    fn grid(&self) -> &Grid {
+        self.0.grid()
+    }
+
+    fn cell(&self, index: IVec3) -> Cell {
+        self.0.cell(index)
+    }
+
+    fn distance_bound(&self, p: DVec3, inner: [DVec3; 2]) -> f32 {
+        self.0.distance_bound(p, inner)
+    }
+
+    fn sample_linear(&self, p: DVec3) -> f32 {
+        let p_grid = self.clamp_to_box(self.grid_from_world(p));
+        let index = p_grid.floor();
+        // The slice that holds the point, alone.
+        let slice = p_grid.z.round().clamp(0.0, self.shape().z - 1.0);
+        let cell = self.cell(index.with_z(slice).as_ivec3());
+        trilinear(&cell.corners, (p_grid - index).with_z(0.0).as_vec3())
     }
 }
 
 /// The bits of a texel of `N` bytes.
 #[inline]
-fn texel<const N: usize>(page: &[u8], texel: usize) -> u32 {
+fn bits<const N: usize>(page: &[u8], texel: usize) -> u32 {
     let mut word = [0; 4];
     word[..N].copy_from_slice(&page[texel * N..][..N]);
     u32::from_le_bytes(word)
@@ -160,11 +162,12 @@ fn texel<const N: usize>(page: &[u8], texel: usize) -> u32 {
 /// moved to its nearest point; z chooses the slice.
 pub fn texture_coordinates(block: &Block, page_size: u32, grid: &Grid, points: &[DVec3]) -> Vec<[f64; 2]> {
     let last = block.shape[2] - 1;
+    let shape = DVec3::from_array(block.shape.map(f64::from));
     points
         .iter()
         .map(|&p| {
             // Texels from the box's corner: the centre of voxel 0 lies at 0.5.
-            let texture = grid.clamp_to_box(grid.grid_from_world(p)) + 0.5;
+            let texture = ((p - grid.lower) / grid.spacing()).max(DVec3::ZERO).min(shape);
             let slice = block.slice((texture.z as u32).min(last)).map(f64::from);
             ((DVec2::from_array(slice) + texture.truncate()) / f64::from(page_size)).to_array()
         })
@@ -177,7 +180,7 @@ mod tests {
     use super::super::plan::plan;
     use super::super::texels::{Item, write};
     use super::*;
-    use crate::volume::{FieldView, Filter};
+    use crate::volume::FieldView;
     use proptest::prelude::*;
 
     proptest! {
@@ -203,7 +206,7 @@ mod tests {
             let field = AtlasField::new(bytemuck::cast_slice(&pages), 32, Encoding::Float32, 1.0, &block, grid);
             for (ours, theirs) in [(AtlasFilter::Linear, Filter::Linear), (AtlasFilter::Nearest, Filter::Nearest)] {
                 prop_assert_eq!(
-                    field.sample(&points, inner, ours, &Progress::new()).unwrap(),
+                    field.sample_filtered(&points, inner, ours, &Progress::new()).unwrap(),
                     view.sample(&points, inner, theirs, &Progress::new()).unwrap()
                 );
             }

@@ -36,6 +36,24 @@ pub struct Triangle {
     pub right: [f32; 2],
 }
 
+/// `shaders/atlas_pack.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct PackParams {
+    pub corner: [u32; 2],
+    pub tile: [u32; 2],
+    pub shape: [u32; 3],
+    pub gutter: u32,
+    pub columns: u32,
+    pub first_plane: u32,
+    pub planes: u32,
+    pub row_words: u32,
+    pub word_texels: u32,
+    pub steps: u32,
+    pub scale: f32,
+    pub pad_0: u32,
+}
+
 /// `shaders/bake_distance.wgsl`.
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
@@ -382,6 +400,23 @@ mod tests {
         );
         assert_twin!("scene_beams", Answer { value, is_proven, steps, is_complete });
         assert_twin!("scene_beams", BeamParams { first, count, pad_0, pad_1 });
+        assert_twin!(
+            "atlas_pack",
+            PackParams {
+                corner,
+                tile,
+                shape,
+                gutter,
+                columns,
+                first_plane,
+                planes,
+                row_words,
+                word_texels,
+                steps,
+                scale,
+                pad_0
+            }
+        );
         assert_twin!("query_points", QueryParams { first, count, pad_0, pad_1 });
     }
 }

@@ -8,6 +8,7 @@ use std::fmt::Write;
 
 /// Every kernel by name, and its file.
 pub const KERNELS: &[(&str, &str)] = &[
+    ("atlas_pack", include_str!("../../shaders/atlas_pack.wgsl")),
     ("bake_brute", include_str!("../../shaders/bake_brute.wgsl")),
     ("bake_distance", include_str!("../../shaders/bake_distance.wgsl")),
     ("bake_finish", include_str!("../../shaders/bake_finish.wgsl")),

@@ -3,16 +3,19 @@
 //! Blocks cross as rows of ten numbers, the fields of `atlas::Block` in order; pages as bytes, (pages, size, size * bytes).
 
 use super::convert::{points, volume_array};
+use super::device::{DeviceField, choose};
 use super::error::{Failure, exception};
 use super::run::run;
 use crate::atlas::entry::{AtlasEntry, Facts, StripEntry};
 use crate::atlas::sample::{AtlasField, AtlasFilter, texture_coordinates};
 use crate::atlas::shader::{Language, ShaderOptions, shader};
 use crate::atlas::texels::{self, Item};
-use crate::atlas::{Block, Layout, plan};
+use crate::atlas::{Block, Layout, gpu, plan};
 use crate::encoding::Encoding;
+use crate::gpu::Place;
 use crate::grid::Grid;
 use crate::memory;
+use crate::volume::device;
 use glam::{DMat4, DVec3};
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3,
@@ -20,6 +23,7 @@ use numpy::{
 };
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
+use std::sync::Arc;
 
 type Blocks<'py> = PyReadonlyArray2<'py, u32>;
 
@@ -91,6 +95,86 @@ pub fn atlas_write<'py>(
     Ok(())
 }
 
+/// Pages in the memory of a graphics device, read back on request.
+#[pyclass(frozen, module = "fieldbake._core")]
+pub struct DevicePages {
+    pages: gpu::DevicePages,
+    count: u32,
+}
+
+#[pymethods]
+impl DevicePages {
+    /// How many there are.
+    fn __len__(&self) -> usize {
+        self.count as usize
+    }
+
+    #[getter]
+    fn device(&self) -> String {
+        self.pages.context().label()
+    }
+
+    /// The texels of all pages as bytes.
+    fn read<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<u8>>> {
+        Ok(run(py, None, |progress| self.pages.read(progress))?.into_pyarray(py))
+    }
+}
+
+/// A field where a device can read it, or one to upload.
+#[derive(FromPyObject)]
+pub enum Source<'py> {
+    Device(PyRef<'py, DeviceField>),
+    Host(PyReadonlyArray3<'py, f32>),
+}
+
+/// Fill new pages on a device; `None` where `device` is the CPU.
+#[pyfunction]
+#[pyo3(signature = (blocks, volumes, scales, *, page_size, pages, encoding, device, progress=None))]
+pub fn atlas_pack_device<'py>(
+    py: Python<'py>,
+    blocks: Blocks<'py>,
+    volumes: Vec<Source<'py>>,
+    scales: Vec<f32>,
+    page_size: u32,
+    pages: u32,
+    encoding: &str,
+    device: &str,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Option<DevicePages>> {
+    let encoding = Encoding::from_name(encoding).map_err(Failure::from)?;
+    let Place::Gpu(context) = choose(py, device)? else { return Ok(None) };
+    let blocks = self::blocks(&blocks)?;
+    let fits = blocks.iter().all(|block| block.is_sound(page_size, pages)) && page_size <= plan::MAX_PAGE_SIZE;
+    if !fits || blocks.len() != volumes.len() || blocks.len() != scales.len() {
+        return Err(broken(py, "a block does not lie on the pages"));
+    }
+    let fields: Vec<device::DeviceField> = volumes
+        .iter()
+        .map(|volume| match volume {
+            Source::Device(field) if Arc::ptr_eq(field.0.context(), &context) => Ok(field.0.clone()),
+            Source::Device(_) => Err(broken(py, "a field lies on another device")),
+            Source::Host(samples) => {
+                let shape = std::array::from_fn(|axis| samples.shape()[axis]);
+                let samples = samples.as_slice().ok().filter(|_| samples.is_fortran_contiguous());
+                let samples = samples.ok_or_else(|| broken(py, "volumes must be x fastest"))?;
+                Ok(run(py, None, |_| device::DeviceField::upload(&context, shape, samples))?)
+            }
+        })
+        .collect::<PyResult<_>>()?;
+    if fields.iter().zip(blocks).any(|(field, block)| field.shape() != block.shape.map(|n| n as usize)) {
+        return Err(broken(py, "volumes must fit their blocks"));
+    }
+    let items: Vec<_> = blocks
+        .iter()
+        .zip(&fields)
+        .zip(scales)
+        .map(|((&block, field), scale)| gpu::DeviceItem { block, field, scale })
+        .collect();
+    let packed =
+        run(py, progress, |progress| gpu::DevicePages::pack(&context, page_size, pages, encoding, &items, progress))?;
+    Ok(Some(DevicePages { pages: packed, count: pages }))
+}
+
 /// Zero the texels of one block.
 #[pyfunction]
 pub fn atlas_clear<'py>(
@@ -148,7 +232,8 @@ pub fn atlas_sample<'py>(
     let texels = pages.as_slice()?;
     let inner = [DVec3::from_array(inner_lower), DVec3::from_array(inner_upper)];
     let values = run(py, None, |progress| {
-        AtlasField::new(texels, page_size, encoding, scale, &block, grid).sample(&points, inner, filter, progress)
+        AtlasField::new(texels, page_size, encoding, scale, &block, grid)
+            .sample_filtered(&points, inner, filter, progress)
     })?;
     Ok(values.into_pyarray(py))
 }

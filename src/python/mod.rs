@@ -22,8 +22,8 @@ use pyo3::prelude::*;
 mod _core {
     #[pymodule_export]
     use super::atlas::{
-        atlas_clear, atlas_entries, atlas_plan, atlas_read, atlas_sample, atlas_shader, atlas_sound,
-        atlas_texture_coordinates, atlas_write, require_memory,
+        DevicePages, atlas_clear, atlas_entries, atlas_pack_device, atlas_plan, atlas_read, atlas_sample, atlas_shader,
+        atlas_sound, atlas_texture_coordinates, atlas_write, require_memory,
     };
     #[pymodule_export]
     use super::bake::{bake, bake_brute};

@@ -33,7 +33,6 @@ mod surface;
 mod trilinear;
 
 pub use surface::SurfaceMesh;
-pub(crate) use trilinear::{batch, lerp};
 pub use trilinear::{Cell, Filter, Trilinear, trilinear, trilinear_gradient};
 
 use crate::error::{ArgumentError, Error};
@@ -106,7 +105,7 @@ impl Trilinear for FieldView<'_> {
     }
 
     fn distance_bound(&self, p: DVec3, inner: [DVec3; 2]) -> f32 {
-        self.bound_outside(p, inner)
+        outside::bound_outside(self, p, inner)
     }
 }
 

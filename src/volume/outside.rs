@@ -37,47 +37,39 @@
 //! True up to the error of the stored distances; the last rounding to f32 is downward. For a sphere in a box with a
 //! margin of 10 % the bound is on average 0.85 of the distance, over the points within one box length of the box.
 
-use super::{FieldView, Trilinear};
-use crate::grid::Grid;
-use glam::{DVec3, IVec3};
+use super::Trilinear;
+use glam::DVec3;
 
-impl FieldView<'_> {
-    /// Lower bound, zero or more, on the distance from `p`, outside the box, to a surface inside the box `inner`.
-    pub(super) fn bound_outside(&self, p: DVec3, inner: [DVec3; 2]) -> f32 {
-        distance_bound(self.grid(), |cell| self.corners(cell), p, inner)
-    }
-}
-
-/// Lower bound, zero or more, on the distance from `p`, outside the box, to a surface inside the box `inner`. `corners`
-/// gives the samples of a cell, as [`FieldView::corners`] does.
-pub fn distance_bound(grid: &Grid, corners: impl Fn(IVec3) -> [f32; 8], p: DVec3, inner: [DVec3; 2]) -> f32 {
+/// Lower bound, zero or more, on the distance from `p`, outside the box, to a surface inside the box `inner`, from a field
+/// that stores every sample of its grid.
+pub fn bound_outside(field: &impl Trilinear, p: DVec3, inner: [DVec3; 2]) -> f32 {
+    let grid = field.grid();
     let h = grid.spacing();
     let (hull_lower, hull_upper) = (grid.lower + 0.5 * h, grid.upper - 0.5 * h);
     let nearest_in_hull = p.max(hull_lower).min(hull_upper);
     let nearest_in_inner = p.max(inner[0]).min(inner[1]);
     let to_inner = (p - nearest_in_inner).length();
-    let square_bound = |c| square_bound(grid, &corners, c);
 
     let surface_is_in_hull = inner[0].cmpge(hull_lower).all() && inner[1].cmple(hull_upper).all();
     let bound = if surface_is_in_hull {
-        let by_hull = (p - nearest_in_hull).length_squared() + square_bound(nearest_in_hull);
-        let by_inner = to_inner * to_inner + square_bound(nearest_in_inner);
+        let by_hull = (p - nearest_in_hull).length_squared() + square_bound(field, nearest_in_hull);
+        let by_inner = to_inner * to_inner + square_bound(field, nearest_in_inner);
         by_hull.max(by_inner).sqrt()
     } else {
-        let by_hull = square_bound(nearest_in_hull).sqrt() - (p - nearest_in_hull).length();
+        let by_hull = square_bound(field, nearest_in_hull).sqrt() - (p - nearest_in_hull).length();
         by_hull.max(to_inner)
     };
     round_down(bound)
 }
 
 /// Lower bound `max(0, s^2)` on the squared distance at a point `c` in the hull of the voxel centres.
-fn square_bound(grid: &Grid, corners: &impl Fn(IVec3) -> [f32; 8], c: DVec3) -> f64 {
-    let h = grid.spacing();
-    let c_grid = grid.grid_from_world(c).max(DVec3::ZERO).min(grid.sides() - 1.0);
+fn square_bound(field: &impl Trilinear, c: DVec3) -> f64 {
+    let h = field.grid().spacing();
+    let c_grid = field.grid_from_world(c).max(DVec3::ZERO).min(field.shape() - 1.0);
     let cell = c_grid.floor();
     let f = c_grid - cell;
     let variance = (h * h * f * (1.0 - f)).element_sum();
-    (mean_square(&corners(cell.as_ivec3()), f) - variance).max(0.0)
+    (mean_square(&field.cell(cell.as_ivec3()).corners, f) - variance).max(0.0)
 }
 
 /// Trilinear mean of the squared samples; f64, for the squares are compared with the variance.
@@ -100,6 +92,7 @@ fn round_down(value: f64) -> f32 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::FieldView;
     use super::super::tests::fill;
     use super::*;
     use crate::grid::Grid;

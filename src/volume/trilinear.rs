@@ -132,22 +132,23 @@ pub trait Trilinear: Sync {
 
     /// Whether the box, faces included, holds `p`.
     fn contains(&self, p: DVec3) -> bool {
-        self.grid().contains(p)
+        p.cmpge(self.grid().lower).all() && p.cmple(self.grid().upper).all()
     }
 
     /// Grid space: voxel centres at integers.
     fn grid_from_world(&self, p: DVec3) -> DVec3 {
-        self.grid().grid_from_world(p)
+        (p - self.grid().lower) / self.grid().spacing() - 0.5
     }
 
     /// The nearest point of the box, grid space.
     fn clamp_to_box(&self, p_grid: DVec3) -> DVec3 {
-        self.grid().clamp_to_box(p_grid)
+        p_grid.max(DVec3::splat(-0.5)).min(self.shape() - 0.5)
     }
 
     /// Voxels along each axis.
     fn shape(&self) -> DVec3 {
-        self.grid().sides()
+        let [nx, ny, nz] = self.grid().shape;
+        DVec3::new(nx as f64, ny as f64, nz as f64)
     }
 }
 
@@ -175,12 +176,12 @@ pub fn trilinear_gradient(corners: &[f32; 8], fraction: Vec3) -> Vec3 {
 }
 
 #[inline]
-pub(crate) fn lerp(a: f32, b: f32, fraction: f32) -> f32 {
+fn lerp(a: f32, b: f32, fraction: f32) -> f32 {
     a + (b - a) * fraction
 }
 
 /// Evaluate `f` at every point, in parallel chunks.
-pub(crate) fn batch<T: Copy + Default + Send>(
+fn batch<T: Copy + Default + Send>(
     points: &[DVec3],
     progress: &Progress,
     f: impl Fn(DVec3) -> T + Sync,

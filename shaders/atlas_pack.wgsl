@@ -1,0 +1,84 @@
+// Texels of an atlas from the samples of a field: one invocation a texel of a slice, gutter included. Twin of
+// src/atlas/texels.rs and src/encoding.rs, bit for bit: samples are handled as bits, halves are cut by shifts, and the
+// normalised integers are found by comparing with their values, which the CPU made.
+
+struct PackParams {
+    // First texel of the block, and size of a slice with its gutters.
+    corner: vec2u,
+    tile: vec2u,
+    shape: vec3u,
+    gutter: u32,
+    columns: u32,
+    // Slices that lie in the bound part of the field.
+    first_plane: u32,
+    planes: u32,
+    // Words in a row of the page.
+    row_words: u32,
+    // Texels in a word: 1 for float32, 2 or 4.
+    word_texels: u32,
+    // Largest normalised integer, 0 for floats.
+    steps: u32,
+    scale: f32,
+    pad_0: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: PackParams;
+@group(0) @binding(1) var<storage, read> samples: array<u32>;
+// Zero before the first field; words are shared by slices.
+@group(0) @binding(2) var<storage, read_write> page: array<atomic<u32>>;
+// What the normalised integers from 0 to `steps` stand for.
+@group(0) @binding(3) var<storage, read> levels: array<f32>;
+
+// Toward zero: the mantissa's last bits are cut off.
+fn half_bits(bits: u32) -> u32 {
+    let sign = (bits >> 16u) & 0x8000u;
+    let exponent = (bits >> 23u) & 0xffu;
+    if exponent >= 143u { return sign | 0x7bffu; }  // 65536 and more: the largest half
+    if exponent >= 113u { return sign | (((bits & 0x7fffffffu) - (112u << 23u)) >> 13u); }
+    if exponent < 102u { return sign; }
+    // Below 2^-14 halves are evenly spaced by 2^-24.
+    return sign | (((bits & 0x7fffffu) | 0x800000u) >> (126u - exponent));
+}
+
+// Steps between the guess and the integer, at most: the quotient is off by a few ulps.
+const MAX_CORRECTIONS: u32 = 8u;
+
+// The normalised integer whose value is the nearest to the sample that is not beyond it, seen from zero.
+fn snorm_bits(bits: u32) -> u32 {
+    let magnitude = bitcast<f32>(bits & 0x7fffffffu);
+    let share = min(magnitude / params.scale, 1.0);
+    var stored = min(u32(share * f32(params.steps)), params.steps);
+    for (var i = 0u; i < MAX_CORRECTIONS; i++) {
+        if stored > 0u && levels[stored] > magnitude { stored--; } else { break; }
+    }
+    for (var i = 0u; i < MAX_CORRECTIONS; i++) {
+        if stored < params.steps && levels[stored + 1u] <= magnitude { stored++; } else { break; }
+    }
+    return select(stored, 0u - stored, (bits >> 31u) == 1u);
+}
+
+@compute @workgroup_size(64)
+fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
+    // A workgroup is 64 texels of a row of a slice.
+    let column = group.x * 64u + local.x;
+    if column >= params.tile.x { return; }
+    let plane = group.z;
+    let z = params.first_plane + plane;
+    let last = params.shape - 1u;
+    let x = min(max(column, params.gutter) - params.gutter, last.x);
+    let y = min(max(group.y, params.gutter) - params.gutter, last.y);
+    let bits = samples[x + params.shape.x * (y + params.shape.y * plane)];
+
+    let tile = vec2u(z % params.columns, z / params.columns) * params.tile;
+    let texel = params.corner + tile + vec2u(column, group.y);
+    let word = texel.y * params.row_words + texel.x / params.word_texels;
+    if params.word_texels == 1u {
+        atomicStore(&page[word], bits);
+        return;
+    }
+    var stored = 0u;
+    if params.steps == 0u { stored = half_bits(bits); } else { stored = snorm_bits(bits); }
+    let width = 32u / params.word_texels;
+    let mask = (1u << width) - 1u;
+    atomicOr(&page[word], (stored & mask) << (width * (texel.x % params.word_texels)));
+}

@@ -1,0 +1,172 @@
+//! Packing on a graphics device: fields that lie there become pages there, without a round trip.
+//!
+//! A page is a storage buffer, rows padded to 256 bytes, so that it can be copied into a layer of a texture as it is
+//! ([`DevicePages::texture`]). The bytes are those of [`super::texels::write`].
+
+use super::Block;
+use crate::encoding::Encoding;
+use crate::error::{DeviceError, Error};
+use crate::gpu::Context;
+use crate::gpu::layout::PackParams;
+use crate::progress::Progress;
+use crate::volume::device::DeviceField;
+use std::sync::Arc;
+
+/// Rows of a buffer that is copied into a texture begin at multiples of this.
+const ROW_ALIGNMENT: u32 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT;
+
+/// A field on a device and where it goes.
+#[derive(Debug, Clone, Copy)]
+pub struct DeviceItem<'a> {
+    pub block: Block,
+    pub field: &'a DeviceField,
+    /// Of the normalised encodings; see [`Encoding`].
+    pub scale: f32,
+}
+
+/// The pages of an atlas in device memory.
+#[derive(Debug)]
+pub struct DevicePages {
+    context: Arc<Context>,
+    page_size: u32,
+    encoding: Encoding,
+    pages: Vec<wgpu::Buffer>,
+}
+
+impl DevicePages {
+    /// Fill `pages` pages. Blocks must be sound and lie apart, and begin at whole words.
+    pub fn pack(
+        context: &Arc<Context>,
+        page_size: u32,
+        pages: u32,
+        encoding: Encoding,
+        items: &[DeviceItem<'_>],
+        progress: &Progress,
+    ) -> Result<Self, Error> {
+        let row_bytes = Self::row_bytes(page_size, encoding);
+        let bytes = u64::from(row_bytes) * u64::from(page_size);
+        let what = format!("a page of {page_size} x {page_size} texels");
+        let pages = (0..pages).map(|_| context.storage(&what, bytes)).collect::<Result<Vec<_>, _>>()?;
+        let atlas = Self { context: context.clone(), page_size, encoding, pages };
+        progress.set_total(items.len() as u64);
+        for item in items {
+            atlas.write(item, row_bytes, progress)?;
+            progress.advance(1)?;
+        }
+        Ok(atlas)
+    }
+
+    fn row_bytes(page_size: u32, encoding: Encoding) -> u32 {
+        (page_size * encoding.bytes() as u32).next_multiple_of(ROW_ALIGNMENT)
+    }
+
+    fn write(&self, item: &DeviceItem<'_>, row_bytes: u32, progress: &Progress) -> Result<(), Error> {
+        let (context, block) = (&self.context, &item.block);
+        let steps = match self.encoding {
+            Encoding::Float32 | Encoding::Float16 => 0,
+            Encoding::Snorm16 => i16::MAX as u32,
+            Encoding::Snorm8 => i8::MAX as u32,
+        };
+        let levels: Vec<f32> = (0..=steps).map(|stored| self.encoding.decode(stored, item.scale)).collect();
+        let levels = context.upload("levels", &levels)?;
+        let kernel = context.kernel("atlas_pack", "main")?;
+        let mut last = None;
+        for slab in item.field.slabs() {
+            let params = PackParams {
+                corner: block.corner,
+                tile: block.tile,
+                shape: block.shape,
+                gutter: block.gutter,
+                columns: block.columns,
+                first_plane: slab.first_plane as u32,
+                planes: slab.planes as u32,
+                row_words: row_bytes / size_of::<u32>() as u32,
+                word_texels: (size_of::<u32>() / self.encoding.bytes()) as u32,
+                steps,
+                scale: item.scale,
+                pad_0: 0,
+            };
+            let uniform = context.uniform("pack parameters", &params)?;
+            let page = &self.pages[block.page as usize];
+            let buffers = [(0, &uniform), (1, &slab.buffer), (2, page), (3, &levels)];
+            let group = context.bind("pack", &kernel, &buffers)?;
+            let workgroups = [block.tile[0].div_ceil(64), block.tile[1], slab.planes as u32];
+            last = Some(context.dispatch("pack", &kernel, &group, workgroups)?);
+        }
+        // One field at a time is in flight, so that a cancelled job stops soon.
+        last.map_or(Ok(()), |submission| context.wait("pack", &submission, progress))
+    }
+
+    pub fn context(&self) -> &Arc<Context> {
+        &self.context
+    }
+
+    /// All pages as bytes on the host, without the padding of rows.
+    pub fn read(&self, progress: &Progress) -> Result<Vec<u8>, Error> {
+        let row = self.page_size as usize * self.encoding.bytes();
+        let padded = Self::row_bytes(self.page_size, self.encoding) as usize;
+        let mut bytes = Vec::with_capacity(row * self.page_size as usize * self.pages.len());
+        let mut page = vec![0u8; padded * self.page_size as usize];
+        for buffer in &self.pages {
+            self.context.read("read back a page", buffer, &mut page, progress)?;
+            bytes.extend(page.chunks_exact(padded).flat_map(|line| &line[..row]));
+        }
+        Ok(bytes)
+    }
+
+    /// The pages as the layers of a 2D texture, copied on the device. 16-bit normalised textures need a feature of the
+    /// device that not all have; without it this is an error.
+    pub fn texture(&self) -> Result<wgpu::Texture, DeviceError> {
+        let size = wgpu::Extent3d {
+            width: self.page_size,
+            height: self.page_size,
+            depth_or_array_layers: self.pages.len() as u32,
+        };
+        let format = match self.encoding {
+            Encoding::Float32 => wgpu::TextureFormat::R32Float,
+            Encoding::Float16 => wgpu::TextureFormat::R16Float,
+            Encoding::Snorm16 => wgpu::TextureFormat::R16Snorm,
+            Encoding::Snorm8 => wgpu::TextureFormat::R8Snorm,
+        };
+        let row_bytes = Self::row_bytes(self.page_size, self.encoding);
+        self.context.guarded("an atlas texture", u64::from(row_bytes) * u64::from(self.page_size), || {
+            let texture = self.context.device.create_texture(&wgpu::TextureDescriptor {
+                label: Some("atlas"),
+                size,
+                mip_level_count: 1,
+                sample_count: 1,
+                dimension: wgpu::TextureDimension::D2,
+                format,
+                usage: wgpu::TextureUsages::TEXTURE_BINDING
+                    | wgpu::TextureUsages::COPY_DST
+                    | wgpu::TextureUsages::COPY_SRC,
+                view_formats: &[],
+            });
+            let mut encoder = self
+                .context
+                .device
+                .create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("pages into a texture") });
+            for (layer, page) in self.pages.iter().enumerate() {
+                encoder.copy_buffer_to_texture(
+                    wgpu::TexelCopyBufferInfo {
+                        buffer: page,
+                        layout: wgpu::TexelCopyBufferLayout {
+                            offset: 0,
+                            bytes_per_row: Some(row_bytes),
+                            rows_per_image: Some(self.page_size),
+                        },
+                    },
+                    wgpu::TexelCopyTextureInfo {
+                        texture: &texture,
+                        mip_level: 0,
+                        origin: wgpu::Origin3d { x: 0, y: 0, z: layer as u32 },
+                        aspect: wgpu::TextureAspect::All,
+                    },
+                    wgpu::Extent3d { depth_or_array_layers: 1, ..size },
+                );
+            }
+            self.context.queue.submit([encoder.finish()]);
+            texture
+        })
+    }
+}
