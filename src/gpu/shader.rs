@@ -21,6 +21,7 @@ const SHARED: &[(&str, &str)] = &[
     ("bvh", include_str!("../../shaders/shared/bvh.wgsl")),
     ("clip", include_str!("../../shaders/shared/clip.wgsl")),
     ("grid", include_str!("../../shaders/shared/grid.wgsl")),
+    ("light", include_str!("../../shaders/shared/light.wgsl")),
     ("picture", include_str!("../../shaders/shared/picture.wgsl")),
     ("ray", include_str!("../../shaders/shared/ray.wgsl")),
     ("ray_filtered", include_str!("../../shaders/shared/ray_filtered.wgsl")),
