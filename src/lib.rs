@@ -16,6 +16,7 @@ pub mod mesh;
 pub mod progress;
 #[cfg(feature = "python")]
 mod python;
+pub mod quadric;
 pub mod query;
 pub mod render;
 pub mod scene;

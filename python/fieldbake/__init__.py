@@ -37,6 +37,7 @@ from .io import load
 from .lights import DirectionalLight, PointLight
 from .materials import Material
 from .mesh import Mesh, Part
+from .quadric import Quadric, pack_quadrics, unpack_quadrics, wrap_quadrics
 from .render import raymarch
 from .report import Report
 from .scene import Instance, Scene, render
@@ -61,6 +62,7 @@ __all__ = [
     "MeshError",
     "Part",
     "PointLight",
+    "Quadric",
     "Report",
     "Scene",
     "SceneError",
@@ -78,9 +80,12 @@ __all__ = [
     "load_scene",
     "models",
     "pack",
+    "pack_quadrics",
     "raymarch",
     "render",
     "signed_distance",
+    "unpack_quadrics",
+    "wrap_quadrics",
 ]
 
 # Quiet unless the program that uses us configures logging.

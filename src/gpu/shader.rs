@@ -12,6 +12,7 @@ pub const KERNELS: &[(&str, &str)] = &[
     ("bake_distance", include_str!("../../shaders/bake_distance.wgsl")),
     ("bake_finish", include_str!("../../shaders/bake_finish.wgsl")),
     ("field_to_texture", include_str!("../../shaders/field_to_texture.wgsl")),
+    ("quadrics", include_str!("../../shaders/quadrics.wgsl")),
     ("raymarch", include_str!("../../shaders/raymarch.wgsl")),
     ("raymarch_filtered", include_str!("../../shaders/raymarch_filtered.wgsl")),
     ("query_points", include_str!("../../shaders/query_points.wgsl")),

@@ -9,6 +9,7 @@ mod device;
 mod error;
 mod exchange;
 mod mesh;
+mod quadric;
 mod query;
 mod render;
 mod run;
@@ -33,6 +34,8 @@ mod _core {
     use super::exchange::{exr_read, exr_write, texture_decode, texture_read, texture_write};
     #[pymodule_export]
     use super::mesh::Mesh;
+    #[pymodule_export]
+    use super::quadric::Quadrics;
     #[pymodule_export]
     use super::query::{closest_point, signed_distance};
     #[pymodule_export]
