@@ -12,6 +12,7 @@ pub mod geometry;
 pub mod gpu;
 pub mod grid;
 mod memory;
+pub mod merge;
 pub mod mesh;
 pub mod progress;
 #[cfg(feature = "python")]

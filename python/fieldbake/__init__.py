@@ -36,6 +36,7 @@ from .gltf import load_scene
 from .io import load
 from .lights import DirectionalLight, PointLight
 from .materials import Material
+from .merge import MergedField, merge, sphere_intersection
 from .mesh import Mesh, Part
 from .quadric import Quadric, pack_quadrics, unpack_quadrics, wrap_quadrics
 from .render import raymarch
@@ -58,6 +59,7 @@ __all__ = [
     "Frame",
     "Instance",
     "Material",
+    "MergedField",
     "Mesh",
     "MeshError",
     "Part",
@@ -78,12 +80,14 @@ __all__ = [
     "load",
     "load_mesh",
     "load_scene",
+    "merge",
     "models",
     "pack",
     "pack_quadrics",
     "raymarch",
     "render",
     "signed_distance",
+    "sphere_intersection",
     "unpack_quadrics",
     "wrap_quadrics",
 ]

@@ -35,6 +35,7 @@ __all__ = [
     "exr_read",
     "exr_write",
     "gradient",
+    "merge",
     "raymarch",
     "render",
     "require_memory",
@@ -312,6 +313,26 @@ class Quadrics:
         """Draw the nearest sheets; options and result as for :func:`raymarch`."""
     def distance_bound(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Lower bound of the distance to the nearest quadric at ``points`` (n, 3), shape (n,)."""
+
+def merge(
+    volumes: list[tuple[Any, ...]],
+    instances: list[int],
+    transforms: NDArray[np.float64],
+    quadrics: NDArray[np.float64],
+    lower: tuple[float, float, float],
+    upper: tuple[float, float, float],
+    shape: tuple[int, int, int],
+    *,
+    method: str = "bound",
+    previous: tuple[NDArray[np.float32], NDArray[np.uint32], list[int]] | None = None,
+    device: str = "auto",
+    progress: Callable[[float], object] | None = None,
+) -> tuple[NDArray[np.float32], NDArray[np.uint32] | None, dict[str, Any]]:
+    """One field (nx, ny, nz), who gave each sample (n,), and facts: ``device``, ``evaluations``.
+
+    ``volumes``: (distances, lower, upper, inner_lower, inner_upper) each; ``instances``: the volume of each instance;
+    ``transforms`` (k, 4, 4) world from local; ``quadrics`` (m, 24) as for :class:`Quadrics`, counted after the
+    instances. ``previous``: distances and owners of an earlier merge, and which instances have changed since."""
 
 def devices() -> list[dict[str, Any]]:
     """What can compute: ``name``, ``backend``, ``type`` ("cpu", "discrete", "integrated", "software", ...),

@@ -138,6 +138,8 @@ def raymarch(
     surface = _checks.triple(_color("color", (0.8, 0.8, 0.8) if color is None else color, 3))
     behind = _color("background", (1.0, 1.0, 1.0, 1.0) if background is None else background, 4)
     if is_quadrics(thing):
+        if filter != "linear":
+            raise ArgumentError(f"filter: quadrics are not sampled, got {filter!r}; leave it out")
         quadrics = check_quadrics(thing)
         if camera is None:
             camera = Camera.fit(bounds_of(quadrics), aspect=width / height)

@@ -8,6 +8,7 @@ mod convert;
 mod device;
 mod error;
 mod exchange;
+mod merge;
 mod mesh;
 mod quadric;
 mod query;
@@ -32,6 +33,8 @@ mod _core {
     use super::device::{DeviceField, devices};
     #[pymodule_export]
     use super::exchange::{exr_read, exr_write, texture_decode, texture_read, texture_write};
+    #[pymodule_export]
+    use super::merge::merge;
     #[pymodule_export]
     use super::mesh::Mesh;
     #[pymodule_export]
