@@ -231,12 +231,20 @@ def test_the_articles_sum_overestimates_and_says_so(random):
     distance = signed_distance(triangles, centers(ours))
     outside = distance > 0
     too_large = (article.distances.reshape(-1) - distance)[outside] > exactness(instances)
-    # The figures of the documentation: about half of them, by up to 1.23 times.
-    assert too_large.mean() > 0.4
+    # The figures of the documentation: 39 to 57 % of them, by up to 1.23 times.
+    assert too_large.mean() > 1 / 3
     assert (article.distances.reshape(-1) / distance)[outside & (distance > 0.1)].max() > 1.15
     assert ((ours.distances.reshape(-1) - distance)[outside] <= exactness(instances)).all()
     with pytest.raises(fb.SceneError, match="article"):
         article.update([(0, np.eye(4))])
+
+
+def test_a_scene_of_the_package_merges():
+    ball = fb.Mesh(*meshes.icosphere(2))
+    scene = fb.Scene([fb.Instance(ball), fb.Instance(ball, transform=placed(np.eye(3), (4, 0, 0)), resolution=24)])
+    field = fb.merge(scene, 32)
+    assert (field.sample([(0, 0, 0), (4, 0, 0)]) < 0).all()
+    assert 0.5 < field.sample([(2, 0, 0)])[0] <= 1
 
 
 def test_spheres_meet_in_the_circle_of_the_bound(random):

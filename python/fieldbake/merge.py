@@ -163,7 +163,8 @@ def merge(
     method : "bound" or "article", default "bound"
         ``"article"`` is the loop of the article that this follows: at every sample over all instances, the distance
         to the box plus the sample there. Slow, and not a lower bound: in random scenes of six volumes of 20 to 32
-        voxels it exceeds the distance at half of the samples outside the boxes, by up to 1.23 times. For comparison.
+        voxels it exceeds the distance at 39 to 57 % of the samples outside the boxes, by up to 1.23 times. For
+        comparison.
     device : str, default "auto"
         ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`.
     progress : bool or callable, optional

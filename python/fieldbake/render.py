@@ -140,6 +140,8 @@ def raymarch(
     if is_quadrics(thing):
         if filter != "linear":
             raise ArgumentError(f"filter: quadrics are not sampled, got {filter!r}; leave it out")
+        if color is not None:
+            raise ArgumentError("color: each quadric has its own reflectance; leave it out")
         quadrics = check_quadrics(thing)
         if camera is None:
             camera = Camera.fit(bounds_of(quadrics), aspect=width / height)
