@@ -193,3 +193,43 @@ const MAX_SWEEPS: usize = 20;
 const STRETCH_ROUNDING: f64 = 1e-14;
 /// A rotation made in float64 keeps lengths to within this; far below the rounding of a sample.
 const RIGID: f64 = 1e-12;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DQuat;
+    use proptest::prelude::*;
+
+    fn rotation() -> impl Strategy<Value = DMat3> {
+        prop::array::uniform4(-1.0..1.0f64)
+            .prop_filter("no direction", |q| q.iter().map(|x| x * x).sum::<f64>() > 0.01)
+            .prop_map(|q| DMat3::from_quat(DQuat::from_array(q).normalize()))
+    }
+
+    proptest! {
+        #[test]
+        fn the_stretch_is_that_of_the_axes(a in rotation(), b in rotation(), scale in prop::array::uniform3(1e-6..1e6f64)) {
+            let [least, most] = stretch(a * DMat3::from_diagonal(DVec3::from(scale)) * b);
+            let exact = DVec3::from(scale);
+            // The product of three matrices is itself rounded, by some roundings of its largest entry.
+            let rounding = 1e-14 * exact.max_element();
+            prop_assert!(least <= exact.min_element() + rounding && least >= exact.min_element() * (1.0 - 1e-13) - rounding);
+            prop_assert!(most >= exact.max_element() - rounding && most <= exact.max_element() * (1.0 + 1e-13) + rounding);
+        }
+
+        #[test]
+        fn rotations_stretch_by_one(a in rotation(), b in rotation()) {
+            prop_assert_eq!(stretch(a * b), [1.0, 1.0]);
+            prop_assert_eq!(stretch(a * DMat3::from_diagonal(DVec3::new(1.0, -1.0, 1.0))), [1.0, 1.0]);
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_undone_is_refused() {
+        let grid = crate::grid::Grid::new(DVec3::ZERO, DVec3::ONE, [1, 1, 1]).unwrap();
+        let field = FieldView::new(grid, &[1.0]).unwrap();
+        let flat = DAffine3::from_scale(DVec3::new(1.0, 0.0, 1.0));
+        let error = Placed::volume(field, [DVec3::splat(0.5); 2], flat).unwrap_err().to_string();
+        assert!(error.starts_with("transform: "), "{error}");
+    }
+}
