@@ -12,10 +12,12 @@ pub mod geometry;
 pub mod gpu;
 pub mod grid;
 mod memory;
+pub mod merge;
 pub mod mesh;
 pub mod progress;
 #[cfg(feature = "python")]
 mod python;
+pub mod quadric;
 pub mod query;
 pub mod render;
 pub mod scene;

@@ -210,6 +210,25 @@ def test_a_folder_that_is_not_there_is_one_clear_line(cube, tmp_path):
     assert_one_clear_line(result, "nowhere")
 
 
+def test_merge_writes_one_field_of_a_scene(cube, tmp_path):
+    import trimesh
+
+    box = trimesh.creation.box()
+    scene = trimesh.Scene([box])
+    scene.add_geometry(box, transform=trimesh.transformations.translation_matrix((3, 0, 0)))
+    scene.export(tmp_path / "two.glb")
+
+    result = fieldbake("merge", tmp_path / "two.glb", "-r", 32, "-o", tmp_path / "two.npz")
+
+    assert result.exit_code == DONE, result.stderr
+    field = fb.load(tmp_path / "two.npz")
+    assert field.resolution[0] == 32
+    assert (field.sample([(0, 0, 0), (3, 0, 0)]) < 0).all()
+    assert 0 < field.sample([(1.5, 0, 0)])[0] <= 1
+    # A lone mesh will do.
+    assert fieldbake("merge", cube, "-r", 16, "-o", tmp_path / "one.npz").exit_code == DONE
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -220,6 +239,7 @@ def test_a_folder_that_is_not_there_is_one_clear_line(cube, tmp_path):
         ["bake", "cube.obj", "-o", "out.npz", "-r", "1x2"],
         ["bake", "cube.obj", "-o", "out.npz", "--sign", "guess"],
         ["bake", "cube.obj", "-o", "out.txt"],
+        ["merge", "cube.obj", "-o", "out.glb"],
         ["render", "cube.obj", "-o", "out.png", "--size", "big"],
         ["render", "cube.obj", "-o", "out.png", "--eye", "1,2"],
         ["info", "--loud", "cube.obj"],

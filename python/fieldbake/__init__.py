@@ -36,7 +36,9 @@ from .gltf import load_scene
 from .io import load
 from .lights import DirectionalLight, PointLight
 from .materials import Material
+from .merge import MergedField, merge, sphere_intersection
 from .mesh import Mesh, Part
+from .quadric import Quadric, pack_quadrics, unpack_quadrics, wrap_quadrics
 from .render import raymarch
 from .report import Report
 from .scene import Instance, Scene, render
@@ -57,10 +59,12 @@ __all__ = [
     "Frame",
     "Instance",
     "Material",
+    "MergedField",
     "Mesh",
     "MeshError",
     "Part",
     "PointLight",
+    "Quadric",
     "Report",
     "Scene",
     "SceneError",
@@ -76,11 +80,16 @@ __all__ = [
     "load",
     "load_mesh",
     "load_scene",
+    "merge",
     "models",
     "pack",
+    "pack_quadrics",
     "raymarch",
     "render",
     "signed_distance",
+    "sphere_intersection",
+    "unpack_quadrics",
+    "wrap_quadrics",
 ]
 
 # Quiet unless the program that uses us configures logging.

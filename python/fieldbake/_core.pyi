@@ -14,6 +14,7 @@ __all__ = [
     "DeviceField",
     "DevicePages",
     "Mesh",
+    "Quadrics",
     "Scene",
     "SceneField",
     "SceneMesh",
@@ -36,6 +37,7 @@ __all__ = [
     "exr_read",
     "exr_write",
     "gradient",
+    "merge",
     "raymarch",
     "render",
     "require_memory",
@@ -286,6 +288,53 @@ def render(
 ) -> dict[str, Any]:
     """Draw a scene. ``lights`` has three rows a light: kind (0 directional, 1 point), tangent of half its angle,
     radius; direction or position; colour. Keys as for :func:`raymarch`, ``seconds`` a dict of passes."""
+
+@final
+class Quadrics:
+    """Quadrics made ready for rays."""
+
+    def __new__(cls, rows: NDArray[np.float64]) -> Quadrics:
+        """``rows`` (n, 24): matrix (16), centre (3), radius, reflectance (3), opacity."""
+    def __len__(self) -> int: ...
+    def draw(
+        self,
+        pose: NDArray[np.float64],
+        *,
+        fov_deg: float = 45.0,
+        size: tuple[int, int],
+        light_directions: NDArray[np.float32] | None = None,
+        light_colors: NDArray[np.float32] | None = None,
+        ambient: float = 0.2,
+        specular: float = 0.25,
+        shininess: float = 32.0,
+        background: tuple[float, float, float, float] | None = None,
+        shadows: str = "hard",
+        device: str = "auto",
+        progress: Callable[[float], object] | None = None,
+    ) -> dict[str, Any]:
+        """Draw the nearest sheets; options and result as for :func:`raymarch`."""
+    def distance_bound(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Lower bound of the distance to the nearest quadric at ``points`` (n, 3), shape (n,)."""
+
+def merge(
+    volumes: list[tuple[Any, ...]],
+    instances: list[int],
+    transforms: NDArray[np.float64],
+    quadrics: NDArray[np.float64],
+    lower: tuple[float, float, float],
+    upper: tuple[float, float, float],
+    shape: tuple[int, int, int],
+    *,
+    method: str = "bound",
+    previous: tuple[NDArray[np.float32], NDArray[np.uint32], list[int]] | None = None,
+    device: str = "auto",
+    progress: Callable[[float], object] | None = None,
+) -> tuple[NDArray[np.float32], NDArray[np.uint32] | None, dict[str, Any]]:
+    """One field (nx, ny, nz), who gave each sample (n,), and facts: ``device``, ``evaluations``.
+
+    ``volumes``: (distances, lower, upper, inner_lower, inner_upper) each; ``instances``: the volume of each instance;
+    ``transforms`` (k, 4, 4) world from local; ``quadrics`` (m, 24) as for :class:`Quadrics`, counted after the
+    instances. ``previous``: distances and owners of an earlier merge, and which instances have changed since."""
 
 def devices() -> list[dict[str, Any]]:
     """What can compute: ``name``, ``backend``, ``type`` ("cpu", "discrete", "integrated", "software", ...),

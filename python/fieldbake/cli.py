@@ -1,4 +1,4 @@
-"""The command line: ``fieldbake bake | info | pack | render | devices | demo``.
+"""The command line: ``fieldbake bake | merge | info | pack | render | devices | demo``.
 
 Exit codes: 0 done, 1 something is wrong with the input (one line on stderr), 2 wrong usage.
 """
@@ -138,6 +138,23 @@ def bake(
     )
     volume.save(output)
     _show(f"{output}", _volume_rows(volume))
+
+
+@app.command()
+def merge(
+    scene: Annotated[Path, typer.Argument(help="A glTF or GLB scene, or any mesh file.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The .npz file to write.")],
+    resolution: Resolution = "128",
+    device: Device = "auto",
+) -> None:
+    """Join everything in a scene in one field that is never larger than the distance to it."""
+    if output.suffix.lower() != ".npz":
+        raise typer.BadParameter(f"'{output}' must end in .npz", param_hint="--output")
+    is_scene = scene.suffix.lower() in (".gltf", ".glb")
+    things = fb.load_scene(scene) if is_scene else [fb.load_mesh(scene)]
+    field = fb.merge(things, resolution, device=device, progress=err.is_terminal)
+    field.save(output)
+    _show(f"{output}", _volume_rows(field))
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""Draw a volume."""
+"""Draw a volume, or quadrics."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from .errors import ArgumentError, SceneError
 from .frame import Frame
 from .lights import DirectionalLight, Light, PointLight
 from .progress import Progress, progress_callback
+from .quadric import bounds_of, check_quadrics, core_of, is_quadrics
 from .volume import Volume
 
 Shadows = Literal["hard", "none", "soft", "area"]
@@ -50,9 +51,10 @@ def raymarch(
 
     Parameters
     ----------
-    thing : Volume, Scene, or anything :func:`bake` takes
-        What is not a Volume is baked first, with 128 voxels along its longest side. A Scene brings its own lights and
-        materials and is drawn by :func:`render` with ``primary="raymarch"``.
+    thing : Volume, Scene, Quadric, list of Quadric, or anything :func:`bake` takes
+        A Scene brings its own lights and materials and is drawn by :func:`render` with ``primary="raymarch"``. Quadrics
+        are drawn as they are, each in its reflectance; `object_id` is the place in the list. What else is not a Volume
+        is baked first, with 128 voxels along its longest side.
     camera : Camera, optional
         Fits the surface if not given: ``Camera.fit(volume.inner_bounds)``.
     size : (width, height), default (512, 512)
@@ -135,6 +137,29 @@ def raymarch(
     }
     surface = _checks.triple(_color("color", (0.8, 0.8, 0.8) if color is None else color, 3))
     behind = _color("background", (1.0, 1.0, 1.0, 1.0) if background is None else background, 4)
+    if is_quadrics(thing):
+        if filter != "linear":
+            raise ArgumentError(f"filter: quadrics are not sampled, got {filter!r}; leave it out")
+        if color is not None:
+            raise ArgumentError("color: each quadric has its own reflectance; leave it out")
+        quadrics = check_quadrics(thing)
+        if camera is None:
+            camera = Camera.fit(bounds_of(quadrics), aspect=width / height)
+        directions, colors = _lights(lights, camera)
+        with progress_callback(progress, "raymarch") as callback:
+            result = core_of(quadrics).draw(
+                camera.pose,
+                fov_deg=camera.fov_deg,
+                size=(width, height),
+                light_directions=directions,
+                light_colors=colors,
+                background=(*behind.tolist(),),
+                shadows=shadows,
+                device=device,
+                progress=callback,
+                **shade,
+            )
+        return _frame(result)
     volume = thing if isinstance(thing, Volume) else bake(thing, PICTURE_RESOLUTION, device=device, progress=progress)
     if camera is None:
         camera = Camera.fit(volume.inner_bounds, aspect=width / height)
@@ -164,6 +189,10 @@ def raymarch(
             progress=callback,
             **shade,
         )
+    return _frame(result)
+
+
+def _frame(result: dict[str, Any]) -> Frame:
     arrays = {name: value for name, value in result.items() if isinstance(value, np.ndarray)}
     return Frame(arrays, {name: value for name, value in result.items() if name not in arrays})
 

@@ -5,6 +5,7 @@
 // so that float32 is exact enough for a camera at any distance.
 
 #import clip
+#import light
 
 struct MarchParams {
     // The field's voxels.
@@ -45,14 +46,6 @@ struct MarchParams {
     background: vec4f,
 }
 
-struct Light {
-    // The way the light travels, unit.
-    direction: vec3f,
-    pad_0: u32,
-    color: vec3f,
-    pad_1: u32,
-}
-
 struct Pixel {
     color: vec4f,
     normal: vec3f,
@@ -72,9 +65,6 @@ struct Pixel {
 
 // Start of a shadow ray above the surface.
 const SHADOW_BIAS_VOXELS: f32 = 0.5;
-// Ambient light that comes from below, as a share of the light from above.
-const GROUND_SHARE: f32 = 0.4;
-const MAX_LIGHTS: u32 = 64u;
 
 // World normal at a point of the surface: the gradient averaged over a voxel around it; `fallback` where the field has no
 // slope.
@@ -136,21 +126,12 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
                 normal = to_eye;
             }
 
-            // From the ground (normal down) to the sky (normal up), then light by light: Blinn-Phong.
-            let sky = 0.5 + 0.5 * normal.y;
-            var color = params.ambient * (GROUND_SHARE + (1.0 - GROUND_SHARE) * sky) * params.color;
+            var color = ambient_light(normal, params.ambient) * params.color;
             for (var i = 0u; i < min(params.light_count, MAX_LIGHTS); i++) {
-                let to_light = -lights[i].direction;
                 var share = 1.0;
-                if params.shadows == 1u { share = share_that_arrives(p_grid, normal, to_light); }
+                if params.shadows == 1u { share = share_that_arrives(p_grid, normal, -lights[i].direction); }
                 shares[index * params.light_count + i] = share;
-                let cosine = dot(normal, to_light);
-                if share > 0.0 && cosine > 0.0 {
-                    let between = to_light + to_eye;
-                    let half_way = between / max(length(between), TINY);
-                    let highlight = params.specular * pow(max(dot(normal, half_way), 0.0), params.shininess);
-                    color += share * lights[i].color * (cosine * params.color + highlight);
-                }
+                color += share * light_adds(lights[i], params.color, normal, to_eye, params.specular, params.shininess);
             }
             pixel.color = vec4f(color, 1.0);
             pixel.normal = normal;

@@ -17,9 +17,9 @@ pub(super) const MAX_DEPTH: usize = HALVE_FROM + 11;
 
 /// A triangle as the build sees it.
 #[derive(Clone, Copy)]
-struct Primitive {
-    bounds: Aabb,
-    face: u32,
+pub(super) struct Primitive {
+    pub bounds: Aabb,
+    pub face: u32,
 }
 
 impl Primitive {
@@ -68,7 +68,7 @@ pub(super) fn build(positions: &[Vec3], faces: &[[u32; 3]]) -> Bvh {
     Bvh { nodes, packs, bounds }
 }
 
-fn bounds_of(primitives: &[Primitive]) -> Aabb {
+pub(super) fn bounds_of(primitives: &[Primitive]) -> Aabb {
     primitives.iter().fold(Aabb::EMPTY, |bounds, p| bounds.union(p.bounds))
 }
 
@@ -112,7 +112,7 @@ fn subdivide(primitives: &mut [Primitive], start: usize, depth: usize) -> Subtre
 
 /// Reorder a range so that its two sides cost least by the surface area heuristic; returns where the right one begins,
 /// and the box of each.
-fn split(primitives: &mut [Primitive]) -> (usize, Aabb, Aabb) {
+pub(super) fn split(primitives: &mut [Primitive]) -> (usize, Aabb, Aabb) {
     let centers = primitives.iter().fold(Aabb::EMPTY, |bounds, p| bounds.grown(p.center()));
     let extent = centers.extent();
     let scale = Vec3::from_array(extent.to_array().map(|e| if e > 0.0 { BINS as f32 * (1.0 - 1e-6) / e } else { 0.0 }));
@@ -159,7 +159,7 @@ fn split(primitives: &mut [Primitive]) -> (usize, Aabb, Aabb) {
 }
 
 /// Two halves by count along the longest axis of the box.
-fn split_in_half(primitives: &mut [Primitive]) -> (usize, Aabb, Aabb) {
+pub(super) fn split_in_half(primitives: &mut [Primitive]) -> (usize, Aabb, Aabb) {
     let extent = bounds_of(primitives).extent();
     let axis = (1..3).fold(0, |longest, axis| if extent[axis] > extent[longest] { axis } else { longest });
     let middle = primitives.len() / 2;

@@ -9,6 +9,7 @@
 //! triangles; other rooms walk the tree with [`Bvh::visit`].
 
 pub mod binary;
+pub mod boxes;
 mod build;
 pub mod closest;
 pub mod pack;

@@ -161,7 +161,7 @@ pub struct MarchParams {
     pub background: [f32; 4],
 }
 
-/// `shaders/shared/picture.wgsl`.
+/// `shaders/shared/light.wgsl`.
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
 pub struct Light {
@@ -273,6 +273,46 @@ pub struct BeamParams {
     pub count: u32,
     pub pad_0: u32,
     pub pad_1: u32,
+}
+
+/// `shaders/quadrics.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct QuadricParams {
+    pub start: [f32; 3],
+    pub width: u32,
+    pub start_right: [f32; 3],
+    pub height: u32,
+    pub start_up: [f32; 3],
+    pub first_row: u32,
+    pub forward: [f32; 3],
+    pub pixel: f32,
+    pub right: [f32; 3],
+    pub light_count: u32,
+    pub up: [f32; 3],
+    pub shadows: u32,
+    pub background: [f32; 4],
+    pub ambient: f32,
+    pub specular: f32,
+    pub shininess: f32,
+    pub quadric_count: u32,
+    pub node_count: u32,
+    pub texels_per_row: u32,
+    pub pad_0: u32,
+    pub pad_1: u32,
+}
+
+/// `shaders/quadrics.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct QuadricPixel {
+    pub color: [f32; 4],
+    pub normal: [f32; 3],
+    pub depth: f32,
+    pub quadric: u32,
+    pub steps: u32,
+    pub state: u32,
+    pub pad_0: u32,
 }
 
 #[cfg(test)]
@@ -417,6 +457,33 @@ mod tests {
                 pad_0
             }
         );
+        assert_twin!(
+            "quadrics",
+            QuadricParams {
+                start,
+                width,
+                start_right,
+                height,
+                start_up,
+                first_row,
+                forward,
+                pixel,
+                right,
+                light_count,
+                up,
+                shadows,
+                background,
+                ambient,
+                specular,
+                shininess,
+                quadric_count,
+                node_count,
+                texels_per_row,
+                pad_0,
+                pad_1
+            }
+        );
+        assert_twin!("quadrics", QuadricPixel { color, normal, depth, quadric, steps, state, pad_0 });
         assert_twin!("query_points", QueryParams { first, count, pad_0, pad_1 });
     }
 }

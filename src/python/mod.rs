@@ -8,7 +8,9 @@ mod convert;
 mod device;
 mod error;
 mod exchange;
+mod merge;
 mod mesh;
+mod quadric;
 mod query;
 mod render;
 mod run;
@@ -32,7 +34,11 @@ mod _core {
     #[pymodule_export]
     use super::exchange::{exr_read, exr_write, texture_decode, texture_read, texture_write};
     #[pymodule_export]
+    use super::merge::merge;
+    #[pymodule_export]
     use super::mesh::Mesh;
+    #[pymodule_export]
+    use super::quadric::Quadrics;
     #[pymodule_export]
     use super::query::{closest_point, signed_distance};
     #[pymodule_export]

@@ -90,7 +90,7 @@ pub fn pose_matrix(pose: &PyReadonlyArray2<'_, f64>) -> PyResult<[[f64; 4]; 4]> 
     Ok(std::array::from_fn(|row| std::array::from_fn(|column| pose_array[[row, column]])))
 }
 
-fn lights(
+pub(super) fn lights(
     directions: Option<&PyReadonlyArray2<'_, f32>>,
     colors: Option<&PyReadonlyArray2<'_, f32>>,
 ) -> PyResult<Option<Vec<DirectionalLight>>> {

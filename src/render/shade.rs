@@ -31,6 +31,30 @@ pub(super) struct Surface {
     pub to_eye: Vec3,
 }
 
+/// Linear RGB of a surface of colour `color` under lights of which the shares in `shadow` arrive. Directions are unit.
+pub(crate) fn lit_color(
+    color: Vec3,
+    normal: Vec3,
+    to_eye: Vec3,
+    lights: &[DirectionalLight],
+    shadow: &[f32],
+    options: &RaymarchOptions,
+) -> Vec3 {
+    // From the ground (normal down) to the sky (normal up).
+    let sky = 0.5 + 0.5 * normal.y;
+    let mut lit = options.ambient * (GROUND_SHARE + (1.0 - GROUND_SHARE) * sky) * color;
+    for (light, share) in lights.iter().zip(shadow) {
+        let to_light = -light.direction;
+        let cosine = normal.dot(to_light);
+        if *share > 0.0 && cosine > 0.0 {
+            let half = (to_light + to_eye).normalize_or_zero();
+            let highlight = options.specular * normal.dot(half).max(0.0).powf(options.shininess);
+            lit += *share * light.color * (cosine * color + highlight);
+        }
+    }
+    lit
+}
+
 /// Everything that is the same for all pixels.
 #[derive(Debug, Clone)]
 pub(super) struct Shader<'a, F> {
@@ -79,25 +103,13 @@ impl<'a, F: Blocks> Shader<'a, F> {
 
     /// Linear RGB of a surface; writes the share of each light that arrives.
     pub fn shade(&self, surface: &Surface, shadow: &mut [f32]) -> Vec3 {
-        let options = self.options;
-        // From the ground (normal down) to the sky (normal up).
-        let sky = 0.5 + 0.5 * surface.normal.y;
-        let ambient = options.ambient * (GROUND_SHARE + (1.0 - GROUND_SHARE) * sky);
-        let mut color = ambient * options.color;
-        for (light, share) in self.lights.iter().zip(shadow) {
-            let to_light = -light.direction;
-            *share = match options.shadows {
+        for (light, share) in self.lights.iter().zip(shadow.iter_mut()) {
+            *share = match self.options.shadows {
                 Shadows::None => 1.0,
-                Shadows::Hard => self.share_that_arrives(surface, to_light),
+                Shadows::Hard => self.share_that_arrives(surface, -light.direction),
             };
-            let cosine = surface.normal.dot(to_light);
-            if *share > 0.0 && cosine > 0.0 {
-                let half = (to_light + surface.to_eye).normalize_or_zero();
-                let highlight = options.specular * surface.normal.dot(half).max(0.0).powf(options.shininess);
-                color += *share * light.color * (cosine * options.color + highlight);
-            }
         }
-        color
+        lit_color(self.options.color, surface.normal, surface.to_eye, self.lights, shadow, self.options)
     }
 
     /// 1 where nothing of the field stands between the surface and the light, else 0.

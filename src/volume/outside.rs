@@ -37,12 +37,56 @@
 //! True up to the error of the stored distances; the last rounding to f32 is downward. For a sphere in a box with a
 //! margin of 10 % the bound is on average 0.85 of the distance, over the points within one box length of the box.
 
-use super::Trilinear;
+use super::{FieldView, Trilinear};
 use glam::DVec3;
+
+impl FieldView<'_> {
+    /// [`bound_outside`] in f64, of the unsigned distance; also for a point in the hull.
+    pub(crate) fn unsigned_bound(&self, p: DVec3, inner: [DVec3; 2]) -> f64 {
+        unsigned_bound(self, p, inner)
+    }
+
+    /// What the eight samples around the point of the hull nearest to `p` say of the signed distance at `p`.
+    pub(crate) fn cell_bound(&self, p: DVec3) -> CellBound {
+        let h = self.grid().spacing();
+        let p_grid = self.grid_from_world(p);
+        let last = self.shape() - 1.0;
+        let cell = p_grid.max(DVec3::ZERO).min(last).floor();
+        let corners = self.corners(cell.as_ivec3());
+        // Along each axis the squared distance to the lower and to the upper corner.
+        let (to_low, to_high) = ((p_grid - cell) * h, (p_grid - (cell + 1.0).min(last)) * h);
+        let (low, high) = (to_low * to_low, to_high * to_high);
+        let in_hull = p_grid.clamp(DVec3::ZERO, last) == p_grid;
+        let mut bound = CellBound { by_distance: f64::NEG_INFINITY, all_positive: true, in_hull };
+        for (i, &distance) in corners.iter().enumerate() {
+            let x = if i & 1 == 0 { low.x } else { high.x };
+            let y = if i & 2 == 0 { low.y } else { high.y };
+            let z = if i & 4 == 0 { low.z } else { high.z };
+            bound.by_distance = bound.by_distance.max(f64::from(distance) - (x + y + z).sqrt());
+            bound.all_positive &= distance > 0.0;
+        }
+        bound
+    }
+}
+
+/// A bound from the samples around a point.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct CellBound {
+    /// The largest sample less its distance from the point: not above a signed distance, which has slope 1.
+    pub by_distance: f64,
+    pub all_positive: bool,
+    /// The point lies among the voxel centres.
+    pub in_hull: bool,
+}
 
 /// Lower bound, zero or more, on the distance from `p`, outside the box, to a surface inside the box `inner`, from a field
 /// that stores every sample of its grid.
 pub fn bound_outside(field: &impl Trilinear, p: DVec3, inner: [DVec3; 2]) -> f32 {
+    round_down(unsigned_bound(field, p, inner))
+}
+
+/// [`bound_outside`] before it is rounded.
+fn unsigned_bound(field: &impl Trilinear, p: DVec3, inner: [DVec3; 2]) -> f64 {
     let grid = field.grid();
     let h = grid.spacing();
     let (hull_lower, hull_upper) = (grid.lower + 0.5 * h, grid.upper - 0.5 * h);
@@ -51,15 +95,14 @@ pub fn bound_outside(field: &impl Trilinear, p: DVec3, inner: [DVec3; 2]) -> f32
     let to_inner = (p - nearest_in_inner).length();
 
     let surface_is_in_hull = inner[0].cmpge(hull_lower).all() && inner[1].cmple(hull_upper).all();
-    let bound = if surface_is_in_hull {
+    if surface_is_in_hull {
         let by_hull = (p - nearest_in_hull).length_squared() + square_bound(field, nearest_in_hull);
         let by_inner = to_inner * to_inner + square_bound(field, nearest_in_inner);
         by_hull.max(by_inner).sqrt()
     } else {
         let by_hull = square_bound(field, nearest_in_hull).sqrt() - (p - nearest_in_hull).length();
         by_hull.max(to_inner)
-    };
-    round_down(bound)
+    }
 }
 
 /// Lower bound `max(0, s^2)` on the squared distance at a point `c` in the hull of the voxel centres.
@@ -85,7 +128,7 @@ fn mean_square(corners: &[f32; 8], f: DVec3) -> f64 {
 }
 
 /// The largest f32 that is not above `value`.
-fn round_down(value: f64) -> f32 {
+pub(crate) fn round_down(value: f64) -> f32 {
     let rounded = value as f32;
     if rounded as f64 > value { rounded.next_down() } else { rounded }
 }

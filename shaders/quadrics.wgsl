@@ -1,0 +1,280 @@
+// Draw quadrics that are stored in a texture: one invocation a pixel, its ray and its shadow rays. Twin of
+// src/quadric/draw.rs and src/quadric/local.rs.
+//
+// Positions are relative to the middle of all quadrics. Rays start on the plane `start_depth` before the camera: the CPU
+// moves the eye there in float64.
+
+#import light
+
+struct QuadricParams {
+    // Where the ray of the middle of the picture starts, and what one unit to the right and up on the plane at depth 1
+    // adds to it.
+    start: vec3f,
+    width: u32,
+    start_right: vec3f,
+    height: u32,
+    start_up: vec3f,
+    // The first row of this dispatch.
+    first_row: u32,
+    forward: vec3f,
+    // Side of a pixel on the plane at depth 1.
+    pixel: f32,
+    right: vec3f,
+    light_count: u32,
+    up: vec3f,
+    // 1 for hard shadows, 0 for none.
+    shadows: u32,
+    background: vec4f,
+    ambient: f32,
+    specular: f32,
+    shininess: f32,
+    // Records in the texture; boxes of the tree over them follow, or none: then all records are tried.
+    quadric_count: u32,
+    node_count: u32,
+    // Texels in a row of the texture; a multiple of six, so that no record or box is cut.
+    texels_per_row: u32,
+    pad_0: u32,
+    pad_1: u32,
+}
+
+struct QuadricPixel {
+    color: vec4f,
+    normal: vec3f,
+    // Beyond the start of the ray.
+    depth: f32,
+    quadric: u32,
+    steps: u32,
+    // NOTHING_HIT, HIT or UNFINISHED.
+    state: u32,
+    pad_0: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: QuadricParams;
+@group(0) @binding(1) var records: texture_2d<f32>;
+@group(0) @binding(2) var<storage, read> lights: array<Light>;
+@group(0) @binding(3) var<storage, read_write> pixels: array<QuadricPixel>;
+// Share of each light that arrives, `light_count` a pixel.
+@group(0) @binding(4) var<storage, read_write> shares: array<f32>;
+
+const NOTHING_HIT: u32 = 0u;
+const HIT: u32 = 1u;
+const UNFINISHED: u32 = 2u;
+const NO_QUADRIC: u32 = 0xffffffffu;
+
+const RECORD_TEXELS: u32 = 6u;
+const NODE_TEXELS: u32 = 2u;
+// As in src/bvh/boxes.rs.
+const MAX_STACK: u32 = 56u;
+// Boxes and quadrics that a pixel may try, all its rays together; below the 65,535 loop turns that a software device
+// allows. The CPU draws a pixel that needs more.
+const MAX_TRIED: u32 = 60000u;
+// Farther than any hit.
+const FAR_T: f32 = 3.0e38;
+// Error of a coefficient of the quadratic: 16 machine epsilons, as in src/quadric/local.rs.
+const EPS: f32 = 1.9073486e-6;
+// A gradient below this has no direction.
+const SINGULAR: f32 = 1e-3;
+
+// A quadric in the frame of its trim sphere.
+struct Quadric {
+    // The form q^T m q + 2 v.q + w.
+    m: mat3x3f,
+    v: vec3f,
+    w: f32,
+    center: vec3f,
+    radius: f32,
+    reflectance: vec3f,
+    opacity: f32,
+}
+
+struct QuadricHit {
+    t: f32,
+    place: u32,
+}
+
+var<private> tried: u32;
+
+fn texel(index: u32) -> vec4f {
+    return textureLoad(records, vec2u(index % params.texels_per_row, index / params.texels_per_row), 0);
+}
+
+// The record of six texels: the matrix, the trim sphere, the reflectance and opacity.
+fn load_quadric(place: u32) -> Quadric {
+    let first = RECORD_TEXELS * place;
+    let a0 = texel(first);
+    let a1 = texel(first + 1u);
+    let a2 = texel(first + 2u);
+    let a3 = texel(first + 3u);
+    let trim = texel(first + 4u);
+    let surface = texel(first + 5u);
+    return Quadric(mat3x3f(a0.xyz, a1.xyz, a2.xyz), a3.xyz, a3.w, trim.xyz, trim.w, surface.xyz, surface.w);
+}
+
+// The first t above zero where a ray crosses a quadric in its trim sphere; FAR_T for none. `forget_start` leaves out
+// the crossing nearest to the ray's origin. The direction is unit.
+fn first_crossing(q: Quadric, origin: vec3f, direction: vec3f, forget_start: bool) -> f32 {
+    let from_center = (origin - q.center) / q.radius;
+    // Twice: seen from a thousand radii the first difference is rounded by as much.
+    let about = dot(from_center, direction);
+    let almost = from_center - about * direction;
+    let rest = dot(almost, direction);
+    let start = about + rest;
+    let nearest = almost - rest * direction;
+    let half_chord_squared = 1.0 - dot(nearest, nearest);
+    if half_chord_squared < 0.0 { return FAR_T; }
+    let half_chord = sqrt(half_chord_squared);
+
+    let slope = q.m * nearest + q.v;
+    let a = dot(direction, q.m * direction);
+    let b = dot(direction, slope);
+    let c = dot(nearest, q.m * nearest) + 2.0 * dot(q.v, nearest) + q.w;
+    let discriminant = b * b - a * c;
+    if discriminant < -(2.0 * EPS * (abs(a) + abs(b) + abs(c)) + EPS * EPS) { return FAR_T; }
+    let root = sqrt(max(discriminant, 0.0));
+    let k = select(root - b, -(b + root), b >= 0.0);
+
+    var first = FAR_T;
+    var second = FAR_T;
+    if a != 0.0 && abs(k) <= half_chord * abs(a) { first = k / a; }
+    if k != 0.0 && abs(c) <= half_chord * abs(k) { second = c / k; }
+    if forget_start {
+        if abs(second - start) < abs(first - start) { second = FAR_T; } else { first = FAR_T; }
+    }
+    // In world units from the origin; FAR_T stays.
+    let t = vec2f(first, second);
+    let in_world = select(t, (t - start) * q.radius, t < vec2f(FAR_T));
+    let ahead = select(vec2f(FAR_T), in_world, in_world > vec2f(0.0));
+    return min(ahead.x, ahead.y);
+}
+
+// Unit normal of a quadric at a world point of it, turned against the ray; see src/quadric/local.rs.
+fn quadric_normal(q: Quadric, p: vec3f, direction: vec3f) -> vec3f {
+    var gradient = q.m * ((p - q.center) / q.radius) + q.v;
+    if length(gradient) <= SINGULAR { gradient = q.m * direction; }
+    let size = length(gradient);
+    if size == 0.0 { return -direction; }
+    let normal = gradient / size;
+    return select(normal, -normal, dot(normal, direction) > 0.0);
+}
+
+// Where a ray enters box `index` of the tree before `t_max`, else FAR_T. Boxes are grown by the CPU, for rounding here.
+fn enter_box(index: u32, origin: vec3f, inverse: vec3f, t_max: f32) -> f32 {
+    let first = RECORD_TEXELS * params.quadric_count + NODE_TEXELS * index;
+    let a = (texel(first).xyz - origin) * inverse;
+    let b = (texel(first + 1u).xyz - origin) * inverse;
+    let low = min(a, b);
+    let high = max(a, b);
+    let t_enter = max(max(low.x, low.y), max(low.z, 0.0));
+    let t_leave = min(min(high.x, high.y), min(high.z, t_max));
+    return select(FAR_T, t_enter, t_enter <= t_leave);
+}
+
+// One over each coordinate, where a zero stands for a tiny number.
+fn inverse_of(direction: vec3f) -> vec3f {
+    let tiny = vec3f(1e-20);
+    return 1.0 / select(direction, tiny, abs(direction) < tiny);
+}
+
+// What `share` becomes, and the nearest hit. For a shadow ray all crossings count, else the first.
+struct Walk {
+    hit: QuadricHit,
+    share: f32,
+}
+
+fn try_quadric(walk: ptr<function, Walk>, place: u32, origin: vec3f, direction: vec3f, from_place: u32, shadow: bool) {
+    let q = load_quadric(place);
+    let t = first_crossing(q, origin, direction, place == from_place);
+    if t >= FAR_T { return; }
+    if shadow {
+        (*walk).share *= 1.0 - q.opacity;
+    } else if t < (*walk).hit.t {
+        (*walk).hit = QuadricHit(t, place);
+    }
+}
+
+// Through all records, or the tree over them.
+fn walk_along(origin: vec3f, direction: vec3f, from_place: u32, shadow: bool) -> Walk {
+    var walk = Walk(QuadricHit(FAR_T, NO_QUADRIC), 1.0);
+    if params.node_count == 0u {
+        for (var place = 0u; place < min(params.quadric_count, MAX_TRIED); place++) {
+            tried++;
+            try_quadric(&walk, place, origin, direction, from_place, shadow);
+        }
+        return walk;
+    }
+
+    let inverse = inverse_of(direction);
+    var stack: array<u32, MAX_STACK>;
+    var waiting = 0u;
+    if enter_box(0u, origin, inverse, FAR_T) < FAR_T { waiting = 1u; }
+    while waiting > 0u && tried < MAX_TRIED && walk.share > 0.0 {
+        waiting--;
+        let index = stack[waiting];
+        let node = RECORD_TEXELS * params.quadric_count + NODE_TEXELS * index;
+        let first = u32(texel(node).w);
+        let count = u32(texel(node + 1u).w);
+        tried++;
+        for (var place = first; place < first + count && tried < MAX_TRIED; place++) {
+            tried++;
+            try_quadric(&walk, place, origin, direction, from_place, shadow);
+        }
+        if count > 0u { continue; }
+        // The far child waits below the near one.
+        let left = enter_box(first, origin, inverse, walk.hit.t);
+        let right = enter_box(first + 1u, origin, inverse, walk.hit.t);
+        let near = select(first + 1u, first, left <= right);
+        if max(left, right) < FAR_T && waiting < MAX_STACK {
+            stack[waiting] = 2u * first + 1u - near;
+            waiting++;
+        }
+        if min(left, right) < FAR_T && waiting < MAX_STACK {
+            stack[waiting] = near;
+            waiting++;
+        }
+    }
+    return walk;
+}
+
+@compute @workgroup_size(8, 8)
+fn main(@builtin(global_invocation_id) id: vec3u) {
+    let x = id.x;
+    let y = id.y + params.first_row;
+    if x >= params.width || y >= params.height { return; }
+    let index = x + params.width * y;
+    var pixel: QuadricPixel;
+    pixel.color = params.background;
+    for (var i = 0u; i < min(params.light_count, MAX_LIGHTS); i++) { shares[index * params.light_count + i] = 1.0; }
+
+    let along_right = (f32(x) + 0.5 - 0.5 * f32(params.width)) * params.pixel;
+    let along_up = (0.5 * f32(params.height) - 0.5 - f32(y)) * params.pixel;
+    let start = params.start + along_right * params.start_right + along_up * params.start_up;
+    let along = params.forward + along_right * params.right + along_up * params.up;
+    let per_depth = length(along);
+    let direction = along / per_depth;
+
+    let hit = walk_along(start, direction, NO_QUADRIC, false).hit;
+    pixel.steps = tried;
+    if hit.place != NO_QUADRIC {
+        let q = load_quadric(hit.place);
+        let p = start + hit.t * direction;
+        let normal = quadric_normal(q, p, direction);
+        var color = ambient_light(normal, params.ambient) * q.reflectance;
+        for (var i = 0u; i < min(params.light_count, MAX_LIGHTS); i++) {
+            let to_light = -lights[i].direction;
+            var share = 1.0;
+            if params.shadows == 1u {
+                share = 0.0;
+                if dot(normal, to_light) > 0.0 { share = walk_along(p, to_light, hit.place, true).share; }
+            }
+            shares[index * params.light_count + i] = share;
+            color += share * light_adds(lights[i], q.reflectance, normal, -direction, params.specular, params.shininess);
+        }
+        pixel.color = vec4f(color, 1.0);
+        pixel.normal = normal;
+        pixel.depth = hit.t / per_depth;
+        pixel.quadric = hit.place;
+        pixel.state = HIT;
+    }
+    if tried >= MAX_TRIED { pixel.state = UNFINISHED; }
+    pixels[index] = pixel;
+}

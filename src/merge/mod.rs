@@ -1,0 +1,273 @@
+//! One coarse field for a whole scene: at each sample the least of what all placed fields say there.
+//!
+//! # Theory
+//!
+//! The coarse aggregate of *Signed Distance Fields in Unity* (a blog post, kept in [`article`]), with two changes. Its
+//! value outside a volume, the distance to the box plus the value at the nearest point of the box, is an upper bound of
+//! the distance: rays pass through things. Here each field gives a proven lower bound ([`placed`]), and the least of lower bounds is a lower bound
+//! of the distance to the union. And its loop over all volumes for every cell is replaced by a tree over their boxes.
+//!
+//! Samples are taken in blocks of 4^3. A block walks the tree from near to far; the farthest that any of its samples can
+//! still be, the largest of the values so far, ends the walk. What is skipped lies in a box that is farther away than
+//! the value of every sample, and no field is ever below the distance to its box: so the result equals that of a loop
+//! over all fields, bit for bit.
+//!
+//! Every sample remembers its owner, the field that gave the least value. If some fields move, blocks that they own
+//! samples of are done anew, and elsewhere the new value is compared with the old one: again bit for bit what merging
+//! everything would give ([`update`]).
+//!
+//! # Practice
+//!
+//! [`merge`] runs on all cores by slabs of blocks. Between samples the merged field is interpolated like any other, so
+//! there it may exceed the distance; at the samples it does not.
+
+mod article;
+pub mod placed;
+
+pub use article::merge_as_article;
+pub use placed::{Placed, Thing};
+
+use crate::bvh::boxes::{BoxTree, DISTANCE_SLACK};
+use crate::error::{ArgumentError, Error};
+use crate::grid::Grid;
+use crate::memory::{allocate_samples, require};
+use crate::progress::Progress;
+use crate::volume::outside::round_down;
+use glam::DVec3;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Samples along a side of a block.
+const BLOCK: usize = 4;
+const BLOCK_SAMPLES: usize = BLOCK * BLOCK * BLOCK;
+
+/// A merged field, x fastest.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Merged {
+    pub distances: Vec<f32>,
+    /// Which field gave each distance.
+    pub owners: Vec<u32>,
+    /// Samples of fields that were looked at.
+    pub evaluations: u64,
+}
+
+/// The least lower bound of all fields at every sample of a grid.
+pub fn merge(grid: &Grid, placed: &[Placed<'_>], progress: &Progress) -> Result<Merged, Error> {
+    let merger = Merger::new(grid, placed)?;
+    let what = format!("a merged field of {:?} samples", grid.shape);
+    require(&what, 8 * grid.len() as u64, 0)?;
+    let mut merged =
+        Merged { distances: allocate_samples(&what, grid.len(), 0)?, owners: vec![0; grid.len()], evaluations: 0 };
+    merger.for_each_slab(&mut merged, progress, |slab, blocks| {
+        let mut evaluations = 0;
+        for block in blocks {
+            let mut values = BlockValues::default();
+            merger.fill(&block, &mut values);
+            evaluations += values.evaluations;
+            merger.store(&block, &values, slab);
+        }
+        evaluations
+    })?;
+    Ok(merged)
+}
+
+/// Bring a merged field up to date after the fields in `changed` have moved; `placed` are all, as they are now.
+///
+/// The distances are those of [`merge`], bit for bit.
+pub fn update(
+    grid: &Grid,
+    placed: &[Placed<'_>],
+    changed: &[u32],
+    merged: &mut Merged,
+    progress: &Progress,
+) -> Result<(), Error> {
+    let merger = Merger::new(grid, placed)?;
+    let mut has_changed = vec![false; placed.len()];
+    for &field in changed {
+        let Some(flag) = has_changed.get_mut(field as usize) else {
+            return Err(ArgumentError::new("changed", format!("{field}: there are {} fields", placed.len())).into());
+        };
+        *flag = true;
+    }
+    merger.for_each_slab(merged, progress, |slab, blocks| {
+        let mut evaluations = 0;
+        for block in blocks {
+            let mut values = merger.load(&block, slab);
+            let rows = values.owners[..block.len()].iter();
+            let owns = rows.clone().any(|&owner| has_changed.get(owner as usize) != Some(&false));
+            if owns {
+                values = BlockValues::default();
+                merger.fill(&block, &mut values);
+            } else {
+                let mut limit = values.largest(&block);
+                for &field in changed {
+                    merger.lower(&block, field, &mut values, &mut limit);
+                }
+                if values.evaluations == 0 {
+                    continue;
+                }
+            }
+            evaluations += values.evaluations;
+            merger.store(&block, &values, slab);
+        }
+        evaluations
+    })
+}
+
+/// Samples of a block, and who gave them.
+#[derive(Debug, Clone)]
+struct BlockValues {
+    distances: [f32; BLOCK_SAMPLES],
+    owners: [u32; BLOCK_SAMPLES],
+    evaluations: u64,
+}
+
+impl Default for BlockValues {
+    fn default() -> Self {
+        Self { distances: [f32::INFINITY; BLOCK_SAMPLES], owners: [u32::MAX; BLOCK_SAMPLES], evaluations: 0 }
+    }
+}
+
+impl BlockValues {
+    fn largest(&self, block: &Block) -> f64 {
+        self.distances[..block.len()].iter().fold(f64::NEG_INFINITY, |largest, d| largest.max(f64::from(*d)))
+    }
+}
+
+/// A block of samples.
+#[derive(Debug, Clone, Copy)]
+struct Block {
+    first: [usize; 3],
+    shape: [usize; 3],
+}
+
+impl Block {
+    fn len(&self) -> usize {
+        self.shape.iter().product()
+    }
+
+    /// Rows along x: the row's first sample in the block's own order, and its y and z in the grid.
+    fn rows(&self) -> impl Iterator<Item = (usize, usize, usize)> {
+        let Self { first, shape } = *self;
+        (0..shape[1] * shape[2]).map(move |row| (row * shape[0], first[1] + row % shape[1], first[2] + row / shape[1]))
+    }
+}
+
+/// The planes of a slab, mutable.
+struct Slab<'a> {
+    first_plane: usize,
+    distances: &'a mut [f32],
+    owners: &'a mut [u32],
+}
+
+/// Fields with a tree over their boxes.
+struct Merger<'a> {
+    grid: Grid,
+    spacing: DVec3,
+    placed: &'a [Placed<'a>],
+    tree: BoxTree,
+}
+
+impl<'a> Merger<'a> {
+    fn new(grid: &Grid, placed: &'a [Placed<'a>]) -> Result<Self, Error> {
+        if placed.is_empty() {
+            return Err(ArgumentError::new("scene", "is empty: there is nothing to merge").into());
+        }
+        let boxes: Vec<_> = placed.iter().map(|placed| placed.bounds).collect();
+        Ok(Self { grid: *grid, spacing: grid.spacing(), placed, tree: BoxTree::new(&boxes) })
+    }
+
+    /// Run `work` on all slabs of blocks in parallel; it returns the samples it looked at.
+    fn for_each_slab(
+        &self,
+        merged: &mut Merged,
+        progress: &Progress,
+        work: impl Fn(&mut Slab<'_>, Vec<Block>) -> u64 + Sync,
+    ) -> Result<(), Error> {
+        let [nx, ny, nz] = self.grid.shape;
+        let evaluations = AtomicU64::new(0);
+        progress.set_total((nz.div_ceil(BLOCK) * ny.div_ceil(BLOCK)) as u64);
+        let planes =
+            merged.distances.par_chunks_mut(nx * ny * BLOCK).zip(merged.owners.par_chunks_mut(nx * ny * BLOCK));
+        planes.enumerate().try_for_each(|(slab, (distances, owners))| {
+            let first_plane = slab * BLOCK;
+            let mut slab = Slab { first_plane, distances, owners };
+            for y in (0..ny).step_by(BLOCK) {
+                let blocks = (0..nx).step_by(BLOCK).map(|x| Block {
+                    first: [x, y, first_plane],
+                    shape: [BLOCK.min(nx - x), BLOCK.min(ny - y), BLOCK.min(nz - first_plane)],
+                });
+                evaluations.fetch_add(work(&mut slab, blocks.collect()), Ordering::Relaxed);
+                progress.advance(1)?;
+            }
+            Ok::<(), Error>(())
+        })?;
+        merged.evaluations = evaluations.into_inner();
+        Ok(())
+    }
+
+    fn center(&self, x: usize, y: usize, z: usize) -> DVec3 {
+        self.grid.lower + (DVec3::new(x as f64, y as f64, z as f64) + 0.5) * self.spacing
+    }
+
+    /// Box of the samples of a block.
+    fn bounds(&self, block: &Block) -> [DVec3; 2] {
+        let [x, y, z] = block.first;
+        let [nx, ny, nz] = block.shape;
+        [self.center(x, y, z), self.center(x + nx - 1, y + ny - 1, z + nz - 1)]
+    }
+
+    /// The least of all fields.
+    fn fill(&self, block: &Block, values: &mut BlockValues) {
+        self.tree.around(self.bounds(block), f64::INFINITY, |place, limit| {
+            self.lower(block, self.tree.order[place], values, limit);
+        });
+    }
+
+    /// Take the values of one field where they are less; `limit` is the largest value of the block.
+    fn lower(&self, block: &Block, field: u32, values: &mut BlockValues, limit: &mut f64) {
+        let placed = &self.placed[field as usize];
+        let [lower, upper] = self.bounds(block);
+        let distance = (placed.bounds[0] - upper).max(lower - placed.bounds[1]).max(DVec3::ZERO).length();
+        if distance > 0.0 && distance * (1.0 - DISTANCE_SLACK) >= *limit {
+            return;
+        }
+        for (start, y, z) in block.rows() {
+            for i in 0..block.shape[0] {
+                let best = &mut values.distances[start + i];
+                let bound = placed.lower_bound(self.center(block.first[0] + i, y, z), f64::from(*best));
+                if bound < f64::from(*best) {
+                    *best = round_down(bound);
+                    values.owners[start + i] = field;
+                }
+            }
+        }
+        values.evaluations += block.len() as u64;
+        *limit = values.largest(block);
+    }
+
+    fn offset(&self, slab: &Slab<'_>, block: &Block, y: usize, z: usize) -> usize {
+        let [nx, ny, _] = self.grid.shape;
+        block.first[0] + nx * (y + ny * (z - slab.first_plane))
+    }
+
+    fn load(&self, block: &Block, slab: &Slab<'_>) -> BlockValues {
+        let mut values = BlockValues::default();
+        let width = block.shape[0];
+        for (start, y, z) in block.rows() {
+            let offset = self.offset(slab, block, y, z);
+            values.distances[start..][..width].copy_from_slice(&slab.distances[offset..][..width]);
+            values.owners[start..][..width].copy_from_slice(&slab.owners[offset..][..width]);
+        }
+        values
+    }
+
+    fn store(&self, block: &Block, values: &BlockValues, slab: &mut Slab<'_>) {
+        let width = block.shape[0];
+        for (start, y, z) in block.rows() {
+            let offset = self.offset(slab, block, y, z);
+            slab.distances[offset..][..width].copy_from_slice(&values.distances[start..][..width]);
+            slab.owners[offset..][..width].copy_from_slice(&values.owners[start..][..width]);
+        }
+    }
+}

@@ -1,0 +1,100 @@
+//! `fieldbake._core.merge`.
+
+use super::convert::{Field, volume_array};
+use super::device::choose;
+use super::error::{Failure, exception};
+use super::quadric::quadric_rows;
+use super::run::run;
+use crate::error::{DeviceError, Error};
+use crate::gpu::Place;
+use crate::grid::Grid;
+use crate::merge::{Merged, Placed, merge as merge_all, merge_as_article, update};
+use crate::quadric::local::Local;
+use glam::{DAffine3, DMat4, DVec3};
+use numpy::{
+    IntoPyArray, PyArray1, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+/// Samples, box and inner box of a volume.
+type VolumeRow<'py> = (PyReadonlyArray3<'py, f32>, [f64; 3], [f64; 3], [f64; 3], [f64; 3]);
+/// Distances and owners of an earlier merge, and the indices of what has moved since.
+type Previous<'py> = (PyReadonlyArray3<'py, f32>, PyReadonlyArray1<'py, u32>, Vec<u32>);
+
+/// One field for many placed volumes and quadrics.
+#[pyfunction]
+#[pyo3(signature = (
+    volumes, instances, transforms, quadrics, lower, upper, shape, *, method="bound", previous=None, device="auto",
+    progress=None
+))]
+#[expect(clippy::type_complexity, reason = "a triple of what Python unpacks")]
+pub fn merge<'py>(
+    py: Python<'py>,
+    volumes: Vec<VolumeRow<'py>>,
+    instances: Vec<usize>,
+    transforms: PyReadonlyArray3<'py, f64>,
+    quadrics: PyReadonlyArray2<'py, f64>,
+    lower: [f64; 3],
+    upper: [f64; 3],
+    shape: [usize; 3],
+    method: &str,
+    previous: Option<Previous<'py>>,
+    device: &str,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<(Bound<'py, PyArray3<f32>>, Option<Bound<'py, PyArray1<u32>>>, Bound<'py, PyDict>)> {
+    let wrong = |message: String| exception(py, "ArgumentError", message);
+    let grid = Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape).map_err(Failure::from)?;
+    let fields: Vec<_> = volumes
+        .iter()
+        .map(|(samples, lower, upper, inner_lower, inner_upper)| {
+            let inner = [*inner_lower, *inner_upper].map(DVec3::from_array);
+            Ok((Field::new(samples, *lower, *upper)?.view().map_err(Failure::from)?, inner))
+        })
+        .collect::<PyResult<_>>()?;
+    let matrices = transforms.as_slice().ok().filter(|_| transforms.shape() == [instances.len(), 4, 4]);
+    let matrices = matrices.ok_or_else(|| wrong("transforms: must be a C-contiguous (n, 4, 4) array".into()))?;
+    let mut placed = Vec::with_capacity(instances.len());
+    for (&index, matrix) in instances.iter().zip(matrices.as_chunks::<16>().0) {
+        let &(field, inner) =
+            fields.get(index).ok_or_else(|| wrong(format!("instances: there is no volume {index}")))?;
+        // Rows of Python are columns here.
+        let transform = DAffine3::from_mat4(DMat4::from_cols_slice(matrix).transpose());
+        placed.push(Placed::volume(field, inner, transform).map_err(Failure::from)?);
+    }
+    placed.extend(quadric_rows(&quadrics)?.iter().map(|quadric| Placed::quadric(Local::new(quadric))));
+
+    // The CPU alone merges so far: an explicit wish for another device is refused, not ignored.
+    let place = match choose(py, device)? {
+        Place::Gpu(_) if device != "auto" => {
+            let reason = "merging runs on the CPU only".to_owned();
+            return Err(Failure::from(DeviceError::NotAvailable { requested: device.to_owned(), reason }).into());
+        }
+        _ => Place::Cpu,
+    };
+    let facts = PyDict::new(py);
+    facts.set_item("device", place.label())?;
+    if method == "article" {
+        let distances = run(py, progress, |progress| merge_as_article(&grid, &placed, progress))?;
+        return Ok((volume_array(py, distances, shape)?, None, facts));
+    }
+    let earlier = match &previous {
+        None => None,
+        Some((distances, owners, changed)) => {
+            let distances = Field::new(distances, lower, upper)?.view().map_err(Failure::from)?.distances();
+            let owners = owners.as_slice()?;
+            if distances.len() != grid.len() || owners.len() != grid.len() {
+                return Err(wrong(format!("previous: expected {} samples", grid.len())));
+            }
+            Some((distances, owners, changed))
+        }
+    };
+    let merged = run(py, progress, |progress| -> Result<Merged, Error> {
+        let Some((distances, owners, changed)) = earlier else { return merge_all(&grid, &placed, progress) };
+        let mut merged = Merged { distances: distances.to_vec(), owners: owners.to_vec(), evaluations: 0 };
+        update(&grid, &placed, changed, &mut merged, progress)?;
+        Ok(merged)
+    })?;
+    facts.set_item("evaluations", merged.evaluations)?;
+    Ok((volume_array(py, merged.distances, shape)?, Some(merged.owners.into_pyarray(py)), facts))
+}

@@ -1,0 +1,92 @@
+//! Pictures of quadrics on the CPU, in f64.
+//!
+//! The nearest sheet on each pixel's ray wins; its normal is turned to the eye. Shading is that of every picture
+//! ([`crate::render::shade`]) with the quadric's reflectance as its colour. A light behind the seen side of a sheet gives
+//! nothing; from the seen side the ray to the light starts on the sheet itself, without a bias: the crossing where it
+//! starts is left out by name.
+
+use super::Quadrics;
+use crate::error::Error;
+use crate::gpu::Place;
+use crate::progress::Progress;
+use crate::render::shade::lit_color;
+use crate::render::{Camera, DirectionalLight, Frame, RaymarchOptions, Row, Shadows};
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// Draw at a place. `options.color` is not used: each quadric has its reflectance.
+pub fn draw_at(
+    place: &Place,
+    quadrics: &Quadrics,
+    camera: &Camera,
+    options: &RaymarchOptions,
+    progress: &Progress,
+) -> Result<Frame, Error> {
+    options.check()?;
+    let lights = options.unit_lights(camera)?;
+    let view = View { quadrics, camera, options, lights: &lights };
+    match place {
+        Place::Cpu => draw(&view, progress),
+        Place::Gpu(context) => super::gpu::draw(context, &view, progress),
+    }
+}
+
+fn draw(view: &View<'_>, progress: &Progress) -> Result<Frame, Error> {
+    let [width, height] = view.options.size.map(|n| n as usize);
+    progress.set_total(height as u64);
+    let mut frame = Frame::new(width, height, view.lights.len());
+    frame.rows().into_par_iter().enumerate().try_for_each(|(y, mut row)| {
+        for x in 0..width {
+            view.draw_pixel(x, y, &mut row);
+        }
+        progress.advance(1)
+    })?;
+    Ok(frame)
+}
+
+/// What every pixel needs.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct View<'a> {
+    pub quadrics: &'a Quadrics,
+    pub camera: &'a Camera,
+    pub options: &'a RaymarchOptions,
+    /// With unit directions.
+    pub lights: &'a [DirectionalLight],
+}
+
+impl View<'_> {
+    /// Fill pixel `x` of row `y`; the row already says "nothing hit".
+    pub fn draw_pixel(&self, x: usize, y: usize, row: &mut Row<'_>) {
+        row.color[4 * x..][..4].copy_from_slice(&self.options.background);
+        // Multiples of `direction` are depths.
+        let direction = self.camera.pixel_direction(x as u32, y as u32, self.options.size);
+        let (hit, tried) = self.quadrics.first_hit(self.camera.eye, direction, [0.0, f64::INFINITY]);
+        row.steps[x] = tried;
+        let Some(hit) = hit else { return };
+
+        let p = self.camera.eye + hit.t * direction;
+        let shadow = &mut row.shadow[x * row.lights..][..row.lights];
+        for (light, share) in self.lights.iter().zip(shadow.iter_mut()) {
+            *share = match self.options.shadows {
+                Shadows::None => 1.0,
+                Shadows::Hard => self.share_that_arrives(p, hit.normal, hit.quadric, -light.direction.as_dvec3()),
+            };
+        }
+        let to_eye = -direction.normalize().as_vec3();
+        let normal = hit.normal.as_vec3();
+        let reflectance = self.quadrics.reflectance(hit.quadric);
+        let color = lit_color(reflectance, normal, to_eye, self.lights, shadow, self.options);
+
+        row.color[4 * x..][..4].copy_from_slice(&[color.x, color.y, color.z, 1.0]);
+        row.depth[x] = hit.t as f32;
+        row.normal[3 * x..][..3].copy_from_slice(&normal.to_array());
+        row.object_id[x] = hit.quadric as i32;
+    }
+
+    fn share_that_arrives(&self, p: DVec3, normal: DVec3, quadric: u32, to_light: DVec3) -> f32 {
+        if normal.dot(to_light) <= 0.0 {
+            return 0.0;
+        }
+        self.quadrics.transmittance(p, to_light, f64::INFINITY, Some(quadric))
+    }
+}
