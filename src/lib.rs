@@ -4,6 +4,7 @@
 
 pub mod bake;
 pub mod bvh;
+pub mod csg;
 pub mod encoding;
 pub mod error;
 pub mod geometry;

@@ -13,7 +13,7 @@ Distances are negative inside and in the mesh's own units. ``distances[x, y, z]`
 
 import logging as _logging
 
-from . import arrays, fields, models
+from . import arrays, csg, fields, models
 from ._core import __version__
 from .bake import ClosestPoints, bake, closest_point, signed_distance
 from .camera import Camera
@@ -39,6 +39,32 @@ from .mesh import Mesh, Part
 from .render import raymarch
 from .report import Report
 from .scene import Instance, Scene, render
+from .shapes import (
+    Profile,
+    Shape,
+    box,
+    box_frame,
+    capped_torus,
+    capsule,
+    circle,
+    cone,
+    cylinder,
+    ellipsoid,
+    extrude,
+    gyroid,
+    hex_prism,
+    octahedron,
+    plane,
+    polygon,
+    pyramid,
+    rectangle,
+    revolve,
+    rounded_box,
+    sphere,
+    torus,
+    truncated_cone,
+    volume_shape,
+)
 from .volume import Volume
 
 __all__ = [
@@ -59,25 +85,50 @@ __all__ = [
     "MeshError",
     "Part",
     "PointLight",
+    "Profile",
     "Report",
     "Scene",
     "SceneError",
+    "Shape",
     "ShapeError",
     "Volume",
     "__version__",
     "arrays",
     "as_mesh",
     "bake",
+    "box",
+    "box_frame",
+    "capped_torus",
+    "capsule",
+    "circle",
     "closest_point",
+    "cone",
+    "csg",
+    "cylinder",
     "devices",
+    "ellipsoid",
+    "extrude",
     "fields",
+    "gyroid",
+    "hex_prism",
     "load",
     "load_mesh",
     "load_scene",
     "models",
+    "octahedron",
+    "plane",
+    "polygon",
+    "pyramid",
     "raymarch",
+    "rectangle",
     "render",
+    "revolve",
+    "rounded_box",
     "signed_distance",
+    "sphere",
+    "torus",
+    "truncated_cone",
+    "volume_shape",
 ]
 
 # Quiet unless the program that uses us configures logging.

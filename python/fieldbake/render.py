@@ -1,4 +1,4 @@
-"""Draw a volume."""
+"""Draw a volume or a shape."""
 
 from __future__ import annotations
 
@@ -15,10 +15,12 @@ from .errors import ArgumentError, SceneError
 from .frame import Frame
 from .lights import DirectionalLight, Light
 from .progress import Progress, progress_callback
+from .shapes import Shape
 from .volume import Volume
 
 Shadows = Literal["hard", "none", "soft", "area"]
 Filter = Literal["linear", "hardware"]
+Method = Literal["auto", "whole", "aabb", "octree"]
 
 #: What is not a Volume yet is baked with so many voxels along its longest side.
 PICTURE_RESOLUTION = 128
@@ -43,15 +45,16 @@ def raymarch(
     specular: float = 0.25,
     shininess: float = 32.0,
     background: ArrayLike = (1.0, 1.0, 1.0, 1.0),
+    method: Method = "auto",
     device: str = "auto",
     progress: Progress = None,
 ) -> Frame:
-    """Draw the zero level set of a volume, or all fields of a scene, by marching rays.
+    """Draw the zero level set of a volume, a shape, or all fields of a scene, by marching rays.
 
     Parameters
     ----------
-    thing : Volume, Scene, or anything :func:`bake` takes
-        What is not a Volume is baked first, with 128 voxels along its longest side. A Scene brings its own lights and
+    thing : Volume, Shape, Scene, or anything :func:`bake` takes
+        What is none of the three is baked first, with 128 voxels along its longest side. A Scene brings its own lights and
         materials and is drawn by :func:`render` with ``primary="raymarch"``; for it `shadows` may be ``"soft"`` too.
     camera : Camera, optional
         Fits the surface if not given: ``Camera.fit(volume.inner_bounds)``.
@@ -71,6 +74,9 @@ def raymarch(
         Strength and sharpness of the highlight (Blinn-Phong).
     background : (3,) or (4,), default opaque white
         Where nothing is hit, linear RGB and opacity.
+    method : "auto", "whole", "aabb" or "octree", default "auto"
+        For a shape: whether rays march the whole of it or the parts of :func:`fieldbake.csg.decompose`. The picture is
+        the same.
     device : str, default "auto"
         ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`.
     progress : bool or callable, optional
@@ -87,6 +93,8 @@ def raymarch(
         For a camera, light or size that makes no sense.
     ArgumentError
         For any other option that makes no sense.
+    ShapeError
+        For a shape without bounds, or an unknown `method`.
     MeshError, CapacityError, DeviceError
         As for :func:`bake`.
 
@@ -135,6 +143,13 @@ def raymarch(
     }
     surface = _checks.triple(_color("color", color, 3))
     behind = _color("background", background, 4)
+    _checks.text("method", method)
+    if isinstance(thing, Shape):
+        if camera is None:
+            camera = Camera.fit(thing.bounds, aspect=width / height)
+        return _draw_shape(thing, camera, (width, height), method, shadows, lights, shade, surface, behind, device, progress)
+    if method != "auto":
+        raise ArgumentError(f"method: {method!r} is for shapes; a volume has one way to be drawn")
     volume = thing if isinstance(thing, Volume) else bake(thing, PICTURE_RESOLUTION, device=device, progress=progress)
     if camera is None:
         camera = Camera.fit(volume.inner_bounds, aspect=width / height)
@@ -158,6 +173,40 @@ def raymarch(
             progress=callback,
             **shade,
         )
+    return _frame(result)
+
+
+def _draw_shape(
+    shape: Shape,
+    camera: Camera,
+    size: tuple[int, int],
+    method: str,
+    shadows: str,
+    lights: Sequence[Light] | None,
+    shade: dict[str, float],
+    surface: tuple[float, float, float],
+    behind: NDArray[np.float64],
+    device: str,
+    progress: Progress,
+) -> Frame:
+    directions, colors = _lights(lights, camera)
+    picture = {
+        "pose": camera.pose,
+        "fov_deg": camera.fov_deg,
+        "size": size,
+        "light_directions": directions,
+        "light_colors": colors,
+        "color": surface,
+        "background": (*behind.tolist(),),
+        "shadows": shadows,
+        **shade,
+    }
+    with progress_callback(progress, "raymarch") as callback:
+        result = shape._core.draw(method, picture, device, callback)
+    return _frame(result)
+
+
+def _frame(result: dict[str, Any]) -> Frame:
     arrays = {name: value for name, value in result.items() if isinstance(value, np.ndarray)}
     return Frame(arrays, {name: value for name, value in result.items() if name not in arrays})
 

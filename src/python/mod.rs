@@ -4,6 +4,7 @@
 
 mod bake;
 mod convert;
+mod csg;
 mod device;
 mod error;
 mod mesh;
@@ -20,6 +21,8 @@ use pyo3::prelude::*;
 mod _core {
     #[pymodule_export]
     use super::bake::{bake, bake_brute};
+    #[pymodule_export]
+    use super::csg::Shape;
     #[pymodule_export]
     use super::device::{DeviceField, devices};
     #[pymodule_export]

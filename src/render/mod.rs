@@ -23,7 +23,7 @@ mod gpu;
 #[cfg(test)]
 mod gpu_tests;
 pub mod march;
-mod shade;
+pub(crate) mod shade;
 
 pub use camera::Camera;
 
@@ -296,7 +296,7 @@ impl<F: Blocks> View<'_, F> {
 }
 
 impl RaymarchOptions {
-    fn check(&self) -> Result<(), Error> {
+    pub(crate) fn check(&self) -> Result<(), Error> {
         let error = |argument, problem: String| Err(ArgumentError::new(argument, problem).into());
         let [width, height] = self.size;
         if width == 0 || height == 0 || width as u64 * height as u64 > MAX_PIXELS {
@@ -318,7 +318,7 @@ impl RaymarchOptions {
     }
 
     /// The lights, or the default one, with unit directions.
-    fn unit_lights(&self, camera: &Camera) -> Result<Vec<DirectionalLight>, Error> {
+    pub(crate) fn unit_lights(&self, camera: &Camera) -> Result<Vec<DirectionalLight>, Error> {
         let Some(lights) = &self.lights else {
             let direction = -camera.world_from_camera(KEY_LIGHT_FROM).normalize().as_vec3();
             return Ok(vec![DirectionalLight { direction, color: KEY_LIGHT_COLOR }]);

@@ -31,6 +31,46 @@ pub(super) struct Surface {
     pub to_eye: Vec3,
 }
 
+/// What the light falls on.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Look {
+    /// World space, unit, outward.
+    pub normal: Vec3,
+    /// World space, unit, towards the eye.
+    pub to_eye: Vec3,
+    /// Linear RGB.
+    pub color: Vec3,
+}
+
+/// Linear RGB of a lit surface; writes the share of each light that arrives, which `share_that_arrives` finds for hard
+/// shadows.
+pub(crate) fn lit(
+    look: &Look,
+    options: &RaymarchOptions,
+    lights: &[DirectionalLight],
+    shadow: &mut [f32],
+    mut share_that_arrives: impl FnMut(Vec3) -> f32,
+) -> Vec3 {
+    // From the ground (normal down) to the sky (normal up).
+    let sky = 0.5 + 0.5 * look.normal.y;
+    let ambient = options.ambient * (GROUND_SHARE + (1.0 - GROUND_SHARE) * sky);
+    let mut color = ambient * look.color;
+    for (light, share) in lights.iter().zip(shadow) {
+        let to_light = -light.direction;
+        *share = match options.shadows {
+            Shadows::None => 1.0,
+            Shadows::Hard => share_that_arrives(to_light),
+        };
+        let cosine = look.normal.dot(to_light);
+        if *share > 0.0 && cosine > 0.0 {
+            let half = (to_light + look.to_eye).normalize_or_zero();
+            let highlight = options.specular * look.normal.dot(half).max(0.0).powf(options.shininess);
+            color += *share * light.color * (cosine * look.color + highlight);
+        }
+    }
+    color
+}
+
 /// Everything that is the same for all pixels.
 #[derive(Debug, Clone)]
 pub(super) struct Shader<'a, F> {
@@ -79,25 +119,8 @@ impl<'a, F: Blocks> Shader<'a, F> {
 
     /// Linear RGB of a surface; writes the share of each light that arrives.
     pub fn shade(&self, surface: &Surface, shadow: &mut [f32]) -> Vec3 {
-        let options = self.options;
-        // From the ground (normal down) to the sky (normal up).
-        let sky = 0.5 + 0.5 * surface.normal.y;
-        let ambient = options.ambient * (GROUND_SHARE + (1.0 - GROUND_SHARE) * sky);
-        let mut color = ambient * options.color;
-        for (light, share) in self.lights.iter().zip(shadow) {
-            let to_light = -light.direction;
-            *share = match options.shadows {
-                Shadows::None => 1.0,
-                Shadows::Hard => self.share_that_arrives(surface, to_light),
-            };
-            let cosine = surface.normal.dot(to_light);
-            if *share > 0.0 && cosine > 0.0 {
-                let half = (to_light + surface.to_eye).normalize_or_zero();
-                let highlight = options.specular * surface.normal.dot(half).max(0.0).powf(options.shininess);
-                color += *share * light.color * (cosine * options.color + highlight);
-            }
-        }
-        color
+        let look = Look { normal: surface.normal, to_eye: surface.to_eye, color: self.options.color };
+        lit(&look, self.options, self.lights, shadow, |to_light| self.share_that_arrives(surface, to_light))
     }
 
     /// 1 where nothing of the field stands between the surface and the light, else 0.

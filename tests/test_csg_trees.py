@@ -1,0 +1,143 @@
+"""Random trees: the core's field is NumPy's, parts cover the surface and agree with the whole, pictures are the same."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import fieldbake as fb
+import truth_csg as truth
+
+#: Distances are rounded to float32 once: half an ulp of the largest, which is below 8 here, and rounding in float64.
+ROUNDING = 8 * 2.0**-24
+
+#: A drawing compares depths that were found in float32 local coordinates: the model is at most 8 units large, a root is
+#: bracketed to about 2 ulps, and a ray meets the surface at an angle. See `test_pictures_are_the_same`.
+DEPTH_TOLERANCE = 1e-4
+
+
+def sample_points(bounds, count, seed=0):
+    """Points in a box a little larger than the bounds."""
+    lower, upper = np.asarray(bounds, dtype=float)
+    pad = 0.1 + 0.2 * (upper - lower)
+    return np.random.default_rng(seed).uniform(lower - pad, upper + pad, (count, 3))
+
+
+def in_boxes(points, boxes):
+    """Which points lie in one of the boxes, (n,); lower faces belong to a box."""
+    inside = np.zeros(len(points), dtype=bool)
+    for lower, upper in boxes:
+        inside |= ((points >= lower) & (points < upper)).all(axis=1)
+    return inside
+
+
+def has_volume(shape):
+    lower, upper = shape.bounds
+    return bool((upper > lower).all())
+
+
+@given(truth.trees)
+@settings(max_examples=120)
+def test_fields_are_those_of_numpy(tree):
+    points = sample_points(tree.shape.bounds if has_volume(tree.shape) else ((-2,) * 3, (2,) * 3), 200)
+    expected = tree.field(points)
+
+    assert np.abs(tree.shape.distance(points) - expected).max() <= ROUNDING
+
+
+@given(truth.trees, st.integers(0, 2**16))
+@settings(max_examples=60)
+def test_fields_bound_the_distance(tree, seed):
+    """No two points differ by more than the Lipschitz constant times what is between them."""
+    first = sample_points(((-2,) * 3, (2,) * 3), 200, seed)
+    second = first + np.random.default_rng(seed).normal(0, 0.3, first.shape)
+    change = np.abs(tree.shape.distance(first).astype(float) - tree.shape.distance(second))
+    apart = np.linalg.norm(first - second, axis=1)
+
+    if "twist" not in tree.text:  # its divisor grows away from it: a lower bound of the distance, but no Lipschitz function
+        assert (change <= tree.shape.lipschitz * apart + 2 * ROUNDING).all()
+
+
+@given(truth.trees)
+@settings(max_examples=60)
+def test_nothing_is_inside_beyond_the_bounds(tree):
+    points = np.random.default_rng(1).uniform(-4, 4, (2000, 3))
+    outside = ~in_boxes(points, [tree.shape.bounds])
+
+    assert (tree.field(points[outside]) > 0).all()
+
+
+@pytest.mark.parametrize("method", ["aabb", "octree"])
+@given(tree=truth.trees)
+@settings(max_examples=60)
+def test_parts_make_the_solid(tree, method):
+    points = sample_points(tree.shape.bounds if has_volume(tree.shape) else ((-2,) * 3, (2,) * 3), 1500)
+    inside = tree.field(points) < -ROUNDING
+    outside = tree.field(points) > ROUNDING
+    parts = fb.csg.decompose(tree.shape, method=method)
+
+    covered = np.zeros(len(points), dtype=bool)
+    for part in parts:
+        here = in_boxes(points, part.boxes)
+        value = part.shape.distance(points[here])
+        assert (value[outside[here]] > 0).all()
+        if method == "octree":
+            assert (value[inside[here]] < 0).all()
+            # One box a point: they do not overlap.
+            assert not (covered & here).any()
+            covered |= here
+        else:
+            covered[here] |= value < 0
+    if method == "aabb":
+        assert covered[inside].all()
+
+
+@given(tree=truth.trees)
+@settings(max_examples=40)
+def test_cells_cover_the_surface(tree):
+    """Roots along random lines lie in cells, and those of the part are those of the whole."""
+    if not has_volume(tree.shape):
+        return
+    ends = sample_points(tree.shape.bounds, 400, seed=2).reshape(2, -1, 3)
+    share = np.linspace(0, 1, 400)[:, None, None]
+    line = ends[0] + share * (ends[1] - ends[0])
+    values = tree.field(line.reshape(-1, 3)).reshape(line.shape[:2])
+    crosses = (values[:-1] > 0) != (values[1:] > 0)
+    low, high = line[:-1][crosses], line[1:][crosses]
+    rises = values[:-1][crosses] < 0
+    for _ in range(40):
+        middle = (low + high) / 2
+        is_before = (tree.field(middle) < 0) == rises
+        low, high = np.where(is_before[:, None], middle, low), np.where(is_before[:, None], high, middle)
+    parts = fb.csg.decompose(tree.shape)
+
+    found = np.zeros(len(low), dtype=bool)
+    for part in parts:
+        here = in_boxes(low, part.boxes)
+        if here.any():
+            assert np.abs(part.shape.distance(low[here])).max() <= 2 * ROUNDING
+            found |= here
+    assert found.all()
+
+
+def same_pictures(shape, camera, size, device):
+    whole = fb.raymarch(shape, camera, size=size, method="whole", shadows="none", device="cpu")
+    for method in ("aabb", "octree"):
+        split = fb.raymarch(shape, camera, size=size, method=method, shadows="none", device=device)
+        hit, other = np.isfinite(whole.depth), np.isfinite(split.depth)
+        both = hit & other
+        # Depth along the ray counts where the ray does not graze: an error across the surface grows along it.
+        wrong = (hit != other).sum() + (np.abs(whole.depth[both] - split.depth[both]) > DEPTH_TOLERANCE).sum()
+        yield method, wrong
+
+
+@given(tree=truth.trees, direction=st.tuples(*[st.floats(-1, 1)] * 3), seed=st.integers(0, 3))
+@settings(max_examples=50)
+def test_pictures_are_the_same(tree, direction, seed):
+    if not has_volume(tree.shape):
+        return
+    direction = np.array(direction) + (0, 0, -1.2)
+    camera = fb.Camera.fit(tree.shape.bounds, direction=direction)
+    for method, wrong in same_pictures(tree.shape, camera, (40, 40), "cpu"):
+        # At most 0.1 % of 1600 pixels, rounded up: a pixel on an outline may fall on either side.
+        assert wrong <= 2, (method, wrong, tree.text)
