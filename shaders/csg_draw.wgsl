@@ -59,7 +59,7 @@ struct CsgPixel {
 // Share of each light that arrives, `light_count` a pixel.
 @group(0) @binding(7) var<storage, read_write> shares: array<f32>;
 
-const MIN_STEP: f32 = 1e-4;
+const MIN_STEP: f32 = 3e-5;
 const MAX_STEPS: u32 = 4096u;
 const MAX_ROOT_STEPS: u32 = 32u;
 const ROOT_WIDTH: f32 = 1.2e-7;
@@ -120,7 +120,8 @@ fn root(ray: Ray, cell: u32, t0: f32, value0: f32, t1: f32, value1: f32) -> f32 
         rounds++;
         if high - low <= ROOT_WIDTH * max(high, 1.0) || below == 0.0 { break; }
         let t = clamp(low + (high - low) * (above / (above - below)), low, high);
-        if t == low || t == high { break; }
+        // The root is an end of the bracket as far as float32 can tell.
+        if t == low || t == high { return t; }
         let value = field(ray, t, cell);
         if value > 0.0 {
             low = t;

@@ -11,8 +11,8 @@ import truth_csg as truth
 #: Distances are rounded to float32 once: half an ulp of the largest, which is below 8 here, and rounding in float64.
 ROUNDING = 8 * 2.0**-24
 
-#: A drawing compares depths that were found in float32 local coordinates: the model is at most 8 units large, a root is
-#: bracketed to about 2 ulps, and a ray meets the surface at an angle. See `test_pictures_are_the_same`.
+#: Depths are found in float32 in coordinates where the model, up to 8 units large, has size 1: the field rounds at 1e-6 world
+#: units, and a ray that meets the surface at an angle of 1 in 100 moves its root by a hundred times as much.
 DEPTH_TOLERANCE = 1e-4
 
 
@@ -131,12 +131,13 @@ def same_pictures(shape, camera, size, device):
         yield method, wrong
 
 
-@given(tree=truth.trees, direction=st.tuples(*[st.floats(-1, 1)] * 3), seed=st.integers(0, 3))
+@given(tree=truth.trees, direction=st.tuples(*[st.floats(-1, 1)] * 3))
 @settings(max_examples=50)
-def test_pictures_are_the_same(tree, direction, seed):
+def test_pictures_are_the_same(tree, direction):
     if not has_volume(tree.shape):
         return
-    direction = np.array(direction) + (0, 0, -1.2)
+    # Askew, for a symmetric picture multiplies each pixel that grazes an outline.
+    direction = np.array(direction) + (0.071, 0.043, -1.2)
     camera = fb.Camera.fit(tree.shape.bounds, direction=direction)
     for method, wrong in same_pictures(tree.shape, camera, (40, 40), "cpu"):
         # At most 0.1 % of 1600 pixels, rounded up: a pixel on an outline may fall on either side.

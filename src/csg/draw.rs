@@ -1,6 +1,7 @@
 //! Pictures of shapes on the CPU, with the camera, the light and the frame of every other picture.
 
 use super::decompose::{Method, Part, decompose};
+use super::gpu;
 use super::program::Stack;
 use super::solid::Solid;
 use super::trace::{LocalRay, Tracer, Work};
@@ -72,31 +73,20 @@ pub fn draw(
     options: &RaymarchOptions,
     progress: &Progress,
 ) -> Result<Drawing, Error> {
-    match place {
-        Place::Cpu => draw_on_cpu(tracer, camera, options, progress),
-        Place::Gpu(context) => Err(not_there(context)),
-    }
-}
-
-pub(super) fn not_there(context: &crate::gpu::Context) -> Error {
-    let reason = "shapes are evaluated on the CPU only so far; use device=\"cpu\"".to_owned();
-    crate::error::DeviceError::NotAvailable { requested: context.label(), reason }.into()
-}
-
-/// Draw on the CPU.
-pub fn draw_on_cpu(
-    tracer: &Tracer<'_>,
-    camera: &Camera,
-    options: &RaymarchOptions,
-    progress: &Progress,
-) -> Result<Drawing, Error> {
     options.check()?;
     let lights = options.unit_lights(camera)?;
     let view = View { tracer, camera, options, lights: &lights, is_eye_inside: tracer.is_inside(camera.eye) };
+    match place {
+        // With the eye inside there is nothing to trace, and without boxes nothing to see.
+        Place::Gpu(context) if !view.is_eye_inside && !tracer.boxes.is_empty() => gpu::draw(&view, context, progress),
+        _ => draw_on_cpu(&view, progress),
+    }
+}
 
-    let [width, height] = options.size.map(|n| n as usize);
+fn draw_on_cpu(view: &View<'_>, progress: &Progress) -> Result<Drawing, Error> {
+    let [width, height] = view.options.size.map(|n| n as usize);
     progress.set_total(height as u64);
-    let mut frame = Frame::new(width, height, lights.len());
+    let mut frame = Frame::new(width, height, view.lights.len());
     let evaluations = AtomicU64::new(0);
     frame.rows().into_par_iter().enumerate().try_for_each_init(Scratch::default, |scratch, (y, mut row)| {
         scratch.work = Work::default();
@@ -108,39 +98,41 @@ pub fn draw_on_cpu(
     })?;
     Ok(Drawing {
         frame,
-        parts: tracer.programs.len(),
-        boxes: tracer.boxes.len(),
+        parts: view.tracer.programs.len(),
+        boxes: view.tracer.boxes.len(),
         leaf_evaluations: evaluations.into_inner(),
     })
 }
 
+/// What a thread keeps between pixels.
 #[derive(Default)]
-struct Scratch {
+pub(super) struct Scratch {
     march: Stack<f32, 1>,
     slope: Stack<f64, 6>,
     work: Work,
 }
 
-struct View<'a> {
-    tracer: &'a Tracer<'a>,
-    camera: &'a Camera,
-    options: &'a RaymarchOptions,
-    lights: &'a [DirectionalLight],
-    is_eye_inside: bool,
+/// What every pixel needs.
+pub(super) struct View<'a> {
+    pub tracer: &'a Tracer<'a>,
+    pub camera: &'a Camera,
+    pub options: &'a RaymarchOptions,
+    /// With unit directions.
+    pub lights: &'a [DirectionalLight],
+    pub is_eye_inside: bool,
 }
 
 impl View<'_> {
     /// Fill pixel `x` of row `y`; the row already says "nothing hit".
-    fn draw_pixel(&self, x: usize, y: usize, row: &mut Row<'_>, scratch: &mut Scratch) {
+    pub fn draw_pixel(&self, x: usize, y: usize, row: &mut Row<'_>, scratch: &mut Scratch) {
         row.color[4 * x..][..4].copy_from_slice(&self.options.background);
 
         // Multiples of `direction` are depths.
         let direction = self.camera.pixel_direction(x as u32, y as u32, self.options.size);
-        let length = direction.length();
-        let unit = direction / length;
-        let to_eye = -unit.as_vec3();
-        let (depth, p, normal, color) = if self.is_eye_inside {
-            (0.0, self.tracer.solid.frame.local(self.camera.eye).as_vec3(), to_eye, None)
+        let unit = direction.normalize();
+        let frame = self.tracer.solid.frame;
+        let (depth, p, normal, part) = if self.is_eye_inside {
+            (0.0, frame.local(self.camera.eye).as_vec3(), -unit.as_vec3(), None)
         } else {
             let Some((ray, t_start)) = entering(self.tracer, self.camera.eye, unit) else { return };
             let before = scratch.work.steps;
@@ -148,15 +140,32 @@ impl View<'_> {
             row.steps[x] = scratch.work.steps - before;
             let Some(hit) = hit else { return };
             let p = ray.origin + hit.t * ray.direction;
-            let normal = self.tracer.normal(p, hit.part, &mut scratch.slope).unwrap_or(to_eye);
-            let depth = (t_start + f64::from(hit.t)) * self.tracer.solid.frame.scale / length;
-            (depth, p, normal, self.tracer.color(p, hit.part))
+            let normal = self.tracer.normal(p, hit.part, &mut scratch.slope).unwrap_or(-unit.as_vec3());
+            let depth = (t_start + f64::from(hit.t)) * frame.scale / direction.length();
+            (depth, p, normal, Some(hit.part))
         };
-        let look = Look { normal, to_eye, color: color.map_or(self.options.color, Vec3::from_array) };
-        let shadow = &mut row.shadow[x * row.lights..][..row.lights];
-        let color = lit(&look, self.options, self.lights, shadow, |to_light| {
+        self.finish(x, row, depth, p, normal, direction, part, |to_light| {
             self.share_that_arrives(p, normal, to_light, &mut scratch.march)
         });
+    }
+
+    /// Light a hit at the local point `p` and write it down; without a `part` it has the colour of the options.
+    pub fn finish(
+        &self,
+        x: usize,
+        row: &mut Row<'_>,
+        depth: f64,
+        p: Vec3,
+        normal: Vec3,
+        direction: DVec3,
+        part: Option<u32>,
+        share_that_arrives: impl FnMut(Vec3) -> f32,
+    ) {
+        let painted = part.and_then(|part| self.tracer.color(p, part));
+        let color = painted.map_or(self.options.color, Vec3::from_array);
+        let look = Look { normal, to_eye: -direction.normalize().as_vec3(), color };
+        let shadow = &mut row.shadow[x * row.lights..][..row.lights];
+        let color = lit(&look, self.options, self.lights, shadow, share_that_arrives);
 
         row.color[4 * x..][..4].copy_from_slice(&[color.x, color.y, color.z, 1.0]);
         row.depth[x] = depth as f32;

@@ -18,6 +18,7 @@ pub mod bounds;
 pub mod decompose;
 pub mod draw;
 mod field;
+mod gpu;
 pub mod language;
 pub mod model;
 mod octree;

@@ -3,6 +3,7 @@
 //! Queries run in float64 and are rounded once; grids and pictures run in float32, in local units, where it is exact to
 //! about 1e-7 of the model's size whatever its place. Batches of 64 points go to all cores.
 
+use super::gpu;
 use super::model::{Model, Token};
 use super::program::{Frame, Program, Stack};
 use super::real::Real;
@@ -84,7 +85,7 @@ impl Solid {
     pub fn distances_at(&self, place: &Place, points: &[DVec3], progress: &Progress) -> Result<Vec<f32>, Error> {
         match place {
             Place::Cpu => self.distances(points, progress),
-            Place::Gpu(context) => Err(super::draw::not_there(context)),
+            Place::Gpu(context) => gpu::distances(self, context, points, progress),
         }
     }
 
@@ -92,7 +93,7 @@ impl Solid {
     pub fn bake_at(&self, place: &Place, grid: &Grid, progress: &Progress) -> Result<Vec<f32>, Error> {
         match place {
             Place::Cpu => self.bake(grid, progress),
-            Place::Gpu(context) => Err(super::draw::not_there(context)),
+            Place::Gpu(context) => gpu::bake(self, context, grid, progress),
         }
     }
 

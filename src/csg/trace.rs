@@ -20,9 +20,9 @@ use super::program::Stack;
 use super::solid::{Solid, slope};
 use glam::{DVec3, Vec3};
 
-/// Shortest step, relative to a model of size 1/2 to 1. A ray that dips into a sphere of the model's size for less than this
-/// goes 1e-9 deep.
-pub const MIN_STEP: f32 = 1e-4;
+/// Shortest step, relative to a model of size 1/2 to 1: a hundred roundings of the field. A ray that dips into a sphere of the
+/// model's size for less than this goes 1e-10 deep.
+pub const MIN_STEP: f32 = 3e-5;
 
 /// Steps in one box at most; reached only by a ray that creeps along a surface closer than a step.
 pub const MAX_STEPS: u32 = 4096;
@@ -283,8 +283,9 @@ fn root(field: &mut impl FnMut(f32) -> f32, t0: f32, value0: f32, t1: f32, value
             break;
         }
         let t = (low + (high - low) * (above / (above - below))).clamp(low, high);
+        // The root is an end of the bracket as far as float32 can tell.
         if t == low || t == high {
-            break;
+            return t;
         }
         let value = field(t);
         if value > 0.0 {

@@ -12,6 +12,8 @@ pub const KERNELS: &[(&str, &str)] = &[
     ("bake_distance", include_str!("../../shaders/bake_distance.wgsl")),
     ("bake_finish", include_str!("../../shaders/bake_finish.wgsl")),
     ("field_to_texture", include_str!("../../shaders/field_to_texture.wgsl")),
+    ("csg_draw", include_str!("../../shaders/csg_draw.wgsl")),
+    ("csg_points", include_str!("../../shaders/csg_points.wgsl")),
     ("raymarch", include_str!("../../shaders/raymarch.wgsl")),
     ("raymarch_filtered", include_str!("../../shaders/raymarch_filtered.wgsl")),
     ("query_points", include_str!("../../shaders/query_points.wgsl")),
@@ -20,6 +22,8 @@ pub const KERNELS: &[(&str, &str)] = &[
 const SHARED: &[(&str, &str)] = &[
     ("bvh", include_str!("../../shaders/shared/bvh.wgsl")),
     ("clip", include_str!("../../shaders/shared/clip.wgsl")),
+    ("csg_field", include_str!("../../shaders/shared/csg_field.wgsl")),
+    ("csg_interpreter", include_str!("../../shaders/shared/csg_interpreter.wgsl")),
     ("grid", include_str!("../../shaders/shared/grid.wgsl")),
     ("picture", include_str!("../../shaders/shared/picture.wgsl")),
     ("ray", include_str!("../../shaders/shared/ray.wgsl")),
