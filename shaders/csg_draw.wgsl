@@ -109,7 +109,7 @@ fn span(ray: Ray, cell: u32, t_max: f32) -> vec2f {
     return t;
 }
 
-// The root between a value above zero and one that is not: regula falsi, Illinois variant.
+// The root between a value of zero or more and one below: regula falsi, Illinois variant.
 fn root(ray: Ray, cell: u32, t0: f32, value0: f32, t1: f32, value1: f32) -> f32 {
     var low = t0;
     var above = value0;
@@ -142,7 +142,7 @@ fn root(ray: Ray, cell: u32, t0: f32, value0: f32, t1: f32, value1: f32) -> f32 
 fn march(ray: Ray, cell: u32, t_in: f32, t_out: f32) -> f32 {
     var t = t_in;
     var value = field(ray, t, cell);
-    if value <= 0.0 { return t; }
+    if value < 0.0 { return t; }
     for (var i = 0u; i < MAX_STEPS && has_rounds(); i++) {
         rounds++;
         let safe = value * params.inverse_lipschitz;
@@ -156,7 +156,7 @@ fn march(ray: Ray, cell: u32, t_in: f32, t_out: f32) -> f32 {
             return select(-1.0, found, found < t_out);
         }
         let there = field(ray, next, cell);
-        if there <= 0.0 { return root(ray, cell, t, value, next, there); }
+        if there < 0.0 { return root(ray, cell, t, value, next, there); }
         t = next;
         value = there;
     }

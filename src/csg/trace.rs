@@ -203,7 +203,8 @@ impl<'a> Tracer<'a> {
         best
     }
 
-    /// The first root on `[t_in, t_out)`; `t_in` itself if the field is not above zero there.
+    /// The first root on `[t_in, t_out)` behind which the field is below zero; `t_in` itself if it is so there. Where the field
+    /// touches zero and no more, as in `a - a`, there is nothing.
     fn march(
         &self,
         part: u32,
@@ -222,7 +223,7 @@ impl<'a> Tracer<'a> {
         };
         let mut t = t_in;
         let mut value = field(t);
-        if value <= 0.0 {
+        if value < 0.0 {
             return Some(t);
         }
         for _ in 0..MAX_STEPS {
@@ -237,7 +238,7 @@ impl<'a> Tracer<'a> {
                 return if end < 0.0 { Some(root(&mut field, t, value, t_out, end)).filter(|&t| t < t_out) } else { None };
             }
             let there = field(next);
-            if there <= 0.0 {
+            if there < 0.0 {
                 return Some(root(&mut field, t, value, next, there));
             }
             (t, value) = (next, there);
@@ -269,11 +270,11 @@ impl<'a> Tracer<'a> {
             return false;
         }
         let at = local.to_array().map(|x| [x as f32]);
-        self.solid.program.run(&self.solid.model.tokens, &at, &mut Stack::default())[0] <= 0.0
+        self.solid.program.run(&self.solid.model.tokens, &at, &mut Stack::default())[0] < 0.0
     }
 }
 
-/// The root between a value above zero and one that is not: regula falsi, Illinois variant (Dowell and Jarratt, 1971).
+/// The root between a value of zero or more and one below: regula falsi, Illinois variant (Dowell and Jarratt, 1971).
 fn root(field: &mut impl FnMut(f32) -> f32, t0: f32, value0: f32, t1: f32, value1: f32) -> f32 {
     let (mut low, mut above) = (t0, value0);
     let (mut high, mut below) = (t1, value1);
