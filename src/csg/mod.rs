@@ -26,6 +26,7 @@ pub mod primitive;
 pub mod profile;
 pub mod program;
 mod real;
+pub mod shader;
 pub mod shape;
 pub mod solid;
 pub mod trace;

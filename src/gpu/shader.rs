@@ -32,6 +32,11 @@ const SHARED: &[(&str, &str)] = &[
     ("triangle", include_str!("../../shaders/shared/triangle.wgsl")),
 ];
 
+/// The text of a shared file, for programs that are written at run time.
+pub fn shared(name: &str) -> Option<&'static str> {
+    find(SHARED, name)
+}
+
 /// The whole text of a kernel.
 pub fn source(kernel: &str) -> Result<String, String> {
     let text = find(KERNELS, kernel).ok_or_else(|| format!("there is no kernel '{kernel}'"))?;
