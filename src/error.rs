@@ -126,6 +126,7 @@ pub enum Error {
     Argument(#[from] ArgumentError),
     #[error(transparent)]
     Scene(#[from] SceneError),
+    #[error(transparent)]
     Shape(#[from] ShapeError),
     #[error(transparent)]
     Capacity(#[from] CapacityError),

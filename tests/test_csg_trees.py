@@ -1,4 +1,4 @@
-"""Random trees: the core's field is NumPy's, parts cover the surface and agree with the whole, pictures are the same."""
+"""Random trees: the core's field is NumPy's, parts cover the surface and agree with it, pictures are the same."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,8 @@ import truth_csg as truth
 #: Distances are rounded to float32 once: half an ulp of the largest, which is below 8 here, and rounding in float64.
 ROUNDING = 8 * 2.0**-24
 
-#: Depths are found in float32 in coordinates where the model, up to 8 units large, has size 1: the field rounds at 1e-6 world
+#: Depths are found in float32 in coordinates where the model, up to 8 units large, has size 1: the field rounds at
+#: 1e-6 world
 #: units, and a ray that meets the surface at an angle of 1 in 100 moves its root by a hundred times as much.
 DEPTH_TOLERANCE = 1e-4
 
@@ -54,7 +55,9 @@ def test_fields_bound_the_distance(tree, seed):
     change = np.abs(tree.shape.distance(first).astype(float) - tree.shape.distance(second))
     apart = np.linalg.norm(first - second, axis=1)
 
-    if "twist" not in tree.text:  # its divisor grows away from it: a lower bound of the distance, but no Lipschitz function
+    if (
+        "twist" not in tree.text
+    ):  # its divisor grows away from it: a lower bound of the distance, but no Lipschitz function
         assert (change <= tree.shape.lipschitz * apart + 2 * ROUNDING).all()
 
 
@@ -132,8 +135,8 @@ def directions(camera, size):
 def differing_pixels(tree, camera, size, method, device):
     """Pixels of the parts' picture that differ from the whole tree's, where what was hit is a solid.
 
-    A ray that dips into a solid by less than float32 rounds may see it or not, and surfaces that coincide leave such solids
-    behind; so a hit counts if NumPy's field falls below the rounding on the way behind it.
+    A ray that dips into a solid by less than float32 rounds may see it or not, and surfaces that coincide leave
+    such solids behind; so a hit counts if NumPy's field falls below the rounding on the way behind it.
     """
     whole = fb.raymarch(tree.shape, camera, size=size, method="whole", shadows="none", device="cpu")
     split = fb.raymarch(tree.shape, camera, size=size, method=method, shadows="none", device=device)
@@ -154,7 +157,7 @@ def differing_pixels(tree, camera, size, method, device):
 def test_pictures_are_the_same(tree, direction, method):
     if not has_volume(tree.shape):
         return
-    camera = fb.Camera.fit(tree.shape.bounds, direction=np.array(direction) + (0.07, 0.04, -1.2))
+    camera = fb.Camera.fit(tree.shape.bounds, direction=np.add(direction, (0.07, 0.04, -1.2)))
     wrong, _ = differing_pixels(tree, camera, (40, 40), method, "cpu")
 
     # 0.1 % of 1600 pixels: one or two on an outline.
@@ -167,15 +170,18 @@ def some_trees():
     bar = truth.placed(truth.cylinder(0.3, 3.0), (0.1, 0, 0), (1, 1, 0.5), 30, 0.9)
     yield truth.combine("difference", [truth.combine("union", [ball, block], k=0.2), bar])
     yield truth.combine("xor", [truth.shell(truth.torus(0.8, 0.3), 0.1), truth.offset(block, 0.1)], chamfer=0.1)
-    yield truth.twist(truth.combine("intersection", [truth.elongate(block, (0.3, 0, 0.2)), truth.ellipsoid((1, 0.7, 0.8))]), 50)
+    yield truth.twist(
+        truth.combine("intersection", [truth.elongate(block, (0.3, 0, 0.2)), truth.ellipsoid((1, 0.7, 0.8))]), 50
+    )
     yield truth.mirror(truth.placed(truth.capsule(0.2, 1.0), (0.6, 0.1, 0), (0, 1, 0), 40, 1.2), 0)
 
 
 TREES = list(some_trees())
 
 
-@pytest.mark.parametrize("method", ["whole", "aabb", "octree"])
-@pytest.mark.parametrize("tree", TREES, ids=[tree.text[:24] for tree in TREES])
+@pytest.mark.parametrize(
+    ("tree", "method"), [(TREES[0], "whole"), (TREES[1], "octree"), (TREES[2], "octree")], ids=["whole", "xor", "twist"]
+)
 def test_devices_draw_the_same(tree, method):
     camera = fb.Camera.fit(tree.shape.bounds, direction=(0.07, 0.04, -1.2))
     wrong, _ = differing_pixels(tree, camera, (16, 16), method, "gpu")

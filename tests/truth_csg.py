@@ -1,8 +1,9 @@
 """Truth about shapes in float64 NumPy: which points are inside, where the surface is, and fields of whole trees.
 
-Two kinds. :data:`SOLIDS` knows each primitive by inequalities and by points on its surface, with no distance formula at all.
-:class:`Tree` builds a shape and a NumPy function side by side; the functions are those of the definitions (the distance to a
-profile turned or drawn out, the minimum, the fillet), not those of the core.
+Two kinds. :data:`SOLIDS` knows each primitive by inequalities and by points on its surface, with no distance
+formula at all.
+:class:`Tree` builds a shape and a NumPy function side by side; the functions are those of the definitions (the
+distance to a profile turned or drawn out, the minimum, the fillet), not those of the core.
 """
 
 from __future__ import annotations
@@ -49,12 +50,16 @@ def _join(*patches):
 
 def _turned(radius_of, height_of, t_range):
     """The surface of a curve (radius, z) turned about z."""
-    return _patch(lambda t, a: (radius_of(t) * np.cos(a), radius_of(t) * np.sin(a), height_of(t)), t_range, (0, 2 * np.pi))
+    return _patch(
+        lambda t, a: (radius_of(t) * np.cos(a), radius_of(t) * np.sin(a), height_of(t)), t_range, (0, 2 * np.pi)
+    )
 
 
 def _side(corner, edge_u, edge_v):
     corner, edge_u, edge_v = (np.asarray(x, dtype=float) for x in (corner, edge_u, edge_v))
-    return _patch(lambda u, v: np.moveaxis(corner + u[..., None] * edge_u + v[..., None] * edge_v, -1, 0), (0, 1), (0, 1))
+    return _patch(
+        lambda u, v: np.moveaxis(corner + u[..., None] * edge_u + v[..., None] * edge_v, -1, 0), (0, 1), (0, 1)
+    )
 
 
 def _triangle(a, b, c):
@@ -64,7 +69,6 @@ def _triangle(a, b, c):
 
 
 def _box_sides(half):
-    x, y, z = half
     lower = -np.asarray(half, dtype=float)
     sides = []
     for u, v, w in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
@@ -98,7 +102,11 @@ def _in_polygon(x, y, corners):
 
 def _capped_torus_surface(radius, tube, half_angle):
     ring = _patch(
-        lambda a, b: ((radius + tube * np.cos(b)) * np.cos(a), (radius + tube * np.cos(b)) * np.sin(a), tube * np.sin(b)),
+        lambda a, b: (
+            (radius + tube * np.cos(b)) * np.cos(a),
+            (radius + tube * np.cos(b)) * np.sin(a),
+            tube * np.sin(b),
+        ),
         (-half_angle, half_angle),
         (0, 2 * np.pi),
     )
@@ -117,19 +125,30 @@ def _solids():
     z = lambda p: p[:, 2]  # noqa: E731
     half_circle = (0, np.pi)
 
-    yield "sphere", fb.sphere(0.8), lambda p: np.linalg.norm(p, axis=1) <= 0.8, _turned(
-        lambda t: 0.8 * np.sin(t), lambda t: 0.8 * np.cos(t), half_circle
+    yield (
+        "sphere",
+        fb.sphere(0.8),
+        lambda p: np.linalg.norm(p, axis=1) <= 0.8,
+        _turned(lambda t: 0.8 * np.sin(t), lambda t: 0.8 * np.cos(t), half_circle),
     )
     radii = np.array([1.0, 0.5, 0.7])
-    yield "ellipsoid", fb.ellipsoid(radii), lambda p: np.linalg.norm(p / radii, axis=1) <= 1, _patch(
-        lambda t, a: (radii[0] * np.sin(t) * np.cos(a), radii[1] * np.sin(t) * np.sin(a), radii[2] * np.cos(t)),
-        half_circle,
-        (0, 2 * np.pi),
+    yield (
+        "ellipsoid",
+        fb.ellipsoid(radii),
+        lambda p: np.linalg.norm(p / radii, axis=1) <= 1,
+        _patch(
+            lambda t, a: (radii[0] * np.sin(t) * np.cos(a), radii[1] * np.sin(t) * np.sin(a), radii[2] * np.cos(t)),
+            half_circle,
+            (0, 2 * np.pi),
+        ),
     )
     half = np.array([0.9, 0.6, 0.4])
     yield "box", fb.box(2 * half), lambda p: low(p, half), _box_sides(half)
-    yield "torus", fb.torus(0.8, 0.3), lambda p: np.hypot(r(p) - 0.8, z(p)) <= 0.3, _turned(
-        lambda t: 0.8 + 0.3 * np.cos(t), lambda t: 0.3 * np.sin(t), (0, 2 * np.pi)
+    yield (
+        "torus",
+        fb.torus(0.8, 0.3),
+        lambda p: np.hypot(r(p) - 0.8, z(p)) <= 0.3,
+        _turned(lambda t: 0.8 + 0.3 * np.cos(t), lambda t: 0.3 * np.sin(t), (0, 2 * np.pi)),
     )
     angle = np.radians(75)
 
@@ -138,61 +157,100 @@ def _solids():
         return np.linalg.norm(p - 0.8 * np.stack([np.cos(at), np.sin(at), 0 * at], axis=-1), axis=1) <= 0.25
 
     yield "capped_torus", fb.capped_torus(0.8, 0.25, 150), in_arc, _capped_torus_surface(0.8, 0.25, angle)
-    yield "cylinder", fb.cylinder(0.6, 1.4), lambda p: (r(p) <= 0.6) & (np.abs(z(p)) <= 0.7), _join(
-        _turned(lambda t: 0.6 + 0 * t, lambda t: t, (-0.7, 0.7)),
-        _turned(lambda t: t, lambda t: 0.7 + 0 * t, (0, 0.6)),
-        _turned(lambda t: t, lambda t: -0.7 + 0 * t, (0, 0.6)),
+    yield (
+        "cylinder",
+        fb.cylinder(0.6, 1.4),
+        lambda p: (r(p) <= 0.6) & (np.abs(z(p)) <= 0.7),
+        _join(
+            _turned(lambda t: 0.6 + 0 * t, lambda t: t, (-0.7, 0.7)),
+            _turned(lambda t: t, lambda t: 0.7 + 0 * t, (0, 0.6)),
+            _turned(lambda t: t, lambda t: -0.7 + 0 * t, (0, 0.6)),
+        ),
     )
 
     def in_capsule(p):
         return np.hypot(r(p), z(p) - z(p).clip(-0.5, 0.5)) <= 0.4
 
-    yield "capsule", fb.capsule(0.4, 1.0), in_capsule, _turned(
-        lambda t: 0.4 * np.sin(t), lambda t: 0.4 * np.cos(t) + 0.5 * np.sign(np.cos(t)), half_circle
+    yield (
+        "capsule",
+        fb.capsule(0.4, 1.0),
+        in_capsule,
+        _turned(lambda t: 0.4 * np.sin(t), lambda t: 0.4 * np.cos(t) + 0.5 * np.sign(np.cos(t)), half_circle),
     )
-    yield "cone", fb.cone(0.7, 1.6), lambda p: (np.abs(z(p)) <= 0.8) & (r(p) <= 0.7 * (0.8 - z(p)) / 1.6), _join(
-        _turned(lambda t: 0.7 * (1 - t), lambda t: -0.8 + 1.6 * t, (0, 1)),
-        _turned(lambda t: t, lambda t: -0.8 + 0 * t, (0, 0.7)),
+    yield (
+        "cone",
+        fb.cone(0.7, 1.6),
+        lambda p: (np.abs(z(p)) <= 0.8) & (r(p) <= 0.7 * (0.8 - z(p)) / 1.6),
+        _join(
+            _turned(lambda t: 0.7 * (1 - t), lambda t: -0.8 + 1.6 * t, (0, 1)),
+            _turned(lambda t: t, lambda t: -0.8 + 0 * t, (0, 0.7)),
+        ),
     )
-    yield "truncated_cone", fb.truncated_cone(0.4, 0.8, 1.2), lambda p: (
-        (np.abs(z(p)) <= 0.6) & (r(p) <= 0.6 + 0.4 * z(p) / 1.2)
-    ), _join(
-        _turned(lambda t: 0.4 + 0.4 * t, lambda t: -0.6 + 1.2 * t, (0, 1)),
-        _turned(lambda t: t, lambda t: -0.6 + 0 * t, (0, 0.4)),
-        _turned(lambda t: t, lambda t: 0.6 + 0 * t, (0, 0.8)),
+    yield (
+        "truncated_cone",
+        fb.truncated_cone(0.4, 0.8, 1.2),
+        lambda p: (np.abs(z(p)) <= 0.6) & (r(p) <= 0.6 + 0.4 * z(p) / 1.2),
+        _join(
+            _turned(lambda t: 0.4 + 0.4 * t, lambda t: -0.6 + 1.2 * t, (0, 1)),
+            _turned(lambda t: t, lambda t: -0.6 + 0 * t, (0, 0.4)),
+            _turned(lambda t: t, lambda t: 0.6 + 0 * t, (0, 0.8)),
+        ),
     )
     base = np.array([(0.7, 0.7), (-0.7, 0.7), (-0.7, -0.7), (0.7, -0.7)])
     edges = list(zip(base, np.roll(base, -1, axis=0), strict=True))
-    yield "pyramid", fb.pyramid(1.4, 1.2), lambda p: (
-        (z(p) >= -0.6) & (np.abs(p[:, :2]).max(axis=1) <= 0.7 * (0.6 - z(p)) / 1.2)
-    ), _join(
-        *(_triangle((0, 0, 0.6), (*a, -0.6), (*b, -0.6)) for a, b in edges),
-        _side((-0.7, -0.7, -0.6), (1.4, 0, 0), (0, 1.4, 0)),
+    yield (
+        "pyramid",
+        fb.pyramid(1.4, 1.2),
+        lambda p: (z(p) >= -0.6) & (np.abs(p[:, :2]).max(axis=1) <= 0.7 * (0.6 - z(p)) / 1.2),
+        _join(
+            *(_triangle((0, 0, 0.6), (*a, -0.6), (*b, -0.6)) for a, b in edges),
+            _side((-0.7, -0.7, -0.6), (1.4, 0, 0), (0, 1.4, 0)),
+        ),
     )
     signs = [(x, y, s) for x in (-1, 1) for y in (-1, 1) for s in (-1, 1)]
-    yield "octahedron", fb.octahedron(0.9), lambda p: np.abs(p).sum(axis=1) <= 0.9, _join(
-        *(_triangle((0.9 * x, 0, 0), (0, 0.9 * y, 0), (0, 0, 0.9 * s)) for x, y, s in signs)
+    yield (
+        "octahedron",
+        fb.octahedron(0.9),
+        lambda p: np.abs(p).sum(axis=1) <= 0.9,
+        _join(*(_triangle((0.9 * x, 0, 0), (0, 0.9 * y, 0), (0, 0, 0.9 * s)) for x, y, s in signs)),
     )
     hexagon = _hexagon(0.8)
-    yield "hex_prism", fb.hex_prism(0.8, 0.9), lambda p: (
-        _in_polygon(p[:, 0], p[:, 1], hexagon) & (np.abs(z(p)) <= 0.45)
-    ), _prism(hexagon, 0.45)
+    yield (
+        "hex_prism",
+        fb.hex_prism(0.8, 0.9),
+        lambda p: _in_polygon(p[:, 0], p[:, 1], hexagon) & (np.abs(z(p)) <= 0.45),
+        _prism(hexagon, 0.45),
+    )
     arrow = np.array([(0.8, 0.1), (0.1, 0.7), (-0.6, 0.5), (-0.2, 0.05), (-0.7, -0.5), (0.2, -0.6)])
-    yield "extruded polygon", fb.polygon(arrow).extrude(0.8), lambda p: (
-        _in_polygon(p[:, 0], p[:, 1], arrow) & (np.abs(z(p)) <= 0.4)
-    ), _prism(arrow, 0.4)
+    yield (
+        "extruded polygon",
+        fb.polygon(arrow).extrude(0.8),
+        lambda p: _in_polygon(p[:, 0], p[:, 1], arrow) & (np.abs(z(p)) <= 0.4),
+        _prism(arrow, 0.4),
+    )
     ring = np.array([(0.3, -0.4), (0.8, -0.3), (0.6, 0.1), (0.9, 0.5), (0.4, 0.4)])
-    yield "revolved polygon", fb.polygon(ring).revolve(), lambda p: _in_polygon(r(p), z(p), ring), _join(
-        *(
-            _turned(lambda t, a=a, b=b: a[0] + t * (b - a)[0], lambda t, a=a, b=b: a[1] + t * (b - a)[1], (0, 1))
-            for a, b in zip(ring, np.roll(ring, -1, axis=0), strict=True)
-        )
+    yield (
+        "revolved polygon",
+        fb.polygon(ring).revolve(),
+        lambda p: _in_polygon(r(p), z(p), ring),
+        _join(
+            *(
+                _turned(lambda t, a=a, b=b: a[0] + t * (b - a)[0], lambda t, a=a, b=b: a[1] + t * (b - a)[1], (0, 1))
+                for a, b in zip(ring, np.roll(ring, -1, axis=0), strict=True)
+            )
+        ),
     )
-    yield "revolved circle", fb.circle(0.3).revolve(0.6), lambda p: np.hypot(r(p) - 0.6, z(p)) <= 0.3, _turned(
-        lambda t: 0.6 + 0.3 * np.cos(t), lambda t: 0.3 * np.sin(t), (0, 2 * np.pi)
+    yield (
+        "revolved circle",
+        fb.circle(0.3).revolve(0.6),
+        lambda p: np.hypot(r(p) - 0.6, z(p)) <= 0.3,
+        _turned(lambda t: 0.6 + 0.3 * np.cos(t), lambda t: 0.3 * np.sin(t), (0, 2 * np.pi)),
     )
-    yield "extruded rectangle", fb.rectangle((1.2, 0.8)).extrude(0.6), lambda p: low(p, (0.6, 0.4, 0.3)), _box_sides(
-        (0.6, 0.4, 0.3)
+    yield (
+        "extruded rectangle",
+        fb.rectangle((1.2, 0.8)).extrude(0.6),
+        lambda p: low(p, (0.6, 0.4, 0.3)),
+        _box_sides((0.6, 0.4, 0.3)),
     )
 
 

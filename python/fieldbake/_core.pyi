@@ -117,7 +117,7 @@ class DeviceField:
 
 @final
 class Shape:
-    """A CSG tree, compiled at the first question. Numbers are those of :mod:`fieldbake.shapes`; errors are ShapeError."""
+    """A CSG tree, compiled at the first question. Numbers are those of :mod:`fieldbake.shapes`."""
 
     @staticmethod
     def primitive(name: str, numbers: list[float]) -> Shape: ...
@@ -159,6 +159,8 @@ class Shape:
         progress: Callable[[float], object] | None = None,
     ) -> tuple[NDArray[np.float32], str]:
         """Distances (nx, ny, nz), x fastest in memory, and the device."""
+    def shader(self, language: str) -> tuple[str, NDArray[np.float32]]:
+        """The text, and the numbers that it reads from its buffer."""
     def decompose(self, method: str) -> tuple[list[tuple[Shape, NDArray[np.float64]]], int]:
         """Shape and boxes (k, 2, 3) of each part, and the number of different structures."""
     def draw(

@@ -61,9 +61,10 @@ def bake(
 
     Parameters
     ----------
-    mesh : Mesh, path, trimesh.Trimesh, trimesh.Scene, (vertices, faces), or a list of those; or a Shape, or a list of Shapes
-        Items of a list of meshes may be ``(thing, transform)``; shapes are baked as their union. Hand over a `Mesh` to keep
-        the search tree between calls.
+    mesh : Mesh, path, trimesh.Trimesh, trimesh.Scene, (vertices, faces), or a list of those; or a Shape, or a list
+    of Shapes
+        Items of a list of meshes may be ``(thing, transform)``; shapes are baked as their union. Hand over a
+        `Mesh` to keep the search tree between calls.
     resolution : int or three ints, default 64
         One number: cubic voxels, so many along the longest side of the padded box, whole voxels along the others.
         Three numbers: as given; voxels may be oblong.

@@ -84,8 +84,8 @@ def parse(text: str) -> Shape:
     Parameters
     ----------
     text : str
-        One s-expression. Sizes are full lengths and diameters, angles degrees, round things stand along z; a comment runs
-        from ``;`` to the end of its line.
+        One s-expression. Sizes are full lengths and diameters, angles degrees, round things stand along z; a
+        comment runs from ``;`` to the end of its line.
 
     Returns
     -------
@@ -99,7 +99,8 @@ def parse(text: str) -> Shape:
     Notes
     -----
     Brushes: ``(sphere d)``, ``(ellipsoid x y z)``, ``(box x y z)``, ``(cube s)``, ``(torus outer tube)``,
-    ``(cylinder d h)``, ``(cone d h)``, ``(coninder low high h)``, ``(plane nx ny nz)``, and the rest of the primitives as
+    ``(cylinder d h)``, ``(cone d h)``, ``(coninder low high h)``, ``(plane nx ny nz)``, and the rest of the
+    primitives as
     ``(rounded-box x y z r)``, ``(box-frame x y z t)``, ``(capped-torus outer tube degrees)``, ``(capsule d h)``,
     ``(pyramid base h)``, ``(octahedron d)``, ``(hex-prism d h)``, ``(gyroid cell t)``, ``(extrude h PROFILE)`` and
     ``(revolve offset PROFILE)`` with ``(circle d)``, ``(rectangle w h)`` or ``(polygon x y x y ...)``.
@@ -131,10 +132,11 @@ def decompose(shape: Shape, method: Method = "octree") -> Parts:
     shape : Shape
         With bounds.
     method : "octree" or "aabb", default "octree"
-        ``"aabb"`` is the article's: boxes are carried from the leaves to the root, split and discarded by the operators.
+        ``"aabb"`` is the article's: boxes are carried from the leaves to the root, split and discarded by the
+        operators.
         The solid is the union of the parts, each cut to its boxes, which may overlap; the nearest hit along a ray is
-        right. ``"octree"`` prunes the tree in each cell by Lipschitz bounds: inside its boxes a part has the sign and the
-        roots of the whole shape, and boxes do not overlap.
+        right. ``"octree"`` prunes the tree in each cell by Lipschitz bounds: inside its boxes a part has the sign
+        and the roots of the whole shape, and boxes do not overlap.
 
     Returns
     -------

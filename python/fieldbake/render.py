@@ -54,7 +54,8 @@ def raymarch(
     Parameters
     ----------
     thing : Volume, Shape, Scene, or anything :func:`bake` takes
-        What is none of the three is baked first, with 128 voxels along its longest side. A Scene brings its own lights and
+        What is none of the three is baked first, with 128 voxels along its longest side. A Scene brings its own
+        lights and
         materials and is drawn by :func:`render` with ``primary="raymarch"``; for it `shadows` may be ``"soft"`` too.
     camera : Camera, optional
         Fits the surface if not given: ``Camera.fit(volume.inner_bounds)``.
@@ -147,7 +148,9 @@ def raymarch(
     if isinstance(thing, Shape):
         if camera is None:
             camera = Camera.fit(thing.bounds, aspect=width / height)
-        return _draw_shape(thing, camera, (width, height), method, shadows, lights, shade, surface, behind, device, progress)
+        return _draw_shape(
+            thing, camera, (width, height), method, shadows, lights, shade, surface, behind, device, progress
+        )
     if method != "auto":
         raise ArgumentError(f"method: {method!r} is for shapes; a volume has one way to be drawn")
     volume = thing if isinstance(thing, Volume) else bake(thing, PICTURE_RESOLUTION, device=device, progress=progress)

@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _checks, _core
+from ._core import Shape as CoreShape
 from .errors import ArgumentError, ShapeError
 from .volume import Volume
 
 Axis = Literal["x", "y", "z"] | Sequence[float]
+Language = Literal["wgsl", "glsl", "hlsl", "msl"]
 
 #: The axes by name.
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -21,8 +23,8 @@ AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 class Shape:
     """A solid: a primitive, or others combined and changed. Immutable; every method returns a new shape.
 
-    ``a | b`` is the union, ``a & b`` the intersection, ``a - b`` the difference, ``a ^ b`` what is in one of the two, and
-    ``~a`` everything else. Shapes share their parts, so building large models is cheap.
+    ``a | b`` is the union, ``a & b`` the intersection, ``a - b`` the difference, ``a ^ b`` what is in one of the
+    two, and ``~a`` everything else. Shapes share their parts, so building large models is cheap.
 
     Examples
     --------
@@ -37,29 +39,29 @@ class Shape:
 
     __slots__ = ("_core",)
 
-    _core: _core.Shape
+    _core: CoreShape
 
     def __init__(self) -> None:
         raise ShapeError("shape: is made by sphere(), box() and the like, or csg.parse()")
 
     @classmethod
-    def _wrap(cls, core: _core.Shape) -> Shape:
+    def _wrap(cls, core: CoreShape) -> Shape:
         shape = cls.__new__(cls)
         object.__setattr__(shape, "_core", core)
         return shape
 
     # --- combining
 
-    def __or__(self, other: Shape) -> Shape:
+    def __or__(self, other: object) -> Shape:
         return combine("union", [self, other]) if isinstance(other, Shape) else NotImplemented
 
-    def __and__(self, other: Shape) -> Shape:
+    def __and__(self, other: object) -> Shape:
         return combine("intersection", [self, other]) if isinstance(other, Shape) else NotImplemented
 
-    def __sub__(self, other: Shape) -> Shape:
+    def __sub__(self, other: object) -> Shape:
         return combine("difference", [self, other]) if isinstance(other, Shape) else NotImplemented
 
-    def __xor__(self, other: Shape) -> Shape:
+    def __xor__(self, other: object) -> Shape:
         return combine("xor", [self, other]) if isinstance(other, Shape) else NotImplemented
 
     def __invert__(self) -> Shape:
@@ -74,7 +76,7 @@ class Shape:
         return combine("intersection", [self, *others], k=k, chamfer=chamfer)
 
     def difference(self, *others: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
-        """This without the others, with a smooth (`k`) or chamfered joint of that width."""
+        """What is in none of the others, with a smooth (`k`) or chamfered joint of that width."""
         return combine("difference", [self, *others], k=k, chamfer=chamfer)
 
     def xor(self, *others: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
@@ -82,7 +84,7 @@ class Shape:
         return combine("xor", [self, *others], k=k, chamfer=chamfer)
 
     def smooth(self, k: float) -> Shape:
-        """The operator at the root with a fillet: ``(a | b).smooth(0.2)``. The field differs within `k` of the joint."""
+        """The operator at the root with a fillet: ``(a | b).smooth(0.2)``. The field differs within `k`."""
         return Shape._wrap(self._core.reblended(_number("k", k), 0.0))
 
     def chamfer(self, width: float) -> Shape:
@@ -187,8 +189,8 @@ class Shape:
         Returns
         -------
         (n,) float32
-            The Euclidean distance where :attr:`exact` says so; otherwise a number of the same sign that is never larger in
-            size than :attr:`lipschitz` times it.
+            The Euclidean distance where :attr:`exact` says so; otherwise a number of the same sign that is never
+            larger in size than :attr:`lipschitz` times it.
 
         Raises
         ------
@@ -224,6 +226,31 @@ class Shape:
     def to_sexpr(self) -> str:
         """The shape in the language of :func:`fieldbake.csg.parse`."""
         return self._core.to_sexpr()
+
+    def shader(self, language: Language = "wgsl") -> str:
+        """The field as shader text, ready to compile: ``distance_to_shape`` and a compute entry point that calls it.
+
+        Parameters
+        ----------
+        language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
+            WGSL is written for readers, indented and commented; the others are its translations by naga.
+
+        Returns
+        -------
+        str
+            Positions and distances are in world units. Numbers are read from a buffer whose content is
+            :meth:`shader_numbers`: shapes of the same structure share one text, and one pipeline.
+
+        Raises
+        ------
+        ShapeError
+            For another language, or a shape with a baked volume in it.
+        """
+        return self._core.shader(_checks.text("language", language))[0]
+
+    def shader_numbers(self) -> NDArray[np.float32]:
+        """What the shader reads from its buffer ``numbers``, in order."""
+        return self._core.shader("wgsl")[1]
 
     def _changed(self, name: str, *numbers: float) -> Shape:
         return Shape._wrap(self._core.changed(name, list(numbers)))
@@ -318,9 +345,7 @@ def torus(radius: float = 1.0, tube: float = 0.25) -> Shape:
 
 def capped_torus(radius: float, tube: float, angle_deg: float) -> Shape:
     """The arc of `angle_deg` degrees of a torus, half on each side of +x, with round ends. Exact up to 180 degrees."""
-    return _primitive(
-        "capped_torus", _number("radius", radius), _number("tube", tube), _number("angle_deg", angle_deg)
-    )
+    return _primitive("capped_torus", _number("radius", radius), _number("tube", tube), _number("angle_deg", angle_deg))
 
 
 def cylinder(radius: float = 1.0, height: float = 2.0) -> Shape:
@@ -340,9 +365,7 @@ def cone(radius: float = 1.0, height: float = 2.0) -> Shape:
 
 def truncated_cone(radius: float, top_radius: float, height: float) -> Shape:
     """A cone along z, centred, from `radius` at the bottom to `top_radius` at the top. Exact."""
-    return _primitive(
-        "cone", _number("radius", radius), _number("top_radius", top_radius), _number("height", height)
-    )
+    return _primitive("cone", _number("radius", radius), _number("top_radius", top_radius), _number("height", height))
 
 
 def plane(normal: Axis = "z", offset: float = 0.0) -> Shape:
@@ -411,8 +434,8 @@ def volume_shape(volume: Volume) -> Shape:
     Returns
     -------
     Shape
-        In the box the trilinear field, outside it ``sqrt(a^2 + s^2)`` with the distance `a` to the box and the field `s`
-        there. `Shape.lipschitz` is the slope of the samples.
+        In the box the trilinear field, outside it ``sqrt(a^2 + s^2)`` with the distance `a` to the box and the
+        field `s` there. `Shape.lipschitz` is the slope of the samples.
 
     Examples
     --------

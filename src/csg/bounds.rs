@@ -22,13 +22,8 @@ pub struct Extent {
 }
 
 impl Extent {
-    pub const EMPTY: Self = Self {
-        lower: DVec3::INFINITY,
-        upper: DVec3::NEG_INFINITY,
-        growth: 1.0,
-        slack: 0.0,
-        unbounded: None,
-    };
+    pub const EMPTY: Self =
+        Self { lower: DVec3::INFINITY, upper: DVec3::NEG_INFINITY, growth: 1.0, slack: 0.0, unbounded: None };
 
     /// The box of a placed primitive, tight under any turn.
     pub fn of_leaf(primitive: &Primitive, place: &Place) -> Self {

@@ -1,7 +1,8 @@
 //! Pictures of shapes on the CPU, with the camera, the light and the frame of every other picture.
 
-use super::decompose::{Method, Part, decompose};
+use super::decompose::Method;
 use super::gpu;
+use super::model::Model;
 use super::program::Stack;
 use super::solid::Solid;
 use super::trace::{LocalRay, Tracer, Work};
@@ -21,7 +22,7 @@ pub enum DrawMethod {
     Whole,
     /// Part by part in their boxes.
     Parts(Method),
-    /// By the octree.
+    /// By the octree, but for a shape of a few leaves.
     #[default]
     Auto,
 }
@@ -56,14 +57,16 @@ const SHADOW_BIAS: f32 = 1e-3;
 /// The parts that a picture is drawn from; one that is the whole for [`DrawMethod::Whole`].
 pub fn tracer<'a>(solid: &'a Solid, method: DrawMethod) -> Result<Tracer<'a>, Error> {
     solid.bounds()?;
-    let method = match method {
-        DrawMethod::Whole => return Ok(Tracer::whole(solid)),
-        DrawMethod::Auto => Method::Octree,
-        DrawMethod::Parts(method) => method,
-    };
-    let parts: Vec<Part> = decompose(solid, method)?;
-    Ok(Tracer::new(solid, &parts))
+    match method {
+        DrawMethod::Whole => Ok(Tracer::whole(solid)),
+        DrawMethod::Auto if Model::leaf_count(&solid.model.tokens) <= FEW_LEAVES => Ok(Tracer::whole(solid)),
+        DrawMethod::Auto => Ok(Tracer::new(solid, solid.parts(Method::Octree)?)),
+        DrawMethod::Parts(method) => Ok(Tracer::new(solid, solid.parts(method)?)),
+    }
 }
+
+/// Up to so many leaves, evaluating all of them costs less than finding out which matter.
+const FEW_LEAVES: usize = 4;
 
 /// Draw a shape at a place.
 pub fn draw(

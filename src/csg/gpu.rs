@@ -231,9 +231,8 @@ pub(super) fn bake(solid: &Solid, context: &Context, grid: &Grid, progress: &Pro
     let planes = (BATCH / (nx * ny)).max(1);
     for (slab, out) in samples.chunks_mut(nx * ny * planes).enumerate() {
         let first = slab * planes;
-        let points: Vec<DVec3> = (0..out.len())
-            .map(|i| grid.center(i % nx, i / nx % ny, first + i / (nx * ny)))
-            .collect();
+        let points: Vec<DVec3> =
+            (0..out.len()).map(|i| grid.center(i % nx, i / nx % ny, first + i / (nx * ny))).collect();
         let inner = Progress::new();
         progress.check()?;
         out.copy_from_slice(&distances(solid, context, &points, &inner)?);
@@ -256,11 +255,8 @@ pub(super) fn draw(view: &View<'_>, context: &Context, progress: &Progress) -> R
     let tables = encoder.upload(context, &tokens)?;
     let start_depth = depth_before(tracer, camera.eye, camera.back);
     let mut params = params(view, start_depth);
-    let lights: Vec<[f32; 4]> = view
-        .lights
-        .iter()
-        .map(|light| [light.direction.x, light.direction.y, light.direction.z, 0.0])
-        .collect();
+    let lights: Vec<[f32; 4]> =
+        view.lights.iter().map(|light| [light.direction.x, light.direction.y, light.direction.z, 0.0]).collect();
     let uniform = context.uniform("picture parameters", &params)?;
     let box_buffer = context.upload("boxes of a shape", &boxes)?;
     let light_buffer = context.upload("lights", &lights)?;
@@ -354,7 +350,8 @@ fn encoded_boxes(tracer: &Tracer<'_>, encoder: &Encoder<'_>) -> (Vec<CsgBox>, Ve
 fn depth_before(tracer: &Tracer<'_>, eye: DVec3, back: DVec3) -> f64 {
     let frame = tracer.solid.frame;
     let [lower, upper] = tracer.bounds.map(|corner| frame.world(corner.as_dvec3()));
-    let corner = |i: usize| DVec3::from([0, 1, 2].map(|axis| if i >> axis & 1 == 0 { lower[axis] } else { upper[axis] }));
+    let corner =
+        |i: usize| DVec3::from([0, 1, 2].map(|axis| if i >> axis & 1 == 0 { lower[axis] } else { upper[axis] }));
     let nearest = (0..8).map(|i| (eye - corner(i)).dot(back)).fold(f64::INFINITY, f64::min);
     (nearest - 0.01 * (upper - lower).length()).max(0.0)
 }

@@ -161,7 +161,9 @@ impl<'a> Form<'a> {
         if self.name.is_none() {
             self.name = Some(atom);
         } else if let Some(rgb) = atom.strip_prefix('#') {
-            self.numbers.extend(hex_color(rgb).ok_or_else(|| at.error(format!("{} is no colour such as #ff8800", quoted(atom))))?);
+            self.numbers.extend(
+                hex_color(rgb).ok_or_else(|| at.error(format!("{} is no colour such as #ff8800", quoted(atom))))?,
+            );
         } else if atom.starts_with(|c: char| c.is_ascii_digit() || matches!(c, '-' | '+' | '.')) {
             let number = atom.parse::<f64>().ok().filter(|number| number.is_finite());
             self.numbers.push(number.ok_or_else(|| at.error(format!("{} is no number", quoted(atom))))?);
@@ -184,7 +186,9 @@ impl<'a> Form<'a> {
         let Some(name) = self.name else {
             return Err(start.error("expected a name after '(', such as sphere or union"));
         };
-        if self.words.is_empty() && let Some(profile) = self.profile(name)? {
+        if self.words.is_empty()
+            && let Some(profile) = self.profile(name)?
+        {
             return profile.map(|profile| Value::Profile(Arc::new(profile))).map_err(located);
         }
         self.shape(name).map(Value::Shape).map_err(located)
@@ -254,9 +258,7 @@ impl<'a> Form<'a> {
             ("torus", &[outer, tube]) => Some(Primitive::named("torus", &[0.5 * (outer - tube), 0.5 * tube])),
             ("cylinder", &[d, h]) => Some(Primitive::named("cylinder", &[0.5 * d, h])),
             ("cone", &[d, h]) => Some(Primitive::named("cone", &[0.5 * d, 0.0, h])),
-            ("coninder" | "cylicone", &[low, high, h]) => {
-                Some(Primitive::named("cone", &[0.5 * low, 0.5 * high, h]))
-            }
+            ("coninder" | "cylicone", &[low, high, h]) => Some(Primitive::named("cone", &[0.5 * low, 0.5 * high, h])),
             ("plane", &[x, y, z]) => Some(Primitive::named("plane", &[x, y, z, 0.0])),
             ("plane", &[x, y, z, offset]) => Some(Primitive::named("plane", &[x, y, z, offset])),
             ("rounded_box", &[x, y, z, r]) => Some(Primitive::named("rounded_box", &[x, y, z, r])),
@@ -277,7 +279,9 @@ impl<'a> Form<'a> {
         }
         if let ("extrude" | "revolve", &[number]) = (name.as_str(), n) {
             let [profile] = self.profiles.as_slice() else {
-                return Err(self.start.error(format!("{written} takes a number and one of circle, rectangle, polygon")));
+                return Err(self
+                    .start
+                    .error(format!("{written} takes a number and one of circle, rectangle, polygon")));
             };
             self.expect_shapes_alone(written, 0, 0)?;
             return if name == "extrude" {
@@ -308,16 +312,29 @@ impl<'a> Form<'a> {
             ("flate", &[r]) => ("offset", vec![r]),
             ("not", &[]) => ("complement", Vec::new()),
             (name @ ("align" | "mask" | "stencil"), n) if n.len() == 3 => (name, n.to_vec()),
-            (name @ ("scale" | "shell" | "elongate" | "mirror" | "reflect" | "repeat" | "twist" | "bend" | "paint" | "paint_over"), n) => {
+            (
+                name @ ("scale" | "shell" | "elongate" | "mirror" | "reflect" | "repeat" | "twist" | "bend" | "paint"
+                | "paint_over"),
+                n,
+            ) => {
                 // Lengths are full ones: what is inserted on each side is half of it.
                 let half = if name == "elongate" { 0.5 } else { 1.0 };
                 (name, n.iter().map(|x| half * x).collect())
             }
-            (known @ ("sphere" | "ellipsoid" | "box" | "cube" | "torus" | "cylinder" | "cone" | "coninder" | "cylicone"
-            | "plane" | "rounded_box" | "box_frame" | "capped_torus" | "capsule" | "pyramid" | "octahedron"
-            | "hex_prism" | "gyroid" | "extrude" | "revolve" | "move" | "move_x" | "move_y" | "move_z" | "rotate"
-            | "rotate_x" | "rotate_y" | "rotate_z" | "flate" | "not" | "align" | "mask" | "stencil"), n) => {
-                let problem = format!("{} does not take {} number{}", known.replace('_', "-"), n.len(), if n.len() == 1 { "" } else { "s" });
+            (
+                known @ ("sphere" | "ellipsoid" | "box" | "cube" | "torus" | "cylinder" | "cone" | "coninder"
+                | "cylicone" | "plane" | "rounded_box" | "box_frame" | "capped_torus" | "capsule" | "pyramid"
+                | "octahedron" | "hex_prism" | "gyroid" | "extrude" | "revolve" | "move" | "move_x" | "move_y"
+                | "move_z" | "rotate" | "rotate_x" | "rotate_y" | "rotate_z" | "flate" | "not" | "align"
+                | "mask" | "stencil"),
+                n,
+            ) => {
+                let problem = format!(
+                    "{} does not take {} number{}",
+                    known.replace('_', "-"),
+                    n.len(),
+                    if n.len() == 1 { "" } else { "s" }
+                );
                 return Err(self.start.error(problem));
             }
             _ => return Err(self.start.error(format!("{} is no brush, operator or modifier", quoted(written)))),
@@ -346,7 +363,9 @@ impl<'a> Form<'a> {
 
     fn expect_shapes(&self, name: &str, least: usize, most: usize) -> Result<(), ShapeError> {
         if !self.profiles.is_empty() {
-            return Err(self.start.error(format!("{name} takes solids; put the flat profile into (extrude height ...)")));
+            return Err(self
+                .start
+                .error(format!("{name} takes solids; put the flat profile into (extrude height ...)")));
         }
         self.expect_shapes_alone(name, least, most)
     }
@@ -429,7 +448,9 @@ fn head(kind: &Kind, out: &mut String) -> Result<(), ShapeError> {
         Kind::Primitive(primitive) => match primitive {
             Primitive::Sphere { radius } => put("sphere", &[2.0 * radius]),
             Primitive::Ellipsoid { radii } => put("ellipsoid", &(2.0 * *radii).to_array()),
-            Primitive::Box { half, rounding: 0.0 } if half.x == half.y && half.y == half.z => put("cube", &[2.0 * half.x]),
+            Primitive::Box { half, rounding: 0.0 } if half.x == half.y && half.y == half.z => {
+                put("cube", &[2.0 * half.x])
+            }
             Primitive::Box { half, rounding: 0.0 } => put("box", &(2.0 * *half).to_array()),
             Primitive::Box { half, rounding } => {
                 let [x, y, z] = (2.0 * *half).to_array();

@@ -471,7 +471,9 @@ impl Builder {
             name: primitive.name(),
             parameters,
             data: match primitive {
-                Primitive::Extrude { profile, .. } | Primitive::Revolve { profile, .. } => Arc::as_ptr(profile) as usize,
+                Primitive::Extrude { profile, .. } | Primitive::Revolve { profile, .. } => {
+                    Arc::as_ptr(profile) as usize
+                }
                 Primitive::Volume(volume) => Arc::as_ptr(volume) as usize,
                 _ => 0,
             },

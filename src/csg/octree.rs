@@ -96,7 +96,11 @@ impl Tree<'_> {
         let halves = |axis: usize| {
             let (low, high) = (cell.low[axis], cell.high[axis]);
             let middle = (low + high) / 2;
-            if sides[axis] > 0.6 * longest && middle > low { vec![(low, middle), (middle, high)] } else { vec![(low, high)] }
+            if sides[axis] > 0.6 * longest && middle > low {
+                vec![(low, middle), (middle, high)]
+            } else {
+                vec![(low, high)]
+            }
         };
         let [along_x, along_y, along_z] = [halves(0), halves(1), halves(2)];
         let mut children = Vec::with_capacity(8);

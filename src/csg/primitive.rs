@@ -13,35 +13,82 @@ use std::sync::Arc;
 /// A simple solid in its own space. Lengths are halves and radii.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Primitive {
-    Sphere { radius: f64 },
-    Ellipsoid { radii: DVec3 },
+    Sphere {
+        radius: f64,
+    },
+    Ellipsoid {
+        radii: DVec3,
+    },
     /// `half` includes the rounding of the edges.
-    Box { half: DVec3, rounding: f64 },
+    Box {
+        half: DVec3,
+        rounding: f64,
+    },
     /// The twelve edges of a box, square bars of the given thickness, inside `half`.
-    BoxFrame { half: DVec3, thickness: f64 },
+    BoxFrame {
+        half: DVec3,
+        thickness: f64,
+    },
     /// A tube round a circle in the plane z = 0.
-    Torus { radius: f64, tube: f64 },
+    Torus {
+        radius: f64,
+        tube: f64,
+    },
     /// The part of a torus within an angle of the +x axis, with round ends.
-    CappedTorus { radius: f64, tube: f64, half_angle: f64 },
-    Cylinder { radius: f64, half_height: f64 },
+    CappedTorus {
+        radius: f64,
+        tube: f64,
+        half_angle: f64,
+    },
+    Cylinder {
+        radius: f64,
+        half_height: f64,
+    },
     /// A segment of the z axis, thickened.
-    Capsule { radius: f64, half_height: f64 },
+    Capsule {
+        radius: f64,
+        half_height: f64,
+    },
     /// A cone from radius `low` at the bottom to `high` at the top.
-    Cone { low: f64, high: f64, half_height: f64 },
+    Cone {
+        low: f64,
+        high: f64,
+        half_height: f64,
+    },
     /// The half space below the plane `normal . p = offset`.
-    Plane { normal: DVec3, offset: f64 },
+    Plane {
+        normal: DVec3,
+        offset: f64,
+    },
     /// A square base at the bottom, the apex at the top.
-    Pyramid { half_base: f64, half_height: f64 },
+    Pyramid {
+        half_base: f64,
+        half_height: f64,
+    },
     /// The corners lie at `radius` on the axes.
-    Octahedron { radius: f64 },
+    Octahedron {
+        radius: f64,
+    },
     /// Six sides round the z axis, two of them facing +y and -y at `apothem`.
-    HexPrism { apothem: f64, half_height: f64 },
+    HexPrism {
+        apothem: f64,
+        half_height: f64,
+    },
     /// A profile of the plane z = 0, drawn out along z.
-    Extrude { profile: Arc<Profile>, half_height: f64 },
+    Extrude {
+        profile: Arc<Profile>,
+        half_height: f64,
+    },
     /// A profile turned round the z axis: its x is the distance from the axis less `offset`, its y is z.
-    Revolve { profile: Arc<Profile>, offset: f64 },
+    Revolve {
+        profile: Arc<Profile>,
+        offset: f64,
+    },
     /// A sheet about the gyroid, at least `thickness` thick, that repeats every `cell`.
-    Gyroid { cell: f64, thickness: f64 },
+    Gyroid {
+        cell: f64,
+        thickness: f64,
+    },
     Volume(Arc<VolumeLeaf>),
 }
 
@@ -123,9 +170,10 @@ impl Primitive {
             ("cylinder", &[radius, height]) => {
                 Self::Cylinder { radius: positive("radius", radius)?, half_height: 0.5 * positive("height", height)? }
             }
-            ("capsule", &[radius, height]) => {
-                Self::Capsule { radius: positive("radius", radius)?, half_height: 0.5 * not_negative("height", height)? }
-            }
+            ("capsule", &[radius, height]) => Self::Capsule {
+                radius: positive("radius", radius)?,
+                half_height: 0.5 * not_negative("height", height)?,
+            },
             ("cone", &[low, high, height]) => {
                 let (low, high) = (not_negative("radius", low)?, not_negative("top_radius", high)?);
                 if low == 0.0 && high == 0.0 {
@@ -141,9 +189,10 @@ impl Primitive {
                 }
                 Self::Plane { normal: (normal / largest).normalize(), offset: finite("offset", offset)? }
             }
-            ("pyramid", &[base, height]) => {
-                Self::Pyramid { half_base: 0.5 * positive("base", base)?, half_height: 0.5 * positive("height", height)? }
-            }
+            ("pyramid", &[base, height]) => Self::Pyramid {
+                half_base: 0.5 * positive("base", base)?,
+                half_height: 0.5 * positive("height", height)?,
+            },
             ("octahedron", &[radius]) => Self::Octahedron { radius: positive("radius", radius)? },
             ("hex_prism", &[radius, height]) => Self::HexPrism {
                 apothem: 0.75f64.sqrt() * positive("radius", radius)?,
@@ -295,7 +344,11 @@ impl Primitive {
             Self::Plane { normal, offset } => {
                 // Bounded along its own normal only.
                 let along = n.dot(normal);
-                if along > 0.0 && (n - along * normal).length() <= 1e-12 * along { along * offset } else { f64::INFINITY }
+                if along > 0.0 && (n - along * normal).length() <= 1e-12 * along {
+                    along * offset
+                } else {
+                    f64::INFINITY
+                }
             }
             Self::Pyramid { half_base, half_height } => {
                 (half_height * n.z).max(half_base * (n.x.abs() + n.y.abs()) - half_height * n.z)
@@ -317,7 +370,11 @@ impl Primitive {
                 profile.support(DVec2::new(across, n.z)) + offset * across
             }
             Self::Gyroid { .. } => {
-                if n == DVec3::ZERO { 0.0 } else { f64::INFINITY }
+                if n == DVec3::ZERO {
+                    0.0
+                } else {
+                    f64::INFINITY
+                }
             }
             Self::Volume(ref volume) => volume.support(n),
         }

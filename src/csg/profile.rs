@@ -7,10 +7,17 @@ use glam::DVec2;
 /// A flat solid about the origin.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Profile {
-    Circle { radius: f64 },
-    Rectangle { half: DVec2 },
+    Circle {
+        radius: f64,
+    },
+    Rectangle {
+        half: DVec2,
+    },
     /// Corners in order, closed; inside is what an odd number of edges lies to the right of.
-    Polygon { corners: Vec<DVec2>, is_simple: bool },
+    Polygon {
+        corners: Vec<DVec2>,
+        is_simple: bool,
+    },
 }
 
 /// Corners of a polygon at most: a graphics device loops over them.

@@ -27,10 +27,16 @@ pub struct Node {
 pub enum Kind {
     Primitive(Primitive),
     /// Two children or more, from the left.
-    Combine { op: Op, blend: Blend },
+    Combine {
+        op: Op,
+        blend: Blend,
+    },
     Move(DVec3),
     /// Right-handed about an axis through the origin, unit.
-    Rotate { axis: DVec3, degrees: f64 },
+    Rotate {
+        axis: DVec3,
+        degrees: f64,
+    },
     Scale(f64),
     /// All points within this distance; a negative one takes away.
     Offset(f64),
@@ -45,15 +51,24 @@ pub enum Kind {
     /// Together with that mirror image.
     Mirror(DVec3),
     /// Copies on a lattice about the origin.
-    Repeat { spacing: DVec3, counts: [u32; 3] },
+    Repeat {
+        spacing: DVec3,
+        counts: [u32; 3],
+    },
     /// Turned about z by so many degrees a unit of z.
     Twist(f64),
     /// Turned about z by so many degrees a unit of x.
     Bend(f64),
     /// Linear RGB. `over` replaces colours below; otherwise they stay.
-    Paint { color: [f32; 3], over: bool },
+    Paint {
+        color: [f32; 3],
+        over: bool,
+    },
     /// The first child, painted where it is inside the second (or outside).
-    Stencil { color: [f32; 3], outside: bool },
+    Stencil {
+        color: [f32; 3],
+        outside: bool,
+    },
 }
 
 /// How two solids make one.
@@ -189,11 +204,9 @@ impl Shape {
             ("offset", &[distance]) => Kind::Offset(finite("distance", distance)?),
             ("shell", &[thickness]) => Kind::Shell(positive("thickness", thickness)?),
             ("complement", &[]) => Kind::Complement,
-            ("elongate", &[x, y, z]) => Kind::Elongate(DVec3::new(
-                not_negative("size", x)?,
-                not_negative("size", y)?,
-                not_negative("size", z)?,
-            )),
+            ("elongate", &[x, y, z]) => {
+                Kind::Elongate(DVec3::new(not_negative("size", x)?, not_negative("size", y)?, not_negative("size", z)?))
+            }
             ("reflect", &[x, y, z]) => Kind::Reflect(unit("axis", x, y, z)?),
             ("mirror", &[x, y, z]) => Kind::Mirror(unit("axis", x, y, z)?),
             ("repeat", &[x, y, z, nx, ny, nz]) => {

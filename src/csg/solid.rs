@@ -3,6 +3,7 @@
 //! Queries run in float64 and are rounded once; grids and pictures run in float32, in local units, where it is exact to
 //! about 1e-7 of the model's size whatever its place. Batches of 64 points go to all cores.
 
+use super::decompose::{Method, Part, decompose};
 use super::gpu;
 use super::model::{Model, Token};
 use super::program::{Frame, Program, Stack};
@@ -15,6 +16,7 @@ use crate::memory::allocate_samples;
 use crate::progress::Progress;
 use glam::DVec3;
 use rayon::prelude::*;
+use std::sync::OnceLock;
 
 /// A shape, lowered and compiled. Cheap to ask, immutable, shared between threads.
 #[derive(Debug)]
@@ -24,6 +26,8 @@ pub struct Solid {
     pub frame: Frame,
     pub program: Program<f32>,
     precise: Program<f64>,
+    /// Found at the first use: by boxes, by the octree.
+    parts: [OnceLock<Vec<Part>>; 2],
 }
 
 /// Points that are evaluated together.
@@ -42,7 +46,7 @@ impl Solid {
         let frame = Frame::of(&model);
         let program = Program::new(&model, frame);
         let precise = Program::new(&model, frame);
-        Ok(Self { shape: shape.clone(), model, frame, program, precise })
+        Ok(Self { shape: shape.clone(), model, frame, program, precise, parts: Default::default() })
     }
 
     /// Lower and upper corner, or an error that names the leaf without bounds. An empty solid has its middle.
@@ -55,6 +59,16 @@ impl Solid {
             return Ok([middle, middle]);
         }
         Ok([extent.lower, extent.upper])
+    }
+
+    /// The parts by a method, found once.
+    pub fn parts(&self, method: Method) -> Result<&[Part], Error> {
+        let known = &self.parts[method as usize];
+        if known.get().is_none() {
+            // Two threads may find them, and find the same.
+            let _ = known.set(decompose(self, method)?);
+        }
+        Ok(known.get().map_or(&[], Vec::as_slice))
     }
 
     /// Signed distance, or a bound of it, at world points.

@@ -235,7 +235,11 @@ impl<'a> Tracer<'a> {
                     return None;
                 }
                 let end = field(t_out);
-                return if end < 0.0 { Some(root(&mut field, t, value, t_out, end)).filter(|&t| t < t_out) } else { None };
+                return if end < 0.0 {
+                    Some(root(&mut field, t, value, t_out, end)).filter(|&t| t < t_out)
+                } else {
+                    None
+                };
             }
             let there = field(next);
             if there < 0.0 {

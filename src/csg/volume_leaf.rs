@@ -26,7 +26,9 @@ impl VolumeLeaf {
     pub fn new(grid: Grid, distances: Vec<f32>) -> Result<Self, Error> {
         FieldView::new(grid, &distances)?;
         if let Some(i) = distances.iter().position(|d| !d.is_finite()) {
-            return Err(ArgumentError::new("volume", format!("sample {i} is {}, expected a number", distances[i])).into());
+            return Err(
+                ArgumentError::new("volume", format!("sample {i} is {}, expected a number", distances[i])).into()
+            );
         }
         let [nx, ny, nz] = grid.shape;
         let h = grid.spacing();

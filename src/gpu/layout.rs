@@ -336,10 +336,7 @@ mod tests {
         assert_twin!("raymarch", Light { direction, pad_0, color, pad_1 });
         assert_twin!("raymarch", Pixel { color, normal, depth, steps, is_hit, pad_0, pad_1 });
         assert_twin!("query_points", QueryParams { first, count, pad_0, pad_1 });
-        assert_twin!(
-            "csg_points",
-            CsgLeaf { row_x, shift_x, row_y, shift_y, row_z, shift_z, a, b, kind, first }
-        );
+        assert_twin!("csg_points", CsgLeaf { row_x, shift_x, row_y, shift_y, row_z, shift_z, a, b, kind, first });
         assert_twin!("csg_points", CsgPointParams { first, count, token_count, pad_0 });
         assert_twin!(
             "csg_draw",

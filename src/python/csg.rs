@@ -5,13 +5,15 @@ use super::device::choose;
 use super::error::Failure;
 use super::render::{PictureArguments, frame_dict};
 use super::run::run;
-use crate::csg::decompose::{Method, decompose, shape_of, structure};
+use crate::csg::decompose::{Method, shape_of, structure};
 use crate::csg::draw::{DrawMethod, draw, tracer};
 use crate::csg::profile::Profile;
+use crate::csg::shader::{Language, shader};
 use crate::csg::volume_leaf::VolumeLeaf;
 use crate::csg::{self, Blend, Op, Solid};
 use crate::error::{Error, ShapeError};
 use crate::grid::Grid;
+use crate::volume::Trilinear;
 use glam::DVec3;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray3};
 use pyo3::prelude::*;
@@ -185,13 +187,23 @@ impl Shape {
         Ok((volume_array(py, samples, shape)?, place.label()))
     }
 
+    /// The field in a shading language, and the numbers that it reads.
+    fn shader<'py>(&self, py: Python<'py>, language: &str) -> PyResult<(String, Bound<'py, PyArray1<f32>>)> {
+        let language = Language::from_name(language).map_err(Failure::from)?;
+        let solid = self.solid(py)?;
+        let shader = shader(&solid).map_err(Failure::from)?;
+        let text = py.detach(|| shader.text(language)).map_err(Failure::from)?;
+        Ok((text, shader.numbers.into_pyarray(py)))
+    }
+
     /// The parts, and how many different structures they have.
     fn decompose<'py>(&self, py: Python<'py>, method: &str) -> PyResult<(Vec<PartArrays<'py>>, usize)> {
         let method = Method::from_name(method).map_err(Failure::from)?;
         let solid = self.solid(py)?;
         let (parts, shapes) = run(py, None, |_| {
-            let parts = decompose(&solid, method)?;
-            let shapes = parts.iter().map(|part| shape_of(&solid.model, &part.tokens)).collect::<Result<Vec<_>, _>>()?;
+            let parts = solid.parts(method)?;
+            let shapes =
+                parts.iter().map(|part| shape_of(&solid.model, &part.tokens)).collect::<Result<Vec<_>, _>>()?;
             Ok::<_, Error>((parts, shapes))
         })?;
         let structures: HashSet<_> = parts.iter().map(|part| structure(&solid.model, &part.tokens)).collect();
