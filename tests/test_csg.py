@@ -404,7 +404,8 @@ def test_examples_are_read_and_drawn(path):
     shape = fb.csg.parse(path.read_text(encoding="utf-8"))
     camera = fb.Camera.fit(shape.bounds, direction=(-0.6, 0.8, -0.6), up=(0, 0, 1))
     frame = fb.raymarch(shape, camera, size=(24, 24), device="cpu")
-    assert np.isfinite(frame.depth).mean() > 0.1
+    # A chain is thin: it covers a fifteenth of its picture.
+    assert np.isfinite(frame.depth).mean() > 0.03
 
 
 def test_there_are_examples_large_and_small():
