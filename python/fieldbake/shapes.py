@@ -31,7 +31,7 @@ class Shape:
     >>> import fieldbake as fb
     >>> dice = fb.rounded_box((2, 2, 2), 0.3) & fb.sphere(1.35)
     >>> drilled = dice - fb.cylinder(radius=0.4, height=4).rotate("x", 90)
-    >>> drilled.distance([(0, 0, 0), (0, 0, 2)]).round(3).tolist()
+    >>> drilled.distance([(0, 0, 0), (0, 0, 2)]).astype(float).round(3).tolist()
     [0.4, 1.0]
     >>> drilled.bounds.tolist()
     [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]

@@ -66,7 +66,7 @@ pub fn tracer<'a>(solid: &'a Solid, method: DrawMethod) -> Result<Tracer<'a>, Er
 }
 
 /// Up to so many leaves, evaluating all of them costs less than finding out which matter.
-const FEW_LEAVES: usize = 4;
+const FEW_LEAVES: usize = 12;
 
 /// Draw a shape at a place.
 pub fn draw(

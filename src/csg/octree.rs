@@ -19,8 +19,9 @@ use std::sync::Arc;
 /// Cells are cut so often whatever they hold, so that boxes hug the surface.
 const MIN_DEPTH: u32 = 4;
 /// And no further.
-const MAX_DEPTH: u32 = 8;
-/// A cell with so few leaves is cut no further.
+const MAX_DEPTH: u32 = 7;
+/// A cell of that depth with so few leaves is cut no further; a level deeper, twice as many will do: eight boxes for one have
+/// to save more than they cost.
 const FEW_LEAVES: usize = 2;
 /// Cells with more tokens than this are worth a task of their own.
 const TASK_TOKENS: usize = 16;
@@ -75,7 +76,7 @@ impl Tree<'_> {
         let radius = 0.5 * (high - low).length() / frame.scale + PAD;
         let Some(kept) = prune(self.solid, tokens, middle, radius) else { return Found::Nothing };
         let leaves = kept.iter().filter(|token| matches!(token, Token::Leaf(_))).count();
-        if depth == MAX_DEPTH || (depth >= MIN_DEPTH && leaves <= FEW_LEAVES) {
+        if depth == MAX_DEPTH || (depth >= MIN_DEPTH && leaves <= FEW_LEAVES << (depth - MIN_DEPTH)) {
             return Found::Cells(vec![(cell, kept.into())]);
         }
 
