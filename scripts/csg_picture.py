@@ -27,7 +27,7 @@ def main() -> None:
     plain = fb.raymarch(shape, camera, size=SIZE, color=(0.7, 0.7, 0.72), device="cpu")
     white = fb.raymarch(shape, camera, size=SIZE, color=(1, 1, 1), specular=0, device="cpu")
 
-    # The first part whose box holds the point and whose surface passes through it; points on a face belong to both boxes.
+    # The last part whose box holds the point and whose surface passes through it; a face belongs to both boxes.
     points = hit_points(plain, camera)
     seen = np.isfinite(plain.depth)
     tint = np.ones((*plain.depth.shape, 3))
