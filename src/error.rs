@@ -80,6 +80,26 @@ fn voxels([nx, ny, nz]: &[u32; 3]) -> String {
     format!("{nx} x {ny} x {nz} voxels")
 }
 
+/// A CSG shape that cannot be built, read or drawn.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum ShapeError {
+    #[error("{argument}: {problem}")]
+    Argument { argument: &'static str, problem: String },
+    #[error("line {line}, column {column}: {problem}")]
+    Syntax { line: usize, column: usize, problem: String },
+    #[error(
+        "the shape has no bounds because of a {leaf}; intersect it with something finite, or give bounds= where they are taken"
+    )]
+    Unbounded { leaf: &'static str },
+}
+
+impl ShapeError {
+    pub fn argument(argument: &'static str, problem: impl Into<String>) -> Self {
+        Self::Argument { argument, problem: problem.into() }
+    }
+}
+
 /// A request that does not fit in memory, refused before it starts.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[error("{what} needs {}, {}; {advice}", bytes(*needed), available.map_or_else(
@@ -137,6 +157,8 @@ pub enum Error {
     Argument(#[from] ArgumentError),
     #[error(transparent)]
     Scene(#[from] SceneError),
+    #[error(transparent)]
+    Shape(#[from] ShapeError),
     #[error(transparent)]
     Capacity(#[from] CapacityError),
     #[error(transparent)]

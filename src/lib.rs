@@ -5,6 +5,7 @@
 pub mod atlas;
 pub mod bake;
 pub mod bvh;
+pub mod csg;
 pub mod encoding;
 pub mod error;
 pub mod exchange;

@@ -13,7 +13,7 @@ Distances are negative inside and in the mesh's own units. ``distances[x, y, z]`
 
 import logging as _logging
 
-from . import arrays, fields, models
+from . import arrays, csg, fields, models
 from ._core import __version__
 from .atlas import Atlas, pack
 from .bake import ClosestPoints, bake, closest_point, signed_distance
@@ -42,6 +42,32 @@ from .quadric import Quadric, pack_quadrics, unpack_quadrics, wrap_quadrics
 from .render import raymarch
 from .report import Report
 from .scene import Instance, Scene, render
+from .shapes import (
+    Profile,
+    Shape,
+    box,
+    box_frame,
+    capped_torus,
+    capsule,
+    circle,
+    cone,
+    cylinder,
+    ellipsoid,
+    extrude,
+    gyroid,
+    hex_prism,
+    octahedron,
+    plane,
+    polygon,
+    pyramid,
+    rectangle,
+    revolve,
+    rounded_box,
+    sphere,
+    torus,
+    truncated_cone,
+    volume_shape,
+)
 from .volume import Volume
 
 __all__ = [
@@ -64,31 +90,56 @@ __all__ = [
     "MeshError",
     "Part",
     "PointLight",
+    "Profile",
     "Quadric",
     "Report",
     "Scene",
     "SceneError",
+    "Shape",
     "ShapeError",
     "Volume",
     "__version__",
     "arrays",
     "as_mesh",
     "bake",
+    "box",
+    "box_frame",
+    "capped_torus",
+    "capsule",
+    "circle",
     "closest_point",
+    "cone",
+    "csg",
+    "cylinder",
     "devices",
+    "ellipsoid",
+    "extrude",
     "fields",
+    "gyroid",
+    "hex_prism",
     "load",
     "load_mesh",
     "load_scene",
     "merge",
     "models",
+    "octahedron",
     "pack",
     "pack_quadrics",
+    "plane",
+    "polygon",
+    "pyramid",
     "raymarch",
+    "rectangle",
     "render",
+    "revolve",
+    "rounded_box",
     "signed_distance",
+    "sphere",
     "sphere_intersection",
+    "torus",
+    "truncated_cone",
     "unpack_quadrics",
+    "volume_shape",
     "wrap_quadrics",
 ]
 

@@ -18,6 +18,7 @@ __all__ = [
     "Scene",
     "SceneField",
     "SceneMesh",
+    "Shape",
     "Texture",
     "__version__",
     "atlas_clear",
@@ -132,6 +133,63 @@ class DeviceField:
         """Uploads, read-backs and their bytes on this device so far; for tests."""
     def _destroy_device(self) -> None:
         """Give the device up as if the driver had taken it away; for tests."""
+
+@final
+class Shape:
+    """A CSG tree, compiled at the first question. Numbers are those of :mod:`fieldbake.shapes`."""
+
+    @staticmethod
+    def primitive(name: str, numbers: list[float]) -> Shape: ...
+    @staticmethod
+    def extrude(kind: str, numbers: list[float], height: float) -> Shape: ...
+    @staticmethod
+    def revolve(kind: str, numbers: list[float], offset: float) -> Shape: ...
+    @staticmethod
+    def volume(
+        distances: NDArray[np.float32], lower: tuple[float, float, float], upper: tuple[float, float, float]
+    ) -> Shape: ...
+    @staticmethod
+    def combine(op: str, shapes: list[Shape], k: float, chamfer: float) -> Shape: ...
+    @staticmethod
+    def parse(text: str) -> Shape: ...
+    def changed(self, name: str, numbers: list[float]) -> Shape: ...
+    def stencil(self, mask: Shape, color: tuple[float, float, float], outside: bool) -> Shape: ...
+    def reblended(self, k: float, chamfer: float) -> Shape: ...
+    def aligned(self, anchor: tuple[float, float, float]) -> Shape: ...
+    def to_sexpr(self) -> str: ...
+    def bounds(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]: ...
+    @property
+    def is_exact(self) -> bool: ...
+    @property
+    def lipschitz(self) -> float: ...
+    @property
+    def leaf_count(self) -> int: ...
+    def distance(self, points: NDArray[np.float64], device: str) -> NDArray[np.float32]: ...
+    def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float32]: ...
+    def color(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Linear RGB, nan where there is no paint."""
+    def bake(
+        self,
+        lower: tuple[float, float, float],
+        upper: tuple[float, float, float],
+        shape: tuple[int, int, int],
+        *,
+        device: str = "auto",
+        progress: Callable[[float], object] | None = None,
+    ) -> tuple[NDArray[np.float32], str]:
+        """Distances (nx, ny, nz), x fastest in memory, and the device."""
+    def shader(self, language: str) -> tuple[str, NDArray[np.float32]]:
+        """The text, and the numbers that it reads from its buffer."""
+    def decompose(self, method: str) -> tuple[list[tuple[Shape, NDArray[np.float64]]], int]:
+        """Shape and boxes (k, 2, 3) of each part, and the number of different structures."""
+    def draw(
+        self,
+        method: str,
+        picture: dict[str, Any],
+        device: str,
+        progress: Callable[[float], object] | None = None,
+    ) -> dict[str, Any]:
+        """A picture; the keys of :func:`raymarch`, and ``parts``, ``boxes``, ``leaf_evaluations``."""
 
 def signed_distance(
     mesh: Mesh,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
+from time import perf_counter
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -10,11 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _checks, _core
 from .convert import MeshLike, as_mesh
-from .errors import ArgumentError
+from .csg import _all_shapes
+from .errors import ArgumentError, ShapeError
 from .grid import DEFAULT_RESOLUTION, Resolution, make_grid
 from .mesh import Mesh
 from .progress import Progress, progress_callback
 from .report import Report
+from .shapes import Shape, combine
 from .volume import Volume
 
 logger = logging.getLogger("fieldbake")
@@ -40,7 +44,7 @@ class ClosestPoints(NamedTuple):
 
 
 def bake(
-    mesh: MeshLike,
+    mesh: MeshLike | Shape | Sequence[Shape],
     resolution: Resolution = DEFAULT_RESOLUTION,
     *,
     voxel_size: float | None = None,
@@ -53,12 +57,14 @@ def bake(
     device: str = "auto",
     progress: Progress = None,
 ) -> Volume:
-    """Bake the signed distance field of a mesh.
+    """Bake the signed distance field of a mesh or a shape.
 
     Parameters
     ----------
-    mesh : Mesh, path, trimesh.Trimesh, trimesh.Scene, (vertices, faces), or a list of those
-        Items of a list may be ``(thing, transform)``. Hand over a `Mesh` to keep the search tree between calls.
+    mesh : Mesh, path, trimesh.Trimesh, trimesh.Scene, (vertices, faces), or a list of those; or a Shape, or a list
+    of Shapes
+        Items of a list of meshes may be ``(thing, transform)``; shapes are baked as their union. Hand over a
+        `Mesh` to keep the search tree between calls.
     resolution : int or three ints, default 64
         One number: cubic voxels, so many along the longest side of the padded box, whole voxels along the others.
         Three numbers: as given; voxels may be oblong.
@@ -93,8 +99,10 @@ def bake(
     ------
     MeshError
         If the mesh cannot be read or used.
+    ShapeError
+        If a shape has no bounds, naming the leaf; give `bounds` then.
     ArgumentError
-        If an option makes no sense.
+        If an option makes no sense, or means nothing for a shape (`sign`, `band`, `two_sided`, `thickness`).
     CapacityError
         If the result would not fit in memory; nothing was started.
     DeviceError
@@ -119,6 +127,14 @@ def bake(
     """
     method, where = _choices(sign, device)
     two_sided = _checks.flag("two_sided", two_sided)
+    if isinstance(mesh, Shape) or _all_shapes(mesh):
+        shape = mesh if isinstance(mesh, Shape) else combine("union", mesh)
+        for name, value, usual in (("sign", method, "auto"), ("band", band, None), ("thickness", thickness, None)):
+            if value != usual:
+                raise ArgumentError(f"{name}: means nothing for a shape, whose field is signed and complete")
+        if two_sided:
+            raise ArgumentError("two_sided: means nothing for a shape; see Shape.shell")
+        return _bake_shape(shape, resolution, voxel_size, bounds, margin, where, progress)
     if band is not None:
         band = _checks.number("band", band, above=0)
     if thickness is not None:
@@ -152,6 +168,38 @@ def bake(
     for warning in report.warnings:
         logger.warning("%s", warning)
     return Volume._wrap(distances, np.array([grid.lower, grid.upper]), inner, report)
+
+
+def _bake_shape(
+    shape: Shape,
+    resolution: Resolution,
+    voxel_size: float | None,
+    bounds: ArrayLike | None,
+    margin: float,
+    device: str,
+    progress: Progress,
+) -> Volume:
+    try:
+        inner = shape.bounds
+    except ShapeError:
+        if bounds is None:
+            raise
+        inner = _checks.box("bounds", bounds)
+    grid = make_grid(inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin)
+    start = perf_counter()
+    with progress_callback(progress, "bake") as callback:
+        distances, where = shape._core.bake(grid.lower, grid.upper, grid.shape, device=device, progress=callback)
+    kind = "exact distances" if shape.exact else "distances or lower bounds of them"
+    report = Report(
+        sign_method="shape",
+        sign_reason=f"the field of a shape, {kind}",
+        closed=True,
+        inside_voxels=int(np.count_nonzero(distances < 0)),
+        device=where,
+        seconds={"evaluate": perf_counter() - start},
+        peak_bytes=distances.nbytes,
+    )
+    return Volume._wrap(distances, np.array([grid.lower, grid.upper]), inner.copy(), report)
 
 
 def signed_distance(

@@ -1,4 +1,4 @@
-"""The command line: ``fieldbake bake | merge | info | pack | render | devices | demo``.
+"""The command line: ``fieldbake bake | info | pack | render | merge | csg | devices | demo``.
 
 Exit codes: 0 done, 1 something is wrong with the input (one line on stderr), 2 wrong usage.
 """
@@ -314,6 +314,50 @@ def _scene(
         ]
         instances.append(fb.Instance(fb.Mesh(corners, [(0, 2, 1), (0, 3, 2)])))
     return fb.Scene(instances, scene.lights if lights is None else lights, cameras=scene.cameras)
+
+
+@app.command()
+def csg(
+    model: Annotated[Path, typer.Argument(help="A text file with one s-expression.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="What to write: a picture, .npz (a baked field), .stl.")
+    ],
+    size: Annotated[Any, typer.Option(parser=parse_size, metavar="WxH", help="Pixels.")] = "640x480",
+    resolution: Resolution = "128",
+    method: Annotated[
+        Literal["auto", "whole", "aabb", "octree"], typer.Option(help="How a picture is drawn; all give the same.")
+    ] = "auto",
+    direction: Annotated[
+        Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Which way the camera looks.")
+    ] = "-0.6,0.8,-0.6",
+    parts: Annotated[bool, typer.Option("--parts", help="List the parts of the decomposition.")] = False,
+    device: Device = "auto",
+) -> None:
+    """Draw, bake or mesh a shape from its s-expression; z is up in its pictures."""
+    shape = fb.csg.parse(model.read_text(encoding="utf-8"))
+    if parts:
+        found = fb.csg.decompose(shape, "aabb" if method == "aabb" else "octree")
+        table = Table("boxes", "part", title=f"{len(found)} parts, {found.structures} structures", title_justify="left")
+        for part in found:
+            table.add_row(str(len(part.boxes)), escape(repr(part.shape)))
+        out.print(table)
+    suffix = output.suffix.lower()
+    if suffix in (".npz", ".stl"):
+        volume = fb.bake(shape, resolution, device=device, progress=err.is_terminal)
+        if suffix == ".npz":
+            volume.save(output)
+        else:
+            from .io import atomic_write
+
+            mesh = volume.to_mesh().to_trimesh()
+            with atomic_write(output) as stream:
+                mesh.export(stream, file_type="stl")
+        out.print(f"[bold]{escape(str(output))}[/]  {escape(repr(volume))}", soft_wrap=True)
+        return
+    camera = fb.Camera.fit(shape.bounds, direction=direction, up=(0, 0, 1), aspect=size[0] / size[1])
+    frame = fb.raymarch(shape, camera, size=size, method=method, device=device, progress=err.is_terminal)
+    frame.save(output)
+    out.print(f"[bold]{escape(str(output))}[/]  {escape(repr(frame))}", soft_wrap=True)
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""Draw a volume, or quadrics."""
+"""Draw a volume, a shape or quadrics."""
 
 from __future__ import annotations
 
@@ -16,10 +16,12 @@ from .frame import Frame
 from .lights import DirectionalLight, Light, PointLight
 from .progress import Progress, progress_callback
 from .quadric import bounds_of, check_quadrics, core_of, is_quadrics
+from .shapes import Shape
 from .volume import Volume
 
 Shadows = Literal["hard", "none", "soft", "area"]
 Filter = Literal["linear", "hardware"]
+Method = Literal["auto", "whole", "aabb", "octree"]
 
 #: What is not a Volume yet is baked with so many voxels along its longest side.
 PICTURE_RESOLUTION = 128
@@ -44,6 +46,7 @@ def raymarch(
     specular: float | None = None,
     shininess: float | None = None,
     background: ArrayLike | None = None,
+    method: Method = "auto",
     device: str = "auto",
     progress: Progress = None,
 ) -> Frame:
@@ -51,10 +54,10 @@ def raymarch(
 
     Parameters
     ----------
-    thing : Volume, Scene, Quadric, list of Quadric, or anything :func:`bake` takes
-        A Scene brings its own lights and materials and is drawn by :func:`render` with ``primary="raymarch"``. Quadrics
-        are drawn as they are, each in its reflectance; `object_id` is the place in the list. What else is not a Volume
-        is baked first, with 128 voxels along its longest side.
+    thing : Volume, Shape, Scene, Quadric, list of Quadric, or anything :func:`bake` takes
+        A Scene brings its own lights and materials and is drawn by :func:`render` with ``primary="raymarch"``.
+        Quadrics are drawn as they are, each in its reflectance; `object_id` is the place in the list. What else is
+        neither Volume nor Shape is baked first, with 128 voxels along its longest side.
     camera : Camera, optional
         Fits the surface if not given: ``Camera.fit(volume.inner_bounds)``.
     size : (width, height), default (512, 512)
@@ -73,6 +76,9 @@ def raymarch(
         Strength and sharpness of the highlight (Blinn-Phong); 0.25 and 32 if not given.
     background : (3,) or (4,), optional
         Where nothing is hit, linear RGB and opacity; opaque white if not given.
+    method : "auto", "whole", "aabb" or "octree", default "auto"
+        For a shape: whether rays march the whole of it or the parts of :func:`fieldbake.csg.decompose`. The picture is
+        the same.
     device : str, default "auto"
         ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`.
     progress : bool or callable, optional
@@ -127,6 +133,7 @@ def raymarch(
     width, height = _size(size)
     _checks.text("shadows", shadows)
     _checks.text("filter", filter)
+    _checks.text("method", method)
     _checks.text("device", device)
     if camera is not None and not isinstance(camera, Camera):
         raise SceneError(f"camera: must be a Camera, got {_checks.describe(camera)}; see Camera.from_pose")
@@ -160,36 +167,40 @@ def raymarch(
                 **shade,
             )
         return _frame(result)
-    volume = thing if isinstance(thing, Volume) else bake(thing, PICTURE_RESOLUTION, device=device, progress=progress)
+    if not isinstance(thing, Shape) and method != "auto":
+        raise ArgumentError(f"method: {method!r} is for shapes; a volume has one way to be drawn")
+    if isinstance(thing, Shape) and filter != "linear":
+        raise ArgumentError('filter: "hardware" reads a volume, and this is a shape; bake it first')
+    field = thing
+    if not isinstance(thing, (Volume, Shape)):
+        field = bake(thing, PICTURE_RESOLUTION, device=device, progress=progress)
     if camera is None:
-        camera = Camera.fit(volume.inner_bounds, aspect=width / height)
+        bounds = field.bounds if isinstance(field, Shape) else field.inner_bounds
+        camera = Camera.fit(bounds, aspect=width / height)
     if shadows in ("soft", "area") or any(isinstance(light, PointLight) for light in lights or ()):
         if filter != "linear":
             raise ArgumentError('filter: "hardware" goes with directional lights and shadows "hard" or "none"')
         material = Material(color=surface, specular=shade["specular"], shininess=shade["shininess"])
-        scene = Scene([Instance(volume, material=material)], lights, ambient=shade["ambient"], background=behind)
+        scene = Scene([Instance(field, material=material)], lights, ambient=shade["ambient"], background=behind)
         return render(scene, camera, size=size, primary="raymarch", shadows=shadows, device=device, progress=progress)
     directions, colors = _lights(lights, camera)
-    lower, upper = volume._corners()
+    picture: dict[str, Any] = {
+        "pose": camera.pose,
+        "fov_deg": camera.fov_deg,
+        "size": (width, height),
+        "light_directions": directions,
+        "light_colors": colors,
+        "color": surface,
+        "background": (*behind.tolist(),),
+        "shadows": shadows,
+        **shade,
+    }
     with progress_callback(progress, "raymarch") as callback:
-        result = _core.raymarch(
-            volume._source(device),
-            lower,
-            upper,
-            camera.pose,
-            fov_deg=camera.fov_deg,
-            size=(width, height),
-            light_directions=directions,
-            light_colors=colors,
-            color=surface,
-            background=(*behind.tolist(),),
-            shadows=shadows,
-            filter=filter,
-            device=device,
-            progress=callback,
-            **shade,
-        )
-    return _frame(result)
+        if isinstance(field, Shape):
+            return _frame(field._core.draw(method, picture, device, callback))
+        lower, upper = field._corners()
+        source = field._source(device)
+        return _frame(_core.raymarch(source, lower, upper, filter=filter, device=device, progress=callback, **picture))
 
 
 def _frame(result: dict[str, Any]) -> Frame:

@@ -315,6 +315,76 @@ pub struct QuadricPixel {
     pub pad_0: u32,
 }
 
+/// A placed leaf or warp; `shaders/shared/csg_interpreter.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct CsgLeaf {
+    pub row_x: [f32; 3],
+    pub shift_x: f32,
+    pub row_y: [f32; 3],
+    pub shift_y: f32,
+    pub row_z: [f32; 3],
+    pub shift_z: f32,
+    pub a: [f32; 4],
+    pub b: [f32; 2],
+    pub kind: u32,
+    pub first: u32,
+}
+
+/// `shaders/csg_points.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct CsgPointParams {
+    pub first: u32,
+    pub count: u32,
+    pub token_count: u32,
+    pub pad_0: u32,
+}
+
+/// `shaders/csg_draw.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct CsgDrawParams {
+    pub start: [f32; 3],
+    pub width: u32,
+    pub start_right: [f32; 3],
+    pub height: u32,
+    pub start_up: [f32; 3],
+    pub first_row: u32,
+    pub forward: [f32; 3],
+    pub pixel: f32,
+    pub right: [f32; 3],
+    pub light_count: u32,
+    pub up: [f32; 3],
+    pub shadows: u32,
+    pub inverse_lipschitz: f32,
+    pub node_count: u32,
+    pub pad_0: u32,
+    pub pad_1: u32,
+}
+
+/// A node or a box; `shaders/csg_draw.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct CsgBox {
+    pub lower: [f32; 3],
+    pub first: u32,
+    pub upper: [f32; 3],
+    pub count: u32,
+}
+
+/// `shaders/csg_draw.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct CsgPixel {
+    pub normal: [f32; 3],
+    pub t: f32,
+    pub cell: u32,
+    pub state: u32,
+    pub steps: u32,
+    pub tokens: u32,
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -484,6 +554,31 @@ mod tests {
             }
         );
         assert_twin!("quadrics", QuadricPixel { color, normal, depth, quadric, steps, state, pad_0 });
+        assert_twin!("csg_points", CsgLeaf { row_x, shift_x, row_y, shift_y, row_z, shift_z, a, b, kind, first });
+        assert_twin!("csg_points", CsgPointParams { first, count, token_count, pad_0 });
+        assert_twin!(
+            "csg_draw",
+            CsgDrawParams {
+                start,
+                width,
+                start_right,
+                height,
+                start_up,
+                first_row,
+                forward,
+                pixel,
+                right,
+                light_count,
+                up,
+                shadows,
+                inverse_lipschitz,
+                node_count,
+                pad_0,
+                pad_1
+            }
+        );
+        assert_twin!("csg_draw", CsgBox { lower, first, upper, count });
+        assert_twin!("csg_draw", CsgPixel { normal, t, cell, state, steps, tokens });
         assert_twin!("query_points", QueryParams { first, count, pad_0, pad_1 });
     }
 }

@@ -14,6 +14,8 @@ pub const KERNELS: &[(&str, &str)] = &[
     ("bake_finish", include_str!("../../shaders/bake_finish.wgsl")),
     ("field_to_texture", include_str!("../../shaders/field_to_texture.wgsl")),
     ("quadrics", include_str!("../../shaders/quadrics.wgsl")),
+    ("csg_draw", include_str!("../../shaders/csg_draw.wgsl")),
+    ("csg_points", include_str!("../../shaders/csg_points.wgsl")),
     ("raymarch", include_str!("../../shaders/raymarch.wgsl")),
     ("raymarch_filtered", include_str!("../../shaders/raymarch_filtered.wgsl")),
     ("scene_beams", include_str!("../../shaders/scene_beams.wgsl")),
@@ -24,6 +26,8 @@ const SHARED: &[(&str, &str)] = &[
     ("bvh", include_str!("../../shaders/shared/bvh.wgsl")),
     ("clip", include_str!("../../shaders/shared/clip.wgsl")),
     ("cubic", include_str!("../../shaders/shared/cubic.wgsl")),
+    ("csg_field", include_str!("../../shaders/shared/csg_field.wgsl")),
+    ("csg_interpreter", include_str!("../../shaders/shared/csg_interpreter.wgsl")),
     ("grid", include_str!("../../shaders/shared/grid.wgsl")),
     ("light", include_str!("../../shaders/shared/light.wgsl")),
     ("picture", include_str!("../../shaders/shared/picture.wgsl")),
@@ -32,6 +36,11 @@ const SHARED: &[(&str, &str)] = &[
     ("sampling", include_str!("../../shaders/shared/sampling.wgsl")),
     ("triangle", include_str!("../../shaders/shared/triangle.wgsl")),
 ];
+
+/// The text of a shared file, for programs that are written at run time.
+pub fn shared(name: &str) -> Option<&'static str> {
+    find(SHARED, name)
+}
 
 /// The whole text of a kernel.
 pub fn source(kernel: &str) -> Result<String, String> {

@@ -32,6 +32,7 @@ fn raise(py: Python<'_>, error: &Error) -> PyErr {
         Error::Format(_) => "FormatError",
         Error::Argument(_) => "ArgumentError",
         Error::Scene(_) => "SceneError",
+        Error::Shape(_) => "ShapeError",
         Error::Capacity(_) => "CapacityError",
         Error::Device(_) => "DeviceError",
         // Cancelled by us only after Python has an exception of its own to raise; see `run`.

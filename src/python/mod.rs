@@ -5,6 +5,7 @@
 mod atlas;
 mod bake;
 mod convert;
+mod csg;
 mod device;
 mod error;
 mod exchange;
@@ -29,6 +30,8 @@ mod _core {
     };
     #[pymodule_export]
     use super::bake::{bake, bake_brute};
+    #[pymodule_export]
+    use super::csg::Shape;
     #[pymodule_export]
     use super::device::{DeviceField, devices};
     #[pymodule_export]

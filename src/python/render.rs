@@ -41,19 +41,22 @@ pub fn raymarch<'py>(
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let place = choose(py, device)?;
-    let camera = Camera::from_pose(&pose_matrix(&pose)?, fov_deg).map_err(Failure::from)?;
-    let usual = RaymarchOptions::default();
-    let options = RaymarchOptions {
+    let picture = PictureArguments {
+        pose,
+        fov_deg,
         size,
-        lights: lights(light_directions.as_ref(), light_colors.as_ref())?,
+        light_directions,
+        light_colors,
         ambient,
-        color: color.map_or(usual.color, Vec3::from_array),
+        color,
         specular,
         shininess,
-        background: background.unwrap_or(usual.background),
-        shadows: Shadows::from_name(shadows).map_err(Failure::from)?,
-        filter: Filter::from_name(filter).map_err(Failure::from)?,
+        background,
+        shadows: shadows.to_owned(),
     };
+    let (camera, options) = picture.read()?;
+    let filter = Filter::from_name(filter).map_err(Failure::from)?;
+    let options = RaymarchOptions { filter, ..options };
     let start = Instant::now();
     let frame = match distances.cast::<DeviceField>() {
         Ok(field) => {
@@ -79,6 +82,42 @@ pub fn raymarch<'py>(
     images.set_item("device", place.label())?;
     images.set_item("seconds", seconds)?;
     Ok(images)
+}
+
+/// What a picture is made with, whatever is drawn: the keyword arguments of `raymarch`, or a mapping of them.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct PictureArguments<'py> {
+    pose: PyReadonlyArray2<'py, f64>,
+    fov_deg: f64,
+    size: [u32; 2],
+    light_directions: Option<PyReadonlyArray2<'py, f32>>,
+    light_colors: Option<PyReadonlyArray2<'py, f32>>,
+    ambient: f32,
+    color: Option<[f32; 3]>,
+    specular: f32,
+    shininess: f32,
+    background: Option<[f32; 4]>,
+    shadows: String,
+}
+
+impl PictureArguments<'_> {
+    pub fn read(&self) -> PyResult<(Camera, RaymarchOptions)> {
+        let camera = Camera::from_pose(&pose_matrix(&self.pose)?, self.fov_deg).map_err(Failure::from)?;
+        let usual = RaymarchOptions::default();
+        let options = RaymarchOptions {
+            size: self.size,
+            lights: lights(self.light_directions.as_ref(), self.light_colors.as_ref())?,
+            ambient: self.ambient,
+            color: self.color.map_or(usual.color, Vec3::from_array),
+            specular: self.specular,
+            shininess: self.shininess,
+            background: self.background.unwrap_or(usual.background),
+            shadows: Shadows::from_name(&self.shadows).map_err(Failure::from)?,
+            filter: usual.filter,
+        };
+        Ok((camera, options))
+    }
 }
 
 pub fn pose_matrix(pose: &PyReadonlyArray2<'_, f64>) -> PyResult<[[f64; 4]; 4]> {

@@ -55,6 +55,35 @@ pub(crate) fn lit_color(
     lit
 }
 
+/// What the light falls on.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Look {
+    /// World space, unit, outward.
+    pub normal: Vec3,
+    /// World space, unit, towards the eye.
+    pub to_eye: Vec3,
+    /// Linear RGB.
+    pub color: Vec3,
+}
+
+/// Linear RGB of a lit surface; writes the share of each light that arrives, which `share_that_arrives` finds for hard
+/// shadows.
+pub(crate) fn lit(
+    look: &Look,
+    options: &RaymarchOptions,
+    lights: &[DirectionalLight],
+    shadow: &mut [f32],
+    mut share_that_arrives: impl FnMut(Vec3) -> f32,
+) -> Vec3 {
+    for (light, share) in lights.iter().zip(shadow.iter_mut()) {
+        *share = match options.shadows {
+            Shadows::None => 1.0,
+            Shadows::Hard => share_that_arrives(-light.direction),
+        };
+    }
+    lit_color(look.color, look.normal, look.to_eye, lights, shadow, options)
+}
+
 /// Everything that is the same for all pixels.
 #[derive(Debug, Clone)]
 pub(super) struct Shader<'a, F> {
@@ -103,13 +132,8 @@ impl<'a, F: Blocks> Shader<'a, F> {
 
     /// Linear RGB of a surface; writes the share of each light that arrives.
     pub fn shade(&self, surface: &Surface, shadow: &mut [f32]) -> Vec3 {
-        for (light, share) in self.lights.iter().zip(shadow.iter_mut()) {
-            *share = match self.options.shadows {
-                Shadows::None => 1.0,
-                Shadows::Hard => self.share_that_arrives(surface, -light.direction),
-            };
-        }
-        lit_color(self.options.color, surface.normal, surface.to_eye, self.lights, shadow, self.options)
+        let look = Look { normal: surface.normal, to_eye: surface.to_eye, color: self.options.color };
+        lit(&look, self.options, self.lights, shadow, |to_light| self.share_that_arrives(surface, to_light))
     }
 
     /// 1 where nothing of the field stands between the surface and the light, else 0.

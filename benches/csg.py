@@ -1,0 +1,72 @@
+"""Decomposed drawing against marching the whole tree: field evaluations a pixel and time, on the same pictures.
+
+    python benches/csg.py [--size 128] [--fogleman]
+
+Each row is one model; the two ways are interleaved, and the best of three runs counts. "evaluations" are
+evaluations of a primitive's field by the rays of the pixels, over the pixels of the picture.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+
+import fieldbake as fb
+
+ARTICLE = "(union (cube 3) (diff (cube 4) (move -2 -2 2 (sphere 5))))"
+
+
+def scattered(count: int) -> fb.Shape:
+    """Balls, blocks and bars in a cube, a third of them cut away from a block; about as dense for any count."""
+    random = np.random.default_rng(7)
+    size = 1.6 * count ** (-1 / 3)
+    added, removed = [], []
+    for i in range(count - 1):
+        leaf = (fb.sphere(size / 2), fb.box((size, 0.7 * size, 0.5 * size)), fb.cylinder(0.3 * size, 1.5 * size))[i % 3]
+        placed = leaf.rotate(random.normal(size=3), random.uniform(0, 360)).translate(random.uniform(-1, 1, 3))
+        (removed if i % 3 == 2 else added).append(placed)
+    block = fb.box((1.6, 1.6, 0.4))
+    return fb.csg.union(block, *added) - fb.csg.union(*removed) if removed else block
+
+
+def best(run, repeats: int = 3) -> tuple[float, object]:
+    times, result = [], None
+    for _ in range(repeats):
+        start = time.perf_counter()
+        result = run()
+        times.append(time.perf_counter() - start)
+    return min(times), result
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--size", type=int, default=128, help="pixels along a side")
+    options = parser.parse_args()
+    size = (options.size, options.size)
+    models = [("the article, 3 leaves", fb.csg.parse(ARTICLE))]
+    models += [(f"scattered, {count} leaves", scattered(count)) for count in (10, 100, 1000)]
+    print(
+        f"{'model':26} {'decompose':>10} {'parts':>6} {'boxes':>6} {'shaders':>7}"
+        f" {'whole':>20} {'octree':>20} {'ratios':>14}"
+    )
+    for name, shape in models:
+        camera = fb.Camera.fit(shape.bounds, direction=(-0.5, -0.4, -1))
+        split, parts = best(lambda shape=shape: fb.csg.decompose(shape))
+        rows = {}
+        for method in ("whole", "auto"):
+            picture = lambda m=method, s=shape, c=camera: fb.raymarch(s, c, size=size, method=m, device="cpu")  # noqa: E731
+            seconds, frame = best(picture)
+            rows[method] = seconds, frame.report["leaf_evaluations"] / (size[0] * size[1])
+        (slow, many), (fast, few) = rows["whole"], rows["auto"]
+        boxes = sum(len(part.boxes) for part in parts)
+        print(
+            f"{name:26} {split * 1e3:7.1f} ms {len(parts):6} {boxes:6} {parts.structures:7}"
+            f" {many:8.1f}/px {slow * 1e3:6.0f} ms {few:8.1f}/px {fast * 1e3:6.0f} ms"
+            f" {many / few:5.1f}x {slow / fast:5.1f}x"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,163 @@
+// Distances of the primitives of CSG shapes, and the joints of their operators. Twin of src/csg/field.rs and
+// src/csg/program.rs, function by function; `k` holds the parameters in the order of Primitive::parameters.
+
+// Larger than any distance in local units. WGSL has no infinity.
+const CSG_FAR: f32 = 3.0e38;
+
+fn sphere(at: vec3f, k: array<f32, 6>) -> f32 {
+    return length(at) - k[0];
+}
+
+fn ellipsoid(at: vec3f, k: array<f32, 6>) -> f32 {
+    return (length(at * vec3f(k[0], k[1], k[2])) - 1.0) * k[3];
+}
+
+fn cuboid(at: vec3f, half: vec3f) -> f32 {
+    let q = abs(at) - half;
+    return length(max(q, vec3f(0.0))) + min(max(q.x, max(q.y, q.z)), 0.0);
+}
+
+fn rounded_box(at: vec3f, k: array<f32, 6>) -> f32 {
+    return cuboid(at, vec3f(k[0], k[1], k[2])) - k[3];
+}
+
+// The nearest of three bars, one along each axis, by symmetry.
+fn box_frame(at: vec3f, k: array<f32, 6>) -> f32 {
+    let half = vec3f(k[0], k[1], k[2]);
+    let bar = k[3];
+    // About the middle of a bar, along the two axes across it.
+    let q = abs(at) - (half - bar);
+    let along_x = cuboid(vec3f(at.x, q.y, q.z), vec3f(half.x, bar, bar));
+    let along_y = cuboid(vec3f(q.x, at.y, q.z), vec3f(bar, half.y, bar));
+    let along_z = cuboid(vec3f(q.x, q.y, at.z), vec3f(bar, bar, half.z));
+    return min(along_x, min(along_y, along_z));
+}
+
+fn torus(at: vec3f, k: array<f32, 6>) -> f32 {
+    return length(vec2f(length(at.xy) - k[0], at.z)) - k[1];
+}
+
+fn capped_torus(at: vec3f, k: array<f32, 6>) -> f32 {
+    let end = vec2f(k[2], k[3]);
+    let y = abs(at.y);
+    let to_ring = length(vec2f(length(at.xy) - k[0], at.z));
+    let to_end = length(vec3f(vec2f(at.x, y) - k[0] * end, at.z));
+    return select(to_ring, to_end, y * end.x - at.x * end.y > 0.0) - k[1];
+}
+
+// A flat distance drawn out along z: the distance to the prism.
+fn prism(flat: f32, z: f32, half_height: f32) -> f32 {
+    let above = abs(z) - half_height;
+    return min(max(flat, above), 0.0) + length(max(vec2f(flat, above), vec2f(0.0)));
+}
+
+fn cylinder(at: vec3f, k: array<f32, 6>) -> f32 {
+    return prism(length(at.xy) - k[0], at.z, k[1]);
+}
+
+fn capsule(at: vec3f, k: array<f32, 6>) -> f32 {
+    return length(vec3f(at.xy, at.z - clamp(at.z, -k[1], k[1]))) - k[0];
+}
+
+// The nearer of the cap and the side of a truncated cone.
+fn cone(at: vec3f, k: array<f32, 6>) -> f32 {
+    let r = length(at.xy);
+    let cap_radius = select(k[1], k[0], at.z < 0.0);
+    let cap = vec2f(max(r - cap_radius, 0.0), abs(at.z) - k[2]);
+    // Along the side, 0 at the top and 1 at the bottom.
+    let slant = vec2f(k[0] - k[1], -2.0 * k[2]);
+    let from_top = vec2f(r - k[1], at.z - k[2]);
+    let side = from_top - clamp(dot(from_top, slant) * k[3], 0.0, 1.0) * slant;
+    let size = sqrt(min(dot(cap, cap), dot(side, side)));
+    return select(size, -size, side.x < 0.0 && cap.y < 0.0);
+}
+
+fn plane(at: vec3f, k: array<f32, 6>) -> f32 {
+    return dot(at, vec3f(k[0], k[1], k[2])) - k[3];
+}
+
+// By symmetry a point with x >= y >= 0, whose nearest side is the one that faces +x.
+fn pyramid(at: vec3f, k: array<f32, 6>) -> f32 {
+    let half = k[0];
+    let slant = k[2];
+    let x = max(abs(at.x), abs(at.y));
+    let y = min(abs(at.x), abs(at.y));
+    let height = at.z + k[1];
+    // Out of the side, and up it from the middle of its base edge.
+    let out = (x - half) * k[4] + height * k[3];
+    let up = (half - x) * k[3] + height * k[4];
+
+    let inside = max(out, -height);
+    let beyond = ((y - half) * slant + up * half) / (half * half + slant * slant);
+    var foot = vec2f(min(y, half), max(up, 0.0));
+    if beyond > 0.0 {
+        let along = clamp((up - beyond * half) / slant, 0.0, 1.0);
+        foot = vec2f(half * (1.0 - along), slant * along);
+    }
+    let to_side = length(vec3f(out, y - foot.x, up - foot.y));
+    let to_base = length(vec3f(max(x - half, 0.0), max(y - half, 0.0), height));
+    return select(inside, min(to_side, to_base), inside > 0.0);
+}
+
+fn octahedron(at: vec3f, k: array<f32, 6>) -> f32 {
+    let q = abs(at);
+    let m = q.x + q.y + q.z - k[0];
+    // Where the foot on the plane of the face has a negative coordinate, the nearest point lies on that edge.
+    var turned: vec3f;
+    if 3.0 * q.x < m {
+        turned = q;
+    } else if 3.0 * q.y < m {
+        turned = q.yzx;
+    } else if 3.0 * q.z < m {
+        turned = q.zxy;
+    } else {
+        return m * 0.57735027;
+    }
+    let along = clamp(0.5 * (turned.z - turned.y + k[0]), 0.0, k[0]);
+    return length(vec3f(turned.x, turned.y - k[0] + along, turned.z - along));
+}
+
+fn hex_prism(at: vec3f, k: array<f32, 6>) -> f32 {
+    // Mirror the sides onto the one that faces +y.
+    let edge = vec2f(-0.8660254, 0.5);
+    var q = abs(at.xy);
+    q -= 2.0 * min(dot(edge, q), 0.0) * edge;
+    let half_side = k[0] * 0.57735027;
+    let across = q.y - k[0];
+    let flat = length(vec2f(q.x - clamp(q.x, -half_side, half_side), across));
+    return prism(select(flat, -flat, across < 0.0), at.z, k[1]);
+}
+
+fn gyroid(at: vec3f, k: array<f32, 6>) -> f32 {
+    let q = at * k[0];
+    return abs(dot(sin(q), cos(q.yzx))) * k[1] - k[2];
+}
+
+fn circle(at: vec2f, radius: f32) -> f32 {
+    return length(at) - radius;
+}
+
+fn rectangle(at: vec2f, half: vec2f) -> f32 {
+    let q = abs(at) - half;
+    return length(max(q, vec2f(0.0))) + min(max(q.x, q.y), 0.0);
+}
+
+// How two fields make a union: sharp, smooth by a width, or chamfered by one.
+fn sharp_union(a: f32, b: f32, width: f32) -> f32 {
+    return min(a, b);
+}
+
+fn smooth_union(a: f32, b: f32, width: f32) -> f32 {
+    let h = max(width - abs(a - b), 0.0);
+    return min(a, b) - h * h / (4.0 * width);
+}
+
+fn chamfer_union(a: f32, b: f32, width: f32) -> f32 {
+    return min(min(a, b), (a + b - width) * 0.70710678);
+}
+
+fn turned_about_z(p: vec3f, angle: f32) -> vec3f {
+    let s = sin(angle);
+    let c = cos(angle);
+    return vec3f(c * p.x - s * p.y, s * p.x + c * p.y, p.z);
+}

@@ -1,0 +1,22 @@
+//! Moving a shape by its own box.
+
+use super::model::Model;
+use super::shape::Shape;
+use crate::error::ShapeError;
+use glam::DVec3;
+
+/// The shape moved so that the origin lies at `anchor` of its box: -1 is the lower side, 0 the middle, 1 the upper side.
+/// The box is that of the sharp shape, as Tangerine has it: fillets do not count.
+pub fn aligned(shape: &Shape, anchor: DVec3) -> Result<Shape, ShapeError> {
+    if !anchor.abs().cmple(DVec3::ONE).all() {
+        return Err(ShapeError::argument("anchor", format!("must be from -1 to 1 on every axis, got {anchor}")));
+    }
+    let model = Model::new(shape)?;
+    model.is_bounded()?;
+    let inner = model.sharp_extent();
+    if inner.is_empty() {
+        return Err(ShapeError::argument("shape", "is empty, it has no box to align"));
+    }
+    let origin = 0.5 * (inner.lower + inner.upper) + 0.5 * anchor * (inner.upper - inner.lower);
+    shape.changed("translate", &(-origin).to_array())
+}

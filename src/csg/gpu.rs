@@ -1,0 +1,382 @@
+//! Shapes on a graphics device: the interpreter of `shaders/shared/csg_interpreter.wgsl` for points, grids and pictures.
+//!
+//! One kernel serves every shape: tokens, tables and boxes go up as buffers, so a changed parameter or a changed tree compiles
+//! nothing. Rays walk the boxes of the parts in a compute kernel, one invocation a pixel, and what comes down is what each ray
+//! hit and which lights reach it; colours are made from that on the CPU by the same function as there. An invocation that runs
+//! out of rounds (software adapters stop at 65,535) says so, and its points or pixels are redone on the CPU.
+
+use super::draw::{Drawing, Scratch, View};
+use super::model::Token;
+use super::program::{Flat, Joint, LeafField, PlacedLeaf, PlacedLevel, PlacedWarpKind, Program};
+use super::shape::Op;
+use super::solid::Solid;
+use super::trace::Tracer;
+use crate::error::{ArgumentError, Error};
+use crate::gpu::Context;
+use crate::gpu::layout::{CsgBox, CsgDrawParams, CsgLeaf, CsgPixel, CsgPointParams};
+use crate::gpu::pace::in_pieces;
+use crate::grid::Grid;
+use crate::memory::allocate_samples;
+use crate::progress::Progress;
+use crate::render::{Frame, Shadows};
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+/// Side of a workgroup of the picture, and points of one of the other kernel, as in the shaders.
+const TILE: u32 = 8;
+const GROUP: u64 = 64;
+/// Workgroups of a dispatch, and rows of them: the first one, and the most.
+const WORKGROUPS: (u64, u64) = (4, 65_535);
+const TILE_ROWS: (u64, u64) = (1, 1024);
+/// Points that are on the device at a time.
+const BATCH: usize = 1 << 20;
+/// As in the shaders.
+const MAX_LIGHTS: usize = 64;
+const UNFINISHED: f32 = 3.0e38;
+const RAN_OUT: u32 = 2;
+
+/// Tables in device memory.
+struct Tables {
+    tokens: wgpu::Buffer,
+    leaves: wgpu::Buffer,
+    numbers: wgpu::Buffer,
+}
+
+/// Tables as the shader reads them.
+struct Encoder<'a> {
+    program: &'a Program<f32>,
+    leaves: Vec<CsgLeaf>,
+    numbers: Vec<f32>,
+    first_joint: u32,
+    first_level: u32,
+    first_warp: u32,
+}
+
+impl<'a> Encoder<'a> {
+    fn new(program: &'a Program<f32>) -> Self {
+        let mut numbers = Vec::new();
+        let first_joint = 0;
+        for combine in &program.combines {
+            let (kind, width) = match combine.joint {
+                Joint::Sharp => (0.0, 0.0),
+                Joint::Smooth(k, _) => (1.0, k),
+                Joint::Chamfer(k) => (2.0, k),
+            };
+            numbers.extend([kind, width, f32::from(u8::from(combine.is_swapped))]);
+        }
+        let first_level = numbers.len() as u32;
+        numbers.extend(program.levels.iter().map(|level| match *level {
+            PlacedLevel::Offset(distance) => distance,
+            PlacedLevel::Shell(half) => half,
+        }));
+        let mut leaves: Vec<CsgLeaf> = program.leaves.iter().map(|leaf| encoded(leaf, &mut numbers)).collect();
+        let first_warp = leaves.len() as u32;
+        leaves.extend(program.warps.iter().map(|warp| {
+            let (kind, a) = match warp.kind {
+                PlacedWarpKind::Elongate([x, y, z]) => (0, [x, y, z, 0.0]),
+                PlacedWarpKind::Twist(rate) => (1, [rate, 0.0, 0.0, 0.0]),
+                PlacedWarpKind::Bend(rate) => (2, [rate, 0.0, 0.0, 0.0]),
+            };
+            CsgLeaf { a, b: [warp.rate, warp.radius], kind, ..placed(&warp.rows, warp.shift) }
+        }));
+        Self { program, leaves, numbers, first_joint, first_level, first_warp }
+    }
+
+    fn token(&self, token: Token) -> u32 {
+        let (what, index) = match token {
+            Token::Leaf(leaf) => (0, leaf),
+            Token::Combine(i) => {
+                let what = match self.program.combines[i as usize].op {
+                    Op::Union => 1,
+                    Op::Intersection => 2,
+                    Op::Difference => 3,
+                    Op::Xor => 4,
+                };
+                (what, self.first_joint + 3 * i)
+            }
+            Token::Level(i) => {
+                let what = match self.program.levels[i as usize] {
+                    PlacedLevel::Offset(_) => 5,
+                    PlacedLevel::Shell(_) => 6,
+                };
+                (what, self.first_level + i)
+            }
+            Token::Complement => (7, 0),
+            Token::Enter(i) => (8, self.first_warp + i),
+            Token::Leave(i) => (9, self.first_warp + i),
+        };
+        what << 28 | index
+    }
+
+    fn upload(&self, context: &Context, tokens: &[u32]) -> Result<Tables, Error> {
+        Ok(Tables {
+            tokens: context.upload("tokens of a shape", tokens)?,
+            leaves: context.upload("leaves of a shape", &self.leaves)?,
+            numbers: context.upload("numbers of a shape", &self.numbers)?,
+        })
+    }
+}
+
+fn placed(rows: &[[f32; 3]; 3], [shift_x, shift_y, shift_z]: [f32; 3]) -> CsgLeaf {
+    let [row_x, row_y, row_z] = *rows;
+    CsgLeaf { row_x, shift_x, row_y, shift_y, row_z, shift_z, ..CsgLeaf::default() }
+}
+
+fn encoded(leaf: &PlacedLeaf<f32>, numbers: &mut Vec<f32>) -> CsgLeaf {
+    let first = numbers.len() as u32;
+    let kind = match &leaf.field {
+        LeafField::Sphere => 0,
+        LeafField::Ellipsoid => 1,
+        LeafField::Box => 2,
+        LeafField::BoxFrame => 3,
+        LeafField::Torus => 4,
+        LeafField::CappedTorus => 5,
+        LeafField::Cylinder => 6,
+        LeafField::Capsule => 7,
+        LeafField::Cone => 8,
+        LeafField::Plane => 9,
+        LeafField::Pyramid => 10,
+        LeafField::Octahedron => 11,
+        LeafField::HexPrism => 12,
+        LeafField::Gyroid => 13,
+        LeafField::Extrude(flat) => 14 + put_profile(flat, numbers),
+        LeafField::Revolve(flat) => 17 + put_profile(flat, numbers),
+        LeafField::Volume(volume, placed) => {
+            numbers.extend(placed.lower.iter().chain(&placed.upper).chain(&placed.inverse_spacing));
+            numbers.extend(placed.shape.map(|n| n as f32));
+            numbers.push(placed.scale);
+            numbers.extend(volume.distances());
+            20
+        }
+    };
+    let [a0, a1, a2, a3, b0, b1] = leaf.parameters;
+    CsgLeaf { a: [a0, a1, a2, a3], b: [b0, b1], kind, first, ..placed(&leaf.rows, leaf.shift) }
+}
+
+/// The kind of a profile; its numbers go to the table.
+fn put_profile(flat: &Flat<f32>, numbers: &mut Vec<f32>) -> u32 {
+    match flat {
+        Flat::Circle(radius) => {
+            numbers.push(*radius);
+            0
+        }
+        Flat::Rectangle(half) => {
+            numbers.extend(half);
+            1
+        }
+        Flat::Polygon(corners) => {
+            numbers.push(corners.len() as f32);
+            numbers.extend(corners.iter().flatten());
+            2
+        }
+    }
+}
+
+/// Signed distances at world points, in float32.
+pub(super) fn distances(
+    solid: &Solid,
+    context: &Context,
+    points: &[DVec3],
+    progress: &Progress,
+) -> Result<Vec<f32>, Error> {
+    progress.set_total(points.len() as u64);
+    let mut out = vec![0.0f32; points.len()];
+    if points.is_empty() {
+        return Ok(out);
+    }
+    let encoder = Encoder::new(&solid.program);
+    let tokens: Vec<u32> = solid.model.tokens.iter().map(|&token| encoder.token(token)).collect();
+    let tables = encoder.upload(context, &tokens)?;
+    let kernel = context.kernel("csg_points", "main")?;
+    for (points, out) in points.chunks(BATCH).zip(out.chunks_mut(BATCH)) {
+        let local: Vec<f32> = points.iter().flat_map(|&p| solid.frame.local(p).as_vec3().to_array()).collect();
+        let positions = context.upload("points", &local)?;
+        let found = context.storage("distances", size_of_val(out) as u64)?;
+        let mut params = CsgPointParams { token_count: tokens.len() as u32, ..CsgPointParams::default() };
+        let uniform = context.uniform("point parameters", &params)?;
+        let buffers = [
+            (0, &uniform),
+            (1, &tables.tokens),
+            (2, &tables.leaves),
+            (3, &tables.numbers),
+            (4, &positions),
+            (5, &found),
+        ];
+        let group = context.bind("points of a shape", &kernel, &buffers)?;
+        let groups = (points.len() as u64).div_ceil(GROUP);
+        in_pieces(context, "the shape kernel", groups, WORKGROUPS.0, WORKGROUPS.1, progress, |first, count| {
+            params.first = (GROUP * first) as u32;
+            params.count = ((GROUP * count) as u32).min(points.len() as u32 - params.first);
+            context.write("point parameters", &uniform, 0, &[params])?;
+            progress.advance(params.count.into())?;
+            Ok(context.dispatch("points of a shape", &kernel, &group, [count as u32, 1, 1])?)
+        })?;
+        context.read("distances", &found, out, progress)?;
+        // What ran out of rounds is done here.
+        let late: Vec<usize> = (0..out.len()).filter(|&i| out[i] >= UNFINISHED).collect();
+        let redone = solid.distances(&late.iter().map(|&i| points[i]).collect::<Vec<_>>(), &Progress::new())?;
+        let scale = solid.frame.scale;
+        out.iter_mut().for_each(|d| *d = (f64::from(*d) * scale) as f32);
+        late.into_iter().zip(redone).for_each(|(i, distance)| out[i] = distance);
+    }
+    Ok(out)
+}
+
+/// Samples at the voxel centres of a grid, x fastest.
+pub(super) fn bake(solid: &Solid, context: &Context, grid: &Grid, progress: &Progress) -> Result<Vec<f32>, Error> {
+    let [nx, ny, nz] = grid.shape;
+    let what = format!("a field of {nx} x {ny} x {nz} samples");
+    let mut samples = allocate_samples(&what, grid.len(), 0)?;
+    // Whole planes of points at a time.
+    let planes = (BATCH / (nx * ny)).max(1);
+    for (slab, out) in samples.chunks_mut(nx * ny * planes).enumerate() {
+        let first = slab * planes;
+        let points: Vec<DVec3> =
+            (0..out.len()).map(|i| grid.center(i % nx, i / nx % ny, first + i / (nx * ny))).collect();
+        let inner = Progress::new();
+        progress.check()?;
+        out.copy_from_slice(&distances(solid, context, &points, &inner)?);
+    }
+    Ok(samples)
+}
+
+/// Draw on a device.
+pub(super) fn draw(view: &View<'_>, context: &Context, progress: &Progress) -> Result<Drawing, Error> {
+    let (tracer, camera, options) = (view.tracer, view.camera, view.options);
+    if view.lights.len() > MAX_LIGHTS {
+        let problem = format!("{} lights, a graphics device draws with {MAX_LIGHTS} at most", view.lights.len());
+        return Err(ArgumentError::new("light_directions", problem).into());
+    }
+    let [width, height] = options.size;
+    let pixel_count = width as usize * height as usize;
+    let solid = tracer.solid;
+    let encoder = Encoder::new(&solid.program);
+    let (boxes, tokens) = encoded_boxes(tracer, &encoder);
+    let tables = encoder.upload(context, &tokens)?;
+    let start_depth = depth_before(tracer, camera.eye, camera.back);
+    let mut params = params(view, start_depth);
+    let lights: Vec<[f32; 4]> =
+        view.lights.iter().map(|light| [light.direction.x, light.direction.y, light.direction.z, 0.0]).collect();
+    let uniform = context.uniform("picture parameters", &params)?;
+    let box_buffer = context.upload("boxes of a shape", &boxes)?;
+    let light_buffer = context.upload("lights", &lights)?;
+    let pixels = context.storage("a picture", (pixel_count * size_of::<CsgPixel>()) as u64)?;
+    let shares = context.storage("light shares", (4 * pixel_count * lights.len().max(1)) as u64)?;
+    let kernel = context.kernel("csg_draw", "main")?;
+    let buffers = [
+        (0, &uniform),
+        (1, &tables.tokens),
+        (2, &tables.leaves),
+        (3, &tables.numbers),
+        (4, &box_buffer),
+        (5, &light_buffer),
+        (6, &pixels),
+        (7, &shares),
+    ];
+    let group = context.bind("picture of a shape", &kernel, &buffers)?;
+    progress.set_total(u64::from(height));
+    let rows = u64::from(height.div_ceil(TILE));
+    in_pieces(context, "the shape kernel", rows, TILE_ROWS.0, TILE_ROWS.1, progress, |first, count| {
+        params.first_row = first as u32 * TILE;
+        context.write("picture parameters", &uniform, 0, &[params])?;
+        progress.advance((count * u64::from(TILE)).min(u64::from(height - params.first_row)))?;
+        Ok(context.dispatch("picture of a shape", &kernel, &group, [width.div_ceil(TILE), count as u32, 1])?)
+    })?;
+
+    let mut found = vec![CsgPixel::default(); pixel_count];
+    context.read("a picture", &pixels, &mut found, progress)?;
+    let mut frame = Frame::new(width as usize, height as usize, lights.len());
+    context.read("light shares", &shares, &mut frame.shadow, progress)?;
+    let start = solid.frame.local(camera.eye - start_depth * camera.back);
+    frame.rows().into_par_iter().enumerate().try_for_each_init(Scratch::default, |scratch, (y, mut row)| {
+        for x in 0..width as usize {
+            let pixel = &found[y * width as usize + x];
+            if pixel.state == RAN_OUT {
+                row.shadow[x * row.lights..][..row.lights].fill(1.0);
+                view.draw_pixel(x, y, &mut row, scratch);
+                continue;
+            }
+            row.color[4 * x..][..4].copy_from_slice(&options.background);
+            row.steps[x] = pixel.steps;
+            if pixel.state == 1 {
+                let direction = camera.pixel_direction(x as u32, y as u32, options.size);
+                // From the plane before the model, where the ray of the middle starts at `start`.
+                let along = direction + camera.back;
+                let origin = start + start_depth / solid.frame.scale * along;
+                let p = (origin + f64::from(pixel.t) * direction.normalize()).as_vec3();
+                let depth = start_depth + f64::from(pixel.t) * solid.frame.scale / direction.length();
+                let part = tracer.boxes[pixel.cell as usize].part;
+                let shadow: Vec<f32> = row.shadow[x * row.lights..][..row.lights].to_vec();
+                let mut shares = shadow.into_iter();
+                view.finish(x, &mut row, depth, p, Vec3::from_array(pixel.normal), direction, Some(part), |_| {
+                    shares.next().unwrap_or(1.0)
+                });
+            }
+        }
+        progress.check()
+    })?;
+    Ok(Drawing {
+        frame,
+        parts: tracer.programs.len(),
+        boxes: tracer.boxes.len(),
+        leaf_evaluations: found.iter().map(|pixel| u64::from(pixel.tokens)).sum(),
+    })
+}
+
+/// Nodes, then boxes, and the tokens of all parts behind each other.
+fn encoded_boxes(tracer: &Tracer<'_>, encoder: &Encoder<'_>) -> (Vec<CsgBox>, Vec<u32>) {
+    let mut tokens = Vec::new();
+    let mut firsts = Vec::new();
+    for program in &tracer.programs {
+        firsts.push(tokens.len() as u32);
+        tokens.extend(program.tokens.iter().map(|&token| encoder.token(token)));
+    }
+    let nodes = tracer.nodes.iter().map(|node| CsgBox {
+        lower: node.lower.to_array(),
+        first: node.first,
+        upper: node.upper.to_array(),
+        count: node.count,
+    });
+    let boxes = tracer.boxes.iter().map(|cell| CsgBox {
+        lower: cell.lower.to_array(),
+        first: firsts[cell.part as usize],
+        upper: cell.upper.to_array(),
+        count: tracer.programs[cell.part as usize].tokens.len() as u32,
+    });
+    (nodes.chain(boxes).collect(), tokens)
+}
+
+/// Depth of the nearest corner of the bounds, world units, or zero if they reach behind the eye.
+fn depth_before(tracer: &Tracer<'_>, eye: DVec3, back: DVec3) -> f64 {
+    let frame = tracer.solid.frame;
+    let [lower, upper] = tracer.bounds.map(|corner| frame.world(corner.as_dvec3()));
+    let corner =
+        |i: usize| DVec3::from([0, 1, 2].map(|axis| if i >> axis & 1 == 0 { lower[axis] } else { upper[axis] }));
+    let nearest = (0..8).map(|i| (eye - corner(i)).dot(back)).fold(f64::INFINITY, f64::min);
+    (nearest - 0.01 * (upper - lower).length()).max(0.0)
+}
+
+fn params(view: &View<'_>, start_depth: f64) -> CsgDrawParams {
+    let (camera, options, tracer) = (view.camera, view.options, view.tracer);
+    let frame = tracer.solid.frame;
+    let shrunk = start_depth / frame.scale;
+    let to_f32 = |v: DVec3| v.as_vec3().to_array();
+    let inverse_lipschitz = tracer.programs.iter().map(|part| part.inverse_lipschitz).fold(1.0, f32::min);
+    CsgDrawParams {
+        start: to_f32(frame.local(camera.eye - start_depth * camera.back)),
+        width: options.size[0],
+        start_right: to_f32(shrunk * camera.right),
+        height: options.size[1],
+        start_up: to_f32(shrunk * camera.up),
+        first_row: 0,
+        forward: to_f32(-camera.back),
+        pixel: camera.pixel_size(options.size[1]) as f32,
+        right: to_f32(camera.right),
+        light_count: view.lights.len() as u32,
+        up: to_f32(camera.up),
+        shadows: u32::from(options.shadows == Shadows::Hard),
+        inverse_lipschitz,
+        node_count: tracer.nodes.len() as u32,
+        ..CsgDrawParams::default()
+    }
+}

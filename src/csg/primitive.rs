@@ -1,0 +1,392 @@
+//! The leaves: simple solids about the origin, most of them round the z axis.
+//!
+//! Each has its checked parameters, what it declares about its field (exact or a bound, and the Lipschitz constant), and
+//! its support function, from which tight boxes follow under any rotation. The distances are in [`super::field`].
+
+use super::profile::Profile;
+use super::volume_leaf::VolumeLeaf;
+use crate::error::ShapeError;
+use glam::{DVec2, DVec3};
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+/// A simple solid in its own space. Lengths are halves and radii.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Primitive {
+    Sphere {
+        radius: f64,
+    },
+    Ellipsoid {
+        radii: DVec3,
+    },
+    /// `half` includes the rounding of the edges.
+    Box {
+        half: DVec3,
+        rounding: f64,
+    },
+    /// The twelve edges of a box, square bars of the given thickness, inside `half`.
+    BoxFrame {
+        half: DVec3,
+        thickness: f64,
+    },
+    /// A tube round a circle in the plane z = 0.
+    Torus {
+        radius: f64,
+        tube: f64,
+    },
+    /// The part of a torus within an angle of the +x axis, with round ends.
+    CappedTorus {
+        radius: f64,
+        tube: f64,
+        half_angle: f64,
+    },
+    Cylinder {
+        radius: f64,
+        half_height: f64,
+    },
+    /// A segment of the z axis, thickened.
+    Capsule {
+        radius: f64,
+        half_height: f64,
+    },
+    /// A cone from radius `low` at the bottom to `high` at the top.
+    Cone {
+        low: f64,
+        high: f64,
+        half_height: f64,
+    },
+    /// The half space below the plane `normal . p = offset`.
+    Plane {
+        normal: DVec3,
+        offset: f64,
+    },
+    /// A square base at the bottom, the apex at the top.
+    Pyramid {
+        half_base: f64,
+        half_height: f64,
+    },
+    /// The corners lie at `radius` on the axes.
+    Octahedron {
+        radius: f64,
+    },
+    /// Six sides round the z axis, two of them facing +y and -y at `apothem`.
+    HexPrism {
+        apothem: f64,
+        half_height: f64,
+    },
+    /// A profile of the plane z = 0, drawn out along z.
+    Extrude {
+        profile: Arc<Profile>,
+        half_height: f64,
+    },
+    /// A profile turned round the z axis: its x is the distance from the axis less `offset`, its y is z.
+    Revolve {
+        profile: Arc<Profile>,
+        offset: f64,
+    },
+    /// A sheet about the gyroid, at least `thickness` thick, that repeats every `cell`.
+    Gyroid {
+        cell: f64,
+        thickness: f64,
+    },
+    Volume(Arc<VolumeLeaf>),
+}
+
+/// Numbers that a primitive brings to its distance function.
+pub const PARAMETERS: usize = 6;
+
+/// Largest magnitude of a length: the square of what is made of it stays in the range of float64.
+const FAR: f64 = 1e37;
+
+/// A positive length.
+pub fn positive(argument: &'static str, value: f64) -> Result<f64, ShapeError> {
+    if value > 0.0 && value <= FAR {
+        return Ok(value);
+    }
+    Err(ShapeError::argument(argument, format!("must be a number above 0, got {value}")))
+}
+
+/// A length of zero or more.
+pub fn not_negative(argument: &'static str, value: f64) -> Result<f64, ShapeError> {
+    if (0.0..=FAR).contains(&value) {
+        return Ok(value);
+    }
+    Err(ShapeError::argument(argument, format!("must be a number of at least 0, got {value}")))
+}
+
+/// Any finite number of reasonable size.
+pub fn finite(argument: &'static str, value: f64) -> Result<f64, ShapeError> {
+    if value.abs() <= FAR {
+        return Ok(value);
+    }
+    Err(ShapeError::argument(argument, format!("must be a finite number (at most {FAR:e}), got {value}")))
+}
+
+impl Primitive {
+    /// A primitive by the name and the arguments of the Python interface, where sizes are full lengths and radii.
+    pub fn named(name: &str, numbers: &[f64]) -> Result<Self, ShapeError> {
+        let size = |x, y, z| -> Result<DVec3, ShapeError> {
+            Ok(DVec3::new(positive("size", x)?, positive("size", y)?, positive("size", z)?))
+        };
+        Ok(match (name, numbers) {
+            ("sphere", &[radius]) => Self::Sphere { radius: positive("radius", radius)? },
+            ("ellipsoid", &[x, y, z]) => {
+                let radii = [x, y, z].map(|radius| positive("radii", radius));
+                let [x, y, z] = radii;
+                Self::Ellipsoid { radii: DVec3::new(x?, y?, z?) }
+            }
+            ("box", &[x, y, z]) => Self::Box { half: 0.5 * size(x, y, z)?, rounding: 0.0 },
+            ("rounded_box", &[x, y, z, radius]) => {
+                let half = 0.5 * size(x, y, z)?;
+                let rounding = not_negative("radius", radius)?;
+                if rounding > half.min_element() {
+                    let limit = half.min_element();
+                    let problem = format!("must be at most half the shortest side, {limit}, got {rounding}");
+                    return Err(ShapeError::argument("radius", problem));
+                }
+                Self::Box { half, rounding }
+            }
+            ("box_frame", &[x, y, z, thickness]) => {
+                let half = 0.5 * size(x, y, z)?;
+                let thickness = positive("thickness", thickness)?;
+                if thickness > half.min_element() {
+                    let limit = half.min_element();
+                    let problem = format!("must be at most half the shortest side, {limit}, got {thickness}");
+                    return Err(ShapeError::argument("thickness", problem));
+                }
+                Self::BoxFrame { half, thickness }
+            }
+            ("torus", &[radius, tube]) => {
+                Self::Torus { radius: not_negative("radius", radius)?, tube: positive("tube", tube)? }
+            }
+            ("capped_torus", &[radius, tube, angle_deg]) => {
+                if !(angle_deg > 0.0 && angle_deg <= 360.0) {
+                    let problem = format!("must be above 0 and at most 360 degrees, got {angle_deg}");
+                    return Err(ShapeError::argument("angle_deg", problem));
+                }
+                let half_angle = 0.5 * angle_deg.to_radians();
+                Self::CappedTorus { radius: positive("radius", radius)?, tube: positive("tube", tube)?, half_angle }
+            }
+            ("cylinder", &[radius, height]) => {
+                Self::Cylinder { radius: positive("radius", radius)?, half_height: 0.5 * positive("height", height)? }
+            }
+            ("capsule", &[radius, height]) => Self::Capsule {
+                radius: positive("radius", radius)?,
+                half_height: 0.5 * not_negative("height", height)?,
+            },
+            ("cone", &[low, high, height]) => {
+                let (low, high) = (not_negative("radius", low)?, not_negative("top_radius", high)?);
+                if low == 0.0 && high == 0.0 {
+                    return Err(ShapeError::argument("radius", "both ends are 0: nothing is left of the cone"));
+                }
+                Self::Cone { low, high, half_height: 0.5 * positive("height", height)? }
+            }
+            ("plane", &[x, y, z, offset]) => {
+                let normal = DVec3::new(finite("normal", x)?, finite("normal", y)?, finite("normal", z)?);
+                let largest = normal.abs().max_element();
+                if largest == 0.0 {
+                    return Err(ShapeError::argument("normal", "is zero, expected a direction"));
+                }
+                Self::Plane { normal: (normal / largest).normalize(), offset: finite("offset", offset)? }
+            }
+            ("pyramid", &[base, height]) => Self::Pyramid {
+                half_base: 0.5 * positive("base", base)?,
+                half_height: 0.5 * positive("height", height)?,
+            },
+            ("octahedron", &[radius]) => Self::Octahedron { radius: positive("radius", radius)? },
+            ("hex_prism", &[radius, height]) => Self::HexPrism {
+                apothem: 0.75f64.sqrt() * positive("radius", radius)?,
+                half_height: 0.5 * positive("height", height)?,
+            },
+            ("gyroid", &[cell, thickness]) => {
+                Self::Gyroid { cell: positive("cell", cell)?, thickness: positive("thickness", thickness)? }
+            }
+            _ => {
+                let problem = format!("there is no primitive '{name}' of {} numbers", numbers.len());
+                return Err(ShapeError::argument("primitive", problem));
+            }
+        })
+    }
+
+    /// As messages call it.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Sphere { .. } => "sphere",
+            Self::Ellipsoid { .. } => "ellipsoid",
+            Self::Box { rounding: 0.0, .. } => "box",
+            Self::Box { .. } => "rounded_box",
+            Self::BoxFrame { .. } => "box_frame",
+            Self::Torus { .. } => "torus",
+            Self::CappedTorus { .. } => "capped_torus",
+            Self::Cylinder { .. } => "cylinder",
+            Self::Capsule { .. } => "capsule",
+            Self::Cone { .. } => "cone",
+            Self::Plane { .. } => "plane",
+            Self::Pyramid { .. } => "pyramid",
+            Self::Octahedron { .. } => "octahedron",
+            Self::HexPrism { .. } => "hex_prism",
+            Self::Extrude { .. } => "extrude",
+            Self::Revolve { .. } => "revolve",
+            Self::Gyroid { .. } => "gyroid",
+            Self::Volume(_) => "volume",
+        }
+    }
+
+    /// As shaders call the function of its distance: profiles make a difference.
+    pub fn structure(&self) -> &'static str {
+        match self {
+            Self::Extrude { profile, .. } => match **profile {
+                Profile::Circle { .. } => "extrude_circle",
+                Profile::Rectangle { .. } => "extrude_rectangle",
+                Profile::Polygon { .. } => "extrude_polygon",
+            },
+            Self::Revolve { profile, .. } => match **profile {
+                Profile::Circle { .. } => "revolve_circle",
+                Profile::Rectangle { .. } => "revolve_rectangle",
+                Profile::Polygon { .. } => "revolve_polygon",
+            },
+            Self::Box { .. } => "rounded_box",
+            other => other.name(),
+        }
+    }
+
+    /// Whether the field is the Euclidean distance everywhere, inside too; otherwise it is never larger in size than
+    /// the Lipschitz constant times that distance.
+    pub fn is_exact(&self) -> bool {
+        match self {
+            Self::Ellipsoid { .. } | Self::BoxFrame { .. } | Self::Gyroid { .. } | Self::Volume(_) => false,
+            // A tube that meets itself has its surface inside the tube.
+            Self::Torus { radius, tube } => tube <= radius,
+            Self::CappedTorus { radius, tube, half_angle } => tube <= radius && *half_angle <= 0.5 * PI,
+            Self::Extrude { profile, .. } => profile.is_exact(),
+            Self::Revolve { profile, offset } => profile.is_exact() && profile.is_clear_of_axis(*offset),
+            _ => true,
+        }
+    }
+
+    /// The most that the field changes over a unit of length.
+    pub fn lipschitz(&self) -> f64 {
+        match self {
+            Self::Volume(volume) => volume.lipschitz(),
+            _ => 1.0,
+        }
+    }
+
+    /// Numbers of the distance function; lengths times `scale`. The order is that of [`super::field`].
+    pub fn parameters(&self, scale: f64) -> [f64; PARAMETERS] {
+        let s = scale;
+        let mut out = [0.0; PARAMETERS];
+        let mut put = |values: &[f64]| out[..values.len()].copy_from_slice(values);
+        match *self {
+            Self::Sphere { radius } | Self::Octahedron { radius } => put(&[s * radius]),
+            Self::Ellipsoid { radii } => {
+                let inverse = 1.0 / (s * radii);
+                put(&[inverse.x, inverse.y, inverse.z, s * radii.min_element()]);
+            }
+            Self::Box { half, rounding } => {
+                let inner = s * (half - rounding);
+                put(&[inner.x, inner.y, inner.z, s * rounding]);
+            }
+            // From the outer box to the middle of the bars, and half a bar.
+            Self::BoxFrame { half, thickness } => {
+                let half = s * half;
+                put(&[half.x, half.y, half.z, 0.5 * s * thickness]);
+            }
+            Self::Torus { radius, tube } => put(&[s * radius, s * tube]),
+            Self::CappedTorus { radius, tube, half_angle } => {
+                put(&[s * radius, s * tube, half_angle.cos(), half_angle.sin()]);
+            }
+            Self::Cylinder { radius, half_height } | Self::Capsule { radius, half_height } => {
+                put(&[s * radius, s * half_height]);
+            }
+            Self::Cone { low, high, half_height } => {
+                let (dx, dy) = (s * (high - low), 2.0 * s * half_height);
+                put(&[s * low, s * high, s * half_height, 1.0 / (dx * dx + dy * dy)]);
+            }
+            Self::Plane { normal, offset } => put(&[normal.x, normal.y, normal.z, s * offset]),
+            Self::Pyramid { half_base, half_height } => {
+                // Slope of a side: from the middle of a base edge to the apex.
+                let slant = half_base.hypot(2.0 * half_height);
+                put(&[s * half_base, s * half_height, s * slant, half_base / slant, 2.0 * half_height / slant]);
+            }
+            Self::HexPrism { apothem, half_height } => put(&[s * apothem, s * half_height]),
+            Self::Extrude { half_height, .. } => put(&[s * half_height]),
+            Self::Revolve { offset, .. } => put(&[s * offset]),
+            Self::Gyroid { cell, thickness } => {
+                // The gradient of sin x cos y + sin y cos z + sin z cos x is at most sqrt(3) long.
+                let frequency = 2.0 * PI / (s * cell);
+                put(&[frequency, 1.0 / (frequency * 3f64.sqrt()), 0.5 * s * thickness]);
+            }
+            Self::Volume(_) => put(&[s]),
+        }
+        out
+    }
+
+    /// The largest `n . p` over the solid; infinite if it has no bounds that way. `n` need not be unit.
+    pub fn support(&self, n: DVec3) -> f64 {
+        let across = n.x.hypot(n.y);
+        match *self {
+            Self::Sphere { radius } => radius * n.length(),
+            Self::Ellipsoid { radii } => (n * radii).length(),
+            Self::Box { half, rounding } => (n.abs() * (half - rounding)).element_sum() + rounding * n.length(),
+            Self::BoxFrame { half, .. } => (n.abs() * half).element_sum(),
+            Self::Torus { radius, tube } => radius * across + tube * n.length(),
+            Self::CappedTorus { radius, tube, half_angle } => {
+                // The direction nearest to n on the arc.
+                let angle = n.y.atan2(n.x).clamp(-half_angle, half_angle);
+                radius * (n.x * angle.cos() + n.y * angle.sin()) + tube * n.length()
+            }
+            Self::Cylinder { radius, half_height } => radius * across + half_height * n.z.abs(),
+            Self::Capsule { radius, half_height } => radius * n.length() + half_height * n.z.abs(),
+            Self::Cone { low, high, half_height } => {
+                (high * across + half_height * n.z).max(low * across - half_height * n.z)
+            }
+            Self::Plane { normal, offset } => {
+                // Bounded along its own normal only.
+                let along = n.dot(normal);
+                if along > 0.0 && (n - along * normal).length() <= 1e-12 * along {
+                    along * offset
+                } else {
+                    f64::INFINITY
+                }
+            }
+            Self::Pyramid { half_base, half_height } => {
+                (half_height * n.z).max(half_base * (n.x.abs() + n.y.abs()) - half_height * n.z)
+            }
+            Self::Octahedron { radius } => radius * n.abs().max_element(),
+            Self::HexPrism { apothem, half_height } => {
+                let radius = apothem / 0.75f64.sqrt();
+                let corner = |degrees: f64| {
+                    let (sin, cos) = degrees.to_radians().sin_cos();
+                    radius * (n.x.abs() * cos + n.y.abs() * sin)
+                };
+                corner(0.0).max(corner(60.0)) + half_height * n.z.abs()
+            }
+            Self::Extrude { ref profile, half_height } => {
+                profile.support(DVec2::new(n.x, n.y)) + half_height * n.z.abs()
+            }
+            Self::Revolve { ref profile, offset } => {
+                // What lies beyond the axis counts too, which can only make a box larger.
+                profile.support(DVec2::new(across, n.z)) + offset * across
+            }
+            Self::Gyroid { .. } => {
+                if n == DVec3::ZERO {
+                    0.0
+                } else {
+                    f64::INFINITY
+                }
+            }
+            Self::Volume(ref volume) => volume.support(n),
+        }
+    }
+
+    /// How much farther the field's level sets reach than their level: `{field <= t}` lies in the box grown by
+    /// `slack + growth * t` for `t > 0`.
+    pub fn growth(&self) -> (f64, f64) {
+        match self {
+            Self::Ellipsoid { radii } => (radii.max_element() / radii.min_element(), 0.0),
+            Self::Volume(volume) => (1.0, volume.slack()),
+            _ => (1.0, 0.0),
+        }
+    }
+}

@@ -1,0 +1,547 @@
+//! Evaluation of a model on the CPU: many points at a time through one list of tokens.
+//!
+//! A [`Program`] holds the tables of a model in local units, in float32 or float64. [`Program::run`] takes a list of tokens
+//! and `N` points and walks the list once; each leaf is a plain loop over the lanes, which the compiler turns into vector
+//! instructions. With 64 lanes the walk costs next to nothing; with one it serves a ray. The shader that does the same is
+//! `shaders/shared/csg_field.wgsl`.
+
+use super::field;
+use super::model::{Coat, Level, Model, Token, WarpKind};
+use super::primitive::{PARAMETERS, Primitive};
+use super::profile::Profile;
+use super::real::{Real, length2};
+use super::shape::{Blend, Op};
+use super::volume_leaf::{PlacedVolume, VolumeLeaf};
+use glam::{DMat3, DVec3};
+use std::sync::Arc;
+
+/// Which distance function, with what does not fit into parameters.
+#[derive(Debug, Clone)]
+pub enum LeafField<F> {
+    Sphere,
+    Ellipsoid,
+    Box,
+    BoxFrame,
+    Torus,
+    CappedTorus,
+    Cylinder,
+    Capsule,
+    Cone,
+    Plane,
+    Pyramid,
+    Octahedron,
+    HexPrism,
+    Gyroid,
+    Extrude(Flat<F>),
+    Revolve(Flat<F>),
+    Volume(Arc<VolumeLeaf>, Box<PlacedVolume<F>>),
+}
+
+/// A profile in local units.
+#[derive(Debug, Clone)]
+pub enum Flat<F> {
+    Circle(F),
+    Rectangle([F; 2]),
+    Polygon(Vec<[F; 2]>),
+}
+
+/// A leaf in local units.
+#[derive(Debug, Clone)]
+pub struct PlacedLeaf<F> {
+    /// Rows of `leaf_from_local`.
+    pub rows: [[F; 3]; 3],
+    pub shift: [F; 3],
+    pub is_turned: bool,
+    pub parameters: [F; PARAMETERS],
+    pub field: LeafField<F>,
+}
+
+#[derive(Debug, Clone, Copy)]
+pub struct PlacedCombine<F> {
+    pub op: Op,
+    pub is_swapped: bool,
+    pub joint: Joint<F>,
+}
+
+/// A blend in local units.
+#[derive(Debug, Clone, Copy)]
+pub enum Joint<F> {
+    Sharp,
+    /// The width and 1 / (4 width).
+    Smooth(F, F),
+    Chamfer(F),
+}
+
+#[derive(Debug, Clone, Copy)]
+pub struct PlacedWarp<F> {
+    pub kind: PlacedWarpKind<F>,
+    pub rows: [[F; 3]; 3],
+    pub shift: [F; 3],
+    pub rate: F,
+    pub radius: F,
+}
+
+#[derive(Debug, Clone, Copy)]
+pub enum PlacedWarpKind<F> {
+    Elongate([F; 3]),
+    Twist(F),
+    Bend(F),
+}
+
+/// The tables of a model in local units.
+#[derive(Debug, Clone)]
+pub struct Program<F> {
+    /// `local = (world - center) / scale`.
+    pub frame: Frame,
+    pub leaves: Vec<PlacedLeaf<F>>,
+    pub combines: Vec<PlacedCombine<F>>,
+    pub levels: Vec<PlacedLevel<F>>,
+    pub warps: Vec<PlacedWarp<F>>,
+}
+
+#[derive(Debug, Clone, Copy)]
+pub enum PlacedLevel<F> {
+    Offset(F),
+    /// Half the thickness.
+    Shell(F),
+}
+
+/// From world units to local ones.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Frame {
+    pub center: DVec3,
+    pub scale: f64,
+}
+
+impl Frame {
+    /// Brings the model to a size near one, the middle of its box to zero.
+    pub fn of(model: &Model) -> Self {
+        let extent = &model.extent;
+        if extent.unbounded.is_some() || extent.is_empty() {
+            // The bounded leaves give the size; there may be none.
+            let sides = model.leaves.iter().filter(|leaf| leaf.extent.unbounded.is_none() && !leaf.is_warped);
+            let size = sides.map(|leaf| (leaf.extent.upper - leaf.extent.lower).max_element()).fold(0.0, f64::max);
+            return Self { center: DVec3::ZERO, scale: power_of_two(size) };
+        }
+        let center = 0.5 * (extent.lower + extent.upper);
+        Self { center, scale: power_of_two((extent.upper - extent.lower).max_element()) }
+    }
+
+    pub fn local(&self, world: DVec3) -> DVec3 {
+        (world - self.center) / self.scale
+    }
+
+    pub fn world(&self, local: DVec3) -> DVec3 {
+        self.center + self.scale * local
+    }
+}
+
+/// The power of two from `size` to its half; 1 for no size. Dividing by it rounds nothing.
+fn power_of_two(size: f64) -> f64 {
+    if size > 0.0 && size.is_finite() { size.log2().ceil().exp2() } else { 1.0 }
+}
+
+/// Scratch for [`Program::run`], kept between calls.
+#[derive(Debug, Clone)]
+pub struct Stack<F, const N: usize> {
+    values: Vec<[F; N]>,
+    positions: Vec<[[F; N]; 3]>,
+}
+
+impl<F: Real, const N: usize> Default for Stack<F, N> {
+    fn default() -> Self {
+        Self { values: Vec::with_capacity(16), positions: Vec::new() }
+    }
+}
+
+impl<F: Real> Program<F> {
+    pub fn new(model: &Model, frame: Frame) -> Self {
+        let s = frame.scale;
+        let unit = |x: f64| F::of(x / s);
+        let rows = |rotation: DMat3| {
+            // The inverse of a rotation is its transpose, whose rows are the columns.
+            [rotation.x_axis, rotation.y_axis, rotation.z_axis].map(|axis| axis.to_array().map(F::of))
+        };
+        let shift = |rotation: DMat3, translation: DVec3, is_warped: bool| {
+            let center = if is_warped { DVec3::ZERO } else { frame.center };
+            (rotation.transpose() * ((center - translation) / s)).to_array().map(F::of)
+        };
+        let leaves = model.leaves.iter().map(|leaf| {
+            let scale = leaf.place.scale / s;
+            PlacedLeaf {
+                rows: rows(leaf.place.rotation),
+                shift: shift(leaf.place.rotation, leaf.place.translation, leaf.is_warped),
+                is_turned: leaf.place.rotation != DMat3::IDENTITY,
+                parameters: leaf.primitive.parameters(scale).map(F::of),
+                field: LeafField::new(&leaf.primitive, scale),
+            }
+        });
+        let combines = model.combines.iter().map(|combine| PlacedCombine {
+            op: combine.op,
+            is_swapped: combine.is_swapped,
+            joint: match combine.blend {
+                Blend::Sharp => Joint::Sharp,
+                Blend::Smooth(k) => Joint::Smooth(unit(k), F::of(0.25 * s / k)),
+                Blend::Chamfer(k) => Joint::Chamfer(unit(k)),
+            },
+        });
+        let levels = model.levels.iter().map(|level| match *level {
+            Level::Offset(distance) => PlacedLevel::Offset(unit(distance)),
+            Level::Shell(thickness) => PlacedLevel::Shell(unit(0.5 * thickness)),
+        });
+        // A warp may stand in another; only the outermost is placed in the world. Which are is told by the tokens.
+        let mut is_inner = vec![false; model.warps.len()];
+        let mut depth = 0;
+        for token in &model.tokens {
+            match token {
+                Token::Enter(warp) => {
+                    is_inner[*warp as usize] = depth > 0;
+                    depth += 1;
+                }
+                Token::Leave(_) => depth -= 1,
+                _ => {}
+            }
+        }
+        let warps = model.warps.iter().zip(is_inner).map(|(warp, is_inner)| PlacedWarp {
+            kind: match warp.kind {
+                WarpKind::Elongate(half) => PlacedWarpKind::Elongate((half / s).to_array().map(F::of)),
+                WarpKind::Twist(rate) => PlacedWarpKind::Twist(F::of(rate * s)),
+                WarpKind::Bend(rate) => PlacedWarpKind::Bend(F::of(rate * s)),
+            },
+            rows: rows(warp.place.rotation),
+            shift: shift(warp.place.rotation, warp.place.translation, is_inner),
+            rate: F::of((warp.stretch.rate * s).abs()),
+            radius: unit(warp.stretch.radius),
+        });
+        Self {
+            frame,
+            leaves: leaves.collect(),
+            combines: combines.collect(),
+            levels: levels.collect(),
+            warps: warps.collect(),
+        }
+    }
+
+    /// The field at `N` points, local units.
+    #[inline(always)]
+    pub fn run<const N: usize>(&self, tokens: &[Token], at: &[[F; N]; 3], stack: &mut Stack<F, N>) -> [F; N] {
+        stack.values.clear();
+        stack.positions.clear();
+        stack.positions.push(*at);
+        for &token in tokens {
+            self.step(token, stack);
+        }
+        stack.values.pop().unwrap_or([F::of(f64::from(f32::MAX)); N])
+    }
+
+    #[inline(always)]
+    fn step<const N: usize>(&self, token: Token, stack: &mut Stack<F, N>) {
+        match token {
+            Token::Leaf(leaf) => {
+                let at = stack.positions.last().expect("there is always a position");
+                let distance = self.leaves[leaf as usize].distances(at);
+                stack.values.push(distance);
+            }
+            Token::Combine(i) => {
+                let combine = &self.combines[i as usize];
+                let top = stack.values.pop().expect("two operands");
+                let below = stack.values.last_mut().expect("two operands");
+                let (a, b) = if combine.is_swapped { (top, *below) } else { (*below, top) };
+                *below = combine.apply(&a, &b);
+            }
+            Token::Level(i) => {
+                let values = stack.values.last_mut().expect("one operand");
+                match self.levels[i as usize] {
+                    PlacedLevel::Offset(distance) => values.iter_mut().for_each(|d| *d = *d - distance),
+                    PlacedLevel::Shell(half) => values.iter_mut().for_each(|d| *d = d.abs() - half),
+                }
+            }
+            Token::Complement => {
+                stack.values.last_mut().expect("one operand").iter_mut().for_each(|d| *d = -*d);
+            }
+            Token::Enter(i) => {
+                let warped = self.warps[i as usize].positions(stack.positions.last().expect("there is a position"));
+                stack.positions.push(warped);
+            }
+            Token::Leave(i) => {
+                stack.positions.pop();
+                let warp = &self.warps[i as usize];
+                let at = stack.positions.last().expect("there is a position");
+                warp.unstretch(at, stack.values.last_mut().expect("one operand"));
+            }
+        }
+    }
+
+    /// Distance, and colour if there is paint, at a point in local units.
+    pub fn color(&self, model: &Model, tokens: &[Token], at: [F; 3]) -> Option<[f32; 3]> {
+        let mut stack: Stack<F, 1> = Stack::default();
+        stack.positions.push(at.map(|x| [x]));
+        let mut colors: Vec<Option<[f32; 3]>> = Vec::new();
+        for &token in tokens {
+            let below = stack.values.len().checked_sub(2).map(|i| stack.values[i][0]);
+            let top = stack.values.last().map(|d| d[0]);
+            match token {
+                Token::Leaf(i) => {
+                    let leaf = &model.leaves[i as usize];
+                    let [x, y, z] = stack.positions.last().expect("there is a position").map(|x| x[0].widen());
+                    let local = DVec3::new(x, y, z);
+                    let p = if leaf.is_warped { self.frame.scale * local } else { self.frame.world(local) };
+                    colors.push(Coat::color(leaf.paint.as_deref(), p));
+                }
+                Token::Combine(i) => {
+                    let combine = &self.combines[i as usize];
+                    let (below, top) = (below.expect("two operands"), top.expect("two operands"));
+                    let (top_color, below_color) = (colors.pop().flatten(), colors.pop().flatten());
+                    let ((a, a_color), (b, b_color)) = if combine.is_swapped {
+                        ((top, top_color), (below, below_color))
+                    } else {
+                        ((below, below_color), (top, top_color))
+                    };
+                    colors.push(combine.color(a, a_color, b, b_color));
+                }
+                _ => {}
+            }
+            self.step(token, &mut stack);
+        }
+        colors.pop().flatten()
+    }
+}
+
+impl<F: Real> LeafField<F> {
+    fn new(primitive: &Primitive, scale: f64) -> Self {
+        match primitive {
+            Primitive::Sphere { .. } => Self::Sphere,
+            Primitive::Ellipsoid { .. } => Self::Ellipsoid,
+            Primitive::Box { .. } => Self::Box,
+            Primitive::BoxFrame { .. } => Self::BoxFrame,
+            Primitive::Torus { .. } => Self::Torus,
+            Primitive::CappedTorus { .. } => Self::CappedTorus,
+            Primitive::Cylinder { .. } => Self::Cylinder,
+            Primitive::Capsule { .. } => Self::Capsule,
+            Primitive::Cone { .. } => Self::Cone,
+            Primitive::Plane { .. } => Self::Plane,
+            Primitive::Pyramid { .. } => Self::Pyramid,
+            Primitive::Octahedron { .. } => Self::Octahedron,
+            Primitive::HexPrism { .. } => Self::HexPrism,
+            Primitive::Gyroid { .. } => Self::Gyroid,
+            Primitive::Extrude { profile, .. } => Self::Extrude(Flat::new(profile, scale)),
+            Primitive::Revolve { profile, .. } => Self::Revolve(Flat::new(profile, scale)),
+            Primitive::Volume(volume) => Self::Volume(volume.clone(), Box::new(PlacedVolume::new(volume, scale))),
+        }
+    }
+}
+
+impl<F: Real> Flat<F> {
+    fn new(profile: &Profile, scale: f64) -> Self {
+        match profile {
+            Profile::Circle { radius } => Self::Circle(F::of(scale * radius)),
+            Profile::Rectangle { half } => Self::Rectangle((scale * *half).to_array().map(F::of)),
+            Profile::Polygon { corners, .. } => {
+                Self::Polygon(corners.iter().map(|corner| (scale * *corner).to_array().map(F::of)).collect())
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn distance(&self, x: F, y: F) -> F {
+        match self {
+            Self::Circle(radius) => field::circle(x, y, *radius),
+            Self::Rectangle(half) => field::rectangle(x, y, *half),
+            Self::Polygon(corners) => field::polygon(x, y, corners),
+        }
+    }
+}
+
+impl<F: Real> PlacedLeaf<F> {
+    #[inline(always)]
+    fn distances<const N: usize>(&self, at: &[[F; N]; 3]) -> [F; N] {
+        let p = &self.parameters;
+        match &self.field {
+            LeafField::Sphere => self.each(at, |q| field::sphere(q, p)),
+            LeafField::Ellipsoid => self.each(at, |q| field::ellipsoid(q, p)),
+            LeafField::Box => self.each(at, |q| field::rounded_box(q, p)),
+            LeafField::BoxFrame => self.each(at, |q| field::box_frame(q, p)),
+            LeafField::Torus => self.each(at, |q| field::torus(q, p)),
+            LeafField::CappedTorus => self.each(at, |q| field::capped_torus(q, p)),
+            LeafField::Cylinder => self.each(at, |q| field::cylinder(q, p)),
+            LeafField::Capsule => self.each(at, |q| field::capsule(q, p)),
+            LeafField::Cone => self.each(at, |q| field::cone(q, p)),
+            LeafField::Plane => self.each(at, |q| field::plane(q, p)),
+            LeafField::Pyramid => self.each(at, |q| field::pyramid(q, p)),
+            LeafField::Octahedron => self.each(at, |q| field::octahedron(q, p)),
+            LeafField::HexPrism => self.each(at, |q| field::hex_prism(q, p)),
+            LeafField::Gyroid => self.each(at, |q| field::gyroid(q, p)),
+            LeafField::Extrude(flat) => self.each(at, |[x, y, z]| field::extrude(flat.distance(x, y), z, p[0])),
+            LeafField::Revolve(flat) => self.each(at, |[x, y, z]| flat.distance(length2(x, y) - p[0], z)),
+            LeafField::Volume(volume, placed) => self.each(at, |q| placed.distance(volume.distances(), q)),
+        }
+    }
+
+    /// A loop over the lanes, of a function of the position in the leaf's space.
+    #[inline(always)]
+    fn each<const N: usize>(&self, at: &[[F; N]; 3], distance: impl Fn([F; 3]) -> F) -> [F; N] {
+        let mut out = [F::default(); N];
+        let [sx, sy, sz] = self.shift;
+        if self.is_turned {
+            let [a, b, c] = &self.rows;
+            for i in 0..N {
+                let (x, y, z) = (at[0][i], at[1][i], at[2][i]);
+                out[i] = distance([
+                    a[0] * x + a[1] * y + a[2] * z + sx,
+                    b[0] * x + b[1] * y + b[2] * z + sy,
+                    c[0] * x + c[1] * y + c[2] * z + sz,
+                ]);
+            }
+        } else {
+            for i in 0..N {
+                out[i] = distance([at[0][i] + sx, at[1][i] + sy, at[2][i] + sz]);
+            }
+        }
+        out
+    }
+}
+
+impl<F: Real> PlacedCombine<F> {
+    #[inline(always)]
+    fn apply<const N: usize>(&self, a: &[F; N], b: &[F; N]) -> [F; N] {
+        let mut out = [F::default(); N];
+        let join = &self.joint;
+        match self.op {
+            Op::Union => {
+                for i in 0..N {
+                    out[i] = join.union(a[i], b[i]);
+                }
+            }
+            Op::Intersection => {
+                for i in 0..N {
+                    out[i] = -join.union(-a[i], -b[i]);
+                }
+            }
+            Op::Difference => {
+                for i in 0..N {
+                    out[i] = -join.union(-a[i], b[i]);
+                }
+            }
+            // In the union, not in the intersection.
+            Op::Xor => {
+                for i in 0..N {
+                    let (either, both) = (join.union(a[i], b[i]), -join.union(-a[i], -b[i]));
+                    out[i] = -join.union(-either, both);
+                }
+            }
+        }
+        out
+    }
+
+    /// The colour of the operand whose surface this is; mixed on a fillet. What is not painted takes the other's.
+    fn color(&self, a: F, a_color: Option<[f32; 3]>, b: F, b_color: Option<[f32; 3]>) -> Option<[f32; 3]> {
+        let (a, b) = match self.op {
+            Op::Union => (a, b),
+            Op::Intersection => (-a, -b),
+            Op::Difference => (-a, b),
+            // The surface of either: of the one whose zero is nearer.
+            Op::Xor => (a.abs(), b.abs()),
+        };
+        let (Some(first), Some(second)) = (a_color, b_color) else { return a_color.or(b_color) };
+        let (near, far) = if a <= b { (first, second) } else { (second, first) };
+        let Joint::Smooth(k, _) = self.joint else { return Some(near) };
+        // The share of the farther one in the slope of the fillet.
+        let reach = (k - (a - b).abs()).most(F::default()) / (k + k);
+        let share = reach.widen() as f32;
+        Some([0, 1, 2].map(|i| near[i] + share * (far[i] - near[i])))
+    }
+}
+
+impl<F: Real> Joint<F> {
+    /// The smooth minimum is the quadratic one (I. Quilez, "Smooth minimum"): never above the sharp minimum, below it by at
+    /// most `k / 4`, and a weighted mean of the slopes.
+    #[inline(always)]
+    fn union(&self, a: F, b: F) -> F {
+        match *self {
+            Self::Sharp => a.least(b),
+            Self::Smooth(k, quarter) => {
+                let h = (k - (a - b).abs()).most(F::default());
+                a.least(b) - h * h * quarter
+            }
+            Self::Chamfer(k) => a.least(b).least((a + b - k) * F::of(0.5f64.sqrt())),
+        }
+    }
+}
+
+impl<F: Real> PlacedWarp<F> {
+    #[inline(always)]
+    fn placed(&self, [x, y, z]: [F; 3]) -> [F; 3] {
+        [0, 1, 2].map(|i| {
+            let row = &self.rows[i];
+            row[0] * x + row[1] * y + row[2] * z + self.shift[i]
+        })
+    }
+
+    /// Distance of a local point from the axis of the warp.
+    pub fn radius_at(&self, local: DVec3) -> f64 {
+        let [x, y, _] = self.placed(local.to_array().map(F::of)).map(F::widen);
+        x.hypot(y)
+    }
+
+    #[inline(always)]
+    pub fn positions<const N: usize>(&self, at: &[[F; N]; 3]) -> [[F; N]; 3] {
+        let mut out = [[F::default(); N]; 3];
+        for i in 0..N {
+            let [x, y, z] = self.placed([at[0][i], at[1][i], at[2][i]]);
+            let q = match self.kind {
+                PlacedWarpKind::Elongate([hx, hy, hz]) => {
+                    [x - x.between(-hx, hx), y - y.between(-hy, hy), z - z.between(-hz, hz)]
+                }
+                PlacedWarpKind::Twist(rate) => turned(x, y, z, -(rate * z)),
+                PlacedWarpKind::Bend(rate) => turned(x, y, z, -(rate * x)),
+            };
+            for axis in 0..3 {
+                out[axis][i] = q[axis];
+            }
+        }
+        out
+    }
+
+    /// Divide by how much the warp stretches at each position.
+    #[inline(always)]
+    fn unstretch<const N: usize>(&self, at: &[[F; N]; 3], values: &mut [F; N]) {
+        if self.rate == F::default() {
+            return;
+        }
+        for i in 0..N {
+            let [x, y, _] = self.placed([at[0][i], at[1][i], at[2][i]]);
+            values[i] = values[i] / (F::of(1.0) + self.rate * length2(x, y).most(self.radius));
+        }
+    }
+}
+
+/// Turned about z.
+#[inline(always)]
+fn turned<F: Real>(x: F, y: F, z: F, angle: F) -> [F; 3] {
+    let (sin, cos) = (angle.sin(), angle.cos());
+    [cos * x - sin * y, sin * x + cos * y, z]
+}
+
+impl Coat {
+    /// The colour of a painted leaf at a point, in the units of the leaf's placement.
+    fn color(coat: Option<&Self>, p: DVec3) -> Option<[f32; 3]> {
+        let mut color = None;
+        let mut next = coat;
+        while let Some(coat) = next {
+            if (color.is_none() || coat.over) && coat.mask.as_ref().is_none_or(|mask| mask.covers(p)) {
+                color = Some(coat.color);
+            }
+            next = coat.above.as_deref();
+        }
+        color
+    }
+}
+
+impl super::model::Mask {
+    fn covers(&self, p: DVec3) -> bool {
+        let inside = self.place.rotation.transpose() * (p - self.place.translation) / self.place.scale;
+        let at = self.program.frame.local(inside).to_array().map(|x| [x]);
+        let distance = self.program.run(&self.model.tokens, &at, &mut Stack::default())[0];
+        (distance <= 0.0) != self.outside
+    }
+}

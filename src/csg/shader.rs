@@ -1,0 +1,349 @@
+//! The field of a shape as WGSL that a person reads, and in the other shading languages through naga.
+//!
+//! The text follows from the structure alone: numbers are read from a buffer, so shapes that differ in numbers share one text,
+//! and with it one pipeline. [`ShapeShader::numbers`] is what goes into the buffer. Positions are in world units.
+
+use super::decompose::{StructureToken, structure};
+use super::model::{Model, Token, WarpKind};
+use super::primitive::{PARAMETERS, Primitive};
+use super::profile::Profile;
+use super::program::{Frame, PlacedLevel, PlacedWarpKind, Program};
+use super::shape::{Blend, Op};
+use super::solid::Solid;
+use crate::error::{Error, ShapeError};
+use crate::gpu::shader::shared;
+use glam::DVec3;
+use naga::back::{glsl, hlsl, msl};
+use naga::proc::BoundsCheckPolicies;
+use naga::valid::{Capabilities, ValidationFlags, Validator};
+use naga::{ShaderStage, front};
+use std::fmt::Write;
+
+/// A shading language.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Language {
+    Wgsl,
+    Glsl,
+    Hlsl,
+    Msl,
+}
+
+impl Language {
+    /// The language that the Python interface calls `name`.
+    pub fn from_name(name: &str) -> Result<Self, ShapeError> {
+        match name {
+            "wgsl" => Ok(Self::Wgsl),
+            "glsl" => Ok(Self::Glsl),
+            "hlsl" => Ok(Self::Hlsl),
+            "msl" => Ok(Self::Msl),
+            _ => {
+                let problem = format!("expected \"wgsl\", \"glsl\", \"hlsl\" or \"msl\", got {name:?}");
+                Err(ShapeError::argument("language", problem))
+            }
+        }
+    }
+}
+
+/// A shader for the field of a shape.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ShapeShader {
+    pub wgsl: String,
+    /// In the order in which the text reads them, world units.
+    pub numbers: Vec<f32>,
+}
+
+impl ShapeShader {
+    /// The text in some language; GLSL is that of OpenGL 4.3 and OpenGL ES 3.1, which have compute shaders.
+    pub fn text(&self, language: Language) -> Result<String, Error> {
+        if language == Language::Wgsl {
+            return Ok(self.wgsl.clone());
+        }
+        let module = front::wgsl::parse_str(&self.wgsl).map_err(|error| refused(error.emit_to_string(&self.wgsl)))?;
+        let info = Validator::new(ValidationFlags::all(), Capabilities::empty())
+            .validate(&module)
+            .map_err(|error| refused(error.emit_to_string(&self.wgsl)))?;
+        let mut text = String::new();
+        match language {
+            Language::Wgsl => unreachable!("returned above"),
+            Language::Glsl => {
+                let options = glsl::Options { version: glsl::Version::Desktop(430), ..glsl::Options::default() };
+                let pipeline = glsl::PipelineOptions {
+                    shader_stage: ShaderStage::Compute,
+                    entry_point: "main".into(),
+                    multiview: None,
+                };
+                let policies = BoundsCheckPolicies::default();
+                glsl::Writer::new(&mut text, &module, &info, &options, &pipeline, policies)
+                    .and_then(|mut writer| writer.write())
+                    .map_err(|error| refused(error.to_string()))?;
+            }
+            Language::Hlsl => {
+                let options = hlsl::Options { fake_missing_bindings: true, ..hlsl::Options::default() };
+                hlsl::Writer::new(&mut text, &options, &hlsl::PipelineOptions::default())
+                    .write(&module, &info, None)
+                    .map_err(|error| refused(error.to_string()))?;
+            }
+            Language::Msl => {
+                let options = msl::Options { fake_missing_bindings: true, ..msl::Options::default() };
+                (text, _) = msl::write_string(&module, &info, &options, &msl::PipelineOptions::default())
+                    .map_err(|error| refused(error.to_string()))?;
+            }
+        }
+        Ok(text)
+    }
+}
+
+/// A text of ours that naga refuses: our bug, told as one.
+fn refused(reason: String) -> Error {
+    ShapeError::argument("language", format!("the shader could not be translated: {reason}")).into()
+}
+
+/// The whole shape as one function.
+pub fn shader(solid: &Solid) -> Result<ShapeShader, ShapeError> {
+    let model = &solid.model;
+    for leaf in &model.leaves {
+        if let Primitive::Volume(_) = leaf.primitive {
+            let problem = "holds a baked volume, which needs a texture; draw it with raymarch, or sample its atlas";
+            return Err(ShapeError::argument("shape", problem));
+        }
+    }
+    // World units: nothing is moved or scaled.
+    let program = Program::<f32>::new(model, Frame { center: DVec3::ZERO, scale: 1.0 });
+    let mut writer = Writer { model, program, body: String::new(), numbers: Vec::new(), depth: 1, names: 0 };
+    let value = writer.write(&model.tokens);
+    let _ = writeln!(writer.body, "    return {value};");
+
+    let mut wgsl = String::from(
+        "// The signed distance to a shape, negative inside. Its numbers are read from `numbers`, in order, so that shapes of\n\
+         // the same structure share this text.\n\n",
+    );
+    wgsl.push_str("@group(0) @binding(0) var<storage, read> numbers: array<f32>;\n");
+    wgsl.push_str("// World positions, and where their distances go.\n");
+    wgsl.push_str("@group(0) @binding(1) var<storage, read> points: array<vec4f>;\n");
+    wgsl.push_str("@group(0) @binding(2) var<storage, read_write> distances: array<f32>;\n\n");
+    wgsl.push_str(shared("csg_field").unwrap_or_default());
+    wgsl.push_str(HELPERS);
+    let _ = write!(wgsl, "\nfn distance_to_shape(p0: vec3f) -> f32 {{\n{}}}\n", writer.body);
+    wgsl.push_str(ENTRY);
+    Ok(ShapeShader { wgsl, numbers: writer.numbers })
+}
+
+/// What the generated function calls besides the primitives.
+const HELPERS: &str = "
+// A position in the space of a leaf, whose placement is the twelve numbers from `i`.
+fn placed(p: vec3f, i: u32) -> vec3f {
+    return vec3f(
+        dot(vec3f(numbers[i], numbers[i + 1u], numbers[i + 2u]), p) + numbers[i + 3u],
+        dot(vec3f(numbers[i + 4u], numbers[i + 5u], numbers[i + 6u]), p) + numbers[i + 7u],
+        dot(vec3f(numbers[i + 8u], numbers[i + 9u], numbers[i + 10u]), p) + numbers[i + 11u],
+    );
+}
+
+// The six numbers from `i`.
+fn six(i: u32) -> array<f32, 6> {
+    return array<f32, 6>(
+        numbers[i], numbers[i + 1u], numbers[i + 2u], numbers[i + 3u], numbers[i + 4u], numbers[i + 5u],
+    );
+}
+
+// The nearest edge, and the parity of the edges to the right; corners follow their count.
+fn polygon(at: vec2f, i: u32) -> f32 {
+    let count = u32(numbers[i]);
+    var nearest = CSG_FAR;
+    var is_inside = false;
+    var before = vec2f(numbers[i + 2u * count - 1u], numbers[i + 2u * count]);
+    for (var c = 0u; c < min(count, MAX_CORNERS); c++) {
+        let corner = vec2f(numbers[i + 2u * c + 1u], numbers[i + 2u * c + 2u]);
+        let edge = before - corner;
+        let to = at - corner;
+        let away = to - clamp(dot(to, edge) / dot(edge, edge), 0.0, 1.0) * edge;
+        nearest = min(nearest, dot(away, away));
+        if (corner.y > at.y) != (before.y > at.y) {
+            if (to.x * edge.y < to.y * edge.x) == (edge.y > 0.0) { is_inside = !is_inside; }
+        }
+        before = corner;
+    }
+    return select(sqrt(nearest), -sqrt(nearest), is_inside);
+}
+
+const MAX_CORNERS: u32 = 1024u;
+";
+
+const ENTRY: &str = "
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3u) {
+    if id.x >= arrayLength(&distances) { return; }
+    distances[id.x] = distance_to_shape(points[id.x].xyz);
+}
+";
+
+struct Writer<'a> {
+    model: &'a Model,
+    program: Program<f32>,
+    body: String,
+    numbers: Vec<f32>,
+    /// Spaces that are open: `p0` is the world.
+    depth: usize,
+    names: usize,
+}
+
+impl Writer<'_> {
+    /// Write the statements for tokens; the name of the value.
+    fn write(&mut self, tokens: &[Token]) -> String {
+        let kinds = structure(self.model, tokens);
+        let mut stack: Vec<String> = Vec::new();
+        let mut spaces = vec!["p0".to_owned()];
+        for (&token, kind) in tokens.iter().zip(kinds) {
+            let p = spaces.last().cloned().unwrap_or_default();
+            match (token, kind) {
+                (Token::Leaf(leaf), _) => {
+                    let call = self.leaf(leaf, &p);
+                    let name = self.statement("d", &call, "");
+                    stack.push(name);
+                }
+                (Token::Combine(i), StructureToken::Combine { op, is_swapped, joint }) => {
+                    let (top, below) = (stack.pop().unwrap_or_default(), stack.pop().unwrap_or_default());
+                    let (a, b) = if is_swapped { (top, below) } else { (below, top) };
+                    let width = match self.model.combines[i as usize].blend {
+                        Blend::Sharp => "0.0".to_owned(),
+                        Blend::Smooth(k) | Blend::Chamfer(k) => self.number(k as f32),
+                    };
+                    let call = joined(op, joint, &a, &b, &width);
+                    let name = self.statement("d", &call, &format!("{joint} {}", op.name()));
+                    stack.push(name);
+                }
+                (Token::Level(i), _) => {
+                    let d = stack.pop().unwrap_or_default();
+                    let (call, what) = match self.program.levels[i as usize] {
+                        PlacedLevel::Offset(distance) => (format!("{d} - {}", self.number(distance)), "offset"),
+                        PlacedLevel::Shell(half) => (format!("abs({d}) - {}", self.number(half)), "shell"),
+                    };
+                    let name = self.statement("d", &call, what);
+                    stack.push(name);
+                }
+                (Token::Enter(i), _) => {
+                    let warp = self.program.warps[i as usize];
+                    let at = self.placement(&warp.rows, warp.shift);
+                    let what = match self.model.warps[i as usize].kind {
+                        WarpKind::Elongate(_) => "elongate",
+                        WarpKind::Twist(_) => "twist",
+                        WarpKind::Bend(_) => "bend",
+                    };
+                    let place = self.statement("q", &format!("placed({p}, {at}u)"), &format!("the space of {what}"));
+                    let call = match warp.kind {
+                        PlacedWarpKind::Elongate(half) => {
+                            let half = half.map(|x| self.number(x)).join(", ");
+                            format!("{place} - clamp({place}, -vec3f({half}), vec3f({half}))")
+                        }
+                        PlacedWarpKind::Twist(rate) => {
+                            format!("turned_about_z({place}, -{} * {place}.z)", self.number(rate))
+                        }
+                        PlacedWarpKind::Bend(rate) => {
+                            format!("turned_about_z({place}, -{} * {place}.x)", self.number(rate))
+                        }
+                    };
+                    let inside = self.statement("q", &call, "");
+                    // What its distances are divided by, for the matching end.
+                    let rate = self.number(warp.rate);
+                    let radius = self.number(warp.radius);
+                    stack.push(format!("(1.0 + {rate} * max(length({place}.xy), {radius}))"));
+                    spaces.push(inside);
+                    self.depth += 1;
+                }
+                (Token::Leave(_), _) => {
+                    let d = stack.pop().unwrap_or_default();
+                    let stretch = stack.pop().unwrap_or_default();
+                    spaces.pop();
+                    self.depth -= 1;
+                    let name = self.statement("d", &format!("{d} / {stretch}"), "back from the warp");
+                    stack.push(name);
+                }
+                _ => {
+                    let d = stack.pop().unwrap_or_default();
+                    let name = self.statement("d", &format!("-{d}"), "complement");
+                    stack.push(name);
+                }
+            }
+        }
+        stack.pop().unwrap_or_else(|| "CSG_FAR".to_owned())
+    }
+
+    fn statement(&mut self, prefix: &str, expression: &str, comment: &str) -> String {
+        let name = format!("{prefix}{}", self.names);
+        self.names += 1;
+        let indent = "    ".repeat(self.depth.min(4));
+        let comment = if comment.is_empty() { String::new() } else { format!(" // {comment}") };
+        let _ = writeln!(self.body, "{indent}let {name} = {expression};{comment}");
+        name
+    }
+
+    /// A number in the buffer, as an expression.
+    fn number(&mut self, value: f32) -> String {
+        self.numbers.push(value);
+        format!("numbers[{}]", self.numbers.len() - 1)
+    }
+
+    /// Twelve numbers; where they begin.
+    fn placement(&mut self, rows: &[[f32; 3]; 3], shift: [f32; 3]) -> usize {
+        let first = self.numbers.len();
+        for (row, shift) in rows.iter().zip(shift) {
+            self.numbers.extend([row[0], row[1], row[2], shift]);
+        }
+        first
+    }
+
+    fn leaf(&mut self, leaf: u32, p: &str) -> String {
+        let placed = self.program.leaves[leaf as usize].clone();
+        let at = self.placement(&placed.rows, placed.shift);
+        let place = format!("placed({p}, {at}u)");
+        let source = &self.model.leaves[leaf as usize];
+        let scale = source.place.scale;
+        match &source.primitive {
+            Primitive::Extrude { profile, .. } => {
+                let half_height = self.number(placed.parameters[0]);
+                let place = self.statement("q", &place, "extrude");
+                let flat = self.profile(profile, scale, &format!("{place}.xy"));
+                format!("prism({flat}, {place}.z, {half_height})")
+            }
+            Primitive::Revolve { profile, .. } => {
+                let offset = self.number(placed.parameters[0]);
+                let place = self.statement("q", &place, "revolve");
+                self.profile(profile, scale, &format!("vec2f(length({place}.xy) - {offset}, {place}.z)"))
+            }
+            primitive => {
+                let first = self.numbers.len();
+                self.numbers.extend(&placed.parameters[..PARAMETERS]);
+                format!("{}({place}, six({first}u))", primitive.structure())
+            }
+        }
+    }
+
+    fn profile(&mut self, profile: &Profile, scale: f64, at: &str) -> String {
+        match profile {
+            Profile::Circle { radius } => format!("circle({at}, {})", self.number((scale * radius) as f32)),
+            Profile::Rectangle { half } => {
+                let (x, y) = (self.number((scale * half.x) as f32), self.number((scale * half.y) as f32));
+                format!("rectangle({at}, vec2f({x}, {y}))")
+            }
+            Profile::Polygon { corners, .. } => {
+                let first = self.numbers.len();
+                self.numbers.push(corners.len() as f32);
+                self.numbers.extend(corners.iter().flat_map(|corner| (scale * *corner).as_vec2().to_array()));
+                format!("polygon({at}, {first}u)")
+            }
+        }
+    }
+}
+
+fn joined(op: Op, joint: &str, a: &str, b: &str, width: &str) -> String {
+    let union = |a: &str, b: &str| format!("{joint}_union({a}, {b}, {width})");
+    match op {
+        Op::Union => union(a, b),
+        Op::Intersection => format!("-{}", union(&format!("-{a}"), &format!("-{b}"))),
+        Op::Difference => format!("-{}", union(&format!("-{a}"), b)),
+        Op::Xor => {
+            let both = format!("-{}", union(&format!("-{a}"), &format!("-{b}")));
+            format!("-{}", union(&format!("-{}", union(a, b)), &both))
+        }
+    }
+}

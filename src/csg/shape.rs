@@ -1,0 +1,294 @@
+//! The tree that a user builds: immutable, shared, of any depth.
+//!
+//! A [`Shape`] is a counted reference to a node. Operators make new nodes over old ones, so a part may stand in many trees,
+//! and in one tree many times. Nothing here recurses: a tree of a hundred thousand levels is built, walked and dropped.
+
+use super::primitive::{Primitive, finite, not_negative, positive};
+use super::profile::Profile;
+use super::volume_leaf::VolumeLeaf;
+use crate::error::ShapeError;
+use glam::DVec3;
+use std::sync::Arc;
+
+/// A solid: a leaf, or operators over others.
+#[derive(Debug, Clone)]
+pub struct Shape(Arc<Node>);
+
+#[derive(Debug)]
+pub struct Node {
+    pub kind: Kind,
+    pub children: Vec<Shape>,
+    /// Leaves when every repetition is written out.
+    leaves: u64,
+}
+
+/// What a node does with its children.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Kind {
+    Primitive(Primitive),
+    /// Two children or more, from the left.
+    Combine {
+        op: Op,
+        blend: Blend,
+    },
+    Move(DVec3),
+    /// Right-handed about an axis through the origin, unit.
+    Rotate {
+        axis: DVec3,
+        degrees: f64,
+    },
+    Scale(f64),
+    /// All points within this distance; a negative one takes away.
+    Offset(f64),
+    /// A skin of this thickness about the surface.
+    Shell(f64),
+    /// All of space but the child.
+    Complement,
+    /// Pulled apart at the planes through the origin by so much on each side.
+    Elongate(DVec3),
+    /// The mirror image in the plane through the origin that has this normal, unit.
+    Reflect(DVec3),
+    /// Together with that mirror image.
+    Mirror(DVec3),
+    /// Copies on a lattice about the origin.
+    Repeat {
+        spacing: DVec3,
+        counts: [u32; 3],
+    },
+    /// Turned about z by so many degrees a unit of z.
+    Twist(f64),
+    /// Turned about z by so many degrees a unit of x.
+    Bend(f64),
+    /// Linear RGB. `over` replaces colours below; otherwise they stay.
+    Paint {
+        color: [f32; 3],
+        over: bool,
+    },
+    /// The first child, painted where it is inside the second (or outside).
+    Stencil {
+        color: [f32; 3],
+        outside: bool,
+    },
+}
+
+/// How two solids make one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Op {
+    Union,
+    Intersection,
+    Difference,
+    /// In one, not in both.
+    Xor,
+}
+
+/// How the surfaces meet.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Blend {
+    Sharp,
+    /// A fillet: the field differs from the sharp one where the two are nearer to each other than this.
+    Smooth(f64),
+    /// A flat at 45 degrees, that cuts this much off each.
+    Chamfer(f64),
+}
+
+/// Leaves of a shape at most, with repetitions written out.
+pub const MAX_LEAVES: u64 = 1 << 20;
+
+impl Op {
+    pub const ALL: [Self; 4] = [Self::Union, Self::Intersection, Self::Difference, Self::Xor];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Union => "union",
+            Self::Intersection => "intersection",
+            Self::Difference => "difference",
+            Self::Xor => "xor",
+        }
+    }
+}
+
+impl Blend {
+    /// At most one of the two widths may be above zero.
+    pub fn new(k: f64, chamfer: f64) -> Result<Self, ShapeError> {
+        match (not_negative("k", k)?, not_negative("chamfer", chamfer)?) {
+            (0.0, 0.0) => Ok(Self::Sharp),
+            (k, 0.0) => Ok(Self::Smooth(k)),
+            (0.0, chamfer) => Ok(Self::Chamfer(chamfer)),
+            _ => Err(ShapeError::argument("chamfer", "give either k or chamfer, a joint has one form")),
+        }
+    }
+
+    /// The width, zero for a sharp joint.
+    pub fn width(self) -> f64 {
+        match self {
+            Self::Sharp => 0.0,
+            Self::Smooth(k) | Self::Chamfer(k) => k,
+        }
+    }
+}
+
+impl Shape {
+    fn node(kind: Kind, children: Vec<Self>) -> Result<Self, ShapeError> {
+        let copies = match &kind {
+            Kind::Mirror(_) => 2,
+            Kind::Repeat { counts, .. } => counts.iter().map(|&n| u64::from(n)).product(),
+            _ => 1,
+        };
+        let below = children.iter().map(|child| child.0.leaves).sum::<u64>().max(1);
+        let leaves = below.saturating_mul(copies);
+        if leaves > MAX_LEAVES {
+            let problem = format!("has {leaves} leaves with its repetitions written out, the limit is {MAX_LEAVES}");
+            return Err(ShapeError::argument("shape", problem));
+        }
+        Ok(Self(Arc::new(Node { kind, children, leaves })))
+    }
+
+    pub fn primitive(primitive: Primitive) -> Self {
+        Self(Arc::new(Node { kind: Kind::Primitive(primitive), children: Vec::new(), leaves: 1 }))
+    }
+
+    /// A baked field.
+    pub fn volume(volume: VolumeLeaf) -> Self {
+        Self::primitive(Primitive::Volume(Arc::new(volume)))
+    }
+
+    /// A profile drawn out along z, `height` in all.
+    pub fn extrude(profile: Arc<Profile>, height: f64) -> Result<Self, ShapeError> {
+        let half_height = 0.5 * positive("height", height)?;
+        Ok(Self::primitive(Primitive::Extrude { profile, half_height }))
+    }
+
+    /// A profile turned about z.
+    pub fn revolve(profile: Arc<Profile>, offset: f64) -> Result<Self, ShapeError> {
+        let offset = finite("offset", offset)?;
+        if profile.reach(offset) <= 0.0 {
+            let problem = format!("the profile lies beyond the axis, nothing is left at x + {offset} > 0");
+            return Err(ShapeError::argument("offset", problem));
+        }
+        Ok(Self::primitive(Primitive::Revolve { profile, offset }))
+    }
+
+    pub fn combine(op: Op, blend: Blend, shapes: Vec<Self>) -> Result<Self, ShapeError> {
+        match shapes.len() {
+            0 => Err(ShapeError::argument("shapes", format!("a {} needs at least one shape", op.name()))),
+            1 => Ok(shapes.into_iter().next().expect("there is one")),
+            _ => Self::node(Kind::Combine { op, blend }, shapes),
+        }
+    }
+
+    /// A change of one shape by the name and the numbers of the Python interface.
+    pub fn changed(&self, name: &str, numbers: &[f64]) -> Result<Self, ShapeError> {
+        let vector = |argument, x, y, z| -> Result<DVec3, ShapeError> {
+            Ok(DVec3::new(finite(argument, x)?, finite(argument, y)?, finite(argument, z)?))
+        };
+        let unit = |argument, x, y, z| -> Result<DVec3, ShapeError> {
+            let axis = vector(argument, x, y, z)?;
+            let largest = axis.abs().max_element();
+            if largest == 0.0 {
+                return Err(ShapeError::argument(argument, "is zero, expected a direction"));
+            }
+            Ok((axis / largest).normalize())
+        };
+        let kind = match (name, numbers) {
+            ("translate", &[x, y, z]) => Kind::Move(vector("offset", x, y, z)?),
+            ("rotate", &[x, y, z, degrees]) => {
+                Kind::Rotate { axis: unit("axis", x, y, z)?, degrees: finite("degrees", degrees)? }
+            }
+            ("scale", &[factor]) => {
+                let factor = positive("factor", factor)?;
+                if factor < 1e-30 {
+                    return Err(ShapeError::argument("factor", format!("must be at least 1e-30, got {factor}")));
+                }
+                Kind::Scale(factor)
+            }
+            ("offset", &[distance]) => Kind::Offset(finite("distance", distance)?),
+            ("shell", &[thickness]) => Kind::Shell(positive("thickness", thickness)?),
+            ("complement", &[]) => Kind::Complement,
+            ("elongate", &[x, y, z]) => {
+                Kind::Elongate(DVec3::new(not_negative("size", x)?, not_negative("size", y)?, not_negative("size", z)?))
+            }
+            ("reflect", &[x, y, z]) => Kind::Reflect(unit("axis", x, y, z)?),
+            ("mirror", &[x, y, z]) => Kind::Mirror(unit("axis", x, y, z)?),
+            ("repeat", &[x, y, z, nx, ny, nz]) => {
+                let count = |n: f64| match n {
+                    n if n >= 1.0 && n.fract() == 0.0 && n <= MAX_LEAVES as f64 => Ok(n as u32),
+                    _ => Err(ShapeError::argument("counts", format!("must be whole numbers of at least 1, got {n}"))),
+                };
+                Kind::Repeat { spacing: vector("spacing", x, y, z)?, counts: [count(nx)?, count(ny)?, count(nz)?] }
+            }
+            ("twist", &[degrees]) => Kind::Twist(finite("degrees", degrees)?),
+            ("bend", &[degrees]) => Kind::Bend(finite("degrees", degrees)?),
+            ("paint", &[r, g, b]) => Kind::Paint { color: color([r, g, b])?, over: false },
+            ("paint_over", &[r, g, b]) => Kind::Paint { color: color([r, g, b])?, over: true },
+            _ => {
+                let problem = format!("there is no change '{name}' of {} numbers", numbers.len());
+                return Err(ShapeError::argument("name", problem));
+            }
+        };
+        Self::node(kind, vec![self.clone()])
+    }
+
+    /// Painted where it is inside `mask`, or outside.
+    pub fn stencil(&self, mask: &Self, rgb: [f64; 3], outside: bool) -> Result<Self, ShapeError> {
+        Self::node(Kind::Stencil { color: color(rgb)?, outside }, vec![self.clone(), mask.clone()])
+    }
+
+    /// The same joint at the root, in another form.
+    pub fn reblended(&self, blend: Blend) -> Result<Self, ShapeError> {
+        match self.kind() {
+            Kind::Combine { op, .. } => Self::combine(*op, blend, self.children().to_vec()),
+            _ => Err(ShapeError::argument("shape", "has no operator at its root to be made smooth; combine first")),
+        }
+    }
+
+    pub fn kind(&self) -> &Kind {
+        &self.0.kind
+    }
+
+    pub fn children(&self) -> &[Self] {
+        &self.0.children
+    }
+
+    /// Leaves, with repetitions written out.
+    pub fn leaf_count(&self) -> u64 {
+        self.0.leaves
+    }
+}
+
+fn color(rgb: [f64; 3]) -> Result<[f32; 3], ShapeError> {
+    if rgb.iter().all(|c| (0.0..=FAR_COLOR).contains(c)) {
+        return Ok(rgb.map(|c| c as f32));
+    }
+    Err(ShapeError::argument("color", format!("must be three numbers of at least 0, got {rgb:?}")))
+}
+
+const FAR_COLOR: f64 = 1e6;
+
+impl Drop for Node {
+    /// Without recursion: children that nobody else holds are taken apart one by one.
+    fn drop(&mut self) {
+        let mut waiting = std::mem::take(&mut self.children);
+        while let Some(shape) = waiting.pop() {
+            if let Some(mut node) = Arc::into_inner(shape.0) {
+                waiting.append(&mut node.children);
+            }
+        }
+    }
+}
+
+/// Compared node by node, without recursion.
+impl PartialEq for Shape {
+    fn eq(&self, other: &Self) -> bool {
+        let mut waiting = vec![(self, other)];
+        while let Some((a, b)) = waiting.pop() {
+            if Arc::ptr_eq(&a.0, &b.0) {
+                continue;
+            }
+            if a.kind() != b.kind() || a.children().len() != b.children().len() {
+                return false;
+            }
+            waiting.extend(a.children().iter().zip(b.children()));
+        }
+        true
+    }
+}

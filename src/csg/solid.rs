@@ -1,0 +1,217 @@
+//! A shape ready for questions: distances, slopes, colours, samples on a grid.
+//!
+//! Queries run in float64 and are rounded once; grids and pictures run in float32, in local units, where it is exact to
+//! about 1e-7 of the model's size whatever its place. Batches of 64 points go to all cores.
+
+use super::decompose::{Method, Part, decompose};
+use super::gpu;
+use super::model::{Model, Token};
+use super::program::{Frame, Program, Stack};
+use super::real::Real;
+use super::shape::Shape;
+use crate::error::Error;
+use crate::gpu::Place;
+use crate::grid::Grid;
+use crate::memory::allocate_samples;
+use crate::progress::Progress;
+use glam::DVec3;
+use rayon::prelude::*;
+use std::sync::OnceLock;
+
+/// A shape, lowered and compiled. Cheap to ask, immutable, shared between threads.
+#[derive(Debug)]
+pub struct Solid {
+    pub shape: Shape,
+    pub model: Model,
+    pub frame: Frame,
+    pub program: Program<f32>,
+    precise: Program<f64>,
+    /// Found at the first use: by boxes, by the octree.
+    parts: [OnceLock<Vec<Part>>; 2],
+}
+
+/// Points that are evaluated together.
+pub const LANES: usize = 64;
+
+/// Points of a piece of a batch.
+const CHUNK_POINTS: usize = 16 * LANES;
+
+/// Half the step of a gradient's central differences, local units: the cube root of float64's rounding, at which the
+/// rounding of the field and the bend of the surface matter alike, about 1e-10.
+const GRADIENT_STEP: f64 = 6e-6;
+
+impl Solid {
+    pub fn new(shape: &Shape) -> Result<Self, Error> {
+        let model = Model::new(shape)?;
+        let frame = Frame::of(&model);
+        let program = Program::new(&model, frame);
+        let precise = Program::new(&model, frame);
+        Ok(Self { shape: shape.clone(), model, frame, program, precise, parts: Default::default() })
+    }
+
+    /// Lower and upper corner, or an error that names the leaf without bounds. An empty solid has its middle.
+    pub fn bounds(&self) -> Result<[DVec3; 2], Error> {
+        self.model.is_bounded()?;
+        let extent = &self.model.extent;
+        if extent.is_empty() {
+            let middle = 0.5 * (extent.lower + extent.upper);
+            let middle = if middle.is_finite() { middle } else { DVec3::ZERO };
+            return Ok([middle, middle]);
+        }
+        Ok([extent.lower, extent.upper])
+    }
+
+    /// The parts by a method, found once.
+    pub fn parts(&self, method: Method) -> Result<&[Part], Error> {
+        let known = &self.parts[method as usize];
+        if known.get().is_none() {
+            // Two threads may find them, and find the same.
+            let _ = known.set(decompose(self, method)?);
+        }
+        Ok(known.get().map_or(&[], Vec::as_slice))
+    }
+
+    /// Signed distance, or a bound of it, at world points.
+    pub fn distances(&self, points: &[DVec3], progress: &Progress) -> Result<Vec<f32>, Error> {
+        let mut out = vec![0.0f32; points.len()];
+        progress.set_total(points.len() as u64);
+        out.par_chunks_mut(CHUNK_POINTS).zip(points.par_chunks(CHUNK_POINTS)).try_for_each_init(
+            Stack::<f64, LANES>::default,
+            |stack, (out, points)| {
+                for (out, points) in out.chunks_mut(LANES).zip(points.chunks(LANES)) {
+                    let mut at = [[0.0; LANES]; 3];
+                    for (i, &p) in points.iter().enumerate() {
+                        let local = self.frame.local(p);
+                        (at[0][i], at[1][i], at[2][i]) = (local.x, local.y, local.z);
+                    }
+                    let values = run_wide(&self.precise, &self.model.tokens, &at, stack);
+                    for (out, value) in out.iter_mut().zip(values) {
+                        *out = saturated(value * self.frame.scale);
+                    }
+                }
+                progress.advance(points.len() as u64)
+            },
+        )?;
+        Ok(out)
+    }
+
+    /// [`Self::distances`] at a place.
+    pub fn distances_at(&self, place: &Place, points: &[DVec3], progress: &Progress) -> Result<Vec<f32>, Error> {
+        match place {
+            Place::Cpu => self.distances(points, progress),
+            Place::Gpu(context) => gpu::distances(self, context, points, progress),
+        }
+    }
+
+    /// [`Self::bake`] at a place.
+    pub fn bake_at(&self, place: &Place, grid: &Grid, progress: &Progress) -> Result<Vec<f32>, Error> {
+        match place {
+            Place::Cpu => self.bake(grid, progress),
+            Place::Gpu(context) => gpu::bake(self, context, grid, progress),
+        }
+    }
+
+    /// Slope of the field at world points; zero where it has none.
+    pub fn gradients(&self, points: &[DVec3], progress: &Progress) -> Result<Vec<[f32; 3]>, Error> {
+        let mut out = vec![[0.0f32; 3]; points.len()];
+        progress.set_total(points.len() as u64);
+        out.par_chunks_mut(CHUNK_POINTS).zip(points.par_chunks(CHUNK_POINTS)).try_for_each_init(
+            Stack::<f64, 6>::default,
+            |stack, (out, points)| {
+                for (out, &p) in out.iter_mut().zip(points) {
+                    let local = self.frame.local(p);
+                    // Far away, the step is as many roundings long.
+                    let step = GRADIENT_STEP * local.abs().max_element().max(1.0);
+                    *out = slope(&self.precise, &self.model.tokens, local, step, stack).as_vec3().to_array();
+                }
+                progress.advance(points.len() as u64)
+            },
+        )?;
+        Ok(out)
+    }
+
+    /// Samples at the voxel centres of a grid, x fastest.
+    pub fn bake(&self, grid: &Grid, progress: &Progress) -> Result<Vec<f32>, Error> {
+        let [nx, ny, nz] = grid.shape;
+        let what = format!("a field of {nx} x {ny} x {nz} samples");
+        let mut samples = allocate_samples(&what, grid.len(), 0)?;
+        progress.set_total((ny * nz) as u64);
+        let along_x: Vec<f32> = (0..nx).map(|x| self.frame.local(grid.center(x, 0, 0)).x as f32).collect();
+        samples.par_chunks_mut(nx).enumerate().try_for_each_init(
+            Stack::<f32, LANES>::default,
+            |stack, (row, samples)| {
+                let start = self.frame.local(grid.center(0, row % ny, row / ny));
+                for (first, out) in (0..nx).step_by(LANES).zip(samples.chunks_mut(LANES)) {
+                    let mut at = [[0.0; LANES], [start.y as f32; LANES], [start.z as f32; LANES]];
+                    at[0][..out.len()].copy_from_slice(&along_x[first..first + out.len()]);
+                    let values = run_wide(&self.program, &self.model.tokens, &at, stack);
+                    for (out, value) in out.iter_mut().zip(values) {
+                        *out = saturated(f64::from(value) * self.frame.scale);
+                    }
+                }
+                progress.advance(1)
+            },
+        )?;
+        Ok(samples)
+    }
+
+    /// Linear RGB of the surface near a world point; `None` where it is not painted.
+    pub fn color(&self, p: DVec3) -> Option<[f32; 3]> {
+        self.precise.color(&self.model, &self.model.tokens, self.frame.local(p).to_array())
+    }
+
+    pub(super) fn precise(&self) -> &Program<f64> {
+        &self.precise
+    }
+}
+
+/// In float32, and finite: an empty solid is as far away as can be said.
+fn saturated(value: f64) -> f32 {
+    value.clamp(-f64::from(f32::MAX), f64::from(f32::MAX)) as f32
+}
+
+/// Central differences, six points at once.
+pub(super) fn slope<F: Real>(
+    program: &Program<F>,
+    tokens: &[Token],
+    p: DVec3,
+    step: f64,
+    stack: &mut Stack<F, 6>,
+) -> DVec3 {
+    let mut at = [[F::default(); 6]; 3];
+    for i in 0..6 {
+        let mut q = p;
+        q[i / 2] += if i % 2 == 0 { step } else { -step };
+        for axis in 0..3 {
+            at[axis][i] = F::of(q[axis]);
+        }
+    }
+    let values = program.run(tokens, &at, stack).map(F::widen);
+    DVec3::new(values[0] - values[1], values[2] - values[3], values[4] - values[5]) / (2.0 * step)
+}
+
+/// [`Program::run`] with the vector instructions of this machine. The results are the same bits: nothing is fused.
+pub(super) fn run_wide<F: Real, const N: usize>(
+    program: &Program<F>,
+    tokens: &[Token],
+    at: &[[F; N]; 3],
+    stack: &mut Stack<F, N>,
+) -> [F; N] {
+    #[cfg(target_arch = "x86_64")]
+    {
+        #[target_feature(enable = "avx2")]
+        fn with_avx2<F: Real, const N: usize>(
+            program: &Program<F>,
+            tokens: &[Token],
+            at: &[[F; N]; 3],
+            stack: &mut Stack<F, N>,
+        ) -> [F; N] {
+            program.run(tokens, at, stack)
+        }
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has AVX2.
+            return unsafe { with_avx2(program, tokens, at, stack) };
+        }
+    }
+    program.run(tokens, at, stack)
+}

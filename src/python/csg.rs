@@ -1,0 +1,250 @@
+//! `fieldbake._core.Shape`.
+
+use super::convert::{Field, points, row_array, volume_array};
+use super::device::choose;
+use super::error::Failure;
+use super::render::{PictureArguments, frame_dict};
+use super::run::run;
+use crate::csg::decompose::{Method, shape_of, structure};
+use crate::csg::draw::{DrawMethod, draw, tracer};
+use crate::csg::profile::Profile;
+use crate::csg::shader::{Language, shader};
+use crate::csg::volume_leaf::VolumeLeaf;
+use crate::csg::{self, Blend, Op, Solid};
+use crate::error::{Error, ShapeError};
+use crate::grid::Grid;
+use crate::volume::Trilinear;
+use glam::DVec3;
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray3};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::collections::HashSet;
+use std::sync::{Arc, OnceLock};
+
+/// A CSG tree; compiled at the first question and kept.
+#[pyclass(frozen, module = "fieldbake._core")]
+pub struct Shape {
+    shape: csg::Shape,
+    solid: OnceLock<Arc<Solid>>,
+}
+
+/// A part as Python sees it: its shape, and its boxes (k, 2, 3).
+type PartArrays<'py> = (Shape, Bound<'py, PyArray3<f64>>);
+
+impl Shape {
+    fn of(shape: csg::Shape) -> Self {
+        Self { shape, solid: OnceLock::new() }
+    }
+
+    fn made(shape: Result<csg::Shape, ShapeError>) -> PyResult<Self> {
+        Ok(Self::of(shape.map_err(Failure::from)?))
+    }
+
+    fn solid(&self, py: Python<'_>) -> PyResult<Arc<Solid>> {
+        if let Some(solid) = self.solid.get() {
+            return Ok(solid.clone());
+        }
+        let made = py.detach(|| Solid::new(&self.shape)).map_err(Failure::from)?;
+        Ok(self.solid.get_or_init(|| Arc::new(made)).clone())
+    }
+}
+
+fn profile(kind: &str, numbers: &[f64]) -> Result<Arc<Profile>, ShapeError> {
+    let made = match (kind, numbers) {
+        ("circle", &[radius]) => Profile::circle(radius),
+        ("rectangle", &[width, height]) => Profile::rectangle([width, height]),
+        _ => Profile::polygon(numbers.as_chunks().0),
+    };
+    Ok(Arc::new(made?))
+}
+
+#[pymethods]
+impl Shape {
+    #[staticmethod]
+    fn primitive(name: &str, numbers: Vec<f64>) -> PyResult<Self> {
+        Self::made(csg::primitive::Primitive::named(name, &numbers).map(csg::Shape::primitive))
+    }
+
+    #[staticmethod]
+    fn extrude(kind: &str, numbers: Vec<f64>, height: f64) -> PyResult<Self> {
+        Self::made(profile(kind, &numbers).and_then(|profile| csg::Shape::extrude(profile, height)))
+    }
+
+    #[staticmethod]
+    fn revolve(kind: &str, numbers: Vec<f64>, offset: f64) -> PyResult<Self> {
+        Self::made(profile(kind, &numbers).and_then(|profile| csg::Shape::revolve(profile, offset)))
+    }
+
+    #[staticmethod]
+    fn volume(distances: PyReadonlyArray3<'_, f32>, lower: [f64; 3], upper: [f64; 3]) -> PyResult<Self> {
+        let field = Field::new(&distances, lower, upper)?;
+        let view = field.view().map_err(Failure::from)?;
+        let leaf = VolumeLeaf::new(*view.grid(), view.distances().to_vec()).map_err(Failure::from)?;
+        Ok(Self::of(csg::Shape::volume(leaf)))
+    }
+
+    #[staticmethod]
+    fn combine(py: Python<'_>, op: &str, shapes: Vec<Py<Self>>, k: f64, chamfer: f64) -> PyResult<Self> {
+        let known = Op::ALL.into_iter().find(|known| known.name() == op);
+        let op = known.ok_or_else(|| Failure::from(ShapeError::argument("op", format!("there is no {op}"))))?;
+        let shapes = shapes.iter().map(|shape| shape.borrow(py).shape.clone()).collect();
+        Self::made(Blend::new(k, chamfer).and_then(|blend| csg::Shape::combine(op, blend, shapes)))
+    }
+
+    #[staticmethod]
+    fn parse(py: Python<'_>, text: &str) -> PyResult<Self> {
+        Self::made(py.detach(|| csg::language::parse(text)))
+    }
+
+    fn changed(&self, name: &str, numbers: Vec<f64>) -> PyResult<Self> {
+        Self::made(self.shape.changed(name, &numbers))
+    }
+
+    fn stencil(&self, mask: &Self, color: [f64; 3], outside: bool) -> PyResult<Self> {
+        Self::made(self.shape.stencil(&mask.shape, color, outside))
+    }
+
+    fn reblended(&self, k: f64, chamfer: f64) -> PyResult<Self> {
+        Self::made(Blend::new(k, chamfer).and_then(|blend| self.shape.reblended(blend)))
+    }
+
+    fn aligned(&self, anchor: [f64; 3]) -> PyResult<Self> {
+        Self::made(csg::align::aligned(&self.shape, DVec3::from_array(anchor)))
+    }
+
+    fn to_sexpr(&self) -> PyResult<String> {
+        Ok(csg::language::to_sexpr(&self.shape).map_err(Failure::from)?)
+    }
+
+    /// Lower and upper corner.
+    fn bounds(&self, py: Python<'_>) -> PyResult<([f64; 3], [f64; 3])> {
+        let [lower, upper] = self.solid(py)?.bounds().map_err(Failure::from)?;
+        Ok((lower.to_array(), upper.to_array()))
+    }
+
+    #[getter]
+    fn is_exact(&self, py: Python<'_>) -> PyResult<bool> {
+        Ok(self.solid(py)?.model.is_exact)
+    }
+
+    #[getter]
+    fn lipschitz(&self, py: Python<'_>) -> PyResult<f64> {
+        Ok(self.solid(py)?.model.lipschitz)
+    }
+
+    #[getter]
+    fn leaf_count(&self) -> u64 {
+        self.shape.leaf_count()
+    }
+
+    fn distance<'py>(
+        &self,
+        py: Python<'py>,
+        #[pyo3(from_py_with = points)] points: Vec<DVec3>,
+        device: &str,
+    ) -> PyResult<Bound<'py, PyArray1<f32>>> {
+        let place = choose(py, device)?;
+        let solid = self.solid(py)?;
+        let values = run(py, None, |progress| solid.distances_at(&place, &points, progress))?;
+        Ok(values.into_pyarray(py))
+    }
+
+    fn gradient<'py>(
+        &self,
+        py: Python<'py>,
+        #[pyo3(from_py_with = points)] points: Vec<DVec3>,
+    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let solid = self.solid(py)?;
+        let slopes = run(py, None, |progress| solid.gradients(&points, progress))?;
+        row_array(py, slopes.into_iter())
+    }
+
+    /// Linear RGB at points, (n, 3); NaN where nothing is painted.
+    fn color<'py>(
+        &self,
+        py: Python<'py>,
+        #[pyo3(from_py_with = points)] points: Vec<DVec3>,
+    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let solid = self.solid(py)?;
+        let colors = py.detach(|| points.iter().map(|&p| solid.color(p).unwrap_or([f32::NAN; 3])).collect::<Vec<_>>());
+        row_array(py, colors.into_iter())
+    }
+
+    #[pyo3(signature = (lower, upper, shape, *, device="auto", progress=None))]
+    fn bake<'py>(
+        &self,
+        py: Python<'py>,
+        lower: [f64; 3],
+        upper: [f64; 3],
+        shape: [usize; 3],
+        device: &str,
+        progress: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<(Bound<'py, PyArray3<f32>>, String)> {
+        let place = choose(py, device)?;
+        let grid = Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape).map_err(Failure::from)?;
+        let solid = self.solid(py)?;
+        let samples = run(py, progress, |progress| solid.bake_at(&place, &grid, progress))?;
+        Ok((volume_array(py, samples, shape)?, place.label()))
+    }
+
+    /// The field in a shading language, and the numbers that it reads.
+    fn shader<'py>(&self, py: Python<'py>, language: &str) -> PyResult<(String, Bound<'py, PyArray1<f32>>)> {
+        let language = Language::from_name(language).map_err(Failure::from)?;
+        let solid = self.solid(py)?;
+        let shader = shader(&solid).map_err(Failure::from)?;
+        let text = py.detach(|| shader.text(language)).map_err(Failure::from)?;
+        Ok((text, shader.numbers.into_pyarray(py)))
+    }
+
+    /// The parts, and how many different structures they have.
+    fn decompose<'py>(&self, py: Python<'py>, method: &str) -> PyResult<(Vec<PartArrays<'py>>, usize)> {
+        let method = Method::from_name(method).map_err(Failure::from)?;
+        let solid = self.solid(py)?;
+        let (parts, shapes) = run(py, None, |_| {
+            let parts = solid.parts(method)?;
+            let shapes =
+                parts.iter().map(|part| shape_of(&solid.model, &part.tokens)).collect::<Result<Vec<_>, _>>()?;
+            Ok::<_, Error>((parts, shapes))
+        })?;
+        let structures: HashSet<_> = parts.iter().map(|part| structure(&solid.model, &part.tokens)).collect();
+        let mut out = Vec::with_capacity(parts.len());
+        for (part, shape) in parts.iter().zip(shapes) {
+            let flat: Vec<f64> = part.boxes.iter().flatten().flat_map(|corner| corner.to_array()).collect();
+            let boxes = flat.into_pyarray(py).reshape([part.boxes.len(), 2, 3])?;
+            out.push((Self::of(shape), boxes));
+        }
+        Ok((out, structures.len()))
+    }
+
+    /// A picture, with the keys of `raymarch` and what it cost.
+    #[pyo3(signature = (method, picture, device, progress=None))]
+    fn draw<'py>(
+        &self,
+        py: Python<'py>,
+        method: &str,
+        picture: PictureArguments<'py>,
+        device: &str,
+        progress: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let method = DrawMethod::from_name(method).map_err(Failure::from)?;
+        let place = choose(py, device)?;
+        let (camera, options) = picture.read()?;
+        let solid = self.solid(py)?;
+        let start = std::time::Instant::now();
+        let drawing = run(py, progress, |progress| {
+            let tracer = tracer(&solid, method)?;
+            draw(&place, &tracer, &camera, &options, progress)
+        })?;
+        let images = frame_dict(py, drawing.frame)?;
+        images.set_item("device", place.label())?;
+        images.set_item("seconds", start.elapsed().as_secs_f64())?;
+        images.set_item("parts", drawing.parts)?;
+        images.set_item("boxes", drawing.boxes)?;
+        images.set_item("leaf_evaluations", drawing.leaf_evaluations)?;
+        Ok(images)
+    }
+
+    fn __eq__(&self, other: &Self) -> bool {
+        self.shape == other.shape
+    }
+}

@@ -1,0 +1,490 @@
+"""Truth about shapes in float64 NumPy: which points are inside, where the surface is, and fields of whole trees.
+
+Two kinds. :data:`SOLIDS` knows each primitive by inequalities and by points on its surface, with no distance
+formula at all.
+:class:`Tree` builds a shape and a NumPy function side by side; the functions are those of the definitions (the
+distance to a profile turned or drawn out, the minimum, the fillet), not those of the core.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from hypothesis import strategies as st
+
+import fieldbake as fb
+
+# --- primitives by inequalities and points
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A primitive: the shape, a test for its inside, and points no farther than `gap` from any point of its surface."""
+
+    name: str
+    shape: fb.Shape
+    inside: Callable[[np.ndarray], np.ndarray]
+    surface: np.ndarray
+    gap: float
+
+
+#: Steps of a parameter over a side or a circle.
+STEPS = 220
+
+
+def _patch(function, u_range, v_range, steps=STEPS):
+    """Points of a parametric patch, and the largest distance from a point of it to the nearest of them."""
+    u, v = np.meshgrid(np.linspace(*u_range, steps), np.linspace(*v_range, steps), indexing="ij")
+    points = np.stack(np.broadcast_arrays(*function(u, v)), axis=-1)
+    # Half the longer diagonal of a cell covers it, curved cells being flatter than they are wide.
+    across = np.linalg.norm(points[1:, 1:] - points[:-1, :-1], axis=-1)
+    along = np.linalg.norm(points[1:, :-1] - points[:-1, 1:], axis=-1)
+    return points.reshape(-1, 3), float(max(across.max(), along.max())) / 2 * 1.01
+
+
+def _join(*patches):
+    return np.concatenate([points for points, _ in patches]), max(gap for _, gap in patches)
+
+
+def _turned(radius_of, height_of, t_range):
+    """The surface of a curve (radius, z) turned about z."""
+    return _patch(
+        lambda t, a: (radius_of(t) * np.cos(a), radius_of(t) * np.sin(a), height_of(t)), t_range, (0, 2 * np.pi)
+    )
+
+
+def _side(corner, edge_u, edge_v):
+    corner, edge_u, edge_v = (np.asarray(x, dtype=float) for x in (corner, edge_u, edge_v))
+    return _patch(
+        lambda u, v: np.moveaxis(corner + u[..., None] * edge_u + v[..., None] * edge_v, -1, 0), (0, 1), (0, 1)
+    )
+
+
+def _triangle(a, b, c):
+    a, b, c = (np.asarray(x, dtype=float) for x in (a, b, c))
+    points = lambda u, v: np.moveaxis(a + u[..., None] * ((b - a) + v[..., None] * (c - b)), -1, 0)  # noqa: E731
+    return _patch(points, (0, 1), (0, 1))
+
+
+def _box_sides(half):
+    lower = -np.asarray(half, dtype=float)
+    sides = []
+    for u, v, w in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        edge_u, edge_v, out = np.zeros((3, 3))
+        edge_u[u], edge_v[v], out[w] = 2 * half[u], 2 * half[v], 2 * half[w]
+        sides += [_side(lower, edge_u, edge_v), _side(lower + out, edge_u, edge_v)]
+    return _join(*sides)
+
+
+def _hexagon(radius):
+    angles = np.radians([0, 60, 120, 180, 240, 300])
+    return radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+
+
+def _prism(corners, half_height):
+    """Sides and caps over a star-shaped polygon about the origin."""
+    ends = list(zip(corners, np.roll(corners, -1, axis=0), strict=True))
+    sides = [_side((*a, -half_height), (*(b - a), 0), (0, 0, 2 * half_height)) for a, b in ends]
+    caps = [_triangle((0, 0, z), (*a, z), (*b, z)) for a, b in ends for z in (-half_height, half_height)]
+    return _join(*sides, *caps)
+
+
+def _in_polygon(x, y, corners):
+    inside = np.zeros(np.shape(x), dtype=bool)
+    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        spans = (y0 > y) != (y1 > y)
+        at = x0 + (y - y0) * (x1 - x0) / (y1 - y0 if y1 != y0 else 1.0)
+        inside ^= spans & (x < at)
+    return inside
+
+
+def _capped_torus_surface(radius, tube, half_angle):
+    ring = _patch(
+        lambda a, b: (
+            (radius + tube * np.cos(b)) * np.cos(a),
+            (radius + tube * np.cos(b)) * np.sin(a),
+            tube * np.sin(b),
+        ),
+        (-half_angle, half_angle),
+        (0, 2 * np.pi),
+    )
+    ends = []
+    for sign in (-1, 1):
+        end = radius * np.array([np.cos(half_angle), sign * np.sin(half_angle), 0])
+        ahead = np.array([-np.sin(half_angle), sign * np.cos(half_angle), 0])
+        points, gap = _turned(lambda t: tube * np.sin(t), lambda t: tube * np.cos(t), (0, np.pi))
+        ends.append(((points + end)[points @ ahead >= -gap], gap))
+    return _join(ring, *ends)
+
+
+def _solids():
+    r = lambda p: np.hypot(p[:, 0], p[:, 1])  # noqa: E731
+    low = lambda p, size: (np.abs(p) <= size).all(axis=1)  # noqa: E731
+    z = lambda p: p[:, 2]  # noqa: E731
+    half_circle = (0, np.pi)
+
+    yield (
+        "sphere",
+        fb.sphere(0.8),
+        lambda p: np.linalg.norm(p, axis=1) <= 0.8,
+        _turned(lambda t: 0.8 * np.sin(t), lambda t: 0.8 * np.cos(t), half_circle),
+    )
+    radii = np.array([1.0, 0.5, 0.7])
+    yield (
+        "ellipsoid",
+        fb.ellipsoid(radii),
+        lambda p: np.linalg.norm(p / radii, axis=1) <= 1,
+        _patch(
+            lambda t, a: (radii[0] * np.sin(t) * np.cos(a), radii[1] * np.sin(t) * np.sin(a), radii[2] * np.cos(t)),
+            half_circle,
+            (0, 2 * np.pi),
+        ),
+    )
+    half = np.array([0.9, 0.6, 0.4])
+    yield "box", fb.box(2 * half), lambda p: low(p, half), _box_sides(half)
+    yield (
+        "torus",
+        fb.torus(0.8, 0.3),
+        lambda p: np.hypot(r(p) - 0.8, z(p)) <= 0.3,
+        _turned(lambda t: 0.8 + 0.3 * np.cos(t), lambda t: 0.3 * np.sin(t), (0, 2 * np.pi)),
+    )
+    angle = np.radians(75)
+
+    def in_arc(p):
+        at = np.arctan2(p[:, 1], p[:, 0]).clip(-angle, angle)
+        return np.linalg.norm(p - 0.8 * np.stack([np.cos(at), np.sin(at), 0 * at], axis=-1), axis=1) <= 0.25
+
+    yield "capped_torus", fb.capped_torus(0.8, 0.25, 150), in_arc, _capped_torus_surface(0.8, 0.25, angle)
+    yield (
+        "cylinder",
+        fb.cylinder(0.6, 1.4),
+        lambda p: (r(p) <= 0.6) & (np.abs(z(p)) <= 0.7),
+        _join(
+            _turned(lambda t: 0.6 + 0 * t, lambda t: t, (-0.7, 0.7)),
+            _turned(lambda t: t, lambda t: 0.7 + 0 * t, (0, 0.6)),
+            _turned(lambda t: t, lambda t: -0.7 + 0 * t, (0, 0.6)),
+        ),
+    )
+
+    def in_capsule(p):
+        return np.hypot(r(p), z(p) - z(p).clip(-0.5, 0.5)) <= 0.4
+
+    yield (
+        "capsule",
+        fb.capsule(0.4, 1.0),
+        in_capsule,
+        _turned(lambda t: 0.4 * np.sin(t), lambda t: 0.4 * np.cos(t) + 0.5 * np.sign(np.cos(t)), half_circle),
+    )
+    yield (
+        "cone",
+        fb.cone(0.7, 1.6),
+        lambda p: (np.abs(z(p)) <= 0.8) & (r(p) <= 0.7 * (0.8 - z(p)) / 1.6),
+        _join(
+            _turned(lambda t: 0.7 * (1 - t), lambda t: -0.8 + 1.6 * t, (0, 1)),
+            _turned(lambda t: t, lambda t: -0.8 + 0 * t, (0, 0.7)),
+        ),
+    )
+    yield (
+        "truncated_cone",
+        fb.truncated_cone(0.4, 0.8, 1.2),
+        lambda p: (np.abs(z(p)) <= 0.6) & (r(p) <= 0.6 + 0.4 * z(p) / 1.2),
+        _join(
+            _turned(lambda t: 0.4 + 0.4 * t, lambda t: -0.6 + 1.2 * t, (0, 1)),
+            _turned(lambda t: t, lambda t: -0.6 + 0 * t, (0, 0.4)),
+            _turned(lambda t: t, lambda t: 0.6 + 0 * t, (0, 0.8)),
+        ),
+    )
+    base = np.array([(0.7, 0.7), (-0.7, 0.7), (-0.7, -0.7), (0.7, -0.7)])
+    edges = list(zip(base, np.roll(base, -1, axis=0), strict=True))
+    yield (
+        "pyramid",
+        fb.pyramid(1.4, 1.2),
+        lambda p: (z(p) >= -0.6) & (np.abs(p[:, :2]).max(axis=1) <= 0.7 * (0.6 - z(p)) / 1.2),
+        _join(
+            *(_triangle((0, 0, 0.6), (*a, -0.6), (*b, -0.6)) for a, b in edges),
+            _side((-0.7, -0.7, -0.6), (1.4, 0, 0), (0, 1.4, 0)),
+        ),
+    )
+    signs = [(x, y, s) for x in (-1, 1) for y in (-1, 1) for s in (-1, 1)]
+    yield (
+        "octahedron",
+        fb.octahedron(0.9),
+        lambda p: np.abs(p).sum(axis=1) <= 0.9,
+        _join(*(_triangle((0.9 * x, 0, 0), (0, 0.9 * y, 0), (0, 0, 0.9 * s)) for x, y, s in signs)),
+    )
+    hexagon = _hexagon(0.8)
+    yield (
+        "hex_prism",
+        fb.hex_prism(0.8, 0.9),
+        lambda p: _in_polygon(p[:, 0], p[:, 1], hexagon) & (np.abs(z(p)) <= 0.45),
+        _prism(hexagon, 0.45),
+    )
+    arrow = np.array([(0.8, 0.1), (0.1, 0.7), (-0.6, 0.5), (-0.2, 0.05), (-0.7, -0.5), (0.2, -0.6)])
+    yield (
+        "extruded polygon",
+        fb.polygon(arrow).extrude(0.8),
+        lambda p: _in_polygon(p[:, 0], p[:, 1], arrow) & (np.abs(z(p)) <= 0.4),
+        _prism(arrow, 0.4),
+    )
+    ring = np.array([(0.3, -0.4), (0.8, -0.3), (0.6, 0.1), (0.9, 0.5), (0.4, 0.4)])
+    yield (
+        "revolved polygon",
+        fb.polygon(ring).revolve(),
+        lambda p: _in_polygon(r(p), z(p), ring),
+        _join(
+            *(
+                _turned(lambda t, a=a, b=b: a[0] + t * (b - a)[0], lambda t, a=a, b=b: a[1] + t * (b - a)[1], (0, 1))
+                for a, b in zip(ring, np.roll(ring, -1, axis=0), strict=True)
+            )
+        ),
+    )
+    yield (
+        "revolved circle",
+        fb.circle(0.3).revolve(0.6),
+        lambda p: np.hypot(r(p) - 0.6, z(p)) <= 0.3,
+        _turned(lambda t: 0.6 + 0.3 * np.cos(t), lambda t: 0.3 * np.sin(t), (0, 2 * np.pi)),
+    )
+    yield (
+        "extruded rectangle",
+        fb.rectangle((1.2, 0.8)).extrude(0.6),
+        lambda p: low(p, (0.6, 0.4, 0.3)),
+        _box_sides((0.6, 0.4, 0.3)),
+    )
+
+
+def _frame_solid():
+    """Twelve bars: inside the box and in no more than one of the three windows' ranges."""
+    half, bar = np.array([0.9, 0.7, 0.6]), 0.2
+
+    def inside(p):
+        near = np.abs(p) >= half - bar
+        return (np.abs(p) <= half).all(axis=1) & (near.sum(axis=1) >= 2)
+
+    return "box_frame", fb.box_frame(2 * half, bar), inside
+
+
+def _rounded_solid():
+    half, radius = np.array([0.8, 0.6, 0.5]), 0.2
+    inner = half - radius
+
+    def inside(p):
+        return np.linalg.norm(np.abs(p) - np.abs(p).clip(max=inner), axis=1) <= radius
+
+    return "rounded_box", fb.rounded_box(2 * half, radius), inside
+
+
+#: Every bounded primitive with points on its surface.
+SOLIDS = [Solid(name, shape, inside, *surface) for name, shape, inside, surface in _solids()]
+
+#: Primitives that are checked by their inside alone.
+MEMBERSHIPS = [_frame_solid(), _rounded_solid()]
+
+
+# --- trees
+
+
+@dataclass(frozen=True)
+class Tree:
+    """A shape and the same field in NumPy, (n, 3) to (n,)."""
+
+    shape: fb.Shape
+    field: Callable[[np.ndarray], np.ndarray]
+    text: str
+
+
+def sphere(radius):
+    return Tree(fb.sphere(radius), lambda p: np.linalg.norm(p, axis=1) - radius, f"sphere {radius}")
+
+
+def box(size):
+    half = np.asarray(size) / 2
+
+    def field(p):
+        q = np.abs(p) - half
+        return np.linalg.norm(np.maximum(q, 0), axis=1) + np.minimum(q.max(axis=1), 0)
+
+    return Tree(fb.box(size), field, f"box {size}")
+
+
+def torus(radius, tube):
+    def field(p):
+        return np.hypot(np.hypot(p[:, 0], p[:, 1]) - radius, p[:, 2]) - tube
+
+    return Tree(fb.torus(radius, tube), field, f"torus {radius} {tube}")
+
+
+def cylinder(radius, height):
+    def field(p):
+        q = np.stack([np.hypot(p[:, 0], p[:, 1]) - radius, np.abs(p[:, 2]) - height / 2], axis=-1)
+        return np.linalg.norm(np.maximum(q, 0), axis=1) + np.minimum(q.max(axis=1), 0)
+
+    return Tree(fb.cylinder(radius, height), field, f"cylinder {radius} {height}")
+
+
+def capsule(radius, height):
+    def field(p):
+        z = p[:, 2] - p[:, 2].clip(-height / 2, height / 2)
+        return np.sqrt(p[:, 0] ** 2 + p[:, 1] ** 2 + z**2) - radius
+
+    return Tree(fb.capsule(radius, height), field, f"capsule {radius} {height}")
+
+
+def ellipsoid(radii):
+    radii = np.asarray(radii)
+    return Tree(
+        fb.ellipsoid(radii),
+        lambda p: (np.linalg.norm(p / radii, axis=1) - 1) * radii.min(),
+        f"ellipsoid {radii}",
+    )
+
+
+def plane(normal):
+    unit = np.asarray(normal) / np.linalg.norm(normal)
+    return Tree(fb.plane(unit), lambda p: p @ unit, f"plane {unit}")
+
+
+def _least(a, b, k, chamfer):
+    if k > 0:
+        h = np.maximum(k - np.abs(a - b), 0)
+        return np.minimum(a, b) - h * h / (4 * k)
+    if chamfer > 0:
+        return np.minimum(np.minimum(a, b), (a + b - chamfer) / np.sqrt(2))
+    return np.minimum(a, b)
+
+
+def combine(op, trees, k=0.0, chamfer=0.0):
+    def field(p):
+        result = trees[0].field(p)
+        for tree in trees[1:]:
+            a, b = result, tree.field(p)
+            if op == "union":
+                result = _least(a, b, k, chamfer)
+            elif op == "intersection":
+                result = -_least(-a, -b, k, chamfer)
+            elif op == "difference":
+                result = -_least(-a, b, k, chamfer)
+            else:
+                either, both = _least(a, b, k, chamfer), -_least(-a, -b, k, chamfer)
+                result = -_least(-either, both, k, chamfer)
+        return result
+
+    shape = fb.shapes.combine(op, [tree.shape for tree in trees], k=k, chamfer=chamfer)
+    inner = ", ".join(tree.text for tree in trees)
+    return Tree(shape, field, f"{op} k={k} chamfer={chamfer} ({inner})")
+
+
+def turn(axis, degrees):
+    """Rotation matrix, by Rodrigues."""
+    axis = np.asarray(axis) / np.linalg.norm(axis)
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    angle = np.radians(degrees)
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def placed(tree, offset, axis, degrees, factor):
+    matrix = turn(axis, degrees)
+    shape = tree.shape.scale(factor).rotate(axis, degrees).translate(offset)
+    text = f"[{tree.text}] * {factor} rotated {axis} {degrees} moved {offset}"
+    return Tree(shape, lambda p: tree.field((p - np.asarray(offset)) @ matrix / factor) * factor, text)
+
+
+def offset(tree, distance):
+    return Tree(tree.shape.offset(distance), lambda p: tree.field(p) - distance, f"offset {distance} [{tree.text}]")
+
+
+def shell(tree, thickness):
+    field = lambda p: np.abs(tree.field(p)) - thickness / 2  # noqa: E731
+    return Tree(tree.shape.shell(thickness), field, f"shell {thickness} [{tree.text}]")
+
+
+def mirror(tree, axis):
+    flip = np.ones(3)
+    flip[axis] = -1
+
+    def field(p):
+        return np.minimum(tree.field(p), tree.field(p * flip))
+
+    return Tree(tree.shape.mirror("xyz"[axis]), field, f"mirror {axis} [{tree.text}]")
+
+
+def elongate(tree, size):
+    half = np.asarray(size) / 2
+    return Tree(
+        tree.shape.elongate(size), lambda p: tree.field(p - p.clip(-half, half)), f"elongate {size} [{tree.text}]"
+    )
+
+
+def twist(tree, degrees):
+    lower, upper = tree.shape.bounds
+    reach = 2 * np.hypot(*np.maximum(np.abs(lower), np.abs(upper))[:2])
+    rate = np.radians(degrees)
+
+    def field(p):
+        angle = -rate * p[:, 2]
+        x = np.cos(angle) * p[:, 0] - np.sin(angle) * p[:, 1]
+        y = np.sin(angle) * p[:, 0] + np.cos(angle) * p[:, 1]
+        stretch = 1 + abs(rate) * np.maximum(np.hypot(p[:, 0], p[:, 1]), reach)
+        return tree.field(np.stack([x, y, p[:, 2]], axis=-1)) / stretch
+
+    return Tree(tree.shape.twist(degrees), field, f"twist {degrees} [{tree.text}]")
+
+
+# --- random trees
+
+length = st.floats(0.2, 1.2).map(lambda x: round(x, 3))
+shift = st.floats(-1.0, 1.0).map(lambda x: round(x, 3))
+
+leaves = st.one_of(
+    st.builds(sphere, length),
+    st.builds(box, st.tuples(length, length, length)),
+    st.builds(torus, st.floats(0.5, 1.0), st.floats(0.1, 0.4)),
+    st.builds(cylinder, length, length),
+    st.builds(capsule, st.floats(0.1, 0.5), length),
+    st.builds(ellipsoid, st.tuples(length, length, length)),
+)
+
+moves = st.tuples(shift, shift, shift)
+#: Mostly straight, sometimes askew.
+turns = st.tuples(st.sampled_from([(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0.5)]), st.sampled_from([0, 90, 30, -45]))
+
+
+@st.composite
+def placed_leaves(draw):
+    axis, degrees = draw(turns)
+    return placed(draw(leaves), draw(moves), axis, degrees, draw(st.sampled_from([1.0, 0.7, 1.3])))
+
+
+@st.composite
+def joints(draw, children):
+    op = draw(st.sampled_from(["union", "union", "intersection", "difference", "difference", "xor"]))
+    kind = draw(st.sampled_from(["sharp", "sharp", "smooth", "chamfer"]))
+    width = draw(st.floats(0.05, 0.5)) if kind != "sharp" else 0.0
+    operands = draw(st.lists(children, min_size=2, max_size=3))
+    return combine(op, operands, k=width * (kind == "smooth"), chamfer=width * (kind == "chamfer"))
+
+
+@st.composite
+def changes(draw, children):
+    tree = draw(children)
+    change = draw(st.sampled_from(["offset", "shell", "mirror", "elongate", "twist", "cut"]))
+    if change == "offset":
+        return offset(tree, draw(st.floats(-0.1, 0.2)))
+    if change == "shell":
+        return shell(tree, draw(st.floats(0.05, 0.2)))
+    if change == "mirror":
+        return mirror(tree, draw(st.integers(0, 2)))
+    if change == "elongate":
+        return elongate(tree, draw(st.tuples(st.floats(0, 0.6), st.floats(0, 0.6), st.floats(0, 0.6))))
+    if change == "twist":
+        return twist(tree, draw(st.floats(-60, 60)))
+    normal = draw(st.sampled_from([(0, 0, 1), (1, 0, 0), (1, 2, -1)]))
+    return combine("difference", [tree, plane(normal)])
+
+
+#: Trees of up to about a dozen leaves, with every operator.
+trees = st.recursive(
+    placed_leaves(), lambda children: st.one_of(joints(children), joints(children), changes(children)), max_leaves=7
+)
