@@ -222,6 +222,10 @@ impl Tile<'_> {
                 return unsafe { self.fill_avx2(scratch, low, high) };
             }
         }
+        self.fill_portable(scratch, low, high);
+    }
+
+    fn fill_portable(&mut self, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
         self.fill_with(scratch, low, high, Self::list_triangles);
     }
 
@@ -229,8 +233,7 @@ impl Tile<'_> {
     #[target_feature(enable = "avx2")]
     fn fill_avx2(&mut self, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
         self.fill_with(scratch, low, high, |tile, block, near, packs, tangents, list| {
-            // SAFETY: whoever called this function has seen the instructions.
-            unsafe { tile.list_triangles_avx2(block, near, packs, tangents, list) }
+            tile.list_triangles_avx2(block, near, packs, tangents, list)
         });
     }
 

@@ -37,10 +37,10 @@
 //! True up to the error of the stored distances; the last rounding to f32 is downward. For a sphere in a box with a
 //! margin of 10 % the bound is on average 0.85 of the distance, over the points within one box length of the box.
 
-use super::{FieldView, Trilinear};
+use super::{FieldView, Texel, Trilinear};
 use glam::DVec3;
 
-impl FieldView<'_> {
+impl<T: Texel> FieldView<'_, T> {
     /// Lower bound, zero or more, on the distance from `p`, outside the box, to a surface inside the box `inner`.
     pub(super) fn bound_outside(&self, p: DVec3, inner: [DVec3; 2]) -> f32 {
         let grid = self.grid();
@@ -63,7 +63,7 @@ impl FieldView<'_> {
     }
 
     /// Lower bound `max(0, s^2)` on the squared distance at a point `c` in the hull of the voxel centres.
-    fn square_bound(&self, c: DVec3) -> f64 {
+    pub(super) fn square_bound(&self, c: DVec3) -> f64 {
         let h = self.grid().spacing();
         let c_grid = self.grid_from_world(c).max(DVec3::ZERO).min(self.shape() - 1.0);
         let cell = c_grid.floor();
@@ -87,7 +87,7 @@ impl FieldView<'_> {
 }
 
 /// The largest f32 that is not above `value`.
-fn round_down(value: f64) -> f32 {
+pub(super) fn round_down(value: f64) -> f32 {
     let rounded = value as f32;
     if rounded as f64 > value { rounded.next_down() } else { rounded }
 }
