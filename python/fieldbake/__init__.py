@@ -36,9 +36,11 @@ from .io import load
 from .lights import DirectionalLight, PointLight
 from .materials import Material
 from .mesh import Mesh, Part
+from .quantized import QuantizedVolume
 from .render import raymarch
 from .report import Report
 from .scene import Instance, Scene, render
+from .sparse import SparseVolume, bake_sparse
 from .volume import Volume
 
 __all__ = [
@@ -59,15 +61,18 @@ __all__ = [
     "MeshError",
     "Part",
     "PointLight",
+    "QuantizedVolume",
     "Report",
     "Scene",
     "SceneError",
     "ShapeError",
+    "SparseVolume",
     "Volume",
     "__version__",
     "arrays",
     "as_mesh",
     "bake",
+    "bake_sparse",
     "closest_point",
     "devices",
     "fields",

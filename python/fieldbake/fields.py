@@ -202,7 +202,8 @@ def _from_disk(name: str) -> Volume | None:
     if folder is None or not (folder / f"{name}.npz").is_file():
         return None
     try:
-        return load(folder / f"{name}.npz")
+        found = load(folder / f"{name}.npz")
+        return found if isinstance(found, Volume) else None
     except (FormatError, OSError) as error:
         logger.warning("a cached field cannot be used and is baked again: %s", error)
         return None

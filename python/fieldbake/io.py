@@ -1,11 +1,14 @@
 """Our files: an .npz archive that plain NumPy can read, and that is checked before a byte of it is believed.
 
-Layout, version 1: a zip archive of two uncompressed members.
+Layout: a zip archive of uncompressed members. A volume is version 1, the others are version 2.
 
 ``header.npy``
     A zero-dimensional string: JSON with ``format``, ``kind``, ``version``, ``bounds``, ``inner_bounds``, ``report``.
 ``distances.npy``
-    float32 little-endian, Fortran order (x fastest), shape (nx, ny, nz).
+    float32 little-endian, Fortran order (x fastest), shape (nx, ny, nz). For the kind ``quantized`` float16, int16 or
+    int8; the header has ``encoding`` and ``scale``.
+``index.npy``, ``nodes.npy``, ``bricks.npy``
+    In place of the distances for the kind ``sparse``; the header has ``encoding``, ``scale`` and ``band``.
 
 Because members must be stored uncompressed, an archive cannot unfold to more than its own size. The sizes in the zip
 directory, in the array headers and in the JSON are compared before anything is allocated, and nothing is unpickled.
@@ -17,7 +20,7 @@ import errno
 import json
 import os
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
@@ -28,10 +31,12 @@ from numpy.typing import NDArray
 
 from . import _checks, _core
 from .errors import ArgumentError, FormatError
+from .quantized import DTYPES, STEPS, QuantizedVolume
 from .report import Report
+from .sparse import SparseVolume, restore_field
 from .volume import Volume, check_distances
 
-VERSION = 1
+VERSION = 2
 
 #: The JSON of a volume takes about a kilobyte.
 MAX_HEADER_BYTES = 4 << 20
@@ -42,22 +47,45 @@ CHUNK_BYTES = 16 << 20
 
 def save_volume(volume: Volume, path: str | os.PathLike[str]) -> None:
     """Write a volume; the file appears whole or not at all."""
-    target = Path(path)
-    if target.suffix.lower() != ".npz":
-        raise FormatError(f"{path}: a volume is written as .npz, got the ending '{target.suffix}'")
-    header = {
+    _write(path, _header("volume", volume), {"distances": volume.distances})
+
+
+def save_quantized(volume: QuantizedVolume, path: str | os.PathLike[str]) -> None:
+    """Write a quantised volume: the stored numbers, and in the header how to read them."""
+    header = _header("quantized", volume)
+    header |= {"encoding": volume.encoding, "scale": volume.scale}
+    _write(path, header, {"distances": volume.encoded})
+
+
+def save_sparse(volume: SparseVolume, path: str | os.PathLike[str]) -> None:
+    """Write a sparse volume: its index, the distances at the corners of bricks, and the bricks."""
+    field = volume._core_field
+    header = _header("sparse", volume)
+    header |= {"encoding": field.encoding, "scale": field.scale, "band": field.band}
+    _write(path, header, field.arrays())
+
+
+def _header(kind: str, volume: Volume | SparseVolume) -> dict[str, Any]:
+    return {
         "format": "fieldbake",
-        "kind": "volume",
-        "version": VERSION,
+        "kind": kind,
+        "version": 1 if kind == "volume" else VERSION,
         "written_by": f"fieldbake {_core.__version__}",
         "resolution": list(volume.resolution),
         "bounds": volume.bounds.tolist(),
         "inner_bounds": volume.inner_bounds.tolist(),
         "report": volume.report.to_dict(),
     }
+
+
+def _write(path: str | os.PathLike[str], header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+    target = Path(path)
+    if target.suffix.lower() != ".npz":
+        raise FormatError(f"{path}: a volume is written as .npz, got the ending '{target.suffix}'")
     text = np.array(json.dumps(header))
     with atomic_write(target) as stream:
-        np.savez(stream, header=text, distances=volume.distances)
+        members: dict[str, Any] = {"header": text, **arrays}
+        np.savez(stream, **members)
 
 
 @contextmanager
@@ -93,7 +121,7 @@ def _umask() -> int:
     return mask
 
 
-def load(path: str | os.PathLike[str]) -> Volume:
+def load(path: str | os.PathLike[str]) -> Volume | SparseVolume:
     """Read what fieldbake wrote.
 
     Parameters
@@ -103,7 +131,7 @@ def load(path: str | os.PathLike[str]) -> Volume:
 
     Returns
     -------
-    Volume
+    Volume, QuantizedVolume or SparseVolume
         Bit for bit what was saved.
 
     Raises
@@ -134,21 +162,91 @@ def load(path: str | os.PathLike[str]) -> Volume:
             raise FormatError(f"{path}: is damaged ({type(error).__name__}: {error})") from error
 
 
-def _read_volume(archive: zipfile.ZipFile, size: int) -> Volume:
+def _read_volume(archive: zipfile.ZipFile, size: int) -> Volume | SparseVolume:
     members = _members(archive, size)
     header = _read_header(archive, members)
-    bounds = _corners(header, "bounds", flat=False)
-    inner_bounds = _corners(header, "inner_bounds", flat=True)
-    distances = _read_array(archive, members, "distances.npy")
-    if distances.dtype != np.dtype("<f4") or distances.ndim != 3 or distances.size == 0:
-        raise FormatError(f"distances must be float32 of shape (nx, ny, nz), got {_checks.describe(distances)}")
-    if header.get("resolution") != list(distances.shape):
-        raise FormatError(f"the header says {header.get('resolution')} voxels, the distances are {distances.shape}")
     try:
-        samples = check_distances(distances)
+        return READERS[header["kind"]](archive, members, header)
     except ArgumentError as error:
         raise FormatError(str(error)) from None
-    return Volume._wrap(samples, bounds, inner_bounds, _report(header))
+
+
+def _read_dense(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], header: dict[str, Any]) -> Volume:
+    bounds, inner_bounds = _boxes(header)
+    distances = _read_array(archive, members, "distances.npy")
+    _check_samples(header, distances, "float32", 3)
+    return Volume._wrap(check_distances(distances), bounds, inner_bounds, _report(header))
+
+
+def _read_quantized(
+    archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], header: dict[str, Any]
+) -> QuantizedVolume:
+    bounds, inner_bounds = _boxes(header)
+    encoding = _encoding(header, tuple(name for name in DTYPES if name != "float32"))
+    encoded = _read_array(archive, members, "distances.npy")
+    _check_samples(header, encoded, encoding, 3)
+    if encoding == "float16" and not np.isfinite(encoded).all():
+        raise FormatError("the distances are not all finite")
+    scale = _positive(header, "scale")
+    return QuantizedVolume._of(np.asfortranarray(encoded), encoding, scale, bounds, inner_bounds, _report(header))
+
+
+def _read_sparse(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], header: dict[str, Any]) -> SparseVolume:
+    bounds, inner_bounds = _boxes(header)
+    encoding = _encoding(header, tuple(DTYPES))
+    arrays = {name: _read_array(archive, members, f"{name}.npy") for name in ("index", "nodes", "bricks")}
+    _check_samples(header, arrays["bricks"], encoding, 4)
+    shape = header.get("resolution")
+    if not isinstance(shape, list) or len(shape) != 3 or not all(type(n) is int and 0 < n < 2**31 for n in shape):
+        raise FormatError(f"the header's resolution is {shape!r:.60}")
+    if arrays["bricks"].shape[1:] != (8, 8, 8) or arrays["index"].ndim != 3 or arrays["nodes"].ndim != 3:
+        raise FormatError("the bricks, their index or their nodes have the wrong shape")
+    if arrays["index"].dtype != np.dtype("<u4") or arrays["nodes"].dtype != np.dtype("<f4"):
+        raise FormatError("the index or the nodes have the wrong type")
+    if encoding not in STEPS and not np.isfinite(arrays["bricks"]).all():
+        raise FormatError("the bricks are not all finite")
+    if not (np.isfinite(arrays["nodes"]).all() and (arrays["nodes"] >= 0).all()):
+        raise FormatError("the nodes are not all finite and 0 or more")
+    corners = _checks.triple(bounds[0]), _checks.triple(bounds[1])
+    size = int(shape[0]), int(shape[1]), int(shape[2])
+    field = restore_field(corners, size, _positive(header, "band"), _positive(header, "scale"), arrays)
+    return SparseVolume._wrap(field, bounds, inner_bounds, _report(header))
+
+
+#: How each kind of file is read.
+READERS: dict[str, Callable[..., Volume | SparseVolume]] = {
+    "volume": _read_dense,
+    "quantized": _read_quantized,
+    "sparse": _read_sparse,
+}
+
+
+def _check_samples(header: dict[str, Any], samples: NDArray[Any], encoding: str, ndim: int) -> None:
+    """Samples of the type that the header says, on the grid that it says."""
+    dtype = DTYPES[encoding]
+    if samples.dtype != dtype.newbyteorder("<") or samples.ndim != ndim or (ndim == 3 and samples.size == 0):
+        wanted = "(nx, ny, nz)" if ndim == 3 else "(n, 8, 8, 8)"
+        raise FormatError(f"distances must be {dtype} of shape {wanted}, got {_checks.describe(samples)}")
+    if ndim == 3 and header.get("resolution") != list(samples.shape):
+        raise FormatError(f"the header says {header.get('resolution')} voxels, the distances are {samples.shape}")
+
+
+def _encoding(header: dict[str, Any], known: tuple[str, ...]) -> str:
+    encoding = header.get("encoding")
+    if not isinstance(encoding, str) or encoding not in known:
+        raise FormatError(f"header: encoding must be one of {', '.join(known)}, got {encoding!r:.60}")
+    return encoding
+
+
+def _positive(header: dict[str, Any], name: str) -> float:
+    try:
+        return _checks.number(name, header.get(name), above=0)
+    except ArgumentError as error:
+        raise FormatError(f"header: {error}") from None
+
+
+def _boxes(header: dict[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return _corners(header, "bounds", flat=False), _corners(header, "inner_bounds", flat=True)
 
 
 def _members(archive: zipfile.ZipFile, size: int) -> dict[str, zipfile.ZipInfo]:
@@ -185,7 +283,7 @@ def _read_header(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo]) 
             f"is of version {version}, this fieldbake reads up to {VERSION}; install a newer fieldbake "
             f"(written by {str(header.get('written_by'))[:60]})"
         )
-    if header.get("kind") != "volume":
+    if header.get("kind") not in READERS:
         raise FormatError(f"holds something else than a volume: {str(header.get('kind'))[:60]}")
     return header
 

@@ -15,6 +15,7 @@ from .errors import ArgumentError, SceneError
 from .frame import Frame
 from .lights import DirectionalLight, Light, PointLight
 from .progress import Progress, progress_callback
+from .sparse import SparseVolume
 from .volume import Volume
 
 Shadows = Literal["hard", "none", "soft", "area"]
@@ -135,14 +136,16 @@ def raymarch(
     }
     surface = _checks.triple(_color("color", (0.8, 0.8, 0.8) if color is None else color, 3))
     behind = _color("background", (1.0, 1.0, 1.0, 1.0) if background is None else background, 4)
-    volume = thing if isinstance(thing, Volume) else bake(thing, PICTURE_RESOLUTION, device=device, progress=progress)
+    is_baked = isinstance(thing, (Volume, SparseVolume))
+    volume = thing if is_baked else bake(thing, PICTURE_RESOLUTION, device=device, progress=progress)
     if camera is None:
         camera = Camera.fit(volume.inner_bounds, aspect=width / height)
     if shadows in ("soft", "area") or any(isinstance(light, PointLight) for light in lights or ()):
         if filter != "linear":
             raise ArgumentError('filter: "hardware" goes with directional lights and shadows "hard" or "none"')
         material = Material(color=surface, specular=shade["specular"], shininess=shade["shininess"])
-        scene = Scene([Instance(volume, material=material)], lights, ambient=shade["ambient"], background=behind)
+        whole = volume if isinstance(volume, Volume) else volume.to_volume()
+        scene = Scene([Instance(whole, material=material)], lights, ambient=shade["ambient"], background=behind)
         return render(scene, camera, size=size, primary="raymarch", shadows=shadows, device=device, progress=progress)
     directions, colors = _lights(lights, camera)
     lower, upper = volume._corners()
@@ -159,6 +162,7 @@ def raymarch(
             color=surface,
             background=(*behind.tolist(),),
             shadows=shadows,
+            scale=volume._scale,
             filter=filter,
             device=device,
             progress=callback,

@@ -19,6 +19,7 @@ from .lights import DirectionalLight, Light, PointLight
 from .materials import PLAIN, Material
 from .mesh import ALPHA_MODES, Mesh, Part
 from .progress import Progress, progress_callback
+from .sparse import SparseVolume
 from .volume import Volume
 
 Primary = Literal["auto", "raster", "raymarch"]
@@ -371,6 +372,9 @@ def _thing(thing: Any, resolution: int) -> Mesh | Volume:
     """What the core can draw: a mesh or a volume."""
     if isinstance(thing, (Mesh, Volume)):
         return thing
+    if isinstance(thing, SparseVolume):
+        # Scenes read dense fields.
+        return thing.to_volume()
     if hasattr(thing, "to_sexpr"):
         # A shape has no triangles; its field is what is drawn.
         return bake(thing, resolution)
