@@ -39,6 +39,7 @@ from .materials import Material
 from .merge import MergedField, merge, sphere_intersection
 from .mesh import Mesh, Part
 from .quadric import Quadric, pack_quadrics, unpack_quadrics, wrap_quadrics
+from .quantized import QuantizedVolume
 from .render import raymarch
 from .report import Report
 from .scene import Instance, Scene, render
@@ -68,6 +69,7 @@ from .shapes import (
     truncated_cone,
     volume_shape,
 )
+from .sparse import SparseVolume, bake_sparse
 from .volume import Volume
 
 __all__ = [
@@ -92,16 +94,19 @@ __all__ = [
     "PointLight",
     "Profile",
     "Quadric",
+    "QuantizedVolume",
     "Report",
     "Scene",
     "SceneError",
     "Shape",
     "ShapeError",
+    "SparseVolume",
     "Volume",
     "__version__",
     "arrays",
     "as_mesh",
     "bake",
+    "bake_sparse",
     "box",
     "box_frame",
     "capped_torus",

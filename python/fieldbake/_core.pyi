@@ -19,6 +19,7 @@ __all__ = [
     "SceneField",
     "SceneMesh",
     "Shape",
+    "SparseField",
     "Texture",
     "__version__",
     "atlas_clear",
@@ -33,8 +34,11 @@ __all__ = [
     "atlas_write",
     "bake",
     "bake_brute",
+    "bake_sparse",
     "closest_point",
+    "decode",
     "devices",
+    "encode",
     "exr_read",
     "exr_write",
     "gradient",
@@ -49,6 +53,7 @@ __all__ = [
     "texture_decode",
     "texture_read",
     "texture_write",
+    "to_sparse",
 ]
 
 __version__: str
@@ -211,7 +216,7 @@ def closest_point(
     """Closest points (n, 3), unsigned distances (n,), faces (n,) as rows of ``mesh.faces``."""
 
 def sample(
-    distances: NDArray[np.float32],
+    distances: NDArray[Any],
     lower: tuple[float, float, float],
     upper: tuple[float, float, float],
     inner_lower: tuple[float, float, float],
@@ -219,23 +224,28 @@ def sample(
     points: NDArray[np.float64],
     *,
     filter: str = "linear",
+    scale: float = 1.0,
 ) -> NDArray[np.float32]:
     """Field at world ``points`` (n, 3). ``distances`` is (nx, ny, nz) with x fastest. Outside the box: a proven
     lower bound, for a surface that lies in the inner box."""
 
 def gradient(
-    distances: NDArray[np.float32],
+    distances: NDArray[Any],
     lower: tuple[float, float, float],
     upper: tuple[float, float, float],
     points: NDArray[np.float64],
+    *,
+    scale: float = 1.0,
 ) -> NDArray[np.float32]:
     """Gradient of the trilinear field, (n, 3), distance per world unit; outside the box, of its nearest point."""
 
 def resample(
-    distances: NDArray[np.float32],
+    distances: NDArray[Any],
     lower: tuple[float, float, float],
     upper: tuple[float, float, float],
     shape: tuple[int, int, int],
+    *,
+    scale: float = 1.0,
 ) -> NDArray[np.float32]:
     """The trilinear field at the voxel centres of another grid over the same box."""
 
@@ -247,8 +257,87 @@ def surface_nets(
 ) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
     """Vertices (n, 3), world, and faces (m, 3) of the level set, counter-clockwise seen from outside."""
 
+@final
+class SparseField:
+    """Bricks of samples near a surface, in one of the encodings. Made by :func:`bake_sparse` and :func:`to_sparse`."""
+
+    def __new__(
+        cls,
+        lower: tuple[float, float, float],
+        upper: tuple[float, float, float],
+        shape: tuple[int, int, int],
+        band: float,
+        scale: float,
+        index: NDArray[np.uint32],
+        nodes: NDArray[np.float32],
+        bricks: NDArray[Any],
+    ) -> SparseField:
+        """Check arrays that belong together: ``index`` and ``nodes`` with x fastest, ``bricks`` flat."""
+    @property
+    def shape(self) -> tuple[int, int, int]: ...
+    @property
+    def nbytes(self) -> int: ...
+    @property
+    def encoding(self) -> str: ...
+    @property
+    def band(self) -> float: ...
+    @property
+    def scale(self) -> float: ...
+    @property
+    def levels(self) -> list[int]:
+        """Stored bricks with cells of 1, 2 and 4 voxels."""
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """``index`` (bx, by, bz), ``nodes`` (bx + 1, by + 1, bz + 1), ``bricks`` (n, 8, 8, 8); copies."""
+    def sample(
+        self,
+        inner_lower: tuple[float, float, float],
+        inner_upper: tuple[float, float, float],
+        points: NDArray[np.float64],
+        *,
+        filter: str = "linear",
+    ) -> NDArray[np.float32]: ...
+    def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float32]: ...
+    def dense(self) -> NDArray[np.float32]:
+        """The field on the whole grid, (nx, ny, nz)."""
+
+def bake_sparse(
+    mesh: Mesh,
+    lower: tuple[float, float, float],
+    upper: tuple[float, float, float],
+    shape: tuple[int, int, int],
+    *,
+    sign: str = "auto",
+    thickness: float | None = None,
+    band: float,
+    tolerance: float | None = None,
+    encoding: str = "float32",
+    progress: Callable[[float], object] | None = None,
+) -> tuple[SparseField, dict[str, Any]]:
+    """Bricks and the report, as for :func:`bake`. ``band`` and ``tolerance`` in voxels."""
+
+def to_sparse(
+    distances: NDArray[Any],
+    lower: tuple[float, float, float],
+    upper: tuple[float, float, float],
+    inner_lower: tuple[float, float, float],
+    inner_upper: tuple[float, float, float],
+    *,
+    band: float,
+    tolerance: float | None = None,
+    encoding: str = "float32",
+    scale: float = 1.0,
+    progress: Callable[[float], object] | None = None,
+) -> SparseField:
+    """The bricks of a dense field."""
+
+def encode(distances: NDArray[np.float32], encoding: str, scale: float) -> NDArray[Any]:
+    """Distances (nx, ny, nz) in another encoding, rounded toward zero."""
+
+def decode(texels: NDArray[Any], scale: float) -> NDArray[np.float32]:
+    """What :func:`encode` was given, as far as it is stored."""
+
 def raymarch(
-    distances: NDArray[np.float32] | DeviceField,
+    distances: NDArray[Any] | DeviceField | SparseField,
     lower: tuple[float, float, float],
     upper: tuple[float, float, float],
     pose: NDArray[np.float64],
@@ -264,6 +353,7 @@ def raymarch(
     background: tuple[float, float, float, float] | None = None,
     shadows: str = "hard",
     filter: str = "linear",
+    scale: float = 1.0,
     device: str = "auto",
     progress: Callable[[float], object] | None = None,
 ) -> dict[str, Any]:

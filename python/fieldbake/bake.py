@@ -14,7 +14,7 @@ from . import _checks, _core
 from .convert import MeshLike, as_mesh
 from .csg import _all_shapes
 from .errors import ArgumentError, ShapeError
-from .grid import DEFAULT_RESOLUTION, Resolution, make_grid
+from .grid import DEFAULT_RESOLUTION, Grid, Resolution, make_grid
 from .mesh import Mesh
 from .progress import Progress, progress_callback
 from .report import Report
@@ -137,6 +137,49 @@ def bake(
         return _bake_shape(shape, resolution, voxel_size, bounds, margin, where, progress)
     if band is not None:
         band = _checks.number("band", band, above=0)
+    job = prepare(mesh, resolution, voxel_size, bounds, margin, sign, two_sided, thickness)
+    grid = job.grid
+    with progress_callback(progress, "bake") as callback:
+        distances, facts = _core.bake(
+            job.mesh._core,
+            grid.lower,
+            grid.upper,
+            grid.shape,
+            sign=job.sign,
+            band=band,
+            thickness=job.thickness,
+            device=where,
+            progress=callback,
+        )
+    report = Report.from_dict({**facts, "faces": len(job.mesh.faces), "vertices": len(job.mesh.vertices)})
+    log_warnings(report)
+    return Volume._wrap(distances, np.array([grid.lower, grid.upper]), job.inner, report)
+
+
+class Job(NamedTuple):
+    """What a bake is made from, checked."""
+
+    mesh: Mesh
+    grid: Grid
+    #: Box of the surface, (2, 3).
+    inner: NDArray[np.float64]
+    sign: str
+    thickness: float | None
+
+
+def prepare(
+    mesh: MeshLike,
+    resolution: Resolution,
+    voxel_size: float | None,
+    bounds: ArrayLike | None,
+    margin: float,
+    sign: Sign,
+    two_sided: bool,
+    thickness: float | None,
+) -> Job:
+    """Check what every bake takes, and choose the grid."""
+    method = _checks.text("sign", sign)
+    two_sided = _checks.flag("two_sided", two_sided)
     if thickness is not None:
         thickness = _checks.number("thickness", thickness, above=0)
         if not two_sided:
@@ -150,24 +193,14 @@ def bake(
     if two_sided and thickness is None:
         thickness = max(grid.spacing)
         inner += np.array([[-thickness / 2], [thickness / 2]])
-
     _check_reach("bounds", checked, np.array([grid.lower, grid.upper]), MAX_GRID_REACH)
-    with progress_callback(progress, "bake") as callback:
-        distances, facts = _core.bake(
-            checked._core,
-            grid.lower,
-            grid.upper,
-            grid.shape,
-            sign=method,
-            band=band,
-            thickness=thickness,
-            device=where,
-            progress=callback,
-        )
-    report = Report.from_dict({**facts, "faces": len(checked.faces), "vertices": len(checked.vertices)})
+    return Job(checked, grid, inner, method, thickness)
+
+
+def log_warnings(report: Report) -> None:
+    """Say what deserves a look."""
     for warning in report.warnings:
         logger.warning("%s", warning)
-    return Volume._wrap(distances, np.array([grid.lower, grid.upper]), inner, report)
 
 
 def _bake_shape(

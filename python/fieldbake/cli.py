@@ -119,23 +119,35 @@ def bake(
     band: Annotated[float | None, typer.Option(help="Exact only within so many voxels of the surface.")] = None,
     two_sided: Annotated[bool, typer.Option("--two-sided", help="Treat the surface as a sheet.")] = False,
     thickness: Annotated[float | None, typer.Option(help="Of the sheet; one voxel if not given.")] = None,
+    sparse: Annotated[bool, typer.Option("--sparse", help="Store bricks around the surface only.")] = False,
+    tolerance: Annotated[float, typer.Option(help="How far a coarser brick may be off, voxels; with --sparse.")] = 0.05,
+    encoding: Annotated[
+        Literal["float32", "float16", "snorm16", "snorm8"], typer.Option(help="How samples are stored.")
+    ] = "float32",
     device: Device = "auto",
 ) -> None:
     """Bake the signed distance field of a mesh into a file."""
     if output.suffix.lower() != ".npz":
         raise typer.BadParameter(f"'{output}' must end in .npz", param_hint="--output")
-    volume = fb.bake(
-        [str(path) for path in mesh] if len(mesh) > 1 else mesh[0],
-        resolution,
-        voxel_size=voxel_size,
-        margin=margin,
-        sign=sign,
-        band=band,
-        two_sided=two_sided,
-        thickness=thickness,
-        device=device,
-        progress=err.is_terminal,
-    )
+    things: Any = [str(path) for path in mesh] if len(mesh) > 1 else mesh[0]
+    surface: dict[str, Any] = {
+        "voxel_size": voxel_size,
+        "margin": margin,
+        "sign": sign,
+        "two_sided": two_sided,
+        "thickness": thickness,
+        "progress": err.is_terminal,
+    }
+    width = 4.0 if band is None else band
+    volume: fb.Volume | fb.SparseVolume
+    if sparse:
+        if device not in ("auto", "cpu"):
+            raise typer.BadParameter("bricks are baked on the CPU", param_hint="--device")
+        volume = fb.bake_sparse(things, resolution, band=width, tolerance=tolerance, encoding=encoding, **surface)
+    else:
+        volume = fb.bake(things, resolution, band=band, device=device, **surface)
+        if encoding != "float32":
+            volume = volume.quantize(encoding, band=width)
     volume.save(output)
     _show(f"{output}", _volume_rows(volume))
 
@@ -200,6 +212,8 @@ def pack(
     for file in files:
         if file.suffix.lower() in (".npz", *VOLUME_ENDINGS):
             volume = fb.load(file)
+            if isinstance(volume, fb.SparseVolume):
+                volume = volume.to_volume()
             if not isinstance(volume, fb.Volume):
                 raise fb.FormatError(f"{file}: holds an atlas, only volumes and meshes can be packed")
         else:
@@ -401,14 +415,26 @@ def _box_text(bounds: Any) -> str:
     return f"{lower} to {upper}"
 
 
-def _volume_rows(volume: fb.Volume) -> list[tuple[str, str]]:
-    low, high = float(volume.distances.min()), float(volume.distances.max())
+def _volume_rows(volume: fb.Volume | fb.SparseVolume) -> list[tuple[str, str]]:
+    nx, ny, nz = volume.resolution
+    size = bytes_text(volume.nbytes)
+    if isinstance(volume, fb.Volume):
+        stored = f"{size} as {volume.encoding}" if isinstance(volume, fb.QuantizedVolume) else size
+        low, high = float(volume.distances.min()), float(volume.distances.max())
+        contents = [("distances", f"{low:.5g} to {high:.5g}")]
+    else:
+        stored = f"{size} as {volume.encoding}, {volume.nbytes / (4 * nx * ny * nz):.1%} of a dense volume"
+        counts = volume.brick_counts.items()
+        contents = [
+            ("bricks", ", ".join(f"{count:,} with cells of {side}" for side, count in counts if count) or "none"),
+            ("band", f"{volume.band:.5g}"),
+        ]
     rows = [
-        ("voxels", " x ".join(map(str, volume.resolution)) + f", {bytes_text(volume.nbytes)}"),
+        ("voxels", f"{nx} x {ny} x {nz}, {stored}"),
         ("voxel size", " x ".join(f"{side:.5g}" for side in volume.spacing)),
         ("box", _box_text(volume.bounds)),
         ("surface box", _box_text(volume.inner_bounds)),
-        ("distances", f"{low:.5g} to {high:.5g}"),
+        *contents,
     ]
     return rows + (volume.report.rows() if volume.report.sign_method else [])
 

@@ -69,7 +69,9 @@ def run(
         # Through the file and back, so that the pictures prove the file too.
         archive = out / f"{name}.npz"
         volume.save(archive)
-        volume = load(archive)
+        loaded = load(archive)
+        assert isinstance(loaded, Volume)
+        volume = loaded
         tell(f"  saved and loaded {archive} ({bytes_text(archive.stat().st_size)})")
 
         camera = Camera.fit(volume.inner_bounds, direction=direction, aspect=SIZE[0] / SIZE[1])

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from . import _checks, _core
 from .atlas import TEXELS, Atlas, choice, normalised_copy, scale_of
 from .errors import ArgumentError, FormatError
-from .io import ATLAS_ARRAYS, MAX_HEADER_BYTES, VERSION, atomic_write, check_version, make_atlas, read_facts
+from .io import ATLAS_ARRAYS, MAX_HEADER_BYTES, atomic_write, check_version, head, make_atlas, read_facts
 from .volume import Volume, check_distances
 
 #: Endings of each kind of object, besides .npz.
@@ -45,7 +45,7 @@ def save_volume_as(volume: Volume, path: str | os.PathLike[str], encoding: str, 
     encoding = choice("encoding", encoding, tuple(TEXELS))
     scale = scale_of(volume, _checks.number("band", band, above=0))
     facts = {
-        **_head("volume texture"),
+        **head("volume texture"),
         "resolution": list(volume.resolution),
         "encoding": encoding,
         "scale": scale if encoding.startswith("snorm") else 1.0,
@@ -94,7 +94,7 @@ def save_atlas_as(atlas: Atlas, path: str | os.PathLike[str]) -> None:
     size = atlas.page_size
     stacked = atlas._pages.reshape(-1, size)
     facts = {
-        **_head("atlas image"),
+        **head("atlas image"),
         "layout": atlas.layout,
         "page_size": size,
         "pages": len(atlas._pages),
@@ -137,10 +137,6 @@ def load_atlas_from(path: Path) -> Atlas:
 
 
 # --- facts
-
-
-def _head(kind: str) -> dict[str, Any]:
-    return {"format": "fieldbake", "kind": kind, "version": VERSION, "written_by": f"fieldbake {_core.__version__}"}
 
 
 def _expect(facts: dict[str, Any], kind: str) -> None:

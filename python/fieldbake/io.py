@@ -1,11 +1,15 @@
 """Our files: an .npz archive that plain NumPy can read, and that is checked before a byte of it is believed.
 
-Layout, version 1: a zip archive of uncompressed members. A volume has two:
+Layout: a zip archive of uncompressed members. Quantised and sparse volumes are version 2, all else is version 1.
+A volume has two members:
 
 ``header.npy``
     A zero-dimensional string: JSON with ``format``, ``kind``, ``version``, ``bounds``, ``inner_bounds``, ``report``.
 ``distances.npy``
-    float32 little-endian, Fortran order (x fastest), shape (nx, ny, nz).
+    float32 little-endian, Fortran order (x fastest), shape (nx, ny, nz). For the kind ``quantized`` float16, int16 or
+    int8; the header has ``encoding`` and ``scale``.
+``index.npy``, ``nodes.npy``, ``bricks.npy``
+    In place of the distances for the kind ``sparse``; the header has ``encoding``, ``scale`` and ``band``.
 
 An atlas has the header, ``pages.npy``, a row of ``blocks``, ``boxes``, ``models`` and ``scales`` for each index, and
 the reports as JSON in bytes.
@@ -31,13 +35,17 @@ from numpy.typing import NDArray
 
 from . import _checks, _core
 from .errors import ArgumentError, FormatError
+from .quantized import DTYPES, STEPS, QuantizedVolume
 from .report import Report
+from .sparse import SparseVolume, restore_field
 from .volume import Volume, check_distances
 
 if TYPE_CHECKING:
     from .atlas import Atlas
 
-VERSION = 1
+#: The newest version of a file, and that of each kind which readers of version 1 do not know.
+VERSION = 2
+FIRST_VERSION = {"quantized": 2, "sparse": 2}
 
 #: The JSON of a volume takes about a kilobyte.
 MAX_HEADER_BYTES = 4 << 20
@@ -51,34 +59,54 @@ ATLAS_ARRAYS = ("blocks", "boxes", "models", "scales")
 
 def save_volume(volume: Volume, path: str | os.PathLike[str]) -> None:
     """Write a volume; the file appears whole or not at all."""
-    target = Path(path)
-    if target.suffix.lower() != ".npz":
-        raise FormatError(f"{path}: a volume is written as .npz, got the ending '{target.suffix}'")
-    header = {
-        "format": "fieldbake",
-        "kind": "volume",
-        "version": VERSION,
-        "written_by": f"fieldbake {_core.__version__}",
+    _write(path, _header("volume", volume), {"distances": volume.distances})
+
+
+def save_quantized(volume: QuantizedVolume, path: str | os.PathLike[str]) -> None:
+    """Write a quantised volume: the stored numbers, and in the header how to read them."""
+    header = _header("quantized", volume)
+    header |= {"encoding": volume.encoding, "scale": volume.scale}
+    _write(path, header, {"distances": volume.encoded})
+
+
+def save_sparse(volume: SparseVolume, path: str | os.PathLike[str]) -> None:
+    """Write a sparse volume: its index, the distances at the corners of bricks, and the bricks."""
+    field = volume._core_field
+    header = _header("sparse", volume)
+    header |= {"encoding": field.encoding, "scale": field.scale, "band": field.band}
+    _write(path, header, field.arrays())
+
+
+def head(kind: str) -> dict[str, Any]:
+    """How every header starts."""
+    version = FIRST_VERSION.get(kind, 1)
+    return {"format": "fieldbake", "kind": kind, "version": version, "written_by": f"fieldbake {_core.__version__}"}
+
+
+def _header(kind: str, volume: Volume | SparseVolume) -> dict[str, Any]:
+    return {
+        **head(kind),
         "resolution": list(volume.resolution),
         "bounds": volume.bounds.tolist(),
         "inner_bounds": volume.inner_bounds.tolist(),
         "report": volume.report.to_dict(),
     }
-    text = np.array(json.dumps(header))
+
+
+def _write(path: str | os.PathLike[str], header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+    target = Path(path)
+    if target.suffix.lower() != ".npz":
+        what = "an atlas" if header["kind"] == "atlas" else "a volume"
+        raise FormatError(f"{path}: {what} is written as .npz, got the ending '{target.suffix}'")
+    members: dict[str, Any] = {"header": np.array(json.dumps(header)), **arrays}
     with atomic_write(target) as stream:
-        np.savez(stream, header=text, distances=volume.distances)
+        np.savez(stream, **members)
 
 
 def save_atlas(atlas: Atlas, path: str | os.PathLike[str]) -> None:
     """Write an atlas; the file appears whole or not at all."""
-    target = Path(path)
-    if target.suffix.lower() != ".npz":
-        raise FormatError(f"{path}: an atlas is written as .npz, got the ending '{target.suffix}'")
     header = {
-        "format": "fieldbake",
-        "kind": "atlas",
-        "version": VERSION,
-        "written_by": f"fieldbake {_core.__version__}",
+        **head("atlas"),
         "layout": atlas.layout,
         "page_size": atlas.page_size,
         "gutter": atlas.gutter,
@@ -86,17 +114,8 @@ def save_atlas(atlas: Atlas, path: str | os.PathLike[str]) -> None:
         "band": atlas.band,
     }
     reports = json.dumps([report.to_dict() for report in atlas._reports]).encode()
-    with atomic_write(target) as stream:
-        np.savez(
-            stream,
-            header=np.array(json.dumps(header)),
-            pages=atlas._pages,
-            blocks=atlas._blocks,
-            boxes=atlas._boxes,
-            models=atlas._models,
-            scales=atlas._scales,
-            reports=np.frombuffer(reports, np.uint8),
-        )
+    arrays = {name: getattr(atlas, f"_{name}") for name in ("pages", *ATLAS_ARRAYS)}
+    _write(path, header, {**arrays, "reports": np.frombuffer(reports, np.uint8)})
 
 
 @contextmanager
@@ -142,7 +161,7 @@ def load(path: str | os.PathLike[str]) -> Any:
 
     Returns
     -------
-    Volume or Atlas
+    Volume, QuantizedVolume, SparseVolume or Atlas
         Bit for bit what was saved, in the encoding that the file has.
 
     Raises
@@ -160,12 +179,7 @@ def load(path: str | os.PathLike[str]) -> Any:
             if (foreign := _foreign_reader(path)) is not None:
                 return foreign(Path(path))
             with zipfile.ZipFile(stream) as archive:
-                members = _members(archive, size)
-                header = _read_header(archive, members)
-                reader = {"volume": _read_volume, "atlas": _read_atlas}.get(str(header.get("kind")))
-                if reader is None:
-                    raise FormatError(f"holds something else than a volume: {str(header.get('kind'))[:60]}")
-                return reader(archive, members, header)
+                return _read(archive, size)
         except FormatError as error:
             raise FormatError(f"{path}: {error}") from None
         except zipfile.BadZipFile as error:
@@ -190,24 +204,97 @@ def _foreign_reader(path: str | os.PathLike[str]) -> Callable[[Path], Volume | A
     return exchange.load_atlas_from if ending in exchange.ATLAS_ENDINGS else None
 
 
-def _read_volume(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], header: dict[str, Any]) -> Volume:
-    bounds, inner_bounds, report = read_facts(header)
-    distances = _read_array(archive, members, "distances.npy")
-    if distances.dtype != np.dtype("<f4") or distances.ndim != 3 or distances.size == 0:
-        raise FormatError(f"distances must be float32 of shape (nx, ny, nz), got {_checks.describe(distances)}")
-    if header.get("resolution") != list(distances.shape):
-        raise FormatError(f"the header says {header.get('resolution')} voxels, the distances are {distances.shape}")
+def _read(archive: zipfile.ZipFile, size: int) -> Volume | SparseVolume | Atlas:
+    members = _members(archive, size)
+    header = _read_header(archive, members)
+    reader = READERS.get(str(header.get("kind")))
+    if reader is None:
+        raise FormatError(f"holds something else than a volume: {str(header.get('kind'))[:60]}")
     try:
-        samples = check_distances(distances)
+        return reader(archive, members, header)
     except ArgumentError as error:
         raise FormatError(str(error)) from None
-    return Volume._wrap(samples, bounds, inner_bounds, report)
+
+
+def _read_dense(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], header: dict[str, Any]) -> Volume:
+    bounds, inner_bounds, report = read_facts(header)
+    distances = _read_array(archive, members, "distances.npy")
+    _check_samples(header, distances, "float32", 3)
+    return Volume._wrap(check_distances(distances), bounds, inner_bounds, report)
+
+
+def _read_quantized(
+    archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], header: dict[str, Any]
+) -> QuantizedVolume:
+    bounds, inner_bounds, report = read_facts(header)
+    encoding = _encoding(header, tuple(name for name in DTYPES if name != "float32"))
+    encoded = _read_array(archive, members, "distances.npy")
+    _check_samples(header, encoded, encoding, 3)
+    if encoding == "float16" and not np.isfinite(encoded).all():
+        raise FormatError("the distances are not all finite")
+    scale = _positive(header, "scale")
+    return QuantizedVolume._of(np.asfortranarray(encoded), encoding, scale, bounds, inner_bounds, report)
+
+
+def _read_sparse(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], header: dict[str, Any]) -> SparseVolume:
+    bounds, inner_bounds, report = read_facts(header)
+    encoding = _encoding(header, tuple(DTYPES))
+    arrays = {name: _read_array(archive, members, f"{name}.npy") for name in ("index", "nodes", "bricks")}
+    _check_samples(header, arrays["bricks"], encoding, 4)
+    shape = header.get("resolution")
+    if not isinstance(shape, list) or len(shape) != 3 or not all(type(n) is int and 0 < n < 2**31 for n in shape):
+        raise FormatError(f"the header's resolution is {shape!r:.60}")
+    if arrays["bricks"].shape[1:] != (8, 8, 8) or arrays["index"].ndim != 3 or arrays["nodes"].ndim != 3:
+        raise FormatError("the bricks, their index or their nodes have the wrong shape")
+    if arrays["index"].dtype != np.dtype("<u4") or arrays["nodes"].dtype != np.dtype("<f4"):
+        raise FormatError("the index or the nodes have the wrong type")
+    if encoding not in STEPS and not np.isfinite(arrays["bricks"]).all():
+        raise FormatError("the bricks are not all finite")
+    if not (np.isfinite(arrays["nodes"]).all() and (arrays["nodes"] >= 0).all()):
+        raise FormatError("the nodes are not all finite and 0 or more")
+    corners = _checks.triple(bounds[0]), _checks.triple(bounds[1])
+    size = int(shape[0]), int(shape[1]), int(shape[2])
+    field = restore_field(corners, size, _positive(header, "band"), _positive(header, "scale"), arrays)
+    return SparseVolume._wrap(field, bounds, inner_bounds, report)
 
 
 def _read_atlas(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], header: dict[str, Any]) -> Atlas:
     arrays = {name: _read_array(archive, members, f"{name}.npy") for name in (*ATLAS_ARRAYS, "pages", "reports")}
     reports = json.loads(arrays.pop("reports").tobytes())
     return make_atlas(header, arrays, reports, arrays.pop("pages"))
+
+
+#: How each kind of file is read.
+READERS: dict[str, Callable[..., Volume | SparseVolume | Atlas]] = {
+    "volume": _read_dense,
+    "quantized": _read_quantized,
+    "sparse": _read_sparse,
+    "atlas": _read_atlas,
+}
+
+
+def _check_samples(header: dict[str, Any], samples: NDArray[Any], encoding: str, ndim: int) -> None:
+    """Samples of the type that the header says, on the grid that it says."""
+    dtype = DTYPES[encoding]
+    if samples.dtype != dtype.newbyteorder("<") or samples.ndim != ndim or (ndim == 3 and samples.size == 0):
+        wanted = "(nx, ny, nz)" if ndim == 3 else "(n, 8, 8, 8)"
+        raise FormatError(f"distances must be {dtype} of shape {wanted}, got {_checks.describe(samples)}")
+    if ndim == 3 and header.get("resolution") != list(samples.shape):
+        raise FormatError(f"the header says {header.get('resolution')} voxels, the distances are {samples.shape}")
+
+
+def _encoding(header: dict[str, Any], known: tuple[str, ...]) -> str:
+    encoding = header.get("encoding")
+    if not isinstance(encoding, str) or encoding not in known:
+        raise FormatError(f"header: encoding must be one of {', '.join(known)}, got {encoding!r:.60}")
+    return encoding
+
+
+def _positive(header: dict[str, Any], name: str) -> float:
+    try:
+        return _checks.number(name, header.get(name), above=0)
+    except ArgumentError as error:
+        raise FormatError(f"header: {error}") from None
 
 
 def make_atlas(header: dict[str, Any], arrays: dict[str, NDArray[Any]], reports: Any, pages: NDArray[Any]) -> Atlas:

@@ -17,6 +17,7 @@ from .lights import DirectionalLight, Light, PointLight
 from .progress import Progress, progress_callback
 from .quadric import bounds_of, check_quadrics, core_of, is_quadrics
 from .shapes import Shape
+from .sparse import SparseVolume
 from .volume import Volume
 
 Shadows = Literal["hard", "none", "soft", "area"]
@@ -54,10 +55,10 @@ def raymarch(
 
     Parameters
     ----------
-    thing : Volume, Shape, Scene, Quadric, list of Quadric, or anything :func:`bake` takes
+    thing : Volume, SparseVolume, Shape, Scene, Quadric, list of Quadric, or anything :func:`bake` takes
         A Scene brings its own lights and materials and is drawn by :func:`render` with ``primary="raymarch"``.
         Quadrics are drawn as they are, each in its reflectance; `object_id` is the place in the list. What else is
-        neither Volume nor Shape is baked first, with 128 voxels along its longest side.
+        neither volume nor Shape is baked first, with 128 voxels along its longest side.
     camera : Camera, optional
         Fits the surface if not given: ``Camera.fit(volume.inner_bounds)``.
     size : (width, height), default (512, 512)
@@ -172,7 +173,7 @@ def raymarch(
     if isinstance(thing, Shape) and filter != "linear":
         raise ArgumentError('filter: "hardware" reads a volume, and this is a shape; bake it first')
     field = thing
-    if not isinstance(thing, (Volume, Shape)):
+    if not isinstance(thing, (Volume, SparseVolume, Shape)):
         field = bake(thing, PICTURE_RESOLUTION, device=device, progress=progress)
     if camera is None:
         bounds = field.bounds if isinstance(field, Shape) else field.inner_bounds
@@ -199,8 +200,18 @@ def raymarch(
         if isinstance(field, Shape):
             return _frame(field._core.draw(method, picture, device, callback))
         lower, upper = field._corners()
-        source = field._source(device)
-        return _frame(_core.raymarch(source, lower, upper, filter=filter, device=device, progress=callback, **picture))
+        return _frame(
+            _core.raymarch(
+                field._source(device),
+                lower,
+                upper,
+                scale=field._scale,
+                filter=filter,
+                device=device,
+                progress=callback,
+                **picture,
+            )
+        )
 
 
 def _frame(result: dict[str, Any]) -> Frame:

@@ -19,6 +19,7 @@ from .lights import DirectionalLight, Light, PointLight
 from .materials import PLAIN, Material
 from .mesh import ALPHA_MODES, Mesh, Part
 from .progress import Progress, progress_callback
+from .sparse import SparseVolume
 from .volume import Volume
 
 Primary = Literal["auto", "raster", "raymarch"]
@@ -43,7 +44,7 @@ class Instance:
 
     Parameters
     ----------
-    thing : Mesh, Volume, or anything :func:`bake` takes
+    thing : Mesh, Volume, SparseVolume, or anything :func:`bake` takes
         A mesh is rastered and throws the shadow of its field, which is baked when needed and kept; a volume is
         raymarched.
     transform : (4, 4), default identity
@@ -157,7 +158,9 @@ class Scene:
         background: ArrayLike = (1.0, 1.0, 1.0, 1.0),
         cameras: Sequence[Camera] = (),
     ) -> None:
-        if isinstance(instances, (Instance, Mesh, Volume, str, bytes)) or not isinstance(instances, Sequence):
+        if isinstance(instances, (Instance, Mesh, Volume, SparseVolume, str, bytes)) or not isinstance(
+            instances, Sequence
+        ):
             raise SceneError(f"instances: must be a list of Instance, got {_checks.describe(instances)}")
         if not instances:
             raise SceneError("instances: the scene is empty; give at least one Instance")
@@ -373,6 +376,9 @@ def _thing(thing: Any, resolution: int) -> Mesh | Volume:
     """What the core can draw: a mesh or a volume."""
     if isinstance(thing, (Mesh, Volume)):
         return thing
+    if isinstance(thing, SparseVolume):
+        # Scenes read dense fields.
+        return thing.to_volume()
     if hasattr(thing, "to_sexpr"):
         # A shape has no triangles; its field is what is drawn.
         return bake(thing, resolution)

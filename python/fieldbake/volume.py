@@ -11,10 +11,14 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from . import _checks, _core
 from .errors import ArgumentError
 from .mesh import Mesh
+from .progress import Progress
 from .report import Report, bytes_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from .quantized import QuantizedVolume
+    from .sparse import SparseVolume
 
 Filter = Literal["linear", "nearest"]
 
@@ -111,10 +115,20 @@ class Volume:
         assert self._samples is not None
         return self._samples
 
-    def _source(self, device: str) -> NDArray[np.float32] | _core.DeviceField:
+    def _source(self, device: str) -> NDArray[Any] | _core.DeviceField:
         """The samples where a call with this `device` runs, if they are there."""
         field = self._field
         return field if field is not None and field.serves(_checks.text("device", device)) else self._distances
+
+    @property
+    def _texels(self) -> NDArray[Any]:
+        """The samples as they are stored."""
+        return self._distances
+
+    @property
+    def _scale(self) -> float:
+        """What the stored samples are decoded with."""
+        return 1.0
 
     @property
     def distances(self) -> NDArray[np.float32]:
@@ -191,13 +205,14 @@ class Volume:
         lower, upper = self._corners()
         inner = self._inner_bounds
         values = _core.sample(
-            self._distances,
+            self._texels,
             lower,
             upper,
             _checks.triple(inner[0]),
             _checks.triple(inner[1]),
             flat,
             filter=_checks.text("filter", filter),
+            scale=self._scale,
         )
         return values.reshape(shape)
 
@@ -221,7 +236,7 @@ class Volume:
         """
         flat, shape = _checks.points(points)
         lower, upper = self._corners()
-        return _core.gradient(self._distances, lower, upper, flat).reshape(*shape, 3)
+        return _core.gradient(self._texels, lower, upper, flat, scale=self._scale).reshape(*shape, 3)
 
     def to_mesh(self, level: float = 0.0) -> Mesh:
         """The surface where the field has the value `level`, by surface nets.
@@ -247,9 +262,10 @@ class Volume:
         S. Gibson, Constrained elastic surface nets, MICCAI 1998.
         """
         level = _checks.number("level", level)
-        lowest, highest = float(self._distances.min()), float(self._distances.max())
+        distances = self._distances
+        lowest, highest = float(distances.min()), float(distances.max())
         if lowest < level < highest:
-            vertices, faces = _core.surface_nets(self._distances, *self._corners(), level)
+            vertices, faces = _core.surface_nets(distances, *self._corners(), level)
             if len(faces):
                 return Mesh(vertices, faces.astype(np.int64))
         raise ArgumentError(f"level: no surface at {level:g}, the samples run from {lowest:g} to {highest:g}")
@@ -274,7 +290,7 @@ class Volume:
         """
         factor = _checks.integer("factor", factor, least=1, most=2**31)
         nx, ny, nz = ((side + factor - 1) // factor for side in self.resolution)
-        distances = _core.resample(self._distances, *self._corners(), (nx, ny, nz))
+        distances = _core.resample(self._texels, *self._corners(), (nx, ny, nz), scale=self._scale)
         return Volume._wrap(distances, self._bounds, self._inner_bounds, self._report)
 
     def plot_slices(self, at: ArrayLike | None = None) -> Figure:
@@ -300,6 +316,75 @@ class Volume:
         from .plot import plot_slices
 
         return plot_slices(self, at)
+
+    def quantize(self, encoding: Literal["float16", "snorm16", "snorm8"], *, band: float = 4) -> QuantizedVolume:
+        """The same volume in 16 or 8 bits a sample.
+
+        Parameters
+        ----------
+        encoding : "float16", "snorm16" or "snorm8"
+            Half floats of the distances, or integers in equal steps from minus the band to the band.
+        band : float, default 4
+            Voxels around the surface that the integers keep, by the voxel's longest side; magnitudes beyond are stored
+            as the band. float16 has no band.
+
+        Returns
+        -------
+        QuantizedVolume
+            A volume like any other. Values are rounded toward zero: no stored magnitude exceeds the true one. They are
+            off by at most band / 127 (snorm8) or band / 32767 (snorm16) within the band, and by 2^-10 of the distance
+            (float16), 2^-24 where that is more.
+
+        Raises
+        ------
+        ArgumentError
+            For an unknown encoding, a band that is not positive, or distances that float16 cannot hold.
+
+        Examples
+        --------
+        >>> half_space = Volume(np.linspace(-1, 1, 8).repeat(64).reshape(8, 8, 8), [(-1, -1, -1), (1, 1, 1)])
+        >>> half_space.quantize("snorm8").nbytes
+        512
+        """
+        from .quantized import quantize
+
+        return quantize(self, encoding, band)
+
+    def to_sparse(
+        self,
+        *,
+        tolerance: float | None = 0.05,
+        band: float = 4,
+        encoding: Literal["float32", "float16", "snorm16", "snorm8"] = "float32",
+        progress: Progress = None,
+    ) -> SparseVolume:
+        """The same field as bricks around the surface; see :class:`SparseVolume`.
+
+        Parameters
+        ----------
+        tolerance : float or None, default 0.05
+            Coarser bricks take the place of finer ones where they differ from all their samples by no more, voxels.
+            None: never; every stored sample is that of the volume.
+        band : float, default 4
+            Bricks with a sample nearer to the surface are stored, voxels; at least 2.
+        encoding : str, default "float32"
+            Or ``"float16"``, ``"snorm16"``, ``"snorm8"``, rounded toward zero; the integers with the band as scale.
+        progress : bool or callable, optional
+            True draws a bar on stderr; a callable gets a share from 0 to 1.
+
+        Returns
+        -------
+        SparseVolume
+            Where nothing is stored, a lower bound of the distance, as far as the volume's samples are distances.
+
+        Raises
+        ------
+        ArgumentError
+            For an option that makes no sense.
+        """
+        from .sparse import to_sparse
+
+        return to_sparse(self, tolerance, band, encoding, progress)
 
     def save(self, path: str | os.PathLike[str], *, encoding: str = "float32", band: float = 4.0) -> None:
         """Write a file; one of that name is replaced only once the new one is complete.
@@ -341,7 +426,8 @@ class Volume:
         """A picture, for notebooks; None if there is no surface to see."""
         from .render import raymarch
 
-        if not self._distances.min() <= 0 <= self._distances.max():
+        distances = self._distances
+        if not distances.min() <= 0 <= distances.max():
             return None
         return raymarch(self, size=(256, 256), device="cpu")._repr_png_()
 

@@ -225,14 +225,42 @@ impl Tile<'_> {
         self.fill_portable(scratch, low, high);
     }
 
+    fn fill_portable(&mut self, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
+        self.fill_with(scratch, low, high, Self::list_triangles);
+    }
+
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
     fn fill_avx2(&mut self, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
-        self.fill_portable(scratch, low, high);
+        self.fill_with(scratch, low, high, |tile, block, near, packs, tangents, list| {
+            tile.list_triangles_avx2(block, near, packs, tangents, list)
+        });
+    }
+
+    /// A function of its own: inlined into the rest, rustc 1.95 (LLVM's vectoriser of straight code) drops triangles in
+    /// some builds and not in others.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    #[inline(never)]
+    fn list_triangles_avx2(
+        &self,
+        block: &Block,
+        near: &TriangleFrame,
+        packs: &Candidates,
+        tangents: &mut Tangents,
+        list: &mut List,
+    ) -> TriangleFrame {
+        self.list_triangles(block, near, packs, tangents, list)
     }
 
     #[inline(always)]
-    fn fill_portable(&mut self, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
+    fn fill_with(
+        &mut self,
+        scratch: &mut Scratch,
+        low: [usize; 3],
+        high: [usize; 3],
+        list_triangles: impl Fn(&Self, &Block, &TriangleFrame, &Candidates, &mut Tangents, &mut List) -> TriangleFrame,
+    ) {
         let Scratch { levels: [root, middle, packs], stack, tangents, list } = scratch;
         let block = self.block(low, high);
         let Some(nearest) = self.bvh.nearest(block.center, f32::INFINITY) else { return };
@@ -277,7 +305,7 @@ impl Tile<'_> {
                 if packs.len() > MOST_PACKS {
                     previous = self.search(&near, sub.0, sub.1);
                 } else {
-                    previous = self.list_triangles(&block, &near, packs, tangents, list);
+                    previous = list_triangles(self, &block, &near, packs, tangents, list);
                     self.evaluate(&block, sub.0, sub.1, list);
                     if self.is_unwritten(sub.0) {
                         previous = self.search(&near, sub.0, sub.1);

@@ -13,9 +13,11 @@ mod gpu;
 mod gpu_tests;
 mod report;
 mod signs;
+mod sparse;
 
 pub use brute::bake_brute;
 pub use report::Report;
+pub use sparse::bake_sparse;
 
 use crate::error::{ArgumentError, Error};
 use crate::gpu::{Context, Place};
@@ -118,6 +120,15 @@ impl LocalGrid {
 
     pub fn shape(&self) -> [usize; 3] {
         self.axes.map(|axis| axis.count)
+    }
+
+    /// Samples from `low` on, `shape` of them.
+    pub fn part(&self, low: [usize; 3], shape: [usize; 3]) -> Self {
+        let part = |axis: usize| {
+            let Samples { step, .. } = self.axes[axis];
+            Samples { first: self.axes[axis].at(low[axis]), step, count: shape[axis] }
+        };
+        Self { axes: [0, 1, 2].map(part) }
     }
 
     pub fn at(&self, [x, y, z]: [usize; 3]) -> DVec3 {

@@ -81,7 +81,7 @@ impl SignPass<'_> {
     }
 
     /// Call `mark` with the place, within the slab, of every sample inside.
-    fn slab(&self, first_plane: usize, planes: usize, mark: &mut impl FnMut(usize)) -> Result<Counts, Error> {
+    pub fn slab(&self, first_plane: usize, planes: usize, mark: &mut impl FnMut(usize)) -> Result<Counts, Error> {
         match self.rule {
             SignRule::Counted(openings) => self.count_slab(first_plane, planes, openings, mark),
             SignRule::Parity => self.vote_slab(first_plane, planes, mark),

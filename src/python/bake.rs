@@ -71,7 +71,7 @@ pub fn bake_brute<'py>(
     volume_array(py, baked.distances, shape)
 }
 
-fn report_dict<'py>(py: Python<'py>, report: &Report) -> PyResult<Bound<'py, PyDict>> {
+pub fn report_dict<'py>(py: Python<'py>, report: &Report) -> PyResult<Bound<'py, PyDict>> {
     let facts = PyDict::new(py);
     facts.set_item("sign_method", report.sign_method)?;
     facts.set_item("sign_reason", &report.sign_reason)?;

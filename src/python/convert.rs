@@ -3,7 +3,7 @@
 use super::error::{Failure, exception};
 use crate::error::Error;
 use crate::grid::Grid;
-use crate::volume::FieldView;
+use crate::volume::{FieldView, Texel};
 use glam::DVec3;
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3,
@@ -55,24 +55,55 @@ pub fn image_array<'py, T: numpy::Element>(
 }
 
 /// A stored field as Python hands it over: (nx, ny, nz) with x fastest, and its box.
-pub struct Field<'a> {
+pub struct Field<'a, T = f32> {
     grid: Grid,
-    samples: &'a [f32],
+    samples: &'a [T],
+    scale: f32,
 }
 
 impl<'a> Field<'a> {
     pub fn new(distances: &'a PyReadonlyArray3<'_, f32>, lower: [f64; 3], upper: [f64; 3]) -> PyResult<Self> {
+        Self::encoded(distances, lower, upper, 1.0)
+    }
+}
+
+impl<'a, T: Texel + numpy::Element> Field<'a, T> {
+    /// Samples in any encoding.
+    pub fn encoded(
+        distances: &'a PyReadonlyArray3<'_, T>,
+        lower: [f64; 3],
+        upper: [f64; 3],
+        scale: f32,
+    ) -> PyResult<Self> {
         let shape = std::array::from_fn(|axis| distances.shape()[axis]);
         let samples = distances.as_slice().ok().filter(|_| distances.is_fortran_contiguous());
         let samples = samples.ok_or_else(|| {
-            let message = "distances: must be (nx, ny, nz) float32 with x fastest in memory (Fortran order)";
+            let message = "distances: must be (nx, ny, nz) with x fastest in memory (Fortran order)";
             exception(distances.py(), "ArgumentError", message.to_owned())
         })?;
         let grid = Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape);
-        Ok(Self { grid: grid.map_err(Failure::from)?, samples })
+        Ok(Self { grid: grid.map_err(Failure::from)?, samples, scale })
     }
 
-    pub fn view(&self) -> Result<FieldView<'a>, Error> {
-        FieldView::new(self.grid, self.samples)
+    pub fn view(&self) -> Result<FieldView<'a, T>, Error> {
+        FieldView::encoded(self.grid, self.samples, self.scale)
     }
 }
+
+/// Run `$body` with `$array` as the array of its own element type: one for each encoding.
+macro_rules! with_texels {
+    ($any:expr, $rank:ident, |$array:ident| $body:expr) => {{
+        let any = $any;
+        if let Ok($array) = any.extract::<numpy::$rank<'_, f32>>() {
+            $body
+        } else if let Ok($array) = any.extract::<numpy::$rank<'_, half::f16>>() {
+            $body
+        } else if let Ok($array) = any.extract::<numpy::$rank<'_, i16>>() {
+            $body
+        } else {
+            let $array = any.extract::<numpy::$rank<'_, i8>>()?;
+            $body
+        }
+    }};
+}
+pub(super) use with_texels;

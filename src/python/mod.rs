@@ -16,6 +16,7 @@ mod query;
 mod render;
 mod run;
 mod scene;
+mod sparse;
 mod volume;
 
 use pyo3::prelude::*;
@@ -48,6 +49,8 @@ mod _core {
     use super::render::raymarch;
     #[pymodule_export]
     use super::scene::{Scene, SceneField, SceneMesh, Texture, render};
+    #[pymodule_export]
+    use super::sparse::{SparseField, bake_sparse, decode, encode, to_sparse};
     #[pymodule_export]
     use super::volume::{gradient, resample, sample, surface_nets};
 

@@ -1,14 +1,16 @@
 //! `fieldbake._core.raymarch`.
 
-use super::convert::{Field, image_array, rows};
+use super::convert::{Field, image_array, rows, with_texels};
 use super::device::{DeviceField, choose};
 use super::error::{Failure, exception};
 use super::run::run;
+use super::sparse::SparseField;
 use crate::grid::Grid;
-use crate::render::{Camera, DirectionalLight, Filter, Frame, RaymarchOptions, Shadows, Source, raymarch_at};
-use crate::volume::Trilinear;
+use crate::render::{
+    Camera, DirectionalLight, Filter, Frame, RaymarchOptions, Shadows, Source, raymarch_at, raymarch_view,
+};
 use glam::{DVec3, Vec3};
-use numpy::{PyReadonlyArray2, PyReadonlyArray3};
+use numpy::PyReadonlyArray2;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::time::Instant;
@@ -18,7 +20,7 @@ use std::time::Instant;
 #[pyo3(signature = (
     distances, lower, upper, pose, *, fov_deg=45.0, size, light_directions=None, light_colors=None,
     ambient=0.2, color=None, specular=0.25, shininess=32.0, background=None, shadows="hard",
-    filter="linear", device="auto", progress=None
+    filter="linear", scale=1.0, device="auto", progress=None
 ))]
 pub fn raymarch<'py>(
     py: Python<'py>,
@@ -37,6 +39,7 @@ pub fn raymarch<'py>(
     background: Option<[f32; 4]>,
     shadows: &str,
     filter: &str,
+    scale: f32,
     device: &str,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
@@ -58,23 +61,19 @@ pub fn raymarch<'py>(
     let filter = Filter::from_name(filter).map_err(Failure::from)?;
     let options = RaymarchOptions { filter, ..options };
     let start = Instant::now();
-    let frame = match distances.cast::<DeviceField>() {
-        Ok(field) => {
-            let field = &field.get().0;
-            let [lower, upper] = [lower, upper].map(DVec3::from_array);
-            let grid = Grid::new(lower, upper, field.shape()).map_err(Failure::from)?;
-            run(py, progress, |progress| {
-                raymarch_at(&place, Source::Device(field), &grid, &camera, &options, progress)
-            })?
-        }
-        Err(_) => {
-            let distances: PyReadonlyArray3<'py, f32> = distances.extract()?;
-            let field = Field::new(&distances, lower, upper)?;
-            run(py, progress, |progress| {
-                let view = field.view()?;
-                raymarch_at(&place, Source::Host(view.distances()), view.grid(), &camera, &options, progress)
-            })?
-        }
+    let frame = if let Ok(field) = distances.cast::<DeviceField>() {
+        let field = &field.get().0;
+        let [lower, upper] = [lower, upper].map(DVec3::from_array);
+        let grid = Grid::new(lower, upper, field.shape()).map_err(Failure::from)?;
+        run(py, progress, |progress| raymarch_at(&place, Source::Device(field), &grid, &camera, &options, progress))?
+    } else if let Ok(field) = distances.cast::<SparseField>() {
+        let field = field.get();
+        run(py, progress, |progress| field.raymarch(&place, &camera, &options, progress))?
+    } else {
+        with_texels!(distances, PyReadonlyArray3, |array| {
+            let field = Field::encoded(&array, lower, upper, scale)?;
+            run(py, progress, |progress| raymarch_view(&place, field.view()?, &camera, &options, progress))?
+        })
     };
     let seconds = start.elapsed().as_secs_f64();
 

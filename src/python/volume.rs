@@ -1,6 +1,6 @@
 //! `fieldbake._core.sample`, `gradient`, `resample` and `surface_nets`.
 
-use super::convert::{Field, points, row_array, volume_array};
+use super::convert::{Field, points, row_array, volume_array, with_texels};
 use super::error::Failure;
 use super::run::run;
 use crate::volume::{Filter, Trilinear};
@@ -10,49 +10,60 @@ use pyo3::prelude::*;
 
 /// Field at points (n, 3); a proven lower bound outside the box.
 #[pyfunction]
-#[pyo3(signature = (distances, lower, upper, inner_lower, inner_upper, points, *, filter="linear"))]
+#[pyo3(signature = (distances, lower, upper, inner_lower, inner_upper, points, *, filter="linear", scale=1.0))]
 pub fn sample<'py>(
     py: Python<'py>,
-    distances: PyReadonlyArray3<'py, f32>,
+    distances: &Bound<'py, PyAny>,
     lower: [f64; 3],
     upper: [f64; 3],
     inner_lower: [f64; 3],
     inner_upper: [f64; 3],
     #[pyo3(from_py_with = points)] points: Vec<DVec3>,
     filter: &str,
+    scale: f32,
 ) -> PyResult<Bound<'py, PyArray1<f32>>> {
-    let field = Field::new(&distances, lower, upper)?;
     let filter = Filter::from_name(filter).map_err(Failure::from)?;
     let inner = [DVec3::from_array(inner_lower), DVec3::from_array(inner_upper)];
-    let values = run(py, None, |progress| field.view()?.sample(&points, inner, filter, progress))?;
+    let values = with_texels!(distances, PyReadonlyArray3, |array| {
+        let field = Field::encoded(&array, lower, upper, scale)?;
+        run(py, None, |progress| field.view()?.sample(&points, inner, filter, progress))?
+    });
     Ok(values.into_pyarray(py))
 }
 
 /// Gradient of the trilinear field at points (n, 3).
 #[pyfunction]
+#[pyo3(signature = (distances, lower, upper, points, *, scale=1.0))]
 pub fn gradient<'py>(
     py: Python<'py>,
-    distances: PyReadonlyArray3<'py, f32>,
+    distances: &Bound<'py, PyAny>,
     lower: [f64; 3],
     upper: [f64; 3],
     #[pyo3(from_py_with = points)] points: Vec<DVec3>,
+    scale: f32,
 ) -> PyResult<Bound<'py, PyArray2<f32>>> {
-    let field = Field::new(&distances, lower, upper)?;
-    let gradients = run(py, None, |progress| field.view()?.gradients(&points, progress))?;
+    let gradients = with_texels!(distances, PyReadonlyArray3, |array| {
+        let field = Field::encoded(&array, lower, upper, scale)?;
+        run(py, None, |progress| field.view()?.gradients(&points, progress))?
+    });
     row_array(py, gradients.iter().map(glam::Vec3::to_array))
 }
 
 /// The trilinear field on another grid over the same box.
 #[pyfunction]
+#[pyo3(signature = (distances, lower, upper, shape, *, scale=1.0))]
 pub fn resample<'py>(
     py: Python<'py>,
-    distances: PyReadonlyArray3<'py, f32>,
+    distances: &Bound<'py, PyAny>,
     lower: [f64; 3],
     upper: [f64; 3],
     shape: [usize; 3],
+    scale: f32,
 ) -> PyResult<Bound<'py, PyArray3<f32>>> {
-    let field = Field::new(&distances, lower, upper)?;
-    let samples = run(py, None, |progress| field.view()?.resample(shape, progress))?;
+    let samples = with_texels!(distances, PyReadonlyArray3, |array| {
+        let field = Field::encoded(&array, lower, upper, scale)?;
+        run(py, None, |progress| field.view()?.resample(shape, progress))?
+    });
     volume_array(py, samples, shape)
 }
 

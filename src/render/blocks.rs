@@ -5,7 +5,8 @@
 
 use crate::error::{ArgumentError, Error};
 use crate::progress::Progress;
-use crate::volume::{FieldView, Trilinear};
+use crate::volume::sparse::{BRICK_CELLS, BRICK_LEN, Brick, Entry, SparseView};
+use crate::volume::{FieldView, Texel, Trilinear};
 use glam::IVec3;
 use rayon::prelude::*;
 
@@ -58,28 +59,32 @@ pub trait Block {
 /// Field values must lie within this: the coefficients of a cell's cubic are up to ten times as large.
 pub(super) const LARGEST_VALUE: f32 = 1e37;
 
-impl Blocks for FieldView<'_> {
+impl<T: Texel> Blocks for FieldView<'_, T> {
     const SIDE: i32 = 4;
     type Block<'b>
-        = DenseBlock<'b>
+        = DenseBlock<'b, T>
     where
         Self: 'b;
 
     fn occupied(&self, progress: &Progress) -> Result<Vec<bool>, Error> {
         let [bx, by, bz] = self.block_counts();
         let side = Self::SIDE as usize;
-        let grid = self.grid();
+        let grid = *self.grid();
         let mut occupied = vec![false; bx * by * bz];
         occupied.par_chunks_mut(bx * by).enumerate().try_for_each(|(z_block, slice)| {
             progress.check()?;
+            let mut row = vec![0.0; grid.shape[0]];
             // Voxels that are corners of the block's cells: from one before its first cell's upper corner to its end.
             let voxels = |block: usize, n: usize| (block * side).saturating_sub(1)..(block * side + side).min(n);
             for y_block in 0..by {
                 let row_of_blocks = &mut slice[y_block * bx..][..bx];
                 for z in voxels(z_block, grid.shape[2]) {
                     for y in voxels(y_block, grid.shape[1]) {
-                        let row = &self.distances()[grid.offset(0, y, z)..][..grid.shape[0]];
-                        check_row(row, y, z)?;
+                        let texels = &self.texels()[grid.offset(0, y, z)..][..grid.shape[0]];
+                        for (value, texel) in row.iter_mut().zip(texels) {
+                            *value = texel.decode(self.scale());
+                        }
+                        check_row(&row, y, z)?;
                         for (x_block, occupied) in row_of_blocks.iter_mut().enumerate() {
                             let lowest = row[voxels(x_block, row.len())].iter().copied().fold(f32::INFINITY, f32::min);
                             *occupied |= lowest <= 0.0;
@@ -93,25 +98,25 @@ impl Blocks for FieldView<'_> {
     }
 
     #[inline]
-    fn block(&self, index: [i32; 3]) -> DenseBlock<'_> {
+    fn block(&self, index: [i32; 3]) -> DenseBlock<'_, T> {
         DenseBlock::new(*self, index)
     }
 }
 
-impl<'a> DenseBlock<'a> {
-    pub fn new(field: FieldView<'a>, index: [i32; 3]) -> Self {
+impl<'a, T: Texel> DenseBlock<'a, T> {
+    pub fn new(field: FieldView<'a, T>, index: [i32; 3]) -> Self {
         Self { field, index }
     }
 }
 
 /// A block of a dense field: its cells are single voxels, counted as those of the grid.
 #[derive(Debug, Clone, Copy)]
-pub struct DenseBlock<'a> {
-    field: FieldView<'a>,
+pub struct DenseBlock<'a, T = f32> {
+    field: FieldView<'a, T>,
     index: [i32; 3],
 }
 
-impl Block for DenseBlock<'_> {
+impl<T: Texel> Block for DenseBlock<'_, T> {
     #[inline]
     fn origin(&self) -> [i32; 3] {
         [0; 3]
@@ -124,12 +129,94 @@ impl Block for DenseBlock<'_> {
 
     #[inline]
     fn contains(&self, axis: usize, cell: i32) -> bool {
-        FieldView::block_of(cell) == self.index[axis]
+        FieldView::<T>::block_of(cell) == self.index[axis]
     }
 
     #[inline]
     fn corners(&self, cell: [i32; 3]) -> [f32; 8] {
         self.field.corners(IVec3::from(cell))
+    }
+}
+
+impl<T: Texel> Blocks for SparseView<'_, T> {
+    const SIDE: i32 = BRICK_CELLS as i32;
+    type Block<'b>
+        = SparseBlock<'b, T>
+    where
+        Self: 'b;
+
+    fn occupied(&self, progress: &Progress) -> Result<Vec<bool>, Error> {
+        // Once for each stored brick, whichever bricks it stands for.
+        let bricks: Vec<bool> = self
+            .texels()
+            .par_chunks_exact(BRICK_LEN)
+            .enumerate()
+            .map(|(i, texels)| {
+                let mut lowest = f32::INFINITY;
+                for texel in texels {
+                    let value = texel.decode(self.scale());
+                    if value.is_nan() || value.abs() > LARGEST_VALUE {
+                        let problem =
+                            format!("[{i}] holds {value}; every distance must be finite, at most {LARGEST_VALUE:e}");
+                        return Err(ArgumentError::new("bricks", problem).into());
+                    }
+                    lowest = lowest.min(value);
+                }
+                Ok(lowest <= 0.0)
+            })
+            .collect::<Result<_, Error>>()?;
+        progress.check()?;
+        let is_occupied = |&word: &u32| match Entry::from_word(word) {
+            Entry::Stored { brick, .. } => bricks[brick as usize],
+            Entry::Empty { inside } => inside,
+        };
+        Ok(self.index().par_iter().map(is_occupied).collect())
+    }
+
+    #[inline]
+    fn block(&self, index: [i32; 3]) -> SparseBlock<'_, T> {
+        match self.entry(index) {
+            Entry::Stored { level, brick } => SparseBlock::Stored(self.brick(index, level, brick)),
+            Entry::Empty { .. } => SparseBlock::Solid(index.map(Self::first_cell)),
+        }
+    }
+}
+
+/// A block of a sparse field: a stored brick, or one that lies inside as a whole.
+#[derive(Debug, Clone, Copy)]
+pub enum SparseBlock<'a, T> {
+    Stored(Brick<'a, T>),
+    Solid([i32; 3]),
+}
+
+impl<T: Texel> Block for SparseBlock<'_, T> {
+    #[inline]
+    fn origin(&self) -> [i32; 3] {
+        match self {
+            Self::Stored(brick) => brick.origin,
+            Self::Solid(origin) => *origin,
+        }
+    }
+
+    #[inline]
+    fn cell_shift(&self) -> u32 {
+        match self {
+            Self::Stored(brick) => brick.level,
+            Self::Solid(_) => 0,
+        }
+    }
+
+    #[inline]
+    fn contains(&self, _: usize, cell: i32) -> bool {
+        (0..BRICK_CELLS as i32).contains(&cell)
+    }
+
+    #[inline]
+    fn corners(&self, cell: [i32; 3]) -> [f32; 8] {
+        match self {
+            Self::Stored(brick) => brick.corners(cell),
+            Self::Solid(_) => [-1.0; 8],
+        }
     }
 }
 
@@ -181,7 +268,7 @@ mod tests {
                     for x in cells(nx) {
                         let cell = IVec3::new(x, y, z);
                         if field.corners(cell).iter().any(|&value| value <= 0.0) {
-                            occupied.push(IVec3::from(cell.to_array().map(FieldView::block_of)));
+                            occupied.push(IVec3::from(cell.to_array().map(<FieldView<'_> as Blocks>::block_of)));
                         }
                     }
                 }
@@ -189,7 +276,7 @@ mod tests {
             for z in cells(nz) {
                 for y in cells(ny) {
                     for x in cells(nx) {
-                        let block = IVec3::from([x, y, z].map(FieldView::block_of));
+                        let block = IVec3::from([x, y, z].map(<FieldView<'_> as Blocks>::block_of));
                         let nearest = occupied.iter().map(|other| (block - other).abs().max_element()).min();
                         prop_assert_eq!(empty.distance(block.to_array()), nearest.unwrap_or(MAX_DISTANCE as i32));
                     }

@@ -31,8 +31,9 @@ use crate::error::{ArgumentError, Error};
 use crate::gpu::Place;
 use crate::grid::Grid;
 use crate::progress::Progress;
-use crate::volume::FieldView;
 use crate::volume::device::DeviceField;
+use crate::volume::sparse::SparseView;
+use crate::volume::{FieldView, Texel, Trilinear};
 use blocks::Blocks;
 use glam::{DVec3, Vec3};
 use march::{Marcher, clip_to_box};
@@ -229,6 +230,36 @@ pub fn raymarch_at(
         Place::Gpu(context) => {
             let field = DeviceField::upload(context, grid.shape, view.distances())?;
             raymarch_on_device(&field, grid, camera, options, progress)
+        }
+    }
+}
+
+/// Draw samples in any encoding at a place. A graphics device draws what they decode to.
+pub fn raymarch_view<T: Texel>(
+    place: &Place,
+    field: FieldView<'_, T>,
+    camera: &Camera,
+    options: &RaymarchOptions,
+    progress: &Progress,
+) -> Result<Frame, Error> {
+    match place {
+        Place::Cpu => raymarch(field, camera, options, progress),
+        Place::Gpu(_) => raymarch_at(place, Source::Host(&field.decoded()), field.grid(), camera, options, progress),
+    }
+}
+
+/// Draw a sparse field at a place.
+pub fn raymarch_sparse<T: Texel>(
+    place: &Place,
+    field: SparseView<'_, T>,
+    camera: &Camera,
+    options: &RaymarchOptions,
+    progress: &Progress,
+) -> Result<Frame, Error> {
+    match place {
+        Place::Cpu => raymarch(field, camera, options, progress),
+        Place::Gpu(_) => {
+            raymarch_at(place, Source::Host(&field.dense(progress)?), field.grid(), camera, options, progress)
         }
     }
 }

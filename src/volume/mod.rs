@@ -29,35 +29,65 @@
 pub mod device;
 pub mod outside;
 mod resample;
+pub mod sparse;
 mod surface;
+mod texel;
 mod trilinear;
 
 pub use surface::SurfaceMesh;
+pub use texel::Texel;
 pub use trilinear::{Cell, Filter, Trilinear, trilinear, trilinear_gradient};
 
 use crate::error::{ArgumentError, Error};
 use crate::grid::Grid;
 use glam::{DVec3, IVec3};
+use rayon::prelude::*;
 
-/// A grid and its distances, x fastest.
+/// A grid and its distances, x fastest, in any encoding.
 #[derive(Debug, Clone, Copy)]
-pub struct FieldView<'a> {
+pub struct FieldView<'a, T = f32> {
     grid: Grid,
-    distances: &'a [f32],
+    texels: &'a [T],
+    scale: f32,
 }
 
 impl<'a> FieldView<'a> {
     pub fn new(grid: Grid, distances: &'a [f32]) -> Result<Self, Error> {
-        if distances.len() != grid.len() {
-            let [nx, ny, nz] = grid.shape;
-            let problem = format!("{nx} x {ny} x {nz} voxels need {} values, got {}", grid.len(), distances.len());
-            return Err(ArgumentError::new("distances", problem).into());
-        }
-        Ok(Self { grid, distances })
+        Self::encoded(grid, distances, 1.0)
     }
 
     pub fn distances(&self) -> &'a [f32] {
-        self.distances
+        self.texels
+    }
+}
+
+impl<'a, T: Texel> FieldView<'a, T> {
+    /// Stored samples and the scale that they are decoded with ([`crate::encoding`]).
+    pub fn encoded(grid: Grid, texels: &'a [T], scale: f32) -> Result<Self, Error> {
+        if texels.len() != grid.len() {
+            let [nx, ny, nz] = grid.shape;
+            let problem = format!("{nx} x {ny} x {nz} voxels need {} values, got {}", grid.len(), texels.len());
+            return Err(ArgumentError::new("distances", problem).into());
+        }
+        if !(scale.is_finite() && scale > 0.0) {
+            return Err(ArgumentError::new("scale", format!("must be a positive number, got {scale}")).into());
+        }
+        Ok(Self { grid, texels, scale })
+    }
+
+    /// The samples as they are stored.
+    pub fn texels(&self) -> &'a [T] {
+        self.texels
+    }
+
+    /// The samples as numbers.
+    pub fn decoded(&self) -> Vec<f32> {
+        self.texels.par_iter().map(|texel| texel.decode(self.scale)).collect()
+    }
+
+    /// What the samples are decoded with.
+    pub fn scale(&self) -> f32 {
+        self.scale
     }
 
     /// The samples at the corners of a cell; bit 0 of the index is x, bit 1 y, bit 2 z. Cells run from -1 to n - 1.
@@ -67,9 +97,10 @@ impl<'a> FieldView<'a> {
         // A cell between centres needs no clamping. Negative indices become large ones here.
         let [x, y, z] = cell.to_array().map(|i| i as u32 as usize);
         if x + 1 < nx && y + 1 < ny && z + 1 < nz {
-            let d = &self.distances[x + nx * (y + ny * z)..];
+            let d = &self.texels[x + nx * (y + ny * z)..];
             let (y, z) = (nx, nx * ny);
-            return [d[0], d[1], d[y], d[y + 1], d[z], d[z + 1], d[y + z], d[y + z + 1]];
+            return [d[0], d[1], d[y], d[y + 1], d[z], d[z + 1], d[y + z], d[y + z + 1]]
+                .map(|texel| texel.decode(self.scale));
         }
         self.clamped_corners(cell)
     }
@@ -80,7 +111,7 @@ impl<'a> FieldView<'a> {
         let clamp = |i: i32, n: usize| (i.max(0) as usize).min(n - 1);
         let [x0, y0, z0] = [clamp(cell.x, nx), clamp(cell.y, ny), clamp(cell.z, nz)];
         let [x1, y1, z1] = [clamp(cell.x + 1, nx), clamp(cell.y + 1, ny), clamp(cell.z + 1, nz)];
-        let sample = |x, y, z| self.distances[self.grid.offset(x, y, z)];
+        let sample = |x, y, z| self.texels[self.grid.offset(x, y, z)].decode(self.scale);
         [
             sample(x0, y0, z0),
             sample(x1, y0, z0),
@@ -94,7 +125,7 @@ impl<'a> FieldView<'a> {
     }
 }
 
-impl Trilinear for FieldView<'_> {
+impl<T: Texel> Trilinear for FieldView<'_, T> {
     fn grid(&self) -> &Grid {
         &self.grid
     }

@@ -37,10 +37,10 @@
 //! True up to the error of the stored distances; the last rounding to f32 is downward. For a sphere in a box with a
 //! margin of 10 % the bound is on average 0.85 of the distance, over the points within one box length of the box.
 
-use super::{FieldView, Trilinear};
+use super::{FieldView, Texel, Trilinear};
 use glam::DVec3;
 
-impl FieldView<'_> {
+impl<T: Texel> FieldView<'_, T> {
     /// [`bound_outside`] in f64, of the unsigned distance; also for a point in the hull.
     pub(crate) fn unsigned_bound(&self, p: DVec3, inner: [DVec3; 2]) -> f64 {
         unsigned_bound(self, p, inner)
@@ -106,7 +106,7 @@ fn unsigned_bound(field: &impl Trilinear, p: DVec3, inner: [DVec3; 2]) -> f64 {
 }
 
 /// Lower bound `max(0, s^2)` on the squared distance at a point `c` in the hull of the voxel centres.
-fn square_bound(field: &impl Trilinear, c: DVec3) -> f64 {
+pub(super) fn square_bound(field: &impl Trilinear, c: DVec3) -> f64 {
     let h = field.grid().spacing();
     let c_grid = field.grid_from_world(c).max(DVec3::ZERO).min(field.shape() - 1.0);
     let cell = c_grid.floor();

@@ -4,14 +4,14 @@
 //! resolution puts every new centre in the middle of eight old ones: the result is their mean. Going down by more than
 //! two at once skips samples; halve repeatedly if all of them shall count.
 
-use super::{FieldView, Trilinear, trilinear};
+use super::{FieldView, Texel, Trilinear, trilinear};
 use crate::error::Error;
 use crate::grid::Grid;
 use crate::progress::Progress;
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-impl FieldView<'_> {
+impl<T: Texel> FieldView<'_, T> {
     /// Distances for `shape` voxels over the same box, x fastest.
     pub fn resample(&self, shape: [usize; 3], progress: &Progress) -> Result<Vec<f32>, Error> {
         let source = self.grid();

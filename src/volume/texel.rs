@@ -1,0 +1,53 @@
+//! Stored samples as array elements, one type for each encoding.
+
+use crate::encoding::Encoding;
+use bytemuck::Pod;
+use half::f16;
+
+/// A stored sample.
+pub trait Texel: Pod + Send + Sync + 'static {
+    const ENCODING: Encoding;
+
+    /// `value` rounded toward zero.
+    fn encode(value: f32, scale: f32) -> Self;
+
+    fn decode(self, scale: f32) -> f32;
+}
+
+impl Texel for f32 {
+    const ENCODING: Encoding = Encoding::Float32;
+
+    #[inline]
+    fn encode(value: f32, _: f32) -> Self {
+        value
+    }
+
+    #[inline]
+    fn decode(self, _: f32) -> f32 {
+        self
+    }
+}
+
+/// An integer of as many bits as the encoding, or something that is made of one.
+macro_rules! impl_texel {
+    ($texel:ty, $encoding:ident, $bits:ty, $from_bits:expr, $to_bits:expr) => {
+        impl Texel for $texel {
+            const ENCODING: Encoding = Encoding::$encoding;
+
+            #[inline]
+            fn encode(value: f32, scale: f32) -> Self {
+                $from_bits(Self::ENCODING.encode(value, scale) as $bits)
+            }
+
+            #[inline]
+            fn decode(self, scale: f32) -> f32 {
+                let bits: $bits = $to_bits(self);
+                Self::ENCODING.decode(u32::from(bits), scale)
+            }
+        }
+    };
+}
+
+impl_texel!(f16, Float16, u16, f16::from_bits, f16::to_bits);
+impl_texel!(i16, Snorm16, u16, u16::cast_signed, i16::cast_unsigned);
+impl_texel!(i8, Snorm8, u8, u8::cast_signed, i8::cast_unsigned);

@@ -1,0 +1,151 @@
+"""Volumes in 16 and 8 bits: never more than the true distance, and off by no more than they say."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import fieldbake as fb
+import meshes
+
+ENCODINGS = ["float16", "snorm16", "snorm8"]
+BYTES = {"float16": 2, "snorm16": 2, "snorm8": 1}
+
+
+@pytest.fixture(scope="module")
+def volume() -> fb.Volume:
+    return fb.bake(meshes.torus(), 48, device="cpu")
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("band", [2, 4, 9.5])
+def test_magnitudes_never_grow_and_errors_keep_their_bound(volume: fb.Volume, encoding: str, band: float) -> None:
+    quantized = volume.quantize(encoding, band=band)  # type: ignore[arg-type]
+    exact, stored = volume.distances, quantized.distances
+    assert (np.abs(stored) <= np.abs(exact)).all()
+    assert ((stored == 0) | (np.sign(stored) == np.sign(exact))).all()
+    reach = np.inf if encoding == "float16" else band * volume.spacing.max()
+    inside = np.abs(exact) <= reach
+    bounds = np.array([quantized.error_bound(float(d)) for d in exact[inside]])
+    assert (np.abs(stored - exact)[inside] <= bounds).all()
+    # Beyond the band: the band.
+    np.testing.assert_allclose(np.abs(stored[~inside]), reach, rtol=1e-6)
+    assert quantized.nbytes == BYTES[encoding] * exact.size
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_samples_and_slopes_are_those_of_the_decoded_field(volume: fb.Volume, encoding: str) -> None:
+    quantized = volume.quantize(encoding)  # type: ignore[arg-type]
+    decoded = fb.Volume(quantized.distances, volume.bounds, inner_bounds=volume.inner_bounds)
+    points = np.random.default_rng(5).uniform(volume.bounds[0] - 0.5, volume.bounds[1] + 0.5, (5000, 3))
+    np.testing.assert_array_equal(quantized.sample(points), decoded.sample(points))
+    np.testing.assert_array_equal(quantized.sample(points, filter="nearest"), decoded.sample(points, filter="nearest"))
+    np.testing.assert_array_equal(quantized.gradient(points), decoded.gradient(points))
+    np.testing.assert_array_equal(quantized.downsample().distances, decoded.downsample().distances)
+    assert quantized.to_mesh().faces.shape == decoded.to_mesh().faces.shape
+    outside = ~((points > volume.bounds[0]) & (points < volume.bounds[1])).all(axis=1)
+    exact = fb.signed_distance(meshes.torus(), points[outside], device="cpu")
+    assert (quantized.sample(points[outside]) <= exact + 1e-6).all()
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_pictures_are_those_of_the_decoded_field(volume: fb.Volume, encoding: str, device: str) -> None:
+    quantized = volume.quantize(encoding)  # type: ignore[arg-type]
+    decoded = fb.Volume(quantized.distances, volume.bounds, inner_bounds=volume.inner_bounds)
+    ours, theirs = (fb.raymarch(field, size=(64, 48), device=device) for field in (quantized, decoded))
+    np.testing.assert_array_equal(ours.depth, theirs.depth)
+    np.testing.assert_array_equal(ours.color, theirs.color)
+    # Off by a step at most: hits move by a step over the cosine.
+    full = fb.raymarch(volume, size=(64, 48), device=device)
+    both = (ours.object_id == 0) & (full.object_id == 0)
+    step = quantized.error_bound(float(volume.spacing.max()))
+    assert np.median(np.abs(ours.depth[both] - full.depth[both])) <= 3 * step
+    assert (ours.object_id != full.object_id).mean() < 0.01
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_files_and_pickles_bring_the_bits_back(volume: fb.Volume, encoding: str, tmp_path: Path) -> None:
+    quantized = volume.quantize(encoding)  # type: ignore[arg-type]
+    quantized.save(tmp_path / "q.npz")
+    for other in (fb.load(tmp_path / "q.npz"), pickle.loads(pickle.dumps(quantized))):
+        assert isinstance(other, fb.QuantizedVolume)
+        np.testing.assert_array_equal(other.encoded, quantized.encoded)
+        assert (other.encoding, other.scale) == (quantized.encoding, quantized.scale)
+        np.testing.assert_array_equal(other.distances, quantized.distances)
+
+
+def test_files_that_lie_are_refused(volume: fb.Volume, tmp_path: Path) -> None:
+    path = tmp_path / "q.npz"
+    volume.quantize("snorm8").save(path)
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    header = str(arrays["header"])
+    for find, replace in [('"snorm8"', '"snorm16"'), ('"scale": ', '"scale": -'), ("quantized", "squeezed")]:
+        assert find in header
+        np.savez(path, header=np.array(header.replace(find, replace)), distances=arrays["distances"])
+        with pytest.raises(fb.FormatError, match=r"q\.npz"):
+            fb.load(path)
+
+
+@given(
+    values=st.lists(st.floats(-1e3, 1e3, width=32), min_size=8, max_size=8),
+    band=st.floats(0.25, 50),
+    encoding=st.sampled_from(ENCODINGS),
+    scale=st.sampled_from([1e-2, 1.0, 3e1]),
+)
+@settings(max_examples=100, deadline=None)
+def test_any_numbers_round_toward_zero(values: list[float], band: float, encoding: str, scale: float) -> None:
+    exact = np.array(values, dtype=np.float32).reshape(2, 2, 2) * np.float32(scale)
+    volume = fb.Volume(exact, [(0, 0, 0), (2 * scale, 2 * scale, 2 * scale)])
+    quantized = volume.quantize(encoding, band=band)  # type: ignore[arg-type]
+    stored = quantized.distances
+    assert (np.abs(stored) <= np.abs(exact)).all()
+    for before, after in zip(exact.ravel().tolist(), stored.ravel().tolist(), strict=True):
+        if encoding == "float16" or abs(before) <= quantized.scale:
+            assert abs(before - after) <= quantized.error_bound(before)
+        else:
+            assert abs(after) == pytest.approx(quantized.scale)
+
+
+def test_mistakes_are_named(volume: fb.Volume) -> None:
+    with pytest.raises(fb.ArgumentError, match='encoding: must be one of "float16", "snorm16", "snorm8"'):
+        volume.quantize("uint8")  # type: ignore[arg-type]
+    with pytest.raises(fb.ArgumentError, match="band"):
+        volume.quantize("snorm8", band=0)
+    tiny = fb.Volume(volume.distances * np.float32(1e-8), volume.bounds * 1e-8)
+    with pytest.raises(fb.ArgumentError, match="snorm16"):
+        tiny.quantize("float16")
+    assert np.abs(tiny.quantize("snorm16").distances).max() > 0
+    assert "snorm8" in repr(volume.quantize("snorm8"))
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("ending", [".dds", ".ktx2", ".nrrd"])
+def test_textures_keep_the_stored_numbers(volume: fb.Volume, encoding: str, ending: str, tmp_path: Path) -> None:
+    quantized = volume.quantize(encoding, band=3)  # type: ignore[arg-type]
+    quantized.save(tmp_path / f"torus{ending}")
+    np.testing.assert_array_equal(fb.load(tmp_path / f"torus{ending}").distances, quantized.distances)
+
+
+def test_a_texture_in_another_encoding(volume: fb.Volume, tmp_path: Path) -> None:
+    quantized = volume.quantize("snorm8")
+    quantized.save(tmp_path / "torus.dds", encoding="float32")
+    np.testing.assert_array_equal(fb.load(tmp_path / "torus.dds").distances, quantized.distances)
+    with pytest.raises(fb.ArgumentError, match="snorm8, got 'snorm16'"):
+        quantized.save(tmp_path / "torus.npz", encoding="snorm16")
+
+
+def test_a_scene_takes_volumes_of_every_kind(volume: fb.Volume) -> None:
+    camera = fb.Camera.fit(volume.bounds)
+    pictures = [
+        fb.render(fb.Scene([thing]), camera, size=(48, 48), device="cpu").object_id
+        for thing in (volume, volume.quantize("snorm16"), volume.to_sparse(tolerance=None))
+    ]
+    assert (pictures[0] == 0).any()
+    for picture in pictures[1:]:
+        np.testing.assert_array_equal(picture, pictures[0])

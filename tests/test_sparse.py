@@ -1,0 +1,216 @@
+"""Sparse volumes: bricks that say what the dense field says, and bounds that are bounds."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fieldbake as fb
+import meshes
+import truth
+
+#: Rounding of a trilinear value and of the two grids' positions, in voxels: values of up to 16 voxels, ten roundings.
+ROUNDING_VOXELS = 16 * 10 * 2.0**-24
+
+TOLERANCE = 0.05
+
+
+@pytest.fixture(scope="module")
+def knot() -> fb.Mesh:
+    return fb.Mesh(*meshes.knot())
+
+
+@pytest.fixture(scope="module")
+def dense(knot: fb.Mesh) -> fb.Volume:
+    return fb.bake(knot, 72, device="cpu")
+
+
+def points_in(volume: fb.Volume | fb.SparseVolume, count: int = 20000) -> np.ndarray:
+    return np.random.default_rng(7).uniform(volume.bounds[0], volume.bounds[1], (count, 3))
+
+
+def in_band(volume: fb.Volume, points: np.ndarray, voxels: float) -> np.ndarray:
+    """Points whose whole cell lies in the band: its corners are within a diagonal of them."""
+    return np.abs(volume.sample(points)) < (voxels - 2) * volume.spacing.max()
+
+
+def test_a_sparse_bake_stores_what_the_dense_bake_stores(knot: fb.Mesh, dense: fb.Volume) -> None:
+    baked, converted = fb.bake_sparse(knot, 72, tolerance=None), dense.to_sparse(tolerance=None)
+    ours, theirs = baked._core_field.arrays(), converted._core_field.arrays()
+    np.testing.assert_array_equal(ours["index"], theirs["index"])
+    np.testing.assert_allclose(ours["bricks"], theirs["bricks"], atol=2.0**-20 * dense.spacing[0])
+    assert baked.report.inside_voxels == dense.report.inside_voxels
+    assert baked.resolution == dense.resolution
+    assert baked.nbytes < dense.nbytes * 2
+
+
+def test_near_the_surface_it_is_the_dense_field(dense: fb.Volume) -> None:
+    sparse = dense.to_sparse(tolerance=None)
+    points = points_in(dense)
+    near = in_band(dense, points, 4)
+    assert near.sum() > 1000
+    voxel = dense.spacing[0]
+    error = np.abs(sparse.sample(points[near]) - dense.sample(points[near])).max()
+    assert error <= ROUNDING_VOXELS * voxel
+    slopes = np.abs(sparse.gradient(points[near]) - dense.gradient(points[near]))
+    # The same cells, and the same corners of them.
+    assert slopes.max() <= 16 * ROUNDING_VOXELS
+    nearest = sparse.sample(points[near], filter="nearest")
+    np.testing.assert_allclose(nearest, dense.sample(points[near], filter="nearest"), atol=ROUNDING_VOXELS * voxel)
+
+
+@pytest.mark.parametrize("encoding", ["float32", "float16", "snorm16", "snorm8"])
+@pytest.mark.parametrize("tolerance", [0.01, 0.2])
+def test_coarser_bricks_keep_the_tolerance(tolerance: float, encoding: str) -> None:
+    dense = fb.bake(meshes.icosphere(5), 128, device="cpu")
+    fine, coarse = dense.to_sparse(tolerance=None), dense.to_sparse(tolerance=tolerance, encoding=encoding)
+    voxel = dense.spacing[0]
+    counts = coarse.brick_counts
+    # A sphere of 58 voxels: cells of two voxels are off by (2h)^2 / 8 times 2 / R, 0.017 voxels.
+    if tolerance == 0.2:
+        assert counts[2] + counts[4] > 100
+        assert sum(counts.values()) < sum(fine.brick_counts.values()) / 2
+    points = points_in(dense)
+    near = in_band(dense, points, 4)
+    # A truncated sample is off by a step of the encoding: a share of up to 24 voxels, or of the band.
+    step = {"float32": 0.0, "float16": 24 * 2.0**-10, "snorm16": 4 / 32767, "snorm8": 4 / 127}[encoding]
+    error = np.abs(coarse.sample(points[near]) - dense.sample(points[near])).max() / voxel
+    assert error <= tolerance + step + ROUNDING_VOXELS
+    assert coarse.nbytes <= fine.nbytes
+
+
+@pytest.mark.parametrize("geometry", [meshes.knot(), meshes.hollow_sphere(), meshes.open_box(), meshes.soup(40)])
+def test_elsewhere_it_is_a_bound_with_the_right_sign(geometry: meshes.Geometry) -> None:
+    mesh = fb.Mesh(*geometry)
+    sparse = fb.bake_sparse(mesh, 64, tolerance=None)
+    corners = sparse.bounds + np.array([[-1.0], [1.0]]) * (sparse.bounds[1] - sparse.bounds[0])
+    points = np.random.default_rng(3).uniform(corners[0], corners[1], (6000, 3))
+    points = np.concatenate([points, points_in(sparse, 6000)])
+    exact = np.abs(fb.signed_distance(mesh, points, sign="unsigned", device="cpu"))
+    values = sparse.sample(points)
+    is_outside = ~((points >= sparse.bounds[0]) & (points <= sparse.bounds[1])).all(axis=1)
+    index = sparse._core_field.arrays()["index"]
+    cells = np.floor((points - sparse.bounds[0]) / sparse.spacing - 0.5).astype(int)
+    bricks = np.clip((cells + 1) // 7, 0, np.array(index.shape) - 1)
+    far = is_outside | (index[tuple(bricks.T)] >> 30 == 3)
+    assert far.sum() > 3000
+    slack = 1e-6 * np.linalg.norm(sparse.bounds[1] - sparse.bounds[0])
+    assert (np.abs(values[far]) <= exact[far] + slack).all()
+    # The bound is of use: more than half of the distance for most points.
+    assert np.median(np.abs(values[far]) / exact[far]) > 0.5
+    if mesh.topology()["closed"]:
+        signed = fb.signed_distance(mesh, points, device="cpu")
+        assert ((values < 0) == (signed < 0))[far].all()
+
+
+def test_pictures_are_those_of_the_dense_field(dense: fb.Volume, device: str) -> None:
+    sparse = dense.to_sparse(tolerance=TOLERANCE)
+    camera = fb.Camera.fit(dense.inner_bounds)
+    ours, theirs = (fb.raymarch(field, camera, size=(96, 72), device=device) for field in (sparse, dense))
+    assert (ours.object_id != theirs.object_id).mean() < 0.003
+    both = (ours.object_id == 0) & (theirs.object_id == 0)
+    assert both.mean() > 0.1
+    # A field that is off by the tolerance moves a hit by that over the cosine; few pixels look along the surface.
+    off = np.abs(ours.depth[both] - theirs.depth[both]) / dense.spacing[0]
+    assert np.quantile(off, 0.9) < 4 * TOLERANCE
+    assert off.max() < 3
+
+
+def test_a_coarse_picture_has_the_depth_of_the_sphere() -> None:
+    sparse = fb.bake_sparse(meshes.icosphere(5), 128, tolerance=0.1)
+    assert sparse.brick_counts[2] + sparse.brick_counts[4] > 0
+    camera = fb.Camera((0, 0, 4), (0, 0, 0))
+    frame = fb.raymarch(sparse, camera, size=(65, 65), device="cpu")
+    # The ray of the middle pixel meets the sphere at depth 3; facets, tolerance and interpolation.
+    assert frame.depth[32, 32] == pytest.approx(3, abs=0.002 + 0.2 * sparse.spacing[0])
+    steps = fb.raymarch(sparse.to_volume(), camera, size=(65, 65), device="cpu").steps
+    assert frame.steps.sum() < 1.5 * steps.sum()
+
+
+def test_an_eye_inside_the_solid_sees_it_at_once() -> None:
+    sparse = fb.bake_sparse(meshes.box(), 96)
+    frame = fb.raymarch(sparse, fb.Camera((0, 0, 0), (0, 0, -1)), size=(8, 8), device="cpu")
+    assert (frame.depth == 0).all()
+
+
+@pytest.mark.parametrize("resolution", [(1, 1, 1), (2, 30, 1), (6, 7, 8), (28, 29, 27)])
+def test_any_shape_will_do(resolution: tuple[int, int, int]) -> None:
+    rng = np.random.default_rng(1)
+    volume = fb.Volume(rng.uniform(-0.1, 0.1, resolution), [(0, 0, 0), (1, 1, 1)])
+    sparse = volume.to_sparse(tolerance=0)
+    points = rng.uniform(0, 1, (2000, 3))
+    np.testing.assert_allclose(sparse.sample(points), volume.sample(points), atol=1e-6)
+    np.testing.assert_array_equal(sparse.distances, volume.distances)
+    first, second = (fb.raymarch(field, size=(16, 16), device="cpu") for field in (sparse, volume))
+    np.testing.assert_allclose(first.depth, second.depth, rtol=1e-5)
+
+
+def test_a_two_sided_sheet() -> None:
+    sheet = meshes.flat_sheet()
+    options = {"two_sided": True, "thickness": 0.1}
+    sparse, dense = fb.bake_sparse(sheet, 64, tolerance=None, **options), fb.bake(sheet, 64, device="cpu", **options)
+    points = points_in(dense)
+    near = in_band(dense, points, 4)
+    np.testing.assert_allclose(sparse.sample(points[near]), dense.sample(points[near]), atol=1e-6)
+
+
+@pytest.mark.parametrize("encoding", ["float32", "float16", "snorm16", "snorm8"])
+def test_files_and_pickles_bring_it_back(dense: fb.Volume, encoding: str, tmp_path: Path) -> None:
+    sparse = dense.to_sparse(encoding=encoding, tolerance=0.2)
+    sparse.save(tmp_path / "sparse.npz")
+    points = points_in(dense, 3000) * 1.2
+    for other in (fb.load(tmp_path / "sparse.npz"), pickle.loads(pickle.dumps(sparse))):
+        assert isinstance(other, fb.SparseVolume)
+        assert (other.encoding, other.band, other.nbytes) == (sparse.encoding, sparse.band, sparse.nbytes)
+        np.testing.assert_array_equal(other.sample(points), sparse.sample(points))
+        np.testing.assert_array_equal(other.inner_bounds, sparse.inner_bounds)
+    assert (tmp_path / "sparse.npz").stat().st_size < sparse.nbytes + 8192
+
+
+def test_a_file_whose_index_points_nowhere_is_refused(dense: fb.Volume, tmp_path: Path) -> None:
+    sparse = dense.to_sparse()
+    path = tmp_path / "sparse.npz"
+    sparse.save(path)
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    for name, change in {
+        "index": np.full_like(arrays["index"], 10**6),
+        "bricks": arrays["bricks"][:1],
+        "nodes": -arrays["nodes"],
+        "index ": arrays["index"][:-1],
+    }.items():
+        np.savez(path, **{**arrays, name.strip(): change})
+        with pytest.raises(fb.FormatError, match=r"sparse\.npz"):
+            fb.load(path)
+
+
+def test_mistakes_are_named(dense: fb.Volume, knot: fb.Mesh) -> None:
+    with pytest.raises(fb.ArgumentError, match="band: must be a finite number of at least 2"):
+        dense.to_sparse(band=1)
+    with pytest.raises(fb.ArgumentError, match="tolerance"):
+        fb.bake_sparse(knot, 32, tolerance=-1)
+    with pytest.raises(fb.ArgumentError, match="encoding"):
+        fb.bake_sparse(knot, 32, encoding="int4")  # type: ignore[arg-type]
+    with pytest.raises(AttributeError, match="cannot be changed"):
+        dense.to_sparse()._report = None  # type: ignore[assignment]
+    assert repr(dense.to_sparse()).startswith("SparseVolume(")
+
+
+def test_it_holds_far_from_the_origin() -> None:
+    shift = np.array([1e5, -2e5, 3e5])
+    vertices, faces = meshes.icosphere(3)
+    here, there = fb.bake_sparse((vertices, faces), 64), fb.bake_sparse((vertices + shift, faces), 64)
+    points = points_in(here)
+    # Vertices are kept to 1e-7 of their offset from the mesh's centre.
+    np.testing.assert_allclose(there.sample(points + shift), here.sample(points), atol=1e-6)
+
+
+def test_signs_against_brute_force(knot: fb.Mesh) -> None:
+    sparse = fb.bake_sparse(knot, 48, tolerance=None)
+    points = points_in(sparse, 300)
+    exact = truth.signed_distance(np.asarray(knot.vertices, dtype=np.float64), np.asarray(knot.faces), points)
+    clear = np.abs(exact) > 0.5 * sparse.spacing[0]
+    assert ((sparse.sample(points) < 0) == (exact < 0))[clear].all()
