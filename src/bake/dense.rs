@@ -29,10 +29,9 @@
 //! On a mesh of 70,000 faces at 128^3, a block of 4^3 tests about 40 nodes and 58 packs and lists 130 triangles, of which
 //! eight samples together evaluate 32. The result does not depend on threads or instruction set.
 //!
-//! AVX-512 would make it 1.2 times faster, and is not used: one optimised build with rustc 1.95 left whole blocks
-//! unwritten on that path alone, and right again with a print added.
+//! AVX-512 would make it 1.2 times faster; its path was the first that a build got wrong (see [`Path`]), and is left out.
 
-use super::LocalGrid;
+use super::{LocalGrid, Samples};
 use crate::bvh::closest::Slot;
 use crate::bvh::pack::TriangleFrame;
 use crate::bvh::{Bvh, Node, WIDTH};
@@ -40,6 +39,7 @@ use crate::error::Error;
 use crate::progress::Progress;
 use glam::Vec3;
 use rayon::prelude::*;
+use std::sync::OnceLock;
 
 /// Samples along the side of the blocks that are tasks, and of those that list triangles.
 const TASK: usize = 16;
@@ -203,6 +203,71 @@ impl Block {
     }
 }
 
+/// How the samples of a tile are found.
+///
+/// Builds with rustc 1.95 are not all alike: LLVM's vectoriser of straight code made some in which the AVX2 path dropped
+/// triangles, with the same source (with `-C no-vectorize-slp` all were right, and a fifth slower). So a path is tried on
+/// a small soup before it is used: the bad builds were wrong on every soup of two triangles or more.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Path {
+    #[cfg(target_arch = "x86_64")]
+    Avx2,
+    Portable,
+    /// Every sample by its own search.
+    Search,
+}
+
+impl Path {
+    /// The fastest path of this build and processor that is right.
+    fn trusted() -> Self {
+        static TRUSTED: OnceLock<Path> = OnceLock::new();
+        *TRUSTED.get_or_init(|| {
+            let right =
+                |path: &Self| is_right(|tile, low, high| tile.fill_by(*path, &mut Scratch::default(), low, high));
+            Self::candidates().into_iter().find(right).unwrap_or(Self::Search)
+        })
+    }
+
+    /// What this processor can run, fastest first.
+    fn candidates() -> Vec<Self> {
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            return vec![Self::Avx2, Self::Portable];
+        }
+        vec![Self::Portable]
+    }
+}
+
+/// Whether `fill` finds, to the bit, the distances to 48 triangles at 16^3 samples; about a millisecond.
+fn is_right(fill: impl FnOnce(&mut Tile<'_>, [usize; 3], [usize; 3])) -> bool {
+    // Numbers that look random, from -0.5 to 0.5 (Knuth's multiplicative generator).
+    let mut state = 1u32;
+    let mut number = || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 8) as f32 / (1 << 24) as f32 - 0.5
+    };
+    let mut positions = Vec::new();
+    for _ in 0..48 {
+        let center = Vec3::new(number(), number(), number());
+        positions.extend([(); 3].map(|()| center + 0.3 * Vec3::new(number(), number(), number())));
+    }
+    let faces: Vec<[u32; 3]> = (0..48).map(|face| [3 * face, 3 * face + 1, 3 * face + 2]).collect();
+    let bvh = Bvh::build(&positions, &faces);
+    let frames: Vec<TriangleFrame> =
+        faces.iter().map(|face| TriangleFrame::new(face.map(|corner| positions[corner as usize].as_dvec3()))).collect();
+
+    let step = 1.2 / (TASK - 1) as f64;
+    let grid = LocalGrid { axes: [Samples { first: -0.6, step, count: TASK }; 3] };
+    let samples = [f32::INFINITY; TASK * TASK * TASK];
+    let mut tile = Tile { bvh: &bvh, grid: &grid, slack: SLACK, limit: f32::INFINITY, low: [0; 3], samples };
+    fill(&mut tile, [0; 3], [TASK; 3]);
+    tile.samples.iter().enumerate().all(|(i, found)| {
+        let p = grid.at([i % TASK, i / TASK % TASK, i / (TASK * TASK)]).as_vec3();
+        let least = frames.iter().map(|frame| frame.distance_squared(p)).fold(f32::INFINITY, f32::min);
+        least.sqrt().to_bits() == found.to_bits()
+    })
+}
+
 struct Tile<'a> {
     bvh: &'a Bvh,
     grid: &'a LocalGrid,
@@ -214,15 +279,23 @@ struct Tile<'a> {
 
 impl Tile<'_> {
     fn fill(&mut self, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
-        #[cfg(target_arch = "x86_64")]
-        {
-            if std::arch::is_x86_feature_detected!("avx2") {
-                // SAFETY: the processor has these instructions. No fused operation is enabled into the arithmetic, so
-                // every path gives the same bits.
-                return unsafe { self.fill_avx2(scratch, low, high) };
+        self.fill_by(Path::trusted(), scratch, low, high);
+    }
+
+    fn fill_by(&mut self, path: Path, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
+        match path {
+            #[cfg(target_arch = "x86_64")]
+            // SAFETY: `Path::candidates` has seen that the processor has these instructions. No fused operation is enabled
+            // into the arithmetic, so every path gives the same bits.
+            Path::Avx2 => unsafe { self.fill_avx2(scratch, low, high) },
+            Path::Portable => self.fill_portable(scratch, low, high),
+            Path::Search => {
+                let start = self.bvh.nearest(self.grid.at(low).as_vec3(), f32::INFINITY);
+                if let Some(nearest) = start {
+                    self.search(&self.bvh.frame(nearest.slot), low, high);
+                }
             }
         }
-        self.fill_portable(scratch, low, high);
     }
 
     fn fill_portable(&mut self, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
@@ -307,21 +380,9 @@ impl Tile<'_> {
                 } else {
                     previous = list_triangles(self, &block, &near, packs, tangents, list);
                     self.evaluate(&block, sub.0, sub.1, list);
-                    if self.is_unwritten(sub.0) {
-                        previous = self.search(&near, sub.0, sub.1);
-                    }
                 }
             }
         }
-    }
-
-    /// Whether a block still has no distances. Its list is never empty, for the triangle nearest to its centre passes every
-    /// test; but the AVX2 path of one build skipped whole blocks (see *Cost*).
-    #[cold]
-    #[inline(never)]
-    fn is_unwritten(&self, low: [usize; 3]) -> bool {
-        let [i, j, k] = [0, 1, 2].map(|axis| low[axis] - self.low[axis]);
-        self.samples[i + TASK * (j + TASK * k)] == f32::INFINITY
     }
 
     fn block(&self, low: [usize; 3], high: [usize; 3]) -> Block {

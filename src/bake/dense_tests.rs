@@ -163,3 +163,20 @@ fn cancelling_stops_the_work() {
     let result = distances(mesh.bvh(), &LocalGrid::new(&grid, &mesh), f32::INFINITY, 1.0, &progress, &mut [0.0; 64000]);
     assert_eq!(result, Err(Error::Cancelled));
 }
+
+#[test]
+fn this_build_uses_the_fastest_path() {
+    assert_eq!(Path::trusted(), Path::candidates()[0], "this build gets the fastest path wrong");
+}
+
+#[test]
+fn the_check_of_a_path_sees_a_dropped_triangle() {
+    let fill = |tile: &mut Tile<'_>, low, high| tile.fill_portable(&mut Scratch::default(), low, high);
+    assert!(is_right(fill));
+    assert!(is_right(|tile, low, high| tile.fill_by(Path::Search, &mut Scratch::default(), low, high)));
+    assert!(!is_right(|tile, low, high| {
+        fill(tile, low, high);
+        tile.samples[1234] += 1e-4;
+    }));
+    assert!(!is_right(|_, _, _| ()));
+}
