@@ -31,8 +31,10 @@ check: $(VENV)/.built $(VENV)/.test ## Format, lints and types only
 
 bench: $(VENV)/.built $(VENV)/.bench ## Bake real meshes side by side with other tools
 	$(BIN)/python benches/peers.py
+	$(BIN)/python benches/devices.py
 	$(BIN)/python benches/exactness.py
 	$(BIN)/python benches/curves.py
+	for room in atlas sparse csg quadrics merge; do $(BIN)/python benches/$$room.py; done
 
 fix: $(VENV)/.test ## Format, and repair what lints can repair
 	$(BIN)/ruff check --fix --quiet . || true

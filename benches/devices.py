@@ -36,6 +36,9 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=1)
     options = parser.parse_args()
 
+    if all(found.type == "cpu" for found in fb.devices()):
+        print("no graphics adapter: install a Vulkan driver, for example Mesa's lavapipe")
+        return
     row = "{:24} {:>8} {:>9} {:>9} {:>10} {:>11} {:>6} {:>7}"
     print(row.format("mesh", "faces", "cpu s", "device s", "cpu/device", "error/diag", "signs", "pixels"))
     name = ""
