@@ -22,16 +22,21 @@ settings.register_profile("search", deadline=None, max_examples=1_000, suppress_
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
 
+@pytest.fixture
+def gpu() -> str:
+    """The device "gpu". Without an adapter the test is skipped, or fails where FIELDBAKE_REQUIRE_GPU=1."""
+    import fieldbake as fb
+
+    if all(found.type == "cpu" for found in fb.devices()):
+        complain = pytest.fail if os.environ.get("FIELDBAKE_REQUIRE_GPU") == "1" else pytest.skip
+        complain("no GPU adapter found: install a Vulkan driver, for example Mesa's lavapipe")
+    return "gpu"
+
+
 @pytest.fixture(params=DEVICES)
 def device(request: pytest.FixtureRequest) -> str:
-    """Each device in turn. Without an adapter "gpu" is skipped, or fails where FIELDBAKE_REQUIRE_GPU=1."""
-    if request.param == "gpu":
-        import fieldbake as fb
-
-        if all(found.type == "cpu" for found in fb.devices()):
-            complain = pytest.fail if os.environ.get("FIELDBAKE_REQUIRE_GPU") == "1" else pytest.skip
-            complain("no GPU adapter found: install a Vulkan driver, for example Mesa's lavapipe")
-    return request.param
+    """Each device in turn."""
+    return request.getfixturevalue("gpu") if request.param == "gpu" else request.param
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 import copy
 import io
 import json
-import os
 import pickle
 import re
 import threading
@@ -44,15 +43,6 @@ def noise(shape, seed=0, bounds=((-1, -0.5, -2), (1, 0.75, 1.5))):
 
 def cubes(count, side):
     return [noise((side,) * 3, seed) for seed in range(count)]
-
-
-@pytest.fixture
-def gpu():
-    """An adapter, or the reason why not."""
-    if all(found.type == "cpu" for found in fb.devices()):
-        complain = pytest.fail if os.environ.get("FIELDBAKE_REQUIRE_GPU") == "1" else pytest.skip
-        complain("no GPU adapter found: install a Vulkan driver, for example Mesa's lavapipe")
-    return "gpu"
 
 
 @pytest.fixture(scope="module")

@@ -182,17 +182,17 @@ TREES = list(some_trees())
 @pytest.mark.parametrize(
     ("tree", "method"), [(TREES[0], "whole"), (TREES[1], "octree"), (TREES[2], "octree")], ids=["whole", "xor", "twist"]
 )
-def test_devices_draw_the_same(tree, method):
+def test_devices_draw_the_same(tree, method, gpu):
     camera = fb.Camera.fit(tree.shape.bounds, direction=(0.07, 0.04, -1.2))
-    wrong, _ = differing_pixels(tree, camera, (16, 16), method, "gpu")
+    wrong, _ = differing_pixels(tree, camera, (16, 16), method, gpu)
 
     assert wrong == 0
 
 
 @pytest.mark.parametrize("tree", TREES, ids=[tree.text[:24] for tree in TREES])
-def test_devices_agree_on_distances(tree):
+def test_devices_agree_on_distances(tree, gpu):
     points = sample_points(((-2,) * 3, (2,) * 3), 100)
     # In float32 and local units: the points are 4 units away at most, a tree is a few operators deep.
     tolerance = 4 * 16 * 2.0**-24
 
-    assert np.abs(tree.shape.distance(points, device="gpu") - tree.field(points)).max() <= tolerance
+    assert np.abs(tree.shape.distance(points, device=gpu) - tree.field(points)).max() <= tolerance
