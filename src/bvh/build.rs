@@ -3,13 +3,15 @@
 use super::pack::Pack;
 use super::{Bvh, ChildRef, Node, WIDTH};
 use crate::geometry::Aabb;
-use glam::Vec3;
+use glam::{Vec3, Vec3A};
 use rayon::prelude::*;
 use std::ops::Range;
 
 const BINS: usize = 16;
 /// Below this many triangles a subtree is built on the thread that has it.
 const PARALLEL_ABOVE: usize = 4096;
+/// A range of several of these is looked at by several threads.
+const CHUNK: usize = 1 << 15;
 /// From this level on ranges are halved by count, so that no input (boxes in geometric progression) makes a deep tree.
 const HALVE_FROM: usize = 16;
 /// Eight equal parts a level bring 2^30 triangles down to a leaf in ten more levels; halving rounds, hence one to spare.
@@ -24,8 +26,9 @@ pub(super) struct Primitive {
 
 impl Primitive {
     /// Twice the centre of the box: the order is all that matters.
-    fn center(&self) -> Vec3 {
-        self.bounds.min + self.bounds.max
+    #[inline(always)]
+    fn center(&self) -> Vec3A {
+        Vec3A::from(self.bounds.min) + Vec3A::from(self.bounds.max)
     }
 }
 
@@ -110,52 +113,140 @@ fn subdivide(primitives: &mut [Primitive], start: usize, depth: usize) -> Subtre
     })
 }
 
+/// Boxes and counts of the primitives whose centres fall into the same sixteenth of the range, for each axis.
+struct Bins([[Bin; BINS]; 3]);
+
+/// A box in registers of four lanes, and how many primitives it holds.
+#[derive(Clone, Copy)]
+struct Bin {
+    min: Vec3A,
+    max: Vec3A,
+    count: usize,
+}
+
+impl Bin {
+    const EMPTY: Self = Self { min: Vec3A::INFINITY, max: Vec3A::NEG_INFINITY, count: 0 };
+
+    #[inline(always)]
+    fn add(&mut self, min: Vec3A, max: Vec3A) {
+        self.min = self.min.min(min);
+        self.max = self.max.max(max);
+        self.count += 1;
+    }
+
+    #[inline(always)]
+    fn union(self, other: Self) -> Self {
+        Self { min: self.min.min(other.min), max: self.max.max(other.max), count: self.count + other.count }
+    }
+
+    fn bounds(&self) -> Aabb {
+        Aabb { min: self.min.into(), max: self.max.into() }
+    }
+
+    /// Packs to touch, weighed by the chance to touch them.
+    fn cost(&self) -> f32 {
+        self.bounds().half_area() * self.count.div_ceil(WIDTH) as f32
+    }
+}
+
+/// Which bin a centre falls into.
+#[derive(Clone, Copy)]
+struct Binning {
+    origin: Vec3A,
+    scale: Vec3A,
+}
+
+impl Binning {
+    fn of(primitives: &[Primitive]) -> Self {
+        let grow = |(min, max): (Vec3A, Vec3A), p: &Primitive| {
+            let center = p.center();
+            (min.min(center), max.max(center))
+        };
+        let join = |a: (Vec3A, Vec3A), b: (Vec3A, Vec3A)| (a.0.min(b.0), a.1.max(b.1));
+        let nothing = (Vec3A::INFINITY, Vec3A::NEG_INFINITY);
+        let (min, max) = in_chunks(primitives, |part| part.iter().fold(nothing, grow), join);
+        let scale = (max - min).to_array().map(|e| if e > 0.0 { BINS as f32 * (1.0 - 1e-6) / e } else { 0.0 });
+        Self { origin: min, scale: scale.into() }
+    }
+
+    #[inline(always)]
+    fn bin(&self, p: &Primitive) -> [usize; 3] {
+        let place = ((p.center() - self.origin) * self.scale).to_array();
+        place.map(|x| (x as usize).min(BINS - 1))
+    }
+}
+
+impl Bins {
+    fn of(primitives: &[Primitive], binning: Binning) -> Self {
+        let fill = |part: &[Primitive]| {
+            let mut bins = [[Bin::EMPTY; BINS]; 3];
+            for primitive in part {
+                let [x, y, z] = binning.bin(primitive);
+                let (min, max) = (primitive.bounds.min.into(), primitive.bounds.max.into());
+                bins[0][x].add(min, max);
+                bins[1][y].add(min, max);
+                bins[2][z].add(min, max);
+            }
+            bins
+        };
+        let join = |a: [[Bin; BINS]; 3], b: [[Bin; BINS]; 3]| {
+            [0, 1, 2].map(|axis| std::array::from_fn(|i| a[axis][i].union(b[axis][i])))
+        };
+        Self(in_chunks(primitives, fill, join))
+    }
+
+    /// The axis, the last bin of the left side, and the boxes of the sides that cost least; none where no cut parts them.
+    fn cheapest_cut(&self, scale: Vec3A) -> Option<(usize, usize, Aabb, Aabb)> {
+        let mut best: Option<(f32, usize, usize, Aabb, Aabb)> = None;
+        for axis in (0..3).filter(|&axis| scale[axis] > 0.0) {
+            let bins = &self.0[axis];
+            let mut right = [Bin::EMPTY; BINS];
+            for i in (1..BINS).rev() {
+                right[i - 1] = if i == BINS - 1 { bins[i] } else { right[i].union(bins[i]) };
+            }
+            let mut left = Bin::EMPTY;
+            for i in 0..BINS - 1 {
+                // The same cut as the one before.
+                if bins[i].count == 0 {
+                    continue;
+                }
+                left = left.union(bins[i]);
+                if right[i].count == 0 {
+                    break;
+                }
+                let cost = left.cost() + right[i].cost();
+                if best.as_ref().is_none_or(|b| cost < b.0) {
+                    best = Some((cost, axis, i, left.bounds(), right[i].bounds()));
+                }
+            }
+        }
+        best.map(|(_, axis, cut, left, right)| (axis, cut, left, right))
+    }
+}
+
+/// A sum over all primitives, by several threads where they are many. `join` must not care about the order.
+fn in_chunks<T: Send>(
+    primitives: &[Primitive],
+    sum: impl Fn(&[Primitive]) -> T + Sync,
+    join: impl Fn(T, T) -> T + Sync + Send,
+) -> T {
+    if primitives.len() < 2 * CHUNK {
+        return sum(primitives);
+    }
+    primitives.par_chunks(CHUNK).map(&sum).reduce_with(join).expect("there are several chunks")
+}
+
 /// Reorder a range so that its two sides cost least by the surface area heuristic; returns where the right one begins,
 /// and the box of each.
 pub(super) fn split(primitives: &mut [Primitive]) -> (usize, Aabb, Aabb) {
-    let centers = primitives.iter().fold(Aabb::EMPTY, |bounds, p| bounds.grown(p.center()));
-    let extent = centers.extent();
-    let scale = Vec3::from_array(extent.to_array().map(|e| if e > 0.0 { BINS as f32 * (1.0 - 1e-6) / e } else { 0.0 }));
-    let bin_of =
-        |p: &Primitive| ((p.center() - centers.min) * scale).as_uvec3().min(glam::UVec3::splat(BINS as u32 - 1));
-
-    let mut bins = [[(Aabb::EMPTY, 0usize); BINS]; 3];
-    for primitive in primitives.iter() {
-        let bin = bin_of(primitive);
-        for axis in 0..3 {
-            let (bounds, count) = &mut bins[axis][bin[axis] as usize];
-            *bounds = bounds.union(primitive.bounds);
-            *count += 1;
-        }
-    }
-
-    // Cost of a cut after each bin: packs touched on either side, weighed by the chance to touch them.
-    let packs = |count: usize| count.div_ceil(WIDTH) as f32;
-    let mut best: Option<(f32, usize, usize, Aabb, Aabb)> = None;
-    for axis in (0..3).filter(|&axis| extent[axis] > 0.0) {
-        let mut right = [(Aabb::EMPTY, 0usize); BINS];
-        let mut running = (Aabb::EMPTY, 0);
-        for i in (1..BINS).rev() {
-            running = (running.0.union(bins[axis][i].0), running.1 + bins[axis][i].1);
-            right[i] = running;
-        }
-        let mut left = (Aabb::EMPTY, 0);
-        for i in 0..BINS - 1 {
-            left = (left.0.union(bins[axis][i].0), left.1 + bins[axis][i].1);
-            let (right_bounds, right_count) = right[i + 1];
-            if left.1 == 0 || right_count == 0 {
-                continue;
-            }
-            let cost = left.0.half_area() * packs(left.1) + right_bounds.half_area() * packs(right_count);
-            if best.as_ref().is_none_or(|b| cost < b.0) {
-                best = Some((cost, axis, i, left.0, right_bounds));
-            }
-        }
-    }
-
+    let binning = Binning::of(primitives);
     // Without a cut all centres coincide, and any halves are as good.
-    let Some((_, axis, cut, left, right)) = best else { return split_in_half(primitives) };
-    (partition(primitives, |p| bin_of(p)[axis] as usize <= cut), left, right)
+    let Some((axis, cut, left, right)) = Bins::of(primitives, binning).cheapest_cut(binning.scale) else {
+        return split_in_half(primitives);
+    };
+    let (origin, scale) = (binning.origin[axis], binning.scale[axis]);
+    let last = cut as f32 + 1.0;
+    (partition(primitives, |p| (p.center()[axis] - origin) * scale < last), left, right)
 }
 
 /// Two halves by count along the longest axis of the box.

@@ -126,10 +126,14 @@ const FRAME_FLOATS: usize = size_of::<TriangleFrame>() / size_of::<f32>();
 impl Pack {
     pub fn new(positions: &[Vec3], faces: &[[u32; 3]], members: &[u32]) -> Self {
         let mut pack = Self { frames: [[0.0; WIDTH]; FRAME_FLOATS], faces: [0; WIDTH], count: members.len() as u32 };
-        for lane in 0..WIDTH {
-            let face = members[if lane < members.len() { lane } else { 0 }];
-            let frame = TriangleFrame::new(faces[face as usize].map(|v| positions[v as usize].as_dvec3()));
-            for (row, value) in pack.frames.iter_mut().zip(frame.floats()) {
+        let floats =
+            |face: u32| TriangleFrame::new(faces[face as usize].map(|v| positions[v as usize].as_dvec3())).floats();
+        for (row, value) in pack.frames.iter_mut().zip(floats(members[0])) {
+            *row = [value; WIDTH];
+        }
+        pack.faces = [members[0]; WIDTH];
+        for (lane, &face) in members.iter().enumerate().skip(1) {
+            for (row, value) in pack.frames.iter_mut().zip(floats(face)) {
                 row[lane] = value;
             }
             pack.faces[lane] = face;

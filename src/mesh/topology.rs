@@ -70,9 +70,9 @@ impl Topology {
         let faces: Vec<[u32; 3]> =
             mesh.faces().iter().chain(mesh.degenerate_faces()).map(|face| face.map(|v| welded[v as usize])).collect();
         let mut orientation = vec![Orientation::Kept; faces.len()];
-        let duplicate_faces = skip_duplicates(&faces, &mut orientation);
+        let duplicate_faces = skip_duplicates(welded.len(), &faces, &mut orientation);
 
-        let half_edges = half_edges(&faces, &orientation);
+        let half_edges = half_edges(welded.len(), &faces, &orientation);
         let edges: Vec<&[HalfEdge]> = half_edges.chunk_by(|a, b| (a.low, a.high) == (b.low, b.high)).collect();
         let boundary_edges = edges.iter().filter(|edge| edge.len() == 1).count();
         let nonmanifold_edges = edges.iter().filter(|edge| edge.len() > 2).count();
@@ -164,14 +164,13 @@ fn weld(mesh: &Mesh) -> Vec<u32> {
 }
 
 /// Mark every face with the same three corners as an earlier one.
-fn skip_duplicates(faces: &[[u32; 3]], orientation: &mut [Orientation]) -> usize {
+fn skip_duplicates(vertices: usize, faces: &[[u32; 3]], orientation: &mut [Orientation]) -> usize {
     let corners = |face: &[u32; 3]| {
         let mut corners = *face;
         corners.sort_unstable();
         corners
     };
-    let mut order: Vec<([u32; 3], u32)> = faces.iter().map(corners).zip(0..).collect();
-    order.par_sort_unstable();
+    let order = sort_by_vertex(vertices, faces.iter().map(corners).zip(0..), |(corners, _)| corners[0]);
     let mut duplicates = 0;
     for group in order.chunk_by(|a, b| a.0 == b.0) {
         for &(_, f) in &group[1..] {
@@ -188,22 +187,40 @@ fn skip_duplicates(faces: &[[u32; 3]], orientation: &mut [Orientation]) -> usize
     duplicates
 }
 
-fn half_edges(faces: &[[u32; 3]], orientation: &[Orientation]) -> Vec<HalfEdge> {
-    let mut half_edges: Vec<HalfEdge> = faces
-        .iter()
-        .enumerate()
-        .filter(|(f, _)| orientation[*f] != Orientation::Skipped)
-        .flat_map(|(f, &[a, b, c])| {
-            [(a, b), (b, c), (c, a)].map(|(from, to)| HalfEdge {
-                low: from.min(to),
-                high: from.max(to),
-                face: f as u32,
-                reversed: from > to,
-            })
+fn half_edges(vertices: usize, faces: &[[u32; 3]], orientation: &[Orientation]) -> Vec<HalfEdge> {
+    let of_face = |(f, &[a, b, c]): (usize, &[u32; 3])| {
+        [(a, b), (b, c), (c, a)].map(|(from, to)| HalfEdge {
+            low: from.min(to),
+            high: from.max(to),
+            face: f as u32,
+            reversed: from > to,
         })
-        .collect();
-    half_edges.par_sort_unstable();
-    half_edges
+    };
+    let taking_part = faces.iter().enumerate().filter(|(f, _)| orientation[*f] != Orientation::Skipped);
+    sort_by_vertex(vertices, taking_part.flat_map(of_face), |half_edge| half_edge.low)
+}
+
+/// Items in their order, of which `vertex` comes first: dealt out to the vertices, then sorted at each.
+fn sort_by_vertex<T: Copy + Ord>(
+    vertices: usize,
+    items: impl Iterator<Item = T> + Clone,
+    vertex: impl Fn(&T) -> u32,
+) -> Vec<T> {
+    // Where the items of each vertex begin; filling moves a start to where the next vertex begins.
+    let mut starts = vec![0u32; vertices + 1];
+    items.clone().for_each(|item| starts[vertex(&item) as usize + 1] += 1);
+    for v in 0..vertices {
+        starts[v + 1] += starts[v];
+    }
+    let Some(any) = items.clone().next() else { return Vec::new() };
+    let mut sorted = vec![any; starts[vertices] as usize];
+    for item in items {
+        let place = &mut starts[vertex(&item) as usize];
+        sorted[*place as usize] = item;
+        *place += 1;
+    }
+    sorted.chunk_by_mut(|a, b| vertex(a) == vertex(b)).for_each(<[T]>::sort_unstable);
+    sorted
 }
 
 /// Turn the faces of each patch to agree; returns how many were turned.

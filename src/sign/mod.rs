@@ -100,31 +100,31 @@ const NUDGE: f64 = 1e-4;
 
 impl SignChoice {
     pub fn new(mesh: &Mesh, method: SignMethod) -> Self {
+        let asked_for = |rule| Self { rule, method, reason: "asked for".to_owned() };
+        match method {
+            SignMethod::Auto | SignMethod::Winding => Self::winding(mesh),
+            SignMethod::Parity => asked_for(SignRule::Parity),
+            SignMethod::Pseudonormal => asked_for(SignRule::Pseudonormal),
+            SignMethod::Normal => asked_for(SignRule::Normal),
+            SignMethod::Unsigned => asked_for(SignRule::Unsigned),
+        }
+    }
+
+    /// The winding number, by the cheapest way that is exact for the surface's openings.
+    fn winding(mesh: &Mesh) -> Self {
         let topology = mesh.topology();
         let rim = topology.rim.len();
         let few = rim <= MAX_CAPS && rim * 8 <= mesh.faces().len().max(64);
-        let (rule, method, reason) = match method {
-            SignMethod::Auto | SignMethod::Winding if topology.closed => (
-                SignRule::Counted(Openings::default()),
-                SignMethod::Winding,
-                "the surface is closed: exact winding number by counted crossings".to_owned(),
-            ),
-            SignMethod::Auto | SignMethod::Winding if few => (
-                SignRule::Counted(Openings::of(mesh)),
-                SignMethod::Winding,
-                format!("the surface has {rim} open edges: exact generalised winding number, openings closed by cones"),
-            ),
-            SignMethod::Auto | SignMethod::Winding => (
-                SignRule::Winding,
-                SignMethod::Winding,
-                format!("the surface has {rim} open edges: fast generalised winding number"),
-            ),
-            SignMethod::Parity => (SignRule::Parity, method, "asked for".to_owned()),
-            SignMethod::Pseudonormal => (SignRule::Pseudonormal, method, "asked for".to_owned()),
-            SignMethod::Normal => (SignRule::Normal, method, "asked for".to_owned()),
-            SignMethod::Unsigned => (SignRule::Unsigned, method, "asked for".to_owned()),
+        let (rule, reason) = if topology.closed {
+            let reason = "the surface is closed: exact winding number by counted crossings".to_owned();
+            (SignRule::Counted(Openings::default()), reason)
+        } else if few {
+            let how = "exact generalised winding number, openings closed by cones";
+            (SignRule::Counted(Openings::of(mesh)), format!("the surface has {rim} open edges: {how}"))
+        } else {
+            (SignRule::Winding, format!("the surface has {rim} open edges: fast generalised winding number"))
         };
-        Self { rule, method, reason }
+        Self { rule, method: SignMethod::Winding, reason }
     }
 }
 
