@@ -22,6 +22,9 @@ fi
 if [ "$1" = bench ] && [ ! -d /usr/include/eigen3 ]; then
     missing+=(libeigen3-dev) # pysdf is built from source
 fi
+if [ "$1" = bench ] && [ ! -d /usr/include/openvdb ]; then
+    missing+=(libopenvdb-dev libboost-dev) # for benches/openvdb
+fi
 [ ${#missing[@]} -gt 0 ] || exit 0
 
 if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
