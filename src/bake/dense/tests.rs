@@ -1,5 +1,6 @@
 //! The dense bake against the single-point search, on shapes that are hard to cull.
 
+use super::path::is_right;
 use super::*;
 use crate::grid::Grid;
 use crate::mesh::Mesh;

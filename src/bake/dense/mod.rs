@@ -29,17 +29,20 @@
 //! On a mesh of 70,000 faces at 128^3, a block of 4^3 tests about 40 nodes and 58 packs and lists 130 triangles, of which
 //! eight samples together evaluate 32. The result does not depend on threads or instruction set.
 //!
-//! AVX-512 would make it 1.2 times faster; its path was the first that a build got wrong (see [`Path`]), and is left out.
+//! AVX-512 would make it 1.2 times faster; its path was the first that a build got wrong (see `path`), and is left out.
 
-use super::{LocalGrid, Samples};
+mod block;
+mod path;
+
+use super::LocalGrid;
 use crate::bvh::closest::Slot;
 use crate::bvh::pack::TriangleFrame;
 use crate::bvh::{Bvh, Node, WIDTH};
 use crate::error::Error;
 use crate::progress::Progress;
-use glam::Vec3;
+use block::{Block, CORNERS, max, min, not_positive, roots};
+use path::Path;
 use rayon::prelude::*;
-use std::sync::OnceLock;
 
 /// Samples along the side of the blocks that are tasks, and of those that list triangles.
 const TASK: usize = 16;
@@ -47,8 +50,6 @@ const LEAF: usize = 4;
 /// Samples of a group, evaluated side by side.
 const GROUP: [usize; 3] = [4, 2, 2];
 const LANES: usize = GROUP[0] * GROUP[1] * GROUP[2];
-/// Corners of a block.
-const CORNERS: usize = 8;
 /// Packs of a list from which a search for each sample of the block is cheaper: where triangles are much smaller than
 /// voxels. On 870,000 faces at 64^3, 400 was the fastest of 100, 200, 400, 800 and no limit.
 const MOST_PACKS: usize = 400;
@@ -164,108 +165,6 @@ struct List {
 struct Tangent {
     value: f32,
     gradient: [f32; 3],
-}
-
-/// A box of samples: centre and half size of the box around their positions.
-#[derive(Clone, Copy)]
-struct Block {
-    center: Vec3,
-    half: Vec3,
-}
-
-impl Block {
-    /// The positions of its corners; bit `axis` of the index picks the upper side.
-    #[inline(always)]
-    fn corners(&self) -> [[f32; CORNERS]; 3] {
-        let mut corners = [[0.0; CORNERS]; 3];
-        for axis in 0..3 {
-            for i in 0..CORNERS {
-                let half = self.half[axis];
-                corners[axis][i] = self.center[axis] + if i >> axis & 1 == 1 { half } else { -half };
-            }
-        }
-        corners
-    }
-
-    /// The largest value a tangent may have at the centre without lying above every bound: max over the corners of the
-    /// bound there less the tangent's rise to there.
-    #[inline(always)]
-    fn slackest(&self, gradient: [f32; 3], bounds: &[f32; CORNERS]) -> f32 {
-        let [x, y, z] = [0, 1, 2].map(|axis| gradient[axis] * self.half[axis]);
-        let (sum, difference) = (x + y, x - y);
-        // The rise to the corners with both x and y up, x alone, y alone, neither; below and above.
-        let rises = [sum, difference, -difference, -sum];
-        let mut slackest = f32::NEG_INFINITY;
-        for (corner, rise) in [3, 1, 2, 0].into_iter().zip(rises) {
-            slackest = max(slackest, max(bounds[corner] - (rise - z), bounds[corner + 4] - (rise + z)));
-        }
-        slackest
-    }
-}
-
-/// How the samples of a tile are found.
-///
-/// Builds with rustc 1.95 are not all alike: LLVM's vectoriser of straight code made some in which the AVX2 path dropped
-/// triangles, with the same source (with `-C no-vectorize-slp` all were right, and a fifth slower). So a path is tried on
-/// a small soup before it is used: the bad builds were wrong on every soup of two triangles or more.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Path {
-    #[cfg(target_arch = "x86_64")]
-    Avx2,
-    Portable,
-    /// Every sample by its own search.
-    Search,
-}
-
-impl Path {
-    /// The fastest path of this build and processor that is right.
-    fn trusted() -> Self {
-        static TRUSTED: OnceLock<Path> = OnceLock::new();
-        *TRUSTED.get_or_init(|| {
-            let right =
-                |path: &Self| is_right(|tile, low, high| tile.fill_by(*path, &mut Scratch::default(), low, high));
-            Self::candidates().into_iter().find(right).unwrap_or(Self::Search)
-        })
-    }
-
-    /// What this processor can run, fastest first.
-    fn candidates() -> Vec<Self> {
-        #[cfg(target_arch = "x86_64")]
-        if std::arch::is_x86_feature_detected!("avx2") {
-            return vec![Self::Avx2, Self::Portable];
-        }
-        vec![Self::Portable]
-    }
-}
-
-/// Whether `fill` finds, to the bit, the distances to 48 triangles at 16^3 samples; about a millisecond.
-fn is_right(fill: impl FnOnce(&mut Tile<'_>, [usize; 3], [usize; 3])) -> bool {
-    // Numbers that look random, from -0.5 to 0.5 (Knuth's multiplicative generator).
-    let mut state = 1u32;
-    let mut number = || {
-        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        (state >> 8) as f32 / (1 << 24) as f32 - 0.5
-    };
-    let mut positions = Vec::new();
-    for _ in 0..48 {
-        let center = Vec3::new(number(), number(), number());
-        positions.extend([(); 3].map(|()| center + 0.3 * Vec3::new(number(), number(), number())));
-    }
-    let faces: Vec<[u32; 3]> = (0..48).map(|face| [3 * face, 3 * face + 1, 3 * face + 2]).collect();
-    let bvh = Bvh::build(&positions, &faces);
-    let frames: Vec<TriangleFrame> =
-        faces.iter().map(|face| TriangleFrame::new(face.map(|corner| positions[corner as usize].as_dvec3()))).collect();
-
-    let step = 1.2 / (TASK - 1) as f64;
-    let grid = LocalGrid { axes: [Samples { first: -0.6, step, count: TASK }; 3] };
-    let samples = [f32::INFINITY; TASK * TASK * TASK];
-    let mut tile = Tile { bvh: &bvh, grid: &grid, slack: SLACK, limit: f32::INFINITY, low: [0; 3], samples };
-    fill(&mut tile, [0; 3], [TASK; 3]);
-    tile.samples.iter().enumerate().all(|(i, found)| {
-        let p = grid.at([i % TASK, i / TASK % TASK, i / (TASK * TASK)]).as_vec3();
-        let least = frames.iter().map(|frame| frame.distance_squared(p)).fold(f32::INFINITY, f32::min);
-        least.sqrt().to_bits() == found.to_bits()
-    })
 }
 
 struct Tile<'a> {
@@ -600,31 +499,6 @@ impl Tile<'_> {
     }
 }
 
-/// Voxel of a lane of the group `low..high`.
-#[inline(always)]
-fn sample_of_group(low: [usize; 3], high: [usize; 3], lane: usize) -> [usize; 3] {
-    let step = [lane % GROUP[0], lane / GROUP[0] % GROUP[1], lane / (GROUP[0] * GROUP[1])];
-    [0, 1, 2].map(|axis| (low[axis] + step[axis]).min(high[axis] - 1))
-}
-
-#[inline(always)]
-fn roots<const N: usize>(mut squares: [f32; N]) -> [f32; N] {
-    for i in 0..N {
-        squares[i] = squares[i].sqrt();
-    }
-    squares
-}
-
-#[inline(always)]
-fn max(a: f32, b: f32) -> f32 {
-    if a > b { a } else { b }
-}
-
-#[inline(always)]
-fn min(a: f32, b: f32) -> f32 {
-    if a < b { a } else { b }
-}
-
 /// Cut a box of samples into blocks of at most `side` samples, x fastest.
 fn blocks(low: [usize; 3], high: [usize; 3], side: [usize; 3]) -> impl Iterator<Item = ([usize; 3], [usize; 3])> {
     let steps = [0, 1, 2].map(|axis| (high[axis] - low[axis]).div_ceil(side[axis]));
@@ -635,16 +509,12 @@ fn blocks(low: [usize; 3], high: [usize; 3], side: [usize; 3]) -> impl Iterator<
     })
 }
 
-/// Bit i set where lane i is zero or less.
+/// Voxel of a lane of the group `low..high`.
 #[inline(always)]
-fn not_positive(lanes: &[f32; WIDTH]) -> u8 {
-    let mut bits = 0;
-    for i in 0..WIDTH {
-        bits |= u8::from(lanes[i] <= 0.0) << i;
-    }
-    bits
+fn sample_of_group(low: [usize; 3], high: [usize; 3], lane: usize) -> [usize; 3] {
+    let step = [lane % GROUP[0], lane / GROUP[0] % GROUP[1], lane / (GROUP[0] * GROUP[1])];
+    [0, 1, 2].map(|axis| (low[axis] + step[axis]).min(high[axis] - 1))
 }
 
 #[cfg(test)]
-#[path = "dense_tests.rs"]
 mod tests;

@@ -1,0 +1,72 @@
+//! The box around a block of samples, and arithmetic of several lanes that compiles to vector instructions.
+
+use crate::bvh::WIDTH;
+use glam::Vec3;
+
+/// Corners of a block.
+pub(super) const CORNERS: usize = 8;
+
+/// A box of samples: centre and half size of the box around their positions.
+#[derive(Clone, Copy)]
+pub(super) struct Block {
+    pub center: Vec3,
+    pub half: Vec3,
+}
+
+impl Block {
+    /// The positions of its corners; bit `axis` of the index picks the upper side.
+    #[inline(always)]
+    pub fn corners(&self) -> [[f32; CORNERS]; 3] {
+        let mut corners = [[0.0; CORNERS]; 3];
+        for axis in 0..3 {
+            for i in 0..CORNERS {
+                let half = self.half[axis];
+                corners[axis][i] = self.center[axis] + if i >> axis & 1 == 1 { half } else { -half };
+            }
+        }
+        corners
+    }
+
+    /// The largest value a tangent may have at the centre without lying above every bound: max over the corners of the
+    /// bound there less the tangent's rise to there.
+    #[inline(always)]
+    pub fn slackest(&self, gradient: [f32; 3], bounds: &[f32; CORNERS]) -> f32 {
+        let [x, y, z] = [0, 1, 2].map(|axis| gradient[axis] * self.half[axis]);
+        let (sum, difference) = (x + y, x - y);
+        // The rise to the corners with both x and y up, x alone, y alone, neither; below and above.
+        let rises = [sum, difference, -difference, -sum];
+        let mut slackest = f32::NEG_INFINITY;
+        for (corner, rise) in [3, 1, 2, 0].into_iter().zip(rises) {
+            slackest = max(slackest, max(bounds[corner] - (rise - z), bounds[corner + 4] - (rise + z)));
+        }
+        slackest
+    }
+}
+
+#[inline(always)]
+pub(super) fn roots<const N: usize>(mut squares: [f32; N]) -> [f32; N] {
+    for i in 0..N {
+        squares[i] = squares[i].sqrt();
+    }
+    squares
+}
+
+#[inline(always)]
+pub(super) fn max(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+#[inline(always)]
+pub(super) fn min(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
+/// Bit i set where lane i is zero or less.
+#[inline(always)]
+pub(super) fn not_positive(lanes: &[f32; WIDTH]) -> u8 {
+    let mut bits = 0;
+    for i in 0..WIDTH {
+        bits |= u8::from(lanes[i] <= 0.0) << i;
+    }
+    bits
+}
