@@ -33,6 +33,7 @@ const SHARED: &[(&str, &str)] = &[
     ("picture", include_str!("../../shaders/shared/picture.wgsl")),
     ("ray", include_str!("../../shaders/shared/ray.wgsl")),
     ("ray_filtered", include_str!("../../shaders/shared/ray_filtered.wgsl")),
+    ("scene_field", include_str!("../../shaders/shared/scene_field.wgsl")),
     ("sampling", include_str!("../../shaders/shared/sampling.wgsl")),
     ("triangle", include_str!("../../shaders/shared/triangle.wgsl")),
 ];
