@@ -189,6 +189,8 @@ pub struct RenderOptions {
 #[derive(Debug)]
 pub struct Rendered {
     pub frame: Frame,
+    /// Where surfaces were found: on the device, on the CPU.
+    pub primary_on: [bool; 2],
     pub seconds: Vec<(&'static str, f64)>,
 }
 
@@ -302,7 +304,11 @@ pub fn render(
         let share = 1.0 / (sides * sides) as f32;
         frame.color = sum.into_iter().map(|color| color * share).collect();
     }
-    Ok(Rendered { frame, seconds })
+    let primary_on = match &device {
+        None => [false, true],
+        Some(_) => [true, raster::left_over(scene, options).is_some()],
+    };
+    Ok(Rendered { frame, primary_on, seconds })
 }
 
 /// Pixels of a picture at most, as for volumes.

@@ -276,8 +276,7 @@ impl<'a> Band<'a> {
         let (rows, pixel) = (f64::from(row_count), view.camera.pixel_size(view.size[1]));
         let eye = scene.scene_from_world(view.camera.eye);
         // The viewing axis in fragments of the band; the rays go through `offset` of each.
-        let middle =
-            [0.5 * width + 0.5 - view.offset[0], 0.5 * height + 0.5 - view.offset[1] - f64::from(first_row)];
+        let middle = [0.5 * width + 0.5 - view.offset[0], 0.5 * height + 0.5 - view.offset[1] - f64::from(first_row)];
         let linear = |axis: DVec3| (axis, -axis.dot(eye));
         let sum = |a: (DVec3, f64), s: f64, b: (DVec3, f64), t: f64| (s * a.0 + t * b.0, s * a.1 + t * b.1);
         let depth = linear(-back);
