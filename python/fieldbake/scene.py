@@ -258,8 +258,8 @@ def render(
         ``"article"``: shadows by the article's own march (100 steps, hit at 0.01, bias 0.05 world units, one loop over
         all instances), for comparison.
     device : str, default "auto"
-        ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`. Both passes run there, with the CPU's picture to
-        1/255 but for half a percent of the pixels; translucent surfaces are found on the CPU.
+        ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`. Both passes run there; the picture is the CPU's
+        to 1/255 but for half a percent of the pixels. Translucent surfaces are found on the CPU.
     progress : bool or callable, optional
         True draws a bar on stderr; a callable gets a share from 0 to 1.
 
