@@ -7,32 +7,7 @@ import pytest
 
 import fieldbake as fb
 import meshes
-
-SUN = (-1.0, -2.0, -0.6)
-
-
-def plane(side: float = 6.0, y: float = -1.0) -> fb.Mesh:
-    corners = [(-side, y, -side), (side, y, -side), (side, y, side), (-side, y, side)]
-    return fb.Mesh(corners, [(0, 2, 1), (0, 3, 2)])
-
-
-def moved(x=0.0, y=0.0, z=0.0, scale=(1.0, 1.0, 1.0), turn=0.0) -> np.ndarray:
-    c, s = np.cos(turn), np.sin(turn)
-    matrix = np.eye(4)
-    matrix[:3, :3] = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ np.diag(scale)
-    matrix[:3, 3] = x, y, z
-    return matrix
-
-
-def positions(frame: fb.Frame, camera: fb.Camera) -> np.ndarray:
-    """World points of the pixels, float64; nan where nothing is hit."""
-    width, height = frame.size
-    side = 2 * np.tan(np.radians(camera.fov_deg) / 2) / height
-    x = (np.arange(width) + 0.5 - width / 2) * side
-    y = (height / 2 - np.arange(height) - 0.5) * side
-    rays = np.stack(np.broadcast_arrays(x[None], y[:, None], -1.0), axis=-1) @ camera.pose[:3, :3].T
-    depth = np.where(np.isfinite(frame.depth), frame.depth, np.nan)[..., None]
-    return camera.eye + depth * rays
+from scenes import SUN, moved, plane, positions
 
 
 def over_plane(light, shadows="soft", scale=1.0, size=(160, 120), resolution=64, lift=0.6):
@@ -497,38 +472,3 @@ def test_depth_and_silhouette_are_pyrenders(name: str, model_path) -> None:
     both = np.isfinite(marched.depth) & seen
     close = np.abs(marched.depth[both] - theirs[both]) < 1.5 * 1.1 * size / 128
     assert close.mean() > 0.98
-
-
-@pytest.mark.parametrize("shadows", ["hard", "soft", "area"])
-def test_a_graphics_device_sees_the_same_light(shadows: str, device: str) -> None:
-    if device == "cpu":
-        pytest.skip("the CPU is what is compared with")
-    knot = fb.models.torus_knot(segments=120, sides=12)
-    glass = fb.bake(meshes.icosphere(3), 32, device="cpu")
-    jade = fb.Material(color=(0.5, 0.9, 0.6), scattering=0.3)
-    scene = fb.Scene(
-        [
-            fb.Instance(knot, moved(y=1, scale=(1.2, 0.8, 1.0), turn=0.3), resolution=48),
-            fb.Instance(glass, moved(x=1.5, z=1, scale=(0.6, 0.6, 0.6)), opacity=0.7),
-            fb.Instance(fb.Mesh(*meshes.box((-2, -1, 0.5), (-1, 0.2, 1))), material=jade, resolution=32),
-            plane(),
-        ],
-        lights=[
-            fb.DirectionalLight(SUN, intensity=0.6, angle_deg=6),
-            fb.PointLight((2, 4, 3), intensity=0.4, radius=0.3),
-        ],
-    )
-    camera = fb.Camera((3, 3.5, 6), (0, 0, 0))
-    options = {"size": (80, 60), "shadows": shadows, "ambient_occlusion": shadows == "soft", "area_samples": 9}
-    here, there = (fb.render(scene, camera, **options, device=place) for place in ("cpu", device))
-    assert there.report["devices"]["light"] != "cpu"
-    assert (np.abs(here.color - there.color).max(axis=-1) > 1 / 255).mean() <= 0.005
-    assert (np.abs(here.shadow - there.shadow) > 1 / 255).mean() <= 0.005
-    np.testing.assert_array_equal(here.depth, there.depth)
-
-
-def test_the_articles_march_is_not_for_devices(device: str) -> None:
-    if device == "cpu":
-        pytest.skip("a question for graphics devices")
-    with pytest.raises(fb.DeviceError, match="runs on the CPU only"):
-        fb.render([fb.Mesh(*meshes.icosphere(1))], method="article", device=device)

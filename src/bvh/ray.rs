@@ -93,6 +93,18 @@ impl Mesh {
     }
 }
 
+impl Mesh {
+    /// Where the line `origin + t direction`, local units, meets one face; the same numbers as [`Mesh::first_hit`] gives.
+    pub fn hit_of_face(&self, face: u32, origin: DVec3, direction: DVec3) -> Option<RayHit> {
+        let bounds = self.bvh().bounds;
+        let (enter, _) = slab(origin, direction, bounds.min.as_dvec3(), bounds.max.as_dvec3());
+        let t_start = if enter.is_finite() { enter.max(0.0) } else { 0.0 };
+        let size = direction.abs().max_element();
+        let found = Sheared::new(origin + t_start * direction, direction / size).hit(self.triangle(face))?;
+        Some(RayHit { t: t_start + found.t / size, face, ..found })
+    }
+}
+
 /// Where a line enters and leaves a box, grown a little; leave is below enter where it misses.
 fn slab(origin: DVec3, direction: DVec3, min: DVec3, max: DVec3) -> (f64, f64) {
     let margin = f64::from(BOX_MARGIN);
@@ -257,6 +269,7 @@ mod tests {
             let truth = brute_force(&mesh, origin, direction);
             match (found, truth) {
                 (Some(hit), Some(t)) => {
+                    prop_assert_eq!(mesh.hit_of_face(hit.face, origin, direction), Some(hit));
                     prop_assert!((hit.t - t).abs() * direction.length() < 1e-9);
                     let [a, b, c] = mesh.triangle(hit.face);
                     let p = a + (b - a) * hit.u + (c - a) * hit.v;

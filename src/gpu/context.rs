@@ -10,6 +10,7 @@
 use super::buffer::Counters;
 use super::device::{DeviceInfo, describe, enumerate};
 use super::pipeline::Pipelines;
+use super::raster::RasterPipelines;
 use crate::error::DeviceError;
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -24,6 +25,7 @@ pub struct Context {
     pub limits: wgpu::Limits,
     pub counters: Counters,
     pub(super) pipelines: Pipelines,
+    pub(super) raster_pipelines: RasterPipelines,
     trouble: Arc<Trouble>,
     /// Held during every call into wgpu: its submissions and waits are not safe against each other in wgpu 30.0, and a
     /// mapping that another thread's wait completed must be seen complete.
@@ -109,6 +111,7 @@ impl Context {
             limits,
             counters: Counters::default(),
             pipelines: Pipelines::default(),
+            raster_pipelines: RasterPipelines::default(),
             trouble,
             lane: Mutex::new(()),
             _instance: instance,

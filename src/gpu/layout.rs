@@ -275,6 +275,50 @@ pub struct BeamParams {
     pub pad_1: u32,
 }
 
+/// `shaders/shared/scene_view.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct RasterInstance {
+    pub clip_x: [f32; 4],
+    pub clip_y: [f32; 4],
+    pub clip_w: [f32; 4],
+    pub eye: [f32; 3],
+    pub index: u32,
+    pub ray: [f32; 3],
+    pub first_face: u32,
+    pub ray_x: [f32; 3],
+    pub first_material: u32,
+    pub ray_y: [f32; 3],
+    pub is_mirrored: u32,
+    pub middle: [f32; 2],
+    pub pixel: f32,
+    pub pad_0: u32,
+}
+
+/// `shaders/scene_triangles.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct RasterMaterial {
+    pub kind: u32,
+    pub two_sided: u32,
+    pub cutoff: f32,
+    pub opacity: f32,
+    pub first_level: u32,
+    pub levels: u32,
+    pub pad_0: u32,
+    pub pad_1: u32,
+}
+
+/// `shaders/scene_triangles.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct TextureLevel {
+    pub first: u32,
+    pub width: u32,
+    pub height: u32,
+    pub pad_0: u32,
+}
+
 /// `shaders/quadrics.wgsl`.
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
@@ -510,6 +554,30 @@ mod tests {
         );
         assert_twin!("scene_beams", Answer { value, is_proven, steps, is_complete });
         assert_twin!("scene_beams", BeamParams { first, count, pad_0, pad_1 });
+        assert_twin!(
+            "scene_fields",
+            RasterInstance {
+                clip_x,
+                clip_y,
+                clip_w,
+                eye,
+                index,
+                ray,
+                first_face,
+                ray_x,
+                first_material,
+                ray_y,
+                is_mirrored,
+                middle,
+                pixel,
+                pad_0
+            }
+        );
+        assert_twin!(
+            "scene_triangles",
+            RasterMaterial { kind, two_sided, cutoff, opacity, first_level, levels, pad_0, pad_1 }
+        );
+        assert_twin!("scene_triangles", TextureLevel { first, width, height, pad_0 });
         assert_twin!(
             "atlas_pack",
             PackParams {

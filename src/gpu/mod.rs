@@ -18,6 +18,7 @@ pub mod device;
 pub mod layout;
 pub mod pace;
 pub mod pipeline;
+pub mod raster;
 pub mod shader;
 pub mod texture;
 

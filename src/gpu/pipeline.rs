@@ -45,7 +45,7 @@ impl Context {
         })
     }
 
-    fn refused(&self, kernel: &str, reason: String) -> DeviceError {
+    pub(super) fn refused(&self, kernel: &str, reason: String) -> DeviceError {
         DeviceError::Shader { device: self.label(), kernel: kernel.into(), reason }
     }
 

@@ -19,6 +19,8 @@ pub const KERNELS: &[(&str, &str)] = &[
     ("raymarch", include_str!("../../shaders/raymarch.wgsl")),
     ("raymarch_filtered", include_str!("../../shaders/raymarch_filtered.wgsl")),
     ("scene_beams", include_str!("../../shaders/scene_beams.wgsl")),
+    ("scene_fields", include_str!("../../shaders/scene_fields.wgsl")),
+    ("scene_triangles", include_str!("../../shaders/scene_triangles.wgsl")),
     ("query_points", include_str!("../../shaders/query_points.wgsl")),
 ];
 
@@ -33,6 +35,8 @@ const SHARED: &[(&str, &str)] = &[
     ("picture", include_str!("../../shaders/shared/picture.wgsl")),
     ("ray", include_str!("../../shaders/shared/ray.wgsl")),
     ("ray_filtered", include_str!("../../shaders/shared/ray_filtered.wgsl")),
+    ("scene_field", include_str!("../../shaders/shared/scene_field.wgsl")),
+    ("scene_view", include_str!("../../shaders/shared/scene_view.wgsl")),
     ("sampling", include_str!("../../shaders/shared/sampling.wgsl")),
     ("triangle", include_str!("../../shaders/shared/triangle.wgsl")),
 ];

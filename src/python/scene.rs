@@ -228,6 +228,9 @@ pub fn render<'py>(
     let rendered = run(py, progress, |progress| scene::render(&place, &scene, &camera, &options, progress))?;
     let images = frame_dict(py, rendered.frame)?;
     images.set_item("device", place.label())?;
+    let label = place.label();
+    let places = [label.as_str(), "cpu"].into_iter().zip(rendered.primary_on).filter(|(_, used)| *used);
+    images.set_item("primary_on", places.map(|(place, _)| place).collect::<Vec<_>>().join(" and "))?;
     let seconds = PyDict::new(py);
     for (stage, duration) in rendered.seconds {
         seconds.set_item(stage, duration)?;

@@ -5,6 +5,7 @@
 //! asked again on the CPU.
 
 use super::field::{DenseField, SampledField};
+use super::raster::DeviceMeshes;
 use super::shadow::{Place, Ray};
 use super::{Instance, Scene};
 use crate::error::{DeviceError, Error};
@@ -32,6 +33,7 @@ pub struct DeviceScene {
     grids: wgpu::Buffer,
     samples: wgpu::Buffer,
     blocks: wgpu::Buffer,
+    meshes: DeviceMeshes,
 }
 
 impl DeviceScene {
@@ -83,11 +85,21 @@ impl DeviceScene {
             grids: context.upload("scene grids", &grids)?,
             samples: context.upload("scene fields", &samples)?,
             blocks: context.upload("scene blocks", &words)?,
+            meshes: DeviceMeshes::upload(context, scene)?,
         })
     }
 
     pub fn context(&self) -> &Arc<Context> {
         &self.context
+    }
+
+    pub fn meshes(&self) -> &DeviceMeshes {
+        &self.meshes
+    }
+
+    /// The buffers of `shaders/shared/scene_field.wgsl`.
+    pub fn field_bindings(&self) -> [(u32, &wgpu::Buffer); 4] {
+        [(3, &self.instances), (4, &self.grids), (5, &self.samples), (6, &self.blocks)]
     }
 
     /// Share of each beam that passes.

@@ -22,6 +22,7 @@ pub mod field;
 pub mod gpu;
 pub mod light;
 pub mod primary;
+pub mod raster;
 pub mod shadow;
 pub mod texture;
 pub mod tree;
@@ -188,6 +189,8 @@ pub struct RenderOptions {
 #[derive(Debug)]
 pub struct Rendered {
     pub frame: Frame,
+    /// Where surfaces were found: on the device, on the CPU.
+    pub primary_on: [bool; 2],
     pub seconds: Vec<(&'static str, f64)>,
 }
 
@@ -247,7 +250,7 @@ impl Scene {
     }
 }
 
-/// Draw a scene. On a graphics device the light pass runs there, the primary pass on the CPU.
+/// Draw a scene. On a graphics device both passes run there; see [`raster`] for what it leaves to the CPU.
 pub fn render(
     place: &Place,
     scene: &Scene,
@@ -279,7 +282,10 @@ pub fn render(
             Some(i) => [i % sides, i / sides].map(|k| (f64::from(k) + 0.5) / f64::from(sides)),
         };
         let start = Instant::now();
-        let buffer = primary::draw(scene, camera, options, offset, progress)?;
+        let buffer = match &device {
+            None => primary::draw(scene, camera, options, offset, progress)?,
+            Some(device) => raster::draw(scene, device, camera, options, offset, progress)?,
+        };
         seconds[0].1 += start.elapsed().as_secs_f64();
         let start = Instant::now();
         let lit = match &device {
@@ -298,7 +304,11 @@ pub fn render(
         let share = 1.0 / (sides * sides) as f32;
         frame.color = sum.into_iter().map(|color| color * share).collect();
     }
-    Ok(Rendered { frame, seconds })
+    let primary_on = match &device {
+        None => [false, true],
+        Some(_) => [true, raster::left_over(scene, options).is_some()],
+    };
+    Ok(Rendered { frame, primary_on, seconds })
 }
 
 /// Pixels of a picture at most, as for volumes.

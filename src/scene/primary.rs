@@ -6,8 +6,8 @@
 //!
 //! A pixel has a list of layers: the first opaque surface, and in front of it what lets light through.
 
-use super::texture::Texture;
 use super::tree::Line;
+use super::triangles::Triangles;
 use super::{Alpha, Instance, Material, Primary, RenderOptions, Scene};
 use crate::bvh::ray::RayHit;
 use crate::error::Error;
@@ -70,79 +70,95 @@ pub fn draw(
     progress: &Progress,
 ) -> Result<GBuffer, Error> {
     let view = View { camera: *camera, size: options.size, offset };
-    let [width, height] = options.size;
-    let pairs: Vec<(Vec<Layer>, Vec<u32>)> = (0..height)
-        .into_par_iter()
+    let rows = (0..options.size[1]).into_par_iter();
+    let pairs: Vec<(Vec<Layer>, Vec<u32>)> = rows
         .map(|y| {
-            let mut layers = Vec::new();
-            let mut steps = Vec::with_capacity(width as usize);
-            for x in 0..width {
-                let mut eye = Eye { scene, options, view: &view, x, y, steps: 0 };
-                eye.look(&mut layers);
-                steps.push(eye.steps);
-            }
+            let row = draw_row(scene, options, &view, y, |eye, layers| eye.look(layers, None));
             progress.advance(1)?;
-            Ok((layers, steps))
+            Ok(row)
         })
         .collect::<Result<_, Error>>()?;
     let (rows, steps) = pairs.into_iter().unzip();
     Ok(GBuffer { rows, steps, view })
 }
 
-/// One pixel's ray.
-struct Eye<'a> {
+/// The layers of a row's pixels and their work, each pixel by `look`.
+pub fn draw_row<'a>(
     scene: &'a Scene,
     options: &'a RenderOptions,
     view: &'a View,
-    x: u32,
     y: u32,
-    steps: u32,
+    mut look: impl FnMut(&mut Eye<'a>, &mut Vec<Layer>),
+) -> (Vec<Layer>, Vec<u32>) {
+    let (mut layers, mut steps) = (Vec::new(), Vec::new());
+    for x in 0..view.size[0] {
+        let mut eye = Eye { scene, options, view, x, y, left_over: None, steps: 0 };
+        look(&mut eye, &mut layers);
+        steps.push(eye.steps);
+    }
+    (layers, steps)
+}
+
+/// One pixel's ray.
+pub struct Eye<'a> {
+    scene: &'a Scene,
+    options: &'a RenderOptions,
+    view: &'a View,
+    pub x: u32,
+    y: u32,
+    /// The instances of which a device left something to look for, if one has looked before; only that is looked for then.
+    pub left_over: Option<&'a [bool]>,
+    pub steps: u32,
 }
 
 impl Eye<'_> {
-    /// Append the layers of the pixel.
-    fn look(&mut self, layers: &mut Vec<Layer>) {
+    /// Append the layers of the pixel, up to the opaque surface `behind` if that is known.
+    pub fn look(&mut self, layers: &mut Vec<Layer>, behind: Option<Layer>) {
         let direction = self.view.direction(self.x, self.y);
         let first = layers.len();
+        let limit = behind.map_or(f64::INFINITY, |layer| layer.depth);
         let mut from = 0.0;
-        while let Some(layer) = self.next_surface(direction, from, &layers[first..]) {
+        while let Some(layer) = self.next_surface(direction, from, limit, &layers[first..]) {
             let is_last = layers.len() - first + 1 == MAX_LAYERS;
             layers.push(layer);
             if layer.color.w >= 1.0 || is_last {
-                break;
+                return;
             }
             from = layer.depth;
         }
+        layers.extend(behind);
     }
 
-    /// The nearest surface from depth `from` on that is not among those seen before.
-    fn next_surface(&mut self, direction: DVec3, from: f64, before: &[Layer]) -> Option<Layer> {
+    /// The nearest surface from depth `from` to `limit` that is not among those seen before.
+    fn next_surface(&mut self, direction: DVec3, from: f64, limit: f64, before: &[Layer]) -> Option<Layer> {
         let scene = self.scene;
         let eye = scene.scene_from_world(self.view.camera.eye);
         let direction_scene = direction / scene.scale;
         // Boxes are looked at in float32, from beside the scene.
         let start = (self.depth_of_scene(direction)).max(from);
         let line = Line::new((eye + start * direction_scene).as_vec3(), direction_scene.as_vec3());
+        // A little further than a hit: boxes are float32.
+        let reach =
+            |depth: f64| ((depth - start) * 1.000_01 + 1e-6 / direction_scene.length()).min(f64::from(f32::MAX)) as f32;
         let mut best: Option<Layer> = None;
-        let mut nearest = f64::INFINITY;
+        let mut nearest = limit;
         let mut steps = self.steps;
-        scene.tree.walk(&line, f32::INFINITY, |item, limit| {
+        scene.tree.walk(&line, reach(limit), |item, limit| {
             let instance = &scene.instances[item as usize];
-            if !instance.visible {
+            if !instance.visible || self.left_over.is_some_and(|left_over| !left_over[item as usize]) {
                 return limit;
             }
             steps += 1;
             let seen = |depth: f64| before.iter().any(|layer| layer.instance == item && layer.depth >= depth);
             let found = if as_triangles(instance, self.options.primary) {
-                self.triangle(item, instance, eye, direction, from, nearest, &seen)
+                self.triangle(item, eye, direction, from, nearest, &seen)
             } else {
-                self.field(item, instance, eye, direction, from, nearest, &seen, &mut steps)
+                self.field(item, eye, direction, from, nearest, &seen, &mut steps)
             };
             if let Some(layer) = found {
                 nearest = layer.depth;
                 best = Some(layer);
-                // A little further than the hit: boxes are float32.
-                return ((nearest - start) * 1.000_01 + 1e-6 / direction_scene.length()) as f32;
+                return reach(nearest);
             }
             limit
         });
@@ -159,78 +175,54 @@ impl Eye<'_> {
         (to_center - reach / direction.length()).max(0.0)
     }
 
+    /// Whether an instance is seen as triangles.
+    pub fn is_triangles(&self, item: u32) -> bool {
+        as_triangles(&self.scene.instances[item as usize], self.options.primary)
+    }
+
     fn triangle(
         &self,
         item: u32,
-        instance: &Instance,
         eye: DVec3,
         direction: DVec3,
         from: f64,
         nearest: f64,
         seen: &dyn Fn(f64) -> bool,
     ) -> Option<Layer> {
-        let triangles = instance.triangles.as_ref()?;
-        let scene = self.scene;
-        let to_tree = instance.tree_from_scene;
-        let origin = to_tree.transform_point3(eye);
-        let along = to_tree.matrix3 * (direction / scene.scale);
-        let material_of = |hit: &RayHit| instance.first_material + triangles.material[hit.face as usize];
-        let color_of = |hit: &RayHit| {
-            let material = &scene.materials[material_of(hit) as usize];
-            let [a, b, c] = triangles.mesh.triangle(hit.face);
-            let normal = (b - a).cross(c - a);
-            // The pixel's side on the surface, in units of the tree, longer where the surface is seen at an angle.
-            let slant = (normal.dot(along) / (normal.length() * along.length())).abs().max(0.05);
-            let pixel = self.view.camera.pixel_size(self.view.size[1]) * hit.t * along.length() / direction.length();
-            let footprint = (pixel / slant.sqrt()) as f32 * triangles.uv_density(hit.face);
-            color(material, &scene.textures, triangles.uv_at(hit.face, hit.u as f32, hit.v as f32), footprint)
-        };
-        let hit = triangles.mesh.first_hit(origin, along, nearest, |hit| {
-            if hit.t < from || seen(hit.t) {
-                return false;
-            }
-            let material = &scene.materials[material_of(hit) as usize];
-            // Which side is seen is the same in any space, mirrored or not.
-            if !material.two_sided && !hit.is_front {
-                return false;
-            }
-            match material.alpha {
-                Alpha::Opaque => true,
-                Alpha::Mask(cutoff) => color_of(hit).w >= cutoff,
-                Alpha::Blend => color_of(hit).w > 0.0,
-            }
+        let ray = self.mesh_ray(item, eye, direction)?;
+        let hit = ray.triangles.mesh.first_hit(ray.origin, ray.along, nearest, |hit| {
+            // What is opaque a device has drawn already.
+            let is_drawn = || self.left_over.is_some() && is_opaque(ray.instance, ray.material(hit));
+            hit.t >= from && !seen(hit.t) && !is_drawn() && ray.is_seen(hit)
         })?;
-        let material = &scene.materials[material_of(&hit) as usize];
-        let mut color = color_of(&hit);
-        if material.alpha != Alpha::Blend {
-            color.w = 1.0;
-        }
-        color.w *= instance.opacity;
-        let smooth = triangles.normal_at(hit.face, hit.u as f32, hit.v as f32);
-        let normal = (instance.scene_from_normal * smooth).normalize_or_zero();
-        Some(Layer {
-            x: self.x,
-            instance: item,
-            material: material_of(&hit),
-            depth: hit.t,
-            normal: toward_eye(
-                normal,
-                direction,
-                || {
-                    let [a, b, c] = triangles.mesh.triangle(hit.face);
-                    instance.scene_from_normal * (b - a).cross(c - a).normalize_or_zero().as_vec3()
-                },
-                hit.is_front,
-            ),
-            color,
-            is_triangle: true,
+        Some(ray.layer(self.x, item, &hit))
+    }
+
+    /// What the pixel sees of a face that it is known to see; none if its ray misses the face or the mask is cut there.
+    pub fn face(&self, item: u32, face: u32) -> Option<Layer> {
+        let eye = self.scene.scene_from_world(self.view.camera.eye);
+        let ray = self.mesh_ray(item, eye, self.view.direction(self.x, self.y))?;
+        let hit = ray.triangles.mesh.hit_of_face(face, ray.origin, ray.along)?;
+        (hit.t >= 0.0 && ray.is_seen(&hit)).then(|| ray.layer(self.x, item, &hit))
+    }
+
+    fn mesh_ray(&self, item: u32, eye: DVec3, direction: DVec3) -> Option<MeshRay<'_>> {
+        let instance = &self.scene.instances[item as usize];
+        let to_tree = instance.tree_from_scene;
+        Some(MeshRay {
+            scene: self.scene,
+            instance,
+            triangles: instance.triangles.as_deref()?,
+            origin: to_tree.transform_point3(eye),
+            along: to_tree.matrix3 * (direction / self.scene.scale),
+            direction,
+            pixel: self.view.camera.pixel_size(self.view.size[1]),
         })
     }
 
     fn field(
         &self,
         item: u32,
-        instance: &Instance,
         eye: DVec3,
         direction: DVec3,
         from: f64,
@@ -238,8 +230,9 @@ impl Eye<'_> {
         seen: &dyn Fn(f64) -> bool,
         steps: &mut u32,
     ) -> Option<Layer> {
-        let field = instance.field.as_deref()?;
         let scene = self.scene;
+        let instance = &scene.instances[item as usize];
+        let field = instance.field.as_deref()?;
         // A solid is one layer: what lies behind its surface is inside it.
         if seen(f64::NEG_INFINITY) {
             return None;
@@ -256,21 +249,49 @@ impl Eye<'_> {
         if depth > nearest {
             return None;
         }
+        let is_cut = hit.at_start && enter > from;
+        self.field_layer(item, direction, depth, ray.origin + hit.t * ray.direction, hit.at_start, is_cut)
+    }
+
+    /// What the pixel sees of a field that it is known to meet at a depth, scene units.
+    pub fn field_at(&self, item: u32, depth: f64, at_start: bool) -> Option<Layer> {
+        let depth = depth * self.scene.scale;
+        let direction = self.view.direction(self.x, self.y);
+        let to_field = self.scene.instances[item as usize].field_from_scene;
+        let eye = to_field.transform_point3(self.scene.scene_from_world(self.view.camera.eye));
+        let p = eye + to_field.matrix3 * (depth / self.scene.scale * direction);
+        let [lower, upper] = self.scene.instances[item as usize].field.as_deref()?.surface_bounds();
+        let is_outside = eye.cmplt(lower.as_dvec3()).any() || eye.cmpgt(upper.as_dvec3()).any();
+        self.field_layer(item, direction, depth, p.as_vec3(), at_start, at_start && is_outside)
+    }
+
+    /// `is_cut`: the hit is on a face of the data.
+    fn field_layer(
+        &self,
+        item: u32,
+        direction: DVec3,
+        depth: f64,
+        p: Vec3,
+        at_start: bool,
+        is_cut: bool,
+    ) -> Option<Layer> {
+        let instance = &self.scene.instances[item as usize];
+        let field = instance.field.as_deref()?;
         let to_eye = -direction.normalize().as_vec3();
-        let p = ray.origin + hit.t * ray.direction;
-        let normal = if hit.at_start && enter > from {
-            // The cut on a face of the data: the face through which the ray came.
+        let normal = if is_cut {
+            // The face through which the ray came.
+            let [lower, upper] = field.surface_bounds();
             let from_face = ((p - lower) / (upper - lower) - 0.5).abs();
             let axis = (1..3).fold(0, |best, axis| if from_face[axis] > from_face[best] { axis } else { best });
             let mut face = Vec3::ZERO;
-            face[axis] = -ray.direction[axis].signum();
+            face[axis] = -(instance.field_from_scene.matrix3 * direction).as_vec3()[axis].signum();
             (instance.field_from_scene.matrix3.transpose().as_mat3() * face).normalize_or_zero()
-        } else if hit.at_start {
+        } else if at_start {
             to_eye
         } else {
             (instance.local_from_scene.transpose() * field.gradient(p)).normalize_or(to_eye)
         };
-        let material = &scene.materials[instance.first_material as usize];
+        let material = &self.scene.materials[instance.first_material as usize];
         let mut color = Vec4::from_array(material.color);
         if material.alpha != Alpha::Blend {
             color.w = 1.0;
@@ -288,18 +309,88 @@ impl Eye<'_> {
     }
 }
 
+/// A pixel's ray in the space of a mesh's tree.
+struct MeshRay<'a> {
+    scene: &'a Scene,
+    instance: &'a Instance,
+    triangles: &'a Triangles,
+    origin: DVec3,
+    along: DVec3,
+    /// World space; multiples of it are depths.
+    direction: DVec3,
+    /// Side of a pixel at depth 1.
+    pixel: f64,
+}
+
+impl MeshRay<'_> {
+    fn material_index(&self, hit: &RayHit) -> u32 {
+        self.instance.first_material + self.triangles.material[hit.face as usize]
+    }
+
+    fn material(&self, hit: &RayHit) -> &Material {
+        &self.scene.materials[self.material_index(hit) as usize]
+    }
+
+    /// Whether a face is seen from this side, and not cut out by its mask.
+    fn is_seen(&self, hit: &RayHit) -> bool {
+        let material = self.material(hit);
+        // Which side is seen is the same in any space, mirrored or not.
+        if !material.two_sided && !hit.is_front {
+            return false;
+        }
+        match material.alpha {
+            Alpha::Opaque => true,
+            Alpha::Mask(cutoff) => self.color(hit).w >= cutoff,
+            Alpha::Blend => self.color(hit).w > 0.0,
+        }
+    }
+
+    fn color(&self, hit: &RayHit) -> Vec4 {
+        let (material, triangles) = (self.material(hit), self.triangles);
+        let factor = Vec4::from_array(material.color);
+        let Some(texture) = material.texture else { return factor };
+        let [a, b, c] = triangles.mesh.triangle(hit.face);
+        let normal = (b - a).cross(c - a);
+        // The pixel's side on the surface, in units of the tree, longer where the surface is seen at an angle.
+        let slant = (normal.dot(self.along) / (normal.length() * self.along.length())).abs().max(0.05);
+        let pixel = self.pixel * hit.t * self.along.length() / self.direction.length();
+        let footprint = (pixel / slant.sqrt()) as f32 * triangles.uv_density(hit.face);
+        let uv = triangles.uv_at(hit.face, hit.u as f32, hit.v as f32);
+        factor * self.scene.textures[texture as usize].sample(uv, footprint)
+    }
+
+    fn layer(&self, x: u32, item: u32, hit: &RayHit) -> Layer {
+        let mut color = self.color(hit);
+        if self.material(hit).alpha != Alpha::Blend {
+            color.w = 1.0;
+        }
+        color.w *= self.instance.opacity;
+        let to_scene = self.instance.scene_from_normal;
+        let smooth = self.triangles.normal_at(hit.face, hit.u as f32, hit.v as f32);
+        let of_face = || {
+            let [a, b, c] = self.triangles.mesh.triangle(hit.face);
+            to_scene * (b - a).cross(c - a).normalize_or_zero().as_vec3()
+        };
+        Layer {
+            x,
+            instance: item,
+            material: self.material_index(hit),
+            depth: hit.t,
+            normal: toward_eye((to_scene * smooth).normalize_or_zero(), self.direction, of_face, hit.is_front),
+            color,
+            is_triangle: true,
+        }
+    }
+}
+
+/// Whether nothing is seen through an instance where it has this material.
+pub fn is_opaque(instance: &Instance, material: &Material) -> bool {
+    instance.opacity >= 1.0 && material.alpha != Alpha::Blend
+}
+
 /// Whether the primary pass sees an instance's triangles.
 pub fn as_triangles(instance: &Instance, primary: Primary) -> bool {
     instance.triangles.is_some() && primary != Primary::Raymarch
-}
-
-/// Colour and opacity of a material at a place of its texture.
-fn color(material: &Material, textures: &[std::sync::Arc<Texture>], uv: glam::Vec2, footprint: f32) -> Vec4 {
-    let factor = Vec4::from_array(material.color);
-    match material.texture {
-        Some(texture) => factor * textures[texture as usize].sample(uv, footprint),
-        None => factor,
-    }
 }
 
 /// A smooth normal on the side of the face that is seen. At a silhouette it may lean away from the eye; then the face's own

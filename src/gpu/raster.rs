@@ -1,0 +1,212 @@
+//! Render passes into one target of four words a pixel, with a depth buffer.
+//!
+//! Depth is 1 near and falls to 0 far away, in 32-bit floats: their precision near 0 makes up for the hyperbola, so it is
+//! the same share of the depth everywhere. The larger value wins.
+
+use super::context::Context;
+use super::shader::source;
+use crate::error::{DeviceError, Error};
+use crate::progress::Progress;
+use std::collections::HashMap;
+use std::ops::Range;
+use std::sync::{Mutex, PoisonError};
+
+const SEEN: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Uint;
+const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
+/// Bytes of a pixel of [`SEEN`].
+const PIXEL_BYTES: u32 = 16;
+
+/// Pipelines by kernel.
+#[derive(Debug, Default)]
+pub struct RasterPipelines(Mutex<HashMap<&'static str, wgpu::RenderPipeline>>);
+
+/// What a pass draws into.
+#[derive(Debug)]
+pub struct RasterTarget {
+    seen: wgpu::Texture,
+    depth: wgpu::Texture,
+    /// Pixels in use, and those of a row in memory.
+    size: [u32; 2],
+    stride: u32,
+    rows: wgpu::Buffer,
+}
+
+/// One call of a pass.
+#[derive(Debug)]
+pub struct Draw<'a> {
+    pub pipeline: &'a wgpu::RenderPipeline,
+    pub group: &'a wgpu::BindGroup,
+    pub vertices: Range<u32>,
+    pub instances: Range<u32>,
+}
+
+impl Context {
+    /// The pipeline of a kernel's vertex and fragment entry points, compiled at the first use. Faces are drawn from both
+    /// sides; the bind group layout follows from the text.
+    pub fn raster_pipeline(
+        &self,
+        name: &'static str,
+        vertex: &'static str,
+        fragment: &'static str,
+    ) -> Result<wgpu::RenderPipeline, DeviceError> {
+        let mut pipelines = self.raster_pipelines.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(pipeline) = pipelines.get(name) {
+            return Ok(pipeline.clone());
+        }
+        let text = source(name).map_err(|reason| self.refused(name, reason))?;
+        let pipeline = self.guarded(name, 0, || {
+            let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+                label: Some(name),
+                source: wgpu::ShaderSource::Wgsl(text.into()),
+            });
+            self.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+                label: Some(name),
+                layout: None,
+                vertex: wgpu::VertexState {
+                    module: &module,
+                    entry_point: Some(vertex),
+                    compilation_options: wgpu::PipelineCompilationOptions::default(),
+                    buffers: &[],
+                },
+                primitive: wgpu::PrimitiveState::default(),
+                depth_stencil: Some(wgpu::DepthStencilState {
+                    format: DEPTH,
+                    depth_write_enabled: Some(true),
+                    depth_compare: Some(wgpu::CompareFunction::Greater),
+                    stencil: wgpu::StencilState::default(),
+                    bias: wgpu::DepthBiasState::default(),
+                }),
+                multisample: wgpu::MultisampleState::default(),
+                fragment: Some(wgpu::FragmentState {
+                    module: &module,
+                    entry_point: Some(fragment),
+                    compilation_options: wgpu::PipelineCompilationOptions::default(),
+                    targets: &[Some(SEEN.into())],
+                }),
+                multiview_mask: None,
+                cache: None,
+            })
+        });
+        let pipeline = pipeline.map_err(|error| match error {
+            DeviceError::Failed { reason, .. } => self.refused(name, reason),
+            other => other,
+        })?;
+        pipelines.insert(name, pipeline.clone());
+        Ok(pipeline)
+    }
+
+    /// Bind whole buffers to group 0 of a raster pipeline.
+    pub fn bind_raster(
+        &self,
+        label: &str,
+        pipeline: &wgpu::RenderPipeline,
+        buffers: &[(u32, &wgpu::Buffer)],
+    ) -> Result<wgpu::BindGroup, DeviceError> {
+        let entries: Vec<_> = buffers
+            .iter()
+            .map(|&(binding, buffer)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
+            .collect();
+        self.guarded(label, 0, || {
+            self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some(label),
+                layout: &pipeline.get_bind_group_layout(0),
+                entries: &entries,
+            })
+        })
+    }
+
+    /// A target of so many pixels.
+    pub fn raster_target(&self, label: &str, [width, height]: [u32; 2]) -> Result<RasterTarget, DeviceError> {
+        // Rows of a copy begin at multiples of 256 bytes.
+        let stride = width.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT / PIXEL_BYTES);
+        let limit = self.limits.max_texture_dimension_2d;
+        if stride.max(height) > limit {
+            let reason = format!("{width} x {height} pixels, the device allows {limit} a side; use device=\"cpu\"");
+            return Err(self.failed(label, reason));
+        }
+        let bytes = u64::from(stride) * u64::from(height) * u64::from(PIXEL_BYTES);
+        let texture = |format: wgpu::TextureFormat, usage: wgpu::TextureUsages| {
+            self.device.create_texture(&wgpu::TextureDescriptor {
+                label: Some(label),
+                size: wgpu::Extent3d { width: stride, height, depth_or_array_layers: 1 },
+                mip_level_count: 1,
+                sample_count: 1,
+                dimension: wgpu::TextureDimension::D2,
+                format,
+                usage: wgpu::TextureUsages::RENDER_ATTACHMENT | usage,
+                view_formats: &[],
+            })
+        };
+        let rows = self.storage(label, bytes)?;
+        let (seen, depth) = self.guarded(label, 2 * bytes, || {
+            (texture(SEEN, wgpu::TextureUsages::COPY_SRC), texture(DEPTH, wgpu::TextureUsages::empty()))
+        })?;
+        Ok(RasterTarget { seen, depth, size: [width, height], stride, rows })
+    }
+
+    /// Clear the target, draw, and read what each pixel saw: four words, zero where nothing was.
+    pub fn raster(
+        &self,
+        label: &str,
+        target: &RasterTarget,
+        draws: &[Draw<'_>],
+        progress: &Progress,
+    ) -> Result<Vec<[u32; 4]>, Error> {
+        let [width, height] = target.size;
+        let view = |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let submission = self.guarded(label, 0, || {
+            let (seen, depth) = (view(&target.seen), view(&target.depth));
+            let mut encoder =
+                self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
+            {
+                let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                    label: Some(label),
+                    color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                        view: &seen,
+                        depth_slice: None,
+                        resolve_target: None,
+                        ops: wgpu::Operations {
+                            load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT),
+                            store: wgpu::StoreOp::Store,
+                        },
+                    })],
+                    depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+                        view: &depth,
+                        depth_ops: Some(wgpu::Operations {
+                            load: wgpu::LoadOp::Clear(0.0),
+                            store: wgpu::StoreOp::Discard,
+                        }),
+                        stencil_ops: None,
+                    }),
+                    timestamp_writes: None,
+                    occlusion_query_set: None,
+                    multiview_mask: None,
+                });
+                pass.set_viewport(0.0, 0.0, width as f32, height as f32, 0.0, 1.0);
+                for draw in draws {
+                    pass.set_pipeline(draw.pipeline);
+                    pass.set_bind_group(0, draw.group, &[]);
+                    pass.draw(draw.vertices.clone(), draw.instances.clone());
+                }
+            }
+            encoder.copy_texture_to_buffer(
+                target.seen.as_image_copy(),
+                wgpu::TexelCopyBufferInfo {
+                    buffer: &target.rows,
+                    layout: wgpu::TexelCopyBufferLayout {
+                        offset: 0,
+                        bytes_per_row: Some(target.stride * PIXEL_BYTES),
+                        rows_per_image: Some(height),
+                    },
+                },
+                target.seen.size(),
+            );
+            self.queue.submit([encoder.finish()])
+        })?;
+        self.wait(label, &submission, progress)?;
+        let mut pixels = vec![[0u32; 4]; target.stride as usize * height as usize];
+        self.read(label, &target.rows, &mut pixels, progress)?;
+        let rows = pixels.chunks_exact(target.stride as usize);
+        Ok(rows.flat_map(|row| &row[..width as usize]).copied().collect())
+    }
+}

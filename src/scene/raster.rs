@@ -1,0 +1,326 @@
+//! The primary pass on a graphics device: triangles and the boxes of fields are rasterised into one depth buffer.
+//!
+//! The device decides only *what* each pixel sees: the instance, and its face or the depth of its field. How that looks
+//! (place, normal, colour) is worked out from there in float64 by the very code of the CPU's pass ([`super::primary`]), so
+//! both passes give the same picture where they see the same thing. A pixel whose exact ray misses the face that the
+//! rasteriser chose, which snaps corners to 1/256 of a pixel, is looked at again on the CPU.
+//!
+//! A device draws what hides all behind it, and of fields the dense ones. What is translucent, and any other kind of thing,
+//! is looked for by the CPU in front of what the device saw: both meet by depth.
+
+use super::gpu::DeviceScene;
+use super::primary::{Eye, GBuffer, Layer, View, as_triangles, draw_row, is_opaque};
+use super::texture::Texture;
+use super::triangles::Triangles;
+use super::{Alpha, Instance, Material, Primary, RenderOptions, Scene};
+use crate::error::Error;
+use crate::gpu::Context;
+use crate::gpu::layout::{RasterInstance, RasterMaterial, TextureLevel};
+use crate::gpu::raster::Draw;
+use crate::progress::Progress;
+use crate::render::Camera;
+use glam::{DAffine3, DMat3, DVec3};
+use rayon::prelude::*;
+use std::collections::HashMap;
+use std::ops::Range;
+use std::sync::Arc;
+
+/// The meshes and masks of a scene in device memory.
+pub struct DeviceMeshes {
+    /// First corner and number of corners, by the address of the mesh.
+    spans: HashMap<usize, Range<u32>>,
+    /// Positions, corners, coordinates, materials of faces, materials, levels and texels, in order of binding.
+    buffers: [wgpu::Buffer; 7],
+}
+
+impl DeviceMeshes {
+    pub fn upload(context: &Context, scene: &Scene) -> Result<Self, Error> {
+        let mut spans = HashMap::new();
+        let (mut positions, mut corners, mut coordinates) = (Vec::new(), Vec::new(), Vec::new());
+        let mut face_materials = Vec::new();
+        for triangles in scene.instances.iter().filter_map(|instance| instance.triangles.as_ref()) {
+            if spans.contains_key(&address(triangles)) {
+                continue;
+            }
+            let (first_vertex, first_corner) = (positions.len() as u32, corners.len() as u32);
+            positions.extend(triangles.mesh.positions().iter().map(|p| p.to_array()));
+            corners.extend(triangles.mesh.faces().iter().flatten().map(|vertex| first_vertex + vertex));
+            coordinates.extend(triangles.uv.iter().map(|uv| uv.to_array()));
+            coordinates.resize(positions.len(), [0.0; 2]);
+            face_materials.extend_from_slice(&triangles.material);
+            spans.insert(address(triangles), first_corner..corners.len() as u32);
+        }
+        let (mut levels, mut texels) = (Vec::new(), Vec::new());
+        let materials: Vec<_> =
+            scene.materials.iter().map(|m| material_row(m, &scene.textures, &mut levels, &mut texels)).collect();
+        Ok(Self {
+            spans,
+            buffers: [
+                context.upload("mesh positions", &positions)?,
+                context.upload("mesh corners", &corners)?,
+                context.upload("mesh coordinates", &coordinates)?,
+                context.upload("mesh materials", &face_materials)?,
+                context.upload("scene materials", &materials)?,
+                context.upload("texture levels", &levels)?,
+                context.upload("texels", &texels)?,
+            ],
+        })
+    }
+}
+
+/// What tells one mesh from another; the scene keeps them alive.
+fn address(triangles: &Arc<Triangles>) -> usize {
+    Arc::as_ptr(triangles).addr()
+}
+
+/// Only masks need their texture to decide what is seen.
+fn material_row(
+    material: &Material,
+    textures: &[Arc<Texture>],
+    levels: &mut Vec<TextureLevel>,
+    texels: &mut Vec<u32>,
+) -> RasterMaterial {
+    let mut row = RasterMaterial {
+        two_sided: u32::from(material.two_sided),
+        opacity: material.color[3],
+        ..RasterMaterial::default()
+    };
+    match material.alpha {
+        Alpha::Blend => {}
+        Alpha::Opaque => row.kind = 1,
+        Alpha::Mask(cutoff) => {
+            (row.kind, row.cutoff) = (2, cutoff);
+            if let Some(texture) = material.texture.map(|texture| &textures[texture as usize]) {
+                row.first_level = levels.len() as u32;
+                row.levels = texture.levels.len() as u32;
+                let first = texels.len() as u32;
+                levels.extend(texture.levels.iter().map(|level| TextureLevel {
+                    first: first + level.first,
+                    width: level.width,
+                    height: level.height,
+                    pad_0: 0,
+                }));
+                texels.extend_from_slice(&texture.texels);
+            }
+        }
+    }
+    row
+}
+
+/// What a device leaves to the CPU, by instance; none where it draws all that is visible.
+pub fn left_over(scene: &Scene, options: &RenderOptions) -> Option<Vec<bool>> {
+    let needs_cpu = |instance: &Instance| {
+        instance.visible
+            && (!is_drawn(instance, &scene.materials, options.primary)
+                || as_triangles(instance, options.primary)
+                    && materials_of(instance, &scene.materials).iter().any(|m| !is_opaque(instance, m)))
+    };
+    let left_over: Vec<bool> = scene.instances.iter().map(needs_cpu).collect();
+    left_over.contains(&true).then_some(left_over)
+}
+
+/// Whether a device draws an instance, or at least its opaque faces.
+fn is_drawn(instance: &Instance, materials: &[Material], primary: Primary) -> bool {
+    if as_triangles(instance, primary) {
+        instance.opacity >= 1.0
+    } else {
+        let is_dense = instance.field.as_ref().is_some_and(|field| field.dense().is_some());
+        is_dense && is_opaque(instance, &materials[instance.first_material as usize])
+    }
+}
+
+fn materials_of<'a>(instance: &Instance, materials: &'a [Material]) -> &'a [Material] {
+    let last = instance.triangles.as_ref().and_then(|triangles| triangles.material.iter().max());
+    &materials[instance.first_material as usize..][..last.map_or(1, |&last| last as usize + 1)]
+}
+
+/// Rows of a picture that are drawn at a time: so many pixels, 64 MiB.
+const BAND_PIXELS: u32 = 1 << 22;
+
+/// The device's counterpart of [`super::primary::draw`].
+pub fn draw(
+    scene: &Scene,
+    device: &DeviceScene,
+    camera: &Camera,
+    options: &RenderOptions,
+    offset: [f64; 2],
+    progress: &Progress,
+) -> Result<GBuffer, Error> {
+    let view = View { camera: *camera, size: options.size, offset };
+    let left_over = left_over(scene, options);
+    let [width, height] = options.size;
+    let band = (BAND_PIXELS / width).clamp(1, height);
+    let mut buffer = GBuffer { rows: Vec::new(), steps: Vec::new(), view };
+    for first in (0..height).step_by(band as usize) {
+        let count = band.min(height - first);
+        let seen = seen_by_device(scene, device, &view, options, first, count, progress)?;
+        let rows: Vec<_> = seen
+            .par_chunks_exact(width as usize)
+            .enumerate()
+            .map(|(i, pixels)| {
+                let row = draw_row(scene, options, &view, first + i as u32, |eye, layers| {
+                    resolve(eye, pixels[eye.x as usize], left_over.as_deref(), layers);
+                });
+                progress.advance(1)?;
+                Ok(row)
+            })
+            .collect::<Result<_, Error>>()?;
+        for (layers, steps) in rows {
+            buffer.rows.push(layers);
+            buffer.steps.push(steps);
+        }
+    }
+    Ok(buffer)
+}
+
+/// Flags of a field's hit, as in the shader.
+const AT_START: u32 = 1;
+const RAN_OUT: u32 = 2;
+
+/// The layers of a pixel of which the device says what it saw.
+fn resolve<'a>(eye: &mut Eye<'a>, seen: [u32; 4], left_over: Option<&'a [bool]>, layers: &mut Vec<Layer>) {
+    let [item, word, depth, steps] = seen;
+    let behind = match item.checked_sub(1) {
+        None => None,
+        Some(item) => {
+            let layer = if eye.is_triangles(item) {
+                eye.face(item, word)
+            } else if word & RAN_OUT == 0 {
+                eye.field_at(item, f64::from(f32::from_bits(depth)), word & AT_START != 0)
+            } else {
+                None
+            };
+            if layer.is_none() {
+                return eye.look(layers, None);
+            }
+            layer
+        }
+    };
+    eye.steps += steps.max(1);
+    if left_over.is_some() {
+        eye.left_over = left_over;
+        eye.look(layers, behind);
+    } else {
+        layers.extend(behind);
+    }
+}
+
+/// What the pixels of some rows see: an instance and one more, its face or flags, depth, steps; zero for nothing.
+fn seen_by_device(
+    scene: &Scene,
+    device: &DeviceScene,
+    view: &View,
+    options: &RenderOptions,
+    first_row: u32,
+    row_count: u32,
+    progress: &Progress,
+) -> Result<Vec<[u32; 4]>, Error> {
+    let context = device.context();
+    let band = Band::new(scene, view, first_row, row_count);
+    let meshes = device.meshes();
+    // Instances of one mesh stand side by side, for one call; fields come last.
+    let mut drawn: Vec<(Option<Range<u32>>, usize)> = scene
+        .instances
+        .iter()
+        .enumerate()
+        .filter(|(_, instance)| instance.visible && is_drawn(instance, &scene.materials, options.primary))
+        .map(|(i, instance)| {
+            let triangles = instance.triangles.as_ref().filter(|_| as_triangles(instance, options.primary));
+            (triangles.map(|triangles| meshes.spans[&address(triangles)].clone()), i)
+        })
+        .collect();
+    drawn.sort_by_key(|(span, i)| (span.as_ref().map_or(u32::MAX, |span| span.start), *i));
+    let rows: Vec<_> = drawn.iter().map(|(span, i)| band.row(*i, span.as_ref())).collect();
+
+    let rows_buffer = context.upload("raster instances", &rows)?;
+    let triangles = context.raster_pipeline("scene_triangles", "triangle_corner", "triangle_seen")?;
+    let fields = context.raster_pipeline("scene_fields", "box_corner", "field_seen")?;
+    let mut bindings = vec![(0, &rows_buffer)];
+    bindings.extend((1..).zip(&meshes.buffers));
+    let triangles_group = context.bind_raster("scene_triangles", &triangles, &bindings)?;
+    bindings.truncate(1);
+    bindings.extend(device.field_bindings());
+    let fields_group = context.bind_raster("scene_fields", &fields, &bindings)?;
+
+    let mut draws = Vec::new();
+    let mut first = 0;
+    for part in drawn.chunk_by(|a, b| a.0 == b.0) {
+        let instances = first..first + part.len() as u32;
+        first = instances.end;
+        draws.push(match &part[0].0 {
+            Some(span) => Draw { pipeline: &triangles, group: &triangles_group, vertices: span.clone(), instances },
+            None => Draw { pipeline: &fields, group: &fields_group, vertices: 0..36, instances },
+        });
+    }
+    let target = context.raster_target("primary pass", [view.size[0], row_count])?;
+    context.raster("primary pass", &target, &draws, progress)
+}
+
+/// Rows of a picture as a render target of their own.
+struct Band<'a> {
+    scene: &'a Scene,
+    /// Clip space from scene space: x, y and w.
+    clip_from_scene: [(DVec3, f64); 3],
+    eye: DVec3,
+    /// Scene directions, one unit deep: through fragment (0, 0), and the changes to the right and down.
+    ray: [DVec3; 3],
+    middle: [f64; 2],
+    pixel: f64,
+    is_mirrored: bool,
+}
+
+impl<'a> Band<'a> {
+    fn new(scene: &'a Scene, view: &View, first_row: u32, row_count: u32) -> Self {
+        let Camera { right, up, back, .. } = view.camera;
+        let [width, height] = view.size.map(f64::from);
+        let (rows, pixel) = (f64::from(row_count), view.camera.pixel_size(view.size[1]));
+        let eye = scene.scene_from_world(view.camera.eye);
+        // The viewing axis in fragments of the band; the rays go through `offset` of each.
+        let middle = [0.5 * width + 0.5 - view.offset[0], 0.5 * height + 0.5 - view.offset[1] - f64::from(first_row)];
+        let linear = |axis: DVec3| (axis, -axis.dot(eye));
+        let sum = |a: (DVec3, f64), s: f64, b: (DVec3, f64), t: f64| (s * a.0 + t * b.0, s * a.1 + t * b.1);
+        let depth = linear(-back);
+        Self {
+            scene,
+            clip_from_scene: [
+                sum(linear(right), 2.0 / (width * pixel), depth, 2.0 * middle[0] / width - 1.0),
+                sum(linear(up), 2.0 / (rows * pixel), depth, 1.0 - 2.0 * middle[1] / rows),
+                depth,
+            ],
+            eye,
+            ray: [-back - pixel * (middle[0] * right - middle[1] * up), pixel * right, -pixel * up],
+            middle,
+            pixel,
+            is_mirrored: right.cross(up).dot(back) < 0.0,
+        }
+    }
+
+    /// What the shaders need of an instance, seen as the triangles of `span` or as its field.
+    fn row(&self, index: usize, span: Option<&Range<u32>>) -> RasterInstance {
+        let instance = &self.scene.instances[index];
+        let own_from_scene = if span.is_some() { instance.tree_from_scene } else { instance.field_from_scene };
+        let scene_from_own: DAffine3 = own_from_scene.inverse();
+        let [clip_x, clip_y, clip_w] = self.clip_from_scene.map(|(axis, offset)| {
+            let along = scene_from_own.matrix3.transpose() * axis;
+            [along.x, along.y, along.z, axis.dot(scene_from_own.translation) + offset].map(|value| value as f32)
+        });
+        let turned = |m: DMat3, d: DVec3| (m * d).as_vec3().to_array();
+        let [ray, ray_x, ray_y] = self.ray.map(|d| turned(own_from_scene.matrix3, d));
+        RasterInstance {
+            clip_x,
+            clip_y,
+            clip_w,
+            eye: own_from_scene.transform_point3(self.eye).as_vec3().to_array(),
+            index: index as u32,
+            ray,
+            first_face: span.map_or(0, |span| span.start / 3),
+            ray_x,
+            first_material: instance.first_material,
+            ray_y,
+            is_mirrored: u32::from((own_from_scene.matrix3.determinant() < 0.0) != self.is_mirrored),
+            middle: self.middle.map(|value| value as f32),
+            pixel: self.pixel as f32,
+            pad_0: 0,
+        }
+    }
+}

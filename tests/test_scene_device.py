@@ -1,0 +1,103 @@
+"""Scenes on a graphics device: the CPU's picture."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import fieldbake as fb
+import meshes
+from scenes import SUN, moved, plane
+
+
+def assert_same_picture(here: fb.Frame, there: fb.Frame, scene: fb.Scene) -> None:
+    """Equal colours, ids and depths, but for silhouettes: the device rounds corners to 1/256 of a pixel."""
+    assert (np.abs(here.color - there.color).max(axis=-1) > 1 / 255).mean() <= 0.005
+    same = here.object_id == there.object_id
+    assert same.mean() > 0.995
+    both = np.isfinite(here.depth) & np.isfinite(there.depth) & same
+    size = np.ptp(scene.bounds, axis=0).max()
+    assert (np.abs(here.depth[both] - there.depth[both]) > 1e-4 * size).mean() <= 0.002
+
+
+@pytest.mark.parametrize("shadows", ["hard", "soft", "area"])
+def test_a_graphics_device_sees_the_same_light(shadows: str, gpu: str) -> None:
+    knot = fb.models.torus_knot(segments=120, sides=12)
+    glass = fb.bake(meshes.icosphere(3), 32, device="cpu")
+    jade = fb.Material(color=(0.5, 0.9, 0.6), scattering=0.3)
+    scene = fb.Scene(
+        [
+            fb.Instance(knot, moved(y=1, scale=(1.2, 0.8, 1.0), turn=0.3), resolution=48),
+            fb.Instance(glass, moved(x=1.5, z=1, scale=(0.6, 0.6, 0.6)), opacity=0.7),
+            fb.Instance(fb.Mesh(*meshes.box((-2, -1, 0.5), (-1, 0.2, 1))), material=jade, resolution=32),
+            plane(),
+        ],
+        lights=[
+            fb.DirectionalLight(SUN, intensity=0.6, angle_deg=6),
+            fb.PointLight((2, 4, 3), intensity=0.4, radius=0.3),
+        ],
+    )
+    camera = fb.Camera((3, 3.5, 6), (0, 0, 0))
+    options = {"size": (80, 60), "shadows": shadows, "ambient_occlusion": shadows == "soft", "area_samples": 9}
+    here, there = (fb.render(scene, camera, **options, device=place) for place in ("cpu", gpu))
+    assert there.report["devices"]["light"] != "cpu"
+    assert (np.abs(here.shadow - there.shadow) > 1 / 255).mean() <= 0.005
+    assert_same_picture(here, there, scene)
+
+
+VIEWS = {
+    "from outside": fb.Camera((0, 0.5, 8), (-0.5, 0, 0), fov_deg=35),
+    "from inside": fb.Camera((0, 0.2, 0.1), (-0.5, 0, 0), fov_deg=95),
+    "from among them": fb.Camera((-1.2, 0.1, 1.2), (2, 0, -0.3), fov_deg=95),
+    "from far away": fb.Camera((100, 350, 600), (-0.5, 0, 0), fov_deg=0.6),
+}
+
+
+@pytest.mark.parametrize("primary", ["auto", "raymarch"])
+@pytest.mark.parametrize("view", VIEWS)
+def test_a_graphics_device_sees_the_same_surfaces(view: str, primary: str, gpu: str) -> None:
+    knot = fb.models.torus_knot(segments=96, sides=10)
+    ball = fb.bake(meshes.icosphere(4), 48, device="cpu")
+    cut = fb.bake(meshes.icosphere(3), 32, bounds=[(-0.8, -0.8, -0.8), (0.8, 0.8, 0.8)], device="cpu")
+    box = fb.Mesh(*meshes.box((-0.6, -0.6, -0.6), (0.6, 0.6, 0.6)))
+    scene = fb.Scene(
+        [
+            fb.Instance(ball),
+            fb.Instance(box, moved(x=0.9, turn=0.3), resolution=24),
+            fb.Instance(knot, moved(x=2.2, scale=(-0.4, 0.5, 0.4)), resolution=32),
+            fb.Instance(cut, moved(x=-2.5, scale=(1, -1, 1.3))),
+            fb.Instance(box, moved(y=1.3, turn=0.4), opacity=0.5, resolution=24),
+            fb.Instance(ball, moved(x=0.4, z=2.5, scale=(0.4, 0.4, 0.4)), opacity=0.6),
+            fb.Instance(box, moved(y=-1, scale=(9, 0.1, 9)), visible=False),
+        ]
+    )
+    options = {"size": (120, 90), "primary": primary, "shadows": "none", "samples": 4 if primary == "auto" else 1}
+    here, there = (fb.render(scene, VIEWS[view], **options, device=place) for place in ("cpu", gpu))
+    assert len(np.unique(here.object_id)) > 3 or view == "from inside"
+    assert_same_picture(here, there, scene)
+    # What is seen through is left to the CPU, and the report says so.
+    assert here.report["devices"]["primary"] == "cpu"
+    assert there.report["devices"]["primary"] == f"{there.report['device']} and cpu"
+
+
+@pytest.mark.parametrize("name", ["foliage_cards.glb", "AlphaBlendModeTest.glb", "CesiumMilkTruck.glb"])
+def test_a_graphics_device_cuts_masks_and_draws_textures(name: str, model_path, gpu: str) -> None:
+    scene = fb.load_scene(model_path(name))
+    camera = fb.Camera.fit(scene.bounds)
+    here, there = (fb.render(scene, camera, size=(128, 128), shadows="none", device=at) for at in ("cpu", gpu))
+    assert np.isfinite(here.depth).mean() > 0.05
+    assert_same_picture(here, there, scene)
+
+
+@pytest.mark.parametrize("name", ["spot/spot.obj", "suzanne.obj", "stanford-bunny.obj"])
+def test_a_graphics_device_draws_meshes_whole(name: str, model_path, gpu: str) -> None:
+    scene = fb.Scene([fb.load_mesh(model_path(name))])
+    camera = fb.Camera.fit(scene.bounds)
+    here, there = (fb.render(scene, camera, size=(256, 256), shadows="none", device=at) for at in ("cpu", gpu))
+    assert there.report["devices"]["primary"] == there.report["device"]
+    assert_same_picture(here, there, scene)
+
+
+def test_the_articles_march_is_not_for_devices(gpu: str) -> None:
+    with pytest.raises(fb.DeviceError, match="runs on the CPU only"):
+        fb.render([fb.bake(meshes.icosphere(1), 8, device="cpu")], size=(8, 8), method="article", device=gpu)
