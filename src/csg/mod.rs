@@ -20,6 +20,7 @@ pub mod draw;
 mod field;
 mod gpu;
 pub mod language;
+mod lower;
 pub mod model;
 mod octree;
 pub mod primitive;
