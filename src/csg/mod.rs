@@ -15,6 +15,7 @@
 mod aabb;
 pub mod align;
 pub mod bounds;
+pub mod chord;
 pub mod decompose;
 pub mod draw;
 mod field;
