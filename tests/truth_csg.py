@@ -339,7 +339,7 @@ def ellipsoid(radii):
 
     def field(p):
         inside = ((p / radii) ** 2).sum(axis=1) < 1
-        # From the pole at the shortest radius, so that nothing cancels. In the plane of the pole the root may be the pole.
+        # From the pole at the shortest radius, so that nothing cancels. In the plane of the pole that may be the root.
         low, high = np.zeros(len(p)), np.linalg.norm(radii * p, axis=1) + 1e-300
         for _ in range(200):
             middle = np.where(high < 1e-6, np.sqrt(np.maximum(low, 1e-40) * high), (low + high) / 2)

@@ -47,6 +47,7 @@ class Part:
 
     @property
     def shape(self) -> Shape:
+        """What is in the boxes."""
         if not isinstance(self._source, Shape):
             whole, method, index = self._source
             self._source = Shape._wrap(whole.part(method, index))
@@ -71,6 +72,7 @@ class Parts(list[Part]):
 
     @property
     def structures(self) -> int:
+        """How many of the parts differ in more than their numbers."""
         return self._structures()
 
 
