@@ -332,12 +332,28 @@ def capsule(radius, height):
 
 
 def ellipsoid(radii):
-    radii = np.asarray(radii)
-    return Tree(
-        fb.ellipsoid(radii),
-        lambda p: (np.linalg.norm(p / radii, axis=1) - 1) * radii.min(),
-        f"ellipsoid {radii}",
-    )
+    """The nearest point is `x = r^2 p / (r^2 + t)`, on the surface; `t` is halved into place (D. Eberly)."""
+    radii = np.asarray(radii, dtype=float)
+    squares = radii**2
+    shortest = squares.min()
+
+    def field(p):
+        inside = ((p / radii) ** 2).sum(axis=1) < 1
+        # From the pole at the shortest radius, so that nothing cancels. In the plane of the pole that may be the root.
+        low, high = np.zeros(len(p)), np.linalg.norm(radii * p, axis=1) + 1e-300
+        for _ in range(200):
+            middle = np.where(high < 1e-6, np.sqrt(np.maximum(low, 1e-40) * high), (low + high) / 2)
+            total = ((radii * p / (squares - shortest + middle[:, None])) ** 2).sum(axis=1)
+            low, high = np.where(total > 1, middle, low), np.where(total > 1, high, middle)
+        nearest = squares * p / (squares - shortest + high[:, None])
+        # In that plane the nearest point lies off it, as far as the surface has room.
+        axis = squares.argmin()
+        room = 1 - ((nearest / radii) ** 2).sum(axis=1) + (nearest[:, axis] / radii[axis]) ** 2
+        is_pole = high < 1e-30
+        nearest[is_pole, axis] = radii[axis] * np.sqrt(np.maximum(room[is_pole], 0))
+        return np.where(inside, -1, 1) * np.linalg.norm(p - nearest, axis=1)
+
+    return Tree(fb.ellipsoid(radii), field, f"ellipsoid {radii}")
 
 
 def plane(normal):

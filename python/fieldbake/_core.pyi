@@ -185,8 +185,10 @@ class Shape:
         """Distances (nx, ny, nz), x fastest in memory, and the device."""
     def shader(self, language: str) -> tuple[str, NDArray[np.float32]]:
         """The text, and the numbers that it reads from its buffer."""
-    def decompose(self, method: str) -> tuple[list[tuple[Shape, NDArray[np.float64]]], int]:
-        """Shape and boxes (k, 2, 3) of each part, and the number of different structures."""
+    def decompose(self, method: str) -> tuple[NDArray[np.float64], list[int]]:
+        """Boxes of all parts (n, 2, 3), and where those of each part begin and end."""
+    def structures(self, method: str) -> int: ...
+    def part(self, method: str, index: int) -> Shape: ...
     def draw(
         self,
         method: str,

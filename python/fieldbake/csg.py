@@ -11,8 +11,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -27,20 +27,31 @@ Method = Literal["octree", "aabb"]
 __all__ = ["Part", "Parts", "decompose", "difference", "intersection", "parse", "union", "xor"]
 
 
-@dataclass(frozen=True, eq=False)
 class Part:
     """A smaller shape, and the boxes in which it stands for the whole one.
 
     Attributes
     ----------
     shape : Shape
-        What is in the boxes.
+        What is in the boxes; made at the first use.
     boxes : (k, 2, 3) float64
         Lower and upper corners, world units. A box holds its lower faces and not its upper ones.
     """
 
-    shape: Shape
-    boxes: NDArray[np.float64]
+    __slots__ = ("_source", "boxes")
+
+    def __init__(self, shape: Shape | tuple[_core.Shape, Method, int], boxes: NDArray[np.float64]) -> None:
+        # There are thousands of parts: their shapes are made from where they come from.
+        self._source = shape
+        self.boxes = boxes
+
+    @property
+    def shape(self) -> Shape:
+        """What is in the boxes."""
+        if not isinstance(self._source, Shape):
+            whole, method, index = self._source
+            self._source = Shape._wrap(whole.part(method, index))
+        return self._source
 
     def __repr__(self) -> str:
         return f"Part({self.shape!r}, {len(self.boxes)} boxes)"
@@ -55,7 +66,14 @@ class Parts(list[Part]):
         How many of the parts differ in more than their numbers: each needs a shader of its own.
     """
 
-    structures: int = 0
+    def __init__(self, parts: Iterable[Part] = (), *, structures: Callable[[], int] = int) -> None:
+        super().__init__(parts)
+        self._structures = structures
+
+    @property
+    def structures(self) -> int:
+        """How many of the parts differ in more than their numbers."""
+        return self._structures()
 
 
 def union(*shapes: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
@@ -155,10 +173,11 @@ def decompose(shape: Shape, method: Method = "octree") -> Parts:
     """
     if not isinstance(method, str):
         raise ShapeError(f'method: must be "octree" or "aabb", got {_checks.describe(method)}')
-    found, structures = _shape("shape", shape)._core.decompose(method)
-    parts = Parts(Part(Shape._wrap(core), _checks.frozen(boxes)) for core, boxes in found)
-    parts.structures = structures
-    return parts
+    core = _shape("shape", shape)._core
+    found, firsts = core.decompose(method)
+    boxes = _checks.frozen(found)
+    parts = [Part((core, method, i), boxes[first:end]) for i, (first, end) in enumerate(pairwise(firsts))]
+    return Parts(parts, structures=lambda: core.structures(method))
 
 
 def _all_shapes(things: object) -> bool:

@@ -319,7 +319,7 @@ def sphere(radius: float = 1.0) -> Shape:
 
 
 def ellipsoid(radii: ArrayLike) -> Shape:
-    """An ellipsoid with half axes (3,). A true bound: never farther than the surface, near it on the shortest axis."""
+    """An ellipsoid with half axes (3,). Exact."""
     return _primitive("ellipsoid", *_numbers("radii", radii, 3))
 
 

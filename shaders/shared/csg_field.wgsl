@@ -8,9 +8,29 @@ fn sphere(at: vec3f, k: array<f32, 6>) -> f32 {
     return length(at) - k[0];
 }
 
+// The dual of the distance at what Newton's method found; see src/csg/field.rs.
 fn ellipsoid(at: vec3f, k: array<f32, 6>) -> f32 {
-    return (length(at * vec3f(k[0], k[1], k[2])) - 1.0) * k[3];
+    let radii = vec3f(k[0], k[1], k[2]);
+    let above = vec3f(k[3], k[4], k[5]);
+    let q = abs(at);
+    let c = radii * q;
+    let starts = c - above;
+    var t = max(max(starts.x, max(starts.y, starts.z)), ELLIPSOID_TINY);
+    for (var i = 0u; i < ELLIPSOID_STEPS; i++) {
+        let w = 1.0 / (t + above);
+        let a = c * w * (c * w);
+        let sum = a.x + a.y + a.z;
+        t = max(t + sum * (sqrt(sum) - 1.0) / max(dot(a, w), ELLIPSOID_TINY), ELLIPSOID_TINY);
+    }
+    let shortest = min(radii.x, min(radii.y, radii.z));
+    let t_from_zero = t - shortest * shortest;
+    let excess = dot(q, q / (t + above)) - 1.0;
+    if t_from_zero > 0.0 { return sqrt(t_from_zero) * sqrt(max(excess, 0.0)); }
+    return -(sqrt(-t_from_zero) * sqrt(max(-excess, 0.0)));
 }
+
+const ELLIPSOID_STEPS: u32 = 12u;
+const ELLIPSOID_TINY: f32 = 1e-20;
 
 fn cuboid(at: vec3f, half: vec3f) -> f32 {
     let q = abs(at) - half;

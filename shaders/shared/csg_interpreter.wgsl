@@ -137,7 +137,10 @@ fn leaf_distance(leaf: u32, p: vec3f) -> f32 {
     let kind = leaves[leaf].kind;
     switch kind {
         case 0u: { return sphere(at, k); }
-        case 1u: { return ellipsoid(at, k); }
+        case 1u: {
+            rounds += ELLIPSOID_STEPS;
+            return ellipsoid(at, k);
+        }
         case 2u: { return rounded_box(at, k); }
         case 3u: { return box_frame(at, k); }
         case 4u: { return torus(at, k); }

@@ -22,7 +22,7 @@ use super::solid::Solid;
 use super::{aabb, octree};
 use crate::error::{Error, ShapeError};
 use glam::{DMat3, DQuat, DVec3};
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 use std::hash::Hash;
 use std::sync::Arc;
 
@@ -68,7 +68,7 @@ pub fn decompose(solid: &Solid, method: Method) -> Result<Vec<Part>, Error> {
 
 /// Boxes by tokens, in the order in which the tokens first came.
 pub fn grouped(pieces: impl IntoIterator<Item = (Arc<[Token]>, [DVec3; 2])>) -> Vec<Part> {
-    let mut places: HashMap<Arc<[Token]>, usize> = HashMap::new();
+    let mut places: FxHashMap<Arc<[Token]>, usize> = FxHashMap::default();
     let mut parts: Vec<Part> = Vec::new();
     for (tokens, cell) in pieces {
         let place = *places.entry(tokens.clone()).or_insert(parts.len());

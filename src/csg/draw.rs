@@ -59,9 +59,9 @@ pub fn tracer<'a>(solid: &'a Solid, method: DrawMethod) -> Result<Tracer<'a>, Er
     solid.bounds()?;
     match method {
         DrawMethod::Whole => Ok(Tracer::whole(solid)),
-        DrawMethod::Auto if Model::leaf_count(&solid.model.tokens) <= FEW_LEAVES => Ok(Tracer::whole(solid)),
-        DrawMethod::Auto => Ok(Tracer::new(solid, solid.parts(Method::Octree)?)),
-        DrawMethod::Parts(method) => Ok(Tracer::new(solid, solid.parts(method)?)),
+        DrawMethod::Auto if Model::leaf_count(&solid.model.tokens) <= FEW_LEAVES => Ok(Tracer::one_box(solid)),
+        DrawMethod::Auto => Ok(Tracer::of(solid, solid.cells(Method::Octree)?.clone())),
+        DrawMethod::Parts(method) => Ok(Tracer::of(solid, solid.cells(method)?.clone())),
     }
 }
 

@@ -327,7 +327,7 @@ pub(super) fn draw(view: &View<'_>, context: &Context, progress: &Progress) -> R
 fn encoded_boxes(tracer: &Tracer<'_>, encoder: &Encoder<'_>) -> (Vec<CsgBox>, Vec<u32>) {
     let mut tokens = Vec::new();
     let mut firsts = Vec::new();
-    for program in &tracer.programs {
+    for program in tracer.programs.iter() {
         firsts.push(tokens.len() as u32);
         tokens.extend(program.tokens.iter().map(|&token| encoder.token(token)));
     }

@@ -15,11 +15,13 @@
 mod aabb;
 pub mod align;
 pub mod bounds;
+pub mod chord;
 pub mod decompose;
 pub mod draw;
 mod field;
 mod gpu;
 pub mod language;
+mod lower;
 pub mod model;
 mod octree;
 pub mod primitive;

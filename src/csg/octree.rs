@@ -4,27 +4,35 @@
 //! A field of Lipschitz constant `L` stays within `L R` of its value at the middle of a cell whose corners are `R` away. So one
 //! evaluation at the middle bounds every node of the tree over the whole cell. An operand that cannot win anywhere is dropped
 //! (for two distances and a joint of width `k`: unless `|a - b| <= 2 R + k`), and a cell whose whole field keeps its sign holds
-//! no surface. What is left goes to the children, so a leaf is looked at in cells that it is near to. Cells that are all there
-//! and hold the same tokens are merged again.
+//! no surface. What is left goes to the children, so a leaf is looked at in cells that it is near to: at the middles of all
+//! children of a cell at once, in the lanes of vector instructions. Cells that are all there and hold the same tokens are
+//! merged again.
+//!
+//! A cell is cut until little is left in it. For a part that rays march that is a leaf or two, in a small cell: its box should
+//! hug the surface, for every step costs. Where hits have a closed form ([`super::chord`]) a few leaves in a large cell are
+//! cheaper than many boxes.
 
+use super::chord::Form;
 use super::decompose::{Part, grouped};
-use super::model::Token;
-use super::program::{Joint, PlacedLevel, PlacedWarp, PlacedWarpKind, Stack};
+use super::model::{Model, Token};
+use super::program::{Joint, PlacedLevel, PlacedWarp, PlacedWarpKind, Program};
 use super::shape::Op;
-use super::solid::Solid;
+use super::solid::{Solid, with_vectors};
 use glam::{DVec3, UVec3};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Cells are cut so often whatever they hold, so that boxes hug the surface.
+/// Marched cells are cut so often whatever they hold, so that boxes hug the surface.
 const MIN_DEPTH: u32 = 4;
 /// And no further.
 const MAX_DEPTH: u32 = 7;
-/// A cell of that depth with so few leaves is cut no further; a level deeper, twice as many will do: eight boxes for one have
-/// to save more than they cost.
+/// A marched cell of that depth with so few leaves is cut no further; a level deeper, twice as many will do: eight boxes for
+/// one have to save more than they cost.
 const FEW_LEAVES: usize = 2;
+/// The same for cells whose hits have a closed form, at any depth.
+const FEW_CHORDS: usize = 4;
 /// Cells with more tokens than this are worth a task of their own.
-const TASK_TOKENS: usize = 16;
+const TASK_TOKENS: usize = 48;
 /// Added to the radius of a cell, relative to the model: normals are taken this close to the faces, and float32 rounds.
 const PAD: f64 = 1e-4;
 /// The root is larger than the bounds by this, so that no surface lies in its faces.
@@ -33,6 +41,9 @@ const ROOT_PAD: f64 = 1e-3;
 /// Places of faces along an axis, from 0 to this.
 const LATTICE: u32 = 1 << MAX_DEPTH;
 
+/// Children of a cell at most.
+const CHILDREN: usize = 8;
+
 /// A box of the lattice over the root.
 #[derive(Debug, Clone, Copy)]
 struct Cell {
@@ -40,16 +51,21 @@ struct Cell {
     high: UVec3,
 }
 
-/// What the pruning of a cell left.
-enum Found {
-    Nothing,
-    Cells(Vec<(Cell, Arc<[Token]>)>),
+impl Cell {
+    fn volume(&self) -> u64 {
+        (self.high - self.low).as_u64vec3().element_product()
+    }
 }
+
+/// A cell that is cut no further, and what is in it.
+type Leaf = (Cell, Arc<[Token]>);
 
 struct Tree<'a> {
     solid: &'a Solid,
     lower: DVec3,
     extent: DVec3,
+    /// Lipschitz constants of the leaves.
+    steepness: Vec<f64>,
 }
 
 /// The parts of a bounded solid.
@@ -57,9 +73,17 @@ pub fn parts(solid: &Solid) -> Vec<Part> {
     let extent = &solid.model.extent;
     let pad = DVec3::splat(ROOT_PAD * (extent.upper - extent.lower).max_element());
     let (lower, upper) = (extent.lower - pad, extent.upper + pad);
-    let tree = Tree { solid, lower, extent: upper - lower };
+    let steepness = solid.model.leaves.iter().map(|leaf| leaf.primitive.lipschitz()).collect();
+    let tree = Tree { solid, lower, extent: upper - lower, steepness };
     let root = Cell { low: UVec3::ZERO, high: UVec3::splat(LATTICE) };
-    let Found::Cells(cells) = tree.visit(root, &solid.model.tokens, 0) else { return Vec::new() };
+    let mut cells = Vec::new();
+    let mut scratch = Scratch::default();
+    let (middle, radius) = (tree.middle(root), tree.radius(root));
+    leaf_values(&solid.program, &solid.model.tokens, &[middle], &mut scratch);
+    if tree.prune(&solid.model.tokens, middle, radius, 0, &mut scratch) {
+        let kept = std::mem::take(&mut scratch.kept);
+        tree.visit(root, &kept, 0, &mut scratch, &mut cells);
+    }
     grouped(cells.into_iter().map(|(cell, tokens)| (tokens, [tree.corner(cell.low), tree.corner(cell.high)])))
 }
 
@@ -69,25 +93,124 @@ impl Tree<'_> {
         self.lower + self.extent * (at.as_dvec3() / f64::from(LATTICE))
     }
 
-    fn visit(&self, cell: Cell, tokens: &[Token], depth: u32) -> Found {
-        let (low, high) = (self.corner(cell.low), self.corner(cell.high));
-        let frame = self.solid.frame;
-        let middle = frame.local(0.5 * (low + high));
-        let radius = 0.5 * (high - low).length() / frame.scale + PAD;
-        let Some(kept) = prune(self.solid, tokens, middle, radius) else { return Found::Nothing };
-        let leaves = kept.iter().filter(|token| matches!(token, Token::Leaf(_))).count();
-        if depth == MAX_DEPTH || (depth >= MIN_DEPTH && leaves <= FEW_LEAVES << (depth - MIN_DEPTH)) {
-            return Found::Cells(vec![(cell, kept.into())]);
+    /// Local units.
+    fn middle(&self, cell: Cell) -> DVec3 {
+        self.solid.frame.local(0.5 * (self.corner(cell.low) + self.corner(cell.high)))
+    }
+
+    /// From the middle to the corners, and a little more, local units.
+    fn radius(&self, cell: Cell) -> f64 {
+        0.5 * (self.corner(cell.high) - self.corner(cell.low)).length() / self.solid.frame.scale + PAD
+    }
+
+    /// Whether a cell with these tokens is cut no further.
+    fn is_done(&self, tokens: &[Token], depth: u32) -> bool {
+        if depth == MAX_DEPTH {
+            return true;
+        }
+        let leaves = Model::leaf_count(tokens);
+        let few = if depth < MIN_DEPTH { 0 } else { FEW_LEAVES << (depth - MIN_DEPTH) };
+        leaves <= few || (leaves <= FEW_CHORDS && Form::of(&self.solid.program, tokens) != Form::Field)
+    }
+
+    /// Append the cells in `cell`, in which `tokens` matter.
+    fn visit(&self, cell: Cell, tokens: &[Token], depth: u32, scratch: &mut Scratch, out: &mut Vec<Leaf>) {
+        if self.is_done(tokens, depth) {
+            out.push((cell, tokens.into()));
+            return;
+        }
+        let children = self.children(cell);
+        let middles: Vec<DVec3> = children.iter().map(|&child| self.middle(child)).collect();
+        leaf_values(&self.solid.program, tokens, &middles, scratch);
+        let mut kept: [Option<Vec<Token>>; CHILDREN] = Default::default();
+        for (i, &child) in children.iter().enumerate() {
+            if self.prune(tokens, middles[i], self.radius(child), i, scratch) {
+                kept[i] = Some(scratch.kept.as_slice().into());
+            }
         }
 
-        let children = self.children(cell);
-        let look = |&child: &Cell| self.visit(child, &kept, depth + 1);
-        let found: Vec<Found> = if kept.len() > TASK_TOKENS {
-            children.par_iter().map(look).collect()
+        let first = out.len();
+        let inner = children.into_iter().zip(kept).filter_map(|(child, kept)| Some((child, kept?)));
+        if tokens.len() > TASK_TOKENS {
+            let inner: Vec<(Cell, Vec<Token>)> = inner.collect();
+            let found: Vec<Vec<Leaf>> = inner
+                .par_iter()
+                .map_init(Scratch::default, |scratch, (child, kept)| {
+                    let mut cells = Vec::new();
+                    self.visit(*child, kept, depth + 1, scratch, &mut cells);
+                    cells
+                })
+                .collect();
+            out.extend(found.into_iter().flatten());
         } else {
-            children.iter().map(look).collect()
-        };
-        merged(cell, found)
+            inner.for_each(|(child, kept)| self.visit(child, &kept, depth + 1, scratch, out));
+        }
+        merge(cell, first, out);
+    }
+
+    /// Whether the field changes its sign in a ball, local units, as far as can be told; the tokens that matter there are then in
+    /// `scratch.kept`. The distances at its middle are those of lane `lane`.
+    fn prune(&self, tokens: &[Token], middle: DVec3, radius: f64, lane: usize, scratch: &mut Scratch) -> bool {
+        let program = &self.solid.program;
+        let Scratch { values, operands: stack, balls, kept, .. } = scratch;
+        stack.clear();
+        kept.clear();
+        // The middle and the radius, in the space of each warp that is open.
+        balls.clear();
+        balls.push((middle, radius));
+        let mut values = values.iter();
+        for &token in tokens {
+            let (at, radius) = *balls.last().expect("there is always a ball");
+            match token {
+                Token::Leaf(leaf) => {
+                    let distance = f64::from(values.next().expect("a value for each leaf")[lane]);
+                    let reach = radius * self.steepness[leaf as usize];
+                    stack.push(Operand { low: distance - reach, high: distance + reach, start: kept.len() });
+                    kept.push(token);
+                }
+                Token::Combine(i) => {
+                    let top = stack.pop().expect("two operands");
+                    let below = stack.pop().expect("two operands");
+                    let combine = &program.combines[i as usize];
+                    stack.push(combined(combine.op, combine.joint, combine.is_swapped, below, top, token, kept));
+                }
+                Token::Level(i) => {
+                    let operand = stack.last_mut().expect("one operand");
+                    match program.levels[i as usize] {
+                        PlacedLevel::Offset(distance) => {
+                            operand.low -= f64::from(distance);
+                            operand.high -= f64::from(distance);
+                        }
+                        PlacedLevel::Shell(half) => {
+                            let (low, high) = (operand.low, operand.high);
+                            let nearest = if low <= 0.0 && high >= 0.0 { 0.0 } else { low.abs().min(high.abs()) };
+                            operand.low = nearest - f64::from(half);
+                            operand.high = low.abs().max(high.abs()) - f64::from(half);
+                        }
+                    }
+                    kept.push(token);
+                }
+                Token::Complement => negate(stack.last_mut().expect("one operand"), kept),
+                Token::Enter(i) => {
+                    let warp = &program.warps[i as usize];
+                    let (inside, farthest) = entered(warp, at, radius);
+                    balls.push((inside, radius * farthest));
+                    kept.push(token);
+                }
+                Token::Leave(i) => {
+                    balls.pop();
+                    let (at, radius) = *balls.last().expect("there is always a ball");
+                    let operand = stack.last_mut().expect("one operand");
+                    let (least, most) = stretches(&program.warps[i as usize], at, radius);
+                    operand.low /= if operand.low > 0.0 { most } else { least };
+                    operand.high /= if operand.high > 0.0 { least } else { most };
+                    // The `Enter` before it belongs to it.
+                    operand.start -= 1;
+                    kept.push(token);
+                }
+            }
+        }
+        stack.pop().is_some_and(|whole| whole.low <= 0.0 && whole.high >= 0.0)
     }
 
     /// Halves of the long sides; a flat cell is not made flatter.
@@ -97,18 +220,15 @@ impl Tree<'_> {
         let halves = |axis: usize| {
             let (low, high) = (cell.low[axis], cell.high[axis]);
             let middle = (low + high) / 2;
-            if sides[axis] > 0.6 * longest && middle > low {
-                vec![(low, middle), (middle, high)]
-            } else {
-                vec![(low, high)]
-            }
+            if sides[axis] > 0.6 * longest && middle > low { ([low, middle, high], 2) } else { ([low, high, high], 1) }
         };
-        let [along_x, along_y, along_z] = [halves(0), halves(1), halves(2)];
-        let mut children = Vec::with_capacity(8);
-        for &(z0, z1) in &along_z {
-            for &(y0, y1) in &along_y {
-                for &(x0, x1) in &along_x {
-                    children.push(Cell { low: UVec3::new(x0, y0, z0), high: UVec3::new(x1, y1, z1) });
+        let [(xs, along_x), (ys, along_y), (zs, along_z)] = [halves(0), halves(1), halves(2)];
+        let mut children = Vec::with_capacity(CHILDREN);
+        for z in 0..along_z {
+            for y in 0..along_y {
+                for x in 0..along_x {
+                    let (low, high) = (UVec3::new(xs[x], ys[y], zs[z]), UVec3::new(xs[x + 1], ys[y + 1], zs[z + 1]));
+                    children.push(Cell { low, high });
                 }
             }
         }
@@ -116,25 +236,58 @@ impl Tree<'_> {
     }
 }
 
-/// The cells of the children, or the parent where they are all whole and equal.
-fn merged(cell: Cell, found: Vec<Found>) -> Found {
-    let mut cells = Vec::new();
-    let count = found.len();
-    for child in found {
-        match child {
-            Found::Nothing => {}
-            Found::Cells(inner) => cells.extend(inner),
+/// The parent instead of the cells from `first` on, where they fill it and are all equal.
+fn merge(cell: Cell, first: usize, out: &mut Vec<Leaf>) {
+    let Some(((_, tokens), others)) = out[first..].split_first() else { return };
+    let is_one = others.len() < CHILDREN
+        && others.iter().all(|(_, other)| other == tokens)
+        && out[first..].iter().map(|(cell, _)| cell.volume()).sum::<u64>() == cell.volume();
+    if is_one {
+        let tokens = tokens.clone();
+        out.truncate(first);
+        out.push((cell, tokens));
+    }
+}
+
+/// Room that a thread keeps from cell to cell.
+#[derive(Default)]
+struct Scratch {
+    /// The distance to each leaf, in the order of the tokens, at the middle of each child.
+    values: Vec<[f32; CHILDREN]>,
+    positions: Vec<[[f32; CHILDREN]; 3]>,
+    operands: Vec<Operand>,
+    balls: Vec<(DVec3, f64)>,
+    /// What [`prune`] left.
+    kept: Vec<Token>,
+}
+
+/// The distances to all leaves at some points, local units.
+fn leaf_values(program: &Program<f32>, tokens: &[Token], points: &[DVec3], scratch: &mut Scratch) {
+    let mut at = [[0.0; CHILDREN]; 3];
+    for (i, point) in points.iter().enumerate() {
+        for axis in 0..3 {
+            at[axis][i] = point[axis] as f32;
         }
     }
-    let volume = |cell: &Cell| (cell.high - cell.low).as_u64vec3().element_product();
-    let is_one = cells.len() == count
-        && cells.iter().all(|(_, tokens)| tokens == &cells[0].1)
-        && cells.iter().map(|(cell, _)| volume(cell)).sum::<u64>() == volume(&cell);
-    match cells.first() {
-        None => Found::Nothing,
-        Some((_, tokens)) if is_one => Found::Cells(vec![(cell, tokens.clone())]),
-        Some(_) => Found::Cells(cells),
-    }
+    scratch.values.clear();
+    scratch.positions.clear();
+    scratch.positions.push(at);
+    with_vectors(|| {
+        for &token in tokens {
+            let at = scratch.positions.last().expect("there is always a position");
+            match token {
+                Token::Leaf(leaf) => scratch.values.push(program.leaves[leaf as usize].distances(at)),
+                Token::Enter(warp) => {
+                    let inside = program.warps[warp as usize].positions(at);
+                    scratch.positions.push(inside);
+                }
+                Token::Leave(_) => {
+                    scratch.positions.pop();
+                }
+                _ => {}
+            }
+        }
+    });
 }
 
 /// Bounds of a node's field over a cell, and where its tokens begin.
@@ -143,70 +296,6 @@ struct Operand {
     low: f64,
     high: f64,
     start: usize,
-}
-
-/// The tokens that matter in a ball, local units; `None` if the field keeps its sign there.
-fn prune(solid: &Solid, tokens: &[Token], middle: DVec3, radius: f64) -> Option<Vec<Token>> {
-    let program = &solid.program;
-    let mut kept: Vec<Token> = Vec::with_capacity(tokens.len());
-    let mut stack: Vec<Operand> = Vec::with_capacity(16);
-    // The middle and the radius, in the space of each warp that is open.
-    let mut balls = vec![(middle, radius)];
-    let mut one: Stack<f32, 1> = Stack::default();
-    for &token in tokens {
-        let (at, radius) = *balls.last().expect("there is always a ball");
-        match token {
-            Token::Leaf(leaf) => {
-                let position = at.to_array().map(|x| [x as f32]);
-                let distance = f64::from(program.run(&[token], &position, &mut one)[0]);
-                let reach = radius * solid.model.leaves[leaf as usize].primitive.lipschitz();
-                stack.push(Operand { low: distance - reach, high: distance + reach, start: kept.len() });
-                kept.push(token);
-            }
-            Token::Combine(i) => {
-                let top = stack.pop().expect("two operands");
-                let below = stack.pop().expect("two operands");
-                let combine = &program.combines[i as usize];
-                stack.push(combined(combine.op, combine.joint, combine.is_swapped, below, top, token, &mut kept));
-            }
-            Token::Level(i) => {
-                let operand = stack.last_mut().expect("one operand");
-                match program.levels[i as usize] {
-                    PlacedLevel::Offset(distance) => {
-                        operand.low -= f64::from(distance);
-                        operand.high -= f64::from(distance);
-                    }
-                    PlacedLevel::Shell(half) => {
-                        let (low, high) = (operand.low, operand.high);
-                        let nearest = if low <= 0.0 && high >= 0.0 { 0.0 } else { low.abs().min(high.abs()) };
-                        operand.low = nearest - f64::from(half);
-                        operand.high = low.abs().max(high.abs()) - f64::from(half);
-                    }
-                }
-                kept.push(token);
-            }
-            Token::Complement => negate(stack.last_mut().expect("one operand"), &mut kept),
-            Token::Enter(i) => {
-                let warp = &program.warps[i as usize];
-                let (inside, farthest) = entered(warp, at, radius);
-                balls.push((inside, radius * farthest));
-                kept.push(token);
-            }
-            Token::Leave(i) => {
-                balls.pop();
-                let (at, radius) = *balls.last().expect("there is always a ball");
-                let operand = stack.last_mut().expect("one operand");
-                let (least, most) = stretches(&program.warps[i as usize], at, radius);
-                operand.low /= if operand.low > 0.0 { most } else { least };
-                operand.high /= if operand.high > 0.0 { least } else { most };
-                // The `Enter` before it belongs to it.
-                operand.start -= 1;
-                kept.push(token);
-            }
-        }
-    }
-    let whole = stack.pop()?;
-    (whole.low <= 0.0 && whole.high >= 0.0).then_some(kept)
 }
 
 /// The ball in the space of a warp, and by how much the warp stretches it.

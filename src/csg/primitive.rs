@@ -254,7 +254,7 @@ impl Primitive {
     /// the Lipschitz constant times that distance.
     pub fn is_exact(&self) -> bool {
         match self {
-            Self::Ellipsoid { .. } | Self::BoxFrame { .. } | Self::Gyroid { .. } | Self::Volume(_) => false,
+            Self::BoxFrame { .. } | Self::Gyroid { .. } | Self::Volume(_) => false,
             // A tube that meets itself has its surface inside the tube.
             Self::Torus { radius, tube } => tube <= radius,
             Self::CappedTorus { radius, tube, half_angle } => tube <= radius && *half_angle <= 0.5 * PI,
@@ -280,8 +280,10 @@ impl Primitive {
         match *self {
             Self::Sphere { radius } | Self::Octahedron { radius } => put(&[s * radius]),
             Self::Ellipsoid { radii } => {
-                let inverse = 1.0 / (s * radii);
-                put(&[inverse.x, inverse.y, inverse.z, s * radii.min_element()]);
+                // And the squares above the least of them.
+                let shortest = radii.min_element();
+                let above = (s * (radii - shortest)) * (s * (radii + shortest));
+                put(&[s * radii.x, s * radii.y, s * radii.z, above.x, above.y, above.z]);
             }
             Self::Box { half, rounding } => {
                 let inner = s * (half - rounding);
@@ -384,7 +386,6 @@ impl Primitive {
     /// `slack + growth * t` for `t > 0`.
     pub fn growth(&self) -> (f64, f64) {
         match self {
-            Self::Ellipsoid { radii } => (radii.max_element() / radii.min_element(), 0.0),
             Self::Volume(volume) => (1.0, volume.slack()),
             _ => (1.0, 0.0),
         }

@@ -354,7 +354,7 @@ impl<F: Real> Flat<F> {
 
 impl<F: Real> PlacedLeaf<F> {
     #[inline(always)]
-    fn distances<const N: usize>(&self, at: &[[F; N]; 3]) -> [F; N] {
+    pub(super) fn distances<const N: usize>(&self, at: &[[F; N]; 3]) -> [F; N] {
         let p = &self.parameters;
         match &self.field {
             LeafField::Sphere => self.each(at, |q| field::sphere(q, p)),

@@ -9,6 +9,7 @@ use super::model::{Model, Token};
 use super::program::{Frame, Program, Stack};
 use super::real::Real;
 use super::shape::Shape;
+use super::trace::Cells;
 use crate::error::Error;
 use crate::gpu::Place;
 use crate::grid::Grid;
@@ -28,6 +29,7 @@ pub struct Solid {
     precise: Program<f64>,
     /// Found at the first use: by boxes, by the octree.
     parts: [OnceLock<Vec<Part>>; 2],
+    cells: [OnceLock<Cells>; 2],
 }
 
 /// Points that are evaluated together.
@@ -46,7 +48,15 @@ impl Solid {
         let frame = Frame::of(&model);
         let program = Program::new(&model, frame);
         let precise = Program::new(&model, frame);
-        Ok(Self { shape: shape.clone(), model, frame, program, precise, parts: Default::default() })
+        Ok(Self {
+            shape: shape.clone(),
+            model,
+            frame,
+            program,
+            precise,
+            parts: Default::default(),
+            cells: Default::default(),
+        })
     }
 
     /// Lower and upper corner, or an error that names the leaf without bounds. An empty solid has its middle.
@@ -69,6 +79,12 @@ impl Solid {
             let _ = known.set(decompose(self, method)?);
         }
         Ok(known.get().map_or(&[], Vec::as_slice))
+    }
+
+    /// The parts by a method, ready for rays.
+    pub(super) fn cells(&self, method: Method) -> Result<&Cells, Error> {
+        let parts = self.parts(method)?;
+        Ok(self.cells[method as usize].get_or_init(|| Cells::new(self, parts)))
     }
 
     /// Signed distance, or a bound of it, at world points.
@@ -190,28 +206,29 @@ pub(super) fn slope<F: Real>(
     DVec3::new(values[0] - values[1], values[2] - values[3], values[4] - values[5]) / (2.0 * step)
 }
 
-/// [`Program::run`] with the vector instructions of this machine. The results are the same bits: nothing is fused.
+/// [`Program::run`] with the vector instructions of this machine.
 pub(super) fn run_wide<F: Real, const N: usize>(
     program: &Program<F>,
     tokens: &[Token],
     at: &[[F; N]; 3],
     stack: &mut Stack<F, N>,
 ) -> [F; N] {
+    with_vectors(|| program.run(tokens, at, stack))
+}
+
+/// Do something with the vector instructions of this machine. The results are the same bits: nothing is fused.
+#[inline(always)]
+pub(super) fn with_vectors<T>(work: impl FnOnce() -> T) -> T {
     #[cfg(target_arch = "x86_64")]
     {
         #[target_feature(enable = "avx2")]
-        fn with_avx2<F: Real, const N: usize>(
-            program: &Program<F>,
-            tokens: &[Token],
-            at: &[[F; N]; 3],
-            stack: &mut Stack<F, N>,
-        ) -> [F; N] {
-            program.run(tokens, at, stack)
+        fn with_avx2<T>(work: impl FnOnce() -> T) -> T {
+            work()
         }
         if std::arch::is_x86_feature_detected!("avx2") {
             // SAFETY: the processor has AVX2.
-            return unsafe { with_avx2(program, tokens, at, stack) };
+            return unsafe { with_avx2(work) };
         }
     }
-    program.run(tokens, at, stack)
+    work()
 }

@@ -14,11 +14,14 @@
 //!
 //! Everything is in local units and float32 along the ray.
 
+use super::chord::{self, Form};
 use super::decompose::Part;
-use super::model::Token;
+use super::model::{Model, Token};
 use super::program::Stack;
 use super::solid::{Solid, slope};
-use glam::{DVec3, Vec3};
+use crate::bvh::boxes::{BoxTree, MAX_STACK};
+use glam::{DVec3, Vec3, Vec3A};
+use std::sync::Arc;
 
 /// Shortest step, relative to a model of size 1/2 to 1: a hundred roundings of the field. A ray that dips into a sphere of the
 /// model's size for less than this goes 1e-10 deep.
@@ -36,33 +39,36 @@ const ROOT_WIDTH: f32 = 1.2e-7;
 /// Half the step of a normal's differences in float64.
 const NORMAL_STEP: f64 = 1e-5;
 
-/// Boxes in a leaf of the tree at most.
-const LEAF_BOXES: usize = 4;
+/// A part's box ends this far beyond what is in it, local units: some roundings of a place.
+const BOX_PAD: f64 = 1e-6;
+
+/// A ray's way along an axis that it does not move on is divided by this: far more than any way through the model, and finite.
+const STILL: f32 = 1e-30;
 
 /// A part's box in local units.
 #[derive(Debug, Clone, Copy)]
 pub struct LocalBox {
-    pub lower: Vec3,
-    pub upper: Vec3,
+    pub lower: Vec3A,
+    pub upper: Vec3A,
     pub part: u32,
 }
 
 /// A node of the tree over boxes: its children are nodes `first` and `first + 1`, or, in a leaf, `count` boxes from `first`.
 #[derive(Debug, Clone, Copy)]
 pub struct BoxNode {
-    pub lower: Vec3,
-    pub upper: Vec3,
+    pub lower: Vec3A,
+    pub upper: Vec3A,
     pub first: u32,
     pub count: u32,
 }
 
-/// A shape, split or whole, ready for rays.
-#[derive(Debug)]
+/// A shape, split or whole, ready for rays. Cheap to clone.
+#[derive(Debug, Clone)]
 pub struct Tracer<'a> {
     pub solid: &'a Solid,
-    pub programs: Vec<PartProgram>,
-    pub boxes: Vec<LocalBox>,
-    pub nodes: Vec<BoxNode>,
+    pub programs: Arc<[PartProgram]>,
+    pub boxes: Arc<[LocalBox]>,
+    pub nodes: Arc<[BoxNode]>,
     /// Lower and upper corner of everything.
     pub bounds: [Vec3; 2],
 }
@@ -70,9 +76,66 @@ pub struct Tracer<'a> {
 /// What is evaluated in the boxes of a part.
 #[derive(Debug)]
 pub struct PartProgram {
-    pub tokens: std::sync::Arc<[Token]>,
+    pub tokens: Arc<[Token]>,
+    pub form: Form,
     pub leaves: u32,
     pub inverse_lipschitz: f32,
+}
+
+impl PartProgram {
+    fn new(solid: &Solid, tokens: &Arc<[Token]>) -> Self {
+        Self {
+            form: Form::of(&solid.program, tokens),
+            leaves: Model::leaf_count(tokens) as u32,
+            inverse_lipschitz: (1.0 / solid.model.lipschitz_of(tokens)) as f32,
+            tokens: tokens.clone(),
+        }
+    }
+}
+
+/// What a [`Tracer`] has of its own.
+#[derive(Debug, Clone)]
+pub(super) struct Cells {
+    programs: Arc<[PartProgram]>,
+    boxes: Arc<[LocalBox]>,
+    nodes: Arc<[BoxNode]>,
+    bounds: [Vec3; 2],
+}
+
+impl Cells {
+    /// Over the parts of a solid, whose boxes are in world units. A box is cut to what its part can fill.
+    pub fn new(solid: &Solid, parts: &[Part]) -> Self {
+        let programs: Arc<[PartProgram]> = parts.iter().map(|part| PartProgram::new(solid, &part.tokens)).collect();
+        let mut boxes: Vec<LocalBox> = Vec::new();
+        for (i, part) in parts.iter().enumerate() {
+            let filled = solid.model.extent_of(&part.tokens);
+            let (low, high) = (solid.frame.local(filled.lower) - BOX_PAD, solid.frame.local(filled.upper) + BOX_PAD);
+            boxes.extend(part.boxes.iter().map(|&[lower, upper]| LocalBox {
+                lower: solid.frame.local(lower).max(low).as_vec3a(),
+                upper: solid.frame.local(upper).min(high).as_vec3a(),
+                part: i as u32,
+            }));
+        }
+        boxes.retain(|cell| cell.lower.cmplt(cell.upper).all());
+
+        let corners = |cell: &LocalBox| [cell.lower.as_dvec3(), cell.upper.as_dvec3()];
+        let tree = BoxTree::new(&boxes.iter().map(corners).collect::<Vec<_>>());
+        // A corner of a node is one of its boxes', as near to it as float64 can say.
+        let place = |corner: Vec3| (corner.as_dvec3() + tree.center).as_vec3a();
+        let nodes: Arc<[BoxNode]> = tree
+            .nodes
+            .iter()
+            .map(|node| BoxNode {
+                lower: place(node.min) - BOX_PAD as f32,
+                upper: place(node.max) + BOX_PAD as f32,
+                first: node.first,
+                count: node.count,
+            })
+            .collect();
+        let boxes = tree.order.iter().map(|&i| boxes[i as usize]).collect();
+        let bounds = nodes.first().map_or([Vec3::ZERO; 2], |root| [root.lower.into(), root.upper.into()]);
+        Self { programs, boxes, nodes, bounds }
+    }
 }
 
 /// Part of a line, local units; `direction` is unit.
@@ -101,28 +164,16 @@ pub struct Work {
 impl<'a> Tracer<'a> {
     /// Over the parts of a solid, whose boxes are in world units.
     pub fn new(solid: &'a Solid, parts: &[Part]) -> Self {
-        let local = |p: DVec3| solid.frame.local(p).as_vec3();
-        let mut boxes: Vec<LocalBox> = Vec::new();
-        for (i, part) in parts.iter().enumerate() {
-            boxes.extend(part.boxes.iter().map(|[lower, upper]| LocalBox {
-                lower: local(*lower),
-                upper: local(*upper),
-                part: i as u32,
-            }));
-        }
-        let programs = parts.iter().map(|part| PartProgram {
-            leaves: part.tokens.iter().filter(|token| matches!(token, Token::Leaf(_))).count() as u32,
-            inverse_lipschitz: (1.0 / solid.model.lipschitz_of(&part.tokens)) as f32,
-            tokens: part.tokens.clone(),
-        });
-        let programs = programs.collect();
-        let nodes = box_tree(&mut boxes);
-        let bounds = nodes.first().map_or([Vec3::ZERO; 2], |root| [root.lower, root.upper]);
+        Self::of(solid, Cells::new(solid, parts))
+    }
+
+    pub(super) fn of(solid: &'a Solid, cells: Cells) -> Self {
+        let Cells { programs, boxes, nodes, bounds } = cells;
         Self { solid, programs, boxes, nodes, bounds }
     }
 
     /// The whole shape in one box, a little larger than its bounds.
-    pub fn whole(solid: &'a Solid) -> Self {
+    pub fn one_box(solid: &'a Solid) -> Self {
         let extent = &solid.model.extent;
         if extent.is_empty() {
             return Self::new(solid, &[]);
@@ -130,6 +181,13 @@ impl<'a> Tracer<'a> {
         let pad = DVec3::splat(1e-3 * (extent.upper - extent.lower).max_element());
         let bounds = [extent.lower - pad, extent.upper + pad];
         Self::new(solid, &[Part { tokens: solid.model.tokens.as_slice().into(), boxes: vec![bounds] }])
+    }
+
+    /// The whole shape in one box, always by marching its field: what the parts are held against.
+    pub fn whole(solid: &'a Solid) -> Self {
+        let tracer = Self::one_box(solid);
+        let march = |part: &PartProgram| PartProgram { form: Form::Field, ..PartProgram::new(solid, &part.tokens) };
+        Self { programs: tracer.programs.iter().map(march).collect(), ..tracer }
     }
 
     /// The first hit of a ray.
@@ -146,7 +204,7 @@ impl<'a> Tracer<'a> {
         let line = Line::new(ray);
         let mut best: Option<Hit> = None;
         let mut t_best = ray.t_max;
-        let mut waiting = [(0u32, 0f32); 64];
+        let mut waiting = [(0u32, 0f32); MAX_STACK];
         let mut count = 0;
         if let Some(root) = self.nodes.first()
             && let Some((t_in, _)) = line.span(root.lower, root.upper, t_best)
@@ -162,23 +220,12 @@ impl<'a> Tracer<'a> {
             }
             let node = &self.nodes[node as usize];
             if node.count > 0 {
-                // The few boxes of a leaf in the order in which the ray meets them.
-                let boxes = &self.boxes[node.first as usize..][..node.count as usize];
-                let mut spans = [(0f32, 0f32, 0usize); LEAF_BOXES];
-                let mut met = 0;
-                for (i, candidate) in boxes.iter().enumerate() {
-                    if let Some((t_in, t_out)) = line.span(candidate.lower, candidate.upper, t_best) {
-                        spans[met] = (t_in, t_out, i);
-                        met += 1;
-                    }
-                }
-                spans[..met].sort_by(|a, b| a.0.total_cmp(&b.0));
-                for &(t_in, t_out, i) in &spans[..met] {
-                    if t_in < t_best
-                        && let Some(t) = self.march(boxes[i].part, ray, t_in, t_out.min(t_best), stack, work)
+                for cell in &self.boxes[node.first as usize..][..node.count as usize] {
+                    if let Some(span) = line.span(cell.lower, cell.upper, t_best)
+                        && let Some(t) = self.first_root(cell.part, ray, span, stack, work)
                     {
                         t_best = t;
-                        best = Some(Hit { t, part: boxes[i].part });
+                        best = Some(Hit { t, part: cell.part });
                         if any {
                             return best;
                         }
@@ -203,18 +250,36 @@ impl<'a> Tracer<'a> {
         best
     }
 
+    /// The first place in a part's box where the ray is inside the part.
+    fn first_root(
+        &self,
+        part: u32,
+        ray: &LocalRay,
+        (t_in, t_out): (f32, f32),
+        stack: &mut Stack<f32, 1>,
+        work: &mut Work,
+    ) -> Option<f32> {
+        let program = &self.programs[part as usize];
+        if program.form == Form::Field {
+            return self.march(program, ray, t_in, t_out, stack, work);
+        }
+        work.steps += 1;
+        work.leaves += u64::from(program.leaves);
+        let line = [ray.origin, ray.direction];
+        chord::first_inside(&self.solid.program, &program.tokens, program.form, line, [t_in, t_out])
+    }
+
     /// The first root on `[t_in, t_out)` behind which the field is below zero; `t_in` itself if it is so there. Where the field
     /// touches zero and no more, as in `a - a`, there is nothing.
     fn march(
         &self,
-        part: u32,
+        program: &PartProgram,
         ray: &LocalRay,
         t_in: f32,
         t_out: f32,
         stack: &mut Stack<f32, 1>,
         work: &mut Work,
     ) -> Option<f32> {
-        let program = &self.programs[part as usize];
         let mut field = |t: f32| {
             work.steps += 1;
             work.leaves += u64::from(program.leaves);
@@ -259,7 +324,7 @@ impl<'a> Tracer<'a> {
 
     /// Linear RGB at a hit; `None` where there is no paint.
     pub fn color(&self, p: Vec3, part: u32) -> Option<[f32; 3]> {
-        if self.solid.model.leaves.iter().all(|leaf| leaf.paint.is_none()) {
+        if !self.solid.model.is_painted {
             return None;
         }
         let tokens = &self.programs[part as usize].tokens;
@@ -312,64 +377,24 @@ fn root(field: &mut impl FnMut(f32) -> f32, t0: f32, value0: f32, t1: f32, value
 
 /// A ray and what does not change along it.
 struct Line {
-    origin: Vec3,
-    inverse: Vec3,
-    direction: Vec3,
+    origin: Vec3A,
+    inverse: Vec3A,
 }
 
 impl Line {
     fn new(ray: &LocalRay) -> Self {
-        Self { origin: ray.origin, direction: ray.direction, inverse: 1.0 / ray.direction }
+        let still = Vec3A::splat(STILL);
+        let direction = Vec3A::from(ray.direction);
+        let inverse = Vec3A::select(direction.abs().cmplt(still), still, direction).recip();
+        Self { origin: ray.origin.into(), inverse }
     }
 
-    /// Where the ray is in a box, from 0 to `t_max`. A ray along a face is in the box above it.
-    fn span(&self, lower: Vec3, upper: Vec3, t_max: f32) -> Option<(f32, f32)> {
-        let (mut t_in, mut t_out) = (0f32, t_max);
-        for axis in 0..3 {
-            if self.direction[axis] == 0.0 {
-                if self.origin[axis] < lower[axis] || self.origin[axis] >= upper[axis] {
-                    return None;
-                }
-                continue;
-            }
-            let a = (lower[axis] - self.origin[axis]) * self.inverse[axis];
-            let b = (upper[axis] - self.origin[axis]) * self.inverse[axis];
-            t_in = t_in.max(a.min(b));
-            t_out = t_out.min(a.max(b));
-        }
+    /// Where the ray is in a box, from 0 to `t_max`. A ray along a face is in the box above it: it goes up by next to nothing.
+    #[inline(always)]
+    fn span(&self, lower: Vec3A, upper: Vec3A, t_max: f32) -> Option<(f32, f32)> {
+        let (a, b) = ((lower - self.origin) * self.inverse, (upper - self.origin) * self.inverse);
+        let t_in = a.min(b).max_element().max(0.0);
+        let t_out = a.max(b).min_element().min(t_max);
         (t_in < t_out).then_some((t_in, t_out))
     }
-}
-
-/// A tree over boxes, which it puts in order: halves along the longest side of the middles.
-fn box_tree(boxes: &mut [LocalBox]) -> Vec<BoxNode> {
-    if boxes.is_empty() {
-        return Vec::new();
-    }
-    let over = |boxes: &[LocalBox], first: usize, count: usize| {
-        let lower = boxes.iter().map(|b| b.lower).reduce(Vec3::min).unwrap_or_default();
-        let upper = boxes.iter().map(|b| b.upper).reduce(Vec3::max).unwrap_or_default();
-        BoxNode { lower, upper, first: first as u32, count: count as u32 }
-    };
-    let mut nodes = vec![over(boxes, 0, boxes.len())];
-    let mut waiting = vec![0];
-    while let Some(at) = waiting.pop() {
-        let (first, count) = (nodes[at].first as usize, nodes[at].count as usize);
-        if count <= LEAF_BOXES {
-            continue;
-        }
-        let range = &mut boxes[first..first + count];
-        let middle = |b: &LocalBox| b.lower + b.upper;
-        let low = range.iter().map(middle).reduce(Vec3::min).unwrap_or_default();
-        let high = range.iter().map(middle).reduce(Vec3::max).unwrap_or_default();
-        let axis = (high - low).max_position();
-        let half = count / 2;
-        range.select_nth_unstable_by(half, |a, b| middle(a)[axis].total_cmp(&middle(b)[axis]));
-        let (left, right) = (over(&range[..half], first, half), over(&range[half..], first + half, count - half));
-        nodes[at].first = nodes.len() as u32;
-        nodes[at].count = 0;
-        waiting.extend([nodes.len(), nodes.len() + 1]);
-        nodes.extend([left, right]);
-    }
-    nodes
 }

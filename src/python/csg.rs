@@ -28,8 +28,8 @@ pub struct Shape {
     solid: OnceLock<Arc<Solid>>,
 }
 
-/// A part as Python sees it: its shape, and its boxes (k, 2, 3).
-type PartArrays<'py> = (Shape, Bound<'py, PyArray3<f64>>);
+/// What Python asks of a decomposition at once.
+type PartArrays<'py> = (Bound<'py, PyArray3<f64>>, Vec<usize>);
 
 impl Shape {
     fn of(shape: csg::Shape) -> Self {
@@ -196,24 +196,46 @@ impl Shape {
         Ok((text, shader.numbers.into_pyarray(py)))
     }
 
-    /// The parts, and how many different structures they have.
-    fn decompose<'py>(&self, py: Python<'py>, method: &str) -> PyResult<(Vec<PartArrays<'py>>, usize)> {
+    /// The boxes of all parts (n, 2, 3), and where those of each part begin and end.
+    fn decompose<'py>(&self, py: Python<'py>, method: &str) -> PyResult<PartArrays<'py>> {
         let method = Method::from_name(method).map_err(Failure::from)?;
         let solid = self.solid(py)?;
-        let (parts, shapes) = run(py, None, |_| {
+        let (corners, firsts) = run(py, None, |_| {
             let parts = solid.parts(method)?;
-            let shapes =
-                parts.iter().map(|part| shape_of(&solid.model, &part.tokens)).collect::<Result<Vec<_>, _>>()?;
-            Ok::<_, Error>((parts, shapes))
+            let boxes = parts.iter().flat_map(|part| &part.boxes);
+            let corners: Vec<f64> = boxes.flatten().flat_map(|corner| corner.to_array()).collect();
+            let ends = parts.iter().scan(0, |end, part| {
+                *end += part.boxes.len();
+                Some(*end)
+            });
+            let firsts: Vec<usize> = std::iter::once(0).chain(ends).collect();
+            Ok::<_, Error>((corners, firsts))
         })?;
-        let structures: HashSet<_> = parts.iter().map(|part| structure(&solid.model, &part.tokens)).collect();
-        let mut out = Vec::with_capacity(parts.len());
-        for (part, shape) in parts.iter().zip(shapes) {
-            let flat: Vec<f64> = part.boxes.iter().flatten().flat_map(|corner| corner.to_array()).collect();
-            let boxes = flat.into_pyarray(py).reshape([part.boxes.len(), 2, 3])?;
-            out.push((Self::of(shape), boxes));
-        }
-        Ok((out, structures.len()))
+        let boxes = corners.len() / 6;
+        Ok((corners.into_pyarray(py).reshape([boxes, 2, 3])?, firsts))
+    }
+
+    /// How many of the parts differ in more than their numbers.
+    fn structures(&self, py: Python<'_>, method: &str) -> PyResult<usize> {
+        let method = Method::from_name(method).map_err(Failure::from)?;
+        let solid = self.solid(py)?;
+        let count = run(py, None, |_| {
+            let parts = solid.parts(method)?;
+            let structures: HashSet<_> = parts.iter().map(|part| structure(&solid.model, &part.tokens)).collect();
+            Ok::<_, Error>(structures.len())
+        })?;
+        Ok(count)
+    }
+
+    /// The shape of a part.
+    fn part(&self, py: Python<'_>, method: &str, index: usize) -> PyResult<Self> {
+        let method = Method::from_name(method).map_err(Failure::from)?;
+        let solid = self.solid(py)?;
+        let parts = solid.parts(method).map_err(Failure::from)?;
+        let part = parts.get(index).ok_or_else(|| {
+            Failure::from(ShapeError::argument("index", format!("{index}, but there are {} parts", parts.len())))
+        })?;
+        Self::made(shape_of(&solid.model, &part.tokens))
     }
 
     /// A picture, with the keys of `raymarch` and what it cost.

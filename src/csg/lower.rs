@@ -1,0 +1,358 @@
+//! From a tree to a model: placements pushed down to the leaves, repetitions written out, equal leaves made one.
+//!
+//! The tree is walked without recursion, whatever its depth. The operand that needs the deeper stack goes first (Sethi and
+//! Ullman, 1970), so a model of a million leaves needs a stack of twenty, however the user nested it.
+
+use super::bounds::Extent;
+use super::model::{
+    Coat, Combine, Leaf, Level, MAX_WARPS, Mask, Model, Place, Stretch, Token, Warp, WarpKind, reflection,
+};
+use super::primitive::Primitive;
+use super::program::{Frame, Program};
+use super::shape::{Blend, Kind, Op, Shape};
+use crate::error::ShapeError;
+use glam::DVec3;
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// The model of a tree.
+pub(super) fn lower(shape: &Shape) -> Result<Model, ShapeError> {
+    Builder::default().build(shape)
+}
+
+/// Scales and shifts of parts stay where float64 can square them.
+const MIN_SCALE: f64 = 1e-30;
+const MAX_REACH: f64 = 1e37;
+
+/// A node of the written-out tree.
+#[derive(Debug, Clone, Copy)]
+enum Item {
+    Leaf(u32),
+    Combine { op: Op, blend: Blend, first: usize, second: usize },
+    Level(u32, usize),
+    Complement(usize),
+    Warp(u32, usize),
+}
+
+/// What a node inherits from above.
+#[derive(Debug, Clone)]
+struct Context {
+    place: Place,
+    coat: Option<Arc<Coat>>,
+    warps: usize,
+}
+
+/// What is still to be done.
+enum Task<'a> {
+    Visit(&'a Shape, Context),
+    Combine { op: Op, blend: Blend, count: usize },
+    Level(Level),
+    Complement,
+    Warp(WarpKind, Place),
+}
+
+/// Makes a model from a tree.
+#[derive(Default)]
+struct Builder {
+    items: Vec<Item>,
+    /// Values that the evaluation of an item needs on the stack.
+    needs: Vec<u32>,
+    leaves: Vec<Leaf>,
+    known: HashMap<LeafKey, u32>,
+    levels: Vec<Level>,
+    warps: Vec<Warp>,
+    /// Items that wait for their operator.
+    done: Vec<usize>,
+}
+
+/// Equal leaves are one: what differs between primitives of a kind is in their parameters and their place.
+#[derive(PartialEq, Eq, Hash)]
+struct LeafKey {
+    name: &'static str,
+    parameters: Vec<u64>,
+    /// Profiles and volumes are told apart by who they are.
+    data: usize,
+    coat: usize,
+    warps: usize,
+}
+
+impl Builder {
+    fn build(mut self, shape: &Shape) -> Result<Model, ShapeError> {
+        let context = Context { place: Place::HERE, coat: None, warps: 0 };
+        let mut tasks = vec![Task::Visit(shape, context)];
+        while let Some(task) = tasks.pop() {
+            match task {
+                Task::Visit(shape, context) => self.visit(shape, context, &mut tasks)?,
+                Task::Combine { op, blend, count } => self.combine(op, blend, count),
+                Task::Level(level) => {
+                    self.levels.push(level);
+                    self.wrap(|child, builder| Item::Level(builder.levels.len() as u32 - 1, child));
+                }
+                Task::Complement => self.wrap(|child, _| Item::Complement(child)),
+                Task::Warp(kind, place) => self.warp(kind, place)?,
+            }
+        }
+        let root = self.done.pop().expect("a shape has a root");
+        Ok(self.emit(root))
+    }
+
+    fn visit<'a>(&mut self, shape: &'a Shape, context: Context, tasks: &mut Vec<Task<'a>>) -> Result<(), ShapeError> {
+        let children = shape.children();
+        let inside = |place: Place| Context { place: context.place.then(&place), ..context.clone() };
+        if let Some(place) = Place::of_kind(shape.kind()) {
+            let scale = context.place.scale * place.scale;
+            let reach = context.place.then(&place).translation.abs().max_element();
+            if !(MIN_SCALE..=1.0 / MIN_SCALE).contains(&scale) || reach.is_nan() || reach > MAX_REACH {
+                let problem = format!("grows or moves a part out of range: scaled by {scale:e}, moved by {reach:e}");
+                return Err(ShapeError::argument("shape", problem));
+            }
+            tasks.push(Task::Visit(&children[0], inside(place)));
+            return Ok(());
+        }
+        match *shape.kind() {
+            Kind::Primitive(ref primitive) => self.leaf(primitive, &context),
+            Kind::Combine { op, blend } => {
+                let k = context.place.scale;
+                let blend = match blend {
+                    Blend::Sharp => Blend::Sharp,
+                    Blend::Smooth(width) => Blend::Smooth(k * width),
+                    Blend::Chamfer(width) => Blend::Chamfer(k * width),
+                };
+                tasks.push(Task::Combine { op, blend, count: children.len() });
+                tasks.extend(children.iter().rev().map(|child| Task::Visit(child, context.clone())));
+            }
+            Kind::Offset(distance) => {
+                tasks.push(Task::Level(Level::Offset(context.place.scale * distance)));
+                tasks.push(Task::Visit(&children[0], context));
+            }
+            Kind::Shell(thickness) => {
+                tasks.push(Task::Level(Level::Shell(context.place.scale * thickness)));
+                tasks.push(Task::Visit(&children[0], context));
+            }
+            Kind::Complement => {
+                tasks.push(Task::Complement);
+                tasks.push(Task::Visit(&children[0], context));
+            }
+            Kind::Mirror(normal) => {
+                tasks.push(Task::Combine { op: Op::Union, blend: Blend::Sharp, count: 2 });
+                tasks.push(Task::Visit(&children[0], inside(reflection(normal))));
+                tasks.push(Task::Visit(&children[0], context));
+            }
+            Kind::Repeat { spacing, counts } => {
+                let count = counts.iter().map(|&n| n as usize).product();
+                if count > 1 {
+                    tasks.push(Task::Combine { op: Op::Union, blend: Blend::Sharp, count });
+                }
+                let middle = 0.5 * (DVec3::from(counts.map(f64::from)) - 1.0);
+                for z in 0..counts[2] {
+                    for y in 0..counts[1] {
+                        for x in 0..counts[0] {
+                            let at = spacing * (DVec3::from([x, y, z].map(f64::from)) - middle);
+                            tasks.push(Task::Visit(&children[0], inside(Place { translation: at, ..Place::HERE })));
+                        }
+                    }
+                }
+            }
+            Kind::Elongate(half) => self.enter(WarpKind::Elongate(half), &children[0], context, tasks)?,
+            Kind::Twist(degrees) => self.enter(WarpKind::Twist(degrees.to_radians()), &children[0], context, tasks)?,
+            Kind::Bend(degrees) => self.enter(WarpKind::Bend(degrees.to_radians()), &children[0], context, tasks)?,
+            Kind::Paint { color, over } => {
+                let coat = Coat { above: context.coat, color, over, mask: None };
+                tasks.push(Task::Visit(&children[0], Context { coat: Some(Arc::new(coat)), ..context }));
+            }
+            Kind::Stencil { color, outside } => {
+                let model = Self::default().build(&children[1])?;
+                let program = Program::new(&model, Frame::of(&model));
+                let mask = Mask { shape: children[1].clone(), model, program, place: context.place, outside };
+                let coat = Coat { above: context.coat, color, over: true, mask: Some(mask) };
+                tasks.push(Task::Visit(&children[0], Context { coat: Some(Arc::new(coat)), ..context }));
+            }
+            Kind::Move(_) | Kind::Rotate { .. } | Kind::Scale(_) | Kind::Reflect(_) => unreachable!("placed above"),
+        }
+        Ok(())
+    }
+
+    fn enter<'a>(
+        &mut self,
+        kind: WarpKind,
+        child: &'a Shape,
+        context: Context,
+        tasks: &mut Vec<Task<'a>>,
+    ) -> Result<(), ShapeError> {
+        if context.warps == MAX_WARPS {
+            let problem = format!("has more than {MAX_WARPS} of twist, bend and elongate inside each other");
+            return Err(ShapeError::argument("shape", problem));
+        }
+        let scale = context.place.scale;
+        // Inside, units are those of the world already.
+        let kind = match kind {
+            WarpKind::Elongate(half) => WarpKind::Elongate(scale * half),
+            WarpKind::Twist(rate) => WarpKind::Twist(rate / scale),
+            WarpKind::Bend(rate) => WarpKind::Bend(rate / scale),
+        };
+        tasks.push(Task::Warp(kind, Place { scale: 1.0, ..context.place }));
+        let place = Place { scale, ..Place::HERE };
+        tasks.push(Task::Visit(child, Context { place, coat: context.coat, warps: context.warps + 1 }));
+        Ok(())
+    }
+
+    fn leaf(&mut self, primitive: &Primitive, context: &Context) {
+        let place = context.place;
+        let mut parameters: Vec<u64> = primitive.parameters(place.scale).map(f64::to_bits).to_vec();
+        parameters.extend(place.rotation.to_cols_array().map(|x| (x + 0.0).to_bits()));
+        parameters.extend(place.translation.to_array().map(|x| (x + 0.0).to_bits()));
+        let key = LeafKey {
+            name: primitive.name(),
+            parameters,
+            data: match primitive {
+                Primitive::Extrude { profile, .. } | Primitive::Revolve { profile, .. } => {
+                    Arc::as_ptr(profile) as usize
+                }
+                Primitive::Volume(volume) => Arc::as_ptr(volume) as usize,
+                _ => 0,
+            },
+            coat: context.coat.as_ref().map_or(0, |coat| Arc::as_ptr(coat) as usize),
+            warps: context.warps,
+        };
+        let next = self.leaves.len() as u32;
+        let id = *self.known.entry(key).or_insert(next);
+        if id == next {
+            let extent = Extent::of_leaf(primitive, &place);
+            self.leaves.push(Leaf {
+                primitive: primitive.clone(),
+                place,
+                paint: context.coat.clone(),
+                extent,
+                is_warped: context.warps > 0,
+            });
+        }
+        self.push(Item::Leaf(id), 1);
+    }
+
+    fn push(&mut self, item: Item, need: u32) {
+        self.done.push(self.items.len());
+        self.items.push(item);
+        self.needs.push(need);
+    }
+
+    fn wrap(&mut self, item: impl FnOnce(usize, &Self) -> Item) {
+        let child = self.done.pop().expect("the child is done");
+        let item = item(child, self);
+        self.push(item, self.needs[child]);
+    }
+
+    fn combine(&mut self, op: Op, blend: Blend, count: usize) {
+        let operands = self.done.split_off(self.done.len() - count);
+        let mut first = operands[0];
+        for &second in &operands[1..] {
+            let (a, b) = (self.needs[first], self.needs[second]);
+            self.push(Item::Combine { op, blend, first, second }, if a == b { a + 1 } else { a.max(b) });
+            first = self.done.pop().expect("just pushed");
+        }
+        self.done.push(first);
+    }
+
+    fn warp(&mut self, kind: WarpKind, place: Place) -> Result<(), ShapeError> {
+        let child = self.done.pop().expect("the child is done");
+        let extent = self.extent_of(child);
+        let mut stretch = Stretch { rate: 0.0, radius: 0.0 };
+        if let WarpKind::Twist(rate) | WarpKind::Bend(rate) = kind {
+            if let Some(leaf) = extent.unbounded {
+                let problem = format!("cannot be twisted or bent: {leaf} has no bounds");
+                return Err(ShapeError::argument("shape", problem));
+            }
+            stretch = Stretch { rate, radius: 2.0 * extent.radius_about_z() };
+        }
+        self.warps.push(Warp { kind, place, stretch });
+        self.push(Item::Warp(self.warps.len() as u32 - 1, child), self.needs[child]);
+        Ok(())
+    }
+
+    /// Of an item inside a warp, which is being built.
+    fn extent_of(&self, item: usize) -> Extent {
+        let (tokens, combines) = self.tokens(item);
+        let model = self.assemble(tokens, combines);
+        model.extent
+    }
+
+    /// Postfix order, the operand with the deeper stack first.
+    fn tokens(&self, root: usize) -> (Vec<Token>, Vec<Combine>) {
+        enum Step {
+            Visit(usize),
+            Emit(Token),
+        }
+        let mut combines: Vec<Combine> = Vec::new();
+        let mut tokens = Vec::new();
+        let mut steps = vec![Step::Visit(root)];
+        while let Some(step) = steps.pop() {
+            let item = match step {
+                Step::Emit(token) => {
+                    tokens.push(token);
+                    continue;
+                }
+                Step::Visit(item) => item,
+            };
+            match self.items[item] {
+                Item::Leaf(leaf) => tokens.push(Token::Leaf(leaf)),
+                Item::Combine { op, blend, first, second } => {
+                    let is_swapped = self.needs[second] > self.needs[first];
+                    let combine = Combine { op, blend, is_swapped };
+                    // Few kinds of operators, many uses: equal ones share an entry.
+                    let known = combines.iter().rev().take(8).position(|other| *other == combine);
+                    let id = known.map_or(combines.len(), |back| combines.len() - 1 - back);
+                    if id == combines.len() {
+                        combines.push(combine);
+                    }
+                    steps.push(Step::Emit(Token::Combine(id as u32)));
+                    let (early, late) = if is_swapped { (second, first) } else { (first, second) };
+                    steps.push(Step::Visit(late));
+                    steps.push(Step::Visit(early));
+                }
+                Item::Level(level, child) => {
+                    steps.push(Step::Emit(Token::Level(level)));
+                    steps.push(Step::Visit(child));
+                }
+                Item::Complement(child) => {
+                    steps.push(Step::Emit(Token::Complement));
+                    steps.push(Step::Visit(child));
+                }
+                Item::Warp(warp, child) => {
+                    steps.push(Step::Emit(Token::Leave(warp)));
+                    steps.push(Step::Visit(child));
+                    tokens.push(Token::Enter(warp));
+                }
+            }
+        }
+        (tokens, combines)
+    }
+
+    fn assemble(&self, tokens: Vec<Token>, combines: Vec<Combine>) -> Model {
+        let mut model = Model {
+            tokens: Vec::new(),
+            leaves: self.leaves.clone(),
+            combines,
+            levels: self.levels.clone(),
+            warps: self.warps.clone(),
+            extent: Extent::EMPTY,
+            stack: Model::stack_of(&tokens),
+            lipschitz: 1.0,
+            is_exact: false,
+            is_painted: self.leaves.iter().any(|leaf| leaf.paint.is_some()),
+        };
+        model.extent = model.extent_of(&tokens);
+        model.lipschitz = model.lipschitz_of(&tokens);
+        model.is_exact = match tokens.split_first() {
+            Some((Token::Leaf(leaf), rest)) => {
+                self.leaves[*leaf as usize].primitive.is_exact() && rest.iter().all(|token| *token == Token::Complement)
+            }
+            _ => false,
+        };
+        model.tokens = tokens;
+        model
+    }
+
+    fn emit(self, root: usize) -> Model {
+        let (tokens, combines) = self.tokens(root);
+        self.assemble(tokens, combines)
+    }
+}
