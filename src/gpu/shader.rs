@@ -17,12 +17,15 @@ pub const KERNELS: &[(&str, &str)] = &[
     ("csg_draw", include_str!("../../shaders/csg_draw.wgsl")),
     ("csg_points", include_str!("../../shaders/csg_points.wgsl")),
     ("raymarch", include_str!("../../shaders/raymarch.wgsl")),
+    ("raymarch_encoded", include_str!("../../shaders/raymarch_encoded.wgsl")),
     ("raymarch_filtered", include_str!("../../shaders/raymarch_filtered.wgsl")),
+    ("raymarch_sparse", include_str!("../../shaders/raymarch_sparse.wgsl")),
     ("scene_beams", include_str!("../../shaders/scene_beams.wgsl")),
     ("query_points", include_str!("../../shaders/query_points.wgsl")),
 ];
 
 const SHARED: &[(&str, &str)] = &[
+    ("bricks", include_str!("../../shaders/shared/bricks.wgsl")),
     ("bvh", include_str!("../../shaders/shared/bvh.wgsl")),
     ("clip", include_str!("../../shaders/shared/clip.wgsl")),
     ("cubic", include_str!("../../shaders/shared/cubic.wgsl")),
@@ -33,6 +36,9 @@ const SHARED: &[(&str, &str)] = &[
     ("picture", include_str!("../../shaders/shared/picture.wgsl")),
     ("ray", include_str!("../../shaders/shared/ray.wgsl")),
     ("ray_filtered", include_str!("../../shaders/shared/ray_filtered.wgsl")),
+    ("ray_sparse", include_str!("../../shaders/shared/ray_sparse.wgsl")),
+    ("samples", include_str!("../../shaders/shared/samples.wgsl")),
+    ("samples_encoded", include_str!("../../shaders/shared/samples_encoded.wgsl")),
     ("sampling", include_str!("../../shaders/shared/sampling.wgsl")),
     ("triangle", include_str!("../../shaders/shared/triangle.wgsl")),
 ];
