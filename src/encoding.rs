@@ -45,6 +45,7 @@ const HALF_LARGEST: f32 = 65504.0;
 const HALF_NORMAL: f32 = 1.0 / (1u32 << 14) as f32;
 /// Values that are cut before the processor's conversion takes them: they stay in the first cache.
 const CUT_VALUES: usize = 256;
+const TWO_TO_112: f32 = f32::from_bits((127 + 112) << 23);
 /// Distance of two halves below 2^-14, where they are evenly spaced.
 const HALF_SUBNORMAL: f32 = 1.0 / (1u32 << 24) as f32;
 
@@ -98,10 +99,21 @@ impl Encoding {
     pub fn decode(self, bits: u32, scale: f32) -> f32 {
         match self {
             Self::Float32 => f32::from_bits(bits),
-            Self::Float16 => f16::from_bits(bits as u16).to_f32(),
+            Self::Float16 => half_value(bits),
             Self::Snorm16 => snorm_value(f32::from(bits as u16 as i16), scale, SNORM16_STEPS),
             Self::Snorm8 => snorm_value(f32::from(bits as u8 as i8), scale, SNORM8_STEPS),
         }
+    }
+
+    /// Fails unless every stored number but zero stands for one that is not zero, and has its sign.
+    pub fn check_scale(self, scale: f32) -> Result<(), ArgumentError> {
+        let is_positive = scale.is_finite() && scale > 0.0;
+        if is_positive && (!self.is_normalised() || self.decode(1, scale) > 0.0) {
+            return Ok(());
+        }
+        let steps =
+            if is_positive { format!(" whose steps as {} are numbers too", self.name()) } else { String::new() };
+        Err(ArgumentError::new("scale", format!("must be a positive number{steps}, got {scale}")))
     }
 
     /// The most that a decoded value can be off, for values within the range whose magnitude is at most `magnitude`.
@@ -165,6 +177,17 @@ impl Encoding {
             }
         }
     }
+}
+
+/// The value of a half: `f16::to_f32`, which looks up what the processor can do each time.
+#[inline]
+fn half_value(bits: u32) -> f32 {
+    // The exponent, from one that is 15 too high to one that is 127 too high, by an exact product; so halves below 2^-14,
+    // which have fewer bits, need no case of their own.
+    let magnitude = f32::from_bits((bits & 0x7fff) << 13) * TWO_TO_112;
+    // Infinities and what is no number keep their exponent of ones.
+    let special = if bits & 0x7c00 == 0x7c00 { 0x7f80_0000 } else { 0 };
+    f32::from_bits(magnitude.to_bits() | special | (bits & 0x8000) << 16)
 }
 
 /// What a texture sampler returns for a normalised integer, times the scale; the most negative integer counts as -1.
@@ -234,6 +257,27 @@ mod tests {
                     }
                 }
             }
+        }
+    }
+
+    #[test]
+    fn halves_are_those_of_the_standard() {
+        for bits in 0..=u16::MAX {
+            let (value, expected) = (Encoding::Float16.decode(u32::from(bits), 1.0), f16::from_bits(bits).to_f32());
+            assert!(value.to_bits() == expected.to_bits() || value.is_nan() && expected.is_nan(), "{bits:x}: {value}");
+        }
+    }
+
+    #[test]
+    fn a_scale_too_small_to_be_cut_in_steps_is_refused() {
+        assert!(Encoding::Snorm16.check_scale(1e-30).is_ok());
+        assert!(Encoding::Float32.check_scale(1e-45).is_ok());
+        let told = Encoding::Snorm8.check_scale(1e-45).unwrap_err().to_string();
+        assert!(told.contains("steps as snorm8"), "{told}");
+        for scale in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+            assert!(
+                Encoding::Snorm8.check_scale(scale).unwrap_err().to_string().starts_with("scale: must be a positive")
+            );
         }
     }
 

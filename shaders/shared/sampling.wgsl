@@ -1,9 +1,7 @@
 // The stored field between its samples, by hand: hardware filters round the weights to 8 bits or so. Twin of
-// src/volume/mod.rs.
+// src/volume/mod.rs. The kernel that imports this brings `stored_sample`, the sample at a place in memory.
 
 #import cubic
-
-@group(0) @binding(1) var<storage, read> distances: array<f32>;
 
 // The samples at the corners of a cell; bit 0 of the index is x, bit 1 y, bit 2 z. Cells run from -1 to n - 1.
 fn cell_corners(cell: vec3i, shape: vec3u) -> array<f32, 8> {
@@ -15,10 +13,10 @@ fn cell_corners(cell: vec3i, shape: vec3u) -> array<f32, 8> {
     let z0 = low.z * shape.x * shape.y;
     let z1 = high.z * shape.x * shape.y;
     return array<f32, 8>(
-        distances[low.x + y0 + z0], distances[high.x + y0 + z0],
-        distances[low.x + y1 + z0], distances[high.x + y1 + z0],
-        distances[low.x + y0 + z1], distances[high.x + y0 + z1],
-        distances[low.x + y1 + z1], distances[high.x + y1 + z1],
+        stored_sample(low.x + y0 + z0), stored_sample(high.x + y0 + z0),
+        stored_sample(low.x + y1 + z0), stored_sample(high.x + y1 + z0),
+        stored_sample(low.x + y0 + z1), stored_sample(high.x + y0 + z1),
+        stored_sample(low.x + y1 + z1), stored_sample(high.x + y1 + z1),
     );
 }
 

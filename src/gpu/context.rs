@@ -76,7 +76,7 @@ pub fn context(info: &DeviceInfo) -> Result<Arc<Context>, DeviceError> {
 }
 
 impl Context {
-    pub(super) fn open(info: &DeviceInfo) -> Result<Self, DeviceError> {
+    pub(crate) fn open(info: &DeviceInfo) -> Result<Self, DeviceError> {
         let unavailable = |reason: String| DeviceError::NotAvailable { requested: info.label(), reason };
         let (instance, adapters) = enumerate();
         OWNER.store(std::process::id(), Ordering::Release);

@@ -161,6 +161,26 @@ pub struct MarchParams {
     pub background: [f32; 4],
 }
 
+/// `shaders/shared/samples_encoded.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct StoredParams {
+    pub encoding: u32,
+    pub scale: f32,
+    pub pad_0: u32,
+    pub pad_1: u32,
+}
+
+/// `shaders/shared/bricks.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct SparseParams {
+    pub bricks: [u32; 3],
+    pub floor: f32,
+    pub node_step: [f32; 3],
+    pub longest_step: f32,
+}
+
 /// `shaders/shared/light.wgsl`.
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
@@ -516,6 +536,8 @@ mod tests {
         );
         assert_twin!("raymarch", Light { direction, pad_0, color, pad_1 });
         assert_twin!("raymarch", Pixel { color, normal, depth, steps, is_hit, pad_0, pad_1 });
+        assert_twin!("raymarch_encoded", StoredParams { encoding, scale, pad_0, pad_1 });
+        assert_twin!("raymarch_sparse", SparseParams { bricks, floor, node_step, longest_step });
         assert_twin!("scene_beams", SceneNode { min, first, max, count });
         assert_twin!(
             "scene_beams",

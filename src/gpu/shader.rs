@@ -17,7 +17,9 @@ pub const KERNELS: &[(&str, &str)] = &[
     ("csg_draw", include_str!("../../shaders/csg_draw.wgsl")),
     ("csg_points", include_str!("../../shaders/csg_points.wgsl")),
     ("raymarch", include_str!("../../shaders/raymarch.wgsl")),
+    ("raymarch_encoded", include_str!("../../shaders/raymarch_encoded.wgsl")),
     ("raymarch_filtered", include_str!("../../shaders/raymarch_filtered.wgsl")),
+    ("raymarch_sparse", include_str!("../../shaders/raymarch_sparse.wgsl")),
     ("scene_beams", include_str!("../../shaders/scene_beams.wgsl")),
     ("scene_fields", include_str!("../../shaders/scene_fields.wgsl")),
     ("scene_triangles", include_str!("../../shaders/scene_triangles.wgsl")),
@@ -25,6 +27,7 @@ pub const KERNELS: &[(&str, &str)] = &[
 ];
 
 const SHARED: &[(&str, &str)] = &[
+    ("bricks", include_str!("../../shaders/shared/bricks.wgsl")),
     ("bvh", include_str!("../../shaders/shared/bvh.wgsl")),
     ("clip", include_str!("../../shaders/shared/clip.wgsl")),
     ("cubic", include_str!("../../shaders/shared/cubic.wgsl")),
@@ -37,6 +40,9 @@ const SHARED: &[(&str, &str)] = &[
     ("ray_filtered", include_str!("../../shaders/shared/ray_filtered.wgsl")),
     ("scene_field", include_str!("../../shaders/shared/scene_field.wgsl")),
     ("scene_view", include_str!("../../shaders/shared/scene_view.wgsl")),
+    ("ray_sparse", include_str!("../../shaders/shared/ray_sparse.wgsl")),
+    ("samples", include_str!("../../shaders/shared/samples.wgsl")),
+    ("samples_encoded", include_str!("../../shaders/shared/samples_encoded.wgsl")),
     ("sampling", include_str!("../../shaders/shared/sampling.wgsl")),
     ("triangle", include_str!("../../shaders/shared/triangle.wgsl")),
 ];

@@ -5,7 +5,6 @@
 
 use crate::error::{ArgumentError, Error};
 use crate::progress::Progress;
-use crate::volume::sparse::{BRICK_CELLS, BRICK_LEN, Brick, Entry, SparseView};
 use crate::volume::{FieldView, Texel, Trilinear};
 use glam::IVec3;
 use rayon::prelude::*;
@@ -52,8 +51,8 @@ pub trait Block {
     fn cell_shift(&self) -> u32;
     /// Whether the block has cells at this place along an axis.
     fn contains(&self, axis: usize, cell: i32) -> bool;
-    /// The samples at the corners of a cell.
-    fn corners(&self, cell: [i32; 3]) -> [f32; 8];
+    /// The samples at the corners of a cell that may hold a root; none where all are above zero.
+    fn corners_around_root(&self, cell: [i32; 3]) -> Option<[f32; 8]>;
 }
 
 /// Field values must lie within this: the coefficients of a cell's cubic are up to ten times as large.
@@ -133,90 +132,10 @@ impl<T: Texel> Block for DenseBlock<'_, T> {
     }
 
     #[inline]
-    fn corners(&self, cell: [i32; 3]) -> [f32; 8] {
-        self.field.corners(IVec3::from(cell))
-    }
-}
-
-impl<T: Texel> Blocks for SparseView<'_, T> {
-    const SIDE: i32 = BRICK_CELLS as i32;
-    type Block<'b>
-        = SparseBlock<'b, T>
-    where
-        Self: 'b;
-
-    fn occupied(&self, progress: &Progress) -> Result<Vec<bool>, Error> {
-        // Once for each stored brick, whichever bricks it stands for.
-        let bricks: Vec<bool> = self
-            .texels()
-            .par_chunks_exact(BRICK_LEN)
-            .enumerate()
-            .map(|(i, texels)| {
-                let mut lowest = f32::INFINITY;
-                for texel in texels {
-                    let value = texel.decode(self.scale());
-                    if value.is_nan() || value.abs() > LARGEST_VALUE {
-                        let problem =
-                            format!("[{i}] holds {value}; every distance must be finite, at most {LARGEST_VALUE:e}");
-                        return Err(ArgumentError::new("bricks", problem).into());
-                    }
-                    lowest = lowest.min(value);
-                }
-                Ok(lowest <= 0.0)
-            })
-            .collect::<Result<_, Error>>()?;
-        progress.check()?;
-        let is_occupied = |&word: &u32| match Entry::from_word(word) {
-            Entry::Stored { brick, .. } => bricks[brick as usize],
-            Entry::Empty { inside } => inside,
-        };
-        Ok(self.index().par_iter().map(is_occupied).collect())
-    }
-
-    #[inline]
-    fn block(&self, index: [i32; 3]) -> SparseBlock<'_, T> {
-        match self.entry(index) {
-            Entry::Stored { level, brick } => SparseBlock::Stored(self.brick(index, level, brick)),
-            Entry::Empty { .. } => SparseBlock::Solid(index.map(Self::first_cell)),
-        }
-    }
-}
-
-/// A block of a sparse field: a stored brick, or one that lies inside as a whole.
-#[derive(Debug, Clone, Copy)]
-pub enum SparseBlock<'a, T> {
-    Stored(Brick<'a, T>),
-    Solid([i32; 3]),
-}
-
-impl<T: Texel> Block for SparseBlock<'_, T> {
-    #[inline]
-    fn origin(&self) -> [i32; 3] {
-        match self {
-            Self::Stored(brick) => brick.origin,
-            Self::Solid(origin) => *origin,
-        }
-    }
-
-    #[inline]
-    fn cell_shift(&self) -> u32 {
-        match self {
-            Self::Stored(brick) => brick.level,
-            Self::Solid(_) => 0,
-        }
-    }
-
-    #[inline]
-    fn contains(&self, _: usize, cell: i32) -> bool {
-        (0..BRICK_CELLS as i32).contains(&cell)
-    }
-
-    #[inline]
-    fn corners(&self, cell: [i32; 3]) -> [f32; 8] {
-        match self {
-            Self::Stored(brick) => brick.corners(cell),
-            Self::Solid(_) => [-1.0; 8],
-        }
+    fn corners_around_root(&self, cell: [i32; 3]) -> Option<[f32; 8]> {
+        let texels = self.field.texels_around(IVec3::from(cell));
+        let all_above_zero = texels.iter().fold(true, |all, texel| all & texel.is_above_zero());
+        if all_above_zero { None } else { Some(texels.map(|texel| texel.decode(self.field.scale()))) }
     }
 }
 

@@ -1,17 +1,16 @@
-//! The raymarcher on a graphics device (`shaders/raymarch.wgsl`).
+//! The raymarcher on a graphics device (`shaders/raymarch*.wgsl`).
 //!
 //! What needs float64 is done once a frame, here: the eye is moved along the viewing axis to just before the box, and the
 //! rays of all pixels become linear functions of the pixel in grid space. A picture goes up as a few hundred bytes and
 //! comes down as 48 bytes a pixel.
 
-use super::{Camera, DirectionalLight, Filter, Frame, RaymarchOptions, Shadows};
-use crate::error::{ArgumentError, DeviceError, Error};
-use crate::gpu::layout::{Light, MarchParams, Pixel, TextureParams};
+use super::gpu_fields::MarchedField;
+use super::{Camera, DirectionalLight, Frame, RaymarchOptions, Shadows};
+use crate::error::{ArgumentError, Error};
+use crate::gpu::layout::{Light, MarchParams, Pixel};
 use crate::gpu::pace::in_pieces;
-use crate::gpu::texture::{FilteredTexture, row_bytes};
 use crate::grid::Grid;
 use crate::progress::Progress;
-use crate::volume::device::DeviceField;
 use glam::DVec3;
 
 /// Side of a workgroup, as in the shader.
@@ -20,23 +19,19 @@ const TILE: u32 = 8;
 const TILE_ROWS: (u64, u64) = (4, 1024);
 /// A picture is drawn in bands of rows of this size, in device memory.
 const BAND_BYTES: u64 = 64 << 20;
-/// A field becomes a texture in pieces of this size.
-const TEXTURE_PIECE_BYTES: u64 = 32 << 20;
-/// Workgroups that a device starts along one axis.
-const WORKGROUPS_PER_ROW: u32 = 65_535;
 /// As in the shader.
 const MAX_LIGHTS: usize = 64;
 
-/// `lights` have unit directions.
+/// Draw what a device marches through. `lights` have unit directions.
 pub(super) fn raymarch(
-    field: &DeviceField,
+    field: &MarchedField,
     grid: &Grid,
     camera: &Camera,
     options: &RaymarchOptions,
     lights: &[DirectionalLight],
     progress: &Progress,
 ) -> Result<Frame, Error> {
-    let context = field.context();
+    let context = &field.context;
     if lights.len() > MAX_LIGHTS {
         let problem = format!("{} lights, a graphics device draws with {MAX_LIGHTS} at most", lights.len());
         return Err(ArgumentError::new("light_directions", problem).into());
@@ -62,24 +57,8 @@ pub(super) fn raymarch(
     let shares = context.storage("light shares", band_pixels as u64 * share_bytes)?;
     let shared = [(0, &uniform), (2, &light_buffer), (3, &pixels), (4, &shares)];
     let shared = shared.into_iter().map(|(binding, buffer)| (binding, buffer.as_entire_binding()));
-    let (kernel, group) = match options.filter {
-        Filter::Linear => {
-            let kernel = context.kernel("raymarch", "main")?;
-            let samples = (1, whole(field)?.as_entire_binding());
-            let group = context.bind_resources("raymarch", &kernel, shared.chain([samples]))?;
-            (kernel, group)
-        }
-        Filter::Hardware => {
-            let kernel = context.kernel("raymarch_filtered", "main")?;
-            let texture = texture(field, grid)?;
-            let resources = [
-                (5, wgpu::BindingResource::TextureView(&texture.view)),
-                (6, wgpu::BindingResource::Sampler(&texture.sampler)),
-            ];
-            let group = context.bind_resources("raymarch", &kernel, shared.chain(resources))?;
-            (kernel, group)
-        }
-    };
+    let kernel = context.kernel(field.kernel, "main")?;
+    let group = context.bind_resources("raymarch", &kernel, shared.chain(field.resources()))?;
     progress.set_total(u64::from(height));
     let mut frame = Frame::new(width as usize, height as usize, lights.len());
     let mut found = vec![Pixel::default(); band_pixels];
@@ -110,55 +89,6 @@ pub(super) fn raymarch(
         }
     }
     Ok(frame)
-}
-
-/// The samples as one buffer.
-fn whole(field: &DeviceField) -> Result<&wgpu::Buffer, DeviceError> {
-    match field.slabs() {
-        [slab] => Ok(&slab.buffer),
-        _ => Err(DeviceError::TooLarge {
-            device: field.context().label(),
-            what: "a field that is to be drawn".into(),
-            needed: field.bytes(),
-            limit: field.context().max_binding(),
-            advice: "use filter=\"hardware\", or device=\"cpu\" for the picture",
-        }),
-    }
-}
-
-/// The field as a texture of half floats, in units of the smallest side of a voxel.
-fn texture(field: &DeviceField, grid: &Grid) -> Result<FilteredTexture, Error> {
-    let context = field.context();
-    let [width, height, depth] = grid.shape.map(|n| n as u32);
-    let texture = context.filtered_texture("a field's texture", [width, height, depth])?;
-    let row_bytes = row_bytes(width);
-    let plane_bytes = u64::from(row_bytes) * u64::from(height);
-    let planes_at_once = (TEXTURE_PIECE_BYTES.min(context.max_binding()) / plane_bytes).max(1) as u32;
-    let rows = context.storage("rows of a texture", plane_bytes * u64::from(planes_at_once.min(depth)))?;
-    let kernel = context.kernel("field_to_texture", "main")?;
-    for slab in field.slabs() {
-        for first_plane in (0..slab.planes as u32).step_by(planes_at_once as usize) {
-            let planes = planes_at_once.min(slab.planes as u32 - first_plane);
-            let words_per_row = row_bytes / 4;
-            let workgroups = (words_per_row * height * planes).div_ceil(64);
-            let across = workgroups.min(WORKGROUPS_PER_ROW);
-            let params = TextureParams {
-                width,
-                height,
-                first_plane,
-                planes,
-                words_per_row,
-                per_voxel: grid.spacing().min_element().recip() as f32,
-                workgroups_across: across,
-                ..TextureParams::default()
-            };
-            let uniform = context.uniform("texture parameters", &params)?;
-            let group = context.bind("texture", &kernel, &[(0, &uniform), (1, &slab.buffer), (2, &rows)])?;
-            context.dispatch("texture", &kernel, &group, [across, workgroups.div_ceil(across), 1])?;
-            context.copy_planes("texture", &rows, &texture, slab.first_plane as u32 + first_plane, planes)?;
-        }
-    }
-    Ok(texture)
 }
 
 /// Depth of the box's nearest corner, or zero if the box reaches behind the eye.

@@ -174,8 +174,7 @@ impl<F: Blocks> Marcher<F> {
                 let next = first_axis(&t_faces);
                 let t_face = if t_faces[next] > t { t_faces[next] } else { t };
                 let t_end = if t_face < ray.t_max { t_face } else { ray.t_max };
-                let corners = block.corners(local);
-                if smallest(&corners) <= 0.0 {
+                if let Some(corners) = block.corners_around_root(local) {
                     let corner = [0, 1, 2].map(|axis| origin[axis] + (local[axis] << shift));
                     if let Some(hit) = hit_in_cell(&corners, ray, corner, shift, t, t_end) {
                         return March { hit: Some(hit), steps };
@@ -269,14 +268,6 @@ fn first_axis(t_faces: &[f32; 3]) -> usize {
 #[inline]
 pub(super) fn floor(coordinate: f32) -> i32 {
     (coordinate + 1.0) as i32 - 1
-}
-
-/// Plain comparisons, for `f32::min` has to look out for NaN, which [`Blocks::occupied`] has excluded.
-#[inline]
-fn smallest(corners: &[f32; 8]) -> f32 {
-    let min = |a: f32, b: f32| if a < b { a } else { b };
-    let [c0, c1, c2, c3, c4, c5, c6, c7] = *corners;
-    min(min(min(c0, c1), min(c2, c3)), min(min(c4, c5), min(c6, c7)))
 }
 
 /// Largest magnitude, at least the smallest normal number.

@@ -16,10 +16,12 @@
 //! of the steps in `Frame::steps` plus as many for each light.
 
 pub mod blocks;
+mod bricks;
 pub mod camera;
 pub mod cubic;
 pub mod empty;
 mod gpu;
+mod gpu_fields;
 #[cfg(test)]
 mod gpu_tests;
 pub mod march;
@@ -27,6 +29,7 @@ pub(crate) mod shade;
 
 pub use camera::Camera;
 
+use crate::encoding::Encoding;
 use crate::error::{ArgumentError, Error};
 use crate::gpu::Place;
 use crate::grid::Grid;
@@ -35,7 +38,9 @@ use crate::volume::device::DeviceField;
 use crate::volume::sparse::SparseView;
 use crate::volume::{FieldView, Texel, Trilinear};
 use blocks::Blocks;
+use bricks::MaskedBricks;
 use glam::{DVec3, Vec3};
+use gpu_fields::MarchedField;
 use march::{Marcher, clip_to_box};
 use rayon::prelude::*;
 use shade::{Shader, Surface};
@@ -234,7 +239,8 @@ pub fn raymarch_at(
     }
 }
 
-/// Draw samples in any encoding at a place. A graphics device draws what they decode to.
+/// Draw samples in any encoding at a place: a graphics device decodes what it reads. Its texture hardware does not, and
+/// takes what they decode to.
 pub fn raymarch_view<T: Texel>(
     place: &Place,
     field: FieldView<'_, T>,
@@ -244,11 +250,15 @@ pub fn raymarch_view<T: Texel>(
 ) -> Result<Frame, Error> {
     match place {
         Place::Cpu => raymarch(field, camera, options, progress),
+        Place::Gpu(context) if options.filter == Filter::Linear && T::ENCODING != Encoding::Float32 => {
+            let upload = || MarchedField::encoded(context, field);
+            draw_on_device(upload, field.grid(), camera, options, progress)
+        }
         Place::Gpu(_) => raymarch_at(place, Source::Host(&field.decoded()), field.grid(), camera, options, progress),
     }
 }
 
-/// Draw a sparse field at a place.
+/// Draw a sparse field at a place, from its bricks; the texture hardware of a graphics device takes the whole grid.
 pub fn raymarch_sparse<T: Texel>(
     place: &Place,
     field: SparseView<'_, T>,
@@ -257,7 +267,11 @@ pub fn raymarch_sparse<T: Texel>(
     progress: &Progress,
 ) -> Result<Frame, Error> {
     match place {
-        Place::Cpu => raymarch(field, camera, options, progress),
+        Place::Cpu => raymarch(MaskedBricks::new(field, progress)?, camera, options, progress),
+        Place::Gpu(context) if options.filter == Filter::Linear => {
+            let upload = || MarchedField::sparse(context, field, progress);
+            draw_on_device(upload, field.grid(), camera, options, progress)
+        }
         Place::Gpu(_) => {
             raymarch_at(place, Source::Host(&field.dense(progress)?), field.grid(), camera, options, progress)
         }
@@ -274,9 +288,20 @@ pub fn raymarch_on_device(
     options: &RaymarchOptions,
     progress: &Progress,
 ) -> Result<Frame, Error> {
+    draw_on_device(|| MarchedField::dense(field, grid, options.filter), grid, camera, options, progress)
+}
+
+/// Check what is to be drawn, bring the field to its device, and draw it there.
+fn draw_on_device(
+    field: impl FnOnce() -> Result<MarchedField, Error>,
+    grid: &Grid,
+    camera: &Camera,
+    options: &RaymarchOptions,
+    progress: &Progress,
+) -> Result<Frame, Error> {
     options.check()?;
     let lights = options.unit_lights(camera)?;
-    gpu::raymarch(field, grid, camera, options, &lights, progress)
+    gpu::raymarch(&field()?, grid, camera, options, &lights, progress)
 }
 
 /// What every pixel needs.

@@ -69,9 +69,7 @@ impl<'a, T: Texel> FieldView<'a, T> {
             let problem = format!("{nx} x {ny} x {nz} voxels need {} values, got {}", grid.len(), texels.len());
             return Err(ArgumentError::new("distances", problem).into());
         }
-        if !(scale.is_finite() && scale > 0.0) {
-            return Err(ArgumentError::new("scale", format!("must be a positive number, got {scale}")).into());
-        }
+        T::ENCODING.check_scale(scale)?;
         Ok(Self { grid, texels, scale })
     }
 
@@ -93,34 +91,39 @@ impl<'a, T: Texel> FieldView<'a, T> {
     /// The samples at the corners of a cell; bit 0 of the index is x, bit 1 y, bit 2 z. Cells run from -1 to n - 1.
     #[inline]
     pub fn corners(&self, cell: IVec3) -> [f32; 8] {
+        self.texels_around(cell).map(|texel| texel.decode(self.scale))
+    }
+
+    /// [`FieldView::corners`] as they are stored.
+    #[inline]
+    pub fn texels_around(&self, cell: IVec3) -> [T; 8] {
         let [nx, ny, nz] = self.grid.shape;
         // A cell between centres needs no clamping. Negative indices become large ones here.
         let [x, y, z] = cell.to_array().map(|i| i as u32 as usize);
         if x + 1 < nx && y + 1 < ny && z + 1 < nz {
             let d = &self.texels[x + nx * (y + ny * z)..];
             let (y, z) = (nx, nx * ny);
-            return [d[0], d[1], d[y], d[y + 1], d[z], d[z + 1], d[y + z], d[y + z + 1]]
-                .map(|texel| texel.decode(self.scale));
+            return [d[0], d[1], d[y], d[y + 1], d[z], d[z + 1], d[y + z], d[y + z + 1]];
         }
-        self.clamped_corners(cell)
+        self.clamped_texels(cell)
     }
 
     #[cold]
-    fn clamped_corners(&self, cell: IVec3) -> [f32; 8] {
+    fn clamped_texels(&self, cell: IVec3) -> [T; 8] {
         let [nx, ny, nz] = self.grid.shape;
         let clamp = |i: i32, n: usize| (i.max(0) as usize).min(n - 1);
         let [x0, y0, z0] = [clamp(cell.x, nx), clamp(cell.y, ny), clamp(cell.z, nz)];
         let [x1, y1, z1] = [clamp(cell.x + 1, nx), clamp(cell.y + 1, ny), clamp(cell.z + 1, nz)];
-        let sample = |x, y, z| self.texels[self.grid.offset(x, y, z)].decode(self.scale);
+        let texel = |x, y, z| self.texels[self.grid.offset(x, y, z)];
         [
-            sample(x0, y0, z0),
-            sample(x1, y0, z0),
-            sample(x0, y1, z0),
-            sample(x1, y1, z0),
-            sample(x0, y0, z1),
-            sample(x1, y0, z1),
-            sample(x0, y1, z1),
-            sample(x1, y1, z1),
+            texel(x0, y0, z0),
+            texel(x1, y0, z0),
+            texel(x0, y1, z0),
+            texel(x1, y1, z0),
+            texel(x0, y0, z1),
+            texel(x1, y0, z1),
+            texel(x0, y1, z1),
+            texel(x1, y1, z1),
         ]
     }
 }

@@ -12,6 +12,9 @@ pub trait Texel: Pod + Send + Sync + 'static {
     fn encode(value: f32, scale: f32) -> Self;
 
     fn decode(self, scale: f32) -> f32;
+
+    /// Whether the decoded value is: known without decoding.
+    fn is_above_zero(self) -> bool;
 }
 
 impl Texel for f32 {
@@ -25,6 +28,11 @@ impl Texel for f32 {
     #[inline]
     fn decode(self, _: f32) -> f32 {
         self
+    }
+
+    #[inline]
+    fn is_above_zero(self) -> bool {
+        self > 0.0
     }
 }
 
@@ -43,6 +51,13 @@ macro_rules! impl_texel {
             fn decode(self, scale: f32) -> f32 {
                 let bits: $bits = $to_bits(self);
                 Self::ENCODING.decode(u32::from(bits), scale)
+            }
+
+            #[inline]
+            fn is_above_zero(self) -> bool {
+                // A half has its sign where an integer has it.
+                let bits: $bits = $to_bits(self);
+                bits.cast_signed() > 0
             }
         }
     };

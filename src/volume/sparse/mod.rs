@@ -162,11 +162,10 @@ impl<'a, T: Texel> SparseView<'a, T> {
                 return Err(error("index", format!("[{i}] refers to brick {brick}, there are {stored}")));
             }
         }
-        for (argument, value) in [("band", band), ("scale", scale)] {
-            if !(value.is_finite() && value > 0.0) {
-                return Err(error(argument, format!("must be a positive number, got {value}")));
-            }
+        if !(band.is_finite() && band > 0.0) {
+            return Err(error("band", format!("must be a positive number, got {band}")));
         }
+        T::ENCODING.check_scale(scale)?;
         let nodes = FieldView::new(node_grid(&grid), nodes)?;
         // A point lies within half a voxel's diagonal of a sample, and no sample of an empty brick is in the band.
         let floor = (f64::from(band) - 0.5 * grid.spacing().length()).max(0.0);
@@ -187,6 +186,16 @@ impl<'a, T: Texel> SparseView<'a, T> {
 
     pub fn scale(&self) -> f32 {
         self.scale
+    }
+
+    /// Distances at the corners of the bricks, x fastest.
+    pub fn nodes(&self) -> &'a [f32] {
+        self.nodes.distances()
+    }
+
+    /// No point of an empty brick is nearer to the surface.
+    pub fn floor(&self) -> f64 {
+        self.floor
     }
 
     /// What the index says of a brick.

@@ -1,0 +1,45 @@
+// Stored samples in any encoding, decoded as they are read. Twin of src/encoding.rs.
+
+struct StoredParams {
+    // FLOAT32 and so on.
+    encoding: u32,
+    // What the largest integer of a normalised encoding stands for.
+    scale: f32,
+    pad_0: u32,
+    pad_1: u32,
+}
+
+// Four samples of 8 bits, two of 16 or one of 32 in each word, the first in the lowest bits.
+@group(0) @binding(1) var<storage, read> words: array<u32>;
+@group(0) @binding(7) var<uniform> stored: StoredParams;
+
+const FLOAT32: u32 = 0u;
+const FLOAT16: u32 = 1u;
+const SNORM16: u32 = 2u;
+const SNORM8: u32 = 3u;
+
+// Distance of two halves below 2^-14, where they are evenly spaced: 2^-24.
+const HALF_SUBNORMAL: f32 = 5.9604645e-8;
+
+// The value of a half that is finite. By hand: devices may read the smallest ones as zero, which would be a hit.
+fn half_value(bits: u32) -> f32 {
+    let sign = (bits & 0x8000u) << 16u;
+    let magnitude = bits & 0x7fffu;
+    if magnitude < 0x400u { return bitcast<f32>(sign | bitcast<u32>(f32(magnitude) * HALF_SUBNORMAL)); }
+    // From an exponent that is 15 too high to one that is 127 too high.
+    return bitcast<f32>(sign | ((magnitude << 13u) + (112u << 23u)));
+}
+
+fn stored_sample(index: u32) -> f32 {
+    if stored.encoding == FLOAT32 { return bitcast<f32>(words[index]); }
+    if stored.encoding == SNORM8 {
+        let whole = extractBits(bitcast<i32>(words[index >> 2u]), 8u * (index & 3u), 8u);
+        return max(f32(whole) / 127.0, -1.0) * stored.scale;
+    }
+    let word = words[index >> 1u];
+    let first_bit = 16u * (index & 1u);
+    if stored.encoding == SNORM16 {
+        return max(f32(extractBits(bitcast<i32>(word), first_bit, 16u)) / 32767.0, -1.0) * stored.scale;
+    }
+    return half_value(extractBits(word, first_bit, 16u));
+}

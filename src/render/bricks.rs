@@ -1,0 +1,234 @@
+//! A sparse field as rays walk through it: which cells of its bricks can hold a root.
+//!
+//! A stored brick has 7^3 cells, and in most of those that a ray visits all corners are above zero. A bit a cell, made once
+//! from the signs of the samples, tells so without reading them: 64 bytes a brick, one line of the processor's cache,
+//! where the samples of a cell lie in two to four. So the samples are decoded only where a root may be.
+
+use super::blocks::{Block, Blocks, LARGEST_VALUE};
+use crate::error::{ArgumentError, Error};
+use crate::grid::Grid;
+use crate::progress::Progress;
+use crate::volume::sparse::{BRICK_CELLS, BRICK_LEN, BRICK_SAMPLES, Brick, Entry, SparseView};
+use crate::volume::{Cell, Texel, Trilinear};
+use glam::{DVec3, IVec3};
+use rayon::prelude::*;
+
+/// The cells of a brick with a corner that is not above zero: a word a layer along z, bit `x + 8 y`; the last is not used.
+#[derive(Debug, Clone, Copy)]
+#[repr(align(64))]
+pub struct CellMask([u64; BRICK_SAMPLES]);
+
+/// Bits of a layer that stand for cells: seven of seven rows.
+const CELLS_OF_LAYER: u64 = 0x007f_7f7f_7f7f_7f7f;
+
+impl CellMask {
+    fn of_brick<T: Texel>(texels: &[T]) -> Self {
+        let mut layers = [0; BRICK_SAMPLES];
+        for (bits, texels) in layers.iter_mut().zip(texels.chunks_exact(BRICK_SAMPLES * BRICK_SAMPLES)) {
+            for (i, texel) in texels.iter().enumerate() {
+                *bits |= u64::from(!texel.is_above_zero()) << i;
+            }
+            // From samples to the cells that they are corners of, along x and y.
+            *bits |= *bits >> 1;
+            *bits |= *bits >> BRICK_SAMPLES;
+        }
+        let mut cells = [0; BRICK_SAMPLES];
+        for z in 0..BRICK_CELLS {
+            cells[z] = (layers[z] | layers[z + 1]) & CELLS_OF_LAYER;
+        }
+        Self(cells)
+    }
+
+    fn any(&self) -> bool {
+        self.0.iter().any(|&layer| layer != 0)
+    }
+
+    #[inline]
+    fn contains(&self, [x, y, z]: [i32; 3]) -> bool {
+        self.0[z as usize % BRICK_SAMPLES] >> (x + BRICK_SAMPLES as i32 * y) & 1 == 1
+    }
+}
+
+/// A sparse field and the cells that can hold a root.
+#[derive(Debug)]
+pub struct MaskedBricks<'a, T> {
+    view: SparseView<'a, T>,
+    /// Of each stored brick.
+    masks: Vec<CellMask>,
+}
+
+impl<'a, T: Texel> MaskedBricks<'a, T> {
+    /// Fails where a sample is not a finite number of reasonable size.
+    pub fn new(view: SparseView<'a, T>, progress: &Progress) -> Result<Self, Error> {
+        let masks = view
+            .texels()
+            .par_chunks_exact(BRICK_LEN)
+            .enumerate()
+            .map(|(i, texels)| {
+                check_brick(texels, view.scale(), i)?;
+                Ok(CellMask::of_brick(texels))
+            })
+            .collect::<Result<_, Error>>()?;
+        progress.check()?;
+        Ok(Self { view, masks })
+    }
+}
+
+/// Fails where a sample is not a finite number of reasonable size.
+fn check_brick<T: Texel>(texels: &[T], scale: f32, number: usize) -> Result<(), Error> {
+    // Integers are within the scale.
+    if T::ENCODING.is_normalised() && scale <= LARGEST_VALUE {
+        return Ok(());
+    }
+    let is_fine = |texel: &T| texel.decode(scale).abs() <= LARGEST_VALUE;
+    if texels.iter().fold(true, |fine, texel| fine & is_fine(texel)) {
+        return Ok(());
+    }
+    let bad = texels.iter().find(|&texel| !is_fine(texel)).map_or(f32::NAN, |texel| texel.decode(scale));
+    let problem = format!("[{number}] holds {bad}; every distance must be finite, at most {LARGEST_VALUE:e}");
+    Err(ArgumentError::new("bricks", problem).into())
+}
+
+impl<T: Texel> Trilinear for MaskedBricks<'_, T> {
+    fn grid(&self) -> &Grid {
+        self.view.grid()
+    }
+
+    #[inline]
+    fn cell(&self, index: IVec3) -> Cell {
+        self.view.cell(index)
+    }
+
+    fn sample_linear(&self, p: DVec3) -> f32 {
+        self.view.sample_linear(p)
+    }
+
+    fn distance_bound(&self, p: DVec3, inner: [DVec3; 2]) -> f32 {
+        self.view.distance_bound(p, inner)
+    }
+}
+
+impl<T: Texel> Blocks for MaskedBricks<'_, T> {
+    const SIDE: i32 = BRICK_CELLS as i32;
+    type Block<'b>
+        = MaskedBrick<'b, T>
+    where
+        Self: 'b;
+
+    fn occupied(&self, _: &Progress) -> Result<Vec<bool>, Error> {
+        let is_occupied: Vec<bool> = self.masks.iter().map(CellMask::any).collect();
+        let entry = |&word: &u32| match Entry::from_word(word) {
+            Entry::Stored { brick, .. } => is_occupied[brick as usize],
+            Entry::Empty { inside } => inside,
+        };
+        Ok(self.view.index().iter().map(entry).collect())
+    }
+
+    #[inline]
+    fn block(&self, index: [i32; 3]) -> MaskedBrick<'_, T> {
+        match self.view.entry(index) {
+            Entry::Stored { level, brick } => {
+                MaskedBrick::Stored { mask: &self.masks[brick as usize], brick: self.view.brick(index, level, brick) }
+            }
+            Entry::Empty { .. } => MaskedBrick::Inside { first: index.map(Self::first_cell) },
+        }
+    }
+}
+
+/// A block of a sparse field: a stored brick, or one that lies inside as a whole.
+#[derive(Debug, Clone, Copy)]
+pub enum MaskedBrick<'a, T> {
+    Stored { mask: &'a CellMask, brick: Brick<'a, T> },
+    Inside { first: [i32; 3] },
+}
+
+impl<T: Texel> Block for MaskedBrick<'_, T> {
+    #[inline]
+    fn origin(&self) -> [i32; 3] {
+        match self {
+            Self::Stored { brick, .. } => brick.origin,
+            Self::Inside { first } => *first,
+        }
+    }
+
+    #[inline]
+    fn cell_shift(&self) -> u32 {
+        match self {
+            Self::Stored { brick, .. } => brick.level,
+            Self::Inside { .. } => 0,
+        }
+    }
+
+    #[inline]
+    fn contains(&self, _: usize, cell: i32) -> bool {
+        (0..BRICK_CELLS as i32).contains(&cell)
+    }
+
+    #[inline]
+    fn corners_around_root(&self, cell: [i32; 3]) -> Option<[f32; 8]> {
+        match self {
+            Self::Stored { mask, brick } => mask.contains(cell).then(|| brick.corners(cell)),
+            Self::Inside { .. } => Some([-1.0; 8]),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use half::f16;
+    use proptest::prelude::*;
+
+    /// Every cell is looked at again, sample by sample.
+    fn check<T: Texel>(values: &[f32]) {
+        let texels: Vec<T> = values.iter().map(|&value| T::encode(value, 1.0)).collect();
+        let mask = CellMask::of_brick(&texels);
+        let mut occupied = false;
+        for z in 0..BRICK_CELLS {
+            for y in 0..BRICK_CELLS {
+                for x in 0..BRICK_CELLS {
+                    let at = |i: usize| {
+                        (x + (i & 1)) + BRICK_SAMPLES * ((y + (i >> 1 & 1)) + BRICK_SAMPLES * (z + (i >> 2)))
+                    };
+                    let expected = (0..8).any(|i| texels[at(i)].decode(1.0) <= 0.0);
+                    assert_eq!(mask.contains([x, y, z].map(|i| i as i32)), expected);
+                    occupied |= expected;
+                }
+            }
+        }
+        assert_eq!(mask.any(), occupied);
+    }
+
+    proptest! {
+        #[test]
+        fn a_mask_has_the_cells_with_a_corner_that_is_not_above_zero(
+            below in prop::collection::vec((0..BRICK_LEN, -1.0..=0.0f32), 0..6),
+            lift in 0.001..1.0f32,
+        ) {
+            let mut values = vec![lift; BRICK_LEN];
+            for (i, value) in below {
+                values[i] = value;
+            }
+            check::<f32>(&values);
+            check::<f16>(&values);
+            check::<i16>(&values);
+            // Less than a step is stored as zero.
+            check::<i8>(&values);
+        }
+    }
+
+    #[test]
+    fn samples_that_are_not_finite_are_named() {
+        for bad in [f32::NAN, f32::INFINITY, -2e37] {
+            let mut texels = [1.0; BRICK_LEN];
+            texels[77] = bad;
+            let told = check_brick(&texels, 1.0, 3).unwrap_err().to_string();
+            assert!(told.starts_with("bricks: [3] holds "), "{told}");
+        }
+        let mut texels = [f16::ONE; BRICK_LEN];
+        texels[500] = f16::NEG_INFINITY;
+        assert!(check_brick(&texels, 1.0, 0).is_err());
+        assert!(check_brick(&[127i8; BRICK_LEN], 1e38, 0).is_err());
+        assert!(check_brick(&[1i8; BRICK_LEN], 1e36, 0).is_ok());
+    }
+}

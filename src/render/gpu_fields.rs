@@ -1,0 +1,171 @@
+//! What a graphics device marches through: dense samples in any encoding, a texture of half floats, bricks.
+//!
+//! Stored numbers go up as they are and are decoded where they are read, so a field takes as many bytes there as here;
+//! a sparse one takes a byte a brick more, for the leaps.
+
+use super::Filter;
+use super::blocks::Blocks;
+use super::bricks::MaskedBricks;
+use super::empty::EmptySpace;
+use crate::encoding::Encoding;
+use crate::error::{ArgumentError, DeviceError, Error};
+use crate::gpu::Context;
+use crate::gpu::layout::{SparseParams, StoredParams, TextureParams};
+use crate::gpu::texture::{FilteredTexture, row_bytes};
+use crate::grid::Grid;
+use crate::progress::Progress;
+use crate::volume::device::DeviceField;
+use crate::volume::sparse::{BRICK_CELLS, SparseView};
+use crate::volume::{FieldView, Texel, Trilinear};
+use std::sync::Arc;
+
+/// A field becomes a texture in pieces of this size.
+const TEXTURE_PIECE_BYTES: u64 = 32 << 20;
+/// Workgroups that a device starts along one axis.
+const WORKGROUPS_PER_ROW: u32 = 65_535;
+/// Steps of a ray through bricks at most, as in the shader.
+const MAX_STEPS: usize = 16384;
+
+/// A field on a device, and the kernel that marches through it.
+pub(super) struct MarchedField {
+    pub context: Arc<Context>,
+    pub kernel: &'static str,
+    buffers: Vec<(u32, wgpu::Buffer)>,
+    texture: Option<FilteredTexture>,
+}
+
+impl MarchedField {
+    /// What the kernel reads beside the parameters of the picture.
+    pub fn resources(&self) -> impl Iterator<Item = (u32, wgpu::BindingResource<'_>)> {
+        let buffers = self.buffers.iter().map(|(binding, buffer)| (*binding, buffer.as_entire_binding()));
+        let texture = self.texture.iter().flat_map(|texture| {
+            [
+                (5, wgpu::BindingResource::TextureView(&texture.view)),
+                (6, wgpu::BindingResource::Sampler(&texture.sampler)),
+            ]
+        });
+        buffers.chain(texture)
+    }
+
+    /// Samples in float32 that are there already.
+    pub fn dense(field: &DeviceField, grid: &Grid, filter: Filter) -> Result<Self, Error> {
+        let context = field.context().clone();
+        Ok(match filter {
+            Filter::Linear => {
+                let buffers = vec![(1, whole(field)?.clone())];
+                Self { context, kernel: "raymarch", buffers, texture: None }
+            }
+            Filter::Hardware => {
+                let texture = Some(texture(field, grid)?);
+                Self { context, kernel: "raymarch_filtered", buffers: Vec::new(), texture }
+            }
+        })
+    }
+
+    /// Copy samples to a device as they are stored.
+    pub fn encoded<T: Texel>(context: &Arc<Context>, field: FieldView<'_, T>) -> Result<Self, Error> {
+        let buffers = stored(context, "a field", field.texels(), field.scale())?;
+        Ok(Self { context: context.clone(), kernel: "raymarch_encoded", buffers: buffers.into(), texture: None })
+    }
+
+    /// Copy bricks to a device as they are stored.
+    pub fn sparse<T: Texel>(
+        context: &Arc<Context>,
+        view: SparseView<'_, T>,
+        progress: &Progress,
+    ) -> Result<Self, Error> {
+        let cells: usize = view.grid().shape.iter().sum();
+        if cells + 4 > MAX_STEPS {
+            let problem = format!(
+                "a graphics device follows a ray through {MAX_STEPS} voxels at most, and the sides of this field have \
+                 {cells} together; use device=\"cpu\""
+            );
+            return Err(ArgumentError::new("device", problem).into());
+        }
+        let bricks = MaskedBricks::new(view, progress)?;
+        let empty = EmptySpace::new(bricks.block_counts(), &bricks.occupied(progress)?, progress)?;
+
+        let step = view.grid().spacing() * BRICK_CELLS as f64;
+        let longest = step.max_element();
+        let nodes: Vec<f32> = view.nodes().iter().map(|&node| (f64::from(node) / longest) as f32).collect();
+        let params = SparseParams {
+            bricks: view.bricks().map(|n| n as u32),
+            floor: view.floor() as f32,
+            node_step: (step / longest).as_vec3().to_array(),
+            longest_step: longest as f32,
+        };
+        let mut buffers = Vec::from(stored(context, "bricks", view.texels(), view.scale())?);
+        buffers.push((5, context.upload("the index of bricks", view.index())?));
+        buffers.push((6, context.upload("distances between bricks", &nodes)?));
+        buffers.push((8, context.upload_bytes("empty space", empty.distances())?));
+        buffers.push((9, context.uniform("parameters of bricks", &params)?));
+        Ok(Self { context: context.clone(), kernel: "raymarch_sparse", buffers, texture: None })
+    }
+}
+
+/// Stored samples and how to decode them; `shaders/shared/samples_encoded.wgsl`.
+fn stored<T: Texel>(
+    context: &Context,
+    what: &str,
+    texels: &[T],
+    scale: f32,
+) -> Result<[(u32, wgpu::Buffer); 2], DeviceError> {
+    let encoding = match T::ENCODING {
+        Encoding::Float32 => 0,
+        Encoding::Float16 => 1,
+        Encoding::Snorm16 => 2,
+        Encoding::Snorm8 => 3,
+    };
+    let params = StoredParams { encoding, scale, ..StoredParams::default() };
+    let samples = context.upload_bytes(what, bytemuck::cast_slice(texels))?;
+    Ok([(1, samples), (7, context.uniform("encoding", &params)?)])
+}
+
+/// The samples as one buffer.
+fn whole(field: &DeviceField) -> Result<&wgpu::Buffer, DeviceError> {
+    match field.slabs() {
+        [slab] => Ok(&slab.buffer),
+        _ => Err(DeviceError::TooLarge {
+            device: field.context().label(),
+            what: "a field that is to be drawn".into(),
+            needed: field.bytes(),
+            limit: field.context().max_binding(),
+            advice: "use filter=\"hardware\", or device=\"cpu\" for the picture",
+        }),
+    }
+}
+
+/// The field as a texture of half floats, in units of the smallest side of a voxel.
+fn texture(field: &DeviceField, grid: &Grid) -> Result<FilteredTexture, Error> {
+    let context = field.context();
+    let [width, height, depth] = grid.shape.map(|n| n as u32);
+    let texture = context.filtered_texture("a field's texture", [width, height, depth])?;
+    let row_bytes = row_bytes(width);
+    let plane_bytes = u64::from(row_bytes) * u64::from(height);
+    let planes_at_once = (TEXTURE_PIECE_BYTES.min(context.max_binding()) / plane_bytes).max(1) as u32;
+    let rows = context.storage("rows of a texture", plane_bytes * u64::from(planes_at_once.min(depth)))?;
+    let kernel = context.kernel("field_to_texture", "main")?;
+    for slab in field.slabs() {
+        for first_plane in (0..slab.planes as u32).step_by(planes_at_once as usize) {
+            let planes = planes_at_once.min(slab.planes as u32 - first_plane);
+            let words_per_row = row_bytes / 4;
+            let workgroups = (words_per_row * height * planes).div_ceil(64);
+            let across = workgroups.min(WORKGROUPS_PER_ROW);
+            let params = TextureParams {
+                width,
+                height,
+                first_plane,
+                planes,
+                words_per_row,
+                per_voxel: grid.spacing().min_element().recip() as f32,
+                workgroups_across: across,
+                ..TextureParams::default()
+            };
+            let uniform = context.uniform("texture parameters", &params)?;
+            let group = context.bind("texture", &kernel, &[(0, &uniform), (1, &slab.buffer), (2, &rows)])?;
+            context.dispatch("texture", &kernel, &group, [across, workgroups.div_ceil(across), 1])?;
+            context.copy_planes("texture", &rows, &texture, slab.first_plane as u32 + first_plane, planes)?;
+        }
+    }
+    Ok(texture)
+}
