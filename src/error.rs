@@ -94,6 +94,12 @@ pub enum ShapeError {
     Unbounded { leaf: &'static str },
 }
 
+impl From<ArgumentError> for ShapeError {
+    fn from(ArgumentError { argument, problem }: ArgumentError) -> Self {
+        Self::Argument { argument, problem }
+    }
+}
+
 impl ShapeError {
     pub fn argument(argument: &'static str, problem: impl Into<String>) -> Self {
         Self::Argument { argument, problem: problem.into() }

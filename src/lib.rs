@@ -22,5 +22,6 @@ pub mod quadric;
 pub mod query;
 pub mod render;
 pub mod scene;
+pub mod shader_text;
 pub mod sign;
 pub mod volume;

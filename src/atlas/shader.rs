@@ -6,41 +6,15 @@
 
 use super::Layout;
 use crate::encoding::Encoding;
-use crate::error::{ArgumentError, Error};
-use naga::back::{glsl, hlsl, msl};
-use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
-use naga::{Module, ShaderStage, front, proc};
+use crate::error::Error;
+use crate::shader_text::{GlslTarget, Language, translate};
+use naga::ShaderStage;
+use naga::back::glsl::Version;
 use std::fmt::Write;
 
 const SHELVES: &str = include_str!("../../shaders/atlas/shelves.wgsl");
 const STRIPS: &str = include_str!("../../shaders/atlas/strips.wgsl");
 const SAMPLING: &str = include_str!("../../shaders/atlas/sampling.wgsl");
-
-/// A shading language.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Language {
-    Wgsl,
-    /// GLSL ES 3.00, which is WebGL 2; newer desktop versions take it with another first line.
-    Glsl,
-    Hlsl,
-    Msl,
-}
-
-impl Language {
-    /// The language that the Python interface calls `name`.
-    pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
-        match name {
-            "wgsl" => Ok(Self::Wgsl),
-            "glsl" => Ok(Self::Glsl),
-            "hlsl" => Ok(Self::Hlsl),
-            "msl" => Ok(Self::Msl),
-            _ => Err(ArgumentError::new(
-                "language",
-                format!("expected one of \"wgsl\", \"glsl\", \"hlsl\", \"msl\", got {name:?}"),
-            )),
-        }
-    }
-}
 
 /// What the text depends on.
 #[derive(Debug, Clone, Copy)]
@@ -51,6 +25,13 @@ pub struct ShaderOptions {
     /// Voxels along a side of the cubes in strips.
     pub side: u32,
 }
+
+/// GLSL ES 3.00, which is WebGL 2; newer desktop versions take it with another first line.
+const GLSL: GlslTarget = GlslTarget {
+    version: Version::Embedded { version: 300, is_webgl: true },
+    stage: ShaderStage::Fragment,
+    entry_point: "entry_point",
+};
 
 /// Makes every function reachable, and is cut off again.
 const ENTRY: &str = "
@@ -67,12 +48,12 @@ pub fn shader(options: &ShaderOptions, language: Language) -> Result<String, Err
     if language == Language::Wgsl {
         return Ok(wgsl);
     }
-    let (module, info) = parse(&format!("{wgsl}{ENTRY}"))?;
+    let translated = translate(&format!("{wgsl}{ENTRY}"), language, GLSL)?;
     let translated = match language {
-        Language::Wgsl => unreachable!("returned above"),
-        Language::Glsl => write_glsl(&module, &info)?,
-        Language::Hlsl => write_hlsl(&module, &info)?,
-        Language::Msl => write_msl(&module, &info)?,
+        Language::Wgsl => translated,
+        Language::Glsl => plain_glsl(&translated),
+        Language::Hlsl => plain_hlsl(&translated),
+        Language::Msl => before(&translated, "fragment void entry_point"),
     };
     Ok(with_comments(&plain_names(&translated), &wgsl, language))
 }
@@ -104,60 +85,22 @@ pub fn wgsl(options: &ShaderOptions) -> String {
     text + "\n" + entry + "\n" + SAMPLING
 }
 
-fn parse(text: &str) -> Result<(Module, ModuleInfo), Error> {
-    let module = front::wgsl::parse_str(text).map_err(|error| refused(&error.emit_to_string(text)))?;
-    let info = Validator::new(ValidationFlags::all(), Capabilities::empty())
-        .validate(&module)
-        .map_err(|error| refused(&error.emit_to_string(text)))?;
-    Ok((module, info))
+/// A sampler has no name of its own there, and the texture one that only naga could love.
+fn plain_glsl(text: &str) -> String {
+    before(text, "void main()").replace("_group_0_binding_0_fs", "atlas_pages")
 }
 
-/// A text of ours that naga refuses: our bug, told as one.
-fn refused(reason: &str) -> Error {
-    ArgumentError::new("language", format!("the shader could not be translated: {reason}")).into()
-}
-
-fn write_glsl(module: &Module, info: &ModuleInfo) -> Result<String, Error> {
-    let options =
-        glsl::Options { version: glsl::Version::Embedded { version: 300, is_webgl: true }, ..Default::default() };
-    let pipeline = glsl::PipelineOptions {
-        shader_stage: ShaderStage::Fragment,
-        entry_point: "entry_point".into(),
-        multiview: None,
-    };
-    let mut text = String::new();
-    let policies = proc::BoundsCheckPolicies::default();
-    let mut writer = glsl::Writer::new(&mut text, module, info, &options, &pipeline, policies)
-        .map_err(|error| refused(&error.to_string()))?;
-    writer.write().map_err(|error| refused(&error.to_string()))?;
-    // A sampler has no name of its own here, and the texture one that only naga could love.
-    Ok(before(&text, "void main()").replace("_group_0_binding_0_fs", "atlas_pages"))
-}
-
-fn write_hlsl(module: &Module, info: &ModuleInfo) -> Result<String, Error> {
-    let options = hlsl::Options { fake_missing_bindings: true, ..Default::default() };
-    let pipeline = hlsl::PipelineOptions::default();
-    let mut text = String::new();
-    let mut writer = hlsl::Writer::new(&mut text, &options, &pipeline);
-    writer.write(module, info, None).map_err(|error| refused(&error.to_string()))?;
-    // naga takes samplers from a heap of its own; here there is one.
+/// naga takes samplers from a heap of its own; here there is one.
+fn plain_hlsl(text: &str) -> String {
     let is_heap = |line: &str| line.starts_with("Sampler") || line.contains("SamplerIndexArray");
     let mut plain = String::new();
-    for line in before(&text, "void entry_point").lines().filter(|line| !is_heap(line)) {
+    for line in before(text, "void entry_point").lines().filter(|line| !is_heap(line)) {
         plain = plain + line + "\n";
         if line.starts_with("Texture2DArray") {
             plain += "SamplerState atlas_sampler : register(s0);\n";
         }
     }
-    Ok(plain)
-}
-
-fn write_msl(module: &Module, info: &ModuleInfo) -> Result<String, Error> {
-    let options = msl::Options { fake_missing_bindings: true, ..Default::default() };
-    let pipeline = msl::PipelineOptions::default();
-    let (text, _) =
-        msl::write_string(module, info, &options, &pipeline).map_err(|error| refused(&error.to_string()))?;
-    Ok(before(&text, "fragment void entry_point"))
+    plain
 }
 
 /// What comes before the entry point.
@@ -244,6 +187,8 @@ fn defines(line: &str, name: &str) -> bool {
 mod tests {
     use super::super::entry::{AtlasEntry, StripEntry};
     use super::*;
+    use crate::shader_text::parse;
+    use naga::{Module, front};
     use std::mem::offset_of;
 
     const LANGUAGES: [Language; 4] = [Language::Wgsl, Language::Glsl, Language::Hlsl, Language::Msl];

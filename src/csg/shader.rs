@@ -10,39 +10,17 @@ use super::profile::Profile;
 use super::program::{Frame, PlacedLevel, PlacedWarpKind, Program};
 use super::shape::{Blend, Op};
 use super::solid::Solid;
-use crate::error::{Error, ShapeError};
+use crate::error::ShapeError;
 use crate::gpu::shader::shared;
+use crate::shader_text::{GlslTarget, Language, translate};
 use glam::DVec3;
-use naga::back::{glsl, hlsl, msl};
-use naga::proc::BoundsCheckPolicies;
-use naga::valid::{Capabilities, ValidationFlags, Validator};
-use naga::{ShaderStage, front};
+use naga::ShaderStage;
+use naga::back::glsl::Version;
 use std::fmt::Write;
 
-/// A shading language.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Language {
-    Wgsl,
-    Glsl,
-    Hlsl,
-    Msl,
-}
-
-impl Language {
-    /// The language that the Python interface calls `name`.
-    pub fn from_name(name: &str) -> Result<Self, ShapeError> {
-        match name {
-            "wgsl" => Ok(Self::Wgsl),
-            "glsl" => Ok(Self::Glsl),
-            "hlsl" => Ok(Self::Hlsl),
-            "msl" => Ok(Self::Msl),
-            _ => {
-                let problem = format!("expected \"wgsl\", \"glsl\", \"hlsl\" or \"msl\", got {name:?}");
-                Err(ShapeError::argument("language", problem))
-            }
-        }
-    }
-}
+/// OpenGL 4.3 and OpenGL ES 3.1 have compute shaders.
+const GLSL: GlslTarget =
+    GlslTarget { version: Version::Desktop(430), stage: ShaderStage::Compute, entry_point: "main" };
 
 /// A shader for the field of a shape.
 #[derive(Debug, Clone, PartialEq)]
@@ -53,49 +31,10 @@ pub struct ShapeShader {
 }
 
 impl ShapeShader {
-    /// The text in some language; GLSL is that of OpenGL 4.3 and OpenGL ES 3.1, which have compute shaders.
-    pub fn text(&self, language: Language) -> Result<String, Error> {
-        if language == Language::Wgsl {
-            return Ok(self.wgsl.clone());
-        }
-        let module = front::wgsl::parse_str(&self.wgsl).map_err(|error| refused(error.emit_to_string(&self.wgsl)))?;
-        let info = Validator::new(ValidationFlags::all(), Capabilities::empty())
-            .validate(&module)
-            .map_err(|error| refused(error.emit_to_string(&self.wgsl)))?;
-        let mut text = String::new();
-        match language {
-            Language::Wgsl => unreachable!("returned above"),
-            Language::Glsl => {
-                let options = glsl::Options { version: glsl::Version::Desktop(430), ..glsl::Options::default() };
-                let pipeline = glsl::PipelineOptions {
-                    shader_stage: ShaderStage::Compute,
-                    entry_point: "main".into(),
-                    multiview: None,
-                };
-                let policies = BoundsCheckPolicies::default();
-                glsl::Writer::new(&mut text, &module, &info, &options, &pipeline, policies)
-                    .and_then(|mut writer| writer.write())
-                    .map_err(|error| refused(error.to_string()))?;
-            }
-            Language::Hlsl => {
-                let options = hlsl::Options { fake_missing_bindings: true, ..hlsl::Options::default() };
-                hlsl::Writer::new(&mut text, &options, &hlsl::PipelineOptions::default())
-                    .write(&module, &info, None)
-                    .map_err(|error| refused(error.to_string()))?;
-            }
-            Language::Msl => {
-                let options = msl::Options { fake_missing_bindings: true, ..msl::Options::default() };
-                (text, _) = msl::write_string(&module, &info, &options, &msl::PipelineOptions::default())
-                    .map_err(|error| refused(error.to_string()))?;
-            }
-        }
-        Ok(text)
+    /// The text in some language.
+    pub fn text(&self, language: Language) -> Result<String, ShapeError> {
+        Ok(translate(&self.wgsl, language, GLSL)?)
     }
-}
-
-/// A text of ours that naga refuses: our bug, told as one.
-fn refused(reason: String) -> Error {
-    ShapeError::argument("language", format!("the shader could not be translated: {reason}")).into()
 }
 
 /// The whole shape as one function.

@@ -8,13 +8,14 @@ use super::error::{Failure, exception};
 use super::run::run;
 use crate::atlas::entry::{AtlasEntry, Facts, StripEntry};
 use crate::atlas::sample::{AtlasField, AtlasFilter, texture_coordinates};
-use crate::atlas::shader::{Language, ShaderOptions, shader};
+use crate::atlas::shader::{ShaderOptions, shader};
 use crate::atlas::texels::{self, Item};
 use crate::atlas::{Block, Layout, gpu, plan};
 use crate::encoding::Encoding;
 use crate::gpu::Place;
 use crate::grid::Grid;
 use crate::memory;
+use crate::shader_text::Language;
 use crate::volume::device;
 use glam::{DMat4, DVec3};
 use numpy::{

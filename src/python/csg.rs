@@ -8,11 +8,12 @@ use super::run::run;
 use crate::csg::decompose::{Method, shape_of, structure};
 use crate::csg::draw::{DrawMethod, draw, tracer};
 use crate::csg::profile::Profile;
-use crate::csg::shader::{Language, shader};
+use crate::csg::shader::shader;
 use crate::csg::volume_leaf::VolumeLeaf;
 use crate::csg::{self, Blend, Op, Solid};
 use crate::error::{Error, ShapeError};
 use crate::grid::Grid;
+use crate::shader_text::Language;
 use crate::volume::Trilinear;
 use glam::DVec3;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray3};
@@ -189,7 +190,7 @@ impl Shape {
 
     /// The field in a shading language, and the numbers that it reads.
     fn shader<'py>(&self, py: Python<'py>, language: &str) -> PyResult<(String, Bound<'py, PyArray1<f32>>)> {
-        let language = Language::from_name(language).map_err(Failure::from)?;
+        let language = Language::from_name(language).map_err(ShapeError::from).map_err(Failure::from)?;
         let solid = self.solid(py)?;
         let shader = shader(&solid).map_err(Failure::from)?;
         let text = py.detach(|| shader.text(language)).map_err(Failure::from)?;

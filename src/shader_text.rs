@@ -1,0 +1,90 @@
+//! WGSL texts in other shading languages, written by naga.
+
+use crate::error::ArgumentError;
+use naga::back::{glsl, hlsl, msl};
+use naga::proc::BoundsCheckPolicies;
+use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
+use naga::{Module, ShaderStage, front};
+
+/// A shading language.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Language {
+    Wgsl,
+    Glsl,
+    Hlsl,
+    Msl,
+}
+
+impl Language {
+    /// The language that the Python interface calls `name`.
+    pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
+        match name {
+            "wgsl" => Ok(Self::Wgsl),
+            "glsl" => Ok(Self::Glsl),
+            "hlsl" => Ok(Self::Hlsl),
+            "msl" => Ok(Self::Msl),
+            _ => {
+                let problem = format!("expected \"wgsl\", \"glsl\", \"hlsl\" or \"msl\", got {name:?}");
+                Err(ArgumentError::new("language", problem))
+            }
+        }
+    }
+}
+
+/// What GLSL, which has one entry point to a text, is written for.
+#[derive(Debug, Clone, Copy)]
+pub struct GlslTarget {
+    pub version: glsl::Version,
+    pub stage: ShaderStage,
+    pub entry_point: &'static str,
+}
+
+/// A WGSL text in another language.
+pub fn translate(wgsl: &str, language: Language, target: GlslTarget) -> Result<String, ArgumentError> {
+    if language == Language::Wgsl {
+        return Ok(wgsl.to_owned());
+    }
+    let (module, info) = parse(wgsl)?;
+    let mut text = String::new();
+    match language {
+        Language::Wgsl => unreachable!("returned above"),
+        Language::Glsl => {
+            let options = glsl::Options { version: target.version, ..glsl::Options::default() };
+            let pipeline = glsl::PipelineOptions {
+                shader_stage: target.stage,
+                entry_point: target.entry_point.into(),
+                multiview: None,
+            };
+            let policies = BoundsCheckPolicies::default();
+            glsl::Writer::new(&mut text, &module, &info, &options, &pipeline, policies)
+                .and_then(|mut writer| writer.write())
+                .map_err(|error| refused(&error.to_string()))?;
+        }
+        Language::Hlsl => {
+            let options = hlsl::Options { fake_missing_bindings: true, ..hlsl::Options::default() };
+            hlsl::Writer::new(&mut text, &options, &hlsl::PipelineOptions::default())
+                .write(&module, &info, None)
+                .map_err(|error| refused(&error.to_string()))?;
+        }
+        Language::Msl => {
+            let options = msl::Options { fake_missing_bindings: true, ..msl::Options::default() };
+            (text, _) = msl::write_string(&module, &info, &options, &msl::PipelineOptions::default())
+                .map_err(|error| refused(&error.to_string()))?;
+        }
+    }
+    Ok(text)
+}
+
+/// A WGSL text as naga sees it, valid on every device.
+pub(crate) fn parse(wgsl: &str) -> Result<(Module, ModuleInfo), ArgumentError> {
+    let module = front::wgsl::parse_str(wgsl).map_err(|error| refused(&error.emit_to_string(wgsl)))?;
+    let info = Validator::new(ValidationFlags::all(), Capabilities::empty())
+        .validate(&module)
+        .map_err(|error| refused(&error.emit_to_string(wgsl)))?;
+    Ok((module, info))
+}
+
+/// A text of ours that naga refuses: our bug, told as one.
+fn refused(reason: &str) -> ArgumentError {
+    ArgumentError::new("language", format!("the shader could not be translated: {reason}"))
+}
