@@ -1,20 +1,18 @@
 """The atlas: where texels go, what comes back, and that sampling it is sampling the volumes."""
 
 import copy
-import io
-import json
 import pickle
 import re
 import threading
-import zipfile
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import fieldbake as fb
 import truth
+from fields import cubes, noise
 
 #: Weights in [0, 1] of values up to 1: eight products and seven sums in float32, and the float32 of a weight.
 FLOAT32_SAMPLE = 16 * 2.0**-24
@@ -33,16 +31,6 @@ ARTICLE_STRUCT = [
 
 #: The most that an encoding changes a distance of at most 1 in a band of 1 unit.
 ENCODING_ERROR = {"float32": 0.0, "float16": 2.0**-10, "snorm16": 1 / 32767, "snorm8": 1 / 127}
-
-
-def noise(shape, seed=0, bounds=((-1, -0.5, -2), (1, 0.75, 1.5))):
-    """A volume of random distances from -1 to 1."""
-    values = np.random.default_rng(seed).uniform(-1, 1, shape)
-    return fb.Volume(values, bounds, inner_bounds=[(-0.2, -0.1, -0.3), (0.3, 0.2, 0.1)])
-
-
-def cubes(count, side):
-    return [noise((side,) * 3, seed) for seed in range(count)]
 
 
 @pytest.fixture(scope="module")
@@ -417,217 +405,6 @@ def test_progress_is_told():
 
 def test_repr_says_what_there_is(mixed):
     assert repr(fb.pack(mixed[:1], page_size=128)).startswith("Atlas(1 volume on 1 page of 128 x 128 float32, shelves")
-
-
-# --- mistakes
-
-
-@pytest.mark.parametrize(
-    ("arguments", "error", "message"),
-    [
-        ({"page_size": 0}, fb.ArgumentError, "page_size"),
-        ({"page_size": 2**20}, fb.ArgumentError, "page_size"),
-        ({"page_size": 64.0}, fb.ArgumentError, "page_size"),
-        ({"gutter": -1}, fb.ArgumentError, "gutter"),
-        ({"gutter": 1000}, fb.ArgumentError, "gutter"),
-        ({"layout": "rows"}, fb.ArgumentError, 'layout: must be one of "shelves", "strips"'),
-        ({"layout": None}, fb.ArgumentError, "layout"),
-        ({"layout": [1]}, fb.ArgumentError, "layout"),
-        ({"encoding": "uint8"}, fb.ArgumentError, "encoding"),
-        ({"band": 0}, fb.ArgumentError, "band"),
-        ({"page_size": 9}, fb.AtlasError, r"volumes\[0\]: 5 x 5 x 5 voxels do not fit .* at least 21"),
-        ({"page_size": 24, "layout": "strips"}, fb.AtlasError, r"volumes\[0\]: .* at least 25"),
-    ],
-)
-def test_options_that_make_no_sense(arguments, error, message):
-    with pytest.raises(error, match=message):
-        fb.pack([noise((5, 5, 5))], **{"page_size": 64, **arguments})
-
-
-def test_the_page_size_that_is_told_would_do():
-    fb.pack([noise((5, 5, 5))], page_size=21)
-    fb.pack([noise((5, 5, 5))], page_size=25, layout="strips")
-
-
-@pytest.mark.parametrize("shape", [(4, 4, 5), (5, 5, 5)])
-def test_strips_hold_equal_cubes_only(shape):
-    with pytest.raises(fb.AtlasError, match=r"volumes\[1\]: strips hold equal cubes, here of 4.*shelves"):
-        fb.pack([noise((4, 4, 4)), noise(shape)], layout="strips")
-    atlas = fb.pack([noise((4, 4, 4))], layout="strips", page_size=32)
-    with pytest.raises(fb.AtlasError, match="equal cubes"):
-        atlas.add(noise(shape))
-    assert len(atlas) == 1
-
-
-@pytest.mark.parametrize(
-    "volumes", [None, 3, noise((2, 2, 2)), [None], [np.zeros((4, 4, 4))], [(noise((2, 2, 2)), np.zeros((4, 4)))]]
-)
-def test_things_that_are_not_volumes(volumes):
-    with pytest.raises(fb.ArgumentError, match="volumes"):
-        fb.pack(volumes)
-
-
-@pytest.mark.parametrize("i", [2, -3, 1.0, "0", None])
-def test_an_index_that_is_not_there(i):
-    atlas = fb.pack(cubes(2, 4), page_size=64)
-
-    for call in (atlas.unpack, atlas.remove, lambda i: atlas.sample(i, [(0, 0, 0)])):
-        with pytest.raises(fb.AtlasError, match=r"^i:"):
-            call(i)
-    with pytest.raises(fb.AtlasError, match=r"^i:"):
-        atlas.texture_coordinates(i, [(0, 0, 0)])
-
-
-def test_negative_indices_count_from_the_end():
-    volumes = cubes(2, 4)
-    assert np.array_equal(fb.pack(volumes, page_size=64).unpack(-1).distances, volumes[1].distances)
-
-
-@pytest.mark.parametrize("points", [np.zeros((3, 2)), [[0, 0, np.nan]]])
-def test_bad_points_are_refused(points):
-    atlas = fb.pack(cubes(1, 4), page_size=64)
-    for call in (atlas.sample, atlas.texture_coordinates):
-        with pytest.raises(fb.ArgumentError, match="points"):
-            call(0, points)
-
-
-def test_an_unknown_filter_is_refused():
-    with pytest.raises(fb.ArgumentError, match='filter: expected "linear", "nearest" or "slice"'):
-        fb.pack(cubes(1, 4), page_size=64).sample(0, [(0, 0, 0)], filter="cubic")
-
-
-def test_pages_that_cannot_fit_in_memory_are_refused_before_any_work():
-    # 181 strips to a page of 4 GiB.
-    volumes = [fb.Volume(np.zeros((181,) * 3, np.float32), [(0, 0, 0), (1, 1, 1)])] * (181 * 200)
-    with pytest.raises(fb.CapacityError, match=r"an atlas of 200 pages .* use a smaller page_size"):
-        fb.pack(volumes, layout="strips", page_size=32768)
-
-
-# --- files
-
-
-@pytest.mark.parametrize("layout", ["shelves", "strips"])
-@pytest.mark.parametrize("encoding", ["float32", "float16", "snorm16", "snorm8"])
-def test_save_and_load_give_the_same_bits(layout, encoding, tmp_path):
-    atlas = fb.pack(cubes(3, 5), layout=layout, page_size=32, encoding=encoding, gutter=2, band=3)
-    atlas.remove(1)
-    atlas.save(tmp_path / "a.npz")
-
-    loaded = fb.load(tmp_path / "a.npz")
-
-    assert np.array_equal(loaded.pages, atlas.pages)
-    assert loaded.pages.dtype == atlas.pages.dtype
-    assert loaded.entries.tobytes() == atlas.entries.tobytes()
-    assert repr(loaded) == repr(atlas)
-    assert (loaded.gutter, loaded.band) == (atlas.gutter, atlas.band)
-    assert np.array_equal(loaded.unpack(2).distances, atlas.unpack(2).distances)
-
-
-def test_another_ending_is_refused(tmp_path):
-    with pytest.raises(fb.FormatError, match="ending"):
-        fb.pack([], page_size=8).save(tmp_path / "atlas.tiff")
-
-
-@pytest.fixture(scope="module")
-def good_file(tmp_path_factory):
-    path = tmp_path_factory.mktemp("atlas") / "good.npz"
-    fb.pack(cubes(3, 4), page_size=24).save(path)
-    return path.read_bytes()
-
-
-def rewrite(content, change_header=None, **arrays):
-    """The archive with facts of the header, or arrays, replaced."""
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        members = {info.filename: archive.read(info) for info in archive.infolist()}
-    header = json.loads(str(np.load(io.BytesIO(members["header.npy"]))))
-    arrays["header"] = np.array(json.dumps({**header, **(change_header or {})}))
-    for name, array in arrays.items():
-        stream = io.BytesIO()
-        np.lib.format.write_array(stream, np.asarray(array))
-        members[f"{name}.npy"] = stream.getvalue()
-    result = io.BytesIO()
-    with zipfile.ZipFile(result, "w") as archive:
-        for name, member in members.items():
-            archive.writestr(name, member)
-    return result.getvalue()
-
-
-def array_of(content, name):
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        return np.load(io.BytesIO(archive.read(f"{name}.npy")))
-
-
-HOSTILE = {
-    "newer version": {"change_header": {"version": 99}},
-    "layout": {"change_header": {"layout": "spiral"}},
-    "another layout": {"change_header": {"layout": "strips"}},
-    "encoding": {"change_header": {"encoding": "float16"}},
-    "page size": {"change_header": {"page_size": 48}},
-    "huge page size": {"change_header": {"page_size": 2**40}},
-    "gutter": {"change_header": {"gutter": "one"}},
-    "band": {"change_header": {"band": -1}},
-    "pages of nan": {"pages": np.full((1, 24, 24), np.nan, np.float32)},
-    "pages in the plane": {"pages": np.zeros((24, 24), np.float32)},
-    "pages too few": {"pages": np.zeros((0, 24, 24), np.float32)},
-    "pages by columns": {"pages": np.zeros((1, 24, 24), np.float32, order="F")},
-    "blocks too short": {"blocks": np.zeros((3, 9), np.uint32)},
-    "blocks of zeros": {"blocks": np.zeros((3, 10), np.uint32)},
-    "blocks too many": {"blocks": np.zeros((4, 10), np.uint32)},
-    "blocks without rows": {"blocks": np.uint32(3)},
-    "boxes upside down": {"boxes": np.ones((3, 4, 3))},
-    "boxes of nan": {"boxes": np.full((3, 4, 3), np.nan)},
-    "boxes far away": {"boxes": np.full((3, 4, 3), 1e300)},
-    "models singular": {"models": np.zeros((3, 4, 4))},
-    "scales zero": {"scales": np.zeros(3, np.float32)},
-    "reports of something else": {"reports": np.frombuffer(b"[1, 2, 3]", np.uint8)},
-    "reports too few": {"reports": np.frombuffer(b"[]", np.uint8)},
-    "reports of no text": {"reports": np.zeros(9)},
-}
-
-
-@pytest.mark.parametrize("name", HOSTILE)
-def test_a_file_that_is_wrong_inside(good_file, tmp_path, name):
-    path = tmp_path / "hostile.npz"
-    path.write_bytes(rewrite(good_file, **HOSTILE[name]))
-
-    with pytest.raises(fb.FormatError, match=r"hostile\.npz"):
-        fb.load(path)
-
-
-@pytest.mark.parametrize("column", range(10))
-@pytest.mark.parametrize("value", [0, 23, 25, 2**31, 2**32 - 2])
-def test_bad_offsets_never_leave_the_pages(good_file, tmp_path, column, value):
-    blocks = array_of(good_file, "blocks")
-    blocks[1, column] = value
-    path = tmp_path / "offset.npz"
-    path.write_bytes(rewrite(good_file, blocks=blocks))
-
-    try:
-        atlas = fb.load(path)
-    except fb.FormatError:
-        return
-    # Some other place on the pages: harmless.
-    assert atlas.unpack(1).distances.shape == tuple(blocks[1, 7:])
-
-
-@given(data=st.data())
-@settings(max_examples=150)
-def test_a_damaged_file_is_a_format_error(good_file, tmp_path_factory, data):
-    content = bytearray(good_file)
-    path = tmp_path_factory.getbasetemp() / "damaged.npz"
-    if data.draw(st.booleans()):
-        content = content[: data.draw(st.integers(0, len(content) - 1))]
-    else:
-        for _ in range(data.draw(st.integers(1, 8))):
-            content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-    path.write_bytes(content)
-
-    try:
-        atlas = fb.load(path)
-    except fb.FormatError:
-        return
-    # What nobody reads may be damaged; the rest is covered by checksums.
-    assert [atlas.unpack(i).resolution for i in atlas.indices] == [(4, 4, 4)] * 3
 
 
 # --- packing on a device
