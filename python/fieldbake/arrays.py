@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _checks, _core
-from .atlas import Layout
 from .atlas import pack as pack_volumes
 from .bake import Sign
 from .camera import Camera
 from .errors import ArgumentError
 from .grid import MAX_SIDE
 from .mesh import check_faces, check_vertices
+from .pages import Layout
 from .render import _size
 from .report import Report
 from .volume import Volume, check_distances

@@ -25,9 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _checks, _core
-from .atlas import TEXELS, Atlas, choice, normalised_copy, scale_of
+from .atlas import Atlas, normalised_copy
 from .errors import ArgumentError, FormatError
 from .io import ATLAS_ARRAYS, MAX_HEADER_BYTES, atomic_write, check_version, head, make_atlas, read_facts
+from .pages import TEXELS, choice, scale_of
 from .volume import Volume, check_distances
 
 #: Endings of each kind of object, besides .npz.

@@ -299,7 +299,8 @@ def _positive(header: dict[str, Any], name: str) -> float:
 
 def make_atlas(header: dict[str, Any], arrays: dict[str, NDArray[Any]], reports: Any, pages: NDArray[Any]) -> Atlas:
     """An atlas from what a file says, once all of it is known to fit together."""
-    from .atlas import BLOCK_NUMBERS, MAX_GUTTER, MAX_PAGE_SIZE, TEXELS, VACANT, Atlas, choice
+    from .atlas import Atlas
+    from .pages import BLOCK_NUMBERS, MAX_GUTTER, MAX_PAGE_SIZE, TEXELS, VACANT, choice
 
     try:
         atlas = Atlas(
