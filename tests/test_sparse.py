@@ -214,3 +214,21 @@ def test_signs_against_brute_force(knot: fb.Mesh) -> None:
     exact = truth.signed_distance(np.asarray(knot.vertices, dtype=np.float64), np.asarray(knot.faces), points)
     clear = np.abs(exact) > 0.5 * sparse.spacing[0]
     assert ((sparse.sample(points) < 0) == (exact < 0))[clear].all()
+
+
+def test_a_sparse_volume_is_packed_and_merged_as_its_whole_grid(dense: fb.Volume) -> None:
+    sparse = dense.to_sparse()
+    whole = sparse.to_volume().distances
+    atlas = fb.pack([sparse, (sparse, np.eye(4))], page_size=1024)
+    assert np.array_equal(atlas.unpack(0).distances, whole)
+    assert np.array_equal(atlas.unpack(atlas.add(sparse)).distances, whole)
+    merged, expected = (fb.merge(thing, 24, device="cpu") for thing in ([sparse], [sparse.to_volume()]))
+    assert np.array_equal(merged.distances, expected.distances)
+
+
+def test_a_sparse_volume_is_no_shape_and_no_list(dense: fb.Volume) -> None:
+    sparse = dense.to_sparse()
+    with pytest.raises(fb.ShapeError, match=r"volume: .*volume\.to_volume\(\)"):
+        fb.volume_shape(sparse)
+    with pytest.raises(fb.ArgumentError, match=r"volumes: .*put it in a list"):
+        fb.pack(sparse)

@@ -17,6 +17,7 @@ from .grid import Resolution, make_grid
 from .progress import Progress, progress_callback
 from .quadric import Quadric, rows_of
 from .report import Report
+from .sparse import SparseVolume
 from .volume import Volume
 
 Method = Literal["bound", "article"]
@@ -287,7 +288,7 @@ def _volume_row(volume: Volume) -> tuple[Any, ...]:
 def _items(scene: Any) -> Sequence[Any]:
     """The instances of a scene, or of a list."""
     items = getattr(scene, "instances", scene)
-    if isinstance(items, (Volume, Quadric)):
+    if isinstance(items, (Volume, SparseVolume, Quadric)):
         items = [items]
     if isinstance(items, (str, bytes)) or not isinstance(items, Sequence):
         raise SceneError(f"scene: must be a Scene or a list of things, got {_checks.describe(scene)}")
@@ -303,7 +304,9 @@ def _place(name: str, item: Any, baked: dict[tuple[int, int], Volume]) -> _Place
         thing, transform = item.thing, item.transform
         resolution = getattr(item, "resolution", THING_RESOLUTION)
     elif (
-        isinstance(item, tuple) and len(item) == 2 and (isinstance(item[0], (Volume, Quadric)) or not _is_arrays(item))
+        isinstance(item, tuple)
+        and len(item) == 2
+        and (isinstance(item[0], (Volume, SparseVolume, Quadric)) or not _is_arrays(item))
     ):
         thing, transform = item
     matrix = np.eye(4) if transform is None else _checks.affine(f"{name}: transform", transform, SceneError)
@@ -312,7 +315,7 @@ def _place(name: str, item: Any, baked: dict[tuple[int, int], Volume]) -> _Place
     key = (id(thing), resolution)
     if key not in baked:
         try:
-            baked[key] = bake(thing, resolution)
+            baked[key] = thing.to_volume() if isinstance(thing, SparseVolume) else bake(thing, resolution)
         except DeviceError:
             raise
         except Error as error:

@@ -446,7 +446,7 @@ def volume_shape(volume: Volume) -> Shape:
     True
     """
     if not isinstance(volume, Volume):
-        raise ShapeError(f"volume: must be a Volume, got {_checks.describe(volume)}; see bake()")
+        raise ShapeError(f"volume: must be a Volume, got {_checks.describe(volume)}; {_cure(volume)}")
     lower, upper = volume._corners()
     return Shape._wrap(_core.Shape.volume(volume._distances, lower, upper))
 
@@ -458,6 +458,12 @@ def combine(op: str, shapes: Iterable[Shape], *, k: float = 0.0, chamfer: float 
 
 
 # --- checks
+
+
+def _cure(thing: object) -> str:
+    """How to make a Volume of what is none."""
+    # Where a sparse volume stores nothing it has bounds, and the steps between them would make a steep shape.
+    return "bake a Volume, or give volume.to_volume()" if hasattr(thing, "to_volume") else "see bake()"
 
 
 def _primitive(name: str, *numbers: float) -> Shape:
