@@ -34,7 +34,7 @@ class QuantizedVolume(Volume):
     """A `Volume` that stores its distances in 16 or 8 bits. Made by :meth:`Volume.quantize`; used like any other.
 
     A stored magnitude is never larger than the true one, so rays still pass through nothing. ``.distances`` decodes all
-    of them to float32, anew at each use; sampling and marching on the CPU read the stored ones.
+    of them to float32, anew at each use; sampling and marching read the stored ones, on a graphics device too.
     """
 
     __slots__ = ("_encoded", "_encoding", "_unit")
@@ -58,8 +58,7 @@ class QuantizedVolume(Volume):
         nx, ny, nz = encoded.shape
         volume._encoded, volume._encoding, volume._unit = _checks.frozen(encoded), encoding, scale
         volume._field, volume._samples, volume._shape = None, None, (nx, ny, nz)
-        volume._bounds, volume._inner_bounds = _checks.frozen(bounds), _checks.frozen(inner_bounds)
-        volume._report = report
+        volume._stand_in(bounds, inner_bounds, report)
         return volume
 
     @property

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _checks, _core
 from .bake import Sign, log_warnings, prepare
+from .boxed import Boxed
 from .convert import MeshLike
 from .grid import Resolution
 from .progress import Progress, progress_callback
@@ -20,7 +21,7 @@ from .volume import Filter, Volume
 Encoding = Literal["float32", "float16", "snorm16", "snorm8"]
 
 
-class SparseVolume:
+class SparseVolume(Boxed):
     """Signed distances in bricks of 8^3 samples near the surface, and a bound everywhere else. Immutable.
 
     Made by :func:`fieldbake.bake_sparse` or :meth:`Volume.to_sparse`. It is sampled and drawn like a `Volume`.
@@ -33,12 +34,9 @@ class SparseVolume:
     field is a proven lower bound of the distance, so that rays may leap over them.
     """
 
-    __slots__ = ("_bounds", "_core_field", "_inner_bounds", "_report")
+    __slots__ = ("_core_field",)
 
-    _bounds: NDArray[np.float64]
     _core_field: _core.SparseField
-    _inner_bounds: NDArray[np.float64]
-    _report: Report
 
     def __init__(self) -> None:
         raise TypeError("a SparseVolume is made by bake_sparse or Volume.to_sparse")
@@ -53,36 +51,13 @@ class SparseVolume:
     ) -> SparseVolume:
         volume = cls.__new__(cls)
         volume._core_field = field
-        volume._bounds = _checks.frozen(bounds)
-        volume._inner_bounds = _checks.frozen(inner_bounds)
-        volume._report = report
+        volume._stand_in(bounds, inner_bounds, report)
         return volume
-
-    @property
-    def bounds(self) -> NDArray[np.float64]:
-        """Lower and upper corner of the box, (2, 3)."""
-        return self._bounds
-
-    @property
-    def inner_bounds(self) -> NDArray[np.float64]:
-        """Box that holds the whole surface, (2, 3)."""
-        return self._inner_bounds
 
     @property
     def resolution(self) -> tuple[int, int, int]:
         """Voxels along x, y and z of the grid that it stands for."""
         return self._core_field.shape
-
-    @property
-    def spacing(self) -> NDArray[np.float64]:
-        """Size of a voxel, (3,), world units."""
-        return np.asarray((self._bounds[1] - self._bounds[0]) / np.array(self.resolution))
-
-    @property
-    def origin(self) -> NDArray[np.float64]:
-        """Centre of voxel (0, 0, 0), (3,), world units."""
-        corner: NDArray[np.float64] = self._bounds[0]
-        return corner + self.spacing / 2
 
     @property
     def encoding(self) -> str:
@@ -98,11 +73,6 @@ class SparseVolume:
     def brick_counts(self) -> MappingProxyType[int, int]:
         """Stored bricks by the side of their cells, voxels: 1, 2 and 4."""
         return MappingProxyType({1 << level: count for level, count in enumerate(self._core_field.levels)})
-
-    @property
-    def report(self) -> Report:
-        """What the bake found and did."""
-        return self._report
 
     @property
     def nbytes(self) -> int:
@@ -154,9 +124,6 @@ class SparseVolume:
 
         save_sparse(self, path)
 
-    def _corners(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        return _checks.triple(self._bounds[0]), _checks.triple(self._bounds[1])
-
     def _source(self, device: str) -> _core.SparseField:
         _checks.text("device", device)
         return self._core_field
@@ -164,11 +131,6 @@ class SparseVolume:
     @property
     def _scale(self) -> float:
         return 1.0
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if hasattr(self, name):
-            raise AttributeError(f"a SparseVolume cannot be changed ({name}); make a new one")
-        super().__setattr__(name, value)
 
     def __reduce__(self) -> tuple[Any, ...]:
         field = self._core_field

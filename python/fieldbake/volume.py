@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from . import _checks, _core
+from .boxed import Boxed
 from .errors import ArgumentError
 from .mesh import Mesh
 from .progress import Progress
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 Filter = Literal["linear", "nearest"]
 
 
-class Volume:
+class Volume(Boxed):
     """Signed distances on a regular grid, negative inside, in the mesh's own units. Immutable.
 
     Made by :func:`fieldbake.bake` or :func:`fieldbake.load`, or from an array:
@@ -54,15 +55,12 @@ class Volume:
     [[1.0, 0.0, 0.0]]
     """
 
-    __slots__ = ("_bounds", "_field", "_inner_bounds", "_report", "_samples", "_shape")
+    __slots__ = ("_field", "_samples", "_shape")
 
-    _bounds: NDArray[np.float64]
     # Samples on a graphics device, and here: either may be missing, not both.
     _field: _core.DeviceField | None
     _samples: NDArray[np.float32] | None
     _shape: tuple[int, int, int]
-    _inner_bounds: NDArray[np.float64]
-    _report: Report
 
     def __init__(
         self,
@@ -89,9 +87,7 @@ class Volume:
             self._field, self._samples = None, _checks.frozen(distances)
         nx, ny, nz = distances.shape
         self._shape = (nx, ny, nz)
-        self._bounds = _checks.frozen(bounds)
-        self._inner_bounds = _checks.frozen(inner_bounds)
-        self._report = report
+        self._stand_in(bounds, inner_bounds, report)
 
     @classmethod
     def _wrap(
@@ -136,35 +132,9 @@ class Volume:
         return self._distances[...]
 
     @property
-    def bounds(self) -> NDArray[np.float64]:
-        """Lower and upper corner of the box, (2, 3); samples lie half a voxel inside."""
-        return self._bounds
-
-    @property
-    def inner_bounds(self) -> NDArray[np.float64]:
-        """Box that holds the whole surface, (2, 3)."""
-        return self._inner_bounds
-
-    @property
     def resolution(self) -> tuple[int, int, int]:
         """Voxels along x, y and z."""
         return self._shape
-
-    @property
-    def spacing(self) -> NDArray[np.float64]:
-        """Size of a voxel, (3,), world units."""
-        return np.asarray((self._bounds[1] - self._bounds[0]) / np.array(self._shape))
-
-    @property
-    def origin(self) -> NDArray[np.float64]:
-        """Centre of voxel (0, 0, 0), (3,), world units."""
-        corner: NDArray[np.float64] = self._bounds[0]
-        return corner + self.spacing / 2
-
-    @property
-    def report(self) -> Report:
-        """What the bake found and did."""
-        return self._report
 
     @property
     def nbytes(self) -> int:
@@ -419,9 +389,6 @@ class Volume:
             raise ArgumentError(f'encoding: {ending or "such"} files hold "float32", got {_checks.describe(encoding)}')
         save_volume(self, path)
 
-    def _corners(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        return _checks.triple(self._bounds[0]), _checks.triple(self._bounds[1])
-
     def _repr_png_(self) -> bytes | None:
         """A picture, for notebooks; None if there is no surface to see."""
         from .render import raymarch
@@ -430,11 +397,6 @@ class Volume:
         if not distances.min() <= 0 <= distances.max():
             return None
         return raymarch(self, size=(256, 256), device="cpu")._repr_png_()
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if hasattr(self, name):
-            raise AttributeError(f"a Volume cannot be changed ({name}); make a new one")
-        super().__setattr__(name, value)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _restore, (self._distances, self._bounds, self._inner_bounds, self._report)
