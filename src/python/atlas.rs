@@ -5,7 +5,7 @@
 use super::convert::{points, volume_array};
 use super::device::{DeviceField, choose};
 use super::error::{Failure, exception};
-use super::run::run;
+use super::run::{run, run_short};
 use crate::atlas::entry::{AtlasEntry, Facts, StripEntry};
 use crate::atlas::sample::{AtlasField, AtlasFilter, texture_coordinates};
 use crate::atlas::shader::{ShaderOptions, shader};
@@ -49,7 +49,7 @@ pub fn atlas_plan<'py>(
     let taken: Vec<Block> = blocks(&taken)?.iter().filter(|block| block.page != VACANT).copied().collect();
     let layout = Layout::from_name(layout, gutter).map_err(Failure::from)?;
     let encoding = Encoding::from_name(encoding).map_err(Failure::from)?;
-    let placed = run(py, None, |_| plan::plan(layout, page_size, align(encoding), &taken, shapes))?;
+    let placed = run_short(py, || plan::plan(layout, page_size, align(encoding), &taken, shapes))?;
     let numbers: Vec<u32> = bytemuck::cast_slice(&placed).to_vec();
     numbers.into_pyarray(py).reshape([placed.len(), BLOCK_NUMBERS])
 }

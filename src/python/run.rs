@@ -58,6 +58,12 @@ pub fn run<T: Send>(
     Ok(value)
 }
 
+/// Run a short `job` on this thread, without the GIL: it neither uses the worker threads nor waits for one to wake up.
+pub fn run_short<T: Send>(py: Python<'_>, job: impl FnOnce() -> Result<T, Error> + Send) -> Result<T, Failure> {
+    let outcome = py.detach(|| catch_unwind(AssertUnwindSafe(job)));
+    Ok(outcome.map_err(|panic| internal_error(py, &*panic))??)
+}
+
 fn look_at_python(py: Python<'_>, callback: Option<&Py<PyAny>>, progress: &Progress) -> PyResult<()> {
     py.check_signals()?;
     if let Some(callback) = callback {
