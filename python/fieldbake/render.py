@@ -104,10 +104,14 @@ def raymarch(
     A hit is a root of the trilinear field, not a place closer than some epsilon: in each voxel the field along the
     ray is a cubic polynomial. What lies outside the volume's box is not seen and casts no shadow.
 
-    ``filter="hardware"`` reads half floats through weights of 8 bits or so: at a hit the trilinear field is within 0.01
-    voxels of zero on the devices that were tested; WebGPU promises no number. It takes the samples for distances, and
-    where they are not, or where a ray is in the solid for less than half a voxel, it can miss a hit. A field too large
-    for one buffer of the device is drawn this way only.
+    Quantized and sparse volumes are read as they are stored, on the CPU and on a graphics device, which holds as many
+    bytes of them. A device takes sparse volumes whose sides have at most 16380 voxels together.
+
+    ``filter="hardware"`` reads half floats through weights of 8 bits or so: at a hit the trilinear field is within
+    0.01 voxels of zero on the devices that were tested; WebGPU promises no number. It takes the samples for distances,
+    and where they are not, or where a ray is in the solid for less than half a voxel, it can miss a hit. Quantized and
+    sparse volumes are decoded to the whole grid for it. A field too large for one buffer of the device is drawn this
+    way only.
 
     References
     ----------
