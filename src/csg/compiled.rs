@@ -3,6 +3,8 @@
 //! Numbers stay in a buffer, so the text follows from the set of structures alone, and shapes that differ in numbers share a
 //! pipeline: a changed parameter compiles nothing. A part whose structure is not in the text is interpreted, in the same
 //! dispatch; parts that are met in closed form need no function.
+//!
+//! lavapipe compiles at the first dispatch and not before: there the first picture by a new kernel waits for it.
 
 use super::chord::Form;
 use super::decompose::{StructureToken, structure};
@@ -42,6 +44,8 @@ pub struct Compiled {
 /// Write the functions for the parts that are marched, and append their numbers to `numbers`.
 pub fn compiled(tracer: &Tracer<'_>, numbers: &mut Vec<f32>) -> Compiled {
     let structures = chosen(tracer);
+    // Without the interpreter the kernel is smaller: faster to compile, and to run.
+    let mut needs_interpreter = false;
     let mut functions = vec![String::new(); structures.len()];
     let mut entries = Vec::with_capacity(tracer.programs.len());
     for part in tracer.programs.iter() {
@@ -54,6 +58,7 @@ pub fn compiled(tracer: &Tracer<'_>, numbers: &mut Vec<f32>) -> Compiled {
             .then(|| structures.get(&structure(&tracer.solid.model, &part.tokens)))
             .flatten();
         let Some(&place) = known else {
+            needs_interpreter |= form == 0;
             entries.push(Entry { form, parameters: 0 });
             continue;
         };
@@ -74,7 +79,8 @@ pub fn compiled(tracer: &Tracer<'_>, numbers: &mut Vec<f32>) -> Compiled {
         let form = FIRST_FORM as usize + place;
         let _ = writeln!(text, "        case {form}u: {{ return structure_{place}(p, parameters); }}");
     }
-    text.push_str("        default: { return csg_distance(p, first, count); }\n    }\n}\n");
+    let default = if needs_interpreter { "csg_distance(p, first, count)" } else { "CSG_FAR" };
+    let _ = writeln!(text, "        default: {{ return {default}; }}\n    }}\n}}");
     Compiled { text, structures: structures.len(), entries }
 }
 
