@@ -1,26 +1,13 @@
 // What the ray of each pixel hits first, and which lights reach it: one invocation a pixel, which walks the boxes of the
 // parts front to back. Twin of src/csg/trace.rs; colours are made from this on the CPU (src/csg/gpu.rs).
 
-#import csg_interpreter
+#import csg_chord
+#import csg_part
+#import picture_rays
 
 struct CsgDrawParams {
-    // Where the ray of the middle of the picture starts, and what one unit to the right and up on the plane at depth 1
-    // adds to it; local units.
-    start: vec3f,
-    width: u32,
-    start_right: vec3f,
-    height: u32,
-    start_up: vec3f,
-    first_row: u32,
-    // Its direction, one unit of depth long, and what one unit to the right and up adds.
-    forward: vec3f,
-    // Side of a pixel on the plane at depth 1.
-    pixel: f32,
-    right: vec3f,
-    light_count: u32,
-    up: vec3f,
-    // 1 for hard shadows, 0 for none.
-    shadows: u32,
+    // In local units.
+    rays: PictureRays,
     // One over the largest Lipschitz constant of a part.
     inverse_lipschitz: f32,
     // Nodes come first in `boxes`.
@@ -30,12 +17,18 @@ struct CsgDrawParams {
 }
 
 // A node of the tree over boxes: its children are nodes `first` and `first + 1`, or, in a leaf, `count` boxes from `first`.
-// A box: its part has `count` tokens from `first`.
+// A box: its part has `count` tokens from `first`, and is met as `form` says.
 struct CsgBox {
     lower: vec3f,
     first: u32,
     upper: vec3f,
     count: u32,
+    // FORM_UNION, FORM_CHORDS, or how its field is evaluated.
+    form: u32,
+    // The first of its numbers, for a compiled field.
+    parameters: u32,
+    pad_0: u32,
+    pad_1: u32,
 }
 
 struct CsgPixel {
@@ -87,7 +80,11 @@ var<private> evaluated: u32 = 0u;
 fn field(ray: Ray, t: f32, cell: u32) -> f32 {
     steps++;
     evaluated += boxes[cell].count;
-    return csg_distance(ray.origin + t * ray.direction, boxes[cell].first, boxes[cell].count);
+    return field_at(ray.origin + t * ray.direction, cell);
+}
+
+fn field_at(p: vec3f, cell: u32) -> f32 {
+    return part_distance(p, boxes[cell].form, boxes[cell].first, boxes[cell].count, boxes[cell].parameters);
 }
 
 // Where a ray is in a box, as (in, out); in >= out where it misses. A ray along a face is in the box above it.
@@ -109,21 +106,47 @@ fn span(ray: Ray, cell: u32, t_max: f32) -> vec2f {
     return t;
 }
 
-// The root between a value of zero or more and one below: regula falsi, Illinois variant.
-fn root(ray: Ray, cell: u32, t0: f32, value0: f32, t1: f32, value1: f32) -> f32 {
-    var low = t0;
-    var above = value0;
-    var high = t1;
-    var below = value1;
+// The first place in a box on [t_in, t_out) where the ray is inside its part, or -1.
+fn first_root(ray: Ray, cell: u32, t_in: f32, t_out: f32) -> f32 {
+    let form = boxes[cell].form;
+    if form != FORM_UNION && form != FORM_CHORDS { return march(ray, cell, t_in, t_out); }
+    steps++;
+    evaluated += boxes[cell].count;
+    let is_union = form == FORM_UNION;
+    return first_inside(ray.origin, ray.direction, boxes[cell].first, boxes[cell].count, is_union, t_in, t_out);
+}
+
+// The first root in a box on [t_in, t_out), or -1: steps to a place below zero, then regula falsi (Illinois variant) between
+// it and the one before. The field is evaluated at one place of the text, for drivers write it out wherever it is called.
+fn march(ray: Ray, cell: u32, t_in: f32, t_out: f32) -> f32 {
+    var t = t_in;
+    // Outside at `low`, inside at `high` once that is known.
+    var low = t_in;
+    var above = 0.0;
+    var high = t_in;
+    var below = 0.0;
+    var is_bracketed = false;
+    var root_steps = 0u;
     var last_side = 0;
-    for (var i = 0u; i < MAX_ROOT_STEPS && has_rounds(); i++) {
+    for (var i = 0u; i < MAX_STEPS && has_rounds(); i++) {
         rounds++;
-        if high - low <= ROOT_WIDTH * max(high, 1.0) || below == 0.0 { break; }
-        let t = clamp(low + (high - low) * (above / (above - below)), low, high);
-        // The root is an end of the bracket as far as float32 can tell.
-        if t == low || t == high { return t; }
         let value = field(ray, t, cell);
-        if value > 0.0 {
+        if !is_bracketed && value >= 0.0 {
+            if t == t_out { return -1.0; }
+            let safe = value * params.inverse_lipschitz;
+            // A safe step crosses nothing; the smallest step might.
+            if t + safe >= t_out { return -1.0; }
+            low = t;
+            above = value;
+            t = min(t + max(safe, MIN_STEP), t_out);
+            continue;
+        }
+        if !is_bracketed {
+            if i == 0u { return t; }
+            is_bracketed = true;
+            high = t;
+            below = value;
+        } else if value > 0.0 {
             low = t;
             above = value;
             if last_side == 1 { below *= 0.5; }
@@ -134,33 +157,14 @@ fn root(ray: Ray, cell: u32, t0: f32, value0: f32, t1: f32, value1: f32) -> f32 
             if last_side == -1 { above *= 0.5; }
             last_side = -1;
         }
+        t = high;
+        if root_steps == MAX_ROOT_STEPS || high - low <= ROOT_WIDTH * max(high, 1.0) || below == 0.0 { break; }
+        root_steps++;
+        t = clamp(low + (high - low) * (above / (above - below)), low, high);
+        // The root is an end of the bracket as far as float32 can tell.
+        if t == low || t == high { break; }
     }
-    return high;
-}
-
-// The first root in a box on [t_in, t_out), or -1.
-fn march(ray: Ray, cell: u32, t_in: f32, t_out: f32) -> f32 {
-    var t = t_in;
-    var value = field(ray, t, cell);
-    if value < 0.0 { return t; }
-    for (var i = 0u; i < MAX_STEPS && has_rounds(); i++) {
-        rounds++;
-        let safe = value * params.inverse_lipschitz;
-        let next = t + max(safe, MIN_STEP);
-        if next >= t_out {
-            // A safe step crosses nothing; the smallest step might.
-            if t + safe >= t_out { return -1.0; }
-            let end = field(ray, t_out, cell);
-            if end >= 0.0 { return -1.0; }
-            let found = root(ray, cell, t, value, t_out, end);
-            return select(-1.0, found, found < t_out);
-        }
-        let there = field(ray, next, cell);
-        if there < 0.0 { return root(ray, cell, t, value, next, there); }
-        t = next;
-        value = there;
-    }
-    return -1.0;
+    return select(-1.0, t, is_bracketed && t < t_out);
 }
 
 fn trace(ray: Ray, any: bool) -> Hit {
@@ -202,7 +206,7 @@ fn trace(ray: Ray, any: bool) -> Hit {
         } else if node >= params.node_count {
             let t = span(ray, node, best.t);
             if t.x >= t.y { continue; }
-            let found = march(ray, node, t.x, t.y);
+            let found = first_root(ray, node, t.x, t.y);
             if found >= 0.0 && found < best.t {
                 best = Hit(found, node - params.node_count, true);
                 if any { return best; }
@@ -240,7 +244,7 @@ fn surface_normal(p: vec3f, cell: u32, fallback: vec3f) -> vec3f {
             select(-1.0, 1.0, i == 2u || i == 3u),
             select(-1.0, 1.0, i == 1u || i == 3u),
         );
-        slope += corner * csg_distance(p + NORMAL_STEP * corner, boxes[box].first, boxes[box].count);
+        slope += corner * field_at(p + NORMAL_STEP * corner, box);
     }
     let size = length(slope);
     if size == 0.0 { return fallback; }
@@ -250,36 +254,39 @@ fn surface_normal(p: vec3f, cell: u32, fallback: vec3f) -> vec3f {
 @compute @workgroup_size(8, 8)
 fn main(@builtin(global_invocation_id) id: vec3u) {
     let x = id.x;
-    let y = id.y + params.first_row;
-    if x >= params.width || y >= params.height { return; }
-    let index = x + params.width * y;
-    for (var i = 0u; i < min(params.light_count, MAX_LIGHTS); i++) { shares[index * params.light_count + i] = 1.0; }
+    let y = id.y + params.rays.first_row;
+    if x >= params.rays.width || y >= params.rays.height { return; }
+    let index = x + params.rays.width * y;
+    for (var i = 0u; i < min(params.rays.light_count, MAX_LIGHTS); i++) { shares[index * params.rays.light_count + i] = 1.0; }
 
-    let along_right = (f32(x) + 0.5 - 0.5 * f32(params.width)) * params.pixel;
-    let along_up = (0.5 * f32(params.height) - 0.5 - f32(y)) * params.pixel;
-    let start = params.start + along_right * params.start_right + along_up * params.start_up;
-    let direction = normalize(params.forward + along_right * params.right + along_up * params.up);
-    let ray = Ray(start, direction);
-    let hit = trace(ray, false);
+    let from_eye = picture_ray(params.rays, x, y);
+    let direction = normalize(from_eye.along);
+    var ray = Ray(from_eye.start, direction);
     var pixel: CsgPixel;
-    pixel.steps = steps;
-    pixel.tokens = evaluated;
-    if hit.is_hit {
+    var p = from_eye.start;
+    // The ray from the eye, then one to each light; one call, as above.
+    for (var i = 0u; i <= min(params.rays.light_count, MAX_LIGHTS) && has_rounds(); i++) {
+        rounds++;
+        if i > 0u {
+            let to_light = -lights[i - 1u].xyz;
+            shares[index * params.rays.light_count + i - 1u] = 0.0;
+            if dot(pixel.normal, to_light) <= 0.0 { continue; }
+            ray = Ray(p + SHADOW_BIAS * pixel.normal, to_light);
+        }
+        let hit = trace(ray, i > 0u);
+        if i > 0u {
+            if !hit.is_hit { shares[index * params.rays.light_count + i - 1u] = 1.0; }
+            continue;
+        }
+        pixel.steps = steps;
+        pixel.tokens = evaluated;
+        if !hit.is_hit { break; }
         pixel.state = 1u;
         pixel.t = hit.t;
         pixel.cell = hit.cell;
-        let p = start + hit.t * direction;
+        p = from_eye.start + hit.t * direction;
         pixel.normal = surface_normal(p, hit.cell, -direction);
-        for (var i = 0u; i < min(params.light_count, MAX_LIGHTS); i++) {
-            if params.shadows == 0u { continue; }
-            let to_light = -lights[i].xyz;
-            var share = 0.0;
-            if dot(pixel.normal, to_light) > 0.0 {
-                let shadow = trace(Ray(p + SHADOW_BIAS * pixel.normal, to_light), true);
-                share = select(1.0, 0.0, shadow.is_hit);
-            }
-            shares[index * params.light_count + i] = share;
-        }
+        if params.rays.shadows == 0u { break; }
     }
     if !has_rounds() { pixel.state = 2u; }
     pixels[index] = pixel;

@@ -1,29 +1,12 @@
 // Draw quadrics that are stored in a texture: one invocation a pixel, its ray and its shadow rays. Twin of
 // src/quadric/draw.rs and src/quadric/local.rs.
-//
-// Positions are relative to the middle of all quadrics. Rays start on the plane `start_depth` before the camera: the CPU
-// moves the eye there in float64.
 
 #import light
+#import picture_rays
 
 struct QuadricParams {
-    // Where the ray of the middle of the picture starts, and what one unit to the right and up on the plane at depth 1
-    // adds to it.
-    start: vec3f,
-    width: u32,
-    start_right: vec3f,
-    height: u32,
-    start_up: vec3f,
-    // The first row of this dispatch.
-    first_row: u32,
-    forward: vec3f,
-    // Side of a pixel on the plane at depth 1.
-    pixel: f32,
-    right: vec3f,
-    light_count: u32,
-    up: vec3f,
-    // 1 for hard shadows, 0 for none.
-    shadows: u32,
+    // Positions are relative to the middle of all quadrics.
+    rays: PictureRays,
     background: vec4f,
     ambient: f32,
     specular: f32,
@@ -238,35 +221,32 @@ fn walk_along(origin: vec3f, direction: vec3f, from_place: u32, shadow: bool) ->
 @compute @workgroup_size(8, 8)
 fn main(@builtin(global_invocation_id) id: vec3u) {
     let x = id.x;
-    let y = id.y + params.first_row;
-    if x >= params.width || y >= params.height { return; }
-    let index = x + params.width * y;
+    let y = id.y + params.rays.first_row;
+    if x >= params.rays.width || y >= params.rays.height { return; }
+    let index = x + params.rays.width * y;
     var pixel: QuadricPixel;
     pixel.color = params.background;
-    for (var i = 0u; i < min(params.light_count, MAX_LIGHTS); i++) { shares[index * params.light_count + i] = 1.0; }
+    for (var i = 0u; i < min(params.rays.light_count, MAX_LIGHTS); i++) { shares[index * params.rays.light_count + i] = 1.0; }
 
-    let along_right = (f32(x) + 0.5 - 0.5 * f32(params.width)) * params.pixel;
-    let along_up = (0.5 * f32(params.height) - 0.5 - f32(y)) * params.pixel;
-    let start = params.start + along_right * params.start_right + along_up * params.start_up;
-    let along = params.forward + along_right * params.right + along_up * params.up;
-    let per_depth = length(along);
-    let direction = along / per_depth;
+    let ray = picture_ray(params.rays, x, y);
+    let per_depth = length(ray.along);
+    let direction = ray.along / per_depth;
 
-    let hit = walk_along(start, direction, NO_QUADRIC, false).hit;
+    let hit = walk_along(ray.start, direction, NO_QUADRIC, false).hit;
     pixel.steps = tried;
     if hit.place != NO_QUADRIC {
         let q = load_quadric(hit.place);
-        let p = start + hit.t * direction;
+        let p = ray.start + hit.t * direction;
         let normal = quadric_normal(q, p, direction);
         var color = ambient_light(normal, params.ambient) * q.reflectance;
-        for (var i = 0u; i < min(params.light_count, MAX_LIGHTS); i++) {
+        for (var i = 0u; i < min(params.rays.light_count, MAX_LIGHTS); i++) {
             let to_light = -lights[i].direction;
             var share = 1.0;
-            if params.shadows == 1u {
+            if params.rays.shadows == 1u {
                 share = 0.0;
                 if dot(normal, to_light) > 0.0 { share = walk_along(p, to_light, hit.place, true).share; }
             }
-            shares[index * params.light_count + i] = share;
+            shares[index * params.rays.light_count + i] = share;
             color += share * light_adds(lights[i], q.reflectance, normal, -direction, params.specular, params.shininess);
         }
         pixel.color = vec4f(color, 1.0);

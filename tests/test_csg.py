@@ -243,21 +243,6 @@ def test_a_thousand_leaves_fall_into_small_parts():
     assert parts.structures < 20
 
 
-@pytest.mark.parametrize("method", ["whole", "aabb", "octree"])
-def test_the_camera_may_be_anywhere(method):
-    shape = fb.csg.parse(ARTICLE)
-    inside = fb.raymarch(shape, fb.Camera((0, 0, 0), (0, 0, -1)), size=(4, 4), method=method)
-    assert (inside.depth == 0).all()
-    # In the hollow that the sphere left, inside the boxes: the nearest wall is that of the small cube, at z = 1.5.
-    hollow = fb.raymarch(shape, fb.Camera((-1.2, -1.2, 1.9), (-1.2, -1.2, 0)), size=(1, 1), method=method)
-    assert hollow.depth[0, 0] == pytest.approx(0.4, abs=1e-5)
-    # Along the faces of the boxes, and in the planes in which they meet.
-    for eye in ((0.5, 0.5, 9), (-2, 0, 9), (0.5, 2, 9)):
-        frame = fb.raymarch(shape, fb.Camera(eye, (*eye[:2], 0)), size=(1, 1), method=method)
-        assert np.isinf(frame.depth[0, 0]) or frame.depth[0, 0] == pytest.approx(7, abs=1e-5)
-    assert np.isinf(fb.raymarch(shape, fb.Camera((9, 9, 9), (9, 9, 0)), size=(1, 1), method=method).depth).all()
-
-
 def test_the_middle_planes_of_cells_have_no_holes():
     frame = fb.raymarch(fb.box(2), fb.Camera((0, 0, 5), (0, 0, 0), fov_deg=10), size=(65, 65))
     assert np.abs(frame.depth - 4).max() < 1e-5

@@ -4,8 +4,8 @@
 //!
 //! A line meets a convex solid in one stretch, its *chord*: that of a slab, a half space and a ball follow from a division or
 //! a square root, the others are intersections of these. Operators combine chords as sets on the line (S. Roth, "Ray Casting
-//! for Modeling Solids", 1982): the places where a ray goes in and out of `a` and of `b`, in order, are those where it may go
-//! in or out of their union. The first place where it is inside is the hit: the root that marching would creep up to, found
+//! for Modeling Solids", 1982): only where a ray goes in or out of a leaf can it go in or out of the whole, so these places
+//! are tried in order. The first one behind which it is inside is the hit: the root that marching would creep up to, found
 //! without a step.
 //!
 //! Quadratics are solved about the point of the line that is nearest to the axis, so that nothing cancels but the size of the
@@ -21,11 +21,8 @@ use super::program::{Flat, Joint, LeafField, PlacedLeaf, Program};
 use super::shape::Op;
 use glam::{Vec2, Vec3};
 
-/// Leaves of a part that is done this way at most; as many chords are kept.
+/// Leaves of a part that is done this way at most; as many chords are kept, and no more bits wait on the stack.
 pub const MAX_LEAVES: usize = 12;
-
-/// Values that wait at a time for so many leaves at most: the logarithm, see [`super::model`].
-const MAX_WAITING: usize = 5;
 
 /// Beyond any place on a ray through a model of size 1.
 const FAR: f32 = 1e30;
@@ -109,94 +106,54 @@ pub fn first_inside(
         return (nearest < t_out).then_some(nearest);
     }
 
-    let mut waiting = [Crossings::NONE; MAX_WAITING];
-    let mut top = 0;
+    let mut chords = [Chord::NONE; MAX_LEAVES];
+    let leaves = tokens.iter().filter_map(|token| match token {
+        Token::Leaf(leaf) => Some(*leaf),
+        _ => None,
+    });
+    let mut count = 0;
+    for leaf in leaves {
+        chords[count] = chord(&program.leaves[leaf as usize], line);
+        count += 1;
+    }
+    let mut t = t_in;
+    while !is_inside(program, tokens, &chords, t) {
+        let ends = chords[..count].iter().filter(|chord| !chord.is_empty()).flat_map(|chord| [chord.from, chord.to]);
+        t = ends.filter(|&end| end > t).fold(t_out, f32::min);
+        if t >= t_out {
+            return None;
+        }
+    }
+    Some(t)
+}
+
+/// Whether a line is inside right behind `t`; `chords` are those of the leaves in the order of the tokens.
+fn is_inside(program: &Program<f32>, tokens: &[Token], chords: &[Chord; MAX_LEAVES], t: f32) -> bool {
+    // A stack of bits, the top one last.
+    let mut waiting = 0u32;
+    let mut next = 0;
     for &token in tokens {
         match token {
-            Token::Leaf(leaf) => {
-                waiting[top] = Crossings::of(chord(&program.leaves[leaf as usize], line), t_in, t_out);
-                top += 1;
+            Token::Leaf(_) => {
+                waiting = waiting << 1 | u32::from(chords[next].holds(t));
+                next += 1;
             }
             Token::Combine(i) => {
                 let combine = &program.combines[i as usize];
-                let (below, above) = (&waiting[top - 2], &waiting[top - 1]);
-                let (a, b) = if combine.is_swapped { (above, below) } else { (below, above) };
-                waiting[top - 2] = Crossings::combined(combine.op, a, b);
-                top -= 1;
+                let (top, below) = (waiting & 1, waiting >> 1 & 1);
+                let (a, b) = if combine.is_swapped { (top, below) } else { (below, top) };
+                let joined = match combine.op {
+                    Op::Union => a | b,
+                    Op::Intersection => a & b,
+                    Op::Difference => a & !b,
+                    Op::Xor => a ^ b,
+                };
+                waiting = waiting >> 2 << 1 | joined & 1;
             }
-            Token::Complement => waiting[top - 1].starts_inside ^= true,
-            Token::Level(_) | Token::Enter(_) | Token::Leave(_) => unreachable!("told by Form::of"),
+            _ => waiting ^= 1,
         }
     }
-    let whole = &waiting[0];
-    if whole.starts_inside { Some(t_in) } else { whole.places().first().copied() }
-}
-
-/// Where a line goes in and out of a solid, in order, between two places.
-#[derive(Debug, Clone, Copy)]
-struct Crossings {
-    starts_inside: bool,
-    count: usize,
-    at: [f32; 2 * MAX_LEAVES],
-}
-
-impl Crossings {
-    const NONE: Self = Self { starts_inside: false, count: 0, at: [0.0; 2 * MAX_LEAVES] };
-
-    fn of(chord: Chord, t_in: f32, t_out: f32) -> Self {
-        let mut crossings = Self::NONE;
-        let (from, to) = (chord.from.max(t_in), chord.to.min(t_out));
-        if from < to {
-            crossings.starts_inside = chord.from <= t_in;
-            if !crossings.starts_inside {
-                crossings.push(from);
-            }
-            if to < t_out {
-                crossings.push(to);
-            }
-        }
-        crossings
-    }
-
-    fn push(&mut self, t: f32) {
-        self.at[self.count] = t;
-        self.count += 1;
-    }
-
-    fn places(&self) -> &[f32] {
-        &self.at[..self.count]
-    }
-
-    /// Merged in order. What is entered and left at one place is nothing.
-    fn combined(op: Op, a: &Self, b: &Self) -> Self {
-        let is_inside = |a: bool, b: bool| match op {
-            Op::Union => a | b,
-            Op::Intersection => a & b,
-            Op::Difference => a & !b,
-            Op::Xor => a ^ b,
-        };
-        let (mut in_a, mut in_b) = (a.starts_inside, b.starts_inside);
-        let mut inside = is_inside(in_a, in_b);
-        let mut merged = Self { starts_inside: inside, ..Self::NONE };
-        let (mut i, mut j) = (0, 0);
-        while i < a.count || j < b.count {
-            let next = |crossings: &Self, k: usize| crossings.places().get(k).copied().unwrap_or(f32::INFINITY);
-            let t = next(a, i).min(next(b, j));
-            while next(a, i) == t && i < a.count {
-                in_a ^= true;
-                i += 1;
-            }
-            while next(b, j) == t && j < b.count {
-                in_b ^= true;
-                j += 1;
-            }
-            if is_inside(in_a, in_b) != inside {
-                inside = !inside;
-                merged.push(t);
-            }
-        }
-        merged
-    }
+    waiting & 1 == 1
 }
 
 /// A stretch of a line; there is none where `from` is not before `to`.
@@ -214,8 +171,12 @@ impl Chord {
         Self { from: self.from.max(other.from), to: self.to.min(other.to) }
     }
 
-    fn is_empty(self) -> bool {
+    fn is_empty(&self) -> bool {
         self.from >= self.to
+    }
+
+    fn holds(&self, t: f32) -> bool {
+        self.from <= t && t < self.to
     }
 
     /// The least chord over two of one convex solid.

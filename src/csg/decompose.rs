@@ -81,7 +81,7 @@ pub fn grouped(pieces: impl IntoIterator<Item = (Arc<[Token]>, [DVec3; 2])>) -> 
 }
 
 /// What a shader is compiled for: operators and kinds of leaves, without their numbers.
-#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum StructureToken {
     Leaf(&'static str),
     Combine { op: Op, is_swapped: bool, joint: &'static str },

@@ -49,6 +49,12 @@ pub struct Drawing {
     pub boxes: usize,
     /// Evaluations of leaves by the rays of the pixels, shadow rays left out.
     pub leaf_evaluations: u64,
+    /// Structures of parts that the device's kernel for this picture has a function for, or will have.
+    pub structures: usize,
+    /// Whether that kernel was there; until then the interpreter draws.
+    pub is_compiled: bool,
+    /// Kernels that the device keeps for pictures of shapes.
+    pub pipelines: usize,
 }
 
 /// Start of a shadow ray above the surface, local units: some of the shortest steps.
@@ -104,6 +110,9 @@ fn draw_on_cpu(view: &View<'_>, progress: &Progress) -> Result<Drawing, Error> {
         parts: view.tracer.programs.len(),
         boxes: view.tracer.boxes.len(),
         leaf_evaluations: evaluations.into_inner(),
+        structures: 0,
+        is_compiled: false,
+        pipelines: 0,
     })
 }
 

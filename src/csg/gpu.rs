@@ -1,26 +1,30 @@
 //! Shapes on a graphics device: the interpreter of `shaders/shared/csg_interpreter.wgsl` for points, grids and pictures.
 //!
 //! One kernel serves every shape: tokens, tables and boxes go up as buffers, so a changed parameter or a changed tree compiles
-//! nothing. Rays walk the boxes of the parts in a compute kernel, one invocation a pixel, and what comes down is what each ray
+//! nothing. Pictures swap it for one written for the structures of the shape ([`super::compiled`]) as soon as a thread of its
+//! own has compiled that. Rays walk the boxes of the parts in a compute kernel, one invocation a pixel, and what comes down is what each ray
 //! hit and which lights reach it; colours are made from that on the CPU by the same function as there. An invocation that runs
 //! out of rounds (software adapters stop at 65,535) says so, and its points or pixels are redone on the CPU.
 
+use super::compiled::{Compiled, Entry, compiled};
 use super::draw::{Drawing, Scratch, View};
 use super::model::Token;
 use super::program::{Flat, Joint, LeafField, PlacedLeaf, PlacedLevel, PlacedWarpKind, Program};
 use super::shape::Op;
 use super::solid::Solid;
 use super::trace::Tracer;
-use crate::error::{ArgumentError, Error};
+use crate::error::{ArgumentError, DeviceError, Error};
 use crate::gpu::Context;
 use crate::gpu::layout::{CsgBox, CsgDrawParams, CsgLeaf, CsgPixel, CsgPointParams};
 use crate::gpu::pace::in_pieces;
+use crate::gpu::shader::source_with;
 use crate::grid::Grid;
 use crate::memory::allocate_samples;
 use crate::progress::Progress;
-use crate::render::{Frame, Shadows};
+use crate::render::Frame;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Side of a workgroup of the picture, and points of one of the other kernel, as in the shaders.
 const TILE: u32 = 8;
@@ -241,7 +245,7 @@ pub(super) fn bake(solid: &Solid, context: &Context, grid: &Grid, progress: &Pro
 }
 
 /// Draw on a device.
-pub(super) fn draw(view: &View<'_>, context: &Context, progress: &Progress) -> Result<Drawing, Error> {
+pub(super) fn draw(view: &View<'_>, context: &Arc<Context>, progress: &Progress) -> Result<Drawing, Error> {
     let (tracer, camera, options) = (view.tracer, view.camera, view.options);
     if view.lights.len() > MAX_LIGHTS {
         let problem = format!("{} lights, a graphics device draws with {MAX_LIGHTS} at most", view.lights.len());
@@ -250,8 +254,10 @@ pub(super) fn draw(view: &View<'_>, context: &Context, progress: &Progress) -> R
     let [width, height] = options.size;
     let pixel_count = width as usize * height as usize;
     let solid = tracer.solid;
-    let encoder = Encoder::new(&solid.program);
-    let (boxes, tokens) = encoded_boxes(tracer, &encoder);
+    let mut encoder = Encoder::new(&solid.program);
+    let Compiled { text, structures, entries } = compiled(tracer, &mut encoder.numbers);
+    let written = written_kernel(context, &text, structures)?;
+    let (boxes, tokens) = encoded_boxes(tracer, &encoder, &entries);
     let tables = encoder.upload(context, &tokens)?;
     let start_depth = depth_before(tracer, camera.eye, camera.back);
     let mut params = params(view, start_depth);
@@ -262,7 +268,10 @@ pub(super) fn draw(view: &View<'_>, context: &Context, progress: &Progress) -> R
     let light_buffer = context.upload("lights", &lights)?;
     let pixels = context.storage("a picture", (pixel_count * size_of::<CsgPixel>()) as u64)?;
     let shares = context.storage("light shares", (4 * pixel_count * lights.len().max(1)) as u64)?;
-    let kernel = context.kernel("csg_draw", "main")?;
+    let kernel = match written.clone() {
+        Some(kernel) => kernel,
+        None => context.kernel("csg_draw", "main")?,
+    };
     let buffers = [
         (0, &uniform),
         (1, &tables.tokens),
@@ -277,9 +286,9 @@ pub(super) fn draw(view: &View<'_>, context: &Context, progress: &Progress) -> R
     progress.set_total(u64::from(height));
     let rows = u64::from(height.div_ceil(TILE));
     in_pieces(context, "the shape kernel", rows, TILE_ROWS.0, TILE_ROWS.1, progress, |first, count| {
-        params.first_row = first as u32 * TILE;
+        params.rays.first_row = first as u32 * TILE;
         context.write("picture parameters", &uniform, 0, &[params])?;
-        progress.advance((count * u64::from(TILE)).min(u64::from(height - params.first_row)))?;
+        progress.advance((count * u64::from(TILE)).min(u64::from(height - params.rays.first_row)))?;
         Ok(context.dispatch("picture of a shape", &kernel, &group, [width.div_ceil(TILE), count as u32, 1])?)
     })?;
 
@@ -320,11 +329,28 @@ pub(super) fn draw(view: &View<'_>, context: &Context, progress: &Progress) -> R
         parts: tracer.programs.len(),
         boxes: tracer.boxes.len(),
         leaf_evaluations: found.iter().map(|pixel| u64::from(pixel.tokens)).sum(),
+        structures,
+        is_compiled: structures == 0 || written.is_some(),
+        pipelines: 1 + context.written_kernel_count(),
     })
 }
 
+/// The kernel that was written for some structures, if there are any and it is compiled.
+fn written_kernel(
+    context: &Arc<Context>,
+    text: &str,
+    structures: usize,
+) -> Result<Option<wgpu::ComputePipeline>, DeviceError> {
+    if structures == 0 {
+        return Ok(None);
+    }
+    let refused = |reason| DeviceError::Shader { device: context.label(), kernel: "csg_draw".into(), reason };
+    let source = source_with("csg_draw", &[("csg_part", text)]).map_err(refused)?;
+    Ok(context.written_kernel("csg_draw", "main", source))
+}
+
 /// Nodes, then boxes, and the tokens of all parts behind each other.
-fn encoded_boxes(tracer: &Tracer<'_>, encoder: &Encoder<'_>) -> (Vec<CsgBox>, Vec<u32>) {
+fn encoded_boxes(tracer: &Tracer<'_>, encoder: &Encoder<'_>, entries: &[Entry]) -> (Vec<CsgBox>, Vec<u32>) {
     let mut tokens = Vec::new();
     let mut firsts = Vec::new();
     for program in tracer.programs.iter() {
@@ -336,12 +362,16 @@ fn encoded_boxes(tracer: &Tracer<'_>, encoder: &Encoder<'_>) -> (Vec<CsgBox>, Ve
         first: node.first,
         upper: node.upper.to_array(),
         count: node.count,
+        ..CsgBox::default()
     });
     let boxes = tracer.boxes.iter().map(|cell| CsgBox {
         lower: cell.lower.to_array(),
         first: firsts[cell.part as usize],
         upper: cell.upper.to_array(),
         count: tracer.programs[cell.part as usize].tokens.len() as u32,
+        form: entries[cell.part as usize].form,
+        parameters: entries[cell.part as usize].parameters,
+        ..CsgBox::default()
     });
     (nodes.chain(boxes).collect(), tokens)
 }
@@ -359,22 +389,10 @@ fn depth_before(tracer: &Tracer<'_>, eye: DVec3, back: DVec3) -> f64 {
 fn params(view: &View<'_>, start_depth: f64) -> CsgDrawParams {
     let (camera, options, tracer) = (view.camera, view.options, view.tracer);
     let frame = tracer.solid.frame;
-    let shrunk = start_depth / frame.scale;
-    let to_f32 = |v: DVec3| v.as_vec3().to_array();
+    let start = frame.local(camera.eye - start_depth * camera.back);
     let inverse_lipschitz = tracer.programs.iter().map(|part| part.inverse_lipschitz).fold(1.0, f32::min);
     CsgDrawParams {
-        start: to_f32(frame.local(camera.eye - start_depth * camera.back)),
-        width: options.size[0],
-        start_right: to_f32(shrunk * camera.right),
-        height: options.size[1],
-        start_up: to_f32(shrunk * camera.up),
-        first_row: 0,
-        forward: to_f32(-camera.back),
-        pixel: camera.pixel_size(options.size[1]) as f32,
-        right: to_f32(camera.right),
-        light_count: view.lights.len() as u32,
-        up: to_f32(camera.up),
-        shadows: u32::from(options.shadows == Shadows::Hard),
+        rays: camera.rays(options, view.lights.len(), start, start_depth / frame.scale),
         inverse_lipschitz,
         node_count: tracer.nodes.len() as u32,
         ..CsgDrawParams::default()

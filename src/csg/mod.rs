@@ -16,6 +16,7 @@ mod aabb;
 pub mod align;
 pub mod bounds;
 pub mod chord;
+mod compiled;
 pub mod decompose;
 pub mod draw;
 mod field;

@@ -6,9 +6,8 @@
 use super::decompose::{StructureToken, structure};
 use super::model::{Model, Token, WarpKind};
 use super::primitive::{PARAMETERS, Primitive};
-use super::profile::Profile;
-use super::program::{Frame, PlacedLevel, PlacedWarpKind, Program};
-use super::shape::{Blend, Op};
+use super::program::{Flat, Frame, Joint, LeafField, PlacedLevel, PlacedWarpKind, Program};
+use super::shape::Op;
 use super::solid::Solid;
 use crate::error::ShapeError;
 use crate::gpu::shader::shared;
@@ -48,7 +47,7 @@ pub fn shader(solid: &Solid) -> Result<ShapeShader, ShapeError> {
     }
     // World units: nothing is moved or scaled.
     let program = Program::<f32>::new(model, Frame { center: DVec3::ZERO, scale: 1.0 });
-    let mut writer = Writer { model, program, body: String::new(), numbers: Vec::new(), depth: 1, names: 0 };
+    let mut writer = Writer::new(model, &program, "");
     let value = writer.write(&model.tokens);
     let _ = writeln!(writer.body, "    return {value};");
 
@@ -68,9 +67,9 @@ pub fn shader(solid: &Solid) -> Result<ShapeShader, ShapeError> {
 }
 
 /// What the generated function calls besides the primitives.
-const HELPERS: &str = "
+pub(super) const HELPERS: &str = "
 // A position in the space of a leaf, whose placement is the twelve numbers from `i`.
-fn placed(p: vec3f, i: u32) -> vec3f {
+fn place_at(p: vec3f, i: u32) -> vec3f {
     return vec3f(
         dot(vec3f(numbers[i], numbers[i + 1u], numbers[i + 2u]), p) + numbers[i + 3u],
         dot(vec3f(numbers[i + 4u], numbers[i + 5u], numbers[i + 6u]), p) + numbers[i + 7u],
@@ -86,7 +85,7 @@ fn six(i: u32) -> array<f32, 6> {
 }
 
 // The nearest edge, and the parity of the edges to the right; corners follow their count.
-fn polygon(at: vec2f, i: u32) -> f32 {
+fn polygon_at(at: vec2f, i: u32) -> f32 {
     let count = u32(numbers[i]);
     var nearest = CSG_FAR;
     var is_inside = false;
@@ -116,19 +115,29 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
 }
 ";
 
-struct Writer<'a> {
+/// Writes the statements of a function.
+pub(super) struct Writer<'a> {
     model: &'a Model,
-    program: Program<f32>,
-    body: String,
-    numbers: Vec<f32>,
-    /// Spaces that are open: `p0` is the world.
+    program: &'a Program<f32>,
+    pub body: String,
+    pub numbers: Vec<f32>,
+    /// What is added to places in the buffer of numbers: nothing, or the name of a variable and a plus sign.
+    base: &'static str,
+    /// Turns of the loops that an evaluation goes through, as expressions.
+    pub loops: Vec<String>,
+    /// Spaces that are open: `p0` is the outermost.
     depth: usize,
     names: usize,
 }
 
-impl Writer<'_> {
+impl<'a> Writer<'a> {
+    pub fn new(model: &'a Model, program: &'a Program<f32>, base: &'static str) -> Self {
+        let (body, numbers, loops) = Default::default();
+        Self { model, program, body, numbers, base, loops, depth: 1, names: 0 }
+    }
+
     /// Write the statements for tokens; the name of the value.
-    fn write(&mut self, tokens: &[Token]) -> String {
+    pub fn write(&mut self, tokens: &[Token]) -> String {
         let kinds = structure(self.model, tokens);
         let mut stack: Vec<String> = Vec::new();
         let mut spaces = vec!["p0".to_owned()];
@@ -143,9 +152,9 @@ impl Writer<'_> {
                 (Token::Combine(i), StructureToken::Combine { op, is_swapped, joint }) => {
                     let (top, below) = (stack.pop().unwrap_or_default(), stack.pop().unwrap_or_default());
                     let (a, b) = if is_swapped { (top, below) } else { (below, top) };
-                    let width = match self.model.combines[i as usize].blend {
-                        Blend::Sharp => "0.0".to_owned(),
-                        Blend::Smooth(k) | Blend::Chamfer(k) => self.number(k as f32),
+                    let width = match self.program.combines[i as usize].joint {
+                        Joint::Sharp => "0.0".to_owned(),
+                        Joint::Smooth(k, _) | Joint::Chamfer(k) => self.number(k),
                     };
                     let call = joined(op, joint, &a, &b, &width);
                     let name = self.statement("d", &call, &format!("{joint} {}", op.name()));
@@ -168,7 +177,7 @@ impl Writer<'_> {
                         WarpKind::Twist(_) => "twist",
                         WarpKind::Bend(_) => "bend",
                     };
-                    let place = self.statement("q", &format!("placed({p}, {at}u)"), &format!("the space of {what}"));
+                    let place = self.statement("q", &format!("place_at({p}, {at})"), &format!("the space of {what}"));
                     let call = match warp.kind {
                         PlacedWarpKind::Elongate(half) => {
                             let half = half.map(|x| self.number(x)).join(", ");
@@ -218,13 +227,19 @@ impl Writer<'_> {
 
     /// A number in the buffer, as an expression.
     fn number(&mut self, value: f32) -> String {
+        let at = self.next();
         self.numbers.push(value);
-        format!("numbers[{}]", self.numbers.len() - 1)
+        format!("numbers[{at}]")
+    }
+
+    /// The place of the next number, as an expression.
+    fn next(&self) -> String {
+        format!("{}{}u", self.base, self.numbers.len())
     }
 
     /// Twelve numbers; where they begin.
-    fn placement(&mut self, rows: &[[f32; 3]; 3], shift: [f32; 3]) -> usize {
-        let first = self.numbers.len();
+    fn placement(&mut self, rows: &[[f32; 3]; 3], shift: [f32; 3]) -> String {
+        let first = self.next();
         for (row, shift) in rows.iter().zip(shift) {
             self.numbers.extend([row[0], row[1], row[2], shift]);
         }
@@ -232,43 +247,46 @@ impl Writer<'_> {
     }
 
     fn leaf(&mut self, leaf: u32, p: &str) -> String {
-        let placed = self.program.leaves[leaf as usize].clone();
+        let program = self.program;
+        let placed = &program.leaves[leaf as usize];
         let at = self.placement(&placed.rows, placed.shift);
-        let place = format!("placed({p}, {at}u)");
-        let source = &self.model.leaves[leaf as usize];
-        let scale = source.place.scale;
-        match &source.primitive {
-            Primitive::Extrude { profile, .. } => {
+        let place = format!("place_at({p}, {at})");
+        match &placed.field {
+            LeafField::Extrude(flat) => {
                 let half_height = self.number(placed.parameters[0]);
                 let place = self.statement("q", &place, "extrude");
-                let flat = self.profile(profile, scale, &format!("{place}.xy"));
+                let flat = self.profile(flat, &format!("{place}.xy"));
                 format!("prism({flat}, {place}.z, {half_height})")
             }
-            Primitive::Revolve { profile, .. } => {
+            LeafField::Revolve(flat) => {
                 let offset = self.number(placed.parameters[0]);
                 let place = self.statement("q", &place, "revolve");
-                self.profile(profile, scale, &format!("vec2f(length({place}.xy) - {offset}, {place}.z)"))
+                self.profile(flat, &format!("vec2f(length({place}.xy) - {offset}, {place}.z)"))
             }
-            primitive => {
-                let first = self.numbers.len();
+            field => {
+                if matches!(field, LeafField::Ellipsoid) {
+                    self.loops.push("ELLIPSOID_STEPS".to_owned());
+                }
+                let first = self.next();
                 self.numbers.extend(&placed.parameters[..PARAMETERS]);
-                format!("{}({place}, six({first}u))", primitive.structure())
+                format!("{}({place}, six({first}))", self.model.leaves[leaf as usize].primitive.structure())
             }
         }
     }
 
-    fn profile(&mut self, profile: &Profile, scale: f64, at: &str) -> String {
-        match profile {
-            Profile::Circle { radius } => format!("circle({at}, {})", self.number((scale * radius) as f32)),
-            Profile::Rectangle { half } => {
-                let (x, y) = (self.number((scale * half.x) as f32), self.number((scale * half.y) as f32));
+    fn profile(&mut self, flat: &Flat<f32>, at: &str) -> String {
+        match flat {
+            Flat::Circle(radius) => format!("circle({at}, {})", self.number(*radius)),
+            Flat::Rectangle([x, y]) => {
+                let (x, y) = (self.number(*x), self.number(*y));
                 format!("rectangle({at}, vec2f({x}, {y}))")
             }
-            Profile::Polygon { corners, .. } => {
-                let first = self.numbers.len();
+            Flat::Polygon(corners) => {
+                let first = self.next();
+                self.loops.push(format!("u32(numbers[{first}])"));
                 self.numbers.push(corners.len() as f32);
-                self.numbers.extend(corners.iter().flat_map(|corner| (scale * *corner).as_vec2().to_array()));
-                format!("polygon({at}, {first}u)")
+                self.numbers.extend(corners.iter().flatten());
+                format!("polygon_at({at}, {first})")
             }
         }
     }

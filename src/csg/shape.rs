@@ -72,7 +72,7 @@ pub enum Kind {
 }
 
 /// How two solids make one.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Op {
     Union,
     Intersection,

@@ -9,7 +9,7 @@
 
 use super::buffer::Counters;
 use super::device::{DeviceInfo, describe, enumerate};
-use super::pipeline::Pipelines;
+use super::pipeline::{Pipelines, WrittenKernels};
 use super::raster::RasterPipelines;
 use crate::error::DeviceError;
 use std::collections::HashMap;
@@ -26,6 +26,7 @@ pub struct Context {
     pub counters: Counters,
     pub(super) pipelines: Pipelines,
     pub(super) raster_pipelines: RasterPipelines,
+    pub(super) written: WrittenKernels,
     trouble: Arc<Trouble>,
     /// Held during every call into wgpu: its submissions and waits are not safe against each other in wgpu 30.0, and a
     /// mapping that another thread's wait completed must be seen complete.
@@ -112,6 +113,7 @@ impl Context {
             counters: Counters::default(),
             pipelines: Pipelines::default(),
             raster_pipelines: RasterPipelines::default(),
+            written: WrittenKernels::default(),
             trouble,
             lane: Mutex::new(()),
             _instance: instance,
@@ -152,15 +154,21 @@ impl Context {
 
     /// Run `call` between error scopes. `needed` is what it allocates, for the message.
     pub fn guarded<T>(&self, what: &str, needed: u64, call: impl FnOnce() -> T) -> Result<T, DeviceError> {
-        self.check(what)?;
         let lane = self.lane();
+        let value = self.scoped(what, needed, call);
+        drop(lane);
+        value
+    }
+
+    /// [`Self::guarded`] beside other threads' calls, for what neither submits nor waits.
+    pub(super) fn scoped<T>(&self, what: &str, needed: u64, call: impl FnOnce() -> T) -> Result<T, DeviceError> {
+        self.check(what)?;
         let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
         let internal = self.device.push_error_scope(wgpu::ErrorFilter::Internal);
         let value = call();
         // Innermost first; the futures are ready at once on native backends.
         let errors = [internal.pop(), validation.pop(), memory.pop()].map(pollster::block_on);
-        drop(lane);
         self.check(what)?;
         match errors.into_iter().flatten().next() {
             None => Ok(value),

@@ -339,10 +339,10 @@ pub struct TextureLevel {
     pub pad_0: u32,
 }
 
-/// `shaders/quadrics.wgsl`.
+/// `shaders/shared/picture_rays.wgsl`.
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
-pub struct QuadricParams {
+pub struct PictureRays {
     pub start: [f32; 3],
     pub width: u32,
     pub start_right: [f32; 3],
@@ -355,6 +355,13 @@ pub struct QuadricParams {
     pub light_count: u32,
     pub up: [f32; 3],
     pub shadows: u32,
+}
+
+/// `shaders/quadrics.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct QuadricParams {
+    pub rays: PictureRays,
     pub background: [f32; 4],
     pub ambient: f32,
     pub specular: f32,
@@ -409,18 +416,7 @@ pub struct CsgPointParams {
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
 pub struct CsgDrawParams {
-    pub start: [f32; 3],
-    pub width: u32,
-    pub start_right: [f32; 3],
-    pub height: u32,
-    pub start_up: [f32; 3],
-    pub first_row: u32,
-    pub forward: [f32; 3],
-    pub pixel: f32,
-    pub right: [f32; 3],
-    pub light_count: u32,
-    pub up: [f32; 3],
-    pub shadows: u32,
+    pub rays: PictureRays,
     pub inverse_lipschitz: f32,
     pub node_count: u32,
     pub pad_0: u32,
@@ -435,6 +431,10 @@ pub struct CsgBox {
     pub first: u32,
     pub upper: [f32; 3],
     pub count: u32,
+    pub form: u32,
+    pub parameters: u32,
+    pub pad_0: u32,
+    pub pad_1: u32,
 }
 
 /// `shaders/csg_draw.wgsl`.
@@ -620,18 +620,7 @@ mod tests {
         assert_twin!(
             "quadrics",
             QuadricParams {
-                start,
-                width,
-                start_right,
-                height,
-                start_up,
-                first_row,
-                forward,
-                pixel,
-                right,
-                light_count,
-                up,
-                shadows,
+                rays,
                 background,
                 ambient,
                 specular,
@@ -646,9 +635,10 @@ mod tests {
         assert_twin!("quadrics", QuadricPixel { color, normal, depth, quadric, steps, state, pad_0 });
         assert_twin!("csg_points", CsgLeaf { row_x, shift_x, row_y, shift_y, row_z, shift_z, a, b, kind, first });
         assert_twin!("csg_points", CsgPointParams { first, count, token_count, pad_0 });
+        assert_twin!("csg_draw", CsgDrawParams { rays, inverse_lipschitz, node_count, pad_0, pad_1 });
         assert_twin!(
             "csg_draw",
-            CsgDrawParams {
+            PictureRays {
                 start,
                 width,
                 start_right,
@@ -660,14 +650,10 @@ mod tests {
                 right,
                 light_count,
                 up,
-                shadows,
-                inverse_lipschitz,
-                node_count,
-                pad_0,
-                pad_1
+                shadows
             }
         );
-        assert_twin!("csg_draw", CsgBox { lower, first, upper, count });
+        assert_twin!("csg_draw", CsgBox { lower, first, upper, count, form, parameters, pad_0, pad_1 });
         assert_twin!("csg_draw", CsgPixel { normal, t, cell, state, steps, tokens });
         assert_twin!("query_points", QueryParams { first, count, pad_0, pad_1 });
     }

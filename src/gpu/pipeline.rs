@@ -4,13 +4,77 @@ use super::context::Context;
 use super::shader::source;
 use crate::error::DeviceError;
 use std::collections::HashMap;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Kernels by name and entry point.
 #[derive(Debug, Default)]
 pub struct Pipelines(Mutex<HashMap<(&'static str, &'static str), wgpu::ComputePipeline>>);
 
+/// Kernels that were written at run time, by their text.
+#[derive(Debug, Default)]
+pub struct WrittenKernels(Mutex<HashMap<String, Written>>);
+
+#[derive(Debug)]
+enum Written {
+    /// What is used once is not worth compiling.
+    AskedFor,
+    /// By a thread of its own.
+    BeingCompiled,
+    Ready(wgpu::ComputePipeline),
+    /// The driver did not take it; it is not asked again.
+    Refused,
+}
+
+/// Written kernels that are kept at most; then all are forgotten.
+const MAX_WRITTEN: usize = 256;
+
+impl WrittenKernels {
+    fn lock(&self) -> MutexGuard<'_, HashMap<String, Written>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
 impl Context {
+    /// A kernel that was written at run time, if it is there. If it is asked for a second time and is not, a thread begins to
+    /// compile it.
+    pub fn written_kernel(
+        self: &Arc<Self>,
+        name: &'static str,
+        entry: &'static str,
+        text: String,
+    ) -> Option<wgpu::ComputePipeline> {
+        let mut known = self.written.lock();
+        match known.get(&text) {
+            Some(Written::Ready(pipeline)) => return Some(pipeline.clone()),
+            Some(Written::BeingCompiled | Written::Refused) => return None,
+            Some(Written::AskedFor) => {}
+            None => {
+                if known.len() >= MAX_WRITTEN {
+                    known.retain(|_, kernel| matches!(kernel, Written::BeingCompiled));
+                }
+                known.insert(text, Written::AskedFor);
+                return None;
+            }
+        }
+        let context = self.clone();
+        let source = text.clone();
+        let work = move || {
+            // Not in the lane: drawing goes on meanwhile.
+            let compiled = context.scoped(name, 0, || context.create(name, entry, &source));
+            let kernel = compiled.map_or(Written::Refused, Written::Ready);
+            context.written.lock().insert(source, kernel);
+        };
+        if std::thread::Builder::new().name("fieldbake-compile".into()).spawn(work).is_ok() {
+            known.insert(text, Written::BeingCompiled);
+        }
+        None
+    }
+
+    /// Kernels that were written at run time and are compiled.
+    pub fn written_kernel_count(&self) -> usize {
+        self.written.lock().values().filter(|kernel| matches!(kernel, Written::Ready(_))).count()
+    }
+
     /// A kernel of `shaders/`, compiled at the first use.
     pub fn kernel(&self, name: &'static str, entry: &'static str) -> Result<wgpu::ComputePipeline, DeviceError> {
         let mut pipelines = self.pipelines.0.lock().unwrap_or_else(PoisonError::into_inner);
@@ -25,23 +89,25 @@ impl Context {
 
     /// Compile one entry point of a WGSL text. The bind group layout follows from the text.
     pub fn compile(&self, name: &str, entry: &str, text: &str) -> Result<wgpu::ComputePipeline, DeviceError> {
-        let compiled = self.guarded(name, 0, || {
-            let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-                label: Some(name),
-                source: wgpu::ShaderSource::Wgsl(text.into()),
-            });
-            self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                label: Some(name),
-                layout: None,
-                module: &module,
-                entry_point: Some(entry),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
-                cache: None,
-            })
-        });
+        let compiled = self.guarded(name, 0, || self.create(name, entry, text));
         compiled.map_err(|error| match error {
             DeviceError::Failed { reason, .. } => self.refused(name, reason),
             other => other,
+        })
+    }
+
+    fn create(&self, name: &str, entry: &str, text: &str) -> wgpu::ComputePipeline {
+        let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some(name),
+            source: wgpu::ShaderSource::Wgsl(text.into()),
+        });
+        self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(name),
+            layout: None,
+            module: &module,
+            entry_point: Some(entry),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            cache: None,
         })
     }
 

@@ -31,11 +31,14 @@ const SHARED: &[(&str, &str)] = &[
     ("bvh", include_str!("../../shaders/shared/bvh.wgsl")),
     ("clip", include_str!("../../shaders/shared/clip.wgsl")),
     ("cubic", include_str!("../../shaders/shared/cubic.wgsl")),
+    ("csg_chord", include_str!("../../shaders/shared/csg_chord.wgsl")),
     ("csg_field", include_str!("../../shaders/shared/csg_field.wgsl")),
     ("csg_interpreter", include_str!("../../shaders/shared/csg_interpreter.wgsl")),
+    ("csg_part", include_str!("../../shaders/shared/csg_part.wgsl")),
     ("grid", include_str!("../../shaders/shared/grid.wgsl")),
     ("light", include_str!("../../shaders/shared/light.wgsl")),
     ("picture", include_str!("../../shaders/shared/picture.wgsl")),
+    ("picture_rays", include_str!("../../shaders/shared/picture_rays.wgsl")),
     ("ray", include_str!("../../shaders/shared/ray.wgsl")),
     ("ray_filtered", include_str!("../../shaders/shared/ray_filtered.wgsl")),
     ("scene_field", include_str!("../../shaders/shared/scene_field.wgsl")),
@@ -54,10 +57,15 @@ pub fn shared(name: &str) -> Option<&'static str> {
 
 /// The whole text of a kernel.
 pub fn source(kernel: &str) -> Result<String, String> {
+    source_with(kernel, &[])
+}
+
+/// The whole text of a kernel, with other texts, by name, in place of files that it imports.
+pub fn source_with(kernel: &str, instead: &[(&str, &str)]) -> Result<String, String> {
     let text = find(KERNELS, kernel).ok_or_else(|| format!("there is no kernel '{kernel}'"))?;
     let mut joined = String::new();
     let mut seen = Vec::new();
-    join(kernel, text, &mut seen, &mut joined)?;
+    join(kernel, text, instead, &mut seen, &mut joined)?;
     Ok(joined)
 }
 
@@ -66,15 +74,22 @@ fn find<'a>(files: &[(&str, &'a str)], name: &str) -> Option<&'a str> {
 }
 
 /// Append `text`, what it imports first.
-fn join<'a>(name: &str, text: &'a str, seen: &mut Vec<&'a str>, joined: &mut String) -> Result<(), String> {
+fn join<'a>(
+    name: &str,
+    text: &'a str,
+    instead: &[(&str, &'a str)],
+    seen: &mut Vec<&'a str>,
+    joined: &mut String,
+) -> Result<(), String> {
     for line in text.lines() {
         let Some(import) = line.trim().strip_prefix("#import ") else { continue };
         let import = import.trim();
         if !seen.contains(&import) {
             seen.push(import);
-            let shared =
-                find(SHARED, import).ok_or_else(|| format!("{name} imports '{import}', which does not exist"))?;
-            join(import, shared, seen, joined)?;
+            let shared = find(instead, import)
+                .or_else(|| find(SHARED, import))
+                .ok_or_else(|| format!("{name} imports '{import}', which does not exist"))?;
+            join(import, shared, instead, seen, joined)?;
         }
     }
     // Writing to a string cannot fail.

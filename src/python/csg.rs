@@ -264,6 +264,9 @@ impl Shape {
         images.set_item("parts", drawing.parts)?;
         images.set_item("boxes", drawing.boxes)?;
         images.set_item("leaf_evaluations", drawing.leaf_evaluations)?;
+        images.set_item("structures", drawing.structures)?;
+        images.set_item("compiled", drawing.is_compiled)?;
+        images.set_item("pipelines", drawing.pipelines)?;
         Ok(images)
     }
 

@@ -19,7 +19,7 @@ use crate::gpu::Context;
 use crate::gpu::layout::{Light, QuadricParams, QuadricPixel};
 use crate::gpu::pace::in_pieces;
 use crate::progress::Progress;
-use crate::render::{Frame, Shadows};
+use crate::render::Frame;
 use glam::DVec3;
 
 const RECORD_TEXELS: usize = 6;
@@ -46,22 +46,10 @@ pub(super) fn draw(context: &Context, view: &View<'_>, progress: &Progress) -> R
     let pixel_count = width as usize * height as usize;
     let bounds = quadrics.bounds().unwrap_or([camera.eye; 2]);
     let start_depth = depth_before(bounds, camera.eye, camera.back);
-    let (forward, right, up) = (-camera.back, camera.right, camera.up);
-    let start = camera.eye + start_depth * forward - quadrics.tree().center;
+    let start = camera.eye - start_depth * camera.back - quadrics.tree().center;
     let store = Store::new(context, quadrics, bounds)?;
     let mut params = QuadricParams {
-        start: to_f32(start),
-        width,
-        start_right: to_f32(start_depth * right),
-        height,
-        start_up: to_f32(start_depth * up),
-        first_row: 0,
-        forward: to_f32(forward),
-        pixel: camera.pixel_size(height) as f32,
-        right: to_f32(right),
-        light_count: lights.len() as u32,
-        up: to_f32(up),
-        shadows: u32::from(options.shadows == Shadows::Hard),
+        rays: camera.rays(options, lights.len(), start, start_depth),
         background: options.background,
         ambient: options.ambient,
         specular: options.specular,
@@ -97,9 +85,9 @@ pub(super) fn draw(context: &Context, view: &View<'_>, progress: &Progress) -> R
     progress.set_total(u64::from(height));
     let rows = u64::from(height.div_ceil(TILE));
     in_pieces(context, "the kernel that draws quadrics", rows, TILE_ROWS.0, TILE_ROWS.1, progress, |first, count| {
-        params.first_row = first as u32 * TILE;
+        params.rays.first_row = first as u32 * TILE;
         context.write("picture parameters", &uniform, 0, &[params])?;
-        progress.advance((count * u64::from(TILE)).min(u64::from(height - params.first_row)))?;
+        progress.advance((count * u64::from(TILE)).min(u64::from(height - params.rays.first_row)))?;
         Ok(context.dispatch("quadrics", &kernel, &group, [width.div_ceil(TILE), count as u32, 1])?)
     })?;
 
@@ -197,8 +185,4 @@ fn depth_before([lower, upper]: [DVec3; 2], eye: DVec3, back: DVec3) -> f64 {
     let center = 0.5 * (lower + upper);
     let reach = (0.5 * (upper - lower)).dot(back.abs());
     ((eye - center).dot(back) - 1.01 * reach).max(0.0)
-}
-
-fn to_f32(v: DVec3) -> [f32; 3] {
-    v.as_vec3().to_array()
 }

@@ -1,6 +1,8 @@
 //! A pinhole camera in the OpenGL convention: it looks along its -Z axis, +Y is up, +X right.
 
+use super::{RaymarchOptions, Shadows};
 use crate::error::{ArgumentError, Error};
+use crate::gpu::layout::PictureRays;
 use glam::DVec3;
 
 /// Where the picture is taken from.
@@ -65,6 +67,27 @@ impl Camera {
     /// Side of a pixel on the plane at depth 1.
     pub fn pixel_size(&self, height: u32) -> f64 {
         2.0 * self.tan_half_fov / height as f64
+    }
+
+    /// The rays of a picture for a device. `start` is where that of the middle starts, `start_depth` before the eye, both in
+    /// the units of the rays.
+    pub fn rays(&self, options: &RaymarchOptions, light_count: usize, start: DVec3, start_depth: f64) -> PictureRays {
+        let [width, height] = options.size;
+        let to_f32 = |v: DVec3| v.as_vec3().to_array();
+        PictureRays {
+            start: to_f32(start),
+            width,
+            start_right: to_f32(start_depth * self.right),
+            height,
+            start_up: to_f32(start_depth * self.up),
+            first_row: 0,
+            forward: to_f32(-self.back),
+            pixel: self.pixel_size(height) as f32,
+            right: to_f32(self.right),
+            light_count: light_count as u32,
+            up: to_f32(self.up),
+            shadows: u32::from(options.shadows == Shadows::Hard),
+        }
     }
 
     /// A direction of camera space in world space.

@@ -1,0 +1,234 @@
+// Where a line is inside a part of plain leaves, in closed form. Twin of src/csg/chord.rs, function by function.
+
+#import csg_interpreter
+
+const CHORD_LEAVES: u32 = 12u;
+const CHORD_FAR: f32 = 1e30;
+// A line that moves no faster than this along an axis stands still.
+const CHORD_STILL: f32 = 1e-30;
+const CHORD_PARALLEL: f32 = 1e-14;
+// All of a line, and nothing of it, as (from, to).
+const WHOLE_LINE = vec2f(-CHORD_FAR, CHORD_FAR);
+const NO_CHORD = vec2f(CHORD_FAR, -CHORD_FAR);
+
+fn both(a: vec2f, b: vec2f) -> vec2f {
+    return vec2f(max(a.x, b.x), min(a.y, b.y));
+}
+
+// The least chord over two of one convex solid.
+fn hull(a: vec2f, b: vec2f) -> vec2f {
+    if a.x >= a.y { return b; }
+    if b.x >= b.y { return a; }
+    return vec2f(min(a.x, b.x), max(a.y, b.y));
+}
+
+// Where |o + t d| < half.
+fn slab(o: f32, d: f32, half: f32) -> vec2f {
+    if abs(d) < CHORD_STILL { return select(NO_CHORD, WHOLE_LINE, abs(o) < half); }
+    let inverse = 1.0 / d;
+    let a = (-half - o) * inverse;
+    let b = (half - o) * inverse;
+    return vec2f(min(a, b), max(a, b));
+}
+
+fn cuboid_chord(o: vec3f, d: vec3f, half: vec3f) -> vec2f {
+    return both(slab(o.x, d.x, half.x), both(slab(o.y, d.y, half.y), slab(o.z, d.z, half.z)));
+}
+
+// Where normal . p < offset.
+fn half_space(o: vec3f, d: vec3f, normal: vec3f, offset: f32) -> vec2f {
+    let rate = dot(normal, d);
+    let room = offset - dot(normal, o);
+    if abs(rate) < CHORD_STILL { return select(NO_CHORD, WHOLE_LINE, room > 0.0); }
+    let t = clamp(room / rate, -CHORD_FAR, CHORD_FAR);
+    return select(vec2f(t, CHORD_FAR), vec2f(-CHORD_FAR, t), rate > 0.0);
+}
+
+// In a ball of any number of dimensions.
+fn round_chord(middle: f32, speed_squared: f32, nearest_squared: f32, radius: f32) -> vec2f {
+    let room = radius * radius - nearest_squared;
+    if room <= 0.0 { return NO_CHORD; }
+    let half = sqrt(room / speed_squared);
+    return vec2f(middle - half, middle + half);
+}
+
+fn ball_chord(o: vec3f, d: vec3f, radius: f32) -> vec2f {
+    let speed_squared = dot(d, d);
+    let middle = -dot(o, d) / speed_squared;
+    let nearest = o + middle * d;
+    return round_chord(middle, speed_squared, dot(nearest, nearest), radius);
+}
+
+fn disc_chord(o: vec2f, d: vec2f, radius: f32) -> vec2f {
+    let speed_squared = dot(d, d);
+    if speed_squared < CHORD_PARALLEL { return select(NO_CHORD, WHOLE_LINE, dot(o, o) < radius * radius); }
+    let middle = -dot(o, d) / speed_squared;
+    let nearest = o + middle * d;
+    return round_chord(middle, speed_squared, dot(nearest, nearest), radius);
+}
+
+fn cone_chord(o: vec3f, d: vec3f, low: f32, high: f32, half_height: f32) -> vec2f {
+    let ends = slab(o.z, d.z, half_height);
+    if ends.x >= ends.y { return NO_CHORD; }
+    let middle = 0.5 * (low + high);
+    let slope = 0.5 * (high - low) / half_height;
+    // Solved about the point nearest to the axis, between the ends.
+    let speed_squared = dot(d.xy, d.xy);
+    var nearest = 0.0;
+    if speed_squared >= CHORD_PARALLEL { nearest = -dot(o.xy, d.xy) / speed_squared; }
+    let start = clamp(nearest, ends.x, ends.y);
+    let q = o + start * d;
+    let radius = middle + slope * q.z;
+    let widens = slope * d.z;
+    let a = speed_squared - widens * widens;
+    let b = dot(q.xy, d.xy) - widens * radius;
+    let c = dot(q.xy, q.xy) - radius * radius;
+    let discriminant = b * b - a * c;
+    if discriminant <= 0.0 { return select(NO_CHORD, ends, a < 0.0); }
+    let far = select(-b - sqrt(discriminant), sqrt(discriminant) - b, b < 0.0);
+    var first = select(CHORD_FAR, -CHORD_FAR, far < 0.0);
+    if a != 0.0 { first = clamp(far / a, -CHORD_FAR, CHORD_FAR); }
+    var second = 0.0;
+    if far != 0.0 { second = c / far; }
+    let early = start + min(first, second);
+    let late = start + max(first, second);
+    if a > 0.0 { return both(ends, vec2f(early, late)); }
+    // Outside the roots, in one of the two halves of the double cone; the other is beyond the ends.
+    let before = vec2f(ends.x, min(ends.y, early));
+    let after = vec2f(max(ends.x, late), ends.y);
+    return select(after, before, before.y - before.x > after.y - after.x);
+}
+
+fn pyramid_chord(o: vec3f, d: vec3f, k: array<f32, 6>) -> vec2f {
+    let offset = k[0] * k[4] - k[1] * k[3];
+    var chord = half_space(o, d, vec3f(0.0, 0.0, -1.0), k[1]);
+    chord = both(chord, half_space(o, d, vec3f(k[4], 0.0, k[3]), offset));
+    chord = both(chord, half_space(o, d, vec3f(-k[4], 0.0, k[3]), offset));
+    chord = both(chord, half_space(o, d, vec3f(0.0, k[4], k[3]), offset));
+    return both(chord, half_space(o, d, vec3f(0.0, -k[4], k[3]), offset));
+}
+
+fn slanted_slab(o: vec3f, d: vec3f, normal: vec3f, half: f32) -> vec2f {
+    return slab(dot(normal, o), dot(normal, d), half);
+}
+
+// The chord of a line in a leaf that has one; kinds as in leaf_distance.
+fn leaf_chord(leaf: u32, origin: vec3f, direction: vec3f) -> vec2f {
+    let o = placed(leaf, origin);
+    let d = vec3f(
+        dot(leaves[leaf].row_x, direction),
+        dot(leaves[leaf].row_y, direction),
+        dot(leaves[leaf].row_z, direction),
+    );
+    let a = leaves[leaf].a;
+    let b = leaves[leaf].b;
+    switch leaves[leaf].kind {
+        case 0u: { return ball_chord(o, d, a.x); }
+        case 1u: { return ball_chord(o / a.xyz, d / a.xyz, 1.0); }
+        case 2u: { return cuboid_chord(o, d, a.xyz); }
+        case 6u: { return both(disc_chord(o.xy, d.xy, a.x), slab(o.z, d.z, a.y)); }
+        case 7u: {
+            let end = vec3f(0.0, 0.0, a.y);
+            let side = both(disc_chord(o.xy, d.xy, a.x), slab(o.z, d.z, a.y));
+            return hull(hull(side, ball_chord(o - end, d, a.x)), ball_chord(o + end, d, a.x));
+        }
+        case 8u: { return cone_chord(o, d, a.x, a.y, a.z); }
+        case 9u: { return half_space(o, d, a.xyz, a.w); }
+        case 10u: { return pyramid_chord(o, d, array<f32, 6>(a.x, a.y, a.z, a.w, b.x, b.y)); }
+        case 11u: {
+            let one = both(slanted_slab(o, d, vec3f(1.0), a.x), slanted_slab(o, d, vec3f(1.0, 1.0, -1.0), a.x));
+            let other =
+                both(slanted_slab(o, d, vec3f(1.0, -1.0, 1.0), a.x), slanted_slab(o, d, vec3f(-1.0, 1.0, 1.0), a.x));
+            return both(one, other);
+        }
+        case 12u: {
+            let sides = both(
+                slanted_slab(o, d, vec3f(0.8660254, 0.5, 0.0), a.x),
+                slanted_slab(o, d, vec3f(0.8660254, -0.5, 0.0), a.x),
+            );
+            return both(both(slab(o.z, d.z, a.y), slab(o.y, d.y, a.x)), sides);
+        }
+        case 14u: { return both(disc_chord(o.xy, d.xy, numbers[leaves[leaf].first]), slab(o.z, d.z, a.x)); }
+        default: {
+            let first = leaves[leaf].first;
+            return cuboid_chord(o, d, vec3f(numbers[first], numbers[first + 1u], a.x));
+        }
+    }
+}
+
+// Whether a line is inside right behind t; the chords are those of the leaves in the order of the tokens.
+fn is_inside(chords: ptr<function, array<vec2f, CHORD_LEAVES>>, first: u32, count: u32, t: f32) -> bool {
+    // A stack of bits, the top one last.
+    var waiting = 0u;
+    var next = 0u;
+    for (var i = 0u; i < count && has_rounds(); i++) {
+        rounds++;
+        let token = tokens[first + i];
+        let what = token >> 28u;
+        if what == TOKEN_LEAF {
+            let chord = (*chords)[next];
+            waiting = (waiting << 1u) | select(0u, 1u, chord.x <= t && t < chord.y);
+            next++;
+        } else if what == TOKEN_COMPLEMENT {
+            waiting ^= 1u;
+        } else {
+            let top = waiting & 1u;
+            let below = (waiting >> 1u) & 1u;
+            let is_swapped = numbers[(token & TOKEN_INDEX) + 2u] == 1.0;
+            let a = select(below, top, is_swapped);
+            let b = select(top, below, is_swapped);
+            var joined = a ^ b;
+            switch what {
+                case TOKEN_UNION: { joined = a | b; }
+                case TOKEN_INTERSECTION: { joined = a & b; }
+                case TOKEN_DIFFERENCE: { joined = a & (1u - b); }
+                default: {}
+            }
+            waiting = ((waiting >> 2u) << 1u) | joined;
+        }
+    }
+    return (waiting & 1u) == 1u;
+}
+
+// The first place on [t_in, t_out) where a line is inside a part of plain leaves, or -1.
+fn first_inside(
+    origin: vec3f,
+    direction: vec3f,
+    first: u32,
+    count: u32,
+    is_union: bool,
+    t_in: f32,
+    t_out: f32,
+) -> f32 {
+    var chords: array<vec2f, CHORD_LEAVES>;
+    var leaf_count = 0u;
+    var nearest = t_out;
+    for (var i = 0u; i < count && leaf_count < CHORD_LEAVES && has_rounds(); i++) {
+        rounds++;
+        let token = tokens[first + i];
+        if token >> 28u == TOKEN_LEAF {
+            let chord = leaf_chord(token & TOKEN_INDEX, origin, direction);
+            if max(chord.x, t_in) < chord.y { nearest = min(nearest, max(chord.x, t_in)); }
+            chords[leaf_count] = chord;
+            leaf_count++;
+        }
+    }
+    if is_union { return select(-1.0, nearest, nearest < t_out); }
+    var t = t_in;
+    // Each round goes on to the next end of a chord.
+    for (var i = 0u; i <= 2u * CHORD_LEAVES && has_rounds(); i++) {
+        rounds++;
+        if is_inside(&chords, first, count, t) { return t; }
+        var next = t_out;
+        for (var j = 0u; j < leaf_count && has_rounds(); j++) {
+            rounds++;
+            let chord = chords[j];
+            if chord.x >= chord.y { continue; }
+            if chord.x > t { next = min(next, chord.x); }
+            if chord.y > t { next = min(next, chord.y); }
+        }
+        if next >= t_out { return -1.0; }
+        t = next;
+    }
+    return -1.0;
+}

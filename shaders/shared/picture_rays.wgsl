@@ -1,0 +1,38 @@
+// The rays of a picture, one a pixel. They start on a plane before the camera, just before what there is to see: the CPU moves
+// the eye there in float64, so that float32 is exact enough for a camera at any distance. Twin of src/render/camera.rs.
+
+struct PictureRays {
+    // Where the ray of the middle of the picture starts, and what one unit to the right and up on the plane at depth 1
+    // adds to it.
+    start: vec3f,
+    width: u32,
+    start_right: vec3f,
+    height: u32,
+    start_up: vec3f,
+    // The first row of this dispatch.
+    first_row: u32,
+    // Its direction, one unit of depth long, and what one unit to the right and up adds.
+    forward: vec3f,
+    // Side of a pixel on the plane at depth 1.
+    pixel: f32,
+    right: vec3f,
+    light_count: u32,
+    up: vec3f,
+    // 1 for hard shadows, 0 for none.
+    shadows: u32,
+}
+
+// Where the ray of a pixel's middle starts, and its direction, one unit of depth long.
+struct PictureRay {
+    start: vec3f,
+    along: vec3f,
+}
+
+fn picture_ray(rays: PictureRays, x: u32, y: u32) -> PictureRay {
+    let along_right = (f32(x) + 0.5 - 0.5 * f32(rays.width)) * rays.pixel;
+    let along_up = (0.5 * f32(rays.height) - 0.5 - f32(y)) * rays.pixel;
+    return PictureRay(
+        rays.start + along_right * rays.start_right + along_up * rays.start_up,
+        rays.forward + along_right * rays.right + along_up * rays.up,
+    );
+}
