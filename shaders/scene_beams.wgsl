@@ -21,7 +21,7 @@ struct Beam {
     normal: vec3f,
     bias_voxels: f32,
     own: u32,
-    // A cone that is not asked again in parts; the CPU's to know.
+    // Only the share of the cone is wanted, not whether it is proven.
     is_coarse: u32,
     pad_0: u32,
     pad_1: u32,
@@ -158,14 +158,15 @@ struct Cone {
     is_covered: bool,
 }
 
-// Look along a cone past one instance.
-fn cone_past(index: u32, beam: Beam) -> Cone {
+// Look along a cone past one instance; only what comes closer than x_known matters.
+fn cone_past(index: u32, beam: Beam, x_known: f32) -> Cone {
     let to = &instances[index];
     let grid = grids[(*to).grid];
     let ray = ray_in_field(index, beam);
     let speed = length(ray.direction);
-    let widest = beam.slope / (1.0 - min(beam.slope, 0.9)) * reach(beam.p, (*to).box_min, (*to).box_max);
-    let radius = min(widest, beam.slope * beam.t_max);
+    let needed = beam.slope * max(x_known, 0.0);
+    let widest = needed / (1.0 - min(needed, 0.9)) * reach(beam.p, (*to).box_min, (*to).box_max);
+    let radius = min(widest, needed * beam.t_max);
     let grown = (*to).field_extent * radius;
     let span = clip(ray.origin, ray.direction, (*to).surface_lower - grown, (*to).surface_upper + grown, beam.t_max);
     if span.x > span.y { return Cone(1.0, false); }
@@ -173,7 +174,8 @@ fn cone_past(index: u32, beam: Beam) -> Cone {
     let least_step = 0.5 / speed;
     let t_hit = hit_of(index, ray, beam.t_max);
     if t_hit < 0.0 {
-        return Cone(beside(index, grid, ray, beam.slope, span, pace, least_step), false);
+        if x_known <= 0.0 { return Cone(1.0, false); }
+        return Cone(beside(index, grid, ray, beam.slope, x_known, span, pace, least_step), false);
     }
 
     // How deep the axis gets.
@@ -209,11 +211,11 @@ fn cone_past(index: u32, beam: Beam) -> Cone {
     return Cone(-1.0, false);
 }
 
-// The axis is free: the least clearance in radii, at most 1.
+// The axis is free: the least clearance in radii, at most x_known.
 fn beside(
-    index: u32, grid: SceneGrid, ray: FieldRay, slope: f32, span: vec2f, pace: f32, least_step: f32
+    index: u32, grid: SceneGrid, ray: FieldRay, slope: f32, x_known: f32, span: vec2f, pace: f32, least_step: f32
 ) -> f32 {
-    var x = 1.0;
+    var x = x_known;
     var t = span.x;
     for (var i = 0u; i < MAX_CONE_STEPS; i++) {
         steps++;
@@ -250,13 +252,15 @@ fn cone_share(beam: Beam) -> vec2f {
     var walk = begin_walk();
     for (var index = next_instance(&walk, beam); index != NO_INSTANCE; index = next_instance(&walk, beam)) {
         let opacity = instances[index].opacity;
-        let cone = cone_past(index, beam);
+        let x_known = select(1.0, x, beam.is_coarse != 0u && opacity >= 1.0);
+        let cone = cone_past(index, beam, x_known);
         if opacity < 1.0 {
             share *= 1.0 - opacity * (1.0 - visible_share(cone.x));
             is_proven = is_proven && (cone.is_covered || cone.x >= 1.0);
         } else {
             if cone.is_covered { return vec2f(0.0, 1.0); }
             x = min(x, cone.x);
+            if x <= -1.0 && beam.is_coarse != 0u { return vec2f(0.0); }
         }
     }
     return vec2f(share * visible_share(x), select(0.0, 1.0, is_proven && x >= 1.0));

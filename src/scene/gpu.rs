@@ -109,7 +109,7 @@ impl DeviceScene {
             let (place, ray) = from_beam(beam);
             let mut steps = 0;
             if beam.slope > 0.0 {
-                let cone = scene.cone_share(&place, &ray, beam.slope, &mut steps);
+                let cone = scene.whole_cone(&place, &ray, beam.slope, &mut Vec::new(), &mut steps);
                 (answer.value, answer.is_proven) = (cone.share, u32::from(cone.is_proven));
             } else {
                 answer.value = scene.ray_share(&place, &ray, &mut steps);

@@ -215,6 +215,7 @@ fn look_on_device(
                     direction: part.direction.as_vec3().to_array(),
                     t_max: part.t_max as f32,
                     slope: beam_of_disc.slope / (PARTS as f32).sqrt(),
+                    is_coarse: 1,
                     ..*beam_of_disc
                 }
             }));
@@ -368,7 +369,7 @@ impl<'a> Surface<'a> {
             Some(distance) => {
                 let (mut sum, mut weights) = (0.0, 0.0);
                 for (ray, weight) in self.open_rays(distance / scene.scale) {
-                    sum += weight * scene.cone_share(&self.place, &ray, AO_SLOPE, &mut steps).share;
+                    sum += weight * scene.cone_share(&self.place, &ray, AO_SLOPE, &mut steps);
                     weights += weight;
                 }
                 sum / weights

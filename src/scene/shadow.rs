@@ -147,8 +147,17 @@ impl Scene {
         (instance.field_from_scene.transform_point3(p), instance.field_from_scene.matrix3 * ray.direction)
     }
 
-    /// Look along a cone of radius `slope t` past one instance.
-    fn cone_past(&self, item: u32, field: &dyn Field, place: &Place, ray: &Ray, slope: f32, steps: &mut u32) -> Cone {
+    /// Look along a cone of radius `slope t` past one instance; only what comes closer than `x_known` matters.
+    fn cone_past(
+        &self,
+        item: u32,
+        field: &dyn Field,
+        place: &Place,
+        ray: &Ray,
+        slope: f32,
+        x_known: f32,
+        steps: &mut u32,
+    ) -> Cone {
         let instance = &self.instances[item as usize];
         let (origin, direction) = self.ray_in_field(item, place, ray);
         let [lower, upper] = field.surface_bounds();
@@ -157,7 +166,8 @@ impl Scene {
         let bounds = &self.boxes[item as usize];
         let p = place.p.as_vec3();
         let far = (p - bounds.min).abs().max((p - bounds.max).abs()).length();
-        let radius = f64::from(slope / (1.0 - slope.min(0.9)) * far).min(f64::from(slope) * ray.t_max);
+        let needed = slope * x_known.max(0.0);
+        let radius = f64::from(needed / (1.0 - needed.min(0.9)) * far).min(f64::from(needed) * ray.t_max);
         let grown = instance.field_extent * radius as f32;
         let Some((enter, leave)) = clip(origin, direction, lower - grown, upper + grown, 0.0, ray.t_max) else {
             return Cone::FREE;
@@ -187,38 +197,66 @@ impl Scene {
                 });
                 if cone.is_covered || is_edge { cone } else { Cone { x: -1.0, is_covered: false } }
             }
-            None => Cone { x: walk.beside(steps), is_covered: false },
+            None if x_known <= 0.0 => Cone::FREE,
+            None => Cone { x: walk.beside(x_known, steps), is_covered: false },
         }
     }
 
-    /// Share of a cone's section that passes, if edges in it are straight; exact zero or one where that is proven.
-    pub fn cone_share(&self, place: &Place, ray: &Ray, slope: f32, steps: &mut u32) -> ConeShare {
-        let mut share = ConeShare { share: 1.0, is_proven: true };
-        let mut opaque = Cone::FREE;
+    /// Share of a cone's section that passes, if edges in it are straight.
+    pub fn cone_share(&self, place: &Place, ray: &Ray, slope: f32, steps: &mut u32) -> f32 {
+        let mut sum = ConeSum::NEW;
         let line = Line::cone(place.p.as_vec3(), ray.direction.as_vec3(), slope);
         self.tree.walk(&line, ray.t_max as f32, |item, limit| {
-            let instance = &self.instances[item as usize];
-            let Some(field) = instance.field.as_deref().filter(|_| instance.casts_shadow) else { return limit };
-            *steps += 1;
-            if instance.opacity == 0.0 {
-                return limit;
+            // What is further from the axis than something known already cannot change the result.
+            let bounds = &self.boxes[item as usize];
+            let x_known = sum.x_known(&self.instances[item as usize]);
+            if line.with_slope(slope * x_known.max(0.0)).span(bounds.min, bounds.max, limit).is_some() {
+                self.add_cone(item, place, ray, slope, x_known, &mut sum, steps);
             }
-            let cone = self.cone_past(item, field, place, ray, slope, steps);
-            if instance.opacity < 1.0 {
-                share.share *= 1.0 - instance.opacity * (1.0 - visible_share(cone.x));
-                share.is_proven &= cone.is_covered || cone.x >= 1.0;
-            } else {
-                opaque.x = opaque.x.min(cone.x);
-                opaque.is_covered |= cone.is_covered;
-            }
-            if opaque.is_covered { -1.0 } else { limit }
+            if sum.opaque.x <= -1.0 { -1.0 } else { limit }
         });
-        if opaque.is_covered {
-            return ConeShare { share: 0.0, is_proven: true };
+        sum.share().share
+    }
+
+    /// Share of a cone's section that passes, and whether that is proven: all lit or all dark. `met` becomes the instances
+    /// that stand in the cone.
+    pub fn whole_cone(&self, place: &Place, ray: &Ray, slope: f32, met: &mut Vec<u32>, steps: &mut u32) -> ConeShare {
+        met.clear();
+        let mut sum = ConeSum::NEW;
+        let line = Line::cone(place.p.as_vec3(), ray.direction.as_vec3(), slope);
+        self.tree.walk(&line, ray.t_max as f32, |item, limit| {
+            if self.add_cone(item, place, ray, slope, 1.0, &mut sum, steps).x < 1.0 {
+                met.push(item);
+            }
+            if sum.opaque.is_covered { -1.0 } else { limit }
+        });
+        sum.share()
+    }
+
+    /// Take one instance into the sum of a cone.
+    fn add_cone(
+        &self,
+        item: u32,
+        place: &Place,
+        ray: &Ray,
+        slope: f32,
+        x_known: f32,
+        sum: &mut ConeSum,
+        steps: &mut u32,
+    ) -> Cone {
+        let instance = &self.instances[item as usize];
+        let takes_light = instance.casts_shadow && instance.opacity > 0.0;
+        let Some(field) = instance.field.as_deref().filter(|_| takes_light) else { return Cone::FREE };
+        *steps += 1;
+        let cone = self.cone_past(item, field, place, ray, slope, x_known, steps);
+        if instance.opacity < 1.0 {
+            sum.translucent *= 1.0 - instance.opacity * (1.0 - visible_share(cone.x));
+            sum.is_proven &= cone.is_covered || cone.x >= 1.0;
+        } else {
+            sum.opaque.x = sum.opaque.x.min(cone.x);
+            sum.opaque.is_covered |= cone.is_covered;
         }
-        share.share *= visible_share(opaque.x);
-        share.is_proven &= opaque.x >= 1.0;
-        share
+        cone
     }
 
     /// Share of a disc of light that arrives: angular radius `slope`, `ray` to its centre.
@@ -226,17 +264,28 @@ impl Scene {
         if slope <= 0.0 {
             return self.ray_share(place, ray, steps);
         }
-        let whole = self.cone_share(place, ray, slope, steps);
+        let mut met = Vec::new();
+        let whole = self.whole_cone(place, ray, slope, &mut met, steps);
         if whole.is_proven {
             return whole.share;
         }
+        // What keeps clear of the whole cone keeps clear of its parts.
         let part = slope / (PARTS as f32).sqrt();
         let axes = basis(ray.direction);
-        let mut sum = 0.0;
+        let mut total = 0.0;
         for i in 0..PARTS {
-            sum += self.cone_share(place, &toward(ray, axes, slope, disc_point(i, PARTS, 0.0)), part, steps).share;
+            let to_part = toward(ray, axes, slope, disc_point(i, PARTS, 0.0));
+            let mut sum = ConeSum::NEW;
+            for &item in &met {
+                let x_known = sum.x_known(&self.instances[item as usize]);
+                self.add_cone(item, place, &to_part, part, x_known, &mut sum, steps);
+                if sum.opaque.x <= -1.0 {
+                    break;
+                }
+            }
+            total += sum.share().share;
         }
-        sum / PARTS as f32
+        total / PARTS as f32
     }
 
     /// The same by `count` thin rays.
@@ -290,6 +339,35 @@ pub struct ConeShare {
     pub is_proven: bool,
 }
 
+/// What a cone met so far.
+struct ConeSum {
+    /// Share that translucent instances leave.
+    translucent: f32,
+    /// They leave nothing open.
+    is_proven: bool,
+    /// The nearest edge of the opaque ones.
+    opaque: Cone,
+}
+
+impl ConeSum {
+    const NEW: Self = Self { translucent: 1.0, is_proven: true, opaque: Cone::FREE };
+
+    /// How close to the axis another instance must come, in radii, to change the sum.
+    fn x_known(&self, instance: &super::Instance) -> f32 {
+        if instance.opacity >= 1.0 { self.opaque.x } else { 1.0 }
+    }
+
+    fn share(&self) -> ConeShare {
+        if self.opaque.is_covered {
+            return ConeShare { share: 0.0, is_proven: true };
+        }
+        ConeShare {
+            share: self.translucent * visible_share(self.opaque.x),
+            is_proven: self.is_proven && self.opaque.x >= 1.0,
+        }
+    }
+}
+
 /// The ray to another point of the disc; `offset` in radii.
 pub fn toward(ray: &Ray, [right, up]: [DVec3; 2], slope: f32, offset: Vec2) -> Ray {
     let aside = f64::from(slope * offset.x) * right + f64::from(slope * offset.y) * up;
@@ -330,9 +408,9 @@ impl ConeWalk<'_> {
         if length > 0.0 { distance / length } else { distance * self.instance.stretch[0] }
     }
 
-    /// The axis is free: the least clearance in radii, at most 1.
-    fn beside(&self, steps: &mut u32) -> f32 {
-        let mut x = 1.0f32;
+    /// The axis is free: the least clearance in radii, at most `x_known`.
+    fn beside(&self, x_known: f32, steps: &mut u32) -> f32 {
+        let mut x = x_known;
         let mut t = self.enter;
         for _ in 0..MAX_CONE_STEPS {
             *steps += 1;

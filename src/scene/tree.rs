@@ -45,7 +45,12 @@ impl Line {
         let inverse = |d: f32| if d.abs() < 1.0 / PARALLEL { PARALLEL } else { 1.0 / d };
         let inverse = Vec3::new(inverse(direction.x), inverse(direction.y), inverse(direction.z));
         // A point of the box in the cone lies within `far` of the origin, and its foot on the axis within `far / (1 - slope)`.
-        Self { origin, inverse, spread: slope / (1.0 - slope.min(0.9)), slope }
+        Self { origin, inverse, spread: 0.0, slope: 0.0 }.with_slope(slope)
+    }
+
+    /// The same axis with another slope.
+    pub fn with_slope(self, slope: f32) -> Self {
+        Self { spread: slope / (1.0 - slope.min(0.9)), slope, ..self }
     }
 
     /// Where the ray is in a box: from and to, `t` not below 0; `None` where it misses.
