@@ -34,11 +34,20 @@ struct Answer {
     steps: u32,
     // 0 where the steps ran out: then the value means nothing.
     is_complete: u32,
+    // Went on in the far field.
+    is_far: u32,
 }
 
 struct BeamParams {
     first: u32,
     count: u32,
+    // The finest level of the far field among the instances, the others follow; NO_INSTANCE without one.
+    far: u32,
+    far_levels: u32,
+    // No instance has to be asked past the far field's distance.
+    far_holds_all: u32,
+    // Negative: FAR_VOXELS voxels of the level in which a beam starts.
+    far_distance: f32,
     pad_0: u32,
     pad_1: u32,
 }
@@ -53,6 +62,11 @@ struct BeamParams {
 const MAX_DEPTH: u32 = 34u;
 const MAX_CONE_STEPS: u32 = 512u;
 const PAST_EDGE: f32 = 1.25;
+const FAR_VOXELS: f32 = 8.0;
+const NO_INSTANCE: u32 = 0xffffffffu;
+const NOWHERE: vec2f = vec2f(1.0, 0.0);
+
+var<private> is_far: u32;
 
 // ---- boxes
 
@@ -61,13 +75,62 @@ fn reach(p: vec3f, low: vec3f, high: vec3f) -> f32 {
     return length(max(abs(p - low), abs(p - high)));
 }
 
-fn meets(beam: Beam, low: vec3f, high: vec3f) -> bool {
-    var grown = 0.0;
-    if beam.slope > 0.0 {
-        grown = min(beam.slope / (1.0 - min(beam.slope, 0.9)) * reach(beam.p, low, high), beam.slope * beam.t_max);
-    }
-    let span = clip(beam.p, beam.direction, low - grown, high + grown, beam.t_max);
+// The largest radius that a cone from p has beside a box before t_max.
+fn widest(p: vec3f, slope: f32, low: vec3f, high: vec3f, t_max: f32) -> f32 {
+    if slope <= 0.0 { return 0.0; }
+    return min(slope / (1.0 - min(slope, 0.9)) * reach(p, low, high), slope * t_max);
+}
+
+fn meets(beam: Beam, low: vec3f, high: vec3f, t_max: f32) -> bool {
+    let grown = widest(beam.p, beam.slope, low, high, t_max);
+    let span = clip(beam.p, beam.direction, low - grown, high + grown, vec2f(0.0, t_max));
     return span.x <= span.y * 1.000001;
+}
+
+// ---- the far field, twin of src/scene/far.rs
+
+// Who answers which part of a beam.
+struct Split {
+    // End of the part that the instances answer.
+    near: f32,
+    // From where on they answer again; FAR_T for nowhere.
+    rest: f32,
+    // What the far field answers; from above to for nothing.
+    far: vec2f,
+}
+
+fn far_distance_from(p: vec3f) -> f32 {
+    if params.far_distance >= 0.0 { return params.far_distance; }
+    let last = params.far + params.far_levels - 1u;
+    for (var level = params.far; level < last; level++) {
+        let to = &instances[level];
+        if all(p >= (*to).box_min) && all(p <= (*to).box_max) { return FAR_VOXELS * (*to).voxel; }
+    }
+    return FAR_VOXELS * instances[last].voxel;
+}
+
+fn split_of(beam: Beam) -> Split {
+    let whole = Split(beam.t_max, FAR_T, NOWHERE);
+    if params.far == NO_INSTANCE { return whole; }
+    let to = &instances[params.far + params.far_levels - 1u];
+    let grown = widest(beam.p, beam.slope, (*to).box_min, (*to).box_max, beam.t_max);
+    let part = vec2f(far_distance_from(beam.p), beam.t_max);
+    let span = clip(beam.p, beam.direction, (*to).box_min - grown, (*to).box_max + grown, part);
+    if span.x >= span.y { return whole; }
+    let needs_rest = span.y < beam.t_max && params.far_holds_all == 0u;
+    return Split(span.x, select(FAR_T, span.y, needs_rest), span);
+}
+
+// The part of the far part of a beam in a level's box.
+fn part_in_level(level: u32, beam: Beam, far: vec2f) -> vec2f {
+    if level == params.far + params.far_levels - 1u { return far; }
+    return clip(beam.p, beam.direction, instances[level].box_min, instances[level].box_max, far);
+}
+
+// What of a part lies before (0) and behind (1) the part in the next finer level.
+fn piece_of(which: u32, part: vec2f, finer: vec2f) -> vec2f {
+    if finer.x > finer.y { return select(NOWHERE, part, which == 0u); }
+    return select(vec2f(finer.y, part.y), vec2f(part.x, finer.x), which == 0u);
 }
 
 // ---- instances
@@ -87,37 +150,66 @@ fn ray_in_field(index: u32, beam: Beam) -> FieldRay {
     return ray;
 }
 
-// A walk through the tree along a beam.
+// What a part of a beam may meet: an instance, or a level of the far field.
+struct Caster {
+    index: u32,
+    part: vec2f,
+    // How far it is passed over where the part begins inside it.
+    skip: f32,
+}
+
+// A walk along a beam: through the tree, then through the levels of the far field.
 struct Walk {
     stack: array<u32, MAX_DEPTH>,
     top: u32,
     // What is left of a leaf: places in `items`.
     next: u32,
     end: u32,
+    split: Split,
+    // How far the tree is walked.
+    reach: f32,
+    // An instance that is asked again on the rest of the beam.
+    again: u32,
+    // Pieces of levels that were looked at, two a level, and the part in the level before.
+    pieces: u32,
+    finer: vec2f,
 }
 
-const NO_INSTANCE: u32 = 0xffffffffu;
-
-fn begin_walk() -> Walk {
+fn begin_walk(beam: Beam) -> Walk {
     var walk: Walk;
     walk.top = 1u;
+    walk.split = split_of(beam);
+    let has_far = walk.split.far.x <= walk.split.far.y;
+    let is_near = has_far && walk.split.rest >= FAR_T && params.far_holds_all != 0u;
+    walk.reach = select(beam.t_max, walk.split.near, is_near);
+    walk.again = NO_INSTANCE;
+    walk.finer = NOWHERE;
     return walk;
 }
 
-// The next instance that takes light and whose box the beam meets, or NO_INSTANCE.
-fn next_instance(walk: ptr<function, Walk>, beam: Beam) -> u32 {
+// The next one that takes light and whose box the beam meets; NO_INSTANCE at the end.
+fn next_caster(walk: ptr<function, Walk>, beam: Beam) -> Caster {
+    if (*walk).again != NO_INSTANCE {
+        let again = Caster((*walk).again, vec2f((*walk).split.rest, beam.t_max), 0.0);
+        (*walk).again = NO_INSTANCE;
+        return again;
+    }
     while steps < MAX_STEPS {
         if (*walk).next < (*walk).end {
             let index = items[(*walk).next];
             (*walk).next++;
-            if instances[index].casts_shadow != 0u && instances[index].opacity > 0.0 { return index; }
-            continue;
+            let opacity = instances[index].opacity;
+            if instances[index].casts_shadow == 0u || opacity == 0.0 { continue; }
+            // The far field knows opaque things alone.
+            if opacity < 1.0 { return Caster(index, vec2f(0.0, beam.t_max), 0.0); }
+            if (*walk).split.rest < FAR_T { (*walk).again = index; }
+            return Caster(index, vec2f(0.0, (*walk).split.near), 0.0);
         }
         if (*walk).top == 0u { break; }
         steps++;
         (*walk).top--;
         let node = nodes[(*walk).stack[(*walk).top]];
-        if !meets(beam, node.min, node.max) { continue; }
+        if !meets(beam, node.min, node.max, (*walk).reach) { continue; }
         if node.count == 0u {
             (*walk).stack[(*walk).top] = node.first;
             (*walk).stack[(*walk).top + 1u] = node.first + 1u;
@@ -127,16 +219,42 @@ fn next_instance(walk: ptr<function, Walk>, beam: Beam) -> u32 {
             (*walk).end = node.first + node.count;
         }
     }
-    return NO_INSTANCE;
+    return next_level(walk, beam);
+}
+
+// The next level of the far field on its next piece of the beam.
+fn next_level(walk: ptr<function, Walk>, beam: Beam) -> Caster {
+    let far = (*walk).split.far;
+    if far.x > far.y { return Caster(NO_INSTANCE, NOWHERE, 0.0); }
+    is_far = 1u;
+    while (*walk).pieces < 2u * params.far_levels {
+        let level = params.far + (*walk).pieces / 2u;
+        let which = (*walk).pieces % 2u;
+        (*walk).pieces++;
+        let part = part_in_level(level, beam, far);
+        let piece = piece_of(which, part, (*walk).finer);
+        if which == 1u && part.x <= part.y { (*walk).finer = part; }
+        if piece.x < piece.y {
+            return Caster(level, piece, select(0.0, instances[level].voxel, piece.x == far.x));
+        }
+    }
+    return Caster(NO_INSTANCE, NOWHERE, 0.0);
+}
+
+// Where a beam enters a caster's matter, or -1.
+fn hit_of_caster(caster: Caster, ray: FieldRay) -> f32 {
+    let hit = hit_of(caster.index, ray, caster.part);
+    if hit != caster.part.x || caster.skip == 0.0 { return hit; }
+    return hit_of(caster.index, ray, vec2f(caster.part.x + caster.skip, caster.part.y));
 }
 
 // Share of a thin ray that passes.
 fn ray_share(beam: Beam) -> f32 {
     var share = 1.0;
-    var walk = begin_walk();
-    for (var index = next_instance(&walk, beam); index != NO_INSTANCE; index = next_instance(&walk, beam)) {
-        if hit_of(index, ray_in_field(index, beam), beam.t_max) >= 0.0 {
-            share *= 1.0 - instances[index].opacity;
+    var walk = begin_walk(beam);
+    for (var caster = next_caster(&walk, beam); caster.index != NO_INSTANCE; caster = next_caster(&walk, beam)) {
+        if hit_of_caster(caster, ray_in_field(caster.index, beam)) >= 0.0 {
+            share *= 1.0 - instances[caster.index].opacity;
             if share <= 0.0 { return 0.0; }
         }
     }
@@ -158,21 +276,26 @@ struct Cone {
     is_covered: bool,
 }
 
-// Look along a cone past one instance; only what comes closer than x_known matters.
-fn cone_past(index: u32, beam: Beam, x_known: f32) -> Cone {
+// Look along a cone past one caster; only what comes closer than x_known matters.
+fn cone_past(caster: Caster, beam: Beam, x_known: f32) -> Cone {
+    let index = caster.index;
     let to = &instances[index];
     let grid = grids[(*to).grid];
     let ray = ray_in_field(index, beam);
     let speed = length(ray.direction);
     let needed = beam.slope * max(x_known, 0.0);
-    let widest = needed / (1.0 - min(needed, 0.9)) * reach(beam.p, (*to).box_min, (*to).box_max);
-    let radius = min(widest, needed * beam.t_max);
-    let grown = (*to).field_extent * radius;
-    let span = clip(ray.origin, ray.direction, (*to).surface_lower - grown, (*to).surface_upper + grown, beam.t_max);
+    let grown = (*to).field_extent * widest(beam.p, needed, (*to).box_min, (*to).box_max, beam.t_max);
+    let lower = (*to).surface_lower - grown;
+    let upper = (*to).surface_upper + grown;
+    var span = clip(ray.origin, ray.direction, lower, upper, caster.part);
     if span.x > span.y { return Cone(1.0, false); }
+    if caster.skip > 0.0 && field_distance(grid, ray.origin + span.x * ray.direction) <= 0.0 {
+        span = clip(ray.origin, ray.direction, lower, upper, caster.part + vec2f(caster.skip, 0.0));
+        if span.x > span.y { return Cone(1.0, false); }
+    }
     let pace = 1.0 / length(local_direction(index, beam.direction));
     let least_step = 0.5 / speed;
-    let t_hit = hit_of(index, ray, beam.t_max);
+    let t_hit = hit_of_caster(caster, ray);
     if t_hit < 0.0 {
         if x_known <= 0.0 { return Cone(1.0, false); }
         return Cone(beside(index, grid, ray, beam.slope, x_known, span, pace, least_step), false);
@@ -207,7 +330,10 @@ fn cone_past(index: u32, beam: Beam, x_known: f32) -> Cone {
     let longer = length(edge.direction);
     edge.direction /= longer;
     edge.t_max = min(beam.t_max * longer, FAR_T);
-    if ray_share(edge) > 0.0 { return Cone(deepest.x, false); }
+    let was_far = is_far;
+    let passes = ray_share(edge);
+    is_far = was_far;
+    if passes > 0.0 { return Cone(deepest.x, false); }
     return Cone(-1.0, false);
 }
 
@@ -249,11 +375,11 @@ fn cone_share(beam: Beam) -> vec2f {
     var share = 1.0;
     var is_proven = true;
     var x = 1.0;
-    var walk = begin_walk();
-    for (var index = next_instance(&walk, beam); index != NO_INSTANCE; index = next_instance(&walk, beam)) {
-        let opacity = instances[index].opacity;
+    var walk = begin_walk(beam);
+    for (var caster = next_caster(&walk, beam); caster.index != NO_INSTANCE; caster = next_caster(&walk, beam)) {
+        let opacity = instances[caster.index].opacity;
         let x_known = select(1.0, x, beam.is_coarse != 0u && opacity >= 1.0);
-        let cone = cone_past(index, beam, x_known);
+        let cone = cone_past(caster, beam, x_known);
         if opacity < 1.0 {
             share *= 1.0 - opacity * (1.0 - visible_share(cone.x));
             is_proven = is_proven && (cone.is_covered || cone.x >= 1.0);
@@ -271,13 +397,14 @@ fn shares(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= params.count { return; }
     let beam = beams[params.first + id.x];
     steps = 0u;
+    is_far = 0u;
     var found = vec2f(0.0, 1.0);
     if beam.slope > 0.0 {
         found = cone_share(beam);
     } else {
         found.x = ray_share(beam);
     }
-    answers[params.first + id.x] = Answer(found.x, u32(found.y), steps, u32(steps < MAX_STEPS));
+    answers[params.first + id.x] = Answer(found.x, u32(found.y), steps, u32(steps < MAX_STEPS), is_far);
 }
 
 // How far a ray goes through its own instance's matter.
@@ -290,7 +417,7 @@ fn thicknesses(@builtin(global_invocation_id) id: vec3u) {
     let to = &instances[beam.own];
     let grid = grids[(*to).grid];
     let ray = ray_in_field(beam.own, beam);
-    let span = clip(ray.origin, ray.direction, (*to).surface_lower, (*to).surface_upper, FAR_T);
+    let span = clip(ray.origin, ray.direction, (*to).surface_lower, (*to).surface_upper, vec2f(0.0, FAR_T));
     var thickness = 0.0;
     if span.x <= span.y {
         let pace = 1.0 / length(local_direction(beam.own, beam.direction));
@@ -305,5 +432,5 @@ fn thicknesses(@builtin(global_invocation_id) id: vec3u) {
             if t >= span.y { break; }
         }
     }
-    answers[params.first + id.x] = Answer(thickness, 1u, steps, 1u);
+    answers[params.first + id.x] = Answer(thickness, 1u, steps, 1u, 0u);
 }

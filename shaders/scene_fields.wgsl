@@ -46,7 +46,7 @@ fn field_seen(corner: BoxCorner, @builtin(front_facing) is_front: bool) -> Field
     let ray = FieldRay(rows[corner.row].eye, ray_through(corner.row, corner.position.xy));
     steps = 0u;
     let to = &instances[index];
-    let span = clip(ray.origin, ray.direction, (*to).surface_lower, (*to).surface_upper, FAR_T);
+    let span = clip(ray.origin, ray.direction, (*to).surface_lower, (*to).surface_upper, vec2f(0.0, FAR_T));
     if span.x > span.y { discard; }
     let hit = first_hit(grids[(*to).grid], ray.origin + span.x * ray.direction, ray.direction, span.y - span.x);
     let ran_out = steps >= MAX_STEPS;

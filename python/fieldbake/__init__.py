@@ -38,6 +38,7 @@ from .lights import DirectionalLight, PointLight
 from .materials import Material
 from .merge import MergedField, merge, sphere_intersection
 from .mesh import Mesh, Part
+from .nested import NestedField
 from .quadric import Quadric, pack_quadrics, unpack_quadrics, wrap_quadrics
 from .quantized import QuantizedVolume
 from .render import raymarch
@@ -90,6 +91,7 @@ __all__ = [
     "MergedField",
     "Mesh",
     "MeshError",
+    "NestedField",
     "Part",
     "PointLight",
     "Profile",

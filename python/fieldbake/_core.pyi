@@ -378,6 +378,9 @@ class SceneField:
         inner_lower: tuple[float, float, float],
         inner_upper: tuple[float, float, float],
     ) -> SceneField: ...
+    @staticmethod
+    def nested(levels: list[SceneField]) -> SceneField:
+        """Nested fields as one, finest first."""
 
 @final
 class SceneMesh:
@@ -430,6 +433,8 @@ def render(
     area_samples: int,
     ambient: float,
     occlusion: float | None,
+    far: list[SceneField],
+    far_distance: float | None,
     background: tuple[float, float, float, float],
     exposure: float,
     samples: int,
@@ -437,7 +442,8 @@ def render(
     progress: Callable[[float], object] | None = None,
 ) -> dict[str, Any]:
     """Draw a scene. ``lights`` has three rows a light: kind (0 directional, 1 point), tangent of half its angle,
-    radius; direction or position; colour. Keys as for :func:`raymarch`, ``seconds`` a dict of passes."""
+    radius; direction or position; colour. Keys as for :func:`raymarch`, ``seconds`` a dict of passes, ``rays`` and
+    ``far_rays``: how many were sent to lights and surroundings, and how many of them went on in the far field."""
 
 @final
 class Quadrics:

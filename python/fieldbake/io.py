@@ -1,7 +1,7 @@
 """Our files: an .npz archive that plain NumPy can read, and that is checked before a byte of it is believed.
 
-Layout: a zip archive of uncompressed members. Quantised and sparse volumes are version 2, all else is version 1.
-A volume has two members:
+Layout: a zip archive of uncompressed members. Quantised, sparse and nested volumes are version 2, all else is version
+1. A volume has two members:
 
 ``header.npy``
     A zero-dimensional string: JSON with ``format``, ``kind``, ``version``, ``bounds``, ``inner_bounds``, ``report``.
@@ -10,6 +10,8 @@ A volume has two members:
     int8; the header has ``encoding`` and ``scale``.
 ``index.npy``, ``nodes.npy``, ``bricks.npy``
     In place of the distances for the kind ``sparse``; the header has ``encoding``, ``scale`` and ``band``.
+
+A nested field has ``level_0.npy``, ``level_1.npy``, ... in place of the distances, finest first, and their ``boxes``.
 
 An atlas has the header, ``pages.npy``, a row of ``blocks``, ``boxes``, ``models`` and ``scales`` for each index, and
 the reports as JSON in bytes.
@@ -42,10 +44,11 @@ from .volume import Volume, check_distances
 
 if TYPE_CHECKING:
     from .atlas import Atlas
+    from .nested import NestedField
 
 #: The newest version of a file, and that of each kind which readers of version 1 do not know.
 VERSION = 2
-FIRST_VERSION = {"quantized": 2, "sparse": 2}
+FIRST_VERSION = {"quantized": 2, "sparse": 2, "nested": 2}
 
 #: The JSON of a volume takes about a kilobyte.
 MAX_HEADER_BYTES = 4 << 20
@@ -75,6 +78,14 @@ def save_sparse(volume: SparseVolume, path: str | os.PathLike[str]) -> None:
     header = _header("sparse", volume)
     header |= {"encoding": field.encoding, "scale": field.scale, "band": field.band}
     _write(path, header, field.arrays())
+
+
+def save_nested(field: NestedField, path: str | os.PathLike[str]) -> None:
+    """Write a nested field: the levels as they were merged, finest first."""
+    outermost = field.levels[-1]
+    arrays: dict[str, NDArray[Any]] = {f"level_{i}": level.distances for i, level in enumerate(field.levels)}
+    arrays["boxes"] = np.stack([level.bounds for level in field.levels])
+    _write(path, {**_header("nested", outermost), "levels": len(field.levels)}, arrays)
 
 
 def head(kind: str) -> dict[str, Any]:
@@ -161,7 +172,7 @@ def load(path: str | os.PathLike[str]) -> Any:
 
     Returns
     -------
-    Volume, QuantizedVolume, SparseVolume or Atlas
+    Volume, QuantizedVolume, SparseVolume, NestedField or Atlas
         Bit for bit what was saved, in the encoding that the file has.
 
     Raises
@@ -204,7 +215,7 @@ def _foreign_reader(path: str | os.PathLike[str]) -> Callable[[Path], Volume | A
     return exchange.load_atlas_from if ending in exchange.ATLAS_ENDINGS else None
 
 
-def _read(archive: zipfile.ZipFile, size: int) -> Volume | SparseVolume | Atlas:
+def _read(archive: zipfile.ZipFile, size: int) -> Volume | SparseVolume | NestedField | Atlas:
     members = _members(archive, size)
     header = _read_header(archive, members)
     reader = READERS.get(str(header.get("kind")))
@@ -258,6 +269,23 @@ def _read_sparse(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], 
     return SparseVolume._wrap(field, bounds, inner_bounds, report)
 
 
+def _read_nested(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], header: dict[str, Any]) -> NestedField:
+    from .nested import MAX_LEVELS, NestedField
+
+    _, inner_bounds, report = read_facts(header)
+    count = _checks.integer("header: levels", header.get("levels"), least=1, most=MAX_LEVELS, error=FormatError)
+    boxes = _read_array(archive, members, "boxes.npy")
+    if boxes.dtype != np.dtype("<f8") or boxes.shape != (count, 2, 3):
+        raise FormatError(f"boxes must be float64 of shape ({count}, 2, 3), got {_checks.describe(boxes)}")
+    levels = []
+    for i in range(count):
+        box = _checks.box(f"boxes[{i}]", boxes[i], FormatError)
+        distances = _read_array(archive, members, f"level_{i}.npy")
+        _check_samples(header, distances, "float32", 3)
+        levels.append(Volume._wrap(check_distances(distances), box, inner_bounds, report))
+    return NestedField(levels)
+
+
 def _read_atlas(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], header: dict[str, Any]) -> Atlas:
     arrays = {name: _read_array(archive, members, f"{name}.npy") for name in (*ATLAS_ARRAYS, "pages", "reports")}
     reports = json.loads(arrays.pop("reports").tobytes())
@@ -265,10 +293,11 @@ def _read_atlas(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], h
 
 
 #: How each kind of file is read.
-READERS: dict[str, Callable[..., Volume | SparseVolume | Atlas]] = {
+READERS: dict[str, Callable[..., Volume | SparseVolume | NestedField | Atlas]] = {
     "volume": _read_dense,
     "quantized": _read_quantized,
     "sparse": _read_sparse,
+    "nested": _read_nested,
     "atlas": _read_atlas,
 }
 

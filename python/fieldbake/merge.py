@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,12 +13,15 @@ from . import _checks, _core
 from .bake import bake
 from .convert import _is_arrays
 from .errors import ArgumentError, DeviceError, Error, SceneError
-from .grid import Resolution, make_grid
-from .progress import Progress, progress_callback
+from .grid import Grid, Resolution, make_grid
+from .progress import Progress, part_of, progress_callback
 from .quadric import Quadric, rows_of
 from .report import Report
 from .sparse import SparseVolume
 from .volume import Volume
+
+if TYPE_CHECKING:
+    from .nested import NestedField
 
 Method = Literal["bound", "article"]
 
@@ -141,15 +144,45 @@ class MergedField(Volume):
         return placed, sorted(touched)
 
 
+@overload
 def merge(
     scene: Any,
     resolution: Resolution = MERGE_RESOLUTION,
     *,
     bounds: ArrayLike | None = None,
+    levels: None = None,
+    center: None = None,
     method: Method = "bound",
     device: str = "auto",
     progress: Progress = None,
-) -> MergedField:
+) -> MergedField: ...
+
+
+@overload
+def merge(
+    scene: Any,
+    resolution: Resolution = MERGE_RESOLUTION,
+    *,
+    bounds: ArrayLike | None = None,
+    levels: int,
+    center: ArrayLike | None = None,
+    method: Method = "bound",
+    device: str = "auto",
+    progress: Progress = None,
+) -> NestedField: ...
+
+
+def merge(
+    scene: Any,
+    resolution: Resolution = MERGE_RESOLUTION,
+    *,
+    bounds: ArrayLike | None = None,
+    levels: int | None = None,
+    center: ArrayLike | None = None,
+    method: Method = "bound",
+    device: str = "auto",
+    progress: Progress = None,
+) -> MergedField | NestedField:
     """Join everything in a scene in one world-aligned field that is never larger than the distance to it.
 
     Parameters
@@ -161,6 +194,12 @@ def merge(
         As for :func:`bake`.
     bounds : (2, 3) array, optional
         Box to sample, world units; the box of all surfaces and a tenth more if not given.
+    levels : int, optional
+        Nested grids round a point, up to 12: the outermost has the box and the resolution that one grid would have,
+        each other one as many voxels in a box half as long and wide.
+    center : (3,) array, optional
+        What the levels are nested round, the camera say; the middle of the box if not given. Near the edge of a level
+        the next finer one is moved inwards.
     method : "bound" or "article", default "bound"
         ``"article"`` is the loop of the article that this follows: at every sample over all instances, the distance
         to the box plus the sample there. Slow, and not a lower bound: in random scenes of six volumes of 20 to 32
@@ -174,7 +213,7 @@ def merge(
     Returns
     -------
     MergedField
-        A Volume; its :meth:`~MergedField.update` follows moving instances.
+        A Volume; its :meth:`~MergedField.update` follows moving instances. With `levels` a :class:`NestedField`.
 
     Raises
     ------
@@ -215,13 +254,49 @@ def merge(
     _checks.text("device", device)
     if method not in ("bound", "article"):
         raise ArgumentError(f'method: must be "bound" or "article", got {_checks.describe(method)}')
+    if levels is None and center is not None:
+        raise ArgumentError("center: is what levels are nested round; give levels too")
     baked: dict[tuple[int, int], Volume] = {}
     items = _items(scene)
     placed = [_place(f"instances[{number}]", item, baked) for number, item in enumerate(items)]
     boxes = np.stack([item.bounds for item in placed])
     inner = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
     grid = make_grid(inner, resolution, bounds=bounds)
+    if levels is not None:
+        if method != "bound":
+            raise ArgumentError('levels: are merged with method="bound" only')
+        may_grow = bounds is None and np.ndim(resolution) == 0
+        return _merge_nested(placed, grid, levels, center, may_grow, device, progress)
     return _merge(placed, np.array([grid.lower, grid.upper]), grid.shape, method, device, progress, None)
+
+
+def _merge_nested(
+    placed: Sequence[_Placed],
+    outer: Grid,
+    levels: int,
+    center: ArrayLike | None,
+    may_grow: bool,
+    device: str,
+    progress: Progress,
+) -> NestedField:
+    from .nested import LEAST_SIDE, MAX_LEVELS, NestedField, nested_grids
+
+    count = _checks.integer("levels", levels, least=1, most=MAX_LEVELS)
+    box = np.array([outer.lower, outer.upper])
+    middle = box.mean(axis=0)
+    point = middle if center is None else _checks.vector("center", center, 3)
+    if may_grow and min(outer.shape) < LEAST_SIDE:
+        # A flat scene: more of the voxels that it has.
+        x, y, z = (max(side, LEAST_SIDE) for side in outer.shape)
+        half = np.array([x, y, z]) * np.asarray(outer.spacing) / 2
+        outer = Grid(_checks.triple(middle - half), _checks.triple(middle + half), (x, y, z))
+    merged = []
+    with progress_callback(progress, "merge") as callback:
+        for number, grid in enumerate(nested_grids(outer, count, point)):
+            bounds = np.array([grid.lower, grid.upper])
+            part = part_of(callback, number, count)
+            merged.append(_merge(placed, bounds, grid.shape, "bound", device, part, None))
+    return NestedField(merged)
 
 
 def _merge(

@@ -30,3 +30,8 @@ def progress_callback(progress: Progress, label: str) -> Iterator[Callable[[floa
         yield progress
     else:
         raise ArgumentError(f"progress: must be True, False, None or a callable, got {_checks.describe(progress)}")
+
+
+def part_of(callback: Callable[[float], object] | None, number: int, count: int) -> Callable[[float], object] | None:
+    """What reports job `number` of `count` equal ones as a part of the whole."""
+    return None if callback is None else lambda share: callback((number + share) / count)

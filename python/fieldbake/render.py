@@ -14,6 +14,7 @@ from .camera import Camera
 from .errors import ArgumentError, SceneError
 from .frame import Frame
 from .lights import DirectionalLight, Light, PointLight
+from .nested import NestedField
 from .progress import Progress, progress_callback
 from .quadric import bounds_of, check_quadrics, core_of, is_quadrics
 from .shapes import Shape
@@ -55,7 +56,7 @@ def raymarch(
 
     Parameters
     ----------
-    thing : Volume, SparseVolume, Shape, Scene, Quadric, list of Quadric, or anything :func:`bake` takes
+    thing : Volume, SparseVolume, NestedField, Shape, Scene, Quadric, list of Quadric, or anything :func:`bake` takes
         A Scene brings its own lights and materials and is drawn by :func:`render` with ``primary="raymarch"``.
         Quadrics are drawn as they are, each in its reflectance; `object_id` is the place in the list. What else is
         neither volume nor Shape is baked first, with 128 voxels along its longest side.
@@ -177,17 +178,20 @@ def raymarch(
     if isinstance(thing, Shape) and filter != "linear":
         raise ArgumentError('filter: "hardware" reads a volume, and this is a shape; bake it first')
     field = thing
-    if not isinstance(thing, (Volume, SparseVolume, Shape)):
+    if not isinstance(thing, (Volume, SparseVolume, NestedField, Shape)):
         field = bake(thing, PICTURE_RESOLUTION, device=device, progress=progress)
     if camera is None:
         bounds = field.bounds if isinstance(field, Shape) else field.inner_bounds
         camera = Camera.fit(bounds, aspect=width / height)
-    if shadows in ("soft", "area") or any(isinstance(light, PointLight) for light in lights or ()):
+    is_nested = isinstance(field, NestedField)
+    if is_nested or shadows in ("soft", "area") or any(isinstance(light, PointLight) for light in lights or ()):
         if filter != "linear":
             raise ArgumentError('filter: "hardware" goes with directional lights and shadows "hard" or "none"')
         material = Material(color=surface, specular=shade["specular"], shininess=shade["shininess"])
         scene = Scene([Instance(field, material=material)], lights, ambient=shade["ambient"], background=behind)
-        return render(scene, camera, size=size, primary="raymarch", shadows=shadows, device=device, progress=progress)
+        # Nested fields are marched on the CPU.
+        place = "cpu" if is_nested and device == "auto" else device
+        return render(scene, camera, size=size, primary="raymarch", shadows=shadows, device=place, progress=progress)
     directions, colors = _lights(lights, camera)
     picture: dict[str, Any] = {
         "pose": camera.pose,

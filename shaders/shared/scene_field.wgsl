@@ -20,7 +20,8 @@ struct SceneInstance {
     normal_y: vec3f,
     casts_shadow: u32,
     normal_z: vec3f,
-    pad_0: u32,
+    // Of a level of a far field; 0 for an instance.
+    voxel: f32,
     box_min: vec3f,
     pad_1: u32,
     box_max: vec3f,
@@ -178,9 +179,9 @@ fn first_hit(grid: SceneGrid, origin: vec3f, along: vec3f, t_max: f32) -> f32 {
     return -1.0;
 }
 
-// From and to where a line is in a box; from above to where it misses.
-fn clip(origin: vec3f, direction: vec3f, lower: vec3f, upper: vec3f, t_max: f32) -> vec2f {
-    var span = vec2f(0.0, t_max);
+// From and to where a part of a line is in a box; from above to where it misses.
+fn clip(origin: vec3f, direction: vec3f, lower: vec3f, upper: vec3f, part: vec2f) -> vec2f {
+    var span = part;
     for (var axis = 0u; axis < 3u; axis++) {
         let low = lower[axis] - origin[axis];
         let high = upper[axis] - origin[axis];
@@ -216,10 +217,10 @@ fn scene_normal(index: u32, n: vec3f) -> vec3f {
     return (*to).local_x * n.x + (*to).local_y * n.y + (*to).local_z * n.z;
 }
 
-// Where a ray enters an instance's matter, or -1.
-fn hit_of(index: u32, ray: FieldRay, t_max: f32) -> f32 {
+// Where a part of a ray enters an instance's matter, or -1.
+fn hit_of(index: u32, ray: FieldRay, part: vec2f) -> f32 {
     let to = &instances[index];
-    let span = clip(ray.origin, ray.direction, (*to).surface_lower, (*to).surface_upper, t_max);
+    let span = clip(ray.origin, ray.direction, (*to).surface_lower, (*to).surface_upper, part);
     if span.x > span.y { return -1.0; }
     let hit = first_hit(grids[(*to).grid], ray.origin + span.x * ray.direction, ray.direction, span.y - span.x);
     return select(-1.0, hit + span.x, hit >= 0.0);

@@ -234,7 +234,7 @@ pub struct SceneInstance {
     pub normal_y: [f32; 3],
     pub casts_shadow: u32,
     pub normal_z: [f32; 3],
-    pub pad_0: u32,
+    pub voxel: f32,
     pub box_min: [f32; 3],
     pub pad_1: u32,
     pub box_max: [f32; 3],
@@ -283,6 +283,7 @@ pub struct Answer {
     pub is_proven: u32,
     pub steps: u32,
     pub is_complete: u32,
+    pub is_far: u32,
 }
 
 /// `shaders/scene_beams.wgsl`.
@@ -291,6 +292,10 @@ pub struct Answer {
 pub struct BeamParams {
     pub first: u32,
     pub count: u32,
+    pub far: u32,
+    pub far_levels: u32,
+    pub far_holds_all: u32,
+    pub far_distance: f32,
     pub pad_0: u32,
     pub pad_1: u32,
 }
@@ -556,7 +561,7 @@ mod tests {
                 normal_y,
                 casts_shadow,
                 normal_z,
-                pad_0,
+                voxel,
                 box_min,
                 pad_1,
                 box_max,
@@ -574,8 +579,11 @@ mod tests {
             "scene_beams",
             Beam { p, t_max, direction, slope, normal, bias_voxels, own, is_coarse, pad_0, pad_1 }
         );
-        assert_twin!("scene_beams", Answer { value, is_proven, steps, is_complete });
-        assert_twin!("scene_beams", BeamParams { first, count, pad_0, pad_1 });
+        assert_twin!("scene_beams", Answer { value, is_proven, steps, is_complete, is_far });
+        assert_twin!(
+            "scene_beams",
+            BeamParams { first, count, far, far_levels, far_holds_all, far_distance, pad_0, pad_1 }
+        );
         assert_twin!(
             "scene_fields",
             RasterInstance {

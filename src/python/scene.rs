@@ -8,7 +8,9 @@ use super::render::{frame_dict, pose_matrix};
 use super::run::run;
 use crate::error::SceneError;
 use crate::render::Camera;
+use crate::scene::far::FarField;
 use crate::scene::field::{DenseField, SampledField};
+use crate::scene::nested::NestedField;
 use crate::scene::texture::Texture as CoreTexture;
 use crate::scene::triangles::Triangles;
 use crate::scene::{self, Alpha, InstanceInput, Light, Material, Primary, RenderOptions, SceneShadows};
@@ -41,6 +43,13 @@ impl SceneField {
             SampledField::new(DenseField::new(*view.grid(), view.distances().to_vec())?, inner, progress)
         })?;
         Ok(Self(Arc::new(made)))
+    }
+
+    /// Nested fields as one, finest first.
+    #[staticmethod]
+    fn nested(levels: Vec<Py<SceneField>>) -> PyResult<Self> {
+        let levels = levels.iter().map(|level| level.get().0.clone()).collect();
+        Ok(Self(Arc::new(NestedField::new(levels).map_err(Failure::from)?)))
     }
 }
 
@@ -178,8 +187,8 @@ fn material(row: &[f32], textures: usize) -> PyResult<Material> {
 /// Draw a scene.
 #[pyfunction]
 #[pyo3(signature = (
-    scene, pose, *, fov_deg, size, lights, primary, shadows, area_samples, ambient, occlusion, background, exposure,
-    samples, device, progress=None
+    scene, pose, *, fov_deg, size, lights, primary, shadows, area_samples, ambient, occlusion, far, far_distance,
+    background, exposure, samples, device, progress=None
 ))]
 pub fn render<'py>(
     py: Python<'py>,
@@ -193,6 +202,8 @@ pub fn render<'py>(
     area_samples: u32,
     ambient: f32,
     occlusion: Option<f64>,
+    far: Vec<Py<SceneField>>,
+    far_distance: Option<f64>,
     background: [f32; 4],
     exposure: f32,
     samples: u32,
@@ -220,6 +231,10 @@ pub fn render<'py>(
         lights: rows::<f64>(&lights, "lights")?.as_chunks::<3>().0.iter().map(light).collect(),
         ambient,
         occlusion,
+        far: (!far.is_empty()).then(|| FarField {
+            levels: far.iter().map(|level| level.get().0.clone()).collect(),
+            distance: far_distance,
+        }),
         background,
         exposure,
         samples,
@@ -236,6 +251,8 @@ pub fn render<'py>(
         seconds.set_item(stage, duration)?;
     }
     images.set_item("seconds", seconds)?;
+    images.set_item("rays", rendered.rays)?;
+    images.set_item("far_rays", rendered.far_rays)?;
     Ok(images)
 }
 

@@ -6,7 +6,7 @@
 //! Ours is in [`super::shadow`].
 
 use super::Scene;
-use super::shadow::{Place, Ray};
+use super::shadow::{Place, Ray, Work};
 use glam::Vec3;
 
 const STEPS: u32 = 100;
@@ -15,7 +15,7 @@ const BIAS: f64 = 0.05;
 
 impl Scene {
     /// 0 where the article's march finds something before the light, else 1.
-    pub fn article_share(&self, place: &Place, ray: &Ray, steps: &mut u32) -> f32 {
+    pub fn article_share(&self, place: &Place, ray: &Ray, work: &mut Work) -> f32 {
         let start = place.p + (BIAS * place.normal.as_dvec3() + BIAS * ray.direction) / self.scale;
         let is_shaded = |instance: &super::Instance| {
             let Some(field) = instance.field.as_deref().filter(|_| instance.casts_shadow) else { return false };
@@ -24,7 +24,7 @@ impl Scene {
             let pace = 1.0 / f64::from((instance.local_from_scene * ray.direction.as_vec3()).length());
             let mut t = 0.0;
             for _ in 0..STEPS {
-                *steps += 1;
+                work.steps += 1;
                 let p = instance.field_from_scene.transform_point3(start + t * ray.direction).as_vec3();
                 let is_in_data = p.cmpge(lower).all() && p.cmple(upper).all();
                 let local = if is_in_data {

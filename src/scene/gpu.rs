@@ -4,11 +4,13 @@
 //! cones as [`Beam`]s and gets the share of each that passes. One that runs out of the shader's bounded steps says so and is
 //! asked again on the CPU.
 
-use super::field::{DenseField, SampledField};
+use super::far::Far;
+use super::field::{DenseField, Field, SampledField};
 use super::raster::DeviceMeshes;
-use super::shadow::{Place, Ray};
+use super::shadow::{Casters, Place, Ray, Work};
 use super::{Instance, Scene};
 use crate::error::{DeviceError, Error};
+use crate::geometry::Aabb;
 use crate::gpu::Context;
 use crate::gpu::layout::{Answer, Beam, BeamParams, SceneGrid, SceneInstance};
 use crate::gpu::pace::in_pieces;
@@ -23,6 +25,10 @@ const GROUP: u64 = 64;
 const GROUPS: (u64, u64) = (16, 65_535);
 /// Stands for infinity in a shader.
 const FAR: f32 = 1e30;
+/// Stands for no far field, as in the shader.
+const NO_FAR: u32 = u32::MAX;
+/// Stands for a distance in voxels, as in the shader.
+const BY_VOXELS: f32 = -1.0;
 
 /// A scene in device memory.
 pub struct DeviceScene {
@@ -34,19 +40,26 @@ pub struct DeviceScene {
     samples: wgpu::Buffer,
     blocks: wgpu::Buffer,
     meshes: DeviceMeshes,
+    /// The levels of the far field that follow the instances.
+    far: Vec<Arc<dyn Field>>,
 }
 
 impl DeviceScene {
-    pub fn upload(context: &Arc<Context>, scene: &Scene) -> Result<Self, Error> {
+    pub fn upload(context: &Arc<Context>, scene: &Scene, far: Option<&Far>) -> Result<Self, Error> {
         let mut fields: Vec<&SampledField<DenseField>> = Vec::new();
-        let mut rows = Vec::with_capacity(scene.instances.len());
-        for (i, instance) in scene.instances.iter().enumerate() {
+        let mut rows = Vec::with_capacity(scene.instances.len() + 1);
+        let of_scene = scene.instances.iter().zip(&scene.boxes).map(|(instance, bounds)| (instance, bounds, 0.0));
+        let levels = far.map_or(&[][..], |far| &far.levels);
+        let of_far = levels.iter().map(|level| (&level.instance, &level.bounds, level.voxel));
+        for (i, (instance, bounds, voxel)) in of_scene.chain(of_far).enumerate() {
             let grid = match instance.field.as_deref() {
                 None => 0,
                 Some(field) => {
-                    let dense = field.dense().ok_or_else(|| DeviceError::NotAvailable {
-                        requested: context.label(),
-                        reason: format!("the field of instances[{i}] is not a dense grid; use device=\"cpu\""),
+                    let dense = field.dense().ok_or_else(|| {
+                        let is_far = i >= scene.instances.len();
+                        let whose = if is_far { "far".to_owned() } else { format!("the field of instances[{i}]") };
+                        let reason = format!("{whose} is not a dense grid; use device=\"cpu\"");
+                        DeviceError::NotAvailable { requested: context.label(), reason }
                     })?;
                     let known = fields.iter().position(|&known| std::ptr::eq(known, dense));
                     known.unwrap_or_else(|| {
@@ -55,7 +68,7 @@ impl DeviceScene {
                     })
                 }
             };
-            rows.push(instance_row(scene, i, instance, grid as u32));
+            rows.push(SceneInstance { voxel: voxel as f32, ..instance_row(instance, bounds, grid as u32) });
         }
 
         let (mut grids, mut samples, mut blocks) = (Vec::new(), Vec::new(), Vec::new());
@@ -86,6 +99,7 @@ impl DeviceScene {
             samples: context.upload("scene fields", &samples)?,
             blocks: context.upload("scene blocks", &words)?,
             meshes: DeviceMeshes::upload(context, scene)?,
+            far: levels.iter().filter_map(|level| level.instance.field.clone()).collect(),
         })
     }
 
@@ -102,34 +116,54 @@ impl DeviceScene {
         [(3, &self.instances), (4, &self.grids), (5, &self.samples), (6, &self.blocks)]
     }
 
+    /// Whether this far field, if any, is there.
+    pub fn has(&self, far: Option<&Far>) -> bool {
+        let Some(far) = far else { return true };
+        let wanted = far.levels.iter().filter_map(|level| level.instance.field.as_ref());
+        self.far.len() == far.levels.len() && wanted.zip(&self.far).all(|(wanted, there)| Arc::ptr_eq(wanted, there))
+    }
+
     /// Share of each beam that passes.
-    pub fn shares(&self, scene: &Scene, beams: &[Beam], progress: &Progress) -> Result<Vec<Answer>, Error> {
-        let mut answers = self.ask("shares", beams, progress)?;
+    pub fn shares(&self, casters: &Casters<'_>, beams: &[Beam], progress: &Progress) -> Result<Vec<Answer>, Error> {
+        let mut params = BeamParams { far: NO_FAR, ..BeamParams::default() };
+        if let Some(far) = casters.far {
+            params.far = casters.scene.instances.len() as u32;
+            params.far_levels = far.levels.len() as u32;
+            params.far_holds_all = u32::from(far.holds_all);
+            params.far_distance = far.distance.map_or(BY_VOXELS, |distance| distance as f32);
+        }
+        let mut answers = self.ask("shares", params, beams, progress)?;
         for (answer, beam) in answers.iter_mut().zip(beams).filter(|(answer, _)| answer.is_complete == 0) {
             let (place, ray) = from_beam(beam);
-            let mut steps = 0;
+            let mut work = Work::default();
             if beam.slope > 0.0 {
-                let cone = scene.whole_cone(&place, &ray, beam.slope, &mut Vec::new(), &mut steps);
+                let cone = casters.whole_cone(&place, &ray, beam.slope, &mut Vec::new(), &mut work);
                 (answer.value, answer.is_proven) = (cone.share, u32::from(cone.is_proven));
             } else {
-                answer.value = scene.ray_share(&place, &ray, &mut steps);
+                answer.value = casters.ray_share(&place, &ray, &mut work);
             }
+            answer.is_far = work.far_rays;
         }
         Ok(answers)
     }
 
     /// How far each beam goes through its own instance's matter.
     pub fn thicknesses(&self, beams: &[Beam], progress: &Progress) -> Result<Vec<Answer>, Error> {
-        self.ask("thicknesses", beams, progress)
+        self.ask("thicknesses", BeamParams { far: NO_FAR, ..BeamParams::default() }, beams, progress)
     }
 
-    fn ask(&self, entry: &'static str, beams: &[Beam], progress: &Progress) -> Result<Vec<Answer>, Error> {
+    fn ask(
+        &self,
+        entry: &'static str,
+        mut params: BeamParams,
+        beams: &[Beam],
+        progress: &Progress,
+    ) -> Result<Vec<Answer>, Error> {
         let context = &self.context;
         let mut answers = vec![Answer::default(); beams.len()];
         if beams.is_empty() {
             return Ok(answers);
         }
-        let mut params = BeamParams::default();
         let uniform = context.uniform("beam parameters", &params)?;
         let asked = context.upload("beams", beams)?;
         let found = context.storage("answers", size_of_val(&answers[..]) as u64)?;
@@ -187,7 +221,7 @@ fn from_beam(beam: &Beam) -> (Place, Ray) {
     (place, Ray { direction, t_max: if beam.t_max < FAR { f64::from(beam.t_max) } else { f64::INFINITY } })
 }
 
-fn instance_row(scene: &Scene, index: usize, instance: &Instance, grid: u32) -> SceneInstance {
+fn instance_row(instance: &Instance, bounds: &Aabb, grid: u32) -> SceneInstance {
     let rows = |m: Mat3| m.transpose().to_cols_array_2d();
     let map = instance.field_from_scene;
     let offset = map.translation.as_vec3();
@@ -196,7 +230,6 @@ fn instance_row(scene: &Scene, index: usize, instance: &Instance, grid: u32) -> 
     let [local_x, local_y, local_z] = rows(instance.local_from_scene);
     let [normal_x, normal_y, normal_z] = rows(instance.field_normal_from_scene);
     let [lower, upper] = instance.field.as_ref().map_or([Vec3::ZERO; 2], |field| field.surface_bounds());
-    let bounds = scene.boxes[index];
     SceneInstance {
         field_x: with_offset(0),
         field_y: with_offset(1),

@@ -17,8 +17,8 @@
 
 use super::gpu::{DeviceScene, beam};
 use super::primary::{GBuffer, Layer};
-use super::shadow::{PARTS, Place, Ray, basis, disc_point, toward};
-use super::{Light, RenderOptions, Scene, SceneShadows};
+use super::shadow::{Casters, PARTS, Place, Ray, Work, basis, disc_point, toward};
+use super::{Asked, Light, RenderOptions, Scene, SceneShadows};
 use crate::error::Error;
 use crate::gpu::layout::{Answer, Beam};
 use crate::progress::Progress;
@@ -103,32 +103,34 @@ struct Found {
 
 /// Light every layer and lay the layers over the background.
 pub fn shade(
-    scene: &Scene,
+    casters: &Casters<'_>,
     buffer: &GBuffer,
     lights: &Lights,
     options: &RenderOptions,
+    asked: &Asked,
     progress: &Progress,
 ) -> Result<Frame, Error> {
     let ask = |surface: &Surface<'_>, x: usize, y: usize, found: &mut Found| {
-        surface.look(scene, lights, options, pixel_turn(x, y), found)
+        surface.look(casters, lights, options, pixel_turn(x, y), found)
     };
-    compose(scene, buffer, lights, options, progress, ask)
+    compose(casters.scene, buffer, lights, options, asked, progress, ask)
 }
 
 /// The same with rays and cones on a graphics device.
 pub fn shade_on_device(
-    scene: &Scene,
+    casters: &Casters<'_>,
     device: &DeviceScene,
     buffer: &GBuffer,
     lights: &Lights,
     options: &RenderOptions,
+    asked: &Asked,
     progress: &Progress,
 ) -> Result<Frame, Error> {
     // A bunch of rows at a time: beams take 64 bytes each.
     let beams_per_layer = lights.lights.len().max(1)
         * if let SceneShadows::Area(count) = options.shadows { count as usize } else { PARTS as usize }
         + AO_CONES;
-    let mut found: Vec<Vec<(Found, u32)>> = Vec::with_capacity(buffer.rows.len());
+    let mut found: Vec<Vec<(Found, Work)>> = Vec::with_capacity(buffer.rows.len());
     let mut first = 0;
     while first < buffer.rows.len() {
         let mut layers = 0;
@@ -137,30 +139,31 @@ pub fn shade_on_device(
             layers += buffer.rows[end].len();
             end += 1;
         }
-        found.extend(look_on_device(scene, device, buffer, lights, options, first..end, progress)?);
+        found.extend(look_on_device(casters, device, buffer, lights, options, first..end, progress)?);
         first = end;
     }
     let ask = |surface: &Surface<'_>, _: usize, y: usize, wanted: &mut Found| {
-        let (answer, steps) = &found[y][surface.index];
+        let (answer, work) = &found[y][surface.index];
         wanted.clone_from(answer);
-        *steps
+        *work
     };
-    compose(scene, buffer, lights, options, progress, ask)
+    compose(casters.scene, buffer, lights, options, asked, progress, ask)
 }
 
 /// Beams that go to a device at a time, about: 64 MiB.
 const MOST_BEAMS: usize = 1 << 20;
 
-/// What the fields say about the layers of some rows, with the steps it took.
+/// What the fields say about the layers of some rows, and what it took.
 fn look_on_device(
-    scene: &Scene,
+    casters: &Casters<'_>,
     device: &DeviceScene,
     buffer: &GBuffer,
     lights: &Lights,
     options: &RenderOptions,
     rows: std::ops::Range<usize>,
     progress: &Progress,
-) -> Result<Vec<Vec<(Found, u32)>>, Error> {
+) -> Result<Vec<Vec<(Found, Work)>>, Error> {
+    let scene = casters.scene;
     let mut surfaces = Vec::new();
     for y in rows.clone() {
         for (index, layer) in buffer.rows[y].iter().enumerate() {
@@ -197,7 +200,7 @@ fn look_on_device(
             }
         }
     }
-    let first = device.shares(scene, &beams, progress)?;
+    let first = device.shares(casters, &beams, progress)?;
     let thick = device.thicknesses(&through, progress)?;
 
     // Second round: discs that one cone did not decide.
@@ -221,21 +224,21 @@ fn look_on_device(
             }));
         }
     }
-    let second = device.shares(scene, &parts, progress)?;
+    let second = device.shares(casters, &parts, progress)?;
     let mut discs = second.chunks_exact(PARTS as usize);
 
     let mut answers = beams.iter().zip(&first);
     let mut thick = thick.iter();
-    let mut result: Vec<Vec<(Found, u32)>> = rows.clone().map(|_| Vec::new()).collect();
+    let mut result: Vec<Vec<(Found, Work)>> = rows.clone().map(|_| Vec::new()).collect();
     for (y, surface) in &surfaces {
-        let (mut found, mut steps) = (Found { open: 1.0, ..Found::default() }, 0);
+        let (mut found, mut work) = (Found { open: 1.0, ..Found::default() }, Work::default());
         if let Some(distance) = options.occlusion {
             let (mut sum, mut weights) = (0.0, 0.0);
             for (_, weight) in surface.open_rays(distance / scene.scale) {
                 let (_, answer) = answers.next().expect("one answer a cone");
                 sum += weight * answer.value;
                 weights += weight;
-                steps += answer.steps;
+                work += took(answer);
             }
             found.open = sum / weights;
         }
@@ -251,11 +254,11 @@ fn look_on_device(
                 let mut sum = 0.0;
                 for _ in 0..count {
                     let (beam, answer) = answers.next().expect("one answer a ray");
-                    steps += answer.steps;
+                    work += took(answer);
                     sum += answer.value;
                     if options.shadows == SceneShadows::Soft && is_undecided(beam, answer) {
                         let parts = discs.next().expect("the parts of each disc");
-                        steps += parts.iter().map(|part| part.steps).sum::<u32>();
+                        parts.iter().for_each(|part| work += took(part));
                         sum = parts.iter().map(|part| part.value).sum::<f32>() / PARTS as f32;
                     }
                 }
@@ -265,9 +268,13 @@ fn look_on_device(
             let is_thick = surface.scatters(scene);
             found.thickness.push(if is_thick { thick.next().expect("one answer a light").value } else { 0.0 });
         }
-        result[y - rows.start].push((found, steps));
+        result[y - rows.start].push((found, work));
     }
     Ok(result)
+}
+
+fn took(answer: &Answer) -> Work {
+    Work { steps: answer.steps, rays: 1, far_rays: answer.is_far }
 }
 
 /// Whether a cone to a light's disc needs a closer look. The cones of occlusion do not.
@@ -275,14 +282,15 @@ fn is_undecided(beam: &Beam, answer: &Answer) -> bool {
     beam.slope > 0.0 && beam.is_coarse == 0 && answer.is_proven == 0
 }
 
-/// Shade the layers by what `ask` finds, which returns the steps it took, and lay them over the background.
+/// Shade the layers by what `ask` finds, which returns what it took, and lay them over the background.
 fn compose(
     scene: &Scene,
     buffer: &GBuffer,
     lights: &Lights,
     options: &RenderOptions,
+    asked: &Asked,
     progress: &Progress,
-    ask: impl Fn(&Surface<'_>, usize, usize, &mut Found) -> u32 + Sync,
+    ask: impl Fn(&Surface<'_>, usize, usize, &mut Found) -> Work + Sync,
 ) -> Result<Frame, Error> {
     let [width, height] = options.size.map(|n| n as usize);
     let mut frame = Frame::new(width, height, lights.lights.len());
@@ -290,7 +298,7 @@ fn compose(
         row.steps.copy_from_slice(&buffer.steps[y]);
         let layers = &buffer.rows[y];
         let mut next = 0;
-        let mut found = Found::default();
+        let (mut found, mut total) = (Found::default(), Work::default());
         for x in 0..width {
             let mut color = Vec4::ZERO;
             let mut passes = 1.0;
@@ -298,7 +306,9 @@ fn compose(
             while let Some(layer) = layers.get(next).filter(|layer| layer.x as usize == x) {
                 let direction = buffer.view.direction(x as u32, y as u32);
                 let surface = Surface::new(scene, layer, next, buffer.view.camera.eye, direction);
-                row.steps[x] += ask(&surface, x, y, &mut found);
+                let work = ask(&surface, x, y, &mut found);
+                row.steps[x] += work.steps;
+                total += work;
                 let light = surface.shade(scene, lights, options, &found);
                 color += passes * layer.color.w * light.extend(1.0);
                 passes *= 1.0 - layer.color.w;
@@ -317,6 +327,7 @@ fn compose(
             let pixel = [rgb.x, rgb.y, rgb.z, color.w + passes * behind.w];
             row.color[4 * x..][..4].copy_from_slice(&pixel);
         }
+        asked.add(total);
         progress.advance(1)
     })?;
     Ok(frame)
@@ -361,15 +372,22 @@ impl<'a> Surface<'a> {
         scene.materials[self.layer.material as usize].scattering != [0.0; 3]
     }
 
-    /// Ask the fields about each light and the surroundings; returns the steps taken.
-    fn look(&self, scene: &Scene, lights: &Lights, options: &RenderOptions, turn: f32, found: &mut Found) -> u32 {
-        let mut steps = 0;
+    /// Ask the fields about each light and the surroundings; returns what that took.
+    fn look(
+        &self,
+        casters: &Casters<'_>,
+        lights: &Lights,
+        options: &RenderOptions,
+        turn: f32,
+        found: &mut Found,
+    ) -> Work {
+        let (scene, mut work) = (casters.scene, Work::default());
         found.open = match options.occlusion {
             None => 1.0,
             Some(distance) => {
                 let (mut sum, mut weights) = (0.0, 0.0);
                 for (ray, weight) in self.open_rays(distance / scene.scale) {
-                    sum += weight * scene.cone_share(&self.place, &ray, AO_SLOPE, &mut steps);
+                    sum += weight * casters.cone_share(&self.place, &ray, AO_SLOPE, &mut work);
                     weights += weight;
                 }
                 sum / weights
@@ -383,15 +401,15 @@ impl<'a> Surface<'a> {
             found.shares.push(match options.shadows {
                 SceneShadows::None => 1.0,
                 _ if !self.asks_for(&ray, options) => 0.0,
-                SceneShadows::Hard => scene.ray_share(place, &ray, &mut steps),
-                SceneShadows::Soft => scene.disc_share(place, &ray, slope, &mut steps),
-                SceneShadows::Area(count) => scene.area_share(place, &ray, slope, count, turn, &mut steps),
-                SceneShadows::Article => scene.article_share(place, &ray, &mut steps),
+                SceneShadows::Hard => casters.ray_share(place, &ray, &mut work),
+                SceneShadows::Soft => casters.disc_share(place, &ray, slope, &mut work),
+                SceneShadows::Area(count) => casters.area_share(place, &ray, slope, count, turn, &mut work),
+                SceneShadows::Article => scene.article_share(place, &ray, &mut work),
             });
             let is_thick = self.scatters(scene);
-            found.thickness.push(if is_thick { scene.thickness(place, ray.direction, &mut steps) } else { 0.0 });
+            found.thickness.push(if is_thick { casters.thickness(place, ray.direction, &mut work) } else { 0.0 });
         }
-        steps
+        work
     }
 
     /// The cones over the hemisphere with their weights; matter within `distance`, scene units, counts.

@@ -18,9 +18,11 @@
 //! To let another kind of thing cast shadows, implement [`field::Field`].
 
 pub mod article;
+pub mod far;
 pub mod field;
 pub mod gpu;
 pub mod light;
+pub mod nested;
 pub mod primary;
 pub mod raster;
 pub mod shadow;
@@ -33,9 +35,12 @@ use crate::geometry::Aabb;
 use crate::gpu::{Context, Place};
 use crate::progress::Progress;
 use crate::render::{Camera, Frame};
+use far::{Far, FarField};
 use field::Field;
 use glam::{DAffine3, DMat3, DVec3, Mat3, Vec3};
 use gpu::DeviceScene;
+use shadow::{Casters, Work};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 use texture::Texture;
@@ -168,7 +173,7 @@ pub enum SceneShadows {
 }
 
 /// What a picture looks like.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct RenderOptions {
     pub size: [u32; 2],
     pub primary: Primary,
@@ -178,6 +183,8 @@ pub struct RenderOptions {
     pub ambient: f32,
     /// How far occlusion of the ambient light looks, world units; none without it.
     pub occlusion: Option<f64>,
+    /// What answers rays past a distance; the instances all the way without it.
+    pub far: Option<FarField>,
     /// Linear RGBA where nothing is hit.
     pub background: [f32; 4],
     pub exposure: f32,
@@ -185,13 +192,16 @@ pub struct RenderOptions {
     pub samples: u32,
 }
 
-/// A picture and how long its passes took, in seconds.
+/// A picture, how long its passes took, in seconds, and what they asked.
 #[derive(Debug)]
 pub struct Rendered {
     pub frame: Frame,
     /// Where surfaces were found: on the device, on the CPU.
     pub primary_on: [bool; 2],
     pub seconds: Vec<(&'static str, f64)>,
+    /// Rays and cones to lights and surroundings, and how many of them went on in the far field.
+    pub rays: u64,
+    pub far_rays: u64,
 }
 
 /// Instances at most.
@@ -239,12 +249,13 @@ impl Scene {
 
 impl Scene {
     /// The scene in a device's memory, copied there at the first call.
-    fn on_device(&self, context: &Arc<Context>) -> Result<Arc<DeviceScene>, Error> {
+    fn on_device(&self, context: &Arc<Context>, far: Option<&Far>) -> Result<Arc<DeviceScene>, Error> {
         let mut uploaded = self.uploaded.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(scene) = uploaded.as_ref().filter(|scene| Arc::ptr_eq(scene.context(), context)) {
+        let is_there = |scene: &&Arc<DeviceScene>| Arc::ptr_eq(scene.context(), context) && scene.has(far);
+        if let Some(scene) = uploaded.as_ref().filter(is_there) {
             return Ok(scene.clone());
         }
-        let scene = Arc::new(DeviceScene::upload(context, self)?);
+        let scene = Arc::new(DeviceScene::upload(context, self, far)?);
         *uploaded = Some(scene.clone());
         Ok(scene)
     }
@@ -263,16 +274,19 @@ pub fn render(
     let passes = if sides == 1 { 1 } else { 1 + sides * sides };
     progress.set_total(u64::from(passes) * 2 * u64::from(options.size[1]));
 
+    let far = options.far.as_ref().map(|far| Far::new(scene, far)).transpose()?;
+    let casters = Casters { scene, far: far.as_ref() };
     let device = match place {
         Place::Cpu => None,
         Place::Gpu(context) if options.shadows == SceneShadows::Article => {
             let reason = "the article's march runs on the CPU only; use device=\"cpu\"".to_owned();
             return Err(DeviceError::NotAvailable { requested: context.label(), reason }.into());
         }
-        Place::Gpu(context) => Some(scene.on_device(context)?),
+        Place::Gpu(context) => Some(scene.on_device(context, far.as_ref())?),
     };
     let lights = light::Lights::new(scene, options);
     let mut seconds = vec![("primary", 0.0), ("light", 0.0)];
+    let asked = Asked::default();
     let mut frame: Option<Frame> = None;
     let mut sum: Vec<f32> = Vec::new();
     for pass in 0..passes {
@@ -289,8 +303,8 @@ pub fn render(
         seconds[0].1 += start.elapsed().as_secs_f64();
         let start = Instant::now();
         let lit = match &device {
-            None => light::shade(scene, &buffer, &lights, options, progress)?,
-            Some(device) => light::shade_on_device(scene, device, &buffer, &lights, options, progress)?,
+            None => light::shade(&casters, &buffer, &lights, options, &asked, progress)?,
+            Some(device) => light::shade_on_device(&casters, device, &buffer, &lights, options, &asked, progress)?,
         };
         seconds[1].1 += start.elapsed().as_secs_f64();
         match &mut frame {
@@ -308,7 +322,21 @@ pub fn render(
         None => [false, true],
         Some(_) => [true, raster::left_over(scene, options).is_some()],
     };
-    Ok(Rendered { frame, primary_on, seconds })
+    Ok(Rendered { frame, primary_on, seconds, rays: asked.rays.into_inner(), far_rays: asked.far_rays.into_inner() })
+}
+
+/// Rays and cones of a picture, counted by all threads.
+#[derive(Debug, Default)]
+pub struct Asked {
+    rays: AtomicU64,
+    far_rays: AtomicU64,
+}
+
+impl Asked {
+    fn add(&self, work: Work) {
+        self.rays.fetch_add(u64::from(work.rays), Ordering::Relaxed);
+        self.far_rays.fetch_add(u64::from(work.far_rays), Ordering::Relaxed);
+    }
 }
 
 /// Pixels of a picture at most, as for volumes.

@@ -23,9 +23,11 @@
 //! starts so many voxels off the surface. Nothing is in world units, so scale does not matter; other instances touch the
 //! surface without a gap.
 
-use super::Scene;
+use super::far::{Far, FarLevel, Split};
 use super::field::{Field, FieldRay};
 use super::tree::Line;
+use super::{Instance, Scene};
+use crate::geometry::Aabb;
 use glam::{DVec3, Vec2, Vec3};
 
 /// A place on a surface from where light is looked for.
@@ -105,73 +107,317 @@ pub fn disc_point(i: u32, count: u32, turn: f32) -> Vec2 {
     radius * Vec2::new(angle.cos(), angle.sin())
 }
 
-impl Scene {
-    /// Share of a thin ray that passes, and the steps it took.
-    pub fn ray_share(&self, place: &Place, ray: &Ray, steps: &mut u32) -> f32 {
-        let mut share = 1.0;
-        let line = Line::new(place.p.as_vec3(), ray.direction.as_vec3());
-        self.tree.walk(&line, ray.t_max as f32, |item, limit| {
-            let instance = &self.instances[item as usize];
-            let Some(field) = instance.field.as_deref().filter(|_| instance.casts_shadow) else { return limit };
-            *steps += 1;
-            if share * instance.opacity == 0.0 {
-                return limit;
-            }
-            if self.hit_of(item, field, place, ray, steps).is_some() {
-                share *= 1.0 - instance.opacity;
-            }
-            if share > 0.0 { limit } else { -1.0 }
-        });
+/// What rays and cones took.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Work {
+    pub steps: u32,
+    /// Rays and cones.
+    pub rays: u32,
+    /// Those that went on in the far field.
+    pub far_rays: u32,
+}
+
+impl Work {
+    fn count(&mut self, is_far: bool) {
+        self.rays += 1;
+        self.far_rays += u32::from(is_far);
+    }
+}
+
+impl std::ops::AddAssign for Work {
+    fn add_assign(&mut self, other: Self) {
+        self.steps += other.steps;
+        self.rays += other.rays;
+        self.far_rays += other.far_rays;
+    }
+}
+
+/// Who throws shadows: the instances of a scene and, past a distance, one field for all of them ([`super::far`]).
+#[derive(Clone, Copy)]
+pub struct Casters<'a> {
+    pub scene: &'a Scene,
+    pub far: Option<&'a Far>,
+}
+
+/// One of them, on a part of a ray.
+struct Caster<'a> {
+    instance: &'a Instance,
+    field: &'a dyn Field,
+    /// Its box, scene space.
+    bounds: &'a Aabb,
+    /// Where it counts, scene units.
+    part: [f64; 2],
+    /// The start is on its own surface.
+    is_own: bool,
+    /// How far it is passed over where its part begins inside it: only the far field, see there.
+    skip: f64,
+}
+
+impl<'a> Casters<'a> {
+    /// Share of a thin ray that passes.
+    pub fn ray_share(&self, place: &Place, ray: &Ray, work: &mut Work) -> f32 {
+        let (share, is_far) = self.pass_ray(place, ray, work);
+        work.count(is_far);
         share
     }
 
-    /// Where a ray enters an instance's matter, in scene units.
-    fn hit_of(&self, item: u32, field: &dyn Field, place: &Place, ray: &Ray, steps: &mut u32) -> Option<f32> {
-        let (origin, direction) = self.ray_in_field(item, place, ray);
-        let [lower, upper] = field.surface_bounds();
-        let (enter, leave) = clip(origin, direction, lower, upper, 0.0, ray.t_max)?;
-        let start = FieldRay { origin: (origin + enter * direction).as_vec3(), direction: direction.as_vec3() };
-        let (hit, taken) = field.first_hit(&start, (leave - enter) as f32);
-        *steps += taken;
-        hit.map(|hit| hit.t + enter as f32)
+    /// Share of a cone's section that passes, if edges in it are straight.
+    pub fn cone_share(&self, place: &Place, ray: &Ray, slope: f32, work: &mut Work) -> f32 {
+        let split = self.split(place, ray, slope);
+        let mut sum = ConeSum::NEW;
+        let line = Line::cone(place.p.as_vec3(), ray.direction.as_vec3(), slope);
+        self.scene.tree.walk(&line, self.reach(&split, ray), |item, limit| {
+            // What is further from the axis than something known already cannot change the result.
+            let bounds = &self.scene.boxes[item as usize];
+            let x_known = sum.x_known(&self.scene.instances[item as usize]);
+            if line.with_slope(slope * x_known.max(0.0)).span(bounds.min, bounds.max, limit).is_some() {
+                for caster in self.casters(item, place, ray, &split) {
+                    self.add_cone(&caster, place, ray, slope, x_known, &mut sum, work);
+                }
+            }
+            if sum.opaque.x <= -1.0 { -1.0 } else { limit }
+        });
+        let is_far = self.add_far(&split, place, ray, slope, &mut sum, work);
+        work.count(is_far);
+        sum.share().share
     }
 
-    /// A ray in an instance's field space, its start moved off the surface if that is the instance's own.
-    fn ray_in_field(&self, item: u32, place: &Place, ray: &Ray) -> (DVec3, DVec3) {
-        let instance = &self.instances[item as usize];
-        let mut p = place.p;
-        if item == place.own {
-            let voxel = (instance.field_normal_from_scene * place.normal).length();
-            p += (place.bias_voxels * voxel * place.normal).as_dvec3();
+    /// Share of a cone's section that passes, and whether that is proven: all lit or all dark. `met` becomes the instances
+    /// that stand in the cone.
+    pub fn whole_cone(&self, place: &Place, ray: &Ray, slope: f32, met: &mut Vec<u32>, work: &mut Work) -> ConeShare {
+        met.clear();
+        let split = self.split(place, ray, slope);
+        let mut sum = ConeSum::NEW;
+        let line = Line::cone(place.p.as_vec3(), ray.direction.as_vec3(), slope);
+        self.scene.tree.walk(&line, self.reach(&split, ray), |item, limit| {
+            let mut x = 1.0f32;
+            for caster in self.casters(item, place, ray, &split) {
+                x = x.min(self.add_cone(&caster, place, ray, slope, 1.0, &mut sum, work).x);
+            }
+            if x < 1.0 {
+                met.push(item);
+            }
+            if sum.opaque.is_covered { -1.0 } else { limit }
+        });
+        let is_far = split.far.is_some() && !sum.opaque.is_covered;
+        if is_far {
+            for far in self.far_casters(&split, place, ray) {
+                self.add_cone(&far, place, ray, slope, 1.0, &mut sum, work);
+                if sum.opaque.is_covered {
+                    break;
+                }
+            }
         }
-        (instance.field_from_scene.transform_point3(p), instance.field_from_scene.matrix3 * ray.direction)
+        work.count(is_far);
+        sum.share()
     }
 
-    /// Look along a cone of radius `slope t` past one instance; only what comes closer than `x_known` matters.
-    fn cone_past(
+    /// Take the far field into the sum of a cone; whether it was asked.
+    fn add_far(&self, split: &Split, place: &Place, ray: &Ray, slope: f32, sum: &mut ConeSum, work: &mut Work) -> bool {
+        let is_far = split.far.is_some() && sum.opaque.x > -1.0;
+        if is_far {
+            for far in self.far_casters(split, place, ray) {
+                let x_known = sum.opaque.x;
+                self.add_cone(&far, place, ray, slope, x_known, sum, work);
+                if sum.opaque.x <= -1.0 {
+                    break;
+                }
+            }
+        }
+        is_far
+    }
+
+    /// Take one caster into the sum of a cone.
+    fn add_cone(
         &self,
-        item: u32,
-        field: &dyn Field,
+        caster: &Caster<'_>,
         place: &Place,
         ray: &Ray,
         slope: f32,
         x_known: f32,
-        steps: &mut u32,
+        sum: &mut ConeSum,
+        work: &mut Work,
     ) -> Cone {
-        let instance = &self.instances[item as usize];
-        let (origin, direction) = self.ray_in_field(item, place, ray);
+        work.steps += 1;
+        let cone = self.cone_past(caster, place, ray, slope, x_known, work);
+        sum.add(caster.instance, cone);
+        cone
+    }
+
+    /// Share of a disc of light that arrives: angular radius `slope`, `ray` to its centre.
+    pub fn disc_share(&self, place: &Place, ray: &Ray, slope: f32, work: &mut Work) -> f32 {
+        if slope <= 0.0 {
+            return self.ray_share(place, ray, work);
+        }
+        let mut met = Vec::new();
+        let whole = self.whole_cone(place, ray, slope, &mut met, work);
+        if whole.is_proven {
+            return whole.share;
+        }
+        // What keeps clear of the whole cone keeps clear of its parts.
+        let part = slope / (PARTS as f32).sqrt();
+        let axes = basis(ray.direction);
+        let mut total = 0.0;
+        for i in 0..PARTS {
+            let to_part = toward(ray, axes, slope, disc_point(i, PARTS, 0.0));
+            let split = self.split(place, &to_part, part);
+            let mut sum = ConeSum::NEW;
+            for &item in &met {
+                let x_known = sum.x_known(&self.scene.instances[item as usize]);
+                for caster in self.casters(item, place, &to_part, &split) {
+                    self.add_cone(&caster, place, &to_part, part, x_known, &mut sum, work);
+                }
+                if sum.opaque.x <= -1.0 {
+                    break;
+                }
+            }
+            let is_far = self.add_far(&split, place, &to_part, part, &mut sum, work);
+            work.count(is_far);
+            total += sum.share().share;
+        }
+        total / PARTS as f32
+    }
+
+    /// The same by `count` thin rays.
+    pub fn area_share(&self, place: &Place, ray: &Ray, slope: f32, count: u32, turn: f32, work: &mut Work) -> f32 {
+        if slope <= 0.0 {
+            return self.ray_share(place, ray, work);
+        }
+        let axes = basis(ray.direction);
+        let mut sum = 0.0;
+        for i in 0..count {
+            sum += self.ray_share(place, &toward(ray, axes, slope, disc_point(i, count, turn)), work);
+        }
+        sum / count as f32
+    }
+
+    /// How far a ray goes through the instance's own matter before it leaves it, scene units; 0 where there is no field.
+    pub fn thickness(&self, place: &Place, direction: DVec3, work: &mut Work) -> f32 {
+        let instance = &self.scene.instances[place.own as usize];
+        let Some(field) = instance.field.as_deref() else { return 0.0 };
+        // Start inside: the bias the other way round.
+        let inside = Place { bias_voxels: -place.bias_voxels, ..*place };
+        let ray = Ray { direction, t_max: f64::INFINITY };
+        let (origin, step) = ray_in_field(instance, true, &inside, &ray);
+        let [lower, upper] = field.surface_bounds();
+        let Some((enter, leave)) = clip(origin, step, lower, upper, 0.0, f64::INFINITY) else { return 0.0 };
+        let (start, step) = ((origin + enter * step).as_vec3(), step.as_vec3());
+        let pace = 1.0 / (instance.local_from_scene * direction.as_vec3()).length();
+        let least = 0.5 / step.length();
+        let end = (leave - enter) as f32;
+        let (mut t, mut thickness) = (0.0, 0.0);
+        for _ in 0..MAX_CONE_STEPS {
+            let distance = field.distance(start + t * step);
+            work.steps += 1;
+            let next = (t + (distance.abs() * pace).max(least)).min(end);
+            if distance < 0.0 {
+                thickness += next - t;
+            }
+            t = next;
+            if t >= end {
+                break;
+            }
+        }
+        thickness
+    }
+
+    /// Share of a thin ray, and whether it went on in the far field.
+    fn pass_ray(&self, place: &Place, ray: &Ray, work: &mut Work) -> (f32, bool) {
+        let split = self.split(place, ray, 0.0);
+        let mut share = 1.0;
+        let line = Line::new(place.p.as_vec3(), ray.direction.as_vec3());
+        self.scene.tree.walk(&line, self.reach(&split, ray), |item, limit| {
+            for caster in self.casters(item, place, ray, &split) {
+                work.steps += 1;
+                if self.hit_of(&caster, place, ray, work).is_some() {
+                    share *= 1.0 - caster.instance.opacity;
+                    break;
+                }
+            }
+            if share > 0.0 { limit } else { -1.0 }
+        });
+        let is_far = split.far.is_some() && share > 0.0;
+        if is_far && self.far_casters(&split, place, ray).any(|far| self.hit_of(&far, place, ray, work).is_some()) {
+            share = 0.0;
+        }
+        (share, is_far)
+    }
+
+    /// Which parts of a ray or cone the instances answer, and which the far field.
+    fn split(&self, place: &Place, ray: &Ray, slope: f32) -> Split {
+        self.far.map_or(Split::near(ray.t_max), |far| far.split(place, ray, slope))
+    }
+
+    /// How far a walk through the instances goes.
+    fn reach(&self, split: &Split, ray: &Ray) -> f32 {
+        let is_near = split.rest.is_none() && self.far.is_none_or(|far| far.holds_all);
+        (if is_near { split.near } else { ray.t_max }) as f32
+    }
+
+    /// An instance on the parts of a ray where it is asked.
+    fn casters(&self, item: u32, place: &Place, ray: &Ray, split: &Split) -> impl Iterator<Item = Caster<'a>> {
+        let instance = &self.scene.instances[item as usize];
+        let field = instance.field.as_deref().filter(|_| instance.casts_shadow && instance.opacity > 0.0);
+        // The far field knows opaque things alone.
+        let (near, rest) = if instance.opacity < 1.0 { (ray.t_max, None) } else { (split.near, split.rest) };
+        let bounds = &self.scene.boxes[item as usize];
+        let is_own = item == place.own;
+        let parts = [Some([0.0, near]), rest.map(|rest| [rest, ray.t_max])].into_iter().flatten();
+        parts.filter_map(move |part| Some(Caster { instance, field: field?, bounds, part, is_own, skip: 0.0 }))
+    }
+
+    /// The levels of the far field on their pieces of a ray.
+    fn far_casters(&self, split: &Split, place: &'a Place, ray: &'a Ray) -> impl Iterator<Item = Caster<'a>> {
+        let start = split.far.map_or(0.0, |far| far[0]);
+        let pieces = self.far.zip(split.far).into_iter().flat_map(move |(far, part)| far.pieces(part, place, ray));
+        pieces.filter_map(move |(level, part)| {
+            let FarLevel { instance, bounds, voxel } = level;
+            let skip = if part[0] == start { *voxel } else { 0.0 };
+            Some(Caster { instance, field: instance.field.as_deref()?, bounds, part, is_own: false, skip })
+        })
+    }
+
+    /// Where a ray enters a caster's matter, in scene units.
+    fn hit_of(&self, caster: &Caster<'_>, place: &Place, ray: &Ray, work: &mut Work) -> Option<f32> {
+        let (origin, direction) = ray_in_field(caster.instance, caster.is_own, place, ray);
+        let [lower, upper] = caster.field.surface_bounds();
+        let mut first_hit = |from: f64| {
+            let (enter, leave) = clip(origin, direction, lower, upper, from, caster.part[1])?;
+            let start = FieldRay { origin: (origin + enter * direction).as_vec3(), direction: direction.as_vec3() };
+            let (hit, taken) = caster.field.first_hit(&start, (leave - enter) as f32);
+            work.steps += taken;
+            hit.map(|hit| (hit.t + enter as f32, hit.at_start))
+        };
+        match first_hit(caster.part[0])? {
+            (_, true) if caster.skip > 0.0 => first_hit(caster.part[0] + caster.skip).map(|(t, _)| t),
+            (t, _) => Some(t),
+        }
+    }
+
+    /// Look along a cone of radius `slope t` past one caster; only what comes closer than `x_known` matters.
+    fn cone_past(
+        &self,
+        caster: &Caster<'_>,
+        place: &Place,
+        ray: &Ray,
+        slope: f32,
+        x_known: f32,
+        work: &mut Work,
+    ) -> Cone {
+        let Caster { instance, field, bounds, .. } = *caster;
+        let (origin, direction) = ray_in_field(instance, caster.is_own, place, ray);
         let [lower, upper] = field.surface_bounds();
         // The box grown by the cone's radius at its far side; see `Line::cone`.
         let speed = direction.length();
-        let bounds = &self.boxes[item as usize];
-        let p = place.p.as_vec3();
-        let far = (p - bounds.min).abs().max((p - bounds.max).abs()).length();
-        let needed = slope * x_known.max(0.0);
-        let radius = f64::from(needed / (1.0 - needed.min(0.9)) * far).min(f64::from(needed) * ray.t_max);
-        let grown = instance.field_extent * radius as f32;
-        let Some((enter, leave)) = clip(origin, direction, lower - grown, upper + grown, 0.0, ray.t_max) else {
-            return Cone::FREE;
-        };
+        let grown = instance.field_extent * widest(place, ray, slope * x_known.max(0.0), bounds);
+        let clip_from = |from: f64| clip(origin, direction, lower - grown, upper + grown, from, caster.part[1]);
+        let Some((mut enter, leave)) = clip_from(caster.part[0]) else { return Cone::FREE };
+        if caster.skip > 0.0 && field.distance((origin + enter * direction).as_vec3()) <= 0.0 {
+            match clip_from(caster.part[0] + caster.skip) {
+                Some((later, _)) => enter = later,
+                None => return Cone::FREE,
+            }
+        }
         let walk = ConeWalk {
             field,
             instance,
@@ -185,151 +431,39 @@ impl Scene {
             pace: 1.0 / (instance.local_from_scene * ray.direction.as_vec3()).length(),
             least_step: 0.5 / speed as f32,
         };
-        match self.hit_of(item, field, place, ray, steps) {
+        match self.hit_of(caster, place, ray, work) {
             Some(t) => {
-                let (cone, edge) = walk.inside(t, steps);
+                let (cone, edge) = walk.inside(t, &mut work.steps);
                 // It is an edge only if a ray past it is free.
                 let is_edge = edge.is_some_and(|edge| {
                     let direction = ray.direction + edge.as_dvec3();
                     let length = direction.length();
                     let past = Ray { direction: direction / length, t_max: ray.t_max * length };
-                    self.ray_share(place, &past, steps) > 0.0
+                    self.pass_ray(place, &past, work).0 > 0.0
                 });
                 if cone.is_covered || is_edge { cone } else { Cone { x: -1.0, is_covered: false } }
             }
             None if x_known <= 0.0 => Cone::FREE,
-            None => Cone { x: walk.beside(x_known, steps), is_covered: false },
+            None => Cone { x: walk.beside(x_known, &mut work.steps), is_covered: false },
         }
     }
+}
 
-    /// Share of a cone's section that passes, if edges in it are straight.
-    pub fn cone_share(&self, place: &Place, ray: &Ray, slope: f32, steps: &mut u32) -> f32 {
-        let mut sum = ConeSum::NEW;
-        let line = Line::cone(place.p.as_vec3(), ray.direction.as_vec3(), slope);
-        self.tree.walk(&line, ray.t_max as f32, |item, limit| {
-            // What is further from the axis than something known already cannot change the result.
-            let bounds = &self.boxes[item as usize];
-            let x_known = sum.x_known(&self.instances[item as usize]);
-            if line.with_slope(slope * x_known.max(0.0)).span(bounds.min, bounds.max, limit).is_some() {
-                self.add_cone(item, place, ray, slope, x_known, &mut sum, steps);
-            }
-            if sum.opaque.x <= -1.0 { -1.0 } else { limit }
-        });
-        sum.share().share
+/// A ray in an instance's field space, its start moved off the surface if that is the instance's own.
+fn ray_in_field(instance: &Instance, is_own: bool, place: &Place, ray: &Ray) -> (DVec3, DVec3) {
+    let mut p = place.p;
+    if is_own {
+        let voxel = (instance.field_normal_from_scene * place.normal).length();
+        p += (place.bias_voxels * voxel * place.normal).as_dvec3();
     }
+    (instance.field_from_scene.transform_point3(p), instance.field_from_scene.matrix3 * ray.direction)
+}
 
-    /// Share of a cone's section that passes, and whether that is proven: all lit or all dark. `met` becomes the instances
-    /// that stand in the cone.
-    pub fn whole_cone(&self, place: &Place, ray: &Ray, slope: f32, met: &mut Vec<u32>, steps: &mut u32) -> ConeShare {
-        met.clear();
-        let mut sum = ConeSum::NEW;
-        let line = Line::cone(place.p.as_vec3(), ray.direction.as_vec3(), slope);
-        self.tree.walk(&line, ray.t_max as f32, |item, limit| {
-            if self.add_cone(item, place, ray, slope, 1.0, &mut sum, steps).x < 1.0 {
-                met.push(item);
-            }
-            if sum.opaque.is_covered { -1.0 } else { limit }
-        });
-        sum.share()
-    }
-
-    /// Take one instance into the sum of a cone.
-    fn add_cone(
-        &self,
-        item: u32,
-        place: &Place,
-        ray: &Ray,
-        slope: f32,
-        x_known: f32,
-        sum: &mut ConeSum,
-        steps: &mut u32,
-    ) -> Cone {
-        let instance = &self.instances[item as usize];
-        let takes_light = instance.casts_shadow && instance.opacity > 0.0;
-        let Some(field) = instance.field.as_deref().filter(|_| takes_light) else { return Cone::FREE };
-        *steps += 1;
-        let cone = self.cone_past(item, field, place, ray, slope, x_known, steps);
-        if instance.opacity < 1.0 {
-            sum.translucent *= 1.0 - instance.opacity * (1.0 - visible_share(cone.x));
-            sum.is_proven &= cone.is_covered || cone.x >= 1.0;
-        } else {
-            sum.opaque.x = sum.opaque.x.min(cone.x);
-            sum.opaque.is_covered |= cone.is_covered;
-        }
-        cone
-    }
-
-    /// Share of a disc of light that arrives: angular radius `slope`, `ray` to its centre.
-    pub fn disc_share(&self, place: &Place, ray: &Ray, slope: f32, steps: &mut u32) -> f32 {
-        if slope <= 0.0 {
-            return self.ray_share(place, ray, steps);
-        }
-        let mut met = Vec::new();
-        let whole = self.whole_cone(place, ray, slope, &mut met, steps);
-        if whole.is_proven {
-            return whole.share;
-        }
-        // What keeps clear of the whole cone keeps clear of its parts.
-        let part = slope / (PARTS as f32).sqrt();
-        let axes = basis(ray.direction);
-        let mut total = 0.0;
-        for i in 0..PARTS {
-            let to_part = toward(ray, axes, slope, disc_point(i, PARTS, 0.0));
-            let mut sum = ConeSum::NEW;
-            for &item in &met {
-                let x_known = sum.x_known(&self.instances[item as usize]);
-                self.add_cone(item, place, &to_part, part, x_known, &mut sum, steps);
-                if sum.opaque.x <= -1.0 {
-                    break;
-                }
-            }
-            total += sum.share().share;
-        }
-        total / PARTS as f32
-    }
-
-    /// The same by `count` thin rays.
-    pub fn area_share(&self, place: &Place, ray: &Ray, slope: f32, count: u32, turn: f32, steps: &mut u32) -> f32 {
-        if slope <= 0.0 {
-            return self.ray_share(place, ray, steps);
-        }
-        let axes = basis(ray.direction);
-        let mut sum = 0.0;
-        for i in 0..count {
-            sum += self.ray_share(place, &toward(ray, axes, slope, disc_point(i, count, turn)), steps);
-        }
-        sum / count as f32
-    }
-
-    /// How far a ray goes through the instance's own matter before it leaves it, scene units; 0 where there is no field.
-    pub fn thickness(&self, place: &Place, direction: DVec3, steps: &mut u32) -> f32 {
-        let instance = &self.instances[place.own as usize];
-        let Some(field) = instance.field.as_deref() else { return 0.0 };
-        // Start inside: the bias the other way round.
-        let inside = Place { bias_voxels: -place.bias_voxels, ..*place };
-        let ray = Ray { direction, t_max: f64::INFINITY };
-        let (origin, step) = self.ray_in_field(place.own, &inside, &ray);
-        let [lower, upper] = field.surface_bounds();
-        let Some((enter, leave)) = clip(origin, step, lower, upper, 0.0, f64::INFINITY) else { return 0.0 };
-        let (start, step) = ((origin + enter * step).as_vec3(), step.as_vec3());
-        let pace = 1.0 / (instance.local_from_scene * direction.as_vec3()).length();
-        let least = 0.5 / step.length();
-        let end = (leave - enter) as f32;
-        let (mut t, mut thickness) = (0.0, 0.0);
-        for _ in 0..MAX_CONE_STEPS {
-            let distance = field.distance(start + t * step);
-            *steps += 1;
-            let next = (t + (distance.abs() * pace).max(least)).min(end);
-            if distance < 0.0 {
-                thickness += next - t;
-            }
-            t = next;
-            if t >= end {
-                break;
-            }
-        }
-        thickness
-    }
+/// The largest radius that a cone has beside a box, scene units.
+pub fn widest(place: &Place, ray: &Ray, slope: f32, bounds: &Aabb) -> f32 {
+    let p = place.p.as_vec3();
+    let far = (p - bounds.min).abs().max((p - bounds.max).abs()).length();
+    f64::from(slope / (1.0 - slope.min(0.9)) * far).min(f64::from(slope) * ray.t_max) as f32
 }
 
 /// What a cone to a light found.
@@ -353,8 +487,19 @@ impl ConeSum {
     const NEW: Self = Self { translucent: 1.0, is_proven: true, opaque: Cone::FREE };
 
     /// How close to the axis another instance must come, in radii, to change the sum.
-    fn x_known(&self, instance: &super::Instance) -> f32 {
+    fn x_known(&self, instance: &Instance) -> f32 {
         if instance.opacity >= 1.0 { self.opaque.x } else { 1.0 }
+    }
+
+    /// Take in what the cone met of one more.
+    fn add(&mut self, instance: &Instance, cone: Cone) {
+        if instance.opacity < 1.0 {
+            self.translucent *= 1.0 - instance.opacity * (1.0 - visible_share(cone.x));
+            self.is_proven &= cone.is_covered || cone.x >= 1.0;
+        } else {
+            self.opaque.x = self.opaque.x.min(cone.x);
+            self.opaque.is_covered |= cone.is_covered;
+        }
     }
 
     fn share(&self) -> ConeShare {

@@ -1,0 +1,203 @@
+//! The far part of rays: past a distance one coarse field answers for all opaque instances.
+//!
+//! # Theory
+//!
+//! The coarse field of *Signed Distance Fields in Unity* ([`crate::merge`]) is made for light that comes from afar. A
+//! ray has up to three parts:
+//!
+//! ```text
+//!   0 ----- near ----- distance ----- far ----- end of the data ----- rest ----- light
+//!      instances                     the field                     instances
+//! ```
+//!
+//! Near the surface, where its own shape and its neighbours' are seen in its shadow, the instances answer as ever. What
+//! the field does not hold is still there: beyond its data the instances answer again, and translucent ones, which it
+//! knows nothing of, are asked on all of the ray.
+//!
+//! *No leaks.* Samples of a merged field are not above the signed distance `d`, so at a point `p` of a cell of side `h`
+//! the field is at most `sum w_i d(c_i)`. Take a wall of thickness `w` and a point in its middle: `d(c_i)` is
+//! `|(c_i - p).n| - w/2`, and the weighted mean of `|(c_i - p).n|` is at most its root mean square, `h/2`. So the field
+//! is below zero in the middle of every wall thicker than one voxel, however it is turned, and where a wall has two it
+//! is so in a layer of `1.7 h`: rays are marched exactly, none gets through. A thinner thing may be lost past the
+//! distance, as it may in any field of such voxels.
+//!
+//! *Start.* Where the field is coarse, its surface lies up to about a voxel off the true one. A ray that the
+//! instances let pass is outside when the far part begins; if the field disagrees, it passes over one voxel and is asked
+//! again. A wall of two voxels cannot be jumped that way: its middle is a voxel behind its face.
+//!
+//! *Levels.* Nested fields answer each on its own piece of the ray, the finest where it has samples.
+//!
+//! # Practice
+//!
+//! [`Far::new`] places a field in a scene, once a picture; [`super::shadow::Casters`] asks it.
+
+use super::field::Field;
+use super::shadow::{Place, Ray, clip, widest};
+use super::{Instance, InstanceInput, Scene, instance};
+use crate::error::{Error, SceneError};
+use crate::geometry::Aabb;
+use glam::{DAffine3, Vec3};
+use std::fmt;
+use std::sync::Arc;
+
+/// Fields in world space, finest first, and from where on they answer.
+#[derive(Clone)]
+pub struct FarField {
+    /// One, or more that are nested ([`super::nested`]).
+    pub levels: Vec<Arc<dyn Field>>,
+    /// World units; if not given, [`FAR_VOXELS`] voxels of the level in which a ray starts.
+    pub distance: Option<f64>,
+}
+
+impl fmt::Debug for FarField {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "FarField of {} levels from {:?}", self.levels.len(), self.distance)
+    }
+}
+
+/// The surface of a far field is up to about a voxel off, so the edge of a shadow is right to an eighth of the way that the
+/// ray has come.
+pub const FAR_VOXELS: f64 = 8.0;
+
+/// A far field in a scene.
+pub struct Far {
+    /// Finest first.
+    pub levels: Vec<FarLevel>,
+    /// Scene units.
+    pub distance: Option<f64>,
+    /// No instance has to be asked past the distance: all are opaque, and none reaches beyond the data.
+    pub holds_all: bool,
+}
+
+/// A level of a far field.
+pub struct FarLevel {
+    /// The field as if it were a thing in the scene.
+    pub instance: Instance,
+    /// Where it answers, but for the levels in it: the box of its samples; the outermost one in that of its surface.
+    pub bounds: Aabb,
+    /// Scene units.
+    pub voxel: f64,
+}
+
+/// Who answers which part of a ray, scene units.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Split {
+    /// End of the part that the instances answer.
+    pub near: f64,
+    pub far: Option<[f64; 2]>,
+    /// From where on the instances answer again.
+    pub rest: Option<f64>,
+}
+
+impl Split {
+    /// Without a far field.
+    pub fn near(end: f64) -> Self {
+        Self { near: end, far: None, rest: None }
+    }
+}
+
+impl Far {
+    pub fn new(scene: &Scene, far: &FarField) -> Result<Self, Error> {
+        if let Some(distance) = far.distance.filter(|distance| !(0.0..=f64::MAX).contains(distance)) {
+            let problem = format!("must be a finite number of at least 0, got {distance}");
+            return Err(SceneError::new("far_distance", problem).into());
+        }
+        let Some((outermost, finer)) = far.levels.split_last() else {
+            return Err(SceneError::new("far", "has no levels").into());
+        };
+        // Grids lie along the world's axes.
+        let in_scene = |field: &Arc<dyn Field>, corners: [Vec3; 2]| {
+            let world_from_field = field.field_from_local().inverse();
+            let [min, max] = corners
+                .map(|corner| scene.scene_from_world(world_from_field.transform_point3(corner.as_dvec3())).as_vec3());
+            Aabb { min, max }
+        };
+        let level = |field: &Arc<dyn Field>, corners: [Vec3; 2]| {
+            Ok::<_, Error>(FarLevel {
+                instance: instance(0, as_thing(field), scene.center, scene.scale, 1)?,
+                bounds: in_scene(field, corners),
+                voxel: field.voxel() / scene.scale,
+            })
+        };
+        let between_samples = |field: &Arc<dyn Field>| {
+            let [lower, upper] = field.bounds();
+            [lower + 0.5, upper - 0.5]
+        };
+        let finer = finer.iter().map(|field| level(field, between_samples(field)));
+        let levels = finer.chain([level(outermost, outermost.surface_bounds())]).collect::<Result<_, _>>()?;
+
+        let data = in_scene(outermost, outermost.bounds());
+        let is_held = |(instance, bounds): (&Instance, &Aabb)| {
+            let casts = instance.casts_shadow && instance.field.is_some() && instance.opacity > 0.0;
+            let is_in_data = bounds.min.cmpge(data.min).all() && bounds.max.cmple(data.max).all();
+            !casts || (instance.opacity == 1.0 && is_in_data)
+        };
+        let holds_all = scene.instances.iter().zip(&scene.boxes).all(is_held);
+        Ok(Self { levels, distance: far.distance.map(|distance| distance / scene.scale), holds_all })
+    }
+
+    /// The parts of a ray, or of a cone of radius `slope t` around it.
+    pub fn split(&self, place: &Place, ray: &Ray, slope: f32) -> Split {
+        let bounds = &self.outermost().bounds;
+        let grown = if slope > 0.0 { widest(place, ray, slope, bounds) } else { 0.0 };
+        let (lower, upper) = (bounds.min - grown, bounds.max + grown);
+        match clip(place.p, ray.direction, lower, upper, self.distance_from(place), ray.t_max) {
+            Some((enter, leave)) if enter < leave => {
+                let rest = (leave < ray.t_max && !self.holds_all).then_some(leave);
+                Split { near: enter, far: Some([enter, leave]), rest }
+            }
+            _ => Split::near(ray.t_max),
+        }
+    }
+
+    /// The levels that answer the far part of a ray, each with its piece.
+    pub fn pieces<'a>(
+        &'a self,
+        far: [f64; 2],
+        place: &'a Place,
+        ray: &'a Ray,
+    ) -> impl Iterator<Item = (&'a FarLevel, [f64; 2])> {
+        // The part in the next finer level.
+        let mut finer: Option<[f64; 2]> = None;
+        self.levels.iter().enumerate().flat_map(move |(k, level)| {
+            let part = if k + 1 == self.levels.len() {
+                Some(far)
+            } else {
+                let Aabb { min, max } = level.bounds;
+                clip(place.p, ray.direction, min, max, far[0], far[1]).map(|(enter, leave)| [enter, leave])
+            };
+            let pieces = match (part, finer) {
+                (Some([enter, leave]), Some([from, to])) => [Some([enter, from]), Some([to, leave])],
+                _ => [part, None],
+            };
+            finer = part.or(finer);
+            pieces.into_iter().flatten().filter(|[from, to]| from < to).map(move |piece| (level, piece))
+        })
+    }
+
+    fn outermost(&self) -> &FarLevel {
+        self.levels.last().expect("checked when it was made")
+    }
+
+    /// From where on it answers a ray.
+    fn distance_from(&self, place: &Place) -> f64 {
+        self.distance.unwrap_or_else(|| {
+            let p = place.p.as_vec3();
+            let holds = |level: &&FarLevel| p.cmpge(level.bounds.min).all() && p.cmple(level.bounds.max).all();
+            FAR_VOXELS * self.levels.iter().find(holds).unwrap_or_else(|| self.outermost()).voxel
+        })
+    }
+}
+
+/// A field in world space as the input of a scene.
+fn as_thing(field: &Arc<dyn Field>) -> InstanceInput {
+    InstanceInput {
+        triangles: None,
+        field: Some(field.clone()),
+        world_from_local: DAffine3::IDENTITY,
+        first_material: 0,
+        opacity: 1.0,
+        casts_shadow: true,
+        visible: false,
+    }
+}
