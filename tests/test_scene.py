@@ -10,7 +10,7 @@ import meshes
 from scenes import SUN, moved, plane, positions
 
 
-def over_plane(light, shadows="soft", scale=1.0, size=(160, 120), resolution=64, lift=0.6):
+def over_plane(light, shadows="soft", scale=1.0, size=(160, 120), resolution=64, lift=0.6, **options):
     """A sphere of radius 1 over a plane, seen from above, both times `scale`."""
     ball = fb.Mesh(*meshes.icosphere(4))
     zoom = np.diag([scale, scale, scale, 1.0])
@@ -18,7 +18,7 @@ def over_plane(light, shadows="soft", scale=1.0, size=(160, 120), resolution=64,
         [fb.Instance(ball, zoom @ moved(y=lift), resolution=resolution), fb.Instance(plane(), zoom)], lights=[light]
     )
     camera = fb.Camera(np.array([2.5, 7.0, 5.0]) * scale, np.array([0.6, -1.0, 0.2]) * scale, fov_deg=40)
-    frame = fb.render(scene, camera, size=size, shadows=shadows, device="cpu")
+    frame = fb.render(scene, camera, size=size, shadows=shadows, device="cpu", **options)
     return frame, camera
 
 
@@ -286,6 +286,32 @@ def test_samples_smooth_the_edges_alone() -> None:
     assert len(np.unique(smooth.color[..., 0].round(5))) == 5
 
 
+def test_samples_share_the_light_that_pixels_found() -> None:
+    light = fb.DirectionalLight(SUN, angle_deg=6)
+    smooth, camera = over_plane(light, samples=4)
+    # Four samples a pixel are the pixels of a picture of twice the size.
+    large, _ = over_plane(light, size=(320, 240))
+    exact = large.color.reshape(120, 2, 160, 2, 4).mean(axis=(1, 3))
+    off = np.abs(smooth.color - exact).max(axis=-1)
+    # Values are shared where neighbours agree to 1/8, and interpolated there: a sixteenth of that is the usual error.
+    assert (off > 2 / 255).mean() < 0.01
+    assert off.mean() < 1e-3
+    assert smooth.steps.mean() < 1.01 * large.steps.mean()
+
+
+@pytest.mark.parametrize("shadows", ["hard", "soft"])
+def test_light_at_half_resolution_keeps_edges(shadows: str) -> None:
+    light = fb.DirectionalLight(SUN, angle_deg=6)
+    full, _ = over_plane(light, shadows)
+    half, _ = over_plane(light, shadows, light_scale=2)
+    np.testing.assert_array_equal(full.depth, half.depth)
+    off = np.abs(full.shadow - half.shadow)
+    assert (off > 1 / 8).mean() < 0.005
+    assert off.mean() < 2e-3
+    # The primary pass takes the same steps in both; of the light's at most a quarter and the edges are left.
+    assert half.steps.sum() < 0.7 * full.steps.sum()
+
+
 def test_ambient_occlusion_darkens_corners() -> None:
     room = meshes.join(plane_arrays(), meshes.box((-3, -1, -3.2), (3, 3, -3)))
     scene = fb.Scene([fb.Instance(fb.Mesh(*room), resolution=96)], lights=[], ambient=1.0)
@@ -355,6 +381,7 @@ def test_what_makes_no_sense_is_refused() -> None:
         (lambda: fb.render(scene, shadows="blurry"), "shadows"),
         (lambda: fb.render(scene, method="other"), "method"),
         (lambda: fb.render(scene, samples=3, device="cpu"), "samples"),
+        (lambda: fb.render(scene, light_scale=3), "light_scale"),
         (lambda: fb.render(scene, exposure=-1), "exposure"),
         (lambda: fb.render(scene, ambient_occlusion=-1), "ambient_occlusion"),
         (

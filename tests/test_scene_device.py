@@ -20,8 +20,9 @@ def assert_same_picture(here: fb.Frame, there: fb.Frame, scene: fb.Scene) -> Non
     assert (np.abs(here.depth[both] - there.depth[both]) > 1e-4 * size).mean() <= 0.002
 
 
+@pytest.mark.parametrize("light_scale", [1, 2])
 @pytest.mark.parametrize("shadows", ["hard", "soft", "area"])
-def test_a_graphics_device_sees_the_same_light(shadows: str, gpu: str) -> None:
+def test_a_graphics_device_sees_the_same_light(shadows: str, light_scale: int, gpu: str) -> None:
     knot = fb.models.torus_knot(segments=120, sides=12)
     glass = fb.bake(meshes.icosphere(3), 32, device="cpu")
     jade = fb.Material(color=(0.5, 0.9, 0.6), scattering=0.3)
@@ -39,6 +40,7 @@ def test_a_graphics_device_sees_the_same_light(shadows: str, gpu: str) -> None:
     )
     camera = fb.Camera((3, 3.5, 6), (0, 0, 0))
     options = {"size": (80, 60), "shadows": shadows, "ambient_occlusion": shadows == "soft", "area_samples": 9}
+    options |= {"light_scale": light_scale, "samples": 4 if shadows == "hard" else 1}
     here, there = (fb.render(scene, camera, **options, device=place) for place in ("cpu", gpu))
     assert there.report["devices"]["light"] != "cpu"
     assert (np.abs(here.shadow - there.shadow) > 1 / 255).mean() <= 0.005

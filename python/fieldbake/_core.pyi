@@ -438,6 +438,7 @@ def render(
     background: tuple[float, float, float, float],
     exposure: float,
     samples: int,
+    light_scale: int,
     device: str,
     progress: Callable[[float], object] | None = None,
 ) -> dict[str, Any]:

@@ -225,6 +225,7 @@ def render(
     shadows: SceneShadows = "soft",
     ambient_occlusion: bool | float = False,
     samples: int = 1,
+    light_scale: int = 1,
     exposure: float = 1.0,
     area_samples: int = 64,
     far: Volume | NestedField | None = None,
@@ -252,7 +253,12 @@ def render(
         Darken what is shut in; a number says how far matter counts, world units (True: 0.15 of the scene's
         diagonal).
     samples : int, default 1
-        Rays a pixel for its colour: 1, 4, 9, 16, ... for clean edges. Depth and the like are of the pixel's centre.
+        Rays a pixel for its colour: 1, 4, 9, 16, ... for clean edges. Depth and the like are of the pixel's centre;
+        light is that of the centres around, where those agree.
+    light_scale : 1 or 2, default 1
+        2: light is asked for at every second pixel of every second row, and at the others only where those around
+        them are of other surfaces or disagree by more than 1/8. At 240 x 160 with soft shadows, 0.7 % of the pixels of
+        200 trees and 0.2 % of a monkey over a floor then differ by more than 8/255.
     exposure : float, default 1
         Factor of the picture's light.
     area_samples : int, default 64
@@ -317,6 +323,7 @@ def render(
     try:
         exposure = _checks.number("exposure", exposure, least=0)
         samples = _checks.integer("samples", samples, least=1, most=64)
+        light_scale = _checks.integer("light_scale", light_scale, least=1, most=2)
         area_samples = _checks.integer("area_samples", area_samples, least=1, most=4096)
         occlusion = _occlusion(ambient_occlusion, scene)
         far_distance = _far_distance(far, far_distance, method)
@@ -350,6 +357,7 @@ def render(
             background=scene._background,
             exposure=exposure,
             samples=samples,
+            light_scale=light_scale,
             device=device,
             progress=callback,
         )

@@ -188,7 +188,7 @@ fn material(row: &[f32], textures: usize) -> PyResult<Material> {
 #[pyfunction]
 #[pyo3(signature = (
     scene, pose, *, fov_deg, size, lights, primary, shadows, area_samples, ambient, occlusion, far, far_distance,
-    background, exposure, samples, device, progress=None
+    background, exposure, samples, light_scale, device, progress=None
 ))]
 pub fn render<'py>(
     py: Python<'py>,
@@ -207,6 +207,7 @@ pub fn render<'py>(
     background: [f32; 4],
     exposure: f32,
     samples: u32,
+    light_scale: u32,
     device: &str,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
@@ -238,6 +239,7 @@ pub fn render<'py>(
         background,
         exposure,
         samples,
+        light_scale,
     };
     let scene = scene.0.clone();
     let rendered = run(py, progress, |progress| scene::render(&place, &scene, &camera, &options, progress))?;

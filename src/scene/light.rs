@@ -15,13 +15,11 @@
 //! Barre-Brisebois and Bouchard, GDC 2011) and takes no more than the cosine leaves, so no surface sends out more than
 //! arrives.
 
-use super::gpu::{DeviceScene, beam};
+use super::known::{Found, FoundMut, Known, Pass};
 use super::primary::{GBuffer, Layer};
-use super::shadow::{Casters, PARTS, Place, Ray, Work, basis, disc_point, toward};
-use super::{Asked, Light, RenderOptions, Scene, SceneShadows};
+use super::shadow::{Casters, Place, Ray, Work, basis};
+use super::{Light, RenderOptions, Scene, SceneShadows};
 use crate::error::Error;
-use crate::gpu::layout::{Answer, Beam};
-use crate::progress::Progress;
 use crate::render::Frame;
 use glam::{DVec3, Vec3, Vec4};
 use rayon::prelude::*;
@@ -90,225 +88,24 @@ impl SceneLight {
     }
 }
 
-/// What the fields say about the light on one layer.
-#[derive(Debug, Clone, Default)]
-struct Found {
-    /// Share of each light that arrives.
-    shares: Vec<f32>,
-    /// Share of the surroundings' light.
-    open: f32,
-    /// Matter of the own instance along the way to each light, scene units; only where it scatters.
-    thickness: Vec<f32>,
-}
-
-/// Light every layer and lay the layers over the background.
-pub fn shade(
-    casters: &Casters<'_>,
-    buffer: &GBuffer,
-    lights: &Lights,
-    options: &RenderOptions,
-    asked: &Asked,
-    progress: &Progress,
-) -> Result<Frame, Error> {
-    let ask = |surface: &Surface<'_>, x: usize, y: usize, found: &mut Found| {
-        surface.look(casters, lights, options, pixel_turn(x, y), found)
-    };
-    compose(casters.scene, buffer, lights, options, asked, progress, ask)
-}
-
-/// The same with rays and cones on a graphics device.
-pub fn shade_on_device(
-    casters: &Casters<'_>,
-    device: &DeviceScene,
-    buffer: &GBuffer,
-    lights: &Lights,
-    options: &RenderOptions,
-    asked: &Asked,
-    progress: &Progress,
-) -> Result<Frame, Error> {
-    // A bunch of rows at a time: beams take 64 bytes each.
-    let beams_per_layer = lights.lights.len().max(1)
-        * if let SceneShadows::Area(count) = options.shadows { count as usize } else { PARTS as usize }
-        + AO_CONES;
-    let mut found: Vec<Vec<(Found, Work)>> = Vec::with_capacity(buffer.rows.len());
-    let mut first = 0;
-    while first < buffer.rows.len() {
-        let mut layers = 0;
-        let mut end = first;
-        while end < buffer.rows.len() && (end == first || layers * beams_per_layer < MOST_BEAMS) {
-            layers += buffer.rows[end].len();
-            end += 1;
-        }
-        found.extend(look_on_device(casters, device, buffer, lights, options, first..end, progress)?);
-        first = end;
-    }
-    let ask = |surface: &Surface<'_>, _: usize, y: usize, wanted: &mut Found| {
-        let (answer, work) = &found[y][surface.index];
-        wanted.clone_from(answer);
-        *work
-    };
-    compose(casters.scene, buffer, lights, options, asked, progress, ask)
-}
-
-/// Beams that go to a device at a time, about: 64 MiB.
-const MOST_BEAMS: usize = 1 << 20;
-
-/// What the fields say about the layers of some rows, and what it took.
-fn look_on_device(
-    casters: &Casters<'_>,
-    device: &DeviceScene,
-    buffer: &GBuffer,
-    lights: &Lights,
-    options: &RenderOptions,
-    rows: std::ops::Range<usize>,
-    progress: &Progress,
-) -> Result<Vec<Vec<(Found, Work)>>, Error> {
+/// Shade the layers by what was found about their light, and lay them over the background.
+pub fn compose(pass: &Pass<'_>, known: &Known) -> Result<Frame, Error> {
+    let &Pass { casters, buffer, lights, options, progress, .. } = pass;
     let scene = casters.scene;
-    let mut surfaces = Vec::new();
-    for y in rows.clone() {
-        for (index, layer) in buffer.rows[y].iter().enumerate() {
-            let direction = buffer.view.direction(layer.x, y as u32);
-            surfaces.push((y, Surface::new(scene, layer, index, buffer.view.camera.eye, direction)));
-        }
-    }
-    // First round: one beam a light, all of an area light, the cones of occlusion.
-    let (mut beams, mut through) = (Vec::new(), Vec::new());
-    for (y, surface) in &surfaces {
-        if let Some(distance) = options.occlusion {
-            beams.extend(
-                surface
-                    .open_rays(distance / scene.scale)
-                    .map(|(ray, _)| Beam { is_coarse: 1, ..beam(&surface.place, &ray, AO_SLOPE) }),
-            );
-        }
-        for light in &lights.lights {
-            let (ray, slope, _) = light.seen_from(surface.place.p);
-            if surface.asks_for(&ray, options) {
-                match options.shadows {
-                    SceneShadows::Soft => beams.push(beam(&surface.place, &ray, slope)),
-                    SceneShadows::Area(count) if slope > 0.0 => {
-                        let (axes, turn) = (basis(ray.direction), pixel_turn(surface.layer.x as usize, *y));
-                        beams.extend((0..count).map(|i| {
-                            beam(&surface.place, &toward(&ray, axes, slope, disc_point(i, count, turn)), 0.0)
-                        }));
-                    }
-                    _ => beams.push(beam(&surface.place, &ray, 0.0)),
-                }
-            }
-            if surface.scatters(scene) {
-                through.push(beam(&surface.place, &ray, 0.0));
-            }
-        }
-    }
-    let first = device.shares(casters, &beams, progress)?;
-    let thick = device.thicknesses(&through, progress)?;
-
-    // Second round: discs that one cone did not decide.
-    let mut parts = Vec::new();
-    if options.shadows == SceneShadows::Soft {
-        for (beam_of_disc, _) in beams.iter().zip(&first).filter(|(beam, answer)| is_undecided(beam, answer)) {
-            let ray = Ray {
-                direction: Vec3::from_array(beam_of_disc.direction).as_dvec3(),
-                t_max: f64::from(beam_of_disc.t_max),
-            };
-            let axes = basis(ray.direction);
-            parts.extend((0..PARTS).map(|i| {
-                let part = toward(&ray, axes, beam_of_disc.slope, disc_point(i, PARTS, 0.0));
-                Beam {
-                    direction: part.direction.as_vec3().to_array(),
-                    t_max: part.t_max as f32,
-                    slope: beam_of_disc.slope / (PARTS as f32).sqrt(),
-                    is_coarse: 1,
-                    ..*beam_of_disc
-                }
-            }));
-        }
-    }
-    let second = device.shares(casters, &parts, progress)?;
-    let mut discs = second.chunks_exact(PARTS as usize);
-
-    let mut answers = beams.iter().zip(&first);
-    let mut thick = thick.iter();
-    let mut result: Vec<Vec<(Found, Work)>> = rows.clone().map(|_| Vec::new()).collect();
-    for (y, surface) in &surfaces {
-        let (mut found, mut work) = (Found { open: 1.0, ..Found::default() }, Work::default());
-        if let Some(distance) = options.occlusion {
-            let (mut sum, mut weights) = (0.0, 0.0);
-            for (_, weight) in surface.open_rays(distance / scene.scale) {
-                let (_, answer) = answers.next().expect("one answer a cone");
-                sum += weight * answer.value;
-                weights += weight;
-                work += took(answer);
-            }
-            found.open = sum / weights;
-        }
-        for light in &lights.lights {
-            let (ray, slope, _) = light.seen_from(surface.place.p);
-            let share = if !surface.asks_for(&ray, options) {
-                if options.shadows == SceneShadows::None { 1.0 } else { 0.0 }
-            } else {
-                let count = match options.shadows {
-                    SceneShadows::Area(count) if slope > 0.0 => count,
-                    _ => 1,
-                };
-                let mut sum = 0.0;
-                for _ in 0..count {
-                    let (beam, answer) = answers.next().expect("one answer a ray");
-                    work += took(answer);
-                    sum += answer.value;
-                    if options.shadows == SceneShadows::Soft && is_undecided(beam, answer) {
-                        let parts = discs.next().expect("the parts of each disc");
-                        parts.iter().for_each(|part| work += took(part));
-                        sum = parts.iter().map(|part| part.value).sum::<f32>() / PARTS as f32;
-                    }
-                }
-                sum / count as f32
-            };
-            found.shares.push(share);
-            let is_thick = surface.scatters(scene);
-            found.thickness.push(if is_thick { thick.next().expect("one answer a light").value } else { 0.0 });
-        }
-        result[y - rows.start].push((found, work));
-    }
-    Ok(result)
-}
-
-fn took(answer: &Answer) -> Work {
-    Work { steps: answer.steps, rays: 1, far_rays: answer.is_far }
-}
-
-/// Whether a cone to a light's disc needs a closer look. The cones of occlusion do not.
-fn is_undecided(beam: &Beam, answer: &Answer) -> bool {
-    beam.slope > 0.0 && beam.is_coarse == 0 && answer.is_proven == 0
-}
-
-/// Shade the layers by what `ask` finds, which returns what it took, and lay them over the background.
-fn compose(
-    scene: &Scene,
-    buffer: &GBuffer,
-    lights: &Lights,
-    options: &RenderOptions,
-    asked: &Asked,
-    progress: &Progress,
-    ask: impl Fn(&Surface<'_>, usize, usize, &mut Found) -> Work + Sync,
-) -> Result<Frame, Error> {
     let [width, height] = options.size.map(|n| n as usize);
     let mut frame = Frame::new(width, height, lights.lights.len());
     frame.rows().into_par_iter().enumerate().try_for_each(|(y, row)| {
         row.steps.copy_from_slice(&buffer.steps[y]);
         let layers = &buffer.rows[y];
         let mut next = 0;
-        let (mut found, mut total) = (Found::default(), Work::default());
         for x in 0..width {
             let mut color = Vec4::ZERO;
             let mut passes = 1.0;
             let mut is_first = true;
             while let Some(layer) = layers.get(next).filter(|layer| layer.x as usize == x) {
-                let direction = buffer.view.direction(x as u32, y as u32);
-                let surface = Surface::new(scene, layer, next, buffer.view.camera.eye, direction);
-                let work = ask(&surface, x, y, &mut found);
-                row.steps[x] += work.steps;
-                total += work;
+                let surface = Surface::new(scene, buffer, y, layer);
+                let (found, steps) = known.at(y, next);
+                row.steps[x] += steps;
                 let light = surface.shade(scene, lights, options, &found);
                 color += passes * layer.color.w * light.extend(1.0);
                 passes *= 1.0 - layer.color.w;
@@ -318,7 +115,7 @@ fn compose(
                     row.depth[x] = layer.depth as f32;
                     row.normal[3 * x..][..3].copy_from_slice(&layer.normal.to_array());
                     row.object_id[x] = layer.instance as i32;
-                    row.shadow[x * row.lights..][..row.lights].copy_from_slice(&found.shares);
+                    row.shadow[x * row.lights..][..row.lights].copy_from_slice(found.shares);
                 }
                 next += 1;
             }
@@ -327,36 +124,38 @@ fn compose(
             let pixel = [rgb.x, rgb.y, rgb.z, color.w + passes * behind.w];
             row.color[4 * x..][..4].copy_from_slice(&pixel);
         }
-        asked.add(total);
-        progress.advance(1)
+        progress.check()
     })?;
     Ok(frame)
 }
 
 /// A turn for each pixel's samples of an area light, from 0 to 2 pi: interleaved gradient noise (Jimenez, 2014).
-fn pixel_turn(x: usize, y: usize) -> f32 {
+pub fn pixel_turn(x: usize, y: usize) -> f32 {
     let value = 52.982_918 * (0.067_110_56 * x as f32 + 0.005_837_15 * y as f32).fract();
     value.fract() * std::f32::consts::TAU
 }
 
 /// A layer in scene space.
-struct Surface<'a> {
-    layer: &'a Layer,
-    /// Place of the layer in its row.
-    index: usize,
-    place: Place,
+pub struct Surface<'a> {
+    pub layer: &'a Layer,
+    pub place: Place,
     to_eye: Vec3,
+    /// For samples of area lights.
+    pub turn: f32,
 }
 
 impl<'a> Surface<'a> {
-    fn new(scene: &Scene, layer: &'a Layer, index: usize, eye: DVec3, direction: DVec3) -> Self {
+    /// A layer of row `y`.
+    pub fn new(scene: &Scene, buffer: &GBuffer, y: usize, layer: &'a Layer) -> Self {
+        let direction = buffer.view.direction(layer.x, y as u32);
         let place = Place {
-            p: scene.scene_from_world(eye + layer.depth * direction),
+            p: scene.scene_from_world(buffer.view.camera.eye + layer.depth * direction),
             normal: layer.normal,
             own: layer.instance,
             bias_voxels: if layer.is_triangle { BIAS_TRIANGLE } else { BIAS_FIELD },
         };
-        Self { layer, index, place, to_eye: -direction.normalize().as_vec3() }
+        let to_eye = -direction.normalize().as_vec3();
+        Self { layer, place, to_eye, turn: pixel_turn(layer.x as usize, y) }
     }
 
     fn cosine(&self, ray: &Ray) -> f32 {
@@ -364,56 +163,60 @@ impl<'a> Surface<'a> {
     }
 
     /// Whether a light's share is a question: a side that is turned away gets none.
-    fn asks_for(&self, ray: &Ray, options: &RenderOptions) -> bool {
+    pub fn asks_for(&self, ray: &Ray, options: &RenderOptions) -> bool {
         options.shadows != SceneShadows::None && self.cosine(ray) > 0.0
     }
 
-    fn scatters(&self, scene: &Scene) -> bool {
+    pub fn scatters(&self, scene: &Scene) -> bool {
         scene.materials[self.layer.material as usize].scattering != [0.0; 3]
     }
 
+    /// The share of a light that needs no asking.
+    pub fn plain_share(&self, ray: &Ray, options: &RenderOptions) -> Option<f32> {
+        match options.shadows {
+            SceneShadows::None => Some(1.0),
+            _ if !self.asks_for(ray, options) => Some(0.0),
+            _ => None,
+        }
+    }
+
     /// Ask the fields about each light and the surroundings; returns what that took.
-    fn look(
+    pub fn look(
         &self,
         casters: &Casters<'_>,
         lights: &Lights,
         options: &RenderOptions,
-        turn: f32,
-        found: &mut Found,
+        found: &mut FoundMut<'_>,
     ) -> Work {
-        let (scene, mut work) = (casters.scene, Work::default());
-        found.open = match options.occlusion {
+        let (scene, place, mut work) = (casters.scene, &self.place, Work::default());
+        *found.open = match options.occlusion {
             None => 1.0,
             Some(distance) => {
                 let (mut sum, mut weights) = (0.0, 0.0);
                 for (ray, weight) in self.open_rays(distance / scene.scale) {
-                    sum += weight * casters.cone_share(&self.place, &ray, AO_SLOPE, &mut work);
+                    sum += weight * casters.cone_share(place, &ray, AO_SLOPE, &mut work);
                     weights += weight;
                 }
                 sum / weights
             }
         };
-        found.shares.clear();
-        found.thickness.clear();
-        for light in &lights.lights {
-            let (ray, slope, _) = light.seen_from(self.place.p);
-            let place = &self.place;
-            found.shares.push(match options.shadows {
+        for (i, light) in lights.lights.iter().enumerate() {
+            let (ray, slope, _) = light.seen_from(place.p);
+            found.shares[i] = self.plain_share(&ray, options).unwrap_or_else(|| match options.shadows {
                 SceneShadows::None => 1.0,
-                _ if !self.asks_for(&ray, options) => 0.0,
                 SceneShadows::Hard => casters.ray_share(place, &ray, &mut work),
                 SceneShadows::Soft => casters.disc_share(place, &ray, slope, &mut work),
-                SceneShadows::Area(count) => casters.area_share(place, &ray, slope, count, turn, &mut work),
+                SceneShadows::Area(count) => casters.area_share(place, &ray, slope, count, self.turn, &mut work),
                 SceneShadows::Article => scene.article_share(place, &ray, &mut work),
             });
-            let is_thick = self.scatters(scene);
-            found.thickness.push(if is_thick { casters.thickness(place, ray.direction, &mut work) } else { 0.0 });
+            found.thickness[i] =
+                if self.scatters(scene) { casters.thickness(place, ray.direction, &mut work) } else { 0.0 };
         }
         work
     }
 
     /// The cones over the hemisphere with their weights; matter within `distance`, scene units, counts.
-    fn open_rays(&self, distance: f64) -> impl Iterator<Item = (Ray, f32)> {
+    pub fn open_rays(&self, distance: f64) -> impl Iterator<Item = (Ray, f32)> {
         let normal = self.place.normal.as_dvec3();
         let [right, up] = basis(normal);
         (0..AO_CONES).map(move |i| {
@@ -427,11 +230,11 @@ impl<'a> Surface<'a> {
     }
 
     /// Linear RGB.
-    fn shade(&self, scene: &Scene, lights: &Lights, options: &RenderOptions, found: &Found) -> Vec3 {
+    fn shade(&self, scene: &Scene, lights: &Lights, options: &RenderOptions, found: &Found<'_>) -> Vec3 {
         let material = &scene.materials[self.layer.material as usize];
         let albedo = self.layer.color.truncate();
         let mut color = options.ambient * found.open * albedo;
-        for ((light, &share), &thickness) in lights.lights.iter().zip(&found.shares).zip(&found.thickness) {
+        for ((light, &share), &thickness) in lights.lights.iter().zip(found.shares).zip(found.thickness) {
             let (ray, _, light_color) = light.seen_from(self.place.p);
             let cosine = self.cosine(&ray);
             if share > 0.0 && cosine > 0.0 {

@@ -21,6 +21,7 @@ pub mod article;
 pub mod far;
 pub mod field;
 pub mod gpu;
+pub mod known;
 pub mod light;
 pub mod nested;
 pub mod primary;
@@ -39,6 +40,7 @@ use far::{Far, FarField};
 use field::Field;
 use glam::{DAffine3, DMat3, DVec3, Mat3, Vec3};
 use gpu::DeviceScene;
+use known::Pass;
 use shadow::{Casters, Work};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -190,6 +192,8 @@ pub struct RenderOptions {
     pub exposure: f32,
     /// Rays a pixel for its colour; 1, or a square number.
     pub samples: u32,
+    /// Light is asked for at one of so many pixels along each side: 1 or 2; see [`known`].
+    pub light_scale: u32,
 }
 
 /// A picture, how long its passes took, in seconds, and what they asked.
@@ -289,6 +293,8 @@ pub fn render(
     let asked = Asked::default();
     let mut frame: Option<Frame> = None;
     let mut sum: Vec<f32> = Vec::new();
+    // What the first pass found, for the others.
+    let mut centre = None;
     for pass in 0..passes {
         // The first pass looks through pixel centres; the others fill each pixel evenly, for its colour alone.
         let offset = match pass.checked_sub(1) {
@@ -302,15 +308,19 @@ pub fn render(
         };
         seconds[0].1 += start.elapsed().as_secs_f64();
         let start = Instant::now();
-        let lit = match &device {
-            None => light::shade(&casters, &buffer, &lights, options, &asked, progress)?,
-            Some(device) => light::shade_on_device(&casters, device, &buffer, &lights, options, &asked, progress)?,
-        };
+        let device = device.as_deref();
+        let look =
+            Pass { casters: &casters, buffer: &buffer, lights: &lights, options, device, asked: &asked, progress };
+        let known = known::find(&look, centre.as_ref().map(|(buffer, known)| (buffer, known)))?;
+        let lit = light::compose(&look, &known)?;
         seconds[1].1 += start.elapsed().as_secs_f64();
         match &mut frame {
             None => frame = Some(lit),
             Some(_) if sum.is_empty() => sum = lit.color,
             Some(_) => sum.iter_mut().zip(lit.color).for_each(|(sum, color)| *sum += color),
+        }
+        if pass == 0 {
+            centre = Some((buffer, known));
         }
     }
     let mut frame = frame.expect("at least one pass");
@@ -354,6 +364,9 @@ pub(crate) fn check(scene: &Scene, options: &RenderOptions) -> Result<(), Error>
     let sides = (f64::from(options.samples)).sqrt().round() as u32;
     if options.samples == 0 || options.samples > 64 || sides * sides != options.samples {
         return error("samples", format!("must be a square number from 1 to 64, got {}", options.samples));
+    }
+    if !(1..=2).contains(&options.light_scale) {
+        return error("light_scale", format!("must be 1 or 2, got {}", options.light_scale));
     }
     for (i, instance) in scene.instances.iter().enumerate().filter(|(_, instance)| instance.visible) {
         if options.primary == Primary::Raster && instance.triangles.is_none() {

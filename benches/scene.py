@@ -1,0 +1,171 @@
+"""A scene's light: 200 instances under soft shadow, against the article's loop, and shadow rays against Embree.
+
+    python benches/scene.py [--size 640x480] [--instances 200] [--repeat 3]
+
+The loop marches at most 100 steps through every instance in turn (``method="article"``, a hard shadow, as it has no
+other); its pictures are timed on a sixteenth of the pixels. Steps are those of the fields and the boxes that were looked at.
+Embree is Open3D's `test_occlusions` on the triangles of all instances, as one soup and without their texture: a tree over
+what the field stands for. It answers for points on the surface; fieldbake's rays begin in the G-buffer and their time is
+that of the whole light pass with hard shadows, shading included. Fields cost the same whatever the triangles, and answer
+how near as well as whether; so the rays are also asked of the same trees cut into 64 times as many triangles.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import os
+import platform
+import time
+from pathlib import Path
+
+import numpy as np
+
+import fieldbake as fb
+
+SUN = fb.DirectionalLight((-1.0, -0.8, -0.35), angle_deg=1.5)
+
+
+def spruce(sides: int) -> fb.Mesh:
+    """A tree turned on a lathe."""
+    rings = [(0.06, 0.0), (0.06, 0.3), (0.5, 0.3), (0.22, 0.8), (0.38, 0.8), (0.15, 1.3), (0.26, 1.3), (0.02, 2.0)]
+    angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    vertices = [(r * np.cos(a), y, -r * np.sin(a)) for r, y in rings for a in angle]
+    bottom, top = len(vertices), len(vertices) + 1
+    vertices += [(0.0, 0.0, 0.0), (0.0, 2.0, 0.0)]
+    faces = []
+    for i in range(sides):
+        j = (i + 1) % sides
+        for low in range(0, (len(rings) - 1) * sides, sides):
+            faces += [(low + i, low + j, low + sides + j), (low + i, low + sides + j, low + sides + i)]
+        faces += [(bottom, j, i), (top, (len(rings) - 1) * sides + i, (len(rings) - 1) * sides + j)]
+    return fb.Mesh(vertices, faces)
+
+
+def forest(count: int, random: np.random.Generator) -> tuple[fb.Scene, fb.Camera]:
+    tree = spruce(24)
+    side = 0.55 * np.sqrt(count)
+    instances = []
+    for _ in range(count):
+        turn, height, width = random.uniform(0, 2 * np.pi), random.uniform(0.7, 1.5), random.uniform(0.8, 1.2)
+        c, s = np.cos(turn), np.sin(turn)
+        place = np.eye(4)
+        place[:3, :3] = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ np.diag([width, height, width])
+        place[[0, 2], 3] = random.uniform(-side, side, 2)
+        instances.append(fb.Instance(tree, place, resolution=32))
+    half = 3 * side
+    ground = fb.Mesh([(-half, 0, -half), (half, 0, -half), (half, 0, half), (-half, 0, half)], [(0, 2, 1), (0, 3, 2)])
+    instances.append(fb.Instance(ground))
+    return fb.Scene(instances, lights=[SUN]), fb.Camera((0.4 * side, 0.45 * side, 1.25 * side), (0, 0, 0), fov_deg=40)
+
+
+def light_of(scene: fb.Scene, camera: fb.Camera, size: tuple[int, int], repeat: int, **options) -> tuple[float, float]:
+    """Milliseconds of the light pass, the shortest, and its steps a pixel. Fields are baked before."""
+    plain = fb.render(scene, camera, size=size, **{**options, "shadows": "none", "method": "fieldbake"})
+    frames = [fb.render(scene, camera, size=size, **options) for _ in range(repeat)]
+    time_ms = min(frame.report["milliseconds"]["light"] for frame in frames)
+    return time_ms, float(frames[0].steps.mean() - plain.steps.mean())
+
+
+def embree_rays(scene: fb.Scene, frame: fb.Frame, camera: fb.Camera, cut: int, repeat: int) -> tuple[float, int, float]:
+    """Rays a second, triangles, and the share of equal answers with hard shadows."""
+    import open3d
+
+    soup = []
+    for instance in scene.instances:
+        matrix = np.asarray(instance.transform)
+        corners = instance.thing.vertices[instance.thing.faces].astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        for _ in range(cut):
+            a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+            ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+            quarters = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+            corners = np.concatenate([np.stack(quarter, axis=1) for quarter in quarters])
+        soup.append(corners)
+    triangles = np.concatenate(soup).astype(np.float32)
+    caster = open3d.t.geometry.RaycastingScene()
+    caster.add_triangles(triangles.reshape(-1, 3), np.arange(3 * len(triangles), dtype=np.uint32).reshape(-1, 3))
+    hit = np.isfinite(frame.depth)
+    to_light = -np.array(SUN.direction)
+    faces_light = hit & (frame.normal @ to_light > 0)
+    width, height = frame.size
+    side = 2 * np.tan(np.radians(camera.fov_deg) / 2) / height
+    x, y = (np.arange(width) + 0.5 - width / 2) * side, (height / 2 - np.arange(height) - 0.5) * side
+    ways = np.stack(np.broadcast_arrays(x[None], y[:, None], -1.0), axis=-1) @ camera.pose[:3, :3].T
+    points = camera.eye + (frame.depth[..., None] * ways)[faces_light] + 1e-3 * frame.normal[faces_light]
+    rays = np.concatenate([points, np.broadcast_to(to_light, points.shape)], axis=1).astype(np.float32)
+    caster.test_occlusions(rays[:100])
+    best = np.inf
+    for _ in range(repeat):
+        start = time.perf_counter()
+        dark = caster.test_occlusions(rays).numpy()
+        best = min(best, time.perf_counter() - start)
+    agree = float((dark == (frame.shadow[faces_light] == 0)).mean())
+    return len(rays) / best, len(triangles), agree
+
+
+def report(options: argparse.Namespace) -> list[str]:
+    size = tuple(int(n) for n in options.size.split("x"))
+    small = (size[0] // 4, size[1] // 4)
+    scene, camera = forest(options.instances, np.random.default_rng(7))
+    lines = [
+        f"# Scenes, {datetime.date.today()}",
+        "",
+        f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {platform.system()}, "
+        f"Python {platform.python_version()}. {len(scene.instances)} instances, {size[0]} x {size[1]}, shortest of "
+        f"{options.repeat}.",
+        "",
+        "| light pass | device | ms | steps a pixel |",
+        "|---|---|---|---|",
+    ]
+
+    def row(name: str, device: str, result: tuple[float, float]) -> tuple[float, float]:
+        lines.append(f"| {name} | {device} | {result[0]:.0f} | {result[1]:.0f} |")
+        return result
+
+    article = light_of(scene, camera, small, 1, shadows="hard", method="article", device="cpu")
+    article = row("the article's loop, hard", "cpu", (16 * article[0], article[1]))
+    hard = row("hard", "cpu", light_of(scene, camera, size, options.repeat, shadows="hard", device="cpu"))
+    soft = row("soft", "cpu", light_of(scene, camera, size, options.repeat, shadows="soft", device="cpu"))
+    row("soft, light_scale=2", "cpu", light_of(scene, camera, size, options.repeat, light_scale=2, device="cpu"))
+    row("soft, samples=4", "cpu", light_of(scene, camera, size, 1, samples=4, device="cpu"))
+    for device in fb.devices():
+        if device.type != "cpu":
+            row("soft", device.name, light_of(scene, camera, size, options.repeat, device=device.name))
+    lines += [
+        "",
+        f"Hard shadows take {article[1] / hard[1]:.0f} times fewer steps than the article's loop and are "
+        f"{article[0] / hard[0]:.0f} times faster; soft ones {article[1] / soft[1]:.0f} times fewer and "
+        f"{article[0] / soft[0]:.0f} times faster.",
+        "",
+    ]
+    frame = fb.render(scene, camera, size=size, shadows="hard", device="cpu")
+    lit = (frame.depth < np.inf) & (frame.normal @ -np.array(SUN.direction) > 0)
+    lines += [
+        "| shadow rays | a second | same answer |",
+        "|---|---|---|",
+        f"| fieldbake, fields of 32 voxels, with shading | {lit.sum() / hard[0] * 1e3:,.0f} | |",
+    ]
+    try:
+        for cut in (0, 3):
+            rate, count, agree = embree_rays(scene, frame, camera, cut, options.repeat)
+            lines.append(f"| Embree by Open3D, {count:,} triangles | {rate:,.0f} | {agree:.1%} |")
+    except ImportError:
+        lines.append("| Embree: Open3D is not installed | | |")
+    return lines
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--size", default="640x480")
+    parser.add_argument("--instances", type=int, default=200)
+    parser.add_argument("--repeat", type=int, default=3)
+    parser.add_argument("-o", "--output", type=Path, help="write the table there too")
+    options = parser.parse_args()
+    text = "\n".join(report(options)) + "\n"
+    print(text)
+    if options.output:
+        options.output.write_text(text)
+
+
+if __name__ == "__main__":
+    main()
