@@ -3,25 +3,24 @@
     python benches/scene.py [--size 640x480] [--instances 200] [--repeat 3]
 
 The loop marches at most 100 steps through every instance in turn (``method="article"``, a hard shadow, as it has no
-other); its pictures are timed on a sixteenth of the pixels. Steps are those of the fields and the boxes that were looked at.
-Embree is Open3D's `test_occlusions` on the triangles of all instances, as one soup and without their texture: a tree over
-what the field stands for. It answers for points on the surface; fieldbake's rays begin in the G-buffer and their time is
-that of the whole light pass with hard shadows, shading included. Fields cost the same whatever the triangles, and answer
-how near as well as whether; so the rays are also asked of the same trees cut into 64 times as many triangles.
+other); it is timed on a sixteenth of the pixels. Steps are those in fields, and the boxes of instances that were looked at.
+
+Embree is Open3D's `test_occlusions` on the triangles of all instances as one soup, asked from the same points; its time
+is that of the rays alone, fieldbake's that of the whole light pass, shading included. A field costs the same whatever its
+triangles and tells how near as well as whether, so the rays are also asked of the same trees with each triangle cut in 64.
 """
 
 from __future__ import annotations
 
 import argparse
 import datetime
-import os
-import platform
 import time
 from pathlib import Path
 
 import numpy as np
 
 import fieldbake as fb
+from peers import machine
 
 SUN = fb.DirectionalLight((-1.0, -0.8, -0.35), angle_deg=1.5)
 
@@ -110,9 +109,7 @@ def report(options: argparse.Namespace) -> list[str]:
     lines = [
         f"# Scenes, {datetime.date.today()}",
         "",
-        f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {platform.system()}, "
-        f"Python {platform.python_version()}. {len(scene.instances)} instances, {size[0]} x {size[1]}, shortest of "
-        f"{options.repeat}.",
+        f"{machine()}. {len(scene.instances)} instances, {size[0]} x {size[1]}, shortest of {options.repeat}.",
         "",
         "| light pass | device | ms | steps a pixel |",
         "|---|---|---|---|",

@@ -288,7 +288,7 @@ def test_samples_smooth_the_edges_alone() -> None:
 
 def test_samples_share_the_light_that_pixels_found() -> None:
     light = fb.DirectionalLight(SUN, angle_deg=6)
-    smooth, camera = over_plane(light, samples=4)
+    smooth, _ = over_plane(light, samples=4)
     # Four samples a pixel are the pixels of a picture of twice the size.
     large, _ = over_plane(light, size=(320, 240))
     exact = large.color.reshape(120, 2, 160, 2, 4).mean(axis=(1, 3))
