@@ -3,11 +3,12 @@
     python benches/scene.py [--size 640x480] [--instances 200] [--repeat 3]
 
 The loop marches at most 100 steps through every instance in turn (``method="article"``, a hard shadow, as it has no
-other); it is timed on a sixteenth of the pixels. Steps are those in fields, and the boxes of instances that were looked at.
+other); it is timed on a sixteenth of the pixels. Steps are those in fields, and the instances that were looked at.
 
-Embree is Open3D's `test_occlusions` on the triangles of all instances as one soup, asked from the same points; its time
-is that of the rays alone, fieldbake's that of the whole light pass, shading included. A field costs the same whatever its
-triangles and tells how near as well as whether, so the rays are also asked of the same trees with each triangle cut in 64.
+Embree is Open3D's `test_occlusions` on the triangles of all instances as one soup, asked from the same points; its
+time is that of the rays alone, fieldbake's that of the whole light pass, shading included. A field costs the same
+whatever its triangles and tells how near as well as whether, so the rays are also asked of the same trees with each
+triangle cut in 64.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +39,7 @@ def test_the_turntable_turns(tmp_path):
         for number in range(3):
             image.seek(number)
             frames.append(np.asarray(image.convert("RGB"), dtype=int))
-    assert all(np.abs(a - b).max() > 30 for a, b in zip(frames, frames[1:], strict=False))
+    assert all(np.abs(a - b).max() > 30 for a, b in pairwise(frames))
 
 
 def run(name: str, *options: str) -> subprocess.CompletedProcess[str]:
