@@ -232,3 +232,28 @@ def test_a_sparse_volume_is_no_shape_and_no_list(dense: fb.Volume) -> None:
         fb.volume_shape(sparse)
     with pytest.raises(fb.ArgumentError, match=r"volumes: .*put it in a list"):
         fb.pack(sparse)
+
+
+@pytest.mark.parametrize("value", [100.0, -100.0])
+@pytest.mark.parametrize("encoding", ["float32", "snorm8"])
+def test_a_field_without_bricks_is_nothing_or_its_box(value: float, encoding: str, device: str) -> None:
+    volume = fb.Volume(np.full((20, 21, 22), value), [(-1, -1, -1), (1, 1, 1)])
+    sparse = volume.to_sparse(encoding=encoding)
+    assert not sum(sparse.brick_counts.values())
+    frame = fb.raymarch(sparse, fb.Camera((0, 0, 4), (0, 0, 0)), size=(17, 17), device=device)
+    assert (frame.object_id[8, 8] == 0) == (value < 0)
+    # The face of the box, three units away.
+    assert frame.depth[8, 8] == (pytest.approx(3, abs=1e-5) if value < 0 else np.inf)
+
+
+@pytest.mark.parametrize("encoding", ["float32", "float16", "snorm16", "snorm8"])
+def test_noise_is_drawn_alike_on_the_device(encoding: str, gpu: str, random: np.random.Generator) -> None:
+    noise = fb.Volume(random.uniform(-0.3, 1.7, (23, 17, 30)), [(-1, -1, -1), (1, 1, 1)])
+    sparse = noise.to_sparse(tolerance=None, encoding=encoding)
+    camera = fb.Camera((1, 2, 4), (0, 0, 0))
+    ours, theirs = (fb.raymarch(sparse, camera, size=(96, 96), device=where) for where in (gpu, "cpu"))
+    hit = (ours.object_id == 0) & (theirs.object_id == 0)
+    assert hit.sum() > 1000
+    # A ray that grazes a bump may miss it by a rounding.
+    assert (ours.object_id != theirs.object_id).sum() <= 2
+    assert np.quantile(np.abs(ours.depth[hit] - theirs.depth[hit]), 0.995) <= 1e-5
