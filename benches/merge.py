@@ -1,4 +1,5 @@
-"""One field for a whole scene: the article's loop against the culled merge, more instances, one that moves.
+"""One field for a whole scene: the article's loop against the culled merge, more instances, one that moves;
+and a picture whose far rays it answers.
 
     python benches/merge.py [--resolution 128] [--instances 500] [--repeat 3]
 
@@ -40,6 +41,45 @@ def shortest(repeat, call):
     return result, best
 
 
+def far_rays(count: int, resolution: int, repeat: int) -> None:
+    """A grove of posts under a sun, with and without a far field: interleaved, the shortest time of each."""
+    random = np.random.default_rng(2)
+    post = fb.bake(fb.cylinder(radius=0.25, height=2).rotate("x", 90).translate((0, 1, 0)), 48)
+    side = 0.6 * np.sqrt(count)
+    posts = []
+    for _ in range(count):
+        place = np.eye(4)
+        place[[0, 2], 3] = random.uniform(-side, side, 2)
+        posts.append(fb.Instance(post, place))
+    w = 2 * side
+    floor = fb.Mesh([(-w, 0, -w), (w, 0, -w), (w, 0, w), (-w, 0, w)], [(0, 2, 1), (0, 3, 2)])
+    scene = fb.Scene([*posts, fb.Instance(floor)], lights=[fb.DirectionalLight((-1, -0.5, -0.35), angle_deg=1.5)])
+    camera = fb.Camera((0.4 * side, 0.6 * side, 1.25 * side), (0, 0, -0.1 * side), fov_deg=40)
+    far = fb.merge(posts, resolution, device="cpu")
+    print(f"{count} posts, a far field of {far.resolution} voxels of {far.spacing[0]:.3f}:")
+    for name, options in (
+        ("hard shadows", {"shadows": "hard"}),
+        ("soft shadows", {"shadows": "soft"}),
+        ("soft shadows and occlusion", {"shadows": "soft", "ambient_occlusion": 4.0}),
+    ):
+        seconds, frames = {}, {}
+        for _ in range(repeat):
+            for field in (None, far):
+                frame = fb.render(scene, camera, size=(192, 128), far=field, device="cpu", **options)
+                key = field is not None
+                seconds[key] = min(seconds.get(key, np.inf), frame.report["milliseconds"]["light"] / 1e3)
+                frames[key] = frame
+        seen = np.isfinite(frames[False].depth)
+        off = np.abs(frames[True].shadow - frames[False].shadow)[seen].mean()
+        steps = [float(frames[key].steps[seen].mean()) for key in (False, True)]
+        share = frames[True].report["far_rays"] / frames[True].report["rays"]
+        print(
+            f"  {name}: {seconds[False]:.2f} s without, {seconds[True]:.2f} s with "
+            f"({seconds[True] / seconds[False]:.2f}); {steps[0]:.0f} and {steps[1]:.0f} steps a pixel; "
+            f"{share:.0%} of the rays went on in it; shadow off by {off:.4f} on average"
+        )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--resolution", type=int, default=128)
@@ -67,6 +107,7 @@ def main() -> None:
     whole = fb.merge(instances, sizes, bounds=field.bounds, device="cpu")
     same = np.array_equal(after.distances, whole.distances)
     print(f"one moved: {1e3 * update:.1f} ms, {full / update:.0f} times faster than a full merge, same bits: {same}")
+    far_rays(200, options.resolution, options.repeat)
 
 
 if __name__ == "__main__":

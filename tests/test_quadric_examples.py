@@ -17,7 +17,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
     ("name", "options", "shape"),
     [
         ("quadrics.py", ["--size", "96x54", "--device", "cpu"], (54, 96)),
-        ("merged_forest.py", ["--trees", "5", "--size", "48"], (48, 144)),
+        ("merged_forest.py", ["--trees", "5", "--size", "48"], (48, 192)),
     ],
 )
 def test_an_example_makes_its_picture(name, options, shape, tmp_path):

@@ -77,7 +77,7 @@ class MergedField(Volume):
         scene : Scene, optional
             The scene as it is now, in which `changed` are the indices of what differs.
         device : str, default "auto"
-            As for :func:`merge`.
+            As for :func:`merge`. The update itself runs on the CPU.
         progress : bool or callable, optional
             True draws a bar on stderr; a callable gets a share from 0 to 1.
 
@@ -206,7 +206,9 @@ def merge(
         voxels it exceeds the distance at 39 to 57 % of the samples outside the boxes, by up to 1.23 times. For
         comparison.
     device : str, default "auto"
-        ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`.
+        ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`. A graphics device looks for the instance that
+        is nearest to each sample; the distance is found on the CPU, so the field is the same bit for bit. If the
+        volumes are too large for the device that ``"auto"`` chose, the CPU does all, and ``report.warnings`` says so.
     progress : bool or callable, optional
         True draws a bar on stderr; a callable gets a share from 0 to 1.
 
@@ -347,7 +349,8 @@ def _merge(
         )
     boxes = np.stack([item.bounds for item in placed])
     inner = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
-    report = Report(device=facts["device"], seconds={"merge": time.perf_counter() - start})
+    seconds = {"merge": time.perf_counter() - start}
+    report = Report(device=facts["device"], seconds=seconds, warnings=tuple(facts.get("warnings", ())))
     field = MergedField._wrap(distances, np.array(bounds), inner, report)
     assert isinstance(field, MergedField)
     field._owners = NOBODY if owners is None else _checks.frozen(owners)

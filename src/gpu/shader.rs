@@ -13,6 +13,7 @@ pub const KERNELS: &[(&str, &str)] = &[
     ("bake_distance", include_str!("../../shaders/bake_distance.wgsl")),
     ("bake_finish", include_str!("../../shaders/bake_finish.wgsl")),
     ("field_to_texture", include_str!("../../shaders/field_to_texture.wgsl")),
+    ("merge_owners", include_str!("../../shaders/merge_owners.wgsl")),
     ("quadrics", include_str!("../../shaders/quadrics.wgsl")),
     ("csg_draw", include_str!("../../shaders/csg_draw.wgsl")),
     ("csg_points", include_str!("../../shaders/csg_points.wgsl")),

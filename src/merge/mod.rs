@@ -18,13 +18,15 @@
 //!
 //! # Practice
 //!
-//! [`merge`] runs on all cores by slabs of blocks. Between samples the merged field is interpolated like any other, so
+//! [`merge`] runs on all cores by slabs of blocks; [`merge_on_device`] lets a graphics device look for the owners. Between samples the merged field is interpolated like any other, so
 //! there it may exceed the distance; at the samples it does not.
 
 mod article;
+mod gpu;
 pub mod placed;
 
 pub use article::merge_as_article;
+pub use gpu::merge_on_device;
 pub use placed::{Placed, Thing};
 
 use crate::bvh::boxes::{BoxTree, DISTANCE_SLACK};

@@ -8,7 +8,7 @@ use super::run::run;
 use crate::error::{DeviceError, Error};
 use crate::gpu::Place;
 use crate::grid::Grid;
-use crate::merge::{Merged, Placed, merge as merge_all, merge_as_article, update};
+use crate::merge::{Merged, Placed, merge as merge_all, merge_as_article, merge_on_device, update};
 use crate::quadric::local::Local;
 use glam::{DAffine3, DMat4, DVec3};
 use numpy::{
@@ -22,13 +22,15 @@ type VolumeRow<'py> = (PyReadonlyArray3<'py, f32>, [f64; 3], [f64; 3], [f64; 3],
 /// Distances and owners of an earlier merge, and the indices of what has moved since.
 type Previous<'py> = (PyReadonlyArray3<'py, f32>, PyReadonlyArray1<'py, u32>, Vec<u32>);
 
+/// Distances, owners and facts.
+type MergeArrays<'py> = (Bound<'py, PyArray3<f32>>, Option<Bound<'py, PyArray1<u32>>>, Bound<'py, PyDict>);
+
 /// One field for many placed volumes and quadrics.
 #[pyfunction]
 #[pyo3(signature = (
     volumes, instances, transforms, quadrics, lower, upper, shape, *, method="bound", previous=None, device="auto",
     progress=None
 ))]
-#[expect(clippy::type_complexity, reason = "a triple of what Python unpacks")]
 pub fn merge<'py>(
     py: Python<'py>,
     volumes: Vec<VolumeRow<'py>>,
@@ -42,7 +44,7 @@ pub fn merge<'py>(
     previous: Option<Previous<'py>>,
     device: &str,
     progress: Option<&Bound<'py, PyAny>>,
-) -> PyResult<(Bound<'py, PyArray3<f32>>, Option<Bound<'py, PyArray1<u32>>>, Bound<'py, PyDict>)> {
+) -> PyResult<MergeArrays<'py>> {
     let wrong = |message: String| exception(py, "ArgumentError", message);
     let grid = Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape).map_err(Failure::from)?;
     let fields: Vec<_> = volumes
@@ -64,17 +66,14 @@ pub fn merge<'py>(
     }
     placed.extend(quadric_rows(&quadrics)?.iter().map(|quadric| Placed::quadric(Local::new(quadric))));
 
-    // The CPU alone merges so far: an explicit wish for another device is refused, not ignored.
-    let place = match choose(py, device)? {
-        Place::Gpu(_) if device != "auto" => {
-            let reason = "merging runs on the CPU only".to_owned();
+    let place = choose(py, device)?;
+    let facts = PyDict::new(py);
+    facts.set_item("device", Place::Cpu.label())?;
+    if method == "article" {
+        if device != "auto" && matches!(place, Place::Gpu(_)) {
+            let reason = "the article's loop runs on the CPU only".to_owned();
             return Err(Failure::from(DeviceError::NotAvailable { requested: device.to_owned(), reason }).into());
         }
-        _ => Place::Cpu,
-    };
-    let facts = PyDict::new(py);
-    facts.set_item("device", place.label())?;
-    if method == "article" {
         let distances = run(py, progress, |progress| merge_as_article(&grid, &placed, progress))?;
         return Ok((volume_array(py, distances, shape)?, None, facts));
     }
@@ -89,12 +88,38 @@ pub fn merge<'py>(
             Some((distances, owners, changed))
         }
     };
+    if let (Place::Gpu(context), None) = (&place, &earlier) {
+        match run(py, progress, |progress| merge_on_device(context, &grid, &placed, progress)) {
+            Ok((merged, undecided)) => {
+                facts.set_item("device", place.label())?;
+                facts.set_item("undecided", undecided)?;
+                return results(py, merged, shape, facts);
+            }
+            // Too much for the device is no reason to fail where none was asked for.
+            Err(Failure::Core(Error::Device(DeviceError::TooLarge { what, needed, limit, .. })))
+                if device == "auto" =>
+            {
+                let warning = format!("merged on the CPU: {what} need {needed} bytes, the device allows {limit}");
+                facts.set_item("warnings", [warning])?;
+            }
+            Err(failure) => return Err(failure.into()),
+        }
+    }
     let merged = run(py, progress, |progress| -> Result<Merged, Error> {
         let Some((distances, owners, changed)) = earlier else { return merge_all(&grid, &placed, progress) };
         let mut merged = Merged { distances: distances.to_vec(), owners: owners.to_vec(), evaluations: 0 };
         update(&grid, &placed, changed, &mut merged, progress)?;
         Ok(merged)
     })?;
+    results(py, merged, shape, facts)
+}
+
+fn results<'py>(
+    py: Python<'py>,
+    merged: Merged,
+    shape: [usize; 3],
+    facts: Bound<'py, PyDict>,
+) -> PyResult<MergeArrays<'py>> {
     facts.set_item("evaluations", merged.evaluations)?;
     Ok((volume_array(py, merged.distances, shape)?, Some(merged.owners.into_pyarray(py)), facts))
 }
