@@ -1,5 +1,6 @@
 //! Pictures of shapes on the CPU, with the camera, the light and the frame of every other picture.
 
+use super::chord::Form;
 use super::decompose::Method;
 use super::gpu;
 use super::model::Model;
@@ -65,7 +66,7 @@ pub fn tracer<'a>(solid: &'a Solid, method: DrawMethod) -> Result<Tracer<'a>, Er
     solid.bounds()?;
     match method {
         DrawMethod::Whole => Ok(Tracer::whole(solid)),
-        DrawMethod::Auto if Model::leaf_count(&solid.model.tokens) <= FEW_LEAVES => Ok(Tracer::one_box(solid)),
+        DrawMethod::Auto if is_small(solid) => Ok(Tracer::one_box(solid)),
         DrawMethod::Auto => Ok(Tracer::of(solid, solid.cells(Method::Octree)?.clone())),
         DrawMethod::Parts(method) => Ok(Tracer::of(solid, solid.cells(method)?.clone())),
     }
@@ -73,6 +74,14 @@ pub fn tracer<'a>(solid: &'a Solid, method: DrawMethod) -> Result<Tracer<'a>, Er
 
 /// Up to so many leaves, evaluating all of them costs less than finding out which matter.
 const FEW_LEAVES: usize = 12;
+/// The same where hits have a closed form.
+const FEW_CHORDS: usize = 4;
+
+fn is_small(solid: &Solid) -> bool {
+    let tokens = &solid.model.tokens;
+    let few = if Form::of(&solid.program, tokens) == Form::Field { FEW_LEAVES } else { FEW_CHORDS };
+    Model::leaf_count(tokens) <= few
+}
 
 /// Draw a shape at a place.
 pub fn draw(
