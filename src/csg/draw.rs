@@ -207,6 +207,9 @@ impl View<'_> {
 /// Longer than any way through the model.
 const FAR: f32 = 16.0;
 
+/// A direction without a part along an axis has this one: its inverse times any distance is finite.
+const STILL: f64 = 1e-200;
+
 /// The part of a ray from an eye that lies in the bounds, and how far before it begins, local units. In float64, because
 /// the eye may be far away; `unit` is a world direction.
 pub fn entering(tracer: &Tracer<'_>, eye: DVec3, unit: DVec3) -> Option<(LocalRay, f64)> {
@@ -215,19 +218,11 @@ pub fn entering(tracer: &Tracer<'_>, eye: DVec3, unit: DVec3) -> Option<(LocalRa
     }
     let [lower, upper] = tracer.bounds.map(Vec3::as_dvec3);
     let origin = tracer.solid.frame.local(eye);
-    let (mut t_in, mut t_out) = (0f64, f64::INFINITY);
-    for axis in 0..3 {
-        if unit[axis] == 0.0 {
-            if origin[axis] < lower[axis] || origin[axis] > upper[axis] {
-                return None;
-            }
-            continue;
-        }
-        let a = (lower[axis] - origin[axis]) / unit[axis];
-        let b = (upper[axis] - origin[axis]) / unit[axis];
-        t_in = t_in.max(a.min(b));
-        t_out = t_out.min(a.max(b));
-    }
+    // What does not move along an axis goes up by next to nothing.
+    let still = DVec3::splat(STILL);
+    let inverse = DVec3::select(unit.abs().cmplt(still), still, unit).recip();
+    let (a, b) = ((lower - origin) * inverse, (upper - origin) * inverse);
+    let (t_in, t_out) = (a.min(b).max_element().max(0.0), a.max(b).min_element());
     if t_in >= t_out {
         return None;
     }

@@ -328,7 +328,7 @@ impl<'a> Tracer<'a> {
         };
         let Some(sides) = &part.sides else { return slope_of(&part.tokens, stack).map(|normal| normal.as_vec3()) };
         // The surface is that of the leaf whose field is nearest to zero.
-        let at = p.to_array().map(|x| [x]);
+        let at = [[p.x], [p.y], [p.z]];
         let value = |leaf: u32| self.solid.program.leaves[leaf as usize].distances(&at)[0].abs();
         let nearest =
             sides.iter().map(|&(leaf, is_own)| (value(leaf), leaf, is_own)).min_by(|a, b| a.0.total_cmp(&b.0));
