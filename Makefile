@@ -34,7 +34,7 @@ bench: $(VENV)/.built $(VENV)/.bench ## Bake real meshes side by side with other
 	$(BIN)/python benches/devices.py
 	$(BIN)/python benches/exactness.py
 	$(BIN)/python benches/curves.py
-	for room in atlas sparse csg quadrics merge scene; do $(BIN)/python benches/$$room.py; done
+	for room in atlas sparse csg csg_peers quadrics merge scene; do $(BIN)/python benches/$$room.py; done
 
 fix: $(VENV)/.test ## Format, and repair what lints can repair
 	$(BIN)/ruff check --fix --quiet . || true

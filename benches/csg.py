@@ -1,8 +1,8 @@
 """Decomposed drawing against marching the whole tree: field evaluations a pixel and time, on the same pictures.
 
-    python benches/csg.py [--size 128] [--fogleman]
+    python benches/csg.py [--size 128] [--repeats 5]
 
-Each row is one model; the two ways are interleaved, and the best of three runs counts. "evaluations" are
+Each row is one model; the two ways are interleaved, and the best of some runs counts. "evaluations" are
 evaluations of a primitive's field by the rays of the pixels, over the pixels of the picture.
 """
 
@@ -18,17 +18,33 @@ import fieldbake as fb
 ARTICLE = "(union (cube 3) (diff (cube 4) (move -2 -2 2 (sphere 5))))"
 
 
-def scattered(count: int) -> fb.Shape:
-    """Balls, blocks and bars in a cube, a third of them cut away from a block; about as dense for any count."""
+def scattered_leaves(count: int) -> list[tuple[str, np.ndarray, float, np.ndarray]]:
+    """Kind, axis and angle of a turn, and place of some leaves in a cube; about as dense for any count."""
     random = np.random.default_rng(7)
-    size = 1.6 * count ** (-1 / 3)
-    added, removed = [], []
-    for i in range(count - 1):
-        leaf = (fb.sphere(size / 2), fb.box((size, 0.7 * size, 0.5 * size)), fb.cylinder(0.3 * size, 1.5 * size))[i % 3]
-        placed = leaf.rotate(random.normal(size=3), random.uniform(0, 360)).translate(random.uniform(-1, 1, 3))
-        (removed if i % 3 == 2 else added).append(placed)
-    block = fb.box((1.6, 1.6, 0.4))
-    return fb.csg.union(block, *added) - fb.csg.union(*removed) if removed else block
+    kinds = ("sphere", "box", "cylinder")
+    return [
+        (kinds[i % 3], random.normal(size=3), random.uniform(0, 360), random.uniform(-1, 1, 3))
+        for i in range(count - 1)
+    ]
+
+
+def leaf_size(count: int) -> float:
+    return 1.6 * count ** (-1 / 3)
+
+
+def scattered(count: int) -> fb.Shape:
+    """Balls and blocks about a block, with bars taken away."""
+    size = leaf_size(count)
+    makers = {
+        "sphere": lambda: fb.sphere(size / 2),
+        "box": lambda: fb.box((size, 0.7 * size, 0.5 * size)),
+        "cylinder": lambda: fb.cylinder(0.3 * size, 1.5 * size),
+    }
+    added, removed = [fb.box((1.6, 1.6, 0.4))], []
+    for kind, axis, degrees, place in scattered_leaves(count):
+        leaf = makers[kind]().rotate(axis, degrees).translate(place)
+        (removed if kind == "cylinder" else added).append(leaf)
+    return fb.csg.union(*added) - fb.csg.union(*removed) if removed else fb.csg.union(*added)
 
 
 def best(run, prepare=lambda: None, repeats: int = 3) -> tuple[float, object]:
@@ -52,6 +68,7 @@ def fresh(shape: fb.Shape) -> fb.Shape:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--size", type=int, default=128, help="pixels along a side")
+    parser.add_argument("--repeats", type=int, default=5)
     options = parser.parse_args()
     size = (options.size, options.size)
     models = [("the article, 3 leaves", fb.csg.parse(ARTICLE))]
@@ -64,10 +81,12 @@ def main() -> None:
         camera = fb.Camera.fit(shape.bounds, direction=(-0.5, -0.4, -1))
         split, parts = best(fb.csg.decompose, lambda shape=shape: fresh(shape))
         rows = {}
-        for method in ("whole", "auto"):
-            picture = lambda m=method, s=shape, c=camera: fb.raymarch(s, c, size=size, method=m, device="cpu")  # noqa: E731
-            seconds, frame = best(picture)
-            rows[method] = seconds, frame.report["leaf_evaluations"] / (size[0] * size[1])
+        for _ in range(options.repeats):
+            for method in ("whole", "auto"):
+                start = time.perf_counter()
+                frame = fb.raymarch(shape, camera, size=size, method=method, device="cpu")
+                seconds = min(time.perf_counter() - start, rows.get(method, (np.inf,))[0])
+                rows[method] = seconds, frame.report["leaf_evaluations"] / (size[0] * size[1])
         (slow, many), (fast, few) = rows["whole"], rows["auto"]
         boxes = sum(len(part.boxes) for part in parts)
         print(

@@ -67,6 +67,36 @@ impl Form {
     }
 }
 
+/// The leaves of a part, each with whether the surface is its own or the other side of it; `None` where that depends.
+pub fn sides(program: &Program<f32>, tokens: &[Token]) -> Option<Vec<(u32, bool)>> {
+    let mut leaves: Vec<(u32, bool)> = Vec::new();
+    // Where the leaves of each operand that waits begin.
+    let mut waiting: Vec<usize> = Vec::new();
+    let turn = |leaves: &mut [(u32, bool)]| leaves.iter_mut().for_each(|(_, is_own)| *is_own = !*is_own);
+    for &token in tokens {
+        match token {
+            Token::Leaf(leaf) => {
+                waiting.push(leaves.len());
+                leaves.push((leaf, true));
+            }
+            Token::Combine(i) => {
+                let combine = &program.combines[i as usize];
+                let (top, below) = (waiting.pop()?, *waiting.last()?);
+                match combine.op {
+                    Op::Union | Op::Intersection => {}
+                    // What is taken away is the second operand, which may have been put first.
+                    Op::Difference if combine.is_swapped => turn(&mut leaves[below..top]),
+                    Op::Difference => turn(&mut leaves[top..]),
+                    Op::Xor => return None,
+                }
+            }
+            Token::Complement => turn(&mut leaves[*waiting.last()?..]),
+            _ => return None,
+        }
+    }
+    Some(leaves)
+}
+
 /// Whether a leaf is convex and has a closed form here.
 fn has_chord(leaf: &PlacedLeaf<f32>) -> bool {
     match &leaf.field {
@@ -195,9 +225,10 @@ fn chord(leaf: &PlacedLeaf<f32>, [origin, direction]: [Vec3; 2]) -> Chord {
     let shift = Vec3::from_array(leaf.shift);
     let [mut o, mut d] = [origin + shift, direction];
     if leaf.is_turned {
-        let rows = leaf.rows.map(Vec3::from_array);
-        o = Vec3::new(rows[0].dot(origin), rows[1].dot(origin), rows[2].dot(origin)) + shift;
-        d = Vec3::new(rows[0].dot(direction), rows[1].dot(direction), rows[2].dot(direction));
+        let [x, y, z] = &leaf.rows;
+        let (x, y, z) = (Vec3::from_array(*x), Vec3::from_array(*y), Vec3::from_array(*z));
+        o = Vec3::new(x.dot(origin), y.dot(origin), z.dot(origin)) + shift;
+        d = Vec3::new(x.dot(direction), y.dot(direction), z.dot(direction));
     }
     match &leaf.field {
         LeafField::Sphere => ball(o, d, p[0]),

@@ -1,5 +1,6 @@
 //! Pictures of shapes on the CPU, with the camera, the light and the frame of every other picture.
 
+use super::chord::Form;
 use super::decompose::Method;
 use super::gpu;
 use super::model::Model;
@@ -65,7 +66,7 @@ pub fn tracer<'a>(solid: &'a Solid, method: DrawMethod) -> Result<Tracer<'a>, Er
     solid.bounds()?;
     match method {
         DrawMethod::Whole => Ok(Tracer::whole(solid)),
-        DrawMethod::Auto if Model::leaf_count(&solid.model.tokens) <= FEW_LEAVES => Ok(Tracer::one_box(solid)),
+        DrawMethod::Auto if is_small(solid) => Ok(Tracer::one_box(solid)),
         DrawMethod::Auto => Ok(Tracer::of(solid, solid.cells(Method::Octree)?.clone())),
         DrawMethod::Parts(method) => Ok(Tracer::of(solid, solid.cells(method)?.clone())),
     }
@@ -73,6 +74,14 @@ pub fn tracer<'a>(solid: &'a Solid, method: DrawMethod) -> Result<Tracer<'a>, Er
 
 /// Up to so many leaves, evaluating all of them costs less than finding out which matter.
 const FEW_LEAVES: usize = 12;
+/// The same where hits have a closed form.
+const FEW_CHORDS: usize = 4;
+
+fn is_small(solid: &Solid) -> bool {
+    let tokens = &solid.model.tokens;
+    let few = if Form::of(&solid.program, tokens) == Form::Field { FEW_LEAVES } else { FEW_CHORDS };
+    Model::leaf_count(tokens) <= few
+}
 
 /// Draw a shape at a place.
 pub fn draw(
@@ -198,6 +207,9 @@ impl View<'_> {
 /// Longer than any way through the model.
 const FAR: f32 = 16.0;
 
+/// A direction without a part along an axis has this one: its inverse times any distance is finite.
+const STILL: f64 = 1e-200;
+
 /// The part of a ray from an eye that lies in the bounds, and how far before it begins, local units. In float64, because
 /// the eye may be far away; `unit` is a world direction.
 pub fn entering(tracer: &Tracer<'_>, eye: DVec3, unit: DVec3) -> Option<(LocalRay, f64)> {
@@ -206,19 +218,11 @@ pub fn entering(tracer: &Tracer<'_>, eye: DVec3, unit: DVec3) -> Option<(LocalRa
     }
     let [lower, upper] = tracer.bounds.map(Vec3::as_dvec3);
     let origin = tracer.solid.frame.local(eye);
-    let (mut t_in, mut t_out) = (0f64, f64::INFINITY);
-    for axis in 0..3 {
-        if unit[axis] == 0.0 {
-            if origin[axis] < lower[axis] || origin[axis] > upper[axis] {
-                return None;
-            }
-            continue;
-        }
-        let a = (lower[axis] - origin[axis]) / unit[axis];
-        let b = (upper[axis] - origin[axis]) / unit[axis];
-        t_in = t_in.max(a.min(b));
-        t_out = t_out.min(a.max(b));
-    }
+    // What does not move along an axis goes up by next to nothing.
+    let still = DVec3::splat(STILL);
+    let inverse = DVec3::select(unit.abs().cmplt(still), still, unit).recip();
+    let (a, b) = ((lower - origin) * inverse, (upper - origin) * inverse);
+    let (t_in, t_out) = (a.min(b).max_element().max(0.0), a.max(b).min_element());
     if t_in >= t_out {
         return None;
     }

@@ -195,15 +195,14 @@ pub(super) fn slope<F: Real>(
     stack: &mut Stack<F, 6>,
 ) -> DVec3 {
     let mut at = [[F::default(); 6]; 3];
-    for i in 0..6 {
-        let mut q = p;
-        q[i / 2] += if i % 2 == 0 { step } else { -step };
-        for axis in 0..3 {
-            at[axis][i] = F::of(q[axis]);
-        }
+    for axis in 0..3 {
+        at[axis] = [F::of(p[axis]); 6];
+        at[axis][2 * axis] = F::of(p[axis] + step);
+        at[axis][2 * axis + 1] = F::of(p[axis] - step);
     }
-    let values = program.run(tokens, &at, stack).map(F::widen);
-    DVec3::new(values[0] - values[1], values[2] - values[3], values[4] - values[5]) / (2.0 * step)
+    let values = run_wide(program, tokens, &at, stack);
+    let across = |axis: usize| values[2 * axis].widen() - values[2 * axis + 1].widen();
+    DVec3::new(across(0), across(1), across(2)) / (2.0 * step)
 }
 
 /// [`Program::run`] with the vector instructions of this machine.

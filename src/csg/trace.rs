@@ -78,14 +78,19 @@ pub struct Tracer<'a> {
 pub struct PartProgram {
     pub tokens: Arc<[Token]>,
     pub form: Form,
+    /// Of a part in closed form, see [`chord::sides`].
+    sides: Option<Box<[(u32, bool)]>>,
     pub leaves: u32,
     pub inverse_lipschitz: f32,
 }
 
 impl PartProgram {
     fn new(solid: &Solid, tokens: &Arc<[Token]>) -> Self {
+        let form = Form::of(&solid.program, tokens);
+        let sides = if form == Form::Field { None } else { chord::sides(&solid.program, tokens) };
         Self {
-            form: Form::of(&solid.program, tokens),
+            form,
+            sides: sides.map(Vec::into_boxed_slice),
             leaves: Model::leaf_count(tokens) as u32,
             inverse_lipschitz: (1.0 / solid.model.lipschitz_of(tokens)) as f32,
             tokens: tokens.clone(),
@@ -317,9 +322,19 @@ impl<'a> Tracer<'a> {
 
     /// Unit normal at a hit, local space, which is turned like the world; `None` where the field has no slope.
     pub fn normal(&self, p: Vec3, part: u32, stack: &mut Stack<f64, 6>) -> Option<Vec3> {
-        let tokens = &self.programs[part as usize].tokens;
-        let slope = slope(self.solid.precise(), tokens, p.as_dvec3(), NORMAL_STEP, stack);
-        slope.try_normalize().map(|normal| normal.as_vec3())
+        let part = &self.programs[part as usize];
+        let slope_of = |tokens: &[Token], stack: &mut _| {
+            slope(self.solid.precise(), tokens, p.as_dvec3(), NORMAL_STEP, stack).try_normalize()
+        };
+        let Some(sides) = &part.sides else { return slope_of(&part.tokens, stack).map(|normal| normal.as_vec3()) };
+        // The surface is that of the leaf whose field is nearest to zero.
+        let at = [[p.x], [p.y], [p.z]];
+        let value = |leaf: u32| self.solid.program.leaves[leaf as usize].distances(&at)[0].abs();
+        let nearest =
+            sides.iter().map(|&(leaf, is_own)| (value(leaf), leaf, is_own)).min_by(|a, b| a.0.total_cmp(&b.0));
+        let (_, leaf, is_own) = nearest?;
+        let normal = slope_of(&[Token::Leaf(leaf)], stack)?.as_vec3();
+        Some(if is_own { normal } else { -normal })
     }
 
     /// Linear RGB at a hit; `None` where there is no paint.
