@@ -27,6 +27,8 @@ pub mod primary;
 pub mod raster;
 pub mod shadow;
 pub mod texture;
+pub mod thin;
+pub mod things;
 pub mod tree;
 pub mod triangles;
 
@@ -80,9 +82,13 @@ pub struct InstanceInput {
     pub world_from_local: DAffine3,
     /// First of the thing's materials in the scene's list.
     pub first_material: u32,
+    /// Shows the thing's own colours where it has them, in place of the material's.
+    pub own_colors: bool,
     pub opacity: f32,
     pub casts_shadow: bool,
     pub visible: bool,
+    /// What pixels call it: several instances may be one object.
+    pub object: u32,
 }
 
 /// An instance with what rays need of it.
@@ -90,9 +96,14 @@ pub struct Instance {
     pub triangles: Option<Arc<Triangles>>,
     pub field: Option<Arc<dyn Field>>,
     pub first_material: u32,
+    pub own_colors: bool,
+    /// Share of what is seen that it hides.
     pub opacity: f32,
+    /// Share of the light that it keeps.
+    pub shade: f32,
     pub casts_shadow: bool,
     pub visible: bool,
+    pub object: u32,
     /// Local coordinates of the mesh's tree (`Mesh::local_from_world`) from scene space.
     pub tree_from_scene: DAffine3,
     /// Scene normals from normals of the thing.
@@ -109,6 +120,11 @@ pub struct Instance {
 }
 
 impl Instance {
+    /// Whether distances tell all that it does to light: neither translucent nor asked by thin rays.
+    pub fn is_opaque_solid(&self) -> bool {
+        self.shade >= 1.0 && !self.field.as_ref().is_some_and(|field| field.prefers_rays())
+    }
+
     /// Whether a transform keeps shapes, so that one factor turns local distances to scene distances.
     pub fn is_uniform(&self) -> bool {
         self.stretch[1] <= self.stretch[0] * 1.0001
@@ -202,6 +218,8 @@ pub struct Rendered {
     /// Rays and cones to lights and surroundings, and how many of them went on in the far field.
     pub rays: u64,
     pub far_rays: u64,
+    /// The light pass ran on the device.
+    pub is_lit_on_device: bool,
 }
 
 /// Instances at most.
@@ -261,7 +279,8 @@ impl Scene {
     }
 }
 
-/// Draw a scene. On a graphics device both passes run there; see [`raster`] for what it leaves to the CPU.
+/// Draw a scene. On a graphics device both passes run there; see [`raster`] for what it leaves to the CPU. The light pass
+/// runs there only if the device knows all things in the scene.
 pub fn render(
     place: &Place,
     scene: &Scene,
@@ -284,6 +303,7 @@ pub fn render(
         }
         Place::Gpu(context) => Some(scene.on_device(context, far.as_ref())?),
     };
+    let light_device = device.as_ref().filter(|device| device.knows_all());
     let lights = light::Lights::new(scene, options);
     let mut seconds = vec![("primary", 0.0), ("light", 0.0)];
     let asked = Asked::default();
@@ -302,7 +322,7 @@ pub fn render(
         };
         seconds[0].1 += start.elapsed().as_secs_f64();
         let start = Instant::now();
-        let lit = match &device {
+        let lit = match &light_device {
             None => light::shade(&casters, &buffer, &lights, options, &asked, progress)?,
             Some(device) => light::shade_on_device(&casters, device, &buffer, &lights, options, &asked, progress)?,
         };
@@ -322,7 +342,14 @@ pub fn render(
         None => [false, true],
         Some(_) => [true, raster::left_over(scene, options).is_some()],
     };
-    Ok(Rendered { frame, primary_on, seconds, rays: asked.rays.into_inner(), far_rays: asked.far_rays.into_inner() })
+    Ok(Rendered {
+        frame,
+        primary_on,
+        is_lit_on_device: light_device.is_some(),
+        seconds,
+        rays: asked.rays.into_inner(),
+        far_rays: asked.far_rays.into_inner(),
+    })
 }
 
 /// Rays and cones of a picture, counted by all threads.
@@ -355,7 +382,8 @@ pub(crate) fn check(scene: &Scene, options: &RenderOptions) -> Result<(), Error>
     if options.samples == 0 || options.samples > 64 || sides * sides != options.samples {
         return error("samples", format!("must be a square number from 1 to 64, got {}", options.samples));
     }
-    for (i, instance) in scene.instances.iter().enumerate().filter(|(_, instance)| instance.visible) {
+    for instance in scene.instances.iter().filter(|instance| instance.visible) {
+        let i = instance.object;
         if options.primary == Primary::Raster && instance.triangles.is_none() {
             return error(
                 "primary",
@@ -442,12 +470,15 @@ fn instance(
         field_normal_from_scene: field_from_scene.matrix3.inverse().transpose().as_mat3(),
         field_extent: DVec3::new(rows.x_axis.length(), rows.y_axis.length(), rows.z_axis.length()).as_vec3(),
         stretch: [(singular[0] / scale) as f32, (singular[1] / scale) as f32],
+        shade: input.opacity * input.field.as_ref().map_or(1.0, |field| field.opacity()),
         triangles: input.triangles,
         field: input.field,
         first_material: input.first_material,
+        own_colors: input.own_colors,
         opacity: input.opacity,
         casts_shadow: input.casts_shadow,
         visible: input.visible,
+        object: input.object,
     })
 }
 
