@@ -280,6 +280,26 @@ def test_a_scene_of_all_kinds_is_merged() -> None:
     assert (updated.distances == fb.merge(fb.Scene(now), merged.resolution, bounds=merged.bounds).distances).all()
 
 
+def test_a_far_field_stands_for_solids_and_leaves_sheets_their_shadows() -> None:
+    ball = fb.Instance(fb.Quadric.sphere(), moved(y=0.6))
+    box = fb.Instance(fb.box((0.8, 0.8, 0.8)), moved(x=1.8, y=0.9))
+    scene = fb.Scene([ball, box, plane()], lights=[fb.DirectionalLight(SUN)])
+    far = fb.merge([ball, box], 48)
+    with_far, without = (
+        fb.render(scene, CAMERA, size=(80, 60), shadows="hard", far=field, far_distance=0.3, device="cpu")
+        if field is not None
+        else fb.render(scene, CAMERA, size=(80, 60), shadows="hard", device="cpu")
+        for field in (far, None)
+    )
+    assert with_far.report["far_rays"] > 100
+    # Edges may move by a voxel of the merged field; nothing more.
+    assert (with_far.shadow == without.shadow).mean() > 0.97
+    p = positions(with_far, CAMERA)
+    core = (with_far.object_id == 2) & (miss_distance(p, CENTER, TO_LIGHT) < 0.9)
+    assert core.sum() > 20
+    assert (with_far.shadow[core] == 0).all()
+
+
 def test_what_cannot_stand_in_a_scene() -> None:
     with pytest.raises(fb.ShapeError, match="plane"):
         fb.Instance(fb.plane("y"))
