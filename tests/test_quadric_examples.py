@@ -1,4 +1,4 @@
-"""The examples of quadrics and of merging run as they stand."""
+"""The examples of quadrics, of merging and of all things together run as they stand."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
     ("name", "options", "shape"),
     [
         ("quadrics.py", ["--size", "96x54", "--device", "cpu"], (54, 96)),
+        ("still_life.py", ["--size", "64x36", "--samples", "1", "--device", "cpu"], (36, 64)),
         ("merged_forest.py", ["--trees", "5", "--size", "48"], (48, 192)),
     ],
 )

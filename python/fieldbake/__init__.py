@@ -15,7 +15,7 @@ import logging as _logging
 
 from . import arrays, csg, fields, models
 from ._core import __version__
-from .atlas import Atlas, pack
+from .atlas import Atlas, AtlasEntry, pack
 from .bake import ClosestPoints, bake, closest_point, signed_distance
 from .camera import Camera
 from .convert import as_mesh, load_mesh
@@ -76,6 +76,7 @@ from .volume import Volume
 __all__ = [
     "ArgumentError",
     "Atlas",
+    "AtlasEntry",
     "AtlasError",
     "Camera",
     "CapacityError",

@@ -381,6 +381,17 @@ class SceneField:
     @staticmethod
     def nested(levels: list[SceneField]) -> SceneField:
         """Nested fields as one, finest first."""
+    @staticmethod
+    def sparse(
+        field: SparseField, inner_lower: tuple[float, float, float], inner_upper: tuple[float, float, float]
+    ) -> SceneField:
+        """The bricks of a sparse field, decoded."""
+    @staticmethod
+    def quadrics(rows: NDArray[np.float64]) -> list[SceneField]:
+        """One for each row of quadrics; see :class:`Quadrics`."""
+    @staticmethod
+    def shape(shape: Shape) -> SceneField:
+        """A shape, with the parts that its rays walk through."""
 
 @final
 class SceneMesh:
@@ -411,10 +422,13 @@ class Scene:
         opacities: list[float],
         casts_shadow: list[bool],
         visible: list[bool],
+        own_colors: list[bool],
+        objects: list[int],
         materials: NDArray[np.float32],
         textures: list[Texture],
     ) -> Scene:
-        """One item an instance; ``transforms`` (n, 4, 4) world from local. ``materials`` (k, 13): RGBA, specular,
+        """One item an instance; ``transforms`` (n, 4, 4) world from local. ``own_colors``: things show theirs in place
+        of the material's; ``objects``: what pixels call them. ``materials`` (k, 13): RGBA, specular,
         shininess, alpha mode (0 opaque, 1 mask, 2 blend), cutoff, two sided, scattering RGB, texture or -1; an
         instance has those from its first on, as many as its mesh names."""
     @property
@@ -444,7 +458,8 @@ def render(
 ) -> dict[str, Any]:
     """Draw a scene. ``lights`` has three rows a light: kind (0 directional, 1 point), tangent of half its angle,
     radius; direction or position; colour. Keys as for :func:`raymarch`, ``seconds`` a dict of passes, ``rays`` and
-    ``far_rays``: how many were sent to lights and surroundings, and how many of them went on in the far field."""
+    ``far_rays``: how many were sent to lights and surroundings, and how many of them went on in the far field;
+    ``light_on`` is where the light pass ran."""
 
 @final
 class Quadrics:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -35,6 +35,58 @@ if TYPE_CHECKING:
 
 AtlasFilter = Literal["linear", "nearest", "slice"]
 Language = Literal["wgsl", "glsl", "hlsl", "msl"]
+
+
+class AtlasEntry:
+    """A volume in an atlas, as it stands there: a thing for scenes. Made by ``atlas[i]``."""
+
+    __slots__ = ("_atlas", "_index")
+
+    def __init__(self, atlas: Atlas, index: int) -> None:
+        self._atlas = atlas
+        self._index = index
+
+    @property
+    def atlas(self) -> Atlas:
+        """Where it is."""
+        return self._atlas
+
+    @property
+    def index(self) -> int:
+        """Its index there."""
+        return self._index
+
+    @property
+    def resolution(self) -> tuple[int, int, int]:
+        """Voxels along x, y and z."""
+        return self._atlas.resolution(self._index)
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Lower and upper corner of the box, (2, 3)."""
+        return np.array(self._atlas._boxes[self._atlas._index(self._index), 2:])
+
+    @property
+    def inner_bounds(self) -> NDArray[np.float64]:
+        """Box that holds the whole surface, (2, 3)."""
+        return np.array(self._atlas._boxes[self._atlas._index(self._index), :2])
+
+    @property
+    def transform(self) -> NDArray[np.float64]:
+        """Its model matrix, (4, 4): the identity, or the transform that was packed with it."""
+        return np.array(self._atlas._models[self._atlas._index(self._index)])
+
+    def to_volume(self) -> Volume:
+        """A copy of it; :meth:`Atlas.unpack`."""
+        return self._atlas.unpack(self._index)
+
+    @property
+    def _key(self) -> tuple[object, ...]:
+        """Changes when the atlas does."""
+        return "atlas", id(self._atlas), self._index, self._atlas._changes
+
+    def __repr__(self) -> str:
+        return f"AtlasEntry({self._index} of {self._atlas!r})"
 
 
 class Atlas(GrowingPages):
@@ -139,6 +191,7 @@ class Atlas(GrowingPages):
             self._boxes[i], self._models[i], self._scales[i] = 0, np.eye(4), 1
             self._reports[i] = Report()
             self._entries = None
+            self._changes += 1
 
     def resolution(self, i: int) -> tuple[int, int, int]:
         """Voxels of the volume with index `i` along x, y and z."""
@@ -313,6 +366,14 @@ class Atlas(GrowingPages):
 
         with self._lock:
             return plot_atlas(self, page)
+
+    def __getitem__(self, i: int) -> AtlasEntry:
+        """The volume with index `i` as a thing for scenes."""
+        return AtlasEntry(self, self._index(i))
+
+    def __iter__(self) -> Iterator[AtlasEntry]:
+        """All that are there."""
+        return iter([self[i] for i in self.indices])
 
     def __repr__(self) -> str:
         held, pages = count_text(len(self), "volume"), count_text(self._page_count, "page")

@@ -12,6 +12,7 @@ import hashlib
 import logging
 import os
 from collections import OrderedDict
+from collections.abc import Sequence
 from pathlib import Path
 from threading import Lock
 
@@ -19,11 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _checks, _core
+from .atlas import AtlasEntry
 from .bake import bake
 from .errors import FormatError
 from .foliage import kept_triangles
 from .io import load
 from .mesh import Mesh
+from .quadric import Quadric, rows_of
+from .shapes import Shape
+from .sparse import SparseVolume
 from .volume import Volume
 
 logger = logging.getLogger("fieldbake")
@@ -38,6 +43,9 @@ FLAT = 1e-6
 #: of any other shape is right on average where the field dips this deep under it.
 PLATE_VOXELS = 0.02
 OUTLINE_VOXELS = 0.36
+
+#: What a leaf of a shape takes, about.
+SHAPE_BYTES = 4096
 
 _lock = Lock()
 _kept: OrderedDict[object, tuple[_core.SceneField, int, object]] = OrderedDict()
@@ -86,12 +94,28 @@ def of_mesh(mesh: Mesh, resolution: int, device: str) -> _core.SceneField:
     return found
 
 
-def of_volume(volume: Volume) -> _core.SceneField:
-    """The field of a volume, made ready once."""
-    key = ("volume", id(volume))
+def of_thing(thing: Volume | SparseVolume | AtlasEntry | Shape) -> _core.SceneField:
+    """The field of what has one, made ready once."""
+    # An entry stands for whatever its atlas holds there.
+    key: tuple[object, ...] = thing._key if isinstance(thing, AtlasEntry) else (type(thing), id(thing))
     found = _find(key)
-    # The volume is kept with its field, so its id stays its own.
-    return _keep(key, _field(volume), volume.nbytes, volume) if found is None else found
+    if found is not None:
+        return found
+    # The thing is kept with its field, so its id stays its own.
+    if isinstance(thing, AtlasEntry):
+        volume = thing.to_volume()
+        return _keep(key, _field(volume), volume.nbytes, thing)
+    if isinstance(thing, Shape):
+        return _keep(key, _core.SceneField.shape(thing._core), SHAPE_BYTES * thing._core.leaf_count, thing)
+    if isinstance(thing, SparseVolume):
+        inner = (_checks.triple(corner) for corner in thing.inner_bounds)
+        return _keep(key, _core.SceneField.sparse(thing._core_field, *inner), thing.nbytes, thing)
+    return _keep(key, _field(thing), thing.nbytes, thing)
+
+
+def of_quadrics(quadrics: Sequence[Quadric]) -> list[_core.SceneField]:
+    """The field of each."""
+    return _core.SceneField.quadrics(rows_of(quadrics))
 
 
 def content_hash(mesh: Mesh, resolution: int) -> str:

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _checks, _core
+from .atlas import AtlasEntry
 from .bake import bake
 from .convert import _is_arrays
 from .errors import ArgumentError, DeviceError, Error, SceneError
 from .grid import Grid, Resolution, make_grid
 from .progress import Progress, part_of, progress_callback
-from .quadric import Quadric, rows_of
+from .quadric import Quadric, bounds_of, check_quadrics, is_quadrics, rows_of
 from .report import Report
 from .sparse import SparseVolume
 from .volume import Volume
@@ -38,19 +39,24 @@ NOBODY = np.empty(0, np.uint32)
 class _Placed(NamedTuple):
     """A field and where it stands."""
 
-    thing: Volume | Quadric
+    thing: Volume | tuple[Quadric, ...]
     transform: NDArray[np.float64]
 
     @property
     def bounds(self) -> NDArray[np.float64]:
         """Box around the surface, (2, 3), world units."""
-        if isinstance(self.thing, Quadric):
-            return self.thing.transformed(self.transform).bounds
+        if isinstance(self.thing, tuple):
+            return bounds_of(self.quadrics)
         # Where the box cuts the surface, what is left of it.
         box = np.clip(self.thing.inner_bounds, self.thing.bounds[0], self.thing.bounds[1])
         corners = np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
         world = corners @ self.transform[:3, :3].T + self.transform[:3, 3]
         return np.stack([world.min(axis=0), world.max(axis=0)])
+
+    @property
+    def quadrics(self) -> list[Quadric]:
+        """Those of a list, in the world."""
+        return [quadric.transformed(self.transform) for quadric in self.thing] if isinstance(self.thing, tuple) else []
 
 
 class MergedField(Volume):
@@ -89,8 +95,8 @@ class MergedField(Volume):
         Raises
         ------
         SceneError
-            For an index that is not there, an instance that was a quadric and is none now or the other way round, or
-            another number of instances.
+            For an index that is not there, an instance that had another number of quadrics, or another number of
+            instances.
 
         Examples
         --------
@@ -106,7 +112,7 @@ class MergedField(Volume):
             raise SceneError('changed: a field merged with method="article" cannot be updated; merge it anew')
         placed, indices = self._changed(changed, scene)
         for index in indices:
-            if isinstance(placed[index].thing, Quadric) != isinstance(self._placed[index].thing, Quadric):
+            if len(placed[index].quadrics) != len(self._placed[index].quadrics):
                 raise SceneError(f"changed: instance {index} is of another kind now; merge anew")
         return _merge(placed, self._bounds, self._shape, "bound", device, progress, (self, indices))
 
@@ -188,8 +194,9 @@ def merge(
     Parameters
     ----------
     scene : Scene, or a list
-        Of instances, things, and ``(thing, transform)`` pairs. A thing is a Volume, a Quadric, or anything that
-        :func:`bake` takes; that is baked first, once for all its instances.
+        Of instances, things, and ``(thing, transform)`` pairs. A thing is a Volume, a SparseVolume, an atlas entry, a
+        Quadric or a list of them, or anything that :func:`bake` takes; that is baked first, once for all its
+        instances.
     resolution : int or three ints, default 128
         As for :func:`bake`.
     bounds : (2, 3) array, optional
@@ -316,23 +323,24 @@ def _merge(
     instances: list[int] = []
     transforms: list[NDArray[np.float64]] = []
     quadrics: list[Quadric] = []
-    core_index = np.empty(len(placed), np.int64)
-    for index, (thing, transform) in enumerate(placed):
-        if isinstance(thing, Quadric):
-            core_index[index] = -1 - len(quadrics)
-            quadrics.append(thing.transformed(transform))
-            continue
-        number = numbers.setdefault(id(thing), len(numbers))
-        volumes[number] = thing
-        core_index[index] = len(instances)
-        instances.append(number)
-        transforms.append(transform)
-    core_index = np.where(core_index < 0, len(instances) - 1 - core_index, core_index)
+    # Where each item is in the core.
+    spans: list[range] = []
+    count = sum(isinstance(item.thing, Volume) for item in placed)
+    for item in placed:
+        if isinstance(item.thing, Volume):
+            number = numbers.setdefault(id(item.thing), len(numbers))
+            volumes[number] = item.thing
+            spans.append(range(len(instances), len(instances) + 1))
+            instances.append(number)
+            transforms.append(item.transform)
+        else:
+            spans.append(range(count + len(quadrics), count + len(quadrics) + len(item.thing)))
+            quadrics += item.quadrics
 
     start = time.perf_counter()
     previous = None
     if earlier is not None:
-        previous = earlier[0]._distances, earlier[0]._owners, [int(core_index[i]) for i in earlier[1]]
+        previous = earlier[0]._distances, earlier[0]._owners, [i for item in earlier[1] for i in spans[item]]
     with progress_callback(progress, "merge") as callback:
         distances, owners, facts = _core.merge(
             [_volume_row(volume) for volume in volumes.values()],
@@ -388,7 +396,11 @@ def _place(name: str, item: Any, baked: dict[tuple[int, int], Volume]) -> _Place
     ):
         thing, transform = item
     matrix = np.eye(4) if transform is None else _checks.affine(f"{name}: transform", transform, SceneError)
-    if isinstance(thing, (Volume, Quadric)):
+    if is_quadrics(thing):
+        return _Placed(tuple(check_quadrics(thing)), matrix)
+    if isinstance(thing, (SparseVolume, AtlasEntry)):
+        thing = thing.to_volume()
+    if isinstance(thing, Volume):
         return _Placed(thing, matrix)
     key = (id(thing), resolution)
     if key not in baked:

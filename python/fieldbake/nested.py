@@ -229,7 +229,7 @@ class NestedField:
 
     def _far(self) -> list[_core.SceneField]:
         """The levels as the core's scenes take them."""
-        return [fields.of_volume(level) for level in self._joined_levels()]
+        return [fields.of_thing(level) for level in self._joined_levels()]
 
     def _field(self) -> _core.SceneField:
         """All levels as one field."""

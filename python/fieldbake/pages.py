@@ -107,6 +107,8 @@ class GrowingPages:
         self._scales = np.zeros(0, np.float32)
         self._reports: list[Report] = []
         self._entries: NDArray[Any] | None = None
+        # How often a volume came or went.
+        self._changes = 0
         # Volumes come and go while other threads sample.
         self._lock = threading.RLock()
 
@@ -226,6 +228,7 @@ class GrowingPages:
                 self._boxes[i] = [*volume.inner_bounds, *volume.bounds]
                 self._reports[i] = volume.report
             self._entries = None
+            self._changes += 1
             return indices
 
     def _open_pages(self, count: int) -> None:

@@ -150,6 +150,7 @@ def raymarch(
     }
     surface = _checks.triple(_color("color", (0.8, 0.8, 0.8) if color is None else color, 3))
     behind = _color("background", (1.0, 1.0, 1.0, 1.0) if background is None else background, 4)
+    needs_scene = shadows in ("soft", "area") or any(isinstance(light, PointLight) for light in lights or ())
     if is_quadrics(thing):
         if filter != "linear":
             raise ArgumentError(f"filter: quadrics are not sampled, got {filter!r}; leave it out")
@@ -158,6 +159,11 @@ def raymarch(
         quadrics = check_quadrics(thing)
         if camera is None:
             camera = Camera.fit(bounds_of(quadrics), aspect=width / height)
+        if needs_scene:
+            material = Material(specular=shade["specular"], shininess=shade["shininess"])
+            instances = [Instance(quadric, material=material) for quadric in quadrics]
+            scene = Scene(instances, lights, ambient=shade["ambient"], background=behind)
+            return render(scene, camera, size=size, shadows=shadows, device=device, progress=progress)
         directions, colors = _lights(lights, camera)
         with progress_callback(progress, "raymarch") as callback:
             result = core_of(quadrics).draw(
@@ -184,10 +190,12 @@ def raymarch(
         bounds = field.bounds if isinstance(field, Shape) else field.inner_bounds
         camera = Camera.fit(bounds, aspect=width / height)
     is_nested = isinstance(field, NestedField)
-    if is_nested or shadows in ("soft", "area") or any(isinstance(light, PointLight) for light in lights or ()):
+    if is_nested or needs_scene:
         if filter != "linear":
             raise ArgumentError('filter: "hardware" goes with directional lights and shadows "hard" or "none"')
-        material = Material(color=surface, specular=shade["specular"], shininess=shade["shininess"])
+        # Without a colour of its own a shape keeps its paint.
+        paint = None if color is None else surface
+        material = Material(color=paint, specular=shade["specular"], shininess=shade["shininess"])
         scene = Scene([Instance(field, material=material)], lights, ambient=shade["ambient"], background=behind)
         # Nested fields are marched on the CPU.
         place = "cpu" if is_nested and device == "auto" else device

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _checks, _core, fields
-from .bake import bake
+from .atlas import AtlasEntry
 from .camera import Camera
 from .convert import as_mesh
 from .errors import ArgumentError, MeshError, SceneError
@@ -20,8 +20,13 @@ from .materials import PLAIN, Material
 from .mesh import ALPHA_MODES, Mesh, Part
 from .nested import NestedField
 from .progress import Progress, progress_callback
+from .quadric import Quadric, bounds_of, check_quadrics, is_quadrics
+from .shapes import Shape
 from .sparse import SparseVolume
 from .volume import Volume
+
+#: What stands in scenes: meshes are rastered, the others drawn by rays.
+Thing = Mesh | Volume | SparseVolume | NestedField | AtlasEntry | Shape | tuple[Quadric, ...]
 
 Primary = Literal["auto", "raster", "raymarch"]
 SceneShadows = Literal["soft", "hard", "none", "area"]
@@ -45,19 +50,23 @@ class Instance:
 
     Parameters
     ----------
-    thing : Mesh, Volume, SparseVolume, NestedField, or anything :func:`bake` takes
-        A mesh is rastered and throws the shadow of its field, which is baked when needed and kept; a volume is
-        raymarched.
-    transform : (4, 4), default identity
-        World from the thing's own coordinates: any affine map that can be undone.
+    thing : Mesh, Volume, SparseVolume, NestedField, ``atlas[i]``, Shape, Quadric, list of Quadric, or any mesh
+        A mesh is rastered and throws the shadow of its field, which is baked when needed and kept. All others are met
+        by rays as they are: a volume by the roots of its cells, a shape by those of its parts (``fb.bake(shape)``
+        makes a volume of it), a quadric by its closed form. Quadrics of a list are one object.
+    transform : (4, 4), optional
+        World from the thing's own coordinates: any affine map that can be undone. If not given the identity, or the
+        model matrix of an atlas entry.
     material : Material, optional
-        If not given, the mesh's own colours and textures; light grey for what has none.
+        If not given, or without a colour, the thing's own: a mesh's colours and textures, a shape's paint, a quadric's
+        reflectance; light grey for what has none.
     casts_shadow : bool, default True
         Whether light meets it.
     visible : bool, default True
         Whether the camera sees it.
     opacity : float, default 1
-        Share of light that it keeps, for the camera and for shadows.
+        Share of light that it keeps, for the camera and for shadows. A quadric's own opacity is for shadows alone, and
+        multiplies.
     resolution : int, default 64
         Voxels along the longest side of a mesh's field.
 
@@ -65,6 +74,8 @@ class Instance:
     ------
     SceneError
         For a transform that cannot be undone or a value out of range.
+    ShapeError
+        For a shape without bounds; it names the leaf.
     MeshError
         If there is no usable mesh in the thing.
 
@@ -89,7 +100,8 @@ class Instance:
         def put(name: str, value: object) -> None:
             object.__setattr__(self, name, value)
 
-        matrix = np.eye(4) if self.transform is None else _checks.affine("transform", self.transform, SceneError)
+        usual = self.thing.transform if isinstance(self.thing, AtlasEntry) else np.eye(4)
+        matrix = usual if self.transform is None else _checks.affine("transform", self.transform, SceneError)
         put("transform", _checks.frozen(matrix))
         if self.material is not None and not isinstance(self.material, Material):
             raise SceneError(f"material: must be a Material, got {_checks.describe(self.material)}")
@@ -102,12 +114,12 @@ class Instance:
         if self.opacity > 1:
             raise SceneError(f"opacity: must be from 0 to 1, got {self.opacity:g}")
         put("resolution", _checks.integer("resolution", self.resolution, least=4, most=1024, error=SceneError))
-        put("thing", _thing(self.thing, self.resolution))
+        put("thing", _thing(self.thing))
 
     @property
     def bounds(self) -> NDArray[np.float64]:
         """Box around the surface, (2, 3), world units."""
-        box = self.thing.inner_bounds if isinstance(self.thing, (Volume, NestedField)) else self.thing.bounds
+        box = _box_of(self.thing)
         corners = np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
         matrix = np.asarray(self.transform)
         placed = corners @ matrix[:3, :3].T + matrix[:3, 3]
@@ -159,9 +171,7 @@ class Scene:
         background: ArrayLike = (1.0, 1.0, 1.0, 1.0),
         cameras: Sequence[Camera] = (),
     ) -> None:
-        if isinstance(instances, (Instance, Mesh, Volume, SparseVolume, str, bytes)) or not isinstance(
-            instances, Sequence
-        ):
+        if isinstance(instances, (str, bytes)) or not isinstance(instances, Sequence):
             raise SceneError(f"instances: must be a list of Instance, got {_checks.describe(instances)}")
         if not instances:
             raise SceneError("instances: the scene is empty; give at least one Instance")
@@ -275,7 +285,9 @@ def render(
         all instances), for comparison.
     device : str, default "auto"
         ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`. Both passes run there; the picture is the CPU's
-        to 1/255 but for half a percent of the pixels. Translucent surfaces are found on the CPU.
+        to 1/255 but for half a percent of the pixels. Translucent surfaces are found on the CPU. A
+        pass that cannot run there, because a thing is of a kind that the device does not know, runs on the CPU, and
+        ``report["devices"]`` says so.
     progress : bool or callable, optional
         True draws a bar on stderr; a callable gets a share from 0 to 1.
 
@@ -352,7 +364,7 @@ def render(
             area_samples=area_samples,
             ambient=scene.ambient,
             occlusion=occlusion,
-            far=[] if far is None else far._far() if isinstance(far, NestedField) else [fields.of_volume(far)],
+            far=[] if far is None else far._far() if isinstance(far, NestedField) else [fields.of_thing(far)],
             far_distance=far_distance,
             background=scene._background,
             exposure=exposure,
@@ -366,7 +378,7 @@ def render(
     report = {
         "device": result["device"],
         "seconds": sum(seconds.values()),
-        "devices": {"primary": result["primary_on"], "light": result["device"]},
+        "devices": {"primary": result["primary_on"], "light": result["light_on"]},
         "milliseconds": {stage: 1e3 * duration for stage, duration in seconds.items()},
         "instances": len(scene.instances),
         "lights": len(lights),
@@ -399,17 +411,22 @@ def _instance(number: int, item: Any) -> Instance:
         raise SceneError(f"instances[{number}]: {error}") from error
 
 
-def _thing(thing: Any, resolution: int) -> Mesh | Volume | NestedField:
-    """What the core can draw: a mesh or a field."""
-    if isinstance(thing, (Mesh, Volume, NestedField)):
+def _thing(thing: Any) -> Thing:
+    """What the core can draw."""
+    if isinstance(thing, Shape):
+        # One without bounds is refused, by name.
+        _ = thing.bounds
         return thing
-    if isinstance(thing, SparseVolume):
-        # Scenes read dense fields.
-        return thing.to_volume()
-    if hasattr(thing, "to_sexpr"):
-        # A shape has no triangles; its field is what is drawn.
-        return bake(thing, resolution)
-    return as_mesh(thing)
+    if isinstance(thing, (Mesh, Volume, SparseVolume, NestedField, AtlasEntry)):
+        return thing
+    return tuple(check_quadrics(thing)) if is_quadrics(thing) else as_mesh(thing)
+
+
+def _box_of(thing: Thing) -> NDArray[np.float64]:
+    """Box around the surface, (2, 3), the thing's own coordinates."""
+    if isinstance(thing, tuple):
+        return bounds_of(thing)
+    return thing.bounds if isinstance(thing, (Mesh, Shape)) else thing.inner_bounds
 
 
 def _background(value: ArrayLike) -> tuple[float, float, float, float]:
@@ -500,41 +517,82 @@ class _Table:
         )
 
 
+class _Rows:
+    """Instances of the core's scene as they are collected; a list of quadrics is as many of them."""
+
+    def __init__(self) -> None:
+        self.table = _Table()
+        self.columns: dict[str, list[Any]] = {}
+
+    def add(
+        self,
+        number: int,
+        instance: Instance,
+        mesh: _core.SceneMesh | None,
+        field: _core.SceneField | None,
+        parts: Sequence[Part | None] = (None,),
+        is_sheet: bool = False,
+    ) -> None:
+        """One instance, with a row of the material table for each part."""
+        own_colors = instance.material is None or instance.material.color is None
+        row = {
+            "mesh": mesh,
+            "field": field,
+            "transform": instance.transform,
+            "first": len(self.table.materials),
+            "opacity": instance.opacity,
+            "casts": instance.casts_shadow,
+            "visible": instance.visible,
+            "own": own_colors,
+            "object": number,
+        }
+        for name, value in row.items():
+            self.columns.setdefault(name, []).append(value)
+        for part in parts:
+            self.table.add(instance.material, part, is_sheet)
+
+    def build(self) -> _core.Scene:
+        """The core's scene."""
+        columns = self.columns
+        return _core.Scene(
+            columns["mesh"],
+            columns["field"],
+            np.array(columns["transform"], dtype=np.float64),
+            columns["first"],
+            columns["opacity"],
+            columns["casts"],
+            columns["visible"],
+            columns["own"],
+            columns["object"],
+            np.array(self.table.materials, dtype=np.float32),
+            self.table.textures,
+        )
+
+
 def _build(instances: Sequence[Instance], with_fields: bool, device: str) -> _core.Scene:
     """The core's scene; things that several instances share are made once."""
-    table = _Table()
-    meshes: dict[int, _core.SceneMesh] = {}
-    sheets: dict[int, bool] = {}
-    lists: dict[str, list[Any]] = {name: [] for name in ("mesh", "field", "first", "opacity", "casts", "visible")}
-    for instance in instances:
+    rows = _Rows()
+    meshes: dict[int, tuple[_core.SceneMesh, bool]] = {}
+    quadrics: dict[int, list[_core.SceneField]] = {}
+    for number, instance in enumerate(instances):
         thing = instance.thing
-        lists["first"].append(len(table.materials))
-        if isinstance(thing, (Volume, NestedField)):
-            lists["mesh"].append(None)
-            lists["field"].append(fields.of_volume(thing) if isinstance(thing, Volume) else thing._field())
-            table.add(instance.material, None, False)
-        else:
+        if isinstance(thing, tuple):
+            if id(thing) not in quadrics:
+                quadrics[id(thing)] = fields.of_quadrics(thing)
+            for quadric, field in zip(thing, quadrics[id(thing)], strict=True):
+                red, green, blue = quadric.reflectance.tolist()
+                rows.add(number, instance, None, field, [Part("quadric", color=(red, green, blue, 1.0))])
+        elif isinstance(thing, Mesh):
             if id(thing) not in meshes:
-                meshes[id(thing)] = _core.SceneMesh(thing._core, thing.uv, _materials_of(thing))
-                sheets[id(thing)] = fields.is_sheet(thing)
-            lists["mesh"].append(meshes[id(thing)])
-            lists["field"].append(fields.of_mesh(thing, instance.resolution, device) if with_fields else None)
-            for part in thing.parts:
-                table.add(instance.material, part, sheets[id(thing)])
-        lists["opacity"].append(instance.opacity)
-        lists["casts"].append(instance.casts_shadow)
-        lists["visible"].append(instance.visible)
-    return _core.Scene(
-        lists["mesh"],
-        lists["field"],
-        np.stack([np.asarray(instance.transform, dtype=np.float64) for instance in instances]),
-        lists["first"],
-        lists["opacity"],
-        lists["casts"],
-        lists["visible"],
-        np.array(table.materials, dtype=np.float32),
-        table.textures,
-    )
+                made = _core.SceneMesh(thing._core, thing.uv, _materials_of(thing))
+                meshes[id(thing)] = made, fields.is_sheet(thing)
+            mesh, is_sheet = meshes[id(thing)]
+            baked = fields.of_mesh(thing, instance.resolution, device) if with_fields else None
+            rows.add(number, instance, mesh, baked, thing.parts, is_sheet)
+        else:
+            field = thing._field() if isinstance(thing, NestedField) else fields.of_thing(thing)
+            rows.add(number, instance, None, field)
+    return rows.build()
 
 
 def _materials_of(mesh: Mesh) -> NDArray[np.uint32]:

@@ -176,7 +176,8 @@ impl Solid {
         self.precise.color(&self.model, &self.model.tokens, self.frame.local(p).to_array())
     }
 
-    pub(super) fn precise(&self) -> &Program<f64> {
+    /// The tables in float64.
+    pub fn precise(&self) -> &Program<f64> {
         &self.precise
     }
 }
@@ -187,13 +188,7 @@ fn saturated(value: f64) -> f32 {
 }
 
 /// Central differences, six points at once.
-pub(super) fn slope<F: Real>(
-    program: &Program<F>,
-    tokens: &[Token],
-    p: DVec3,
-    step: f64,
-    stack: &mut Stack<F, 6>,
-) -> DVec3 {
+pub fn slope<F: Real>(program: &Program<F>, tokens: &[Token], p: DVec3, step: f64, stack: &mut Stack<F, 6>) -> DVec3 {
     let mut at = [[F::default(); 6]; 3];
     for axis in 0..3 {
         at[axis] = [F::of(p[axis]); 6];

@@ -41,7 +41,7 @@ impl Shape {
         Ok(Self::of(shape.map_err(Failure::from)?))
     }
 
-    fn solid(&self, py: Python<'_>) -> PyResult<Arc<Solid>> {
+    pub(super) fn solid(&self, py: Python<'_>) -> PyResult<Arc<Solid>> {
         if let Some(solid) = self.solid.get() {
             return Ok(solid.clone());
         }

@@ -1,17 +1,22 @@
 //! `fieldbake._core.Scene` and what it is made of, and `render`.
 
 use super::convert::{Field, row_array, rows};
+use super::csg::Shape;
 use super::device::choose;
 use super::error::Failure;
 use super::mesh::Mesh;
+use super::quadric::quadric_rows;
 use super::render::{frame_dict, pose_matrix};
 use super::run::run;
+use super::sparse::SparseField;
 use crate::error::SceneError;
+use crate::quadric::Quadrics;
 use crate::render::Camera;
 use crate::scene::far::FarField;
 use crate::scene::field::{DenseField, SampledField};
 use crate::scene::nested::NestedField;
 use crate::scene::texture::Texture as CoreTexture;
+use crate::scene::things::{QuadricField, ShapeField, SparseBricks};
 use crate::scene::triangles::Triangles;
 use crate::scene::{self, Alpha, InstanceInput, Light, Material, Primary, RenderOptions, SceneShadows};
 use crate::volume::Trilinear;
@@ -50,6 +55,32 @@ impl SceneField {
     fn nested(levels: Vec<Py<SceneField>>) -> PyResult<Self> {
         let levels = levels.iter().map(|level| level.get().0.clone()).collect();
         Ok(Self(Arc::new(NestedField::new(levels).map_err(Failure::from)?)))
+    }
+
+    /// The bricks of a sparse field, decoded.
+    #[staticmethod]
+    fn sparse(py: Python<'_>, field: &SparseField, inner_lower: [f64; 3], inner_upper: [f64; 3]) -> PyResult<Self> {
+        let inner = [DVec3::from_array(inner_lower), DVec3::from_array(inner_upper)];
+        let made = run(py, None, |progress| {
+            SampledField::new(SparseBricks::new(field.decoded(), progress)?, inner, progress)
+        })?;
+        Ok(Self(Arc::new(made)))
+    }
+
+    /// One for each row of quadrics.
+    #[staticmethod]
+    fn quadrics(rows: PyReadonlyArray2<'_, f64>) -> PyResult<Vec<Self>> {
+        let quadrics = quadric_rows(&rows)?;
+        // Checked once, all together.
+        Quadrics::new(&quadrics).map_err(Failure::from)?;
+        Ok(quadrics.iter().map(|quadric| Self(Arc::new(QuadricField::new(quadric)))).collect())
+    }
+
+    /// A shape, with the parts that its rays walk through.
+    #[staticmethod]
+    fn shape(py: Python<'_>, shape: &Shape) -> PyResult<Self> {
+        let solid = shape.solid(py)?;
+        Ok(Self(Arc::new(run(py, None, |_| ShapeField::new(solid))?)))
     }
 }
 
@@ -120,13 +151,23 @@ impl Scene {
         opacities: Vec<f32>,
         casts_shadow: Vec<bool>,
         visible: Vec<bool>,
+        own_colors: Vec<bool>,
+        objects: Vec<u32>,
         materials: PyReadonlyArray2<'_, f32>,
         textures: Vec<Py<Texture>>,
     ) -> PyResult<Self> {
         let count = meshes.len();
-        let lengths = [fields.len(), first_materials.len(), opacities.len(), casts_shadow.len(), visible.len()];
+        let lengths = [
+            fields.len(),
+            first_materials.len(),
+            opacities.len(),
+            casts_shadow.len(),
+            visible.len(),
+            own_colors.len(),
+            objects.len(),
+        ];
         let shapes_fit = transforms.shape() == [count, 4, 4] && materials.shape()[1] == MATERIAL_COLUMNS;
-        if lengths != [count; 5] || !shapes_fit {
+        if lengths != [count; 7] || !shapes_fit {
             return Err(Failure::from(SceneError::new("instances", "lists of different lengths")).into());
         }
         let transforms = transforms.as_array();
@@ -142,6 +183,8 @@ impl Scene {
                     opacity: opacities[i],
                     casts_shadow: casts_shadow[i],
                     visible: visible[i],
+                    own_colors: own_colors[i],
+                    object: objects[i],
                 }
             })
             .collect();
@@ -244,6 +287,8 @@ pub fn render<'py>(
     let scene = scene.0.clone();
     let rendered = run(py, progress, |progress| scene::render(&place, &scene, &camera, &options, progress))?;
     let images = frame_dict(py, rendered.frame)?;
+    let lit_at = if rendered.is_lit_on_device { place.label() } else { "cpu".to_owned() };
+    images.set_item("light_on", lit_at)?;
     images.set_item("device", place.label())?;
     let label = place.label();
     let places = [label.as_str(), "cpu"].into_iter().zip(rendered.primary_on).filter(|(_, used)| *used);

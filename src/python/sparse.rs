@@ -67,6 +67,18 @@ macro_rules! with_field {
 pub struct SparseField(Any);
 
 impl SparseField {
+    /// A copy with float32 samples.
+    pub fn decoded(&self) -> Sparse<f32> {
+        with_field!(&self.0, |field| Sparse {
+            grid: field.grid,
+            band: field.band,
+            scale: 1.0,
+            index: field.index.clone(),
+            nodes: field.nodes.clone(),
+            texels: field.texels.iter().map(|texel| texel.decode(field.scale)).collect(),
+        })
+    }
+
     pub fn raymarch(
         &self,
         place: &Place,

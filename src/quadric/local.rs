@@ -115,7 +115,8 @@ impl Local {
         columns.iter().map(|column| column.length_squared()).sum::<f64>().sqrt()
     }
 
-    fn value(&self, q: DVec3) -> f64 {
+    /// The form at a point of the frame.
+    pub fn value(&self, q: DVec3) -> f64 {
         q.dot(self.m * q) + 2.0 * self.v.dot(q) + self.w
     }
 }

@@ -16,7 +16,7 @@
 //! of the steps in `Frame::steps` plus as many for each light.
 
 pub mod blocks;
-mod bricks;
+pub mod bricks;
 pub mod camera;
 pub mod cubic;
 pub mod empty;

@@ -128,9 +128,9 @@ impl Far {
 
         let data = in_scene(outermost, outermost.bounds());
         let is_held = |(instance, bounds): (&Instance, &Aabb)| {
-            let casts = instance.casts_shadow && instance.field.is_some() && instance.opacity > 0.0;
+            let casts = instance.casts_shadow && instance.field.is_some() && instance.shade > 0.0;
             let is_in_data = bounds.min.cmpge(data.min).all() && bounds.max.cmple(data.max).all();
-            !casts || (instance.opacity == 1.0 && is_in_data)
+            !casts || (instance.is_opaque_solid() && is_in_data)
         };
         let holds_all = scene.instances.iter().zip(&scene.boxes).all(is_held);
         Ok(Self { levels, distance: far.distance.map(|distance| distance / scene.scale), holds_all })
@@ -196,8 +196,10 @@ fn as_thing(field: &Arc<dyn Field>) -> InstanceInput {
         field: Some(field.clone()),
         world_from_local: DAffine3::IDENTITY,
         first_material: 0,
+        own_colors: false,
         opacity: 1.0,
         casts_shadow: true,
         visible: false,
+        object: 0,
     }
 }

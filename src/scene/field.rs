@@ -1,8 +1,8 @@
 //! What light meets in a thing: a distance field, as shadow, occlusion and scattering rays ask it.
 //!
 //! A [`Field`] has a space of its own, in which its rays are plain: grid space for a sampled volume (voxel centres at
-//! whole numbers). Distances are in the thing's own units. Whatever answers the five questions of the trait can stand
-//! in a scene; [`SampledField`] does so with the trilinear cells of a stored volume.
+//! whole numbers). Distances are in the thing's own units. Whatever answers the questions of the trait can stand in a
+//! scene; [`SampledField`] does so with the trilinear cells of a stored volume, [`super::things`] has the others.
 //!
 //! Outside its box a sampled field knows less. With `b` the nearest point of the box at distance `a`, and `s` the distance
 //! there, the surface is at least `sqrt(a^2 + s^2)` away, because the box is convex: rays may step that far. The nearest
@@ -30,6 +30,17 @@ pub struct FieldHit {
     pub t: f32,
     /// The ray began inside, or entered the data where it is inside.
     pub at_start: bool,
+    /// Which part of the thing was hit, for what it looks like there.
+    pub part: u32,
+}
+
+/// What a surface looks like where it is hit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Look {
+    /// Outwards, or against the ray where there is no inside; in the thing's own axes, unit; zero where there is none.
+    pub normal: Vec3,
+    /// Linear RGB of the thing itself; none where it has no colour.
+    pub color: Option<[f32; 3]>,
 }
 
 /// A solid known by its distances.
@@ -59,8 +70,32 @@ pub trait Field: Send + Sync {
     /// Gradient of the distance in the thing's own axes, near length 1; zero where there is none.
     fn gradient(&self, p: Vec3) -> Vec3;
 
+    /// What it looks like where a ray of that direction hit it, at `p`.
+    fn look(&self, p: Vec3, _hit: &FieldHit, _direction: Vec3) -> Look {
+        Look { normal: self.gradient(p), color: None }
+    }
+
+    /// Share of the light that is kept by one crossing, besides the instance's.
+    fn opacity(&self) -> f32 {
+        1.0
+    }
+
+    /// Whether thin rays answer for cones ([`super::thin`]): for what has no depth, and where a distance costs more than a
+    /// ray.
+    fn prefers_rays(&self) -> bool {
+        false
+    }
+
+    /// Radius of a ball about the middle of `surface_bounds` that holds the surface, field space.
+    fn surface_radius(&self) -> f32 {
+        let [lower, upper] = self.surface_bounds();
+        0.5 * (upper - lower).length()
+    }
+
     /// The dense grid behind it, which devices take.
-    fn dense(&self) -> Option<&SampledField<DenseField>>;
+    fn dense(&self) -> Option<&SampledField<DenseField>> {
+        None
+    }
 }
 
 /// A stored field of trilinear cells, made ready for rays.
@@ -122,7 +157,7 @@ impl<F: Blocks + Send + Sync + AsDense> Field for SampledField<F> {
         let grid_ray =
             GridRay { origin: ray.origin, direction: ray.direction / voxels_per_t, t_max: t_max * voxels_per_t };
         let march = self.marcher.march(&grid_ray);
-        let hit = march.hit.map(|hit| FieldHit { t: hit.t / voxels_per_t, at_start: hit.at_start });
+        let hit = march.hit.map(|hit| FieldHit { t: hit.t / voxels_per_t, at_start: hit.at_start, part: 0 });
         (hit, march.steps)
     }
 

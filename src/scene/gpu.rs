@@ -9,7 +9,7 @@ use super::field::{DenseField, Field, SampledField};
 use super::raster::DeviceMeshes;
 use super::shadow::{Casters, Place, Ray, Work};
 use super::{Instance, Scene};
-use crate::error::{DeviceError, Error};
+use crate::error::Error;
 use crate::geometry::Aabb;
 use crate::gpu::Context;
 use crate::gpu::layout::{Answer, Beam, BeamParams, SceneGrid, SceneInstance};
@@ -42,25 +42,23 @@ pub struct DeviceScene {
     meshes: DeviceMeshes,
     /// The levels of the far field that follow the instances.
     far: Vec<Arc<dyn Field>>,
+    knows_all: bool,
 }
 
 impl DeviceScene {
     pub fn upload(context: &Arc<Context>, scene: &Scene, far: Option<&Far>) -> Result<Self, Error> {
         let mut fields: Vec<&SampledField<DenseField>> = Vec::new();
         let mut rows = Vec::with_capacity(scene.instances.len() + 1);
+        let mut knows_all = true;
         let of_scene = scene.instances.iter().zip(&scene.boxes).map(|(instance, bounds)| (instance, bounds, 0.0));
         let levels = far.map_or(&[][..], |far| &far.levels);
         let of_far = levels.iter().map(|level| (&level.instance, &level.bounds, level.voxel));
-        for (i, (instance, bounds, voxel)) in of_scene.chain(of_far).enumerate() {
-            let grid = match instance.field.as_deref() {
+        for (instance, bounds, voxel) in of_scene.chain(of_far) {
+            let dense = instance.field.as_ref().and_then(|field| field.dense());
+            knows_all &= instance.field.is_none() || dense.is_some();
+            let grid = match dense {
                 None => 0,
-                Some(field) => {
-                    let dense = field.dense().ok_or_else(|| {
-                        let is_far = i >= scene.instances.len();
-                        let whose = if is_far { "far".to_owned() } else { format!("the field of instances[{i}]") };
-                        let reason = format!("{whose} is not a dense grid; use device=\"cpu\"");
-                        DeviceError::NotAvailable { requested: context.label(), reason }
-                    })?;
+                Some(dense) => {
                     let known = fields.iter().position(|&known| std::ptr::eq(known, dense));
                     known.unwrap_or_else(|| {
                         fields.push(dense);
@@ -100,11 +98,17 @@ impl DeviceScene {
             blocks: context.upload("scene blocks", &words)?,
             meshes: DeviceMeshes::upload(context, scene)?,
             far: levels.iter().filter_map(|level| level.instance.field.clone()).collect(),
+            knows_all,
         })
     }
 
     pub fn context(&self) -> &Arc<Context> {
         &self.context
+    }
+
+    /// Whether it has the fields of all instances, so that it can light them.
+    pub fn knows_all(&self) -> bool {
+        self.knows_all
     }
 
     pub fn meshes(&self) -> &DeviceMeshes {
@@ -235,7 +239,7 @@ fn instance_row(instance: &Instance, bounds: &Aabb, grid: u32) -> SceneInstance 
         field_y: with_offset(1),
         field_z: with_offset(2),
         local_x,
-        opacity: instance.opacity,
+        opacity: instance.shade,
         local_y,
         least_stretch: instance.stretch[0],
         local_z,

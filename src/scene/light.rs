@@ -114,7 +114,7 @@ pub fn compose(pass: &Pass<'_>, known: &Known) -> Result<Frame, Error> {
                     is_first = false;
                     row.depth[x] = layer.depth as f32;
                     row.normal[3 * x..][..3].copy_from_slice(&layer.normal.to_array());
-                    row.object_id[x] = layer.instance as i32;
+                    row.object_id[x] = scene.instances[layer.instance as usize].object as i32;
                     row.shadow[x * row.lights..][..row.lights].copy_from_slice(found.shares);
                 }
                 next += 1;

@@ -28,6 +28,8 @@ pub mod primary;
 pub mod raster;
 pub mod shadow;
 pub mod texture;
+pub mod thin;
+pub mod things;
 pub mod tree;
 pub mod triangles;
 
@@ -82,9 +84,13 @@ pub struct InstanceInput {
     pub world_from_local: DAffine3,
     /// First of the thing's materials in the scene's list.
     pub first_material: u32,
+    /// Shows the thing's own colours where it has them, in place of the material's.
+    pub own_colors: bool,
     pub opacity: f32,
     pub casts_shadow: bool,
     pub visible: bool,
+    /// What pixels call it: several instances may be one object.
+    pub object: u32,
 }
 
 /// An instance with what rays need of it.
@@ -92,9 +98,14 @@ pub struct Instance {
     pub triangles: Option<Arc<Triangles>>,
     pub field: Option<Arc<dyn Field>>,
     pub first_material: u32,
+    pub own_colors: bool,
+    /// Share of what is seen that it hides.
     pub opacity: f32,
+    /// Share of the light that it keeps.
+    pub shade: f32,
     pub casts_shadow: bool,
     pub visible: bool,
+    pub object: u32,
     /// Local coordinates of the mesh's tree (`Mesh::local_from_world`) from scene space.
     pub tree_from_scene: DAffine3,
     /// Scene normals from normals of the thing.
@@ -111,6 +122,11 @@ pub struct Instance {
 }
 
 impl Instance {
+    /// Whether distances tell all that it does to light: neither translucent nor asked by thin rays.
+    pub fn is_opaque_solid(&self) -> bool {
+        self.shade >= 1.0 && !self.field.as_ref().is_some_and(|field| field.prefers_rays())
+    }
+
     /// Whether a transform keeps shapes, so that one factor turns local distances to scene distances.
     pub fn is_uniform(&self) -> bool {
         self.stretch[1] <= self.stretch[0] * 1.0001
@@ -206,6 +222,8 @@ pub struct Rendered {
     /// Rays and cones to lights and surroundings, and how many of them went on in the far field.
     pub rays: u64,
     pub far_rays: u64,
+    /// The light pass ran on the device.
+    pub is_lit_on_device: bool,
 }
 
 /// Instances at most.
@@ -265,7 +283,8 @@ impl Scene {
     }
 }
 
-/// Draw a scene. On a graphics device both passes run there; see [`raster`] for what it leaves to the CPU.
+/// Draw a scene. On a graphics device both passes run there; see [`raster`] for what it leaves to the CPU. The light pass
+/// runs there only if the device knows all things in the scene.
 pub fn render(
     place: &Place,
     scene: &Scene,
@@ -288,6 +307,7 @@ pub fn render(
         }
         Place::Gpu(context) => Some(scene.on_device(context, far.as_ref())?),
     };
+    let light_device = device.as_ref().filter(|device| device.knows_all());
     let lights = light::Lights::new(scene, options);
     let mut seconds = vec![("primary", 0.0), ("light", 0.0)];
     let asked = Asked::default();
@@ -308,7 +328,7 @@ pub fn render(
         };
         seconds[0].1 += start.elapsed().as_secs_f64();
         let start = Instant::now();
-        let device = device.as_deref();
+        let device = light_device.map(AsRef::as_ref);
         let look =
             Pass { casters: &casters, buffer: &buffer, lights: &lights, options, device, asked: &asked, progress };
         let known = known::find(&look, centre.as_ref().map(|(buffer, known)| (buffer, known)))?;
@@ -332,7 +352,14 @@ pub fn render(
         None => [false, true],
         Some(_) => [true, raster::left_over(scene, options).is_some()],
     };
-    Ok(Rendered { frame, primary_on, seconds, rays: asked.rays.into_inner(), far_rays: asked.far_rays.into_inner() })
+    Ok(Rendered {
+        frame,
+        primary_on,
+        is_lit_on_device: light_device.is_some(),
+        seconds,
+        rays: asked.rays.into_inner(),
+        far_rays: asked.far_rays.into_inner(),
+    })
 }
 
 /// Rays and cones of a picture, counted by all threads.
@@ -368,7 +395,8 @@ pub(crate) fn check(scene: &Scene, options: &RenderOptions) -> Result<(), Error>
     if !(1..=2).contains(&options.light_scale) {
         return error("light_scale", format!("must be 1 or 2, got {}", options.light_scale));
     }
-    for (i, instance) in scene.instances.iter().enumerate().filter(|(_, instance)| instance.visible) {
+    for instance in scene.instances.iter().filter(|instance| instance.visible) {
+        let i = instance.object;
         if options.primary == Primary::Raster && instance.triangles.is_none() {
             return error(
                 "primary",
@@ -455,12 +483,15 @@ fn instance(
         field_normal_from_scene: field_from_scene.matrix3.inverse().transpose().as_mat3(),
         field_extent: DVec3::new(rows.x_axis.length(), rows.y_axis.length(), rows.z_axis.length()).as_vec3(),
         stretch: [(singular[0] / scale) as f32, (singular[1] / scale) as f32],
+        shade: input.opacity * input.field.as_ref().map_or(1.0, |field| field.opacity()),
         triangles: input.triangles,
         field: input.field,
         first_material: input.first_material,
+        own_colors: input.own_colors,
         opacity: input.opacity,
         casts_shadow: input.casts_shadow,
         visible: input.visible,
+        object: input.object,
     })
 }
 

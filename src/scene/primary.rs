@@ -6,6 +6,7 @@
 //!
 //! A pixel has a list of layers: the first opaque surface, and in front of it what lets light through.
 
+use super::field::{FieldHit, FieldRay};
 use super::tree::Line;
 use super::triangles::Triangles;
 use super::{Alpha, Instance, Material, Primary, RenderOptions, Scene};
@@ -241,7 +242,7 @@ impl Eye<'_> {
         let along = instance.field_from_scene.matrix3 * (direction / scene.scale);
         let [lower, upper] = field.surface_bounds();
         let (enter, leave) = super::shadow::clip(origin, along, lower, upper, from, nearest)?;
-        let ray = super::field::FieldRay { origin: (origin + enter * along).as_vec3(), direction: along.as_vec3() };
+        let ray = FieldRay { origin: (origin + enter * along).as_vec3(), direction: along.as_vec3() };
         let (hit, taken) = field.first_hit(&ray, (leave - enter) as f32);
         *steps += taken;
         let hit = hit?;
@@ -250,7 +251,7 @@ impl Eye<'_> {
             return None;
         }
         let is_cut = hit.at_start && enter > from;
-        self.field_layer(item, direction, depth, ray.origin + hit.t * ray.direction, hit.at_start, is_cut)
+        self.field_layer(item, direction, depth, ray.origin + hit.t * ray.direction, &hit, is_cut)
     }
 
     /// What the pixel sees of a field that it is known to meet at a depth, scene units.
@@ -262,7 +263,8 @@ impl Eye<'_> {
         let p = eye + to_field.matrix3 * (depth / self.scene.scale * direction);
         let [lower, upper] = self.scene.instances[item as usize].field.as_deref()?.surface_bounds();
         let is_outside = eye.cmplt(lower.as_dvec3()).any() || eye.cmpgt(upper.as_dvec3()).any();
-        self.field_layer(item, direction, depth, p.as_vec3(), at_start, at_start && is_outside)
+        let hit = FieldHit { t: depth as f32, at_start, part: 0 };
+        self.field_layer(item, direction, depth, p.as_vec3(), &hit, at_start && is_outside)
     }
 
     /// `is_cut`: the hit is on a face of the data.
@@ -272,12 +274,13 @@ impl Eye<'_> {
         direction: DVec3,
         depth: f64,
         p: Vec3,
-        at_start: bool,
+        hit: &FieldHit,
         is_cut: bool,
     ) -> Option<Layer> {
         let instance = &self.scene.instances[item as usize];
         let field = instance.field.as_deref()?;
         let to_eye = -direction.normalize().as_vec3();
+        let look = field.look(p, hit, (instance.field_from_scene.matrix3 * direction).as_vec3());
         let normal = if is_cut {
             // The face through which the ray came.
             let [lower, upper] = field.surface_bounds();
@@ -286,13 +289,16 @@ impl Eye<'_> {
             let mut face = Vec3::ZERO;
             face[axis] = -(instance.field_from_scene.matrix3 * direction).as_vec3()[axis].signum();
             (instance.field_from_scene.matrix3.transpose().as_mat3() * face).normalize_or_zero()
-        } else if at_start {
+        } else if hit.at_start {
             to_eye
         } else {
-            (instance.local_from_scene.transpose() * field.gradient(p)).normalize_or(to_eye)
+            (instance.local_from_scene.transpose() * look.normal).normalize_or(to_eye)
         };
         let material = &self.scene.materials[instance.first_material as usize];
         let mut color = Vec4::from_array(material.color);
+        if let Some(own) = look.color.filter(|_| instance.own_colors) {
+            color = Vec3::from_array(own).extend(color.w);
+        }
         if material.alpha != Alpha::Blend {
             color.w = 1.0;
         }

@@ -25,6 +25,7 @@
 
 use super::far::{Far, FarLevel, Split};
 use super::field::{Field, FieldRay};
+use super::thin::{ThinRays, is_clear};
 use super::tree::Line;
 use super::{Instance, Scene};
 use crate::geometry::Aabb;
@@ -227,7 +228,7 @@ impl<'a> Casters<'a> {
         is_far
     }
 
-    /// Take one caster into the sum of a cone.
+    /// Take one caster into the sum of a cone; what it did to the cone, or no more than that it may stand there.
     fn add_cone(
         &self,
         caster: &Caster<'_>,
@@ -239,6 +240,13 @@ impl<'a> Casters<'a> {
         work: &mut Work,
     ) -> Cone {
         work.steps += 1;
+        if caster.field.prefers_rays() {
+            if !may_meet(caster, place, ray, slope) {
+                return Cone::FREE;
+            }
+            sum.thin.block(caster.instance.shade, ray, slope, |thin| self.hit_of(caster, place, thin, work).is_some());
+            return Cone { x: 0.0, is_covered: false };
+        }
         let cone = self.cone_past(caster, place, ray, slope, x_known, work);
         sum.add(caster.instance, cone);
         cone
@@ -330,7 +338,7 @@ impl<'a> Casters<'a> {
             for caster in self.casters(item, place, ray, &split) {
                 work.steps += 1;
                 if self.hit_of(&caster, place, ray, work).is_some() {
-                    share *= 1.0 - caster.instance.opacity;
+                    share *= 1.0 - caster.instance.shade;
                     break;
                 }
             }
@@ -357,9 +365,9 @@ impl<'a> Casters<'a> {
     /// An instance on the parts of a ray where it is asked.
     fn casters(&self, item: u32, place: &Place, ray: &Ray, split: &Split) -> impl Iterator<Item = Caster<'a>> {
         let instance = &self.scene.instances[item as usize];
-        let field = instance.field.as_deref().filter(|_| instance.casts_shadow && instance.opacity > 0.0);
-        // The far field knows opaque things alone.
-        let (near, rest) = if instance.opacity < 1.0 { (ray.t_max, None) } else { (split.near, split.rest) };
+        let field = instance.field.as_deref().filter(|_| instance.casts_shadow && instance.shade > 0.0);
+        // A field of distances knows opaque solids alone.
+        let (near, rest) = if instance.is_opaque_solid() { (split.near, split.rest) } else { (ray.t_max, None) };
         let bounds = &self.scene.boxes[item as usize];
         let is_own = item == place.own;
         let parts = [Some([0.0, near]), rest.map(|rest| [rest, ray.t_max])].into_iter().flatten();
@@ -459,6 +467,18 @@ fn ray_in_field(instance: &Instance, is_own: bool, place: &Place, ray: &Ray) -> 
     (instance.field_from_scene.transform_point3(p), instance.field_from_scene.matrix3 * ray.direction)
 }
 
+/// Whether a cone may meet a caster, by the ball around its surface.
+fn may_meet(caster: &Caster<'_>, place: &Place, ray: &Ray, slope: f32) -> bool {
+    let Caster { instance, field, .. } = *caster;
+    let (origin, direction) = ray_in_field(instance, caster.is_own, place, ray);
+    let [lower, upper] = field.surface_bounds();
+    // Under uneven scale a cone is widest where the scene is stretched least.
+    let pace = 1.0 / (instance.local_from_scene * ray.direction.as_vec3()).length();
+    let slope = slope * pace / instance.stretch[0];
+    let direction = direction.normalize().as_vec3();
+    !is_clear(origin.as_vec3(), direction, slope, 0.5 * (lower + upper), field.surface_radius())
+}
+
 /// The largest radius that a cone has beside a box, scene units.
 pub fn widest(place: &Place, ray: &Ray, slope: f32, bounds: &Aabb) -> f32 {
     let p = place.p.as_vec3();
@@ -481,20 +501,22 @@ struct ConeSum {
     is_proven: bool,
     /// The nearest edge of the opaque ones.
     opaque: Cone,
+    /// What those let pass that are asked by rays.
+    thin: ThinRays,
 }
 
 impl ConeSum {
-    const NEW: Self = Self { translucent: 1.0, is_proven: true, opaque: Cone::FREE };
+    const NEW: Self = Self { translucent: 1.0, is_proven: true, opaque: Cone::FREE, thin: ThinRays::NEW };
 
     /// How close to the axis another instance must come, in radii, to change the sum.
     fn x_known(&self, instance: &Instance) -> f32 {
-        if instance.opacity >= 1.0 { self.opaque.x } else { 1.0 }
+        if instance.is_opaque_solid() { self.opaque.x } else { 1.0 }
     }
 
     /// Take in what the cone met of one more.
     fn add(&mut self, instance: &Instance, cone: Cone) {
-        if instance.opacity < 1.0 {
-            self.translucent *= 1.0 - instance.opacity * (1.0 - visible_share(cone.x));
+        if instance.shade < 1.0 {
+            self.translucent *= 1.0 - instance.shade * (1.0 - visible_share(cone.x));
             self.is_proven &= cone.is_covered || cone.x >= 1.0;
         } else {
             self.opaque.x = self.opaque.x.min(cone.x);
@@ -507,8 +529,8 @@ impl ConeSum {
             return ConeShare { share: 0.0, is_proven: true };
         }
         ConeShare {
-            share: self.translucent * visible_share(self.opaque.x),
-            is_proven: self.is_proven && self.opaque.x >= 1.0,
+            share: self.translucent * visible_share(self.opaque.x) * self.thin.share(),
+            is_proven: self.is_proven && self.opaque.x >= 1.0 && !self.thin.is_asked,
         }
     }
 }

@@ -1,0 +1,9 @@
+//! What stands in scenes without a dense grid: quadrics, shapes and sparse fields, each drawn and met as it is.
+
+mod quadric;
+mod shape;
+mod sparse;
+
+pub use quadric::QuadricField;
+pub use shape::ShapeField;
+pub use sparse::SparseBricks;

@@ -1,0 +1,105 @@
+//! A quadric in a scene.
+//!
+//! # Theory
+//!
+//! Field space is the frame of the trim sphere ([`crate::quadric::local`]) in units of 1/[`UNITS`] of its radius, and rays
+//! meet the surface by its stable roots: there is no step and no epsilon. The roots are found in float64 from a ray whose
+//! start on the box is rounded to float32, so a hit is off by some 1e-7 of the radius.
+//!
+//! A quadric is a sheet: it has no inside, it is seen from both sides, and whatever the ray crosses, it counts once. Its
+//! distance is never negative, and cones are asked by thin rays ([`super::super::thin`]). `distance` is the proven lower
+//! bound `|M| s^2 + |grad f| s = |f|` of [`Local::distance_bound`], carried out of the trim sphere as `sqrt(a^2 + s^2)`.
+
+use super::super::field::{Field, FieldHit, FieldRay, Look};
+use crate::quadric::Quadric;
+use crate::quadric::local::{Local, LocalRay};
+use glam::{DAffine3, DVec3, Vec3};
+
+/// Field units of the trim sphere's radius. Rays that leave the surface start half a unit off it.
+pub const UNITS: f64 = 1024.0;
+
+/// A quadric, ready for the rays of a scene.
+#[derive(Debug, Clone)]
+pub struct QuadricField {
+    /// In field space: about the origin, with a radius of `UNITS`.
+    local: Local,
+    field_from_local: DAffine3,
+    opacity: f32,
+}
+
+impl QuadricField {
+    /// Of a quadric that [`crate::quadric::Quadrics`] would take.
+    pub fn new(quadric: &Quadric) -> Self {
+        let placed = Local::new(quadric);
+        let per_unit = UNITS / placed.radius;
+        Self {
+            local: Local { center: DVec3::ZERO, radius: UNITS, ..placed },
+            field_from_local: DAffine3::from_scale(DVec3::splat(per_unit)) * DAffine3::from_translation(-placed.center),
+            opacity: quadric.opacity,
+        }
+    }
+
+    /// The form in field space.
+    pub fn local(&self) -> &Local {
+        &self.local
+    }
+}
+
+impl Field for QuadricField {
+    fn field_from_local(&self) -> DAffine3 {
+        self.field_from_local
+    }
+
+    fn bounds(&self) -> [Vec3; 2] {
+        self.surface_bounds()
+    }
+
+    fn surface_bounds(&self) -> [Vec3; 2] {
+        [Vec3::splat(-UNITS as f32), Vec3::splat(UNITS as f32)]
+    }
+
+    fn voxel(&self) -> f64 {
+        1.0 / self.field_from_local.matrix3.x_axis.x
+    }
+
+    fn first_hit(&self, ray: &FieldRay, t_max: f32) -> (Option<FieldHit>, u32) {
+        let hit = LocalRay::new(&self.local, ray.origin.as_dvec3(), ray.direction.as_dvec3()).and_then(|line| {
+            let mut ahead = line.roots().into_iter().flatten().map(|root| line.t(root) as f32);
+            ahead.find(|t| (0.0..=t_max).contains(t))
+        });
+        (hit.map(|t| FieldHit { t, at_start: false, part: 0 }), 1)
+    }
+
+    fn distance(&self, p: Vec3) -> f32 {
+        // Rounded down: a bound.
+        (self.local.distance_bound(p.as_dvec3()) * self.voxel()) as f32 * (1.0 - f32::EPSILON)
+    }
+
+    fn distance_guess(&self, p: Vec3) -> f32 {
+        self.distance(p)
+    }
+
+    fn gradient(&self, p: Vec3) -> Vec3 {
+        // Away from the sheet, on the side where the point is.
+        let slope = self.local.m * (p.as_dvec3() / UNITS) + self.local.v;
+        let side = if self.local.value(p.as_dvec3() / UNITS) < 0.0 { -1.0 } else { 1.0 };
+        (side * slope).normalize_or_zero().as_vec3()
+    }
+
+    fn look(&self, p: Vec3, _: &FieldHit, direction: Vec3) -> Look {
+        let normal = self.local.normal(p.as_dvec3(), direction.as_dvec3());
+        Look { normal: normal.as_vec3(), color: None }
+    }
+
+    fn opacity(&self) -> f32 {
+        self.opacity
+    }
+
+    fn prefers_rays(&self) -> bool {
+        true
+    }
+
+    fn surface_radius(&self) -> f32 {
+        UNITS as f32
+    }
+}

@@ -1,0 +1,185 @@
+//! A shape in a scene, without a grid in between.
+//!
+//! # Theory
+//!
+//! Field space is the shape's own local space ([`crate::csg::program::Frame`], a model of size 1/2 to 1) in units of
+//! 1/[`UNITS`]. Rays are those of [`crate::csg::trace`]: roots of the field, part by part, each in its own boxes. A distance
+//! is the field over its declared Lipschitz constant, which is a lower bound inside and outside.
+//!
+//! Penumbrae want the distance itself. Where the shape is not exact, [`Field::distance_guess`] walks to the surface: the
+//! field over its slope along the slope, some times over; what it reaches is on the surface to first order, so the way to it
+//! is hardly less than the truth, and never less than the bound.
+//!
+//! A distance evaluates every leaf, a ray only those of the parts that it meets. Beyond [`DISTANCES_UP_TO`] leaves cones are
+//! asked by thin rays.
+
+use super::super::field::{Field, FieldHit, FieldRay, Look};
+use crate::csg::Solid;
+use crate::csg::draw::{DrawMethod, tracer};
+use crate::csg::model::Model;
+use crate::csg::program::Stack;
+use crate::csg::solid::slope;
+use crate::csg::trace::{LocalRay, Tracer, Work};
+use crate::error::Error;
+use glam::{DAffine3, DVec3, Vec3};
+use std::cell::RefCell;
+use std::sync::Arc;
+
+/// Field units of a local unit. Rays that leave the surface start half a unit off it, some of the tracer's shortest steps.
+pub const UNITS: f32 = 1024.0;
+
+/// Leaves from which on a ray through the parts costs less than the distances along it.
+const DISTANCES_UP_TO: usize = 48;
+
+/// Walks to the surface, each of them first order.
+const GUESSES: u32 = 3;
+
+/// Half the step of a slope's differences in float64, local units.
+const SLOPE_STEP: f64 = 1e-5;
+
+/// A hit whose field is below this, local units, is no root: the ray began in a box that the octree left out as all matter.
+const DEEP: f32 = 1e-4;
+
+self_cell::self_cell!(
+    /// A solid and the parts that its rays walk through.
+    struct Parts {
+        owner: Arc<Solid>,
+        #[covariant]
+        dependent: Tracer,
+    }
+);
+
+/// A shape, ready for the rays of a scene.
+pub struct ShapeField {
+    parts: Parts,
+    /// Lower and upper corner of the surface's box, field space.
+    surface: [Vec3; 2],
+    inverse_lipschitz: f32,
+    leaves: usize,
+}
+
+/// What a thread keeps between calls.
+#[derive(Default)]
+struct Scratch {
+    march: Stack<f32, 1>,
+    slope: Stack<f64, 6>,
+}
+
+thread_local! {
+    static SCRATCH: RefCell<Scratch> = RefCell::default();
+}
+
+impl ShapeField {
+    /// Fails for a shape without bounds, naming the leaf.
+    pub fn new(solid: Arc<Solid>) -> Result<Self, Error> {
+        let parts = Parts::try_new(solid, |solid| tracer(solid, DrawMethod::Auto))?;
+        let tracer = parts.borrow_dependent();
+        let [lower, upper] = tracer.bounds.map(|corner| UNITS * corner);
+        let model = &tracer.solid.model;
+        let inverse_lipschitz = (1.0 / model.lipschitz) as f32;
+        let leaves = Model::leaf_count(&model.tokens);
+        // A ray enters a unit before the boxes, so that where it enters those is up to the tracer.
+        Ok(Self { surface: [lower - 1.0, upper + 1.0], inverse_lipschitz, leaves, parts })
+    }
+
+    /// The parts that rays walk through.
+    pub fn tracer(&self) -> &Tracer<'_> {
+        self.parts.borrow_dependent()
+    }
+
+    fn solid(&self) -> &Solid {
+        self.parts.borrow_owner()
+    }
+
+    /// The field of the whole, local units.
+    fn value(&self, p_local: Vec3) -> f32 {
+        let at = p_local.to_array().map(|x| [x]);
+        let solid = self.solid();
+        SCRATCH.with_borrow_mut(|scratch| solid.program.run(&solid.model.tokens, &at, &mut scratch.march)[0])
+    }
+
+    fn slope(&self, p_local: DVec3) -> DVec3 {
+        let solid = self.solid();
+        SCRATCH.with_borrow_mut(|scratch| {
+            slope(solid.precise(), &solid.model.tokens, p_local, SLOPE_STEP, &mut scratch.slope)
+        })
+    }
+}
+
+impl Field for ShapeField {
+    fn field_from_local(&self) -> DAffine3 {
+        let frame = self.solid().frame;
+        DAffine3::from_scale(DVec3::splat(f64::from(UNITS) / frame.scale)) * DAffine3::from_translation(-frame.center)
+    }
+
+    fn bounds(&self) -> [Vec3; 2] {
+        self.surface
+    }
+
+    fn surface_bounds(&self) -> [Vec3; 2] {
+        self.surface
+    }
+
+    fn voxel(&self) -> f64 {
+        self.solid().frame.scale / f64::from(UNITS)
+    }
+
+    fn first_hit(&self, ray: &FieldRay, t_max: f32) -> (Option<FieldHit>, u32) {
+        let units_per_t = ray.direction.length();
+        let per_t = units_per_t / UNITS;
+        let local =
+            LocalRay { origin: ray.origin / UNITS, direction: ray.direction / units_per_t, t_max: t_max * per_t };
+        let tracer = self.tracer();
+        let mut work = Work::default();
+        let found = SCRATCH.with_borrow_mut(|scratch| {
+            let hit = tracer.first_hit(&local, &mut scratch.march, &mut work)?;
+            let at = (local.origin + hit.t * local.direction).to_array().map(|x| [x]);
+            let tokens = &tracer.programs[hit.part as usize].tokens;
+            let value = tracer.solid.program.run(tokens, &at, &mut scratch.march)[0];
+            Some((hit, value < -DEEP))
+        });
+        let hit = found.map(|(hit, is_inside)| FieldHit {
+            t: if is_inside { 0.0 } else { hit.t / per_t },
+            at_start: is_inside,
+            part: hit.part,
+        });
+        (hit, work.steps)
+    }
+
+    fn distance(&self, p: Vec3) -> f32 {
+        self.value(p / UNITS) * self.inverse_lipschitz * self.solid().frame.scale as f32
+    }
+
+    fn distance_guess(&self, p: Vec3) -> f32 {
+        let bound = self.distance(p);
+        if self.solid().model.is_exact || bound <= 0.0 {
+            return bound;
+        }
+        let start = (p / UNITS).as_dvec3();
+        let mut q = start;
+        for _ in 0..GUESSES {
+            let slope = self.slope(q);
+            let steepness = slope.length_squared();
+            if steepness == 0.0 {
+                break;
+            }
+            q -= f64::from(self.value(q.as_vec3())) / steepness * slope;
+        }
+        bound.max((q.distance(start) * self.solid().frame.scale) as f32)
+    }
+
+    fn gradient(&self, p: Vec3) -> Vec3 {
+        self.slope((p / UNITS).as_dvec3()).normalize_or_zero().as_vec3()
+    }
+
+    fn look(&self, p: Vec3, hit: &FieldHit, _: Vec3) -> Look {
+        let p = p / UNITS;
+        let tracer = self.tracer();
+        let normal = SCRATCH.with_borrow_mut(|scratch| tracer.normal(p, hit.part, &mut scratch.slope));
+        Look { normal: normal.unwrap_or_default(), color: tracer.color(p, hit.part) }
+    }
+
+    fn prefers_rays(&self) -> bool {
+        self.leaves > DISTANCES_UP_TO
+    }
+}

@@ -1,0 +1,69 @@
+//! A sparse field in a scene: its own bricks, read in place.
+
+use super::super::field::{AsDense, DenseField, SampledField};
+use crate::error::Error;
+use crate::grid::Grid;
+use crate::progress::Progress;
+use crate::render::blocks::Blocks;
+use crate::render::bricks::MaskedBricks;
+use crate::volume::sparse::SparseField;
+use crate::volume::{Cell, Trilinear};
+use glam::{DVec3, IVec3};
+
+self_cell::self_cell!(
+    struct Owned {
+        owner: SparseField<f32>,
+        #[covariant]
+        dependent: Bricks,
+    }
+);
+
+type Bricks<'a> = MaskedBricks<'a, f32>;
+
+/// A sparse field and what rays need of it.
+pub struct SparseBricks(Owned);
+
+impl SparseBricks {
+    pub fn new(field: SparseField<f32>, progress: &Progress) -> Result<Self, Error> {
+        Ok(Self(Owned::try_new(field, |field| MaskedBricks::new(field.view()?, progress))?))
+    }
+
+    fn bricks(&self) -> &Bricks<'_> {
+        self.0.borrow_dependent()
+    }
+}
+
+impl Trilinear for SparseBricks {
+    fn grid(&self) -> &Grid {
+        self.bricks().grid()
+    }
+
+    #[inline]
+    fn cell(&self, index: IVec3) -> Cell {
+        self.bricks().cell(index)
+    }
+
+    fn distance_bound(&self, p: DVec3, inner: [DVec3; 2]) -> f32 {
+        self.bricks().distance_bound(p, inner)
+    }
+}
+
+impl Blocks for SparseBricks {
+    const SIDE: i32 = <Bricks<'static> as Blocks>::SIDE;
+    type Block<'b> = <Bricks<'b> as Blocks>::Block<'b>;
+
+    fn occupied(&self, progress: &Progress) -> Result<Vec<bool>, Error> {
+        self.bricks().occupied(progress)
+    }
+
+    #[inline]
+    fn block(&self, index: [i32; 3]) -> <Bricks<'_> as Blocks>::Block<'_> {
+        self.bricks().block(index)
+    }
+}
+
+impl AsDense for SparseBricks {
+    fn as_dense(_: &SampledField<Self>) -> Option<&SampledField<DenseField>> {
+        None
+    }
+}
