@@ -18,6 +18,7 @@
 //! To let another kind of thing cast shadows, implement [`field::Field`].
 
 pub mod article;
+pub mod cone;
 pub mod far;
 pub mod field;
 pub mod gpu;

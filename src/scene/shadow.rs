@@ -6,7 +6,7 @@
 //! [`crate::render::march`], so no epsilon and no step count decides. Translucent instances take their share.
 //!
 //! *Soft.* Seen from the surface a light is a disc of angular radius `w`. Matter whose edge passes the disc's centre at
-//! the signed angle `x w` leaves [`visible_share`] of it, if that edge is straight over the disc: the share of a disc
+//! the signed angle `x w` leaves [`super::cone::visible_share`] of it, if that edge is straight over the disc: the share of a disc
 //! on one side of a chord, in full light from x = 1, dark from x = -1, and one half on the hard edge. The least
 //! `d / (w t)` along the ray is that x (Aaltonen, GDC 2018, after Quilez; ours takes a fraction of `d` as step where matter
 //! is near, in place of his guess between two steps).
@@ -23,9 +23,10 @@
 //! starts so many voxels off the surface. Nothing is in world units, so scale does not matter; other instances touch the
 //! surface without a gap.
 
+use super::cone::{Cone, ConeShare, ConeSum, ConeWalk, MAX_CONE_STEPS};
 use super::far::{Far, FarLevel, Split};
 use super::field::{Field, FieldRay};
-use super::thin::{ThinRays, is_clear};
+use super::thin::is_clear;
 use super::tree::Line;
 use super::{Instance, Scene};
 use crate::geometry::Aabb;
@@ -53,42 +54,6 @@ pub struct Ray {
 
 /// Cones that share a light's disc where one is not enough.
 pub const PARTS: u32 = 16;
-
-/// How far past an edge the ray goes that is to prove it, in depths.
-const PAST_EDGE: f32 = 1.25;
-
-/// Steps of one cone past one instance. Steps of half a voxel at least cross the diagonal of 128^3 in 450; few cones stay
-/// so near for so long.
-pub const MAX_CONE_STEPS: u32 = 512;
-
-/// What a cone met.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Cone {
-    /// Signed distance of the nearest edge from the axis in radii, from -1 to 1.
-    pub x: f32,
-    /// The whole section of the cone was inside matter somewhere.
-    pub is_covered: bool,
-}
-
-impl Cone {
-    pub const FREE: Self = Self { x: 1.0, is_covered: false };
-}
-
-/// Room for the rounding of an edge's place, in radii.
-const RIM_ROUNDING: f32 = 1e-5;
-
-/// The share of a disc that is seen when an edge passes at `x` radii from its centre, negative where it is covered.
-///
-/// `1/2 + (asin x + x sqrt(1 - x^2)) / pi` by its series, the last term chosen so that 1 gives 1: within 0.004.
-pub fn visible_share(x: f32) -> f32 {
-    // An edge that rounding has put a little inside the rim is at the rim: dark is exactly 0, lit exactly 1.
-    let x = ((1.0 + RIM_ROUNDING) * x).clamp(-1.0, 1.0);
-    if x.abs() == 1.0 {
-        return 0.5 + 0.5 * x;
-    }
-    let s = x * x;
-    0.5 + x * (std::f32::consts::FRAC_2_PI - s * (0.106_10 + s * (0.015_92 + s * 0.014_60)))
-}
 
 /// Two unit vectors at right angles to a unit vector and to each other (Duff et al., *Building an orthonormal basis,
 /// revisited*, JCGT 6(1), 2017).
@@ -486,156 +451,12 @@ pub fn widest(place: &Place, ray: &Ray, slope: f32, bounds: &Aabb) -> f32 {
     f64::from(slope / (1.0 - slope.min(0.9)) * far).min(f64::from(slope) * ray.t_max) as f32
 }
 
-/// What a cone to a light found.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ConeShare {
-    pub share: f32,
-    pub is_proven: bool,
-}
-
-/// What a cone met so far.
-struct ConeSum {
-    /// Share that translucent instances leave.
-    translucent: f32,
-    /// They leave nothing open.
-    is_proven: bool,
-    /// The nearest edge of the opaque ones.
-    opaque: Cone,
-    /// What those let pass that are asked by rays.
-    thin: ThinRays,
-}
-
-impl ConeSum {
-    const NEW: Self = Self { translucent: 1.0, is_proven: true, opaque: Cone::FREE, thin: ThinRays::NEW };
-
-    /// How close to the axis another instance must come, in radii, to change the sum.
-    fn x_known(&self, instance: &Instance) -> f32 {
-        if instance.is_opaque_solid() { self.opaque.x } else { 1.0 }
-    }
-
-    /// Take in what the cone met of one more.
-    fn add(&mut self, instance: &Instance, cone: Cone) {
-        if instance.shade < 1.0 {
-            self.translucent *= 1.0 - instance.shade * (1.0 - visible_share(cone.x));
-            self.is_proven &= cone.is_covered || cone.x >= 1.0;
-        } else {
-            self.opaque.x = self.opaque.x.min(cone.x);
-            self.opaque.is_covered |= cone.is_covered;
-        }
-    }
-
-    fn share(&self) -> ConeShare {
-        if self.opaque.is_covered {
-            return ConeShare { share: 0.0, is_proven: true };
-        }
-        ConeShare {
-            share: self.translucent * visible_share(self.opaque.x) * self.thin.share(),
-            is_proven: self.is_proven && self.opaque.x >= 1.0 && !self.thin.is_asked,
-        }
-    }
-}
-
 /// The ray to another point of the disc; `offset` in radii.
 pub fn toward(ray: &Ray, [right, up]: [DVec3; 2], slope: f32, offset: Vec2) -> Ray {
     let aside = f64::from(slope * offset.x) * right + f64::from(slope * offset.y) * up;
     let direction = ray.direction + aside;
     let length = direction.length();
     Ray { direction: direction / length, t_max: ray.t_max * length }
-}
-
-/// One cone past one instance, in its field space.
-struct ConeWalk<'a> {
-    field: &'a dyn Field,
-    instance: &'a super::Instance,
-    start: Vec3,
-    direction: Vec3,
-    ray_scene: Vec3,
-    enter: f32,
-    leave: f32,
-    slope: f32,
-    /// Scene units that a ray may go for one local unit of distance.
-    pace: f32,
-    /// Half a voxel, scene units.
-    least_step: f32,
-}
-
-impl ConeWalk<'_> {
-    fn at(&self, t: f32) -> Vec3 {
-        self.start + (t - self.enter) * self.direction
-    }
-
-    /// Scene distance across of a local distance at a point.
-    fn across(&self, distance: f32, p: Vec3) -> f32 {
-        if self.instance.is_uniform() {
-            return distance * self.instance.stretch[0];
-        }
-        // The plane through the nearest point: its scene normal is L^T of the local one.
-        let normal = self.instance.local_from_scene.transpose() * self.field.gradient(p);
-        let length = normal.length();
-        if length > 0.0 { distance / length } else { distance * self.instance.stretch[0] }
-    }
-
-    /// The axis is free: the least clearance in radii, at most `x_known`.
-    fn beside(&self, x_known: f32, steps: &mut u32) -> f32 {
-        let mut x = x_known;
-        let mut t = self.enter;
-        for _ in 0..MAX_CONE_STEPS {
-            *steps += 1;
-            let p = self.at(t);
-            let radius = self.slope * t;
-            let distance = self.field.distance(p);
-            if distance * self.instance.stretch[0] < x * radius {
-                let clear = self.across(self.field.distance_guess(p).max(0.0), p);
-                x = x.min(clear / radius);
-            }
-            // Where matter is near, half steps find the closest approach to 3 %.
-            let step = distance * self.pace;
-            let step = if step < 2.0 * radius { 0.5 * step } else { step };
-            t += step.max(self.least_step);
-            if t >= self.leave {
-                break;
-            }
-        }
-        x
-    }
-
-    /// The axis enters matter at `t_hit`: how deep it gets, in radii, and the offset of a unit direction that would pass the
-    /// nearest edge, if that is near enough.
-    fn inside(&self, t_hit: f32, steps: &mut u32) -> (Cone, Option<Vec3>) {
-        let dark = Cone { x: -1.0, is_covered: false };
-        let mut deepest = (0.0f32, t_hit);
-        // Just past the surface, where the field is below zero.
-        let mut t = t_hit + 0.5 * self.least_step;
-        for _ in 0..MAX_CONE_STEPS {
-            *steps += 1;
-            let p = self.at(t);
-            let distance = self.field.distance(p);
-            if distance >= 0.0 {
-                break;
-            }
-            let x = self.across(distance, p) / (self.slope * t);
-            if x <= -1.0 {
-                return (Cone { x: -1.0, is_covered: true }, None);
-            }
-            if x < deepest.0 {
-                deepest = (x, t);
-            }
-            t += (-0.5 * distance * self.pace).max(self.least_step);
-            if t >= self.leave {
-                break;
-            }
-        }
-        // The nearest surface across the ray, and a ray just past it.
-        let (x, t) = deepest;
-        let p = self.at(t);
-        let normal = self.instance.local_from_scene.transpose() * self.field.gradient(p);
-        let across = normal - normal.dot(self.ray_scene) * self.ray_scene;
-        let Some(across) = across.try_normalize() else { return (dark, None) };
-        let past =
-            PAST_EDGE * -x * self.slope + self.least_step * self.instance.stretch[1] / self.instance.stretch[0] / t;
-        let edge = (past <= 2.0 * self.slope).then_some(past * across);
-        (Cone { x, is_covered: false }, edge)
-    }
 }
 
 /// The part of `origin + t direction` in a box, with `t` from `t_min` to `t_max`.

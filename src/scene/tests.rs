@@ -1,6 +1,7 @@
 //! What the scene's passes are built from, against closed forms.
 
-use super::shadow::{basis, disc_point, visible_share};
+use super::cone::visible_share;
+use super::shadow::{basis, disc_point};
 use super::*;
 use proptest::prelude::*;
 
