@@ -44,13 +44,13 @@ def test_the_hard_shadow_of_a_sphere_is_the_closed_form(scale: float) -> None:
     assert (frame.shadow[cap] == 1).all()
 
 
-@pytest.mark.parametrize("angle_deg", [2.0, 6.0, 15.0])
-def test_penumbrae_are_as_wide_as_the_light_is_large(angle_deg: float) -> None:
+@pytest.mark.parametrize(("angle_deg", "scale"), [(2.0, 1.0), (6.0, 1.0), (15.0, 1.0), (6.0, 0.01), (6.0, 100.0)])
+def test_penumbrae_are_as_wide_as_the_light_is_large(angle_deg: float, scale: float) -> None:
     light = fb.DirectionalLight(SUN, angle_deg=angle_deg)
-    soft, camera = over_plane(light, "soft")
-    area, _ = over_plane(light, "area")
+    soft, camera = over_plane(light, "soft", scale)
+    area, _ = over_plane(light, "area", scale)
     on_plane = soft.object_id == 1
-    p = positions(soft, camera)
+    p = positions(soft, camera) / scale
     to_light = -np.array(SUN) / np.linalg.norm(SUN)
     center = np.array([0, 0.6, 0])
     rmse = np.sqrt(((soft.shadow - area.shadow)[on_plane] ** 2).mean())
@@ -499,3 +499,28 @@ def test_depth_and_silhouette_are_pyrenders(name: str, model_path) -> None:
     both = np.isfinite(marched.depth) & seen
     close = np.abs(marched.depth[both] - theirs[both]) < 1.5 * 1.1 * size / 128
     assert close.mean() > 0.98
+
+
+def test_object_ids_are_pyrenders() -> None:
+    pyrender = pytest.importorskip("pyrender")
+    things = [
+        (meshes.icosphere(3), moved(x=-0.9)),
+        (meshes.icosphere(2), moved(x=0.6, z=-0.5, scale=(1.2, 0.7, 0.4), turn=0.6)),
+        ((plane().vertices, plane().faces), np.eye(4)),
+    ]
+    camera = fb.Camera((1.0, 3.0, 5.0), (0.0, -0.3, 0.0), fov_deg=45)
+    scene = pyrender.Scene()
+    colors = {}
+    for i, ((vertices, faces), transform) in enumerate(things):
+        mesh = pyrender.Mesh.from_trimesh(fb.Mesh(vertices, faces).to_trimesh(), smooth=False)
+        colors[scene.add(mesh, pose=transform)] = (i + 1, 0, 0)
+    scene.add(pyrender.PerspectiveCamera(np.radians(45), znear=0.1, zfar=50.0), pose=camera.pose)
+    renderer = pyrender.OffscreenRenderer(256, 256)
+    try:
+        theirs, _ = renderer.render(scene, flags=pyrender.RenderFlags.SEG, seg_node_map=colors)
+    finally:
+        renderer.delete()
+    instances = [fb.Instance(fb.Mesh(*mesh), transform) for mesh, transform in things]
+    ours = fb.render(fb.Scene(instances), camera, size=(256, 256), shadows="none", device="cpu")
+    assert (ours.object_id == theirs[..., 0].astype(int) - 1).mean() > 0.998
+    assert set(np.unique(ours.object_id)) == {-1, 0, 1, 2}
