@@ -73,8 +73,7 @@ pub fn signed_distances(
     progress: &Progress,
 ) -> Result<Vec<f32>, Error> {
     check_points(mesh, points)?;
-    mesh.bvh();
-    let choice = SignChoice::new(mesh, method);
+    let (_, choice) = rayon::join(|| mesh.bvh(), || SignChoice::new(mesh, method));
     choice.rule.prepare(mesh);
     let answers = answer_in_order(place, mesh, points, progress, |walk, p, row| {
         let closest = walk.closest_point(p, row);
