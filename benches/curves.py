@@ -91,6 +91,7 @@ def draw(curves: dict[str, list[dict[str, float]]], path: Path) -> None:
             xlabel="voxels a side" if name == "resolution" else name, ylabel="seconds", title=f"cost against {name}"
         )
         axis.set_xticks(x, [f"{value:,.0f}" for value in x])
+        axis.set_yticks(y, [f"{value:.2g}" for value in y])
         axis.minorticks_off()
         axis.grid(alpha=0.3)
     figure.savefig(path, dpi=110)
