@@ -39,8 +39,9 @@ CHECKED = 50_000
 CHECKED_TIMES_FACES = 6e9
 #: Voxels on both sides of the surface, for tools that find a band only.
 BAND = 3
-#: trimesh needs about 0.2 ms a point.
+#: trimesh needs about 0.2 ms a point, and minutes for the tree of a mesh with more faces than this.
 TRIMESH_POINTS = 1_000
+TRIMESH_FACES = 200_000
 
 
 @dataclass
@@ -308,6 +309,8 @@ def measure(case: Case, runs: dict[str, Run], repetitions: int) -> list[dict[str
     if case.random_points:
         # A band is a matter of grids; trimesh takes a fifth of a millisecond a point.
         runs = {name: run for name, run in runs.items() if "band" not in name and name != "trimesh"}
+    if len(case.faces) > TRIMESH_FACES:
+        runs = {name: run for name, run in runs.items() if name != "trimesh"}
     values: dict[str, np.ndarray] = {}
     seconds: dict[str, list[float]] = {name: [] for name in runs}
     cpu: dict[str, list[float]] = {name: [] for name in runs}
