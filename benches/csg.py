@@ -1,6 +1,6 @@
 """Decomposed drawing against marching the whole tree: field evaluations a pixel and time, on the same pictures.
 
-    python benches/csg.py [--size 128] [--repeats 5]
+    python benches/csg.py [--size 128] [--repeats 5] [--device cpu]
 
 Each row is one model; the two ways are interleaved, and the best of some runs counts. "evaluations" are
 evaluations of a primitive's field by the rays of the pixels, over the pixels of the picture.
@@ -69,6 +69,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--size", type=int, default=128, help="pixels along a side")
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--device", default="cpu", help="cpu, gpu, or the name of a device")
     options = parser.parse_args()
     size = (options.size, options.size)
     models = [("the article, 3 leaves", fb.csg.parse(ARTICLE))]
@@ -84,7 +85,7 @@ def main() -> None:
         for _ in range(options.repeats):
             for method in ("whole", "auto"):
                 start = time.perf_counter()
-                frame = fb.raymarch(shape, camera, size=size, method=method, device="cpu")
+                frame = fb.raymarch(shape, camera, size=size, method=method, device=options.device)
                 seconds = min(time.perf_counter() - start, rows.get(method, (np.inf,))[0])
                 rows[method] = seconds, frame.report["leaf_evaluations"] / (size[0] * size[1])
         (slow, many), (fast, few) = rows["whole"], rows["auto"]
