@@ -116,7 +116,7 @@ def fidget_library() -> ctypes.CDLL:
 class Fidget:
     def __init__(self, library: ctypes.CDLL, count: int) -> None:
         text = fidget_text(count).encode()
-        self.library = library
+        self.fidget = library
         self.shape = ctypes.c_void_p(library.fidget_open(text, len(text)))
         if not self.shape:
             raise RuntimeError("fidget refuses the tree")
@@ -127,7 +127,7 @@ class Fidget:
         # Column by column; half a pixel, from the corners of the pixels to their middles.
         matrix[3, :2] = REACH / side
         found = np.zeros((side, side), np.uint32)
-        self.library.fidget_draw(self.shape, matrix.ctypes, side, found.ctypes)
+        self.fidget.fidget_draw(self.shape, matrix.ctypes, side, found.ctypes)
         return np.where(found > 0, 2 * REACH * (1 - found / side), np.inf)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from . import _checks
 from .report import Report
 
 
-class Boxed:
+class Boxed(ABC):
     """A field on a grid over a box. Immutable."""
 
     __slots__ = ("_bounds", "_inner_bounds", "_report")
@@ -37,9 +38,9 @@ class Boxed:
         return self._inner_bounds
 
     @property
+    @abstractmethod
     def resolution(self) -> tuple[int, int, int]:
         """Voxels along x, y and z."""
-        raise NotImplementedError
 
     @property
     def spacing(self) -> NDArray[np.float64]:
