@@ -117,3 +117,9 @@ def _texture(value: Any) -> NDArray[np.uint8]:
     if pixels.shape[2] == 3:
         pixels = np.dstack([pixels, np.full(pixels.shape[:2], 255, dtype=np.uint8)])
     return _checks.frozen(np.array(pixels))
+
+
+def scattering_rgb(material: Material) -> tuple[float, float, float]:
+    """How far each colour of light goes inside, world units."""
+    r, g, b = np.broadcast_to(np.asarray(material.scattering, dtype=np.float64), 3).tolist()
+    return r, g, b

@@ -181,7 +181,8 @@ impl Drop for Coat {
     }
 }
 
-/// A shape in postfix form.
+/// A shape in postfix form. [`Model::new`] alone makes the tokens, from a tree that cannot lack an operand, so whoever walks
+/// them finds what each one takes on its stack; a part of them is cut out whole, operator with operands.
 #[derive(Debug, Clone)]
 pub struct Model {
     pub tokens: Vec<Token>,
