@@ -44,7 +44,7 @@ struct CsgPixel {
     tokens: u32,
 }
 
-@group(0) @binding(0) var<uniform> params: CsgDrawParams;
+@group(0) @binding(0) var<storage, read> params: CsgDrawParams;
 @group(0) @binding(4) var<storage, read> boxes: array<CsgBox>;
 // The way each light travels, unit.
 @group(0) @binding(5) var<storage, read> lights: array<vec4f>;

@@ -32,7 +32,7 @@ struct QuadricPixel {
     pad_0: u32,
 }
 
-@group(0) @binding(0) var<uniform> params: QuadricParams;
+@group(0) @binding(0) var<storage, read> params: QuadricParams;
 @group(0) @binding(1) var records: texture_2d<f32>;
 @group(0) @binding(2) var<storage, read> lights: array<Light>;
 @group(0) @binding(3) var<storage, read_write> pixels: array<QuadricPixel>;

@@ -57,7 +57,7 @@ struct Pixel {
     pad_1: u32,
 }
 
-@group(0) @binding(0) var<uniform> params: MarchParams;
+@group(0) @binding(0) var<storage, read> params: MarchParams;
 @group(0) @binding(2) var<storage, read> lights: array<Light>;
 @group(0) @binding(3) var<storage, read_write> pixels: array<Pixel>;
 // Share of each light that arrives, `light_count` a pixel.

@@ -263,7 +263,7 @@ pub(super) fn draw(view: &View<'_>, context: &Arc<Context>, progress: &Progress)
     let mut params = params(view, start_depth);
     let lights: Vec<[f32; 4]> =
         view.lights.iter().map(|light| [light.direction.x, light.direction.y, light.direction.z, 0.0]).collect();
-    let uniform = context.uniform("picture parameters", &params)?;
+    let uniform = context.parameters("picture parameters", &params)?;
     let box_buffer = context.upload("boxes of a shape", &boxes)?;
     let light_buffer = context.upload("lights", &lights)?;
     let pixels = context.storage("a picture", (pixel_count * size_of::<CsgPixel>()) as u64)?;

@@ -67,6 +67,14 @@ impl Context {
         Ok(buffer)
     }
 
+    /// A storage buffer with what is the same for all invocations of a dispatch. Not a uniform buffer: Mesa's llvmpipe
+    /// optimises a kernel anew for every value that its branches take from one, some 25 ms a dispatch for a long kernel.
+    pub fn parameters<T: Pod>(&self, label: &str, value: &T) -> Result<wgpu::Buffer, DeviceError> {
+        let buffer = self.storage(label, size_of::<T>() as u64)?;
+        self.write(label, &buffer, 0, std::slice::from_ref(value))?;
+        Ok(buffer)
+    }
+
     /// A storage buffer that holds `items`; one zeroed item if there are none, since an empty buffer cannot be bound.
     pub fn upload<T: Pod>(&self, label: &str, items: &[T]) -> Result<wgpu::Buffer, DeviceError> {
         let bytes = size_of_val(items).max(size_of::<T>()) as u64;

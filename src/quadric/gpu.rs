@@ -63,7 +63,7 @@ pub(super) fn draw(context: &Context, view: &View<'_>, progress: &Progress) -> R
         .iter()
         .map(|light| Light { direction: light.direction.to_array(), color: light.color.to_array(), ..Light::default() })
         .collect();
-    let uniform = context.uniform("picture parameters", &params)?;
+    let uniform = context.parameters("picture parameters", &params)?;
     let light_buffer = context.upload("lights", &light_rows)?;
     let pixels = context.storage("a picture", (pixel_count * size_of::<QuadricPixel>()) as u64)?;
     let shares = context.storage("light shares", (4 * pixel_count * lights.len().max(1)) as u64)?;

@@ -44,7 +44,7 @@ pub(super) fn raymarch(
         .iter()
         .map(|light| Light { direction: light.direction.to_array(), color: light.color.to_array(), ..Light::default() })
         .collect();
-    let uniform = context.uniform("picture parameters", &params)?;
+    let uniform = context.parameters("picture parameters", &params)?;
     let light_buffer = context.upload("lights", &light_rows)?;
     // In bands of rows, each in a buffer that the device can bind.
     let share_bytes = 4 * lights.len().max(1) as u64;
