@@ -2,6 +2,7 @@
 // parts front to back. Twin of src/csg/trace.rs; colours are made from this on the CPU (src/csg/gpu.rs).
 
 #import csg_chord
+#import csg_needs
 #import csg_part
 #import picture_rays
 
@@ -56,16 +57,25 @@ const MIN_STEP: f32 = 3e-5;
 const MAX_STEPS: u32 = 4096u;
 const MAX_ROOT_STEPS: u32 = 32u;
 const ROOT_WIDTH: f32 = 1.2e-7;
-const NORMAL_STEP: f32 = 5e-4;
+// Half the step of the differences of a part's field.
+const NORMAL_STEP: f32 = 1e-4;
 const SHADOW_BIAS: f32 = 1e-3;
 // Longer than any way through the model, and still far from overflow.
 const FAR_T: f32 = 1e6;
 const MAX_WAITING: u32 = 64u;
 const MAX_LIGHTS: u32 = 64u;
+// A way along an axis that a ray does not move on is divided by this: it goes up by next to nothing.
+const STILL: f32 = 1e-30;
+const NO_BOX: u32 = 0xffffffffu;
+
+// How rays meet a part: these two in closed form, the others by marching its field.
+const FORM_UNION: u32 = 1u;
+const FORM_CHORDS: u32 = 2u;
 
 struct Ray {
     origin: vec3f,
     direction: vec3f,
+    inverse: vec3f,
 }
 
 struct Hit {
@@ -87,29 +97,27 @@ fn field_at(p: vec3f, cell: u32) -> f32 {
     return part_distance(p, boxes[cell].form, boxes[cell].first, boxes[cell].count, boxes[cell].parameters);
 }
 
+fn is_closed(form: u32) -> bool {
+    return HAS_CHORDS && (!MARCHES || form == FORM_UNION || form == FORM_CHORDS);
+}
+
+fn ray_along(origin: vec3f, direction: vec3f) -> Ray {
+    return Ray(origin, direction, 1.0 / select(direction, vec3f(STILL), abs(direction) < vec3f(STILL)));
+}
+
 // Where a ray is in a box, as (in, out); in >= out where it misses. A ray along a face is in the box above it.
 fn span(ray: Ray, cell: u32, t_max: f32) -> vec2f {
-    let lower = boxes[cell].lower;
-    let upper = boxes[cell].upper;
-    var t = vec2f(0.0, t_max);
-    for (var axis = 0u; axis < 3u; axis++) {
-        let direction = ray.direction[axis];
-        if direction == 0.0 {
-            if ray.origin[axis] < lower[axis] || ray.origin[axis] >= upper[axis] { return vec2f(1.0, 0.0); }
-            continue;
-        }
-        let inverse = 1.0 / direction;
-        let a = (lower[axis] - ray.origin[axis]) * inverse;
-        let b = (upper[axis] - ray.origin[axis]) * inverse;
-        t = vec2f(max(t.x, min(a, b)), min(t.y, max(a, b)));
-    }
-    return t;
+    let a = (boxes[cell].lower - ray.origin) * ray.inverse;
+    let b = (boxes[cell].upper - ray.origin) * ray.inverse;
+    let low = min(a, b);
+    let high = max(a, b);
+    return vec2f(max(max(low.x, low.y), max(low.z, 0.0)), min(min(high.x, high.y), min(high.z, t_max)));
 }
 
 // The first place in a box on [t_in, t_out) where the ray is inside its part, or -1.
 fn first_root(ray: Ray, cell: u32, t_in: f32, t_out: f32) -> f32 {
     let form = boxes[cell].form;
-    if form != FORM_UNION && form != FORM_CHORDS { return march(ray, cell, t_in, t_out); }
+    if !is_closed(form) { return march(ray, cell, t_in, t_out); }
     steps++;
     evaluated += boxes[cell].count;
     let is_union = form == FORM_UNION;
@@ -169,6 +177,7 @@ fn march(ray: Ray, cell: u32, t_in: f32, t_out: f32) -> f32 {
 
 fn trace(ray: Ray, any: bool) -> Hit {
     var best = Hit(FAR_T, 0u, false);
+    // Nodes and boxes, the nearest of those that came last on top.
     var waiting: array<u32, MAX_WAITING>;
     var waiting_t: array<f32, MAX_WAITING>;
     var count = 0u;
@@ -179,75 +188,62 @@ fn trace(ray: Ray, any: bool) -> Hit {
         count = 1u;
     }
     while count > 0u && has_rounds() {
-        rounds++;
-        count--;
-        let node = waiting[count];
-        if waiting_t[count] >= best.t { continue; }
-        let first = boxes[node].first;
-        if node < params.node_count && boxes[node].count > 0u {
-            // The few boxes of a leaf wait like nodes, so that the nearest comes first.
-            for (var i = 0u; i < boxes[node].count && count < MAX_WAITING; i++) {
+        // Down the tree to a box. What is dear comes after this loop, and not once a node.
+        var cell = NO_BOX;
+        while count > 0u && cell == NO_BOX && has_rounds() {
+            rounds++;
+            count--;
+            let node = waiting[count];
+            if waiting_t[count] >= best.t { continue; }
+            if node >= params.node_count {
+                cell = node;
+                continue;
+            }
+            // Two nodes, or the few boxes of a leaf.
+            let few = boxes[node].count;
+            let first = boxes[node].first + select(params.node_count, 0u, few == 0u);
+            let bottom = count;
+            for (var i = 0u; i < select(few, 2u, few == 0u) && count < MAX_WAITING; i++) {
                 rounds++;
-                let cell = params.node_count + first + i;
-                let t = span(ray, cell, best.t);
+                let t = span(ray, first + i, best.t);
                 if t.x >= t.y { continue; }
-                // Into its place: the nearest on top.
+                // Into its place among these.
                 var place = count;
-                while place > 0u && waiting[place - 1u] >= params.node_count && waiting_t[place - 1u] < t.x {
+                while place > bottom && waiting_t[place - 1u] < t.x {
                     rounds++;
                     waiting[place] = waiting[place - 1u];
                     waiting_t[place] = waiting_t[place - 1u];
                     place--;
                 }
-                waiting[place] = cell;
+                waiting[place] = first + i;
                 waiting_t[place] = t.x;
                 count++;
             }
-        } else if node >= params.node_count {
-            let t = span(ray, node, best.t);
-            if t.x >= t.y { continue; }
-            let found = first_root(ray, node, t.x, t.y);
-            if found >= 0.0 && found < best.t {
-                best = Hit(found, node - params.node_count, true);
-                if any { return best; }
-            }
-        } else if count + 2u <= MAX_WAITING {
-            let left = span(ray, first, best.t);
-            let right = span(ray, first + 1u, best.t);
-            let is_right_near = right.x < left.x;
-            let near = select(first, first + 1u, is_right_near);
-            let far = select(first + 1u, first, is_right_near);
-            let near_span = select(left, right, is_right_near);
-            let far_span = select(right, left, is_right_near);
-            if far_span.x < far_span.y {
-                waiting[count] = far;
-                waiting_t[count] = far_span.x;
-                count++;
-            }
-            if near_span.x < near_span.y {
-                waiting[count] = near;
-                waiting_t[count] = near_span.x;
-                count++;
-            }
+        }
+        if cell == NO_BOX { break; }
+        let t = span(ray, cell, best.t);
+        let found = first_root(ray, cell, t.x, t.y);
+        if found >= 0.0 && found < best.t {
+            best = Hit(found, cell - params.node_count, true);
+            if any { return best; }
         }
     }
     return best;
 }
 
-// Unit normal by differences on a tetrahedron; `fallback` where the field has no slope.
-fn surface_normal(p: vec3f, cell: u32, fallback: vec3f) -> vec3f {
+// Unit normal where a ray comes into the part of a box; against the ray where the field has no slope.
+fn surface_normal(p: vec3f, direction: vec3f, cell: u32) -> vec3f {
     let box = params.node_count + cell;
     var slope = vec3f(0.0);
-    for (var i = 0u; i < 4u; i++) {
-        let corner = vec3f(
-            select(-1.0, 1.0, i == 0u || i == 3u),
-            select(-1.0, 1.0, i == 2u || i == 3u),
-            select(-1.0, 1.0, i == 1u || i == 3u),
-        );
-        slope += corner * field_at(p + NORMAL_STEP * corner, box);
+    if is_closed(boxes[box].form) {
+        slope = chord_slope(p, direction, boxes[box].first, boxes[box].count);
+    } else if MARCHES {
+        for (var i = 0u; i < 4u; i++) {
+            slope += tetrahedron(i) * field_at(p + NORMAL_STEP * tetrahedron(i), box);
+        }
     }
     let size = length(slope);
-    if size == 0.0 { return fallback; }
+    if size == 0.0 { return -direction; }
     return slope / size;
 }
 
@@ -261,7 +257,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
 
     let from_eye = picture_ray(params.rays, x, y);
     let direction = normalize(from_eye.along);
-    var ray = Ray(from_eye.start, direction);
+    var ray = ray_along(from_eye.start, direction);
     var pixel: CsgPixel;
     var p = from_eye.start;
     // The ray from the eye, then one to each light; one call, as above.
@@ -271,7 +267,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
             let to_light = -lights[i - 1u].xyz;
             shares[index * params.rays.light_count + i - 1u] = 0.0;
             if dot(pixel.normal, to_light) <= 0.0 { continue; }
-            ray = Ray(p + SHADOW_BIAS * pixel.normal, to_light);
+            ray = ray_along(p + SHADOW_BIAS * pixel.normal, to_light);
         }
         let hit = trace(ray, i > 0u);
         if i > 0u {
@@ -285,7 +281,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         pixel.t = hit.t;
         pixel.cell = hit.cell;
         p = from_eye.start + hit.t * direction;
-        pixel.normal = surface_normal(p, hit.cell, -direction);
+        pixel.normal = surface_normal(p, direction, hit.cell);
         if params.rays.shadows == 0u { break; }
     }
     if !has_rounds() { pixel.state = 2u; }

@@ -110,7 +110,7 @@ def test_boxes_that_share_faces_leave_no_gap(device):
 
 @pytest.mark.parametrize("method", ["aabb", "octree"])
 @given(tree=truth.trees)
-@settings(max_examples=100)
+@settings(max_examples=200)
 def test_the_device_draws_the_parts_of_any_tree(tree, method):
     if not has_volume(tree.shape):
         return
@@ -126,13 +126,13 @@ def blend(radius, tube):
     return ring - fb.box((0.3, 4, 4))
 
 
-def draw_until_compiled(shape, device):
+def draw_until_compiled(shape, device, camera=None, size=(24, 24)):
     """The first picture, and the first one by a kernel written for the shape."""
-    camera = fb.Camera((0, -3, 2), (0, 0, 0))
-    first = frame = fb.raymarch(shape, camera, size=(24, 24), device=device)
+    camera = camera or fb.Camera((0, -3, 2), (0, 0, 0))
+    first = frame = fb.raymarch(shape, camera, size=size, device=device)
     patience = time.monotonic() + 120
     while not frame.report["compiled"] and time.monotonic() < patience:
-        frame = fb.raymarch(shape, camera, size=(24, 24), device=device)
+        frame = fb.raymarch(shape, camera, size=size, device=device)
     return first, frame
 
 
@@ -170,6 +170,35 @@ def check_edits(gpu):
     assert compiled.report["compiled"]
     assert compiled.report["pipelines"] == edited.report["pipelines"] + 1
     assert differing(first, compiled) == 0
+
+
+@pytest.mark.parametrize(
+    "joined",
+    [
+        # Closed forms alone, and under an operator whose sides depend on the place.
+        lambda row: fb.csg.union(*row) ^ fb.box((12, 0.6, 0.6)),
+        # Beside a part that is marched by a function of its own.
+        lambda row: fb.csg.union(*row[:6]) | blend(0.8, 0.3).translate((0, -3, 0)),
+        # Beside one that is interpreted.
+        lambda row: fb.csg.union(*row[:2]) | fb.volume_shape(fb.bake(fb.models.torus_knot(), resolution=16)),
+    ],
+    ids=["closed", "marched", "interpreted"],
+)
+def test_written_kernels_draw_what_the_cpu_draws(joined, gpu):
+    places = [(3.0 * (i % 4), 3.0 * (i // 4), 0) for i in range(len(PLAIN))]
+    row = [shape.rotate((1, 2, 3), 40).translate(at) for shape, at in zip(PLAIN.values(), places, strict=True)]
+    shape = joined(row)
+    camera = fb.Camera.fit(shape.bounds, direction=(-0.3, 0.4, -1))
+    truth = fb.raymarch(shape, camera, size=(64, 64), device="cpu")
+    written = draw_until_compiled(shape, gpu, camera=camera, size=(64, 64))[1]
+
+    assert written.report["compiled"]
+    # 0.1 % of 4096 pixels.
+    assert differing(truth, written) <= 4
+    hit = np.isfinite(truth.depth) & np.isfinite(written.depth)
+    # But for pixels on an edge, where either side is right.
+    assert (np.abs(truth.normal - written.normal).max(axis=-1)[hit] > 1e-2).mean() < 0.02
+    assert (np.abs(truth.color - written.color).max(axis=-1)[hit] > 1 / 255).mean() < 0.02
 
 
 @given(

@@ -1,8 +1,8 @@
 // Where a line is inside a part of plain leaves, in closed form. Twin of src/csg/chord.rs, function by function.
 
-#import csg_interpreter
+#import csg_leaves
+#import csg_needs
 
-const CHORD_LEAVES: u32 = 12u;
 const CHORD_FAR: f32 = 1e30;
 // A line that moves no faster than this along an axis stands still.
 const CHORD_STILL: f32 = 1e-30;
@@ -122,37 +122,36 @@ fn leaf_chord(leaf: u32, origin: vec3f, direction: vec3f) -> vec2f {
     );
     let a = leaves[leaf].a;
     let b = leaves[leaf].b;
+    let first = leaves[leaf].first;
     switch leaves[leaf].kind {
-        case 0u: { return ball_chord(o, d, a.x); }
-        case 1u: { return ball_chord(o / a.xyz, d / a.xyz, 1.0); }
-        case 2u: { return cuboid_chord(o, d, a.xyz); }
-        case 6u: { return both(disc_chord(o.xy, d.xy, a.x), slab(o.z, d.z, a.y)); }
-        case 7u: {
+        case KIND_SPHERE: { return ball_chord(o, d, a.x); }
+        case KIND_ELLIPSOID: { return ball_chord(o / a.xyz, d / a.xyz, 1.0); }
+        case KIND_BOX: { return cuboid_chord(o, d, a.xyz); }
+        case KIND_CYLINDER: { return both(disc_chord(o.xy, d.xy, a.x), slab(o.z, d.z, a.y)); }
+        case KIND_CAPSULE: {
             let end = vec3f(0.0, 0.0, a.y);
             let side = both(disc_chord(o.xy, d.xy, a.x), slab(o.z, d.z, a.y));
             return hull(hull(side, ball_chord(o - end, d, a.x)), ball_chord(o + end, d, a.x));
         }
-        case 8u: { return cone_chord(o, d, a.x, a.y, a.z); }
-        case 9u: { return half_space(o, d, a.xyz, a.w); }
-        case 10u: { return pyramid_chord(o, d, array<f32, 6>(a.x, a.y, a.z, a.w, b.x, b.y)); }
-        case 11u: {
+        case KIND_CONE: { return cone_chord(o, d, a.x, a.y, a.z); }
+        case KIND_PLANE: { return half_space(o, d, a.xyz, a.w); }
+        case KIND_PYRAMID: { return pyramid_chord(o, d, array<f32, 6>(a.x, a.y, a.z, a.w, b.x, b.y)); }
+        case KIND_OCTAHEDRON: {
             let one = both(slanted_slab(o, d, vec3f(1.0), a.x), slanted_slab(o, d, vec3f(1.0, 1.0, -1.0), a.x));
             let other =
                 both(slanted_slab(o, d, vec3f(1.0, -1.0, 1.0), a.x), slanted_slab(o, d, vec3f(-1.0, 1.0, 1.0), a.x));
             return both(one, other);
         }
-        case 12u: {
+        case KIND_HEX_PRISM: {
             let sides = both(
                 slanted_slab(o, d, vec3f(0.8660254, 0.5, 0.0), a.x),
                 slanted_slab(o, d, vec3f(0.8660254, -0.5, 0.0), a.x),
             );
             return both(both(slab(o.z, d.z, a.y), slab(o.y, d.y, a.x)), sides);
         }
-        case 14u: { return both(disc_chord(o.xy, d.xy, numbers[leaves[leaf].first]), slab(o.z, d.z, a.x)); }
-        default: {
-            let first = leaves[leaf].first;
-            return cuboid_chord(o, d, vec3f(numbers[first], numbers[first + 1u], a.x));
-        }
+        case KIND_EXTRUDED_CIRCLE: { return both(disc_chord(o.xy, d.xy, numbers[first]), slab(o.z, d.z, a.x)); }
+        case KIND_EXTRUDED_RECTANGLE: { return cuboid_chord(o, d, vec3f(corner_at(first), a.x)); }
+        default: { return NO_CHORD; }
     }
 }
 
@@ -203,17 +202,17 @@ fn first_inside(
     var chords: array<vec2f, CHORD_LEAVES>;
     var leaf_count = 0u;
     var nearest = t_out;
-    for (var i = 0u; i < count && leaf_count < CHORD_LEAVES && has_rounds(); i++) {
+    for (var i = 0u; i < count && has_rounds(); i++) {
         rounds++;
         let token = tokens[first + i];
         if token >> 28u == TOKEN_LEAF {
             let chord = leaf_chord(token & TOKEN_INDEX, origin, direction);
             if max(chord.x, t_in) < chord.y { nearest = min(nearest, max(chord.x, t_in)); }
-            chords[leaf_count] = chord;
+            if COMBINES_CHORDS { chords[leaf_count] = chord; }
             leaf_count++;
         }
     }
-    if is_union { return select(-1.0, nearest, nearest < t_out); }
+    if is_union || !COMBINES_CHORDS { return select(-1.0, nearest, nearest < t_out); }
     var t = t_in;
     // Each round goes on to the next end of a chord.
     for (var i = 0u; i <= 2u * CHORD_LEAVES && has_rounds(); i++) {
@@ -231,4 +230,42 @@ fn first_inside(
         t = next;
     }
     return -1.0;
+}
+
+// Half the step of a leaf's differences. They are taken in its own space, where a place near its surface has few roundings.
+const LEAF_STEP: f32 = 4e-5;
+
+// Corner of a tetrahedron about zero, of length sqrt(3).
+fn tetrahedron(i: u32) -> vec3f {
+    return vec3f(
+        select(-1.0, 1.0, i == 0u || i == 3u),
+        select(-1.0, 1.0, i == 2u || i == 3u),
+        select(-1.0, 1.0, i == 1u || i == 3u),
+    );
+}
+
+// The normal, not unit, of a part of plain leaves where a line comes in: that of the leaf whose surface is nearest. First the
+// leaves are asked for their distance, then the nearest one four times more for its slope.
+fn chord_slope(p: vec3f, direction: vec3f, first: u32, count: u32) -> vec3f {
+    var nearest = CSG_FAR;
+    var token = 0u;
+    var own = vec3f(0.0);
+    for (var i = 0u; i < count + 4u && has_rounds(); i++) {
+        rounds++;
+        let is_search = i < count;
+        let asked = select(token, tokens[first + min(i, count - 1u)], is_search);
+        if asked >> 28u != TOKEN_LEAF { continue; }
+        let leaf = asked & TOKEN_INDEX;
+        let corner = select(tetrahedron(i - count), vec3f(0.0), is_search);
+        let distance = own_distance(leaf, placed(leaf, p) + LEAF_STEP * corner);
+        own += distance * corner;
+        if is_search && abs(distance) < nearest {
+            nearest = abs(distance);
+            token = asked;
+        }
+    }
+    let leaf = token & TOKEN_INDEX;
+    let slope = own.x * leaves[leaf].row_x + own.y * leaves[leaf].row_y + own.z * leaves[leaf].row_z;
+    let is_turned = select((token & TOKEN_TURNED) != 0u, dot(slope, direction) > 0.0, (token & TOKEN_EITHER) != 0u);
+    return select(slope, -slope, is_turned);
 }

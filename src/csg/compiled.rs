@@ -1,17 +1,21 @@
-//! A kernel written for a shape: a function for each structure of its parts, instead of the interpreter.
+//! A kernel written for a shape: a function for each structure of its marched parts instead of the interpreter, and of the
+//! closed forms those of its own kinds of leaves.
 //!
-//! Numbers stay in a buffer, so the text follows from the set of structures alone, and shapes that differ in numbers share a
-//! pipeline: a changed parameter compiles nothing. A part whose structure is not in the text is interpreted, in the same
-//! dispatch; parts that are met in closed form need no function.
+//! Numbers stay in a buffer, so the text follows from the set of structures and kinds alone, and shapes that differ in numbers
+//! share a pipeline: a changed parameter compiles nothing. A part whose structure is not in the text is interpreted, in the same
+//! dispatch.
 //!
-//! lavapipe compiles at the first dispatch and not before: there the first picture by a new kernel waits for it.
+//! What is left out counts even where no ray would come to it: a group of invocations goes through a branch if one of them
+//! does, and software adapters go through all branches always. lavapipe compiles at the first dispatch and not before: there
+//! the first picture by a new kernel waits for it.
 
 use super::chord::Form;
 use super::decompose::{StructureToken, structure};
 use super::model::Token;
-use super::program::LeafField;
+use super::program::{Flat, LeafField, Program};
 use super::shader::{HELPERS, Writer};
 use super::trace::{PartProgram, Tracer};
+use crate::gpu::shader::shared;
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
@@ -24,6 +28,96 @@ const MAX_TOKENS: usize = 64;
 /// The form of the first structure, as the kernel counts them.
 const FIRST_FORM: u32 = 3;
 
+/// Kinds of leaves as the shaders number them.
+const KINDS: [&str; 21] = [
+    "SPHERE",
+    "ELLIPSOID",
+    "BOX",
+    "BOX_FRAME",
+    "TORUS",
+    "CAPPED_TORUS",
+    "CYLINDER",
+    "CAPSULE",
+    "CONE",
+    "PLANE",
+    "PYRAMID",
+    "OCTAHEDRON",
+    "HEX_PRISM",
+    "GYROID",
+    "EXTRUDED_CIRCLE",
+    "EXTRUDED_RECTANGLE",
+    "EXTRUDED_POLYGON",
+    "REVOLVED_CIRCLE",
+    "REVOLVED_RECTANGLE",
+    "REVOLVED_POLYGON",
+    "VOLUME",
+];
+
+/// The number of a leaf's kind.
+pub fn kind(field: &LeafField<f32>) -> u32 {
+    let profile = |flat: &Flat<f32>| match flat {
+        Flat::Circle(_) => 0,
+        Flat::Rectangle(_) => 1,
+        Flat::Polygon(_) => 2,
+    };
+    match field {
+        LeafField::Sphere => 0,
+        LeafField::Ellipsoid => 1,
+        LeafField::Box => 2,
+        LeafField::BoxFrame => 3,
+        LeafField::Torus => 4,
+        LeafField::CappedTorus => 5,
+        LeafField::Cylinder => 6,
+        LeafField::Capsule => 7,
+        LeafField::Cone => 8,
+        LeafField::Plane => 9,
+        LeafField::Pyramid => 10,
+        LeafField::Octahedron => 11,
+        LeafField::HexPrism => 12,
+        LeafField::Gyroid => 13,
+        LeafField::Extrude(flat) => 14 + profile(flat),
+        LeafField::Revolve(flat) => 17 + profile(flat),
+        LeafField::Volume(..) => 20,
+    }
+}
+
+/// A set of kinds, a bit each.
+#[derive(Debug, Clone, Copy, Default)]
+struct Kinds(u32);
+
+impl Kinds {
+    fn add(&mut self, program: &Program<f32>, tokens: &[Token]) {
+        for token in tokens {
+            if let Token::Leaf(leaf) = *token {
+                self.0 |= 1 << kind(&program.leaves[leaf as usize].field);
+            }
+        }
+    }
+
+    fn has(self, name: &str) -> bool {
+        KINDS.iter().position(|&known| known == name).is_some_and(|kind| self.0 >> kind & 1 == 1)
+    }
+
+    /// A shader without the cases, written `case KIND_NAME: { .. }`, of other kinds.
+    fn cases_of(self, text: &str) -> String {
+        let mut kept = String::with_capacity(text.len());
+        // Braces that are open in a case that is left out.
+        let mut depth = 0;
+        for line in text.lines() {
+            let name = line.trim_start().strip_prefix("case KIND_").and_then(|rest| rest.split_once(':'));
+            let is_other = name.is_some_and(|(name, _)| !self.has(name));
+            if depth == 0 && !is_other {
+                kept.push_str(line);
+                kept.push('\n');
+            } else {
+                depth += line.matches('{').count();
+                depth -= line.matches('}').count();
+            }
+        }
+        kept
+    }
+}
+
 /// What the kernel knows of a part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Entry {
@@ -33,65 +127,127 @@ pub struct Entry {
     pub parameters: u32,
 }
 
-/// The text in place of `shaders/shared/csg_part.wgsl`, and its numbers.
+/// A kernel written for a shape.
 #[derive(Debug)]
 pub struct Compiled {
-    pub text: String,
+    /// In place of the shared files of these names.
+    pub texts: [(&'static str, String); 4],
+    /// That have a function.
     pub structures: usize,
+    /// Of the parts.
     pub entries: Vec<Entry>,
 }
 
-/// Write the functions for the parts that are marched, and append their numbers to `numbers`.
-pub fn compiled(tracer: &Tracer<'_>, numbers: &mut Vec<f32>) -> Compiled {
-    let structures = chosen(tracer);
-    // Without the interpreter the kernel is smaller: faster to compile, and to run.
-    let mut needs_interpreter = false;
-    let mut functions = vec![String::new(); structures.len()];
-    let mut entries = Vec::with_capacity(tracer.programs.len());
-    for part in tracer.programs.iter() {
-        let form = match part.form {
-            Form::Field => 0,
-            Form::Union => 1,
-            Form::Chords => 2,
-        };
-        let known = (form == 0 && is_short(tracer, part))
-            .then(|| structures.get(&structure(&tracer.solid.model, &part.tokens)))
-            .flatten();
-        let Some(&place) = known else {
-            needs_interpreter |= form == 0;
-            entries.push(Entry { form, parameters: 0 });
-            continue;
-        };
-        let mut writer = Writer::new(&tracer.solid.model, &tracer.solid.program, "n + ");
-        let value = writer.write(&part.tokens);
-        entries.push(Entry { form: FIRST_FORM + place as u32, parameters: numbers.len() as u32 });
-        numbers.append(&mut writer.numbers);
-        if functions[place].is_empty() {
-            functions[place] = function(place, &writer, &value);
+impl Compiled {
+    /// Write it, and append the numbers that its functions read to `numbers`.
+    pub fn of(tracer: &Tracer<'_>, numbers: &mut Vec<f32>) -> Self {
+        let structures = chosen(tracer);
+        let program = &tracer.solid.program;
+        let mut functions = vec![String::new(); structures.len()];
+        let mut entries = Vec::with_capacity(tracer.programs.len());
+        let mut needs = Needs::default();
+        for part in tracer.programs.iter() {
+            let place = match part.form {
+                Form::Field if is_short(tracer, part) => {
+                    structures.get(&structure(&tracer.solid.model, &part.tokens)).copied()
+                }
+                _ => None,
+            };
+            needs.add(program, part, place.is_some());
+            let Some(place) = place else {
+                let form = match part.form {
+                    Form::Field => 0,
+                    Form::Union => 1,
+                    Form::Chords => 2,
+                };
+                entries.push(Entry { form, parameters: 0 });
+                continue;
+            };
+            let mut writer = Writer::new(&tracer.solid.model, program, "n + ");
+            let value = writer.write(&part.tokens);
+            entries.push(Entry { form: FIRST_FORM + place as u32, parameters: numbers.len() as u32 });
+            numbers.append(&mut writer.numbers);
+            if functions[place].is_empty() {
+                functions[place] = function(place, &writer, &value);
+            }
+        }
+        let shared = |name| shared(name).unwrap_or_default();
+        let texts = [
+            ("csg_part", parts_text(&functions, needs.interpreter)),
+            ("csg_needs", needs.text()),
+            ("csg_chord", needs.met.cases_of(shared("csg_chord"))),
+            ("csg_leaves", needs.asked.cases_of(shared("csg_leaves"))),
+        ];
+        Self { texts, structures: structures.len(), entries }
+    }
+}
+
+/// What a kernel needs for the parts of a shape.
+#[derive(Debug, Default)]
+struct Needs {
+    /// Kinds that are met in closed form, and whose field is asked without a function.
+    met: Kinds,
+    asked: Kinds,
+    /// Some part is marched; without a function.
+    marches: bool,
+    interpreter: bool,
+    /// Some part in closed form is more than a union.
+    combines: bool,
+    /// Leaves of a part in closed form at most.
+    leaves: u32,
+}
+
+impl Needs {
+    fn add(&mut self, program: &Program<f32>, part: &PartProgram, has_function: bool) {
+        if part.form != Form::Field {
+            self.met.add(program, &part.tokens);
+            self.combines |= part.form == Form::Chords;
+            self.leaves = self.leaves.max(part.leaves);
+        } else {
+            self.marches = true;
+            self.interpreter |= !has_function;
+        }
+        if !has_function {
+            self.asked.add(program, &part.tokens);
         }
     }
 
-    let mut text = HEADER.to_owned();
+    fn text(&self) -> String {
+        // Few different sizes, so that shapes share kernels.
+        let leaves = self.leaves.next_multiple_of(4).max(4);
+        format!(
+            "// What the parts of a shape need.
+
+const HAS_CHORDS: bool = {};
+const COMBINES_CHORDS: bool = {};
+const CHORD_LEAVES: u32 = {leaves}u;
+const MARCHES: bool = {};
+",
+            self.met.0 != 0,
+            self.combines,
+            self.marches
+        )
+    }
+}
+
+/// In place of `shaders/shared/csg_part.wgsl`. Without the interpreter the kernel is smaller: faster to compile, and to run.
+fn parts_text(functions: &[String], needs_interpreter: bool) -> String {
+    let module = if needs_interpreter { "csg_interpreter" } else { "csg_leaves" };
+    let mut text = format!(
+        "// A function for each structure of a shape's parts. Their numbers begin at `n`, in the order of the text.\n\n\
+         #import {module}\n"
+    );
     text.push_str(HELPERS);
-    text.extend(functions);
+    text.extend(functions.iter().map(String::as_str));
     text.push_str(DISPATCH);
-    for place in 0..structures.len() {
+    for place in 0..functions.len() {
         let form = FIRST_FORM as usize + place;
         let _ = writeln!(text, "        case {form}u: {{ return structure_{place}(p, parameters); }}");
     }
     let default = if needs_interpreter { "csg_distance(p, first, count)" } else { "CSG_FAR" };
     let _ = writeln!(text, "        default: {{ return {default}; }}\n    }}\n}}");
-    Compiled { text, structures: structures.len(), entries }
+    text
 }
-
-const HEADER: &str =
-    "// A function for each structure of a shape's parts. Their numbers begin at `n`, in the order of the text.
-
-#import csg_interpreter
-
-const FORM_UNION: u32 = 1u;
-const FORM_CHORDS: u32 = 2u;
-";
 
 const DISPATCH: &str = "
 fn part_distance(p: vec3f, form: u32, first: u32, count: u32, parameters: u32) -> f32 {
@@ -133,4 +289,27 @@ fn function(place: usize, writer: &Writer<'_>, value: &str) -> String {
     }
     let _ = write!(text, "{}    return {value};\n}}\n", writer.body);
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn kinds_are_those_of_the_shaders() {
+        let tables = shared("csg_tables").unwrap();
+        for (number, name) in KINDS.iter().enumerate() {
+            assert!(tables.contains(&format!("const KIND_{name}: u32 = {number}u;")), "{name}");
+            assert!(shared("csg_leaves").unwrap().contains(&format!("case KIND_{name}: ")), "{name}");
+        }
+    }
+
+    #[test]
+    fn other_cases_are_left_out_whole() {
+        let text = "switch a {\n case KIND_CONE: {\n  if b { c(); }\n }\n case KIND_BOX: { d(); }\n default: {}\n}\n";
+        let cone = Kinds(1 << 8);
+        assert_eq!(cone.cases_of(text), "switch a {\n case KIND_CONE: {\n  if b { c(); }\n }\n default: {}\n}\n");
+        assert_eq!(Kinds(1 << 2).cases_of(text), "switch a {\n case KIND_BOX: { d(); }\n default: {}\n}\n");
+        assert_eq!(Kinds(0).cases_of(text), "switch a {\n default: {}\n}\n");
+    }
 }

@@ -1,18 +1,19 @@
 //! Shapes on a graphics device: the interpreter of `shaders/shared/csg_interpreter.wgsl` for points, grids and pictures.
 //!
 //! One kernel serves every shape: tokens, tables and boxes go up as buffers, so a changed parameter or a changed tree compiles
-//! nothing. Pictures swap it for one written for the structures of the shape ([`super::compiled`]) as soon as a thread of its
-//! own has compiled that. Rays walk the boxes of the parts in a compute kernel, one invocation a pixel, and what comes down is what each ray
+//! nothing. Pictures swap it for one written for the shape's structures and kinds of leaves ([`super::compiled`]) as soon as a
+//! thread of its own has compiled that. Rays walk the boxes of the parts in a compute kernel, one invocation a pixel, and what comes down is what each ray
 //! hit and which lights reach it; colours are made from that on the CPU by the same function as there. An invocation that runs
 //! out of rounds (software adapters stop at 65,535) says so, and its points or pixels are redone on the CPU.
 
-use super::compiled::{Compiled, Entry, compiled};
+use super::chord::Form;
+use super::compiled::{Compiled, Entry, kind};
 use super::draw::{Drawing, Scratch, View};
 use super::model::Token;
 use super::program::{Flat, Joint, LeafField, PlacedLeaf, PlacedLevel, PlacedWarpKind, Program};
 use super::shape::Op;
 use super::solid::Solid;
-use super::trace::Tracer;
+use super::trace::{PartProgram, Tracer};
 use crate::error::{ArgumentError, DeviceError, Error};
 use crate::gpu::Context;
 use crate::gpu::layout::{CsgBox, CsgDrawParams, CsgLeaf, CsgPixel, CsgPointParams};
@@ -38,6 +39,9 @@ const BATCH: usize = 1 << 20;
 const MAX_LIGHTS: usize = 64;
 const UNFINISHED: f32 = 3.0e38;
 const RAN_OUT: u32 = 2;
+/// Of a leaf's token, as in the shaders.
+const OTHER_SIDE: u32 = 1 << 26;
+const EITHER_SIDE: u32 = 1 << 27;
 
 /// Tables in device memory.
 struct Tables {
@@ -112,6 +116,22 @@ impl<'a> Encoder<'a> {
         what << 28 | index
     }
 
+    /// The tokens of a part; in closed form, its leaves say which of their sides bounds it.
+    fn part(&self, part: &PartProgram) -> Vec<u32> {
+        let mut tokens: Vec<u32> = part.tokens.iter().map(|&token| self.token(token)).collect();
+        if part.form != Form::Field {
+            let leaves = tokens.iter_mut().zip(part.tokens.iter()).filter(|(_, token)| matches!(token, Token::Leaf(_)));
+            for (i, (token, _)) in leaves.enumerate() {
+                *token |= match part.sides.as_ref().map(|sides| sides[i]) {
+                    None => EITHER_SIDE,
+                    Some((_, true)) => 0,
+                    Some((_, false)) => OTHER_SIDE,
+                };
+            }
+        }
+        tokens
+    }
+
     fn upload(&self, context: &Context, tokens: &[u32]) -> Result<Tables, Error> {
         Ok(Tables {
             tokens: context.upload("tokens of a shape", tokens)?,
@@ -128,52 +148,25 @@ fn placed(rows: &[[f32; 3]; 3], [shift_x, shift_y, shift_z]: [f32; 3]) -> CsgLea
 
 fn encoded(leaf: &PlacedLeaf<f32>, numbers: &mut Vec<f32>) -> CsgLeaf {
     let first = numbers.len() as u32;
-    let kind = match &leaf.field {
-        LeafField::Sphere => 0,
-        LeafField::Ellipsoid => 1,
-        LeafField::Box => 2,
-        LeafField::BoxFrame => 3,
-        LeafField::Torus => 4,
-        LeafField::CappedTorus => 5,
-        LeafField::Cylinder => 6,
-        LeafField::Capsule => 7,
-        LeafField::Cone => 8,
-        LeafField::Plane => 9,
-        LeafField::Pyramid => 10,
-        LeafField::Octahedron => 11,
-        LeafField::HexPrism => 12,
-        LeafField::Gyroid => 13,
-        LeafField::Extrude(flat) => 14 + put_profile(flat, numbers),
-        LeafField::Revolve(flat) => 17 + put_profile(flat, numbers),
+    match &leaf.field {
+        LeafField::Extrude(flat) | LeafField::Revolve(flat) => match flat {
+            Flat::Circle(radius) => numbers.push(*radius),
+            Flat::Rectangle(half) => numbers.extend(half),
+            Flat::Polygon(corners) => {
+                numbers.push(corners.len() as f32);
+                numbers.extend(corners.iter().flatten());
+            }
+        },
         LeafField::Volume(volume, placed) => {
             numbers.extend(placed.lower.iter().chain(&placed.upper).chain(&placed.inverse_spacing));
             numbers.extend(placed.shape.map(|n| n as f32));
             numbers.push(placed.scale);
             numbers.extend(volume.distances());
-            20
         }
-    };
-    let [a0, a1, a2, a3, b0, b1] = leaf.parameters;
-    CsgLeaf { a: [a0, a1, a2, a3], b: [b0, b1], kind, first, ..placed(&leaf.rows, leaf.shift) }
-}
-
-/// The kind of a profile; its numbers go to the table.
-fn put_profile(flat: &Flat<f32>, numbers: &mut Vec<f32>) -> u32 {
-    match flat {
-        Flat::Circle(radius) => {
-            numbers.push(*radius);
-            0
-        }
-        Flat::Rectangle(half) => {
-            numbers.extend(half);
-            1
-        }
-        Flat::Polygon(corners) => {
-            numbers.push(corners.len() as f32);
-            numbers.extend(corners.iter().flatten());
-            2
-        }
+        _ => {}
     }
+    let [a0, a1, a2, a3, b0, b1] = leaf.parameters;
+    CsgLeaf { a: [a0, a1, a2, a3], b: [b0, b1], kind: kind(&leaf.field), first, ..placed(&leaf.rows, leaf.shift) }
 }
 
 /// Signed distances at world points, in float32.
@@ -255,9 +248,10 @@ pub(super) fn draw(view: &View<'_>, context: &Arc<Context>, progress: &Progress)
     let pixel_count = width as usize * height as usize;
     let solid = tracer.solid;
     let mut encoder = Encoder::new(&solid.program);
-    let Compiled { text, structures, entries } = compiled(tracer, &mut encoder.numbers);
-    let written = written_kernel(context, &text, structures)?;
-    let (boxes, tokens) = encoded_boxes(tracer, &encoder, &entries);
+    let compiled = Compiled::of(tracer, &mut encoder.numbers);
+    let structures = compiled.structures;
+    let written = written_kernel(context, &compiled)?;
+    let (boxes, tokens) = encoded_boxes(tracer, &encoder, &compiled.entries);
     let tables = encoder.upload(context, &tokens)?;
     let start_depth = depth_before(tracer, camera.eye, camera.back);
     let mut params = params(view, start_depth);
@@ -330,22 +324,16 @@ pub(super) fn draw(view: &View<'_>, context: &Arc<Context>, progress: &Progress)
         boxes: tracer.boxes.len(),
         leaf_evaluations: found.iter().map(|pixel| u64::from(pixel.tokens)).sum(),
         structures,
-        is_compiled: structures == 0 || written.is_some(),
+        is_compiled: written.is_some(),
         pipelines: 1 + context.written_kernel_count(),
     })
 }
 
-/// The kernel that was written for some structures, if there are any and it is compiled.
-fn written_kernel(
-    context: &Arc<Context>,
-    text: &str,
-    structures: usize,
-) -> Result<Option<wgpu::ComputePipeline>, DeviceError> {
-    if structures == 0 {
-        return Ok(None);
-    }
+/// The kernel that was written for a shape, if it is compiled.
+fn written_kernel(context: &Arc<Context>, compiled: &Compiled) -> Result<Option<wgpu::ComputePipeline>, DeviceError> {
     let refused = |reason| DeviceError::Shader { device: context.label(), kernel: "csg_draw".into(), reason };
-    let source = source_with("csg_draw", &[("csg_part", text)]).map_err(refused)?;
+    let texts: Vec<_> = compiled.texts.iter().map(|(name, text)| (*name, text.as_str())).collect();
+    let source = source_with("csg_draw", &texts).map_err(refused)?;
     Ok(context.written_kernel("csg_draw", "main", source))
 }
 
@@ -355,7 +343,7 @@ fn encoded_boxes(tracer: &Tracer<'_>, encoder: &Encoder<'_>, entries: &[Entry]) 
     let mut firsts = Vec::new();
     for program in tracer.programs.iter() {
         firsts.push(tokens.len() as u32);
-        tokens.extend(program.tokens.iter().map(|&token| encoder.token(token)));
+        tokens.extend(encoder.part(program));
     }
     let nodes = tracer.nodes.iter().map(|node| CsgBox {
         lower: node.lower.to_array(),

@@ -79,7 +79,7 @@ pub struct PartProgram {
     pub tokens: Arc<[Token]>,
     pub form: Form,
     /// Of a part in closed form, see [`chord::sides`].
-    sides: Option<Box<[(u32, bool)]>>,
+    pub sides: Option<Box<[(u32, bool)]>>,
     pub leaves: u32,
     pub inverse_lipschitz: f32,
 }

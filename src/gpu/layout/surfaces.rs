@@ -49,7 +49,7 @@ pub struct QuadricPixel {
     pub pad_0: u32,
 }
 
-/// A placed leaf or warp; `shaders/shared/csg_interpreter.wgsl`.
+/// A placed leaf or warp; `shaders/shared/csg_tables.wgsl`.
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
 pub struct CsgLeaf {

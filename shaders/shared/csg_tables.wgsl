@@ -1,0 +1,79 @@
+// The tables of a shape: tokens, placed leaves, numbers.
+//
+// All that one invocation does is counted in `rounds`: software adapters stop an invocation after 65,535 rounds of all its
+// loops, without an error. One that runs out says so, and is redone on the CPU.
+
+// A leaf, or a warp, in local units.
+struct CsgLeaf {
+    // Rows of leaf_from_local, each with its shift.
+    row_x: vec3f,
+    shift_x: f32,
+    row_y: vec3f,
+    shift_y: f32,
+    row_z: vec3f,
+    shift_z: f32,
+    a: vec4f,
+    b: vec2f,
+    kind: u32,
+    // The first of its numbers in `numbers`: corners or samples.
+    first: u32,
+}
+
+@group(0) @binding(1) var<storage, read> tokens: array<u32>;
+@group(0) @binding(2) var<storage, read> leaves: array<CsgLeaf>;
+// Joints, levels, corners of polygons, samples of volumes.
+@group(0) @binding(3) var<storage, read> numbers: array<f32>;
+
+const MAX_ROUNDS: u32 = 64000u;
+// A token: what to do in the upper four bits, with which entry of a table in the lower ones.
+const TOKEN_INDEX: u32 = 0x03ffffffu;
+// Of a leaf of a part in closed form: its other side bounds the part, or one or the other does.
+const TOKEN_TURNED: u32 = 0x04000000u;
+const TOKEN_EITHER: u32 = 0x08000000u;
+const TOKEN_LEAF: u32 = 0u;
+const TOKEN_UNION: u32 = 1u;
+const TOKEN_INTERSECTION: u32 = 2u;
+const TOKEN_DIFFERENCE: u32 = 3u;
+const TOKEN_XOR: u32 = 4u;
+const TOKEN_OFFSET: u32 = 5u;
+const TOKEN_SHELL: u32 = 6u;
+const TOKEN_COMPLEMENT: u32 = 7u;
+const TOKEN_ENTER: u32 = 8u;
+const TOKEN_LEAVE: u32 = 9u;
+
+// Kinds of leaves. A kernel written for a shape has the cases of its own kinds and no others (src/csg/compiled.rs).
+const KIND_SPHERE: u32 = 0u;
+const KIND_ELLIPSOID: u32 = 1u;
+const KIND_BOX: u32 = 2u;
+const KIND_BOX_FRAME: u32 = 3u;
+const KIND_TORUS: u32 = 4u;
+const KIND_CAPPED_TORUS: u32 = 5u;
+const KIND_CYLINDER: u32 = 6u;
+const KIND_CAPSULE: u32 = 7u;
+const KIND_CONE: u32 = 8u;
+const KIND_PLANE: u32 = 9u;
+const KIND_PYRAMID: u32 = 10u;
+const KIND_OCTAHEDRON: u32 = 11u;
+const KIND_HEX_PRISM: u32 = 12u;
+const KIND_GYROID: u32 = 13u;
+const KIND_EXTRUDED_CIRCLE: u32 = 14u;
+const KIND_EXTRUDED_RECTANGLE: u32 = 15u;
+const KIND_EXTRUDED_POLYGON: u32 = 16u;
+const KIND_REVOLVED_CIRCLE: u32 = 17u;
+const KIND_REVOLVED_RECTANGLE: u32 = 18u;
+const KIND_REVOLVED_POLYGON: u32 = 19u;
+const KIND_VOLUME: u32 = 20u;
+
+var<private> rounds: u32 = 0u;
+
+fn has_rounds() -> bool {
+    return rounds < MAX_ROUNDS;
+}
+
+fn placed(leaf: u32, p: vec3f) -> vec3f {
+    return vec3f(
+        dot(leaves[leaf].row_x, p) + leaves[leaf].shift_x,
+        dot(leaves[leaf].row_y, p) + leaves[leaf].shift_y,
+        dot(leaves[leaf].row_z, p) + leaves[leaf].shift_z,
+    );
+}
