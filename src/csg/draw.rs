@@ -9,6 +9,7 @@ use super::solid::Solid;
 use super::trace::{LocalRay, Tracer, Work};
 use crate::error::{Error, ShapeError};
 use crate::gpu::Place;
+use crate::gpu::layout::PictureRays;
 use crate::progress::Progress;
 use crate::render::shade::{Look, lit};
 use crate::render::{Camera, DirectionalLight, Frame, RaymarchOptions, Row};
@@ -93,7 +94,9 @@ pub fn draw(
 ) -> Result<Drawing, Error> {
     options.check()?;
     let lights = options.unit_lights(camera)?;
-    let view = View { tracer, camera, options, lights: &lights, is_eye_inside: tracer.is_inside(camera.eye) };
+    let is_eye_inside = tracer.is_inside(camera.eye);
+    let rays = Rays::new(tracer, camera, options, lights.len());
+    let view = View { tracer, camera, options, lights: &lights, is_eye_inside, rays };
     match place {
         // With the eye inside there is nothing to trace, and without boxes nothing to see.
         Place::Gpu(context) if !view.is_eye_inside && !tracer.boxes.is_empty() => gpu::draw(&view, context, progress),
@@ -141,6 +144,71 @@ pub(super) struct View<'a> {
     /// With unit directions.
     pub lights: &'a [DirectionalLight],
     pub is_eye_inside: bool,
+    pub rays: Rays,
+}
+
+/// What a pixel sees, local units but for the depth.
+pub(super) struct Seen {
+    pub p: Vec3,
+    pub depth: f64,
+    pub normal: Vec3,
+    /// Without one it has the colour of the options.
+    pub part: Option<u32>,
+}
+
+/// The rays of a picture in local units. They start on a plane just before the bounds, where float64 puts them, so that float32
+/// is exact enough from there on for an eye at any distance. Twin of `shaders/shared/picture_rays.wgsl`.
+pub(super) struct Rays {
+    pub rays: PictureRays,
+    /// Of the plane, and of one local unit, world units.
+    start_depth: f64,
+    scale: f64,
+    middle: [f32; 2],
+    forward: Vec3,
+}
+
+impl Rays {
+    fn new(tracer: &Tracer<'_>, camera: &Camera, options: &RaymarchOptions, light_count: usize) -> Self {
+        let frame = tracer.solid.frame;
+        let start_depth = depth_before(tracer, camera.eye, camera.back);
+        let start = frame.local(camera.eye - start_depth * camera.back);
+        let rays = camera.rays(options, light_count, start, start_depth / frame.scale);
+        Self {
+            start_depth,
+            scale: frame.scale,
+            middle: options.size.map(|n| 0.5 * n as f32),
+            forward: Vec3::from_array(rays.forward),
+            rays,
+        }
+    }
+
+    pub fn through(&self, x: usize, y: usize) -> LocalRay {
+        let rays = &self.rays;
+        let along_right = (x as f32 + 0.5 - self.middle[0]) * rays.pixel;
+        let along_up = (self.middle[1] - 0.5 - y as f32) * rays.pixel;
+        let [start, start_right, start_up] = [rays.start, rays.start_right, rays.start_up].map(Vec3::from_array);
+        let [right, up] = [rays.right, rays.up].map(Vec3::from_array);
+        LocalRay {
+            origin: start + along_right * start_right + along_up * start_up,
+            direction: (self.forward + along_right * right + along_up * up).normalize(),
+            t_max: FAR,
+        }
+    }
+
+    /// Depth, world units, of the place at `t`.
+    pub fn depth(&self, ray: &LocalRay, t: f32) -> f64 {
+        self.start_depth + f64::from(t) * f64::from(self.forward.dot(ray.direction)) * self.scale
+    }
+}
+
+/// Depth of the nearest corner of the bounds, world units, or zero if they reach behind the eye.
+fn depth_before(tracer: &Tracer<'_>, eye: DVec3, back: DVec3) -> f64 {
+    let frame = tracer.solid.frame;
+    let [lower, upper] = tracer.bounds.map(|corner| frame.world(corner.as_dvec3()));
+    let corner =
+        |i: usize| DVec3::from([0, 1, 2].map(|axis| if i >> axis & 1 == 0 { lower[axis] } else { upper[axis] }));
+    let nearest = (0..8).map(|i| (eye - corner(i)).dot(back)).fold(f64::INFINITY, f64::min);
+    (nearest - 0.01 * (upper - lower).length()).max(0.0)
 }
 
 impl View<'_> {
@@ -148,49 +216,45 @@ impl View<'_> {
     pub fn draw_pixel(&self, x: usize, y: usize, row: &mut Row<'_>, scratch: &mut Scratch) {
         row.color[4 * x..][..4].copy_from_slice(&self.options.background);
 
-        // Multiples of `direction` are depths.
-        let direction = self.camera.pixel_direction(x as u32, y as u32, self.options.size);
-        let unit = direction.normalize();
-        let frame = self.tracer.solid.frame;
-        let (depth, p, normal, part) = if self.is_eye_inside {
-            (0.0, frame.local(self.camera.eye).as_vec3(), -unit.as_vec3(), None)
-        } else {
-            let Some((ray, t_start)) = entering(self.tracer, self.camera.eye, unit) else { return };
-            let before = scratch.work.steps;
-            let hit = self.tracer.first_hit(&ray, &mut scratch.march, &mut scratch.work);
-            row.steps[x] = scratch.work.steps - before;
-            let Some(hit) = hit else { return };
-            let p = ray.origin + hit.t * ray.direction;
-            let normal = self.tracer.normal(p, hit.part, &mut scratch.slope).unwrap_or(-unit.as_vec3());
-            let depth = (t_start + f64::from(hit.t)) * frame.scale / direction.length();
-            (depth, p, normal, Some(hit.part))
-        };
-        self.finish(x, row, depth, p, normal, direction, part, |to_light| {
+        if self.is_eye_inside {
+            let unit = self.camera.pixel_direction(x as u32, y as u32, self.options.size).normalize().as_vec3();
+            let p = self.tracer.solid.frame.local(self.camera.eye).as_vec3();
+            let seen = Seen { p, depth: 0.0, normal: -unit, part: None };
+            return self.finish(x, row, &seen, unit, |to_light| {
+                self.share_that_arrives(p, seen.normal, to_light, &mut scratch.march)
+            });
+        }
+        let ray = self.rays.through(x, y);
+        let before = scratch.work.steps;
+        let hit = self.tracer.first_hit(&ray, &mut scratch.march, &mut scratch.work);
+        row.steps[x] = scratch.work.steps - before;
+        let Some(hit) = hit else { return };
+        let p = ray.origin + hit.t * ray.direction;
+        let normal = self.tracer.normal(p, hit.part, &mut scratch.slope).unwrap_or(-ray.direction);
+        let seen = Seen { p, depth: self.rays.depth(&ray, hit.t), normal, part: Some(hit.part) };
+        self.finish(x, row, &seen, ray.direction, |to_light| {
             self.share_that_arrives(p, normal, to_light, &mut scratch.march)
         });
     }
 
-    /// Light a hit at the local point `p` and write it down; without a `part` it has the colour of the options.
+    /// Light what a pixel sees in a unit direction and write it down.
     pub fn finish(
         &self,
         x: usize,
         row: &mut Row<'_>,
-        depth: f64,
-        p: Vec3,
-        normal: Vec3,
-        direction: DVec3,
-        part: Option<u32>,
+        seen: &Seen,
+        direction: Vec3,
         share_that_arrives: impl FnMut(Vec3) -> f32,
     ) {
-        let painted = part.and_then(|part| self.tracer.color(p, part));
+        let painted = seen.part.and_then(|part| self.tracer.color(seen.p, part));
         let color = painted.map_or(self.options.color, Vec3::from_array);
-        let look = Look { normal, to_eye: -direction.normalize().as_vec3(), color };
+        let look = Look { normal: seen.normal, to_eye: -direction, color };
         let shadow = &mut row.shadow[x * row.lights..][..row.lights];
         let color = lit(&look, self.options, self.lights, shadow, share_that_arrives);
 
         row.color[4 * x..][..4].copy_from_slice(&[color.x, color.y, color.z, 1.0]);
-        row.depth[x] = depth as f32;
-        row.normal[3 * x..][..3].copy_from_slice(&normal.to_array());
+        row.depth[x] = seen.depth as f32;
+        row.normal[3 * x..][..3].copy_from_slice(&seen.normal.to_array());
         row.object_id[x] = 0;
     }
 
@@ -204,28 +268,5 @@ impl View<'_> {
     }
 }
 
-/// Longer than any way through the model.
-const FAR: f32 = 16.0;
-
-/// A direction without a part along an axis has this one: its inverse times any distance is finite.
-const STILL: f64 = 1e-200;
-
-/// The part of a ray from an eye that lies in the bounds, and how far before it begins, local units. In float64, because
-/// the eye may be far away; `unit` is a world direction.
-pub fn entering(tracer: &Tracer<'_>, eye: DVec3, unit: DVec3) -> Option<(LocalRay, f64)> {
-    if tracer.boxes.is_empty() {
-        return None;
-    }
-    let [lower, upper] = tracer.bounds.map(Vec3::as_dvec3);
-    let origin = tracer.solid.frame.local(eye);
-    // What does not move along an axis goes up by next to nothing.
-    let still = DVec3::splat(STILL);
-    let inverse = DVec3::select(unit.abs().cmplt(still), still, unit).recip();
-    let (a, b) = ((lower - origin) * inverse, (upper - origin) * inverse);
-    let (t_in, t_out) = (a.min(b).max_element().max(0.0), a.max(b).min_element());
-    if t_in >= t_out {
-        return None;
-    }
-    let ray = LocalRay { origin: (origin + t_in * unit).as_vec3(), direction: unit.as_vec3(), t_max: FAR };
-    Some((ray, t_in))
-}
+/// Longer than any way through the model, from a plane that a slanted ray crosses long before it.
+const FAR: f32 = 1e6;

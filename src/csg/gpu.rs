@@ -14,7 +14,7 @@
 
 use super::chord::Form;
 use super::compiled::{Compiled, Entry, kind};
-use super::draw::{Drawing, Scratch, View};
+use super::draw::{Drawing, Scratch, Seen, View};
 use super::model::Token;
 use super::program::{Flat, Joint, LeafField, PlacedLeaf, PlacedLevel, PlacedWarpKind, Program};
 use super::shape::Op;
@@ -245,7 +245,7 @@ pub(super) fn bake(solid: &Solid, context: &Context, grid: &Grid, progress: &Pro
 
 /// Draw on a device.
 pub(super) fn draw(view: &View<'_>, context: &Arc<Context>, progress: &Progress) -> Result<Drawing, Error> {
-    let (tracer, camera, options) = (view.tracer, view.camera, view.options);
+    let (tracer, options) = (view.tracer, view.options);
     if view.lights.len() > MAX_LIGHTS {
         let problem = format!("{} lights, a graphics device draws with {MAX_LIGHTS} at most", view.lights.len());
         return Err(ArgumentError::new("light_directions", problem).into());
@@ -259,8 +259,7 @@ pub(super) fn draw(view: &View<'_>, context: &Arc<Context>, progress: &Progress)
     let written = written_kernel(context, &compiled)?;
     let (boxes, tokens) = encoded_boxes(tracer, &encoder, &compiled.entries);
     let tables = encoder.upload(context, &tokens)?;
-    let start_depth = depth_before(tracer, camera.eye, camera.back);
-    let mut params = params(view, start_depth);
+    let mut params = params(view);
     let lights: Vec<[f32; 4]> =
         view.lights.iter().map(|light| [light.direction.x, light.direction.y, light.direction.z, 0.0]).collect();
     let uniform = context.parameters("picture parameters", &params)?;
@@ -296,7 +295,6 @@ pub(super) fn draw(view: &View<'_>, context: &Arc<Context>, progress: &Progress)
     context.read("a picture", &pixels, &mut found, progress)?;
     let mut frame = Frame::new(width as usize, height as usize, lights.len());
     context.read("light shares", &shares, &mut frame.shadow, progress)?;
-    let start = solid.frame.local(camera.eye - start_depth * camera.back);
     frame.rows().into_par_iter().enumerate().try_for_each_init(Scratch::default, |scratch, (y, mut row)| {
         for x in 0..width as usize {
             let pixel = &found[y * width as usize + x];
@@ -308,18 +306,16 @@ pub(super) fn draw(view: &View<'_>, context: &Arc<Context>, progress: &Progress)
             row.color[4 * x..][..4].copy_from_slice(&options.background);
             row.steps[x] = pixel.steps;
             if pixel.state == 1 {
-                let direction = camera.pixel_direction(x as u32, y as u32, options.size);
-                // From the plane before the model, where the ray of the middle starts at `start`.
-                let along = direction + camera.back;
-                let origin = start + start_depth / solid.frame.scale * along;
-                let p = (origin + f64::from(pixel.t) * direction.normalize()).as_vec3();
-                let depth = start_depth + f64::from(pixel.t) * solid.frame.scale / direction.length();
-                let part = tracer.boxes[pixel.cell as usize].part;
+                let ray = view.rays.through(x, y);
+                let hit = Seen {
+                    p: ray.origin + pixel.t * ray.direction,
+                    depth: view.rays.depth(&ray, pixel.t),
+                    normal: Vec3::from_array(pixel.normal),
+                    part: Some(tracer.boxes[pixel.cell as usize].part),
+                };
                 let shadow: Vec<f32> = row.shadow[x * row.lights..][..row.lights].to_vec();
                 let mut shares = shadow.into_iter();
-                view.finish(x, &mut row, depth, p, Vec3::from_array(pixel.normal), direction, Some(part), |_| {
-                    shares.next().unwrap_or(1.0)
-                });
+                view.finish(x, &mut row, &hit, ray.direction, |_| shares.next().unwrap_or(1.0));
             }
         }
         progress.check()
@@ -370,24 +366,11 @@ fn encoded_boxes(tracer: &Tracer<'_>, encoder: &Encoder<'_>, entries: &[Entry]) 
     (nodes.chain(boxes).collect(), tokens)
 }
 
-/// Depth of the nearest corner of the bounds, world units, or zero if they reach behind the eye.
-fn depth_before(tracer: &Tracer<'_>, eye: DVec3, back: DVec3) -> f64 {
-    let frame = tracer.solid.frame;
-    let [lower, upper] = tracer.bounds.map(|corner| frame.world(corner.as_dvec3()));
-    let corner =
-        |i: usize| DVec3::from([0, 1, 2].map(|axis| if i >> axis & 1 == 0 { lower[axis] } else { upper[axis] }));
-    let nearest = (0..8).map(|i| (eye - corner(i)).dot(back)).fold(f64::INFINITY, f64::min);
-    (nearest - 0.01 * (upper - lower).length()).max(0.0)
-}
-
-fn params(view: &View<'_>, start_depth: f64) -> CsgDrawParams {
-    let (camera, options, tracer) = (view.camera, view.options, view.tracer);
-    let frame = tracer.solid.frame;
-    let start = frame.local(camera.eye - start_depth * camera.back);
-    let inverse_lipschitz = tracer.programs.iter().map(|part| part.inverse_lipschitz).fold(1.0, f32::min);
+fn params(view: &View<'_>) -> CsgDrawParams {
+    let tracer = view.tracer;
     CsgDrawParams {
-        rays: camera.rays(options, view.lights.len(), start, start_depth / frame.scale),
-        inverse_lipschitz,
+        rays: view.rays.rays,
+        inverse_lipschitz: tracer.programs.iter().map(|part| part.inverse_lipschitz).fold(1.0, f32::min),
         node_count: tracer.nodes.len() as u32,
         ..CsgDrawParams::default()
     }

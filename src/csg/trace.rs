@@ -17,8 +17,8 @@
 use super::chord::{self, Form};
 use super::decompose::Part;
 use super::model::{Model, Token};
-use super::program::Stack;
-use super::solid::{Solid, slope};
+use super::program::{PlacedLeaf, Stack};
+use super::solid::{Solid, slope, with_vectors};
 use crate::bvh::boxes::{BoxTree, MAX_STACK};
 use glam::{DVec3, Vec3, Vec3A};
 use std::sync::Arc;
@@ -323,17 +323,18 @@ impl<'a> Tracer<'a> {
     /// Unit normal at a hit, local space, which is turned like the world; `None` where the field has no slope.
     pub fn normal(&self, p: Vec3, part: u32, stack: &mut Stack<f64, 6>) -> Option<Vec3> {
         let part = &self.programs[part as usize];
-        let slope_of = |tokens: &[Token], stack: &mut _| {
-            slope(self.solid.precise(), tokens, p.as_dvec3(), NORMAL_STEP, stack).try_normalize()
+        let Some(sides) = &part.sides else {
+            let slope = slope(self.solid.precise(), &part.tokens, p.as_dvec3(), NORMAL_STEP, stack);
+            return slope.try_normalize().map(|normal| normal.as_vec3());
         };
-        let Some(sides) = &part.sides else { return slope_of(&part.tokens, stack).map(|normal| normal.as_vec3()) };
         // The surface is that of the leaf whose field is nearest to zero.
         let at = [[p.x], [p.y], [p.z]];
         let value = |leaf: u32| self.solid.program.leaves[leaf as usize].distances(&at)[0].abs();
-        let nearest =
-            sides.iter().map(|&(leaf, is_own)| (value(leaf), leaf, is_own)).min_by(|a, b| a.0.total_cmp(&b.0));
-        let (_, leaf, is_own) = nearest?;
-        let normal = slope_of(&[Token::Leaf(leaf)], stack)?.as_vec3();
+        let (leaf, is_own) = match **sides {
+            [only] => only,
+            _ => sides.iter().map(|&side| (value(side.0), side)).min_by(|a, b| a.0.total_cmp(&b.0))?.1,
+        };
+        let normal = leaf_slope(&self.solid.precise().leaves[leaf as usize], p.as_dvec3()).try_normalize()?.as_vec3();
         Some(if is_own { normal } else { -normal })
     }
 
@@ -388,6 +389,15 @@ fn root(field: &mut impl FnMut(f32) -> f32, t0: f32, value0: f32, t1: f32, value
         }
     }
     high
+}
+
+/// Slope of a leaf's field, of any length, by differences on a tetrahedron.
+fn leaf_slope(leaf: &PlacedLeaf<f64>, p: DVec3) -> DVec3 {
+    const CORNERS: [DVec3; 4] =
+        [DVec3::new(1.0, -1.0, -1.0), DVec3::new(-1.0, -1.0, 1.0), DVec3::new(-1.0, 1.0, -1.0), DVec3::ONE];
+    let at = [0, 1, 2].map(|axis| CORNERS.map(|corner| p[axis] + NORMAL_STEP * corner[axis]));
+    let values = with_vectors(|| leaf.distances(&at));
+    CORNERS.iter().zip(values).map(|(&corner, value)| value * corner).sum()
 }
 
 /// A ray and what does not change along it.
