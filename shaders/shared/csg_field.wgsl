@@ -153,6 +153,16 @@ fn gyroid(at: vec3f, k: array<f32, 6>) -> f32 {
     return abs(dot(sin(q), cos(q.yzx))) * k[1] - k[2];
 }
 
+// An edge of a polygon: its squared distance, and 1 if it passes a point on the right, for parity, else 0.
+fn edge_beside(at: vec2f, before: vec2f, corner: vec2f) -> vec2f {
+    let edge = before - corner;
+    let to = at - corner;
+    let away = to - clamp(dot(to, edge) / dot(edge, edge), 0.0, 1.0) * edge;
+    let spans_height = (corner.y > at.y) != (before.y > at.y);
+    let is_right = (to.x * edge.y < to.y * edge.x) == (edge.y > 0.0);
+    return vec2f(dot(away, away), select(0.0, 1.0, spans_height && is_right));
+}
+
 fn circle(at: vec2f, radius: f32) -> f32 {
     return length(at) - radius;
 }

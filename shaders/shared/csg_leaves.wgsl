@@ -12,14 +12,9 @@ fn polygon(at: vec2f, first: u32, count: u32) -> f32 {
     for (var i = 0u; i < count && has_rounds(); i++) {
         rounds++;
         let corner = corner_at(first + 2u * i);
-        let edge = before - corner;
-        let to = at - corner;
-        let away = to - clamp(dot(to, edge) / dot(edge, edge), 0.0, 1.0) * edge;
-        nearest = min(nearest, dot(away, away));
-        // The edge spans the height of the point, and crosses it on the right.
-        if (corner.y > at.y) != (before.y > at.y) {
-            if (to.x * edge.y < to.y * edge.x) == (edge.y > 0.0) { is_inside = !is_inside; }
-        }
+        let edge = edge_beside(at, before, corner);
+        nearest = min(nearest, edge.x);
+        is_inside = is_inside != (edge.y == 1.0);
         before = corner;
     }
     return select(sqrt(nearest), -sqrt(nearest), is_inside);

@@ -92,13 +92,9 @@ fn polygon_at(at: vec2f, i: u32) -> f32 {
     var before = vec2f(numbers[i + 2u * count - 1u], numbers[i + 2u * count]);
     for (var c = 0u; c < min(count, MAX_CORNERS); c++) {
         let corner = vec2f(numbers[i + 2u * c + 1u], numbers[i + 2u * c + 2u]);
-        let edge = before - corner;
-        let to = at - corner;
-        let away = to - clamp(dot(to, edge) / dot(edge, edge), 0.0, 1.0) * edge;
-        nearest = min(nearest, dot(away, away));
-        if (corner.y > at.y) != (before.y > at.y) {
-            if (to.x * edge.y < to.y * edge.x) == (edge.y > 0.0) { is_inside = !is_inside; }
-        }
+        let edge = edge_beside(at, before, corner);
+        nearest = min(nearest, edge.x);
+        is_inside = is_inside != (edge.y == 1.0);
         before = corner;
     }
     return select(sqrt(nearest), -sqrt(nearest), is_inside);
