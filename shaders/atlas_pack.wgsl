@@ -22,7 +22,7 @@ struct PackParams {
     pad_0: u32,
 }
 
-@group(0) @binding(0) var<uniform> params: PackParams;
+@group(0) @binding(0) var<storage, read> params: PackParams;
 @group(0) @binding(1) var<storage, read> samples: array<u32>;
 // Zero before the first field; words are shared by slices.
 @group(0) @binding(2) var<storage, read_write> page: array<atomic<u32>>;

@@ -1,7 +1,7 @@
 //! Packing on a graphics device: fields that lie there become pages there, without a round trip.
 //!
-//! A page is a storage buffer, rows padded to 256 bytes, so that it can be copied into a layer of a texture as it is
-//! ([`DevicePages::texture`]). The bytes are those of [`super::texels::write`].
+//! A page is a storage buffer of the rows that are taken, padded to 256 bytes, so that it can be copied into a layer of a
+//! texture as it is ([`DevicePages::texture`]). The bytes are those of [`super::texels::write`].
 
 use super::Block;
 use crate::encoding::Encoding;
@@ -30,7 +30,14 @@ pub struct DevicePages {
     context: Arc<Context>,
     page_size: u32,
     encoding: Encoding,
-    pages: Vec<wgpu::Buffer>,
+    pages: Vec<Page>,
+}
+
+/// The first rows of a page, down to the last that a block takes: the others are zero, and not kept.
+#[derive(Debug)]
+struct Page {
+    rows: u32,
+    buffer: wgpu::Buffer,
 }
 
 impl DevicePages {
@@ -44,9 +51,17 @@ impl DevicePages {
         progress: &Progress,
     ) -> Result<Self, Error> {
         let row_bytes = Self::row_bytes(page_size, encoding);
-        let bytes = u64::from(row_bytes) * u64::from(page_size);
-        let what = format!("a page of {page_size} x {page_size} texels");
-        let pages = (0..pages).map(|_| context.storage(&what, bytes)).collect::<Result<Vec<_>, _>>()?;
+        let mut rows = vec![0; pages as usize];
+        for block in items.iter().map(|item| &item.block) {
+            let (taken, rectangle) = (&mut rows[block.page as usize], block.rectangle());
+            *taken = (*taken).max(rectangle.y + rectangle.height);
+        }
+        let page = |rows: u32| {
+            let what = format!("{rows} rows of a page of {page_size} x {page_size} texels");
+            let bytes = u64::from(row_bytes) * u64::from(rows.max(1));
+            Ok(Page { rows, buffer: context.storage(&what, bytes)? })
+        };
+        let pages = rows.into_iter().map(page).collect::<Result<Vec<_>, DeviceError>>()?;
         let atlas = Self { context: context.clone(), page_size, encoding, pages };
         progress.set_total(items.len() as u64);
         for item in items {
@@ -86,9 +101,9 @@ impl DevicePages {
                 scale: item.scale,
                 pad_0: 0,
             };
-            let uniform = context.uniform("pack parameters", &params)?;
-            let page = &self.pages[block.page as usize];
-            let buffers = [(0, &uniform), (1, &slab.buffer), (2, page), (3, &levels)];
+            let parameters = context.parameters("pack parameters", &params)?;
+            let page = &self.pages[block.page as usize].buffer;
+            let buffers = [(0, &parameters), (1, &slab.buffer), (2, page), (3, &levels)];
             let group = context.bind("pack", &kernel, &buffers)?;
             let workgroups = [block.tile[0].div_ceil(64), block.tile[1], slab.planes as u32];
             last = Some(context.dispatch("pack", &kernel, &group, workgroups)?);
@@ -105,11 +120,14 @@ impl DevicePages {
     pub fn read(&self, progress: &Progress) -> Result<Vec<u8>, Error> {
         let row = self.page_size as usize * self.encoding.bytes();
         let padded = Self::row_bytes(self.page_size, self.encoding) as usize;
-        let mut bytes = Vec::with_capacity(row * self.page_size as usize * self.pages.len());
-        let mut page = vec![0u8; padded * self.page_size as usize];
-        for buffer in &self.pages {
-            self.context.read("read back a page", buffer, &mut page, progress)?;
-            bytes.extend(page.chunks_exact(padded).flat_map(|line| &line[..row]));
+        let page_bytes = row * self.page_size as usize;
+        let mut bytes = vec![0; page_bytes * self.pages.len()];
+        for (page, out) in self.pages.iter().zip(bytes.chunks_exact_mut(page_bytes)) {
+            let mut taken = vec![0u8; padded * page.rows as usize];
+            self.context.read("read back a page", &page.buffer, &mut taken, progress)?;
+            for (line, out) in taken.chunks_exact(padded).zip(out.chunks_exact_mut(row)) {
+                out.copy_from_slice(&line[..row]);
+            }
         }
         Ok(bytes)
     }
@@ -149,11 +167,11 @@ impl DevicePages {
             for (layer, page) in self.pages.iter().enumerate() {
                 encoder.copy_buffer_to_texture(
                     wgpu::TexelCopyBufferInfo {
-                        buffer: page,
+                        buffer: &page.buffer,
                         layout: wgpu::TexelCopyBufferLayout {
                             offset: 0,
                             bytes_per_row: Some(row_bytes),
-                            rows_per_image: Some(self.page_size),
+                            rows_per_image: Some(page.rows),
                         },
                     },
                     wgpu::TexelCopyTextureInfo {
@@ -162,7 +180,7 @@ impl DevicePages {
                         origin: wgpu::Origin3d { x: 0, y: 0, z: layer as u32 },
                         aspect: wgpu::TextureAspect::All,
                     },
-                    wgpu::Extent3d { depth_or_array_layers: 1, ..size },
+                    wgpu::Extent3d { height: page.rows, depth_or_array_layers: 1, ..size },
                 );
             }
             self.context.queue.submit([encoder.finish()]);
