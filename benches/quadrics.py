@@ -45,9 +45,8 @@ def main() -> None:
         shortest, tried = float("inf"), 0.0
         for _ in range(options.repeat):
             start = time.perf_counter()
-            frame = quadrics.draw(
-                camera.pose, size=(options.size,) * 2, fov_deg=45.0, shadows="none", device=options.device
-            )
+            picture = {"pose": camera.pose, "size": (options.size,) * 2, "fov_deg": 45.0, "shadows": "none"}
+            frame = quadrics.draw(picture, options.device)
             shortest = min(shortest, time.perf_counter() - start)
             tried = float(frame["steps"].mean())
         return shortest, tried

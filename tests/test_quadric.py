@@ -181,9 +181,10 @@ def test_ten_thousand_random_matrices_against_float64_roots(random):
     poses = np.broadcast_to(np.eye(4), (count, 4, 4)).copy()
     poses[:, :3, :3] = np.stack([right, np.cross(right, directions), -directions], axis=2)
     poses[:, :3, 3] = eyes + rows[:, 16:19]
+    picture = {"fov_deg": 45.0, "size": (1, 1), "shadows": "none"}
     depths = np.array(
         [
-            _core.Quadrics(row[None]).draw(pose, size=(1, 1), shadows="none", device="cpu")["depth"][0, 0]
+            _core.Quadrics(row[None]).draw(picture | {"pose": pose}, "cpu")["depth"][0, 0]
             for row, pose in zip(rows, poses, strict=True)
         ]
     )
@@ -329,7 +330,8 @@ def test_a_hundred_thousand_are_drawn(random, device):
     balls[:, :16] = moved(balls[:, :16].reshape(-1, 4, 4), -random_places).reshape(-1, 16)
     balls[:, 16:19] = random_places
     camera = fb.Camera.fit([(-1, -1, -1), (1, 1, 1)])
-    images = _core.Quadrics(balls).draw(camera.pose, fov_deg=camera.fov_deg, size=(24, 24), device=device)
+    picture = {"pose": camera.pose, "fov_deg": camera.fov_deg, "size": (24, 24)}
+    images = _core.Quadrics(balls).draw(picture, device)
     directions = rays(camera, (24, 24)).reshape(-1, 3)
     expected = np.full(len(directions), np.inf)
     for i, d in enumerate(directions):

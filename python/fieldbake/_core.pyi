@@ -342,25 +342,19 @@ def raymarch(
     distances: NDArray[Any] | DeviceField | SparseField,
     lower: tuple[float, float, float],
     upper: tuple[float, float, float],
-    pose: NDArray[np.float64],
+    picture: dict[str, Any],
     *,
-    fov_deg: float = 45.0,
-    size: tuple[int, int],
-    light_directions: NDArray[np.float32] | None = None,
-    light_colors: NDArray[np.float32] | None = None,
-    ambient: float = 0.2,
-    color: tuple[float, float, float] | None = None,
-    specular: float = 0.25,
-    shininess: float = 32.0,
-    background: tuple[float, float, float, float] | None = None,
-    shadows: str = "hard",
     filter: str = "linear",
     scale: float = 1.0,
     device: str = "auto",
     progress: Callable[[float], object] | None = None,
 ) -> dict[str, Any]:
-    """Draw the zero level set. ``pose`` (4, 4) world from camera, looking along -Z; ``size`` is (width, height).
-    ``light_directions`` (k, 3), the way the light travels; None: a key light over the camera's shoulder.
+    """Draw the zero level set.
+
+    ``picture``, for whatever is drawn: ``pose`` (4, 4) world from camera, looking along -Z; ``fov_deg``; ``size``
+    (width, height); and, if not as usual, ``light_directions`` (k, 3), the way the light travels, ``light_colors``
+    (k, 3), ``ambient``, ``color``, ``specular``, ``shininess``, ``background``, ``shadows``. Without lights: a key
+    light over the camera's shoulder.
 
     Keys: ``color`` (h, w, 4) linear RGBA, ``depth`` (h, w) along the view axis, inf where nothing is hit, ``normal``
     (h, w, 3), ``object_id`` (h, w) int32, -1 for nothing, ``shadow`` (h, w) or (h, w, k), ``steps`` (h, w) uint32,
@@ -470,21 +464,11 @@ class Quadrics:
     def __len__(self) -> int: ...
     def draw(
         self,
-        pose: NDArray[np.float64],
-        *,
-        fov_deg: float = 45.0,
-        size: tuple[int, int],
-        light_directions: NDArray[np.float32] | None = None,
-        light_colors: NDArray[np.float32] | None = None,
-        ambient: float = 0.2,
-        specular: float = 0.25,
-        shininess: float = 32.0,
-        background: tuple[float, float, float, float] | None = None,
-        shadows: str = "hard",
-        device: str = "auto",
+        picture: dict[str, Any],
+        device: str,
         progress: Callable[[float], object] | None = None,
     ) -> dict[str, Any]:
-        """Draw the nearest sheets; options and result as for :func:`raymarch`."""
+        """Draw the nearest sheets, each in its own colour; picture and result as for :func:`raymarch`."""
     def distance_bound(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Lower bound of the distance to the nearest quadric at ``points`` (n, 3), shape (n,)."""
 

@@ -166,9 +166,7 @@ def raymarch(
     result = _core.raymarch(
         check_distances(distances),
         *corners,
-        camera.pose,
-        fov_deg=camera.fov_deg,
-        size=_size(size),
+        {"pose": camera.pose, "fov_deg": camera.fov_deg, "size": _size(size)},
         device=_checks.text("device", device),
     )
     return result["color"], result["depth"]

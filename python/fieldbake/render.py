@@ -164,21 +164,9 @@ def raymarch(
             instances = [Instance(quadric, material=material) for quadric in quadrics]
             scene = Scene(instances, lights, ambient=shade["ambient"], background=behind)
             return render(scene, camera, size=size, shadows=shadows, device=device, progress=progress)
-        directions, colors = _lights(lights, camera)
+        picture = _picture(camera, (width, height), lights, behind, shadows, shade)
         with progress_callback(progress, "raymarch") as callback:
-            result = core_of(quadrics).draw(
-                camera.pose,
-                fov_deg=camera.fov_deg,
-                size=(width, height),
-                light_directions=directions,
-                light_colors=colors,
-                background=(*behind.tolist(),),
-                shadows=shadows,
-                device=device,
-                progress=callback,
-                **shade,
-            )
-        return _frame(result)
+            return _frame(core_of(quadrics).draw(picture, device, callback))
     if not isinstance(thing, Shape) and method != "auto":
         raise ArgumentError(f"method: {method!r} is for shapes; a volume has one way to be drawn")
     if isinstance(thing, Shape) and filter != "linear":
@@ -200,18 +188,7 @@ def raymarch(
         # Nested fields are marched on the CPU.
         place = "cpu" if is_nested and device == "auto" else device
         return render(scene, camera, size=size, primary="raymarch", shadows=shadows, device=place, progress=progress)
-    directions, colors = _lights(lights, camera)
-    picture: dict[str, Any] = {
-        "pose": camera.pose,
-        "fov_deg": camera.fov_deg,
-        "size": (width, height),
-        "light_directions": directions,
-        "light_colors": colors,
-        "color": surface,
-        "background": (*behind.tolist(),),
-        "shadows": shadows,
-        **shade,
-    }
+    picture = _picture(camera, (width, height), lights, behind, shadows, {**shade, "color": surface})
     with progress_callback(progress, "raymarch") as callback:
         if isinstance(field, Shape):
             return _frame(field._core.draw(method, picture, device, callback))
@@ -221,11 +198,11 @@ def raymarch(
                 field._source(device),
                 lower,
                 upper,
+                picture,
                 scale=field._scale,
                 filter=filter,
                 device=device,
                 progress=callback,
-                **picture,
             )
         )
 
@@ -254,6 +231,28 @@ def _color(name: str, value: ArrayLike, channels: int) -> NDArray[np.float64]:
     if color.min() < 0:
         raise ArgumentError(f"{name}: must not be negative, got {color.tolist()}")
     return color
+
+
+def _picture(
+    camera: Camera,
+    size: tuple[int, int],
+    lights: Sequence[Light] | None,
+    background: NDArray[np.float64],
+    shadows: str,
+    shade: dict[str, Any],
+) -> dict[str, Any]:
+    """What the core makes a picture with."""
+    directions, colors = _lights(lights, camera)
+    return {
+        "pose": camera.pose,
+        "fov_deg": camera.fov_deg,
+        "size": size,
+        "light_directions": directions,
+        "light_colors": colors,
+        "background": (*background.tolist(),),
+        "shadows": shadows,
+        **shade,
+    }
 
 
 def _lights(lights: Sequence[Light] | None, camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

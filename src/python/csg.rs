@@ -3,7 +3,7 @@
 use super::convert::{Field, points, row_array, volume_array};
 use super::device::choose;
 use super::error::Failure;
-use super::render::{PictureArguments, frame_dict};
+use super::render::{PictureArguments, images_of};
 use super::run::run;
 use crate::csg::decompose::{Method, shape_of, structure};
 use crate::csg::draw::{DrawMethod, draw, tracer};
@@ -258,9 +258,7 @@ impl Shape {
             let tracer = tracer(&solid, method)?;
             draw(&place, &tracer, &camera, &options, progress)
         })?;
-        let images = frame_dict(py, drawing.frame)?;
-        images.set_item("device", place.label())?;
-        images.set_item("seconds", start.elapsed().as_secs_f64())?;
+        let images = images_of(py, drawing.frame, &place, start)?;
         images.set_item("parts", drawing.parts)?;
         images.set_item("boxes", drawing.boxes)?;
         images.set_item("leaf_evaluations", drawing.leaf_evaluations)?;

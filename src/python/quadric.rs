@@ -2,11 +2,10 @@
 
 use super::device::choose;
 use super::error::{Failure, exception};
-use super::render::{frame_dict, lights, pose_matrix};
+use super::render::{PictureArguments, images_of};
 use super::run::run;
 use crate::quadric::draw::draw_at;
 use crate::quadric::{Quadric, Quadrics as Core};
-use crate::render::{Camera, RaymarchOptions, Shadows};
 use glam::{DMat4, DVec3};
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -49,46 +48,19 @@ impl Quadrics {
     }
 
     /// Draw the nearest sheets.
-    #[pyo3(signature = (
-        pose, *, fov_deg=45.0, size, light_directions=None, light_colors=None, ambient=0.2, specular=0.25,
-        shininess=32.0, background=None, shadows="hard", device="auto", progress=None
-    ))]
+    #[pyo3(signature = (picture, device, progress=None))]
     fn draw<'py>(
         &self,
         py: Python<'py>,
-        pose: PyReadonlyArray2<'py, f64>,
-        fov_deg: f64,
-        size: [u32; 2],
-        light_directions: Option<PyReadonlyArray2<'py, f32>>,
-        light_colors: Option<PyReadonlyArray2<'py, f32>>,
-        ambient: f32,
-        specular: f32,
-        shininess: f32,
-        background: Option<[f32; 4]>,
-        shadows: &str,
+        picture: PictureArguments<'py>,
         device: &str,
         progress: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let place = choose(py, device)?;
-        let camera = Camera::from_pose(&pose_matrix(&pose)?, fov_deg).map_err(Failure::from)?;
-        let usual = RaymarchOptions::default();
-        let options = RaymarchOptions {
-            size,
-            lights: lights(light_directions.as_ref(), light_colors.as_ref())?,
-            ambient,
-            specular,
-            shininess,
-            background: background.unwrap_or(usual.background),
-            shadows: Shadows::from_name(shadows).map_err(Failure::from)?,
-            ..usual
-        };
+        let (camera, options) = picture.read()?;
         let start = Instant::now();
         let frame = run(py, progress, |progress| draw_at(&place, &self.0, &camera, &options, progress))?;
-        let seconds = start.elapsed().as_secs_f64();
-        let images = frame_dict(py, frame)?;
-        images.set_item("device", place.label())?;
-        images.set_item("seconds", seconds)?;
-        Ok(images)
+        images_of(py, frame, &place, start)
     }
 
     /// Lower bound of the distance to the nearest quadric at points (n, 3).

@@ -5,6 +5,7 @@ use super::device::{DeviceField, choose};
 use super::error::{Failure, exception};
 use super::run::run;
 use super::sparse::SparseField;
+use crate::gpu::Place;
 use crate::grid::Grid;
 use crate::render::{
     Camera, DirectionalLight, Filter, Frame, RaymarchOptions, Shadows, Source, raymarch_at, raymarch_view,
@@ -17,46 +18,19 @@ use std::time::Instant;
 
 /// Draw the zero level set of a field.
 #[pyfunction]
-#[pyo3(signature = (
-    distances, lower, upper, pose, *, fov_deg=45.0, size, light_directions=None, light_colors=None,
-    ambient=0.2, color=None, specular=0.25, shininess=32.0, background=None, shadows="hard",
-    filter="linear", scale=1.0, device="auto", progress=None
-))]
+#[pyo3(signature = (distances, lower, upper, picture, *, filter="linear", scale=1.0, device="auto", progress=None))]
 pub fn raymarch<'py>(
     py: Python<'py>,
     distances: &Bound<'py, PyAny>,
     lower: [f64; 3],
     upper: [f64; 3],
-    pose: PyReadonlyArray2<'py, f64>,
-    fov_deg: f64,
-    size: [u32; 2],
-    light_directions: Option<PyReadonlyArray2<'py, f32>>,
-    light_colors: Option<PyReadonlyArray2<'py, f32>>,
-    ambient: f32,
-    color: Option<[f32; 3]>,
-    specular: f32,
-    shininess: f32,
-    background: Option<[f32; 4]>,
-    shadows: &str,
+    picture: PictureArguments<'py>,
     filter: &str,
     scale: f32,
     device: &str,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let place = choose(py, device)?;
-    let picture = PictureArguments {
-        pose,
-        fov_deg,
-        size,
-        light_directions,
-        light_colors,
-        ambient,
-        color,
-        specular,
-        shininess,
-        background,
-        shadows: shadows.to_owned(),
-    };
     let (camera, options) = picture.read()?;
     let filter = Filter::from_name(filter).map_err(Failure::from)?;
     let options = RaymarchOptions { filter, ..options };
@@ -75,44 +49,49 @@ pub fn raymarch<'py>(
             run(py, progress, |progress| raymarch_view(&place, field.view()?, &camera, &options, progress))?
         })
     };
-    let seconds = start.elapsed().as_secs_f64();
-
-    let images = frame_dict(py, frame)?;
-    images.set_item("device", place.label())?;
-    images.set_item("seconds", seconds)?;
-    Ok(images)
+    images_of(py, frame, &place, start)
 }
 
-/// What a picture is made with, whatever is drawn: the keyword arguments of `raymarch`, or a mapping of them.
+/// What a picture is made with, whatever is drawn: a mapping, described in `_core.pyi`.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct PictureArguments<'py> {
     pose: PyReadonlyArray2<'py, f64>,
     fov_deg: f64,
     size: [u32; 2],
+    #[pyo3(default)]
     light_directions: Option<PyReadonlyArray2<'py, f32>>,
+    #[pyo3(default)]
     light_colors: Option<PyReadonlyArray2<'py, f32>>,
-    ambient: f32,
+    #[pyo3(default)]
+    ambient: Option<f32>,
+    #[pyo3(default)]
     color: Option<[f32; 3]>,
-    specular: f32,
-    shininess: f32,
+    #[pyo3(default)]
+    specular: Option<f32>,
+    #[pyo3(default)]
+    shininess: Option<f32>,
+    #[pyo3(default)]
     background: Option<[f32; 4]>,
-    shadows: String,
+    #[pyo3(default)]
+    shadows: Option<String>,
 }
 
 impl PictureArguments<'_> {
+    /// What is left out is as usual.
     pub fn read(&self) -> PyResult<(Camera, RaymarchOptions)> {
         let camera = Camera::from_pose(&pose_matrix(&self.pose)?, self.fov_deg).map_err(Failure::from)?;
         let usual = RaymarchOptions::default();
+        let shadows = self.shadows.as_deref().map(Shadows::from_name).transpose().map_err(Failure::from)?;
         let options = RaymarchOptions {
             size: self.size,
             lights: lights(self.light_directions.as_ref(), self.light_colors.as_ref())?,
-            ambient: self.ambient,
+            ambient: self.ambient.unwrap_or(usual.ambient),
             color: self.color.map_or(usual.color, Vec3::from_array),
-            specular: self.specular,
-            shininess: self.shininess,
+            specular: self.specular.unwrap_or(usual.specular),
+            shininess: self.shininess.unwrap_or(usual.shininess),
             background: self.background.unwrap_or(usual.background),
-            shadows: Shadows::from_name(&self.shadows).map_err(Failure::from)?,
+            shadows: shadows.unwrap_or(usual.shadows),
             filter: usual.filter,
         };
         Ok((camera, options))
@@ -128,7 +107,7 @@ pub fn pose_matrix(pose: &PyReadonlyArray2<'_, f64>) -> PyResult<[[f64; 4]; 4]> 
     Ok(std::array::from_fn(|row| std::array::from_fn(|column| pose_array[[row, column]])))
 }
 
-pub(super) fn lights(
+fn lights(
     directions: Option<&PyReadonlyArray2<'_, f32>>,
     colors: Option<&PyReadonlyArray2<'_, f32>>,
 ) -> PyResult<Option<Vec<DirectionalLight>>> {
@@ -145,6 +124,15 @@ pub(super) fn lights(
     }
     let light = |(&direction, color)| DirectionalLight { direction: Vec3::from_array(direction), color };
     Ok(Some(directions.iter().zip(colors.into_iter().map(Vec3::from_array)).map(light).collect()))
+}
+
+/// The arrays of a frame, where it was drawn, and how long that took.
+pub fn images_of<'py>(py: Python<'py>, frame: Frame, place: &Place, start: Instant) -> PyResult<Bound<'py, PyDict>> {
+    let seconds = start.elapsed().as_secs_f64();
+    let images = frame_dict(py, frame)?;
+    images.set_item("device", place.label())?;
+    images.set_item("seconds", seconds)?;
+    Ok(images)
 }
 
 pub fn frame_dict<'py>(py: Python<'py>, frame: Frame) -> PyResult<Bound<'py, PyDict>> {
