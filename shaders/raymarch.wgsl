@@ -2,4 +2,5 @@
 
 #import samples
 #import ray
+#import one_grid
 #import picture

@@ -2,4 +2,5 @@
 
 #import samples_encoded
 #import ray
+#import one_grid
 #import picture

@@ -2,4 +2,5 @@
 
 #import samples_encoded
 #import ray_sparse
+#import one_grid
 #import picture

@@ -144,6 +144,45 @@ def test_rays_meet_the_field_that_sample_gives():
     assert hit[inside].all()
 
 
+@pytest.mark.parametrize(
+    ("levels", "eye", "fov_deg"),
+    [
+        (1, (0.6, 0.8, 5), 40),
+        (4, (0.6, 0.8, 5), 40),
+        # Far away, between the levels, and in the solid.
+        (4, (60, 20, 500), 0.5),
+        (4, (0.3, -0.2, 1.7), 90),
+        (4, (0.1, 0.2, 0.9), 60),
+        (12, (0.6, 0.8, 5), 40),
+    ],
+)
+def test_a_device_draws_the_same_picture(levels, eye, fov_deg, gpu):
+    ball = fb.bake(fb.Mesh(*meshes.icosphere(4)), 64)
+    field = fb.merge([ball], 24, bounds=[(-2, -2, -2), (2, 2, 2)], levels=levels, center=(0, 0, 1))
+    camera = fb.Camera(eye, (0, 0, 0), fov_deg=fov_deg)
+    lights = [fb.DirectionalLight((-1, -0.4, -0.3)), fb.DirectionalLight((0.5, -1, 0), color=(1, 0.6, 0.2))]
+    options = {"size": (96, 64), "lights": lights, "ambient": 0.3, "background": (0, 0, 0, 0)}
+    cpu, device = (fb.raymarch(field, camera, device=place, **options) for place in ("cpu", gpu))
+    assert device.report["device"] != "cpu"
+    hit = cpu.object_id == 0
+    assert hit.sum() > 500
+    # As for one volume; float32 tells no depths apart that differ by an ulp.
+    assert np.array_equal(hit, device.object_id == 0)
+    diagonal = np.linalg.norm(field.bounds[1] - field.bounds[0])
+    allowed = 1e-4 * diagonal + np.finfo(np.float32).eps * np.linalg.norm(eye)
+    assert np.abs(cpu.depth[hit] - device.depth[hit]).max() <= allowed
+    assert np.mean(cpu.shadow != device.shadow) <= 1e-3
+    assert np.mean(np.abs(cpu.color - device.color) > 1e-3) <= 1e-3
+
+
+def test_a_device_refuses_more_voxels_than_rays_can_cross(gpu):
+    long = fb.NestedField([fb.Volume(np.ones((16_400, 1, 1)), [(0, 0, 0), (16_400, 1, 1)])])
+    camera = fb.Camera((0, 0, 5), (0, 0, 0))
+    assert (fb.raymarch(long, camera, size=(8, 8), device="cpu").object_id == -1).all()
+    with pytest.raises(fb.ArgumentError, match=r"device.*16384 voxels.*16402"):
+        fb.raymarch(long, camera, size=(8, 8), device=gpu)
+
+
 @pytest.mark.parametrize("shadows", ["hard", "soft"])
 def test_as_a_far_field_it_throws_shadows_and_devices_agree(shadows, gpu):
     scene, balls, _ = grove(20, angle_deg=3)

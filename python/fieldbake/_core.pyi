@@ -44,6 +44,7 @@ __all__ = [
     "gradient",
     "merge",
     "raymarch",
+    "raymarch_nested",
     "render",
     "require_memory",
     "resample",
@@ -359,6 +360,16 @@ def raymarch(
     Keys: ``color`` (h, w, 4) linear RGBA, ``depth`` (h, w) along the view axis, inf where nothing is hit, ``normal``
     (h, w, 3), ``object_id`` (h, w) int32, -1 for nothing, ``shadow`` (h, w) or (h, w, k), ``steps`` (h, w) uint32,
     ``device``, ``seconds``."""
+
+def raymarch_nested(
+    levels: list[tuple[NDArray[np.float32], tuple[float, float, float], tuple[float, float, float]]],
+    picture: dict[str, Any],
+    *,
+    device: str = "auto",
+    progress: Callable[[float], object] | None = None,
+) -> dict[str, Any] | None:
+    """Draw nested fields on a graphics device: distances, lower and upper corner of each, finest first; picture and
+    result as for :func:`raymarch`. None where ``device`` is the CPU."""
 
 @final
 class SceneField:

@@ -227,6 +227,10 @@ class NestedField:
             found.append((level, held))
         return [*found, (self._joined_levels()[-1], left)]
 
+    def _stored(self) -> list[tuple[NDArray[np.float32], Any, Any]]:
+        """The samples and the box of each level as the core's pictures take them."""
+        return [(level.distances, *level._corners()) for level in self._joined_levels()]
+
     def _far(self) -> list[_core.SceneField]:
         """The levels as the core's scenes take them."""
         return [fields.of_thing(level) for level in self._joined_levels()]

@@ -106,7 +106,8 @@ def raymarch(
     ray is a cubic polynomial. What lies outside the volume's box is not seen and casts no shadow.
 
     Quantized and sparse volumes are read as they are stored, on the CPU and on a graphics device, which holds as many
-    bytes of them. A device takes sparse volumes whose sides have at most 16380 voxels together.
+    bytes of them. A device takes sparse volumes, and nested fields, whose sides have at most 16380 voxels together;
+    nested fields it draws under directional lights with shadows ``"hard"`` or ``"none"``, else the CPU does.
 
     ``filter="hardware"`` reads half floats through weights of 8 bits or so: at a hit the trilinear field is within
     0.01 voxels of zero on the devices that were tested; WebGPU promises no number. It takes the samples for distances,
@@ -181,11 +182,18 @@ def raymarch(
     if is_nested or needs_scene:
         if filter != "linear":
             raise ArgumentError('filter: "hardware" goes with directional lights and shadows "hard" or "none"')
+        if not needs_scene:
+            assert isinstance(field, NestedField)
+            picture = _picture(camera, (width, height), lights, behind, shadows, {**shade, "color": surface})
+            with progress_callback(progress, "raymarch") as callback:
+                drawn = _core.raymarch_nested(field._stored(), picture, device=device, progress=callback)
+            if drawn is not None:
+                return _frame(drawn)
         # Without a colour of its own a shape keeps its paint.
         paint = None if color is None else surface
         material = Material(color=paint, specular=shade["specular"], shininess=shade["shininess"])
         scene = Scene([Instance(field, material=material)], lights, ambient=shade["ambient"], background=behind)
-        # Nested fields are marched on the CPU.
+        # In a scene nested fields are marched on the CPU.
         place = "cpu" if is_nested and device == "auto" else device
         return render(scene, camera, size=size, primary="raymarch", shadows=shadows, device=place, progress=progress)
     picture = _picture(camera, (width, height), lights, behind, shadows, {**shade, "color": surface})

@@ -29,18 +29,21 @@ struct Hit {
 
 // The part of a ray that lies in the box of `shape` voxels, in grid space: voxel centres at integers.
 fn clip_to_box(origin: vec3f, direction: vec3f, shape: vec3u) -> ClippedRay {
+    return clip_between(origin, direction, vec3f(-0.5), vec3f(shape) - 0.5);
+}
+
+// The part of a ray that lies between two corners, in grid space.
+fn clip_between(origin: vec3f, direction: vec3f, lower: vec3f, upper: vec3f) -> ClippedRay {
     var clipped: ClippedRay;
     clipped.enter_axis = NO_AXIS;
     var t_leave = FAR_T;
     for (var axis = 0u; axis < 3u; axis++) {
-        let lower = -0.5;
-        let upper = f32(shape[axis]) - 0.5;
         if direction[axis] == 0.0 {
-            if origin[axis] < lower || origin[axis] > upper { return clipped; }
+            if origin[axis] < lower[axis] || origin[axis] > upper[axis] { return clipped; }
             continue;
         }
-        let to_lower = (lower - origin[axis]) / direction[axis];
-        let to_upper = (upper - origin[axis]) / direction[axis];
+        let to_lower = (lower[axis] - origin[axis]) / direction[axis];
+        let to_upper = (upper[axis] - origin[axis]) / direction[axis];
         if min(to_lower, to_upper) > clipped.t_enter {
             clipped.t_enter = min(to_lower, to_upper);
             clipped.enter_axis = axis;

@@ -1,5 +1,6 @@
 // A picture of a field: one invocation a pixel, its ray and its shadow rays. Twin of src/render/mod.rs and
-// src/render/shade.rs. The kernel that imports this brings `field_at` and `march`.
+// src/render/shade.rs. The kernel that imports this brings `field_at`, `first_hit` of a ray, `slope_at` a point and
+// `ambient_on` a surface.
 //
 // Rays start on the plane `start_depth` before the camera, just before the box: the CPU moves the eye there in float64,
 // so that float32 is exact enough for a camera at any distance.
@@ -8,7 +9,7 @@
 #import light
 
 struct MarchParams {
-    // The field's voxels.
+    // The field's voxels; of nested fields, as many as if all were as fine as the finest.
     shape: vec3u,
     light_count: u32,
     // Where the ray of the middle of the picture starts, and what one unit to the right and up on the plane at depth 1
@@ -66,15 +67,20 @@ struct Pixel {
 // Start of a shadow ray above the surface.
 const SHADOW_BIAS_VOXELS: f32 = 0.5;
 
-// World normal at a point of the surface: the gradient averaged over a voxel around it; `fallback` where the field has no
-// slope.
-fn surface_normal(p_grid: vec3f, fallback: vec3f) -> vec3f {
+// The gradient at a point of the grid space of `shape` voxels, averaged over a voxel around it.
+fn slope_over_voxel(p_grid: vec3f, shape: vec3u) -> vec3f {
     var per_voxel: vec3f;
     for (var axis = 0u; axis < 3u; axis++) {
         var half_voxel = vec3f(0.0);
         half_voxel[axis] = 0.5;
-        per_voxel[axis] = field_at(p_grid + half_voxel, params.shape) - field_at(p_grid - half_voxel, params.shape);
+        per_voxel[axis] = field_at(p_grid + half_voxel, shape) - field_at(p_grid - half_voxel, shape);
     }
+    return per_voxel;
+}
+
+// World normal at a point of the surface; `fallback` where the field has no slope.
+fn surface_normal(p_grid: vec3f, fallback: vec3f) -> vec3f {
+    let per_voxel = slope_at(p_grid);
     let sizes = abs(per_voxel);
     let largest = max(sizes.x, max(sizes.y, sizes.z));
     if largest < TINY { return fallback; }
@@ -89,7 +95,7 @@ fn share_that_arrives(p_grid: vec3f, normal: vec3f, to_light: vec3f) -> f32 {
     let origin = p_grid + SHADOW_BIAS_VOXELS * voxel * normal / params.relative_spacing;
     let ray = clip_to_box(origin, to_light / params.relative_spacing, params.shape);
     if !ray.is_in_box { return 1.0; }
-    return select(1.0, 0.0, march(ray, params.shape).is_hit);
+    return select(1.0, 0.0, first_hit(ray).is_hit);
 }
 
 @compute @workgroup_size(8, 8)
@@ -108,7 +114,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     let direction = params.forward + along_right * params.right + along_up * params.up;
     let ray = clip_to_box(start, direction, params.shape);
     if ray.is_in_box {
-        let hit = march(ray, params.shape);
+        let hit = first_hit(ray);
         pixel.steps = hit.steps;
         if hit.is_hit {
             let p_grid = ray.origin + hit.t * ray.direction;
@@ -126,7 +132,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
                 normal = to_eye;
             }
 
-            var color = ambient_light(normal, params.ambient) * params.color;
+            var color = ambient_on(normal) * params.color;
             for (var i = 0u; i < min(params.light_count, MAX_LIGHTS); i++) {
                 var share = 1.0;
                 if params.shadows == 1u { share = share_that_arrives(p_grid, normal, -lights[i].direction); }

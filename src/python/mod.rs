@@ -46,7 +46,7 @@ mod _core {
     #[pymodule_export]
     use super::query::{closest_point, signed_distance};
     #[pymodule_export]
-    use super::render::raymarch;
+    use super::render::{raymarch, raymarch_nested};
     #[pymodule_export]
     use super::scene::{Scene, SceneField, SceneMesh, Texture, render};
     #[pymodule_export]

@@ -8,10 +8,11 @@ use super::sparse::SparseField;
 use crate::gpu::Place;
 use crate::grid::Grid;
 use crate::render::{
-    Camera, DirectionalLight, Filter, Frame, RaymarchOptions, Shadows, Source, raymarch_at, raymarch_view,
+    Camera, DirectionalLight, Filter, Frame, RaymarchOptions, Shadows, Source, raymarch_at,
+    raymarch_nested as draw_nested, raymarch_view,
 };
 use glam::{DVec3, Vec3};
-use numpy::PyReadonlyArray2;
+use numpy::{PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::time::Instant;
@@ -50,6 +51,34 @@ pub fn raymarch<'py>(
         })
     };
     images_of(py, frame, &place, start)
+}
+
+/// A level of nested fields: distances, and the corners of its box.
+type NestedLevel<'py> = (PyReadonlyArray3<'py, f32>, [f64; 3], [f64; 3]);
+
+/// Draw nested fields, finest first, on a graphics device; `None` where `device` is the CPU.
+#[pyfunction]
+#[pyo3(signature = (levels, picture, *, device="auto", progress=None))]
+pub fn raymarch_nested<'py>(
+    py: Python<'py>,
+    levels: Vec<NestedLevel<'py>>,
+    picture: PictureArguments<'py>,
+    device: &str,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Option<Bound<'py, PyDict>>> {
+    let place = choose(py, device)?;
+    let Place::Gpu(context) = &place else { return Ok(None) };
+    let (camera, options) = picture.read()?;
+    let fields: Vec<_> = levels
+        .iter()
+        .map(|(distances, lower, upper)| Field::new(distances, *lower, *upper))
+        .collect::<PyResult<_>>()?;
+    let start = Instant::now();
+    let frame = run(py, progress, |progress| {
+        let views = fields.iter().map(Field::view).collect::<Result<Vec<_>, _>>()?;
+        draw_nested(context, &views, &camera, &options, progress)
+    })?;
+    Ok(Some(images_of(py, frame, &place, start)?))
 }
 
 /// What a picture is made with, whatever is drawn: a mapping, described in `_core.pyi`.

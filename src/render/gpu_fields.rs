@@ -1,4 +1,4 @@
-//! What a graphics device marches through: dense samples in any encoding, a texture of half floats, bricks.
+//! What a graphics device marches through: dense samples in any encoding, a texture of half floats, bricks, nested grids.
 //!
 //! Stored numbers go up as they are and are decoded where they are read, so a field takes as many bytes there as here;
 //! a sparse one takes a byte a brick more, for the leaps.
@@ -10,7 +10,7 @@ use super::empty::EmptySpace;
 use crate::encoding::Encoding;
 use crate::error::{ArgumentError, DeviceError, Error};
 use crate::gpu::Context;
-use crate::gpu::layout::{SparseParams, StoredParams, TextureParams};
+use crate::gpu::layout::{NestedLevel, SparseParams, StoredParams, TextureParams};
 use crate::gpu::texture::{FilteredTexture, row_bytes};
 use crate::grid::Grid;
 use crate::progress::Progress;
@@ -23,7 +23,7 @@ use std::sync::Arc;
 const TEXTURE_PIECE_BYTES: u64 = 32 << 20;
 /// Workgroups that a device starts along one axis.
 const WORKGROUPS_PER_ROW: u32 = 65_535;
-/// Steps of a ray through bricks at most, as in the shader.
+/// Steps of a ray through bricks at most, as in the shader, and through nested grids.
 const MAX_STEPS: usize = 16384;
 
 /// A field on a device, and the kernel that marches through it.
@@ -74,14 +74,7 @@ impl MarchedField {
         view: SparseView<'_, T>,
         progress: &Progress,
     ) -> Result<Self, Error> {
-        let cells: usize = view.grid().shape.iter().sum();
-        if cells + 4 > MAX_STEPS {
-            let problem = format!(
-                "a graphics device follows a ray through {MAX_STEPS} voxels at most, and the sides of this field have \
-                 {cells} together; use device=\"cpu\""
-            );
-            return Err(ArgumentError::new("device", problem).into());
-        }
+        check_sides(view.grid().shape.iter().sum())?;
         let bricks = MaskedBricks::new(view, progress)?;
         let empty = EmptySpace::new(bricks.block_counts(), &bricks.occupied(progress)?, progress)?;
 
@@ -101,6 +94,55 @@ impl MarchedField {
         buffers.push((9, context.uniform("parameters of bricks", &params)?));
         Ok(Self { context: context.clone(), kernel: "raymarch_sparse", buffers, texture: None })
     }
+
+    /// Copy nested fields to a device, finest first, to be drawn on [`nested_grid`].
+    pub fn nested(context: &Arc<Context>, levels: &[FieldView<'_>], grid: &Grid) -> Result<Self, Error> {
+        check_sides(levels.iter().flat_map(|level| level.grid().shape).sum())?;
+        let voxel = grid.spacing();
+        let mut first_sample = 0;
+        let records: Vec<NestedLevel> = levels
+            .iter()
+            .map(|level| {
+                let own = level.grid();
+                let scale = voxel.x / own.spacing().x;
+                let first = (own.lower - grid.lower) / own.spacing();
+                let record = NestedLevel {
+                    shape: own.shape.map(|n| n as u32),
+                    first_sample,
+                    offset: (0.5 * scale - 0.5 - first).as_vec3().to_array(),
+                    scale: scale as f32,
+                };
+                first_sample += own.len() as u32;
+                record
+            })
+            .collect();
+        let samples = levels.iter().map(|level| level.distances()).collect::<Vec<_>>().concat();
+        let buffers = vec![
+            (1, context.upload("nested fields", &samples)?),
+            (5, context.upload("levels of nested fields", &records)?),
+        ];
+        Ok(Self { context: context.clone(), kernel: "raymarch_nested", buffers, texture: None })
+    }
+}
+
+/// The grid that nested fields would lie on if all were as fine as the first, the finest. Nobody has samples for it.
+pub(super) fn nested_grid(levels: &[FieldView<'_>]) -> Option<Grid> {
+    let (finest, outermost) = (levels.first()?.grid(), levels.last()?.grid());
+    let ratio = (outermost.spacing() / finest.spacing()).round();
+    let shape = [0, 1, 2].map(|axis| outermost.shape[axis] * ratio[axis] as usize);
+    Some(Grid { shape, ..*outermost })
+}
+
+/// A device's loops are bounded, and so is how far a ray goes.
+fn check_sides(voxels: usize) -> Result<(), ArgumentError> {
+    if voxels + 4 <= MAX_STEPS {
+        return Ok(());
+    }
+    let problem = format!(
+        "a graphics device follows a ray through {MAX_STEPS} voxels at most, and the sides of this field have {voxels} \
+         together; use device=\"cpu\""
+    );
+    Err(ArgumentError::new("device", problem))
 }
 
 /// Stored samples and how to decode them; `shaders/shared/samples_encoded.wgsl`.

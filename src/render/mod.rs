@@ -31,7 +31,7 @@ pub use camera::Camera;
 
 use crate::encoding::Encoding;
 use crate::error::{ArgumentError, Error};
-use crate::gpu::Place;
+use crate::gpu::{Context, Place};
 use crate::grid::Grid;
 use crate::progress::Progress;
 use crate::volume::device::DeviceField;
@@ -40,7 +40,7 @@ use crate::volume::{FieldView, Texel, Trilinear};
 use blocks::Blocks;
 use bricks::MaskedBricks;
 use glam::{DVec3, Vec3};
-use gpu_fields::MarchedField;
+use gpu_fields::{MarchedField, nested_grid};
 use march::{Marcher, clip_to_box};
 use rayon::prelude::*;
 use shade::{Shader, Surface};
@@ -276,6 +276,19 @@ pub fn raymarch_sparse<T: Texel>(
             raymarch_at(place, Source::Host(&field.dense(progress)?), field.grid(), camera, options, progress)
         }
     }
+}
+
+/// Draw nested fields on a device, finest first: each twice as fine as the one around it, and joined to it as
+/// `scene::nested` has it.
+pub fn raymarch_nested(
+    context: &Arc<Context>,
+    levels: &[FieldView<'_>],
+    camera: &Camera,
+    options: &RaymarchOptions,
+    progress: &Progress,
+) -> Result<Frame, Error> {
+    let grid = nested_grid(levels).ok_or_else(|| ArgumentError::new("levels", "are empty"))?;
+    draw_on_device(|| MarchedField::nested(context, levels, &grid), &grid, camera, options, progress)
 }
 
 /// Draw a field that is in device memory, there.

@@ -85,6 +85,16 @@ pub struct SparseParams {
     pub longest_step: f32,
 }
 
+/// `shaders/shared/nested.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct NestedLevel {
+    pub shape: [u32; 3],
+    pub first_sample: u32,
+    pub offset: [f32; 3],
+    pub scale: f32,
+}
+
 /// `shaders/shared/light.wgsl`.
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]

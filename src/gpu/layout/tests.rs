@@ -86,6 +86,7 @@ fn structs_have_the_layout_that_the_shaders_read() {
     assert_twin!("raymarch", Light { direction, pad_0, color, pad_1 });
     assert_twin!("raymarch", Pixel { color, normal, depth, steps, is_hit, pad_0, pad_1 });
     assert_twin!("raymarch_encoded", StoredParams { encoding, scale, pad_0, pad_1 });
+    assert_twin!("raymarch_nested", NestedLevel { shape, first_sample, offset, scale });
     assert_twin!("raymarch_sparse", SparseParams { bricks, floor, node_step, longest_step });
     assert_twin!("scene_beams", SceneNode { min, first, max, count });
     assert_twin!(

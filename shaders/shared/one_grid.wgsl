@@ -1,0 +1,13 @@
+// A picture of a field on one grid, the picture's own.
+
+fn first_hit(ray: ClippedRay) -> Hit {
+    return march(ray, params.shape);
+}
+
+fn slope_at(p_grid: vec3f) -> vec3f {
+    return slope_over_voxel(p_grid, params.shape);
+}
+
+fn ambient_on(normal: vec3f) -> f32 {
+    return ambient_light(normal, params.ambient);
+}
