@@ -1,50 +1,28 @@
 // A picture of a field: one invocation a pixel, its ray and its shadow rays. Twin of src/render/mod.rs and
 // src/render/shade.rs. The kernel that imports this brings `field_at`, `first_hit` of a ray, `slope_at` a point and
 // `ambient_on` a surface.
-//
-// Rays start on the plane `start_depth` before the camera, just before the box: the CPU moves the eye there in float64,
-// so that float32 is exact enough for a camera at any distance.
 
 #import clip
 #import light
+#import picture_rays
 
 struct MarchParams {
+    // In grid space; depth is counted in the smallest side of a voxel.
+    rays: PictureRays,
     // The field's voxels; of nested fields, as many as if all were as fine as the finest.
     shape: vec3u,
-    light_count: u32,
-    // Where the ray of the middle of the picture starts, and what one unit to the right and up on the plane at depth 1
-    // adds to it; grid space.
-    start: vec3f,
-    width: u32,
-    start_right: vec3f,
-    height: u32,
-    start_up: vec3f,
-    // The first row of this dispatch.
-    first_row: u32,
-    // The direction of that ray, and what one unit to the right and up adds; grid space. Depth is counted in the smallest
-    // side of a voxel.
-    forward: vec3f,
-    ambient: f32,
-    right: vec3f,
-    specular: f32,
-    up: vec3f,
-    shininess: f32,
-    // The same in world space.
-    world_forward: vec3f,
-    // Side of a pixel on the plane at depth 1.
-    pixel: f32,
-    world_right: vec3f,
-    // 1 for hard shadows, 0 for none.
-    shadows: u32,
-    world_up: vec3f,
     // The first row that `pixels` holds, and the one after the last.
     band_start: u32,
     color: vec3f,
     band_end: u32,
     // Voxel size relative to its smallest side.
     relative_spacing: vec3f,
-    pad_0: u32,
+    ambient: f32,
     background: vec4f,
+    specular: f32,
+    shininess: f32,
+    pad_0: u32,
+    pad_1: u32,
 }
 
 struct Pixel {
@@ -101,26 +79,21 @@ fn share_that_arrives(p_grid: vec3f, normal: vec3f, to_light: vec3f) -> f32 {
 @compute @workgroup_size(8, 8)
 fn main(@builtin(global_invocation_id) id: vec3u) {
     let x = id.x;
-    let y = id.y + params.first_row;
-    if x >= params.width || y >= params.band_end { return; }
-    let index = x + params.width * (y - params.band_start);
+    let y = id.y + params.rays.first_row;
+    if x >= params.rays.width || y >= params.band_end { return; }
+    let index = x + params.rays.width * (y - params.band_start);
     var pixel: Pixel;
     pixel.color = params.background;
-    for (var i = 0u; i < min(params.light_count, MAX_LIGHTS); i++) { shares[index * params.light_count + i] = 1.0; }
+    for (var i = 0u; i < min(params.rays.light_count, MAX_LIGHTS); i++) { shares[index * params.rays.light_count + i] = 1.0; }
 
-    let along_right = (f32(x) + 0.5 - 0.5 * f32(params.width)) * params.pixel;
-    let along_up = (0.5 * f32(params.height) - 0.5 - f32(y)) * params.pixel;
-    let start = params.start + along_right * params.start_right + along_up * params.start_up;
-    let direction = params.forward + along_right * params.right + along_up * params.up;
-    let ray = clip_to_box(start, direction, params.shape);
+    let line = picture_ray(params.rays, x, y);
+    let ray = clip_to_box(line.start, line.along, params.shape);
     if ray.is_in_box {
         let hit = first_hit(ray);
         pixel.steps = hit.steps;
         if hit.is_hit {
             let p_grid = ray.origin + hit.t * ray.direction;
-            let world =
-                params.world_forward + along_right * params.world_right + along_up * params.world_up;
-            let to_eye = -normalize(world);
+            let to_eye = -normalize(line.along * params.relative_spacing);
             var normal: vec3f;
             if !hit.at_start {
                 normal = surface_normal(p_grid, to_eye);
@@ -133,15 +106,15 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
             }
 
             var color = ambient_on(normal) * params.color;
-            for (var i = 0u; i < min(params.light_count, MAX_LIGHTS); i++) {
+            for (var i = 0u; i < min(params.rays.light_count, MAX_LIGHTS); i++) {
                 var share = 1.0;
-                if params.shadows == 1u { share = share_that_arrives(p_grid, normal, -lights[i].direction); }
-                shares[index * params.light_count + i] = share;
+                if params.rays.shadows == 1u { share = share_that_arrives(p_grid, normal, -lights[i].direction); }
+                shares[index * params.rays.light_count + i] = share;
                 color += share * light_adds(lights[i], params.color, normal, to_eye, params.specular, params.shininess);
             }
             pixel.color = vec4f(color, 1.0);
             pixel.normal = normal;
-            pixel.depth = ray.t_enter + hit.t / length(direction);
+            pixel.depth = ray.t_enter + hit.t / length(line.along);
             pixel.is_hit = 1u;
         }
     }

@@ -14,12 +14,12 @@
 
 use super::draw::View;
 use super::{LINEAR_UP_TO, Quadrics};
-use crate::error::{ArgumentError, DeviceError, Error};
+use crate::error::{DeviceError, Error};
 use crate::gpu::Context;
-use crate::gpu::layout::{Light, QuadricParams, QuadricPixel};
+use crate::gpu::layout::{QuadricParams, QuadricPixel};
 use crate::gpu::pace::in_pieces;
 use crate::progress::Progress;
-use crate::render::Frame;
+use crate::render::{Frame, upload_lights};
 use glam::DVec3;
 
 const RECORD_TEXELS: usize = 6;
@@ -27,8 +27,6 @@ const RECORD_TEXELS: usize = 6;
 const TILE: u32 = 8;
 /// Rows of workgroups of a dispatch: the first one, and the most.
 const TILE_ROWS: (u64, u64) = (1, 1024);
-/// As in the shader.
-const MAX_LIGHTS: usize = 64;
 const HIT: u32 = 1;
 const UNFINISHED: u32 = 2;
 /// Indices are stored as floats, which are whole up to here.
@@ -38,14 +36,11 @@ const BOX_GROWTH: f64 = 2e-6;
 
 pub(super) fn draw(context: &Context, view: &View<'_>, progress: &Progress) -> Result<Frame, Error> {
     let View { quadrics, camera, options, lights } = *view;
-    if lights.len() > MAX_LIGHTS {
-        let problem = format!("{} lights, a graphics device draws with {MAX_LIGHTS} at most", lights.len());
-        return Err(ArgumentError::new("light_directions", problem).into());
-    }
+    let light_buffer = upload_lights(context, lights)?;
     let [width, height] = options.size;
     let pixel_count = width as usize * height as usize;
     let bounds = quadrics.bounds().unwrap_or([camera.eye; 2]);
-    let start_depth = depth_before(bounds, camera.eye, camera.back);
+    let start_depth = camera.depth_before(bounds);
     let start = camera.eye - start_depth * camera.back - quadrics.tree().center;
     let store = Store::new(context, quadrics, bounds)?;
     let mut params = QuadricParams {
@@ -59,12 +54,7 @@ pub(super) fn draw(context: &Context, view: &View<'_>, progress: &Progress) -> R
         texels_per_row: store.texels_per_row,
         ..QuadricParams::default()
     };
-    let light_rows: Vec<Light> = lights
-        .iter()
-        .map(|light| Light { direction: light.direction.to_array(), color: light.color.to_array(), ..Light::default() })
-        .collect();
     let uniform = context.parameters("picture parameters", &params)?;
-    let light_buffer = context.upload("lights", &light_rows)?;
     let pixels = context.storage("a picture", (pixel_count * size_of::<QuadricPixel>()) as u64)?;
     let shares = context.storage("light shares", (4 * pixel_count * lights.len().max(1)) as u64)?;
     let kernel = context.kernel("quadrics", "main")?;
@@ -178,11 +168,4 @@ impl Store {
         })?;
         Ok(Self { view, texels_per_row: size.width, nodes: nodes.len() as u32 })
     }
-}
-
-/// Depth of the nearest corner of a box, or zero if the box reaches behind the eye.
-fn depth_before([lower, upper]: [DVec3; 2], eye: DVec3, back: DVec3) -> f64 {
-    let center = 0.5 * (lower + upper);
-    let reach = (0.5 * (upper - lower)).dot(back.abs());
-    ((eye - center).dot(back) - 1.01 * reach).max(0.0)
 }

@@ -72,10 +72,22 @@ impl Camera {
     /// The rays of a picture for a device. `start` is where that of the middle starts, `start_depth` before the eye, both in
     /// the units of the rays.
     pub fn rays(&self, options: &RaymarchOptions, light_count: usize, start: DVec3, start_depth: f64) -> PictureRays {
+        self.rays_in(DVec3::ONE, options, light_count, start, start_depth)
+    }
+
+    /// [`Camera::rays`] where a unit along each axis is so many units long.
+    pub fn rays_in(
+        &self,
+        units: DVec3,
+        options: &RaymarchOptions,
+        light_count: usize,
+        start: DVec3,
+        start_depth: f64,
+    ) -> PictureRays {
         let [width, height] = options.size;
-        let to_f32 = |v: DVec3| v.as_vec3().to_array();
+        let to_f32 = |v: DVec3| (v / units).as_vec3().to_array();
         PictureRays {
-            start: to_f32(start),
+            start: start.as_vec3().to_array(),
             width,
             start_right: to_f32(start_depth * self.right),
             height,
@@ -88,6 +100,14 @@ impl Camera {
             up: to_f32(self.up),
             shadows: u32::from(options.shadows == Shadows::Hard),
         }
+    }
+
+    /// Depth of a box's nearest corner, or zero if the box reaches behind the eye. A little nearer, so that rounding does not
+    /// put the start of a ray inside.
+    pub fn depth_before(&self, [lower, upper]: [DVec3; 2]) -> f64 {
+        let reach = 0.5 * (upper - lower).dot(self.back.abs());
+        let nearest = (self.eye - 0.5 * (lower + upper)).dot(self.back) - reach;
+        (nearest - 0.01 * (upper - lower).length()).max(0.0)
     }
 
     /// A direction of camera space in world space.

@@ -5,13 +5,13 @@
 //! comes down as 48 bytes a pixel.
 
 use super::gpu_fields::MarchedField;
-use super::{Camera, DirectionalLight, Frame, RaymarchOptions, Shadows};
+use super::{Camera, DirectionalLight, Frame, RaymarchOptions};
 use crate::error::{ArgumentError, Error};
+use crate::gpu::Context;
 use crate::gpu::layout::{Light, MarchParams, Pixel};
 use crate::gpu::pace::in_pieces;
 use crate::grid::Grid;
 use crate::progress::Progress;
-use glam::DVec3;
 
 /// Side of a workgroup, as in the shader.
 const TILE: u32 = 8;
@@ -32,20 +32,12 @@ pub(super) fn raymarch(
     progress: &Progress,
 ) -> Result<Frame, Error> {
     let context = &field.context;
-    if lights.len() > MAX_LIGHTS {
-        let problem = format!("{} lights, a graphics device draws with {MAX_LIGHTS} at most", lights.len());
-        return Err(ArgumentError::new("light_directions", problem).into());
-    }
+    let light_buffer = upload_lights(context, lights)?;
     let [width, height] = options.size;
-    let start_depth = depth_before_box(grid, camera);
+    let start_depth = camera.depth_before([grid.lower, grid.upper]);
     let unit = grid.spacing().min_element();
     let mut params = params(grid, camera, options, lights.len(), start_depth);
-    let light_rows: Vec<Light> = lights
-        .iter()
-        .map(|light| Light { direction: light.direction.to_array(), color: light.color.to_array(), ..Light::default() })
-        .collect();
     let uniform = context.parameters("picture parameters", &params)?;
-    let light_buffer = context.upload("lights", &light_rows)?;
     // In bands of rows, each in a buffer that the device can bind.
     let share_bytes = 4 * lights.len().max(1) as u64;
     let row_bytes = u64::from(width) * share_bytes.max(size_of::<Pixel>() as u64);
@@ -67,9 +59,9 @@ pub(super) fn raymarch(
         (params.band_start, params.band_end) = (band_start, band_end);
         let rows = u64::from((band_end - band_start).div_ceil(TILE));
         in_pieces(context, "the raymarch kernel", rows, TILE_ROWS.0, TILE_ROWS.1, progress, |first, count| {
-            params.first_row = band_start + first as u32 * TILE;
+            params.rays.first_row = band_start + first as u32 * TILE;
             context.write("picture parameters", &uniform, 0, &[params])?;
-            progress.advance((count * u64::from(TILE)).min(u64::from(band_end - params.first_row)))?;
+            progress.advance((count * u64::from(TILE)).min(u64::from(band_end - params.rays.first_row)))?;
             Ok(context.dispatch("raymarch", &kernel, &group, [width.div_ceil(TILE), count as u32, 1])?)
         })?;
 
@@ -91,51 +83,35 @@ pub(super) fn raymarch(
     Ok(frame)
 }
 
-/// Depth of the box's nearest corner, or zero if the box reaches behind the eye.
-fn depth_before_box(grid: &Grid, camera: &Camera) -> f64 {
-    let corner = |i: usize| {
-        DVec3::new(
-            if i & 1 == 0 { grid.lower.x } else { grid.upper.x },
-            if i & 2 == 0 { grid.lower.y } else { grid.upper.y },
-            if i & 4 == 0 { grid.lower.z } else { grid.upper.z },
-        )
+/// Lights as the kernels read them. `lights` have unit directions.
+pub(crate) fn upload_lights(context: &Context, lights: &[DirectionalLight]) -> Result<wgpu::Buffer, Error> {
+    if lights.len() > MAX_LIGHTS {
+        let problem = format!("{} lights, a graphics device draws with {MAX_LIGHTS} at most", lights.len());
+        return Err(ArgumentError::new("light_directions", problem).into());
+    }
+    let row = |light: &DirectionalLight| Light {
+        direction: light.direction.to_array(),
+        color: light.color.to_array(),
+        ..Light::default()
     };
-    let depth = |p: DVec3| (camera.eye - p).dot(camera.back);
-    // A little nearer, so that rounding does not put the start inside.
-    let nearest = (0..8).map(|i| depth(corner(i))).fold(f64::INFINITY, f64::min);
-    (nearest - 0.01 * grid.diagonal()).max(0.0)
+    Ok(context.upload("lights", &lights.iter().map(row).collect::<Vec<_>>())?)
 }
 
 fn params(grid: &Grid, camera: &Camera, options: &RaymarchOptions, lights: usize, start_depth: f64) -> MarchParams {
     let spacing = grid.spacing();
-    let to_f32 = |v: DVec3| v.as_vec3().to_array();
-    let (forward, right, up) = (-camera.back, camera.right, camera.up);
     // A unit of depth is the smallest side of a voxel there: world units may be of any size.
-    let relative = spacing / spacing.min_element();
-    let start = camera.eye + start_depth * forward;
+    let unit = spacing.min_element();
+    let relative = spacing / unit;
+    let start = (camera.eye - start_depth * camera.back - grid.lower) / spacing - 0.5;
     MarchParams {
+        rays: camera.rays_in(relative, options, lights, start, start_depth / unit),
         shape: grid.shape.map(|n| n as u32),
-        light_count: lights as u32,
-        start: to_f32((start - grid.lower) / spacing - 0.5),
-        width: options.size[0],
-        start_right: to_f32(start_depth * right / spacing),
-        height: options.size[1],
-        start_up: to_f32(start_depth * up / spacing),
-        first_row: 0,
-        forward: to_f32(forward / relative),
-        ambient: options.ambient,
-        right: to_f32(right / relative),
-        specular: options.specular,
-        up: to_f32(up / relative),
-        shininess: options.shininess,
-        world_forward: to_f32(forward),
-        pixel: camera.pixel_size(options.size[1]) as f32,
-        world_right: to_f32(right),
-        shadows: u32::from(options.shadows == Shadows::Hard),
-        world_up: to_f32(up),
         color: options.color.to_array(),
-        relative_spacing: to_f32(relative),
+        relative_spacing: relative.as_vec3().to_array(),
         background: options.background,
+        ambient: options.ambient,
+        specular: options.specular,
+        shininess: options.shininess,
         ..MarchParams::default()
     }
 }

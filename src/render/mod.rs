@@ -28,6 +28,7 @@ pub mod march;
 pub(crate) mod shade;
 
 pub use camera::Camera;
+pub(crate) use gpu::upload_lights;
 
 use crate::encoding::Encoding;
 use crate::error::{ArgumentError, Error};

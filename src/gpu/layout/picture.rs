@@ -34,12 +34,10 @@ pub struct TextureParams {
     pub pad_0: u32,
 }
 
-/// `shaders/shared/picture.wgsl`.
+/// `shaders/shared/picture_rays.wgsl`.
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
-pub struct MarchParams {
-    pub shape: [u32; 3],
-    pub light_count: u32,
+pub struct PictureRays {
     pub start: [f32; 3],
     pub width: u32,
     pub start_right: [f32; 3],
@@ -47,22 +45,29 @@ pub struct MarchParams {
     pub start_up: [f32; 3],
     pub first_row: u32,
     pub forward: [f32; 3],
-    pub ambient: f32,
-    pub right: [f32; 3],
-    pub specular: f32,
-    pub up: [f32; 3],
-    pub shininess: f32,
-    pub world_forward: [f32; 3],
     pub pixel: f32,
-    pub world_right: [f32; 3],
+    pub right: [f32; 3],
+    pub light_count: u32,
+    pub up: [f32; 3],
     pub shadows: u32,
-    pub world_up: [f32; 3],
+}
+
+/// `shaders/shared/picture.wgsl`.
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct MarchParams {
+    pub rays: PictureRays,
+    pub shape: [u32; 3],
     pub band_start: u32,
     pub color: [f32; 3],
     pub band_end: u32,
     pub relative_spacing: [f32; 3],
-    pub pad_0: u32,
+    pub ambient: f32,
     pub background: [f32; 4],
+    pub specular: f32,
+    pub shininess: f32,
+    pub pad_0: u32,
+    pub pad_1: u32,
 }
 
 /// `shaders/shared/samples_encoded.wgsl`.

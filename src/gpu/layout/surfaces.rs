@@ -1,24 +1,7 @@
 //! Structs of quadrics and shapes.
 
+use super::picture::PictureRays;
 use bytemuck::{Pod, Zeroable};
-
-/// `shaders/shared/picture_rays.wgsl`.
-#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
-#[repr(C)]
-pub struct PictureRays {
-    pub start: [f32; 3],
-    pub width: u32,
-    pub start_right: [f32; 3],
-    pub height: u32,
-    pub start_up: [f32; 3],
-    pub first_row: u32,
-    pub forward: [f32; 3],
-    pub pixel: f32,
-    pub right: [f32; 3],
-    pub light_count: u32,
-    pub up: [f32; 3],
-    pub shadows: u32,
-}
 
 /// `shaders/quadrics.wgsl`.
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]

@@ -52,31 +52,18 @@ fn structs_have_the_layout_that_the_shaders_read() {
     assert_twin!(
         "raymarch",
         MarchParams {
+            rays,
             shape,
-            light_count,
-            start,
-            width,
-            start_right,
-            height,
-            start_up,
-            first_row,
-            forward,
-            ambient,
-            right,
-            specular,
-            up,
-            shininess,
-            world_forward,
-            pixel,
-            world_right,
-            shadows,
-            world_up,
             band_start,
             color,
             band_end,
             relative_spacing,
+            ambient,
+            background,
+            specular,
+            shininess,
             pad_0,
-            background
+            pad_1
         }
     );
     assert_twin!(
