@@ -13,7 +13,7 @@ use crate::gpu::layout::PictureRays;
 use crate::progress::Progress;
 use crate::render::shade::{Look, lit};
 use crate::render::{Camera, DirectionalLight, Frame, RaymarchOptions, Row};
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -170,7 +170,7 @@ pub(super) struct Rays {
 impl Rays {
     fn new(tracer: &Tracer<'_>, camera: &Camera, options: &RaymarchOptions, light_count: usize) -> Self {
         let frame = tracer.solid.frame;
-        let start_depth = depth_before(tracer, camera.eye, camera.back);
+        let start_depth = camera.depth_before(tracer.bounds.map(|corner| frame.world(corner.as_dvec3())));
         let start = frame.local(camera.eye - start_depth * camera.back);
         let rays = camera.rays(options, light_count, start, start_depth / frame.scale);
         Self {
@@ -199,16 +199,6 @@ impl Rays {
     pub fn depth(&self, ray: &LocalRay, t: f32) -> f64 {
         self.start_depth + f64::from(t) * f64::from(self.forward.dot(ray.direction)) * self.scale
     }
-}
-
-/// Depth of the nearest corner of the bounds, world units, or zero if they reach behind the eye.
-fn depth_before(tracer: &Tracer<'_>, eye: DVec3, back: DVec3) -> f64 {
-    let frame = tracer.solid.frame;
-    let [lower, upper] = tracer.bounds.map(|corner| frame.world(corner.as_dvec3()));
-    let corner =
-        |i: usize| DVec3::from([0, 1, 2].map(|axis| if i >> axis & 1 == 0 { lower[axis] } else { upper[axis] }));
-    let nearest = (0..8).map(|i| (eye - corner(i)).dot(back)).fold(f64::INFINITY, f64::min);
-    (nearest - 0.01 * (upper - lower).length()).max(0.0)
 }
 
 impl View<'_> {
