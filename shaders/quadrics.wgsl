@@ -1,8 +1,9 @@
 // Draw quadrics that are stored in a texture: one invocation a pixel, its ray and its shadow rays. Twin of
-// src/quadric/draw.rs and src/quadric/local.rs.
+// src/quadric/draw.rs.
 
 #import light
 #import picture_rays
+#import quadric
 
 struct QuadricParams {
     // Positions are relative to the middle of all quadrics.
@@ -51,19 +52,12 @@ const MAX_STACK: u32 = 56u;
 // Boxes and quadrics that a pixel may try, all its rays together; below the 65,535 loop turns that a software device
 // allows. The CPU draws a pixel that needs more.
 const MAX_TRIED: u32 = 60000u;
-// Farther than any hit.
-const FAR_T: f32 = 3.0e38;
-// Error of a coefficient of the quadratic: 16 machine epsilons, as in src/quadric/local.rs.
-const EPS: f32 = 1.9073486e-6;
 // A gradient below this has no direction.
 const SINGULAR: f32 = 1e-3;
 
 // A quadric in the frame of its trim sphere.
 struct Quadric {
-    // The form q^T m q + 2 v.q + w.
-    m: mat3x3f,
-    v: vec3f,
-    w: f32,
+    form: QuadricForm,
     center: vec3f,
     radius: f32,
     reflectance: vec3f,
@@ -90,57 +84,34 @@ fn load_quadric(place: u32) -> Quadric {
     let a3 = texel(first + 3u);
     let trim = texel(first + 4u);
     let surface = texel(first + 5u);
-    return Quadric(mat3x3f(a0.xyz, a1.xyz, a2.xyz), a3.xyz, a3.w, trim.xyz, trim.w, surface.xyz, surface.w);
+    let form = QuadricForm(mat3x3f(a0.xyz, a1.xyz, a2.xyz), a3.xyz, a3.w);
+    return Quadric(form, trim.xyz, trim.w, surface.xyz, surface.w);
 }
 
-// The first t above zero where a ray crosses a quadric in its trim sphere; FAR_T for none. `forget_start` leaves out
+// The first t above zero where a ray crosses a quadric in its trim sphere; NO_CROSSING for none. `forget_start` leaves out
 // the crossing nearest to the ray's origin. The direction is unit.
 fn first_crossing(q: Quadric, origin: vec3f, direction: vec3f, forget_start: bool) -> f32 {
-    let from_center = (origin - q.center) / q.radius;
-    // Twice: seen from a thousand radii the first difference is rounded by as much.
-    let about = dot(from_center, direction);
-    let almost = from_center - about * direction;
-    let rest = dot(almost, direction);
-    let start = about + rest;
-    let nearest = almost - rest * direction;
-    let half_chord_squared = 1.0 - dot(nearest, nearest);
-    if half_chord_squared < 0.0 { return FAR_T; }
-    let half_chord = sqrt(half_chord_squared);
-
-    let slope = q.m * nearest + q.v;
-    let a = dot(direction, q.m * direction);
-    let b = dot(direction, slope);
-    let c = dot(nearest, q.m * nearest) + 2.0 * dot(q.v, nearest) + q.w;
-    let discriminant = b * b - a * c;
-    if discriminant < -(2.0 * EPS * (abs(a) + abs(b) + abs(c)) + EPS * EPS) { return FAR_T; }
-    let root = sqrt(max(discriminant, 0.0));
-    let k = select(root - b, -(b + root), b >= 0.0);
-
-    var first = FAR_T;
-    var second = FAR_T;
-    if a != 0.0 && abs(k) <= half_chord * abs(a) { first = k / a; }
-    if k != 0.0 && abs(c) <= half_chord * abs(k) { second = c / k; }
+    var t = quadric_crossings(q.form, (origin - q.center) / q.radius, direction);
     if forget_start {
-        if abs(second - start) < abs(first - start) { second = FAR_T; } else { first = FAR_T; }
+        if abs(t.y) < abs(t.x) { t.y = NO_CROSSING; } else { t.x = NO_CROSSING; }
     }
-    // In world units from the origin; FAR_T stays.
-    let t = vec2f(first, second);
-    let in_world = select(t, (t - start) * q.radius, t < vec2f(FAR_T));
-    let ahead = select(vec2f(FAR_T), in_world, in_world > vec2f(0.0));
+    // In world units; NO_CROSSING stays.
+    let in_world = select(t, t * q.radius, t < vec2f(NO_CROSSING));
+    let ahead = select(vec2f(NO_CROSSING), in_world, in_world > vec2f(0.0));
     return min(ahead.x, ahead.y);
 }
 
 // Unit normal of a quadric at a world point of it, turned against the ray; see src/quadric/local.rs.
 fn quadric_normal(q: Quadric, p: vec3f, direction: vec3f) -> vec3f {
-    var gradient = q.m * ((p - q.center) / q.radius) + q.v;
-    if length(gradient) <= SINGULAR { gradient = q.m * direction; }
+    var gradient = q.form.m * ((p - q.center) / q.radius) + q.form.v;
+    if length(gradient) <= SINGULAR { gradient = q.form.m * direction; }
     let size = length(gradient);
     if size == 0.0 { return -direction; }
     let normal = gradient / size;
     return select(normal, -normal, dot(normal, direction) > 0.0);
 }
 
-// Where a ray enters box `index` of the tree before `t_max`, else FAR_T. Boxes are grown by the CPU, for rounding here.
+// Where a ray enters box `index` of the tree before `t_max`, else NO_CROSSING. Boxes are grown by the CPU, for rounding here.
 fn enter_box(index: u32, origin: vec3f, inverse: vec3f, t_max: f32) -> f32 {
     let first = RECORD_TEXELS * params.quadric_count + NODE_TEXELS * index;
     let a = (texel(first).xyz - origin) * inverse;
@@ -149,7 +120,7 @@ fn enter_box(index: u32, origin: vec3f, inverse: vec3f, t_max: f32) -> f32 {
     let high = max(a, b);
     let t_enter = max(max(low.x, low.y), max(low.z, 0.0));
     let t_leave = min(min(high.x, high.y), min(high.z, t_max));
-    return select(FAR_T, t_enter, t_enter <= t_leave);
+    return select(NO_CROSSING, t_enter, t_enter <= t_leave);
 }
 
 // One over each coordinate, where a zero stands for a tiny number.
@@ -167,7 +138,7 @@ struct Walk {
 fn try_quadric(walk: ptr<function, Walk>, place: u32, origin: vec3f, direction: vec3f, from_place: u32, shadow: bool) {
     let q = load_quadric(place);
     let t = first_crossing(q, origin, direction, place == from_place);
-    if t >= FAR_T { return; }
+    if t >= NO_CROSSING { return; }
     if shadow {
         (*walk).share *= 1.0 - q.opacity;
     } else if t < (*walk).hit.t {
@@ -177,7 +148,7 @@ fn try_quadric(walk: ptr<function, Walk>, place: u32, origin: vec3f, direction: 
 
 // Through all records, or the tree over them.
 fn walk_along(origin: vec3f, direction: vec3f, from_place: u32, shadow: bool) -> Walk {
-    var walk = Walk(QuadricHit(FAR_T, NO_QUADRIC), 1.0);
+    var walk = Walk(QuadricHit(NO_CROSSING, NO_QUADRIC), 1.0);
     if params.node_count == 0u {
         for (var place = 0u; place < min(params.quadric_count, MAX_TRIED); place++) {
             tried++;
@@ -189,7 +160,7 @@ fn walk_along(origin: vec3f, direction: vec3f, from_place: u32, shadow: bool) ->
     let inverse = inverse_of(direction);
     var stack: array<u32, MAX_STACK>;
     var waiting = 0u;
-    if enter_box(0u, origin, inverse, FAR_T) < FAR_T { waiting = 1u; }
+    if enter_box(0u, origin, inverse, NO_CROSSING) < NO_CROSSING { waiting = 1u; }
     while waiting > 0u && tried < MAX_TRIED && walk.share > 0.0 {
         waiting--;
         let index = stack[waiting];
@@ -206,11 +177,11 @@ fn walk_along(origin: vec3f, direction: vec3f, from_place: u32, shadow: bool) ->
         let left = enter_box(first, origin, inverse, walk.hit.t);
         let right = enter_box(first + 1u, origin, inverse, walk.hit.t);
         let near = select(first + 1u, first, left <= right);
-        if max(left, right) < FAR_T && waiting < MAX_STACK {
+        if max(left, right) < NO_CROSSING && waiting < MAX_STACK {
             stack[waiting] = 2u * first + 1u - near;
             waiting++;
         }
-        if min(left, right) < FAR_T && waiting < MAX_STACK {
+        if min(left, right) < NO_CROSSING && waiting < MAX_STACK {
             stack[waiting] = near;
             waiting++;
         }

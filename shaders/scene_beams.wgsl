@@ -1,6 +1,6 @@
-// What share of thin rays and cones passes the instances of a scene. Twin of src/scene/shadow.rs.
+// What share of thin rays and cones passes the instances of a scene. Twin of src/scene/shadow.rs and cone.rs.
 
-#import scene_field
+#import scene_things
 
 struct SceneNode {
     min: vec3f,
@@ -200,8 +200,9 @@ fn next_caster(walk: ptr<function, Walk>, beam: Beam) -> Caster {
             (*walk).next++;
             let opacity = instances[index].opacity;
             if instances[index].casts_shadow == 0u || opacity == 0.0 { continue; }
-            // The far field knows opaque things alone.
-            if opacity < 1.0 { return Caster(index, vec2f(0.0, beam.t_max), 0.0); }
+            // The far field knows opaque solids alone.
+            let is_whole = opacity < 1.0 || (HAS_THIN && instances[index].prefers_rays != 0u);
+            if is_whole { return Caster(index, vec2f(0.0, beam.t_max), 0.0); }
             if (*walk).split.rest < FAR_T { (*walk).again = index; }
             return Caster(index, vec2f(0.0, (*walk).split.near), 0.0);
         }
@@ -242,10 +243,22 @@ fn next_level(walk: ptr<function, Walk>, beam: Beam) -> Caster {
 }
 
 // Where a beam enters a caster's matter, or -1.
-fn hit_of_caster(caster: Caster, ray: FieldRay) -> f32 {
-    let hit = hit_of(caster.index, ray, caster.part);
-    if hit != caster.part.x || caster.skip == 0.0 { return hit; }
-    return hit_of(caster.index, ray, vec2f(caster.part.x + caster.skip, caster.part.y));
+fn hit_of(caster: Caster, ray: FieldRay) -> f32 {
+    let to = &instances[caster.index];
+    let field = fields[(*to).field];
+    var part = caster.part;
+    var found = -1.0;
+    // Once more where it has to be passed over. One march in a loop: drivers put functions in place of their calls.
+    for (var i = 0u; i < 2u; i++) {
+        let span = clip(ray.origin, ray.direction, (*to).surface_lower, (*to).surface_upper, part);
+        if span.x > span.y { return -1.0; }
+        let hit = field_hit(field, ray.origin + span.x * ray.direction, ray.direction, span.y - span.x);
+        if hit < 0.0 { return -1.0; }
+        found = hit + span.x;
+        if found != part.x || caster.skip == 0.0 { break; }
+        part.x += caster.skip;
+    }
+    return found;
 }
 
 // Share of a thin ray that passes.
@@ -253,7 +266,7 @@ fn ray_share(beam: Beam) -> f32 {
     var share = 1.0;
     var walk = begin_walk(beam);
     for (var caster = next_caster(&walk, beam); caster.index != NO_INSTANCE; caster = next_caster(&walk, beam)) {
-        if hit_of_caster(caster, ray_in_field(caster.index, beam)) >= 0.0 {
+        if hit_of(caster, ray_in_field(caster.index, beam)) >= 0.0 {
             share *= 1.0 - instances[caster.index].opacity;
             if share <= 0.0 { return 0.0; }
         }
@@ -265,7 +278,7 @@ fn ray_share(beam: Beam) -> f32 {
 fn across(index: u32, distance: f32, p: vec3f) -> f32 {
     let least = instances[index].least_stretch;
     if instances[index].largest_stretch <= least * 1.0001 { return distance * least; }
-    let size = length(scene_normal(index, field_gradient(grids[instances[index].grid], p)));
+    let size = length(scene_normal(index, field_gradient(fields[instances[index].field], p)));
     if size > 0.0 { return distance / size; }
     return distance * least;
 }
@@ -280,7 +293,7 @@ struct Cone {
 fn cone_past(caster: Caster, beam: Beam, x_known: f32) -> Cone {
     let index = caster.index;
     let to = &instances[index];
-    let grid = grids[(*to).grid];
+    let field = fields[(*to).field];
     let ray = ray_in_field(index, beam);
     let speed = length(ray.direction);
     let needed = beam.slope * max(x_known, 0.0);
@@ -289,16 +302,16 @@ fn cone_past(caster: Caster, beam: Beam, x_known: f32) -> Cone {
     let upper = (*to).surface_upper + grown;
     var span = clip(ray.origin, ray.direction, lower, upper, caster.part);
     if span.x > span.y { return Cone(1.0, false); }
-    if caster.skip > 0.0 && field_distance(grid, ray.origin + span.x * ray.direction) <= 0.0 {
+    if caster.skip > 0.0 && field_distance(field, ray.origin + span.x * ray.direction) <= 0.0 {
         span = clip(ray.origin, ray.direction, lower, upper, caster.part + vec2f(caster.skip, 0.0));
         if span.x > span.y { return Cone(1.0, false); }
     }
     let pace = 1.0 / length(local_direction(index, beam.direction));
     let least_step = 0.5 / speed;
-    let t_hit = hit_of_caster(caster, ray);
+    let t_hit = hit_of(caster, ray);
     if t_hit < 0.0 {
         if x_known <= 0.0 { return Cone(1.0, false); }
-        return Cone(beside(index, grid, ray, beam.slope, x_known, span, pace, least_step), false);
+        return Cone(beside(index, field, ray, beam.slope, x_known, span, pace, least_step), false);
     }
 
     // How deep the axis gets.
@@ -307,7 +320,7 @@ fn cone_past(caster: Caster, beam: Beam, x_known: f32) -> Cone {
     for (var i = 0u; i < MAX_CONE_STEPS; i++) {
         steps++;
         let p = ray.origin + t * ray.direction;
-        let distance = field_distance(grid, p);
+        let distance = field_distance(field, p);
         if distance >= 0.0 { break; }
         let x = across(index, distance, p) / (beam.slope * t);
         if x <= -1.0 { return Cone(-1.0, true); }
@@ -317,7 +330,7 @@ fn cone_past(caster: Caster, beam: Beam, x_known: f32) -> Cone {
     }
     // The nearest surface across the ray: an edge only if a ray just past it is free.
     let p = ray.origin + deepest.y * ray.direction;
-    let normal = scene_normal(index, field_gradient(grid, p));
+    let normal = scene_normal(index, field_gradient(field, p));
     let aside = normal - dot(normal, beam.direction) * beam.direction;
     let size = length(aside);
     if size < TINY { return Cone(-1.0, false); }
@@ -339,7 +352,7 @@ fn cone_past(caster: Caster, beam: Beam, x_known: f32) -> Cone {
 
 // The axis is free: the least clearance in radii, at most x_known.
 fn beside(
-    index: u32, grid: SceneGrid, ray: FieldRay, slope: f32, x_known: f32, span: vec2f, pace: f32, least_step: f32
+    index: u32, field: SceneField, ray: FieldRay, slope: f32, x_known: f32, span: vec2f, pace: f32, least_step: f32
 ) -> f32 {
     var x = x_known;
     var t = span.x;
@@ -347,9 +360,9 @@ fn beside(
         steps++;
         let p = ray.origin + t * ray.direction;
         let radius = slope * t;
-        let distance = field_distance(grid, p);
+        let distance = field_distance(field, p);
         if distance * instances[index].least_stretch < x * radius {
-            x = min(x, across(index, max(field_distance_guess(grid, p), 0.0), p) / radius);
+            x = min(x, across(index, max(field_guess(field, p), 0.0), p) / radius);
         }
         var step = distance * pace;
         if step < 2.0 * radius { step *= 0.5; }
@@ -370,13 +383,90 @@ fn visible_share(edge: f32) -> f32 {
     return 0.5 + x * (0.63661975 - s * (0.1061 + s * (0.01592 + s * 0.0146)));
 }
 
+// ---- cones as thin rays, twin of src/scene/thin.rs
+
+const THIN_RAYS: u32 = 8u;
+// 2 pi (1 - 1 / golden ratio).
+const GOLDEN_ANGLE: f32 = 2.3999632;
+
+// What is left of the rays of a cone.
+struct ThinRays {
+    shares: array<f32, THIN_RAYS>,
+    // Something was near enough to be asked.
+    is_asked: bool,
+}
+
+fn all_thin_rays() -> ThinRays {
+    var thin: ThinRays;
+    for (var i = 0u; i < THIN_RAYS; i++) { thin.shares[i] = 1.0; }
+    return thin;
+}
+
+// Whether a cone may meet an instance, by the ball around its surface.
+fn may_meet(index: u32, beam: Beam) -> bool {
+    let to = &instances[index];
+    let ray = ray_in_field(index, beam);
+    // Under uneven scale a cone is widest where the scene is stretched least.
+    let slope = beam.slope / (length(local_direction(index, beam.direction)) * (*to).least_stretch);
+    let way = 0.5 * ((*to).surface_lower + (*to).surface_upper) - ray.origin;
+    let direction = normalize(ray.direction);
+    let along = dot(way, direction);
+    let aside = length(way - along * direction);
+    return aside - slope * along <= (*to).surface_radius * sqrt(1.0 + slope * slope);
+}
+
+// The ray of a cone to point `i` of its section, spread evenly.
+fn thin_ray(beam: Beam, i: u32) -> Beam {
+    let d = beam.direction;
+    // Two unit vectors at right angles to it and to each other, as `basis` in shadow.rs.
+    let side = select(-1.0, 1.0, d.z >= 0.0);
+    let a = -1.0 / (side + d.z);
+    let b = d.x * d.y * a;
+    let right = vec3f(1.0 + side * d.x * d.x * a, side * b, -side * d.x);
+    let up = vec3f(b, side + d.y * d.y * a, -d.y);
+    let radius = beam.slope * sqrt((f32(i) + 0.5) / f32(THIN_RAYS));
+    let angle = f32(i) * GOLDEN_ANGLE;
+    let way = d + radius * (cos(angle) * right + sin(angle) * up);
+    var ray = beam;
+    ray.slope = 0.0;
+    ray.direction = normalize(way);
+    return ray;
+}
+
+// Let an instance stand in the way of the rays that hit it.
+fn block(thin: ptr<function, ThinRays>, caster: Caster, beam: Beam) {
+    let to = &instances[caster.index];
+    (*thin).is_asked = true;
+    for (var i = 0u; i < THIN_RAYS; i++) {
+        steps++;
+        let ray = ray_in_field(caster.index, thin_ray(beam, i));
+        let span = clip(ray.origin, ray.direction, (*to).surface_lower, (*to).surface_upper, caster.part);
+        if (*thin).shares[i] == 0.0 || span.x > span.y { continue; }
+        let start = ray.origin + span.x * ray.direction;
+        if thin_hit(fields[(*to).field], start, ray.direction, span.y - span.x) >= 0.0 {
+            (*thin).shares[i] *= 1.0 - (*to).opacity;
+        }
+    }
+}
+
+fn thin_share(thin: ptr<function, ThinRays>) -> f32 {
+    var sum = 0.0;
+    for (var i = 0u; i < THIN_RAYS; i++) { sum += (*thin).shares[i]; }
+    return sum / f32(THIN_RAYS);
+}
+
 // Share of a cone's section that passes, and whether that is proven.
 fn cone_share(beam: Beam) -> vec2f {
     var share = 1.0;
     var is_proven = true;
     var x = 1.0;
+    var thin = all_thin_rays();
     var walk = begin_walk(beam);
     for (var caster = next_caster(&walk, beam); caster.index != NO_INSTANCE; caster = next_caster(&walk, beam)) {
+        if HAS_THIN && instances[caster.index].prefers_rays != 0u {
+            if may_meet(caster.index, beam) { block(&thin, caster, beam); }
+            continue;
+        }
         let opacity = instances[caster.index].opacity;
         let x_known = select(1.0, x, beam.is_coarse != 0u && opacity >= 1.0);
         let cone = cone_past(caster, beam, x_known);
@@ -388,6 +478,10 @@ fn cone_share(beam: Beam) -> vec2f {
             x = min(x, cone.x);
             if x <= -1.0 && beam.is_coarse != 0u { return vec2f(0.0); }
         }
+    }
+    if HAS_THIN {
+        share *= thin_share(&thin);
+        is_proven = is_proven && !thin.is_asked;
     }
     return vec2f(share * visible_share(x), select(0.0, 1.0, is_proven && x >= 1.0));
 }
@@ -415,16 +509,17 @@ fn thicknesses(@builtin(global_invocation_id) id: vec3u) {
     steps = 0u;
     beam.bias_voxels = -beam.bias_voxels;
     let to = &instances[beam.own];
-    let grid = grids[(*to).grid];
+    let field = fields[(*to).field];
     let ray = ray_in_field(beam.own, beam);
     let span = clip(ray.origin, ray.direction, (*to).surface_lower, (*to).surface_upper, vec2f(0.0, FAR_T));
     var thickness = 0.0;
-    if span.x <= span.y {
+    // A sheet has no inside.
+    if span.x <= span.y && field.kind != KIND_QUADRIC {
         let pace = 1.0 / length(local_direction(beam.own, beam.direction));
         let least_step = 0.5 / length(ray.direction);
         var t = span.x;
         for (var i = 0u; i < MAX_CONE_STEPS; i++) {
-            let distance = field_distance(grid, ray.origin + t * ray.direction);
+            let distance = field_distance(field, ray.origin + t * ray.direction);
             steps++;
             let next = min(t + max(abs(distance) * pace, least_step), span.y);
             if distance < 0.0 { thickness += next - t; }

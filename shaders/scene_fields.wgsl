@@ -2,7 +2,7 @@
 // writes its depth. Twin of `field` in src/scene/primary.rs.
 
 #import scene_view
-#import scene_field
+#import scene_things
 
 struct BoxCorner {
     @builtin(position) position: vec4f,
@@ -48,7 +48,7 @@ fn field_seen(corner: BoxCorner, @builtin(front_facing) is_front: bool) -> Field
     let to = &instances[index];
     let span = clip(ray.origin, ray.direction, (*to).surface_lower, (*to).surface_upper, vec2f(0.0, FAR_T));
     if span.x > span.y { discard; }
-    let hit = first_hit(grids[(*to).grid], ray.origin + span.x * ray.direction, ray.direction, span.y - span.x);
+    let hit = field_hit(fields[(*to).field], ray.origin + span.x * ray.direction, ray.direction, span.y - span.x);
     let ran_out = steps >= MAX_STEPS;
     if hit < 0.0 && !ran_out { discard; }
     let t = max(span.x + max(hit, 0.0), NEAR);

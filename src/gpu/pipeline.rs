@@ -1,14 +1,16 @@
 //! Compiled kernels, one for each entry point and context, and their dispatch.
 
 use super::context::Context;
-use super::shader::source;
+use super::shader::{Instead, source_of_files};
 use crate::error::DeviceError;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Kernels by name and entry point.
+/// Kernels by name, entry point and the files that stand in place of others.
 #[derive(Debug, Default)]
-pub struct Pipelines(Mutex<HashMap<(&'static str, &'static str), wgpu::ComputePipeline>>);
+pub struct Pipelines(Mutex<HashMap<KernelKey, wgpu::ComputePipeline>>);
+
+type KernelKey = (&'static str, &'static str, Vec<Instead>);
 
 /// Kernels that were written at run time, by their text.
 #[derive(Debug, Default)]
@@ -77,13 +79,24 @@ impl Context {
 
     /// A kernel of `shaders/`, compiled at the first use.
     pub fn kernel(&self, name: &'static str, entry: &'static str) -> Result<wgpu::ComputePipeline, DeviceError> {
+        self.kernel_with(name, entry, &[])
+    }
+
+    /// The same with other files of `shaders/shared/` in place of some that it imports.
+    pub fn kernel_with(
+        &self,
+        name: &'static str,
+        entry: &'static str,
+        instead: &[Instead],
+    ) -> Result<wgpu::ComputePipeline, DeviceError> {
         let mut pipelines = self.pipelines.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(pipeline) = pipelines.get(&(name, entry)) {
+        let key = (name, entry, instead.to_vec());
+        if let Some(pipeline) = pipelines.get(&key) {
             return Ok(pipeline.clone());
         }
-        let text = source(name).map_err(|reason| self.refused(name, reason))?;
+        let text = source_of_files(name, instead).map_err(|reason| self.refused(name, reason))?;
         let pipeline = self.compile(name, entry, &text)?;
-        pipelines.insert((name, entry), pipeline.clone());
+        pipelines.insert(key, pipeline.clone());
         Ok(pipeline)
     }
 

@@ -4,7 +4,7 @@
 //! the same share of the depth everywhere. The larger value wins.
 
 use super::context::Context;
-use super::shader::source;
+use super::shader::{Instead, source_of_files};
 use crate::error::{DeviceError, Error};
 use crate::progress::Progress;
 use std::collections::HashMap;
@@ -16,9 +16,9 @@ const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 /// Bytes of a pixel of [`SEEN`].
 const PIXEL_BYTES: u32 = 16;
 
-/// Pipelines by kernel.
+/// Pipelines by kernel and the files that stand in place of others.
 #[derive(Debug, Default)]
-pub struct RasterPipelines(Mutex<HashMap<&'static str, wgpu::RenderPipeline>>);
+pub struct RasterPipelines(Mutex<HashMap<(&'static str, Vec<Instead>), wgpu::RenderPipeline>>);
 
 /// What a pass draws into.
 #[derive(Debug)]
@@ -48,12 +48,13 @@ impl Context {
         name: &'static str,
         vertex: &'static str,
         fragment: &'static str,
+        instead: &[Instead],
     ) -> Result<wgpu::RenderPipeline, DeviceError> {
         let mut pipelines = self.raster_pipelines.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(pipeline) = pipelines.get(name) {
+        if let Some(pipeline) = pipelines.get(&(name, instead.to_vec())) {
             return Ok(pipeline.clone());
         }
-        let text = source(name).map_err(|reason| self.refused(name, reason))?;
+        let text = source_of_files(name, instead).map_err(|reason| self.refused(name, reason))?;
         let pipeline = self.guarded(name, 0, || {
             let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor {
                 label: Some(name),
@@ -91,7 +92,7 @@ impl Context {
             DeviceError::Failed { reason, .. } => self.refused(name, reason),
             other => other,
         })?;
-        pipelines.insert(name, pipeline.clone());
+        pipelines.insert((name, instead.to_vec()), pipeline.clone());
         Ok(pipeline)
     }
 

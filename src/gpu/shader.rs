@@ -46,9 +46,15 @@ const SHARED: &[(&str, &str)] = &[
     ("one_grid", include_str!("../../shaders/shared/one_grid.wgsl")),
     ("picture", include_str!("../../shaders/shared/picture.wgsl")),
     ("picture_rays", include_str!("../../shaders/shared/picture_rays.wgsl")),
+    ("quadric", include_str!("../../shaders/shared/quadric.wgsl")),
     ("ray", include_str!("../../shaders/shared/ray.wgsl")),
     ("ray_filtered", include_str!("../../shaders/shared/ray_filtered.wgsl")),
+    ("scene_dense", include_str!("../../shaders/shared/scene_dense.wgsl")),
     ("scene_field", include_str!("../../shaders/shared/scene_field.wgsl")),
+    ("scene_quadric", include_str!("../../shaders/shared/scene_quadric.wgsl")),
+    ("scene_sampled", include_str!("../../shaders/shared/scene_sampled.wgsl")),
+    ("scene_samples", include_str!("../../shaders/shared/scene_samples.wgsl")),
+    ("scene_things", include_str!("../../shaders/shared/scene_things.wgsl")),
     ("scene_view", include_str!("../../shaders/shared/scene_view.wgsl")),
     ("ray_sparse", include_str!("../../shaders/shared/ray_sparse.wgsl")),
     ("samples", include_str!("../../shaders/shared/samples.wgsl")),
@@ -74,6 +80,15 @@ pub fn source_with(kernel: &str, instead: &[(&str, &str)]) -> Result<String, Str
     let mut seen = Vec::new();
     join(kernel, text, instead, &mut seen, &mut joined)?;
     Ok(joined)
+}
+
+/// The name of an import, and that of the file of `shaders/shared/` that stands in its place.
+pub type Instead = (&'static str, &'static str);
+
+/// The whole text of a kernel, with other files in place of some that it imports.
+pub fn source_of_files(kernel: &str, instead: &[Instead]) -> Result<String, String> {
+    let text = |&(name, file): &Instead| Ok((name, shared(file).ok_or_else(|| format!("there is no file '{file}'"))?));
+    source_with(kernel, &instead.iter().map(text).collect::<Result<Vec<_>, String>>()?)
 }
 
 fn find<'a>(files: &[(&str, &'a str)], name: &str) -> Option<&'a str> {

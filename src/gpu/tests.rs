@@ -27,13 +27,17 @@ pub(crate) fn test_context() -> Option<Arc<Context>> {
 #[test]
 fn every_kernel_parses_and_validates() {
     for (name, _) in KERNELS {
-        let text = source(name).unwrap();
-        let module = naga::front::wgsl::parse_str(&text).unwrap_or_else(|e| panic!("{}", e.emit_to_string(&text)));
-        // `pack2x16float` is part of WebGPU; naga counts it apart because of old OpenGL.
-        let core = naga::valid::Capabilities::SHADER_FLOAT16_IN_FLOAT32;
-        let mut validator = naga::valid::Validator::new(naga::valid::ValidationFlags::all(), core);
-        validator.validate(&module).unwrap_or_else(|e| panic!("{name}: {}", e.emit_to_string(&text)));
+        validate(name, &source(name).unwrap());
     }
+}
+
+/// Fails unless a text is a valid shader.
+pub(crate) fn validate(name: &str, text: &str) {
+    let module = naga::front::wgsl::parse_str(text).unwrap_or_else(|e| panic!("{}", e.emit_to_string(text)));
+    // `pack2x16float` is part of WebGPU; naga counts it apart because of old OpenGL.
+    let core = naga::valid::Capabilities::SHADER_FLOAT16_IN_FLOAT32;
+    let mut validator = naga::valid::Validator::new(naga::valid::ValidationFlags::all(), core);
+    validator.validate(&module).unwrap_or_else(|e| panic!("{name}: {}", e.emit_to_string(text)));
 }
 
 #[test]

@@ -9,7 +9,8 @@
 //! surface point of `b`, `q = b - s gradient`, lies on the surface, so `|p - q|` is no less than the truth; penumbrae take
 //! that, which is off by second order only.
 
-use crate::error::Error;
+use super::device_fields::DeviceFields;
+use crate::error::{DeviceError, Error};
 use crate::grid::Grid;
 use crate::progress::Progress;
 use crate::render::blocks::{Blocks, DenseBlock};
@@ -92,9 +93,14 @@ pub trait Field: Send + Sync {
         0.5 * (upper - lower).length()
     }
 
-    /// The dense grid behind it, which devices take.
-    fn dense(&self) -> Option<&SampledField<DenseField>> {
-        None
+    /// Add what devices keep of it to their tables; false where they do not know the kind.
+    fn enter(&self, _tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
+        Ok(false)
+    }
+
+    /// Whether the ray of a pixel meets it again where a device saw it: what has parts, or is known better than float32 tells.
+    fn is_met_again(&self) -> bool {
+        false
     }
 }
 
@@ -133,7 +139,7 @@ impl<F: Blocks> SampledField<F> {
     }
 }
 
-impl<F: Blocks + Send + Sync + AsDense> Field for SampledField<F> {
+impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
     fn field_from_local(&self) -> DAffine3 {
         let grid = self.marcher.field.grid();
         let inverse = 1.0 / grid.spacing();
@@ -189,14 +195,15 @@ impl<F: Blocks + Send + Sync + AsDense> Field for SampledField<F> {
         if largest == 0.0 { Vec3::ZERO } else { (slope / largest).normalize_or_zero() }
     }
 
-    fn dense(&self) -> Option<&SampledField<DenseField>> {
-        F::as_dense(self)
+    fn enter(&self, tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
+        F::enter(self, tables)
     }
 }
 
-/// Fields that may be dense ones, which devices can take.
-pub trait AsDense: Sized {
-    fn as_dense(field: &SampledField<Self>) -> Option<&SampledField<DenseField>>;
+/// Fields that devices may know.
+pub trait OnDevice: Sized {
+    /// Add one, made ready for rays, to a device's tables.
+    fn enter(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError>;
 }
 
 /// A grid of distances that owns its samples, x fastest.
@@ -222,9 +229,10 @@ impl DenseField {
     }
 }
 
-impl AsDense for DenseField {
-    fn as_dense(field: &SampledField<Self>) -> Option<&SampledField<DenseField>> {
-        Some(field)
+impl OnDevice for DenseField {
+    fn enter(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
+        tables.add_dense(field)?;
+        Ok(true)
     }
 }
 

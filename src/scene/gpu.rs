@@ -1,22 +1,25 @@
 //! The light pass's questions answered by a graphics device (`shaders/scene_beams.wgsl`).
 //!
-//! Instances, their tree and the dense fields behind them go up once a scene and device. A picture then sends its rays and
+//! Instances, their tree and the fields behind them ([`super::device_fields`]) go up once a scene and device. A picture then sends its rays and
 //! cones as [`Beam`]s and gets the share of each that passes. One that runs out of the shader's bounded steps says so and is
 //! asked again on the CPU.
 
+use super::device_fields::DeviceFields;
 use super::far::Far;
-use super::field::{DenseField, Field, SampledField};
+use super::field::Field;
 use super::raster::DeviceMeshes;
 use super::shadow::{Casters, Place, Ray, Work};
 use super::{Instance, Scene};
 use crate::error::Error;
 use crate::geometry::Aabb;
 use crate::gpu::Context;
-use crate::gpu::layout::{Answer, Beam, BeamParams, SceneGrid, SceneInstance};
+use crate::gpu::layout::{Answer, Beam, BeamParams, SceneInstance};
 use crate::gpu::pace::in_pieces;
+use crate::gpu::shader::Instead;
 use crate::progress::Progress;
-use crate::volume::Trilinear;
 use glam::{Mat3, Vec3};
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::sync::Arc;
 
 /// Invocations of a workgroup, as in the shader.
@@ -36,69 +39,54 @@ pub struct DeviceScene {
     nodes: wgpu::Buffer,
     items: wgpu::Buffer,
     instances: wgpu::Buffer,
-    grids: wgpu::Buffer,
+    fields: wgpu::Buffer,
     samples: wgpu::Buffer,
     blocks: wgpu::Buffer,
     meshes: DeviceMeshes,
     /// The levels of the far field that follow the instances.
     far: Vec<Arc<dyn Field>>,
-    knows_all: bool,
+    /// What its kernels import for the kinds of its things.
+    files: Vec<Instead>,
+    /// Whether it has the field, if any, of each instance and then of each level.
+    knows: Vec<bool>,
 }
 
 impl DeviceScene {
     pub fn upload(context: &Arc<Context>, scene: &Scene, far: Option<&Far>) -> Result<Self, Error> {
-        let mut fields: Vec<&SampledField<DenseField>> = Vec::new();
+        let mut tables = DeviceFields::new(context);
+        // Records by the address of their field, which the scene keeps alive; none for what devices do not know.
+        let mut known: HashMap<usize, Option<u32>> = HashMap::new();
         let mut rows = Vec::with_capacity(scene.instances.len() + 1);
-        let mut knows_all = true;
+        let mut knows = Vec::with_capacity(scene.instances.len() + 1);
         let of_scene = scene.instances.iter().zip(&scene.boxes).map(|(instance, bounds)| (instance, bounds, 0.0));
         let levels = far.map_or(&[][..], |far| &far.levels);
         let of_far = levels.iter().map(|level| (&level.instance, &level.bounds, level.voxel));
         for (instance, bounds, voxel) in of_scene.chain(of_far) {
-            let dense = instance.field.as_ref().and_then(|field| field.dense());
-            knows_all &= instance.field.is_none() || dense.is_some();
-            let grid = match dense {
-                None => 0,
-                Some(dense) => {
-                    let known = fields.iter().position(|&known| std::ptr::eq(known, dense));
-                    known.unwrap_or_else(|| {
-                        fields.push(dense);
-                        fields.len() - 1
-                    })
-                }
+            let record = match &instance.field {
+                None => None,
+                Some(field) => match known.entry(Arc::as_ptr(field).addr()) {
+                    Entry::Occupied(known) => *known.get(),
+                    Entry::Vacant(new) => {
+                        let place = tables.records.len() as u32;
+                        *new.insert(field.enter(&mut tables)?.then_some(place))
+                    }
+                },
             };
-            rows.push(SceneInstance { voxel: voxel as f32, ..instance_row(instance, bounds, grid as u32) });
+            knows.push(instance.field.is_none() || record.is_some());
+            rows.push(SceneInstance { voxel: voxel as f32, ..instance_row(instance, bounds, record.unwrap_or(0)) });
         }
-
-        let (mut grids, mut samples, mut blocks) = (Vec::new(), Vec::new(), Vec::new());
-        let total: u64 = fields.iter().map(|field| 4 * field.marcher().field.samples().len() as u64).sum();
-        context.check_size("the fields of a scene", total)?;
-        for field in fields {
-            let marcher = field.marcher();
-            let grid = marcher.field.grid();
-            grids.push(SceneGrid {
-                shape: grid.shape.map(|n| n as u32),
-                first_sample: samples.len() as u32,
-                spacing: grid.spacing().as_vec3().to_array(),
-                first_block: blocks.len() as u32,
-                blocks: marcher.empty().shape().map(|n| n as u32),
-                pad_0: 0,
-            });
-            samples.extend_from_slice(marcher.field.samples());
-            blocks.extend_from_slice(marcher.empty().distances());
-        }
-        blocks.resize(blocks.len().next_multiple_of(4), 0u8);
-        let words: Vec<u32> = blocks.as_chunks::<4>().0.iter().map(|&bytes| u32::from_le_bytes(bytes)).collect();
         Ok(Self {
             context: context.clone(),
             nodes: context.upload("scene tree", &scene.tree.nodes)?,
             items: context.upload("scene items", &scene.tree.items)?,
             instances: context.upload("scene instances", &rows)?,
-            grids: context.upload("scene grids", &grids)?,
-            samples: context.upload("scene fields", &samples)?,
-            blocks: context.upload("scene blocks", &words)?,
+            fields: context.upload("scene fields", &tables.records)?,
+            samples: context.upload("samples of scene fields", &tables.samples)?,
+            blocks: context.upload("scene blocks", &tables.words())?,
             meshes: DeviceMeshes::upload(context, scene)?,
             far: levels.iter().filter_map(|level| level.instance.field.clone()).collect(),
-            knows_all,
+            files: tables.kinds.files(),
+            knows,
         })
     }
 
@@ -108,7 +96,17 @@ impl DeviceScene {
 
     /// Whether it has the fields of all instances, so that it can light them.
     pub fn knows_all(&self) -> bool {
-        self.knows_all
+        !self.knows.contains(&false)
+    }
+
+    /// Whether it has the field of an instance, if it has one.
+    pub fn knows(&self, instance: usize) -> bool {
+        self.knows[instance]
+    }
+
+    /// What kernels import for the kinds of its things.
+    pub fn files(&self) -> &[Instead] {
+        &self.files
     }
 
     pub fn meshes(&self) -> &DeviceMeshes {
@@ -117,7 +115,7 @@ impl DeviceScene {
 
     /// The buffers of `shaders/shared/scene_field.wgsl`.
     pub fn field_bindings(&self) -> [(u32, &wgpu::Buffer); 4] {
-        [(3, &self.instances), (4, &self.grids), (5, &self.samples), (6, &self.blocks)]
+        [(3, &self.instances), (4, &self.fields), (5, &self.samples), (6, &self.blocks)]
     }
 
     /// Whether this far field, if any, is there.
@@ -171,13 +169,13 @@ impl DeviceScene {
         let uniform = context.uniform("beam parameters", &params)?;
         let asked = context.upload("beams", beams)?;
         let found = context.storage("answers", size_of_val(&answers[..]) as u64)?;
-        let kernel = context.kernel("scene_beams", entry)?;
+        let kernel = context.kernel_with("scene_beams", entry, &self.files)?;
         let all = [
             (0, &uniform),
             (1, &self.nodes),
             (2, &self.items),
             (3, &self.instances),
-            (4, &self.grids),
+            (4, &self.fields),
             (5, &self.samples),
             (6, &self.blocks),
             (7, &asked),
@@ -225,7 +223,7 @@ fn from_beam(beam: &Beam) -> (Place, Ray) {
     (place, Ray { direction, t_max: if beam.t_max < FAR { f64::from(beam.t_max) } else { f64::INFINITY } })
 }
 
-fn instance_row(instance: &Instance, bounds: &Aabb, grid: u32) -> SceneInstance {
+fn instance_row(instance: &Instance, bounds: &Aabb, record: u32) -> SceneInstance {
     let rows = |m: Mat3| m.transpose().to_cols_array_2d();
     let map = instance.field_from_scene;
     let offset = map.translation.as_vec3();
@@ -245,13 +243,15 @@ fn instance_row(instance: &Instance, bounds: &Aabb, grid: u32) -> SceneInstance 
         local_z,
         largest_stretch: instance.stretch[1],
         normal_x,
-        grid,
+        field: record,
         normal_y,
         casts_shadow: u32::from(instance.casts_shadow && instance.field.is_some()),
         normal_z,
         box_min: bounds.min.to_array(),
+        prefers_rays: u32::from(instance.field.as_ref().is_some_and(|field| field.prefers_rays())),
         box_max: bounds.max.to_array(),
         surface_lower: lower.to_array(),
+        surface_radius: instance.field.as_ref().map_or(0.0, |field| field.surface_radius()),
         surface_upper: upper.to_array(),
         field_extent: instance.field_extent.to_array(),
         ..SceneInstance::default()

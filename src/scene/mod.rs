@@ -19,9 +19,11 @@
 
 pub mod article;
 pub mod cone;
+pub mod device_fields;
 pub mod far;
 pub mod field;
 pub mod gpu;
+pub mod kinds;
 pub mod known;
 pub mod light;
 pub mod nested;
@@ -351,7 +353,7 @@ pub fn render(
     }
     let primary_on = match &device {
         None => [false, true],
-        Some(_) => [true, raster::left_over(scene, options).is_some()],
+        Some(device) => [true, raster::left_over(scene, device, options).is_some()],
     };
     Ok(Rendered {
         frame,

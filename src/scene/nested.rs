@@ -14,7 +14,7 @@
 //!
 //! Field space is the grid space of the finest level.
 
-use super::field::{DenseField, Field, FieldHit, FieldRay, SampledField};
+use super::field::{Field, FieldHit, FieldRay};
 use crate::error::{Error, SceneError};
 use glam::{DAffine3, Vec3};
 use std::sync::Arc;
@@ -150,9 +150,5 @@ impl Field for NestedField {
     fn gradient(&self, p: Vec3) -> Vec3 {
         let (level, p) = self.at(p);
         level.field.gradient(p)
-    }
-
-    fn dense(&self) -> Option<&SampledField<DenseField>> {
-        None
     }
 }

@@ -20,6 +20,10 @@ use rayon::prelude::*;
 /// Surfaces of one pixel at most: behind so many translucent ones the last counts as opaque.
 pub const MAX_LAYERS: usize = 16;
 
+/// How far from the depth that a device saw the ray of a pixel meets the same surface, as a share of it. Devices compute in
+/// float32, in units of the thing; what is met a little too early is in front all the same.
+const NEARNESS: f64 = 1e-3;
+
 /// A surface seen by a pixel.
 #[derive(Debug, Clone, Copy)]
 pub struct Layer {
@@ -181,6 +185,11 @@ impl Eye<'_> {
         as_triangles(&self.scene.instances[item as usize], self.options.primary)
     }
 
+    /// Whether it is a field that the ray meets again where a device saw it.
+    pub fn is_met_again(&self, item: u32) -> bool {
+        self.scene.instances[item as usize].field.as_ref().is_some_and(|field| field.is_met_again())
+    }
+
     fn triangle(
         &self,
         item: u32,
@@ -252,6 +261,15 @@ impl Eye<'_> {
         }
         let is_cut = hit.at_start && enter > from;
         self.field_layer(item, direction, depth, ray.origin + hit.t * ray.direction, &hit, is_cut)
+    }
+
+    /// What the pixel sees of a field that it is known to meet near a depth, scene units: where its exact ray does.
+    pub fn field_near(&self, item: u32, depth: f64) -> Option<Layer> {
+        let depth = depth * self.scene.scale;
+        let eye = self.scene.scene_from_world(self.view.camera.eye);
+        let direction = self.view.direction(self.x, self.y);
+        let (from, to) = ((1.0 - NEARNESS) * depth, (1.0 + NEARNESS) * depth);
+        self.field(item, eye, direction, from, to, &|_| false, &mut 0)
     }
 
     /// What the pixel sees of a field that it is known to meet at a depth, scene units.

@@ -5,8 +5,7 @@
 //! both passes give the same picture where they see the same thing. A pixel whose exact ray misses the face that the
 //! rasteriser chose, which snaps corners to 1/256 of a pixel, is looked at again on the CPU.
 //!
-//! A device draws what hides all behind it, and of fields the dense ones. What is translucent, and any other kind of thing,
-//! is looked for by the CPU in front of what the device saw: both meet by depth.
+//! A device draws what hides all behind it, of the kinds that it knows. What is translucent is looked for by the CPU in front of what the device saw: both meet by depth.
 
 use super::gpu::DeviceScene;
 use super::primary::{Eye, GBuffer, Layer, View, as_triangles, draw_row, is_opaque};
@@ -108,24 +107,23 @@ fn material_row(
 }
 
 /// What a device leaves to the CPU, by instance; none where it draws all that is visible.
-pub fn left_over(scene: &Scene, options: &RenderOptions) -> Option<Vec<bool>> {
-    let needs_cpu = |instance: &Instance| {
+pub fn left_over(scene: &Scene, device: &DeviceScene, options: &RenderOptions) -> Option<Vec<bool>> {
+    let needs_cpu = |(i, instance): (usize, &Instance)| {
         instance.visible
-            && (!is_drawn(instance, &scene.materials, options.primary)
+            && (!is_drawn(instance, device.knows(i), &scene.materials, options.primary)
                 || as_triangles(instance, options.primary)
                     && materials_of(instance, &scene.materials).iter().any(|m| !is_opaque(instance, m)))
     };
-    let left_over: Vec<bool> = scene.instances.iter().map(needs_cpu).collect();
+    let left_over: Vec<bool> = scene.instances.iter().enumerate().map(needs_cpu).collect();
     left_over.contains(&true).then_some(left_over)
 }
 
 /// Whether a device draws an instance, or at least its opaque faces.
-fn is_drawn(instance: &Instance, materials: &[Material], primary: Primary) -> bool {
+fn is_drawn(instance: &Instance, is_known: bool, materials: &[Material], primary: Primary) -> bool {
     if as_triangles(instance, primary) {
         instance.opacity >= 1.0
     } else {
-        let is_dense = instance.field.as_ref().is_some_and(|field| field.dense().is_some());
-        is_dense && is_opaque(instance, &materials[instance.first_material as usize])
+        is_known && instance.field.is_some() && is_opaque(instance, &materials[instance.first_material as usize])
     }
 }
 
@@ -147,7 +145,7 @@ pub fn draw(
     progress: &Progress,
 ) -> Result<GBuffer, Error> {
     let view = View { camera: *camera, size: options.size, offset };
-    let left_over = left_over(scene, options);
+    let left_over = left_over(scene, device, options);
     let [width, height] = options.size;
     let band = (BAND_PIXELS / width).clamp(1, height);
     let mut buffer = GBuffer { rows: Vec::new(), steps: Vec::new(), view };
@@ -185,10 +183,12 @@ fn resolve<'a>(eye: &mut Eye<'a>, seen: [u32; 4], left_over: Option<&'a [bool]>,
         Some(item) => {
             let layer = if eye.is_triangles(item) {
                 eye.face(item, word)
-            } else if word & RAN_OUT == 0 {
-                eye.field_at(item, f64::from(f32::from_bits(depth)), word & AT_START != 0)
-            } else {
+            } else if word & RAN_OUT != 0 {
                 None
+            } else if eye.is_met_again(item) {
+                eye.field_near(item, f64::from(f32::from_bits(depth)))
+            } else {
+                eye.field_at(item, f64::from(f32::from_bits(depth)), word & AT_START != 0)
             };
             if layer.is_none() {
                 return eye.look(layers, None);
@@ -223,7 +223,9 @@ fn seen_by_device(
         .instances
         .iter()
         .enumerate()
-        .filter(|(_, instance)| instance.visible && is_drawn(instance, &scene.materials, options.primary))
+        .filter(|(i, instance)| {
+            instance.visible && is_drawn(instance, device.knows(*i), &scene.materials, options.primary)
+        })
         .map(|(i, instance)| {
             let triangles = instance.triangles.as_ref().filter(|_| as_triangles(instance, options.primary));
             (triangles.map(|triangles| meshes.spans[&address(triangles)].clone()), i)
@@ -233,8 +235,8 @@ fn seen_by_device(
     let rows: Vec<_> = drawn.iter().map(|(span, i)| band.row(*i, span.as_ref())).collect();
 
     let rows_buffer = context.upload("raster instances", &rows)?;
-    let triangles = context.raster_pipeline("scene_triangles", "triangle_corner", "triangle_seen")?;
-    let fields = context.raster_pipeline("scene_fields", "box_corner", "field_seen")?;
+    let triangles = context.raster_pipeline("scene_triangles", "triangle_corner", "triangle_seen", &[])?;
+    let fields = context.raster_pipeline("scene_fields", "box_corner", "field_seen", device.files())?;
     let mut bindings = vec![(0, &rows_buffer)];
     bindings.extend((1..).zip(&meshes.buffers));
     let triangles_group = context.bind_raster("scene_triangles", &triangles, &bindings)?;

@@ -28,33 +28,33 @@ pub struct SceneInstance {
     pub local_z: [f32; 3],
     pub largest_stretch: f32,
     pub normal_x: [f32; 3],
-    pub grid: u32,
+    pub field: u32,
     pub normal_y: [f32; 3],
     pub casts_shadow: u32,
     pub normal_z: [f32; 3],
     pub voxel: f32,
     pub box_min: [f32; 3],
-    pub pad_1: u32,
+    pub prefers_rays: u32,
     pub box_max: [f32; 3],
-    pub pad_2: u32,
+    pub pad_1: u32,
     pub surface_lower: [f32; 3],
-    pub pad_3: u32,
+    pub surface_radius: f32,
     pub surface_upper: [f32; 3],
-    pub pad_4: u32,
+    pub pad_2: u32,
     pub field_extent: [f32; 3],
-    pub pad_5: u32,
+    pub pad_3: u32,
 }
 
 /// `shaders/scene_beams.wgsl`.
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
-pub struct SceneGrid {
+pub struct SceneField {
     pub shape: [u32; 3],
     pub first_sample: u32,
     pub spacing: [f32; 3],
     pub first_block: u32,
     pub blocks: [u32; 3],
-    pub pad_0: u32,
+    pub kind: u32,
 }
 
 /// `shaders/scene_beams.wgsl`.

@@ -89,24 +89,24 @@ fn structs_have_the_layout_that_the_shaders_read() {
             local_z,
             largest_stretch,
             normal_x,
-            grid,
+            field,
             normal_y,
             casts_shadow,
             normal_z,
             voxel,
             box_min,
-            pad_1,
+            prefers_rays,
             box_max,
-            pad_2,
+            pad_1,
             surface_lower,
-            pad_3,
+            surface_radius,
             surface_upper,
-            pad_4,
+            pad_2,
             field_extent,
-            pad_5
+            pad_3
         }
     );
-    assert_twin!("scene_beams", SceneGrid { shape, first_sample, spacing, first_block, blocks, pad_0 });
+    assert_twin!("scene_beams", SceneField { shape, first_sample, spacing, first_block, blocks, kind });
     assert_twin!("scene_beams", Beam { p, t_max, direction, slope, normal, bias_voxels, own, is_coarse, pad_0, pad_1 });
     assert_twin!("scene_beams", Answer { value, is_proven, steps, is_complete, is_far });
     assert_twin!(

@@ -10,7 +10,9 @@
 //! distance is never negative, and cones are asked by thin rays ([`super::super::thin`]). `distance` is the proven lower
 //! bound `|M| s^2 + |grad f| s = |f|` of [`Local::distance_bound`], carried out of the trim sphere as `sqrt(a^2 + s^2)`.
 
+use super::super::device_fields::DeviceFields;
 use super::super::field::{Field, FieldHit, FieldRay, Look};
+use crate::error::DeviceError;
 use crate::quadric::Quadric;
 use crate::quadric::local::{Local, LocalRay};
 use glam::{DAffine3, DVec3, Vec3};
@@ -37,11 +39,6 @@ impl QuadricField {
             field_from_local: DAffine3::from_scale(DVec3::splat(per_unit)) * DAffine3::from_translation(-placed.center),
             opacity: quadric.opacity,
         }
-    }
-
-    /// The form in field space.
-    pub fn local(&self) -> &Local {
-        &self.local
     }
 }
 
@@ -101,5 +98,14 @@ impl Field for QuadricField {
 
     fn surface_radius(&self) -> f32 {
         UNITS as f32
+    }
+
+    fn enter(&self, tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
+        tables.add_quadric(&self.local)?;
+        Ok(true)
+    }
+
+    fn is_met_again(&self) -> bool {
+        true
     }
 }

@@ -1,7 +1,8 @@
 //! A sparse field in a scene: its own bricks, read in place.
 
-use super::super::field::{AsDense, DenseField, SampledField};
-use crate::error::Error;
+use super::super::device_fields::DeviceFields;
+use super::super::field::{OnDevice, SampledField};
+use crate::error::{DeviceError, Error};
 use crate::grid::Grid;
 use crate::progress::Progress;
 use crate::render::blocks::Blocks;
@@ -62,8 +63,8 @@ impl Blocks for SparseBricks {
     }
 }
 
-impl AsDense for SparseBricks {
-    fn as_dense(_: &SampledField<Self>) -> Option<&SampledField<DenseField>> {
-        None
+impl OnDevice for SparseBricks {
+    fn enter(_: &SampledField<Self>, _: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
+        Ok(false)
     }
 }

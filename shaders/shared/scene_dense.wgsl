@@ -1,0 +1,89 @@
+// Dense grids of a scene: blocks of 4^3 cells. Twin of `DenseField` in src/scene/field.rs.
+
+#import scene_field
+#import cubic
+
+fn sample_at(field: SceneField, x: u32, y: u32, z: u32) -> f32 {
+    return samples[field.first_sample + x + field.shape.x * (y + field.shape.y * z)];
+}
+
+fn corners_of(field: SceneField, cell: vec3i) -> array<f32, 8> {
+    let last = vec3i(field.shape) - 1;
+    let a = vec3u(clamp(cell, vec3i(0), last));
+    let b = vec3u(clamp(cell + 1, vec3i(0), last));
+    return array<f32, 8>(
+        sample_at(field, a.x, a.y, a.z), sample_at(field, b.x, a.y, a.z),
+        sample_at(field, a.x, b.y, a.z), sample_at(field, b.x, b.y, a.z),
+        sample_at(field, a.x, a.y, b.z), sample_at(field, b.x, a.y, b.z),
+        sample_at(field, a.x, b.y, b.z), sample_at(field, b.x, b.y, b.z),
+    );
+}
+
+// At a point of the data.
+fn dense_sample(field: SceneField, p: vec3f) -> f32 {
+    let cell = floor(p);
+    return trilinear(corners_of(field, vec3i(cell)), p - cell);
+}
+
+fn empty_blocks(field: SceneField, block: vec3i) -> i32 {
+    let index = field.first_block + u32(block.x) + field.blocks.x * (u32(block.y) + field.blocks.y * u32(block.z));
+    return i32((blocks[index / 4u] >> (8u * (index % 4u))) & 0xffu);
+}
+
+// The first t in [0, t_max] where the field is not above zero, or -1: leaps over empty blocks, cubics in cells.
+fn dense_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 {
+    let per_t = length(along);
+    let direction = along / per_t;
+    let end = t_max * per_t;
+    let last_cell = vec3i(field.shape) - 1;
+    let forward = direction > vec3f(0.0);
+    let side = select(vec3i(0), vec3i(1), forward);
+    let is_parallel = abs(direction) < vec3f(PARALLEL);
+    let inverse = 1.0 / select(direction, vec3f(1.0), is_parallel);
+    var t = 0.0;
+    var cell = clamp(vec3i(floor(origin)), vec3i(-1), last_cell);
+    while steps < MAX_STEPS {
+        steps++;
+        let block = (cell + 1) >> vec3u(2u);
+        let empty = empty_blocks(field, block);
+        // The far faces of the empty cube, or of the cell.
+        var face = cell + side;
+        if empty > 0 {
+            let first = (block - (empty - 1)) * 4 - 1;
+            face = first + side * ((2 * empty - 1) * 4);
+        }
+        let to_faces = select((vec3f(face) - origin) * inverse, vec3f(FAR_T), is_parallel);
+        let to_next = min(to_faces.x, min(to_faces.y, to_faces.z));
+        let t_end = min(max(to_next, t), end);
+        if empty == 0 {
+            let c = corners_of(field, cell);
+            let low = vec4f(c[0], c[1], c[2], c[3]);
+            let high = vec4f(c[4], c[5], c[6], c[7]);
+            let smallest = min(low, high);
+            if min(min(smallest.x, smallest.y), min(smallest.z, smallest.w)) <= 0.0 {
+                let cubic = cubic_along_ray(c, origin + t * direction - vec3f(cell), direction);
+                let sizes = max(abs(low), abs(high));
+                let largest = max(max(max(sizes.x, sizes.y), max(sizes.z, sizes.w)), TINY);
+                let s = first_root(cubic / largest, t_end - t);
+                if s >= 0.0 { return (t + s) / per_t; }
+            }
+        }
+        if t_end >= end { return -1.0; }
+        t = t_end;
+        // Exact on the axis of the face, never back on the others.
+        let beyond = select(face - 1, face, forward);
+        if empty > 0 {
+            let here = vec3i(floor(origin + t * direction));
+            cell = select(min(here, cell), max(here, cell), forward);
+        }
+        if to_faces.x == to_next {
+            cell.x = beyond.x;
+        } else if to_faces.y == to_next {
+            cell.y = beyond.y;
+        } else {
+            cell.z = beyond.z;
+        }
+        cell = clamp(cell, vec3i(-1), last_cell);
+    }
+    return -1.0;
+}

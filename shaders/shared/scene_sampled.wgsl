@@ -1,0 +1,51 @@
+// Fields of samples between and beyond them: distances, gradients. Twin of `SampledField` in src/scene/field.rs.
+
+#import scene_samples
+
+// The nearest point of the data.
+fn into_data(field: SceneField, p: vec3f) -> vec3f {
+    return clamp(p, vec3f(-0.5), vec3f(field.shape) - 0.5);
+}
+
+fn sample_field(field: SceneField, p: vec3f) -> f32 {
+    return sample_in_data(field, into_data(field, p));
+}
+
+// Distance of p if that of the nearest point b of the data is s.
+fn distance_beyond(field: SceneField, p: vec3f, b: vec3f, s: f32) -> f32 {
+    let outside = (p - b) * field.spacing;
+    let a_squared = dot(outside, outside);
+    if a_squared == 0.0 { return s; }
+    return sqrt(a_squared + max(s, 0.0) * max(s, 0.0));
+}
+
+// Distance in the thing's units; outside the data a lower bound.
+fn field_distance(field: SceneField, p: vec3f) -> f32 {
+    let b = into_data(field, p);
+    return distance_beyond(field, p, b, sample_in_data(field, b));
+}
+
+// Gradient of the distance in the thing's own axes, near length 1; zero where there is none.
+fn field_gradient(field: SceneField, point: vec3f) -> vec3f {
+    let last = vec3f(field.shape) - 0.5;
+    let low = min(vec3f(0.5), last - 1.0);
+    let p = min(max(point, low), max(last - 1.0, low));
+    var slope: vec3f;
+    for (var axis = 0u; axis < 3u; axis++) {
+        var half = vec3f(0.0);
+        half[axis] = 0.5;
+        slope[axis] = sample_field(field, p + half) - sample_field(field, p - half);
+    }
+    slope /= field.spacing;
+    let largest = max(abs(slope.x), max(abs(slope.y), abs(slope.z)));
+    if largest == 0.0 { return vec3f(0.0); }
+    return normalize(slope / largest);
+}
+
+// A better guess of the distance outside the data.
+fn field_guess(field: SceneField, p: vec3f) -> f32 {
+    let b = into_data(field, p);
+    let s = sample_in_data(field, b);
+    if all(p == b) || s <= 0.0 { return distance_beyond(field, p, b, s); }
+    return length((p - b) * field.spacing + s * field_gradient(field, b));
+}

@@ -1,0 +1,73 @@
+//! The fields of a scene as devices read them (`shaders/shared/scene_field.wgsl`): a record each, and the numbers and bytes
+//! that records refer to. Each kind says in its shader how it lays them out.
+
+use super::field::{DenseField, SampledField};
+use super::kinds::{Kind, Kinds};
+use crate::error::DeviceError;
+use crate::gpu::Context;
+use crate::gpu::layout::SceneField;
+use crate::grid::Grid;
+use crate::quadric::local::Local;
+use crate::render::empty::EmptySpace;
+use crate::volume::Trilinear;
+
+/// Tables that grow field by field.
+pub struct DeviceFields<'a> {
+    context: &'a Context,
+    pub records: Vec<SceneField>,
+    pub samples: Vec<f32>,
+    pub bytes: Vec<u8>,
+    pub kinds: Kinds,
+}
+
+impl<'a> DeviceFields<'a> {
+    pub fn new(context: &'a Context) -> Self {
+        Self { context, records: Vec::new(), samples: Vec::new(), bytes: Vec::new(), kinds: Kinds::default() }
+    }
+
+    pub fn add_dense(&mut self, field: &SampledField<DenseField>) -> Result<(), DeviceError> {
+        let marcher = field.marcher();
+        let record = self.sampled(Kind::Dense, marcher.field.grid(), marcher.empty());
+        self.add(record, &[marcher.field.samples()])
+    }
+
+    pub fn add_quadric(&mut self, local: &Local) -> Result<(), DeviceError> {
+        let numbers = local.matrix().to_cols_array().map(|entry| entry as f32);
+        self.add(SceneField { kind: Kind::Quadric as u32, ..SceneField::default() }, &[&numbers])?;
+        self.kinds.add(Kind::Quadric);
+        Ok(())
+    }
+
+    /// The record of a sampled field, whose empty space goes to the bytes.
+    fn sampled(&mut self, kind: Kind, grid: &Grid, empty: &EmptySpace) -> SceneField {
+        self.kinds.add(kind);
+        let first_block = self.bytes.len() as u32;
+        self.bytes.extend_from_slice(empty.distances());
+        SceneField {
+            shape: grid.shape.map(|n| n as u32),
+            spacing: grid.spacing().as_vec3().to_array(),
+            first_block,
+            blocks: empty.shape().map(|n| n as u32),
+            kind: kind as u32,
+            ..SceneField::default()
+        }
+    }
+
+    /// Append a record and its numbers, if the device has room.
+    fn add(&mut self, record: SceneField, numbers: &[&[f32]]) -> Result<(), DeviceError> {
+        let count = self.samples.len() + numbers.iter().map(|numbers| numbers.len()).sum::<usize>();
+        self.context.check_size("the fields of a scene", 4 * count as u64)?;
+        self.context.check_size("the blocks of a scene", self.bytes.len() as u64)?;
+        self.records.push(SceneField { first_sample: self.samples.len() as u32, ..record });
+        numbers.iter().for_each(|numbers| self.samples.extend_from_slice(numbers));
+        Ok(())
+    }
+
+    /// The bytes in words.
+    pub fn words(&self) -> Vec<u32> {
+        self.bytes
+            .chunks(4)
+            .map(|bytes| bytes.iter().rev().fold(0, |word, &byte| word << 8 | u32::from(byte)))
+            .collect()
+    }
+}
