@@ -1,101 +1,61 @@
-// Rays through the bricks of a sparse field to the first point where it is not above zero: leaps over empty bricks, cell
-// by cell through the others. Twin of src/render/march.rs, step for step.
+// Rays through a sparse field that is alone on the device, in the words that src/render/gpu_fields.rs uploads.
 
 #import clip
-#import bricks
+#import bricks_march
 
+struct SparseParams {
+    // Bricks along each axis.
+    bricks: vec3u,
+    // No point of an empty brick is nearer to the surface, world units.
+    floor: f32,
+    // Distance of neighbouring nodes along each axis, in units of the longest of the three.
+    node_step: vec3f,
+    // That, world units.
+    longest_step: f32,
+}
+
+@group(0) @binding(5) var<storage, read> index: array<u32>;
+@group(0) @binding(6) var<storage, read> nodes: array<f32>;
 // How many bricks around each there is no surface, in bytes, x fastest; 0 for a brick with a surface.
 @group(0) @binding(8) var<storage, read> empty_space: array<u32>;
+@group(0) @binding(9) var<uniform> sparse: SparseParams;
 
 // An axis on which the direction is smaller than this counts as parallel.
 const PARALLEL: f32 = 1e-20;
 // Steps of a ray at most; src/render/gpu_fields.rs takes no grid with more cells on the way than this.
 const MAX_STEPS: u32 = 16384u;
 
-fn first_axis(to_faces: vec3f) -> u32 {
-    if to_faces.x <= to_faces.y && to_faces.x <= to_faces.z { return 0u; }
-    return select(2u, 1u, to_faces.y <= to_faces.z);
+var<private> steps: u32;
+
+fn brick_word(at: u32) -> u32 {
+    return index[at];
+}
+
+fn brick_node(at: u32) -> f32 {
+    return nodes[at];
+}
+
+fn empty_bytes(at: u32) -> u32 {
+    return empty_space[at];
+}
+
+fn all_bricks(shape: vec3u) -> Bricks {
+    return Bricks(shape, sparse.bricks, sparse.floor, sparse.node_step, sparse.longest_step, 0u, 0u, 0u, 0u);
+}
+
+// The field at a point of grid space; outside the box, at its nearest point.
+fn field_at(p_grid: vec3f, shape: vec3u) -> f32 {
+    return sample_bricks(all_bricks(shape), clamp(p_grid, vec3f(-0.5), vec3f(shape) - 0.5));
 }
 
 // Walk along a ray to its first hit.
 fn march(ray: ClippedRay, shape: vec3u) -> Hit {
     var hit: Hit;
-    let last_cell = vec3i(shape) - 1;
-    let is_forward = ray.direction > vec3f(0.0);
-    let side = select(vec3i(0), vec3i(1), is_forward);
-    let is_parallel = abs(ray.direction) < vec3f(PARALLEL);
-    let inverse = 1.0 / select(ray.direction, vec3f(1.0), is_parallel);
-
-    var t = 0.0;
-    var cell = clamp(vec3i(floor(ray.origin)), vec3i(-1), last_cell);
-    // A cell index never moves back.
-    let max_steps = min(shape.x + shape.y + shape.z + 4u, MAX_STEPS);
-    for (var step = 1u; step <= max_steps; step++) {
-        hit.steps = step;
-        let brick = brick_of(cell);
-        let offset = brick_offset(brick);
-        let distance = i32(extractBits(empty_space[offset >> 2u], 8u * (offset & 3u), 8u));
-        if distance > 0 {
-            // Leap to the side of the empty cube around the brick.
-            let first = BRICK_CELLS * (vec3i(brick) - (distance - 1)) - 1;
-            let face = first + side * (2 * distance - 1) * BRICK_CELLS;
-            let to_faces = select((vec3f(face) - ray.origin) * inverse, vec3f(FAR_T), is_parallel);
-            let axis = first_axis(to_faces);
-            t = max(to_faces[axis], t);
-            if t >= ray.t_max { return hit; }
-            // Exact on the axis of the face, never back on the others.
-            let here = vec3i(floor(ray.origin + t * ray.direction));
-            cell = select(min(here, cell), max(here, cell), is_forward);
-            cell[axis] = face[axis] - 1 + side[axis];
-            cell = clamp(cell, vec3i(-1), last_cell);
-            continue;
-        }
-
-        let word = index[offset];
-        let shift = cell_shift(word);
-        let origin = brick_origin(brick, shift);
-        let local = (cell - origin) >> vec3u(shift);
-        let low = origin + (local << vec3u(shift));
-        let face = low + (side << vec3u(shift));
-        let to_faces = select((vec3f(face) - ray.origin) * inverse, vec3f(FAR_T), is_parallel);
-        let axis = first_axis(to_faces);
-        let t_end = min(max(to_faces[axis], t), ray.t_max);
-
-        // A brick without samples that is not empty lies inside.
-        var corners = array<f32, 8>(-1.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0);
-        if word >> 30u != NOTHING_STORED { corners = brick_corners(word, local); }
-        let first = vec4f(corners[0], corners[1], corners[2], corners[3]);
-        let second = vec4f(corners[4], corners[5], corners[6], corners[7]);
-        let smallest = min(first, second);
-        if min(min(smallest.x, smallest.y), min(smallest.z, smallest.w)) <= 0.0 {
-            let per_voxel = 1.0 / f32(1u << shift);
-            let p = (ray.origin + t * ray.direction - vec3f(low)) * per_voxel;
-            let cubic = cubic_along_ray(corners, p, ray.direction * per_voxel);
-            // In units of the largest corner: products of coefficients stay in range at any scale.
-            let sizes = max(abs(first), abs(second));
-            let largest = max(max(max(sizes.x, sizes.y), max(sizes.z, sizes.w)), TINY);
-            let s = first_root(cubic / largest, t_end - t);
-            if s >= 0.0 {
-                hit.is_hit = true;
-                hit.t = t + s;
-                hit.at_start = hit.t == 0.0 && cubic.x <= 0.0;
-                return hit;
-            }
-        }
-        if t_end >= ray.t_max { return hit; }
-
-        // Into the next cell.
-        t = t_end;
-        let cell_side = 1 << shift;
-        let next = local[axis] + 2 * side[axis] - 1;
-        if shift > 0u && (next < 0 || next >= BRICK_CELLS) {
-            // A cell of many voxels is left where the ray is; the face is exact on its own axis.
-            let here = vec3i(floor(ray.origin + t * ray.direction));
-            cell = clamp(here, low, low + cell_side - 1);
-        }
-        // The nearest voxel beyond the face.
-        cell[axis] = face[axis] - 1 + side[axis];
-        cell = clamp(cell, vec3i(-1), last_cell);
-    }
+    steps = 0u;
+    let t = march_bricks(all_bricks(shape), ray.origin, ray.direction, ray.t_max);
+    hit.steps = steps;
+    hit.is_hit = t >= 0.0;
+    hit.t = max(t, 0.0);
+    hit.at_start = t == 0.0;
     return hit;
 }

@@ -30,6 +30,7 @@ pub const KERNELS: &[(&str, &str)] = &[
 
 const SHARED: &[(&str, &str)] = &[
     ("bricks", include_str!("../../shaders/shared/bricks.wgsl")),
+    ("bricks_march", include_str!("../../shaders/shared/bricks_march.wgsl")),
     ("bvh", include_str!("../../shaders/shared/bvh.wgsl")),
     ("clip", include_str!("../../shaders/shared/clip.wgsl")),
     ("cubic", include_str!("../../shaders/shared/cubic.wgsl")),
@@ -54,6 +55,7 @@ const SHARED: &[(&str, &str)] = &[
     ("scene_quadric", include_str!("../../shaders/shared/scene_quadric.wgsl")),
     ("scene_sampled", include_str!("../../shaders/shared/scene_sampled.wgsl")),
     ("scene_samples", include_str!("../../shaders/shared/scene_samples.wgsl")),
+    ("scene_sparse", include_str!("../../shaders/shared/scene_sparse.wgsl")),
     ("scene_things", include_str!("../../shaders/shared/scene_things.wgsl")),
     ("scene_view", include_str!("../../shaders/shared/scene_view.wgsl")),
     ("ray_sparse", include_str!("../../shaders/shared/ray_sparse.wgsl")),

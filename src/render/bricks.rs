@@ -58,6 +58,10 @@ pub struct MaskedBricks<'a, T> {
 }
 
 impl<'a, T: Texel> MaskedBricks<'a, T> {
+    pub fn view(&self) -> &SparseView<'a, T> {
+        &self.view
+    }
+
     /// Fails where a sample is not a finite number of reasonable size.
     pub fn new(view: SparseView<'a, T>, progress: &Progress) -> Result<Self, Error> {
         let masks = view

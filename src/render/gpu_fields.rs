@@ -10,12 +10,12 @@ use super::empty::EmptySpace;
 use crate::encoding::Encoding;
 use crate::error::{ArgumentError, DeviceError, Error};
 use crate::gpu::Context;
-use crate::gpu::layout::{NestedLevel, SparseParams, StoredParams, TextureParams};
+use crate::gpu::layout::{NestedLevel, StoredParams, TextureParams};
 use crate::gpu::texture::{FilteredTexture, row_bytes};
 use crate::grid::Grid;
 use crate::progress::Progress;
 use crate::volume::device::DeviceField;
-use crate::volume::sparse::{BRICK_CELLS, SparseView};
+use crate::volume::sparse::SparseView;
 use crate::volume::{FieldView, Texel, Trilinear};
 use std::sync::Arc;
 
@@ -78,15 +78,7 @@ impl MarchedField {
         let bricks = MaskedBricks::new(view, progress)?;
         let empty = EmptySpace::new(bricks.block_counts(), &bricks.occupied(progress)?, progress)?;
 
-        let step = view.grid().spacing() * BRICK_CELLS as f64;
-        let longest = step.max_element();
-        let nodes: Vec<f32> = view.nodes().iter().map(|&node| (f64::from(node) / longest) as f32).collect();
-        let params = SparseParams {
-            bricks: view.bricks().map(|n| n as u32),
-            floor: view.floor() as f32,
-            node_step: (step / longest).as_vec3().to_array(),
-            longest_step: longest as f32,
-        };
+        let (params, nodes) = view.for_devices();
         let mut buffers = Vec::from(stored(context, "bricks", view.texels(), view.scale())?);
         buffers.push((5, context.upload("the index of bricks", view.index())?));
         buffers.push((6, context.upload("distances between bricks", &nodes)?));

@@ -3,6 +3,7 @@
 
 use super::field::{DenseField, SampledField};
 use super::kinds::{Kind, Kinds};
+use super::things::SparseBricks;
 use crate::error::DeviceError;
 use crate::gpu::Context;
 use crate::gpu::layout::SceneField;
@@ -29,6 +30,17 @@ impl<'a> DeviceFields<'a> {
         let marcher = field.marcher();
         let record = self.sampled(Kind::Dense, marcher.field.grid(), marcher.empty());
         self.add(record, &[marcher.field.samples()])
+    }
+
+    pub fn add_sparse(&mut self, field: &SampledField<SparseBricks>) -> Result<(), DeviceError> {
+        let marcher = field.marcher();
+        let view = marcher.field.view();
+        let record = self.sampled(Kind::Sparse, view.grid(), marcher.empty());
+        self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
+        self.bytes.extend_from_slice(bytemuck::cast_slice(view.index()));
+        let (params, nodes) = view.for_devices();
+        let [x, y, z] = params.node_step;
+        self.add(record, &[&[params.floor, params.longest_step, x, y, z], &nodes, view.texels()])
     }
 
     pub fn add_quadric(&mut self, local: &Local) -> Result<(), DeviceError> {

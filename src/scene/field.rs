@@ -196,14 +196,15 @@ impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
     }
 
     fn enter(&self, tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
-        F::enter(self, tables)
+        F::enter(self, tables)?;
+        Ok(true)
     }
 }
 
-/// Fields that devices may know.
+/// Fields that devices know.
 pub trait OnDevice: Sized {
     /// Add one, made ready for rays, to a device's tables.
-    fn enter(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError>;
+    fn enter(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<(), DeviceError>;
 }
 
 /// A grid of distances that owns its samples, x fastest.
@@ -230,9 +231,8 @@ impl DenseField {
 }
 
 impl OnDevice for DenseField {
-    fn enter(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
-        tables.add_dense(field)?;
-        Ok(true)
+    fn enter(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<(), DeviceError> {
+        tables.add_dense(field)
     }
 }
 

@@ -7,6 +7,7 @@
 use super::device_fields::DeviceFields;
 use super::far::Far;
 use super::field::Field;
+use super::kinds::Kinds;
 use super::raster::DeviceMeshes;
 use super::shadow::{Casters, Place, Ray, Work};
 use super::{Instance, Scene};
@@ -45,8 +46,8 @@ pub struct DeviceScene {
     meshes: DeviceMeshes,
     /// The levels of the far field that follow the instances.
     far: Vec<Arc<dyn Field>>,
-    /// What its kernels import for the kinds of its things.
-    files: Vec<Instead>,
+    /// Of its things.
+    kinds: Kinds,
     /// Whether it has the field, if any, of each instance and then of each level.
     knows: Vec<bool>,
 }
@@ -85,7 +86,7 @@ impl DeviceScene {
             blocks: context.upload("scene blocks", &tables.words())?,
             meshes: DeviceMeshes::upload(context, scene)?,
             far: levels.iter().filter_map(|level| level.instance.field.clone()).collect(),
-            files: tables.kinds.files(),
+            kinds: tables.kinds,
             knows,
         })
     }
@@ -105,8 +106,8 @@ impl DeviceScene {
     }
 
     /// What kernels import for the kinds of its things.
-    pub fn files(&self) -> &[Instead] {
-        &self.files
+    pub fn files(&self) -> Vec<Instead> {
+        self.kinds.files()
     }
 
     pub fn meshes(&self) -> &DeviceMeshes {
@@ -169,7 +170,7 @@ impl DeviceScene {
         let uniform = context.uniform("beam parameters", &params)?;
         let asked = context.upload("beams", beams)?;
         let found = context.storage("answers", size_of_val(&answers[..]) as u64)?;
-        let kernel = context.kernel_with("scene_beams", entry, &self.files)?;
+        let kernel = context.kernel_with("scene_beams", entry, &self.files())?;
         let all = [
             (0, &uniform),
             (1, &self.nodes),
@@ -181,9 +182,13 @@ impl DeviceScene {
             (7, &asked),
             (8, &found),
         ];
-        // The layout has what the entry point reads: a thickness needs no tree.
-        let used: Vec<_> =
-            all.into_iter().filter(|(binding, _)| entry == "shares" || ![1, 2, 6].contains(binding)).collect();
+        // The layout has what the entry point reads: a thickness needs no tree, and the distance of a dense grid no blocks.
+        let unused: &[u32] = match (entry, self.kinds.sparse) {
+            ("shares", _) => &[],
+            (_, true) => &[1, 2],
+            (_, false) => &[1, 2, 6],
+        };
+        let used: Vec<_> = all.into_iter().filter(|(binding, _)| !unused.contains(binding)).collect();
         let group = context.bind("scene_beams", &kernel, &used)?;
         let groups = (beams.len() as u64).div_ceil(GROUP);
         in_pieces(context, "the scene's light", groups, GROUPS.0, GROUPS.1, progress, |first, count| {

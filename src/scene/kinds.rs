@@ -10,12 +10,14 @@ use crate::gpu::shader::Instead;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     Dense = 0,
-    Quadric = 1,
+    Sparse = 1,
+    Quadric = 2,
 }
 
 /// The kinds of a scene's things, besides dense grids.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Kinds {
+    pub sparse: bool,
     pub quadrics: bool,
 }
 
@@ -23,13 +25,15 @@ impl Kinds {
     pub fn add(&mut self, kind: Kind) {
         match kind {
             Kind::Dense => {}
+            Kind::Sparse => self.sparse = true,
             Kind::Quadric => self.quadrics = true,
         }
     }
 
     /// The files that kernels import in place of others.
     pub fn files(self) -> Vec<Instead> {
-        let instead = [(self.quadrics, ("scene_things", "scene_quadric"))];
+        let instead =
+            [(self.sparse, ("scene_samples", "scene_sparse")), (self.quadrics, ("scene_things", "scene_quadric"))];
         instead.into_iter().filter(|(is_held, _)| *is_held).map(|(_, files)| files).collect()
     }
 }
@@ -42,11 +46,12 @@ mod tests {
 
     #[test]
     fn every_text_is_valid() {
-        for quadrics in [false, true] {
+        for (sparse, quadrics) in [(false, false), (false, true), (true, false), (true, true)] {
             for kernel in ["scene_beams", "scene_fields"] {
-                let text = source_of_files(kernel, &Kinds { quadrics }.files()).unwrap();
+                let text = source_of_files(kernel, &Kinds { sparse, quadrics }.files()).unwrap();
                 validate(kernel, &text);
                 assert_eq!(text.contains("fn quadric_hit"), quadrics);
+                assert_eq!(text.contains("fn march_bricks"), sparse);
             }
         }
     }

@@ -236,7 +236,7 @@ fn seen_by_device(
 
     let rows_buffer = context.upload("raster instances", &rows)?;
     let triangles = context.raster_pipeline("scene_triangles", "triangle_corner", "triangle_seen", &[])?;
-    let fields = context.raster_pipeline("scene_fields", "box_corner", "field_seen", device.files())?;
+    let fields = context.raster_pipeline("scene_fields", "box_corner", "field_seen", &device.files())?;
     let mut bindings = vec![(0, &rows_buffer)];
     bindings.extend((1..).zip(&meshes.buffers));
     let triangles_group = context.bind_raster("scene_triangles", &triangles, &bindings)?;

@@ -7,7 +7,7 @@ use crate::grid::Grid;
 use crate::progress::Progress;
 use crate::render::blocks::Blocks;
 use crate::render::bricks::MaskedBricks;
-use crate::volume::sparse::SparseField;
+use crate::volume::sparse::{SparseField, SparseView};
 use crate::volume::{Cell, Trilinear};
 use glam::{DVec3, IVec3};
 
@@ -31,6 +31,10 @@ impl SparseBricks {
 
     fn bricks(&self) -> &Bricks<'_> {
         self.0.borrow_dependent()
+    }
+
+    pub fn view(&self) -> &SparseView<'_, f32> {
+        self.bricks().view()
     }
 }
 
@@ -64,7 +68,7 @@ impl Blocks for SparseBricks {
 }
 
 impl OnDevice for SparseBricks {
-    fn enter(_: &SampledField<Self>, _: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
-        Ok(false)
+    fn enter(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<(), DeviceError> {
+        tables.add_sparse(field)
     }
 }

@@ -35,6 +35,7 @@ mod tests;
 use super::outside::{bound_outside, round_down, square_bound};
 use super::{Cell, FieldView, Texel, Trilinear, trilinear};
 use crate::error::{ArgumentError, Error};
+use crate::gpu::layout::SparseParams;
 use crate::grid::Grid;
 use crate::memory::allocate_samples;
 use crate::progress::Progress;
@@ -196,6 +197,21 @@ impl<'a, T: Texel> SparseView<'a, T> {
     /// No point of an empty brick is nearer to the surface.
     pub fn floor(&self) -> f64 {
         self.floor
+    }
+
+    /// What shaders need beside index and samples, and the nodes in units of the longest step between them
+    /// (`shaders/shared/bricks.wgsl`).
+    pub fn for_devices(&self) -> (SparseParams, Vec<f32>) {
+        let step = self.grid.spacing() * BRICK_CELLS as f64;
+        let longest = step.max_element();
+        let nodes = self.nodes().iter().map(|&node| (f64::from(node) / longest) as f32).collect();
+        let params = SparseParams {
+            bricks: self.bricks.map(|n| n as u32),
+            floor: self.floor as f32,
+            node_step: (step / longest).as_vec3().to_array(),
+            longest_step: longest as f32,
+        };
+        (params, nodes)
     }
 
     /// What the index says of a brick.

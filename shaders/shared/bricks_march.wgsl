@@ -1,0 +1,89 @@
+// Rays through the bricks of a sparse field to the first point where it is not above zero: leaps over empty bricks, cell
+// by cell through the others. Twin of src/render/march.rs, step for step.
+//
+// The kernel that imports this brings `empty_bytes`, words of how many bricks around each there is no surface, a byte a brick,
+// 0 for one with a surface; `steps`, which ends at MAX_STEPS; FAR_T, PARALLEL and TINY.
+
+#import bricks
+
+fn first_axis(to_faces: vec3f) -> u32 {
+    if to_faces.x <= to_faces.y && to_faces.x <= to_faces.z { return 0u; }
+    return select(2u, 1u, to_faces.y <= to_faces.z);
+}
+
+// The first t in [0, t_max] where the field is not above zero, or -1; the direction is unit.
+fn march_bricks(bricks: Bricks, start: vec3f, direction: vec3f, t_max: f32) -> f32 {
+    let last_cell = vec3i(bricks.shape) - 1;
+    let is_forward = direction > vec3f(0.0);
+    let side = select(vec3i(0), vec3i(1), is_forward);
+    let is_parallel = abs(direction) < vec3f(PARALLEL);
+    let inverse = 1.0 / select(direction, vec3f(1.0), is_parallel);
+
+    var t = 0.0;
+    var cell = clamp(vec3i(floor(start)), vec3i(-1), last_cell);
+    // A cell index never moves back.
+    while steps < MAX_STEPS {
+        steps++;
+        let brick = brick_of(cell);
+        let offset = brick_offset(bricks, brick);
+        let byte = bricks.first_empty + offset;
+        let distance = i32(extractBits(empty_bytes(byte >> 2u), 8u * (byte & 3u), 8u));
+        if distance > 0 {
+            // Leap to the side of the empty cube around the brick.
+            let first = BRICK_CELLS * (vec3i(brick) - (distance - 1)) - 1;
+            let face = first + side * (2 * distance - 1) * BRICK_CELLS;
+            let to_faces = select((vec3f(face) - start) * inverse, vec3f(FAR_T), is_parallel);
+            let axis = first_axis(to_faces);
+            t = max(to_faces[axis], t);
+            if t >= t_max { return -1.0; }
+            // Exact on the axis of the face, never back on the others.
+            let here = vec3i(floor(start + t * direction));
+            cell = select(min(here, cell), max(here, cell), is_forward);
+            cell[axis] = face[axis] - 1 + side[axis];
+            cell = clamp(cell, vec3i(-1), last_cell);
+            continue;
+        }
+
+        let word = brick_word(bricks.first_word + offset);
+        let shift = cell_shift(word);
+        let origin = brick_origin(brick, shift);
+        let local = (cell - origin) >> vec3u(shift);
+        let low = origin + (local << vec3u(shift));
+        let face = low + (side << vec3u(shift));
+        let to_faces = select((vec3f(face) - start) * inverse, vec3f(FAR_T), is_parallel);
+        let axis = first_axis(to_faces);
+        let t_end = min(max(to_faces[axis], t), t_max);
+
+        // A brick without samples that is not empty lies inside.
+        var corners = array<f32, 8>(-1.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0);
+        if word >> 30u != NOTHING_STORED { corners = brick_corners(bricks, word, local); }
+        let first = vec4f(corners[0], corners[1], corners[2], corners[3]);
+        let second = vec4f(corners[4], corners[5], corners[6], corners[7]);
+        let smallest = min(first, second);
+        if min(min(smallest.x, smallest.y), min(smallest.z, smallest.w)) <= 0.0 {
+            let per_voxel = 1.0 / f32(1u << shift);
+            let p = (start + t * direction - vec3f(low)) * per_voxel;
+            let cubic = cubic_along_ray(corners, p, direction * per_voxel);
+            // In units of the largest corner: products of coefficients stay in range at any scale.
+            let sizes = max(abs(first), abs(second));
+            let largest = max(max(max(sizes.x, sizes.y), max(sizes.z, sizes.w)), TINY);
+            let s = first_root(cubic / largest, t_end - t);
+            if s >= 0.0 { return t + s; }
+        }
+        if t_end >= t_max { return -1.0; }
+
+        // Into the next cell.
+        t = t_end;
+        let cell_side = 1 << shift;
+        let next = local[axis] + 2 * side[axis] - 1;
+        if shift > 0u && (next < 0 || next >= BRICK_CELLS) {
+            // A cell of many voxels is left where the ray is; the face is exact on its own axis.
+            let here = vec3i(floor(start + t * direction));
+            cell = clamp(here, low, low + cell_side - 1);
+        }
+        // The nearest voxel beyond the face.
+        cell[axis] = face[axis] - 1 + side[axis];
+        cell = clamp(cell, vec3i(-1), last_cell);
+    }
+    return -1.0;
+}

@@ -1,0 +1,60 @@
+// Sparse fields of a scene: the bricks as they are stored. Twin of src/scene/things/sparse.rs.
+//
+// In `samples` a sparse field has its floor, its longest step, the step along each axis, the nodes and the samples of its
+// bricks; in `blocks` a byte a brick, and from the next whole word on its index.
+
+#import scene_dense
+#import bricks_march
+
+const SPARSE_HEADER: u32 = 5u;
+
+fn brick_word(at: u32) -> u32 {
+    return blocks[at];
+}
+
+fn brick_node(at: u32) -> f32 {
+    return samples[at];
+}
+
+fn stored_sample(at: u32) -> f32 {
+    return samples[at];
+}
+
+fn empty_bytes(at: u32) -> u32 {
+    return blocks[at];
+}
+
+fn bricks_of(field: SceneField) -> Bricks {
+    let first = field.first_sample;
+    let nodes = field.blocks + 1u;
+    var bricks: Bricks;
+    bricks.shape = field.shape;
+    bricks.counts = field.blocks;
+    bricks.floor = samples[first];
+    bricks.longest_step = samples[first + 1u];
+    bricks.node_step = vec3f(samples[first + 2u], samples[first + 3u], samples[first + 4u]);
+    bricks.first_empty = field.first_block;
+    bricks.first_word = (field.first_block + field.blocks.x * field.blocks.y * field.blocks.z + 3u) / 4u;
+    bricks.first_node = first + SPARSE_HEADER;
+    bricks.first_sample = bricks.first_node + nodes.x * nodes.y * nodes.z;
+    return bricks;
+}
+
+fn sparse_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 {
+    let per_t = length(along);
+    let hit = march_bricks(bricks_of(field), origin, along / per_t, t_max * per_t);
+    return select(-1.0, hit / per_t, hit >= 0.0);
+}
+
+// ---- in a scene with dense grids
+
+// At a point of the data.
+fn sample_in_data(field: SceneField, p: vec3f) -> f32 {
+    if field.kind == KIND_SPARSE { return sample_bricks(bricks_of(field), p); }
+    return dense_sample(field, p);
+}
+
+fn sampled_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 {
+    if field.kind == KIND_SPARSE { return sparse_hit(field, origin, along, t_max); }
+    return dense_hit(field, origin, along, t_max);
+}
