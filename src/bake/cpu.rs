@@ -2,13 +2,13 @@
 
 use super::band::Band;
 use super::signs::{Counts, SignPass};
-use super::{Bake, BakeOptions, LocalGrid, Report, dense};
+use super::{Bake, BakeOptions, LocalGrid, dense};
 use crate::error::Error;
 use crate::grid::Grid;
 use crate::memory::allocate_samples;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
-use crate::sign::{SignChoice, SignMethod, SignRule};
+use crate::sign::SignRule;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
@@ -26,15 +26,12 @@ pub(super) fn bake(mesh: &Mesh, grid: &Grid, options: &BakeOptions, progress: &P
     progress.set_total(2 * grid.len() as u64);
 
     let start = Instant::now();
-    let (_, topology) = rayon::join(|| mesh.bvh(), || mesh.topology());
+    rayon::join(|| mesh.bvh(), || mesh.topology());
     progress.check()?;
     stage("tree and topology", start);
 
     let start = Instant::now();
-    let method = if options.thickness.is_some() { SignMethod::Unsigned } else { options.sign };
-    let choice = SignChoice::new(mesh, method);
-    choice.rule.prepare(mesh);
-    let mut report = Report::new(mesh, topology, &choice);
+    let (choice, mut report) = options.choose_sign(mesh);
     progress.check()?;
     stage("sign rule", start);
 

@@ -31,7 +31,7 @@ use crate::gpu::pace::in_pieces;
 use crate::grid::Grid;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
-use crate::sign::{SignChoice, SignMethod, SignRule};
+use crate::sign::SignRule;
 use crate::volume::device::{DeviceField, Slab};
 use std::sync::Arc;
 use std::time::Instant;
@@ -67,16 +67,13 @@ pub(super) fn bake(
     stage("device memory", start);
 
     let start = Instant::now();
-    let (_, topology) = rayon::join(|| mesh.bvh(), || mesh.topology());
+    rayon::join(|| mesh.bvh(), || mesh.topology());
     let tree = BinaryTree::new(mesh.bvh(), mesh.positions(), mesh.faces());
     progress.check()?;
     stage("tree and topology", start);
 
     let start = Instant::now();
-    let method = if options.thickness.is_some() { SignMethod::Unsigned } else { options.sign };
-    let choice = SignChoice::new(mesh, method);
-    choice.rule.prepare(mesh);
-    let mut report = Report::new(mesh, topology, &choice);
+    let (choice, mut report) = options.choose_sign(mesh);
     stage("sign rule", start);
 
     let start = Instant::now();

@@ -24,8 +24,8 @@ use crate::gpu::{Context, Place};
 use crate::grid::Grid;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
-use crate::sign::SignMethod;
 use crate::sign::crossing::Samples;
+use crate::sign::{SignChoice, SignMethod};
 use crate::volume::device::DeviceField;
 use glam::DVec3;
 use std::sync::Arc;
@@ -102,6 +102,15 @@ impl BakeOptions {
             }
         }
         Ok(())
+    }
+
+    /// Choose the sign rule and make it ready; and what the report says of mesh and rule. A two-sided sheet has no inside.
+    fn choose_sign(&self, mesh: &Mesh) -> (SignChoice, Report) {
+        let method = if self.thickness.is_some() { SignMethod::Unsigned } else { self.sign };
+        let choice = SignChoice::new(mesh, method);
+        choice.rule.prepare(mesh);
+        let report = Report::new(mesh, mesh.topology(), &choice);
+        (choice, report)
     }
 }
 

@@ -22,7 +22,7 @@ use crate::grid::Grid;
 use crate::memory::require;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
-use crate::sign::{SignChoice, SignMethod, SignRule};
+use crate::sign::SignRule;
 use crate::volume::Texel;
 use crate::volume::sparse::build::{REGION_WORK, SampleBox, SampleSource, Side, SparseBuilder, SparseOptions};
 use crate::volume::sparse::{BRICK_CELLS, BRICK_LEN, REGION_BRICKS, SparseField, brick_counts, node_grid};
@@ -46,15 +46,12 @@ pub fn bake_sparse<T: Texel>(
     require("the index of a sparse field", 2 * size_of::<f32>() as u64 * nodes_on.len() as u64, 0)?;
 
     let start = Instant::now();
-    let (_, topology) = rayon::join(|| mesh.bvh(), || mesh.topology());
+    rayon::join(|| mesh.bvh(), || mesh.topology());
     progress.check()?;
     stage("tree and topology", start);
 
     let start = Instant::now();
-    let method = if bake.thickness.is_some() { SignMethod::Unsigned } else { bake.sign };
-    let choice = SignChoice::new(mesh, method);
-    choice.rule.prepare(mesh);
-    let mut report = Report::new(mesh, topology, &choice);
+    let (choice, mut report) = bake.choose_sign(mesh);
     progress.check()?;
     stage("sign rule", start);
 
@@ -81,7 +78,7 @@ pub fn bake_sparse<T: Texel>(
         bricks: brick_counts(grid),
         half_thickness,
         near: sparse.band * voxel.max_element() + 0.5 * BRICK_CELLS as f64 * voxel.length(),
-        is_closed: topology.closed,
+        is_closed: report.closed,
     };
     require("a sparse field", (job.count_near() * BRICK_LEN * size_of::<T>()) as u64, 0)?;
     let mut builder = SparseBuilder::new(*grid, sparse, nodes)?;
