@@ -332,7 +332,7 @@ fn only(py: Python<'_>, rows: &Blocks<'_>) -> PyResult<Block> {
 
 fn grid(block: &Block, lower: [f64; 3], upper: [f64; 3]) -> PyResult<Grid> {
     let shape = block.shape.map(|n| n as usize);
-    Ok(Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape).map_err(Failure::from)?)
+    super::convert::grid(lower, upper, shape)
 }
 
 /// The side of square pages, if every block lies on them.

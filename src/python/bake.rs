@@ -1,6 +1,6 @@
 //! `fieldbake._core.bake`.
 
-use super::convert::volume_array;
+use super::convert::{grid, volume_array};
 use super::device::{DeviceField, choose};
 use super::error::Failure;
 use super::mesh::Mesh;
@@ -8,9 +8,7 @@ use super::run::run;
 use crate::bake::{BakeOptions, Field, Report, bake_at, bake_brute as brute};
 use crate::error::DeviceError;
 use crate::gpu::Place;
-use crate::grid::Grid;
 use crate::sign::SignMethod;
-use glam::DVec3;
 use numpy::PyArray3;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -31,11 +29,9 @@ pub fn bake<'py>(
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyDict>)> {
     let mesh = mesh.0.clone();
-    let prepared = || -> Result<(Grid, BakeOptions), Failure> {
-        let grid = Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape)?;
-        Ok((grid, BakeOptions { sign: sign.parse::<SignMethod>()?, band, thickness }))
-    };
-    let (grid, options) = prepared()?;
+    let grid = grid(lower, upper, shape)?;
+    let sign = sign.parse::<SignMethod>().map_err(Failure::from)?;
+    let options = BakeOptions { sign, band, thickness };
     let place = choose(py, device)?;
     let (field, report) = run(py, progress, |progress| bake_at(&place, &mesh, &grid, &options, progress))?;
     let distances = match field {
@@ -57,7 +53,7 @@ pub fn bake_brute<'py>(
     device: &str,
 ) -> PyResult<Bound<'py, PyArray3<f32>>> {
     let mesh = mesh.0.clone();
-    let grid = Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape).map_err(Failure::from)?;
+    let grid = grid(lower, upper, shape)?;
     let sign = sign.parse::<SignMethod>().map_err(Failure::from)?;
     let context = match choose(py, device)? {
         Place::Gpu(context) => context,

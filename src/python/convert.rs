@@ -54,6 +54,11 @@ pub fn image_array<'py, T: numpy::Element>(
     pixels.into_pyarray(py).reshape(shape)
 }
 
+/// A box cut into voxels.
+pub fn grid(lower: [f64; 3], upper: [f64; 3], shape: [usize; 3]) -> PyResult<Grid> {
+    Ok(Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape).map_err(Failure::from)?)
+}
+
 /// A stored field as Python hands it over: (nx, ny, nz) with x fastest, and its box.
 pub struct Field<'a, T = f32> {
     grid: Grid,
@@ -81,8 +86,7 @@ impl<'a, T: Texel + numpy::Element> Field<'a, T> {
             let message = "distances: must be (nx, ny, nz) with x fastest in memory (Fortran order)";
             exception(distances.py(), "ArgumentError", message.to_owned())
         })?;
-        let grid = Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape);
-        Ok(Self { grid: grid.map_err(Failure::from)?, samples, scale })
+        Ok(Self { grid: grid(lower, upper, shape)?, samples, scale })
     }
 
     pub fn view(&self) -> Result<FieldView<'a, T>, Error> {

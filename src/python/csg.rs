@@ -1,6 +1,6 @@
 //! `fieldbake._core.Shape`.
 
-use super::convert::{Field, points, row_array, volume_array};
+use super::convert::{Field, grid, points, row_array, volume_array};
 use super::device::choose;
 use super::error::Failure;
 use super::render::{PictureArguments, images_of};
@@ -12,7 +12,6 @@ use crate::csg::shader::shader;
 use crate::csg::volume_leaf::VolumeLeaf;
 use crate::csg::{self, Blend, Op, Solid};
 use crate::error::{Error, ShapeError};
-use crate::grid::Grid;
 use crate::shader_text::Language;
 use crate::volume::Trilinear;
 use glam::DVec3;
@@ -182,7 +181,7 @@ impl Shape {
         progress: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<(Bound<'py, PyArray3<f32>>, String)> {
         let place = choose(py, device)?;
-        let grid = Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape).map_err(Failure::from)?;
+        let grid = grid(lower, upper, shape)?;
         let solid = self.solid(py)?;
         let samples = run(py, progress, |progress| solid.bake_at(&place, &grid, progress))?;
         Ok((volume_array(py, samples, shape)?, place.label()))

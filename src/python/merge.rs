@@ -1,13 +1,12 @@
 //! `fieldbake._core.merge`.
 
-use super::convert::{Field, volume_array};
+use super::convert::{Field, grid, volume_array};
 use super::device::choose;
 use super::error::{Failure, exception};
 use super::quadric::quadric_rows;
 use super::run::run;
 use crate::error::{DeviceError, Error};
 use crate::gpu::Place;
-use crate::grid::Grid;
 use crate::merge::{Merged, Placed, merge as merge_all, merge_as_article, merge_on_device, update};
 use crate::quadric::local::Local;
 use glam::{DAffine3, DMat4, DVec3};
@@ -46,7 +45,7 @@ pub fn merge<'py>(
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<MergeArrays<'py>> {
     let wrong = |message: String| exception(py, "ArgumentError", message);
-    let grid = Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape).map_err(Failure::from)?;
+    let grid = grid(lower, upper, shape)?;
     let fields: Vec<_> = volumes
         .iter()
         .map(|(samples, lower, upper, inner_lower, inner_upper)| {

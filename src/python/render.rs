@@ -1,17 +1,16 @@
 //! `fieldbake._core.raymarch`.
 
-use super::convert::{Field, image_array, rows, with_texels};
+use super::convert::{Field, grid, image_array, rows, with_texels};
 use super::device::{DeviceField, choose};
 use super::error::{Failure, exception};
 use super::run::run;
 use super::sparse::SparseField;
 use crate::gpu::Place;
-use crate::grid::Grid;
 use crate::render::{
     Camera, DirectionalLight, Filter, Frame, RaymarchOptions, Shadows, Source, raymarch_at,
     raymarch_nested as draw_nested, raymarch_view,
 };
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use numpy::{PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -38,8 +37,7 @@ pub fn raymarch<'py>(
     let start = Instant::now();
     let frame = if let Ok(field) = distances.cast::<DeviceField>() {
         let field = &field.get().0;
-        let [lower, upper] = [lower, upper].map(DVec3::from_array);
-        let grid = Grid::new(lower, upper, field.shape()).map_err(Failure::from)?;
+        let grid = grid(lower, upper, field.shape())?;
         run(py, progress, |progress| raymarch_at(&place, Source::Device(field), &grid, &camera, &options, progress))?
     } else if let Ok(field) = distances.cast::<SparseField>() {
         let field = field.get();

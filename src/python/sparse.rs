@@ -1,7 +1,7 @@
 //! `fieldbake._core.SparseField`, `bake_sparse`, `to_sparse`, `encode` and `decode`.
 
 use super::bake::report_dict;
-use super::convert::{Field, points, row_array, volume_array, with_texels};
+use super::convert::{Field, grid, points, row_array, volume_array, with_texels};
 use super::error::{Failure, exception};
 use super::mesh::Mesh;
 use super::run::run;
@@ -9,7 +9,6 @@ use crate::bake::{BakeOptions, bake_sparse as bake};
 use crate::encoding::Encoding;
 use crate::error::Error;
 use crate::gpu::Place;
-use crate::grid::Grid;
 use crate::progress::Progress;
 use crate::render::{Camera, Frame, RaymarchOptions, raymarch_sparse};
 use crate::sign::SignMethod;
@@ -104,7 +103,7 @@ impl SparseField {
         nodes: PyReadonlyArray3<'_, f32>,
         bricks: &Bound<'_, PyAny>,
     ) -> PyResult<Self> {
-        let grid = Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape).map_err(Failure::from)?;
+        let grid = grid(lower, upper, shape)?;
         let index = x_fastest(&index, "index", brick_counts(&grid))?;
         let nodes = x_fastest(&nodes, "nodes", node_grid(&grid).shape)?;
         with_texels!(bricks, PyReadonlyArray1, |texels| {
@@ -243,7 +242,7 @@ pub fn bake_sparse<'py>(
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<(SparseField, Bound<'py, PyDict>)> {
     let mesh = mesh.0.clone();
-    let grid = Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape).map_err(Failure::from)?;
+    let grid = grid(lower, upper, shape)?;
     let sign = sign.parse::<SignMethod>().map_err(Failure::from)?;
     let options = BakeOptions { sign, band: None, thickness };
     let sparse = SparseOptions { band, tolerance };
