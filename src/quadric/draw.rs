@@ -9,10 +9,9 @@ use super::Quadrics;
 use crate::error::Error;
 use crate::gpu::Place;
 use crate::progress::Progress;
-use crate::render::shade::lit_color;
-use crate::render::{Camera, DirectionalLight, Frame, RaymarchOptions, Row, Shadows};
+use crate::render::shade::{Look, lit};
+use crate::render::{Camera, DirectionalLight, Frame, RaymarchOptions, Row};
 use glam::DVec3;
-use rayon::prelude::*;
 
 /// Draw at a place. `options.color` is not used: each quadric has its reflectance.
 pub fn draw_at(
@@ -26,22 +25,9 @@ pub fn draw_at(
     let lights = options.unit_lights(camera)?;
     let view = View { quadrics, camera, options, lights: &lights };
     match place {
-        Place::Cpu => draw(&view, progress),
+        Place::Cpu => Frame::by_pixels(options.size, lights.len(), progress, |x, y, row| view.draw_pixel(x, y, row)),
         Place::Gpu(context) => super::gpu::draw(context, &view, progress),
     }
-}
-
-fn draw(view: &View<'_>, progress: &Progress) -> Result<Frame, Error> {
-    let [width, height] = view.options.size.map(|n| n as usize);
-    progress.set_total(height as u64);
-    let mut frame = Frame::new(width, height, view.lights.len());
-    frame.rows().into_par_iter().enumerate().try_for_each(|(y, mut row)| {
-        for x in 0..width {
-            view.draw_pixel(x, y, &mut row);
-        }
-        progress.advance(1)
-    })?;
-    Ok(frame)
 }
 
 /// What every pixel needs.
@@ -66,16 +52,12 @@ impl View<'_> {
 
         let p = self.camera.eye + hit.t * direction;
         let shadow = &mut row.shadow[x * row.lights..][..row.lights];
-        for (light, share) in self.lights.iter().zip(shadow.iter_mut()) {
-            *share = match self.options.shadows {
-                Shadows::None => 1.0,
-                Shadows::Hard => self.share_that_arrives(p, hit.normal, hit.quadric, -light.direction.as_dvec3()),
-            };
-        }
         let to_eye = -direction.normalize().as_vec3();
         let normal = hit.normal.as_vec3();
-        let reflectance = self.quadrics.reflectance(hit.quadric);
-        let color = lit_color(reflectance, normal, to_eye, self.lights, shadow, self.options);
+        let look = Look { normal, to_eye, color: self.quadrics.reflectance(hit.quadric) };
+        let color = lit(&look, self.options, self.lights, shadow, |to_light| {
+            self.share_that_arrives(p, hit.normal, hit.quadric, to_light.as_dvec3())
+        });
 
         row.color[4 * x..][..4].copy_from_slice(&[color.x, color.y, color.z, 1.0]);
         row.depth[x] = hit.t as f32;

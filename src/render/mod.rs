@@ -190,16 +190,7 @@ pub fn raymarch<F: Blocks>(
         options,
     };
 
-    let [width, height] = options.size.map(|n| n as usize);
-    progress.set_total(height as u64);
-    let mut frame = Frame::new(width, height, lights.len());
-    frame.rows().into_par_iter().enumerate().try_for_each(|(y, mut row)| {
-        for x in 0..width {
-            view.draw_pixel(x, y, &mut row);
-        }
-        progress.advance(1)
-    })?;
-    Ok(frame)
+    Frame::by_pixels(options.size, lights.len(), progress, |x, y, row| view.draw_pixel(x, y, row))
 }
 
 /// Where the samples of a field are.
@@ -435,6 +426,26 @@ impl Frame {
             shadow: vec![1.0; lights * pixels],
             steps: vec![0; pixels],
         }
+    }
+
+    /// A picture that `draw_pixel` fills: pixel `x` of row `y` at a time, of which the row says that nothing is hit. On all
+    /// cores by rows, which the progress counts.
+    pub(crate) fn by_pixels(
+        size: [u32; 2],
+        lights: usize,
+        progress: &Progress,
+        draw_pixel: impl Fn(usize, usize, &mut Row<'_>) + Sync,
+    ) -> Result<Self, Error> {
+        let [width, height] = size.map(|n| n as usize);
+        progress.set_total(height as u64);
+        let mut frame = Self::new(width, height, lights);
+        frame.rows().into_par_iter().enumerate().try_for_each(|(y, mut row)| {
+            for x in 0..width {
+                draw_pixel(x, y, &mut row);
+            }
+            progress.advance(1)
+        })?;
+        Ok(frame)
     }
 
     pub(crate) fn rows(&mut self) -> Vec<Row<'_>> {
