@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fieldbake as fb
+from damage import damaged
 from fields import cubes
 
 
@@ -120,14 +121,8 @@ def test_bad_offsets_never_leave_the_pages(good_file, tmp_path, column, value):
 @given(data=st.data())
 @settings(max_examples=150)
 def test_a_damaged_file_is_a_format_error(good_file, tmp_path_factory, data):
-    content = bytearray(good_file)
     path = tmp_path_factory.getbasetemp() / "damaged.npz"
-    if data.draw(st.booleans()):
-        content = content[: data.draw(st.integers(0, len(content) - 1))]
-    else:
-        for _ in range(data.draw(st.integers(1, 8))):
-            content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-    path.write_bytes(content)
+    path.write_bytes(damaged(data, good_file))
 
     try:
         atlas = fb.load(path)

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import fieldbake as fb
+from damage import damaged
 
 #: Width of a stored step, as a share of the scale.
 STEPS = {"snorm16": 32767, "snorm8": 127}
@@ -303,13 +304,7 @@ def test_a_damaged_file_is_a_format_error_or_other_texels(volume, tmp_path_facto
     path = tmp_path_factory.getbasetemp() / f"damaged{ending}"
     thing = volume if ending in (".dds", ".ktx2", ".nrrd") else fb.pack([volume], page_size=32, encoding="snorm16")
     thing.save(path)
-    content = bytearray(path.read_bytes())
-    if data.draw(st.booleans()):
-        content = content[: data.draw(st.integers(0, len(content) - 1))]
-    else:
-        for _ in range(data.draw(st.integers(1, 6))):
-            content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-    path.write_bytes(content)
+    path.write_bytes(damaged(data, path.read_bytes()))
 
     try:
         found = fb.load(path)
