@@ -197,6 +197,7 @@ fn check_points(mesh: &Mesh, points: &[[f64; 3]]) -> Result<(), ArgumentError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::random::uniform;
 
     /// A box without a lid, as a lattice of small faces on each side.
     fn open_box(n: i64) -> Mesh {
@@ -225,11 +226,8 @@ mod tests {
     }
 
     fn scattered(count: usize) -> Vec<[f64; 3]> {
-        let mut state = 17u64;
-        let mut next = || {
-            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-            1.6 * (state >> 33) as f64 / (1u64 << 31) as f64 - 0.3
-        };
+        let mut uniform = uniform(17);
+        let mut next = || 1.6 * uniform() - 0.3;
         (0..count).map(|_| [next(), next(), next()]).collect()
     }
 

@@ -154,7 +154,7 @@ fn absent() -> Node {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::Mesh;
+    use crate::mesh::random::{soup, uniform};
 
     /// The search of `shaders/shared/bvh.wgsl`, with the deepest stack it needed.
     fn nearest(tree: &BinaryTree, frames: &[TriangleFrame], p: Vec3) -> (f32, usize) {
@@ -189,19 +189,7 @@ mod tests {
     #[test]
     fn it_holds_every_face_once_and_finds_the_same_distances() {
         for faces in [1usize, 3, 9, 200, 5000] {
-            let mut state = faces as u64;
-            let mut next = || {
-                state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-                (state >> 33) as f64 / (1u64 << 31) as f64
-            };
-            let vertices: Vec<[f64; 3]> = (0..faces)
-                .flat_map(|_| {
-                    let center = [next(), next(), next()];
-                    [0; 3].map(|_| center.map(|x| x + 0.1 * next()))
-                })
-                .collect();
-            let corners: Vec<[i64; 3]> = (0..faces as i64).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
-            let mesh = Mesh::new(&vertices, &corners).unwrap();
+            let mesh = soup(faces, 0.1, faces as u64);
             let tree = BinaryTree::new(mesh.bvh(), mesh.positions(), mesh.faces());
 
             let mut named: Vec<u32> = tree.triangles.iter().map(|triangle| triangle.face).collect();
@@ -209,6 +197,7 @@ mod tests {
             assert_eq!(named, (0..mesh.faces().len() as u32).collect::<Vec<_>>());
             let frames: Vec<_> =
                 (0..mesh.faces().len() as u32).map(|face| TriangleFrame::new(mesh.triangle(face))).collect();
+            let mut next = uniform(faces as u64);
             for _ in 0..50 {
                 let p = Vec3::new(next() as f32, next() as f32, next() as f32) - 0.5;
                 let (squared, deepest) = nearest(&tree, &frames, p);

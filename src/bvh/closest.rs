@@ -167,24 +167,8 @@ impl Bvh {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::random::soup;
     use proptest::prelude::*;
-
-    fn soup(count: usize, seed: u64) -> Mesh {
-        // A small linear congruential generator: the test needs variety, not statistics.
-        let mut state = seed | 1;
-        let mut next = || {
-            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-            (state >> 33) as f64 / (1u64 << 31) as f64 - 0.5
-        };
-        let vertices: Vec<[f64; 3]> = (0..count)
-            .flat_map(|_| {
-                let center = [next(), next(), next()];
-                [0; 3].map(|_| center.map(|x| x + 0.1 * next()))
-            })
-            .collect();
-        let faces: Vec<[i64; 3]> = (0..count as i64).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
-        Mesh::new(&vertices, &faces).unwrap()
-    }
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(300))]
@@ -193,7 +177,7 @@ mod tests {
         fn closest_point_matches_brute_force(
             count in 1usize..400, seed in any::<u64>(), x in -1.0..1.0f64, y in -1.0..1.0f64, z in -1.0..1.0f64
         ) {
-            let mesh = soup(count, seed);
+            let mesh = soup(count, 0.1, seed);
             let p = DVec3::new(x, y, z);
             let exact = (0..count as u32).map(|f| mesh.closest_point_on_face(f, p).distance).fold(f64::INFINITY, f64::min);
             prop_assert!(mesh.closest_point(p).distance - exact < 1e-6);
@@ -202,7 +186,7 @@ mod tests {
         /// A wider instruction set changes no bit.
         #[test]
         fn every_path_gives_the_same_bits(seed in any::<u64>(), x in -1.0..1.0f32, y in -1.0..1.0f32, z in -1.0..1.0f32) {
-            let mesh = soup(200, seed);
+            let mesh = soup(200, 0.1, seed);
             let p = Vec3::new(x, y, z);
             let dispatched = mesh.bvh().nearest(p, f32::INFINITY).unwrap();
             let portable = mesh.bvh().nearest_portable(p, f32::INFINITY).unwrap();
@@ -213,7 +197,7 @@ mod tests {
 
     #[test]
     fn a_bound_below_the_distance_finds_nothing() {
-        let mesh = soup(50, 7);
+        let mesh = soup(50, 0.1, 7);
         let p = DVec3::splat(3.0);
         let distance = mesh.closest_point(p).distance as f32;
         assert!(mesh.closest_point_within(p, (distance * 0.99).powi(2)).is_none());

@@ -8,6 +8,8 @@
 //! Dropped on entry, and counted: vertices that are not finite and unused, and faces that are degenerate (a repeated
 //! corner, or zero area). A degenerate face still takes part in [`topology`], where it closes the surface around it.
 
+#[cfg(test)]
+pub(crate) mod random;
 pub mod topology;
 
 use crate::bvh::Bvh;

@@ -4,6 +4,7 @@ use super::crossing::{Axes, Samples, Surface, scan_row};
 use super::openings::SampleBlock;
 use super::*;
 use crate::geometry::solid_angle;
+use crate::mesh::random::uniform;
 use proptest::prelude::*;
 use std::f64::consts::PI;
 
@@ -40,11 +41,8 @@ fn boxes() -> Mesh {
 /// A bumpy closed surface: a subdivided octahedron with radii from a small generator.
 fn bumpy_sphere(seed: u64) -> (Vec<[f64; 3]>, Vec<[i64; 3]>) {
     let (rings, sectors) = (12usize, 17usize);
-    let mut state = seed | 1;
-    let mut next = || {
-        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        0.6 + 0.8 * (state >> 33) as f64 / (1u64 << 31) as f64
-    };
+    let mut uniform = uniform(seed);
+    let mut next = || 0.6 + 0.8 * uniform();
     let mut vertices = vec![[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]];
     for ring in 1..rings {
         let theta = PI * ring as f64 / rings as f64;

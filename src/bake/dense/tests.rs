@@ -4,6 +4,7 @@ use super::path::is_right;
 use super::*;
 use crate::grid::Grid;
 use crate::mesh::Mesh;
+use crate::mesh::random::soup;
 use glam::DVec3;
 use proptest::prelude::*;
 
@@ -24,22 +25,6 @@ fn assert_exact(mesh: &Mesh, lower: DVec3, upper: DVec3, shape: [usize; 3]) {
             }
         }
     }
-}
-
-/// A soup of `count` triangles of about `size` within the unit cube.
-fn soup(count: usize, size: f64, seed: u64) -> Mesh {
-    let mut state = seed | 1;
-    let mut next = || {
-        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        (state >> 33) as f64 / (1u64 << 31) as f64 - 0.5
-    };
-    let vertices: Vec<[f64; 3]> = (0..count)
-        .flat_map(|_| {
-            let center = [next(), next(), next()];
-            [0; 3].map(|_| center.map(|x| x + size * next()))
-        })
-        .collect();
-    Mesh::new(&vertices, &(0..count as i64).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect::<Vec<_>>()).unwrap()
 }
 
 /// A sphere of latitude rings, all its triangles nearly equally far from the centre.
