@@ -38,11 +38,28 @@ def sparse() -> list[fb.Instance]:
     return [fb.Instance(field, PLACE), fb.Instance(field, moved(x=-1.8, z=1, scale=(-0.5, 0.5, 0.6)))]
 
 
+def shapes() -> list[fb.Instance]:
+    """Smooth joints and profiles, whose fields are bounds; an exact one, which lets light through; paint."""
+    tube = (fb.cylinder(radius=0.8, height=1.6).shell(0.2) - fb.box((0.7, 3, 0.7))).smooth(0.1)
+    star = fb.extrude(fb.polygon([(0, 0), (0.6, 0.1), (0.2, 0.7)]), 1.5).paint((0.8, 0.3, 0.1)) | fb.torus(0.7, 0.15)
+    return [
+        fb.Instance(tube, PLACE),
+        fb.Instance(star, moved(x=1.5, z=1, scale=(0.5,) * 3)),
+        fb.Instance(star.scale(0.7), moved(x=-1.6, z=1.2, scale=(0.6,) * 3), opacity=0.5, visible=False),
+    ]
+
+
 #: What a scene holds besides the floor.
 KINDS = {
     "quadrics": quadrics,
     "sparse": sparse,
     "sparse and quadrics": lambda: [*sparse(), *quadrics()],
+    "shapes": shapes,
+    "all": lambda: [
+        *quadrics(),
+        *(fb.Instance(item.thing, item.transform @ moved(x=0.8, z=-1.2)) for item in (*sparse()[:1], *shapes()[:1])),
+        fb.Instance(knot(), moved(x=-1.6, z=1.2, scale=(0.5,) * 3)),
+    ],
 }
 
 LIGHTS = [
@@ -81,6 +98,30 @@ def test_bricks_of_every_level_are_met_on_a_device(gpu: str) -> None:
     here, there = (fb.render(scene, CAMERA, size=(64, 48), shadows="hard", device=place) for place in ("cpu", gpu))
     assert (here.shadow < 0.8).sum() > 100
     assert_same_picture(here, there, scene)
+
+
+def test_shapes_are_met_as_the_parts_of_the_cpu(gpu: str) -> None:
+    # A hit is a root, whichever way it was found; the colours of the parts are the CPU's.
+    die = (fb.rounded_box((2, 2, 2), 0.25) & fb.sphere(1.38)).paint((0.8, 0.7, 0.6)) - fb.cylinder(0.6, 4).paint(
+        (0.1, 0.3, 0.3)
+    )
+    scene = fb.Scene([fb.Instance(die, moved(turn=0.5))])
+    for eye in ((2.5, 3, 5), (0.1, 0.2, 0.1), (0.8, 0, 0.1)):
+        camera = fb.Camera(eye, (0, 0, 0.01))
+        here, there = (fb.render(scene, camera, size=(64, 48), shadows="none", device=at) for at in ("cpu", gpu))
+        assert there.report["devices"]["primary"] == there.report["device"]
+        assert_same_picture(here, there, scene)
+
+
+def test_what_no_device_knows_is_left_to_the_cpu(gpu: str) -> None:
+    lattice = fb.box_frame((2, 2, 2), 0.1).repeat((0.4, 0.4, 0.4), (4, 4, 4)).scale(0.5) & fb.sphere(1)
+    holds_samples = fb.volume_shape(knot()) | fb.sphere(0.5)
+    for thing in (lattice, holds_samples):
+        scene = fb.Scene([fb.Instance(thing), plane()], lights=LIGHTS)
+        here, there = (fb.render(scene, CAMERA, size=(40, 30), device=place) for place in ("cpu", gpu))
+        device = there.report["device"]
+        assert there.report["devices"] == {"primary": f"{device} and cpu", "light": "cpu"}
+        assert_same_picture(here, there, scene)
 
 
 def test_light_goes_through_bricks_and_not_through_sheets(gpu: str) -> None:

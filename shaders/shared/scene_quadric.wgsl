@@ -2,7 +2,7 @@
 //
 // In `samples` a quadric has the columns of the matrix of its form in the frame of the trim sphere.
 
-#import scene_sampled
+#import scene_solids
 #import quadric
 
 // Field units of a trim sphere's radius.
@@ -34,7 +34,7 @@ const HAS_THIN: bool = true;
 // The first t in [0, t_max] where a ray is in matter, or -1. The ray lies in the box of the surface.
 fn field_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 {
     if field.kind == KIND_QUADRIC { return quadric_hit(field, origin, along, t_max); }
-    return sampled_hit(field, origin, along, t_max);
+    return solid_hit(field, origin, along, t_max);
 }
 
 // The same of what is asked by thin rays.

@@ -20,13 +20,12 @@ fn distance_beyond(field: SceneField, p: vec3f, b: vec3f, s: f32) -> f32 {
 }
 
 // Distance in the thing's units; outside the data a lower bound.
-fn field_distance(field: SceneField, p: vec3f) -> f32 {
+fn sampled_distance(field: SceneField, p: vec3f) -> f32 {
     let b = into_data(field, p);
     return distance_beyond(field, p, b, sample_in_data(field, b));
 }
 
-// Gradient of the distance in the thing's own axes, near length 1; zero where there is none.
-fn field_gradient(field: SceneField, point: vec3f) -> vec3f {
+fn sampled_gradient(field: SceneField, point: vec3f) -> vec3f {
     let last = vec3f(field.shape) - 0.5;
     let low = min(vec3f(0.5), last - 1.0);
     let p = min(max(point, low), max(last - 1.0, low));
@@ -43,9 +42,9 @@ fn field_gradient(field: SceneField, point: vec3f) -> vec3f {
 }
 
 // A better guess of the distance outside the data.
-fn field_guess(field: SceneField, p: vec3f) -> f32 {
+fn sampled_guess(field: SceneField, p: vec3f) -> f32 {
     let b = into_data(field, p);
     let s = sample_in_data(field, b);
     if all(p == b) || s <= 0.0 { return distance_beyond(field, p, b, s); }
-    return length((p - b) * field.spacing + s * field_gradient(field, b));
+    return length((p - b) * field.spacing + s * sampled_gradient(field, b));
 }

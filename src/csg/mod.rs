@@ -34,6 +34,7 @@ pub mod shape;
 pub mod solid;
 pub mod trace;
 pub mod volume_leaf;
+pub mod whole;
 
 pub use shape::{Blend, Op, Shape};
 pub use solid::Solid;

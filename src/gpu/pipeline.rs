@@ -1,12 +1,12 @@
 //! Compiled kernels, one for each entry point and context, and their dispatch.
 
 use super::context::Context;
-use super::shader::{Instead, source_of_files};
+use super::shader::{Instead, source_instead};
 use crate::error::DeviceError;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Kernels by name, entry point and the files that stand in place of others.
+/// Kernels by name, entry point and the texts that stand in place of files.
 #[derive(Debug, Default)]
 pub struct Pipelines(Mutex<HashMap<KernelKey, wgpu::ComputePipeline>>);
 
@@ -27,7 +27,7 @@ enum Written {
     Refused,
 }
 
-/// Written kernels that are kept at most; then all are forgotten.
+/// Kernels that are kept at most; then all that were written are forgotten.
 const MAX_WRITTEN: usize = 256;
 
 impl WrittenKernels {
@@ -82,7 +82,7 @@ impl Context {
         self.kernel_with(name, entry, &[])
     }
 
-    /// The same with other files of `shaders/shared/` in place of some that it imports.
+    /// The same with other texts in place of some files that it imports.
     pub fn kernel_with(
         &self,
         name: &'static str,
@@ -94,8 +94,11 @@ impl Context {
         if let Some(pipeline) = pipelines.get(&key) {
             return Ok(pipeline.clone());
         }
-        let text = source_of_files(name, instead).map_err(|reason| self.refused(name, reason))?;
+        let text = source_instead(name, instead).map_err(|reason| self.refused(name, reason))?;
         let pipeline = self.compile(name, entry, &text)?;
+        if pipelines.len() >= MAX_WRITTEN {
+            pipelines.retain(|(_, _, instead), _| instead.is_empty());
+        }
         pipelines.insert(key, pipeline.clone());
         Ok(pipeline)
     }

@@ -4,7 +4,7 @@
 //! the same share of the depth everywhere. The larger value wins.
 
 use super::context::Context;
-use super::shader::{Instead, source_of_files};
+use super::shader::{Instead, source_instead};
 use crate::error::{DeviceError, Error};
 use crate::progress::Progress;
 use std::collections::HashMap;
@@ -16,7 +16,7 @@ const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 /// Bytes of a pixel of [`SEEN`].
 const PIXEL_BYTES: u32 = 16;
 
-/// Pipelines by kernel and the files that stand in place of others.
+/// Pipelines by kernel and the texts that stand in place of files.
 #[derive(Debug, Default)]
 pub struct RasterPipelines(Mutex<HashMap<(&'static str, Vec<Instead>), wgpu::RenderPipeline>>);
 
@@ -54,7 +54,7 @@ impl Context {
         if let Some(pipeline) = pipelines.get(&(name, instead.to_vec())) {
             return Ok(pipeline.clone());
         }
-        let text = source_of_files(name, instead).map_err(|reason| self.refused(name, reason))?;
+        let text = source_instead(name, instead).map_err(|reason| self.refused(name, reason))?;
         let pipeline = self.guarded(name, 0, || {
             let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor {
                 label: Some(name),

@@ -4,6 +4,7 @@
 //! and of what that imports, each once, before the file that needs it. No names are mangled: the joined text is what a
 //! person reads, what the driver compiles, and what another WebGPU program can paste.
 
+use std::borrow::Cow;
 use std::fmt::Write;
 
 /// Every kernel by name, and its file.
@@ -55,7 +56,10 @@ const SHARED: &[(&str, &str)] = &[
     ("scene_quadric", include_str!("../../shaders/shared/scene_quadric.wgsl")),
     ("scene_sampled", include_str!("../../shaders/shared/scene_sampled.wgsl")),
     ("scene_samples", include_str!("../../shaders/shared/scene_samples.wgsl")),
+    ("scene_shape", include_str!("../../shaders/shared/scene_shape.wgsl")),
+    ("scene_solids", include_str!("../../shaders/shared/scene_solids.wgsl")),
     ("scene_sparse", include_str!("../../shaders/shared/scene_sparse.wgsl")),
+    ("scene_structures", include_str!("../../shaders/shared/scene_structures.wgsl")),
     ("scene_things", include_str!("../../shaders/shared/scene_things.wgsl")),
     ("scene_view", include_str!("../../shaders/shared/scene_view.wgsl")),
     ("ray_sparse", include_str!("../../shaders/shared/ray_sparse.wgsl")),
@@ -84,13 +88,12 @@ pub fn source_with(kernel: &str, instead: &[(&str, &str)]) -> Result<String, Str
     Ok(joined)
 }
 
-/// The name of an import, and that of the file of `shaders/shared/` that stands in its place.
-pub type Instead = (&'static str, &'static str);
+/// The name of an import, and the text that stands in its place.
+pub type Instead = (&'static str, Cow<'static, str>);
 
-/// The whole text of a kernel, with other files in place of some that it imports.
-pub fn source_of_files(kernel: &str, instead: &[Instead]) -> Result<String, String> {
-    let text = |&(name, file): &Instead| Ok((name, shared(file).ok_or_else(|| format!("there is no file '{file}'"))?));
-    source_with(kernel, &instead.iter().map(text).collect::<Result<Vec<_>, String>>()?)
+/// The whole text of a kernel, with other texts in place of some files that it imports.
+pub fn source_instead(kernel: &str, instead: &[Instead]) -> Result<String, String> {
+    source_with(kernel, &instead.iter().map(|(name, text)| (*name, text.as_ref())).collect::<Vec<_>>())
 }
 
 fn find<'a>(files: &[(&str, &'a str)], name: &str) -> Option<&'a str> {

@@ -2,8 +2,11 @@
 //! that records refer to. Each kind says in its shader how it lays them out.
 
 use super::field::{DenseField, SampledField};
-use super::kinds::{Kind, Kinds};
+use super::kinds::{ARRAY, Kind, Kinds, MAX_STRUCTURES, TURNS};
 use super::things::SparseBricks;
+use crate::csg::Solid;
+use crate::csg::model::Model;
+use crate::csg::whole::Whole;
 use crate::error::DeviceError;
 use crate::gpu::Context;
 use crate::gpu::layout::SceneField;
@@ -46,13 +49,32 @@ impl<'a> DeviceFields<'a> {
     pub fn add_quadric(&mut self, local: &Local) -> Result<(), DeviceError> {
         let numbers = local.matrix().to_cols_array().map(|entry| entry as f32);
         self.add(SceneField { kind: Kind::Quadric as u32, ..SceneField::default() }, &[&numbers])?;
-        self.kinds.add(Kind::Quadric);
+        self.kinds.quadrics = true;
         Ok(())
+    }
+
+    /// False for a shape that has no function, or one too many.
+    pub fn add_shape(&mut self, solid: &Solid) -> Result<bool, DeviceError> {
+        let Some(Whole { body, numbers }) = Whole::of(solid, ARRAY, TURNS) else { return Ok(false) };
+        let structures = &mut self.kinds.structures;
+        let known = structures.iter().position(|known| *known == body);
+        if known.is_none() && structures.len() == MAX_STRUCTURES {
+            return Ok(false);
+        }
+        let structure = known.unwrap_or_else(|| {
+            structures.push(body);
+            structures.len() - 1
+        });
+        let Model { lipschitz, is_exact, .. } = solid.model;
+        let header =
+            [structure as f32, (1.0 / lipschitz) as f32, solid.frame.scale as f32, f32::from(u8::from(is_exact))];
+        self.add(SceneField { kind: Kind::Shape as u32, ..SceneField::default() }, &[&header, &numbers])?;
+        Ok(true)
     }
 
     /// The record of a sampled field, whose empty space goes to the bytes.
     fn sampled(&mut self, kind: Kind, grid: &Grid, empty: &EmptySpace) -> SceneField {
-        self.kinds.add(kind);
+        self.kinds.sparse |= kind == Kind::Sparse;
         let first_block = self.bytes.len() as u32;
         self.bytes.extend_from_slice(empty.distances());
         SceneField {

@@ -106,8 +106,8 @@ impl DeviceScene {
     }
 
     /// What kernels import for the kinds of its things.
-    pub fn files(&self) -> Vec<Instead> {
-        self.kinds.files()
+    pub fn texts(&self) -> Vec<Instead> {
+        self.kinds.texts()
     }
 
     pub fn meshes(&self) -> &DeviceMeshes {
@@ -170,7 +170,7 @@ impl DeviceScene {
         let uniform = context.uniform("beam parameters", &params)?;
         let asked = context.upload("beams", beams)?;
         let found = context.storage("answers", size_of_val(&answers[..]) as u64)?;
-        let kernel = context.kernel_with("scene_beams", entry, &self.files())?;
+        let kernel = context.kernel_with("scene_beams", entry, &self.texts())?;
         let all = [
             (0, &uniform),
             (1, &self.nodes),

@@ -2,9 +2,12 @@
 //!
 //! Software devices execute every branch, and all of them put functions in place of their calls: a kernel that knows a kind
 //! pays for it wherever it asks a field. So a scene of dense grids has the kernels as they are, and other scenes have other
-//! files in the place of some that those import.
+//! texts in the place of some files that those import. Shapes have a function for each of their structures.
 
-use crate::gpu::shader::Instead;
+use crate::csg::whole::Whole;
+use crate::gpu::shader::{Instead, shared};
+use std::borrow::Cow;
+use std::fmt::Write;
 
 /// As in `shaders/shared/scene_field.wgsl`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -12,46 +15,84 @@ pub enum Kind {
     Dense = 0,
     Sparse = 1,
     Quadric = 2,
+    Shape = 3,
 }
 
+/// Structures of a scene's shapes at most; more make a text that takes minutes to compile.
+pub const MAX_STRUCTURES: usize = 8;
+
 /// The kinds of a scene's things, besides dense grids.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Kinds {
     pub sparse: bool,
     pub quadrics: bool,
+    /// The functions of the shapes' structures.
+    pub structures: Vec<String>,
 }
 
 impl Kinds {
-    pub fn add(&mut self, kind: Kind) {
-        match kind {
-            Kind::Dense => {}
-            Kind::Sparse => self.sparse = true,
-            Kind::Quadric => self.quadrics = true,
+    /// What kernels import in place of files.
+    pub fn texts(&self) -> Vec<Instead> {
+        let file = |name| Cow::Borrowed(shared(name).unwrap_or_default());
+        let mut texts = Vec::new();
+        if self.sparse {
+            texts.push(("scene_samples", file("scene_sparse")));
         }
-    }
-
-    /// The files that kernels import in place of others.
-    pub fn files(self) -> Vec<Instead> {
-        let instead =
-            [(self.sparse, ("scene_samples", "scene_sparse")), (self.quadrics, ("scene_things", "scene_quadric"))];
-        instead.into_iter().filter(|(is_held, _)| *is_held).map(|(_, files)| files).collect()
+        if self.quadrics {
+            texts.push(("scene_things", file("scene_quadric")));
+        }
+        if !self.structures.is_empty() {
+            texts.push(("scene_solids", file("scene_shape")));
+            texts.push(("scene_structures", Cow::Owned(structures_text(&self.structures))));
+        }
+        texts
     }
 }
+
+/// In place of `shaders/shared/scene_structures.wgsl`.
+fn structures_text(bodies: &[String]) -> String {
+    let mut text = "// A function for each structure of the shapes of a scene. Their numbers begin at `n`, in the order of the text.\n\n\
+         #import scene_field\n#import csg_field\n"
+        .to_owned();
+    text.push_str(&Whole::helpers(ARRAY));
+    let mut cases = String::new();
+    for (i, body) in bodies.iter().enumerate() {
+        let _ = write!(text, "\nfn structure_{i}(p0: vec3f, n: u32) -> f32 {{\n{body}}}\n");
+        let _ = writeln!(cases, "        case {i}u: {{ return structure_{i}(p, first); }}");
+    }
+    let _ = write!(
+        text,
+        "\nfn structure_distance(structure: u32, p: vec3f, first: u32) -> f32 {{\n    switch structure {{\n{cases}        \
+         default: {{ return CSG_FAR; }}\n    }}\n}}\n"
+    );
+    text
+}
+
+/// Where the numbers of shapes are, and what counts the turns of loops, in `shaders/shared/scene_field.wgsl`.
+pub const ARRAY: &str = "samples";
+pub const TURNS: &str = "steps";
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gpu::shader::source_of_files;
+    use crate::csg::{Shape, Solid, language};
+    use crate::gpu::shader::source_instead;
     use crate::gpu::tests::validate;
 
     #[test]
     fn every_text_is_valid() {
-        for (sparse, quadrics) in [(false, false), (false, true), (true, false), (true, true)] {
+        let shape: Shape = language::parse("(difference (box 1 1 1) (sphere 0.6))").unwrap();
+        let body = Whole::of(&Solid::new(&shape).unwrap(), ARRAY, TURNS).unwrap().body;
+        for i in 0..8u8 {
+            let has = |bit: u8| i >> bit & 1 == 1;
+            let structures = if has(2) { vec![body.clone()] } else { Vec::new() };
+            let texts = Kinds { sparse: has(0), quadrics: has(1), structures }.texts();
             for kernel in ["scene_beams", "scene_fields"] {
-                let text = source_of_files(kernel, &Kinds { sparse, quadrics }.files()).unwrap();
+                let text = source_instead(kernel, &texts).unwrap();
                 validate(kernel, &text);
-                assert_eq!(text.contains("fn quadric_hit"), quadrics);
-                assert_eq!(text.contains("fn march_bricks"), sparse);
+                assert_eq!(text.contains("fn march_bricks"), has(0));
+                assert_eq!(text.contains("fn quadric_hit"), has(1));
+                assert_eq!(text.contains("fn structure_0"), has(2));
             }
         }
     }

@@ -186,6 +186,9 @@ fn resolve<'a>(eye: &mut Eye<'a>, seen: [u32; 4], left_over: Option<&'a [bool]>,
             } else if word & RAN_OUT != 0 {
                 None
             } else if eye.is_met_again(item) {
+                if word & AT_START != 0 {
+                    return eye.look(layers, None);
+                }
                 eye.field_near(item, f64::from(f32::from_bits(depth)))
             } else {
                 eye.field_at(item, f64::from(f32::from_bits(depth)), word & AT_START != 0)
@@ -236,7 +239,7 @@ fn seen_by_device(
 
     let rows_buffer = context.upload("raster instances", &rows)?;
     let triangles = context.raster_pipeline("scene_triangles", "triangle_corner", "triangle_seen", &[])?;
-    let fields = context.raster_pipeline("scene_fields", "box_corner", "field_seen", &device.files())?;
+    let fields = context.raster_pipeline("scene_fields", "box_corner", "field_seen", &device.texts())?;
     let mut bindings = vec![(0, &rows_buffer)];
     bindings.extend((1..).zip(&meshes.buffers));
     let triangles_group = context.bind_raster("scene_triangles", &triangles, &bindings)?;

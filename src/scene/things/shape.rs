@@ -13,6 +13,7 @@
 //! A distance evaluates every leaf, a ray only those of the parts that it meets. Beyond [`DISTANCES_UP_TO`] leaves cones are
 //! asked by thin rays.
 
+use super::super::device_fields::DeviceFields;
 use super::super::field::{Field, FieldHit, FieldRay, Look};
 use crate::csg::Solid;
 use crate::csg::draw::{DrawMethod, tracer};
@@ -20,7 +21,7 @@ use crate::csg::model::Model;
 use crate::csg::program::Stack;
 use crate::csg::solid::slope;
 use crate::csg::trace::{LocalRay, Tracer, Work};
-use crate::error::Error;
+use crate::error::{DeviceError, Error};
 use glam::{DAffine3, DVec3, Vec3};
 use std::cell::RefCell;
 use std::sync::Arc;
@@ -181,5 +182,14 @@ impl Field for ShapeField {
 
     fn prefers_rays(&self) -> bool {
         self.leaves > DISTANCES_UP_TO
+    }
+
+    fn enter(&self, tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
+        // Devices ask the whole of it, which many leaves make dear.
+        if self.prefers_rays() { Ok(false) } else { tables.add_shape(self.solid()) }
+    }
+
+    fn is_met_again(&self) -> bool {
+        true
     }
 }

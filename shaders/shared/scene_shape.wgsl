@@ -1,0 +1,159 @@
+// Shapes of a scene, met and measured as a whole. Twin of src/scene/things/shape.rs, and of `march` in src/csg/trace.rs.
+//
+// In `samples` a shape has the number of its structure, one over its Lipschitz constant, the thing's units of a local unit and
+// whether its field is exact, then the numbers that its function reads.
+
+#import scene_sampled
+#import scene_structures
+
+// Field units of a local unit.
+const SHAPE_UNITS: f32 = 1024.0;
+// Walks to the surface, each of them first order.
+const GUESSES: u32 = 3u;
+// Half the step of a slope's differences, local units: float32 leaves 5e-4 of the slope, and creases are seen as sharp
+// as they can be.
+const SLOPE_STEP: f32 = 1.2207031e-4;
+// As in src/csg/trace.rs.
+const SHAPE_MIN_STEP: f32 = 3e-5;
+const SHAPE_MAX_STEPS: u32 = 4096u;
+const SHAPE_MAX_ROOT_STEPS: u32 = 32u;
+const SHAPE_ROOT_WIDTH: f32 = 1.2e-7;
+
+struct SceneShape {
+    structure: u32,
+    inverse_lipschitz: f32,
+    scale: f32,
+    is_exact: bool,
+    // The first of its numbers.
+    first: u32,
+}
+
+fn shape_of(field: SceneField) -> SceneShape {
+    let at = field.first_sample;
+    return SceneShape(u32(samples[at]), samples[at + 1u], samples[at + 2u], samples[at + 3u] != 0.0, at + 4u);
+}
+
+// The field, local units.
+fn shape_value(shape: SceneShape, p: vec3f) -> f32 {
+    steps++;
+    return structure_distance(shape.structure, p, shape.first);
+}
+
+// The slope of the field by differences, and the field. One evaluation in a loop: drivers put functions in place of their
+// calls.
+fn shape_slope(shape: SceneShape, p: vec3f) -> vec4f {
+    var found = vec4f(0.0);
+    for (var i = 0u; i < 7u && steps < MAX_STEPS; i++) {
+        let axis = i >> 1u;
+        let step = select(SLOPE_STEP, -SLOPE_STEP, (i & 1u) != 0u);
+        var at = p;
+        if axis < 3u { at[axis] += step; }
+        let value = shape_value(shape, at);
+        if axis < 3u { found[axis] += value / (2.0 * step); } else { found.w = value; }
+    }
+    return found;
+}
+
+fn shape_distance(field: SceneField, p: vec3f) -> f32 {
+    let shape = shape_of(field);
+    return shape_value(shape, p / SHAPE_UNITS) * shape.inverse_lipschitz * shape.scale;
+}
+
+fn shape_guess(field: SceneField, p: vec3f) -> f32 {
+    let shape = shape_of(field);
+    let start = p / SHAPE_UNITS;
+    var at = start;
+    var bound = 0.0;
+    for (var i = 0u; i < GUESSES; i++) {
+        let there = shape_slope(shape, at);
+        if i == 0u { bound = there.w * shape.inverse_lipschitz * shape.scale; }
+        let steepness = dot(there.xyz, there.xyz);
+        if shape.is_exact || bound <= 0.0 || steepness == 0.0 { break; }
+        at -= there.w / steepness * there.xyz;
+    }
+    return max(bound, distance(at, start) * shape.scale);
+}
+
+fn shape_gradient(field: SceneField, p: vec3f) -> vec3f {
+    let slope = shape_slope(shape_of(field), p / SHAPE_UNITS).xyz;
+    let size = length(slope);
+    return select(slope / max(size, TINY), vec3f(0.0), size == 0.0);
+}
+
+// The first root: steps that cross nothing, or the shortest, until one has crossed the surface; then regula falsi, Illinois
+// variant, between its ends. One evaluation in one loop, as above.
+fn shape_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 {
+    let shape = shape_of(field);
+    let per_t = length(along) / SHAPE_UNITS;
+    let start = origin / SHAPE_UNITS;
+    let direction = normalize(along);
+    let end = t_max * per_t;
+    // Where the field is asked next, and the bracket: above zero at `low`, below at `high`.
+    var t = 0.0;
+    var low = 0.0;
+    var above = 0.0;
+    var high = end;
+    var below = 0.0;
+    var is_bracketed = false;
+    var last_side = 0;
+    var root_steps = 0u;
+    for (var i = 0u; i < SHAPE_MAX_STEPS && steps < MAX_STEPS; i++) {
+        let value = shape_value(shape, start + t * direction);
+        if !is_bracketed {
+            if value >= 0.0 {
+                let safe = value * shape.inverse_lipschitz;
+                // A safe step crosses nothing; the smallest step might.
+                if t >= end || t + safe >= end { return -1.0; }
+                low = t;
+                above = value;
+                t = min(t + max(safe, SHAPE_MIN_STEP), end);
+                continue;
+            }
+            if i == 0u { return 0.0; }
+            is_bracketed = true;
+            high = t;
+            below = value;
+        } else if value > 0.0 {
+            low = t;
+            above = value;
+            if last_side == 1 { below *= 0.5; }
+            last_side = 1;
+        } else {
+            high = t;
+            below = value;
+            if last_side == -1 { above *= 0.5; }
+            last_side = -1;
+        }
+        root_steps++;
+        if root_steps > SHAPE_MAX_ROOT_STEPS || high - low <= SHAPE_ROOT_WIDTH * max(high, 1.0) || below == 0.0 { break; }
+        t = clamp(low + (high - low) * (above / (above - below)), low, high);
+        // The root is an end of the bracket as far as float32 can tell.
+        if t == low || t == high {
+            high = t;
+            break;
+        }
+    }
+    return select(-1.0, high / per_t, is_bracketed && high < end);
+}
+
+// ---- in a scene with sampled fields
+
+fn solid_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 {
+    if field.kind == KIND_SHAPE { return shape_hit(field, origin, along, t_max); }
+    return sampled_hit(field, origin, along, t_max);
+}
+
+fn field_distance(field: SceneField, p: vec3f) -> f32 {
+    if field.kind == KIND_SHAPE { return shape_distance(field, p); }
+    return sampled_distance(field, p);
+}
+
+fn field_guess(field: SceneField, p: vec3f) -> f32 {
+    if field.kind == KIND_SHAPE { return shape_guess(field, p); }
+    return sampled_guess(field, p);
+}
+
+fn field_gradient(field: SceneField, p: vec3f) -> vec3f {
+    if field.kind == KIND_SHAPE { return shape_gradient(field, p); }
+    return sampled_gradient(field, p);
+}

@@ -1,0 +1,8 @@
+// The field of a shape by the number of its structure. The kernels of a scene have another text in place of this one: a
+// function for each structure of its shapes, see src/scene/kinds.rs.
+
+#import csg_field
+
+fn structure_distance(structure: u32, p: vec3f, first: u32) -> f32 {
+    return CSG_FAR;
+}
