@@ -302,32 +302,18 @@ fn cone_past(caster: Caster, beam: Beam, x_known: f32) -> Cone {
     let upper = (*to).surface_upper + grown;
     var span = clip(ray.origin, ray.direction, lower, upper, caster.part);
     if span.x > span.y { return Cone(1.0, false); }
-    if caster.skip > 0.0 && field_distance(field, ray.origin + span.x * ray.direction) <= 0.0 {
+    // Only levels of the far field are passed over.
+    if caster.skip > 0.0 && sampled_distance(field, ray.origin + span.x * ray.direction) <= 0.0 {
         span = clip(ray.origin, ray.direction, lower, upper, caster.part + vec2f(caster.skip, 0.0));
         if span.x > span.y { return Cone(1.0, false); }
     }
-    let pace = 1.0 / length(local_direction(index, beam.direction));
     let least_step = 0.5 / speed;
     let t_hit = hit_of(caster, ray);
-    if t_hit < 0.0 {
-        if x_known <= 0.0 { return Cone(1.0, false); }
-        return Cone(beside(index, field, ray, beam.slope, x_known, span, pace, least_step), false);
-    }
+    if t_hit < 0.0 && x_known <= 0.0 { return Cone(1.0, false); }
+    let deepest = nearest_edge(beam, index, ray, x_known, span, least_step, t_hit);
+    if t_hit < 0.0 { return Cone(deepest.x, false); }
+    if deepest.x <= -1.0 { return Cone(-1.0, true); }
 
-    // How deep the axis gets.
-    var deepest = vec2f(0.0, t_hit);
-    var t = t_hit + 0.5 * least_step;
-    for (var i = 0u; i < MAX_CONE_STEPS; i++) {
-        steps++;
-        let p = ray.origin + t * ray.direction;
-        let distance = field_distance(field, p);
-        if distance >= 0.0 { break; }
-        let x = across(index, distance, p) / (beam.slope * t);
-        if x <= -1.0 { return Cone(-1.0, true); }
-        if x < deepest.x { deepest = vec2f(x, t); }
-        t += max(-0.5 * distance * pace, least_step);
-        if t >= span.y { break; }
-    }
     // The nearest surface across the ray: an edge only if a ray just past it is free.
     let p = ray.origin + deepest.y * ray.direction;
     let normal = scene_normal(index, field_gradient(field, p));
@@ -350,26 +336,38 @@ fn cone_past(caster: Caster, beam: Beam, x_known: f32) -> Cone {
     return Cone(-1.0, false);
 }
 
-// The axis is free: the least clearance in radii, at most x_known.
-fn beside(
-    index: u32, field: SceneField, ray: FieldRay, slope: f32, x_known: f32, span: vec2f, pace: f32, least_step: f32
-) -> f32 {
-    var x = x_known;
-    var t = span.x;
+// The nearest edge on the axis of a cone, in radii, and where. An axis that is free has a least clearance, at most x_known; one
+// that enters matter at t_hit goes so deep behind that, which is below zero. One loop for both: drivers put functions in place of
+// their calls.
+fn nearest_edge(
+    beam: Beam, index: u32, ray: FieldRay, x_known: f32, span: vec2f, least_step: f32, t_hit: f32
+) -> vec2f {
+    let field = fields[instances[index].field];
+    let pace = 1.0 / length(local_direction(index, beam.direction));
+    let is_blocked = t_hit >= 0.0;
+    var nearest = vec2f(select(x_known, 0.0, is_blocked), t_hit);
+    // Just past the surface the field is below zero.
+    var t = select(span.x, t_hit + 0.5 * least_step, is_blocked);
     for (var i = 0u; i < MAX_CONE_STEPS; i++) {
         steps++;
         let p = ray.origin + t * ray.direction;
-        let radius = slope * t;
+        let radius = beam.slope * t;
         let distance = field_distance(field, p);
-        if distance * instances[index].least_stretch < x * radius {
-            x = min(x, across(index, max(field_guess(field, p), 0.0), p) / radius);
+        if is_blocked && distance >= 0.0 { break; }
+        if distance * instances[index].least_stretch < nearest.x * radius || is_blocked {
+            var local = distance;
+            if !is_blocked { local = max(field_guess(field, p), 0.0); }
+            let x = across(index, local, p) / radius;
+            if x < nearest.x { nearest = vec2f(x, t); }
+            if x <= -1.0 { break; }
         }
-        var step = distance * pace;
-        if step < 2.0 * radius { step *= 0.5; }
+        // Where matter is near, half steps find the closest approach to 3 %.
+        var step = select(distance, -distance, is_blocked) * pace;
+        if is_blocked || step < 2.0 * radius { step *= 0.5; }
         t += max(step, least_step);
         if t >= span.y { break; }
     }
-    return x;
+    return nearest;
 }
 
 // Room for the rounding of an edge's place, in radii.
@@ -486,18 +484,22 @@ fn cone_share(beam: Beam) -> vec2f {
     return vec2f(share * visible_share(x), select(0.0, 1.0, is_proven && x >= 1.0));
 }
 
+// Apart, as a kernel takes the time of all that it holds: to start, and on software devices to run.
 @compute @workgroup_size(64)
-fn shares(@builtin(global_invocation_id) id: vec3u) {
+fn rays(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= params.count { return; }
-    let beam = beams[params.first + id.x];
     steps = 0u;
     is_far = 0u;
-    var found = vec2f(0.0, 1.0);
-    if beam.slope > 0.0 {
-        found = cone_share(beam);
-    } else {
-        found.x = ray_share(beam);
-    }
+    let share = ray_share(beams[params.first + id.x]);
+    answers[params.first + id.x] = Answer(share, 1u, steps, u32(steps < MAX_STEPS), is_far);
+}
+
+@compute @workgroup_size(64)
+fn cones(@builtin(global_invocation_id) id: vec3u) {
+    if id.x >= params.count { return; }
+    steps = 0u;
+    is_far = 0u;
+    let found = cone_share(beams[params.first + id.x]);
     answers[params.first + id.x] = Answer(found.x, u32(found.y), steps, u32(steps < MAX_STEPS), is_far);
 }
 

@@ -135,7 +135,14 @@ impl DeviceScene {
             params.far_holds_all = u32::from(far.holds_all);
             params.far_distance = far.distance.map_or(BY_VOXELS, |distance| distance as f32);
         }
-        let mut answers = self.ask("shares", params, beams, progress)?;
+        let mut answers = vec![Answer::default(); beams.len()];
+        for (entry, is_cone) in [("rays", false), ("cones", true)] {
+            let places: Vec<usize> = (0..beams.len()).filter(|&i| (beams[i].slope > 0.0) == is_cone).collect();
+            let asked: Vec<Beam> = places.iter().map(|&i| beams[i]).collect();
+            for (i, answer) in places.into_iter().zip(self.ask(entry, params, &asked, progress)?) {
+                answers[i] = answer;
+            }
+        }
         for (answer, beam) in answers.iter_mut().zip(beams).filter(|(answer, _)| answer.is_complete == 0) {
             let (place, ray) = from_beam(beam);
             let mut work = Work::default();
@@ -184,7 +191,7 @@ impl DeviceScene {
         ];
         // The layout has what the entry point reads: a thickness needs no tree, and the distance of a dense grid no blocks.
         let unused: &[u32] = match (entry, self.kinds.sparse) {
-            ("shares", _) => &[],
+            ("rays" | "cones", _) => &[],
             (_, true) => &[1, 2],
             (_, false) => &[1, 2, 6],
         };
