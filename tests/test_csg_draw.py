@@ -126,6 +126,11 @@ def blend(radius, tube):
     return ring - fb.box((0.3, 4, 4))
 
 
+def row(radius):
+    """Balls that overlap or do not, and a bar that is taken away."""
+    return fb.csg.union(*(fb.sphere(radius).translate((0.5 * i - 2, 0, 0)) for i in range(9))) - fb.box((9, 0.1, 0.1))
+
+
 def draw_until_compiled(shape, device, camera=None, size=(24, 24)):
     """The first picture, and the first one by a kernel written for the shape."""
     camera = camera or fb.Camera((0, -3, 2), (0, 0, 0))
@@ -163,6 +168,13 @@ def check_edits(gpu):
     assert edited.report["pipelines"] == compiled.report["pipelines"]
     truth = fb.raymarch(blend(0.7, 0.2), fb.Camera((0, -3, 2), (0, 0, 0)), size=(24, 24), device="cpu")
     assert differing(truth, edited) == 0
+
+    # The same where hits have a closed form, though other parts come out.
+    before, after = (draw_until_compiled(row(radius), gpu) for radius in (0.2, 0.35))
+    assert before[0].report["boxes"] != after[0].report["boxes"]
+    assert after[0].report["compiled"]
+    assert after[1].report["pipelines"] == before[1].report["pipelines"] == edited.report["pipelines"] + 1
+    edited = after[1]
 
     # Another tree: drawn at once by the interpreter, then by one more kernel.
     first, compiled = draw_until_compiled(blend(0.8, 0.3).shell(0.05), gpu)

@@ -9,11 +9,13 @@
 //! does, and software adapters go through all branches always. lavapipe compiles at the first dispatch and not before: there
 //! the first picture by a new kernel waits for it.
 
-use super::chord::Form;
+use super::chord::{Form, MAX_LEAVES};
 use super::decompose::{StructureToken, structure};
-use super::model::Token;
+use super::model::{Model, Token};
 use super::program::{Flat, LeafField, Program};
 use super::shader::{HELPERS, Writer};
+use super::shape::Op;
+use super::solid::Solid;
 use super::trace::{PartProgram, Tracer};
 use crate::gpu::shader::shared;
 use std::collections::BTreeMap;
@@ -86,12 +88,12 @@ pub fn kind(field: &LeafField<f32>) -> u32 {
 struct Kinds(u32);
 
 impl Kinds {
-    fn add(&mut self, program: &Program<f32>, tokens: &[Token]) {
-        for token in tokens {
-            if let Token::Leaf(leaf) = *token {
-                self.0 |= 1 << kind(&program.leaves[leaf as usize].field);
-            }
-        }
+    fn of(program: &Program<f32>, tokens: &[Token]) -> Self {
+        let of_token = |token: &Token| match *token {
+            Token::Leaf(leaf) => 1 << kind(&program.leaves[leaf as usize].field),
+            _ => 0,
+        };
+        Self(tokens.iter().map(of_token).fold(0, |all, kind| all | kind))
     }
 
     fn has(self, name: &str) -> bool {
@@ -145,7 +147,7 @@ impl Compiled {
         let program = &tracer.solid.program;
         let mut functions = vec![String::new(); structures.len()];
         let mut entries = Vec::with_capacity(tracer.programs.len());
-        let mut needs = Needs::default();
+        let mut needs = Needs::of(tracer.solid);
         for part in tracer.programs.iter() {
             let place = match part.form {
                 Form::Field if is_short(tracer, part) => {
@@ -153,7 +155,7 @@ impl Compiled {
                 }
                 _ => None,
             };
-            needs.add(program, part, place.is_some());
+            needs.add(part, place.is_some());
             let Some(place) = place else {
                 let form = match part.form {
                     Form::Field => 0,
@@ -175,46 +177,58 @@ impl Compiled {
         let texts = [
             ("csg_part", parts_text(&functions, needs.interpreter)),
             ("csg_needs", needs.text()),
-            ("csg_chord", needs.met.cases_of(shared("csg_chord"))),
-            ("csg_leaves", needs.asked.cases_of(shared("csg_leaves"))),
+            ("csg_chord", needs.kinds.cases_of(shared("csg_chord"))),
+            ("csg_leaves", needs.asked().cases_of(shared("csg_leaves"))),
         ];
         Self { texts, structures: structures.len(), entries }
     }
 }
 
-/// What a kernel needs for the parts of a shape.
+/// What a kernel needs for the parts of a shape. Where it can, it follows from the shape and not from its parts, which may be
+/// others after a change of numbers.
 #[derive(Debug, Default)]
 struct Needs {
-    /// Kinds that are met in closed form, and whose field is asked without a function.
-    met: Kinds,
-    asked: Kinds,
+    /// Of all leaves of the shape.
+    kinds: Kinds,
+    /// More than unions.
+    combines: bool,
+    leaves: usize,
+    /// Some part is met in closed form.
+    chords: bool,
     /// Some part is marched; without a function.
     marches: bool,
     interpreter: bool,
-    /// Some part in closed form is more than a union.
-    combines: bool,
-    /// Leaves of a part in closed form at most.
-    leaves: u32,
 }
 
 impl Needs {
-    fn add(&mut self, program: &Program<f32>, part: &PartProgram, has_function: bool) {
-        if part.form != Form::Field {
-            self.met.add(program, &part.tokens);
-            self.combines |= part.form == Form::Chords;
-            self.leaves = self.leaves.max(part.leaves);
-        } else {
-            self.marches = true;
-            self.interpreter |= !has_function;
+    fn of(solid: &Solid) -> Self {
+        let tokens = &solid.model.tokens;
+        let is_other = |token: &Token| match token {
+            Token::Combine(i) => solid.program.combines[*i as usize].op != Op::Union,
+            token => matches!(token, Token::Complement),
+        };
+        Self {
+            kinds: Kinds::of(&solid.program, tokens),
+            combines: tokens.iter().any(is_other),
+            leaves: Model::leaf_count(tokens),
+            ..Self::default()
         }
-        if !has_function {
-            self.asked.add(program, &part.tokens);
-        }
+    }
+
+    fn add(&mut self, part: &PartProgram, has_function: bool) {
+        self.chords |= part.form != Form::Field;
+        self.marches |= part.form == Form::Field;
+        self.interpreter |= part.form == Form::Field && !has_function;
+    }
+
+    /// Kinds whose fields are asked by their number: for normals, or by the interpreter.
+    fn asked(&self) -> Kinds {
+        if self.chords || self.interpreter { self.kinds } else { Kinds::default() }
     }
 
     fn text(&self) -> String {
         // Few different sizes, so that shapes share kernels.
-        let leaves = self.leaves.next_multiple_of(4).max(4);
+        let leaves = self.leaves.clamp(4, MAX_LEAVES).next_multiple_of(4);
         format!(
             "// What the parts of a shape need.
 
@@ -223,9 +237,7 @@ const COMBINES_CHORDS: bool = {};
 const CHORD_LEAVES: u32 = {leaves}u;
 const MARCHES: bool = {};
 ",
-            self.met.0 != 0,
-            self.combines,
-            self.marches
+            self.chords, self.combines, self.marches
         )
     }
 }

@@ -24,7 +24,7 @@ pub enum DrawMethod {
     Whole,
     /// Part by part in their boxes.
     Parts(Method),
-    /// By the octree, but for a shape of a few leaves.
+    /// Whatever promises to cost a ray least.
     #[default]
     Auto,
 }
@@ -62,27 +62,42 @@ pub struct Drawing {
 /// Start of a shadow ray above the surface, local units: some of the shortest steps.
 const SHADOW_BIAS: f32 = 1e-3;
 
-/// The parts that a picture is drawn from; one that is the whole for [`DrawMethod::Whole`].
-pub fn tracer<'a>(solid: &'a Solid, method: DrawMethod) -> Result<Tracer<'a>, Error> {
+/// The parts that rays meet at a place; one that is the whole for [`DrawMethod::Whole`].
+pub fn tracer<'a>(place: &Place, solid: &'a Solid, method: DrawMethod) -> Result<Tracer<'a>, Error> {
     solid.bounds()?;
     match method {
         DrawMethod::Whole => Ok(Tracer::whole(solid)),
-        DrawMethod::Auto if is_small(solid) => Ok(Tracer::one_box(solid)),
-        DrawMethod::Auto => Ok(Tracer::of(solid, solid.cells(Method::Octree)?.clone())),
+        DrawMethod::Auto if matches!(place, Place::Gpu(_)) && is_one_structure(solid) => Ok(Tracer::one_box(solid)),
+        DrawMethod::Auto => cheapest(solid),
         DrawMethod::Parts(method) => Ok(Tracer::of(solid, solid.cells(method)?.clone())),
     }
 }
 
-/// Up to so many leaves, evaluating all of them costs less than finding out which matter.
+/// A shape of so few leaves is one function on a device: which parts it would fall into depends on its numbers, and a changed
+/// number should compile nothing.
 const FEW_LEAVES: usize = 12;
-/// The same where hits have a closed form.
-const FEW_CHORDS: usize = 4;
 
-fn is_small(solid: &Solid) -> bool {
+/// Whether a device compiles one function for a whole shape. Of closed forms it compiles none.
+fn is_one_structure(solid: &Solid) -> bool {
     let tokens = &solid.model.tokens;
-    let few = if Form::of(&solid.program, tokens) == Form::Field { FEW_LEAVES } else { FEW_CHORDS };
-    Model::leaf_count(tokens) <= few
+    Model::leaf_count(tokens) <= FEW_LEAVES && Form::of(&solid.program, tokens) == Form::Field
 }
+
+/// The parts that promise to cost a ray least. Of a few leaves all can be asked at once; boxes carried from the leaves are few,
+/// and hug what is thinly spread; only the octree tells many leaves apart that meet.
+fn cheapest(solid: &Solid) -> Result<Tracer<'_>, Error> {
+    let octree = Tracer::of(solid, solid.cells(Method::Octree)?.clone());
+    if Model::leaf_count(&solid.model.tokens) > AABB_LEAVES {
+        return Ok(octree);
+    }
+    let aabb = Tracer::of(solid, solid.cells(Method::Aabb)?.clone());
+    let of_octree = octree.cost();
+    let others = [Tracer::one_box(solid), aabb].into_iter().filter(|tracer| tracer.cost() < of_octree);
+    Ok(others.min_by(|a, b| a.cost().total_cmp(&b.cost())).unwrap_or(octree))
+}
+
+/// More leaves are not tried by their own boxes.
+const AABB_LEAVES: usize = 256;
 
 /// Draw a shape at a place.
 pub fn draw(

@@ -42,6 +42,11 @@ const NORMAL_STEP: f64 = 1e-5;
 /// A part's box ends this far beyond what is in it, local units: some roundings of a place.
 const BOX_PAD: f64 = 1e-6;
 
+/// Of [`Tracer::cost`]: coming to a box; the steps of a march in a tiny box, and how many more there are in one as large as the
+/// model. Chosen so that the cheapest is the fastest, or nearly, on scattered leaves and on the models of `examples/csg`.
+const BOX_LOOKS: f64 = 2.0;
+const MARCH_LOOKS: [f64; 2] = [2.0, 15.0];
+
 /// A ray's way along an axis that it does not move on is divided by this: far more than any way through the model, and finite.
 const STILL: f32 = 1e-30;
 
@@ -193,6 +198,23 @@ impl<'a> Tracer<'a> {
         let tracer = Self::one_box(solid);
         let march = |part: &PartProgram| PartProgram { form: Form::Field, ..PartProgram::new(solid, &part.tokens) };
         Self { programs: tracer.programs.iter().map(march).collect(), ..tracer }
+    }
+
+    /// What a ray through the bounds costs, as it is foreseen: each box is met by the share of rays that its area says, and in
+    /// it the leaves of its part are asked, once or at every step of a march. In evaluations of a leaf, for a ray that
+    /// nothing stops, times a constant.
+    pub fn cost(&self) -> f64 {
+        let of_box = |cell: &LocalBox| {
+            let sides = (cell.upper - cell.lower).as_dvec3();
+            let area = sides.x * sides.y + sides.y * sides.z + sides.z * sides.x;
+            let part = &self.programs[cell.part as usize];
+            let looks = match part.form {
+                Form::Field => MARCH_LOOKS[0] + MARCH_LOOKS[1] * sides.element_sum() / 3.0,
+                Form::Union | Form::Chords => 1.0,
+            };
+            area * (BOX_LOOKS + looks * f64::from(part.leaves))
+        };
+        self.boxes.iter().map(of_box).sum()
     }
 
     /// The first hit of a ray.

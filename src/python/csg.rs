@@ -254,7 +254,7 @@ impl Shape {
         let solid = self.solid(py)?;
         let start = std::time::Instant::now();
         let drawing = run(py, progress, |progress| {
-            let tracer = tracer(&solid, method)?;
+            let tracer = tracer(&place, &solid, method)?;
             draw(&place, &tracer, &camera, &options, progress)
         })?;
         let images = images_of(py, drawing.frame, &place, start)?;

@@ -22,6 +22,7 @@ use crate::csg::program::Stack;
 use crate::csg::solid::slope;
 use crate::csg::trace::{LocalRay, Tracer, Work};
 use crate::error::{DeviceError, Error};
+use crate::gpu::Place;
 use glam::{DAffine3, DVec3, Vec3};
 use std::cell::RefCell;
 use std::sync::Arc;
@@ -73,7 +74,7 @@ thread_local! {
 impl ShapeField {
     /// Fails for a shape without bounds, naming the leaf.
     pub fn new(solid: Arc<Solid>) -> Result<Self, Error> {
-        let parts = Parts::try_new(solid, |solid| tracer(solid, DrawMethod::Auto))?;
+        let parts = Parts::try_new(solid, |solid| tracer(&Place::Cpu, solid, DrawMethod::Auto))?;
         let tracer = parts.borrow_dependent();
         let [lower, upper] = tracer.bounds.map(|corner| UNITS * corner);
         let model = &tracer.solid.model;
