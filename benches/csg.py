@@ -2,9 +2,9 @@
 
     python benches/csg.py [--size 128] [--repeats 5] [--device cpu]
 
-Each row is one model; the two ways are interleaved, and the best of some runs counts. "octree" is the time to split the model
-that way, "auto" what pictures choose by themselves. "evaluations" are
-evaluations of a primitive's field by the rays of the pixels, over the pixels of the picture.
+Each row is one model; the two ways are interleaved, and the best of some runs counts. "octree" is the time to split the
+model that way, "auto" what pictures choose by themselves. "/px" are evaluations of a primitive's field, or of where a
+line is in it, by the rays of the pixels, over the pixels of the picture.
 """
 
 from __future__ import annotations
