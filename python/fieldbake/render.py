@@ -79,8 +79,8 @@ def raymarch(
     background : (3,) or (4,), optional
         Where nothing is hit, linear RGB and opacity; opaque white if not given.
     method : "auto", "whole", "aabb" or "octree", default "auto"
-        For a shape: whether rays march the whole of it or the parts of :func:`fieldbake.csg.decompose`; ``"auto"`` takes
-        what promises to cost a ray least. The picture is the same.
+        For a shape: whether rays march the whole of it or the parts of :func:`fieldbake.csg.decompose`; ``"auto"``
+        takes what promises to cost a ray least. The picture is the same.
     device : str, default "auto"
         ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`.
     progress : bool or callable, optional

@@ -2,7 +2,7 @@
 // by cell through the others. Twin of src/render/march.rs, step for step.
 //
 // The kernel that imports this brings `empty_bytes`, words of how many bricks around each there is no surface, a byte a brick,
-// 0 for one with a surface; `steps`, which ends at MAX_STEPS; FAR_T, PARALLEL and TINY.
+// 0 for one with a surface; `steps`, which ends at MAX_STEPS; FAR_T and PARALLEL; and imports `cubic`.
 
 #import bricks
 
@@ -57,19 +57,10 @@ fn march_bricks(bricks: Bricks, start: vec3f, direction: vec3f, t_max: f32) -> f
         // A brick without samples that is not empty lies inside.
         var corners = array<f32, 8>(-1.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0);
         if word >> 30u != NOTHING_STORED { corners = brick_corners(bricks, word, local); }
-        let first = vec4f(corners[0], corners[1], corners[2], corners[3]);
-        let second = vec4f(corners[4], corners[5], corners[6], corners[7]);
-        let smallest = min(first, second);
-        if min(min(smallest.x, smallest.y), min(smallest.z, smallest.w)) <= 0.0 {
-            let per_voxel = 1.0 / f32(1u << shift);
-            let p = (start + t * direction - vec3f(low)) * per_voxel;
-            let cubic = cubic_along_ray(corners, p, direction * per_voxel);
-            // In units of the largest corner: products of coefficients stay in range at any scale.
-            let sizes = max(abs(first), abs(second));
-            let largest = max(max(max(sizes.x, sizes.y), max(sizes.z, sizes.w)), TINY);
-            let s = first_root(cubic / largest, t_end - t);
-            if s >= 0.0 { return t + s; }
-        }
+        let per_voxel = 1.0 / f32(1u << shift);
+        let p = (start + t * direction - vec3f(low)) * per_voxel;
+        let root = root_in_cell(corners, p, direction * per_voxel, t_end - t).x;
+        if root >= 0.0 { return t + root; }
         if t_end >= t_max { return -1.0; }
 
         // Into the next cell.

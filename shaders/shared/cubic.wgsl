@@ -104,3 +104,20 @@ fn first_root(c: vec4f, s_end: f32) -> f32 {
     if s_end > start && cubic_value(c, s_end) <= 0.0 { return falling_root(c, start, s_end); }
     return NO_ROOT;
 }
+
+// The largest corner at least, to divide by.
+const LEAST_CORNER: f32 = 1.2e-38;
+
+// The first place on [0, s_end] of a line through a cell where its field is not above zero, or -1, and the field at its start,
+// in units of the largest corner: products of coefficients stay in range at any scale. Above zero everywhere, as far as the
+// corners tell, it is asked no further.
+fn root_in_cell(c: array<f32, 8>, p: vec3f, direction: vec3f, s_end: f32) -> vec2f {
+    let low = vec4f(c[0], c[1], c[2], c[3]);
+    let high = vec4f(c[4], c[5], c[6], c[7]);
+    let smallest = min(low, high);
+    if min(min(smallest.x, smallest.y), min(smallest.z, smallest.w)) > 0.0 { return vec2f(-1.0, 1.0); }
+    let sizes = max(abs(low), abs(high));
+    let largest = max(max(max(sizes.x, sizes.y), max(sizes.z, sizes.w)), LEAST_CORNER);
+    let cubic = cubic_along_ray(c, p, direction) / largest;
+    return vec2f(first_root(cubic, s_end), cubic.x);
+}

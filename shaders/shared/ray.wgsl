@@ -26,22 +26,12 @@ fn march(ray: ClippedRay, shape: vec3u) -> Hit {
         let t_end = min(max(to_next, t), ray.t_max);
 
         let corners = cell_corners(cell, shape);
-        let low = vec4f(corners[0], corners[1], corners[2], corners[3]);
-        let high = vec4f(corners[4], corners[5], corners[6], corners[7]);
-        let smallest = min(low, high);
-        if min(min(smallest.x, smallest.y), min(smallest.z, smallest.w)) <= 0.0 {
-            let p = ray.origin + t * ray.direction - vec3f(cell);
-            let cubic = cubic_along_ray(corners, p, ray.direction);
-            // In units of the largest corner: products of coefficients stay in range at any scale.
-            let sizes = max(abs(low), abs(high));
-            let largest = max(max(max(sizes.x, sizes.y), max(sizes.z, sizes.w)), TINY);
-            let s = first_root(cubic / largest, t_end - t);
-            if s >= 0.0 {
-                hit.is_hit = true;
-                hit.t = t + s;
-                hit.at_start = hit.t == 0.0 && cubic.x <= 0.0;
-                return hit;
-            }
+        let root = root_in_cell(corners, ray.origin + t * ray.direction - vec3f(cell), ray.direction, t_end - t);
+        if root.x >= 0.0 {
+            hit.is_hit = true;
+            hit.t = t + root.x;
+            hit.at_start = hit.t == 0.0 && root.y <= 0.0;
+            return hit;
         }
         if t_end >= ray.t_max { return hit; }
 

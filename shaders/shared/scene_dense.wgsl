@@ -56,17 +56,9 @@ fn dense_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 
         let to_next = min(to_faces.x, min(to_faces.y, to_faces.z));
         let t_end = min(max(to_next, t), end);
         if empty == 0 {
-            let c = corners_of(field, cell);
-            let low = vec4f(c[0], c[1], c[2], c[3]);
-            let high = vec4f(c[4], c[5], c[6], c[7]);
-            let smallest = min(low, high);
-            if min(min(smallest.x, smallest.y), min(smallest.z, smallest.w)) <= 0.0 {
-                let cubic = cubic_along_ray(c, origin + t * direction - vec3f(cell), direction);
-                let sizes = max(abs(low), abs(high));
-                let largest = max(max(max(sizes.x, sizes.y), max(sizes.z, sizes.w)), TINY);
-                let s = first_root(cubic / largest, t_end - t);
-                if s >= 0.0 { return (t + s) / per_t; }
-            }
+            let p = origin + t * direction - vec3f(cell);
+            let root = root_in_cell(corners_of(field, cell), p, direction, t_end - t).x;
+            if root >= 0.0 { return (t + root) / per_t; }
         }
         if t_end >= end { return -1.0; }
         t = t_end;
