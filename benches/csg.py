@@ -96,6 +96,8 @@ def main() -> None:
             f" {many:8.1f}/px {slow * 1e3:6.0f} ms {few:8.1f}/px {fast * 1e3:6.0f} ms {drawn:6}"
             f" {many / few:5.1f}x {slow / fast:5.1f}x"
         )
+    if options.device != "cpu":
+        print(f"kernels that the device keeps: {frame.report['pipelines']}")
 
 
 if __name__ == "__main__":
