@@ -128,10 +128,10 @@ impl<'a> Encoder<'a> {
         if part.form != Form::Field {
             let leaves = tokens.iter_mut().zip(part.tokens.iter()).filter(|(_, token)| matches!(token, Token::Leaf(_)));
             for (i, (token, _)) in leaves.enumerate() {
-                *token |= match part.sides.as_ref().map(|sides| sides[i]) {
+                *token |= match part.sides.as_ref().and_then(|sides| sides.get(i)) {
                     None => EITHER_SIDE,
-                    Some((_, true)) => 0,
-                    Some((_, false)) => OTHER_SIDE,
+                    Some(&(_, true)) => 0,
+                    Some(&(_, false)) => OTHER_SIDE,
                 };
             }
         }

@@ -12,7 +12,7 @@ use super::light::{AO_CONES, AO_SLOPE, Lights, Surface};
 use super::primary::{GBuffer, Layer};
 use super::shadow::{Casters, PARTS, Ray, Work, basis, disc_point, toward};
 use super::{Asked, RenderOptions, SceneShadows};
-use crate::error::Error;
+use crate::error::{DeviceError, Error};
 use crate::gpu::layout::{Answer, Beam};
 use crate::progress::Progress;
 use glam::{DVec3, Vec3};
@@ -88,7 +88,7 @@ fn stride(lights: usize) -> usize {
 }
 
 fn parts_of(values: &mut [f32], lights: usize) -> FoundMut<'_> {
-    let (open, rest) = values.split_first_mut().expect("at least one value");
+    let (open, rest) = values.split_first_mut().expect("a layer has `stride` values, at least one");
     let (shares, thickness) = rest.split_at_mut(lights);
     FoundMut { open, shares, thickness }
 }
@@ -271,13 +271,18 @@ fn ask_device(
         for (y, i, surface) in bunch.drain(..) {
             let row = &mut known.rows[y];
             let mut found = parts_of(&mut row.values[i * stride(lights)..][..stride(lights)], lights);
-            let work = answers.next(pass, &surface, &mut found);
+            let work = answers.next(pass, &surface, &mut found).ok_or_else(|| too_few(device))?;
             row.steps[i] = work.steps;
             pass.asked.add(work);
             row.is_known[i] = true;
         }
     }
     Ok(())
+}
+
+fn too_few(device: &DeviceScene) -> DeviceError {
+    let reason = "it gave fewer answers than it was asked".into();
+    DeviceError::Failed { device: device.context().label(), what: "the scene's light".into(), reason }
 }
 
 /// Answers of a device, in the order in which they were asked.
@@ -306,14 +311,14 @@ impl Answers {
         Ok(Self { beams: beams.into_iter().zip(first), parts: second.into_iter(), thick: thick.into_iter() })
     }
 
-    /// What was found about the next surface, and the steps it took.
-    fn next(&mut self, pass: &Pass<'_>, surface: &Surface<'_>, found: &mut FoundMut<'_>) -> Work {
+    /// What was found about the next surface, and the steps it took; `None` if the answers have run out.
+    fn next(&mut self, pass: &Pass<'_>, surface: &Surface<'_>, found: &mut FoundMut<'_>) -> Option<Work> {
         let mut work = Work::default();
         *found.open = 1.0;
         if let Some(distance) = pass.options.occlusion {
             let (mut sum, mut weights) = (0.0, 0.0);
             for (_, weight) in surface.open_rays(distance / pass.casters.scene.scale) {
-                let (_, answer) = self.beams.next().expect("one answer a cone");
+                let (_, answer) = self.beams.next()?;
                 sum += weight * answer.value;
                 weights += weight;
                 work += took(&answer);
@@ -324,22 +329,22 @@ impl Answers {
             let (ray, slope, _) = light.seen_from(surface.place.p);
             found.shares[i] = match surface.plain_share(&ray, pass.options) {
                 Some(share) => share,
-                None => self.share(pass.options, slope, &mut work),
+                None => self.share(pass.options, slope, &mut work)?,
             };
             let is_thick = surface.scatters(pass.casters.scene);
-            found.thickness[i] = if is_thick { self.thick.next().expect("one answer a light").value } else { 0.0 };
+            found.thickness[i] = if is_thick { self.thick.next()?.value } else { 0.0 };
         }
-        work
+        Some(work)
     }
 
-    fn share(&mut self, options: &RenderOptions, slope: f32, work: &mut Work) -> f32 {
+    fn share(&mut self, options: &RenderOptions, slope: f32, work: &mut Work) -> Option<f32> {
         let count = match options.shadows {
             SceneShadows::Area(count) if slope > 0.0 => count,
             _ => 1,
         };
         let mut sum = 0.0;
         for _ in 0..count {
-            let (beam, answer) = self.beams.next().expect("one answer a ray");
+            let (beam, answer) = self.beams.next()?;
             *work += took(&answer);
             sum += answer.value;
             if options.shadows == SceneShadows::Soft && is_undecided(&beam, &answer) {
@@ -351,7 +356,7 @@ impl Answers {
                 sum /= PARTS as f32;
             }
         }
-        sum / count as f32
+        Some(sum / count as f32)
     }
 }
 
