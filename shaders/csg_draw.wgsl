@@ -4,6 +4,7 @@
 #import csg_chord
 #import csg_needs
 #import csg_part
+#import csg_root
 #import picture_rays
 
 struct CsgDrawParams {
@@ -53,10 +54,6 @@ struct CsgPixel {
 // Share of each light that arrives, `light_count` a pixel.
 @group(0) @binding(7) var<storage, read_write> shares: array<f32>;
 
-const MIN_STEP: f32 = 3e-5;
-const MAX_STEPS: u32 = 4096u;
-const MAX_ROOT_STEPS: u32 = 32u;
-const ROOT_WIDTH: f32 = 1.2e-7;
 // Half the step of the differences of a part's field.
 const NORMAL_STEP: f32 = 1e-4;
 const SHADOW_BIAS: f32 = 1e-3;
@@ -124,55 +121,15 @@ fn first_root(ray: Ray, cell: u32, t_in: f32, t_out: f32) -> f32 {
     return first_inside(ray.origin, ray.direction, boxes[cell].first, boxes[cell].count, is_union, t_in, t_out);
 }
 
-// The first root in a box on [t_in, t_out), or -1: steps to a place below zero, then regula falsi (Illinois variant) between
-// it and the one before. The field is evaluated at one place of the text, for drivers write it out wherever it is called.
+// The first root in a box on [t_in, t_out), or -1.
 fn march(ray: Ray, cell: u32, t_in: f32, t_out: f32) -> f32 {
-    var t = t_in;
-    // Outside at `low`, inside at `high` once that is known.
-    var low = t_in;
-    var above = 0.0;
-    var high = t_in;
-    var below = 0.0;
-    var is_bracketed = false;
-    var root_steps = 0u;
-    var last_side = 0;
-    for (var i = 0u; i < MAX_STEPS && has_rounds(); i++) {
+    var search = search_from(t_in);
+    var state = SEARCHING;
+    for (var i = 0u; i < MAX_MARCH_STEPS && state == SEARCHING && has_rounds(); i++) {
         rounds++;
-        let value = field(ray, t, cell);
-        if !is_bracketed && value >= 0.0 {
-            if t == t_out { return -1.0; }
-            let safe = value * params.inverse_lipschitz;
-            // A safe step crosses nothing; the smallest step might.
-            if t + safe >= t_out { return -1.0; }
-            low = t;
-            above = value;
-            t = min(t + max(safe, MIN_STEP), t_out);
-            continue;
-        }
-        if !is_bracketed {
-            if i == 0u { return t; }
-            is_bracketed = true;
-            high = t;
-            below = value;
-        } else if value > 0.0 {
-            low = t;
-            above = value;
-            if last_side == 1 { below *= 0.5; }
-            last_side = 1;
-        } else {
-            high = t;
-            below = value;
-            if last_side == -1 { above *= 0.5; }
-            last_side = -1;
-        }
-        t = high;
-        if root_steps == MAX_ROOT_STEPS || high - low <= ROOT_WIDTH * max(high, 1.0) || below == 0.0 { break; }
-        root_steps++;
-        t = clamp(low + (high - low) * (above / (above - below)), low, high);
-        // The root is an end of the bracket as far as float32 can tell.
-        if t == low || t == high { break; }
+        state = search_on(&search, field(ray, search.t, cell), params.inverse_lipschitz, t_out);
     }
-    return select(-1.0, t, is_bracketed && t < t_out);
+    return select(-1.0, search.t, state == FOUND && (search.t < t_out || search.t == t_in));
 }
 
 fn trace(ray: Ray, any: bool) -> Hit {

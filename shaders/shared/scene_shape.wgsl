@@ -3,6 +3,7 @@
 // In `samples` a shape has the number of its structure, one over its Lipschitz constant, the thing's units of a local unit and
 // whether its field is exact, then the numbers that its function reads.
 
+#import csg_root
 #import scene_sampled
 #import scene_structures
 
@@ -13,11 +14,6 @@ const GUESSES: u32 = 3u;
 // Half the step of a slope's differences, local units: float32 leaves 5e-4 of the slope, and creases are seen as sharp
 // as they can be.
 const SLOPE_STEP: f32 = 1.2207031e-4;
-// As in src/csg/trace.rs.
-const SHAPE_MIN_STEP: f32 = 3e-5;
-const SHAPE_MAX_STEPS: u32 = 4096u;
-const SHAPE_MAX_ROOT_STEPS: u32 = 32u;
-const SHAPE_ROOT_WIDTH: f32 = 1.2e-7;
 
 struct SceneShape {
     structure: u32,
@@ -80,60 +76,19 @@ fn shape_gradient(field: SceneField, p: vec3f) -> vec3f {
     return select(slope / max(size, TINY), vec3f(0.0), size == 0.0);
 }
 
-// The first root: steps that cross nothing, or the shortest, until one has crossed the surface; then regula falsi, Illinois
-// variant, between its ends. One evaluation in one loop, as above.
+// The first root on [0, t_max), or -1.
 fn shape_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 {
     let shape = shape_of(field);
     let per_t = length(along) / SHAPE_UNITS;
     let start = origin / SHAPE_UNITS;
     let direction = normalize(along);
     let end = t_max * per_t;
-    // Where the field is asked next, and the bracket: above zero at `low`, below at `high`.
-    var t = 0.0;
-    var low = 0.0;
-    var above = 0.0;
-    var high = end;
-    var below = 0.0;
-    var is_bracketed = false;
-    var last_side = 0;
-    var root_steps = 0u;
-    for (var i = 0u; i < SHAPE_MAX_STEPS && steps < MAX_STEPS; i++) {
-        let value = shape_value(shape, start + t * direction);
-        if !is_bracketed {
-            if value >= 0.0 {
-                let safe = value * shape.inverse_lipschitz;
-                // A safe step crosses nothing; the smallest step might.
-                if t >= end || t + safe >= end { return -1.0; }
-                low = t;
-                above = value;
-                t = min(t + max(safe, SHAPE_MIN_STEP), end);
-                continue;
-            }
-            if i == 0u { return 0.0; }
-            is_bracketed = true;
-            high = t;
-            below = value;
-        } else if value > 0.0 {
-            low = t;
-            above = value;
-            if last_side == 1 { below *= 0.5; }
-            last_side = 1;
-        } else {
-            high = t;
-            below = value;
-            if last_side == -1 { above *= 0.5; }
-            last_side = -1;
-        }
-        root_steps++;
-        if root_steps > SHAPE_MAX_ROOT_STEPS || high - low <= SHAPE_ROOT_WIDTH * max(high, 1.0) || below == 0.0 { break; }
-        t = clamp(low + (high - low) * (above / (above - below)), low, high);
-        // The root is an end of the bracket as far as float32 can tell.
-        if t == low || t == high {
-            high = t;
-            break;
-        }
+    var search = search_from(0.0);
+    var state = SEARCHING;
+    for (var i = 0u; i < MAX_MARCH_STEPS && state == SEARCHING && steps < MAX_STEPS; i++) {
+        state = search_on(&search, shape_value(shape, start + search.t * direction), shape.inverse_lipschitz, end);
     }
-    return select(-1.0, high / per_t, is_bracketed && high < end);
+    return select(-1.0, search.t / per_t, state == FOUND && (search.t < end || search.t == 0.0));
 }
 
 // ---- in a scene with sampled fields

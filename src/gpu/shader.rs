@@ -41,6 +41,7 @@ const SHARED: &[(&str, &str)] = &[
     ("csg_leaves", include_str!("../../shaders/shared/csg_leaves.wgsl")),
     ("csg_needs", include_str!("../../shaders/shared/csg_needs.wgsl")),
     ("csg_part", include_str!("../../shaders/shared/csg_part.wgsl")),
+    ("csg_root", include_str!("../../shaders/shared/csg_root.wgsl")),
     ("csg_tables", include_str!("../../shaders/shared/csg_tables.wgsl")),
     ("grid", include_str!("../../shaders/shared/grid.wgsl")),
     ("light", include_str!("../../shaders/shared/light.wgsl")),

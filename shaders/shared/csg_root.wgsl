@@ -1,0 +1,74 @@
+// Where a ray first meets the field of a shape: steps that cross nothing, or the shortest, to a place below zero; then regula
+// falsi, Illinois variant, between it and the one before. Twin of `march` and `root` in src/csg/trace.rs.
+//
+// The field is evaluated by who asks, at one place of the text, for drivers write it out wherever it is called.
+
+const MIN_STEP: f32 = 3e-5;
+const MAX_MARCH_STEPS: u32 = 4096u;
+const MAX_ROOT_STEPS: u32 = 32u;
+const ROOT_WIDTH: f32 = 1.2e-7;
+
+const SEARCHING: u32 = 0u;
+const FOUND: u32 = 1u;
+const MISSED: u32 = 2u;
+
+struct RootSearch {
+    // Where the field is asked next; in the end, the root.
+    t: f32,
+    // The bracket: outside at `low`, inside at `high`. `above` is negative until the field was seen above zero.
+    low: f32,
+    above: f32,
+    high: f32,
+    below: f32,
+    is_bracketed: bool,
+    last_side: i32,
+    root_steps: u32,
+}
+
+fn search_from(start: f32) -> RootSearch {
+    return RootSearch(start, start, -1.0, start, 0.0, false, 0, 0u);
+}
+
+// Go on with the field at `t`; whether that was all.
+fn search_on(search: ptr<function, RootSearch>, value: f32, inverse_lipschitz: f32, end: f32) -> u32 {
+    var s = *search;
+    if !s.is_bracketed && value >= 0.0 {
+        let safe = value * inverse_lipschitz;
+        // A safe step crosses nothing; the smallest step might.
+        if s.t >= end || s.t + safe >= end { return MISSED; }
+        s.low = s.t;
+        s.above = value;
+        s.t = min(s.t + max(safe, MIN_STEP), end);
+        *search = s;
+        return SEARCHING;
+    }
+    // Inside from the start.
+    if s.above < 0.0 { return FOUND; }
+    if !s.is_bracketed {
+        s.is_bracketed = true;
+        s.high = s.t;
+        s.below = value;
+    } else if value > 0.0 {
+        s.low = s.t;
+        s.above = value;
+        if s.last_side == 1 { s.below *= 0.5; }
+        s.last_side = 1;
+    } else {
+        s.high = s.t;
+        s.below = value;
+        if s.last_side == -1 { s.above *= 0.5; }
+        s.last_side = -1;
+    }
+    s.t = s.high;
+    var state = SEARCHING;
+    if s.root_steps == MAX_ROOT_STEPS || s.high - s.low <= ROOT_WIDTH * max(s.high, 1.0) || s.below == 0.0 {
+        state = FOUND;
+    } else {
+        s.root_steps++;
+        s.t = clamp(s.low + (s.high - s.low) * (s.above / (s.above - s.below)), s.low, s.high);
+        // The root is an end of the bracket as far as float32 can tell.
+        if s.t == s.low || s.t == s.high { state = FOUND; }
+    }
+    *search = s;
+    return state;
+}
