@@ -6,11 +6,6 @@
 
 #import bricks
 
-fn first_axis(to_faces: vec3f) -> u32 {
-    if to_faces.x <= to_faces.y && to_faces.x <= to_faces.z { return 0u; }
-    return select(2u, 1u, to_faces.y <= to_faces.z);
-}
-
 // The first t in [0, t_max] where the field is not above zero, or -1; the direction is unit.
 fn march_bricks(bricks: Bricks, start: vec3f, direction: vec3f, t_max: f32) -> f32 {
     let last_cell = vec3i(bricks.shape) - 1;

@@ -121,3 +121,9 @@ fn root_in_cell(c: array<f32, 8>, p: vec3f, direction: vec3f, s_end: f32) -> vec
     let cubic = cubic_along_ray(c, p, direction) / largest;
     return vec2f(first_root(cubic, s_end), cubic.x);
 }
+
+// The axis of the face through which a line leaves a box, from where it meets the faces before it.
+fn first_axis(to_faces: vec3f) -> u32 {
+    if to_faces.x <= to_faces.y && to_faces.x <= to_faces.z { return 0u; }
+    return select(2u, 1u, to_faces.y <= to_faces.z);
+}

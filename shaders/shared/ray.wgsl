@@ -22,8 +22,8 @@ fn march(ray: ClippedRay, shape: vec3u) -> Hit {
     for (var step = 1u; step <= max_steps; step++) {
         hit.steps = step;
         let to_faces = select((vec3f(cell + side) - ray.origin) * inverse, vec3f(FAR_T), is_parallel);
-        let to_next = min(to_faces.x, min(to_faces.y, to_faces.z));
-        let t_end = min(max(to_next, t), ray.t_max);
+        let axis = first_axis(to_faces);
+        let t_end = min(max(to_faces[axis], t), ray.t_max);
 
         let corners = cell_corners(cell, shape);
         let root = root_in_cell(corners, ray.origin + t * ray.direction - vec3f(cell), ray.direction, t_end - t);
@@ -37,14 +37,7 @@ fn march(ray: ClippedRay, shape: vec3u) -> Hit {
 
         // Into the next cell, exact on the axis of the face.
         t = t_end;
-        let beyond = cell + 2 * side - 1;
-        if to_faces.x == to_next {
-            cell.x = beyond.x;
-        } else if to_faces.y == to_next {
-            cell.y = beyond.y;
-        } else {
-            cell.z = beyond.z;
-        }
+        cell[axis] += 2 * side[axis] - 1;
         cell = clamp(cell, vec3i(-1), last_cell);
     }
     return hit;

@@ -53,8 +53,8 @@ fn dense_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 
             face = first + side * ((2 * empty - 1) * 4);
         }
         let to_faces = select((vec3f(face) - origin) * inverse, vec3f(FAR_T), is_parallel);
-        let to_next = min(to_faces.x, min(to_faces.y, to_faces.z));
-        let t_end = min(max(to_next, t), end);
+        let axis = first_axis(to_faces);
+        let t_end = min(max(to_faces[axis], t), end);
         if empty == 0 {
             let p = origin + t * direction - vec3f(cell);
             let root = root_in_cell(corners_of(field, cell), p, direction, t_end - t).x;
@@ -63,18 +63,11 @@ fn dense_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 
         if t_end >= end { return -1.0; }
         t = t_end;
         // Exact on the axis of the face, never back on the others.
-        let beyond = select(face - 1, face, forward);
         if empty > 0 {
             let here = vec3i(floor(origin + t * direction));
             cell = select(min(here, cell), max(here, cell), forward);
         }
-        if to_faces.x == to_next {
-            cell.x = beyond.x;
-        } else if to_faces.y == to_next {
-            cell.y = beyond.y;
-        } else {
-            cell.z = beyond.z;
-        }
+        cell[axis] = face[axis] - 1 + side[axis];
         cell = clamp(cell, vec3i(-1), last_cell);
     }
     return -1.0;
