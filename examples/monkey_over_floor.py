@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import fieldbake as fb
-from fieldbake.frame import save_image
+from fieldbake.drawing.frame import save_image
 
 
 def floor_under(bounds: np.ndarray, size: float = 4.0) -> fb.Mesh:

@@ -3,7 +3,7 @@
 import numpy as np
 
 import fieldbake as fb
-from fieldbake.frame import save_image
+from fieldbake.drawing.frame import save_image
 
 MODEL = "(union (cube 3) (diff (cube 4) (move -2 -2 2 (sphere 5))))"
 SIZE = (420, 360)

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 import fieldbake as fb
 import meshes
-from fieldbake.cli import app
+from fieldbake.cli.commands import app
 
 DONE, BAD_INPUT, BAD_USAGE = 0, 1, 2
 

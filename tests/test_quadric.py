@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import fieldbake as fb
 from fieldbake import Quadric, _core
-from fieldbake.quadric import core_of
+from fieldbake.shapes.quadric import core_of
 
 #: What the package promises of depths, relative, where a ray meets a surface at a slope above GRAZING.
 DEPTH = 1e-5

@@ -397,7 +397,7 @@ def test_what_makes_no_sense_is_refused() -> None:
 
 
 def test_fields_are_kept_by_content(tmp_path, monkeypatch) -> None:
-    from fieldbake import fields
+    from fieldbake.scenes import field_cache as fields
 
     fields.clear()
     monkeypatch.setattr(fields, "_disk", None)

@@ -13,14 +13,12 @@ Distances are negative inside and in the mesh's own units. ``distances[x, y, z]`
 
 import logging as _logging
 
-from . import arrays, csg, fields, models
+from . import arrays, cache, csg, models
 from ._core import __version__
-from .atlas import Atlas, AtlasEntry, pack
-from .bake import ClosestPoints, bake, closest_point, signed_distance
-from .camera import Camera
-from .convert import as_mesh, load_mesh
-from .devices import Device, devices
-from .errors import (
+from .atlases.atlas import Atlas, AtlasEntry, pack
+from .baking.dense import ClosestPoints, bake, closest_point, signed_distance
+from .base.adapters import Device, devices
+from .base.errors import (
     ArgumentError,
     AtlasError,
     CapacityError,
@@ -31,20 +29,21 @@ from .errors import (
     SceneError,
     ShapeError,
 )
-from .frame import Frame
-from .gltf import load_scene
-from .io import load
-from .lights import DirectionalLight, PointLight
-from .materials import Material
-from .merge import MergedField, merge, sphere_intersection
-from .mesh import Mesh, Part
-from .nested import NestedField
-from .quadric import Quadric, pack_quadrics, unpack_quadrics, wrap_quadrics
-from .quantized import QuantizedVolume
-from .render import raymarch
-from .report import Report
-from .scene import Instance, Scene, render
-from .shapes import (
+from .base.report import Report
+from .drawing.frame import Frame
+from .drawing.raymarching import raymarch
+from .loading.npz import load
+from .merging.merged import MergedField, merge, sphere_intersection
+from .merging.nested import NestedField
+from .meshes.convert import as_mesh, load_mesh
+from .meshes.mesh import Mesh, Part
+from .scenes.camera import Camera
+from .scenes.gltf import load_scene
+from .scenes.lights import DirectionalLight, PointLight
+from .scenes.materials import Material
+from .scenes.scene import Instance, Scene, render
+from .shapes.quadric import Quadric, pack_quadrics, unpack_quadrics, wrap_quadrics
+from .shapes.shape import (
     Profile,
     Shape,
     box,
@@ -70,8 +69,9 @@ from .shapes import (
     truncated_cone,
     volume_shape,
 )
-from .sparse import SparseVolume, bake_sparse
-from .volume import Volume
+from .volumes.quantized import QuantizedVolume
+from .volumes.sparse import SparseVolume, bake_sparse
+from .volumes.volume import Volume
 
 __all__ = [
     "ArgumentError",
@@ -112,6 +112,7 @@ __all__ = [
     "bake_sparse",
     "box",
     "box_frame",
+    "cache",
     "capped_torus",
     "capsule",
     "circle",
@@ -122,7 +123,6 @@ __all__ = [
     "devices",
     "ellipsoid",
     "extrude",
-    "fields",
     "gyroid",
     "hex_prism",
     "load",

@@ -12,17 +12,18 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import _checks, _core
-from .atlas import pack as pack_volumes
-from .bake import Sign
-from .camera import Camera
-from .errors import ArgumentError
-from .grid import MAX_SIDE
-from .mesh import check_faces, check_vertices
-from .pages import Layout
-from .render import _size
-from .report import Report
-from .volume import Volume, check_distances
+from . import _core
+from .atlases.atlas import pack as pack_volumes
+from .atlases.pages import Layout
+from .baking.dense import Sign
+from .base import checks
+from .base.errors import ArgumentError
+from .base.grid import MAX_SIDE
+from .base.report import Report
+from .drawing.raymarching import _size
+from .meshes.mesh import check_faces, check_vertices
+from .scenes.camera import Camera
+from .volumes.volume import Volume, check_distances
 
 Method = Literal["tree", "brute"]
 
@@ -72,11 +73,11 @@ def bake(
         As for :func:`fieldbake.bake`.
     """
     corners = _box(lower, upper)
-    nx, ny, nz = (_checks.integer("shape", n, least=1, most=MAX_SIDE) for n in _three(shape))
-    mesh = _core.Mesh(_checks.as_float64(check_vertices(vertices)), check_faces(faces))
-    _checks.text("sign", sign)
-    _checks.text("device", device)
-    if _checks.text("method", method) not in ("tree", "brute"):
+    nx, ny, nz = (checks.integer("shape", n, least=1, most=MAX_SIDE) for n in _three(shape))
+    mesh = _core.Mesh(checks.as_float64(check_vertices(vertices)), check_faces(faces))
+    checks.text("sign", sign)
+    checks.text("device", device)
+    if checks.text("method", method) not in ("tree", "brute"):
         raise ArgumentError(f'method: expected "tree" or "brute", got {method!r}')
     if method == "brute":
         return _core.bake_brute(mesh, *corners, (nx, ny, nz), sign, device)
@@ -167,20 +168,20 @@ def raymarch(
         check_distances(distances),
         *corners,
         {"pose": camera.pose, "fov_deg": camera.fov_deg, "size": _size(size)},
-        device=_checks.text("device", device),
+        device=checks.text("device", device),
     )
     return result["color"], result["depth"]
 
 
 def _box(lower: ArrayLike, upper: ArrayLike) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    first, second = _checks.vector("lower", lower, 3), _checks.vector("upper", upper, 3)
-    corners = _checks.box("lower, upper", np.stack([first, second]))
-    return _checks.triple(corners[0]), _checks.triple(corners[1])
+    first, second = checks.vector("lower", lower, 3), checks.vector("upper", upper, 3)
+    corners = checks.box("lower, upper", np.stack([first, second]))
+    return checks.triple(corners[0]), checks.triple(corners[1])
 
 
 def _three(shape: tuple[int, int, int]) -> tuple[int, int, int]:
     try:
         x, y, z = shape
     except (TypeError, ValueError):
-        raise ArgumentError(f"shape: must be (nx, ny, nz), got {_checks.describe(shape)}") from None
+        raise ArgumentError(f"shape: must be (nx, ny, nz), got {checks.describe(shape)}") from None
     return x, y, z

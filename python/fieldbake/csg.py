@@ -18,9 +18,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _checks, _core
-from .errors import ShapeError
-from .shapes import Shape, _shape, combine
+from . import _core
+from .base import checks
+from .base.errors import ShapeError
+from .shapes.shape import Shape, _shape, combine
 
 Method = Literal["octree", "aabb"]
 
@@ -138,7 +139,7 @@ def parse(text: str) -> Shape:
     '(diff (cube 2) (move 1 0 0 (sphere 1)))'
     """
     if not isinstance(text, str):
-        raise ShapeError(f"text: must be text, got {_checks.describe(text)}")
+        raise ShapeError(f"text: must be text, got {checks.describe(text)}")
     return Shape._wrap(_core.Shape.parse(text))
 
 
@@ -172,10 +173,10 @@ def decompose(shape: Shape, method: Method = "octree") -> Parts:
     Primitive-Based SDFs, Eurographics 2025.
     """
     if not isinstance(method, str):
-        raise ShapeError(f'method: must be "octree" or "aabb", got {_checks.describe(method)}')
+        raise ShapeError(f'method: must be "octree" or "aabb", got {checks.describe(method)}')
     core = _shape("shape", shape)._core
     found, firsts = core.decompose(method)
-    boxes = _checks.frozen(found)
+    boxes = checks.frozen(found)
     parts = [Part((core, method, i), boxes[first:end]) for i, (first, end) in enumerate(pairwise(firsts))]
     return Parts(parts, structures=lambda: core.structures(method))
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _checks
-from .errors import ArgumentError
-from .mesh import Mesh
+from .base import checks
+from .base.errors import ArgumentError
+from .meshes.mesh import Mesh
 
 
 def torus_knot(
@@ -50,15 +50,15 @@ def torus_knot(
     >>> torus_knot(segments=64, sides=8)
     Mesh(512 vertices, 1024 faces, 3.078 x 3.204 x 1.38 units)
     """
-    p = _checks.integer("p", p, least=1, most=64)
-    q = _checks.integer("q", q, least=1, most=64)
+    p = checks.integer("p", p, least=1, most=64)
+    q = checks.integer("q", q, least=1, most=64)
     if math.gcd(p, q) != 1:
         raise ArgumentError(f"p, q: must have no common divisor, got {p} and {q}")
-    radius = _checks.number("radius", radius, above=0)
-    depth = _checks.number("depth", depth, above=0)
-    thickness = _checks.number("thickness", thickness, above=0)
-    segments = _checks.integer("segments", segments, least=3, most=1 << 20)
-    sides = _checks.integer("sides", sides, least=3, most=1 << 12)
+    radius = checks.number("radius", radius, above=0)
+    depth = checks.number("depth", depth, above=0)
+    thickness = checks.number("thickness", thickness, above=0)
+    segments = checks.integer("segments", segments, least=3, most=1 << 20)
+    sides = checks.integer("sides", sides, least=3, most=1 << 12)
 
     t = np.linspace(0, 2 * np.pi, segments, endpoint=False)
     ring = np.stack([np.cos(p * t), np.sin(p * t), np.zeros_like(t)], axis=1)
@@ -116,11 +116,11 @@ def gear(
     >>> gear(teeth=6).topology()["closed"]
     True
     """
-    teeth = _checks.integer("teeth", teeth, least=3, most=1 << 12)
-    radius = _checks.number("radius", radius, above=0)
-    tooth = _checks.number("tooth", tooth, above=0)
-    hole = _checks.number("hole", hole, above=0)
-    thickness = _checks.number("thickness", thickness, above=0)
+    teeth = checks.integer("teeth", teeth, least=3, most=1 << 12)
+    radius = checks.number("radius", radius, above=0)
+    tooth = checks.number("tooth", tooth, above=0)
+    hole = checks.number("hole", hole, above=0)
+    thickness = checks.number("thickness", thickness, above=0)
     if hole + tooth >= radius:
         raise ArgumentError(f"hole: {hole:g} and tooth {tooth:g} leave nothing of the radius {radius:g}")
 

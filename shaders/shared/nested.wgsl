@@ -16,7 +16,7 @@ struct NestedLevel {
 @group(0) @binding(1) var<storage, read> distances: array<f32>;
 @group(0) @binding(5) var<storage, read> levels: array<NestedLevel>;
 
-// Twice the levels at most, as in python/fieldbake/nested.py.
+// Twice the levels at most, as in python/fieldbake/merging/nested.py.
 const MAX_PIECES: u32 = 24u;
 
 // Where the samples begin of the level that is read.

@@ -1,4 +1,4 @@
-//! Core errors as Python exceptions, one class of `fieldbake.errors` for each stage.
+//! Core errors as Python exceptions, one class of `fieldbake.base.errors` for each stage.
 
 use crate::error::Error;
 use pyo3::prelude::*;
@@ -41,9 +41,9 @@ fn raise(py: Python<'_>, error: &Error) -> PyErr {
     exception(py, class, error.to_string())
 }
 
-/// An exception of `fieldbake.errors` by name; the import error itself if the package is broken.
+/// An exception of `fieldbake.base.errors` by name; the import error itself if the package is broken.
 pub fn exception(py: Python<'_>, class: &str, message: String) -> PyErr {
-    let found = py.import("fieldbake.errors").and_then(|module| module.getattr(class));
+    let found = py.import("fieldbake.base.errors").and_then(|module| module.getattr(class));
     match found.and_then(|class| Ok(class.cast_into::<PyType>()?)) {
         Ok(class) => PyErr::from_type(class, message),
         Err(error) => error,

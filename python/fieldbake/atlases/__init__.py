@@ -1,0 +1,1 @@
+"""Many volumes packed into the pages of one texture array."""

@@ -1,0 +1,490 @@
+"""The atlas: many volumes in the layers of one 2D texture, for engines and web pages."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import _core
+from ..base import checks
+from ..base.errors import ArgumentError, AtlasError
+from ..base.progress import Progress
+from ..base.report import Report, bytes_text, count_text
+from ..volumes.sparse import SparseVolume
+from ..volumes.volume import Volume
+from .pages import (
+    DEFAULT_BAND,
+    MAX_GUTTER,
+    MAX_PAGE_SIZE,
+    TEXELS,
+    VACANT,
+    Encoding,
+    GrowingPages,
+    Layout,
+    checked_item,
+    choice,
+    entry_dtype,
+    positive,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+AtlasFilter = Literal["linear", "nearest", "slice"]
+Language = Literal["wgsl", "glsl", "hlsl", "msl"]
+
+
+class AtlasEntry:
+    """A volume in an atlas, as it stands there: a thing for scenes. Made by ``atlas[i]``."""
+
+    __slots__ = ("_atlas", "_index")
+
+    def __init__(self, atlas: Atlas, index: int) -> None:
+        self._atlas = atlas
+        self._index = index
+
+    @property
+    def atlas(self) -> Atlas:
+        """Where it is."""
+        return self._atlas
+
+    @property
+    def index(self) -> int:
+        """Its index there."""
+        return self._index
+
+    @property
+    def resolution(self) -> tuple[int, int, int]:
+        """Voxels along x, y and z."""
+        return self._atlas.resolution(self._index)
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Lower and upper corner of the box, (2, 3)."""
+        return np.array(self._atlas._boxes[self._atlas._index(self._index), 2:])
+
+    @property
+    def inner_bounds(self) -> NDArray[np.float64]:
+        """Box that holds the whole surface, (2, 3)."""
+        return np.array(self._atlas._boxes[self._atlas._index(self._index), :2])
+
+    @property
+    def transform(self) -> NDArray[np.float64]:
+        """Its model matrix, (4, 4): the identity, or the transform that was packed with it."""
+        return np.array(self._atlas._models[self._atlas._index(self._index)])
+
+    def to_volume(self) -> Volume:
+        """A copy of it; :meth:`Atlas.unpack`."""
+        return self._atlas.unpack(self._index)
+
+    @property
+    def _key(self) -> tuple[object, ...]:
+        """Changes when the atlas does."""
+        return "atlas", id(self._atlas), self._index, self._atlas._changes
+
+    def __repr__(self) -> str:
+        return f"AtlasEntry({self._index} of {self._atlas!r})"
+
+
+class Atlas(GrowingPages):
+    """Many volumes in the pages of one texture array. Made by :func:`fieldbake.pack` or :func:`fieldbake.load`.
+
+    A volume's slices along z are tiles, side by side on a page. Each volume has an index, which it keeps; :meth:`add`
+    and :meth:`remove` never move the texels of another.
+
+    Notes
+    -----
+    Points are in the space that the volume was baked in. An entry also has a model matrix, for engines: the identity,
+    or the transform that was packed with the volume.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> volumes = [fb.bake(fb.models.torus_knot(), 24), fb.bake(fb.models.gear(), 16)]
+    >>> atlas = fb.pack(volumes, page_size=256)
+    >>> atlas.pages.shape
+    (1, 256, 256)
+    >>> bool((atlas.unpack(1).distances == volumes[1].distances).all())
+    True
+    >>> bool((atlas.sample(0, [(0.3, 0.2, 0.1)]) == volumes[0].sample([(0.3, 0.2, 0.1)])).all())
+    True
+    """
+
+    @property
+    def pages(self) -> NDArray[Any]:
+        """The texels, (pages, height, width), row 0 first; a read-only view.
+
+        float32 or float16: distances, world units. int16 or int8: normalised, a share of ``entries["scale"]``.
+        Texels that no volume has are zero.
+        """
+        view = self._pages[...]
+        view.flags.writeable = False
+        return view
+
+    @property
+    def entries(self) -> NDArray[Any]:
+        """One record for each index, read-only: the bytes of a std430 buffer for a shader.
+
+        ``layout="strips"``: the article's 208 bytes: ``model``, ``inverse_model`` (4, 4), ``inner_min``,
+        ``inner_max``, ``outer_min``, ``outer_max`` (4,), ``atlas_index`` (the page), ``atlas_offset`` (the row of
+        strips). ``layout="shelves"``: the same fields, ``atlas_offset`` being the block's first texel counted row by
+        row, then ``scale``, ``columns``, ``shape`` (3,), ``gutter``, ``corner`` (2,), ``tile`` (2,): 240 bytes.
+
+        The matrices are stored by columns, as shaders read them: ``entries["model"][i].T`` is the matrix that acts on
+        column vectors. An index without a volume has the page -1.
+        """
+        with self._lock:
+            if self._entries is None:
+                rows = len(self._blocks)
+                records = _core.atlas_entries(
+                    self._blocks,
+                    self._boxes.reshape(rows, 12).tolist(),
+                    self._models.reshape(rows, 16).tolist(),
+                    self._scales.tolist(),
+                    self._layout,
+                    self._page_size,
+                    self._encoding,
+                )
+                self._entries = np.frombuffer(records, entry_dtype(self._layout, self._encoding))
+            return self._entries
+
+    def add(self, volume: Volume | SparseVolume, transform: ArrayLike | None = None) -> int:
+        """Put one more volume in, without moving the others.
+
+        Parameters
+        ----------
+        volume : Volume or SparseVolume
+            For strips a cube of the same size as the others. Of a sparse one its whole grid is taken.
+        transform : (4, 4) array, optional
+            The entry's model matrix.
+
+        Returns
+        -------
+        int
+            Its index: the first one that is free. Where no page has room a new one is opened.
+
+        Raises
+        ------
+        AtlasError
+            If it cannot fit; the message says how large a page would do.
+        CapacityError
+            If a new page does not fit in memory.
+        """
+        return self._place([checked_item(0, volume if transform is None else (volume, transform))], None)[0]
+
+    def remove(self, i: int) -> None:
+        """Take a volume out; its texels become zero and its index and room are free for the next.
+
+        Raises
+        ------
+        AtlasError
+            If there is no volume `i`.
+        """
+        with self._lock:
+            i = self._index(i)
+            _core.atlas_clear(self._writable(), self._blocks[i : i + 1], self._encoding)
+            self._blocks[i] = 0
+            self._blocks[i, 0] = VACANT
+            self._boxes[i], self._models[i], self._scales[i] = 0, np.eye(4), 1
+            self._reports[i] = Report()
+            self._entries = None
+            self._changes += 1
+
+    def resolution(self, i: int) -> tuple[int, int, int]:
+        """Voxels of the volume with index `i` along x, y and z."""
+        nx, ny, nz = self._blocks[self._index(i), 7:].tolist()
+        return nx, ny, nz
+
+    def unpack(self, i: int) -> Volume:
+        """The volume with index `i`: bit for bit what was packed, or what its encoding kept of it.
+
+        Raises
+        ------
+        AtlasError
+            If there is no volume `i`.
+        """
+        with self._lock:
+            i = self._index(i)
+            distances = _core.atlas_read(self._bytes(), self._blocks[i : i + 1], self._encoding, float(self._scales[i]))
+            inner, outer = self._boxes[i, :2].copy(), self._boxes[i, 2:].copy()
+            return Volume._wrap(distances, outer, inner, self._reports[i])
+
+    def sample(self, i: int, points: ArrayLike, *, filter: AtlasFilter = "linear") -> NDArray[np.float32]:
+        """The field of one volume, read from the pages.
+
+        Parameters
+        ----------
+        i : int
+            Index of the volume.
+        points : (n, 3) real
+            Positions in the volume's space; any leading shape will do.
+        filter : "linear", "nearest" or "slice", default "linear"
+            Two bilinear taps and a step along z, which is the trilinear function of :meth:`Volume.sample`; the nearest
+            texel; or the article's single bilinear tap in the slice that holds the point, which is blocky along z.
+
+        Returns
+        -------
+        (n,) float32
+            World units; outside the box a proven lower bound, as for :meth:`Volume.sample`.
+
+        Raises
+        ------
+        AtlasError
+            If there is no volume `i`.
+        ArgumentError
+            For a wrong shape, a point that is not finite, or an unknown filter.
+        """
+        flat, shape = checks.points(points)
+        with self._lock:
+            i = self._index(i)
+            inner_lower, inner_upper, lower, upper = (checks.triple(corner) for corner in self._boxes[i])
+            values = _core.atlas_sample(
+                self._bytes(),
+                self._blocks[i : i + 1],
+                self._encoding,
+                float(self._scales[i]),
+                lower,
+                upper,
+                inner_lower,
+                inner_upper,
+                flat,
+                filter=checks.text("filter", filter),
+            )
+        return values.reshape(shape)
+
+    def texture_coordinates(self, i: int, points: ArrayLike) -> NDArray[np.float64]:
+        """Where points fall on their page: the article's ``ConvertWorldToTexture``.
+
+        Parameters
+        ----------
+        i : int
+            Index of the volume; its page is ``entries["atlas_index"][i]``.
+        points : (n, 3) real
+            Positions in the volume's space; any leading shape will do. Outside the box its nearest point is taken.
+
+        Returns
+        -------
+        (n, 2) float64
+            0 to 1 along the width and the height of the page, in the slice that holds the point.
+
+        Raises
+        ------
+        AtlasError
+            If there is no volume `i`.
+        ArgumentError
+            For a wrong shape or a point that is not finite.
+        """
+        flat, shape = checks.points(points)
+        i = self._index(i)
+        lower, upper = checks.triple(self._boxes[i, 2]), checks.triple(self._boxes[i, 3])
+        found = _core.atlas_texture_coordinates(self._blocks[i : i + 1], self._page_size, lower, upper, flat)
+        return found.reshape(*shape, 2)
+
+    def shader(self, language: Language = "wgsl") -> str:
+        """Functions that sample the pages in a shader, as commented text.
+
+        Parameters
+        ----------
+        language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
+            GLSL is that of WebGL 2 (ES 3.00); newer versions take it with another first line.
+
+        Returns
+        -------
+        str
+            The struct ``AtlasEntry``, whose bytes are those of :attr:`entries`; ``atlas_sample(entry, p)``, the exact
+            trilinear field; ``atlas_sample_filtered``, the same by two taps of the hardware's filter;
+            ``atlas_sample_nearest``; ``atlas_texture_coordinates``. With an entry point it is a whole shader. It stays
+            valid while volumes come and go.
+
+        Raises
+        ------
+        ArgumentError
+            For another language.
+        AtlasError
+            For strips without a volume, whose size is not known.
+        """
+        blocks = self._blocks[self._blocks[:, 0] != VACANT]
+        if self._layout == "strips" and not len(blocks):
+            raise AtlasError(
+                "shader: the strips are empty, so the size of their cubes is not known; add a volume first"
+            )
+        side = int(blocks[0, 9]) if len(blocks) else 0
+        name = checks.text("language", language)
+        return _core.atlas_shader(name, self._layout, self._page_size, self._gutter, self._encoding, side)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a file; one of that name is replaced only once the new one is complete.
+
+        Parameters
+        ----------
+        path : str or path
+            ``.npz``: ours, and NumPy's. ``.exr``: one channel, the pages below each other, exact. ``.png``: 16 bits
+            around the middle (8 for snorm8); floats become snorm16, scaled to each volume's largest distance, with an
+            8-bit preview for people beside it. Images have a JSON beside them that says where each volume lies. Read
+            any with :func:`fieldbake.load`.
+
+        Raises
+        ------
+        FormatError
+            For an ending that is not known, or an image of an empty atlas.
+        OSError
+            If the file cannot be written.
+        """
+        from ..loading import foreign
+        from ..loading.npz import save_atlas
+
+        with self._lock:
+            if os.path.splitext(path)[1].lower() in foreign.ATLAS_ENDINGS:  # noqa: PTH122 - bytes and paths alike
+                foreign.save_atlas_as(self, path)
+            else:
+                save_atlas(self, path)
+
+    def plot(self, page: int = 0) -> Figure:
+        """One page with the surfaces as lines, a frame around each volume and its index.
+
+        Parameters
+        ----------
+        page : int, default 0
+            Which.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A notebook shows it; ``.savefig("atlas.png")`` saves it.
+
+        Raises
+        ------
+        Error
+            If matplotlib is not installed, or the atlas is empty.
+        ArgumentError
+            If there is no such page.
+        """
+        from ..drawing.plot import plot_atlas
+
+        with self._lock:
+            return plot_atlas(self, page)
+
+    def __getitem__(self, i: int) -> AtlasEntry:
+        """The volume with index `i` as a thing for scenes."""
+        return AtlasEntry(self, self._index(i))
+
+    def __iter__(self) -> Iterator[AtlasEntry]:
+        """All that are there."""
+        return iter([self[i] for i in self.indices])
+
+    def __repr__(self) -> str:
+        held, pages = count_text(len(self), "volume"), count_text(self._page_count, "page")
+        size = f"{self._page_size} x {self._page_size}"
+        return (
+            f"Atlas({held} on {pages} of {size} {self._encoding}, {self._layout}, {self.fill:.0%} full, "
+            f"{bytes_text(self.nbytes)})"
+        )
+
+
+def pack(
+    volumes: Iterable[Volume | SparseVolume | tuple[Volume | SparseVolume, ArrayLike]],
+    *,
+    layout: Layout = "shelves",
+    page_size: int = 4096,
+    gutter: int = 1,
+    encoding: Encoding = "float32",
+    band: float = DEFAULT_BAND,
+    device: str = "auto",
+    progress: Progress = None,
+) -> Atlas:
+    """Pack volumes into the pages of an atlas.
+
+    Parameters
+    ----------
+    volumes : list of Volume or SparseVolume
+        Items may be ``(volume, transform)``; the (4, 4) transform becomes the entry's model matrix. Of a sparse volume
+        the whole grid is packed: ``.to_volume()``.
+    layout : "shelves" or "strips", default "shelves"
+        Shelves: any mix of resolutions, slices wrapped over rows and placed where there is room. Strips: equal cubes,
+        exactly as in the article: texel (x + z N, y + row N), 64 fields of 64^3 on a page of 4096 x 4096.
+    page_size : int, default 4096
+        Width and height of a page, texels. As many pages are opened as are needed.
+    gutter : int, default 1
+        Copies of its border around each slice, so that the rounded weights of a hardware sampler read no neighbour.
+        Strips have none.
+    encoding : str, default "float32"
+        ``"float32"`` (exact), ``"float16"`` (11 significant bits), or the normalised ``"snorm16"`` and ``"snorm8"``,
+        which keep the distances of a band around the surface in 1/32767 and 1/127 of its width, and its end beyond.
+        All round toward the surface: a stored magnitude never exceeds the true one.
+    band : float, default 4
+        Half the width of that band, voxels.
+    device : str, default "auto"
+        Volumes that were baked on a graphics device are packed there, with the same bytes, and the pages stay there
+        until somebody asks for them. ``"auto"`` does so if all of them are on the hardware GPU.
+    progress : bool or callable, optional
+        As for :func:`fieldbake.bake`.
+
+    Returns
+    -------
+    Atlas
+        Volume i of the list has the index i.
+
+    Raises
+    ------
+    AtlasError
+        If a volume cannot fit on a page (the message says how large a page would do), or strips are to hold anything
+        but equal cubes.
+    ArgumentError
+        If an option makes no sense.
+    CapacityError
+        If the pages do not fit in memory.
+    DeviceError
+        If the device is not there, or a page is too large for it.
+
+    References
+    ----------
+    "Packing 3D SDF to a 2D Texture", of which strips are the layout. Shelves are packed by maximal rectangles: J.
+    Jylänki, A Thousand Ways to Pack the Bin (2010).
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> knot = fb.bake(fb.models.torus_knot(), (16, 16, 16))
+    >>> atlas = pack([knot, knot], layout="strips", page_size=256)
+    >>> bool((atlas.pages[0, 16:32, 3 * 16 : 4 * 16] == knot.distances[:, :, 3].T).all())
+    True
+    >>> atlas.entries["atlas_offset"].tolist()
+    [0, 1]
+    """
+    atlas = Atlas(
+        layout=choice("layout", layout, ("shelves", "strips")),
+        page_size=checks.integer("page_size", page_size, least=1, most=MAX_PAGE_SIZE),
+        gutter=checks.integer("gutter", gutter, least=0, most=MAX_GUTTER),
+        encoding=choice("encoding", encoding, tuple(TEXELS)),
+        band=checks.number("band", band, above=0),
+    )
+    if isinstance(volumes, (Volume, SparseVolume)):
+        raise ArgumentError(f"volumes: must be a list of volumes, got a {type(volumes).__name__}; put it in a list")
+    try:
+        listed = list(volumes)
+    except TypeError:
+        raise ArgumentError(f"volumes: must be a list of volumes, got {checks.describe(volumes)}") from None
+    items = [checked_item(i, item) for i, item in enumerate(listed)]
+    atlas._place(items, progress, checks.text("device", device))
+    return atlas
+
+
+def normalised_copy(atlas: Atlas, encoding: Encoding) -> Atlas:
+    """The same atlas in a normalised encoding, each volume scaled to its largest distance."""
+    copy = Atlas(
+        layout=atlas.layout, page_size=atlas.page_size, gutter=atlas.gutter, encoding=encoding, band=atlas.band
+    )
+    copy._blocks, copy._boxes, copy._models = atlas._blocks.copy(), atlas._boxes.copy(), atlas._models.copy()
+    copy._scales, copy._reports = atlas._scales.copy(), list(atlas._reports)
+    copy._pages = np.zeros(atlas._pages.shape, TEXELS[encoding])
+    for i in atlas.indices:
+        distances = atlas.unpack(i).distances
+        copy._scales[i] = positive(float(np.abs(distances).max()))
+        _core.atlas_write(
+            copy._bytes(), copy._blocks[i : i + 1], [distances], [float(copy._scales[i])], encoding=encoding
+        )
+    return copy

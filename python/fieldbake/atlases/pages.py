@@ -1,0 +1,321 @@
+"""Pages that grow: where the volumes of an atlas lie, and their texels."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _core
+from ..base import checks
+from ..base.errors import ArgumentError, AtlasError
+from ..base.progress import Progress, progress_callback
+from ..base.report import Report
+from ..volumes.sparse import SparseVolume
+from ..volumes.volume import Volume
+
+Layout = Literal["shelves", "strips"]
+Encoding = Literal["float32", "float16", "snorm16", "snorm8"]
+
+#: Texels of each encoding. Normalised integers stand for a share of the entry's scale.
+TEXELS: dict[str, np.dtype[Any]] = {
+    "float32": np.dtype(np.float32),
+    "float16": np.dtype(np.float16),
+    "snorm16": np.dtype(np.int16),
+    "snorm8": np.dtype(np.int8),
+}
+
+#: Largest side of a page, and the widest gutter.
+MAX_PAGE_SIZE = 1 << 15
+MAX_GUTTER = 64
+
+#: In place of the page in the row of an index without a volume.
+VACANT = np.uint32(0xFFFFFFFF)
+
+#: Numbers of a block: page, corner (2), tile (2), columns, gutter, shape (3).
+BLOCK_NUMBERS = 10
+
+#: Voxels around the surface that keep their distance in a normalised encoding.
+DEFAULT_BAND = 4.0
+
+# The article's struct PackedSdfOffsetDetail in std430, field by field.
+_ARTICLE_FIELDS: list[tuple[str, Any]] = [
+    ("model", ("<f4", (4, 4))),
+    ("inverse_model", ("<f4", (4, 4))),
+    ("inner_min", ("<f4", 4)),
+    ("inner_max", ("<f4", 4)),
+    ("outer_min", ("<f4", 4)),
+    ("outer_max", ("<f4", 4)),
+    ("atlas_index", "<i4"),
+    ("atlas_offset", "<i4"),
+]
+_STRIP_BYTES = 208
+_SHELF_FIELDS: list[tuple[str, Any]] = [
+    *_ARTICLE_FIELDS,
+    ("scale", "<f4"),
+    ("columns", "<u4"),
+    ("shape", ("<u4", 3)),
+    ("gutter", "<u4"),
+    ("corner", ("<u4", 2)),
+    ("tile", ("<u4", 2)),
+]
+
+
+def entry_dtype(layout: Layout, encoding: Encoding) -> np.dtype[Any]:
+    """The record of a volume, laid out as a shader reads it from a std430 buffer.
+
+    Strips have the 208 bytes of the article; a normalised encoding keeps its scale in what is padding there.
+    """
+    if layout == "shelves":
+        return np.dtype(_SHELF_FIELDS)
+    fields = _ARTICLE_FIELDS if encoding.startswith("float") else [*_ARTICLE_FIELDS, ("scale", "<f4")]
+    packed = np.dtype(fields)
+    assert packed.fields is not None
+    return np.dtype(
+        {
+            "names": [name for name, _ in fields],
+            "formats": [kind for _, kind in fields],
+            "offsets": [packed.fields[name][1] for name, _ in fields],
+            "itemsize": _STRIP_BYTES,
+        }
+    )
+
+
+class GrowingPages:
+    """The pages of an atlas and a row of facts for each volume on them.
+
+    Texels are on the host or on a graphics device. Rooms are planned by the core from what is taken, so volumes come
+    and go without moving each other.
+    """
+
+    def __init__(
+        self, *, layout: Layout, page_size: int, gutter: int, encoding: Encoding, band: float = DEFAULT_BAND
+    ) -> None:
+        self._layout: Layout = layout
+        self._page_size = page_size
+        self._gutter = 0 if layout == "strips" else gutter
+        self._encoding: Encoding = encoding
+        self._band = band
+        # On the host, and on a graphics device: either may be missing, not both.
+        self._host: NDArray[Any] | None = np.zeros((0, page_size, page_size), TEXELS[encoding])
+        self._device: _core.DevicePages | None = None
+        # One row for each index.
+        self._blocks = np.zeros((0, BLOCK_NUMBERS), np.uint32)
+        self._boxes = np.zeros((0, 4, 3))  # inner lower and upper, outer lower and upper corner
+        self._models = np.zeros((0, 4, 4))
+        self._scales = np.zeros(0, np.float32)
+        self._reports: list[Report] = []
+        self._entries: NDArray[Any] | None = None
+        # How often a volume came or went.
+        self._changes = 0
+        # Volumes come and go while other threads sample.
+        self._lock = threading.RLock()
+
+    @property
+    def _pages(self) -> NDArray[Any]:
+        """The texels, read back from the device at the first use."""
+        with self._lock:
+            if self._host is None:
+                assert self._device is not None
+                size = self._page_size
+                self._host = self._device.read().view(TEXELS[self._encoding]).reshape(-1, size, size)
+            return self._host
+
+    @_pages.setter
+    def _pages(self, pages: NDArray[Any]) -> None:
+        self._host, self._device = pages, None
+
+    @property
+    def _page_count(self) -> int:
+        if self._host is not None:
+            return len(self._host)
+        assert self._device is not None
+        return len(self._device)
+
+    @property
+    def layout(self) -> Layout:
+        """``"shelves"`` or ``"strips"``."""
+        return self._layout
+
+    @property
+    def page_size(self) -> int:
+        """Width and height of a page, texels."""
+        return self._page_size
+
+    @property
+    def gutter(self) -> int:
+        """Copies of its border around each slice, texels."""
+        return self._gutter
+
+    @property
+    def encoding(self) -> Encoding:
+        """How a distance is stored."""
+        return self._encoding
+
+    @property
+    def band(self) -> float:
+        """Voxels around the surface that keep their distance in a normalised encoding."""
+        return self._band
+
+    @property
+    def indices(self) -> tuple[int, ...]:
+        """The indices that hold a volume."""
+        return tuple(np.flatnonzero(self._blocks[:, 0] != VACANT).tolist())
+
+    @property
+    def fill(self) -> float:
+        """Share of the pages' texels that belong to a slice or its gutter."""
+        blocks = self._blocks[self._blocks[:, 0] != VACANT].astype(np.float64)
+        used = float((blocks[:, 3] * blocks[:, 4] * blocks[:, 9]).sum())
+        return used / (self._page_count * self._page_size**2) if self._page_count else 0.0
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the pages."""
+        return self._page_count * self._page_size**2 * TEXELS[self._encoding].itemsize
+
+    def _place(
+        self, items: list[tuple[Volume, NDArray[np.float64]]], progress: Progress, device: str = "cpu"
+    ) -> list[int]:
+        """Plan room for volumes, open pages and fill in their texels; the indices."""
+        shapes = np.array([volume.resolution for volume, _ in items], np.uint32).reshape(-1, 3)
+        with self._lock:
+            blocks = _core.atlas_plan(
+                shapes,
+                self._blocks,
+                layout=self._layout,
+                page_size=self._page_size,
+                gutter=self._gutter,
+                encoding=self._encoding,
+            )
+            scales = [scale_of(volume, self._band) for volume, _ in items]
+            count = max(int(blocks[:, 0].max(initial=0)) + 1 if len(blocks) else 0, self._page_count)
+            with progress_callback(progress, "pack") as callback:
+                # A device fills pages that are new.
+                packed = None
+                if count and not self._page_count and _is_worth_it([volume for volume, _ in items], device):
+                    packed = _core.atlas_pack_device(
+                        blocks,
+                        [volume._source(device) for volume, _ in items],
+                        scales,
+                        page_size=self._page_size,
+                        pages=count,
+                        encoding=self._encoding,
+                        device=device,
+                        progress=callback,
+                    )
+                if packed is not None:
+                    self._host, self._device = None, packed
+                else:
+                    self._open_pages(count)
+                    _core.atlas_write(
+                        self._writable(),
+                        blocks,
+                        [volume.distances for volume, _ in items],
+                        scales,
+                        encoding=self._encoding,
+                        progress=callback,
+                    )
+
+            # Only now, so that an interrupted call leaves no entry behind.
+            free = [i for i in range(len(self._blocks)) if self._blocks[i, 0] == VACANT]
+            free += range(len(self._blocks), len(self._blocks) + len(items))
+            indices = free[: len(items)]
+            self._make_rows(max(indices, default=-1) + 1)
+            for i, block, scale, (volume, model) in zip(indices, blocks, scales, items, strict=True):
+                self._blocks[i], self._models[i], self._scales[i] = block, model, scale
+                self._boxes[i] = [*volume.inner_bounds, *volume.bounds]
+                self._reports[i] = volume.report
+            self._entries = None
+            self._changes += 1
+            return indices
+
+    def _open_pages(self, count: int) -> None:
+        if count > self._page_count:
+            size = self._page_size
+            _core.require_memory(
+                f"an atlas of {count} pages of {size} x {size} texels",
+                count * size * size * TEXELS[self._encoding].itemsize,
+                "use a smaller page_size, or an encoding of fewer bits",
+            )
+            pages = np.zeros((count, size, size), self._pages.dtype)
+            pages[: len(self._pages)] = self._pages
+            self._pages = pages
+
+    def _make_rows(self, count: int) -> None:
+        more = count - len(self._blocks)
+        if more > 0:
+            self._blocks = np.concatenate([self._blocks, np.zeros((more, BLOCK_NUMBERS), np.uint32)])
+            self._boxes = np.concatenate([self._boxes, np.zeros((more, 4, 3))])
+            self._models = np.concatenate([self._models, np.tile(np.eye(4), (more, 1, 1))])
+            self._scales = np.concatenate([self._scales, np.ones(more, np.float32)])
+            self._reports += [Report()] * more
+
+    def _bytes(self) -> NDArray[np.uint8]:
+        """The pages as the core takes them."""
+        return self._pages.view(np.uint8)
+
+    def _writable(self) -> NDArray[np.uint8]:
+        """The pages as bytes, to be changed: what is on a device is given up."""
+        self._pages = self._pages
+        return self._bytes()
+
+    def _index(self, i: object) -> int:
+        """The index of a volume that is there; negative ones count from the end."""
+        count = len(self._blocks)
+        if count == 0:
+            raise AtlasError(f"i: the atlas is empty, it has no volume {i}")
+        index = checks.integer("i", i, least=-count, most=count - 1, error=AtlasError) % count
+        if self._blocks[index, 0] == VACANT:
+            raise AtlasError(f"i: there is no volume {index}, it was removed")
+        return index
+
+    def __len__(self) -> int:
+        """How many volumes there are."""
+        return len(self.indices)
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = {**self.__dict__, "_host": self._pages, "_device": None}
+        del state["_lock"]
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._lock = threading.RLock()
+
+
+def _is_worth_it(volumes: list[Volume], device: str) -> bool:
+    """Whether to pack on this device: where the user says so, or where all volumes are already."""
+    if device == "cpu":
+        return False
+    return device != "auto" or all(isinstance(volume._source(device), _core.DeviceField) for volume in volumes)
+
+
+def choice(name: str, value: object, wanted: tuple[str, ...]) -> Any:
+    """One of a few words."""
+    if value not in wanted:
+        words = ", ".join(f'"{word}"' for word in wanted)
+        raise ArgumentError(f"{name}: must be one of {words}, got {checks.describe(value)}")
+    return value
+
+
+def checked_item(i: int, item: object) -> tuple[Volume, NDArray[np.float64]]:
+    """A volume and its model matrix."""
+    volume, model = item if isinstance(item, tuple) and len(item) == 2 else (item, None)
+    if isinstance(volume, SparseVolume):
+        volume = volume.to_volume()
+    if not isinstance(volume, Volume):
+        raise ArgumentError(f"volumes[{i}]: must be a Volume or (Volume, transform), got {checks.describe(volume)}")
+    return volume, np.eye(4) if model is None else checks.affine(f"volumes[{i}] transform", model, ArgumentError)
+
+
+def scale_of(volume: Volume, band: float) -> float:
+    """World width of `band` voxels, as float32 holds it."""
+    return positive(band * float(volume.spacing.max()))
+
+
+def positive(scale: float) -> float:
+    """The nearest scale that float32 holds."""
+    return float(np.clip(np.float32(min(scale, checks.FAR)), np.finfo(np.float32).tiny, None))

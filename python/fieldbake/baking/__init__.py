@@ -1,0 +1,1 @@
+"""Evaluation of meshes and shapes on grids."""

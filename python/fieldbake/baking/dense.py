@@ -1,0 +1,343 @@
+"""From a mesh to distances: on a grid, or at any points."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from time import perf_counter
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import _core
+from ..base import checks
+from ..base.errors import ArgumentError, ShapeError
+from ..base.grid import DEFAULT_RESOLUTION, Grid, Resolution, make_grid
+from ..base.progress import Progress, progress_callback
+from ..base.report import Report
+from ..csg import _all_shapes
+from ..meshes.convert import MeshLike, as_mesh
+from ..meshes.mesh import Mesh
+from ..shapes.shape import Shape, combine
+from ..volumes.volume import Volume
+
+logger = logging.getLogger("fieldbake")
+
+Sign = Literal["auto", "winding", "parity", "pseudonormal", "normal", "unsigned"]
+
+
+#: How far from the mesh's centre samples may lie, in sizes of the mesh. The core works in those, in float32: a bake
+#: squares distances, a query does so in float64.
+MAX_GRID_REACH = 1e15
+MAX_POINT_REACH = 1e36
+
+
+class ClosestPoints(NamedTuple):
+    """Where the surface is nearest."""
+
+    #: Closest points on the surface, (n, 3) float64, world units.
+    points: NDArray[np.float64]
+    #: Unsigned distances, (n,) float32, world units.
+    distances: NDArray[np.float32]
+    #: Faces that hold the points, (n,).
+    faces: NDArray[np.int64]
+
+
+def bake(
+    mesh: MeshLike | Shape | Sequence[Shape],
+    resolution: Resolution = DEFAULT_RESOLUTION,
+    *,
+    voxel_size: float | None = None,
+    bounds: ArrayLike | None = None,
+    margin: float = 0.1,
+    sign: Sign = "auto",
+    band: float | None = None,
+    two_sided: bool = False,
+    thickness: float | None = None,
+    device: str = "auto",
+    progress: Progress = None,
+) -> Volume:
+    """Bake the signed distance field of a mesh or a shape.
+
+    Parameters
+    ----------
+    mesh : Mesh, path, trimesh.Trimesh, trimesh.Scene, (vertices, faces), or a list of those; or a Shape, or a list
+    of Shapes
+        Items of a list of meshes may be ``(thing, transform)``; shapes are baked as their union. Hand over a
+        `Mesh` to keep the search tree between calls.
+    resolution : int or three ints, default 64
+        One number: cubic voxels, so many along the longest side of the padded box, whole voxels along the others.
+        Three numbers: as given; voxels may be oblong.
+    voxel_size : float, optional
+        Side of a cubic voxel, world units, in place of `resolution`.
+    bounds : (2, 3) array, optional
+        Box to sample, world units, in place of the mesh's box and its margin. With one number as `resolution` it is
+        grown about its centre to whole voxels. It may cut the mesh or lie anywhere.
+    margin : float, default 0.1
+        The mesh's box is scaled by ``1 + margin`` about its centre; at least one voxel is left on each side.
+    sign : str, default "auto"
+        ``"auto"`` chooses and says why in the report; ``"winding"`` (generalised winding number; open and dirty
+        meshes), ``"parity"`` (ray crossings), ``"pseudonormal"``, ``"normal"`` (nearest face), ``"unsigned"``.
+    band : float, optional
+        Exact distances only within so many voxels of the surface; farther out the sign is right and the magnitude a
+        lower bound. Faster.
+    two_sided : bool, default False
+        Treat the surface as a sheet with a thickness: unsigned distance minus half the thickness.
+    thickness : float, optional
+        Of the sheet, world units; one voxel if not given. Only with `two_sided`.
+    device : str, default "auto"
+        ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`.
+    progress : bool or callable, optional
+        True draws a bar on stderr; a callable gets a share from 0 to 1 about ten times a second.
+
+    Returns
+    -------
+    Volume
+        Distances (nx, ny, nz), float32, world units, negative inside, with a report of what was found and done.
+
+    Raises
+    ------
+    MeshError
+        If the mesh cannot be read or used.
+    ShapeError
+        If a shape has no bounds, naming the leaf; give `bounds` then.
+    ArgumentError
+        If an option makes no sense, or means nothing for a shape (`sign`, `band`, `two_sided`, `thickness`).
+    CapacityError
+        If the result would not fit in memory; nothing was started.
+    DeviceError
+        If the device is not there.
+    KeyboardInterrupt
+        Within half a second of Ctrl-C.
+
+    Notes
+    -----
+    Every sample is exact within 1e-6 of the box's diagonal. The same input gives the same bytes on any number of
+    threads. What the report warns about is also logged to the ``fieldbake`` logger.
+
+    Examples
+    --------
+    >>> corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    >>> tetrahedron = (corners, [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])
+    >>> volume = bake(tetrahedron, resolution=16)
+    >>> volume.resolution
+    (16, 16, 16)
+    >>> bool(volume.sample([(0.2, 0.2, 0.2)])[0] < 0)
+    True
+    """
+    method, where = _choices(sign, device)
+    two_sided = checks.flag("two_sided", two_sided)
+    if isinstance(mesh, Shape) or _all_shapes(mesh):
+        shape = mesh if isinstance(mesh, Shape) else combine("union", mesh)
+        for name, value, usual in (("sign", method, "auto"), ("band", band, None), ("thickness", thickness, None)):
+            if value != usual:
+                raise ArgumentError(f"{name}: means nothing for a shape, whose field is signed and complete")
+        if two_sided:
+            raise ArgumentError("two_sided: means nothing for a shape; see Shape.shell")
+        return _bake_shape(shape, resolution, voxel_size, bounds, margin, where, progress)
+    if band is not None:
+        band = checks.number("band", band, above=0)
+    job = prepare(mesh, resolution, voxel_size, bounds, margin, sign, two_sided, thickness)
+    grid = job.grid
+    with progress_callback(progress, "bake") as callback:
+        distances, facts = _core.bake(
+            job.mesh._core,
+            grid.lower,
+            grid.upper,
+            grid.shape,
+            sign=job.sign,
+            band=band,
+            thickness=job.thickness,
+            device=where,
+            progress=callback,
+        )
+    report = Report.from_dict({**facts, "faces": len(job.mesh.faces), "vertices": len(job.mesh.vertices)})
+    log_warnings(report)
+    return Volume._wrap(distances, np.array([grid.lower, grid.upper]), job.inner, report)
+
+
+class Job(NamedTuple):
+    """What a bake is made from, checked."""
+
+    mesh: Mesh
+    grid: Grid
+    #: Box of the surface, (2, 3).
+    inner: NDArray[np.float64]
+    sign: str
+    thickness: float | None
+
+
+def prepare(
+    mesh: MeshLike,
+    resolution: Resolution,
+    voxel_size: float | None,
+    bounds: ArrayLike | None,
+    margin: float,
+    sign: Sign,
+    two_sided: bool,
+    thickness: float | None,
+) -> Job:
+    """Check what every bake takes, and choose the grid."""
+    method = checks.text("sign", sign)
+    two_sided = checks.flag("two_sided", two_sided)
+    if thickness is not None:
+        thickness = checks.number("thickness", thickness, above=0)
+        if not two_sided:
+            raise ArgumentError("thickness: means something only with two_sided=True")
+    checked = as_mesh(mesh)
+
+    # A sheet reaches half its thickness past the triangles.
+    grown = 0.0 if thickness is None else thickness / 2
+    inner = checked.bounds + np.array([[-grown], [grown]])
+    grid = make_grid(inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin)
+    if two_sided and thickness is None:
+        thickness = max(grid.spacing)
+        inner += np.array([[-thickness / 2], [thickness / 2]])
+    _check_reach("bounds", checked, np.array([grid.lower, grid.upper]), MAX_GRID_REACH)
+    return Job(checked, grid, inner, method, thickness)
+
+
+def log_warnings(report: Report) -> None:
+    """Say what deserves a look."""
+    for warning in report.warnings:
+        logger.warning("%s", warning)
+
+
+def _bake_shape(
+    shape: Shape,
+    resolution: Resolution,
+    voxel_size: float | None,
+    bounds: ArrayLike | None,
+    margin: float,
+    device: str,
+    progress: Progress,
+) -> Volume:
+    try:
+        inner = shape.bounds
+    except ShapeError:
+        if bounds is None:
+            raise
+        inner = checks.box("bounds", bounds)
+    grid = make_grid(inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin)
+    start = perf_counter()
+    with progress_callback(progress, "bake") as callback:
+        distances, where = shape._core.bake(grid.lower, grid.upper, grid.shape, device=device, progress=callback)
+    kind = "exact distances" if shape.exact else "distances or lower bounds of them"
+    report = Report(
+        sign_method="shape",
+        sign_reason=f"the field of a shape, {kind}",
+        closed=True,
+        inside_voxels=int(np.count_nonzero(distances < 0)),
+        device=where,
+        seconds={"evaluate": perf_counter() - start},
+        peak_bytes=distances.nbytes,
+    )
+    return Volume._wrap(distances, np.array([grid.lower, grid.upper]), inner.copy(), report)
+
+
+def signed_distance(
+    mesh: MeshLike,
+    points: ArrayLike,
+    *,
+    sign: Sign = "auto",
+    device: str = "auto",
+    progress: Progress = None,
+) -> NDArray[np.float32]:
+    """Signed distance from any points to a mesh, exact.
+
+    Parameters
+    ----------
+    mesh : Mesh or anything :func:`bake` takes
+        Hand over a `Mesh` to keep the search tree between calls.
+    points : (n, 3) real
+        World positions; any leading shape will do.
+    sign, device, progress
+        As for :func:`bake`.
+
+    Returns
+    -------
+    (n,) float32
+        World units, negative inside.
+
+    Raises
+    ------
+    MeshError, ArgumentError, DeviceError
+        As for :func:`bake`; ArgumentError also for a point that is not finite.
+
+    Examples
+    --------
+    >>> import fieldbake
+    >>> corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    >>> tetrahedron = fieldbake.Mesh(corners, [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])
+    >>> signed_distance(tetrahedron, [(0, 0, -2), (0.25, 0.25, 0.125)]).tolist()
+    [2.0, -0.125]
+    """
+    method, where = _choices(sign, device)
+    flat, shape = checks.points(points)
+    checked = as_mesh(mesh)
+    _check_reach("points", checked, flat, MAX_POINT_REACH)
+    with progress_callback(progress, "signed distance") as callback:
+        values = _core.signed_distance(checked._core, flat, sign=method, device=where, progress=callback)
+    return values.reshape(shape)
+
+
+def closest_point(
+    mesh: MeshLike, points: ArrayLike, *, device: str = "auto", progress: Progress = None
+) -> ClosestPoints:
+    """The nearest point of a mesh to any points, exact.
+
+    Parameters
+    ----------
+    mesh : Mesh or anything :func:`bake` takes
+        Hand over a `Mesh` to keep the search tree between calls.
+    points : (n, 3) real
+        World positions; any leading shape will do.
+    device, progress
+        As for :func:`bake`.
+
+    Returns
+    -------
+    ClosestPoints
+        ``.points`` (n, 3) float64, ``.distances`` (n,) float32 unsigned, ``.faces`` (n,) int64: rows of `Mesh.faces`
+        for a Mesh, rows of the faces as passed or read for anything else.
+
+    Raises
+    ------
+    MeshError, ArgumentError, DeviceError
+        As for :func:`bake`; ArgumentError also for a point that is not finite.
+
+    Examples
+    --------
+    >>> import fieldbake
+    >>> triangle = fieldbake.Mesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
+    >>> closest = closest_point(triangle, [(0.25, 0.25, 3.0)])
+    >>> closest.points.tolist(), closest.distances.tolist(), closest.faces.tolist()
+    ([[0.25, 0.25, 0.0]], [3.0], [0])
+    """
+    flat, shape = checks.points(points)
+    checked = as_mesh(mesh)
+    _check_reach("points", checked, flat, MAX_POINT_REACH)
+    with progress_callback(progress, "closest point") as callback:
+        nearest, distances, kept = _core.closest_point(
+            checked._core, flat, device=checks.text("device", device), progress=callback
+        )
+    faces = kept.astype(np.int64) if mesh is checked else checked._core.source_faces[kept]
+    return ClosestPoints(nearest.reshape(*shape, 3), distances.reshape(shape), faces.reshape(shape))
+
+
+def _choices(sign: Sign, device: str) -> tuple[str, str]:
+    """Both as text; the core knows which words it takes."""
+    return checks.text("sign", sign), checks.text("device", device)
+
+
+def _check_reach(name: str, mesh: Mesh, positions: NDArray[np.float64], limit: float) -> None:
+    """Refuse positions so far out that distances, in sizes of the mesh, would not fit."""
+    if positions.size == 0:
+        return
+    size = float((mesh.bounds[1] - mesh.bounds[0]).max())
+    reach = float(max(positions.max() - mesh.center.min(), mesh.center.max() - positions.min()))
+    if reach > limit * size:
+        raise ArgumentError(
+            f"{name}: {reach:.3g} away from a mesh of size {size:.3g} is too far; at most {limit:g} times its size"
+        )

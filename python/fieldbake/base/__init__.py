@@ -1,0 +1,1 @@
+"""Checks, errors, reports and grids that every other package uses."""

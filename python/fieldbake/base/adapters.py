@@ -1,0 +1,61 @@
+"""What can compute here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+from .. import _core
+
+
+class Device(str):
+    """Name of a compute device, fit for any ``device=`` argument, with what is known about it.
+
+    Attributes
+    ----------
+    backend : str
+        ``"cpu"``, ``"vulkan"``, ``"metal"`` or ``"dx12"``.
+    type : str
+        ``"cpu"``, ``"discrete"``, ``"integrated"``, ``"virtual"``, ``"software"`` or ``"other"``.
+    hardware : bool
+        False for the CPU and for adapters that run on it.
+    limits : mapping
+        Largest buffer, texture and the like.
+    """
+
+    backend: str
+    type: str
+    hardware: bool
+    limits: Mapping[str, Any]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _device, (str(self), self.backend, self.type, self.hardware, dict(self.limits))
+
+    @property
+    def name(self) -> str:
+        """The name as plain text."""
+        return str(self)
+
+
+def devices() -> list[Device]:
+    """List the devices; the first is always ``"cpu"``.
+
+    Examples
+    --------
+    >>> "cpu" in devices()
+    True
+    """
+    return [
+        _device(facts["name"], facts["backend"], facts["type"], facts["hardware"], facts["limits"])
+        for facts in _core.devices()
+    ]
+
+
+def _device(name: str, backend: str, type: str, hardware: bool, limits: Mapping[str, Any]) -> Device:
+    device = Device(name)
+    device.backend = backend
+    device.type = type
+    device.hardware = hardware
+    device.limits = MappingProxyType(dict(limits))
+    return device

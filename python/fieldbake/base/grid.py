@@ -1,0 +1,158 @@
+"""The regular grid a volume is sampled on: which box, how many voxels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import checks
+from .errors import ArgumentError
+
+Resolution = int | Sequence[int]
+
+DEFAULT_RESOLUTION = 64
+
+#: Voxels along one side; past it even a flat slab of one voxel is larger than any memory.
+MAX_SIDE = 2**31 - 1
+
+#: A side may miss a whole number of voxels by this much, in voxels, and still count as whole (rounding of a division).
+WHOLE = 1e-6
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A box cut into voxels: samples sit at voxel centres, ``lower + (index + 0.5) * spacing``."""
+
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+    shape: tuple[int, int, int]
+
+    @property
+    def spacing(self) -> tuple[float, float, float]:
+        """Size of a voxel, world units."""
+        x, y, z = ((u - l) / n for l, u, n in zip(self.lower, self.upper, self.shape, strict=True))
+        return x, y, z
+
+
+def make_grid(
+    inner: NDArray[np.float64],
+    resolution: Resolution = DEFAULT_RESOLUTION,
+    *,
+    voxel_size: float | None = None,
+    bounds: ArrayLike | None = None,
+    margin: float = 0.1,
+) -> Grid:
+    """Choose the grid for a surface that lies in the box ``inner``.
+
+    Parameters
+    ----------
+    inner : (2, 3) array
+        Box of the surface, world units; sides may be zero.
+    resolution : int or three ints, default 64
+        One number: cubic voxels, so many along the longest side of the box, whole voxels along the others, the box
+        grown about its centre to fit. Three numbers: taken as given, voxels may be oblong.
+    voxel_size : float, optional
+        Side of a cubic voxel in world units, in place of `resolution`.
+    bounds : (2, 3) array, optional
+        The box to sample, in place of the surface's own box and its margin.
+    margin : float, default 0.1
+        The surface's box is scaled by ``1 + margin`` about its centre, then grown to leave at least one voxel on
+        each side (from three voxels a side up).
+
+    Raises
+    ------
+    ArgumentError
+        For an option out of range, or both `resolution` and `voxel_size`.
+
+    Examples
+    --------
+    >>> grid = make_grid(np.array([[0.0, 0.0, 0.0], [2.0, 1.0, 0.0]]), 22)
+    >>> grid.shape, round(grid.spacing[0], 6)
+    ((22, 12, 2), 0.1)
+    """
+    margin = checks.number("margin", margin, least=0)
+    if voxel_size is not None:
+        voxel_size = checks.number("voxel_size", voxel_size, above=0)
+        if resolution != DEFAULT_RESOLUTION:
+            raise ArgumentError(f"voxel_size: give either voxel_size ({voxel_size:g}) or resolution ({resolution})")
+
+    # The smallest box that the grid may have, and the part of it that voxels on both sides must clear.
+    outer = None if bounds is None else checks.box("bounds", bounds)
+    box = inner if outer is None else outer
+    center = (box[0] + box[1]) / 2
+    extent = box[1] - box[0]
+    wanted = extent * (1 + margin) if outer is None else extent
+    border_voxels = 2 if outer is None else 0
+
+    if voxel_size is not None:
+        return _cubic(center, extent, wanted, border_voxels, voxel_size, "voxel_size")
+    try:
+        sides = list(resolution)  # type: ignore[arg-type]
+    except TypeError:
+        return _cubic_from_count(center, extent, wanted, border_voxels, resolution)
+    if len(sides) != 3:
+        raise ArgumentError(f"resolution: must be one whole number or three, got {checks.describe(resolution)}")
+    shape = [checks.integer("resolution", n, least=1, most=MAX_SIDE) for n in sides]
+    return _oblong(center, extent, wanted, border_voxels, shape)
+
+
+def _cubic_from_count(
+    center: NDArray[np.float64],
+    extent: NDArray[np.float64],
+    wanted: NDArray[np.float64],
+    border_voxels: int,
+    resolution: object,
+) -> Grid:
+    count = checks.integer("resolution", resolution, least=1, most=MAX_SIDE)
+    spacing = float(wanted.max()) / count
+    if count > border_voxels:
+        spacing = max(spacing, float(extent.max()) / (count - border_voxels))
+    else:
+        border_voxels = 0
+    return _cubic(center, extent, wanted, border_voxels, spacing, "resolution")
+
+
+def _cubic(
+    center: NDArray[np.float64],
+    extent: NDArray[np.float64],
+    wanted: NDArray[np.float64],
+    border_voxels: int,
+    spacing: float,
+    argument: str,
+) -> Grid:
+    """Whole cubic voxels that cover ``wanted``, and ``extent`` with its border."""
+    counts = np.maximum(wanted, extent + border_voxels * spacing) / spacing
+    if not (counts < MAX_SIDE).all():
+        raise ArgumentError(
+            f"{argument}: voxels of {spacing:g} would make {counts.max():.3g} of them along the longest side"
+        )
+    shape = [max(1, math.ceil(count - WHOLE)) for count in counts.tolist()]
+    half = np.array(shape) * (spacing / 2)
+    return _grid(center - half, center + half, shape)
+
+
+def _oblong(
+    center: NDArray[np.float64],
+    extent: NDArray[np.float64],
+    wanted: NDArray[np.float64],
+    border_voxels: int,
+    shape: list[int],
+) -> Grid:
+    """The voxel counts as given; each side just long enough."""
+    counts = np.array(shape, dtype=np.float64)
+    inside = np.where(counts > border_voxels, counts - border_voxels, counts)
+    spacing = np.maximum(wanted / counts, extent / inside)
+    # A side without thickness takes the voxel size of the others.
+    flat = extent <= WHOLE * extent.max()
+    spacing[flat] = spacing.max()
+    half = spacing * counts / 2
+    return _grid(center - half, center + half, shape)
+
+
+def _grid(lower: NDArray[np.float64], upper: NDArray[np.float64], shape: Sequence[int]) -> Grid:
+    x, y, z = shape
+    return Grid(checks.triple(lower), checks.triple(upper), (x, y, z))

@@ -1,0 +1,472 @@
+"""The command line: ``fieldbake bake | info | pack | render | merge | csg | devices | demo``.
+
+Exit codes: 0 done, 1 something is wrong with the input (one line on stderr), 2 wrong usage.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from typer.core import TyperGroup
+
+import fieldbake as fb
+
+from ..atlases.atlas import Language
+from ..base.report import bytes_text
+from ..loading.foreign import ATLAS_ENDINGS, VOLUME_ENDINGS
+
+out = Console(highlight=False)
+err = Console(stderr=True, highlight=False)
+
+
+class Group(TyperGroup):
+    """Turns what a user can cause into one line and exit code 1; bugs keep their traceback."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command; see the class."""
+        try:
+            return super().invoke(ctx)
+        except (fb.Error, OSError) as error:
+            text = str(error)
+            if isinstance(error, OSError) and error.strerror:
+                text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+            err.print(f"[bold red]error:[/] {escape(text)}", soft_wrap=True)
+            raise typer.Exit(1) from None
+
+
+app = typer.Typer(
+    cls=Group,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Exact signed distance fields from triangle meshes.",
+)
+
+Device = Annotated[str, typer.Option(help='"auto", "cpu", "gpu" or a name from `fieldbake devices`.')]
+Sign = Literal["auto", "winding", "parity", "pseudonormal", "normal", "unsigned"]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        out.print(f"fieldbake {fb.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Options that come before the command."""
+
+
+def parse_resolution(text: str) -> int | tuple[int, int, int]:
+    """``64`` or ``64x48x32``."""
+    try:
+        sides = [int(side) for side in text.lower().split("x")]
+    except ValueError:
+        sides = []
+    if len(sides) == 1:
+        return sides[0]
+    if len(sides) == 3:
+        return sides[0], sides[1], sides[2]
+    raise typer.BadParameter(f"'{text}' is not a number such as 64, nor three such as 64x48x32")
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """``640x480``."""
+    try:
+        width, height = (int(side) for side in text.lower().split("x"))
+    except ValueError:
+        width = height = 0
+    if min(width, height) < 1:
+        raise typer.BadParameter(f"'{text}' is not a size such as 640x480")
+    return width, height
+
+
+def parse_vector(text: str) -> tuple[float, float, float]:
+    """``1,2.5,-3``."""
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is not three numbers such as 1,2.5,-3") from None
+    return x, y, z
+
+
+Resolution = Annotated[
+    Any,
+    typer.Option("--resolution", "-r", parser=parse_resolution, metavar="N|NxNxN", help="Voxels, longest side or all."),
+]
+
+
+@app.command()
+def bake(
+    mesh: Annotated[list[Path], typer.Argument(help="Mesh files; several become one field.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The .npz file to write.")],
+    resolution: Resolution = "64",
+    voxel_size: Annotated[float | None, typer.Option(help="Side of a voxel, in place of the resolution.")] = None,
+    margin: Annotated[float, typer.Option(help="Extra room around the mesh, as a share of its box.")] = 0.1,
+    sign: Annotated[Sign, typer.Option(help="How to tell inside from outside.")] = "auto",
+    band: Annotated[float | None, typer.Option(help="Exact only within so many voxels of the surface.")] = None,
+    two_sided: Annotated[bool, typer.Option("--two-sided", help="Treat the surface as a sheet.")] = False,
+    thickness: Annotated[float | None, typer.Option(help="Of the sheet; one voxel if not given.")] = None,
+    sparse: Annotated[bool, typer.Option("--sparse", help="Store bricks around the surface only.")] = False,
+    tolerance: Annotated[float, typer.Option(help="How far a coarser brick may be off, voxels; with --sparse.")] = 0.05,
+    encoding: Annotated[
+        Literal["float32", "float16", "snorm16", "snorm8"], typer.Option(help="How samples are stored.")
+    ] = "float32",
+    device: Device = "auto",
+) -> None:
+    """Bake the signed distance field of a mesh into a file."""
+    if output.suffix.lower() != ".npz":
+        raise typer.BadParameter(f"'{output}' must end in .npz", param_hint="--output")
+    things: Any = [str(path) for path in mesh] if len(mesh) > 1 else mesh[0]
+    surface: dict[str, Any] = {
+        "voxel_size": voxel_size,
+        "margin": margin,
+        "sign": sign,
+        "two_sided": two_sided,
+        "thickness": thickness,
+        "progress": err.is_terminal,
+    }
+    width = 4.0 if band is None else band
+    volume: fb.Volume | fb.SparseVolume
+    if sparse:
+        if device not in ("auto", "cpu"):
+            raise typer.BadParameter("bricks are baked on the CPU", param_hint="--device")
+        volume = fb.bake_sparse(things, resolution, band=width, tolerance=tolerance, encoding=encoding, **surface)
+    else:
+        volume = fb.bake(things, resolution, band=band, device=device, **surface)
+        if encoding != "float32":
+            volume = volume.quantize(encoding, band=width)
+    volume.save(output)
+    _show(f"{output}", _volume_rows(volume))
+
+
+@app.command()
+def merge(
+    scene: Annotated[Path, typer.Argument(help="A glTF or GLB scene, or any mesh file.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The .npz file to write.")],
+    resolution: Resolution = "128",
+    device: Device = "auto",
+) -> None:
+    """Join everything in a scene in one field that is never larger than the distance to it."""
+    if output.suffix.lower() != ".npz":
+        raise typer.BadParameter(f"'{output}' must end in .npz", param_hint="--output")
+    is_scene = scene.suffix.lower() in (".gltf", ".glb")
+    things = fb.load_scene(scene) if is_scene else [fb.load_mesh(scene)]
+    field = fb.merge(things, resolution, device=device, progress=err.is_terminal)
+    field.save(output)
+    _show(f"{output}", _volume_rows(field))
+
+
+@app.command()
+def info(
+    file: Annotated[Path, typer.Argument(help="Any file of fieldbake's, or a mesh.")],
+) -> None:
+    """Say what is in a file."""
+    if file.suffix.lower() in (".npz", *VOLUME_ENDINGS, *ATLAS_ENDINGS):
+        found = fb.load(file)
+        _show(str(file), _atlas_rows(found) if isinstance(found, fb.Atlas) else _volume_rows(found))
+    else:
+        _show(str(file), _mesh_rows(fb.load_mesh(file)))
+
+
+@app.command()
+def pack(
+    files: Annotated[list[Path], typer.Argument(help="Baked fields (.npz, .dds, ...) and meshes, which are baked.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The atlas to write: .npz, .exr or .png.")],
+    layout: Annotated[
+        Literal["shelves", "strips"], typer.Option(help="Any sizes, or the article's cubes.")
+    ] = "shelves",
+    resolution: Resolution = "64",
+    page_size: Annotated[int, typer.Option(help="Width and height of a page, texels.")] = 4096,
+    gutter: Annotated[int, typer.Option(help="Copies of its border around each slice, texels.")] = 1,
+    encoding: Annotated[
+        Literal["float32", "float16", "snorm16", "snorm8"], typer.Option(help="How a distance is stored.")
+    ] = "float32",
+    band: Annotated[float, typer.Option(help="Voxels that snorm encodings keep on each side of the surface.")] = 4.0,
+    shader: Annotated[
+        Path | None, typer.Option(help="Also write the sampling functions: .wgsl, .glsl, .hlsl or .metal.")
+    ] = None,
+    device: Device = "auto",
+) -> None:
+    """Pack baked fields and meshes into a texture atlas."""
+    if output.suffix.lower() not in (".npz", *ATLAS_ENDINGS):
+        raise typer.BadParameter(f"'{output}' must end in .npz, .exr or .png", param_hint="--output")
+    languages: dict[str, Language] = {".wgsl": "wgsl", ".glsl": "glsl", ".hlsl": "hlsl", ".metal": "msl"}
+    if shader is not None and shader.suffix.lower() not in languages:
+        raise typer.BadParameter(f"'{shader}' must end in {', '.join(languages)}", param_hint="--shader")
+    # The article's strips hold cubes.
+    sides = (resolution,) * 3 if layout == "strips" and isinstance(resolution, int) else resolution
+    volumes = []
+    for file in files:
+        if file.suffix.lower() in (".npz", *VOLUME_ENDINGS):
+            volume = fb.load(file)
+            if isinstance(volume, fb.SparseVolume):
+                volume = volume.to_volume()
+            if not isinstance(volume, fb.Volume):
+                raise fb.FormatError(f"{file}: holds an atlas, only volumes and meshes can be packed")
+        else:
+            volume = fb.bake(file, sides, device=device, progress=err.is_terminal)
+        volumes.append(volume)
+    atlas = fb.pack(
+        volumes,
+        layout=layout,
+        page_size=page_size,
+        gutter=gutter,
+        encoding=encoding,
+        band=band,
+        progress=err.is_terminal,
+    )
+    atlas.save(output)
+    if shader is not None:
+        shader.write_text(atlas.shader(languages[shader.suffix.lower()]), encoding="utf-8")
+    _show(f"{output}", _atlas_rows(atlas))
+
+
+@app.command()
+def render(
+    file: Annotated[Path, typer.Argument(help="A scene, a mesh, or a baked .npz file.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write: .png, .jpg, ...")],
+    size: Annotated[Any, typer.Option(parser=parse_size, metavar="WxH", help="Pixels.")] = "640x480",
+    resolution: Resolution = "64",
+    eye: Annotated[Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Where to look from.")] = None,
+    target: Annotated[Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Where to look at.")] = None,
+    up: Annotated[Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Upwards in the picture.")] = "0,1,0",
+    fov: Annotated[float, typer.Option(help="Vertical field of view, degrees.")] = 45.0,
+    color: Annotated[
+        Any, typer.Option(parser=parse_vector, metavar="R,G,B", help="Of all surfaces, linear, 0 to 1.")
+    ] = None,
+    shadows: Annotated[
+        Literal["soft", "hard", "none", "area"], typer.Option(help="How lights are held back.")
+    ] = "soft",
+    primary: Annotated[
+        Literal["auto", "raster", "raymarch"], typer.Option(help="Triangles where there are some, or fields alone.")
+    ] = "auto",
+    occlusion: Annotated[bool, typer.Option("--occlusion", help="Darken what is shut in.")] = False,
+    samples: Annotated[int, typer.Option(help="Rays a pixel for clean edges: 1, 4, 9, 16, ...")] = 1,
+    light: Annotated[
+        list[Any] | None,
+        typer.Option(
+            parser=parse_vector, metavar="X,Y,Z", help="Where the sun shines to; in place of the file's lights."
+        ),
+    ] = None,
+    angle: Annotated[float, typer.Option(help="Under which --light is seen, degrees.")] = 2.0,
+    floor: Annotated[bool, typer.Option("--floor", help="Put a floor under everything.")] = False,
+    heatmap: Annotated[
+        Literal["steps", "depth", "shadow"] | None, typer.Option(help="Show this in place of the colours.")
+    ] = None,
+    device: Device = "auto",
+) -> None:
+    """Draw a scene: a glTF or any mesh file with its textures, cameras and lights, or a baked field."""
+    if target is not None and eye is None:
+        raise typer.BadParameter("needs --eye", param_hint="--target")
+    scene = _scene(file, resolution, color, light, angle, floor)
+    camera = None
+    if eye is not None:
+        camera = fb.Camera(eye, scene.bounds.mean(axis=0) if target is None else target, up, fov)
+    elif not scene.cameras:
+        things = scene.instances[:-1] if floor else scene.instances
+        boxes = np.stack([instance.bounds for instance in things])
+        bounds = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+        camera = fb.Camera.fit(bounds, up=up, fov_deg=fov, aspect=size[0] / size[1])
+    frame = fb.render(
+        scene,
+        camera,
+        size=size,
+        primary=primary,
+        shadows=shadows,
+        ambient_occlusion=occlusion,
+        samples=samples,
+        device=device,
+        progress=err.is_terminal,
+    )
+    if heatmap is None:
+        frame.save(output)
+    else:
+        from ..drawing.frame import save_image
+
+        save_image(frame.heatmap(heatmap), output)
+    out.print(f"[bold]{escape(str(output))}[/]  {escape(repr(frame))}", soft_wrap=True)
+
+
+def _scene(
+    file: Path,
+    resolution: Any,
+    color: tuple[float, float, float] | None,
+    light: list[Any] | None,
+    angle: float,
+    floor: bool,
+) -> fb.Scene:
+    """What `render` draws."""
+    material = None if color is None else fb.Material(color=color)
+    lights = None if not light else [fb.DirectionalLight(way, angle_deg=angle) for way in light]
+    if file.suffix.lower() == ".npz":
+        scene = fb.Scene([fb.Instance(fb.load(file), material=material)])
+    else:
+        voxels = resolution if isinstance(resolution, int) else max(resolution)
+        scene = fb.load_scene(file, resolution=voxels)
+    instances = [
+        item if material is None else fb.Instance(item.thing, item.transform, material, resolution=item.resolution)
+        for item in scene.instances
+    ]
+    if floor:
+        lower, upper = scene.bounds
+        middle, reach = (lower + upper) / 2, 1.5 * float(np.linalg.norm(upper - lower))
+        corners = [
+            (middle[0] + x * reach, lower[1], middle[2] + z * reach) for x, z in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        ]
+        instances.append(fb.Instance(fb.Mesh(corners, [(0, 2, 1), (0, 3, 2)])))
+    return fb.Scene(instances, scene.lights if lights is None else lights, cameras=scene.cameras)
+
+
+@app.command()
+def csg(
+    model: Annotated[Path, typer.Argument(help="A text file with one s-expression.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="What to write: a picture, .npz (a baked field), .stl.")
+    ],
+    size: Annotated[Any, typer.Option(parser=parse_size, metavar="WxH", help="Pixels.")] = "640x480",
+    resolution: Resolution = "128",
+    method: Annotated[
+        Literal["auto", "whole", "aabb", "octree"], typer.Option(help="How a picture is drawn; all give the same.")
+    ] = "auto",
+    direction: Annotated[
+        Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Which way the camera looks.")
+    ] = "-0.6,0.8,-0.6",
+    parts: Annotated[bool, typer.Option("--parts", help="List the parts of the decomposition.")] = False,
+    device: Device = "auto",
+) -> None:
+    """Draw, bake or mesh a shape from its s-expression; z is up in its pictures."""
+    shape = fb.csg.parse(model.read_text(encoding="utf-8"))
+    if parts:
+        found = fb.csg.decompose(shape, "aabb" if method == "aabb" else "octree")
+        table = Table("boxes", "part", title=f"{len(found)} parts, {found.structures} structures", title_justify="left")
+        for part in found:
+            table.add_row(str(len(part.boxes)), escape(repr(part.shape)))
+        out.print(table)
+    suffix = output.suffix.lower()
+    if suffix in (".npz", ".stl"):
+        volume = fb.bake(shape, resolution, device=device, progress=err.is_terminal)
+        if suffix == ".npz":
+            volume.save(output)
+        else:
+            from ..loading.npz import atomic_write
+
+            mesh = volume.to_mesh().to_trimesh()
+            with atomic_write(output) as stream:
+                mesh.export(stream, file_type="stl")
+        out.print(f"[bold]{escape(str(output))}[/]  {escape(repr(volume))}", soft_wrap=True)
+        return
+    camera = fb.Camera.fit(shape.bounds, direction=direction, up=(0, 0, 1), aspect=size[0] / size[1])
+    frame = fb.raymarch(shape, camera, size=size, method=method, device=device, progress=err.is_terminal)
+    frame.save(output)
+    out.print(f"[bold]{escape(str(output))}[/]  {escape(repr(frame))}", soft_wrap=True)
+
+
+@app.command()
+def devices() -> None:
+    """List what can compute here."""
+    table = Table("name", "backend", "type", "hardware")
+    for device in fb.devices():
+        table.add_row(escape(device.name), device.backend, device.type, "yes" if device.hardware else "no")
+    out.print(table)
+
+
+@app.command()
+def demo(
+    mesh: Annotated[list[Path] | None, typer.Argument(help="Mesh files; models made in code if not given.")] = None,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the files.")] = Path("out"),
+    resolution: Annotated[int, typer.Option("--resolution", "-r", help="Voxels along the longest side.")] = 128,
+) -> None:
+    """Bake, save, load and draw; writes pictures and says what it did."""
+    from .demo import run
+
+    run(
+        output,
+        [str(path) for path in mesh or []],
+        resolution=resolution,
+        progress=err.is_terminal,
+        tell=lambda line: out.print(escape(line), soft_wrap=True),
+    )
+
+
+def _show(title: str, rows: list[tuple[str, str]]) -> None:
+    table = Table(title=escape(title), title_justify="left", show_header=False, title_style="bold")
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column(overflow="fold")
+    for label, text in rows:
+        table.add_row(label, escape(text), style="yellow" if label == "warning" else None)
+    out.print(table)
+
+
+def _box_text(bounds: Any) -> str:
+    lower, upper = ("(" + ", ".join(f"{x:.5g}" for x in corner) + ")" for corner in bounds)
+    return f"{lower} to {upper}"
+
+
+def _volume_rows(volume: fb.Volume | fb.SparseVolume) -> list[tuple[str, str]]:
+    nx, ny, nz = volume.resolution
+    size = bytes_text(volume.nbytes)
+    if isinstance(volume, fb.Volume):
+        stored = f"{size} as {volume.encoding}" if isinstance(volume, fb.QuantizedVolume) else size
+        low, high = float(volume.distances.min()), float(volume.distances.max())
+        contents = [("distances", f"{low:.5g} to {high:.5g}")]
+    else:
+        stored = f"{size} as {volume.encoding}, {volume.nbytes / (4 * nx * ny * nz):.1%} of a dense volume"
+        counts = volume.brick_counts.items()
+        contents = [
+            ("bricks", ", ".join(f"{count:,} with cells of {side}" for side, count in counts if count) or "none"),
+            ("band", f"{volume.band:.5g}"),
+        ]
+    rows = [
+        ("voxels", f"{nx} x {ny} x {nz}, {stored}"),
+        ("voxel size", " x ".join(f"{side:.5g}" for side in volume.spacing)),
+        ("box", _box_text(volume.bounds)),
+        ("surface box", _box_text(volume.inner_bounds)),
+        *contents,
+    ]
+    return rows + (volume.report.rows() if volume.report.sign_method else [])
+
+
+def _atlas_rows(atlas: fb.Atlas) -> list[tuple[str, str]]:
+    count, size = len(atlas.pages), atlas.page_size
+    rows = [
+        ("pages", f"{count} of {size} x {size} {atlas.encoding}, {bytes_text(atlas.nbytes)}, {atlas.fill:.0%} full"),
+        ("layout", atlas.layout if atlas.layout == "strips" else f"{atlas.layout}, gutter {atlas.gutter}"),
+    ]
+    for i in atlas.indices:
+        entry = atlas.entries[i]
+        shape = " x ".join(map(str, atlas.resolution(i)))
+        place = f"page {entry['atlas_index']}, offset {entry['atlas_offset']}"
+        rows.append((f"volume {i}", f"{shape} voxels, {place}"))
+    return rows
+
+
+def _mesh_rows(mesh: fb.Mesh) -> list[tuple[str, str]]:
+    rows = [
+        ("vertices", f"{len(mesh.vertices):,}"),
+        ("faces", f"{len(mesh.faces):,}"),
+        ("box", _box_text(mesh.bounds)),
+        ("memory", bytes_text(mesh.nbytes)),
+    ]
+    facts = mesh.topology()
+    rows.append(("closed", "yes" if facts.pop("closed") else "no"))
+    rows += [(name.replace("_", " "), f"{count:,}") for name, count in facts.items()]
+    rows += [("part", f"{part.name or '-'}: {len(part.faces):,} faces, {part.alpha_mode}") for part in mesh.parts]
+    return rows
+
+
+def main() -> None:
+    """Run the command line."""
+    app(prog_name="fieldbake")

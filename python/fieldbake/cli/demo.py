@@ -1,0 +1,130 @@
+"""What `fieldbake demo` and `make demo` run: real bakes, and pictures of them."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..baking.dense import bake
+from ..base.progress import Progress
+from ..base.report import bytes_text
+from ..drawing.frame import bytes_from_unit, save_image
+from ..drawing.raymarching import raymarch
+from ..loading.npz import load
+from ..meshes.convert import load_mesh
+from ..meshes.mesh import Mesh
+from ..models import gear, torus_knot
+from ..scenes.camera import Camera
+from ..volumes.volume import Volume
+
+logger = logging.getLogger("fieldbake")
+
+SIZE = (640, 480)
+
+#: Linear RGB and where the camera looks, for each model made in code.
+CLAY = (0.80, 0.36, 0.18)
+STEEL = (0.42, 0.52, 0.62)
+PLAIN = (0.62, 0.56, 0.44)
+
+
+def run(
+    folder: str | os.PathLike[str],
+    meshes: list[str] | None = None,
+    *,
+    resolution: int = 128,
+    progress: Progress = None,
+    tell: Callable[[str], object] | None = None,
+) -> list[Path]:
+    """Bake, save, load, draw and cut; return the files written.
+
+    Parameters
+    ----------
+    folder : str or path
+        Where the files go; made if it is not there.
+    meshes : list of paths, optional
+        Mesh files to use in place of the models made in code.
+    resolution : int, default 128
+        Voxels along the longest side.
+    progress : bool or callable, optional
+        As for :func:`fieldbake.bake`.
+    tell : callable, optional
+        Gets a line of text for each thing done.
+    """
+    tell = tell or logger.info
+    out = Path(folder)
+    out.mkdir(parents=True, exist_ok=True)
+    written: list[Path] = []
+    for name, mesh, color, direction in _subjects(meshes):
+        tell(f"{name}: {mesh!r}")
+        volume = bake(mesh, resolution, progress=progress)
+        tell(f"  baked {volume!r}")
+        for line in str(volume.report).splitlines():
+            tell(f"    {line}")
+
+        # Through the file and back, so that the pictures prove the file too.
+        archive = out / f"{name}.npz"
+        volume.save(archive)
+        loaded = load(archive)
+        assert isinstance(loaded, Volume)
+        volume = loaded
+        tell(f"  saved and loaded {archive} ({bytes_text(archive.stat().st_size)})")
+
+        camera = Camera.fit(volume.inner_bounds, direction=direction, aspect=SIZE[0] / SIZE[1])
+        frame = raymarch(volume, camera, size=SIZE, color=color)
+        picture, steps, cut = (out / f"{name}{part}.png" for part in ("", "-steps", "-slice"))
+        frame.save(picture)
+        save_image(frame.heatmap("steps"), steps)
+        save_image(slice_image(volume), cut)
+        tell(f"  drew {frame!r}")
+        tell(f"  wrote {picture}, {steps} (work of each ray), {cut} (the field on its middle plane)")
+        written += [archive, picture, steps, cut]
+    return written
+
+
+def _subjects(meshes: list[str] | None) -> Iterator[tuple[str, Mesh, tuple[float, float, float], NDArray[np.float64]]]:
+    """Name, mesh, colour and viewing direction of everything to show."""
+    for path in meshes or []:
+        yield Path(path).stem, load_mesh(path), PLAIN, np.array([-0.55, -0.4, -1.0])
+    if not meshes:
+        yield "knot", torus_knot(), CLAY, np.array([-0.35, -0.45, -1.0])
+        yield "gear", gear(), STEEL, np.array([0.55, -0.5, -1.0])
+
+
+def slice_image(volume: Volume, *, height_px: int = 480) -> NDArray[np.uint8]:
+    """The field on the middle plane along its shortest axis: blue inside, orange outside, a line every few voxels.
+
+    Returns
+    -------
+    (h, w, 3) uint8
+        sRGB.
+    """
+    axis = int(np.argmin(volume.resolution))
+    across, upward = (other for other in range(3) if other != axis)
+    lower, upper = volume.bounds
+    extent = upper - lower
+    height = height_px
+    width = max(1, round(height * extent[across] / extent[upward]))
+
+    # One world position a pixel, its centre, row 0 on top.
+    positions = np.empty((height, width, 3))
+    positions[..., axis] = (lower[axis] + upper[axis]) / 2
+    positions[..., across] = lower[across] + (np.arange(width) + 0.5) / width * extent[across]
+    positions[..., upward] = (upper[upward] - (np.arange(height) + 0.5) / height * extent[upward])[:, None]
+    distances = volume.sample(positions).astype(np.float64)
+
+    # Colour fades with the distance; lines are one and a half pixels wide wherever the field is a distance.
+    pixel = extent[upward] / height
+    interval = 6 * float(volume.spacing.max())
+    fade = np.exp(-np.abs(distances) / (8 * interval))[..., None]
+    inside, outside = np.array([0.18, 0.42, 0.72]), np.array([0.93, 0.60, 0.28])
+    rgb = np.where((distances < 0)[..., None], inside, outside) * (0.45 + 0.55 * fade)
+    to_line = np.abs(distances - np.round(distances / interval) * interval)
+    rgb *= np.clip(to_line / (1.5 * pixel), 0.72, 1.0)[..., None]
+    surface = np.clip(np.abs(distances) / (2 * pixel), 0, 1)[..., None]
+    rgb = rgb * surface + (1 - surface)
+    return bytes_from_unit(rgb)

@@ -1,0 +1,1 @@
+"""Frames: scenes and fields drawn into arrays."""

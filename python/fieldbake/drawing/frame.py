@@ -1,0 +1,166 @@
+"""The frame: what the camera saw, as arrays and as a picture."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base import checks
+from ..base.errors import ArgumentError, FormatError
+
+Quantity = Literal["steps", "depth", "shadow"]
+
+#: What a frame holds.
+ARRAYS = ("color", "depth", "normal", "object_id", "shadow", "steps")
+
+#: Stops of the heat map, dark to light, sRGB from 0 to 1, evenly spaced.
+HEAT = np.array(
+    [[0.03, 0.03, 0.12], [0.25, 0.12, 0.45], [0.70, 0.20, 0.42], [0.96, 0.50, 0.25], [1.00, 0.92, 0.60]],
+    dtype=np.float64,
+)
+
+#: Pixels where nothing was hit, in a heat map of depth.
+NOTHING = np.array([0.55, 0.55, 0.55])
+
+#: Formats of Pillow that cannot hold opacity.
+WITHOUT_ALPHA = (".jpg", ".jpeg", ".bmp", ".ppm")
+
+
+class Frame:
+    """Arrays of shape (height, width, ...), row 0 on top, all read-only.
+
+    Attributes
+    ----------
+    color : (h, w, 4) float32
+        Linear RGB and opacity.
+    depth : (h, w) float32
+        Distance along the viewing axis, world units; inf where nothing was hit.
+    normal : (h, w, 3) float32
+        Unit normal of the surface, world space; zero where nothing was hit.
+    object_id : (h, w) int32
+        Which object was hit; -1 for none.
+    shadow : (h, w) or (h, w, lights) float32
+        Share of the light that arrives: 1 lit, 0 dark.
+    steps : (h, w) uint32
+        Work of each ray.
+    report : mapping
+        ``device``, ``seconds`` and the like.
+    """
+
+    def __init__(self, arrays: Mapping[str, NDArray[Any]], report: Mapping[str, Any]) -> None:
+        self.color: NDArray[np.float32] = checks.frozen(arrays["color"])
+        self.depth: NDArray[np.float32] = checks.frozen(arrays["depth"])
+        self.normal: NDArray[np.float32] = checks.frozen(arrays["normal"])
+        self.object_id: NDArray[np.int32] = checks.frozen(arrays["object_id"])
+        self.shadow: NDArray[np.float32] = checks.frozen(arrays["shadow"])
+        self.steps: NDArray[np.uint32] = checks.frozen(arrays["steps"])
+        self.report: Mapping[str, Any] = MappingProxyType(dict(report))
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        return self.color.shape[1], self.color.shape[0]
+
+    @cached_property
+    def image(self) -> NDArray[np.uint8]:
+        """The picture, (h, w, 4) uint8: sRGB and opacity."""
+        rgb = srgb_from_linear(self.color[..., :3])
+        return checks.frozen(bytes_from_unit(np.concatenate([rgb, self.color[..., 3:]], axis=-1)))
+
+    def heatmap(self, quantity: Quantity = "steps") -> NDArray[np.uint8]:
+        """One of the arrays as a picture, dark for small and light for large.
+
+        Parameters
+        ----------
+        quantity : "steps", "depth" or "shadow", default "steps"
+            Several lights: the mean of their shadows.
+
+        Returns
+        -------
+        (h, w, 3) uint8
+            sRGB, scaled from the smallest to the largest value of the frame; grey where there is none.
+
+        Raises
+        ------
+        ArgumentError
+            For another quantity.
+        """
+        if quantity not in ("steps", "depth", "shadow"):
+            raise ArgumentError(f'quantity: must be "steps", "depth" or "shadow", got {quantity!r}')
+        values = np.asarray(getattr(self, quantity), dtype=np.float64)
+        if values.ndim == 3:
+            values = values.mean(axis=-1)
+        seen = np.isfinite(values)
+        low, high = (values[seen].min(), values[seen].max()) if seen.any() else (0.0, 1.0)
+        share = np.where(seen, values - low, 0.0) / (high - low if high > low else 1.0)
+        stops = np.linspace(0, 1, len(HEAT))
+        rgb = np.stack([np.interp(share, stops, HEAT[:, channel]) for channel in range(3)], axis=-1)
+        rgb[~seen] = NOTHING
+        return bytes_from_unit(rgb)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the picture in the format its name ends in: PNG, or any other that Pillow writes.
+
+        Raises
+        ------
+        FormatError
+            For an ending that Pillow does not know.
+        OSError
+            If the file cannot be written.
+        """
+        save_image(self.image, path)
+
+    def _repr_png_(self) -> bytes:
+        """The picture, for notebooks."""
+        from io import BytesIO
+
+        from PIL import Image
+
+        buffer = BytesIO()
+        Image.fromarray(self.image).save(buffer, format="PNG")
+        return buffer.getvalue()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        arrays = {name: np.array(getattr(self, name)) for name in ARRAYS}
+        return Frame, (arrays, dict(self.report))
+
+    def __repr__(self) -> str:
+        hit = np.count_nonzero(self.object_id >= 0) / self.object_id.size
+        return f"Frame({self.size[0]} x {self.size[1]} pixels, {hit:.0%} hit, on {self.report.get('device', '?')})"
+
+
+def srgb_from_linear(linear: NDArray[np.float32]) -> NDArray[np.float32]:
+    """IEC 61966-2-1, with values cut to 0 to 1."""
+    cut = np.clip(linear, 0, 1)
+    return np.where(cut <= 0.0031308, 12.92 * cut, 1.055 * np.power(cut, 1 / 2.4) - 0.055).astype(np.float32)
+
+
+def save_image(pixels: NDArray[np.uint8], path: str | os.PathLike[str]) -> None:
+    """Write (h, w, 3 or 4) sRGB bytes; the file appears whole or not at all."""
+    from PIL import Image
+
+    from ..loading.npz import atomic_write
+
+    target = Path(path)
+    suffix = target.suffix.lower()
+    kind = Image.registered_extensions().get(suffix)
+    if kind is None or kind not in Image.SAVE:
+        raise FormatError(f"{path}: cannot write a picture ending in '{target.suffix}'; use .png")
+    image = Image.fromarray(pixels)
+    if suffix in WITHOUT_ALPHA:
+        image = image.convert("RGB")
+    with atomic_write(target) as stream:
+        image.save(stream, format=kind)
+
+
+def bytes_from_unit(values: NDArray[Any]) -> NDArray[np.uint8]:
+    """0 to 1 as 0 to 255, rounded."""
+    pixels: NDArray[np.uint8] = np.round(np.clip(values, 0, 1) * 255).astype(np.uint8)
+    return pixels

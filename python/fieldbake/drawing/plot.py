@@ -1,0 +1,111 @@
+"""Pictures of fields and atlases with matplotlib, which is optional."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base import checks
+from ..base.errors import Error
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ..atlases.atlas import Atlas
+    from ..volumes.volume import Volume
+
+#: Iso-lines on each side of the surface.
+LINES = 8
+
+#: Pixels along a slice of a plot.
+SLICE_PX = 200
+
+
+def _figure(width: float, height: float) -> Figure:
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise Error("plots need the package matplotlib: pip install matplotlib") from None
+    # Not pyplot: it would keep the figure, and may want a window.
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def plot_slices(volume: Volume, at: Any = None) -> Figure:
+    """The three axis-aligned slices of a volume through a point, with iso-lines."""
+    lower, upper = volume.bounds
+    center = (lower + upper) / 2 if at is None else checks.vector("at", at, 3)
+    center = np.clip(center, lower, upper)
+    extent = upper - lower
+    figure = _figure(12, 4.2)
+    axes = figure.subplots(1, 3)
+    step = float(np.abs(volume.distances).max()) / LINES
+    image = None
+    for axis, (across, upward), place in zip((2, 1, 0), ((0, 1), (0, 2), (1, 2)), axes, strict=True):
+        columns, rows = (max(2, round(SLICE_PX * extent[side] / extent.max())) for side in (across, upward))
+        x = np.linspace(lower[across], upper[across], columns)
+        y = np.linspace(lower[upward], upper[upward], rows)
+        points = np.empty((rows, columns, 3))
+        points[..., axis], points[..., across], points[..., upward] = center[axis], x, y[:, None]
+        image = _draw(place, x, y, volume.sample(points), step)
+        place.set(xlabel="xyz"[across], ylabel="xyz"[upward], title=f"{'xyz'[axis]} = {center[axis]:.4g}")
+    if image is not None:
+        figure.colorbar(image, ax=list(axes), label="signed distance", shrink=0.9)
+    return figure
+
+
+def _draw(place: Axes, x: NDArray[Any], y: NDArray[Any], distances: NDArray[Any], step: float) -> Any:
+    """Colours by distance, white at the surface; a thick line there and thin ones every `step`."""
+    reach = LINES * step or 1.0
+    image = place.pcolormesh(x, y, distances, cmap="RdBu", vmin=-reach, vmax=reach, shading="gouraud", rasterized=True)
+    lines = [i * step for i in range(-LINES, LINES + 1) if i]
+    low, high = float(distances.min()), float(distances.max())
+    if step > 0 and (inside := [line for line in lines if low < line < high]):
+        place.contour(x, y, distances, inside, colors="black", linewidths=0.4, linestyles="solid", alpha=0.6)
+    if low < 0 < high:
+        place.contour(x, y, distances, [0], colors="black", linewidths=1.6)
+    place.set_aspect("equal")
+    return image
+
+
+def plot_atlas(atlas: Atlas, page: int = 0) -> Figure:
+    """One page of an atlas: its texels, iso-lines at the surface, a frame around each volume and its index."""
+    if not len(atlas.pages):
+        raise Error("the atlas is empty, there is nothing to plot")
+    page = checks.integer("page", page, least=0, most=len(atlas.pages) - 1)
+    from matplotlib.patches import Rectangle
+
+    texels = atlas.pages[page].astype(np.float32)
+    # The rows and columns that anything lies on.
+    blocks = [(i, atlas._blocks[i].astype(int)) for i in atlas.indices if atlas._blocks[i, 0] == page]
+    right = max((b[1] + b[5] * b[3] for _, b in blocks), default=atlas.page_size)
+    bottom = max((b[2] + -(-b[9] // b[5]) * b[4] for _, b in blocks), default=atlas.page_size)
+    shown = texels[:bottom, :right]
+    figure = _figure(8, 0.6 + 8 * bottom / right)
+    place = figure.subplots()
+    reach = float(np.abs(shown).max()) or 1.0
+    place.imshow(shown, cmap="RdBu", vmin=-reach, vmax=reach, interpolation="nearest", extent=(0, right, bottom, 0))
+    for i, (_, x, y, width, height, columns, gutter, nx, ny, nz) in blocks:
+        for z in range(nz):
+            left, top = x + z % columns * width + gutter, y + z // columns * height + gutter
+            tile = texels[top : top + ny, left : left + nx]
+            if min(nx, ny) > 1 and tile.min() < 0 < tile.max():
+                place.contour(
+                    left + 0.5 + np.arange(nx), top + 0.5 + np.arange(ny), tile, [0], colors="black", linewidths=0.7
+                )
+        rows = -(-nz // columns)
+        place.add_patch(Rectangle((x, y), columns * width, rows * height, fill=False, edgecolor="black", linewidth=1.2))
+        place.annotate(
+            str(i),
+            (x, y),
+            (3, -3),
+            textcoords="offset points",
+            va="top",
+            fontsize=8,
+            fontweight="bold",
+            bbox={"boxstyle": "square,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
+        )
+    place.set(title=f"page {page} of {len(atlas.pages)}: {len(blocks)} volumes, {atlas.layout}, {atlas.encoding}")
+    return figure

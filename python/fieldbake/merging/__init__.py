@@ -1,0 +1,1 @@
+"""One distance field for all instances of a scene."""

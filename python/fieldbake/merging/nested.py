@@ -1,0 +1,301 @@
+"""Merged fields nested round a point, each level twice as fine as the one around it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import _core
+from ..base import checks
+from ..base.errors import ArgumentError, SceneError
+from ..base.grid import Grid
+from ..base.progress import Progress, part_of, progress_callback
+from ..base.report import bytes_text
+from ..scenes import field_cache
+from ..volumes.volume import Volume
+from .merged import MergedField
+
+#: Levels at most: from the finest to the outermost a voxel grows 2048 times.
+MAX_LEVELS = 12
+
+#: Voxels that a level needs along each side, so that the next one fits in it with a voxel around.
+LEAST_SIDE = 8
+
+
+class NestedField:
+    """The field of a scene on nested grids: fine round a point, coarse far from it. Made by :func:`merge`.
+
+    Every level has as many voxels; each is twice as long and wide as the one in it. Saved and loaded it is the same,
+    but cannot be updated.
+
+    Notes
+    -----
+    A point belongs to the finest level that has samples on all sides of it; there the field is trilinear. All samples
+    of a level lie on the lattice of the next finer one, and the outermost samples of a level are replaced by the values
+    of the level around it. So the field has no jump between levels.
+
+    *Bound.* Let `d` be the distance to the scene. Each value is a mean, with weights that are not negative, of samples
+    `f(q)` at places `q` around the point `p`, whose mean place is `p` itself: trilinear interpolation, done once, or at
+    the edge of a level twice. No sample of a merged field exceeds `d(q)`, and `d(q) <= d(p) + |p - q|`. So the value
+    exceeds `d(p)` by at most the mean of ``|p - q|``, which is at most the root of the mean of its square. Along each
+    axis that mean square is ``f (1 - f) h^2 <= h^2 / 4`` in a cell of side `h`; where it is done twice, the places are
+    those of the finer cells inside and those of the coarser ones at the edge, and since every finer sample lies on the
+    coarser lattice or in the middle of its cells, the mean square is still at most `H^2 / 4` with the coarser side `H`.
+    Together: at most half the diagonal of a voxel of the level that holds the point, or, in the outermost cells of a
+    level, of the one around it.
+
+    References
+    ----------
+    F. Losasso, H. Hoppe, Geometry clipmaps: terrain rendering using nested regular grids, SIGGRAPH 2004.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> gear = fb.bake(fb.models.gear(teeth=6), 24)
+    >>> aside = np.eye(4)
+    >>> aside[0, 3] = 30
+    >>> field = fb.merge([gear, (gear, aside)], 64, levels=4, center=(0, 0, 0))
+    >>> round(field.levels[-1].spacing[0] / field.spacing[0])
+    8
+    >>> bool(field.sample([(15, 0, 0)])[0] <= 14.1)
+    True
+    """
+
+    __slots__ = ("_joined", "_levels")
+
+    _levels: tuple[Volume, ...]
+    _joined: tuple[Volume, ...] | None
+
+    def __init__(self, levels: Sequence[Volume]) -> None:
+        check_levels(levels)
+        object.__setattr__(self, "_levels", tuple(levels))
+        object.__setattr__(self, "_joined", None)
+
+    @property
+    def levels(self) -> tuple[Volume, ...]:
+        """The merged field of each level, finest first, its outermost samples as they were merged."""
+        return self._levels
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Box of the outermost level, (2, 3), world units."""
+        return self._levels[-1].bounds
+
+    @property
+    def inner_bounds(self) -> NDArray[np.float64]:
+        """Box of the scene's surfaces, (2, 3), world units."""
+        return self._levels[-1].inner_bounds
+
+    @property
+    def center(self) -> NDArray[np.float64]:
+        """Middle of the finest level, (3,), world units."""
+        return np.asarray(self._levels[0].bounds.mean(axis=0))
+
+    @property
+    def resolution(self) -> tuple[int, int, int]:
+        """Voxels of each level along x, y and z."""
+        return self._levels[0].resolution
+
+    @property
+    def spacing(self) -> NDArray[np.float64]:
+        """Size of a voxel of the finest level, (3,), world units."""
+        return self._levels[0].spacing
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the samples of all levels."""
+        return sum(level.nbytes for level in self._levels)
+
+    def sample(self, points: ArrayLike) -> NDArray[np.float32]:
+        """The field at any points.
+
+        Parameters
+        ----------
+        points : (n, 3) real
+            World positions; any leading shape will do.
+
+        Returns
+        -------
+        (n,) float32
+            World units. Outside the outermost box, as for :meth:`Volume.sample`.
+
+        Raises
+        ------
+        ArgumentError
+            For a wrong shape or a point that is not finite.
+        """
+        flat, shape = checks.points(points)
+        values = np.empty(len(flat), np.float32)
+        for level, held in self._holding(flat):
+            values[held] = level.sample(flat[held])
+        return values.reshape(shape)
+
+    def gradient(self, points: ArrayLike) -> NDArray[np.float32]:
+        """Gradient of the field at any points; it jumps between cells.
+
+        Parameters
+        ----------
+        points : (n, 3) real
+            World positions; any leading shape will do.
+
+        Returns
+        -------
+        (n, 3) float32
+            Distance per world unit.
+
+        Raises
+        ------
+        ArgumentError
+            For a wrong shape or a point that is not finite.
+        """
+        flat, shape = checks.points(points)
+        values = np.empty((len(flat), 3), np.float32)
+        for level, held in self._holding(flat):
+            values[held] = level.gradient(flat[held])
+        return values.reshape(*shape, 3)
+
+    def update(
+        self, changed: Sequence[Any], *, scene: Any = None, device: str = "auto", progress: Progress = None
+    ) -> NestedField:
+        """The field after some instances have moved; each level does anew only what they touched.
+
+        Parameters
+        ----------
+        changed, scene, device, progress
+            As for :meth:`MergedField.update`.
+
+        Returns
+        -------
+        NestedField
+            Bit for bit what merging everything anew on these grids gives.
+
+        Raises
+        ------
+        SceneError
+            As for :meth:`MergedField.update`, and for a field that was loaded.
+        """
+        merged = [level for level in self._levels if isinstance(level, MergedField)]
+        if len(merged) < len(self._levels):
+            raise SceneError("changed: a field that was loaded does not know its scene; merge it anew")
+        levels = []
+        with progress_callback(progress, "merge") as callback:
+            for number, level in enumerate(merged):
+                part = part_of(callback, number, len(merged))
+                levels.append(level.update(changed, scene=scene, device=device, progress=part))
+        return NestedField(levels)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a file; one of that name is replaced only once the new one is complete.
+
+        Parameters
+        ----------
+        path : str or path
+            ``.npz``; read it with :func:`fieldbake.load`.
+
+        Raises
+        ------
+        FormatError
+            For another ending.
+        OSError
+            If the file cannot be written.
+        """
+        from ..loading.npz import save_nested
+
+        save_nested(self, path)
+
+    def _joined_levels(self) -> tuple[Volume, ...]:
+        """The levels with their outermost samples taken from the level around them."""
+        if self._joined is None:
+            joined = [self._levels[-1]]
+            for level in self._levels[-2::-1]:
+                joined.append(_join(level, joined[-1]))
+            object.__setattr__(self, "_joined", tuple(joined[::-1]))
+        assert self._joined is not None
+        return self._joined
+
+    def _holding(self, points: NDArray[np.float64]) -> list[tuple[Volume, NDArray[np.bool_]]]:
+        """Each level, and which points belong to it."""
+        found = []
+        left = np.ones(len(points), np.bool_)
+        for level in self._joined_levels()[:-1]:
+            half = level.spacing / 2
+            held = left & ((points >= level.bounds[0] + half) & (points <= level.bounds[1] - half)).all(axis=1)
+            left &= ~held
+            found.append((level, held))
+        return [*found, (self._joined_levels()[-1], left)]
+
+    def _stored(self) -> list[tuple[NDArray[np.float32], Any, Any]]:
+        """The samples and the box of each level as the core's pictures take them."""
+        return [(level.distances, *level._corners()) for level in self._joined_levels()]
+
+    def _far(self) -> list[_core.SceneField]:
+        """The levels as the core's scenes take them."""
+        return [field_cache.of_thing(level) for level in self._joined_levels()]
+
+    def _field(self) -> _core.SceneField:
+        """All levels as one field."""
+        return _core.SceneField.nested(self._far())
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise AttributeError(f"a NestedField cannot be changed ({name}); make a new one")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return NestedField, (self._levels,)
+
+    def __repr__(self) -> str:
+        shape = " x ".join(str(side) for side in self.resolution)
+        voxels = f"{self.spacing.max():.4g} to {self._levels[-1].spacing.max():.4g}"
+        return f"NestedField({len(self._levels)} levels of {shape} voxels of {voxels} units, {bytes_text(self.nbytes)})"
+
+
+def nested_grids(outer: Grid, levels: int, center: NDArray[np.float64]) -> list[Grid]:
+    """Grids of equal shape, finest first, each half as wide as the one around it and as near to `center` as it can be.
+
+    Every sample of a level lies on the lattice of the next finer one, whose samples between it and its outermost ones
+    leave a voxel of the level around them.
+    """
+    if min(outer.shape) < LEAST_SIDE:
+        raise ArgumentError(f"resolution: levels need {LEAST_SIDE} voxels or more along each side, got {outer.shape}")
+    grids = [outer]
+    shape = np.array(outer.shape)
+    for _ in range(levels - 1):
+        parent = grids[-1]
+        step = np.asarray(parent.spacing)
+        first_of_parent = np.array(parent.lower) + step / 2
+        # Between their outermost samples: n - 1 steps, half as long.
+        wanted = (center - (shape - 1) * step / 4 - first_of_parent) / step
+        start = np.clip(np.rint(wanted), 1, shape - 2 - (shape // 2))
+        lower = first_of_parent + start * step - step / 4
+        upper = lower + shape * step / 2
+        grids.append(Grid(checks.triple(lower), checks.triple(upper), parent.shape))
+    return grids[::-1]
+
+
+def check_levels(levels: Sequence[Volume]) -> None:
+    """Whether volumes nest as :func:`nested_grids` has them, finest first."""
+    if not 1 <= len(levels) <= MAX_LEVELS:
+        raise ArgumentError(f"levels: must be 1 to {MAX_LEVELS}, got {len(levels)}")
+    for number, (fine, coarse) in enumerate(pairwise(levels)):
+        step = coarse.spacing
+        start = (fine.bounds[0] + fine.spacing / 2 - coarse.bounds[0] - step / 2) / step
+        end = start + (np.array(fine.resolution) - 1) / 2
+        fits = (start > 0.5).all() and (end < np.array(coarse.resolution) - 1.5).all()
+        # Some roundings of a coordinate, far below a voxel.
+        aligned = np.allclose(start, np.rint(start), atol=1e-3) and np.allclose(2 * fine.spacing, step, rtol=1e-6)
+        if not (fits and aligned and fine.resolution == coarse.resolution):
+            raise ArgumentError(f"levels[{number}]: does not lie in the next one, twice as fine and on its lattice")
+
+
+def _join(level: Volume, around: Volume) -> Volume:
+    """A level whose outermost samples are the values of the level around it."""
+    distances = np.array(level.distances, order="F")
+    edge = np.ones(level.resolution, np.bool_)
+    edge[1:-1, 1:-1, 1:-1] = False
+    points = level.origin + np.argwhere(edge) * level.spacing
+    distances[edge] = around.sample(points)
+    return Volume._wrap(distances, level.bounds, level.inner_bounds, level.report)

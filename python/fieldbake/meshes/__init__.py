@@ -1,0 +1,1 @@
+"""Triangle meshes and the conversion of other objects into them."""

@@ -1,0 +1,342 @@
+"""Anything that holds triangles becomes a Mesh: files, trimesh objects, arrays, and lists of them.
+
+Files are read by trimesh without merging or reordering. Transforms of scene nodes, and transforms given beside a
+thing, are applied in float64; a mirroring one also turns the faces, so that outside stays outside.
+"""
+
+from __future__ import annotations
+
+import io
+import itertools
+import os
+import re
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..base import checks
+from ..base.errors import MeshError
+from .mesh import ALPHA_MODES, Mesh, Part, check_faces, check_uv, check_vertices
+
+#: What stands for a mesh everywhere: a Mesh, a path, a trimesh.Trimesh or Scene, (vertices, faces), or a list of
+#: those, each optionally as (thing, transform).
+MeshLike = Any
+
+
+#: The head of a PLY or OFF file, with what it announces, is shorter.
+HEAD_BYTES = 1 << 16
+
+
+@dataclass
+class _Piece:
+    """Triangles on their way into a Mesh, with the material of all their faces."""
+
+    vertices: NDArray[Any]
+    faces: NDArray[np.int64]
+    uv: NDArray[np.float32] | None = None
+    parts: list[Part] = field(default_factory=list)
+
+    def transformed(self, transform: NDArray[np.float64]) -> _Piece:
+        """The piece under a 4x4 world-from-local transform."""
+        if np.array_equal(transform, np.eye(4)):
+            return self
+        vertices = checks.as_float64(self.vertices) @ transform[:3, :3].T + transform[:3, 3]
+        mirrored = np.linalg.det(transform[:3, :3]) < 0
+        faces = np.ascontiguousarray(self.faces[:, ::-1]) if mirrored else self.faces
+        return _Piece(vertices, faces, self.uv, self.parts)
+
+
+def load_mesh(path: str | os.PathLike[str]) -> Mesh:
+    """Read a mesh file.
+
+    Parameters
+    ----------
+    path : str or path
+        Any format that trimesh reads: OBJ, PLY, STL, OFF, GLB, glTF, ... A scene becomes one mesh, its nodes'
+        transforms applied; textures are found beside the file.
+
+    Returns
+    -------
+    Mesh
+        Vertices as in the file: not merged, not reordered.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    MeshError
+        If the file cannot be read, is of an unknown kind, or holds no triangles.
+    """
+    return _mesh(_from_file(path), os.fspath(path))
+
+
+def as_mesh(thing: MeshLike) -> Mesh:
+    """Make a Mesh of anything that stands for one; a Mesh is returned as it is.
+
+    Parameters
+    ----------
+    thing : Mesh, path, trimesh.Trimesh, trimesh.Scene, (vertices, faces), or a list of those
+        Items of a list may be ``(thing, transform)`` with a 4x4 world-from-local transform.
+
+    Raises
+    ------
+    FileNotFoundError
+        If a path does not exist.
+    MeshError
+        If there is no usable mesh in it.
+    """
+    if isinstance(thing, Mesh):
+        return thing
+    return _mesh(_pieces(thing, "mesh"), os.fspath(thing) if isinstance(thing, (str, os.PathLike)) else None)
+
+
+def _mesh(pieces: Sequence[_Piece], path: str | None) -> Mesh:
+    """Join the pieces; errors name the file they came from."""
+    try:
+        piece = _join(pieces)
+        return Mesh(piece.vertices, piece.faces, uv=piece.uv, parts=piece.parts or None)
+    except MeshError as error:
+        if path is None:
+            raise
+        raise MeshError(f"{path}: {error}") from None
+
+
+def _join(pieces: Sequence[_Piece]) -> _Piece:
+    if len(pieces) == 1:
+        return pieces[0]
+    # An index past the end of its own piece would silently mean a vertex of the next one.
+    for number, piece in enumerate(pieces):
+        wrong = (piece.faces < 0) | (piece.faces >= len(piece.vertices))
+        if wrong.any():
+            face, corner = np.argwhere(wrong)[0].tolist()
+            raise MeshError(
+                f"mesh[{number}]: faces[{face}] refers to vertex {piece.faces[face, corner]}, "
+                f"the mesh has {len(piece.vertices)} vertices (valid: 0 to {len(piece.vertices) - 1})"
+            )
+    first_vertex = np.cumsum([0] + [len(piece.vertices) for piece in pieces]).tolist()
+    first_face = np.cumsum([0] + [len(piece.faces) for piece in pieces]).tolist()
+    uv = None
+    if any(piece.uv is not None for piece in pieces):
+        uv = np.zeros((first_vertex[-1], 2), dtype=np.float32)
+        for piece, start in zip(pieces, first_vertex, strict=False):
+            if piece.uv is not None:
+                uv[start : start + len(piece.vertices)] = piece.uv
+    return _Piece(
+        np.concatenate([checks.as_float64(piece.vertices) for piece in pieces]),
+        np.concatenate([piece.faces + start for piece, start in zip(pieces, first_vertex, strict=False)]),
+        uv,
+        [
+            part.with_faces(range(part.faces.start + start, part.faces.stop + start))
+            for piece, start in zip(pieces, first_face, strict=False)
+            for part in piece.parts or [Part(faces=range(len(piece.faces)))]
+        ],
+    )
+
+
+def _pieces(thing: MeshLike, name: str) -> list[_Piece]:
+    """Take anything apart; ``name`` is how the user finds it again."""
+    if isinstance(thing, (str, os.PathLike)):
+        return _from_file(thing)
+    if isinstance(thing, Mesh):
+        return [_Piece(thing.vertices, thing.faces.astype(np.int64), thing.uv, list(thing.parts))]
+    if hasattr(thing, "graph") and hasattr(thing, "geometry"):
+        return _from_scene(thing, name)
+    if hasattr(thing, "vertices") and hasattr(thing, "faces"):
+        return [_from_trimesh(thing)]
+    if isinstance(thing, (tuple, list)) and _is_arrays(thing):
+        return [_Piece(check_vertices(thing[0]), check_faces(thing[1]))]
+    if isinstance(thing, tuple) and len(thing) == 2:
+        transform = checks.affine(f"{name}: transform", thing[1], MeshError)
+        return [piece.transformed(transform) for piece in _pieces(thing[0], name)]
+    if isinstance(thing, list):
+        if not thing:
+            raise MeshError(f"{name}: the list is empty; a surface needs at least one mesh")
+        return [piece for number, item in enumerate(thing) for piece in _pieces(item, f"{name}[{number}]")]
+    raise MeshError(
+        f"{name}: cannot make a mesh of {checks.describe(thing)}; give a path, a trimesh object, "
+        "(vertices, faces), (thing, transform), or a list of those"
+    )
+
+
+def _is_arrays(pair: Sequence[Any]) -> bool:
+    """Whether two things are (vertices, faces): plain numbers, not meshes and not a mesh with its transform."""
+    if len(pair) != 2:
+        return False
+    for half in pair:
+        # Look as deep as the first number: a path or a mesh in there makes it a list of things.
+        inner = half
+        while isinstance(inner, (tuple, list)) and len(inner) > 0:
+            inner = inner[0]
+        if isinstance(inner, (str, os.PathLike, Mesh)) or hasattr(inner, "faces") or hasattr(inner, "graph"):
+            return False
+    # Two arrays where the vertices should be: that is a mesh of its own, beside a transform or another mesh.
+    first = pair[0]
+    return not (isinstance(first, (tuple, list)) and len(first) == 2 and _is_table(first[0]))
+
+
+def _is_table(value: Any) -> bool:
+    """Whether something has rows and columns."""
+    if isinstance(value, np.ndarray):
+        return value.ndim == 2
+    return isinstance(value, (tuple, list)) and len(value) > 0 and isinstance(value[0], (tuple, list, np.ndarray))
+
+
+def _from_file(path: str | os.PathLike[str]) -> list[_Piece]:
+    return _read_file(path, lambda scene: _from_scene(scene, os.fspath(path)))
+
+
+def _read_file(path: str | os.PathLike[str], take: Callable[[Any], list[_Piece]]) -> list[_Piece]:
+    """The pieces that `take` finds in the file's scene, every failure of a reader as a MeshError."""
+    file = Path(path)
+    if file.is_dir():
+        raise MeshError(f"{path}: is a directory, not a mesh file")
+    # Opening it first keeps FileNotFoundError and PermissionError as they are.
+    with file.open("rb") as stream:
+        head = stream.read(None if file.suffix.lower() == ".obj" else HEAD_BYTES)
+
+    import trimesh
+
+    # Without texture coordinates trimesh can keep the file's own order of vertices; with them it has to split some.
+    keeps_order = file.suffix.lower() == ".obj" and b"vt " not in head
+    options: dict[str, Any] = {"maintain_order": True} if keeps_order else {}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            scene = trimesh.load_scene(str(file), process=False, resolver=_resolver(file), **options)
+            pieces = take(scene)
+        _check_is_whole(_announced_faces(file.suffix.lower(), head), sum(len(piece.faces) for piece in pieces))
+        return pieces
+    except MeshError:
+        raise
+    except NotImplementedError as error:
+        known = ", ".join(sorted(trimesh.available_formats()))
+        raise MeshError(f"{path}: unknown kind of file '{file.suffix}'; readable here: {known}") from error
+    except Exception as error:  # Readers of damaged files fail in every way there is.
+        reason = str(error) or type(error).__name__
+        raise MeshError(f"{path}: cannot be read as a mesh ({file.suffix.lstrip('.').upper()}): {reason}") from error
+
+
+def load_nodes(path: str | os.PathLike[str]) -> list[tuple[Mesh, NDArray[np.float64]]]:
+    """The meshes of a file, each with its world-from-local transform; nodes of one geometry share the Mesh."""
+    keys: list[str] = []
+    transforms: list[NDArray[np.float64]] = []
+
+    def take(scene: Any) -> list[_Piece]:
+        pieces = {}
+        for node in scene.graph.nodes_geometry:
+            transform, key = scene.graph[node]
+            geometry = scene.geometry[key]
+            if hasattr(geometry, "faces") and len(geometry.faces) > 0:
+                keys.append(key)
+                transforms.append(checks.affine(f"{path}: transform of node '{node}'", transform, MeshError))
+                if key not in pieces:
+                    pieces[key] = _from_trimesh(geometry, key)
+        if not pieces:
+            raise MeshError(f"{path}: has no triangles")
+        names.extend(pieces)
+        return list(pieces.values())
+
+    names: list[str] = []
+    pieces = _read_file(path, take)
+    meshes = {name: _mesh([piece], os.fspath(path)) for name, piece in zip(names, pieces, strict=True)}
+    return [(meshes[key], transform) for key, transform in zip(keys, transforms, strict=True)]
+
+
+def _announced_faces(kind: str, content: bytes) -> int:
+    """How many faces the head of an OFF or PLY file says it has; their readers take what is there."""
+    if kind == ".off":
+        lines = (line.split(b"#")[0].split() for line in io.BytesIO(content))
+        words = list(itertools.islice(itertools.chain.from_iterable(lines), 4))
+        counts = words[1:] if words and words[0].upper().endswith(b"OFF") else words
+        return int(counts[1]) if len(counts) >= 2 and counts[1].isdigit() else 0
+    if kind == ".ply":
+        announced = re.search(rb"^element\s+face\s+(\d+)", content.split(b"end_header")[0], re.MULTILINE)
+        return int(announced[1]) if announced else 0
+    return 0
+
+
+def _check_is_whole(announced: int, faces: int) -> None:
+    """Polygons only make more faces of what was announced."""
+    if faces < announced:
+        raise ValueError(f"it says {announced} faces and has {faces}; is it complete?")
+
+
+def _resolver(file: Path) -> Any:
+    """Finds textures beside the file, also under names written with Windows separators."""
+    from trimesh.resolvers import FilePathResolver
+
+    class Resolver(FilePathResolver):
+        def get(self, name: str) -> bytes:
+            found: bytes = super().get(name.strip().replace("\\", "/"))
+            return found
+
+    return Resolver(str(file))
+
+
+def _from_scene(scene: Any, name: str) -> list[_Piece]:
+    """Every node of a trimesh.Scene that has triangles."""
+    pieces = []
+    others = []
+    for node in scene.graph.nodes_geometry:
+        transform, key = scene.graph[node]
+        geometry = scene.geometry[key]
+        if hasattr(geometry, "faces"):
+            world_from_node = checks.affine(f"{name}: transform of node '{node}'", transform, MeshError)
+            pieces.append(_from_trimesh(geometry, key).transformed(world_from_node))
+        else:
+            others.append(type(geometry).__name__)
+    if not pieces:
+        found = f"found only {', '.join(sorted(set(others)))}" if others else "it is empty"
+        raise MeshError(f"{name}: has no triangles ({found})")
+    return pieces
+
+
+def _from_trimesh(mesh: Any, name: str = "") -> _Piece:
+    """Geometry and material of a trimesh.Trimesh, or of any object with vertices and faces."""
+    vertices = np.asarray(check_vertices(mesh.vertices))
+    faces = check_faces(mesh.faces)
+    visual = getattr(mesh, "visual", None)
+    uv = getattr(visual, "uv", None)
+    if uv is not None and np.shape(uv)[:1] == (len(vertices),) and np.ndim(uv) == 2:
+        uv = check_uv(np.asarray(uv)[:, :2], len(vertices))
+    else:
+        uv = None
+    return _Piece(vertices, faces, uv, [_part(getattr(visual, "material", None), name, len(faces))])
+
+
+def _part(material: Any, name: str, faces: int) -> Part:
+    """The material of trimesh, whichever of its two kinds."""
+    if material is None:
+        return Part(name, range(faces))
+    image = getattr(material, "baseColorTexture", None)
+    if image is None:
+        image = getattr(material, "image", None)
+    color = getattr(material, "baseColorFactor", None)
+    if color is None and image is None:
+        color = getattr(material, "diffuse", None)
+    mode = str(getattr(material, "alphaMode", None) or "opaque").lower()
+    cutoff = getattr(material, "alphaCutoff", None)
+    return Part(
+        str(getattr(material, "name", None) or name),
+        range(faces),
+        color=_rgba(color),
+        image=image,
+        alpha_mode=mode if mode in ALPHA_MODES else "opaque",
+        alpha_cutoff=0.5 if cutoff is None else float(cutoff),
+        two_sided=bool(getattr(material, "doubleSided", None)),
+    )
+
+
+def _rgba(color: ArrayLike | None) -> tuple[float, float, float, float]:
+    """Four numbers from 0 to 1; trimesh keeps colours as bytes or as floats."""
+    if color is None:
+        return (1.0, 1.0, 1.0, 1.0)
+    values = np.asarray(color).ravel()
+    floats: Iterable[float] = values.astype(np.float64) / (255 if values.dtype.kind in "iu" else 1)
+    r, g, b, a = (*floats, 1.0)[:4] if len(values) >= 3 else (1.0, 1.0, 1.0, 1.0)
+    return float(r), float(g), float(b), float(a)

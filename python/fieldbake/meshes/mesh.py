@@ -1,0 +1,287 @@
+"""The mesh: triangles checked once, and the looks that belong to them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import _core
+from ..base import checks
+from ..base.errors import MeshError
+
+if TYPE_CHECKING:
+    import trimesh
+
+ALPHA_MODES = ("opaque", "mask", "blend")
+
+
+class Part:
+    """A run of faces with one material.
+
+    Attributes
+    ----------
+    name : str
+        Name in the file, or empty.
+    faces : range
+        Rows of `Mesh.faces`.
+    color : (4,) tuple
+        Base colour, RGBA from 0 to 1; multiplies the texture.
+    alpha_mode : str
+        ``"opaque"``, ``"mask"`` (cut out where the opacity is below `alpha_cutoff`) or ``"blend"``.
+    alpha_cutoff : float
+        Opacity from 0 to 1; means something for ``"mask"`` only.
+    two_sided : bool
+        Whether the file asks to see the back of the faces.
+    """
+
+    def __init__(
+        self,
+        name: str = "",
+        faces: range = range(0),
+        *,
+        color: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0),
+        image: Any = None,
+        alpha_mode: str = "opaque",
+        alpha_cutoff: float = 0.5,
+        two_sided: bool = False,
+    ) -> None:
+        self.name = name
+        self.faces = faces
+        self.color = color
+        self.alpha_mode = alpha_mode
+        self.alpha_cutoff = alpha_cutoff
+        self.two_sided = two_sided
+        self._image = image
+
+    def with_faces(self, faces: range) -> Part:
+        """The same material for other faces."""
+        return Part(
+            self.name,
+            faces,
+            color=self.color,
+            image=self._image,
+            alpha_mode=self.alpha_mode,
+            alpha_cutoff=self.alpha_cutoff,
+            two_sided=self.two_sided,
+        )
+
+    @cached_property
+    def texture(self) -> NDArray[np.uint8] | None:
+        """Image, (h, w, 4) uint8 sRGB with opacity, row 0 on top (v = 1); None without one. Decoded on first use."""
+        if self._image is None:
+            return None
+        try:
+            pixels = np.asarray(self._image.convert("RGBA") if hasattr(self._image, "convert") else self._image)
+        except (OSError, SyntaxError, ValueError) as error:
+            raise MeshError(f"the texture of part '{self.name}' cannot be read: {error}") from error
+        return checks.frozen(np.array(pixels, dtype=np.uint8))
+
+    @cached_property
+    def alpha(self) -> NDArray[np.float32] | None:
+        """Opacity of the texture, (h, w) from 0 to 1, a mask already cut; None if everything is opaque."""
+        if self.alpha_mode == "opaque":
+            return None
+        stored = np.full((1, 1), 255, dtype=np.uint8) if self.texture is None else self.texture[..., 3]
+        opacity = stored.astype(np.float32) / np.float32(255) * np.float32(self.color[3])
+        if self.alpha_mode == "mask":
+            opacity = (opacity >= self.alpha_cutoff).astype(np.float32)
+        return checks.frozen(opacity)
+
+    def __repr__(self) -> str:
+        looks = "textured" if self._image is not None else "color " + ", ".join(f"{c:.3g}" for c in self.color)
+        return f"Part('{self.name}', {len(self.faces)} faces, {looks}, {self.alpha_mode})"
+
+
+class Mesh:
+    """Triangles, checked when they enter and trusted afterwards.
+
+    The search tree is built at the first query and kept, so hand the same Mesh to several calls.
+
+    Parameters
+    ----------
+    vertices : (n, 3) real
+        Positions, world units. float64 keeps its accuracy: the core stores offsets from the centre of the box.
+    faces : (m, 3) integer
+        Rows of `vertices`, counter-clockwise seen from outside.
+    uv : (n, 2) real, optional
+        Texture coordinates, v upwards.
+    texture : (h, w, 3 or 4) uint8, optional
+        sRGB image for all faces, row 0 on top.
+    alpha : (h, w) real from 0 to 1, optional
+        Opacity over the same coordinates, in place of the texture's own.
+    parts : sequence of Part, optional
+        Materials with the faces they cover, in place of `texture` and `alpha`.
+
+    Raises
+    ------
+    MeshError
+        For a wrong shape, faces that are not whole numbers, an index out of range, a position that is not finite but
+        used, and a mesh without any triangle of positive area. The message names the array, the index and the value.
+
+    Notes
+    -----
+    Degenerate faces, and vertices that are not finite and unused, are dropped and counted in `topology`.
+
+    Examples
+    --------
+    >>> mesh = Mesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
+    >>> mesh.bounds.tolist()
+    [[0.0, 0.0, 0.0], [1.0, 1.0, 0.0]]
+    >>> Mesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 3)])
+    Traceback (most recent call last):
+    fieldbake.errors.MeshError: faces[0] refers to vertex 3, the mesh has 3 vertices (valid: 0 to 2)
+    """
+
+    def __init__(
+        self,
+        vertices: ArrayLike,
+        faces: ArrayLike,
+        *,
+        uv: ArrayLike | None = None,
+        texture: ArrayLike | None = None,
+        alpha: ArrayLike | None = None,
+        parts: Sequence[Part] | None = None,
+    ) -> None:
+        positions = check_vertices(vertices)
+        triangles = check_faces(faces)
+        self._core = _core.Mesh(checks.as_float64(positions), triangles)
+
+        # Looks follow the rows that the core kept.
+        self._uv = None
+        if uv is not None:
+            self._uv = checks.frozen(check_uv(uv, len(positions))[self._core.source_vertices])
+        if parts is None:
+            parts = [Part(faces=range(len(triangles)), **_material(texture, alpha))]
+        elif texture is not None or alpha is not None:
+            raise MeshError("parts: give either parts or texture and alpha")
+        kept = self._core.source_faces
+        self._parts = tuple(
+            part.with_faces(range(*np.searchsorted(kept, (part.faces.start, part.faces.stop)).tolist()))
+            for part in parts
+        )
+
+    @cached_property
+    def vertices(self) -> NDArray[np.float32]:
+        """Positions of the kept vertices, (n, 3) float32, world units, read-only."""
+        return checks.frozen(self._core.vertices)
+
+    @cached_property
+    def faces(self) -> NDArray[np.uint32]:
+        """Kept triangles, (m, 3) uint32 rows of `vertices`, read-only."""
+        return checks.frozen(self._core.faces)
+
+    @property
+    def uv(self) -> NDArray[np.float32] | None:
+        """Texture coordinates, (n, 2) float32, v upwards; None without any."""
+        return self._uv
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """Runs of faces with one material each."""
+        return self._parts
+
+    @property
+    def texture(self) -> NDArray[np.uint8] | None:
+        """Image of the first part that has one, (h, w, 4) uint8 sRGB; None without any. Others: see `parts`."""
+        return next((part.texture for part in self._parts if part.texture is not None), None)
+
+    @property
+    def alpha(self) -> NDArray[np.float32] | None:
+        """Opacity of the first part that is not opaque, (h, w) from 0 to 1; None if all are. Others: see `parts`."""
+        return next((part.alpha for part in self._parts if part.alpha is not None), None)
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Lower and upper corner of the faces, (2, 3), world units."""
+        return self._core.bounds
+
+    @property
+    def center(self) -> NDArray[np.float64]:
+        """Centre of `bounds`, (3,), world units."""
+        return self._core.center
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of vertices, faces and, once built, the tree."""
+        return self._core.nbytes
+
+    def topology(self) -> dict[str, Any]:
+        """Facts of the surface: boundary, non-manifold, flipped, duplicate and degenerate counts, `closed`, ..."""
+        return self._core.topology()
+
+    def to_trimesh(self) -> trimesh.Trimesh:
+        """The geometry as a `trimesh.Trimesh`, nothing merged or reordered."""
+        import trimesh
+
+        return trimesh.Trimesh(self.vertices, self.faces.astype(np.int64), process=False)
+
+    def __repr__(self) -> str:
+        extent = " x ".join(f"{side:.4g}" for side in self.bounds[1] - self.bounds[0])
+        return f"Mesh({len(self.vertices)} vertices, {len(self.faces)} faces, {extent} units)"
+
+
+def check_vertices(value: ArrayLike) -> NDArray[Any]:
+    """Real positions of shape (n, 3), or MeshError. Values are left to the core, which knows which are used."""
+    array = checks.real_array("vertices", value, "(n, 3)", MeshError)
+    if array.ndim == 1 and array.size == 0:
+        array = array.reshape(0, 3)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise MeshError(f"vertices: must have shape (n, 3), got {checks.describe(array)}")
+    return array
+
+
+def check_faces(value: ArrayLike) -> NDArray[np.int64]:
+    """Whole numbers of shape (m, 3), C-contiguous int64, or MeshError. The range is left to the core."""
+    try:
+        array = np.asarray(value)
+    except (ValueError, TypeError) as error:
+        raise MeshError(f"faces: must be an array of shape (m, 3), got {checks.describe(value)} ({error})") from None
+    if array.size == 0 and array.ndim <= 2:
+        return np.empty((0, 3), dtype=np.int64)
+    if array.ndim != 2 or array.shape[1] != 3:
+        hint = "; split polygons into triangles first" if array.ndim == 2 and array.shape[1] > 3 else ""
+        raise MeshError(f"faces: must have shape (m, 3), got {checks.describe(array)}{hint}")
+    if array.dtype.kind not in "iu":
+        raise MeshError(
+            f"faces: must be whole numbers, got dtype {array.dtype} (faces[0] = {array[0].tolist()}); "
+            "convert with faces.astype(int)"
+        )
+    if array.dtype.kind == "u" and array.max() > np.iinfo(np.int64).max:
+        raise MeshError(f"faces: index {array.max()} is out of range")
+    return np.ascontiguousarray(array, dtype=np.int64)
+
+
+def check_uv(value: ArrayLike, vertices: int) -> NDArray[np.float32]:
+    """Texture coordinates, one row a vertex, or MeshError."""
+    array = checks.real_array("uv", value, "(n, 2)", MeshError)
+    if array.shape != (vertices, 2):
+        raise MeshError(f"uv: must have shape ({vertices}, 2), one row a vertex, got {checks.describe(array)}")
+    return array.astype(np.float32)
+
+
+def _material(texture: ArrayLike | None, alpha: ArrayLike | None) -> dict[str, Any]:
+    """Image and alpha mode of one material from plain arrays."""
+    if texture is None and alpha is None:
+        return {}
+    image = None
+    if texture is not None:
+        image = np.asarray(texture)
+        if image.ndim != 3 or image.shape[2] not in (3, 4) or image.dtype != np.uint8 or image.size == 0:
+            raise MeshError(f"texture: must be uint8 of shape (h, w, 3) or (h, w, 4), got {checks.describe(image)}")
+        if image.shape[2] == 3:
+            image = np.dstack([image, np.full(image.shape[:2], 255, dtype=np.uint8)])
+    if alpha is not None:
+        opacity = checks.real_array("alpha", alpha, "(h, w)", MeshError)
+        if opacity.ndim != 2 or opacity.size == 0 or not ((opacity >= 0) & (opacity <= 1)).all():
+            raise MeshError(f"alpha: must be (h, w) with values from 0 to 1, got {checks.describe(opacity)}")
+        if image is None:
+            image = np.full((*opacity.shape, 4), 255, dtype=np.uint8)
+        if image.shape[:2] != opacity.shape:
+            raise MeshError(f"alpha: must have the texture's shape {image.shape[:2]}, got {opacity.shape}")
+        image = np.dstack([image[..., :3], np.round(opacity * 255).astype(np.uint8)])
+    opaque = image is None or bool((image[..., 3] == 255).all())
+    return {"image": image, "alpha_mode": "opaque" if opaque else "blend"}

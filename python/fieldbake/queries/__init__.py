@@ -1,0 +1,1 @@
+"""Signed distances, closest points and rays at arbitrary points of a mesh."""

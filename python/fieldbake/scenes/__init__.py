@@ -1,0 +1,1 @@
+"""Instances, lights, cameras and materials, and the fields kept for them."""

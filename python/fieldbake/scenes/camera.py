@@ -1,0 +1,213 @@
+"""The camera: where from, where to, how wide."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..base import checks
+from ..base.errors import ArgumentError, SceneError
+
+#: Cosine between `up` and the viewing direction above which "up" no longer says which way is up.
+PARALLEL = 1.0 - 1e-9
+
+#: How far a rotation's columns may be from orthonormal: float32 poses are accepted.
+RIGID_TOLERANCE = 1e-4
+
+
+class Camera:
+    """A pinhole camera in OpenGL's pose: it looks along its -Z, its +Y is up.
+
+    Parameters
+    ----------
+    eye : (3,)
+        Position, world units.
+    target : (3,)
+        A point straight ahead.
+    up : (3,), default (0, 1, 0)
+        Upwards in the picture; need not be perpendicular to the view.
+    fov_deg : float, default 45
+        Vertical field of view in degrees, above 0 and below 180.
+
+    Raises
+    ------
+    SceneError
+        If a value is not finite, `eye` equals `target`, `up` is parallel to the view, or `fov_deg` is out of range.
+
+    Examples
+    --------
+    >>> camera = Camera((0, 0, 3), (0, 0, 0))
+    >>> camera.pose[:3, 3].tolist()
+    [0.0, 0.0, 3.0]
+    """
+
+    __slots__ = ("_fov_deg", "_pose", "_target")
+
+    def __init__(
+        self, eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0), fov_deg: float = 45.0
+    ) -> None:
+        position = checks.vector("eye", eye, 3, SceneError)
+        ahead = checks.vector("target", target, 3, SceneError)
+        upward = checks.vector("up", up, 3, SceneError)
+        for name, place in (("eye", position), ("target", ahead), ("up", upward)):
+            if np.abs(place).max() > checks.FAR:
+                raise SceneError(f"{name}: must be at most {checks.FAR:g} from 0, got {place.tolist()}")
+        if not np.linalg.norm(position - ahead) > 0:
+            raise SceneError(f"target: must differ from eye, both are {position.tolist()}")
+        if not np.linalg.norm(upward) > 0:
+            raise SceneError("up: must have a length, got (0, 0, 0)")
+        backward = (position - ahead) / np.linalg.norm(position - ahead)
+        upward /= np.linalg.norm(upward)
+        if abs(backward @ upward) > PARALLEL:
+            raise SceneError(f"up: must not be parallel to the view, got {upward.tolist()}; try (0, 0, 1)")
+        right = np.cross(upward, backward)
+        right /= np.linalg.norm(right)
+        pose = np.eye(4)
+        pose[:3, 0] = right
+        pose[:3, 1] = np.cross(backward, right)
+        pose[:3, 2] = backward
+        pose[:3, 3] = position
+        self._set(pose, ahead, fov_deg)
+
+    def _set(self, pose: NDArray[np.float64], target: NDArray[np.float64], fov_deg: float) -> None:
+        try:
+            self._fov_deg = checks.number("fov_deg", fov_deg, above=0)
+        except ArgumentError as error:
+            raise SceneError(str(error)) from None
+        if self._fov_deg >= 180:
+            raise SceneError(f"fov_deg: must be below 180, got {self._fov_deg:g}")
+        self._pose = checks.frozen(pose)
+        self._target = checks.frozen(target)
+
+    @classmethod
+    def from_pose(cls, pose: ArrayLike, fov_deg: float = 45.0) -> Camera:
+        """Take the pose of another program, such as pyrender's or glTF's.
+
+        Parameters
+        ----------
+        pose : (4, 4)
+            World from camera: a rotation and a translation, column vectors.
+        fov_deg : float, default 45
+            Vertical field of view in degrees.
+
+        Raises
+        ------
+        SceneError
+            If the pose is not a rotation with a translation.
+        """
+        matrix = checks.affine("pose", pose, SceneError)
+        rotation = matrix[:3, :3]
+        if not np.allclose(rotation.T @ rotation, np.eye(3), atol=RIGID_TOLERANCE) or np.linalg.det(rotation) < 0:
+            raise SceneError(f"pose: the 3x3 part must be a rotation, got {rotation.tolist()}")
+        camera = cls.__new__(cls)
+        camera._set(matrix, matrix[:3, 3] - matrix[:3, 2], fov_deg)
+        return camera
+
+    @classmethod
+    def fit(
+        cls,
+        bounds: ArrayLike,
+        *,
+        direction: ArrayLike = (-0.55, -0.4, -1.0),
+        up: ArrayLike = (0.0, 1.0, 0.0),
+        fov_deg: float = 45.0,
+        aspect: float = 1.0,
+        border: float = 0.05,
+    ) -> Camera:
+        """Stand so far back that a box just fills the picture, and in the middle of it.
+
+        Parameters
+        ----------
+        bounds : (2, 3)
+            Lower and upper corner, world units.
+        direction : (3,), default (-0.55, -0.4, -1)
+            The way the camera looks: by default from the front, the right and a little above.
+        up : (3,), default (0, 1, 0)
+            Upwards in the picture.
+        fov_deg : float, default 45
+            Vertical field of view in degrees.
+        aspect : float, default 1
+            Width of the picture over its height.
+        border : float, default 0.05
+            Share of the picture left free around the box.
+
+        Raises
+        ------
+        SceneError
+            If the box is empty or a value makes no sense.
+        """
+        box = checks.box("bounds", bounds, SceneError, flat=True)
+        center = (box[0] + box[1]) / 2
+        forward = checks.vector("direction", direction, 3, SceneError)
+        try:
+            aspect = checks.number("aspect", aspect, above=0)
+            border = checks.number("border", border, least=0)
+        except ArgumentError as error:
+            raise SceneError(str(error)) from None
+        radius = float(np.linalg.norm(box[1] - box[0])) / 2
+        if not radius > 0:
+            raise SceneError(f"bounds: the box is a single point, {box[0].tolist()}")
+        if not np.linalg.norm(forward) > 0:
+            raise SceneError("direction: must have a length, got (0, 0, 0)")
+        forward /= np.linalg.norm(forward)
+        # Aim from one radius away only to get the axes and the checks; the distance comes next.
+        aim = cls(center - forward * radius, center, up, fov_deg)
+
+        # A corner at (x, y, depth) from the centre is seen from (ex, ey, distance) if |x - ex| <= aspect * slope *
+        # (distance - depth) and |y - ey| <= slope * (distance - depth): on each axis the two outermost corners decide.
+        slope = np.tan(np.radians(aim.fov_deg) / 2) / (1 + border)
+        corners = np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]]) - center
+        x, y, depth = (corners @ aim.pose[:3, axis] for axis in range(3))
+        wide, tall = slope * aspect, slope
+        right, left = (x + wide * depth).max(), (wide * depth - x).max()
+        above, below = (y + tall * depth).max(), (tall * depth - y).max()
+        center = center + aim.pose[:3, :2] @ np.array([right - left, above - below]) / 2
+        needed = max((right + left) / (2 * wide), (above + below) / (2 * tall))
+        # Never nearer than just outside the box's sphere, so that a very wide view does not start inside.
+        distance = max(float(needed), 1.01 * radius)
+        return cls(center - forward * distance, center, up, fov_deg)
+
+    @property
+    def pose(self) -> NDArray[np.float64]:
+        """World from camera, (4, 4), read-only."""
+        return self._pose
+
+    @property
+    def eye(self) -> NDArray[np.float64]:
+        """Position, (3,), world units."""
+        return self._pose[:3, 3]
+
+    @property
+    def target(self) -> NDArray[np.float64]:
+        """A point straight ahead, (3,), world units."""
+        return self._target
+
+    @property
+    def up(self) -> NDArray[np.float64]:
+        """The picture's upward direction, (3,), unit."""
+        return self._pose[:3, 1]
+
+    @property
+    def fov_deg(self) -> float:
+        """Vertical field of view, degrees."""
+        return self._fov_deg
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if hasattr(self, name):
+            raise AttributeError(f"a Camera cannot be changed ({name}); make a new one")
+        super().__setattr__(name, value)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restore, (np.array(self._pose), np.array(self._target), self._fov_deg)
+
+    def __repr__(self) -> str:
+        eye, target = (", ".join(f"{x:.4g}" for x in p) for p in (self.eye, self._target))
+        return f"Camera(eye=({eye}), target=({target}), fov_deg={self._fov_deg:g})"
+
+
+def _restore(pose: NDArray[np.float64], target: NDArray[np.float64], fov_deg: float) -> Camera:
+    camera = Camera.__new__(Camera)
+    camera._set(pose, target, fov_deg)
+    return camera

@@ -1,0 +1,244 @@
+"""Fields for the instances of scenes: baked on demand, kept in memory and, where asked for, on disk.
+
+A field is known by a hash of the triangles, the options and the version of the package, so a changed mesh never meets
+an old field. On disk each is one ``.npz`` of our own format that appears whole or not at all: any number of processes
+may share the folder. It is ``platformdirs.user_cache_dir("fieldbake")``, or what ``FIELDBAKE_CACHE`` names; nothing is
+written unless that variable is set or :func:`use_disk` was called.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+from collections import OrderedDict
+from collections.abc import Sequence
+from pathlib import Path
+from threading import Lock
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _core
+from ..atlases.atlas import AtlasEntry
+from ..baking.dense import bake
+from ..base import checks
+from ..base.errors import FormatError
+from ..loading.npz import load
+from ..meshes.alpha_mask import kept_triangles
+from ..meshes.mesh import Mesh
+from ..shapes.quadric import Quadric, rows_of
+from ..shapes.shape import Shape
+from ..volumes.sparse import SparseVolume
+from ..volumes.volume import Volume
+
+logger = logging.getLogger("fieldbake")
+
+#: Fields kept in memory, in bytes; the least recently used goes first.
+MEMORY_BYTES = 1 << 30
+
+#: A mesh thinner than this share of its longest side is flat.
+FLAT = 1e-6
+
+#: Thickness of a flat sheet in voxels. Its samples lie on it, so a plate keeps its faces however thin; the outline
+#: of any other shape is right on average where the field dips this deep under it.
+PLATE_VOXELS = 0.02
+OUTLINE_VOXELS = 0.36
+
+#: What a leaf of a shape takes, about.
+SHAPE_BYTES = 4096
+
+_lock = Lock()
+_kept: OrderedDict[object, tuple[_core.SceneField, int, object]] = OrderedDict()
+_disk: Path | None = None
+
+
+def use_disk(folder: str | os.PathLike[str] | None = None) -> Path:
+    """Keep the fields of scenes on disk from now on.
+
+    Parameters
+    ----------
+    folder : path, optional
+        Where; the user's cache folder for fieldbake if not given.
+
+    Returns
+    -------
+    Path
+        The folder.
+    """
+    global _disk
+    if folder is None:
+        import platformdirs
+
+        folder = platformdirs.user_cache_dir("fieldbake")
+    _disk = Path(folder)
+    _disk.mkdir(parents=True, exist_ok=True)
+    return _disk
+
+
+def clear() -> None:
+    """Forget the fields in memory; files stay."""
+    with _lock:
+        _kept.clear()
+
+
+def of_mesh(mesh: Mesh, resolution: int, device: str) -> _core.SceneField:
+    """The field of a mesh, baked unless it is known."""
+    key = ("mesh", content_hash(mesh, resolution))
+    found = _find(key)
+    if found is None:
+        volume = _from_disk(key[1])
+        if volume is None:
+            volume = bake_for_scene(mesh, resolution, device)
+            _to_disk(key[1], volume)
+        found = _keep(key, _field(volume), volume.nbytes, None)
+    return found
+
+
+def of_thing(thing: Volume | SparseVolume | AtlasEntry | Shape) -> _core.SceneField:
+    """The field of what has one, made ready once."""
+    # An entry stands for whatever its atlas holds there.
+    key: tuple[object, ...] = thing._key if isinstance(thing, AtlasEntry) else (type(thing), id(thing))
+    found = _find(key)
+    if found is not None:
+        return found
+    # The thing is kept with its field, so its id stays its own.
+    if isinstance(thing, AtlasEntry):
+        volume = thing.to_volume()
+        return _keep(key, _field(volume), volume.nbytes, thing)
+    if isinstance(thing, Shape):
+        return _keep(key, _core.SceneField.shape(thing._core), SHAPE_BYTES * thing._core.leaf_count, thing)
+    if isinstance(thing, SparseVolume):
+        inner = (checks.triple(corner) for corner in thing.inner_bounds)
+        return _keep(key, _core.SceneField.sparse(thing._core_field, *inner), thing.nbytes, thing)
+    return _keep(key, _field(thing), thing.nbytes, thing)
+
+
+def of_quadrics(quadrics: Sequence[Quadric]) -> list[_core.SceneField]:
+    """The field of each."""
+    return _core.SceneField.quadrics(rows_of(quadrics))
+
+
+def content_hash(mesh: Mesh, resolution: int) -> str:
+    """Hash of all that decides the field of a mesh."""
+    digest = hashlib.blake2b(digest_size=20)
+    digest.update(f"{_core.__version__} {resolution} {_is_sheet(mesh)}".encode())
+    for array in (mesh.vertices, mesh.faces, mesh.center):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    for part in mesh.parts:
+        digest.update(f"{part.faces} {part.alpha_mode} {part.alpha_cutoff}".encode())
+        if part.alpha_mode == "mask" and part.alpha is not None and mesh.uv is not None:
+            digest.update(np.ascontiguousarray(part.alpha).tobytes())
+            digest.update(np.ascontiguousarray(mesh.uv).tobytes())
+    return digest.hexdigest()
+
+
+def bake_for_scene(mesh: Mesh, resolution: int, device: str = "auto") -> Volume:
+    """Bake a mesh as light meets it: masked parts cut out, sheets with a thickness, solids as they are."""
+    if _is_sheet(mesh):
+        axis = _flat_axis(mesh.bounds)
+        if axis is not None and not _has_mask(mesh):
+            return _bake_plate(mesh, axis, resolution, device)
+        return bake(kept_triangles(mesh, resolution), resolution, two_sided=True, device=device)
+    volume = bake(mesh, resolution, device=device)
+    if volume.report.inside_voxels == 0:
+        # Nothing is inside, so it is a sheet: without a thickness light would not meet it.
+        volume = bake(mesh, resolution, two_sided=True, device=device)
+    return volume
+
+
+def is_sheet(mesh: Mesh) -> bool:
+    """Whether light sees a mesh as a surface without an inside."""
+    return _is_sheet(mesh) or _flat_axis(mesh.bounds) is not None
+
+
+def _is_sheet(mesh: Mesh) -> bool:
+    if _has_mask(mesh) or _flat_axis(mesh.bounds) is not None:
+        return True
+    return any(part.two_sided for part in mesh.parts) and not mesh.topology()["closed"]
+
+
+def _has_mask(mesh: Mesh) -> bool:
+    return any(part.alpha_mode == "mask" and part.alpha is not None for part in mesh.parts)
+
+
+def _flat_axis(bounds: NDArray[np.float64]) -> int | None:
+    """The axis along which a box has no thickness."""
+    extent = bounds[1] - bounds[0]
+    axis = int(extent.argmin())
+    return axis if extent[axis] <= FLAT * extent.max() else None
+
+
+def _bake_plate(mesh: Mesh, axis: int, resolution: int, device: str) -> Volume:
+    """A flat mesh on a grid whose samples lie on it and on the edges of its box."""
+    lower, upper = mesh.bounds
+    extent = upper - lower
+    voxel = float(extent.max()) / max(resolution - 4, 4)
+    # Whole cells between the edges, two beyond them; across, two samples on each side.
+    cells = np.maximum(np.round(extent / voxel), 1).astype(np.int64)
+    spacing = np.where(extent > 0, extent / cells, voxel)
+    cells[axis], spacing[axis] = 0, voxel
+    box = np.stack([lower - 2.5 * spacing, upper + 2.5 * spacing])
+    thin = PLATE_VOXELS if _is_rectangle(mesh, axis) else OUTLINE_VOXELS
+    nx, ny, nz = (cells + 5).tolist()
+    return bake(mesh, (nx, ny, nz), bounds=box, two_sided=True, thickness=thin * voxel, device=device)
+
+
+def _is_rectangle(mesh: Mesh, axis: int) -> bool:
+    """Whether a flat mesh fills its box."""
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
+    sides = np.delete(mesh.bounds[1] - mesh.bounds[0], axis)
+    return bool(abs(area - sides.prod()) <= 1e-4 * sides.prod())
+
+
+def _field(volume: Volume) -> _core.SceneField:
+    lower, upper = volume._corners()
+    inner = volume.inner_bounds
+    return _core.SceneField(volume._distances, lower, upper, checks.triple(inner[0]), checks.triple(inner[1]))
+
+
+def _find(key: object) -> _core.SceneField | None:
+    with _lock:
+        if key not in _kept:
+            return None
+        _kept.move_to_end(key)
+        return _kept[key][0]
+
+
+def _keep(key: object, field: _core.SceneField, size: int, owner: object) -> _core.SceneField:
+    with _lock:
+        _kept[key] = (field, size, owner)
+        total = sum(entry[1] for entry in _kept.values())
+        while total > MEMORY_BYTES and len(_kept) > 1:
+            total -= _kept.popitem(last=False)[1][1]
+    return field
+
+
+def _folder() -> Path | None:
+    named = os.environ.get("FIELDBAKE_CACHE")
+    if _disk is None and named:
+        return use_disk(named)
+    return _disk
+
+
+def _from_disk(name: str) -> Volume | None:
+    folder = _folder()
+    if folder is None or not (folder / f"{name}.npz").is_file():
+        return None
+    try:
+        found = load(folder / f"{name}.npz")
+        return found if isinstance(found, Volume) else None
+    except (FormatError, OSError) as error:
+        logger.warning("a cached field cannot be used and is baked again: %s", error)
+        return None
+
+
+def _to_disk(name: str, volume: Volume) -> None:
+    folder = _folder()
+    if folder is None:
+        return
+    try:
+        volume.save(folder / f"{name}.npz")
+    except OSError as error:
+        logger.warning("a field could not be kept on disk: %s", error)

@@ -1,0 +1,168 @@
+"""Scenes from files: every node an instance, and what glTF says of cameras and lights.
+
+Meshes, materials and textures come through trimesh, which shares what nodes have in common. Of cameras it keeps one and
+of lights none, so those are read from the file's own JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import SceneError
+from ..meshes.convert import load_nodes
+from .camera import Camera
+from .lights import DirectionalLight, Light, PointLight
+from .scene import INSTANCE_RESOLUTION, Instance, Scene
+
+#: Of a binary glTF file, and of its JSON chunk.
+MAGIC, JSON_CHUNK = b"glTF", b"JSON"
+
+
+def load_scene(path: str | os.PathLike[str], *, resolution: int = INSTANCE_RESOLUTION, ambient: float = 0.2) -> Scene:
+    """Read a file as a scene.
+
+    Parameters
+    ----------
+    path : str or path
+        Any format that :func:`load_mesh` reads. Nodes that share a mesh share its field. Cameras and lights
+        (``KHR_lights_punctual``) are those of glTF files; spot lights shine all round here.
+    resolution : int, default 64
+        Voxels along the longest side of each mesh's field.
+    ambient : float, default 0.2
+        Light from everywhere, as a share of the colour.
+
+    Returns
+    -------
+    Scene
+        Its brightest light reaches the middle of the scene with strength 1, for the units of files differ; the others
+        in proportion. Without lights in the file: one at the camera.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    MeshError
+        If the file cannot be read or holds no triangles.
+    """
+    nodes = load_nodes(path)
+    instances = [Instance(mesh, transform, resolution=resolution) for mesh, transform in nodes]
+    document = _document(Path(path))
+    cameras, lights = [], []
+    for node, world_from_node in _nodes(document):
+        camera = _camera(document, node, world_from_node)
+        if camera is not None:
+            cameras.append(camera)
+        light = _light(document, node, world_from_node)
+        if light is not None:
+            lights.append(light)
+    bounds = Scene(instances).bounds
+    return Scene(instances, _balanced(lights, bounds.mean(axis=0)), ambient=ambient, cameras=cameras)
+
+
+def _document(file: Path) -> dict[str, Any]:
+    """The JSON of a glTF file; empty for other kinds."""
+    suffix = file.suffix.lower()
+    if suffix not in (".gltf", ".glb"):
+        return {}
+    content = file.read_bytes()
+    if suffix == ".glb":
+        # A header of 12 bytes, then chunks: length, kind, content. The JSON is the first.
+        if content[:4] != MAGIC or content[16:20] != JSON_CHUNK:
+            return {}
+        (length,) = struct.unpack("<I", content[12:16])
+        content = content[20 : 20 + length]
+    try:
+        document = json.loads(content)
+    except ValueError:
+        return {}
+    return document if isinstance(document, dict) else {}
+
+
+def _nodes(document: dict[str, Any]) -> Iterator[tuple[dict[str, Any], NDArray[np.float64]]]:
+    """Every node of the scene that is shown, with its world-from-node transform."""
+    nodes = document.get("nodes", [])
+    scenes = document.get("scenes", [])
+    roots = scenes[document.get("scene", 0)].get("nodes", []) if scenes else range(len(nodes))
+    waiting = [(index, np.eye(4)) for index in roots]
+    seen: set[int] = set()
+    while waiting:
+        index, world_from_parent = waiting.pop()
+        if index in seen or not 0 <= index < len(nodes):
+            continue
+        seen.add(index)
+        world_from_node = world_from_parent @ _transform(nodes[index])
+        yield nodes[index], world_from_node
+        waiting += [(child, world_from_node) for child in nodes[index].get("children", [])]
+
+
+def _transform(node: dict[str, Any]) -> NDArray[np.float64]:
+    """Parent from node: a matrix by columns, or scale, then rotation (quaternion x, y, z, w), then translation."""
+    if "matrix" in node:
+        return np.transpose(np.array(node["matrix"], dtype=np.float64).reshape(4, 4))
+    x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    ) * np.array(node.get("scale", (1.0, 1.0, 1.0)))
+    matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    return matrix
+
+
+def _camera(document: dict[str, Any], node: dict[str, Any], world_from_node: NDArray[np.float64]) -> Camera | None:
+    """A perspective camera; a scale of its node does not matter."""
+    if "camera" not in node:
+        return None
+    lens = document["cameras"][node["camera"]].get("perspective")
+    if lens is None:
+        return None
+    pose = world_from_node.copy()
+    pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
+    try:
+        return Camera.from_pose(pose, float(np.degrees(lens["yfov"])))
+    except (SceneError, KeyError):
+        return None
+
+
+def _light(document: dict[str, Any], node: dict[str, Any], world_from_node: NDArray[np.float64]) -> Light | None:
+    reference = node.get("extensions", {}).get("KHR_lights_punctual")
+    if reference is None:
+        return None
+    light = document["extensions"]["KHR_lights_punctual"]["lights"][reference["light"]]
+    color, intensity = light.get("color", (1.0, 1.0, 1.0)), float(light.get("intensity", 1.0))
+    if light.get("type") == "directional":
+        return DirectionalLight((-world_from_node[:3, 2]).tolist(), color, intensity)
+    return PointLight(world_from_node[:3, 3].tolist(), color, intensity)
+
+
+def _balanced(lights: list[Light], center: NDArray[np.float64]) -> list[Light] | None:
+    """Lights of one strength scale; those of files fall off with distance, ours do not."""
+    if not lights:
+        return None
+    arriving = [
+        light.intensity / max(float(np.sum((np.array(light.position) - center) ** 2)), 1e-12)
+        if isinstance(light, PointLight)
+        else light.intensity
+        for light in lights
+    ]
+    brightest = max(arriving)
+    if brightest <= 0:
+        return lights
+    balanced: list[Light] = []
+    for light, strength in zip(lights, arriving, strict=True):
+        if isinstance(light, PointLight):
+            balanced.append(PointLight(light.position, light.color, strength / brightest, light.radius))
+        else:
+            balanced.append(DirectionalLight(light.direction, light.color, strength / brightest))
+    return balanced[:16]

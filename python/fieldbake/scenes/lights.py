@@ -1,0 +1,96 @@
+"""Lights. Directions say which way the light travels; colours are linear RGB."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
+
+import numpy as np
+
+from ..base import checks
+from ..base.errors import ArgumentError, SceneError
+
+Vector = tuple[float, float, float]
+
+
+def _vector(name: str, value: Sequence[float]) -> Vector:
+    return checks.triple(checks.vector(name, value, 3, SceneError))
+
+
+def _least(name: str, value: float) -> float:
+    try:
+        return checks.number(name, value, least=0)
+    except ArgumentError as error:
+        raise SceneError(str(error)) from None
+
+
+def _color(value: Sequence[float]) -> Vector:
+    color = _vector("color", value)
+    if min(color) < 0:
+        raise SceneError(f"color: must not be negative, got {color}")
+    return color
+
+
+@dataclass(frozen=True)
+class DirectionalLight:
+    """Light from very far away, such as the sun.
+
+    Parameters
+    ----------
+    direction : (3,)
+        The way the light travels; any length but zero.
+    color : (3,), default white
+        Linear RGB.
+    intensity : float, default 1
+        Factor of the colour.
+    angle_deg : float, default 0
+        Angle under which the light is seen; hard shadows take it as 0.
+    """
+
+    direction: Sequence[float]
+    color: Sequence[float] = (1.0, 1.0, 1.0)
+    intensity: float = 1.0
+    _: KW_ONLY
+    angle_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        direction = np.array(_vector("direction", self.direction))
+        largest = np.abs(direction).max()
+        if largest == 0:
+            raise SceneError("direction: must have a length, got (0, 0, 0)")
+        direction /= largest
+        object.__setattr__(self, "direction", checks.triple(direction / np.linalg.norm(direction)))
+        object.__setattr__(self, "color", _color(self.color))
+        object.__setattr__(self, "intensity", _least("intensity", self.intensity))
+        object.__setattr__(self, "angle_deg", _least("angle_deg", self.angle_deg))
+
+
+@dataclass(frozen=True)
+class PointLight:
+    """Light from one place.
+
+    Parameters
+    ----------
+    position : (3,)
+        World units.
+    color : (3,), default white
+        Linear RGB.
+    intensity : float, default 1
+        Factor of the colour.
+    radius : float, default 0
+        Size of the source, world units; hard shadows take it as 0.
+    """
+
+    position: Sequence[float]
+    color: Sequence[float] = (1.0, 1.0, 1.0)
+    intensity: float = 1.0
+    radius: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position", _vector("position", self.position))
+        object.__setattr__(self, "color", _color(self.color))
+        object.__setattr__(self, "intensity", _least("intensity", self.intensity))
+        object.__setattr__(self, "radius", _least("radius", self.radius))
+
+
+Light = DirectionalLight | PointLight

@@ -1,0 +1,1 @@
+"""Meshes extracted from distance fields: isosurfaces, solids, offsets and Booleans."""

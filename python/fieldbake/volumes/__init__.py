@@ -1,0 +1,1 @@
+"""Signed distance fields on dense, quantised and sparse grids."""

@@ -1,0 +1,67 @@
+"""What dense and sparse volumes have in common: a box, its voxels and a report; nothing of it changes."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base import checks
+from ..base.report import Report
+
+
+class Boxed(ABC):
+    """A field on a grid over a box. Immutable."""
+
+    __slots__ = ("_bounds", "_inner_bounds", "_report")
+
+    _bounds: NDArray[np.float64]
+    _inner_bounds: NDArray[np.float64]
+    _report: Report
+
+    def _stand_in(self, bounds: NDArray[np.float64], inner_bounds: NDArray[np.float64], report: Report) -> None:
+        """Take over checked facts."""
+        self._bounds = checks.frozen(bounds)
+        self._inner_bounds = checks.frozen(inner_bounds)
+        self._report = report
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Lower and upper corner of the box, (2, 3); samples lie half a voxel inside."""
+        return self._bounds
+
+    @property
+    def inner_bounds(self) -> NDArray[np.float64]:
+        """Box that holds the whole surface, (2, 3)."""
+        return self._inner_bounds
+
+    @property
+    @abstractmethod
+    def resolution(self) -> tuple[int, int, int]:
+        """Voxels along x, y and z."""
+
+    @property
+    def spacing(self) -> NDArray[np.float64]:
+        """Size of a voxel, (3,), world units."""
+        return np.asarray((self._bounds[1] - self._bounds[0]) / np.array(self.resolution))
+
+    @property
+    def origin(self) -> NDArray[np.float64]:
+        """Centre of voxel (0, 0, 0), (3,), world units."""
+        corner: NDArray[np.float64] = self._bounds[0]
+        return corner + self.spacing / 2
+
+    @property
+    def report(self) -> Report:
+        """What the bake found and did."""
+        return self._report
+
+    def _corners(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        return checks.triple(self._bounds[0]), checks.triple(self._bounds[1])
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if hasattr(self, name):
+            raise AttributeError(f"a {type(self).__name__} cannot be changed ({name}); make a new one")
+        super().__setattr__(name, value)

@@ -1,0 +1,172 @@
+"""Volumes whose distances are stored in 16 or 8 bits."""
+
+from __future__ import annotations
+
+import os
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _core
+from ..base import checks
+from ..base.errors import ArgumentError
+from ..base.report import Report, bytes_text
+from .volume import Volume
+
+Encoding = Literal["float16", "snorm16", "snorm8"]
+
+#: Element type of each encoding.
+DTYPES: dict[str, np.dtype[Any]] = {
+    "float32": np.dtype(np.float32),
+    "float16": np.dtype(np.float16),
+    "snorm16": np.dtype(np.int16),
+    "snorm8": np.dtype(np.int8),
+}
+
+#: Largest step of the normalised integers.
+STEPS = {"snorm16": 32767, "snorm8": 127}
+
+#: What a float16 keeps: below the first its steps are constant, above the second there is nothing.
+SMALLEST_HALF, LARGEST_HALF = 2.0**-14, 65504.0
+
+
+class QuantizedVolume(Volume):
+    """A `Volume` that stores its distances in 16 or 8 bits. Made by :meth:`Volume.quantize`; used like any other.
+
+    A stored magnitude is never larger than the true one, so rays still pass through nothing. ``.distances`` decodes all
+    of them to float32, anew at each use; sampling and marching read the stored ones, on a graphics device too.
+    """
+
+    __slots__ = ("_encoded", "_encoding", "_unit")
+
+    _encoded: NDArray[Any]
+    _encoding: str
+    _unit: float
+
+    @classmethod
+    def _of(
+        cls,
+        encoded: NDArray[Any],
+        encoding: str,
+        scale: float,
+        bounds: NDArray[np.float64],
+        inner_bounds: NDArray[np.float64],
+        report: Report,
+    ) -> QuantizedVolume:
+        """Take over a checked array, x fastest."""
+        volume = cls.__new__(cls)
+        nx, ny, nz = encoded.shape
+        volume._encoded, volume._encoding, volume._unit = checks.frozen(encoded), encoding, scale
+        volume._field, volume._samples, volume._shape = None, None, (nx, ny, nz)
+        volume._stand_in(bounds, inner_bounds, report)
+        return volume
+
+    @property
+    def encoding(self) -> str:
+        """``"float16"``, ``"snorm16"`` or ``"snorm8"``."""
+        return self._encoding
+
+    @property
+    def encoded(self) -> NDArray[Any]:
+        """The stored numbers, (nx, ny, nz), x fastest: distances, or shares of :attr:`scale` in 127 or 32767 steps."""
+        return self._encoded[...]
+
+    @property
+    def scale(self) -> float:
+        """Distance that the largest integer stands for, world units; farther ones are stored as this. 1 for float16."""
+        return self._unit
+
+    def error_bound(self, distance: float) -> float:
+        """The most that a stored distance of this magnitude is off, world units; beyond ``scale`` no bound holds."""
+        if self._encoding == "float16":
+            return max(abs(distance) * 2.0**-10, 2.0**-24)
+        # A step, and two roundings of float32 on the way back.
+        return self._unit / STEPS[self._encoding] + 2 * 2.0**-23 * self._unit
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the samples."""
+        return self._encoded.nbytes
+
+    @property
+    def _distances(self) -> NDArray[np.float32]:
+        return checks.frozen(_core.decode(self._encoded, self._unit))
+
+    @property
+    def _texels(self) -> NDArray[Any]:
+        return self._encoded
+
+    @property
+    def _scale(self) -> float:
+        return self._unit
+
+    def _source(self, device: str) -> NDArray[Any]:
+        checks.text("device", device)
+        return self._encoded
+
+    def save(self, path: str | os.PathLike[str], *, encoding: str | None = None, band: float = 4.0) -> None:
+        """Write a file; see :meth:`Volume.save`. An .npz keeps the stored numbers, and so does a texture.
+
+        Parameters
+        ----------
+        path : str or path
+            As for :meth:`Volume.save`.
+        encoding : str, optional
+            Of a texture. If not given, that of the volume and with its scale; .nrrd files are always float32.
+        band : float, default 4
+            As for :meth:`Volume.save`; read only if `encoding` is given.
+
+        Raises
+        ------
+        FormatError, ArgumentError, OSError
+            As for :meth:`Volume.save`.
+        """
+        from ..loading.foreign import VOLUME_ENDINGS
+        from ..loading.npz import save_quantized
+
+        ending = os.path.splitext(path)[1].lower()  # noqa: PTH122 - bytes and paths alike
+        if ending not in VOLUME_ENDINGS:
+            if encoding not in (None, self._encoding):
+                got = checks.describe(encoding)
+                raise ArgumentError(f"encoding: {ending or 'such'} files keep the volume's {self._encoding}, got {got}")
+            save_quantized(self, path)
+        elif encoding is None and ending != ".nrrd":
+            super().save(path, encoding=self._encoding, band=self._unit / float(self.spacing.max()))
+        else:
+            super().save(path, encoding=encoding or "float32", band=band)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        parts = (self._encoded, self._encoding, self._unit, self._bounds, self._inner_bounds, self._report)
+        return _restore, parts
+
+    def __repr__(self) -> str:
+        shape = " x ".join(str(side) for side in self.resolution)
+        return f"QuantizedVolume({shape} voxels as {self._encoding}, {bytes_text(self.nbytes)})"
+
+
+def _restore(encoded: Any, encoding: str, scale: float, bounds: Any, inner_bounds: Any, report: Report) -> Volume:
+    return QuantizedVolume._of(np.asfortranarray(encoded), encoding, scale, bounds, inner_bounds, report)
+
+
+def quantize(volume: Volume, encoding: str, band: float) -> QuantizedVolume:
+    """See :meth:`Volume.quantize`."""
+    if checks.text("encoding", encoding) not in DTYPES or encoding == "float32":
+        names = ", ".join(f'"{name}"' for name in DTYPES if name != "float32")
+        raise ArgumentError(f"encoding: must be one of {names}, got {checks.describe(encoding)}")
+    width = checks.number("band", band, above=0) * float(volume.spacing.max())
+    distances = volume._distances
+    if encoding == "float16":
+        largest = float(np.abs(distances).max())
+        if largest > LARGEST_HALF or width < SMALLEST_HALF:
+            raise ArgumentError(
+                f"encoding: float16 keeps {SMALLEST_HALF:.1g} to {LARGEST_HALF:g}, the band is {width:.3g} wide and "
+                f'the largest distance {largest:.3g}; use "snorm16", which has a scale'
+            )
+        scale = 1.0
+    else:
+        scale = float(np.float32(width))
+        if not 1e-30 < scale < 1e30:
+            raise ArgumentError(f"band: makes a scale of {width:g} world units, expected 1e-30 to 1e30")
+    encoded = _core.encode(distances, encoding, scale)
+    return QuantizedVolume._of(encoded, encoding, scale, volume.bounds, volume.inner_bounds, volume.report)

@@ -1,0 +1,267 @@
+"""Sparse volumes: samples near the surface, a bound on the distance elsewhere."""
+
+from __future__ import annotations
+
+import os
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import _core
+from ..baking.dense import Sign, log_warnings, prepare
+from ..base import checks
+from ..base.grid import Resolution
+from ..base.progress import Progress, progress_callback
+from ..base.report import Report, bytes_text
+from ..meshes.convert import MeshLike
+from .grid_field import Boxed
+from .volume import Filter, Volume
+
+Encoding = Literal["float32", "float16", "snorm16", "snorm8"]
+
+
+class SparseVolume(Boxed):
+    """Signed distances in bricks of 8^3 samples near the surface, and a bound everywhere else. Immutable.
+
+    Made by :func:`fieldbake.bake_sparse` or :meth:`Volume.to_sparse`. It is sampled and drawn like a `Volume`.
+
+    Notes
+    -----
+    The grid is cut into bricks of 7^3 cells; neighbours share the samples on their faces. A brick with a sample in the
+    band is stored. Where one brick with cells of 2 or 4 voxels says the same as those it covers, to the tolerance, it
+    takes their place. Of the other bricks only the sign is kept, and the distances at their corners; between those the
+    field is a proven lower bound of the distance, so that rays may leap over them.
+    """
+
+    __slots__ = ("_core_field",)
+
+    _core_field: _core.SparseField
+
+    def __init__(self) -> None:
+        raise TypeError("a SparseVolume is made by bake_sparse or Volume.to_sparse")
+
+    @classmethod
+    def _wrap(
+        cls,
+        field: _core.SparseField,
+        bounds: NDArray[np.float64],
+        inner_bounds: NDArray[np.float64],
+        report: Report,
+    ) -> SparseVolume:
+        volume = cls.__new__(cls)
+        volume._core_field = field
+        volume._stand_in(bounds, inner_bounds, report)
+        return volume
+
+    @property
+    def resolution(self) -> tuple[int, int, int]:
+        """Voxels along x, y and z of the grid that it stands for."""
+        return self._core_field.shape
+
+    @property
+    def encoding(self) -> str:
+        """How samples are stored: ``"float32"``, ``"float16"``, ``"snorm16"`` or ``"snorm8"``."""
+        return self._core_field.encoding
+
+    @property
+    def band(self) -> float:
+        """Distance up to which bricks are stored, world units."""
+        return self._core_field.band
+
+    @property
+    def brick_counts(self) -> MappingProxyType[int, int]:
+        """Stored bricks by the side of their cells, voxels: 1, 2 and 4."""
+        return MappingProxyType({1 << level: count for level, count in enumerate(self._core_field.levels)})
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of samples, index and corner distances."""
+        return self._core_field.nbytes
+
+    @property
+    def distances(self) -> NDArray[np.float32]:
+        """The field on the whole grid, (nx, ny, nz) float32: as large as the dense volume, made anew at each use."""
+        return checks.frozen(self._core_field.dense())
+
+    def to_volume(self) -> Volume:
+        """The dense volume of the same grid: stored samples, and bounds where nothing is stored."""
+        return Volume._wrap(self._core_field.dense(), self._bounds, self._inner_bounds, self._report)
+
+    def sample(self, points: ArrayLike, *, filter: Filter = "linear") -> NDArray[np.float32]:
+        """The field at any points.
+
+        Parameters
+        ----------
+        points : (n, 3) real
+            World positions; any leading shape will do.
+        filter : "linear" or "nearest", default "linear"
+            As for :meth:`Volume.sample`.
+
+        Returns
+        -------
+        (n,) float32
+            World units. In bricks near the surface the trilinear field; elsewhere, and outside the box, a proven lower
+            bound of the distance, with its sign.
+
+        Raises
+        ------
+        ArgumentError
+            For a wrong shape, a point that is not finite, or an unknown filter.
+        """
+        flat, shape = checks.points(points)
+        inner = checks.triple(self._inner_bounds[0]), checks.triple(self._inner_bounds[1])
+        return self._core_field.sample(*inner, flat, filter=checks.text("filter", filter)).reshape(shape)
+
+    def gradient(self, points: ArrayLike) -> NDArray[np.float32]:
+        """Gradient of the field at any points, (n, 3); see :meth:`Volume.gradient`."""
+        flat, shape = checks.points(points)
+        return self._core_field.gradient(flat).reshape(*shape, 3)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write an .npz file, to be read by :func:`fieldbake.load`; see :meth:`Volume.save`."""
+        from ..loading.npz import save_sparse
+
+        save_sparse(self, path)
+
+    def _source(self, device: str) -> _core.SparseField:
+        checks.text("device", device)
+        return self._core_field
+
+    @property
+    def _scale(self) -> float:
+        return 1.0
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        field = self._core_field
+        arrays = field.arrays()
+        parts = (field.shape, field.band, field.scale, arrays, self._bounds, self._inner_bounds, self._report)
+        return _restore, parts
+
+    def __repr__(self) -> str:
+        shape = " x ".join(str(side) for side in self.resolution)
+        bricks = sum(self.brick_counts.values())
+        return f"SparseVolume({shape} voxels, {bricks:,} bricks as {self.encoding}, {bytes_text(self.nbytes)})"
+
+
+def _restore(
+    shape: tuple[int, int, int], band: float, scale: float, arrays: Any, bounds: Any, inner_bounds: Any, report: Report
+) -> SparseVolume:
+    corners = checks.triple(bounds[0]), checks.triple(bounds[1])
+    return SparseVolume._wrap(restore_field(corners, shape, band, scale, arrays), bounds, inner_bounds, report)
+
+
+def restore_field(
+    corners: tuple[tuple[float, float, float], tuple[float, float, float]],
+    shape: tuple[int, int, int],
+    band: float,
+    scale: float,
+    arrays: Any,
+) -> _core.SparseField:
+    """A field from the arrays that :meth:`_core.SparseField.arrays` gives, in any memory order."""
+    bricks = np.ascontiguousarray(arrays["bricks"].transpose(0, 3, 2, 1)).reshape(-1)
+    index, nodes = np.asfortranarray(arrays["index"]), np.asfortranarray(arrays["nodes"])
+    return _core.SparseField(*corners, shape, band, scale, index, nodes, bricks)
+
+
+def sparse_options(band: float, tolerance: float | None, encoding: str) -> dict[str, Any]:
+    """Checked options of the core."""
+    return {
+        "band": checks.number("band", band, least=2),
+        "tolerance": None if tolerance is None else checks.number("tolerance", tolerance, least=0),
+        "encoding": checks.text("encoding", encoding),
+    }
+
+
+def bake_sparse(
+    mesh: MeshLike,
+    resolution: Resolution = 512,
+    *,
+    band: float = 4,
+    tolerance: float | None = 0.05,
+    encoding: Encoding = "float32",
+    voxel_size: float | None = None,
+    bounds: ArrayLike | None = None,
+    margin: float = 0.1,
+    sign: Sign = "auto",
+    two_sided: bool = False,
+    thickness: float | None = None,
+    progress: Progress = None,
+) -> SparseVolume:
+    """Bake a mesh into bricks around its surface; the dense grid is never made.
+
+    Parameters
+    ----------
+    mesh, voxel_size, bounds, margin, sign, two_sided, thickness, progress
+        As for :func:`bake`.
+    resolution : int or three ints, default 512
+        Voxels of the grid that the bricks are part of.
+    band : float, default 4
+        Bricks with a sample nearer to the surface are stored, voxels; at least 2.
+    tolerance : float or None, default 0.05
+        Coarser bricks take the place of finer ones where they differ from no sample in the band by more, voxels. None:
+        never; every stored sample is that of :func:`bake`.
+    encoding : str, default "float32"
+        Or ``"float16"``, ``"snorm16"``, ``"snorm8"``: rounded toward zero, the integers with the band as their scale.
+
+    Returns
+    -------
+    SparseVolume
+        Memory in proportion to the surface, but for 8 bytes a brick of 343 cells.
+
+    Raises
+    ------
+    MeshError, ArgumentError, CapacityError
+        As for :func:`bake`.
+
+    Notes
+    -----
+    Runs on the CPU. Distances are those of :func:`bake`. A brick far from the surface is taken to be on one side: on
+    closed meshes that is certain, on open ones all its samples are looked at, on mere soups its corners.
+
+    Examples
+    --------
+    >>> corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    >>> tetrahedron = (corners, [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])
+    >>> sparse = bake_sparse(tetrahedron, resolution=128)
+    >>> bool(sparse.sample([(0.2, 0.2, 0.2)])[0] < 0)
+    True
+    >>> sparse.nbytes < 4 * 128**3 / 2
+    True
+    """
+    options = sparse_options(band, tolerance, encoding)
+    job = prepare(mesh, resolution, voxel_size, bounds, margin, sign, two_sided, thickness)
+    with progress_callback(progress, "bake") as callback:
+        field, facts = _core.bake_sparse(
+            job.mesh._core,
+            job.grid.lower,
+            job.grid.upper,
+            job.grid.shape,
+            sign=job.sign,
+            thickness=job.thickness,
+            progress=callback,
+            **options,
+        )
+    report = Report.from_dict({"faces": len(job.mesh.faces), "vertices": len(job.mesh.vertices), **facts})
+    log_warnings(report)
+    return SparseVolume._wrap(field, np.array([job.grid.lower, job.grid.upper]), job.inner, report)
+
+
+def to_sparse(
+    volume: Volume, tolerance: float | None, band: float, encoding: str, progress: Progress = None
+) -> SparseVolume:
+    """See :meth:`Volume.to_sparse`."""
+    options = sparse_options(band, tolerance, encoding)
+    inner = volume.inner_bounds
+    with progress_callback(progress, "bricks") as callback:
+        field = _core.to_sparse(
+            volume._texels,
+            *volume._corners(),
+            checks.triple(inner[0]),
+            checks.triple(inner[1]),
+            scale=volume._scale,
+            progress=callback,
+            **options,
+        )
+    return SparseVolume._wrap(field, volume.bounds, inner, volume.report)

@@ -1,0 +1,431 @@
+"""The volume: a signed distance field on a regular grid."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from .. import _core
+from ..base import checks
+from ..base.errors import ArgumentError
+from ..base.progress import Progress
+from ..base.report import Report, bytes_text
+from ..meshes.mesh import Mesh
+from .grid_field import Boxed
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from .quantized import QuantizedVolume
+    from .sparse import SparseVolume
+
+Filter = Literal["linear", "nearest"]
+
+
+class Volume(Boxed):
+    """Signed distances on a regular grid, negative inside, in the mesh's own units. Immutable.
+
+    Made by :func:`fieldbake.bake` or :func:`fieldbake.load`, or from an array:
+
+    Parameters
+    ----------
+    distances : (nx, ny, nz) real
+        Samples at the voxel centres. Kept as float32 with x fastest in memory.
+    bounds : (2, 3) array
+        Lower and upper corner of the box, world units.
+    inner_bounds : (2, 3) array, optional
+        Box that holds the whole surface; `bounds` if not given. Needed for the lower bound outside the box.
+    report : Report, optional
+        Where the distances came from.
+
+    Raises
+    ------
+    ArgumentError
+        For a wrong shape, a distance that is not finite, or an empty box.
+
+    Examples
+    --------
+    >>> x = np.linspace(-0.75, 0.75, 4)
+    >>> half_space = Volume(np.broadcast_to(x[:, None, None], (4, 4, 4)), [(-1, -1, -1), (1, 1, 1)])
+    >>> half_space.sample([(0.25, 0.0, 0.0)]).tolist()
+    [0.25]
+    >>> half_space.gradient([(0.25, 0.0, 0.0)]).tolist()
+    [[1.0, 0.0, 0.0]]
+    """
+
+    __slots__ = ("_field", "_samples", "_shape")
+
+    # Samples on a graphics device, and here: either may be missing, not both.
+    _field: _core.DeviceField | None
+    _samples: NDArray[np.float32] | None
+    _shape: tuple[int, int, int]
+
+    def __init__(
+        self,
+        distances: ArrayLike,
+        bounds: ArrayLike,
+        *,
+        inner_bounds: ArrayLike | None = None,
+        report: Report | None = None,
+    ) -> None:
+        box = checks.box("bounds", bounds)
+        inner = box.copy() if inner_bounds is None else checks.box("inner_bounds", inner_bounds, flat=True)
+        self._set(np.array(check_distances(distances), order="F"), box, inner, report or Report())
+
+    def _set(
+        self,
+        distances: NDArray[np.float32] | _core.DeviceField,
+        bounds: NDArray[np.float64],
+        inner_bounds: NDArray[np.float64],
+        report: Report,
+    ) -> None:
+        if isinstance(distances, _core.DeviceField):
+            self._field, self._samples = distances, None
+        else:
+            self._field, self._samples = None, checks.frozen(distances)
+        nx, ny, nz = distances.shape
+        self._shape = (nx, ny, nz)
+        self._stand_in(bounds, inner_bounds, report)
+
+    @classmethod
+    def _wrap(
+        cls,
+        distances: NDArray[np.float32] | _core.DeviceField,
+        bounds: NDArray[np.float64],
+        inner_bounds: NDArray[np.float64],
+        report: Report,
+    ) -> Volume:
+        """Take over checked arrays without a copy."""
+        volume = cls.__new__(cls)
+        volume._set(distances, bounds, inner_bounds, report)
+        return volume
+
+    @property
+    def _distances(self) -> NDArray[np.float32]:
+        """The samples, read back from the device at the first use."""
+        if self._samples is None:
+            assert self._field is not None
+            object.__setattr__(self, "_samples", checks.frozen(self._field.read()))
+        assert self._samples is not None
+        return self._samples
+
+    def _source(self, device: str) -> NDArray[Any] | _core.DeviceField:
+        """The samples where a call with this `device` runs, if they are there."""
+        field = self._field
+        return field if field is not None and field.serves(checks.text("device", device)) else self._distances
+
+    @property
+    def _texels(self) -> NDArray[Any]:
+        """The samples as they are stored."""
+        return self._distances
+
+    @property
+    def _scale(self) -> float:
+        """What the stored samples are decoded with."""
+        return 1.0
+
+    @property
+    def distances(self) -> NDArray[np.float32]:
+        """Samples, (nx, ny, nz) float32, world units, x fastest in memory; a read-only view."""
+        return self._distances[...]
+
+    @property
+    def resolution(self) -> tuple[int, int, int]:
+        """Voxels along x, y and z."""
+        return self._shape
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the samples."""
+        nx, ny, nz = self._shape
+        return 4 * nx * ny * nz
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        wanted = np.dtype(np.float32 if dtype is None else dtype)
+        if wanted == self._distances.dtype and not copy:
+            return self._distances[...]
+        if copy is False:
+            raise ValueError(f"distances are float32: {wanted} needs a copy")
+        return np.array(self._distances, dtype=wanted)
+
+    def sample(self, points: ArrayLike, *, filter: Filter = "linear") -> NDArray[np.float32]:
+        """The field at any points.
+
+        Parameters
+        ----------
+        points : (n, 3) real
+            World positions; any leading shape will do.
+        filter : "linear" or "nearest", default "linear"
+            Trilinear between the eight samples around, or the nearest one.
+
+        Returns
+        -------
+        (n,) float32
+            World units. Outside the box: a proven lower bound of the distance, sqrt(a^2 + s^2) for a point at
+            distance a from the box of the outermost samples, s being a lower bound at the nearest point of that.
+
+        Raises
+        ------
+        ArgumentError
+            For a wrong shape, a point that is not finite, or an unknown filter.
+        """
+        flat, shape = checks.points(points)
+        lower, upper = self._corners()
+        inner = self._inner_bounds
+        values = _core.sample(
+            self._texels,
+            lower,
+            upper,
+            checks.triple(inner[0]),
+            checks.triple(inner[1]),
+            flat,
+            filter=checks.text("filter", filter),
+            scale=self._scale,
+        )
+        return values.reshape(shape)
+
+    def gradient(self, points: ArrayLike) -> NDArray[np.float32]:
+        """Gradient of the trilinear field at any points; on the surface it points outwards.
+
+        Parameters
+        ----------
+        points : (n, 3) real
+            World positions; any leading shape will do. Outside the box its nearest point is taken.
+
+        Returns
+        -------
+        (n, 3) float32
+            Distance per world unit: near length 1 away from edges of the field.
+
+        Raises
+        ------
+        ArgumentError
+            For a wrong shape or a point that is not finite.
+        """
+        flat, shape = checks.points(points)
+        lower, upper = self._corners()
+        return _core.gradient(self._texels, lower, upper, flat, scale=self._scale).reshape(*shape, 3)
+
+    def to_mesh(self, level: float = 0.0) -> Mesh:
+        """The surface where the field has the value `level`, by surface nets.
+
+        Parameters
+        ----------
+        level : float, default 0
+            World units; positive values give a grown surface, negative a shrunk one.
+
+        Returns
+        -------
+        Mesh
+            Counter-clockwise seen from the larger values. Always closed: where the box cuts the surface, by a flat
+            cap.
+
+        Raises
+        ------
+        ArgumentError
+            If the field does not take that value between samples.
+
+        References
+        ----------
+        S. Gibson, Constrained elastic surface nets, MICCAI 1998.
+        """
+        level = checks.number("level", level)
+        distances = self._distances
+        lowest, highest = float(distances.min()), float(distances.max())
+        if lowest < level < highest:
+            vertices, faces = _core.surface_nets(distances, *self._corners(), level)
+            if len(faces):
+                return Mesh(vertices, faces.astype(np.int64))
+        raise ArgumentError(f"level: no surface at {level:g}, the samples run from {lowest:g} to {highest:g}")
+
+    def downsample(self, factor: int = 2) -> Volume:
+        """A coarser volume over the same box.
+
+        Parameters
+        ----------
+        factor : int, default 2
+            Each side gets 1/`factor` of its voxels, rounded up.
+
+        Returns
+        -------
+        Volume
+            Trilinear values at the new voxel centres; not a lower bound of the distance.
+
+        Raises
+        ------
+        ArgumentError
+            If `factor` is not a whole number of at least 1.
+        """
+        factor = checks.integer("factor", factor, least=1, most=2**31)
+        nx, ny, nz = ((side + factor - 1) // factor for side in self.resolution)
+        distances = _core.resample(self._texels, *self._corners(), (nx, ny, nz), scale=self._scale)
+        return Volume._wrap(distances, self._bounds, self._inner_bounds, self._report)
+
+    def plot_slices(self, at: ArrayLike | None = None) -> Figure:
+        """The slices through a point along the three axes, coloured by distance, with iso-lines.
+
+        Parameters
+        ----------
+        at : (3,) array, optional
+            World position; the middle of the box if not given.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A notebook shows it; ``.savefig("slices.png")`` saves it.
+
+        Raises
+        ------
+        Error
+            If matplotlib is not installed.
+        ArgumentError
+            If `at` is no position.
+        """
+        from ..drawing.plot import plot_slices
+
+        return plot_slices(self, at)
+
+    def quantize(self, encoding: Literal["float16", "snorm16", "snorm8"], *, band: float = 4) -> QuantizedVolume:
+        """The same volume in 16 or 8 bits a sample.
+
+        Parameters
+        ----------
+        encoding : "float16", "snorm16" or "snorm8"
+            Half floats of the distances, or integers in equal steps from minus the band to the band.
+        band : float, default 4
+            Voxels around the surface that the integers keep, by the voxel's longest side; magnitudes beyond are stored
+            as the band. float16 has no band.
+
+        Returns
+        -------
+        QuantizedVolume
+            A volume like any other. Values are rounded toward zero: no stored magnitude exceeds the true one. They are
+            off by at most band / 127 (snorm8) or band / 32767 (snorm16) within the band, and by 2^-10 of the distance
+            (float16), 2^-24 where that is more.
+
+        Raises
+        ------
+        ArgumentError
+            For an unknown encoding, a band that is not positive, or distances that float16 cannot hold.
+
+        Examples
+        --------
+        >>> half_space = Volume(np.linspace(-1, 1, 8).repeat(64).reshape(8, 8, 8), [(-1, -1, -1), (1, 1, 1)])
+        >>> half_space.quantize("snorm8").nbytes
+        512
+        """
+        from .quantized import quantize
+
+        return quantize(self, encoding, band)
+
+    def to_sparse(
+        self,
+        *,
+        tolerance: float | None = 0.05,
+        band: float = 4,
+        encoding: Literal["float32", "float16", "snorm16", "snorm8"] = "float32",
+        progress: Progress = None,
+    ) -> SparseVolume:
+        """The same field as bricks around the surface; see :class:`SparseVolume`.
+
+        Parameters
+        ----------
+        tolerance : float or None, default 0.05
+            Coarser bricks take the place of finer ones where they differ from all their samples by no more, voxels.
+            None: never; every stored sample is that of the volume.
+        band : float, default 4
+            Bricks with a sample nearer to the surface are stored, voxels; at least 2.
+        encoding : str, default "float32"
+            Or ``"float16"``, ``"snorm16"``, ``"snorm8"``, rounded toward zero; the integers with the band as scale.
+        progress : bool or callable, optional
+            True draws a bar on stderr; a callable gets a share from 0 to 1.
+
+        Returns
+        -------
+        SparseVolume
+            Where nothing is stored, a lower bound of the distance, as far as the volume's samples are distances.
+
+        Raises
+        ------
+        ArgumentError
+            For an option that makes no sense.
+        """
+        from .sparse import to_sparse
+
+        return to_sparse(self, tolerance, band, encoding, progress)
+
+    def save(self, path: str | os.PathLike[str], *, encoding: str = "float32", band: float = 4.0) -> None:
+        """Write a file; one of that name is replaced only once the new one is complete.
+
+        Parameters
+        ----------
+        path : str or path
+            ``.npz``: ours, and NumPy's; ``.dds`` or ``.ktx2``: a 3D texture; ``.nrrd``: for ParaView and 3D Slicer,
+            needs the package pynrrd. Read any with :func:`fieldbake.load`.
+        encoding : str, default "float32"
+            Of a texture: ``"float32"``, ``"float16"``, ``"snorm16"`` or ``"snorm8"``, as for :func:`fieldbake.pack`.
+        band : float, default 4
+            Half the width of the band that a normalised encoding keeps, voxels.
+
+        Raises
+        ------
+        FormatError
+            For another ending.
+        ArgumentError
+            For an encoding that the file cannot have.
+        OSError
+            If the file cannot be written.
+        """
+        from ..loading import foreign
+        from ..loading.npz import save_volume
+
+        ending = os.path.splitext(path)[1].lower()  # noqa: PTH122 - bytes and paths alike
+        if ending in foreign.VOLUME_ENDINGS:
+            foreign.save_volume_as(self, path, encoding, band)
+            return
+        if encoding != "float32":
+            raise ArgumentError(f'encoding: {ending or "such"} files hold "float32", got {checks.describe(encoding)}')
+        save_volume(self, path)
+
+    def _repr_png_(self) -> bytes | None:
+        """A picture, for notebooks; None if there is no surface to see."""
+        from ..drawing.raymarching import raymarch
+
+        distances = self._distances
+        if not distances.min() <= 0 <= distances.max():
+            return None
+        return raymarch(self, size=(256, 256), device="cpu")._repr_png_()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restore, (self._distances, self._bounds, self._inner_bounds, self._report)
+
+    def __repr__(self) -> str:
+        shape = " x ".join(str(side) for side in self.resolution)
+        spacing = self.spacing
+        same = np.allclose(spacing, spacing[0], rtol=1e-6)
+        voxel = f"{spacing[0]:.4g}" if same else " x ".join(f"{side:.4g}" for side in spacing)
+        made = f", sign {self._report.sign_method} on {self._report.device}" if self._report.sign_method else ""
+        return f"Volume({shape} voxels of {voxel} units, {bytes_text(self.nbytes)}{made})"
+
+
+def _restore(distances: Any, bounds: Any, inner_bounds: Any, report: Report) -> Volume:
+    return Volume(distances, bounds, inner_bounds=inner_bounds, report=report)
+
+
+def check_distances(value: ArrayLike) -> NDArray[np.float32]:
+    """Finite samples of shape (nx, ny, nz), float32 with x fastest, copied only where needed."""
+    array = checks.real_array("distances", value, "(nx, ny, nz)")
+    if array.ndim != 3 or array.size == 0:
+        raise ArgumentError(f"distances: must have shape (nx, ny, nz), got {checks.describe(array)}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        samples = np.asfortranarray(array, dtype=np.float32)
+    # The sum is finite only if all samples are; only then is the slower look worth it.
+    with np.errstate(over="ignore", invalid="ignore"):
+        suspicious = not np.isfinite(samples.sum(dtype=np.float64))
+    if suspicious and not (finite := np.isfinite(samples)).all():
+        where = tuple(np.argwhere(~finite)[0].tolist())
+        raise ArgumentError(f"distances[{', '.join(map(str, where))}]: must be finite, got {samples[where]}")
+    return samples
