@@ -3,7 +3,7 @@
 import numpy as np
 
 import fieldbake as fb
-from fieldbake.drawing.frame import save_image
+from fieldbake.drawing.frame import save_image, srgb_from_linear
 
 MODEL = "(union (cube 3) (diff (cube 4) (move -2 -2 2 (sphere 5))))"
 SIZE = (420, 360)
@@ -38,7 +38,7 @@ def main() -> None:
         for lower, upper in part.boxes:
             inside |= ((points >= lower - 1e-3) & (points <= upper + 1e-3)).all(axis=-1)
         tint[on_it & inside] = color
-    shaded = fb.frame.srgb_from_linear((white.color[..., :3] * np.where(seen[..., None], tint, 1)).astype(np.float32))
+    shaded = srgb_from_linear((white.color[..., :3] * np.where(seen[..., None], tint, 1)).astype(np.float32))
     parts = np.round(np.clip(shaded, 0, 1) * 255).astype(np.uint8)
     save_image(np.concatenate([plain.image[..., :3], parts], axis=1), "docs/csg.png")
 

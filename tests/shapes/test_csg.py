@@ -381,7 +381,7 @@ def test_every_primitive_has_a_shader(solid):
 
 # --- examples and the command line
 
-EXAMPLES = sorted((Path(__file__).parents[1] / "examples" / "csg").glob("*.csg"))
+EXAMPLES = sorted((Path(__file__).parents[2] / "examples" / "csg").glob("*.csg"))
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)

@@ -21,8 +21,8 @@ SLAB = meshes.box((0, 0, 0), (4, 2, 1))
 
 
 def run_python(script, *, env=None, **options):
-    """Run a script in a process of its own, the folder of these tests on its path."""
-    preamble = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+    """Run a script in a process of its own, with the test helpers on its path."""
+    preamble = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[1] / 'support')!r})\n"
     return subprocess.Popen(
         [sys.executable, "-c", preamble + textwrap.dedent(script)],
         stdout=subprocess.PIPE,

@@ -143,7 +143,7 @@ def draw_until_compiled(shape, device, camera=None, size=(24, 24)):
 
 def test_edits_recompile_only_for_a_new_structure(gpu):
     # In a process of its own: kernels that other tests left to be compiled would be counted.
-    check = f"import test_csg_draw; test_csg_draw.check_edits({gpu!r})"
+    check = f"import sys; sys.path[:0] = {sys.path!r}; import test_csg_draw; test_csg_draw.check_edits({gpu!r})"
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", check],
         cwd=Path(__file__).parent,

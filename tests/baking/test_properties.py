@@ -1,6 +1,6 @@
 """What holds for every mesh: looked for by hypothesis among random triangles, points and garbage.
 
-`HYPOTHESIS_PROFILE=search pytest tests/test_properties.py` looks longer and elsewhere.
+`HYPOTHESIS_PROFILE=search pytest tests/baking/test_properties.py` looks longer and elsewhere.
 """
 
 import contextlib

@@ -15,6 +15,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 import fieldbake as fb
+from fieldbake.shapes.shape import combine as combine_shapes
 
 # --- primitives by inequalities and points
 
@@ -386,7 +387,7 @@ def combine(op, trees, k=0.0, chamfer=0.0):
                 result = -_least(-either, both, k, chamfer)
         return result
 
-    shape = fb.shapes.combine(op, [tree.shape for tree in trees], k=k, chamfer=chamfer)
+    shape = combine_shapes(op, [tree.shape for tree in trees], k=k, chamfer=chamfer)
     inner = ", ".join(tree.text for tree in trees)
     return Tree(shape, field, f"{op} k={k} chamfer={chamfer} ({inner})")
 
