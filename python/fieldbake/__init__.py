@@ -17,6 +17,7 @@ from . import arrays, cache, csg, models
 from ._core import __version__
 from .atlases.atlas import Atlas, AtlasEntry, pack
 from .baking.dense import ClosestPoints, bake, closest_point, signed_distance
+from .baking.sparse import bake_sparse
 from .base.adapters import Device, devices
 from .base.errors import (
     ArgumentError,
@@ -32,16 +33,19 @@ from .base.errors import (
 from .base.report import Report
 from .drawing.frame import Frame
 from .drawing.raymarching import raymarch
-from .loading.npz import load
-from .merging.merged import MergedField, merge, sphere_intersection
+from .drawing.rendering import render
+from .loading.readers import load
+from .merging.build import merge, sphere_intersection
+from .merging.merged import MergedField
 from .merging.nested import NestedField
 from .meshes.convert import as_mesh, load_mesh
 from .meshes.mesh import Mesh, Part
 from .scenes.camera import Camera
 from .scenes.gltf import load_scene
+from .scenes.instance import Instance
 from .scenes.lights import DirectionalLight, PointLight
 from .scenes.materials import Material
-from .scenes.scene import Instance, Scene, render
+from .scenes.scene import Scene
 from .shapes.quadric import Quadric, pack_quadrics, unpack_quadrics, wrap_quadrics
 from .shapes.shape import (
     Profile,
@@ -70,7 +74,7 @@ from .shapes.shape import (
     volume_shape,
 )
 from .volumes.quantized import QuantizedVolume
-from .volumes.sparse import SparseVolume, bake_sparse
+from .volumes.sparse import SparseVolume
 from .volumes.volume import Volume
 
 __all__ = [
@@ -153,3 +157,7 @@ __all__ = [
 
 # Quiet unless the program that uses us configures logging.
 _logging.getLogger("fieldbake").addHandler(_logging.NullHandler())
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

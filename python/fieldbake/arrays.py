@@ -20,7 +20,7 @@ from .base import checks
 from .base.errors import ArgumentError
 from .base.grid import MAX_SIDE
 from .base.report import Report
-from .drawing.raymarching import _size
+from .drawing.options import checked_size
 from .meshes.mesh import check_faces, check_vertices
 from .scenes.camera import Camera
 from .volumes.volume import Volume, check_distances
@@ -28,6 +28,10 @@ from .volumes.volume import Volume, check_distances
 Method = Literal["tree", "brute"]
 
 __all__ = ["bake", "pack", "raymarch"]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
 
 
 def bake(
@@ -167,7 +171,7 @@ def raymarch(
     result = _core.raymarch(
         check_distances(distances),
         *corners,
-        {"pose": camera.pose, "fov_deg": camera.fov_deg, "size": _size(size)},
+        {"pose": camera.pose, "fov_deg": camera.fov_deg, "size": checked_size(size)},
         device=checks.text("device", device),
     )
     return result["color"], result["depth"]

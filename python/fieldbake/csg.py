@@ -11,7 +11,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from itertools import pairwise
 from typing import Literal
 
@@ -21,11 +21,15 @@ from numpy.typing import NDArray
 from . import _core
 from .base import checks
 from .base.errors import ShapeError
-from .shapes.shape import Shape, _shape, combine
+from .shapes.shape import Shape, checked_shape, combine
 
 Method = Literal["octree", "aabb"]
 
 __all__ = ["Part", "Parts", "decompose", "difference", "intersection", "parse", "union", "xor"]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
 
 
 class Part:
@@ -174,13 +178,8 @@ def decompose(shape: Shape, method: Method = "octree") -> Parts:
     """
     if not isinstance(method, str):
         raise ShapeError(f'method: must be "octree" or "aabb", got {checks.describe(method)}')
-    core = _shape("shape", shape)._core
+    core = checked_shape("shape", shape)._core
     found, firsts = core.decompose(method)
     boxes = checks.frozen(found)
     parts = [Part((core, method, i), boxes[first:end]) for i, (first, end) in enumerate(pairwise(firsts))]
     return Parts(parts, structures=lambda: core.structures(method))
-
-
-def _all_shapes(things: object) -> bool:
-    """Whether this is a list of shapes, which is baked as their union."""
-    return isinstance(things, Sequence) and len(things) > 0 and all(isinstance(thing, Shape) for thing in things)

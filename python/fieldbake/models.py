@@ -11,6 +11,12 @@ from .base import checks
 from .base.errors import ArgumentError
 from .meshes.mesh import Mesh
 
+__all__ = ["gear", "torus_knot"]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
 
 def torus_knot(
     p: int = 2,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, Literal
@@ -10,25 +11,25 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _core
-from ..base import checks
-from ..base.errors import ArgumentError, AtlasError
+from ..base import checks, encodings
+from ..base.encodings import DEFAULT_BAND, Encoding
+from ..base.errors import ArgumentError, AtlasError, FormatError
 from ..base.progress import Progress
 from ..base.report import Report, bytes_text, count_text
+from ..files import container
 from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume
+from . import images
 from .pages import (
-    DEFAULT_BAND,
+    ARRAYS,
+    BLOCK_FIELDS,
     MAX_GUTTER,
     MAX_PAGE_SIZE,
-    TEXELS,
     VACANT,
-    Encoding,
-    GrowingPages,
     Layout,
+    PageStore,
     checked_item,
-    choice,
     entry_dtype,
-    positive,
 )
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ class AtlasEntry:
         return f"AtlasEntry({self._index} of {self._atlas!r})"
 
 
-class Atlas(GrowingPages):
+class Atlas(PageStore):
     """Many volumes in the pages of one texture array. Made by :func:`fieldbake.pack` or :func:`fieldbake.load`.
 
     A volume's slices along z are tiles, side by side on a page. Each volume has an index, which it keeps; :meth:`add`
@@ -334,14 +335,48 @@ class Atlas(GrowingPages):
         OSError
             If the file cannot be written.
         """
-        from ..loading import foreign
-        from ..loading.npz import save_atlas
-
+        ending = os.path.splitext(path)[1].lower()  # noqa: PTH122 - bytes and paths alike
         with self._lock:
-            if os.path.splitext(path)[1].lower() in foreign.ATLAS_ENDINGS:  # noqa: PTH122 - bytes and paths alike
-                foreign.save_atlas_as(self, path)
-            else:
-                save_atlas(self, path)
+            if ending not in images.ENDINGS:
+                reports = json.dumps([report.to_dict() for report in self._reports]).encode()
+                arrays = {name: getattr(self, f"_{name}") for name in ("pages", *ARRAYS)}
+                arrays["reports"] = np.frombuffer(reports, np.uint8)
+                container.write(path, {**container.head("atlas"), **self._facts()}, arrays)
+                return
+            if not self._page_count:
+                raise FormatError(f"{path}: the atlas is empty, and an image of nothing cannot be written")
+            saved = self
+            if ending == ".png" and not self._encoding.startswith("snorm"):
+                saved = _normalised_copy(self, "snorm16")
+            volumes = [saved._volume_facts(i) for i in range(len(saved._blocks))]
+            images.write(path, saved._pages, {**saved._facts(), "pages": saved._page_count, "volumes": volumes})
+
+    def _facts(self) -> dict[str, Any]:
+        """What a file says about the atlas as a whole."""
+        return {
+            "layout": self._layout,
+            "page_size": self._page_size,
+            "gutter": self._gutter,
+            "encoding": self._encoding,
+            "band": self._band,
+        }
+
+    def _volume_facts(self, i: int) -> dict[str, Any]:
+        """What an image says about the volume in row `i`, for people and engines."""
+        block: dict[str, Any] = {}
+        numbers = iter(self._blocks[i].tolist())
+        for name, count in BLOCK_FIELDS.items():
+            values = [next(numbers) for _ in range(count)]
+            block[name] = values if count > 1 else values[0]
+        inner_lower, inner_upper, lower, upper = self._boxes[i].tolist()
+        return {
+            **block,
+            "bounds": [lower, upper],
+            "inner_bounds": [inner_lower, inner_upper],
+            "model": self._models[i].tolist(),
+            "scale": float(self._scales[i]),
+            "report": self._reports[i].to_dict(),
+        }
 
     def plot(self, page: int = 0) -> Figure:
         """One page with the surfaces as lines, a frame around each volume and its index.
@@ -456,10 +491,10 @@ def pack(
     [0, 1]
     """
     atlas = Atlas(
-        layout=choice("layout", layout, ("shelves", "strips")),
+        layout=checks.choice("layout", layout, ("shelves", "strips")),
         page_size=checks.integer("page_size", page_size, least=1, most=MAX_PAGE_SIZE),
         gutter=checks.integer("gutter", gutter, least=0, most=MAX_GUTTER),
-        encoding=choice("encoding", encoding, tuple(TEXELS)),
+        encoding=checks.choice("encoding", encoding, encodings.NAMES),
         band=checks.number("band", band, above=0),
     )
     if isinstance(volumes, (Volume, SparseVolume)):
@@ -473,17 +508,17 @@ def pack(
     return atlas
 
 
-def normalised_copy(atlas: Atlas, encoding: Encoding) -> Atlas:
+def _normalised_copy(atlas: Atlas, encoding: Encoding) -> Atlas:
     """The same atlas in a normalised encoding, each volume scaled to its largest distance."""
     copy = Atlas(
         layout=atlas.layout, page_size=atlas.page_size, gutter=atlas.gutter, encoding=encoding, band=atlas.band
     )
     copy._blocks, copy._boxes, copy._models = atlas._blocks.copy(), atlas._boxes.copy(), atlas._models.copy()
     copy._scales, copy._reports = atlas._scales.copy(), list(atlas._reports)
-    copy._pages = np.zeros(atlas._pages.shape, TEXELS[encoding])
+    copy._pages = np.zeros(atlas._pages.shape, encodings.DTYPES[encoding])
     for i in atlas.indices:
         distances = atlas.unpack(i).distances
-        copy._scales[i] = positive(float(np.abs(distances).max()))
+        copy._scales[i] = encodings.positive(float(np.abs(distances).max()))
         _core.atlas_write(
             copy._bytes(), copy._blocks[i : i + 1], [distances], [float(copy._scales[i])], encoding=encoding
         )

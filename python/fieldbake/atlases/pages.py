@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .. import _core
 from ..base import checks
+from ..base.encodings import DEFAULT_BAND, DTYPES, Encoding, scale_of
 from ..base.errors import ArgumentError, AtlasError
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report
@@ -17,15 +18,6 @@ from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume
 
 Layout = Literal["shelves", "strips"]
-Encoding = Literal["float32", "float16", "snorm16", "snorm8"]
-
-#: Texels of each encoding. Normalised integers stand for a share of the entry's scale.
-TEXELS: dict[str, np.dtype[Any]] = {
-    "float32": np.dtype(np.float32),
-    "float16": np.dtype(np.float16),
-    "snorm16": np.dtype(np.int16),
-    "snorm8": np.dtype(np.int8),
-}
 
 #: Largest side of a page, and the widest gutter.
 MAX_PAGE_SIZE = 1 << 15
@@ -34,11 +26,12 @@ MAX_GUTTER = 64
 #: In place of the page in the row of an index without a volume.
 VACANT = np.uint32(0xFFFFFFFF)
 
-#: Numbers of a block: page, corner (2), tile (2), columns, gutter, shape (3).
-BLOCK_NUMBERS = 10
+#: Fields of a block, in the order of the core, and how many numbers each has.
+BLOCK_FIELDS = {"page": 1, "corner": 2, "tile": 2, "columns": 1, "gutter": 1, "shape": 3}
+BLOCK_NUMBERS = sum(BLOCK_FIELDS.values())
 
-#: Voxels around the surface that keep their distance in a normalised encoding.
-DEFAULT_BAND = 4.0
+#: Arrays with a row for each index, by their names in files.
+ARRAYS = ("blocks", "boxes", "models", "scales")
 
 # The article's struct PackedSdfOffsetDetail in std430, field by field.
 _ARTICLE_FIELDS: list[tuple[str, Any]] = [
@@ -83,7 +76,7 @@ def entry_dtype(layout: Layout, encoding: Encoding) -> np.dtype[Any]:
     )
 
 
-class GrowingPages:
+class PageStore:
     """The pages of an atlas and a row of facts for each volume on them.
 
     Texels are on the host or on a graphics device. Rooms are planned by the core from what is taken, so volumes come
@@ -99,7 +92,7 @@ class GrowingPages:
         self._encoding: Encoding = encoding
         self._band = band
         # On the host, and on a graphics device: either may be missing, not both.
-        self._host: NDArray[Any] | None = np.zeros((0, page_size, page_size), TEXELS[encoding])
+        self._host: NDArray[Any] | None = np.zeros((0, page_size, page_size), DTYPES[encoding])
         self._device: _core.DevicePages | None = None
         # One row for each index.
         self._blocks = np.zeros((0, BLOCK_NUMBERS), np.uint32)
@@ -120,7 +113,7 @@ class GrowingPages:
             if self._host is None:
                 assert self._device is not None
                 size = self._page_size
-                self._host = self._device.read().view(TEXELS[self._encoding]).reshape(-1, size, size)
+                self._host = self._device.read().view(DTYPES[self._encoding]).reshape(-1, size, size)
             return self._host
 
     @_pages.setter
@@ -174,7 +167,7 @@ class GrowingPages:
     @property
     def nbytes(self) -> int:
         """Memory of the pages."""
-        return self._page_count * self._page_size**2 * TEXELS[self._encoding].itemsize
+        return self._page_count * self._page_size**2 * DTYPES[self._encoding].itemsize
 
     def _place(
         self, items: list[tuple[Volume, NDArray[np.float64]]], progress: Progress, device: str = "cpu"
@@ -190,7 +183,7 @@ class GrowingPages:
                 gutter=self._gutter,
                 encoding=self._encoding,
             )
-            scales = [scale_of(volume, self._band) for volume, _ in items]
+            scales = [scale_of(volume.spacing, self._band) for volume, _ in items]
             count = max(int(blocks[:, 0].max(initial=0)) + 1 if len(blocks) else 0, self._page_count)
             with progress_callback(progress, "pack") as callback:
                 # A device fills pages that are new.
@@ -237,7 +230,7 @@ class GrowingPages:
             size = self._page_size
             _core.require_memory(
                 f"an atlas of {count} pages of {size} x {size} texels",
-                count * size * size * TEXELS[self._encoding].itemsize,
+                count * size * size * DTYPES[self._encoding].itemsize,
                 "use a smaller page_size, or an encoding of fewer bits",
             )
             pages = np.zeros((count, size, size), self._pages.dtype)
@@ -293,14 +286,6 @@ def _is_worth_it(volumes: list[Volume], device: str) -> bool:
     return device != "auto" or all(isinstance(volume._source(device), _core.DeviceField) for volume in volumes)
 
 
-def choice(name: str, value: object, wanted: tuple[str, ...]) -> Any:
-    """One of a few words."""
-    if value not in wanted:
-        words = ", ".join(f'"{word}"' for word in wanted)
-        raise ArgumentError(f"{name}: must be one of {words}, got {checks.describe(value)}")
-    return value
-
-
 def checked_item(i: int, item: object) -> tuple[Volume, NDArray[np.float64]]:
     """A volume and its model matrix."""
     volume, model = item if isinstance(item, tuple) and len(item) == 2 else (item, None)
@@ -309,13 +294,3 @@ def checked_item(i: int, item: object) -> tuple[Volume, NDArray[np.float64]]:
     if not isinstance(volume, Volume):
         raise ArgumentError(f"volumes[{i}]: must be a Volume or (Volume, transform), got {checks.describe(volume)}")
     return volume, np.eye(4) if model is None else checks.affine(f"volumes[{i}] transform", model, ArgumentError)
-
-
-def scale_of(volume: Volume, band: float) -> float:
-    """World width of `band` voxels, as float32 holds it."""
-    return positive(band * float(volume.spacing.max()))
-
-
-def positive(scale: float) -> float:
-    """The nearest scale that float32 holds."""
-    return float(np.clip(np.float32(min(scale, checks.FAR)), np.finfo(np.float32).tiny, None))

@@ -16,10 +16,9 @@ from ..base.errors import ArgumentError, ShapeError
 from ..base.grid import DEFAULT_RESOLUTION, Grid, Resolution, make_grid
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report
-from ..csg import _all_shapes
 from ..meshes.convert import MeshLike, as_mesh
 from ..meshes.mesh import Mesh
-from ..shapes.shape import Shape, combine
+from ..shapes.shape import Shape, all_shapes, combine
 from ..volumes.volume import Volume
 
 logger = logging.getLogger("fieldbake")
@@ -128,7 +127,7 @@ def bake(
     """
     method, where = _choices(sign, device)
     two_sided = checks.flag("two_sided", two_sided)
-    if isinstance(mesh, Shape) or _all_shapes(mesh):
+    if isinstance(mesh, Shape) or all_shapes(mesh):
         shape = mesh if isinstance(mesh, Shape) else combine("union", mesh)
         for name, value, usual in (("sign", method, "auto"), ("band", band, None), ("thickness", thickness, None)):
             if value != usual:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -99,6 +100,14 @@ def text(name: str, value: object) -> str:
     """A string; what it may say is checked by the core."""
     if not isinstance(value, str):
         raise ArgumentError(f"{name}: must be text, got {describe(value)}")
+    return value
+
+
+def choice(name: str, value: object, wanted: Sequence[str], error: type[Error] = ArgumentError) -> Any:
+    """One of a few words."""
+    if not isinstance(value, str) or value not in wanted:
+        words = ", ".join(f'"{word}"' for word in wanted)
+        raise error(f"{name}: must be one of {words}, got {describe(value)}")
     return value
 
 

@@ -17,9 +17,13 @@ from typer.core import TyperGroup
 
 import fieldbake as fb
 
+from ..atlases import images
 from ..atlases.atlas import Language
 from ..base.report import bytes_text
-from ..loading.foreign import ATLAS_ENDINGS, VOLUME_ENDINGS
+from ..drawing.frame import save_image
+from ..files.container import atomic_write
+from ..volumes import textures
+from . import demo as demonstration
 
 out = Console(highlight=False)
 err = Console(stderr=True, highlight=False)
@@ -174,7 +178,7 @@ def info(
     file: Annotated[Path, typer.Argument(help="Any file of fieldbake's, or a mesh.")],
 ) -> None:
     """Say what is in a file."""
-    if file.suffix.lower() in (".npz", *VOLUME_ENDINGS, *ATLAS_ENDINGS):
+    if file.suffix.lower() in (".npz", *textures.ENDINGS, *images.ENDINGS):
         found = fb.load(file)
         _show(str(file), _atlas_rows(found) if isinstance(found, fb.Atlas) else _volume_rows(found))
     else:
@@ -201,7 +205,7 @@ def pack(
     device: Device = "auto",
 ) -> None:
     """Pack baked fields and meshes into a texture atlas."""
-    if output.suffix.lower() not in (".npz", *ATLAS_ENDINGS):
+    if output.suffix.lower() not in (".npz", *images.ENDINGS):
         raise typer.BadParameter(f"'{output}' must end in .npz, .exr or .png", param_hint="--output")
     languages: dict[str, Language] = {".wgsl": "wgsl", ".glsl": "glsl", ".hlsl": "hlsl", ".metal": "msl"}
     if shader is not None and shader.suffix.lower() not in languages:
@@ -210,7 +214,7 @@ def pack(
     sides = (resolution,) * 3 if layout == "strips" and isinstance(resolution, int) else resolution
     volumes = []
     for file in files:
-        if file.suffix.lower() in (".npz", *VOLUME_ENDINGS):
+        if file.suffix.lower() in (".npz", *textures.ENDINGS):
             volume = fb.load(file)
             if isinstance(volume, fb.SparseVolume):
                 volume = volume.to_volume()
@@ -294,8 +298,6 @@ def render(
     if heatmap is None:
         frame.save(output)
     else:
-        from ..drawing.frame import save_image
-
         save_image(frame.heatmap(heatmap), output)
     out.print(f"[bold]{escape(str(output))}[/]  {escape(repr(frame))}", soft_wrap=True)
 
@@ -361,8 +363,6 @@ def csg(
         if suffix == ".npz":
             volume.save(output)
         else:
-            from ..loading.npz import atomic_write
-
             mesh = volume.to_mesh().to_trimesh()
             with atomic_write(output) as stream:
                 mesh.export(stream, file_type="stl")
@@ -390,9 +390,7 @@ def demo(
     resolution: Annotated[int, typer.Option("--resolution", "-r", help="Voxels along the longest side.")] = 128,
 ) -> None:
     """Bake, save, load and draw; writes pictures and says what it did."""
-    from .demo import run
-
-    run(
+    demonstration.run(
         output,
         [str(path) for path in mesh or []],
         resolution=resolution,

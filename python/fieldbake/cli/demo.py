@@ -15,7 +15,7 @@ from ..base.progress import Progress
 from ..base.report import bytes_text
 from ..drawing.frame import bytes_from_unit, save_image
 from ..drawing.raymarching import raymarch
-from ..loading.npz import load
+from ..loading.readers import load
 from ..meshes.convert import load_mesh
 from ..meshes.mesh import Mesh
 from ..models import gear, torus_knot

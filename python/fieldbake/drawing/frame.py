@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..base import checks
 from ..base.errors import ArgumentError, FormatError
+from ..files.container import atomic_write
 
 Quantity = Literal["steps", "depth", "shadow"]
 
@@ -145,8 +146,6 @@ def srgb_from_linear(linear: NDArray[np.float32]) -> NDArray[np.float32]:
 def save_image(pixels: NDArray[np.uint8], path: str | os.PathLike[str]) -> None:
     """Write (h, w, 3 or 4) sRGB bytes; the file appears whole or not at all."""
     from PIL import Image
-
-    from ..loading.npz import atomic_write
 
     target = Path(path)
     suffix = target.suffix.lower()

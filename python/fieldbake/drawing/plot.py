@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..atlases.atlas import Atlas
 from ..base import checks
 from ..base.errors import Error
+from ..volumes.volume import Volume
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from ..atlases.atlas import Atlas
-    from ..volumes.volume import Volume
 
 #: Iso-lines on each side of the surface.
 LINES = 8

@@ -15,12 +15,17 @@ from ..base.errors import ArgumentError, SceneError
 from ..base.progress import Progress, progress_callback
 from ..merging.nested import NestedField
 from ..scenes.camera import Camera
-from ..scenes.lights import DirectionalLight, Light, PointLight
+from ..scenes.instance import Instance
+from ..scenes.lights import DirectionalLight, Light, PointLight, key_light
+from ..scenes.materials import Material
+from ..scenes.scene import Scene
 from ..shapes.quadric import bounds_of, check_quadrics, core_of, is_quadrics
 from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume
 from .frame import Frame
+from .options import checked_color, checked_size, frame_of
+from .rendering import render
 
 Shadows = Literal["hard", "none", "soft", "area"]
 Filter = Literal["linear", "hardware"]
@@ -28,12 +33,6 @@ Method = Literal["auto", "whole", "aabb", "octree"]
 
 #: What is not a Volume yet is baked with so many voxels along its longest side.
 PICTURE_RESOLUTION = 128
-
-#: The usual light: over the right shoulder of who looks, so that form and shadow are both seen. Camera space.
-KEY_LIGHT = np.array([-0.45, -0.7, -0.55])
-
-#: Pixels along one side of a picture.
-MAX_SIDE_PX = 16384
 
 
 def raymarch(
@@ -120,9 +119,6 @@ def raymarch(
     ----------
     H. Hansson-Soderlund, A. Evans, T. Akenine-Moller, Ray tracing of signed distance function grids, JCGT 11(3), 2022.
     """
-    from ..scenes.materials import Material
-    from ..scenes.scene import Instance, Scene, render
-
     surface_options = {
         "lights": lights,
         "ambient": ambient,
@@ -138,7 +134,7 @@ def raymarch(
         if filter != "linear":
             raise SceneError('filter: scenes are drawn with "linear" only')
         return render(thing, camera, size=size, primary="raymarch", shadows=shadows, device=device, progress=progress)
-    width, height = _size(size)
+    width, height = checked_size(size)
     checks.text("shadows", shadows)
     checks.text("filter", filter)
     checks.text("method", method)
@@ -150,8 +146,8 @@ def raymarch(
         "specular": checks.number("specular", 0.25 if specular is None else specular, least=0),
         "shininess": checks.number("shininess", 32.0 if shininess is None else shininess, above=0),
     }
-    surface = checks.triple(_color("color", (0.8, 0.8, 0.8) if color is None else color, 3))
-    behind = _color("background", (1.0, 1.0, 1.0, 1.0) if background is None else background, 4)
+    surface = checks.triple(checked_color("color", (0.8, 0.8, 0.8) if color is None else color, 3))
+    behind = checked_color("background", (1.0, 1.0, 1.0, 1.0) if background is None else background, 4)
     needs_scene = shadows in ("soft", "area") or any(isinstance(light, PointLight) for light in lights or ())
     if is_quadrics(thing):
         if filter != "linear":
@@ -168,7 +164,7 @@ def raymarch(
             return render(scene, camera, size=size, shadows=shadows, device=device, progress=progress)
         picture = _picture(camera, (width, height), lights, behind, shadows, shade)
         with progress_callback(progress, "raymarch") as callback:
-            return _frame(core_of(quadrics).draw(picture, device, callback))
+            return frame_of(core_of(quadrics).draw(picture, device, callback))
     if not isinstance(thing, Shape) and method != "auto":
         raise ArgumentError(f"method: {method!r} is for shapes; a volume has one way to be drawn")
     if isinstance(thing, Shape) and filter != "linear":
@@ -189,7 +185,7 @@ def raymarch(
             with progress_callback(progress, "raymarch") as callback:
                 drawn = _core.raymarch_nested(field._stored(), picture, device=device, progress=callback)
             if drawn is not None:
-                return _frame(drawn)
+                return frame_of(drawn)
         # Without a colour of its own a shape keeps its paint.
         paint = None if color is None else surface
         material = Material(color=paint, specular=shade["specular"], shininess=shade["shininess"])
@@ -200,9 +196,9 @@ def raymarch(
     picture = _picture(camera, (width, height), lights, behind, shadows, {**shade, "color": surface})
     with progress_callback(progress, "raymarch") as callback:
         if isinstance(field, Shape):
-            return _frame(field._core.draw(method, picture, device, callback))
+            return frame_of(field._core.draw(method, picture, device, callback))
         lower, upper = field._corners()
-        return _frame(
+        return frame_of(
             _core.raymarch(
                 field._source(device),
                 lower,
@@ -214,32 +210,6 @@ def raymarch(
                 progress=callback,
             )
         )
-
-
-def _frame(result: dict[str, Any]) -> Frame:
-    arrays = {name: value for name, value in result.items() if isinstance(value, np.ndarray)}
-    return Frame(arrays, {name: value for name, value in result.items() if name not in arrays})
-
-
-def _size(size: tuple[int, int]) -> tuple[int, int]:
-    try:
-        width, height = size
-    except (TypeError, ValueError):
-        raise SceneError(f"size: must be (width, height), got {checks.describe(size)}") from None
-    return (
-        checks.integer("size", width, least=1, most=MAX_SIDE_PX, error=SceneError),
-        checks.integer("size", height, least=1, most=MAX_SIDE_PX, error=SceneError),
-    )
-
-
-def _color(name: str, value: ArrayLike, channels: int) -> NDArray[np.float64]:
-    """Linear colour; a missing opacity is 1."""
-    if channels == 4 and np.shape(value) == (3,):
-        return np.append(checks.vector(name, value, 3), 1.0)
-    color = checks.vector(name, value, channels)
-    if color.min() < 0:
-        raise ArgumentError(f"{name}: must not be negative, got {color.tolist()}")
-    return color
 
 
 def _picture(
@@ -267,8 +237,7 @@ def _picture(
 def _lights(lights: Sequence[Light] | None, camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Directions and colours, (k, 3) each."""
     if lights is None:
-        key = camera.pose[:3, :3] @ KEY_LIGHT
-        lights = [DirectionalLight(checks.triple(key))]
+        lights = [key_light(camera.pose)]
     if not isinstance(lights, Sequence):
         raise SceneError(f"lights: must be a list of DirectionalLight, got {checks.describe(lights)}")
     for number, light in enumerate(lights):

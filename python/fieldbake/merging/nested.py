@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import _core
 from ..base import checks
 from ..base.errors import ArgumentError, SceneError
 from ..base.grid import Grid
 from ..base.progress import Progress, part_of, progress_callback
 from ..base.report import bytes_text
-from ..scenes import field_cache
+from ..files import container
 from ..volumes.volume import Volume
 from .merged import MergedField
 
@@ -204,9 +203,10 @@ class NestedField:
         OSError
             If the file cannot be written.
         """
-        from ..loading.npz import save_nested
-
-        save_nested(self, path)
+        arrays: dict[str, NDArray[Any]] = {f"level_{i}": level.distances for i, level in enumerate(self._levels)}
+        arrays["boxes"] = np.stack([level.bounds for level in self._levels])
+        facts = {**self._levels[-1]._facts(), "levels": len(self._levels)}
+        container.write(path, {**container.head("nested"), **facts}, arrays)
 
     def _joined_levels(self) -> tuple[Volume, ...]:
         """The levels with their outermost samples taken from the level around them."""
@@ -232,14 +232,6 @@ class NestedField:
     def _stored(self) -> list[tuple[NDArray[np.float32], Any, Any]]:
         """The samples and the box of each level as the core's pictures take them."""
         return [(level.distances, *level._corners()) for level in self._joined_levels()]
-
-    def _far(self) -> list[_core.SceneField]:
-        """The levels as the core's scenes take them."""
-        return [field_cache.of_thing(level) for level in self._joined_levels()]
-
-    def _field(self) -> _core.SceneField:
-        """All levels as one field."""
-        return _core.SceneField.nested(self._far())
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise AttributeError(f"a NestedField cannot be changed ({name}); make a new one")

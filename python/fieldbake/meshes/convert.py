@@ -148,7 +148,7 @@ def _pieces(thing: MeshLike, name: str) -> list[_Piece]:
         return _from_scene(thing, name)
     if hasattr(thing, "vertices") and hasattr(thing, "faces"):
         return [_from_trimesh(thing)]
-    if isinstance(thing, (tuple, list)) and _is_arrays(thing):
+    if isinstance(thing, (tuple, list)) and is_arrays(thing):
         return [_Piece(check_vertices(thing[0]), check_faces(thing[1]))]
     if isinstance(thing, tuple) and len(thing) == 2:
         transform = checks.affine(f"{name}: transform", thing[1], MeshError)
@@ -163,7 +163,7 @@ def _pieces(thing: MeshLike, name: str) -> list[_Piece]:
     )
 
 
-def _is_arrays(pair: Sequence[Any]) -> bool:
+def is_arrays(pair: Sequence[Any]) -> bool:
     """Whether two things are (vertices, faces): plain numbers, not meshes and not a mesh with its transform."""
     if len(pair) != 2:
         return False

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
-from ..merging.nested import NestedField
 from ..meshes.mesh import ALPHA_MODES, Mesh, Part
 from . import field_cache
+from .instance import Instance
 from .materials import PLAIN, Material, scattering_rgb
-
-if TYPE_CHECKING:
-    from .scene import Instance
 
 
 class MaterialTable:
@@ -135,8 +132,7 @@ def build_scene(instances: Sequence[Instance], with_fields: bool, device: str) -
             baked = field_cache.of_mesh(thing, instance.resolution, device) if with_fields else None
             rows.add(number, instance, mesh, baked, thing.parts, is_sheet)
         else:
-            field = thing._field() if isinstance(thing, NestedField) else field_cache.of_thing(thing)
-            rows.add(number, instance, None, field)
+            rows.add(number, instance, None, field_cache.of_thing(thing))
     return rows.build()
 
 

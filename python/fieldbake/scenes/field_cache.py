@@ -24,7 +24,8 @@ from ..atlases.atlas import AtlasEntry
 from ..baking.dense import bake
 from ..base import checks
 from ..base.errors import FormatError
-from ..loading.npz import load
+from ..loading.readers import load
+from ..merging.nested import NestedField
 from ..meshes.alpha_mask import kept_triangles
 from ..meshes.mesh import Mesh
 from ..shapes.quadric import Quadric, rows_of
@@ -95,8 +96,10 @@ def of_mesh(mesh: Mesh, resolution: int, device: str) -> _core.SceneField:
     return found
 
 
-def of_thing(thing: Volume | SparseVolume | AtlasEntry | Shape) -> _core.SceneField:
+def of_thing(thing: Volume | SparseVolume | NestedField | AtlasEntry | Shape) -> _core.SceneField:
     """The field of what has one, made ready once."""
+    if isinstance(thing, NestedField):
+        return _core.SceneField.nested(levels_of(thing))
     # An entry stands for whatever its atlas holds there.
     key: tuple[object, ...] = thing._key if isinstance(thing, AtlasEntry) else (type(thing), id(thing))
     found = _find(key)
@@ -112,6 +115,11 @@ def of_thing(thing: Volume | SparseVolume | AtlasEntry | Shape) -> _core.SceneFi
         inner = (checks.triple(corner) for corner in thing.inner_bounds)
         return _keep(key, _core.SceneField.sparse(thing._core_field, *inner), thing.nbytes, thing)
     return _keep(key, _field(thing), thing.nbytes, thing)
+
+
+def levels_of(field: Volume | NestedField) -> list[_core.SceneField]:
+    """The fields of the levels of a nested field, finest first, or the one field of a volume."""
+    return [of_thing(level) for level in (field._joined_levels() if isinstance(field, NestedField) else (field,))]
 
 
 def of_quadrics(quadrics: Sequence[Quadric]) -> list[_core.SceneField]:

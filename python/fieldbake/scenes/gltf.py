@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from ..base.errors import SceneError
 from ..meshes.convert import load_nodes
 from .camera import Camera
+from .instance import INSTANCE_RESOLUTION, Instance
 from .lights import DirectionalLight, Light, PointLight
-from .scene import INSTANCE_RESOLUTION, Instance, Scene
+from .scene import Scene
 
 #: Of a binary glTF file, and of its JSON chunk.
 MAGIC, JSON_CHUNK = b"glTF", b"JSON"

@@ -6,11 +6,18 @@ from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..base import checks
 from ..base.errors import ArgumentError, SceneError
 
 Vector = tuple[float, float, float]
+
+#: Most lights of one scene.
+MAX_LIGHTS = 16
+
+#: Direction of the default light, camera space: it comes from above the right shoulder of the viewer.
+KEY_LIGHT = np.array([-0.45, -0.7, -0.55])
 
 
 def _vector(name: str, value: Sequence[float]) -> Vector:
@@ -94,3 +101,22 @@ class PointLight:
 
 
 Light = DirectionalLight | PointLight
+
+
+def check_lights(lights: Sequence[Light]) -> tuple[Light, ...]:
+    """A list of lights, or SceneError."""
+    if isinstance(lights, (PointLight, DirectionalLight)) or not isinstance(lights, Sequence):
+        raise SceneError(f"lights: must be a list of lights, got {checks.describe(lights)}")
+    if len(lights) > MAX_LIGHTS:
+        raise SceneError(f"lights: at most {MAX_LIGHTS}, got {len(lights)}")
+    for number, light in enumerate(lights):
+        if not isinstance(light, (PointLight, DirectionalLight)):
+            raise SceneError(
+                f"lights[{number}]: must be a PointLight or DirectionalLight, got {checks.describe(light)}"
+            )
+    return tuple(lights)
+
+
+def key_light(pose: NDArray[np.float64]) -> DirectionalLight:
+    """The light of scenes that have none, for a camera with this (4, 4) pose."""
+    return DirectionalLight(checks.triple(pose[:3, :3] @ KEY_LIGHT))

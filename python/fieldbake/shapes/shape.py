@@ -168,7 +168,7 @@ class Shape:
 
     def _painted(self, mask: Shape, color: ArrayLike, *, outside: bool) -> Shape:
         r, g, b = _numbers("color", color, 3)
-        return Shape._wrap(self._core.stencil(_shape("mask", mask)._core, (r, g, b), outside))
+        return Shape._wrap(self._core.stencil(checked_shape("mask", mask)._core, (r, g, b), outside))
 
     def color(self, points: ArrayLike) -> NDArray[np.float32]:
         """Linear RGB of the surface near points (n, 3), (n, 3); nan where it is not painted."""
@@ -454,11 +454,16 @@ def volume_shape(volume: Volume) -> Shape:
 
 def combine(op: str, shapes: Iterable[Shape], *, k: float = 0.0, chamfer: float = 0.0) -> Shape:
     """Shapes under one operator, from the left; `op` is "union", "intersection", "difference" or "xor"."""
-    checked = [_shape(f"shapes[{number}]", shape)._core for number, shape in enumerate(shapes)]
+    checked = [checked_shape(f"shapes[{number}]", shape)._core for number, shape in enumerate(shapes)]
     return Shape._wrap(_core.Shape.combine(op, checked, _number("k", k), _number("chamfer", chamfer)))
 
 
 # --- checks
+
+
+def all_shapes(things: object) -> bool:
+    """Whether this is a list of shapes, which is baked as their union."""
+    return isinstance(things, Sequence) and len(things) > 0 and all(isinstance(thing, Shape) for thing in things)
 
 
 def _cure(thing: object) -> str:
@@ -494,7 +499,8 @@ def _axis(name: str, axis: Axis) -> list[float]:
     return _numbers(name, axis, 3)
 
 
-def _shape(name: str, value: object) -> Shape:
+def checked_shape(name: str, value: object) -> Shape:
+    """The value, if it is a Shape."""
     if not isinstance(value, Shape):
         raise ShapeError(f"{name}: must be a Shape, got {checks.describe(value)}")
     return value

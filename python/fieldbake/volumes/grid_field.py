@@ -1,4 +1,4 @@
-"""What dense and sparse volumes have in common: a box, its voxels and a report; nothing of it changes."""
+"""The base class of dense and sparse volumes: an immutable box with voxels and a report."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..base import checks
 from ..base.report import Report
 
 
-class Boxed(ABC):
+class GridField(ABC):
     """A field on a grid over a box. Immutable."""
 
     __slots__ = ("_bounds", "_inner_bounds", "_report")
@@ -57,6 +57,15 @@ class Boxed(ABC):
     def report(self) -> Report:
         """What the bake found and did."""
         return self._report
+
+    def _facts(self) -> dict[str, Any]:
+        """What a file says about the field besides its samples."""
+        return {
+            "resolution": list(self.resolution),
+            "bounds": self._bounds.tolist(),
+            "inner_bounds": self._inner_bounds.tolist(),
+            "report": self._report.to_dict(),
+        }
 
     def _corners(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         return checks.triple(self._bounds[0]), checks.triple(self._bounds[1])

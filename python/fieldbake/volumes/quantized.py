@@ -3,29 +3,18 @@
 from __future__ import annotations
 
 import os
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
-from ..base import checks
+from ..base import checks, encodings
 from ..base.errors import ArgumentError
 from ..base.report import Report, bytes_text
+from ..files import container
+from . import textures
 from .volume import Volume
-
-Encoding = Literal["float16", "snorm16", "snorm8"]
-
-#: Element type of each encoding.
-DTYPES: dict[str, np.dtype[Any]] = {
-    "float32": np.dtype(np.float32),
-    "float16": np.dtype(np.float16),
-    "snorm16": np.dtype(np.int16),
-    "snorm8": np.dtype(np.int8),
-}
-
-#: Largest step of the normalised integers.
-STEPS = {"snorm16": 32767, "snorm8": 127}
 
 #: What a float16 keeps: below the first its steps are constant, above the second there is nothing.
 SMALLEST_HALF, LARGEST_HALF = 2.0**-14, 65504.0
@@ -82,7 +71,7 @@ class QuantizedVolume(Volume):
         if self._encoding == "float16":
             return max(abs(distance) * 2.0**-10, 2.0**-24)
         # A step, and two roundings of float32 on the way back.
-        return self._unit / STEPS[self._encoding] + 2 * 2.0**-23 * self._unit
+        return self._unit / encodings.STEPS[self._encoding] + 2 * 2.0**-23 * self._unit
 
     @property
     def nbytes(self) -> int:
@@ -122,15 +111,13 @@ class QuantizedVolume(Volume):
         FormatError, ArgumentError, OSError
             As for :meth:`Volume.save`.
         """
-        from ..loading.foreign import VOLUME_ENDINGS
-        from ..loading.npz import save_quantized
-
         ending = os.path.splitext(path)[1].lower()  # noqa: PTH122 - bytes and paths alike
-        if ending not in VOLUME_ENDINGS:
+        if ending not in textures.ENDINGS:
             if encoding not in (None, self._encoding):
                 got = checks.describe(encoding)
                 raise ArgumentError(f"encoding: {ending or 'such'} files keep the volume's {self._encoding}, got {got}")
-            save_quantized(self, path)
+            header = {**container.head("quantized"), **self._facts(), "encoding": self._encoding, "scale": self._unit}
+            container.write(path, header, {"distances": self._encoded})
         elif encoding is None and ending != ".nrrd":
             super().save(path, encoding=self._encoding, band=self._unit / float(self.spacing.max()))
         else:
@@ -151,9 +138,7 @@ def _restore(encoded: Any, encoding: str, scale: float, bounds: Any, inner_bound
 
 def quantize(volume: Volume, encoding: str, band: float) -> QuantizedVolume:
     """See :meth:`Volume.quantize`."""
-    if checks.text("encoding", encoding) not in DTYPES or encoding == "float32":
-        names = ", ".join(f'"{name}"' for name in DTYPES if name != "float32")
-        raise ArgumentError(f"encoding: must be one of {names}, got {checks.describe(encoding)}")
+    checks.choice("encoding", encoding, encodings.QUANTIZED)
     width = checks.number("band", band, above=0) * float(volume.spacing.max())
     distances = volume._distances
     if encoding == "float16":

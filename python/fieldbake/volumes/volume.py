@@ -10,11 +10,14 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from .. import _core
 from ..base import checks
+from ..base.encodings import Encoding
 from ..base.errors import ArgumentError
 from ..base.progress import Progress
 from ..base.report import Report, bytes_text
+from ..files import container
 from ..meshes.mesh import Mesh
-from .grid_field import Boxed
+from . import textures
+from .grid_field import GridField
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,7 +28,7 @@ if TYPE_CHECKING:
 Filter = Literal["linear", "nearest"]
 
 
-class Volume(Boxed):
+class Volume(GridField):
     """Signed distances on a regular grid, negative inside, in the mesh's own units. Immutable.
 
     Made by :func:`fieldbake.bake` or :func:`fieldbake.load`, or from an array:
@@ -326,7 +329,7 @@ class Volume(Boxed):
         *,
         tolerance: float | None = 0.05,
         band: float = 4,
-        encoding: Literal["float32", "float16", "snorm16", "snorm8"] = "float32",
+        encoding: Encoding = "float32",
         progress: Progress = None,
     ) -> SparseVolume:
         """The same field as bricks around the surface; see :class:`SparseVolume`.
@@ -379,16 +382,13 @@ class Volume(Boxed):
         OSError
             If the file cannot be written.
         """
-        from ..loading import foreign
-        from ..loading.npz import save_volume
-
         ending = os.path.splitext(path)[1].lower()  # noqa: PTH122 - bytes and paths alike
-        if ending in foreign.VOLUME_ENDINGS:
-            foreign.save_volume_as(self, path, encoding, band)
+        if ending in textures.ENDINGS:
+            textures.write(path, self.distances, self.origin, self.spacing, self._facts(), encoding, band)
             return
         if encoding != "float32":
             raise ArgumentError(f'encoding: {ending or "such"} files hold "float32", got {checks.describe(encoding)}')
-        save_volume(self, path)
+        container.write(path, {**container.head("volume"), **self._facts()}, {"distances": self.distances})
 
     def _repr_png_(self) -> bytes | None:
         """A picture, for notebooks; None if there is no surface to see."""

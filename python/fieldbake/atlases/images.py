@@ -1,0 +1,71 @@
+"""Atlases as images: one channel in an .exr file, or 16 (8) bits around the middle in a .png file.
+
+The pages lie below each other. The facts of the atlas, with an entry for each volume, lie in a sidecar.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _core
+from ..files import sidecar
+from ..files.container import atomic_write, head
+
+#: Endings of the files that :func:`write` writes.
+ENDINGS = (".exr", ".png")
+
+
+def write(path: str | os.PathLike[str], pages: NDArray[Any], facts: dict[str, Any]) -> None:
+    """Write pages (count, size, size) as .exr or .png with the facts of their atlas.
+
+    A .png file holds normalised integers only, and has a preview of 8 bits beside it.
+    """
+    target = Path(path)
+    is_png = target.suffix.lower() == ".png"
+    stacked = pages.reshape(-1, pages.shape[-1])
+    content = _png(stacked) if is_png else _exr(stacked)
+    sidecar.write_beside(target, {**head("atlas image"), **facts})
+    with atomic_write(target) as stream:
+        stream.write(content)
+    if is_png:
+        with atomic_write(target.with_suffix(".preview.png")) as stream:
+            stream.write(_preview(stacked))
+
+
+def _exr(stacked: NDArray[Any]) -> bytes:
+    height, width = stacked.shape
+    encoding = "float16" if stacked.dtype == np.float16 else "float32"
+    # What a sampler returns for a normalised integer; the integer is found again by rounding.
+    values = stacked if stacked.dtype.kind == "f" else _shares(stacked)
+    return _core.exr_write(np.ascontiguousarray(values).reshape(-1).view(np.uint8), width, height, encoding)
+
+
+def _shares(texels: NDArray[Any]) -> NDArray[np.float32]:
+    shares: NDArray[np.float32] = (texels / np.float64(np.iinfo(texels.dtype).max)).astype(np.float32)
+    return shares
+
+
+def _png(stacked: NDArray[Any]) -> bytes:
+    # Counted from the middle: 0 becomes 32768 or 128.
+    bits = 8 * stacked.itemsize
+    unsigned = np.uint8 if bits == 8 else np.uint16
+    return _png_bytes((stacked.astype(np.int32) + (1 << (bits - 1))).astype(unsigned))
+
+
+def _preview(stacked: NDArray[Any]) -> bytes:
+    """Grey for people: the surface in the middle, dark inside."""
+    return _png_bytes(np.round(127.5 + 127.5 * _shares(stacked)).astype(np.uint8))
+
+
+def _png_bytes(pixels: NDArray[Any]) -> bytes:
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, format="PNG", compress_level=1)
+    return buffer.getvalue()

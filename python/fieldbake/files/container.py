@@ -1,0 +1,215 @@
+"""The .npz container of fieldbake: an archive that plain NumPy can read, checked before any of its bytes is used.
+
+Layout: a zip archive of uncompressed members. Quantised, sparse and nested volumes are version 2, all else is version
+1. A volume has two members:
+
+``header.npy``
+    A zero-dimensional string: JSON with ``format``, ``kind``, ``version``, ``bounds``, ``inner_bounds``, ``report``.
+``distances.npy``
+    float32 little-endian, Fortran order (x fastest), shape (nx, ny, nz). For the kind ``quantized`` float16, int16 or
+    int8; the header has ``encoding`` and ``scale``.
+``index.npy``, ``nodes.npy``, ``bricks.npy``
+    In place of the distances for the kind ``sparse``; the header has ``encoding``, ``scale`` and ``band``.
+
+A nested field has ``level_0.npy``, ``level_1.npy``, ... in place of the distances, finest first, and their ``boxes``.
+
+An atlas has the header, ``pages.npy``, a row of ``blocks``, ``boxes``, ``models`` and ``scales`` for each index, and
+the reports as JSON in bytes.
+
+Because members must be stored uncompressed, an archive cannot unfold to more than its own size. The sizes in the zip
+directory, in the array headers and in the JSON are compared before anything is allocated, and nothing is unpickled.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from .. import _core
+from ..base import checks
+from ..base.errors import FormatError
+from ..base.report import Report
+
+#: The newest version of a file, and that of each kind which readers of version 1 do not know.
+VERSION = 2
+FIRST_VERSION = {"quantized": 2, "sparse": 2, "nested": 2}
+
+#: The JSON of a volume takes about a kilobyte.
+MAX_HEADER_BYTES = 4 << 20
+
+#: Read in pieces, so that a large member is not held twice.
+CHUNK_BYTES = 16 << 20
+
+
+def head(kind: str) -> dict[str, Any]:
+    """How every header starts."""
+    version = FIRST_VERSION.get(kind, 1)
+    return {"format": "fieldbake", "kind": kind, "version": version, "written_by": f"fieldbake {_core.__version__}"}
+
+
+def write(path: str | os.PathLike[str], header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+    """Write an archive of a header and arrays; the file appears whole or not at all."""
+    target = Path(path)
+    if target.suffix.lower() != ".npz":
+        what = "an atlas" if header["kind"] == "atlas" else "a volume"
+        raise FormatError(f"{path}: {what} is written as .npz, got the ending '{target.suffix}'")
+    members: dict[str, Any] = {"header": np.array(json.dumps(header)), **arrays}
+    with atomic_write(target) as stream:
+        np.savez(stream, **members)
+
+
+@contextmanager
+def atomic_write(target: Path) -> Iterator[IO[bytes]]:
+    """A temporary file beside the target that takes its place when the block ends well."""
+    import tempfile
+
+    # Said here, about the file that was asked for; below it would be about the temporary one.
+    if not target.parent.is_dir():
+        raise FileNotFoundError(errno.ENOENT, "the folder does not exist", os.fspath(target))
+    if target.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "is a directory", os.fspath(target))
+
+    mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
+    descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".tmp")
+    temporary = Path(name)
+    try:
+        with os.fdopen(descriptor, "w+b") as stream:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+        temporary.chmod(mode)
+        os.replace(temporary, target)  # noqa: PTH105 - the system call by its name
+    except BaseException:
+        temporary.unlink()
+        raise
+
+
+def _umask() -> int:
+    """The process's umask; it can only be read by setting it."""
+    mask = os.umask(0o022)
+    os.umask(mask)
+    return mask
+
+
+def members(archive: zipfile.ZipFile, size: int) -> dict[str, zipfile.ZipInfo]:
+    """The directory of the archive, if it is harmless."""
+    members: dict[str, zipfile.ZipInfo] = {}
+    for info in archive.infolist():
+        if info.filename in members:
+            raise FormatError(f"member '{info.filename}' is there twice")
+        if info.compress_type != zipfile.ZIP_STORED or info.flag_bits & 1:
+            raise FormatError(f"member '{info.filename}' is compressed or encrypted; ours are stored plainly")
+        if info.file_size != info.compress_size or not 0 <= info.header_offset <= size - info.file_size:
+            raise FormatError(f"member '{info.filename}' claims {info.file_size} bytes, the file has {size}")
+        members[info.filename] = info
+    return members
+
+
+def read_header(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo]) -> dict[str, Any]:
+    """The JSON, checked for kind and version."""
+    if "header.npy" not in members:
+        raise FormatError("is not a fieldbake file: it has no header; read it with numpy.load")
+    if members["header.npy"].file_size > MAX_HEADER_BYTES:
+        raise FormatError(f"the header has {members['header.npy'].file_size} bytes, more than {MAX_HEADER_BYTES}")
+    text = read_array(archive, members, "header.npy")
+    if text.ndim != 0 or text.dtype.kind != "U":
+        raise FormatError(f"is not a fieldbake file: its header is {checks.describe(text)}")
+    header = json.loads(str(text))
+    if not isinstance(header, dict):
+        raise FormatError("is not a fieldbake file: its header does not say so")
+    check_version(header)
+    return header
+
+
+def check_version(header: dict[str, Any]) -> None:
+    """Fails unless we wrote this, and know how to read it."""
+    if header.get("format") != "fieldbake":
+        raise FormatError("is not a fieldbake file: its header does not say so")
+    version = header.get("version")
+    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
+        raise FormatError(f"the header's version is {version!r}")
+    if version > VERSION:
+        raise FormatError(
+            f"is of version {version}, this fieldbake reads up to {VERSION}; install a newer fieldbake "
+            f"(written by {str(header.get('written_by'))[:60]})"
+        )
+
+
+def read_array(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], name: str) -> NDArray[Any]:
+    """One .npy member, allocated only once its size is known to be true."""
+    if name not in members:
+        raise FormatError(f"member '{name}' is missing")
+    with archive.open(members[name]) as stream:
+        major, minor = npy.read_magic(stream)
+        if (major, minor) not in ((1, 0), (2, 0)):
+            raise FormatError(f"member '{name}' is .npy version {major}.{minor}")
+        read = npy.read_array_header_1_0 if major == 1 else npy.read_array_header_2_0
+        shape, fortran_order, dtype = read(stream)
+        if dtype.hasobject or dtype.kind not in "fiuU":
+            raise FormatError(f"member '{name}' holds {dtype}, which is never read")
+        # Python integers: a huge shape cannot overflow here.
+        expected = dtype.itemsize
+        for side in shape:
+            if side < 0:
+                raise FormatError(f"member '{name}' has shape {shape}")
+            expected *= side
+        left = members[name].file_size - stream.tell()
+        if expected != left:
+            raise FormatError(f"member '{name}' should hold {expected} bytes for {shape} {dtype}, it has {left}")
+        array = np.empty(shape, dtype=dtype, order="F" if fortran_order else "C")
+        if expected:
+            _fill(stream, array)
+        # At the end of the member zipfile compares its checksum.
+        if stream.read(1):
+            raise FormatError(f"member '{name}' is longer than it says")
+    return array
+
+
+def _fill(stream: IO[bytes], array: NDArray[Any]) -> None:
+    """Read straight into the array, in pieces."""
+    memory = array.reshape(-1, order="A").view(np.uint8)
+    done = 0
+    while done < len(memory):
+        piece = stream.read(min(CHUNK_BYTES, len(memory) - done))
+        if not piece:
+            raise FormatError("the file ends too early")
+        memory[done : done + len(piece)] = np.frombuffer(piece, dtype=np.uint8)
+        done += len(piece)
+
+
+def read_facts(header: dict[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.float64], Report]:
+    """Outer and inner box and report of a volume."""
+    return _corners(header, "bounds", flat=False), _corners(header, "inner_bounds", flat=True), read_report(header)
+
+
+def _corners(header: dict[str, Any], name: str, *, flat: bool) -> NDArray[np.float64]:
+    try:
+        return checks.box(name, header.get(name, []), FormatError, flat=flat)
+    except FormatError as error:
+        raise FormatError(f"header: {error}") from None
+
+
+def read_report(header: dict[str, Any]) -> Report:
+    """The report, each fact only if it has the type it should have."""
+    facts = header.get("report", {})
+    if not isinstance(facts, dict):
+        raise FormatError("header: report must be an object")
+    blank = Report().to_dict()
+    for name, value in facts.items():
+        if name in blank and type(value) is not type(blank[name]):
+            raise FormatError(f"header: report.{name} must be {type(blank[name]).__name__}, got {value!r:.60}")
+    if not all(isinstance(text, str) for text in facts.get("warnings", [])):
+        raise FormatError("header: report.warnings must be text")
+    if not all(isinstance(seconds, (int, float)) for seconds in facts.get("seconds", {}).values()):
+        raise FormatError("header: report.seconds must be numbers")
+    return Report.from_dict(facts)

@@ -1,0 +1,67 @@
+"""The table of readers by file ending, and :func:`load`."""
+
+from __future__ import annotations
+
+import errno
+import os
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ..atlases import images
+from ..atlases.atlas import Atlas
+from ..base.errors import FormatError
+from ..volumes import textures
+from ..volumes.volume import Volume
+from .foreign import load_image, load_texture
+from .npz import read_archive
+
+#: Readers of the files that are no .npz archive, by ending.
+_FOREIGN: dict[str, Callable[[Path], Volume | Atlas]] = {
+    **dict.fromkeys(textures.ENDINGS, load_texture),
+    **dict.fromkeys(images.ENDINGS, load_image),
+}
+
+
+def load(path: str | os.PathLike[str]) -> Any:
+    """Read what fieldbake wrote.
+
+    Parameters
+    ----------
+    path : str or path
+        A file of :meth:`Volume.save` or :meth:`Atlas.save`, of any of their endings.
+
+    Returns
+    -------
+    Volume, QuantizedVolume, SparseVolume, NestedField or Atlas
+        Bit for bit what was saved, in the encoding that the file has.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    FormatError
+        If the file is of another kind, damaged, unsafe to read, or written by a newer version.
+    """
+    if Path(path).is_dir():
+        raise FormatError(f"{path}: is a directory, not a fieldbake file")
+    with open(path, "rb") as stream:
+        size = os.fstat(stream.fileno()).st_size
+        try:
+            if (foreign := _FOREIGN.get(Path(path).suffix.lower())) is not None:
+                return foreign(Path(path))
+            with zipfile.ZipFile(stream) as archive:
+                return read_archive(archive, size)
+        except FormatError as error:
+            raise FormatError(f"{path}: {error}") from None
+        except zipfile.BadZipFile as error:
+            if Path(path).suffix.lower() == ".npz":
+                raise FormatError(f"{path}: is damaged or not an .npz file ({error})") from None
+            raise FormatError(f"{path}: is not a fieldbake file; meshes are read by load_mesh or bake") from None
+        except MemoryError:
+            raise
+        except Exception as error:  # A damaged archive fails in every way there is, seeking before its start too.
+            if isinstance(error, OSError) and error.errno != errno.EINVAL:
+                raise
+            raise FormatError(f"{path}: is damaged ({type(error).__name__}: {error})") from error

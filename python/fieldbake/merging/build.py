@@ -1,0 +1,228 @@
+"""One coarse field for a whole scene: :func:`merge`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..base import checks
+from ..base.errors import ArgumentError
+from ..base.grid import Grid, Resolution, make_grid
+from ..base.progress import Progress, part_of, progress_callback
+from ..volumes.volume import Volume
+from .merged import MergedField, Method, Placed, items_of, merge_placed, place
+from .nested import LEAST_SIDE, MAX_LEVELS, NestedField, nested_grids
+
+#: Voxels along the longest side of a merged field.
+MERGE_RESOLUTION = 128
+
+
+@overload
+def merge(
+    scene: Any,
+    resolution: Resolution = MERGE_RESOLUTION,
+    *,
+    bounds: ArrayLike | None = None,
+    levels: None = None,
+    center: None = None,
+    method: Method = "bound",
+    device: str = "auto",
+    progress: Progress = None,
+) -> MergedField: ...
+
+
+@overload
+def merge(
+    scene: Any,
+    resolution: Resolution = MERGE_RESOLUTION,
+    *,
+    bounds: ArrayLike | None = None,
+    levels: int,
+    center: ArrayLike | None = None,
+    method: Method = "bound",
+    device: str = "auto",
+    progress: Progress = None,
+) -> NestedField: ...
+
+
+def merge(
+    scene: Any,
+    resolution: Resolution = MERGE_RESOLUTION,
+    *,
+    bounds: ArrayLike | None = None,
+    levels: int | None = None,
+    center: ArrayLike | None = None,
+    method: Method = "bound",
+    device: str = "auto",
+    progress: Progress = None,
+) -> MergedField | NestedField:
+    """Join everything in a scene in one world-aligned field that is never larger than the distance to it.
+
+    Parameters
+    ----------
+    scene : Scene, or a list
+        Of instances, things, and ``(thing, transform)`` pairs. A thing is a Volume, a SparseVolume, an atlas entry, a
+        Quadric or a list of them, or anything that :func:`bake` takes; that is baked first, once for all its
+        instances.
+    resolution : int or three ints, default 128
+        As for :func:`bake`.
+    bounds : (2, 3) array, optional
+        Box to sample, world units; the box of all surfaces and a tenth more if not given.
+    levels : int, optional
+        Nested grids round a point, up to 12: the outermost has the box and the resolution that one grid would have,
+        each other one as many voxels in a box half as long and wide.
+    center : (3,) array, optional
+        What the levels are nested round, the camera say; the middle of the box if not given. Near the edge of a level
+        the next finer one is moved inwards.
+    method : "bound" or "article", default "bound"
+        ``"article"`` is the loop of the article that this follows: at every sample over all instances, the distance
+        to the box plus the sample there. Slow, and not a lower bound: in random scenes of six volumes of 20 to 32
+        voxels it exceeds the distance at 39 to 57 % of the samples outside the boxes, by up to 1.23 times. For
+        comparison.
+    device : str, default "auto"
+        ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`. A graphics device looks for the instance that
+        is nearest to each sample; the distance is found on the CPU, so the field is the same bit for bit. If the
+        volumes are too large for the device that ``"auto"`` chose, the CPU does all, and ``report.warnings`` says so.
+    progress : bool or callable, optional
+        True draws a bar on stderr; a callable gets a share from 0 to 1.
+
+    Returns
+    -------
+    MergedField
+        A Volume; its :meth:`~MergedField.update` follows moving instances. With `levels` a :class:`NestedField`.
+
+    Raises
+    ------
+    SceneError
+        For an empty scene, or an instance that cannot be placed.
+    ArgumentError
+        For an option that makes no sense.
+    MeshError, CapacityError, DeviceError
+        As for :func:`bake`.
+
+    Notes
+    -----
+    Each sample is the least, over the instances, of a proven lower bound of the signed distance: exact where it falls
+    on a voxel centre of one rigidly placed volume; less than the distance by up to half a voxel of that volume
+    elsewhere in its box; ``sqrt(a^2 + s^2)`` at distance `a` from the box, with `s` the bound at its nearest point.
+    Under scale, times the least stretch. So it is true up to the error of the volumes' own samples. Between the
+    samples of the merged field itself, trilinear interpolation may exceed the distance by a part of a merged voxel.
+
+    Quadrics are sheets: their distance is not negative. Inside overlapping solids the most negative value wins.
+
+    References
+    ----------
+    *Signed Distance Fields in Unity*, the section on a coarse aggregate field. What surrounds its loop here, the bound
+    and the culling, is not from there.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> gear = fb.bake(fb.models.gear(teeth=6), 24)
+    >>> aside = np.eye(4)
+    >>> aside[0, 3] = 3
+    >>> field = fb.merge([gear, (gear, aside)], 32)
+    >>> field.resolution
+    (32, 14, 5)
+    >>> bool(field.sample([(1.5, 0, 0)])[0] > 0)
+    True
+    """
+    checks.text("device", device)
+    if method not in ("bound", "article"):
+        raise ArgumentError(f'method: must be "bound" or "article", got {checks.describe(method)}')
+    if levels is None and center is not None:
+        raise ArgumentError("center: is what levels are nested round; give levels too")
+    baked: dict[tuple[int, int], Volume] = {}
+    items = items_of(scene)
+    placed = [place(f"instances[{number}]", item, baked) for number, item in enumerate(items)]
+    boxes = np.stack([item.bounds for item in placed])
+    inner = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+    grid = make_grid(inner, resolution, bounds=bounds)
+    if levels is not None:
+        if method != "bound":
+            raise ArgumentError('levels: are merged with method="bound" only')
+        may_grow = bounds is None and np.ndim(resolution) == 0
+        return _merge_nested(placed, grid, levels, center, may_grow, device, progress)
+    return merge_placed(placed, np.array([grid.lower, grid.upper]), grid.shape, method, device, progress, None)
+
+
+def _merge_nested(
+    placed: Sequence[Placed],
+    outer: Grid,
+    levels: int,
+    center: ArrayLike | None,
+    may_grow: bool,
+    device: str,
+    progress: Progress,
+) -> NestedField:
+    count = checks.integer("levels", levels, least=1, most=MAX_LEVELS)
+    box = np.array([outer.lower, outer.upper])
+    middle = box.mean(axis=0)
+    point = middle if center is None else checks.vector("center", center, 3)
+    if may_grow and min(outer.shape) < LEAST_SIDE:
+        # A flat scene: more of the voxels that it has.
+        x, y, z = (max(side, LEAST_SIDE) for side in outer.shape)
+        half = np.array([x, y, z]) * np.asarray(outer.spacing) / 2
+        outer = Grid(checks.triple(middle - half), checks.triple(middle + half), (x, y, z))
+    merged = []
+    with progress_callback(progress, "merge") as callback:
+        for number, grid in enumerate(nested_grids(outer, count, point)):
+            bounds = np.array([grid.lower, grid.upper])
+            part = part_of(callback, number, count)
+            merged.append(merge_placed(placed, bounds, grid.shape, "bound", device, part, None))
+    return NestedField(merged)
+
+
+class SphereIntersection(NamedTuple):
+    """The circle in which two spheres meet."""
+
+    #: Of the circle, (3,).
+    center: NDArray[np.float64]
+    #: From the first centre to the second, unit, (3,).
+    normal: NDArray[np.float64]
+    radius: float
+
+
+def sphere_intersection(s0: ArrayLike, r0: float, s1: ArrayLike, r1: float) -> SphereIntersection:
+    """Where two spheres meet: the construction by which the article looks for a distance beyond a box.
+
+    With `p` outside a box, `b` its nearest point, `a = |p - b|` and `s` the distance at `b`: the surface lies beyond
+    the plane of the box through `b` and outside the sphere of radius `s` round `b`. The nearest that is left is the
+    circle in which that sphere meets the plane, at ``sqrt(a^2 + s^2)`` from `p`; the sphere of that radius round `p`
+    passes through the same circle. That is the bound of :func:`merge`.
+
+    Parameters
+    ----------
+    s0, s1 : (3,)
+        Centres.
+    r0, r1 : float
+        Radii.
+
+    Returns
+    -------
+    SphereIntersection
+        ``.center``, ``.normal``, ``.radius``.
+
+    Raises
+    ------
+    ArgumentError
+        If the spheres do not meet, or have the same centre.
+
+    Examples
+    --------
+    >>> a, s = 3.0, 4.0
+    >>> circle = sphere_intersection((0, 0, 0), np.hypot(a, s), (0, 0, a), s)
+    >>> circle.center.tolist(), circle.radius
+    ([0.0, 0.0, 3.0], 4.0)
+    """
+    first, second = checks.vector("s0", s0, 3), checks.vector("s1", s1, 3)
+    r0, r1 = checks.number("r0", r0, least=0), checks.number("r1", r1, least=0)
+    apart = second - first
+    d = float(np.linalg.norm(apart))
+    if d == 0 or not abs(r0 - r1) <= d <= r0 + r1:
+        raise ArgumentError(f"r0, r1: spheres of radii {r0:g} and {r1:g} at distance {d:g} do not meet in a circle")
+    h = 0.5 + (r0 * r0 - r1 * r1) / (2 * d * d)
+    return SphereIntersection(first + h * apart, apart / d, float(np.sqrt(max(0.0, r0 * r0 - (h * d) ** 2))))

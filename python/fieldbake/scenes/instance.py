@@ -1,0 +1,130 @@
+"""An instance: an object with its place, its material and its visibility in a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..atlases.atlas import AtlasEntry
+from ..base import checks
+from ..base.errors import ArgumentError, SceneError
+from ..merging.nested import NestedField
+from ..meshes.convert import as_mesh
+from ..meshes.mesh import Mesh
+from ..shapes.quadric import Quadric, bounds_of, check_quadrics, is_quadrics
+from ..shapes.shape import Shape
+from ..volumes.sparse import SparseVolume
+from ..volumes.volume import Volume
+from .materials import Material
+
+#: What stands in scenes: meshes are rastered, the others drawn by rays.
+Thing = Mesh | Volume | SparseVolume | NestedField | AtlasEntry | Shape | tuple[Quadric, ...]
+
+#: Voxels along the longest side of a mesh instance's field.
+INSTANCE_RESOLUTION = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Instance:
+    """A thing in a place.
+
+    Parameters
+    ----------
+    thing : Mesh, Volume, SparseVolume, NestedField, ``atlas[i]``, Shape, Quadric, list of Quadric, or any mesh
+        A mesh is rastered and throws the shadow of its field, which is baked when needed and kept. All others are met
+        by rays as they are: a volume by the roots of its cells, a shape by those of its parts (``fb.bake(shape)``
+        makes a volume of it), a quadric by its closed form. Quadrics of a list are one object.
+    transform : (4, 4), optional
+        World from the thing's own coordinates: any affine map that can be undone. If not given the identity, or the
+        model matrix of an atlas entry.
+    material : Material, optional
+        If not given, or without a colour, the thing's own: a mesh's colours and textures, a shape's paint, a quadric's
+        reflectance; light grey for what has none.
+    casts_shadow : bool, default True
+        Whether light meets it.
+    visible : bool, default True
+        Whether the camera sees it.
+    opacity : float, default 1
+        Share of light that it keeps, for the camera and for shadows. A quadric's own opacity is for shadows alone, and
+        multiplies.
+    resolution : int, default 64
+        Voxels along the longest side of a mesh's field.
+
+    Raises
+    ------
+    SceneError
+        For a transform that cannot be undone or a value out of range.
+    ShapeError
+        For a shape without bounds; it names the leaf.
+    MeshError
+        If there is no usable mesh in the thing.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> move = np.eye(4)
+    >>> move[:3, 3] = 0, 1, 0
+    >>> fb.Instance(fb.models.gear(teeth=6), transform=move).bounds.round(3).tolist()
+    [[-0.995, 0.005, -0.175], [0.995, 1.995, 0.175]]
+    """
+
+    thing: Any
+    transform: ArrayLike | None = None
+    material: Material | None = None
+    casts_shadow: bool = True
+    visible: bool = True
+    opacity: float = 1.0
+    resolution: int = INSTANCE_RESOLUTION
+
+    def __post_init__(self) -> None:
+        def put(name: str, value: object) -> None:
+            object.__setattr__(self, name, value)
+
+        usual = self.thing.transform if isinstance(self.thing, AtlasEntry) else np.eye(4)
+        matrix = usual if self.transform is None else checks.affine("transform", self.transform, SceneError)
+        put("transform", checks.frozen(matrix))
+        if self.material is not None and not isinstance(self.material, Material):
+            raise SceneError(f"material: must be a Material, got {checks.describe(self.material)}")
+        try:
+            put("casts_shadow", checks.flag("casts_shadow", self.casts_shadow))
+            put("visible", checks.flag("visible", self.visible))
+            put("opacity", checks.number("opacity", self.opacity, least=0))
+        except ArgumentError as error:
+            raise SceneError(str(error)) from None
+        if self.opacity > 1:
+            raise SceneError(f"opacity: must be from 0 to 1, got {self.opacity:g}")
+        put("resolution", checks.integer("resolution", self.resolution, least=4, most=1024, error=SceneError))
+        put("thing", _thing(self.thing))
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Box around the surface, (2, 3), world units."""
+        box = _box_of(self.thing)
+        corners = np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
+        matrix = np.asarray(self.transform)
+        placed = corners @ matrix[:3, :3].T + matrix[:3, 3]
+        return np.stack([placed.min(axis=0), placed.max(axis=0)])
+
+    def __repr__(self) -> str:
+        return f"Instance({self.thing!r})"
+
+
+def _thing(thing: Any) -> Thing:
+    """What the core can draw."""
+    if isinstance(thing, Shape):
+        # One without bounds is refused, by name.
+        _ = thing.bounds
+        return thing
+    if isinstance(thing, (Mesh, Volume, SparseVolume, NestedField, AtlasEntry)):
+        return thing
+    return tuple(check_quadrics(thing)) if is_quadrics(thing) else as_mesh(thing)
+
+
+def _box_of(thing: Thing) -> NDArray[np.float64]:
+    """Box around the surface, (2, 3), the thing's own coordinates."""
+    if isinstance(thing, tuple):
+        return bounds_of(thing)
+    return thing.bounds if isinstance(thing, (Mesh, Shape)) else thing.inner_bounds

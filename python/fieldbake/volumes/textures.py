@@ -1,0 +1,83 @@
+"""Volumes as 3D textures (.dds, .ktx2) and as .nrrd grids for ParaView and 3D Slicer.
+
+The facts of a .ktx2 file are JSON under the key ``fieldbake``, those of a .nrrd file a field of that name; those of a
+.dds file lie in a sidecar.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _core
+from ..base import checks, encodings
+from ..base.errors import ArgumentError, FormatError
+from ..files import sidecar
+from ..files.container import atomic_write, head
+
+#: Endings of the files that :func:`write` writes.
+ENDINGS = (".dds", ".ktx2", ".nrrd")
+
+
+def write(
+    path: str | os.PathLike[str],
+    samples: NDArray[np.float32],
+    origin: NDArray[np.float64],
+    spacing: NDArray[np.float64],
+    facts: dict[str, Any],
+    encoding: str,
+    band: float,
+) -> None:
+    """Write samples (nx, ny, nz) as .dds, .ktx2 or .nrrd, with the facts of their grid."""
+    target = Path(path)
+    kind = target.suffix.lower()[1:]
+    encoding = checks.choice("encoding", encoding, encodings.NAMES)
+    scale = encodings.scale_of(spacing, checks.number("band", band, above=0))
+    facts = {
+        **head("volume texture"),
+        **facts,
+        "encoding": encoding,
+        "scale": scale if encoding.startswith("snorm") else 1.0,
+    }
+    if kind == "nrrd":
+        if encoding != "float32":
+            raise ArgumentError(f'encoding: .nrrd files hold "float32", got {encoding!r}')
+        _write_nrrd(target, samples, origin, spacing, json.dumps(facts))
+        return
+    content = _core.texture_write(kind, samples, encoding, scale, json.dumps(facts))
+    with atomic_write(target) as stream:
+        stream.write(content)
+    if kind == "dds":
+        sidecar.write_beside(target, facts)
+
+
+def _write_nrrd(
+    target: Path, samples: NDArray[np.float32], origin: NDArray[np.float64], spacing: NDArray[np.float64], facts: str
+) -> None:
+    header = {
+        "space": "3D-right-handed",
+        "space directions": np.diag(spacing),
+        "space origin": origin,
+        "centerings": ["cell"] * 3,
+        "kinds": ["domain"] * 3,
+        "encoding": "raw",
+        "endian": "little",
+        "fieldbake": facts,
+    }
+    nrrd = nrrd_package()
+    with atomic_write(target) as stream:
+        nrrd.write(stream, samples, header, index_order="F")
+
+
+def nrrd_package() -> Any:
+    """The optional package pynrrd."""
+    try:
+        import nrrd
+    except ImportError:
+        raise FormatError(".nrrd files need the package pynrrd: pip install pynrrd") from None
+    return nrrd
