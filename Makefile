@@ -9,7 +9,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := $(shell find src shaders -type f 2>/dev/null) Cargo.toml Cargo.lock pyproject.toml
 
-.PHONY: help demo test check bench fix wheel clean
+.PHONY: help demo test test-long check types bench fix wheel clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -17,17 +17,25 @@ help: ## Show this list
 demo: $(VENV)/.built ## Bake real geometry, save it, draw it: pictures in out/
 	$(BIN)/fieldbake demo --output out
 
-test: check ## Everything CI runs: format, lints, types, Rust tests, Python tests
+test: check types ## Everything CI runs: format, lints, types, Rust tests, Python tests
 	cargo test --quiet
-	$(BIN)/python -m mypy.stubtest fieldbake._core --ignore-disjoint-bases
-	PYOPENGL_PLATFORM=osmesa $(BIN)/pytest -n 2
+	PYOPENGL_PLATFORM=osmesa $(BIN)/pytest -n 2 -m "not slow"
 
-check: $(VENV)/.built $(VENV)/.test ## Format, lints and types only
+test-long: $(VENV)/.built $(VENV)/.test ## The tests marked slow, which `make test` leaves out
+	PYOPENGL_PLATFORM=osmesa $(BIN)/pytest -n 2 -m slow
+
+check: $(VENV)/.lint ## Format, layers, spelling and named paths, in seconds and without a build
 	$(BIN)/ruff format --check --quiet .
 	$(BIN)/ruff check --quiet .
 	cargo fmt --check
+	PYTHONPATH=python $(BIN)/lint-imports --no-logo --no-cache
+	$(BIN)/typos
+	$(BIN)/python scripts/check_paths.py
+
+types: $(VENV)/.built $(VENV)/.test ## Clippy, mypy, and the stub beside the compiled module
 	cargo clippy --quiet --all-targets --features python -- --deny warnings
 	$(BIN)/mypy
+	$(BIN)/python -m mypy.stubtest fieldbake._core --ignore-disjoint-bases
 
 bench: $(VENV)/.built $(VENV)/.bench ## Bake real meshes side by side with other tools
 	$(BIN)/python benches/peers.py
@@ -36,7 +44,7 @@ bench: $(VENV)/.built $(VENV)/.bench ## Bake real meshes side by side with other
 	$(BIN)/python benches/curves.py
 	for room in atlas sparse csg csg_peers quadrics merge scene; do $(BIN)/python benches/$$room.py; done
 
-fix: $(VENV)/.test ## Format, and repair what lints can repair
+fix: $(VENV)/.lint ## Format, and repair what lints can repair
 	$(BIN)/ruff check --fix --quiet . || true
 	$(BIN)/ruff format --quiet .
 	cargo fmt
@@ -47,7 +55,7 @@ wheel: $(VENV)/.made ## Build the wheel for this machine into dist/
 clean: ## Remove what the other targets made
 	rm -rf $(VENV) target dist out
 
-# The environment; each stamp is newer than what it was made from.
+# The environment. Each stamp is newer than its sources.
 $(VENV)/.made: scripts/make_venv.sh
 	scripts/make_venv.sh $(PYTHON) $(VENV)
 	touch $@
@@ -55,6 +63,10 @@ $(VENV)/.made: scripts/make_venv.sh
 $(VENV)/.built: $(SOURCES) | $(VENV)/.made
 	@command -v cargo >/dev/null || { echo "cargo is missing: install Rust from https://rustup.rs" >&2; exit 1; }
 	$(BIN)/maturin develop --release --quiet
+	touch $@
+
+$(VENV)/.lint: pyproject.toml | $(VENV)/.made
+	$(BIN)/pip install --quiet --group lint
 	touch $@
 
 $(VENV)/.test: pyproject.toml scripts/system_packages.sh | $(VENV)/.made

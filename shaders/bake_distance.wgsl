@@ -1,7 +1,7 @@
 // Unsigned distances of a grid, local units: one invocation a sample, one workgroup a block of 4^3 samples.
 //
 // `coarse` answers every fourth sample and remembers its triangle; `main` starts each search from the triangle of the
-// nearest coarse sample, which is already a sharp bound. Twin of src/bake/dense.rs (the same numbers, another search).
+// nearest coarse sample, which is already a sharp bound. Twin of src/bake/dense/mod.rs: the same distances, found by another search.
 
 #import bvh
 #import grid

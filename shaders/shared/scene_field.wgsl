@@ -1,4 +1,4 @@
-// The instances of a scene and the records of their fields, and rays between them. Twin of src/scene/device.rs.
+// The instances of a scene and the records of their fields, and rays between them. Twin of src/scene/device_fields.rs.
 
 struct SceneInstance {
     // Rows of the affine map from scene space to field space.

@@ -26,7 +26,7 @@ pub struct StripEntry {
     pub padding: u32,
 }
 
-/// The record of a field of any shape; `shaders/shared/atlas.wgsl`.
+/// The record of a field of any shape; `AtlasEntry` in `shaders/atlas/shelves.wgsl`.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct AtlasEntry {

@@ -11,7 +11,7 @@
 //!
 //! # Practice
 //!
-//! Twin of `shaders/shared/atlas.wgsl`. Offsets of the slices are found once for each view.
+//! Twin of `shaders/atlas/sampling.wgsl`. Offsets of the slices are found once for each view.
 
 use super::Block;
 use crate::encoding::Encoding;

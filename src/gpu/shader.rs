@@ -1,6 +1,6 @@
 //! WGSL sources and the rule that joins them.
 //!
-//! A file in `shaders/` is plain WGSL, except that a line `#import name` stands for the text of `shaders/shared/name.wgsl`
+//! A file in `shaders/` is plain WGSL, except that a line `#import name` stands for the text of `shaders/shared/NAME.wgsl`
 //! and of what that imports, each once, before the file that needs it. No names are mangled: the joined text is what a
 //! person reads, what the driver compiles, and what another WebGPU program can paste.
 

@@ -274,7 +274,7 @@ def test_small_encodings_stay_within_their_bounds_and_never_exceed_the_truth(lay
 
 
 @pytest.mark.parametrize("encoding", ["snorm16", "snorm8"])
-def test_texels_are_a_share_of_the_entrys_scale(encoding):
+def test_texels_are_shares_of_the_scale_of_the_entry(encoding):
     volume = noise((8, 8, 8), bounds=[(0, 0, 0), (2, 2, 2)])
 
     atlas = fb.pack([volume], page_size=64, encoding=encoding, band=2)
