@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import fieldbake as fb
 import truth_csg as truth
-from test_csg_trees import DEPTH_TOLERANCE, differing_pixels, has_volume
+from pictures import DEPTH_TOLERANCE, differing_pixels, has_volume
 
 #: The tree of the article.
 ARTICLE = "(union (cube 3) (diff (cube 4) (move -2 -2 2 (sphere 5))))"

@@ -8,7 +8,7 @@ import pytest
 import fieldbake as fb
 import meshes
 from fieldbake import _core
-from test_merge import placed, random_scene, turn
+from merged import placed, random_scene, turn
 
 
 @pytest.fixture

@@ -7,41 +7,9 @@ import pytest
 
 import fieldbake as fb
 import meshes
-
-SUN = (-1.0, -0.9, -0.4)
-
-
-def moved(x=0.0, y=0.0, z=0.0):
-    matrix = np.eye(4)
-    matrix[:3, 3] = x, y, z
-    return matrix
-
-
-def floor(side):
-    corners = [(-side, 0, -side), (side, 0, -side), (side, 0, side), (-side, 0, side)]
-    return fb.Instance(fb.Mesh(corners, [(0, 2, 1), (0, 3, 2)]))
-
-
-def grove(count=60, seed=5, angle_deg=0.0):
-    """Balls of radius 1/2 over a floor, and their centres."""
-    random = np.random.default_rng(seed)
-    centers = random.uniform((-6, 0.6, -6), (6, 3.5, 6), (count, 3))
-    ball = fb.bake(fb.Mesh(*meshes.icosphere(4, radius=0.5)), 32)
-    balls = [fb.Instance(ball, moved(*center)) for center in centers]
-    return fb.Scene([*balls, floor(9)], lights=[fb.DirectionalLight(SUN, angle_deg=angle_deg)]), balls, centers
-
-
-CAMERA = fb.Camera((0.5, 16.0, 6.0), (0, 0, 0), fov_deg=50)
-
-
-def positions(frame, camera):
-    """World points of the pixels."""
-    width, height = frame.size
-    side = 2 * np.tan(np.radians(camera.fov_deg) / 2) / height
-    x = (np.arange(width) + 0.5 - width / 2) * side
-    y = (height / 2 - np.arange(height) - 0.5) * side
-    rays = np.stack(np.broadcast_arrays(x[None], y[:, None], -1.0), axis=-1) @ camera.pose[:3, :3].T
-    return camera.eye + np.where(np.isfinite(frame.depth), frame.depth, np.nan)[..., None] * rays
+from merged import CAMERA, floor, grove
+from merged import GROVE_SUN as SUN
+from scenes import moved, positions
 
 
 def test_far_shadows_are_the_closed_form_but_for_a_voxel_at_their_edges():

@@ -7,8 +7,8 @@ import pytest
 
 import fieldbake as fb
 import meshes
-from test_merge import exactness, placed, random_scene, signed_distance, turn
-from test_merge_far import CAMERA, grove, positions
+from merged import CAMERA, exactness, grove, placed, random_scene, signed_distance, turn
+from scenes import positions
 
 
 @pytest.fixture(scope="module")

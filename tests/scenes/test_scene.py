@@ -7,7 +7,7 @@ import pytest
 
 import fieldbake as fb
 import meshes
-from scenes import SUN, moved, plane, positions
+from scenes import SUN, disc_share, miss_distance, moved, plane, positions
 
 
 def over_plane(light, shadows="soft", scale=1.0, size=(160, 120), resolution=64, lift=0.6, **options):
@@ -20,13 +20,6 @@ def over_plane(light, shadows="soft", scale=1.0, size=(160, 120), resolution=64,
     camera = fb.Camera(np.array([2.5, 7.0, 5.0]) * scale, np.array([0.6, -1.0, 0.2]) * scale, fov_deg=40)
     frame = fb.render(scene, camera, size=size, shadows=shadows, device="cpu", **options)
     return frame, camera
-
-
-def miss_distance(points: np.ndarray, center: np.ndarray, to_light: np.ndarray) -> np.ndarray:
-    """How far the ray from each point passes the centre."""
-    way = center - points
-    along = (way * to_light).sum(-1, keepdims=True)
-    return np.linalg.norm(way - along * to_light, axis=-1)
 
 
 @pytest.mark.parametrize("scale", [0.01, 1.0, 100.0])
@@ -61,20 +54,6 @@ def test_penumbrae_are_as_wide_as_the_light_is_large(angle_deg: float, scale: fl
     # The area of partial shadow measures the width; 5 % to 95 %, as the last bits have long tails.
     partial = lambda share: ((share > 0.05) & (share < 0.95)).sum()  # noqa: E731
     assert partial(soft.shadow[on_plane]) == pytest.approx(partial(truth), rel=0.15)
-
-
-def disc_share(points, center, radius, to_light, slope):
-    """Directions of a disc light that pass a sphere, by 400 of them on a sunflower."""
-    i = np.arange(400)
-    r, a = slope * np.sqrt((i + 0.5) / 400), i * np.pi * (3 - np.sqrt(5))
-    right = np.cross(to_light, (0, 0, 1.0))
-    right /= np.linalg.norm(right)
-    up = np.cross(right, to_light)
-    share = np.zeros(len(points))
-    for x, y in zip(r * np.cos(a), r * np.sin(a), strict=True):
-        direction = to_light + x * right + y * up
-        share += miss_distance(points, center, direction / np.linalg.norm(direction)) > radius
-    return share / 400
 
 
 def test_a_point_light_with_a_radius() -> None:

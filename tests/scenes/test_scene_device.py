@@ -7,17 +7,8 @@ import pytest
 
 import fieldbake as fb
 import meshes
+from pictures import assert_same_picture
 from scenes import SUN, moved, plane
-
-
-def assert_same_picture(here: fb.Frame, there: fb.Frame, scene: fb.Scene) -> None:
-    """Equal colours, ids and depths, but for silhouettes: the device rounds corners to 1/256 of a pixel."""
-    assert (np.abs(here.color - there.color).max(axis=-1) > 1 / 255).mean() <= 0.005
-    same = here.object_id == there.object_id
-    assert same.mean() > 0.995
-    both = np.isfinite(here.depth) & np.isfinite(there.depth) & same
-    size = np.ptp(scene.bounds, axis=0).max()
-    assert (np.abs(here.depth[both] - there.depth[both]) > 1e-4 * size).mean() <= 0.002
 
 
 @pytest.mark.parametrize("light_scale", [1, 2])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import fieldbake as fb
-from test_scene import SUN, disc_share, miss_distance, moved, plane, positions
+from scenes import SUN, disc_share, miss_distance, moved, plane, positions
 
 TO_LIGHT = -np.array(SUN) / np.linalg.norm(SUN)
 CENTER = np.array([0, 0.6, 0])

@@ -7,8 +7,8 @@ import pytest
 
 import fieldbake as fb
 import meshes
+from pictures import assert_same_picture
 from scenes import SUN, moved, plane
-from test_scene_device import assert_same_picture
 
 CAMERA = fb.Camera((2.5, 3, 5), (0, -0.3, 0), fov_deg=40)
 PLACE = moved(y=0.2, scale=(1.3, 0.9, 1.0), turn=0.4)

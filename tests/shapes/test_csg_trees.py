@@ -7,14 +7,10 @@ from hypothesis import strategies as st
 
 import fieldbake as fb
 import truth_csg as truth
+from pictures import differing_pixels, has_volume
 
 #: Distances are rounded to float32 once: half an ulp of the largest, which is below 8 here, and rounding in float64.
 ROUNDING = 8 * 2.0**-24
-
-#: Depths are found in float32 in coordinates where the model, up to 8 units large, has size 1: the field rounds at
-#: 1e-6 world
-#: units, and a ray that meets the surface at an angle of 1 in 100 moves its root by a hundred times as much.
-DEPTH_TOLERANCE = 1e-4
 
 
 def sample_points(bounds, count, seed=0):
@@ -30,11 +26,6 @@ def in_boxes(points, boxes):
     for lower, upper in boxes:
         inside |= ((points >= lower) & (points < upper)).all(axis=1)
     return inside
-
-
-def has_volume(shape):
-    lower, upper = shape.bounds
-    return bool((upper > lower).all())
 
 
 @given(truth.trees)
@@ -121,34 +112,6 @@ def test_cells_cover_the_surface(tree):
             assert np.abs(part.shape.distance(low[here])).max() <= 2 * ROUNDING
             found |= here
     assert found.all()
-
-
-def directions(camera, size):
-    """World direction through each pixel's centre, one unit long along the viewing axis, (h, w, 3)."""
-    width, height = size
-    slope = np.tan(np.radians(camera.fov_deg) / 2)
-    x = (2 * (np.arange(width) + 0.5) / width - 1) * slope * width / height
-    y = (1 - 2 * (np.arange(height) + 0.5) / height) * slope
-    return np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), axis=-1) @ camera.pose[:3, :3].T
-
-
-def differing_pixels(tree, camera, size, method, device):
-    """Pixels of the parts' picture that differ from the whole tree's, where what was hit is a solid.
-
-    A ray that dips into a solid by less than float32 rounds may see it or not, and surfaces that coincide leave
-    such solids behind; so a hit counts if NumPy's field falls below the rounding on the way behind it.
-    """
-    whole = fb.raymarch(tree.shape, camera, size=size, method="whole", shadows="none", device="cpu")
-    split = fb.raymarch(tree.shape, camera, size=size, method=method, shadows="none", device=device)
-    hit, other = np.isfinite(whole.depth), np.isfinite(split.depth)
-    near = np.minimum(whole.depth, split.depth)
-    with np.errstate(invalid="ignore"):
-        differs = (hit != other) | (np.abs(whole.depth - split.depth) > DEPTH_TOLERANCE)
-    rays = directions(camera, size)[differs]
-    behind = near[differs][:, None].astype(float) + np.linspace(0, 0.05, 51)
-    points = camera.eye + behind[..., None] * rays[:, None]
-    deepest = tree.field(points.reshape(-1, 3)).reshape(behind.shape).min(axis=1, initial=np.inf)
-    return int((deepest < -DEPTH_TOLERANCE / 10).sum()), int(differs.sum())
 
 
 @pytest.mark.parametrize("method", ["aabb", "octree"])
