@@ -21,7 +21,7 @@
 //! Encoding what was decoded gives the same bits again. [`Encoding::encode`] and [`Encoding::decode`] are the
 //! definition; the slice forms are the same function, faster.
 
-use crate::error::ArgumentError;
+use crate::error::{ArgumentError, choice};
 use half::f16;
 use half::slice::HalfFloatSliceExt;
 
@@ -57,10 +57,7 @@ const HALF_SUBNORMAL: f32 = 1.0 / (1u32 << 24) as f32;
 impl Encoding {
     /// The encoding that the Python interface calls `name`.
     pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
-        Self::ALL.into_iter().find(|encoding| encoding.name() == name).ok_or_else(|| {
-            let names = Self::ALL.map(|encoding| format!("\"{}\"", encoding.name())).join(", ");
-            ArgumentError::new("encoding", format!("expected one of {names}, got {name:?}"))
-        })
+        choice("encoding", name, &Self::ALL.map(|encoding| (encoding.name(), encoding)))
     }
 
     pub const ALL: [Self; 4] = [Self::Float32, Self::Float16, Self::Snorm16, Self::Snorm8];
@@ -260,7 +257,7 @@ mod tests {
             assert_eq!(Encoding::from_name(encoding.name()), Ok(encoding));
         }
         let told = Encoding::from_name("uint8").unwrap_err().to_string();
-        assert_eq!(told, "encoding: expected one of \"float32\", \"float16\", \"snorm16\", \"snorm8\", got \"uint8\"");
+        assert_eq!(told, "encoding: must be one of \"float32\", \"float16\", \"snorm16\", \"snorm8\", got \"uint8\"");
     }
 
     #[test]

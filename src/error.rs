@@ -39,6 +39,14 @@ impl ArgumentError {
     }
 }
 
+/// The value that `table` has for the word `name`, the value of the option `argument`.
+pub fn choice<T: Copy>(argument: &'static str, name: &str, table: &[(&str, T)]) -> Result<T, ArgumentError> {
+    table.iter().find(|(word, _)| *word == name).map(|&(_, value)| value).ok_or_else(|| {
+        let words: Vec<String> = table.iter().map(|(word, _)| format!("\"{word}\"")).collect();
+        ArgumentError::new(argument, format!("must be one of {}, got {name:?}", words.join(", ")))
+    })
+}
+
 /// A camera, light, instance or material that cannot be drawn, named as in the Python interface.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[error("{what}: {problem}")]

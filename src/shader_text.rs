@@ -1,6 +1,6 @@
 //! WGSL texts in other shading languages, written by naga.
 
-use crate::error::ArgumentError;
+use crate::error::{ArgumentError, choice};
 use naga::back::{glsl, hlsl, msl};
 use naga::proc::BoundsCheckPolicies;
 use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
@@ -18,16 +18,11 @@ pub enum Language {
 impl Language {
     /// The language that the Python interface calls `name`.
     pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
-        match name {
-            "wgsl" => Ok(Self::Wgsl),
-            "glsl" => Ok(Self::Glsl),
-            "hlsl" => Ok(Self::Hlsl),
-            "msl" => Ok(Self::Msl),
-            _ => {
-                let problem = format!("expected \"wgsl\", \"glsl\", \"hlsl\" or \"msl\", got {name:?}");
-                Err(ArgumentError::new("language", problem))
-            }
-        }
+        choice(
+            "language",
+            name,
+            &[("wgsl", Self::Wgsl), ("glsl", Self::Glsl), ("hlsl", Self::Hlsl), ("msl", Self::Msl)],
+        )
     }
 }
 

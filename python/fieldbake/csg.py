@@ -176,8 +176,7 @@ def decompose(shape: Shape, method: Method = "octree") -> Parts:
     A. Palecek, SDF Decomposition, 2021. W. Barbier et al., Lipschitz Pruning: Hierarchical Simplification of
     Primitive-Based SDFs, Eurographics 2025.
     """
-    if not isinstance(method, str):
-        raise ShapeError(f'method: must be "octree" or "aabb", got {checks.describe(method)}')
+    checks.choice("method", method, ("octree", "aabb"), ShapeError)
     core = checked_shape("shape", shape)._core
     found, firsts = core.decompose(method)
     boxes = checks.frozen(found)

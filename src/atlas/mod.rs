@@ -33,7 +33,7 @@ pub mod sample;
 pub mod shader;
 pub mod texels;
 
-use crate::error::ArgumentError;
+use crate::error::{ArgumentError, choice};
 use bytemuck::{Pod, Zeroable};
 use rectangles::Rectangle;
 
@@ -49,11 +49,7 @@ pub enum Layout {
 impl Layout {
     /// The layout that the Python interface calls `name`; strips have no gutter.
     pub fn from_name(name: &str, gutter: u32) -> Result<Self, ArgumentError> {
-        match name {
-            "shelves" => Ok(Self::Shelves { gutter }),
-            "strips" => Ok(Self::Strips),
-            _ => Err(ArgumentError::new("layout", format!("expected \"shelves\" or \"strips\", got {name:?}"))),
-        }
+        choice("layout", name, &[("shelves", Self::Shelves { gutter }), ("strips", Self::Strips)])
     }
 }
 

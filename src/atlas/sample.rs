@@ -15,7 +15,7 @@
 
 use super::Block;
 use crate::encoding::Encoding;
-use crate::error::{ArgumentError, Error};
+use crate::error::{ArgumentError, Error, choice};
 use crate::grid::Grid;
 use crate::progress::Progress;
 use crate::volume::outside::bound_outside;
@@ -37,15 +37,7 @@ pub enum AtlasFilter {
 impl AtlasFilter {
     /// The filter that the Python interface calls `name`.
     pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
-        match name {
-            "linear" => Ok(Self::Linear),
-            "nearest" => Ok(Self::Nearest),
-            "slice" => Ok(Self::Slice),
-            _ => Err(ArgumentError::new(
-                "filter",
-                format!("expected \"linear\", \"nearest\" or \"slice\", got {name:?}"),
-            )),
-        }
+        choice("filter", name, &[("linear", Self::Linear), ("nearest", Self::Nearest), ("slice", Self::Slice)])
     }
 }
 

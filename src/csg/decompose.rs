@@ -20,7 +20,7 @@ use super::model::{Coat, Model, Place, Token, WarpKind};
 use super::shape::{Blend, Kind, Op, Shape};
 use super::solid::Solid;
 use super::{aabb, octree};
-use crate::error::{Error, ShapeError};
+use crate::error::{Error, ShapeError, choice};
 use glam::{DMat3, DQuat, DVec3};
 use rustc_hash::FxHashMap;
 use std::hash::Hash;
@@ -37,11 +37,7 @@ pub enum Method {
 impl Method {
     /// The method that the Python interface calls `name`.
     pub fn from_name(name: &str) -> Result<Self, ShapeError> {
-        match name {
-            "aabb" => Ok(Self::Aabb),
-            "octree" => Ok(Self::Octree),
-            _ => Err(ShapeError::argument("method", format!("expected \"aabb\" or \"octree\", got {name:?}"))),
-        }
+        choice("method", name, &[("aabb", Self::Aabb), ("octree", Self::Octree)]).map_err(ShapeError::from)
     }
 }
 

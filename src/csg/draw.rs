@@ -7,7 +7,7 @@ use super::model::Model;
 use super::program::Stack;
 use super::solid::Solid;
 use super::trace::{LocalRay, Tracer, Work};
-use crate::error::{Error, ShapeError};
+use crate::error::{Error, ShapeError, choice};
 use crate::gpu::Place;
 use crate::gpu::layout::PictureRays;
 use crate::progress::Progress;
@@ -32,14 +32,17 @@ pub enum DrawMethod {
 impl DrawMethod {
     /// The method that the Python interface calls `name`.
     pub fn from_name(name: &str) -> Result<Self, ShapeError> {
-        match name {
-            "auto" => Ok(Self::Auto),
-            "whole" => Ok(Self::Whole),
-            _ => Method::from_name(name).map(Self::Parts).map_err(|_| {
-                let problem = format!("expected \"auto\", \"whole\", \"aabb\" or \"octree\", got {name:?}");
-                ShapeError::argument("method", problem)
-            }),
-        }
+        choice(
+            "method",
+            name,
+            &[
+                ("auto", Self::Auto),
+                ("whole", Self::Whole),
+                ("aabb", Self::Parts(Method::Aabb)),
+                ("octree", Self::Parts(Method::Octree)),
+            ],
+        )
+        .map_err(ShapeError::from)
     }
 }
 

@@ -31,7 +31,7 @@ pub use camera::Camera;
 pub(crate) use gpu::upload_lights;
 
 use crate::encoding::Encoding;
-use crate::error::{ArgumentError, Error};
+use crate::error::{ArgumentError, Error, choice};
 use crate::gpu::{Context, Place};
 use crate::grid::Grid;
 use crate::progress::Progress;
@@ -69,11 +69,7 @@ pub enum Shadows {
 impl Shadows {
     /// The shadows that the Python interface calls `name`.
     pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
-        match name {
-            "none" => Ok(Self::None),
-            "hard" => Ok(Self::Hard),
-            _ => Err(ArgumentError::new("shadows", format!("expected \"hard\" or \"none\", got {name:?}"))),
-        }
+        choice("shadows", name, &[("none", Self::None), ("hard", Self::Hard)])
     }
 }
 
@@ -90,11 +86,7 @@ pub enum Filter {
 impl Filter {
     /// The filter that the Python interface calls `name`.
     pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
-        match name {
-            "linear" => Ok(Self::Linear),
-            "hardware" => Ok(Self::Hardware),
-            _ => Err(ArgumentError::new("filter", format!("expected \"linear\" or \"hardware\", got {name:?}"))),
-        }
+        choice("filter", name, &[("linear", Self::Linear), ("hardware", Self::Hardware)])
     }
 }
 

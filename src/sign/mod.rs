@@ -22,7 +22,7 @@ pub mod winding;
 mod tests;
 
 use crate::bvh::closest::ClosestPoint;
-use crate::error::ArgumentError;
+use crate::error::{ArgumentError, choice};
 use crate::geometry::triangle_cross;
 use crate::mesh::Mesh;
 use crossing::{Axes, Surface};
@@ -65,10 +65,7 @@ impl FromStr for SignMethod {
     type Err = ArgumentError;
 
     fn from_str(name: &str) -> Result<Self, ArgumentError> {
-        Self::NAMES.iter().find(|(known, _)| *known == name).map(|(_, method)| *method).ok_or_else(|| {
-            let known = Self::NAMES.map(|(known, _)| format!("\"{known}\"")).join(", ");
-            ArgumentError::new("sign", format!("unknown method \"{name}\"; use one of {known}"))
-        })
+        choice("sign", name, &Self::NAMES)
     }
 }
 

@@ -197,5 +197,5 @@ fn auto_takes_the_strongest_rule() {
 #[test]
 fn unknown_methods_list_the_known_ones() {
     let error = "odd".parse::<SignMethod>().unwrap_err().to_string();
-    assert!(error.starts_with("sign: unknown method \"odd\"; use one of \"auto\", \"winding\""), "{error}");
+    assert!(error.starts_with("sign: must be one of \"auto\", \"winding\""), "{error}");
 }

@@ -1,6 +1,6 @@
 //! Fields that are trilinear in each of their cells: values, gradients, batches of points.
 
-use crate::error::{ArgumentError, Error};
+use crate::error::{ArgumentError, Error, choice};
 use crate::grid::Grid;
 use crate::progress::Progress;
 use glam::{DVec3, IVec3, Vec3};
@@ -19,11 +19,7 @@ pub enum Filter {
 impl Filter {
     /// The filter that the Python interface calls `name`.
     pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
-        match name {
-            "linear" => Ok(Self::Linear),
-            "nearest" => Ok(Self::Nearest),
-            _ => Err(ArgumentError::new("filter", format!("expected \"linear\" or \"nearest\", got {name:?}"))),
-        }
+        choice("filter", name, &[("linear", Self::Linear), ("nearest", Self::Nearest)])
     }
 }
 

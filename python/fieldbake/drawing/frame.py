@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base import checks
-from ..base.errors import ArgumentError, FormatError
+from ..base.errors import FormatError
 from ..files.container import atomic_write
 
 Quantity = Literal["steps", "depth", "shadow"]
@@ -93,8 +93,7 @@ class Frame:
         ArgumentError
             For another quantity.
         """
-        if quantity not in ("steps", "depth", "shadow"):
-            raise ArgumentError(f'quantity: must be "steps", "depth" or "shadow", got {quantity!r}')
+        checks.choice("quantity", quantity, ("steps", "depth", "shadow"))
         values = np.asarray(getattr(self, quantity), dtype=np.float64)
         if values.ndim == 3:
             values = values.mean(axis=-1)

@@ -131,8 +131,7 @@ def merge(
     True
     """
     checks.text("device", device)
-    if method not in ("bound", "article"):
-        raise ArgumentError(f'method: must be "bound" or "article", got {checks.describe(method)}')
+    checks.choice("method", method, ("bound", "article"))
     if levels is None and center is not None:
         raise ArgumentError("center: is what levels are nested round; give levels too")
     baked: dict[tuple[int, int], Volume] = {}
