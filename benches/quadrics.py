@@ -15,6 +15,7 @@ import numpy as np
 
 import fieldbake as fb
 from fieldbake import _core
+from fieldbake.drawing.raymarching import picture_arguments
 
 LOOP = 64
 
@@ -45,7 +46,7 @@ def main() -> None:
         shortest, tried = float("inf"), 0.0
         for _ in range(options.repeat):
             start = time.perf_counter()
-            picture = {"pose": camera.pose, "size": (options.size,) * 2, "fov_deg": 45.0, "shadows": "none"}
+            picture = picture_arguments(camera, (options.size, options.size), shadows="none")
             frame = quadrics.draw(picture, options.device)
             shortest = min(shortest, time.perf_counter() - start)
             tried = float(frame["steps"].mean())

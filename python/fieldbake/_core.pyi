@@ -352,10 +352,9 @@ def raymarch(
 ) -> dict[str, Any]:
     """Draw the zero level set.
 
-    ``picture``, for whatever is drawn: ``pose`` (4, 4) world from camera, looking along -Z; ``fov_deg``; ``size``
-    (width, height); and, if not as usual, ``light_directions`` (k, 3), the way the light travels, ``light_colors``
-    (k, 3), ``ambient``, ``color``, ``specular``, ``shininess``, ``background``, ``shadows``. Without lights: a key
-    light over the camera's shoulder.
+    ``picture`` has every one of these keys: ``pose`` (4, 4) world from camera, looking along -Z; ``fov_deg``; ``size``
+    (width, height); ``light_directions`` (k, 3), the way the light travels; ``light_colors`` (k, 3); ``ambient``;
+    ``color``; ``specular``; ``shininess``; ``background``; ``shadows``.
 
     Keys: ``color`` (h, w, 4) linear RGBA, ``depth`` (h, w) along the view axis, inf where nothing is hit, ``normal``
     (h, w, 3), ``object_id`` (h, w) int32, -1 for nothing, ``shadow`` (h, w) or (h, w, k), ``steps`` (h, w) uint32,

@@ -21,6 +21,7 @@ from .base.errors import ArgumentError
 from .base.grid import MAX_SIDE
 from .base.report import Report
 from .drawing.options import checked_size
+from .drawing.raymarching import picture_arguments
 from .meshes.mesh import check_faces, check_vertices
 from .scenes.camera import Camera
 from .volumes.volume import Volume, check_distances
@@ -137,7 +138,7 @@ def raymarch(
     size: tuple[int, int] = (512, 512),
     device: str = "auto",
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Draw the zero level set of a grid of distances.
+    """Draw the zero level set of a grid of distances, with the default light and colours of :func:`fieldbake.raymarch`.
 
     Parameters
     ----------
@@ -171,7 +172,7 @@ def raymarch(
     result = _core.raymarch(
         check_distances(distances),
         *corners,
-        {"pose": camera.pose, "fov_deg": camera.fov_deg, "size": checked_size(size)},
+        picture_arguments(camera, checked_size(size)),
         device=checks.text("device", device),
     )
     return result["color"], result["depth"]

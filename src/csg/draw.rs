@@ -111,7 +111,7 @@ pub fn draw(
     progress: &Progress,
 ) -> Result<Drawing, Error> {
     options.check()?;
-    let lights = options.unit_lights(camera)?;
+    let lights = options.unit_lights()?;
     let is_eye_inside = tracer.is_inside(camera.eye);
     let rays = Rays::new(tracer, camera, options, lights.len());
     let view = View { tracer, camera, options, lights: &lights, is_eye_inside, rays };

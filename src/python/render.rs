@@ -79,47 +79,36 @@ pub fn raymarch_nested<'py>(
     Ok(Some(images_of(py, frame, &place, start)?))
 }
 
-/// What a picture is made with, whatever is drawn: a mapping, described in `_core.pyi`.
+/// The arguments of a picture: a mapping, described in `_core.pyi`. Python holds every default.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct PictureArguments<'py> {
     pose: PyReadonlyArray2<'py, f64>,
     fov_deg: f64,
     size: [u32; 2],
-    #[pyo3(default)]
-    light_directions: Option<PyReadonlyArray2<'py, f32>>,
-    #[pyo3(default)]
-    light_colors: Option<PyReadonlyArray2<'py, f32>>,
-    #[pyo3(default)]
-    ambient: Option<f32>,
-    #[pyo3(default)]
-    color: Option<[f32; 3]>,
-    #[pyo3(default)]
-    specular: Option<f32>,
-    #[pyo3(default)]
-    shininess: Option<f32>,
-    #[pyo3(default)]
-    background: Option<[f32; 4]>,
-    #[pyo3(default)]
-    shadows: Option<String>,
+    light_directions: PyReadonlyArray2<'py, f32>,
+    light_colors: PyReadonlyArray2<'py, f32>,
+    ambient: f32,
+    color: [f32; 3],
+    specular: f32,
+    shininess: f32,
+    background: [f32; 4],
+    shadows: String,
 }
 
 impl PictureArguments<'_> {
-    /// What is left out is as usual.
     pub fn read(&self) -> PyResult<(Camera, RaymarchOptions)> {
         let camera = Camera::from_pose(&pose_matrix(&self.pose)?, self.fov_deg).map_err(Failure::from)?;
-        let usual = RaymarchOptions::default();
-        let shadows = self.shadows.as_deref().map(Shadows::from_name).transpose().map_err(Failure::from)?;
         let options = RaymarchOptions {
             size: self.size,
-            lights: lights(self.light_directions.as_ref(), self.light_colors.as_ref())?,
-            ambient: self.ambient.unwrap_or(usual.ambient),
-            color: self.color.map_or(usual.color, Vec3::from_array),
-            specular: self.specular.unwrap_or(usual.specular),
-            shininess: self.shininess.unwrap_or(usual.shininess),
-            background: self.background.unwrap_or(usual.background),
-            shadows: shadows.unwrap_or(usual.shadows),
-            filter: usual.filter,
+            lights: lights(&self.light_directions, &self.light_colors)?,
+            ambient: self.ambient,
+            color: Vec3::from_array(self.color),
+            specular: self.specular,
+            shininess: self.shininess,
+            background: self.background,
+            shadows: Shadows::from_name(&self.shadows).map_err(Failure::from)?,
+            filter: Filter::default(),
         };
         Ok((camera, options))
     }
@@ -135,22 +124,21 @@ pub fn pose_matrix(pose: &PyReadonlyArray2<'_, f64>) -> PyResult<[[f64; 4]; 4]> 
 }
 
 fn lights(
-    directions: Option<&PyReadonlyArray2<'_, f32>>,
-    colors: Option<&PyReadonlyArray2<'_, f32>>,
-) -> PyResult<Option<Vec<DirectionalLight>>> {
-    let Some(directions) = directions else { return Ok(None) };
+    directions: &PyReadonlyArray2<'_, f32>,
+    colors: &PyReadonlyArray2<'_, f32>,
+) -> PyResult<Vec<DirectionalLight>> {
     let py = directions.py();
     let directions = rows(directions, "light_directions")?;
-    let colors = match colors {
-        Some(colors) => rows(colors, "light_colors")?.to_vec(),
-        None => vec![[1.0; 3]; directions.len()],
-    };
+    let colors = rows(colors, "light_colors")?;
     if colors.len() != directions.len() {
         let message = format!("light_colors: {} colours for {} lights", colors.len(), directions.len());
         return Err(exception(py, "ArgumentError", message));
     }
-    let light = |(&direction, color)| DirectionalLight { direction: Vec3::from_array(direction), color };
-    Ok(Some(directions.iter().zip(colors.into_iter().map(Vec3::from_array)).map(light).collect()))
+    let light = |(&direction, &color)| DirectionalLight {
+        direction: Vec3::from_array(direction),
+        color: Vec3::from_array(color),
+    };
+    Ok(directions.iter().zip(colors).map(light).collect())
 }
 
 /// The arrays of a frame, where it was drawn, and how long that took.

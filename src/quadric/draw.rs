@@ -22,7 +22,7 @@ pub fn draw_at(
     progress: &Progress,
 ) -> Result<Frame, Error> {
     options.check()?;
-    let lights = options.unit_lights(camera)?;
+    let lights = options.unit_lights()?;
     let view = View { quadrics, camera, options, lights: &lights };
     match place {
         Place::Cpu => Frame::by_pixels(options.size, lights.len(), progress, |x, y, row| view.draw_pixel(x, y, row)),

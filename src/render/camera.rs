@@ -109,11 +109,6 @@ impl Camera {
         let nearest = (self.eye - 0.5 * (lower + upper)).dot(self.back) - reach;
         (nearest - 0.01 * (upper - lower).length()).max(0.0)
     }
-
-    /// A direction of camera space in world space.
-    pub fn world_from_camera(&self, direction: DVec3) -> DVec3 {
-        direction.x * self.right + direction.y * self.up + direction.z * self.back
-    }
 }
 
 fn entries() -> impl Iterator<Item = (usize, usize)> {

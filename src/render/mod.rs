@@ -90,13 +90,13 @@ impl Filter {
     }
 }
 
-/// What a picture looks like. The names are those of the Python interface.
+/// What a picture looks like. The names are those of the Python interface, which holds the defaults.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RaymarchOptions {
     /// Width and height, pixels.
     pub size: [u32; 2],
-    /// `None`: one key light from over the camera's left shoulder. An empty list: ambient light only.
-    pub lights: Option<Vec<DirectionalLight>>,
+    /// An empty list: ambient light only.
+    pub lights: Vec<DirectionalLight>,
     /// Light from all round, most from above (+Y), as a share of a light of colour 1.
     pub ambient: f32,
     /// Linear RGB of the surface.
@@ -111,11 +111,13 @@ pub struct RaymarchOptions {
     pub filter: Filter,
 }
 
+#[cfg(test)]
 impl Default for RaymarchOptions {
+    /// Plain options for tests.
     fn default() -> Self {
         Self {
             size: [512, 512],
-            lights: None,
+            lights: vec![DirectionalLight { direction: Vec3::new(0.3, -0.7, -0.6), color: Vec3::ONE }],
             ambient: 0.2,
             color: Vec3::splat(0.8),
             specular: 0.25,
@@ -151,12 +153,6 @@ pub struct Frame {
 /// Pixels of a picture at most: 16384 x 16384, about 12 GiB of frame.
 const MAX_PIXELS: u64 = 1 << 28;
 
-/// Where the default key light comes from, in camera space: left, above, and behind the camera.
-const KEY_LIGHT_FROM: DVec3 = DVec3::new(-1.0, 1.2, 1.0);
-
-/// Colour of the default key light: with the default ambient light, white stays below 1 outside the highlight.
-const KEY_LIGHT_COLOR: Vec3 = Vec3::splat(0.75);
-
 /// Draw the zero level set of a field.
 pub fn raymarch<F: Blocks>(
     field: F,
@@ -169,7 +165,7 @@ pub fn raymarch<F: Blocks>(
         let problem = "\"hardware\" needs a graphics device, and this picture is drawn on the CPU; use device=\"gpu\"";
         return Err(ArgumentError::new("filter", problem).into());
     }
-    let lights = options.unit_lights(camera)?;
+    let lights = options.unit_lights()?;
     let marcher = Marcher::new(field, progress)?;
     let shader = Shader::new(&marcher, options, &lights);
     let view = View {
@@ -297,7 +293,7 @@ fn draw_on_device(
     progress: &Progress,
 ) -> Result<Frame, Error> {
     options.check()?;
-    let lights = options.unit_lights(camera)?;
+    let lights = options.unit_lights()?;
     gpu::raymarch(&field()?, grid, camera, options, &lights, progress)
 }
 
@@ -370,12 +366,8 @@ impl RaymarchOptions {
         Ok(())
     }
 
-    /// The lights, or the default one, with unit directions.
-    pub(crate) fn unit_lights(&self, camera: &Camera) -> Result<Vec<DirectionalLight>, Error> {
-        let Some(lights) = &self.lights else {
-            let direction = -camera.world_from_camera(KEY_LIGHT_FROM).normalize().as_vec3();
-            return Ok(vec![DirectionalLight { direction, color: KEY_LIGHT_COLOR }]);
-        };
+    /// The lights, with unit directions.
+    pub(crate) fn unit_lights(&self) -> Result<Vec<DirectionalLight>, Error> {
         let unit = |(i, light): (usize, &DirectionalLight)| {
             let direction = light.direction.as_dvec3().normalize_or_zero().as_vec3();
             if direction == Vec3::ZERO {
@@ -388,7 +380,7 @@ impl RaymarchOptions {
             }
             Ok(DirectionalLight { direction, color: light.color })
         };
-        lights.iter().enumerate().map(unit).collect()
+        self.lights.iter().enumerate().map(unit).collect()
     }
 }
 

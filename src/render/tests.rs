@@ -177,7 +177,7 @@ fn a_camera_inside_the_box_or_the_solid() {
 fn a_solid_that_leaves_the_box_is_cut_flat_and_lit() {
     let scene = Scene::new(DVec3::splat(-1.0), DVec3::splat(1.0), [16, 16, 16], |p| p.length() - 1.3);
     let light = DirectionalLight { direction: Vec3::NEG_Z, color: Vec3::ONE };
-    let options = RaymarchOptions { lights: Some(vec![light]), ..options(9, 9) };
+    let options = RaymarchOptions { lights: vec![light], ..options(9, 9) };
     let frame = scene.draw(&camera([0.0, 0.0, 4.0], [0.0, 0.0, 0.0], 10.0), &options);
     assert!((frame.depth[40] - 3.0).abs() < 1e-5);
     assert_eq!(normal_at(&frame, 40), DVec3::Z);
@@ -193,7 +193,7 @@ fn a_sphere_casts_its_shadow_on_a_slab() {
     });
     let light = DirectionalLight { direction: Vec3::new(0.3, -1.0, 0.2), color: Vec3::ONE };
     let to_light = -light.direction.as_dvec3().normalize();
-    let options = RaymarchOptions { lights: Some(vec![light]), ..options(160, 160) };
+    let options = RaymarchOptions { lights: vec![light], ..options(160, 160) };
     let camera = camera([1.0, 2.5, 3.0], [0.0, -0.1, 0.0], 40.0);
     let frame = scene.draw(&camera, &options);
 
@@ -223,13 +223,13 @@ fn a_sphere_casts_its_shadow_on_a_slab() {
 #[test]
 fn shadows_none_lights_everything_that_faces_the_light() {
     let light = DirectionalLight { direction: Vec3::NEG_Y, color: Vec3::ONE };
-    let lights = Some(vec![light, light]);
+    let lights = vec![light, light];
     let scene = sphere(16);
     let camera = camera([0.0, 0.0, 4.0], [0.0; 3], 45.0);
     let frame = scene.draw(&camera, &RaymarchOptions { lights, shadows: Shadows::None, ..options(8, 6) });
     assert_eq!((frame.lights, frame.shadow.len()), (2, 8 * 6 * 2));
     assert!(frame.shadow.iter().all(|&share| share == 1.0));
-    let frame = scene.draw(&camera, &RaymarchOptions { lights: Some(vec![]), ..options(8, 6) });
+    let frame = scene.draw(&camera, &RaymarchOptions { lights: vec![], ..options(8, 6) });
     assert_eq!((frame.lights, frame.shadow.len()), (0, 0));
 }
 
@@ -261,7 +261,7 @@ fn senseless_options_are_refused() {
     let message = |options: RaymarchOptions| {
         raymarch(scene.field(), &camera, &options, &Progress::new()).unwrap_err().to_string()
     };
-    let light = |direction: Vec3, color: Vec3| Some(vec![DirectionalLight { direction, color }]);
+    let light = |direction: Vec3, color: Vec3| vec![DirectionalLight { direction, color }];
     assert!(message(options(0, 5)).starts_with("size: "));
     assert!(message(options(1 << 20, 1 << 20)).starts_with("size: "));
     assert!(message(RaymarchOptions { ambient: -1.0, ..options(1, 1) }).starts_with("ambient: "));

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import fieldbake as fb
 from fieldbake import Quadric, _core
+from fieldbake.drawing.raymarching import picture_arguments
 from fieldbake.shapes.quadric import core_of
 
 #: What the package promises of depths, relative, where a ray meets a surface at a slope above GRAZING.
@@ -181,7 +182,7 @@ def test_ten_thousand_random_matrices_against_float64_roots(random):
     poses = np.broadcast_to(np.eye(4), (count, 4, 4)).copy()
     poses[:, :3, :3] = np.stack([right, np.cross(right, directions), -directions], axis=2)
     poses[:, :3, 3] = eyes + rows[:, 16:19]
-    picture = {"fov_deg": 45.0, "size": (1, 1), "shadows": "none"}
+    picture = picture_arguments(fb.Camera((0, 0, 1), (0, 0, 0), fov_deg=45), (1, 1), shadows="none")
     depths = np.array(
         [
             _core.Quadrics(row[None]).draw(picture | {"pose": pose}, "cpu")["depth"][0, 0]
@@ -330,8 +331,7 @@ def test_a_hundred_thousand_are_drawn(random, device):
     balls[:, :16] = moved(balls[:, :16].reshape(-1, 4, 4), -random_places).reshape(-1, 16)
     balls[:, 16:19] = random_places
     camera = fb.Camera.fit([(-1, -1, -1), (1, 1, 1)])
-    picture = {"pose": camera.pose, "fov_deg": camera.fov_deg, "size": (24, 24)}
-    images = _core.Quadrics(balls).draw(picture, device)
+    images = _core.Quadrics(balls).draw(picture_arguments(camera, (24, 24)), device)
     directions = rays(camera, (24, 24)).reshape(-1, 3)
     expected = np.full(len(directions), np.inf)
     for i, d in enumerate(directions):

@@ -16,8 +16,8 @@ from ..base.progress import Progress, progress_callback
 from ..merging.nested import NestedField
 from ..scenes.camera import Camera
 from ..scenes.instance import Instance
-from ..scenes.lights import DirectionalLight, Light, PointLight, key_light
-from ..scenes.materials import Material
+from ..scenes.lights import AMBIENT, BACKGROUND, DirectionalLight, Light, PointLight, key_light
+from ..scenes.materials import PLAIN, SHININESS, SPECULAR, Material
 from ..scenes.scene import Scene
 from ..shapes.quadric import bounds_of, check_quadrics, core_of, is_quadrics
 from ..shapes.shape import Shape
@@ -69,7 +69,7 @@ def raymarch(
     filter : "linear" or "hardware", default "linear"
         How the field is read between its samples: exactly, or by the texture units of a graphics device (see Notes).
     lights : sequence of DirectionalLight and PointLight, optional
-        If not given, one white light over the right shoulder of who looks.
+        If not given, one white light of intensity 0.64 from above, over the viewer's right shoulder.
     ambient : float, optional
         Light from everywhere, as a share of the colour; 0.2 if not given.
     color : (3,), optional
@@ -77,7 +77,7 @@ def raymarch(
     specular, shininess : float, optional
         Strength and sharpness of the highlight (Blinn-Phong); 0.25 and 32 if not given.
     background : (3,) or (4,), optional
-        Where nothing is hit, linear RGB and opacity; opaque white if not given.
+        Colour of pixels that hit nothing, linear RGB and opacity; (0.025, 0.03, 0.04), a dark slate, if not given.
     method : "auto", "whole", "aabb" or "octree", default "auto"
         For a shape: whether rays march the whole of it or the parts of :func:`fieldbake.csg.decompose`; ``"auto"``
         takes what promises to cost a ray least. The picture is the same.
@@ -141,13 +141,13 @@ def raymarch(
     checks.text("device", device)
     if camera is not None and not isinstance(camera, Camera):
         raise SceneError(f"camera: must be a Camera, got {checks.describe(camera)}; see Camera.from_pose")
-    shade = {
-        "ambient": checks.number("ambient", 0.2 if ambient is None else ambient, least=0),
-        "specular": checks.number("specular", 0.25 if specular is None else specular, least=0),
-        "shininess": checks.number("shininess", 32.0 if shininess is None else shininess, above=0),
+    shade: dict[str, Any] = {
+        "ambient": checks.number("ambient", AMBIENT if ambient is None else ambient, least=0),
+        "specular": checks.number("specular", SPECULAR if specular is None else specular, least=0),
+        "shininess": checks.number("shininess", SHININESS if shininess is None else shininess, above=0),
     }
-    surface = checks.triple(checked_color("color", (0.8, 0.8, 0.8) if color is None else color, 3))
-    behind = checked_color("background", (1.0, 1.0, 1.0, 1.0) if background is None else background, 4)
+    surface = checks.triple(checked_color("color", PLAIN[:3] if color is None else color, 3))
+    behind = checked_color("background", BACKGROUND if background is None else background, 4)
     needs_scene = shadows in ("soft", "area") or any(isinstance(light, PointLight) for light in lights or ())
     if is_quadrics(thing):
         if filter != "linear":
@@ -162,7 +162,7 @@ def raymarch(
             instances = [Instance(quadric, material=material) for quadric in quadrics]
             scene = Scene(instances, lights, ambient=shade["ambient"], background=behind)
             return render(scene, camera, size=size, shadows=shadows, device=device, progress=progress)
-        picture = _picture(camera, (width, height), lights, behind, shadows, shade)
+        picture = picture_arguments(camera, (width, height), lights, background=behind, shadows=shadows, **shade)
         with progress_callback(progress, "raymarch") as callback:
             return frame_of(core_of(quadrics).draw(picture, device, callback))
     if not isinstance(thing, Shape) and method != "auto":
@@ -181,7 +181,9 @@ def raymarch(
             raise ArgumentError('filter: "hardware" goes with directional lights and shadows "hard" or "none"')
         if not needs_scene:
             assert isinstance(field, NestedField)
-            picture = _picture(camera, (width, height), lights, behind, shadows, {**shade, "color": surface})
+            picture = picture_arguments(
+                camera, (width, height), lights, color=surface, background=behind, shadows=shadows, **shade
+            )
             with progress_callback(progress, "raymarch") as callback:
                 drawn = _core.raymarch_nested(field._stored(), picture, device=device, progress=callback)
             if drawn is not None:
@@ -193,7 +195,9 @@ def raymarch(
         # In a scene nested fields are marched on the CPU.
         place = "cpu" if is_nested and device == "auto" else device
         return render(scene, camera, size=size, primary="raymarch", shadows=shadows, device=place, progress=progress)
-    picture = _picture(camera, (width, height), lights, behind, shadows, {**shade, "color": surface})
+    picture = picture_arguments(
+        camera, (width, height), lights, color=surface, background=behind, shadows=shadows, **shade
+    )
     with progress_callback(progress, "raymarch") as callback:
         if isinstance(field, Shape):
             return frame_of(field._core.draw(method, picture, device, callback))
@@ -212,15 +216,19 @@ def raymarch(
         )
 
 
-def _picture(
+def picture_arguments(
     camera: Camera,
     size: tuple[int, int],
-    lights: Sequence[Light] | None,
-    background: NDArray[np.float64],
-    shadows: str,
-    shade: dict[str, Any],
+    lights: Sequence[Light] | None = None,
+    *,
+    ambient: float = AMBIENT,
+    color: Sequence[float] = PLAIN[:3],
+    specular: float = SPECULAR,
+    shininess: float = SHININESS,
+    background: Sequence[float] | NDArray[np.float64] = BACKGROUND,
+    shadows: str = "hard",
 ) -> dict[str, Any]:
-    """What the core makes a picture with."""
+    """Collect the arguments of a picture for the core, whose own functions have no defaults."""
     directions, colors = _lights(lights, camera)
     return {
         "pose": camera.pose,
@@ -228,9 +236,12 @@ def _picture(
         "size": size,
         "light_directions": directions,
         "light_colors": colors,
-        "background": (*background.tolist(),),
+        "ambient": ambient,
+        "color": (*color,),
+        "specular": specular,
+        "shininess": shininess,
+        "background": (*background,),
         "shadows": shadows,
-        **shade,
     }
 
 

@@ -20,14 +20,16 @@ from ..base.errors import SceneError
 from ..meshes.convert import load_nodes
 from .camera import Camera
 from .instance import INSTANCE_RESOLUTION, Instance
-from .lights import DirectionalLight, Light, PointLight
+from .lights import AMBIENT, DirectionalLight, Light, PointLight
 from .scene import Scene
 
 #: Of a binary glTF file, and of its JSON chunk.
 MAGIC, JSON_CHUNK = b"glTF", b"JSON"
 
 
-def load_scene(path: str | os.PathLike[str], *, resolution: int = INSTANCE_RESOLUTION, ambient: float = 0.2) -> Scene:
+def load_scene(
+    path: str | os.PathLike[str], *, resolution: int = INSTANCE_RESOLUTION, ambient: float = AMBIENT
+) -> Scene:
     """Read a file as a scene.
 
     Parameters

@@ -14,8 +14,11 @@ from ..base import checks
 from ..base.errors import ArgumentError, SceneError
 from ..meshes.mesh import ALPHA_MODES
 
-#: Of a thing that brings no looks of its own, linear RGBA.
+#: Colour of an object that has none of its own, linear RGBA.
 PLAIN = (0.8, 0.8, 0.8, 1.0)
+
+#: Default strength and sharpness of the highlight (Blinn-Phong).
+SPECULAR, SHININESS = 0.25, 32.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +58,8 @@ class Material:
 
     color: Sequence[float] | None = None
     texture: Any = None
-    specular: float = 0.25
-    shininess: float = 32.0
+    specular: float = SPECULAR
+    shininess: float = SHININESS
     alpha_mode: str | None = None
     alpha_cutoff: float | None = None
     two_sided: bool | None = None

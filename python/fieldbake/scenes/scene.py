@@ -14,7 +14,7 @@ from ..base.errors import ArgumentError, MeshError, SceneError
 from .camera import Camera
 from .core_scene import build_scene
 from .instance import Instance
-from .lights import Light, check_lights
+from .lights import AMBIENT, BACKGROUND, Light, check_lights
 
 
 class Scene:
@@ -25,11 +25,12 @@ class Scene:
     instances : sequence of Instance
         Anything else in it becomes an instance of its own, in its place.
     lights : sequence of PointLight and DirectionalLight, optional
-        At most 16. If not given, one white light over the right shoulder of who looks.
+        At most 16. If not given, one white light of intensity 0.64 from above, over the viewer's right shoulder.
     ambient : float, default 0.2
         Light from everywhere, as a share of the colour.
-    background : (3,) or (4,), default opaque white
-        Where nothing is hit, linear RGB and opacity.
+    background : (3,) or (4,), default (0.025, 0.03, 0.04)
+        Colour of pixels that hit nothing, linear RGB and opacity. The default is a dark slate, against which the
+        outlines of both white and black objects are visible.
     cameras : sequence of Camera, optional
         Views that come with the scene; :func:`render` takes the first if it is given none.
 
@@ -55,8 +56,8 @@ class Scene:
         instances: Sequence[Any],
         lights: Sequence[Light] | None = None,
         *,
-        ambient: float = 0.2,
-        background: ArrayLike = (1.0, 1.0, 1.0, 1.0),
+        ambient: float = AMBIENT,
+        background: ArrayLike = BACKGROUND,
         cameras: Sequence[Camera] = (),
     ) -> None:
         if isinstance(instances, (str, bytes)) or not isinstance(instances, Sequence):
