@@ -91,7 +91,7 @@ pub fn bake_brute(
     distances.iter_mut().for_each(|distance| *distance *= scale);
 
     let mut report = Report::new(mesh, mesh.topology(), &SignChoice::new(mesh, sign));
-    report.finish(distances.iter().filter(|distance| **distance < 0.0).count(), 0);
+    report.finish(distances.iter().filter(|distance| **distance < 0.0).count(), 0, None, grid);
     report.device = context.label();
     report.seconds = vec![("brute force", start.elapsed().as_secs_f64())];
     Ok(Bake { distances, report })

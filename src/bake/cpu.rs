@@ -50,11 +50,12 @@ pub(super) fn bake(mesh: &Mesh, grid: &Grid, options: &BakeOptions, progress: &P
     };
     if let Some(thickness) = options.thickness {
         distances.par_iter_mut().for_each(|d| *d = (f64::from(*d) - 0.5 * thickness) as f32);
-        let inside = distances.par_iter().filter(|&&d| d < 0.0).count();
-        report.finish(inside, 0);
-    } else {
-        report.finish(counts.inside, counts.undecided);
     }
+    let (inside, undecided) = match options.thickness {
+        Some(_) => (distances.par_iter().filter(|&&d| d < 0.0).count(), 0),
+        None => (counts.inside, counts.undecided),
+    };
+    report.finish(inside, undecided, options.thickness, grid);
     stage("sign", start);
 
     report.device = "cpu".into();

@@ -110,7 +110,7 @@ pub(super) fn bake(
     seconds.push(("finish", start.elapsed().as_secs_f64()));
     // A sample on the surface may be inside by the rule, and negative zero.
     let inside = if options.thickness.is_some() { below_zero } else { counts.inside };
-    report.finish(inside, counts.undecided);
+    report.finish(inside, counts.undecided, options.thickness, grid);
     if redone > 0 {
         report
             .warnings

@@ -1,5 +1,6 @@
 //! What a bake found and did.
 
+use crate::grid::Grid;
 use crate::mesh::Mesh;
 use crate::mesh::topology::Topology;
 use crate::sign::SignChoice;
@@ -61,20 +62,39 @@ impl Report {
         report
     }
 
-    /// Look at the finished signs.
-    pub fn finish(&mut self, inside: usize, undecided: usize) {
+    /// Record the finished signs of a bake on `grid`, and warn of what the grid cannot hold.
+    pub fn finish(&mut self, inside: usize, undecided: usize, thickness: Option<f64>, grid: &Grid) {
         self.inside_voxels = inside;
         self.undecided_voxels = undecided;
-        let signed = self.sign_method != "unsigned";
-        if signed && inside == 0 && !self.closed {
-            self.warnings.push(
-                "no sample is inside: the mesh is a sheet, or too thin for this resolution; use two_sided=True".into(),
-            );
-        } else if signed && !self.closed {
-            let edges = self.boundary_edges;
-            self.warnings.push(format!(
-                "the surface is open ({edges} boundary edges): inside is where its winding number exceeds 1/2"
-            ));
-        }
+        let spacing = grid.spacing();
+        let voxel = spacing.max_element();
+        let warning = match thickness {
+            // A trilinear field is negative on every plane of a sheet that is thicker than a voxel.
+            Some(thickness) if thickness < voxel => Some(format!(
+                "the sheet is {thickness:.2e} thick, thinner than the voxel of {voxel:.2e}: {inside} samples are inside, and \
+                 it has holes where it passes between samples; a thickness of {:.2e} is held at every angle and offset",
+                spacing.length()
+            )),
+            Some(_) if inside == 0 => Some("no sample is inside: the box does not hold the sheet".into()),
+            None if inside == 0 => Some(self.nothing_inside(voxel)),
+            None if self.sign_method != "unsigned" && !self.closed => Some(format!(
+                "the surface is open ({} boundary edges): inside is where its winding number exceeds 1/2",
+                self.boundary_edges
+            )),
+            _ => None,
+        };
+        self.warnings.extend(warning);
+    }
+
+    /// Why a field without a thickness has no inside.
+    fn nothing_inside(&self, voxel: f64) -> String {
+        let reason = if self.sign_method == "unsigned" {
+            "unsigned distances have no inside; use two_sided=True for a sheet, or another sign for a solid".into()
+        } else if self.closed {
+            format!("the box does not hold the solid, or its thinnest part is below the voxel of {voxel:.2e}")
+        } else {
+            "the mesh is a sheet, or too thin for this resolution; use two_sided=True".into()
+        };
+        format!("no sample is inside: {reason}")
     }
 }

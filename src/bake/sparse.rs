@@ -92,7 +92,7 @@ pub fn bake_sparse<T: Texel>(
     let field = builder.finish();
     stage("bricks", start);
 
-    report.finish(field.view()?.count_inside(), undecided);
+    report.finish(field.view()?.count_inside(), undecided, bake.thickness, grid);
     report.device = "cpu".into();
     report.peak_bytes = field.bytes() + size_of_val(job.corners) + layer_bytes + mesh.bytes();
     report.seconds = seconds;

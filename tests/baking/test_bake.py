@@ -307,12 +307,65 @@ def test_two_sided_is_a_sheet_of_the_given_thickness(random):
     assert (volume.distances < 0).any()
 
 
-def test_two_sided_is_one_voxel_thick_by_default():
-    volume = fb.bake(meshes.triangle(), resolution=16, two_sided=True)
+@pytest.mark.parametrize("options", [{"resolution": 16}, {"resolution": (24, 9, 13)}, {"voxel_size": 0.05}])
+def test_two_sided_is_as_thick_as_the_diagonal_of_a_voxel_by_default(options):
+    volume = fb.bake(meshes.triangle(), **options, two_sided=True)
 
+    half = 1.001 * np.linalg.norm(volume.spacing) / 2
     points = truth.grid_points(*volume.bounds, volume.resolution).reshape(-1, 3)
-    expected = truth.closest_point(*meshes.triangle(), points).distances - volume.spacing.max() / 2
+    expected = truth.closest_point(*meshes.triangle(), points).distances - half
     assert np.abs(volume.distances.ravel() - expected).max() <= truth.tolerance(*meshes.triangle()).item()
+    assert volume.inner_bounds == pytest.approx(np.array([(-half, -half, -half), (1 + half, 1 + half, half)]))
+    # The sheet ends inside the box.
+    outermost = [volume.distances.take(i, axis) for axis in range(3) for i in (0, -1)]
+    assert all((side > 0).all() for side in outermost)
+
+
+@pytest.mark.parametrize("resolution", [5, 32, 48, 63, 64, 65, 100, (40, 23, 11)])
+@pytest.mark.parametrize("turn", ["level", "tilted", "diagonal"])
+def test_a_two_sided_sheet_is_inside_its_field_at_every_resolution_and_offset(resolution, turn, random):
+    axis = {"level": (0, 0, 1), "tilted": (0, 0.34, 0.94), "diagonal": (1, 1, 1)}[turn]
+    normal = np.array(axis) / np.linalg.norm(axis)
+    right = np.cross(normal, (1, -2, 0.5)) if turn == "diagonal" else np.array([1.0, 0, 0])
+    right /= np.linalg.norm(right)
+    corners = np.array([x * right + y * np.cross(normal, right) for x, y in [(-1, -1), (1, -1), (1, 1), (-1, 1)]])
+    sheet = corners + random.uniform(-1, 1, 3), [(0, 1, 2), (0, 2, 3)]
+
+    volume = fb.bake(sheet, resolution, two_sided=True)
+
+    weights = random.dirichlet((1, 1, 1), 500)
+    points = np.concatenate([weights @ sheet[0][list(face)] for face in sheet[1]])
+    # See `sheet_thickness`: the interpolated field is negative on all of the sheet, its rim included.
+    assert (volume.sample(points) < 0).all()
+    assert volume.report.inside_voxels == (volume.distances < 0).sum() > 0
+    assert volume.report.warnings == ()
+
+
+def test_a_box_that_cuts_a_sheet_between_two_layers_of_samples():
+    box = [(-1, -1, -1), (1, 1, 1)]
+
+    volume = fb.bake(meshes.flat_sheet(), (64, 64, 64), bounds=box, two_sided=True)
+    thin = fb.bake(meshes.flat_sheet(), (64, 64, 64), bounds=box, two_sided=True, thickness=0.03)
+
+    assert (volume.distances[:, :, 31:33] < 0).all()
+    assert volume.report.warnings == ()
+    assert thin.report.inside_voxels == 0
+    assert any("thinner than the voxel" in w and " 0 samples are inside" in w for w in thin.report.warnings)
+
+
+@pytest.mark.parametrize("sign", ["auto", "winding", "unsigned"])
+def test_a_field_without_an_inside_is_a_warning(sign, device):
+    far = [(4, 4, 4), (5, 5, 5)]
+
+    baked = [
+        fb.bake(CUBE, 8, bounds=far, sign=sign, device=device),
+        fb.bake(CUBE, 8, bounds=far, two_sided=True, device=device),
+        fb.bake_sparse(CUBE, 8, bounds=far, sign=sign),
+        fb.bake(fb.sphere(1), 8, bounds=far),
+    ]
+
+    for volume in baked:
+        assert any("no sample is inside" in warning for warning in volume.report.warnings)
 
 
 def test_the_box_of_a_thick_sheet_holds_all_of_it():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Sequence
 from time import perf_counter
 from typing import Literal, NamedTuple
@@ -84,7 +85,9 @@ def bake(
     two_sided : bool, default False
         Treat the surface as a sheet with a thickness: unsigned distance minus half the thickness.
     thickness : float, optional
-        Of the sheet, world units; one voxel if not given. Only with `two_sided`.
+        Thickness of the sheet, world units. The default is the diagonal of a voxel (1.73 voxels for cubic ones), which
+        holds every sheet at any angle and offset; the report warns if a sheet is thinner than a voxel. Only with
+        `two_sided`.
     device : str, default "auto"
         ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`.
     progress : bool or callable, optional
@@ -138,22 +141,9 @@ def bake(
     if band is not None:
         band = checks.number("band", band, above=0)
     job = prepare(mesh, resolution, voxel_size, bounds, margin, sign, two_sided, thickness)
-    grid = job.grid
-    with progress_callback(progress, "bake") as callback:
-        distances, facts = _core.bake(
-            job.mesh._core,
-            grid.lower,
-            grid.upper,
-            grid.shape,
-            sign=job.sign,
-            band=band,
-            thickness=job.thickness,
-            device=where,
-            progress=callback,
-        )
-    report = Report.from_dict({**facts, "faces": len(job.mesh.faces), "vertices": len(job.mesh.vertices)})
-    log_warnings(report)
-    return Volume._wrap(distances, np.array([grid.lower, grid.upper]), job.inner, report)
+    volume = bake_job(job, band, where, progress)
+    log_warnings(volume.report)
+    return volume
 
 
 class Job(NamedTuple):
@@ -191,10 +181,44 @@ def prepare(
     inner = checked.bounds + np.array([[-grown], [grown]])
     grid = make_grid(inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin)
     if two_sided and thickness is None:
-        thickness = max(grid.spacing)
+        # Samples of the last voxel lie half a voxel inside the box, and the sheet ends before them.
+        border = 0.5 + sheet_thickness(grid) / (2 * np.array(grid.spacing))
+        grid = make_grid(inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin, border=1.01 * border)
+        thickness = sheet_thickness(grid)
         inner += np.array([[-thickness / 2], [thickness / 2]])
     _check_reach("bounds", checked, np.array([grid.lower, grid.upper]), MAX_GRID_REACH)
     return Job(checked, grid, inner, method, thickness)
+
+
+def bake_job(job: Job, band: float | None, device: str, progress: Progress) -> Volume:
+    """Bake what was prepared; its warnings are in the report only."""
+    grid = job.grid
+    with progress_callback(progress, "bake") as callback:
+        distances, facts = _core.bake(
+            job.mesh._core,
+            grid.lower,
+            grid.upper,
+            grid.shape,
+            sign=job.sign,
+            band=band,
+            thickness=job.thickness,
+            device=device,
+            progress=callback,
+        )
+    report = Report.from_dict({**facts, "faces": len(job.mesh.faces), "vertices": len(job.mesh.vertices)})
+    return Volume._wrap(distances, np.array([grid.lower, grid.upper]), job.inner, report)
+
+
+def sheet_thickness(grid: Grid) -> float:
+    """The default thickness of a sheet: a thousandth more than the diagonal of a voxel, world units.
+
+    With this thickness the trilinear field is negative on the whole sheet, at any angle and offset. Proof: let p be a
+    point of the sheet in a cell with sides s, and X one of the cell's corners, drawn with its trilinear weight. The
+    distance of X to the sheet is at most |X - p|, and the mean of X is p. So the interpolated distance at p is at most
+    E|X - p| <= sqrt(E|X - p|^2) = sqrt(sum of s_k^2 f_k (1 - f_k)) <= |s| / 2, where f is the place of p in the cell.
+    The field is that distance less half the thickness.
+    """
+    return 1.001 * math.hypot(*grid.spacing)
 
 
 def log_warnings(report: Report) -> None:
@@ -223,15 +247,22 @@ def _bake_shape(
     with progress_callback(progress, "bake") as callback:
         distances, where = shape._core.bake(grid.lower, grid.upper, grid.shape, device=device, progress=callback)
     kind = "exact distances" if shape.exact else "distances or lower bounds of them"
+    inside = int(np.count_nonzero(distances < 0))
+    nothing = (
+        "no sample is inside: the box does not hold the shape, or its thinnest part is below the voxel of "
+        f"{max(grid.spacing):.3g}"
+    )
     report = Report(
         sign_method="shape",
         sign_reason=f"the field of a shape, {kind}",
         closed=True,
-        inside_voxels=int(np.count_nonzero(distances < 0)),
+        inside_voxels=inside,
         device=where,
         seconds={"evaluate": perf_counter() - start},
         peak_bytes=distances.nbytes,
+        warnings=() if inside else (nothing,),
     )
+    log_warnings(report)
     return Volume._wrap(distances, np.array([grid.lower, grid.upper]), inner.copy(), report)
 
 

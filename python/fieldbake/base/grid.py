@@ -45,6 +45,7 @@ def make_grid(
     voxel_size: float | None = None,
     bounds: ArrayLike | None = None,
     margin: float = 0.1,
+    border: ArrayLike = 1.0,
 ) -> Grid:
     """Choose the grid for a surface that lies in the box ``inner``.
 
@@ -60,8 +61,10 @@ def make_grid(
     bounds : (2, 3) array, optional
         The box to sample, in place of the surface's own box and its margin.
     margin : float, default 0.1
-        The surface's box is scaled by ``1 + margin`` about its centre, then grown to leave at least one voxel on
-        each side (from three voxels a side up).
+        The surface's box is scaled by ``1 + margin`` about its centre, then grown to leave at least `border` voxels
+        on each side (as far as the number of voxels allows).
+    border : float or (3,), default 1
+        Voxels left free on each side, along x, y and z.
 
     Raises
     ------
@@ -86,7 +89,7 @@ def make_grid(
     center = (box[0] + box[1]) / 2
     extent = box[1] - box[0]
     wanted = extent * (1 + margin) if outer is None else extent
-    border_voxels = 2 if outer is None else 0
+    border_voxels = (2.0 if outer is None else 0.0) * np.broadcast_to(np.asarray(border, dtype=np.float64), 3)
 
     if voxel_size is not None:
         return _cubic(center, extent, wanted, border_voxels, voxel_size, "voxel_size")
@@ -104,15 +107,15 @@ def _cubic_from_count(
     center: NDArray[np.float64],
     extent: NDArray[np.float64],
     wanted: NDArray[np.float64],
-    border_voxels: int,
+    border_voxels: NDArray[np.float64],
     resolution: object,
 ) -> Grid:
     count = checks.integer("resolution", resolution, least=1, most=MAX_SIDE)
     spacing = float(wanted.max()) / count
-    if count > border_voxels:
-        spacing = max(spacing, float(extent.max()) / (count - border_voxels))
+    if count > border_voxels.max():
+        spacing = max(spacing, float((extent / (count - border_voxels)).max()))
     else:
-        border_voxels = 0
+        border_voxels = np.zeros(3)
     return _cubic(center, extent, wanted, border_voxels, spacing, "resolution")
 
 
@@ -120,7 +123,7 @@ def _cubic(
     center: NDArray[np.float64],
     extent: NDArray[np.float64],
     wanted: NDArray[np.float64],
-    border_voxels: int,
+    border_voxels: NDArray[np.float64],
     spacing: float,
     argument: str,
 ) -> Grid:
@@ -139,7 +142,7 @@ def _oblong(
     center: NDArray[np.float64],
     extent: NDArray[np.float64],
     wanted: NDArray[np.float64],
-    border_voxels: int,
+    border_voxels: NDArray[np.float64],
     shape: list[int],
 ) -> Grid:
     """The voxel counts as given; each side just long enough."""

@@ -122,7 +122,9 @@ def bake(
     sign: Annotated[Sign, typer.Option(help="How to tell inside from outside.")] = "auto",
     band: Annotated[float | None, typer.Option(help="Exact only within so many voxels of the surface.")] = None,
     two_sided: Annotated[bool, typer.Option("--two-sided", help="Treat the surface as a sheet.")] = False,
-    thickness: Annotated[float | None, typer.Option(help="Of the sheet; one voxel if not given.")] = None,
+    thickness: Annotated[
+        float | None, typer.Option(help="Thickness of the sheet, world units; the default is the diagonal of a voxel.")
+    ] = None,
     sparse: Annotated[bool, typer.Option("--sparse", help="Store bricks around the surface only.")] = False,
     tolerance: Annotated[float, typer.Option(help="How far a coarser brick may be off, voxels; with --sparse.")] = 0.05,
     encoding: Annotated[
