@@ -29,10 +29,15 @@
 //! On a mesh of 70,000 faces at 128^3, a block of 4^3 tests about 40 nodes and 58 packs and lists 130 triangles, of which
 //! eight samples together evaluate 32. The result does not depend on threads or instruction set.
 //!
-//! AVX-512 would make it 1.2 times faster; its path was the first that a build got wrong (see `path`), and is left out.
+//! # Compilers
+//!
+//! From block to block the walk carries the [`Slot`] of the nearest triangle, never its `TriangleFrame`. LLVM's register
+//! coalescer for x86 (versions 14 to 22) can keep four floats that live across branches as a group in a 4-byte spill
+//! slot, if the first of them is also used alone: the other three come back as zero. A frame by value is such a group,
+//! and builds that carried it dropped triangles. See `docs/notes/llvm-register-coalescer.md`; `scripts/check_units.sh`
+//! tests builds with 1 to 256 codegen units.
 
 mod block;
-mod path;
 
 use super::LocalGrid;
 use crate::bvh::closest::Slot;
@@ -41,7 +46,7 @@ use crate::bvh::{Bvh, Node, WIDTH};
 use crate::error::Error;
 use crate::progress::Progress;
 use block::{Block, CORNERS, max, min, not_positive, roots};
-use path::Path;
+use glam::Vec3;
 use rayon::prelude::*;
 
 /// Samples along the side of the blocks that are tasks, and of those that list triangles.
@@ -177,107 +182,70 @@ struct Tile<'a> {
 }
 
 impl Tile<'_> {
+    /// Compute the samples of the box `low..high`.
     fn fill(&mut self, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
-        self.fill_by(Path::trusted(), scratch, low, high);
-    }
-
-    fn fill_by(&mut self, path: Path, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
-        match path {
-            #[cfg(target_arch = "x86_64")]
-            // SAFETY: `Path::candidates` has seen that the processor has these instructions. No fused operation is enabled
-            // into the arithmetic, so every path gives the same bits.
-            Path::Avx2 => unsafe { self.fill_avx2(scratch, low, high) },
-            Path::Portable => self.fill_portable(scratch, low, high),
-            Path::Search => {
-                let start = self.bvh.nearest(self.grid.at(low).as_vec3(), f32::INFINITY);
-                if let Some(nearest) = start {
-                    self.search(&self.bvh.frame(nearest.slot), low, high);
-                }
-            }
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has AVX2. The code is the portable one, compiled for wider registers; without
+            // fused operations both give the same bits (tested).
+            return unsafe { self.fill_avx2(scratch, low, high) };
         }
-    }
-
-    fn fill_portable(&mut self, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
-        self.fill_with(scratch, low, high, Self::list_triangles);
+        self.fill_portable(scratch, low, high);
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
     fn fill_avx2(&mut self, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
-        self.fill_with(scratch, low, high, |tile, block, near, packs, tangents, list| {
-            tile.list_triangles_avx2(block, near, packs, tangents, list)
-        });
-    }
-
-    /// A function of its own: inlined into the rest, rustc 1.95 (LLVM's vectoriser of straight code) drops triangles in
-    /// some builds and not in others.
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
-    #[inline(never)]
-    fn list_triangles_avx2(
-        &self,
-        block: &Block,
-        near: &TriangleFrame,
-        packs: &Candidates,
-        tangents: &mut Tangents,
-        list: &mut List,
-    ) -> TriangleFrame {
-        self.list_triangles(block, near, packs, tangents, list)
+        self.fill_portable(scratch, low, high);
     }
 
     #[inline(always)]
-    fn fill_with(
-        &mut self,
-        scratch: &mut Scratch,
-        low: [usize; 3],
-        high: [usize; 3],
-        list_triangles: impl Fn(&Self, &Block, &TriangleFrame, &Candidates, &mut Tangents, &mut List) -> TriangleFrame,
-    ) {
+    fn fill_portable(&mut self, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
         let Scratch { levels: [root, middle, packs], stack, tangents, list } = scratch;
         let block = self.block(low, high);
         let Some(nearest) = self.bvh.nearest(block.center, f32::INFINITY) else { return };
         if self.is_beyond(&block, nearest.distance_squared) {
             return;
         }
-        let first = self.bvh.frame(nearest.slot);
+        let first = nearest.slot;
         stack.clear();
         stack.push((0, u8::MAX));
-        self.cull_nodes(&block, &first, stack, root);
+        self.cull_nodes(&block, first, stack, root);
 
         for sub in blocks(low, high, [TASK / 2; 3]) {
             let block = self.block(sub.0, sub.1);
-            let bound = first.distance_squared(block.center) * (1.0 + 1e-5) + 1e-12;
+            let bound = self.just_beyond(first, block.center);
             let found = self.bvh.nearest(block.center, bound);
-            let (frame, squared) = found.map_or((first, bound), |n| (self.bvh.frame(n.slot), n.distance_squared));
+            let (of_parent, squared) = found.map_or((first, bound), |nearest| (nearest.slot, nearest.distance_squared));
             if self.is_beyond(&block, squared) {
                 continue;
             }
             stack.clear();
             stack.extend_from_slice(root);
-            self.cull_nodes(&block, &frame, stack, middle);
+            self.cull_nodes(&block, of_parent, stack, middle);
 
             // The best triangle of the block before may be nearer than that of the parent.
-            let mut previous = frame;
+            let mut previous = of_parent;
             for sub in blocks(sub.0, sub.1, [LEAF; 3]) {
                 let block = self.block(sub.0, sub.1);
-                let of_previous = previous.distance_squared(block.center);
-                let mut near = if of_previous < frame.distance_squared(block.center) { previous } else { frame };
+                let distance_squared = |slot: Slot| self.bvh.frame(slot).distance_squared(block.center);
+                let mut near =
+                    if distance_squared(previous) < distance_squared(of_parent) { previous } else { of_parent };
                 // With a limit most blocks are beyond it, and a search at the centre is cheaper than a list.
                 if self.limit.is_finite() {
-                    let bound = near.distance_squared(block.center) * (1.0 + 1e-5) + 1e-12;
-                    let found = self.bvh.nearest(block.center, bound);
-                    near = found.map_or(near, |nearest| self.bvh.frame(nearest.slot));
-                    if self.is_beyond(&block, near.distance_squared(block.center)) {
+                    let found = self.bvh.nearest(block.center, self.just_beyond(near, block.center));
+                    near = found.map_or(near, |nearest| nearest.slot);
+                    if self.is_beyond(&block, distance_squared(near)) {
                         continue;
                     }
                 }
                 stack.clear();
                 stack.extend_from_slice(middle);
-                self.list_packs(&block, &near, stack, packs);
+                self.list_packs(&block, near, stack, packs);
                 if packs.len() > MOST_PACKS {
-                    previous = self.search(&near, sub.0, sub.1);
+                    previous = self.search(near, sub.0, sub.1);
                 } else {
-                    previous = list_triangles(self, &block, &near, packs, tangents, list);
+                    previous = self.list_triangles(&block, near, packs, tangents, list);
                     self.evaluate(&block, sub.0, sub.1, list);
                 }
             }
@@ -289,6 +257,11 @@ impl Tile<'_> {
         Block { center: ((first + last) * 0.5).as_vec3(), half: ((last - first) * 0.5).as_vec3() }
     }
 
+    /// Squared distance of `p` to a triangle, plus the rounding of the search that is bounded by it.
+    fn just_beyond(&self, slot: Slot, p: Vec3) -> f32 {
+        self.bvh.frame(slot).distance_squared(p) * (1.0 + 1e-5) + 1e-12
+    }
+
     /// Whether no sample of the block is within the limit.
     fn is_beyond(&self, block: &Block, center_squared: f32) -> bool {
         center_squared.sqrt() > (self.limit + block.half.length()) * (1.0 + 1e-5) + self.slack
@@ -296,9 +269,9 @@ impl Tile<'_> {
 
     /// Move the nodes of `stack` that can matter to `kept`, opening those larger than the block.
     #[inline(always)]
-    fn cull_nodes(&self, block: &Block, nearest: &TriangleFrame, stack: &mut Candidates, kept: &mut Candidates) {
+    fn cull_nodes(&self, block: &Block, near: Slot, stack: &mut Candidates, kept: &mut Candidates) {
         kept.clear();
-        let bounds = roots(nearest.distances_squared(block.corners()));
+        let bounds = roots(self.bvh.frame(near).distances_squared(block.corners()));
         let size = 2.0 * block.half.max_element();
         while let Some((index, mask)) = stack.pop() {
             let node = &self.bvh.nodes[index as usize];
@@ -341,8 +314,8 @@ impl Tile<'_> {
 
     /// The packs that can matter to the samples of a block; stops once they are too many for a list.
     #[inline(always)]
-    fn list_packs(&self, block: &Block, near: &TriangleFrame, stack: &mut Candidates, packs: &mut Candidates) {
-        let bounds = roots(near.distances_squared(block.corners()));
+    fn list_packs(&self, block: &Block, near: Slot, stack: &mut Candidates, packs: &mut Candidates) {
+        let bounds = roots(self.bvh.frame(near).distances_squared(block.corners()));
         packs.clear();
         while let Some((index, mask)) = stack.pop() {
             let node = &self.bvh.nodes[index as usize];
@@ -362,16 +335,17 @@ impl Tile<'_> {
 
     /// Distances of the samples of a block, each by its own search; returns the triangle nearest to the last.
     #[inline(always)]
-    fn search(&mut self, near: &TriangleFrame, low: [usize; 3], high: [usize; 3]) -> TriangleFrame {
-        let mut near = *near;
+    fn search(&mut self, mut near: Slot, low: [usize; 3], high: [usize; 3]) -> Slot {
         for z in low[2]..high[2] {
             for y in low[1]..high[1] {
                 for x in low[0]..high[0] {
                     let p = self.grid.at([x, y, z]).as_vec3();
-                    let bound = near.distance_squared(p);
-                    let found = self.bvh.nearest(p, bound * (1.0 + 1e-5) + 1e-12);
-                    near = found.map_or(near, |nearest| self.bvh.frame(nearest.slot));
-                    let squared = found.map_or(bound, |nearest| nearest.distance_squared);
+                    let found = self.bvh.nearest(p, self.just_beyond(near, p));
+                    let squared = match found {
+                        Some(nearest) => nearest.distance_squared,
+                        None => self.bvh.frame(near).distance_squared(p),
+                    };
+                    near = found.map_or(near, |nearest| nearest.slot);
                     let [i, j, k] = [x - self.low[0], y - self.low[1], z - self.low[2]];
                     self.samples[i + TASK * (j + TASK * k)] = squared.sqrt();
                 }
@@ -385,16 +359,16 @@ impl Tile<'_> {
     fn list_triangles(
         &self,
         block: &Block,
-        near: &TriangleFrame,
+        near: Slot,
         packs: &Candidates,
         tangents: &mut Tangents,
         list: &mut List,
-    ) -> TriangleFrame {
+    ) -> Slot {
         let corners = block.corners();
-        let bounds = roots(near.distances_squared(corners));
+        let bounds = roots(self.bvh.frame(near).distances_squared(corners));
         // The tangents first: the nearest triangle gives the sharpest bound for all.
         tangents.clear();
-        let mut nearest = (f32::INFINITY, None);
+        let mut nearest = (f32::INFINITY, near);
         for &(index, _) in packs.iter() {
             let pack = &self.bvh.packs[index as usize];
             let (value, gradient) = pack.tangents(block.center);
@@ -410,12 +384,11 @@ impl Tile<'_> {
                 let slot = Slot { pack: index, lane: lane as u8 };
                 tangents.push(value[lane] - self.slack, [0, 1, 2].map(|axis| gradient[axis][lane]), slot);
                 if value[lane] < nearest.0 {
-                    nearest = (value[lane], Some(slot));
+                    nearest = (value[lane], slot);
                 }
             }
         }
-        let frame = nearest.1.map_or(*near, |slot| self.bvh.frame(slot));
-        let bounds = roots(frame.distances_squared(corners));
+        let bounds = roots(self.bvh.frame(nearest.1).distances_squared(corners));
 
         // Cull once more by that bound, a row of lanes at a time; what pads the last row is infinitely far.
         let count = tangents.slot.len();
@@ -447,7 +420,7 @@ impl Tile<'_> {
             list.tangents.push(Tangent { value: tangents.value[row], gradient });
             list.frames.push(self.bvh.frame(tangents.slot[row]));
         }
-        frame
+        nearest.1
     }
 
     /// Distances of the samples of a block, a group at a time.
