@@ -21,8 +21,9 @@ test: check types ## Everything CI runs: format, lints, types, Rust tests, Pytho
 	cargo test --quiet
 	PYOPENGL_PLATFORM=osmesa $(BIN)/pytest -n 2 -m "not slow"
 
-test-long: $(VENV)/.built $(VENV)/.test ## The tests marked slow, which `make test` leaves out
+test-long: $(VENV)/.built $(VENV)/.test ## The tests that `make test` leaves out: slow ones, and builds of 1 to 256 units
 	PYOPENGL_PLATFORM=osmesa $(BIN)/pytest -n 2 -m slow
+	scripts/check_units.sh
 
 check: $(VENV)/.lint ## Format, layers, spelling and named paths, in seconds and without a build
 	$(BIN)/ruff format --check --quiet .
