@@ -66,8 +66,8 @@ class Mesh:
     def __new__(cls, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Mesh:
         """``vertices`` (n, 3), ``faces`` (m, 3). Raises MeshError naming the array, index and value."""
     @property
-    def vertices(self) -> NDArray[np.float32]:
-        """World positions of the kept vertices, (n, 3)."""
+    def vertices(self) -> NDArray[np.float64]:
+        """World positions of the kept vertices as they came, (n, 3), a read-only view."""
     @property
     def faces(self) -> NDArray[np.uint32]:
         """Kept triangles, (m, 3), indices into ``vertices``."""

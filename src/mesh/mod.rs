@@ -1,9 +1,10 @@
 //! Triangles, checked once when they enter and trusted afterwards.
 //!
-//! Positions come in float64 and are kept in float32 *local* coordinates: offsets from the centre of the mesh's box,
-//! divided by a power of two that brings the longest side to between 1/2 and 1. So a mesh of size 1e-6, or one a million
-//! units from the origin, keeps its relative accuracy (half an ulp of the half extent, 3e-8), squares neither overflow
-//! nor vanish, and the division is exact. `world = center + scale * local`. The rooms below work in local coordinates.
+//! Positions are kept twice: the float64 *world* positions as they came, and float32 *local* coordinates, in which
+//! searches and bakes work. Local coordinates are offsets from the centre of the mesh's box, divided by a power of two that
+//! brings the longest side to between 1/2 and 1. So a mesh of size 1e-6, or one a million units from the origin, keeps its
+//! relative accuracy (half an ulp of the half extent, 3e-8), squares neither overflow nor vanish, and the division is
+//! exact: `world = center + scale * local`, but for the rounding of `local` to float32.
 //!
 //! Dropped on entry, and counted: vertices that are not finite and unused, and faces that are degenerate (a repeated
 //! corner, or zero area). A degenerate face still takes part in [`topology`], where it closes the surface around it.
@@ -26,6 +27,9 @@ use topology::Topology;
 pub struct Mesh {
     center: DVec3,
     scale: f64,
+    /// Lower and upper corner of the kept faces, world units.
+    bounds: [DVec3; 2],
+    world: Vec<[f64; 3]>,
     positions: Vec<Vec3>,
     faces: Vec<[u32; 3]>,
     degenerate: Vec<[u32; 3]>,
@@ -83,8 +87,8 @@ impl Mesh {
         // Halves first: the corners of a finite box may be too far apart for their sum.
         let center = lower * 0.5 + upper * 0.5;
         let scale = power_of_two_above(extent);
-        let positions: Vec<Vec3> =
-            source_vertices.iter().map(|&row| ((position(i64::from(row)) - center) / scale).as_vec3()).collect();
+        let world: Vec<[f64; 3]> = source_vertices.iter().map(|&row| vertices[row as usize]).collect();
+        let positions: Vec<Vec3> = world.iter().map(|&p| ((DVec3::from_array(p) - center) / scale).as_vec3()).collect();
 
         let mut kept = Vec::with_capacity(faces.len());
         let mut source_faces = Vec::with_capacity(faces.len());
@@ -105,6 +109,8 @@ impl Mesh {
         Ok(Self {
             center,
             scale,
+            bounds: bounds_of(&world, &kept),
+            world,
             positions,
             faces: kept,
             degenerate,
@@ -141,7 +147,12 @@ impl Mesh {
         self.center + p * self.scale
     }
 
-    /// Local positions of the vertices.
+    /// World positions of the vertices, as they came.
+    pub fn world_positions(&self) -> &[[f64; 3]] {
+        &self.world
+    }
+
+    /// Local positions of the vertices, rounded to float32.
     pub fn positions(&self) -> &[Vec3] {
         &self.positions
     }
@@ -170,19 +181,19 @@ impl Mesh {
         self.dropped_vertices
     }
 
-    /// Local corners of a face, exact in float64.
+    /// Local corners of a face: the float32 positions, which searches compare.
     pub fn triangle(&self, face: u32) -> [DVec3; 3] {
         self.faces[face as usize].map(|v| self.positions[v as usize].as_dvec3())
     }
 
+    /// Local corners of a face in the accuracy of the mesh's own float64 positions.
+    pub fn exact_triangle(&self, face: u32) -> [DVec3; 3] {
+        self.faces[face as usize].map(|v| self.local_from_world(DVec3::from_array(self.world[v as usize])))
+    }
+
     /// Lower and upper corner of the kept faces, world units.
     pub fn bounds(&self) -> [DVec3; 2] {
-        let (mut lower, mut upper) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-        for &v in self.faces.iter().flatten() {
-            lower = lower.min(self.positions[v as usize]);
-            upper = upper.max(self.positions[v as usize]);
-        }
-        [lower, upper].map(|corner| self.world_from_local(corner.as_dvec3()))
+        self.bounds
     }
 
     /// The search tree, built at the first call.
@@ -207,7 +218,8 @@ impl Mesh {
 
     /// Bytes held: positions, faces, and what has been built from them so far.
     pub fn bytes(&self) -> usize {
-        size_of_val(&self.positions[..])
+        size_of_val(&self.world[..])
+            + size_of_val(&self.positions[..])
             + size_of_val(&self.faces[..])
             + size_of_val(&self.degenerate[..])
             + size_of_val(&self.source_vertices[..])
@@ -217,6 +229,12 @@ impl Mesh {
             + self.moments.get().map_or(0, Moments::bytes)
             + self.pseudonormals.get().map_or(0, Pseudonormals::bytes)
     }
+}
+
+/// Lower and upper corner of the vertices that faces use.
+fn bounds_of(vertices: &[[f64; 3]], faces: &[[u32; 3]]) -> [DVec3; 2] {
+    let used = faces.iter().flatten().map(|&v| DVec3::from_array(vertices[v as usize]));
+    used.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[lower, upper], p| [lower.min(p), upper.max(p)])
 }
 
 /// The power of two that brings `extent` to the interval (1/2, 1]; 1 for a single point.
@@ -285,6 +303,11 @@ mod tests {
         // float64 itself rounds 1e6 + 1e-3 by up to 6e-11, 1.2e-7 of the square's size.
         let side = f64::from(mesh.positions()[1].distance(mesh.positions()[0])) * mesh.scale();
         assert!((side - 1e-3).abs() < 3e-7 * 1e-3, "{side}");
+        assert_eq!(mesh.world_positions(), far);
+        assert_eq!(mesh.bounds(), [far[0], far[2]].map(DVec3::from_array));
+        // The centre and the local coordinates are rounded to float64, 1e-16 of 1e6 each.
+        let corner = mesh.world_from_local(mesh.exact_triangle(0)[1]);
+        assert!((corner - DVec3::from_array(far[1])).length() <= 3e-10, "{corner}");
     }
 
     #[test]

@@ -3,7 +3,8 @@
 use super::convert::{row_array, rows};
 use super::error::Failure;
 use crate::mesh;
-use numpy::{PyArray1, PyArray2, PyReadonlyArray2};
+use numpy::ndarray::ArrayView2;
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::Arc;
@@ -21,10 +22,17 @@ impl Mesh {
         Ok(Self(Arc::new(mesh)))
     }
 
+    /// A read-only view of the core's own array; the mesh lives as long as the view.
     #[getter]
-    fn vertices<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let world = |p: &glam::Vec3| self.0.world_from_local(p.as_dvec3()).as_vec3().to_array();
-        row_array(py, self.0.positions().iter().map(world))
+    fn vertices<'py>(mesh: Bound<'py, Self>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let vertices = mesh.get().0.world_positions();
+        let view = ArrayView2::from_shape((vertices.len(), 3), vertices.as_flattened());
+        let view = view.expect("the flat array has three numbers a row");
+        // SAFETY: the array is that of a frozen class, which never changes or moves it; the view keeps the object alive
+        // and is made read-only before anybody sees it.
+        let array = unsafe { PyArray2::borrow_from_array(&view, mesh.clone().into_any()) };
+        array.readwrite().make_nonwriteable();
+        Ok(array)
     }
 
     #[getter]

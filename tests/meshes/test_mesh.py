@@ -210,7 +210,7 @@ def test_load_mesh_keeps_the_order_of_the_file(tmp_path):
 
     mesh = fb.load_mesh(path)
 
-    assert mesh.vertices.dtype == np.float32
+    assert mesh.vertices.dtype == np.float64
     assert mesh.faces.dtype == np.uint32
     assert np.array_equal(mesh.vertices, vertices)
     assert np.array_equal(mesh.faces, faces)

@@ -427,7 +427,7 @@ def masked_hits(mesh: fb.Mesh, transform: np.ndarray, points: np.ndarray, direct
     """Which rays meet a triangle where its mask stands."""
     import trimesh
 
-    vertices = mesh.vertices.astype(np.float64) @ transform[:3, :3].T + transform[:3, 3]
+    vertices = mesh.vertices @ transform[:3, :3].T + transform[:3, 3]
     solid = trimesh.Trimesh(vertices, mesh.faces.astype(np.int64), process=False)
     places, rays, faces = solid.ray.intersects_location(points, np.broadcast_to(direction, points.shape))
     stands = np.ones(len(rays), bool)

@@ -30,7 +30,7 @@ def kept_triangles(mesh: Mesh, resolution: int) -> Mesh:
     if not masked or mesh.uv is None:
         return mesh
     voxel = float((mesh.bounds[1] - mesh.bounds[0]).max()) * 1.1 / resolution
-    vertices, uv = mesh.vertices.astype(np.float64), mesh.uv.astype(np.float64)
+    vertices, uv = mesh.vertices, mesh.uv.astype(np.float64)
     pieces = []
     for part in mesh.parts:
         faces = mesh.faces[part.faces.start : part.faces.stop]

@@ -104,7 +104,8 @@ class Mesh:
     Parameters
     ----------
     vertices : (n, 3) real
-        Positions, world units. float64 keeps its accuracy: the core stores offsets from the centre of the box.
+        Positions, world units. float64 values are kept as they are; bakes work on float32 offsets from the centre of
+        the box, so a mesh keeps its shape at any distance from the origin.
     faces : (m, 3) integer
         Rows of `vertices`, counter-clockwise seen from outside.
     uv : (n, 2) real, optional
@@ -165,9 +166,9 @@ class Mesh:
         )
 
     @cached_property
-    def vertices(self) -> NDArray[np.float32]:
-        """Positions of the kept vertices, (n, 3) float32, world units, read-only."""
-        return checks.frozen(self._core.vertices)
+    def vertices(self) -> NDArray[np.float64]:
+        """Positions of the kept vertices, (n, 3) float64, world units, equal to the input's; read-only."""
+        return self._core.vertices
 
     @cached_property
     def faces(self) -> NDArray[np.uint32]:
@@ -194,19 +195,19 @@ class Mesh:
         """Opacity of the first part that is not opaque, (h, w) from 0 to 1; None if all are. Others: see `parts`."""
         return next((part.alpha for part in self._parts if part.alpha is not None), None)
 
-    @property
+    @cached_property
     def bounds(self) -> NDArray[np.float64]:
-        """Lower and upper corner of the faces, (2, 3), world units."""
-        return self._core.bounds
+        """Lower and upper corner of the faces, (2, 3) float64, world units, read-only."""
+        return checks.frozen(self._core.bounds)
 
-    @property
+    @cached_property
     def center(self) -> NDArray[np.float64]:
-        """Centre of `bounds`, (3,), world units."""
-        return self._core.center
+        """Origin of the core's local coordinates: the centre of the box of all faces, (3,) float64, world units."""
+        return checks.frozen(self._core.center)
 
     @property
     def nbytes(self) -> int:
-        """Memory of vertices, faces and, once built, the tree."""
+        """Bytes of vertices, faces and, once built, the search tree."""
         return self._core.nbytes
 
     def topology(self) -> dict[str, Any]:

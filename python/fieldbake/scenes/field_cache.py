@@ -194,7 +194,7 @@ def _bake_plate(mesh: Mesh, axis: int, resolution: int, device: str) -> Volume:
 
 def _is_rectangle(mesh: Mesh, axis: int) -> bool:
     """Whether a flat mesh fills its box."""
-    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    corners = mesh.vertices[mesh.faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
     sides = np.delete(mesh.bounds[1] - mesh.bounds[0], axis)
     return bool(abs(area - sides.prod()) <= 1e-4 * sides.prod())
