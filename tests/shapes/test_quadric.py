@@ -381,6 +381,31 @@ def test_unpacking_returns_the_same(random):
     assert fb.unpack_quadrics(packed[:0]) == []
 
 
+@given(
+    matrix=st.lists(st.floats(-1e37, 1e37), min_size=16, max_size=16),
+    center=st.tuples(*[st.floats(-1e37, 1e37)] * 3),
+    radius=st.floats(1e-40, 1e37),
+    reflectance=st.tuples(*[st.floats(0, 1e37)] * 3),
+    opacity=st.floats(0, 1),
+)
+def test_any_quadric_is_equal_to_what_comes_back(matrix, center, radius, reflectance, opacity):
+    matrix[0] = 1.0  # A matrix of zeros is no quadric.
+    quadrics = [Quadric(np.reshape(matrix, (4, 4)), center, radius, reflectance, opacity)]
+    back = fb.unpack_quadrics(fb.pack_quadrics(quadrics))
+    assert back == quadrics
+    assert hash(back[0]) == hash(quadrics[0])
+    assert back[0] in set(quadrics)
+
+
+def test_every_kind_of_quadric_is_equal_to_what_comes_back(random):
+    quadrics = random_quadrics(random, 50)
+    assert fb.unpack_quadrics(fb.pack_quadrics(quadrics)) == quadrics
+    ball = Quadric.sphere((0.1, 0.2, 0.3), 0.7)
+    assert ball != Quadric.sphere((0.1, 0.2, 0.3), 0.7 * (1 + 2.0**-22))
+    assert ball != Quadric.sphere((0.1, 0.2, 0.3), 0.7, opacity=0.5)
+    assert ball == Quadric.sphere((0.1, 0.2, 0.3), 0.7 * (1 + 2.0**-30))
+
+
 def test_many_records_wrap_into_rows(random):
     packed = random.normal(size=(50, 6, 4)).astype(np.float32)
     assert np.array_equal(fb.wrap_quadrics(packed), packed)

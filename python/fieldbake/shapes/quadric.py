@@ -42,6 +42,11 @@ class Quadric:
         Share of the light that does not pass, 0 to 1: several quadrics multiply. It shapes shadows; the camera sees the
         nearest sheet whatever its opacity.
 
+    Notes
+    -----
+    Values are kept in float64. Two quadrics are equal if their float32 records of :func:`pack_quadrics` are equal, so
+    ``unpack_quadrics(pack_quadrics(quadrics)) == quadrics``.
+
     Raises
     ------
     ShapeError
@@ -358,11 +363,17 @@ class Quadric:
         tail = (*self._center, self._radius, *self._reflectance, self._opacity)
         return np.concatenate([self._matrix.ravel(), tail])
 
+    def _packed(self) -> NDArray[np.float32]:
+        """Its record in :func:`pack_quadrics`, (24,)."""
+        # Adding zero turns -0.0 into 0.0.
+        record: NDArray[np.float32] = self._row().astype(np.float32) + np.float32(0)
+        return record
+
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Quadric) and bool(np.array_equal(self._row(), other._row()))
+        return isinstance(other, Quadric) and bool(np.array_equal(self._packed(), other._packed()))
 
     def __hash__(self) -> int:
-        return hash(self._row().tobytes())
+        return hash(self._packed().tobytes())
 
     def __setattr__(self, name: str, value: Any) -> None:
         if hasattr(self, name):
