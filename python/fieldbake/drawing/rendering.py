@@ -111,7 +111,8 @@ def render(
     Notes
     -----
     ``color = exposure * (ambient * open * albedo + sum of arrives * light * (max(0, n.l) * albedo + specular * max(0,
-    n.h)^shininess))``, linear; lights do not fade with distance. Penumbrae follow S. Aaltonen, GPU-based clay
+    n.h)^shininess + through * albedo))``, linear. ``through`` is light that comes through the object itself, see
+    :class:`Material`. Lights do not fade with distance. Penumbrae follow S. Aaltonen, GPU-based clay
     simulation and ray-tracing tech in Claybook, GDC 2018, centred on the hard edge; the light's disc is shared by 16
     cones where one does not decide.
 
