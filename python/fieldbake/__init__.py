@@ -46,10 +46,8 @@ from .scenes.instance import Instance
 from .scenes.lights import DirectionalLight, PointLight
 from .scenes.materials import Material
 from .scenes.scene import Scene
-from .shapes.quadric import Quadric, pack_quadrics, unpack_quadrics, wrap_quadrics
-from .shapes.shape import (
+from .shapes.primitives import (
     Profile,
-    Shape,
     box,
     box_frame,
     capped_torus,
@@ -73,6 +71,9 @@ from .shapes.shape import (
     truncated_cone,
     volume_shape,
 )
+from .shapes.quadric import Quadric
+from .shapes.quadric_texels import pack_quadrics, unpack_quadrics, wrap_quadrics
+from .shapes.shape import Shape
 from .volumes.quantized import QuantizedVolume
 from .volumes.sparse import SparseVolume
 from .volumes.volume import Volume

@@ -7,7 +7,7 @@ distances with x fastest in memory, float64 vertices, int64 faces; anything else
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -82,8 +82,7 @@ def bake(
     mesh = _core.Mesh(checks.as_float64(check_vertices(vertices)), check_faces(faces))
     checks.text("sign", sign)
     checks.text("device", device)
-    if checks.text("method", method) not in ("tree", "brute"):
-        raise ArgumentError(f'method: expected "tree" or "brute", got {method!r}')
+    checks.choice("method", method, get_args(Method))
     if method == "brute":
         return _core.bake_brute(mesh, *corners, (nx, ny, nz), sign, device)
     distances, _ = _core.bake(mesh, *corners, (nx, ny, nz), sign=sign, device=device)

@@ -33,26 +33,26 @@ def __dir__() -> list[str]:
 
 
 class Part:
-    """A smaller shape, and the boxes in which it stands for the whole one.
+    """A smaller shape, and the boxes in which it replaces the whole shape.
 
     Attributes
     ----------
     shape : Shape
-        What is in the boxes; made at the first use.
+        The smaller shape; it is made at the first use.
     boxes : (k, 2, 3) float64
-        Lower and upper corners, world units. A box holds its lower faces and not its upper ones.
+        Lower and upper corners, world units. A box contains its lower faces, but not its upper faces.
     """
 
     __slots__ = ("_source", "boxes")
 
     def __init__(self, shape: Shape | tuple[_core.Shape, Method, int], boxes: NDArray[np.float64]) -> None:
-        # There are thousands of parts: their shapes are made from where they come from.
+        # There may be thousands of parts, so a shape is made only at the first use.
         self._source = shape
         self.boxes = boxes
 
     @property
     def shape(self) -> Shape:
-        """What is in the boxes."""
+        """The smaller shape."""
         if not isinstance(self._source, Shape):
             whole, method, index = self._source
             self._source = Shape._wrap(whole.part(method, index))
@@ -68,7 +68,7 @@ class Parts(list[Part]):
     Attributes
     ----------
     structures : int
-        How many of the parts differ in more than their numbers: each needs a shader of its own.
+        Number of different structures, which are parts without their parameters. Each needs its own shader.
     """
 
     def __init__(self, parts: Iterable[Part] = (), *, structures: Callable[[], int] = int) -> None:
@@ -77,38 +77,38 @@ class Parts(list[Part]):
 
     @property
     def structures(self) -> int:
-        """How many of the parts differ in more than their numbers."""
+        """Number of different structures among the parts."""
         return self._structures()
 
 
 def union(*shapes: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
-    """All of these together, with a smooth (`k`) or chamfered joint of that width."""
+    """Unite shapes, with a smooth joint of width `k` or a chamfered joint of width `chamfer`."""
     return combine("union", shapes, k=k, chamfer=chamfer)
 
 
 def intersection(*shapes: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
-    """What is in all of these, with a smooth (`k`) or chamfered joint of that width."""
+    """Intersect shapes, with a smooth joint of width `k` or a chamfered joint of width `chamfer`."""
     return combine("intersection", shapes, k=k, chamfer=chamfer)
 
 
 def difference(*shapes: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
-    """The first without the others, with a smooth (`k`) or chamfered joint of that width."""
+    """Subtract the others from the first shape, with a smooth (`k`) or chamfered joint of that width."""
     return combine("difference", shapes, k=k, chamfer=chamfer)
 
 
 def xor(*shapes: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
-    """What is in one of two, from the left, with a smooth (`k`) or chamfered joint of that width."""
+    """Take the symmetric difference from left to right, with a smooth (`k`) or chamfered joint of that width."""
     return combine("xor", shapes, k=k, chamfer=chamfer)
 
 
 def parse(text: str) -> Shape:
-    """Read a shape in the language of "SDF Decomposition".
+    """Parse a shape in the language of "SDF Decomposition".
 
     Parameters
     ----------
     text : str
-        One s-expression. Sizes are full lengths and diameters, angles degrees, round things stand along z; a
-        comment runs from ``;`` to the end of its line.
+        One s-expression. Sizes are full lengths and diameters, angles are in degrees, and round primitives have z as
+        their axis. A comment runs from ``;`` to the end of its line.
 
     Returns
     -------
@@ -117,7 +117,7 @@ def parse(text: str) -> Shape:
     Raises
     ------
     ShapeError
-        With line and column, for anything that is not understood.
+        For a syntax error or an unknown name, with its line and column.
 
     Notes
     -----
@@ -148,28 +148,27 @@ def parse(text: str) -> Shape:
 
 
 def decompose(shape: Shape, method: Method = "octree") -> Parts:
-    """Split a shape into smaller ones, each in its own boxes.
+    """Split a shape into smaller shapes, each valid in its own boxes.
 
     Parameters
     ----------
     shape : Shape
-        With bounds.
+        A shape with bounds.
     method : "octree" or "aabb", default "octree"
-        ``"aabb"`` is the article's: boxes are carried from the leaves to the root, split and discarded by the
-        operators.
-        The solid is the union of the parts, each cut to its boxes, which may overlap; the nearest hit along a ray is
-        right. ``"octree"`` prunes the tree in each cell by Lipschitz bounds: inside its boxes a part has the sign
-        and the roots of the whole shape, and boxes do not overlap.
+        ``"aabb"`` is the method of the article: operators split and discard boxes on the way from the leaves to the
+        root. The solid is the union of the parts, each cut to its boxes; boxes may overlap, and the nearest hit along a
+        ray is correct. ``"octree"`` prunes the tree in each cell by Lipschitz bounds: boxes do not overlap, and inside
+        its boxes a part has the sign and the roots of the whole shape.
 
     Returns
     -------
     Parts
-        A list of :class:`Part`, with the number of different ``structures``. Empty for a shape with nothing inside.
+        A list of :class:`Part` with the number of different ``structures``. An empty shape has no parts.
 
     Raises
     ------
     ShapeError
-        For a shape without bounds, naming the leaf, or another method.
+        For a shape without bounds (the message names the leaf), or an unknown method.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""Closed meshes made in code, for trying things out without a file."""
+"""Closed meshes made in code, for examples and tests without a file."""
 
 from __future__ import annotations
 
@@ -28,28 +28,28 @@ def torus_knot(
     segments: int = 480,
     sides: int = 48,
 ) -> Mesh:
-    """A tube along a torus knot; (2, 3) is the trefoil.
+    """Make a tube along a torus knot; p = 2 and q = 3 give the trefoil.
 
     Parameters
     ----------
     p, q : int, default 2 and 3
-        Turns round the axis of the torus, and round its ring; without a common divisor.
+        Number of turns around the axis of the torus and around its ring. They must have no common divisor.
     radius, depth : float, default 1 and 0.45
-        Of the torus: of the ring, and of the tube that the knot lies on, world units.
+        Radius of the ring of the torus, and radius of the tube whose surface holds the knot, world units.
     thickness : float, default 0.24
-        Radius of the knot's own tube, world units.
+        Radius of the tube along the knot, world units.
     segments, sides : int, default 480 and 48
-        Steps along the knot and round its tube; twice their product is the number of faces.
+        Number of steps along the knot and around its tube. The mesh has 2 * segments * sides faces.
 
     Returns
     -------
     Mesh
-        Closed, around the origin, the torus's axis along z.
+        A closed mesh around the origin. The axis of the torus is z.
 
     Raises
     ------
     ArgumentError
-        If `p` and `q` share a divisor or a size makes no sense.
+        If `p` and `q` have a common divisor or a size is out of range.
 
     Examples
     --------
@@ -72,7 +72,7 @@ def torus_knot(
     outward = np.cos(q * t)[:, None] * ring + np.sin(q * t)[:, None] * up
     curve = radius * ring + depth * outward
 
-    # A frame that closes: the tangent, and the torus's own normal made perpendicular to it.
+    # A periodic frame: the tangent, and the normal of the torus made perpendicular to it.
     around = np.stack([-np.sin(p * t), np.cos(p * t), np.zeros_like(t)], axis=1)
     turning = -np.sin(q * t)[:, None] * ring + np.cos(q * t)[:, None] * up
     tangent = p * (radius + depth * np.cos(q * t))[:, None] * around + q * depth * turning
@@ -96,26 +96,26 @@ def gear(
     hole: float = 0.4,
     thickness: float = 0.35,
 ) -> Mesh:
-    """A gear wheel with a round hole: flat faces, sharp edges.
+    """Make a gear wheel with a round hole; it has flat faces and sharp edges.
 
     Parameters
     ----------
     teeth : int, default 18
-        How many.
+        Number of teeth.
     radius, tooth, hole : float, default 1, 0.16 and 0.4
         Outer radius, height of a tooth and radius of the hole, world units.
     thickness : float, default 0.35
-        Along z, world units.
+        Extent along z, world units.
 
     Returns
     -------
     Mesh
-        Closed, around the origin, its axis along z.
+        A closed mesh around the origin. The axis of the wheel is z.
 
     Raises
     ------
     ArgumentError
-        If a size makes no sense.
+        If a size is out of range, or the hole and the teeth together exceed the radius.
 
     Examples
     --------
@@ -130,14 +130,14 @@ def gear(
     if hole + tooth >= radius:
         raise ArgumentError(f"hole: {hole:g} and tooth {tooth:g} leave nothing of the radius {radius:g}")
 
-    # Eight steps a tooth: four on the foot, a flank, two on the tip, a flank.
+    # Each tooth has eight steps: five at the foot and three at the tip, with flanks between them.
     per_tooth = np.array([0.0, 0.125, 0.25, 0.375, 0.5, 0.6, 0.75, 0.9])
     raised = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
     angle = ((np.arange(teeth)[:, None] + per_tooth) * (2 * np.pi / teeth)).ravel()
     outline = radius - tooth + tooth * np.tile(raised, teeth)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
-    # Round the wheel's section: outer top, inner top, inner bottom, outer bottom.
+    # The rings follow the cross-section of the wheel: outer top, inner top, inner bottom, outer bottom.
     half = thickness / 2
     rings = [(outline, half), (np.full_like(angle, hole), half), (np.full_like(angle, hole), -half), (outline, -half)]
     vertices = np.concatenate(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import inspect
 from collections.abc import Iterator
 from pathlib import Path
@@ -65,6 +66,7 @@ def imports_of(module: str, file: Path, known: dict[str, Path]) -> Iterator[Impo
                 yield Import(module, target, "" if target != source else name, node not in top_level)
 
 
+@functools.cache
 def all_imports() -> list[Import]:
     known = modules()
     return [found for module, file in known.items() for found in imports_of(module, file, known)]

@@ -1,4 +1,4 @@
-"""What can compute here."""
+"""The compute devices of this machine."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .. import _core
 
 
 class Device(str):
-    """Name of a compute device, fit for any ``device=`` argument, with what is known about it.
+    """Name of a compute device with its properties; any ``device=`` argument accepts it.
 
     Attributes
     ----------
@@ -19,9 +19,9 @@ class Device(str):
     type : str
         ``"cpu"``, ``"discrete"``, ``"integrated"``, ``"virtual"``, ``"software"`` or ``"other"``.
     hardware : bool
-        False for the CPU and for adapters that run on it.
+        False for the CPU and for software adapters, which run on the CPU.
     limits : mapping
-        Largest buffer, texture and the like.
+        Limits of the device, such as the largest buffer in bytes and the largest texture in texels.
     """
 
     backend: str
@@ -39,7 +39,7 @@ class Device(str):
 
 
 def devices() -> list[Device]:
-    """List the devices; the first is always ``"cpu"``.
+    """List the compute devices. The first is always ``"cpu"``.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Progress of long work: nothing, a bar on stderr, or a callable of the user's."""
+"""Progress of long work: no output, a bar on stderr, or a callable that the user supplies."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Progress = bool | Callable[[float], object] | None
 
 @contextmanager
 def progress_callback(progress: Progress, label: str) -> Iterator[Callable[[float], object] | None]:
-    """Yield what the core calls with a share of 0 to 1, or None.
+    """Yield the callable that the core calls with the finished share from 0 to 1, or None.
 
     ``True`` draws a bar on stderr that vanishes when the work is done.
     """
@@ -33,5 +33,5 @@ def progress_callback(progress: Progress, label: str) -> Iterator[Callable[[floa
 
 
 def part_of(callback: Callable[[float], object] | None, number: int, count: int) -> Callable[[float], object] | None:
-    """What reports job `number` of `count` equal ones as a part of the whole."""
+    """Map the share of job `number`, one of `count` equal jobs, to the share of all of them."""
     return None if callback is None else lambda share: callback((number + share) / count)

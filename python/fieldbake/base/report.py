@@ -1,4 +1,4 @@
-"""What a bake found and did."""
+"""The report of a bake: properties of the surface, the method, time and memory."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 
 def bytes_text(count: float) -> str:
-    """A size in the unit that reads best."""
+    """Format a number of bytes in the largest fitting unit."""
     for unit in ("bytes", "KiB", "MiB"):
         if count < 1024:
             return f"{count:.0f} {unit}" if unit == "bytes" else f"{count:.1f} {unit}"
@@ -18,43 +18,44 @@ def bytes_text(count: float) -> str:
 
 
 def count_text(count: int, thing: str, things: str | None = None) -> str:
-    """A number with its noun."""
+    """Format a number with its noun in the singular or plural."""
     return f"{count:,} {thing if count == 1 else things or thing + 's'}"
 
 
 def seconds_text(seconds: float) -> str:
-    """A time in the unit that reads best."""
+    """Format a duration in seconds or milliseconds."""
     return f"{seconds:.2f} s" if seconds >= 1 else f"{seconds * 1e3:.{2 if seconds < 0.01 else 0}f} ms"
 
 
 @dataclass(frozen=True)
 class Report:
-    """Facts of the surface and of the work; `print` it, or read the attributes.
+    """Properties of the surface and cost of the work. `print` shows all of them as text.
 
     Attributes
     ----------
     sign_method : str
         ``"winding"``, ``"parity"``, ``"pseudonormal"``, ``"normal"`` or ``"unsigned"``.
     sign_reason : str
-        Why, in one sentence.
+        Reason for the choice of the method, in one sentence.
     closed : bool
-        No opening: after the repairs counted here every edge is walked equally often in both directions.
+        Whether the surface has no opening: after the repairs counted here, faces traverse every edge equally often
+        in both directions.
     faces, vertices : int
-        Kept.
+        Number of faces and vertices that were used.
     boundary_edges, nonmanifold_edges, flipped_faces, duplicate_faces, components : int
-        Of the surface after welding equal positions.
+        Counts for the surface after equal positions were welded.
     degenerate_faces, dropped_vertices : int
-        Left out: faces without area; vertices that are not finite and unused.
+        Number of faces without area, and of unused vertices that are not finite; both are left out.
     undecided_voxels, inside_voxels : int
-        Voxels where the sign method could not decide by itself; voxels with negative distance.
+        Number of voxels where the sign method alone could not decide, and of voxels with a negative distance.
     device : str
-        Where it ran.
+        Device that evaluated the distances.
     seconds : mapping of str to float
-        Time of each stage.
+        Duration of each stage, seconds.
     peak_bytes : int
-        Most memory held by the bake.
+        Peak memory of the bake, bytes.
     warnings : tuple of str
-        What deserves a look, each naming what to try.
+        Warnings; each names a remedy.
     """
 
     sign_method: str = ""
@@ -82,16 +83,16 @@ class Report:
 
     @classmethod
     def from_dict(cls, facts: Mapping[str, Any]) -> Report:
-        """Take what is known of a mapping; facts this version does not know are left out."""
+        """Make a report from a mapping; unknown keys are ignored."""
         known = {item.name for item in fields(cls)}
         return cls(**{name: value for name, value in facts.items() if name in known})
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, fit for JSON."""
+        """Convert the report to plain values that JSON can store."""
         return {item.name: _plain(getattr(self, item.name)) for item in fields(self)}
 
     def rows(self) -> list[tuple[str, str]]:
-        """Label and text of each line, for tables."""
+        """List the label and the text of each line of the report."""
         surface = [count_text(self.faces, "face"), count_text(self.components, "component")]
         surface.append("closed" if self.closed else "not closed")
         faults = (

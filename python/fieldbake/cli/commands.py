@@ -1,6 +1,6 @@
 """The command line: ``fieldbake bake | info | pack | render | merge | csg | devices | demo``.
 
-Exit codes: 0 done, 1 something is wrong with the input (one line on stderr), 2 wrong usage.
+Exit codes: 0 for success, 1 for an error in the input (one line on stderr), 2 for wrong usage.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ err = Console(stderr=True, highlight=False)
 
 
 class Group(TyperGroup):
-    """Turns what a user can cause into one line and exit code 1; bugs keep their traceback."""
+    """Prints errors in the input as one line, with exit code 1; other exceptions keep their traceback."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run a command; see the class."""
+        """Run a command; see the description of the class."""
         try:
             return super().invoke(ctx)
         except (fb.Error, OSError) as error:
@@ -51,10 +51,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="Exact signed distance fields from triangle meshes.",
+    help="Exact signed distance fields from triangle meshes and CSG shapes.",
 )
 
-Device = Annotated[str, typer.Option(help='"auto", "cpu", "gpu" or a name from `fieldbake devices`.')]
+Device = Annotated[str, typer.Option(help='Compute device: "auto", "cpu", "gpu" or a name from `fieldbake devices`.')]
 Sign = Literal["auto", "winding", "parity", "pseudonormal", "normal", "unsigned"]
 
 
@@ -108,27 +108,40 @@ def parse_vector(text: str) -> tuple[float, float, float]:
 
 Resolution = Annotated[
     Any,
-    typer.Option("--resolution", "-r", parser=parse_resolution, metavar="N|NxNxN", help="Voxels, longest side or all."),
+    typer.Option(
+        "--resolution",
+        "-r",
+        parser=parse_resolution,
+        metavar="N|NxNxN",
+        help="Voxels along the longest side (64), or along x, y and z (64x48x32).",
+    ),
 ]
 
 
 @app.command()
 def bake(
-    mesh: Annotated[list[Path], typer.Argument(help="Mesh files; several become one field.")],
+    mesh: Annotated[list[Path], typer.Argument(help="Mesh files; several files are baked into one field.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The .npz file to write.")],
     resolution: Resolution = "64",
-    voxel_size: Annotated[float | None, typer.Option(help="Side of a voxel, in place of the resolution.")] = None,
-    margin: Annotated[float, typer.Option(help="Extra room around the mesh, as a share of its box.")] = 0.1,
-    sign: Annotated[Sign, typer.Option(help="How to tell inside from outside.")] = "auto",
-    band: Annotated[float | None, typer.Option(help="Exact only within so many voxels of the surface.")] = None,
-    two_sided: Annotated[bool, typer.Option("--two-sided", help="Treat the surface as a sheet.")] = False,
+    voxel_size: Annotated[
+        float | None, typer.Option(help="Side of a cubic voxel, world units; replaces --resolution.")
+    ] = None,
+    margin: Annotated[float, typer.Option(help="Margin around the mesh, as a share of its box.")] = 0.1,
+    sign: Annotated[Sign, typer.Option(help="Method that tells inside from outside.")] = "auto",
+    band: Annotated[
+        float | None,
+        typer.Option(help="Distances are exact within this many voxels of the surface, and lower bounds beyond."),
+    ] = None,
+    two_sided: Annotated[
+        bool, typer.Option("--two-sided", help="Treat the surface as a sheet with a thickness.")
+    ] = False,
     thickness: Annotated[
         float | None, typer.Option(help="Thickness of the sheet, world units; the default is the diagonal of a voxel.")
     ] = None,
     sparse: Annotated[bool, typer.Option("--sparse", help="Store bricks around the surface only.")] = False,
-    tolerance: Annotated[float, typer.Option(help="How far a coarser brick may be off, voxels; with --sparse.")] = 0.05,
+    tolerance: Annotated[float, typer.Option(help="Largest error of coarser bricks, voxels; for --sparse.")] = 0.05,
     encoding: Annotated[
-        Literal["float32", "float16", "snorm16", "snorm8"], typer.Option(help="How samples are stored.")
+        Literal["float32", "float16", "snorm16", "snorm8"], typer.Option(help="Encoding of the stored samples.")
     ] = "float32",
     device: Device = "auto",
 ) -> None:
@@ -165,7 +178,7 @@ def merge(
     resolution: Resolution = "128",
     device: Device = "auto",
 ) -> None:
-    """Join everything in a scene in one field that is never larger than the distance to it."""
+    """Merge all instances of a scene into one field that never exceeds the distance to them."""
     if output.suffix.lower() != ".npz":
         raise typer.BadParameter(f"'{output}' must end in .npz", param_hint="--output")
     is_scene = scene.suffix.lower() in (".gltf", ".glb")
@@ -177,9 +190,9 @@ def merge(
 
 @app.command()
 def info(
-    file: Annotated[Path, typer.Argument(help="Any file of fieldbake's, or a mesh.")],
+    file: Annotated[Path, typer.Argument(help="A file written by fieldbake, or a mesh.")],
 ) -> None:
-    """Say what is in a file."""
+    """Describe the contents of a file."""
     if file.suffix.lower() in (".npz", *textures.ENDINGS, *images.ENDINGS):
         found = fb.load(file)
         _show(str(file), _atlas_rows(found) if isinstance(found, fb.Atlas) else _volume_rows(found))
@@ -189,20 +202,25 @@ def info(
 
 @app.command()
 def pack(
-    files: Annotated[list[Path], typer.Argument(help="Baked fields (.npz, .dds, ...) and meshes, which are baked.")],
+    files: Annotated[
+        list[Path], typer.Argument(help="Baked fields (.npz, .dds, ...), and meshes, which are baked first.")
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The atlas to write: .npz, .exr or .png.")],
     layout: Annotated[
-        Literal["shelves", "strips"], typer.Option(help="Any sizes, or the article's cubes.")
+        Literal["shelves", "strips"],
+        typer.Option(help="shelves: volumes of any size; strips: equal cubes, as in the article."),
     ] = "shelves",
     resolution: Resolution = "64",
     page_size: Annotated[int, typer.Option(help="Width and height of a page, texels.")] = 4096,
-    gutter: Annotated[int, typer.Option(help="Copies of its border around each slice, texels.")] = 1,
+    gutter: Annotated[int, typer.Option(help="Width of the copied border around each slice, texels.")] = 1,
     encoding: Annotated[
-        Literal["float32", "float16", "snorm16", "snorm8"], typer.Option(help="How a distance is stored.")
+        Literal["float32", "float16", "snorm16", "snorm8"], typer.Option(help="Encoding of the stored distances.")
     ] = "float32",
-    band: Annotated[float, typer.Option(help="Voxels that snorm encodings keep on each side of the surface.")] = 4.0,
+    band: Annotated[
+        float, typer.Option(help="Distance that snorm encodings keep on each side of the surface, voxels.")
+    ] = 4.0,
     shader: Annotated[
-        Path | None, typer.Option(help="Also write the sampling functions: .wgsl, .glsl, .hlsl or .metal.")
+        Path | None, typer.Option(help="File for the sampling functions: .wgsl, .glsl, .hlsl or .metal.")
     ] = None,
     device: Device = "auto",
 ) -> None:
@@ -244,33 +262,45 @@ def pack(
 def render(
     file: Annotated[Path, typer.Argument(help="A scene, a mesh, or a baked .npz file.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write: .png, .jpg, ...")],
-    size: Annotated[Any, typer.Option(parser=parse_size, metavar="WxH", help="Pixels.")] = "640x480",
+    size: Annotated[
+        Any, typer.Option(parser=parse_size, metavar="WxH", help="Size of the picture, pixels.")
+    ] = "640x480",
     resolution: Resolution = "64",
-    eye: Annotated[Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Where to look from.")] = None,
-    target: Annotated[Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Where to look at.")] = None,
-    up: Annotated[Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Upwards in the picture.")] = "0,1,0",
+    eye: Annotated[Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Position of the camera.")] = None,
+    target: Annotated[
+        Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Point in the middle of the picture.")
+    ] = None,
+    up: Annotated[
+        Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Direction that points upwards in the picture.")
+    ] = "0,1,0",
     fov: Annotated[float, typer.Option(help="Vertical field of view, degrees.")] = 45.0,
     color: Annotated[
-        Any, typer.Option(parser=parse_vector, metavar="R,G,B", help="Of all surfaces, linear, 0 to 1.")
+        Any, typer.Option(parser=parse_vector, metavar="R,G,B", help="Colour of all surfaces, linear RGB from 0 to 1.")
     ] = None,
     shadows: Annotated[
-        Literal["soft", "hard", "none", "area"], typer.Option(help="How lights are held back.")
+        Literal["soft", "hard", "none", "area"],
+        typer.Option(help="Kind of shadows; area is slow, and the reference for soft."),
     ] = "soft",
     primary: Annotated[
-        Literal["auto", "raster", "raymarch"], typer.Option(help="Triangles where there are some, or fields alone.")
+        Literal["auto", "raster", "raymarch"],
+        typer.Option(help="auto: meshes are rasterised, fields marched; raster: meshes only; raymarch: fields only."),
     ] = "auto",
-    occlusion: Annotated[bool, typer.Option("--occlusion", help="Darken what is shut in.")] = False,
-    samples: Annotated[int, typer.Option(help="Rays a pixel for clean edges: 1, 4, 9, 16, ...")] = 1,
+    occlusion: Annotated[bool, typer.Option("--occlusion", help="Add ambient occlusion.")] = False,
+    samples: Annotated[int, typer.Option(help="Colour samples per pixel for smooth edges: 1, 4, 9, 16, ...")] = 1,
     light: Annotated[
         list[Any] | None,
         typer.Option(
-            parser=parse_vector, metavar="X,Y,Z", help="Where the sun shines to; in place of the file's lights."
+            parser=parse_vector,
+            metavar="X,Y,Z",
+            help="Direction in which a sun shines; replaces the lights of the file. May be repeated.",
         ),
     ] = None,
-    angle: Annotated[float, typer.Option(help="Under which --light is seen, degrees.")] = 2.0,
-    floor: Annotated[bool, typer.Option("--floor", help="Put a floor under everything.")] = False,
+    angle: Annotated[
+        float, typer.Option(help="Angular diameter of --light, degrees. Larger values give softer shadows.")
+    ] = 2.0,
+    floor: Annotated[bool, typer.Option("--floor", help="Add a floor below the scene.")] = False,
     heatmap: Annotated[
-        Literal["steps", "depth", "shadow"] | None, typer.Option(help="Show this in place of the colours.")
+        Literal["steps", "depth", "shadow"] | None, typer.Option(help="Show this quantity instead of colours.")
     ] = None,
     device: Device = "auto",
 ) -> None:
@@ -312,7 +342,7 @@ def _scene(
     angle: float,
     floor: bool,
 ) -> fb.Scene:
-    """What `render` draws."""
+    """Build the scene that `render` draws."""
     material = None if color is None else fb.Material(color=color)
     lights = None if not light else [fb.DirectionalLight(way, angle_deg=angle) for way in light]
     if file.suffix.lower() == ".npz":
@@ -338,20 +368,24 @@ def _scene(
 def csg(
     model: Annotated[Path, typer.Argument(help="A text file with one s-expression.")],
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="What to write: a picture, .npz (a baked field), .stl.")
+        Path,
+        typer.Option("--output", "-o", help="The file to write: a picture, .npz (a baked field) or .stl (a mesh)."),
     ],
-    size: Annotated[Any, typer.Option(parser=parse_size, metavar="WxH", help="Pixels.")] = "640x480",
+    size: Annotated[
+        Any, typer.Option(parser=parse_size, metavar="WxH", help="Size of the picture, pixels.")
+    ] = "640x480",
     resolution: Resolution = "128",
     method: Annotated[
-        Literal["auto", "whole", "aabb", "octree"], typer.Option(help="How a picture is drawn; all give the same.")
+        Literal["auto", "whole", "aabb", "octree"],
+        typer.Option(help="Method of drawing; all methods give the same picture."),
     ] = "auto",
     direction: Annotated[
-        Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Which way the camera looks.")
+        Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Viewing direction of the camera.")
     ] = "-0.6,0.8,-0.6",
     parts: Annotated[bool, typer.Option("--parts", help="List the parts of the decomposition.")] = False,
     device: Device = "auto",
 ) -> None:
-    """Draw, bake or mesh a shape from its s-expression; z is up in its pictures."""
+    """Draw, bake or mesh a shape from its s-expression. The z axis points upwards in pictures."""
     shape = fb.csg.parse(model.read_text(encoding="utf-8"))
     if parts:
         found = fb.csg.decompose(shape, "aabb" if method == "aabb" else "octree")
@@ -378,7 +412,7 @@ def csg(
 
 @app.command()
 def devices() -> None:
-    """List what can compute here."""
+    """List the compute devices."""
     table = Table("name", "backend", "type", "hardware")
     for device in fb.devices():
         table.add_row(escape(device.name), device.backend, device.type, "yes" if device.hardware else "no")
@@ -387,11 +421,15 @@ def devices() -> None:
 
 @app.command()
 def demo(
-    mesh: Annotated[list[Path] | None, typer.Argument(help="Mesh files; models made in code if not given.")] = None,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the files.")] = Path("out"),
+    mesh: Annotated[
+        list[Path] | None, typer.Argument(help="Mesh files; the default is two models made in code.")
+    ] = None,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the files that the demo writes.")] = Path(
+        "out"
+    ),
     resolution: Annotated[int, typer.Option("--resolution", "-r", help="Voxels along the longest side.")] = 128,
 ) -> None:
-    """Bake, save, load and draw; writes pictures and says what it did."""
+    """Bake, save, load and draw meshes; write pictures and print the steps."""
     demonstration.run(
         output,
         [str(path) for path in mesh or []],

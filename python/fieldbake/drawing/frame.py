@@ -1,4 +1,4 @@
-"""The frame: what the camera saw, as arrays and as a picture."""
+"""The frame: the result of a picture as arrays and as an image."""
 
 from __future__ import annotations
 
@@ -18,41 +18,41 @@ from ..files.container import atomic_write
 
 Quantity = Literal["steps", "depth", "shadow"]
 
-#: What a frame holds.
+#: Names of the arrays of a frame.
 ARRAYS = ("color", "depth", "normal", "object_id", "shadow", "steps")
 
-#: Stops of the heat map, dark to light, sRGB from 0 to 1, evenly spaced.
+#: Evenly spaced stops of the heat map from dark to light, (5, 3), sRGB from 0 to 1.
 HEAT = np.array(
     [[0.03, 0.03, 0.12], [0.25, 0.12, 0.45], [0.70, 0.20, 0.42], [0.96, 0.50, 0.25], [1.00, 0.92, 0.60]],
     dtype=np.float64,
 )
 
-#: Pixels where nothing was hit, in a heat map of depth.
+#: Colour of pixels without a hit in a heat map of depth, sRGB.
 NOTHING = np.array([0.55, 0.55, 0.55])
 
-#: Formats of Pillow that cannot hold opacity.
+#: Endings of image formats without opacity.
 WITHOUT_ALPHA = (".jpg", ".jpeg", ".bmp", ".ppm")
 
 
 class Frame:
-    """Arrays of shape (height, width, ...), row 0 on top, all read-only.
+    """The result of a picture: read-only arrays of shape (height, width, ...), row 0 on top.
 
     Attributes
     ----------
     color : (h, w, 4) float32
         Linear RGB and opacity.
     depth : (h, w) float32
-        Distance along the viewing axis, world units; inf where nothing was hit.
+        Distance along the viewing axis, world units; inf for pixels without a hit.
     normal : (h, w, 3) float32
-        Unit normal of the surface, world space; zero where nothing was hit.
+        Unit normal of the surface, world space; zero for pixels without a hit.
     object_id : (h, w) int32
-        Which object was hit; -1 for none.
+        Index of the visible object; -1 for pixels without a hit.
     shadow : (h, w) or (h, w, lights) float32
-        Share of the light that arrives: 1 lit, 0 dark.
+        Share of the light that arrives: 1 is lit, 0 is in shadow.
     steps : (h, w) uint32
-        Work of each ray.
+        Number of steps of each ray.
     report : mapping
-        ``device``, ``seconds`` and the like.
+        ``device``, ``seconds`` and other properties of the work.
     """
 
     def __init__(self, arrays: Mapping[str, NDArray[Any]], report: Mapping[str, Any]) -> None:
@@ -71,27 +71,27 @@ class Frame:
 
     @cached_property
     def image(self) -> NDArray[np.uint8]:
-        """The picture, (h, w, 4) uint8: sRGB and opacity."""
+        """The image, (h, w, 4) uint8: sRGB and opacity."""
         rgb = srgb_from_linear(self.color[..., :3])
         return checks.frozen(bytes_from_unit(np.concatenate([rgb, self.color[..., 3:]], axis=-1)))
 
     def heatmap(self, quantity: Quantity = "steps") -> NDArray[np.uint8]:
-        """One of the arrays as a picture, dark for small and light for large.
+        """Convert one of the arrays to an image, dark for small and light for large values.
 
         Parameters
         ----------
         quantity : "steps", "depth" or "shadow", default "steps"
-            Several lights: the mean of their shadows.
+            The array. For several lights, the mean of their shadows.
 
         Returns
         -------
         (h, w, 3) uint8
-            sRGB, scaled from the smallest to the largest value of the frame; grey where there is none.
+            sRGB, scaled from the smallest to the largest value of the frame; grey for pixels without a value.
 
         Raises
         ------
         ArgumentError
-            For another quantity.
+            For an unknown quantity.
         """
         checks.choice("quantity", quantity, ("steps", "depth", "shadow"))
         values = np.asarray(getattr(self, quantity), dtype=np.float64)
@@ -106,19 +106,19 @@ class Frame:
         return bytes_from_unit(rgb)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the picture in the format its name ends in: PNG, or any other that Pillow writes.
+        """Write the image; the ending of the name selects PNG or another format of Pillow.
 
         Raises
         ------
         FormatError
-            For an ending that Pillow does not know.
+            For an unknown ending.
         OSError
             If the file cannot be written.
         """
         save_image(self.image, path)
 
     def _repr_png_(self) -> bytes:
-        """The picture, for notebooks."""
+        """The image as PNG, for notebooks."""
         from io import BytesIO
 
         from PIL import Image
@@ -137,13 +137,13 @@ class Frame:
 
 
 def srgb_from_linear(linear: NDArray[np.float32]) -> NDArray[np.float32]:
-    """IEC 61966-2-1, with values cut to 0 to 1."""
+    """Convert linear RGB to sRGB (IEC 61966-2-1), clamped to 0 to 1."""
     cut = np.clip(linear, 0, 1)
     return np.where(cut <= 0.0031308, 12.92 * cut, 1.055 * np.power(cut, 1 / 2.4) - 0.055).astype(np.float32)
 
 
 def save_image(pixels: NDArray[np.uint8], path: str | os.PathLike[str]) -> None:
-    """Write (h, w, 3 or 4) sRGB bytes; the file appears whole or not at all."""
+    """Write sRGB bytes (h, w, 3 or 4); the file appears complete or not at all."""
     from PIL import Image
 
     target = Path(path)
@@ -159,6 +159,6 @@ def save_image(pixels: NDArray[np.uint8], path: str | os.PathLike[str]) -> None:
 
 
 def bytes_from_unit(values: NDArray[Any]) -> NDArray[np.uint8]:
-    """0 to 1 as 0 to 255, rounded."""
+    """Convert values from 0 to 1 to bytes, rounded."""
     pixels: NDArray[np.uint8] = np.round(np.clip(values, 0, 1) * 255).astype(np.uint8)
     return pixels

@@ -11,12 +11,12 @@ from ..base import checks
 from ..base.errors import ArgumentError, SceneError
 from .frame import Frame
 
-#: Pixels along one side of a picture.
+#: Most pixels along one side of a picture.
 MAX_SIDE_PX = 16384
 
 
 def checked_size(size: tuple[int, int]) -> tuple[int, int]:
-    """Width and height, pixels."""
+    """Check a size; the result is width and height in pixels."""
     try:
         width, height = size
     except (TypeError, ValueError):
@@ -28,7 +28,7 @@ def checked_size(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def checked_color(name: str, value: ArrayLike, channels: int) -> NDArray[np.float64]:
-    """Linear colour; a missing opacity is 1."""
+    """Check a linear colour with this many channels; a missing opacity is 1."""
     if channels == 4 and np.shape(value) == (3,):
         return np.append(checks.vector(name, value, 3), 1.0)
     color = checks.vector(name, value, channels)
@@ -38,6 +38,6 @@ def checked_color(name: str, value: ArrayLike, channels: int) -> NDArray[np.floa
 
 
 def frame_of(result: dict[str, Any]) -> Frame:
-    """A frame of the arrays in a result of the core, with the other entries as its report."""
+    """Make a frame of the arrays in a result of the core; the other entries become its report."""
     arrays = {name: value for name, value in result.items() if isinstance(value, np.ndarray)}
     return Frame(arrays, {name: value for name, value in result.items() if name not in arrays})

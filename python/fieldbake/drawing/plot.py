@@ -1,4 +1,4 @@
-"""Pictures of fields and atlases with matplotlib, which is optional."""
+"""Plots of fields and atlases with matplotlib, which is optional."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Iso-lines on each side of the surface.
+#: Number of iso-lines on each side of the surface.
 LINES = 8
 
-#: Pixels along a slice of a plot.
+#: Samples along the longest side of a slice.
 SLICE_PX = 200
 
 
@@ -28,12 +28,12 @@ def _figure(width: float, height: float) -> Figure:
         from matplotlib.figure import Figure
     except ImportError:
         raise Error("plots need the package matplotlib: pip install matplotlib") from None
-    # Not pyplot: it would keep the figure, and may want a window.
+    # pyplot would keep a reference to the figure and may open a window.
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def plot_slices(volume: Volume, at: Any = None) -> Figure:
-    """The three axis-aligned slices of a volume through a point, with iso-lines."""
+    """Plot the three axis-aligned slices of a volume through a point, with iso-lines."""
     lower, upper = volume.bounds
     center = (lower + upper) / 2 if at is None else checks.vector("at", at, 3)
     center = np.clip(center, lower, upper)
@@ -56,7 +56,7 @@ def plot_slices(volume: Volume, at: Any = None) -> Figure:
 
 
 def _draw(place: Axes, x: NDArray[Any], y: NDArray[Any], distances: NDArray[Any], step: float) -> Any:
-    """Colours by distance, white at the surface; a thick line there and thin ones every `step`."""
+    """Colour distances, white at the surface, with a thick line there and thin iso-lines every `step`."""
     reach = LINES * step or 1.0
     image = place.pcolormesh(x, y, distances, cmap="RdBu", vmin=-reach, vmax=reach, shading="gouraud", rasterized=True)
     lines = [i * step for i in range(-LINES, LINES + 1) if i]
@@ -70,14 +70,14 @@ def _draw(place: Axes, x: NDArray[Any], y: NDArray[Any], distances: NDArray[Any]
 
 
 def plot_atlas(atlas: Atlas, page: int = 0) -> Figure:
-    """One page of an atlas: its texels, iso-lines at the surface, a frame around each volume and its index."""
+    """Plot the texels of one page with iso-lines at the surface, a frame around each volume, and its index."""
     if not len(atlas.pages):
         raise Error("the atlas is empty, there is nothing to plot")
     page = checks.integer("page", page, least=0, most=len(atlas.pages) - 1)
     from matplotlib.patches import Rectangle
 
     texels = atlas.pages[page].astype(np.float32)
-    # The rows and columns that anything lies on.
+    # Only the rows and columns that contain volumes are shown.
     blocks = [(i, atlas._blocks[i].astype(int)) for i in atlas.indices if atlas._blocks[i, 0] == page]
     right = max((b[1] + b[5] * b[3] for _, b in blocks), default=atlas.page_size)
     bottom = max((b[2] + -(-b[9] // b[5]) * b[4] for _, b in blocks), default=atlas.page_size)

@@ -1,9 +1,10 @@
-"""Draw a volume, a shape or quadrics."""
+"""Pictures of volumes, nested fields, shapes and quadrics, by rays."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,19 +20,19 @@ from ..scenes.instance import Instance
 from ..scenes.lights import AMBIENT, BACKGROUND, DirectionalLight, Light, PointLight, key_light
 from ..scenes.materials import PLAIN, SHININESS, SPECULAR, Material
 from ..scenes.scene import Scene
-from ..shapes.quadric import bounds_of, check_quadrics, core_of, is_quadrics
+from ..shapes.quadric import Quadric, bounds_of, check_quadrics, core_of, is_quadrics
 from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume
 from .frame import Frame
 from .options import checked_color, checked_size, frame_of
-from .rendering import render
+from .rendering import Primary, render
 
 Shadows = Literal["hard", "none", "soft", "area"]
 Filter = Literal["linear", "hardware"]
 Method = Literal["auto", "whole", "aabb", "octree"]
 
-#: What is not a Volume yet is baked with so many voxels along its longest side.
+#: Voxels along the longest side of a mesh that is baked for a picture.
 PICTURE_RESOLUTION = 128
 
 
@@ -52,168 +53,230 @@ def raymarch(
     device: str = "auto",
     progress: Progress = None,
 ) -> Frame:
-    """Draw the zero level set of a volume, or all fields of a scene, by marching rays.
+    """Draw the zero level set of a field, or all fields of a scene, by marching rays.
 
     Parameters
     ----------
     thing : Volume, SparseVolume, NestedField, Shape, Scene, Quadric, list of Quadric, or anything :func:`bake` takes
-        A Scene brings its own lights and materials and is drawn by :func:`render` with ``primary="raymarch"``.
-        Quadrics are drawn as they are, each in its reflectance; `object_id` is the place in the list. What else is
-        neither volume nor Shape is baked first, with 128 voxels along its longest side.
+        A Scene has its own lights and materials; :func:`render` draws it with ``primary="raymarch"``. Quadrics are
+        drawn in closed form, each in its own reflectance, and `object_id` is the index in the list. Meshes are baked
+        first, with 128 voxels along the longest side.
     camera : Camera, optional
-        Fits the surface if not given: ``Camera.fit(volume.inner_bounds)``.
+        The view. The default fits the surface: ``Camera.fit(volume.inner_bounds)``.
     size : (width, height), default (512, 512)
-        In pixels.
+        Size of the picture, pixels.
     shadows : "hard", "soft", "area" or "none", default "hard"
-        Whether the surface shades itself, and how; ``"soft"`` and ``"area"`` as for :func:`render`.
+        Kind of shadows that the surface casts on itself. ``"soft"`` and ``"area"`` are those of :func:`render`.
     filter : "linear" or "hardware", default "linear"
-        How the field is read between its samples: exactly, or by the texture units of a graphics device (see Notes).
+        Interpolation between samples: exact, or by the texture units of a graphics device (see Notes).
     lights : sequence of DirectionalLight and PointLight, optional
         If not given, one white light of intensity 0.64 from above, over the viewer's right shoulder.
     ambient : float, optional
-        Light from everywhere, as a share of the colour; 0.2 if not given.
+        Ambient light as a share of the colour; the default is 0.2.
     color : (3,), optional
-        Of the surface, linear RGB; light grey if not given.
+        Colour of the surface, linear RGB. The default is light grey; shapes keep their paint.
     specular, shininess : float, optional
         Strength and sharpness of the highlight (Blinn-Phong); 0.25 and 32 if not given.
     background : (3,) or (4,), optional
         Colour of pixels that hit nothing, linear RGB and opacity; (0.025, 0.03, 0.04), a dark slate, if not given.
     method : "auto", "whole", "aabb" or "octree", default "auto"
-        For a shape: whether rays march the whole of it or the parts of :func:`fieldbake.csg.decompose`; ``"auto"``
-        takes what promises to cost a ray least. The picture is the same.
+        For shapes only: whether rays march through the whole shape or through the parts of
+        :func:`fieldbake.csg.decompose`. ``"auto"`` takes the method with the lowest estimated cost per ray. All methods
+        give the same picture.
     device : str, default "auto"
         ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`.
     progress : bool or callable, optional
-        True draws a bar on stderr; a callable gets a share from 0 to 1.
+        True draws a bar on stderr; a callable receives the finished share from 0 to 1.
 
     Returns
     -------
     Frame
-        Colour, depth, normals, shadow and steps as arrays.
+        Colour, depth, normals, object ids, shadow and steps as arrays.
 
     Raises
     ------
     SceneError
-        For a camera, light or size that makes no sense.
+        For an unusable camera, light or size.
     ArgumentError
-        For any other option that makes no sense.
+        For any other option that is out of range or not applicable to the object.
     MeshError, CapacityError, DeviceError
         As for :func:`bake`.
 
     Notes
     -----
-    A hit is a root of the trilinear field, not a place closer than some epsilon: in each voxel the field along the
-    ray is a cubic polynomial. What lies outside the volume's box is not seen and casts no shadow.
+    A hit is a root of the trilinear field, not a point within some epsilon: in each voxel the field along the ray is
+    a cubic polynomial. Surfaces outside the box of the volume are invisible and cast no shadow.
 
-    Quantized and sparse volumes are read as they are stored, on the CPU and on a graphics device, which holds as many
-    bytes of them. A device takes sparse volumes, and nested fields, whose sides have at most 16380 voxels together;
-    nested fields it draws under directional lights with shadows ``"hard"`` or ``"none"``, else the CPU does.
+    Quantised and sparse volumes are read in their stored form, on the CPU and on a graphics device. A device draws
+    sparse volumes and nested fields if their sides have at most 16380 voxels in total. It draws nested fields under
+    directional lights with shadows ``"hard"`` or ``"none"``; the CPU draws them otherwise.
 
-    ``filter="hardware"`` reads half floats through weights of 8 bits or so: at a hit the trilinear field is within
-    0.01 voxels of zero on the devices that were tested; WebGPU promises no number. It takes the samples for distances,
-    and where they are not, or where a ray is in the solid for less than half a voxel, it can miss a hit. Quantized and
-    sparse volumes are decoded to the whole grid for it. A field too large for one buffer of the device is drawn this
-    way only.
+    ``filter="hardware"`` interpolates half floats with weights of about 8 bits. On the tested devices the trilinear
+    field at a hit is within 0.01 voxels of zero; WebGPU specifies no bound. The method assumes that samples are
+    distances. Where they are not, or where a ray is inside the solid for less than half a voxel, it can miss a hit.
+    Quantised and sparse volumes are decoded to the whole grid for it. A field that is too large for one buffer of the
+    device can be drawn in this way only.
 
     References
     ----------
     H. Hansson-Soderlund, A. Evans, T. Akenine-Moller, Ray tracing of signed distance function grids, JCGT 11(3), 2022.
     """
-    surface_options = {
-        "lights": lights,
-        "ambient": ambient,
-        "color": color,
-        "specular": specular,
-        "shininess": shininess,
-        "background": background,
-    }
     if isinstance(thing, Scene):
-        for name, value in surface_options.items():
+        own = {"lights": lights, "ambient": ambient, "color": color, "specular": specular, "shininess": shininess}
+        for name, value in {**own, "background": background}.items():
             if value is not None:
                 raise SceneError(f"{name}: a Scene brings its own; make the Scene or its Material with it")
         if filter != "linear":
             raise SceneError('filter: scenes are drawn with "linear" only')
         return render(thing, camera, size=size, primary="raymarch", shadows=shadows, device=device, progress=progress)
-    width, height = checked_size(size)
-    checks.text("shadows", shadows)
-    checks.text("filter", filter)
+    checked = checked_size(size)
+    checks.choice("shadows", shadows, get_args(Shadows))
+    checks.choice("filter", filter, get_args(Filter))
     checks.text("method", method)
     checks.text("device", device)
     if camera is not None and not isinstance(camera, Camera):
         raise SceneError(f"camera: must be a Camera, got {checks.describe(camera)}; see Camera.from_pose")
-    shade: dict[str, Any] = {
-        "ambient": checks.number("ambient", AMBIENT if ambient is None else ambient, least=0),
-        "specular": checks.number("specular", SPECULAR if specular is None else specular, least=0),
-        "shininess": checks.number("shininess", SHININESS if shininess is None else shininess, above=0),
-    }
-    surface = checks.triple(checked_color("color", PLAIN[:3] if color is None else color, 3))
-    behind = checked_color("background", BACKGROUND if background is None else background, 4)
-    needs_scene = shadows in ("soft", "area") or any(isinstance(light, PointLight) for light in lights or ())
-    if is_quadrics(thing):
-        if filter != "linear":
-            raise ArgumentError(f"filter: quadrics are not sampled, got {filter!r}; leave it out")
-        if color is not None:
-            raise ArgumentError("color: each quadric has its own reflectance; leave it out")
-        quadrics = check_quadrics(thing)
-        if camera is None:
-            camera = Camera.fit(bounds_of(quadrics), aspect=width / height)
-        if needs_scene:
-            material = Material(specular=shade["specular"], shininess=shade["shininess"])
-            instances = [Instance(quadric, material=material) for quadric in quadrics]
-            scene = Scene(instances, lights, ambient=shade["ambient"], background=behind)
-            return render(scene, camera, size=size, shadows=shadows, device=device, progress=progress)
-        picture = picture_arguments(camera, (width, height), lights, background=behind, shadows=shadows, **shade)
-        with progress_callback(progress, "raymarch") as callback:
-            return frame_of(core_of(quadrics).draw(picture, device, callback))
-    if not isinstance(thing, Shape) and method != "auto":
-        raise ArgumentError(f"method: {method!r} is for shapes; a volume has one way to be drawn")
-    if isinstance(thing, Shape) and filter != "linear":
-        raise ArgumentError('filter: "hardware" reads a volume, and this is a shape; bake it first')
-    field = thing
-    if not isinstance(thing, (Volume, SparseVolume, NestedField, Shape)):
-        field = bake(thing, PICTURE_RESOLUTION, device=device, progress=progress)
-    if camera is None:
-        bounds = field.bounds if isinstance(field, Shape) else field.inner_bounds
-        camera = Camera.fit(bounds, aspect=width / height)
-    is_nested = isinstance(field, NestedField)
-    if is_nested or needs_scene:
-        if filter != "linear":
-            raise ArgumentError('filter: "hardware" goes with directional lights and shadows "hard" or "none"')
-        if not needs_scene:
-            assert isinstance(field, NestedField)
-            picture = picture_arguments(
-                camera, (width, height), lights, color=surface, background=behind, shadows=shadows, **shade
-            )
-            with progress_callback(progress, "raymarch") as callback:
-                drawn = _core.raymarch_nested(field._stored(), picture, device=device, progress=callback)
-            if drawn is not None:
-                return frame_of(drawn)
-        # Without a colour of its own a shape keeps its paint.
-        paint = None if color is None else surface
-        material = Material(color=paint, specular=shade["specular"], shininess=shade["shininess"])
-        scene = Scene([Instance(field, material=material)], lights, ambient=shade["ambient"], background=behind)
-        # In a scene nested fields are marched on the CPU.
-        place = "cpu" if is_nested and device == "auto" else device
-        return render(scene, camera, size=size, primary="raymarch", shadows=shadows, device=place, progress=progress)
-    picture = picture_arguments(
-        camera, (width, height), lights, color=surface, background=behind, shadows=shadows, **shade
+    options = _Options(
+        camera=camera,
+        size=checked,
+        shadows=shadows,
+        filter=filter,
+        lights=lights,
+        ambient=checks.number("ambient", AMBIENT if ambient is None else ambient, least=0),
+        specular=checks.number("specular", SPECULAR if specular is None else specular, least=0),
+        shininess=checks.number("shininess", SHININESS if shininess is None else shininess, above=0),
+        color=None if color is None else checks.triple(checked_color("color", color, 3)),
+        background=checked_color("background", BACKGROUND if background is None else background, 4),
+        device=device,
+        progress=progress,
     )
-    with progress_callback(progress, "raymarch") as callback:
-        if isinstance(field, Shape):
-            return frame_of(field._core.draw(method, picture, device, callback))
-        lower, upper = field._corners()
-        return frame_of(
-            _core.raymarch(
-                field._source(device),
-                lower,
-                upper,
-                picture,
-                scale=field._scale,
-                filter=filter,
-                device=device,
-                progress=callback,
-            )
+    if is_quadrics(thing):
+        return _draw_quadrics(check_quadrics(thing), options)
+    if isinstance(thing, Shape):
+        return _draw_shape(thing, method, options)
+    if method != "auto":
+        raise ArgumentError(f"method: {method!r} is for shapes; a volume has one way to be drawn")
+    if isinstance(thing, NestedField):
+        return _draw_nested(thing, options)
+    if not isinstance(thing, (Volume, SparseVolume)):
+        thing = bake(thing, PICTURE_RESOLUTION, device=device, progress=progress)
+    return _draw_volume(thing, options)
+
+
+@dataclass(frozen=True)
+class _Options:
+    """The checked options of one picture."""
+
+    camera: Camera | None
+    size: tuple[int, int]
+    shadows: Shadows
+    filter: Filter
+    lights: Sequence[Light] | None
+    ambient: float
+    specular: float
+    shininess: float
+    color: tuple[float, float, float] | None
+    background: NDArray[np.float64]
+    device: str
+    progress: Progress
+
+    @property
+    def needs_scene(self) -> bool:
+        """Whether only the light pass of scenes has these shadows and lights."""
+        return self.shadows in ("soft", "area") or any(isinstance(light, PointLight) for light in self.lights or ())
+
+    def view_of(self, bounds: NDArray[np.float64]) -> Camera:
+        """The camera, or one that fits a box."""
+        return self.camera or Camera.fit(bounds, aspect=self.size[0] / self.size[1])
+
+    def arguments(self, camera: Camera) -> dict[str, Any]:
+        """The arguments of the picture for the core."""
+        return picture_arguments(
+            camera,
+            self.size,
+            self.lights,
+            ambient=self.ambient,
+            color=PLAIN[:3] if self.color is None else self.color,
+            specular=self.specular,
+            shininess=self.shininess,
+            background=self.background,
+            shadows=self.shadows,
         )
+
+    def render(self, objects: Sequence[Any], camera: Camera, primary: Primary, device: str) -> Frame:
+        """Draw objects as the instances of a scene. Without a colour each keeps its own paint or reflectance."""
+        material = Material(color=self.color, specular=self.specular, shininess=self.shininess)
+        instances = [Instance(thing, material=material) for thing in objects]
+        scene = Scene(instances, self.lights, ambient=self.ambient, background=self.background)
+        return render(
+            scene,
+            camera,
+            size=self.size,
+            primary=primary,
+            shadows=self.shadows,
+            device=device,
+            progress=self.progress,
+        )
+
+
+def _draw_quadrics(quadrics: Sequence[Quadric], options: _Options) -> Frame:
+    if options.filter != "linear":
+        raise ArgumentError(f"filter: quadrics are not sampled, got {options.filter!r}; leave it out")
+    if options.color is not None:
+        raise ArgumentError("color: each quadric has its own reflectance; leave it out")
+    camera = options.view_of(bounds_of(quadrics))
+    if options.needs_scene:
+        return options.render(quadrics, camera, "auto", options.device)
+    with progress_callback(options.progress, "raymarch") as callback:
+        return frame_of(core_of(quadrics).draw(options.arguments(camera), options.device, callback))
+
+
+def _draw_shape(shape: Shape, method: Method, options: _Options) -> Frame:
+    if options.filter != "linear":
+        raise ArgumentError('filter: "hardware" reads a volume, and this is a shape; bake it first')
+    camera = options.view_of(shape.bounds)
+    if options.needs_scene:
+        return options.render([shape], camera, "raymarch", options.device)
+    with progress_callback(options.progress, "raymarch") as callback:
+        return frame_of(shape._core.draw(method, options.arguments(camera), options.device, callback))
+
+
+def _draw_nested(field: NestedField, options: _Options) -> Frame:
+    _refuse_hardware(options)
+    camera = options.view_of(field.inner_bounds)
+    if not options.needs_scene:
+        picture = options.arguments(camera)
+        with progress_callback(options.progress, "raymarch") as callback:
+            drawn = _core.raymarch_nested(field._stored(), picture, device=options.device, progress=callback)
+        if drawn is not None:
+            return frame_of(drawn)
+    # Scenes march nested fields on the CPU.
+    return options.render([field], camera, "raymarch", "cpu" if options.device == "auto" else options.device)
+
+
+def _draw_volume(volume: Volume | SparseVolume, options: _Options) -> Frame:
+    camera = options.view_of(volume.inner_bounds)
+    if options.needs_scene:
+        _refuse_hardware(options)
+        return options.render([volume], camera, "raymarch", options.device)
+    lower, upper = volume._corners()
+    with progress_callback(options.progress, "raymarch") as callback:
+        result = _core.raymarch(
+            volume._source(options.device),
+            lower,
+            upper,
+            options.arguments(camera),
+            scale=volume._scale,
+            filter=options.filter,
+            device=options.device,
+            progress=callback,
+        )
+    return frame_of(result)
+
+
+def _refuse_hardware(options: _Options) -> None:
+    if options.filter != "linear":
+        raise ArgumentError('filter: "hardware" goes with directional lights and shadows "hard" or "none"')
 
 
 def picture_arguments(

@@ -1,9 +1,9 @@
-"""Draw scenes: what the camera sees first, then light through the distance fields."""
+"""Pictures of scenes: the primary pass, then the light pass through the distance fields."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,77 +47,77 @@ def render(
     device: str = "auto",
     progress: Progress = None,
 ) -> Frame:
-    """Draw a scene: what the camera sees first, then light through the distance fields.
+    """Draw a scene: find the visible surfaces, then light them through the distance fields.
 
     Parameters
     ----------
     scene : Scene
-        Or a thing, or a list of things and Instances.
+        The scene. An object that :class:`Instance` takes, or a list of objects and instances, becomes one.
     camera : Camera, optional
-        The scene's first camera, or one that fits its box, if not given.
+        The view. The default is the first camera of the scene, or else a camera that fits the bounds of the scene.
     size : (width, height), default (512, 512)
-        In pixels.
+        Size of the picture, pixels.
     primary : "auto", "raster" or "raymarch", default "auto"
-        How surfaces are found: triangles where there are some, triangles only, or fields only.
+        How visible surfaces are found. ``"auto"`` rasterises meshes and marches rays through other objects;
+        ``"raster"`` draws meshes only; ``"raymarch"`` draws fields only.
     shadows : "soft", "hard", "none" or "area", default "soft"
-        ``"soft"``: penumbrae as wide as the lights' sizes make them, by cones. ``"hard"``: lights are points.
-        ``"area"``: `area_samples` rays to each light, slow, the reference for soft.
+        ``"soft"`` gives penumbrae in proportion to the sizes of the lights, by cone tracing. ``"hard"`` treats lights
+        as points. ``"area"`` casts `area_samples` rays to each light; it is slow, and the reference for ``"soft"``.
     ambient_occlusion : bool or float, default False
-        Darken what is shut in; a number says how far matter counts, world units (True: 0.15 of the scene's
-        diagonal).
+        Whether nearby surfaces darken ambient light. A number is the largest distance of such surfaces, world units;
+        True stands for 0.15 of the diagonal of the scene.
     samples : int, default 1
-        Rays a pixel for its colour: 1, 4, 9, 16, ... for clean edges. Depth and the like are of the pixel's centre;
-        light is that of the centres around, where those agree.
+        Colour samples per pixel, a square number up to 64: 1, 4, 9, 16, ... Higher values smooth edges. Depth,
+        normals and ids are taken at the pixel centre. Lighting is interpolated from neighbouring centres where they
+        agree, and evaluated elsewhere.
     light_scale : 1 or 2, default 1
-        2: light is asked for at every second pixel of every second row, and at the others only where those around
-        them are of other surfaces or disagree by more than 1/8. At 240 x 160 with soft shadows, 0.7 % of the pixels of
-        200 trees and 0.2 % of a monkey over a floor then differ by more than 8/255.
+        2 evaluates lighting at a quarter of the pixels and upsamples it (joint bilateral upsampling). Pixels whose
+        neighbours lie on another surface, or differ by more than 1/8, are evaluated exactly.
     exposure : float, default 1
-        Factor of the picture's light.
+        Factor of all light in the picture.
     area_samples : int, default 64
-        Rays to each light for ``shadows="area"``.
+        Number of rays to each light for ``shadows="area"``.
     far : Volume or NestedField, optional
-        A coarse field of the whole scene in world space, from :func:`merge`: it answers shadow and occlusion rays past
-        `far_distance` in place of the opaque instances. What throws no shadow should not be merged into it; translucent
-        instances and what lies outside its box are still asked themselves.
+        A coarse field of the whole scene in world space, from :func:`merge`. Past `far_distance`, shadow and occlusion
+        rays evaluate it instead of the opaque instances. Merge occluders only: every merged object casts a shadow.
+        Translucent instances, and instances outside its box, are evaluated themselves.
     far_distance : float, optional
-        From where on it does, world units along the ray; if not given, 8 of the voxels that it has where the ray
-        starts.
+        Distance along the ray from which `far` is used, world units. The default is 8 voxels of `far` at the start
+        of the ray.
     method : "fieldbake" or "article", default "fieldbake"
-        ``"article"``: shadows by the article's own march (100 steps, hit at 0.01, bias 0.05 world units, one loop over
-        all instances), for comparison.
+        ``"article"`` computes shadows by the march of the article *Mesh Distance Field + Shadow* for comparison:
+        100 steps, hits at 0.01 and a bias of 0.05 world units, one loop over all instances.
     device : str, default "auto"
-        ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`. Both passes run there; the picture is the CPU's
-        to 1/255 but for half a percent of the pixels. Translucent surfaces are found on the CPU. A
-        pass that cannot run there, because a thing is of a kind that the device does not know, runs on the CPU, and
-        ``report["devices"]`` says so.
+        ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`. Both passes run on the
+        device. At most 0.5 % of the pixels differ from the CPU's picture by more than 1/255. Translucent surfaces are
+        found on the CPU. A pass with an object that the device cannot draw runs on the CPU; ``report["devices"]``
+        names the device of each pass.
     progress : bool or callable, optional
-        True draws a bar on stderr; a callable gets a share from 0 to 1.
+        True draws a bar on stderr; a callable receives the finished share from 0 to 1.
 
     Returns
     -------
     Frame
-        Colour, depth, normals, object ids, shadows and steps as arrays. ``report`` has the device, the seconds in all,
-        of each pass its device and its milliseconds, and the number of rays to lights and surroundings (``rays``,
-        narrow and wide ones) and of those that went on in the far field (``far_rays``).
+        Colour, depth, normals, object ids, shadows and steps as arrays. ``report`` has ``device``, the total
+        ``seconds``, ``devices`` and ``milliseconds`` of the passes, and two counters: ``rays``, the number of shadow,
+        occlusion and scattering rays and cones, and ``far_rays``, the number of those that entered the far field.
 
     Raises
     ------
     SceneError
-        For a scene, camera, size or option that makes no sense.
+        For an unusable scene, camera or size, or an option out of range.
     MeshError, CapacityError, DeviceError
         As for :func:`bake`.
 
     Notes
     -----
     ``color = exposure * (ambient * open * albedo + sum of arrives * light * (max(0, n.l) * albedo + specular * max(0,
-    n.h)^shininess + through * albedo))``, linear. ``through`` is light that comes through the object itself, see
-    :class:`Material`. Lights do not fade with distance. Penumbrae follow S. Aaltonen, GPU-based clay
-    simulation and ray-tracing tech in Claybook, GDC 2018, centred on the hard edge; the light's disc is shared by 16
-    cones where one does not decide.
+    n.h)^shininess))``, in linear RGB; lights have no falloff with distance. Penumbrae follow S. Aaltonen,
+    GPU-based clay simulation and ray-tracing tech in Claybook, GDC 2018, and are centred on the hard edge. Where one
+    cone does not decide, 16 cones divide the disc of the light.
 
-    A merged field keeps closed every wall of two of its voxels or more. Past `far_distance` the edges of shadows are
-    off by up to about one of its voxels, and what is thinner may be lost; nearer to the surface nothing changes.
+    A merged field keeps walls of at least two of its voxels closed. Past `far_distance` the edges of shadows deviate
+    by up to about one of its voxels, and thinner objects may cast no shadow. Nearer occluders are unaffected.
 
     Examples
     --------
@@ -127,13 +127,9 @@ def render(
         scene = Scene(scene if isinstance(scene, list) else [scene])
     width, height = checked_size(size)
     checks.text("device", device)
-    for name, value, words in (
-        ("primary", primary, ("auto", "raster", "raymarch")),
-        ("shadows", shadows, ("soft", "hard", "none", "area")),
-        ("method", method, ("fieldbake", "article")),
-    ):
-        if value not in words:
-            raise SceneError(f"{name}: must be one of {', '.join(words)}, got {value!r}")
+    checks.choice("primary", primary, get_args(Primary), SceneError)
+    checks.choice("shadows", shadows, get_args(SceneShadows), SceneError)
+    checks.choice("method", method, ("fieldbake", "article"), SceneError)
     try:
         exposure = checks.number("exposure", exposure, least=0)
         samples = checks.integer("samples", samples, least=1, most=64)
@@ -211,7 +207,7 @@ def _far_distance(far: Volume | NestedField | None, distance: float | None, meth
 
 
 def _light_table(lights: Sequence[Light]) -> NDArray[np.float64]:
-    """Three rows a light, as the core takes them."""
+    """Convert lights to the table of the core, three rows of three for each light."""
     rows: list[Sequence[float]] = []
     for light in lights:
         if isinstance(light, DirectionalLight):

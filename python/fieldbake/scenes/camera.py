@@ -1,4 +1,4 @@
-"""The camera: where from, where to, how wide."""
+"""The camera: its position, its viewing direction and its field of view."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from numpy.typing import ArrayLike, NDArray
 from ..base import checks
 from ..base.errors import ArgumentError, SceneError
 
-#: Cosine between `up` and the viewing direction above which "up" no longer says which way is up.
+#: Largest cosine between `up` and the viewing direction; above it the roll of the camera is undefined.
 PARALLEL = 1.0 - 1e-9
 
-#: How far a rotation's columns may be from orthonormal: float32 poses are accepted.
+#: Largest deviation of a rotation from orthonormal; poses stored in float32 are accepted.
 RIGID_TOLERANCE = 1e-4
 
 
 class Camera:
-    """A pinhole camera in OpenGL's pose: it looks along its -Z, its +Y is up.
+    """A pinhole camera in the pose of OpenGL: it looks along its -Z axis, and +Y points upwards.
 
     Parameters
     ----------
     eye : (3,)
         Position, world units.
     target : (3,)
-        A point straight ahead.
+        A point on the optical axis, world units.
     up : (3,), default (0, 1, 0)
-        Upwards in the picture; need not be perpendicular to the view.
+        Direction that points upwards in the picture. It need not be perpendicular to the viewing direction.
     fov_deg : float, default 45
         Vertical field of view in degrees, above 0 and below 180.
 
@@ -83,7 +83,7 @@ class Camera:
 
     @classmethod
     def from_pose(cls, pose: ArrayLike, fov_deg: float = 45.0) -> Camera:
-        """Take the pose of another program, such as pyrender's or glTF's.
+        """Make a camera from the pose of another program, such as pyrender, or of a glTF file.
 
         Parameters
         ----------
@@ -116,16 +116,16 @@ class Camera:
         aspect: float = 1.0,
         border: float = 0.05,
     ) -> Camera:
-        """Stand so far back that a box just fills the picture, and in the middle of it.
+        """Place the camera so that a box fills the picture and lies in its middle.
 
         Parameters
         ----------
         bounds : (2, 3)
             Lower and upper corner, world units.
         direction : (3,), default (-0.55, -0.4, -1)
-            The way the camera looks: by default from the front, the right and a little above.
+            Viewing direction. The default views the box from the front, the right and slightly above.
         up : (3,), default (0, 1, 0)
-            Upwards in the picture.
+            Direction that points upwards in the picture.
         fov_deg : float, default 45
             Vertical field of view in degrees.
         aspect : float, default 1
@@ -136,7 +136,7 @@ class Camera:
         Raises
         ------
         SceneError
-            If the box is empty or a value makes no sense.
+            If the box is a single point or a value is out of range.
         """
         box = checks.box("bounds", bounds, SceneError, flat=True)
         center = (box[0] + box[1]) / 2
@@ -152,11 +152,11 @@ class Camera:
         if not np.linalg.norm(forward) > 0:
             raise SceneError("direction: must have a length, got (0, 0, 0)")
         forward /= np.linalg.norm(forward)
-        # Aim from one radius away only to get the axes and the checks; the distance comes next.
+        # This camera supplies the axes and the checks; its distance is computed below.
         aim = cls(center - forward * radius, center, up, fov_deg)
 
-        # A corner at (x, y, depth) from the centre is seen from (ex, ey, distance) if |x - ex| <= aspect * slope *
-        # (distance - depth) and |y - ey| <= slope * (distance - depth): on each axis the two outermost corners decide.
+        # A corner at (x, y, depth) from the centre is visible from (ex, ey, distance) if |x - ex| <= aspect * slope *
+        # (distance - depth) and |y - ey| <= slope * (distance - depth). On each axis two corners attain the limits.
         slope = np.tan(np.radians(aim.fov_deg) / 2) / (1 + border)
         corners = np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]]) - center
         x, y, depth = (corners @ aim.pose[:3, axis] for axis in range(3))
@@ -165,7 +165,7 @@ class Camera:
         above, below = (y + tall * depth).max(), (tall * depth - y).max()
         center = center + aim.pose[:3, :2] @ np.array([right - left, above - below]) / 2
         needed = max((right + left) / (2 * wide), (above + below) / (2 * tall))
-        # Never nearer than just outside the box's sphere, so that a very wide view does not start inside.
+        # The camera stays outside the sphere around the box, so that a wide field of view does not start inside it.
         distance = max(float(needed), 1.01 * radius)
         return cls(center - forward * distance, center, up, fov_deg)
 
@@ -181,12 +181,12 @@ class Camera:
 
     @property
     def target(self) -> NDArray[np.float64]:
-        """A point straight ahead, (3,), world units."""
+        """A point on the optical axis, (3,), world units."""
         return self._target
 
     @property
     def up(self) -> NDArray[np.float64]:
-        """The picture's upward direction, (3,), unit."""
+        """Upward direction of the picture, (3,), unit length."""
         return self._pose[:3, 1]
 
     @property

@@ -1,7 +1,4 @@
-"""Quadric surfaces, and the texture that holds them.
-
-O. Lawlor, Storing Raytraced Geometry in Textures, CS 481, University of Alaska Fairbanks, 2010.
-"""
+"""Quadric surfaces in trim spheres."""
 
 from __future__ import annotations
 
@@ -15,32 +12,32 @@ from .. import _core
 from ..base import checks
 from ..base.errors import ArgumentError, ShapeError
 
-#: Texels of a record: the matrix, centre and radius of the trim sphere, reflectance and opacity.
+#: RGBA texels of a record: four for the matrix, one for the trim sphere, one for reflectance and opacity.
 RECORD_TEXELS = 6
 
-#: Light grey, as everything that has no colour of its own.
+#: The default reflectance, light grey.
 GREY = (0.8, 0.8, 0.8)
 
 
 class Quadric:
     """The points ``x = (p, 1)`` with ``x.T @ A @ x == 0`` that lie in a trim sphere. Immutable.
 
-    A sheet without an inside: both of its sides are seen. For the common kinds see the class methods; they stand about
-    the origin or a given centre with z as their axis, and :meth:`transformed` puts them anywhere.
+    A quadric is a sheet without an inside, and both of its sides are visible. The class methods make the common kinds
+    around a centre with z as the axis; :meth:`transformed` moves them anywhere.
 
     Parameters
     ----------
     matrix : (4, 4)
-        A, of any scale. Only its symmetric part matters, and that is what is kept.
+        The matrix A, of any scale. Only its symmetric part defines the surface, and only that part is kept.
     center : (3,), default origin
-        Of the trim sphere, world units.
+        Centre of the trim sphere, world units.
     radius : float, default 1
-        Of the trim sphere: what lies outside is cut away.
+        Radius of the trim sphere, world units. The surface outside the sphere is cut away.
     reflectance : (3,), default light grey
-        Linear RGB.
+        Colour, linear RGB.
     opacity : float, default 1
-        Share of the light that does not pass, 0 to 1: several quadrics multiply. It shapes shadows; the camera sees the
-        nearest sheet whatever its opacity.
+        Share of the light that does not pass, 0 to 1. The transmitted shares of several quadrics multiply. Opacity
+        affects shadows only; the camera shows the nearest sheet at any opacity.
 
     Notes
     -----
@@ -50,14 +47,14 @@ class Quadric:
     Raises
     ------
     ShapeError
-        For a matrix that is zero or not finite, a radius that is not positive, or any value out of range.
+        For a matrix that is zero or not finite, a radius that is not positive, or another value out of range.
 
     Examples
     --------
     >>> saddle = Quadric(np.array([[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, -0.5], [0, 0, -0.5, 0]]), radius=2)
     >>> ball = Quadric.sphere((0, 0, 3), radius=0.5, reflectance=(1, 0.5, 0.2))
-    >>> pack_quadrics([saddle, ball]).shape
-    (2, 6, 4)
+    >>> saddle.bounds.tolist(), ball.radius
+    ([[-2.0, -2.0, -2.0], [2.0, 2.0, 2.0]], 0.5)
     """
 
     __slots__ = ("_center", "_matrix", "_opacity", "_radius", "_reflectance")
@@ -98,14 +95,14 @@ class Quadric:
 
     @classmethod
     def sphere(cls, center: ArrayLike = (0.0, 0.0, 0.0), radius: float = 1.0, **surface: Any) -> Quadric:
-        """A sphere.
+        """Make a sphere.
 
         Parameters
         ----------
         center : (3,), default origin
-            World units.
+            Centre, world units.
         radius : float, default 1
-            World units.
+            Radius, world units.
         **surface
             ``reflectance`` and ``opacity``, as for every kind.
         """
@@ -115,14 +112,14 @@ class Quadric:
     def ellipsoid(
         cls, center: ArrayLike = (0.0, 0.0, 0.0), radii: ArrayLike = (1.0, 1.0, 1.0), **surface: Any
     ) -> Quadric:
-        """``(x/a)^2 + (y/b)^2 + (z/c)^2 = 1``.
+        """Make an ellipsoid, ``(x/a)^2 + (y/b)^2 + (z/c)^2 = 1``.
 
         Parameters
         ----------
         center : (3,), default origin
-            World units.
+            Centre, world units.
         radii : (3,), default (1, 1, 1)
-            a, b and c.
+            Half axes a, b and c, world units.
         """
         a, b, c = _lengths("radii", radii, 3)
         r = max(a, b, c)
@@ -132,16 +129,16 @@ class Quadric:
     def cylinder(
         cls, center: ArrayLike = (0.0, 0.0, 0.0), radius: float = 1.0, height: float = 2.0, **surface: Any
     ) -> Quadric:
-        """An open cylinder along z.
+        """Make an open cylinder along z.
 
         Parameters
         ----------
         center : (3,), default origin
-            Its middle, world units.
+            Centre, world units.
         radius : float, default 1
-            World units.
+            Radius, world units.
         height : float, default 2
-            From rim to rim; the trim sphere goes through both rims.
+            Distance between the rims, world units. The trim sphere passes through both rims.
         """
         r, half = _number("radius", radius, above=0), _number("height", height, above=0) / 2
         return cls._make(center, [1, 1, 0, -r * r], np.hypot(r, half), surface)
@@ -156,19 +153,19 @@ class Quadric:
         sheets: int = 1,
         **surface: Any,
     ) -> Quadric:
-        """An open cone along z, wide upwards.
+        """Make an open cone along z that widens upwards.
 
         Parameters
         ----------
         center : (3,), default origin
-            Its tip, world units.
+            Tip, world units.
         radius : float, default 1
-            Of the rim.
+            Radius of the rim, world units.
         height : float, default 1
-            Of the rim above the tip.
+            Height of the rim above the tip, world units.
         sheets : 1 or 2, default 1
-            2 adds its mirror image below. The trim sphere of one sheet goes through the tip and the rim; that of two is
-            centred at the tip.
+            2 adds the mirror image below the tip. The trim sphere of one sheet passes through the tip and the rim; the
+            trim sphere of two sheets is centred at the tip.
         """
         r, h = _number("radius", radius, above=0), _number("height", height, above=0)
         trim = (0.0, np.hypot(r, h)) if _sheets(sheets) == 2 else ((r * r + h * h) / (2 * h),) * 2
@@ -178,19 +175,19 @@ class Quadric:
     def paraboloid(
         cls, center: ArrayLike = (0.0, 0.0, 0.0), radius: float = 1.0, height: float = 1.0, **surface: Any
     ) -> Quadric:
-        """A bowl, ``x^2 + y^2 = radius^2 z / height``.
+        """Make a bowl, ``x^2 + y^2 = radius^2 z / height``.
 
         Parameters
         ----------
         center : (3,), default origin
-            Its lowest point, world units.
+            Lowest point, world units.
         radius : float, default 1
-            Of the rim.
+            Radius of the rim, world units.
         height : float, default 1
-            Of the rim above the lowest point.
+            Height of the rim above the lowest point, world units.
         """
         r, h = _number("radius", radius, above=0), _number("height", height, above=0)
-        # The smallest sphere through the rim that holds the lowest point.
+        # The smallest sphere that passes through the rim and contains the lowest point.
         z = min(h, (r * r + h * h) / (2 * h))
         return cls._make(center, [1, 1, 0, 0], np.hypot(r, h - z), surface, trim_z=z, linear_z=-r * r / h)
 
@@ -204,19 +201,20 @@ class Quadric:
         sheets: int = 1,
         **surface: Any,
     ) -> Quadric:
-        """``(x/a)^2 + (y/b)^2 - (z/c)^2`` is 1 (one sheet) or -1 (two).
+        """Make a hyperboloid: ``(x/a)^2 + (y/b)^2 - (z/c)^2`` is 1 for one sheet and -1 for two.
 
         Parameters
         ----------
         center : (3,), default origin
-            World units.
+            Centre, world units.
         radii : (3,), default (1, 1, 1)
-            a, b and c: one sheet has its waist of radii a and b at z = 0, two have their tips at z = -c and c.
+            a, b and c, world units. One sheet has a waist with the half axes a and b at z = 0; two sheets have their
+            tips at z = -c and z = c.
         height : float, default 4
-            From the lowest to the highest point; more than 2 c with two sheets. Where a and b differ, that is where the
-            wider axis ends.
+            Distance from the lowest to the highest point, world units; more than 2 c for two sheets. If a and b differ,
+            the wider axis reaches that height.
         sheets : 1 or 2, default 1
-            Which of the two.
+            Number of sheets.
         """
         a, b, c = _lengths("radii", radii, 3)
         half = _number("height", height, above=0) / 2
@@ -235,16 +233,16 @@ class Quadric:
         radius: float = 1.0,
         **surface: Any,
     ) -> Quadric:
-        """A saddle, ``z = (x/a)^2 - (y/b)^2``.
+        """Make a saddle, ``z = (x/a)^2 - (y/b)^2``.
 
         Parameters
         ----------
         center : (3,), default origin
-            Its middle, and that of the trim sphere, world units.
+            Centre of the saddle and of the trim sphere, world units.
         radii : (2,), default (1, 1)
             a and b.
         radius : float, default 1
-            Of the trim sphere.
+            Radius of the trim sphere, world units.
         """
         a, b = _lengths("radii", radii, 2)
         return cls._make(center, [a**-2, -(b**-2), 0, 0], _number("radius", radius, above=0), surface, linear_z=-1)
@@ -253,16 +251,16 @@ class Quadric:
     def plane_pair(
         cls, center: ArrayLike = (0.0, 0.0, 0.0), separation: float = 1.0, radius: float = 1.0, **surface: Any
     ) -> Quadric:
-        """Two parallel discs across z.
+        """Make two parallel discs perpendicular to z.
 
         Parameters
         ----------
         center : (3,), default origin
-            Midway between them, world units.
+            Point midway between the discs, world units.
         separation : float, default 1
-            From one to the other.
+            Distance between the discs, world units.
         radius : float, default 1
-            Of the discs; the trim sphere goes through both rims.
+            Radius of the discs, world units. The trim sphere passes through both rims.
         """
         half = _number("separation", separation, above=0) / 2
         r = _number("radius", radius, above=0)
@@ -279,7 +277,7 @@ class Quadric:
         trim_z: float = 0.0,
         linear_z: float = 0.0,
     ) -> Quadric:
-        """Of ``diag(diagonal)`` plus ``linear_z * z``, moved to `center`; the trim sphere `trim_z` above it."""
+        """Make ``diag(diagonal)`` plus ``linear_z * z``, moved to `center`, with its trim sphere `trim_z` above it."""
         unknown = set(surface) - {"reflectance", "opacity"}
         if unknown:
             raise TypeError(f"unknown argument '{min(unknown)}'; a surface has reflectance and opacity")
@@ -290,7 +288,7 @@ class Quadric:
         back[:3, 3] = -place
         return cls(back.T @ form @ back, place + np.array([0, 0, trim_z]), float(radius), **surface)
 
-    # --- what it is
+    # --- properties
 
     @property
     def matrix(self) -> NDArray[np.float64]:
@@ -309,7 +307,7 @@ class Quadric:
 
     @property
     def reflectance(self) -> NDArray[np.float64]:
-        """Linear RGB, (3,)."""
+        """Colour, linear RGB, (3,)."""
         return self._reflectance
 
     @property
@@ -323,23 +321,24 @@ class Quadric:
         return np.stack([self._center - self._radius, self._center + self._radius])
 
     def transformed(self, transform: ArrayLike) -> Quadric:
-        """The quadric moved, turned, scaled or sheared.
+        """Move, rotate, scale or shear the quadric.
 
         Parameters
         ----------
         transform : (4, 4)
-            World from the quadric's own coordinates, column vectors; affine.
+            Affine map from the coordinates of the quadric to the world, column vectors.
 
         Returns
         -------
         Quadric
-            With matrix ``inv(M).T @ A @ inv(M)``. The trim sphere grows by the largest stretch of `transform`, so
-            that it still holds the trimmed surface: under uneven scale it may show more than before.
+            A quadric with the matrix ``inv(M).T @ A @ inv(M)``. The radius of the trim sphere grows by the largest
+            stretch of `transform`, so that the sphere still contains the trimmed surface. Under uneven scale it may
+            show more of the surface than before.
 
         Raises
         ------
         ShapeError
-            If `transform` is not affine or cannot be undone.
+            If `transform` is not affine or has no inverse.
 
         Examples
         --------
@@ -353,13 +352,13 @@ class Quadric:
         stretch = float(np.linalg.norm(world[:3, :3], ord=2))
         center = world[:3, :3] @ self._center + world[:3, 3]
         form = local.T @ self._matrix @ local
-        # The scale of the matrix is free: near 1 it stays in range, however often it is transformed.
+        # The scale of the matrix is arbitrary. Keeping it near 1 avoids overflow after many transforms.
         if not 1e-30 < np.abs(form).max() < 1e30:
             form /= np.abs(form).max()
         return Quadric(form, center, self._radius * stretch, self._reflectance, self._opacity)
 
     def _row(self) -> NDArray[np.float64]:
-        """As the core takes it."""
+        """Convert the quadric to a row of the core, (24,)."""
         tail = (*self._center, self._radius, *self._reflectance, self._opacity)
         return np.concatenate([self._matrix.ravel(), tail])
 
@@ -389,118 +388,8 @@ class Quadric:
         return f"Quadric(center=({x:.4g}, {y:.4g}, {z:.4g}), radius={self._radius:.4g}, opacity={self._opacity:.4g})"
 
 
-def pack_quadrics(quadrics: Sequence[Quadric]) -> NDArray[np.float32]:
-    """Quadrics as rows of RGBA texels, ready for a float texture.
-
-    Parameters
-    ----------
-    quadrics : sequence of Quadric
-        In the order of the rows.
-
-    Returns
-    -------
-    (n, 6, 4) float32
-        Texels 0 to 3: the matrix, a row (or column, it is symmetric) each. Texel 4: centre and radius of the trim
-        sphere. Texel 5: reflectance and opacity. 96 bytes a quadric, as in the article's struct.
-
-    Raises
-    ------
-    ShapeError
-        If something is no Quadric, or a matrix has nothing that float32 can hold.
-
-    Notes
-    -----
-    Upload it as an RGBA32F texture of 6 x n texels and read it with integer coordinates, without a filter. A texture
-    has at most 8192 or 16384 rows: for more quadrics see :func:`wrap_quadrics`.
-
-    float32 holds the matrix of a small object far from the origin badly: its last entry is about ``|center|^2`` and is
-    rounded by 6e-8 of that. The pictures of this package do not suffer: :func:`raymarch` works on the quadrics
-    themselves, in the frames of their trim spheres.
-
-    Examples
-    --------
-    >>> packed = pack_quadrics([Quadric.sphere(radius=2, reflectance=(1, 0, 0), opacity=0.5)])
-    >>> packed[0, 4:].tolist()
-    [[0.0, 0.0, 0.0, 2.0], [1.0, 0.0, 0.0, 0.5]]
-    """
-    checked = check_quadrics(quadrics)
-    packed = np.empty((len(checked), RECORD_TEXELS, 4), np.float32)
-    for number, quadric in enumerate(checked):
-        packed[number] = quadric._row().reshape(RECORD_TEXELS, 4)
-        if not packed[number, :4].any() or packed[number, 4, 3] == 0:
-            what = "matrix" if packed[number, 4, 3] else "radius"
-            raise ShapeError(f"quadrics[{number}]: its {what} is too small for float32; scale it")
-    return packed
-
-
-def unpack_quadrics(packed: ArrayLike) -> list[Quadric]:
-    """The quadrics in an array made by :func:`pack_quadrics`.
-
-    Parameters
-    ----------
-    packed : (n, 6, 4)
-        Rows of texels.
-
-    Raises
-    ------
-    ShapeError
-        For a wrong shape, or a row that is no quadric.
-
-    Examples
-    --------
-    >>> unpack_quadrics(pack_quadrics([Quadric.cylinder()]))[0].matrix.diagonal().tolist()
-    [1.0, 1.0, 0.0, -1.0]
-    """
-    array = checks.real_array("packed", packed, "(n, 6, 4)", ShapeError)
-    if array.ndim != 3 or array.shape[1:] != (RECORD_TEXELS, 4):
-        raise ShapeError(f"packed: must have shape (n, 6, 4), got {checks.describe(array)}")
-    return [_unpack(number, texels) for number, texels in enumerate(checks.as_float64(array))]
-
-
-def _unpack(number: int, texels: NDArray[np.float64]) -> Quadric:
-    try:
-        return Quadric(texels[:4], texels[4, :3], texels[4, 3], texels[5, :3], texels[5, 3])
-    except ShapeError as error:
-        raise ShapeError(f"packed[{number}]: {error}") from None
-
-
-def wrap_quadrics(packed: ArrayLike, max_side: int = 8192) -> NDArray[np.float32]:
-    """Lay packed quadrics out in a texture that a device can hold.
-
-    Parameters
-    ----------
-    packed : (n, 6, 4)
-        From :func:`pack_quadrics`.
-    max_side : int, default 8192
-        Texels along a side at most: WebGPU's default limit.
-
-    Returns
-    -------
-    (height, width, 4) float32
-        Quadric ``i`` begins in column ``6 * (i % k)`` of row ``i // k``, with ``k = width / 6``. Up to `max_side`
-        quadrics `k` is 1, as in the article; beyond, it is the largest that fits. The rest of the last row is zero.
-
-    Raises
-    ------
-    ShapeError
-        For a wrong shape, or more quadrics than fit.
-    """
-    array = checks.real_array("packed", packed, "(n, 6, 4)", ShapeError)
-    if array.ndim != 3 or array.shape[1:] != (RECORD_TEXELS, 4):
-        raise ShapeError(f"packed: must have shape (n, 6, 4), got {checks.describe(array)}")
-    side = checks.integer("max_side", max_side, least=RECORD_TEXELS, most=1 << 20, error=ShapeError)
-    count = len(array)
-    per_row = 1 if count <= side else side // RECORD_TEXELS
-    height = max(1, -(-count // per_row))
-    if height > side:
-        raise ShapeError(f"packed: {count} quadrics do not fit {side} x {side} texels, {per_row * side} do")
-    texture = np.zeros((height * per_row, RECORD_TEXELS, 4), np.float32)
-    texture[:count] = array
-    return texture.reshape(height, per_row * RECORD_TEXELS, 4)
-
-
 def check_quadrics(quadrics: Any) -> Sequence[Quadric]:
-    """A sequence of quadrics, or ShapeError."""
+    """Check a quadric or a sequence of them; the result is a sequence."""
     if isinstance(quadrics, Quadric):
         return [quadrics]
     if isinstance(quadrics, (str, bytes)) or not isinstance(quadrics, Sequence):
@@ -512,24 +401,24 @@ def check_quadrics(quadrics: Any) -> Sequence[Quadric]:
 
 
 def is_quadrics(thing: Any) -> bool:
-    """Whether something is a quadric, or a sequence of quadrics."""
+    """Whether the value is a quadric or a non-empty sequence of quadrics."""
     return isinstance(thing, Quadric) or (
         isinstance(thing, Sequence) and len(thing) > 0 and all(isinstance(item, Quadric) for item in thing)
     )
 
 
 def core_of(quadrics: Sequence[Quadric]) -> _core.Quadrics:
-    """Made ready for rays."""
+    """Convert quadrics to the object of the core that rays intersect."""
     return _core.Quadrics(rows_of(quadrics))
 
 
 def rows_of(quadrics: Sequence[Quadric]) -> NDArray[np.float64]:
-    """As the core takes them, (n, 24)."""
+    """Convert quadrics to rows of the core, (n, 24) float64."""
     return np.array([quadric._row() for quadric in quadrics], np.float64).reshape(-1, 4 * RECORD_TEXELS)
 
 
 def bounds_of(quadrics: Sequence[Quadric]) -> NDArray[np.float64]:
-    """Box around all trim spheres, (2, 3)."""
+    """Box around all trim spheres, (2, 3), world units."""
     centers = np.array([quadric.center for quadric in quadrics])
     radii = np.array([quadric.radius for quadric in quadrics])[:, None]
     return np.stack([(centers - radii).min(axis=0), (centers + radii).max(axis=0)])

@@ -1,0 +1,191 @@
+"""The primitives: simple solids about the origin, and flat profiles to extrude or revolve."""
+
+from __future__ import annotations
+
+from numpy.typing import ArrayLike
+
+from .. import _core
+from ..base import checks
+from ..base.errors import ShapeError
+from ..volumes.volume import Volume
+from .arguments import Axis, axis_of, number, numbers, sides
+from .shape import Shape
+
+
+class Profile:
+    """A flat region in the xy plane that :func:`extrude` and :func:`revolve` turn into a shape."""
+
+    __slots__ = ("kind", "numbers")
+
+    def __init__(self, kind: str, numbers: list[float]) -> None:
+        self.kind = kind
+        self.numbers = numbers
+        # The core checks the parameters of a profile when it extrudes it, which is cheap.
+        _core.Shape.extrude(kind, numbers, 1.0)
+
+    def extrude(self, height: float) -> Shape:
+        """Extrude the profile along z; see :func:`extrude`."""
+        return extrude(self, height)
+
+    def revolve(self, offset: float = 0.0) -> Shape:
+        """Revolve the profile about z; see :func:`revolve`."""
+        return revolve(self, offset)
+
+    def __repr__(self) -> str:
+        return f"Profile({self.kind}, {self.numbers})"
+
+
+# --- primitives, about the origin; round ones along z
+
+
+def sphere(radius: float = 1.0) -> Shape:
+    """Make a ball. Its field is exact."""
+    return _primitive("sphere", number("radius", radius))
+
+
+def ellipsoid(radii: ArrayLike) -> Shape:
+    """Make an ellipsoid with half axes (3,). Its field is exact."""
+    return _primitive("ellipsoid", *numbers("radii", radii, 3))
+
+
+def box(size: ArrayLike = 1.0) -> Shape:
+    """Make a box with full sides (3,), or a cube with one side. Its field is exact."""
+    return _primitive("box", *sides(size))
+
+
+def rounded_box(size: ArrayLike, radius: float) -> Shape:
+    """Make a box with full sides (3,) whose edges are rounded by `radius`. Its field is exact."""
+    return _primitive("rounded_box", *sides(size), number("radius", radius))
+
+
+def box_frame(size: ArrayLike, thickness: float) -> Shape:
+    """Make the twelve edges of a box with full sides (3,), as square bars inside it. Its field is exact outside."""
+    return _primitive("box_frame", *sides(size), number("thickness", thickness))
+
+
+def torus(radius: float = 1.0, tube: float = 0.25) -> Shape:
+    """Make a tube of radius `tube` around a circle of `radius` in the plane z = 0. Exact while `tube` <= `radius`."""
+    return _primitive("torus", number("radius", radius), number("tube", tube))
+
+
+def capped_torus(radius: float, tube: float, angle_deg: float) -> Shape:
+    """Make an arc of a torus with round ends, `angle_deg` degrees long and centred on +x. Exact up to 180 degrees."""
+    return _primitive("capped_torus", number("radius", radius), number("tube", tube), number("angle_deg", angle_deg))
+
+
+def cylinder(radius: float = 1.0, height: float = 2.0) -> Shape:
+    """Make a cylinder along z, centred at the origin. Its field is exact."""
+    return _primitive("cylinder", number("radius", radius), number("height", height))
+
+
+def capsule(radius: float = 0.5, height: float = 1.0) -> Shape:
+    """Make the set of points within `radius` of a segment of length `height` along z. Its field is exact."""
+    return _primitive("capsule", number("radius", radius), number("height", height))
+
+
+def cone(radius: float = 1.0, height: float = 2.0) -> Shape:
+    """Make a cone along z with its apex on top, centred at half its height. Its field is exact."""
+    return _primitive("cone", number("radius", radius), 0.0, number("height", height))
+
+
+def truncated_cone(radius: float, top_radius: float, height: float) -> Shape:
+    """Make a centred cone along z from `radius` at the bottom to `top_radius` at the top. Its field is exact."""
+    return _primitive("cone", number("radius", radius), number("top_radius", top_radius), number("height", height))
+
+
+def plane(normal: Axis = "z", offset: float = 0.0) -> Shape:
+    """Make the half space below a plane at `offset` along its normal. Its field is exact; it has no bounds."""
+    return _primitive("plane", *axis_of("normal", normal), number("offset", offset))
+
+
+def pyramid(base: float = 1.0, height: float = 1.0) -> Shape:
+    """Make a centred pyramid along z over a square of side `base`. Its field is exact."""
+    return _primitive("pyramid", number("base", base), number("height", height))
+
+
+def octahedron(radius: float = 1.0) -> Shape:
+    """Make an octahedron with its corners on the axes at `radius`. Its field is exact."""
+    return _primitive("octahedron", number("radius", radius))
+
+
+def hex_prism(radius: float = 1.0, height: float = 1.0) -> Shape:
+    """Make a centred prism along z over a regular hexagon with corners at `radius`, two of them on x. Exact."""
+    return _primitive("hex_prism", number("radius", radius), number("height", height))
+
+
+def gyroid(cell: float = 1.0, thickness: float = 0.1) -> Shape:
+    """Make a sheet about the gyroid with period `cell`, at least `thickness` thick. A lower bound; no bounds."""
+    return _primitive("gyroid", number("cell", cell), number("thickness", thickness))
+
+
+def circle(radius: float = 1.0) -> Profile:
+    """Make a disc."""
+    return Profile("circle", [number("radius", radius)])
+
+
+def rectangle(size: ArrayLike) -> Profile:
+    """Make a rectangle with full sides (2,)."""
+    return Profile("rectangle", numbers("size", size, 2))
+
+
+def polygon(points: ArrayLike) -> Profile:
+    """Make a closed polygon with corners (n, 2) in either orientation."""
+    array = checks.real_array("points", points, "(n, 2)", ShapeError)
+    if array.ndim != 2 or array.shape[1] != 2 or len(array) < 3:
+        raise ShapeError(f"points: must have shape (n, 2), three corners at least, got {checks.describe(array)}")
+    return Profile("polygon", checks.as_float64(array).ravel().tolist())
+
+
+def extrude(profile: Profile, height: float) -> Shape:
+    """Extrude a profile along z by `height`, centred at z = 0. Exact if the profile does not intersect itself."""
+    _profile(profile)
+    return Shape._wrap(_core.Shape.extrude(profile.kind, profile.numbers, number("height", height)))
+
+
+def revolve(profile: Profile, offset: float = 0.0) -> Shape:
+    """Revolve a profile about z: its x plus `offset` becomes the distance from the axis, its y becomes z."""
+    _profile(profile)
+    return Shape._wrap(_core.Shape.revolve(profile.kind, profile.numbers, number("offset", offset)))
+
+
+def volume_shape(volume: Volume) -> Shape:
+    """Make a shape from a baked field, so that a mesh can be combined with primitives.
+
+    Parameters
+    ----------
+    volume : Volume
+        The volume whose zero level set is the surface. The faces of the box close a surface that the box cuts.
+
+    Returns
+    -------
+    Shape
+        A shape whose field is trilinear inside the box. Outside it is ``sqrt(a^2 + s^2)``, where `a` is the distance
+        to the box and `s` the field at the nearest point of the box. `Shape.lipschitz` is the largest slope.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> ball = fb.volume_shape(fb.bake(fb.sphere(1.0), 32))
+    >>> bitten = ball - fb.box((1, 1, 1)).translate((1, 0, 0))
+    >>> bool(bitten.distance([(0.9, 0, 0)])[0] > 0)
+    True
+    """
+    if not isinstance(volume, Volume):
+        raise ShapeError(f"volume: must be a Volume, got {checks.describe(volume)}; {_cure(volume)}")
+    lower, upper = volume._corners()
+    return Shape._wrap(_core.Shape.volume(volume._distances, lower, upper))
+
+
+def _cure(thing: object) -> str:
+    """Advice for making a Volume of another object."""
+    # A sparse volume has bounds instead of distances where it stores nothing; jumps between them would be steep.
+    return "bake a Volume, or give volume.to_volume()" if hasattr(thing, "to_volume") else "see bake()"
+
+
+def _primitive(name: str, *numbers: float) -> Shape:
+    return Shape._wrap(_core.Shape.primitive(name, list(numbers)))
+
+
+def _profile(value: object) -> None:
+    if not isinstance(value, Profile):
+        raise ShapeError(f"profile: must be a Profile, got {checks.describe(value)}; see circle(), polygon()")
