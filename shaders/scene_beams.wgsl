@@ -23,8 +23,9 @@ struct Beam {
     own: u32,
     // Only the share of the cone is wanted, not whether it is proven.
     is_coarse: u32,
+    // Light comes through the own instance: it casts no shadow, and the far field is not used.
+    skips_own: u32,
     pad_0: u32,
-    pad_1: u32,
 }
 
 struct Answer {
@@ -111,7 +112,7 @@ fn far_distance_from(p: vec3f) -> f32 {
 
 fn split_of(beam: Beam) -> Split {
     let whole = Split(beam.t_max, FAR_T, NOWHERE);
-    if params.far == NO_INSTANCE { return whole; }
+    if params.far == NO_INSTANCE || beam.skips_own != 0u { return whole; }
     let to = &instances[params.far + params.far_levels - 1u];
     let grown = widest(beam.p, beam.slope, (*to).box_min, (*to).box_max, beam.t_max);
     let part = vec2f(far_distance_from(beam.p), beam.t_max);
@@ -200,6 +201,7 @@ fn next_caster(walk: ptr<function, Walk>, beam: Beam) -> Caster {
             (*walk).next++;
             let opacity = instances[index].opacity;
             if instances[index].casts_shadow == 0u || opacity == 0.0 { continue; }
+            if beam.skips_own != 0u && index == beam.own { continue; }
             // The far field knows opaque solids alone.
             let is_whole = opacity < 1.0 || (HAS_THIN && instances[index].prefers_rays != 0u);
             if is_whole { return Caster(index, vec2f(0.0, beam.t_max), 0.0); }
@@ -503,31 +505,51 @@ fn cones(@builtin(global_invocation_id) id: vec3u) {
     answers[params.first + id.x] = Answer(found.x, u32(found.y), steps, u32(steps < MAX_STEPS), is_far);
 }
 
-// How far a ray goes through its own instance's matter.
+// ---- lengths inside an instance, twin of src/scene/transmission.rs
+
+const LEAST_VOXELS: f32 = 0.125;
+const MOST_LENGTH_STEPS: f32 = 1024.0;
+const BACK_VOXELS: f32 = 1.0;
+
+// Length inside between two evaluations: a crossing is interpolated linearly. Nothing is inside before the first evaluation,
+// at a distance of FAR_T.
+fn length_between(before: vec2f, here: vec2f) -> f32 {
+    let step = here.x - before.x;
+    if before.y < 0.0 && here.y < 0.0 { return step; }
+    if (before.y >= 0.0 && here.y >= 0.0) || before.y >= FAR_T { return 0.0; }
+    let share = before.y / (before.y - here.y);
+    return step * select(1.0 - share, share, before.y < 0.0);
+}
+
+// The length of a ray inside its own instance.
 @compute @workgroup_size(64)
 fn thicknesses(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= params.count { return; }
     var beam = beams[params.first + id.x];
     steps = 0u;
-    beam.bias_voxels = -beam.bias_voxels;
+    let enters = dot(beam.normal, beam.direction) < 0.0;
+    if enters { beam.bias_voxels = 0.0; }
     let to = &instances[beam.own];
     let field = fields[(*to).field];
     let ray = ray_in_field(beam.own, beam);
-    let span = clip(ray.origin, ray.direction, (*to).surface_lower, (*to).surface_upper, vec2f(0.0, FAR_T));
-    var thickness = 0.0;
-    // A sheet has no inside.
-    if span.x <= span.y && field.kind != KIND_QUADRIC {
+    let voxel = 1.0 / length(ray.direction);
+    let part = vec2f(select(0.0, -BACK_VOXELS * voxel, enters), beam.t_max);
+    let span = clip(ray.origin, ray.direction, (*to).surface_lower, (*to).surface_upper, part);
+    var inside = 0.0;
+    if span.x <= span.y {
         let pace = 1.0 / length(local_direction(beam.own, beam.direction));
-        let least_step = 0.5 / length(ray.direction);
+        let least_step = max(LEAST_VOXELS * voxel, (span.y - span.x) / MOST_LENGTH_STEPS);
+        // Position along the ray and distance there.
+        var before = vec2f(span.x, FAR_T);
         var t = span.x;
-        for (var i = 0u; i < MAX_CONE_STEPS; i++) {
-            let distance = field_distance(field, ray.origin + t * ray.direction);
+        while steps < MAX_STEPS {
             steps++;
-            let next = min(t + max(abs(distance) * pace, least_step), span.y);
-            if distance < 0.0 { thickness += next - t; }
-            t = next;
+            let here = vec2f(t, field_distance(field, ray.origin + t * ray.direction));
+            inside += length_between(before, here);
             if t >= span.y { break; }
+            before = here;
+            t = min(t + max(abs(here.y) * pace, least_step), span.y);
         }
     }
-    answers[params.first + id.x] = Answer(thickness, 1u, steps, 1u, 0u);
+    answers[params.first + id.x] = Answer(inside, 1u, steps, 1u, 0u);
 }

@@ -199,6 +199,16 @@ impl<'a> LocalRay<'a> {
         roots[own] = None;
     }
 
+    /// Length from the root at the ray's origin to the next one ahead, in multiples of the direction. Without one the ray
+    /// leaves through the trim sphere if it `enters` the solid at the origin; else it is outside and the length is 0.
+    pub fn chord(&self, enters: bool) -> f64 {
+        let mut roots = self.roots();
+        self.forget_start(&mut roots);
+        let ahead = roots.into_iter().flatten().find(|&root| root > self.start);
+        let end = ahead.or(enters.then_some(self.half_chord));
+        end.map_or(0.0, |end| self.t(end).max(0.0))
+    }
+
     /// A root in multiples of the ray's direction.
     pub fn t(&self, root: f64) -> f64 {
         (root - self.start) * self.t_per_s

@@ -17,7 +17,10 @@ impl Scene {
     /// 0 where the article's march finds something before the light, else 1.
     pub fn article_share(&self, place: &Place, ray: &Ray, work: &mut Work) -> f32 {
         let start = place.p + (BIAS * place.normal.as_dvec3() + BIAS * ray.direction) / self.scale;
-        let is_shaded = |instance: &super::Instance| {
+        let is_shaded = |(item, instance): (usize, &super::Instance)| {
+            if place.skips_own && item == place.own as usize {
+                return false;
+            }
             let Some(field) = instance.field.as_deref().filter(|_| instance.casts_shadow) else { return false };
             let [lower, upper] = field.bounds();
             let [inner_lower, inner_upper] = field.surface_bounds();
@@ -42,7 +45,7 @@ impl Scene {
             }
             false
         };
-        if self.instances.iter().any(is_shaded) { 0.0 } else { 1.0 }
+        if self.instances.iter().enumerate().any(is_shaded) { 0.0 } else { 1.0 }
     }
 }
 

@@ -87,6 +87,12 @@ pub trait Field: Send + Sync {
         false
     }
 
+    /// Length of a ray's part inside the object, in `t`, from a start on the surface to the next crossing, where a closed form
+    /// gives it. `enters`: the ray starts into the object. `None` where the length follows from the distances.
+    fn chord(&self, _ray: &FieldRay, _enters: bool) -> Option<f32> {
+        None
+    }
+
     /// Radius of a ball about the middle of `surface_bounds` that holds the surface, field space.
     fn surface_radius(&self) -> f32 {
         let [lower, upper] = self.surface_bounds();

@@ -157,7 +157,7 @@ impl DeviceScene {
         Ok(answers)
     }
 
-    /// How far each beam goes through its own instance's matter.
+    /// The length of each beam inside its own instance.
     pub fn thicknesses(&self, beams: &[Beam], progress: &Progress) -> Result<Vec<Answer>, Error> {
         self.ask("thicknesses", BeamParams { far: NO_FAR, ..BeamParams::default() }, beams, progress)
     }
@@ -220,6 +220,7 @@ pub fn beam(place: &Place, ray: &Ray, slope: f32) -> Beam {
         normal: place.normal.to_array(),
         bias_voxels: place.bias_voxels,
         own: place.own,
+        skips_own: u32::from(place.skips_own),
         ..Beam::default()
     }
 }
@@ -230,6 +231,7 @@ fn from_beam(beam: &Beam) -> (Place, Ray) {
         normal: Vec3::from_array(beam.normal),
         own: beam.own,
         bias_voxels: beam.bias_voxels,
+        skips_own: beam.skips_own != 0,
     };
     let direction = Vec3::from_array(beam.direction).as_dvec3().normalize();
     (place, Ray { direction, t_max: if beam.t_max < FAR { f64::from(beam.t_max) } else { f64::INFINITY } })

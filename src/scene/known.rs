@@ -38,15 +38,15 @@ pub struct Found<'a> {
     pub open: f32,
     /// Share of each light that arrives.
     pub shares: &'a [f32],
-    /// Matter of the own instance along the way to each light, scene units; only where it scatters.
-    pub thickness: &'a [f32],
+    /// Share of each light, RGB, that arrives through the own instance, weighted for the surface; 0 where it does not scatter.
+    pub through: &'a [[f32; 3]],
 }
 
 /// The same, to be written.
 pub struct FoundMut<'a> {
     pub open: &'a mut f32,
     pub shares: &'a mut [f32],
-    pub thickness: &'a mut [f32],
+    pub through: &'a mut [[f32; 3]],
 }
 
 /// What is known about the layers of a G-buffer.
@@ -58,7 +58,7 @@ pub struct Known {
 #[derive(Default)]
 struct KnownRow {
     is_known: Vec<bool>,
-    /// Of each layer: open, the shares, the thicknesses.
+    /// For each layer: open, one share a light, three shares a light of what comes through.
     values: Vec<f32>,
     steps: Vec<u32>,
 }
@@ -78,19 +78,19 @@ impl Known {
     pub fn at(&self, y: usize, i: usize) -> (Found<'_>, u32) {
         let row = &self.rows[y];
         let values = &row.values[i * stride(self.lights)..][..stride(self.lights)];
-        let (shares, thickness) = values[1..].split_at(self.lights);
-        (Found { open: values[0], shares, thickness }, row.steps[i])
+        let (shares, through) = values[1..].split_at(self.lights);
+        (Found { open: values[0], shares, through: through.as_chunks().0 }, row.steps[i])
     }
 }
 
 fn stride(lights: usize) -> usize {
-    1 + 2 * lights
+    1 + 4 * lights
 }
 
 fn parts_of(values: &mut [f32], lights: usize) -> FoundMut<'_> {
     let (open, rest) = values.split_first_mut().expect("a layer has `stride` values, at least one");
-    let (shares, thickness) = rest.split_at_mut(lights);
-    FoundMut { open, shares, thickness }
+    let (shares, through) = rest.split_at_mut(lights);
+    FoundMut { open, shares, through: through.as_chunks_mut().0 }
 }
 
 /// Find the light of a pass: all of it by asking, or what lies between asked pixels from those.
@@ -231,8 +231,7 @@ fn mean(neighbours: &[(&[f32], f32)], values: &mut [f32]) -> bool {
         let of = |neighbour: &(&[f32], f32)| neighbour.0[i];
         let low = neighbours.iter().map(of).fold(f32::INFINITY, f32::min);
         let high = neighbours.iter().map(of).fold(0.0, f32::max);
-        // Shares are parts of 1; thicknesses are compared with themselves.
-        if high - low > AGREE * high.min(1.0).max(f32::from(u8::from(i <= neighbours[0].0.len() / 2))) {
+        if high - low > AGREE {
             return false;
         }
         *value = neighbours.iter().map(|(values, weight)| values[i] * weight).sum::<f32>() / total;
@@ -255,7 +254,6 @@ fn ask_device(
     // A bunch of rows at a time: beams take 64 bytes each.
     let rays = if let SceneShadows::Area(count) = pass.options.shadows { count } else { PARTS } as usize;
     let beams_per_layer = pass.lights.lights.len().max(1) * rays + AO_CONES;
-    let lights = known.lights;
     let mut bunch = Vec::new();
     for y in 0..known.rows.len() {
         for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
@@ -267,15 +265,41 @@ fn ask_device(
         if bunch.len() * beams_per_layer < MOST_BEAMS && y + 1 < known.rows.len() {
             continue;
         }
-        let mut answers = Answers::ask(pass, device, &bunch)?;
-        for (y, i, surface) in bunch.drain(..) {
-            let row = &mut known.rows[y];
-            let mut found = parts_of(&mut row.values[i * stride(lights)..][..stride(lights)], lights);
-            let work = answers.next(pass, &surface, &mut found).ok_or_else(|| too_few(device))?;
-            row.steps[i] = work.steps;
-            pass.asked.add(work);
-            row.is_known[i] = true;
-        }
+        light_bunch(pass, device, known, &mut bunch)?;
+    }
+    Ok(())
+}
+
+/// Light the surfaces of a bunch on a device: directly, then through their own instances.
+fn light_bunch(
+    pass: &Pass<'_>,
+    device: &DeviceScene,
+    known: &mut Known,
+    bunch: &mut Vec<(usize, usize, Surface<'_>)>,
+) -> Result<(), Error> {
+    let lights = known.lights;
+    let mut answers = Answers::ask(pass, device, bunch)?;
+    // For each beam from behind: the row and layer.
+    let (mut behind, mut owners) = (Vec::new(), Vec::new());
+    for (y, i, surface) in bunch.drain(..) {
+        let row = &mut known.rows[y];
+        let mut found = parts_of(&mut row.values[i * stride(lights)..][..stride(lights)], lights);
+        let work = answers.next(pass, &surface, &mut found, &mut behind).ok_or_else(|| too_few(device))?;
+        owners.resize(behind.len(), (y, i));
+        row.steps[i] = work.steps;
+        pass.asked.add(work);
+        row.is_known[i] = true;
+    }
+    let mut shares = Batch::run(pass, device, behind.iter().map(|behind| behind.beam).collect())?;
+    for (Behind { light, left, .. }, (y, i)) in behind.into_iter().zip(owners) {
+        let mut work = Work::default();
+        let visible = shares.next(&mut work).ok_or_else(|| too_few(device))?;
+        let row = &mut known.rows[y];
+        let found = parts_of(&mut row.values[i * stride(lights)..][..stride(lights)], lights);
+        let through = &mut found.through[light];
+        *through = (Vec3::from_array(*through) + visible * left).to_array();
+        row.steps[i] += work.steps;
+        pass.asked.add(work);
     }
     Ok(())
 }
@@ -285,43 +309,81 @@ fn too_few(device: &DeviceScene) -> DeviceError {
     DeviceError::Failed { device: device.context().label(), what: "the scene's light".into(), reason }
 }
 
-/// Answers of a device, in the order in which they were asked.
-struct Answers {
+/// Beams, and what a device found along them, in order.
+struct Batch {
     beams: std::iter::Zip<std::vec::IntoIter<Beam>, std::vec::IntoIter<Answer>>,
     /// The parts of discs that one cone did not decide.
     parts: std::vec::IntoIter<Answer>,
-    thick: std::vec::IntoIter<Answer>,
+}
+
+impl Batch {
+    fn run(pass: &Pass<'_>, device: &DeviceScene, beams: Vec<Beam>) -> Result<Self, Error> {
+        let first = device.shares(pass.casters, &beams, pass.progress)?;
+        let undecided = beams.iter().zip(&first).filter(|(beam, answer)| is_undecided(beam, answer));
+        let parts: Vec<Beam> = undecided.flat_map(|(beam, _)| parts_of_disc(beam)).collect();
+        let second = device.shares(pass.casters, &parts, pass.progress)?;
+        Ok(Self { beams: beams.into_iter().zip(first), parts: second.into_iter() })
+    }
+
+    /// The share of the next beam, and the work; `None` if the answers have run out.
+    fn next(&mut self, work: &mut Work) -> Option<f32> {
+        let (beam, answer) = self.beams.next()?;
+        *work += took(&answer);
+        if !is_undecided(&beam, &answer) {
+            return Some(answer.value);
+        }
+        let mut sum = 0.0;
+        for _ in 0..PARTS {
+            let part = self.parts.next()?;
+            *work += took(&part);
+            sum += part.value;
+        }
+        Some(sum / PARTS as f32)
+    }
+
+    fn mean(&mut self, count: usize, work: &mut Work) -> Option<f32> {
+        let mut sum = 0.0;
+        for _ in 0..count {
+            sum += self.next(work)?;
+        }
+        Some(sum / count as f32)
+    }
+}
+
+/// What a device found about the surfaces of a bunch.
+struct Answers {
+    direct: Batch,
+    /// Lengths inside the own instance.
+    lengths: std::vec::IntoIter<Answer>,
 }
 
 impl Answers {
     fn ask(pass: &Pass<'_>, device: &DeviceScene, bunch: &[(usize, usize, Surface<'_>)]) -> Result<Self, Error> {
-        let (mut beams, mut through) = (Vec::new(), Vec::new());
+        let (mut beams, mut inside) = (Vec::new(), Vec::new());
         for (_, _, surface) in bunch {
-            first_beams(pass, surface, &mut beams, &mut through);
+            first_beams(pass, surface, &mut beams, &mut inside);
         }
-        let first = device.shares(pass.casters, &beams, pass.progress)?;
-        let thick = device.thicknesses(&through, pass.progress)?;
-        let mut parts = Vec::new();
-        if pass.options.shadows == SceneShadows::Soft {
-            for (beam, _) in beams.iter().zip(&first).filter(|(beam, answer)| is_undecided(beam, answer)) {
-                parts.extend(parts_of_disc(beam));
-            }
-        }
-        let second = device.shares(pass.casters, &parts, pass.progress)?;
-        Ok(Self { beams: beams.into_iter().zip(first), parts: second.into_iter(), thick: thick.into_iter() })
+        let lengths = device.thicknesses(&inside, pass.progress)?;
+        Ok(Self { direct: Batch::run(pass, device, beams)?, lengths: lengths.into_iter() })
     }
 
-    /// What was found about the next surface, and the steps it took; `None` if the answers have run out.
-    fn next(&mut self, pass: &Pass<'_>, surface: &Surface<'_>, found: &mut FoundMut<'_>) -> Option<Work> {
+    /// What was found about the next surface, and the work; `None` if the answers have run out. Light from behind it is what is
+    /// left of it inside; a ray to each light whose visibility from there is open is appended to `behind`.
+    fn next(
+        &mut self,
+        pass: &Pass<'_>,
+        surface: &Surface<'_>,
+        found: &mut FoundMut<'_>,
+        behind: &mut Vec<Behind>,
+    ) -> Option<Work> {
         let mut work = Work::default();
+        let scene = pass.casters.scene;
         *found.open = 1.0;
         if let Some(distance) = pass.options.occlusion {
             let (mut sum, mut weights) = (0.0, 0.0);
-            for (_, weight) in surface.open_rays(distance / pass.casters.scene.scale) {
-                let (_, answer) = self.beams.next()?;
-                sum += weight * answer.value;
+            for (_, weight) in surface.open_rays(distance / scene.scale) {
+                sum += weight * self.direct.next(&mut work)?;
                 weights += weight;
-                work += took(&answer);
             }
             *found.open = sum / weights;
         }
@@ -329,39 +391,47 @@ impl Answers {
             let (ray, slope, _) = light.seen_from(surface.place.p);
             found.shares[i] = match surface.plain_share(&ray, pass.options) {
                 Some(share) => share,
-                None => self.share(pass.options, slope, &mut work)?,
+                None => match pass.options.shadows {
+                    SceneShadows::Area(count) if slope > 0.0 => self.direct.mean(count as usize, &mut work)?,
+                    _ => self.direct.next(&mut work)?,
+                },
             };
-            let is_thick = surface.scatters(pass.casters.scene);
-            found.thickness[i] = if is_thick { self.thick.next()?.value } else { 0.0 };
+            let mut sum = Vec3::ZERO;
+            if surface.scatters(scene) {
+                let ways = surface.ways(&ray, slope, pass.options.shadows);
+                let share = 1.0 / ways.len() as f32;
+                for (way, slope) in ways {
+                    let length = match pass.casters.chord(&surface.place, &way) {
+                        Some(chord) => chord,
+                        None => self.lengths.next()?.value,
+                    };
+                    let left = share * surface.left(scene, &way, length);
+                    match surface.plain_visibility(found.shares[i], left, pass.options) {
+                        Some(visible) => sum += visible * left,
+                        None => {
+                            let slope = if pass.options.shadows == SceneShadows::Soft { slope } else { 0.0 };
+                            behind.push(Behind { light: i, left, beam: beam(&surface.place_behind(), &way, slope) });
+                        }
+                    }
+                }
+            }
+            found.through[i] = sum.to_array();
         }
         Some(work)
     }
-
-    fn share(&mut self, options: &RenderOptions, slope: f32, work: &mut Work) -> Option<f32> {
-        let count = match options.shadows {
-            SceneShadows::Area(count) if slope > 0.0 => count,
-            _ => 1,
-        };
-        let mut sum = 0.0;
-        for _ in 0..count {
-            let (beam, answer) = self.beams.next()?;
-            *work += took(&answer);
-            sum += answer.value;
-            if options.shadows == SceneShadows::Soft && is_undecided(&beam, &answer) {
-                sum = 0.0;
-                for part in self.parts.by_ref().take(PARTS as usize) {
-                    *work += took(&part);
-                    sum += part.value;
-                }
-                sum /= PARTS as f32;
-            }
-        }
-        Some(sum / count as f32)
-    }
 }
 
-/// One beam a light, all of an area light, the cones of occlusion; the ways through matter apart.
-fn first_beams(pass: &Pass<'_>, surface: &Surface<'_>, beams: &mut Vec<Beam>, through: &mut Vec<Beam>) {
+/// A beam from a surface to light behind its own instance.
+struct Behind {
+    light: usize,
+    /// Share of the light that is left inside the instance.
+    left: Vec3,
+    beam: Beam,
+}
+
+/// The beams of a surface, first those of occlusion, then for each light one or all of an area light; apart from them the rays
+/// whose length inside the own instance is wanted.
+fn first_beams(pass: &Pass<'_>, surface: &Surface<'_>, beams: &mut Vec<Beam>, inside: &mut Vec<Beam>) {
     if let Some(distance) = pass.options.occlusion {
         let cones = surface.open_rays(distance / pass.casters.scene.scale);
         beams.extend(cones.map(|(ray, _)| Beam { is_coarse: 1, ..beam(&surface.place, &ray, AO_SLOPE) }));
@@ -369,20 +439,14 @@ fn first_beams(pass: &Pass<'_>, surface: &Surface<'_>, beams: &mut Vec<Beam>, th
     for light in &pass.lights.lights {
         let (ray, slope, _) = light.seen_from(surface.place.p);
         if surface.asks_for(&ray, pass.options) {
-            match pass.options.shadows {
-                SceneShadows::Soft => beams.push(beam(&surface.place, &ray, slope)),
-                SceneShadows::Area(count) if slope > 0.0 => {
-                    let axes = basis(ray.direction);
-                    beams.extend((0..count).map(|i| {
-                        let point = disc_point(i, count, surface.turn);
-                        beam(&surface.place, &toward(&ray, axes, slope, point), 0.0)
-                    }));
-                }
-                _ => beams.push(beam(&surface.place, &ray, 0.0)),
-            }
+            let is_soft = pass.options.shadows == SceneShadows::Soft;
+            let ways = surface.ways(&ray, slope, pass.options.shadows);
+            beams.extend(ways.iter().map(|(way, slope)| beam(&surface.place, way, if is_soft { *slope } else { 0.0 })));
         }
         if surface.scatters(pass.casters.scene) {
-            through.push(beam(&surface.place, &ray, 0.0));
+            let ways = surface.ways(&ray, slope, pass.options.shadows);
+            let marched = ways.iter().filter(|(way, _)| pass.casters.chord(&surface.place, way).is_none());
+            inside.extend(marched.map(|(way, _)| beam(&surface.place, way, 0.0)));
         }
     }
 }

@@ -5,19 +5,19 @@
 //! ```text
 //!   color = ambient * open * albedo
 //!         + sum over lights of  arrives * light * (max(0, n.l) * albedo + specular * max(0, n.h)^shininess)
-//!         + sum over lights of  light * through * albedo
+//!         + sum over lights of  through * light * albedo * (1 - max(0, n.l))^2
 //! ```
 //!
-//! `arrives` is the light's share ([`super::shadow`]), none on a side that is turned away. `open` is the mean of
-//! [`AO_CONES`] cones over the hemisphere, each weighed by its cosine; what is further than a given distance does not count.
-//! `through` is light that entered on the other side: with the thickness `s` of the instance along the light and the
-//! material's length of scattering, `exp(-s / length)`; it is strongest against the light (the translucency of
-//! Barre-Brisebois and Bouchard, GDC 2011) and takes no more than the cosine leaves, so no surface sends out more than
-//! arrives.
+//! `arrives` is the visible share of the light ([`super::shadow`]), 0 on a side that is turned away. `open` is the mean of
+//! [`AO_CONES`] cones over the hemisphere, each weighted by its cosine; occluders beyond a given distance do not count.
+//! `through` is the share of the light that arrives through the instance itself ([`super::transmission`]). A side that is
+//! turned away gets all of it. On the lit side its weight falls with the cosine, so the picture is continuous where the cosine
+//! is 0, and no surface sends out more light than arrives.
 
 use super::known::{Found, FoundMut, Known, Pass};
 use super::primary::{GBuffer, Layer};
-use super::shadow::{Casters, Place, Ray, Work, basis};
+use super::shadow::{Casters, Place, Ray, Work, basis, disc_point, toward};
+use super::transmission::{self, NO_LIGHT};
 use super::{Light, RenderOptions, Scene, SceneShadows};
 use crate::error::Error;
 use crate::render::Frame;
@@ -153,6 +153,7 @@ impl<'a> Surface<'a> {
             normal: layer.normal,
             own: layer.instance,
             bias_voxels: if layer.is_triangle { BIAS_TRIANGLE } else { BIAS_FIELD },
+            skips_own: false,
         };
         let to_eye = -direction.normalize().as_vec3();
         Self { layer, place, to_eye, turn: pixel_turn(layer.x as usize, y) }
@@ -180,7 +181,7 @@ impl<'a> Surface<'a> {
         }
     }
 
-    /// Ask the fields about each light and the surroundings; returns what that took.
+    /// Evaluate the light on the surface by the fields; returns the work.
     pub fn look(
         &self,
         casters: &Casters<'_>,
@@ -202,20 +203,81 @@ impl<'a> Surface<'a> {
         };
         for (i, light) in lights.lights.iter().enumerate() {
             let (ray, slope, _) = light.seen_from(place.p);
-            found.shares[i] = self.plain_share(&ray, options).unwrap_or_else(|| match options.shadows {
-                SceneShadows::None => 1.0,
-                SceneShadows::Hard => casters.ray_share(place, &ray, &mut work),
-                SceneShadows::Soft => casters.disc_share(place, &ray, slope, &mut work),
-                SceneShadows::Area(count) => casters.area_share(place, &ray, slope, count, self.turn, &mut work),
-                SceneShadows::Article => scene.article_share(place, &ray, &mut work),
-            });
-            found.thickness[i] =
-                if self.scatters(scene) { casters.thickness(place, ray.direction, &mut work) } else { 0.0 };
+            found.shares[i] = self
+                .plain_share(&ray, options)
+                .unwrap_or_else(|| self.visible_share(casters, place, &ray, slope, options, &mut work));
+            found.through[i] = [0.0; 3];
+            if self.scatters(scene) {
+                let ways = self.ways(&ray, slope, options.shadows);
+                let mut sum = Vec3::ZERO;
+                for (way, slope) in &ways {
+                    let left = self.left(scene, way, casters.length_inside(place, way, &mut work));
+                    sum += match self.plain_visibility(found.shares[i], left, options) {
+                        Some(share) => share * left,
+                        None => {
+                            left * self.visible_share(casters, &self.place_behind(), way, *slope, options, &mut work)
+                        }
+                    };
+                }
+                found.through[i] = (sum / ways.len() as f32).to_array();
+            }
         }
         work
     }
 
-    /// The cones over the hemisphere with their weights; matter within `distance`, scene units, counts.
+    /// Visible share of a light from a place, in the mode of the picture.
+    fn visible_share(
+        &self,
+        casters: &Casters<'_>,
+        place: &Place,
+        ray: &Ray,
+        slope: f32,
+        options: &RenderOptions,
+        work: &mut Work,
+    ) -> f32 {
+        match options.shadows {
+            SceneShadows::None => 1.0,
+            SceneShadows::Hard => casters.ray_share(place, ray, work),
+            SceneShadows::Soft => casters.disc_share(place, ray, slope, work),
+            SceneShadows::Area(count) => casters.area_share(place, ray, slope, count, self.turn, work),
+            SceneShadows::Article => casters.scene.article_share(place, ray, work),
+        }
+    }
+
+    /// The rays along which light comes through the instance, each with the slope of the light that is left to it: every ray
+    /// of an area light by itself, else the ray to the centre with the whole light.
+    pub fn ways(&self, ray: &Ray, slope: f32, shadows: SceneShadows) -> Vec<(Ray, f32)> {
+        match shadows {
+            SceneShadows::Area(count) if slope > 0.0 => {
+                let axes = basis(ray.direction);
+                (0..count).map(|i| (toward(ray, axes, slope, disc_point(i, count, self.turn)), 0.0)).collect()
+            }
+            _ => vec![(*ray, slope)],
+        }
+    }
+
+    /// Share of light left behind a length inside the instance, scene units, with the weight of the surface.
+    pub fn left(&self, scene: &Scene, ray: &Ray, length: f32) -> Vec3 {
+        let scattering = Vec3::from_array(scene.materials[self.layer.material as usize].scattering);
+        transmission::weight(self.cosine(ray)) * transmission::left(length * scene.scale as f32, scattering)
+    }
+
+    /// The visibility of a light behind the instance where it needs no rays: without shadows, where no light is left, and where
+    /// the surface itself gets all of the light although its own instance can shade it.
+    pub fn plain_visibility(&self, share: f32, left: Vec3, options: &RenderOptions) -> Option<f32> {
+        match options.shadows {
+            SceneShadows::None => Some(1.0),
+            _ if left.max_element() <= NO_LIGHT => Some(0.0),
+            _ => (share >= 1.0).then_some(1.0),
+        }
+    }
+
+    /// The place as light sees it that comes through the instance.
+    pub fn place_behind(&self) -> Place {
+        Place { skips_own: true, ..self.place }
+    }
+
+    /// The cones over the hemisphere with their weights; occluders within `distance`, scene units, count.
     pub fn open_rays(&self, distance: f64) -> impl Iterator<Item = (Ray, f32)> {
         let normal = self.place.normal.as_dvec3();
         let [right, up] = basis(normal);
@@ -234,7 +296,7 @@ impl<'a> Surface<'a> {
         let material = &scene.materials[self.layer.material as usize];
         let albedo = self.layer.color.truncate();
         let mut color = options.ambient * found.open * albedo;
-        for ((light, &share), &thickness) in lights.lights.iter().zip(found.shares).zip(found.thickness) {
+        for ((light, &share), &through) in lights.lights.iter().zip(found.shares).zip(found.through) {
             let (ray, _, light_color) = light.seen_from(self.place.p);
             let cosine = self.cosine(&ray);
             if share > 0.0 && cosine > 0.0 {
@@ -242,25 +304,8 @@ impl<'a> Surface<'a> {
                 let highlight = material.specular * self.layer.normal.dot(half).max(0.0).powf(material.shininess);
                 color += share * light_color * (cosine * albedo + highlight);
             }
-            if self.scatters(scene) {
-                let through = self.through(&material.scattering, &ray, cosine, thickness * scene.scale as f32);
-                color += light_color * albedo * through;
-            }
+            color += light_color * albedo * Vec3::from_array(through);
         }
         color
-    }
-
-    /// Light that comes through so much of the instance, world units, from its far side, for each of RGB.
-    fn through(&self, scattering: &[f32; 3], ray: &Ray, cosine: f32, thickness: f32) -> Vec3 {
-        /// How much the normal bends the light on its way out, and how narrow the glow against the light is.
-        const BEND: f32 = 0.3;
-        const GLOW: i32 = 4;
-        let to_light = ray.direction.as_vec3();
-        let left = scattering.map(|length| if length > 0.0 { (-thickness / length).exp() } else { 0.0 });
-        let out = -(to_light + BEND * self.layer.normal).normalize_or_zero();
-        let glow = out.dot(self.to_eye).max(0.0).powi(GLOW);
-        // What the cosine term leaves of the light that falls on the surface.
-        let room = 1.0 - cosine.max(0.0);
-        Vec3::from_array(left) * (room * (0.5 + 0.5 * glow))
     }
 }

@@ -33,6 +33,7 @@ pub mod shadow;
 pub mod texture;
 pub mod thin;
 pub mod things;
+pub mod transmission;
 pub mod tree;
 pub mod triangles;
 
@@ -111,7 +112,8 @@ pub struct Instance {
     pub object: u32,
     /// Local coordinates of the mesh's tree (`Mesh::local_from_world`) from scene space.
     pub tree_from_scene: DAffine3,
-    /// Scene normals from normals of the thing.
+    /// Scene directions of normals from normals in the object's own axes. Only the direction counts: the largest entry is 1,
+    /// so that no length overflows in float32, whatever the units.
     pub scene_from_normal: Mat3,
     pub field_from_scene: DAffine3,
     /// Local directions from scene directions.
@@ -480,7 +482,9 @@ fn instance(
     let rows = field_from_scene.matrix3.transpose();
     Ok(Instance {
         tree_from_scene: tree_from_local * local_from_scene,
-        scene_from_normal: (local_from_scene.matrix3 * scale).transpose().as_mat3(),
+        scene_from_normal: (local_from_scene.matrix3 * (1.0 / largest_entry(local_from_scene.matrix3)))
+            .transpose()
+            .as_mat3(),
         field_from_scene,
         local_from_scene: local_from_scene.matrix3.as_mat3(),
         field_normal_from_scene: field_from_scene.matrix3.inverse().transpose().as_mat3(),
@@ -498,9 +502,14 @@ fn instance(
     })
 }
 
+/// Largest magnitude of an entry.
+fn largest_entry(m: DMat3) -> f64 {
+    m.to_cols_array().iter().fold(0.0, |largest, x| largest.max(x.abs()))
+}
+
 /// Least and largest singular value, by the eigenvalues of `m^T m` (Jacobi rotations).
 fn singular_values(m: DMat3) -> [f64; 2] {
-    let size = m.to_cols_array().iter().fold(0.0f64, |size, x| size.max(x.abs()));
+    let size = largest_entry(m);
     if !(size > 0.0 && size.is_finite()) {
         return [0.0, size];
     }

@@ -310,7 +310,7 @@ impl Eye<'_> {
         } else if hit.at_start {
             to_eye
         } else {
-            (instance.local_from_scene.transpose() * look.normal).normalize_or(to_eye)
+            (instance.scene_from_normal * look.normal).normalize_or(to_eye)
         };
         let material = &self.scene.materials[instance.first_material as usize];
         let mut color = Vec4::from_array(material.color);

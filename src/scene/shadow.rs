@@ -23,7 +23,7 @@
 //! starts so many voxels off the surface. Nothing is in world units, so scale does not matter; other instances touch the
 //! surface without a gap.
 
-use super::cone::{Cone, ConeShare, ConeSum, ConeWalk, MAX_CONE_STEPS};
+use super::cone::{Cone, ConeShare, ConeSum, ConeWalk};
 use super::far::{Far, FarLevel, Split};
 use super::field::{Field, FieldRay};
 use super::thin::is_clear;
@@ -43,6 +43,9 @@ pub struct Place {
     pub own: u32,
     /// How far its own field is kept away, in voxels.
     pub bias_voxels: f32,
+    /// The own instance casts no shadow on the place: light that scatters passes through it. Far fields, which contain the
+    /// own instance, are not used then.
+    pub skips_own: bool,
 }
 
 /// A way to look: a unit direction, and how far.
@@ -98,14 +101,15 @@ impl std::ops::AddAssign for Work {
     }
 }
 
-/// Who throws shadows: the instances of a scene and, past a distance, one field for all of them ([`super::far`]).
+/// The occluders of a picture: the instances of a scene and, past a distance, one far field for all of them
+/// ([`super::far`]).
 #[derive(Clone, Copy)]
 pub struct Casters<'a> {
     pub scene: &'a Scene,
     pub far: Option<&'a Far>,
 }
 
-/// One of them, on a part of a ray.
+/// One occluder on a part of a ray: an instance or a level of the far field.
 struct Caster<'a> {
     instance: &'a Instance,
     field: &'a dyn Field,
@@ -264,36 +268,6 @@ impl<'a> Casters<'a> {
         sum / count as f32
     }
 
-    /// How far a ray goes through the instance's own matter before it leaves it, scene units; 0 where there is no field.
-    pub fn thickness(&self, place: &Place, direction: DVec3, work: &mut Work) -> f32 {
-        let instance = &self.scene.instances[place.own as usize];
-        let Some(field) = instance.field.as_deref() else { return 0.0 };
-        // Start inside: the bias the other way round.
-        let inside = Place { bias_voxels: -place.bias_voxels, ..*place };
-        let ray = Ray { direction, t_max: f64::INFINITY };
-        let (origin, step) = ray_in_field(instance, true, &inside, &ray);
-        let [lower, upper] = field.surface_bounds();
-        let Some((enter, leave)) = clip(origin, step, lower, upper, 0.0, f64::INFINITY) else { return 0.0 };
-        let (start, step) = ((origin + enter * step).as_vec3(), step.as_vec3());
-        let pace = 1.0 / (instance.local_from_scene * direction.as_vec3()).length();
-        let least = 0.5 / step.length();
-        let end = (leave - enter) as f32;
-        let (mut t, mut thickness) = (0.0, 0.0);
-        for _ in 0..MAX_CONE_STEPS {
-            let distance = field.distance(start + t * step);
-            work.steps += 1;
-            let next = (t + (distance.abs() * pace).max(least)).min(end);
-            if distance < 0.0 {
-                thickness += next - t;
-            }
-            t = next;
-            if t >= end {
-                break;
-            }
-        }
-        thickness
-    }
-
     /// Share of a thin ray, and whether it went on in the far field.
     fn pass_ray(&self, place: &Place, ray: &Ray, work: &mut Work) -> (f32, bool) {
         let split = self.split(place, ray, 0.0);
@@ -318,7 +292,8 @@ impl<'a> Casters<'a> {
 
     /// Which parts of a ray or cone the instances answer, and which the far field.
     fn split(&self, place: &Place, ray: &Ray, slope: f32) -> Split {
-        self.far.map_or(Split::near(ray.t_max), |far| far.split(place, ray, slope))
+        let far = self.far.filter(|_| !place.skips_own);
+        far.map_or(Split::near(ray.t_max), |far| far.split(place, ray, slope))
     }
 
     /// How far a walk through the instances goes.
@@ -335,6 +310,7 @@ impl<'a> Casters<'a> {
         let (near, rest) = if instance.is_opaque_solid() { (split.near, split.rest) } else { (ray.t_max, None) };
         let bounds = &self.scene.boxes[item as usize];
         let is_own = item == place.own;
+        let field = field.filter(|_| !(is_own && place.skips_own));
         let parts = [Some([0.0, near]), rest.map(|rest| [rest, ray.t_max])].into_iter().flatten();
         parts.filter_map(move |part| Some(Caster { instance, field: field?, bounds, part, is_own, skip: 0.0 }))
     }
@@ -423,7 +399,7 @@ impl<'a> Casters<'a> {
 }
 
 /// A ray in an instance's field space, its start moved off the surface if that is the instance's own.
-fn ray_in_field(instance: &Instance, is_own: bool, place: &Place, ray: &Ray) -> (DVec3, DVec3) {
+pub fn ray_in_field(instance: &Instance, is_own: bool, place: &Place, ray: &Ray) -> (DVec3, DVec3) {
     let mut p = place.p;
     if is_own {
         let voxel = (instance.field_normal_from_scene * place.normal).length();

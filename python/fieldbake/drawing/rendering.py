@@ -112,9 +112,10 @@ def render(
     Notes
     -----
     ``color = exposure * (ambient * open * albedo + sum of arrives * light * (max(0, n.l) * albedo + specular * max(0,
-    n.h)^shininess))``, in linear RGB; lights have no falloff with distance. Penumbrae follow S. Aaltonen,
-    GPU-based clay simulation and ray-tracing tech in Claybook, GDC 2018, and are centred on the hard edge. Where one
-    cone does not decide, 16 cones divide the disc of the light.
+    n.h)^shininess + through * albedo))``, in linear RGB. ``through`` is the light that passes through the object
+    itself, see :class:`Material`. Lights have no falloff with distance. Penumbrae follow S. Aaltonen, GPU-based clay
+    simulation and ray-tracing tech in Claybook, GDC 2018, and are centred on the hard edge. Where one cone does not
+    decide, 16 cones divide the disc of the light.
 
     A merged field keeps walls of at least two of its voxels closed. Past `far_distance` the edges of shadows deviate
     by up to about one of its voxels, and thinner objects may cast no shadow. Nearer occluders are unaffected.

@@ -43,12 +43,23 @@ class Material:
     two_sided : bool, optional
         Whether faces are seen from behind; the thing's own if not given. A sheet is always seen from both sides.
     scattering : float or (3,), default 0
-        How far light goes inside until 1/e of it is left, world units, for each of RGB; 0: it does not enter.
+        Scattering length ``s``, world units, for each of RGB: light keeps the share ``exp(-l / s)`` over a length ``l``
+        inside the object. 0: light does not enter.
 
     Raises
     ------
     SceneError
         For a value out of range.
+
+    Notes
+    -----
+    With `scattering`, a visible point that is turned away from a light sends out ``albedo * light * visibility *
+    exp(-l / s)``. ``l`` is the length of the ray from the point to the light inside the object, and ``visibility`` is
+    the share of the light that arrives where the ray enters the object: other instances shade it in the mode of the
+    picture's shadows, and none does with ``shadows="none"``. A quadric has the chord to its next crossing, or to its
+    trim sphere, in closed form. Every other object is measured in its field, where stretches inside that are shorter
+    than 1/8 of a voxel may be missed. On a lit side at cosine ``c`` to the light the term has the weight
+    ``(1 - c)^2``. So it joins Lambert's term without a step, and both together never exceed the light that arrives.
 
     Examples
     --------

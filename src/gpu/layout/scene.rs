@@ -69,8 +69,8 @@ pub struct Beam {
     pub bias_voxels: f32,
     pub own: u32,
     pub is_coarse: u32,
+    pub skips_own: u32,
     pub pad_0: u32,
-    pub pad_1: u32,
 }
 
 /// `shaders/scene_beams.wgsl`.

@@ -107,7 +107,10 @@ fn structs_have_the_layout_that_the_shaders_read() {
         }
     );
     assert_twin!("scene_beams", SceneField { shape, first_sample, spacing, first_block, blocks, kind });
-    assert_twin!("scene_beams", Beam { p, t_max, direction, slope, normal, bias_voxels, own, is_coarse, pad_0, pad_1 });
+    assert_twin!(
+        "scene_beams",
+        Beam { p, t_max, direction, slope, normal, bias_voxels, own, is_coarse, skips_own, pad_0 }
+    );
     assert_twin!("scene_beams", Answer { value, is_proven, steps, is_complete, is_far });
     assert_twin!(
         "scene_beams",

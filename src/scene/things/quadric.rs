@@ -96,6 +96,11 @@ impl Field for QuadricField {
         true
     }
 
+    fn chord(&self, ray: &FieldRay, enters: bool) -> Option<f32> {
+        let line = LocalRay::new(&self.local, ray.origin.as_dvec3(), ray.direction.as_dvec3());
+        Some(line.map_or(0.0, |line| line.chord(enters) as f32))
+    }
+
     fn surface_radius(&self) -> f32 {
         UNITS as f32
     }
