@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _core
 from ..base import checks
 from ..base.errors import MeshError
+from .images import decoded
 
 if TYPE_CHECKING:
     import trimesh
@@ -75,10 +76,9 @@ class Part:
         if self._image is None:
             return None
         try:
-            pixels = np.asarray(self._image.convert("RGBA") if hasattr(self._image, "convert") else self._image)
+            return decoded(self._image)
         except (OSError, SyntaxError, ValueError) as error:
             raise MeshError(f"the texture of part '{self.name}' cannot be read: {error}") from error
-        return checks.frozen(np.array(pixels, dtype=np.uint8))
 
     @cached_property
     def alpha(self) -> NDArray[np.float32] | None:

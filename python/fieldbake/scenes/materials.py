@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..base import checks
 from ..base.errors import ArgumentError, SceneError
+from ..meshes.images import decoded
 from ..meshes.mesh import ALPHA_MODES
 
 #: Colour of an object that has none of its own, linear RGBA.
@@ -128,9 +129,7 @@ def _texture(value: Any) -> NDArray[np.uint8]:
     pixels = np.asarray(value)
     if pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or pixels.dtype != np.uint8 or pixels.size == 0:
         raise SceneError(f"texture: must be uint8 of shape (h, w, 3) or (h, w, 4), got {checks.describe(pixels)}")
-    if pixels.shape[2] == 3:
-        pixels = np.dstack([pixels, np.full(pixels.shape[:2], 255, dtype=np.uint8)])
-    return checks.frozen(np.array(pixels))
+    return decoded(pixels)
 
 
 def scattering_rgb(material: Material) -> tuple[float, float, float]:
