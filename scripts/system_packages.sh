@@ -19,6 +19,9 @@ if [ "$1" = test ] && ! ls /usr/share/vulkan/icd.d/*.json /etc/vulkan/icd.d/*.js
     && [ -z "${VK_ICD_FILENAMES:-}${VK_DRIVER_FILES:-}" ]; then
     missing+=(mesa-vulkan-drivers) # lavapipe: Vulkan on the CPU
 fi
+if [ "$1" = test ] && ! command -v glslangValidator >/dev/null; then
+    missing+=(glslang-tools) # compiles the GLSL texts
+fi
 if [ "$1" = bench ] && [ ! -d /usr/include/eigen3 ]; then
     missing+=(libeigen3-dev) # pysdf is built from source
 fi

@@ -4,7 +4,7 @@ use crate::error::{ArgumentError, choice};
 use naga::back::{glsl, hlsl, msl};
 use naga::proc::BoundsCheckPolicies;
 use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
-use naga::{Module, ShaderStage, front};
+use naga::{AddressSpace, GlobalVariable, Module, ResourceBinding, ShaderStage, TypeInner, front};
 
 /// A shading language.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -44,7 +44,8 @@ pub fn translate(wgsl: &str, language: Language, target: GlslTarget) -> Result<S
     match language {
         Language::Wgsl => unreachable!("returned above"),
         Language::Glsl => {
-            let options = glsl::Options { version: target.version, ..glsl::Options::default() };
+            let binding_map = resources(&module).map(|(binding, _)| (binding, binding.binding as u8)).collect();
+            let options = glsl::Options { version: target.version, binding_map, ..glsl::Options::default() };
             let pipeline = glsl::PipelineOptions {
                 shader_stage: target.stage,
                 entry_point: target.entry_point.into(),
@@ -62,12 +63,43 @@ pub fn translate(wgsl: &str, language: Language, target: GlslTarget) -> Result<S
                 .map_err(|error| refused(&error.to_string()))?;
         }
         Language::Msl => {
-            let options = msl::Options { fake_missing_bindings: true, ..msl::Options::default() };
+            let options = msl_options(&module);
             (text, _) = msl::write_string(&module, &info, &options, &msl::PipelineOptions::default())
                 .map_err(|error| refused(&error.to_string()))?;
         }
     }
     Ok(text)
+}
+
+/// The variables of a module that a program binds, and their bindings.
+fn resources(module: &Module) -> impl Iterator<Item = (ResourceBinding, &GlobalVariable)> {
+    module.global_variables.iter().filter_map(|(_, variable)| Some((variable.binding?, variable)))
+}
+
+/// Metal has tables of its own for buffers, textures and samplers: each resource has the index of its WGSL binding there.
+/// The sizes of buffers are passed in one more buffer, after the last.
+fn msl_options(module: &Module) -> msl::Options {
+    let mut entry = msl::EntryPointResources::default();
+    let mut next_buffer = 0;
+    for (binding, variable) in resources(module) {
+        let slot = binding.binding as u8;
+        let is_buffer = matches!(variable.space, AddressSpace::Uniform | AddressSpace::Storage { .. });
+        let is_sampler = matches!(module.types[variable.ty].inner, TypeInner::Sampler { .. });
+        let target = msl::BindTarget {
+            buffer: is_buffer.then_some(slot),
+            sampler: is_sampler.then_some(msl::BindSamplerTarget::Resource(slot)),
+            texture: (!is_buffer && !is_sampler).then_some(slot),
+            mutable: is_buffer,
+            ..msl::BindTarget::default()
+        };
+        if is_buffer {
+            next_buffer = next_buffer.max(slot + 1);
+        }
+        entry.resources.insert(binding, target);
+    }
+    entry.sizes_buffer = Some(next_buffer);
+    let per_entry_point_map = module.entry_points.iter().map(|point| (point.name.clone(), entry.clone())).collect();
+    msl::Options { per_entry_point_map, fake_missing_bindings: false, ..msl::Options::default() }
 }
 
 /// A WGSL text as naga sees it, valid on every device.

@@ -1,0 +1,152 @@
+"""The texts of shapes and atlases in every shading language: bindings, and what compilers say."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fieldbake as fb
+
+STUB = Path(__file__).parents[1] / "support" / "metal_stub.h"
+
+
+def shapes() -> dict[str, fb.Shape]:
+    box, tube = fb.box((1, 2, 3)), fb.cylinder(radius=0.4, height=4)
+    corners = np.array([(0, 0), (1, 0), (1, 1), (0.2, 0.7)])
+    return {
+        "leaf": fb.sphere(1),
+        "solid": (box | tube.rotate("x", 90)) - fb.torus(1, 0.2) & fb.sphere(4),
+        "smooth": fb.csg.union(box, fb.sphere(1).translate((1, 0, 0)), k=0.2),
+        "warped": box.twist(30).shell(0.1) | fb.ellipsoid((1, 0.5, 0.3)),
+        "flat": fb.polygon(corners).extrude(1),
+    }
+
+
+def kernel_arguments(text: str) -> list[str]:
+    """The arguments of the entry point of an MSL text."""
+    found = re.search(r"\nkernel void \w+\((.*?)\n\) \{", text, re.DOTALL)
+    assert found is not None
+    return [line.lstrip(" ,") for line in found[1].strip().splitlines()]
+
+
+@pytest.mark.parametrize("name", shapes())
+def test_every_argument_of_the_metal_kernel_has_a_valid_attribute(name: str) -> None:
+    text = shapes()[name].shader("msl")
+    arguments = kernel_arguments(text)
+    assert re.search(r" id \[\[thread_position_in_grid\]\]$", arguments[0])
+    slots = {}
+    for argument in arguments[1:]:
+        bound = re.search(r"& (\w+) \[\[buffer\((\d+)\)\]\]$", argument)
+        assert bound is not None, argument
+        slots[bound[1]] = int(bound[2])
+    # The WGSL bindings, and the sizes of the buffers after them.
+    assert slots == {"numbers": 0, "points": 1, "distances": 2, "_buffer_sizes": 3}
+    assert "fake" not in text
+
+
+@pytest.mark.parametrize("name", shapes())
+def test_buffers_of_other_languages_have_the_bindings_of_the_wgsl(name: str) -> None:
+    shape = shapes()[name]
+    bindings = [int(n) for n in re.findall(r"@binding\((\d+)\)", shape.shader("wgsl"))]
+    assert bindings == [0, 1, 2]
+    glsl = shape.shader("glsl")
+    blocks = re.findall(r"^layout\((.*?)\)[\w ]* buffer \w+", glsl, re.MULTILINE)
+    assert blocks == [f"std430, binding = {n}" for n in bindings]
+    registers = re.findall(r"register\((\w+)\)", shape.shader("hlsl"))
+    assert registers == ["t0", "t1", "u2"]
+
+
+def atlas(layout: str, encoding: str) -> fb.Atlas:
+    volume = fb.bake(fb.models.gear(), (8, 8, 8), device="cpu")
+    return fb.pack([volume], layout=layout, page_size=64, encoding=encoding)  # type: ignore[arg-type]
+
+
+TEXELS = [("float32", "pages"), ("float16", "pages"), ("snorm16", "pages"), ("float32", "png"), ("snorm8", "png")]
+
+
+def atlas_texts(language: str) -> dict[str, str]:
+    return {
+        f"{layout} {encoding} {texels}": atlas(layout, encoding).shader(language, texels=texels)  # type: ignore[arg-type]
+        for layout in ("strips", "shelves")
+        for encoding, texels in TEXELS
+    }
+
+
+def test_atlas_texts_have_no_placeholders() -> None:
+    for text in atlas_texts("msl").values():
+        assert "fake" not in text
+        # Functions take texture and sampler; the entry point of the user has the attributes.
+        assert "metal::texture2d_array<float, metal::access::sample> atlas_pages" in text
+    for text in atlas_texts("hlsl").values():
+        assert re.search(r"^Texture2DArray<float4> atlas_pages : register\(t0\);", text, re.MULTILINE)
+        assert re.search(r"^SamplerState atlas_sampler : register\(s0\);", text, re.MULTILINE)
+    for text in atlas_texts("glsl").values():
+        # GLSL ES 3.00 has no layout(binding=) for samplers.
+        assert re.search(r"^uniform highp sampler2DArray atlas_pages;", text, re.MULTILINE)
+
+
+def metal_errors(text: str) -> list[str]:
+    """What clang says of an MSL text, with declarations in place of Metal's library."""
+    index = pytest.importorskip("clang.cindex", reason="pip install libclang to parse MSL").Index.create()
+    source = STUB.read_text() + re.sub(r"#include <.*?>", "", text)
+    flags = [
+        "-x",
+        "c++",
+        "-std=c++14",
+        "-nostdinc",
+        "-Wno-unknown-attributes",
+        "-Xclang",
+        "-cl-single-precision-constant",
+    ]
+    unit = index.parse("text.cpp", args=flags, unsaved_files=[("text.cpp", source)])
+    return [str(found) for found in unit.diagnostics if found.severity >= 3]
+
+
+@pytest.mark.parametrize("name", shapes())
+def test_clang_parses_the_metal_text_of_a_shape(name: str) -> None:
+    text = shapes()[name].shader("msl")
+    assert metal_errors(text) == []
+    # The parser does find mistakes.
+    assert metal_errors(text.replace("distance_to_shape(_", "distance_of_shape(_"))
+
+
+def test_clang_parses_the_metal_texts_of_atlases() -> None:
+    for name, text in atlas_texts("msl").items():
+        assert metal_errors(text) == [], name
+        assert metal_errors(text.replace("atlas_share(", "atlas_part(", 1))
+
+
+def glsl_errors(tmp_path: Path, stage: str, text: str) -> str:
+    """What the reference compiler of GLSL says, or nothing."""
+    compiler = shutil.which("glslangValidator")
+    if compiler is None:
+        pytest.skip("no glslangValidator: install the package glslang-tools to compile GLSL")
+    path = tmp_path / f"text.{stage}"
+    path.write_text(text)
+    result = subprocess.run([compiler, str(path)], capture_output=True, text=True, timeout=60, check=False)
+    return result.stdout if result.returncode else ""
+
+
+@pytest.mark.parametrize("name", shapes())
+def test_the_reference_compiler_takes_the_glsl_of_a_shape(name: str, tmp_path: Path) -> None:
+    text = shapes()[name].shader("glsl")
+    assert glsl_errors(tmp_path, "comp", text) == ""
+    assert glsl_errors(tmp_path, "comp", text.replace("binding = 2", "binding = two")) != ""
+
+
+def test_the_reference_compiler_takes_the_glsl_of_atlases(tmp_path: Path) -> None:
+    main = """
+uniform AtlasEntry entry;
+out highp vec4 color;
+void main() {
+    vec3 p = gl_FragCoord.xyz;
+    color = vec4(atlas_sample(entry, p), atlas_sample_filtered(entry, p), atlas_texture_coordinates(entry, p));
+}
+"""
+    for name, text in atlas_texts("glsl").items():
+        assert glsl_errors(tmp_path, "frag", text + main) == "", name
