@@ -1,6 +1,6 @@
 // Texels of an atlas from the samples of a field: one invocation a texel of a slice, gutter included. Twin of
-// src/atlas/texels.rs and src/encoding.rs, bit for bit: samples are handled as bits, halves are cut by shifts, and the
-// normalised integers are found by comparing with their values, which the CPU made.
+// src/atlas/texels.rs and src/encoding.rs, bit for bit: samples are handled as bits, halves are scaled by their exponent
+// and cut by shifts, and the normalised integers are found by comparing with their values, which the CPU computed.
 
 struct PackParams {
     // First texel of the block, and size of a slice with its gutters.
@@ -19,7 +19,8 @@ struct PackParams {
     // Largest normalised integer, 0 for floats.
     steps: u32,
     scale: f32,
-    pad_0: u32,
+    // Exponent of the scale of float16, a power of two.
+    scale_exponent: i32,
 }
 
 @group(0) @binding(0) var<storage, read> params: PackParams;
@@ -29,15 +30,24 @@ struct PackParams {
 // What the normalised integers from 0 to `steps` stand for.
 @group(0) @binding(3) var<storage, read> levels: array<f32>;
 
-// Toward zero: the mantissa's last bits are cut off.
+// The half of a sample divided by the scale, toward zero: the mantissa's last bits are cut off.
 fn half_bits(bits: u32) -> u32 {
     let sign = (bits >> 16u) & 0x8000u;
-    let exponent = (bits >> 23u) & 0xffu;
-    if exponent >= 143u { return sign | 0x7bffu; }  // 65536 and more: the largest half
-    if exponent >= 113u { return sign | (((bits & 0x7fffffffu) - (112u << 23u)) >> 13u); }
-    if exponent < 102u { return sign; }
+    var exponent = i32((bits >> 23u) & 0xffu);
+    var mantissa = bits & 0x7fffffu;
+    if exponent == 0 {
+        if mantissa == 0u { return sign; }
+        // A subnormal number: its leading bit is moved to where that of a normal number is implied.
+        let shift = 23u - firstLeadingBit(mantissa);
+        mantissa = (mantissa << shift) & 0x7fffffu;
+        exponent = 1 - i32(shift);
+    }
+    exponent -= params.scale_exponent;
+    if exponent >= 143 { return sign | 0x7bffu; }  // 65536 and more: the largest half
+    if exponent >= 113 { return sign | (u32(exponent - 112) << 10u) | (mantissa >> 13u); }
+    if exponent < 102 { return sign; }
     // Below 2^-14 halves are evenly spaced by 2^-24.
-    return sign | (((bits & 0x7fffffu) | 0x800000u) >> (126u - exponent));
+    return sign | ((mantissa | 0x800000u) >> u32(126 - exponent));
 }
 
 // Steps between the guess and the integer, at most: the quotient is off by a few ulps.

@@ -8,13 +8,22 @@
 //! | encoding | stored | range | error, at most |
 //! |---|---|---|---|
 //! | float32 | the value | all | 0 |
-//! | float16 | the value | 65504 | 2^-10 of the value, 2^-24 below 2^-14 |
+//! | float16 | value / scale | 65504 scale | 2^-10 of the value, 2^-24 scale below 2^-14 scale |
 //! | snorm16 | value / scale * 32767 | scale | scale / 32767 |
 //! | snorm8 | value / scale * 127 | scale | scale / 127 |
 //!
-//! What lies outside the range is stored as its end: still a lower bound, no longer a distance. `scale` is the width of
-//! the band around the surface that keeps its distances, in world units; the floats do not use it. The normalised
-//! formats are those of texture hardware: a sampler of an R8 or R16 snorm texture returns `value / scale`.
+//! What lies outside the range is stored as its end: still a lower bound, no longer a distance. [`Encoding::scale`]
+//! derives the scale from the voxel, so the error has the same bound in voxels for a mesh of any size:
+//!
+//! | encoding | scale, world units | error in voxels, at most |
+//! |---|---|---|
+//! | float32 | 1 | 0 |
+//! | float16 | largest power of two up to the voxel's longest side | 2^-10 of the distance, or 2^-24 |
+//! | snorm16 | width of the band around the surface | band / 32767 |
+//! | snorm8 | width of the band around the surface | band / 127 |
+//!
+//! A power of two leaves the mantissa of a half as it is. The normalised formats are those of texture hardware: a
+//! sampler of an R8 or R16 snorm texture returns `value / scale`, and so does one of an R16 float texture.
 //!
 //! # Practice
 //!
@@ -53,6 +62,10 @@ const HALF_NORMAL: f32 = 1.0 / (1u32 << 14) as f32;
 const TWO_TO_112: f32 = f32::from_bits((127 + 112) << 23);
 /// Distance of two halves below 2^-14, where they are evenly spaced.
 const HALF_SUBNORMAL: f32 = 1.0 / (1u32 << 24) as f32;
+/// Exponents of the scales of float16: every half times the scale is an f32 without rounding, and finite.
+const HALF_SCALE_EXPONENTS: std::ops::RangeInclusive<i32> = -125..=111;
+/// Largest scale of a normalised encoding: the largest coordinate.
+const LARGEST_SCALE: f64 = 1e37;
 
 impl Encoding {
     /// The encoding that the Python interface calls `name`.
@@ -80,17 +93,37 @@ impl Encoding {
         }
     }
 
-    /// Whether values are stored as a share of `scale`.
+    /// Whether values are integers that share out the range from `-scale` to `scale`.
     pub fn is_normalised(self) -> bool {
         matches!(self, Self::Snorm16 | Self::Snorm8)
     }
 
-    /// The bits of a value, in the low [`Encoding::bytes`] bytes, rounded toward zero. `scale` must be positive.
+    /// Whether stored values are multiplied by a scale: for all encodings but float32.
+    pub fn is_scaled(self) -> bool {
+        self != Self::Float32
+    }
+
+    /// The scale for a field whose voxels have `voxel` as their longest side, and whose distances up to `band` are kept;
+    /// both are positive lengths in world units.
+    pub fn scale(self, voxel: f64, band: f64) -> f32 {
+        match self {
+            Self::Float32 => 1.0,
+            Self::Float16 => {
+                // The exponent of an f64, which is that of the largest power of two up to the voxel.
+                let exponent = (voxel.to_bits() >> 52 & 0x7ff) as i32 - 1023;
+                power_of_two(exponent.clamp(*HALF_SCALE_EXPONENTS.start(), *HALF_SCALE_EXPONENTS.end()))
+            }
+            Self::Snorm16 | Self::Snorm8 => (band.min(LARGEST_SCALE) as f32).max(f32::MIN_POSITIVE),
+        }
+    }
+
+    /// The bits of a value, in the low [`Encoding::bytes`] bytes, rounded toward zero. `scale` must be positive, and for
+    /// float16 a power of two; see [`Encoding::check_scale`].
     #[inline]
     pub fn encode(self, value: f32, scale: f32) -> u32 {
         match self {
             Self::Float32 => value.to_bits(),
-            Self::Float16 => u32::from(half_toward_zero(value)),
+            Self::Float16 => u32::from(half_toward_zero(value * scale.recip())),
             Self::Snorm16 => u32::from(snorm_toward_zero(value, scale, SNORM16_STEPS) as u16),
             Self::Snorm8 => u32::from(snorm_toward_zero(value, scale, SNORM8_STEPS) as u8),
         }
@@ -101,30 +134,36 @@ impl Encoding {
     pub fn decode(self, bits: u32, scale: f32) -> f32 {
         match self {
             Self::Float32 => f32::from_bits(bits),
-            Self::Float16 => half_value(bits),
+            Self::Float16 => half_value(bits) * scale,
             Self::Snorm16 => snorm_value(f32::from(bits as u16 as i16), scale, SNORM16_STEPS),
             Self::Snorm8 => snorm_value(f32::from(bits as u8 as i8), scale, SNORM8_STEPS),
         }
     }
 
-    /// Fails unless every stored number but zero stands for one that is not zero, and has its sign.
+    /// Fails unless every stored number but zero decodes to a finite number that is not zero, with the same sign.
     pub fn check_scale(self, scale: f32) -> Result<(), ArgumentError> {
         let is_positive = scale.is_finite() && scale > 0.0;
-        if is_positive && (!self.is_normalised() || self.decode(1, scale) > 0.0) {
-            return Ok(());
-        }
-        let steps =
-            if is_positive { format!(" whose steps as {} are numbers too", self.name()) } else { String::new() };
-        Err(ArgumentError::new("scale", format!("must be a positive number{steps}, got {scale}")))
+        let wanted = match self {
+            Self::Float16 if is_positive && !is_half_scale(scale) => {
+                let (least, most) = (HALF_SCALE_EXPONENTS.start(), HALF_SCALE_EXPONENTS.end());
+                format!("a power of two from 2^{least} to 2^{most} for float16")
+            }
+            Self::Snorm16 | Self::Snorm8 if is_positive && self.decode(1, scale) == 0.0 => {
+                format!("large enough that its steps as {} are above zero", self.name())
+            }
+            _ if is_positive => return Ok(()),
+            _ => "a positive number".to_owned(),
+        };
+        Err(ArgumentError::new("scale", format!("must be {wanted}, got {scale}")))
     }
 
     /// The most that a decoded value can be off, for values within the range whose magnitude is at most `magnitude`.
     pub fn error_bound(self, magnitude: f32, scale: f32) -> f32 {
-        // A normalised value takes two roundings of f32 on its way back.
-        let step = |steps: f32| scale / steps + 2.0 * f32::EPSILON * scale;
+        // A normalised value takes two roundings of f32 on its way back; below 2^-126 each is off by up to 2^-150.
+        let step = |steps: f32| scale / steps + 2.0 * f32::EPSILON * scale + f32::from_bits(1);
         match self {
             Self::Float32 => 0.0,
-            Self::Float16 => (magnitude * HALF_EPSILON).max(HALF_SUBNORMAL),
+            Self::Float16 => (magnitude * HALF_EPSILON).max(HALF_SUBNORMAL * scale),
             Self::Snorm16 => step(SNORM16_STEPS),
             Self::Snorm8 => step(SNORM8_STEPS),
         }
@@ -152,8 +191,9 @@ impl Encoding {
         match self {
             Self::Float32 => out.copy_from_slice(bytemuck::cast_slice(values)),
             Self::Float16 => {
+                let per_scale = scale.recip();
                 for (bits, &value) in bytemuck::cast_slice_mut::<_, u16>(out).iter_mut().zip(values) {
-                    *bits = half_toward_zero(value);
+                    *bits = half_toward_zero(value * per_scale);
                 }
             }
             Self::Snorm16 => {
@@ -177,6 +217,7 @@ impl Encoding {
                 let halves: &[f16] =
                     half::slice::HalfBitsSliceExt::reinterpret_cast(bytemuck::cast_slice::<_, u16>(bytes));
                 halves.convert_to_f32_slice(out);
+                out.iter_mut().for_each(|value| *value *= scale);
             }
             Self::Snorm16 => {
                 for (value, &bits) in out.iter_mut().zip(bytemuck::cast_slice::<_, i16>(bytes)) {
@@ -190,6 +231,17 @@ impl Encoding {
             }
         }
     }
+}
+
+/// An f32 with this exponent, from -126 to 127.
+fn power_of_two(exponent: i32) -> f32 {
+    f32::from_bits(((exponent + 127) as u32) << 23)
+}
+
+/// Whether float16 can have this scale.
+fn is_half_scale(scale: f32) -> bool {
+    let exponent = (scale.to_bits() >> 23) as i32 - 127;
+    HALF_SCALE_EXPONENTS.contains(&exponent) && power_of_two(exponent) == scale
 }
 
 /// The value of a half: `f16::to_f32`, which looks up what the processor can do each time.
@@ -247,6 +299,11 @@ mod tests {
 
     const SCALES: [f32; 6] = [1.0, 0.1, 3.0, 1e-20, 7e12, 0.3];
 
+    /// A scale near this one that the encoding can have.
+    fn scale_near(encoding: Encoding, scale: f32) -> f32 {
+        if encoding == Encoding::Float16 { encoding.scale(scale.into(), 1.0) } else { scale }
+    }
+
     fn round_trip(encoding: Encoding, value: f32, scale: f32) -> f32 {
         encoding.decode(encoding.encode(value, scale), scale)
     }
@@ -263,7 +320,7 @@ mod tests {
     #[test]
     fn every_stored_number_comes_back_as_itself() {
         for encoding in [Encoding::Float16, Encoding::Snorm16, Encoding::Snorm8] {
-            for scale in SCALES {
+            for scale in SCALES.map(|scale| scale_near(encoding, scale)) {
                 for bits in 0..1u32 << (8 * encoding.bytes()) {
                     let value = encoding.decode(bits, scale);
                     // Not infinities, the unused integer, and the negative zero that integers do not have.
@@ -329,12 +386,56 @@ mod tests {
     fn a_scale_too_small_to_be_cut_in_steps_is_refused() {
         assert!(Encoding::Snorm16.check_scale(1e-30).is_ok());
         assert!(Encoding::Float32.check_scale(1e-45).is_ok());
+        for scale in [2f32.powi(-125), 0.5, 1.0, 2f32.powi(111)] {
+            assert!(Encoding::Float16.check_scale(scale).is_ok());
+        }
+        for scale in [2f32.powi(-126), 0.3, 3.0, 2f32.powi(112)] {
+            let told = Encoding::Float16.check_scale(scale).unwrap_err().to_string();
+            assert!(told.starts_with("scale: must be a power of two from 2^-125 to 2^111"), "{told}");
+        }
         let told = Encoding::Snorm8.check_scale(1e-45).unwrap_err().to_string();
         assert!(told.contains("steps as snorm8"), "{told}");
         for scale in [0.0, -1.0, f32::NAN, f32::INFINITY] {
-            assert!(
-                Encoding::Snorm8.check_scale(scale).unwrap_err().to_string().starts_with("scale: must be a positive")
-            );
+            for encoding in Encoding::ALL {
+                let told = encoding.check_scale(scale).unwrap_err().to_string();
+                assert!(told.starts_with("scale: must be a positive number, got"), "{told}");
+            }
+        }
+    }
+
+    #[test]
+    fn every_voxel_has_a_scale_that_is_accepted_and_keeps_the_voxel() {
+        for exponent in -1074..=1023 {
+            for voxel in [2f64.powi(exponent), 1.999 * 2f64.powi(exponent), 1.001 * 2f64.powi(exponent)] {
+                for encoding in Encoding::ALL {
+                    let scale = encoding.scale(voxel, 4.0 * voxel);
+                    encoding.check_scale(scale).unwrap();
+                    if (-125..=111).contains(&exponent) {
+                        let stored = encoding.decode(encoding.encode(voxel as f32, scale), scale);
+                        let error = (f64::from(stored) - f64::from(voxel as f32)).abs();
+                        assert!(error <= 0.04 * voxel, "{encoding:?} {voxel:e}: {error:e}");
+                    }
+                }
+                let scale = f64::from(Encoding::Float16.scale(voxel, 1.0));
+                assert!(!(-125..=111).contains(&exponent) || scale <= voxel && voxel < 2.0 * scale);
+            }
+        }
+    }
+
+    #[test]
+    fn halves_are_the_same_bits_at_every_scale() {
+        // Values that are exact at all of these scales, so that only the scale differs.
+        for exponent in [-100, -3, 0, 7, 100] {
+            let scale = power_of_two(exponent);
+            for high in 0..=u16::MAX {
+                let value = f32::from_bits(u32::from(high) << 16 | 0x1fff);
+                let scaled = value * scale;
+                if value.is_finite() && scaled.is_finite() && scaled / scale == value && scaled.is_normal() {
+                    let bits = Encoding::Float16.encode(scaled, scale);
+                    assert_eq!(bits, Encoding::Float16.encode(value, 1.0), "{value} at 2^{exponent}");
+                    assert_eq!(Encoding::Float16.decode(bits, scale), Encoding::Float16.decode(bits, 1.0) * scale);
+                }
+            }
         }
     }
 
@@ -342,6 +443,7 @@ mod tests {
     fn what_is_out_of_range_becomes_its_end() {
         assert_eq!(round_trip(Encoding::Float16, 1e9, 1.0), 65504.0);
         assert_eq!(round_trip(Encoding::Float16, -65519.0, 1.0), -65504.0);
+        assert_eq!(round_trip(Encoding::Float16, -1e9, 0.25), -65504.0 / 4.0);
         assert_eq!(round_trip(Encoding::Snorm8, 5.0, 0.5), 0.5);
         assert_eq!(round_trip(Encoding::Snorm16, -5.0, 0.5), -0.5);
     }
@@ -350,8 +452,8 @@ mod tests {
         #[test]
         fn rounding_is_toward_zero_and_within_the_bound(mantissa in -2.0..2.0f32, exponent in -30..14i32, which in 0..6usize) {
             for encoding in Encoding::ALL {
-                let scale = SCALES[which];
-                let value = if encoding.is_normalised() { mantissa * scale } else { mantissa * 2f32.powi(exponent) };
+                let scale = scale_near(encoding, SCALES[which]);
+                let value = if encoding.is_normalised() { mantissa * scale } else { mantissa * 2f32.powi(exponent) * scale };
                 let back = round_trip(encoding, value, scale);
                 prop_assert!(back.abs() <= value.abs(), "{encoding:?}: {value} became {back}");
                 prop_assert!(back == 0.0 || back.signum() == value.signum());

@@ -1,12 +1,13 @@
 //! Texture files for other programs: DDS and KTX2 for volumes, OpenEXR for the pages of an atlas.
 //!
 //! Formats: "Programming Guide for DDS" (Microsoft), KTX File Format Specification 2.0 (Khronos), OpenEXR. The crates
-//! `ddsfile`, `ktx2` and `exr` know the bytes; here is what a field is in them. All of a file's sizes are compared before
-//! its texels are believed, and nothing is larger in memory than it is in the file.
+//! `ddsfile`, `ktx2` and `exr` encode and decode the headers; this file chooses their values for a field. The sizes in a
+//! file are compared with each other before its texels are read, and nothing is larger in memory than it is in the file.
+//! The reader of the crate `ktx2` panics on damaged data-format descriptors, so a KTX2 file is read here, by its header.
 
 use crate::encoding::Encoding;
 use crate::error::{ArgumentError, Error, FormatError};
-use ddsfile::{AlphaMode, Caps2, D3D10ResourceDimension, Dds, DxgiFormat, NewDxgiParams};
+use ddsfile::{AlphaMode, Caps2, D3D10ResourceDimension, Dds, DxgiFormat, NewDxgiParams, PixelFormatFlags};
 use exr::prelude as openexr;
 use exr::prelude::{ReadChannels, ReadLayers, WritableImage};
 use half::f16;
@@ -24,7 +25,10 @@ pub struct Texture {
 /// Texels of a DDS file are counted in 32 bits.
 const DDS_LIMIT: usize = u32::MAX as usize;
 /// The key of our facts in a KTX2 file.
-const FACTS_KEY: &[u8] = b"fieldbake";
+const FACTS_KEY: &str = "fieldbake";
+/// The standard key for the directions in which texels are stored, and its value: x to the right, y up, and z out of the
+/// picture towards the viewer, which makes the axes right-handed. Without the key readers take y as down.
+const ORIENTATION: (&[u8], &[u8]) = (b"KTXorientation", b"ruo\0");
 
 impl Texture {
     /// Texels that do not fill the size are a mistake of the caller.
@@ -59,6 +63,9 @@ impl Texture {
             alpha_mode: AlphaMode::Unknown,
         };
         let mut file = Dds::new_dxgi(params).map_err(|error| failed(&error.to_string()))?;
+        // The extended header has the format. Readers take a file that also claims to be RGB for an RGB picture.
+        file.header.spf.flags = PixelFormatFlags::FOURCC;
+        file.header.spf.rgb_bit_count = None;
         file.data.copy_from_slice(&self.texels);
         let mut bytes = Vec::with_capacity(self.texels.len() + 256);
         file.write(&mut bytes).map_err(|error| failed(&error.to_string()))?;
@@ -98,7 +105,8 @@ impl Texture {
         let writer = concat!("fieldbake ", env!("CARGO_PKG_VERSION"), "\0");
         let mut pairs = Vec::new();
         // Keys in the order of their bytes.
-        for (key, value) in [(b"KTXwriter".as_slice(), writer.as_bytes()), (FACTS_KEY, facts.as_bytes())] {
+        let facts = (FACTS_KEY.as_bytes(), facts.as_bytes());
+        for (key, value) in [ORIENTATION, (b"KTXwriter", writer.as_bytes()), facts] {
             pairs.extend(((key.len() + 1 + value.len()) as u32).to_le_bytes());
             pairs.extend([key, b"\0", value].concat());
             pairs.resize(pairs.len().next_multiple_of(4), 0);
@@ -141,8 +149,8 @@ impl Texture {
 
     /// What [`Texture::to_ktx2`] wrote, and its text.
     pub fn from_ktx2(bytes: &[u8]) -> Result<(Self, String), Error> {
-        let file = ktx2::Reader::new(bytes).map_err(|error| failed(&format!("{error:?}")))?;
-        let header = file.header();
+        let header = bytes.first_chunk().ok_or_else(|| failed("the file ends within its header"))?;
+        let header = ktx2::Header::from_bytes(header).map_err(|error| failed(&format!("{error:?}")))?;
         let encoding = match header.format {
             Some(ktx2::Format::R32_SFLOAT) => Encoding::Float32,
             Some(ktx2::Format::R16_SFLOAT) => Encoding::Float16,
@@ -154,12 +162,15 @@ impl Texture {
         if !is_plain || header.layer_count > 1 || header.face_count != 1 {
             return Err(failed("a field is one 3D texture without compression and mipmaps"));
         }
-        let facts = file.key_value_data().find(|(key, _)| key.as_bytes() == FACTS_KEY);
+        let pairs = section(bytes, header.index.kvd_byte_offset.into(), header.index.kvd_byte_length.into())?;
+        let facts = ktx2::KeyValueDataIterator::new(pairs).find(|(key, _)| *key == FACTS_KEY);
         let facts = facts.and_then(|(_, value)| String::from_utf8(value.to_vec()).ok());
-        let level = file.levels().next().ok_or_else(|| failed("there are no texels"))?;
+        let level = bytes[ktx2::Header::LENGTH..].first_chunk().ok_or_else(|| failed("there are no texels"))?;
+        let level = ktx2::LevelIndex::from_bytes(level);
+        let texels = section(bytes, level.byte_offset, level.byte_length)?;
         let size = [header.pixel_width, header.pixel_height, header.pixel_depth];
-        Self::checked(size, encoding, level.data.len())?;
-        Ok((Self { size, encoding, texels: level.data.to_vec() }, facts.unwrap_or_default()))
+        Self::checked(size, encoding, texels.len())?;
+        Ok((Self { size, encoding, texels: texels.to_vec() }, facts.unwrap_or_default()))
     }
 
     /// Fails if so many bytes are not the texels of such a volume.
@@ -220,6 +231,13 @@ pub fn read_exr(bytes: &[u8], width: usize, height: usize, encoding: Encoding) -
         }
         _ => Err(failed("the channel has another type")),
     }
+}
+
+/// The bytes of a part of a file; an error where the part does not lie in the file.
+fn section(bytes: &[u8], offset: u64, length: u64) -> Result<&[u8], Error> {
+    let end = offset.checked_add(length).filter(|&end| end <= bytes.len() as u64);
+    let end = end.ok_or_else(|| failed(&format!("{length} bytes from byte {offset} on are not in the file")))?;
+    Ok(&bytes[offset as usize..end as usize])
 }
 
 fn failed(reason: &str) -> Error {

@@ -35,10 +35,12 @@ __all__ = [
     "bake",
     "bake_brute",
     "bake_sparse",
+    "check_scales",
     "closest_point",
     "decode",
     "devices",
     "encode",
+    "encoding_scale",
     "exr_read",
     "exr_write",
     "gradient",
@@ -333,6 +335,12 @@ def to_sparse(
 ) -> SparseField:
     """The bricks of a dense field."""
 
+def encoding_scale(encoding: str, voxel: float, band: float) -> float:
+    """The scale for voxels of this longest side and a band of this width, both in world units."""
+
+def check_scales(encoding: str, scales: list[float]) -> None:
+    """Raise ArgumentError unless the encoding can have these scales."""
+
 def encode(distances: NDArray[np.float32], encoding: str, scale: float) -> NDArray[Any]:
     """Distances (nx, ny, nz) in another encoding, rounded toward zero."""
 
@@ -578,8 +586,13 @@ def atlas_entries(
     """The std430 records of ``blocks`` (n, 10). ``boxes``: twelve numbers each, inner lower and upper, outer lower and
     upper corner; ``models``: sixteen, row by row."""
 
-def atlas_shader(language: str, layout: str, page_size: int, gutter: int, encoding: str, side: int) -> str:
-    """Sampling functions as text in "wgsl", "glsl", "hlsl" or "msl"; ``side`` is that of the cubes in strips."""
+def atlas_shader(
+    language: str, layout: str, page_size: int, gutter: int, encoding: str, side: int, unsigned: bool
+) -> str:
+    """Sampling functions as text in "wgsl", "glsl", "hlsl" or "msl".
+
+    ``side`` is that of the cubes in strips. ``unsigned`` texels are the integers of a .png.
+    """
 
 def texture_write(kind: str, distances: NDArray[np.float32], encoding: str, scale: float, facts: str) -> bytes:
     """``distances`` (nx, ny, nz), x fastest, as a "dds" or "ktx2" file; the latter holds ``facts``, a text of ours."""

@@ -10,11 +10,11 @@ fn atlas_grid_position(entry: AtlasEntry, p: vec3f) -> vec3f {
     return clamp(p_grid, vec3f(-0.5), shape - 0.5);
 }
 
-// The stored value of a voxel; outside the grid, of the nearest one.
+// The share of a voxel; outside the grid, of the nearest one.
 fn atlas_voxel(entry: AtlasEntry, voxel: vec3i) -> f32 {
     let inside = vec3u(clamp(voxel, vec3i(0), vec3i(atlas_shape(entry)) - 1));
     let texel = atlas_slice(entry, inside.z) + inside.xy;
-    return textureLoad(atlas_pages, vec2i(texel), entry.atlas_index, 0).x;
+    return atlas_share(textureLoad(atlas_pages, vec2i(texel), entry.atlas_index, 0).x);
 }
 
 // Bilinear in one slice: four texels.
@@ -46,7 +46,7 @@ fn atlas_sample_filtered(entry: AtlasEntry, p: vec3f) -> f32 {
     let high = vec2f(atlas_slice(entry, u32(min(z + 1.0, last.z)))) + p_grid.xy + 0.5;
     let near = textureSampleLevel(atlas_pages, atlas_sampler, low / ATLAS_PAGE_SIZE, entry.atlas_index, 0.0).x;
     let far = textureSampleLevel(atlas_pages, atlas_sampler, high / ATLAS_PAGE_SIZE, entry.atlas_index, 0.0).x;
-    return mix(near, far, p_grid.z - z) * atlas_scale(entry);
+    return atlas_share(mix(near, far, p_grid.z - z)) * atlas_scale(entry);
 }
 
 // The stored distance of the voxel that holds p.

@@ -11,7 +11,7 @@ struct AtlasEntry {
     // Layer of the texture, and row of strips.
     atlas_index: i32,
     atlas_offset: i32,
-    // Distance of a texel with the value 1, if texels are normalised; otherwise padding.
+    // Distance of a texel with the value 1; for float32 texels padding.
     scale: f32,
     padding: u32,
 }
@@ -28,5 +28,5 @@ fn atlas_slice(entry: AtlasEntry, z: u32) -> vec2u {
 
 // Distance of a texel with the value 1.
 fn atlas_scale(entry: AtlasEntry) -> f32 {
-    return select(1.0, entry.scale, ATLAS_IS_NORMALISED);
+    return select(1.0, entry.scale, ATLAS_IS_SCALED);
 }

@@ -3,7 +3,7 @@
 struct StoredParams {
     // FLOAT32 and so on.
     encoding: u32,
-    // What the largest integer of a normalised encoding stands for.
+    // Distance of a stored 1: a half is multiplied by it, and so is the share of a normalised integer.
     scale: f32,
     pad_0: u32,
     pad_1: u32,
@@ -41,5 +41,5 @@ fn stored_sample(index: u32) -> f32 {
     if stored.encoding == SNORM16 {
         return max(f32(extractBits(bitcast<i32>(word), first_bit, 16u)) / 32767.0, -1.0) * stored.scale;
     }
-    return half_value(extractBits(word, first_bit, 16u));
+    return half_value(extractBits(word, first_bit, 16u)) * stored.scale;
 }

@@ -21,7 +21,7 @@ pub struct StripEntry {
     pub atlas_index: i32,
     /// Row of strips.
     pub atlas_offset: i32,
-    /// Of the normalised encodings. In the article these eight bytes are padding, and they are zero for floats.
+    /// What a texel is multiplied by. In the article these eight bytes are padding, and they are zero for float32.
     pub scale: f32,
     pub padding: u32,
 }
@@ -40,7 +40,7 @@ pub struct AtlasEntry {
     pub atlas_index: i32,
     /// First texel of the block, counted row by row.
     pub atlas_offset: i32,
-    /// What a texel is multiplied by: 1 for floats, the band for normalised encodings.
+    /// What a texel is multiplied by; see [`crate::encoding::Encoding::scale`].
     pub scale: f32,
     /// Slices in a row.
     pub columns: u32,
@@ -60,7 +60,7 @@ pub struct Facts {
     pub outer: [DVec3; 2],
     /// World from the field's own space.
     pub model: DMat4,
-    /// `None` for the float encodings.
+    /// `None` for float32.
     pub scale: Option<f32>,
 }
 

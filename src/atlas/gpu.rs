@@ -20,7 +20,7 @@ const ROW_ALIGNMENT: u32 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT;
 pub struct DeviceItem<'a> {
     pub block: Block,
     pub field: &'a DeviceField,
-    /// Of the normalised encodings; see [`Encoding`].
+    /// What stored values are multiplied by; see [`Encoding::scale`].
     pub scale: f32,
 }
 
@@ -99,7 +99,7 @@ impl DevicePages {
                 word_texels: (size_of::<u32>() / self.encoding.bytes()) as u32,
                 steps,
                 scale: item.scale,
-                pad_0: 0,
+                scale_exponent: (item.scale.to_bits() >> 23) as i32 - 127,
             };
             let parameters = context.parameters("pack parameters", &params)?;
             let page = &self.pages[block.page as usize].buffer;

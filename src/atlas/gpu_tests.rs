@@ -38,7 +38,10 @@ struct Packed {
     host: Vec<u8>,
 }
 
-const SCALE: f32 = 0.7;
+/// The scale of an encoding in these tests; that of float16 must be a power of two.
+fn scale(encoding: Encoding) -> f32 {
+    encoding.scale(0.7, 0.7)
+}
 
 /// Values of one magnitude, as the filter of a sampler is made for.
 fn moderate_field(shape: [u32; 3], seed: u32) -> Vec<f32> {
@@ -58,8 +61,11 @@ fn pack_on_host(
     let blocks = plan(layout, PAGE, align, &[], shapes).unwrap();
     let pages = 1 + blocks.iter().map(|block| block.page).max().unwrap();
     let fields: Vec<_> = shapes.iter().enumerate().map(|(i, &shape)| field(shape, i as u32)).collect();
-    let items: Vec<_> =
-        blocks.iter().zip(&fields).map(|(&block, distances)| Item { block, distances, scale: SCALE }).collect();
+    let items: Vec<_> = blocks
+        .iter()
+        .zip(&fields)
+        .map(|(&block, distances)| Item { block, distances, scale: scale(encoding) })
+        .collect();
     let mut words = vec![0u32; (pages * PAGE * PAGE) as usize * encoding.bytes() / 4];
     texels::write(bytemuck::cast_slice_mut(&mut words), PAGE, encoding, &items, &Progress::new()).unwrap();
     let host = bytemuck::cast_slice(&words).to_vec();
@@ -83,8 +89,12 @@ fn pack_on_device(context: &Arc<Context>, encoding: Encoding, packed: &Packed, m
             field
         })
         .collect();
-    let items: Vec<_> =
-        packed.blocks.iter().zip(&fields).map(|(&block, field)| DeviceItem { block, field, scale: SCALE }).collect();
+    let items: Vec<_> = packed
+        .blocks
+        .iter()
+        .zip(&fields)
+        .map(|(&block, field)| DeviceItem { block, field, scale: scale(encoding) })
+        .collect();
     DevicePages::pack(context, PAGE, packed.pages, encoding, &items, &Progress::new()).unwrap()
 }
 
@@ -126,9 +136,14 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
 fn the_wgsl_samples_the_texture_as_the_cpu_samples_the_pages() {
     let Some(context) = test_context() else { return };
     for (layout, shapes) in [(Layout::Shelves { gutter: 1 }, MIXED.as_slice()), (Layout::Strips, &[[7; 3]; 20])] {
-        for encoding in [Encoding::Float32, Encoding::Float16, Encoding::Snorm8] {
+        let pages = [Encoding::Float32, Encoding::Float16, Encoding::Snorm8].map(|encoding| (encoding, false));
+        for (encoding, unsigned) in pages.into_iter().chain([(Encoding::Snorm16, true), (Encoding::Snorm8, true)]) {
             let packed = pack_on_host(encoding, layout, shapes, moderate_field);
-            let texture = pack_on_device(&context, encoding, &packed, u64::MAX).texture().unwrap();
+            let texture = if unsigned {
+                image_texture(&context, encoding, &packed)
+            } else {
+                pack_on_device(&context, encoding, &packed, u64::MAX).texture().unwrap()
+            };
             let box_of = |block: &Block| {
                 let shape = block.shape.map(|n| n as usize);
                 Grid::new(DVec3::new(-1.0, 0.0, 0.5), DVec3::new(1.0, 2.0, 3.0), shape).unwrap()
@@ -136,7 +151,7 @@ fn the_wgsl_samples_the_texture_as_the_cpu_samples_the_pages() {
             let facts = packed.blocks.iter().map(|&block| {
                 let grid = box_of(&block);
                 let bounds = [grid.lower, grid.upper];
-                let scale = encoding.is_normalised().then_some(SCALE);
+                let scale = encoding.is_scaled().then_some(scale(encoding));
                 Facts { block, inner: bounds, outer: bounds, model: DMat4::IDENTITY, scale }
             });
             let entries: Vec<u8> = match layout {
@@ -154,12 +169,12 @@ fn the_wgsl_samples_the_texture_as_the_cpu_samples_the_pages() {
                     points.push(p.extend(entry as f32).to_array());
                 }
             }
-            let options = ShaderOptions { layout, encoding, page_size: PAGE, side: shapes[0][0] };
+            let options = ShaderOptions { layout, encoding, unsigned, page_size: PAGE, side: shapes[0][0] };
             let values = run(&context, &(wgsl(&options) + MAIN), &texture, &entries, &points);
 
             for (entry, block) in packed.blocks.iter().enumerate() {
                 let grid = box_of(block);
-                let field = AtlasField::new(&packed.host, PAGE, encoding, SCALE, block, grid);
+                let field = AtlasField::new(&packed.host, PAGE, encoding, scale(encoding), block, grid);
                 let here: Vec<usize> = (0..points.len()).filter(|&i| points[i][3] == entry as f32).collect();
                 let worlds: Vec<DVec3> = here.iter().map(|&i| Vec3::from_slice(&points[i]).as_dvec3()).collect();
                 let expected = field
@@ -171,6 +186,8 @@ fn the_wgsl_samples_the_texture_as_the_cpu_samples_the_pages() {
                     let spread = corner_range(&packed.fields[entry], block, cell.to_array(), encoding);
                     let tolerance =
                         3.0 * spread * 24.0 * 4.0 * f32::EPSILON + 16.0 * f32::EPSILON * (spread + expected.abs());
+                    // An unsigned integer over 65535 is rounded, multiplied and moved: three roundings of up to 2 shares.
+                    let tolerance = tolerance + if unsigned { 8.0 * f32::EPSILON * scale(encoding) } else { 0.0 };
                     let difference = (values[i][0] - expected).abs();
                     assert!(difference <= tolerance, "{encoding:?} {block:?} {world}: {difference} > {tolerance}");
                     // A hardware filter has 8 bits or more for each of its weights.
@@ -179,6 +196,32 @@ fn the_wgsl_samples_the_texture_as_the_cpu_samples_the_pages() {
             }
         }
     }
+}
+
+/// The pages as a sampler returns the unsigned integers of an image file: 0 to 1, in a texture of floats, which every
+/// device has.
+fn image_texture(context: &Context, encoding: Encoding, packed: &Packed) -> wgpu::Texture {
+    let values: Vec<f32> = match encoding {
+        Encoding::Snorm8 => packed.host.iter().map(|&bits| (i32::from(bits as i8) + 128) as f32 / 255.0).collect(),
+        _ => bytemuck::cast_slice::<_, [u8; 2]>(&packed.host)
+            .iter()
+            .map(|&bits| (i32::from(i16::from_le_bytes(bits)) + 32768) as f32 / 65535.0)
+            .collect(),
+    };
+    let size = wgpu::Extent3d { width: PAGE, height: PAGE, depth_or_array_layers: packed.pages };
+    let texture = context.device.create_texture(&wgpu::TextureDescriptor {
+        label: Some("image of an atlas"),
+        size,
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format: wgpu::TextureFormat::R32Float,
+        usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+        view_formats: &[],
+    });
+    let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 * PAGE), rows_per_image: Some(PAGE) };
+    context.queue.write_texture(texture.as_image_copy(), bytemuck::cast_slice(&values), layout, size);
+    texture
 }
 
 /// Largest difference that a step across a voxel border, which rounding may take, can make: over the cell and its
@@ -190,7 +233,7 @@ fn corner_range(samples: &[f32], block: &Block, cell: [i32; 3], encoding: Encodi
         for y in cell[1] - 1..=cell[1] + 2 {
             for x in cell[0] - 1..=cell[0] + 2 {
                 let voxel = x.clamp(0, nx - 1) + nx * (y.clamp(0, ny - 1) + ny * z.clamp(0, nz - 1));
-                let value = encoding.decode(encoding.encode(samples[voxel as usize], SCALE), SCALE);
+                let value = encoding.decode(encoding.encode(samples[voxel as usize], scale(encoding)), scale(encoding));
                 (low, high) = (low.min(value), high.max(value));
             }
         }

@@ -21,6 +21,9 @@ const SAMPLING: &str = include_str!("../../shaders/atlas/sampling.wgsl");
 pub struct ShaderOptions {
     pub layout: Layout,
     pub encoding: Encoding,
+    /// Whether texels are the unsigned integers of an image file, whose middle is distance 0; for float encodings those of
+    /// snorm16, which such files hold instead.
+    pub unsigned: bool,
     pub page_size: u32,
     /// Voxels along a side of the cubes in strips.
     pub side: u32,
@@ -65,11 +68,13 @@ pub fn wgsl(options: &ShaderOptions) -> String {
         Layout::Shelves { .. } => ("shelves", SHELVES),
         Layout::Strips => ("strips", STRIPS),
     };
-    let format = match options.encoding {
-        Encoding::Float32 => "r32float",
-        Encoding::Float16 => "r16float",
-        Encoding::Snorm16 => "r16snorm",
-        Encoding::Snorm8 => "r8snorm",
+    let format = match (options.encoding, options.unsigned) {
+        (Encoding::Snorm8, true) => "r8unorm",
+        (_, true) => "r16unorm",
+        (Encoding::Float32, false) => "r32float",
+        (Encoding::Float16, false) => "r16float",
+        (Encoding::Snorm16, false) => "r16snorm",
+        (Encoding::Snorm8, false) => "r8snorm",
     };
     let mut text = format!(
         "// Sampling of a fieldbake atlas: layout \"{layout}\", pages of {size} x {size} texels of format {format}.\n\
@@ -80,9 +85,38 @@ pub fn wgsl(options: &ShaderOptions) -> String {
     if options.layout == Layout::Strips {
         // Writing to a string cannot fail.
         let _ = writeln!(text, "const ATLAS_SIDE: u32 = {}u;", options.side);
-        let _ = writeln!(text, "const ATLAS_IS_NORMALISED: bool = {};", options.encoding.is_normalised());
+        let is_scaled = options.unsigned || options.encoding.is_scaled();
+        let _ = writeln!(text, "const ATLAS_IS_SCALED: bool = {is_scaled};");
     }
-    text + "\n" + entry + "\n" + SAMPLING
+    let share = match (options.unsigned, options.encoding) {
+        (false, _) => PLAIN_SHARE.to_owned(),
+        (true, Encoding::Snorm8) => unsigned_share(8),
+        (true, _) => unsigned_share(16),
+    };
+    text + "\n" + entry + "\n" + &share + "\n" + SAMPLING
+}
+
+const PLAIN_SHARE: &str = "\
+// The share of the entry's scale that a texel stands for: its value.
+fn atlas_share(texel: f32) -> f32 {
+    return texel;
+}
+";
+
+/// The function that decodes unsigned integers of so many bits.
+fn unsigned_share(bits: u32) -> String {
+    let largest = (1u32 << bits) - 1;
+    let middle = 1u32 << (bits - 1);
+    let steps = middle - 1;
+    format!(
+        "\
+// The share of the entry's scale that a texel stands for. The texture returns the unsigned integer over {largest}, and the
+// distance is (integer - {middle}) / {steps} * scale.
+fn atlas_share(texel: f32) -> f32 {{
+    return (texel * {largest}.0 - {middle}.0) / {steps}.0;
+}}
+"
+    )
 }
 
 /// A sampler has no name of its own there, and the texture one that only naga could love.
@@ -197,7 +231,9 @@ mod tests {
 
     fn every_option() -> impl Iterator<Item = ShaderOptions> {
         [Layout::Strips, Layout::Shelves { gutter: 1 }].into_iter().flat_map(|layout| {
-            Encoding::ALL.map(|encoding| ShaderOptions { layout, encoding, page_size: 4096, side: 64 })
+            [false, true].into_iter().flat_map(move |unsigned| {
+                Encoding::ALL.map(|encoding| ShaderOptions { layout, encoding, unsigned, page_size: 4096, side: 64 })
+            })
         })
     }
 
@@ -246,7 +282,15 @@ mod tests {
     #[test]
     fn records_have_the_layout_that_the_shaders_read() {
         let module = |layout| {
-            parse(&wgsl(&ShaderOptions { layout, encoding: Encoding::Float32, page_size: 64, side: 8 })).unwrap().0
+            parse(&wgsl(&ShaderOptions {
+                layout,
+                encoding: Encoding::Float32,
+                unsigned: false,
+                page_size: 64,
+                side: 8,
+            }))
+            .unwrap()
+            .0
         };
         let strips = offsets!(StripEntry {
             model,

@@ -18,7 +18,7 @@ pub struct Item<'a> {
     pub block: Block,
     /// Samples, x fastest.
     pub distances: &'a [f32],
-    /// Of the normalised encodings; see [`Encoding`].
+    /// What stored values are multiplied by; see [`Encoding::scale`].
     pub scale: f32,
 }
 

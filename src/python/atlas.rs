@@ -256,7 +256,7 @@ pub fn atlas_texture_coordinates<'py>(
 }
 
 /// The records of all blocks as bytes. `boxes` (n, 12): inner lower and upper, outer lower and upper corner; `models`
-/// (n, 16): world from field, row by row; `scales` of a float encoding are not written.
+/// (n, 16): world from field, row by row; `scales` of float32 are not written.
 #[pyfunction]
 pub fn atlas_entries<'py>(
     py: Python<'py>,
@@ -269,7 +269,7 @@ pub fn atlas_entries<'py>(
     encoding: &str,
 ) -> PyResult<Bound<'py, PyBytes>> {
     let layout = Layout::from_name(layout, 0).map_err(Failure::from)?;
-    let normalised = Encoding::from_name(encoding).map_err(Failure::from)?.is_normalised();
+    let is_scaled = Encoding::from_name(encoding).map_err(Failure::from)?.is_scaled();
     let mut bytes = Vec::new();
     for (((&block, boxes), model), scale) in self::blocks(&blocks)?.iter().zip(&boxes).zip(&models).zip(scales) {
         let corner = |i: usize| DVec3::from_slice(&boxes[3 * i..]);
@@ -278,7 +278,7 @@ pub fn atlas_entries<'py>(
             inner: [corner(0), corner(1)],
             outer: [corner(2), corner(3)],
             model: DMat4::from_cols_array(model).transpose(),
-            scale: normalised.then_some(scale),
+            scale: is_scaled.then_some(scale),
         };
         let vacant = block.page == VACANT;
         match layout {
@@ -295,7 +295,7 @@ pub fn atlas_entries<'py>(
     Ok(PyBytes::new(py, &bytes))
 }
 
-/// The sampling functions of an atlas as text.
+/// The sampling functions of an atlas as text; `unsigned` texels are those of a .png.
 #[pyfunction]
 pub fn atlas_shader(
     language: &str,
@@ -304,11 +304,12 @@ pub fn atlas_shader(
     gutter: u32,
     encoding: &str,
     side: u32,
+    unsigned: bool,
 ) -> PyResult<String> {
     let layout = Layout::from_name(layout, gutter).map_err(Failure::from)?;
     let encoding = Encoding::from_name(encoding).map_err(Failure::from)?;
     let language = Language::from_name(language).map_err(Failure::from)?;
-    let options = ShaderOptions { layout, encoding, page_size, side };
+    let options = ShaderOptions { layout, encoding, unsigned, page_size, side };
     Ok(shader(&options, language).map_err(Failure::from)?)
 }
 

@@ -48,7 +48,7 @@ pub fn texture_read<'py>(
     Ok((texture.encoding.name(), texture.size, PyBytes::new(py, &texture.texels), facts))
 }
 
-/// Distances (nx, ny, nz) from texels.
+/// Distances (nx, ny, nz) from texels; the scale must be one that the encoding can have.
 #[pyfunction]
 pub fn texture_decode<'py>(
     py: Python<'py>,
@@ -64,6 +64,7 @@ pub fn texture_decode<'py>(
         return Err(exception(py, "FormatError", "the texels do not fill the shape".into()));
     }
     let samples = run(py, None, |_| {
+        encoding.check_scale(scale)?;
         let mut samples = crate::memory::allocate_samples("a field", count, 0)?;
         encoding.decode_slice(texels, scale, &mut samples);
         Ok::<_, Error>(samples)

@@ -50,7 +50,7 @@ mod _core {
     #[pymodule_export]
     use super::scene::{Scene, SceneField, SceneMesh, Texture, render};
     #[pymodule_export]
-    use super::sparse::{SparseField, bake_sparse, decode, encode, to_sparse};
+    use super::sparse::{SparseField, bake_sparse, check_scales, decode, encode, encoding_scale, to_sparse};
     #[pymodule_export]
     use super::volume::{gradient, resample, sample, surface_nets};
 

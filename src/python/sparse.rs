@@ -301,6 +301,19 @@ pub fn to_sparse<'py>(
     Ok(SparseField(field))
 }
 
+/// The scale of an encoding for a field with voxels of this longest side and a band of this width, world units.
+#[pyfunction]
+pub fn encoding_scale(encoding: &str, voxel: f64, band: f64) -> PyResult<f32> {
+    Ok(Encoding::from_name(encoding).map_err(Failure::from)?.scale(voxel, band))
+}
+
+/// Raise unless the encoding can have these scales.
+#[pyfunction]
+pub fn check_scales(encoding: &str, scales: Vec<f32>) -> PyResult<()> {
+    let encoding = Encoding::from_name(encoding).map_err(Failure::from)?;
+    Ok(scales.into_iter().try_for_each(|scale| encoding.check_scale(scale)).map_err(Failure::from)?)
+}
+
 /// Distances (nx, ny, nz) in another encoding, rounded toward zero.
 #[pyfunction]
 pub fn encode<'py>(

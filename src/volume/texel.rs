@@ -8,7 +8,7 @@ use half::f16;
 pub trait Texel: Pod + Send + Sync + 'static {
     const ENCODING: Encoding;
 
-    /// `value` rounded toward zero.
+    /// `value` rounded toward zero; `scale` as for [`Encoding::encode`].
     fn encode(value: f32, scale: f32) -> Self;
 
     fn decode(self, scale: f32) -> f32;

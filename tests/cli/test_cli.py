@@ -316,3 +316,21 @@ def test_info_shows_textures(cube, tmp_path, ending):
     fb.bake(cube, resolution=8).save(tmp_path / f"cube{ending}")
 
     assert "8 x 8 x 8" in fieldbake("info", tmp_path / f"cube{ending}").stdout
+
+
+def test_pack_prints_the_encoding_that_a_png_has_and_writes_its_shader(cube, tmp_path):
+    output, shader = tmp_path / "a.png", tmp_path / "a.glsl"
+
+    result = fieldbake("pack", cube, "-r", 8, "--page-size", 64, "-o", output, "--shader", shader)
+
+    assert result.exit_code == DONE, result.stderr
+    assert "snorm16" in result.stdout
+    assert "float32" not in result.stdout
+    assert "(u16 - 32768) / 32767 * scale" in result.stdout
+    text = shader.read_text()
+    assert "format r16unorm" in text
+    assert "32768.0" in text
+    # An atlas that is loaded from the image has the same text, and one for its pages.
+    atlas = fb.load(output)
+    assert atlas.shader("glsl") == text == atlas.shader("glsl", texels="png")
+    assert "format r16snorm" in atlas.shader("glsl", texels="pages")

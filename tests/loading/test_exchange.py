@@ -1,6 +1,8 @@
 """Files for other programs, read back by other readers and by us."""
 
+import contextlib
 import json
+import re
 import struct
 
 import numpy as np
@@ -36,15 +38,24 @@ def assert_same_place(found, volume):
     assert found.resolution == volume.resolution
 
 
+def scale_of(volume, encoding, band=4):
+    """The scale by its definition: 1, the largest power of two up to a voxel, or the width of the band."""
+    voxel = float(volume.spacing.max())
+    if encoding == "float16":
+        return 2.0 ** np.floor(np.log2(voxel))
+    return float(np.float32(band * voxel)) if encoding in STEPS else 1.0
+
+
 def stored(volume, encoding, band=4):
-    """Texels [z, y, x] by an independent rule: toward zero, as a share of the band."""
+    """Texels [z, y, x] by an independent rule: toward zero, as a share of the scale."""
+    scale = scale_of(volume, encoding, band)
     values = volume.distances.T.astype(np.float64)
     if encoding == "float32":
         return values.astype(np.float32)
     if encoding == "float16":
+        values = values / scale
         nearest = values.astype(np.float16)
         return np.where(np.abs(nearest) > np.abs(values), np.nextafter(nearest, np.float16(0)), nearest)
-    scale = np.float32(band * volume.spacing.max()).astype(np.float64)
     return np.trunc(np.clip(values / scale, -1, 1) * STEPS[encoding]).astype(DTYPES[encoding])
 
 
@@ -60,7 +71,9 @@ def test_a_dds_file_is_a_3d_texture(volume, encoding, tmp_path):
     assert content[:4] == b"DDS "
     size, _flags, height, width, _pitch, depth = struct.unpack_from("<6I", content, 4)
     assert (size, width, height, depth) == (124, 6, 5, 4)
-    assert content[84:88] == b"DX10"
+    # DDS_PIXELFORMAT: 32 bytes, DDPF_FOURCC alone, and no colour masks: a reader that finds DDPF_RGB shows noise.
+    pixel_format = struct.unpack_from("<2I4s5I", content, 76)
+    assert pixel_format == (32, 0x4, b"DX10", 0, 0, 0, 0, 0)
     assert struct.unpack_from("<I", content, 112)[0] & 0x200000  # DDSCAPS2_VOLUME
     dxgi_format, dimension, _, array_size, _ = struct.unpack_from("<5I", content, 128)
     assert (dxgi_format, dimension, array_size) == (DXGI[encoding], 4, 1)
@@ -84,8 +97,58 @@ def test_a_ktx2_file_is_a_3d_texture(volume, encoding, tmp_path):
     assert length == unpacked == 120 * itemsize == len(content) - offset
     assert struct.unpack_from("<I", content, formats_at)[0] == formats_size
     assert pairs_at + pairs_size <= offset
+    pairs = key_values(content[pairs_at : pairs_at + pairs_size])
+    # x to the right, y up, z out of the picture: right-handed, as the mesh. Without the key readers take y as down.
+    assert pairs["KTXorientation"] == b"ruo\0"
+    assert list(pairs) == sorted(pairs)
+    facts = json.loads(pairs["fieldbake"])
+    assert facts["scale"] == scale_of(volume, encoding)
     texels = np.frombuffer(content, DTYPES[encoding], offset=offset).reshape(4, 5, 6)
     assert np.array_equal(texels, stored(volume, encoding))
+
+
+def key_values(section):
+    """The key/value data of KTX 2.0, section 3.11: length, key, a zero byte, value, padding to four bytes."""
+    pairs, at = {}, 0
+    while at < len(section):
+        (length,) = struct.unpack_from("<I", section, at)
+        key, _, value = section[at + 4 : at + 4 + length].partition(b"\0")
+        pairs[key.decode()] = value
+        padding = -length % 4
+        assert not any(section[at + 4 + length : at + 4 + length + padding])
+        at += 4 + length + padding
+    assert at == len(section)
+    return pairs
+
+
+def decoded(texels, facts, scale):
+    """Distances by the formula that a file states for its texels."""
+    name, _, formula = facts["decode"].partition(" = ")
+    assert name == "distance"
+    assert str(texels.dtype) == facts["texel"]
+    operand = "texel" if "texel" in formula else facts["texel"].replace("uint", "u")
+    return eval(formula, {"__builtins__": {}}, {operand: texels.astype(np.float64), "scale": scale})
+
+
+@pytest.mark.parametrize("encoding", DTYPES)
+@pytest.mark.parametrize("ending", [".dds", ".ktx2"])
+def test_a_texture_states_how_it_is_decoded(volume, encoding, ending, tmp_path):
+    volume.save(tmp_path / f"v{ending}", encoding=encoding)
+    content = (tmp_path / f"v{ending}").read_bytes()
+    if ending == ".dds":
+        facts, offset = json.loads((tmp_path / "v.dds.json").read_text()), 148
+    else:
+        pairs_at, pairs_size = struct.unpack_from("<2I", content, 56)
+        facts = json.loads(key_values(content[pairs_at : pairs_at + pairs_size])["fieldbake"])
+        (offset,) = struct.unpack_from("<Q", content, 80)
+
+    texels = np.frombuffer(content, DTYPES[encoding], offset=offset).reshape(4, 5, 6)
+    distances = decoded(texels, facts, facts["scale"]).T
+
+    exact = volume.distances.astype(np.float64)
+    bound = {"float32": 0, "float16": 2.0**-10, "snorm16": 2 / 32767, "snorm8": 2 / 127}[encoding]
+    assert np.abs(distances - exact).max() <= bound * (1 + 2.0**-22)
+    assert (np.abs(distances) <= np.abs(exact) * (1 + 2.0**-22)).all()
 
 
 @pytest.mark.parametrize("encoding", DTYPES)
@@ -98,8 +161,8 @@ def test_textures_come_back(volume, encoding, ending, tmp_path):
     assert_same_place(found, volume)
     assert np.all(np.abs(found.distances) <= np.abs(volume.distances))
     texels = stored(volume, encoding, band=2).T.astype(np.float64)
-    scale = 2 * volume.spacing.max() / STEPS[encoding] if encoding in STEPS else 1
-    assert np.allclose(found.distances, texels * scale, rtol=4 * 2.0**-24, atol=0)
+    step = scale_of(volume, encoding, band=2) / STEPS.get(encoding, 1)
+    assert np.allclose(found.distances, texels * step, rtol=4 * 2.0**-24, atol=0)
 
 
 def test_the_report_of_a_bake_survives(baked, tmp_path):
@@ -215,6 +278,48 @@ def test_images_of_an_atlas_come_back(layout, encoding, ending, tmp_path):
     assert found.add(volumes[1]) == 1
 
 
+def texels_of(pixels, facts, volume):
+    """The texels [x, y, z] of a volume in an image, by its record in the JSON."""
+    (nx, ny, nz), (width, height) = volume["shape"], volume["tile"]
+    left, top = volume["corner"][0], volume["corner"][1] + volume["page"] * facts["page_size"]
+    found = np.empty((nx, ny, nz), pixels.dtype)
+    for z in range(nz):
+        x = left + z % volume["columns"] * width + volume["gutter"]
+        y = top + z // volume["columns"] * height + volume["gutter"]
+        found[:, :, z] = pixels[y : y + ny, x : x + nx].T
+    return found
+
+
+@pytest.mark.parametrize("layout", ["shelves", "strips"])
+@pytest.mark.parametrize("encoding", DTYPES)
+@pytest.mark.parametrize("ending", [".exr", ".png"])
+def test_the_json_of_an_image_decodes_its_texels(layout, encoding, ending, tmp_path):
+    reader = pytest.importorskip("OpenEXR" if ending == ".exr" else "imageio.v3")
+    shape = (12, 12, 12)
+    fields = [fb.bake(fb.models.gear(), shape), fb.bake(fb.models.torus_knot(), shape)]
+    atlas = fb.pack(fields, layout=layout, page_size=150, encoding=encoding)
+    path = tmp_path / f"a{ending}"
+    atlas.save(path)
+
+    if ending == ".exr":
+        with reader.File(str(path)) as file:
+            pixels = file.channels()["Y"].pixels.copy()
+    else:
+        pixels = reader.imread(path)
+    facts = json.loads((tmp_path / f"a{ending}.json").read_text())
+
+    for i, (volume, exact) in enumerate(zip(facts["volumes"], fields, strict=True)):
+        # A .png of floats is another encoding, with scales of its own.
+        if "scale" in atlas.entries.dtype.names and (ending == ".exr" or encoding in STEPS):
+            assert volume["scale"] == atlas.entries["scale"][i]
+        distances = decoded(texels_of(pixels, facts, volume), facts, volume["scale"])
+        kept = atlas.unpack(i).distances.astype(np.float64)
+        # The values of an .exr are rounded to float32; floats in a .png are cut to steps of the largest distance.
+        step = np.abs(kept).max() / 32767 if ending == ".png" and encoding not in STEPS else 0
+        assert np.abs(distances - kept).max() <= step + 2.0**-22 * np.abs(kept).max()
+        assert np.abs(distances).max() <= np.abs(exact.distances).max() * (1 + 2.0**-22)
+
+
 def test_the_json_says_where_each_volume_lies(baked, tmp_path):
     atlas = fb.pack(baked, page_size=64)
     atlas.save(tmp_path / "a.exr")
@@ -231,10 +336,33 @@ def test_the_json_says_where_each_volume_lies(baked, tmp_path):
 
 
 def test_endings_that_are_not_known(volume, tmp_path):
-    for thing, ending in ((volume, ".exr"), (volume, ".vdb"), (fb.pack([volume], page_size=64), ".dds")):
-        with pytest.raises(fb.FormatError, match="ending"):
-            thing.save(tmp_path / f"x{ending}")
+    things = {
+        "a volume is written as .npz, .dds, .ktx2 or .nrrd, got the ending '.exr'": volume,
+        "a sparse volume is written as .npz, got the ending '.exr'": volume.to_sparse(),
+        "an atlas is written as .npz, .exr or .png, got the ending '.dds'": fb.pack([volume], page_size=64),
+    }
+    for message, thing in things.items():
+        with pytest.raises(fb.FormatError, match=re.escape(message)):
+            thing.save(tmp_path / f"x{message[-5:-1]}")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["volume", "quantized", "sparse", "atlas"])
+def test_every_ending_that_a_message_names_is_written(volume, kind, tmp_path):
+    pytest.importorskip("nrrd")
+    thing = {
+        "volume": volume,
+        "quantized": volume.quantize("snorm8"),
+        "sparse": volume.to_sparse(),
+        "atlas": fb.pack([volume], page_size=64),
+    }[kind]
+    with pytest.raises(fb.FormatError) as told:
+        thing.save(tmp_path / "x.unknown")
+    endings = re.findall(r"\.\w+", str(told.value).partition("written as")[2].partition("got")[0])
+    assert len(endings) >= 1
+    for ending in endings:
+        thing.save(tmp_path / f"x{ending}")
+        fb.load(tmp_path / f"x{ending}")
 
 
 def test_encodings_that_a_file_cannot_have(volume, tmp_path):
@@ -311,3 +439,69 @@ def test_a_damaged_file_is_a_format_error_or_other_texels(volume, tmp_path_facto
     except fb.FormatError:
         return
     assert np.isfinite(found.distances if isinstance(found, fb.Volume) else found.unpack(0).distances).all()
+
+
+def fuzz(volume, folder, ending, count):
+    """Load `count` damaged files, seeded; how many were refused."""
+    paths = [folder / f"{encoding}{ending}" for encoding in DTYPES]
+    for path, encoding in zip(paths, DTYPES, strict=True):
+        volume.save(path, encoding=encoding)
+    contents = [path.read_bytes() for path in paths]
+    random = np.random.default_rng(20261121)
+    refused = 0
+    for number in range(count):
+        path, content = paths[number % 4], bytearray(contents[number % 4])
+        # Most damage goes to the header and the descriptors, whose fields the reader follows.
+        reach = len(content) if number % 5 == 0 else 300
+        for _ in range(random.integers(1, 5)):
+            at = int(random.integers(min(reach, len(content))))
+            kind = random.integers(4)
+            if kind == 0:
+                content[at] ^= 1 << int(random.integers(8))
+            elif kind == 1:
+                content[at] = int(random.choice([0, 1, 0x7F, 0x80, 0xFF]))
+            elif kind == 2:
+                content[at : at + 4] = int(random.choice([0, 1, 4, 2**31, 2**32 - 1])).to_bytes(4, "little")
+            else:
+                del content[at : at + int(random.integers(1, 9))]
+        path.write_bytes(content)
+        try:
+            found = fb.load(path)
+        except fb.FormatError:
+            refused += 1
+            continue
+        assert np.isfinite(found.distances).all()
+        assert found.distances.shape == volume.resolution
+    return refused
+
+
+@pytest.mark.parametrize("ending", [".ktx2", ".dds"])
+def test_damaged_textures_are_refused_without_a_panic(volume, ending, tmp_path, capfd):
+    refused = fuzz(volume, tmp_path, ending, 600)
+    # A panic of the core writes to stderr although it becomes an exception.
+    assert capfd.readouterr().err == ""
+    assert 100 < refused < 600
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ending", [".ktx2", ".dds"])
+def test_many_damaged_textures_are_refused_without_a_panic(volume, ending, tmp_path, capfd):
+    refused = fuzz(volume, tmp_path, ending, 20_000)
+    assert capfd.readouterr().err == ""
+    assert 2000 < refused < 20_000
+
+
+def test_every_byte_of_a_ktx2_header_may_be_anything(volume, tmp_path, capfd):
+    path = tmp_path / "v.ktx2"
+    volume.save(path)
+    content = path.read_bytes()
+    for at in range(200):
+        for value in (0, 1, 255):
+            path.write_bytes(content[:at] + bytes([value]) + content[at + 1 :])
+            with contextlib.suppress(fb.FormatError):
+                assert fb.load(path).resolution == volume.resolution
+    for end in range(0, len(content), 3):
+        path.write_bytes(content[:end])
+        with pytest.raises(fb.FormatError):
+            fb.load(path)
+    assert capfd.readouterr().err == ""

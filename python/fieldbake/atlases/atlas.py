@@ -28,6 +28,7 @@ from .pages import (
     VACANT,
     Layout,
     PageStore,
+    Texels,
     checked_item,
     entry_dtype,
 )
@@ -119,8 +120,8 @@ class Atlas(PageStore):
     def pages(self) -> NDArray[Any]:
         """The texels, (pages, height, width), row 0 first; a read-only view.
 
-        float32 or float16: distances, world units. int16 or int8: normalised, a share of ``entries["scale"]``.
-        Texels that no volume has are zero.
+        float32: distances, world units. float16: distances divided by ``entries["scale"]``. int16 or int8: shares of
+        ``entries["scale"]`` in 32767 or 127 steps. Texels that no volume has are zero.
         """
         view = self._pages[...]
         view.flags.writeable = False
@@ -285,13 +286,18 @@ class Atlas(PageStore):
         found = _core.atlas_texture_coordinates(self._blocks[i : i + 1], self._page_size, lower, upper, flat)
         return found.reshape(*shape, 2)
 
-    def shader(self, language: Language = "wgsl") -> str:
+    def shader(self, language: Language = "wgsl", *, texels: Texels | None = None) -> str:
         """Functions that sample the pages in a shader, as commented text.
 
         Parameters
         ----------
         language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
             GLSL is that of WebGL 2 (ES 3.00); newer versions take it with another first line.
+        texels : "pages" or "png", optional
+            What is bound as the texture. ``"pages"``: the texels of :attr:`pages`, of the format R32_FLOAT, R16_FLOAT,
+            R16_SNORM or R8_SNORM. ``"png"``: the unsigned integers of the .png that :meth:`save` writes, as R16_UNORM
+            (R8_UNORM for snorm8); the text turns them into distances, with the scales in the JSON beside the .png. If
+            not given, ``"png"`` for an atlas that was loaded from a .png, otherwise ``"pages"``.
 
         Returns
         -------
@@ -304,7 +310,7 @@ class Atlas(PageStore):
         Raises
         ------
         ArgumentError
-            For another language.
+            For another language, or unknown texels.
         AtlasError
             For strips without a volume, whose size is not known.
         """
@@ -315,7 +321,8 @@ class Atlas(PageStore):
             )
         side = int(blocks[0, 9]) if len(blocks) else 0
         name = checks.text("language", language)
-        return _core.atlas_shader(name, self._layout, self._page_size, self._gutter, self._encoding, side)
+        is_png = checks.choice("texels", self._texels if texels is None else texels, ("pages", "png")) == "png"
+        return _core.atlas_shader(name, self._layout, self._page_size, self._gutter, self._encoding, side, is_png)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a file; one of that name is replaced only once the new one is complete.
@@ -323,10 +330,10 @@ class Atlas(PageStore):
         Parameters
         ----------
         path : str or path
-            ``.npz``: ours, and NumPy's. ``.exr``: one channel, the pages below each other, exact. ``.png``: 16 bits
-            around the middle (8 for snorm8); floats become snorm16, scaled to each volume's largest distance, with an
-            8-bit preview for people beside it. Images have a JSON beside them that says where each volume lies. Read
-            any with :func:`fieldbake.load`.
+            ``.npz``: ours, and NumPy's. ``.exr``: one channel, the pages below each other, exact. ``.png``: unsigned
+            16-bit integers (8-bit for snorm8), 32768 (128) being distance 0; floats become snorm16, scaled to each
+            volume's largest distance. Beside a .png lies an 8-bit preview. Images have a JSON beside them: it states
+            where each volume lies, its scale, and how a texel is decoded. Read any with :func:`fieldbake.load`.
 
         Raises
         ------
@@ -341,13 +348,11 @@ class Atlas(PageStore):
                 reports = json.dumps([report.to_dict() for report in self._reports]).encode()
                 arrays = {name: getattr(self, f"_{name}") for name in ("pages", *ARRAYS)}
                 arrays["reports"] = np.frombuffer(reports, np.uint8)
-                container.write(path, {**container.head("atlas"), **self._facts()}, arrays)
+                container.write(path, {**container.head("atlas", self._encoding), **self._facts()}, arrays)
                 return
             if not self._page_count:
                 raise FormatError(f"{path}: the atlas is empty, and an image of nothing cannot be written")
-            saved = self
-            if ending == ".png" and not self._encoding.startswith("snorm"):
-                saved = _normalised_copy(self, "snorm16")
+            saved = as_written(self, ending)
             volumes = [saved._volume_facts(i) for i in range(len(saved._blocks))]
             images.write(path, saved._pages, {**saved._facts(), "pages": saved._page_count, "volumes": volumes})
 
@@ -449,7 +454,9 @@ def pack(
     encoding : str, default "float32"
         ``"float32"`` (exact), ``"float16"`` (11 significant bits), or the normalised ``"snorm16"`` and ``"snorm8"``,
         which keep the distances of a band around the surface in 1/32767 and 1/127 of its width, and its end beyond.
-        All round toward the surface: a stored magnitude never exceeds the true one.
+        All round toward the surface: a stored magnitude never exceeds the true one. All but float32 are stored as
+        shares of ``entries["scale"]``, which grows with the voxels: the error has the same bound in voxels for a mesh
+        of any size. See :meth:`Volume.quantize`.
     band : float, default 4
         Half the width of that band, voxels.
     device : str, default "auto"
@@ -508,6 +515,13 @@ def pack(
     return atlas
 
 
+def as_written(atlas: Atlas, ending: str) -> Atlas:
+    """The atlas that a file with this ending holds: a .png holds integers, so floats are converted to snorm16."""
+    if ending == ".png" and atlas.encoding.startswith("float"):
+        return _normalised_copy(atlas, "snorm16")
+    return atlas
+
+
 def _normalised_copy(atlas: Atlas, encoding: Encoding) -> Atlas:
     """The same atlas in a normalised encoding, each volume scaled to its largest distance."""
     copy = Atlas(
@@ -518,7 +532,7 @@ def _normalised_copy(atlas: Atlas, encoding: Encoding) -> Atlas:
     copy._pages = np.zeros(atlas._pages.shape, encodings.DTYPES[encoding])
     for i in atlas.indices:
         distances = atlas.unpack(i).distances
-        copy._scales[i] = encodings.positive(float(np.abs(distances).max()))
+        copy._scales[i] = encodings.largest_scale(distances)
         _core.atlas_write(
             copy._bytes(), copy._blocks[i : i + 1], [distances], [float(copy._scales[i])], encoding=encoding
         )

@@ -1,6 +1,7 @@
-"""Atlases as images: one channel in an .exr file, or 16 (8) bits around the middle in a .png file.
+"""Atlases as images: one channel in an .exr file, or unsigned integers of 16 (8) bits in a .png file.
 
-The pages lie below each other. The facts of the atlas, with an entry for each volume, lie in a sidecar.
+The pages lie below each other. The facts of the atlas, with an entry for each volume, lie in a sidecar. There
+``decode`` is the formula for the distance of a texel, and ``texel`` the type of its operand. An entry has a ``scale``.
 """
 
 from __future__ import annotations
@@ -14,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
-from ..files import sidecar
+from ..base.encodings import texel_rule
+from ..files import container, sidecar
 from ..files.container import atomic_write, head
 
 #: Endings of the files that :func:`write` writes.
-ENDINGS = (".exr", ".png")
+ENDINGS = container.ENDINGS["atlas"][1:]
 
 
 def write(path: str | os.PathLike[str], pages: NDArray[Any], facts: dict[str, Any]) -> None:
@@ -27,10 +29,12 @@ def write(path: str | os.PathLike[str], pages: NDArray[Any], facts: dict[str, An
     A .png file holds normalised integers only, and has a preview of 8 bits beside it.
     """
     target = Path(path)
-    is_png = target.suffix.lower() == ".png"
+    ending = target.suffix.lower()
+    is_png = ending == ".png"
     stacked = pages.reshape(-1, pages.shape[-1])
     content = _png(stacked) if is_png else _exr(stacked)
-    sidecar.write_beside(target, {**head("atlas image"), **facts})
+    encoding = facts["encoding"]
+    sidecar.write_beside(target, {**head("atlas image", encoding), **texel_rule(ending, encoding), **facts})
     with atomic_write(target) as stream:
         stream.write(content)
     if is_png:

@@ -19,6 +19,9 @@ from ..volumes.volume import Volume
 
 Layout = Literal["shelves", "strips"]
 
+#: Where a shader reads texels: from the pages as they are, or from the unsigned integers of a .png.
+Texels = Literal["pages", "png"]
+
 #: Largest side of a page, and the widest gutter.
 MAX_PAGE_SIZE = 1 << 15
 MAX_GUTTER = 64
@@ -59,11 +62,11 @@ _SHELF_FIELDS: list[tuple[str, Any]] = [
 def entry_dtype(layout: Layout, encoding: Encoding) -> np.dtype[Any]:
     """The record of a volume, laid out as a shader reads it from a std430 buffer.
 
-    Strips have the 208 bytes of the article; a normalised encoding keeps its scale in what is padding there.
+    Strips have the 208 bytes of the article. All encodings but float32 keep their scale in what is padding there.
     """
     if layout == "shelves":
         return np.dtype(_SHELF_FIELDS)
-    fields = _ARTICLE_FIELDS if encoding.startswith("float") else [*_ARTICLE_FIELDS, ("scale", "<f4")]
+    fields = _ARTICLE_FIELDS if encoding == "float32" else [*_ARTICLE_FIELDS, ("scale", "<f4")]
     packed = np.dtype(fields)
     assert packed.fields is not None
     return np.dtype(
@@ -100,6 +103,8 @@ class PageStore:
         self._models = np.zeros((0, 4, 4))
         self._scales = np.zeros(0, np.float32)
         self._reports: list[Report] = []
+        # What the shader text reads by default: the texels of a .png if the atlas was loaded from one.
+        self._texels: Texels = "pages"
         self._entries: NDArray[Any] | None = None
         # How often a volume came or went.
         self._changes = 0
@@ -183,7 +188,7 @@ class PageStore:
                 gutter=self._gutter,
                 encoding=self._encoding,
             )
-            scales = [scale_of(volume.spacing, self._band) for volume, _ in items]
+            scales = [scale_of(self._encoding, volume.spacing, self._band) for volume, _ in items]
             count = max(int(blocks[:, 0].max(initial=0)) + 1 if len(blocks) else 0, self._page_count)
             with progress_callback(progress, "pack") as callback:
                 # A device fills pages that are new.

@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from . import checks
+from .. import _core
 
 Encoding = Literal["float32", "float16", "snorm16", "snorm8"]
 
-#: Element type of each encoding. A normalised integer is a share of a scale in world units.
+#: Element type of each encoding. All but float32 are multiplied by a scale in world units; a normalised integer counts
+#: shares of it.
 DTYPES: dict[str, np.dtype[Any]] = {
     "float32": np.dtype(np.float32),
     "float16": np.dtype(np.float16),
@@ -29,11 +31,29 @@ STEPS = {"snorm16": 32767, "snorm8": 127}
 DEFAULT_BAND = 4.0
 
 
-def scale_of(spacing: Any, band: float) -> float:
-    """The world width of `band` voxels with the sides `spacing` (3,), as float32 holds it."""
-    return positive(band * float(np.max(spacing)))
+def scale_of(encoding: str, spacing: Any, band: float) -> float:
+    """The scale of `encoding` on a grid of voxels with the sides `spacing` (3,), world units; `band` is in voxels.
+
+    It is 1 for float32, the largest power of two up to the voxel's longest side for float16, and the width of the band
+    for the normalised encodings.
+    """
+    voxel = float(np.max(spacing))
+    return _core.encoding_scale(encoding, voxel, band * voxel)
 
 
-def positive(scale: float) -> float:
-    """The nearest positive scale that float32 holds."""
-    return float(np.clip(np.float32(min(scale, checks.FAR)), np.finfo(np.float32).tiny, None))
+def largest_scale(distances: NDArray[np.float32]) -> float:
+    """The scale with which a normalised encoding keeps all of these distances."""
+    return _core.encoding_scale("snorm16", 1.0, float(np.abs(distances).max()))
+
+
+def texel_rule(ending: str, encoding: str) -> dict[str, str]:
+    """Type of the texels in a file with this ending, and the formula for the distance of a texel."""
+    stored = DTYPES[encoding]
+    if ending == ".png":
+        bits = 8 * stored.itemsize
+        middle = 1 << (bits - 1)
+        return {"texel": f"uint{bits}", "decode": f"distance = (u{bits} - {middle}) / {middle - 1} * scale"}
+    if stored.kind == "f" or ending == ".exr":
+        kind = "float16" if encoding == "float16" else "float32"
+        return {"texel": kind, "decode": "distance = texel * scale"}
+    return {"texel": str(stored), "decode": f"distance = texel / {STEPS[encoding]} * scale"}

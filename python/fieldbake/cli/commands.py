@@ -18,7 +18,8 @@ from typer.core import TyperGroup
 import fieldbake as fb
 
 from ..atlases import images
-from ..atlases.atlas import Language
+from ..atlases.atlas import Language, as_written
+from ..base.encodings import texel_rule
 from ..base.report import bytes_text
 from ..drawing.frame import save_image
 from ..files.container import atomic_write
@@ -195,7 +196,8 @@ def info(
     """Describe the contents of a file."""
     if file.suffix.lower() in (".npz", *textures.ENDINGS, *images.ENDINGS):
         found = fb.load(file)
-        _show(str(file), _atlas_rows(found) if isinstance(found, fb.Atlas) else _volume_rows(found))
+        is_atlas = isinstance(found, fb.Atlas)
+        _show(str(file), _atlas_rows(found, file.suffix.lower()) if is_atlas else _volume_rows(found))
     else:
         _show(str(file), _mesh_rows(fb.load_mesh(file)))
 
@@ -252,10 +254,13 @@ def pack(
         band=band,
         progress=err.is_terminal,
     )
+    ending = output.suffix.lower()
+    atlas = as_written(atlas, ending)
     atlas.save(output)
     if shader is not None:
-        shader.write_text(atlas.shader(languages[shader.suffix.lower()]), encoding="utf-8")
-    _show(f"{output}", _atlas_rows(atlas))
+        text = atlas.shader(languages[shader.suffix.lower()], texels="png" if ending == ".png" else "pages")
+        shader.write_text(text, encoding="utf-8")
+    _show(f"{output}", _atlas_rows(atlas, ending))
 
 
 @app.command()
@@ -477,10 +482,12 @@ def _volume_rows(volume: fb.Volume | fb.SparseVolume) -> list[tuple[str, str]]:
     return rows + (volume.report.rows() if volume.report.sign_method else [])
 
 
-def _atlas_rows(atlas: fb.Atlas) -> list[tuple[str, str]]:
+def _atlas_rows(atlas: fb.Atlas, ending: str) -> list[tuple[str, str]]:
     count, size = len(atlas.pages), atlas.page_size
+    rule = texel_rule(ending, atlas.encoding)
     rows = [
         ("pages", f"{count} of {size} x {size} {atlas.encoding}, {bytes_text(atlas.nbytes)}, {atlas.fill:.0%} full"),
+        ("texels", f"{rule['texel']}, {rule['decode']}"),
         ("layout", atlas.layout if atlas.layout == "strips" else f"{atlas.layout}, gutter {atlas.gutter}"),
     ]
     for i in atlas.indices:

@@ -1,13 +1,14 @@
 """The .npz container of fieldbake: an archive that plain NumPy can read, checked before any of its bytes is used.
 
-Layout: a zip archive of uncompressed members. Quantised, sparse and nested volumes are version 2, all else is version
-1. A volume has two members:
+Layout: a zip archive of uncompressed members. Files with float16 samples, which have a scale since then, are version 3;
+other quantised, sparse and nested volumes are version 2, and all else is version 1. A volume has two members:
 
 ``header.npy``
     A zero-dimensional string: JSON with ``format``, ``kind``, ``version``, ``bounds``, ``inner_bounds``, ``report``.
 ``distances.npy``
     float32 little-endian, Fortran order (x fastest), shape (nx, ny, nz). For the kind ``quantized`` float16, int16 or
-    int8; the header has ``encoding`` and ``scale``.
+    int8; the header has ``encoding`` and ``scale``. A distance is the float16, or the integer / 32767 or / 127, times
+    the scale.
 ``index.npy``, ``nodes.npy``, ``bricks.npy``
     In place of the distances for the kind ``sparse``; the header has ``encoding``, ``scale`` and ``band``.
 
@@ -41,8 +42,26 @@ from ..base.errors import FormatError
 from ..base.report import Report
 
 #: The newest version of a file, and that of each kind which readers of version 1 do not know.
-VERSION = 2
+VERSION = 3
 FIRST_VERSION = {"quantized": 2, "sparse": 2, "nested": 2}
+#: Since this version float16 has a scale; before it, stored numbers are distances.
+SCALED_FLOAT16_VERSION = 3
+
+#: What each kind is called in messages, and the endings of the files that it is written to.
+_NAMES = {
+    "volume": "a volume",
+    "quantized": "a volume",
+    "sparse": "a sparse volume",
+    "nested": "a nested field",
+    "atlas": "an atlas",
+}
+ENDINGS: dict[str, tuple[str, ...]] = {
+    "volume": (".npz", ".dds", ".ktx2", ".nrrd"),
+    "quantized": (".npz", ".dds", ".ktx2", ".nrrd"),
+    "sparse": (".npz",),
+    "nested": (".npz",),
+    "atlas": (".npz", ".exr", ".png"),
+}
 
 #: The JSON of a volume takes about a kilobyte.
 MAX_HEADER_BYTES = 4 << 20
@@ -51,9 +70,9 @@ MAX_HEADER_BYTES = 4 << 20
 CHUNK_BYTES = 16 << 20
 
 
-def head(kind: str) -> dict[str, Any]:
+def head(kind: str, encoding: str = "float32") -> dict[str, Any]:
     """How every header starts."""
-    version = FIRST_VERSION.get(kind, 1)
+    version = SCALED_FLOAT16_VERSION if encoding == "float16" else FIRST_VERSION.get(kind, 1)
     return {"format": "fieldbake", "kind": kind, "version": version, "written_by": f"fieldbake {_core.__version__}"}
 
 
@@ -61,11 +80,17 @@ def write(path: str | os.PathLike[str], header: dict[str, Any], arrays: dict[str
     """Write an archive of a header and arrays; the file appears whole or not at all."""
     target = Path(path)
     if target.suffix.lower() != ".npz":
-        what = "an atlas" if header["kind"] == "atlas" else "a volume"
-        raise FormatError(f"{path}: {what} is written as .npz, got the ending '{target.suffix}'")
+        kind = header["kind"]
+        raise FormatError(f"{path}: {_NAMES[kind]} is written as {endings(kind)}, got the ending '{target.suffix}'")
     members: dict[str, Any] = {"header": np.array(json.dumps(header)), **arrays}
     with atomic_write(target) as stream:
         np.savez(stream, **members)
+
+
+def endings(kind: str) -> str:
+    """The endings that a kind of object is written with, as words."""
+    *others, last = ENDINGS[kind]
+    return f"{', '.join(others)} or {last}" if others else last
 
 
 @contextmanager

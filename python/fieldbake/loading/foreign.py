@@ -4,10 +4,10 @@
 ending     what      contents
 =========  ========  ===================================================================================
 ``.dds``   Volume    3D texture: R32_FLOAT, R16_FLOAT, R16_SNORM or R8_SNORM; facts in a JSON beside it
-``.ktx2``  Volume    the same formats of Vulkan; facts as JSON under the key ``fieldbake``
+``.ktx2``  Volume    the same formats of Vulkan; facts as JSON under the key ``fieldbake``; orientation ``ruo``
 ``.nrrd``  Volume    float, with the grid's place in space; needs ``pynrrd``
 ``.exr``   Atlas     one channel ``Y``, pages below each other; facts in a JSON beside it
-``.png``   Atlas     16 bits (8 for snorm8) around the middle, pages below each other; facts in a JSON beside it
+``.png``   Atlas     unsigned 16 bits (8 for snorm8), pages below each other; facts in a JSON beside it
 =========  ========  ===================================================================================
 
 The JSON beside ``name.exr`` is ``name.exr.json``. Sizes are compared with it before anything is unpacked.
@@ -32,7 +32,7 @@ from ..files import sidecar
 from ..files.container import MAX_HEADER_BYTES, read_facts
 from ..volumes.textures import nrrd_package
 from ..volumes.volume import Volume, check_distances
-from .npz import make_atlas
+from .npz import make_atlas, read_scale
 
 
 def load_texture(path: Path) -> Volume:
@@ -45,10 +45,7 @@ def load_texture(path: Path) -> Volume:
     sidecar.expect(facts, "volume texture")
     if facts.get("encoding") != encoding or facts.get("resolution") != list(size):
         raise FormatError(f"the texture is {list(size)} {encoding}, its facts are of another one")
-    try:
-        scale = checks.number("scale", facts.get("scale"), above=0)
-    except ArgumentError as error:
-        raise FormatError(str(error)) from None
+    scale = read_scale(facts, encoding)
     samples = _core.texture_decode(np.frombuffer(texels, np.uint8), size, encoding, scale)
     return _volume(samples, facts)
 
@@ -63,7 +60,8 @@ def load_image(path: Path) -> Atlas:
         encoding = checks.choice("encoding", facts.get("encoding"), encodings.NAMES)
     except ArgumentError as error:
         raise FormatError(str(error)) from None
-    read = _read_png if path.suffix.lower() == ".png" else _read_exr
+    is_png = path.suffix.lower() == ".png"
+    read = _read_png if is_png else _read_exr
     pages = read(path, size, count * size, encoding).reshape(count, size, size)
     volumes = facts.get("volumes")
     if not isinstance(volumes, list):
@@ -74,7 +72,9 @@ def load_image(path: Path) -> Atlas:
         name: np.array(columns[name], kind).reshape(-1, *shape) for name, (kind, shape) in kinds.items()
     }
     arrays["scales"] = np.array(columns["scales"], np.float32)
-    return make_atlas(facts, arrays, columns["report"], pages)
+    atlas = make_atlas(facts, arrays, columns["report"], pages)
+    atlas._texels = "png" if is_png else "pages"
+    return atlas
 
 
 def _volume(samples: NDArray[np.float32], facts: dict[str, Any]) -> Volume:

@@ -15,7 +15,7 @@ from ..atlases.atlas import Atlas
 from ..atlases.pages import ARRAYS, BLOCK_NUMBERS, MAX_GUTTER, MAX_PAGE_SIZE, VACANT
 from ..base import checks, encodings
 from ..base.errors import ArgumentError, FormatError
-from ..files.container import members, read_array, read_facts, read_header, read_report
+from ..files.container import SCALED_FLOAT16_VERSION, members, read_array, read_facts, read_header, read_report
 from ..merging.nested import MAX_LEVELS, NestedField
 from ..volumes.quantized import QuantizedVolume
 from ..volumes.sparse import SparseVolume, restore_field
@@ -51,7 +51,7 @@ def _read_quantized(
     _check_samples(header, encoded, encoding, 3)
     if encoding == "float16" and not np.isfinite(encoded).all():
         raise FormatError("the distances are not all finite")
-    scale = _positive(header, "scale")
+    scale = read_scale(header, encoding)
     return QuantizedVolume._of(np.asfortranarray(encoded), encoding, scale, bounds, inner_bounds, report)
 
 
@@ -73,7 +73,7 @@ def _read_sparse(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], 
         raise FormatError("the nodes are not all finite and 0 or more")
     corners = checks.triple(bounds[0]), checks.triple(bounds[1])
     size = int(shape[0]), int(shape[1]), int(shape[2])
-    field = restore_field(corners, size, _positive(header, "band"), _positive(header, "scale"), arrays)
+    field = restore_field(corners, size, _positive(header, "band"), read_scale(header, encoding), arrays)
     return SparseVolume._wrap(field, bounds, inner_bounds, report)
 
 
@@ -132,6 +132,22 @@ def _positive(header: dict[str, Any], name: str) -> float:
         raise FormatError(f"header: {error}") from None
 
 
+def read_scale(header: dict[str, Any], encoding: str) -> float:
+    """The scale of the stored numbers, if their encoding can have it."""
+    if encoding == "float16" and header["version"] < SCALED_FLOAT16_VERSION:
+        return 1.0
+    scale = _positive(header, "scale")
+    _check_scales(encoding, [scale])
+    return scale
+
+
+def _check_scales(encoding: str, scales: list[float]) -> None:
+    try:
+        _core.check_scales(encoding, scales)
+    except ArgumentError as error:
+        raise FormatError(f"header: {error}") from None
+
+
 def make_atlas(header: dict[str, Any], arrays: dict[str, NDArray[Any]], reports: Any, pages: NDArray[Any]) -> Atlas:
     """An atlas from what a file says, once all of it is known to fit together."""
     try:
@@ -180,6 +196,11 @@ def make_atlas(header: dict[str, Any], arrays: dict[str, NDArray[Any]], reports:
         checks.affine(f"models[{i}]", arrays["models"][i], FormatError)
     if not (arrays["scales"] > 0).all():
         raise FormatError("scales must be above 0")
+    is_old = header["version"] < SCALED_FLOAT16_VERSION
+    if atlas.encoding == "float32" or (atlas.encoding == "float16" and is_old):
+        # Earlier versions wrote the width of the band here, and did not use it.
+        arrays["scales"] = np.ones(rows, np.float32)
+    _check_scales(atlas.encoding, arrays["scales"].tolist())
     if not isinstance(reports, list) or len(reports) != rows:
         raise FormatError(f"there must be {rows} reports")
 

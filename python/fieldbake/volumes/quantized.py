@@ -16,9 +16,6 @@ from ..files import container
 from . import textures
 from .volume import Volume
 
-#: What a float16 keeps: below the first its steps are constant, above the second there is nothing.
-SMALLEST_HALF, LARGEST_HALF = 2.0**-14, 65504.0
-
 
 class QuantizedVolume(Volume):
     """A `Volume` that stores its distances in 16 or 8 bits. Made by :meth:`Volume.quantize`; used like any other.
@@ -58,20 +55,28 @@ class QuantizedVolume(Volume):
 
     @property
     def encoded(self) -> NDArray[Any]:
-        """The stored numbers, (nx, ny, nz), x fastest: distances, or shares of :attr:`scale` in 127 or 32767 steps."""
+        """The stored numbers, (nx, ny, nz), x fastest: shares of :attr:`scale`, as integers in 127 or 32767 steps."""
         return self._encoded[...]
 
     @property
     def scale(self) -> float:
-        """Distance that the largest integer stands for, world units; farther ones are stored as this. 1 for float16."""
+        """Distance of a stored share of 1, world units.
+
+        The largest integer of a normalised encoding is this share; farther distances are stored as this one. For
+        float16 the scale is the largest power of two up to the longest side of a voxel, and distances beyond 65504
+        times the scale are stored as that.
+        """
         return self._unit
 
     def error_bound(self, distance: float) -> float:
-        """The most that a stored distance of this magnitude is off, world units; beyond ``scale`` no bound holds."""
+        """Bound of the error of a stored distance of this magnitude, world units.
+
+        No bound holds beyond ``scale`` for a normalised encoding, and beyond ``65504 * scale`` for float16.
+        """
         if self._encoding == "float16":
-            return max(abs(distance) * 2.0**-10, 2.0**-24)
-        # A step, and two roundings of float32 on the way back.
-        return self._unit / encodings.STEPS[self._encoding] + 2 * 2.0**-23 * self._unit
+            return max(abs(distance) * 2.0**-10, 2.0**-24 * self._unit)
+        # A step, and two roundings of float32 on the way back: relative ones, or of the smallest float32.
+        return self._unit / encodings.STEPS[self._encoding] + 2 * 2.0**-23 * self._unit + 2.0**-149
 
     @property
     def nbytes(self) -> int:
@@ -116,7 +121,8 @@ class QuantizedVolume(Volume):
             if encoding not in (None, self._encoding):
                 got = checks.describe(encoding)
                 raise ArgumentError(f"encoding: {ending or 'such'} files keep the volume's {self._encoding}, got {got}")
-            header = {**container.head("quantized"), **self._facts(), "encoding": self._encoding, "scale": self._unit}
+            header = {**container.head("quantized", self._encoding), **self._facts()}
+            header |= {"encoding": self._encoding, "scale": self._unit}
             container.write(path, header, {"distances": self._encoded})
         elif encoding is None and ending != ".nrrd":
             super().save(path, encoding=self._encoding, band=self._unit / float(self.spacing.max()))
@@ -139,19 +145,6 @@ def _restore(encoded: Any, encoding: str, scale: float, bounds: Any, inner_bound
 def quantize(volume: Volume, encoding: str, band: float) -> QuantizedVolume:
     """See :meth:`Volume.quantize`."""
     checks.choice("encoding", encoding, encodings.QUANTIZED)
-    width = checks.number("band", band, above=0) * float(volume.spacing.max())
-    distances = volume._distances
-    if encoding == "float16":
-        largest = float(np.abs(distances).max())
-        if largest > LARGEST_HALF or width < SMALLEST_HALF:
-            raise ArgumentError(
-                f"encoding: float16 keeps {SMALLEST_HALF:.1g} to {LARGEST_HALF:g}, the band is {width:.3g} wide and "
-                f'the largest distance {largest:.3g}; use "snorm16", which has a scale'
-            )
-        scale = 1.0
-    else:
-        scale = float(np.float32(width))
-        if not 1e-30 < scale < 1e30:
-            raise ArgumentError(f"band: makes a scale of {width:g} world units, expected 1e-30 to 1e30")
-    encoded = _core.encode(distances, encoding, scale)
+    scale = encodings.scale_of(encoding, volume.spacing, checks.number("band", band, above=0))
+    encoded = _core.encode(volume._distances, encoding, scale)
     return QuantizedVolume._of(encoded, encoding, scale, volume.bounds, volume.inner_bounds, volume.report)

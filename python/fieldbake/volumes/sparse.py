@@ -119,7 +119,7 @@ class SparseVolume(GridField):
         """Write an .npz file, to be read by :func:`fieldbake.load`; see :meth:`Volume.save`."""
         field = self._core_field
         facts = {"encoding": field.encoding, "scale": field.scale, "band": field.band}
-        container.write(path, {**container.head("sparse"), **self._facts(), **facts}, field.arrays())
+        container.write(path, {**container.head("sparse", field.encoding), **self._facts(), **facts}, field.arrays())
 
     def _source(self, device: str) -> _core.SparseField:
         checks.text("device", device)

@@ -1,7 +1,10 @@
 """Volumes as 3D textures (.dds, .ktx2) and as .nrrd grids for ParaView and 3D Slicer.
 
 The facts of a .ktx2 file are JSON under the key ``fieldbake``, those of a .nrrd file a field of that name; those of a
-.dds file lie in a sidecar.
+.dds file lie in a sidecar. ``decode`` is the formula for the distance of a texel.
+
+The axes of the texture are those of the volume: x runs to the right, y up, and z towards the viewer. KTX 2 calls this
+orientation ``ruo``.
 """
 
 from __future__ import annotations
@@ -17,11 +20,11 @@ from numpy.typing import NDArray
 from .. import _core
 from ..base import checks, encodings
 from ..base.errors import ArgumentError, FormatError
-from ..files import sidecar
+from ..files import container, sidecar
 from ..files.container import atomic_write, head
 
 #: Endings of the files that :func:`write` writes.
-ENDINGS = (".dds", ".ktx2", ".nrrd")
+ENDINGS = container.ENDINGS["volume"][1:]
 
 
 def write(
@@ -37,13 +40,9 @@ def write(
     target = Path(path)
     kind = target.suffix.lower()[1:]
     encoding = checks.choice("encoding", encoding, encodings.NAMES)
-    scale = encodings.scale_of(spacing, checks.number("band", band, above=0))
-    facts = {
-        **head("volume texture"),
-        **facts,
-        "encoding": encoding,
-        "scale": scale if encoding.startswith("snorm") else 1.0,
-    }
+    scale = encodings.scale_of(encoding, spacing, checks.number("band", band, above=0))
+    rule = encodings.texel_rule(target.suffix.lower(), encoding)
+    facts = {**head("volume texture", encoding), **facts, "encoding": encoding, "scale": scale, **rule}
     if kind == "nrrd":
         if encoding != "float32":
             raise ArgumentError(f'encoding: .nrrd files hold "float32", got {encoding!r}')

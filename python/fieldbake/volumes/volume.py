@@ -297,22 +297,23 @@ class Volume(GridField):
         Parameters
         ----------
         encoding : "float16", "snorm16" or "snorm8"
-            Half floats of the distances, or integers in equal steps from minus the band to the band.
+            Half floats of the distances in voxels, or integers in equal steps from minus the band to the band. The
+            voxel is rounded down to a power of two, world units.
         band : float, default 4
             Voxels around the surface that the integers keep, by the voxel's longest side; magnitudes beyond are stored
-            as the band. float16 has no band.
+            as the band. float16 has no band: it keeps at least 65504 voxels.
 
         Returns
         -------
         QuantizedVolume
             A volume like any other. Values are rounded toward zero: no stored magnitude exceeds the true one. They are
-            off by at most band / 127 (snorm8) or band / 32767 (snorm16) within the band, and by 2^-10 of the distance
-            (float16), 2^-24 where that is more.
+            off by at most band / 127 voxels (snorm8) or band / 32767 voxels (snorm16) within the band, and by 2^-10 of
+            the distance or 2^-24 voxels, whichever is more (float16). These bounds hold for a mesh of any size.
 
         Raises
         ------
         ArgumentError
-            For an unknown encoding, a band that is not positive, or distances that float16 cannot hold.
+            For an unknown encoding or a band that is not positive.
 
         Examples
         --------

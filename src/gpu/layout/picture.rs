@@ -17,7 +17,7 @@ pub struct PackParams {
     pub word_texels: u32,
     pub steps: u32,
     pub scale: f32,
-    pub pad_0: u32,
+    pub scale_exponent: i32,
 }
 
 /// `shaders/field_to_texture.wgsl`.

@@ -154,7 +154,7 @@ fn structs_have_the_layout_that_the_shaders_read() {
             word_texels,
             steps,
             scale,
-            pad_0
+            scale_exponent
         }
     );
     assert_twin!("merge_owners", MergeNode { min, first, max, count });

@@ -95,8 +95,9 @@ impl<T: Texel> SparseBuilder<T> {
         let bricks = brick_counts(&grid);
         let voxel = grid.spacing().max_element();
         let band = (options.band * voxel) as f32;
+        let scale = T::ENCODING.scale(voxel, options.band * voxel);
         let index = vec![Entry::Empty { inside: false }.to_word(); bricks.iter().product()];
-        let field = SparseField { grid, band, scale: band, index, nodes, texels: Vec::new() };
+        let field = SparseField { grid, band, scale, index, nodes, texels: Vec::new() };
         Ok(Self { field, bricks, tolerance: options.tolerance.map(|tolerance| (tolerance * voxel) as f32) })
     }
 
@@ -284,7 +285,7 @@ impl<T: Texel, S: SampleSource> RegionJob<'_, T, S> {
         true
     }
 
-    /// Magnitudes from which the encoding stores its end.
+    /// Magnitude from which a normalised encoding stores its end; f32::MAX for floats, whose end is far beyond the band.
     fn limit(&self) -> f32 {
         if T::ENCODING.is_normalised() { self.builder.field.scale } else { f32::MAX }
     }
