@@ -332,6 +332,34 @@ def test_the_json_says_where_each_volume_lies(baked, tmp_path):
     assert facts["volumes"][0]["bounds"] == baked[0].bounds.tolist()
 
 
+# --- loading one kind of object
+
+
+def test_each_class_loads_its_own_files_and_no_others(volume, tmp_path):
+    things = {
+        "v.npz": (fb.Volume, volume),
+        "v.dds": (fb.Volume, volume),
+        "q.npz": (fb.QuantizedVolume, volume.quantize("snorm8")),
+        "s.npz": (fb.SparseVolume, volume.to_sparse()),
+        "a.npz": (fb.Atlas, fb.pack([volume], page_size=64)),
+        "a.exr": (fb.Atlas, fb.pack([volume], page_size=64)),
+    }
+    for name, (kind, thing) in things.items():
+        path = tmp_path / name
+        thing.save(path)
+        assert type(kind.load(path)) is kind
+        for other in (fb.Volume, fb.SparseVolume, fb.Atlas):
+            if not issubclass(kind, other):
+                with pytest.raises(fb.FormatError, match=f"holds a {kind.__name__}, not a {other.__name__}") as told:
+                    other.load(path)
+                assert "\n" not in str(told.value)
+    assert isinstance(fb.Volume.load(tmp_path / "q.npz"), fb.QuantizedVolume)
+    with pytest.raises(fb.FormatError, match="holds a Volume, not a QuantizedVolume"):
+        fb.QuantizedVolume.load(tmp_path / "v.npz")
+    with pytest.raises(FileNotFoundError):
+        fb.Volume.load(tmp_path / "nothing.npz")
+
+
 # --- mistakes and hostile files
 
 

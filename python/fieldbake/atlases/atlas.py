@@ -324,6 +324,31 @@ class Atlas(PageStore):
         is_png = checks.choice("texels", self._texels if texels is None else texels, ("pages", "png")) == "png"
         return _core.atlas_shader(name, self._layout, self._page_size, self._gutter, self._encoding, side, is_png)
 
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Atlas:
+        """Read a file of this kind of object.
+
+        Parameters
+        ----------
+        path : str or path
+            A file that :meth:`save` wrote.
+
+        Returns
+        -------
+        Atlas
+            Bit for bit what was saved.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        FormatError
+            If the file holds another kind of object, is damaged, or was written by a newer version.
+        """
+        from ..loading.readers import load_as
+
+        return load_as(cls, path)
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a file; one of that name is replaced only once the new one is complete.
 

@@ -7,7 +7,7 @@ import os
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from ..atlases import images
 from ..atlases.atlas import Atlas
@@ -16,6 +16,8 @@ from ..volumes import textures
 from ..volumes.volume import Volume
 from .foreign import load_image, load_texture
 from .npz import read_archive
+
+_Kind = TypeVar("_Kind")
 
 #: Readers of the files that are no .npz archive, by ending.
 _FOREIGN: dict[str, Callable[[Path], Volume | Atlas]] = {
@@ -65,3 +67,13 @@ def load(path: str | os.PathLike[str]) -> Any:
             if isinstance(error, OSError) and error.errno != errno.EINVAL:
                 raise
             raise FormatError(f"{path}: is damaged ({type(error).__name__}: {error})") from error
+
+
+def load_as(kind: type[_Kind], path: str | os.PathLike[str]) -> _Kind:
+    """The object in a file, if it is of this kind."""
+    found = load(path)
+    if not isinstance(found, kind):
+        raise FormatError(
+            f"{os.fspath(path)}: holds a {type(found).__name__}, not a {kind.__name__}; use fieldbake.load"
+        )
+    return found

@@ -115,6 +115,31 @@ class SparseVolume(GridField):
         flat, shape = checks.points(points)
         return self._core_field.gradient(flat).reshape(*shape, 3)
 
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> SparseVolume:
+        """Read a file of this kind of object.
+
+        Parameters
+        ----------
+        path : str or path
+            A file that :meth:`save` wrote.
+
+        Returns
+        -------
+        SparseVolume
+            Bit for bit what was saved.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        FormatError
+            If the file holds another kind of object, is damaged, or was written by a newer version.
+        """
+        from ..loading.readers import load_as
+
+        return load_as(cls, path)
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write an .npz file, to be read by :func:`fieldbake.load`; see :meth:`Volume.save`."""
         field = self._core_field

@@ -361,6 +361,31 @@ class Volume(GridField):
 
         return to_sparse(self, tolerance, band, encoding, progress)
 
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Volume:
+        """Read a file of this kind of object.
+
+        Parameters
+        ----------
+        path : str or path
+            A file that :meth:`save` wrote.
+
+        Returns
+        -------
+        Volume
+            Bit for bit what was saved.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        FormatError
+            If the file holds another kind of object, is damaged, or was written by a newer version.
+        """
+        from ..loading.readers import load_as
+
+        return load_as(cls, path)
+
     def save(self, path: str | os.PathLike[str], *, encoding: str = "float32", band: float = 4.0) -> None:
         """Write a file; one of that name is replaced only once the new one is complete.
 
