@@ -1,5 +1,6 @@
 """The command line: what it writes, what it says, and its exit codes."""
 
+import itertools
 import os
 import subprocess
 import sys
@@ -334,3 +335,67 @@ def test_pack_prints_the_encoding_that_a_png_has_and_writes_its_shader(cube, tmp
     atlas = fb.load(output)
     assert atlas.shader("glsl") == text == atlas.shader("glsl", texels="png")
     assert "format r16snorm" in atlas.shader("glsl", texels="pages")
+
+
+@pytest.mark.parametrize("ending", [".npz", ".dds", ".ktx2", ".nrrd"])
+@pytest.mark.parametrize("encoding", ["float32", "float16"])
+def test_bake_writes_every_ending_of_a_volume(cube, ending, encoding, tmp_path):
+    output = tmp_path / f"cube{ending}"
+
+    result = fieldbake("bake", cube, "-r", 8, "--encoding", encoding, "-o", output)
+
+    if (ending, encoding) == (".nrrd", "float16"):
+        assert result.exit_code == BAD_USAGE
+        assert "--encoding" in result.stderr
+        assert not output.exists()
+        return
+    assert result.exit_code == DONE, result.stderr
+    volume = fb.bake(cube, 8)
+    expected = volume if encoding == "float32" else volume.quantize("float16")
+    assert np.array_equal(fb.load(output).distances, expected.distances)
+
+
+@pytest.mark.parametrize("command", ["bake", "merge", "pack"])
+def test_an_output_that_cannot_be_written_fails_before_any_work(command, tmp_path):
+    # The mesh is missing too, and would be named if it were read first.
+    result = fieldbake(command, tmp_path / "none.obj", "-o", tmp_path / "no folder" / "x.npz")
+    assert result.exit_code == BAD_INPUT
+    assert_one_clear_line(result, "folder does not exist", "x.npz")
+    result = fieldbake(command, tmp_path / "none.obj", "-o", tmp_path / "x.xyz")
+    assert result.exit_code == BAD_USAGE
+    assert ".npz" in result.stderr
+
+
+def test_convert_keeps_the_field_in_every_format(cube, tmp_path):
+    volume = fb.bake(cube, 8)
+    volume.save(tmp_path / "a.npz")
+    names = ["a.npz", "b.ktx2", "c.dds", "d.nrrd", "e.npz"]
+    for before, after in itertools.pairwise(names):
+        result = fieldbake("convert", tmp_path / before, tmp_path / after)
+        assert result.exit_code == DONE, result.stderr
+        assert "8 x 8 x 8" in result.stdout
+        assert np.array_equal(fb.load(tmp_path / after).distances, volume.distances)
+    result = fieldbake("convert", tmp_path / "a.npz", tmp_path / "q.npz", "--encoding", "snorm8", "--band", 2)
+    assert result.exit_code == DONE, result.stderr
+    assert np.array_equal(fb.load(tmp_path / "q.npz").encoded, volume.quantize("snorm8", band=2).encoded)
+    volume.to_sparse(tolerance=None).save(tmp_path / "s.npz")
+    assert fieldbake("convert", tmp_path / "s.npz", tmp_path / "s.dds").exit_code == DONE
+    fb.pack([volume], page_size=64).save(tmp_path / "p.npz")
+    result = fieldbake("convert", tmp_path / "p.npz", tmp_path / "p.png")
+    assert result.exit_code == DONE, result.stderr
+    assert "snorm16" in result.stdout
+    assert len(fb.load(tmp_path / "p.png")) == 1
+
+
+def test_convert_names_what_cannot_be_written(cube, tmp_path):
+    volume = fb.bake(cube, 8)
+    volume.save(tmp_path / "v.npz")
+    fb.pack([volume], page_size=64).save(tmp_path / "p.npz")
+    result = fieldbake("convert", tmp_path / "v.npz", tmp_path / "v.png")
+    assert result.exit_code == BAD_INPUT
+    assert_one_clear_line(result, "a volume is written as .npz, .dds, .ktx2 or .nrrd")
+    result = fieldbake("convert", tmp_path / "p.npz", tmp_path / "q.npz", "--encoding", "snorm8")
+    assert result.exit_code == BAD_USAGE
+    result = fieldbake("convert", cube, tmp_path / "q.npz")
+    assert result.exit_code == BAD_INPUT
+    assert_one_clear_line(result, "not a fieldbake file")

@@ -1,4 +1,4 @@
-"""The command line: ``fieldbake bake | info | pack | render | merge | csg | devices | demo``.
+"""The command line: ``fieldbake bake | info | convert | pack | render | merge | csg | devices | demo``.
 
 Exit codes: 0 for success, 1 for an error in the input (one line on stderr), 2 for wrong usage.
 """
@@ -22,7 +22,7 @@ from ..atlases.atlas import Language, as_written
 from ..base.encodings import texel_rule
 from ..base.report import bytes_text
 from ..drawing.frame import save_image
-from ..files.container import atomic_write
+from ..files.container import ENDINGS, atomic_write, check_target, listed
 from ..volumes import textures
 from . import demo as demonstration
 
@@ -122,7 +122,9 @@ Resolution = Annotated[
 @app.command()
 def bake(
     mesh: Annotated[list[Path], typer.Argument(help="Mesh files; several files are baked into one field.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The .npz file to write.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="The file to write: .npz, .dds, .ktx2 or .nrrd; with --sparse .npz.")
+    ],
     resolution: Resolution = "64",
     voxel_size: Annotated[
         float | None, typer.Option(help="Side of a cubic voxel, world units; replaces --resolution.")
@@ -147,8 +149,8 @@ def bake(
     device: Device = "auto",
 ) -> None:
     """Bake the signed distance field of a mesh into a file."""
-    if output.suffix.lower() != ".npz":
-        raise typer.BadParameter(f"'{output}' must end in .npz", param_hint="--output")
+    _check_output(output, ENDINGS["sparse" if sparse else "volume"])
+    _check_encoding(output, encoding)
     things: Any = [str(path) for path in mesh] if len(mesh) > 1 else mesh[0]
     surface: dict[str, Any] = {
         "voxel_size": voxel_size,
@@ -175,13 +177,12 @@ def bake(
 @app.command()
 def merge(
     scene: Annotated[Path, typer.Argument(help="A glTF or GLB scene, or any mesh file.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The .npz file to write.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The file to write: .npz, .dds, .ktx2 or .nrrd.")],
     resolution: Resolution = "128",
     device: Device = "auto",
 ) -> None:
     """Merge all instances of a scene into one field that never exceeds the distance to them."""
-    if output.suffix.lower() != ".npz":
-        raise typer.BadParameter(f"'{output}' must end in .npz", param_hint="--output")
+    _check_output(output, ENDINGS["volume"])
     is_scene = scene.suffix.lower() in (".gltf", ".glb")
     things = fb.load_scene(scene) if is_scene else [fb.load_mesh(scene)]
     field = fb.merge(things, resolution, device=device, progress=err.is_terminal)
@@ -200,6 +201,41 @@ def info(
         _show(str(file), _atlas_rows(found, file.suffix.lower()) if is_atlas else _volume_rows(found))
     else:
         _show(str(file), _mesh_rows(fb.load_mesh(file)))
+
+
+@app.command()
+def convert(
+    file: Annotated[Path, typer.Argument(help="A baked field or an atlas, in any format of fieldbake's.")],
+    output: Annotated[Path, typer.Argument(help="The file to write: .npz, .dds, .ktx2, .nrrd, or .exr or .png.")],
+    encoding: Annotated[
+        Literal["float32", "float16", "snorm16", "snorm8"] | None,
+        typer.Option(help="How samples are stored; if not given, as in the file."),
+    ] = None,
+    band: Annotated[float, typer.Option(help="Voxels that snorm encodings keep on each side of the surface.")] = 4.0,
+) -> None:
+    """Write a baked field or an atlas in another format, or in another encoding."""
+    _check_output(output, tuple(dict.fromkeys(ending for kind in ENDINGS.values() for ending in kind)))
+    if encoding is not None:
+        _check_encoding(output, encoding)
+    ending = output.suffix.lower()
+    found = fb.load(file)
+    if isinstance(found, fb.SparseVolume) and (ending in textures.ENDINGS or encoding is not None):
+        found = found.to_volume()
+    if encoding is not None:
+        if not isinstance(found, fb.Volume):
+            raise typer.BadParameter(
+                f"changes volumes only, {file} holds a {type(found).__name__}", param_hint="--encoding"
+            )
+        found = fb.Volume(found.distances, found.bounds, inner_bounds=found.inner_bounds, report=found.report)
+        if encoding != "float32":
+            found = found.quantize(encoding, band=band)
+    found.save(output)
+    if isinstance(found, fb.Atlas):
+        _show(str(output), _atlas_rows(as_written(found, ending), ending))
+    elif isinstance(found, (fb.Volume, fb.SparseVolume)):
+        _show(str(output), _volume_rows(found))
+    else:
+        out.print(f"[bold]{escape(str(output))}[/]  {escape(repr(found))}", soft_wrap=True)
 
 
 @app.command()
@@ -227,11 +263,10 @@ def pack(
     device: Device = "auto",
 ) -> None:
     """Pack baked fields and meshes into a texture atlas."""
-    if output.suffix.lower() not in (".npz", *images.ENDINGS):
-        raise typer.BadParameter(f"'{output}' must end in .npz, .exr or .png", param_hint="--output")
+    _check_output(output, ENDINGS["atlas"])
     languages: dict[str, Language] = {".wgsl": "wgsl", ".glsl": "glsl", ".hlsl": "hlsl", ".metal": "msl"}
-    if shader is not None and shader.suffix.lower() not in languages:
-        raise typer.BadParameter(f"'{shader}' must end in {', '.join(languages)}", param_hint="--shader")
+    if shader is not None:
+        _check_output(shader, tuple(languages), "--shader")
     # The article's strips hold cubes.
     sides = (resolution,) * 3 if layout == "strips" and isinstance(resolution, int) else resolution
     volumes = []
@@ -442,6 +477,18 @@ def demo(
         progress=err.is_terminal,
         tell=lambda line: out.print(escape(line), soft_wrap=True),
     )
+
+
+def _check_output(output: Path, endings: tuple[str, ...], option: str = "--output") -> None:
+    """Fail before any work if the output could not be written at its end."""
+    if output.suffix.lower() not in endings:
+        raise typer.BadParameter(f"'{output}' must end in {listed(endings)}", param_hint=option)
+    check_target(output)
+
+
+def _check_encoding(output: Path, encoding: str) -> None:
+    if output.suffix.lower() == ".nrrd" and encoding != "float32":
+        raise typer.BadParameter(f".nrrd files hold float32, got {encoding}", param_hint="--encoding")
 
 
 def _show(title: str, rows: list[tuple[str, str]]) -> None:

@@ -27,7 +27,7 @@ import errno
 import json
 import os
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
@@ -89,8 +89,21 @@ def write(path: str | os.PathLike[str], header: dict[str, Any], arrays: dict[str
 
 def endings(kind: str) -> str:
     """The endings that a kind of object is written with, as words."""
-    *others, last = ENDINGS[kind]
+    return listed(ENDINGS[kind])
+
+
+def listed(words: Iterable[str]) -> str:
+    """Words as a list for a message: "a, b or c"."""
+    *others, last = words
     return f"{', '.join(others)} or {last}" if others else last
+
+
+def check_target(target: Path) -> None:
+    """Raise if a file cannot be written there because its folder is missing, or because it is a folder itself."""
+    if not target.parent.is_dir():
+        raise FileNotFoundError(errno.ENOENT, "the folder does not exist", os.fspath(target))
+    if target.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "is a directory", os.fspath(target))
 
 
 @contextmanager
@@ -98,12 +111,8 @@ def atomic_write(target: Path) -> Iterator[IO[bytes]]:
     """A temporary file beside the target that takes its place when the block ends well."""
     import tempfile
 
-    # Said here, about the file that was asked for; below it would be about the temporary one.
-    if not target.parent.is_dir():
-        raise FileNotFoundError(errno.ENOENT, "the folder does not exist", os.fspath(target))
-    if target.is_dir():
-        raise IsADirectoryError(errno.EISDIR, "is a directory", os.fspath(target))
-
+    # An error names the target here; below it would name the temporary file.
+    check_target(target)
     mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
     descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".tmp")
     temporary = Path(name)
