@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import fieldbake as fb
 import truth_csg as truth
+from compare import exceeds
 from pictures import DEPTH_TOLERANCE, differing_pixels, has_volume
 
 #: The tree of the article.
@@ -63,7 +64,7 @@ def test_closed_forms_are_the_roots(name):
         hit = np.isfinite(whole.depth) & np.isfinite(plain.depth)
         slopes = np.abs(whole.normal - plain.normal).max(axis=-1)[hit]
         # But for pixels on an edge, where either side is right.
-        assert (slopes > 1e-2).mean() < 0.02
+        assert exceeds(slopes, 1e-2).mean() < 0.02
 
 
 def test_closed_forms_are_the_roots_on_the_device(gpu):
@@ -209,8 +210,8 @@ def test_written_kernels_draw_what_the_cpu_draws(joined, gpu):
     assert differing(truth, written) <= 4
     hit = np.isfinite(truth.depth) & np.isfinite(written.depth)
     # But for pixels on an edge, where either side is right.
-    assert (np.abs(truth.normal - written.normal).max(axis=-1)[hit] > 1e-2).mean() < 0.02
-    assert (np.abs(truth.color - written.color).max(axis=-1)[hit] > 1 / 255).mean() < 0.02
+    assert exceeds(np.abs(truth.normal - written.normal).max(axis=-1)[hit], 1e-2).mean() < 0.02
+    assert exceeds(np.abs(truth.color - written.color).max(axis=-1)[hit], 1 / 255).mean() < 0.02
 
 
 @given(

@@ -33,7 +33,7 @@ def test_a_ball_follows_the_documented_formula(color):
     highlight = np.where(cosine > 0, 0.25 * np.maximum((normal * half).sum(1), 0) ** 32, 0)
     expected = 0.2 * np.array(color) + 0.64 * (np.maximum(cosine, 0)[:, None] * np.array(color) + highlight[:, None])
     # Depth is float32: 2e-7 of a depth of 4 over the radius, times the highlight's slope of 32.
-    np.testing.assert_allclose(frame.color[hit][:, :3], expected, atol=5e-5)
+    np.testing.assert_allclose(frame.color[hit][:, :3], expected, equal_nan=False, atol=5e-5)
 
 
 def test_scenes_and_fields_have_one_light():

@@ -7,6 +7,7 @@ import pytest
 
 import fieldbake as fb
 import meshes
+from compare import exceeds
 from pictures import assert_same_picture
 from scenes import SUN, moved, plane
 
@@ -34,7 +35,7 @@ def test_a_graphics_device_sees_the_same_light(shadows: str, light_scale: int, g
     options |= {"light_scale": light_scale, "samples": 4 if shadows == "hard" else 1}
     here, there = (fb.render(scene, camera, **options, device=place) for place in ("cpu", gpu))
     assert there.report["devices"]["light"] != "cpu"
-    assert (np.abs(here.shadow - there.shadow) > 1 / 255).mean() <= 0.005
+    assert exceeds(np.abs(here.shadow - there.shadow), 1 / 255).mean() <= 0.005
     assert_same_picture(here, there, scene)
 
 

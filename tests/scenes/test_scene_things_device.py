@@ -7,6 +7,7 @@ import pytest
 
 import fieldbake as fb
 import meshes
+from compare import exceeds
 from pictures import assert_same_picture
 from scenes import SUN, moved, plane
 
@@ -76,7 +77,7 @@ def test_a_device_draws_and_lights_every_kind(name: str, shadows: str, gpu: str)
     here, there = (fb.render(scene, CAMERA, **options, device=place) for place in ("cpu", gpu))
     # Nothing is left to the CPU.
     assert set(there.report["devices"].values()) == {there.report["device"]}
-    assert (np.abs(here.shadow - there.shadow) > 1 / 255).mean() <= 0.005
+    assert exceeds(np.abs(here.shadow - there.shadow), 1 / 255).mean() <= 0.005
     # There is something to agree about.
     assert (here.shadow < 0.8).sum() > 500
     assert_same_picture(here, there, scene)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import fieldbake as fb
+from compare import exceeds
 
 #: Most that depths of the same hit differ.
 #: Depths are found in float32 in coordinates where the model, up to 8 units large, has size 1: the field rounds at
@@ -35,22 +36,23 @@ def differing_pixels(tree, camera, size, method, device):
     """
     whole = fb.raymarch(tree.shape, camera, size=size, method="whole", shadows="none", device="cpu")
     split = fb.raymarch(tree.shape, camera, size=size, method=method, shadows="none", device=device)
-    hit, other = np.isfinite(whole.depth), np.isfinite(split.depth)
     near = np.minimum(whole.depth, split.depth)
     with np.errstate(invalid="ignore"):
-        differs = (hit != other) | (np.abs(whole.depth - split.depth) > DEPTH_TOLERANCE)
+        apart = exceeds(np.abs(whole.depth - split.depth), DEPTH_TOLERANCE)
+    # Two rays that miss are at inf both, and equal.
+    differs = apart & (whole.depth != split.depth)
     rays = directions(camera, size)[differs]
     behind = near[differs][:, None].astype(float) + np.linspace(0, 0.05, 51)
     points = camera.eye + behind[..., None] * rays[:, None]
     deepest = tree.field(points.reshape(-1, 3)).reshape(behind.shape).min(axis=1, initial=np.inf)
-    return int((deepest < -DEPTH_TOLERANCE / 10).sum()), int(differs.sum())
+    return int(exceeds(-deepest, DEPTH_TOLERANCE / 10).sum()), int(differs.sum())
 
 
 def assert_same_picture(here: fb.Frame, there: fb.Frame, scene: fb.Scene) -> None:
     """Equal colours, ids and depths, but for silhouettes: the device rounds corners to 1/256 of a pixel."""
-    assert (np.abs(here.color - there.color).max(axis=-1) > 1 / 255).mean() <= 0.005
+    assert exceeds(np.abs(here.color - there.color).max(axis=-1), 1 / 255).mean() <= 0.005
     same = here.object_id == there.object_id
     assert same.mean() > 0.995
     both = np.isfinite(here.depth) & np.isfinite(there.depth) & same
     size = np.ptp(scene.bounds, axis=0).max()
-    assert (np.abs(here.depth[both] - there.depth[both]) > 1e-4 * size).mean() <= 0.002
+    assert exceeds(np.abs(here.depth[both] - there.depth[both]), 1e-4 * size).mean() <= 0.002

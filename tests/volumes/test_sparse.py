@@ -41,7 +41,7 @@ def test_a_sparse_bake_stores_what_the_dense_bake_stores(knot: fb.Mesh, dense: f
     baked, converted = fb.bake_sparse(knot, 72, tolerance=None), dense.to_sparse(tolerance=None)
     ours, theirs = baked._core_field.arrays(), converted._core_field.arrays()
     np.testing.assert_array_equal(ours["index"], theirs["index"])
-    np.testing.assert_allclose(ours["bricks"], theirs["bricks"], atol=2.0**-20 * dense.spacing[0])
+    np.testing.assert_allclose(ours["bricks"], theirs["bricks"], equal_nan=False, atol=2.0**-20 * dense.spacing[0])
     assert baked.report.inside_voxels == dense.report.inside_voxels
     assert baked.resolution == dense.resolution
     assert baked.nbytes < dense.nbytes * 2
@@ -59,7 +59,9 @@ def test_near_the_surface_it_is_the_dense_field(dense: fb.Volume) -> None:
     # The same cells, and the same corners of them.
     assert slopes.max() <= 16 * ROUNDING_VOXELS
     nearest = sparse.sample(points[near], filter="nearest")
-    np.testing.assert_allclose(nearest, dense.sample(points[near], filter="nearest"), atol=ROUNDING_VOXELS * voxel)
+    np.testing.assert_allclose(
+        nearest, dense.sample(points[near], filter="nearest"), equal_nan=False, atol=ROUNDING_VOXELS * voxel
+    )
 
 
 @pytest.mark.parametrize("encoding", ["float32", "float16", "snorm16", "snorm8"])
@@ -142,10 +144,10 @@ def test_any_shape_will_do(resolution: tuple[int, int, int]) -> None:
     volume = fb.Volume(rng.uniform(-0.1, 0.1, resolution), [(0, 0, 0), (1, 1, 1)])
     sparse = volume.to_sparse(tolerance=0)
     points = rng.uniform(0, 1, (2000, 3))
-    np.testing.assert_allclose(sparse.sample(points), volume.sample(points), atol=1e-6)
+    np.testing.assert_allclose(sparse.sample(points), volume.sample(points), equal_nan=False, atol=1e-6)
     np.testing.assert_array_equal(sparse.distances, volume.distances)
     first, second = (fb.raymarch(field, size=(16, 16), device="cpu") for field in (sparse, volume))
-    np.testing.assert_allclose(first.depth, second.depth, rtol=1e-5)
+    np.testing.assert_allclose(first.depth, second.depth, equal_nan=False, rtol=1e-5)
 
 
 def test_a_two_sided_sheet() -> None:
@@ -154,7 +156,7 @@ def test_a_two_sided_sheet() -> None:
     sparse, dense = fb.bake_sparse(sheet, 64, tolerance=None, **options), fb.bake(sheet, 64, device="cpu", **options)
     points = points_in(dense)
     near = in_band(dense, points, 4)
-    np.testing.assert_allclose(sparse.sample(points[near]), dense.sample(points[near]), atol=1e-6)
+    np.testing.assert_allclose(sparse.sample(points[near]), dense.sample(points[near]), equal_nan=False, atol=1e-6)
 
 
 @pytest.mark.parametrize("encoding", ["float32", "float16", "snorm16", "snorm8"])
@@ -205,7 +207,7 @@ def test_it_holds_far_from_the_origin() -> None:
     here, there = fb.bake_sparse((vertices, faces), 64), fb.bake_sparse((vertices + shift, faces), 64)
     points = points_in(here)
     # Vertices are kept to 1e-7 of their offset from the mesh's centre.
-    np.testing.assert_allclose(there.sample(points + shift), here.sample(points), atol=1e-6)
+    np.testing.assert_allclose(there.sample(points + shift), here.sample(points), equal_nan=False, atol=1e-6)
 
 
 def test_signs_against_brute_force(knot: fb.Mesh) -> None:
