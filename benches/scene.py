@@ -67,6 +67,19 @@ def light_of(scene: fb.Scene, camera: fb.Camera, size: tuple[int, int], repeat: 
     return time_ms, float(frames[0].steps.mean() - plain.steps.mean())
 
 
+def occlusion_against_soft(count: int, size: tuple[int, int], repeat: int) -> tuple[float, float]:
+    """Processor seconds of a picture with soft shadows, and of one with occlusion alone; the shortest, interleaved."""
+    scene, camera = forest(count, np.random.default_rng(7))
+    fb.render(scene, camera, size=(16, 16), device="cpu")
+    best = [np.inf, np.inf]
+    for _ in range(repeat):
+        for i, options in enumerate(({"shadows": "soft"}, {"shadows": "none", "ambient_occlusion": True})):
+            start = time.process_time()
+            fb.render(scene, camera, size=size, device="cpu", **options)
+            best[i] = min(best[i], time.process_time() - start)
+    return best[0], best[1]
+
+
 def embree_rays(scene: fb.Scene, frame: fb.Frame, camera: fb.Camera, cut: int, repeat: int) -> tuple[float, int, float]:
     """Rays a second, triangles, and the share of equal answers with hard shadows."""
     import open3d
@@ -126,6 +139,8 @@ def report(options: argparse.Namespace) -> list[str]:
     soft = row("soft", "cpu", light_of(scene, camera, size, options.repeat, shadows="soft", device="cpu"))
     row("soft, light_scale=2", "cpu", light_of(scene, camera, size, options.repeat, light_scale=2, device="cpu"))
     row("soft, samples=4", "cpu", light_of(scene, camera, size, 1, samples=4, device="cpu"))
+    rays = {"shadows": "none", "ambient_occlusion": True}
+    row("occlusion, no shadows", "cpu", light_of(scene, camera, size, options.repeat, device="cpu", **rays))
     for device in fb.devices():
         if device.type != "cpu":
             row("soft", device.name, light_of(scene, camera, size, options.repeat, device=device.name))
@@ -136,6 +151,11 @@ def report(options: argparse.Namespace) -> list[str]:
         f"{article[0] / soft[0]:.0f} times faster.",
         "",
     ]
+    lines += ["| instances | soft shadows, processor s | occlusion, processor s | ratio |", "|---|---|---|---|"]
+    for count in (10, 60, 200):
+        soft_s, open_s = occlusion_against_soft(count, small, options.repeat)
+        lines.append(f"| {count} | {soft_s:.2f} | {open_s:.2f} | {open_s / soft_s:.1f} |")
+    lines.append("")
     frame = fb.render(scene, camera, size=size, shadows="hard", device="cpu")
     lit = (frame.depth < np.inf) & (frame.normal @ -np.array(SUN.direction) > 0)
     lines += [

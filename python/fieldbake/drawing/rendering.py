@@ -64,8 +64,8 @@ def render(
         ``"soft"`` gives penumbrae in proportion to the sizes of the lights, by cone tracing. ``"hard"`` treats lights
         as points. ``"area"`` casts `area_samples` rays to each light; it is slow, and the reference for ``"soft"``.
     ambient_occlusion : bool or float, default False
-        Whether nearby surfaces darken ambient light. A number is the largest distance of such surfaces, world units;
-        True stands for 0.15 of the diagonal of the scene.
+        Whether nearby surfaces darken ambient light, by seven cones over the hemisphere. A number is the largest
+        distance of such surfaces, world units; True stands for 0.15 of the diagonal of the scene.
     samples : int, default 1
         Colour samples per pixel, a square number up to 64: 1, 4, 9, 16, ... Higher values smooth edges. Depth,
         normals and ids are taken at the pixel centre. Lighting is interpolated from neighbouring centres where they
@@ -93,7 +93,8 @@ def render(
         found on the CPU. A pass with an object that the device cannot draw runs on the CPU; ``report["devices"]``
         names the device of each pass.
     progress : bool or callable, optional
-        True draws a bar on stderr; a callable receives the finished share from 0 to 1.
+        True draws a bar on stderr; a callable receives the finished share from 0 to 1. If not
+        given, a bar appears on a terminal once the work has taken 3 seconds; False never draws one.
 
     Returns
     -------
