@@ -59,64 +59,65 @@ def merge(
     device: str = "auto",
     progress: Progress = None,
 ) -> MergedField | NestedField:
-    """Join everything in a scene in one world-aligned field that is never larger than the distance to it.
+    """Merge all instances of a scene into one world-aligned field that never exceeds the distance to them.
 
     Parameters
     ----------
     scene : Scene, or a list
-        Of instances, things, and ``(thing, transform)`` pairs. A thing is a Volume, a SparseVolume, an atlas entry, a
-        Quadric or a list of them, or anything that :func:`bake` takes; that is baked first, once for all its
-        instances.
+        The scene, or a list of instances, objects and ``(object, transform)`` pairs. An object is a Volume, a
+        SparseVolume, an atlas entry, a Quadric or a list of quadrics, or anything that :func:`bake` takes. Meshes and
+        shapes are baked first, once for all their instances.
     resolution : int or three ints, default 128
         As for :func:`bake`.
     bounds : (2, 3) array, optional
-        Box to sample, world units; the box of all surfaces and a tenth more if not given.
+        Box of the field, world units. The default is the box of all surfaces, enlarged by a tenth.
     levels : int, optional
-        Nested grids round a point, up to 12: the outermost has the box and the resolution that one grid would have,
-        each other one as many voxels in a box half as long and wide.
+        Number of nested grids, 1 to 12. The outermost grid has the box and the resolution of a single grid. Each finer
+        grid has the same number of voxels in a box of half the size.
     center : (3,) array, optional
-        What the levels are nested round, the camera say; the middle of the box if not given. Near the edge of a level
-        the next finer one is moved inwards.
+        Point that the levels surround, such as the position of the camera, world units. The default is the centre of
+        the box. Near the edge of a level, the next finer level is moved inwards.
     method : "bound" or "article", default "bound"
-        ``"article"`` is the loop of the article that this follows: at every sample over all instances, the distance
-        to the box plus the sample there. Slow, and not a lower bound: in random scenes of six volumes of 20 to 32
-        voxels it exceeds the distance at 39 to 57 % of the samples outside the boxes, by up to 1.23 times. For
-        comparison.
+        ``"article"`` is the loop of the article, for comparison: at every sample the least over all instances of the
+        distance to the box plus the sample there. It is slow and not a lower bound: in random scenes of six volumes of
+        20 to 32 voxels it exceeds the distance at 39 to 57 % of the samples outside the boxes, by factors up to 1.23.
     device : str, default "auto"
-        ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`. A graphics device looks for the instance that
-        is nearest to each sample; the distance is found on the CPU, so the field is the same bit for bit. If the
-        volumes are too large for the device that ``"auto"`` chose, the CPU does all, and ``report.warnings`` says so.
+        ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`. A graphics device finds the instance with the
+        least bound at each sample and the CPU evaluates the bound, so the field is the same bit for bit. If the volumes
+        are too large for the device that ``"auto"`` chose, the CPU does all the work and ``report.warnings`` says so.
     progress : bool or callable, optional
-        True draws a bar on stderr; a callable gets a share from 0 to 1.
+        True draws a bar on stderr; a callable receives the finished share from 0 to 1.
 
     Returns
     -------
     MergedField
-        A Volume; its :meth:`~MergedField.update` follows moving instances. With `levels` a :class:`NestedField`.
+        A Volume whose method :meth:`~MergedField.update` follows moving instances. With `levels`, a
+        :class:`NestedField`.
 
     Raises
     ------
     SceneError
         For an empty scene, or an instance that cannot be placed.
     ArgumentError
-        For an option that makes no sense.
+        For an option out of range.
     MeshError, CapacityError, DeviceError
         As for :func:`bake`.
 
     Notes
     -----
-    Each sample is the least, over the instances, of a proven lower bound of the signed distance: exact where it falls
-    on a voxel centre of one rigidly placed volume; less than the distance by up to half a voxel of that volume
-    elsewhere in its box; ``sqrt(a^2 + s^2)`` at distance `a` from the box, with `s` the bound at its nearest point.
-    Under scale, times the least stretch. So it is true up to the error of the volumes' own samples. Between the
-    samples of the merged field itself, trilinear interpolation may exceed the distance by a part of a merged voxel.
+    Each sample is the least, over the instances, of a proven lower bound of the signed distance. The bound is exact at
+    a voxel centre of a rigidly placed volume. Elsewhere in the box of that volume it is less than the distance by up to
+    half a voxel. At distance `a` from the box it is ``sqrt(a^2 + s^2)``, where `s` is the bound at the nearest point of
+    the box. Under scale it is multiplied by the least stretch. The bound holds up to the error of the samples of the
+    volumes. Between samples, trilinear interpolation may exceed the distance by a fraction of a merged voxel.
 
-    Quadrics are sheets: their distance is not negative. Inside overlapping solids the most negative value wins.
+    Quadrics are sheets, so their distance is never negative. Inside overlapping solids the field is the most negative
+    of their values.
 
     References
     ----------
-    *Signed Distance Fields in Unity*, the section on a coarse aggregate field. What surrounds its loop here, the bound
-    and the culling, is not from there.
+    *Signed Distance Fields in Unity*, the section on a coarse aggregate field. The bound and the culling are not from
+    that article.
 
     Examples
     --------
@@ -162,7 +163,7 @@ def _merge_nested(
     middle = box.mean(axis=0)
     point = middle if center is None else checks.vector("center", center, 3)
     if may_grow and min(outer.shape) < LEAST_SIDE:
-        # A flat scene: more of the voxels that it has.
+        # A flat scene gets more voxels of the same size.
         x, y, z = (max(side, LEAST_SIDE) for side in outer.shape)
         half = np.array([x, y, z]) * np.asarray(outer.spacing) / 2
         outer = Grid(checks.triple(middle - half), checks.triple(middle + half), (x, y, z))
@@ -176,29 +177,29 @@ def _merge_nested(
 
 
 class SphereIntersection(NamedTuple):
-    """The circle in which two spheres meet."""
+    """The circle in which two spheres intersect."""
 
-    #: Of the circle, (3,).
+    #: Centre of the circle, (3,).
     center: NDArray[np.float64]
-    #: From the first centre to the second, unit, (3,).
+    #: Unit vector from the first centre to the second, (3,).
     normal: NDArray[np.float64]
     radius: float
 
 
 def sphere_intersection(s0: ArrayLike, r0: float, s1: ArrayLike, r1: float) -> SphereIntersection:
-    """Where two spheres meet: the construction by which the article looks for a distance beyond a box.
+    """Intersect two spheres, the construction by which the article bounds the distance beyond a box.
 
-    With `p` outside a box, `b` its nearest point, `a = |p - b|` and `s` the distance at `b`: the surface lies beyond
-    the plane of the box through `b` and outside the sphere of radius `s` round `b`. The nearest that is left is the
-    circle in which that sphere meets the plane, at ``sqrt(a^2 + s^2)`` from `p`; the sphere of that radius round `p`
-    passes through the same circle. That is the bound of :func:`merge`.
+    Let `p` be a point outside a box, `b` the nearest point of the box, `a = |p - b|` and `s` the distance at `b`. The
+    surface lies beyond the plane of the box through `b` and outside the sphere of radius `s` around `b`. The nearest
+    possible points form the circle in which that sphere intersects the plane, at the distance ``sqrt(a^2 + s^2)`` from
+    `p`. The sphere of that radius around `p` passes through the same circle. This is the bound of :func:`merge`.
 
     Parameters
     ----------
     s0, s1 : (3,)
-        Centres.
+        Centres of the spheres.
     r0, r1 : float
-        Radii.
+        Radii of the spheres.
 
     Returns
     -------
@@ -208,7 +209,7 @@ def sphere_intersection(s0: ArrayLike, r0: float, s1: ArrayLike, r1: float) -> S
     Raises
     ------
     ArgumentError
-        If the spheres do not meet, or have the same centre.
+        If the spheres do not intersect, or have the same centre.
 
     Examples
     --------

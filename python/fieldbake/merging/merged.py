@@ -23,15 +23,15 @@ from ..volumes.volume import Volume
 
 Method = Literal["bound", "article"]
 
-#: What is neither a Volume nor a Quadric is baked with so many voxels, unless its instance says otherwise.
+#: Voxels along the longest side of meshes and shapes that are baked, unless their instance has a resolution.
 THING_RESOLUTION = 64
 
-#: No owner: a merged field that cannot be updated.
+#: The owners of a merged field that cannot be updated.
 NOBODY = np.empty(0, np.uint32)
 
 
 class Placed(NamedTuple):
-    """A field and where it stands."""
+    """A field with its transform to the world."""
 
     thing: Volume | tuple[Quadric, ...]
     transform: NDArray[np.float64]
@@ -41,7 +41,7 @@ class Placed(NamedTuple):
         """Box around the surface, (2, 3), world units."""
         if isinstance(self.thing, tuple):
             return bounds_of(self.quadrics)
-        # Where the box cuts the surface, what is left of it.
+        # The part of the surface box inside the box of the volume.
         box = np.clip(self.thing.inner_bounds, self.thing.bounds[0], self.thing.bounds[1])
         corners = np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
         world = corners @ self.transform[:3, :3].T + self.transform[:3, 3]
@@ -49,14 +49,14 @@ class Placed(NamedTuple):
 
     @property
     def quadrics(self) -> list[Quadric]:
-        """Those of a list, in the world."""
+        """The quadrics of a list, transformed to the world."""
         return [quadric.transformed(self.transform) for quadric in self.thing] if isinstance(self.thing, tuple) else []
 
 
 class MergedField(Volume):
-    """The field of a scene: a :class:`Volume` that remembers what it was merged from. Made by :func:`merge`.
+    """The field of a scene: a :class:`Volume` that keeps the instances it was merged from. Made by :func:`merge`.
 
-    Saved and loaded, it is a plain Volume.
+    A saved field is loaded as a plain Volume.
     """
 
     __slots__ = ("_owners", "_placed")
@@ -67,30 +67,29 @@ class MergedField(Volume):
     def update(
         self, changed: Sequence[Any], *, scene: Any = None, device: str = "auto", progress: Progress = None
     ) -> MergedField:
-        """The field after some instances have moved; only what they touched is done anew.
+        """Update the field after instances have moved; only the affected samples are evaluated.
 
         Parameters
         ----------
         changed : sequence
-            Either ``(index, transform)`` or ``(index, instance)`` pairs, or, with `scene`, indices. An index is the
-            place in the list of instances.
+            ``(index, transform)`` or ``(index, instance)`` pairs, or indices if `scene` is given. An index is the
+            position in the list of instances.
         scene : Scene, optional
-            The scene as it is now, in which `changed` are the indices of what differs.
+            The scene after the change; `changed` then lists the indices of the changed instances.
         device : str, default "auto"
             As for :func:`merge`. The update itself runs on the CPU.
         progress : bool or callable, optional
-            True draws a bar on stderr; a callable gets a share from 0 to 1.
+            True draws a bar on stderr; a callable receives the finished share from 0 to 1.
 
         Returns
         -------
         MergedField
-            On the same grid: bit for bit what merging everything anew on that grid gives.
+            A field on the same grid, bit for bit equal to a new merge of all instances on that grid.
 
         Raises
         ------
         SceneError
-            For an index that is not there, an instance that had another number of quadrics, or another number of
-            instances.
+            For an index out of range, an instance with another number of quadrics, or another number of instances.
 
         Examples
         --------
@@ -111,7 +110,7 @@ class MergedField(Volume):
         return merge_placed(placed, self._bounds, self._shape, "bound", device, progress, (self, indices))
 
     def _changed(self, changed: Sequence[Any], scene: Any) -> tuple[list[Placed], list[int]]:
-        """All instances as they are now, and which have changed."""
+        """List all instances after the change, and the indices of the changed ones."""
         if isinstance(changed, (str, bytes)) or not isinstance(changed, (Sequence, np.ndarray)):
             raise SceneError(f"changed: must be a list, got {checks.describe(changed)}")
         count = len(self._placed)
@@ -154,13 +153,13 @@ def merge_placed(
     earlier: tuple[MergedField, Sequence[int]] | None,
 ) -> MergedField:
     """Merge placed fields on a grid; with `earlier` only what the listed items touch is evaluated anew."""
-    # To the core volumes come first, each once, then quadrics.
+    # The core takes the volumes first, each once, and then the quadrics.
     volumes: dict[int, Volume] = {}
     numbers: dict[int, int] = {}
     instances: list[int] = []
     transforms: list[NDArray[np.float64]] = []
     quadrics: list[Quadric] = []
-    # Where each item is in the core.
+    # The rows of each item in the core.
     spans: list[range] = []
     count = sum(isinstance(item.thing, Volume) for item in placed)
     for item in placed:
@@ -209,7 +208,7 @@ def _volume_row(volume: Volume) -> tuple[Any, ...]:
 
 
 def items_of(scene: Any) -> Sequence[Any]:
-    """The instances of a scene, or of a list."""
+    """List the instances of a scene or of a list."""
     items = getattr(scene, "instances", scene)
     if isinstance(items, (Volume, SparseVolume, Quadric)):
         items = [items]
@@ -221,7 +220,7 @@ def items_of(scene: Any) -> Sequence[Any]:
 
 
 def place(name: str, item: Any, baked: dict[tuple[int, int], Volume]) -> Placed:
-    """A field and where it stands; `baked` keeps the fields of things by identity."""
+    """Make a placed field of an item; `baked` keeps the fields of meshes and shapes by identity."""
     thing, transform, resolution = item, None, THING_RESOLUTION
     if hasattr(item, "thing"):
         thing, transform = item.thing, item.transform

@@ -1,4 +1,4 @@
-"""Merged fields nested round a point, each level twice as fine as the one around it."""
+"""Merged fields nested around a point, each level twice as fine as the next."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from ..files import container
 from ..volumes.volume import Volume
 from .merged import MergedField
 
-#: Levels at most: from the finest to the outermost a voxel grows 2048 times.
+#: Most levels; a voxel of the outermost level is then 2048 times as long as a voxel of the finest.
 MAX_LEVELS = 12
 
-#: Voxels that a level needs along each side, so that the next one fits in it with a voxel around.
+#: Fewest voxels of a level along each side, so that the finer level fits inside with a border of one voxel.
 LEAST_SIDE = 8
 
 
 class NestedField:
-    """The field of a scene on nested grids: fine round a point, coarse far from it. Made by :func:`merge`.
+    """The field of a scene on nested grids, fine near a point and coarse far from it. Made by :func:`merge`.
 
-    Every level has as many voxels; each is twice as long and wide as the one in it. Saved and loaded it is the same,
-    but cannot be updated.
+    All levels have the same number of voxels, and each level is twice as large as the one inside it. A loaded field
+    has the same values, but cannot be updated.
 
     Notes
     -----
-    A point belongs to the finest level that has samples on all sides of it; there the field is trilinear. All samples
-    of a level lie on the lattice of the next finer one, and the outermost samples of a level are replaced by the values
-    of the level around it. So the field has no jump between levels.
+    A point belongs to the finest level that has samples on all sides of it, and the field is trilinear there. All
+    samples of a level lie on the lattice of the next finer level. The outermost samples of a level are replaced by the
+    values of the level around it, so the field is continuous between levels.
 
     *Bound.* Let `d` be the distance to the scene. Each value is a mean, with weights that are not negative, of samples
     `f(q)` at places `q` around the point `p`, whose mean place is `p` itself: trilinear interpolation, done once, or at
@@ -77,7 +77,7 @@ class NestedField:
 
     @property
     def levels(self) -> tuple[Volume, ...]:
-        """The merged field of each level, finest first, its outermost samples as they were merged."""
+        """The merged field of each level, finest first, with its outermost samples as merged."""
         return self._levels
 
     @property
@@ -87,17 +87,17 @@ class NestedField:
 
     @property
     def inner_bounds(self) -> NDArray[np.float64]:
-        """Box of the scene's surfaces, (2, 3), world units."""
+        """Box around the surfaces of the scene, (2, 3), world units."""
         return self._levels[-1].inner_bounds
 
     @property
     def center(self) -> NDArray[np.float64]:
-        """Middle of the finest level, (3,), world units."""
+        """Centre of the finest level, (3,), world units."""
         return np.asarray(self._levels[0].bounds.mean(axis=0))
 
     @property
     def resolution(self) -> tuple[int, int, int]:
-        """Voxels of each level along x, y and z."""
+        """Number of voxels of each level along x, y and z."""
         return self._levels[0].resolution
 
     @property
@@ -107,16 +107,16 @@ class NestedField:
 
     @property
     def nbytes(self) -> int:
-        """Memory of the samples of all levels."""
+        """Memory of the samples of all levels, bytes."""
         return sum(level.nbytes for level in self._levels)
 
     def sample(self, points: ArrayLike) -> NDArray[np.float32]:
-        """The field at any points.
+        """Evaluate the field at points.
 
         Parameters
         ----------
         points : (n, 3) real
-            World positions; any leading shape will do.
+            World positions of any leading shape.
 
         Returns
         -------
@@ -135,12 +135,12 @@ class NestedField:
         return values.reshape(shape)
 
     def gradient(self, points: ArrayLike) -> NDArray[np.float32]:
-        """Gradient of the field at any points; it jumps between cells.
+        """Evaluate the gradient of the field at points; it is discontinuous between cells.
 
         Parameters
         ----------
         points : (n, 3) real
-            World positions; any leading shape will do.
+            World positions of any leading shape.
 
         Returns
         -------
@@ -161,7 +161,7 @@ class NestedField:
     def update(
         self, changed: Sequence[Any], *, scene: Any = None, device: str = "auto", progress: Progress = None
     ) -> NestedField:
-        """The field after some instances have moved; each level does anew only what they touched.
+        """Update the field after instances have moved; each level evaluates only the affected samples.
 
         Parameters
         ----------
@@ -171,12 +171,12 @@ class NestedField:
         Returns
         -------
         NestedField
-            Bit for bit what merging everything anew on these grids gives.
+            A field bit for bit equal to a new merge of all instances on these grids.
 
         Raises
         ------
         SceneError
-            As for :meth:`MergedField.update`, and for a field that was loaded.
+            As for :meth:`MergedField.update`, and for a loaded field.
         """
         merged = [level for level in self._levels if isinstance(level, MergedField)]
         if len(merged) < len(self._levels):
@@ -189,7 +189,7 @@ class NestedField:
         return NestedField(levels)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a file; one of that name is replaced only once the new one is complete.
+        """Write a file. An existing file is replaced only after the new file is complete.
 
         Parameters
         ----------
@@ -209,7 +209,7 @@ class NestedField:
         container.write(path, {**container.head("nested"), **facts}, arrays)
 
     def _joined_levels(self) -> tuple[Volume, ...]:
-        """The levels with their outermost samples taken from the level around them."""
+        """The levels, with their outermost samples taken from the level around them."""
         if self._joined is None:
             joined = [self._levels[-1]]
             for level in self._levels[-2::-1]:
@@ -219,7 +219,7 @@ class NestedField:
         return self._joined
 
     def _holding(self, points: NDArray[np.float64]) -> list[tuple[Volume, NDArray[np.bool_]]]:
-        """Each level, and which points belong to it."""
+        """List each level with the mask of the points that belong to it."""
         found = []
         left = np.ones(len(points), np.bool_)
         for level in self._joined_levels()[:-1]:
@@ -230,7 +230,7 @@ class NestedField:
         return [*found, (self._joined_levels()[-1], left)]
 
     def _stored(self) -> list[tuple[NDArray[np.float32], Any, Any]]:
-        """The samples and the box of each level as the core's pictures take them."""
+        """List the samples and the box of each level for the core."""
         return [(level.distances, *level._corners()) for level in self._joined_levels()]
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -246,10 +246,10 @@ class NestedField:
 
 
 def nested_grids(outer: Grid, levels: int, center: NDArray[np.float64]) -> list[Grid]:
-    """Grids of equal shape, finest first, each half as wide as the one around it and as near to `center` as it can be.
+    """Make grids of equal shape, finest first, each half as wide as the next and as close to `center` as possible.
 
-    Every sample of a level lies on the lattice of the next finer one, whose samples between it and its outermost ones
-    leave a voxel of the level around them.
+    Every sample of a level lies on the lattice of the next finer level. A finer level leaves a border of at least one
+    voxel of the level around it.
     """
     if min(outer.shape) < LEAST_SIDE:
         raise ArgumentError(f"resolution: levels need {LEAST_SIDE} voxels or more along each side, got {outer.shape}")
@@ -259,7 +259,7 @@ def nested_grids(outer: Grid, levels: int, center: NDArray[np.float64]) -> list[
         parent = grids[-1]
         step = np.asarray(parent.spacing)
         first_of_parent = np.array(parent.lower) + step / 2
-        # Between their outermost samples: n - 1 steps, half as long.
+        # The outermost samples of the finer grid are n - 1 steps of half the length apart.
         wanted = (center - (shape - 1) * step / 4 - first_of_parent) / step
         start = np.clip(np.rint(wanted), 1, shape - 2 - (shape // 2))
         lower = first_of_parent + start * step - step / 4
@@ -269,7 +269,7 @@ def nested_grids(outer: Grid, levels: int, center: NDArray[np.float64]) -> list[
 
 
 def check_levels(levels: Sequence[Volume]) -> None:
-    """Whether volumes nest as :func:`nested_grids` has them, finest first."""
+    """Check that volumes nest like the grids of :func:`nested_grids`, finest first."""
     if not 1 <= len(levels) <= MAX_LEVELS:
         raise ArgumentError(f"levels: must be 1 to {MAX_LEVELS}, got {len(levels)}")
     for number, (fine, coarse) in enumerate(pairwise(levels)):
@@ -277,14 +277,14 @@ def check_levels(levels: Sequence[Volume]) -> None:
         start = (fine.bounds[0] + fine.spacing / 2 - coarse.bounds[0] - step / 2) / step
         end = start + (np.array(fine.resolution) - 1) / 2
         fits = (start > 0.5).all() and (end < np.array(coarse.resolution) - 1.5).all()
-        # Some roundings of a coordinate, far below a voxel.
+        # The tolerances allow for rounding of coordinates, far below a voxel.
         aligned = np.allclose(start, np.rint(start), atol=1e-3) and np.allclose(2 * fine.spacing, step, rtol=1e-6)
         if not (fits and aligned and fine.resolution == coarse.resolution):
             raise ArgumentError(f"levels[{number}]: does not lie in the next one, twice as fine and on its lattice")
 
 
 def _join(level: Volume, around: Volume) -> Volume:
-    """A level whose outermost samples are the values of the level around it."""
+    """Replace the outermost samples of a level by the values of the level around it."""
     distances = np.array(level.distances, order="F")
     edge = np.ones(level.resolution, np.bool_)
     edge[1:-1, 1:-1, 1:-1] = False
