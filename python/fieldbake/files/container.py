@@ -17,8 +17,8 @@ A nested field has ``level_0.npy``, ``level_1.npy``, ... in place of the distanc
 An atlas has the header, ``pages.npy``, a row of ``blocks``, ``boxes``, ``models`` and ``scales`` for each index, and
 the reports as JSON in bytes.
 
-Because members must be stored uncompressed, an archive cannot unfold to more than its own size. The sizes in the zip
-directory, in the array headers and in the JSON are compared before anything is allocated, and nothing is unpickled.
+Members must be stored uncompressed, so the contents cannot exceed the size of the archive. The sizes in the zip
+directory, in the array headers and in the JSON are compared before memory is allocated. Nothing is unpickled.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from ..base import checks
 from ..base.errors import FormatError
 from ..base.report import Report
 
-#: The newest version of a file, and that of each kind which readers of version 1 do not know.
+#: The newest version of the format, and the first version that contains each later kind.
 VERSION = 3
 FIRST_VERSION = {"quantized": 2, "sparse": 2, "nested": 2}
 #: Since this version float16 has a scale; before it, stored numbers are distances.
@@ -63,15 +63,15 @@ ENDINGS: dict[str, tuple[str, ...]] = {
     "atlas": (".npz", ".exr", ".png"),
 }
 
-#: The JSON of a volume takes about a kilobyte.
+#: Most bytes of the JSON header, which takes about a kilobyte.
 MAX_HEADER_BYTES = 4 << 20
 
-#: Read in pieces, so that a large member is not held twice.
+#: Bytes that are read at once, so that a large member is not held twice.
 CHUNK_BYTES = 16 << 20
 
 
 def head(kind: str, encoding: str = "float32") -> dict[str, Any]:
-    """How every header starts."""
+    """The entries that every header starts with."""
     version = SCALED_FLOAT16_VERSION if encoding == "float16" else FIRST_VERSION.get(kind, 1)
     return {"format": "fieldbake", "kind": kind, "version": version, "written_by": f"fieldbake {_core.__version__}"}
 
@@ -108,7 +108,7 @@ def check_target(target: Path) -> None:
 
 @contextmanager
 def atomic_write(target: Path) -> Iterator[IO[bytes]]:
-    """A temporary file beside the target that takes its place when the block ends well."""
+    """Open a temporary file that replaces the target when the block ends without an error."""
     import tempfile
 
     # An error names the target here; below it would name the temporary file.
@@ -129,14 +129,14 @@ def atomic_write(target: Path) -> Iterator[IO[bytes]]:
 
 
 def _umask() -> int:
-    """The process's umask; it can only be read by setting it."""
+    """The umask of the process, which can only be read by setting it."""
     mask = os.umask(0o022)
     os.umask(mask)
     return mask
 
 
 def members(archive: zipfile.ZipFile, size: int) -> dict[str, zipfile.ZipInfo]:
-    """The directory of the archive, if it is harmless."""
+    """Read the directory of an archive of `size` bytes and check that it is safe to read."""
     members: dict[str, zipfile.ZipInfo] = {}
     for info in archive.infolist():
         if info.filename in members:
@@ -150,7 +150,7 @@ def members(archive: zipfile.ZipFile, size: int) -> dict[str, zipfile.ZipInfo]:
 
 
 def read_header(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo]) -> dict[str, Any]:
-    """The JSON, checked for kind and version."""
+    """Read the JSON header and check its format and version."""
     if "header.npy" not in members:
         raise FormatError("is not a fieldbake file: it has no header; read it with numpy.load")
     if members["header.npy"].file_size > MAX_HEADER_BYTES:
@@ -166,7 +166,7 @@ def read_header(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo]) -
 
 
 def check_version(header: dict[str, Any]) -> None:
-    """Fails unless we wrote this, and know how to read it."""
+    """Check that fieldbake wrote the file and that this version can read it."""
     if header.get("format") != "fieldbake":
         raise FormatError("is not a fieldbake file: its header does not say so")
     version = header.get("version")
@@ -180,7 +180,7 @@ def check_version(header: dict[str, Any]) -> None:
 
 
 def read_array(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], name: str) -> NDArray[Any]:
-    """One .npy member, allocated only once its size is known to be true."""
+    """Read one .npy member; memory is allocated only after its size was checked."""
     if name not in members:
         raise FormatError(f"member '{name}' is missing")
     with archive.open(members[name]) as stream:
@@ -191,7 +191,7 @@ def read_array(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], na
         shape, fortran_order, dtype = read(stream)
         if dtype.hasobject or dtype.kind not in "fiuU":
             raise FormatError(f"member '{name}' holds {dtype}, which is never read")
-        # Python integers: a huge shape cannot overflow here.
+        # Python integers do not overflow for a huge shape.
         expected = dtype.itemsize
         for side in shape:
             if side < 0:
@@ -203,14 +203,14 @@ def read_array(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], na
         array = np.empty(shape, dtype=dtype, order="F" if fortran_order else "C")
         if expected:
             _fill(stream, array)
-        # At the end of the member zipfile compares its checksum.
+        # zipfile compares the checksum at the end of the member.
         if stream.read(1):
             raise FormatError(f"member '{name}' is longer than it says")
     return array
 
 
 def _fill(stream: IO[bytes], array: NDArray[Any]) -> None:
-    """Read straight into the array, in pieces."""
+    """Read directly into the array, in chunks."""
     memory = array.reshape(-1, order="A").view(np.uint8)
     done = 0
     while done < len(memory):
@@ -222,7 +222,7 @@ def _fill(stream: IO[bytes], array: NDArray[Any]) -> None:
 
 
 def read_facts(header: dict[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.float64], Report]:
-    """Outer and inner box and report of a volume."""
+    """Read the outer box, the inner box and the report of a volume."""
     return _corners(header, "bounds", flat=False), _corners(header, "inner_bounds", flat=True), read_report(header)
 
 
@@ -234,7 +234,7 @@ def _corners(header: dict[str, Any], name: str, *, flat: bool) -> NDArray[np.flo
 
 
 def read_report(header: dict[str, Any]) -> Report:
-    """The report, each fact only if it has the type it should have."""
+    """Read the report and check the type of each entry."""
     facts = header.get("report", {})
     if not isinstance(facts, dict):
         raise FormatError("header: report must be an object")

@@ -1,7 +1,7 @@
-"""Anything that holds triangles becomes a Mesh: files, trimesh objects, arrays, and lists of them.
+"""Conversion of files, trimesh objects, arrays, and lists of these to a Mesh.
 
-Files are read by trimesh without merging or reordering. Transforms of scene nodes, and transforms given beside a
-thing, are applied in float64; a mirroring one also turns the faces, so that outside stays outside.
+trimesh reads files without merging or reordering vertices. Transforms of scene nodes and of list items are applied in
+float64. A transform with a reflection also reverses the faces, so that the outside stays outside.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from ..base import checks
 from ..base.errors import MeshError
 from .mesh import ALPHA_MODES, Mesh, Part, check_faces, check_uv, check_vertices
 
-#: What stands for a mesh everywhere: a Mesh, a path, a trimesh.Trimesh or Scene, (vertices, faces), or a list of
-#: those, each optionally as (thing, transform).
+#: Every argument that accepts a mesh accepts a Mesh, a path, a trimesh.Trimesh or trimesh.Scene, (vertices, faces), or
+#: a list of these, each optionally as (object, transform).
 MeshLike = Any
 
 
-#: The head of a PLY or OFF file, with what it announces, is shorter.
+#: Bytes of a PLY or OFF file that certainly contain its header.
 HEAD_BYTES = 1 << 16
 
 
 @dataclass
 class _Piece:
-    """Triangles on their way into a Mesh, with the material of all their faces."""
+    """Triangles that become a Mesh, with the materials of their faces."""
 
     vertices: NDArray[Any]
     faces: NDArray[np.int64]
@@ -57,38 +57,38 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
     Parameters
     ----------
     path : str or path
-        Any format that trimesh reads: OBJ, PLY, STL, OFF, GLB, glTF, ... A scene becomes one mesh, its nodes'
-        transforms applied; textures are found beside the file.
+        A file of any format that trimesh reads: OBJ, PLY, STL, OFF, GLB, glTF, ... A scene becomes one mesh with the
+        transforms of its nodes applied. Textures are read from the folder of the file.
 
     Returns
     -------
     Mesh
-        Vertices as in the file: not merged, not reordered.
+        A mesh with the vertices of the file, neither merged nor reordered.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     MeshError
-        If the file cannot be read, is of an unknown kind, or holds no triangles.
+        If the file cannot be read, has an unknown format, or contains no triangles.
     """
     return _mesh(_from_file(path), os.fspath(path))
 
 
 def as_mesh(thing: MeshLike) -> Mesh:
-    """Make a Mesh of anything that stands for one; a Mesh is returned as it is.
+    """Convert an object to a Mesh; a Mesh is returned unchanged.
 
     Parameters
     ----------
     thing : Mesh, path, trimesh.Trimesh, trimesh.Scene, (vertices, faces), or a list of those
-        Items of a list may be ``(thing, transform)`` with a 4x4 world-from-local transform.
+        Items of a list may be ``(object, transform)`` with a 4x4 world-from-local transform.
 
     Raises
     ------
     FileNotFoundError
         If a path does not exist.
     MeshError
-        If there is no usable mesh in it.
+        If the object contains no usable mesh.
     """
     if isinstance(thing, Mesh):
         return thing
@@ -96,7 +96,7 @@ def as_mesh(thing: MeshLike) -> Mesh:
 
 
 def _mesh(pieces: Sequence[_Piece], path: str | None) -> Mesh:
-    """Join the pieces; errors name the file they came from."""
+    """Join the pieces; errors name the file of the pieces."""
     try:
         piece = _join(pieces)
         return Mesh(piece.vertices, piece.faces, uv=piece.uv, parts=piece.parts or None)
@@ -109,7 +109,7 @@ def _mesh(pieces: Sequence[_Piece], path: str | None) -> Mesh:
 def _join(pieces: Sequence[_Piece]) -> _Piece:
     if len(pieces) == 1:
         return pieces[0]
-    # An index past the end of its own piece would silently mean a vertex of the next one.
+    # An index beyond its own piece would refer to a vertex of the next piece without an error.
     for number, piece in enumerate(pieces):
         wrong = (piece.faces < 0) | (piece.faces >= len(piece.vertices))
         if wrong.any():
@@ -139,7 +139,7 @@ def _join(pieces: Sequence[_Piece]) -> _Piece:
 
 
 def _pieces(thing: MeshLike, name: str) -> list[_Piece]:
-    """Take anything apart; ``name`` is how the user finds it again."""
+    """Split an object into pieces; errors call it by `name`."""
     if isinstance(thing, (str, os.PathLike)):
         return _from_file(thing)
     if isinstance(thing, Mesh):
@@ -164,23 +164,23 @@ def _pieces(thing: MeshLike, name: str) -> list[_Piece]:
 
 
 def is_arrays(pair: Sequence[Any]) -> bool:
-    """Whether two things are (vertices, faces): plain numbers, not meshes and not a mesh with its transform."""
+    """Whether a pair is (vertices, faces) in numbers, and neither two meshes nor a mesh with its transform."""
     if len(pair) != 2:
         return False
     for half in pair:
-        # Look as deep as the first number: a path or a mesh in there makes it a list of things.
+        # The first innermost item decides: with a path or a mesh there, the pair is a list of objects.
         inner = half
         while isinstance(inner, (tuple, list)) and len(inner) > 0:
             inner = inner[0]
         if isinstance(inner, (str, os.PathLike, Mesh)) or hasattr(inner, "faces") or hasattr(inner, "graph"):
             return False
-    # Two arrays where the vertices should be: that is a mesh of its own, beside a transform or another mesh.
+    # If the first half is a pair of tables, it is a mesh itself, beside a transform or another mesh.
     first = pair[0]
     return not (isinstance(first, (tuple, list)) and len(first) == 2 and _is_table(first[0]))
 
 
 def _is_table(value: Any) -> bool:
-    """Whether something has rows and columns."""
+    """Whether a value has rows and columns."""
     if isinstance(value, np.ndarray):
         return value.ndim == 2
     return isinstance(value, (tuple, list)) and len(value) > 0 and isinstance(value[0], (tuple, list, np.ndarray))
@@ -191,17 +191,17 @@ def _from_file(path: str | os.PathLike[str]) -> list[_Piece]:
 
 
 def _read_file(path: str | os.PathLike[str], take: Callable[[Any], list[_Piece]]) -> list[_Piece]:
-    """The pieces that `take` finds in the file's scene, every failure of a reader as a MeshError."""
+    """List the pieces that `take` finds in the scene of a file; every failure of a reader becomes a MeshError."""
     file = Path(path)
     if file.is_dir():
         raise MeshError(f"{path}: is a directory, not a mesh file")
-    # Opening it first keeps FileNotFoundError and PermissionError as they are.
+    # Opening the file here keeps FileNotFoundError and PermissionError unchanged.
     with file.open("rb") as stream:
         head = stream.read(None if file.suffix.lower() == ".obj" else HEAD_BYTES)
 
     import trimesh
 
-    # Without texture coordinates trimesh can keep the file's own order of vertices; with them it has to split some.
+    # Without texture coordinates trimesh can keep the vertex order of the file; with them it has to split vertices.
     keeps_order = file.suffix.lower() == ".obj" and b"vt " not in head
     options: dict[str, Any] = {"maintain_order": True} if keeps_order else {}
     try:
@@ -216,13 +216,13 @@ def _read_file(path: str | os.PathLike[str], take: Callable[[Any], list[_Piece]]
     except NotImplementedError as error:
         known = ", ".join(sorted(trimesh.available_formats()))
         raise MeshError(f"{path}: unknown kind of file '{file.suffix}'; readable here: {known}") from error
-    except Exception as error:  # Readers of damaged files fail in every way there is.
+    except Exception as error:  # Readers of damaged files raise exceptions of any type.
         reason = str(error) or type(error).__name__
         raise MeshError(f"{path}: cannot be read as a mesh ({file.suffix.lstrip('.').upper()}): {reason}") from error
 
 
 def load_nodes(path: str | os.PathLike[str]) -> list[tuple[Mesh, NDArray[np.float64]]]:
-    """The meshes of a file, each with its world-from-local transform; nodes of one geometry share the Mesh."""
+    """List the meshes of a file with their world-from-local transforms; nodes of one geometry share a Mesh."""
     keys: list[str] = []
     transforms: list[NDArray[np.float64]] = []
 
@@ -248,7 +248,7 @@ def load_nodes(path: str | os.PathLike[str]) -> list[tuple[Mesh, NDArray[np.floa
 
 
 def _announced_faces(kind: str, content: bytes) -> int:
-    """How many faces the head of an OFF or PLY file says it has; their readers take what is there."""
+    """Read the number of faces in the header of an OFF or PLY file, since their readers do not compare it."""
     if kind == ".off":
         lines = (line.split(b"#")[0].split() for line in io.BytesIO(content))
         words = list(itertools.islice(itertools.chain.from_iterable(lines), 4))
@@ -261,13 +261,13 @@ def _announced_faces(kind: str, content: bytes) -> int:
 
 
 def _check_is_whole(announced: int, faces: int) -> None:
-    """Polygons only make more faces of what was announced."""
+    """Check that a file is complete; triangulated polygons can only raise the number of faces."""
     if faces < announced:
         raise ValueError(f"it says {announced} faces and has {faces}; is it complete?")
 
 
 def _resolver(file: Path) -> Any:
-    """Finds textures beside the file, also under names written with Windows separators."""
+    """Make a resolver that finds textures beside the file, also under names with Windows separators."""
     from trimesh.resolvers import FilePathResolver
 
     class Resolver(FilePathResolver):
@@ -279,7 +279,7 @@ def _resolver(file: Path) -> Any:
 
 
 def _from_scene(scene: Any, name: str) -> list[_Piece]:
-    """Every node of a trimesh.Scene that has triangles."""
+    """List a piece for every node of a trimesh.Scene with triangles."""
     pieces = []
     others = []
     for node in scene.graph.nodes_geometry:
@@ -297,7 +297,7 @@ def _from_scene(scene: Any, name: str) -> list[_Piece]:
 
 
 def _from_trimesh(mesh: Any, name: str = "") -> _Piece:
-    """Geometry and material of a trimesh.Trimesh, or of any object with vertices and faces."""
+    """Convert the geometry and material of a trimesh.Trimesh, or of any object with vertices and faces."""
     vertices = np.asarray(check_vertices(mesh.vertices))
     faces = check_faces(mesh.faces)
     visual = getattr(mesh, "visual", None)
@@ -310,7 +310,7 @@ def _from_trimesh(mesh: Any, name: str = "") -> _Piece:
 
 
 def _part(material: Any, name: str, faces: int) -> Part:
-    """The material of trimesh, whichever of its two kinds."""
+    """Convert either kind of trimesh material to a part."""
     if material is None:
         return Part(name, range(faces))
     image = getattr(material, "baseColorTexture", None)
@@ -333,7 +333,7 @@ def _part(material: Any, name: str, faces: int) -> Part:
 
 
 def _rgba(color: ArrayLike | None) -> tuple[float, float, float, float]:
-    """Four numbers from 0 to 1; trimesh keeps colours as bytes or as floats."""
+    """Convert a colour of trimesh, bytes or floats, to four floats from 0 to 1."""
     if color is None:
         return (1.0, 1.0, 1.0, 1.0)
     values = np.asarray(color).ravel()

@@ -22,7 +22,7 @@ class GridField(ABC):
     _report: Report
 
     def _stand_in(self, bounds: NDArray[np.float64], inner_bounds: NDArray[np.float64], report: Report) -> None:
-        """Take over checked facts."""
+        """Set the box, the inner box and the report, which have been checked."""
         self._bounds = checks.frozen(bounds)
         self._inner_bounds = checks.frozen(inner_bounds)
         self._report = report
@@ -34,7 +34,7 @@ class GridField(ABC):
 
     @property
     def inner_bounds(self) -> NDArray[np.float64]:
-        """Box that holds the whole surface, (2, 3)."""
+        """Box that contains the whole surface, (2, 3), world units."""
         return self._inner_bounds
 
     @property
@@ -55,7 +55,7 @@ class GridField(ABC):
 
     @property
     def report(self) -> Report:
-        """What the bake found and did."""
+        """Properties of the surface and cost of the bake."""
         return self._report
 
     def _facts(self) -> dict[str, Any]:
