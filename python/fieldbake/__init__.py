@@ -27,6 +27,7 @@ from .base.errors import (
     Error,
     FormatError,
     MeshError,
+    PerformanceWarning,
     SceneError,
     ShapeError,
 )
@@ -99,6 +100,7 @@ __all__ = [
     "MeshError",
     "NestedField",
     "Part",
+    "PerformanceWarning",
     "PointLight",
     "Profile",
     "Quadric",

@@ -2,7 +2,8 @@
 
 use super::context::{Context, context};
 use crate::error::DeviceError;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// A device that can compute.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,6 +38,19 @@ impl Place {
         match self {
             Self::Cpu => "cpu".into(),
             Self::Gpu(context) => context.label(),
+        }
+    }
+
+    /// What a user must know who wrote this `device=`: "gpu" found a software adapter only. An adapter chosen by its name
+    /// needs no remark.
+    pub fn warning(&self, device: &str) -> Option<String> {
+        match self {
+            Self::Gpu(context) if device == "gpu" && !context.info.hardware => Some(format!(
+                "device=\"gpu\" chose {}, a software adapter that runs on the CPU: a bake of 968 faces at 64 voxels took \
+                 140 times as long there as with device=\"cpu\" (benches/results/2026-11-21-software-adapter.md)",
+                self.label()
+            )),
+            _ => None,
         }
     }
 
@@ -130,9 +144,48 @@ pub(super) fn enumerate() -> (wgpu::Instance, Vec<wgpu::Adapter>) {
     let backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
     descriptor.backends = backends;
+    let quiet = Quiet::new();
     let instance = wgpu::Instance::new(descriptor);
+    drop(quiet);
     let adapters = pollster::block_on(instance.enumerate_adapters(backends));
     (instance, adapters)
+}
+
+/// Keeps Mesa's layer `VK_LAYER_MESA_device_select` out of an instance that is made while this exists.
+///
+/// The layer orders adapters by the display server's. Without a session it finds no server, and the Wayland library
+/// writes "error: XDG_RUNTIME_DIR is invalid or not set in the environment." to stderr. So the layer is left out where
+/// there is no session, unless the user has chosen an adapter through it.
+struct Quiet<'a>(Option<MutexGuard<'a, ()>>);
+
+impl Quiet<'_> {
+    const SWITCH: &'static str = "NODEVICE_SELECT";
+
+    fn new() -> Self {
+        static ONE: Mutex<()> = Mutex::new(());
+        let guard = ONE.lock().unwrap_or_else(PoisonError::into_inner);
+        let has_session = std::env::var_os("XDG_RUNTIME_DIR").is_some_and(|folder| Path::new(&folder).is_absolute());
+        let chosen =
+            [Self::SWITCH, "MESA_VK_DEVICE_SELECT", "DRI_PRIME"].iter().any(|name| std::env::var_os(name).is_some());
+        if !cfg!(target_os = "linux") || has_session || chosen {
+            return Self(None);
+        }
+        // SAFETY: the lock of std::env orders this with the rest of Rust, and glibc's lock orders it with `setenv`, by which
+        // Python writes os.environ. The loader reads the variable on this thread. What is left is a `getenv` of another
+        // library on another thread at this moment, on a C library that does not guard it: the risk of every write to
+        // os.environ. It is taken once or twice in a process, when adapters are listed and when a device opens.
+        unsafe { std::env::set_var(Self::SWITCH, "1") };
+        Self(Some(guard))
+    }
+}
+
+impl Drop for Quiet<'_> {
+    fn drop(&mut self) {
+        if self.0.is_some() {
+            // SAFETY: as in `new`.
+            unsafe { std::env::remove_var(Self::SWITCH) };
+        }
+    }
 }
 
 pub(super) fn describe(adapter: &wgpu::Adapter) -> DeviceInfo {

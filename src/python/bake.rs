@@ -33,7 +33,8 @@ pub fn bake<'py>(
     let sign = sign.parse::<SignMethod>().map_err(Failure::from)?;
     let options = BakeOptions { sign, band, thickness };
     let place = choose(py, device)?;
-    let (field, report) = run(py, progress, |progress| bake_at(&place, &mesh, &grid, &options, progress))?;
+    let (field, mut report) = run(py, progress, |progress| bake_at(&place, &mesh, &grid, &options, progress))?;
+    report.warnings.extend(place.warning(device));
     let distances = match field {
         Field::Host(samples) => volume_array(py, samples, shape)?.into_any(),
         Field::Device(field) => Bound::new(py, DeviceField(field))?.into_any(),

@@ -8,6 +8,8 @@ use crate::volume::device;
 use numpy::PyArray3;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use std::ffi::CString;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
 /// What can compute, the CPU first.
 #[pyfunction]
@@ -31,9 +33,18 @@ pub fn devices(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
         .collect()
 }
 
-/// Where a call with this `device=` runs.
+/// Where a call with this `device=` runs. Warns once a process where "gpu" is a software adapter.
 pub fn choose(py: Python<'_>, device: &str) -> PyResult<Place> {
-    py.detach(|| gpu::choose(device)).map_err(|error| Failure::from(error).into())
+    static WARNED: AtomicBool = AtomicBool::new(false);
+    let place = py.detach(|| gpu::choose(device)).map_err(Failure::from)?;
+    if let Some(warning) = place.warning(device)
+        && !WARNED.swap(true, Relaxed)
+    {
+        let category = py.import("fieldbake.base.errors")?.getattr("PerformanceWarning")?;
+        // Level 1 is the Python function that called the core; level 2 is the line that called it.
+        PyErr::warn(py, &category, &CString::new(warning)?, 2)?;
+    }
+    Ok(place)
 }
 
 /// Distances in device memory, read back on request.
@@ -73,7 +84,6 @@ impl DeviceField {
 
     /// Transfers of the device so far, for tests.
     fn _transfers<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        use std::sync::atomic::Ordering::Relaxed;
         let counters = &self.0.context().counters;
         let facts = PyDict::new(py);
         facts.set_item("uploads", counters.uploads.load(Relaxed))?;

@@ -37,5 +37,9 @@ class DeviceError(Error, RuntimeError):
     """A compute device that is missing, too small, or has failed."""
 
 
+class PerformanceWarning(UserWarning):
+    """A call that works, but far slower than it need be; `warnings.filterwarnings` can silence it."""
+
+
 class CapacityError(Error, MemoryError):
     """A request that does not fit in memory, refused before it starts."""
