@@ -440,6 +440,46 @@ def test_what_is_on_the_device_is_packed_without_a_round_trip(gpu):
     assert np.array_equal(atlas.unpack(1).distances, volumes[1].distances)
 
 
+@pytest.mark.parametrize("size", [1e-30, 1e-6, 1e6, 1e30])
+@pytest.mark.parametrize("encoding", ["float16", "snorm16", "snorm8"])
+def test_a_device_packs_the_same_bytes_for_a_mesh_of_any_size(size, encoding, gpu, random):
+    # Zeros, distances far beyond the range, and some that are no normal float32 numbers.
+    share = random.choice([0, 1e-7, 1e-3, 1, 1e6], (9, 9, 9))
+    distances = (random.uniform(-3, 3, (9, 9, 9)) * share * size).astype(np.float32)
+    volume = fb.Volume(distances, np.array([(0, 0, 0), (9, 9, 9)]) * size)
+
+    here, there = (fb.pack([volume], page_size=64, encoding=encoding, device=device) for device in ("cpu", gpu))
+
+    assert np.array_equal(here.pages, there.pages)
+    assert there.entries.tobytes() == here.entries.tobytes()
+
+
+@pytest.mark.parametrize("layout", ["shelves", "strips"])
+@pytest.mark.parametrize("count", [0, 1, 5, 40])
+def test_a_page_that_fits_is_the_smallest_power_of_two(layout, count):
+    volumes = cubes(count, 6)
+    atlas = fb.pack(volumes, layout=layout, page_size="fit")
+
+    assert len(atlas) == count
+    assert len(atlas.pages) == min(count, 1)
+    size = atlas.page_size
+    assert size & (size - 1) == 0
+    if count:
+        assert np.array_equal(atlas.unpack(count - 1).distances, volumes[-1].distances)
+        try:
+            half = fb.pack(volumes, layout=layout, page_size=size // 2)
+        except fb.AtlasError:
+            return
+        assert len(half.pages) > 1
+
+
+def test_a_page_size_that_is_no_number_is_refused():
+    with pytest.raises(fb.ArgumentError, match="page_size"):
+        fb.pack(cubes(1, 4), page_size="large")
+    with pytest.raises(fb.AtlasError):
+        fb.pack([*cubes(1, 4), *cubes(1, 5)], layout="strips", page_size="fit")
+
+
 def test_an_unknown_device_is_refused():
     with pytest.raises(fb.DeviceError, match="abacus"):
         fb.pack(cubes(1, 4), page_size=64, device="abacus")

@@ -399,3 +399,11 @@ def test_convert_names_what_cannot_be_written(cube, tmp_path):
     result = fieldbake("convert", cube, tmp_path / "q.npz")
     assert result.exit_code == BAD_INPUT
     assert_one_clear_line(result, "not a fieldbake file")
+
+
+def test_pack_fits_the_page_to_its_volumes(cube, tmp_path):
+    result = fieldbake("pack", cube, "-r", 8, "--page-size", "fit", "-o", tmp_path / "a.npz")
+    assert result.exit_code == DONE, result.stderr
+    # Eight slices of 10 x 10 texels with their gutters.
+    assert fb.load(tmp_path / "a.npz").page_size == 32
+    assert fieldbake("pack", cube, "--page-size", "large", "-o", tmp_path / "b.npz").exit_code == BAD_USAGE

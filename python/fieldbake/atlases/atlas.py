@@ -31,6 +31,7 @@ from .pages import (
     Texels,
     checked_item,
     entry_dtype,
+    fitting_page,
 )
 
 if TYPE_CHECKING:
@@ -454,7 +455,7 @@ def pack(
     volumes: Iterable[Volume | SparseVolume | tuple[Volume | SparseVolume, ArrayLike]],
     *,
     layout: Layout = "shelves",
-    page_size: int = 4096,
+    page_size: int | Literal["fit"] = 4096,
     gutter: int = 1,
     encoding: Encoding = "float32",
     band: float = DEFAULT_BAND,
@@ -471,8 +472,9 @@ def pack(
     layout : "shelves" or "strips", default "shelves"
         Shelves: any mix of resolutions, slices wrapped over rows and placed where there is room. Strips: equal cubes,
         exactly as in the article: texel (x + z N, y + row N), 64 fields of 64^3 on a page of 4096 x 4096.
-    page_size : int, default 4096
-        Width and height of a page, texels. As many pages are opened as are needed.
+    page_size : int or "fit", default 4096
+        Width and height of a page, texels. As many pages are opened as are needed. ``"fit"`` takes the smallest power
+        of two that holds all volumes on one page, at most 16384.
     gutter : int, default 1
         Copies of its border around each slice, so that the rounded weights of a hardware sampler read no neighbour.
         Strips have none.
@@ -522,13 +524,12 @@ def pack(
     >>> atlas.entries["atlas_offset"].tolist()
     [0, 1]
     """
-    atlas = Atlas(
-        layout=checks.choice("layout", layout, ("shelves", "strips")),
-        page_size=checks.integer("page_size", page_size, least=1, most=MAX_PAGE_SIZE),
-        gutter=checks.integer("gutter", gutter, least=0, most=MAX_GUTTER),
-        encoding=checks.choice("encoding", encoding, encodings.NAMES),
-        band=checks.number("band", band, above=0),
-    )
+    layout = checks.choice("layout", layout, ("shelves", "strips"))
+    gutter = checks.integer("gutter", gutter, least=0, most=MAX_GUTTER)
+    encoding = checks.choice("encoding", encoding, encodings.NAMES)
+    band = checks.number("band", band, above=0)
+    if page_size != "fit":
+        page_size = checks.integer('page_size (or "fit")', page_size, least=1, most=MAX_PAGE_SIZE)
     if isinstance(volumes, (Volume, SparseVolume)):
         raise ArgumentError(f"volumes: must be a list of volumes, got a {type(volumes).__name__}; put it in a list")
     try:
@@ -536,6 +537,9 @@ def pack(
     except TypeError:
         raise ArgumentError(f"volumes: must be a list of volumes, got {checks.describe(volumes)}") from None
     items = [checked_item(i, item) for i, item in enumerate(listed)]
+    if page_size == "fit":
+        page_size = fitting_page([volume.resolution for volume, _ in items], layout, gutter, encoding)
+    atlas = Atlas(layout=layout, page_size=page_size, gutter=gutter, encoding=encoding, band=band)
     atlas._place(items, progress, checks.text("device", device))
     return atlas
 

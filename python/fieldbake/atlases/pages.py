@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from typing import Any, Literal
 
@@ -25,6 +26,9 @@ Texels = Literal["pages", "png"]
 #: Largest side of a page, and the widest gutter.
 MAX_PAGE_SIZE = 1 << 15
 MAX_GUTTER = 64
+
+#: Largest side of a page that fits itself to its volumes: what graphics devices commonly take.
+MAX_FITTING_PAGE = 1 << 14
 
 #: In place of the page in the row of an index without a volume.
 VACANT = np.uint32(0xFFFFFFFF)
@@ -299,3 +303,23 @@ def checked_item(i: int, item: object) -> tuple[Volume, NDArray[np.float64]]:
     if not isinstance(volume, Volume):
         raise ArgumentError(f"volumes[{i}]: must be a Volume or (Volume, transform), got {checks.describe(volume)}")
     return volume, np.eye(4) if model is None else checks.affine(f"volumes[{i}] transform", model, ArgumentError)
+
+
+def fitting_page(shapes: list[tuple[int, int, int]], layout: Layout, gutter: int, encoding: Encoding) -> int:
+    """The smallest power of two, at most `MAX_FITTING_PAGE`, for the side of a page that holds these shapes."""
+    wanted = np.array(shapes, np.uint32).reshape(-1, 3)
+    taken = np.zeros((0, BLOCK_NUMBERS), np.uint32)
+    options: dict[str, Any] = {"layout": layout, "gutter": gutter, "encoding": encoding}
+    # No page is smaller than the texels of the volumes.
+    area = sum(nx * ny * nz for nx, ny, nz in shapes)
+    size = 1 << max(2, (math.isqrt(area) - 1).bit_length())
+    while size < MAX_FITTING_PAGE:
+        try:
+            blocks = _core.atlas_plan(wanted, taken, page_size=size, **options)
+        except AtlasError:  # A volume is larger than the page.
+            size *= 2
+            continue
+        if blocks[:, 0].max(initial=0) == 0:
+            return size
+        size *= 2
+    return MAX_FITTING_PAGE

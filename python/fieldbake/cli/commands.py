@@ -87,6 +87,16 @@ def parse_resolution(text: str) -> int | tuple[int, int, int]:
     raise typer.BadParameter(f"'{text}' is not a number such as 64, nor three such as 64x48x32")
 
 
+def parse_page_size(text: str) -> int | Literal["fit"]:
+    """``4096`` or ``fit``."""
+    if text == "fit":
+        return "fit"
+    try:
+        return int(text)
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is not a number such as 4096, nor fit") from None
+
+
 def parse_size(text: str) -> tuple[int, int]:
     """``640x480``."""
     try:
@@ -249,7 +259,12 @@ def pack(
         typer.Option(help="shelves: volumes of any size; strips: equal cubes, as in the article."),
     ] = "shelves",
     resolution: Resolution = "64",
-    page_size: Annotated[int, typer.Option(help="Width and height of a page, texels.")] = 4096,
+    page_size: Annotated[
+        Any,
+        typer.Option(
+            parser=parse_page_size, metavar="N|fit", help="Width and height of a page, texels; fit: as needed."
+        ),
+    ] = "4096",
     gutter: Annotated[int, typer.Option(help="Width of the copied border around each slice, texels.")] = 1,
     encoding: Annotated[
         Literal["float32", "float16", "snorm16", "snorm8"], typer.Option(help="Encoding of the stored distances.")
