@@ -107,9 +107,15 @@ def merge(
     -----
     Each sample is the least, over the instances, of a proven lower bound of the signed distance. The bound is exact at
     a voxel centre of a rigidly placed volume. Elsewhere in the box of that volume it is less than the distance by up to
-    half a voxel. At distance `a` from the box it is ``sqrt(a^2 + s^2)``, where `s` is the bound at the nearest point of
-    the box. Under scale it is multiplied by the least stretch. The bound holds up to the error of the samples of the
-    volumes. Between samples, trilinear interpolation may exceed the distance by a fraction of a merged voxel.
+    half the diagonal of its voxel, 0.87 voxels. At distance `a` from the box it is ``sqrt(a^2 + s^2)``, where `s` is
+    the bound at the nearest point of the box. Under scale it is multiplied by the least stretch. The bound holds up to
+    the error of the samples of the volumes. Between samples, trilinear interpolation may exceed the distance by a
+    fraction of a merged voxel.
+
+    So a merged surface lies up to 0.87 voxels of its volume outside, and flat faces at an angle to the grid ripple in
+    pictures. A box of 44 voxels, turned by 0.4 radians about (1, 2, 3) and merged at 96 voxels, is off by up to 0.3
+    voxels; the normals of a face lean by 6 degrees in the mean and by 23 at most. Finer volumes ripple less in world
+    units. Instances of a scene are drawn without a merged field and do not ripple.
 
     Quadrics are sheets, so their distance is never negative. Inside overlapping solids the field is the most negative
     of their values.
