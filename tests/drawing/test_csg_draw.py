@@ -109,6 +109,7 @@ def test_boxes_that_share_faces_leave_no_gap(device):
     assert differing(whole, split) <= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["aabb", "octree"])
 @given(tree=truth.trees)
 @settings(max_examples=200)
