@@ -43,7 +43,7 @@ bench: $(VENV)/.built $(VENV)/.bench ## Bake real meshes side by side with other
 	$(BIN)/python benches/devices.py
 	$(BIN)/python benches/exactness.py
 	$(BIN)/python benches/curves.py
-	for bench in atlas sparse csg csg_peers quadrics merge scene; do $(BIN)/python benches/$$bench.py; done
+	for bench in queries atlas sparse csg csg_peers quadrics merge scene; do $(BIN)/python benches/$$bench.py; done
 
 fix: $(VENV)/.lint ## Format, and repair what lints can repair
 	$(BIN)/ruff check --fix --quiet . || true

@@ -7,9 +7,25 @@
 //!
 //! On a graphics device the search for the nearest faces is done there, for all points at once ([`device`]).
 //!
+//! [`signed_distances`] takes the winner of the float32 search. [`nearest`] compares in float64 and returns all that is known
+//! about the nearest point.
+//!
 //! The order is cut into chunks of fixed size, so the result does not depend on the number of threads.
 
 mod device;
+mod inside;
+mod nearest;
+mod rays;
+mod self_intersections;
+mod surface;
+mod thickness;
+
+pub use inside::{contains, winding_numbers};
+pub use nearest::{ClosestPoints, Query, closest_points, query};
+pub use rays::{Intersections, RayHits, Rays, all_intersections, cast_rays, count_intersections, occluded};
+pub use self_intersections::count_self_intersections;
+pub use surface::{SurfaceSamples, sample_surface};
+pub use thickness::thickness;
 
 use crate::bvh::closest::ClosestPoint;
 use crate::error::{ArgumentError, Error};
@@ -19,6 +35,7 @@ use crate::progress::Progress;
 use crate::sign::{SignChoice, SignMethod, SignRule};
 use glam::DVec3;
 use rayon::prelude::*;
+use std::ops::Deref;
 
 /// Points answered between two looks at the progress: a few milliseconds of work.
 const CHUNK: usize = 1024;
@@ -26,43 +43,6 @@ const CHUNK: usize = 1024;
 const MORTON_BITS: u32 = 21;
 /// Room for the float32 rounding of a bound, relative and in local units; ten times what it takes.
 const SLACK: (f64, f64) = (1e-5, 1e-6);
-
-/// The closest points of a mesh, one entry a query point.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct ClosestPoints {
-    /// World positions.
-    pub points: Vec<[f64; 3]>,
-    /// Unsigned, world units.
-    pub distances: Vec<f32>,
-    /// Indices into the mesh's faces.
-    pub faces: Vec<u32>,
-}
-
-/// Closest point of the mesh to each world position.
-pub fn closest_points(
-    place: &Place,
-    mesh: &Mesh,
-    points: &[[f64; 3]],
-    progress: &Progress,
-) -> Result<ClosestPoints, Error> {
-    check_points(mesh, points)?;
-    mesh.bvh();
-    let answers = answer_in_order(place, mesh, points, progress, |walk, p, row| {
-        let closest = walk.closest_point(p, row);
-        (mesh.world_from_local(closest.on_triangle.point), (closest.distance * mesh.scale()) as f32, closest.face)
-    })?;
-    let mut found = ClosestPoints {
-        points: vec![[0.0; 3]; points.len()],
-        distances: vec![0.0; points.len()],
-        faces: vec![0; points.len()],
-    };
-    for (row, (point, distance, face)) in answers {
-        found.points[row as usize] = point.to_array();
-        found.distances[row as usize] = distance;
-        found.faces[row as usize] = face;
-    }
-    Ok(found)
-}
 
 /// Signed distance of each world position, world units, negative inside.
 pub fn signed_distances(
@@ -73,19 +53,68 @@ pub fn signed_distances(
     progress: &Progress,
 ) -> Result<Vec<f32>, Error> {
     check_points(mesh, points)?;
-    let (_, choice) = rayon::join(|| mesh.bvh(), || SignChoice::new(mesh, method));
-    choice.rule.prepare(mesh);
+    let choice = prepare(mesh, method);
     let answers = answer_in_order(place, mesh, points, progress, |walk, p, row| {
         let closest = walk.closest_point(p, row);
         let inside = walk.is_inside(&choice.rule, p, &closest);
         let unsigned = closest.distance * mesh.scale();
         (if inside && unsigned > 0.0 { -unsigned } else { unsigned }) as f32
     })?;
-    let mut distances = vec![0.0; points.len()];
-    for (row, distance) in answers {
-        distances[row as usize] = distance;
-    }
+    let mut distances = Vec::with_capacity(points.len());
+    answers.for_each_row(|&distance| distances.push(distance));
     Ok(distances)
+}
+
+/// Answers along the curve, in chunks of [`CHUNK`], each with the row of its point.
+struct Answers<T>(Vec<Vec<(u32, T)>>);
+
+impl<T> Answers<T> {
+    /// Visit the answers in the order of the points. Reading them out of order touches less memory than writing several
+    /// arrays out of order.
+    fn for_each_row(&self, mut visit: impl FnMut(&T)) {
+        let [chunk] = &self.0[..] else {
+            let mut places = vec![0u32; self.0.iter().map(Vec::len).sum()];
+            for (chunk, answers) in self.0.iter().enumerate() {
+                for (i, (row, _)) in answers.iter().enumerate() {
+                    places[*row as usize] = (chunk * CHUNK + i) as u32;
+                }
+            }
+            places.into_iter().for_each(|place| visit(&self.0[place as usize / CHUNK][place as usize % CHUNK].1));
+            return;
+        };
+        // Few points are answered as they come.
+        chunk.iter().for_each(|(_, answer)| visit(answer));
+    }
+}
+
+/// Build the tree and what the sign method needs. A mesh that has both takes no worker thread.
+fn prepare(mesh: &Mesh, method: SignMethod) -> Choice<'_> {
+    if !mesh.is_prepared() {
+        rayon::join(|| mesh.bvh(), || mesh.topology());
+    }
+    let choice = match method {
+        SignMethod::Auto | SignMethod::Winding => Choice::Kept(mesh.winding_choice()),
+        _ => Choice::Made(SignChoice::new(mesh, method)),
+    };
+    choice.rule.prepare(mesh);
+    choice
+}
+
+/// A rule that the mesh keeps, or one made for this call.
+enum Choice<'a> {
+    Kept(&'a SignChoice),
+    Made(SignChoice),
+}
+
+impl Deref for Choice<'_> {
+    type Target = SignChoice;
+
+    fn deref(&self) -> &SignChoice {
+        match self {
+            Self::Kept(choice) => choice,
+            Self::Made(choice) => choice,
+        }
+    }
 }
 
 /// One walk along the curve: what the points before have shown.
@@ -100,15 +129,34 @@ struct Walk<'a> {
 
 impl Walk<'_> {
     fn closest_point(&mut self, p: DVec3, row: u32) -> ClosestPoint {
-        if let Some(&face) = self.faces.get(row as usize).filter(|face| **face != device::UNFINISHED) {
+        if let Some(face) = self.face_of_device(row) {
             return self.mesh.closest_point_on_face(face, p);
         }
-        let bound = self.last.map_or(f64::INFINITY, |(q, distance)| distance + p.distance(q));
-        let bound = bound * (1.0 + SLACK.0) + SLACK.1;
+        let bound = self.bound(p);
         let found = self.mesh.closest_point_within(p, (bound * bound) as f32);
         let closest = found.unwrap_or_else(|| self.mesh.closest_point(p));
         self.last = Some((p, closest.distance));
         closest
+    }
+
+    /// The closest point of the mesh's own float64 positions, the face chosen in float64.
+    fn exact_closest_point(&mut self, p: DVec3, row: u32) -> ClosestPoint {
+        if let Some(face) = self.face_of_device(row) {
+            return self.mesh.exact_point_on_face(face, p);
+        }
+        let closest = self.mesh.exact_closest_point(p, self.bound(p));
+        self.last = Some((p, closest.distance));
+        closest
+    }
+
+    fn face_of_device(&self, row: u32) -> Option<u32> {
+        self.faces.get(row as usize).copied().filter(|&face| face != device::UNFINISHED)
+    }
+
+    /// An upper bound of the distance at `p`: that of the point before, and the way from there.
+    fn bound(&self, p: DVec3) -> f64 {
+        let bound = self.last.map_or(f64::INFINITY, |(q, distance)| distance + p.distance(q));
+        bound * (1.0 + SLACK.0) + SLACK.1
     }
 
     fn is_inside(&mut self, rule: &SignRule, p: DVec3, closest: &ClosestPoint) -> bool {
@@ -123,30 +171,31 @@ impl Walk<'_> {
     }
 }
 
-/// Answer every point, near ones after each other; rows and answers in the order of the curve.
+/// Answer every point, near ones after each other.
 fn answer_in_order<T: Send>(
     place: &Place,
     mesh: &Mesh,
     points: &[[f64; 3]],
     progress: &Progress,
     answer: impl Fn(&mut Walk<'_>, DVec3, u32) -> T + Sync,
-) -> Result<Vec<(u32, T)>, Error> {
+) -> Result<Answers<T>, Error> {
     progress.set_total(place.passes() * points.len() as u64);
     let faces = match place {
         Place::Cpu => Vec::new(),
         Place::Gpu(context) => device::nearest_faces(context, mesh, points, progress)?,
     };
-    let chunks: Vec<Vec<(u32, T)>> = curve(points)
-        .par_chunks(CHUNK)
-        .map(|rows| -> Result<_, Error> {
-            let mut walk = Walk { mesh, faces: &faces, last: None, known: None };
-            let position = |row: u32| mesh.local_from_world(DVec3::from_array(points[row as usize]));
-            let answers = rows.iter().map(|&(_, row)| (row, answer(&mut walk, position(row), row))).collect();
-            progress.advance(rows.len() as u64)?;
-            Ok(answers)
-        })
-        .collect::<Result<_, Error>>()?;
-    Ok(chunks.into_iter().flatten().collect())
+    let answer_chunk = |rows: &[(u64, u32)]| -> Result<Vec<(u32, T)>, Error> {
+        let mut walk = Walk { mesh, faces: &faces, last: None, known: None };
+        let position = |row: u32| mesh.local_from_world(DVec3::from_array(points[row as usize]));
+        let answers = rows.iter().map(|&(_, row)| (row, answer(&mut walk, position(row), row))).collect();
+        progress.advance(rows.len() as u64)?;
+        Ok(answers)
+    };
+    let order = curve(points);
+    if order.len() <= CHUNK {
+        return Ok(Answers(vec![answer_chunk(&order)?]));
+    }
+    Ok(Answers(order.par_chunks(CHUNK).map(answer_chunk).collect::<Result<_, Error>>()?))
 }
 
 /// Rows by Morton code; as they come where there are too few to gain.
@@ -241,7 +290,7 @@ mod tests {
         for (i, &point) in points.iter().enumerate() {
             let alone = signed_distances(&Place::Cpu, &mesh, &[point], SignMethod::Auto, &Progress::new()).unwrap()[0];
             assert!((together[i] - alone).abs() <= 1e-6, "{point:?}: {} {alone}", together[i]);
-            assert!((closest.distances[i] - alone.abs()).abs() <= 1e-6, "{point:?}");
+            assert!((closest.distances[i] - f64::from(alone.abs())).abs() <= 1e-6, "{point:?}");
         }
     }
 

@@ -11,12 +11,14 @@ Distances are negative inside and in the mesh's own units. ``distances[x, y, z]`
 ``bounds[0] + (index + 0.5) * spacing``. Space is right-handed, triangles are counter-clockwise seen from outside.
 """
 
+import importlib as _importlib
 import logging as _logging
+from typing import Any as _Any
 
 from . import arrays, cache, csg, models
 from ._core import __version__
 from .atlases.atlas import Atlas, AtlasEntry, pack
-from .baking.dense import ClosestPoints, bake, closest_point, signed_distance
+from .baking.dense import bake
 from .baking.sparse import bake_sparse
 from .base.adapters import Device, devices
 from .base.errors import (
@@ -30,8 +32,10 @@ from .base.errors import (
     PerformanceWarning,
     SceneError,
     ShapeError,
+    SurfaceWarning,
 )
 from .base.report import Report
+from .base.threads import set_threads
 from .drawing.frame import Frame
 from .drawing.raymarching import raymarch
 from .drawing.rendering import render
@@ -41,6 +45,24 @@ from .merging.merged import MergedField
 from .merging.nested import NestedField
 from .meshes.convert import as_mesh, load_mesh
 from .meshes.mesh import Mesh, Part
+from .meshes.normalization import Normalized, normalize
+from .queries.nearest import (
+    ClosestPoints,
+    Query,
+    closest_point,
+    contains,
+    query,
+    signed_distance,
+    winding_number,
+)
+from .queries.rays import Intersections, RayHits, all_intersections, cast_rays, count_intersections, occluded
+from .queries.sampling import (
+    SurfaceSamples,
+    TrainingSamples,
+    sample_surface,
+    sample_training,
+    thickness,
+)
 from .scenes.camera import Camera
 from .scenes.gltf import load_scene
 from .scenes.instance import Instance
@@ -94,25 +116,33 @@ __all__ = [
     "FormatError",
     "Frame",
     "Instance",
+    "Intersections",
     "Material",
     "MergedField",
     "Mesh",
     "MeshError",
     "NestedField",
+    "Normalized",
     "Part",
     "PerformanceWarning",
     "PointLight",
     "Profile",
     "Quadric",
     "QuantizedVolume",
+    "Query",
+    "RayHits",
     "Report",
     "Scene",
     "SceneError",
     "Shape",
     "ShapeError",
     "SparseVolume",
+    "SurfaceSamples",
+    "SurfaceWarning",
+    "TrainingSamples",
     "Volume",
     "__version__",
+    "all_intersections",
     "arrays",
     "as_mesh",
     "bake",
@@ -122,9 +152,12 @@ __all__ = [
     "cache",
     "capped_torus",
     "capsule",
+    "cast_rays",
     "circle",
     "closest_point",
     "cone",
+    "contains",
+    "count_intersections",
     "csg",
     "cylinder",
     "devices",
@@ -132,34 +165,51 @@ __all__ = [
     "extrude",
     "gyroid",
     "hex_prism",
+    "jax",
     "load",
     "load_mesh",
     "load_scene",
     "merge",
     "models",
+    "normalize",
+    "occluded",
     "octahedron",
     "pack",
     "pack_quadrics",
     "plane",
     "polygon",
     "pyramid",
+    "query",
     "raymarch",
     "rectangle",
     "render",
     "revolve",
     "rounded_box",
+    "sample_surface",
+    "sample_training",
+    "set_threads",
     "signed_distance",
     "sphere",
     "sphere_intersection",
+    "thickness",
+    "torch",
     "torus",
     "truncated_cone",
     "unpack_quadrics",
     "volume_shape",
+    "winding_number",
     "wrap_quadrics",
 ]
 
 # Quiet unless the program that uses us configures logging.
 _logging.getLogger("fieldbake").addHandler(_logging.NullHandler())
+
+
+def __getattr__(name: str) -> _Any:
+    # PyTorch and JAX take seconds to import and are optional, so their modules wait until they are used.
+    if name in ("jax", "torch"):
+        return _importlib.import_module(f"{__name__}.{name}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

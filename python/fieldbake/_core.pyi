@@ -22,6 +22,7 @@ __all__ = [
     "SparseField",
     "Texture",
     "__version__",
+    "all_intersections",
     "atlas_clear",
     "atlas_entries",
     "atlas_pack_device",
@@ -35,8 +36,11 @@ __all__ = [
     "bake",
     "bake_brute",
     "bake_sparse",
+    "cast_rays",
     "check_scales",
     "closest_point",
+    "contains",
+    "count_intersections",
     "decode",
     "devices",
     "encode",
@@ -45,18 +49,24 @@ __all__ = [
     "exr_write",
     "gradient",
     "merge",
+    "occluded",
+    "query",
     "raymarch",
     "raymarch_nested",
     "render",
     "require_memory",
     "resample",
     "sample",
+    "sample_surface",
+    "set_threads",
     "signed_distance",
     "surface_nets",
     "texture_decode",
     "texture_read",
     "texture_write",
+    "thickness",
     "to_sparse",
+    "winding_number",
 ]
 
 __version__: str
@@ -88,6 +98,13 @@ class Mesh:
     @property
     def nbytes(self) -> int:
         """Memory of vertices, faces and, once built, the tree."""
+    def state(self) -> tuple[NDArray[np.float64], NDArray[np.uint32], NDArray[np.uint32] | None]:
+        """What makes this mesh again: kept vertices (n, 3), all faces (m, 3) as rows of those, and where vertices were
+        dropped the input row of each kept one, followed by the number of input vertices."""
+    def self_intersections(self) -> int:
+        """Pairs of faces without a common vertex that pass through each other."""
+    def sign_warnings(self, sign: str) -> list[str]:
+        """What a user must know about the sign of this surface by a method."""
     def topology(self) -> dict[str, Any]:
         """Facts of the surface, each an int unless said otherwise: ``boundary_edges``, ``nonmanifold_edges``,
         ``flipped_faces``, ``duplicate_faces``, ``degenerate_faces`` (dropped), ``dropped_vertices`` (not finite,
@@ -217,8 +234,110 @@ def closest_point(
     *,
     device: str = "auto",
     progress: Callable[[float], object] | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.uint32]]:
-    """Closest points (n, 3), unsigned distances (n,), faces (n,) as rows of ``mesh.faces``."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Closest points (n, 3), unsigned distances (n,), faces (n,) as rows of ``mesh.faces``, barycentric coordinates
+    (n, 3) and unit face normals (n, 3)."""
+
+def query(
+    mesh: Mesh,
+    points: NDArray[np.float64],
+    *,
+    sign: str = "auto",
+    device: str = "auto",
+    progress: Callable[[float], object] | None = None,
+) -> tuple[
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.int64],
+    NDArray[np.float64],
+    dict[str, Any],
+]:
+    """Signed distances (n,), gradients (n, 3), closest points (n, 3), faces (n,), barycentric coordinates (n, 3) and
+    the report."""
+
+def contains(
+    mesh: Mesh,
+    points: NDArray[np.float64],
+    *,
+    sign: str = "auto",
+    progress: Callable[[float], object] | None = None,
+) -> NDArray[np.bool_]:
+    """Whether each point is inside, (n,)."""
+
+def winding_number(
+    mesh: Mesh,
+    points: NDArray[np.float64],
+    *,
+    error: float = 1e-6,
+    progress: Callable[[float], object] | None = None,
+) -> NDArray[np.float64]:
+    """Signed winding numbers of the faces as they are wound, (n,)."""
+
+def thickness(
+    mesh: Mesh,
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64] | None = None,
+    *,
+    progress: Callable[[float], object] | None = None,
+) -> NDArray[np.float64]:
+    """Diameters of the largest inscribed balls that touch the points, (n,)."""
+
+def sample_surface(
+    mesh: Mesh,
+    count: int,
+    *,
+    seed: int = 0,
+    progress: Callable[[float], object] | None = None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+    """Points uniform by area: positions (n, 3), face normals (n, 3), faces (n,), barycentric coordinates (n, 3)."""
+
+def set_threads(count: int) -> None:
+    """Number of worker threads of later jobs; 0 for one per core."""
+
+def cast_rays(
+    mesh: Mesh,
+    origins: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    *,
+    t_min: float = 0.0,
+    t_max: float = ...,
+    progress: Callable[[float], object] | None = None,
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """First hits: t (n,), faces (n,), barycentric coordinates (n, 3), unit face normals (n, 3)."""
+
+def occluded(
+    mesh: Mesh,
+    origins: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    *,
+    t_min: float = 0.0,
+    t_max: float = ...,
+    progress: Callable[[float], object] | None = None,
+) -> NDArray[np.bool_]:
+    """Whether each ray hits anything, (n,)."""
+
+def count_intersections(
+    mesh: Mesh,
+    origins: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    *,
+    t_min: float = 0.0,
+    t_max: float = ...,
+    progress: Callable[[float], object] | None = None,
+) -> NDArray[np.int64]:
+    """Number of intersections of each ray, (n,)."""
+
+def all_intersections(
+    mesh: Mesh,
+    origins: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    *,
+    t_min: float = 0.0,
+    t_max: float = ...,
+    progress: Callable[[float], object] | None = None,
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+    """All intersections by ray and t: rays (k,), t (k,), faces (k,), barycentric coordinates (k, 3)."""
 
 def sample(
     distances: NDArray[Any],

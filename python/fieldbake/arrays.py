@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 from . import _core
 from .atlases.atlas import pack as pack_volumes
 from .atlases.pages import Layout
-from .baking.dense import Sign
 from .base import checks
 from .base.errors import ArgumentError
 from .base.grid import MAX_SIDE
@@ -23,6 +22,7 @@ from .base.report import Report
 from .drawing.options import checked_size
 from .drawing.raymarching import picture_arguments
 from .meshes.mesh import check_faces, check_vertices
+from .queries.common import Sign
 from .scenes.camera import Camera
 from .volumes.volume import Volume, check_distances
 

@@ -16,7 +16,7 @@ mod signs;
 mod sparse;
 
 pub use brute::bake_brute;
-pub use report::Report;
+pub use report::{Report, sign_warnings};
 pub use sparse::bake_sparse;
 
 use crate::error::{ArgumentError, Error};

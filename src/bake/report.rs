@@ -3,7 +3,7 @@
 use crate::grid::Grid;
 use crate::mesh::Mesh;
 use crate::mesh::topology::Topology;
-use crate::sign::SignChoice;
+use crate::sign::{SignChoice, SignMethod};
 
 /// Facts about the mesh, the method and the cost of a bake.
 #[derive(Debug, Clone, Default)]
@@ -21,6 +21,9 @@ pub struct Report {
     /// Samples where the sign rule was close to undecided.
     pub undecided_voxels: usize,
     pub inside_voxels: usize,
+    /// Points of a query, and how many of them are inside.
+    pub points: usize,
+    pub inside_points: usize,
     pub device: String,
     /// Stage and seconds, in the order they ran.
     pub seconds: Vec<(&'static str, f64)>,
@@ -44,21 +47,17 @@ impl Report {
             closed: topology.closed,
             ..Self::default()
         };
-        if topology.closed && topology.signed_volume < 0.0 {
-            report.warnings.push("the mesh is inside out; it was read as the same solid, right side out".into());
-        }
-        if topology.flipped_faces > 0 {
-            let count = topology.flipped_faces;
-            report
-                .warnings
-                .push(format!("{count} faces are wound against their neighbours; they were turned for the sign"));
-        }
-        if topology.unorientable_patches > 0 {
-            let count = topology.unorientable_patches;
-            report.warnings.push(format!(
-                "{count} patches cannot be oriented (one-sided surface); the sign there is a convention"
-            ));
-        }
+        report.warnings = orientation_warnings(topology);
+        report
+    }
+
+    /// The report of a query with `points` points, of which `inside` are inside.
+    pub fn of_query(mesh: &Mesh, choice: &SignChoice, points: usize, inside: usize) -> Self {
+        let topology = mesh.topology();
+        let mut report = Self::new(mesh, topology, choice);
+        report.points = points;
+        report.inside_points = inside;
+        report.warnings = sign_warnings(topology, choice.method);
         report
     }
 
@@ -77,10 +76,7 @@ impl Report {
             )),
             Some(_) if inside == 0 => Some("no sample is inside: the box does not hold the sheet".into()),
             None if inside == 0 => Some(self.nothing_inside(voxel)),
-            None if self.sign_method != "unsigned" && !self.closed => Some(format!(
-                "the surface is open ({} boundary edges): inside is where its winding number exceeds 1/2",
-                self.boundary_edges
-            )),
+            None if self.sign_method != "unsigned" && !self.closed => Some(opening_warning(self.boundary_edges)),
             _ => None,
         };
         self.warnings.extend(warning);
@@ -97,4 +93,37 @@ impl Report {
         };
         format!("no sample is inside: {reason}")
     }
+}
+
+/// What a user must know about the sign of a surface, whatever the points; nothing for unsigned distances.
+pub fn sign_warnings(topology: &Topology, method: SignMethod) -> Vec<String> {
+    if method == SignMethod::Unsigned {
+        return Vec::new();
+    }
+    let mut warnings = orientation_warnings(topology);
+    if !topology.closed {
+        warnings.push(opening_warning(topology.boundary_edges));
+    }
+    warnings
+}
+
+fn orientation_warnings(topology: &Topology) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if topology.closed && topology.signed_volume < 0.0 {
+        warnings.push("the mesh is inside out; it was read as the same solid, right side out".into());
+    }
+    if topology.flipped_faces > 0 {
+        let count = topology.flipped_faces;
+        warnings.push(format!("{count} faces are wound against their neighbours; they were turned for the sign"));
+    }
+    if topology.unorientable_patches > 0 {
+        let count = topology.unorientable_patches;
+        warnings
+            .push(format!("{count} patches cannot be oriented (one-sided surface); the sign there is a convention"));
+    }
+    warnings
+}
+
+fn opening_warning(boundary_edges: usize) -> String {
+    format!("the surface is open ({boundary_edges} boundary edges): inside is where its winding number exceeds 1/2")
 }

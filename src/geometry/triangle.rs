@@ -103,6 +103,29 @@ fn closest_point_on_edges(p: DVec3, corners: [DVec3; 3]) -> TrianglePoint {
     nearer(nearer(on_edge(0), on_edge(1)), on_edge(2))
 }
 
+/// Barycentric weights of a point of a triangle: not negative, their sum is 1. `feature` is the part that holds the point.
+pub fn barycentric_weights(point: DVec3, [a, b, c]: [DVec3; 3], feature: Feature) -> [f64; 3] {
+    let corners = [a, b, c];
+    let mut weights = [0.0; 3];
+    match feature {
+        Feature::Vertex(i) => weights[usize::from(i)] = 1.0,
+        Feature::Edge(i) => {
+            let (from, to) = (usize::from(i), usize::from((i + 1) % 3));
+            let along = corners[to] - corners[from];
+            let t = ((point - corners[from]).dot(along) / along.length_squared()).clamp(0.0, 1.0);
+            weights[from] = 1.0 - t;
+            weights[to] = t;
+        }
+        Feature::Face => {
+            let normal = (b - a).cross(c - a);
+            let areas = [(b, c), (c, a), (a, b)].map(|(u, v)| (u - point).cross(v - point).dot(normal).max(0.0));
+            let sum = areas[0] + areas[1] + areas[2];
+            weights = areas.map(|area| area / sum);
+        }
+    }
+    weights
+}
+
 /// Cross product of two edges: normal direction, and twice the area in its length.
 pub fn triangle_cross([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).cross(c - a)

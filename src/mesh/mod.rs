@@ -14,10 +14,13 @@ pub(crate) mod random;
 pub mod topology;
 
 use crate::bvh::Bvh;
+use crate::bvh::cast::RayPacks;
 use crate::error::MeshError;
 use crate::geometry::triangle_cross;
 use crate::sign::pseudonormal::Pseudonormals;
+use crate::sign::raw::RawClosure;
 use crate::sign::winding::Moments;
+use crate::sign::{SignChoice, SignMethod};
 use glam::{DVec3, Vec3};
 use std::sync::OnceLock;
 use topology::Topology;
@@ -27,6 +30,8 @@ use topology::Topology;
 pub struct Mesh {
     center: DVec3,
     scale: f64,
+    /// `1 / scale`, exact since both are powers of two.
+    inverse_scale: f64,
     /// Lower and upper corner of the kept faces, world units.
     bounds: [DVec3; 2],
     world: Vec<[f64; 3]>,
@@ -40,6 +45,9 @@ pub struct Mesh {
     bvh: OnceLock<Bvh>,
     moments: OnceLock<Moments>,
     pseudonormals: OnceLock<Pseudonormals>,
+    ray_packs: OnceLock<RayPacks>,
+    raw_closure: OnceLock<RawClosure>,
+    winding_choice: OnceLock<SignChoice>,
 }
 
 /// The tree's child index is 31 bits wide, and faces times three must fit in u32.
@@ -109,6 +117,7 @@ impl Mesh {
         Ok(Self {
             center,
             scale,
+            inverse_scale: scale.recip(),
             bounds: bounds_of(&world, &kept),
             world,
             positions,
@@ -121,6 +130,9 @@ impl Mesh {
             bvh: OnceLock::new(),
             moments: OnceLock::new(),
             pseudonormals: OnceLock::new(),
+            ray_packs: OnceLock::new(),
+            raw_closure: OnceLock::new(),
+            winding_choice: OnceLock::new(),
         })
     }
 
@@ -135,7 +147,7 @@ impl Mesh {
     }
 
     pub fn local_from_world(&self, p_world: DVec3) -> DVec3 {
-        (p_world - self.center) / self.scale
+        (p_world - self.center) * self.inverse_scale
     }
 
     /// Whether float32 can square the distance from a world position to the mesh; 1e18 mesh sizes is its limit.
@@ -186,9 +198,14 @@ impl Mesh {
         self.faces[face as usize].map(|v| self.positions[v as usize].as_dvec3())
     }
 
+    /// Local position of a vertex in the accuracy of the mesh's own float64 positions.
+    pub fn exact_position(&self, vertex: u32) -> DVec3 {
+        self.local_from_world(DVec3::from_array(self.world[vertex as usize]))
+    }
+
     /// Local corners of a face in the accuracy of the mesh's own float64 positions.
     pub fn exact_triangle(&self, face: u32) -> [DVec3; 3] {
-        self.faces[face as usize].map(|v| self.local_from_world(DVec3::from_array(self.world[v as usize])))
+        self.faces[face as usize].map(|v| self.exact_position(v))
     }
 
     /// Lower and upper corner of the kept faces, world units.
@@ -199,6 +216,16 @@ impl Mesh {
     /// The search tree, built at the first call.
     pub fn bvh(&self) -> &Bvh {
         self.bvh.get_or_init(|| Bvh::build(&self.positions, &self.faces))
+    }
+
+    /// Whether the tree and the connectivity have been built, so that a query starts at once.
+    pub fn is_prepared(&self) -> bool {
+        self.bvh.get().is_some() && self.topology.get().is_some()
+    }
+
+    /// Whether rays start at once too.
+    pub fn is_prepared_for_rays(&self) -> bool {
+        self.is_prepared() && self.ray_packs.get().is_some()
     }
 
     /// Connectivity, found at the first call.
@@ -216,6 +243,21 @@ impl Mesh {
         self.pseudonormals.get_or_init(|| Pseudonormals::of(self))
     }
 
+    /// Triangles as rays test them, made at the first call.
+    pub fn ray_packs(&self) -> &RayPacks {
+        self.ray_packs.get_or_init(|| RayPacks::of(self))
+    }
+
+    /// The winding number's rule for this surface, chosen at the first call.
+    pub fn winding_choice(&self) -> &SignChoice {
+        self.winding_choice.get_or_init(|| SignChoice::new(self, SignMethod::Auto))
+    }
+
+    /// What closes the faces as they are wound, made at the first call.
+    pub fn raw_closure(&self) -> &RawClosure {
+        self.raw_closure.get_or_init(|| RawClosure::of(self))
+    }
+
     /// Bytes held: positions, faces, and what has been built from them so far.
     pub fn bytes(&self) -> usize {
         size_of_val(&self.world[..])
@@ -228,6 +270,8 @@ impl Mesh {
             + self.topology.get().map_or(0, Topology::bytes)
             + self.moments.get().map_or(0, Moments::bytes)
             + self.pseudonormals.get().map_or(0, Pseudonormals::bytes)
+            + self.ray_packs.get().map_or(0, RayPacks::bytes)
+            + self.raw_closure.get().map_or(0, RawClosure::bytes)
     }
 }
 

@@ -82,6 +82,8 @@ pub fn report_dict<'py>(py: Python<'py>, report: &Report) -> PyResult<Bound<'py,
     facts.set_item("closed", report.closed)?;
     facts.set_item("undecided_voxels", report.undecided_voxels)?;
     facts.set_item("inside_voxels", report.inside_voxels)?;
+    facts.set_item("points", report.points)?;
+    facts.set_item("inside_points", report.inside_points)?;
     facts.set_item("device", &report.device)?;
     let seconds = PyDict::new(py);
     for (stage, duration) in &report.seconds {

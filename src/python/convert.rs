@@ -45,6 +45,12 @@ pub fn row_array<'py, T: numpy::Element>(
     flat.into_pyarray(py).reshape([count, 3])
 }
 
+/// An (n, 3) array that takes over the buffer of its rows.
+pub fn owned_rows<T: numpy::Element>(py: Python<'_>, rows: Vec<[T; 3]>) -> PyResult<Bound<'_, PyArray2<T>>> {
+    let count = rows.len();
+    rows.into_flattened().into_pyarray(py).reshape([count, 3])
+}
+
 /// An image from its pixels, row 0 on top.
 pub fn image_array<'py, T: numpy::Element>(
     py: Python<'py>,

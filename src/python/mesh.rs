@@ -2,12 +2,17 @@
 
 use super::convert::{row_array, rows};
 use super::error::Failure;
+use super::run::run;
+use crate::bake::sign_warnings;
 use crate::mesh;
+use crate::query::count_self_intersections;
+use crate::sign::SignMethod;
 use numpy::ndarray::ArrayView2;
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, TryLockError};
+use std::time::Duration;
 
 /// Checked triangles; the search tree is built at the first query and kept.
 #[pyclass(frozen, module = "fieldbake._core")]
@@ -65,9 +70,45 @@ impl Mesh {
         self.0.bytes()
     }
 
+    /// What makes this mesh again: kept vertices (n, 3), all faces in their order as rows of those (m, 3), and where
+    /// vertices were dropped the input row of each kept one, followed by the number of input vertices.
+    #[expect(clippy::type_complexity, reason = "a tuple of arrays is what Python unpacks")]
+    fn state<'py>(
+        mesh: Bound<'py, Self>,
+        py: Python<'py>,
+    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<u32>>, Option<Bound<'py, PyArray1<u32>>>)> {
+        let core = &mesh.get().0;
+        let mut degenerate = core.degenerate_faces().iter();
+        let mut faces = Vec::with_capacity(core.faces().len() + degenerate.len());
+        for (face, &row) in core.faces().iter().zip(core.source_faces()) {
+            // Faces without area fill the rows that the kept ones leave.
+            faces.extend(degenerate.by_ref().take(row as usize - faces.len()));
+            faces.push(*face);
+        }
+        faces.extend(degenerate);
+        let rows = (core.dropped_vertices() > 0).then(|| {
+            let count = core.source_vertices().len() + core.dropped_vertices();
+            PyArray1::from_iter(py, core.source_vertices().iter().copied().chain([count as u32]))
+        });
+        let vertices = row_array(py, core.world_positions().iter().copied())?;
+        Ok((vertices, row_array(py, faces.into_iter())?, rows))
+    }
+
+    /// Pairs of faces without a common vertex that pass through each other.
+    fn self_intersections(&self, py: Python<'_>) -> PyResult<u64> {
+        Ok(run(py, None, |progress| count_self_intersections(&self.0, progress))?)
+    }
+
+    /// What a user must know about the sign of this surface by a method; builds the connectivity.
+    fn sign_warnings(&self, py: Python<'_>, sign: &str) -> PyResult<Vec<String>> {
+        let method = sign.parse::<SignMethod>().map_err(Failure::from)?;
+        self.prepare(py)?;
+        Ok(sign_warnings(self.0.topology(), method))
+    }
+
     fn topology<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let mesh = self.0.clone();
-        let topology = py.detach(|| mesh.topology());
+        self.prepare(py)?;
+        let topology = self.0.topology();
         let facts = PyDict::new(py);
         facts.set_item("boundary_edges", topology.boundary_edges)?;
         facts.set_item("nonmanifold_edges", topology.nonmanifold_edges)?;
@@ -78,5 +119,27 @@ impl Mesh {
         facts.set_item("components", topology.components)?;
         facts.set_item("closed", topology.closed)?;
         Ok(facts)
+    }
+}
+
+impl Mesh {
+    /// Build the tree and the connectivity on the worker threads: a forked child must not use another pool's.
+    pub fn prepare(&self, py: Python<'_>) -> PyResult<()> {
+        // One thread at a time: a worker that waits for its part of a tree may take up a job that needs the same tree.
+        static PREPARING: Mutex<()> = Mutex::new(());
+        if !self.0.is_prepared() {
+            let _guard = loop {
+                match PREPARING.try_lock() {
+                    Ok(guard) => break guard,
+                    Err(TryLockError::Poisoned(poisoned)) => break poisoned.into_inner(),
+                    Err(TryLockError::WouldBlock) => py.detach(|| std::thread::sleep(Duration::from_millis(1))),
+                }
+            };
+            run(py, None, |_| {
+                rayon::join(|| self.0.bvh(), || self.0.topology());
+                Ok(())
+            })?;
+        }
+        Ok(())
     }
 }

@@ -13,6 +13,7 @@ mod merge;
 mod mesh;
 mod quadric;
 mod query;
+mod rays;
 mod render;
 mod run;
 mod scene;
@@ -44,9 +45,13 @@ mod _core {
     #[pymodule_export]
     use super::quadric::Quadrics;
     #[pymodule_export]
-    use super::query::{closest_point, signed_distance};
+    use super::query::{closest_point, contains, query, sample_surface, signed_distance, thickness, winding_number};
+    #[pymodule_export]
+    use super::rays::{all_intersections, cast_rays, count_intersections, occluded};
     #[pymodule_export]
     use super::render::{raymarch, raymarch_nested};
+    #[pymodule_export]
+    use super::run::set_threads;
     #[pymodule_export]
     use super::scene::{Scene, SceneField, SceneMesh, Texture, render};
     #[pymodule_export]

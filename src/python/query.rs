@@ -1,14 +1,20 @@
-//! `fieldbake._core.signed_distance` and `closest_point`.
+//! `fieldbake._core.signed_distance`, `closest_point`, `query`, `contains`, `winding_number`, `thickness` and `sample_surface`.
 
-use super::convert::{row_array, rows};
+use super::bake::report_dict;
+use super::convert::{owned_rows, rows};
 use super::device::choose;
 use super::error::Failure;
 use super::mesh::Mesh;
-use super::run::run;
-use crate::query;
+use super::run::{run, run_sized};
+use crate::gpu::Place;
+use crate::query as core;
 use crate::sign::SignMethod;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2};
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+/// Points that the calling thread answers by itself: waking a worker takes longer.
+pub const FEW: usize = 64;
 
 /// Signed distance at points (n, 3).
 #[pyfunction]
@@ -21,29 +27,172 @@ pub fn signed_distance<'py>(
     device: &str,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyArray1<f32>>> {
+    mesh.prepare(py)?;
     let mesh = mesh.0.clone();
     let points = rows(&points, "points")?;
     let place = choose(py, device)?;
     let method = sign.parse::<SignMethod>().map_err(Failure::from)?;
-    let distances = run(py, progress, |progress| query::signed_distances(&place, &mesh, points, method, progress))?;
+    let distances = run_sized(py, progress, is_short(&mesh, points.len(), &place), |progress| {
+        core::signed_distances(&place, &mesh, points, method, progress)
+    })?;
     Ok(distances.into_pyarray(py))
 }
 
-/// Closest points (n, 3), unsigned distances (n,) and faces (n,).
+/// Closest points (n, 3), unsigned distances (n,), faces (n,), barycentric coordinates (n, 3) and face normals (n, 3).
 #[pyfunction]
 #[pyo3(signature = (mesh, points, *, device="auto", progress=None))]
-#[expect(clippy::type_complexity, reason = "a tuple of three arrays is what Python unpacks")]
+#[expect(clippy::type_complexity, reason = "a tuple of arrays is what Python unpacks")]
 pub fn closest_point<'py>(
     py: Python<'py>,
     mesh: &Mesh,
     points: PyReadonlyArray2<'py, f64>,
     device: &str,
     progress: Option<&Bound<'py, PyAny>>,
-) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<u32>>)> {
+) -> PyResult<(
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray1<i64>>,
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray2<f64>>,
+)> {
+    mesh.prepare(py)?;
     let mesh = mesh.0.clone();
     let points = rows(&points, "points")?;
     let place = choose(py, device)?;
-    let found = run(py, progress, |progress| query::closest_points(&place, &mesh, points, progress))?;
-    let positions = row_array(py, found.points.into_iter())?;
-    Ok((positions, found.distances.into_pyarray(py), found.faces.into_pyarray(py)))
+    let found = run_sized(py, progress, is_short(&mesh, points.len(), &place), |progress| {
+        core::closest_points(&place, &mesh, points, progress)
+    })?;
+    Ok((
+        owned_rows(py, found.points)?,
+        found.distances.into_pyarray(py),
+        found.faces.into_pyarray(py),
+        owned_rows(py, found.barycentric)?,
+        owned_rows(py, found.normals)?,
+    ))
+}
+
+/// Signed distances (n,), gradients (n, 3), closest points (n, 3), faces (n,), barycentric coordinates (n, 3), report.
+#[pyfunction]
+#[pyo3(signature = (mesh, points, *, sign="auto", device="auto", progress=None))]
+#[expect(clippy::type_complexity, reason = "a tuple of arrays is what Python unpacks")]
+pub fn query<'py>(
+    py: Python<'py>,
+    mesh: &Mesh,
+    points: PyReadonlyArray2<'py, f64>,
+    sign: &str,
+    device: &str,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<(
+    Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray1<i64>>,
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyDict>,
+)> {
+    mesh.prepare(py)?;
+    let mesh = mesh.0.clone();
+    let points = rows(&points, "points")?;
+    let place = choose(py, device)?;
+    let method = sign.parse::<SignMethod>().map_err(Failure::from)?;
+    let found = run_sized(py, progress, is_short(&mesh, points.len(), &place), |progress| {
+        core::query(&place, &mesh, points, method, progress)
+    })?;
+    Ok((
+        found.distances.into_pyarray(py),
+        owned_rows(py, found.gradients)?,
+        owned_rows(py, found.points)?,
+        found.faces.into_pyarray(py),
+        owned_rows(py, found.barycentric)?,
+        report_dict(py, &found.report)?,
+    ))
+}
+
+/// Whether the calling thread answers at once: few points, on the CPU, and what the mesh needs for it is there.
+pub fn is_short(mesh: &crate::mesh::Mesh, points: usize, place: &Place) -> bool {
+    points <= FEW && matches!(place, Place::Cpu) && mesh.is_prepared()
+}
+
+/// Whether each point (n, 3) is inside, (n,).
+#[pyfunction]
+#[pyo3(signature = (mesh, points, *, sign="auto", progress=None))]
+pub fn contains<'py>(
+    py: Python<'py>,
+    mesh: &Mesh,
+    points: PyReadonlyArray2<'py, f64>,
+    sign: &str,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyArray1<bool>>> {
+    mesh.prepare(py)?;
+    let mesh = mesh.0.clone();
+    let points = rows(&points, "points")?;
+    let method = sign.parse::<SignMethod>().map_err(Failure::from)?;
+    let inside = run_sized(py, progress, is_short(&mesh, points.len(), &Place::Cpu), |progress| {
+        core::contains(&mesh, points, method, progress)
+    })?;
+    Ok(inside.into_pyarray(py))
+}
+
+/// Signed winding number of the faces as they are wound at points (n, 3), (n,).
+#[pyfunction]
+#[pyo3(signature = (mesh, points, *, error=1e-6, progress=None))]
+pub fn winding_number<'py>(
+    py: Python<'py>,
+    mesh: &Mesh,
+    points: PyReadonlyArray2<'py, f64>,
+    error: f64,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    mesh.prepare(py)?;
+    let mesh = mesh.0.clone();
+    let points = rows(&points, "points")?;
+    let found = run_sized(py, progress, is_short(&mesh, points.len(), &Place::Cpu), |progress| {
+        core::winding_numbers(&mesh, points, error, progress)
+    })?;
+    Ok(found.into_pyarray(py))
+}
+
+/// Diameter of the largest inscribed ball that touches each point (n, 3), (n,).
+#[pyfunction]
+#[pyo3(signature = (mesh, points, normals=None, *, progress=None))]
+pub fn thickness<'py>(
+    py: Python<'py>,
+    mesh: &Mesh,
+    points: PyReadonlyArray2<'py, f64>,
+    normals: Option<PyReadonlyArray2<'py, f64>>,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    mesh.prepare(py)?;
+    let mesh = mesh.0.clone();
+    let points = rows(&points, "points")?;
+    let normals = normals.as_ref().map(|normals| rows(normals, "normals")).transpose()?;
+    let found = run(py, progress, |progress| core::thickness(&mesh, points, normals, progress))?;
+    Ok(found.into_pyarray(py))
+}
+
+/// Points uniform by area: points (n, 3), face normals (n, 3), faces (n,) and barycentric coordinates (n, 3).
+#[pyfunction]
+#[pyo3(signature = (mesh, count, *, seed=0, progress=None))]
+#[expect(clippy::type_complexity, reason = "a tuple of arrays is what Python unpacks")]
+pub fn sample_surface<'py>(
+    py: Python<'py>,
+    mesh: &Mesh,
+    count: usize,
+    seed: u64,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<(
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray1<i64>>,
+    Bound<'py, PyArray2<f64>>,
+)> {
+    mesh.prepare(py)?;
+    let mesh = mesh.0.clone();
+    let samples = run(py, progress, |progress| core::sample_surface(&mesh, count, seed, progress))?;
+    Ok((
+        owned_rows(py, samples.points)?,
+        owned_rows(py, samples.normals)?,
+        samples.faces.into_pyarray(py),
+        owned_rows(py, samples.barycentric)?,
+    ))
 }

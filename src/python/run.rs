@@ -6,6 +6,7 @@ use crate::progress::Progress;
 use pyo3::prelude::*;
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -64,6 +65,16 @@ pub fn run_short<T: Send>(py: Python<'_>, job: impl FnOnce() -> Result<T, Error>
     Ok(outcome.map_err(|panic| internal_error(py, &*panic))??)
 }
 
+/// [`run`], or [`run_short`] for a job that `is_short`.
+pub fn run_sized<T: Send>(
+    py: Python<'_>,
+    callback: Option<&Bound<'_, PyAny>>,
+    is_short: bool,
+    job: impl FnOnce(&Progress) -> Result<T, Error> + Send,
+) -> Result<T, Failure> {
+    if is_short && callback.is_none() { run_short(py, || job(&Progress::new())) } else { run(py, callback, job) }
+}
+
 fn look_at_python(py: Python<'_>, callback: Option<&Py<PyAny>>, progress: &Progress) -> PyResult<()> {
     py.check_signals()?;
     if let Some(callback) = callback {
@@ -82,17 +93,38 @@ fn internal_error(py: Python<'_>, panic: &(dyn Any + Send)) -> Failure {
 
 /// The worker threads of this process. A forked child inherits the handle but not the threads, so it makes its own.
 fn worker_pool(py: Python<'_>) -> Result<Arc<rayon::ThreadPool>, Failure> {
-    static POOL: Mutex<Option<(u32, Arc<rayon::ThreadPool>)>> = Mutex::new(None);
-    let process = std::process::id();
-    let mut pool = POOL.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some((owner, pool)) = pool.as_ref()
-        && *owner == process
+    static POOL: Mutex<Option<Workers>> = Mutex::new(None);
+    let (process, threads) = (std::process::id(), THREADS.load(Ordering::Relaxed));
+    let mut workers = POOL.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(workers) = workers.as_ref()
+        && workers.process == process
+        && workers.threads == threads
     {
-        return Ok(pool.clone());
+        return Ok(workers.pool.clone());
     }
-    let made = rayon::ThreadPoolBuilder::new().thread_name(|i| format!("fieldbake-{i}")).build();
-    let made = Arc::new(made.map_err(|error| Failure::Python(exception(py, "Error", error.to_string())))?);
-    // A pool of the parent process is leaked: joining threads that do not exist would wait for ever.
-    std::mem::forget(pool.replace((process, made.clone())));
-    Ok(made)
+    let builder = rayon::ThreadPoolBuilder::new().num_threads(threads).thread_name(|i| format!("fieldbake-{i}"));
+    let pool = builder.build().map_err(|error| Failure::Python(exception(py, "Error", error.to_string())))?;
+    let pool = Arc::new(pool);
+    let replaced = workers.replace(Workers { process, threads, pool: pool.clone() });
+    // A pool of the parent process is leaked: joining threads that do not exist would wait for ever. One of this process
+    // ends with the last job that uses it.
+    std::mem::forget(replaced.filter(|workers| workers.process != process));
+    Ok(pool)
+}
+
+/// The worker threads of one process.
+struct Workers {
+    process: u32,
+    /// As asked for; 0 for one per core.
+    threads: usize,
+    pool: Arc<rayon::ThreadPool>,
+}
+
+/// Number of worker threads that later jobs use; 0 for one per core or `RAYON_NUM_THREADS`.
+static THREADS: AtomicUsize = AtomicUsize::new(0);
+
+/// Limit the worker threads of later jobs.
+#[pyfunction]
+pub fn set_threads(count: usize) {
+    THREADS.store(count, Ordering::Relaxed);
 }

@@ -69,7 +69,7 @@ impl<'a> Surface<'a> {
     }
 
     fn for_each_candidate(&self, overlaps: impl Fn(&Node) -> [bool; WIDTH], mut on_triangle: impl FnMut([DVec3; 3])) {
-        self.bvh.visit(overlaps, |pack| {
+        self.bvh.visit_in_place(overlaps, |pack| {
             for &face in pack.faces() {
                 if let Some(corners) = self.topology.oriented_face(self.mesh, face) {
                     on_triangle(corners.map(|v| self.mesh.positions()[v as usize].as_dvec3()));
@@ -89,7 +89,7 @@ fn ray_overlaps(node: &Node, p: DVec3, axes: Axes) -> [bool; WIDTH] {
 }
 
 /// +1 if the ray from `p` leaves through the triangle, -1 if it enters, 0 if it misses.
-fn crossing(p: DVec3, [a, b, c]: [DVec3; 3], axes: Axes) -> i32 {
+pub fn crossing(p: DVec3, [a, b, c]: [DVec3; 3], axes: Axes) -> i32 {
     let turns = edge_turn(p, a, b, axes) + edge_turn(p, b, c, axes) + edge_turn(p, c, a, axes);
     if turns != 0 && is_ahead(p, [a, b, c], turns, axes) { turns } else { 0 }
 }

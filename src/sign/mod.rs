@@ -16,6 +16,7 @@ mod caps;
 pub mod crossing;
 pub mod openings;
 pub mod pseudonormal;
+pub mod raw;
 pub mod winding;
 
 #[cfg(test)]
@@ -145,8 +146,8 @@ impl SignRule {
         }
     }
 
-    /// Whether a local point is inside. `closest` is its closest point, for the rules that look there.
-    pub fn is_inside(&self, mesh: &Mesh, p: DVec3, closest: &ClosestPoint) -> bool {
+    /// Whether a local point is inside, for the rules that need no closest point; false for the others.
+    pub fn is_inside_without_distance(&self, mesh: &Mesh, p: DVec3) -> bool {
         match self {
             Self::Counted(openings) => {
                 let count = Surface::new(mesh, &openings.caps).winding(p, Axes::X);
@@ -154,9 +155,16 @@ impl SignRule {
             }
             Self::Winding => mesh.moments().winding(mesh, p).abs() > 0.5,
             Self::Parity => parity(mesh, p).0,
+            Self::Pseudonormal | Self::Normal | Self::Unsigned => false,
+        }
+    }
+
+    /// Whether a local point is inside. `closest` is its closest point, for the rules that look there.
+    pub fn is_inside(&self, mesh: &Mesh, p: DVec3, closest: &ClosestPoint) -> bool {
+        match self {
             Self::Pseudonormal => mesh.pseudonormals().is_inside(mesh, p, closest),
             Self::Normal => is_behind_nudged_face(mesh, p, closest),
-            Self::Unsigned => false,
+            _ => self.is_inside_without_distance(mesh, p),
         }
     }
 }

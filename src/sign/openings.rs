@@ -116,6 +116,9 @@ impl Openings {
 
     /// The nearest integer of the fraction at a point.
     pub fn rounded_fraction(&self, p: DVec3) -> i8 {
+        if self.clearance(p) >= 0.0 {
+            return 0;
+        }
         let mut left_out = 0.0;
         let near: Vec<Cone> = self.cones.iter().filter(|cone| cone.matters(p, 0.0, &mut left_out)).cloned().collect();
         self.round(p, &near, left_out).0

@@ -29,8 +29,8 @@ impl Pseudonormals {
         let mut vertex = vec![DVec3::ZERO; mesh.positions().len()];
         let mut edge: HashMap<[u32; 2], DVec3> = HashMap::with_capacity(mesh.faces().len() * 3 / 2);
         for f in 0..mesh.faces().len() {
-            let corners = mesh.triangle(f as u32);
-            let normal = triangle_cross(corners).normalize() * direction(topology.orientation[f]);
+            let corners = mesh.exact_triangle(f as u32);
+            let normal = triangle_cross(corners).normalize_or_zero() * direction(topology.orientation[f]);
             face.push(normal);
             for i in 0..3 {
                 let (here, next, previous) = (corners[i], corners[(i + 1) % 3], corners[(i + 2) % 3]);
@@ -44,7 +44,7 @@ impl Pseudonormals {
         // decides.
         for f in 0..mesh.faces().len() {
             if topology.orientation[f] == Orientation::Skipped {
-                let own = triangle_cross(mesh.triangle(f as u32)).normalize();
+                let own = triangle_cross(mesh.exact_triangle(f as u32)).normalize_or_zero();
                 let around: f64 = (0..3).map(|i| normals.edge[&edge_key(mesh, f as u32, i)].dot(own)).sum();
                 normals.face[f] = if around < 0.0 { -own } else { own };
             }
@@ -58,16 +58,21 @@ impl Pseudonormals {
             + self.edge.capacity() * size_of::<([u32; 2], DVec3)>()
     }
 
-    /// Whether a local point lies behind the surface at its closest point.
-    pub fn is_inside(&self, mesh: &Mesh, p: DVec3, closest: &ClosestPoint) -> bool {
-        let normal = match closest.on_triangle.feature {
-            Feature::Face => self.face[closest.face as usize],
-            Feature::Edge(i) => self.edge[&edge_key(mesh, closest.face, usize::from(i))],
+    /// The normal of a feature of a face. Its length carries no meaning, and it is zero where the faces cancel.
+    pub fn at(&self, mesh: &Mesh, face: u32, feature: Feature) -> DVec3 {
+        match feature {
+            Feature::Face => self.face[face as usize],
+            Feature::Edge(i) => self.edge[&edge_key(mesh, face, usize::from(i))],
             Feature::Vertex(i) => {
-                let v = mesh.faces()[closest.face as usize][usize::from(i)];
+                let v = mesh.faces()[face as usize][usize::from(i)];
                 self.vertex[mesh.topology().welded[v as usize] as usize]
             }
-        };
+        }
+    }
+
+    /// Whether a local point lies behind the surface at its closest point.
+    pub fn is_inside(&self, mesh: &Mesh, p: DVec3, closest: &ClosestPoint) -> bool {
+        let normal = self.at(mesh, closest.face, closest.on_triangle.feature);
         (p - closest.on_triangle.point).dot(normal) < 0.0
     }
 }

@@ -124,6 +124,31 @@ def winding_number(vertices: ArrayLike, faces: ArrayLike, points: ArrayLike) -> 
     return result
 
 
+def all_intersections(
+    vertices: ArrayLike, faces: ArrayLike, origins: ArrayLike, directions: ArrayLike
+) -> tuple[Array, Array]:
+    """Every crossing of every line with every triangle, by Cramer's rule: (rays, triangles) arrays.
+
+    The first has the parameter of the crossing, inf without one. The second has the least of its three barycentric
+    weights: values near zero are too close to an edge for this formula to decide.
+    """
+    a, b, c = (corners(vertices, faces)[None, :, i] for i in range(3))
+    t = np.empty((len(origins), a.shape[1]))
+    least = np.empty(t.shape)
+    for rows in _chunks(len(origins), a.shape[1]):
+        origin, direction = np.asarray(origins, np.float64)[rows, None], np.asarray(directions, np.float64)[rows, None]
+        across = np.cross(direction, c - a)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inverse = 1 / dot(b - a, across)
+            u = dot(origin - a, across) * inverse
+            beside = np.cross(origin - a, b - a)
+            v = dot(direction, beside) * inverse
+            t[rows] = dot(c - a, beside) * inverse
+            least[rows] = np.minimum(np.minimum(u, v), 1 - u - v)
+    t[~(least >= 0)] = np.inf
+    return t, least
+
+
 def signed_distance(vertices: ArrayLike, faces: ArrayLike, points: ArrayLike) -> Array:
     """Distance by brute force, negative where the winding number says inside."""
     distances = closest_point(vertices, faces, points).distances

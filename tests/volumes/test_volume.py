@@ -585,3 +585,36 @@ def test_a_folder_is_no_file(tmp_path):
 def test_a_notebook_shows_a_picture(sphere, noise):
     assert sphere._repr_png_().startswith(b"\x89PNG")
     assert fb.Volume(np.ones((3, 3, 3)), [(0, 0, 0), (1, 1, 1)])._repr_png_() is None
+
+
+def test_dlpack_gives_a_copy_or_a_read_only_view():
+    volume = fb.bake(meshes.box(), (6, 5, 4))
+
+    view = np.from_dlpack(volume)
+    assert np.array_equal(view, volume.distances)
+    assert volume.__dlpack_device__() == (1, 0)
+
+    class Old:
+        """A reader of the first protocol: no versions, hence writable."""
+
+        def __dlpack__(self, **_):
+            return volume.__dlpack__()
+
+        def __dlpack_device__(self):
+            return volume.__dlpack_device__()
+
+    copied = np.from_dlpack(Old())
+    assert np.array_equal(copied, volume.distances)
+    assert not np.shares_memory(copied, volume.distances)
+    assert volume.__dlpack__() is not None
+
+
+def test_the_array_interface_shares_the_samples():
+    volume = fb.bake(meshes.box(), (6, 5, 4))
+
+    class Holder:
+        __array_interface__ = volume.__array_interface__
+
+    array = np.asarray(Holder())
+    assert np.shares_memory(array, volume.distances)
+    assert not array.flags.writeable

@@ -1,4 +1,4 @@
-"""From a mesh to distances: on a grid, or at any points."""
+"""From a mesh or a shape to distances on a grid."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import logging
 import math
 from collections.abc import Sequence
 from time import perf_counter
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,33 +15,19 @@ from .. import _core
 from ..base import checks
 from ..base.errors import ArgumentError, ShapeError
 from ..base.grid import DEFAULT_RESOLUTION, Grid, Resolution, make_grid
+from ..base.notices import warn_surface
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report
 from ..meshes.convert import MeshLike, as_mesh
 from ..meshes.mesh import Mesh
+from ..queries.common import Sign, check_reach, choices
 from ..shapes.shape import Shape, all_shapes, combine
 from ..volumes.volume import Volume
 
 logger = logging.getLogger("fieldbake")
 
-Sign = Literal["auto", "winding", "parity", "pseudonormal", "normal", "unsigned"]
-
-
-#: How far from the mesh's centre samples may lie, in sizes of the mesh. The core works in those, in float32: a bake
-#: squares distances, a query does so in float64.
+#: Largest distance of a sample from the centre of the mesh, in sizes of the mesh. The core squares it in float32.
 MAX_GRID_REACH = 1e15
-MAX_POINT_REACH = 1e36
-
-
-class ClosestPoints(NamedTuple):
-    """Where the surface is nearest."""
-
-    #: Closest points on the surface, (n, 3) float64, world units.
-    points: NDArray[np.float64]
-    #: Unsigned distances, (n,) float32, world units.
-    distances: NDArray[np.float32]
-    #: Faces that hold the points, (n,).
-    faces: NDArray[np.int64]
 
 
 def bake(
@@ -116,7 +102,8 @@ def bake(
     Notes
     -----
     Every sample is exact within 1e-6 of the box's diagonal. The same input gives the same bytes on any number of
-    threads. What the report warns about is also logged to the ``fieldbake`` logger.
+    threads. What the report warns about is raised once per call as a `SurfaceWarning` and logged to the ``fieldbake``
+    logger.
 
     Examples
     --------
@@ -128,7 +115,7 @@ def bake(
     >>> bool(volume.sample([(0.2, 0.2, 0.2)])[0] < 0)
     True
     """
-    method, where = _choices(sign, device)
+    method, where = choices(sign, device)
     two_sided = checks.flag("two_sided", two_sided)
     if isinstance(mesh, Shape) or all_shapes(mesh):
         shape = mesh if isinstance(mesh, Shape) else combine("union", mesh)
@@ -186,7 +173,7 @@ def prepare(
         grid = make_grid(inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin, border=1.01 * border)
         thickness = sheet_thickness(grid)
         inner += np.array([[-thickness / 2], [thickness / 2]])
-    _check_reach("bounds", checked, np.array([grid.lower, grid.upper]), MAX_GRID_REACH)
+    check_reach("bounds", checked, np.array([grid.lower, grid.upper]), MAX_GRID_REACH)
     return Job(checked, grid, inner, method, thickness)
 
 
@@ -205,7 +192,7 @@ def bake_job(job: Job, band: float | None, device: str, progress: Progress) -> V
             device=device,
             progress=callback,
         )
-    report = Report.from_dict({**facts, "faces": len(job.mesh.faces), "vertices": len(job.mesh.vertices)})
+    report = Report.of_mesh(job.mesh, facts)
     return Volume._wrap(distances, np.array([grid.lower, grid.upper]), job.inner, report)
 
 
@@ -222,9 +209,11 @@ def sheet_thickness(grid: Grid) -> float:
 
 
 def log_warnings(report: Report) -> None:
-    """Say what deserves a look."""
+    """Log what the report warns about, and raise one `SurfaceWarning` with it."""
     for warning in report.warnings:
         logger.warning("%s", warning)
+    if report.sign_method != "unsigned":
+        warn_surface(report.warnings)
 
 
 def _bake_shape(
@@ -264,110 +253,3 @@ def _bake_shape(
     )
     log_warnings(report)
     return Volume._wrap(distances, np.array([grid.lower, grid.upper]), inner.copy(), report)
-
-
-def signed_distance(
-    mesh: MeshLike,
-    points: ArrayLike,
-    *,
-    sign: Sign = "auto",
-    device: str = "auto",
-    progress: Progress = None,
-) -> NDArray[np.float32]:
-    """Signed distance from any points to a mesh, exact.
-
-    Parameters
-    ----------
-    mesh : Mesh or anything :func:`bake` takes
-        Hand over a `Mesh` to keep the search tree between calls.
-    points : (n, 3) real
-        World positions; any leading shape will do.
-    sign, device, progress
-        As for :func:`bake`.
-
-    Returns
-    -------
-    (n,) float32
-        World units, negative inside.
-
-    Raises
-    ------
-    MeshError, ArgumentError, DeviceError
-        As for :func:`bake`; ArgumentError also for a point that is not finite.
-
-    Examples
-    --------
-    >>> import fieldbake
-    >>> corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
-    >>> tetrahedron = fieldbake.Mesh(corners, [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])
-    >>> signed_distance(tetrahedron, [(0, 0, -2), (0.25, 0.25, 0.125)]).tolist()
-    [2.0, -0.125]
-    """
-    method, where = _choices(sign, device)
-    flat, shape = checks.points(points)
-    checked = as_mesh(mesh)
-    _check_reach("points", checked, flat, MAX_POINT_REACH)
-    with progress_callback(progress, "signed distance") as callback:
-        values = _core.signed_distance(checked._core, flat, sign=method, device=where, progress=callback)
-    return values.reshape(shape)
-
-
-def closest_point(
-    mesh: MeshLike, points: ArrayLike, *, device: str = "auto", progress: Progress = None
-) -> ClosestPoints:
-    """The nearest point of a mesh to any points, exact.
-
-    Parameters
-    ----------
-    mesh : Mesh or anything :func:`bake` takes
-        Hand over a `Mesh` to keep the search tree between calls.
-    points : (n, 3) real
-        World positions; any leading shape will do.
-    device, progress
-        As for :func:`bake`.
-
-    Returns
-    -------
-    ClosestPoints
-        ``.points`` (n, 3) float64, ``.distances`` (n,) float32 unsigned, ``.faces`` (n,) int64: rows of `Mesh.faces`
-        for a Mesh, rows of the faces as passed or read for anything else.
-
-    Raises
-    ------
-    MeshError, ArgumentError, DeviceError
-        As for :func:`bake`; ArgumentError also for a point that is not finite.
-
-    Examples
-    --------
-    >>> import fieldbake
-    >>> triangle = fieldbake.Mesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
-    >>> closest = closest_point(triangle, [(0.25, 0.25, 3.0)])
-    >>> closest.points.tolist(), closest.distances.tolist(), closest.faces.tolist()
-    ([[0.25, 0.25, 0.0]], [3.0], [0])
-    """
-    flat, shape = checks.points(points)
-    checked = as_mesh(mesh)
-    _check_reach("points", checked, flat, MAX_POINT_REACH)
-    with progress_callback(progress, "closest point") as callback:
-        nearest, distances, kept = _core.closest_point(
-            checked._core, flat, device=checks.text("device", device), progress=callback
-        )
-    faces = kept.astype(np.int64) if mesh is checked else checked._core.source_faces[kept]
-    return ClosestPoints(nearest.reshape(*shape, 3), distances.reshape(shape), faces.reshape(shape))
-
-
-def _choices(sign: Sign, device: str) -> tuple[str, str]:
-    """Both as text; the core knows which words it takes."""
-    return checks.text("sign", sign), checks.text("device", device)
-
-
-def _check_reach(name: str, mesh: Mesh, positions: NDArray[np.float64], limit: float) -> None:
-    """Refuse positions so far out that distances, in sizes of the mesh, would not fit."""
-    if positions.size == 0:
-        return
-    size = float((mesh.bounds[1] - mesh.bounds[0]).max())
-    reach = float(max(positions.max() - mesh.center.min(), mesh.center.max() - positions.min()))
-    if reach > limit * size:
-        raise ArgumentError(
-            f"{name}: {reach:.3g} away from a mesh of size {size:.3g} is too far; at most {limit:g} times its size"
-        )

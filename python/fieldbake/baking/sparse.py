@@ -11,8 +11,9 @@ from ..base.grid import Resolution
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report
 from ..meshes.convert import MeshLike
+from ..queries.common import Sign
 from ..volumes.sparse import SparseVolume, sparse_options
-from .dense import Sign, log_warnings, prepare
+from .dense import log_warnings, prepare
 
 
 def bake_sparse(
@@ -84,6 +85,6 @@ def bake_sparse(
             progress=callback,
             **options,
         )
-    report = Report.from_dict({"faces": len(job.mesh.faces), "vertices": len(job.mesh.vertices), **facts})
+    report = Report.of_mesh(job.mesh, facts)
     log_warnings(report)
     return SparseVolume._wrap(field, np.array([job.grid.lower, job.grid.upper]), job.inner, report)

@@ -41,6 +41,19 @@ def number(name: str, value: object, *, above: float | None = None, least: float
     return result
 
 
+def limit(name: str, value: object) -> float:
+    """A real number that may be infinite."""
+    try:
+        if isinstance(value, (bool, str, bytes, np.bool_)):
+            raise TypeError
+        result = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        raise ArgumentError(f"{name}: must be a number, got {describe(value)}") from None
+    if result != result:
+        raise ArgumentError(f"{name}: must be a number, got nan")
+    return result
+
+
 def integer(name: str, value: object, *, least: int, most: int, error: type[Error] = ArgumentError) -> int:
     """A whole number from ``least`` to ``most``; 64.0 and True are refused."""
     try:
@@ -54,15 +67,22 @@ def integer(name: str, value: object, *, least: int, most: int, error: type[Erro
     return result
 
 
-def real_array(name: str, value: ArrayLike, shape: str, error: type[Error] = ArgumentError) -> NDArray[Any]:
+def real_array(name: str, value: object, shape: str, error: type[Error] = ArgumentError) -> NDArray[Any]:
     """Any real numeric array, not yet converted; ``shape`` only words the message."""
     try:
-        array = np.asarray(value)
-    except (ValueError, TypeError) as reason:
+        array = as_array(value)
+    except (ValueError, TypeError, RuntimeError, BufferError) as reason:
         raise error(f"{name}: must be an array of shape {shape}, got {describe(value)} ({reason})") from None
     if array.dtype.kind not in "fiu":
         raise error(f"{name}: must hold real numbers in shape {shape}, got {describe(array)}")
     return array
+
+
+def as_array(value: object) -> NDArray[Any]:
+    """Anything array-like, without a copy where its library offers one: lists, ``__array__`` and ``__dlpack__``."""
+    if hasattr(value, "__dlpack__") and not hasattr(value, "__array__"):
+        return np.from_dlpack(value)
+    return np.asarray(value)
 
 
 def as_float64(array: NDArray[Any]) -> NDArray[np.float64]:
@@ -111,18 +131,18 @@ def choice(name: str, value: object, wanted: Sequence[str], error: type[Error] =
     return value
 
 
-def points(value: ArrayLike) -> tuple[NDArray[np.float64], tuple[int, ...]]:
+def points(value: object, name: str = "points") -> tuple[NDArray[np.float64], tuple[int, ...]]:
     """Finite positions of shape (..., 3) as (n, 3) float64, and the shape without its last axis."""
-    array = real_array("points", value, "(n, 3)")
+    array = real_array(name, value, "(n, 3)")
     if array.shape == (0,):
         array = array.reshape(0, 3)
     if array.ndim == 0 or array.shape[-1] != 3:
-        raise ArgumentError(f"points: must have shape (n, 3), got {describe(array)}")
+        raise ArgumentError(f"{name}: must have shape (n, 3), got {describe(array)}")
     flat = as_float64(array.reshape(-1, 3))
     near = np.abs(flat) <= FAR  # false for nan too
     if not near.all():
         row = int(np.flatnonzero(~near.all(axis=1))[0])
-        raise ArgumentError(f"points[{row}]: must be finite and at most {FAR:g} from 0, got {flat[row].tolist()}")
+        raise ArgumentError(f"{name}[{row}]: must be finite and at most {FAR:g} from 0, got {flat[row].tolist()}")
     return flat, array.shape[:-1]
 
 

@@ -33,6 +33,10 @@ class FormatError(Error, ValueError):
     """A file that is not ours, is damaged, or was written by a newer version."""
 
 
+class SurfaceWarning(UserWarning):
+    """A surface whose inside had to be interpreted: it is open, inside out, or has flipped or one-sided parts."""
+
+
 class DeviceError(Error, RuntimeError):
     """A compute device that is missing, too small, or has failed."""
 

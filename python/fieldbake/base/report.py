@@ -48,6 +48,10 @@ class Report:
         Number of faces without area, and of unused vertices that are not finite; both are left out.
     undecided_voxels, inside_voxels : int
         Number of voxels where the sign method alone could not decide, and of voxels with a negative distance.
+    chord_error : float
+        Largest distance between the mesh and the solid that it was tessellated from, world units; 0 for other meshes.
+    points, inside_points : int
+        Points of a query; those of them with negative distance. Both are 0 for a bake.
     device : str
         Device that evaluated the distances.
     seconds : mapping of str to float
@@ -72,6 +76,9 @@ class Report:
     components: int = 0
     undecided_voxels: int = 0
     inside_voxels: int = 0
+    chord_error: float = 0.0
+    points: int = 0
+    inside_points: int = 0
     device: str = ""
     seconds: Mapping[str, float] = field(default_factory=dict)
     peak_bytes: int = 0
@@ -86,6 +93,12 @@ class Report:
         """Make a report from a mapping; unknown keys are ignored."""
         known = {item.name for item in fields(cls)}
         return cls(**{name: value for name, value in facts.items() if name in known})
+
+    @classmethod
+    def of_mesh(cls, mesh: Any, facts: Mapping[str, Any]) -> Report:
+        """The core's facts with those of the mesh they are about."""
+        sizes = {"faces": len(mesh.faces), "vertices": len(mesh.vertices), "chord_error": mesh.chord_error}
+        return cls.from_dict({**facts, **sizes})
 
     def to_dict(self) -> dict[str, Any]:
         """Convert the report to plain values that JSON can store."""
@@ -113,6 +126,8 @@ class Report:
         inside = count_text(self.inside_voxels, "voxel")
         if self.undecided_voxels:
             inside += f" ({self.undecided_voxels:,} undecided)"
+        if self.points:
+            inside = f"{self.inside_points:,} of {count_text(self.points, 'point')}"
         rows.append(("inside", inside))
         stages = ", ".join(f"{stage} {seconds_text(seconds)}" for stage, seconds in self.seconds.items())
         rows.append(("time", f"{stages} on {self.device}" if stages else f"on {self.device}"))

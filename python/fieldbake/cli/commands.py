@@ -1,10 +1,11 @@
-"""The command line: ``fieldbake bake | info | convert | pack | render | merge | csg | devices | demo``.
+"""The command line: ``fieldbake bake | query | check | info | convert | pack | render | merge | csg | devices | demo``.
 
 Exit codes: 0 for success, 1 for an error in the input (one line on stderr), 2 for wrong usage.
 """
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -181,7 +182,7 @@ def bake(
         if encoding != "float32":
             volume = volume.quantize(encoding, band=width)
     volume.save(output)
-    _show(f"{output}", _volume_rows(volume))
+    show_rows(f"{output}", _volume_rows(volume))
 
 
 @app.command()
@@ -197,7 +198,7 @@ def merge(
     things = fb.load_scene(scene) if is_scene else [fb.load_mesh(scene)]
     field = fb.merge(things, resolution, device=device, progress=err.is_terminal)
     field.save(output)
-    _show(f"{output}", _volume_rows(field))
+    show_rows(f"{output}", _volume_rows(field))
 
 
 @app.command()
@@ -208,9 +209,9 @@ def info(
     if file.suffix.lower() in (".npz", *textures.ENDINGS, *images.ENDINGS):
         found = fb.load(file)
         is_atlas = isinstance(found, fb.Atlas)
-        _show(str(file), _atlas_rows(found, file.suffix.lower()) if is_atlas else _volume_rows(found))
+        show_rows(str(file), _atlas_rows(found, file.suffix.lower()) if is_atlas else _volume_rows(found))
     else:
-        _show(str(file), _mesh_rows(fb.load_mesh(file)))
+        show_rows(str(file), _mesh_rows(fb.load_mesh(file)))
 
 
 @app.command()
@@ -241,9 +242,9 @@ def convert(
             found = found.quantize(encoding, band=band)
     found.save(output)
     if isinstance(found, fb.Atlas):
-        _show(str(output), _atlas_rows(as_written(found, ending), ending))
+        show_rows(str(output), _atlas_rows(as_written(found, ending), ending))
     elif isinstance(found, (fb.Volume, fb.SparseVolume)):
-        _show(str(output), _volume_rows(found))
+        show_rows(str(output), _volume_rows(found))
     else:
         out.print(f"[bold]{escape(str(output))}[/]  {escape(repr(found))}", soft_wrap=True)
 
@@ -310,7 +311,7 @@ def pack(
     if shader is not None:
         text = atlas.shader(languages[shader.suffix.lower()], texels="png" if ending == ".png" else "pages")
         shader.write_text(text, encoding="utf-8")
-    _show(f"{output}", _atlas_rows(atlas, ending))
+    show_rows(f"{output}", _atlas_rows(atlas, ending))
 
 
 @app.command()
@@ -506,7 +507,8 @@ def _check_encoding(output: Path, encoding: str) -> None:
         raise typer.BadParameter(f".nrrd files hold float32, got {encoding}", param_hint="--encoding")
 
 
-def _show(title: str, rows: list[tuple[str, str]]) -> None:
+def show_rows(title: str, rows: list[tuple[str, str]]) -> None:
+    """Print labels and texts as a table."""
     table = Table(title=escape(title), title_justify="left", show_header=False, title_style="bold")
     table.add_column(style="cyan", no_wrap=True)
     table.add_column(overflow="fold")
@@ -576,4 +578,6 @@ def _mesh_rows(mesh: fb.Mesh) -> list[tuple[str, str]]:
 
 def main() -> None:
     """Run the command line."""
+    # What deserves a warning is a row of the tables that commands print.
+    warnings.simplefilter("ignore", fb.SurfaceWarning)
     app(prog_name="fieldbake")

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..base import checks
 from ..base.errors import MeshError
 from .mesh import ALPHA_MODES, Mesh, Part, check_faces, check_uv, check_vertices
+from .neighbours import triangles_of
 
 #: Every argument that accepts a mesh accepts a Mesh, a path, a trimesh.Trimesh or trimesh.Scene, (vertices, faces), or
 #: a list of these, each optionally as (object, transform).
@@ -40,6 +41,7 @@ class _Piece:
     faces: NDArray[np.int64]
     uv: NDArray[np.float32] | None = None
     parts: list[Part] = field(default_factory=list)
+    chord_error: float = 0.0
 
     def transformed(self, transform: NDArray[np.float64]) -> _Piece:
         """The piece under a 4x4 world-from-local transform."""
@@ -48,7 +50,8 @@ class _Piece:
         vertices = checks.as_float64(self.vertices) @ transform[:3, :3].T + transform[:3, 3]
         mirrored = np.linalg.det(transform[:3, :3]) < 0
         faces = np.ascontiguousarray(self.faces[:, ::-1]) if mirrored else self.faces
-        return _Piece(vertices, faces, self.uv, self.parts)
+        stretch = float(np.linalg.norm(transform[:3, :3], 2))
+        return _Piece(vertices, faces, self.uv, self.parts, self.chord_error * stretch)
 
 
 def load_mesh(path: str | os.PathLike[str]) -> Mesh:
@@ -81,7 +84,10 @@ def as_mesh(thing: MeshLike) -> Mesh:
     Parameters
     ----------
     thing : Mesh, path, trimesh.Trimesh, trimesh.Scene, (vertices, faces), or a list of those
-        Items of a list may be ``(object, transform)`` with a 4x4 world-from-local transform.
+        Also PyVista's PolyData, both triangle meshes of Open3D, and anything with ``tessellate(tolerance)``, such as
+        the solids of build123d and CadQuery: those are tessellated with a chord error of 1e-4 of their diagonal, see
+        `Mesh.chord_error`. Arrays may be of any library that offers ``__array__`` or ``__dlpack__``. Items of a list
+        may be ``(object, transform)`` with a 4x4 world-from-local transform.
 
     Raises
     ------
@@ -99,7 +105,9 @@ def _mesh(pieces: Sequence[_Piece], path: str | None) -> Mesh:
     """Join the pieces; errors name the file of the pieces."""
     try:
         piece = _join(pieces)
-        return Mesh(piece.vertices, piece.faces, uv=piece.uv, parts=piece.parts or None)
+        mesh = Mesh(piece.vertices, piece.faces, uv=piece.uv, parts=piece.parts or None)
+        mesh._chord_error = piece.chord_error
+        return mesh
     except MeshError as error:
         if path is None:
             raise
@@ -135,6 +143,7 @@ def _join(pieces: Sequence[_Piece]) -> _Piece:
             for piece, start in zip(pieces, first_face, strict=False)
             for part in piece.parts or [Part(faces=range(len(piece.faces)))]
         ],
+        max(piece.chord_error for piece in pieces),
     )
 
 
@@ -143,10 +152,11 @@ def _pieces(thing: MeshLike, name: str) -> list[_Piece]:
     if isinstance(thing, (str, os.PathLike)):
         return _from_file(thing)
     if isinstance(thing, Mesh):
-        return [_Piece(thing.vertices, thing.faces.astype(np.int64), thing.uv, list(thing.parts))]
+        faces = thing.faces.astype(np.int64)
+        return [_Piece(thing.vertices, faces, thing.uv, list(thing.parts), thing.chord_error)]
     if hasattr(thing, "graph") and hasattr(thing, "geometry"):
         return _from_scene(thing, name)
-    if hasattr(thing, "vertices") and hasattr(thing, "faces"):
+    if hasattr(thing, "vertices") and hasattr(thing, "faces") and not callable(thing.vertices):
         return [_from_trimesh(thing)]
     if isinstance(thing, (tuple, list)) and is_arrays(thing):
         return [_Piece(check_vertices(thing[0]), check_faces(thing[1]))]
@@ -157,9 +167,11 @@ def _pieces(thing: MeshLike, name: str) -> list[_Piece]:
         if not thing:
             raise MeshError(f"{name}: the list is empty; a surface needs at least one mesh")
         return [piece for number, item in enumerate(thing) for piece in _pieces(item, f"{name}[{number}]")]
+    if (found := triangles_of(thing)) is not None:
+        return [_Piece(check_vertices(found.vertices), check_faces(found.faces), chord_error=found.chord_error)]
     raise MeshError(
         f"{name}: cannot make a mesh of {checks.describe(thing)}; give a path, a trimesh object, "
-        "(vertices, faces), (thing, transform), or a list of those"
+        "(vertices, faces), an object of PyVista, Open3D, build123d or CadQuery, (thing, transform), or a list of those"
     )
 
 

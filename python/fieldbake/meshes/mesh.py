@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _core
 from ..base import checks
 from ..base.errors import MeshError
+from . import facts
+from .export import save_mesh
 from .images import decoded
 
 if TYPE_CHECKING:
@@ -91,6 +94,10 @@ class Part:
             opacity = (opacity >= self.alpha_cutoff).astype(np.float32)
         return checks.frozen(opacity)
 
+    def __getstate__(self) -> dict[str, Any]:
+        # Decoded pixels are made again from the image.
+        return {name: value for name, value in self.__dict__.items() if name not in ("texture", "alpha")}
+
     def __repr__(self) -> str:
         looks = "textured" if self._image is not None else "color " + ", ".join(f"{c:.3g}" for c in self.color)
         return f"Part('{self.name}', {len(self.faces)} faces, {looks}, {self.alpha_mode})"
@@ -150,6 +157,7 @@ class Mesh:
         positions = check_vertices(vertices)
         triangles = check_faces(faces)
         self._core = _core.Mesh(checks.as_float64(positions), triangles)
+        self._chord_error = 0.0
 
         # Looks follow the rows that the core kept.
         self._uv = None
@@ -210,6 +218,68 @@ class Mesh:
         """Bytes of vertices, faces and, once built, the search tree."""
         return self._core.nbytes
 
+    @cached_property
+    def area(self) -> float:
+        """Sum of the areas of all faces, square world units."""
+        return facts.area(self._core.vertices, self.faces)
+
+    @cached_property
+    def volume(self) -> float:
+        """Enclosed volume, cubic world units: signed as the faces are wound, negative for a mesh inside out.
+
+        Of an open mesh: the sum of the signed volumes between its faces and the centre of its box.
+        """
+        return facts.signed_volume(self._core.vertices, self.faces, self.center)
+
+    @cached_property
+    def is_closed(self) -> bool:
+        """Whether the surface has no opening, after the repairs that `topology` counts."""
+        return bool(self.topology()["closed"])
+
+    @cached_property
+    def face_normals(self) -> NDArray[np.float64]:
+        """Unit normals of the faces by their own winding, (m, 3) float64, read-only."""
+        return checks.frozen(facts.face_normals(self._core.vertices, self.faces))
+
+    @cached_property
+    def vertex_normals(self) -> NDArray[np.float64]:
+        """Unit normals of the vertices, weighted by the angles of their faces, (n, 3) float64, read-only.
+
+        Zero for vertices without a face.
+        """
+        return checks.frozen(facts.vertex_normals(self._core.vertices, self.faces))
+
+    @property
+    def chord_error(self) -> float:
+        """Largest distance to the solid that the mesh was tessellated from, world units; 0 for other meshes."""
+        return self._chord_error
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the geometry to a file.
+
+        Parameters
+        ----------
+        path : str or path
+            The ending chooses the format: ``.stl`` (binary), ``.obj``, ``.ply`` (binary), ``.glb`` or ``.3mf``. OBJ,
+            PLY and 3MF keep float64 positions; STL and GLB have float32. 3MF takes world units as millimetres.
+
+        Raises
+        ------
+        MeshError
+            For another ending.
+        OSError
+            If the file cannot be written; one that was there before is left as it was.
+
+        Notes
+        -----
+        Geometry alone is written, without texture coordinates and images.
+        """
+        save_mesh(self.vertices, self.faces, path)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        core = self._core
+        return restore, (*core.state(), self._uv, self._parts, self._chord_error)
+
     def topology(self) -> dict[str, Any]:
         """Facts of the surface: boundary, non-manifold, flipped, duplicate and degenerate counts, `closed`, ..."""
         return self._core.topology()
@@ -225,6 +295,29 @@ class Mesh:
         return f"Mesh({len(self.vertices)} vertices, {len(self.faces)} faces, {extent} units)"
 
 
+def restore(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.uint32],
+    rows: NDArray[np.uint32] | None,
+    uv: NDArray[np.float32] | None,
+    parts: tuple[Part, ...],
+    chord_error: float,
+) -> Mesh:
+    """Make the mesh that `Mesh.__reduce__` took apart. `rows` are the input rows of vertices that were kept."""
+    mesh = Mesh.__new__(Mesh)
+    if rows is not None:
+        # Vertices that were dropped were not finite; their places keep the numbering of the input.
+        places = np.full((int(rows[-1]), 3), np.nan)
+        places[rows[:-1]] = vertices
+        vertices = places
+        faces = rows[faces]
+    mesh._core = _core.Mesh(np.ascontiguousarray(vertices), faces.astype(np.int64))
+    mesh._uv = None if uv is None else checks.frozen(uv)
+    mesh._parts = parts
+    mesh._chord_error = chord_error
+    return mesh
+
+
 def check_vertices(value: ArrayLike) -> NDArray[Any]:
     """Real positions of shape (n, 3), or MeshError. Values are left to the core, which knows which are used."""
     array = checks.real_array("vertices", value, "(n, 3)", MeshError)
@@ -238,8 +331,8 @@ def check_vertices(value: ArrayLike) -> NDArray[Any]:
 def check_faces(value: ArrayLike) -> NDArray[np.int64]:
     """Whole numbers of shape (m, 3), C-contiguous int64, or MeshError. The range is left to the core."""
     try:
-        array = np.asarray(value)
-    except (ValueError, TypeError) as error:
+        array = checks.as_array(value)
+    except (ValueError, TypeError, RuntimeError, BufferError) as error:
         raise MeshError(f"faces: must be an array of shape (m, 3), got {checks.describe(value)} ({error})") from None
     if array.size == 0 and array.ndim <= 2:
         return np.empty((0, 3), dtype=np.int64)

@@ -154,6 +154,28 @@ class Volume(GridField):
             raise ValueError(f"distances are float32: {wanted} needs a copy")
         return np.array(self._distances, dtype=wanted)
 
+    @property
+    def __array_interface__(self) -> dict[str, Any]:
+        return self._distances.__array_interface__
+
+    def __dlpack__(
+        self,
+        *,
+        stream: object = None,
+        max_version: tuple[int, int] | None = None,
+        dl_device: tuple[int, int] | None = None,
+        copy: bool | None = None,
+    ) -> object:
+        """The samples for another library; a writable copy for readers that know no read-only tensors."""
+        if stream is not None:
+            raise BufferError("the samples are in host memory, which has no streams")
+        if max_version is None or max_version[0] < 1 or copy or np.lib.NumpyVersion(np.__version__) < "2.1.0":
+            return np.array(self._distances, order="K").__dlpack__()
+        return self._distances.__dlpack__(max_version=max_version, dl_device=dl_device, copy=copy)
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        return self._distances.__dlpack_device__()
+
     def sample(self, points: ArrayLike, *, filter: Filter = "linear") -> NDArray[np.float32]:
         """The field at any points.
 

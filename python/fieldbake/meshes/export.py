@@ -1,0 +1,107 @@
+"""Meshes as files: STL, OBJ, PLY, GLB and 3MF."""
+
+from __future__ import annotations
+
+import io
+import os
+import zipfile
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import MeshError
+from ..files.container import atomic_write
+from .facts import face_normals
+
+Vertices = NDArray[np.float64]
+Faces = NDArray[np.uint32]
+
+KINDS = (".stl", ".obj", ".ply", ".glb", ".3mf")
+
+
+def save_mesh(vertices: Vertices, faces: Faces, path: str | os.PathLike[str]) -> None:
+    """Write vertices (n, 3) and faces (m, 3) to a file; see `Mesh.save`."""
+    target = Path(path)
+    kind = target.suffix.lower()
+    if kind not in KINDS:
+        raise MeshError(f"{path}: a mesh is written as {', '.join(KINDS)}, got the ending '{target.suffix}'")
+    with atomic_write(target) as stream:
+        if kind == ".stl":
+            _write_stl(vertices, faces, stream)
+        elif kind == ".obj":
+            _write_obj(vertices, faces, stream)
+        elif kind == ".ply":
+            _write_ply(vertices, faces, stream)
+        elif kind == ".3mf":
+            _write_3mf(vertices, faces, stream)
+        else:
+            import trimesh
+
+            exported: Any = trimesh.Trimesh(vertices, faces.astype(np.int64), process=False).export(file_type="glb")
+            stream.write(exported)
+
+
+def _write_stl(vertices: Vertices, faces: Faces, stream: IO[bytes]) -> None:
+    """Binary STL: float32 corners of every face and its normal."""
+    record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    records = np.zeros(len(faces), record)
+    records["normal"] = face_normals(vertices, faces)
+    records["corners"] = vertices[faces]
+    stream.write(b"fieldbake".ljust(80))
+    stream.write(np.uint32(len(records)).tobytes())
+    stream.write(records.tobytes())
+
+
+def _write_obj(vertices: Vertices, faces: Faces, stream: IO[bytes]) -> None:
+    """Text with as many digits as float64 needs to come back equal."""
+    lines = [f"v {x!r} {y!r} {z!r}\n" for x, y, z in vertices.tolist()]
+    lines += [f"f {a} {b} {c}\n" for a, b, c in (faces.astype(np.int64) + 1).tolist()]
+    stream.write("".join(lines).encode("ascii"))
+
+
+def _write_ply(vertices: Vertices, faces: Faces, stream: IO[bytes]) -> None:
+    """Binary PLY with float64 positions."""
+    header = (
+        "ply\nformat binary_little_endian 1.0\n"
+        f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n"
+        f"element face {len(faces)}\nproperty list uchar uint vertex_indices\nend_header\n"
+    )
+    records = np.zeros(len(faces), np.dtype([("count", "u1"), ("corners", "<u4", 3)]))
+    records["count"] = 3
+    records["corners"] = faces
+    stream.write(header.encode("ascii"))
+    stream.write(vertices.astype("<f8").tobytes())
+    stream.write(records.tobytes())
+
+
+def _write_3mf(vertices: Vertices, faces: Faces, stream: IO[bytes]) -> None:
+    """A 3MF package with one object; positions are taken as millimetres."""
+    corners = "".join(f'<vertex x="{x!r}" y="{y!r}" z="{z!r}"/>' for x, y, z in vertices.tolist())
+    triangles = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in faces.tolist())
+    model = (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        '<model unit="millimeter" xml:lang="en-US" xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02">'
+        '<resources><object id="1" type="model"><mesh>'
+        f"<vertices>{corners}</vertices><triangles>{triangles}</triangles>"
+        '</mesh></object></resources><build><item objectid="1"/></build></model>'
+    )
+    types = (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        '<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">'
+        '<Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
+        '<Default Extension="model" ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/></Types>'
+    )
+    relations = (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        '<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">'
+        '<Relationship Target="/3D/3dmodel.model" Id="rel0" '
+        'Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/></Relationships>'
+    )
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, text in (("[Content_Types].xml", types), ("_rels/.rels", relations), ("3D/3dmodel.model", model)):
+            # A fixed date, so that equal meshes make equal files.
+            archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), text, zipfile.ZIP_DEFLATED)
+    stream.write(buffer.getvalue())

@@ -1,0 +1,96 @@
+"""Triangles of other libraries' objects, recognised by their attributes: PyVista, Open3D, build123d and CadQuery."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import MeshError
+
+#: Chord error of a tessellated solid, as a share of the diagonal of its box.
+CHORD_SHARE = 1e-4
+#: Chord error of a solid without a box, in its own units.
+CHORD_WITHOUT_BOX = 1e-2
+
+
+class Triangles(NamedTuple):
+    """Arrays that another library's object holds."""
+
+    vertices: Any
+    faces: Any
+    #: Largest distance between the triangles and the solid they stand for; 0 for meshes.
+    chord_error: float = 0.0
+
+
+def triangles_of(thing: Any) -> Triangles | None:
+    """The triangles of an object that one of the libraries made, or None for anything else."""
+    if hasattr(thing, "triangulate") and hasattr(thing, "points") and hasattr(thing, "regular_faces"):
+        return _of_pyvista(thing)
+    if hasattr(thing, "vertex") and hasattr(thing, "triangle") and hasattr(thing.vertex, "positions"):
+        # Open3D's tensor mesh.
+        return Triangles(_host(thing.vertex.positions), _host(thing.triangle.indices))
+    if hasattr(thing, "vertices") and hasattr(thing, "triangles") and not callable(thing.vertices):
+        # Open3D's legacy mesh.
+        return Triangles(np.asarray(thing.vertices), np.asarray(thing.triangles))
+    if hasattr(thing, "tessellate"):
+        return _of_solid(thing)
+    if hasattr(thing, "val") and hasattr(thing, "vals") and callable(thing.vals):
+        # A CadQuery workplane: all solids on its stack.
+        return _joined([_of_solid(solid) for solid in thing.vals() if hasattr(solid, "tessellate")])
+    return None
+
+
+def _of_pyvista(thing: Any) -> Triangles:
+    """PolyData; polygons are triangulated by PyVista itself."""
+    surface = thing if thing.is_all_triangles else thing.triangulate()
+    return Triangles(np.asarray(surface.points), np.asarray(surface.regular_faces).reshape(-1, 3))
+
+
+def _of_solid(thing: Any) -> Triangles:
+    """Anything with ``tessellate(tolerance)``: vertices with coordinates, and triples of their rows."""
+    tolerance = _diagonal(thing) * CHORD_SHARE or CHORD_WITHOUT_BOX
+    vertices, faces = thing.tessellate(tolerance)
+    rows = np.array([_coordinates(vertex) for vertex in vertices], np.float64).reshape(-1, 3)
+    return Triangles(rows, np.asarray(faces, np.int64).reshape(-1, 3), tolerance)
+
+
+def _joined(parts: list[Triangles]) -> Triangles | None:
+    if not parts:
+        return None
+    starts = np.cumsum([0] + [len(part.vertices) for part in parts])
+    return Triangles(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=False)]),
+        max(part.chord_error for part in parts),
+    )
+
+
+def _diagonal(thing: Any) -> float:
+    """Diagonal of the box of a solid; 0 if it names none."""
+    for name in ("bounding_box", "BoundingBox"):
+        if callable(method := getattr(thing, name, None)):
+            diagonal = getattr(method(), "diagonal", getattr(method(), "DiagonalLength", 0.0))
+            return float(diagonal)
+    return 0.0
+
+
+def _coordinates(vertex: Any) -> Any:
+    """Three numbers of a vector, whatever the library calls them."""
+    for name in ("to_tuple", "toTuple"):
+        if callable(method := getattr(vertex, name, None)):
+            return method()
+    if hasattr(vertex, "X"):
+        return vertex.X, vertex.Y, vertex.Z
+    if hasattr(vertex, "x"):
+        return vertex.x, vertex.y, vertex.z
+    values = tuple(vertex)
+    if len(values) != 3:
+        raise MeshError(f"mesh: tessellate() gave a vertex of {len(values)} numbers, expected 3")
+    return values
+
+
+def _host(tensor: Any) -> NDArray[Any]:
+    """A tensor of Open3D as an array."""
+    return np.asarray(tensor.cpu().numpy() if hasattr(tensor, "cpu") else tensor)

@@ -1,0 +1,59 @@
+"""What the queries of a mesh share: the sign methods, the limits of positions, and the rows of faces."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base import checks
+from ..base.errors import ArgumentError
+from ..base.notices import warn_surface
+from ..meshes.convert import MeshLike, as_mesh
+from ..meshes.mesh import Mesh
+
+Sign = Literal["auto", "winding", "parity", "pseudonormal", "normal", "unsigned"]
+
+#: Largest distance of a point from the centre of the mesh, in sizes of the mesh. The core squares it in float64.
+MAX_POINT_REACH = 1e36
+
+
+def choices(sign: Sign, device: str) -> tuple[str, str]:
+    """Both as text; the core knows which words it takes."""
+    return checks.text("sign", sign), checks.text("device", device)
+
+
+def checked_points(mesh: MeshLike, points: object) -> tuple[Mesh, NDArray[np.float64], tuple[int, ...]]:
+    """The mesh, the points as (n, 3) float64, and their leading shape."""
+    flat, shape = checks.points(points)
+    checked = as_mesh(mesh)
+    check_reach("points", checked, flat, MAX_POINT_REACH)
+    return checked, flat, shape
+
+
+def check_reach(name: str, mesh: Mesh, positions: NDArray[np.float64], limit: float) -> None:
+    """Refuse positions so far out that distances, in sizes of the mesh, would not fit."""
+    if positions.size == 0:
+        return
+    lower, upper = mesh.bounds
+    size = float((upper - lower).max())
+    center = mesh.center
+    reach = float(max(positions.max() - center.min(), center.max() - positions.min()))
+    if reach > limit * size:
+        raise ArgumentError(
+            f"{name}: {reach:.3g} away from a mesh of size {size:.3g} is too far; at most {limit:g} times its size"
+        )
+
+
+def source_faces(mesh: MeshLike, checked: Mesh, faces: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Rows of the faces as the user knows them: those of a Mesh, else those that were passed or read. -1 stays."""
+    if mesh is checked:
+        return faces
+    rows: NDArray[np.int64] = np.where(faces >= 0, checked._core.source_faces[faces], -1)
+    return rows
+
+
+def warn_of_signs(mesh: Mesh, sign: str) -> None:
+    """Warn once if the surface leaves its inside open to interpretation."""
+    warn_surface(mesh._core.sign_warnings(sign))

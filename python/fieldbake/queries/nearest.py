@@ -1,0 +1,336 @@
+"""Closest points, signed distances, gradients and the inside of a mesh at any points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import _core
+from ..base import checks
+from ..base.notices import warn_surface
+from ..base.progress import Progress, progress_callback
+from ..base.report import Report
+from ..meshes.convert import MeshLike
+from .common import Sign, checked_points, choices, source_faces, warn_of_signs
+
+
+@dataclass(frozen=True, eq=False)
+class ClosestPoints:
+    """The nearest points of a surface; arrays keep the leading shape of the query points.
+
+    Unpacks as ``points, distances, faces``, the order of `trimesh.proximity.closest_point`.
+
+    Attributes
+    ----------
+    points : (..., 3) float64
+        Closest points on the surface, world units.
+    distances : (...) float64
+        Unsigned distances, world units.
+    faces : (...) int64
+        Faces that hold the points: rows of `Mesh.faces` for a Mesh, rows of the faces as passed or read for anything
+        else.
+    barycentric : (..., 3) float64
+        Weights of the face's corners, from 0 to 1; their sum is 1.
+    normals : (..., 3) float64
+        Unit normals of the faces, by their own winding.
+    """
+
+    points: NDArray[np.float64]
+    distances: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    barycentric: NDArray[np.float64]
+    normals: NDArray[np.float64]
+
+    def __iter__(self) -> Iterator[NDArray[Any]]:
+        return iter((self.points, self.distances, self.faces))
+
+
+class Query(NamedTuple):
+    """Signed distances of points and all that is known about the nearest surface; arrays keep the leading shape."""
+
+    #: Signed distances, (...) float64, world units, negative inside.
+    distances: NDArray[np.float64]
+    #: Unit gradients of the signed distance, (..., 3) float64: they point away from the inside.
+    gradients: NDArray[np.float64]
+    #: Closest points on the surface, (..., 3) float64, world units.
+    points: NDArray[np.float64]
+    #: Faces that hold the closest points, (...) int64; rows as in `ClosestPoints`.
+    faces: NDArray[np.int64]
+    #: Weights of the face's corners, (..., 3) float64, from 0 to 1.
+    barycentric: NDArray[np.float64]
+    #: Facts of the surface and of the work, as those of a bake.
+    report: Report
+
+
+def closest_point(
+    mesh: MeshLike, points: ArrayLike, *, device: str = "auto", progress: Progress = None
+) -> ClosestPoints:
+    """Find the nearest point of a mesh for any points.
+
+    Parameters
+    ----------
+    mesh : Mesh or anything :func:`bake` takes
+        Pass the same `Mesh` to several calls: its search tree is built once.
+    points : (..., 3) real
+        World positions.
+    device : str, default "auto"
+        ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`.
+    progress : bool or callable, optional
+        True draws a bar on stderr; a callable is called with the fraction done.
+
+    Returns
+    -------
+    ClosestPoints
+        Points, unsigned distances, faces, barycentric coordinates and face normals.
+
+    Raises
+    ------
+    MeshError, ArgumentError, DeviceError
+        As for :func:`bake`; ArgumentError also for a point that is not finite.
+
+    Notes
+    -----
+    On the CPU the nearest face is decided in float64; among equally near faces the lowest row is taken. A graphics
+    device decides in float32, so its distances may be larger by up to 1e-6 of the mesh's size.
+
+    Examples
+    --------
+    >>> import fieldbake
+    >>> triangle = fieldbake.Mesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
+    >>> closest = closest_point(triangle, [(0.25, 0.25, 3.0)])
+    >>> closest.points.tolist(), closest.distances.tolist(), closest.faces.tolist()
+    ([[0.25, 0.25, 0.0]], [3.0], [0])
+    >>> closest.barycentric.tolist(), closest.normals.tolist()
+    ([[0.5, 0.25, 0.25]], [[0.0, 0.0, 1.0]])
+    """
+    checked, flat, shape = checked_points(mesh, points)
+    where = checks.text("device", device)
+    with progress_callback(progress, "closest point") as callback:
+        nearest, distances, faces, weights, normals = _core.closest_point(
+            checked._core, flat, device=where, progress=callback
+        )
+    return ClosestPoints(
+        nearest.reshape(*shape, 3),
+        distances.reshape(shape),
+        source_faces(mesh, checked, faces).reshape(shape),
+        weights.reshape(*shape, 3),
+        normals.reshape(*shape, 3),
+    )
+
+
+def query(
+    mesh: MeshLike,
+    points: ArrayLike,
+    *,
+    sign: Sign = "auto",
+    device: str = "auto",
+    progress: Progress = None,
+) -> Query:
+    """Evaluate signed distances, gradients and closest points in one pass.
+
+    Parameters
+    ----------
+    mesh : Mesh or anything :func:`bake` takes
+        Pass the same `Mesh` to several calls: its search tree is built once.
+    points : (..., 3) real
+        World positions.
+    sign, device, progress
+        As for :func:`bake`.
+
+    Returns
+    -------
+    Query
+        Signed distances, unit gradients, closest points, faces, barycentric coordinates, and a report that names the
+        device.
+
+    Raises
+    ------
+    MeshError, ArgumentError, DeviceError
+        As for :func:`bake`; ArgumentError also for a point that is not finite.
+
+    Warns
+    -----
+    SurfaceWarning
+        Once per call if the surface is open, inside out, or has flipped or one-sided parts.
+
+    Notes
+    -----
+    The gradient at p with closest point c is ``(p - c) / |p - c|``, negated inside. On the surface it is the
+    angle-weighted pseudonormal, turned away from the inside. Where several closest points are equally near (on the
+    medial axis) the distance has no gradient, and the one of the face with the lowest row is returned.
+    With ``sign="unsigned"`` distances are unsigned and gradients those of the unsigned distance.
+
+    Examples
+    --------
+    >>> import fieldbake
+    >>> corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    >>> tetrahedron = fieldbake.Mesh(corners, [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])
+    >>> found = query(tetrahedron, [(0.1, 0.1, -2), (0.25, 0.25, 0.125)])
+    >>> found.distances.tolist(), found.gradients.tolist()
+    ([2.0, -0.125], [[0.0, 0.0, -1.0], [0.0, 0.0, -1.0]])
+    >>> found.report.inside_points
+    1
+    """
+    method, where = choices(sign, device)
+    checked, flat, shape = checked_points(mesh, points)
+    with progress_callback(progress, "query") as callback:
+        distances, gradients, nearest, faces, weights, facts = _core.query(
+            checked._core, flat, sign=method, device=where, progress=callback
+        )
+    report = Report.of_mesh(checked, facts)
+    warn_surface(report.warnings)
+    return Query(
+        distances.reshape(shape),
+        gradients.reshape(*shape, 3),
+        nearest.reshape(*shape, 3),
+        source_faces(mesh, checked, faces).reshape(shape),
+        weights.reshape(*shape, 3),
+        report,
+    )
+
+
+def signed_distance(
+    mesh: MeshLike,
+    points: ArrayLike,
+    *,
+    sign: Sign = "auto",
+    device: str = "auto",
+    progress: Progress = None,
+) -> NDArray[np.float32]:
+    """Evaluate the signed distance of a mesh at any points.
+
+    Parameters
+    ----------
+    mesh : Mesh or anything :func:`bake` takes
+        Pass the same `Mesh` to several calls: its search tree is built once.
+    points : (..., 3) real
+        World positions.
+    sign, device, progress
+        As for :func:`bake`.
+
+    Returns
+    -------
+    (...) float32
+        World units, negative inside.
+
+    Raises
+    ------
+    MeshError, ArgumentError, DeviceError
+        As for :func:`bake`; ArgumentError also for a point that is not finite.
+
+    Warns
+    -----
+    SurfaceWarning
+        Once per call if the surface is open, inside out, or has flipped or one-sided parts.
+
+    Examples
+    --------
+    >>> import fieldbake
+    >>> corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    >>> tetrahedron = fieldbake.Mesh(corners, [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])
+    >>> signed_distance(tetrahedron, [(0, 0, -2), (0.25, 0.25, 0.125)]).tolist()
+    [2.0, -0.125]
+    """
+    method, where = choices(sign, device)
+    checked, flat, shape = checked_points(mesh, points)
+    with progress_callback(progress, "signed distance") as callback:
+        values = _core.signed_distance(checked._core, flat, sign=method, device=where, progress=callback)
+    warn_of_signs(checked, method)
+    return values.reshape(shape)
+
+
+def contains(mesh: MeshLike, points: ArrayLike, *, sign: Sign = "auto", progress: Progress = None) -> NDArray[np.bool_]:
+    """Tell which points are inside a mesh, without computing distances.
+
+    Parameters
+    ----------
+    mesh : Mesh or anything :func:`bake` takes
+        Pass the same `Mesh` to several calls: its search tree is built once.
+    points : (..., 3) real
+        World positions.
+    sign, progress
+        As for :func:`bake`. With ``sign="unsigned"`` no point is inside.
+
+    Returns
+    -------
+    (...) bool
+        True where the signed distance is negative. Points within 1e-7 of the mesh's size of the surface may be counted
+        on either side.
+
+    Raises
+    ------
+    MeshError, ArgumentError
+        As for :func:`bake`; ArgumentError also for a point that is not finite.
+
+    Warns
+    -----
+    SurfaceWarning
+        Once per call if the surface is open, inside out, or has flipped or one-sided parts.
+
+    Examples
+    --------
+    >>> import fieldbake
+    >>> corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    >>> tetrahedron = fieldbake.Mesh(corners, [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])
+    >>> contains(tetrahedron, [(0, 0, -2), (0.25, 0.25, 0.125)]).tolist()
+    [False, True]
+    """
+    method = checks.text("sign", sign)
+    checked, flat, shape = checked_points(mesh, points)
+    with progress_callback(progress, "contains") as callback:
+        inside = _core.contains(checked._core, flat, sign=method, progress=callback)
+    warn_of_signs(checked, method)
+    return inside.reshape(shape)
+
+
+def winding_number(
+    mesh: MeshLike, points: ArrayLike, *, error: float = 1e-6, progress: Progress = None
+) -> NDArray[np.float64]:
+    """Evaluate the signed generalised winding number of the faces as they are wound.
+
+    Parameters
+    ----------
+    mesh : Mesh or anything :func:`bake` takes
+        Pass the same `Mesh` to several calls: its search tree is built once.
+    points : (..., 3) real
+        World positions.
+    error : float, default 1e-6
+        Largest absolute error. From 0.01 up, surfaces with many openings are evaluated faster, by dipoles.
+    progress : bool or callable, optional
+        True draws a bar on stderr; a callable is called with the fraction done.
+
+    Returns
+    -------
+    (...) float64
+        1 inside a closed mesh that faces outwards, -1 inside one that is inside out, 0 outside; fractions near
+        openings.
+
+    Raises
+    ------
+    MeshError, ArgumentError
+        As for :func:`bake`; ArgumentError also for a point that is not finite and an `error` that is not positive.
+
+    Notes
+    -----
+    Faces are taken as they come: flipped and repeated ones count as such, unlike in the sign of distances. The openings
+    are closed by a cone, the closed surface is counted exactly, and the solid angle of the cone is subtracted. The cost
+    of a point grows with the number of open edges. Method: solid angles of Van Oosterom and Strackee (1983); dipoles of
+    Barill et al. (2018).
+
+    Examples
+    --------
+    >>> import fieldbake
+    >>> corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    >>> inside_out = fieldbake.Mesh(corners, [(0, 1, 2), (0, 3, 1), (0, 2, 3), (1, 3, 2)])
+    >>> winding_number(inside_out, [(0, 0, -2), (0.25, 0.25, 0.125)]).tolist()
+    [0.0, -1.0]
+    """
+    error = checks.number("error", error, above=0)
+    checked, flat, shape = checked_points(mesh, points)
+    with progress_callback(progress, "winding number") as callback:
+        found = _core.winding_number(checked._core, flat, error=error, progress=callback)
+    return found.reshape(shape)

@@ -1,0 +1,144 @@
+"""Signed distances and samples that PyTorch can differentiate. Needs the extra ``fieldbake[torch]``.
+
+Tensors are computed on the CPU; those of other devices are copied there and back.
+
+>>> from fieldbake.torch import signed_distance  # doctest: +SKIP
+>>> vertices.requires_grad_()                    # doctest: +SKIP
+>>> loss = (signed_distance(vertices, faces, points) - target).square().mean()  # doctest: +SKIP
+>>> loss.backward()                              # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+from .base.errors import Error
+from .meshes.mesh import Mesh
+from .queries.derivatives import linearize
+
+__all__ = ["sample", "signed_distance"]
+
+
+def signed_distance(vertices: Any, faces: Any, points: Any, mesh: Mesh | None = None) -> Any:
+    """Evaluate the signed distance of a mesh, differentiable in vertices and points.
+
+    Parameters
+    ----------
+    vertices : (n, 3) tensor of floats
+        Positions, world units.
+    faces : (m, 3) tensor of integers
+        Rows of `vertices`.
+    points : (..., 3) tensor of floats
+        World positions.
+    mesh : Mesh, optional
+        A mesh of the same vertices and faces, whose search tree is used. Without it a tree is built at every call.
+
+    Returns
+    -------
+    (...) tensor
+        Signed distances in the dtype and on the device of `points`, world units, negative inside.
+
+    Raises
+    ------
+    Error
+        If PyTorch is not installed.
+    MeshError, ArgumentError
+        As for :func:`fieldbake.query`.
+
+    Notes
+    -----
+    With the unit gradient g of the distance at a point p, and the weights b of its closest point on the nearest face,
+    the derivatives are ``g`` with respect to p and ``-b[k] * g`` with respect to corner k of that face. They are
+    the exact first derivatives wherever the closest point is unique. On the medial axis, where several points are
+    equally near, the distance has a kink; the derivative is that of one of its sides. Second derivatives are not
+    provided.
+    """
+    return _distance_function().apply(vertices, faces, points, mesh)
+
+
+def sample(distances: Any, bounds: Any, points: Any) -> Any:
+    """Sample a grid of distances trilinearly, differentiable in distances, bounds and points.
+
+    Parameters
+    ----------
+    distances : (nx, ny, nz) tensor of floats
+        Samples at voxel centres, as `Volume.distances`.
+    bounds : (2, 3) tensor of floats
+        Lower and upper corner of the box, world units, as `Volume.bounds`.
+    points : (..., 3) tensor of floats
+        World positions. Outside the outermost samples the nearest position among them is taken.
+
+    Returns
+    -------
+    (...) tensor
+        Trilinear values; equal to `Volume.sample` between the samples.
+
+    Raises
+    ------
+    Error
+        If PyTorch is not installed.
+    """
+    torch = _torch()
+    distances, bounds, points = (torch.as_tensor(value) for value in (distances, bounds, points))
+    shape = torch.tensor(distances.shape, dtype=points.dtype, device=points.device)
+    grid = (points - bounds[0]) / (bounds[1] - bounds[0]) * shape - 0.5
+    grid = torch.minimum(torch.clamp(grid, min=0), shape - 1)
+    low = torch.minimum(grid.detach().floor().long(), torch.clamp(shape.long() - 2, min=0))
+    high = torch.minimum(low + 1, shape.long() - 1)
+    part = grid - low
+    total = 0
+    for corner in range(8):
+        bits = [corner >> axis & 1 for axis in range(3)]
+        rows = [(high if bit else low)[..., axis] for axis, bit in enumerate(bits)]
+        weight = 1
+        for axis, bit in enumerate(bits):
+            weight = weight * (part[..., axis] if bit else 1 - part[..., axis])
+        total = total + weight * distances[rows[0], rows[1], rows[2]]
+    return total
+
+
+def _torch() -> Any:
+    try:
+        import torch
+    except ImportError as error:
+        raise Error("fieldbake.torch needs PyTorch; install it with: pip install 'fieldbake[torch]'") from error
+    return torch
+
+
+@cache
+def _distance_function() -> Any:
+    """The autograd function of :func:`signed_distance`."""
+    torch = _torch()
+
+    class SignedDistance(torch.autograd.Function):  # type: ignore[misc, name-defined]
+        @staticmethod
+        def forward(context: Any, vertices: Any, faces: Any, points: Any, mesh: Mesh | None) -> Any:
+            arrays = [torch.as_tensor(value).detach().cpu().numpy() for value in (vertices, faces, points)]
+            found = linearize(arrays[0], arrays[1], arrays[2], mesh)
+            tensors = (torch.from_numpy(value).to(points.device) for value in found)
+            distances, gradients, corners, weights = tensors
+            context.save_for_backward(gradients, corners, weights)
+            context.vertices = (vertices.shape, vertices.dtype, vertices.device)
+            return distances
+
+        @staticmethod
+        def backward(context: Any, change: Any) -> Any:
+            gradients, corners, weights = context.saved_tensors
+            per_point = change[..., None] * gradients
+            of_vertices = of_points = None
+            if context.needs_input_grad[0]:
+                shape, dtype, device = context.vertices
+                of_corners = -weights[..., :, None] * per_point[..., None, :]
+                of_vertices = torch.zeros(shape, dtype=per_point.dtype, device=per_point.device)
+                of_vertices.index_add_(0, corners.reshape(-1), of_corners.reshape(-1, 3))
+                of_vertices = of_vertices.to(dtype=dtype, device=device)
+            if context.needs_input_grad[2]:
+                of_points = per_point
+            return of_vertices, None, of_points, None
+
+    return SignedDistance
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

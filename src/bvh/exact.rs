@@ -1,0 +1,249 @@
+//! The nearest face of a point, decided in float64.
+//!
+//! *Theory.* The float32 search of [`super::closest`] can mistake which of two faces is nearer when their distances differ by
+//! less than its rounding. On a nearly flat surface that moves the closest point by sqrt(2 d e) for a distance d and a
+//! rounding e, a thousand times the rounding itself. So this search keeps every face within twice the rounding of the best
+//! one, and float64 chooses among them: one to three faces for most points. Equally near faces are decided by the lowest
+//! index, so the answer does not depend on the bound that a search starts with.
+//!
+//! The rounding grows with the distance. Beyond [`FAR`] local units it would keep too many faces, and the boxes are compared
+//! in float64 instead.
+
+use super::closest::ClosestPoint;
+use super::{Bvh, ChildRef, MAX_STACK, Node, WIDTH};
+use crate::mesh::Mesh;
+use glam::DVec3;
+
+/// Largest local coordinate of a point that the float32 search takes.
+const FAR: f64 = 8.0;
+/// Rounding of a float32 distance, relative to 1 plus the largest coordinate of the point: positions, the point and the
+/// frames are rounded to 6e-8 each, and a dozen operations follow (see the test of `bvh::pack`, which allows 2.5e-7).
+const ROUNDING: f64 = 4e-7;
+/// Faces kept before float64 chooses among them: 4 kB would leave the first-level cache.
+const KEPT: usize = 48;
+/// Float32 positions of the boxes differ from the mesh's own by half an ulp of 1/2.
+const BOX_ROUNDING: f64 = 3.1e-8;
+
+/// Faces that may be the nearest, and the best of those that were already compared in float64.
+struct Candidates<'a> {
+    mesh: &'a Mesh,
+    p: DVec3,
+    kept: [(f32, u32); KEPT],
+    count: usize,
+    best: Option<ClosestPoint>,
+}
+
+impl<'a> Candidates<'a> {
+    fn new(mesh: &'a Mesh, p: DVec3) -> Self {
+        Self { mesh, p, kept: [(0.0, 0); KEPT], count: 0, best: None }
+    }
+
+    /// Compare one face in float64.
+    fn compare(&mut self, face: u32) {
+        let found = self.mesh.exact_point_on_face(face, self.p);
+        let nearer = |best: &ClosestPoint| {
+            found.distance < best.distance || (found.distance == best.distance && found.face < best.face)
+        };
+        if self.best.as_ref().is_none_or(nearer) {
+            self.best = Some(found);
+        }
+    }
+
+    #[inline(always)]
+    fn keep(&mut self, squared: f32, face: u32, limit: f32) {
+        if self.count == KEPT {
+            self.drop_beyond(limit);
+        }
+        self.kept[self.count] = (squared, face);
+        self.count += 1;
+    }
+
+    /// Make room: forget the faces beyond the limit; where most are left, compare them now.
+    fn drop_beyond(&mut self, limit: f32) {
+        let mut left = 0;
+        for i in 0..self.count {
+            if self.kept[i].0 <= limit {
+                self.kept[left] = self.kept[i];
+                left += 1;
+            }
+        }
+        self.count = left;
+        if left > KEPT / 2 {
+            self.compare_all(limit);
+        }
+    }
+
+    fn compare_all(&mut self, limit: f32) {
+        for i in 0..self.count {
+            let (squared, face) = self.kept[i];
+            if squared <= limit {
+                self.compare(face);
+            }
+        }
+        self.count = 0;
+    }
+}
+
+impl Mesh {
+    /// The closest point to a local position over all faces, in float64. `bound` is at least the distance; infinity will do.
+    pub fn exact_closest_point(&self, p: DVec3, bound: f64) -> ClosestPoint {
+        if p.abs().max_element() > FAR {
+            return self.closest_point_from_afar(p);
+        }
+        #[cfg(target_arch = "x86_64")]
+        {
+            #[target_feature(enable = "avx2")]
+            fn wide(mesh: &Mesh, p: DVec3, bound: f64) -> ClosestPoint {
+                mesh.exact_closest_point_near(p, bound)
+            }
+            if std::arch::is_x86_feature_detected!("avx2") {
+                // SAFETY: the processor has AVX2. The code is the portable one, compiled for wider registers.
+                return unsafe { wide(self, p, bound) };
+            }
+        }
+        self.exact_closest_point_near(p, bound)
+    }
+
+    #[inline(always)]
+    fn exact_closest_point_near(&self, p: DVec3, bound: f64) -> ClosestPoint {
+        let bvh = self.bvh();
+        let p_single = p.as_vec3();
+        let slack = (2.0 * ROUNDING * (1.0 + p.abs().max_element())) as f32;
+        let mut candidates = Candidates::new(self, p);
+        let reach = bound as f32 + slack;
+        // Squared distances: the best one, and the largest one that float64 may still prefer.
+        let mut limit = reach * reach * (1.0 + 1e-6);
+        let mut best = limit;
+        let mut stack = [(0.0f32, ChildRef::NONE); MAX_STACK];
+        stack[0] = (0.0, Bvh::ROOT);
+        let mut top = 1;
+        while top > 0 {
+            top -= 1;
+            let (box_squared, child) = stack[top];
+            if box_squared > limit {
+                continue;
+            }
+            if child.is_pack() {
+                let pack = &bvh.packs[child.index()];
+                let found = pack.distances_squared(p_single);
+                let least = found.iter().fold(f32::INFINITY, |least, &x| if x < least { x } else { least });
+                if least > limit {
+                    continue;
+                }
+                if least < best {
+                    best = least;
+                    let reach = best.sqrt() + slack;
+                    limit = limit.min(reach * reach);
+                }
+                for (lane, &face) in pack.faces().iter().enumerate() {
+                    if found[lane] <= limit {
+                        candidates.keep(found[lane], face, limit);
+                    }
+                }
+                continue;
+            }
+            let node = &bvh.nodes[child.index()];
+            let found = node.distances_squared(p_single);
+            top = push_nearest_last(&mut stack, top, node, &found, limit);
+        }
+        candidates.compare_all(limit);
+        // A bound that was too small would leave nothing; the search over everything cannot.
+        candidates.best.unwrap_or_else(|| self.closest_point_from_afar(p))
+    }
+
+    /// The same by float64 boxes, for points that float32 cannot place among the faces.
+    fn closest_point_from_afar(&self, p: DVec3) -> ClosestPoint {
+        let bvh = self.bvh();
+        let mut candidates = Candidates::new(self, p);
+        candidates.compare(bvh.nearest(p.as_vec3(), f32::INFINITY).map_or(0, |nearest| nearest.face));
+        let mut stack = vec![(0.0f64, Bvh::ROOT)];
+        while let Some((box_distance, child)) = stack.pop() {
+            let limit = candidates.best.map_or(f64::INFINITY, |best| best.distance);
+            if box_distance > limit {
+                continue;
+            }
+            if child.is_pack() {
+                bvh.packs[child.index()].faces().iter().for_each(|&face| candidates.compare(face));
+                continue;
+            }
+            let node = &bvh.nodes[child.index()];
+            let first = stack.len();
+            for lane in (0..WIDTH).filter(|&lane| !node.children[lane].is_none()) {
+                let distance = box_distance_from(node, lane, p);
+                if distance <= limit {
+                    stack.push((distance, node.children[lane]));
+                }
+            }
+            stack[first..].sort_by(|a, b| b.0.total_cmp(&a.0));
+        }
+        candidates.best.expect("the first face was compared")
+    }
+
+    /// The closest point on one face of the mesh's own float64 positions, local units.
+    pub fn exact_point_on_face(&self, face: u32, p: DVec3) -> ClosestPoint {
+        let on_triangle = crate::geometry::closest_point_on_triangle(p, self.exact_triangle(face));
+        ClosestPoint { face, distance: on_triangle.point.distance(p), on_triangle }
+    }
+}
+
+/// Put the children within the limit on the stack, the nearest on top; returns the new top.
+#[inline(always)]
+fn push_nearest_last(
+    stack: &mut [(f32, ChildRef); MAX_STACK],
+    bottom: usize,
+    node: &Node,
+    squared: &[f32; WIDTH],
+    limit: f32,
+) -> usize {
+    let mut top = bottom;
+    for lane in 0..WIDTH {
+        if squared[lane] <= limit && !node.children[lane].is_none() {
+            let mut slot = top;
+            while slot > bottom && stack[slot - 1].0 < squared[lane] {
+                stack[slot] = stack[slot - 1];
+                slot -= 1;
+            }
+            stack[slot] = (squared[lane], node.children[lane]);
+            top += 1;
+        }
+    }
+    top
+}
+
+/// A lower bound of the distance from `p` to what a lane's box holds.
+fn box_distance_from(node: &Node, lane: usize, p: DVec3) -> f64 {
+    let outside = |axis: usize| {
+        let below = f64::from(node.min[axis][lane]) - BOX_ROUNDING - p[axis];
+        let above = p[axis] - f64::from(node.max[axis][lane]) - BOX_ROUNDING;
+        below.max(above).max(0.0)
+    };
+    DVec3::new(outside(0), outside(1), outside(2)).length() * (1.0 - 1e-15)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::random::soup;
+    use proptest::prelude::*;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(300))]
+        /// The face is that of brute force in float64 and the distance is equal to the bit, near and far.
+        #[test]
+        fn the_face_is_that_of_brute_force(
+            count in 1usize..400, seed in any::<u64>(), x in -1.0..1.0f64, y in -1.0..1.0f64, z in -1.0..1.0f64,
+            far in prop::sample::select(vec![1.0, 1.0, 7.0, 9.0, 1e4, 1e12])
+        ) {
+            let mesh = soup(count, 0.1, seed);
+            let p = DVec3::new(x, y, z) * far;
+            let exact = (0..count as u32).map(|face| mesh.exact_point_on_face(face, p)).reduce(|best, next| {
+                if next.distance < best.distance { next } else { best }
+            }).unwrap();
+            for bound in [f64::INFINITY, exact.distance, 1.5 * exact.distance] {
+                let found = mesh.exact_closest_point(p, bound);
+                prop_assert_eq!(found.distance, exact.distance);
+                prop_assert_eq!(found.face, exact.face);
+            }
+        }
+    }
+}

@@ -1,0 +1,229 @@
+//! All that is known about the nearest point of a mesh, in float64: position, distance, face, barycentric coordinates,
+//! normal, side and gradient.
+//!
+//! The gradient of the distance at p with closest point c is (p - c) / |p - c|, negated inside. Where c lies within a face that
+//! is the normal of the face, which keeps its accuracy as the distance goes to zero. On the surface the gradient is the
+//! angle-weighted pseudonormal of the nearest feature, turned to point away from the inside.
+//!
+//! Signs are decided with float32 positions, which are off the mesh's own by 3e-8 local units. Within [`NEAR`] of the surface
+//! the side follows from the pseudonormal and float64 positions: the sign rule says what lies on either side of the surface,
+//! and the pseudonormal says on which of them the point is.
+
+use super::{Walk, answer_in_order, check_points, prepare};
+use crate::bake::Report;
+use crate::bvh::closest::ClosestPoint;
+use crate::error::Error;
+use crate::geometry::{Feature, barycentric_weights, triangle_cross};
+use crate::gpu::Place;
+use crate::mesh::Mesh;
+use crate::progress::Progress;
+use crate::sign::{SignMethod, SignRule};
+use glam::DVec3;
+use std::time::Instant;
+
+/// Distance below which float32 positions may put a point on the wrong side, local units: seven times their rounding.
+const NEAR: f64 = 2e-7;
+/// Distance from the surface at which the sign rule is evaluated for points nearer than that, local units.
+const ASIDE: f64 = 2e-6;
+/// Distance below which a point is on the surface, relative to the largest coordinate that was rounded: sixteen ulps.
+const ON_SURFACE: f64 = 16.0 * f64::EPSILON;
+/// Distance below which (p - c) has no direction to 1e-3, relative as above.
+const NO_DIRECTION: f64 = 1e3 * f64::EPSILON;
+/// A barycentric weight below this puts a point of the surface on the opposite edge.
+const ON_EDGE: f64 = 1e-9;
+
+/// The closest points of a mesh, one entry per query point.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ClosestPoints {
+    /// World positions.
+    pub points: Vec<[f64; 3]>,
+    /// Unsigned, world units.
+    pub distances: Vec<f64>,
+    /// Indices into the mesh's faces.
+    pub faces: Vec<i64>,
+    /// Weights of the face's corners.
+    pub barycentric: Vec<[f64; 3]>,
+    /// Unit normals of the faces, by their own winding.
+    pub normals: Vec<[f64; 3]>,
+}
+
+/// The answers of a query, one entry per query point.
+#[derive(Debug, Clone, Default)]
+pub struct Query {
+    /// Negative inside, world units.
+    pub distances: Vec<f64>,
+    /// Unit gradients of the signed distance.
+    pub gradients: Vec<[f64; 3]>,
+    /// Closest points, world positions.
+    pub points: Vec<[f64; 3]>,
+    /// Indices into the mesh's faces.
+    pub faces: Vec<i64>,
+    /// Weights of the face's corners.
+    pub barycentric: Vec<[f64; 3]>,
+    pub report: Report,
+}
+
+/// Closest point of the mesh to each world position.
+pub fn closest_points(
+    place: &Place,
+    mesh: &Mesh,
+    points: &[[f64; 3]],
+    progress: &Progress,
+) -> Result<ClosestPoints, Error> {
+    check_points(mesh, points)?;
+    mesh.bvh();
+    let answers = answer_in_order(place, mesh, points, progress, |walk, p, row| {
+        let closest = walk.exact_closest_point(p, row);
+        let corners = mesh.exact_triangle(closest.face);
+        let weights = barycentric_weights(closest.on_triangle.point, corners, closest.on_triangle.feature);
+        (closest, weights, unit_normal(mesh, corners, closest.face))
+    })?;
+    let count = points.len();
+    let mut found = ClosestPoints {
+        points: Vec::with_capacity(count),
+        distances: Vec::with_capacity(count),
+        faces: Vec::with_capacity(count),
+        barycentric: Vec::with_capacity(count),
+        normals: Vec::with_capacity(count),
+    };
+    answers.for_each_row(|(closest, weights, normal)| {
+        found.points.push(mesh.world_from_local(closest.on_triangle.point).to_array());
+        found.distances.push(closest.distance * mesh.scale());
+        found.faces.push(closest.face.into());
+        found.barycentric.push(*weights);
+        found.normals.push(normal.to_array());
+    });
+    Ok(found)
+}
+
+/// Signed distance, gradient and closest point of each world position.
+pub fn query(
+    place: &Place,
+    mesh: &Mesh,
+    points: &[[f64; 3]],
+    method: SignMethod,
+    progress: &Progress,
+) -> Result<Query, Error> {
+    check_points(mesh, points)?;
+    let started = Instant::now();
+    let choice = prepare(mesh, method);
+    let prepared = started.elapsed().as_secs_f64();
+    let answers = answer_in_order(place, mesh, points, progress, |walk, p, row| {
+        let closest = walk.exact_closest_point(p, row);
+        let corners = mesh.exact_triangle(closest.face);
+        let weights = barycentric_weights(closest.on_triangle.point, corners, closest.on_triangle.feature);
+        let (inside, gradient) = side_and_gradient(walk, &choice.rule, p, &closest, corners, weights);
+        (closest, weights, inside, gradient)
+    })?;
+    let count = points.len();
+    let mut found = Query {
+        distances: Vec::with_capacity(count),
+        gradients: Vec::with_capacity(count),
+        points: Vec::with_capacity(count),
+        faces: Vec::with_capacity(count),
+        barycentric: Vec::with_capacity(count),
+        report: Report::default(),
+    };
+    let mut inside_points = 0;
+    answers.for_each_row(|(closest, weights, inside, gradient)| {
+        let distance = closest.distance * mesh.scale();
+        inside_points += usize::from(*inside);
+        found.distances.push(if *inside && distance > 0.0 { -distance } else { distance });
+        found.gradients.push(gradient.to_array());
+        found.points.push(mesh.world_from_local(closest.on_triangle.point).to_array());
+        found.faces.push(closest.face.into());
+        found.barycentric.push(*weights);
+    });
+    found.report = Report::of_query(mesh, &choice, count, inside_points);
+    found.report.device = place.label();
+    found.report.seconds = vec![("prepare", prepared), ("query", started.elapsed().as_secs_f64() - prepared)];
+    found.report.peak_bytes = mesh.bytes() + count * size_of::<(u32, (ClosestPoint, [f64; 4], [f64; 7]))>() * 2;
+    Ok(found)
+}
+
+/// Whether a point is inside, and the unit gradient of its signed distance.
+fn side_and_gradient(
+    walk: &mut Walk<'_>,
+    rule: &SignRule,
+    p: DVec3,
+    closest: &ClosestPoint,
+    corners: [DVec3; 3],
+    weights: [f64; 3],
+) -> (bool, DVec3) {
+    let away = p - closest.on_triangle.point;
+    if closest.distance > NEAR {
+        let inside = walk.is_inside(rule, p, closest);
+        let unit = direction_from(away, closest, corners);
+        return (inside, if inside { -unit } else { unit });
+    }
+    let mesh = walk.mesh;
+    // The rounding of a position is that of the larger of its local and world coordinates.
+    let magnitude = 1.0 + mesh.center().abs().max_element() / mesh.scale();
+    let on_surface = closest.distance <= ON_SURFACE * magnitude;
+    let feature = if on_surface { nearest_feature(closest, weights) } else { closest.on_triangle.feature };
+    let (normal, front, back) = sides(mesh, rule, closest, feature);
+    let outwards = if front && !back { -normal } else { normal };
+    if on_surface {
+        return (false, outwards);
+    }
+    let inside = if away.dot(normal) < 0.0 { back } else { front };
+    if closest.distance <= NO_DIRECTION * magnitude && feature != Feature::Face {
+        return (inside, outwards);
+    }
+    let unit = direction_from(away, closest, corners);
+    (inside, if inside { -unit } else { unit })
+}
+
+/// The pseudonormal of the closest point, and whether the sign rule finds the inside in front of the surface and behind it.
+fn sides(mesh: &Mesh, rule: &SignRule, closest: &ClosestPoint, feature: Feature) -> (DVec3, bool, bool) {
+    let point = closest.on_triangle.point;
+    let own = || triangle_cross(mesh.exact_triangle(closest.face)).try_normalize();
+    let normal = mesh.pseudonormals().at(mesh, closest.face, feature).try_normalize().or_else(own).unwrap_or(DVec3::X);
+    if matches!(rule, SignRule::Unsigned) {
+        return (normal, false, false);
+    }
+    let inside_at = |q: DVec3| rule.is_inside(mesh, q, &mesh.closest_point(q));
+    (normal, inside_at(point + normal * ASIDE), inside_at(point - normal * ASIDE))
+}
+
+/// The unit pseudonormal at a closest point, turned away from the inside; its own direction where both sides are alike.
+pub(super) fn outward_normal(mesh: &Mesh, rule: &SignRule, closest: &ClosestPoint) -> DVec3 {
+    let corners = mesh.exact_triangle(closest.face);
+    let weights = barycentric_weights(closest.on_triangle.point, corners, closest.on_triangle.feature);
+    let (normal, front, back) = sides(mesh, rule, closest, nearest_feature(closest, weights));
+    if front && !back { -normal } else { normal }
+}
+
+/// The unit vector from the closest point to the query point, by the normal of the face where that is the same.
+fn direction_from(away: DVec3, closest: &ClosestPoint, corners: [DVec3; 3]) -> DVec3 {
+    let plain = away / closest.distance;
+    if closest.on_triangle.feature != Feature::Face {
+        return plain;
+    }
+    match triangle_cross(corners).try_normalize() {
+        Some(normal) if away.dot(normal) >= 0.0 => normal,
+        Some(normal) => -normal,
+        None => plain,
+    }
+}
+
+/// The feature that a point of the surface belongs to: an edge or a vertex where the other weights vanish.
+fn nearest_feature(closest: &ClosestPoint, weights: [f64; 3]) -> Feature {
+    let largest = (0..3u8).max_by(|&i, &j| weights[usize::from(i)].total_cmp(&weights[usize::from(j)])).unwrap_or(0);
+    let vanishing = |i: u8| weights[usize::from(i)] < ON_EDGE;
+    let vertices: Vec<u8> = (0..3).filter(|&i| vanishing(i)).collect();
+    match vertices[..] {
+        [_, _] => Feature::Vertex(largest),
+        [opposite] => Feature::Edge((opposite + 1) % 3),
+        _ => closest.on_triangle.feature,
+    }
+}
+
+/// The unit normal of a face by its own winding.
+pub(super) fn unit_normal(mesh: &Mesh, corners: [DVec3; 3], face: u32) -> DVec3 {
+    triangle_cross(corners)
+        .try_normalize()
+        // A face has area in float32 positions, by which it was kept.
+        .or_else(|| triangle_cross(mesh.triangle(face)).try_normalize())
+        .unwrap_or(DVec3::X)
+}

@@ -1,0 +1,122 @@
+//! Points on the surface, uniform by area.
+//!
+//! Sample i depends on the seed and i alone (a counter through the finaliser of SplitMix64, Steele, Lea and Flood 2014), so
+//! the points are the same on any number of threads. Only additions, products, quotients and square roots take part, which
+//! every platform rounds alike.
+
+use super::nearest::unit_normal;
+use crate::error::Error;
+use crate::geometry::triangle_cross;
+use crate::mesh::Mesh;
+use crate::progress::Progress;
+use rayon::prelude::*;
+
+/// Samples between two checks of the progress.
+const CHUNK: usize = 1 << 14;
+
+/// Samples of a surface, one entry per sample.
+#[derive(Debug, Clone, Default)]
+pub struct SurfaceSamples {
+    /// World positions.
+    pub points: Vec<[f64; 3]>,
+    /// Unit normals of the faces.
+    pub normals: Vec<[f64; 3]>,
+    pub faces: Vec<i64>,
+    pub barycentric: Vec<[f64; 3]>,
+}
+
+/// `count` points, uniform by area.
+pub fn sample_surface(mesh: &Mesh, count: usize, seed: u64, progress: &Progress) -> Result<SurfaceSamples, Error> {
+    progress.set_total(count as u64);
+    let areas = Areas::of(mesh);
+    let mut samples = SurfaceSamples {
+        points: vec![[0.0; 3]; count],
+        normals: vec![[0.0; 3]; count],
+        faces: vec![0; count],
+        barycentric: vec![[0.0; 3]; count],
+    };
+    let key = mix(seed);
+    samples
+        .points
+        .par_chunks_mut(CHUNK)
+        .zip(samples.normals.par_chunks_mut(CHUNK))
+        .zip(samples.faces.par_chunks_mut(CHUNK))
+        .zip(samples.barycentric.par_chunks_mut(CHUNK))
+        .enumerate()
+        .try_for_each(|(chunk, (((points, normals), faces), barycentric))| {
+            for i in 0..points.len() {
+                let first = 3 * (chunk * CHUNK + i) as u64;
+                let [u, v, w] = [0, 1, 2].map(|k| unit(key, first + k));
+                let face = areas.face_at(u);
+                let root = v.sqrt();
+                let weights = [1.0 - root, root * (1.0 - w), root * w];
+                let corners = mesh.exact_triangle(face);
+                let local = corners[0] * weights[0] + corners[1] * weights[1] + corners[2] * weights[2];
+                points[i] = mesh.world_from_local(local).to_array();
+                normals[i] = unit_normal(mesh, corners, face).to_array();
+                faces[i] = i64::from(face);
+                barycentric[i] = weights;
+            }
+            progress.advance(points.len() as u64)
+        })?;
+    Ok(samples)
+}
+
+/// Faces by their share of the area.
+struct Areas {
+    /// Sum of the areas up to and with each face.
+    sums: Vec<f64>,
+    /// For each equal part of the total, the first face that reaches into it: one look-up per sample instead of a search.
+    first: Vec<u32>,
+}
+
+impl Areas {
+    fn of(mesh: &Mesh) -> Self {
+        let count = mesh.faces().len();
+        let mut sum = 0.0;
+        let sums: Vec<f64> = (0..count as u32)
+            .map(|face| {
+                sum += triangle_cross(mesh.exact_triangle(face)).length();
+                sum
+            })
+            .collect();
+        let mut first = Vec::with_capacity(count);
+        let mut face = 0;
+        for part in 0..count {
+            let reached = sum * (part as f64 / count as f64);
+            while face + 1 < count && sums[face] <= reached {
+                face += 1;
+            }
+            first.push(face as u32);
+        }
+        Self { sums, first }
+    }
+
+    /// The face in which a share of the area, 0 to 1, lies.
+    fn face_at(&self, share: f64) -> u32 {
+        let count = self.sums.len();
+        let reached = share * self.sums[count - 1];
+        let mut face = self.first[((share * count as f64) as usize).min(count - 1)] as usize;
+        // The product may round into the part before.
+        while face > 0 && self.sums[face - 1] > reached {
+            face -= 1;
+        }
+        while face + 1 < count && self.sums[face] <= reached {
+            face += 1;
+        }
+        face as u32
+    }
+}
+
+/// The finaliser of SplitMix64.
+fn mix(x: u64) -> u64 {
+    let x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let x = (x ^ x >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let x = (x ^ x >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+    x ^ x >> 31
+}
+
+/// The number at a place of the stream of a key, from 0 to just below 1.
+fn unit(key: u64, place: u64) -> f64 {
+    (mix(key.wrapping_add(place.wrapping_mul(0x9e37_79b9_7f4a_7c15))) >> 11) as f64 / (1u64 << 53) as f64
+}
