@@ -204,7 +204,7 @@ fn check(rays: &Rays<'_>) -> Result<(), ArgumentError> {
         let problem = if finite(&directions[row]) { "has no length" } else { "is not finite" };
         return Err(ArgumentError::new("directions", format!("directions[{row}] = {:?} {problem}", directions[row])));
     }
-    if !(rays.t_min <= rays.t_max) {
+    if rays.t_min > rays.t_max || rays.t_min.is_nan() || rays.t_max.is_nan() {
         let problem = format!("must be at most t_max ({}), got {}", rays.t_max, rays.t_min);
         return Err(ArgumentError::new("t_min", problem));
     }

@@ -36,10 +36,11 @@ def check_reach(name: str, mesh: Mesh, positions: NDArray[np.float64], limit: fl
     """Refuse positions so far out that distances, in sizes of the mesh, would not fit."""
     if positions.size == 0:
         return
-    lower, upper = mesh.bounds
-    size = float((upper - lower).max())
-    center = mesh.center
-    reach = float(max(positions.max() - center.min(), center.max() - positions.min()))
+    # Plain floats: a reduction of three numbers by NumPy takes longer than a query of one point.
+    lower, upper = mesh.bounds.tolist()
+    center = mesh.center.tolist()
+    size = max(high - low for low, high in zip(lower, upper, strict=True))
+    reach = max(float(positions.max()) - min(center), max(center) - float(positions.min()))
     if reach > limit * size:
         raise ArgumentError(
             f"{name}: {reach:.3g} away from a mesh of size {size:.3g} is too far; at most {limit:g} times its size"
