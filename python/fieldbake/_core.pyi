@@ -555,13 +555,14 @@ class Scene:
         visible: list[bool],
         own_colors: list[bool],
         objects: list[int],
+        sheets: list[bool],
         materials: NDArray[np.float32],
         textures: list[Texture],
     ) -> Scene:
         """One item an instance; ``transforms`` (n, 4, 4) world from local. ``own_colors``: things show theirs in place
-        of the material's; ``objects``: what pixels call them. ``materials`` (k, 13): RGBA, specular,
-        shininess, alpha mode (0 opaque, 1 mask, 2 blend), cutoff, two sided, scattering RGB, texture or -1; an
-        instance has those from its first on, as many as its mesh names."""
+        of the material's; ``objects``: what pixels call them; ``sheets``: light meets their triangles, not their
+        field. ``materials`` (k, 13): RGBA, specular, shininess, alpha mode (0 opaque, 1 mask, 2 blend), cutoff, two
+        sided, scattering RGB, texture or -1; an instance has those from its first on, as many as its mesh names."""
     @property
     def bounds(self) -> NDArray[np.float64]:
         """Lower and upper corner of everything, (2, 3), world units."""
@@ -590,7 +591,8 @@ def render(
     """Draw a scene. ``lights`` has three rows a light: kind (0 directional, 1 point), tangent of half its angle,
     radius; direction or position; colour. Keys as for :func:`raymarch`, ``seconds`` a dict of passes, ``rays`` and
     ``far_rays``: how many were sent to lights and surroundings, and how many of them went on in the far field;
-    ``light_on`` is where the light pass ran."""
+    ``light_on`` is where the light pass ran, ``sheets`` the number of instances whose triangles the CPU traced
+    for it."""
 
 @final
 class Quadrics:

@@ -153,6 +153,7 @@ impl Scene {
         visible: Vec<bool>,
         own_colors: Vec<bool>,
         objects: Vec<u32>,
+        sheets: Vec<bool>,
         materials: PyReadonlyArray2<'_, f32>,
         textures: Vec<Py<Texture>>,
     ) -> PyResult<Self> {
@@ -165,9 +166,10 @@ impl Scene {
             visible.len(),
             own_colors.len(),
             objects.len(),
+            sheets.len(),
         ];
         let shapes_fit = transforms.shape() == [count, 4, 4] && materials.shape()[1] == MATERIAL_COLUMNS;
-        if lengths != [count; 7] || !shapes_fit {
+        if lengths != [count; 8] || !shapes_fit {
             return Err(Failure::from(SceneError::new("instances", "lists of different lengths")).into());
         }
         let transforms = transforms.as_array();
@@ -185,6 +187,7 @@ impl Scene {
                     visible: visible[i],
                     own_colors: own_colors[i],
                     object: objects[i],
+                    is_sheet: sheets[i],
                 }
             })
             .collect();
@@ -298,6 +301,7 @@ pub fn render<'py>(
         seconds.set_item(stage, duration)?;
     }
     images.set_item("seconds", seconds)?;
+    images.set_item("sheets", rendered.sheets)?;
     images.set_item("rays", rendered.rays)?;
     images.set_item("far_rays", rendered.far_rays)?;
     Ok(images)

@@ -128,7 +128,7 @@ impl Far {
 
         let data = in_scene(outermost, outermost.bounds());
         let is_held = |(instance, bounds): (&Instance, &Aabb)| {
-            let casts = instance.casts_shadow && instance.field.is_some() && instance.shade > 0.0;
+            let casts = !instance.is_sheet && instance.casts_shadow && instance.field.is_some() && instance.shade > 0.0;
             let is_in_data = bounds.min.cmpge(data.min).all() && bounds.max.cmple(data.max).all();
             !casts || (instance.is_opaque_solid() && is_in_data)
         };
@@ -201,5 +201,6 @@ fn as_thing(field: &Arc<dyn Field>) -> InstanceInput {
         casts_shadow: true,
         visible: false,
         object: 0,
+        is_sheet: false,
     }
 }

@@ -150,7 +150,7 @@ impl DeviceScene {
                 let cone = casters.whole_cone(&place, &ray, beam.slope, &mut Vec::new(), &mut work);
                 (answer.value, answer.is_proven) = (cone.share, u32::from(cone.is_proven));
             } else {
-                answer.value = casters.ray_share(&place, &ray, &mut work);
+                answer.value = casters.field_share(&place, &ray, &mut work);
             }
             answer.is_far = work.far_rays;
         }
@@ -259,7 +259,7 @@ fn instance_row(instance: &Instance, bounds: &Aabb, record: u32) -> SceneInstanc
         normal_x,
         field: record,
         normal_y,
-        casts_shadow: u32::from(instance.casts_shadow && instance.field.is_some()),
+        casts_shadow: u32::from(!instance.is_sheet && instance.casts_shadow && instance.field.is_some()),
         normal_z,
         box_min: bounds.min.to_array(),
         prefers_rays: u32::from(instance.field.as_ref().is_some_and(|field| field.prefers_rays())),

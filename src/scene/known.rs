@@ -10,7 +10,7 @@
 use super::gpu::{DeviceScene, beam};
 use super::light::{AO_CONES, AO_SLOPE, Lights, Surface};
 use super::primary::{GBuffer, Layer};
-use super::shadow::{Casters, PARTS, Ray, Work, basis, disc_point, toward};
+use super::shadow::{Casters, PARTS, Place, Ray, Work, basis, disc_point, toward};
 use super::{Asked, RenderOptions, SceneShadows};
 use crate::error::{DeviceError, Error};
 use crate::gpu::layout::{Answer, Beam};
@@ -290,7 +290,13 @@ fn light_bunch(
         pass.asked.add(work);
         row.is_known[i] = true;
     }
-    let mut shares = Batch::run(pass, device, behind.iter().map(|behind| behind.beam).collect())?;
+    let beams = behind.iter().map(|behind| beam(&behind.place, &behind.ray, behind.slope)).collect();
+    let past_sheets = past_sheets(pass, &behind, |Behind { place, ray, slope, .. }| {
+        let mut work = Work::default();
+        let shares = pass.casters.scene.light_past_sheets(place, ray, *slope, &mut work);
+        (shares, work)
+    })?;
+    let mut shares = Batch::run(pass, device, beams, past_sheets)?;
     for (Behind { light, left, .. }, (y, i)) in behind.into_iter().zip(owners) {
         let mut work = Work::default();
         let visible = shares.next(&mut work).ok_or_else(|| too_few(device))?;
@@ -314,29 +320,41 @@ struct Batch {
     beams: std::iter::Zip<std::vec::IntoIter<Beam>, std::vec::IntoIter<Answer>>,
     /// The parts of discs that one cone did not decide.
     parts: std::vec::IntoIter<Answer>,
+    /// Shares past the sheets, which the CPU evaluates: one for each ray and cone of occlusion, and one for each part of a
+    /// disc. Empty in scenes without sheets.
+    past_sheets: std::vec::IntoIter<f32>,
 }
 
 impl Batch {
-    fn run(pass: &Pass<'_>, device: &DeviceScene, beams: Vec<Beam>) -> Result<Self, Error> {
+    fn run(pass: &Pass<'_>, device: &DeviceScene, beams: Vec<Beam>, past_sheets: Vec<f32>) -> Result<Self, Error> {
         let first = device.shares(pass.casters, &beams, pass.progress)?;
         let undecided = beams.iter().zip(&first).filter(|(beam, answer)| is_undecided(beam, answer));
         let parts: Vec<Beam> = undecided.flat_map(|(beam, _)| parts_of_disc(beam)).collect();
         let second = device.shares(pass.casters, &parts, pass.progress)?;
-        Ok(Self { beams: beams.into_iter().zip(first), parts: second.into_iter() })
+        Ok(Self {
+            beams: beams.into_iter().zip(first),
+            parts: second.into_iter(),
+            past_sheets: past_sheets.into_iter(),
+        })
     }
 
     /// The share of the next beam, and the work; `None` if the answers have run out.
     fn next(&mut self, work: &mut Work) -> Option<f32> {
         let (beam, answer) = self.beams.next()?;
         *work += took(&answer);
+        let count = if is_disc(&beam) { PARTS as usize } else { 1 };
+        let mut past_sheets = [1.0; PARTS as usize];
+        for (share, found) in past_sheets[..count].iter_mut().zip(self.past_sheets.by_ref()) {
+            *share = found;
+        }
         if !is_undecided(&beam, &answer) {
-            return Some(answer.value);
+            return Some(answer.value * past_sheets[..count].iter().sum::<f32>() / count as f32);
         }
         let mut sum = 0.0;
-        for _ in 0..PARTS {
+        for past_sheets in past_sheets {
             let part = self.parts.next()?;
             *work += took(&part);
-            sum += part.value;
+            sum += part.value * past_sheets;
         }
         Some(sum / PARTS as f32)
     }
@@ -364,7 +382,10 @@ impl Answers {
             first_beams(pass, surface, &mut beams, &mut inside);
         }
         let lengths = device.thicknesses(&inside, pass.progress)?;
-        Ok(Self { direct: Batch::run(pass, device, beams)?, lengths: lengths.into_iter() })
+        let past_sheets = past_sheets(pass, bunch, |(_, _, surface)| {
+            pass.casters.scene.sheets_at(surface, pass.lights, pass.options)
+        })?;
+        Ok(Self { direct: Batch::run(pass, device, beams, past_sheets)?, lengths: lengths.into_iter() })
     }
 
     /// What was found about the next surface, and the work; `None` if the answers have run out. Light from behind it is what is
@@ -410,7 +431,7 @@ impl Answers {
                         Some(visible) => sum += visible * left,
                         None => {
                             let slope = if pass.options.shadows == SceneShadows::Soft { slope } else { 0.0 };
-                            behind.push(Behind { light: i, left, beam: beam(&surface.place_behind(), &way, slope) });
+                            behind.push(Behind { light: i, left, place: surface.place_behind(), ray: way, slope });
                         }
                     }
                 }
@@ -426,7 +447,30 @@ struct Behind {
     light: usize,
     /// Share of the light that is left inside the instance.
     left: Vec3,
-    beam: Beam,
+    place: Place,
+    ray: Ray,
+    slope: f32,
+}
+
+/// Shares of all beams of some surfaces past the sheets, in order.
+fn past_sheets<T: Sync>(
+    pass: &Pass<'_>,
+    items: &[T],
+    shares: impl Fn(&T) -> (Vec<f32>, Work) + Sync,
+) -> Result<Vec<f32>, Error> {
+    if pass.casters.scene.sheets.is_empty() {
+        return Ok(Vec::new());
+    }
+    let found = items
+        .par_iter()
+        .map(|item| {
+            pass.progress.check()?;
+            let (shares, work) = shares(item);
+            pass.asked.add(work);
+            Ok(shares)
+        })
+        .collect::<Result<Vec<_>, Error>>()?;
+    Ok(found.concat())
 }
 
 /// The beams of a surface, first those of occlusion, then for each light one or all of an area light; apart from them the rays
@@ -474,5 +518,10 @@ fn took(answer: &Answer) -> Work {
 
 /// Whether a cone to a light's disc needs a closer look. The cones of occlusion do not.
 fn is_undecided(beam: &Beam, answer: &Answer) -> bool {
-    beam.slope > 0.0 && beam.is_coarse == 0 && answer.is_proven == 0
+    is_disc(beam) && answer.is_proven == 0
+}
+
+/// Whether a beam is a cone to the whole disc of a light.
+fn is_disc(beam: &Beam) -> bool {
+    beam.slope > 0.0 && beam.is_coarse == 0
 }

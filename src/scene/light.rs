@@ -195,7 +195,8 @@ impl<'a> Surface<'a> {
             Some(distance) => {
                 let (mut sum, mut weights) = (0.0, 0.0);
                 for (ray, weight) in self.open_rays(distance / scene.scale) {
-                    sum += weight * casters.cone_share(place, &ray, AO_SLOPE, &mut work);
+                    let past_sheets = scene.cone_past_sheets(place, &ray, AO_SLOPE, &mut work);
+                    sum += weight * past_sheets * casters.cone_share(place, &ray, AO_SLOPE, &mut work);
                     weights += weight;
                 }
                 sum / weights

@@ -30,6 +30,7 @@ pub mod nested;
 pub mod primary;
 pub mod raster;
 pub mod shadow;
+pub mod sheets;
 pub mod texture;
 pub mod thin;
 pub mod things;
@@ -48,6 +49,7 @@ use glam::{DAffine3, DMat3, DVec3, Mat3, Vec3};
 use gpu::DeviceScene;
 use known::Pass;
 use shadow::{Casters, Work};
+use sheets::Sheets;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
@@ -95,6 +97,8 @@ pub struct InstanceInput {
     pub visible: bool,
     /// What pixels call it: several instances may be one object.
     pub object: u32,
+    /// Light meets its triangles, not its field ([`sheets`]).
+    pub is_sheet: bool,
 }
 
 /// An instance with what rays need of it.
@@ -110,6 +114,8 @@ pub struct Instance {
     pub casts_shadow: bool,
     pub visible: bool,
     pub object: u32,
+    /// Light meets its triangles, not its field ([`sheets`]).
+    pub is_sheet: bool,
     /// Local coordinates of the mesh's tree (`Mesh::local_from_world`) from scene space.
     pub tree_from_scene: DAffine3,
     /// Scene directions of normals from normals in the object's own axes. Only the direction counts: the largest entry is 1,
@@ -129,7 +135,21 @@ pub struct Instance {
 impl Instance {
     /// Whether distances tell all that it does to light: neither translucent nor asked by thin rays.
     pub fn is_opaque_solid(&self) -> bool {
-        self.shade >= 1.0 && !self.field.as_ref().is_some_and(|field| field.prefers_rays())
+        !self.is_sheet && self.shade >= 1.0 && !self.field.as_ref().is_some_and(|field| field.prefers_rays())
+    }
+
+    /// The opacity that all its materials have in common, if they blend without a texture; else 1.
+    fn blend_opacity(&self, materials: &[Material]) -> f32 {
+        let of = |material: &Material| match (material.alpha, material.texture) {
+            (Alpha::Blend, None) => material.color[3],
+            _ => 1.0,
+        };
+        let first = of(&materials[self.first_material as usize]);
+        let is_common = |&material: &u32| of(&materials[(self.first_material + material) as usize]) == first;
+        match &self.triangles {
+            Some(triangles) if !triangles.material.iter().all(is_common) => 1.0,
+            _ => first,
+        }
     }
 
     /// Whether a transform keeps shapes, so that one factor turns local distances to scene distances.
@@ -168,6 +188,7 @@ pub struct Scene {
     pub tree: Tree,
     /// Scene boxes of the instances.
     pub boxes: Vec<Aabb>,
+    pub sheets: Sheets,
     /// On the device that drew it last.
     uploaded: Mutex<Option<Arc<DeviceScene>>>,
 }
@@ -227,6 +248,8 @@ pub struct Rendered {
     /// Rays and cones to lights and surroundings, and how many of them went on in the far field.
     pub rays: u64,
     pub far_rays: u64,
+    /// Instances whose triangles the CPU traced for light.
+    pub sheets: usize,
     /// The light pass ran on the device.
     pub is_lit_on_device: bool,
 }
@@ -254,13 +277,15 @@ impl Scene {
             .iter()
             .map(|b| Aabb { min: ((b[0] - center) / scale).as_vec3(), max: ((b[1] - center) / scale).as_vec3() })
             .collect();
-        let instances = inputs
-            .into_iter()
-            .enumerate()
-            .map(|(i, input)| instance(i, input, center, scale, materials.len()))
-            .collect::<Result<_, _>>()?;
+        let make = |(i, input)| {
+            let mut made = instance(i, input, center, scale, materials.len())?;
+            made.shade *= made.blend_opacity(&materials);
+            Ok::<_, Error>(made)
+        };
+        let instances: Vec<Instance> = inputs.into_iter().enumerate().map(make).collect::<Result<_, _>>()?;
         let tree = Tree::new(&boxes);
-        Ok(Self { center, scale, instances, materials, textures, tree, boxes, uploaded: Mutex::new(None) })
+        let sheets = Sheets::new(&instances, &boxes);
+        Ok(Self { center, scale, instances, materials, textures, tree, boxes, sheets, uploaded: Mutex::new(None) })
     }
 
     pub fn scene_from_world(&self, p: DVec3) -> DVec3 {
@@ -360,6 +385,7 @@ pub fn render(
     Ok(Rendered {
         frame,
         primary_on,
+        sheets: scene.sheets.len(),
         is_lit_on_device: light_device.is_some(),
         seconds,
         rays: asked.rays.into_inner(),
@@ -499,6 +525,7 @@ fn instance(
         casts_shadow: input.casts_shadow,
         visible: input.visible,
         object: input.object,
+        is_sheet: input.is_sheet,
     })
 }
 

@@ -124,8 +124,17 @@ struct Caster<'a> {
 }
 
 impl<'a> Casters<'a> {
-    /// Share of a thin ray that passes.
+    /// Share of a thin ray that passes fields and sheets.
     pub fn ray_share(&self, place: &Place, ray: &Ray, work: &mut Work) -> f32 {
+        let past_sheets = self.scene.ray_past_sheets(place, ray, work);
+        if past_sheets == 0.0 {
+            return 0.0;
+        }
+        past_sheets * self.field_share(place, ray, work)
+    }
+
+    /// Share of a thin ray that passes the fields.
+    pub fn field_share(&self, place: &Place, ray: &Ray, work: &mut Work) -> f32 {
         let (share, is_far) = self.pass_ray(place, ray, work);
         work.count(is_far);
         share
@@ -221,21 +230,26 @@ impl<'a> Casters<'a> {
         cone
     }
 
-    /// Share of a disc of light that arrives: angular radius `slope`, `ray` to its centre.
+    /// Share of a disc of light that passes fields and sheets: angular radius `slope`, `ray` to its centre.
     pub fn disc_share(&self, place: &Place, ray: &Ray, slope: f32, work: &mut Work) -> f32 {
         if slope <= 0.0 {
             return self.ray_share(place, ray, work);
         }
+        let past_sheets = self.scene.disc_past_sheets(place, ray, slope, work);
+        let sheets_share = past_sheets.iter().sum::<f32>() / PARTS as f32;
+        if sheets_share == 0.0 {
+            return 0.0;
+        }
         let mut met = Vec::new();
         let whole = self.whole_cone(place, ray, slope, &mut met, work);
         if whole.is_proven {
-            return whole.share;
+            return whole.share * sheets_share;
         }
         // What keeps clear of the whole cone keeps clear of its parts.
         let part = slope / (PARTS as f32).sqrt();
         let axes = basis(ray.direction);
         let mut total = 0.0;
-        for i in 0..PARTS {
+        for (i, sheets_part) in (0..PARTS).zip(past_sheets) {
             let to_part = toward(ray, axes, slope, disc_point(i, PARTS, 0.0));
             let split = self.split(place, &to_part, part);
             let mut sum = ConeSum::NEW;
@@ -250,7 +264,7 @@ impl<'a> Casters<'a> {
             }
             let is_far = self.add_far(&split, place, &to_part, part, &mut sum, work);
             work.count(is_far);
-            total += sum.share().share;
+            total += sum.share().share * sheets_part;
         }
         total / PARTS as f32
     }
@@ -305,7 +319,8 @@ impl<'a> Casters<'a> {
     /// An instance on the parts of a ray where it is asked.
     fn casters(&self, item: u32, place: &Place, ray: &Ray, split: &Split) -> impl Iterator<Item = Caster<'a>> {
         let instance = &self.scene.instances[item as usize];
-        let field = instance.field.as_deref().filter(|_| instance.casts_shadow && instance.shade > 0.0);
+        let casts = !instance.is_sheet && instance.casts_shadow && instance.shade > 0.0;
+        let field = instance.field.as_deref().filter(|_| casts);
         // A field of distances knows opaque solids alone.
         let (near, rest) = if instance.is_opaque_solid() { (split.near, split.rest) } else { (ray.t_max, None) };
         let bounds = &self.scene.boxes[item as usize];

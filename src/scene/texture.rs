@@ -76,7 +76,21 @@ impl Texture {
         near.lerp(self.bilinear(self.levels[low as usize + 1], uv), level - low)
     }
 
+    /// Opacity at `uv`, bilinear in the finest level.
+    pub fn opacity(&self, uv: Vec2) -> f32 {
+        let ([a, b, c, d], f) = self.around(self.levels[0], uv);
+        let opacity = |texel: u32| (texel >> 24) as f32 / 255.0;
+        let mix = |a: f32, b: f32, f: f32| a + f * (b - a);
+        mix(mix(opacity(a), opacity(b), f.x), mix(opacity(c), opacity(d), f.x), f.y)
+    }
+
     fn bilinear(&self, level: Level, uv: Vec2) -> Vec4 {
+        let ([a, b, c, d], f) = self.around(level, uv);
+        unpack(a).lerp(unpack(b), f.x).lerp(unpack(c).lerp(unpack(d), f.x), f.y)
+    }
+
+    /// The four texels around `uv`, upper left first, row by row, and the place between them.
+    fn around(&self, level: Level, uv: Vec2) -> ([u32; 4], Vec2) {
         let size = Vec2::new(level.width as f32, level.height as f32);
         let wrapped = uv - uv.floor();
         let p = Vec2::new(wrapped.x, 1.0 - wrapped.y) * size - 0.5;
@@ -85,9 +99,9 @@ impl Texture {
         let texel = |dx: i32, dy: i32| {
             let x = (cell.x as i32 + dx).rem_euclid(level.width as i32) as u32;
             let y = (cell.y as i32 + dy).rem_euclid(level.height as i32) as u32;
-            unpack(self.texels[(level.first + x + level.width * y) as usize])
+            self.texels[(level.first + x + level.width * y) as usize]
         };
-        texel(0, 0).lerp(texel(1, 0), f.x).lerp(texel(0, 1).lerp(texel(1, 1), f.x), f.y)
+        ([texel(0, 0), texel(1, 0), texel(0, 1), texel(1, 1)], f)
     }
 
     pub fn bytes(&self) -> usize {

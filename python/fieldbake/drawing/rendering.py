@@ -15,6 +15,7 @@ from ..base.progress import Progress, progress_callback
 from ..merging.nested import NestedField
 from ..scenes import field_cache
 from ..scenes.camera import Camera
+from ..scenes.core_scene import Fields
 from ..scenes.lights import DirectionalLight, Light, key_light
 from ..scenes.materials import scattering_rgb
 from ..scenes.scene import Scene
@@ -100,8 +101,10 @@ def render(
     -------
     Frame
         Colour, depth, normals, object ids, shadows and steps as arrays. ``report`` has ``device``, the total
-        ``seconds``, ``devices`` and ``milliseconds`` of the passes, and two counters: ``rays``, the number of shadow,
-        occlusion and scattering rays and cones, and ``far_rays``, the number of those that entered the far field.
+        ``seconds``, ``devices`` and ``milliseconds`` of the passes, ``sheets``, the number of instances whose triangles
+        are traced for light (by the CPU, for pictures of every device), and two counters: ``rays``, the number of
+        shadow, occlusion and scattering rays and cones, and ``far_rays``, the number of those that entered the far
+        field.
 
     Raises
     ------
@@ -117,6 +120,10 @@ def render(
     itself, see :class:`Material`. Lights have no falloff with distance. Penumbrae follow S. Aaltonen, GPU-based clay
     simulation and ray-tracing tech in Claybook, GDC 2018, and are centred on the hard edge. Where one cone does not
     decide, 16 cones divide the disc of the light.
+
+    Shadows and occlusion of open sheets, of flat meshes and of meshes with a mask or a translucent texture are those
+    of their triangles, with the opacity of the material at each hit; such meshes need no field. Each crossing of a
+    blended surface absorbs the share of the light that its opacity says.
 
     A merged field keeps walls of at least two of its voxels closed. Past `far_distance` the edges of shadows deviate
     by up to about one of its voxels, and thinner objects may cast no shadow. Nearer occluders are unaffected.
@@ -153,7 +160,8 @@ def render(
         instance.material is not None and any(scattering_rgb(instance.material)) for instance in scene.instances
     )
     with_fields = shadows != "none" or occlusion is not None or primary == "raymarch" or scatters
-    core = scene._core(with_fields, device)
+    marches_sheets = primary == "raymarch" or (method == "article" and shadows != "none")
+    core = scene._core(Fields(of_solids=with_fields, of_sheets=marches_sheets), device)
     with progress_callback(progress, "render") as callback:
         result = _core.render(
             core,
@@ -184,6 +192,7 @@ def render(
         "milliseconds": {stage: 1e3 * duration for stage, duration in seconds.items()},
         "instances": len(scene.instances),
         "lights": len(lights),
+        "sheets": result["sheets"],
         "rays": result["rays"],
         "far_rays": result["far_rays"],
     }

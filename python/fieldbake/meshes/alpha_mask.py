@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,33 +15,32 @@ EDGE_VOXELS = 0.75
 #: Cuts of a triangle at most: 4^6 pieces.
 MAX_CUTS = 6
 
-#: A sheet grows by half its thickness, a voxel, past its outline, and the pieces' jags stick out by a fifth of their
-#: size: the mask gives way by as much.
-EROSION_VOXELS = 0.5 + 0.2 * EDGE_VOXELS
+#: A sheet grows by half its thickness, the diagonal of a voxel, past its outline, and the jags of the pieces stick out
+#: by a fifth of their size. The mask is eroded by as much.
+EROSION_VOXELS = 0.5 * 3**0.5 + 0.2 * EDGE_VOXELS
 
 Corners = NDArray[np.float64]
 
 
-def kept_triangles(mesh: Mesh, resolution: int) -> Mesh:
-    """A mesh without what its alpha masks cut away; the mesh itself where there is no mask.
+def kept_triangles(mesh: Mesh, resolution: int, masks: Sequence[NDArray[np.bool_] | None]) -> Mesh:
+    """A mesh without the texels that its alpha masks cut out; the mesh itself where nothing is cut.
 
-    Triangles of masked parts are cut into pieces of a voxel's size. A piece stays if the opacity, averaged over its
-    place, is above the cutoff, and the mask there is as wide as the thickness that a sheet gets.
+    `masks` has the kept texels of each part, (h, w), or None. Triangles of masked parts are cut into pieces of a
+    voxel's size. A piece is kept if the mask keeps all texels around it, as far as the sheet grows past its outline.
     """
-    masked = [part for part in mesh.parts if part.alpha_mode == "mask" and part.alpha is not None]
-    if not masked or mesh.uv is None:
+    if all(mask is None for mask in masks) or mesh.uv is None:
         return mesh
     voxel = float((mesh.bounds[1] - mesh.bounds[0]).max()) * 1.1 / resolution
     vertices, uv = mesh.vertices, mesh.uv.astype(np.float64)
     pieces = []
-    for part in mesh.parts:
+    for part, mask in zip(mesh.parts, masks, strict=True):
         faces = mesh.faces[part.faces.start : part.faces.stop]
         corners = vertices[faces]
-        if part not in masked or part.alpha is None:
+        if mask is None:
             pieces.append(corners)
             continue
         for triangle, coordinates in zip(corners, uv[faces], strict=True):
-            pieces.append(_standing(triangle, coordinates, part.alpha, voxel))
+            pieces.append(_standing(triangle, coordinates, mask, voxel))
     kept = np.concatenate(pieces)
     if len(kept) == 0:
         # Everything is cut away: one speck, so that there is something to bake.
@@ -48,7 +49,7 @@ def kept_triangles(mesh: Mesh, resolution: int) -> Mesh:
     return Mesh(kept.reshape(-1, 3), np.arange(3 * len(kept)).reshape(-1, 3))
 
 
-def _standing(triangle: Corners, coordinates: Corners, alpha: NDArray[np.float32], voxel: float) -> Corners:
+def _standing(triangle: Corners, coordinates: Corners, mask: NDArray[np.bool_], voxel: float) -> Corners:
     """The pieces of one triangle that stay, (n, 3 corners, 3)."""
     both = np.concatenate([triangle, coordinates], axis=1)[None]
     longest = np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1).max()
@@ -63,8 +64,7 @@ def _standing(triangle: Corners, coordinates: Corners, alpha: NDArray[np.float32
     # Pieces near the outline fall to the erosion: all around must stand.
     angles = np.linspace(0, 2 * np.pi, 8, endpoint=False)
     around = erosion * np.concatenate([[[0.0, 0.0]], np.stack([np.cos(angles), np.sin(angles)], axis=1)])
-    opacity = _sample(alpha, centers[:, None] + around[None])
-    stays = opacity.min(axis=1) >= 0.5
+    stays = _sample(mask, centers[:, None] + around[None]).all(axis=1)
     return np.asarray(both[stays][:, :, :3])
 
 
@@ -76,11 +76,11 @@ def _cut(both: Corners) -> Corners:
     return np.concatenate([np.stack(quarter, axis=1) for quarter in quarters])
 
 
-def _sample(alpha: NDArray[np.float32], uv: Corners) -> NDArray[np.float32]:
+def _sample(mask: NDArray[np.bool_], uv: Corners) -> NDArray[np.bool_]:
     """Nearest texel, coordinates repeated, v upwards."""
-    height, width = alpha.shape
+    height, width = mask.shape
     wrapped = uv - np.floor(uv)
     x = np.minimum((wrapped[..., 0] * width).astype(np.int64), width - 1)
     y = np.minimum(((1 - wrapped[..., 1]) * height).astype(np.int64), height - 1)
-    opacity: NDArray[np.float32] = alpha[y, x]
-    return opacity
+    kept: NDArray[np.bool_] = mask[y, x]
+    return kept

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from ..meshes.mesh import ALPHA_MODES, Mesh, Part
 from . import field_cache
 from .instance import Instance
 from .materials import PLAIN, Material, scattering_rgb
+from .sheets import NO_SHEET, Look, Sheet, sheet_of
 
 
 class MaterialTable:
@@ -32,29 +33,19 @@ class MaterialTable:
             self.textures.append(_core.Texture(pixels))
         return self._known[id(pixels)]
 
-    def add(self, material: Material | None, part: Part | None, is_sheet: bool) -> None:
-        """One row: a material over the looks of a part."""
+    def add(self, material: Material | None, look: Look, is_two_sided: bool) -> None:
+        """One row; `is_two_sided` holds where the material leaves it open."""
         material = material or Material()
-        part = part or Part(color=PLAIN)
-        color, texture, mode = part.color, part.texture, part.alpha_mode
-        if texture is None and color == (1.0, 1.0, 1.0, 1.0) and not part.name:
-            color = PLAIN
-        if material.color is not None or material.texture is not None:
-            r, g, b, a = material.color or (1.0, 1.0, 1.0, 1.0)
-            color, texture, mode = (r, g, b, a), material.texture, "opaque" if a >= 1 else "blend"
-        mode = material.alpha_mode or mode
-        cutoff = part.alpha_cutoff if material.alpha_cutoff is None else material.alpha_cutoff
-        two_sided = (part.two_sided or is_sheet) if material.two_sided is None else material.two_sided
         self.materials.append(
             [
-                *color,
+                *look.color,
                 material.specular,
                 material.shininess,
-                float(ALPHA_MODES.index(mode)),
-                cutoff,
-                float(two_sided),
+                float(ALPHA_MODES.index(look.alpha_mode)),
+                look.alpha_cutoff,
+                float(look.two_sided or (is_two_sided and material.two_sided is None)),
                 *scattering_rgb(material),
-                -1.0 if texture is None else float(self.texture(texture)),
+                -1.0 if look.texture is None else float(self.texture(look.texture)),
             ]
         )
 
@@ -72,10 +63,10 @@ class Rows:
         instance: Instance,
         mesh: _core.SceneMesh | None,
         field: _core.SceneField | None,
-        parts: Sequence[Part | None] = (None,),
-        is_sheet: bool = False,
+        looks: Sequence[Look],
+        sheet: Sheet = NO_SHEET,
     ) -> None:
-        """One instance, with a row of the material table for each part."""
+        """One instance, with a row of the material table for each part's look."""
         own_colors = instance.material is None or instance.material.color is None
         row = {
             "mesh": mesh,
@@ -87,11 +78,12 @@ class Rows:
             "visible": instance.visible,
             "own": own_colors,
             "object": number,
+            "sheet": sheet.is_traced,
         }
         for name, value in row.items():
             self.columns.setdefault(name, []).append(value)
-        for part in parts:
-            self.table.add(instance.material, part, is_sheet)
+        for look in looks:
+            self.table.add(instance.material, look, sheet.is_two_sided)
 
     def build(self) -> _core.Scene:
         """The core's scene."""
@@ -106,15 +98,27 @@ class Rows:
             columns["visible"],
             columns["own"],
             columns["object"],
+            columns["sheet"],
             np.array(self.table.materials, dtype=np.float32),
             self.table.textures,
         )
 
 
-def build_scene(instances: Sequence[Instance], with_fields: bool, device: str) -> _core.Scene:
+class Fields(NamedTuple):
+    """Which meshes of a scene need their fields."""
+
+    #: Light evaluates the fields of solids.
+    of_solids: bool
+    #: The camera, or the march of an article, evaluates the fields of sheets.
+    of_sheets: bool
+
+
+def build_scene(instances: Sequence[Instance], fields: Fields, device: str) -> _core.Scene:
     """The core's scene; things that several instances share are made once."""
     rows = Rows()
-    meshes: dict[int, tuple[_core.SceneMesh, bool]] = {}
+    meshes: dict[int, _core.SceneMesh] = {}
+    # By mesh and material.
+    looks_of: dict[tuple[int, int], tuple[list[Look], Sheet]] = {}
     quadrics: dict[int, list[_core.SceneField]] = {}
     for number, instance in enumerate(instances):
         thing = instance.thing
@@ -123,16 +127,22 @@ def build_scene(instances: Sequence[Instance], with_fields: bool, device: str) -
                 quadrics[id(thing)] = field_cache.of_quadrics(thing)
             for quadric, field in zip(thing, quadrics[id(thing)], strict=True):
                 red, green, blue = quadric.reflectance.tolist()
-                rows.add(number, instance, None, field, [Part("quadric", color=(red, green, blue, 1.0))])
+                part = Part("quadric", color=(red, green, blue, 1.0))
+                rows.add(number, instance, None, field, [Look.of(instance.material, part)])
         elif isinstance(thing, Mesh):
             if id(thing) not in meshes:
-                made = _core.SceneMesh(thing._core, thing.uv, _materials_of(thing))
-                meshes[id(thing)] = made, field_cache.is_sheet(thing)
-            mesh, is_sheet = meshes[id(thing)]
-            baked = field_cache.of_mesh(thing, instance.resolution, device) if with_fields else None
-            rows.add(number, instance, mesh, baked, thing.parts, is_sheet)
+                meshes[id(thing)] = _core.SceneMesh(thing._core, thing.uv, _materials_of(thing))
+            key = id(thing), id(instance.material)
+            if key not in looks_of:
+                looks = [Look.of(instance.material, part) for part in thing.parts]
+                looks_of[key] = looks, sheet_of(thing, looks)
+            looks, sheet = looks_of[key]
+            is_baked = fields.of_sheets if sheet.is_traced else fields.of_solids
+            baked = field_cache.of_mesh(thing, instance.resolution, device, looks) if is_baked else None
+            rows.add(number, instance, meshes[id(thing)], baked, looks, sheet)
         else:
-            rows.add(number, instance, None, field_cache.of_thing(thing))
+            looks = [Look.of(instance.material, Part(color=PLAIN))]
+            rows.add(number, instance, None, field_cache.of_thing(thing), looks)
     return rows.build()
 
 

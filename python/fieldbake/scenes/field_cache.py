@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from .. import _core
 from ..atlases.atlas import AtlasEntry
-from ..baking.dense import bake
+from ..baking.dense import bake, bake_job, prepare
 from ..base import checks
 from ..base.errors import FormatError
 from ..loading.readers import load
@@ -32,14 +32,12 @@ from ..shapes.quadric import Quadric, rows_of
 from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume
+from .sheets import FLAT, Look, sheet_of
 
 logger = logging.getLogger("fieldbake")
 
 #: Fields kept in memory, in bytes; the least recently used goes first.
 MEMORY_BYTES = 1 << 30
-
-#: A mesh thinner than this share of its longest side is flat.
-FLAT = 1e-6
 
 #: Thickness of a flat sheet in voxels. The samples lie on a plate, so its field is exact at any thickness; whatever is
 #: within the plate is dark, so it is thin: a box on a plate then has no dark row at the line of contact. The outline of
@@ -84,14 +82,14 @@ def clear() -> None:
         _kept.clear()
 
 
-def of_mesh(mesh: Mesh, resolution: int, device: str) -> _core.SceneField:
-    """The field of a mesh, baked unless it is known."""
-    key = ("mesh", content_hash(mesh, resolution))
+def of_mesh(mesh: Mesh, resolution: int, device: str, looks: Sequence[Look] | None = None) -> _core.SceneField:
+    """The field of a mesh, baked unless it is known; `looks` has one entry per part, its own if not given."""
+    key = ("mesh", content_hash(mesh, resolution, looks))
     found = _find(key)
     if found is None:
         volume = _from_disk(key[1])
         if volume is None:
-            volume = bake_for_scene(mesh, resolution, device)
+            volume = bake_for_scene(mesh, resolution, device, looks)
             _to_disk(key[1], volume)
         found = _keep(key, _field(volume), volume.nbytes, None)
     return found
@@ -128,47 +126,40 @@ def of_quadrics(quadrics: Sequence[Quadric]) -> list[_core.SceneField]:
     return _core.SceneField.quadrics(rows_of(quadrics))
 
 
-def content_hash(mesh: Mesh, resolution: int) -> str:
-    """Hash of all that decides the field of a mesh."""
+def content_hash(mesh: Mesh, resolution: int, looks: Sequence[Look] | None = None) -> str:
+    """Hash of everything that decides the field of a mesh."""
+    looks = _looks(mesh, looks)
     digest = hashlib.blake2b(digest_size=20)
-    digest.update(f"{_core.__version__} {resolution} {_is_sheet(mesh)}".encode())
+    digest.update(f"{_core.__version__} {resolution} {sheet_of(mesh, looks).is_traced}".encode())
     for array in (mesh.vertices, mesh.faces, mesh.center):
         digest.update(np.ascontiguousarray(array).tobytes())
-    for part in mesh.parts:
-        digest.update(f"{part.faces} {part.alpha_mode} {part.alpha_cutoff}".encode())
-        if part.alpha_mode == "mask" and part.alpha is not None and mesh.uv is not None:
-            digest.update(np.ascontiguousarray(part.alpha).tobytes())
+    for part, look in zip(mesh.parts, looks, strict=True):
+        mask = look.mask
+        digest.update(f"{part.faces} {None if mask is None else mask.shape}".encode())
+        if mask is not None and mesh.uv is not None:
+            digest.update(np.packbits(mask).tobytes())
             digest.update(np.ascontiguousarray(mesh.uv).tobytes())
     return digest.hexdigest()
 
 
-def bake_for_scene(mesh: Mesh, resolution: int, device: str = "auto") -> Volume:
-    """Bake a mesh as light meets it: masked parts cut out, sheets with a thickness, solids as they are."""
-    if _is_sheet(mesh):
+def bake_for_scene(mesh: Mesh, resolution: int, device: str = "auto", looks: Sequence[Look] | None = None) -> Volume:
+    """Bake a mesh for its looks: masked parts are cut out, sheets get a thickness, solids stay as they are."""
+    looks = _looks(mesh, looks)
+    if sheet_of(mesh, looks).is_traced:
+        masks = [look.mask for look in looks]
         axis = _flat_axis(mesh.bounds)
-        if axis is not None and not _has_mask(mesh):
+        if axis is not None and all(mask is None for mask in masks):
             return _bake_plate(mesh, axis, resolution, device)
-        return bake(kept_triangles(mesh, resolution), resolution, two_sided=True, device=device)
+        return bake(kept_triangles(mesh, resolution, masks), resolution, two_sided=True, device=device)
     volume = bake(mesh, resolution, device=device)
     if volume.report.inside_voxels == 0:
-        # Nothing is inside, so it is a sheet: without a thickness light would not meet it.
+        # A surface without an inside has no field of its own; with a thickness it has one.
         volume = bake(mesh, resolution, two_sided=True, device=device)
     return volume
 
 
-def is_sheet(mesh: Mesh) -> bool:
-    """Whether light sees a mesh as a surface without an inside."""
-    return _is_sheet(mesh) or _flat_axis(mesh.bounds) is not None
-
-
-def _is_sheet(mesh: Mesh) -> bool:
-    if _has_mask(mesh) or _flat_axis(mesh.bounds) is not None:
-        return True
-    return any(part.two_sided for part in mesh.parts) and not mesh.topology()["closed"]
-
-
-def _has_mask(mesh: Mesh) -> bool:
-    return any(part.alpha_mode == "mask" and part.alpha is not None for part in mesh.parts)
+def _looks(mesh: Mesh, looks: Sequence[Look] | None) -> Sequence[Look]:
+    return [Look.of(None, part) for part in mesh.parts] if looks is None else looks
 
 
 def _flat_axis(bounds: NDArray[np.float64]) -> int | None:
@@ -190,7 +181,8 @@ def _bake_plate(mesh: Mesh, axis: int, resolution: int, device: str) -> Volume:
     box = np.stack([lower - 2.5 * spacing, upper + 2.5 * spacing])
     thin = PLATE_VOXELS if _is_rectangle(mesh, axis) else OUTLINE_VOXELS
     nx, ny, nz = (cells + 5).tolist()
-    return bake(mesh, (nx, ny, nz), bounds=box, two_sided=True, thickness=thin * voxel, device=device)
+    job = prepare(mesh, (nx, ny, nz), None, box, 0.0, "auto", True, thin * voxel)
+    return bake_job(job, None, device, None)
 
 
 def _is_rectangle(mesh: Mesh, axis: int) -> bool:

@@ -34,8 +34,9 @@ class Instance:
     Parameters
     ----------
     thing : Mesh, Volume, SparseVolume, NestedField, ``atlas[i]``, Shape, Quadric, list of Quadric, or any mesh
-        A mesh is rastered and throws the shadow of its field, which is baked when needed and kept. All others are met
-        by rays as they are: a volume by the roots of its cells, a shape by those of its parts (``fb.bake(shape)``
+        A mesh is rastered and throws the shadow of its field, which is baked when needed and kept. A flat mesh, an open
+        sheet and a mesh with a mask or a translucent texture throw the shadow of their triangles. All others are met by
+        rays as they are: a volume by the roots of its cells, a shape by those of its parts (``fb.bake(shape)``
         makes a volume of it), a quadric by its closed form. Quadrics of a list are one object.
     transform : (4, 4), optional
         World from the thing's own coordinates: any affine map that can be undone. If not given the identity, or the
@@ -44,7 +45,7 @@ class Instance:
         If not given, or without a colour, the thing's own: a mesh's colours and textures, a shape's paint, a quadric's
         reflectance; light grey for what has none.
     casts_shadow : bool, default True
-        Whether light meets it.
+        Whether the instance throws shadows and occludes ambient light.
     visible : bool, default True
         Whether the camera sees it.
     opacity : float, default 1

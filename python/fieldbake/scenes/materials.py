@@ -37,12 +37,13 @@ class Material:
     shininess : float, default 32
         Sharpness of the highlight, the exponent of Blinn-Phong.
     alpha_mode : "opaque", "mask" or "blend", optional
-        What opacity means: nothing, cut out below `alpha_cutoff`, or let through. The thing's own if not given, or
-        ``"blend"`` where `color` is not opaque.
+        What opacity means, for the camera and for shadows: nothing, cut out below `alpha_cutoff`, or let through. The
+        object's own if not given, or ``"blend"`` where `color` is not opaque.
     alpha_cutoff : float, optional
         From 0 to 1, for ``"mask"``; the thing's own, or 0.5.
     two_sided : bool, optional
-        Whether faces are seen from behind; the thing's own if not given. A sheet is always seen from both sides.
+        Whether faces are seen from behind; the object's own if not given. Flat and masked meshes are then seen from
+        both sides. An open mesh with two-sided faces is a sheet without an inside.
     scattering : float or (3,), default 0
         Scattering length ``s``, world units, for each of RGB: light keeps the share ``exp(-l / s)`` over a length ``l``
         inside the object. 0: light does not enter.

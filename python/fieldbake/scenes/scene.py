@@ -12,7 +12,7 @@ from .. import _core
 from ..base import checks
 from ..base.errors import ArgumentError, MeshError, SceneError
 from .camera import Camera
-from .core_scene import build_scene
+from .core_scene import Fields, build_scene
 from .instance import Instance
 from .lights import AMBIENT, BACKGROUND, Light, check_lights
 
@@ -75,8 +75,8 @@ class Scene:
             if not isinstance(camera, Camera):
                 raise SceneError(f"cameras: must hold Cameras, got {checks.describe(camera)}")
         self._cameras = tuple(cameras)
-        # The core's scene, with and without fields.
-        self._cores: dict[bool, _core.Scene] = {}
+        # The core's scene, by the fields that it holds.
+        self._cores: dict[Fields, _core.Scene] = {}
 
     @property
     def instances(self) -> tuple[Instance, ...]:
@@ -104,11 +104,11 @@ class Scene:
         boxes = np.stack([instance.bounds for instance in self._instances])
         return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
 
-    def _core(self, with_fields: bool, device: str) -> _core.Scene:
+    def _core(self, fields: Fields, device: str) -> _core.Scene:
         """The scene as the core has it; fields are baked here."""
-        if with_fields not in self._cores:
-            self._cores[with_fields] = build_scene(self._instances, with_fields, device)
-        return self._cores[with_fields]
+        if fields not in self._cores:
+            self._cores[fields] = build_scene(self._instances, fields, device)
+        return self._cores[fields]
 
     def __repr__(self) -> str:
         lights = "a light at the camera" if self._lights is None else f"{len(self._lights)} lights"

@@ -1,0 +1,106 @@
+"""Which meshes are sheets: surfaces whose shadows are those of their triangles, not of a distance field."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..meshes.mesh import Mesh, Part
+from .materials import PLAIN, Material
+
+#: A mesh is flat if it deviates from a plane by less than this share of its extent.
+FLAT = 1e-6
+
+#: An open mesh is a sheet if the sum of its faces' area vectors is longer than this share of its area. The sum is zero
+#: for a closed surface, as long as the area of the hole for one with a flat hole, and the whole area of a flat sheet.
+SHEET_SHARE = 0.1
+
+
+class Look(NamedTuple):
+    """What a part of a mesh looks like under the material of its instance."""
+
+    color: Sequence[float]
+    texture: NDArray[np.uint8] | None
+    alpha_mode: str
+    alpha_cutoff: float
+    two_sided: bool
+
+    @classmethod
+    def of(cls, material: Material | None, part: Part) -> Look:
+        """A material over the part's own look."""
+        material = material or Material()
+        color: Sequence[float] = part.color
+        texture, mode = part.texture, part.alpha_mode
+        if texture is None and part.color == (1.0, 1.0, 1.0, 1.0) and not part.name:
+            color = PLAIN
+        if material.color is not None or material.texture is not None:
+            color = material.color or (1.0, 1.0, 1.0, 1.0)
+            texture, mode = material.texture, "opaque" if color[3] >= 1 else "blend"
+        cutoff = part.alpha_cutoff if material.alpha_cutoff is None else material.alpha_cutoff
+        two_sided = part.two_sided if material.two_sided is None else material.two_sided
+        return cls(color, texture, material.alpha_mode or mode, cutoff, two_sided)
+
+    @property
+    def opacity(self) -> NDArray[np.float32]:
+        """Opacity of the texture times that of the colour, (h, w) from 0 to 1."""
+        stored = np.full((1, 1), 255, dtype=np.uint8) if self.texture is None else self.texture[..., 3]
+        opacity: NDArray[np.float32] = stored.astype(np.float32) / np.float32(255) * np.float32(self.color[3])
+        return opacity
+
+    @property
+    def mask(self) -> NDArray[np.bool_] | None:
+        """Texels that an alpha mask keeps, (h, w); None if nothing is cut out."""
+        if self.alpha_mode != "mask":
+            return None
+        kept = self.opacity >= self.alpha_cutoff
+        return None if kept.all() else kept
+
+
+class Sheet(NamedTuple):
+    """How light and the camera see a mesh."""
+
+    #: Light meets its triangles: its field would be too thick, or does not know its opacity.
+    is_traced: bool
+    #: The camera sees both sides of its faces, whatever the part says.
+    is_two_sided: bool
+
+
+#: A solid, or an object without triangles.
+NO_SHEET = Sheet(is_traced=False, is_two_sided=False)
+
+
+def sheet_of(mesh: Mesh, looks: Sequence[Look]) -> Sheet:
+    """Decide whether a mesh with such looks is a sheet."""
+    is_flat = _is_flat(mesh)
+    is_masked = any(look.mask is not None for look in looks)
+    is_open = not is_flat and not mesh.topology()["closed"]
+    is_two_sided = any(look.two_sided for look in looks)
+    if is_flat or is_masked or (is_open and is_two_sided):
+        return Sheet(True, True)
+    translucent = [look for look in looks if look.alpha_mode == "blend" and look.opacity.min() < 1]
+    # One opacity for all of a solid is the opacity of its field.
+    is_uniform = (
+        len(translucent) == len(looks)
+        and len({look.color[3] for look in looks}) == 1
+        and all(look.texture is None for look in looks)
+    )
+    is_translucent = bool(translucent) and (is_open or is_two_sided or not is_uniform)
+    return Sheet(is_translucent or (is_open and _net_area_share(mesh) > SHEET_SHARE), False)
+
+
+def _is_flat(mesh: Mesh) -> bool:
+    """Whether a mesh lies in a plane, at any angle."""
+    offsets = mesh.vertices.astype(np.float64) - mesh.bounds.mean(axis=0)
+    offsets -= offsets.mean(axis=0)
+    least, _, most = np.linalg.eigvalsh(offsets.T @ offsets)
+    return bool(max(least, 0.0) <= FLAT**2 * most)
+
+
+def _net_area_share(mesh: Mesh) -> float:
+    corners = mesh.vertices.astype(np.float64)[mesh.faces]
+    vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = float(np.linalg.norm(vectors, axis=1).sum())
+    return float(np.linalg.norm(vectors.sum(axis=0))) / area if area > 0 else 0.0
