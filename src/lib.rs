@@ -24,4 +24,5 @@ pub mod render;
 pub mod scene;
 pub mod shader_text;
 pub mod sign;
+pub mod surface;
 pub mod volume;

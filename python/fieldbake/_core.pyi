@@ -20,6 +20,7 @@ __all__ = [
     "SceneMesh",
     "Shape",
     "SparseField",
+    "Surface",
     "Texture",
     "__version__",
     "all_intersections",
@@ -60,7 +61,6 @@ __all__ = [
     "sample_surface",
     "set_threads",
     "signed_distance",
-    "surface_nets",
     "texture_decode",
     "texture_read",
     "texture_write",
@@ -373,13 +373,44 @@ def resample(
 ) -> NDArray[np.float32]:
     """The trilinear field at the voxel centres of another grid over the same box."""
 
-def surface_nets(
-    distances: NDArray[np.float32],
-    lower: tuple[float, float, float],
-    upper: tuple[float, float, float],
-    level: float,
-) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
-    """Vertices (n, 3), world, and faces (m, 3) of the level set, counter-clockwise seen from outside."""
+@final
+class Surface:
+    """The crossed cells of a level set and the tangent planes at their crossed edges."""
+
+    @staticmethod
+    def of_field(
+        distances: NDArray[Any],
+        lower: tuple[float, float, float],
+        upper: tuple[float, float, float],
+        level: float,
+        *,
+        scale: float = 1.0,
+    ) -> Surface:
+        """The level set of samples (nx, ny, nz) in any encoding."""
+    @staticmethod
+    def of_blocks(
+        origins: NDArray[np.int32],
+        values: NDArray[np.float32],
+        lower: tuple[float, float, float],
+        upper: tuple[float, float, float],
+        shape: tuple[int, int, int],
+        level: float,
+    ) -> Surface:
+        """The level set of blocks of samples (k, n, n, n), z slowest, whose first cells are `origins` (k, 3)."""
+    @staticmethod
+    def of_sparse(field: SparseField, level: float) -> Surface:
+        """The level set of a sparse field."""
+    @property
+    def edge_count(self) -> int:
+        """Number of crossed edges."""
+    def edges(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Both ends of each crossed edge, (m, 3) each, and the share of it before the crossing, (m,)."""
+    def use_mesh(self, mesh: Mesh, offset: float, *, unsigned: bool = False) -> None:
+        """Take the tangent planes from the surface at a distance from a mesh."""
+    def use_planes(self, points: NDArray[np.float64], normals: NDArray[np.float64]) -> None:
+        """Take the tangent planes through `points` with `normals`, (m, 3) each; a row not finite keeps its plane."""
+    def mesh(self, *, sharp: bool = True, capped: bool = True) -> tuple[NDArray[np.float64], NDArray[np.uint32], int]:
+        """Vertices (n, 3), faces (m, 3) and the number of vertices that were clamped to their cell."""
 
 @final
 class SparseField:

@@ -18,6 +18,7 @@ mod render;
 mod run;
 mod scene;
 mod sparse;
+mod surface;
 mod volume;
 
 use pyo3::prelude::*;
@@ -57,7 +58,9 @@ mod _core {
     #[pymodule_export]
     use super::sparse::{SparseField, bake_sparse, check_scales, decode, encode, encoding_scale, to_sparse};
     #[pymodule_export]
-    use super::volume::{gradient, resample, sample, surface_nets};
+    use super::surface::Surface;
+    #[pymodule_export]
+    use super::volume::{gradient, resample, sample};
 
     use super::*;
 

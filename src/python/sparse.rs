@@ -12,6 +12,7 @@ use crate::gpu::Place;
 use crate::progress::Progress;
 use crate::render::{Camera, Frame, RaymarchOptions, raymarch_sparse};
 use crate::sign::SignMethod;
+use crate::surface::Surface;
 use crate::volume::sparse::build::SparseOptions;
 use crate::volume::sparse::{BRICK_LEN, BRICK_SAMPLES, SparseField as Sparse, brick_counts, node_grid};
 use crate::volume::{Filter, Texel, Trilinear};
@@ -76,6 +77,11 @@ impl SparseField {
             nodes: field.nodes.clone(),
             texels: field.texels.iter().map(|texel| texel.decode(field.scale)).collect(),
         })
+    }
+
+    /// The surface where the field equals `level`.
+    pub fn surface(&self, level: f32, progress: &Progress) -> Result<Surface, Error> {
+        with_field!(&self.0, |field| Surface::of_sparse(&field.view()?, level, progress))
     }
 
     pub fn raymarch(

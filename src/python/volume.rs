@@ -1,11 +1,11 @@
-//! `fieldbake._core.sample`, `gradient`, `resample` and `surface_nets`.
+//! `fieldbake._core.sample`, `gradient` and `resample`.
 
 use super::convert::{Field, points, row_array, volume_array, with_texels};
 use super::error::Failure;
 use super::run::run;
 use crate::volume::{Filter, Trilinear};
 use glam::DVec3;
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray3};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
 use pyo3::prelude::*;
 
 /// Field at points (n, 3); a proven lower bound outside the box.
@@ -65,20 +65,4 @@ pub fn resample<'py>(
         run(py, None, |progress| field.view()?.resample(shape, progress))?
     });
     volume_array(py, samples, shape)
-}
-
-/// Vertices (n, 3) and faces (m, 3) of a level set.
-#[pyfunction]
-#[expect(clippy::type_complexity, reason = "a pair of arrays is what Python unpacks")]
-pub fn surface_nets<'py>(
-    py: Python<'py>,
-    distances: PyReadonlyArray3<'py, f32>,
-    lower: [f64; 3],
-    upper: [f64; 3],
-    level: f32,
-) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<u32>>)> {
-    let field = Field::new(&distances, lower, upper)?;
-    let surface = run(py, None, |_| field.view()?.surface_nets(level))?;
-    let vertices = row_array(py, surface.vertices.iter().map(DVec3::to_array))?;
-    Ok((vertices, row_array(py, surface.faces.into_iter())?))
 }

@@ -1,4 +1,4 @@
-//! A stored field read back: samples, gradients, other resolutions, and its surface as a mesh.
+//! A stored field read back: samples, gradients, other resolutions.
 //!
 //! # Theory
 //!
@@ -30,11 +30,9 @@ pub mod device;
 pub mod outside;
 mod resample;
 pub mod sparse;
-mod surface;
 mod texel;
 mod trilinear;
 
-pub use surface::SurfaceMesh;
 pub use texel::Texel;
 pub use trilinear::{Cell, Filter, Trilinear, trilinear, trilinear_gradient};
 

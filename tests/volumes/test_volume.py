@@ -280,60 +280,6 @@ def test_downsample_by_nonsense(noise, factor):
         noise.downsample(factor)
 
 
-# --- to_mesh
-
-
-@pytest.mark.parametrize("name", ["icosphere", "torus", "knot", "cube", "hollow_sphere"])
-def test_the_surface_comes_back_closed_and_near(name):
-    geometry = meshes.CLOSED[name]()
-    volume = fb.bake(geometry, resolution=48)
-
-    surface = volume.to_mesh()
-
-    assert surface.topology()["closed"]
-    # A surface-net vertex lies in a cell that the surface crosses, so within a cell's diagonal of it.
-    diagonal = np.linalg.norm(volume.spacing)
-    assert np.abs(fb.signed_distance(geometry, surface.vertices)).max() <= diagonal
-    area = np.linalg.norm(np.cross(*(np.diff(truth.corners(*geometry), axis=1).transpose(1, 0, 2))), axis=1).sum() / 2
-    found, expected = truth.volume(surface.vertices, surface.faces), truth.volume(*geometry)
-    assert abs(found - expected) <= area * diagonal
-    assert found > 0
-
-
-def test_the_surface_of_a_cube_has_its_volume_to_a_percent():
-    volume = fb.bake(meshes.box(), resolution=64)
-    surface = volume.to_mesh()
-
-    # Only the edges are cut: twelve of length 2, each by less than a square voxel.
-    assert truth.volume(surface.vertices, surface.faces) == pytest.approx(8, abs=12 * 2 * volume.spacing.max() ** 2)
-
-
-def test_a_level_grows_the_surface(sphere):
-    grown = sphere.to_mesh(level=0.04)
-
-    radius = np.linalg.norm(grown.vertices, axis=1)
-    assert np.abs(radius - 1.04).max() <= np.linalg.norm(sphere.spacing)
-    assert radius.mean() == pytest.approx(1.04, abs=0.01)
-
-
-def test_a_surface_cut_by_the_box_is_closed_by_a_flat_cap():
-    half = fb.bake(meshes.icosphere(3), resolution=(20, 40, 40), bounds=[(0, -2, -2), (2, 2, 2)])
-
-    surface = half.to_mesh()
-
-    assert surface.topology()["closed"]
-    assert surface.bounds[0][0] == pytest.approx(0, abs=half.spacing[0])
-    # Half a ball, its surface off by less than half a voxel.
-    volume = truth.volume(surface.vertices, surface.faces)
-    assert volume == pytest.approx(2 / 3 * np.pi, abs=3 * np.pi * half.spacing[0] / 2)
-
-
-@pytest.mark.parametrize("level", [-5, 5, float("nan"), "zero"])
-def test_no_surface_at_that_level(sphere, level):
-    with pytest.raises(fb.ArgumentError, match="level"):
-        sphere.to_mesh(level)
-
-
 # --- file
 
 

@@ -19,6 +19,7 @@ from ..base.notices import warn_surface
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report
 from ..meshes.convert import MeshLike, as_mesh
+from ..meshes.isosurface import FieldSource, MeshSource
 from ..meshes.mesh import Mesh
 from ..queries.common import Sign, check_reach, choices
 from ..shapes.shape import Shape, all_shapes, combine
@@ -143,6 +144,12 @@ class Job(NamedTuple):
     sign: str
     thickness: float | None
 
+    def source(self, sign_method: str) -> MeshSource:
+        """The mesh as the source of exact tangent planes, given the sign method that was used."""
+        if self.thickness is None:
+            return MeshSource(self.mesh, 0.0 if sign_method == "unsigned" else None)
+        return MeshSource(self.mesh, self.thickness / 2)
+
 
 def prepare(
     mesh: MeshLike,
@@ -192,8 +199,10 @@ def bake_job(job: Job, band: float | None, device: str, progress: Progress) -> V
             device=device,
             progress=callback,
         )
-    report = Report.of_mesh(job.mesh, facts)
-    return Volume._wrap(distances, np.array([grid.lower, grid.upper]), job.inner, report)
+    reach = None if band is None else band * max(grid.spacing)
+    report = Report.of_mesh(job.mesh, {**facts, "band": reach})
+    source = job.source(report.sign_method)
+    return Volume._wrap(distances, np.array([grid.lower, grid.upper]), job.inner, report, source)
 
 
 def sheet_thickness(grid: Grid) -> float:
@@ -252,4 +261,5 @@ def _bake_shape(
         warnings=() if inside else (nothing,),
     )
     log_warnings(report)
-    return Volume._wrap(distances, np.array([grid.lower, grid.upper]), inner.copy(), report)
+    source = FieldSource(shape.distance, shape.gradient)
+    return Volume._wrap(distances, np.array([grid.lower, grid.upper]), inner.copy(), report, source)

@@ -87,4 +87,6 @@ def bake_sparse(
         )
     report = Report.of_mesh(job.mesh, facts)
     log_warnings(report)
-    return SparseVolume._wrap(field, np.array([job.grid.lower, job.grid.upper]), job.inner, report)
+    return SparseVolume._wrap(
+        field, np.array([job.grid.lower, job.grid.upper]), job.inner, report, job.source(report.sign_method)
+    )

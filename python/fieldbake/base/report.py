@@ -58,6 +58,8 @@ class Report:
         Duration of each stage, seconds.
     peak_bytes : int
         Peak memory of the bake, bytes.
+    band : float or None
+        Distances up to here are exact, world units; larger magnitudes are lower bounds. None: all are exact.
     warnings : tuple of str
         Warnings; each names a remedy.
     """
@@ -82,6 +84,7 @@ class Report:
     device: str = ""
     seconds: Mapping[str, float] = field(default_factory=dict)
     peak_bytes: int = 0
+    band: float | None = None
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -146,3 +149,16 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return dict(value)
     return list(value) if isinstance(value, tuple) else value
+
+
+@dataclass(frozen=True)
+class SurfaceReport:
+    """Facts of a mesh that was extracted from a field.
+
+    Attributes
+    ----------
+    clamped_vertices : int
+        Vertices whose nearest point to the tangent planes lies outside their cell; they lie on the border of the cell.
+    """
+
+    clamped_vertices: int = 0

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _core
 from ..base import checks
 from ..base.errors import MeshError
+from ..base.report import SurfaceReport
 from . import facts
 from .export import save_mesh
 from .images import decoded
@@ -144,6 +145,10 @@ class Mesh:
     fieldbake.errors.MeshError: faces[0] refers to vertex 3, the mesh has 3 vertices (valid: 0 to 2)
     """
 
+    # Facts of the extraction from a field.
+    _report: SurfaceReport | None = None
+    _chord_error: float = 0.0
+
     def __init__(
         self,
         vertices: ArrayLike,
@@ -172,6 +177,27 @@ class Mesh:
             part.with_faces(range(*np.searchsorted(kept, (part.faces.start, part.faces.stop)).tolist()))
             for part in parts
         )
+
+    @classmethod
+    def _extracted(cls, vertices: NDArray[np.float64], faces: NDArray[np.uint32], report: SurfaceReport) -> Mesh:
+        """The mesh of a level set; the one kind of mesh that may have no faces."""
+        if len(faces):
+            mesh = cls(vertices, faces.astype(np.int64))
+        else:
+            mesh = cls.__new__(cls)
+            mesh._uv, mesh._parts = None, ()
+            mesh.__dict__.update(vertices=checks.frozen(vertices), faces=checks.frozen(faces))
+        mesh._report = report
+        return mesh
+
+    @cached_property
+    def _core(self) -> _core.Mesh:
+        raise MeshError("mesh: has no faces; the level set that it was extracted from is empty")
+
+    @property
+    def report(self) -> SurfaceReport | None:
+        """Facts of the extraction from a field; None for other meshes."""
+        return self._report
 
     @cached_property
     def vertices(self) -> NDArray[np.float64]:
@@ -291,6 +317,8 @@ class Mesh:
         return trimesh.Trimesh(self.vertices, self.faces.astype(np.int64), process=False)
 
     def __repr__(self) -> str:
+        if not len(self.faces):
+            return "Mesh(0 vertices, 0 faces)"
         extent = " x ".join(f"{side:.4g}" for side in self.bounds[1] - self.bounds[0])
         return f"Mesh({len(self.vertices)} vertices, {len(self.faces)} faces, {extent} units)"
 

@@ -13,6 +13,7 @@ from ..base import checks, encodings
 from ..base.errors import ArgumentError
 from ..base.report import Report, bytes_text
 from ..files import container
+from ..meshes.isosurface import Source
 from . import textures
 from .volume import Volume
 
@@ -39,13 +40,14 @@ class QuantizedVolume(Volume):
         bounds: NDArray[np.float64],
         inner_bounds: NDArray[np.float64],
         report: Report,
+        geometry: Source | None = None,
     ) -> QuantizedVolume:
         """Take over a checked array, x fastest."""
         volume = cls.__new__(cls)
         nx, ny, nz = encoded.shape
         volume._encoded, volume._encoding, volume._unit = checks.frozen(encoded), encoding, scale
         volume._field, volume._samples, volume._shape = None, None, (nx, ny, nz)
-        volume._stand_in(bounds, inner_bounds, report)
+        volume._stand_in(bounds, inner_bounds, report, geometry)
         return volume
 
     @property
@@ -94,6 +96,12 @@ class QuantizedVolume(Volume):
     @property
     def _scale(self) -> float:
         return self._unit
+
+    def _kept_distance(self) -> float | None:
+        kept = super()._kept_distance()
+        if self._encoding == "float16":
+            return kept
+        return self._unit if kept is None else min(kept, self._unit)
 
     def _source(self, device: str) -> NDArray[Any]:
         checks.text("device", device)
@@ -147,4 +155,5 @@ def quantize(volume: Volume, encoding: str, band: float) -> QuantizedVolume:
     checks.choice("encoding", encoding, encodings.QUANTIZED)
     scale = encodings.scale_of(encoding, volume.spacing, checks.number("band", band, above=0))
     encoded = _core.encode(volume._distances, encoding, scale)
-    return QuantizedVolume._of(encoded, encoding, scale, volume.bounds, volume.inner_bounds, volume.report)
+    inner = volume.inner_bounds
+    return QuantizedVolume._of(encoded, encoding, scale, volume.bounds, inner, volume.report, volume._geometry)

@@ -14,6 +14,7 @@ from ..base import checks
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report, bytes_text
 from ..files import container
+from ..meshes.isosurface import Source
 from .grid_field import GridField
 from .volume import Filter, Volume
 
@@ -45,10 +46,11 @@ class SparseVolume(GridField):
         bounds: NDArray[np.float64],
         inner_bounds: NDArray[np.float64],
         report: Report,
+        geometry: Source | None = None,
     ) -> SparseVolume:
         volume = cls.__new__(cls)
         volume._core_field = field
-        volume._stand_in(bounds, inner_bounds, report)
+        volume._stand_in(bounds, inner_bounds, report, geometry)
         return volume
 
     @property
@@ -83,7 +85,8 @@ class SparseVolume(GridField):
 
     def to_volume(self) -> Volume:
         """The dense volume of the same grid: stored samples, and bounds where nothing is stored."""
-        return Volume._wrap(self._core_field.dense(), self._bounds, self._inner_bounds, self._report)
+        dense = self._core_field.dense()
+        return Volume._wrap(dense, self._bounds, self._inner_bounds, self._report, self._geometry)
 
     def sample(self, points: ArrayLike, *, filter: Filter = "linear") -> NDArray[np.float32]:
         """The field at any points.
@@ -139,6 +142,13 @@ class SparseVolume(GridField):
         from ..loading.readers import load_as
 
         return load_as(cls, path)
+
+    def _surface(self, level: float) -> _core.Surface:
+        return _core.Surface.of_sparse(self._core_field, level)
+
+    def _kept_distance(self) -> float | None:
+        # Any point lies within half a voxel's diagonal of a sample.
+        return self.band - 0.5 * float(np.linalg.norm(self.spacing))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write an .npz file, to be read by :func:`fieldbake.load`; see :meth:`Volume.save`."""
@@ -211,4 +221,4 @@ def to_sparse(
             progress=callback,
             **options,
         )
-    return SparseVolume._wrap(field, volume.bounds, inner, volume.report)
+    return SparseVolume._wrap(field, volume.bounds, inner, volume.report, volume._geometry)

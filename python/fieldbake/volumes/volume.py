@@ -15,7 +15,7 @@ from ..base.errors import ArgumentError
 from ..base.progress import Progress
 from ..base.report import Report, bytes_text
 from ..files import container
-from ..meshes.mesh import Mesh
+from ..meshes.isosurface import Source
 from . import textures
 from .grid_field import GridField
 
@@ -84,6 +84,7 @@ class Volume(GridField):
         bounds: NDArray[np.float64],
         inner_bounds: NDArray[np.float64],
         report: Report,
+        geometry: Source | None = None,
     ) -> None:
         if isinstance(distances, _core.DeviceField):
             self._field, self._samples = distances, None
@@ -91,7 +92,7 @@ class Volume(GridField):
             self._field, self._samples = None, checks.frozen(distances)
         nx, ny, nz = distances.shape
         self._shape = (nx, ny, nz)
-        self._stand_in(bounds, inner_bounds, report)
+        self._stand_in(bounds, inner_bounds, report, geometry)
 
     @classmethod
     def _wrap(
@@ -100,10 +101,11 @@ class Volume(GridField):
         bounds: NDArray[np.float64],
         inner_bounds: NDArray[np.float64],
         report: Report,
+        geometry: Source | None = None,
     ) -> Volume:
         """Take over checked arrays without a copy."""
         volume = cls.__new__(cls)
-        volume._set(distances, bounds, inner_bounds, report)
+        volume._set(distances, bounds, inner_bounds, report, geometry)
         return volume
 
     @property
@@ -234,37 +236,8 @@ class Volume(GridField):
         lower, upper = self._corners()
         return _core.gradient(self._texels, lower, upper, flat, scale=self._scale).reshape(*shape, 3)
 
-    def to_mesh(self, level: float = 0.0) -> Mesh:
-        """The surface where the field has the value `level`, by surface nets.
-
-        Parameters
-        ----------
-        level : float, default 0
-            World units; positive values give a grown surface, negative a shrunk one.
-
-        Returns
-        -------
-        Mesh
-            Counter-clockwise seen from the larger values. Always closed: where the box cuts the surface, by a flat
-            cap.
-
-        Raises
-        ------
-        ArgumentError
-            If the field does not take that value between samples.
-
-        References
-        ----------
-        S. Gibson, Constrained elastic surface nets, MICCAI 1998.
-        """
-        level = checks.number("level", level)
-        distances = self._distances
-        lowest, highest = float(distances.min()), float(distances.max())
-        if lowest < level < highest:
-            vertices, faces = _core.surface_nets(distances, *self._corners(), level)
-            if len(faces):
-                return Mesh(vertices, faces.astype(np.int64))
-        raise ArgumentError(f"level: no surface at {level:g}, the samples run from {lowest:g} to {highest:g}")
+    def _surface(self, level: float) -> _core.Surface:
+        return _core.Surface.of_field(self._texels, *self._corners(), level, scale=self._scale)
 
     def downsample(self, factor: int = 2) -> Volume:
         """A coarser volume over the same box.
@@ -287,7 +260,7 @@ class Volume(GridField):
         factor = checks.integer("factor", factor, least=1, most=2**31)
         nx, ny, nz = ((side + factor - 1) // factor for side in self.resolution)
         distances = _core.resample(self._texels, *self._corners(), (nx, ny, nz), scale=self._scale)
-        return Volume._wrap(distances, self._bounds, self._inner_bounds, self._report)
+        return Volume._wrap(distances, self._bounds, self._inner_bounds, self._report, self._geometry)
 
     def plot_slices(self, at: ArrayLike | None = None) -> Figure:
         """The slices through a point along the three axes, coloured by distance, with iso-lines.

@@ -261,14 +261,33 @@ impl<'a, T: Texel> SparseView<'a, T> {
         samples.par_chunks_mut(nx).enumerate().try_for_each(|(row, samples)| {
             for (x, sample) in samples.iter_mut().enumerate() {
                 let voxel = IVec3::new(x as i32, (row % ny) as i32, (row / ny) as i32);
-                *sample = match self.entry_of_cell(voxel) {
-                    Entry::Stored { .. } => self.cell(voxel).at(voxel.as_dvec3()),
-                    Entry::Empty { inside } => self.bound_at(voxel.as_dvec3(), inside),
-                };
+                *sample = self.at_voxel(voxel);
             }
             progress.advance(1)
         })?;
         Ok(samples)
+    }
+
+    /// The field at the voxel centres around a stored brick: grid coordinates of the first, and [`BRICK_LEN`] values, x
+    /// fastest, as [`SparseView::dense`] has them; outside the grid those of the nearest voxel. None for an empty brick.
+    pub fn voxels_of_brick(&self, of_brick: [i32; 3]) -> Option<([i32; 3], [f32; BRICK_LEN])> {
+        let Entry::Stored { .. } = self.entry(of_brick) else { return None };
+        let origin = brick_origin(of_brick, 0);
+        let last = IVec3::from(self.grid.shape.map(|n| n as i32 - 1));
+        let value = |i: usize| {
+            let local = [i % BRICK_SAMPLES, i / BRICK_SAMPLES % BRICK_SAMPLES, i / (BRICK_SAMPLES * BRICK_SAMPLES)];
+            let voxel = IVec3::from(origin) + IVec3::from(local.map(|i| i as i32));
+            self.at_voxel(voxel.clamp(IVec3::ZERO, last))
+        };
+        Some((origin, std::array::from_fn(value)))
+    }
+
+    /// The field at a voxel centre; a bound where nothing is stored.
+    fn at_voxel(&self, voxel: IVec3) -> f32 {
+        match self.entry_of_cell(voxel) {
+            Entry::Stored { .. } => self.cell(voxel).at(voxel.as_dvec3()),
+            Entry::Empty { inside } => self.bound_at(voxel.as_dvec3(), inside),
+        }
     }
 
     /// Samples of the grid below zero.

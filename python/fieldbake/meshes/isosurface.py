@@ -1,0 +1,125 @@
+"""Closed triangle meshes from level sets, with exact tangent planes where the source of a field is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _core
+from ..base import checks
+from ..base.report import SurfaceReport
+from .convert import as_mesh
+from .mesh import Mesh
+
+#: Steps of the search for a crossing. Each at least halves the interval every second time, most square the error.
+ROOT_STEPS = 24
+
+#: A crossing is found once the interval is this share of an edge: a tenth of what the vertices resolve.
+ROOT_SHARE = 1e-5
+
+
+class Source(Protocol):
+    """Geometry that a field was made of: it replaces the tangent planes that the samples give by its own."""
+
+    def apply(self, surface: _core.Surface, level: float) -> None:
+        """Set the tangent planes of `surface`, the level set of the field at `level`."""
+
+
+@dataclass(frozen=True)
+class MeshSource:
+    """A mesh, or with a half thickness the sheet around it."""
+
+    mesh: Mesh
+    half_thickness: float | None = None
+
+    def apply(self, surface: _core.Surface, level: float) -> None:
+        """Take the faces that edges cross, or spheres around the nearest points at another level than zero."""
+        if self.half_thickness is None:
+            surface.use_mesh(self.mesh._core, level)
+        else:
+            surface.use_mesh(self.mesh._core, level + self.half_thickness, unsigned=True)
+
+
+@dataclass(frozen=True)
+class FieldSource:
+    """A field that can be evaluated anywhere.
+
+    Attributes
+    ----------
+    evaluate : callable
+        Values at points (n, 3), (n,), below zero inside.
+    gradient : callable
+        Gradients at points (n, 3), (n, 3), of any length.
+    """
+
+    evaluate: Callable[[NDArray[np.float64]], NDArray[Any]]
+    gradient: Callable[[NDArray[np.float64]], NDArray[Any]]
+
+    def apply(self, surface: _core.Surface, level: float) -> None:
+        """Find the root on each crossed edge by the Illinois method, and the gradient there."""
+        starts, ends, shares = surface.edges()
+        points, found = self.roots(starts, ends, shares, level)
+        normals = np.full(points.shape, np.nan)
+        normals[found] = self.gradient(points[found])
+        surface.use_planes(points, normals)
+
+    def roots(
+        self,
+        starts: NDArray[np.float64],
+        ends: NDArray[np.float64],
+        shares: NDArray[np.float64],
+        level: float,
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Points (n, 3) where the field crosses `level` between two points each, and where there is such a point (n,).
+
+        M. Dowell and P. Jarratt, "A modified regula falsi method for computing the root of an equation", BIT 11 (1971).
+        """
+        low, high = np.zeros(len(starts)), np.ones(len(starts))
+        at_low, at_high = self._values(starts, level), self._values(ends, level)
+        found = (at_low < 0) != (at_high < 0)
+        share = np.clip(shares, 0.0, 1.0)
+        open_rows = np.flatnonzero(found)
+        side = np.zeros(len(starts), dtype=np.int8)
+        for step in range(ROOT_STEPS):
+            if not len(open_rows):
+                break
+            rows = open_rows
+            if step > 0:
+                share[rows] = low[rows] + (high[rows] - low[rows]) * at_low[rows] / (at_low[rows] - at_high[rows])
+            value = self._values(starts[rows] + (ends[rows] - starts[rows]) * share[rows, None], level)
+            as_low = (value < 0) == (at_low[rows] < 0)
+            # The end that stays twice in a row counts half, so that the interval shrinks from both sides.
+            at_high[rows] = np.where(as_low & (side[rows] == 1), at_high[rows] / 2, at_high[rows])
+            at_low[rows] = np.where(~as_low & (side[rows] == -1), at_low[rows] / 2, at_low[rows])
+            low[rows] = np.where(as_low, share[rows], low[rows])
+            at_low[rows] = np.where(as_low, value, at_low[rows])
+            high[rows] = np.where(as_low, high[rows], share[rows])
+            at_high[rows] = np.where(as_low, at_high[rows], value)
+            side[rows] = np.where(as_low, 1, -1)
+            open_rows = rows[(value != 0) & (high[rows] - low[rows] > ROOT_SHARE)]
+        return starts + (ends - starts) * share[:, None], found
+
+    def _values(self, points: NDArray[np.float64], level: float) -> NDArray[np.float64]:
+        return np.asarray(self.evaluate(points), dtype=np.float64) - level
+
+
+def as_source(source: object) -> Source:
+    """A source from a mesh or anything that makes one, or from an object that evaluates a field and its gradient."""
+    evaluate = getattr(source, "distance", None) or getattr(source, "sample", None)
+    gradient = getattr(source, "gradient", None)
+    if callable(evaluate) and callable(gradient):
+        return FieldSource(evaluate, gradient)
+    return MeshSource(as_mesh(source))
+
+
+def extract(surface: _core.Surface, level: float, source: Source | None, *, sharp: bool, capped: bool) -> Mesh:
+    """The mesh of a level set; see :meth:`fieldbake.Volume.to_mesh`."""
+    sharp, capped = checks.flag("sharp", sharp), checks.flag("capped", capped)
+    if sharp and source is not None:
+        source.apply(surface, level)
+    vertices, faces, clamped = surface.mesh(sharp=sharp, capped=capped)
+    return Mesh._extracted(vertices, faces, SurfaceReport(clamped_vertices=clamped))

@@ -1,0 +1,290 @@
+//! The cells of a grid that a level set passes through.
+//!
+//! Cell (i, j, k) lies between the voxel centres i and i + 1, j and j + 1, k and k + 1. Around the grid there is one layer
+//! of *padding*: centres -1 and n, half a voxel outside the box, which are outside the solid. Their value is the mirror
+//! `|d - level|` of the nearest sample of the grid, so a surface that leaves the box crosses an edge to the padding exactly
+//! on the face of the box. That closes the surface: it bounds the part of the solid that lies in the box.
+//!
+//! Memory grows with the number of crossed cells, plus one number for every row of cells.
+
+use super::patches::{MAX_PATCHES, edge_corners, face_corners, face_edges, is_ambiguous, patches};
+use crate::error::Error;
+use crate::progress::Progress;
+use crate::volume::sparse::{BRICK_CELLS, SparseView};
+use crate::volume::{FieldView, Texel, Trilinear};
+use rayon::prelude::*;
+
+/// A cell that the surface passes through.
+#[derive(Debug, Clone, Copy)]
+pub struct Cell {
+    /// Indices of its lower corner, from -1 to n - 1.
+    pub index: [i32; 3],
+    /// Samples at the corners minus the level; negative inside.
+    pub values: [f32; 8],
+    /// Corners inside the solid, bit `c` for corner `c`.
+    pub inside: u8,
+    /// Ambiguous faces whose inside corners are joined, bit `f` for face `f`.
+    pub joined: u8,
+    /// Number of its first patch among all patches.
+    pub first_patch: u32,
+    /// Number of the first of the crossed edges that start at its lower corner, among all crossed edges.
+    pub first_edge: u32,
+}
+
+impl Cell {
+    /// The cell, if the surface passes through it.
+    fn new(index: [i32; 3], values: [f32; 8]) -> Option<Self> {
+        let inside = values.iter().enumerate().fold(0, |bits, (c, &value)| bits | u8::from(value < 0.0) << c);
+        if inside == 0 || inside == 255 {
+            return None;
+        }
+        let joined = (0..6).filter(|&face| is_ambiguous(inside, face) && joins_inside(&values, face));
+        let joined = joined.fold(0, |bits, face| bits | 1 << face);
+        Some(Self { index, values, inside, joined, first_patch: 0, first_edge: 0 })
+    }
+
+    /// Sets of edges, one for each patch.
+    pub fn patches(&self) -> impl Iterator<Item = u16> + use<> {
+        patches(self.inside, self.joined).iter().copied().take_while(|&patch| patch != 0)
+    }
+
+    /// Number of the patch that has an edge, among the patches of this cell.
+    pub fn patch_of(&self, edge: usize) -> u32 {
+        let patches = patches(self.inside, self.joined);
+        (0..MAX_PATCHES).find(|&i| patches[i] >> edge & 1 == 1).unwrap_or(0) as u32
+    }
+
+    /// Whether the edge from the lower corner along an axis is crossed.
+    pub fn owns(&self, axis: usize) -> bool {
+        (self.inside ^ self.inside >> (1 << axis)) & 1 == 1
+    }
+
+    /// Number of the crossed edge from the lower corner along an axis, among all crossed edges.
+    pub fn edge(&self, axis: usize) -> u32 {
+        self.first_edge + (0..axis).filter(|&a| self.owns(a)).count() as u32
+    }
+}
+
+/// Whether the bilinear function of an ambiguous face is inside at its saddle point (Nielson and Hamann, "The Asymptotic
+/// Decider", 1991). Both cells of a face compare the same products, so they agree.
+fn joins_inside(values: &[f32; 8], face: usize) -> bool {
+    let [a, b, c, d] = face_corners(face).map(|corner| f64::from(values[corner]));
+    let (first, second) = (a * c, b * d);
+    if a < 0.0 { first > second } else { second > first }
+}
+
+/// All crossed cells of a grid, sorted by z, then y, then x.
+#[derive(Debug)]
+pub struct Cells {
+    /// Voxels along each axis.
+    shape: [i32; 3],
+    cells: Vec<Cell>,
+    /// First cell of each row; rows are sorted by z, then y, from -1.
+    rows: Vec<u32>,
+    patches: u32,
+    edges: u32,
+}
+
+impl Cells {
+    /// The crossed cells of a stored field.
+    pub fn of_field<T: Texel>(field: &FieldView<'_, T>, level: f32, progress: &Progress) -> Result<Self, Error> {
+        let shape = field.grid().shape.map(|n| n as i32);
+        let [nx, ny, nz] = field.grid().shape;
+        progress.set_total(nz as u64 + 1);
+        let (texels, scale) = (field.texels(), field.scale());
+        let row = |y: i32, z: i32| {
+            let clamp = |i: i32, n: usize| (i.max(0) as usize).min(n - 1);
+            let first = nx * (clamp(y, ny) + ny * clamp(z, nz));
+            &texels[first..first + nx]
+        };
+        let slabs: Vec<Vec<Cell>> = (-1..shape[2])
+            .into_par_iter()
+            .map(|z| {
+                let mut found = Vec::new();
+                for y in -1..shape[1] {
+                    let rows = [row(y, z), row(y + 1, z), row(y, z + 1), row(y + 1, z + 1)];
+                    let padded = [(y, z), (y + 1, z), (y, z + 1), (y + 1, z + 1)]
+                        .map(|(y, z)| y < 0 || z < 0 || y >= shape[1] || z >= shape[2]);
+                    let value = |r: usize, x: i32| {
+                        let value = rows[r][(x.max(0) as usize).min(nx - 1)].decode(scale) - level;
+                        if padded[r] || x < 0 || x >= shape[0] { value.abs() } else { value }
+                    };
+                    let column = |x: i32| -> [f32; 4] { std::array::from_fn(|r| value(r, x)) };
+                    let signs = |column: &[f32; 4]| column.iter().filter(|&&value| value < 0.0).count();
+                    let mut near = column(-1);
+                    let mut near_signs = signs(&near);
+                    for x in -1..shape[0] {
+                        let far = column(x + 1);
+                        let far_signs = signs(&far);
+                        if !(near_signs == far_signs && (near_signs == 0 || near_signs == 4)) {
+                            let values = [near[0], far[0], near[1], far[1], near[2], far[2], near[3], far[3]];
+                            found.extend(Cell::new([x, y, z], values));
+                        }
+                        (near, near_signs) = (far, far_signs);
+                    }
+                }
+                progress.advance(1).map(|()| found)
+            })
+            .collect::<Result<_, _>>()?;
+        Ok(Self::new(shape, slabs.concat()))
+    }
+
+    /// The crossed cells of blocks of samples. Block `b` has `side`^3 cells from cell `origins[b]` on, and `(side + 1)^3`
+    /// samples, x fastest, from `values[b * (side + 1)^3]` on; a sample outside the grid repeats the nearest one of the grid.
+    /// The blocks must not overlap, and hold every cell that the surface passes through.
+    pub fn of_blocks(shape: [i32; 3], side: usize, origins: &[[i32; 3]], values: &[f32], level: f32) -> Self {
+        let samples = (side + 1).pow(3);
+        let blocks = origins.par_iter().zip(values.par_chunks_exact(samples));
+        let cells = blocks.flat_map_iter(|(&origin, values)| cells_of_block(shape, side, origin, values, level));
+        Self::sorted(shape, cells.collect())
+    }
+
+    /// The crossed cells of a sparse field. Coarse bricks are read at every voxel centre, so bricks of different levels
+    /// see the same values on their common faces.
+    pub fn of_sparse<T: Texel>(field: &SparseView<'_, T>, level: f32, progress: &Progress) -> Result<Self, Error> {
+        let shape = field.grid().shape.map(|n| n as i32);
+        let bricks = field.bricks().map(|n| n as i32);
+        progress.set_total(bricks[2] as u64);
+        let slabs: Vec<Vec<Cell>> = (0..bricks[2])
+            .into_par_iter()
+            .map(|z| {
+                let mut found = Vec::new();
+                for y in 0..bricks[1] {
+                    for x in 0..bricks[0] {
+                        if let Some((origin, values)) = field.voxels_of_brick([x, y, z]) {
+                            found.extend(cells_of_block(shape, BRICK_CELLS, origin, &values, level));
+                        }
+                    }
+                }
+                progress.advance(1).map(|()| found)
+            })
+            .collect::<Result<_, _>>()?;
+        Ok(Self::sorted(shape, slabs.concat()))
+    }
+
+    fn sorted(shape: [i32; 3], mut cells: Vec<Cell>) -> Self {
+        cells.par_sort_unstable_by_key(|cell| (cell.index[2], cell.index[1], cell.index[0]));
+        Self::new(shape, cells)
+    }
+
+    fn new(shape: [i32; 3], cells: Vec<Cell>) -> Self {
+        let row_count = (shape[1] + 1) as usize * (shape[2] + 1) as usize;
+        let mut surface = Self { shape, cells, rows: Vec::with_capacity(row_count + 1), patches: 0, edges: 0 };
+        for (i, cell) in surface.cells.iter().enumerate() {
+            let row = row(&shape, cell.index[1], cell.index[2]);
+            surface.rows.resize(row + 1, i as u32);
+        }
+        surface.rows.resize(row_count + 1, surface.cells.len() as u32);
+        surface.part_doubly_joined_patches();
+        for cell in &mut surface.cells {
+            (cell.first_patch, cell.first_edge) = (surface.patches, surface.edges);
+            surface.patches += cell.patches().count() as u32;
+            surface.edges += (0..3).filter(|&axis| cell.owns(axis)).count() as u32;
+        }
+        surface
+    }
+
+    /// Voxels along each axis.
+    pub fn shape(&self) -> [i32; 3] {
+        self.shape
+    }
+
+    pub fn cells(&self) -> &[Cell] {
+        &self.cells
+    }
+
+    /// Number of patches, one vertex each.
+    pub fn patch_count(&self) -> usize {
+        self.patches as usize
+    }
+
+    /// Number of crossed edges, one quadrilateral each.
+    pub fn edge_count(&self) -> usize {
+        self.edges as usize
+    }
+
+    /// The crossed cell at an index.
+    pub fn find(&self, index: [i32; 3]) -> Option<&Cell> {
+        self.position(index).map(|i| &self.cells[i])
+    }
+
+    fn position(&self, index: [i32; 3]) -> Option<usize> {
+        if index.iter().zip(&self.shape).any(|(&i, &n)| i < -1 || i >= n) {
+            return None;
+        }
+        let row = row(&self.shape, index[1], index[2]);
+        let (first, last) = (self.rows[row] as usize, self.rows[row + 1] as usize);
+        self.cells[first..last].binary_search_by_key(&index[0], |cell| cell.index[0]).ok().map(|i| first + i)
+    }
+
+    /// Keep the mesh a two-manifold. Where both segments of an ambiguous face belong to one patch in either cell, the two
+    /// vertices would be joined by two edges of the mesh with the same ends, and four faces would meet there. Joining the
+    /// other corners of that face instead parts the patch in both cells. Parting patches never creates another such face,
+    /// so one pass over all faces suffices (the rule is that of R. Wenger, "Isosurfaces", 2013, for dual contouring).
+    fn part_doubly_joined_patches(&mut self) {
+        for i in 0..self.cells.len() {
+            for axis in 0..3 {
+                let face = 2 * axis + 1;
+                let cell = &self.cells[i];
+                if !is_ambiguous(cell.inside, face) {
+                    continue;
+                }
+                let mut index = cell.index;
+                index[axis] += 1;
+                let Some(next) = self.position(index) else { continue };
+                if one_patch(cell, face) && one_patch(&self.cells[next], face - 1) {
+                    self.cells[i].joined ^= 1 << face;
+                    self.cells[next].joined ^= 1 << (face - 1);
+                }
+            }
+        }
+    }
+}
+
+/// The crossed cells of one block of samples; see [`Cells::of_blocks`].
+fn cells_of_block(
+    shape: [i32; 3],
+    side: usize,
+    origin: [i32; 3],
+    samples: &[f32],
+    level: f32,
+) -> impl Iterator<Item = Cell> {
+    let n = side + 1;
+    let inside = samples.iter().filter(|&&value| value < level).count();
+    // Padding is outside, so a block that is inside everywhere may still have crossed cells at the box.
+    let interior = (0..3).all(|axis| origin[axis] >= 0 && origin[axis] + (side as i32) < shape[axis]);
+    let crossed = inside > 0 && !(interior && inside == samples.len());
+    let offsets: [usize; 8] = std::array::from_fn(|c| (c & 1) + n * ((c >> 1 & 1) + n * (c >> 2)));
+    let count = if crossed { side * side * side } else { 0 };
+    (0..count).filter_map(move |i| {
+        let local = [i % side, i / side % side, i / (side * side)];
+        let index: [i32; 3] = std::array::from_fn(|axis| origin[axis] + local[axis] as i32);
+        if (0..3).any(|axis| index[axis] < -1 || index[axis] >= shape[axis]) {
+            return None;
+        }
+        let first = local[0] + n * (local[1] + n * local[2]);
+        let values = std::array::from_fn(|c| {
+            let value = samples[first + offsets[c]] - level;
+            let at = |axis: usize| index[axis] + (c >> axis & 1) as i32;
+            let padded = (0..3).any(|axis| at(axis) < 0 || at(axis) >= shape[axis]);
+            if padded { value.abs() } else { value }
+        });
+        Cell::new(index, values)
+    })
+}
+
+/// Whether all four edges of an ambiguous face belong to one patch of the cell.
+fn one_patch(cell: &Cell, face: usize) -> bool {
+    let edges = face_edges(face).iter().fold(0u16, |bits, edge| bits | 1 << edge);
+    cell.patches().any(|patch| patch & edges == edges)
+}
+
+fn row(shape: &[i32; 3], y: i32, z: i32) -> usize {
+    (y + 1) as usize + (shape[1] + 1) as usize * (z + 1) as usize
+}
+
+/// The cell that owns an edge of `cell` (the edge starts at its lower corner), and the axis of the edge.
+pub fn owner_of(cell: &Cell, edge: usize) -> ([i32; 3], usize) {
+    let low = edge_corners(edge)[0];
+    (std::array::from_fn(|axis| cell.index[axis] + (low >> axis & 1) as i32), edge / 4)
+}

@@ -1,0 +1,89 @@
+//! Tangent planes from the mesh that a field was made of.
+
+use super::{Crossing, Surface};
+use crate::error::Error;
+use crate::mesh::Mesh;
+use crate::progress::Progress;
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// Crossings between two looks at the progress.
+const CHUNK: usize = 1024;
+
+/// A surface this many voxels (longest side) away from where the samples put the crossing is another sheet.
+const REACH_VOXELS: f64 = 0.9;
+
+/// Offsets below this many voxels take the normals of faces: the direction to the nearest point has no digits left.
+const FLAT_VOXELS: f64 = 1e-3;
+
+/// Replace the planes of `crossings` by tangent planes of the surface at the distance `offset` from `mesh`, world units.
+/// With `unsigned` the distance is without a sign, so a positive offset surrounds the mesh on both sides.
+///
+/// An offset of zero takes the face that the edge crosses. Any other offset takes the sphere around the nearest point.
+/// A crossing keeps its plane where the mesh is farther away than the samples say, as across an opening.
+pub fn planes_of_mesh(
+    surface: &Surface,
+    crossings: &mut [Crossing],
+    mesh: &Mesh,
+    offset: f64,
+    unsigned: bool,
+    progress: &Progress,
+) -> Result<(), Error> {
+    let voxel = surface.spacing.max_element();
+    progress.set_total(crossings.len() as u64);
+    mesh.bvh();
+    crossings.par_chunks_mut(CHUNK).try_for_each(|chunk| {
+        for crossing in chunk.iter_mut().filter(|crossing| !crossing.on_box) {
+            let plane = if !unsigned && offset.abs() <= FLAT_VOXELS * voxel {
+                crossed_face(surface, mesh, crossing).or_else(|| nearest_face(mesh, crossing, REACH_VOXELS * voxel))
+            } else {
+                offset_plane(mesh, crossing, offset, unsigned, REACH_VOXELS * voxel)
+            };
+            if let Some((point, normal)) = plane {
+                // The side of larger values is that of the samples, whichever way a face is wound.
+                let outward = if normal.dot(crossing.normal) < 0.0 { -normal } else { normal };
+                (crossing.point, crossing.normal) = (point, outward);
+            }
+        }
+        progress.advance(chunk.len() as u64)
+    })
+}
+
+/// Where the edge of the crossing meets the mesh, nearest to the crossing, and the normal of that face.
+fn crossed_face(surface: &Surface, mesh: &Mesh, crossing: &Crossing) -> Option<(DVec3, DVec3)> {
+    let [start, end] = surface.ends(crossing);
+    let (origin, tip) = (mesh.local_from_world(start), mesh.local_from_world(end));
+    let mut best = (f64::INFINITY, None);
+    mesh.first_hit(origin, tip - origin, 1.0, |hit| {
+        if (hit.t - crossing.share).abs() < best.0 {
+            best = ((hit.t - crossing.share).abs(), Some(*hit));
+        }
+        false
+    });
+    let hit = best.1?;
+    Some((start + (end - start) * hit.t, normal_of(mesh, hit.face)?))
+}
+
+/// The nearest point of the mesh and the normal of its face.
+fn nearest_face(mesh: &Mesh, crossing: &Crossing, reach: f64) -> Option<(DVec3, DVec3)> {
+    let closest = mesh.closest_point(mesh.local_from_world(crossing.on_edge));
+    (closest.distance * mesh.scale() <= reach).then_some(())?;
+    Some((mesh.world_from_local(closest.on_triangle.point), normal_of(mesh, closest.face)?))
+}
+
+/// The tangent plane of the offset surface on the line from the nearest point of the mesh through the crossing.
+fn offset_plane(mesh: &Mesh, crossing: &Crossing, offset: f64, unsigned: bool, reach: f64) -> Option<(DVec3, DVec3)> {
+    let closest = mesh.closest_point(mesh.local_from_world(crossing.on_edge));
+    let distance = closest.distance * mesh.scale();
+    ((distance - offset.abs()).abs() <= reach && distance > 0.0).then_some(())?;
+    let nearest = mesh.world_from_local(closest.on_triangle.point);
+    let away = (crossing.on_edge - nearest).normalize_or_zero();
+    let outward = if unsigned || offset > 0.0 { away } else { -away };
+    (outward != DVec3::ZERO).then_some((nearest + outward * offset, outward))
+}
+
+/// Unit normal of a face, in the order of its corners.
+fn normal_of(mesh: &Mesh, face: u32) -> Option<DVec3> {
+    let [a, b, c] = mesh.triangle(face);
+    (b - a).cross(c - a).try_normalize()
+}

@@ -1,0 +1,184 @@
+//! Vertices and faces of the dual mesh.
+
+use super::cells::{Cell, owner_of};
+use super::patches::face_corners;
+use super::qef::Planes;
+use super::{Crossing, MARGIN, Surface};
+use crate::volume::{trilinear, trilinear_gradient};
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+
+/// Steps of Newton's method onto the trilinear surface; each squares the error, which is below a voxel at the start.
+const NEWTON_STEPS: usize = 4;
+
+/// How the vertices are placed and the surface is ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MeshOptions {
+    /// Whether vertices minimise the distance to the tangent planes; else they are the means of the crossings, moved onto
+    /// the trilinear surface.
+    pub sharp: bool,
+    /// Whether a surface that leaves the box is closed by the faces of the box; else it ends there.
+    pub capped: bool,
+}
+
+/// Triangles of a level set.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct SurfaceMesh {
+    /// World positions.
+    pub vertices: Vec<DVec3>,
+    /// Counter-clockwise seen from the side of larger values.
+    pub faces: Vec<[u32; 3]>,
+    /// Number of vertices whose best place is outside the region around their cell that keeps the surface from folding;
+    /// they lie on the border of that region.
+    pub clamped: usize,
+}
+
+impl Surface {
+    /// The mesh over `crossings`, one entry a crossed edge as [`Surface::crossings`] returns them.
+    pub fn mesh(&self, crossings: &[Crossing], options: MeshOptions) -> SurfaceMesh {
+        assert_eq!(crossings.len(), self.edge_count(), "one crossing for each crossed edge");
+        let placed: Vec<(DVec3, bool)> = self
+            .cells
+            .cells()
+            .par_iter()
+            .flat_map_iter(|cell| cell.patches().map(move |patch| self.vertex(cell, patch, crossings, options)))
+            .collect();
+        let clamped = placed.iter().filter(|(_, clamped)| *clamped).count();
+        let vertices: Vec<DVec3> = placed.into_iter().map(|(vertex, _)| vertex).collect();
+        let faces: Vec<[u32; 3]> = self
+            .cells
+            .cells()
+            .par_iter()
+            .flat_map_iter(|cell| (0..3).filter(|&axis| cell.owns(axis)).map(move |axis| (cell, axis)))
+            .filter(|&(cell, axis)| options.capped || !crossings[cell.edge(axis) as usize].on_box)
+            .flat_map_iter(|(cell, axis)| self.triangles(cell, axis, &vertices))
+            .collect();
+        let mesh = SurfaceMesh { vertices, faces, clamped };
+        if options.capped { mesh } else { mesh.without_unused_vertices() }
+    }
+
+    /// The vertex of a patch, and whether it was clamped to its cell.
+    fn vertex(&self, cell: &Cell, patch: u16, crossings: &[Crossing], options: MeshOptions) -> (DVec3, bool) {
+        let corner = self.world(cell.index, DVec3::ZERO);
+        let mut planes = Planes::new();
+        for edge in (0..12).filter(|edge| patch >> edge & 1 == 1) {
+            let (owner, axis) = owner_of(cell, edge);
+            let Some(owner) = self.cells.find(owner) else { continue };
+            let crossing = &crossings[owner.edge(axis) as usize];
+            planes.add(crossing.on_edge - corner, crossing.point - corner, crossing.normal);
+        }
+        let [lower, upper] = self.allowed(cell);
+        let (vertex, clamped) = if options.sharp {
+            let minimum = planes.minimum(lower, upper);
+            (minimum.point, minimum.clamped)
+        } else {
+            // Smooth vertices stay in the cell, where its trilinear function holds.
+            let (lower, upper) = (lower.max(DVec3::ZERO), upper.min(self.spacing));
+            (self.on_trilinear(cell, planes.mean().clamp(lower, upper), lower, upper), false)
+        };
+        (corner + vertex, clamped)
+    }
+
+    /// Where a vertex of the cell may lie, relative to the lower corner of the cell: within the cell by [`MARGIN`], in the
+    /// next cell across a face if neither the face nor that cell is crossed, and in the box. The tip of a corner that
+    /// holds no voxel centre lies in such a cell.
+    fn allowed(&self, cell: &Cell) -> [DVec3; 2] {
+        let mut lower = DVec3::splat(MARGIN);
+        let mut upper = DVec3::splat(1.0 - MARGIN);
+        for axis in 0..3 {
+            let is_free = |side: usize| {
+                let corners = face_corners(2 * axis + side);
+                let inside = corners.iter().filter(|&&corner| cell.inside >> corner & 1 == 1).count();
+                let mut next = cell.index;
+                next[axis] += if side == 1 { 1 } else { -1 };
+                inside % 4 == 0 && self.cells.find(next).is_none()
+            };
+            if is_free(0) {
+                lower[axis] -= 1.0;
+            }
+            if is_free(1) {
+                upper[axis] += 1.0;
+            }
+            // The faces of the box lie half a voxel outside the first and the last voxel centre.
+            let box_lower = -0.5 - f64::from(cell.index[axis]);
+            lower[axis] = lower[axis].max(box_lower);
+            upper[axis] = upper[axis].min(box_lower + f64::from(self.cells.shape()[axis]));
+        }
+        [lower * self.spacing, upper * self.spacing]
+    }
+
+    /// A point of the cell moved onto the surface of its trilinear function.
+    fn on_trilinear(&self, cell: &Cell, start: DVec3, lower: DVec3, upper: DVec3) -> DVec3 {
+        if (0..3).any(|axis| self.is_padding(cell.index[axis], axis) || self.is_padding(cell.index[axis] + 1, axis)) {
+            return start;
+        }
+        let mut p = start;
+        for _ in 0..NEWTON_STEPS {
+            let fraction = (p / self.spacing).as_vec3();
+            let value = f64::from(trilinear(&cell.values, fraction));
+            let gradient = trilinear_gradient(&cell.values, fraction).as_dvec3() / self.spacing;
+            let square = gradient.length_squared();
+            if square == 0.0 {
+                break;
+            }
+            p = (p - gradient * (value / square)).clamp(lower, upper);
+        }
+        p
+    }
+
+    /// The two triangles across the crossed edge from the lower corner of `cell` along `axis`.
+    fn triangles(&self, cell: &Cell, axis: usize, vertices: &[DVec3]) -> [[u32; 3]; 2] {
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        // The cells around the edge, counter-clockwise seen from its far end, by their steps along -u and -v.
+        let mut quad = [(0, 0), (1, 0), (1, 1), (0, 1)].map(|(back_u, back_v): (i32, i32)| {
+            let mut index = cell.index;
+            index[u] -= back_u;
+            index[v] -= back_v;
+            // In a cell that lies back, the edge is on the upper side: see the numbering of edges in `patches`.
+            let edge = 4 * axis + (back_u + 2 * back_v) as usize;
+            // Every cell around a crossed edge is crossed, so it is found.
+            self.cells.find(index).map_or(0, |around| around.first_patch + around.patch_of(edge))
+        });
+        // Seen from the outside end of the edge the order must be counter-clockwise.
+        let far_is_outside = cell.inside & 1 == 1;
+        if !far_is_outside {
+            quad.reverse();
+        }
+        let flat = quad.map(|i| {
+            let p = (vertices[i as usize] - self.world(cell.index, DVec3::ZERO)) / self.spacing;
+            let p = DVec2::new(p[u], p[v]);
+            if far_is_outside { p } else { DVec2::new(p.y, p.x) }
+        });
+        let area = |a: usize, b: usize, c: usize| (flat[b] - flat[a]).perp_dot(flat[c] - flat[a]);
+        let first = area(0, 1, 2).min(area(0, 2, 3));
+        let second = area(1, 2, 3).min(area(1, 3, 0));
+        let [a, b, c, d] = quad;
+        if self.prefers_first(first, second, quad, vertices) { [[a, b, c], [a, c, d]] } else { [[b, c, d], [b, d, a]] }
+    }
+
+    /// Whether a quadrilateral is better divided from its first to its third corner. `first` and `second` are twice the
+    /// smaller area, voxels squared, of the two triangles of either division, seen along the edge; a division that
+    /// folds has a negative one. Of two divisions that do not fold, the shorter diagonal is taken.
+    fn prefers_first(&self, first: f64, second: f64, [a, b, c, d]: [u32; 4], vertices: &[DVec3]) -> bool {
+        let folds = |area: f64| area <= MARGIN * MARGIN;
+        if folds(first) || folds(second) {
+            return first >= second;
+        }
+        let length = |i: u32, j: u32| ((vertices[i as usize] - vertices[j as usize]) / self.spacing).length_squared();
+        length(a, c) <= length(b, d)
+    }
+}
+
+impl SurfaceMesh {
+    fn without_unused_vertices(self) -> Self {
+        let mut number = vec![u32::MAX; self.vertices.len()];
+        self.faces.iter().flatten().for_each(|&i| number[i as usize] = 0);
+        let mut vertices = Vec::new();
+        for (number, &vertex) in number.iter_mut().zip(&self.vertices).filter(|(number, _)| **number == 0) {
+            *number = vertices.len() as u32;
+            vertices.push(vertex);
+        }
+        let faces = self.faces.iter().map(|face| face.map(|i| number[i as usize])).collect();
+        Self { vertices, faces, clamped: self.clamped }
+    }
+}

@@ -1,0 +1,207 @@
+//! The mesh is closed and two-manifold for every field, and reproduces planes, edges and corners.
+
+use super::*;
+use std::collections::HashMap;
+use std::f64::consts::PI;
+
+const SHARP: MeshOptions = MeshOptions { sharp: true, capped: true };
+const SMOOTH: MeshOptions = MeshOptions { sharp: false, capped: true };
+
+fn fill(grid: &Grid, field: impl Fn(DVec3) -> f64) -> Vec<f32> {
+    let [nx, ny, nz] = grid.shape;
+    let mut values = Vec::with_capacity(grid.len());
+    for z in 0..nz {
+        for y in 0..ny {
+            values.extend((0..nx).map(|x| field(grid.center(x, y, z)) as f32));
+        }
+    }
+    values
+}
+
+fn mesh_of(grid: Grid, distances: &[f32], level: f32, options: MeshOptions) -> SurfaceMesh {
+    let field = FieldView::new(grid, distances).unwrap();
+    let surface = Surface::of_field(&field, level, &Progress::new()).unwrap();
+    surface.mesh(&surface.crossings(), options)
+}
+
+fn signed_volume(mesh: &SurfaceMesh) -> f64 {
+    let corner = |i: u32| mesh.vertices[i as usize] - mesh.vertices[0];
+    mesh.faces.iter().map(|&[a, b, c]| corner(a).dot(corner(b).cross(corner(c))) / 6.0).sum()
+}
+
+/// Every directed edge is used once each way, every vertex has one fan of faces, and every face has an area.
+fn assert_two_manifold(mesh: &SurfaceMesh) {
+    let mut next: HashMap<(u32, u32), u32> = HashMap::new();
+    let mut faces_at = vec![0; mesh.vertices.len()];
+    for &[a, b, c] in &mesh.faces {
+        for (from, to, third) in [(a, b, c), (b, c, a), (c, a, b)] {
+            assert!(next.insert((from, to), third).is_none(), "the directed edge {from} {to} is used twice");
+            faces_at[from as usize] += 1;
+        }
+        let [p, q, r] = [a, b, c].map(|i| mesh.vertices[i as usize]);
+        assert!((q - p).cross(r - p).length() > 0.0);
+    }
+    assert!(next.keys().all(|&(from, to)| next.contains_key(&(to, from))), "an edge has no opposite");
+    // Walking round a vertex from any of its faces comes back after all of them.
+    let mut walked = vec![false; mesh.vertices.len()];
+    for &[a, b, _] in &mesh.faces {
+        if std::mem::replace(&mut walked[a as usize], true) {
+            continue;
+        }
+        let (mut at, mut count) = (b, 0);
+        loop {
+            at = next[&(a, at)];
+            count += 1;
+            if at == b {
+                break;
+            }
+        }
+        assert_eq!(count, faces_at[a as usize], "vertex {a} has more than one fan");
+    }
+}
+
+/// A small generator, so that fields are the same on every machine.
+fn noise(seed: u64) -> impl FnMut() -> f32 {
+    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+    move || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        (state >> 40) as f32 / (1u64 << 24) as f32 - 0.5
+    }
+}
+
+#[test]
+fn random_fields_give_closed_two_manifolds() {
+    for seed in 0..200 {
+        let mut random = noise(seed);
+        let shape = [2 + seed as usize % 7, 1 + seed as usize % 5, 3 + seed as usize % 6];
+        let grid = Grid::new(DVec3::splat(-1.0), DVec3::new(1.0, 2.0, 0.5), shape).unwrap();
+        let distances: Vec<f32> = (0..grid.len()).map(|_| random()).collect();
+        for options in [SHARP, SMOOTH] {
+            let mesh = mesh_of(grid, &distances, 0.1, options);
+            assert_two_manifold(&mesh);
+            let inside = |p: &DVec3| p.cmpge(grid.lower).all() && p.cmple(grid.upper).all();
+            assert!(mesh.vertices.iter().all(inside));
+        }
+    }
+}
+
+#[test]
+fn coarse_noise_with_zeros_and_equal_values_too() {
+    for seed in 0..200 {
+        let mut random = noise(seed + 1000);
+        let grid = Grid::new(DVec3::ZERO, DVec3::ONE, [6, 6, 6]).unwrap();
+        let distances: Vec<f32> = (0..grid.len()).map(|_| (random() * 4.0).round()).collect();
+        assert_two_manifold(&mesh_of(grid, &distances, 0.0, SHARP));
+    }
+}
+
+#[test]
+fn blocks_give_the_mesh_of_the_whole_grid() {
+    let mut random = noise(7);
+    let grid = Grid::new(DVec3::ZERO, DVec3::ONE, [9, 6, 7]).unwrap();
+    let distances: Vec<f32> = (0..grid.len()).map(|_| random()).collect();
+    let side = 4;
+    let (mut origins, mut values) = (Vec::new(), Vec::new());
+    for z in (-1..7).step_by(side) {
+        for y in (-1..6).step_by(side) {
+            for x in (-1..9).step_by(side) {
+                origins.push([x, y, z]);
+                for k in z..=z + side as i32 {
+                    for j in y..=y + side as i32 {
+                        for i in x..=x + side as i32 {
+                            let clamp = |i: i32, axis: usize| i.clamp(0, grid.shape[axis] as i32 - 1) as usize;
+                            values.push(distances[grid.offset(clamp(i, 0), clamp(j, 1), clamp(k, 2))]);
+                        }
+                    }
+                }
+            }
+        }
+    }
+    let surface = Surface::of_blocks(&grid, side, &origins, &values, 0.05).unwrap();
+    assert_eq!(surface.mesh(&surface.crossings(), SHARP), mesh_of(grid, &distances, 0.05, SHARP));
+}
+
+#[test]
+fn a_sphere_on_oblong_voxels_comes_back() {
+    let grid = Grid::new(DVec3::new(99.0, -1.3, -1.2), DVec3::new(101.4, 1.3, 1.2), [24, 40, 30]).unwrap();
+    let center = DVec3::new(100.2, 0.0, 0.0);
+    let distances = fill(&grid, |p| (p - center).length() - 1.0);
+    for options in [SHARP, SMOOTH] {
+        let mesh = mesh_of(grid, &distances, 0.0, options);
+        assert_two_manifold(&mesh);
+        // The trilinear surface of a sphere of radius r lies h^2 / (8 r) inside it at most along each axis; the planes at the
+        // crossings meet as far outside.
+        let bound = grid.spacing().length_squared() / 4.0;
+        assert!(mesh.vertices.iter().all(|&p| ((p - center).length() - 1.0).abs() <= bound));
+        assert!((signed_volume(&mesh) / (4.0 / 3.0 * PI) - 1.0).abs() <= 0.02);
+    }
+}
+
+#[test]
+fn another_level_is_an_offset_surface() {
+    let grid = Grid::new(DVec3::splat(-1.5), DVec3::splat(1.5), [30, 30, 30]).unwrap();
+    let distances = fill(&grid, |p| p.length() - 1.0);
+    let mesh = mesh_of(grid, &distances, -0.5, SHARP);
+    assert_two_manifold(&mesh);
+    assert!(mesh.vertices.iter().all(|p| (p.length() - 0.5).abs() <= grid.spacing().length_squared() / 2.0));
+}
+
+#[test]
+fn a_surface_that_leaves_the_box_is_capped_on_its_face_or_open() {
+    // The half space below z = 0.3 fills the box up to there; the cap has sharp edges.
+    let grid = Grid::new(DVec3::ZERO, DVec3::ONE, [8, 8, 8]).unwrap();
+    let distances = fill(&grid, |p| p.z - 0.3);
+    let mesh = mesh_of(grid, &distances, 0.0, SHARP);
+    assert_two_manifold(&mesh);
+    // Each vertex of an edge or corner is pulled by at most a thousandth of a voxel.
+    assert!((signed_volume(&mesh) - 0.3).abs() <= 0.3 * 3.0 * 2e-3);
+    let open = mesh_of(grid, &distances, 0.0, MeshOptions { capped: false, ..SHARP });
+    assert!(open.vertices.iter().all(|p| (p.z - 0.3).abs() <= 1e-6));
+    assert!(!open.faces.is_empty() && open.faces.len() < mesh.faces.len());
+}
+
+#[test]
+fn no_surface_is_an_empty_mesh() {
+    let grid = Grid::new(DVec3::ZERO, DVec3::ONE, [2, 1, 1]).unwrap();
+    let mesh = mesh_of(grid, &[1.0, 2.0], 0.0, SHARP);
+    assert!(mesh.vertices.is_empty() && mesh.faces.is_empty());
+    // A sample equal to the level is outside.
+    assert!(mesh_of(grid, &[1.0, 2.0], 1.0, SHARP).faces.is_empty());
+    assert!(!mesh_of(grid, &[1.0, 2.0], 2.0, SHARP).faces.is_empty());
+    let field = FieldView::new(grid, &[1.0, 2.0]).unwrap();
+    assert!(Surface::of_field(&field, f32::NAN, &Progress::new()).is_err());
+}
+
+#[test]
+fn a_turned_cube_keeps_its_corners_with_its_mesh_as_source() {
+    let turn = glam::DQuat::from_axis_angle(DVec3::new(1.0, 2.0, 3.0).normalize(), 0.7);
+    let corner = |i: usize| turn * (DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2) as f64) * 2.0 - 1.0);
+    let vertices: Vec<[f64; 3]> = (0..8).map(|i| corner(i).to_array()).collect();
+    let quads = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+    let faces: Vec<[i64; 3]> = quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
+    let cube = crate::mesh::Mesh::new(&vertices, &faces).unwrap();
+    let grid = Grid::new(DVec3::splat(-2.0), DVec3::splat(2.0), [32, 32, 32]).unwrap();
+    let distances = fill(&grid, |p| {
+        let q = (turn.inverse() * p).abs() - 1.0;
+        q.max(DVec3::ZERO).length() + q.max_element().min(0.0)
+    });
+    let field = FieldView::new(grid, &distances).unwrap();
+    let surface = Surface::of_field(&field, 0.0, &Progress::new()).unwrap();
+    let mut crossings = surface.crossings();
+    planes_of_mesh(&surface, &mut crossings, &cube, 0.0, false, &Progress::new()).unwrap();
+    let mesh = surface.mesh(&crossings, SHARP);
+    assert_two_manifold(&mesh);
+    let voxel = grid.spacing().x;
+    for i in 0..8 {
+        let nearest = mesh.vertices.iter().map(|p| p.distance(corner(i))).fold(f64::INFINITY, f64::min);
+        assert!(nearest <= 0.02 * voxel, "corner {i} is {} voxels off", nearest / voxel);
+    }
+    // All vertices lie on the cube.
+    for &p in &mesh.vertices {
+        let q = (turn.inverse() * p).abs().max_element();
+        assert!((q - 1.0).abs() <= 0.02 * voxel, "{} voxels off", (q - 1.0) / voxel);
+    }
+    assert!((signed_volume(&mesh) / 8.0 - 1.0).abs() <= 1e-3);
+}

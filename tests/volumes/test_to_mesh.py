@@ -1,0 +1,256 @@
+"""Level sets as closed meshes: topology, edges and corners, bounds, levels, every kind of field."""
+
+import numpy as np
+import pytest
+
+import fieldbake as fb
+import meshes
+import truth
+from manifold import faults
+
+#: Corners and edges come back to this share of a voxel; the margin to the cell is a thousandth of a voxel, the pull to
+#: the mean less than a hundredth.
+SHARP = 0.02
+
+
+def turned_box(turn=(1.0, 2.0, 3.0), degrees=40):
+    return fb.box(2).rotate(turn, degrees)
+
+
+def assert_solid(mesh, bounds=None):
+    assert faults(mesh.vertices, mesh.faces) == []
+    assert truth.volume(mesh.vertices, mesh.faces) > 0
+    if bounds is not None:
+        assert (mesh.vertices >= bounds[0]).all()
+        assert (mesh.vertices <= bounds[1]).all()
+
+
+def random_field(seed, shape=(9, 10, 11)):
+    random = np.random.default_rng(seed)
+    return fb.Volume(random.uniform(-1, 1, shape), [(0, 0, 0), (2, 3, 4)])
+
+
+def assert_two_manifold_on_noise(seeds):
+    for seed in seeds:
+        volume = random_field(seed)
+        for sharp in (True, False):
+            mesh = volume.to_mesh(level=0.3 * np.sin(seed), sharp=sharp)
+            assert faults(mesh.vertices, mesh.faces) == [], seed
+            assert (mesh.vertices >= volume.bounds[0]).all()
+            assert (mesh.vertices <= volume.bounds[1]).all()
+
+
+def test_noise_gives_closed_two_manifolds():
+    assert_two_manifold_on_noise(range(20))
+
+
+@pytest.mark.slow
+def test_a_thousand_fields_of_noise_give_closed_two_manifolds():
+    assert_two_manifold_on_noise(range(1000))
+
+
+@pytest.mark.parametrize("name", ["icosphere", "torus", "knot", "cube", "hollow_sphere"])
+def test_the_surface_comes_back_closed_and_near(name):
+    geometry = meshes.CLOSED[name]()
+    volume = fb.bake(geometry, resolution=48)
+
+    surface = volume.to_mesh()
+
+    assert_solid(surface, volume.bounds)
+    distances = np.abs(fb.signed_distance(geometry, surface.vertices)) / volume.spacing.max()
+    # A vertex lies on the planes of faces next to it, off by what faces of one cell turn from each other.
+    assert distances.mean() <= 0.02
+    assert distances.max() <= 0.5
+    found, expected = truth.volume(surface.vertices, surface.faces), truth.volume(*geometry)
+    assert found == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize("resolution", [16, 33, 64])
+def test_a_cube_keeps_corners_edges_and_faces(resolution):
+    geometry = meshes.box()
+    for mesh in (fb.bake(geometry, resolution), fb.bake(fb.box(2), resolution)):
+        surface = mesh.to_mesh()
+        assert_solid(surface, mesh.bounds)
+        voxel = mesh.spacing.max()
+        for corner in geometry[0]:
+            assert np.linalg.norm(surface.vertices - corner, axis=1).min() <= SHARP * voxel
+        # All vertices lie on the cube, so edges are straight and faces flat.
+        assert np.abs(np.abs(surface.vertices).max(axis=1) - 1).max() <= SHARP * voxel
+
+
+@pytest.mark.parametrize("resolution", [16, 33, 64])
+def test_a_turned_cube_keeps_edges_and_faces(resolution):
+    matrix = turn_matrix((1.0, 2.0, 3.0), 40)
+    geometry = meshes.box()
+    from_mesh = fb.bake((geometry[0] @ matrix.T, geometry[1]), resolution)
+    from_shape = fb.bake(turned_box(), resolution)
+    fields = ((from_mesh, from_mesh.to_mesh()), (from_shape, from_shape.to_mesh()))
+    for volume, mesh in fields:
+        assert_solid(mesh, volume.bounds)
+        voxel = volume.spacing.max()
+        local = mesh.vertices @ matrix
+        off = np.abs(np.abs(local).max(axis=1) - 1)
+        assert np.quantile(off, 0.95) <= SHARP * voxel
+        # The tip of an edge or corner may hold no crossed edge of the grid; at most half a voxel of it is cut off.
+        assert off.max() <= 0.5 * voxel
+        for corner in geometry[0]:
+            assert np.linalg.norm(local - corner, axis=1).min() <= 0.5 * voxel
+
+
+def turn_matrix(axis, degrees):
+    x, y, z = np.array(axis) / np.linalg.norm(axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    angle = np.radians(degrees)
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def test_without_a_source_the_surface_is_that_of_the_samples():
+    volume = fb.bake(meshes.icosphere(4), 32)
+    loaded = fb.Volume(volume.distances, volume.bounds)
+    for mesh in (loaded.to_mesh(), loaded.to_mesh(sharp=False)):
+        assert_solid(mesh, volume.bounds)
+        # A sphere of radius 1: the trilinear surface is off by h^2 / 8 along each axis, the planes by as much again.
+        error = np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1)
+        assert error.max() <= 0.75 * volume.spacing.max() ** 2 + 2e-3
+    # Smooth vertices lie on the trilinear surface itself.
+    assert np.abs(loaded.sample(loaded.to_mesh(sharp=False).vertices)).max() <= 1e-4
+
+
+def test_another_field_or_mesh_can_be_the_source():
+    shape = turned_box()
+    samples = fb.bake(shape, 24)
+    loaded = fb.Volume(samples.distances, samples.bounds)
+    blunt, sharp = loaded.to_mesh(), loaded.to_mesh(source=shape)
+    # The mean distance from the surface of the shape, voxels.
+    off = [np.abs(shape.distance(mesh.vertices)).mean() / samples.spacing.max() for mesh in (blunt, sharp)]
+    assert off[1] <= SHARP / 4
+    assert off[0] >= 2 * off[1]
+    with pytest.raises(fb.MeshError):
+        loaded.to_mesh(source=object())
+
+
+@pytest.mark.parametrize("level", [-0.3, -0.05, 0.04, 0.2])
+def test_a_level_grows_and_shrinks(level):
+    volume = fb.bake(meshes.icosphere(4), 48, margin=0.5)
+    mesh = volume.to_mesh(level)
+    assert_solid(mesh, volume.bounds)
+    # The icosphere lies up to 1.3e-3 inside the sphere.
+    assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - (1 + level)).max() <= 0.5 * volume.spacing.max() ** 2 + 2e-3
+
+
+def test_a_sheet_comes_back_with_its_thickness():
+    sheet = ([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [(0, 1, 2), (0, 2, 3)])
+    volume = fb.bake(sheet, 48, two_sided=True, thickness=0.2)
+    mesh = volume.to_mesh()
+    assert_solid(mesh, volume.bounds)
+    over = np.abs(mesh.vertices[:, :2]).max(axis=1) < 0.9
+    assert np.abs(np.abs(mesh.vertices[over, 2]) - 0.1).max() <= SHARP * volume.spacing.max()
+
+
+def test_a_surface_that_leaves_the_box_is_capped_there_or_left_open():
+    half = fb.bake(meshes.icosphere(3), resolution=(20, 40, 40), bounds=[(0, -2, -2), (2, 2, 2)])
+    mesh = half.to_mesh()
+    assert_solid(mesh, half.bounds)
+    assert mesh.bounds[0][0] == 0
+    # Half of an icosphere, whose volume is 1.7 % below that of the ball.
+    ball = truth.volume(*meshes.icosphere(3))
+    assert truth.volume(mesh.vertices, mesh.faces) == pytest.approx(ball / 2, rel=0.01)
+    opened = half.to_mesh(capped=False)
+    assert opened.topology()["boundary_edges"] > 0
+    assert 0 < len(opened.faces) < len(mesh.faces)
+
+
+@pytest.mark.parametrize("level", [-5.0, 5.0])
+def test_without_a_surface_there_are_no_faces(level):
+    volume = fb.Volume(np.linspace(-1, 1, 8).repeat(64).reshape(8, 8, 8), [(-1, -1, -1), (1, 1, 1)])
+    mesh = volume.to_mesh(-5.0)
+    assert mesh.faces.shape == (0, 3)
+    assert mesh.vertices.shape == (0, 3)
+    assert repr(mesh) == "Mesh(0 vertices, 0 faces)"
+    with pytest.raises(fb.MeshError, match="no faces"):
+        fb.bake(mesh, 8)
+    # Everything is inside: the solid is the box itself.
+    assert_solid(volume.to_mesh(5.0), volume.bounds)
+
+
+def test_a_sample_at_the_level_is_outside():
+    values = np.full((3, 3, 3), 1.0)
+    values[1, 1, 1] = 0.0
+    volume = fb.Volume(values, [(0, 0, 0), (1, 1, 1)])
+    assert len(volume.to_mesh(0.0).faces) == 0
+    assert_solid(volume.to_mesh(1e-6))
+
+
+@pytest.mark.parametrize("level", [float("nan"), float("inf"), "zero", None])
+def test_a_level_must_be_a_number(level):
+    with pytest.raises(fb.ArgumentError, match="level"):
+        fb.bake(fb.sphere(), 8).to_mesh(level)
+
+
+def test_a_level_beyond_the_band_is_an_error():
+    volume = fb.bake(meshes.icosphere(2), 32, band=3)
+    voxel = volume.spacing.max()
+    assert_solid(volume.to_mesh(2 * voxel))
+    with pytest.raises(fb.ArgumentError, match="level"):
+        volume.to_mesh(3.5 * voxel)
+    quantized = fb.bake(meshes.icosphere(2), 32).quantize("snorm16", band=4)
+    assert_solid(quantized.to_mesh(2 * voxel))
+    with pytest.raises(fb.ArgumentError, match="level"):
+        quantized.to_mesh(4.5 * voxel)
+    sparse = fb.bake_sparse(meshes.icosphere(2), 32, band=4)
+    assert_solid(sparse.to_mesh(2 * voxel))
+    with pytest.raises(fb.ArgumentError, match="level"):
+        sparse.to_mesh(4.5 * voxel)
+
+
+@pytest.mark.parametrize("tolerance", [None, 0.05])
+def test_a_sparse_volume_gives_the_mesh_of_its_samples(tolerance):
+    sparse = fb.bake_sparse(meshes.knot(), 96, tolerance=tolerance)
+    mesh = sparse.to_mesh()
+    assert_solid(mesh, sparse.bounds)
+    dense = sparse.to_volume().to_mesh()
+    np.testing.assert_array_equal(mesh.vertices, dense.vertices)
+    np.testing.assert_array_equal(mesh.faces, dense.faces)
+
+
+@pytest.mark.parametrize("encoding", ["float16", "snorm16", "snorm8"])
+def test_a_quantized_volume_gives_a_closed_mesh(encoding):
+    volume = fb.bake(meshes.torus(), 40)
+    quantized = volume.quantize(encoding)
+    mesh = quantized.to_mesh()
+    assert_solid(mesh, volume.bounds)
+    # Faces of the torus turn by 11 degrees from one to the next, so a plane is off by tan(5.6 deg) / 2 at half a voxel.
+    assert np.abs(fb.signed_distance(meshes.torus(), mesh.vertices)).mean() <= 0.05 * volume.spacing.max()
+
+
+def test_a_shape_gives_the_mesh_of_its_bake():
+    drilled = fb.box((2, 1.6, 1.2)) - fb.cylinder(radius=0.4, height=3).rotate("x", 90)
+    shape = drilled | fb.sphere(0.5).translate((1, 0, 0))
+    baked, direct = fb.bake(shape, 48).to_mesh(), shape.to_mesh(48)
+    assert_solid(baked)
+    assert_solid(direct)
+    # Both place one vertex in each patch; samples that differ in the last bit may change a patch.
+    assert abs(len(baked.vertices) - len(direct.vertices)) <= 4
+    for mesh in (baked, direct):
+        assert np.abs(shape.distance(mesh.vertices)).mean() <= SHARP * 2.2 / 48
+
+
+def test_a_shape_with_no_bounds_needs_a_box():
+    with pytest.raises(fb.ShapeError):
+        fb.plane().to_mesh(8)
+    assert_solid(fb.plane().to_mesh(8, bounds=[(-1, -1, -1), (1, 1, 1)]))
+
+
+def test_the_report_counts_clamped_vertices():
+    mesh = random_field(3).to_mesh()
+    assert 0 < mesh.report.clamped_vertices <= len(mesh.vertices)
+    assert fb.Mesh(*meshes.box()).report is None
+
+
+@pytest.mark.parametrize("resolution", [32, 64, pytest.param(128, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["spot/spot.obj", "stanford-bunny.obj", "fandisk.obj", "suzanne.obj", "teapot.obj"])
+def test_real_meshes_come_back_closed(name, resolution, model_path):
+    volume = fb.bake(model_path(name), resolution)
+    mesh = volume.to_mesh()
+    assert_solid(mesh, volume.bounds)
+    assert mesh.to_trimesh().is_watertight
