@@ -1,13 +1,14 @@
-// Where a line is inside a part of plain leaves, in closed form. Twin of src/csg/chord.rs, function by function.
+// Intersections of a line with a part in closed form. Twin of src/csg/chord.rs, function by function; its theory is there.
 
 #import csg_leaves
 #import csg_needs
+#import csg_root
 
 const CHORD_FAR: f32 = 1e30;
-// A line that moves no faster than this along an axis stands still.
+// A line with a smaller component across a slab is parallel to it.
 const CHORD_STILL: f32 = 1e-30;
 const CHORD_PARALLEL: f32 = 1e-14;
-// All of a line, and nothing of it, as (from, to).
+// The whole line and the empty chord, as (from, to).
 const WHOLE_LINE = vec2f(-CHORD_FAR, CHORD_FAR);
 const NO_CHORD = vec2f(CHORD_FAR, -CHORD_FAR);
 
@@ -15,7 +16,7 @@ fn both(a: vec2f, b: vec2f) -> vec2f {
     return vec2f(max(a.x, b.x), min(a.y, b.y));
 }
 
-// The least chord over two of one convex solid.
+// The smallest chord that holds both; for two pieces of one convex solid.
 fn hull(a: vec2f, b: vec2f) -> vec2f {
     if a.x >= a.y { return b; }
     if b.x >= b.y { return a; }
@@ -44,7 +45,7 @@ fn half_space(o: vec3f, d: vec3f, normal: vec3f, offset: f32) -> vec2f {
     return select(vec2f(t, CHORD_FAR), vec2f(-CHORD_FAR, t), rate > 0.0);
 }
 
-// In a ball of any number of dimensions.
+// In a ball about zero, in any number of dimensions.
 fn round_chord(middle: f32, speed_squared: f32, nearest_squared: f32, radius: f32) -> vec2f {
     let room = radius * radius - nearest_squared;
     if room <= 0.0 { return NO_CHORD; }
@@ -99,9 +100,9 @@ fn cone_chord(o: vec3f, d: vec3f, low: f32, high: f32, half_height: f32) -> vec2
     return select(after, before, before.y - before.x > after.y - after.x);
 }
 
-fn pyramid_chord(o: vec3f, d: vec3f, k: array<f32, 6>) -> vec2f {
-    let offset = k[0] * k[4] - k[1] * k[3];
-    var chord = half_space(o, d, vec3f(0.0, 0.0, -1.0), k[1]);
+fn pyramid_chord(o: vec3f, d: vec3f, k: array<f32, 6>, grow: f32) -> vec2f {
+    let offset = k[0] * k[4] - k[1] * k[3] + grow;
+    var chord = half_space(o, d, vec3f(0.0, 0.0, -1.0), k[1] + grow);
     chord = both(chord, half_space(o, d, vec3f(k[4], 0.0, k[3]), offset));
     chord = both(chord, half_space(o, d, vec3f(-k[4], 0.0, k[3]), offset));
     chord = both(chord, half_space(o, d, vec3f(0.0, k[4], k[3]), offset));
@@ -112,8 +113,8 @@ fn slanted_slab(o: vec3f, d: vec3f, normal: vec3f, half: f32) -> vec2f {
     return slab(dot(normal, o), dot(normal, d), half);
 }
 
-// The chord of a line in a leaf that has one; kinds as in leaf_distance.
-fn leaf_chord(leaf: u32, origin: vec3f, direction: vec3f) -> vec2f {
+// The chord of a line in a leaf whose surface is moved outwards by `grow`; kinds as in leaf_distance.
+fn leaf_chord(leaf: u32, origin: vec3f, direction: vec3f, grow: f32) -> vec2f {
     let o = placed(leaf, origin);
     let d = vec3f(
         dot(leaves[leaf].row_x, direction),
@@ -122,74 +123,71 @@ fn leaf_chord(leaf: u32, origin: vec3f, direction: vec3f) -> vec2f {
     );
     let a = leaves[leaf].a;
     let b = leaves[leaf].b;
+    // Sizes, grown.
+    let s = max(a.xyz + grow, vec3f(0.0));
     let first = leaves[leaf].first;
     switch leaves[leaf].kind {
-        case KIND_SPHERE: { return ball_chord(o, d, a.x); }
-        case KIND_ELLIPSOID: { return ball_chord(o / a.xyz, d / a.xyz, 1.0); }
-        case KIND_BOX: { return cuboid_chord(o, d, a.xyz); }
-        case KIND_CYLINDER: { return both(disc_chord(o.xy, d.xy, a.x), slab(o.z, d.z, a.y)); }
+        case KIND_SPHERE: { return ball_chord(o, d, s.x); }
+        case KIND_ELLIPSOID: { return ball_chord(o / (a.xyz + grow), d / (a.xyz + grow), 1.0); }
+        case KIND_BOX: { return cuboid_chord(o, d, s); }
+        case KIND_CYLINDER: { return both(disc_chord(o.xy, d.xy, s.x), slab(o.z, d.z, s.y)); }
         case KIND_CAPSULE: {
             let end = vec3f(0.0, 0.0, a.y);
-            let side = both(disc_chord(o.xy, d.xy, a.x), slab(o.z, d.z, a.y));
-            return hull(hull(side, ball_chord(o - end, d, a.x)), ball_chord(o + end, d, a.x));
+            let side = both(disc_chord(o.xy, d.xy, s.x), slab(o.z, d.z, a.y));
+            return hull(hull(side, ball_chord(o - end, d, s.x)), ball_chord(o + end, d, s.x));
         }
-        case KIND_CONE: { return cone_chord(o, d, a.x, a.y, a.z); }
-        case KIND_PLANE: { return half_space(o, d, a.xyz, a.w); }
-        case KIND_PYRAMID: { return pyramid_chord(o, d, array<f32, 6>(a.x, a.y, a.z, a.w, b.x, b.y)); }
+        case KIND_CONE: { return cone_chord(o, d, s.x, s.y, s.z); }
+        case KIND_PLANE: { return half_space(o, d, a.xyz, a.w + grow); }
+        case KIND_PYRAMID: { return pyramid_chord(o, d, array<f32, 6>(a.x, a.y, a.z, a.w, b.x, b.y), grow); }
         case KIND_OCTAHEDRON: {
-            let one = both(slanted_slab(o, d, vec3f(1.0), a.x), slanted_slab(o, d, vec3f(1.0, 1.0, -1.0), a.x));
+            // The normals have length sqrt(3).
+            let half = max(a.x + 1.7320508 * grow, 0.0);
+            let one = both(slanted_slab(o, d, vec3f(1.0), half), slanted_slab(o, d, vec3f(1.0, 1.0, -1.0), half));
             let other =
-                both(slanted_slab(o, d, vec3f(1.0, -1.0, 1.0), a.x), slanted_slab(o, d, vec3f(-1.0, 1.0, 1.0), a.x));
+                both(slanted_slab(o, d, vec3f(1.0, -1.0, 1.0), half), slanted_slab(o, d, vec3f(-1.0, 1.0, 1.0), half));
             return both(one, other);
         }
         case KIND_HEX_PRISM: {
             let sides = both(
-                slanted_slab(o, d, vec3f(0.8660254, 0.5, 0.0), a.x),
-                slanted_slab(o, d, vec3f(0.8660254, -0.5, 0.0), a.x),
+                slanted_slab(o, d, vec3f(0.8660254, 0.5, 0.0), s.x),
+                slanted_slab(o, d, vec3f(0.8660254, -0.5, 0.0), s.x),
             );
-            return both(both(slab(o.z, d.z, a.y), slab(o.y, d.y, a.x)), sides);
+            return both(both(slab(o.z, d.z, s.y), slab(o.y, d.y, s.x)), sides);
         }
-        case KIND_EXTRUDED_CIRCLE: { return both(disc_chord(o.xy, d.xy, numbers[first]), slab(o.z, d.z, a.x)); }
-        case KIND_EXTRUDED_RECTANGLE: { return cuboid_chord(o, d, vec3f(corner_at(first), a.x)); }
+        case KIND_EXTRUDED_CIRCLE: {
+            return both(disc_chord(o.xy, d.xy, max(numbers[first] + grow, 0.0)), slab(o.z, d.z, s.x));
+        }
+        case KIND_EXTRUDED_RECTANGLE: {
+            return cuboid_chord(o, d, vec3f(max(corner_at(first) + grow, vec2f(0.0)), s.x));
+        }
         default: { return NO_CHORD; }
     }
 }
 
-// Whether a line is inside right behind t; the chords are those of the leaves in the order of the tokens.
+// Whether a line is inside right behind t. `chords` has one entry per literal, in the order of the tokens.
 fn is_inside(chords: ptr<function, array<vec2f, CHORD_LEAVES>>, first: u32, count: u32, t: f32) -> bool {
-    // A stack of bits, the top one last.
-    var waiting = 0u;
-    var next = 0u;
+    // A stack of bits; the top is bit 0.
+    var bits = 0u;
+    var next = 0;
     for (var i = 0u; i < count && has_rounds(); i++) {
         rounds++;
         let token = tokens[first + i];
         let what = token >> 28u;
         if what == TOKEN_LEAF {
             let chord = (*chords)[next];
-            waiting = (waiting << 1u) | select(0u, 1u, chord.x <= t && t < chord.y);
+            let is_complement = (token & TOKEN_COMPLEMENTED) != 0u;
+            bits = (bits << 1u) | select(0u, 1u, (chord.x <= t && t < chord.y) != is_complement);
             next++;
-        } else if what == TOKEN_COMPLEMENT {
-            waiting ^= 1u;
+        } else if what == TOKEN_UNION {
+            bits = (bits >> 1u) | (bits & 1u);
         } else {
-            let top = waiting & 1u;
-            let below = (waiting >> 1u) & 1u;
-            let is_swapped = numbers[(token & TOKEN_INDEX) + 2u] == 1.0;
-            let a = select(below, top, is_swapped);
-            let b = select(top, below, is_swapped);
-            var joined = a ^ b;
-            switch what {
-                case TOKEN_UNION: { joined = a | b; }
-                case TOKEN_INTERSECTION: { joined = a & b; }
-                case TOKEN_DIFFERENCE: { joined = a & (1u - b); }
-                default: {}
-            }
-            waiting = ((waiting >> 2u) << 1u) | joined;
+            bits = (bits >> 1u) & (bits | 0xfffffffeu);
         }
     }
-    return (waiting & 1u) == 1u;
+    return (bits & 1u) == 1u;
 }
 
-// The first place on [t_in, t_out) where a line is inside a part of plain leaves, or -1.
+// The first point on [t_in, t_out) where a line is inside a part in closed form, or -1.
 fn first_inside(
     origin: vec3f,
     direction: vec3f,
@@ -202,26 +200,61 @@ fn first_inside(
     var chords: array<vec2f, CHORD_LEAVES>;
     var leaf_count = 0u;
     var nearest = t_out;
-    for (var i = 0u; i < count && has_rounds(); i++) {
+    // The end of a chord that is the hit, and the token of its leaf.
+    var owner = 0u;
+    var is_start = true;
+    // One call of leaf_chord for all literals and, in the last turn, for the uneroded chord of the owner.
+    for (var i = 0u; i <= count && has_rounds(); i++) {
         rounds++;
-        let token = tokens[first + i];
-        if token >> 28u == TOKEN_LEAF {
-            let chord = leaf_chord(token & TOKEN_INDEX, origin, direction);
-            if max(chord.x, t_in) < chord.y { nearest = min(nearest, max(chord.x, t_in)); }
-            if COMBINES_CHORDS { chords[leaf_count] = chord; }
-            leaf_count++;
+        let is_last = i == count;
+        if is_last {
+            if is_union || !COMBINES_CHORDS { return select(-1.0, nearest, nearest < t_out); }
+            nearest = first_end(&chords, leaf_count, first, count, t_in, t_out);
+            if nearest < t_in || nearest == t_in { return nearest; }
+            var literal = 0u;
+            for (var j = 0u; j < count && has_rounds(); j++) {
+                rounds++;
+                let token = tokens[first + j];
+                if token >> 28u != TOKEN_LEAF { continue; }
+                let chord = chords[literal];
+                if chord.x == nearest || chord.y == nearest {
+                    owner = token;
+                    is_start = chord.x == nearest;
+                    break;
+                }
+                literal++;
+            }
         }
+        let token = select(tokens[first + min(i, count - 1u)], owner, is_last);
+        if token >> 28u != TOKEN_LEAF { continue; }
+        let grow = select(-ERODED, ERODED, (token & TOKEN_COMPLEMENTED) != 0u);
+        let chord = leaf_chord(token & TOKEN_INDEX, origin, direction, select(grow, 0.0, is_union || is_last));
+        if is_last { return clamp(select(chord.y, chord.x, is_start), t_in, nearest); }
+        if max(chord.x, t_in) < chord.y { nearest = min(nearest, max(chord.x, t_in)); }
+        if COMBINES_CHORDS { chords[leaf_count] = chord; }
+        leaf_count++;
     }
-    if is_union || !COMBINES_CHORDS { return select(-1.0, nearest, nearest < t_out); }
+    return -1.0;
+}
+
+// The first of t_in and the ends of the chords on [t_in, t_out) behind which a line is inside, or -1.
+fn first_end(
+    chords: ptr<function, array<vec2f, CHORD_LEAVES>>,
+    leaf_count: u32,
+    first: u32,
+    count: u32,
+    t_in: f32,
+    t_out: f32,
+) -> f32 {
     var t = t_in;
     // Each round goes on to the next end of a chord.
     for (var i = 0u; i <= 2u * CHORD_LEAVES && has_rounds(); i++) {
         rounds++;
-        if is_inside(&chords, first, count, t) { return t; }
+        if is_inside(chords, first, count, t) { return t; }
         var next = t_out;
         for (var j = 0u; j < leaf_count && has_rounds(); j++) {
             rounds++;
-            let chord = chords[j];
+            let chord = (*chords)[j];
             if chord.x >= chord.y { continue; }
             if chord.x > t { next = min(next, chord.x); }
             if chord.y > t { next = min(next, chord.y); }
@@ -232,7 +265,7 @@ fn first_inside(
     return -1.0;
 }
 
-// Half the step of a leaf's differences. They are taken in its own space, where a place near its surface has few roundings.
+// Half the step of a leaf's differences, in the space of the leaf, where the coordinates near its surface are small.
 const LEAF_STEP: f32 = 4e-5;
 
 // Corner of a tetrahedron about zero, of length sqrt(3).
@@ -244,28 +277,26 @@ fn tetrahedron(i: u32) -> vec3f {
     );
 }
 
-// The normal, not unit, of a part of plain leaves where a line comes in: that of the leaf whose surface is nearest. First the
-// leaves are asked for their distance, then the nearest one four times more for its slope.
+// The normal, of any length, of a part in closed form where a line enters it: that of the leaf whose surface is nearest, turned
+// against the line. The first `count` turns find the leaf, the last four evaluate its slope.
 fn chord_slope(p: vec3f, direction: vec3f, first: u32, count: u32) -> vec3f {
     var nearest = CSG_FAR;
-    var token = 0u;
+    var leaf = 0u;
     var own = vec3f(0.0);
     for (var i = 0u; i < count + 4u && has_rounds(); i++) {
         rounds++;
         let is_search = i < count;
-        let asked = select(token, tokens[first + min(i, count - 1u)], is_search);
-        if asked >> 28u != TOKEN_LEAF { continue; }
-        let leaf = asked & TOKEN_INDEX;
+        let token = select(leaf, tokens[first + min(i, count - 1u)], is_search);
+        if token >> 28u != TOKEN_LEAF { continue; }
+        let candidate = token & TOKEN_INDEX;
         let corner = select(tetrahedron(i - count), vec3f(0.0), is_search);
-        let distance = own_distance(leaf, placed(leaf, p) + LEAF_STEP * corner);
+        let distance = own_distance(candidate, placed(candidate, p) + LEAF_STEP * corner);
         own += distance * corner;
         if is_search && abs(distance) < nearest {
             nearest = abs(distance);
-            token = asked;
+            leaf = candidate;
         }
     }
-    let leaf = token & TOKEN_INDEX;
     let slope = own.x * leaves[leaf].row_x + own.y * leaves[leaf].row_y + own.z * leaves[leaf].row_z;
-    let is_turned = select((token & TOKEN_TURNED) != 0u, dot(slope, direction) > 0.0, (token & TOKEN_EITHER) != 0u);
-    return select(slope, -slope, is_turned);
+    return select(slope, -slope, dot(slope, direction) > 0.0);
 }

@@ -1,8 +1,10 @@
-// Where a ray first meets the field of a shape: steps that cross nothing, or the shortest, to a place below zero; then regula
-// falsi, Illinois variant, between it and the one before. Twin of `march` and `root` in src/csg/trace.rs.
+// The first root of a field along a ray: safe steps, or the shortest step, until the field is below -ERODED, then regula falsi,
+// Illinois variant, between the last two points. Twin of `march` and `root` in src/csg/trace.rs.
 //
-// The field is evaluated by who asks, at one place of the text, for drivers write it out wherever it is called.
+// The caller evaluates the field, at one place of its text, because drivers inline the field at each call.
 
+// A hit is where the field falls below minus this, see src/csg/trace.rs.
+const ERODED: f32 = 1e-6;
 const MIN_STEP: f32 = 3e-5;
 const MAX_MARCH_STEPS: u32 = 4096u;
 const MAX_ROOT_STEPS: u32 = 32u;
@@ -13,9 +15,9 @@ const FOUND: u32 = 1u;
 const MISSED: u32 = 2u;
 
 struct RootSearch {
-    // Where the field is asked next; in the end, the root.
+    // Where the caller evaluates the field next; in the end, the root.
     t: f32,
-    // The bracket: outside at `low`, inside at `high`. `above` is negative until the field was seen above zero.
+    // The bracket: outside at `low`, inside at `high`. `above` is negative until the field has been at least -ERODED.
     low: f32,
     above: f32,
     high: f32,
@@ -29,15 +31,18 @@ fn search_from(start: f32) -> RootSearch {
     return RootSearch(start, start, -1.0, start, 0.0, false, 0, 0u);
 }
 
-// Go on with the field at `t`; whether that was all.
+// Continues with the field at `t`. Returns SEARCHING, FOUND or MISSED.
 fn search_on(search: ptr<function, RootSearch>, value: f32, inverse_lipschitz: f32, end: f32) -> u32 {
     var s = *search;
-    if !s.is_bracketed && value >= 0.0 {
+    if !s.is_bracketed && value >= -ERODED {
         let safe = value * inverse_lipschitz;
         // A safe step crosses nothing; the smallest step might.
         if s.t >= end || s.t + safe >= end { return MISSED; }
-        s.low = s.t;
-        s.above = value;
+        // The bracket begins at the last point that is not inside the uneroded solid.
+        if value >= 0.0 || s.above < 0.0 {
+            s.low = s.t;
+            s.above = max(value, 0.0);
+        }
         s.t = min(s.t + max(safe, MIN_STEP), end);
         *search = s;
         return SEARCHING;

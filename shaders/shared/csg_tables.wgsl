@@ -25,11 +25,10 @@ struct CsgLeaf {
 @group(0) @binding(3) var<storage, read> numbers: array<f32>;
 
 const MAX_ROUNDS: u32 = 64000u;
-// A token: what to do in the upper four bits, with which entry of a table in the lower ones.
+// A token. Bits 31-28: operation. Bits 25-0: index into the table of the operation.
 const TOKEN_INDEX: u32 = 0x03ffffffu;
-// Of a leaf of a part in closed form: its other side bounds the part, or one or the other does.
-const TOKEN_TURNED: u32 = 0x04000000u;
-const TOKEN_EITHER: u32 = 0x08000000u;
+// Flag of the token of a leaf in a part in closed form: the literal is the complement of the leaf.
+const TOKEN_COMPLEMENTED: u32 = 0x04000000u;
 const TOKEN_LEAF: u32 = 0u;
 const TOKEN_UNION: u32 = 1u;
 const TOKEN_INTERSECTION: u32 = 2u;

@@ -1,58 +1,81 @@
-//! Where a line is inside a primitive, in closed form; and so inside what sharp operators make of a few of them.
+//! Intersections of a line with a part in closed form: chords of convex leaves, combined by sharp operators.
 //!
 //! # Theory
 //!
-//! A line meets a convex solid in one stretch, its *chord*: that of a slab, a half space and a ball follow from a division or
-//! a square root, the others are intersections of these. Operators combine chords as sets on the line (S. Roth, "Ray Casting
-//! for Modeling Solids", 1982): only where a ray goes in or out of a leaf can it go in or out of the whole, so these places
-//! are tried in order. The first one behind which it is inside is the hit: the root that marching would creep up to, found
-//! without a step.
+//! A line meets a convex solid in one interval, its *chord*. The chords of a slab, a half space and a ball follow from a
+//! division or a square root. The chords of the other leaves are intersections of these. Operators combine chords as sets on
+//! the line (S. Roth, "Ray Casting for Modeling Solids", 1982). Membership in the whole can change only at an end of a chord.
+//! So the ends are tried in increasing order, and the first end behind which the line is inside is the hit.
 //!
-//! Quadratics are solved about the point of the line that is nearest to the axis, so that nothing cancels but the size of the
-//! model against itself: places are good to some roundings of float32 over the sine of the angle to the surface, like the
-//! roots of the field.
+//! *Normal form.* A part is a tree of unions and intersections of *literals*. A literal is a leaf or the complement of a
+//! leaf: De Morgan's laws push complements down to the leaves, `a - b` is `a & !b`, and `a ^ b` is `(a & !b) | (!a & b)`.
+//!
+//! *Erosion.* Faces that coincide in the model have float32 positions that differ by rounding. Exact set operations on such
+//! chords leave slivers, for example a film over the mouth of a pocket. Therefore each leaf is shrunk by [`ERODED`], and each
+//! complemented leaf is grown by it. The solid that is hit is a subset of the true one, its surface is moved by [`ERODED`] at
+//! most, and what remains between coincident faces is empty at every angle of the ray, because the erosion acts along the
+//! normal and not along the ray. For sharp operators this solid is `field < -ERODED`, which is also the condition of the
+//! march ([`super::trace`]). A wall thinner than `2 * ERODED` disappears. The depth of a hit is that of the uneroded face.
+//!
+//! Quadratics are solved about the point of the line that is nearest to the axis, which avoids cancellation. Hits are good to
+//! a few roundings of float32 over the sine of the angle between the line and the surface.
 //!
 //! # Practice
 //!
-//! [`Form::of`] says whether a part can be done this way. The twin on graphics devices is `shaders/shared/csg_chord.wgsl`.
+//! [`Form::of`] says whether a part has a closed form. The twin on graphics devices is `shaders/shared/csg_chord.wgsl`.
 
 use super::model::Token;
 use super::program::{Flat, Joint, LeafField, PlacedLeaf, Program};
 use super::shape::Op;
 use glam::{Vec2, Vec3};
 
-/// Leaves of a part that is done this way at most; as many chords are kept, and no more bits wait on the stack.
+/// Largest number of literals of a part in closed form: the chords of all literals and one bit for each are kept.
 pub const MAX_LEAVES: usize = 12;
 
-/// Beyond any place on a ray through a model of size 1.
+/// Depth in the solid that a ray must reach to hit it, local units (the model has size 1/2 to 1). A face is placed by up to eight
+/// float32 roundings of coordinates below 2, so two coincident faces are at most `2 * 8 * 2^-24 = 9.6e-7` apart.
+pub const ERODED: f32 = 1e-6;
+
+/// A coordinate beyond any point of a ray through a model of size 1.
 const FAR: f32 = 1e30;
 
-/// Slower than this along an axis is standing still; the inverse of what is faster is finite.
+/// A line with a smaller component of its unit direction across a slab is parallel to it; the inverse of a larger one is finite.
 const STILL: f32 = 1e-30;
 
-/// The square of a slant, relative to a unit direction, that leaves nothing of the slant in float32.
+/// Square of the component of a unit direction across an axis below which the line is parallel to the axis.
 const PARALLEL: f32 = 1e-14;
 
-/// How rays meet a part.
+/// How rays intersect a part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Form {
     /// By marching its field.
     Field,
     /// The nearest of the chords of its leaves.
     Union,
-    /// By what its operators make of the chords.
+    /// By combining the chords of its literals.
     Chords,
+}
+
+/// One step of a part in normal form, in postfix order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Step {
+    /// Pushes a literal: whether a point is in the leaf, or outside it for a complement.
+    Literal { leaf: u32, is_complement: bool },
+    /// Replaces the two topmost values by their disjunction.
+    Union,
+    /// Replaces the two topmost values by their conjunction.
+    Intersection,
 }
 
 impl Form {
     pub fn of(program: &Program<f32>, tokens: &[Token]) -> Self {
-        let mut leaves = 0;
-        let mut is_union = true;
+        let (mut leaves, mut is_union, mut has_xor) = (0, true, false);
         for &token in tokens {
             match token {
                 Token::Leaf(leaf) if has_chord(&program.leaves[leaf as usize]) => leaves += 1,
                 Token::Combine(i) if matches!(program.combines[i as usize].joint, Joint::Sharp) => {
                     is_union &= program.combines[i as usize].op == Op::Union;
+                    has_xor |= program.combines[i as usize].op == Op::Xor;
                 }
                 Token::Complement => is_union = false,
                 _ => return Self::Field,
@@ -61,40 +84,48 @@ impl Form {
         match leaves {
             0 => Self::Field,
             _ if leaves > MAX_LEAVES => Self::Field,
+            // Only an xor repeats leaves.
+            _ if has_xor && steps(program, tokens).is_none() => Self::Field,
             _ if is_union => Self::Union,
             _ => Self::Chords,
         }
     }
 }
 
-/// The leaves of a part, each with whether the surface is its own or the other side of it; `None` where that depends.
-pub fn sides(program: &Program<f32>, tokens: &[Token]) -> Option<Vec<(u32, bool)>> {
-    let mut leaves: Vec<(u32, bool)> = Vec::new();
-    // Where the leaves of each operand that waits begin.
-    let mut waiting: Vec<usize> = Vec::new();
-    let turn = |leaves: &mut [(u32, bool)]| leaves.iter_mut().for_each(|(_, is_own)| *is_own = !*is_own);
+/// The normal form of a part of leaves under sharp operators; `None` if it has more than [`MAX_LEAVES`] literals.
+pub fn steps(program: &Program<f32>, tokens: &[Token]) -> Option<Vec<Step>> {
+    // Each operand and its complement.
+    let mut waiting: Vec<[Vec<Step>; 2]> = Vec::new();
+    let join = |a: &[Step], b: &[Step], step: Step| [a, b, &[step]].concat();
     for &token in tokens {
-        match token {
-            Token::Leaf(leaf) => {
-                waiting.push(leaves.len());
-                leaves.push((leaf, true));
-            }
+        let operand = match token {
+            Token::Leaf(leaf) => [false, true].map(|is_complement| vec![Step::Literal { leaf, is_complement }]),
             Token::Combine(i) => {
                 let combine = &program.combines[i as usize];
-                let (top, below) = (waiting.pop()?, *waiting.last()?);
+                let (top, below) = (waiting.pop()?, waiting.pop()?);
+                let ([a, not_a], [b, not_b]) = if combine.is_swapped { (top, below) } else { (below, top) };
+                let or = |a: &[Step], b: &[Step]| join(a, b, Step::Union);
+                let and = |a: &[Step], b: &[Step]| join(a, b, Step::Intersection);
                 match combine.op {
-                    Op::Union | Op::Intersection => {}
-                    // What is taken away is the second operand, which may have been put first.
-                    Op::Difference if combine.is_swapped => turn(&mut leaves[below..top]),
-                    Op::Difference => turn(&mut leaves[top..]),
-                    Op::Xor => return None,
+                    Op::Union => [or(&a, &b), and(&not_a, &not_b)],
+                    Op::Intersection => [and(&a, &b), or(&not_a, &not_b)],
+                    Op::Difference => [and(&a, &not_b), or(&not_a, &b)],
+                    Op::Xor => [or(&and(&a, &not_b), &and(&not_a, &b)), or(&and(&a, &b), &and(&not_a, &not_b))],
                 }
             }
-            Token::Complement => turn(&mut leaves[*waiting.last()?..]),
+            Token::Complement => {
+                let [operand, complement] = waiting.pop()?;
+                [complement, operand]
+            }
             _ => return None,
+        };
+        // Of `n` literals there are `2 n - 1` steps.
+        if operand[0].len() >= 2 * MAX_LEAVES {
+            return None;
         }
+        waiting.push(operand);
     }
-    Some(leaves)
+    waiting.pop().map(|[operand, _]| operand)
 }
 
 /// Whether a leaf is convex and has a closed form here.
@@ -115,19 +146,23 @@ fn has_chord(leaf: &PlacedLeaf<f32>) -> bool {
     }
 }
 
-/// The first place in `[t_in, t_out)` where a line is inside a part of plain leaves.
+/// The first point in `[t_in, t_out)` where a line is inside a part of form `form`, which is not [`Form::Field`].
 pub fn first_inside(
     program: &Program<f32>,
-    tokens: &[Token],
+    steps: &[Step],
     form: Form,
     line: [Vec3; 2],
     [t_in, t_out]: [f32; 2],
 ) -> Option<f32> {
+    let literals = steps.iter().filter_map(|step| match *step {
+        Step::Literal { leaf, is_complement } => Some((&program.leaves[leaf as usize], is_complement)),
+        _ => None,
+    });
     if form == Form::Union {
         let mut nearest = t_out;
-        for token in tokens {
-            let Token::Leaf(leaf) = token else { continue };
-            let chord = chord(&program.leaves[*leaf as usize], line);
+        for (leaf, _) in literals {
+            // Nothing is taken away, so there are no slivers and nothing is eroded.
+            let chord = chord(leaf, line, 0.0);
             let from = chord.from.max(t_in);
             if from < chord.to && from < nearest {
                 nearest = from;
@@ -137,56 +172,48 @@ pub fn first_inside(
     }
 
     let mut chords = [Chord::NONE; MAX_LEAVES];
-    let leaves = tokens.iter().filter_map(|token| match token {
-        Token::Leaf(leaf) => Some(*leaf),
-        _ => None,
-    });
     let mut count = 0;
-    for leaf in leaves {
-        chords[count] = chord(&program.leaves[leaf as usize], line);
+    for (leaf, is_complement) in literals.clone() {
+        chords[count] = chord(leaf, line, if is_complement { ERODED } else { -ERODED });
         count += 1;
     }
     let mut t = t_in;
-    while !is_inside(program, tokens, &chords, t) {
+    while !is_inside(steps, &chords, t) {
         let ends = chords[..count].iter().filter(|chord| !chord.is_empty()).flat_map(|chord| [chord.from, chord.to]);
         t = ends.filter(|&end| end > t).fold(t_out, f32::min);
         if t >= t_out {
             return None;
         }
     }
-    Some(t)
+    if t == t_in {
+        return Some(t);
+    }
+    // The hit is the end of the uneroded chord, which is before that of the eroded one, or of the grown one of a complement.
+    let (owner, (leaf, _)) = literals.enumerate().find(|&(i, _)| chords[i].from == t || chords[i].to == t)?;
+    let whole = chord(leaf, line, 0.0);
+    let end = if chords[owner].from == t { whole.from } else { whole.to };
+    Some(end.clamp(t_in, t))
 }
 
-/// Whether a line is inside right behind `t`; `chords` are those of the leaves in the order of the tokens.
-fn is_inside(program: &Program<f32>, tokens: &[Token], chords: &[Chord; MAX_LEAVES], t: f32) -> bool {
-    // A stack of bits, the top one last.
-    let mut waiting = 0u32;
+/// Whether a line is inside right behind `t`; `chords` has one entry per literal, in the order of the steps.
+fn is_inside(steps: &[Step], chords: &[Chord; MAX_LEAVES], t: f32) -> bool {
+    // A stack of bits; the top is bit 0.
+    let mut bits = 0u32;
     let mut next = 0;
-    for &token in tokens {
-        match token {
-            Token::Leaf(_) => {
-                waiting = waiting << 1 | u32::from(chords[next].holds(t));
+    for &step in steps {
+        match step {
+            Step::Literal { is_complement, .. } => {
+                bits = bits << 1 | u32::from(chords[next].holds(t) != is_complement);
                 next += 1;
             }
-            Token::Combine(i) => {
-                let combine = &program.combines[i as usize];
-                let (top, below) = (waiting & 1, waiting >> 1 & 1);
-                let (a, b) = if combine.is_swapped { (top, below) } else { (below, top) };
-                let joined = match combine.op {
-                    Op::Union => a | b,
-                    Op::Intersection => a & b,
-                    Op::Difference => a & !b,
-                    Op::Xor => a ^ b,
-                };
-                waiting = waiting >> 2 << 1 | joined & 1;
-            }
-            _ => waiting ^= 1,
+            Step::Union => bits = bits >> 1 | bits & 1,
+            Step::Intersection => bits = bits >> 1 & (bits | !1),
         }
     }
-    waiting & 1 == 1
+    bits & 1 == 1
 }
 
-/// A stretch of a line; there is none where `from` is not before `to`.
+/// An interval `[from, to)` on a line; empty unless `from < to`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Chord {
     from: f32,
@@ -209,7 +236,7 @@ impl Chord {
         self.from <= t && t < self.to
     }
 
-    /// The least chord over two of one convex solid.
+    /// The smallest chord that holds both; for two pieces of one convex solid.
     fn hull(self, other: Self) -> Self {
         match (self.is_empty(), other.is_empty()) {
             (true, _) => other,
@@ -219,8 +246,9 @@ impl Chord {
     }
 }
 
-/// The chord of a line in a leaf; `line` is its origin and its unit direction in local units.
-fn chord(leaf: &PlacedLeaf<f32>, [origin, direction]: [Vec3; 2]) -> Chord {
+/// The chord of a line in a leaf whose surface is moved outwards by `grow`, or inwards where that is negative. `line` is the
+/// origin and the unit direction, local units.
+fn chord(leaf: &PlacedLeaf<f32>, [origin, direction]: [Vec3; 2], grow: f32) -> Chord {
     let p = &leaf.parameters;
     let shift = Vec3::from_array(leaf.shift);
     let [mut o, mut d] = [origin + shift, direction];
@@ -230,50 +258,55 @@ fn chord(leaf: &PlacedLeaf<f32>, [origin, direction]: [Vec3; 2]) -> Chord {
         o = Vec3::new(x.dot(origin), y.dot(origin), z.dot(origin)) + shift;
         d = Vec3::new(x.dot(direction), y.dot(direction), z.dot(direction));
     }
+    let grown = |size: f32| (size + grow).max(0.0);
     match &leaf.field {
-        LeafField::Sphere => ball(o, d, p[0]),
+        LeafField::Sphere => ball(o, d, grown(p[0])),
         LeafField::Ellipsoid => {
-            let inverse = Vec3::new(p[0], p[1], p[2]).recip();
+            let inverse = (Vec3::new(p[0], p[1], p[2]) + grow).recip();
             ball(o * inverse, d * inverse, 1.0)
         }
-        LeafField::Box => cuboid(o, d, [p[0], p[1], p[2]]),
-        LeafField::Cylinder => disc(o.truncate(), d.truncate(), p[0]).and(slab(o.z, d.z, p[1])),
+        LeafField::Box => cuboid(o, d, [grown(p[0]), grown(p[1]), grown(p[2])]),
+        LeafField::Cylinder => disc(o.truncate(), d.truncate(), grown(p[0])).and(slab(o.z, d.z, grown(p[1]))),
         LeafField::Capsule => {
-            let end = Vec3::new(0.0, 0.0, p[1]);
-            let side = disc(o.truncate(), d.truncate(), p[0]).and(slab(o.z, d.z, p[1]));
-            side.hull(ball(o - end, d, p[0])).hull(ball(o + end, d, p[0]))
+            let (end, radius) = (Vec3::new(0.0, 0.0, p[1]), grown(p[0]));
+            let side = disc(o.truncate(), d.truncate(), radius).and(slab(o.z, d.z, p[1]));
+            side.hull(ball(o - end, d, radius)).hull(ball(o + end, d, radius))
         }
-        LeafField::Cone => cone(o, d, [p[0], p[1], p[2]]),
-        LeafField::Plane => half_space(o, d, Vec3::new(p[0], p[1], p[2]), p[3]),
+        LeafField::Cone => cone(o, d, [grown(p[0]), grown(p[1]), grown(p[2])]),
+        LeafField::Plane => half_space(o, d, Vec3::new(p[0], p[1], p[2]), p[3] + grow),
         LeafField::Pyramid => {
             let [half, half_height, sin, cos] = [p[0], p[1], p[3], p[4]];
-            let offset = half * cos - half_height * sin;
+            let offset = half * cos - half_height * sin + grow;
             let side = |x: f32, y: f32| half_space(o, d, Vec3::new(x, y, sin), offset);
-            let base = half_space(o, d, Vec3::NEG_Z, half_height);
+            let base = half_space(o, d, Vec3::NEG_Z, half_height + grow);
             base.and(side(cos, 0.0)).and(side(-cos, 0.0)).and(side(0.0, cos)).and(side(0.0, -cos))
         }
         LeafField::Octahedron => {
-            let across = |n: Vec3| slab(n.dot(o), n.dot(d), p[0]);
+            // The normals below have length sqrt(3).
+            let half = (p[0] + 3f32.sqrt() * grow).max(0.0);
+            let across = |n: Vec3| slab(n.dot(o), n.dot(d), half);
             across(Vec3::new(1.0, 1.0, 1.0))
                 .and(across(Vec3::new(1.0, 1.0, -1.0)))
                 .and(across(Vec3::new(1.0, -1.0, 1.0)))
                 .and(across(Vec3::new(-1.0, 1.0, 1.0)))
         }
         LeafField::HexPrism => {
-            let across = |n: Vec2| slab(n.dot(o.truncate()), n.dot(d.truncate()), p[0]);
+            let across = |n: Vec2| slab(n.dot(o.truncate()), n.dot(d.truncate()), grown(p[0]));
             let slant = 0.75f32.sqrt();
-            slab(o.z, d.z, p[1])
+            slab(o.z, d.z, grown(p[1]))
                 .and(across(Vec2::Y))
                 .and(across(Vec2::new(slant, 0.5)))
                 .and(across(Vec2::new(slant, -0.5)))
         }
-        LeafField::Extrude(Flat::Circle(radius)) => disc(o.truncate(), d.truncate(), *radius).and(slab(o.z, d.z, p[0])),
-        LeafField::Extrude(Flat::Rectangle(half)) => cuboid(o, d, [half[0], half[1], p[0]]),
-        _ => unreachable!("told by Form::of"),
+        LeafField::Extrude(Flat::Circle(radius)) => {
+            disc(o.truncate(), d.truncate(), grown(*radius)).and(slab(o.z, d.z, grown(p[0])))
+        }
+        LeafField::Extrude(Flat::Rectangle(half)) => cuboid(o, d, [grown(half[0]), grown(half[1]), grown(p[0])]),
+        _ => unreachable!("Form::of admits only leaves with a chord"),
     }
 }
 
-/// Where `|o + t d| < half`. A line along a face is outside, where the field is zero and no less.
+/// Where `|o + t d| < half`. A line in the plane of a face is outside, because the field is zero there and not below.
 fn slab(o: f32, d: f32, half: f32) -> Chord {
     if d.abs() < STILL {
         return if o.abs() < half { Chord::ALL } else { Chord::NONE };
@@ -297,8 +330,8 @@ fn half_space(o: Vec3, d: Vec3, normal: Vec3, offset: f32) -> Chord {
     if rate > 0.0 { Chord { to: t, ..Chord::ALL } } else { Chord { from: t, ..Chord::ALL } }
 }
 
-/// Where a line is in a ball about zero, in any number of dimensions: from the squares of the direction and of the nearest
-/// point of the line, which is at `middle`.
+/// The chord in a ball about zero, in any number of dimensions. `middle` is the parameter of the point of the line nearest to
+/// zero, `nearest_squared` its squared distance from zero, `speed_squared` the squared length of the direction.
 fn round(middle: f32, speed_squared: f32, nearest_squared: f32, radius: f32) -> Chord {
     let room = radius * radius - nearest_squared;
     if room <= 0.0 {
@@ -323,7 +356,7 @@ fn disc(o: Vec2, d: Vec2, radius: f32) -> Chord {
     round(middle, speed_squared, (o + middle * d).length_squared(), radius)
 }
 
-/// Between its ends a cone is where `x^2 + y^2 <= (middle + slope z)^2`.
+/// The chord in a cone: `x^2 + y^2 <= (middle + slope z)^2` between its ends. `low` and `high` are its radii there.
 fn cone(o: Vec3, d: Vec3, [low, high, half_height]: [f32; 3]) -> Chord {
     let ends = slab(o.z, d.z, half_height);
     if ends.is_empty() {
@@ -344,7 +377,7 @@ fn cone(o: Vec3, d: Vec3, [low, high, half_height]: [f32; 3]) -> Chord {
         // Without roots the sign is that of the square term.
         return if a < 0.0 { ends } else { Chord::NONE };
     }
-    // Roots without cancellation; the first is out of sight where the square term vanishes.
+    // Roots without cancellation; the first is at infinity where the square term vanishes.
     let far = -(b + discriminant.sqrt().copysign(b));
     let first = if a == 0.0 { FAR.copysign(far) } else { (far / a).clamp(-FAR, FAR) };
     let second = if far == 0.0 { 0.0 } else { c / far };

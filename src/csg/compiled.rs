@@ -203,6 +203,12 @@ struct Needs {
 impl Needs {
     fn of(solid: &Solid) -> Self {
         let tokens = &solid.model.tokens;
+        // The normal form of an xor repeats leaves.
+        let is_xor = |token: &Token| match token {
+            Token::Combine(i) => solid.program.combines[*i as usize].op == Op::Xor,
+            _ => false,
+        };
+        let has_xor = tokens.iter().any(is_xor);
         let is_other = |token: &Token| match token {
             Token::Combine(i) => solid.program.combines[*i as usize].op != Op::Union,
             token => matches!(token, Token::Complement),
@@ -210,7 +216,7 @@ impl Needs {
         Self {
             kinds: Kinds::of(&solid.program, tokens),
             combines: tokens.iter().any(is_other),
-            leaves: Model::leaf_count(tokens),
+            leaves: if has_xor { MAX_LEAVES } else { Model::leaf_count(tokens) },
             ..Self::default()
         }
     }

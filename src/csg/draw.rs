@@ -238,7 +238,7 @@ impl View<'_> {
         row.steps[x] = scratch.work.steps - before;
         let Some(hit) = hit else { return };
         let p = ray.origin + hit.t * ray.direction;
-        let normal = self.tracer.normal(p, hit.part, &mut scratch.slope).unwrap_or(-ray.direction);
+        let normal = self.tracer.normal(p, ray.direction, hit.part, &mut scratch.slope).unwrap_or(-ray.direction);
         let seen = Seen { p, depth: self.rays.depth(&ray, hit.t), normal, part: Some(hit.part) };
         self.finish(x, row, &seen, ray.direction, |to_light| {
             self.share_that_arrives(p, normal, to_light, &mut scratch.march)

@@ -12,7 +12,7 @@
 //! takes here: with one box 0.2 to 0.4, with 551 boxes 0.6 to 1.2, with 8,782 boxes 1.3 to 5, with 59,213 boxes 2.5 to 8 times
 //! as long. The walk looks at nothing behind the first hit, and shadow rays need it anyway, so it is the only way.
 
-use super::chord::Form;
+use super::chord::{Form, Step};
 use super::compiled::{Compiled, Entry, kind};
 use super::draw::{Drawing, Scratch, Seen, View};
 use super::model::Token;
@@ -45,9 +45,8 @@ const BATCH: usize = 1 << 20;
 const MAX_LIGHTS: usize = 64;
 const UNFINISHED: f32 = 3.0e38;
 const RAN_OUT: u32 = 2;
-/// Of a leaf's token, as in the shaders.
-const OTHER_SIDE: u32 = 1 << 26;
-const EITHER_SIDE: u32 = 1 << 27;
+/// Flag of the token of a complemented leaf, as in the shaders.
+const COMPLEMENT: u32 = 1 << 26;
 
 /// Tables in device memory.
 struct Tables {
@@ -122,20 +121,18 @@ impl<'a> Encoder<'a> {
         what << 28 | index
     }
 
-    /// The tokens of a part; in closed form, its leaves say which of their sides bounds it.
+    /// The tokens of a marched part, or the normal form of a part in closed form.
     fn part(&self, part: &PartProgram) -> Vec<u32> {
-        let mut tokens: Vec<u32> = part.tokens.iter().map(|&token| self.token(token)).collect();
-        if part.form != Form::Field {
-            let leaves = tokens.iter_mut().zip(part.tokens.iter()).filter(|(_, token)| matches!(token, Token::Leaf(_)));
-            for (i, (token, _)) in leaves.enumerate() {
-                *token |= match part.sides.as_ref().and_then(|sides| sides.get(i)) {
-                    None => EITHER_SIDE,
-                    Some(&(_, true)) => 0,
-                    Some(&(_, false)) => OTHER_SIDE,
-                };
-            }
+        if part.form == Form::Field {
+            return part.tokens.iter().map(|&token| self.token(token)).collect();
         }
-        tokens
+        let encoded = |step: &Step| match *step {
+            Step::Literal { leaf, is_complement: false } => leaf,
+            Step::Literal { leaf, is_complement: true } => leaf | COMPLEMENT,
+            Step::Union => 1 << 28,
+            Step::Intersection => 2 << 28,
+        };
+        part.steps.iter().map(encoded).collect()
     }
 
     fn upload(&self, context: &Context, tokens: &[u32]) -> Result<Tables, Error> {
@@ -342,10 +339,11 @@ fn written_kernel(context: &Arc<Context>, compiled: &Compiled) -> Result<Option<
 /// Nodes, then boxes, and the tokens of all parts behind each other.
 fn encoded_boxes(tracer: &Tracer<'_>, encoder: &Encoder<'_>, entries: &[Entry]) -> (Vec<CsgBox>, Vec<u32>) {
     let mut tokens = Vec::new();
-    let mut firsts = Vec::new();
+    let mut ranges = Vec::new();
     for program in tracer.programs.iter() {
-        firsts.push(tokens.len() as u32);
-        tokens.extend(encoder.part(program));
+        let part = encoder.part(program);
+        ranges.push((tokens.len() as u32, part.len() as u32));
+        tokens.extend(part);
     }
     let nodes = tracer.nodes.iter().map(|node| CsgBox {
         lower: node.lower.to_array(),
@@ -356,9 +354,9 @@ fn encoded_boxes(tracer: &Tracer<'_>, encoder: &Encoder<'_>, entries: &[Entry]) 
     });
     let boxes = tracer.boxes.iter().map(|cell| CsgBox {
         lower: cell.lower.to_array(),
-        first: firsts[cell.part as usize],
+        first: ranges[cell.part as usize].0,
         upper: cell.upper.to_array(),
-        count: tracer.programs[cell.part as usize].tokens.len() as u32,
+        count: ranges[cell.part as usize].1,
         form: entries[cell.part as usize].form,
         parameters: entries[cell.part as usize].parameters,
         ..CsgBox::default()

@@ -1,20 +1,30 @@
-//! Rays through a shape: the first root of its field, part by part.
+//! First hits of rays with a shape, part by part.
 //!
 //! # Theory
 //!
-//! A ray walks a tree over the boxes of all parts, near child first, and marches each box it meets from the point of entry to
-//! the point of exit (J. Hart, "Sphere Tracing", 1996): a step is the field over its Lipschitz constant, and at least
-//! [`MIN_STEP`]. Only the smallest step can cross the surface; the root is then bracketed and found by regula falsi. So what is
-//! returned is a root and not a place closer than some epsilon, and it does not depend on where the march began: the whole shape
-//! and its parts give the same depth. What is thinner than [`MIN_STEP`] along the ray may be missed.
+//! A ray walks a tree over the boxes of all parts, near child first. Each box that it enters before the nearest hit so far is
+//! searched from the point of entry to the point of exit, in closed form ([`super::chord`]) or by marching the part's field.
 //!
-//! A hit counts only inside its own box, from the face of entry up to and not including the face of exit. Neighbours have a face
-//! in common bit for bit, so a root belongs to one of them: there is nothing to fight over in depth. A box that the nearest hit
-//! lies before is not looked at.
+//! *Hits.* A hit is where a ray enters the solid eroded by [`ERODED`], that is the set `field < -ERODED`. Without the erosion
+//! the rounding of float32 would decide whether there is a film between coincident faces, for example over the mouth of a
+//! pocket that is flush with the outer face.
 //!
-//! Everything is in local units and float32 along the ray.
+//! *March* (J. Hart, "Sphere Tracing", 1996). A step is the field over its Lipschitz constant, and at least [`MIN_STEP`]. Only
+//! the smallest step can cross the surface. The root of the field is then bracketed and found by regula falsi, so it does not
+//! depend on where the march began: the whole shape and its parts have the same depth. The march may miss a ray whose
+//! interval in the eroded solid is shorter than [`MIN_STEP`]. It finds every longer interval, because two consecutive
+//! evaluations that are farther apart are separated by a step that crosses no surface. Closed forms have no such limit.
+//!
+//! *Owner of a hit.* The nearest hit over all boxes is the hit of the whole shape, and the tree of its part has the whole's
+//! surface there. For boxes from the leaves this follows from the invariant that [`super::aabb`] proves: within a margin
+//! around its box, each part is a subset of the whole. So a ray that is inside the part where it enters the box was inside
+//! the whole before, unless the part's own surface is there. In the cells of [`super::octree`] the part has the sign of the
+//! whole up to a margin around the cell, which implies the same. A box contains its face of entry and not its face of exit.
+//! Neighbours have the same float32 coordinates at their common face, so a root lies in exactly one of them.
+//!
+//! Everything along the ray is in local units and float32.
 
-use super::chord::{self, Form};
+use super::chord::{self, ERODED, Form, Step};
 use super::decompose::Part;
 use super::model::{Model, Token};
 use super::program::{PlacedLeaf, Stack};
@@ -23,31 +33,33 @@ use crate::bvh::boxes::{BoxTree, MAX_STACK};
 use glam::{DVec3, Vec3, Vec3A};
 use std::sync::Arc;
 
-/// Shortest step, relative to a model of size 1/2 to 1: a hundred roundings of the field. A ray that dips into a sphere of the
-/// model's size for less than this goes 1e-10 deep.
+/// Shortest step of a march, local units (the model has size 1/2 to 1): a hundred roundings of the field. A ray that is inside
+/// a sphere of the model's size for less than this goes 1e-9 deep.
 pub const MIN_STEP: f32 = 3e-5;
 
-/// Steps in one box at most; reached only by a ray that creeps along a surface closer than a step.
+/// Largest number of steps in one box; reached only by a ray that stays closer to a surface than the shortest step.
 pub const MAX_STEPS: u32 = 4096;
 
-/// Halvings of the bracket at most; regula falsi needs a fraction of them.
+/// Largest number of steps of regula falsi; it needs a fraction of them.
 const MAX_ROOT_STEPS: u32 = 32;
 
 /// A bracket of this width is a root: an ulp of a position near 1.
 const ROOT_WIDTH: f32 = 1.2e-7;
 
-/// Half the step of a normal's differences in float64.
+/// Half the step of a normal's differences in float64: those of a part's field, and those of one leaf's.
 const NORMAL_STEP: f64 = 1e-5;
+const LEAF_STEP: f64 = 2e-6;
 
-/// A part's box ends this far beyond what is in it, local units: some roundings of a place.
+/// A part's box extends this far beyond the extent of its tree, local units: some roundings of a coordinate.
 const BOX_PAD: f64 = 1e-6;
 
-/// Of [`Tracer::cost`]: coming to a box; the steps of a march in a tiny box, and how many more there are in one as large as the
-/// model. Chosen so that the cheapest is the fastest, or nearly, on scattered leaves and on the models of `examples/csg`.
+/// Weights of [`Tracer::cost`], in evaluations of a leaf: reaching a box; then the steps of a march in a tiny box, and the
+/// further steps in a box as large as the model. With these the cheapest method is the fastest, or nearly, on scattered leaves
+/// and on the models of `examples/csg`.
 const BOX_LOOKS: f64 = 2.0;
 const MARCH_LOOKS: [f64; 2] = [2.0, 15.0];
 
-/// A ray's way along an axis that it does not move on is divided by this: far more than any way through the model, and finite.
+/// Replaces a component of a direction that is smaller, so that its inverse is finite.
 const STILL: f32 = 1e-30;
 
 /// A part's box in local units.
@@ -58,7 +70,8 @@ pub struct LocalBox {
     pub part: u32,
 }
 
-/// A node of the tree over boxes: its children are nodes `first` and `first + 1`, or, in a leaf, `count` boxes from `first`.
+/// A node of the tree over boxes. An inner node (`count` 0) has the children `first` and `first + 1`; a leaf has `count` boxes
+/// from `first`.
 #[derive(Debug, Clone, Copy)]
 pub struct BoxNode {
     pub lower: Vec3A,
@@ -67,7 +80,7 @@ pub struct BoxNode {
     pub count: u32,
 }
 
-/// A shape, split or whole, ready for rays. Cheap to clone.
+/// A shape, split or whole, prepared for rays. Cloning shares the tables.
 #[derive(Debug, Clone)]
 pub struct Tracer<'a> {
     pub solid: &'a Solid,
@@ -78,13 +91,14 @@ pub struct Tracer<'a> {
     pub bounds: [Vec3; 2],
 }
 
-/// What is evaluated in the boxes of a part.
+/// The tree of a part, prepared for rays.
 #[derive(Debug)]
 pub struct PartProgram {
     pub tokens: Arc<[Token]>,
     pub form: Form,
-    /// Of a part in closed form, see [`chord::sides`].
-    pub sides: Option<Box<[(u32, bool)]>>,
+    /// Normal form of a part in closed form; empty for a marched part.
+    pub steps: Box<[Step]>,
+    /// Evaluations of a leaf per evaluation of the part.
     pub leaves: u32,
     pub inverse_lipschitz: f32,
 }
@@ -92,18 +106,19 @@ pub struct PartProgram {
 impl PartProgram {
     fn new(solid: &Solid, tokens: &Arc<[Token]>) -> Self {
         let form = Form::of(&solid.program, tokens);
-        let sides = if form == Form::Field { None } else { chord::sides(&solid.program, tokens) };
+        let steps = if form == Form::Field { None } else { chord::steps(&solid.program, tokens) }.unwrap_or_default();
+        let leaves = if steps.is_empty() { Model::leaf_count(tokens) } else { steps.len().div_ceil(2) };
         Self {
             form,
-            sides: sides.map(Vec::into_boxed_slice),
-            leaves: Model::leaf_count(tokens) as u32,
+            steps: steps.into_boxed_slice(),
+            leaves: leaves as u32,
             inverse_lipschitz: (1.0 / solid.model.lipschitz_of(tokens)) as f32,
             tokens: tokens.clone(),
         }
     }
 }
 
-/// What a [`Tracer`] has of its own.
+/// The tables of a [`Tracer`].
 #[derive(Debug, Clone)]
 pub(super) struct Cells {
     programs: Arc<[PartProgram]>,
@@ -113,7 +128,7 @@ pub(super) struct Cells {
 }
 
 impl Cells {
-    /// Over the parts of a solid, whose boxes are in world units. A box is cut to what its part can fill.
+    /// Prepares the parts of a solid, whose boxes are in world units. Each box is cut to the extent of its part's tree.
     pub fn new(solid: &Solid, parts: &[Part]) -> Self {
         let programs: Arc<[PartProgram]> = parts.iter().map(|part| PartProgram::new(solid, &part.tokens)).collect();
         let mut boxes: Vec<LocalBox> = Vec::new();
@@ -130,7 +145,7 @@ impl Cells {
 
         let corners = |cell: &LocalBox| [cell.lower.as_dvec3(), cell.upper.as_dvec3()];
         let tree = BoxTree::new(&boxes.iter().map(corners).collect::<Vec<_>>());
-        // A corner of a node is one of its boxes', as near to it as float64 can say.
+        // The tree stores corners relative to its center, which rounds them.
         let place = |corner: Vec3| (corner.as_dvec3() + tree.center).as_vec3a();
         let nodes: Arc<[BoxNode]> = tree
             .nodes
@@ -162,17 +177,17 @@ pub struct Hit {
     pub part: u32,
 }
 
-/// What a ray cost.
+/// Evaluations that a ray has taken.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Work {
     /// Evaluations of a part's field.
     pub steps: u32,
-    /// Evaluations of a leaf's.
+    /// Evaluations of a leaf's field or chord.
     pub leaves: u64,
 }
 
 impl<'a> Tracer<'a> {
-    /// Over the parts of a solid, whose boxes are in world units.
+    /// Prepares the parts of a solid, whose boxes are in world units.
     pub fn new(solid: &'a Solid, parts: &[Part]) -> Self {
         Self::of(solid, Cells::new(solid, parts))
     }
@@ -193,16 +208,21 @@ impl<'a> Tracer<'a> {
         Self::new(solid, &[Part { tokens: solid.model.tokens.as_slice().into(), boxes: vec![bounds] }])
     }
 
-    /// The whole shape in one box, always by marching its field: what the parts are held against.
+    /// The whole shape in one box, always by marching its field: the reference for the parts.
     pub fn whole(solid: &'a Solid) -> Self {
         let tracer = Self::one_box(solid);
-        let march = |part: &PartProgram| PartProgram { form: Form::Field, ..PartProgram::new(solid, &part.tokens) };
+        let march = |part: &PartProgram| PartProgram {
+            form: Form::Field,
+            steps: Box::default(),
+            leaves: Model::leaf_count(&part.tokens) as u32,
+            ..PartProgram::new(solid, &part.tokens)
+        };
         Self { programs: tracer.programs.iter().map(march).collect(), ..tracer }
     }
 
-    /// What a ray through the bounds costs, as it is foreseen: each box is met by the share of rays that its area says, and in
-    /// it the leaves of its part are asked, once or at every step of a march. In evaluations of a leaf, for a ray that
-    /// nothing stops, times a constant.
+    /// Expected cost of a ray through the bounds that nothing stops, in evaluations of a leaf times a constant. The share of
+    /// rays that reach a box is proportional to its surface area. In it the leaves of its part are evaluated, once or at every
+    /// step of a march.
     pub fn cost(&self) -> f64 {
         let of_box = |cell: &LocalBox| {
             let sides = (cell.upper - cell.lower).as_dvec3();
@@ -277,7 +297,7 @@ impl<'a> Tracer<'a> {
         best
     }
 
-    /// The first place in a part's box where the ray is inside the part.
+    /// The first point of a ray in a part's box that is inside the part.
     fn first_root(
         &self,
         part: u32,
@@ -293,11 +313,11 @@ impl<'a> Tracer<'a> {
         work.steps += 1;
         work.leaves += u64::from(program.leaves);
         let line = [ray.origin, ray.direction];
-        chord::first_inside(&self.solid.program, &program.tokens, program.form, line, [t_in, t_out])
+        chord::first_inside(&self.solid.program, &program.steps, program.form, line, [t_in, t_out])
     }
 
-    /// The first root on `[t_in, t_out)` behind which the field is below zero; `t_in` itself if it is so there. Where the field
-    /// touches zero and no more, as in `a - a`, there is nothing.
+    /// The first root on `[t_in, t_out)` behind which the field is below `-ERODED`, or `t_in` itself if it is so there. Where
+    /// the field only touches zero, as in `a - a`, nothing is hit.
     fn march(
         &self,
         program: &PartProgram,
@@ -315,52 +335,58 @@ impl<'a> Tracer<'a> {
         };
         let mut t = t_in;
         let mut value = field(t);
-        if value < 0.0 {
+        if value < -ERODED {
             return Some(t);
         }
+        // The last point that is not inside the uneroded solid.
+        let (mut low, mut above) = (t, value.max(0.0));
         for _ in 0..MAX_STEPS {
             let safe = value * program.inverse_lipschitz;
-            let next = t + safe.max(MIN_STEP);
-            if next >= t_out {
-                // A safe step crosses nothing; the smallest step might.
-                if t + safe >= t_out {
-                    return None;
-                }
-                let end = field(t_out);
-                return if end < 0.0 {
-                    Some(root(&mut field, t, value, t_out, end)).filter(|&t| t < t_out)
-                } else {
-                    None
-                };
+            // A safe step crosses nothing; the smallest step might.
+            if t + safe >= t_out {
+                return None;
             }
+            let next = (t + safe.max(MIN_STEP)).min(t_out);
             let there = field(next);
-            if there < 0.0 {
-                return Some(root(&mut field, t, value, next, there));
+            if there < -ERODED {
+                return Some(root(&mut field, low, above, next, there)).filter(|&t| t < t_out);
+            }
+            if next == t_out {
+                return None;
             }
             (t, value) = (next, there);
+            if value >= 0.0 {
+                (low, above) = (t, value);
+            }
         }
         None
     }
 
-    /// Unit normal at a hit, local space, which is turned like the world; `None` where the field has no slope.
-    pub fn normal(&self, p: Vec3, part: u32, stack: &mut Stack<f64, 6>) -> Option<Vec3> {
+    /// Unit normal at the hit `p` of a ray with a part, local space, which has the axes of the world; `None` where the field
+    /// has no slope.
+    pub fn normal(&self, p: Vec3, direction: Vec3, part: u32, stack: &mut Stack<f64, 6>) -> Option<Vec3> {
         let part = &self.programs[part as usize];
-        let Some(sides) = &part.sides else {
+        if part.form == Form::Field {
             let slope = slope(self.solid.precise(), &part.tokens, p.as_dvec3(), NORMAL_STEP, stack);
             return slope.try_normalize().map(|normal| normal.as_vec3());
-        };
-        // The surface is that of the leaf whose field is nearest to zero.
+        }
+        // The surface is that of the leaf whose field is nearest to zero. Where two leaves share it, their normals are equal or
+        // opposite. A ray enters the solid from outside, so the normal is against it.
         let at = [[p.x], [p.y], [p.z]];
+        let leaves = part.steps.iter().filter_map(|step| match *step {
+            Step::Literal { leaf, .. } => Some(leaf),
+            _ => None,
+        });
         let value = |leaf: u32| self.solid.program.leaves[leaf as usize].distances(&at)[0].abs();
-        let (leaf, is_own) = match **sides {
-            [only] => only,
-            _ => sides.iter().map(|&side| (value(side.0), side)).min_by(|a, b| a.0.total_cmp(&b.0))?.1,
+        let leaf = match *part.steps {
+            [Step::Literal { leaf, .. }] => leaf,
+            _ => leaves.map(|leaf| (value(leaf), leaf)).min_by(|a, b| a.0.total_cmp(&b.0))?.1,
         };
         let normal = leaf_slope(&self.solid.precise().leaves[leaf as usize], p.as_dvec3()).try_normalize()?.as_vec3();
-        Some(if is_own { normal } else { -normal })
+        Some(if normal.dot(direction) > 0.0 { -normal } else { normal })
     }
 
-    /// Linear RGB at a hit; `None` where there is no paint.
+    /// Linear RGB at a hit; `None` without paint.
     pub fn color(&self, p: Vec3, part: u32) -> Option<[f32; 3]> {
         if !self.solid.model.is_painted {
             return None;
@@ -381,7 +407,8 @@ impl<'a> Tracer<'a> {
     }
 }
 
-/// The root between a value of zero or more and one below: regula falsi, Illinois variant (Dowell and Jarratt, 1971).
+/// The root between `t0`, where the field is zero or more, and `t1`, where it is below: regula falsi, Illinois variant (Dowell
+/// and Jarratt, 1971).
 fn root(field: &mut impl FnMut(f32) -> f32, t0: f32, value0: f32, t1: f32, value1: f32) -> f32 {
     let (mut low, mut above) = (t0, value0);
     let (mut high, mut below) = (t1, value1);
@@ -417,12 +444,12 @@ fn root(field: &mut impl FnMut(f32) -> f32, t0: f32, value0: f32, t1: f32, value
 fn leaf_slope(leaf: &PlacedLeaf<f64>, p: DVec3) -> DVec3 {
     const CORNERS: [DVec3; 4] =
         [DVec3::new(1.0, -1.0, -1.0), DVec3::new(-1.0, -1.0, 1.0), DVec3::new(-1.0, 1.0, -1.0), DVec3::ONE];
-    let at = [0, 1, 2].map(|axis| CORNERS.map(|corner| p[axis] + NORMAL_STEP * corner[axis]));
+    let at = [0, 1, 2].map(|axis| CORNERS.map(|corner| p[axis] + LEAF_STEP * corner[axis]));
     let values = with_vectors(|| leaf.distances(&at));
     CORNERS.iter().zip(values).map(|(&corner, value)| value * corner).sum()
 }
 
-/// A ray and what does not change along it.
+/// A ray, with the inverse of its direction.
 struct Line {
     origin: Vec3A,
     inverse: Vec3A,
@@ -436,7 +463,7 @@ impl Line {
         Self { origin: ray.origin.into(), inverse }
     }
 
-    /// Where the ray is in a box, from 0 to `t_max`. A ray along a face is in the box above it: it goes up by next to nothing.
+    /// The interval of the ray in a box, cut to `[0, t_max]`. A ray in the common face of two boxes is in the upper one.
     #[inline(always)]
     fn span(&self, lower: Vec3A, upper: Vec3A, t_max: f32) -> Option<(f32, f32)> {
         let (a, b) = ((lower - self.origin) * self.inverse, (upper - self.origin) * self.inverse);

@@ -107,6 +107,10 @@ def raymarch(
     A hit is a root of the trilinear field, not a point within some epsilon: in each voxel the field along the ray is
     a cubic polynomial. Surfaces outside the box of the volume are invisible and cast no shadow.
 
+    A shape is hit where a ray is deeper than 1e-6 of its frame, the least power of two that is not below its longest
+    side. A wall thinner than 2e-6 of the frame is not hit, and faces that coincide leave nothing between them. Parts
+    that are marched, and ``method="whole"``, may miss a ray that is inside for less than 3e-5 of the frame.
+
     Quantised and sparse volumes are read in their stored form, on the CPU and on a graphics device. A device draws
     sparse volumes and nested fields if their sides have at most 16380 voxels in total. It draws nested fields under
     directional lights with shadows ``"hard"`` or ``"none"``; the CPU draws them otherwise.

@@ -174,10 +174,10 @@ impl Field for ShapeField {
         self.slope((p / UNITS).as_dvec3()).normalize_or_zero().as_vec3()
     }
 
-    fn look(&self, p: Vec3, hit: &FieldHit, _: Vec3) -> Look {
+    fn look(&self, p: Vec3, hit: &FieldHit, direction: Vec3) -> Look {
         let p = p / UNITS;
         let tracer = self.tracer();
-        let normal = SCRATCH.with_borrow_mut(|scratch| tracer.normal(p, hit.part, &mut scratch.slope));
+        let normal = SCRATCH.with_borrow_mut(|scratch| tracer.normal(p, direction, hit.part, &mut scratch.slope));
         Look { normal: normal.unwrap_or_default(), color: tracer.color(p, hit.part) }
     }
 
