@@ -1,13 +1,12 @@
-//! A kernel written for a shape: a function for each structure of its marched parts instead of the interpreter, and of the
-//! closed forms those of its own kinds of leaves.
+//! Kernels written for a shape: each structure of its marched parts has a function instead of the interpreter, and the closed
+//! forms have the cases of the shape's own kinds of leaves only.
 //!
-//! Numbers stay in a buffer, so the text follows from the set of structures and kinds alone, and shapes that differ in numbers
-//! share a pipeline: a changed parameter compiles nothing. A part whose structure is not in the text is interpreted, in the same
+//! Numbers stay in a buffer, so the text depends on the structures and kinds alone. Shapes that differ in numbers share a
+//! pipeline, and a changed parameter compiles nothing. Parts whose structure has no function are interpreted in the same
 //! dispatch.
 //!
-//! What is left out counts even where no ray would come to it: a group of invocations goes through a branch if one of them
-//! does, and software adapters go through all branches always. lavapipe compiles at the first dispatch and not before: there
-//! the first picture by a new kernel waits for it.
+//! Text that no ray needs costs time as well: a group of invocations executes a branch if one of them does, and software
+//! adapters execute all branches. lavapipe compiles at the first dispatch, so the first picture by a new kernel waits for it.
 
 use super::chord::{Form, MAX_LEAVES};
 use super::decompose::{StructureToken, structure};
@@ -120,28 +119,28 @@ impl Kinds {
     }
 }
 
-/// What the kernel knows of a part.
+/// How the kernel evaluates a part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Entry {
-    /// 0 for the interpreter, 1 and 2 for closed forms, then the structures.
+    /// 0: the interpreter. 1 and 2: a closed form. From 3: the function of structure `form - 3`.
     pub form: u32,
-    /// The first of its numbers.
+    /// Index of the first number of its function.
     pub parameters: u32,
 }
 
 /// A kernel written for a shape.
 #[derive(Debug)]
 pub struct Compiled {
-    /// In place of the shared files of these names.
+    /// Names of shared shader files and the texts that replace them.
     pub texts: [(&'static str, String); 4],
-    /// That have a function.
+    /// Number of structures with a function.
     pub structures: usize,
-    /// Of the parts.
+    /// One entry per part, in part order.
     pub entries: Vec<Entry>,
 }
 
 impl Compiled {
-    /// Write it, and append the numbers that its functions read to `numbers`.
+    /// Writes the kernel of a shape and appends the numbers that its functions read to `numbers`.
     pub fn of(tracer: &Tracer<'_>, numbers: &mut Vec<f32>) -> Self {
         let structures = chosen(tracer);
         let program = &tracer.solid.program;
@@ -178,25 +177,27 @@ impl Compiled {
             ("csg_part", parts_text(&functions, needs.interpreter)),
             ("csg_needs", needs.text()),
             ("csg_chord", needs.kinds.cases_of(shared("csg_chord"))),
-            ("csg_leaves", needs.asked().cases_of(shared("csg_leaves"))),
+            ("csg_leaves", needs.evaluated().cases_of(shared("csg_leaves"))),
         ];
         Self { texts, structures: structures.len(), entries }
     }
 }
 
-/// What a kernel needs for the parts of a shape. Where it can, it follows from the shape and not from its parts, which may be
-/// others after a change of numbers.
+/// The features that a kernel needs for the parts of a shape. Most follow from the shape and not from its parts, because the
+/// parts may change with the numbers.
 #[derive(Debug, Default)]
 struct Needs {
-    /// Of all leaves of the shape.
+    /// Kinds of all leaves of the shape.
     kinds: Kinds,
-    /// More than unions.
+    /// Whether the shape has an operator other than a union.
     combines: bool,
+    /// Largest number of literals of a part in closed form.
     leaves: usize,
-    /// Some part is met in closed form.
+    /// Whether a part is in closed form.
     chords: bool,
-    /// Some part is marched; without a function.
+    /// Whether a part is marched.
     marches: bool,
+    /// Whether a marched part has no function.
     interpreter: bool,
 }
 
@@ -227,8 +228,8 @@ impl Needs {
         self.interpreter |= part.form == Form::Field && !has_function;
     }
 
-    /// Kinds whose fields are asked by their number: for normals, or by the interpreter.
-    fn asked(&self) -> Kinds {
+    /// Kinds whose fields are evaluated by their number: for normals, or by the interpreter.
+    fn evaluated(&self) -> Kinds {
         if self.chords || self.interpreter { self.kinds } else { Kinds::default() }
     }
 

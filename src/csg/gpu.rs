@@ -1,16 +1,17 @@
 //! Shapes on a graphics device: the interpreter of `shaders/shared/csg_interpreter.wgsl` for points, grids and pictures.
 //!
-//! One kernel serves every shape: tokens, tables and boxes go up as buffers, so a changed parameter or a changed tree compiles
-//! nothing. Pictures swap it for one written for the shape's structures and kinds of leaves ([`super::compiled`]) as soon as a
-//! thread of its own has compiled that. Rays walk the boxes of the parts in a compute kernel, one invocation a pixel, and what
-//! comes down is what each ray hit and which lights reach it; colours are made from that on the CPU by the same function as
-//! there. An invocation that runs out of rounds (software adapters stop at 65,535) says so, and its points or pixels are redone
-//! on the CPU.
+//! One kernel serves every shape. Tokens, tables and boxes are buffers, so a changed parameter or a changed tree compiles
+//! nothing. Pictures switch to a kernel written for the shape's structures and kinds of leaves ([`super::compiled`]) as soon as
+//! a background thread has compiled it.
 //!
-//! The boxes can also be rasterised, front to back, each fragment looking for a root in its own box and writing its depth. That
-//! saw the same in every pixel, and on lavapipe (64 to 512 pixels a side) took for the first hits alone, of what a whole picture
-//! takes here: with one box 0.2 to 0.4, with 551 boxes 0.6 to 1.2, with 8,782 boxes 1.3 to 5, with 59,213 boxes 2.5 to 8 times
-//! as long. The walk looks at nothing behind the first hit, and shadow rays need it anyway, so it is the only way.
+//! Rays walk the boxes of the parts in a compute kernel, one invocation per pixel. It returns the hit of each ray and the
+//! lights that reach it. The CPU computes colours from these with the function of its own pictures. An invocation that runs
+//! out of rounds (software adapters stop at 65,535) sets a flag, and the CPU repeats its point or pixel.
+//!
+//! Rasterising the boxes front to back, with a root search and a depth per fragment, gives the same picture. On lavapipe, at 64
+//! to 512 pixels a side, its first hits alone take 0.2 to 0.4 of the time of a whole picture with one box, 0.6 to 1.2 with
+//! 551 boxes, 1.3 to 5 with 8,782 boxes and 2.5 to 8 with 59,213 boxes. The walk visits nothing behind the first hit, and
+//! shadow rays need it anyway, so it is the only way.
 
 use super::chord::{Form, Step};
 use super::compiled::{Compiled, Entry, kind};
