@@ -121,7 +121,9 @@ impl Texture {
     #[new]
     fn new(py: Python<'_>, pixels: PyReadonlyArray3<'_, u8>) -> PyResult<Self> {
         let (height, width) = (pixels.shape()[0], pixels.shape()[1]);
-        let bytes: Vec<u8> = pixels.as_array().iter().copied().collect();
+        // ndarray's slice, not NumPy's, which takes columns first as well.
+        let pixels = pixels.as_array();
+        let bytes = pixels.as_slice().map_or_else(|| pixels.iter().copied().collect(), <[u8]>::to_vec);
         let made = py.detach(|| CoreTexture::new(&bytes, width, height)).map_err(Failure::from)?;
         Ok(Self(Arc::new(made)))
     }

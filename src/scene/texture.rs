@@ -6,6 +6,7 @@
 
 use crate::error::{Error, SceneError};
 use glam::{Vec2, Vec4};
+use rayon::prelude::*;
 use std::sync::LazyLock;
 
 /// A pyramid of RGBA texels, 8 bits sRGB and opacity, levels one after the other, rows from the top.
@@ -36,8 +37,27 @@ pub fn linear_from_srgb(value: f32) -> f32 {
     if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
 }
 
-fn srgb_from_linear(value: f32) -> f32 {
-    if value <= 0.003_130_8 { 12.92 * value } else { 1.055 * value.powf(1.0 / 2.4) - 0.055 }
+/// The linear light from which on the next sRGB byte is nearer: entry `b` lies between the bytes `b` and `b + 1`.
+static STEPS: LazyLock<[f32; 255]> =
+    LazyLock::new(|| std::array::from_fn(|byte| linear_from_srgb((byte as f32 + 0.5) / 255.0)));
+
+/// Intervals of [`FIRST_BYTE`]. sRGB rises by at most 12.92 * 255 = 3295 bytes per unit of light, so an interval holds at
+/// most two steps.
+const INTERVALS: usize = 4096;
+
+/// Nearest sRGB byte at the lower end of each interval of linear light.
+static FIRST_BYTE: LazyLock<Vec<u8>> = LazyLock::new(|| {
+    (0..=INTERVALS).map(|i| STEPS.partition_point(|&step| step <= i as f32 / INTERVALS as f32) as u8).collect()
+});
+
+/// The sRGB byte that is nearest to a linear value.
+fn srgb_byte(value: f32) -> u8 {
+    let value = value.clamp(0.0, 1.0);
+    let mut byte = FIRST_BYTE[(value * INTERVALS as f32) as usize];
+    while byte < 255 && value >= STEPS[byte as usize] {
+        byte += 1;
+    }
+    byte
 }
 
 impl Texture {
@@ -47,19 +67,23 @@ impl Texture {
             let problem = format!("expected 1 to {MAX_SIDE} pixels a side, RGBA, got {width} x {height}");
             return Err(SceneError::new("texture", problem).into());
         }
-        let mut level: Vec<Vec4> =
-            pixels.as_chunks::<4>().0.iter().map(|&texel| unpack(u32::from_le_bytes(texel))).collect();
-        let (mut width, mut height) = (width, height);
-        let mut levels = Vec::new();
-        let mut texels = Vec::new();
-        loop {
-            levels.push(Level { first: texels.len() as u32, width: width as u32, height: height as u32 });
-            texels.extend(level.iter().map(|&texel| pack(texel)));
-            if width == 1 && height == 1 {
-                return Ok(Self { levels, texels });
-            }
-            (level, width, height) = halved(&level, width, height);
+        // A pyramid has at most 4/3 as many texels as its base, and one more a level for odd sides.
+        let mut texels = Vec::with_capacity(width * height / 3 * 4 + 64);
+        texels.extend(pixels.as_chunks::<4>().0.iter().map(|&texel| u32::from_le_bytes(texel)));
+        let mut levels = vec![Level { first: 0, width: width as u32, height: height as u32 }];
+        let mut size = [width, height];
+        // Levels stay unrounded until they are stored, so rounding does not add up.
+        let mut level: Vec<Vec4> = Vec::new();
+        while size != [1, 1] {
+            level = match levels.len() {
+                1 => halved(size, |i| unpack(texels[i])),
+                _ => halved(size, |i| level[i]),
+            };
+            size = size.map(|side| (side / 2).max(1));
+            levels.push(Level { first: texels.len() as u32, width: size[0] as u32, height: size[1] as u32 });
+            texels.par_extend(level.par_iter().map(|&texel| pack(texel)));
         }
+        Ok(Self { levels, texels })
     }
 
     /// Linear RGB and opacity at `uv`; `footprint` is the side of what the pixel covers, in texture widths.
@@ -116,32 +140,34 @@ fn unpack(texel: u32) -> Vec4 {
 }
 
 fn pack(texel: Vec4) -> u32 {
-    let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round() as u8;
-    let color = [texel.x, texel.y, texel.z].map(|c| byte(srgb_from_linear(c)));
-    u32::from_le_bytes([color[0], color[1], color[2], byte(texel.w)])
+    let opacity = (texel.w.clamp(0.0, 1.0) * 255.0).round() as u8;
+    u32::from_le_bytes([srgb_byte(texel.x), srgb_byte(texel.y), srgb_byte(texel.z), opacity])
 }
 
-/// The next smaller picture; an odd side keeps its last row or column in the mean of its neighbour.
-fn halved(level: &[Vec4], width: usize, height: usize) -> (Vec<Vec4>, usize, usize) {
+/// Averages boxes of 2 x 2 texels, `texel(x + width * y)`, into a picture of half the sides. Where a side is odd the boxes
+/// are wider by up to two texels and overlap, so that every texel counts.
+fn halved([width, height]: [usize; 2], texel: impl Fn(usize) -> Vec4 + Sync) -> Vec<Vec4> {
     let (w, h) = ((width / 2).max(1), (height / 2).max(1));
-    let mut smaller = Vec::with_capacity(w * h);
     let span = |i: usize, half: usize, whole: usize| (i * whole / half, ((i + 1) * whole).div_ceil(half));
-    for y in 0..h {
+    let mut smaller = vec![Vec4::ZERO; w * h];
+    smaller.par_chunks_exact_mut(w).enumerate().for_each(|(y, row)| {
         let (y0, y1) = span(y, h, height);
-        for x in 0..w {
+        for (x, mean) in row.iter_mut().enumerate() {
             let (x0, x1) = span(x, w, width);
-            let (mut light, mut plain, mut opacity, mut count) = (Vec4::ZERO, Vec4::ZERO, 0.0, 0.0);
-            for texel in (y0..y1).flat_map(|y| level[y * width + x0..y * width + x1].iter()) {
-                light += *texel * texel.w;
-                plain += *texel;
-                opacity += texel.w;
-                count += 1.0;
+            let (mut light, mut plain) = (Vec4::ZERO, Vec4::ZERO);
+            for y in y0..y1 {
+                for x in x0..x1 {
+                    let texel = texel(x + width * y);
+                    light += texel * texel.w;
+                    plain += texel;
+                }
             }
-            let color = if opacity > 0.0 { light / opacity } else { plain / count };
-            smaller.push(color.truncate().extend(opacity / count));
+            let count = ((x1 - x0) * (y1 - y0)) as f32;
+            let color = if plain.w > 0.0 { light / plain.w } else { plain / count };
+            *mean = color.truncate().extend(plain.w / count);
         }
-    }
-    (smaller, w, h)
+    });
+    smaller
 }
 
 #[cfg(test)]
@@ -174,6 +200,51 @@ mod tests {
         }
         let sharp = texture.sample(Vec2::new(0.5 / 16.0, 1.0 - 0.5 / 16.0), 1.0 / 16.0);
         assert_eq!(sharp.x, 1.0);
+    }
+
+    #[test]
+    fn every_level_is_the_mean_light_of_its_boxes() {
+        // 32 x 8 random texels with opacity: the boxes of level n are 2^n x 2^n texels.
+        let mut state = 1u32;
+        let mut byte = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 24) as u8
+        };
+        let (width, height) = (32, 8);
+        let pixels: Vec<u8> = (0..4 * width * height).map(|_| byte()).collect();
+        let texture = Texture::new(&pixels, width, height).unwrap();
+        let linear = |byte: u8| {
+            let s = f64::from(byte) / 255.0;
+            if s <= 0.04045 { s / 12.92 } else { ((s + 0.055) / 1.055).powf(2.4) }
+        };
+        let srgb = |l: f64| if l <= 0.003_130_8 { 12.92 * l } else { 1.055 * l.powf(1.0 / 2.4) - 0.055 };
+        for n in 1..4 {
+            let level = texture.levels[n];
+            let side = 1 << n;
+            assert_eq!([level.width as usize, level.height as usize], [width / side, height / side]);
+            for (i, j) in (0..height / side).flat_map(|j| (0..width / side).map(move |i| (i, j))) {
+                let stored = texture.texels[level.first as usize + i + j * (width / side)].to_le_bytes();
+                let (mut sum, mut opacity) = ([0.0f64; 3], 0.0);
+                for (x, y) in (0..side).flat_map(|y| (0..side).map(move |x| (i * side + x, j * side + y))) {
+                    let texel = &pixels[4 * (x + y * width)..][..4];
+                    let a = f64::from(texel[3]) / 255.0;
+                    opacity += a;
+                    sum = std::array::from_fn(|c| sum[c] + a * linear(texel[c]));
+                }
+                // Rounding to a byte, and float32 sums in front of it.
+                let is_near = |byte: u8, exact: f64| (f64::from(byte) - 255.0 * exact).abs() <= 0.501;
+                assert!(is_near(stored[3], opacity / (side * side) as f64));
+                assert!((0..3).all(|c| is_near(stored[c], srgb(sum[c] / opacity))), "level {n}, texel {i}, {j}");
+            }
+        }
+    }
+
+    #[test]
+    fn bytes_survive_the_way_through_linear_light() {
+        for (byte, &light) in LINEAR.iter().enumerate() {
+            assert_eq!(usize::from(srgb_byte(light)), byte);
+        }
+        assert_eq!([srgb_byte(-1.0), srgb_byte(2.0)], [0, 255]);
     }
 
     #[test]
