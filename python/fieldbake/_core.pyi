@@ -557,9 +557,17 @@ class SceneField:
 
 @final
 class SceneMesh:
-    """Triangles with smooth normals, texture coordinates (n, 2) and the material of each face (m,)."""
+    """Triangles with smooth normals, texture coordinates (n, 2), the material of each face (m,), and linear RGBA of
+    each vertex (n, 4) and face (m, 4)."""
 
-    def __new__(cls, mesh: Mesh, uv: NDArray[np.float32] | None, material: NDArray[np.uint32]) -> SceneMesh: ...
+    def __new__(
+        cls,
+        mesh: Mesh,
+        uv: NDArray[np.float32] | None,
+        material: NDArray[np.uint32],
+        vertex_colors: NDArray[np.float32] | None,
+        face_colors: NDArray[np.float32] | None,
+    ) -> SceneMesh: ...
     @property
     def nbytes(self) -> int: ...
 

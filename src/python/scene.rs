@@ -20,7 +20,7 @@ use crate::scene::things::{QuadricField, ShapeField, SparseBricks};
 use crate::scene::triangles::Triangles;
 use crate::scene::{self, Alpha, InstanceInput, Light, Material, Primary, RenderOptions, SceneShadows};
 use crate::volume::Trilinear;
-use glam::{DAffine3, DMat4, DVec3, Vec2};
+use glam::{DAffine3, DMat4, DVec3, Vec2, Vec4};
 use numpy::{PyArray2, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -96,13 +96,22 @@ impl SceneMesh {
         mesh: &Mesh,
         uv: Option<PyReadonlyArray2<'_, f32>>,
         material: PyReadonlyArray1<'_, u32>,
+        vertex_colors: Option<PyReadonlyArray2<'_, f32>>,
+        face_colors: Option<PyReadonlyArray2<'_, f32>>,
     ) -> PyResult<Self> {
         let mesh = mesh.0.clone();
+        let [vertex_colors, face_colors] = [vertex_colors, face_colors].map(|colors| {
+            colors.map_or_else(Vec::new, |colors| {
+                colors.as_array().rows().into_iter().map(|c| Vec4::new(c[0], c[1], c[2], c[3])).collect::<Vec<_>>()
+            })
+        });
         let uv: Vec<Vec2> = uv.map_or_else(Vec::new, |uv| {
             uv.as_array().rows().into_iter().map(|row| Vec2::new(row[0], row[1])).collect()
         });
         let material: Vec<u32> = material.as_array().to_vec();
-        let made = py.detach(|| Triangles::new(mesh, uv, material)).map_err(Failure::from)?;
+        let made = py
+            .detach(|| Triangles::new(mesh, uv, material)?.with_colors(vertex_colors, face_colors))
+            .map_err(Failure::from)?;
         Ok(Self(Arc::new(made)))
     }
 
@@ -139,7 +148,7 @@ impl Texture {
 pub struct Scene(Arc<scene::Scene>);
 
 /// Columns of the material table.
-const MATERIAL_COLUMNS: usize = 13;
+const MATERIAL_COLUMNS: usize = 18;
 
 #[pymethods]
 impl Scene {
@@ -208,13 +217,13 @@ impl Scene {
 }
 
 /// A row of the material table: RGBA, specular, shininess, alpha mode (0 opaque, 1 mask, 2 blend), cutoff, two sided,
-/// scattering RGB, texture or -1.
+/// scattering RGB, texture or -1, emission RGB, its texture or -1, unlit.
 fn material(row: &[f32], textures: usize) -> PyResult<Material> {
     if !row.iter().all(|value| value.is_finite()) {
         return Err(Failure::from(SceneError::new("material", format!("must be finite, got {row:?}"))).into());
     }
-    let texture = (row[12] >= 0.0).then_some(row[12] as u32);
-    if texture.is_some_and(|texture| texture as usize >= textures) {
+    let [texture, emission_texture] = [row[12], row[16]].map(|index| (index >= 0.0).then_some(index as u32));
+    if [texture, emission_texture].into_iter().flatten().any(|texture| texture as usize >= textures) {
         return Err(Failure::from(SceneError::new("material", "refers to a texture that is not there")).into());
     }
     Ok(Material {
@@ -229,6 +238,9 @@ fn material(row: &[f32], textures: usize) -> PyResult<Material> {
         two_sided: row[8] != 0.0,
         scattering: [row[9], row[10], row[11]],
         texture,
+        emission: [row[13], row[14], row[15]],
+        emission_texture,
+        unlit: row[17] != 0.0,
     })
 }
 

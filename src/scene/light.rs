@@ -3,7 +3,7 @@
 //! # Theory
 //!
 //! ```text
-//!   color = ambient * open * albedo
+//!   color = emission + ambient * open * albedo
 //!         + sum over lights of  arrives * light * (max(0, n.l) * albedo + specular * max(0, n.h)^shininess)
 //!         + sum over lights of  through * light * albedo * (1 - max(0, n.l))^2
 //! ```
@@ -296,7 +296,10 @@ impl<'a> Surface<'a> {
     fn shade(&self, scene: &Scene, lights: &Lights, options: &RenderOptions, found: &Found<'_>) -> Vec3 {
         let material = &scene.materials[self.layer.material as usize];
         let albedo = self.layer.color.truncate();
-        let mut color = options.ambient * found.open * albedo;
+        if material.unlit {
+            return self.layer.emission + albedo;
+        }
+        let mut color = self.layer.emission + options.ambient * found.open * albedo;
         for ((light, &share), &through) in lights.lights.iter().zip(found.shares).zip(found.through) {
             let (ray, _, light_color) = light.seen_from(self.place.p);
             let cosine = self.cosine(&ray);

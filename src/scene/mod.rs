@@ -64,6 +64,12 @@ pub struct Material {
     pub color: [f32; 4],
     /// Index of a texture of the scene.
     pub texture: Option<u32>,
+    /// Linear RGB that the surface sends out by itself; a factor of its texture.
+    pub emission: [f32; 3],
+    /// Index of a texture of the scene.
+    pub emission_texture: Option<u32>,
+    /// The colour is shown as it is, without any light.
+    pub unlit: bool,
     pub specular: f32,
     pub shininess: f32,
     pub alpha: Alpha,
@@ -113,6 +119,8 @@ pub struct Instance {
     pub shade: f32,
     pub casts_shadow: bool,
     pub visible: bool,
+    /// A mask depends on colours of vertices or faces, which devices do not read.
+    pub has_colored_mask: bool,
     pub object: u32,
     /// Light meets its triangles, not its field ([`sheets`]).
     pub is_sheet: bool,
@@ -133,6 +141,12 @@ pub struct Instance {
 }
 
 impl Instance {
+    /// Its rows of the scene's materials.
+    pub fn own_materials<'a>(&self, materials: &'a [Material]) -> &'a [Material] {
+        let last = self.triangles.as_ref().and_then(|triangles| triangles.material.iter().max());
+        &materials[self.first_material as usize..][..last.map_or(1, |&last| last as usize + 1)]
+    }
+
     /// Whether distances tell all that it does to light: neither translucent nor asked by thin rays.
     pub fn is_opaque_solid(&self) -> bool {
         !self.is_sheet && self.shade >= 1.0 && !self.field.as_ref().is_some_and(|field| field.prefers_rays())
@@ -280,6 +294,9 @@ impl Scene {
         let make = |(i, input)| {
             let mut made = instance(i, input, center, scale, materials.len())?;
             made.shade *= made.blend_opacity(&materials);
+            let has_opacity = || made.triangles.as_ref().is_some_and(|triangles| triangles.has_opacity());
+            let is_mask = |material: &Material| matches!(material.alpha, Alpha::Mask(_));
+            made.has_colored_mask = made.own_materials(&materials).iter().any(is_mask) && has_opacity();
             Ok::<_, Error>(made)
         };
         let instances: Vec<Instance> = inputs.into_iter().enumerate().map(make).collect::<Result<_, _>>()?;
@@ -524,6 +541,7 @@ fn instance(
         opacity: input.opacity,
         casts_shadow: input.casts_shadow,
         visible: input.visible,
+        has_colored_mask: false,
         object: input.object,
         is_sheet: input.is_sheet,
     })

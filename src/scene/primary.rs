@@ -36,6 +36,8 @@ pub struct Layer {
     pub normal: Vec3,
     /// Linear RGB, and opacity.
     pub color: Vec4,
+    /// Linear RGB that the surface sends out by itself.
+    pub emission: Vec3,
     /// Hit as a triangle, not as a field.
     pub is_triangle: bool,
 }
@@ -328,6 +330,12 @@ impl Eye<'_> {
             depth,
             normal,
             color,
+            // Fields have no texture coordinates.
+            emission: if material.emission_texture.is_none() {
+                Vec3::from_array(material.emission)
+            } else {
+                Vec3::ZERO
+            },
             is_triangle: false,
         })
     }
@@ -371,8 +379,25 @@ impl MeshRay<'_> {
 
     fn color(&self, hit: &RayHit) -> Vec4 {
         let (material, triangles) = (self.material(hit), self.triangles);
-        let factor = Vec4::from_array(material.color);
-        let Some(texture) = material.texture else { return factor };
+        let factor = Vec4::from_array(material.color) * triangles.color_at(hit.face, hit.u as f32, hit.v as f32);
+        match material.texture {
+            None => factor,
+            Some(texture) => factor * self.texel(texture, hit),
+        }
+    }
+
+    fn emission(&self, hit: &RayHit) -> Vec3 {
+        let material = self.material(hit);
+        let factor = Vec3::from_array(material.emission);
+        match material.emission_texture {
+            Some(texture) if factor != Vec3::ZERO => factor * self.texel(texture, hit).truncate(),
+            _ => factor,
+        }
+    }
+
+    /// Linear RGB and opacity of a texture at a hit.
+    fn texel(&self, texture: u32, hit: &RayHit) -> Vec4 {
+        let triangles = self.triangles;
         let [a, b, c] = triangles.mesh.triangle(hit.face);
         let normal = (b - a).cross(c - a);
         // The pixel's side on the surface, in units of the tree, longer where the surface is seen at an angle.
@@ -380,7 +405,7 @@ impl MeshRay<'_> {
         let pixel = self.pixel * hit.t * self.along.length() / self.direction.length();
         let footprint = (pixel / slant.sqrt()) as f32 * triangles.uv_density(hit.face);
         let uv = triangles.uv_at(hit.face, hit.u as f32, hit.v as f32);
-        factor * self.scene.textures[texture as usize].sample(uv, footprint)
+        self.scene.textures[texture as usize].sample(uv, footprint)
     }
 
     fn layer(&self, x: u32, item: u32, hit: &RayHit) -> Layer {
@@ -402,14 +427,15 @@ impl MeshRay<'_> {
             depth: hit.t,
             normal: toward_eye((to_scene * smooth).normalize_or_zero(), self.direction, of_face, hit.is_front),
             color,
+            emission: self.emission(hit),
             is_triangle: true,
         }
     }
 }
 
-/// Whether nothing is seen through an instance where it has this material.
+/// Whether a device finds all that hides what is behind, where an instance has this material.
 pub fn is_opaque(instance: &Instance, material: &Material) -> bool {
-    instance.opacity >= 1.0 && material.alpha != Alpha::Blend
+    instance.opacity >= 1.0 && material.alpha != Alpha::Blend && !instance.has_colored_mask
 }
 
 /// Whether the primary pass sees an instance's triangles.

@@ -112,7 +112,7 @@ pub fn left_over(scene: &Scene, device: &DeviceScene, options: &RenderOptions) -
         instance.visible
             && (!is_drawn(instance, device.knows(i), &scene.materials, options.primary)
                 || as_triangles(instance, options.primary)
-                    && materials_of(instance, &scene.materials).iter().any(|m| !is_opaque(instance, m)))
+                    && instance.own_materials(&scene.materials).iter().any(|m| !is_opaque(instance, m)))
     };
     let left_over: Vec<bool> = scene.instances.iter().enumerate().map(needs_cpu).collect();
     left_over.contains(&true).then_some(left_over)
@@ -121,15 +121,10 @@ pub fn left_over(scene: &Scene, device: &DeviceScene, options: &RenderOptions) -
 /// Whether a device draws an instance, or at least its opaque faces.
 fn is_drawn(instance: &Instance, is_known: bool, materials: &[Material], primary: Primary) -> bool {
     if as_triangles(instance, primary) {
-        instance.opacity >= 1.0
+        instance.opacity >= 1.0 && !instance.has_colored_mask
     } else {
         is_known && instance.field.is_some() && is_opaque(instance, &materials[instance.first_material as usize])
     }
-}
-
-fn materials_of<'a>(instance: &Instance, materials: &'a [Material]) -> &'a [Material] {
-    let last = instance.triangles.as_ref().and_then(|triangles| triangles.material.iter().max());
-    &materials[instance.first_material as usize..][..last.map_or(1, |&last| last as usize + 1)]
 }
 
 /// Rows of a picture that are drawn at a time: so many pixels, 64 MiB.

@@ -6,7 +6,7 @@
 
 use crate::error::{Error, SceneError};
 use crate::mesh::Mesh;
-use glam::{DVec3, Vec2, Vec3};
+use glam::{DVec3, Vec2, Vec3, Vec4};
 use std::sync::Arc;
 
 /// Faces that meet at more than this are divided by an edge.
@@ -22,6 +22,10 @@ pub struct Triangles {
     pub material: Vec<u32>,
     /// Unit normals of each face's corners, the mesh's axes.
     pub normals: Vec<[Vec3; 3]>,
+    /// Linear RGBA of each vertex, a factor of the material's colour; empty without any.
+    vertex_colors: Vec<Vec4>,
+    /// Linear RGBA of each face, another factor; empty without any.
+    face_colors: Vec<Vec4>,
 }
 
 impl Triangles {
@@ -34,7 +38,34 @@ impl Triangles {
             return Err(SceneError::new("material", format!("{} rows for {faces} faces", material.len())).into());
         }
         let normals = corner_normals(&mesh);
-        Ok(Self { mesh, uv, material, normals })
+        Ok(Self { mesh, uv, material, normals, vertex_colors: Vec::new(), face_colors: Vec::new() })
+    }
+
+    /// Adds colours of the vertices and faces; an empty list stands for white.
+    pub fn with_colors(mut self, vertices: Vec<Vec4>, faces: Vec<Vec4>) -> Result<Self, Error> {
+        let counts = [self.mesh.positions().len(), self.mesh.faces().len()];
+        for (what, colors, count) in [("vertex_colors", &vertices, counts[0]), ("face_colors", &faces, counts[1])] {
+            if !(colors.is_empty() || colors.len() == count) {
+                return Err(SceneError::new(what, format!("{} rows for {count}", colors.len())).into());
+            }
+        }
+        (self.vertex_colors, self.face_colors) = (vertices, faces);
+        Ok(self)
+    }
+
+    /// Linear RGBA of the vertices, interpolated, times that of the face.
+    pub fn color_at(&self, face: u32, u: f32, v: f32) -> Vec4 {
+        let mut color = self.face_colors.get(face as usize).copied().unwrap_or(Vec4::ONE);
+        if !self.vertex_colors.is_empty() {
+            let [a, b, c] = self.mesh.faces()[face as usize].map(|vertex| self.vertex_colors[vertex as usize]);
+            color *= a * (1.0 - u - v) + b * u + c * v;
+        }
+        color
+    }
+
+    /// Whether a colour of a vertex or face is not opaque.
+    pub fn has_opacity(&self) -> bool {
+        self.vertex_colors.iter().chain(&self.face_colors).any(|color| color.w != 1.0)
     }
 
     /// Texture coordinates at barycentric weights of the second and third corner; zero without any.
@@ -65,7 +96,9 @@ impl Triangles {
     }
 
     pub fn bytes(&self) -> usize {
-        self.mesh.bytes() + size_of_val(&self.uv[..]) + size_of_val(&self.material[..]) + size_of_val(&self.normals[..])
+        let colors = size_of_val(&self.vertex_colors[..]) + size_of_val(&self.face_colors[..]);
+        let rows = size_of_val(&self.uv[..]) + size_of_val(&self.material[..]) + size_of_val(&self.normals[..]);
+        self.mesh.bytes() + rows + colors
     }
 }
 
@@ -147,6 +180,12 @@ mod tests {
     fn rows_must_match() {
         let mesh = Arc::new(Mesh::new(&[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], &[[0, 1, 2]]).unwrap());
         assert!(Triangles::new(mesh.clone(), vec![Vec2::ZERO; 2], vec![0]).is_err());
-        assert!(Triangles::new(mesh, vec![], vec![]).is_err());
+        assert!(Triangles::new(mesh.clone(), vec![], vec![]).is_err());
+        let plain = || Triangles::new(mesh.clone(), vec![], vec![0]).unwrap();
+        assert!(plain().with_colors(vec![Vec4::ONE; 2], vec![]).is_err());
+        assert!(plain().with_colors(vec![], vec![Vec4::ONE; 3]).is_err());
+        let colored = plain().with_colors(vec![Vec4::X, Vec4::Y, Vec4::Z], vec![Vec4::splat(0.5)]).unwrap();
+        assert_eq!(colored.color_at(0, 0.25, 0.5), Vec4::new(0.125, 0.125, 0.25, 0.0));
+        assert!(colored.has_opacity() && !plain().has_opacity());
     }
 }

@@ -12,7 +12,7 @@ import os
 import re
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..base import checks
 from ..base.errors import MeshError
-from .mesh import ALPHA_MODES, Mesh, Part, check_faces, check_uv, check_vertices
+from .gltf_materials import Document
+from .mesh import ALPHA_MODES, Mesh, Part, check_colors, check_faces, check_uv, check_vertices
 from .neighbours import triangles_of
 
 #: Every argument that accepts a mesh accepts a Mesh, a path, a trimesh.Trimesh or trimesh.Scene, (vertices, faces), or
@@ -42,6 +43,10 @@ class _Piece:
     uv: NDArray[np.float32] | None = None
     parts: list[Part] = field(default_factory=list)
     chord_error: float = 0.0
+    #: Linear RGBA, one row a vertex.
+    vertex_colors: NDArray[Any] | None = None
+    #: Linear RGBA, one row a face.
+    face_colors: NDArray[Any] | None = None
 
     def transformed(self, transform: NDArray[np.float64]) -> _Piece:
         """The piece under a 4x4 world-from-local transform."""
@@ -51,7 +56,7 @@ class _Piece:
         mirrored = np.linalg.det(transform[:3, :3]) < 0
         faces = np.ascontiguousarray(self.faces[:, ::-1]) if mirrored else self.faces
         stretch = float(np.linalg.norm(transform[:3, :3], 2))
-        return _Piece(vertices, faces, self.uv, self.parts, self.chord_error * stretch)
+        return replace(self, vertices=vertices, faces=faces, chord_error=self.chord_error * stretch)
 
 
 def load_mesh(path: str | os.PathLike[str]) -> Mesh:
@@ -105,7 +110,14 @@ def _mesh(pieces: Sequence[_Piece], path: str | None) -> Mesh:
     """Join the pieces; errors name the file of the pieces."""
     try:
         piece = _join(pieces)
-        mesh = Mesh(piece.vertices, piece.faces, uv=piece.uv, parts=piece.parts or None)
+        mesh = Mesh(
+            piece.vertices,
+            piece.faces,
+            uv=piece.uv,
+            parts=piece.parts or None,
+            vertex_colors=piece.vertex_colors,
+            face_colors=piece.face_colors,
+        )
         mesh._chord_error = piece.chord_error
         return mesh
     except MeshError as error:
@@ -144,7 +156,16 @@ def _join(pieces: Sequence[_Piece]) -> _Piece:
             for part in piece.parts or [Part(faces=range(len(piece.faces)))]
         ],
         max(piece.chord_error for piece in pieces),
+        _joined_colors([(piece.vertex_colors, len(piece.vertices)) for piece in pieces]),
+        _joined_colors([(piece.face_colors, len(piece.faces)) for piece in pieces]),
     )
+
+
+def _joined_colors(colors: Sequence[tuple[NDArray[Any] | None, int]]) -> NDArray[np.float64] | None:
+    """Colours of all pieces, white for those without any; None if none has any. With each its number of rows."""
+    if all(rows is None for rows, _ in colors):
+        return None
+    return np.concatenate([np.ones((count, 4)) if rows is None else rows.astype(np.float64) for rows, count in colors])
 
 
 def _pieces(thing: MeshLike, name: str) -> list[_Piece]:
@@ -153,7 +174,8 @@ def _pieces(thing: MeshLike, name: str) -> list[_Piece]:
         return _from_file(thing)
     if isinstance(thing, Mesh):
         faces = thing.faces.astype(np.int64)
-        return [_Piece(thing.vertices, faces, thing.uv, list(thing.parts), thing.chord_error)]
+        looks = (thing.uv, list(thing.parts), thing.chord_error, thing.vertex_colors, thing.face_colors)
+        return [_Piece(thing.vertices, faces, *looks)]
     if hasattr(thing, "graph") and hasattr(thing, "geometry"):
         return _from_scene(thing, name)
     if hasattr(thing, "vertices") and hasattr(thing, "faces") and not callable(thing.vertices):
@@ -199,17 +221,17 @@ def _is_table(value: Any) -> bool:
 
 
 def _from_file(path: str | os.PathLike[str]) -> list[_Piece]:
-    return _read_file(path, lambda scene: _from_scene(scene, os.fspath(path)))
+    return _read_file(path, lambda scene, document: _from_scene(scene, os.fspath(path), document))
 
 
-def _read_file(path: str | os.PathLike[str], take: Callable[[Any], list[_Piece]]) -> list[_Piece]:
+def _read_file(path: str | os.PathLike[str], take: Callable[[Any, Document | None], list[_Piece]]) -> list[_Piece]:
     """List the pieces that `take` finds in the scene of a file; every failure of a reader becomes a MeshError."""
     file = Path(path)
     if file.is_dir():
         raise MeshError(f"{path}: is a directory, not a mesh file")
     # Opening the file here keeps FileNotFoundError and PermissionError unchanged.
     with file.open("rb") as stream:
-        head = stream.read(None if file.suffix.lower() == ".obj" else HEAD_BYTES)
+        head = stream.read(None if file.suffix.lower() in (".obj", ".glb", ".gltf") else HEAD_BYTES)
 
     import trimesh
 
@@ -219,10 +241,14 @@ def _read_file(path: str | os.PathLike[str], take: Callable[[Any], list[_Piece]]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            scene = trimesh.load_scene(str(file), process=False, resolver=_resolver(file), **options)
-            pieces = take(scene)
+            document: Document | None = None
+            source: Any = str(file)
+            if file.suffix.lower() in (".glb", ".gltf"):
+                document = Document(head, file.suffix.lower() == ".glb")
+                source, options = io.BytesIO(document.content), {"file_type": file.suffix.lower()[1:]}
+            scene = trimesh.load_scene(source, process=False, resolver=_resolver(file), **options)
+            pieces = take(scene, document)
         _check_is_whole(_announced_faces(file.suffix.lower(), head), sum(len(piece.faces) for piece in pieces))
-        return pieces
     except MeshError:
         raise
     except NotImplementedError as error:
@@ -231,6 +257,9 @@ def _read_file(path: str | os.PathLike[str], take: Callable[[Any], list[_Piece]]
     except Exception as error:  # Readers of damaged files raise exceptions of any type.
         reason = str(error) or type(error).__name__
         raise MeshError(f"{path}: cannot be read as a mesh ({file.suffix.lstrip('.').upper()}): {reason}") from error
+    if document is not None:
+        document.warn(os.fspath(path))
+    return pieces
 
 
 def load_nodes(path: str | os.PathLike[str]) -> list[tuple[Mesh, NDArray[np.float64]]]:
@@ -238,7 +267,7 @@ def load_nodes(path: str | os.PathLike[str]) -> list[tuple[Mesh, NDArray[np.floa
     keys: list[str] = []
     transforms: list[NDArray[np.float64]] = []
 
-    def take(scene: Any) -> list[_Piece]:
+    def take(scene: Any, document: Document | None) -> list[_Piece]:
         pieces = {}
         for node in scene.graph.nodes_geometry:
             transform, key = scene.graph[node]
@@ -247,7 +276,7 @@ def load_nodes(path: str | os.PathLike[str]) -> list[tuple[Mesh, NDArray[np.floa
                 keys.append(key)
                 transforms.append(checks.affine(f"{path}: transform of node '{node}'", transform, MeshError))
                 if key not in pieces:
-                    pieces[key] = _from_trimesh(geometry, key)
+                    pieces[key] = _from_trimesh(geometry, key, document)
         if not pieces:
             raise MeshError(f"{path}: has no triangles")
         names.extend(pieces)
@@ -290,7 +319,7 @@ def _resolver(file: Path) -> Any:
     return Resolver(str(file))
 
 
-def _from_scene(scene: Any, name: str) -> list[_Piece]:
+def _from_scene(scene: Any, name: str, document: Document | None = None) -> list[_Piece]:
     """List a piece for every node of a trimesh.Scene with triangles."""
     pieces = []
     others = []
@@ -299,7 +328,7 @@ def _from_scene(scene: Any, name: str) -> list[_Piece]:
         geometry = scene.geometry[key]
         if hasattr(geometry, "faces"):
             world_from_node = checks.affine(f"{name}: transform of node '{node}'", transform, MeshError)
-            pieces.append(_from_trimesh(geometry, key).transformed(world_from_node))
+            pieces.append(_from_trimesh(geometry, key, document).transformed(world_from_node))
         else:
             others.append(type(geometry).__name__)
     if not pieces:
@@ -308,23 +337,58 @@ def _from_scene(scene: Any, name: str) -> list[_Piece]:
     return pieces
 
 
-def _from_trimesh(mesh: Any, name: str = "") -> _Piece:
-    """Convert the geometry and material of a trimesh.Trimesh, or of any object with vertices and faces."""
+def _from_trimesh(mesh: Any, name: str = "", document: Document | None = None) -> _Piece:
+    """Convert the geometry and material of a trimesh.Trimesh, or of any object with vertices and faces.
+
+    Colours of trimesh and of PLY files are sRGB for display, those of glTF files (`document`) are linear.
+    """
     vertices = np.asarray(check_vertices(mesh.vertices))
     faces = check_faces(mesh.faces)
     visual = getattr(mesh, "visual", None)
-    uv = getattr(visual, "uv", None)
+    looks: dict[str, Any] = {} if document is None else document.read(mesh)
+    uv = looks.pop("uv", None)
+    if uv is None:
+        uv = getattr(visual, "uv", None)
     if uv is not None and np.shape(uv)[:1] == (len(vertices),) and np.ndim(uv) == 2:
         uv = check_uv(np.asarray(uv)[:, :2], len(vertices))
     else:
         uv = None
-    return _Piece(vertices, faces, uv, [_part(getattr(visual, "material", None), name, len(faces))])
+    vertex_colors, face_colors = _colors(visual, len(vertices), len(faces))
+    if document is not None:
+        vertex_colors = looks.pop("colors")
+    part = _part(getattr(visual, "material", None), name, len(faces), looks)
+    all_colors = [colors for colors in (vertex_colors, face_colors) if colors is not None]
+    if document is None and any((colors[:, 3] < 1).any() for colors in all_colors):
+        part.alpha_mode = "blend"
+    return _Piece(vertices, faces, uv, [part], vertex_colors, face_colors)
 
 
-def _part(material: Any, name: str, faces: int) -> Part:
-    """Convert either kind of trimesh material to a part."""
+def _colors(visual: Any, vertices: int, faces: int) -> tuple[NDArray[np.float32] | None, NDArray[np.float32] | None]:
+    """Linear colours of vertices and faces of trimesh's visuals."""
+    attributes = getattr(visual, "vertex_attributes", None)
+    if attributes is not None and "color" in attributes:
+        # Beside a texture trimesh keeps the values of a glTF file, which are linear, as they are stored.
+        stored = np.asarray(attributes["color"])
+        values = stored / np.iinfo(stored.dtype).max if stored.dtype.kind in "iu" else stored
+        return check_colors("vertex_colors", values, vertices, "vertex"), None
+    kind = getattr(visual, "kind", None)
+    if kind == "vertex":
+        return check_colors("vertex_colors", visual.vertex_colors, vertices, "vertex"), None
+    if kind == "face":
+        return None, check_colors("face_colors", visual.face_colors, faces, "face")
+    return None, None
+
+
+def _part(material: Any, name: str, faces: int, looks: dict[str, Any]) -> Part:
+    """Convert either kind of trimesh material to a part; `looks` holds what trimesh does not read."""
     if material is None:
         return Part(name, range(faces))
+    own_name = looks.pop("name", None) if "name" in looks else getattr(material, "name", None)
+    if not looks:
+        emission = getattr(material, "emissiveFactor", None)
+        if emission is not None:
+            looks["emission"] = tuple(np.asarray(emission, dtype=np.float64).tolist())
+            looks["emission_image"] = getattr(material, "emissiveTexture", None)
     image = getattr(material, "baseColorTexture", None)
     if image is None:
         image = getattr(material, "image", None)
@@ -334,13 +398,14 @@ def _part(material: Any, name: str, faces: int) -> Part:
     mode = str(getattr(material, "alphaMode", None) or "opaque").lower()
     cutoff = getattr(material, "alphaCutoff", None)
     return Part(
-        str(getattr(material, "name", None) or name),
+        str(own_name or name),
         range(faces),
-        color=_rgba(color),
+        color=looks.pop("color", None) or _rgba(color),
         image=image,
         alpha_mode=mode if mode in ALPHA_MODES else "opaque",
         alpha_cutoff=0.5 if cutoff is None else float(cutoff),
         two_sided=bool(getattr(material, "doubleSided", None)),
+        **looks,
     )
 
 

@@ -41,6 +41,10 @@ class Part:
         Opacity from 0 to 1; means something for ``"mask"`` only.
     two_sided : bool
         Whether the file asks to see the back of the faces.
+    emission : (3,) tuple
+        Linear RGB that the surface sends out by itself; multiplies `emission_texture`.
+    unlit : bool
+        Whether the base colour is shown as it is, without light.
     """
 
     def __init__(
@@ -53,6 +57,9 @@ class Part:
         alpha_mode: str = "opaque",
         alpha_cutoff: float = 0.5,
         two_sided: bool = False,
+        emission: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        emission_image: Any = None,
+        unlit: bool = False,
     ) -> None:
         self.name = name
         self.faces = faces
@@ -60,7 +67,10 @@ class Part:
         self.alpha_mode = alpha_mode
         self.alpha_cutoff = alpha_cutoff
         self.two_sided = two_sided
+        self.emission = emission
+        self.unlit = unlit
         self._image = image
+        self._emission_image = emission_image
 
     def with_faces(self, faces: range) -> Part:
         """The same material for other faces."""
@@ -72,15 +82,26 @@ class Part:
             alpha_mode=self.alpha_mode,
             alpha_cutoff=self.alpha_cutoff,
             two_sided=self.two_sided,
+            emission=self.emission,
+            emission_image=self._emission_image,
+            unlit=self.unlit,
         )
 
     @cached_property
     def texture(self) -> NDArray[np.uint8] | None:
         """Image, (h, w, 4) uint8 sRGB with opacity, row 0 on top (v = 1); None without one. Decoded on first use."""
-        if self._image is None:
+        return self._decoded(self._image)
+
+    @cached_property
+    def emission_texture(self) -> NDArray[np.uint8] | None:
+        """Image of the emission, (h, w, 4) uint8 sRGB, over the same coordinates as `texture`; None without one."""
+        return self._decoded(self._emission_image)
+
+    def _decoded(self, image: Any) -> NDArray[np.uint8] | None:
+        if image is None:
             return None
         try:
-            return decoded(self._image)
+            return decoded(image)
         except (OSError, SyntaxError, ValueError) as error:
             raise MeshError(f"the texture of part '{self.name}' cannot be read: {error}") from error
 
@@ -124,6 +145,12 @@ class Mesh:
         Opacity over the same coordinates, in place of the texture's own.
     parts : sequence of Part, optional
         Materials with the faces they cover, in place of `texture` and `alpha`.
+    vertex_colors : (n, 3 or 4), optional
+        Colour of each vertex, interpolated linearly over the faces: uint8 is sRGB with opacity from 0 to 255, as scans
+        and trimesh have it; real numbers are linear RGB with opacity from 0 to 1, as glTF has it. Multiplies the colour
+        and texture of the part. A mesh without `parts` blends where an opacity is below 1.
+    face_colors : (m, 3 or 4), optional
+        Colour of each face, in the same forms; multiplies the same way.
 
     Raises
     ------
@@ -158,6 +185,8 @@ class Mesh:
         texture: ArrayLike | None = None,
         alpha: ArrayLike | None = None,
         parts: Sequence[Part] | None = None,
+        vertex_colors: ArrayLike | None = None,
+        face_colors: ArrayLike | None = None,
     ) -> None:
         positions = check_vertices(vertices)
         triangles = check_faces(faces)
@@ -168,8 +197,17 @@ class Mesh:
         self._uv = None
         if uv is not None:
             self._uv = checks.frozen(check_uv(uv, len(positions))[self._core.source_vertices])
+        self._vertex_colors = _kept(
+            "vertex_colors", vertex_colors, len(positions), "vertex", self._core.source_vertices
+        )
+        self._face_colors = _kept("face_colors", face_colors, len(triangles), "face", self._core.source_faces)
         if parts is None:
-            parts = [Part(faces=range(len(triangles)), **_material(texture, alpha))]
+            material = _material(texture, alpha)
+            if any(
+                colors is not None and (colors[:, 3] < 1).any() for colors in (self.vertex_colors, self.face_colors)
+            ):
+                material["alpha_mode"] = "blend"
+            parts = [Part(faces=range(len(triangles)), **material)]
         elif texture is not None or alpha is not None:
             raise MeshError("parts: give either parts or texture and alpha")
         kept = self._core.source_faces
@@ -213,6 +251,16 @@ class Mesh:
     def uv(self) -> NDArray[np.float32] | None:
         """Texture coordinates, (n, 2) float32, v upwards; None without any."""
         return self._uv
+
+    @property
+    def vertex_colors(self) -> NDArray[np.float32] | None:
+        """Colours of the kept vertices, (n, 4) float32, linear RGB and opacity; None without any."""
+        return self._vertex_colors
+
+    @property
+    def face_colors(self) -> NDArray[np.float32] | None:
+        """Colours of the kept faces, (m, 4) float32, linear RGB and opacity; None without any."""
+        return self._face_colors
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -383,6 +431,32 @@ def check_uv(value: ArrayLike, vertices: int) -> NDArray[np.float32]:
     if array.shape != (vertices, 2):
         raise MeshError(f"uv: must have shape ({vertices}, 2), one row a vertex, got {checks.describe(array)}")
     return array.astype(np.float32)
+
+
+def check_colors(name: str, value: ArrayLike, count: int, row: str) -> NDArray[np.float32]:
+    """Colours as (n, 4) float32, linear RGB and opacity, or MeshError. uint8 is read as sRGB."""
+    array = checks.real_array(name, value, "(n, 3) or (n, 4)", MeshError)
+    if array.ndim != 2 or array.shape[0] != count or array.shape[1] not in (3, 4):
+        expected = f"({count}, 3) or ({count}, 4), one row a {row}"
+        raise MeshError(f"{name}: must have shape {expected}, got {checks.describe(array)}")
+    colors = np.ones((count, 4), dtype=np.float32)
+    if array.dtype == np.uint8:
+        unit = array.astype(np.float64) / 255
+        rgb = unit[:, :3]
+        colors[:, :3] = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+        colors[:, 3 : array.shape[1]] = unit[:, 3:]
+        return colors
+    if array.dtype.kind != "f":
+        raise MeshError(f"{name}: must be uint8 (sRGB) or real numbers (linear), got {checks.describe(array)}")
+    if not (array >= 0).all() or not (array[:, 3:] <= 1).all() or not np.isfinite(array).all():
+        raise MeshError(f"{name}: must be finite and not negative, opacity at most 1")
+    colors[:, : array.shape[1]] = array
+    return colors
+
+
+def _kept(name: str, value: ArrayLike | None, count: int, row: str, source: NDArray[Any]) -> NDArray[np.float32] | None:
+    """Checked colours of the rows that the core kept."""
+    return None if value is None else checks.frozen(check_colors(name, value, count, row)[source])
 
 
 def _material(texture: ArrayLike | None, alpha: ArrayLike | None) -> dict[str, Any]:

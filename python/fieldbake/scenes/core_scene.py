@@ -46,6 +46,9 @@ class MaterialTable:
                 float(look.two_sided or (is_two_sided and material.two_sided is None)),
                 *scattering_rgb(material),
                 -1.0 if look.texture is None else float(self.texture(look.texture)),
+                *look.emission,
+                -1.0 if look.emission_texture is None else float(self.texture(look.emission_texture)),
+                float(look.unlit),
             ]
         )
 
@@ -116,7 +119,7 @@ class Fields(NamedTuple):
 def build_scene(instances: Sequence[Instance], fields: Fields, device: str) -> _core.Scene:
     """The core's scene; things that several instances share are made once."""
     rows = Rows()
-    meshes: dict[int, _core.SceneMesh] = {}
+    meshes: dict[tuple[int, bool], _core.SceneMesh] = {}
     # By mesh and material.
     looks_of: dict[tuple[int, int], tuple[list[Look], Sheet]] = {}
     quadrics: dict[int, list[_core.SceneField]] = {}
@@ -130,16 +133,22 @@ def build_scene(instances: Sequence[Instance], fields: Fields, device: str) -> _
                 part = Part("quadric", color=(red, green, blue, 1.0))
                 rows.add(number, instance, None, field, [Look.of(instance.material, part)])
         elif isinstance(thing, Mesh):
-            if id(thing) not in meshes:
-                meshes[id(thing)] = _core.SceneMesh(thing._core, thing.uv, _materials_of(thing))
-            key = id(thing), id(instance.material)
+            # A material with a colour or texture replaces the mesh's own.
+            material = instance.material
+            keeps_colors = material is None or (material.color is None and material.texture is None)
+            vertex_colors, face_colors = (thing.vertex_colors, thing.face_colors) if keeps_colors else (None, None)
+            is_colored = vertex_colors is not None or face_colors is not None
+            made = id(thing), is_colored
+            if made not in meshes:
+                meshes[made] = _core.SceneMesh(thing._core, thing.uv, _materials_of(thing), vertex_colors, face_colors)
+            key = id(thing), id(material)
             if key not in looks_of:
-                looks = [Look.of(instance.material, part) for part in thing.parts]
+                looks = [Look.of(material, part, is_colored) for part in thing.parts]
                 looks_of[key] = looks, sheet_of(thing, looks)
             looks, sheet = looks_of[key]
             is_baked = fields.of_sheets if sheet.is_traced else fields.of_solids
             baked = field_cache.of_mesh(thing, instance.resolution, device, looks) if is_baked else None
-            rows.add(number, instance, meshes[id(thing)], baked, looks, sheet)
+            rows.add(number, instance, meshes[made], baked, looks, sheet)
         else:
             looks = [Look.of(instance.material, Part(color=PLAIN))]
             rows.add(number, instance, None, field_cache.of_thing(thing), looks)

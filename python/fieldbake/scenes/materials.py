@@ -44,6 +44,11 @@ class Material:
     two_sided : bool, optional
         Whether faces are seen from behind; the object's own if not given. Flat and masked meshes are then seen from
         both sides. An open mesh with two-sided faces is a sheet without an inside.
+    emission : (3,), optional
+        Linear RGB that the surface sends out by itself, added to the picture; it lights nothing else. If not given, the
+        object's own where `color` and `texture` are not given either.
+    unlit : bool, optional
+        Whether the colour is shown as it is, without light; the object's own if not given.
     scattering : float or (3,), default 0
         Scattering length ``s``, world units, for each of RGB: light keeps the share ``exp(-l / s)`` over a length ``l``
         inside the object. 0: light does not enter.
@@ -77,6 +82,8 @@ class Material:
     alpha_cutoff: float | None = None
     two_sided: bool | None = None
     scattering: float | Sequence[float] = 0.0
+    emission: Sequence[float] | None = None
+    unlit: bool | None = None
 
     def __post_init__(self) -> None:
         def put(name: str, value: object) -> None:
@@ -98,6 +105,13 @@ class Material:
                 put("alpha_cutoff", cutoff)
             if self.two_sided is not None:
                 put("two_sided", checks.flag("two_sided", self.two_sided))
+            if self.emission is not None:
+                emission = checks.vector("emission", self.emission, 3, SceneError)
+                if emission.min() < 0:
+                    raise SceneError(f"emission: must not be negative, got {emission.tolist()}")
+                put("emission", checks.triple(emission))
+            if self.unlit is not None:
+                put("unlit", checks.flag("unlit", self.unlit))
             scattering = np.asarray(self.scattering, dtype=np.float64) if np.ndim(self.scattering) else None
             lengths = np.full(3, self.scattering) if scattering is None else scattering
             lengths = checks.vector("scattering", lengths, 3, SceneError)

@@ -27,21 +27,36 @@ class Look(NamedTuple):
     alpha_mode: str
     alpha_cutoff: float
     two_sided: bool
+    emission: Sequence[float]
+    emission_texture: NDArray[np.uint8] | None
+    unlit: bool
 
     @classmethod
-    def of(cls, material: Material | None, part: Part) -> Look:
-        """A material over the part's own look."""
+    def of(cls, material: Material | None, part: Part, is_colored: bool = False) -> Look:
+        """A material over the part's own look; `is_colored` if the mesh has colours of its vertices or faces."""
         material = material or Material()
         color: Sequence[float] = part.color
         texture, mode = part.texture, part.alpha_mode
-        if texture is None and part.color == (1.0, 1.0, 1.0, 1.0) and not part.name:
+        emission: Sequence[float] = part.emission
+        emission_texture = part.emission_texture
+        if texture is None and part.color == (1.0, 1.0, 1.0, 1.0) and not (part.name or is_colored):
             color = PLAIN
         if material.color is not None or material.texture is not None:
             color = material.color or (1.0, 1.0, 1.0, 1.0)
             texture, mode = material.texture, "opaque" if color[3] >= 1 else "blend"
-        cutoff = part.alpha_cutoff if material.alpha_cutoff is None else material.alpha_cutoff
-        two_sided = part.two_sided if material.two_sided is None else material.two_sided
-        return cls(color, texture, material.alpha_mode or mode, cutoff, two_sided)
+            emission, emission_texture = (0.0, 0.0, 0.0), None
+        if material.emission is not None:
+            emission, emission_texture = material.emission, None
+        return cls(
+            color,
+            texture,
+            material.alpha_mode or mode,
+            part.alpha_cutoff if material.alpha_cutoff is None else material.alpha_cutoff,
+            part.two_sided if material.two_sided is None else material.two_sided,
+            emission,
+            emission_texture,
+            part.unlit if material.unlit is None else material.unlit,
+        )
 
     @property
     def opacity(self) -> NDArray[np.float32]:
