@@ -143,6 +143,18 @@ def test_gltf_multiplies_factor_texture_and_linear_vertex_colors(tmp_path, devic
     np.testing.assert_allclose(shown(fb.load_mesh(path), device), expected, atol=1e-5)
 
 
+def test_a_texture_in_column_order_looks_the_same():
+    image = np.full((4, 6, 4), 255, np.uint8)
+    image[..., :3] = np.arange(72, dtype=np.uint8).reshape(4, 6, 3) * 3
+    mesh = fb.Mesh(CORNERS, FACES, uv=[(0, 0), (1, 0), (1, 1), (0, 1)])
+    rows, columns = (
+        shown(fb.Instance(mesh, material=fb.Material(texture=pixels)))
+        for pixels in (np.ascontiguousarray(image), np.asfortranarray(image))
+    )
+    assert rows.min() < 0.1 < 0.5 < rows.max()
+    assert np.array_equal(rows, columns)
+
+
 def test_texture_transforms_move_the_coordinates(tmp_path):
     quarters = np.array([[(255, 0, 0), (0, 255, 0)], [(0, 0, 255), (255, 255, 0)]], np.uint8)
     uv = np.array([(0, 1), (1, 1), (1, 0), (0, 0)], float)

@@ -360,7 +360,7 @@ def _from_trimesh(mesh: Any, name: str = "", document: Document | None = None) -
     all_colors = [colors for colors in (vertex_colors, face_colors) if colors is not None]
     if document is None and any((colors[:, 3] < 1).any() for colors in all_colors):
         part.alpha_mode = "blend"
-    return _Piece(vertices, faces, uv, [part], vertex_colors, face_colors)
+    return _Piece(vertices, faces, uv, [part], vertex_colors=vertex_colors, face_colors=face_colors)
 
 
 def _colors(visual: Any, vertices: int, faces: int) -> tuple[NDArray[np.float32] | None, NDArray[np.float32] | None]:
