@@ -60,6 +60,12 @@ impl Sheets {
         let found: Vec<u32> = (0..instances.len() as u32).filter(|&i| casts(&instances[i as usize])).collect();
         let boxes: Vec<Aabb> = found.iter().map(|&i| boxes[i as usize]).collect();
         let tree = (!found.is_empty()).then(|| Tree::new(&boxes));
+        // Trees and topologies are made in parallel. Made at the first ray instead, inside a parallel loop, a worker could
+        // wait for work that is queued behind its own.
+        for triangles in found.iter().filter_map(|&i| instances[i as usize].triangles.as_ref()) {
+            triangles.mesh.bvh();
+            triangles.mesh.topology();
+        }
         let flat =
             |&i: &u32| instances[i as usize].triangles.as_ref().is_some_and(|triangles| is_flat(&triangles.mesh));
         Self { is_flat: found.iter().map(flat).collect(), instances: found, tree }
