@@ -199,7 +199,7 @@ def bake_job(job: Job, band: float | None, device: str, progress: Progress) -> V
             device=device,
             progress=callback,
         )
-    reach = None if band is None else band * max(grid.spacing)
+    reach = 0.0 if band is None else band * max(grid.spacing)
     report = Report.of_mesh(job.mesh, {**facts, "band": reach})
     source = job.source(report.sign_method)
     return Volume._wrap(distances, np.array([grid.lower, grid.upper]), job.inner, report, source)

@@ -58,8 +58,8 @@ class Report:
         Duration of each stage, seconds.
     peak_bytes : int
         Peak memory of the bake, bytes.
-    band : float or None
-        Distances up to here are exact, world units; larger magnitudes are lower bounds. None: all are exact.
+    band : float
+        Distances up to here are exact, world units; larger magnitudes are lower bounds. 0: all are exact.
     warnings : tuple of str
         Warnings; each names a remedy.
     """
@@ -84,7 +84,7 @@ class Report:
     device: str = ""
     seconds: Mapping[str, float] = field(default_factory=dict)
     peak_bytes: int = 0
-    band: float | None = None
+    band: float = 0.0
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -130,7 +130,7 @@ class GridField(ABC):
 
     def _kept_distance(self) -> float | None:
         """The largest magnitude, world units, up to which distances are stored; None without a limit."""
-        return self._report.band
+        return self._report.band or None
 
     def _facts(self) -> dict[str, Any]:
         """What a file says about the field besides its samples."""
