@@ -39,6 +39,17 @@ def test_magnitudes_never_grow_and_errors_keep_their_bound(volume: fb.Volume, en
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
+def test_an_array_of_a_volume_outlives_the_decoding(volume: fb.Volume, encoding: str) -> None:
+    quantized = volume.quantize(encoding)  # type: ignore[arg-type]
+    array = np.asarray(quantized, dtype=np.float64)
+    same_type = np.asarray(quantized)
+    assert np.array_equal(array, quantized.distances)
+    assert np.array_equal(same_type, quantized.distances)
+    # This protocol hands out an address without its owner, and the decoded samples have no other owner.
+    assert not hasattr(quantized, "__array_interface__")
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
 def test_samples_and_slopes_are_those_of_the_decoded_field(volume: fb.Volume, encoding: str) -> None:
     quantized = volume.quantize(encoding)  # type: ignore[arg-type]
     decoded = fb.Volume(quantized.distances, volume.bounds, inner_bounds=volume.inner_bounds)

@@ -90,6 +90,11 @@ class QuantizedVolume(Volume):
         return checks.frozen(_core.decode(self._encoded, self._unit))
 
     @property
+    def __array_interface__(self) -> dict[str, Any]:
+        # The decoded samples are made for each use, and this protocol cannot keep them alive; readers use __array__.
+        raise AttributeError("__array_interface__")
+
+    @property
     def _texels(self) -> NDArray[Any]:
         return self._encoded
 
