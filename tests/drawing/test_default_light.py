@@ -42,7 +42,7 @@ def test_scenes_and_fields_have_one_light():
     assert np.array_equal(
         fb.arrays.raymarch(volume.distances, *volume.bounds, CAMERA.pose, size=(24, 24), device="cpu")[0], marched.color
     )
-    # Of the two only the ambient light differs: a hemisphere there, a constant here.
+    # Only the ambient light of the two pictures differs: a hemisphere there, a constant here.
     rendered = fb.render(volume, CAMERA, size=(24, 24), shadows="hard", device="cpu")
     hit = marched.object_id >= 0
     up = marched.normal[hit][:, 1:2].astype(float)

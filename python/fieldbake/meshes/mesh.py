@@ -40,7 +40,7 @@ class Part:
     alpha_cutoff : float
         Opacity from 0 to 1; means something for ``"mask"`` only.
     two_sided : bool
-        Whether the file asks to see the back of the faces.
+        Whether the file marks the faces as visible from behind.
     emission : (3,) tuple
         Linear RGB that the surface sends out by itself; multiplies `emission_texture`.
     unlit : bool

@@ -20,7 +20,7 @@ from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume
 from .materials import Material
 
-#: What stands in scenes: meshes are rastered, the others drawn by rays.
+#: Objects that a scene can hold. Meshes are rasterised; rays find the hits of the others.
 Thing = Mesh | Volume | SparseVolume | NestedField | AtlasEntry | Shape | tuple[Quadric, ...]
 
 #: Voxels along the longest side of a mesh instance's field.

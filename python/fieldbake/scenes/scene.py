@@ -80,7 +80,7 @@ class Scene:
 
     @property
     def instances(self) -> tuple[Instance, ...]:
-        """What stands in it; an instance's place here is its `Frame.object_id`."""
+        """Instances of the scene; the index of an instance is its `Frame.object_id`."""
         return self._instances
 
     @property
