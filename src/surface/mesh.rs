@@ -76,7 +76,8 @@ impl Surface {
             let (lower, upper) = (lower.max(DVec3::ZERO), upper.min(self.spacing));
             (self.on_trilinear(cell, planes.mean().clamp(lower, upper), lower, upper), false)
         };
-        (corner + vertex, clamped)
+        // The sum rounds; no vertex lies outside the box.
+        ((corner + vertex).clamp(self.lower, self.upper), clamped)
     }
 
     /// Where a vertex of the cell may lie, relative to the lower corner of the cell: within the cell by [`MARGIN`], in the

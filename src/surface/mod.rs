@@ -49,6 +49,7 @@ pub const MARGIN: f64 = 1.0 / 1024.0;
 #[derive(Debug)]
 pub struct Surface {
     lower: DVec3,
+    upper: DVec3,
     spacing: DVec3,
     cells: Cells,
 }
@@ -76,7 +77,12 @@ impl Surface {
         check_level(level)?;
         check_shape(field.grid().shape)?;
         let grid = field.grid();
-        Ok(Self { lower: grid.lower, spacing: grid.spacing(), cells: Cells::of_field(field, level, progress)? })
+        Ok(Self {
+            lower: grid.lower,
+            upper: grid.upper,
+            spacing: grid.spacing(),
+            cells: Cells::of_field(field, level, progress)?,
+        })
     }
 
     /// The surface in blocks of samples; see [`Cells::of_blocks`].
@@ -98,7 +104,7 @@ impl Surface {
             return Err(ArgumentError::new("values", "must be finite").into());
         }
         let cells = Cells::of_blocks(grid.shape.map(|n| n as i32), side, origins, values, level);
-        Ok(Self { lower: grid.lower, spacing: grid.spacing(), cells })
+        Ok(Self { lower: grid.lower, upper: grid.upper, spacing: grid.spacing(), cells })
     }
 
     /// The surface where a sparse field equals `level`. Bricks are stored within the band alone, so a level beyond what
@@ -111,7 +117,12 @@ impl Surface {
             return Err(ArgumentError::new("level", problem).into());
         }
         let grid = field.grid();
-        Ok(Self { lower: grid.lower, spacing: grid.spacing(), cells: Cells::of_sparse(field, level, progress)? })
+        Ok(Self {
+            lower: grid.lower,
+            upper: grid.upper,
+            spacing: grid.spacing(),
+            cells: Cells::of_sparse(field, level, progress)?,
+        })
     }
 
     /// Number of crossed edges.
