@@ -119,7 +119,7 @@ pub fn steps(program: &Program<f32>, tokens: &[Token]) -> Option<Vec<Step>> {
             }
             _ => return None,
         };
-        // Of `n` literals there are `2 n - 1` steps.
+        // A normal form with `n` literals has `2 n - 1` steps.
         if operand[0].len() >= 2 * MAX_LEAVES {
             return None;
         }

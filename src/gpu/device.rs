@@ -41,8 +41,7 @@ impl Place {
         }
     }
 
-    /// What a user must know who wrote this `device=`: "gpu" found a software adapter only. An adapter chosen by its name
-    /// needs no remark.
+    /// The warning for a value of `device=`: "gpu" found a software adapter only. An adapter chosen by its name gives none.
     pub fn warning(&self, device: &str) -> Option<String> {
         match self {
             Self::Gpu(context) if device == "gpu" && !context.info.hardware => Some(format!(
@@ -153,9 +152,9 @@ pub(super) fn enumerate() -> (wgpu::Instance, Vec<wgpu::Adapter>) {
 
 /// Keeps Mesa's layer `VK_LAYER_MESA_device_select` out of an instance that is made while this exists.
 ///
-/// The layer orders adapters by the display server's. Without a session it finds no server, and the Wayland library
+/// The layer orders adapters by the display server's. Where no server runs, the Wayland library
 /// writes "error: XDG_RUNTIME_DIR is invalid or not set in the environment." to stderr. So the layer is left out where
-/// there is no session, unless the user has chosen an adapter through it.
+/// no display server runs, unless the user has chosen an adapter through it.
 struct Quiet<'a>(Option<MutexGuard<'a, ()>>);
 
 impl Quiet<'_> {

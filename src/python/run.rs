@@ -115,7 +115,7 @@ fn worker_pool(py: Python<'_>) -> Result<Arc<rayon::ThreadPool>, Failure> {
 /// The worker threads of one process.
 struct Workers {
     process: u32,
-    /// As asked for; 0 for one per core.
+    /// Requested number of threads; 0 means one per core.
     threads: usize,
     pool: Arc<rayon::ThreadPool>,
 }

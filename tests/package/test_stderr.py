@@ -16,7 +16,7 @@ mesh = fb.Mesh([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], [(0, 2, 1), (0, 1, 
 
 
 def run(*command, **variables):
-    """A process without a display session, and without what would hide the lines of Mesa's layer."""
+    """A process without a display server, and without what would hide the lines of Mesa's layer."""
     hidden = ("XDG_RUNTIME_DIR", "NODEVICE_SELECT", "MESA_VK_DEVICE_SELECT", "DRI_PRIME", "PYTHONWARNINGS")
     environment = {name: value for name, value in os.environ.items() if name not in hidden} | variables
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120, env=environment)
