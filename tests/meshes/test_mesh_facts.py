@@ -90,19 +90,15 @@ def test_a_pickle_is_as_large_as_its_arrays():
     assert len(pickle.dumps(mesh)) <= 1.1 * (mesh.vertices.nbytes + mesh.faces.nbytes)
 
 
-def distance_in_worker(mesh):
-    return fb.signed_distance(mesh, [(0.1, 0.2, 0.3)]).item()
-
-
 @pytest.mark.parametrize("method", ["spawn", "fork"])
 def test_meshes_cross_to_worker_processes(method):
     if method not in multiprocessing.get_all_start_methods():
         pytest.skip(f"no {method} here")
-    mesh = fb.Mesh(*meshes.icosphere(3))
-    expected = distance_in_worker(mesh)  # the parent's threads are running when the child is forked
+    mesh, points = fb.Mesh(*meshes.icosphere(3)), [(0.1, 0.2, 0.3)]
+    expected = fb.signed_distance(mesh, points)  # the parent's threads are running when the child is forked
 
     with multiprocessing.get_context(method).Pool(1) as pool:
-        assert pool.apply_async(distance_in_worker, (mesh,)).get(timeout=60) == expected
+        assert pool.apply_async(fb.signed_distance, (mesh, points)).get(timeout=60) == expected
 
 
 def test_scenes_travel():
