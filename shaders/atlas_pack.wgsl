@@ -1,43 +1,46 @@
-// Texels of an atlas from the samples of a field: one invocation a texel of a slice, gutter included. Twin of
-// src/atlas/texels.rs and src/encoding.rs, bit for bit: samples are handled as bits, halves are scaled by their exponent
-// and cut by shifts, and the normalised integers are found by comparing with their values, which the CPU computed.
+// Computes the texels of an atlas from the samples of a field. One invocation computes one texel of a slice, gutter
+// included. Twin of src/atlas/texels.rs and src/encoding.rs, bit for bit.
+//
+// The kernel handles samples as bit patterns, because devices may flush small floats to zero. A half is made by
+// subtracting the exponent of the scale and shifting out mantissa bits. A normalised integer is found by comparison
+// with the table `levels`, which the CPU computed.
 
 struct PackParams {
-    // First texel of the block, and size of a slice with its gutters.
+    // First texel (x, y) of the block, and size of a slice including its gutters, in texels.
     corner: vec2u,
     tile: vec2u,
     shape: vec3u,
     gutter: u32,
     columns: u32,
-    // Slices that lie in the bound part of the field.
+    // First slice, and number of slices, of the part of the field that is bound.
     first_plane: u32,
     planes: u32,
-    // Words in a row of the page.
+    // Number of words in a row of the page.
     row_words: u32,
-    // Texels in a word: 1 for float32, 2 or 4.
+    // Number of texels in a word: 1 for float32, 2 for 16 bits, 4 for 8 bits.
     word_texels: u32,
-    // Largest normalised integer, 0 for floats.
+    // Largest normalised integer (32767 or 127); 0 for floats.
     steps: u32,
     scale: f32,
-    // Exponent of the scale of float16, a power of two.
+    // Binary exponent of the scale of float16, which is a power of two.
     scale_exponent: i32,
 }
 
 @group(0) @binding(0) var<storage, read> params: PackParams;
 @group(0) @binding(1) var<storage, read> samples: array<u32>;
-// Zero before the first field; words are shared by slices.
+// The page. It is zero before the first field is packed. Neighbouring slices may share a word.
 @group(0) @binding(2) var<storage, read_write> page: array<atomic<u32>>;
-// What the normalised integers from 0 to `steps` stand for.
+// Magnitude that each normalised integer from 0 to `steps` stands for, in the units of the samples.
 @group(0) @binding(3) var<storage, read> levels: array<f32>;
 
-// The half of a sample divided by the scale, toward zero: the mantissa's last bits are cut off.
+// Bits of the half for a sample divided by the scale, rounded toward zero: the low bits of the mantissa are dropped.
 fn half_bits(bits: u32) -> u32 {
     let sign = (bits >> 16u) & 0x8000u;
     var exponent = i32((bits >> 23u) & 0xffu);
     var mantissa = bits & 0x7fffffu;
     if exponent == 0 {
         if mantissa == 0u { return sign; }
-        // A subnormal number: its leading bit is moved to where that of a normal number is implied.
+        // A subnormal float: its leading bit moves to the place of the implied bit of a normal float.
         let shift = 23u - firstLeadingBit(mantissa);
         mantissa = (mantissa << shift) & 0x7fffffu;
         exponent = 1 - i32(shift);
@@ -50,10 +53,10 @@ fn half_bits(bits: u32) -> u32 {
     return sign | ((mantissa | 0x800000u) >> u32(126 - exponent));
 }
 
-// Steps between the guess and the integer, at most: the quotient is off by a few ulps.
+// Largest number of corrections to the guessed integer. The quotient is off by a few ulps.
 const MAX_CORRECTIONS: u32 = 8u;
 
-// The normalised integer whose value is the nearest to the sample that is not beyond it, seen from zero.
+// The normalised integer of a sample, rounded toward zero: the largest magnitude that does not exceed the sample's.
 fn snorm_bits(bits: u32) -> u32 {
     let magnitude = bitcast<f32>(bits & 0x7fffffffu);
     let share = min(magnitude / params.scale, 1.0);
@@ -69,7 +72,7 @@ fn snorm_bits(bits: u32) -> u32 {
 
 @compute @workgroup_size(64)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
-    // A workgroup is 64 texels of a row of a slice.
+    // A workgroup computes 64 texels of one row of a slice.
     let column = group.x * 64u + local.x;
     if column >= params.tile.x { return; }
     let plane = group.z;

@@ -1,19 +1,20 @@
-// The articles' own bake: one invocation a sample, every triangle looked at. A reference and a piece to read; the real
-// bake is bake_distance.wgsl.
+// The bake of articles 001 and 003, as a reference to compare with and to read. One invocation computes one sample and
+// visits every triangle. The production bake is bake_distance.wgsl.
 //
-// The triangles come in chunks, one dispatch each, because software adapters stop an invocation after 65,535 rounds of
-// its loops without an error; the minimum so far waits in `state`. The sign is that of article 001 (the nearest face's
-// normal, after a nudge along it that breaks ties at edges) or of article 003 (an odd number of crossings is inside).
+// Each dispatch visits one chunk of triangles, because software adapters stop an invocation after 65,535 loop
+// iterations without an error. `state` keeps the minimum between dispatches. The sign is that of article 001 (normal of
+// the nearest face, after a nudge along it that breaks ties at edges) or of article 003 (inside if the number of
+// crossings is odd).
 
 #import triangle
 #import grid
 
 struct BruteParams {
     shape: vec3u,
-    // Triangles of this dispatch.
+    // First triangle of this dispatch, and number of triangles.
     first_triangle: u32,
     triangle_count: u32,
-    // The first sample of this dispatch, and their number.
+    // First sample of this dispatch, and number of samples.
     first_sample: u32,
     sample_count: u32,
     // 0: unsigned, 1: nearest normal, 2: parity of the crossings along +x.
@@ -21,26 +22,27 @@ struct BruteParams {
 }
 
 struct BruteState {
-    // Squared distance: the least so far.
+    // Smallest squared distance so far.
     squared: f32,
-    // Squared distance of the nudged closest point, and the side of its triangle; the least so far.
+    // Smallest squared distance to a nudged closest point so far, and whether the sample is behind that triangle (1) or
+    // not (0).
     nudged_squared: f32,
     behind: u32,
     crossings: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: BruteParams;
-// Corners, three a triangle; w is unused.
+// Corners of the triangles, three per triangle; w is unused.
 @group(0) @binding(1) var<storage, read> corners: array<vec4f>;
 @group(0) @binding(2) var<storage, read> triangles: array<Triangle>;
 @group(0) @binding(4) var<storage, read_write> state: array<BruteState>;
 @group(0) @binding(5) var<storage, read_write> distances: array<f32>;
 
-// Triangles a dispatch: a quarter of what software adapters allow.
+// Largest number of triangles per dispatch: a quarter of the loop iterations that software adapters allow.
 const MAX_TRIANGLES: u32 = 16384u;
 const NORMAL: u32 = 1u;
 const PARITY: u32 = 2u;
-// Article 001 nudges by 1e-4 in a scene of about unit size; local coordinates are of about unit size.
+// Article 001 nudges by 1e-4 in a scene of about unit size. Local coordinates are of about unit size too.
 const NUDGE: f32 = 1e-4;
 const WORKGROUPS_PER_ROW: u32 = 32768u;
 
@@ -77,8 +79,8 @@ fn turn(p: vec3f, a: vec3f, b: vec3f) -> f32 {
     return (a.y - p.y) * (b.z - p.z) - (a.z - p.z) * (b.y - p.y);
 }
 
-// Whether the ray from `p` along +x meets the triangle. Half-open in y and z, but in float32: a ray through an edge can
-// count twice or not at all, which is what the exact rule on the CPU is for.
+// Whether the ray from `p` along +x crosses the triangle. The test is half-open in y and z, but evaluated in float32: a
+// ray through an edge may be counted twice or not at all. The CPU has an exact version (src/sign/crossing.rs).
 fn crosses(p: vec3f, a: vec3f, b: vec3f, c: vec3f) -> bool {
     let from_a = turn(p, b, c);
     let from_b = turn(p, c, a);

@@ -1,37 +1,39 @@
-// Unsigned distances of a grid, local units: one invocation a sample, one workgroup a block of 4^3 samples.
+// Unsigned distances at the samples of a grid, in local units. One invocation computes one sample; one workgroup
+// computes a block of 4^3 samples.
 //
-// `coarse` answers every fourth sample and remembers its triangle; `main` starts each search from the triangle of the
-// nearest coarse sample, which is already a sharp bound. Twin of src/bake/dense/mod.rs: the same distances, found by another search.
+// `coarse` computes every fourth sample along each axis and stores its nearest triangle. `main` starts each search from
+// the triangle of the nearest coarse sample, which is already a tight upper bound. Twin of src/bake/dense/mod.rs: the
+// distances are the same, the search is another one.
 
 #import bvh
 #import grid
 
 struct DistanceParams {
-    // Samples of the grid.
+    // Number of samples of the grid along each axis.
     shape: vec3u,
-    // The first block of this dispatch, in the blocks of the slab.
+    // First block of this dispatch, counted within the slab.
     first_block: u32,
-    // Samples of the coarse grid.
+    // Number of samples of the coarse grid along each axis.
     coarse_shape: vec3u,
-    // Samples between two coarse ones.
+    // Distance between neighbouring coarse samples, in samples.
     stride: u32,
-    // The slab: planes that the output holds.
+    // The slab: first plane and number of planes that the output holds.
     first_plane: u32,
     planes: u32,
     pad_0: u32,
-    // Squared distance up to which the answer matters.
+    // Square of the largest distance that has to be exact, local units.
     limit_squared: f32,
 }
 
 @group(0) @binding(0) var<uniform> params: DistanceParams;
 @group(0) @binding(4) var<storage, read_write> coarse_slots: array<u32>;
-// Distances (main) or their squares (coarse); negative where the search ran out of rounds.
+// Distances (`main`) or squared distances (`coarse`), local units. Negative where the search ran out of rounds.
 @group(0) @binding(5) var<storage, read_write> results: array<f32>;
 @group(0) @binding(6) var<storage, read_write> overflows: atomic<u32>;
 
 const BLOCK: u32 = 4u;
 
-// The sample of an invocation, relative to the slab. Past the slab's edge it is not to be used.
+// The sample of an invocation, relative to the slab. The caller must discard samples past the edge of the slab.
 fn slab_sample(block: u32, local: vec3u) -> vec3u {
     let slab = vec3u(params.shape.xy, params.planes);
     return unravel(params.first_block + block, (slab + BLOCK - 1u) / BLOCK) * BLOCK + local;

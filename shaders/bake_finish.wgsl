@@ -1,12 +1,13 @@
-// From unsigned local distances to what is stored: band, world units, sign, thickness. Twin of src/bake/cpu.rs and
-// src/bake/band.rs. The signs come as bits, decided on the CPU by exact predicates, which need float64.
+// Turns unsigned local distances into stored ones: applies the band, world units, the sign and the thickness. Twin of
+// src/bake/cpu.rs and src/bake/band.rs. The CPU decides the signs by exact predicates in float64 and passes them as
+// bits.
 
 #import grid
 
 struct FinishParams {
     shape: vec3u,
     first_plane: u32,
-    // Nodes of the coarse grid that bounds the far samples, and their squared spacing.
+    // Number of nodes of the coarse grid that bounds the far samples, and squared spacing of the nodes in local units.
     coarse_shape: vec3u,
     planes: u32,
     spacing_squared: vec3f,
@@ -14,11 +15,11 @@ struct FinishParams {
     scale: f32,
     // Half width of the band, local units; negative for no band.
     width: f32,
-    // World units.
+    // Thickness, world units.
     half_thickness: f32,
-    // Words of sign bits per row of samples; zero if nothing is inside.
+    // Number of words of sign bits per row of samples; 0 if no sample is inside.
     words_per_row: u32,
-    // Samples between two nodes of the coarse grid.
+    // Distance between neighbouring nodes of the coarse grid, in samples.
     stride: u32,
 }
 
@@ -28,11 +29,12 @@ struct FinishParams {
 @group(0) @binding(4) var<storage, read_write> distances: array<f32>;
 @group(0) @binding(5) var<storage, read_write> negative_count: atomic<u32>;
 
-// Room for float32 rounding of the squares and of the sums here, relative; the same as on the CPU.
+// Relative margin for float32 rounding of the squares and sums below. The CPU uses the same value.
 const SLACK: f32 = 1e-5;
 const WORKGROUPS_PER_ROW: u32 = 32768u;
 
-// A lower bound of the distance at a sample, from the exact squares at the nodes around it (see src/bake/band.rs).
+// A lower bound on the distance at a sample, from the exact squared distances at the surrounding nodes
+// (src/bake/band.rs).
 fn lower_bound(voxel: vec3u) -> f32 {
     let node = voxel / params.stride;
     let fraction = vec3f(voxel % params.stride) / f32(params.stride);

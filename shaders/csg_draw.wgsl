@@ -1,5 +1,6 @@
-// What the ray of each pixel hits first, and which lights reach it: one invocation a pixel, which walks the boxes of the
-// parts front to back. Twin of src/csg/trace.rs; colours are made from this on the CPU (src/csg/gpu.rs).
+// Finds the first hit of the ray of each pixel, and the lights that reach it. One invocation computes one pixel and
+// visits the boxes of the parts front to back. Twin of src/csg/trace.rs. The CPU computes the colours from the result
+// (src/csg/gpu.rs).
 
 #import csg_chord
 #import csg_needs
@@ -8,26 +9,30 @@
 #import picture_rays
 
 struct CsgDrawParams {
-    // In local units.
+    // Rays of the picture, local units.
     rays: PictureRays,
-    // One over the largest Lipschitz constant of a part.
+    // 1 / largest Lipschitz constant of a part.
     inverse_lipschitz: f32,
-    // Nodes come first in `boxes`.
+    // Number of nodes. They precede the boxes of the parts in `boxes`.
     node_count: u32,
     pad_0: u32,
     pad_1: u32,
 }
 
-// A node of the tree over boxes: its children are nodes `first` and `first + 1`, or, in a leaf, `count` boxes from `first`.
-// A box: its part has `count` tokens from `first`, and is met as `form` says.
+// A node of the tree over boxes, or the box of a part.
+//             | inner node         | leaf                     | box of a part
+//   `first`   | left child         | first box                | first token of the part
+//   `count`   | 0                  | number of boxes          | number of tokens
+// The right child of an inner node is `first + 1`.
 struct CsgBox {
     lower: vec3f,
     first: u32,
     upper: vec3f,
     count: u32,
-    // FORM_UNION, FORM_CHORDS, or how its field is evaluated.
+    // 0: sphere traced by the interpreter. FORM_UNION or FORM_CHORDS: closed form. From 3: function `form - 3` of a
+    // specialised kernel.
     form: u32,
-    // The first of its numbers, for a compiled field.
+    // Index of the part's first parameter in `numbers`, for a compiled field.
     parameters: u32,
     pad_0: u32,
     pad_1: u32,
@@ -35,37 +40,37 @@ struct CsgBox {
 
 struct CsgPixel {
     normal: vec3f,
-    // Along the ray from its start, local units.
+    // Distance along the ray from its start, local units.
     t: f32,
-    // Index of the box that was hit.
+    // Index of the box that contains the hit.
     cell: u32,
-    // 0 nothing, 1 a hit, 2 ran out of rounds.
+    // 0: no hit. 1: hit. 2: the invocation ran out of rounds.
     state: u32,
     steps: u32,
-    // Evaluations of leaves, at least: tokens.
+    // Number of tokens evaluated, an upper bound on the number of leaves.
     tokens: u32,
 }
 
 @group(0) @binding(0) var<storage, read> params: CsgDrawParams;
 @group(0) @binding(4) var<storage, read> boxes: array<CsgBox>;
-// The way each light travels, unit.
+// Direction in which each light travels, unit length.
 @group(0) @binding(5) var<storage, read> lights: array<vec4f>;
 @group(0) @binding(6) var<storage, read_write> pixels: array<CsgPixel>;
-// Share of each light that arrives, `light_count` a pixel.
+// Fraction of each light that arrives, `light_count` values per pixel.
 @group(0) @binding(7) var<storage, read_write> shares: array<f32>;
 
-// Half the step of the differences of a part's field.
+// Step of the tetrahedral differences of a part's field along each axis, local units.
 const NORMAL_STEP: f32 = 1e-4;
 const SHADOW_BIAS: f32 = 1e-3;
-// Longer than any way through the model, and still far from overflow.
+// Longer than any ray through the model, and far from overflow.
 const FAR_T: f32 = 1e6;
 const MAX_WAITING: u32 = 64u;
 const MAX_LIGHTS: u32 = 64u;
-// A way along an axis that a ray does not move on is divided by this: it goes up by next to nothing.
+// A direction component below this counts as parallel to the faces; the inverse uses this value instead.
 const STILL: f32 = 1e-30;
 const NO_BOX: u32 = 0xffffffffu;
 
-// How rays meet a part: these two in closed form, the others by marching its field.
+// Kinds of parts that are intersected in closed form. Parts of all other kinds are sphere traced.
 const FORM_UNION: u32 = 1u;
 const FORM_CHORDS: u32 = 2u;
 
@@ -102,7 +107,8 @@ fn ray_along(origin: vec3f, direction: vec3f) -> Ray {
     return Ray(origin, direction, 1.0 / select(direction, vec3f(STILL), abs(direction) < vec3f(STILL)));
 }
 
-// Where a ray is in a box, as (in, out); in >= out where it misses. A ray along a face is in the box above it.
+// The interval (t_in, t_out) of a ray inside a box; a miss returns t_in >= t_out. A ray within a face belongs to the
+// box above the face.
 fn span(ray: Ray, cell: u32, t_max: f32) -> vec2f {
     let a = (boxes[cell].lower - ray.origin) * ray.inverse;
     let b = (boxes[cell].upper - ray.origin) * ray.inverse;
@@ -111,7 +117,7 @@ fn span(ray: Ray, cell: u32, t_max: f32) -> vec2f {
     return vec2f(max(max(low.x, low.y), max(low.z, 0.0)), min(min(high.x, high.y), min(high.z, t_max)));
 }
 
-// The first place in a box on [t_in, t_out) where the ray is inside its part, or -1.
+// The first t on [t_in, t_out) at which the ray is inside the part of a box, or -1.
 fn first_root(ray: Ray, cell: u32, t_in: f32, t_out: f32) -> f32 {
     let form = boxes[cell].form;
     if !is_closed(form) { return march(ray, cell, t_in, t_out); }
@@ -121,7 +127,7 @@ fn first_root(ray: Ray, cell: u32, t_in: f32, t_out: f32) -> f32 {
     return first_inside(ray.origin, ray.direction, boxes[cell].first, boxes[cell].count, is_union, t_in, t_out);
 }
 
-// The first root in a box on [t_in, t_out), or -1.
+// The first root of a sphere-traced part on [t_in, t_out), or -1.
 fn march(ray: Ray, cell: u32, t_in: f32, t_out: f32) -> f32 {
     var search = search_from(t_in);
     var state = SEARCHING;
@@ -134,7 +140,7 @@ fn march(ray: Ray, cell: u32, t_in: f32, t_out: f32) -> f32 {
 
 fn trace(ray: Ray, any: bool) -> Hit {
     var best = Hit(FAR_T, 0u, false);
-    // Nodes and boxes, the nearest of those that came last on top.
+    // Nodes and boxes still to visit. The nearest of the latest children lies on top.
     var waiting: array<u32, MAX_WAITING>;
     var waiting_t: array<f32, MAX_WAITING>;
     var count = 0u;
@@ -145,7 +151,7 @@ fn trace(ray: Ray, any: bool) -> Hit {
         count = 1u;
     }
     while count > 0u && has_rounds() {
-        // Down the tree to a box. What is dear comes after this loop, and not once a node.
+        // Descends to a box. The expensive intersection follows this loop, so that it is not evaluated per node.
         var cell = NO_BOX;
         while count > 0u && cell == NO_BOX && has_rounds() {
             rounds++;
@@ -156,7 +162,7 @@ fn trace(ray: Ray, any: bool) -> Hit {
                 cell = node;
                 continue;
             }
-            // Two nodes, or the few boxes of a leaf.
+            // The two children of an inner node, or the few boxes of a leaf.
             let few = boxes[node].count;
             let first = boxes[node].first + select(params.node_count, 0u, few == 0u);
             let bottom = count;
@@ -164,7 +170,7 @@ fn trace(ray: Ray, any: bool) -> Hit {
                 rounds++;
                 let t = span(ray, first + i, best.t);
                 if t.x >= t.y { continue; }
-                // Into its place among these.
+                // Inserts the entry in order of distance.
                 var place = count;
                 while place > bottom && waiting_t[place - 1u] < t.x {
                     rounds++;
@@ -188,7 +194,7 @@ fn trace(ray: Ray, any: bool) -> Hit {
     return best;
 }
 
-// Unit normal where a ray comes into the part of a box; against the ray where the field has no slope.
+// Unit normal where a ray enters the part of a box. The reversed ray direction is returned where the gradient is zero.
 fn surface_normal(p: vec3f, direction: vec3f, cell: u32) -> vec3f {
     let box = params.node_count + cell;
     var slope = vec3f(0.0);
@@ -206,7 +212,7 @@ fn surface_normal(p: vec3f, direction: vec3f, cell: u32) -> vec3f {
 
 @compute @workgroup_size(8, 8)
 fn main(@builtin(global_invocation_id) id: vec3u) {
-    // Not every kernel written for a shape reads numbers, but the layout has the buffer in all of them.
+    // Some specialised kernels read no parameters, but the bind group layout has the buffer in all kernels.
     _ = arrayLength(&numbers);
     let x = id.x;
     let y = id.y + params.rays.first_row;
@@ -219,7 +225,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     var ray = ray_along(from_eye.start, direction);
     var pixel: CsgPixel;
     var p = from_eye.start;
-    // The ray from the eye, then one to each light; one call, as above.
+    // Traces the ray from the eye, then one ray to each light. There is one call, because drivers inline functions.
     for (var i = 0u; i <= min(params.rays.light_count, MAX_LIGHTS) && has_rounds(); i++) {
         rounds++;
         if i > 0u {

@@ -1,16 +1,17 @@
-// Samples to half floats in rows that a copy to a texture can read; in units of the smallest side of a voxel.
+// Converts samples to half floats in units of the smallest side of a voxel. The rows are padded so that they can be
+// copied to a texture.
 
 struct TextureParams {
     width: u32,
     height: u32,
-    // Planes of this dispatch, counted in the buffer that is bound.
+    // First plane and number of planes of this dispatch, counted in the bound buffer.
     first_plane: u32,
     planes: u32,
-    // Pairs of texels from one row to the next, padding included.
+    // Number of texel pairs from the start of a row to the start of the next, padding included.
     words_per_row: u32,
-    // Multiplies a distance.
+    // Factor for distances.
     per_voxel: f32,
-    // Workgroups along x.
+    // Number of workgroups along x.
     workgroups_across: u32,
     pad_0: u32,
 }

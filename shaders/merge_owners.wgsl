@@ -1,50 +1,51 @@
-// Which placed field gives the least lower bound of the distance at each sample of a merged field. Float32 cannot tell how
-// low, but by intervals it can tell who: twin of src/merge/placed.rs with the rounding carried along. See src/merge/gpu.rs.
+// Finds, for each sample of a merged field, the placed field with the smallest lower bound on the distance. Float32 is
+// too coarse for the bound itself, but interval arithmetic still identifies the field that attains the minimum. Twin of
+// src/merge/placed.rs, with the rounding carried along. src/merge/gpu.rs evaluates the bound in float64.
 
-// A node of the tree over the fields' boxes.
+// A node of the tree over the boxes of the fields.
 struct MergeNode {
     min: vec3f,
-    // First of the leaf's fields in their order, or left child; the right one follows it.
+    // Leaf: first entry in `order`. Inner node: left child; the right child follows it.
     first: u32,
     max: vec3f,
-    // Fields of the leaf; 0 for an inner node.
+    // Number of fields in a leaf; 0 for an inner node.
     count: u32,
 }
 
-// A field in its place. Scene space spans about 1; lengths of the field are in its own unit, about its size.
+// A field with its transform. Scene space spans about 1. Lengths of a field are in a unit of its own, about its size.
 struct MergeField {
-    // Rows of the map from scene space, about `center`, to grid space; the last number is the grid coordinate of `center`.
+    // Rows of the map from scene space to grid space, relative to `center`: grid = row.xyz . (p - center) + row.w.
     row_x: vec4f,
     row_y: vec4f,
     row_z: vec4f,
     center: vec3f,
     grid: u32,
-    // Box around it, scene space.
+    // Box around the field, scene space.
     lower: vec3f,
     sigma_min: f32,
     upper: vec3f,
     sigma_max: f32,
     // Box of the surface, grid space.
     inner_lower: vec3f,
-    // How far off a grid coordinate may be.
+    // Largest error of a grid coordinate, voxels.
     error: f32,
     inner_upper: vec3f,
-    // 0 for what the CPU has to be asked about wherever it may matter.
+    // 1 if the bound can be evaluated here; 0 if the CPU must evaluate it wherever it may attain the minimum.
     is_known: u32,
 }
 
 struct MergeGrid {
     shape: vec3u,
     first_sample: u32,
-    // In the field's unit.
+    // Voxel size in the unit of the field.
     spacing: vec3f,
-    // Of the unit.
+    // 1 / unit of the field.
     inverse_unit: f32,
 }
 
 struct MergeParams {
     shape: vec3u,
-    // First sample and samples of this dispatch, within the slab.
+    // First sample of this dispatch within the slab, and number of samples.
     first: u32,
     first_plane: u32,
     count: u32,
@@ -54,7 +55,7 @@ struct MergeParams {
 
 @group(0) @binding(0) var<uniform> params: MergeParams;
 @group(0) @binding(1) var<storage, read> nodes: array<MergeNode>;
-// Leaf by leaf.
+// Indices of fields, leaf by leaf.
 @group(0) @binding(2) var<storage, read> order: array<u32>;
 @group(0) @binding(3) var<storage, read> fields: array<MergeField>;
 @group(0) @binding(4) var<storage, read> grids: array<MergeGrid>;
@@ -66,13 +67,13 @@ struct MergeParams {
 const UNDECIDED: u32 = 0xffffffffu;
 const FAR: f32 = 1e30;
 const MAX_STACK: u32 = 56u;
-// Of all loops of an invocation: software drivers cut it off at 65,535 without a word.
+// Largest number of loop iterations of an invocation. Software drivers stop it at 65,535 without an error.
 const MAX_WORK: u32 = 60000u;
-// Loops of one field's bound.
+// Number of loop iterations to evaluate the bound of one field.
 const FIELD_WORK: u32 = 26u;
-// Relative rounding of a length made by a dozen operations, a square root among them.
+// Relative rounding error of a length computed by about twelve operations, including a square root.
 const ROUNDING: f32 = 2e-6;
-// Rounding of a difference of scene coordinates.
+// Rounding error of a difference of scene coordinates.
 const SCENE_ROUNDING: f32 = 1e-6;
 
 struct Range {
@@ -85,7 +86,7 @@ fn length_range(length: f32, error: f32) -> Range {
     return Range(max(length - room, 0.0), length + room);
 }
 
-// The eight samples around a place of the grid, in the field's unit.
+// The eight samples around a point of the grid, in the unit of the field.
 fn corners_at(grid: MergeGrid, cell: vec3f) -> array<f32, 8> {
     let last = vec3i(grid.shape) - 1;
     let a = vec3u(clamp(vec3i(cell), vec3i(0), last));
@@ -99,7 +100,7 @@ fn corners_at(grid: MergeGrid, cell: vec3f) -> array<f32, 8> {
     return corners;
 }
 
-// Of the square bound of src/volume/outside.rs at a place of the grid that lies in the hull of its samples.
+// Range of the squared bound of src/volume/outside.rs at a point of the grid inside the hull of the samples.
 fn square_range(grid: MergeGrid, place: vec3f, error: f32) -> Range {
     let cell = floor(place);
     let f = place - cell;
@@ -117,7 +118,7 @@ fn square_range(grid: MergeGrid, place: vec3f, error: f32) -> Range {
     let h = grid.spacing;
     let variance = dot(h * h, f * (1.0 - f));
     let largest = max(abs(least), abs(most));
-    // By the place, whose slope is at most this a voxel, and by rounding.
+    // Two sources of error: the position, whose effect is limited by the slope per voxel, and rounding.
     let slope = 2.0 * largest * (most - least) + max(h.x, max(h.y, h.z)) * max(h.x, max(h.y, h.z));
     let room = 3.0 * error * slope + ROUNDING * (largest * largest + dot(h, h));
     let square = sum - variance;
@@ -128,7 +129,7 @@ fn add_squares(a: Range, b: Range) -> Range {
     return Range((a.low * a.low + b.low) * (1.0 - ROUNDING), (a.high * a.high + b.high) * (1.0 + ROUNDING));
 }
 
-// Where the bound of one field lies at a point, scene units.
+// Range of the lower bound of one field at a point, scene units.
 fn bound_range(index: u32, p: vec3f) -> Range {
     let field = &fields[index];
     let outside = max(max((*field).lower - p, p - (*field).upper), vec3f(0.0));
@@ -146,13 +147,13 @@ fn bound_range(index: u32, p: vec3f) -> Range {
     let h = grid.spacing;
     let off = error * length(h);
 
-    // On a face of a cell, or of the hull, either side may be meant.
+    // On a face of a cell or of the hull, rounding may select the neighbouring cell.
     let is_on_face = (abs(q - round(q)) <= vec3f(error)) & (q > vec3f(-error)) & (q < last + error);
     if any(is_on_face) { return unknown; }
     let in_hull = clamp(q, vec3f(0.0), last);
     let is_in_hull = all(in_hull == q);
 
-    // What the samples around say.
+    // Bounds from the eight surrounding samples.
     let cell = floor(in_hull);
     let corners = corners_at(grid, cell);
     let to_low = (q - cell) * h;
@@ -176,7 +177,8 @@ fn bound_range(index: u32, p: vec3f) -> Range {
         bound.low = max(bound.low, sqrt(max(by_hull.low, by_inner.low)) * (1.0 - ROUNDING));
         bound.high = max(bound.high, sqrt(max(by_hull.high, by_inner.high)) * (1.0 + ROUNDING));
     }
-    // Just inside the box of the surface this says nothing, just outside it does: both count where it is not clear.
+    // The distance to the box of the surface is a bound only outside that box. Where rounding leaves the side open, the
+    // range covers both cases.
     bound.low = select(bound.low, max(bound.low, to_inner.low), to_inner.low > 0.0);
     if any(q < (*field).inner_lower + error) || any(q > (*field).inner_upper - error) {
         bound.high = max(bound.high, to_inner.high);
@@ -209,7 +211,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
 
     var owner = UNDECIDED;
     var best = Range(FAR, FAR);
-    // The lowest that any other field may be.
+    // Smallest lower end of the ranges of all other fields.
     var others = FAR;
     var stack: array<u32, MAX_STACK>;
     stack[0] = 0u;
@@ -219,7 +221,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         work++;
         top--;
         let node = nodes[stack[top]];
-        // In a box the field may be less than any value so far.
+        // The field may be below every value so far anywhere inside the box.
         if box_distance(node, p) > max(best.high, 0.0) { continue; }
         if node.count == 0u {
             let is_left_near = box_distance(nodes[node.first], p) <= box_distance(nodes[node.first + 1u], p);

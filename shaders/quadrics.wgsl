@@ -1,4 +1,4 @@
-// Draw quadrics that are stored in a texture: one invocation a pixel, its ray and its shadow rays. Twin of
+// Draws quadrics that are stored in a texture. One invocation computes one pixel: its ray and its shadow rays. Twin of
 // src/quadric/draw.rs.
 
 #import light
@@ -6,16 +6,17 @@
 #import quadric
 
 struct QuadricParams {
-    // Positions are relative to the middle of all quadrics.
+    // Rays of the picture, relative to the centre of all quadrics.
     rays: PictureRays,
     background: vec4f,
     ambient: f32,
     specular: f32,
     shininess: f32,
-    // Records in the texture; boxes of the tree over them follow, or none: then all records are tried.
+    // Number of records in the texture. The boxes of the tree follow the records. With `node_count` 0 every record is
+    // tried.
     quadric_count: u32,
     node_count: u32,
-    // Texels in a row of the texture; a multiple of six, so that no record or box is cut.
+    // Number of texels in a row of the texture; a multiple of six, so that no record or box spans two rows.
     texels_per_row: u32,
     pad_0: u32,
     pad_1: u32,
@@ -24,7 +25,7 @@ struct QuadricParams {
 struct QuadricPixel {
     color: vec4f,
     normal: vec3f,
-    // Beyond the start of the ray.
+    // Depth beyond the start of the ray.
     depth: f32,
     quadric: u32,
     steps: u32,
@@ -37,7 +38,7 @@ struct QuadricPixel {
 @group(0) @binding(1) var records: texture_2d<f32>;
 @group(0) @binding(2) var<storage, read> lights: array<Light>;
 @group(0) @binding(3) var<storage, read_write> pixels: array<QuadricPixel>;
-// Share of each light that arrives, `light_count` a pixel.
+// Fraction of each light that arrives, `light_count` values per pixel.
 @group(0) @binding(4) var<storage, read_write> shares: array<f32>;
 
 const NOTHING_HIT: u32 = 0u;
@@ -47,15 +48,15 @@ const NO_QUADRIC: u32 = 0xffffffffu;
 
 const RECORD_TEXELS: u32 = 6u;
 const NODE_TEXELS: u32 = 2u;
-// As in src/bvh/boxes.rs.
+// The same value as in src/bvh/boxes.rs.
 const MAX_STACK: u32 = 56u;
-// Boxes and quadrics that a pixel may try, all its rays together; below the 65,535 loop turns that a software device
-// allows. The CPU draws a pixel that needs more.
+// Largest number of boxes and quadrics that one pixel may try with all its rays. Software adapters stop an invocation
+// at 65,535 loop iterations. The CPU draws the pixels that need more.
 const MAX_TRIED: u32 = 60000u;
-// A gradient below this has no direction.
+// A gradient shorter than this has no usable direction.
 const SINGULAR: f32 = 1e-3;
 
-// A quadric in the frame of its trim sphere.
+// A quadric: its form in the frame of its trim sphere, the trim sphere, and the material.
 struct Quadric {
     form: QuadricForm,
     center: vec3f,
@@ -75,7 +76,11 @@ fn texel(index: u32) -> vec4f {
     return textureLoad(records, vec2u(index % params.texels_per_row, index / params.texels_per_row), 0);
 }
 
-// The record of six texels: the matrix, the trim sphere, the reflectance and opacity.
+// Reads a record. Texel i is (first + i):
+//   0-2  columns of the 3x3 matrix (w unused)
+//   3    linear term (xyz) and constant (w)
+//   4    centre (xyz) and radius (w) of the trim sphere
+//   5    reflectance (xyz) and opacity (w)
 fn load_quadric(place: u32) -> Quadric {
     let first = RECORD_TEXELS * place;
     let a0 = texel(first);
@@ -88,20 +93,20 @@ fn load_quadric(place: u32) -> Quadric {
     return Quadric(form, trim.xyz, trim.w, surface.xyz, surface.w);
 }
 
-// The first t above zero where a ray crosses a quadric in its trim sphere; NO_CROSSING for none. `forget_start` leaves out
-// the crossing nearest to the ray's origin. The direction is unit.
+// The first t > 0 at which a ray crosses a quadric inside its trim sphere, or NO_CROSSING. `forget_start` skips the
+// crossing nearest to the origin of the ray. The direction must have unit length.
 fn first_crossing(q: Quadric, origin: vec3f, direction: vec3f, forget_start: bool) -> f32 {
     var t = quadric_crossings(q.form, (origin - q.center) / q.radius, direction);
     if forget_start {
         if abs(t.y) < abs(t.x) { t.y = NO_CROSSING; } else { t.x = NO_CROSSING; }
     }
-    // In world units; NO_CROSSING stays.
+    // Converts to world units. NO_CROSSING stays as it is.
     let in_world = select(t, t * q.radius, t < vec2f(NO_CROSSING));
     let ahead = select(vec2f(NO_CROSSING), in_world, in_world > vec2f(0.0));
     return min(ahead.x, ahead.y);
 }
 
-// Unit normal of a quadric at a world point of it, turned against the ray; see src/quadric/local.rs.
+// Unit normal of a quadric at a world point on its surface, on the side of the ray's origin; see src/quadric/local.rs.
 fn quadric_normal(q: Quadric, p: vec3f, direction: vec3f) -> vec3f {
     var gradient = q.form.m * ((p - q.center) / q.radius) + q.form.v;
     if length(gradient) <= SINGULAR { gradient = q.form.m * direction; }
@@ -111,7 +116,8 @@ fn quadric_normal(q: Quadric, p: vec3f, direction: vec3f) -> vec3f {
     return select(normal, -normal, dot(normal, direction) > 0.0);
 }
 
-// Where a ray enters box `index` of the tree before `t_max`, else NO_CROSSING. Boxes are grown by the CPU, for rounding here.
+// The t at which a ray enters box `index` of the tree, or NO_CROSSING if that is beyond `t_max`. The CPU enlarges the
+// boxes to cover the rounding here.
 fn enter_box(index: u32, origin: vec3f, inverse: vec3f, t_max: f32) -> f32 {
     let first = RECORD_TEXELS * params.quadric_count + NODE_TEXELS * index;
     let a = (texel(first).xyz - origin) * inverse;
@@ -123,13 +129,14 @@ fn enter_box(index: u32, origin: vec3f, inverse: vec3f, t_max: f32) -> f32 {
     return select(NO_CROSSING, t_enter, t_enter <= t_leave);
 }
 
-// One over each coordinate, where a zero stands for a tiny number.
+// 1 / each component. A component near zero is replaced by 1e-20 first.
 fn inverse_of(direction: vec3f) -> vec3f {
     let tiny = vec3f(1e-20);
     return 1.0 / select(direction, tiny, abs(direction) < tiny);
 }
 
-// What `share` becomes, and the nearest hit. For a shadow ray all crossings count, else the first.
+// Result of a walk. A shadow ray multiplies `share` by 1 - opacity at every quadric it crosses; other rays keep the
+// nearest hit.
 struct Walk {
     hit: QuadricHit,
     share: f32,
@@ -146,7 +153,7 @@ fn try_quadric(walk: ptr<function, Walk>, place: u32, origin: vec3f, direction: 
     }
 }
 
-// Through all records, or the tree over them.
+// Visits the tree over the records, or all records if there is no tree.
 fn walk_along(origin: vec3f, direction: vec3f, from_place: u32, shadow: bool) -> Walk {
     var walk = Walk(QuadricHit(NO_CROSSING, NO_QUADRIC), 1.0);
     if params.node_count == 0u {
@@ -173,7 +180,7 @@ fn walk_along(origin: vec3f, direction: vec3f, from_place: u32, shadow: bool) ->
             try_quadric(&walk, place, origin, direction, from_place, shadow);
         }
         if count > 0u { continue; }
-        // The far child waits below the near one.
+        // Pushes the far child first, so that the near child is popped first.
         let left = enter_box(first, origin, inverse, walk.hit.t);
         let right = enter_box(first + 1u, origin, inverse, walk.hit.t);
         let near = select(first + 1u, first, left <= right);

@@ -1,4 +1,4 @@
-// The nearest triangle of each point of a list. The CPU then finds the closest point on it in float64. Twin of
+// Finds the nearest triangle of each point of a list. The CPU then computes the closest point on it in float64. Twin of
 // src/query.rs.
 
 #import bvh
@@ -11,9 +11,9 @@ struct QueryParams {
 }
 
 @group(0) @binding(0) var<uniform> params: QueryParams;
-// Local positions, three numbers a point.
+// Positions in local coordinates, three floats per point.
 @group(0) @binding(3) var<storage, read> points: array<f32>;
-// Faces of the mesh, NOTHING where the search ran out of rounds.
+// Index of the nearest face of each point; NOTHING where the search ran out of rounds.
 @group(0) @binding(4) var<storage, read_write> faces: array<u32>;
 
 @compute @workgroup_size(64)

@@ -1,4 +1,4 @@
-// Draw the zero level set of a field exactly: a hit is a root of the trilinear field.
+// Draws the zero level set of a float32 field. A hit is an exact root of the trilinear field.
 
 #import samples
 #import ray

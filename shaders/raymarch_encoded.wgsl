@@ -1,4 +1,5 @@
-// Draw the zero level set of a field that is stored in 16 or 8 bits: what the stored numbers stand for, exactly.
+// Draws the zero level set of a field that is stored in 16 or 8 bits. A hit is an exact root of the decoded trilinear
+// field.
 
 #import samples_encoded
 #import ray

@@ -1,4 +1,5 @@
-// Draw the zero level set of a field that the texture hardware interpolates: faster on real hardware, not exact.
+// Draws the zero level set of a field that the texture hardware interpolates. This is faster on real hardware, and
+// approximate.
 
 #import ray_filtered
 #import one_grid

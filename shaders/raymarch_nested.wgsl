@@ -1,4 +1,4 @@
-// Draw the zero level set of nested fields, each twice as fine as the one around it.
+// Draws the zero level set of nested fields. Each field is twice as fine as the one around it.
 
 #import nested
 #import picture

@@ -1,4 +1,4 @@
-// Draw the zero level set of a sparse field from its bricks, whatever they are stored in.
+// Draws the zero level set of a sparse field from its bricks, in any encoding.
 
 #import samples_encoded
 #import ray_sparse

@@ -1,5 +1,5 @@
-// Which field each pixel sees: the box of an instance's surface is rasterised, and a fragment marches to the exact hit and
-// writes its depth. Twin of `field` in src/scene/primary.rs.
+// Finds the field that each pixel shows. The box of each instance's surface is rasterised; a fragment traces the field
+// to the exact hit and writes its depth. Twin of `field` in src/scene/primary.rs.
 
 #import scene_view
 #import scene_things
@@ -9,12 +9,13 @@ struct BoxCorner {
     @location(0) @interpolate(flat) row: u32,
 }
 
-// Two triangles a side, counter-clockwise from outside; bits 0 to 2 of a corner are its x, y and z.
+// The 12 triangles of a box, two per side, counter-clockwise from outside. Bits 0, 1 and 2 of a corner are its x, y and
+// z.
 const CORNERS = array<u32, 36>(
     0u, 4u, 6u, 0u, 6u, 2u, 1u, 3u, 7u, 1u, 7u, 5u, 0u, 1u, 5u, 0u, 5u, 4u,
     2u, 6u, 7u, 2u, 7u, 3u, 0u, 2u, 3u, 0u, 3u, 1u, 4u, 5u, 7u, 4u, 7u, 6u,
 );
-// The box is drawn so much larger, as a share of its sides: more than the rounding of its corners.
+// The rasterised box is enlarged by this fraction of its sides, which exceeds the rounding error of its corners.
 const BOX_MARGIN: f32 = 1e-3;
 
 const AT_START: u32 = 1u;
@@ -22,7 +23,7 @@ const RAN_OUT: u32 = 2u;
 
 @vertex
 fn box_corner(@builtin(vertex_index) vertex: u32, @builtin(instance_index) row: u32) -> BoxCorner {
-    // The far side is what is drawn, whichever way the space is turned: the eye may be in the box.
+    // The back faces are rasterised, because the eye may be inside the box. A mirrored instance reverses the winding.
     let place = select(vertex, vertex - vertex % 3u + (3u - vertex % 3u) % 3u, rows[row].is_mirrored != 0u);
     var corners = CORNERS;
     let corner = corners[place];
@@ -34,7 +35,7 @@ fn box_corner(@builtin(vertex_index) vertex: u32, @builtin(instance_index) row: 
 }
 
 struct FieldSeen {
-    // The instance's index and one more, flags, the depth in scene units as bits, steps.
+    // x: index of the instance + 1. y: flags. z: depth in scene units, as float bits. w: number of steps.
     @location(0) seen: vec4u,
     @builtin(frag_depth) depth: f32,
 }

@@ -1,16 +1,17 @@
-// Which triangle each pixel sees. What it looks like is worked out afterwards, for the one face that is left; here only what
-// decides whether a face is seen: its side, and the mask of its texture. Twin of `triangle` in src/scene/primary.rs.
+// Finds the triangle that each pixel shows. Shading follows later, for the visible face of each pixel only. This pass
+// evaluates only the conditions of visibility: the side of the face and the alpha mask of its texture. Twin of
+// `triangle` in src/scene/primary.rs.
 
 #import scene_view
 
 struct RasterMaterial {
-    // 0: left to others. 1: seen. 2: seen where the mask stands.
+    // 0: not drawn by this pass. 1: opaque. 2: drawn where the alpha mask is above the cutoff.
     kind: u32,
     two_sided: u32,
     cutoff: f32,
-    // A factor of the texture's opacity.
+    // Factor for the opacity of the texture.
     opacity: f32,
-    // The levels of the texture; 0 levels without one.
+    // First mip level of the texture, and number of levels; 0 without a texture.
     first_level: u32,
     levels: u32,
     pad_0: u32,
@@ -57,7 +58,7 @@ fn opacity_at(level: TextureLevel, uv: vec2f) -> f32 {
     let f = p - cell;
     var line: vec2f;
     for (var dy = 0; dy < 2; dy++) {
-        // A cell begins a texel before the first at the least.
+        // The first texel of a cell is at most one before the start of the row or column.
         let y = u32(i32(cell.y) + dy + i32(level.height)) % level.height;
         let left = u32(i32(cell.x) + i32(level.width)) % level.width;
         let right = u32(i32(cell.x) + 1 + i32(level.width)) % level.width;
@@ -67,7 +68,7 @@ fn opacity_at(level: TextureLevel, uv: vec2f) -> f32 {
     return mix(line.x, line.y, f.y);
 }
 
-// Opacity of a material's texture; `footprint` is the side of what the pixel covers, in texture widths.
+// Opacity of a material's texture. `footprint` is the side of the area that the pixel covers, in texture widths.
 fn texture_opacity(material: RasterMaterial, uv: vec2f, footprint: f32) -> f32 {
     let base = texture_levels[material.first_level];
     let covered = footprint * f32(max(base.width, base.height));
@@ -78,7 +79,7 @@ fn texture_opacity(material: RasterMaterial, uv: vec2f, footprint: f32) -> f32 {
     return mix(near, opacity_at(texture_levels[material.first_level + u32(low) + 1u], uv), level - low);
 }
 
-// Side of what a pixel covers on a face, in texture widths.
+// Side of the area that a pixel covers on a face, in texture widths.
 fn footprint_on(corner: Corner) -> f32 {
     let first = 3u * corner.face;
     let vertices = vec3u(corners[first], corners[first + 1u], corners[first + 2u]);
@@ -91,7 +92,7 @@ fn footprint_on(corner: Corner) -> f32 {
     let density = sqrt(abs(uv_ab.x * uv_ac.y - uv_ab.y * uv_ac.x) / max(area, 1e-30));
     let along = ray_through(corner.row, corner.position.xy);
     let slant = max(abs(dot(normal, along)) / max(area * length(along), 1e-30), 0.05);
-    // The pixel's side there in the mesh's own space; w comes as its inverse.
+    // Side of the pixel at this depth, in the mesh's own space. `position.w` is 1 / w.
     let aside = (corner.position.xy - rows[corner.row].middle) * rows[corner.row].pixel;
     let pixel = rows[corner.row].pixel / corner.position.w * length(along) / sqrt(1.0 + dot(aside, aside));
     return pixel / sqrt(slant) * density;

@@ -1,38 +1,46 @@
-// A sparse field between its samples: trilinear in bricks near the surface, a bound on the distance elsewhere. Twin of
+// A sparse field at any point: trilinear in bricks near the surface, a bound on the distance elsewhere. Twin of
 // src/volume/sparse/mod.rs.
 //
-// The kernel that imports this brings where the numbers are: `brick_word` of the index, which has a word a brick, x fastest:
-// the level in the two highest bits, below it which brick; level 3 says that nothing is stored, and then bit 0 that it lies
-// inside; `brick_node`, the distances at the corners of the bricks, or lower bounds of them, in units of the longest step, x
-// fastest; `stored_sample`.
+// The importing kernel must define three functions:
+//   brick_word(i)     word i of the index, one u32 per brick, x fastest
+//   brick_node(i)     lower bound on the distance at corner i of the bricks, in longest steps, x fastest
+//   stored_sample(i)  sample i of the stored bricks, world units
+//
+// Layout of a word of the index:
+//   31 30 29                             0
+//   +----+--------------------------------+
+//   |lvl |  index of the stored brick     |   lvl 0 to 2: cells of 2^lvl voxels
+//   +----+--------------------------------+
+//   |  3 |  unused                  inside|   lvl 3: no samples stored; bit 0 tells inside (1) from outside (0)
+//   +----+--------------------------------+
 
 #import cubic
 
 struct Bricks {
-    // Voxels of the grid, and bricks along each axis.
+    // Number of voxels of the grid, and of bricks, along each axis.
     shape: vec3u,
     counts: vec3u,
-    // No point of an empty brick is nearer to the surface, world units.
+    // Smallest distance of any point of an empty brick from the surface, world units.
     floor: f32,
-    // Distance of neighbouring nodes along each axis, in units of the longest of the three.
+    // Distance of neighbouring nodes along each axis, in units of the longest of the three steps.
     node_step: vec3f,
-    // That, world units.
+    // Longest of the three steps, world units.
     longest_step: f32,
-    // The first word, node, sample and byte of empty space.
+    // Offsets of this field in the buffers: its first word, node, sample, and byte of `empty_bytes`.
     first_word: u32,
     first_node: u32,
     first_sample: u32,
     first_empty: u32,
 }
 
-// Cells and samples along the side of a brick.
+// Number of cells, and of samples, along the side of a brick.
 const BRICK_CELLS: i32 = 7;
 const BRICK_SAMPLES: u32 = 8u;
 const BRICK_LEN: u32 = 512u;
 const NOTHING_STORED: u32 = 3u;
 const BRICK_MASK: u32 = 0x3fffffffu;
 
-// The brick that holds a cell of the grid; cell -1 is the first of brick 0.
+// The brick that contains a cell of the grid. Cell -1 is the first cell of brick 0.
 fn brick_of(cell: vec3i) -> vec3u {
     return vec3u(cell + 1) / u32(BRICK_CELLS);
 }
@@ -41,12 +49,12 @@ fn brick_offset(bricks: Bricks, brick: vec3u) -> u32 {
     return brick.x + bricks.counts.x * (brick.y + bricks.counts.y * brick.z);
 }
 
-// Voxels along the side of the cells of a brick, to base 2.
+// log2 of the side of the brick's cells, in voxels.
 fn cell_shift(word: u32) -> u32 {
     return select(word >> 30u, 0u, word >> 30u == NOTHING_STORED);
 }
 
-// Grid coordinates of sample 0 of the stored brick that stands for `brick`.
+// Grid coordinates of sample 0 of the stored brick that covers `brick`.
 fn brick_origin(brick: vec3u, shift: u32) -> vec3i {
     return BRICK_CELLS * vec3i((brick >> vec3u(shift)) << vec3u(shift)) - 1;
 }
@@ -66,9 +74,9 @@ fn brick_corners(bricks: Bricks, word: u32, cell: vec3i) -> array<f32, 8> {
     );
 }
 
-// The samples of a cell of an empty brick: what the nodes around it say of the distance there. The square of the distance is
-// a concave function plus that of the place, so its interpolation less the variance of the weights is a lower bound
-// (src/volume/outside.rs). The corners of a cell lie between the same eight nodes.
+// Bounds at the eight corners of a cell of an empty brick, interpolated from the surrounding nodes. The squared
+// distance is a concave function plus |p|^2, so its interpolation minus the variance of the weights is a lower bound
+// (src/volume/outside.rs). All corners of a cell lie between the same eight nodes.
 fn bounds_around(bricks: Bricks, brick: vec3u, cell: vec3i) -> array<f32, 8> {
     let row = bricks.counts.x + 1u;
     let layer = row * (bricks.counts.y + 1u);
@@ -80,7 +88,7 @@ fn bounds_around(bricks: Bricks, brick: vec3u, cell: vec3i) -> array<f32, 8> {
     }
     var corners: array<f32, 8>;
     for (var i = 0u; i < 8u; i++) {
-        // Node 0 is sample -1.
+        // Node 0 coincides with sample -1.
         let place = vec3f(cell + 1 + vec3i(vec3u(i & 1u, (i >> 1u) & 1u, i >> 2u))) / f32(BRICK_CELLS);
         let f = clamp(place - vec3f(brick), vec3f(0.0), vec3f(1.0));
         let variance = dot(bricks.node_step * bricks.node_step, f * (1.0 - f));
@@ -89,7 +97,7 @@ fn bounds_around(bricks: Bricks, brick: vec3u, cell: vec3i) -> array<f32, 8> {
     return corners;
 }
 
-// The field at a point of the box, grid space.
+// The field at a point of the box, world units; `p` is in grid space.
 fn sample_bricks(bricks: Bricks, p: vec3f) -> f32 {
     let cell = vec3i(floor(p));
     let brick = brick_of(cell);
@@ -101,7 +109,7 @@ fn sample_bricks(bricks: Bricks, p: vec3f) -> f32 {
         let low = origin + (local << vec3u(shift));
         return trilinear(brick_corners(bricks, word, local), (p - vec3f(low)) / f32(1u << shift));
     }
-    // Voxel by voxel between bounds.
+    // An empty brick: trilinear interpolation of the bounds at the corners of the voxel.
     let bound = trilinear(bounds_around(bricks, brick, cell), p - vec3f(cell));
     return select(bound, -bound, (word & 1u) == 1u);
 }

@@ -1,12 +1,13 @@
-// Rays through the bricks of a sparse field to the first point where it is not above zero: leaps over empty bricks, cell
-// by cell through the others. Twin of src/render/march.rs, step for step.
+// Traces rays through the bricks of a sparse field to the first point where the field is <= 0. A ray leaps over empty
+// bricks and visits the cells of the others one by one. Twin of src/render/march.rs, step for step.
 //
-// The kernel that imports this brings `empty_bytes`, words of how many bricks around each there is no surface, a byte a brick,
-// 0 for one with a surface; `steps`, which ends at MAX_STEPS; FAR_T and PARALLEL; and imports `cubic`.
+// The importing kernel must define `empty_bytes(i)`, `steps`, MAX_STEPS, FAR_T and PARALLEL, and import `cubic`.
+// `empty_bytes` has one byte per brick, four to a word: the radius, in bricks, of the surrounding cube that contains no
+// surface; 0 if the brick has one. `steps` counts the steps of the invocation up to MAX_STEPS.
 
 #import bricks
 
-// The first t in [0, t_max] where the field is not above zero, or -1; the direction is unit.
+// The first t in [0, t_max] where the field is <= 0, or -1. The direction must have unit length in grid space.
 fn march_bricks(bricks: Bricks, start: vec3f, direction: vec3f, t_max: f32) -> f32 {
     let last_cell = vec3i(bricks.shape) - 1;
     let is_forward = direction > vec3f(0.0);
@@ -16,7 +17,7 @@ fn march_bricks(bricks: Bricks, start: vec3f, direction: vec3f, t_max: f32) -> f
 
     var t = 0.0;
     var cell = clamp(vec3i(floor(start)), vec3i(-1), last_cell);
-    // A cell index never moves back.
+    // The index of a cell never moves back along the ray.
     while steps < MAX_STEPS {
         steps++;
         let brick = brick_of(cell);
@@ -24,14 +25,14 @@ fn march_bricks(bricks: Bricks, start: vec3f, direction: vec3f, t_max: f32) -> f
         let byte = bricks.first_empty + offset;
         let distance = i32(extractBits(empty_bytes(byte >> 2u), 8u * (byte & 3u), 8u));
         if distance > 0 {
-            // Leap to the side of the empty cube around the brick.
+            // Leaps to the face of the empty cube around the brick.
             let first = BRICK_CELLS * (vec3i(brick) - (distance - 1)) - 1;
             let face = first + side * (2 * distance - 1) * BRICK_CELLS;
             let to_faces = select((vec3f(face) - start) * inverse, vec3f(FAR_T), is_parallel);
             let axis = first_axis(to_faces);
             t = max(to_faces[axis], t);
             if t >= t_max { return -1.0; }
-            // Exact on the axis of the face, never back on the others.
+            // The new cell is exact along the axis of the face, and never moves back along the others.
             let here = vec3i(floor(start + t * direction));
             cell = select(min(here, cell), max(here, cell), is_forward);
             cell[axis] = face[axis] - 1 + side[axis];
@@ -49,7 +50,7 @@ fn march_bricks(bricks: Bricks, start: vec3f, direction: vec3f, t_max: f32) -> f
         let axis = first_axis(to_faces);
         let t_end = min(max(to_faces[axis], t), t_max);
 
-        // A brick without samples that is not empty lies inside.
+        // A brick that has no samples and is not empty lies inside the solid.
         var corners = array<f32, 8>(-1.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0);
         if word >> 30u != NOTHING_STORED { corners = brick_corners(bricks, word, local); }
         let per_voxel = 1.0 / f32(1u << shift);
@@ -58,12 +59,13 @@ fn march_bricks(bricks: Bricks, start: vec3f, direction: vec3f, t_max: f32) -> f
         if root >= 0.0 { return t + root; }
         if t_end >= t_max { return -1.0; }
 
-        // Into the next cell.
+        // Continues in the next cell.
         t = t_end;
         let cell_side = 1 << shift;
         let next = local[axis] + 2 * side[axis] - 1;
         if shift > 0u && (next < 0 || next >= BRICK_CELLS) {
-            // A cell of many voxels is left where the ray is; the face is exact on its own axis.
+            // A cell of several voxels is left at the position of the ray. Along the axis of the face the new cell is
+            // exact.
             let here = vec3i(floor(start + t * direction));
             cell = clamp(here, low, low + cell_side - 1);
         }

@@ -1,9 +1,9 @@
-// The binary tree over triangles and its closest-triangle search. Twin of src/bvh/binary.rs.
+// The binary tree over triangles, and the search for the closest triangle. Twin of src/bvh/binary.rs.
 //
-// One flat loop: a round tests one triangle of the leaf at hand, or opens one node. Software adapters stop an invocation
-// after 65,535 rounds of all its loops together, without an error, so the rounds are counted here and a search that
-// needs more says so; the caller then redoes it on the CPU. They also run both sides of every branch, so a round reads
-// little: a node holds the boxes of both its children.
+// The search is one flat loop. A round tests one triangle of the current leaf, or opens one node. Software adapters
+// stop an invocation after 65,535 rounds of all its loops together, without an error. The search therefore counts its
+// rounds and reports when it needs more; the caller repeats it on the CPU. Software adapters also execute both sides of
+// every branch. A round therefore reads little: a node holds the boxes of both its children.
 
 #import triangle
 
@@ -22,26 +22,30 @@ struct Node {
 @group(0) @binding(1) var<storage, read> nodes: array<Node>;
 @group(0) @binding(2) var<storage, read> triangles: array<Triangle>;
 
-// Below the 65,535 of software adapters.
+// Largest number of rounds, below the 65,535 of software adapters.
 const MAX_ROUNDS: u32 = 65000u;
-// Waiting children; the tree is never deeper (checked when it is built).
+// Capacity of the stack. The builder of the tree checks that its depth does not exceed it.
 const MAX_STACK: u32 = 96u;
 // Larger than any squared distance in local coordinates. WGSL has no infinity.
 const FAR: f32 = 3.0e38;
 
-// A leaf is a run of triangles: the top bit, their number less one, the first of them.
+// A leaf is a run of triangles in one u32. An inner child is an index below LEAF.
+//   31 30      28 27                    0
+//   +-+----------+----------------------+
+//   |1| count - 1|    first triangle    |
+//   +-+----------+----------------------+
 const LEAF: u32 = 0x80000000u;
 const LEAF_ONE: u32 = 0x10000000u;
 const LEAF_FIRST: u32 = 0x0fffffffu;
 
-// No child, or none left to look at.
+// No child left to visit.
 const NOTHING: u32 = 0xffffffffu;
 
 struct Nearest {
     squared: f32,
-    // Index into `triangles`.
+    // Index of the triangle in `triangles`.
     slot: u32,
-    // False if the rounds ran out: then `squared` is only an upper bound.
+    // False if the rounds ran out. Then `squared` is only an upper bound.
     complete: bool,
 }
 
@@ -50,7 +54,7 @@ fn box_distance_squared(low: vec3f, high: vec3f, p: vec3f) -> f32 {
     return dot(outside, outside);
 }
 
-// The triangle nearest to `p` among those nearer than `start`; `start` itself if there is none.
+// The triangle nearest to `p` among those nearer than `start`. Returns `start` if there is none.
 fn nearest_triangle(p: vec3f, start: Nearest) -> Nearest {
     var best = start;
     best.complete = false;
@@ -60,7 +64,7 @@ fn nearest_triangle(p: vec3f, start: Nearest) -> Nearest {
     var current = 0u;
     for (var round = 0u; round < MAX_ROUNDS; round++) {
         if current == NOTHING {
-            // Take what waits; most of it has been beaten by now, so look at two.
+            // Pops the stack. Most waiting children are farther than the best triangle by now, so two are tested.
             if top > 1u && stack_squared[top - 1u] >= best.squared { top--; }
             if top == 0u {
                 best.complete = true;
@@ -77,10 +81,10 @@ fn nearest_triangle(p: vec3f, start: Nearest) -> Nearest {
                 best.squared = squared;
                 best.slot = slot;
             }
-            // The rest of the leaf is a leaf.
+            // The remaining triangles of the leaf are a leaf again.
             current = select(NOTHING, current - LEAF_ONE + 1u, current - LEAF >= LEAF_ONE);
         } else {
-            // Go on with the near child, put the far one on the stack.
+            // Continues with the near child and pushes the far one.
             let node = nodes[current];
             let left = box_distance_squared(node.left_min, node.left_max, p);
             let right = box_distance_squared(node.right_min, node.right_max, p);

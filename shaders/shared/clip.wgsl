@@ -1,19 +1,20 @@
-// Rays and the box of a grid, in grid space: voxel centres at whole numbers. Twin of `clip_to_box` in src/render/march.rs.
+// Clips rays to the box of a grid, in grid space: voxel centres are at whole numbers. Twin of `clip_to_box` in
+// src/render/march.rs.
 
-// Beyond every t; stands for infinity.
+// Larger than every t. WGSL has no infinity.
 const FAR_T: f32 = 1e30;
 const NO_AXIS: u32 = 3u;
-// At least the smallest normal number.
+// Slightly above the smallest normal float32.
 const TINY: f32 = 1.2e-38;
 
 struct ClippedRay {
     origin: vec3f,
     // False where the ray misses the box.
     is_in_box: bool,
-    // Unit length, in voxels.
+    // Unit length; grid space, so lengths along the ray are in voxels.
     direction: vec3f,
     t_max: f32,
-    // Length of the part before the box, in multiples of the direction that was given.
+    // Distance from the given origin to the box, in multiples of the given direction.
     t_enter: f32,
     // Axis of the face through which the ray enters; NO_AXIS if it starts inside.
     enter_axis: u32,
@@ -22,17 +23,17 @@ struct ClippedRay {
 struct Hit {
     t: f32,
     is_hit: bool,
-    // The ray began at a value that was not above zero.
+    // True if the field is <= 0 at the start of the ray.
     at_start: bool,
     steps: u32,
 }
 
-// The part of a ray that lies in the box of `shape` voxels, in grid space: voxel centres at integers.
+// The part of a ray inside the box of `shape` voxels. Origin and direction are in grid space.
 fn clip_to_box(origin: vec3f, direction: vec3f, shape: vec3u) -> ClippedRay {
     return clip_between(origin, direction, vec3f(-0.5), vec3f(shape) - 0.5);
 }
 
-// The part of a ray that lies between two corners, in grid space.
+// The part of a ray between two corners of a box, in grid space.
 fn clip_between(origin: vec3f, direction: vec3f, lower: vec3f, upper: vec3f) -> ClippedRay {
     var clipped: ClippedRay;
     clipped.enter_axis = NO_AXIS;

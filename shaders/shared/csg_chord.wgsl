@@ -1,4 +1,5 @@
-// Intersections of a line with a part in closed form. Twin of src/csg/chord.rs, function by function; its theory is there.
+// Intersections of a line with a part in closed form. Twin of src/csg/chord.rs, function by function. The theory is
+// there.
 
 #import csg_leaves
 #import csg_needs
@@ -8,7 +9,7 @@ const CHORD_FAR: f32 = 1e30;
 // A line with a smaller component across a slab is parallel to it.
 const CHORD_STILL: f32 = 1e-30;
 const CHORD_PARALLEL: f32 = 1e-14;
-// The whole line and the empty chord, as (from, to).
+// The whole line and the empty chord, as (t_from, t_to).
 const WHOLE_LINE = vec2f(-CHORD_FAR, CHORD_FAR);
 const NO_CHORD = vec2f(CHORD_FAR, -CHORD_FAR);
 
@@ -16,14 +17,14 @@ fn both(a: vec2f, b: vec2f) -> vec2f {
     return vec2f(max(a.x, b.x), min(a.y, b.y));
 }
 
-// The smallest chord that holds both; for two pieces of one convex solid.
+// The smallest chord that contains both. The two are pieces of one convex solid.
 fn hull(a: vec2f, b: vec2f) -> vec2f {
     if a.x >= a.y { return b; }
     if b.x >= b.y { return a; }
     return vec2f(min(a.x, b.x), max(a.y, b.y));
 }
 
-// Where |o + t d| < half.
+// The interval of t where |o + t d| < half.
 fn slab(o: f32, d: f32, half: f32) -> vec2f {
     if abs(d) < CHORD_STILL { return select(NO_CHORD, WHOLE_LINE, abs(o) < half); }
     let inverse = 1.0 / d;
@@ -36,7 +37,7 @@ fn cuboid_chord(o: vec3f, d: vec3f, half: vec3f) -> vec2f {
     return both(slab(o.x, d.x, half.x), both(slab(o.y, d.y, half.y), slab(o.z, d.z, half.z)));
 }
 
-// Where normal . p < offset.
+// The interval of t where normal . p < offset.
 fn half_space(o: vec3f, d: vec3f, normal: vec3f, offset: f32) -> vec2f {
     let rate = dot(normal, d);
     let room = offset - dot(normal, o);
@@ -45,7 +46,7 @@ fn half_space(o: vec3f, d: vec3f, normal: vec3f, offset: f32) -> vec2f {
     return select(vec2f(t, CHORD_FAR), vec2f(-CHORD_FAR, t), rate > 0.0);
 }
 
-// In a ball about zero, in any number of dimensions.
+// The chord in a ball about zero, in any number of dimensions.
 fn round_chord(middle: f32, speed_squared: f32, nearest_squared: f32, radius: f32) -> vec2f {
     let room = radius * radius - nearest_squared;
     if room <= 0.0 { return NO_CHORD; }
@@ -73,7 +74,7 @@ fn cone_chord(o: vec3f, d: vec3f, low: f32, high: f32, half_height: f32) -> vec2
     if ends.x >= ends.y { return NO_CHORD; }
     let middle = 0.5 * (low + high);
     let slope = 0.5 * (high - low) / half_height;
-    // Solved about the point nearest to the axis, between the ends.
+    // Solved about the point nearest to the axis, which lies between the ends.
     let speed_squared = dot(d.xy, d.xy);
     var nearest = 0.0;
     if speed_squared >= CHORD_PARALLEL { nearest = -dot(o.xy, d.xy) / speed_squared; }
@@ -94,7 +95,7 @@ fn cone_chord(o: vec3f, d: vec3f, low: f32, high: f32, half_height: f32) -> vec2
     let early = start + min(first, second);
     let late = start + max(first, second);
     if a > 0.0 { return both(ends, vec2f(early, late)); }
-    // Outside the roots, in one of the two halves of the double cone; the other is beyond the ends.
+    // The roots bound one of the two halves of the double cone. The other half lies beyond the ends.
     let before = vec2f(ends.x, min(ends.y, early));
     let after = vec2f(max(ends.x, late), ends.y);
     return select(after, before, before.y - before.x > after.y - after.x);
@@ -113,7 +114,7 @@ fn slanted_slab(o: vec3f, d: vec3f, normal: vec3f, half: f32) -> vec2f {
     return slab(dot(normal, o), dot(normal, d), half);
 }
 
-// The chord of a line in a leaf whose surface is moved outwards by `grow`; kinds as in leaf_distance.
+// The chord of a line in a leaf whose surface is moved outwards by `grow`. The kinds are those of leaf_distance.
 fn leaf_chord(leaf: u32, origin: vec3f, direction: vec3f, grow: f32) -> vec2f {
     let o = placed(leaf, origin);
     let d = vec3f(
@@ -123,7 +124,7 @@ fn leaf_chord(leaf: u32, origin: vec3f, direction: vec3f, grow: f32) -> vec2f {
     );
     let a = leaves[leaf].a;
     let b = leaves[leaf].b;
-    // Sizes, grown.
+    // Half sizes, moved outwards by `grow`.
     let s = max(a.xyz + grow, vec3f(0.0));
     let first = leaves[leaf].first;
     switch leaves[leaf].kind {
@@ -140,7 +141,7 @@ fn leaf_chord(leaf: u32, origin: vec3f, direction: vec3f, grow: f32) -> vec2f {
         case KIND_PLANE: { return half_space(o, d, a.xyz, a.w + grow); }
         case KIND_PYRAMID: { return pyramid_chord(o, d, array<f32, 6>(a.x, a.y, a.z, a.w, b.x, b.y), grow); }
         case KIND_OCTAHEDRON: {
-            // The normals have length sqrt(3).
+            // The normals of the faces have length sqrt(3).
             let half = max(a.x + 1.7320508 * grow, 0.0);
             let one = both(slanted_slab(o, d, vec3f(1.0), half), slanted_slab(o, d, vec3f(1.0, 1.0, -1.0), half));
             let other =
@@ -164,7 +165,7 @@ fn leaf_chord(leaf: u32, origin: vec3f, direction: vec3f, grow: f32) -> vec2f {
     }
 }
 
-// Whether a line is inside right behind t. `chords` has one entry per literal, in the order of the tokens.
+// Whether a line is inside immediately behind t. `chords` has one entry per literal, in the order of the tokens.
 fn is_inside(chords: ptr<function, array<vec2f, CHORD_LEAVES>>, first: u32, count: u32, t: f32) -> bool {
     // A stack of bits; the top is bit 0.
     var bits = 0u;
@@ -200,10 +201,10 @@ fn first_inside(
     var chords: array<vec2f, CHORD_LEAVES>;
     var leaf_count = 0u;
     var nearest = t_out;
-    // The end of a chord that is the hit, and the token of its leaf.
+    // The end of a chord that is the hit belongs to this token.
     var owner = 0u;
     var is_start = true;
-    // One call of leaf_chord for all literals and, in the last turn, for the uneroded chord of the owner.
+    // One call of leaf_chord evaluates all literals and, in the last turn, the uneroded chord of the owner.
     for (var i = 0u; i <= count && has_rounds(); i++) {
         rounds++;
         let is_last = i == count;
@@ -237,7 +238,7 @@ fn first_inside(
     return -1.0;
 }
 
-// The first of t_in and the ends of the chords on [t_in, t_out) behind which a line is inside, or -1.
+// The first t among t_in and the ends of the chords on [t_in, t_out) behind which a line is inside, or -1.
 fn first_end(
     chords: ptr<function, array<vec2f, CHORD_LEAVES>>,
     leaf_count: u32,
@@ -247,7 +248,7 @@ fn first_end(
     t_out: f32,
 ) -> f32 {
     var t = t_in;
-    // Each round goes on to the next end of a chord.
+    // Each round advances to the next end of a chord.
     for (var i = 0u; i <= 2u * CHORD_LEAVES && has_rounds(); i++) {
         rounds++;
         if is_inside(chords, first, count, t) { return t; }
@@ -265,7 +266,8 @@ fn first_end(
     return -1.0;
 }
 
-// Half the step of a leaf's differences, in the space of the leaf, where the coordinates near its surface are small.
+// Step of the tetrahedral differences of a leaf along each axis, in the space of the leaf, where coordinates near its
+// surface are small.
 const LEAF_STEP: f32 = 4e-5;
 
 // Corner of a tetrahedron about zero, of length sqrt(3).
@@ -277,8 +279,8 @@ fn tetrahedron(i: u32) -> vec3f {
     );
 }
 
-// The normal, of any length, of a part in closed form where a line enters it: that of the leaf whose surface is nearest, turned
-// against the line. The first `count` turns find the leaf, the last four evaluate its slope.
+// The normal, of any length, where a line enters a part in closed form: the gradient of the leaf with the nearest
+// surface, turned against the line. The first `count` turns find the leaf. The last four evaluate its gradient.
 fn chord_slope(p: vec3f, direction: vec3f, first: u32, count: u32) -> vec3f {
     var nearest = CSG_FAR;
     var leaf = 0u;

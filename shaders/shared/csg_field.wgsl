@@ -1,5 +1,5 @@
 // Distances of the primitives of CSG shapes, and the joints of their operators. Twin of src/csg/field.rs and
-// src/csg/program.rs, function by function; `k` holds the parameters in the order of Primitive::parameters.
+// src/csg/program.rs, function by function. `k` holds the parameters in the order of Primitive::parameters.
 
 // Larger than any distance in local units. WGSL has no infinity.
 const CSG_FAR: f32 = 3.0e38;
@@ -8,7 +8,7 @@ fn sphere(at: vec3f, k: array<f32, 6>) -> f32 {
     return length(at) - k[0];
 }
 
-// The dual of the distance at what Newton's method found; see src/csg/field.rs.
+// The dual of the distance at the multiplier that Newton's method found; see src/csg/field.rs.
 fn ellipsoid(at: vec3f, k: array<f32, 6>) -> f32 {
     let radii = vec3f(k[0], k[1], k[2]);
     let above = vec3f(k[3], k[4], k[5]);
@@ -41,11 +41,11 @@ fn rounded_box(at: vec3f, k: array<f32, 6>) -> f32 {
     return cuboid(at, vec3f(k[0], k[1], k[2])) - k[3];
 }
 
-// The nearest of three bars, one along each axis, by symmetry.
+// Distance to the nearest of three bars, one along each axis; all others follow by symmetry.
 fn box_frame(at: vec3f, k: array<f32, 6>) -> f32 {
     let half = vec3f(k[0], k[1], k[2]);
     let bar = k[3];
-    // About the middle of a bar, along the two axes across it.
+    // Coordinates relative to the middle of a bar, along the two axes across it.
     let q = abs(at) - (half - bar);
     let along_x = cuboid(vec3f(at.x, q.y, q.z), vec3f(half.x, bar, bar));
     let along_y = cuboid(vec3f(q.x, at.y, q.z), vec3f(bar, half.y, bar));
@@ -65,7 +65,7 @@ fn capped_torus(at: vec3f, k: array<f32, 6>) -> f32 {
     return select(to_ring, to_end, y * end.x - at.x * end.y > 0.0) - k[1];
 }
 
-// A flat distance drawn out along z: the distance to the prism.
+// Distance to a prism: a 2D distance extruded along z.
 fn prism(flat: f32, z: f32, half_height: f32) -> f32 {
     let above = abs(z) - half_height;
     return min(max(flat, above), 0.0) + length(max(vec2f(flat, above), vec2f(0.0)));
@@ -79,7 +79,7 @@ fn capsule(at: vec3f, k: array<f32, 6>) -> f32 {
     return length(vec3f(at.xy, at.z - clamp(at.z, -k[1], k[1]))) - k[0];
 }
 
-// The nearer of the cap and the side of a truncated cone.
+// The smaller of the distances to the cap and to the side of a truncated cone.
 fn cone(at: vec3f, k: array<f32, 6>) -> f32 {
     let r = length(at.xy);
     let cap_radius = select(k[1], k[0], at.z < 0.0);
@@ -96,14 +96,14 @@ fn plane(at: vec3f, k: array<f32, 6>) -> f32 {
     return dot(at, vec3f(k[0], k[1], k[2])) - k[3];
 }
 
-// By symmetry a point with x >= y >= 0, whose nearest side is the one that faces +x.
+// By symmetry the point has x >= y >= 0, and the nearest side is the one that faces +x.
 fn pyramid(at: vec3f, k: array<f32, 6>) -> f32 {
     let half = k[0];
     let slant = k[2];
     let x = max(abs(at.x), abs(at.y));
     let y = min(abs(at.x), abs(at.y));
     let height = at.z + k[1];
-    // Out of the side, and up it from the middle of its base edge.
+    // Distance out of the side, and position up the side from the middle of its base edge.
     let out = (x - half) * k[4] + height * k[3];
     let up = (half - x) * k[3] + height * k[4];
 
@@ -122,7 +122,7 @@ fn pyramid(at: vec3f, k: array<f32, 6>) -> f32 {
 fn octahedron(at: vec3f, k: array<f32, 6>) -> f32 {
     let q = abs(at);
     let m = q.x + q.y + q.z - k[0];
-    // Where the foot on the plane of the face has a negative coordinate, the nearest point lies on that edge.
+    // Where the projection onto the plane of the face has a negative coordinate, the nearest point lies on that edge.
     var turned: vec3f;
     if 3.0 * q.x < m {
         turned = q;
@@ -138,7 +138,7 @@ fn octahedron(at: vec3f, k: array<f32, 6>) -> f32 {
 }
 
 fn hex_prism(at: vec3f, k: array<f32, 6>) -> f32 {
-    // Mirror the sides onto the one that faces +y.
+    // Mirrors the sides onto the one that faces +y.
     let edge = vec2f(-0.8660254, 0.5);
     var q = abs(at.xy);
     q -= 2.0 * min(dot(edge, q), 0.0) * edge;
@@ -153,7 +153,8 @@ fn gyroid(at: vec3f, k: array<f32, 6>) -> f32 {
     return abs(dot(sin(q), cos(q.yzx))) * k[1] - k[2];
 }
 
-// An edge of a polygon: its squared distance, and 1 if it passes a point on the right, for parity, else 0.
+// Squared distance to an edge of a polygon, and 1 if the edge crosses the ray from the point to the right, else 0. The
+// parity of the crossings tells the side.
 fn edge_beside(at: vec2f, before: vec2f, corner: vec2f) -> vec2f {
     let edge = before - corner;
     let to = at - corner;
@@ -172,7 +173,7 @@ fn rectangle(at: vec2f, half: vec2f) -> f32 {
     return length(max(q, vec2f(0.0))) + min(max(q.x, q.y), 0.0);
 }
 
-// How two fields make a union: sharp, smooth by a width, or chamfered by one.
+// The union of two fields: sharp, smooth over a width, or chamfered by a width.
 fn sharp_union(a: f32, b: f32, width: f32) -> f32 {
     return min(a, b);
 }

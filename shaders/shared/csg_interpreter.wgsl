@@ -1,12 +1,12 @@
-// The stack machine over the tokens of a shape: one program for every shape. Twin of Program::run in src/csg/program.rs.
+// The stack machine over the tokens of a shape. It evaluates every shape. Twin of Program::run in src/csg/program.rs.
 
 #import csg_leaves
 
-// Deeper than any shape needs: operands that need more go first.
+// Depth of the stack. The operand that needs the deeper stack is evaluated first, so no shape needs more.
 const MAX_STACK: u32 = 32u;
 const MAX_WARPS: u32 = 4u;
 
-// The space of a warp: 0 elongated, 1 twisted, 2 bent.
+// A point in the space inside a warp. Kinds: 0 elongation, 1 twist, 2 bend.
 fn warped(warp: u32, p: vec3f) -> vec3f {
     let q = placed(warp, p);
     let a = leaves[warp].a;
@@ -17,7 +17,7 @@ fn warped(warp: u32, p: vec3f) -> vec3f {
     }
 }
 
-// What distances in a warp are divided by.
+// Divisor for distances inside a warp.
 fn stretch(warp: u32, p: vec3f) -> f32 {
     let q = placed(warp, p);
     return 1.0 + leaves[warp].b.x * max(length(q.xy), leaves[warp].b.y);
@@ -47,7 +47,7 @@ fn combined(op: u32, joint: u32, below: f32, top: f32) -> f32 {
     }
 }
 
-// The field of a list of tokens, local units.
+// The field of a list of tokens at a point, local units.
 fn csg_distance(p: vec3f, first: u32, count: u32) -> f32 {
     var values: array<f32, MAX_STACK>;
     var positions: array<vec3f, MAX_WARPS>;

@@ -1,9 +1,9 @@
-// The field of one leaf. Twin of PlacedLeaf::distances in src/csg/field.rs.
+// The field of a leaf. Twin of PlacedLeaf::distances in src/csg/field.rs.
 
 #import csg_field
 #import csg_tables
 
-// The nearest edge, and the parity of the edges to the right.
+// Signed distance to a polygon: the nearest edge, with the sign from the parity of the edges to the right.
 fn polygon(at: vec2f, first: u32, count: u32) -> f32 {
     var nearest = CSG_FAR;
     var is_inside = false;
@@ -20,7 +20,7 @@ fn polygon(at: vec2f, first: u32, count: u32) -> f32 {
     return select(sqrt(nearest), -sqrt(nearest), is_inside);
 }
 
-// A baked field, closed by its box; see src/csg/volume_leaf.rs.
+// A baked field, closed by the faces of its box; see src/csg/volume_leaf.rs.
 fn volume(at: vec3f, first: u32) -> f32 {
     let lower = vec3f(numbers[first], numbers[first + 1u], numbers[first + 2u]);
     let upper = vec3f(numbers[first + 3u], numbers[first + 4u], numbers[first + 5u]);
@@ -63,7 +63,7 @@ fn corner_at(first: u32) -> vec2f {
     return vec2f(numbers[first], numbers[first + 1u]);
 }
 
-// A place in the half plane that turns about the z axis.
+// Position in the half plane of a solid of revolution: (distance from the z axis - offset, z).
 fn revolved(at: vec3f, offset: f32) -> vec2f {
     return vec2f(length(at.xy) - offset, at.z);
 }
@@ -72,7 +72,7 @@ fn leaf_distance(leaf: u32, p: vec3f) -> f32 {
     return own_distance(leaf, placed(leaf, p));
 }
 
-// At a place in the space of the leaf.
+// The field at a point in the space of the leaf.
 fn own_distance(leaf: u32, at: vec3f) -> f32 {
     let a = leaves[leaf].a;
     let b = leaves[leaf].b;

@@ -1,9 +1,10 @@
-// What a picture of any shape may need. A kernel that is written for a shape has another text in place of this file, which
-// says what that shape needs: branches on these go as the text is compiled.
+// Features that the kernel of any shape may need. A kernel specialised for one shape imports another variant of this
+// file, with the features of that shape. Branches on these constants are resolved at compile time.
 
-// Some part is met in closed form; some such part is more than a union; leaves of one at most.
+// HAS_CHORDS: a part is intersected in closed form. COMBINES_CHORDS: such a part is more than a union. CHORD_LEAVES:
+// largest number of leaves of such a part.
 const HAS_CHORDS: bool = true;
 const COMBINES_CHORDS: bool = true;
 const CHORD_LEAVES: u32 = 12u;
-// Some part is met by marching its field.
+// A part is sphere traced.
 const MARCHES: bool = true;

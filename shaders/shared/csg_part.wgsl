@@ -1,5 +1,5 @@
-// The field of the part of a box. A kernel that is written for a shape has another text in place of this file: a function for
-// each structure of its parts (src/csg/compiled.rs).
+// The field of the part of a box. A kernel specialised for one shape imports another variant of this file, with one
+// function for each structure of its parts (src/csg/compiled.rs).
 
 #import csg_interpreter
 

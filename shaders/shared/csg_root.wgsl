@@ -1,9 +1,10 @@
-// The first root of a field along a ray: safe steps, or the shortest step, until the field is below -ERODED, then regula falsi,
-// Illinois variant, between the last two points. Twin of `march` and `root` in src/csg/trace.rs.
+// The first root of a field along a ray. Sphere tracing, with a minimum step, goes on until the field is below -ERODED.
+// Then regula falsi, Illinois variant, refines the root between the last two points. Twin of `march` and `root` in
+// src/csg/trace.rs.
 //
-// The caller evaluates the field, at one place of its text, because drivers inline the field at each call.
+// The caller evaluates the field, at a single place of its text, because drivers inline the field at each call.
 
-// A hit is where the field falls below minus this, see src/csg/trace.rs.
+// A hit requires the field to fall below minus this, local units; see src/csg/trace.rs.
 const ERODED: f32 = 1e-6;
 const MIN_STEP: f32 = 3e-5;
 const MAX_MARCH_STEPS: u32 = 4096u;
@@ -15,9 +16,10 @@ const FOUND: u32 = 1u;
 const MISSED: u32 = 2u;
 
 struct RootSearch {
-    // Where the caller evaluates the field next; in the end, the root.
+    // The t at which the caller must evaluate the field next. In the end it is the root.
     t: f32,
-    // The bracket: outside at `low`, inside at `high`. `above` is negative until the field has been at least -ERODED.
+    // The bracket: the ray is outside at `low` and inside at `high`. `above` is negative until the field has been at
+    // least -ERODED.
     low: f32,
     above: f32,
     high: f32,
@@ -31,12 +33,12 @@ fn search_from(start: f32) -> RootSearch {
     return RootSearch(start, start, -1.0, start, 0.0, false, 0, 0u);
 }
 
-// Continues with the field at `t`. Returns SEARCHING, FOUND or MISSED.
+// Continues with the value of the field at `t`. Returns SEARCHING, FOUND or MISSED.
 fn search_on(search: ptr<function, RootSearch>, value: f32, inverse_lipschitz: f32, end: f32) -> u32 {
     var s = *search;
     if !s.is_bracketed && value >= -ERODED {
         let safe = value * inverse_lipschitz;
-        // A safe step crosses nothing; the smallest step might.
+        // A safe step cannot cross a surface. The minimum step can.
         if s.t >= end || s.t + safe >= end { return MISSED; }
         // The bracket begins at the last point that is not inside the uneroded solid.
         if value >= 0.0 || s.above < 0.0 {
@@ -47,7 +49,7 @@ fn search_on(search: ptr<function, RootSearch>, value: f32, inverse_lipschitz: f
         *search = s;
         return SEARCHING;
     }
-    // Inside from the start.
+    // The ray starts inside.
     if s.above < 0.0 { return FOUND; }
     if !s.is_bracketed {
         s.is_bracketed = true;
@@ -71,7 +73,7 @@ fn search_on(search: ptr<function, RootSearch>, value: f32, inverse_lipschitz: f
     } else {
         s.root_steps++;
         s.t = clamp(s.low + (s.high - s.low) * (s.above / (s.above - s.below)), s.low, s.high);
-        // The root is an end of the bracket as far as float32 can tell.
+        // The next t is an end of the bracket: the root is exact to float32.
         if s.t == s.low || s.t == s.high { state = FOUND; }
     }
     *search = s;

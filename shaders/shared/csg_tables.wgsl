@@ -1,11 +1,12 @@
-// The tables of a shape: tokens, placed leaves, numbers.
+// The tables of a shape: tokens, placed leaves, and numbers (parameters and samples).
 //
-// All that one invocation does is counted in `rounds`: software adapters stop an invocation after 65,535 rounds of all its
-// loops, without an error. One that runs out says so, and is redone on the CPU.
+// `rounds` counts the iterations of all loops of an invocation, because software adapters stop an invocation after
+// 65,535 iterations without an error. An invocation that reaches MAX_ROUNDS reports it, and the CPU computes its
+// result.
 
-// A leaf, or a warp, in local units.
+// A leaf or a warp. Lengths are in local units.
 struct CsgLeaf {
-    // Rows of leaf_from_local, each with its shift.
+    // Rows of the map leaf_from_local, each with its translation.
     row_x: vec3f,
     shift_x: f32,
     row_y: vec3f,
@@ -15,19 +16,23 @@ struct CsgLeaf {
     a: vec4f,
     b: vec2f,
     kind: u32,
-    // The first of its numbers in `numbers`: corners or samples.
+    // Index of its first value in `numbers`: corners of a polygon or samples of a volume.
     first: u32,
 }
 
 @group(0) @binding(1) var<storage, read> tokens: array<u32>;
 @group(0) @binding(2) var<storage, read> leaves: array<CsgLeaf>;
-// Joints, levels, corners of polygons, samples of volumes.
+// Parameters of joints, levels of offsets and shells, corners of polygons, samples of volumes.
 @group(0) @binding(3) var<storage, read> numbers: array<f32>;
 
 const MAX_ROUNDS: u32 = 64000u;
-// A token. Bits 31-28: operation. Bits 25-0: index into the table of the operation.
+// A token is one u32:
+//   31    28 27 26 25                    0
+//   +-------+--+--+----------------------+
+//   | opcode| -|C | index into the table |   C: TOKEN_COMPLEMENTED, for leaves
+//   +-------+--+--+----------------------+
 const TOKEN_INDEX: u32 = 0x03ffffffu;
-// Flag of the token of a leaf in a part in closed form: the literal is the complement of the leaf.
+// Set for a leaf of a part in closed form whose literal is the complement of the leaf.
 const TOKEN_COMPLEMENTED: u32 = 0x04000000u;
 const TOKEN_LEAF: u32 = 0u;
 const TOKEN_UNION: u32 = 1u;
@@ -40,7 +45,8 @@ const TOKEN_COMPLEMENT: u32 = 7u;
 const TOKEN_ENTER: u32 = 8u;
 const TOKEN_LEAVE: u32 = 9u;
 
-// Kinds of leaves. A kernel written for a shape has the cases of its own kinds and no others (src/csg/compiled.rs).
+// Kinds of leaves. A specialised kernel contains only the cases of the kinds that occur in its shape
+// (src/csg/compiled.rs).
 const KIND_SPHERE: u32 = 0u;
 const KIND_ELLIPSOID: u32 = 1u;
 const KIND_BOX: u32 = 2u;

@@ -1,20 +1,20 @@
-// The trilinear function of a cell, and the first root of the cubic that it is along a ray. Twin of src/volume/mod.rs and
-// src/render/cubic.rs.
+// Trilinear interpolation in a cell, and the first root of the cubic that it becomes along a ray. Twin of
+// src/volume/mod.rs and src/render/cubic.rs.
 
 fn lerp(a: f32, b: f32, fraction: f32) -> f32 {
     return a + (b - a) * fraction;
 }
 
-// The value at a place in a cell, 0 to 1 on every axis.
+// The value at a point of a cell; `f` is 0 to 1 along every axis.
 fn trilinear(c: array<f32, 8>, f: vec3f) -> f32 {
     let y0 = lerp(lerp(c[0], c[1], f.x), lerp(c[2], c[3], f.x), f.y);
     let y1 = lerp(lerp(c[4], c[5], f.x), lerp(c[6], c[7], f.x), f.y);
     return lerp(y0, y1, f.z);
 }
 
-// c0 + c1 s + c2 s^2 + c3 s^3, as (c0, c1, c2, c3): the trilinear field along p + s direction.
+// Coefficients (c0, c1, c2, c3) of the trilinear field along the ray p + s direction: c0 + c1 s + c2 s^2 + c3 s^3.
 fn cubic_along_ray(c: array<f32, 8>, p: vec3f, direction: vec3f) -> vec4f {
-    // Along x: four linear functions. Along y: two quadratic ones. Along z: the cubic.
+    // Interpolation along x gives four linear functions of s, along y two quadratic ones, along z the cubic.
     let x00 = vec2f(lerp(c[0], c[1], p.x), (c[1] - c[0]) * direction.x);
     let x10 = vec2f(lerp(c[2], c[3], p.x), (c[3] - c[2]) * direction.x);
     let x01 = vec2f(lerp(c[4], c[5], p.x), (c[5] - c[4]) * direction.x);
@@ -40,21 +40,22 @@ fn cubic_slope(c: vec4f, s: f32) -> f32 {
     return c.y + s * (2.0 * c.z + s * 3.0 * c.w);
 }
 
-// numerator / denominator if that lies in (0, limit), else limit; never divides by a number that is too small.
+// numerator / denominator if the quotient lies in (0, limit), else limit. The division is skipped where it could
+// overflow.
 fn quotient_below(numerator: f32, denominator: f32, limit: f32) -> f32 {
     let same_sign = (numerator > 0.0 && denominator > 0.0) || (numerator < 0.0 && denominator < 0.0);
     if same_sign && abs(numerator) < limit * abs(denominator) { return numerator / denominator; }
     return limit;
 }
 
-// Newton steps at most: every second one at least halves the bracket.
+// Largest number of Newton steps. Every second step at least halves the bracket.
 const MAX_NEWTON_STEPS: u32 = 48u;
-// Newton stops below this step, in voxels: one ulp at 1.
+// Newton's method stops at a step below this, in voxels: one ulp at 1.
 const SMALLEST_STEP: f32 = 1.1920929e-7;
 const NO_ROOT: f32 = -1.0;
 
-// The root in [start, end], where the cubic falls from above zero to zero or below: Newton's method, bisecting where a
-// step leaves the bracket or shrinks too slowly.
+// The root in [start, end], where the cubic falls from above zero to zero or below. Newton's method, with a bisection
+// wherever a step leaves the bracket or shrinks too slowly.
 fn falling_root(c: vec4f, start: f32, end: f32) -> f32 {
     var low = start;
     var high = end;
@@ -77,10 +78,10 @@ fn falling_root(c: vec4f, start: f32, end: f32) -> f32 {
     return s;
 }
 
-// The first s in [0, s_end] where the cubic is not above zero, or NO_ROOT.
+// The first s in [0, s_end] where the cubic is <= 0, or NO_ROOT.
 fn first_root(c: vec4f, s_end: f32) -> f32 {
     if c.x <= 0.0 { return 0.0; }
-    // Roots of the derivative a s^2 + 2 b s + c1, without cancellation: q has the sign of -b.
+    // Roots of the derivative 3 c3 s^2 + 2 c2 s + c1 without cancellation: q has the sign of -c2.
     let a = 3.0 * c.w;
     let discriminant = c.z * c.z - a * c.y;
     var turns = vec2f(s_end);
@@ -92,7 +93,7 @@ fn first_root(c: vec4f, s_end: f32) -> f32 {
         turns = vec2f(min(first, second), max(first, second));
     }
     var start = 0.0;
-    // The first of the three pieces that ends at or below zero holds the root.
+    // The first of the three monotone pieces that ends at or below zero contains the root.
     if turns.x > start {
         if cubic_value(c, turns.x) <= 0.0 { return falling_root(c, start, turns.x); }
         start = turns.x;
@@ -105,12 +106,12 @@ fn first_root(c: vec4f, s_end: f32) -> f32 {
     return NO_ROOT;
 }
 
-// The largest corner at least, to divide by.
+// Lower limit of the largest corner, since the cubic is divided by it.
 const LEAST_CORNER: f32 = 1.2e-38;
 
-// The first place on [0, s_end] of a line through a cell where its field is not above zero, or -1, and the field at its start,
-// in units of the largest corner: products of coefficients stay in range at any scale. Above zero everywhere, as far as the
-// corners tell, it is asked no further.
+// Returns (s, value at the start): the first s on [0, s_end] along a line through a cell where the field is <= 0, or
+// -1; and the field at s = 0 in units of the largest corner. Scaling by the largest corner keeps products of
+// coefficients in range. If all corners are positive the cell has no root, and the cubic is not evaluated.
 fn root_in_cell(c: array<f32, 8>, p: vec3f, direction: vec3f, s_end: f32) -> vec2f {
     let low = vec4f(c[0], c[1], c[2], c[3]);
     let high = vec4f(c[4], c[5], c[6], c[7]);
@@ -122,7 +123,7 @@ fn root_in_cell(c: array<f32, 8>, p: vec3f, direction: vec3f, s_end: f32) -> vec
     return vec2f(first_root(cubic, s_end), cubic.x);
 }
 
-// The axis of the face through which a line leaves a box, from where it meets the faces before it.
+// The axis of the face through which a line leaves a box. `to_faces` holds the t of the exit face along each axis.
 fn first_axis(to_faces: vec3f) -> u32 {
     if to_faces.x <= to_faces.y && to_faces.x <= to_faces.z { return 0u; }
     return select(2u, 1u, to_faces.y <= to_faces.z);

@@ -1,5 +1,5 @@
-// The grid of samples. Positions along each axis are found in float64 on the CPU and rounded once; `axes` holds those of
-// x, then y, then z. Twin of LocalGrid in src/bake/mod.rs.
+// The grid of samples. The CPU computes the positions along each axis in float64 and rounds them once. `axes` holds the
+// positions along x, then y, then z, in local units. Twin of LocalGrid in src/bake/mod.rs.
 
 @group(0) @binding(3) var<storage, read> axes: array<f32>;
 
@@ -7,12 +7,12 @@ fn sample_position(voxel: vec3u, shape: vec3u) -> vec3f {
     return vec3f(axes[voxel.x], axes[shape.x + voxel.y], axes[shape.x + shape.y + voxel.z]);
 }
 
-// Memory order is x fastest.
+// Index of a sample in memory, x fastest.
 fn sample_offset(voxel: vec3u, shape: vec3u) -> u32 {
     return voxel.x + shape.x * (voxel.y + shape.y * voxel.z);
 }
 
-// Place of item `index` in a box of `shape`, x fastest.
+// Coordinates of item `index` in a box of `shape` items, x fastest.
 fn unravel(index: u32, shape: vec3u) -> vec3u {
     let row = index / shape.x;
     return vec3u(index % shape.x, row % shape.y, row / shape.y);

@@ -1,27 +1,27 @@
-// Colour of a lit surface: Blinn-Phong under directional lights and a hemisphere of ambient light. Twin of
+// Colour of a lit surface: Blinn-Phong reflection of directional lights, and hemispherical ambient light. Twin of
 // src/render/shade.rs.
 
 struct Light {
-    // The way the light travels, unit.
+    // Direction in which the light travels, unit length.
     direction: vec3f,
     pad_0: u32,
     color: vec3f,
     pad_1: u32,
 }
 
-// Ambient light that comes from below, as a share of the light from above.
+// Ambient light from below, as a fraction of the ambient light from above.
 const GROUND_SHARE: f32 = 0.4;
 const MAX_LIGHTS: u32 = 64u;
-// Smallest normal number, rounded up: what is shorter has no direction.
+// Slightly above the smallest normal float32. A shorter vector has no direction.
 const SHORTEST: f32 = 1.2e-38;
 
-// From the ground (normal down) to the sky (normal up).
+// Ambient light on a surface: interpolated between the ground (normal down) and the sky (normal up).
 fn ambient_light(normal: vec3f, ambient: f32) -> f32 {
     let sky = 0.5 + 0.5 * normal.y;
     return ambient * (GROUND_SHARE + (1.0 - GROUND_SHARE) * sky);
 }
 
-// What one light adds where all of it arrives.
+// Contribution of one unoccluded light to the colour.
 fn light_adds(light: Light, color: vec3f, normal: vec3f, to_eye: vec3f, specular: f32, shininess: f32) -> vec3f {
     let to_light = -light.direction;
     let cosine = dot(normal, to_light);

@@ -1,25 +1,26 @@
-// Fields nested in each other, each twice as fine as the one around it, as one. Twin of src/scene/nested.rs, which says why
-// the field has no jump. Grid space is the finest level's, carried on over the box of the outermost one.
+// Nested fields, each twice as fine as the one around it, evaluated as one field. Twin of src/scene/nested.rs, which
+// explains why the field has no jump. Grid space is that of the finest level, extended over the box of the outermost
+// one.
 
 #import ray
 
 struct NestedLevel {
     shape: vec3u,
-    // Where its samples begin.
+    // Index of the level's first sample in `distances`.
     first_sample: u32,
-    // Its own grid space: `scale * p_grid + offset`.
+    // Map to the grid space of this level: `scale * p_grid + offset`.
     offset: vec3f,
     scale: f32,
 }
 
-// Of all levels, finest first.
+// Samples of all levels, finest level first.
 @group(0) @binding(1) var<storage, read> distances: array<f32>;
 @group(0) @binding(5) var<storage, read> levels: array<NestedLevel>;
 
-// Twice the levels at most, as in python/fieldbake/merging/nested.py.
+// Largest number of pieces: twice the largest number of levels (python/fieldbake/merging/nested.py).
 const MAX_PIECES: u32 = 24u;
 
-// Where the samples begin of the level that is read.
+// First sample of the level that is being read.
 var<private> first_sample: u32;
 
 fn stored_sample(index: u32) -> f32 {
@@ -30,12 +31,13 @@ fn in_level(k: u32, p_grid: vec3f) -> vec3f {
     return levels[k].scale * p_grid + levels[k].offset;
 }
 
-// How far within its box a level answers, in its voxels: between its samples, the outermost one everywhere.
+// Grid coordinate at which the region of a level begins: 0 (the first sample), or -0.5 (the box) for the outermost
+// level.
 fn border_of(k: u32) -> f32 {
     return select(0.0, -0.5, k + 1u == arrayLength(&levels));
 }
 
-// From and to where a ray is in a level's region; an empty part at its end where it misses.
+// The interval of a ray in the region of a level. A miss returns an empty interval at the end of the ray.
 fn part_in(k: u32, ray: ClippedRay) -> vec2f {
     let border = border_of(k);
     let upper = vec3f(levels[k].shape) - 1.0 - border;
@@ -44,11 +46,12 @@ fn part_in(k: u32, ray: ClippedRay) -> vec2f {
     return min(vec2f(clipped.t_enter, clipped.t_enter + clipped.t_max) / levels[k].scale, vec2f(ray.t_max));
 }
 
-// The first hit of a ray: one piece in each level before it enters the next finer one and one behind it.
+// The first hit of a ray. The ray is split into pieces: in each level, one before it enters the next finer level and
+// one behind it.
 fn first_hit(ray: ClippedRay) -> Hit {
     var hit: Hit;
     var steps = 0u;
-    // Inwards to the finest level, and outwards again.
+    // The pieces go inwards to the finest level, then outwards again.
     let outermost = arrayLength(&levels) - 1u;
     for (var piece = 0u; piece < MAX_PIECES; piece++) {
         if piece > 2u * outermost { break; }
@@ -78,8 +81,8 @@ fn first_hit(ray: ClippedRay) -> Hit {
     return hit;
 }
 
-// The gradient in the finest level that holds a point, averaged over a voxel of that; inward of the outer half voxel, where
-// the field is constant along an axis.
+// The gradient in the finest level that contains a point, averaged over one voxel of that level. The point is moved out
+// of the outermost half voxel, where the field is constant along an axis.
 fn slope_at(p_grid: vec3f) -> vec3f {
     var k = 0u;
     for (; k < MAX_PIECES; k++) {
@@ -93,7 +96,7 @@ fn slope_at(p_grid: vec3f) -> vec3f {
     return slope_over_voxel(clamp(in_level(k, p_grid), min(vec3f(0.5), high), high), shape);
 }
 
-// From all sides alike, as in scenes, where the CPU draws nested fields.
+// Ambient light is the same from all sides, as in scenes, where the CPU draws nested fields.
 fn ambient_on(normal: vec3f) -> f32 {
     return params.ambient;
 }

@@ -1,4 +1,4 @@
-// A picture of a field on one grid, the picture's own.
+// Ray tracing and normals for a picture of a single grid, whose space is the space of the picture.
 
 fn first_hit(ray: ClippedRay) -> Hit {
     return march(ray, params.shape);

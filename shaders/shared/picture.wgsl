@@ -1,5 +1,5 @@
-// A picture of a field: one invocation a pixel, its ray and its shadow rays. Twin of src/render/mod.rs and
-// src/render/shade.rs. The kernel that imports this brings `field_at`, `first_hit` of a ray, `slope_at` a point and
+// Draws a field. One invocation computes one pixel: its ray and its shadow rays. Twin of src/render/mod.rs and
+// src/render/shade.rs. The importing kernel must define `field_at`, `first_hit` of a ray, `slope_at` a point, and
 // `ambient_on` a surface.
 
 #import clip
@@ -7,15 +7,15 @@
 #import picture_rays
 
 struct MarchParams {
-    // In grid space; depth is counted in the smallest side of a voxel.
+    // Rays in grid space. Depth is in units of the smallest side of a voxel.
     rays: PictureRays,
-    // The field's voxels; of nested fields, as many as if all were as fine as the finest.
+    // Number of voxels of the field along each axis. Nested fields count as if every level were as fine as the finest.
     shape: vec3u,
-    // The first row that `pixels` holds, and the one after the last.
+    // First row that `pixels` holds, and one past the last row.
     band_start: u32,
     color: vec3f,
     band_end: u32,
-    // Voxel size relative to its smallest side.
+    // Voxel size divided by its smallest side.
     relative_spacing: vec3f,
     ambient: f32,
     background: vec4f,
@@ -28,7 +28,7 @@ struct MarchParams {
 struct Pixel {
     color: vec4f,
     normal: vec3f,
-    // Depth beyond the start of the ray, in the smallest side of a voxel.
+    // Depth beyond the start of the ray, in units of the smallest side of a voxel.
     depth: f32,
     steps: u32,
     is_hit: u32,
@@ -39,13 +39,13 @@ struct Pixel {
 @group(0) @binding(0) var<storage, read> params: MarchParams;
 @group(0) @binding(2) var<storage, read> lights: array<Light>;
 @group(0) @binding(3) var<storage, read_write> pixels: array<Pixel>;
-// Share of each light that arrives, `light_count` a pixel.
+// Fraction of each light that arrives, `light_count` values per pixel.
 @group(0) @binding(4) var<storage, read_write> shares: array<f32>;
 
-// Start of a shadow ray above the surface.
+// Distance of the origin of a shadow ray from the surface, voxels.
 const SHADOW_BIAS_VOXELS: f32 = 0.5;
 
-// The gradient at a point of the grid space of `shape` voxels, averaged over a voxel around it.
+// The gradient at a point in grid space of `shape` voxels, averaged over one voxel around the point.
 fn slope_over_voxel(p_grid: vec3f, shape: vec3u) -> vec3f {
     var per_voxel: vec3f;
     for (var axis = 0u; axis < 3u; axis++) {
@@ -56,7 +56,7 @@ fn slope_over_voxel(p_grid: vec3f, shape: vec3u) -> vec3f {
     return per_voxel;
 }
 
-// World normal at a point of the surface; `fallback` where the field has no slope.
+// World normal at a point of the surface. Returns `fallback` where the gradient is zero.
 fn surface_normal(p_grid: vec3f, fallback: vec3f) -> vec3f {
     let per_voxel = slope_at(p_grid);
     let sizes = abs(per_voxel);
@@ -65,10 +65,10 @@ fn surface_normal(p_grid: vec3f, fallback: vec3f) -> vec3f {
     return normalize(per_voxel / largest / params.relative_spacing);
 }
 
-// 1 where nothing of the field stands between the surface and the light, else 0.
+// 0 if the field occludes the light, else 1.
 fn share_that_arrives(p_grid: vec3f, normal: vec3f, to_light: vec3f) -> f32 {
     if dot(normal, to_light) <= 0.0 { return 0.0; }
-    // The bias is as long as the voxel is in the direction of the normal.
+    // The bias is the extent of a voxel along the normal.
     let voxel = length(normal * params.relative_spacing);
     let origin = p_grid + SHADOW_BIAS_VOXELS * voxel * normal / params.relative_spacing;
     let ray = clip_to_box(origin, to_light / params.relative_spacing, params.shape);
@@ -98,10 +98,10 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
             if !hit.at_start {
                 normal = surface_normal(p_grid, to_eye);
             } else if ray.enter_axis != NO_AXIS {
-                // The cut on a face of the box.
+                // The hit lies on a face of the box, which cuts the solid: the normal is that of the face.
                 normal[ray.enter_axis] = select(-1.0, 1.0, to_eye[ray.enter_axis] >= 0.0);
             } else {
-                // The eye is in the solid.
+                // The eye is inside the solid.
                 normal = to_eye;
             }
 

@@ -1,9 +1,9 @@
-// The rays of a picture, one a pixel. They start on a plane before the camera, just before what there is to see: the CPU moves
-// the eye there in float64, so that float32 is exact enough for a camera at any distance. Twin of src/render/camera.rs.
+// The rays of a picture, one per pixel. They start on a plane just before the visible objects. The CPU moves the eye
+// there in float64, so float32 is precise enough for a camera at any distance. Twin of src/render/camera.rs.
 
 struct PictureRays {
-    // Where the ray of the middle of the picture starts, and what one unit to the right and up on the plane at depth 1
-    // adds to it.
+    // Start of the ray through the centre of the picture. One unit to the right or up on the plane at depth 1 adds
+    // `start_right` or `start_up`.
     start: vec3f,
     width: u32,
     start_right: vec3f,
@@ -11,7 +11,7 @@ struct PictureRays {
     start_up: vec3f,
     // The first row of this dispatch.
     first_row: u32,
-    // Its direction, one unit of depth long, and what one unit to the right and up adds.
+    // Direction of that ray, one unit of depth long. One unit to the right or up adds `right` or `up`.
     forward: vec3f,
     // Side of a pixel on the plane at depth 1.
     pixel: f32,
@@ -22,7 +22,7 @@ struct PictureRays {
     shadows: u32,
 }
 
-// Where the ray of a pixel's middle starts, and its direction, one unit of depth long.
+// Start and direction of the ray through the centre of a pixel. The direction is one unit of depth long.
 struct PictureRay {
     start: vec3f,
     along: vec3f,

@@ -1,21 +1,22 @@
-// Where rays cross a quadric, in the frame of its trim sphere. Twin of src/quadric/local.rs.
+// Intersections of rays with a quadric, in the frame of its trim sphere. Twin of src/quadric/local.rs.
 
-// q^T m q + 2 v.q + w.
+// The quadratic form q^T m q + 2 v.q + w.
 struct QuadricForm {
     m: mat3x3f,
     v: vec3f,
     w: f32,
 }
 
-// Farther than any crossing.
+// Larger than the t of any crossing.
 const NO_CROSSING: f32 = 3.0e38;
-// Error of a coefficient of the quadratic: 16 machine epsilons.
+// Relative error of a coefficient of the quadratic: 16 machine epsilons.
 const QUADRIC_EPS: f32 = 1.9073486e-6;
 
-// Both crossings of a ray in the unit ball, in radii from its origin, in no order; NO_CROSSING for one that is not there. The
-// direction is unit.
+// Both crossings of a ray with the quadric inside the unit ball, as distances from the origin in radii, in no
+// particular order. A missing crossing is NO_CROSSING. The direction must have unit length.
 fn quadric_crossings(form: QuadricForm, origin: vec3f, direction: vec3f) -> vec2f {
-    // Twice: seen from a thousand radii the first difference is rounded by as much.
+    // The nearest point to the centre is computed in two rounds: from a thousand radii away, the first subtraction
+    // alone is rounded by too much.
     let about = dot(origin, direction);
     let almost = origin - about * direction;
     let rest = dot(almost, direction);

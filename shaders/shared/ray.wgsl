@@ -1,5 +1,5 @@
-// Rays through the grid to the first point where the field is not above zero. Twin of src/render/march.rs, which says
-// why no epsilon decides a hit; it leaps over blocks of empty cells where this visits each.
+// Traces rays through the grid to the first point where the field is <= 0. Twin of src/render/march.rs, which explains
+// why no epsilon decides a hit. The CPU leaps over blocks of empty cells; this shader visits each cell.
 
 #import clip
 #import sampling
@@ -7,7 +7,7 @@
 // An axis on which the direction is smaller than this counts as parallel.
 const PARALLEL: f32 = 1e-20;
 
-// Walk along a ray to its first hit.
+// Traces a ray to its first hit.
 fn march(ray: ClippedRay, shape: vec3u) -> Hit {
     var hit: Hit;
     let last_cell = vec3i(shape) - 1;
@@ -17,7 +17,7 @@ fn march(ray: ClippedRay, shape: vec3u) -> Hit {
 
     var t = 0.0;
     var cell = clamp(vec3i(floor(ray.origin)), vec3i(-1), last_cell);
-    // A cell index never moves back.
+    // The index of a cell never moves back along the ray.
     let max_steps = shape.x + shape.y + shape.z + 4u;
     for (var step = 1u; step <= max_steps; step++) {
         hit.steps = step;
@@ -35,7 +35,7 @@ fn march(ray: ClippedRay, shape: vec3u) -> Hit {
         }
         if t_end >= ray.t_max { return hit; }
 
-        // Into the next cell, exact on the axis of the face.
+        // Continues in the next cell, which is exact along the axis of the face.
         t = t_end;
         cell[axis] += 2 * side[axis] - 1;
         cell = clamp(cell, vec3i(-1), last_cell);

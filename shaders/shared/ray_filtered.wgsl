@@ -1,35 +1,39 @@
-// Rays through a filtered 3D texture to the first point that is found not above zero: sphere tracing, then false position.
+// Traces rays through a filtered 3D texture to the first point where the field is <= 0: sphere tracing, then false
+// position.
 //
-// The texture holds distances in units of the smallest side of a voxel. Hardware rounds its weights to 8 bits or so
-// (WebGPU promises no number), half floats hold 11: together a value is within 0.005 of the trilinear one near the
-// surface. A ray that is in the solid for less than MIN_STEP may miss it.
+// The texture holds distances in units of the smallest side of a voxel. Hardware rounds the weights of its filter to
+// about 8 bits (WebGPU guarantees no precision), and half floats have 11 bits. Together a value near the surface is
+// within 0.005 of the trilinear one. A ray that is inside the solid for less than MIN_STEP may miss it.
 
 #import clip
 
 @group(0) @binding(5) var field: texture_3d<f32>;
 @group(0) @binding(6) var field_sampler: sampler;
 
-// Steps of a ray at most: twice the voxels along the diagonal of the largest 3D texture that devices offer, and some.
+// Largest number of steps of a ray: more than twice the voxels along the diagonal of the largest 3D texture that
+// devices offer.
 const MAX_STEPS: u32 = 16384u;
-// A shorter step than this does not leave the cell, voxels.
+// Smallest step, voxels. A shorter step would stay in the cell.
 const MIN_STEP: f32 = 0.5;
-// How far the field between samples may lie above the distance, in the smallest side of a voxel: half a cell.
+// Largest difference by which the interpolated field may exceed the distance, in units of the smallest side of a voxel:
+// half a cell.
 const INTERPOLATION_SLACK: f32 = 0.5;
-// Rounds of false position; the bracket is MIN_STEP long or little more.
+// Number of rounds of false position. The bracket is about MIN_STEP long.
 const ROOT_ROUNDS: u32 = 8u;
 
-// The field at a point of grid space, in the smallest side of a voxel; outside the box, at its nearest point.
+// The field at a point of grid space, in units of the smallest side of a voxel. Outside the box: the value at its
+// nearest point.
 fn field_at(p_grid: vec3f, shape: vec3u) -> f32 {
     return textureSampleLevel(field, field_sampler, (p_grid + 0.5) / vec3f(shape), 0.0).x;
 }
 
-// The root between `start`, where the field is `above` zero, and `end`, where it is `below` or at zero: false position,
-// halving the value at an end that stays twice (the Illinois method).
+// The root between `start` and `end`, each (t, value). The value is > 0 at `start` and <= 0 at `end`. False position;
+// the value at an end that stays twice is halved (the Illinois method).
 fn root_between(ray: ClippedRay, shape: vec3u, start: vec2f, end: vec2f) -> f32 {
     var above = start;
     var below = end;
     var t = end.x;
-    // Rounds in a row that ended above zero, negative for those that did not.
+    // Number of consecutive rounds with a value above zero; negative for rounds with a value <= 0.
     var side = 0;
     for (var round = 0u; round < ROOT_ROUNDS; round++) {
         t = above.x + (below.x - above.x) * (above.y / max(above.y - below.y, TINY));
@@ -47,10 +51,10 @@ fn root_between(ray: ClippedRay, shape: vec3u, start: vec2f, end: vec2f) -> f32 
     return t;
 }
 
-// Walk along a ray to its first hit. `params.relative_spacing` is that of the picture.
+// Traces a ray to its first hit.
 fn march(ray: ClippedRay, shape: vec3u) -> Hit {
     var hit: Hit;
-    // Length of one unit of t in the smallest side of a voxel.
+    // Length of one unit of t, in units of the smallest side of a voxel.
     let per_t = length(ray.direction * params.relative_spacing);
     var before = vec2f(0.0, field_at(ray.origin, shape));
     if before.y <= 0.0 {

@@ -1,28 +1,29 @@
-// Rays through a sparse field that is alone on the device, in the words that src/render/gpu_fields.rs uploads.
+// Traces rays through a single sparse field, from the buffers that src/render/gpu_fields.rs uploads.
 
 #import clip
 #import bricks_march
 
 struct SparseParams {
-    // Bricks along each axis.
+    // Number of bricks along each axis.
     bricks: vec3u,
-    // No point of an empty brick is nearer to the surface, world units.
+    // Smallest distance of any point of an empty brick from the surface, world units.
     floor: f32,
-    // Distance of neighbouring nodes along each axis, in units of the longest of the three.
+    // Distance of neighbouring nodes along each axis, in units of the longest of the three steps.
     node_step: vec3f,
-    // That, world units.
+    // Longest of the three steps, world units.
     longest_step: f32,
 }
 
 @group(0) @binding(5) var<storage, read> index: array<u32>;
 @group(0) @binding(6) var<storage, read> nodes: array<f32>;
-// How many bricks around each there is no surface, in bytes, x fastest; 0 for a brick with a surface.
+// One byte per brick, x fastest: the radius, in bricks, of the surrounding cube that contains no surface; 0 if the
+// brick has one.
 @group(0) @binding(8) var<storage, read> empty_space: array<u32>;
 @group(0) @binding(9) var<uniform> sparse: SparseParams;
 
 // An axis on which the direction is smaller than this counts as parallel.
 const PARALLEL: f32 = 1e-20;
-// Steps of a ray at most; src/render/gpu_fields.rs takes no grid with more cells on the way than this.
+// Largest number of steps of a ray. src/render/gpu_fields.rs refuses grids in which a ray may visit more cells.
 const MAX_STEPS: u32 = 16384u;
 
 var<private> steps: u32;
@@ -43,12 +44,12 @@ fn all_bricks(shape: vec3u) -> Bricks {
     return Bricks(shape, sparse.bricks, sparse.floor, sparse.node_step, sparse.longest_step, 0u, 0u, 0u, 0u);
 }
 
-// The field at a point of grid space; outside the box, at its nearest point.
+// The field at a point of grid space, world units. Outside the box: the value at its nearest point.
 fn field_at(p_grid: vec3f, shape: vec3u) -> f32 {
     return sample_bricks(all_bricks(shape), clamp(p_grid, vec3f(-0.5), vec3f(shape) - 0.5));
 }
 
-// Walk along a ray to its first hit.
+// Traces a ray to its first hit.
 fn march(ray: ClippedRay, shape: vec3u) -> Hit {
     var hit: Hit;
     steps = 0u;

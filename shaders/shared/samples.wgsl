@@ -1,4 +1,4 @@
-// The samples of a dense field in float32.
+// The samples of a dense float32 field.
 
 @group(0) @binding(1) var<storage, read> distances: array<f32>;
 

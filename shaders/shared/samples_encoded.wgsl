@@ -1,15 +1,15 @@
-// Stored samples in any encoding, decoded as they are read. Twin of src/encoding.rs.
+// Samples stored in any encoding, decoded when they are read. Twin of src/encoding.rs.
 
 struct StoredParams {
-    // FLOAT32 and so on.
+    // FLOAT32, FLOAT16, SNORM16 or SNORM8.
     encoding: u32,
-    // Distance of a stored 1: a half is multiplied by it, and so is the share of a normalised integer.
+    // Distance that the stored value 1 stands for. Halves, and normalised integers as fractions, are multiplied by it.
     scale: f32,
     pad_0: u32,
     pad_1: u32,
 }
 
-// Four samples of 8 bits, two of 16 or one of 32 in each word, the first in the lowest bits.
+// Each word holds one sample of 32 bits, two of 16 or four of 8. The first sample is in the lowest bits.
 @group(0) @binding(1) var<storage, read> words: array<u32>;
 @group(0) @binding(7) var<uniform> stored: StoredParams;
 
@@ -18,15 +18,16 @@ const FLOAT16: u32 = 1u;
 const SNORM16: u32 = 2u;
 const SNORM8: u32 = 3u;
 
-// Distance of two halves below 2^-14, where they are evenly spaced: 2^-24.
+// Spacing of halves below 2^-14, which are evenly spaced: 2^-24.
 const HALF_SUBNORMAL: f32 = 5.9604645e-8;
 
-// The value of a half that is finite. By hand: devices may read the smallest ones as zero, which would be a hit.
+// The value of a finite half. The conversion is written out, because devices may read subnormal halves as zero, which
+// would count as a hit.
 fn half_value(bits: u32) -> f32 {
     let sign = (bits & 0x8000u) << 16u;
     let magnitude = bits & 0x7fffu;
     if magnitude < 0x400u { return bitcast<f32>(sign | bitcast<u32>(f32(magnitude) * HALF_SUBNORMAL)); }
-    // From an exponent that is 15 too high to one that is 127 too high.
+    // Changes the bias of the exponent from 15 to 127.
     return bitcast<f32>(sign | ((magnitude << 13u) + (112u << 23u)));
 }
 

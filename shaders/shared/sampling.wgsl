@@ -1,5 +1,6 @@
-// The stored field between its samples, by hand: hardware filters round the weights to 8 bits or so. Twin of
-// src/volume/mod.rs. The kernel that imports this brings `stored_sample`, the sample at a place in memory.
+// Trilinear interpolation of a dense field. It is written out, because hardware filters round the weights to about 8
+// bits. Twin of src/volume/mod.rs. The importing kernel must define `stored_sample(i)`, the sample at index i in
+// memory.
 
 #import cubic
 
@@ -20,7 +21,7 @@ fn cell_corners(cell: vec3i, shape: vec3u) -> array<f32, 8> {
     );
 }
 
-// The trilinear field at a point of grid space; outside the box, at its nearest point.
+// The trilinear field at a point of grid space. Outside the box: the value at its nearest point.
 fn field_at(p_grid: vec3f, shape: vec3u) -> f32 {
     let p = clamp(p_grid, vec3f(-0.5), vec3f(shape) - 0.5);
     let cell = floor(p);

@@ -1,4 +1,4 @@
-// Dense grids of a scene: blocks of 4^3 cells. Twin of `DenseField` in src/scene/field.rs.
+// Dense grids of a scene, with blocks of 4^3 cells. Twin of `DenseField` in src/scene/field.rs.
 
 #import scene_field
 #import cubic
@@ -19,7 +19,7 @@ fn corners_of(field: SceneField, cell: vec3i) -> array<f32, 8> {
     );
 }
 
-// At a point of the data.
+// The field at a point inside the grid; `p` is in grid space.
 fn dense_sample(field: SceneField, p: vec3f) -> f32 {
     let cell = floor(p);
     return trilinear(corners_of(field, vec3i(cell)), p - cell);
@@ -30,7 +30,8 @@ fn empty_blocks(field: SceneField, block: vec3i) -> i32 {
     return i32((blocks[index / 4u] >> (8u * (index % 4u))) & 0xffu);
 }
 
-// The first t in [0, t_max] where the field is not above zero, or -1: leaps over empty blocks, cubics in cells.
+// The first t in [0, t_max] where the field is <= 0, or -1. The ray leaps over empty blocks and intersects the cubic in
+// each other cell.
 fn dense_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 {
     let per_t = length(along);
     let direction = along / per_t;
@@ -46,7 +47,7 @@ fn dense_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 
         steps++;
         let block = (cell + 1) >> vec3u(2u);
         let empty = empty_blocks(field, block);
-        // The far faces of the empty cube, or of the cell.
+        // The exit faces of the empty cube, or of the cell.
         var face = cell + side;
         if empty > 0 {
             let first = (block - (empty - 1)) * 4 - 1;
@@ -62,7 +63,7 @@ fn dense_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 
         }
         if t_end >= end { return -1.0; }
         t = t_end;
-        // Exact on the axis of the face, never back on the others.
+        // The new cell is exact along the axis of the face, and never moves back along the others.
         if empty > 0 {
             let here = vec3i(floor(origin + t * direction));
             cell = select(min(here, cell), max(here, cell), forward);

@@ -1,11 +1,12 @@
-// The instances of a scene and the records of their fields, and rays between them. Twin of src/scene/device_fields.rs.
+// The instances of a scene, the records of their fields, and rays transformed between their spaces. Twin of
+// src/scene/device_fields.rs.
 
 struct SceneInstance {
     // Rows of the affine map from scene space to field space.
     field_x: vec4f,
     field_y: vec4f,
     field_z: vec4f,
-    // Rows of the map of directions from scene space to the thing's own axes.
+    // Rows of the map of directions from scene space to the object's own axes.
     local_x: vec3f,
     opacity: f32,
     local_y: vec3f,
@@ -18,15 +19,15 @@ struct SceneInstance {
     normal_y: vec3f,
     casts_shadow: u32,
     normal_z: vec3f,
-    // Of a level of a far field; 0 for an instance.
+    // Voxel size of a level of a far field, scene units; 0 for an instance.
     voxel: f32,
     box_min: vec3f,
-    // Thin rays answer for cones.
+    // 1 if cones are estimated by thin rays for this instance.
     prefers_rays: u32,
     box_max: vec3f,
     pad_1: u32,
     surface_lower: vec3f,
-    // Of a ball about the middle of the surface's box that holds the surface.
+    // Radius of the ball around the surface, centred in the box of the surface. Field space.
     surface_radius: f32,
     surface_upper: vec3f,
     pad_2: u32,
@@ -34,13 +35,13 @@ struct SceneInstance {
     pad_3: u32,
 }
 
-// A field by its kind. Only sampled ones have a shape and a spacing.
+// A field of any kind. Only sampled kinds have a shape and a spacing.
 struct SceneField {
     shape: vec3u,
-    // Its first number in `samples`.
+    // Index of the field's first value in `samples`.
     first_sample: u32,
     spacing: vec3f,
-    // Its first byte in `blocks`.
+    // Index of the field's first byte in `blocks`.
     first_block: u32,
     blocks: vec3u,
     kind: u32,
@@ -53,20 +54,20 @@ const KIND_SHAPE: u32 = 3u;
 
 @group(0) @binding(3) var<storage, read> instances: array<SceneInstance>;
 @group(0) @binding(4) var<storage, read> fields: array<SceneField>;
-// What the kinds say of their fields in numbers.
+// Samples and parameters of all fields. The layout depends on the kind of the field.
 @group(0) @binding(5) var<storage, read> samples: array<f32>;
-// Distance of each block of cells to one with a surface, in blocks, four to a word.
+// Distance of each block of cells to the nearest block with a surface, in blocks; four bytes to a word.
 @group(0) @binding(6) var<storage, read> blocks: array<u32>;
 
 const FAR_T: f32 = 1e30;
 const PARALLEL: f32 = 1e-20;
 const TINY: f32 = 1.2e-38;
-// Of the whole invocation, all loops together: software drivers cut it off at 65,535 without a word.
+// Largest number of steps of an invocation, over all its loops. Software drivers stop it at 65,535 without an error.
 const MAX_STEPS: u32 = 50000u;
 
 var<private> steps: u32;
 
-// From and to where a part of a line is in a box; from above to where it misses.
+// Clips the ray interval `part` to a box. Returns (t_enter, t_exit); a miss returns t_enter > t_exit.
 fn clip(origin: vec3f, direction: vec3f, lower: vec3f, upper: vec3f, part: vec2f) -> vec2f {
     var span = part;
     for (var axis = 0u; axis < 3u; axis++) {
@@ -98,7 +99,7 @@ fn local_direction(index: u32, d: vec3f) -> vec3f {
     return vec3f(dot((*to).local_x, d), dot((*to).local_y, d), dot((*to).local_z, d));
 }
 
-// A scene normal, not unit, from one in the thing's own axes.
+// The scene normal, not of unit length, of a normal in the object's own axes.
 fn scene_normal(index: u32, n: vec3f) -> vec3f {
     let to = &instances[index];
     return (*to).local_x * n.x + (*to).local_y * n.y + (*to).local_z * n.z;

@@ -1,11 +1,11 @@
 // Quadrics of a scene: sheets in trim spheres about the origin of field space. Twin of src/scene/things/quadric.rs.
 //
-// In `samples` a quadric has the columns of the matrix of its form in the frame of the trim sphere.
+// The record of a quadric in `samples` is the 4x4 matrix of its form in the frame of the trim sphere, by columns.
 
 #import scene_solids
 #import quadric
 
-// Field units of a trim sphere's radius.
+// Radius of the trim sphere in field units.
 const QUADRIC_UNITS: f32 = 1024.0;
 
 fn quadric_column(field: SceneField, column: u32) -> vec4f {
@@ -31,13 +31,13 @@ fn quadric_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f3
 
 const HAS_THIN: bool = true;
 
-// The first t in [0, t_max] where a ray is in matter, or -1. The ray lies in the box of the surface.
+// The first t in [0, t_max] where a ray enters the object, or -1. The ray lies in the box of the surface.
 fn field_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 {
     if field.kind == KIND_QUADRIC { return quadric_hit(field, origin, along, t_max); }
     return solid_hit(field, origin, along, t_max);
 }
 
-// The same of what is asked by thin rays.
+// `field_hit` for objects that cones test by thin rays.
 fn thin_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 {
     return quadric_hit(field, origin, along, t_max);
 }

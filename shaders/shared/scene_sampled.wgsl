@@ -1,8 +1,9 @@
-// Fields of samples between and beyond them: distances, gradients. Twin of `SampledField` in src/scene/field.rs.
+// Distances and gradients of sampled fields, inside and outside their grids. Twin of `SampledField` in
+// src/scene/field.rs.
 
 #import scene_samples
 
-// The nearest point of the data.
+// The point of the grid's box that is nearest to `p`. Grid space.
 fn into_data(field: SceneField, p: vec3f) -> vec3f {
     return clamp(p, vec3f(-0.5), vec3f(field.shape) - 0.5);
 }
@@ -11,7 +12,7 @@ fn sample_field(field: SceneField, p: vec3f) -> f32 {
     return sample_in_data(field, into_data(field, p));
 }
 
-// Distance of p if that of the nearest point b of the data is s.
+// A lower bound on the distance at p, if the distance at the nearest point b of the box is s.
 fn distance_beyond(field: SceneField, p: vec3f, b: vec3f, s: f32) -> f32 {
     let outside = (p - b) * field.spacing;
     let a_squared = dot(outside, outside);
@@ -19,7 +20,7 @@ fn distance_beyond(field: SceneField, p: vec3f, b: vec3f, s: f32) -> f32 {
     return sqrt(a_squared + max(s, 0.0) * max(s, 0.0));
 }
 
-// Distance in the thing's units; outside the data a lower bound.
+// Distance in the object's units. Outside the grid it is a lower bound.
 fn sampled_distance(field: SceneField, p: vec3f) -> f32 {
     let b = into_data(field, p);
     return distance_beyond(field, p, b, sample_in_data(field, b));
@@ -41,7 +42,7 @@ fn sampled_gradient(field: SceneField, point: vec3f) -> vec3f {
     return normalize(slope / largest);
 }
 
-// A better guess of the distance outside the data.
+// An estimate of the distance, closer than the lower bound outside the grid.
 fn sampled_guess(field: SceneField, p: vec3f) -> f32 {
     let b = into_data(field, p);
     let s = sample_in_data(field, b);

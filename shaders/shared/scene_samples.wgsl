@@ -1,9 +1,9 @@
-// Where the samples of fields are: here in dense grids alone. A scene that holds sparse fields too has another text in place
-// of this one, see src/scene/kinds.rs.
+// Access to the samples of fields: this variant has dense grids only. A scene with sparse fields imports another
+// variant of this file, see src/scene/kinds.rs.
 
 #import scene_dense
 
-// At a point of the data.
+// The field at a point inside the grid; `p` is in grid space.
 fn sample_in_data(field: SceneField, p: vec3f) -> f32 {
     return dense_sample(field, p);
 }

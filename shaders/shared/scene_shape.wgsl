@@ -1,18 +1,23 @@
-// Shapes of a scene, met and measured as a whole. Twin of src/scene/things/shape.rs, and of `march` in src/csg/trace.rs.
+// Shapes of a scene, traced and measured as a whole. Twin of src/scene/things/shape.rs, and of `march` in
+// src/csg/trace.rs.
 //
-// In `samples` a shape has the number of its structure, one over its Lipschitz constant, the thing's units of a local unit and
-// whether its field is exact, then the numbers that its function reads.
+// Layout of a shape in `samples`:
+//   0    index of its structure
+//   1    1 / Lipschitz constant
+//   2    the object's units per local unit
+//   3    1 if the field is an exact distance, else 0
+//   4..  parameters that the function of the structure reads
 
 #import csg_root
 #import scene_sampled
 #import scene_structures
 
-// Field units of a local unit.
+// Number of field units in a local unit.
 const SHAPE_UNITS: f32 = 1024.0;
-// Walks to the surface, each of them first order.
+// Number of first-order steps to the surface.
 const GUESSES: u32 = 3u;
-// Half the step of a slope's differences, local units: float32 leaves 5e-4 of the slope, and creases are seen as sharp
-// as they can be.
+// Half the step of the central differences, local units. Rounding leaves an error of 5e-4 in the gradient; a larger
+// step would blur creases.
 const SLOPE_STEP: f32 = 1.2207031e-4;
 
 struct SceneShape {
@@ -20,7 +25,7 @@ struct SceneShape {
     inverse_lipschitz: f32,
     scale: f32,
     is_exact: bool,
-    // The first of its numbers.
+    // Index of the first parameter in `samples`.
     first: u32,
 }
 
@@ -29,14 +34,14 @@ fn shape_of(field: SceneField) -> SceneShape {
     return SceneShape(u32(samples[at]), samples[at + 1u], samples[at + 2u], samples[at + 3u] != 0.0, at + 4u);
 }
 
-// The field, local units.
+// The field at a point, local units.
 fn shape_value(shape: SceneShape, p: vec3f) -> f32 {
     steps++;
     return structure_distance(shape.structure, p, shape.first);
 }
 
-// The slope of the field by differences, and the field. One evaluation in a loop: drivers put functions in place of their
-// calls.
+// The gradient by central differences (xyz) and the field (w). The loop evaluates the field at one place of the text,
+// because drivers inline functions.
 fn shape_slope(shape: SceneShape, p: vec3f) -> vec4f {
     var found = vec4f(0.0);
     for (var i = 0u; i < 7u && steps < MAX_STEPS; i++) {

@@ -1,24 +1,24 @@
-// What rays and cones ask of solids: here of sampled fields alone. A scene that holds shapes too has another text in place of
-// this one, see src/scene/kinds.rs.
+// Intersections and distances of solids: this variant has sampled fields only. A scene with shapes imports another
+// variant of this file, see src/scene/kinds.rs.
 
 #import scene_sampled
 
-// The first t in [0, t_max] where a ray is in matter, or -1. The ray lies in the box of the surface.
+// The first t in [0, t_max] where a ray enters the solid, or -1. The ray lies in the box of the surface.
 fn solid_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 {
     return sampled_hit(field, origin, along, t_max);
 }
 
-// Distance in the thing's units; where it is not known, a lower bound.
+// Distance in the object's units. Where it is not known, a lower bound.
 fn field_distance(field: SceneField, p: vec3f) -> f32 {
     return sampled_distance(field, p);
 }
 
-// A better guess of the distance, which may be above it by second order.
+// An estimate of the distance, which may exceed it by a second-order error.
 fn field_guess(field: SceneField, p: vec3f) -> f32 {
     return sampled_guess(field, p);
 }
 
-// Gradient of the distance in the thing's own axes, near length 1; zero where there is none.
+// Gradient of the distance in the object's own axes, of about unit length; zero where it is undefined.
 fn field_gradient(field: SceneField, p: vec3f) -> vec3f {
     return sampled_gradient(field, p);
 }

@@ -1,7 +1,8 @@
-// Sparse fields of a scene: the bricks as they are stored. Twin of src/scene/things/sparse.rs.
+// Sparse fields of a scene, as bricks. Twin of src/scene/things/sparse.rs.
 //
-// In `samples` a sparse field has its floor, its longest step, the step along each axis, the nodes and the samples of its
-// bricks; in `blocks` a byte a brick, and from the next whole word on its index.
+// Layout of a sparse field:
+//   `samples`: floor, longest step, step along x, y and z, nodes, samples of the bricks
+//   `blocks`:  one byte per brick (see bricks_march.wgsl), padded to whole words, then the index, one word per brick
 
 #import scene_dense
 #import bricks_march
@@ -48,7 +49,7 @@ fn sparse_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32
 
 // ---- in a scene with dense grids
 
-// At a point of the data.
+// The field at a point inside the grid; `p` is in grid space.
 fn sample_in_data(field: SceneField, p: vec3f) -> f32 {
     if field.kind == KIND_SPARSE { return sample_bricks(bricks_of(field), p); }
     return dense_sample(field, p);

@@ -1,5 +1,5 @@
-// The field of a shape by the number of its structure. The kernels of a scene have another text in place of this one: a
-// function for each structure of its shapes, see src/scene/kinds.rs.
+// The field of a shape, by the index of its structure. The kernels of a scene import another variant of this file, with
+// one function for each structure of its shapes, see src/scene/kinds.rs.
 
 #import csg_field
 

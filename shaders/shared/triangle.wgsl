@@ -1,11 +1,11 @@
-// A triangle in its own frame, and the squared distance of a point to it. Twin of src/bvh/pack.rs.
+// A triangle in its own frame, and the squared distance from a point to it. Twin of src/bvh/pack.rs.
 
 struct Triangle {
     // Origin and axes: `u` along the longest edge, `n` the unit normal, v = n x u.
     a: vec3f,
     face: u32,
     u: vec3f,
-    // Length of the edge along u, and of the edges from its two ends to the apex, with their unit directions.
+    // Length of the edge along `u`, lengths of the edges from its two ends to the apex, and their unit directions.
     length: f32,
     v: vec3f,
     left_length: f32,
@@ -15,17 +15,17 @@ struct Triangle {
     right: vec2f,
 }
 
-// Squared distance of `p`: the height over the plane, joined to the 2D distance in it.
+// Squared distance of `p`: the squared height over the plane plus the squared 2D distance within the plane.
 fn triangle_distance_squared(triangle: Triangle, p: vec3f) -> f32 {
     let d = p - triangle.a;
     let x = dot(d, triangle.u);
     let y = dot(d, triangle.v);
     let height = dot(d, triangle.n);
 
-    // The edge along u.
+    // The edge along `u`.
     let base_x = x - clamp(x, 0.0, triangle.length);
     let base = base_x * base_x + y * y;
-    // The edge from the origin to the apex: the way along it, and to its left.
+    // The edge from the origin to the apex: position along it, and offset to its left.
     let along_left = dot(vec2f(x, y), triangle.left);
     let beside = triangle.left.x * y - triangle.left.y * x;
     let past_left = along_left - clamp(along_left, 0.0, triangle.left_length);
