@@ -42,7 +42,7 @@ Language = Literal["wgsl", "glsl", "hlsl", "msl"]
 
 
 class AtlasEntry:
-    """A volume in an atlas, as it stands there: a thing for scenes. Made by ``atlas[i]``."""
+    """One volume of an atlas, as an object for scenes. Made by ``atlas[i]``."""
 
     __slots__ = ("_atlas", "_index")
 
@@ -52,41 +52,41 @@ class AtlasEntry:
 
     @property
     def atlas(self) -> Atlas:
-        """Where it is."""
+        """The atlas that holds the volume."""
         return self._atlas
 
     @property
     def index(self) -> int:
-        """Its index there."""
+        """Index of the volume in the atlas."""
         return self._index
 
     @property
     def resolution(self) -> tuple[int, int, int]:
-        """Voxels along x, y and z."""
+        """Number of voxels along x, y and z."""
         return self._atlas.resolution(self._index)
 
     @property
     def bounds(self) -> NDArray[np.float64]:
-        """Lower and upper corner of the box, (2, 3)."""
+        """Lower and upper corner of the box, (2, 3), in the volume's space."""
         return np.array(self._atlas._boxes[self._atlas._index(self._index), 2:])
 
     @property
     def inner_bounds(self) -> NDArray[np.float64]:
-        """Box that holds the whole surface, (2, 3)."""
+        """Box that contains the whole surface, (2, 3), in the volume's space."""
         return np.array(self._atlas._boxes[self._atlas._index(self._index), :2])
 
     @property
     def transform(self) -> NDArray[np.float64]:
-        """Its model matrix, (4, 4): the identity, or the transform that was packed with it."""
+        """Model matrix of the entry, (4, 4): the identity, or the transform that was packed with the volume."""
         return np.array(self._atlas._models[self._atlas._index(self._index)])
 
     def to_volume(self) -> Volume:
-        """A copy of it; :meth:`Atlas.unpack`."""
+        """Copy the volume out of the atlas; :meth:`Atlas.unpack`."""
         return self._atlas.unpack(self._index)
 
     @property
     def _key(self) -> tuple[object, ...]:
-        """Changes when the atlas does."""
+        """Key for caches. It changes when the atlas changes."""
         return "atlas", id(self._atlas), self._index, self._atlas._changes
 
     def __repr__(self) -> str:
@@ -96,13 +96,13 @@ class AtlasEntry:
 class Atlas(PageStore):
     """Many volumes in the pages of one texture array. Made by :func:`fieldbake.pack` or :func:`fieldbake.load`.
 
-    A volume's slices along z are tiles, side by side on a page. Each volume has an index, which it keeps; :meth:`add`
-    and :meth:`remove` never move the texels of another.
+    The slices of a volume along z are tiles, side by side on a page. Each volume keeps its index. :meth:`add` and
+    :meth:`remove` never move the texels of other volumes.
 
     Notes
     -----
-    Points are in the space that the volume was baked in. An entry also has a model matrix, for engines: the identity,
-    or the transform that was packed with the volume.
+    Points are given in the space in which the volume was baked. An entry also has a model matrix, for engines: the
+    identity, or the transform that was packed with the volume.
 
     Examples
     --------
@@ -121,8 +121,8 @@ class Atlas(PageStore):
     def pages(self) -> NDArray[Any]:
         """The texels, (pages, height, width), row 0 first; a read-only view.
 
-        float32: distances, world units. float16: distances divided by ``entries["scale"]``. int16 or int8: shares of
-        ``entries["scale"]`` in 32767 or 127 steps. Texels that no volume has are zero.
+        float32: distances, world units. float16: distances divided by ``entries["scale"]``. int16 or int8: fractions of
+        ``entries["scale"]`` in 32767 or 127 steps. Unused texels are zero.
         """
         view = self._pages[...]
         view.flags.writeable = False
@@ -130,15 +130,16 @@ class Atlas(PageStore):
 
     @property
     def entries(self) -> NDArray[Any]:
-        """One record for each index, read-only: the bytes of a std430 buffer for a shader.
+        """One record per index, read-only: the bytes of a std430 buffer for a shader.
 
-        ``layout="strips"``: the article's 208 bytes: ``model``, ``inverse_model`` (4, 4), ``inner_min``,
+        ``layout="strips"``: the 208 bytes of the article: ``model``, ``inverse_model`` (4, 4), ``inner_min``,
         ``inner_max``, ``outer_min``, ``outer_max`` (4,), ``atlas_index`` (the page), ``atlas_offset`` (the row of
-        strips). ``layout="shelves"``: the same fields, ``atlas_offset`` being the block's first texel counted row by
-        row, then ``scale``, ``columns``, ``shape`` (3,), ``gutter``, ``corner`` (2,), ``tile`` (2,): 240 bytes.
+        strips). ``layout="shelves"``: 240 bytes. The same fields come first, where ``atlas_offset`` is the first texel
+        of the block, counted row by row; then ``scale``, ``columns``, ``shape`` (3,), ``gutter``, ``corner`` (2,),
+        ``tile`` (2,).
 
-        The matrices are stored by columns, as shaders read them: ``entries["model"][i].T`` is the matrix that acts on
-        column vectors. An index without a volume has the page -1.
+        The matrices are stored by columns, as shaders read them: ``entries["model"][i].T`` is the matrix that
+        multiplies column vectors. An index without a volume has the page -1.
         """
         with self._lock:
             if self._entries is None:
@@ -156,31 +157,31 @@ class Atlas(PageStore):
             return self._entries
 
     def add(self, volume: Volume | SparseVolume, transform: ArrayLike | None = None) -> int:
-        """Put one more volume in, without moving the others.
+        """Add a volume without moving the others.
 
         Parameters
         ----------
         volume : Volume or SparseVolume
-            For strips a cube of the same size as the others. Of a sparse one its whole grid is taken.
+            For strips: a cube of the same size as the others. A sparse volume is packed as its whole grid.
         transform : (4, 4) array, optional
-            The entry's model matrix.
+            Model matrix of the entry.
 
         Returns
         -------
         int
-            Its index: the first one that is free. Where no page has room a new one is opened.
+            Index of the volume: the first free one. A new page is opened if no page has enough free area.
 
         Raises
         ------
         AtlasError
-            If it cannot fit; the message says how large a page would do.
+            If the volume cannot fit. The message states the page size that would suffice.
         CapacityError
             If a new page does not fit in memory.
         """
         return self._place([checked_item(0, volume if transform is None else (volume, transform))], None)[0]
 
     def remove(self, i: int) -> None:
-        """Take a volume out; its texels become zero and its index and room are free for the next.
+        """Remove a volume. Its texels become zero, and its index and area become free.
 
         Raises
         ------
@@ -198,12 +199,12 @@ class Atlas(PageStore):
             self._changes += 1
 
     def resolution(self, i: int) -> tuple[int, int, int]:
-        """Voxels of the volume with index `i` along x, y and z."""
+        """Number of voxels of the volume with index `i` along x, y and z."""
         nx, ny, nz = self._blocks[self._index(i), 7:].tolist()
         return nx, ny, nz
 
     def unpack(self, i: int) -> Volume:
-        """The volume with index `i`: bit for bit what was packed, or what its encoding kept of it.
+        """Copy the volume with index `i` out of the atlas, as its encoding stored it; float32 is exact.
 
         Raises
         ------
@@ -217,22 +218,23 @@ class Atlas(PageStore):
             return Volume._wrap(distances, outer, inner, self._reports[i])
 
     def sample(self, i: int, points: ArrayLike, *, filter: AtlasFilter = "linear") -> NDArray[np.float32]:
-        """The field of one volume, read from the pages.
+        """Evaluate the field of one volume, read from the pages.
 
         Parameters
         ----------
         i : int
             Index of the volume.
         points : (n, 3) real
-            Positions in the volume's space; any leading shape will do.
+            Positions in the volume's space, of any leading shape.
         filter : "linear", "nearest" or "slice", default "linear"
-            Two bilinear taps and a step along z, which is the trilinear function of :meth:`Volume.sample`; the nearest
-            texel; or the article's single bilinear tap in the slice that holds the point, which is blocky along z.
+            ``"linear"``: two bilinear taps and an interpolation along z, equal to :meth:`Volume.sample`. ``"nearest"``:
+            the nearest texel. ``"slice"``: the single bilinear tap of the article in the slice that contains the point,
+            which is discontinuous along z.
 
         Returns
         -------
         (n,) float32
-            World units; outside the box a proven lower bound, as for :meth:`Volume.sample`.
+            World units. Outside the box: a proven lower bound on the distance, as for :meth:`Volume.sample`.
 
         Raises
         ------
@@ -260,19 +262,20 @@ class Atlas(PageStore):
         return values.reshape(shape)
 
     def texture_coordinates(self, i: int, points: ArrayLike) -> NDArray[np.float64]:
-        """Where points fall on their page: the article's ``ConvertWorldToTexture``.
+        """Compute the texture coordinates of points on their page: ``ConvertWorldToTexture`` of the article.
 
         Parameters
         ----------
         i : int
             Index of the volume; its page is ``entries["atlas_index"][i]``.
         points : (n, 3) real
-            Positions in the volume's space; any leading shape will do. Outside the box its nearest point is taken.
+            Positions in the volume's space, of any leading shape. A point outside the box is replaced by the nearest
+            point of the box.
 
         Returns
         -------
         (n, 2) float64
-            0 to 1 along the width and the height of the page, in the slice that holds the point.
+            Coordinates from 0 to 1 along the width and the height of the page, in the slice that contains the point.
 
         Raises
         ------
@@ -288,32 +291,32 @@ class Atlas(PageStore):
         return found.reshape(*shape, 2)
 
     def shader(self, language: Language = "wgsl", *, texels: Texels | None = None) -> str:
-        """Functions that sample the pages in a shader, as commented text.
+        """Generate functions that sample the pages in a shader, as commented source text.
 
         Parameters
         ----------
         language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
-            GLSL is that of WebGL 2 (ES 3.00); newer versions take it with another first line.
+            GLSL is that of WebGL 2 (ES 3.00). Newer versions accept it with another first line.
         texels : "pages" or "png", optional
-            What is bound as the texture. ``"pages"``: the texels of :attr:`pages`, of the format R32_FLOAT, R16_FLOAT,
-            R16_SNORM or R8_SNORM. ``"png"``: the unsigned integers of the .png that :meth:`save` writes, as R16_UNORM
-            (R8_UNORM for snorm8); the text turns them into distances, with the scales in the JSON beside the .png. If
-            not given, ``"png"`` for an atlas that was loaded from a .png, otherwise ``"pages"``.
+            Texels that are bound as the texture. ``"pages"``: the texels of :attr:`pages`, in the format R32_FLOAT,
+            R16_FLOAT, R16_SNORM or R8_SNORM. ``"png"``: the unsigned integers of the .png that :meth:`save` writes, as
+            R16_UNORM (R8_UNORM for snorm8); the text converts them to distances with the scales in the JSON beside the
+            .png. The default is ``"png"`` for an atlas that was loaded from a .png, otherwise ``"pages"``.
 
         Returns
         -------
         str
-            The struct ``AtlasEntry``, whose bytes are those of :attr:`entries`; ``atlas_sample(entry, p)``, the exact
-            trilinear field; ``atlas_sample_filtered``, the same by two taps of the hardware's filter;
-            ``atlas_sample_nearest``; ``atlas_texture_coordinates``. With an entry point it is a whole shader. It stays
-            valid while volumes come and go.
+            The struct ``AtlasEntry``, whose bytes are those of :attr:`entries`, and functions: ``atlas_sample(entry,
+            p)``, the exact trilinear field; ``atlas_sample_filtered``, the same field by two taps of the hardware
+            filter; ``atlas_sample_nearest``; ``atlas_texture_coordinates``. An entry point completes the shader. The
+            text stays valid when volumes are added and removed.
 
         Raises
         ------
         ArgumentError
             For another language, or unknown texels.
         AtlasError
-            For strips without a volume, whose size is not known.
+            For strips without a volume, whose size is unknown.
         """
         blocks = self._blocks[self._blocks[:, 0] != VACANT]
         if self._layout == "strips" and not len(blocks):
@@ -327,7 +330,7 @@ class Atlas(PageStore):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Atlas:
-        """Read a file of this kind of object.
+        """Read a file that holds an atlas.
 
         Parameters
         ----------
@@ -337,7 +340,7 @@ class Atlas(PageStore):
         Returns
         -------
         Atlas
-            Bit for bit what was saved.
+            Equal bit for bit to the saved atlas.
 
         Raises
         ------
@@ -351,20 +354,21 @@ class Atlas(PageStore):
         return load_as(cls, path)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a file; one of that name is replaced only once the new one is complete.
+        """Write a file. An existing file is replaced only after the new file is complete.
 
         Parameters
         ----------
         path : str or path
-            ``.npz``: ours, and NumPy's. ``.exr``: one channel, the pages below each other, exact. ``.png``: unsigned
-            16-bit integers (8-bit for snorm8), 32768 (128) being distance 0; floats become snorm16, scaled to each
-            volume's largest distance. Beside a .png lies an 8-bit preview. Images have a JSON beside them: it states
-            where each volume lies, its scale, and how a texel is decoded. Read any with :func:`fieldbake.load`.
+            The ending selects the format. ``.npz``: the container of fieldbake, readable by NumPy. ``.exr``: one
+            channel with the pages below each other, exact. ``.png``: unsigned 16-bit integers (8-bit for snorm8), where
+            32768 (128) is distance 0; floats become snorm16, scaled to the largest distance of each volume. An 8-bit
+            preview is written beside a .png. A JSON file beside each image states the position and the scale of each
+            volume, and how texels are decoded. :func:`fieldbake.load` reads all of them.
 
         Raises
         ------
         FormatError
-            For an ending that is not known, or an image of an empty atlas.
+            For an unknown ending, or an image of an empty atlas.
         OSError
             If the file cannot be written.
         """
@@ -383,7 +387,7 @@ class Atlas(PageStore):
             images.write(path, saved._pages, {**saved._facts(), "pages": saved._page_count, "volumes": volumes})
 
     def _facts(self) -> dict[str, Any]:
-        """What a file says about the atlas as a whole."""
+        """Metadata of the whole atlas that a file stores."""
         return {
             "layout": self._layout,
             "page_size": self._page_size,
@@ -393,7 +397,7 @@ class Atlas(PageStore):
         }
 
     def _volume_facts(self, i: int) -> dict[str, Any]:
-        """What an image says about the volume in row `i`, for people and engines."""
+        """Metadata of the volume in row `i` that an image stores, for people and engines."""
         block: dict[str, Any] = {}
         numbers = iter(self._blocks[i].tolist())
         for name, count in BLOCK_FIELDS.items():
@@ -410,17 +414,17 @@ class Atlas(PageStore):
         }
 
     def plot(self, page: int = 0) -> Figure:
-        """One page with the surfaces as lines, a frame around each volume and its index.
+        """Plot one page with the surfaces as lines, and a frame and the index of each volume.
 
         Parameters
         ----------
         page : int, default 0
-            Which.
+            Index of the page.
 
         Returns
         -------
         matplotlib.figure.Figure
-            A notebook shows it; ``.savefig("atlas.png")`` saves it.
+            Notebooks display it. ``.savefig("atlas.png")`` saves it.
 
         Raises
         ------
@@ -435,11 +439,11 @@ class Atlas(PageStore):
             return plot_atlas(self, page)
 
     def __getitem__(self, i: int) -> AtlasEntry:
-        """The volume with index `i` as a thing for scenes."""
+        """The volume with index `i` as an object for scenes."""
         return AtlasEntry(self, self._index(i))
 
     def __iter__(self) -> Iterator[AtlasEntry]:
-        """All that are there."""
+        """Iterate over the volumes of the atlas."""
         return iter([self[i] for i in self.indices])
 
     def __repr__(self) -> str:
@@ -467,52 +471,52 @@ def pack(
     Parameters
     ----------
     volumes : list of Volume or SparseVolume
-        Items may be ``(volume, transform)``; the (4, 4) transform becomes the entry's model matrix. Of a sparse volume
-        the whole grid is packed: ``.to_volume()``.
+        Items may be ``(volume, transform)``. The (4, 4) transform becomes the model matrix of the entry. A sparse
+        volume is packed as its whole grid: ``.to_volume()``.
     layout : "shelves" or "strips", default "shelves"
-        Shelves: any mix of resolutions, slices wrapped over rows and placed where there is room. Strips: equal cubes,
-        exactly as in the article: texel (x + z N, y + row N), 64 fields of 64^3 on a page of 4096 x 4096.
+        Shelves: any mix of resolutions; slices are wrapped over rows and placed where a page has free area. Strips:
+        equal cubes, exactly as in the article: texel (x + z N, y + row N), 64 fields of 64^3 on a page of 4096 x 4096.
     page_size : int or "fit", default 4096
-        Width and height of a page, texels. As many pages are opened as are needed. ``"fit"`` takes the smallest power
+        Width and height of a page, texels. As many pages are opened as are needed. ``"fit"`` chooses the smallest power
         of two that holds all volumes on one page, at most 16384.
     gutter : int, default 1
-        Copies of its border around each slice, so that the rounded weights of a hardware sampler read no neighbour.
-        Strips have none.
+        Number of copies of the border around each slice, so that the rounded weights of a hardware sampler do not read
+        a neighbouring slice. Strips have none.
     encoding : str, default "float32"
         ``"float32"`` (exact), ``"float16"`` (11 significant bits), or the normalised ``"snorm16"`` and ``"snorm8"``,
-        which keep the distances of a band around the surface in 1/32767 and 1/127 of its width, and its end beyond.
-        All round toward the surface: a stored magnitude never exceeds the true one. All but float32 are stored as
-        shares of ``entries["scale"]``, which grows with the voxels: the error has the same bound in voxels for a mesh
-        of any size. See :meth:`Volume.quantize`.
+        which divide a band around the surface into 32767 or 127 steps per half width and store distances beyond it as
+        its end. All round toward zero: a stored magnitude never exceeds the true one. All but float32 are stored as
+        fractions of ``entries["scale"]``, which is proportional to the voxel: the error has the same bound in voxels
+        for a mesh of any size. See :meth:`Volume.quantize`.
     band : float, default 4
-        Half the width of that band, voxels.
+        Half width of the band of a normalised encoding, voxels.
     device : str, default "auto"
-        Volumes that were baked on a graphics device are packed there, with the same bytes, and the pages stay there
-        until somebody asks for them. ``"auto"`` does so if all of them are on the hardware GPU.
+        Volumes that were baked on a graphics device are packed there, with the same bytes. The pages are copied to the
+        host at their first use. ``"auto"`` packs on the hardware GPU if all volumes are there.
     progress : bool or callable, optional
         As for :func:`fieldbake.bake`.
 
     Returns
     -------
     Atlas
-        Volume i of the list has the index i.
+        Volume i of the list has index i.
 
     Raises
     ------
     AtlasError
-        If a volume cannot fit on a page (the message says how large a page would do), or strips are to hold anything
-        but equal cubes.
+        If a volume cannot fit on a page (the message states the page size that would suffice), or if strips receive
+        volumes other than equal cubes.
     ArgumentError
-        If an option makes no sense.
+        If an option is out of range.
     CapacityError
         If the pages do not fit in memory.
     DeviceError
-        If the device is not there, or a page is too large for it.
+        If the device does not exist, or a page is too large for it.
 
     References
     ----------
-    "Packing 3D SDF to a 2D Texture", of which strips are the layout. Shelves are packed by maximal rectangles: J.
-    Jylänki, A Thousand Ways to Pack the Bin (2010).
+    "Packing 3D SDF to a 2D Texture" defines the layout of strips. Shelves are packed by maximal rectangles: J. Jylänki,
+    A Thousand Ways to Pack the Bin (2010).
 
     Examples
     --------
@@ -545,14 +549,14 @@ def pack(
 
 
 def as_written(atlas: Atlas, ending: str) -> Atlas:
-    """The atlas that a file with this ending holds: a .png holds integers, so floats are converted to snorm16."""
+    """Convert an atlas for a file with this ending: a .png holds integers, so floats become snorm16."""
     if ending == ".png" and atlas.encoding.startswith("float"):
         return _normalised_copy(atlas, "snorm16")
     return atlas
 
 
 def _normalised_copy(atlas: Atlas, encoding: Encoding) -> Atlas:
-    """The same atlas in a normalised encoding, each volume scaled to its largest distance."""
+    """Convert an atlas to a normalised encoding, each volume scaled to its largest distance."""
     copy = Atlas(
         layout=atlas.layout, page_size=atlas.page_size, gutter=atlas.gutter, encoding=encoding, band=atlas.band
     )

@@ -1,7 +1,8 @@
-"""Atlases as images: one channel in an .exr file, or unsigned integers of 16 (8) bits in a .png file.
+"""Atlases as images: one channel in an .exr file, or unsigned integers of 16 or 8 bits in a .png file.
 
-The pages lie below each other. The facts of the atlas, with an entry for each volume, lie in a sidecar. There
-``decode`` is the formula for the distance of a texel, and ``texel`` the type of its operand. An entry has a ``scale``.
+The pages lie below each other. A JSON file beside the image stores the metadata of the atlas, with one entry per
+volume. There ``decode`` is the formula for the distance of a texel, and ``texel`` the type of its operand. An entry has
+a ``scale``.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from ..base.encodings import texel_rule
 from ..files import container, sidecar
 from ..files.container import atomic_write, head
 
-#: Endings of the files that :func:`write` writes.
+#: Endings of the files that :func:`write` can write.
 ENDINGS = container.ENDINGS["atlas"][1:]
 
 
 def write(path: str | os.PathLike[str], pages: NDArray[Any], facts: dict[str, Any]) -> None:
-    """Write pages (count, size, size) as .exr or .png with the facts of their atlas.
+    """Write pages (count, size, size) as .exr or .png with the metadata of their atlas.
 
-    A .png file holds normalised integers only, and has a preview of 8 bits beside it.
+    A .png file stores normalised integers only. A preview of 8 bits is written beside it.
     """
     target = Path(path)
     ending = target.suffix.lower()
@@ -45,7 +46,7 @@ def write(path: str | os.PathLike[str], pages: NDArray[Any], facts: dict[str, An
 def _exr(stacked: NDArray[Any]) -> bytes:
     height, width = stacked.shape
     encoding = "float16" if stacked.dtype == np.float16 else "float32"
-    # What a sampler returns for a normalised integer; the integer is found again by rounding.
+    # The value that a sampler returns for a normalised integer. Rounding recovers the integer.
     values = stacked if stacked.dtype.kind == "f" else _shares(stacked)
     return _core.exr_write(np.ascontiguousarray(values).reshape(-1).view(np.uint8), width, height, encoding)
 
@@ -56,14 +57,14 @@ def _shares(texels: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def _png(stacked: NDArray[Any]) -> bytes:
-    # Counted from the middle: 0 becomes 32768 or 128.
+    # Integers are offset by half the range: 0 becomes 32768 or 128.
     bits = 8 * stacked.itemsize
     unsigned = np.uint8 if bits == 8 else np.uint16
     return _png_bytes((stacked.astype(np.int32) + (1 << (bits - 1))).astype(unsigned))
 
 
 def _preview(stacked: NDArray[Any]) -> bytes:
-    """Grey for people: the surface in the middle, dark inside."""
+    """Make a grey preview: the surface is mid-grey, the inside dark."""
     return _png_bytes(np.round(127.5 + 127.5 * _shares(stacked)).astype(np.uint8))
 
 

@@ -1,4 +1,4 @@
-"""Pages that grow: where the volumes of an atlas lie, and their texels."""
+"""The growing pages of an atlas: the positions of its volumes, and their texels."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ from ..volumes.volume import Volume
 
 Layout = Literal["shelves", "strips"]
 
-#: Where a shader reads texels: from the pages as they are, or from the unsigned integers of a .png.
+#: Source of the texels in a shader: the pages themselves, or the unsigned integers of a .png.
 Texels = Literal["pages", "png"]
 
-#: Largest side of a page, and the widest gutter.
+#: Largest side of a page, and largest gutter, texels.
 MAX_PAGE_SIZE = 1 << 15
 MAX_GUTTER = 64
 
-#: Largest side of a page that fits itself to its volumes: what graphics devices commonly take.
+#: Largest side of a page that is chosen to fit its volumes, texels: a size that graphics devices commonly support.
 MAX_FITTING_PAGE = 1 << 14
 
-#: In place of the page in the row of an index without a volume.
+#: Page of an index without a volume.
 VACANT = np.uint32(0xFFFFFFFF)
 
 #: Fields of a block, in the order of the core, and how many numbers each has.
 BLOCK_FIELDS = {"page": 1, "corner": 2, "tile": 2, "columns": 1, "gutter": 1, "shape": 3}
 BLOCK_NUMBERS = sum(BLOCK_FIELDS.values())
 
-#: Arrays with a row for each index, by their names in files.
+#: Arrays with one row per index, by their names in files.
 ARRAYS = ("blocks", "boxes", "models", "scales")
 
-# The article's struct PackedSdfOffsetDetail in std430, field by field.
+# Fields of the article's struct PackedSdfOffsetDetail in std430.
 _ARTICLE_FIELDS: list[tuple[str, Any]] = [
     ("model", ("<f4", (4, 4))),
     ("inverse_model", ("<f4", (4, 4))),
@@ -64,9 +64,9 @@ _SHELF_FIELDS: list[tuple[str, Any]] = [
 
 
 def entry_dtype(layout: Layout, encoding: Encoding) -> np.dtype[Any]:
-    """The record of a volume, laid out as a shader reads it from a std430 buffer.
+    """Make the dtype of a volume's record, laid out as a shader reads it from a std430 buffer.
 
-    Strips have the 208 bytes of the article. All encodings but float32 keep their scale in what is padding there.
+    Strips have the 208 bytes of the article. Encodings other than float32 store their scale in the padding.
     """
     if layout == "shelves":
         return np.dtype(_SHELF_FIELDS)
@@ -84,10 +84,10 @@ def entry_dtype(layout: Layout, encoding: Encoding) -> np.dtype[Any]:
 
 
 class PageStore:
-    """The pages of an atlas and a row of facts for each volume on them.
+    """The pages of an atlas and a row of metadata for each volume on them.
 
-    Texels are on the host or on a graphics device. Rooms are planned by the core from what is taken, so volumes come
-    and go without moving each other.
+    Texels are on the host or on a graphics device. The core plans free areas from the occupied blocks, so volumes are
+    added and removed without moving each other.
     """
 
     def __init__(
@@ -98,21 +98,21 @@ class PageStore:
         self._gutter = 0 if layout == "strips" else gutter
         self._encoding: Encoding = encoding
         self._band = band
-        # On the host, and on a graphics device: either may be missing, not both.
+        # Texels on the host, and on a graphics device. At least one of the two is present.
         self._host: NDArray[Any] | None = np.zeros((0, page_size, page_size), DTYPES[encoding])
         self._device: _core.DevicePages | None = None
-        # One row for each index.
+        # Arrays with one row per index.
         self._blocks = np.zeros((0, BLOCK_NUMBERS), np.uint32)
         self._boxes = np.zeros((0, 4, 3))  # inner lower and upper, outer lower and upper corner
         self._models = np.zeros((0, 4, 4))
         self._scales = np.zeros(0, np.float32)
         self._reports: list[Report] = []
-        # What the shader text reads by default: the texels of a .png if the atlas was loaded from one.
+        # Default source of texels in the shader text: the .png if the atlas was loaded from one.
         self._texels: Texels = "pages"
         self._entries: NDArray[Any] | None = None
-        # How often a volume came or went.
+        # Number of changes to the set of volumes.
         self._changes = 0
-        # Volumes come and go while other threads sample.
+        # Other threads may sample while volumes are added and removed.
         self._lock = threading.RLock()
 
     @property
@@ -138,7 +138,7 @@ class PageStore:
 
     @property
     def layout(self) -> Layout:
-        """``"shelves"`` or ``"strips"``."""
+        """Name of the layout: ``"shelves"`` or ``"strips"``."""
         return self._layout
 
     @property
@@ -148,40 +148,40 @@ class PageStore:
 
     @property
     def gutter(self) -> int:
-        """Copies of its border around each slice, texels."""
+        """Number of copies of the border around each slice, texels."""
         return self._gutter
 
     @property
     def encoding(self) -> Encoding:
-        """How a distance is stored."""
+        """Encoding of a distance."""
         return self._encoding
 
     @property
     def band(self) -> float:
-        """Voxels around the surface that keep their distance in a normalised encoding."""
+        """Half width of the band of a normalised encoding, voxels."""
         return self._band
 
     @property
     def indices(self) -> tuple[int, ...]:
-        """The indices that hold a volume."""
+        """Indices that hold a volume."""
         return tuple(np.flatnonzero(self._blocks[:, 0] != VACANT).tolist())
 
     @property
     def fill(self) -> float:
-        """Share of the pages' texels that belong to a slice or its gutter."""
+        """Fraction of the texels of all pages that belong to a slice or its gutter."""
         blocks = self._blocks[self._blocks[:, 0] != VACANT].astype(np.float64)
         used = float((blocks[:, 3] * blocks[:, 4] * blocks[:, 9]).sum())
         return used / (self._page_count * self._page_size**2) if self._page_count else 0.0
 
     @property
     def nbytes(self) -> int:
-        """Memory of the pages."""
+        """Memory of the pages, bytes."""
         return self._page_count * self._page_size**2 * DTYPES[self._encoding].itemsize
 
     def _place(
         self, items: list[tuple[Volume, NDArray[np.float64]]], progress: Progress, device: str = "cpu"
     ) -> list[int]:
-        """Plan room for volumes, open pages and fill in their texels; the indices."""
+        """Plan positions for volumes, open pages and write their texels; return the indices."""
         shapes = np.array([volume.resolution for volume, _ in items], np.uint32).reshape(-1, 3)
         with self._lock:
             blocks = _core.atlas_plan(
@@ -195,7 +195,7 @@ class PageStore:
             scales = [scale_of(self._encoding, volume.spacing, self._band) for volume, _ in items]
             count = max(int(blocks[:, 0].max(initial=0)) + 1 if len(blocks) else 0, self._page_count)
             with progress_callback(progress, "pack") as callback:
-                # A device fills pages that are new.
+                # A device fills new pages only.
                 packed = None
                 if count and not self._page_count and _is_worth_it([volume for volume, _ in items], device):
                     packed = _core.atlas_pack_device(
@@ -221,7 +221,7 @@ class PageStore:
                         progress=callback,
                     )
 
-            # Only now, so that an interrupted call leaves no entry behind.
+            # Records are added last, so that an interrupted call leaves none behind.
             free = [i for i in range(len(self._blocks)) if self._blocks[i, 0] == VACANT]
             free += range(len(self._blocks), len(self._blocks) + len(items))
             indices = free[: len(items)]
@@ -256,16 +256,16 @@ class PageStore:
             self._reports += [Report()] * more
 
     def _bytes(self) -> NDArray[np.uint8]:
-        """The pages as the core takes them."""
+        """The pages as an array of bytes for the core."""
         return self._pages.view(np.uint8)
 
     def _writable(self) -> NDArray[np.uint8]:
-        """The pages as bytes, to be changed: what is on a device is given up."""
+        """The pages as a writable array of bytes; the copy on a device is dropped."""
         self._pages = self._pages
         return self._bytes()
 
     def _index(self, i: object) -> int:
-        """The index of a volume that is there; negative ones count from the end."""
+        """Check the index of a volume; negative indices count from the end."""
         count = len(self._blocks)
         if count == 0:
             raise AtlasError(f"i: the atlas is empty, it has no volume {i}")
@@ -275,7 +275,7 @@ class PageStore:
         return index
 
     def __len__(self) -> int:
-        """How many volumes there are."""
+        """Number of volumes."""
         return len(self.indices)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -289,14 +289,14 @@ class PageStore:
 
 
 def _is_worth_it(volumes: list[Volume], device: str) -> bool:
-    """Whether to pack on this device: where the user says so, or where all volumes are already."""
+    """Whether to pack on this device: if the user names it, or if all volumes are already there."""
     if device == "cpu":
         return False
     return device != "auto" or all(isinstance(volume._source(device), _core.DeviceField) for volume in volumes)
 
 
 def checked_item(i: int, item: object) -> tuple[Volume, NDArray[np.float64]]:
-    """A volume and its model matrix."""
+    """Check a volume and its model matrix."""
     volume, model = item if isinstance(item, tuple) and len(item) == 2 else (item, None)
     if isinstance(volume, SparseVolume):
         volume = volume.to_volume()
@@ -306,11 +306,11 @@ def checked_item(i: int, item: object) -> tuple[Volume, NDArray[np.float64]]:
 
 
 def fitting_page(shapes: list[tuple[int, int, int]], layout: Layout, gutter: int, encoding: Encoding) -> int:
-    """The smallest power of two, at most `MAX_FITTING_PAGE`, for the side of a page that holds these shapes."""
+    """Choose the side of a page for these shapes: the smallest power of two, at most `MAX_FITTING_PAGE`."""
     wanted = np.array(shapes, np.uint32).reshape(-1, 3)
     taken = np.zeros((0, BLOCK_NUMBERS), np.uint32)
     options: dict[str, Any] = {"layout": layout, "gutter": gutter, "encoding": encoding}
-    # No page is smaller than the texels of the volumes.
+    # No page is smaller than the number of texels of the volumes.
     area = sum(nx * ny * nz for nx, ny, nz in shapes)
     size = 1 << max(2, (math.isqrt(area) - 1).bit_length())
     while size < MAX_FITTING_PAGE:

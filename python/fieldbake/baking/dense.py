@@ -1,4 +1,4 @@
-"""From a mesh or a shape to distances on a grid."""
+"""Baking of a mesh or a shape: distances on a grid."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from ..volumes.volume import Volume
 
 logger = logging.getLogger("fieldbake")
 
-#: Largest distance of a sample from the centre of the mesh, in sizes of the mesh. The core squares it in float32.
+#: Largest distance of a sample from the centre of the mesh, in mesh sizes. The core squares it in float32.
 MAX_GRID_REACH = 1e15
 
 
@@ -51,59 +51,60 @@ def bake(
     ----------
     mesh : Mesh, path, trimesh.Trimesh, trimesh.Scene, (vertices, faces), or a list of those; or a Shape, or a list
     of Shapes
-        Items of a list of meshes may be ``(thing, transform)``; shapes are baked as their union. Hand over a
-        `Mesh` to keep the search tree between calls.
+        Items of a list of meshes may be ``(mesh, transform)`` pairs. A list of shapes is baked as their union. Pass the
+        same `Mesh` to several calls to build its search tree only once.
     resolution : int or three ints, default 64
-        One number: cubic voxels, so many along the longest side of the padded box, whole voxels along the others.
-        Three numbers: as given; voxels may be oblong.
+        One number: cubic voxels, with this number of voxels along the longest side of the padded box and whole voxels
+        along the others. Three numbers: voxels along x, y and z, which may be oblong.
     voxel_size : float, optional
-        Side of a cubic voxel, world units, in place of `resolution`.
+        Side of a cubic voxel, world units. It replaces `resolution`.
     bounds : (2, 3) array, optional
-        Box to sample, world units, in place of the mesh's box and its margin. With one number as `resolution` it is
-        grown about its centre to whole voxels. It may cut the mesh or lie anywhere.
+        Box to sample, world units. The default is the box of the mesh and its margin. With one number as `resolution`
+        it is enlarged about its centre to whole voxels. It may cut the mesh or lie anywhere.
     margin : float, default 0.1
-        The mesh's box is scaled by ``1 + margin`` about its centre; at least one voxel is left on each side.
+        The box of the mesh is scaled by ``1 + margin`` about its centre. At least one voxel remains on each side.
     sign : str, default "auto"
-        ``"auto"`` chooses and says why in the report; ``"winding"`` (generalised winding number; open and dirty
-        meshes), ``"parity"`` (ray crossings), ``"pseudonormal"``, ``"normal"`` (nearest face), ``"unsigned"``.
+        ``"auto"`` chooses a method and states the reason in the report. ``"winding"``: generalised winding number, for
+        open and dirty meshes. ``"parity"``: ray crossings. ``"pseudonormal"``: angle-weighted normals. ``"normal"``:
+        normal of the nearest face. ``"unsigned"``: no sign.
     band : float, optional
-        Exact distances only within so many voxels of the surface; farther out the sign is right and the magnitude a
-        lower bound. Faster.
+        Half width, in voxels, of the band around the surface in which distances are exact. Outside the band the sign is
+        right and the magnitude is a lower bound. A band is faster.
     two_sided : bool, default False
-        Treat the surface as a sheet with a thickness: unsigned distance minus half the thickness.
+        Treat the surface as a sheet with a thickness: the distance is the unsigned distance minus half the thickness.
     thickness : float, optional
         Thickness of the sheet, world units. The default is the diagonal of a voxel (1.73 voxels for cubic ones), which
-        holds every sheet at any angle and offset; the report warns if a sheet is thinner than a voxel. Only with
+        represents every sheet at any angle and offset. The report warns if a sheet is thinner than a voxel. Requires
         `two_sided`.
     device : str, default "auto"
         ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`.
     progress : bool or callable, optional
-        True draws a bar on stderr; a callable gets a share from 0 to 1 about ten times a second.
+        True draws a bar on stderr. A callable receives the finished fraction from 0 to 1 about ten times a second.
 
     Returns
     -------
     Volume
-        Distances (nx, ny, nz), float32, world units, negative inside, with a report of what was found and done.
+        Distances (nx, ny, nz), float32, world units, negative inside, with a report on the surface and the bake.
 
     Raises
     ------
     MeshError
         If the mesh cannot be read or used.
     ShapeError
-        If a shape has no bounds, naming the leaf; give `bounds` then.
+        If a shape is unbounded and `bounds` is not given. The message names the leaf.
     ArgumentError
-        If an option makes no sense, or means nothing for a shape (`sign`, `band`, `two_sided`, `thickness`).
+        If an option is out of range, or does not apply to shapes (`sign`, `band`, `two_sided`, `thickness`).
     CapacityError
-        If the result would not fit in memory; nothing was started.
+        If the result would not fit in memory. The check runs before any work.
     DeviceError
-        If the device is not there.
+        If the device does not exist.
     KeyboardInterrupt
         Within half a second of Ctrl-C.
 
     Notes
     -----
-    Every sample is exact within 1e-6 of the box's diagonal. The same input gives the same bytes on any number of
-    threads. What the report warns about is raised once per call as a `SurfaceWarning` and logged to the ``fieldbake``
+    Every sample is exact to 1e-6 of the diagonal of the box. The same input gives the same bytes on any number of
+    threads. Warnings of the report are raised once per call as a `SurfaceWarning` and logged to the ``fieldbake``
     logger.
 
     Examples
@@ -135,7 +136,7 @@ def bake(
 
 
 class Job(NamedTuple):
-    """What a bake is made from, checked."""
+    """The checked input of a bake."""
 
     mesh: Mesh
     grid: Grid
@@ -145,7 +146,7 @@ class Job(NamedTuple):
     thickness: float | None
 
     def source(self, sign_method: str) -> MeshSource:
-        """The mesh as the source of exact tangent planes, given the sign method that was used."""
+        """Make the mesh a source of exact tangent planes, given the sign method that was used."""
         if self.thickness is None:
             return MeshSource(self.mesh, 0.0 if sign_method == "unsigned" else None)
         return MeshSource(self.mesh, self.thickness / 2)
@@ -161,7 +162,7 @@ def prepare(
     two_sided: bool,
     thickness: float | None,
 ) -> Job:
-    """Check what every bake takes, and choose the grid."""
+    """Check the arguments that every bake has, and choose the grid."""
     method = checks.text("sign", sign)
     two_sided = checks.flag("two_sided", two_sided)
     if thickness is not None:
@@ -170,12 +171,12 @@ def prepare(
             raise ArgumentError("thickness: means something only with two_sided=True")
     checked = as_mesh(mesh)
 
-    # A sheet reaches half its thickness past the triangles.
+    # A sheet extends half its thickness beyond the triangles.
     grown = 0.0 if thickness is None else thickness / 2
     inner = checked.bounds + np.array([[-grown], [grown]])
     grid = make_grid(inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin)
     if two_sided and thickness is None:
-        # Samples of the last voxel lie half a voxel inside the box, and the sheet ends before them.
+        # Samples of the last voxel lie half a voxel inside the box. The sheet must end before them.
         border = 0.5 + sheet_thickness(grid) / (2 * np.array(grid.spacing))
         grid = make_grid(inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin, border=1.01 * border)
         thickness = sheet_thickness(grid)
@@ -185,7 +186,7 @@ def prepare(
 
 
 def bake_job(job: Job, band: float | None, device: str, progress: Progress) -> Volume:
-    """Bake what was prepared; its warnings are in the report only."""
+    """Bake a prepared job. Its warnings are in the report only."""
     grid = job.grid
     with progress_callback(progress, "bake") as callback:
         distances, facts = _core.bake(
@@ -208,17 +209,18 @@ def bake_job(job: Job, band: float | None, device: str, progress: Progress) -> V
 def sheet_thickness(grid: Grid) -> float:
     """The default thickness of a sheet: a thousandth more than the diagonal of a voxel, world units.
 
-    With this thickness the trilinear field is negative on the whole sheet, at any angle and offset. Proof: let p be a
-    point of the sheet in a cell with sides s, and X one of the cell's corners, drawn with its trilinear weight. The
-    distance of X to the sheet is at most |X - p|, and the mean of X is p. So the interpolated distance at p is at most
-    E|X - p| <= sqrt(E|X - p|^2) = sqrt(sum of s_k^2 f_k (1 - f_k)) <= |s| / 2, where f is the place of p in the cell.
-    The field is that distance less half the thickness.
+    With this thickness the trilinear field is negative on the whole sheet, at any angle and offset.
+
+    Proof. Let p be a point of the sheet in a cell with sides s, at position f in the cell, 0 to 1 along each axis. Let
+    X be a random corner of the cell, drawn with its trilinear weight, so the mean of X is p. The distance of X to the
+    sheet is at most |X - p|. The interpolated distance at p is therefore at most E|X - p| <= sqrt(E|X - p|^2) =
+    sqrt(sum of s_k^2 f_k (1 - f_k)) <= |s| / 2. The field is that distance minus half the thickness.
     """
     return 1.001 * math.hypot(*grid.spacing)
 
 
 def log_warnings(report: Report) -> None:
-    """Log what the report warns about, and raise one `SurfaceWarning` with it."""
+    """Log the warnings of the report, and raise one `SurfaceWarning` with them."""
     for warning in report.warnings:
         logger.warning("%s", warning)
     if report.sign_method != "unsigned":

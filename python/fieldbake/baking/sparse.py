@@ -1,4 +1,4 @@
-"""From a mesh to a sparse volume, without the dense grid."""
+"""Baking of a mesh to a sparse volume, without the dense grid."""
 
 from __future__ import annotations
 
@@ -31,26 +31,27 @@ def bake_sparse(
     thickness: float | None = None,
     progress: Progress = None,
 ) -> SparseVolume:
-    """Bake a mesh into bricks around its surface; the dense grid is never made.
+    """Bake a mesh into bricks around its surface, without making the dense grid.
 
     Parameters
     ----------
     mesh, voxel_size, bounds, margin, sign, two_sided, thickness, progress
         As for :func:`bake`.
     resolution : int or three ints, default 512
-        Voxels of the grid that the bricks are part of.
+        Voxels of the whole grid, as for :func:`bake`.
     band : float, default 4
-        Bricks with a sample nearer to the surface are stored, voxels; at least 2.
+        Distance from the surface within which a sample makes its brick stored, voxels; at least 2.
     tolerance : float or None, default 0.05
-        Coarser bricks take the place of finer ones where they differ from no sample in the band by more, voxels. None:
-        never; every stored sample is that of :func:`bake`.
+        Largest difference, in voxels, by which a coarser brick may differ from the samples in the band that it
+        replaces. None never uses coarser bricks, so every stored sample equals that of :func:`bake`.
     encoding : str, default "float32"
-        Or ``"float16"``, ``"snorm16"``, ``"snorm8"``: rounded toward zero, the integers with the band as their scale.
+        ``"float32"``, ``"float16"``, ``"snorm16"`` or ``"snorm8"``, rounded toward zero. The band is the scale of the
+        integers.
 
     Returns
     -------
     SparseVolume
-        Memory in proportion to the surface, but for 8 bytes a brick of 343 cells.
+        Its memory is proportional to the surface, plus 8 bytes per brick of 343 cells.
 
     Raises
     ------
@@ -59,8 +60,8 @@ def bake_sparse(
 
     Notes
     -----
-    Runs on the CPU. Distances are those of :func:`bake`. A brick far from the surface is taken to be on one side: on
-    closed meshes that is certain, on open ones all its samples are looked at, on mere soups its corners.
+    The bake runs on the CPU. Stored distances equal those of :func:`bake`. A brick far from the surface lies on one
+    side. On closed meshes this is certain. On open meshes all its samples are tested, on triangle soups its corners.
 
     Examples
     --------

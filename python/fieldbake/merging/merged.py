@@ -1,4 +1,4 @@
-"""A merged field, what it was merged from, and its update after instances have moved."""
+"""A merged field, the instances it was merged from, and its update after instances have moved."""
 
 from __future__ import annotations
 

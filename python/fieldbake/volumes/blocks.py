@@ -1,4 +1,4 @@
-"""Samples of a field in blocks around a level set, found by the field's Lipschitz bound; the rest is not evaluated."""
+"""Samples of a field in blocks around a level set. The Lipschitz bound of the field excludes all other blocks."""
 
 from __future__ import annotations
 
@@ -11,28 +11,29 @@ from numpy.typing import NDArray
 from .. import _core
 from ..base.grid import Grid
 
-#: Cells along the side of a block. Smaller blocks waste less at the surface but repeat more samples on their faces.
+#: Cells along the side of a block. Smaller blocks evaluate fewer samples far from the surface, but share more samples
+#: on their faces.
 SIDE = 8
 
-#: Blocks evaluated at once: 12 million samples.
+#: Number of blocks evaluated at once: 12 million samples.
 BATCH = 16_384
 
 Evaluate = Callable[[NDArray[np.float64]], NDArray[Any]]
 
 
 def level_set(evaluate: Evaluate, lipschitz: float, grid: Grid, level: float) -> _core.Surface:
-    """The crossed cells of the level set of a field on a grid.
+    """Find the cells of a grid that the level set of a field crosses.
 
     Parameters
     ----------
     evaluate : callable
-        Values at points (n, 3) float64, (n,); they change by at most `lipschitz` per unit of length.
+        Maps points, (n, 3) float64, to values, (n,). The values change by at most `lipschitz` per unit of length.
     lipschitz : float
-        Bound on the length of the gradient.
+        Upper bound on the length of the gradient.
     grid : Grid
-        Box and voxels.
+        Box and voxels of the samples.
     level : float
-        Value of the surface.
+        Value of the field on the surface.
 
     Notes
     -----
@@ -50,7 +51,7 @@ def level_set(evaluate: Evaluate, lipschitz: float, grid: Grid, level: float) ->
         centers = lower + (origins + side / 2 + 0.5) * spacing
         reach = lipschitz * side / 2 * float(np.linalg.norm(spacing))
         values = np.asarray(evaluate(centers), dtype=np.float64)
-        # Values are float32: their rounding is far below a share of 1e-5 of the block.
+        # Values are float32. A relative margin of 1e-5 covers their rounding.
         origins = origins[np.abs(values - level) <= reach * (1 + 1e-5)]
         if side == SIDE:
             break
@@ -66,7 +67,7 @@ def level_set(evaluate: Evaluate, lipschitz: float, grid: Grid, level: float) ->
         index = np.clip(batch[:, None] + around, 0, shape - 1)
         samples = np.asarray(evaluate((lower + (index + 0.5) * spacing).reshape(-1, 3)), dtype=np.float32)
         samples = samples.reshape(len(batch), -1)
-        # A block that is inside everywhere has a surface only where the box cuts it.
+        # A block that lies inside completely has a surface only where the box cuts it.
         inside = samples < level
         at_box = (batch < 0).any(axis=1) | (batch + SIDE >= shape).any(axis=1)
         crossed = inside.any(axis=1) & (at_box | ~inside.all(axis=1))

@@ -24,7 +24,7 @@ class GridField(ABC):
     _bounds: NDArray[np.float64]
     _inner_bounds: NDArray[np.float64]
     _report: Report
-    #: What the field was made of, where that is known.
+    #: Mesh or shape that the field was computed from; None if it is not known.
     _geometry: Source | None
 
     def _stand_in(
@@ -42,7 +42,7 @@ class GridField(ABC):
 
     @property
     def bounds(self) -> NDArray[np.float64]:
-        """Lower and upper corner of the box, (2, 3); samples lie half a voxel inside."""
+        """Lower and upper corner of the box, (2, 3), world units. Samples lie half a voxel inside the box."""
         return self._bounds
 
     @property
@@ -53,7 +53,7 @@ class GridField(ABC):
     @property
     @abstractmethod
     def resolution(self) -> tuple[int, int, int]:
-        """Voxels along x, y and z."""
+        """Number of voxels along x, y and z."""
 
     @property
     def spacing(self) -> NDArray[np.float64]:
@@ -77,38 +77,38 @@ class GridField(ABC):
         Parameters
         ----------
         level : float, default 0
-            World units. The solid is where the field is below the level; positive levels give a grown solid, negative
-            ones a shrunk one.
+            World units. The solid is the set of points where the field is below the level. A positive level gives a
+            grown solid, a negative one a shrunk solid.
         sharp : bool, default True
-            Place vertices where the tangent planes of the surface meet, so that edges and corners are kept. False
-            gives smooth vertices on the trilinear surface.
+            Place vertices at the intersections of the tangent planes of the surface, which keeps edges and corners.
+            False gives smooth vertices on the trilinear surface.
         source : mesh, shape or volume, optional
-            Geometry that gives the exact tangent planes. By default that is the mesh or the shape that the field was
-            baked from, where it is known; fields read from a file give planes by their own gradients.
+            Geometry that supplies exact tangent planes. The default is the mesh or the shape that the field was baked
+            from, if it is known. Fields read from a file use their own gradients.
         capped : bool, default True
-            Close a surface that leaves the box by the faces of the box. False ends it there.
+            Close a surface that leaves the box by the faces of the box. False leaves it open there.
 
         Returns
         -------
         Mesh
-            Counter-clockwise seen from the larger values. Every edge belongs to two faces that use it in opposite
-            directions, every vertex has one fan of faces, every face has an area, and no vertex lies outside `bounds`.
-            Without a surface the mesh has no faces. `report` has the number of clamped vertices.
+            Triangles counter-clockwise as seen from the larger values. Every edge belongs to two faces that use it in
+            opposite directions. Every vertex has one fan of faces, every face has an area, and no vertex lies outside
+            `bounds`. The mesh has no faces if there is no surface. `report` counts the clamped vertices.
 
         Raises
         ------
         ArgumentError
-            If `level` is not finite or beyond the distances that the field keeps.
+            If `level` is not finite, or beyond the distances that the field stores.
         MeshError
-            If `source` is none of the above.
+            If `source` is not a mesh, a shape or a volume.
 
         Notes
         -----
-        One vertex for each surface patch of a cell (G. Nielson, "Dual Marching Cubes", IEEE Visualization 2004),
-        placed by a quadratic error function over its cell (T. Ju et al., "Dual Contouring of Hermite Data", SIGGRAPH
-        2002). Time and memory beyond the field grow with the surface. Edges and corners of the source come back to a
-        fiftieth of a voxel where edges of the grid cross the faces on all their sides. The tip of one that lies between
-        the edges of the grid is cut off by up to half a voxel.
+        One vertex is made for each surface patch of a cell (G. Nielson, "Dual Marching Cubes", IEEE Visualization
+        2004). A quadratic error function places it within its cell (T. Ju et al., "Dual Contouring of Hermite Data",
+        SIGGRAPH 2002). Time and additional memory grow with the surface. Edges and corners of the source are reproduced
+        to a fiftieth of a voxel where edges of the grid cross the faces on all their sides. A tip that lies between the
+        edges of the grid is cut off by up to half a voxel.
 
         Examples
         --------
@@ -126,14 +126,14 @@ class GridField(ABC):
 
     @abstractmethod
     def _surface(self, level: float) -> _core.Surface:
-        """The crossed cells of a level set."""
+        """Find the cells that a level set crosses."""
 
     def _kept_distance(self) -> float | None:
-        """The largest magnitude, world units, up to which distances are stored; None without a limit."""
+        """Largest magnitude of a stored distance, world units; None without a limit."""
         return self._report.band or None
 
     def _facts(self) -> dict[str, Any]:
-        """What a file says about the field besides its samples."""
+        """Metadata of the field that a file stores besides the samples."""
         return {
             "resolution": list(self.resolution),
             "bounds": self._bounds.tolist(),

@@ -19,10 +19,10 @@ from .volume import Volume
 
 
 class QuantizedVolume(Volume):
-    """A `Volume` that stores its distances in 16 or 8 bits. Made by :meth:`Volume.quantize`; used like any other.
+    """A :class:`Volume` that stores its distances in 16 or 8 bits. Made by :meth:`Volume.quantize`.
 
-    A stored magnitude is never larger than the true one, so rays still pass through nothing. ``.distances`` decodes all
-    of them to float32, anew at each use; sampling and marching read the stored ones, on a graphics device too.
+    A stored magnitude never exceeds the true one, so rays do not pass through surfaces. ``.distances`` decodes all
+    samples to float32, once per use. Sampling and sphere tracing read the stored samples, on a graphics device too.
     """
 
     __slots__ = ("_encoded", "_encoding", "_unit")
@@ -42,7 +42,7 @@ class QuantizedVolume(Volume):
         report: Report,
         geometry: Source | None = None,
     ) -> QuantizedVolume:
-        """Take over a checked array, x fastest."""
+        """Make a volume of a checked array with x fastest in memory."""
         volume = cls.__new__(cls)
         nx, ny, nz = encoded.shape
         volume._encoded, volume._encoding, volume._unit = checks.frozen(encoded), encoding, scale
@@ -52,37 +52,37 @@ class QuantizedVolume(Volume):
 
     @property
     def encoding(self) -> str:
-        """``"float16"``, ``"snorm16"`` or ``"snorm8"``."""
+        """Name of the encoding: ``"float16"``, ``"snorm16"`` or ``"snorm8"``."""
         return self._encoding
 
     @property
     def encoded(self) -> NDArray[Any]:
-        """The stored numbers, (nx, ny, nz), x fastest: shares of :attr:`scale`, as integers in 127 or 32767 steps."""
+        """Stored samples, (nx, ny, nz), x fastest, as fractions of :attr:`scale`: integers or half floats."""
         return self._encoded[...]
 
     @property
     def scale(self) -> float:
-        """Distance of a stored share of 1, world units.
+        """Distance that a stored value of 1 stands for, world units.
 
-        The largest integer of a normalised encoding is this share; farther distances are stored as this one. For
-        float16 the scale is the largest power of two up to the longest side of a voxel, and distances beyond 65504
-        times the scale are stored as that.
+        The largest integer of a normalised encoding stands for this distance, and so do all distances beyond it. For
+        float16 the scale is the largest power of two that does not exceed the longest side of a voxel. Distances beyond
+        65504 times the scale are stored as 65504 times the scale.
         """
         return self._unit
 
     def error_bound(self, distance: float) -> float:
-        """Bound of the error of a stored distance of this magnitude, world units.
+        """Bound on the error of a stored distance of this magnitude, world units.
 
-        No bound holds beyond ``scale`` for a normalised encoding, and beyond ``65504 * scale`` for float16.
+        The bound holds up to ``scale`` for a normalised encoding, and up to ``65504 * scale`` for float16.
         """
         if self._encoding == "float16":
             return max(abs(distance) * 2.0**-10, 2.0**-24 * self._unit)
-        # A step, and two roundings of float32 on the way back: relative ones, or of the smallest float32.
+        # One step, plus two float32 roundings of the decoding: relative ones, or half a subnormal step.
         return self._unit / encodings.STEPS[self._encoding] + 2 * 2.0**-23 * self._unit + 2.0**-149
 
     @property
     def nbytes(self) -> int:
-        """Memory of the samples."""
+        """Memory of the samples, bytes."""
         return self._encoded.nbytes
 
     @property
@@ -91,7 +91,7 @@ class QuantizedVolume(Volume):
 
     @property
     def __array_interface__(self) -> dict[str, Any]:
-        # The decoded samples are made for each use, and this protocol cannot keep them alive; readers use __array__.
+        # Decoded samples are temporary and this protocol cannot keep them alive. Readers use __array__ instead.
         raise AttributeError("__array_interface__")
 
     @property
@@ -113,16 +113,17 @@ class QuantizedVolume(Volume):
         return self._encoded
 
     def save(self, path: str | os.PathLike[str], *, encoding: str | None = None, band: float = 4.0) -> None:
-        """Write a file; see :meth:`Volume.save`. An .npz keeps the stored numbers, and so does a texture.
+        """Write a file; see :meth:`Volume.save`. Containers and textures keep the stored samples unchanged.
 
         Parameters
         ----------
         path : str or path
             As for :meth:`Volume.save`.
         encoding : str, optional
-            Of a texture. If not given, that of the volume and with its scale; .nrrd files are always float32.
+            Encoding of a texture. The default is the encoding and the scale of the volume. .nrrd files are always
+            float32.
         band : float, default 4
-            As for :meth:`Volume.save`; read only if `encoding` is given.
+            As for :meth:`Volume.save`. Used only if `encoding` is given.
 
         Raises
         ------

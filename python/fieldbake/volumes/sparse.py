@@ -20,16 +20,17 @@ from .volume import Filter, Volume
 
 
 class SparseVolume(GridField):
-    """Signed distances in bricks of 8^3 samples near the surface, and a bound everywhere else. Immutable.
+    """Signed distances as bricks of 8^3 samples near the surface, and bounds everywhere else. Immutable.
 
     Made by :func:`fieldbake.bake_sparse` or :meth:`Volume.to_sparse`. It is sampled and drawn like a `Volume`.
 
     Notes
     -----
-    The grid is cut into bricks of 7^3 cells; neighbours share the samples on their faces. A brick with a sample in the
-    band is stored. Where one brick with cells of 2 or 4 voxels says the same as those it covers, to the tolerance, it
-    takes their place. Of the other bricks only the sign is kept, and the distances at their corners; between those the
-    field is a proven lower bound of the distance, so that rays may leap over them.
+    The grid is divided into bricks of 7^3 cells. Neighbouring bricks share the samples on their faces. A brick with a
+    sample in the band is stored. One brick with cells of 2 or 4 voxels replaces the bricks that it covers if its
+    samples agree with theirs to the tolerance. All other bricks store only their sign and the distances at their
+    corners. Between those corners the field is a proven lower bound on the distance, so rays may leap over empty
+    bricks.
     """
 
     __slots__ = ("_core_field",)
@@ -55,12 +56,12 @@ class SparseVolume(GridField):
 
     @property
     def resolution(self) -> tuple[int, int, int]:
-        """Voxels along x, y and z of the grid that it stands for."""
+        """Number of voxels of the whole grid along x, y and z."""
         return self._core_field.shape
 
     @property
     def encoding(self) -> str:
-        """How samples are stored: ``"float32"``, ``"float16"``, ``"snorm16"`` or ``"snorm8"``."""
+        """Encoding of the samples: ``"float32"``, ``"float16"``, ``"snorm16"`` or ``"snorm8"``."""
         return self._core_field.encoding
 
     @property
@@ -70,39 +71,39 @@ class SparseVolume(GridField):
 
     @property
     def brick_counts(self) -> MappingProxyType[int, int]:
-        """Stored bricks by the side of their cells, voxels: 1, 2 and 4."""
+        """Number of stored bricks by the side of their cells: 1, 2 or 4 voxels."""
         return MappingProxyType({1 << level: count for level, count in enumerate(self._core_field.levels)})
 
     @property
     def nbytes(self) -> int:
-        """Memory of samples, index and corner distances."""
+        """Memory of the samples, the index and the corner distances, bytes."""
         return self._core_field.nbytes
 
     @property
     def distances(self) -> NDArray[np.float32]:
-        """The field on the whole grid, (nx, ny, nz) float32: as large as the dense volume, made anew at each use."""
+        """The field on the whole grid, (nx, ny, nz) float32, computed at each use, as large as the dense volume."""
         return checks.frozen(self._core_field.dense())
 
     def to_volume(self) -> Volume:
-        """The dense volume of the same grid: stored samples, and bounds where nothing is stored."""
+        """Make the dense volume of the same grid: stored samples, and bounds in empty bricks."""
         dense = self._core_field.dense()
         return Volume._wrap(dense, self._bounds, self._inner_bounds, self._report, self._geometry)
 
     def sample(self, points: ArrayLike, *, filter: Filter = "linear") -> NDArray[np.float32]:
-        """The field at any points.
+        """Evaluate the field at points.
 
         Parameters
         ----------
         points : (n, 3) real
-            World positions; any leading shape will do.
+            World positions of any leading shape.
         filter : "linear" or "nearest", default "linear"
             As for :meth:`Volume.sample`.
 
         Returns
         -------
         (n,) float32
-            World units. In bricks near the surface the trilinear field; elsewhere, and outside the box, a proven lower
-            bound of the distance, with its sign.
+            World units. In bricks near the surface: the trilinear field. Elsewhere and outside the box: a proven lower
+            bound on the distance, with its sign.
 
         Raises
         ------
@@ -114,13 +115,13 @@ class SparseVolume(GridField):
         return self._core_field.sample(*inner, flat, filter=checks.text("filter", filter)).reshape(shape)
 
     def gradient(self, points: ArrayLike) -> NDArray[np.float32]:
-        """Gradient of the field at any points, (n, 3); see :meth:`Volume.gradient`."""
+        """Evaluate the gradient of the field at points, (n, 3); see :meth:`Volume.gradient`."""
         flat, shape = checks.points(points)
         return self._core_field.gradient(flat).reshape(*shape, 3)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> SparseVolume:
-        """Read a file of this kind of object.
+        """Read a file that holds a sparse volume.
 
         Parameters
         ----------
@@ -130,7 +131,7 @@ class SparseVolume(GridField):
         Returns
         -------
         SparseVolume
-            Bit for bit what was saved.
+            Equal bit for bit to the saved volume.
 
         Raises
         ------
@@ -147,11 +148,11 @@ class SparseVolume(GridField):
         return _core.Surface.of_sparse(self._core_field, level)
 
     def _kept_distance(self) -> float | None:
-        # Any point lies within half a voxel's diagonal of a sample.
+        # Every point lies within half the diagonal of a voxel of a sample.
         return self.band - 0.5 * float(np.linalg.norm(self.spacing))
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an .npz file, to be read by :func:`fieldbake.load`; see :meth:`Volume.save`."""
+        """Write an .npz file; read it with :func:`fieldbake.load`."""
         field = self._core_field
         facts = {"encoding": field.encoding, "scale": field.scale, "band": field.band}
         container.write(path, {**container.head("sparse", field.encoding), **self._facts(), **facts}, field.arrays())
@@ -190,14 +191,14 @@ def restore_field(
     scale: float,
     arrays: Any,
 ) -> _core.SparseField:
-    """A field from the arrays that :meth:`_core.SparseField.arrays` gives, in any memory order."""
+    """Make a field of the core from the arrays of :meth:`_core.SparseField.arrays`, in any memory order."""
     bricks = np.ascontiguousarray(arrays["bricks"].transpose(0, 3, 2, 1)).reshape(-1)
     index, nodes = np.asfortranarray(arrays["index"]), np.asfortranarray(arrays["nodes"])
     return _core.SparseField(*corners, shape, band, scale, index, nodes, bricks)
 
 
 def sparse_options(band: float, tolerance: float | None, encoding: str) -> dict[str, Any]:
-    """Checked options of the core."""
+    """Check the options of a sparse field, for the core."""
     return {
         "band": checks.number("band", band, least=2),
         "tolerance": None if tolerance is None else checks.number("tolerance", tolerance, least=0),

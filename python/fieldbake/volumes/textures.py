@@ -1,7 +1,7 @@
 """Volumes as 3D textures (.dds, .ktx2) and as .nrrd grids for ParaView and 3D Slicer.
 
-The facts of a .ktx2 file are JSON under the key ``fieldbake``, those of a .nrrd file a field of that name; those of a
-.dds file lie in a sidecar. ``decode`` is the formula for the distance of a texel.
+A .ktx2 file stores the metadata as JSON under the key ``fieldbake``, a .nrrd file in a field of that name, and a .dds
+file in a JSON file beside it. The entry ``decode`` is the formula for the distance of a texel.
 
 The axes of the texture are those of the volume: x runs to the right, y up, and z towards the viewer. KTX 2 calls this
 orientation ``ruo``.
@@ -23,7 +23,7 @@ from ..base.errors import ArgumentError, FormatError
 from ..files import container, sidecar
 from ..files.container import atomic_write, head
 
-#: Endings of the files that :func:`write` writes.
+#: Endings of the files that :func:`write` can write.
 ENDINGS = container.ENDINGS["volume"][1:]
 
 
@@ -36,7 +36,7 @@ def write(
     encoding: str,
     band: float,
 ) -> None:
-    """Write samples (nx, ny, nz) as .dds, .ktx2 or .nrrd, with the facts of their grid."""
+    """Write samples (nx, ny, nz) as .dds, .ktx2 or .nrrd, with the metadata of their grid."""
     target = Path(path)
     kind = target.suffix.lower()[1:]
     encoding = checks.choice("encoding", encoding, encodings.NAMES)
@@ -74,7 +74,7 @@ def _write_nrrd(
 
 
 def nrrd_package() -> Any:
-    """The optional package pynrrd."""
+    """Import the optional package pynrrd."""
     try:
         import nrrd
     except ImportError:

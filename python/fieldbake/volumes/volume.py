@@ -29,20 +29,20 @@ Filter = Literal["linear", "nearest"]
 
 
 class Volume(GridField):
-    """Signed distances on a regular grid, negative inside, in the mesh's own units. Immutable.
+    """Signed distances on a regular grid: negative inside, in the mesh's own units. Immutable.
 
-    Made by :func:`fieldbake.bake` or :func:`fieldbake.load`, or from an array:
+    Made by :func:`fieldbake.bake`, by :func:`fieldbake.load`, or from an array.
 
     Parameters
     ----------
     distances : (nx, ny, nz) real
-        Samples at the voxel centres. Kept as float32 with x fastest in memory.
+        Samples at the voxel centres. Stored as float32 with x fastest in memory.
     bounds : (2, 3) array
         Lower and upper corner of the box, world units.
     inner_bounds : (2, 3) array, optional
-        Box that holds the whole surface; `bounds` if not given. Needed for the lower bound outside the box.
+        Box that contains the whole surface; the default is `bounds`. The lower bound outside the box uses it.
     report : Report, optional
-        Where the distances came from.
+        Origin and cost of the distances.
 
     Raises
     ------
@@ -61,7 +61,7 @@ class Volume(GridField):
 
     __slots__ = ("_field", "_samples", "_shape")
 
-    # Samples on a graphics device, and here: either may be missing, not both.
+    # Samples on a graphics device, and on the host. At least one of the two is present.
     _field: _core.DeviceField | None
     _samples: NDArray[np.float32] | None
     _shape: tuple[int, int, int]
@@ -103,7 +103,7 @@ class Volume(GridField):
         report: Report,
         geometry: Source | None = None,
     ) -> Volume:
-        """Take over checked arrays without a copy."""
+        """Make a volume of checked arrays without a copy."""
         volume = cls.__new__(cls)
         volume._set(distances, bounds, inner_bounds, report, geometry)
         return volume
@@ -118,18 +118,18 @@ class Volume(GridField):
         return self._samples
 
     def _source(self, device: str) -> NDArray[Any] | _core.DeviceField:
-        """The samples where a call with this `device` runs, if they are there."""
+        """The samples at the place where a call with this `device` runs, if they are there."""
         field = self._field
         return field if field is not None and field.serves(checks.text("device", device)) else self._distances
 
     @property
     def _texels(self) -> NDArray[Any]:
-        """The samples as they are stored."""
+        """The samples in their stored encoding."""
         return self._distances
 
     @property
     def _scale(self) -> float:
-        """What the stored samples are decoded with."""
+        """Factor that decodes the stored samples."""
         return 1.0
 
     @property
@@ -139,12 +139,12 @@ class Volume(GridField):
 
     @property
     def resolution(self) -> tuple[int, int, int]:
-        """Voxels along x, y and z."""
+        """Number of voxels along x, y and z."""
         return self._shape
 
     @property
     def nbytes(self) -> int:
-        """Memory of the samples."""
+        """Memory of the samples, bytes."""
         nx, ny, nz = self._shape
         return 4 * nx * ny * nz
 
@@ -168,7 +168,7 @@ class Volume(GridField):
         dl_device: tuple[int, int] | None = None,
         copy: bool | None = None,
     ) -> object:
-        """The samples for another library; a writable copy for readers that know no read-only tensors."""
+        """Export the samples by DLPack. Consumers without read-only tensors receive a writable copy."""
         if stream is not None:
             raise BufferError("the samples are in host memory, which has no streams")
         if max_version is None or max_version[0] < 1 or copy or np.lib.NumpyVersion(np.__version__) < "2.1.0":
@@ -179,20 +179,20 @@ class Volume(GridField):
         return self._distances.__dlpack_device__()
 
     def sample(self, points: ArrayLike, *, filter: Filter = "linear") -> NDArray[np.float32]:
-        """The field at any points.
+        """Evaluate the field at points.
 
         Parameters
         ----------
         points : (n, 3) real
-            World positions; any leading shape will do.
+            World positions of any leading shape.
         filter : "linear" or "nearest", default "linear"
-            Trilinear between the eight samples around, or the nearest one.
+            Trilinear interpolation of the eight surrounding samples, or the nearest sample.
 
         Returns
         -------
         (n,) float32
-            World units. Outside the box: a proven lower bound of the distance, sqrt(a^2 + s^2) for a point at
-            distance a from the box of the outermost samples, s being a lower bound at the nearest point of that.
+            World units. Outside the box: a proven lower bound on the distance. It is sqrt(a^2 + s^2), where `a` is the
+            distance from the box of the outermost samples and `s` a lower bound at the nearest point of that box.
 
         Raises
         ------
@@ -215,17 +215,17 @@ class Volume(GridField):
         return values.reshape(shape)
 
     def gradient(self, points: ArrayLike) -> NDArray[np.float32]:
-        """Gradient of the trilinear field at any points; on the surface it points outwards.
+        """Evaluate the gradient of the trilinear field at points. On the surface it points outwards.
 
         Parameters
         ----------
         points : (n, 3) real
-            World positions; any leading shape will do. Outside the box its nearest point is taken.
+            World positions of any leading shape. A point outside the box is replaced by the nearest point of the box.
 
         Returns
         -------
         (n, 3) float32
-            Distance per world unit: near length 1 away from edges of the field.
+            Distance per world unit. The length is about 1 away from edges of the field.
 
         Raises
         ------
@@ -240,17 +240,17 @@ class Volume(GridField):
         return _core.Surface.of_field(self._texels, *self._corners(), level, scale=self._scale)
 
     def downsample(self, factor: int = 2) -> Volume:
-        """A coarser volume over the same box.
+        """Make a coarser volume over the same box.
 
         Parameters
         ----------
         factor : int, default 2
-            Each side gets 1/`factor` of its voxels, rounded up.
+            Each side has 1/`factor` of the voxels, rounded up.
 
         Returns
         -------
         Volume
-            Trilinear values at the new voxel centres; not a lower bound of the distance.
+            Trilinear values at the new voxel centres. They are not lower bounds on the distance.
 
         Raises
         ------
@@ -263,47 +263,48 @@ class Volume(GridField):
         return Volume._wrap(distances, self._bounds, self._inner_bounds, self._report, self._geometry)
 
     def plot_slices(self, at: ArrayLike | None = None) -> Figure:
-        """The slices through a point along the three axes, coloured by distance, with iso-lines.
+        """Plot the slices through a point along the three axes, coloured by distance, with iso-lines.
 
         Parameters
         ----------
         at : (3,) array, optional
-            World position; the middle of the box if not given.
+            World position. The default is the centre of the box.
 
         Returns
         -------
         matplotlib.figure.Figure
-            A notebook shows it; ``.savefig("slices.png")`` saves it.
+            Notebooks display it. ``.savefig("slices.png")`` saves it.
 
         Raises
         ------
         Error
             If matplotlib is not installed.
         ArgumentError
-            If `at` is no position.
+            If `at` is not a position.
         """
         from ..drawing.plot import plot_slices
 
         return plot_slices(self, at)
 
     def quantize(self, encoding: Literal["float16", "snorm16", "snorm8"], *, band: float = 4) -> QuantizedVolume:
-        """The same volume in 16 or 8 bits a sample.
+        """Store the volume in 16 or 8 bits per sample.
 
         Parameters
         ----------
         encoding : "float16", "snorm16" or "snorm8"
-            Half floats of the distances in voxels, or integers in equal steps from minus the band to the band. The
-            voxel is rounded down to a power of two, world units.
+            ``"float16"``: half floats of the distances in voxels. ``"snorm16"`` and ``"snorm8"``: integers in equal
+            steps from minus the band to the band. For float16 the voxel is rounded down to a power of two, world units.
         band : float, default 4
-            Voxels around the surface that the integers keep, by the voxel's longest side; magnitudes beyond are stored
-            as the band. float16 has no band: it keeps at least 65504 voxels.
+            Half width of the band that the integers represent, in voxels by the longest side of a voxel. Magnitudes
+            beyond the band are stored as the band. float16 has no band: it represents at least 65504 voxels.
 
         Returns
         -------
         QuantizedVolume
-            A volume like any other. Values are rounded toward zero: no stored magnitude exceeds the true one. They are
-            off by at most band / 127 voxels (snorm8) or band / 32767 voxels (snorm16) within the band, and by 2^-10 of
-            the distance or 2^-24 voxels, whichever is more (float16). These bounds hold for a mesh of any size.
+            A volume with the same methods. Values are rounded toward zero: no stored magnitude exceeds the true one.
+            Within the band the error is at most band / 127 voxels (snorm8) or band / 32767 voxels (snorm16). For
+            float16 it is at most 2^-10 of the distance or 2^-24 voxels, whichever is larger. These bounds hold for a
+            mesh of any size.
 
         Raises
         ------
@@ -328,29 +329,31 @@ class Volume(GridField):
         encoding: Encoding = "float32",
         progress: Progress = None,
     ) -> SparseVolume:
-        """The same field as bricks around the surface; see :class:`SparseVolume`.
+        """Convert the field to bricks around the surface; see :class:`SparseVolume`.
 
         Parameters
         ----------
         tolerance : float or None, default 0.05
-            Coarser bricks take the place of finer ones where they differ from all their samples by no more, voxels.
-            None: never; every stored sample is that of the volume.
+            Largest difference, in voxels, by which a coarser brick may differ from the samples that it replaces. None
+            never uses coarser bricks, so every stored sample equals that of the volume.
         band : float, default 4
-            Bricks with a sample nearer to the surface are stored, voxels; at least 2.
+            Distance from the surface within which a sample makes its brick stored, voxels; at least 2.
         encoding : str, default "float32"
-            Or ``"float16"``, ``"snorm16"``, ``"snorm8"``, rounded toward zero; the integers with the band as scale.
+            ``"float32"``, ``"float16"``, ``"snorm16"`` or ``"snorm8"``, rounded toward zero. The band is the scale of
+            the integers.
         progress : bool or callable, optional
-            True draws a bar on stderr; a callable gets a share from 0 to 1.
+            True draws a bar on stderr. A callable receives the finished fraction from 0 to 1.
 
         Returns
         -------
         SparseVolume
-            Where nothing is stored, a lower bound of the distance, as far as the volume's samples are distances.
+            In empty bricks its values are lower bounds on the distance, provided that the samples of the volume are
+            distances.
 
         Raises
         ------
         ArgumentError
-            For an option that makes no sense.
+            If an option is out of range.
         """
         from .sparse import to_sparse
 
@@ -358,7 +361,7 @@ class Volume(GridField):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Volume:
-        """Read a file of this kind of object.
+        """Read a file that holds a volume.
 
         Parameters
         ----------
@@ -368,7 +371,7 @@ class Volume(GridField):
         Returns
         -------
         Volume
-            Bit for bit what was saved.
+            Equal bit for bit to the saved volume.
 
         Raises
         ------
@@ -382,24 +385,26 @@ class Volume(GridField):
         return load_as(cls, path)
 
     def save(self, path: str | os.PathLike[str], *, encoding: str = "float32", band: float = 4.0) -> None:
-        """Write a file; one of that name is replaced only once the new one is complete.
+        """Write a file. An existing file is replaced only after the new file is complete.
 
         Parameters
         ----------
         path : str or path
-            ``.npz``: ours, and NumPy's; ``.dds`` or ``.ktx2``: a 3D texture; ``.nrrd``: for ParaView and 3D Slicer,
-            needs the package pynrrd. Read any with :func:`fieldbake.load`.
+            The ending selects the format. ``.npz``: the container of fieldbake, readable by NumPy. ``.dds`` or
+            ``.ktx2``: a 3D texture. ``.nrrd``: for ParaView and 3D Slicer; needs the package pynrrd.
+            :func:`fieldbake.load` reads all of them.
         encoding : str, default "float32"
-            Of a texture: ``"float32"``, ``"float16"``, ``"snorm16"`` or ``"snorm8"``, as for :func:`fieldbake.pack`.
+            Encoding of a texture: ``"float32"``, ``"float16"``, ``"snorm16"`` or ``"snorm8"``, as for
+            :func:`fieldbake.pack`.
         band : float, default 4
-            Half the width of the band that a normalised encoding keeps, voxels.
+            Half width of the band that a normalised encoding represents, voxels.
 
         Raises
         ------
         FormatError
             For another ending.
         ArgumentError
-            For an encoding that the file cannot have.
+            For an encoding that the format does not support.
         OSError
             If the file cannot be written.
         """
@@ -412,7 +417,7 @@ class Volume(GridField):
         container.write(path, {**container.head("volume"), **self._facts()}, {"distances": self.distances})
 
     def _repr_png_(self) -> bytes | None:
-        """A picture, for notebooks; None if there is no surface to see."""
+        """Draw the surface for notebooks; None if there is no surface."""
         from ..drawing.raymarching import raymarch
 
         distances = self._distances
@@ -437,13 +442,13 @@ def _restore(distances: Any, bounds: Any, inner_bounds: Any, report: Report) -> 
 
 
 def check_distances(value: ArrayLike) -> NDArray[np.float32]:
-    """Finite samples of shape (nx, ny, nz), float32 with x fastest, copied only where needed."""
+    """Check samples of shape (nx, ny, nz) and return them as float32 with x fastest, copied only where needed."""
     array = checks.real_array("distances", value, "(nx, ny, nz)")
     if array.ndim != 3 or array.size == 0:
         raise ArgumentError(f"distances: must have shape (nx, ny, nz), got {checks.describe(array)}")
     with np.errstate(over="ignore", invalid="ignore"):
         samples = np.asfortranarray(array, dtype=np.float32)
-    # The sum is finite only if all samples are; only then is the slower look worth it.
+    # The sum is finite only if all samples are. The slower search runs only if it is not.
     with np.errstate(over="ignore", invalid="ignore"):
         suspicious = not np.isfinite(samples.sum(dtype=np.float64))
     if suspicious and not (finite := np.isfinite(samples)).all():
