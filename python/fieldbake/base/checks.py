@@ -1,4 +1,4 @@
-"""Checks of arguments, shared by the whole package: each returns the clean value or raises, naming the argument."""
+"""Checks of arguments for the whole package. Each returns the clean value or raises an error that names it."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from .errors import ArgumentError, Error
 
-#: Largest magnitude of a number or coordinate: what is made of it still fits in float32.
+#: Largest magnitude of a number or coordinate. Sums and differences of such values still fit in float32.
 FAR = 1e37
 
 
 def describe(value: object) -> str:
-    """One short line about a value, for error messages."""
+    """Describe a value in one short line for an error message."""
     if isinstance(value, np.ndarray):
         return f"an array of shape {value.shape} and dtype {value.dtype}"
     text = repr(value)
@@ -24,7 +24,7 @@ def describe(value: object) -> str:
 
 
 def number(name: str, value: object, *, above: float | None = None, least: float | None = None) -> float:
-    """A real number that float32 can hold, optionally bounded below."""
+    """Check a real number that float32 can represent, optionally bounded below."""
     wanted = "a finite number"
     if above is not None:
         wanted += f" above {above:g}"
@@ -42,7 +42,7 @@ def number(name: str, value: object, *, above: float | None = None, least: float
 
 
 def limit(name: str, value: object) -> float:
-    """A real number that may be infinite."""
+    """Check a real number that may be infinite."""
     try:
         if isinstance(value, (bool, str, bytes, np.bool_)):
             raise TypeError
@@ -55,7 +55,7 @@ def limit(name: str, value: object) -> float:
 
 
 def integer(name: str, value: object, *, least: int, most: int, error: type[Error] = ArgumentError) -> int:
-    """A whole number from ``least`` to ``most``; 64.0 and True are refused."""
+    """Check a whole number from ``least`` to ``most``. Floats and booleans are refused."""
     try:
         if isinstance(value, (bool, np.bool_)):
             raise TypeError
@@ -68,7 +68,7 @@ def integer(name: str, value: object, *, least: int, most: int, error: type[Erro
 
 
 def real_array(name: str, value: object, shape: str, error: type[Error] = ArgumentError) -> NDArray[Any]:
-    """Any real numeric array, not yet converted; ``shape`` only words the message."""
+    """Check a real numeric array without converting it; ``shape`` is the wording of the message."""
     try:
         array = as_array(value)
     except (ValueError, TypeError, RuntimeError, BufferError) as reason:
@@ -79,27 +79,27 @@ def real_array(name: str, value: object, shape: str, error: type[Error] = Argume
 
 
 def as_array(value: object) -> NDArray[Any]:
-    """Anything array-like, without a copy where its library offers one: lists, ``__array__`` and ``__dlpack__``."""
+    """Convert an array-like to an array, without a copy where its library offers ``__array__`` or ``__dlpack__``."""
     if hasattr(value, "__dlpack__") and not hasattr(value, "__array__"):
         return np.from_dlpack(value)
     return np.asarray(value)
 
 
 def as_float64(array: NDArray[Any]) -> NDArray[np.float64]:
-    """C-contiguous float64; a number too large for it becomes infinite and is reported by whoever checks values."""
+    """Convert to C-contiguous float64. Values out of its range become infinite, and later checks report them."""
     with np.errstate(over="ignore", invalid="ignore"):
         return np.ascontiguousarray(array, dtype=np.float64)
 
 
 def vector(name: str, value: ArrayLike, length: int, error: type[Error] = ArgumentError) -> NDArray[np.float64]:
-    """A finite vector of the given length, as a new float64 array."""
+    """Check a finite vector of the given length; return a new float64 array."""
     return matrix(name, value, (length,), error)
 
 
 def matrix(
     name: str, value: ArrayLike, shape: tuple[int, ...], error: type[Error] = ArgumentError
 ) -> NDArray[np.float64]:
-    """A finite array of exactly this shape, as a new float64 array."""
+    """Check a finite array of exactly this shape; return a new float64 array."""
     array = real_array(name, value, str(shape), error)
     if array.shape != shape:
         raise error(f"{name}: must have shape {shape}, got {describe(array)}")
@@ -110,21 +110,21 @@ def matrix(
 
 
 def flag(name: str, value: object) -> bool:
-    """True or False; anything else is a mistake, such as a number meant for the next argument."""
+    """Check a boolean. Other types are refused, since a number was likely meant for the next argument."""
     if not isinstance(value, (bool, np.bool_)):
         raise ArgumentError(f"{name}: must be True or False, got {describe(value)}")
     return bool(value)
 
 
 def text(name: str, value: object) -> str:
-    """A string; what it may say is checked by the core."""
+    """Check a string. The core checks its value."""
     if not isinstance(value, str):
         raise ArgumentError(f"{name}: must be text, got {describe(value)}")
     return value
 
 
 def choice(name: str, value: object, wanted: Sequence[str], error: type[Error] = ArgumentError) -> Any:
-    """One of a few words."""
+    """Check that a value is one of a few words."""
     if not isinstance(value, str) or value not in wanted:
         words = ", ".join(f'"{word}"' for word in wanted)
         raise error(f"{name}: must be one of {words}, got {describe(value)}")
@@ -132,7 +132,7 @@ def choice(name: str, value: object, wanted: Sequence[str], error: type[Error] =
 
 
 def points(value: object, name: str = "points") -> tuple[NDArray[np.float64], tuple[int, ...]]:
-    """Finite positions of shape (..., 3) as (n, 3) float64, and the shape without its last axis."""
+    """Check finite positions (..., 3); return them as (n, 3) float64, and the leading shape."""
     array = real_array(name, value, "(n, 3)")
     if array.shape == (0,):
         array = array.reshape(0, 3)
@@ -147,7 +147,7 @@ def points(value: object, name: str = "points") -> tuple[NDArray[np.float64], tu
 
 
 def box(name: str, value: ArrayLike, error: type[Error] = ArgumentError, *, flat: bool = False) -> NDArray[np.float64]:
-    """Two corners, (2, 3), the first below the second on every axis; with ``flat`` they may be equal on some."""
+    """Check two corners (2, 3), the lower one first. With ``flat`` they may be equal along some axes."""
     corners = matrix(name, value, (2, 3), error)
     if not (np.abs(corners) <= FAR).all():
         raise error(f"{name}: must be at most {FAR:g} from 0, got {corners.tolist()}")
@@ -158,11 +158,11 @@ def box(name: str, value: ArrayLike, error: type[Error] = ArgumentError, *, flat
 
 
 def affine(name: str, value: ArrayLike, error: type[Error]) -> NDArray[np.float64]:
-    """A 4x4 affine transform, column vectors, that can be undone."""
+    """Check a 4x4 affine transform for column vectors that has an inverse."""
     transform = matrix(name, value, (4, 4), error)
     if not np.allclose(transform[3], (0, 0, 0, 1), atol=1e-12):
         raise error(f"{name}: the last row must be (0, 0, 0, 1), got {transform[3].tolist()}; is it transposed?")
-    # Singular relative to its own size, so that a uniform scale by 1e-6 is no problem.
+    # The determinant is compared with the size of the transform, so that a uniform scale by 1e-6 is valid.
     scale = np.abs(transform[:3, :3]).max()
     if scale == 0 or abs(np.linalg.det(transform[:3, :3] / scale)) < 1e-12:
         raise error(f"{name}: cannot be undone, its 3x3 part is singular: {transform[:3, :3].tolist()}")
@@ -170,12 +170,12 @@ def affine(name: str, value: ArrayLike, error: type[Error]) -> NDArray[np.float6
 
 
 def triple(corner: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Three plain floats, as the core takes them."""
+    """Convert a corner to three Python floats for the core."""
     x, y, z = corner.tolist()
     return float(x), float(y), float(z)
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
-    """The same array, made read-only."""
+    """Make an array read-only and return it."""
     array.flags.writeable = False
     return array

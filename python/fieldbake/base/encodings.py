@@ -11,8 +11,8 @@ from .. import _core
 
 Encoding = Literal["float32", "float16", "snorm16", "snorm8"]
 
-#: Element type of each encoding. All but float32 are multiplied by a scale in world units; a normalised integer counts
-#: shares of it.
+#: Element type of each encoding. All but float32 are multiplied by a scale in world units. A normalised integer counts
+#: steps of 1 / STEPS of the scale.
 DTYPES: dict[str, np.dtype[Any]] = {
     "float32": np.dtype(np.float32),
     "float16": np.dtype(np.float16),
@@ -20,29 +20,29 @@ DTYPES: dict[str, np.dtype[Any]] = {
     "snorm8": np.dtype(np.int8),
 }
 
-#: Every encoding, and those with fewer than 32 bits a sample.
+#: Names of all encodings, and of those with fewer than 32 bits per sample.
 NAMES = tuple(DTYPES)
 QUANTIZED = NAMES[1:]
 
-#: Largest magnitude of the normalised integers, which stands for the scale.
+#: Largest magnitude of the normalised integers, which represents the scale.
 STEPS = {"snorm16": 32767, "snorm8": 127}
 
-#: Half the width of the band that a normalised encoding keeps, voxels.
+#: Half width of the band of a normalised encoding, voxels.
 DEFAULT_BAND = 4.0
 
 
 def scale_of(encoding: str, spacing: Any, band: float) -> float:
     """The scale of `encoding` on a grid of voxels with the sides `spacing` (3,), world units; `band` is in voxels.
 
-    It is 1 for float32, the largest power of two up to the voxel's longest side for float16, and the width of the band
-    for the normalised encodings.
+    The scale is 1 for float32. For float16 it is the largest power of two that does not exceed the longest side of a
+    voxel. For the normalised encodings it is the half width of the band.
     """
     voxel = float(np.max(spacing))
     return _core.encoding_scale(encoding, voxel, band * voxel)
 
 
 def largest_scale(distances: NDArray[np.float32]) -> float:
-    """The scale with which a normalised encoding keeps all of these distances."""
+    """The smallest scale with which a normalised encoding represents all of these distances."""
     return _core.encoding_scale("snorm16", 1.0, float(np.abs(distances).max()))
 
 

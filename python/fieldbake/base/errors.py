@@ -1,7 +1,7 @@
-"""The exceptions of fieldbake: one base class, and one class for each thing that can be wrong.
+"""The exceptions of fieldbake: one base class, and one class for each kind of failure.
 
-Errors about a value also derive from :class:`ValueError`, so code that knows nothing of fieldbake can catch them.
-A missing file stays :class:`FileNotFoundError`.
+Errors about a value also derive from :class:`ValueError`, so code that does not know fieldbake can catch them. A
+missing file raises :class:`FileNotFoundError`.
 """
 
 
@@ -10,7 +10,7 @@ class Error(Exception):
 
 
 class ArgumentError(Error, ValueError):
-    """An option or array that makes no sense; the message starts with the argument's name."""
+    """An option or array that is out of range or has the wrong type. The message starts with the argument's name."""
 
 
 class MeshError(Error, ValueError):
@@ -30,7 +30,7 @@ class AtlasError(Error, ValueError):
 
 
 class FormatError(Error, ValueError):
-    """A file that is not ours, is damaged, or was written by a newer version."""
+    """A file that fieldbake did not write, that is damaged, or that a newer version wrote."""
 
 
 class SurfaceWarning(UserWarning):
@@ -42,7 +42,7 @@ class DeviceError(Error, RuntimeError):
 
 
 class PerformanceWarning(UserWarning):
-    """A call that works, but far slower than it need be; `warnings.filterwarnings` can silence it."""
+    """A call that works, but much more slowly than necessary; `warnings.filterwarnings` can silence it."""
 
 
 class CapacityError(Error, MemoryError):

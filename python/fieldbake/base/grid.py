@@ -1,4 +1,4 @@
-"""The regular grid a volume is sampled on: which box, how many voxels."""
+"""The regular grid of a volume: its box and its number of voxels."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ Resolution = int | Sequence[int]
 
 DEFAULT_RESOLUTION = 64
 
-#: Voxels along one side; past it even a flat slab of one voxel is larger than any memory.
+#: Largest number of voxels along one side. Beyond it even a slab of one voxel exceeds any memory.
 MAX_SIDE = 2**31 - 1
 
-#: A side may miss a whole number of voxels by this much, in voxels, and still count as whole (rounding of a division).
+#: Tolerance, in voxels, within which a side counts as a whole number of voxels. It covers the rounding of a division.
 WHOLE = 1e-6
 
 
 @dataclass(frozen=True)
 class Grid:
-    """A box cut into voxels: samples sit at voxel centres, ``lower + (index + 0.5) * spacing``."""
+    """A box divided into voxels. Samples lie at voxel centres: ``lower + (index + 0.5) * spacing``."""
 
     lower: tuple[float, float, float]
     upper: tuple[float, float, float]
@@ -47,24 +47,24 @@ def make_grid(
     margin: float = 0.1,
     border: ArrayLike = 1.0,
 ) -> Grid:
-    """Choose the grid for a surface that lies in the box ``inner``.
+    """Choose the grid for a surface in the box ``inner``.
 
     Parameters
     ----------
     inner : (2, 3) array
-        Box of the surface, world units; sides may be zero.
+        Box of the surface, world units. Sides may be zero.
     resolution : int or three ints, default 64
-        One number: cubic voxels, so many along the longest side of the box, whole voxels along the others, the box
-        grown about its centre to fit. Three numbers: taken as given, voxels may be oblong.
+        One number: cubic voxels, with this number along the longest side of the box and whole voxels along the others;
+        the box is enlarged about its centre to fit. Three numbers: voxels along x, y and z, which may be oblong.
     voxel_size : float, optional
-        Side of a cubic voxel in world units, in place of `resolution`.
+        Side of a cubic voxel, world units. It replaces `resolution`.
     bounds : (2, 3) array, optional
-        The box to sample, in place of the surface's own box and its margin.
+        Box to sample. It replaces the box of the surface and its margin.
     margin : float, default 0.1
-        The surface's box is scaled by ``1 + margin`` about its centre, then grown to leave at least `border` voxels
-        on each side (as far as the number of voxels allows).
+        The box of the surface is scaled by ``1 + margin`` about its centre, then enlarged to leave at least `border`
+        voxels on each side, as far as the number of voxels allows.
     border : float or (3,), default 1
-        Voxels left free on each side, along x, y and z.
+        Number of voxels left free on each side, along x, y and z.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def make_grid(
         if resolution != DEFAULT_RESOLUTION:
             raise ArgumentError(f"voxel_size: give either voxel_size ({voxel_size:g}) or resolution ({resolution})")
 
-    # The smallest box that the grid may have, and the part of it that voxels on both sides must clear.
+    # The smallest box of the grid, and the part of it that must keep the border on both sides.
     outer = None if bounds is None else checks.box("bounds", bounds)
     box = inner if outer is None else outer
     center = (box[0] + box[1]) / 2
@@ -127,7 +127,7 @@ def _cubic(
     spacing: float,
     argument: str,
 ) -> Grid:
-    """Whole cubic voxels that cover ``wanted``, and ``extent`` with its border."""
+    """Make a grid of whole cubic voxels that covers ``wanted``, and ``extent`` with its border."""
     counts = np.maximum(wanted, extent + border_voxels * spacing) / spacing
     if not (counts < MAX_SIDE).all():
         raise ArgumentError(
@@ -145,11 +145,11 @@ def _oblong(
     border_voxels: NDArray[np.float64],
     shape: list[int],
 ) -> Grid:
-    """The voxel counts as given; each side just long enough."""
+    """Make a grid with the given numbers of voxels; each side is just long enough."""
     counts = np.array(shape, dtype=np.float64)
     inside = np.where(counts > border_voxels, counts - border_voxels, counts)
     spacing = np.maximum(wanted / counts, extent / inside)
-    # A side without thickness takes the voxel size of the others.
+    # A side without extent takes the voxel size of the others.
     flat = extent <= WHOLE * extent.max()
     spacing[flat] = spacing.max()
     half = spacing * counts / 2

@@ -1,4 +1,4 @@
-"""Warnings that a user sees once per call, at the line that made the call."""
+"""Warnings that are raised once per call, at the line of the caller."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ PACKAGE = __name__.partition(".")[0]
 
 
 def warn_surface(messages: Sequence[str]) -> None:
-    """Raise one `SurfaceWarning` with all messages about the surface; nothing without any.
+    """Raise one `SurfaceWarning` with all messages about the surface; nothing if there are none.
 
-    Messages about the device start with its argument's name and are a `PerformanceWarning` of their own.
+    Messages about the device start with the name of that argument and become a `PerformanceWarning`.
     """
     of_surface = [message for message in messages if not message.startswith("device=")]
     if of_surface:
@@ -22,7 +22,7 @@ def warn_surface(messages: Sequence[str]) -> None:
 
 
 def _depth_of_caller() -> int:
-    """How many frames up the first one outside this package is, as `warnings.warn` counts from `warn_surface`."""
+    """Count the frames from `warn_surface` up to the first frame outside this package, as `warnings.warn` counts."""
     depth = 1
     frame = sys._getframe(1)
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == PACKAGE:

@@ -12,13 +12,13 @@ from .errors import ArgumentError
 
 Progress = bool | Callable[[float], object] | None
 
-#: Work on a terminal shows a bar of its own accord once it has taken this long, seconds.
+#: Duration after which work on a terminal shows a bar without request, seconds.
 DELAY = 3.0
 
 
 @contextmanager
 def progress_callback(progress: Progress, label: str) -> Iterator[Callable[[float], object] | None]:
-    """Yield the callable that the core calls with the finished share from 0 to 1, or None.
+    """Yield the callable that the core calls with the finished fraction from 0 to 1, or None.
 
     ``True`` draws a bar on stderr that vanishes when the work is done. ``None`` draws it after `DELAY` seconds if
     stderr is a terminal.
@@ -36,7 +36,7 @@ def progress_callback(progress: Progress, label: str) -> Iterator[Callable[[floa
 
 
 def _bar(stack: ExitStack, label: str, delay: float) -> Callable[[float], object]:
-    """A callable that draws a bar once `delay` seconds have passed; `stack` removes it."""
+    """Make a callable that draws a bar once `delay` seconds have passed; `stack` removes it."""
     from rich.console import Console
     from rich.progress import Progress as Bar
 
@@ -53,5 +53,5 @@ def _bar(stack: ExitStack, label: str, delay: float) -> Callable[[float], object
 
 
 def part_of(callback: Callable[[float], object] | None, number: int, count: int) -> Callable[[float], object] | None:
-    """Map the share of job `number`, one of `count` equal jobs, to the share of all of them."""
+    """Map the fraction of job `number`, one of `count` equal jobs, to the fraction of all of them."""
     return None if callback is None else lambda share: callback((number + share) / count)

@@ -51,7 +51,7 @@ class Report:
     chord_error : float
         Largest distance between the mesh and the solid that it was tessellated from, world units; 0 for other meshes.
     points, inside_points : int
-        Points of a query; those of them with negative distance. Both are 0 for a bake.
+        Number of points of a query, and of those with a negative distance. Both are 0 for a bake.
     device : str
         Device that evaluated the distances.
     seconds : mapping of str to float
@@ -59,7 +59,7 @@ class Report:
     peak_bytes : int
         Peak memory of the bake, bytes.
     band : float
-        Distances up to here are exact, world units; larger magnitudes are lower bounds. 0: all are exact.
+        Distances up to this magnitude are exact, world units; larger magnitudes are lower bounds. 0 if all are exact.
     warnings : tuple of str
         Warnings; each names a remedy.
     """
@@ -99,7 +99,7 @@ class Report:
 
     @classmethod
     def of_mesh(cls, mesh: Any, facts: Mapping[str, Any]) -> Report:
-        """The core's facts with those of the mesh they are about."""
+        """Combine the facts of the core with those of the mesh they describe."""
         sizes = {"faces": len(mesh.faces), "vertices": len(mesh.vertices), "chord_error": mesh.chord_error}
         return cls.from_dict({**facts, **sizes})
 
@@ -153,12 +153,13 @@ def _plain(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class SurfaceReport:
-    """Facts of a mesh that was extracted from a field.
+    """Properties of a mesh that was extracted from a field.
 
     Attributes
     ----------
     clamped_vertices : int
-        Vertices whose nearest point to the tangent planes lies outside their cell; they lie on the border of the cell.
+        Number of vertices whose nearest point to the tangent planes lies outside their cell. They lie on the border of
+        the cell.
     """
 
     clamped_vertices: int = 0

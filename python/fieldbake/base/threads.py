@@ -21,9 +21,9 @@ def set_threads(n: int) -> None:
 
     Notes
     -----
-    Results do not depend on it: the same input gives the same bytes on any number of threads. Without this call there
-    is one thread per core, or ``RAYON_NUM_THREADS`` of them if that variable is set. Programs that start one process
-    per core should call ``set_threads(1)`` in each: 64 processes of 64 threads each are 4096 threads.
+    Results do not depend on the number of threads: the same input gives the same bytes. Without this call there is one
+    thread per core, or ``RAYON_NUM_THREADS`` threads if that variable is set. Programs that start one process per core
+    should call ``set_threads(1)`` in each: 64 processes of 64 threads each are 4096 threads.
 
     Examples
     --------

@@ -1,7 +1,8 @@
-"""The .npz container of fieldbake: an archive that plain NumPy can read, checked before any of its bytes is used.
+"""The .npz container of fieldbake. Plain NumPy can read it. All sizes are checked before any content is read.
 
-Layout: a zip archive of uncompressed members. Files with float16 samples, which have a scale since then, are version 3;
-other quantised, sparse and nested volumes are version 2, and all else is version 1. A volume has two members:
+A container is a zip archive of uncompressed members. Files with float16 samples, which have a scale since version 3,
+are version 3. Other quantised, sparse and nested volumes are version 2, and all else is version 1. A volume has two
+members:
 
 ``header.npy``
     A zero-dimensional string: JSON with ``format``, ``kind``, ``version``, ``bounds``, ``inner_bounds``, ``report``.
@@ -10,12 +11,12 @@ other quantised, sparse and nested volumes are version 2, and all else is versio
     int8; the header has ``encoding`` and ``scale``. A distance is the float16, or the integer / 32767 or / 127, times
     the scale.
 ``index.npy``, ``nodes.npy``, ``bricks.npy``
-    In place of the distances for the kind ``sparse``; the header has ``encoding``, ``scale`` and ``band``.
+    These replace the distances for the kind ``sparse``; the header has ``encoding``, ``scale`` and ``band``.
 
-A nested field has ``level_0.npy``, ``level_1.npy``, ... in place of the distances, finest first, and their ``boxes``.
+A nested field has ``level_0.npy``, ``level_1.npy``, ... instead of the distances, finest first, and their ``boxes``.
 
-An atlas has the header, ``pages.npy``, a row of ``blocks``, ``boxes``, ``models`` and ``scales`` for each index, and
-the reports as JSON in bytes.
+An atlas has the header, ``pages.npy``, one row of ``blocks``, ``boxes``, ``models`` and ``scales`` per index, and the
+reports as JSON in bytes.
 
 Members must be stored uncompressed, so the contents cannot exceed the size of the archive. The sizes in the zip
 directory, in the array headers and in the JSON are compared before memory is allocated. Nothing is unpickled.
@@ -44,10 +45,10 @@ from ..base.report import Report
 #: The newest version of the format, and the first version that contains each later kind.
 VERSION = 3
 FIRST_VERSION = {"quantized": 2, "sparse": 2, "nested": 2}
-#: Since this version float16 has a scale; before it, stored numbers are distances.
+#: Since this version float16 has a scale. Before it, stored values were distances.
 SCALED_FLOAT16_VERSION = 3
 
-#: What each kind is called in messages, and the endings of the files that it is written to.
+#: Name of each kind in messages, and the endings of the files that can store it.
 _NAMES = {
     "volume": "a volume",
     "quantized": "a volume",
@@ -63,21 +64,21 @@ ENDINGS: dict[str, tuple[str, ...]] = {
     "atlas": (".npz", ".exr", ".png"),
 }
 
-#: Most bytes of the JSON header, which takes about a kilobyte.
+#: Largest size of the JSON header, bytes. It usually has about a kilobyte.
 MAX_HEADER_BYTES = 4 << 20
 
-#: Bytes that are read at once, so that a large member is not held twice.
+#: Number of bytes that are read at once, so that a large member is not held in memory twice.
 CHUNK_BYTES = 16 << 20
 
 
 def head(kind: str, encoding: str = "float32") -> dict[str, Any]:
-    """The entries that every header starts with."""
+    """The entries at the start of every header."""
     version = SCALED_FLOAT16_VERSION if encoding == "float16" else FIRST_VERSION.get(kind, 1)
     return {"format": "fieldbake", "kind": kind, "version": version, "written_by": f"fieldbake {_core.__version__}"}
 
 
 def write(path: str | os.PathLike[str], header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
-    """Write an archive of a header and arrays; the file appears whole or not at all."""
+    """Write an archive of a header and arrays. The file is either complete or not there."""
     target = Path(path)
     if target.suffix.lower() != ".npz":
         kind = header["kind"]
@@ -88,18 +89,18 @@ def write(path: str | os.PathLike[str], header: dict[str, Any], arrays: dict[str
 
 
 def endings(kind: str) -> str:
-    """The endings that a kind of object is written with, as words."""
+    """The endings of the files that can store a kind of object, as words."""
     return listed(ENDINGS[kind])
 
 
 def listed(words: Iterable[str]) -> str:
-    """Words as a list for a message: "a, b or c"."""
+    """Join words for a message: "a, b or c"."""
     *others, last = words
     return f"{', '.join(others)} or {last}" if others else last
 
 
 def check_target(target: Path) -> None:
-    """Raise if a file cannot be written there because its folder is missing, or because it is a folder itself."""
+    """Raise an error if the folder of a file is missing, or if the path is a folder itself."""
     if not target.parent.is_dir():
         raise FileNotFoundError(errno.ENOENT, "the folder does not exist", os.fspath(target))
     if target.is_dir():
@@ -111,7 +112,7 @@ def atomic_write(target: Path) -> Iterator[IO[bytes]]:
     """Open a temporary file that replaces the target when the block ends without an error."""
     import tempfile
 
-    # An error names the target here; below it would name the temporary file.
+    # An error names the target here. Further below it would name the temporary file.
     check_target(target)
     mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
     descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".tmp")
@@ -129,7 +130,7 @@ def atomic_write(target: Path) -> Iterator[IO[bytes]]:
 
 
 def _umask() -> int:
-    """The umask of the process, which can only be read by setting it."""
+    """Read the umask of the process, which is possible only by setting it."""
     mask = os.umask(0o022)
     os.umask(mask)
     return mask

@@ -1,4 +1,4 @@
-"""The JSON beside a file of another format: what its bytes mean."""
+"""The JSON file beside a file of another format, which describes its content."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from ..base.errors import FormatError
 from .container import atomic_write, check_version
 
-#: The JSON of an atlas has a few hundred bytes for each volume.
+#: Largest size of a sidecar, bytes. The JSON of an atlas has a few hundred bytes per volume.
 MAX_SIDECAR_BYTES = 64 << 20
 
 
@@ -35,7 +35,7 @@ def read_beside(path: Path) -> dict[str, Any]:
 
 
 def parse(text: str | bytes) -> dict[str, Any]:
-    """The facts that a JSON text holds."""
+    """Parse the metadata in a JSON text."""
     if len(text) > MAX_SIDECAR_BYTES:
         raise FormatError("the facts are too long")
     facts = json.loads(text) if text else None
@@ -45,7 +45,7 @@ def parse(text: str | bytes) -> dict[str, Any]:
 
 
 def expect(facts: dict[str, Any], kind: str) -> None:
-    """Check that facts belong to a file of this kind and of a known version."""
+    """Check that metadata belongs to a file of this kind and of a known version."""
     check_version(facts)
     if facts.get("kind") != kind:
         raise FormatError(f"holds something else than a {kind}: {str(facts.get('kind'))[:60]}")

@@ -1,4 +1,4 @@
-"""Masked surfaces for baking: the parts of triangles that a texture leaves standing."""
+"""Masked surfaces for baking: the parts of triangles that a texture does not cut out."""
 
 from __future__ import annotations
 
@@ -9,24 +9,25 @@ from numpy.typing import NDArray
 
 from .mesh import Mesh
 
-#: Triangles are cut until their edges are this long, in voxels: finer detail is lost in the field anyway.
+#: Triangles are divided until their edges are this long, in voxels. A field cannot represent finer detail.
 EDGE_VOXELS = 0.75
 
-#: Cuts of a triangle at most: 4^6 pieces.
+#: Largest number of divisions of a triangle: 4^6 pieces.
 MAX_CUTS = 6
 
-#: A sheet grows by half its thickness, the diagonal of a voxel, past its outline, and the jags of the pieces stick out
-#: by a fifth of their size. The mask is eroded by as much.
+#: A sheet extends beyond its outline by half its thickness, the diagonal of a voxel. The jagged edge of the pieces adds
+#: a fifth of their size. The mask is eroded by the sum.
 EROSION_VOXELS = 0.5 * 3**0.5 + 0.2 * EDGE_VOXELS
 
 Corners = NDArray[np.float64]
 
 
 def kept_triangles(mesh: Mesh, resolution: int, masks: Sequence[NDArray[np.bool_] | None]) -> Mesh:
-    """A mesh without the texels that its alpha masks cut out; the mesh itself where nothing is cut.
+    """Make a mesh without the areas that its alpha masks cut out. Without such areas the mesh is returned unchanged.
 
-    `masks` has the kept texels of each part, (h, w), or None. Triangles of masked parts are cut into pieces of a
-    voxel's size. A piece is kept if the mask keeps all texels around it, as far as the sheet grows past its outline.
+    `masks` has the kept texels of each part, (h, w) bool, or None. Triangles of masked parts are divided into pieces of
+    about a voxel. A piece is kept if the mask keeps all texels around it, within the distance by which the sheet
+    extends beyond its outline.
     """
     if all(mask is None for mask in masks) or mesh.uv is None:
         return mesh
@@ -43,25 +44,25 @@ def kept_triangles(mesh: Mesh, resolution: int, masks: Sequence[NDArray[np.bool_
             pieces.append(_standing(triangle, coordinates, mask, voxel))
     kept = np.concatenate(pieces)
     if len(kept) == 0:
-        # Everything is cut away: one speck, so that there is something to bake.
+        # Everything is cut away: one tiny triangle remains, so that the mesh is valid.
         center = mesh.bounds.mean(axis=0)
         kept = (center + 1e-3 * voxel * np.eye(3))[None]
     return Mesh(kept.reshape(-1, 3), np.arange(3 * len(kept)).reshape(-1, 3))
 
 
 def _standing(triangle: Corners, coordinates: Corners, mask: NDArray[np.bool_], voxel: float) -> Corners:
-    """The pieces of one triangle that stay, (n, 3 corners, 3)."""
+    """The remaining pieces of one triangle, (n, 3 corners, 3)."""
     both = np.concatenate([triangle, coordinates], axis=1)[None]
     longest = np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1).max()
     cuts = int(np.clip(np.ceil(np.log2(max(longest / (EDGE_VOXELS * voxel), 1))), 0, MAX_CUTS))
     for _ in range(cuts):
         both = _cut(both)
-    # World length of a texture width, along this triangle.
+    # World length of one texture width along this triangle.
     uv_area = abs(np.linalg.det(np.stack([coordinates[1] - coordinates[0], coordinates[2] - coordinates[0]])))
     area = np.linalg.norm(np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0]))
     erosion = EROSION_VOXELS * voxel * np.sqrt(uv_area / area) if area > 0 else 0.0
     centers = both[:, :, 3:].mean(axis=1)
-    # Pieces near the outline fall to the erosion: all around must stand.
+    # All samples around a piece must be kept, so the erosion removes pieces near the outline.
     angles = np.linspace(0, 2 * np.pi, 8, endpoint=False)
     around = erosion * np.concatenate([[[0.0, 0.0]], np.stack([np.cos(angles), np.sin(angles)], axis=1)])
     stays = _sample(mask, centers[:, None] + around[None]).all(axis=1)
@@ -69,7 +70,7 @@ def _standing(triangle: Corners, coordinates: Corners, mask: NDArray[np.bool_], 
 
 
 def _cut(both: Corners) -> Corners:
-    """Every triangle in four, positions and coordinates alike."""
+    """Divide every triangle into four, positions and texture coordinates alike."""
     a, b, c = both[:, 0], both[:, 1], both[:, 2]
     ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
     quarters = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
@@ -77,7 +78,7 @@ def _cut(both: Corners) -> Corners:
 
 
 def _sample(mask: NDArray[np.bool_], uv: Corners) -> NDArray[np.bool_]:
-    """Nearest texel, coordinates repeated, v upwards."""
+    """Sample the nearest texel. Coordinates repeat, and v points upwards."""
     height, width = mask.shape
     wrapped = uv - np.floor(uv)
     x = np.minimum((wrapped[..., 0] * width).astype(np.int64), width - 1)

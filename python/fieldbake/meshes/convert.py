@@ -107,7 +107,7 @@ def as_mesh(thing: MeshLike) -> Mesh:
 
 
 def _mesh(pieces: Sequence[_Piece], path: str | None) -> Mesh:
-    """Join the pieces; errors name the file of the pieces."""
+    """Join the pieces into one mesh; errors name the file."""
     try:
         piece = _join(pieces)
         mesh = Mesh(
@@ -162,7 +162,10 @@ def _join(pieces: Sequence[_Piece]) -> _Piece:
 
 
 def _joined_colors(colors: Sequence[tuple[NDArray[Any] | None, int]]) -> NDArray[np.float64] | None:
-    """Colours of all pieces, white for those without any; None if none has any. With each its number of rows."""
+    """Join the colours of all pieces, each with its number of rows; None if no piece has any.
+
+    A piece without colours becomes white.
+    """
     if all(rows is None for rows, _ in colors):
         return None
     return np.concatenate([np.ones((count, 4)) if rows is None else rows.astype(np.float64) for rows, count in colors])
@@ -198,7 +201,7 @@ def _pieces(thing: MeshLike, name: str) -> list[_Piece]:
 
 
 def is_arrays(pair: Sequence[Any]) -> bool:
-    """Whether a pair is (vertices, faces) in numbers, and neither two meshes nor a mesh with its transform."""
+    """Whether a pair is numeric arrays (vertices, faces), neither two meshes nor a mesh with its transform."""
     if len(pair) != 2:
         return False
     for half in pair:
@@ -225,7 +228,7 @@ def _from_file(path: str | os.PathLike[str]) -> list[_Piece]:
 
 
 def _read_file(path: str | os.PathLike[str], take: Callable[[Any, Document | None], list[_Piece]]) -> list[_Piece]:
-    """List the pieces that `take` finds in the scene of a file; every failure of a reader becomes a MeshError."""
+    """List the pieces that `take` finds in the scene of a file. Every failure of a reader becomes a MeshError."""
     file = Path(path)
     if file.is_dir():
         raise MeshError(f"{path}: is a directory, not a mesh file")
@@ -380,7 +383,7 @@ def _colors(visual: Any, vertices: int, faces: int) -> tuple[NDArray[np.float32]
 
 
 def _part(material: Any, name: str, faces: int, looks: dict[str, Any]) -> Part:
-    """Convert either kind of trimesh material to a part; `looks` holds what trimesh does not read."""
+    """Convert either kind of trimesh material to a part; `looks` holds the properties that trimesh does not read."""
     if material is None:
         return Part(name, range(faces))
     own_name = looks.pop("name", None) if "name" in looks else getattr(material, "name", None)

@@ -55,7 +55,7 @@ def _write_stl(vertices: Vertices, faces: Faces, stream: IO[bytes]) -> None:
 
 
 def _write_obj(vertices: Vertices, faces: Faces, stream: IO[bytes]) -> None:
-    """Text with as many digits as float64 needs to come back equal."""
+    """Write text with enough digits to restore every float64 exactly."""
     lines = [f"v {x!r} {y!r} {z!r}\n" for x, y, z in vertices.tolist()]
     lines += [f"f {a} {b} {c}\n" for a, b, c in (faces.astype(np.int64) + 1).tolist()]
     stream.write("".join(lines).encode("ascii"))
@@ -77,7 +77,7 @@ def _write_ply(vertices: Vertices, faces: Faces, stream: IO[bytes]) -> None:
 
 
 def _write_3mf(vertices: Vertices, faces: Faces, stream: IO[bytes]) -> None:
-    """A 3MF package with one object; positions are taken as millimetres."""
+    """Write a 3MF package with one object; positions count as millimetres."""
     corners = "".join(f'<vertex x="{x!r}" y="{y!r}" z="{z!r}"/>' for x, y, z in vertices.tolist())
     triangles = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in faces.tolist())
     model = (

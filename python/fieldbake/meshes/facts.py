@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 def cross_products(vertices: NDArray[np.float64], faces: NDArray[np.uint32]) -> NDArray[np.float64]:
-    """Normals of the faces with twice their areas as lengths, (m, 3)."""
+    """Cross products of the edges of the faces, (m, 3): normals whose lengths are twice the areas."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     products: NDArray[np.float64] = np.cross(b - a, c - a)
     return products
@@ -35,7 +35,7 @@ def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.uint32]) -> 
     for corner in range(3):
         here, following, before = (vertices[faces[:, (corner + step) % 3]] for step in range(3))
         along, across = following - here, before - here
-        # The arc tangent keeps its accuracy for needles, where a cosine is near 1.
+        # The arc tangent keeps its accuracy for slivers, where a cosine is near 1.
         sine = np.linalg.norm(np.cross(along, across), axis=1)
         angle = np.arctan2(sine, np.einsum("ij,ij->i", along, across))
         for axis in range(3):
@@ -44,8 +44,8 @@ def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.uint32]) -> 
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Vectors of length 1; zero stays zero."""
-    # The largest component first, so that squares neither overflow nor vanish.
+    """Normalise vectors to length 1; zero vectors stay zero."""
+    # Dividing by the largest component first keeps the squares in range.
     largest = np.abs(vectors).max(axis=1, keepdims=True, initial=0.0)
     scaled = np.divide(vectors, largest, out=np.zeros_like(vectors), where=largest > 0)
     lengths = np.linalg.norm(scaled, axis=1, keepdims=True)

@@ -1,7 +1,7 @@
-"""What trimesh does not read of glTF materials: colours of vertices, texture transforms, emission, unlit surfaces.
+"""Material properties of glTF files that trimesh does not read: vertex colours, texture transforms, emission, unlit.
 
-The file's JSON is changed before trimesh reads it. Each material is named by its index, and attributes are copied to
-names that begin with an underscore, which trimesh hands through as they are stored.
+The JSON of the file is edited before trimesh reads it. Each material is named by its index. Attributes are copied to
+names that begin with an underscore, which trimesh returns as they are stored.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-#: Attributes under which trimesh hands colours and sets of texture coordinates through.
+#: Names under which trimesh returns colours and sets of texture coordinates.
 COLOR, COORDINATES = "_FIELDBAKE_COLOR", "_FIELDBAKE_UV"
 
 #: Extensions that are read here, by trimesh or by `load_scene`.
@@ -31,7 +31,7 @@ KNOWN = {
     "KHR_texture_transform",
 }
 
-#: Textures that the Blinn-Phong model has no use for.
+#: Textures that the Blinn-Phong model cannot use.
 UNUSED_TEXTURES = {
     "normalTexture": "normal",
     "occlusionTexture": "occlusion",
@@ -42,12 +42,12 @@ REPEAT = 10497
 
 
 class Document:
-    """The JSON of a glTF file, with what is left to be read after trimesh."""
+    """The JSON of a glTF file, with the properties that are read after trimesh."""
 
     def __init__(self, content: bytes, is_binary: bool) -> None:
         start, stop = 0, len(content)
         if is_binary:
-            # A header of 12 bytes, then chunks of length, kind and content. The JSON is the first.
+            # A GLB file has a header of 12 bytes, then chunks of length, kind and content. The first chunk is the JSON.
             if content[:4] != b"glTF" or content[16:20] != b"JSON":
                 raise ValueError("not a binary glTF file")
             start, stop = 20, 20 + struct.unpack("<I", content[12:16])[0]
@@ -71,11 +71,11 @@ class Document:
             rest = content[stop:]
             header = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest))
             text = header + struct.pack("<I4s", len(text), b"JSON") + text + rest
-        #: The file as trimesh is to read it.
+        #: The edited file for trimesh.
         self.content: bytes = text
 
     def read(self, mesh: Any) -> dict[str, Any]:
-        """Colours, coordinates and material of a mesh that trimesh made of the file.
+        """Read the colours, coordinates and material of a mesh that trimesh made of the file.
 
         Returns
         -------
@@ -124,13 +124,13 @@ class Document:
         return found
 
     def _coordinates(self, attributes: Any, texture: dict[str, Any]) -> NDArray[np.float64] | None:
-        """Texture coordinates under the texture's transform, v upwards."""
+        """Apply the transform of a texture to texture coordinates; v points upwards."""
         set_number, offset, rotation, scale = _placement(texture)
         stored = attributes.get(f"{COORDINATES}{set_number}")
         if stored is None:
             return None
         u, v = (_unit(np.asarray(stored))[:, :2] * scale).T
-        # Counter-clockwise in a picture whose v runs downwards, as Three.js and Bevy turn it too.
+        # The rotation is counter-clockwise in a picture whose v points downwards, as in Three.js and Bevy.
         cosine, sine = np.cos(rotation), np.sin(rotation)
         uv = np.stack([cosine * u + sine * v, -sine * u + cosine * v], axis=1) + offset
         sampler = self.tree.get("textures", [{}])[texture.get("index", 0)].get("sampler")
@@ -148,7 +148,7 @@ class Document:
                 self._unused.add(f"{word} textures")
 
     def warn(self, path: str) -> None:
-        """Name in one warning all that the file has and no picture shows."""
+        """Warn once about all properties of the file that pictures do not show."""
         unknown = set(self.tree.get("extensionsUsed", [])) - KNOWN
         unused = [*sorted(self._unused), *(f"extension {name}" for name in sorted(unknown))]
         if unused:
@@ -171,6 +171,6 @@ def _floats(values: Iterable[float]) -> tuple[float, ...]:
 
 
 def _unit(values: NDArray[Any]) -> NDArray[np.float64]:
-    """Stored values as real numbers; integers are shares of their type's largest."""
+    """Convert stored values to real numbers; integers are fractions of the largest value of their type."""
     rows = values.astype(np.float64)
     return rows / np.iinfo(values.dtype).max if values.dtype.kind in "iu" else rows

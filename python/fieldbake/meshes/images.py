@@ -1,4 +1,4 @@
-"""Images of textures: each is decoded once, however many parts show it."""
+"""Images of textures. Each image is decoded once for all parts that share it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..base import checks
 
-#: Decoded images by a digest of their content, as long as something shows them.
+#: Decoded images by a digest of their content, as long as a part refers to them.
 _by_content: weakref.WeakValueDictionary[bytes, NDArray[np.uint8]] = weakref.WeakValueDictionary()
 
 #: Digests of PIL images by `id`, each with a reference that tells whether the image still exists.

@@ -15,15 +15,15 @@ from ..base.report import SurfaceReport
 from .convert import as_mesh
 from .mesh import Mesh
 
-#: Steps of the search for a crossing. Each at least halves the interval every second time, most square the error.
+#: Largest number of steps of the search for a crossing. Every second step at least halves the interval.
 ROOT_STEPS = 24
 
-#: A crossing is found once the interval is this share of an edge: a tenth of what the vertices resolve.
+#: A crossing is found once the interval is this fraction of an edge, a tenth of the resolution of the vertices.
 ROOT_SHARE = 1e-5
 
 
 class Source(Protocol):
-    """Geometry that a field was made of: it replaces the tangent planes that the samples give by its own."""
+    """Geometry that a field was computed from. It replaces the tangent planes of the samples by exact ones."""
 
     def apply(self, surface: _core.Surface, level: float) -> None:
         """Set the tangent planes of `surface`, the level set of the field at `level`."""
@@ -31,13 +31,13 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class MeshSource:
-    """A mesh, or with a half thickness the sheet around it."""
+    """A mesh, or the sheet around it if it has a half thickness."""
 
     mesh: Mesh
     half_thickness: float | None = None
 
     def apply(self, surface: _core.Surface, level: float) -> None:
-        """Take the faces that edges cross, or spheres around the nearest points at another level than zero."""
+        """Use the faces that edges cross. At a level other than zero, use spheres around the nearest points."""
         if self.half_thickness is None:
             surface.use_mesh(self.mesh._core, level)
         else:
@@ -46,7 +46,7 @@ class MeshSource:
 
 @dataclass(frozen=True)
 class FieldSource:
-    """A field that can be evaluated anywhere.
+    """A field that can be evaluated at any point.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class FieldSource:
         shares: NDArray[np.float64],
         level: float,
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Points (n, 3) where the field crosses `level` between two points each, and where there is such a point (n,).
+        """Find the points (n, 3) where the field crosses `level` between pairs of points, and whether they exist (n,).
 
         M. Dowell and P. Jarratt, "A modified regula falsi method for computing the root of an equation", BIT 11 (1971).
         """
@@ -92,7 +92,7 @@ class FieldSource:
                 share[rows] = low[rows] + (high[rows] - low[rows]) * at_low[rows] / (at_low[rows] - at_high[rows])
             value = self._values(starts[rows] + (ends[rows] - starts[rows]) * share[rows, None], level)
             as_low = (value < 0) == (at_low[rows] < 0)
-            # The end that stays twice in a row counts half, so that the interval shrinks from both sides.
+            # The value at an end that stays twice in a row is halved, so that the interval shrinks from both sides.
             at_high[rows] = np.where(as_low & (side[rows] == 1), at_high[rows] / 2, at_high[rows])
             at_low[rows] = np.where(~as_low & (side[rows] == -1), at_low[rows] / 2, at_low[rows])
             low[rows] = np.where(as_low, share[rows], low[rows])
@@ -108,7 +108,7 @@ class FieldSource:
 
 
 def as_source(source: object) -> Source:
-    """A source from a mesh or anything that makes one, or from an object that evaluates a field and its gradient."""
+    """Make a source of a mesh, of an object that converts to one, or of an object with a field and its gradient."""
     evaluate = getattr(source, "distance", None) or getattr(source, "sample", None)
     gradient = getattr(source, "gradient", None)
     if callable(evaluate) and callable(gradient):
@@ -117,7 +117,7 @@ def as_source(source: object) -> Source:
 
 
 def extract(surface: _core.Surface, level: float, source: Source | None, *, sharp: bool, capped: bool) -> Mesh:
-    """The mesh of a level set; see :meth:`fieldbake.Volume.to_mesh`."""
+    """Extract the mesh of a level set; see :meth:`fieldbake.Volume.to_mesh`."""
     sharp, capped = checks.flag("sharp", sharp), checks.flag("capped", capped)
     if sharp and source is not None:
         source.apply(surface, level)

@@ -1,4 +1,4 @@
-"""The mesh: triangles checked once, and the looks that belong to them."""
+"""The mesh: triangles that are checked once, with their materials."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ class Part:
     alpha_mode : str
         ``"opaque"``, ``"mask"`` (cut out where the opacity is below `alpha_cutoff`) or ``"blend"``.
     alpha_cutoff : float
-        Opacity from 0 to 1; means something for ``"mask"`` only.
+        Opacity from 0 to 1. Used only by ``"mask"``.
     two_sided : bool
         Whether the file marks the faces as visible from behind.
     emission : (3,) tuple
-        Linear RGB that the surface sends out by itself; multiplies `emission_texture`.
+        Linear RGB that the surface emits; multiplies `emission_texture`.
     unlit : bool
-        Whether the base colour is shown as it is, without light.
+        Whether the base colour is shown unchanged, without lighting.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class Part:
         self._emission_image = emission_image
 
     def with_faces(self, faces: range) -> Part:
-        """The same material for other faces."""
+        """Copy the material for other faces."""
         return Part(
             self.name,
             faces,
@@ -117,7 +117,7 @@ class Part:
         return checks.frozen(opacity)
 
     def __getstate__(self) -> dict[str, Any]:
-        # Decoded pixels are made again from the image.
+        # Decoded pixels are not pickled, since the image restores them.
         return {name: value for name, value in self.__dict__.items() if name not in ("texture", "alpha")}
 
     def __repr__(self) -> str:
@@ -126,15 +126,15 @@ class Part:
 
 
 class Mesh:
-    """Triangles, checked when they enter and trusted afterwards.
+    """Triangles, checked when the mesh is made.
 
-    The search tree is built at the first query and kept, so hand the same Mesh to several calls.
+    The search tree is built at the first query and kept. Pass the same `Mesh` to several calls to build it only once.
 
     Parameters
     ----------
     vertices : (n, 3) real
-        Positions, world units. float64 values are kept as they are; bakes work on float32 offsets from the centre of
-        the box, so a mesh keeps its shape at any distance from the origin.
+        Positions, world units. float64 values are kept as they are. Bakes use float32 offsets from the centre of the
+        box, so a mesh keeps its shape at any distance from the origin.
     faces : (m, 3) integer
         Rows of `vertices`, counter-clockwise seen from outside.
     uv : (n, 2) real, optional
@@ -142,9 +142,9 @@ class Mesh:
     texture : (h, w, 3 or 4) uint8, optional
         sRGB image for all faces, row 0 on top.
     alpha : (h, w) real from 0 to 1, optional
-        Opacity over the same coordinates, in place of the texture's own.
+        Opacity over the same coordinates. It replaces the opacity of the texture.
     parts : sequence of Part, optional
-        Materials with the faces they cover, in place of `texture` and `alpha`.
+        Materials with the faces they cover. They replace `texture` and `alpha`.
     vertex_colors : (n, 3 or 4), optional
         Colour of each vertex, interpolated linearly over the faces: uint8 is sRGB with opacity from 0 to 255, as scans
         and trimesh have it; real numbers are linear RGB with opacity from 0 to 1, as glTF has it. Multiplies the colour
@@ -172,7 +172,7 @@ class Mesh:
     fieldbake.errors.MeshError: faces[0] refers to vertex 3, the mesh has 3 vertices (valid: 0 to 2)
     """
 
-    # Facts of the extraction from a field.
+    # Report of the extraction from a field.
     _report: SurfaceReport | None = None
     _chord_error: float = 0.0
 
@@ -193,7 +193,7 @@ class Mesh:
         self._core = _core.Mesh(checks.as_float64(positions), triangles)
         self._chord_error = 0.0
 
-        # Looks follow the rows that the core kept.
+        # Texture coordinates and colours follow the rows that the core kept.
         self._uv = None
         if uv is not None:
             self._uv = checks.frozen(check_uv(uv, len(positions))[self._core.source_vertices])
@@ -218,7 +218,7 @@ class Mesh:
 
     @classmethod
     def _extracted(cls, vertices: NDArray[np.float64], faces: NDArray[np.uint32], report: SurfaceReport) -> Mesh:
-        """The mesh of a level set; the one kind of mesh that may have no faces."""
+        """Make the mesh of a level set, the only kind of mesh that may have no faces."""
         if len(faces):
             mesh = cls(vertices, faces.astype(np.int64))
         else:
@@ -234,7 +234,7 @@ class Mesh:
 
     @property
     def report(self) -> SurfaceReport | None:
-        """Facts of the extraction from a field; None for other meshes."""
+        """Report of the extraction from a field; None for other meshes."""
         return self._report
 
     @cached_property
@@ -299,9 +299,9 @@ class Mesh:
 
     @cached_property
     def volume(self) -> float:
-        """Enclosed volume, cubic world units: signed as the faces are wound, negative for a mesh inside out.
+        """Enclosed volume, cubic world units, signed by the winding: negative for a mesh that is inside out.
 
-        Of an open mesh: the sum of the signed volumes between its faces and the centre of its box.
+        For an open mesh: the sum of the signed volumes between its faces and the centre of its box.
         """
         return facts.signed_volume(self._core.vertices, self.faces, self.center)
 
@@ -342,11 +342,11 @@ class Mesh:
         MeshError
             For another ending.
         OSError
-            If the file cannot be written; one that was there before is left as it was.
+            If the file cannot be written. An existing file stays unchanged.
 
         Notes
         -----
-        Geometry alone is written, without texture coordinates and images.
+        Only the geometry is written, without texture coordinates and images.
         """
         save_mesh(self.vertices, self.faces, path)
 
@@ -355,11 +355,11 @@ class Mesh:
         return restore, (*core.state(), self._uv, self._parts, self._chord_error)
 
     def topology(self) -> dict[str, Any]:
-        """Facts of the surface: boundary, non-manifold, flipped, duplicate and degenerate counts, `closed`, ..."""
+        """Topology of the surface: boundary, non-manifold, flipped, duplicate and degenerate counts, `closed`, ..."""
         return self._core.topology()
 
     def to_trimesh(self) -> trimesh.Trimesh:
-        """The geometry as a `trimesh.Trimesh`, nothing merged or reordered."""
+        """Convert the geometry to a `trimesh.Trimesh`, without merging or reordering vertices."""
         import trimesh
 
         return trimesh.Trimesh(self.vertices, self.faces.astype(np.int64), process=False)
@@ -379,10 +379,10 @@ def restore(
     parts: tuple[Part, ...],
     chord_error: float,
 ) -> Mesh:
-    """Make the mesh that `Mesh.__reduce__` took apart. `rows` are the input rows of vertices that were kept."""
+    """Restore the mesh that `Mesh.__reduce__` pickled. `rows` are the rows of the input vertices that were kept."""
     mesh = Mesh.__new__(Mesh)
     if rows is not None:
-        # Vertices that were dropped were not finite; their places keep the numbering of the input.
+        # Dropped vertices were not finite. Their rows stay, so that the indices of the input remain valid.
         places = np.full((int(rows[-1]), 3), np.nan)
         places[rows[:-1]] = vertices
         vertices = places
@@ -395,7 +395,7 @@ def restore(
 
 
 def check_vertices(value: ArrayLike) -> NDArray[Any]:
-    """Real positions of shape (n, 3), or MeshError. Values are left to the core, which knows which are used."""
+    """Check real positions (n, 3), or raise MeshError. The core checks the values of the vertices that are used."""
     array = checks.real_array("vertices", value, "(n, 3)", MeshError)
     if array.ndim == 1 and array.size == 0:
         array = array.reshape(0, 3)
@@ -405,7 +405,7 @@ def check_vertices(value: ArrayLike) -> NDArray[Any]:
 
 
 def check_faces(value: ArrayLike) -> NDArray[np.int64]:
-    """Whole numbers of shape (m, 3), C-contiguous int64, or MeshError. The range is left to the core."""
+    """Check whole numbers (m, 3) and return C-contiguous int64, or raise MeshError. The core checks the range."""
     try:
         array = checks.as_array(value)
     except (ValueError, TypeError, RuntimeError, BufferError) as error:
@@ -426,7 +426,7 @@ def check_faces(value: ArrayLike) -> NDArray[np.int64]:
 
 
 def check_uv(value: ArrayLike, vertices: int) -> NDArray[np.float32]:
-    """Texture coordinates, one row a vertex, or MeshError."""
+    """Check texture coordinates, one row per vertex, or raise MeshError."""
     array = checks.real_array("uv", value, "(n, 2)", MeshError)
     if array.shape != (vertices, 2):
         raise MeshError(f"uv: must have shape ({vertices}, 2), one row a vertex, got {checks.describe(array)}")
@@ -434,7 +434,7 @@ def check_uv(value: ArrayLike, vertices: int) -> NDArray[np.float32]:
 
 
 def check_colors(name: str, value: ArrayLike, count: int, row: str) -> NDArray[np.float32]:
-    """Colours as (n, 4) float32, linear RGB and opacity, or MeshError. uint8 is read as sRGB."""
+    """Convert colours to (n, 4) float32, linear RGB and opacity, or raise MeshError. uint8 values are sRGB."""
     array = checks.real_array(name, value, "(n, 3) or (n, 4)", MeshError)
     if array.ndim != 2 or array.shape[0] != count or array.shape[1] not in (3, 4):
         expected = f"({count}, 3) or ({count}, 4), one row a {row}"
@@ -455,12 +455,12 @@ def check_colors(name: str, value: ArrayLike, count: int, row: str) -> NDArray[n
 
 
 def _kept(name: str, value: ArrayLike | None, count: int, row: str, source: NDArray[Any]) -> NDArray[np.float32] | None:
-    """Checked colours of the rows that the core kept."""
+    """Check colours and select the rows that the core kept."""
     return None if value is None else checks.frozen(check_colors(name, value, count, row)[source])
 
 
 def _material(texture: ArrayLike | None, alpha: ArrayLike | None) -> dict[str, Any]:
-    """Image and alpha mode of one material from plain arrays."""
+    """Make the image and the alpha mode of one material from arrays."""
     if texture is None and alpha is None:
         return {}
     image = None

@@ -9,23 +9,23 @@ from numpy.typing import NDArray
 
 from ..base.errors import MeshError
 
-#: Chord error of a tessellated solid, as a share of the diagonal of its box.
+#: Chord error of a tessellated solid, as a fraction of the diagonal of its box.
 CHORD_SHARE = 1e-4
 #: Chord error of a solid without a box, in its own units.
 CHORD_WITHOUT_BOX = 1e-2
 
 
 class Triangles(NamedTuple):
-    """Arrays that another library's object holds."""
+    """Arrays of an object of another library."""
 
     vertices: Any
     faces: Any
-    #: Largest distance between the triangles and the solid they stand for; 0 for meshes.
+    #: Largest distance between the triangles and the tessellated solid; 0 for meshes.
     chord_error: float = 0.0
 
 
 def triangles_of(thing: Any) -> Triangles | None:
-    """The triangles of an object that one of the libraries made, or None for anything else."""
+    """Read the triangles of an object of one of the libraries; None for any other object."""
     if hasattr(thing, "triangulate") and hasattr(thing, "points") and hasattr(thing, "regular_faces"):
         return _of_pyvista(thing)
     if hasattr(thing, "vertex") and hasattr(thing, "triangle") and hasattr(thing.vertex, "positions"):
@@ -43,13 +43,13 @@ def triangles_of(thing: Any) -> Triangles | None:
 
 
 def _of_pyvista(thing: Any) -> Triangles:
-    """PolyData; polygons are triangulated by PyVista itself."""
+    """Read PolyData; PyVista triangulates polygons."""
     surface = thing if thing.is_all_triangles else thing.triangulate()
     return Triangles(np.asarray(surface.points), np.asarray(surface.regular_faces).reshape(-1, 3))
 
 
 def _of_solid(thing: Any) -> Triangles:
-    """Anything with ``tessellate(tolerance)``: vertices with coordinates, and triples of their rows."""
+    """Read any object with ``tessellate(tolerance)``, which returns vertices and triples of their rows."""
     tolerance = _diagonal(thing) * CHORD_SHARE or CHORD_WITHOUT_BOX
     vertices, faces = thing.tessellate(tolerance)
     rows = np.array([_coordinates(vertex) for vertex in vertices], np.float64).reshape(-1, 3)
@@ -68,7 +68,7 @@ def _joined(parts: list[Triangles]) -> Triangles | None:
 
 
 def _diagonal(thing: Any) -> float:
-    """Diagonal of the box of a solid; 0 if it names none."""
+    """Diagonal of the box of a solid; 0 if it has no box."""
     for name in ("bounding_box", "BoundingBox"):
         if callable(method := getattr(thing, name, None)):
             diagonal = getattr(method(), "diagonal", getattr(method(), "DiagonalLength", 0.0))
@@ -77,7 +77,7 @@ def _diagonal(thing: Any) -> float:
 
 
 def _coordinates(vertex: Any) -> Any:
-    """Three numbers of a vector, whatever the library calls them."""
+    """The three coordinates of a vector, in the notation of either library."""
     for name in ("to_tuple", "toTuple"):
         if callable(method := getattr(vertex, name, None)):
             return method()
@@ -92,5 +92,5 @@ def _coordinates(vertex: Any) -> Any:
 
 
 def _host(tensor: Any) -> NDArray[Any]:
-    """A tensor of Open3D as an array."""
+    """Convert a tensor of Open3D to an array."""
     return np.asarray(tensor.cpu().numpy() if hasattr(tensor, "cpu") else tensor)

@@ -1,4 +1,4 @@
-"""Meshes brought to a standard size and place."""
+"""Meshes moved and scaled to a standard size and position."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Target = Literal["unit cube", "unit sphere"]
 
 
 class Normalized(NamedTuple):
-    """A mesh of standard size, and how it came there."""
+    """A normalised mesh and its transform."""
 
     mesh: Mesh
     #: 4x4 matrix from the positions of the original to those of `mesh`; column vectors.
@@ -29,10 +29,11 @@ def normalize(mesh: MeshLike, target: Target = "unit cube") -> Normalized:
     Parameters
     ----------
     mesh : Mesh or anything :func:`bake` takes
-        Its faces count; vertices without a face are moved along.
+        Mesh to normalise. Its faces determine the box; vertices without a face are transformed too.
     target : "unit cube" or "unit sphere", default "unit cube"
-        The centre of the box moves to the origin. ``"unit cube"``: the longest side of the box becomes 1, coordinates
-        are between -0.5 and 0.5. ``"unit sphere"``: the farthest vertex of a face gets the distance 1.
+        The centre of the box moves to the origin. ``"unit cube"``: the longest side of the box becomes 1, so
+        coordinates are between -0.5 and 0.5. ``"unit sphere"``: the farthest vertex of a face has the distance 1 from
+        the origin.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What the queries of a mesh share: the sign methods, the limits of positions, and the rows of faces."""
+"""Helpers that all queries of a mesh share: sign methods, limits of positions, and rows of faces."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from ..meshes.mesh import Mesh
 
 Sign = Literal["auto", "winding", "parity", "pseudonormal", "normal", "unsigned"]
 
-#: Largest distance of a point from the centre of the mesh, in sizes of the mesh. The core squares it in float64.
+#: Largest distance of a point from the centre of the mesh, in mesh sizes. The core squares it in float64.
 MAX_POINT_REACH = 1e36
 
 
 def choices(sign: Sign, device: str) -> tuple[str, str]:
-    """Both as text; the core knows which words it takes."""
+    """Check two options that are strings. The core checks their values."""
     return checks.text("sign", sign), checks.text("device", device)
 
 
 def checked_points(mesh: MeshLike, points: object) -> tuple[Mesh, NDArray[np.float64], tuple[int, ...]]:
-    """The mesh, the points as (n, 3) float64, and their leading shape."""
+    """Check the mesh and the points; return the points as (n, 3) float64, and their leading shape."""
     flat, shape = checks.points(points)
     checked = as_mesh(mesh)
     check_reach("points", checked, flat, MAX_POINT_REACH)
@@ -33,10 +33,10 @@ def checked_points(mesh: MeshLike, points: object) -> tuple[Mesh, NDArray[np.flo
 
 
 def check_reach(name: str, mesh: Mesh, positions: NDArray[np.float64], limit: float) -> None:
-    """Refuse positions so far out that distances, in sizes of the mesh, would not fit."""
+    """Refuse positions so far out that distances, in mesh sizes, would overflow."""
     if positions.size == 0:
         return
-    # Plain floats: a reduction of three numbers by NumPy takes longer than a query of one point.
+    # Plain floats are faster here: a NumPy reduction of three numbers takes longer than a query of one point.
     lower, upper = mesh.bounds.tolist()
     center = mesh.center.tolist()
     size = max(high - low for low, high in zip(lower, upper, strict=True))
@@ -48,7 +48,7 @@ def check_reach(name: str, mesh: Mesh, positions: NDArray[np.float64], limit: fl
 
 
 def source_faces(mesh: MeshLike, checked: Mesh, faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Rows of the faces as the user knows them: those of a Mesh, else those that were passed or read. -1 stays."""
+    """Convert rows of faces to those of the user: of a Mesh, or of the faces that were passed or read. -1 stays."""
     if mesh is checked:
         return faces
     rows: NDArray[np.int64] = np.where(faces >= 0, checked._core.source_faces[faces], -1)
@@ -56,5 +56,5 @@ def source_faces(mesh: MeshLike, checked: Mesh, faces: NDArray[np.int64]) -> NDA
 
 
 def warn_of_signs(mesh: Mesh, sign: str) -> None:
-    """Warn once if the surface leaves its inside open to interpretation."""
+    """Warn once if the inside of the surface is ambiguous."""
     warn_surface(mesh._core.sign_warnings(sign))

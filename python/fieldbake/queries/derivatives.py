@@ -1,4 +1,4 @@
-"""What the differentiable distances of PyTorch and JAX share: the query behind them and its result as plain arrays."""
+"""The query behind the differentiable distances of PyTorch and JAX."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .nearest import query
 
 
 class Linear(NamedTuple):
-    """Signed distances and what they change with: d(p + dp, v + dv) = d + g.dp - sum_k b_k g.dv_k."""
+    """Signed distances and their first derivatives: d(p + dp, v + dv) = d + g.dp - sum_k b_k g.dv_k."""
 
     #: Signed distances, (...).
     distances: NDArray[Any]

@@ -31,7 +31,7 @@ class ClosestPoints:
     distances : (...) float64
         Unsigned distances, world units.
     faces : (...) int64
-        Faces that hold the points: rows of `Mesh.faces` for a Mesh, rows of the faces as passed or read for anything
+        Faces that contain the points: rows of `Mesh.faces` for a Mesh, rows of the faces as passed or read for anything
         else.
     barycentric : (..., 3) float64
         Weights of the face's corners, from 0 to 1; their sum is 1.
@@ -50,7 +50,7 @@ class ClosestPoints:
 
 
 class Query(NamedTuple):
-    """Signed distances of points and all that is known about the nearest surface; arrays keep the leading shape."""
+    """Signed distances of points with the nearest points of the surface; arrays keep the leading shape."""
 
     #: Signed distances, (...) float64, world units, negative inside.
     distances: NDArray[np.float64]
@@ -58,11 +58,11 @@ class Query(NamedTuple):
     gradients: NDArray[np.float64]
     #: Closest points on the surface, (..., 3) float64, world units.
     points: NDArray[np.float64]
-    #: Faces that hold the closest points, (...) int64; rows as in `ClosestPoints`.
+    #: Faces that contain the closest points, (...) int64; rows as in `ClosestPoints`.
     faces: NDArray[np.int64]
     #: Weights of the face's corners, (..., 3) float64, from 0 to 1.
     barycentric: NDArray[np.float64]
-    #: Facts of the surface and of the work, as those of a bake.
+    #: Properties of the surface and cost of the work, as for a bake.
     report: Report
 
 
@@ -94,8 +94,8 @@ def closest_point(
 
     Notes
     -----
-    On the CPU the nearest face is decided in float64; among equally near faces the lowest row is taken. A graphics
-    device decides in float32, so its distances may be larger by up to 1e-6 of the mesh's size.
+    The CPU chooses the nearest face in float64. Among equally near faces it takes the lowest row. A graphics device
+    chooses in float32, so its distances may be larger by up to 1e-6 of the mesh's size.
 
     Examples
     --------
@@ -316,10 +316,10 @@ def winding_number(
 
     Notes
     -----
-    Faces are taken as they come: flipped and repeated ones count as such, unlike in the sign of distances. The openings
-    are closed by a cone, the closed surface is counted exactly, and the solid angle of the cone is subtracted. The cost
-    of a point grows with the number of open edges. Method: solid angles of Van Oosterom and Strackee (1983); dipoles of
-    Barill et al. (2018).
+    Faces count as they are wound: flipped and repeated faces count as such, unlike in the sign of distances. The
+    openings are closed by a cone, the winding number of the closed surface is computed exactly, and the solid angle of
+    the cone is subtracted. The cost of a point grows with the number of open edges. Method: solid angles of Van
+    Oosterom and Strackee (1983); dipoles of Barill et al. (2018).
 
     Examples
     --------

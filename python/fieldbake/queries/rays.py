@@ -67,7 +67,7 @@ def cast_rays(
     origins : (..., 3) real
         World positions.
     directions : (..., 3) real
-        World vectors of any length but zero. A single origin or direction serves all rays.
+        World vectors of any length except zero. A single origin or direction is used for all rays.
     t_min, t_max : float, default 0 and infinity
         Range of the ray, both ends included, in lengths of the direction.
     progress : bool or callable, optional
@@ -231,7 +231,10 @@ def all_intersections(
 def _checked_rays(
     mesh: MeshLike, origins: ArrayLike, directions: ArrayLike, t_min: float, t_max: float
 ) -> tuple[Mesh, tuple[NDArray[np.float64], NDArray[np.float64]], tuple[int, ...], dict[str, Any]]:
-    """The mesh, origins and directions (n, 3) of equal length, their leading shape, and the limits."""
+    """Check mesh, origins, directions and limits of rays.
+
+    Origins and directions become (n, 3) arrays of equal length; their leading shape is returned too.
+    """
     starts, start_shape = checks.points(origins, "origins")
     vectors, vector_shape = checks.points(directions, "directions")
     if start_shape == vector_shape:

@@ -16,10 +16,10 @@ from ..meshes.convert import MeshLike, as_mesh
 from .common import Sign, checked_points, source_faces
 from .nearest import query
 
-#: Most samples of one call: the core counts them in 32 bits when it queries them.
+#: Largest number of samples of one call. The core counts them in 32 bits.
 MOST_SAMPLES = 2**32 - 1
 
-#: Uniform training samples fill the box of the mesh scaled by this about its centre.
+#: Factor by which the box of the mesh is scaled about its centre for uniform training samples.
 UNIFORM_BOX = 1.1
 
 
@@ -110,10 +110,11 @@ def sample_training(
     n : int
         Number of points, exactly.
     near : sequence of float, default (0.005, 0.05)
-        Standard deviations of Gaussian offsets from points of the surface, as shares of the diagonal of the mesh's box.
-        Each takes an equal part of the near points.
+        Standard deviations of Gaussian offsets from points of the surface, as fractions of the diagonal of the mesh's
+        box. Each applies to an equal part of the near points.
     uniform : float, default 0.1
-        Share of the points that are uniform in the mesh's box, scaled by 1.1 about its centre; the others are near.
+        Fraction of the points that are uniform in the mesh's box, scaled by 1.1 about its centre. The other points are
+        near the surface.
     seed : int, default 0
         From 0 to 2^64 - 1. The same seed gives the same points on any number of threads.
     sign, device, progress
@@ -127,7 +128,7 @@ def sample_training(
     Raises
     ------
     MeshError, ArgumentError, DeviceError
-        As for :func:`query`; ArgumentError also for a share outside 0 to 1 and a deviation that is not positive.
+        As for :func:`query`; ArgumentError also for a fraction outside 0 to 1 and a deviation that is not positive.
 
     Warns
     -----
@@ -172,9 +173,9 @@ def sample_training(
     lower, upper = checked.bounds
     diagonal = float(np.linalg.norm(upper - lower))
     surface = sample_surface(checked, count - spread, seed=start).points
-    # One generator of its own for the offsets: the surface samples use the seed too.
+    # The offsets have a generator of their own, since the surface samples use the seed too.
     random = np.random.default_rng([start, 1])
-    # The first shells take one point more where the number of points is no multiple of theirs.
+    # If the near points cannot be divided equally, the first deviations get one point more.
     sizes = [(count - spread) // shells + (shell < (count - spread) % shells) for shell in range(shells)]
     deviation = np.repeat(np.array(deviations, np.float64) * diagonal, sizes)
     near_points = surface + deviation[:, None] * random.standard_normal((count - spread, 3))

@@ -177,8 +177,8 @@ def volume_shape(volume: Volume) -> Shape:
 
 
 def _cure(thing: object) -> str:
-    """Advice for making a Volume of another object."""
-    # A sparse volume has bounds instead of distances where it stores nothing; jumps between them would be steep.
+    """Suggest how to make a Volume of another object."""
+    # A sparse volume has bounds instead of distances in empty bricks. The jumps between them would be steep.
     return "bake a Volume, or give volume.to_volume()" if hasattr(thing, "to_volume") else "see bake()"
 
 

@@ -36,7 +36,7 @@ class Quadric:
     reflectance : (3,), default light grey
         Colour, linear RGB.
     opacity : float, default 1
-        Share of the light that does not pass, 0 to 1. The transmitted shares of several quadrics multiply. Opacity
+        Fraction of the light that is blocked, 0 to 1. The transmitted fractions of several quadrics multiply. Opacity
         affects shadows only; the camera shows the nearest sheet at any opacity.
 
     Notes
@@ -312,7 +312,7 @@ class Quadric:
 
     @property
     def opacity(self) -> float:
-        """Share of the light that does not pass."""
+        """Fraction of the light that is blocked."""
         return self._opacity
 
     @property

@@ -260,13 +260,14 @@ class Shape:
         Raises
         ------
         ShapeError
-            If a part has no bounds; give `bounds` then.
+            If a part is unbounded and `bounds` is not given.
         ArgumentError
-            If an option makes no sense.
+            If an option is out of range.
 
         Notes
         -----
-        The field is evaluated only in blocks that can hold a part of the surface, by the bound :attr:`lipschitz`.
+        The bound :attr:`lipschitz` excludes blocks that cannot contain a part of the surface. The field is evaluated in
+        the other blocks only.
 
         Examples
         --------
