@@ -7,8 +7,8 @@
 >>> frame.image.shape
 (64, 64, 4)
 
-Distances are negative inside and in the mesh's own units. ``distances[x, y, z]`` lies at
-``bounds[0] + (index + 0.5) * spacing``. Space is right-handed, triangles are counter-clockwise seen from outside.
+Distances are negative inside and in the mesh's own units. ``distances[x, y, z]`` is the sample at ``bounds[0] + (index
++ 0.5) * spacing``. Space is right-handed, and triangles are counter-clockwise as seen from outside.
 """
 
 import importlib as _importlib
@@ -201,12 +201,12 @@ __all__ = [
     "wrap_quadrics",
 ]
 
-# Quiet unless the program that uses us configures logging.
+# Silent unless the program that imports the package configures logging.
 _logging.getLogger("fieldbake").addHandler(_logging.NullHandler())
 
 
 def __getattr__(name: str) -> _Any:
-    # PyTorch and JAX take seconds to import and are optional, so their modules wait until they are used.
+    # PyTorch and JAX are optional and take seconds to import, so their modules are imported at the first use.
     if name in ("jax", "torch"):
         return _importlib.import_module(f"{__name__}.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

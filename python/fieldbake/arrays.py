@@ -1,7 +1,7 @@
-"""The same jobs bound straight from Rust: bare arrays in, bare arrays out, nothing kept between calls.
+"""The core functions for bare arrays: arrays in, arrays out, no objects kept between calls.
 
-For programs that have their own mesh and image types. Arrays are taken as they are where their type fits: float32
-distances with x fastest in memory, float64 vertices, int64 faces; anything else is converted once.
+For programs that have mesh and image types of their own. Arrays are used without a copy if their type fits: float32
+distances with x fastest in memory, float64 vertices, int64 faces. All others are converted once.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def bake(
     method: Method = "tree",
     device: str = "auto",
 ) -> NDArray[np.float32]:
-    """Distances of a mesh at the voxel centres of a box.
+    """Compute the distances of a mesh at the voxel centres of a box.
 
     Parameters
     ----------
@@ -57,14 +57,14 @@ def bake(
     lower, upper : (3,) real
         Corners of the box, world units.
     shape : (nx, ny, nz)
-        Voxels along each side.
+        Number of voxels along x, y and z.
     sign, device
         As for :func:`fieldbake.bake`.
     method : "tree" or "brute", default "tree"
-        ``"brute"`` is the bake of the articles: every sample looks at every triangle, all in float32 on a graphics
-        device. A reference to compare with and a shader to read (``shaders/bake_brute.wgsl``). It knows
-        ``sign="normal"`` (article 001), ``"parity"`` (article 003) and ``"unsigned"``; its time grows with samples
-        times faces.
+        ``"tree"`` searches a bounding volume hierarchy. ``"brute"`` is the bake of the articles: every sample visits
+        every triangle, in float32 on a graphics device. It is a reference for comparison (``shaders/bake_brute.wgsl``).
+        It supports ``sign="normal"`` (article 001), ``"parity"`` (article 003) and ``"unsigned"``. Its time is
+        proportional to samples times faces.
 
     Returns
     -------
@@ -92,12 +92,12 @@ def bake(
 def pack(
     distances: Iterable[ArrayLike], *, layout: Layout = "shelves", page_size: int = 4096
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Grids of distances in the pages of an atlas.
+    """Pack grids of distances into the pages of an atlas.
 
     Parameters
     ----------
     distances : list of (nx, ny, nz) real
-        For strips equal cubes.
+        Grids of distances. For strips they must be equal cubes.
     layout, page_size
         As for :func:`fieldbake.pack`.
 
@@ -146,11 +146,11 @@ def raymarch(
     lower, upper : (3,) real
         Corners of the box, world units.
     pose : (4, 4) real
-        World from camera; it looks along -Z, +Y is up.
+        World from camera. The camera looks along its -Z axis, and +Y points upwards.
     fov_deg : float, default 45
         Vertical field of view, degrees.
     size : (width, height), default (512, 512)
-        In pixels.
+        Size of the picture, pixels.
     device : str, default "auto"
         As for :func:`fieldbake.raymarch`.
 
@@ -159,7 +159,7 @@ def raymarch(
     color : (h, w, 4) float32
         Linear RGB and opacity.
     depth : (h, w) float32
-        Distance along the viewing axis, world units; inf where nothing was hit.
+        Distance along the viewing axis, world units; inf for pixels without a hit.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What `fieldbake demo` and `make demo` run: real bakes, and pictures of them."""
+"""The program behind `fieldbake demo` and `make demo`: it bakes meshes and draws pictures of them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ logger = logging.getLogger("fieldbake")
 
 SIZE = (640, 480)
 
-#: Linear RGB and where the camera looks, for each model made in code.
+#: Linear RGB and viewing direction for each model made in code.
 CLAY = (0.80, 0.36, 0.18)
 STEEL = (0.42, 0.52, 0.62)
 PLAIN = (0.62, 0.56, 0.44)
@@ -45,15 +45,15 @@ def run(
     Parameters
     ----------
     folder : str or path
-        Where the files go; made if it is not there.
+        Folder for the files; it is created if missing.
     meshes : list of paths, optional
-        Mesh files to use in place of the models made in code.
+        Mesh files. The default is the models made in code.
     resolution : int, default 128
         Voxels along the longest side.
     progress : bool or callable, optional
         As for :func:`fieldbake.bake`.
     tell : callable, optional
-        Gets a line of text for each thing done.
+        Receives a line of text for each finished step.
     """
     tell = tell or logger.info
     out = Path(folder)
@@ -66,7 +66,7 @@ def run(
         for line in str(volume.report).splitlines():
             tell(f"    {line}")
 
-        # Through the file and back, so that the pictures prove the file too.
+        # The volume is saved and loaded again, so that the pictures test the file too.
         archive = out / f"{name}.npz"
         volume.save(archive)
         loaded = load(archive)
@@ -87,7 +87,7 @@ def run(
 
 
 def _subjects(meshes: list[str] | None) -> Iterator[tuple[str, Mesh, tuple[float, float, float], NDArray[np.float64]]]:
-    """Name, mesh, colour and viewing direction of everything to show."""
+    """Iterate over name, mesh, colour and viewing direction of the objects to draw."""
     for path in meshes or []:
         yield Path(path).stem, load_mesh(path), PLAIN, np.array([-0.55, -0.4, -1.0])
     if not meshes:
@@ -96,7 +96,7 @@ def _subjects(meshes: list[str] | None) -> Iterator[tuple[str, Mesh, tuple[float
 
 
 def slice_image(volume: Volume, *, height_px: int = 480) -> NDArray[np.uint8]:
-    """The field on the middle plane along its shortest axis: blue inside, orange outside, a line every few voxels.
+    """Draw the middle slice along the shortest axis: blue inside, orange outside, a line every few voxels.
 
     Returns
     -------
@@ -110,14 +110,14 @@ def slice_image(volume: Volume, *, height_px: int = 480) -> NDArray[np.uint8]:
     height = height_px
     width = max(1, round(height * extent[across] / extent[upward]))
 
-    # One world position a pixel, its centre, row 0 on top.
+    # World position of the centre of each pixel, row 0 on top.
     positions = np.empty((height, width, 3))
     positions[..., axis] = (lower[axis] + upper[axis]) / 2
     positions[..., across] = lower[across] + (np.arange(width) + 0.5) / width * extent[across]
     positions[..., upward] = (upper[upward] - (np.arange(height) + 0.5) / height * extent[upward])[:, None]
     distances = volume.sample(positions).astype(np.float64)
 
-    # Colour fades with the distance; lines are one and a half pixels wide wherever the field is a distance.
+    # Colour fades with the distance. Lines are 1.5 pixels wide wherever the field is a distance.
     pixel = extent[upward] / height
     interval = 6 * float(volume.spacing.max())
     fade = np.exp(-np.abs(distances) / (8 * interval))[..., None]

@@ -1,4 +1,4 @@
-"""The commands ``query`` and ``check``: distances at points from a file, and what is wrong with a mesh."""
+"""The commands ``query`` and ``check``: distances at points from a file, and the defects of a mesh."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import fieldbake as fb
 from ..files.container import atomic_write
 from .commands import Device, Sign, app, show_rows
 
-#: Columns of a result.
+#: Names of the columns of a result.
 COLUMNS = (
     "distance",
     *(f"gradient_{axis}" for axis in "xyz"),
@@ -25,7 +25,7 @@ COLUMNS = (
     *(f"weight_{corner}" for corner in range(3)),
 )
 
-#: Surface samples that look for the thinnest part, and the cosine from which a face looks back at them.
+#: Number of surface samples for the thinnest part, and largest cosine between normals of opposite faces.
 THICKNESS_SAMPLES = 20_000
 FACING = -0.5
 
@@ -58,7 +58,7 @@ def query(
 
 
 def read_points(path: Path) -> NDArray[np.float64]:
-    """Positions (n, 3) of a file; its first three columns."""
+    """Read positions (n, 3) from a file: its first three columns."""
     kind = path.suffix.lower()
     try:
         if kind == ".npy":
@@ -108,7 +108,7 @@ def check(
 
 
 def facts_of(mesh: fb.Mesh) -> dict[str, Any]:
-    """What `check` prints."""
+    """Collect the properties that `check` prints."""
     topology = mesh.topology()
     return {
         "faces": len(mesh.faces),
@@ -130,7 +130,7 @@ def facts_of(mesh: fb.Mesh) -> dict[str, Any]:
 
 
 def _thinnest_part(mesh: fb.Mesh) -> float | None:
-    """Shortest way from the surface through the inside to a face that looks the other way, from many samples."""
+    """Shortest path from the surface through the inside to a face of the opposite side, over many samples."""
     samples = fb.sample_surface(mesh, THICKNESS_SAMPLES)
     inwards = -samples.normals if mesh.volume >= 0 else samples.normals
     start = 1e-9 * float(np.linalg.norm(mesh.bounds[1] - mesh.bounds[0]))

@@ -48,7 +48,7 @@ class Frame:
     object_id : (h, w) int32
         Index of the visible object; -1 for pixels without a hit.
     shadow : (h, w) or (h, w, lights) float32
-        Share of the light that arrives: 1 is lit, 0 is in shadow.
+        Fraction of the light that arrives: 1 is lit, 0 is in shadow.
     steps : (h, w) uint32
         Number of steps of each ray.
     report : mapping
@@ -143,7 +143,7 @@ def srgb_from_linear(linear: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def save_image(pixels: NDArray[np.uint8], path: str | os.PathLike[str]) -> None:
-    """Write sRGB bytes (h, w, 3 or 4); the file appears complete or not at all."""
+    """Write sRGB bytes (h, w, 3 or 4). The file is either complete or not there."""
     from PIL import Image
 
     target = Path(path)

@@ -1,4 +1,4 @@
-"""Options that every picture has: its size, its background and the frame made of the core's result."""
+"""Options of every picture: the size, the background, and the frame made of the core's result."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..base import checks
 from ..base.errors import ArgumentError, SceneError
 from .frame import Frame
 
-#: Most pixels along one side of a picture.
+#: Largest number of pixels along one side of a picture.
 MAX_SIDE_PX = 16384
 
 

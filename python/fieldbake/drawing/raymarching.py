@@ -72,21 +72,21 @@ def raymarch(
     lights : sequence of DirectionalLight and PointLight, optional
         If not given, one white light of intensity 0.64 from above, over the viewer's right shoulder.
     ambient : float, optional
-        Ambient light as a share of the colour; the default is 0.2.
+        Ambient light as a fraction of the colour; the default is 0.2.
     color : (3,), optional
         Colour of the surface, linear RGB. The default is light grey; shapes keep their paint.
     specular, shininess : float, optional
         Strength and sharpness of the highlight (Blinn-Phong); 0.25 and 32 if not given.
     background : (3,) or (4,), optional
-        Colour of pixels that hit nothing, linear RGB and opacity; (0.025, 0.03, 0.04), a dark slate, if not given.
+        Colour of pixels without a hit, linear RGB and opacity. The default is (0.025, 0.03, 0.04), a dark slate.
     method : "auto", "whole", "aabb" or "octree", default "auto"
-        For shapes only: whether rays march through the whole shape or through the parts of
+        For shapes only: rays are traced through the whole shape or through the parts of
         :func:`fieldbake.csg.decompose`. ``"auto"`` takes the method with the lowest estimated cost per ray. All methods
         give the same picture.
     device : str, default "auto"
         ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`.
     progress : bool or callable, optional
-        True draws a bar on stderr; a callable receives the finished share from 0 to 1.
+        True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
 
     Returns
     -------
@@ -190,11 +190,11 @@ class _Options:
         return self.shadows in ("soft", "area") or any(isinstance(light, PointLight) for light in self.lights or ())
 
     def view_of(self, bounds: NDArray[np.float64]) -> Camera:
-        """The camera, or one that fits a box."""
+        """The camera, or the default camera for a box."""
         return self.camera or Camera.fit(bounds, aspect=self.size[0] / self.size[1])
 
     def arguments(self, camera: Camera) -> dict[str, Any]:
-        """The arguments of the picture for the core."""
+        """Arguments of the picture for the core."""
         return picture_arguments(
             camera,
             self.size,
@@ -313,7 +313,7 @@ def picture_arguments(
 
 
 def _lights(lights: Sequence[Light] | None, camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Directions and colours, (k, 3) each."""
+    """Directions and colours of lights, (k, 3) each."""
     if lights is None:
         lights = [key_light(camera.pose)]
     if not isinstance(lights, Sequence):

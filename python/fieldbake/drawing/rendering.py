@@ -26,7 +26,7 @@ from .options import checked_size
 Primary = Literal["auto", "raster", "raymarch"]
 SceneShadows = Literal["soft", "hard", "none", "area"]
 
-#: How far ambient occlusion looks if only True is given, as a share of the scene's diagonal.
+#: Range of ambient occlusion for True, as a fraction of the diagonal of the scene.
 OCCLUSION_SHARE = 0.15
 
 
@@ -53,20 +53,21 @@ def render(
     Parameters
     ----------
     scene : Scene
-        The scene. An object that :class:`Instance` takes, or a list of objects and instances, becomes one.
+        The scene. An object that :class:`Instance` accepts, or a list of objects and instances, is converted to one.
     camera : Camera, optional
         The view. The default is the first camera of the scene, or else a camera that fits the bounds of the scene.
     size : (width, height), default (512, 512)
         Size of the picture, pixels.
     primary : "auto", "raster" or "raymarch", default "auto"
-        How visible surfaces are found. ``"auto"`` rasterises meshes and marches rays through other objects;
-        ``"raster"`` draws meshes only; ``"raymarch"`` draws fields only.
+        Search for visible surfaces. ``"auto"`` rasterises meshes and traces rays through other objects; ``"raster"``
+        draws meshes only; ``"raymarch"`` draws fields only.
     shadows : "soft", "hard", "none" or "area", default "soft"
-        ``"soft"`` gives penumbrae in proportion to the sizes of the lights, by cone tracing. ``"hard"`` treats lights
-        as points. ``"area"`` casts `area_samples` rays to each light; it is slow, and the reference for ``"soft"``.
+        ``"soft"`` estimates penumbrae in proportion to the sizes of the lights, by cone tracing. ``"hard"`` treats
+        lights as points. ``"area"`` casts `area_samples` rays to each light; it is slow, and the reference for
+        ``"soft"``.
     ambient_occlusion : bool or float, default False
         Whether nearby surfaces darken ambient light, by seven cones over the hemisphere. A number is the largest
-        distance of such surfaces, world units; True stands for 0.15 of the diagonal of the scene.
+        distance of such surfaces, world units. True uses 0.15 of the diagonal of the scene.
     samples : int, default 1
         Colour samples per pixel, a square number up to 64: 1, 4, 9, 16, ... Higher values smooth edges. Depth,
         normals and ids are taken at the pixel centre. Lighting is interpolated from neighbouring centres where they
@@ -94,8 +95,8 @@ def render(
         found on the CPU. A pass with an object that the device cannot draw runs on the CPU; ``report["devices"]``
         names the device of each pass.
     progress : bool or callable, optional
-        True draws a bar on stderr; a callable receives the finished share from 0 to 1. If not
-        given, a bar appears on a terminal once the work has taken 3 seconds; False never draws one.
+        True draws a bar on stderr; a callable receives the finished fraction from 0 to 1. By default a bar appears on a
+        terminal once the work has taken 3 seconds. False never draws one.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Readers of the formats that other programs share: textures of volumes, images of atlases, .nrrd grids.
+"""Readers of the formats of other programs: textures of volumes, images of atlases, .nrrd grids.
 
 =========  ========  ===================================================================================
 ending     what      contents
@@ -10,7 +10,7 @@ ending     what      contents
 ``.png``   Atlas     unsigned 16 bits (8 for snorm8), pages below each other; facts in a JSON beside it
 =========  ========  ===================================================================================
 
-The JSON beside ``name.exr`` is ``name.exr.json``. Sizes are compared with it before anything is unpacked.
+The JSON file beside ``name.exr`` is ``name.exr.json``. Sizes are compared with it before anything is decompressed.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from .npz import make_atlas, read_scale
 
 
 def load_texture(path: Path) -> Volume:
-    """Read what :meth:`Volume.save` wrote."""
+    """Read a file that :meth:`Volume.save` wrote."""
     kind = path.suffix.lower()[1:]
     if kind == "nrrd":
         return _read_nrrd(path)
@@ -51,7 +51,7 @@ def load_texture(path: Path) -> Volume:
 
 
 def load_image(path: Path) -> Atlas:
-    """Read what :meth:`Atlas.save` wrote."""
+    """Read a file that :meth:`Atlas.save` wrote."""
     facts = sidecar.read_beside(path)
     sidecar.expect(facts, "atlas image")
     try:
@@ -86,7 +86,7 @@ def _volume(samples: NDArray[np.float32], facts: dict[str, Any]) -> Volume:
 
 
 def _column(facts: Any, name: str) -> Any:
-    """What :meth:`Atlas.save` says, as the arrays of an atlas have it."""
+    """Extract one entry of all volumes from the metadata of :meth:`Atlas.save`, as an array."""
     if not isinstance(facts, dict):
         raise FormatError("volumes must be objects")
     if name == "blocks":
@@ -116,7 +116,8 @@ def _read_png(path: Path, width: int, height: int, encoding: str) -> NDArray[Any
     if not encoding.startswith("snorm"):
         raise FormatError(f"a .png holds normalised texels, the facts say {encoding}")
     texel = encodings.DTYPES[encoding]
-    # Not Image.open, which takes large atlases for bombs; their size is compared before they are unpacked.
+    # Image.open is not used, because it refuses large images as decompression bombs. The size is compared before
+    # decoding.
     try:
         with PngImageFile(io.BytesIO(path.read_bytes())) as image:
             modes = ("L",) if texel.itemsize == 1 else ("I;16", "I")
@@ -135,7 +136,7 @@ def _read_png(path: Path, width: int, height: int, encoding: str) -> NDArray[Any
 def _read_nrrd(path: Path) -> Volume:
     nrrd = nrrd_package()
     with open(path, "rb") as stream:
-        # One line at a time, and never another file: the header may name one.
+        # The header is parsed line by line. A header that names another file is refused.
         text = stream.read(MAX_HEADER_BYTES).partition(b"\n\n")[0]
         stream.seek(0)
         header = nrrd.read_header(io.BytesIO(text + b"\n\n"))

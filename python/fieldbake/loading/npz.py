@@ -1,4 +1,4 @@
-"""Readers of the .npz container: every kind of object that fieldbake stores in one."""
+"""Readers of the .npz container, one for each kind of object that it can store."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ..volumes.volume import Volume, check_distances
 
 
 def read_archive(archive: zipfile.ZipFile, size: int) -> Volume | SparseVolume | NestedField | Atlas:
-    """The object in an archive of `size` bytes."""
+    """Read the object in an archive of `size` bytes."""
     found = members(archive, size)
     header = read_header(archive, found)
     reader = _READERS.get(str(header.get("kind")))
@@ -98,7 +98,7 @@ def _read_atlas(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], h
     return make_atlas(header, arrays, reports, arrays.pop("pages"))
 
 
-#: How each kind of file is read.
+#: Reader of each kind of file.
 _READERS: dict[str, Callable[..., Volume | SparseVolume | NestedField | Atlas]] = {
     "volume": _read_dense,
     "quantized": _read_quantized,
@@ -109,7 +109,7 @@ _READERS: dict[str, Callable[..., Volume | SparseVolume | NestedField | Atlas]] 
 
 
 def _check_samples(header: dict[str, Any], samples: NDArray[Any], encoding: str, ndim: int) -> None:
-    """Samples of the type that the header says, on the grid that it says."""
+    """Check that samples have the type and the grid that the header states."""
     dtype = encodings.DTYPES[encoding]
     if samples.dtype != dtype.newbyteorder("<") or samples.ndim != ndim or (ndim == 3 and samples.size == 0):
         wanted = "(nx, ny, nz)" if ndim == 3 else "(n, 8, 8, 8)"
@@ -133,7 +133,7 @@ def _positive(header: dict[str, Any], name: str) -> float:
 
 
 def read_scale(header: dict[str, Any], encoding: str) -> float:
-    """The scale of the stored numbers, if their encoding can have it."""
+    """Read the scale of the stored samples, and check that it suits their encoding."""
     if encoding == "float16" and header["version"] < SCALED_FLOAT16_VERSION:
         return 1.0
     scale = _positive(header, "scale")
@@ -149,7 +149,7 @@ def _check_scales(encoding: str, scales: list[float]) -> None:
 
 
 def make_atlas(header: dict[str, Any], arrays: dict[str, NDArray[Any]], reports: Any, pages: NDArray[Any]) -> Atlas:
-    """An atlas from what a file says, once all of it is known to fit together."""
+    """Make an atlas from the contents of a file, after all of them were compared with each other."""
     try:
         atlas = Atlas(
             layout=checks.choice("layout", header.get("layout"), ("shelves", "strips")),
@@ -198,7 +198,7 @@ def make_atlas(header: dict[str, Any], arrays: dict[str, NDArray[Any]], reports:
         raise FormatError("scales must be above 0")
     is_old = header["version"] < SCALED_FLOAT16_VERSION
     if atlas.encoding == "float32" or (atlas.encoding == "float16" and is_old):
-        # Earlier versions wrote the width of the band here, and did not use it.
+        # Earlier versions wrote the width of the band here and did not use it.
         arrays["scales"] = np.ones(rows, np.float32)
     _check_scales(atlas.encoding, arrays["scales"].tolist())
     if not isinstance(reports, list) or len(reports) != rows:
@@ -211,7 +211,7 @@ def make_atlas(header: dict[str, Any], arrays: dict[str, NDArray[Any]], reports:
 
 
 def _all_finite(array: NDArray[Any]) -> bool:
-    """Whether there is no inf and no nan."""
+    """Whether an array contains no inf and no nan."""
     if array.dtype.kind != "f":
         return True
     with np.errstate(over="ignore", invalid="ignore"):

@@ -19,7 +19,7 @@ from .npz import read_archive
 
 _Kind = TypeVar("_Kind")
 
-#: Readers of the files that are no .npz archive, by ending.
+#: Readers of the formats other than .npz, by ending.
 _FOREIGN: dict[str, Callable[[Path], Volume | Atlas]] = {
     **dict.fromkeys(textures.ENDINGS, load_texture),
     **dict.fromkeys(images.ENDINGS, load_image),
@@ -27,17 +27,17 @@ _FOREIGN: dict[str, Callable[[Path], Volume | Atlas]] = {
 
 
 def load(path: str | os.PathLike[str]) -> Any:
-    """Read what fieldbake wrote.
+    """Read a file that fieldbake wrote.
 
     Parameters
     ----------
     path : str or path
-        A file of :meth:`Volume.save` or :meth:`Atlas.save`, of any of their endings.
+        A file of :meth:`Volume.save` or :meth:`Atlas.save` with any of their endings.
 
     Returns
     -------
     Volume, QuantizedVolume, SparseVolume, NestedField or Atlas
-        Bit for bit what was saved, in the encoding that the file has.
+        Equal bit for bit to the saved object, in the encoding of the file.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def load(path: str | os.PathLike[str]) -> Any:
 
 
 def load_as(kind: type[_Kind], path: str | os.PathLike[str]) -> _Kind:
-    """The object in a file, if it is of this kind."""
+    """Read the object in a file, and check that it is of this kind."""
     found = load(path)
     if not isinstance(found, kind):
         raise FormatError(

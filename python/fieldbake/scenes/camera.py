@@ -131,7 +131,7 @@ class Camera:
         aspect : float, default 1
             Width of the picture over its height.
         border : float, default 0.05
-            Share of the picture left free around the box.
+            Fraction of the picture left free around the box.
 
         Raises
         ------

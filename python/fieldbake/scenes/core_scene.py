@@ -1,4 +1,4 @@
-"""A scene as the core takes it: a row for each instance, a table of materials, things that are made once."""
+"""Conversion of a scene for the core: a row per instance, a table of materials, and each shared object once."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .sheets import NO_SHEET, Look, Sheet, sheet_of
 
 
 class MaterialTable:
-    """Materials and textures of a scene as they are collected."""
+    """Materials and textures of a scene while they are collected."""
 
     def __init__(self) -> None:
         self.materials: list[list[float]] = []
@@ -26,7 +26,7 @@ class MaterialTable:
         self._owners: list[object] = []
 
     def texture(self, pixels: NDArray[np.uint8]) -> int:
-        """Place of an image, shared by all that use it."""
+        """Index of an image; all users of the image share it."""
         if id(pixels) not in self._known:
             self._known[id(pixels)] = len(self.textures)
             self._owners.append(pixels)
@@ -34,7 +34,7 @@ class MaterialTable:
         return self._known[id(pixels)]
 
     def add(self, material: Material | None, look: Look, is_two_sided: bool) -> None:
-        """One row; `is_two_sided` holds where the material leaves it open."""
+        """Add one row; `is_two_sided` applies if the material does not decide it."""
         material = material or Material()
         self.materials.append(
             [
@@ -54,7 +54,7 @@ class MaterialTable:
 
 
 class Rows:
-    """Instances of the core's scene as they are collected; a list of quadrics is as many of them."""
+    """Instances of the core's scene while they are collected. A list of quadrics becomes one instance per quadric."""
 
     def __init__(self) -> None:
         self.table = MaterialTable()
@@ -69,7 +69,7 @@ class Rows:
         looks: Sequence[Look],
         sheet: Sheet = NO_SHEET,
     ) -> None:
-        """One instance, with a row of the material table for each part's look."""
+        """Add one instance, with a row of the material table for the look of each part."""
         own_colors = instance.material is None or instance.material.color is None
         row = {
             "mesh": mesh,
@@ -89,7 +89,7 @@ class Rows:
             self.table.add(instance.material, look, sheet.is_two_sided)
 
     def build(self) -> _core.Scene:
-        """The core's scene."""
+        """Make the scene of the core."""
         columns = self.columns
         return _core.Scene(
             columns["mesh"],
@@ -108,19 +108,19 @@ class Rows:
 
 
 class Fields(NamedTuple):
-    """Which meshes of a scene need their fields."""
+    """The meshes of a scene that need distance fields."""
 
     #: Light evaluates the fields of solids.
     of_solids: bool
-    #: The camera, or the march of an article, evaluates the fields of sheets.
+    #: The camera, or the ray march of an article, evaluates the fields of sheets.
     of_sheets: bool
 
 
 def build_scene(instances: Sequence[Instance], fields: Fields, device: str) -> _core.Scene:
-    """The core's scene; things that several instances share are made once."""
+    """Make the scene of the core. An object that several instances share is converted once."""
     rows = Rows()
     meshes: dict[tuple[int, bool], _core.SceneMesh] = {}
-    # By mesh and material.
+    # Looks by mesh and material.
     looks_of: dict[tuple[int, int], tuple[list[Look], Sheet]] = {}
     quadrics: dict[int, list[_core.SceneField]] = {}
     for number, instance in enumerate(instances):
@@ -133,7 +133,7 @@ def build_scene(instances: Sequence[Instance], fields: Fields, device: str) -> _
                 part = Part("quadric", color=(red, green, blue, 1.0))
                 rows.add(number, instance, None, field, [Look.of(instance.material, part)])
         elif isinstance(thing, Mesh):
-            # A material with a colour or texture replaces the mesh's own.
+            # A material with a colour or a texture replaces those of the mesh.
             material = instance.material
             keeps_colors = material is None or (material.color is None and material.texture is None)
             vertex_colors, face_colors = (thing.vertex_colors, thing.face_colors) if keeps_colors else (None, None)
@@ -156,7 +156,7 @@ def build_scene(instances: Sequence[Instance], fields: Fields, device: str) -> _
 
 
 def _materials_of(mesh: Mesh) -> NDArray[np.uint32]:
-    """The part that each face belongs to."""
+    """Index of the part of each face."""
     owner = np.zeros(len(mesh.faces), dtype=np.uint32)
     for number, part in enumerate(mesh.parts):
         owner[part.faces.start : part.faces.stop] = number

@@ -1,9 +1,9 @@
-"""Fields for the instances of scenes: baked on demand, kept in memory and, where asked for, on disk.
+"""Distance fields of the objects in scenes: baked on demand, kept in memory and, on request, on disk.
 
-A field is known by a hash of the triangles, the options and the version of the package, so a changed mesh never meets
-an old field. On disk each is one ``.npz`` of our own format that appears whole or not at all: any number of processes
-may share the folder. It is ``platformdirs.user_cache_dir("fieldbake")``, or what ``FIELDBAKE_CACHE`` names; nothing is
-written unless that variable is set or :func:`use_disk` was called.
+The key of a field is a hash of the triangles, the options and the version of the package, so a changed mesh never uses
+an old field. On disk each field is one ``.npz`` file that is either complete or not there: any number of processes may
+share the folder. The folder is ``platformdirs.user_cache_dir("fieldbake")`` or the value of ``FIELDBAKE_CACHE``.
+Nothing is written unless that variable is set or :func:`use_disk` was called.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from .sheets import FLAT, Look, sheet_of
 
 logger = logging.getLogger("fieldbake")
 
-#: Fields kept in memory, in bytes; the least recently used goes first.
+#: Memory limit of the fields, bytes. The least recently used field is dropped first.
 MEMORY_BYTES = 1 << 30
 
-#: Thickness of a flat sheet in voxels. The samples lie on a plate, so its field is exact at any thickness; whatever is
-#: within the plate is dark, so it is thin: a box on a plate then has no dark row at the line of contact. The outline of
-#: any other flat shape is right on average where the field dips 0.36 voxels below it.
+#: Thickness of a flat sheet, voxels. The samples lie on a plate, so its field is exact at any thickness. Points inside
+#: the plate are dark; a thin plate therefore leaves no dark row at the contact line of an object. For any other flat
+#: outline the field is right on average if it reaches 0.36 voxels below zero.
 PLATE_VOXELS = 2e-4
 OUTLINE_VOXELS = 0.36
 
-#: What a leaf of a shape takes, about.
+#: Approximate memory of a leaf of a shape, bytes.
 SHAPE_BYTES = 4096
 
 _lock = Lock()
@@ -54,17 +54,17 @@ _disk: Path | None = None
 
 
 def use_disk(folder: str | os.PathLike[str] | None = None) -> Path:
-    """Keep the fields of scenes on disk from now on.
+    """Store the fields of scenes on disk from now on.
 
     Parameters
     ----------
     folder : path, optional
-        Where; the user's cache folder for fieldbake if not given.
+        Folder for the fields. The default is the user's cache folder for fieldbake.
 
     Returns
     -------
     Path
-        The folder.
+        The folder in use.
     """
     global _disk
     if folder is None:
@@ -77,13 +77,13 @@ def use_disk(folder: str | os.PathLike[str] | None = None) -> Path:
 
 
 def clear() -> None:
-    """Forget the fields in memory; files stay."""
+    """Drop the fields in memory; files stay."""
     with _lock:
         _kept.clear()
 
 
 def of_mesh(mesh: Mesh, resolution: int, device: str, looks: Sequence[Look] | None = None) -> _core.SceneField:
-    """The field of a mesh, baked unless it is known; `looks` has one entry per part, its own if not given."""
+    """Field of a mesh, baked at its first use. `looks` has one entry per part; the default is the part's own."""
     key = ("mesh", content_hash(mesh, resolution, looks))
     found = _find(key)
     if found is None:
@@ -96,15 +96,15 @@ def of_mesh(mesh: Mesh, resolution: int, device: str, looks: Sequence[Look] | No
 
 
 def of_thing(thing: Volume | SparseVolume | NestedField | AtlasEntry | Shape) -> _core.SceneField:
-    """The field of what has one, made ready once."""
+    """Field of an object that has one, converted for the core once."""
     if isinstance(thing, NestedField):
         return _core.SceneField.nested(levels_of(thing))
-    # An entry stands for whatever its atlas holds there.
+    # The key of an entry includes the current contents of its atlas.
     key: tuple[object, ...] = thing._key if isinstance(thing, AtlasEntry) else (type(thing), id(thing))
     found = _find(key)
     if found is not None:
         return found
-    # The thing is kept with its field, so its id stays its own.
+    # The cache keeps the object, so that its id is not reused.
     if isinstance(thing, AtlasEntry):
         volume = thing.to_volume()
         return _keep(key, _field(volume), volume.nbytes, thing)
@@ -117,17 +117,17 @@ def of_thing(thing: Volume | SparseVolume | NestedField | AtlasEntry | Shape) ->
 
 
 def levels_of(field: Volume | NestedField) -> list[_core.SceneField]:
-    """The fields of the levels of a nested field, finest first, or the one field of a volume."""
+    """Fields of the levels of a nested field, finest first, or the one field of a volume."""
     return [of_thing(level) for level in (field._joined_levels() if isinstance(field, NestedField) else (field,))]
 
 
 def of_quadrics(quadrics: Sequence[Quadric]) -> list[_core.SceneField]:
-    """The field of each."""
+    """The field of each quadric."""
     return _core.SceneField.quadrics(rows_of(quadrics))
 
 
 def content_hash(mesh: Mesh, resolution: int, looks: Sequence[Look] | None = None) -> str:
-    """Hash of everything that decides the field of a mesh."""
+    """Hash of all inputs that determine the field of a mesh."""
     looks = _looks(mesh, looks)
     digest = hashlib.blake2b(digest_size=20)
     digest.update(f"{_core.__version__} {resolution} {sheet_of(mesh, looks).is_traced}".encode())
@@ -143,7 +143,7 @@ def content_hash(mesh: Mesh, resolution: int, looks: Sequence[Look] | None = Non
 
 
 def bake_for_scene(mesh: Mesh, resolution: int, device: str = "auto", looks: Sequence[Look] | None = None) -> Volume:
-    """Bake a mesh for its looks: masked parts are cut out, sheets get a thickness, solids stay as they are."""
+    """Bake a mesh with its looks: masked parts are cut out, sheets get a thickness, solids are baked unchanged."""
     looks = _looks(mesh, looks)
     if sheet_of(mesh, looks).is_traced:
         masks = [look.mask for look in looks]
@@ -153,7 +153,7 @@ def bake_for_scene(mesh: Mesh, resolution: int, device: str = "auto", looks: Seq
         return bake(kept_triangles(mesh, resolution, masks), resolution, two_sided=True, device=device)
     volume = bake(mesh, resolution, device=device)
     if volume.report.inside_voxels == 0:
-        # A surface without an inside has no field of its own; with a thickness it has one.
+        # A surface without an inside has a field only if it gets a thickness.
         volume = bake(mesh, resolution, two_sided=True, device=device)
     return volume
 
@@ -163,18 +163,18 @@ def _looks(mesh: Mesh, looks: Sequence[Look] | None) -> Sequence[Look]:
 
 
 def _flat_axis(bounds: NDArray[np.float64]) -> int | None:
-    """The axis along which a box has no thickness."""
+    """The axis along which a box has no extent; None if there is none."""
     extent = bounds[1] - bounds[0]
     axis = int(extent.argmin())
     return axis if extent[axis] <= FLAT * extent.max() else None
 
 
 def _bake_plate(mesh: Mesh, axis: int, resolution: int, device: str) -> Volume:
-    """A flat mesh on a grid whose samples lie on it and on the edges of its box."""
+    """Bake a flat mesh on a grid whose samples lie on its plane and on the edges of its box."""
     lower, upper = mesh.bounds
     extent = upper - lower
     voxel = float(extent.max()) / max(resolution - 4, 4)
-    # Whole cells between the edges, two beyond them; across, two samples on each side.
+    # Whole cells between the edges and two cells beyond them; across the plane, two samples on each side.
     cells = np.maximum(np.round(extent / voxel), 1).astype(np.int64)
     spacing = np.where(extent > 0, extent / cells, voxel)
     cells[axis], spacing[axis] = 0, voxel
@@ -186,7 +186,7 @@ def _bake_plate(mesh: Mesh, axis: int, resolution: int, device: str) -> Volume:
 
 
 def _is_rectangle(mesh: Mesh, axis: int) -> bool:
-    """Whether a flat mesh fills its box."""
+    """Whether a flat mesh fills its box completely."""
     corners = mesh.vertices[mesh.faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
     sides = np.delete(mesh.bounds[1] - mesh.bounds[0], axis)

@@ -1,7 +1,7 @@
-"""Scenes from files: every node an instance, and what glTF says of cameras and lights.
+"""Scenes from files: an instance per node, with the cameras and lights of glTF.
 
-Meshes, materials and textures come through trimesh, which shares what nodes have in common. Of cameras it keeps one and
-of lights none, so those are read from the file's own JSON.
+trimesh reads meshes, materials and textures, and shares what several nodes refer to. It keeps one camera and no lights,
+so those are read from the JSON of the file.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .instance import INSTANCE_RESOLUTION, Instance
 from .lights import AMBIENT, DirectionalLight, Light, PointLight
 from .scene import Scene
 
-#: Of a binary glTF file, and of its JSON chunk.
+#: Magic number of a binary glTF file, and kind of its JSON chunk.
 MAGIC, JSON_CHUNK = b"glTF", b"JSON"
 
 
@@ -35,25 +35,25 @@ def load_scene(
     Parameters
     ----------
     path : str or path
-        Any format that :func:`load_mesh` reads. Nodes that share a mesh share its field. Cameras and lights
-        (``KHR_lights_punctual``) are those of glTF files; spot lights shine all round here.
+        A file of any format that :func:`load_mesh` reads. Nodes that share a mesh share its field. Cameras and lights
+        (``KHR_lights_punctual``) come from glTF files; a spot light becomes a point light.
     resolution : int, default 64
-        Voxels along the longest side of each mesh's field.
+        Voxels along the longest side of the field of each mesh.
     ambient : float, default 0.2
-        Light from everywhere, as a share of the colour.
+        Light from everywhere, as a fraction of the colour.
 
     Returns
     -------
     Scene
-        Its brightest light reaches the middle of the scene with strength 1, for the units of files differ; the others
-        in proportion. Without lights in the file: one at the camera.
+        The intensities are scaled together, because the units of files differ: the brightest light reaches the centre
+        of the scene with intensity 1. A file without lights gets one light at the camera.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     MeshError
-        If the file cannot be read or holds no triangles.
+        If the file cannot be read or contains no triangles.
     """
     nodes = load_nodes(path)
     instances = [Instance(mesh, transform, resolution=resolution) for mesh, transform in nodes]
@@ -71,13 +71,13 @@ def load_scene(
 
 
 def _document(file: Path) -> dict[str, Any]:
-    """The JSON of a glTF file; empty for other kinds."""
+    """Read the JSON of a glTF file; empty for other formats."""
     suffix = file.suffix.lower()
     if suffix not in (".gltf", ".glb"):
         return {}
     content = file.read_bytes()
     if suffix == ".glb":
-        # A header of 12 bytes, then chunks: length, kind, content. The JSON is the first.
+        # A GLB file has a header of 12 bytes, then chunks of length, kind and content. The first chunk is the JSON.
         if content[:4] != MAGIC or content[16:20] != JSON_CHUNK:
             return {}
         (length,) = struct.unpack("<I", content[12:16])
@@ -90,7 +90,7 @@ def _document(file: Path) -> dict[str, Any]:
 
 
 def _nodes(document: dict[str, Any]) -> Iterator[tuple[dict[str, Any], NDArray[np.float64]]]:
-    """Every node of the scene that is shown, with its world-from-node transform."""
+    """Iterate over the visible nodes of the scene with their world-from-node transforms."""
     nodes = document.get("nodes", [])
     scenes = document.get("scenes", [])
     roots = scenes[document.get("scene", 0)].get("nodes", []) if scenes else range(len(nodes))
@@ -124,7 +124,7 @@ def _transform(node: dict[str, Any]) -> NDArray[np.float64]:
 
 
 def _camera(document: dict[str, Any], node: dict[str, Any], world_from_node: NDArray[np.float64]) -> Camera | None:
-    """A perspective camera; a scale of its node does not matter."""
+    """Make a perspective camera; the scale of its node is ignored."""
     if "camera" not in node:
         return None
     lens = document["cameras"][node["camera"]].get("perspective")
@@ -150,7 +150,7 @@ def _light(document: dict[str, Any], node: dict[str, Any], world_from_node: NDAr
 
 
 def _balanced(lights: list[Light], center: NDArray[np.float64]) -> list[Light] | None:
-    """Lights of one strength scale; those of files fall off with distance, ours do not."""
+    """Convert lights to a common scale. Lights of files fall off with distance; those of fieldbake do not."""
     if not lights:
         return None
     arriving = [

@@ -1,4 +1,4 @@
-"""An instance: an object with its place, its material and its visibility in a scene."""
+"""An instance: an object with its transform, material and visibility in a scene."""
 
 from __future__ import annotations
 
@@ -29,39 +29,39 @@ INSTANCE_RESOLUTION = 64
 
 @dataclass(frozen=True, eq=False)
 class Instance:
-    """A thing in a place.
+    """An object in a scene.
 
     Parameters
     ----------
     thing : Mesh, Volume, SparseVolume, NestedField, ``atlas[i]``, Shape, Quadric, list of Quadric, or any mesh
-        A mesh is rastered and throws the shadow of its field, which is baked when needed and kept. A flat mesh, an open
-        sheet and a mesh with a mask or a translucent texture throw the shadow of their triangles. All others are met by
-        rays as they are: a volume by the roots of its cells, a shape by those of its parts (``fb.bake(shape)``
-        makes a volume of it), a quadric by its closed form. Quadrics of a list are one object.
+        A mesh is rasterised. Its shadow is that of its distance field, which is baked when needed and kept. A flat
+        mesh, an open sheet and a mesh with a mask or a translucent texture cast the shadow of their triangles. Rays
+        intersect all other objects directly: a volume at the roots of its cells, a shape at those of its parts
+        (``fb.bake(shape)`` makes a volume of it), a quadric in closed form. The quadrics of a list are one object.
     transform : (4, 4), optional
-        World from the thing's own coordinates: any affine map that can be undone. If not given the identity, or the
+        World from the object's own coordinates: any affine map that has an inverse. The default is the identity, or the
         model matrix of an atlas entry.
     material : Material, optional
-        If not given, or without a colour, the thing's own: a mesh's colours and textures, a shape's paint, a quadric's
-        reflectance; light grey for what has none.
+        The default is the object's own material, which also supplies a missing colour: the colours and textures of a
+        mesh, the paint of a shape, the reflectance of a quadric. Objects without a colour are light grey.
     casts_shadow : bool, default True
-        Whether the instance throws shadows and occludes ambient light.
+        Whether the instance casts shadows and occludes ambient light.
     visible : bool, default True
-        Whether the camera sees it.
+        Whether the instance is visible to the camera.
     opacity : float, default 1
-        Share of light that it keeps, for the camera and for shadows. A quadric's own opacity is for shadows alone, and
-        multiplies.
+        Fraction of the light that the instance blocks, for the camera and for shadows. It multiplies the own opacity of
+        a quadric, which applies to shadows only.
     resolution : int, default 64
-        Voxels along the longest side of a mesh's field.
+        Voxels along the longest side of the field of a mesh.
 
     Raises
     ------
     SceneError
-        For a transform that cannot be undone or a value out of range.
+        For a transform without an inverse or a value out of range.
     ShapeError
-        For a shape without bounds; it names the leaf.
+        For a shape without bounds; the message names the leaf.
     MeshError
-        If there is no usable mesh in the thing.
+        If the object contains no usable mesh.
 
     Examples
     --------
@@ -114,9 +114,9 @@ class Instance:
 
 
 def _thing(thing: Any) -> Thing:
-    """What the core can draw."""
+    """Convert an object to a form that the core can draw."""
     if isinstance(thing, Shape):
-        # One without bounds is refused, by name.
+        # A shape without bounds raises an error that names the leaf.
         _ = thing.bounds
         return thing
     if isinstance(thing, (Mesh, Volume, SparseVolume, NestedField, AtlasEntry)):
@@ -125,7 +125,7 @@ def _thing(thing: Any) -> Thing:
 
 
 def _box_of(thing: Thing) -> NDArray[np.float64]:
-    """Box around the surface, (2, 3), the thing's own coordinates."""
+    """Box around the surface, (2, 3), in the object's own coordinates."""
     if isinstance(thing, tuple):
         return bounds_of(thing)
     return thing.bounds if isinstance(thing, (Mesh, Shape)) else thing.inner_bounds

@@ -1,4 +1,4 @@
-"""Lights, and the defaults of every picture. A direction is the way the light travels; colours are linear RGB."""
+"""Lights, and the defaults of every picture. A direction is that in which light travels; colours are linear RGB."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..base.errors import ArgumentError, SceneError
 
 Vector = tuple[float, float, float]
 
-#: Most lights of one scene.
+#: Largest number of lights of a scene.
 MAX_LIGHTS = 16
 
 #: Direction of the default key light, camera space: it comes from above, over the viewer's right shoulder, 56 degrees
@@ -26,7 +26,7 @@ KEY_DIRECTION = (-0.45, -0.7, -0.55)
 #: the sum at most 0.986. The 8-bit value 254 begins at 0.987, so a white surface keeps its shading everywhere.
 KEY_INTENSITY = 0.64
 
-#: Default ambient light, as a share of the surface's colour.
+#: Default ambient light, as a fraction of the surface's colour.
 AMBIENT = 0.2
 
 #: Default background, linear RGBA: a dark slate, 44, 48 and 56 of 255 in sRGB. A black surface without a highlight is
@@ -54,18 +54,18 @@ def _color(value: Sequence[float]) -> Vector:
 
 @dataclass(frozen=True)
 class DirectionalLight:
-    """Light from very far away, such as the sun.
+    """A light at infinite distance, such as the sun.
 
     Parameters
     ----------
     direction : (3,)
-        The way the light travels; any length but zero.
+        Direction in which the light travels; any length except zero.
     color : (3,), default white
         Linear RGB.
     intensity : float, default 1
         Factor of the colour.
     angle_deg : float, default 0
-        Angle under which the light is seen; hard shadows take it as 0.
+        Angular diameter of the light, degrees. Hard shadows ignore it.
     """
 
     direction: Sequence[float]
@@ -88,18 +88,18 @@ class DirectionalLight:
 
 @dataclass(frozen=True)
 class PointLight:
-    """Light from one place.
+    """A light at a point.
 
     Parameters
     ----------
     position : (3,)
-        World units.
+        Position, world units.
     color : (3,), default white
         Linear RGB.
     intensity : float, default 1
         Factor of the colour.
     radius : float, default 0
-        Size of the source, world units; hard shadows take it as 0.
+        Radius of the source, world units. Hard shadows ignore it.
     """
 
     position: Sequence[float]
@@ -118,7 +118,7 @@ Light = DirectionalLight | PointLight
 
 
 def check_lights(lights: Sequence[Light]) -> tuple[Light, ...]:
-    """A list of lights, or SceneError."""
+    """Check a list of lights, or raise SceneError."""
     if isinstance(lights, (PointLight, DirectionalLight)) or not isinstance(lights, Sequence):
         raise SceneError(f"lights: must be a list of lights, got {checks.describe(lights)}")
     if len(lights) > MAX_LIGHTS:

@@ -1,4 +1,4 @@
-"""Materials: what surfaces look like."""
+"""Materials: colours, textures and reflection of surfaces."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..base.errors import ArgumentError, SceneError
 from ..meshes.images import decoded
 from ..meshes.mesh import ALPHA_MODES
 
-#: Colour of an object that has none of its own, linear RGBA.
+#: Colour of an object without a colour of its own, linear RGBA.
 PLAIN = (0.8, 0.8, 0.8, 1.0)
 
 #: Default strength and sharpness of the highlight (Blinn-Phong).
@@ -24,34 +24,35 @@ SPECULAR, SHININESS = 0.25, 32.0
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """Colour or texture, and how it answers light (Blinn-Phong).
+    """Colour or texture, and reflection of light (Blinn-Phong).
 
     Parameters
     ----------
     color : (3,) or (4,), optional
-        Linear RGB and opacity. Multiplies `texture`. If neither is given, the thing's own colours and textures stay.
+        Linear RGB and opacity; multiplies `texture`. Without both, the object keeps its own colours and textures.
     texture : (h, w, 3 or 4) uint8 or path, optional
-        sRGB image, row 0 on top, laid on by the mesh's `uv`; repeats.
+        sRGB image, row 0 on top, mapped by the mesh's `uv`. It repeats.
     specular : float, default 0.25
         Strength of the highlight.
     shininess : float, default 32
         Sharpness of the highlight, the exponent of Blinn-Phong.
     alpha_mode : "opaque", "mask" or "blend", optional
-        What opacity means, for the camera and for shadows: nothing, cut out below `alpha_cutoff`, or let through. The
-        object's own if not given, or ``"blend"`` where `color` is not opaque.
+        Use of opacity, for the camera and for shadows: ``"opaque"`` ignores it, ``"mask"`` cuts out the surface below
+        `alpha_cutoff`, ``"blend"`` transmits light. The default is that of the object, or ``"blend"`` if `color` is not
+        opaque.
     alpha_cutoff : float, optional
-        From 0 to 1, for ``"mask"``; the thing's own, or 0.5.
+        Limit of opacity for ``"mask"``, 0 to 1. The default is that of the object, or 0.5.
     two_sided : bool, optional
-        Whether faces are seen from behind; the object's own if not given. Flat and masked meshes are then seen from
-        both sides. An open mesh with two-sided faces is a sheet without an inside.
+        Whether faces are visible from behind. The default is that of the object. Flat and masked meshes are then
+        visible from both sides. An open mesh with two-sided faces is a sheet without an inside.
     emission : (3,), optional
-        Linear RGB that the surface sends out by itself, added to the picture; it lights nothing else. If not given, the
-        object's own where `color` and `texture` are not given either.
+        Linear RGB that the surface emits, added to the picture. It does not light other surfaces. The default is that
+        of the object if `color` and `texture` are not given either.
     unlit : bool, optional
-        Whether the colour is shown as it is, without light; the object's own if not given.
+        Whether the colour is shown unchanged, without lighting. The default is that of the object.
     scattering : float or (3,), default 0
-        Scattering length ``s``, world units, for each of RGB: light keeps the share ``exp(-l / s)`` over a length ``l``
-        inside the object. 0: light does not enter.
+        Scattering length ``s``, world units, for each of RGB: the fraction ``exp(-l / s)`` of the light remains after a
+        length ``l`` inside the object. 0: light does not enter.
 
     Raises
     ------
@@ -60,13 +61,13 @@ class Material:
 
     Notes
     -----
-    With `scattering`, a visible point that is turned away from a light sends out ``albedo * light * visibility *
-    exp(-l / s)``. ``l`` is the length of the ray from the point to the light inside the object, and ``visibility`` is
-    the share of the light that arrives where the ray enters the object: other instances shade it in the mode of the
-    picture's shadows, and none does with ``shadows="none"``. A quadric has the chord to its next crossing, or to its
-    trim sphere, in closed form. Every other object is measured in its field, where stretches inside that are shorter
-    than 1/8 of a voxel may be missed. On a lit side at cosine ``c`` to the light the term has the weight
-    ``(1 - c)^2``. So it joins Lambert's term without a step, and both together never exceed the light that arrives.
+    With `scattering`, a visible point that faces away from a light emits ``albedo * light * visibility * exp(-l / s)``.
+    ``l`` is the length of the ray from the point to the light inside the object. ``visibility`` is the fraction of the
+    light that arrives where the ray enters the object: other instances shade it in the mode of the picture's shadows,
+    except with ``shadows="none"``. For a quadric the length is the chord to its next crossing, or to its trim sphere,
+    in closed form. For every other object it is measured in the distance field, where intervals inside that are shorter
+    than 1/8 of a voxel may be missed. On a lit side at cosine ``c`` to the light the term has the weight ``(1 - c)^2``.
+    It therefore joins Lambert's term continuously, and both together never exceed the light that arrives.
 
     Examples
     --------
@@ -148,6 +149,6 @@ def _texture(value: Any) -> NDArray[np.uint8]:
 
 
 def scattering_rgb(material: Material) -> tuple[float, float, float]:
-    """How far each colour of light goes inside, world units."""
+    """Scattering length of each colour channel, world units."""
     r, g, b = np.broadcast_to(np.asarray(material.scattering, dtype=np.float64), 3).tolist()
     return r, g, b

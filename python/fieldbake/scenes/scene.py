@@ -23,21 +23,22 @@ class Scene:
     Parameters
     ----------
     instances : sequence of Instance
-        Anything else in it becomes an instance of its own, in its place.
+        Instances in order. Any other object in the sequence becomes an instance with default options.
     lights : sequence of PointLight and DirectionalLight, optional
-        At most 16. If not given, one white light of intensity 0.64 from above, over the viewer's right shoulder.
+        At most 16 lights. The default is one white light of intensity 0.64 from above, over the viewer's right
+        shoulder.
     ambient : float, default 0.2
-        Light from everywhere, as a share of the colour.
+        Light from everywhere, as a fraction of the colour.
     background : (3,) or (4,), default (0.025, 0.03, 0.04)
-        Colour of pixels that hit nothing, linear RGB and opacity. The default is a dark slate, against which the
-        outlines of both white and black objects are visible.
+        Colour of pixels without a hit, linear RGB and opacity. The default is a dark slate, against which the outlines
+        of both white and black objects are visible.
     cameras : sequence of Camera, optional
-        Views that come with the scene; :func:`render` takes the first if it is given none.
+        Views of the scene. :func:`render` uses the first one by default.
 
     Raises
     ------
     SceneError
-        For an empty scene, a light that is none, or too many.
+        For an empty scene, an object that is not a light, or too many lights.
 
     Examples
     --------
@@ -75,7 +76,7 @@ class Scene:
             if not isinstance(camera, Camera):
                 raise SceneError(f"cameras: must hold Cameras, got {checks.describe(camera)}")
         self._cameras = tuple(cameras)
-        # The core's scene, by the fields that it holds.
+        # Scenes of the core, by the fields that they contain.
         self._cores: dict[Fields, _core.Scene] = {}
 
     @property
@@ -85,27 +86,27 @@ class Scene:
 
     @property
     def lights(self) -> tuple[Light, ...] | None:
-        """The lights; None: one that comes with the camera."""
+        """Lights of the scene; None for the default light, which depends on the camera."""
         return self._lights
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """Views that come with the scene."""
+        """Views of the scene."""
         return self._cameras
 
     @property
     def ambient(self) -> float:
-        """Light from everywhere, as a share of the colour."""
+        """Light from everywhere, as a fraction of the colour."""
         return self._ambient
 
     @property
     def bounds(self) -> NDArray[np.float64]:
-        """Box around everything, (2, 3), world units."""
+        """Box around all instances, (2, 3), world units."""
         boxes = np.stack([instance.bounds for instance in self._instances])
         return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
 
     def _core(self, fields: Fields, device: str) -> _core.Scene:
-        """The scene as the core has it; fields are baked here."""
+        """Make the scene of the core, baking fields where needed."""
         if fields not in self._cores:
             self._cores[fields] = build_scene(self._instances, fields, device)
         return self._cores[fields]

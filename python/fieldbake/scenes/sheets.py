@@ -1,4 +1,4 @@
-"""Which meshes are sheets: surfaces whose shadows are those of their triangles, not of a distance field."""
+"""Detection of sheets: meshes whose shadows are those of their triangles instead of a distance field."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from numpy.typing import NDArray
 from ..meshes.mesh import Mesh, Part
 from .materials import PLAIN, Material
 
-#: A mesh is flat if it deviates from a plane by less than this share of its extent.
+#: A mesh is flat if it deviates from a plane by less than this fraction of its extent.
 FLAT = 1e-6
 
-#: An open mesh is a sheet if the sum of its faces' area vectors is longer than this share of its area. The sum is zero
-#: for a closed surface, as long as the area of the hole for one with a flat hole, and the whole area of a flat sheet.
+#: An open mesh is a sheet if the sum of the area vectors of its faces is longer than this fraction of its area. The sum
+#: is zero for a closed surface, the area of the hole for a surface with a flat hole, and the whole area for a flat
+#: sheet.
 SHEET_SHARE = 0.1
 
 
 class Look(NamedTuple):
-    """What a part of a mesh looks like under the material of its instance."""
+    """The appearance of a part of a mesh under the material of its instance."""
 
     color: Sequence[float]
     texture: NDArray[np.uint8] | None
@@ -33,7 +34,7 @@ class Look(NamedTuple):
 
     @classmethod
     def of(cls, material: Material | None, part: Part, is_colored: bool = False) -> Look:
-        """A material over the part's own look; `is_colored` if the mesh has colours of its vertices or faces."""
+        """Combine a material with the look of a part; `is_colored` if the mesh has colours of its vertices or faces."""
         material = material or Material()
         color: Sequence[float] = part.color
         texture, mode = part.texture, part.alpha_mode
@@ -75,11 +76,11 @@ class Look(NamedTuple):
 
 
 class Sheet(NamedTuple):
-    """How light and the camera see a mesh."""
+    """Treatment of a mesh by light and by the camera."""
 
-    #: Light meets its triangles: its field would be too thick, or does not know its opacity.
+    #: Light intersects the triangles, because a field would be too thick or has no opacity.
     is_traced: bool
-    #: The camera sees both sides of its faces, whatever the part says.
+    #: The camera sees both sides of the faces, whichever way the part is marked.
     is_two_sided: bool
 
 
@@ -88,7 +89,7 @@ NO_SHEET = Sheet(is_traced=False, is_two_sided=False)
 
 
 def sheet_of(mesh: Mesh, looks: Sequence[Look]) -> Sheet:
-    """Decide whether a mesh with such looks is a sheet."""
+    """Decide whether a mesh with these looks is a sheet."""
     is_flat = _is_flat(mesh)
     is_masked = any(look.mask is not None for look in looks)
     is_open = not is_flat and not mesh.topology()["closed"]
@@ -96,7 +97,7 @@ def sheet_of(mesh: Mesh, looks: Sequence[Look]) -> Sheet:
     if is_flat or is_masked or (is_open and is_two_sided):
         return Sheet(True, True)
     translucent = [look for look in looks if look.alpha_mode == "blend" and look.opacity.min() < 1]
-    # One opacity for all of a solid is the opacity of its field.
+    # A single opacity of a whole solid is the opacity of its field.
     is_uniform = (
         len(translucent) == len(looks)
         and len({look.color[3] for look in looks}) == 1
