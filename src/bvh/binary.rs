@@ -1,8 +1,8 @@
-//! The tree as a graphics device walks it: two children a node, at most four triangles a leaf.
+//! The tree in the form for graphics devices: two children per node, at most four triangles per leaf.
 //!
-//! A device has no eight lanes to share among the children of one point, so each eight-wide node becomes three levels of
-//! two-wide ones. The children of a node come in the order of the splits that made them, so halving that list gives
-//! compact boxes. A node holds the boxes of its two children and is 64 bytes; a triangle is 80.
+//! A device does not evaluate eight children of one point at once, so each eight-wide node becomes three levels of
+//! two-wide nodes. The children of a node are in the order of the splits that made them, so halving that list gives
+//! compact boxes. A node holds the boxes of its two children and has 64 bytes; a triangle has 80.
 
 use super::pack::TriangleFrame;
 use super::{Bvh, ChildRef, WIDTH};
@@ -10,18 +10,19 @@ use crate::geometry::Aabb;
 use crate::gpu::layout::{Node, Triangle};
 use glam::Vec3;
 
-/// Triangles of a leaf at most.
+/// Largest number of triangles of a leaf.
 pub const LEAF: usize = 4;
-/// Nodes that a search can have waiting: one a level. An eight-wide level gives three, a pack one.
+/// Capacity of the stack of a search: one node per level. An eight-wide level gives three levels, a pack one.
 pub const MAX_DEPTH: usize = 96;
 const _: () = assert!(super::build::MAX_DEPTH * 3 + 2 <= MAX_DEPTH);
 
-/// A leaf is this bit, the number of its triangles less one from [`LEAF_ONE`] on, and the first of them.
+/// A leaf has this bit set. The number of its triangles minus one follows from [`LEAF_ONE`] on, then its first
+/// triangle.
 const LEAF_BIT: u32 = 1 << 31;
 const LEAF_ONE: u32 = 1 << 28;
-/// In place of a child that is not there.
+/// Index of an absent child.
 const NOTHING: u32 = u32::MAX;
-/// An absent child's box is a point this far away: never nearer than anything, and its square is a float32.
+/// The box of an absent child is a point at this distance. It is never the nearest, and its square is a valid float32.
 const FAR_AWAY: f32 = 1e18;
 
 /// Nodes and triangles, ready to upload. The root is node 0.
@@ -31,13 +32,13 @@ pub struct BinaryTree {
     pub triangles: Vec<Triangle>,
 }
 
-/// What becomes a child: a part of an eight-wide node's children, or of a pack's triangles.
+/// A future child: part of the children of an eight-wide node, or of the triangles of a pack.
 enum Part {
     Children(Vec<(Aabb, ChildRef)>),
     Triangles(Vec<(Aabb, u32, TriangleFrame)>),
 }
 
-/// Where a child is written: a node, and the side of it.
+/// Position at which a child is written: a node, and its left or right side.
 type Place = (usize, Side);
 
 #[derive(Clone, Copy)]
@@ -47,11 +48,11 @@ enum Side {
 }
 
 impl BinaryTree {
-    /// `positions` and `faces` are those that the tree was built from.
+    /// `positions` and `faces` must be those from which the tree was built.
     pub fn new(bvh: &Bvh, positions: &[Vec3], faces: &[[u32; 3]]) -> Self {
         let mut tree = Self { nodes: vec![absent()], triangles: Vec::with_capacity(faces.len()) };
         let expand = |child: ChildRef| expand(bvh, positions, faces, child);
-        // The root is always a node; a mesh of one leaf has it on the left.
+        // The root is always an inner node. The tree of a single leaf has it on the left.
         let mut waiting: Vec<(Place, Part)> = Vec::new();
         match expand(Bvh::ROOT).halves() {
             Ok([left, right]) => waiting.extend([((0, Side::Right), right), ((0, Side::Left), left)]),
@@ -71,7 +72,7 @@ impl BinaryTree {
                     tree.set(place, bounds, LEAF_BIT + LEAF_ONE * (triangles.len() as u32 - 1) + first);
                     tree.triangles.extend(triangles.iter().map(|(_, face, frame)| frame.for_device(*face)));
                 }
-                // A single child stands for itself.
+                // A single child is used directly.
                 Err(Part::Children(children)) => {
                     waiting.extend(children.into_iter().map(|(_, child)| (place, expand(child))));
                 }
@@ -90,7 +91,7 @@ impl BinaryTree {
     }
 }
 
-/// What a child of an eight-wide node holds.
+/// Expands a child of an eight-wide node to its contents.
 fn expand(bvh: &Bvh, positions: &[Vec3], faces: &[[u32; 3]], child: ChildRef) -> Part {
     if child.is_pack() {
         let pack = &bvh.packs[child.index()];
@@ -115,7 +116,7 @@ impl Part {
         }
     }
 
-    /// Two parts, or itself if it is a single child or a leaf.
+    /// Splits the part in two; returns the part itself if it is a single child or a leaf.
     fn halves(self) -> Result<[Self; 2], Self> {
         let bounds = self.bounds();
         match self {
@@ -156,7 +157,7 @@ mod tests {
     use super::*;
     use crate::mesh::random::{soup, uniform};
 
-    /// The search of `shaders/shared/bvh.wgsl`, with the deepest stack it needed.
+    /// The search of `shaders/shared/bvh.wgsl`. Returns also the deepest stack it needed.
     fn nearest(tree: &BinaryTree, frames: &[TriangleFrame], p: Vec3) -> (f32, usize) {
         let distance = |low: [f32; 3], high: [f32; 3]| {
             let outside = (Vec3::from(low) - p).max(p - Vec3::from(high)).max(Vec3::ZERO);

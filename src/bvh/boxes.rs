@@ -1,25 +1,26 @@
-//! A binary tree over boxes of any things: the instances of a scene, the trim spheres of quadrics.
+//! A binary tree over boxes: of the instances of a scene, or of the trim spheres of quadrics.
 //!
-//! *Theory.* Cut like the tree over triangles (binned surface area heuristic, [`super::build`]), two children a node, both
-//! side by side in memory. Boxes are float32 about a centre in f64, rounded outwards, so that they still hold their
-//! things far from the origin; a node is 32 bytes, two texels of an RGBA32F texture.
+//! *Theory.* The tree is built like the tree over triangles (binned surface area heuristic, [`super::build`]), with two
+//! children per node, adjacent in memory. Boxes are float32 relative to a float64 centre and rounded outwards, so they
+//! contain their items far from the origin too. A node has 32 bytes: two texels of an RGBA32F texture.
 //!
-//! *Practice.* [`BoxTree::along_ray`] and [`BoxTree::around`] walk from near to far and let the visitor shorten the walk.
-//! The things of a leaf are neighbours in [`BoxTree::order`], so who stores them in that order needs no further index.
+//! *Practice.* [`BoxTree::along_ray`] and [`BoxTree::around`] visit leaves from near to far, and the visitor may
+//! shorten the range. The items of a leaf are adjacent in [`BoxTree::order`]. A caller that stores its items in that
+//! order needs no further index.
 
 use super::build::{Primitive, bounds_of, split, split_in_half};
 use crate::geometry::Aabb;
 use glam::{DVec3, Vec3};
 
-/// Things in a leaf at most.
+/// Largest number of items in a leaf.
 const LEAF: usize = 4;
-/// From this level on ranges are halved by count, so that no input makes a deep tree.
+/// From this level on ranges are halved by count, which limits the depth for every input.
 const HALVE_FROM: usize = 24;
-/// Entries that a walk can have waiting: one sibling a level; 2^32 things take 32 levels of halves.
+/// Capacity of the stack of a walk: one sibling per level. 2^32 items need 32 levels of halves.
 pub const MAX_STACK: usize = HALVE_FROM + 32;
 
-/// A box and what is in it: `count` things of the order from `first` on, or, where `count` is zero, the nodes `first` and
-/// `first + 1`.
+/// A box and its contents. Leaf: `count` items of the order from `first` on. Inner node: `count` is zero and the
+/// children are the nodes `first` and `first + 1`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BoxNode {
     pub min: Vec3,
@@ -28,18 +29,19 @@ pub struct BoxNode {
     pub count: u32,
 }
 
-/// The tree; the root is node 0. Without things there are no nodes.
+/// The tree. The root is node 0. A tree without items has no nodes.
 #[derive(Debug, Clone, Default)]
 pub struct BoxTree {
     pub nodes: Vec<BoxNode>,
-    /// Indices of the things, leaf by leaf.
+    /// Indices of the items, leaf by leaf.
     pub order: Vec<u32>,
-    /// Boxes are relative to this.
+    /// Origin of the coordinates of the boxes.
     pub center: DVec3,
 }
 
 impl BoxTree {
-    /// `boxes` are lower and upper corners, finite, within float32's range of each other.
+    /// `boxes` are pairs of a lower and an upper corner. They must be finite, and differ by less than the range of
+    /// float32.
     pub fn new(boxes: &[[DVec3; 2]]) -> Self {
         let Some(bounds) = boxes.iter().copied().reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]) else {
             return Self::default();
@@ -58,8 +60,9 @@ impl BoxTree {
         Self { nodes, order: primitives.iter().map(|primitive| primitive.face).collect(), center }
     }
 
-    /// Visit the things whose leaf the ray `origin + t direction` meets for a `t` in `range`, near leaves first. `visit`
-    /// gets the place in the order, and may bring the end of the range nearer. Returns the number of boxes looked at.
+    /// Visits the items of all leaves whose box the ray `origin + t direction` intersects for a `t` in `range`, near
+    /// leaves first. `visit` receives the position in the order and may lower the end of the range. Returns the number
+    /// of boxes tested.
     pub fn along_ray(
         &self,
         origin: DVec3,
@@ -96,7 +99,7 @@ impl BoxTree {
             looked_at += 2;
             let [left, right] = [node.first, node.first + 1];
             let [t_left, t_right] = [left, right].map(|child| enter(&self.nodes[child as usize], range));
-            // The far child waits below the near one.
+            // Pushes the far child below the near one.
             let mut push = |t: Option<f64>, child| {
                 if let Some(t) = t {
                     stack[waiting] = (t, child);
@@ -114,8 +117,9 @@ impl BoxTree {
         looked_at
     }
 
-    /// Visit the things whose leaf lies nearer than `limit` to the box from `lower` to `upper`, near leaves first.
-    /// `visit` gets the place in the order, and may lower the limit. A leaf that the box touches is always visited.
+    /// Visits the items of all leaves nearer than `limit` to the box from `lower` to `upper`, near leaves first.
+    /// `visit` receives the position in the order and may lower the limit. A leaf that touches the box is always
+    /// visited.
     pub fn around(&self, [lower, upper]: [DVec3; 2], mut limit: f64, mut visit: impl FnMut(usize, &mut f64)) {
         if self.nodes.is_empty() {
             return;
@@ -125,7 +129,7 @@ impl BoxTree {
             let node = &self.nodes[index as usize];
             (node.min.as_dvec3() - upper).max(lower - node.max.as_dvec3()).max(DVec3::ZERO).length()
         };
-        // Between children that both touch the box, the nearer to its centre goes first.
+        // Among children that both touch the box, the one nearer to its centre is visited first.
         let center = 0.5 * (lower + upper);
         let from_center = |index: u32| {
             let node = &self.nodes[index as usize];
@@ -137,7 +141,7 @@ impl BoxTree {
         while waiting > 0 {
             waiting -= 1;
             let (nearest, index) = stack[waiting];
-            // Rounding of the corners, far below the slack, must not hide a thing.
+            // The slack exceeds the rounding of the corners, so no item is missed.
             if nearest > 0.0 && nearest * (1.0 - DISTANCE_SLACK) >= limit {
                 continue;
             }
@@ -159,10 +163,10 @@ impl BoxTree {
     }
 }
 
-/// Relative room for the rounding of a distance between boxes in f64.
+/// Relative slack for the rounding of a distance between boxes in float64.
 pub const DISTANCE_SLACK: f64 = 1e-12;
 
-/// Fill node `index` with a range of things; `start` is where the range begins in the order.
+/// Fills node `index` with a range of items; `start` is the position of the range in the order.
 fn subdivide(primitives: &mut [Primitive], nodes: &mut Vec<BoxNode>, index: usize, start: usize, depth: usize) {
     let bounds = bounds_of(primitives);
     let node = |first: usize, count: usize| BoxNode {
@@ -184,7 +188,7 @@ fn subdivide(primitives: &mut [Primitive], nodes: &mut Vec<BoxNode>, index: usiz
     subdivide(right, nodes, first + 1, start + middle, depth + 1);
 }
 
-/// Where a ray enters a node's box, if it does so in the range.
+/// The t at which a ray enters the box of a node, if it lies in the range.
 fn enter_box(node: &BoxNode, origin: DVec3, direction: DVec3, inverse: DVec3, range: [f64; 2]) -> Option<f64> {
     let (min, max) = (node.min.as_dvec3(), node.max.as_dvec3());
     let [mut t_enter, mut t_leave] = range;
@@ -199,14 +203,14 @@ fn enter_box(node: &BoxNode, origin: DVec3, direction: DVec3, inverse: DVec3, ra
         t_enter = t_enter.max(a.min(b));
         t_leave = t_leave.min(a.max(b));
     }
-    // Three roundings a product, and the box may be a plane.
+    // Each product is rounded three times, and the box may be flat.
     (t_enter <= t_leave + SLAB_SLACK * t_leave.abs()).then_some(t_enter)
 }
 
-/// Relative room for the rounding of a slab test in f64.
+/// Relative slack for the rounding of a slab test in float64.
 const SLAB_SLACK: f64 = 1e-14;
 
-/// The largest f32 not above each coordinate.
+/// The largest f32 that does not exceed each coordinate.
 fn round_down(p: DVec3) -> Vec3 {
     Vec3::from_array(p.to_array().map(|x| {
         let rounded = x as f32;

@@ -1,4 +1,5 @@
-//! Top-down build: binned surface area heuristic, in parallel, the same tree for any number of threads.
+//! Top-down build of the tree by the binned surface area heuristic. It is parallel, and the tree does not depend on the
+//! number of threads.
 
 use super::pack::Pack;
 use super::{Bvh, ChildRef, Node, WIDTH};
@@ -8,16 +9,18 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 const BINS: usize = 16;
-/// Below this many triangles a subtree is built on the thread that has it.
+/// A subtree with fewer triangles is built by the current thread.
 const PARALLEL_ABOVE: usize = 4096;
-/// A range of several of these is looked at by several threads.
+/// A range of several of these chunks is processed by several threads.
 const CHUNK: usize = 1 << 15;
-/// From this level on ranges are halved by count, so that no input (boxes in geometric progression) makes a deep tree.
+/// From this level on ranges are halved by count, which limits the depth for every input, such as boxes in geometric
+/// progression.
 const HALVE_FROM: usize = 16;
-/// Eight equal parts a level bring 2^30 triangles down to a leaf in ten more levels; halving rounds, hence one to spare.
+/// Eight equal parts per level divide 2^30 triangles into leaves in ten more levels. Halving rounds up, so one level is
+/// added.
 pub(super) const MAX_DEPTH: usize = HALVE_FROM + 11;
 
-/// A triangle as the build sees it.
+/// The box of a triangle during the build.
 #[derive(Clone, Copy)]
 pub(super) struct Primitive {
     pub bounds: Aabb,
@@ -25,14 +28,14 @@ pub(super) struct Primitive {
 }
 
 impl Primitive {
-    /// Twice the centre of the box: the order is all that matters.
+    /// Twice the centre of the box. Only the order of centres is used.
     #[inline(always)]
     fn center(&self) -> Vec3A {
         Vec3A::from(self.bounds.min) + Vec3A::from(self.bounds.max)
     }
 }
 
-/// A finished subtree before it gets its place in memory.
+/// A finished subtree before its nodes get their positions in memory.
 enum Subtree {
     Leaf { start: usize, count: usize },
     Inner(Vec<(Aabb, Subtree)>),
@@ -49,7 +52,7 @@ pub(super) fn build(positions: &[Vec3], faces: &[[u32; 3]]) -> Bvh {
         .collect();
     let bounds = bounds_of(&primitives);
     let root = subdivide(&mut primitives, 0, 0);
-    // The root is always a node, also over a single leaf.
+    // The root is always an inner node, even over a single leaf.
     let children = match root {
         Subtree::Inner(children) => children,
         leaf => vec![(bounds, leaf)],
@@ -75,7 +78,7 @@ pub(super) fn bounds_of(primitives: &[Primitive]) -> Aabb {
     primitives.iter().fold(Aabb::EMPTY, |bounds, p| bounds.union(p.bounds))
 }
 
-/// Split the range with the largest box until there are eight ranges, then go on inside each.
+/// Splits the range with the largest box until there are eight ranges, then subdivides each.
 fn subdivide(primitives: &mut [Primitive], start: usize, depth: usize) -> Subtree {
     if primitives.len() <= WIDTH {
         return Subtree::Leaf { start, count: primitives.len() };
@@ -113,10 +116,10 @@ fn subdivide(primitives: &mut [Primitive], start: usize, depth: usize) -> Subtre
     })
 }
 
-/// Boxes and counts of the primitives whose centres fall into the same sixteenth of the range, for each axis.
+/// Boxes and counts of the primitives whose centres lie in the same sixteenth of the range, for each axis.
 struct Bins([[Bin; BINS]; 3]);
 
-/// A box in registers of four lanes, and how many primitives it holds.
+/// A box in registers of four lanes, and the number of primitives it contains.
 #[derive(Clone, Copy)]
 struct Bin {
     min: Vec3A,
@@ -143,13 +146,13 @@ impl Bin {
         Aabb { min: self.min.into(), max: self.max.into() }
     }
 
-    /// Packs to touch, weighed by the chance to touch them.
+    /// Expected number of packs to test: their number times the surface area.
     fn cost(&self) -> f32 {
         self.bounds().half_area() * self.count.div_ceil(WIDTH) as f32
     }
 }
 
-/// Which bin a centre falls into.
+/// Maps a centre to its bin.
 #[derive(Clone, Copy)]
 struct Binning {
     origin: Vec3A,
@@ -195,7 +198,8 @@ impl Bins {
         Self(in_chunks(primitives, fill, join))
     }
 
-    /// The axis, the last bin of the left side, and the boxes of the sides that cost least; none where no cut parts them.
+    /// The axis, the last bin of the left side, and the boxes of both sides of the cheapest cut. None if no cut
+    /// separates the centres.
     fn cheapest_cut(&self, scale: Vec3A) -> Option<(usize, usize, Aabb, Aabb)> {
         let mut best: Option<(f32, usize, usize, Aabb, Aabb)> = None;
         for axis in (0..3).filter(|&axis| scale[axis] > 0.0) {
@@ -206,7 +210,7 @@ impl Bins {
             }
             let mut left = Bin::EMPTY;
             for i in 0..BINS - 1 {
-                // The same cut as the one before.
+                // An empty bin gives the same cut as the bin before it.
                 if bins[i].count == 0 {
                     continue;
                 }
@@ -224,7 +228,7 @@ impl Bins {
     }
 }
 
-/// A sum over all primitives, by several threads where they are many. `join` must not care about the order.
+/// Reduces over all primitives, with several threads for many of them. `join` must be commutative and associative.
 fn in_chunks<T: Send>(
     primitives: &[Primitive],
     sum: impl Fn(&[Primitive]) -> T + Sync,
@@ -236,11 +240,11 @@ fn in_chunks<T: Send>(
     primitives.par_chunks(CHUNK).map(&sum).reduce_with(join).expect("there are several chunks")
 }
 
-/// Reorder a range so that its two sides cost least by the surface area heuristic; returns where the right one begins,
-/// and the box of each.
+/// Reorders a range so that the cost of its two sides is smallest by the surface area heuristic. Returns the start of
+/// the right side, and the box of each side.
 pub(super) fn split(primitives: &mut [Primitive]) -> (usize, Aabb, Aabb) {
     let binning = Binning::of(primitives);
-    // Without a cut all centres coincide, and any halves are as good.
+    // Without a cut all centres coincide, and any split has the same cost.
     let Some((axis, cut, left, right)) = Bins::of(primitives, binning).cheapest_cut(binning.scale) else {
         return split_in_half(primitives);
     };
@@ -259,7 +263,8 @@ pub(super) fn split_in_half(primitives: &mut [Primitive]) -> (usize, Aabb, Aabb)
     (middle, bounds_of(&primitives[..middle]), bounds_of(&primitives[middle..]))
 }
 
-/// Move the members that hold to the front, returns their number. The order depends on the input alone.
+/// Moves the members for which `holds` is true to the front and returns their number. The order depends on the input
+/// only.
 fn partition(primitives: &mut [Primitive], holds: impl Fn(&Primitive) -> bool) -> usize {
     let (mut low, mut high) = (0, primitives.len());
     while low < high {
@@ -273,7 +278,7 @@ fn partition(primitives: &mut [Primitive], holds: impl Fn(&Primitive) -> bool) -
     low
 }
 
-/// Lay nodes out depth first, parents before children.
+/// Stores nodes depth first, parents before children.
 fn flatten(children: Vec<(Aabb, Subtree)>, nodes: &mut Vec<Node>, leaves: &mut Vec<(usize, usize)>) -> usize {
     let index = nodes.len();
     nodes.push(Node::empty());

@@ -1,16 +1,16 @@
 //! Rays against the tree: the first hit, any hit, or all of them, without a gap between faces that share an edge.
 //!
-//! *Theory.* Eight boxes, then eight triangles, are tested at a time in float32 with bounds of its rounding, so that these
-//! tests only ever let too much through. What they let through is decided in float64 in a space that is sheared along the
-//! ray (Woop, Benthin and Wald, *Watertight Ray/Triangle Intersection*, JCGT 2(1), 2013): the ray becomes the point (0, 0)
-//! of a plane, a triangle is hit where its three edge functions have no two opposite signs, and both faces of an edge
-//! evaluate the same function of the same two points. We add exact signs: a difference of two rounded products has the
-//! right sign or is zero, and where it is zero the exact predicate of Shewchuk (crate `robust`) decides. The projected
-//! surface is therefore a continuous one with exact answers: no ray passes between faces, and a hit lies on an edge or a
-//! vertex if and only if the corresponding functions are zero.
+//! *Theory.* Eight boxes, then eight triangles, are tested at a time in float32 with bounds on the rounding. These
+//! tests are conservative: they never reject a hit. The candidates are decided in float64 in a space that is sheared
+//! along the ray (Woop, Benthin and Wald, *Watertight Ray/Triangle Intersection*, JCGT 2(1), 2013). The ray becomes the
+//! point (0, 0) of a plane, a triangle is hit where its three edge functions have no two opposite signs, and both faces
+//! of an edge evaluate the same function of the same two points. We add exact signs: a difference of two rounded
+//! products has the right sign or is zero, and where it is zero the exact predicate of Shewchuk (crate `robust`)
+//! decides. The projected surface is therefore continuous with exact answers: no ray passes between faces, and a hit
+//! lies on an edge or a vertex if and only if the corresponding functions are zero.
 //!
-//! The search starts where the ray enters the box of the mesh. Float32 then has to hold the part of the ray inside the box
-//! only, however far away the origin is.
+//! The search starts where the ray enters the box of the mesh. Float32 then represents only the part of the ray inside
+//! the box, at any distance of the origin.
 
 use super::{Bvh, ChildRef, MAX_STACK, Node, WIDTH};
 use crate::mesh::Mesh;
@@ -21,12 +21,12 @@ use robust::{Coord, orient2d};
 /// The intersection of a ray with a face.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FaceHit {
-    /// In multiples of the direction.
+    /// Distance in multiples of the direction.
     pub t: f64,
     pub face: u32,
     /// Weights of the face's corners: not negative, their sum is 1.
     pub weights: [f64; 3],
-    /// Bit i is set where the weight of corner i is exactly zero.
+    /// Bit i is set if the weight of corner i is exactly zero.
     pub zeros: u8,
     /// Whether the ray comes from the counter-clockwise side.
     pub is_front: bool,
@@ -35,7 +35,7 @@ pub struct FaceHit {
 /// The part of a line that is searched, `t` from `t_min` to `t_max` in multiples of the direction.
 #[derive(Debug, Clone, Copy)]
 pub struct Ray {
-    /// Local units.
+    /// Origin in local units.
     pub origin: DVec3,
     pub direction: DVec3,
     pub t_min: f64,
@@ -46,23 +46,24 @@ pub struct Ray {
 #[derive(Debug, Clone)]
 #[repr(C, align(32))]
 struct RayPack {
-    /// By corner, axis and lane. Absent lanes hold points far away, which no ray inside the box comes near.
+    /// Indexed by corner, axis and lane. Absent lanes hold points far outside the box.
     corners: [[[f32; WIDTH]; 3]; 3],
     faces: [u32; WIDTH],
 }
 
-/// What rays need besides the tree; 40 bytes a face.
+/// Data that rays need besides the tree; 40 bytes per face.
 #[derive(Debug)]
 pub struct RayPacks(Vec<RayPack>);
 
-/// Boxes are grown by this, local units. Coordinates are below 1 and rounded to 6e-8, and a slab test does so three times.
+/// Margin of the boxes, local units. Coordinates are below 1 and rounded to 6e-8, three times in a slab test.
 const BOX_MARGIN: f32 = 1e-6;
-/// Rounding of a sheared float32 coordinate, local units. Vertices, origin, shear and four operations on numbers below 2.2 are
-/// rounded to 6e-8 each; the float64 positions are off the float32 ones by 3e-8.
+/// Rounding error of a sheared float32 coordinate, local units. Vertices, origin, shear and four operations on values
+/// below 2.2 are rounded to 6e-8 each. The float64 positions differ from the float32 ones by 3e-8.
 const SHEAR_ROUNDING: f32 = 1e-6;
-/// Rounding of a product of two sheared coordinates, relative to the square of the largest; three roundings of 6e-8.
+/// Rounding error of a product of two sheared coordinates, relative to the square of the largest: three roundings of
+/// 6e-8.
 const PRODUCT_ROUNDING: f32 = 3e-7;
-/// The inverse of a direction's component that is zero: large, and its products with local coordinates are finite.
+/// Inverse of a zero component of the direction. It is large, and its products with local coordinates are finite.
 const PARALLEL: f32 = 1e30;
 /// Coordinates of absent lanes.
 const ABSENT: f32 = 1e4;
@@ -92,7 +93,7 @@ impl RayPacks {
 }
 
 impl Mesh {
-    /// The first hit of a ray; among equal ones that of the lowest face.
+    /// The first hit of a ray. Among equal distances the lowest face is returned.
     pub fn cast(&self, ray: &Ray) -> Option<FaceHit> {
         let mut best: Option<FaceHit> = None;
         self.traverse(ray, |hit| {
@@ -114,8 +115,8 @@ impl Mesh {
         found
     }
 
-    /// The winding number of a local point, of the faces as the topology has turned them, by one ray to the nearest side of
-    /// the box; none where the ray passes through an edge or a vertex. For closed surfaces.
+    /// The winding number of a local point by one ray to the nearest side of the box. The faces are wound as the
+    /// topology oriented them. None if the ray passes through an edge or a vertex. For closed surfaces.
     pub fn winding_by_ray(&self, p: DVec3) -> Option<i32> {
         let bounds = self.bvh().bounds;
         let (below, above) = (p - bounds.min.as_dvec3(), bounds.max.as_dvec3() - p);
@@ -144,7 +145,7 @@ impl Mesh {
         (!on_edge).then_some(winding)
     }
 
-    /// Every intersection of a ray in order of `t`, then face. An edge or a vertex that several faces share counts once.
+    /// All intersections of a ray in order of `t`, then face. An edge or a vertex that several faces share counts once.
     pub fn cast_all(&self, ray: &Ray, hits: &mut Vec<FaceHit>) {
         hits.clear();
         self.traverse(ray, |hit| {
@@ -165,7 +166,7 @@ impl Mesh {
         }
     }
 
-    /// The welded ends of the edge that holds a hit, twice the same for a vertex; none within a face.
+    /// The welded ends of the edge that contains a hit; the same vertex twice for a vertex; None inside a face.
     fn shared_feature(&self, hit: &FaceHit) -> Option<[u32; 2]> {
         let corners = self.faces()[hit.face as usize].map(|v| self.topology().welded[v as usize]);
         let nonzero: Vec<u32> = (0..3).filter(|i| hit.zeros & (1 << i) == 0).map(|i| corners[i]).collect();
@@ -176,7 +177,8 @@ impl Mesh {
         }
     }
 
-    /// Give `accept` every hit that may lie before the limit it returned last, in no order. The ray's own limits are exact.
+    /// Passes every hit that may lie before the limit to `accept`, in no particular order. `accept` returns the new
+    /// limit. The limits of the ray are exact.
     #[inline(always)]
     fn traverse(&self, ray: &Ray, accept: impl FnMut(FaceHit) -> f64) {
         #[cfg(target_arch = "x86_64")]
@@ -210,11 +212,11 @@ impl Mesh {
         if t_start > t_end {
             return;
         }
-        // In steps whose largest component is 1, so that the length of the direction does not matter.
+        // The direction is scaled so that its largest component is 1.
         let size = ray.direction.abs().max_element();
         let sheared = Sheared::new(ray.origin + t_start * ray.direction, ray.direction / size);
         let lanes = LaneRay::new(&sheared);
-        // Where the search may stop, in those steps.
+        // Limit of the search in the scaled direction.
         let mut limit = single_above((t_end - t_start) * size);
         let mut stack = [(0.0f32, ChildRef::NONE); MAX_STACK];
         let mut top = 0;
@@ -266,12 +268,12 @@ impl Mesh {
     }
 }
 
-/// A float32 that is not below `x`, with room for the rounding of what is compared with it.
+/// A float32 value that is not below `x`, with slack for the rounding of the values compared with it.
 fn single_above(x: f64) -> f32 {
     x as f32 * 1.000_001 + 2.0 * BOX_MARGIN
 }
 
-/// The part of the line inside a box, grown a little; the second is below the first where it misses.
+/// The interval of a line inside a slightly enlarged box. The second value is below the first if the line misses.
 fn slab(ray: &Ray, min: DVec3, max: DVec3) -> (f64, f64) {
     let margin = 2.0 * f64::from(BOX_MARGIN);
     let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
@@ -287,12 +289,12 @@ fn slab(ray: &Ray, min: DVec3, max: DVec3) -> (f64, f64) {
         enter = enter.max(a.min(b));
         leave = leave.min(a.max(b));
     }
-    // Origins far away round the ends by more than the margin.
+    // For origins far away the ends are rounded by more than the margin.
     let room = 1e-14 * enter.abs().max(leave.abs());
     (enter - room, leave + room)
 }
 
-/// A ray that looks along its own z axis, in float64.
+/// A float64 ray in coordinates whose z axis is the ray.
 struct Sheared {
     origin: DVec3,
     direction: DVec3,
@@ -301,18 +303,18 @@ struct Sheared {
 }
 
 impl Sheared {
-    /// The largest component of `direction` is 1 or -1.
+    /// The largest component of `direction` must be 1 or -1.
     fn new(origin: DVec3, direction: DVec3) -> Self {
         let magnitude = direction.abs();
         let z = (1..3).fold(0, |best, axis| if magnitude[axis] > magnitude[best] { axis } else { best });
         let (x, y) = ((z + 1) % 3, (z + 2) % 3);
-        // Two axes change places for a negative direction, which keeps the winding.
+        // Two axes are exchanged for a negative direction, which keeps the winding.
         let (x, y) = if direction[z] < 0.0 { (y, x) } else { (x, y) };
         let shear = [direction[x] / direction[z], direction[y] / direction[z], 1.0 / direction[z]];
         Self { origin, direction, axes: [x, y, z], shear }
     }
 
-    /// The hit of a triangle; `t` in steps of the direction, and no face yet.
+    /// The hit of a triangle; `t` is in the scaled direction, and the face is not set yet.
     #[inline]
     fn hit(&self, corners: [DVec3; 3]) -> Option<FaceHit> {
         let [x, y, z] = self.axes;
@@ -328,7 +330,7 @@ impl Sheared {
             zeros |= u8::from(edge == 0.0) << i;
         }
         let sum = edges[0] + edges[1] + edges[2];
-        // A triangle that is seen edge on has no inside; its neighbours are hit at the common edges.
+        // A triangle parallel to the ray has no inside. Its neighbours are hit at the common edges.
         if (positive && negative) || sum == 0.0 {
             return None;
         }
@@ -351,18 +353,18 @@ fn exact_edge_function(p: [f64; 3], q: [f64; 3]) -> f64 {
     orient2d(at(p), at(q), Coord { x: 0.0, y: 0.0 })
 }
 
-/// A ray as eight boxes or triangles see it, in float32.
+/// A float32 ray for tests of eight boxes or triangles.
 struct LaneRay {
-    /// Origin moved by the margin of boxes, for the sides that the ray enters and leaves through.
+    /// Origin moved by the margin of the boxes, for the sides that the ray enters and leaves through.
     enter_origin: [f32; 3],
     leave_origin: [f32; 3],
     inverse: [f32; 3],
     negative: [bool; 3],
-    /// For triangles, by sheared axis.
+    /// Origin for triangles, by sheared axis.
     origin: [f32; 3],
     shear: [f32; 2],
     axes: [usize; 3],
-    /// 1 or -1: `t` is the sheared z times this.
+    /// 1 or -1. `t` is the sheared z times this.
     ahead: f32,
 }
 
@@ -385,7 +387,7 @@ impl LaneRay {
         }
     }
 
-    /// Lanes whose box the ray enters before `limit`, and where it does.
+    /// Mask of the lanes whose box the ray enters before `limit`, and the t of entry.
     #[inline(always)]
     fn boxes(&self, node: &Node, limit: f32) -> (u32, [f32; WIDTH]) {
         let mut entered = [0.0f32; WIDTH];
@@ -400,14 +402,14 @@ impl LaneRay {
                 enter = if near > enter { near } else { enter };
                 leave = if far < leave { far } else { leave };
             }
-            // One part in a million for the rounding of the products.
+            // A relative margin of 1e-6 covers the rounding of the products.
             entered[lane] = enter;
             mask |= u32::from(enter <= leave * 1.000_001) << lane;
         }
         (mask, entered)
     }
 
-    /// Lanes whose triangle the ray may hit before `limit`.
+    /// Mask of the lanes whose triangle the ray may hit before `limit`.
     #[inline(always)]
     fn triangles(&self, pack: &RayPack, limit: f32) -> u32 {
         let [kx, ky, kz] = self.axes;
@@ -440,8 +442,8 @@ mod avx2 {
     use crate::bvh::Node;
     use std::arch::x86_64::*;
 
-    /// Eight numbers of an array in a register. A macro, because a closure or a generic function would not have the wide
-    /// registers and would pass its result through memory.
+    /// Loads eight values of an array into a register. It is a macro, because a closure or a generic function would be
+    /// compiled without wide registers and return its result through memory.
     macro_rules! row {
         ($lanes:expr) => {{
             let lanes: &[f32; WIDTH] = &$lanes;
@@ -536,7 +538,7 @@ mod tests {
     use crate::mesh::random::{soup, uniform};
     use proptest::prelude::*;
 
-    /// Every intersection by Cramer's rule, sorted; none that comes within 1e-9 of an edge.
+    /// All intersections by Cramer's rule, sorted. None if one lies within 1e-9 of an edge.
     fn brute_force(mesh: &Mesh, ray: &Ray) -> Option<Vec<(f64, u32)>> {
         let mut found = Vec::new();
         for face in 0..mesh.faces().len() as u32 {
@@ -579,7 +581,7 @@ mod tests {
                 prop_assert_eq!(found.len(), expected.len());
                 for (hit, &(t, face)) in found.iter().zip(&expected) {
                     prop_assert_eq!(hit.face, face);
-                    // Far origins round the position by 1e-16 of their distance, slanted faces enlarge that.
+                    // Far origins round the position by 1e-16 of their distance. Slanted faces increase the error.
                     prop_assert!((hit.t - t).abs() <= 1e-8 * t.abs().max(ray.t_max), "{} {}", hit.t, t);
                 }
                 prop_assert_eq!(mesh.cast(&ray).map(|hit| hit.face), expected.first().map(|hit| hit.1));
@@ -587,7 +589,7 @@ mod tests {
             }
         }
 
-        /// Eight lanes at a time change no answer.
+        /// The result does not depend on the number of lanes.
         #[test]
         fn every_path_gives_the_same_hits(seed in any::<u64>(), origin in vector(), direction in vector()) {
             let mesh = soup(200, 0.2, seed);

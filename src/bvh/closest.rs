@@ -1,4 +1,4 @@
-//! The nearest triangle of one point: depth first, near child first, pruned by the best squared distance so far.
+//! The nearest triangle of one point: depth first, near child first, pruned by the smallest squared distance so far.
 
 use super::pack::TriangleFrame;
 use super::{Bvh, ChildRef, MAX_STACK, Node, WIDTH};
@@ -6,16 +6,16 @@ use crate::geometry::{TrianglePoint, closest_point_on_triangle};
 use crate::mesh::Mesh;
 use glam::{DVec3, Vec3};
 
-/// The nearest face of a point and its squared distance, in float32 as the search compared it.
+/// The nearest face of a point and its squared distance, as compared in float32.
 #[derive(Debug, Clone, Copy)]
 pub struct Nearest {
-    /// The pack and the lane that hold the face.
+    /// Pack and lane of the face.
     pub slot: Slot,
     pub face: u32,
     pub distance_squared: f32,
 }
 
-/// A triangle's place in the tree.
+/// Position of a triangle in the tree.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Slot {
     pub pack: u32,
@@ -31,12 +31,12 @@ pub struct ClosestPoint {
 }
 
 impl Mesh {
-    /// The closest point to a local position. Of several equally near faces the first found is named.
+    /// The closest point to a local position. Among equally near faces the first one found is returned.
     pub fn closest_point(&self, p: DVec3) -> ClosestPoint {
         self.closest_point_within(p, f32::INFINITY).expect("a mesh has at least one face")
     }
 
-    /// The closest point, or none if every squared float32 distance exceeds `bound_squared`.
+    /// The closest point, or None if every squared float32 distance exceeds `bound_squared`.
     pub fn closest_point_within(&self, p: DVec3, bound_squared: f32) -> Option<ClosestPoint> {
         let nearest = self.bvh().nearest(p.as_vec3(), bound_squared)?;
         Some(self.closest_point_on_face(nearest.face, p))
@@ -118,7 +118,7 @@ impl Bvh {
                 }
                 continue;
             }
-            // Put the children that can matter on the stack, the nearest on top.
+            // Pushes the children that may contain a nearer triangle, the nearest on top.
             let node = &self.nodes[child.index()];
             let found = node.distances_squared(p);
             let bottom = top;
@@ -147,7 +147,7 @@ impl Bvh {
         self.packs[slot.pack as usize].frame(usize::from(slot.lane))
     }
 
-    /// All faces whose float32 distance to `p` is at most `radius`.
+    /// Calls `on_face` for all faces whose float32 distance to `p` is at most `radius`.
     pub fn faces_within(&self, p: Vec3, radius: f32, mut on_face: impl FnMut(u32)) {
         let radius_squared = radius * radius;
         self.visit(

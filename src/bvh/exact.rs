@@ -1,30 +1,30 @@
 //! The nearest face of a point, decided in float64.
 //!
-//! *Theory.* The float32 search of [`super::closest`] can mistake which of two faces is nearer when their distances differ by
-//! less than its rounding. On a nearly flat surface that moves the closest point by sqrt(2 d e) for a distance d and a
-//! rounding e, a thousand times the rounding itself. So this search keeps every face within twice the rounding of the best
-//! one, and float64 chooses among them: one to three faces for most points. Equally near faces are decided by the lowest
-//! index, so the answer does not depend on the bound that a search starts with.
+//! *Theory.* The float32 search of [`super::closest`] may choose the wrong one of two faces whose distances differ by
+//! less than its rounding. On a nearly flat surface this moves the closest point by sqrt(2 d e) for a distance d and a
+//! rounding e, a thousand times the rounding itself. This search therefore keeps every face within twice the rounding
+//! of the best one, and float64 chooses among them: one to three faces for most points. Among equally near faces the
+//! lowest index wins, so the result does not depend on the initial bound.
 //!
-//! The rounding grows with the distance. Beyond [`FAR`] local units it would keep too many faces, and the boxes are compared
-//! in float64 instead.
+//! The rounding grows with the distance. Beyond [`FAR`] local units the search would keep too many faces, and the boxes
+//! are compared in float64 instead.
 
 use super::closest::ClosestPoint;
 use super::{Bvh, ChildRef, MAX_STACK, Node, WIDTH};
 use crate::mesh::Mesh;
 use glam::DVec3;
 
-/// Largest local coordinate of a point that the float32 search takes.
+/// Largest local coordinate of a point for which the float32 search is used.
 const FAR: f64 = 8.0;
-/// Rounding of a float32 distance, relative to 1 plus the largest coordinate of the point: positions, the point and the
-/// frames are rounded to 6e-8 each, and a dozen operations follow (see the test of `bvh::pack`, which allows 2.5e-7).
+/// Rounding of a float32 distance, relative to 1 plus the largest coordinate of the point. Positions, the point and the
+/// frames are rounded to 6e-8 each, and about twelve operations follow (the test of `bvh::pack` allows 2.5e-7).
 const ROUNDING: f64 = 4e-7;
-/// Faces kept before float64 chooses among them: 4 kB would leave the first-level cache.
+/// Number of faces kept before float64 compares them. A list of 4 kB would displace the nodes from the first-level cache.
 const KEPT: usize = 48;
-/// Float32 positions of the boxes differ from the mesh's own by half an ulp of 1/2.
+/// Float32 positions of the boxes differ from the float64 positions of the mesh by half an ulp of 1/2.
 const BOX_ROUNDING: f64 = 3.1e-8;
 
-/// Faces that may be the nearest, and the best of those that were already compared in float64.
+/// Faces that may be the nearest, and the best face compared in float64 so far.
 struct Candidates<'a> {
     mesh: &'a Mesh,
     p: DVec3,
@@ -38,7 +38,7 @@ impl<'a> Candidates<'a> {
         Self { mesh, p, kept: [(0.0, 0); KEPT], count: 0, best: None }
     }
 
-    /// Compare one face in float64.
+    /// Compares one face in float64.
     fn compare(&mut self, face: u32) {
         let found = self.mesh.exact_point_on_face(face, self.p);
         let nearer = |best: &ClosestPoint| {
@@ -58,7 +58,7 @@ impl<'a> Candidates<'a> {
         self.count += 1;
     }
 
-    /// Make room: forget the faces beyond the limit; where most are left, compare them now.
+    /// Frees space: drops the faces beyond the limit, and compares the remaining faces if most are left.
     fn drop_beyond(&mut self, limit: f32) {
         let mut left = 0;
         for i in 0..self.count {
@@ -85,7 +85,8 @@ impl<'a> Candidates<'a> {
 }
 
 impl Mesh {
-    /// The closest point to a local position over all faces, in float64. `bound` is at least the distance; infinity will do.
+    /// The closest point to a local position over all faces, in float64. `bound` must be at least the distance;
+    /// infinity is valid.
     pub fn exact_closest_point(&self, p: DVec3, bound: f64) -> ClosestPoint {
         if p.abs().max_element() > FAR {
             return self.closest_point_from_afar(p);
@@ -147,11 +148,11 @@ impl Mesh {
             top = push_nearest_last(&mut stack, top, node, &found, limit);
         }
         candidates.compare_all(limit);
-        // A bound that was too small would leave nothing; the search over everything cannot.
+        // A bound that is too small leaves no candidate. The unbounded search always finds one.
         candidates.best.unwrap_or_else(|| self.closest_point_from_afar(p))
     }
 
-    /// The same by float64 boxes, for points that float32 cannot place among the faces.
+    /// The closest point by float64 boxes, for points outside the range of the float32 search.
     fn closest_point_from_afar(&self, p: DVec3) -> ClosestPoint {
         let bvh = self.bvh();
         let mut candidates = Candidates::new(self, p);
@@ -186,7 +187,7 @@ impl Mesh {
     }
 }
 
-/// Put the children within the limit on the stack, the nearest on top; returns the new top.
+/// Pushes the children within the limit, the nearest on top; returns the new top.
 #[inline(always)]
 fn push_nearest_last(
     stack: &mut [(f32, ChildRef); MAX_STACK],
@@ -210,7 +211,7 @@ fn push_nearest_last(
     top
 }
 
-/// A lower bound of the distance from `p` to what a lane's box holds.
+/// A lower bound on the distance from `p` to the contents of a lane's box.
 fn box_distance_from(node: &Node, lane: usize, p: DVec3) -> f64 {
     let outside = |axis: usize| {
         let below = f64::from(node.min[axis][lane]) - BOX_ROUNDING - p[axis];

@@ -1,12 +1,12 @@
 //! Bounding volume hierarchy over triangles, eight wide.
 //!
-//! *Theory.* A node holds the boxes of up to eight children side by side, so that one pass of eight lanes measures all of
-//! them; a leaf is one pack of up to eight triangles, measured the same way. Built top down by binned surface area
-//! heuristic (Wald, *On fast construction of SAH-based bounding volume hierarchies*, 2007), splitting the largest child
-//! until there are eight (Ylitie et al. 2017 do the same after a binary build).
+//! *Theory.* A node holds the boxes of up to eight children side by side, so that one pass over eight lanes measures
+//! all of them. A leaf is one pack of up to eight triangles, measured in the same way. The tree is built top down by
+//! the binned surface area heuristic (Wald, *On fast construction of SAH-based bounding volume hierarchies*, 2007); the
+//! largest child is split until there are eight (Ylitie et al. 2017 do this after a binary build).
 //!
-//! *Practice.* [`Bvh::build`] costs about 0.3 us a face and thread, 110 bytes a face. [`closest`] finds nearest
-//! triangles; other rooms walk the tree with [`Bvh::visit`].
+//! *Practice.* [`Bvh::build`] costs about 0.3 us per face and thread, and 110 bytes per face. [`closest`] finds nearest
+//! triangles; other modules traverse the tree with [`Bvh::visit`].
 
 pub mod binary;
 pub mod boxes;
@@ -21,7 +21,7 @@ use crate::geometry::Aabb;
 use glam::Vec3;
 use pack::Pack;
 
-/// Lanes of a node and of a pack.
+/// Number of lanes of a node and of a pack.
 pub const WIDTH: usize = 8;
 
 /// Eight child boxes, one array per coordinate. An absent child has an empty box and [`ChildRef::NONE`].
@@ -33,7 +33,7 @@ pub struct Node {
     pub children: [ChildRef; WIDTH],
 }
 
-/// What a lane of a node leads to: an inner node, a pack of triangles, or nothing.
+/// The child of a lane: an inner node, a pack of triangles, or nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(transparent)]
 pub struct ChildRef(u32);
@@ -72,13 +72,13 @@ pub struct Bvh {
     pub bounds: Aabb,
 }
 
-/// Entries that a depth-first walk can have waiting: seven siblings on each level, and the root.
+/// Capacity of the stack of a depth-first traversal: seven siblings per level, and the root.
 pub const MAX_STACK: usize = build::MAX_DEPTH * (WIDTH - 1) + 1;
 
 impl Bvh {
     pub const ROOT: ChildRef = ChildRef(0);
 
-    /// `faces` index `positions`; every face has area.
+    /// `faces` index `positions`. Every face must have a positive area.
     pub fn build(positions: &[Vec3], faces: &[[u32; 3]]) -> Self {
         build::build(positions, faces)
     }
@@ -87,7 +87,7 @@ impl Bvh {
         size_of_val(&self.nodes[..]) + size_of_val(&self.packs[..])
     }
 
-    /// [`Bvh::visit`] without an allocation, in another order: for walks of a microsecond.
+    /// [`Bvh::visit`] without an allocation, in another order, for traversals of about a microsecond.
     #[inline]
     pub fn visit_in_place(&self, overlaps: impl Fn(&Node) -> [bool; WIDTH], mut on_pack: impl FnMut(&Pack)) {
         let mut stack = [ChildRef::NONE; MAX_STACK];
@@ -112,7 +112,7 @@ impl Bvh {
         }
     }
 
-    /// Walk all nodes and packs whose box `overlaps` accepts, in memory order.
+    /// Visits all nodes and packs whose box `overlaps` accepts, in memory order.
     pub fn visit(&self, overlaps: impl Fn(&Node) -> [bool; WIDTH], mut on_pack: impl FnMut(&Pack)) {
         let mut stack = vec![0usize];
         while let Some(index) = stack.pop() {

@@ -1,11 +1,12 @@
 //! Eight triangles side by side, and the squared distance of a point to all of them.
 //!
-//! Each triangle carries its own frame: `a` a corner, `u` along the longest edge, `n` its unit normal, `v = n x u`. In
-//! that frame the triangle is flat: corners (0, 0), (length, 0) and an apex. The distance is the height over the plane,
-//! joined to the 2D distance in it: zero inside, else the least of three clamped edges. No branch, no division.
+//! Each triangle has a frame of its own: `a` is a corner, `u` points along the longest edge, `n` is the unit normal,
+//! and `v = n x u`. In this frame the triangle is flat with the corners (0, 0), (length, 0) and the apex. The squared
+//! distance is the squared height over the plane plus the squared 2D distance: zero inside, else the smallest of three
+//! clamped edges. The evaluation has no branch and no division.
 //!
-//! *Precision.* Frames are found in float64 and rounded once, so even a needle's frame is good to 6e-8 and the
-//! distance of `p` is good to a few 1e-7 of |p - a|, also when it is small against that.
+//! *Precision.* Frames are computed in float64 and rounded once. The frame of a sliver is therefore accurate to 6e-8,
+//! and the distance of `p` to a few 1e-7 of |p - a|, even if it is much smaller than |p - a|.
 
 use super::WIDTH;
 use crate::gpu::layout::Triangle;
@@ -28,7 +29,7 @@ pub struct TriangleFrame {
     right_length: f32,
 }
 
-/// A point seen from a triangle: how far, and the way from the nearest point to it in the triangle's frame.
+/// Distance of a point to a triangle, and the vector from the nearest point to it in the triangle's frame.
 struct Offset {
     squared: f32,
     along_u: f32,
@@ -38,13 +39,14 @@ struct Offset {
 
 impl TriangleFrame {
     pub fn new(corners: [DVec3; 3]) -> Self {
-        // Start at the longest edge: its direction is the best known one.
+        // The longest edge comes first, because its direction is the most accurate.
         let squared = |i: usize| corners[i].distance_squared(corners[(i + 1) % 3]);
         let first = (1..3).fold(0, |best, i| if squared(i) > squared(best) { i } else { best });
         let [a, b, c] = [0, 1, 2].map(|i| corners[(first + i) % 3]);
 
         let u = (b - a).normalize();
-        // At a right angle to u, also where a needle's cross product is all rounding: any plane through it will do.
+        // Perpendicular to u. The cross product of a sliver may consist of rounding only; any plane through the edge is
+        // then valid.
         let cross = u.cross(c - a);
         let n = (cross - u * cross.dot(u)).try_normalize().unwrap_or_else(|| u.any_orthonormal_vector());
         let v = n.cross(u);
@@ -64,7 +66,7 @@ impl TriangleFrame {
         }
     }
 
-    /// The offset of a point from its nearest point.
+    /// Offset of a point from its nearest point.
     #[inline(always)]
     fn offset(&self, p: [f32; 3]) -> Offset {
         let d = [p[0] - self.a[0], p[1] - self.a[1], p[2] - self.a[2]];
@@ -74,7 +76,7 @@ impl TriangleFrame {
         // The edge along u.
         let base_x = x - clamp(x, self.length);
         let base = base_x * base_x + y * y;
-        // The edge from the origin to the apex: the way along it, and to its left.
+        // The edge from the origin to the apex: position along it, and offset to its left.
         let [ex, ey] = self.left;
         let (along, beside) = (x * ex + y * ey, ex * y - ey * x);
         let past = along - clamp(along, self.left_length);
@@ -101,7 +103,7 @@ impl TriangleFrame {
         self.offset(p.to_array()).squared
     }
 
-    /// Squared distances of points side by side.
+    /// Squared distances of several points.
     #[inline(always)]
     pub fn distances_squared<const N: usize>(&self, p: [[f32; N]; 3]) -> [f32; N] {
         let mut result = [0.0; N];
@@ -112,7 +114,7 @@ impl TriangleFrame {
     }
 }
 
-/// Up to eight triangles, one row of lanes per number of their frames; empty lanes repeat the first.
+/// Up to eight triangles, one row of lanes per component of their frames. Empty lanes repeat the first triangle.
 #[derive(Debug, Clone)]
 #[repr(C, align(32))]
 pub struct Pack {
@@ -146,12 +148,12 @@ impl Pack {
         &self.faces[..self.count as usize]
     }
 
-    /// Face of a lane; an empty lane names the first face.
+    /// Face of a lane. An empty lane returns the first face.
     pub fn face(&self, lane: usize) -> u32 {
         self.faces[lane]
     }
 
-    /// Bit i set where lane i holds a triangle.
+    /// Bit i is set if lane i holds a triangle.
     pub fn mask(&self) -> u8 {
         u8::MAX >> (WIDTH as u32 - self.count)
     }
@@ -221,7 +223,7 @@ impl TriangleFrame {
     }
 }
 
-/// `x` brought into `0..=length`, in the form that compiles to one minimum and one maximum.
+/// Clamps `x` to `0..=length`, in the form that compiles to one minimum and one maximum.
 #[inline(always)]
 fn clamp(x: f32, length: f32) -> f32 {
     let x = if x > 0.0 { x } else { 0.0 };
@@ -240,7 +242,7 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(2000))]
-        /// Against float64 Voronoi regions, for triangles from fat to needle.
+        /// Compared with float64 Voronoi regions, for triangles from compact to sliver.
         #[test]
         fn distances_match_float64(
             p in vector(-1.0..1.0), a in vector(-0.5..0.5), b in vector(-0.5..0.5), c in vector(-0.5..0.5), thin in 0.0..1.0f32

@@ -1,15 +1,15 @@
-//! The first triangle on a ray: near child first, and no gap between two faces that share an edge.
+//! The first triangle on a ray: near child first, and without a gap between two faces that share an edge.
 //!
-//! Boxes are tested eight at a time in float32, grown by more than its rounding. Triangles are tested in float64 by the
-//! signed areas of their edges in a space that is sheared along the ray: the edge of two faces gives both the same number
-//! with opposite signs, so a ray through it hits one of them (Woop, Benthin and Wald, *Watertight Ray/Triangle
-//! Intersection*, JCGT 2(1), 2013).
+//! Boxes are tested eight at a time in float32 and enlarged by more than its rounding. Triangles are tested in float64
+//! by the signed areas of their edges in a space that is sheared along the ray. Both faces of an edge compute the same
+//! value with opposite signs, so a ray through the edge hits one of them (Woop, Benthin and Wald, *Watertight
+//! Ray/Triangle Intersection*, JCGT 2(1), 2013).
 
 use super::{Bvh, ChildRef, MAX_STACK, Node, WIDTH};
 use crate::mesh::Mesh;
 use glam::{DVec3, Vec3};
 
-/// Where a ray meets a face.
+/// Intersection of a ray with a face.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RayHit {
     /// Length of the ray, in multiples of its direction.
@@ -18,16 +18,17 @@ pub struct RayHit {
     /// Barycentric weights of the face's second and third corner.
     pub u: f64,
     pub v: f64,
-    /// The counter-clockwise side is seen.
+    /// Whether the ray arrives at the counter-clockwise side.
     pub is_front: bool,
 }
 
-/// Boxes are grown by this in local units, where coordinates are below 1 and a ray starts within 2: float32 rounds those by
-/// 1.2e-7, and a slab test does so three times.
+/// Margin of the boxes, local units. Coordinates are below 1 and a ray starts within 2; float32 rounds them by 1.2e-7,
+/// three times in a slab test.
 const BOX_MARGIN: f32 = 1e-6;
 
 impl Mesh {
-    /// The first hit of the ray `origin + t direction`, local units, with `t` from 0 to `t_max`, that `accept` takes.
+    /// The first hit of the ray `origin + t direction`, local units, with `t` from 0 to `t_max`, that `accept` returns
+    /// true for.
     pub fn first_hit(
         &self,
         origin: DVec3,
@@ -36,7 +37,7 @@ impl Mesh {
         mut accept: impl FnMut(&RayHit) -> bool,
     ) -> Option<RayHit> {
         let bvh = self.bvh();
-        // Start beside the box: float32 holds the rest of the ray, however far away the eye is.
+        // The search starts at the box, so that float32 represents the rest of the ray for an eye at any distance.
         let (enter, leave) = slab(origin, direction, bvh.bounds.min.as_dvec3(), bvh.bounds.max.as_dvec3());
         let t_end = t_max.min(leave);
         if enter.max(0.0) > t_end {
@@ -44,7 +45,7 @@ impl Mesh {
         }
         let t_start = enter.max(0.0);
         let start = origin + t_start * direction;
-        // In steps of the direction's size, so that its scale does not matter.
+        // The direction is scaled so that its largest component is 1.
         let size = direction.abs().max_element();
         let boxes = BoxRay::new(start.as_vec3(), (direction / size).as_vec3());
         let sheared = Sheared::new(start, direction / size);
@@ -94,7 +95,8 @@ impl Mesh {
 }
 
 impl Mesh {
-    /// Where the line `origin + t direction`, local units, meets one face; the same numbers as [`Mesh::first_hit`] gives.
+    /// The intersection of the line `origin + t direction`, local units, with one face, bit for bit that of
+    /// [`Mesh::first_hit`].
     pub fn hit_of_face(&self, face: u32, origin: DVec3, direction: DVec3) -> Option<RayHit> {
         let bounds = self.bvh().bounds;
         let (enter, _) = slab(origin, direction, bounds.min.as_dvec3(), bounds.max.as_dvec3());
@@ -105,7 +107,7 @@ impl Mesh {
     }
 }
 
-/// Where a line enters and leaves a box, grown a little; leave is below enter where it misses.
+/// The interval of a line inside a slightly enlarged box; leave is below enter if it misses.
 fn slab(origin: DVec3, direction: DVec3, min: DVec3, max: DVec3) -> (f64, f64) {
     let margin = f64::from(BOX_MARGIN);
     let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
@@ -124,13 +126,13 @@ fn slab(origin: DVec3, direction: DVec3, min: DVec3, max: DVec3) -> (f64, f64) {
     (enter, leave)
 }
 
-/// A ray as boxes see it.
+/// A ray for tests of boxes.
 struct BoxRay {
     origin: [f32; 3],
     inverse: [f32; 3],
 }
 
-/// Stands for the inverse of zero: large, and no product of it with a local coordinate overflows.
+/// Inverse of a zero component. It is large, and its products with local coordinates do not overflow.
 const PARALLEL: f32 = 1e30;
 
 impl BoxRay {
@@ -139,7 +141,7 @@ impl BoxRay {
         Self { origin: origin.to_array(), inverse }
     }
 
-    /// Where the ray enters each child's box; infinite where it misses or enters past `limit`.
+    /// The t at which the ray enters each child's box; infinite if it misses or enters beyond `limit`.
     #[inline]
     fn enter(&self, node: &Node, limit: f32) -> [f32; WIDTH] {
         let mut result = [f32::INFINITY; WIDTH];
@@ -152,7 +154,7 @@ impl BoxRay {
                 enter = if near > enter { near } else { enter };
                 leave = if far < leave { far } else { leave };
             }
-            // One part in a million for the rounding of the products.
+            // A relative margin of 1e-6 covers the rounding of the products.
             if enter <= leave * 1.000_001 {
                 result[lane] = enter * 0.999_999;
             }
@@ -161,7 +163,7 @@ impl BoxRay {
     }
 }
 
-/// A ray that looks along its own z axis.
+/// A ray in coordinates whose z axis is the ray.
 struct Sheared {
     origin: DVec3,
     axes: [usize; 3],
@@ -173,7 +175,7 @@ impl Sheared {
         let magnitude = direction.abs();
         let z = (1..3).fold(0, |best, axis| if magnitude[axis] > magnitude[best] { axis } else { best });
         let (x, y) = ((z + 1) % 3, (z + 2) % 3);
-        // A turn of the axes for a negative direction keeps the winding.
+        // Exchanging two axes for a negative direction keeps the winding.
         let (x, y) = if direction[z] < 0.0 { (y, x) } else { (x, y) };
         let shear = [direction[x] / direction[z], direction[y] / direction[z], 1.0 / direction[z]];
         Self { origin, axes: [x, y, z], shear }
@@ -216,7 +218,7 @@ mod tests {
                     std::f64::consts::TAU * j as f64 / segments as f64,
                 );
                 let radius = 1.0 + 0.2 * (5.0 * polar).sin() * (3.0 * around).cos();
-                // Exactly zero at both poles, or a hole is left there.
+                // Exactly zero at both poles, so that the surface is closed there.
                 let aside = if i % rings == 0 { 0.0 } else { radius * polar.sin() };
                 vertices.push([aside * around.cos(), radius * polar.cos(), -aside * around.sin()]);
             }
@@ -229,11 +231,11 @@ mod tests {
                 faces.push([at(i, j), at(i + 1, j + 1), at(i, j + 1)]);
             }
         }
-        // The poles are many vertices in one place: their slivers have no area and are dropped.
+        // The poles are many vertices at one point. Their slivers have no area and are dropped.
         Mesh::new(&vertices, &faces).unwrap()
     }
 
-    /// Every triangle, by Cramer's rule.
+    /// The first hit over all triangles by Cramer's rule.
     fn brute_force(mesh: &Mesh, origin: DVec3, direction: DVec3) -> Option<f64> {
         let mut best: Option<f64> = None;
         for face in 0..mesh.faces().len() as u32 {
@@ -283,7 +285,7 @@ mod tests {
         }
     }
 
-    /// Rays from the inside through every vertex and every edge's middle: a gap would let one out.
+    /// Rays from the inside through every vertex and every midpoint of an edge: a gap would let a ray escape.
     #[test]
     fn no_ray_slips_between_faces() {
         let mesh = ball(16, 24);
@@ -292,7 +294,7 @@ mod tests {
             for target in [a, b, c, (a + b) * 0.5, (b + c) * 0.5, (a + c) * 0.5] {
                 let origin = DVec3::new(0.01, 0.02, -0.015);
                 let hit = mesh.first_hit(origin, target - origin, f64::INFINITY, |_| true).expect("a hit");
-                // A face that is seen edge on may be met anywhere along it.
+                // A face parallel to the ray may be hit anywhere along it.
                 assert!(hit.t > 0.0 && hit.t < 1.2, "{hit:?}");
             }
         }

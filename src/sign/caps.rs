@@ -1,28 +1,28 @@
-//! Solid angles of many triangles at once, in float32 lanes: a fast answer that knows when it is not good enough.
+//! Solid angles of many triangles at once in float32 lanes, with a test that detects insufficient accuracy.
 
 use crate::bvh::WIDTH;
 use crate::bvh::pack::Pack;
 use glam::{DVec3, Vec3};
 
-/// Eight triangles, their first edge on the rim of an opening. Empty lanes have three equal corners far away and add
-/// nothing.
+/// Eight triangles whose first edge is on the rim of an opening. Empty lanes have three equal corners far away, so
+/// their angle is zero.
 #[derive(Debug)]
 pub(super) struct CapPack {
     corners: [[[f32; WIDTH]; 3]; 3],
-    /// The same triangles as the closest-point search sees them.
+    /// The same triangles in the form for the closest-point search.
     distances: Pack,
 }
 
-/// The rounding that a lane's result may carry, in turns times 4 pi; see [`CapPack::angles`].
+/// Largest rounding error of the result of a lane, in turns times 4 pi; see [`CapPack::angles`].
 pub(super) const ANGLE_ERROR: f64 = 1e-4;
-/// A numerator below this share of the product of lengths has no certain sign in float32: coordinates are of about unit
-/// size and rounded to 6e-8, and three of them multiply.
+/// A numerator below this fraction of the product of lengths has no certain sign in float32. Coordinates are of about
+/// unit size and rounded to 6e-8, and three of them are multiplied.
 const FLAT: f32 = 1e-5;
 /// Corners of an empty lane.
 const FAR: f32 = 1e3;
 
 impl CapPack {
-    /// `caps` is one to eight triangles.
+    /// `caps` must hold one to eight triangles.
     pub fn new(caps: &[[DVec3; 3]]) -> Self {
         let mut corners = [[[FAR; WIDTH]; 3]; 3];
         for (lane, cap) in caps.iter().enumerate() {
@@ -38,10 +38,10 @@ impl CapPack {
         Self { corners, distances: Pack::new(&positions, &faces, &members) }
     }
 
-    /// Sum of the solid angles seen from `p`, each within [`ANGLE_ERROR`]; none if `p` is so close to the face of a
-    /// triangle that float32 cannot tell the side.
+    /// Sum of the solid angles as seen from `p`, each within [`ANGLE_ERROR`]. None if `p` is so close to a triangle
+    /// that float32 cannot determine the side.
     ///
-    /// The formula is that of [`crate::geometry::solid_angle`].
+    /// The formula of [`crate::geometry::solid_angle`].
     #[inline(always)]
     pub fn angles(&self, p: Vec3) -> Option<f32> {
         let mut sum = [0.0f32; WIDTH];
@@ -55,7 +55,7 @@ impl CapPack {
             let lengths = la * lb * lc;
             let denominator = lengths + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb;
             sum[i] = 2.0 * arctangent(numerator, denominator);
-            // The angle jumps only where the point lies in the triangle's own plane, within its sides.
+            // The angle jumps only if the point lies in the plane of the triangle, inside its edges.
             let flat = numerator.abs() - FLAT * lengths;
             let behind = denominator - FLAT * lengths;
             doubtful[i] = if flat > behind { flat } else { behind };
@@ -64,7 +64,8 @@ impl CapPack {
         (worst > 0.0).then(|| sum.iter().sum())
     }
 
-    /// Squared distance of `p` to the nearest triangle, and the sum over the rim edges of length / (distance - radius)^2.
+    /// Squared distance of `p` to the nearest triangle, and the sum over the rim edges of length / (distance -
+    /// radius)^2.
     #[inline(always)]
     pub fn reach(&self, p: Vec3, radius: f32) -> (f32, f32) {
         let nearest = self.distances.distances_squared(p).iter().fold(f32::INFINITY, |least, &x| least.min(x));

@@ -1,19 +1,20 @@
-//! Exact winding numbers by counting crossings of an axis-parallel ray, for surfaces without openings.
+//! Exact winding numbers by counting the crossings of an axis-parallel ray, for surfaces without openings.
 //!
-//! *Theory.* The winding number of p in a closed surface is the sum over the triangles hit by a ray from p, each counted
-//! +1 if the ray leaves through it and -1 if it enters. A ray along an axis turns "is it hit" into a 2D question in the
-//! projection along that axis, and this is answered edge by edge: with rows and columns the two projected coordinates, a
-//! directed edge (a, b) *crosses* the row of p if exactly one end lies at or below it, and then p lies to one side of it.
-//! The triangle's 2D winding around p is the number of upward crossings to the right of p less the downward ones.
+//! *Theory.* The winding number of p in a closed surface is the sum over the triangles that a ray from p hits, each
+//! counted +1 if the ray leaves through it and -1 if it enters. For a ray along an axis, the test for a hit is 2D, in
+//! the projection along that axis, and is decided edge by edge. Let the two projected coordinates be the row and the
+//! column. A directed edge (a, b) *crosses* the row of p if exactly one end lies at or below it, and then p lies to one
+//! side of it. The triangle's 2D winding around p is the number of upward crossings to the right of p minus the
+//! downward ones.
 //! - The row comparison depends on a vertex alone, the side on an edge alone, and both are exact (Shewchuk, *Adaptive
-//!   precision floating-point arithmetic*, 1997; crate `robust`). So the two faces of an edge always give opposite
-//!   answers: no ray slips between triangles or counts an edge twice, whatever it passes through.
-//! - Ties (the row at a vertex, p on an edge) are those of a point moved by (delta, epsilon), delta >> epsilon > 0, in
-//!   (column, row): a real point, so they too are answered consistently.
-//! - Whether the hit lies ahead of p is the sign of an exact 3D orientation. It can be zero only for p on the surface,
-//!   where the distance is zero and has no sign.
+//!   precision floating-point arithmetic*, 1997; crate `robust`). The two faces of an edge therefore always give
+//!   opposite results: no ray passes between triangles or counts an edge twice, at edges and vertices too.
+//! - Ties (the row at a vertex, p on an edge) are decided as for a point moved by (delta, epsilon), delta >> epsilon >
+//!   0, in (column, row). This is an actual point, so all decisions are consistent.
+//! - The sign of an exact 3D orientation tells whether the hit lies ahead of p. It can be zero only for p on the
+//!   surface, where the distance is zero and has no sign.
 //!
-//! On a grid one row of columns shares all edge work: an edge splits the row at one column.
+//! On a grid, one row of columns shares all work for an edge: an edge splits the row at one column.
 
 use crate::bvh::{Bvh, Node, WIDTH};
 use crate::mesh::Mesh;
@@ -21,7 +22,7 @@ use crate::mesh::topology::Topology;
 use glam::DVec3;
 use robust::{Coord, Coord3D, orient2d, orient3d};
 
-/// A direction of rays and the two axes of the projection; a right-handed triple.
+/// Direction of the rays and the two axes of the projection: a right-handed triple.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Axes {
     pub ray: usize,
@@ -35,13 +36,13 @@ impl Axes {
     pub const Z: Self = Self { ray: 2, column: 0, row: 1 };
 }
 
-/// The closed surface that rays are counted against: the mesh's oriented faces and any extra triangles, local units.
+/// The closed surface for the rays: the oriented faces of the mesh and any extra triangles, local units.
 #[derive(Debug, Clone, Copy)]
 pub struct Surface<'a> {
     pub bvh: &'a Bvh,
     pub mesh: &'a Mesh,
     pub topology: &'a Topology,
-    /// Triangles that close the mesh's openings.
+    /// Triangles that close the openings of the mesh.
     pub caps: &'a [[DVec3; 3]],
 }
 
@@ -80,7 +81,8 @@ impl<'a> Surface<'a> {
     }
 }
 
-/// Which children the ray from `p` can meet. Boxes are exact in float64, so nothing is lost.
+/// Mask of the children that the ray from `p` can intersect. Boxes are compared exactly in float64, so no child is
+/// missed.
 fn ray_overlaps(node: &Node, p: DVec3, axes: Axes) -> [bool; WIDTH] {
     std::array::from_fn(|i| {
         let between = |axis: usize| f64::from(node.min[axis][i]) <= p[axis] && p[axis] <= f64::from(node.max[axis][i]);
@@ -94,7 +96,8 @@ pub fn crossing(p: DVec3, [a, b, c]: [DVec3; 3], axes: Axes) -> i32 {
     if turns != 0 && is_ahead(p, [a, b, c], turns, axes) { turns } else { 0 }
 }
 
-/// What one directed edge adds to the 2D winding around `p`: it crosses the row of `p` beyond its column.
+/// Contribution of one directed edge to the 2D winding around `p`: nonzero if it crosses the row of `p` beyond its
+/// column.
 fn edge_turn(p: DVec3, a: DVec3, b: DVec3, axes: Axes) -> i32 {
     match (a[axes.row] <= p[axes.row], b[axes.row] <= p[axes.row]) {
         (true, false) => i32::from(side(a, b, p, axes) > 0.0),
@@ -103,17 +106,17 @@ fn edge_turn(p: DVec3, a: DVec3, b: DVec3, axes: Axes) -> i32 {
     }
 }
 
-/// Positive where `p` lies at smaller columns than the edge that rises from `low` to `high`.
+/// Positive if `p` lies at smaller columns than the edge that rises from `low` to `high`.
 fn side(low: DVec3, high: DVec3, p: DVec3, axes: Axes) -> f64 {
     let at = |q: DVec3| Coord { x: q[axes.column], y: q[axes.row] };
     orient2d(at(low), at(high), at(p))
 }
 
 /// Whether the plane of a triangle that covers `p` in the projection lies strictly ahead of it. `turns` is the
-/// triangle's direction in the projection.
+/// orientation of the triangle in the projection.
 fn is_ahead(p: DVec3, [a, b, c]: [DVec3; 3], turns: i32, axes: Axes) -> bool {
     let at = |q: DVec3| Coord3D { x: q[axes.column], y: q[axes.row], z: q[axes.ray] };
-    // orient3d is positive when p lies below the plane, seen so that a, b, c turn counter-clockwise from above.
+    // orient3d is positive if p lies below the plane, where a, b, c are counter-clockwise as seen from above.
     orient3d(at(a), at(b), at(c), at(p)) * f64::from(turns) > 0.0
 }
 
@@ -130,10 +133,10 @@ impl Samples {
         self.first + index as f64 * self.step
     }
 
-    /// How many samples satisfy `is_before`, which holds for a leading part of them that ends near `estimate`.
+    /// Number of samples that satisfy `is_before`, which holds for a leading run of them that ends near `estimate`.
     fn count_before(&self, estimate: f64, is_before: impl Fn(f64) -> bool) -> usize {
         let guess = ((estimate - self.first) / self.step).ceil();
-        // The cast saturates, and takes a NaN to zero.
+        // The cast saturates, and maps NaN to zero.
         let mut count = (guess as i64).clamp(0, self.count as i64) as usize;
         while count < self.count && is_before(self.at(count)) {
             count += 1;
@@ -147,8 +150,8 @@ impl Samples {
 
 /// Winding numbers of one plane of samples: all rays of one row.
 ///
-/// `windings[column * along.count + i]` is the winding number of the sample at `column` and the i-th place along the
-/// ray. Costs one exact test per edge, and one per column that a triangle covers.
+/// `windings[column * along.count + i]` is the winding number of the sample at `column` and position i along the ray.
+/// The cost is one exact test per edge, and one per column that a triangle covers.
 pub fn scan_row(surface: &Surface<'_>, axes: Axes, row: f64, columns: &Samples, along: &Samples, windings: &mut [i16]) {
     debug_assert_eq!(windings.len(), columns.count * along.count);
     windings.fill(0);
@@ -185,7 +188,7 @@ pub fn scan_row(surface: &Surface<'_>, axes: Axes, row: f64, columns: &Samples, 
             return;
         }
         cuts.sort_unstable();
-        // Columns before both cuts see both edges, which cancel; between them only the farther edge counts.
+        // Columns before both cuts are left of both edges, which cancel. Between them only the farther edge counts.
         let turns = cuts[1].1;
         for column in cuts[0].0..cuts[1].0 {
             let mut origin = DVec3::ZERO;
@@ -197,7 +200,8 @@ pub fn scan_row(surface: &Surface<'_>, axes: Axes, row: f64, columns: &Samples, 
                 is_ahead(p, triangle, turns, axes)
             });
             if ahead > 0 {
-                // Every sample up to here sees the triangle ahead: mark the last, summed up below.
+                // The triangle is ahead of every sample up to here. The last one is marked, and the marks are summed
+                // below.
                 let mark = &mut windings[column * along.count + ahead - 1];
                 *mark = mark.wrapping_add(turns as i16);
             }
@@ -212,7 +216,8 @@ pub fn scan_row(surface: &Surface<'_>, axes: Axes, row: f64, columns: &Samples, 
     }
 }
 
-/// Where the ray through `p` meets the triangle, approximately; NaN if the triangle stands along the ray.
+/// Approximate position at which the ray through `p` intersects the triangle; NaN if the triangle is parallel to the
+/// ray.
 fn height_at([a, b, c]: [DVec3; 3], p: DVec3, axes: Axes) -> f64 {
     let n = (b - a).cross(c - a);
     let beside = n[axes.column] * (p[axes.column] - a[axes.column]) + n[axes.row] * (p[axes.row] - a[axes.row]);

@@ -1,6 +1,6 @@
-//! Which side of the surface a point is on.
+//! The side of the surface on which a point lies.
 //!
-//! `auto` looks at the topology once and takes the strongest rule that holds:
+//! `auto` examines the topology once and chooses the strongest rule that applies:
 //!
 //! | surface | rule | exact |
 //! |---|---|---|
@@ -8,9 +8,10 @@
 //! | few open edges | the same with the openings closed, less the cones' angle ([`openings`]) | yes |
 //! | soup | fast winding number ([`winding`]) | to about 0.01 of a turn |
 //!
-//! Inside is where the winding number's magnitude exceeds 1/2: nested and overlapping parts are solid, a reversed shell
-//! within a solid is a cavity, and a mesh wound inside out is the same solid. The distance itself never depends on the
-//! sign. `parity`, `pseudonormal` and `normal` are there to compare with; each fails where its module says.
+//! A point is inside if the magnitude of its winding number exceeds 1/2. Nested and overlapping parts are solid, a
+//! reversed shell inside a solid is a cavity, and a mesh that is wound inside out is the same solid. The distance never
+//! depends on the sign. `parity`, `pseudonormal` and `normal` exist for comparison; each module states where its rule
+//! fails.
 
 mod caps;
 pub mod crossing;
@@ -31,7 +32,7 @@ use glam::DVec3;
 use openings::Openings;
 use std::str::FromStr;
 
-/// A rule by name, as a user asks for it.
+/// A rule by its public name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum SignMethod {
     #[default]
@@ -42,7 +43,7 @@ pub enum SignMethod {
     Parity,
     /// Angle-weighted pseudonormal.
     Pseudonormal,
-    /// Normal of the face that is nearest when each is nudged along its normal (article 001).
+    /// Normal of the face that is nearest after each is nudged along its normal (article 001).
     Normal,
     Unsigned,
 }
@@ -70,7 +71,7 @@ impl FromStr for SignMethod {
     }
 }
 
-/// A rule bound to a mesh, ready to be asked.
+/// A rule bound to a mesh, ready for evaluation.
 #[derive(Debug)]
 pub enum SignRule {
     /// Winding number of a mesh whose openings, if any, are closed by cones.
@@ -83,7 +84,7 @@ pub enum SignRule {
     Unsigned,
 }
 
-/// A rule, the method it stands for, and why it was taken.
+/// A rule, its public method, and the reason for its choice.
 #[derive(Debug)]
 pub struct SignChoice {
     pub rule: SignRule,
@@ -91,9 +92,9 @@ pub struct SignChoice {
     pub reason: String,
 }
 
-/// Rims up to this many edges are closed by cones: each costs about 40 ns at the samples around the openings.
+/// Largest number of rim edges that are closed by cones. Each costs about 40 ns at the samples around the openings.
 const MAX_CAPS: usize = 2048;
-/// Article 001 nudges by 1e-4 in a scene of about unit size; local coordinates are of about unit size.
+/// Article 001 nudges by 1e-4 in a scene of about unit size. Local coordinates are of about unit size too.
 const NUDGE: f64 = 1e-4;
 
 impl SignChoice {
@@ -108,7 +109,7 @@ impl SignChoice {
         }
     }
 
-    /// The winding number, by the cheapest way that is exact for the surface's openings.
+    /// The winding number by the cheapest method that is exact for the openings of the surface.
     fn winding(mesh: &Mesh) -> Self {
         let topology = mesh.topology();
         let rim = topology.rim.len();
@@ -127,7 +128,7 @@ impl SignChoice {
 }
 
 impl SignRule {
-    /// Build what the rule needs from the mesh, so that its cost is paid (and timed) before the samples.
+    /// Builds the tables of the rule before the samples are evaluated, so that their cost is reported separately.
     pub fn prepare(&self, mesh: &Mesh) {
         match self {
             Self::Winding => drop(mesh.moments()),
@@ -136,8 +137,8 @@ impl SignRule {
         }
     }
 
-    /// Radius of a ball around a local point in which every point is on the same side, `distance` being that of the
-    /// surface; none for rules that promise nothing.
+    /// Radius of a ball around a local point in which every point is on the same side, given the distance of the
+    /// surface. None for rules without such a guarantee.
     pub fn same_side_within(&self, p: DVec3, distance: f64) -> Option<f64> {
         match self {
             Self::Counted(openings) => Some(distance.min(openings.clearance(p)) * (1.0 - 1e-9)),
@@ -146,7 +147,7 @@ impl SignRule {
         }
     }
 
-    /// Whether a local point is inside, for the rules that need no closest point; false for the others.
+    /// Whether a local point is inside, for the rules that do not use the closest point; false for the others.
     pub fn is_inside_without_distance(&self, mesh: &Mesh, p: DVec3) -> bool {
         match self {
             Self::Counted(openings) => {
@@ -159,7 +160,7 @@ impl SignRule {
         }
     }
 
-    /// Whether a local point is inside. `closest` is its closest point, for the rules that look there.
+    /// Whether a local point is inside. `closest` is its closest point, which some rules use.
     pub fn is_inside(&self, mesh: &Mesh, p: DVec3, closest: &ClosestPoint) -> bool {
         match self {
             Self::Pseudonormal => mesh.pseudonormals().is_inside(mesh, p, closest),
@@ -169,18 +170,18 @@ impl SignRule {
     }
 }
 
-/// Whether most of three axis rays cross an odd number of faces, and whether they all agree.
+/// Whether most of three axis-parallel rays cross an odd number of faces, and whether all three agree.
 pub fn parity(mesh: &Mesh, p: DVec3) -> (bool, bool) {
     let surface = Surface::new(mesh, &[]);
     let votes = [Axes::X, Axes::Y, Axes::Z].iter().filter(|&&axes| surface.crossings(p, axes) % 2 == 1).count();
     (votes >= 2, votes == 0 || votes == 3)
 }
 
-/// Article 001: move every face's closest point along its normal by a small step, take the nearest, and see which side of
-/// that face the point is on. The step breaks ties at edges; here it scales with the mesh.
+/// Article 001: move the closest point of every face along its normal by a small step, take the nearest, and test the
+/// side of that face. The step breaks ties at edges. Here it scales with the mesh.
 fn is_behind_nudged_face(mesh: &Mesh, p: DVec3, closest: &ClosestPoint) -> bool {
     let mut best = (f64::INFINITY, false);
-    // A nudge changes a distance by its length at most, so no other face can win.
+    // A nudge changes a distance by at most its length, so no other face can become the nearest.
     let reach = (closest.distance + 2.0 * NUDGE) * (1.0 + 1e-6);
     mesh.bvh().faces_within(p.as_vec3(), reach as f32, |face| {
         let normal = triangle_cross(mesh.triangle(face)).normalize();

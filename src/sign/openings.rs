@@ -1,15 +1,15 @@
 //! Exact generalised winding numbers of a mesh with a few openings, by closing them.
 //!
 //! *Theory.* Close every opening with a cone of triangles from its rim to one apex. The closed surface has an integer
-//! winding number W, counted by rays (see `crossing`), and the solid angle is additive: w(mesh) = W - f, f being the
+//! winding number W, counted by rays (see `crossing`). The solid angle is additive: w(mesh) = W - f, where f is the
 //! winding number of the cones alone. Inside means |w| > 1/2 (either direction of the faces counts as a surface), and
-//! for an integer W that is simply **W != round(f)**.
+//! for an integer W this is equivalent to **W != round(f)**.
 //!
-//! f jumps only at the cones, and elsewhere its gradient is that of the rim alone, by the Biot-Savart law: |grad f| <=
-//! sum over rim edges of length / (4 pi distance^2). So one value decides whole blocks of samples away from the openings.
-//! From afar a cone covers at most its area over the squared distance; it is left out of the sum while what is left out
-//! cannot change the nearest integer. So only samples near an opening pay, by the number of its rim edges; see
-//! [`super::winding`] for meshes that are all openings.
+//! f jumps only at the cones. Elsewhere its gradient is that of the rim alone, by the Biot-Savart law: |grad f| <= sum
+//! over rim edges of length / (4 pi distance^2). One value therefore decides whole blocks of samples away from the
+//! openings. From far away a cone covers at most its area over the squared distance. It is omitted from the sum while
+//! the omitted parts cannot change the nearest integer. Only samples near an opening have a cost, proportional to the
+//! number of its rim edges. [`super::winding`] handles meshes that consist of openings.
 
 use super::caps::{ANGLE_ERROR, CapPack};
 use crate::bvh::WIDTH;
@@ -29,7 +29,7 @@ pub struct Openings {
     cones: Vec<Cone>,
 }
 
-/// One opening: its triangles among the packs, and what is seen of it from afar: a ball that holds it, and its area.
+/// One opening: its triangles among the packs, a ball that contains it, and its area.
 #[derive(Debug, Clone)]
 struct Cone {
     packs: Range<usize>,
@@ -38,21 +38,21 @@ struct Cone {
     area: f64,
 }
 
-/// A box of samples, and where each of them is.
+/// A box of samples, and the position of each sample.
 pub struct SampleBlock<'a> {
     pub low: [usize; 3],
     pub high: [usize; 3],
     pub at: &'a dyn Fn([usize; 3]) -> DVec3,
 }
 
-/// Share of a turn that cones left out of a sum may add up to.
+/// Largest sum, in turns, of the cones that are omitted.
 const LEFT_OUT: f64 = 0.1;
 
-/// Where the apex sits off the centre of its rim, in rim sizes: away from the planes that grids and models favour, so
-/// that no sample lies on a cone by symmetry.
+/// Offset of the apex from the centre of its rim, in rim sizes. It points away from the planes of typical grids and
+/// models, so that no sample lies on a cone by symmetry.
 const APEX_OFFSET: DVec3 = DVec3::new(0.003_69, 0.005_37, 0.007_58);
 
-/// A sample counts as undecided when its winding number is closer to 1/2 than this.
+/// A sample counts as undecided if its winding number is closer to 1/2 than this.
 const UNDECIDED: f64 = 0.05;
 
 impl Openings {
@@ -78,7 +78,8 @@ impl Openings {
             opening_of.insert(a.max(b), a.min(b));
         }
 
-        // Every vertex of a rim is entered as often as left, so the mean over edge starts is the mean over the rim.
+        // Every vertex of a rim is the end of as many edges as it is the start, so the mean over edge starts is the
+        // mean over the rim.
         let mut rims: HashMap<u32, (DVec3, usize, DVec3, DVec3)> = HashMap::new();
         for &[from, _] in rim {
             let p = position(from);
@@ -90,7 +91,7 @@ impl Openings {
             let opening = root(&mut opening_of, from);
             let (sum, count, low, high) = rims[&opening];
             let apex = sum / count as f64 + APEX_OFFSET * (high - low).max_element();
-            // The closing face walks the edge backwards. The predicates want coordinates of few bits.
+            // The closing face traverses the edge backwards. The predicates are fastest with coordinates of few bits.
             by_opening.entry(opening).or_default().push([position(to), position(from), apex.as_vec3().as_dvec3()]);
         }
         let mut openings = Self::default();
@@ -114,7 +115,7 @@ impl Openings {
         self.caps.iter().map(|cap| angle_from(p, cap)).sum::<f64>() / (4.0 * PI)
     }
 
-    /// The nearest integer of the fraction at a point.
+    /// The integer nearest to the fraction at a point.
     pub fn rounded_fraction(&self, p: DVec3) -> i8 {
         if self.clearance(p) >= 0.0 {
             return 0;
@@ -124,17 +125,17 @@ impl Openings {
         self.round(p, &near, left_out).0
     }
 
-    /// How far a point may move without meeting a cone, and without the fraction's nearest integer leaving 0; negative
-    /// near an opening.
+    /// Distance by which a point may move without crossing a cone, and without changing the nearest integer of the
+    /// fraction from 0. Negative near an opening.
     pub fn clearance(&self, p: DVec3) -> f64 {
-        // Each cone keeps to its share of just under a half turn.
+        // Each cone gets an equal share of just under a half turn.
         let share = 4.0 * PI * (0.5 - UNDECIDED) / self.cones.len() as f64;
         let reach = |cone: &Cone| p.distance(cone.center) - cone.radius - (cone.area / share).sqrt();
         self.cones.iter().map(reach).fold(f64::INFINITY, f64::min)
     }
 
-    /// The nearest integer of the fraction at a point, and whether it is clear; the cones not in `near` add less than
-    /// `left_out`.
+    /// The nearest integer of the fraction at a point, and whether it is certain. The cones that are not in `near` add
+    /// less than `left_out`.
     fn round(&self, p: DVec3, near: &[Cone], left_out: f64) -> (i8, bool) {
         let fast = self
             .fast_fraction(p, near)
@@ -143,7 +144,8 @@ impl Openings {
         (fraction.round() as i8, (fraction - fraction.round()).abs() <= 0.5 - UNDECIDED)
     }
 
-    /// The share of some cones in the fraction by lanes, and its error, unless the point is too close to one of them.
+    /// The contribution of some cones to the fraction by lanes, and its error; None if the point is too close to one of
+    /// them.
     fn fast_fraction(&self, p: DVec3, near: &[Cone]) -> Option<(f64, f64)> {
         let packs = near.iter().flat_map(|cone| &self.packs[cone.packs.clone()]);
         let sum = sum_angles(packs.clone(), p.as_vec3())?;
@@ -151,13 +153,13 @@ impl Openings {
         Some((f64::from(sum) / (4.0 * PI), error / (4.0 * PI)))
     }
 
-    /// The nearest integer of the fraction at each sample of a block, given to `set`; returns how many samples were close
-    /// to undecided.
+    /// Computes the nearest integer of the fraction at each sample of a block and passes it to `set`. Returns the
+    /// number of samples that were close to undecided.
     pub fn for_each_rounded_fraction(&self, block: &SampleBlock<'_>, set: &mut impl FnMut([usize; 3], i8)) -> usize {
         self.decide(block, &self.cones, 0.0, set)
     }
 
-    /// `near` are the cones that matter to the block; the others add less than `left_out` anywhere in it.
+    /// `near` are the cones that are evaluated in the block. The others add less than `left_out` anywhere in it.
     fn decide(
         &self,
         block: &SampleBlock<'_>,
@@ -187,7 +189,7 @@ impl Openings {
             }
             return 0;
         }
-        // Halve the longest side.
+        // Halves the longest side.
         let axis = (0..3).max_by_key(|&axis| high[axis] - low[axis]).unwrap_or(0);
         let (mut left_high, mut right_low) = (high, low);
         left_high[axis] = low[axis].midpoint(high[axis]);
@@ -197,9 +199,10 @@ impl Openings {
         self.decide(&left, &nearer, left_out, set) + self.decide(&right, &nearer, left_out, set)
     }
 
-    /// The integer nearest to the fraction everywhere within `radius` of `center`, if one value can tell.
+    /// The integer nearest to the fraction everywhere within `radius` of `center`; None if a single value is not
+    /// sufficient.
     fn rounded_within(&self, center: DVec3, radius: f64, near: &[Cone], left_out: f64) -> Option<i8> {
-        // No jump within the radius, and the field of the rim bounded.
+        // No cone lies within the radius, and the gradient of the rim is bounded.
         let packs = near.iter().flat_map(|cone| &self.packs[cone.packs.clone()]);
         let (nearest, change) = least_reach(packs, center.as_vec3(), radius as f32);
         if f64::from(nearest.sqrt()) <= radius * (1.0 + ROUNDING) + ROUNDING {
@@ -212,10 +215,10 @@ impl Openings {
     }
 }
 
-/// Relative and absolute room for float32 in a distance; a hundred times its rounding.
+/// Relative and absolute margin for float32 in a distance: a hundred times its rounding.
 const ROUNDING: f64 = 1e-5;
 
-/// Sum of the solid angles of packs, with the widest registers there are.
+/// Sum of the solid angles of packs, with the widest registers of the processor.
 fn sum_angles<'a>(packs: impl Iterator<Item = &'a CapPack>, p: Vec3) -> Option<f32> {
     #[cfg(target_arch = "x86_64")]
     {
@@ -232,7 +235,7 @@ fn sum_angles<'a>(packs: impl Iterator<Item = &'a CapPack>, p: Vec3) -> Option<f
     packs.try_fold(0.0, |sum, pack| Some(sum + pack.angles(p)?))
 }
 
-/// Least squared distance to packs, and the sum of their rims' fields.
+/// Smallest squared distance to packs, and the sum of the gradients of their rims.
 fn least_reach<'a>(packs: impl Iterator<Item = &'a CapPack>, p: Vec3, radius: f32) -> (f32, f32) {
     #[inline(always)]
     fn fold<'a>(packs: impl Iterator<Item = &'a CapPack>, p: Vec3, radius: f32) -> (f32, f32) {
@@ -256,7 +259,8 @@ fn least_reach<'a>(packs: impl Iterator<Item = &'a CapPack>, p: Vec3, radius: f3
 }
 
 impl Cone {
-    /// Whether the cone is needed within `radius` of `center`; if not, what it can add there joins `left_out`.
+    /// Whether the cone must be evaluated within `radius` of `center`. If not, its largest contribution there is added
+    /// to `left_out`.
     fn matters(&self, center: DVec3, radius: f64, left_out: &mut f64) -> bool {
         let reach = (self.center.distance(center) - self.radius - radius).max(0.0);
         let largest = self.area / (4.0 * PI * reach * reach);
@@ -266,8 +270,8 @@ impl Cone {
     }
 }
 
-/// Solid angle of a triangle from `p`. Which side `p` is on comes from the same exact predicate that decides the
-/// crossings, so that the jump of the angle and that of the count fall on the same side of the cone.
+/// Solid angle of a triangle as seen from `p`. The side of `p` comes from the exact predicate that also decides the
+/// crossings, so that the jump of the angle and that of the count lie on the same side of the cone.
 fn angle_from(p: DVec3, corners: &[DVec3; 3]) -> f64 {
     let at = |q: DVec3| Coord3D { x: q.x, y: q.y, z: q.z };
     let numerator = orient3d(at(corners[0]), at(corners[1]), at(corners[2]), at(p));

@@ -1,9 +1,9 @@
-//! Side of the surface by angle-weighted pseudonormals.
+//! The side of the surface by angle-weighted pseudonormals.
 //!
-//! The sign of (p - q).n, with q the closest point and n the normal of the feature it lies on: the face normal, the sum
-//! of the two face normals at an edge, the angle-weighted sum at a vertex. Right for closed, consistently wound surfaces
-//! without self-intersections: Baerentzen and Aanaes, *Signed distance computation using the angle weighted
-//! pseudonormal*, IEEE TVCG 11(3), 2005. Faces take part as the topology has turned them.
+//! The sign is that of (p - q).n, where q is the closest point and n the normal of its feature: the face normal, the
+//! sum of the two face normals at an edge, or the angle-weighted sum at a vertex. The sign is right for closed,
+//! consistently wound surfaces without self-intersections: Baerentzen and Aanaes, *Signed distance computation using
+//! the angle weighted pseudonormal*, IEEE TVCG 11(3), 2005. Faces are oriented as the topology decided.
 
 use crate::bvh::closest::ClosestPoint;
 use crate::geometry::{Feature, triangle_cross};
@@ -12,13 +12,13 @@ use crate::mesh::topology::{Orientation, direction};
 use glam::DVec3;
 use std::collections::HashMap;
 
-/// Normals by feature; only their direction matters.
+/// Normals by feature. Only their direction is used.
 #[derive(Debug)]
 pub struct Pseudonormals {
     face: Vec<DVec3>,
-    /// By welded vertex.
+    /// Normals of vertices, by welded vertex.
     vertex: Vec<DVec3>,
-    /// By welded vertices of the edge, low first.
+    /// Normals of edges, by the welded vertices of the edge, the lower index first.
     edge: HashMap<[u32; 2], DVec3>,
 }
 
@@ -40,8 +40,8 @@ impl Pseudonormals {
             }
         }
         let mut normals = Self { face, vertex, edge };
-        // A repeated face has the normal of the one that counts, which shares its edges: the direction of their sum
-        // decides.
+        // A repeated face has the normal of its first occurrence. Both share their edges, so the sum keeps its
+        // direction.
         for f in 0..mesh.faces().len() {
             if topology.orientation[f] == Orientation::Skipped {
                 let own = triangle_cross(mesh.exact_triangle(f as u32)).normalize_or_zero();
@@ -58,7 +58,7 @@ impl Pseudonormals {
             + self.edge.capacity() * size_of::<([u32; 2], DVec3)>()
     }
 
-    /// The normal of a feature of a face. Its length carries no meaning, and it is zero where the faces cancel.
+    /// The normal of a feature of a face. Its length is arbitrary, and zero if the faces cancel.
     pub fn at(&self, mesh: &Mesh, face: u32, feature: Feature) -> DVec3 {
         match feature {
             Feature::Face => self.face[face as usize],

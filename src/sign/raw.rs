@@ -1,13 +1,15 @@
 //! The signed winding number of the faces as they are wound, in float64.
 //!
-//! *Theory.* The edges that the faces do not walk equally often in both directions form closed loops, the rims. A cone from
-//! all rim edges to one apex closes the surface. The closed surface has an integer winding number, counted by an axis-parallel
-//! ray with exact predicates (see [`super::crossing`]), and solid angles are additive: w(faces) = integer - w(cone). So the
-//! cost is that of one ray and one solid angle per rim edge, and the error that of summing those angles, about 1e-15 each.
+//! *Theory.* The edges that the faces do not traverse equally often in both directions form closed loops, the rims. A
+//! cone from all rim edges to one apex closes the surface. The closed surface has an integer winding number, counted by
+//! an axis-parallel ray with exact predicates (see [`super::crossing`]), and solid angles are additive: w(faces) =
+//! integer - w(cone). The cost is therefore one ray and one solid angle per rim edge. The error is that of the sum of
+//! those angles, about 1e-15 each.
 //!
-//! The sign rules of the other modules use repaired orientations and float32 positions. This module takes every face as it
-//! comes, repeated and flipped ones too, with the mesh's own float64 positions; faces without area are part of the closed
-//! surface. Where rims have more edges than the mesh has faces, the solid angles of the faces themselves are summed.
+//! The sign rules of the other modules use repaired orientations and float32 positions. This module takes every face as
+//! it is wound, including repeated and flipped ones, with the float64 positions of the mesh. Faces without area are
+//! part of the closed surface. If the rims have more edges than the mesh has faces, the solid angles of the faces
+//! themselves are summed.
 
 use super::crossing::{Axes, crossing};
 use crate::bvh::{Node, WIDTH};
@@ -17,13 +19,13 @@ use glam::DVec3;
 use rustc_hash::FxHashMap;
 use std::f64::consts::PI;
 
-/// Float32 positions of the boxes differ from the mesh's own by half an ulp of 1/2, local units.
+/// Float32 positions of the boxes differ from the float64 positions of the mesh by half an ulp of 1/2, local units.
 const BOX_ROUNDING: f64 = 3.1e-8;
-/// Where the apex lies off the centre of the mesh's box, local units: away from the planes that points and models favour, so
-/// that no point lies on the cone by symmetry.
+/// Offset of the apex from the centre of the mesh's box, local units. It points away from the planes of typical points
+/// and models, so that no point lies on the cone by symmetry.
 const APEX: DVec3 = DVec3::new(0.003_69, 0.005_37, 0.007_58);
 
-/// What closes the surface of a mesh, local units.
+/// The triangles that close the surface of a mesh, local units.
 #[derive(Debug)]
 pub struct RawClosure {
     /// The cone over all rims.
@@ -49,7 +51,7 @@ impl RawClosure {
         let position = |v: u32| mesh.exact_position(v);
         let mut cone = Vec::new();
         for ([low, high], count) in rims {
-            // The closing triangle walks the edge the other way.
+            // The closing triangle traverses the edge in the other direction.
             let [from, to] = if count > 0 { [high, low] } else { [low, high] };
             let triangle = [position(from), position(to), APEX];
             cone.extend(std::iter::repeat_n(triangle, count.unsigned_abs() as usize));
@@ -62,7 +64,7 @@ impl RawClosure {
         size_of_val(&self.cone[..]) + size_of_val(&self.flat[..])
     }
 
-    /// Whether a point takes time in proportion to the faces.
+    /// Whether the cost of a point is proportional to the number of faces.
     pub fn is_costly(&self, mesh: &Mesh) -> bool {
         8 * self.cone.len() > mesh.faces().len().max(1 << 12)
     }
@@ -94,7 +96,7 @@ fn angle_from(p: DVec3, corners: [DVec3; 3]) -> f64 {
     solid_angle(corners.map(|corner| corner - p))
 }
 
-/// Which children the ray from `p` in the positive direction of `axes.ray` can meet.
+/// Mask of the children that the ray from `p` in the positive direction of `axes.ray` can intersect.
 fn may_meet(node: &Node, p: DVec3, axes: Axes) -> [bool; WIDTH] {
     std::array::from_fn(|lane| {
         let below = |axis: usize| p[axis] <= f64::from(node.max[axis][lane]) + BOX_ROUNDING;

@@ -1,4 +1,4 @@
-//! Every exact rule against brute-force winding numbers, on meshes and points chosen to hit ties.
+//! Every exact rule against brute-force winding numbers, on meshes and points chosen to produce ties.
 
 use super::crossing::{Axes, Samples, Surface, scan_row};
 use super::openings::SampleBlock;
@@ -116,8 +116,8 @@ fn a_scanned_row_equals_single_rays() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(60))]
 
-    /// A closed surface, and the same one with any faces missing: counted crossings less the cones' angle give the
-    /// generalised winding number.
+    /// A closed surface, and the same surface with any faces missing: counted crossings minus the angle of the cones
+    /// equal the generalised winding number.
     #[test]
     fn closing_cones_give_the_winding_number_of_an_open_mesh(
         seed in any::<u64>(), missing in proptest::collection::vec(0usize..340, 0..12),
@@ -137,7 +137,7 @@ proptest! {
         }
     }
 
-    /// What one value decides for a block is what every sample of it would say.
+    /// The value that decides a block equals that of every sample in it.
     #[test]
     fn block_decisions_hold_for_every_sample(seed in any::<u64>(), missing in 1usize..40) {
         let (vertices, mut faces) = bumpy_sphere(seed);
@@ -175,7 +175,7 @@ proptest! {
         let mesh = mesh(&vertices, &faces);
         let p = mesh.local_from_world(DVec3::new(x, y, z));
         let closest = mesh.closest_point(p);
-        // The nudge of the `normal` rule is 1e-4; nearer than that it has no say.
+        // The nudge of the `normal` rule is 1e-4, so the rule is not accurate at smaller distances.
         prop_assume!(closest.distance > 1e-3);
         let inside = brute_force(&mesh, p) > 0.5;
         for rule in [SignRule::Counted(Openings::default()), SignRule::Winding, SignRule::Parity, SignRule::Pseudonormal] {

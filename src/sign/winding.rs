@@ -1,18 +1,18 @@
-//! Generalised winding number of any triangles, fast: far parts of the mesh count as dipoles.
+//! Fast generalised winding numbers of any triangles: far parts of the mesh are evaluated as dipoles.
 //!
-//! *Theory.* The solid angle of the surface seen from p, over 4 pi, is 1 inside and 0 outside a closed mesh and varies
-//! smoothly across openings (Jacobson, Kavan, Sorkine-Hornung, *Robust inside-outside segmentation using generalized
-//! winding numbers*, 2013). Seen from far a set of faces acts as its area vector N at the area-weighted centre, plus a
-//! first moment C (Barill, Dickson, Schmidt, Levin, Jacobson, *Fast winding numbers for soups and clouds*, 2018). With
-//! x from p to that centre:
+//! *Theory.* The solid angle of the surface as seen from p, over 4 pi, is 1 inside and 0 outside a closed mesh and
+//! varies smoothly across openings (Jacobson, Kavan, Sorkine-Hornung, *Robust inside-outside segmentation using
+//! generalized winding numbers*, 2013). From far away a set of faces acts as its area vector N at the area-weighted
+//! centre, plus a first moment C (Barill, Dickson, Schmidt, Levin, Jacobson, *Fast winding numbers for soups and
+//! clouds*, 2018). With x from p to that centre:
 //!
 //! ```text
 //! 4 pi w  ~  N.x / |x|^3  +  (tr C - 3 x.C x / |x|^2) / |x|^3
 //! ```
 //!
-//! Only the symmetric part of C takes part, six numbers. A part is far when |x| exceeds [`BETA`] times its radius;
-//! near leaves are summed exactly. The error is of order (radius/|x|)^2 of a part's own angle; measured on the test
-//! meshes it stays below 0.01, and only the side of 1/2 is used.
+//! Only the symmetric part of C contributes: six values. A part is far if |x| exceeds [`BETA`] times its radius; near
+//! leaves are summed exactly. The error is of order (radius/|x|)^2 of the angle of a part. On the test meshes it stays
+//! below 0.01, and only the comparison with 1/2 is used.
 
 use crate::bvh::{Bvh, ChildRef, MAX_STACK, WIDTH};
 use crate::geometry::{solid_angle, triangle_cross};
@@ -21,7 +21,8 @@ use crate::mesh::topology::direction;
 use glam::{DMat3, DVec3, Vec3};
 use std::f64::consts::PI;
 
-/// Distance over radius from which a part counts as a dipole. Barill et al. use 2 with one more order of moments.
+/// Ratio of distance to radius from which a part counts as a dipole. Barill et al. use 2 with one more order of
+/// moments.
 const BETA: f32 = 2.5;
 
 /// Moments of the eight children of a node, side by side.
@@ -29,10 +30,10 @@ const BETA: f32 = 2.5;
 #[repr(C, align(32))]
 struct NodeMoments {
     center: [[f32; WIDTH]; 3],
-    /// Squared distance from which the child is far.
+    /// Squared distance from which the child counts as far.
     far_squared: [f32; WIDTH],
     area: [[f32; WIDTH]; 3],
-    /// xx, yy, zz, xy, yz, zx of the symmetric first moment; mixed terms doubled.
+    /// Components xx, yy, zz, xy, yz, zx of the symmetric first moment; mixed terms are doubled.
     first: [[f32; WIDTH]; 6],
 }
 
@@ -42,7 +43,7 @@ pub struct Moments {
     nodes: Vec<NodeMoments>,
 }
 
-/// Moments of a set of faces about its own centre.
+/// Moments of a set of faces about its centre.
 #[derive(Clone, Copy, Default)]
 struct Part {
     weight: f64,
@@ -87,7 +88,7 @@ impl Moments {
         };
         let mut nodes = vec![empty; bvh.nodes.len()];
         let mut parts = vec![Part::default(); bvh.nodes.len()];
-        // Children follow their parents in memory.
+        // Children follow their parents in memory, so the loop runs backwards.
         for index in (0..nodes.len()).rev() {
             let node = &bvh.nodes[index];
             let mut children = Vec::with_capacity(WIDTH);
@@ -100,7 +101,7 @@ impl Moments {
                 };
                 let corner =
                     |of: &[[f32; WIDTH]; 3]| DVec3::from_array([0, 1, 2].map(|axis| f64::from(of[axis][lane])));
-                // The farthest corner of the box bounds the part.
+                // The farthest corner of the box bounds the radius of the part.
                 let reach = (corner(&node.max) - part.center).abs().max((corner(&node.min) - part.center).abs());
                 nodes[index].set(lane, &part, reach.length());
                 children.push(part);
@@ -147,7 +148,7 @@ impl Moments {
     }
 }
 
-/// Exact solid angle of a face as the topology has turned it.
+/// Exact solid angle of a face in the orientation of the topology.
 fn face_angle(mesh: &Mesh, face: u32, p: DVec3) -> f64 {
     let turned = direction(mesh.topology().orientation[face as usize]);
     if turned == 0.0 { 0.0 } else { turned * solid_angle(mesh.triangle(face).map(|corner| corner - p)) }
@@ -174,7 +175,7 @@ impl NodeMoments {
         self.far_squared[lane] = (BETA * radius as f32).powi(2);
     }
 
-    /// Approximate solid angle of each child, and whether it is far enough for that.
+    /// Approximate solid angle of each child, and whether it is far enough for the approximation.
     #[inline(always)]
     fn far_angles(&self, p: Vec3) -> ([f32; WIDTH], [bool; WIDTH]) {
         let mut angles = [0.0; WIDTH];
