@@ -1,9 +1,10 @@
-//! How one signed distance is stored in 32, 16 or 8 bits.
+//! Storage of one signed distance in 32, 16 or 8 bits.
 //!
 //! # Theory
 //!
-//! A field that a ray marches through must never promise more room than there is. So every encoding rounds *toward zero*:
-//! the decoded value has a magnitude of at most the original's, and the same sign unless it is zero.
+//! Sphere tracing requires that a stored magnitude never exceeds the true distance. Every encoding therefore rounds
+//! *toward zero*: the magnitude of the decoded value is at most that of the original, and its sign is the same unless
+//! it is zero.
 //!
 //! | encoding | stored | range | error, at most |
 //! |---|---|---|---|
@@ -12,8 +13,8 @@
 //! | snorm16 | value / scale * 32767 | scale | scale / 32767 |
 //! | snorm8 | value / scale * 127 | scale | scale / 127 |
 //!
-//! What lies outside the range is stored as its end: still a lower bound, no longer a distance. [`Encoding::scale`]
-//! derives the scale from the voxel, so the error has the same bound in voxels for a mesh of any size:
+//! Values outside the range are stored as its end, which is a lower bound on the distance. [`Encoding::scale`] derives
+//! the scale from the voxel, so the error has the same bound in voxels for a mesh of any size:
 //!
 //! | encoding | scale, world units | error in voxels, at most |
 //! |---|---|---|
@@ -22,13 +23,13 @@
 //! | snorm16 | width of the band around the surface | band / 32767 |
 //! | snorm8 | width of the band around the surface | band / 127 |
 //!
-//! A power of two leaves the mantissa of a half as it is. The normalised formats are those of texture hardware: a
-//! sampler of an R8 or R16 snorm texture returns `value / scale`, and so does one of an R16 float texture.
+//! Division by a power of two leaves the mantissa of a half unchanged. The normalised formats are those of texture
+//! hardware: a sampler of an R8 or R16 snorm texture returns `value / scale`, and so does one of an R16 float texture.
 //!
 //! # Practice
 //!
-//! Encoding what was decoded gives the same bits again. [`Encoding::encode`] and [`Encoding::decode`] are the
-//! definition; the slice forms are the same function, faster.
+//! Encoding a decoded value gives the same bits. [`Encoding::encode`] and [`Encoding::decode`] are the definition; the
+//! functions for slices compute the same values faster.
 
 use crate::error::{ArgumentError, choice};
 use half::f16;
@@ -44,31 +45,31 @@ pub enum Encoding {
     Snorm8,
 }
 
-/// Largest step of an 8-bit and of a 16-bit normalised integer; the most negative integer is not used.
+/// Largest magnitude of an 8-bit and of a 16-bit normalised integer. The most negative integer is not used.
 const SNORM8_STEPS: f32 = 127.0;
 const SNORM16_STEPS: f32 = 32767.0;
-/// A quotient is taken this much smaller, so that its roundings never lead past the integer that is looked for; and yet not
-/// a whole step short of it: 13 ulps of 32767 are 1/40.
+/// Relative amount by which a quotient is reduced, so that its rounding never exceeds the wanted integer. It is less
+/// than one step: 13 ulps of 32767 are 1/40.
 const QUOTIENT_SHARE: f32 = 1.0 - 4.0 * f32::EPSILON;
-/// 1.5 * 2^23: in sums with it the last bit of an f32 counts one, so they round to whole numbers. (`floor` is a call where the
-/// processor is assumed to be old, and a cast has cases that a sum has not.)
+/// 1.5 * 2^23. In a sum with it the last bit of an f32 has the value one, so the sum rounds to a whole number. (`floor`
+/// is a function call on baseline processors, and a cast has special cases.)
 const WHOLE: f32 = 12_582_912.0;
 /// Relative error of a truncated half: one step of its 11 significant bits.
 const HALF_EPSILON: f32 = 1.0 / 1024.0;
-/// The largest half and its bits, and the smallest that has all its bits.
+/// The largest half and its bits, and the smallest normal half.
 const HALF_LARGEST: f32 = 65504.0;
 const HALF_LARGEST_BITS: u32 = 0x7bff;
 const HALF_NORMAL: f32 = 1.0 / (1u32 << 14) as f32;
 const TWO_TO_112: f32 = f32::from_bits((127 + 112) << 23);
-/// Distance of two halves below 2^-14, where they are evenly spaced.
+/// Spacing of halves below 2^-14, which are evenly spaced.
 const HALF_SUBNORMAL: f32 = 1.0 / (1u32 << 24) as f32;
-/// Exponents of the scales of float16: every half times the scale is an f32 without rounding, and finite.
+/// Range of the exponents of the scales of float16: every half times the scale is a finite f32 without rounding.
 const HALF_SCALE_EXPONENTS: std::ops::RangeInclusive<i32> = -125..=111;
-/// Largest scale of a normalised encoding: the largest coordinate.
+/// Largest scale of a normalised encoding: the largest valid coordinate.
 const LARGEST_SCALE: f64 = 1e37;
 
 impl Encoding {
-    /// The encoding that the Python interface calls `name`.
+    /// Converts the public name of an encoding.
     pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
         choice("encoding", name, &Self::ALL.map(|encoding| (encoding.name(), encoding)))
     }
@@ -84,7 +85,7 @@ impl Encoding {
         }
     }
 
-    /// Bytes of a stored value.
+    /// Number of bytes of a stored value.
     pub fn bytes(self) -> usize {
         match self {
             Self::Float32 => 4,
@@ -93,7 +94,7 @@ impl Encoding {
         }
     }
 
-    /// Whether values are integers that share out the range from `-scale` to `scale`.
+    /// Whether values are integers that divide the range from `-scale` to `scale` evenly.
     pub fn is_normalised(self) -> bool {
         matches!(self, Self::Snorm16 | Self::Snorm8)
     }
@@ -103,13 +104,13 @@ impl Encoding {
         self != Self::Float32
     }
 
-    /// The scale for a field whose voxels have `voxel` as their longest side, and whose distances up to `band` are kept;
-    /// both are positive lengths in world units.
+    /// The scale for a field. `voxel` is the longest side of a voxel, and distances up to `band` are represented; both
+    /// are positive lengths in world units.
     pub fn scale(self, voxel: f64, band: f64) -> f32 {
         match self {
             Self::Float32 => 1.0,
             Self::Float16 => {
-                // The exponent of an f64, which is that of the largest power of two up to the voxel.
+                // The exponent of an f64 is that of the largest power of two up to the voxel.
                 let exponent = (voxel.to_bits() >> 52 & 0x7ff) as i32 - 1023;
                 power_of_two(exponent.clamp(*HALF_SCALE_EXPONENTS.start(), *HALF_SCALE_EXPONENTS.end()))
             }
@@ -129,7 +130,7 @@ impl Encoding {
         }
     }
 
-    /// The value of stored bits.
+    /// Decodes stored bits.
     #[inline]
     pub fn decode(self, bits: u32, scale: f32) -> f32 {
         match self {
@@ -140,7 +141,7 @@ impl Encoding {
         }
     }
 
-    /// Fails unless every stored number but zero decodes to a finite number that is not zero, with the same sign.
+    /// Fails unless every nonzero stored value decodes to a finite nonzero value of the same sign.
     pub fn check_scale(self, scale: f32) -> Result<(), ArgumentError> {
         let is_positive = scale.is_finite() && scale > 0.0;
         let wanted = match self {
@@ -157,9 +158,9 @@ impl Encoding {
         Err(ArgumentError::new("scale", format!("must be {wanted}, got {scale}")))
     }
 
-    /// The most that a decoded value can be off, for values within the range whose magnitude is at most `magnitude`.
+    /// Largest error of a decoded value, for values within the range whose magnitude is at most `magnitude`.
     pub fn error_bound(self, magnitude: f32, scale: f32) -> f32 {
-        // A normalised value takes two roundings of f32 on its way back; below 2^-126 each is off by up to 2^-150.
+        // Decoding a normalised value rounds twice in f32; below 2^-126 each rounding is off by up to 2^-150.
         let step = |steps: f32| scale / steps + 2.0 * f32::EPSILON * scale + f32::from_bits(1);
         match self {
             Self::Float32 => 0.0,
@@ -169,7 +170,7 @@ impl Encoding {
         }
     }
 
-    /// Encode a slice into native-endian bytes; `out` has [`Encoding::bytes`] for each value and is aligned to them.
+    /// Encodes a slice into native-endian bytes. `out` must have [`Encoding::bytes`] per value and be aligned to them.
     pub fn encode_slice(self, values: &[f32], scale: f32, out: &mut [u8]) {
         #[cfg(target_arch = "x86_64")]
         #[target_feature(enable = "avx2")]
@@ -178,14 +179,14 @@ impl Encoding {
         }
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has been asked. Tested against `encode` value by value.
+            // SAFETY: the processor has the registers. The result is tested against `encode` value by value.
             return unsafe { wide(self, values, scale, out) };
         }
         self.encode_each(values, scale, out);
     }
 
-    /// Compiled for what all processors have, and again with wider registers: multiplications and additions are not fused
-    /// unless asked for, so both give the same bits.
+    /// Compiled for the baseline processor, and again with wider registers. Multiplications and additions are not
+    /// fused, so both versions give the same bits.
     #[inline(always)]
     fn encode_each(self, values: &[f32], scale: f32, out: &mut [u8]) {
         match self {
@@ -209,7 +210,7 @@ impl Encoding {
         }
     }
 
-    /// Decode what [`Encoding::encode_slice`] wrote.
+    /// Decodes the output of [`Encoding::encode_slice`].
     pub fn decode_slice(self, bytes: &[u8], scale: f32, out: &mut [f32]) {
         match self {
             Self::Float32 => out.copy_from_slice(bytemuck::cast_slice(bytes)),
@@ -238,38 +239,39 @@ fn power_of_two(exponent: i32) -> f32 {
     f32::from_bits(((exponent + 127) as u32) << 23)
 }
 
-/// Whether float16 can have this scale.
+/// Whether this is a valid scale of float16.
 fn is_half_scale(scale: f32) -> bool {
     let exponent = (scale.to_bits() >> 23) as i32 - 127;
     HALF_SCALE_EXPONENTS.contains(&exponent) && power_of_two(exponent) == scale
 }
 
-/// The value of a half: `f16::to_f32`, which looks up what the processor can do each time.
+/// The value of a half. `f16::to_f32` would detect the features of the processor at each call.
 #[inline]
 fn half_value(bits: u32) -> f32 {
-    // The exponent, from one that is 15 too high to one that is 127 too high, by an exact product; so halves below 2^-14,
-    // which have fewer bits, need no case of their own.
+    // An exact product changes the bias of the exponent from 15 to 127, for subnormal halves below 2^-14 too.
     let magnitude = f32::from_bits((bits & 0x7fff) << 13) * TWO_TO_112;
-    // Infinities and what is no number keep their exponent of ones.
+    // Infinities and NaN keep their exponent of ones.
     let special = if bits & 0x7c00 == 0x7c00 { 0x7f80_0000 } else { 0 };
     f32::from_bits(magnitude.to_bits() | special | (bits & 0x8000) << 16)
 }
 
-/// What a texture sampler returns for a normalised integer, times the scale; the most negative integer counts as -1.
+/// The value that a texture sampler returns for a normalised integer, times the scale. The most negative integer counts
+/// as -1.
 #[inline]
 fn snorm_value(stored: f32, scale: f32, steps: f32) -> f32 {
     (stored / steps).max(-1.0) * scale
 }
 
-/// The normalised integer whose decoded value is the nearest to `value` that is not beyond it, seen from zero.
+/// The normalised integer for `value`, rounded toward zero by its decoded value.
 ///
-/// The quotient, a little small and rounded down, is that integer or the one before it: decoding the next tells which.
+/// The quotient, slightly reduced and rounded down, is that integer or the one before it. Decoding the next integer
+/// decides.
 #[inline(always)]
 fn snorm_toward_zero(value: f32, scale: f32, steps: f32) -> i32 {
     let magnitude = value.abs();
     let quotient = magnitude / scale * (steps * QUOTIENT_SHARE);
     let quotient = if quotient < steps { quotient } else { steps };
-    // A tie, a whole quotient, may go down by one: that is found again below.
+    // A tie may round down by one. The comparison below corrects it.
     let guess = (quotient - 0.5 + WHOLE) - WHOLE;
     let above = if guess < steps { guess + 1.0 } else { steps };
     let stored = if snorm_value(above, scale, steps) <= magnitude { above } else { guess };
@@ -277,16 +279,16 @@ fn snorm_toward_zero(value: f32, scale: f32, steps: f32) -> i32 {
     if value < 0.0 { -whole } else { whole }
 }
 
-/// The half that is the nearest to `value` and not beyond it, seen from zero.
+/// The half for `value`, rounded toward zero.
 #[inline(always)]
 fn half_toward_zero(value: f32) -> u16 {
     let bits = value.to_bits();
     let (sign, magnitude_bits) = (bits >> 16 & 0x8000, bits & 0x7fff_ffff);
     let magnitude = f32::from_bits(magnitude_bits);
-    // The exponent is 112 less; the last 13 bits of the mantissa are those that a half does not have.
+    // The exponent decreases by 112. The last 13 bits of the mantissa do not exist in a half.
     let cut = magnitude_bits.wrapping_sub(112 << 23) >> 13;
     let normal = if magnitude < HALF_LARGEST { cut } else { HALF_LARGEST_BITS };
-    // Below 2^-14 halves are evenly spaced, as the floats from 1/2 on are; what the sum has rounded up goes down again.
+    // Below 2^-14 halves are evenly spaced, as are the floats from 1/2 on. A sum that was rounded up is decremented.
     let sum = magnitude + 0.5;
     let even = sum.to_bits().wrapping_sub(0.5f32.to_bits()).wrapping_sub(u32::from(sum - 0.5 > magnitude));
     (sign | if magnitude < HALF_NORMAL { even } else { normal }) as u16
@@ -299,7 +301,7 @@ mod tests {
 
     const SCALES: [f32; 6] = [1.0, 0.1, 3.0, 1e-20, 7e12, 0.3];
 
-    /// A scale near this one that the encoding can have.
+    /// A valid scale of the encoding near this one.
     fn scale_near(encoding: Encoding, scale: f32) -> f32 {
         if encoding == Encoding::Float16 { encoding.scale(scale.into(), 1.0) } else { scale }
     }
@@ -323,7 +325,7 @@ mod tests {
             for scale in SCALES.map(|scale| scale_near(encoding, scale)) {
                 for bits in 0..1u32 << (8 * encoding.bytes()) {
                     let value = encoding.decode(bits, scale);
-                    // Not infinities, the unused integer, and the negative zero that integers do not have.
+                    // Infinities, the unused integer, and the negative zero of integers are excluded.
                     let stored = encoding.encode(value, scale);
                     if value.is_finite() && !(encoding.is_normalised() && bits == 1 << (8 * encoding.bytes() - 1)) {
                         assert_eq!(stored, bits, "{encoding:?} {scale} {value}");
@@ -333,7 +335,7 @@ mod tests {
         }
     }
 
-    /// The definition: no further integer decodes to a magnitude within the value's.
+    /// The definition: no larger integer decodes to a magnitude within that of the value.
     fn check_snorm(value: f32, scale: f32, steps: f32) {
         let stored = snorm_toward_zero(value, scale, steps);
         let decoded = |whole: i32| snorm_value(whole as f32, scale, steps);
@@ -347,7 +349,7 @@ mod tests {
         for scale in [1.0, 0.3, 7e12, 1e-20, f32::MIN_POSITIVE, 1e38] {
             for steps in [SNORM8_STEPS, SNORM16_STEPS] {
                 for whole in 0..=steps as u32 {
-                    // At a value that is stored, and just beside it.
+                    // At a stored value, and just beside it.
                     let at = snorm_value(whole as f32, scale, steps);
                     for value in [at, at.next_down().max(0.0), at.next_up()] {
                         check_snorm(value, scale, steps);
@@ -424,7 +426,7 @@ mod tests {
 
     #[test]
     fn halves_are_the_same_bits_at_every_scale() {
-        // Values that are exact at all of these scales, so that only the scale differs.
+        // These values are exact at all of these scales, so only the scale differs.
         for exponent in [-100, -3, 0, 7, 100] {
             let scale = power_of_two(exponent);
             for high in 0..=u16::MAX {
@@ -466,7 +468,7 @@ mod tests {
         #[test]
         fn slices_are_encoded_as_their_values(values in prop::collection::vec(-3.0..3.0f32, 0..40)) {
             for encoding in Encoding::ALL {
-                // Room for the alignment of any encoding.
+                // A buffer aligned for every encoding.
                 let mut words = vec![0u32; values.len()];
                 let bytes = &mut bytemuck::cast_slice_mut(&mut words)[..values.len() * encoding.bytes()];
                 encoding.encode_slice(&values, 2.0, bytes);

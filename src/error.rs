@@ -1,7 +1,7 @@
-//! Every way a user's request can fail, one enum per stage.
+//! All errors that a user's request can cause, one enum per stage.
 //!
-//! Messages name the argument as the user wrote it, what came, and what to do. The Python layer maps each stage to
-//! its own exception class; nothing a user can cause is a panic.
+//! Messages name the argument as the user wrote it, the value, and a remedy. The Python layer maps each stage to its
+//! own exception class. No user input causes a panic.
 
 use thiserror::Error;
 
@@ -25,7 +25,7 @@ pub enum MeshError {
     TooLarge { what: &'static str, count: usize, limit: usize },
 }
 
-/// An option that makes no sense, named as in the Python interface.
+/// An invalid option, named as in the Python interface.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[error("{argument}: {problem}")]
 pub struct ArgumentError {
@@ -39,7 +39,7 @@ impl ArgumentError {
     }
 }
 
-/// The value that `table` has for the word `name`, the value of the option `argument`.
+/// Looks up the word `name`, the value of the option `argument`, in `table`.
 pub fn choice<T: Copy>(argument: &'static str, name: &str, table: &[(&str, T)]) -> Result<T, ArgumentError> {
     table.iter().find(|(word, _)| *word == name).map(|&(_, value)| value).ok_or_else(|| {
         let words: Vec<String> = table.iter().map(|(word, _)| format!("\"{word}\"")).collect();
@@ -79,7 +79,7 @@ pub enum AtlasError {
     TooManyPages { item: usize, limit: u32 },
 }
 
-/// A file that is damaged, or not what it should be.
+/// A file that is damaged or of the wrong kind.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[error("{0}")]
 pub struct FormatError(pub String);
@@ -121,12 +121,12 @@ impl ShapeError {
 pub struct CapacityError {
     pub what: String,
     pub needed: u64,
-    /// Free memory as far as the system tells.
+    /// Free memory in bytes, if the system reports it.
     pub available: Option<u64>,
     pub advice: String,
 }
 
-/// A byte count for people, exact and rounded.
+/// A number of bytes as text, exact and rounded.
 fn bytes(count: u64) -> String {
     format!("{count} bytes ({:.1} GiB)", count as f64 / (1u64 << 30) as f64)
 }

@@ -24,14 +24,14 @@ pub struct Texture {
 
 /// Texels of a DDS file are counted in 32 bits.
 const DDS_LIMIT: usize = u32::MAX as usize;
-/// The key of our facts in a KTX2 file.
+/// Key of the metadata of fieldbake in a KTX2 file.
 const FACTS_KEY: &str = "fieldbake";
 /// The standard key for the directions in which texels are stored, and its value: x to the right, y up, and z out of the
 /// picture towards the viewer, which makes the axes right-handed. Without the key readers take y as down.
 const ORIENTATION: (&[u8], &[u8]) = (b"KTXorientation", b"ruo\0");
 
 impl Texture {
-    /// Texels that do not fill the size are a mistake of the caller.
+    /// Texels that do not match the size are an error of the caller.
     fn check(&self) -> Result<(), Error> {
         Self::checked(self.size, self.encoding, self.texels.len())
     }
@@ -72,7 +72,7 @@ impl Texture {
         Ok(bytes)
     }
 
-    /// What [`Texture::to_dds`] wrote.
+    /// Reads a file of [`Texture::to_dds`].
     pub fn from_dds(bytes: &[u8]) -> Result<Self, Error> {
         let file = Dds::read(bytes).map_err(|error| failed(&error.to_string()))?;
         let encoding = match file.get_dxgi_format() {
@@ -87,7 +87,7 @@ impl Texture {
         Ok(Self { size, encoding, texels: file.data })
     }
 
-    /// A KTX2 file without compression, with a text of ours among its key/value data.
+    /// A KTX2 file without compression, with the metadata of fieldbake among its key/value data.
     pub fn to_ktx2(&self, facts: &str) -> Result<Vec<u8>, Error> {
         self.check()?;
         let format = match self.encoding {
@@ -104,7 +104,7 @@ impl Texture {
         formats.extend(descriptor);
         let writer = concat!("fieldbake ", env!("CARGO_PKG_VERSION"), "\0");
         let mut pairs = Vec::new();
-        // Keys in the order of their bytes.
+        // Keys must be in the order of their bytes.
         let facts = (FACTS_KEY.as_bytes(), facts.as_bytes());
         for (key, value) in [ORIENTATION, (b"KTXwriter", writer.as_bytes()), facts] {
             pairs.extend(((key.len() + 1 + value.len()) as u32).to_le_bytes());
@@ -147,7 +147,7 @@ impl Texture {
         Ok(bytes)
     }
 
-    /// What [`Texture::to_ktx2`] wrote, and its text.
+    /// Reads a file of [`Texture::to_ktx2`] and its metadata.
     pub fn from_ktx2(bytes: &[u8]) -> Result<(Self, String), Error> {
         let header = bytes.first_chunk().ok_or_else(|| failed("the file ends within its header"))?;
         let header = ktx2::Header::from_bytes(header).map_err(|error| failed(&format!("{error:?}")))?;
@@ -173,7 +173,7 @@ impl Texture {
         Ok((Self { size, encoding, texels: texels.to_vec() }, facts.unwrap_or_default()))
     }
 
-    /// Fails if so many bytes are not the texels of such a volume.
+    /// Fails if the number of bytes does not match such a volume.
     fn checked(size: [u32; 3], encoding: Encoding, bytes: usize) -> Result<(), Error> {
         let expected = size.iter().try_fold(encoding.bytes(), |bytes, &n| bytes.checked_mul(n as usize));
         if expected != Some(bytes) || bytes == 0 {
@@ -202,7 +202,7 @@ pub fn write_exr(width: usize, height: usize, encoding: Encoding, texels: &[u8])
     Ok(file.into_inner())
 }
 
-/// The texels that [`write_exr`] wrote; the size is known from elsewhere, and compared before anything is unpacked.
+/// Reads the texels of a file of [`write_exr`]. The size is known from elsewhere, and compared before decompression.
 pub fn read_exr(bytes: &[u8], width: usize, height: usize, encoding: Encoding) -> Result<Vec<u8>, Error> {
     let told = exr::meta::MetaData::read_from_buffered(Cursor::new(bytes), true);
     let told = told.map_err(|error| failed(&error.to_string()))?;
@@ -233,7 +233,7 @@ pub fn read_exr(bytes: &[u8], width: usize, height: usize, encoding: Encoding) -
     }
 }
 
-/// The bytes of a part of a file; an error where the part does not lie in the file.
+/// The bytes of a section of a file; an error if it extends beyond the file.
 fn section(bytes: &[u8], offset: u64, length: u64) -> Result<&[u8], Error> {
     let end = offset.checked_add(length).filter(|&end| end <= bytes.len() as u64);
     let end = end.ok_or_else(|| failed(&format!("{length} bytes from byte {offset} on are not in the file")))?;
@@ -287,7 +287,7 @@ mod tests {
             };
             let at = at.index(file.len());
             if cut { file.truncate(at) } else { file[at] = value }
-            // Texels are not protected by these formats; the sizes are.
+            // These formats have no checksum of the texels, only of the sizes.
             match which {
                 0 => drop(Texture::from_dds(&file).map(|found| found.check().unwrap())),
                 1 => drop(Texture::from_ktx2(&file).map(|(found, _)| found.check().unwrap())),

@@ -1,12 +1,12 @@
-//! The regular grid that a volume is sampled on.
+//! The regular grid of a volume.
 //!
-//! Samples sit at voxel centres: `p = lower + (index + 0.5) * spacing`. Memory order is x fastest:
-//! `offset = x + nx * (y + ny * z)`.
+//! Samples lie at voxel centres: `p = lower + (index + 0.5) * spacing`. Memory order is x fastest: `offset = x + nx *
+//! (y + ny * z)`.
 
 use crate::error::{ArgumentError, Error};
 use glam::DVec3;
 
-/// An axis-aligned box cut into `shape` voxels.
+/// An axis-aligned box divided into `shape` voxels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Grid {
     pub lower: DVec3,
@@ -15,7 +15,7 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// Check a box and a voxel count. `lower`, `upper` and `shape` are named as in `fieldbake.arrays`.
+    /// Checks a box and a number of voxels. `lower`, `upper` and `shape` are named as in `fieldbake.arrays`.
     pub fn new(lower: DVec3, upper: DVec3, shape: [usize; 3]) -> Result<Self, Error> {
         if !lower.is_finite() || !upper.is_finite() {
             return Err(ArgumentError::new("bounds", format!("must be finite, got {lower} to {upper}")).into());
@@ -59,7 +59,7 @@ impl Grid {
         self.lower + (DVec3::new(x as f64, y as f64, z as f64) + 0.5) * self.spacing()
     }
 
-    /// Position of voxel `(x, y, z)` in memory.
+    /// Index of voxel `(x, y, z)` in memory.
     pub fn offset(&self, x: usize, y: usize, z: usize) -> usize {
         x + self.shape[0] * (y + self.shape[1] * z)
     }
@@ -69,5 +69,5 @@ impl Grid {
     }
 }
 
-/// 2^40 voxels, 4 TiB of distances: far past any machine, and every product below it fits in `usize`.
+/// 2^40 voxels are 4 TiB of distances, far beyond any machine. Every product below it fits in `usize`.
 const MAX_SAMPLES: usize = 1 << 40;

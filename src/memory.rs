@@ -1,12 +1,12 @@
-//! Large allocations that fail as an error, before any work is done.
+//! Large allocations that fail with an error before any work is done.
 
 use crate::error::{CapacityError, Error};
 use std::alloc::Layout;
 
-/// A zeroed buffer of `count` samples, or an error that tells its size.
+/// A zeroed buffer of `count` samples, or an error that states its size.
 ///
-/// `scratch` is what the job will need besides, in bytes. Linux grants memory it does not have, so the free memory is
-/// asked for first; a limit on the process shows in the allocation itself.
+/// `scratch` is the additional memory that the job will need, in bytes. Linux grants memory that it does not have, so
+/// the free memory is compared first. A limit on the process makes the allocation itself fail.
 pub fn allocate_samples(what: &str, count: usize, scratch: usize) -> Result<Vec<f32>, Error> {
     let needed = (count as u64).saturating_mul(size_of::<f32>() as u64);
     require(what, needed, scratch as u64)?;
@@ -24,12 +24,12 @@ pub fn allocate_samples(what: &str, count: usize, scratch: usize) -> Result<Vec<
     Ok(unsafe { Vec::from_raw_parts(start, count, count) })
 }
 
-/// Fails if the machine does not have `needed` bytes free, and `scratch` besides.
+/// Fails if the machine does not have `needed` plus `scratch` bytes free.
 pub fn require(what: &str, needed: u64, scratch: u64) -> Result<(), Error> {
     require_for(what, needed, scratch, ADVICE)
 }
 
-/// [`require`], with what to do about it.
+/// [`require`] with a remedy for the message.
 pub fn require_for(what: &str, needed: u64, scratch: u64, advice: &str) -> Result<(), Error> {
     let available = available_bytes();
     if needed.saturating_add(scratch) > available {
@@ -39,7 +39,7 @@ pub fn require_for(what: &str, needed: u64, scratch: u64, advice: &str) -> Resul
     }
 }
 
-/// What to do about a grid that does not fit.
+/// Remedy for a grid that does not fit.
 const ADVICE: &str = "lower the resolution, or bake parts of the box through bounds=";
 
 fn refusal(what: &str, needed: u64, available: Option<u64>, advice: &str) -> CapacityError {

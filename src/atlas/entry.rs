@@ -1,13 +1,13 @@
-//! What a shader needs to know about each field: records for a storage buffer.
+//! Records of the fields of an atlas for a storage buffer: everything that a shader needs.
 //!
-//! Strips have the article's record, 208 bytes in std430, to the byte. Shelves have the same 200 bytes of fields, then
-//! what it takes to find a slice. Matrices are stored by columns, as GLSL and WGSL read them.
+//! Strips have the article's record, 208 bytes in std430, to the byte. Shelves have the same first 200 bytes, followed
+//! by the layout of the slices. Matrices are stored by columns, as GLSL and WGSL read them.
 
 use super::Block;
 use bytemuck::{Pod, Zeroable};
 use glam::{DMat4, DVec3};
 
-/// The article's `PackedSdfOffsetDetail`.
+/// The article's struct `PackedSdfOffsetDetail`.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct StripEntry {
@@ -17,11 +17,11 @@ pub struct StripEntry {
     pub inner_max: [f32; 4],
     pub outer_min: [f32; 4],
     pub outer_max: [f32; 4],
-    /// Page; -1 for an entry without a field.
+    /// Index of the page; -1 for an entry without a field.
     pub atlas_index: i32,
-    /// Row of strips.
+    /// Index of the row of strips.
     pub atlas_offset: i32,
-    /// What a texel is multiplied by. In the article these eight bytes are padding, and they are zero for float32.
+    /// Factor of a texel. In the article these eight bytes are padding, and they are zero for float32.
     pub scale: f32,
     pub padding: u32,
 }
@@ -36,31 +36,31 @@ pub struct AtlasEntry {
     pub inner_max: [f32; 4],
     pub outer_min: [f32; 4],
     pub outer_max: [f32; 4],
-    /// Page; -1 for an entry without a field.
+    /// Index of the page; -1 for an entry without a field.
     pub atlas_index: i32,
     /// First texel of the block, counted row by row.
     pub atlas_offset: i32,
-    /// What a texel is multiplied by; see [`crate::encoding::Encoding::scale`].
+    /// Factor of a texel; see [`crate::encoding::Encoding::scale`].
     pub scale: f32,
-    /// Slices in a row.
+    /// Number of slices in a row.
     pub columns: u32,
     pub shape: [u32; 3],
     pub gutter: u32,
-    /// First texel of the block: column, row.
+    /// First texel of the block: (column, row).
     pub corner: [u32; 2],
     /// Size of a slice with its gutters.
     pub tile: [u32; 2],
 }
 
-/// A field's place and boxes, world units.
+/// Position and boxes of a field, world units.
 #[derive(Debug, Clone, Copy)]
 pub struct Facts {
     pub block: Block,
     pub inner: [DVec3; 2],
     pub outer: [DVec3; 2],
-    /// World from the field's own space.
+    /// Transform from the field's own space to the world.
     pub model: DMat4,
-    /// `None` for float32.
+    /// Factor of a texel; `None` for float32.
     pub scale: Option<f32>,
 }
 
@@ -106,7 +106,7 @@ impl Facts {
     }
 }
 
-/// A position as a vec4.
+/// A position as a vec4 with w = 1.
 fn position(p: DVec3) -> [f32; 4] {
     p.as_vec3().extend(1.0).to_array()
 }

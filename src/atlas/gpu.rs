@@ -1,7 +1,7 @@
-//! Packing on a graphics device: fields that lie there become pages there, without a round trip.
+//! Packing on a graphics device: fields in device memory become pages in device memory.
 //!
-//! A page is a storage buffer of the rows that are taken, padded to 256 bytes, so that it can be copied into a layer of a
-//! texture as it is ([`DevicePages::texture`]). The bytes are those of [`super::texels::write`].
+//! A page is a storage buffer of the occupied rows, padded to 256 bytes, so that it can be copied to a layer of a
+//! texture without conversion ([`DevicePages::texture`]). The bytes are those of [`super::texels::write`].
 
 use super::Block;
 use crate::encoding::Encoding;
@@ -12,15 +12,15 @@ use crate::progress::Progress;
 use crate::volume::device::DeviceField;
 use std::sync::Arc;
 
-/// Rows of a buffer that is copied into a texture begin at multiples of this.
+/// Alignment of the rows of a buffer that is copied to a texture, bytes.
 const ROW_ALIGNMENT: u32 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT;
 
-/// A field on a device and where it goes.
+/// A field on a device and its block.
 #[derive(Debug, Clone, Copy)]
 pub struct DeviceItem<'a> {
     pub block: Block,
     pub field: &'a DeviceField,
-    /// What stored values are multiplied by; see [`Encoding::scale`].
+    /// Factor of stored values; see [`Encoding::scale`].
     pub scale: f32,
 }
 
@@ -33,7 +33,7 @@ pub struct DevicePages {
     pages: Vec<Page>,
 }
 
-/// The first rows of a page, down to the last that a block takes: the others are zero, and not kept.
+/// The first rows of a page, down to the last row of a block. All other rows are zero and not stored.
 #[derive(Debug)]
 struct Page {
     rows: u32,
@@ -41,7 +41,7 @@ struct Page {
 }
 
 impl DevicePages {
-    /// Fill `pages` pages. Blocks must be sound and lie apart, and begin at whole words.
+    /// Fills `pages` pages. Blocks must be sound, disjoint, and aligned to whole words.
     pub fn pack(
         context: &Arc<Context>,
         page_size: u32,
@@ -116,7 +116,7 @@ impl DevicePages {
         &self.context
     }
 
-    /// All pages as bytes on the host, without the padding of rows.
+    /// Copies all pages to the host as bytes, without the padding of rows.
     pub fn read(&self, progress: &Progress) -> Result<Vec<u8>, Error> {
         let row = self.page_size as usize * self.encoding.bytes();
         let padded = Self::row_bytes(self.page_size, self.encoding) as usize;
@@ -132,8 +132,8 @@ impl DevicePages {
         Ok(bytes)
     }
 
-    /// The pages as the layers of a 2D texture, copied on the device. 16-bit normalised textures need a feature of the
-    /// device that not all have; without it this is an error.
+    /// The pages as the layers of a 2D texture, copied on the device. 16-bit normalised textures need an optional
+    /// device feature; without it this is an error.
     pub fn texture(&self) -> Result<wgpu::Texture, DeviceError> {
         let size = wgpu::Extent3d {
             width: self.page_size,

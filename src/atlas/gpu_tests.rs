@@ -1,4 +1,4 @@
-//! Packing on a device against the CPU, and the WGSL that users get against the function it is the twin of.
+//! Packing on a device against the CPU, and the public WGSL text against its twin.
 
 use super::entry::Facts;
 use super::gpu::{DeviceItem, DevicePages};
@@ -17,7 +17,7 @@ use crate::volume::device::DeviceField;
 use glam::{DMat4, DVec3, Vec3};
 use std::sync::Arc;
 
-/// Rows of so many texels are padded in a buffer of any encoding.
+/// Side of a page whose rows need padding in every encoding, texels.
 const PAGE: u32 = 100;
 
 /// Values of every magnitude: beyond the band, within it, tiny, subnormal, both zeros.
@@ -43,7 +43,7 @@ fn scale(encoding: Encoding) -> f32 {
     encoding.scale(0.7, 0.7)
 }
 
-/// Values of one magnitude, as the filter of a sampler is made for.
+/// Values of one magnitude, for which the filter of a sampler is accurate.
 fn moderate_field(shape: [u32; 3], seed: u32) -> Vec<f32> {
     field(shape, seed).into_iter().map(|value| value.clamp(-LARGEST, LARGEST)).collect()
 }
@@ -115,7 +115,7 @@ fn the_device_packs_the_same_bytes() {
     }
 }
 
-/// What the compute shader made of the user's text says about points.
+/// Entry point that evaluates the functions of the shader text at points.
 const MAIN: &str = "
 @group(0) @binding(2) var<storage, read> entries: array<AtlasEntry>;
 @group(0) @binding(3) var<storage, read> points: array<vec4f>;
@@ -181,12 +181,13 @@ fn the_wgsl_samples_the_texture_as_the_cpu_samples_the_pages() {
                     .sample_filtered(&worlds, [grid.lower, grid.upper], AtlasFilter::Linear, &Progress::new())
                     .unwrap();
                 for (&i, (expected, world)) in here.iter().zip(expected.iter().zip(&worlds)) {
-                    // Positions of up to 23 voxels in f32, between neighbours as far apart as those of this cell.
+                    // Positions of up to 23 voxels are rounded in f32. The samples of this cell bound the slope.
                     let cell = field.clamp_to_box(field.grid_from_world(*world)).floor().as_ivec3();
                     let spread = corner_range(&packed.fields[entry], block, cell.to_array(), encoding);
                     let tolerance =
                         3.0 * spread * 24.0 * 4.0 * f32::EPSILON + 16.0 * f32::EPSILON * (spread + expected.abs());
-                    // An unsigned integer over 65535 is rounded, multiplied and moved: three roundings of up to 2 shares.
+                    // An unsigned integer over 65535 is rounded, multiplied and offset: three roundings of up to 2
+                    // fractions.
                     let tolerance = tolerance + if unsigned { 8.0 * f32::EPSILON * scale(encoding) } else { 0.0 };
                     let difference = (values[i][0] - expected).abs();
                     assert!(difference <= tolerance, "{encoding:?} {block:?} {world}: {difference} > {tolerance}");
@@ -198,8 +199,8 @@ fn the_wgsl_samples_the_texture_as_the_cpu_samples_the_pages() {
     }
 }
 
-/// The pages as a sampler returns the unsigned integers of an image file: 0 to 1, in a texture of floats, which every
-/// device has.
+/// The pages as a sampler returns the unsigned integers of an image file: 0 to 1, in a float texture, which every
+/// device supports.
 fn image_texture(context: &Context, encoding: Encoding, packed: &Packed) -> wgpu::Texture {
     let values: Vec<f32> = match encoding {
         Encoding::Snorm8 => packed.host.iter().map(|&bits| (i32::from(bits as i8) + 128) as f32 / 255.0).collect(),
@@ -224,7 +225,7 @@ fn image_texture(context: &Context, encoding: Encoding, packed: &Packed) -> wgpu
     texture
 }
 
-/// Largest difference that a step across a voxel border, which rounding may take, can make: over the cell and its
+/// Largest change when rounding moves a point across a voxel border: the range of the samples of the cell and its
 /// neighbours.
 fn corner_range(samples: &[f32], block: &Block, cell: [i32; 3], encoding: Encoding) -> f32 {
     let [nx, ny, nz] = block.shape.map(|n| n as i32);

@@ -2,26 +2,28 @@
 //!
 //! # Theory
 //!
-//! A field is cut into its slices along z, and each slice is a tile of the page. The tiles of a field form one
-//! [`Block`]: `columns` tiles to a row, rows below each other. Two layouts differ only in how blocks are made:
+//! A field is divided into its slices along z, and each slice is a tile of the page. The tiles of a field form one
+//! [`Block`]: `columns` tiles per row, rows below each other. Two layouts differ only in how blocks are made:
 //!
 //! - *Strips*, of the article "Packing 3D SDF to a 2D Texture": cubes of n voxels, all tiles in one row, blocks below
 //!   each other. Texel (x + z n, y + row n); 64 fields of 64^3 fill a page of 4096^2.
-//! - *Shelves*: fields of any shape, slices wrapped over rows, blocks where there is room ([`rectangles`]). Around each
-//!   slice lies a gutter of copies of its border, so that a sampler that rounds its weights reads no neighbour.
+//! - *Shelves*: fields of any shape, slices wrapped over rows, blocks placed in free areas ([`rectangles`]). A gutter
+//!   of copies of the border surrounds each slice, so that a sampler with rounded weights does not read a neighbouring
+//!   slice.
 //!
 //! ```text
 //!   strips   | z=0 | z=1 | z=2 | z=3 |        shelves   | z=0 | z=1 |   . gutter   n = 4, columns = 2
 //!                                                       | z=2 | z=3 |
 //! ```
 //!
-//! Sampling takes one bilinear value from each of the two slices around the point and interpolates between them: the
-//! trilinear function, where the article's single tap leaves steps along z ([`sample`]).
+//! Sampling takes one bilinear value from each of the two slices around the point and interpolates between them. This
+//! is the trilinear function; the single tap of the article is discontinuous along z ([`sample`]).
 //!
 //! # Practice
 //!
-//! [`plan`] finds blocks, [`texels::write`] (on a device [`gpu`]) fills pages, [`texels::read`] gives a field back bit for bit. The plan depends
-//! only on what is taken: an atlas grows and shrinks without moving anything, also after it was saved.
+//! [`plan`] finds blocks, [`texels::write`] (on a device [`gpu`]) fills pages, and [`texels::read`] reads a field back
+//! bit for bit. The plan depends only on the occupied blocks: an atlas grows and shrinks without moving other fields,
+//! also after it was saved and loaded.
 
 pub mod entry;
 pub mod gpu;
@@ -37,46 +39,46 @@ use crate::error::{ArgumentError, choice};
 use bytemuck::{Pod, Zeroable};
 use rectangles::Rectangle;
 
-/// How blocks are laid out.
+/// Layout of the blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Layout {
-    /// Any shapes, slices wrapped over rows, `gutter` texels around each.
+    /// Fields of any shape, slices wrapped over rows, with `gutter` texels around each.
     Shelves { gutter: u32 },
-    /// Equal cubes, all slices in one row, as the article has it.
+    /// Equal cubes, all slices in one row, as in the article.
     Strips,
 }
 
 impl Layout {
-    /// The layout that the Python interface calls `name`; strips have no gutter.
+    /// Converts the public name of a layout. Strips have no gutter.
     pub fn from_name(name: &str, gutter: u32) -> Result<Self, ArgumentError> {
         choice("layout", name, &[("shelves", Self::Shelves { gutter }), ("strips", Self::Strips)])
     }
 }
 
-/// Where the slices of a field lie.
+/// Position of the slices of a field.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Block {
     pub page: u32,
-    /// First texel: column, row.
+    /// First texel: (column, row).
     pub corner: [u32; 2],
     /// Size of a slice with its gutters.
     pub tile: [u32; 2],
-    /// Slices in a row.
+    /// Number of slices in a row.
     pub columns: u32,
     pub gutter: u32,
-    /// Voxels along x, y and z.
+    /// Number of voxels along x, y and z.
     pub shape: [u32; 3],
 }
 
 impl Block {
-    /// Texels that the slices and their gutters take.
+    /// Rectangle of the slices and their gutters, texels.
     pub fn rectangle(&self) -> Rectangle {
         let [x, y] = self.corner;
         Rectangle { x, y, width: self.columns * self.tile[0], height: self.rows() * self.tile[1] }
     }
 
-    /// Rows of slices.
+    /// Number of rows of slices.
     pub fn rows(&self) -> u32 {
         self.shape[2].div_ceil(self.columns)
     }
@@ -93,7 +95,7 @@ impl Block {
         self.shape.iter().map(|&n| n as usize).product()
     }
 
-    /// Whether this is a block that [`plan`] could have made on pages of this size, and so is safe to read through.
+    /// Whether [`plan`] could have made this block on pages of this size, so that it is safe to read.
     pub fn is_sound(&self, page_size: u32, pages: u32) -> bool {
         let wide = |a: u32, b: u32| u64::from(a) * u64::from(b);
         let limit = u64::from(page_size);

@@ -1,17 +1,17 @@
-//! Where new fields go, given what is there.
+//! Positions of new fields, given the occupied blocks.
 
 use super::rectangles::FreeArea;
 use super::{Block, Layout};
 use crate::error::{AtlasError, Error};
 
-/// Largest side of a page: twice what today's devices take, and texel offsets fit in an i32.
+/// Largest side of a page: twice the limit of current devices. Texel offsets fit in an i32.
 pub const MAX_PAGE_SIZE: u32 = 1 << 15;
 
-/// Pages of an atlas at most; far past any machine's memory.
+/// Largest number of pages of an atlas, far beyond the memory of any machine.
 const MAX_PAGES: u32 = 1 << 16;
 
-/// Place fields of the given shapes on pages of `page_size` squared, beside the blocks that are `taken`. Blocks start at
-/// multiples of `align` texels along x. New pages are opened as needed; nothing that is taken moves.
+/// Places fields of the given shapes on pages of `page_size` squared, beside the blocks that are `taken`. Blocks start
+/// at multiples of `align` texels along x. New pages are opened as needed; occupied blocks do not move.
 pub fn plan(
     layout: Layout,
     page_size: u32,
@@ -25,7 +25,7 @@ pub fn plan(
     }
 }
 
-/// The article's rows, the lowest free one first.
+/// Rows of the article, the lowest free one first.
 fn plan_strips(page_size: u32, taken: &[Block], shapes: &[[u32; 3]]) -> Result<Vec<Block>, Error> {
     let Some(side) = taken.first().map(|block| block.shape[0]).or(shapes.first().map(|shape| shape[0])) else {
         return Ok(Vec::new());
@@ -60,7 +60,7 @@ fn plan_strips(page_size: u32, taken: &[Block], shapes: &[[u32; 3]]) -> Result<V
         .collect()
 }
 
-/// The largest fields first, each in the shape and place that leave the least room unused.
+/// The largest fields come first, each in the wrapping and position that leave the least free area unused.
 fn plan_shelves(
     page_size: u32,
     gutter: u32,
@@ -123,11 +123,11 @@ fn plan_shelves(
 struct Wrap {
     columns: u32,
     rows: u32,
-    /// Tiles of the last row without a slice.
+    /// Number of tiles of the last row without a slice.
     unused: u32,
 }
 
-/// All the ways to wrap `slices` that a page holds, one for each number of rows.
+/// All wrappings of `slices` that fit on a page, one for each number of rows.
 fn wraps(slices: u32, tile: [u32; 2], page_size: u32, align: u32) -> Vec<Wrap> {
     // A block ends at a multiple of `align` too.
     let most_columns = (page_size / align * align / tile[0]).min(slices);
@@ -142,7 +142,7 @@ fn wraps(slices: u32, tile: [u32; 2], page_size: u32, align: u32) -> Vec<Wrap> {
     found
 }
 
-/// The smallest page that holds the slices in some way.
+/// The smallest page that holds the slices in some wrapping.
 fn smallest_page(slices: u32, tile: [u32; 2], align: u32) -> u64 {
     (1..=slices)
         .map(|columns| {
@@ -198,7 +198,7 @@ mod tests {
             assert_eq!((block.page as usize, block.corner), (row / 64, [0, (row % 64 * 64) as u32]));
             assert_eq!(block.slice(5), [5 * 64, block.corner[1]]);
         }
-        // A free row is used again before a new one.
+        // A free row is reused before a new one.
         let mut taken = blocks.clone();
         taken.remove(7);
         assert_eq!(plan(Layout::Strips, 4096, 1, &taken, &[[64; 3]; 2]).unwrap()[0], blocks[7]);

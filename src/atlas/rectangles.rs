@@ -1,18 +1,19 @@
-//! Free room on a page, as rectangles.
+//! Free areas on a page, as rectangles.
 //!
 //! # Theory
 //!
-//! Maximal rectangles, best short side fit: J. Jylänki, *A Thousand Ways to Pack the Bin* (2010). The free area is kept as
-//! all the rectangles that cannot be grown, which overlap. A new rectangle goes into the corner of the one that it fits
-//! most closely; every free rectangle that it cuts is replaced by what is left of it on the four sides.
+//! Maximal rectangles, best short side fit: J. Jylänki, *A Thousand Ways to Pack the Bin* (2010). The free area is
+//! stored as all rectangles that cannot be enlarged; they overlap. A new rectangle is placed in the corner of the free
+//! rectangle that it fits most closely. Every free rectangle that it intersects is replaced by the remaining parts on
+//! its four sides.
 //!
 //! # Practice
 //!
-//! The free area is a function of what is taken, whatever the order. So a page that was read from a file grows like the
-//! one that was saved, and giving a rectangle back is rebuilding the list without it. The allocators of the crates
-//! `guillotiere` and `etagere` keep the history of their cuts instead, which no file of ours could hold them to. On 200
-//! volumes with sides of 4 to 48 voxels the pages come out as full as guillotiere's (0.90 to 0.92 of 512 x 512 pages), and
-//! fuller than etagere's (0.77 to 0.81).
+//! The free area is a function of the occupied rectangles, in any order. A page that was read from a file therefore
+//! grows like the page that was saved. To free a rectangle, the list is rebuilt without it. The allocators of the
+//! crates `guillotiere` and `etagere` depend on the history of their cuts, which a file does not store. On 200 volumes
+//! with sides of 4 to 48 voxels the pages are as full as those of guillotiere (0.90 to 0.92 of 512 x 512 pages), and
+//! fuller than those of etagere (0.77 to 0.81).
 
 /// A rectangle of texels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -48,12 +49,13 @@ pub struct FreeArea {
 }
 
 impl FreeArea {
-    /// All of a page.
+    /// The free area of an empty page.
     pub fn new(width: u32, height: u32) -> Self {
         Self { maximal: vec![Rectangle { x: 0, y: 0, width, height }] }
     }
 
-    /// Where a rectangle of this size fits most closely, and what is left over on its two sides, the smaller first.
+    /// The position where a rectangle of this size fits most closely, and the remaining lengths on its two sides, the
+    /// smaller first.
     pub fn best_fit(&self, width: u32, height: u32) -> Option<(Rectangle, [u32; 2])> {
         self.maximal
             .iter()
@@ -65,7 +67,7 @@ impl FreeArea {
             .min_by_key(|(place, left)| (*left, place.y, place.x))
     }
 
-    /// Take a rectangle out of the free area.
+    /// Removes a rectangle from the free area.
     pub fn take(&mut self, taken: &Rectangle) {
         let mut pieces = Vec::new();
         self.maximal.retain(|free| {
@@ -83,7 +85,8 @@ impl FreeArea {
             keep(free.x, taken.bottom(), free.right(), free.bottom());
             false
         });
-        // A piece is maximal unless another free rectangle, or a piece, holds it. Of two equal pieces the first stays.
+        // A piece is maximal unless another free rectangle or piece contains it. Of two equal pieces the first one
+        // stays.
         for i in 0..pieces.len() {
             let held = |other: &Rectangle| other.contains(&pieces[i]);
             let by_piece =
@@ -114,7 +117,7 @@ mod tests {
                 free.take(&place);
                 taken.push(place);
             }
-            // Every texel is in a free rectangle exactly when nothing holds it.
+            // Every texel is in a free rectangle if and only if no block contains it.
             for y in 0..40 {
                 for x in 0..48 {
                     let texel = Rectangle { x, y, width: 1, height: 1 };
@@ -122,7 +125,7 @@ mod tests {
                     prop_assert_eq!(free.maximal.iter().any(|other| other.overlaps(&texel)), !is_taken);
                 }
             }
-            // The same area, whatever the order.
+            // The free area is the same in any order.
             let mut again = FreeArea::new(48, 40);
             taken.iter().rev().for_each(|place| again.take(place));
             let sorted = |area: &FreeArea| {

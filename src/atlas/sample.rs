@@ -1,17 +1,17 @@
-//! A field read from an atlas: the same function as the volume's own.
+//! Sampling of a field in an atlas, equal to sampling of the volume.
 //!
 //! # Theory
 //!
-//! A point lies between two slices. In each of them the field is bilinear in x and y, which is what a 2D sampler returns;
-//! a linear step between the two values is the trilinear function. The outer half voxel repeats the border, along z by
-//! taking the same slice twice.
+//! A point lies between two slices. In each of them the field is bilinear in x and y, as a 2D sampler returns it.
+//! Linear interpolation between the two values is the trilinear function. The outer half voxel repeats the border;
+//! along z the same slice is read twice.
 //!
-//! The article "Packing 3D SDF to a 2D Texture" takes one tap in the slice that holds the point, so its field has a step
-//! at every slice. That is [`AtlasFilter::Slice`], to compare with.
+//! The article "Packing 3D SDF to a 2D Texture" takes one tap in the slice that contains the point, so its field has a
+//! step at every slice. [`AtlasFilter::Slice`] implements it for comparison.
 //!
 //! # Practice
 //!
-//! Twin of `shaders/atlas/sampling.wgsl`. Offsets of the slices are found once for each view.
+//! Twin of `shaders/atlas/sampling.wgsl`. Offsets of the slices are computed once per view.
 
 use super::Block;
 use crate::encoding::Encoding;
@@ -22,20 +22,20 @@ use crate::volume::outside::bound_outside;
 use crate::volume::{Cell, Filter, Trilinear, trilinear};
 use glam::{DVec2, DVec3, IVec3};
 
-/// How a value is made from the texels.
+/// Interpolation of the texels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum AtlasFilter {
-    /// Two bilinear taps and a step along z: the trilinear field.
+    /// Two bilinear taps and interpolation along z: the trilinear field.
     #[default]
     Linear,
-    /// The texel of the voxel that holds the point.
+    /// The texel of the voxel that contains the point.
     Nearest,
-    /// The article's: one bilinear tap in the slice that holds the point.
+    /// The article's filter: one bilinear tap in the slice that contains the point.
     Slice,
 }
 
 impl AtlasFilter {
-    /// The filter that the Python interface calls `name`.
+    /// Converts the public name of a filter.
     pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
         choice("filter", name, &[("linear", Self::Linear), ("nearest", Self::Nearest), ("slice", Self::Slice)])
     }
@@ -53,7 +53,7 @@ pub struct AtlasField<'a> {
 }
 
 impl<'a> AtlasField<'a> {
-    /// The block must be sound on these pages, and of the grid's shape.
+    /// The block must be sound on these pages, and have the shape of the grid.
     pub fn new(pages: &'a [u8], page_size: u32, encoding: Encoding, scale: f32, block: &Block, grid: Grid) -> Self {
         let row_texels = page_size as usize;
         let page_bytes = row_texels * row_texels * encoding.bytes();
@@ -67,7 +67,7 @@ impl<'a> AtlasField<'a> {
         Self { grid, page, row_texels, encoding, scale, slices }
     }
 
-    /// Field at many points of its own space; outside the box a lower bound on the distance to a surface in the box
+    /// The field at points of its own space. Outside the box: a lower bound on the distance to a surface in the box
     /// `inner`.
     pub fn sample_filtered(
         &self,
@@ -83,7 +83,7 @@ impl<'a> AtlasField<'a> {
         }
     }
 
-    /// The samples at the corners of a cell, texels having `N` bytes: the four of a slice, then of the next.
+    /// The samples at the corners of a cell, for texels of `N` bytes: four of a slice, then four of the next.
     #[inline]
     fn corners<const N: usize>(&self, index: IVec3) -> [f32; 8] {
         let [nx, ny, nz] = self.grid.shape;
@@ -116,7 +116,7 @@ impl Trilinear for AtlasField<'_> {
     }
 }
 
-/// The same texels by the article's filter.
+/// The same texels read by the article's filter.
 struct BySlice<'a>(&'a AtlasField<'a>);
 
 impl Trilinear for BySlice<'_> {
@@ -135,7 +135,7 @@ impl Trilinear for BySlice<'_> {
     fn sample_linear(&self, p: DVec3) -> f32 {
         let p_grid = self.clamp_to_box(self.grid_from_world(p));
         let index = p_grid.floor();
-        // The slice that holds the point, alone.
+        // Only the slice that contains the point is read.
         let slice = p_grid.z.round().clamp(0.0, self.shape().z - 1.0);
         let cell = self.cell(index.with_z(slice).as_ivec3());
         trilinear(&cell.corners, (p_grid - index).with_z(0.0).as_vec3())
@@ -150,15 +150,15 @@ fn bits<const N: usize>(page: &[u8], texel: usize) -> u32 {
     u32::from_le_bytes(word)
 }
 
-/// Where points fall on the page, 0 to 1 across it: the article's `ConvertWorldToTexture`. Points outside the box are
-/// moved to its nearest point; z chooses the slice.
+/// Texture coordinates of points on the page, 0 to 1: `ConvertWorldToTexture` of the article. Points outside the box
+/// are moved to its nearest point; z selects the slice.
 pub fn texture_coordinates(block: &Block, page_size: u32, grid: &Grid, points: &[DVec3]) -> Vec<[f64; 2]> {
     let last = block.shape[2] - 1;
     let shape = DVec3::from_array(block.shape.map(f64::from));
     points
         .iter()
         .map(|&p| {
-            // Texels from the box's corner: the centre of voxel 0 lies at 0.5.
+            // Texels counted from the corner of the box: the centre of voxel 0 is at 0.5.
             let texture = ((p - grid.lower) / grid.spacing()).max(DVec3::ZERO).min(shape);
             let slice = block.slice((texture.z as u32).min(last)).map(f64::from);
             ((DVec2::from_array(slice) + texture.truncate()) / f64::from(page_size)).to_array()

@@ -1,8 +1,8 @@
-//! The sampling function of an atlas as shader text, for programs of the user.
+//! The sampling functions of an atlas as shader text, for the user's programs.
 //!
-//! The WGSL files in `shaders/atlas/` are the source; naga writes the other languages from them. What comes out is whole
-//! but for the entry point: the text and a `main` of the user make a shader. naga drops comments, so they are put back
-//! in front of what they explain.
+//! The WGSL files in `shaders/atlas/` are the source; naga translates them to the other languages. The text lacks only
+//! an entry point: together with the user's `main` it is a complete shader. naga drops comments, so they are inserted
+//! again before the functions and structs that they explain.
 
 use super::Layout;
 use crate::encoding::Encoding;
@@ -16,27 +16,27 @@ const SHELVES: &str = include_str!("../../shaders/atlas/shelves.wgsl");
 const STRIPS: &str = include_str!("../../shaders/atlas/strips.wgsl");
 const SAMPLING: &str = include_str!("../../shaders/atlas/sampling.wgsl");
 
-/// What the text depends on.
+/// Parameters of the text.
 #[derive(Debug, Clone, Copy)]
 pub struct ShaderOptions {
     pub layout: Layout,
     pub encoding: Encoding,
-    /// Whether texels are the unsigned integers of an image file, whose middle is distance 0; for float encodings those of
-    /// snorm16, which such files hold instead.
+    /// Whether texels are the unsigned integers of an image file, whose middle is distance 0. Image files hold snorm16
+    /// in place of float encodings.
     pub unsigned: bool,
     pub page_size: u32,
-    /// Voxels along a side of the cubes in strips.
+    /// Number of voxels along a side of the cubes in strips.
     pub side: u32,
 }
 
-/// GLSL ES 3.00, which is WebGL 2; newer desktop versions take it with another first line.
+/// GLSL ES 3.00, the language of WebGL 2. Newer desktop versions accept it with another first line.
 const GLSL: GlslTarget = GlslTarget {
     version: Version::Embedded { version: 300, is_webgl: true },
     stage: ShaderStage::Fragment,
     entry_point: "entry_point",
 };
 
-/// Makes every function reachable, and is cut off again.
+/// An entry point that makes every function reachable. It is removed from the translation.
 const ENTRY: &str = "
 @fragment fn entry_point() {
     var entry: AtlasEntry;
@@ -45,7 +45,7 @@ const ENTRY: &str = "
 }
 ";
 
-/// The sampling functions of an atlas in some language.
+/// The sampling functions of an atlas in a language.
 pub fn shader(options: &ShaderOptions, language: Language) -> Result<String, Error> {
     let wgsl = wgsl(options);
     if language == Language::Wgsl {
@@ -103,7 +103,7 @@ fn atlas_share(texel: f32) -> f32 {
 }
 ";
 
-/// The function that decodes unsigned integers of so many bits.
+/// The function that decodes unsigned integers of this many bits.
 fn unsigned_share(bits: u32) -> String {
     let largest = (1u32 << bits) - 1;
     let middle = 1u32 << (bits - 1);
@@ -119,12 +119,12 @@ fn atlas_share(texel: f32) -> f32 {{
     )
 }
 
-/// A sampler has no name of its own there, and the texture one that only naga could love.
+/// GLSL has no separate samplers, and naga generates a name for the texture.
 fn plain_glsl(text: &str) -> String {
     before(text, "void main()").replace("_group_0_binding_0_fs", "atlas_pages")
 }
 
-/// naga takes samplers from a heap of its own; here there is one.
+/// naga reads samplers from a heap of its own; here there is only one.
 fn plain_hlsl(text: &str) -> String {
     let is_heap = |line: &str| line.starts_with("Sampler") || line.contains("SamplerIndexArray");
     let mut plain = String::new();
@@ -137,12 +137,12 @@ fn plain_hlsl(text: &str) -> String {
     plain
 }
 
-/// What comes before the entry point.
+/// The text before the entry point.
 fn before(text: &str, entry: &str) -> String {
     text.find(entry).map_or(text, |end| &text[..end]).trim_end().to_owned() + "\n"
 }
 
-/// naga numbers the parameters throughout the text; within a function these names are free.
+/// naga numbers the parameters throughout the text. Within a function the plain names are free.
 fn plain_names(text: &str) -> String {
     let mut plain = String::new();
     let mut rest = text;
@@ -164,18 +164,19 @@ fn is_word(c: char) -> bool {
     c.is_ascii_alphanumeric() || c == '_'
 }
 
-/// The comments of the WGSL text in front of the functions and structs of its translation, and its head at the top.
+/// Inserts the comments of the WGSL text before the functions and structs of its translation, and its header at the
+/// top.
 fn with_comments(translated: &str, wgsl: &str, language: Language) -> String {
     let mut head: String =
         wgsl.lines().take_while(|line| line.starts_with("//")).flat_map(|line| [line, "\n"]).collect();
     if language == Language::Hlsl {
-        // HLSL counts rows where the others count columns.
+        // HLSL counts rows where the other languages count columns.
         head = head.replace("entry.inverse_model * world", "mul(world, entry.inverse_model)");
     }
     let comments = comments(wgsl);
     let mut text = String::new();
     let mut lines = translated.lines().skip_while(|line| line.is_empty()).peekable();
-    // A version or an include must stay in the first lines.
+    // A version or an include must remain in the first lines.
     while let Some(line) = lines.next_if(|line| line.starts_with('#') || line.starts_with("//")) {
         text = text + line + "\n";
     }
@@ -185,7 +186,7 @@ fn with_comments(translated: &str, wgsl: &str, language: Language) -> String {
         if let Some((_, comment)) = comments.iter().find(|(name, _)| defines(line, name)) {
             text += comment;
         }
-        // One empty line in a row.
+        // Several empty lines become one.
         if !(line.is_empty() && lines.peek().is_none_or(|next| next.is_empty())) {
             text = text + line + "\n";
         }
@@ -266,7 +267,7 @@ mod tests {
         }
     }
 
-    /// Names and offsets of the struct that a module has under some name, and its size.
+    /// Names and offsets of the members of a struct in a module, and its size.
     fn layout_of(module: &Module, name: &str) -> (Vec<(String, u32)>, u32) {
         let (_, found) = module.types.iter().find(|(_, found)| found.name.as_deref() == Some(name)).unwrap();
         let naga::TypeInner::Struct { members, span } = &found.inner else { panic!("{name} is not a struct") };

@@ -1,6 +1,7 @@
-//! Fields into pages, and back bit for bit.
+//! Writes fields into pages, and reads them back bit for bit.
 //!
-//! Pages are bytes, so that one code serves every encoding: `pages` x `page_size` x `page_size` texels, row 0 first.
+//! Pages are bytes, so that the same code serves every encoding: `pages` x `page_size` x `page_size` texels, row 0
+//! first.
 
 use super::Block;
 use crate::encoding::Encoding;
@@ -9,20 +10,20 @@ use crate::memory::allocate_samples;
 use crate::progress::Progress;
 use rayon::prelude::*;
 
-/// Rows of a page that one thread fills at a time: a slice gives so many rows that lie together in its field.
+/// Number of rows of a page that one thread fills at a time. The rows of a slice are adjacent in its field.
 const BAND_ROWS: usize = 16;
 
-/// A field and where it goes.
+/// A field and its block.
 #[derive(Debug, Clone, Copy)]
 pub struct Item<'a> {
     pub block: Block,
-    /// Samples, x fastest.
+    /// Samples, x fastest in memory.
     pub distances: &'a [f32],
-    /// What stored values are multiplied by; see [`Encoding::scale`].
+    /// Factor of stored values; see [`Encoding::scale`].
     pub scale: f32,
 }
 
-/// Write fields into pages, gutters included. Blocks must be sound and lie apart.
+/// Writes fields into pages, gutters included. Blocks must be sound and disjoint.
 pub fn write(
     pages: &mut [u8],
     page_size: u32,
@@ -34,7 +35,7 @@ pub fn write(
     let row_bytes = size * encoding.bytes();
     let bands = size.div_ceil(BAND_ROWS);
     progress.set_total((pages.len() / (row_bytes * size) * size) as u64);
-    // A band never reaches into the next page.
+    // A band never extends into the next page.
     pages.par_chunks_mut(row_bytes * size).enumerate().try_for_each(|(page, texels)| {
         let here: Vec<&Item<'_>> = items.iter().filter(|item| item.block.page as usize == page).collect();
         texels.par_chunks_mut(row_bytes * BAND_ROWS).with_max_len(1.max(bands / 64)).enumerate().try_for_each(
@@ -48,7 +49,7 @@ pub fn write(
     })
 }
 
-/// The part of a field that lies in the rows from `first_row` on.
+/// Writes the part of a field that lies in the rows from `first_row` on.
 fn write_band(rows: &mut [u8], first_row: usize, row_bytes: usize, encoding: Encoding, item: &Item<'_>) {
     let block = &item.block;
     let bytes = encoding.bytes();
@@ -68,13 +69,13 @@ fn write_band(rows: &mut [u8], first_row: usize, row_bytes: usize, encoding: Enc
             let slice = &item.distances[nx * ny * (tile_row * columns + column)..][..nx * ny];
             let x = (left + column * tile_width + gutter) * bytes;
             for row in row..tile_end {
-                // A gutter row repeats the row at its side.
+                // A gutter row repeats the nearest row of the slice.
                 let y = (row - tile_top).saturating_sub(gutter).min(ny - 1);
                 let line = &mut rows[(row - first_row) * row_bytes..][..row_bytes];
                 encoding.encode_slice(&slice[nx * y..][..nx], item.scale, &mut line[x..x + nx * bytes]);
                 let last = x + (nx - 1) * bytes;
                 for i in 1..=gutter {
-                    // By hand: a call to copy a few bytes takes longer than they do.
+                    // The loop is written out, since a call to copy a few bytes takes longer than the copy.
                     for byte in 0..bytes {
                         line[x - i * bytes + byte] = line[x + byte];
                         line[last + i * bytes + byte] = line[last + byte];
@@ -86,7 +87,7 @@ fn write_band(rows: &mut [u8], first_row: usize, row_bytes: usize, encoding: Enc
     }
 }
 
-/// Give the texels of a block back as zeros.
+/// Sets the texels of a block to zero.
 pub fn clear(pages: &mut [u8], page_size: u32, encoding: Encoding, block: &Block) {
     let row_bytes = page_size as usize * encoding.bytes();
     let room = block.rectangle();
@@ -97,7 +98,7 @@ pub fn clear(pages: &mut [u8], page_size: u32, encoding: Encoding, block: &Block
     }
 }
 
-/// A field as it was stored, x fastest.
+/// The stored values of a field, x fastest.
 pub fn read(
     pages: &[u8],
     page_size: u32,

@@ -1,7 +1,7 @@
-//! The articles' own bake on a graphics device: every sample looks at every triangle (`shaders/bake_brute.wgsl`).
+//! The bake of the articles on a graphics device: every sample visits every triangle (`shaders/bake_brute.wgsl`).
 //!
-//! A reference to test against and a piece to read; it costs samples times triangles. All float32, so its signs can fail
-//! where a ray grazes an edge; the exact rules are in [`crate::sign`].
+//! It is a reference for tests and for readers. Its cost is samples times triangles. All arithmetic is float32, so a
+//! sign may be wrong where a ray grazes an edge; [`crate::sign`] has the exact rules.
 
 use super::gpu::positions;
 use super::{Bake, LocalGrid, Report};
@@ -18,9 +18,9 @@ use crate::sign::{SignChoice, SignMethod};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Triangles of a dispatch, as in the shader: a quarter of the rounds that software adapters allow an invocation.
+/// Number of triangles of a dispatch, as in the shader: a quarter of the rounds that software adapters allow.
 const TRIANGLES: usize = 16_384;
-/// Workgroups of 64 samples a dispatch: the first one, and the most.
+/// Number of workgroups of 64 samples in a dispatch: in the first one, and at most.
 const WORKGROUPS: (u64, u64) = (16, 32_768);
 /// Larger than any squared local distance.
 const FAR: f32 = 3.0e38;

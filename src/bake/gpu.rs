@@ -1,25 +1,25 @@
-//! The bake on a graphics device: distances there, signs on the CPU meanwhile.
+//! The bake on a graphics device: the device computes distances while the CPU computes signs.
 //!
 //! # Theory
 //!
-//! One invocation a sample walks the tree to its nearest triangle (`shaders/bake_distance.wgsl`). A coarse pass over every
-//! fourth sample comes first; its triangles are the starting bounds of the others, and in a banded bake its distances
-//! give the far samples their lower bound. Positions are found in float64 here and rounded once, in the same local
-//! coordinates as on the CPU, so both find the same numbers to float32 rounding.
+//! One invocation per sample searches the tree for its nearest triangle (`shaders/bake_distance.wgsl`). A coarse pass
+//! over every fourth sample precedes it. Its triangles are the initial bounds of all other searches, and in a banded
+//! bake its distances bound the far samples. Positions are computed here in float64 and rounded once, in the local
+//! coordinates of the CPU, so both devices agree to float32 rounding.
 //!
-//! The CPU's way, culling by convexity for a whole block ([`super::dense`]), was tried here too: each workgroup opened the
-//! tree together, from the root or from the nodes kept for blocks of 16^3, and its samples then went through the shared
-//! list. On lavapipe it ran at 0.80 to 0.97 of the speed of one search a sample (spot, fandisk and bunny at 48^3, bunny at
-//! 96^3), so the plain search stays; no hardware GPU was there to ask.
+//! Alternative tried: culling by convexity for a whole block, as on the CPU ([`super::dense`]). Each workgroup opened
+//! the tree together, from the root or from the nodes kept for blocks of 16^3, and its samples shared the list. It was
+//! slower on lavapipe: 0.80 to 0.97 of the speed of one search per sample (spot, fandisk and bunny at 48^3, bunny at
+//! 96^3). No hardware GPU was measured.
 //!
-//! Signs rest on exact predicates in float64, which WGSL lacks. So the same code as on the CPU decides them
-//! ([`super::signs`]) while the device measures, and hands them over as bits.
+//! Signs require exact predicates in float64, which WGSL does not have. The code of the CPU ([`super::signs`]) computes
+//! them while the device is busy, and uploads them as bits.
 //!
 //! # Practice
 //!
-//! The field is cut into slabs that fit a binding, a slab into dispatches of about 100 ms ([`crate::gpu::pace`]). A search
-//! that runs out of its bounded rounds (the centre of a finely meshed sphere, which is as near to every triangle) is
-//! counted and redone on the CPU, so that no number is ever silently wrong.
+//! The field is divided into slabs that fit a binding, and a slab into dispatches of about 100 ms
+//! ([`crate::gpu::pace`]). A search may run out of its bounded rounds, as at the centre of a finely meshed sphere,
+//! which is equally near to every triangle. It is counted and repeated on the CPU, so no value is silently wrong.
 
 use super::signs::{Counts, InsideBits, SignPass};
 use super::{BakeOptions, LocalGrid, Report, coarse_grid};
@@ -36,21 +36,21 @@ use crate::volume::device::{DeviceField, Slab};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Samples between two coarse ones, along each axis.
+/// Distance between neighbouring coarse samples along each axis, in samples.
 const STRIDE: usize = super::band::STRIDE;
-/// Side of a workgroup's block, as in the shader.
+/// Side of a workgroup's block in samples, as in the shader.
 const BLOCK: usize = 4;
-/// Blocks of a dispatch: the first one, and the most that one dimension of workgroups holds. The first is small because a
-/// software adapter may compute during the submission, which nothing can interrupt.
+/// Number of blocks of a dispatch: in the first one, and at most, by the limit of one dimension of workgroups. The
+/// first dispatch is small because a software adapter may compute during the submission, which cannot be interrupted.
 const BLOCKS: (u64, u64) = (4, 65_535);
-/// Workgroups along x of the finishing kernel, as in the shader.
+/// Number of workgroups of the finishing kernel along x, as in the shader.
 const WORKGROUPS_PER_ROW: u64 = 32_768;
-/// Room above the band's width for the rounding of a square, relative.
+/// Relative slack above the width of the band for the rounding of a square.
 const LIMIT_SLACK: f64 = 1e-5;
 /// Larger than any squared local distance, as in the shader.
 const FAR: f32 = 3.0e38;
 
-/// Bake into device memory. No slab is larger than `slab_bytes`.
+/// Bakes into device memory. No slab is larger than `slab_bytes`.
 pub(super) fn bake(
     context: &Arc<Context>,
     mesh: &Mesh,
@@ -81,7 +81,7 @@ pub(super) fn bake(
     let job = Job::new(context, mesh, local, options, &tree, progress)?;
     stage("upload", start);
 
-    // The device measures while the CPU's threads decide the signs.
+    // The device computes distances while the threads of the CPU compute signs.
     let pass = SignPass { mesh, local, rule: &choice.rule, progress };
     let (measured, decided) = std::thread::scope(|scope| {
         let measuring = scope.spawn(|| {
@@ -96,7 +96,7 @@ pub(super) fn bake(
             pass.bits().map(|(bits, counts)| (Some(bits), counts))
         };
         let signing = start.elapsed().as_secs_f64();
-        // A panic there is a panic here.
+        // A panic of that thread is raised here again.
         let measured = measuring.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
         (measured, (decided, signing))
     });
@@ -108,7 +108,7 @@ pub(super) fn bake(
     let start = Instant::now();
     let below_zero = job.finish(&field, bits.as_ref(), options.thickness)?;
     seconds.push(("finish", start.elapsed().as_secs_f64()));
-    // A sample on the surface may be inside by the rule, and negative zero.
+    // A sample on the surface may be inside by the rule and have the distance negative zero.
     let inside = if options.thickness.is_some() { below_zero } else { counts.inside };
     report.finish(inside, counts.undecided, options.thickness, grid);
     if redone > 0 {
@@ -125,13 +125,13 @@ pub(super) fn bake(
     Ok((field, report))
 }
 
-/// What the kernels of one bake share.
+/// Resources that the kernels of one bake share.
 struct Job<'a> {
     context: &'a Arc<Context>,
     mesh: &'a Mesh,
     local: LocalGrid,
     progress: &'a Progress,
-    /// Half width of the band, local units; none for exact everywhere.
+    /// Half width of the band, local units; None if all distances are exact.
     width: Option<f64>,
     nodes: wgpu::Buffer,
     triangles: wgpu::Buffer,
@@ -172,7 +172,7 @@ impl<'a> Job<'a> {
         buffers.iter().map(|buffer| buffer.size() as usize).sum()
     }
 
-    /// Unsigned local distances of the whole field; returns how many had to be redone on the CPU.
+    /// Computes unsigned local distances of the whole field. Returns the number of samples repeated on the CPU.
     fn measure(&self, field: &DeviceField) -> Result<usize, Error> {
         let whole = Slab { first_plane: 0, planes: self.coarse.shape()[2], buffer: self.coarse_squares.clone() };
         let coarse_axes = self.context.upload("coarse positions", &positions(&self.coarse))?;
@@ -184,7 +184,7 @@ impl<'a> Job<'a> {
         Ok(redone)
     }
 
-    /// Run one entry point of the distance kernel over a slab.
+    /// Runs one entry point of the distance kernel over a slab.
     fn search(
         &self,
         entry: &'static str,
@@ -218,7 +218,7 @@ impl<'a> Job<'a> {
             (6, &overflows),
         ];
         let group = context.bind("distance", &kernel, &buffers)?;
-        // The coarse pass is not counted: the progress is that of the grid's samples.
+        // Progress counts the samples of the grid, without the coarse pass.
         let samples = if entry == "main" { (nx * ny * slab.planes) as u64 } else { 0 };
         in_pieces(context, "the distance kernel", blocks, BLOCKS.0, BLOCKS.1, self.progress, |first, count| {
             params.first_block = first as u32;
@@ -236,7 +236,7 @@ impl<'a> Job<'a> {
         Ok(count[0] as usize)
     }
 
-    /// Replace the negative numbers of searches that ran out of rounds.
+    /// Replaces the negative results of searches that ran out of rounds.
     fn redo(&self, grid: &LocalGrid, slab: &Slab, squared: bool) -> Result<(), Error> {
         let [nx, ny, _] = grid.shape();
         let mut results = vec![0.0f32; nx * ny * slab.planes];
@@ -251,7 +251,7 @@ impl<'a> Job<'a> {
         Ok(())
     }
 
-    /// Band, units, signs and thickness; returns how many samples are below zero.
+    /// Applies band, units, signs and thickness. Returns the number of samples below zero.
     fn finish(&self, field: &DeviceField, bits: Option<&InsideBits>, thickness: Option<f64>) -> Result<usize, Error> {
         let context = self.context;
         let [nx, ny, _] = field.shape();
@@ -293,7 +293,7 @@ impl<'a> Job<'a> {
     }
 }
 
-/// Positions along x, then y, then z, as the shaders look them up.
+/// Positions along x, then y, then z, in the layout of the shaders.
 pub(super) fn positions(grid: &LocalGrid) -> Vec<f32> {
     grid.axes.iter().flat_map(|axis| (0..axis.count).map(|i| axis.at(i) as f32)).collect()
 }

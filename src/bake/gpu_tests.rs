@@ -4,7 +4,7 @@ use super::*;
 use crate::gpu::tests::test_context;
 use std::f64::consts::TAU;
 
-/// A surface of `around` by `along` quads, closed in `around`; `at` takes both parameters from 0 to 1.
+/// A surface of `around` by `along` quads, closed in `around`; `at` maps two parameters from 0 to 1 to a point.
 fn tube(around: usize, along: usize, closed: bool, at: impl Fn(f64, f64) -> DVec3) -> Mesh {
     let rows = if closed { along } else { along + 1 };
     let vertices: Vec<[f64; 3]> = (0..rows * around)
@@ -122,7 +122,7 @@ fn more_faces_than_a_software_adapter_loops_over() {
     assert_twins(&mesh, &grid_around(&mesh, [16, 16, 16]), &BakeOptions::default(), u64::MAX);
 }
 
-/// The centre of a sphere is as near to every face, so its search visits the whole tree and runs out of rounds.
+/// The centre of a sphere is equally near to every face, so its search visits the whole tree and runs out of rounds.
 #[test]
 fn a_search_that_runs_out_of_rounds_is_redone() {
     let mesh = sphere(400, 200);
@@ -150,7 +150,7 @@ fn a_cancelled_bake_stops_and_the_next_one_works() {
     assert_twins(&mesh, &grid_around(&mesh, [8, 8, 8]), &BakeOptions::default(), u64::MAX);
 }
 
-/// 65,535 is what a software adapter loops over; the knot's last triangles are past it.
+/// A software adapter runs at most 65,535 rounds. The last triangles of the knot lie beyond that.
 #[test]
 fn brute_force_agrees_past_the_loop_limit() {
     let Some(context) = test_context() else { return };
@@ -163,7 +163,7 @@ fn brute_force_agrees_past_the_loop_limit() {
             let pairs = || brute.distances.iter().zip(&exact.distances);
             let worst = pairs().map(|(a, b)| f64::from((a.abs() - b.abs()).abs())).fold(0.0, f64::max);
             assert!(worst <= tolerance, "{worst:e} exceeds {tolerance:e}");
-            // Its signs are float32: a grazing ray, or a tie of two nudged faces, may fall either way.
+            // The signs are float32: a grazing ray, or a tie of two nudged faces, may give either sign.
             let wrong = pairs().filter(|(a, b)| a.is_sign_negative() != b.is_sign_negative()).count();
             assert!(wrong <= grid.len() / 200, "{sign:?}: {wrong} signs differ");
         }

@@ -1,4 +1,4 @@
-//! What a bake found and did.
+//! The report of a bake: properties of the mesh, decisions and cost.
 
 use crate::grid::Grid;
 use crate::mesh::Mesh;
@@ -18,16 +18,16 @@ pub struct Report {
     pub dropped_vertices: usize,
     pub components: usize,
     pub closed: bool,
-    /// Samples where the sign rule was close to undecided.
+    /// Number of samples where the sign rule was close to undecided.
     pub undecided_voxels: usize,
     pub inside_voxels: usize,
-    /// Points of a query, and how many of them are inside.
+    /// Number of points of a query, and number of those inside.
     pub points: usize,
     pub inside_points: usize,
     pub device: String,
-    /// Stage and seconds, in the order they ran.
+    /// Name and seconds of each stage, in the order of execution.
     pub seconds: Vec<(&'static str, f64)>,
-    /// Output, mesh, tree and working memory at their largest.
+    /// Peak memory of output, mesh, tree and working buffers, bytes.
     pub peak_bytes: usize,
     pub warnings: Vec<String>,
 }
@@ -61,7 +61,7 @@ impl Report {
         report
     }
 
-    /// Record the finished signs of a bake on `grid`, and warn of what the grid cannot hold.
+    /// Records the signs of a bake on `grid`, and warns about a thickness that the grid cannot represent.
     pub fn finish(&mut self, inside: usize, undecided: usize, thickness: Option<f64>, grid: &Grid) {
         self.inside_voxels = inside;
         self.undecided_voxels = undecided;
@@ -82,7 +82,7 @@ impl Report {
         self.warnings.extend(warning);
     }
 
-    /// Why a field without a thickness has no inside.
+    /// The reason why a field without a thickness has no inside.
     fn nothing_inside(&self, voxel: f64) -> String {
         let reason = if self.sign_method == "unsigned" {
             "unsigned distances have no inside; use two_sided=True for a sheet, or another sign for a solid".into()
@@ -95,7 +95,7 @@ impl Report {
     }
 }
 
-/// What a user must know about the sign of a surface, whatever the points; nothing for unsigned distances.
+/// Warnings about the sign of a surface that hold for all points; none for unsigned distances.
 pub fn sign_warnings(topology: &Topology, method: SignMethod) -> Vec<String> {
     if method == SignMethod::Unsigned {
         return Vec::new();

@@ -1,7 +1,7 @@
-//! Which samples of a grid are inside, by slabs of planes.
+//! The samples of a grid that are inside, by slabs of planes.
 //!
-//! One pass serves both bakes: the CPU negates its samples as they are decided, a graphics device gets one bit a sample,
-//! since the exact predicates need float64, which WGSL lacks.
+//! Both bakes use the same pass. The CPU negates its samples as they are decided. A graphics device receives one bit
+//! per sample, because the exact predicates need float64, which WGSL does not have.
 
 use super::LocalGrid;
 use crate::error::Error;
@@ -12,10 +12,11 @@ use crate::sign::openings::{Openings, SampleBlock};
 use crate::sign::{SignRule, parity};
 use rayon::prelude::*;
 
-/// Planes of a slab, the unit of parallel work: enough of them for many cores, thick enough to share block decisions.
+/// Number of planes of a slab, the unit of parallel work. Enough slabs remain for many cores, and each is thick enough
+/// to share decisions for blocks.
 const SLAB_PLANES: usize = 4;
 
-/// Samples by outcome.
+/// Number of samples by outcome.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Counts {
     pub inside: usize,
@@ -28,14 +29,14 @@ impl Counts {
     }
 }
 
-/// One bit a sample, set inside; each row of samples begins a word.
+/// One bit per sample, set if inside. Each row of samples begins with a new word.
 #[derive(Debug)]
 pub(super) struct InsideBits {
     pub words_per_row: usize,
     pub words: Vec<u32>,
 }
 
-/// A rule and the samples that it decides.
+/// A rule and the samples that it classifies.
 pub(super) struct SignPass<'a> {
     pub mesh: &'a Mesh,
     pub local: LocalGrid,
@@ -44,7 +45,7 @@ pub(super) struct SignPass<'a> {
 }
 
 impl SignPass<'_> {
-    /// Negate what is inside.
+    /// Negates the samples that are inside.
     pub fn negate(&self, samples: &mut [f32]) -> Result<Counts, Error> {
         let [nx, ny] = self.plane();
         samples
@@ -57,7 +58,7 @@ impl SignPass<'_> {
             .try_reduce(Counts::default, |a, b| Ok(a.add(b)))
     }
 
-    /// Bits of what is inside.
+    /// Bits of the samples that are inside.
     pub fn bits(&self) -> Result<(InsideBits, Counts), Error> {
         let [nx, ny] = self.plane();
         let words_per_row = nx.div_ceil(32);
@@ -75,12 +76,12 @@ impl SignPass<'_> {
         Ok((InsideBits { words_per_row, words }, counts))
     }
 
-    /// Samples along the first two axes.
+    /// Number of samples along the first two axes.
     fn plane(&self) -> [usize; 2] {
         [self.local.axes[0].count, self.local.axes[1].count]
     }
 
-    /// Call `mark` with the place, within the slab, of every sample inside.
+    /// Calls `mark` with the position, within the slab, of every sample inside.
     pub fn slab(&self, first_plane: usize, planes: usize, mark: &mut impl FnMut(usize)) -> Result<Counts, Error> {
         match self.rule {
             SignRule::Counted(openings) => self.count_slab(first_plane, planes, openings, mark),
@@ -95,7 +96,7 @@ impl SignPass<'_> {
         }
     }
 
-    /// Rules that look at the closest point.
+    /// Rules that use the closest point.
     fn look_slab(&self, first_plane: usize, planes: usize, mark: &mut impl FnMut(usize)) -> Result<Counts, Error> {
         let [nx, ny] = self.plane();
         let mut counts = Counts::default();
@@ -112,7 +113,7 @@ impl SignPass<'_> {
         Ok(counts)
     }
 
-    /// Exact winding numbers against the closed surface, and the cones' share of them.
+    /// Exact winding numbers of the closed surface minus the contribution of the cones.
     fn count_slab(
         &self,
         first_plane: usize,
@@ -146,13 +147,13 @@ impl SignPass<'_> {
         Ok(counts)
     }
 
-    /// Parity along x and y by plane; along z only where those two disagree.
+    /// Parity along x and y by plane; parity along z only where those two disagree.
     fn vote_slab(&self, first_plane: usize, planes: usize, mark: &mut impl FnMut(usize)) -> Result<Counts, Error> {
         let [nx, ny] = self.plane();
         let surface = Surface::new(self.mesh, &[]);
         let mut counts = Counts::default();
         let (mut along_x, mut along_y) = (vec![0i16; nx * ny], vec![0i16; nx * ny]);
-        // The same row, with the other in-plane axis as the ray.
+        // The same row, with the other axis of the plane as the ray.
         let across = Axes { ray: 1, column: 0, row: 2 };
         for k in 0..planes {
             let z = first_plane + k;
@@ -175,7 +176,7 @@ impl SignPass<'_> {
         Ok(counts)
     }
 
-    /// Fast winding number of every sample.
+    /// Fast winding numbers of all samples.
     fn wind_slab(&self, first_plane: usize, planes: usize, mark: &mut impl FnMut(usize)) -> Result<Counts, Error> {
         let [nx, ny] = self.plane();
         let moments = self.mesh.moments();

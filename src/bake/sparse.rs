@@ -1,19 +1,19 @@
-//! Mesh to sparse field: bricks are baked one by one, and the dense grid is never made.
+//! Bake of a mesh to a sparse field: bricks are baked one by one, without the dense grid.
 //!
 //! # Theory
 //!
-//! Distances at the corners of all bricks, every seventh sample, come first. The distance changes by no more than the
-//! way, so where all corners of a brick are farther from the surface than the band and the brick's diagonal, nothing of
-//! the brick is in the band; what is left is asked once more at its centre. The rest is baked by the blocks of
+//! The distances at the corners of all bricks, every seventh sample, come first. The distance is 1-Lipschitz. If all
+//! corners of a brick are farther from the surface than the band plus the brick's diagonal, no sample of the brick is
+//! in the band. The remaining bricks are tested again at their centres, and those that pass are baked by the blocks of
 //! [`super::dense`].
 //!
-//! Signs that are counted plane by plane ([`super::signs`]) are counted for a layer of regions at a time, one bit a
-//! sample. The others are decided sample by sample, in bricks near the surface only.
+//! Rules that count by planes ([`super::signs`]) classify a layer of regions at a time, one bit per sample. The other
+//! rules classify single samples, in bricks near the surface only.
 //!
 //! # Cost
 //!
-//! Time and memory go with the number of bricks near the surface, but for the bits of a layer, which are decided for
-//! all its samples: 15 MB of bits at 2048^3, and a share of a nanosecond a sample.
+//! Time and memory are proportional to the number of bricks near the surface, except for the bits of a layer, which
+//! cover all its samples: 15 MB of bits at 2048^3, and less than a nanosecond per sample.
 
 use super::signs::SignPass;
 use super::{BakeOptions, LocalGrid, Report, dense};
@@ -30,7 +30,7 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::time::Instant;
 
-/// Bake a sparse field on the CPU. `bake.band` is not used: that of `sparse` is.
+/// Bakes a sparse field on the CPU. The band of `sparse` is used, `bake.band` is ignored.
 pub fn bake_sparse<T: Texel>(
     mesh: &Mesh,
     grid: &Grid,
@@ -55,7 +55,7 @@ pub fn bake_sparse<T: Texel>(
     progress.check()?;
     stage("sign rule", start);
 
-    // Distances of the two-sided sheet are those of the triangles less this.
+    // Distances of the two-sided sheet are those of the triangles minus this.
     let half_thickness = bake.thickness.map_or(0.0, |thickness| 0.5 * thickness);
     let start = Instant::now();
     let mut nodes = vec![0.0; nodes_on.len()];
@@ -99,7 +99,7 @@ pub fn bake_sparse<T: Texel>(
     Ok((field, report))
 }
 
-/// What all layers share.
+/// Data shared by all layers.
 struct Job<'a> {
     mesh: &'a Mesh,
     rule: &'a SignRule,
@@ -108,13 +108,13 @@ struct Job<'a> {
     corners: &'a [f32],
     bricks: [usize; 3],
     half_thickness: f64,
-    /// A brick whose centre or corner is farther from the surface than this has nothing in the band.
+    /// A brick whose centre or corner is farther from the surface than this has no sample in the band, local units.
     near: f64,
     is_closed: bool,
 }
 
 impl Job<'_> {
-    /// Bricks that may have something in the band, seen from their corners: a little more than there are.
+    /// Upper bound on the number of bricks with a sample in the band, from the distances at their corners.
     fn count_near(&self) -> usize {
         let [nx, ny, nz] = self.bricks;
         let half = 0.5 * self.near;
@@ -124,7 +124,7 @@ impl Job<'_> {
             .sum()
     }
 
-    /// The least distance at the corners of a brick.
+    /// The smallest distance at the corners of a brick.
     fn nearest_corner(&self, [x, y, z]: [usize; 3]) -> f64 {
         let [nx, ny, _] = self.bricks.map(|bricks| bricks + 1);
         let first = x + nx * (y + ny * z);
@@ -132,7 +132,7 @@ impl Job<'_> {
         f64::from(row(0).min(row(nx)).min(row(nx * ny)).min(row(nx * ny + nx)))
     }
 
-    /// Signs of the planes of a layer, where they are counted by planes.
+    /// Signs of the planes of a layer, for rules that count by planes.
     fn layer(&self, planes: Range<usize>, progress: &Progress) -> Result<Layer<'_>, Error> {
         let [nx, ny, _] = self.local.shape();
         let words_per_row = nx.div_ceil(64);
@@ -142,7 +142,7 @@ impl Job<'_> {
             return Ok(layer);
         }
         layer.words = vec![0; words_per_row * ny * planes.len()];
-        // The pass counts samples; here it is the regions that count.
+        // The pass would count samples; the progress of the bake counts regions.
         let apart = Progress::new();
         let pass = SignPass { mesh: self.mesh, local: self.local, rule: self.rule, progress: &apart };
         layer.undecided = layer
@@ -162,15 +162,16 @@ impl Job<'_> {
     }
 }
 
-/// Planes of a slab of signs, the unit of parallel work.
+/// Number of planes of a slab of signs, the unit of parallel work.
 const SLAB_PLANES: usize = 4;
 
-/// A layer of regions, and the signs of its samples where they are known.
+/// A layer of regions, and the signs of its samples if they are known.
 struct Layer<'a> {
     job: &'a Job<'a>,
     first_plane: usize,
     words_per_row: usize,
-    /// One bit a sample, set inside; each row of samples begins a word. Empty for rules that look at points.
+    /// One bit per sample, set if inside; each row of samples begins with a new word. Empty for rules that classify
+    /// single points.
     words: Vec<u64>,
     undecided: usize,
 }
@@ -190,13 +191,14 @@ impl Layer<'_> {
         self.words[row * self.words_per_row + x / 64] >> (x % 64) & 1 == 1
     }
 
-    /// The side of all samples of a box; none where they differ. Rules that look at points are asked at the corners.
+    /// The common side of all samples of a box; None if they differ. Rules for single points are evaluated at the
+    /// corners.
     fn common_side(&self, of: &SampleBox) -> Option<Side> {
         let last = of.high.map(|i| i - 1);
         let corner = |i: usize| [0, 1, 2].map(|axis| if i >> axis & 1 == 0 { of.low[axis] } else { last[axis] });
         let inside = self.is_inside(corner(0));
         let is_common = if self.job.is_closed {
-            // Nothing of a closed surface is near: one sample speaks for all.
+            // No face of a closed surface is near, so one sample determines the side of all.
             true
         } else if self.words.is_empty() {
             (1..8).all(|i| self.is_inside(corner(i)) == inside)
@@ -238,7 +240,7 @@ impl SampleSource for Layer<'_> {
         let shape = [0, 1, 2].map(|axis| of.high[axis] - of.low[axis]);
         let distances = &mut distances[..shape.iter().product()];
         let part = job.local.part(of.low, shape);
-        // One task of the dense bake; it stops only for its progress, which nobody cancels.
+        // One task of the dense bake. Its progress is private and is never cancelled.
         let bvh = job.mesh.bvh();
         let _ = dense::distances(bvh, &part, f32::INFINITY, job.mesh.scale() as f32, &Progress::new(), distances);
         for (i, &distance) in distances.iter().enumerate() {

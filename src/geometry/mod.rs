@@ -1,4 +1,4 @@
-//! Points, boxes and triangles: the closed forms that everything else is built from.
+//! Boxes and triangles: closest points, solid angles and bounds in closed form.
 
 mod aabb;
 mod triangle;

@@ -1,11 +1,11 @@
 //! Closest point on a triangle, and the solid angle it covers, in float64.
 //!
-//! The search compares triangles in float32 (see `bvh::pack`); the winner is evaluated again here, so that a stored
-//! distance carries one rounding to float32 and the closest *feature* (face, edge or vertex) is known.
+//! The search compares triangles in float32 (see `bvh::pack`). The nearest one is evaluated again here in float64, so
+//! that a stored distance is rounded to float32 only once and the closest *feature* (face, edge or vertex) is known.
 
 use glam::DVec3;
 
-/// The part of a triangle that holds its closest point. Edge `i` joins corner `i` and corner `(i + 1) % 3`.
+/// The feature of a triangle that contains its closest point. Edge `i` joins corner `i` and corner `(i + 1) % 3`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Feature {
     Face,
@@ -13,7 +13,7 @@ pub enum Feature {
     Vertex(u8),
 }
 
-/// The closest point of a triangle, and where on it that lies.
+/// The closest point of a triangle, and its feature.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrianglePoint {
     pub point: DVec3,
@@ -22,9 +22,9 @@ pub struct TrianglePoint {
 
 /// Closest point to `p` on triangle `abc`, by Voronoi regions.
 ///
-/// Ericson, *Real-Time Collision Detection*, 2005, section 5.1.5. The plane projection divides by the sum of the
-/// three barycentrics, which the region tests have shown to be positive. On slivers the products of those tests cancel,
-/// so they are decided by the foot on the plane and the edges.
+/// Ericson, *Real-Time Collision Detection*, 2005, section 5.1.5. The plane projection divides by the sum of the three
+/// barycentrics, which the region tests have shown to be positive. On slivers the products of those tests cancel, so
+/// slivers are decided by the projection onto the plane and by the edges.
 pub fn closest_point_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> TrianglePoint {
     let at = |point, feature| TrianglePoint { point, feature };
     let (ab, ac) = (b - a, c - a);
@@ -64,13 +64,14 @@ pub fn closest_point_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> TrianglePoi
     at(a + ab * (vb * scale) + ac * (vc * scale), Feature::Face)
 }
 
-/// Squared sine of an angle below which float64 does not know the plane of a triangle to 1e-6: its edges are all there is.
+/// Squared sine of an angle below which float64 does not determine the plane of a triangle to 1e-6. Only its edges are
+/// used then.
 const NEEDLE: f64 = 1e-20;
 
 /// Squared ratio of width to length below which the products of the region tests cancel.
 const SLIVER: f64 = 1e-6;
 
-/// The foot on the plane where that lies inside, else the nearest of the edges: slower, and nothing cancels.
+/// The projection onto the plane if it lies inside, else the nearest of the edges. Slower, but without cancellation.
 fn closest_point_on_sliver(p: DVec3, corners: [DVec3; 3]) -> TrianglePoint {
     let [a, b, c] = corners;
     let normal = (b - a).cross(c - a);
@@ -103,7 +104,7 @@ fn closest_point_on_edges(p: DVec3, corners: [DVec3; 3]) -> TrianglePoint {
     nearer(nearer(on_edge(0), on_edge(1)), on_edge(2))
 }
 
-/// Barycentric weights of a point of a triangle: not negative, their sum is 1. `feature` is the part that holds the point.
+/// Barycentric weights of a point of a triangle: non-negative, with a sum of 1. `feature` contains the point.
 pub fn barycentric_weights(point: DVec3, [a, b, c]: [DVec3; 3], feature: Feature) -> [f64; 3] {
     let corners = [a, b, c];
     let mut weights = [0.0; 3];
@@ -131,8 +132,8 @@ pub fn triangle_cross([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).cross(c - a)
 }
 
-/// Signed solid angle of triangle `abc` seen from the origin, in steradians, positive when it is seen from behind
-/// (its counter-clockwise side faces away), so that a closed outward mesh gives +4 pi inside.
+/// Signed solid angle of triangle `abc` as seen from the origin, in steradians. It is positive if the triangle is seen
+/// from behind (its counter-clockwise side faces away), so that a closed mesh that faces outwards gives +4 pi inside.
 ///
 /// Van Oosterom and Strackee, *The solid angle of a plane triangle*, IEEE Trans. Biomed. Eng. 30(2), 1983.
 pub fn solid_angle([a, b, c]: [DVec3; 3]) -> f64 {
@@ -168,13 +169,13 @@ mod tests {
                     nearest_lattice = nearest_lattice.min(q.distance(found));
                 }
             }
-            // The lattice is at most one cell away from any point of the triangle.
+            // Any point of the triangle is at most one cell away from a lattice point.
             let cell = (b - a).length().max((c - a).length()).max((c - b).length()) / n as f64;
             prop_assert!(nearest_lattice <= cell);
         }
     }
 
-    /// A needle of float32 corners, thinner than float64 can resolve against its length, is its edges.
+    /// A sliver of float32 corners, thinner than float64 can resolve relative to its length, is treated as its edges.
     #[test]
     fn a_needle_is_as_near_as_its_edges() {
         let corners = [DVec3::Z, DVec3::new(0.1, 0.0, 0.9), DVec3::new(1e-17, 3e-18, 1.0)];

@@ -1,7 +1,7 @@
 //! A field in device memory.
 //!
-//! It is cut into slabs of whole planes, each a buffer that a kernel can bind, so a field may be larger than the largest
-//! binding. It stays on the device until somebody asks for the samples.
+//! The field is divided into slabs of whole planes. Each slab is a buffer that a kernel can bind, so a field may be
+//! larger than the largest binding. It stays on the device until its samples are read.
 
 use crate::error::{DeviceError, Error};
 use crate::gpu::Context;
@@ -25,17 +25,17 @@ pub struct Slab {
     pub buffer: wgpu::Buffer,
 }
 
-/// Planes of a slab are a multiple of this where that fits, so that blocks of samples are whole.
+/// The number of planes of a slab is a multiple of this if it fits, so that blocks of samples are whole.
 const ALIGN_PLANES: usize = 4;
 
 impl DeviceField {
-    /// Room for a field; no slab is larger than `max_bytes` or than the device can bind.
+    /// Allocates a field. No slab is larger than `max_bytes` or than the device can bind.
     pub fn allocate(context: &Arc<Context>, shape: [usize; 3], max_bytes: u64) -> Result<Self, Error> {
         let [nx, ny, nz] = shape;
         let what = format!("a field of {nx} x {ny} x {nz} samples");
         let total = (nx * ny * nz) as u64 * SAMPLE;
         if !context.info.hardware {
-            // An emulated device grants memory that the machine does not have.
+            // An emulated device would grant more memory than the machine has.
             require(&what, total, 0)?;
         }
         let plane_bytes = (nx * ny) as u64 * SAMPLE;
@@ -53,7 +53,7 @@ impl DeviceField {
         Ok(Self { context: context.clone(), shape, slabs })
     }
 
-    /// Copy samples to a device.
+    /// Copies samples to a device.
     pub fn upload(context: &Arc<Context>, shape: [usize; 3], samples: &[f32]) -> Result<Self, Error> {
         let field = Self::allocate(context, shape, u64::MAX)?;
         let plane = shape[0] * shape[1];
@@ -63,7 +63,7 @@ impl DeviceField {
         Ok(field)
     }
 
-    /// Copy the samples to the host.
+    /// Copies the samples to the host.
     pub fn read(&self, progress: &Progress) -> Result<Vec<f32>, Error> {
         let [nx, ny, nz] = self.shape;
         let what = format!("a field of {nx} x {ny} x {nz} samples");
@@ -87,7 +87,7 @@ impl DeviceField {
         &self.slabs
     }
 
-    /// Device memory held.
+    /// Size of the device memory in use, bytes.
     pub fn bytes(&self) -> u64 {
         self.slabs.iter().map(|slab| slab.buffer.size()).sum()
     }

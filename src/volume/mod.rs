@@ -1,15 +1,14 @@
-//! A stored field read back: samples, gradients, other resolutions.
+//! A stored field: samples, gradients, other resolutions.
 //!
 //! # Theory
 //!
-//! Samples sit at voxel centres. Between the centres the field is trilinear; in the outer half voxel of the box, where
-//! there is no centre on one side, it is the value of the nearest point that has centres all round (the texture
-//! samplers' "clamp to edge"). [`Trilinear`] is that function for every kind of field, and there is no second one:
-//! sampling, gradients, resampling and the raymarcher read the field through it, so a picture shows exactly the surface
-//! that `sample` reports.
+//! Samples lie at voxel centres. Between the centres the field is trilinear. In the outer half voxel of the box, it has
+//! the value of the nearest point between centres (the "clamp to edge" of texture samplers). [`Trilinear`] is the only
+//! implementation of this function: sampling, gradients, resampling and the ray marcher read the field through it, so a
+//! picture shows exactly the surface that `sample` reports.
 //!
 //! Positions are in *grid space*: voxel centres at integers, `p_grid = (p_world - lower) / spacing - 1/2`. The
-//! subtraction happens in f64, so a box far from the origin loses nothing; the weights are f32.
+//! subtraction is done in f64, so a box far from the origin loses no precision; the weights are f32.
 //!
 //! Cell `i` on an axis lies between the centres `i` and `i + 1`. With `n` voxels the cells run from -1 to n - 1: the
 //! first and the last are the outer half voxels, whose corners are clamped to the same sample.
@@ -23,8 +22,8 @@
 //!
 //! # Practice
 //!
-//! [`FieldView`] borrows the distances; build one wherever it is needed. Batches run on all cores in chunks, count
-//! their progress in points, and stop when it is cancelled.
+//! [`FieldView`] borrows the distances and is cheap to make. Batches run on all cores in chunks, count their progress
+//! in points, and stop when they are cancelled.
 
 pub mod device;
 pub mod outside;
@@ -60,7 +59,7 @@ impl<'a> FieldView<'a> {
 }
 
 impl<'a, T: Texel> FieldView<'a, T> {
-    /// Stored samples and the scale that they are decoded with ([`crate::encoding`]).
+    /// Stored samples and their scale ([`crate::encoding`]).
     pub fn encoded(grid: Grid, texels: &'a [T], scale: f32) -> Result<Self, Error> {
         if texels.len() != grid.len() {
             let [nx, ny, nz] = grid.shape;
@@ -71,17 +70,17 @@ impl<'a, T: Texel> FieldView<'a, T> {
         Ok(Self { grid, texels, scale })
     }
 
-    /// The samples as they are stored.
+    /// The samples in their stored encoding.
     pub fn texels(&self) -> &'a [T] {
         self.texels
     }
 
-    /// The samples as numbers.
+    /// The samples decoded to f32.
     pub fn decoded(&self) -> Vec<f32> {
         self.texels.par_iter().map(|texel| texel.decode(self.scale)).collect()
     }
 
-    /// What the samples are decoded with.
+    /// Scale of the stored samples.
     pub fn scale(&self) -> f32 {
         self.scale
     }
@@ -92,7 +91,7 @@ impl<'a, T: Texel> FieldView<'a, T> {
         self.texels_around(cell).map(|texel| texel.decode(self.scale))
     }
 
-    /// [`FieldView::corners`] as they are stored.
+    /// [`FieldView::corners`] in the stored encoding.
     #[inline]
     pub fn texels_around(&self, cell: IVec3) -> [T; 8] {
         let [nx, ny, nz] = self.grid.shape;
@@ -177,7 +176,7 @@ mod tests {
         values
     }
 
-    /// Largest magnitude of the test field is below 8; a dozen f32 roundings stay below this.
+    /// The magnitude of the test field is below 8. Twelve f32 roundings stay below this.
     const ROUNDING: f64 = 8.0 * 12.0 * f32::EPSILON as f64;
 
     proptest! {
@@ -189,7 +188,7 @@ mod tests {
             let h = grid.spacing();
             let p = grid.lower + 0.5 * h + (grid.upper - grid.lower - h) * DVec3::new(u, v, w);
             prop_assert!((field.sample_linear(p) as f64 - multilinear(p)).abs() < ROUNDING);
-            // A difference of two samples is divided by the smallest spacing, 1/6.
+            // The difference of two samples is divided by the smallest spacing, 1/6.
             prop_assert!((field.gradient(p).as_dvec3() - multilinear_gradient(p)).abs().max_element() < 6.0 * 2.0 * ROUNDING);
         }
 
@@ -202,7 +201,7 @@ mod tests {
             let step = 1e-3;
             let inside = |a: f64| a.clamp(0.0, 3.0).fract().clamp(2.0 * step, 1.0 - 2.0 * step) + a.clamp(0.0, 3.0 - 1e-9).floor();
             let p_grid = DVec3::new(inside(3.0 * u), inside(3.0 * v), inside(3.0 * w)) - 0.5;
-            // Keep away from the cell faces at the integers, where the gradient jumps.
+            // Points stay away from the cell faces at the integers, where the gradient jumps.
             let p_grid = p_grid + DVec3::select((p_grid - p_grid.round()).abs().cmplt(DVec3::splat(2.0 * step)), DVec3::splat(4.0 * step), DVec3::ZERO);
             let p = grid.lower + (p_grid + 0.5) * h;
             for axis in 0..3 {
@@ -265,7 +264,7 @@ mod tests {
         let there = Grid::new(shift, shift + 1.0, [8, 8, 8]).unwrap();
         let distances = fill(&here, multilinear);
         let (near, far) = (FieldView::new(here, &distances).unwrap(), FieldView::new(there, &distances).unwrap());
-        // A world coordinate of 1e6 has steps of 1.2e-10; the field's slope is below 4.
+        // World coordinates of 1e6 have steps of 1.2e-10; the slope of the field is below 4.
         for p in [DVec3::new(0.3, 0.6, 0.9), DVec3::new(0.11, 0.22, 0.33)] {
             assert!((near.sample_linear(p) - far.sample_linear(p + shift)).abs() < 2.0 * 8.0 * f32::EPSILON);
         }

@@ -16,44 +16,47 @@
 //!           = sum w_i d_i^2 - sum over axes of h^2 f (1 - f)  =: s^2
 //! ```
 //!
-//! with the voxel size `h` and the fraction `f` along each axis: the subtracted term is the variance of the weights. So
-//! `s` is a bound that uses the squares of the stored values; the trilinear field itself is none, it can exceed `d`.
+//! with the voxel size `h` and the fraction `f` along each axis; the subtracted term is the variance of the weights. So
+//! `s` is a bound that uses the squares of the stored values. The trilinear field itself is not a bound; it can exceed
+//! `d`.
 //!
-//! Take a convex set that holds the surface and in which the samples define `s`, and for `c` its point nearest to `p`;
-//! `a = |p - c|`.
+//! Take a convex set that contains the surface and in which the samples define `s`. Let `c` be its point nearest to
+//! `p`, and `a = |p - c|`.
 //!
-//! - The surface lies in the hull of the voxel centres, as a bake with a margin has it. Two sets will do: the hull, and
-//!   the box of the surface in it. Convexity gives `(p - c).(c - q) >= 0` for every `q`, so `|p - q|^2 >= a^2 + |c - q|^2`
-//!   and `d(p) >= sqrt(a^2 + max(0, s^2))`. The hull is the tighter near the box, the inner box farther away; the
-//!   larger wins, and it is positive.
-//! - It does not, because the user's bounds cut the mesh. Then `d(p) >= s - a` at the nearest point of the hull, by the
-//!   triangle inequality, and `d(p)` is at least the distance to the inner box. The larger wins; it can be zero.
+//! - Case 1: the surface lies in the hull of the voxel centres, as after a bake with a margin. Two convex sets are
+//!   valid: the hull, and the box of the surface in it. Convexity gives `(p - c).(c - q) >= 0` for every `q`, so `|p -
+//!   q|^2 >= a^2 + |c - q|^2` and `d(p) >= sqrt(a^2 + max(0, s^2))`. The bound of the hull is tighter near the box,
+//!   that of the inner box farther away. The larger one is used, and it is positive.
+//! - Case 2: it does not, because the user's bounds cut the mesh. Then `d(p) >= s - a` at the nearest point of the
+//!   hull, by the triangle inequality, and `d(p)` is at least the distance to the inner box. The larger one is used; it
+//!   can be zero.
 //!
-//! Values that are lower bounds themselves (a narrow band, a merged scene) keep all of this true. `a + s` is no bound:
-//! it lets rays pass through things.
+//! All of this holds for values that are lower bounds themselves (a narrow band, a merged scene). `a + s` is not a
+//! bound: with it rays would pass through surfaces.
 //!
 //! # Practice
 //!
-//! True up to the error of the stored distances; the last rounding to f32 is downward. For a sphere in a box with a
-//! margin of 10 % the bound is on average 0.85 of the distance, over the points within one box length of the box.
+//! The bound holds up to the error of the stored distances; the last rounding to f32 is downward. For a sphere in a box
+//! with a margin of 10 % the bound is on average 0.85 of the distance, over the points within one box length of the
+//! box.
 
 use super::{FieldView, Texel, Trilinear};
 use glam::DVec3;
 
 impl<T: Texel> FieldView<'_, T> {
-    /// [`bound_outside`] in f64, of the unsigned distance; also for a point in the hull.
+    /// [`bound_outside`] of the unsigned distance in f64. Valid for points in the hull too.
     pub(crate) fn unsigned_bound(&self, p: DVec3, inner: [DVec3; 2]) -> f64 {
         unsigned_bound(self, p, inner)
     }
 
-    /// What the eight samples around the point of the hull nearest to `p` say of the signed distance at `p`.
+    /// Bound on the signed distance at `p` from the eight samples around the point of the hull nearest to `p`.
     pub(crate) fn cell_bound(&self, p: DVec3) -> CellBound {
         let h = self.grid().spacing();
         let p_grid = self.grid_from_world(p);
         let last = self.shape() - 1.0;
         let cell = p_grid.max(DVec3::ZERO).min(last).floor();
         let corners = self.corners(cell.as_ivec3());
-        // Along each axis the squared distance to the lower and to the upper corner.
+        // Squared distances to the lower and to the upper corner along each axis.
         let (to_low, to_high) = ((p_grid - cell) * h, (p_grid - (cell + 1.0).min(last)) * h);
         let (low, high) = (to_low * to_low, to_high * to_high);
         let in_hull = p_grid.clamp(DVec3::ZERO, last) == p_grid;
@@ -72,10 +75,11 @@ impl<T: Texel> FieldView<'_, T> {
 /// A bound from the samples around a point.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CellBound {
-    /// The largest sample less its distance from the point: not above a signed distance, which has slope 1.
+    /// The largest difference of a sample and its distance from the point. It does not exceed the signed distance,
+    /// which has slope 1.
     pub by_distance: f64,
     pub all_positive: bool,
-    /// The point lies among the voxel centres.
+    /// Whether the point lies between the voxel centres.
     pub in_hull: bool,
 }
 
@@ -115,7 +119,7 @@ pub(super) fn square_bound(field: &impl Trilinear, c: DVec3) -> f64 {
     (mean_square(&field.cell(cell.as_ivec3()).corners, f) - variance).max(0.0)
 }
 
-/// Trilinear mean of the squared samples; f64, for the squares are compared with the variance.
+/// Trilinear mean of the squared samples. It is f64, because it is compared with the variance.
 fn mean_square(corners: &[f32; 8], f: DVec3) -> f64 {
     let mut sum = 0.0;
     for (i, &distance) in corners.iter().enumerate() {
@@ -127,7 +131,7 @@ fn mean_square(corners: &[f32; 8], f: DVec3) -> f64 {
     sum
 }
 
-/// The largest f32 that is not above `value`.
+/// The largest f32 that does not exceed `value`.
 pub(crate) fn round_down(value: f64) -> f32 {
     let rounded = value as f32;
     if rounded as f64 > value { rounded.next_down() } else { rounded }
@@ -141,7 +145,7 @@ mod tests {
     use crate::grid::Grid;
     use proptest::prelude::*;
 
-    /// Truth by brute force: the surface is a set of points.
+    /// Brute-force truth: the surface is a set of points.
     fn distance_to(points: &[DVec3], p: DVec3) -> f64 {
         points.iter().map(|q| (p - *q).length_squared()).fold(f64::INFINITY, f64::min).sqrt()
     }
@@ -150,7 +154,7 @@ mod tests {
         [points.iter().copied().reduce(DVec3::min).unwrap(), points.iter().copied().reduce(DVec3::max).unwrap()]
     }
 
-    /// Half an ulp of error in the stored samples moves the bound by at most that much of the largest sample.
+    /// The largest effect of half an ulp of error in the stored samples on the bound, relative to the largest sample.
     fn stored_error(distances: &[f32]) -> f64 {
         f32::EPSILON as f64 * distances.iter().fold(0.0f32, |m, d| m.max(d.abs())) as f64
     }
@@ -208,7 +212,7 @@ mod tests {
         let distances = fill(&grid, |p| p.length() - 1.0);
         let field = FieldView::new(grid, &distances).unwrap();
         let (mut sum, mut count) = (0.0, 0);
-        // Points of a regular lattice within one box length of the box, off the symmetry planes.
+        // Points of a regular lattice within one box length of the box, not on its symmetry planes.
         for i in 0..30 {
             for j in 0..30 {
                 for k in 0..30 {

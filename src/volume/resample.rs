@@ -1,8 +1,8 @@
 //! The trilinear field at the voxel centres of another grid over the same box.
 //!
-//! Positions and weights are the same for all rows of an axis, so they are made once per axis. Halving an even
-//! resolution puts every new centre in the middle of eight old ones: the result is their mean. Going down by more than
-//! two at once skips samples; halve repeatedly if all of them shall count.
+//! Positions and weights are the same for all rows of an axis, so they are computed once per axis. Halving an even
+//! resolution places every new centre in the middle of eight old ones: the result is their mean. A reduction by more
+//! than two at once skips samples; halve repeatedly to include all of them.
 
 use super::{FieldView, Texel, Trilinear, trilinear};
 use crate::error::Error;
@@ -67,7 +67,7 @@ mod tests {
                 for corner in 0..8 {
                     sum += distances[grid.offset(2 * x + (corner & 1), 2 * y + (corner >> 1 & 1), corner >> 2)];
                 }
-                // Values below 6, seven lerps of two roundings each.
+                // Values are below 6, and seven interpolations have two roundings each.
                 assert!((half[x + 2 * y] - sum / 8.0).abs() <= 6.0 * 14.0 * f32::EPSILON);
             }
         }

@@ -13,7 +13,7 @@ pub trait Texel: Pod + Send + Sync + 'static {
 
     fn decode(self, scale: f32) -> f32;
 
-    /// Whether the decoded value is: known without decoding.
+    /// Whether the decoded value is above zero, without decoding.
     fn is_above_zero(self) -> bool;
 }
 
@@ -36,7 +36,7 @@ impl Texel for f32 {
     }
 }
 
-/// An integer of as many bits as the encoding, or something that is made of one.
+/// Implements `Texel` for an integer of as many bits as the encoding, or for a type made of one.
 macro_rules! impl_texel {
     ($texel:ty, $encoding:ident, $bits:ty, $from_bits:expr, $to_bits:expr) => {
         impl Texel for $texel {
@@ -55,7 +55,7 @@ macro_rules! impl_texel {
 
             #[inline]
             fn is_above_zero(self) -> bool {
-                // A half has its sign where an integer has it.
+                // A half has its sign in the same bit as an integer.
                 let bits: $bits = $to_bits(self);
                 bits.cast_signed() > 0
             }

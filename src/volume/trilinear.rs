@@ -6,43 +6,42 @@ use crate::progress::Progress;
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
-/// How a value is made from the stored samples.
+/// Interpolation of the stored samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Filter {
     /// The trilinear field.
     #[default]
     Linear,
-    /// The sample of the voxel that holds the point.
+    /// The sample of the voxel that contains the point.
     Nearest,
 }
 
 impl Filter {
-    /// The filter that the Python interface calls `name`.
+    /// Converts the public name of a filter.
     pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
         choice("filter", name, &[("linear", Self::Linear), ("nearest", Self::Nearest)])
     }
 }
 
-/// Points in a block of a batch: about 0.2 ms of work, so that cancelling is prompt and scheduling costs nothing.
+/// Number of points in a block of a batch: about 0.2 ms of work, so that cancelling is prompt and scheduling is cheap.
 const CHUNK_POINTS: usize = 4096;
 
-/// How far rounding may put a voxel centre from its integer in grid space: f64 at a box 1e6 voxels from the origin
-/// stays below 1e-9.
+/// Largest rounding error of a voxel centre in grid space. In f64, a box 1e6 voxels from the origin stays below 1e-9.
 const CENTRE_SNAP_VOXELS: f64 = 1e-6;
 
-/// A cube in which a field is the trilinear function of its corners.
+/// A cube in which a field is the trilinear function of its corner values.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Cell {
-    /// Bit 0 of the index is x, bit 1 y, bit 2 z.
+    /// Values at the corners; bit 0 of the index is x, bit 1 y, bit 2 z.
     pub corners: [f32; 8],
     /// Grid coordinates of corner 0.
     pub first: IVec3,
-    /// Voxels along a side.
+    /// Side of the cube, voxels.
     pub size: i32,
 }
 
 impl Cell {
-    /// The field at a point of the cell, grid space.
+    /// The field at a point of the cell; grid space.
     #[inline]
     pub fn at(&self, p_grid: DVec3) -> f32 {
         trilinear(&self.corners, self.fraction(p_grid))
@@ -53,7 +52,7 @@ impl Cell {
         trilinear_gradient(&self.corners, self.fraction(p_grid)) / self.size as f32
     }
 
-    /// Position in the cell, 0 to 1.
+    /// Position in the cell, 0 to 1 along each axis.
     fn fraction(&self, p_grid: DVec3) -> Vec3 {
         ((p_grid - self.first.as_dvec3()) / f64::from(self.size)).as_vec3()
     }
@@ -63,20 +62,20 @@ impl Cell {
 pub trait Trilinear: Sync {
     fn grid(&self) -> &Grid;
 
-    /// The cell that holds the cube from voxel centre `index` to the next; indices run from -1 to n - 1.
+    /// The cell from voxel centre `index` to the next; indices run from -1 to n - 1.
     fn cell(&self, index: IVec3) -> Cell;
 
     /// Lower bound, zero or more, on the distance from `p`, outside the box, to a surface inside the box `inner`
     /// (lower and upper corner).
     fn distance_bound(&self, p: DVec3, inner: [DVec3; 2]) -> f32;
 
-    /// The trilinear field at a world point; of the nearest point of the box when `p` lies outside.
+    /// The trilinear field at a world point. A point outside the box is replaced by the nearest point of the box.
     fn sample_linear(&self, p: DVec3) -> f32 {
         let p_grid = self.clamp_to_box(self.grid_from_world(p));
         self.cell(p_grid.floor().as_ivec3()).at(p_grid)
     }
 
-    /// The sample of the voxel that holds `p`; of the nearest voxel when `p` lies outside.
+    /// The sample of the voxel that contains `p`, or of the nearest voxel if `p` lies outside.
     fn sample_nearest(&self, p: DVec3) -> f32 {
         // A point on the upper face rounds to n.
         let voxel = self.clamp_to_box(self.grid_from_world(p)).round();
@@ -84,12 +83,13 @@ pub trait Trilinear: Sync {
         self.cell(voxel.as_ivec3()).at(voxel)
     }
 
-    /// Gradient of the trilinear field, distance per world unit; of the nearest point of the box when outside.
+    /// Gradient of the trilinear field, distance per world unit. A point outside the box is replaced by the nearest
+    /// point of the box.
     ///
-    /// Zero along an axis in the outer half voxel, where the field is constant along it. It jumps between cells.
+    /// It is zero along an axis in the outer half voxel, where the field is constant along it. It jumps between cells.
     fn gradient(&self, p: DVec3) -> Vec3 {
         let p_grid = self.clamp_to_box(self.grid_from_world(p));
-        // The outermost centres belong to the cell between centres, whichever side of them rounding has put `p` on.
+        // The outermost centres belong to the cell between centres, even if rounding places `p` beyond them.
         let last = self.shape() - 1.0;
         let between_centres = p_grid.max(DVec3::ZERO).min(last);
         let at_centre = (p_grid - between_centres).abs().cmplt(DVec3::splat(CENTRE_SNAP_VOXELS));
@@ -99,7 +99,7 @@ pub trait Trilinear: Sync {
         (per_voxel.as_dvec3() / self.grid().spacing()).as_vec3()
     }
 
-    /// Field at many points. Outside the box: [`Trilinear::distance_bound`]. A point that is not a number gives NaN.
+    /// The field at points. Outside the box: [`Trilinear::distance_bound`]. A NaN coordinate gives NaN.
     fn sample(
         &self,
         points: &[DVec3],
@@ -121,12 +121,12 @@ pub trait Trilinear: Sync {
         })
     }
 
-    /// [`Trilinear::gradient`] at many points. A point that is not a number gives NaN.
+    /// [`Trilinear::gradient`] at points. A NaN coordinate gives NaN.
     fn gradients(&self, points: &[DVec3], progress: &Progress) -> Result<Vec<Vec3>, Error> {
         batch(points, progress, |p| if p.is_nan() { Vec3::NAN } else { self.gradient(p) })
     }
 
-    /// Whether the box, faces included, holds `p`.
+    /// Whether the box, faces included, contains `p`.
     fn contains(&self, p: DVec3) -> bool {
         p.cmpge(self.grid().lower).all() && p.cmple(self.grid().upper).all()
     }
@@ -141,7 +141,7 @@ pub trait Trilinear: Sync {
         p_grid.max(DVec3::splat(-0.5)).min(self.shape() - 0.5)
     }
 
-    /// Voxels along each axis.
+    /// Number of voxels along each axis.
     fn shape(&self) -> DVec3 {
         let [nx, ny, nz] = self.grid().shape;
         DVec3::new(nx as f64, ny as f64, nz as f64)

@@ -1,9 +1,9 @@
-//! The box around a block of samples, and arithmetic of several lanes that compiles to vector instructions.
+//! The box around a block of samples, and arithmetic in lanes that compiles to vector instructions.
 
 use crate::bvh::WIDTH;
 use glam::Vec3;
 
-/// Corners of a block.
+/// Number of corners of a block.
 pub(super) const CORNERS: usize = 8;
 
 /// A box of samples: centre and half size of the box around their positions.
@@ -14,7 +14,7 @@ pub(super) struct Block {
 }
 
 impl Block {
-    /// The positions of its corners; bit `axis` of the index picks the upper side.
+    /// Positions of the corners; bit `axis` of the index selects the upper side.
     #[inline(always)]
     pub fn corners(&self) -> [[f32; CORNERS]; 3] {
         let mut corners = [[0.0; CORNERS]; 3];
@@ -27,13 +27,13 @@ impl Block {
         corners
     }
 
-    /// The largest value a tangent may have at the centre without lying above every bound: max over the corners of the
-    /// bound there less the tangent's rise to there.
+    /// The largest value that a tangent may have at the centre without lying above every bound: the maximum over the
+    /// corners of the bound there minus the rise of the tangent to that corner.
     #[inline(always)]
     pub fn slackest(&self, gradient: [f32; 3], bounds: &[f32; CORNERS]) -> f32 {
         let [x, y, z] = [0, 1, 2].map(|axis| gradient[axis] * self.half[axis]);
         let (sum, difference) = (x + y, x - y);
-        // The rise to the corners with both x and y up, x alone, y alone, neither; below and above.
+        // The rise to the corners with x and y up, x up, y up, and neither; for the lower and the upper side in z.
         let rises = [sum, difference, -difference, -sum];
         let mut slackest = f32::NEG_INFINITY;
         for (corner, rise) in [3, 1, 2, 0].into_iter().zip(rises) {
@@ -61,7 +61,7 @@ pub(super) fn min(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
-/// Bit i set where lane i is zero or less.
+/// Bit i is set if lane i is zero or less.
 #[inline(always)]
 pub(super) fn not_positive(lanes: &[f32; WIDTH]) -> u8 {
     let mut bits = 0;

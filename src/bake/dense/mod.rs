@@ -1,41 +1,45 @@
-//! Unsigned distances of a whole grid: the grid's octree and the mesh's tree walked together, with convexity culling.
+//! Unsigned distances of a whole grid. The octree of the grid and the tree of the mesh are traversed together, with
+//! culling by convexity.
 //!
 //! # Theory
 //!
-//! Neighbouring samples have nearly the same nearest triangles, so they are found for whole blocks of samples. What
-//! can be left out follows from convexity. Let S be a convex set (a triangle or a box), c the centre of a block B.
+//! Neighbouring samples have nearly the same nearest triangles, so the triangles are found for whole blocks of samples.
+//! Convexity decides which triangles can be dropped. Let S be a convex set (a triangle or a box) and c the centre of a
+//! block B.
 //! - The distance d(p, S) is a convex function of p, so it lies above its tangent at c: d(p, S) >= d(c, S) + g.(p - c),
-//!   g being the unit vector from the nearest point of S to c (or zero, where c lies in S).
+//!   where g is the unit vector from the nearest point of S to c (or zero if c lies in S).
 //! - Let T be any triangle of the mesh. The distance to the mesh is at most d(p, T), and d(p, T) is convex too.
-//! - "Convex less linear" has its maximum over a box at a corner. So if d(p, T) < d(c, S) + g.(p - c) holds at the eight
-//!   corners of B, it holds throughout B: S is nearest to no sample of the block and is dropped, exactly.
+//! - A convex function minus a linear one has its maximum over a box at a corner. If d(p, T) < d(c, S) + g.(p - c)
+//!   holds at the eight corners of B, it holds throughout B: S is nearest to no sample of the block and is dropped,
+//!   exactly.
 //!
-//! The test drops what lies behind or beside the surface nearest to the block, not only what lies far away.
+//! The test drops sets behind or beside the surface nearest to the block, as well as sets far away.
 //!
-//! The walk goes from blocks of 16^3 samples over 8^3 to 4^3. A block inherits the nodes that its parent kept, tests their
-//! children, opens those larger than itself, and passes the rest on. T is the triangle nearest to the centre. A block of
-//! 4^3 opens what is left down to single triangles and keeps the tangent of each. Groups of 16 samples then need no new
-//! geometry: the tangents still hold, and the best distances so far are the bound, sample by sample, in any order; the
-//! nearest come first. Where a block has too many triangles for a list, each of its samples searches by itself.
+//! The traversal goes from blocks of 16^3 samples over 8^3 to 4^3. A block starts with the nodes that its parent kept,
+//! tests their children, opens those larger than itself, and passes the rest on. T is the triangle nearest to the
+//! centre. A block of 4^3 opens the remaining nodes down to single triangles and stores the tangent of each. Groups of
+//! 16 samples then need no new geometry: the tangents still hold, and the smallest distances so far are the bound,
+//! sample by sample, in any order; the nearest triangles come first. If a block has too many triangles for a list, each
+//! of its samples is searched separately.
 //!
 //! # Rounding
 //!
-//! Everything is float32 in local coordinates. A tangent and a distance are each off by less than [`SLACK`] of the
-//! largest coordinate (see `bvh::pack`: a few 1e-7), so a set is dropped only if the test holds by that margin. What is
-//! stored is the float32 distance of the winner: good to about 3e-7 of the mesh's longest side.
+//! All arithmetic is float32 in local coordinates. A tangent and a distance each have an error below [`SLACK`] of the
+//! largest coordinate (see `bvh::pack`: a few 1e-7), so a set is dropped only if the test holds by that margin. The
+//! stored value is the float32 distance of the nearest triangle, accurate to about 3e-7 of the mesh's longest side.
 //!
 //! # Cost
 //!
-//! On a mesh of 70,000 faces at 128^3, a block of 4^3 tests about 40 nodes and 58 packs and lists 130 triangles, of which
-//! eight samples together evaluate 32. The result does not depend on threads or instruction set.
+//! On a mesh of 70,000 faces at 128^3, a block of 4^3 tests about 40 nodes and 58 packs and lists 130 triangles, of
+//! which groups of eight samples evaluate 32. The result does not depend on threads or instruction set.
 //!
 //! # Compilers
 //!
-//! From block to block the walk carries the [`Slot`] of the nearest triangle, never its `TriangleFrame`. LLVM's register
-//! coalescer for x86 (versions 14 to 22) can keep four floats that live across branches as a group in a 4-byte spill
-//! slot, if the first of them is also used alone: the other three come back as zero. A frame by value is such a group,
-//! and builds that carried it dropped triangles. See `docs/notes/llvm-register-coalescer.md`; `scripts/check_units.sh`
-//! tests builds with 1 to 256 codegen units.
+//! The traversal passes the [`Slot`] of the nearest triangle from block to block, never its `TriangleFrame`. LLVM's
+//! register coalescer for x86 (versions 14 to 22) can keep four floats that live across branches as a group in a 4-byte
+//! spill slot, if the first of them is also used alone: the other three are restored as zero. A frame by value is such
+//! a group, and builds that passed it dropped triangles. See `docs/notes/llvm-register-coalescer.md`;
+//! `scripts/check_units.sh` tests builds with 1 to 256 codegen units.
 
 mod block;
 
@@ -49,21 +53,22 @@ use block::{Block, CORNERS, max, min, not_positive, roots};
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Samples along the side of the blocks that are tasks, and of those that list triangles.
+/// Number of samples along the side of the blocks that are tasks, and of those that list triangles.
 const TASK: usize = 16;
 const LEAF: usize = 4;
-/// Samples of a group, evaluated side by side.
+/// Number of samples of a group along each axis. A group is evaluated side by side.
 const GROUP: [usize; 3] = [4, 2, 2];
 const LANES: usize = GROUP[0] * GROUP[1] * GROUP[2];
-/// Packs of a list from which a search for each sample of the block is cheaper: where triangles are much smaller than
-/// voxels. On 870,000 faces at 64^3, 400 was the fastest of 100, 200, 400, 800 and no limit.
+/// Number of packs in a list above which one search per sample of the block is cheaper. This happens if triangles are
+/// much smaller than voxels. On 870,000 faces at 64^3, 400 was the fastest of 100, 200, 400, 800 and no limit.
 const MOST_PACKS: usize = 400;
-/// Margin of the culling test, relative to the largest coordinate: ten times the rounding of either side.
+/// Margin of the culling test, relative to the largest coordinate: ten times the rounding error of either side.
 const SLACK: f32 = 4e-6;
 
 /// Distances of every sample of a grid, times `scale`.
 ///
-/// `limit` is the distance up to which they are wanted, local units: a block that lies wholly beyond it gets infinity.
+/// `limit` is the largest distance that is needed, local units. Samples of a block that lies completely beyond it are
+/// infinite.
 pub(super) fn distances(
     bvh: &Bvh,
     grid: &LocalGrid,
@@ -75,7 +80,7 @@ pub(super) fn distances(
     let shape = grid.axes.map(|axis| axis.count);
     let tasks = shape.map(|n| n.div_ceil(TASK));
     let rows = SharedRows { samples: out.as_mut_ptr(), shape };
-    // The largest coordinate that takes part scales the rounding.
+    // Rounding errors are proportional to the largest coordinate that occurs.
     let reach = (grid.at([0; 3]).abs().max(grid.at(shape.map(|n| n - 1)).abs()).max_element() as f32).max(1.0);
     (0..tasks.iter().product::<usize>()).into_par_iter().try_for_each_init(Scratch::default, |scratch, task| {
         let low = [task % tasks[0], task / tasks[0] % tasks[1], task / (tasks[0] * tasks[1])].map(|i| i * TASK);
@@ -89,7 +94,7 @@ pub(super) fn distances(
     })
 }
 
-/// The output, written by many tasks at once.
+/// The output, written by several tasks at once.
 struct SharedRows {
     samples: *mut f32,
     shape: [usize; 3],
@@ -99,7 +104,7 @@ struct SharedRows {
 unsafe impl Sync for SharedRows {}
 
 impl SharedRows {
-    /// Put a tile, scaled, in its place.
+    /// Writes a tile, scaled, to its position.
     ///
     /// # Safety
     /// The box `low..high` lies in the grid, and no other thread writes to it.
@@ -108,7 +113,7 @@ impl SharedRows {
             for y in low[1]..high[1] {
                 let offset = low[0] + self.shape[0] * (y + self.shape[1] * z);
                 let row = &tile[TASK * ((y - low[1]) + TASK * (z - low[2]))..][..high[0] - low[0]];
-                // SAFETY: by the contract above, the row lies in the output and is this caller's alone.
+                // SAFETY: by the contract above, the row lies in the output and no other thread writes to it.
                 let target = unsafe { std::slice::from_raw_parts_mut(self.samples.add(offset), row.len()) };
                 for (to, from) in target.iter_mut().zip(row) {
                     *to = from * scale;
@@ -118,7 +123,7 @@ impl SharedRows {
     }
 }
 
-/// Nodes that can matter to a block: an index and the lanes that remain.
+/// Nodes that may contain a nearest triangle of a block: an index and the mask of the remaining lanes.
 type Candidates = Vec<(u32, u8)>;
 
 /// Buffers that tasks of one thread reuse.
@@ -130,10 +135,10 @@ struct Scratch {
     list: List,
 }
 
-/// Tangents of triangles at the centre of a block, one array a number so that lanes can go over them.
+/// Tangents of triangles at the centre of a block, one array per component, so that lanes can process them.
 #[derive(Default)]
 struct Tangents {
-    /// At the centre, the margin taken off.
+    /// Value at the centre, minus the margin.
     value: Vec<f32>,
     gradient: [Vec<f32>; 3],
     slot: Vec<Slot>,
@@ -159,13 +164,13 @@ impl Tangents {
 /// The triangles of a block, nearest to its centre first.
 #[derive(Default)]
 struct List {
-    /// Value at the centre and row in `Tangents`, in one number that sorts by the value.
+    /// Value at the centre and row in `Tangents`, packed into one integer that sorts by the value.
     keys: Vec<u64>,
     tangents: Vec<Tangent>,
     frames: Vec<TriangleFrame>,
 }
 
-/// A lower bound that is linear: its value at the centre of the block, and its gradient.
+/// A linear lower bound: its value at the centre of the block, and its gradient.
 #[derive(Clone, Copy)]
 struct Tangent {
     value: f32,
@@ -182,7 +187,7 @@ struct Tile<'a> {
 }
 
 impl Tile<'_> {
-    /// Compute the samples of the box `low..high`.
+    /// Computes the samples of the box `low..high`.
     fn fill(&mut self, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") {
@@ -224,14 +229,14 @@ impl Tile<'_> {
             stack.extend_from_slice(root);
             self.cull_nodes(&block, of_parent, stack, middle);
 
-            // The best triangle of the block before may be nearer than that of the parent.
+            // The nearest triangle of the previous block may be nearer than that of the parent.
             let mut previous = of_parent;
             for sub in blocks(sub.0, sub.1, [LEAF; 3]) {
                 let block = self.block(sub.0, sub.1);
                 let distance_squared = |slot: Slot| self.bvh.frame(slot).distance_squared(block.center);
                 let mut near =
                     if distance_squared(previous) < distance_squared(of_parent) { previous } else { of_parent };
-                // With a limit most blocks are beyond it, and a search at the centre is cheaper than a list.
+                // With a limit most blocks lie beyond it, and a search at the centre is cheaper than a list.
                 if self.limit.is_finite() {
                     let found = self.bvh.nearest(block.center, self.just_beyond(near, block.center));
                     near = found.map_or(near, |nearest| nearest.slot);
@@ -257,7 +262,7 @@ impl Tile<'_> {
         Block { center: ((first + last) * 0.5).as_vec3(), half: ((last - first) * 0.5).as_vec3() }
     }
 
-    /// Squared distance of `p` to a triangle, plus the rounding of the search that is bounded by it.
+    /// Squared distance of `p` to a triangle, plus the rounding of the search that it bounds.
     fn just_beyond(&self, slot: Slot, p: Vec3) -> f32 {
         self.bvh.frame(slot).distance_squared(p) * (1.0 + 1e-5) + 1e-12
     }
@@ -267,7 +272,7 @@ impl Tile<'_> {
         center_squared.sqrt() > (self.limit + block.half.length()) * (1.0 + 1e-5) + self.slack
     }
 
-    /// Move the nodes of `stack` that can matter to `kept`, opening those larger than the block.
+    /// Moves the nodes of `stack` that pass the culling test to `kept`, opening those larger than the block.
     #[inline(always)]
     fn cull_nodes(&self, block: &Block, near: Slot, stack: &mut Candidates, kept: &mut Candidates) {
         kept.clear();
@@ -292,12 +297,12 @@ impl Tile<'_> {
         }
     }
 
-    /// Which children of a node pass the culling test.
+    /// Mask of the children of a node that pass the culling test.
     #[inline(always)]
     fn survivors(&self, node: &Node, block: &Block, bounds: &[f32; CORNERS]) -> u8 {
         let mut excess = [0.0f32; WIDTH];
         for i in 0..WIDTH {
-            // From the nearest point of the box to the centre.
+            // From the nearest point of the box to the centre of the block.
             let mut g = [0.0f32; 3];
             for axis in 0..3 {
                 let above_min = block.center[axis] - node.min[axis][i];
@@ -306,13 +311,13 @@ impl Tile<'_> {
             }
             let value = (g[0] * g[0] + g[1] * g[1] + g[2] * g[2]).sqrt();
             let inverse = if value > 0.0 { 1.0 / value } else { 0.0 };
-            // An absent child is infinitely far and its gradient NaN, which no comparison lets through.
+            // An absent child is infinitely far and its gradient is NaN, which fails every comparison.
             excess[i] = value - self.slack - block.slackest(g.map(|x| x * inverse), bounds);
         }
         not_positive(&excess)
     }
 
-    /// The packs that can matter to the samples of a block; stops once they are too many for a list.
+    /// The packs that pass the culling test of a block. Stops once they are too many for a list.
     #[inline(always)]
     fn list_packs(&self, block: &Block, near: Slot, stack: &mut Candidates, packs: &mut Candidates) {
         let bounds = roots(self.bvh.frame(near).distances_squared(block.corners()));
@@ -333,7 +338,7 @@ impl Tile<'_> {
         }
     }
 
-    /// Distances of the samples of a block, each by its own search; returns the triangle nearest to the last.
+    /// Distances of the samples of a block by one search each. Returns the triangle nearest to the last sample.
     #[inline(always)]
     fn search(&mut self, mut near: Slot, low: [usize; 3], high: [usize; 3]) -> Slot {
         for z in low[2]..high[2] {
@@ -354,7 +359,7 @@ impl Tile<'_> {
         near
     }
 
-    /// The triangles that can matter to the samples of a block, nearest first; returns the nearest to its centre.
+    /// The triangles that pass the culling test of a block, nearest first. Returns the one nearest to the centre.
     #[inline(always)]
     fn list_triangles(
         &self,
@@ -366,7 +371,7 @@ impl Tile<'_> {
     ) -> Slot {
         let corners = block.corners();
         let bounds = roots(self.bvh.frame(near).distances_squared(corners));
-        // The tangents first: the nearest triangle gives the sharpest bound for all.
+        // The tangents come first: the nearest triangle gives the tightest bound for all.
         tangents.clear();
         let mut nearest = (f32::INFINITY, near);
         for &(index, _) in packs.iter() {
@@ -390,7 +395,7 @@ impl Tile<'_> {
         }
         let bounds = roots(self.bvh.frame(nearest.1).distances_squared(corners));
 
-        // Cull once more by that bound, a row of lanes at a time; what pads the last row is infinitely far.
+        // Culls again by that bound, a row of lanes at a time. Padding of the last row is infinitely far.
         let count = tangents.slot.len();
         let padded = count.next_multiple_of(WIDTH);
         tangents.value.resize(padded, f32::INFINITY);
@@ -407,7 +412,7 @@ impl Tile<'_> {
             while rest != 0 {
                 let lane = rest.trailing_zeros() as usize;
                 rest &= rest - 1;
-                // The bits of numbers that are not negative sort as the numbers do.
+                // The bits of non-negative floats sort in the order of the floats.
                 list.keys.push(u64::from(max(value[lane], 0.0).to_bits()) << 32 | (start + lane) as u64);
             }
         }
@@ -427,7 +432,7 @@ impl Tile<'_> {
     #[inline(always)]
     fn evaluate(&mut self, block: &Block, low: [usize; 3], high: [usize; 3], list: &List) {
         for (low, high) in blocks(low, high, GROUP) {
-            // The samples of the group; past the edge of the grid the last one is repeated.
+            // Positions of the group; beyond the edge of the grid the last sample is repeated.
             let mut p = [[0.0f32; LANES]; 3];
             let mut offset = [[0.0f32; LANES]; 3];
             let mut reach = 0.0f32;
@@ -440,7 +445,7 @@ impl Tile<'_> {
                 let [x, y, z] = [0, 1, 2].map(|axis| offset[axis][i]);
                 reach = max(reach, x * x + y * y + z * z);
             }
-            // A tangent falls by no more than the way to a sample; the margin covers the rounding of its gradient.
+            // A tangent falls by at most the distance to a sample. The margin covers the rounding of its gradient.
             let reach = reach.sqrt() * (1.0 + 1e-5);
             let mut best = [f32::INFINITY; LANES];
             let mut farthest = f32::INFINITY;
@@ -472,7 +477,7 @@ impl Tile<'_> {
     }
 }
 
-/// Cut a box of samples into blocks of at most `side` samples, x fastest.
+/// Divides a box of samples into blocks of at most `side` samples, x fastest.
 fn blocks(low: [usize; 3], high: [usize; 3], side: [usize; 3]) -> impl Iterator<Item = ([usize; 3], [usize; 3])> {
     let steps = [0, 1, 2].map(|axis| (high[axis] - low[axis]).div_ceil(side[axis]));
     (0..steps.iter().product()).map(move |i: usize| {

@@ -14,7 +14,7 @@ fn assert_exact(mesh: &Mesh, lower: DVec3, upper: DVec3, shape: [usize; 3]) {
     let local = LocalGrid::new(&grid, mesh);
     let mut out = vec![f32::NAN; grid.len()];
     distances(mesh.bvh(), &local, f32::INFINITY, 1.0, &Progress::new(), &mut out).unwrap();
-    // The promise of the module: 1e-6 of the box that holds mesh and grid, in practice a tenth of it.
+    // The error bound of the module is 1e-6 of the box around mesh and grid. A tenth of it is typical.
     let reach = local.at([0; 3]).abs().max(local.at(shape.map(|n| n - 1)).abs()).max_element().max(1.0);
     for z in 0..shape[2] {
         for y in 0..shape[1] {
@@ -27,7 +27,7 @@ fn assert_exact(mesh: &Mesh, lower: DVec3, upper: DVec3, shape: [usize; 3]) {
     }
 }
 
-/// A sphere of latitude rings, all its triangles nearly equally far from the centre.
+/// A sphere of latitude rings, whose triangles are all nearly equally far from the centre.
 fn sphere(rings: usize, radius: f64) -> Mesh {
     let sectors = 2 * rings;
     let vertices: Vec<[f64; 3]> = (0..=rings)
@@ -54,7 +54,7 @@ fn sphere(rings: usize, radius: f64) -> Mesh {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(40))]
-    /// Random soups, from dust to triangles larger than the grid, on oblong grids of any size.
+    /// Random triangle soups, from tiny triangles to some larger than the grid, on oblong grids of any size.
     #[test]
     fn soups_are_exact(
         count in 1usize..600, log_size in -3.0..1.0f64, seed in any::<u64>(),
@@ -74,7 +74,7 @@ fn a_sphere_seen_from_its_centre_is_exact() {
 
 #[test]
 fn voxels_much_larger_than_triangles_are_exact() {
-    // Thousands of packs for each block: more than a list takes.
+    // Thousands of packs for each block exceed the capacity of a list.
     let mesh = sphere(100, 1.0);
     assert!(mesh.bvh().packs.len() > 4 * MOST_PACKS);
     assert_exact(&mesh, DVec3::splat(-1.1), DVec3::splat(1.1), [7, 6, 5]);
@@ -82,7 +82,7 @@ fn voxels_much_larger_than_triangles_are_exact() {
 
 #[test]
 fn a_needle_fan_is_exact() {
-    // Hundreds of needles from one tip: every box overlaps every other near it.
+    // Hundreds of slivers with a common tip: every box overlaps every other near it.
     let n = 300;
     let tip = [[0.0, 0.0, 0.0]];
     let rim = (0..=n).map(|i| {

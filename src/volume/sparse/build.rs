@@ -1,9 +1,9 @@
-//! Choosing the bricks of a sparse field.
+//! Selection of the bricks of a sparse field.
 //!
-//! The box is cut into *regions* of 4^3 bricks, each as large as a brick of the coarsest level. A region is done by
-//! itself: its samples are asked for brick by brick as they are needed, bricks near the surface are stored, and from
-//! fine to coarse eight of them give way to one whose trilinear function is within the tolerance of every sample in the
-//! band, and beyond it no larger than the distance. So the working memory is that of a region a thread.
+//! The box is divided into *regions* of 4^3 bricks, each as large as a brick of the coarsest level. Regions are
+//! independent. Samples are evaluated brick by brick when they are needed, and bricks near the surface are stored.
+//! Then, from fine to coarse, eight bricks are replaced by one if its trilinear function is within the tolerance of
+//! every sample in the band, and does not exceed the distance elsewhere. The working memory is one region per thread.
 
 use super::{
     BRICK_CELLS, BRICK_LEN, BRICK_SAMPLES, Entry, MAX_LEVEL, REGION_BRICKS, SparseField, Texel, brick_counts,
@@ -16,24 +16,24 @@ use crate::volume::{FieldView, Trilinear};
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Samples along the side of a region, those on its faces included.
+/// Number of samples along the side of a region, including those on its faces.
 const REGION_SAMPLES: usize = REGION_BRICKS * BRICK_CELLS + 1;
-/// Bricks of a region.
+/// Number of bricks of a region.
 const REGION_LEN: usize = REGION_BRICKS * REGION_BRICKS * REGION_BRICKS;
 
-/// What a region counts for in a job's progress; a sample counts one.
+/// Weight of a region in the progress of a job. The weight of a sample is one.
 pub const REGION_WORK: u64 = 512;
 
-/// How a sparse field is made.
+/// Options of a sparse field.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SparseOptions {
-    /// Bricks with a sample closer to the surface are stored; voxels, by their longest side.
+    /// Bricks with a sample nearer to the surface are stored. Unit: the longest side of a voxel.
     pub band: f64,
-    /// How far a coarser brick may be off, voxels; nothing is coarsened if absent.
+    /// Largest deviation of a coarser brick, voxels; bricks are not coarsened if absent.
     pub tolerance: Option<f64>,
 }
 
-/// A narrower band would leave cells beside the surface without samples: the corners of a cell that holds a root are up
+/// A narrower band would leave cells at the surface without samples: the corners of a cell that contains a root are up
 /// to a diagonal, 1.74 voxels, away from it.
 const LEAST_BAND: f64 = 2.0;
 
@@ -52,35 +52,35 @@ impl SparseOptions {
     }
 }
 
-/// Where the samples of a grid come from.
+/// Source of the samples of a grid.
 pub trait SampleSource: Sync {
-    /// What one thread keeps.
+    /// Working memory of one thread.
     type Worker: Send;
 
     fn worker(&self) -> Self::Worker;
 
-    /// The sign of a brick that certainly has nothing to store; none where its samples must be looked at.
+    /// The side of a brick that certainly has no sample to store; None if its samples must be evaluated.
     fn far_side(&self, worker: &mut Self::Worker, brick: &SampleBox) -> Option<Side>;
 
-    /// Signed distances of a box of samples, handed to `put` one by one.
+    /// Evaluates signed distances of a box of samples and passes each to `put`.
     fn samples(&self, worker: &mut Self::Worker, of: &SampleBox, put: &mut dyn FnMut([usize; 3], f32));
 }
 
-/// Samples `low` to `high`, the latter not included; within the grid.
+/// Samples from `low` up to, but excluding, `high`; within the grid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SampleBox {
     pub low: [usize; 3],
     pub high: [usize; 3],
 }
 
-/// Which side of the surface something lies on as a whole.
+/// The side of the surface on which a whole box lies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Side {
     Outside,
     Inside,
 }
 
-/// Makes the regions of a sparse field and joins them.
+/// Builds the regions of a sparse field and joins them.
 #[derive(Debug)]
 pub struct SparseBuilder<T> {
     field: SparseField<T>,
@@ -89,7 +89,7 @@ pub struct SparseBuilder<T> {
 }
 
 impl<T: Texel> SparseBuilder<T> {
-    /// `nodes` as in [`SparseField`].
+    /// `nodes` have the layout of [`SparseField`].
     pub fn new(grid: Grid, options: &SparseOptions, nodes: Vec<f32>) -> Result<Self, Error> {
         options.check()?;
         let bricks = brick_counts(&grid);
@@ -101,18 +101,18 @@ impl<T: Texel> SparseBuilder<T> {
         Ok(Self { field, bricks, tolerance: options.tolerance.map(|tolerance| (tolerance * voxel) as f32) })
     }
 
-    /// Regions along each axis.
+    /// Number of regions along each axis.
     pub fn regions(&self) -> [usize; 3] {
         self.bricks.map(|bricks| bricks.div_ceil(REGION_BRICKS))
     }
 
-    /// The samples that a layer of regions needs, along z.
+    /// The range of samples along z that a layer of regions needs.
     pub fn planes_of_layer(&self, layer: usize) -> std::ops::Range<usize> {
         let bounds = self.clipped([0, 0, layer * REGION_BRICKS], REGION_BRICKS);
         bounds.low[2]..bounds.high[2]
     }
 
-    /// Make one layer of regions. Layers come in order.
+    /// Builds one layer of regions. Layers must be added in order.
     pub fn add_layer<S: SampleSource>(&mut self, source: &S, layer: usize, progress: &Progress) -> Result<(), Error> {
         let [rx, ry, _] = self.regions();
         let regions: Vec<Region<T>> = (0..rx * ry)
@@ -149,27 +149,27 @@ impl<T: Texel> SparseBuilder<T> {
         self.field
     }
 
-    /// The samples of `count` bricks along each axis from `brick` on, as far as they are in the grid.
+    /// The samples of `count` bricks along each axis from `brick` on, clipped to the grid.
     fn clipped(&self, brick: [usize; 3], count: usize) -> SampleBox {
         let shape = self.field.grid.shape;
         SampleBox {
-            // Sample -1 is sample 0 again, and so at the other end.
+            // Sample -1 repeats sample 0; the other end repeats the last sample.
             low: [0, 1, 2].map(|axis| (brick[axis] * BRICK_CELLS).saturating_sub(1).min(shape[axis] - 1)),
             high: [0, 1, 2].map(|axis| ((brick[axis] + count) * BRICK_CELLS).min(shape[axis])),
         }
     }
 }
 
-/// What a region adds to the field.
+/// The contribution of a region to the field.
 struct Region<T> {
-    /// Bricks of the box and what the index says of them, stored bricks counted from the region's first.
+    /// Bricks of the box and their entries in the index, with stored bricks counted from the region's first.
     entries: Vec<([usize; 3], Entry)>,
     texels: Vec<T>,
 }
 
 struct Worker<W> {
     source: W,
-    /// Of the whole region, x fastest.
+    /// Samples of the whole region, x fastest.
     samples: Vec<f32>,
 }
 
@@ -191,7 +191,7 @@ impl<T: Texel, S: SampleSource> RegionJob<'_, T, S> {
         region
     }
 
-    /// The side of a brick with nothing to store; those past the end of the box count as that.
+    /// The side of a brick without samples to store. Bricks beyond the end of the box count as such.
     fn side_of(&mut self, i: usize) -> Option<Side> {
         let brick = self.brick(i);
         if (0..3).any(|axis| brick[axis] >= self.builder.bricks[axis]) {
@@ -218,7 +218,8 @@ impl<T: Texel, S: SampleSource> RegionJob<'_, T, S> {
         }
     }
 
-    /// Store a cube of bricks, as one where that is good enough; returns whether one brick holds all that is stored.
+    /// Stores a cube of bricks, as a single brick if that is accurate enough. Returns whether one brick holds all
+    /// stored samples.
     fn store(&mut self, cube: &Cube, sides: &[Option<Side>; REGION_LEN], region: &mut Region<T>) -> bool {
         let stored = cube.bricks().filter(|&i| sides[i].is_none()).count();
         if cube.level == 0 || stored == 0 {
@@ -227,7 +228,7 @@ impl<T: Texel, S: SampleSource> RegionJob<'_, T, S> {
             }
             return stored > 0;
         }
-        // From fine to coarse: what its parts could not do as one, the whole cannot either.
+        // From fine to coarse: if a part could not be stored as one brick, the whole cannot either.
         let before = (region.entries.len(), region.texels.len());
         let mut stored_parts = 0;
         let mut all_are_one = true;
@@ -246,14 +247,15 @@ impl<T: Texel, S: SampleSource> RegionJob<'_, T, S> {
         true
     }
 
-    /// Whether the samples of a coarser brick say the same as all those it would replace.
+    /// Whether the samples of a coarser brick represent all those that it would replace.
     fn fits(&mut self, cube: &Cube) -> bool {
         let Some(tolerance) = self.builder.tolerance else { return false };
         cube.bricks().for_each(|i| self.fill(i));
-        // As they will be stored.
+        // The samples as they will be stored.
         let limit = self.limit();
         let coarse = self.samples(cube).map(|sample| sample.clamp(-limit, limit));
-        // From here on a lower bound will do: beyond the band, and in cells with a corner that the encoding cuts off.
+        // From here on a lower bound is sufficient: beyond the band, and in cells with a corner that the encoding
+        // clamps.
         let far = if limit < f32::MAX { 0.5 * limit } else { self.builder.field.band };
         let steps = 1usize << cube.level;
         let is_cut = |cell: [usize; 3]| {
@@ -285,24 +287,25 @@ impl<T: Texel, S: SampleSource> RegionJob<'_, T, S> {
         true
     }
 
-    /// Magnitude from which a normalised encoding stores its end; f32::MAX for floats, whose end is far beyond the band.
+    /// Magnitude from which a normalised encoding clamps; f32::MAX for floats, whose range ends far beyond the band.
     fn limit(&self) -> f32 {
         if T::ENCODING.is_normalised() { self.builder.field.scale } else { f32::MAX }
     }
 
-    /// First and last sample of a cube that lie in the grid or half a voxel beside it, counted in the region.
+    /// First and last sample of a cube inside the grid or half a voxel beside it, relative to the region.
     fn first_and_last(&self, cube: &Cube) -> ([usize; 3], [usize; 3]) {
         let first = cube.corner.map(|brick| brick * BRICK_CELLS);
         let last = [0, 1, 2].map(|axis| {
             let last = first[axis] + (BRICK_CELLS << cube.level);
-            // Sample -1 of the grid is number 0: the grid's n samples are 1 to n, and n + 1 is the last again.
+            // Sample -1 of the grid has index 0. The n samples of the grid have indices 1 to n, and n + 1 repeats the
+            // last.
             let end = self.builder.field.grid.shape[axis] + 1;
             last.min(end.saturating_sub(self.corner[axis] * BRICK_CELLS)).max(first[axis])
         });
         (first, last)
     }
 
-    /// Append a brick.
+    /// Appends a brick.
     fn push(&mut self, cube: &Cube, side: Option<Side>, region: &mut Region<T>) {
         let entry = match side {
             Some(side) => Entry::Empty { inside: side == Side::Inside },
@@ -331,7 +334,7 @@ impl<T: Texel, S: SampleSource> RegionJob<'_, T, S> {
         })
     }
 
-    /// Get the samples of a brick of the region, once.
+    /// Evaluates the samples of a brick of the region, once.
     fn fill(&mut self, i: usize) {
         if std::mem::replace(&mut self.is_filled[i], true) {
             return;
@@ -339,12 +342,12 @@ impl<T: Texel, S: SampleSource> RegionJob<'_, T, S> {
         let brick = self.brick(i);
         let bounds = self.builder.clipped(brick, 1);
         let corner = self.corner;
-        // Where a sample of the grid is in the region: sample -1 comes first.
+        // Position of a sample of the grid in the region; sample -1 comes first.
         let in_region = |sample: [usize; 3]| [0, 1, 2].map(|axis| sample[axis] + 1 - corner[axis] * BRICK_CELLS);
         let Worker { source, samples } = &mut *self.worker;
         self.source.samples(source, &bounds, &mut |sample, distance| samples[place(in_region(sample))] = distance);
 
-        // Samples past the faces of the box are those on its sides again.
+        // Samples beyond the faces of the box repeat those on the faces.
         let first = unravel(i).map(|brick| brick * BRICK_CELLS);
         let nearest = |axis: usize, i: usize| {
             i.clamp(bounds.low[axis] + 1 - corner[axis] * BRICK_CELLS, bounds.high[axis] - corner[axis] * BRICK_CELLS)
@@ -361,14 +364,14 @@ impl<T: Texel, S: SampleSource> RegionJob<'_, T, S> {
         }
     }
 
-    /// A brick of the region in the box.
+    /// Position in the box of a brick of the region.
     fn brick(&self, i: usize) -> [usize; 3] {
         let local = unravel(i);
         [0, 1, 2].map(|axis| self.corner[axis] + local[axis])
     }
 }
 
-/// Bricks of a region that a brick of some level stands for.
+/// The bricks of a region that a brick of some level covers.
 #[derive(Debug, Clone, Copy)]
 struct Cube {
     /// Its first brick in the region.
@@ -395,19 +398,19 @@ impl Cube {
     }
 }
 
-/// Place of brick `i` in a region.
+/// Position of brick `i` in a region.
 fn unravel(i: usize) -> [usize; 3] {
     [i % REGION_BRICKS, i / REGION_BRICKS % REGION_BRICKS, i / (REGION_BRICKS * REGION_BRICKS)]
 }
 
-/// Place of a sample of a region in memory.
+/// Index of a sample of a region in memory.
 #[inline]
 fn place([x, y, z]: [usize; 3]) -> usize {
     x + REGION_SAMPLES * (y + REGION_SAMPLES * z)
 }
 
 impl<T: Texel> FieldView<'_, T> {
-    /// The same field as bricks. The surface lies in the box `inner`.
+    /// Converts the field to bricks. The surface must lie in the box `inner`.
     pub fn to_sparse<U: Texel>(
         &self,
         inner: [DVec3; 2],
@@ -422,7 +425,7 @@ impl<T: Texel> FieldView<'_, T> {
         nodes.par_chunks_mut(nx).enumerate().for_each(|(row, nodes)| {
             for (x, node) in nodes.iter_mut().enumerate() {
                 let p = node_grid.center(x, row % ny, row / ny);
-                // A node beside the box knows only a bound.
+                // At a node beside the box only a bound is known.
                 let is_sample = [x, row % ny, row / ny]
                     .into_iter()
                     .zip(grid.shape)
@@ -439,7 +442,7 @@ impl<T: Texel> FieldView<'_, T> {
         Ok(builder.finish())
     }
 
-    /// Lower bound of the distance at a point beside the outermost samples.
+    /// Lower bound on the distance at a point beyond the outermost samples.
     fn bound_beside(&self, p: DVec3, inner: [DVec3; 2]) -> f32 {
         if !self.contains(p) {
             return self.distance_bound(p, inner);

@@ -2,10 +2,10 @@
 //!
 //! # Theory
 //!
-//! The box is cut into *bricks* of 7^3 cells; a brick has the 8^3 samples at the corners of its cells, so neighbours
-//! share those on their faces and a trilinear lookup stays within one brick (Hansson-Söderlund, Evans and
-//! Akenine-Möller, *Ray Tracing of Signed Distance Function Grids*, JCGT 11(3), 2022, call it a sparse brick set). A
-//! grid of one word a brick says where its samples are. Cell -1 of the grid is the first of brick 0.
+//! The box is divided into *bricks* of 7^3 cells. A brick has the 8^3 samples at the corners of its cells, so
+//! neighbouring bricks share those on their faces and a trilinear lookup reads one brick only (Hansson-Söderlund, Evans
+//! and Akenine-Möller, *Ray Tracing of Signed Distance Function Grids*, JCGT 11(3), 2022, call it a sparse brick set).
+//! The index, a grid of one word per brick, locates its samples. Cell -1 of the grid is the first cell of brick 0.
 //!
 //! ```text
 //!   samples  -1  0  1  2  3  4  5  6  7 ...     (-1 is 0 again: the outer half voxel is constant)
@@ -14,19 +14,19 @@
 //! ```
 //!
 //! *Near the surface*, where a sample of the brick is closer than the band or the sign changes, the samples are stored.
-//! Where coarser samples say the same, they are stored instead: a brick of *level* `l` has cells of `2^l` voxels and
-//! stands for `8^l` bricks. It is taken if its trilinear function is within the tolerance of every sample in the band
-//! that it replaces, and no larger than the others ([`build`]). So resolution follows the detail of the mesh, as in the adaptively sampled fields of Frisken,
-//! Perry, Rockwood and Jones (SIGGRAPH 2000).
+//! A brick of *level* `l` has cells of `2^l` voxels and covers `8^l` bricks. It replaces them if its trilinear function
+//! is within the tolerance of every sample in the band that it replaces, and does not exceed the other samples
+//! ([`build`]). The resolution therefore follows the detail of the mesh, as in the adaptively sampled fields of
+//! Frisken, Perry, Rockwood and Jones (SIGGRAPH 2000).
 //!
-//! *Elsewhere* a brick has no samples but its sign, and what is known of the distance at its eight corners, the
-//! *nodes*. By Jensen's inequality ([`super::outside`]) these give a lower bound at every point between them; another is
-//! the band. The larger wins. Rays leap over such bricks.
+//! *Elsewhere* a brick stores only its sign, and bounds on the distance at its eight corners, the *nodes*. By Jensen's
+//! inequality ([`super::outside`]) these give a lower bound at every point between them; the band is another. The
+//! larger one is used. Rays leap over such bricks.
 //!
 //! # Practice
 //!
-//! [`SparseField`] owns the arrays, [`SparseView`] borrows them. At 512^3 the index and the nodes take 3 MB, and what
-//! the bricks take grows with the surface.
+//! [`SparseField`] owns the arrays, [`SparseView`] borrows them. At 512^3 the index and the nodes take 3 MB; the memory
+//! of the bricks is proportional to the surface.
 
 pub mod build;
 #[cfg(test)]
@@ -42,22 +42,31 @@ use crate::progress::Progress;
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
-/// Cells and samples along the side of a brick, and its samples.
+/// Number of cells and of samples along the side of a brick, and number of its samples.
 pub const BRICK_CELLS: usize = 7;
 pub const BRICK_SAMPLES: usize = BRICK_CELLS + 1;
 pub const BRICK_LEN: usize = BRICK_SAMPLES * BRICK_SAMPLES * BRICK_SAMPLES;
-/// The coarsest cells have `1 << MAX_LEVEL` voxels along their side.
+/// The coarsest cells have a side of `1 << MAX_LEVEL` voxels.
 pub const MAX_LEVEL: u32 = 2;
-/// Bricks along the side of the region that a brick of the coarsest level stands for.
+/// Number of bricks along the side of the region that a brick of the coarsest level covers.
 pub const REGION_BRICKS: usize = 1 << MAX_LEVEL;
 
-/// Words of the index: the level in the two highest bits, below it which brick; level 3 says that nothing is stored.
+/// Layout of a word of the index:
+///
+/// ```text
+/// 31 30 29                                   0
+/// +-----+------------------------------------+
+/// |level| index of the stored brick          |  level 0 to 2: cells of 2^level voxels
+/// +-----+------------------------------------+
+/// |  3  | unused                       inside|  level 3: no samples stored; bit 0 is 1 inside, 0 outside
+/// +-----+------------------------------------+
+/// ```
 const LEVEL_SHIFT: u32 = 30;
 const BRICK_MASK: u32 = (1 << LEVEL_SHIFT) - 1;
 const EMPTY: u32 = 3 << LEVEL_SHIFT;
 const EMPTY_INSIDE: u32 = EMPTY | 1;
 
-/// What the index says of a brick.
+/// Entry of a brick in the index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Entry {
     Stored { level: u32, brick: u32 },
@@ -81,19 +90,19 @@ impl Entry {
     }
 }
 
-/// A sparse field and its memory.
+/// A sparse field that owns its arrays.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SparseField<T> {
     pub grid: Grid,
-    /// World distance up to which samples are stored.
+    /// Distance from the surface up to which samples are stored, world units.
     pub band: f32,
-    /// What samples are decoded with.
+    /// Scale of the stored samples.
     pub scale: f32,
-    /// A word a brick, x fastest.
+    /// One word per brick, x fastest.
     pub index: Vec<u32>,
-    /// Distances at the corners of the bricks, or lower bounds of them; x fastest.
+    /// Distances at the corners of the bricks, or lower bounds on them, x fastest.
     pub nodes: Vec<f32>,
-    /// [`BRICK_LEN`] a stored brick, x fastest.
+    /// [`BRICK_LEN`] samples per stored brick, x fastest.
     pub texels: Vec<T>,
 }
 
@@ -108,7 +117,7 @@ impl<T: Texel> SparseField<T> {
     }
 }
 
-/// Bricks along each axis of a grid; its cells run from -1 to n - 1.
+/// Number of bricks along each axis of a grid. Its cells run from -1 to n - 1.
 pub fn brick_counts(grid: &Grid) -> [usize; 3] {
     grid.shape.map(|n| (n + 1).div_ceil(BRICK_CELLS))
 }
@@ -117,13 +126,13 @@ pub fn brick_counts(grid: &Grid) -> [usize; 3] {
 pub fn node_grid(grid: &Grid) -> Grid {
     let shape = brick_counts(grid).map(|bricks| bricks + 1);
     let step = grid.spacing() * BRICK_CELLS as f64;
-    // Node 0 is sample -1; a voxel around it begins half a step before.
+    // Node 0 coincides with sample -1; the voxel around it begins half a step before it.
     let lower = grid.center(0, 0, 0) - grid.spacing() - 0.5 * step;
     let count = DVec3::new(shape[0] as f64, shape[1] as f64, shape[2] as f64);
     Grid { lower, upper: lower + count * step, shape }
 }
 
-/// A sparse field as it is read.
+/// A sparse field that borrows its arrays.
 #[derive(Debug, Clone, Copy)]
 pub struct SparseView<'a, T> {
     grid: Grid,
@@ -132,12 +141,12 @@ pub struct SparseView<'a, T> {
     texels: &'a [T],
     scale: f32,
     nodes: FieldView<'a>,
-    /// No point of an empty brick is nearer to the surface.
+    /// Smallest distance of any point of an empty brick from the surface, world units.
     floor: f64,
 }
 
 impl<'a, T: Texel> SparseView<'a, T> {
-    /// Check that the arrays belong together: every word of the index is looked at.
+    /// Checks that the arrays are consistent, including every word of the index.
     pub fn new(
         grid: Grid,
         band: f32,
@@ -168,7 +177,7 @@ impl<'a, T: Texel> SparseView<'a, T> {
         }
         T::ENCODING.check_scale(scale)?;
         let nodes = FieldView::new(node_grid(&grid), nodes)?;
-        // A point lies within half a voxel's diagonal of a sample, and no sample of an empty brick is in the band.
+        // A point lies within half the diagonal of a voxel of a sample, and no sample of an empty brick is in the band.
         let floor = (f64::from(band) - 0.5 * grid.spacing().length()).max(0.0);
         Ok(Self { grid, bricks, index, texels, scale, nodes, floor })
     }
@@ -194,13 +203,12 @@ impl<'a, T: Texel> SparseView<'a, T> {
         self.nodes.distances()
     }
 
-    /// No point of an empty brick is nearer to the surface.
+    /// Smallest distance of any point of an empty brick from the surface, world units.
     pub fn floor(&self) -> f64 {
         self.floor
     }
 
-    /// What shaders need beside index and samples, and the nodes in units of the longest step between them
-    /// (`shaders/shared/bricks.wgsl`).
+    /// Parameters for shaders, and the nodes in units of the longest step between them (`shaders/shared/bricks.wgsl`).
     pub fn for_devices(&self) -> (SparseParams, Vec<f32>) {
         let step = self.grid.spacing() * BRICK_CELLS as f64;
         let longest = step.max_element();
@@ -214,20 +222,20 @@ impl<'a, T: Texel> SparseView<'a, T> {
         (params, nodes)
     }
 
-    /// What the index says of a brick.
+    /// Entry of a brick in the index.
     #[inline]
     pub fn entry(&self, [x, y, z]: [i32; 3]) -> Entry {
         let [nx, ny, _] = self.bricks;
         Entry::from_word(self.index[x as usize + nx * (y as usize + ny * z as usize)])
     }
 
-    /// The brick that holds a cell of the grid.
+    /// The brick that contains a cell of the grid.
     #[inline]
     fn entry_of_cell(&self, cell: IVec3) -> Entry {
         self.entry(cell.to_array().map(|i| (i + 1) / BRICK_CELLS as i32))
     }
 
-    /// The samples of a stored brick, and where they are.
+    /// The samples of a stored brick, and their position.
     #[inline]
     pub fn brick(&self, of_brick: [i32; 3], level: u32, brick: u32) -> Brick<'a, T> {
         let start = brick as usize * BRICK_LEN;
@@ -239,7 +247,7 @@ impl<'a, T: Texel> SparseView<'a, T> {
         }
     }
 
-    /// Stored bricks of each level, finest first.
+    /// Number of stored bricks of each level, finest first.
     pub fn bricks_by_level(&self) -> [usize; MAX_LEVEL as usize + 1] {
         let mut counts = [0; MAX_LEVEL as usize + 1];
         let mut seen = vec![false; self.texels.len() / BRICK_LEN];
@@ -253,7 +261,7 @@ impl<'a, T: Texel> SparseView<'a, T> {
         counts
     }
 
-    /// The field at all voxel centres, x fastest; bounds where nothing is stored.
+    /// The field at all voxel centres, x fastest; bounds in empty bricks.
     pub fn dense(&self, progress: &Progress) -> Result<Vec<f32>, Error> {
         let [nx, ny, nz] = self.grid.shape;
         let mut samples = allocate_samples(&format!("a field of {nx} x {ny} x {nz} samples"), self.grid.len(), 0)?;
@@ -268,8 +276,9 @@ impl<'a, T: Texel> SparseView<'a, T> {
         Ok(samples)
     }
 
-    /// The field at the voxel centres around a stored brick: grid coordinates of the first, and [`BRICK_LEN`] values, x
-    /// fastest, as [`SparseView::dense`] has them; outside the grid those of the nearest voxel. None for an empty brick.
+    /// The field at the voxel centres around a stored brick: grid coordinates of the first one, and [`BRICK_LEN`]
+    /// values, x fastest, equal to those of [`SparseView::dense`]. Voxels outside the grid repeat the nearest voxel.
+    /// None for an empty brick.
     pub fn voxels_of_brick(&self, of_brick: [i32; 3]) -> Option<([i32; 3], [f32; BRICK_LEN])> {
         let Entry::Stored { .. } = self.entry(of_brick) else { return None };
         let origin = brick_origin(of_brick, 0);
@@ -282,7 +291,7 @@ impl<'a, T: Texel> SparseView<'a, T> {
         Some((origin, std::array::from_fn(value)))
     }
 
-    /// The field at a voxel centre; a bound where nothing is stored.
+    /// The field at a voxel centre; a bound in an empty brick.
     fn at_voxel(&self, voxel: IVec3) -> f32 {
         match self.entry_of_cell(voxel) {
             Entry::Stored { .. } => self.cell(voxel).at(voxel.as_dvec3()),
@@ -290,12 +299,12 @@ impl<'a, T: Texel> SparseView<'a, T> {
         }
     }
 
-    /// Samples of the grid below zero.
+    /// Number of samples of the grid below zero.
     pub fn count_inside(&self) -> usize {
         let [bx, by, _] = self.bricks;
         let count = |i: usize| {
             let index = [i % bx, i / bx % by, i / (bx * by)];
-            // The samples that are this brick's own: its last ones are the first of the next brick.
+            // The samples that belong to this brick: its last ones are the first of the next brick.
             let first = index.map(|b| b as i32 * BRICK_CELLS as i32 - 1);
             let low = first.map(|i| i.max(0));
             let high = [0, 1, 2].map(|axis| (first[axis] + BRICK_CELLS as i32).min(self.grid.shape[axis] as i32));
@@ -313,7 +322,7 @@ impl<'a, T: Texel> SparseView<'a, T> {
         (0..self.index.len()).into_par_iter().map(count).sum()
     }
 
-    /// What is known of the distance at a point of an empty brick, with its sign; grid space.
+    /// Bound on the distance at a point of an empty brick, with its sign; grid space.
     fn bound_at(&self, p_grid: DVec3, inside: bool) -> f32 {
         let p_world = self.grid.lower + (p_grid + 0.5) * self.grid.spacing();
         let bound = square_bound(&self.nodes, p_world).sqrt().max(self.floor);
@@ -322,7 +331,7 @@ impl<'a, T: Texel> SparseView<'a, T> {
     }
 }
 
-/// Grid coordinates of sample 0 of the brick of some level that stands for the brick `of_brick`.
+/// Grid coordinates of sample 0 of the brick of a given level that covers the brick `of_brick`.
 #[inline]
 pub fn brick_origin(of_brick: [i32; 3], level: u32) -> [i32; 3] {
     of_brick.map(|b| (b >> level << level) * BRICK_CELLS as i32 - 1)
@@ -349,7 +358,7 @@ impl<T: Texel> Brick<'_, T> {
         [d[0], d[1], d[Y], d[Y + 1], d[Z], d[Z + 1], d[Y + Z], d[Y + Z + 1]].map(|texel| texel.decode(self.scale))
     }
 
-    /// The cell of the brick that holds a cell of the grid.
+    /// The cell of the brick that contains a cell of the grid.
     fn cell(&self, index: IVec3) -> Cell {
         let origin = IVec3::from(self.origin);
         let local = (index - origin) >> self.level as i32;
@@ -384,7 +393,7 @@ impl<T: Texel> Trilinear for SparseView<'_, T> {
         let index = p_grid.floor().as_ivec3();
         match self.entry_of_cell(index) {
             Entry::Stored { .. } => self.cell(index).at(p_grid),
-            // The cell's function would lie above the bound between its corners.
+            // The trilinear function of the corner bounds would exceed the bound between the corners.
             Entry::Empty { inside } => self.bound_at(p_grid, inside),
         }
     }
@@ -394,8 +403,8 @@ impl<T: Texel> Trilinear for SparseView<'_, T> {
     }
 }
 
-/// Samples of a coarser brick at a finer place: the value of its trilinear function at sample `at` of the finer lattice,
-/// which has `1 << levels` steps a cell.
+/// A coarser brick at a sample of a finer lattice: the value of its trilinear function at sample `at`. The finer
+/// lattice has `1 << levels` steps per cell.
 #[inline]
 pub fn coarse_value(samples: &[f32; BRICK_LEN], at: [usize; 3], levels: u32) -> f32 {
     let steps = 1usize << levels;

@@ -31,7 +31,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
     #[test]
     fn noise_is_stored_to_the_bit(shape in prop::array::uniform3(1..20usize), seed in prop::collection::vec(-0.05..0.05f32, 64)) {
-        // Smaller than the band: every brick is stored.
+        // The box is smaller than the band, so every brick is stored.
         let grid = Grid::new(DVec3::ZERO, DVec3::ONE, shape).unwrap();
         let distances: Vec<f32> = (0..grid.len()).map(|i| seed[i * 31 % 64]).collect();
         let field = sparse::<f32>(grid, &distances, Some(0.0));
@@ -59,7 +59,7 @@ fn empty_bricks_bound_a_sphere() {
     let view = field.view().unwrap();
     let mut looked_at = 0;
     for i in 0..20_000 {
-        // A lattice that shares no plane with the grid.
+        // Points of a lattice that shares no plane with the grid.
         let p = DVec3::new((i % 27) as f64, (i / 27 % 27) as f64, (i / 729) as f64) / 27.0 * 5.0 - 2.45;
         let (value, truth) = (f64::from(view.sample_linear(p)), p.length() - 1.0);
         let is_empty = |p| matches!(view.entry_of_cell(p), Entry::Empty { .. });
