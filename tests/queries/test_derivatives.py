@@ -179,6 +179,21 @@ def test_torch_checks_its_gradients(torch):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("start", ["spawn", "fork"])
+def test_torch_loads_samples_of_meshes_in_workers(torch, start):
+    from datasets import TrainingSets
+
+    dataset = TrainingSets([fb.Mesh(*meshes.icosphere(2)), fb.Mesh(*meshes.knot(48, 8))], 500)
+    loader = torch.utils.data.DataLoader(dataset, batch_size=1, num_workers=2, multiprocessing_context=start)
+
+    for i, (points, distances) in enumerate(loader):
+        assert points.shape == (1, 500, 3)
+        expected = fb.signed_distance(dataset.meshes[i], points[0].numpy())
+        # The points were rounded to float32 after their distances were found.
+        assert np.abs(distances[0].numpy() - expected).max() <= 1e-6 * np.abs(points[0].numpy()).max()
+
+
+@pytest.mark.slow
 def test_torch_keeps_the_type(torch):
     from fieldbake.torch import signed_distance
 
