@@ -1,14 +1,15 @@
 //! Closest points and signed distances at arbitrary positions.
 //!
-//! *Theory.* Many points are answered along a space-filling curve (Morton order of their positions), so that one point's
-//! answer helps the next: the part of the tree is in the cache, the last triangle bounds the search, and the side can be
-//! carried over. The last by the shell lemma: within the distance of p no surface lies, so every point there is on the same
-//! side as p; with openings, within the part of that ball that keeps clear of the cones which close them.
+//! *Theory.* Many points are processed along a space-filling curve (Morton order of their positions), so that
+//! neighbouring points share work: the nodes of the tree are in the cache, the last triangle bounds the search, and the
+//! side can be carried over by the shell lemma. No surface lies within the distance of p, so every point there is on
+//! the same side as p. For open meshes this holds in the part of that ball that does not intersect the cones that close
+//! the openings.
 //!
-//! On a graphics device the search for the nearest faces is done there, for all points at once ([`device`]).
+//! On a graphics device, the nearest faces of all points are searched at once ([`device`]).
 //!
-//! [`signed_distances`] takes the winner of the float32 search. [`nearest`] compares in float64 and returns all that is known
-//! about the nearest point.
+//! [`signed_distances`] uses the nearest face of the float32 search. [`nearest`] compares in float64 and returns all
+//! properties of the nearest point.
 //!
 //! The order is cut into chunks of fixed size, so the result does not depend on the number of threads.
 
@@ -37,11 +38,11 @@ use glam::DVec3;
 use rayon::prelude::*;
 use std::ops::Deref;
 
-/// Points answered between two looks at the progress: a few milliseconds of work.
+/// Number of points between two checks of the progress: a few milliseconds of work.
 const CHUNK: usize = 1024;
-/// Bits of the Morton code for each axis.
+/// Number of bits of the Morton code for each axis.
 const MORTON_BITS: u32 = 21;
-/// Room for the float32 rounding of a bound, relative and in local units; ten times what it takes.
+/// Slack for the float32 rounding of a bound, relative and in local units: ten times the rounding.
 const SLACK: (f64, f64) = (1e-5, 1e-6);
 
 /// Signed distance of each world position, world units, negative inside.
@@ -65,12 +66,12 @@ pub fn signed_distances(
     Ok(distances)
 }
 
-/// Answers along the curve, in chunks of [`CHUNK`], each with the row of its point.
+/// Results along the curve, in chunks of [`CHUNK`], each with the row of its point.
 struct Answers<T>(Vec<Vec<(u32, T)>>);
 
 impl<T> Answers<T> {
-    /// Visit the answers in the order of the points. Reading them out of order touches less memory than writing several
-    /// arrays out of order.
+    /// Visits the results in the order of the points. Reading them out of order touches less memory than writing
+    /// several arrays out of order.
     fn for_each_row(&self, mut visit: impl FnMut(&T)) {
         let [chunk] = &self.0[..] else {
             let mut places = vec![0u32; self.0.iter().map(Vec::len).sum()];
@@ -82,12 +83,12 @@ impl<T> Answers<T> {
             places.into_iter().for_each(|place| visit(&self.0[place as usize / CHUNK][place as usize % CHUNK].1));
             return;
         };
-        // Few points are answered as they come.
+        // A few points are processed in their own order.
         chunk.iter().for_each(|(_, answer)| visit(answer));
     }
 }
 
-/// Build the tree and what the sign method needs. A mesh that has both takes no worker thread.
+/// Builds the tree and the tables of the sign method. If the mesh has both, no worker thread is used.
 fn prepare(mesh: &Mesh, method: SignMethod) -> Choice<'_> {
     if !mesh.is_prepared() {
         rayon::join(|| mesh.bvh(), || mesh.topology());
@@ -117,10 +118,10 @@ impl Deref for Choice<'_> {
     }
 }
 
-/// One walk along the curve: what the points before have shown.
+/// State of one pass along the curve, from the previous points.
 struct Walk<'a> {
     mesh: &'a Mesh,
-    /// The nearest face of each point where a device has searched; else empty.
+    /// The nearest face of each point if a device has searched; else empty.
     faces: &'a [u32],
     last: Option<(DVec3, f64)>,
     /// A ball in which every point is on the same side.
@@ -153,7 +154,7 @@ impl Walk<'_> {
         self.faces.get(row as usize).copied().filter(|&face| face != device::UNFINISHED)
     }
 
-    /// An upper bound of the distance at `p`: that of the point before, and the way from there.
+    /// An upper bound on the distance at `p`: that of the previous point plus the distance from it.
     fn bound(&self, p: DVec3) -> f64 {
         let bound = self.last.map_or(f64::INFINITY, |(q, distance)| distance + p.distance(q));
         bound * (1.0 + SLACK.0) + SLACK.1
@@ -171,7 +172,7 @@ impl Walk<'_> {
     }
 }
 
-/// Answer every point, near ones after each other.
+/// Processes every point, with near points after each other.
 fn answer_in_order<T: Send>(
     place: &Place,
     mesh: &Mesh,
@@ -198,7 +199,7 @@ fn answer_in_order<T: Send>(
     Ok(Answers(order.par_chunks(CHUNK).map(answer_chunk).collect::<Result<_, Error>>()?))
 }
 
-/// Rows by Morton code; as they come where there are too few to gain.
+/// Rows in order of the Morton code, or in their own order if there are too few.
 fn curve(points: &[[f64; 3]]) -> Vec<(u64, u32)> {
     if points.len() <= CHUNK {
         return (0..points.len() as u32).map(|row| (0, row)).collect();
@@ -207,7 +208,7 @@ fn curve(points: &[[f64; 3]]) -> Vec<(u64, u32)> {
         .iter()
         .map(|&p| DVec3::from_array(p))
         .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(lower, upper), p| (lower.min(p), upper.max(p)));
-    // Halved first: the difference of two finite numbers may not be finite.
+    // Halves are subtracted, because the difference of two finite numbers may overflow.
     let cells = f64::from(1u32 << MORTON_BITS) - 1.0;
     let scale = cells * 0.5 / (upper * 0.5 - lower * 0.5).max(DVec3::splat(f64::MIN_POSITIVE));
     let code = |&p: &[f64; 3]| {
@@ -235,7 +236,7 @@ fn check_points(mesh: &Mesh, points: &[[f64; 3]]) -> Result<(), ArgumentError> {
     if u32::try_from(points.len()).is_err() {
         return Err(ArgumentError::new("points", format!("at most {} at a time, got {}", u32::MAX, points.len())));
     }
-    // Not finite is out of reach too.
+    // A coordinate that is not finite is out of reach too.
     let Some(row) = points.iter().position(|&point| !mesh.can_reach(DVec3::from_array(point))) else { return Ok(()) };
     let [x, y, z] = points[row];
     let finite = x.is_finite() && y.is_finite() && z.is_finite();

@@ -1,12 +1,12 @@
-//! The aggregation as the article *Signed Distance Fields in Unity* describes it, kept for comparison.
+//! The aggregation of the article *Signed Distance Fields in Unity*, for comparison.
 //!
-//! For every cell and every volume: inside the box the sample, outside it the distance to the nearest point of the box
-//! plus the sample there; the least of all. By the triangle inequality the sum is never below the distance, and almost
-//! always above it. The author's other attempt, the circle in which two spheres meet, is `sphere_intersection` in Python:
-//! with the sphere of radius `s` round the nearest point and the plane of the box it gives the bound `sqrt(a^2 + s^2)` that
-//! [`super::placed`] uses.
+//! At every cell and for every volume: inside the box the sample, outside it the distance to the nearest point of the
+//! box plus the sample there; the result is the minimum over all volumes. By the triangle inequality the sum is never
+//! below the distance, and almost always above it. The author's other construction, the circle in which two spheres
+//! intersect, is `sphere_intersection` in Python. With the sphere of radius `s` around the nearest point and the plane
+//! of the box it gives the bound `sqrt(a^2 + s^2)` of [`super::placed`].
 //!
-//! The article says nothing of scaled volumes; here the sample is scaled by the mean stretch, the cube root of the
+//! The article does not discuss scaled volumes. Here the sample is scaled by the mean stretch, the cube root of the
 //! determinant.
 
 use super::{Placed, Thing};

@@ -1,18 +1,19 @@
-//! The merge with a graphics device: it finds who is nearest, the CPU says how near.
+//! The merge with a graphics device: the device finds the nearest field, the CPU evaluates its bound.
 //!
 //! # Theory
 //!
-//! Of all fields that may be nearest to a sample one is; finding it is nearly all of the work. The device walks the tree
-//! for each sample (`shaders/merge_owners.wgsl`) and bounds each field's value by an interval that holds it whatever
-//! float32 rounds. A field owns the sample if its interval lies below all others. Then its value is the least, and the
-//! CPU finds it in f64. Where intervals overlap, where a sample lies on a face of a field's cell, and near quadrics
-//! and fields that their box cuts, the sample is undecided and asked on the CPU among all fields. So the merged field is
-//! that of the CPU bit for bit, on every device, and as true a bound.
+//! Finding the field with the smallest bound at a sample is nearly all of the work. The device searches the tree for
+//! each sample (`shaders/merge_owners.wgsl`) and encloses the bound of each field in an interval that covers every
+//! float32 rounding. A field owns the sample if its interval lies below all others. Its bound is then the minimum, and
+//! the CPU evaluates it in f64. A sample is undecided where intervals overlap, on a face of a field's cell, and near
+//! quadrics and fields that their box cuts. The CPU evaluates undecided samples over all fields. The merged field
+//! therefore equals that of the CPU bit for bit, on every device.
 //!
 //! # Practice
 //!
-//! Scene space is world space about its centre over a power of two, so that it spans 1. Samples go up once for each
-//! volume and must fit one binding; owners come back by slabs of planes that do.
+//! Scene space is world space relative to its centre, divided by a power of two, so that it spans about 1. The samples
+//! of each volume are uploaded once and must fit one binding. Owners are read back by slabs of planes that fit a
+//! binding.
 
 use super::{Merged, Merger, Placed, Thing};
 use crate::bvh::boxes::BoxTree;
@@ -30,19 +31,19 @@ use rayon::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Samples of a workgroup, as in the shader.
+/// Number of samples of a workgroup, as in the shader.
 const GROUP: u64 = 64;
-/// Workgroups of a dispatch: the first one, and the most.
+/// Number of workgroups of a dispatch: in the first one, and at most.
 const GROUPS: (u64, u64) = (16, 65_535);
-/// Stands for no owner, as in the shader.
+/// The value for "no owner", as in the shader.
 const UNDECIDED: u32 = u32::MAX;
-/// Error of a grid coordinate that is made from a scene position, for each grid unit that a scene unit spans along the
-/// three axes together: 3 + 2 x 6 roundings of numbers up to 2, of 6e-8 each, and twice that for what a device may add.
+/// Error of a grid coordinate computed from a scene position, per grid unit that a scene unit spans along the three
+/// axes together: 3 + 2 x 6 roundings of values up to 2, of 6e-8 each, doubled to cover the device's arithmetic.
 const POSITION_ERROR: f64 = 2e-6;
-/// The same for each voxel of the grid: four roundings.
+/// The same error per voxel of the grid: four roundings.
 const VOXEL_ERROR: f64 = 2.5e-7;
 
-/// [`super::merge`] with the search on a device; how many samples were undecided comes with it.
+/// [`super::merge`] with the search on a device. Returns also the number of undecided samples.
 pub fn merge_on_device(
     context: &Arc<Context>,
     grid: &Grid,
@@ -88,7 +89,7 @@ pub fn merge_on_device(
     Ok((Merged { distances, owners, evaluations: evaluations.into_inner() }, undecided.into_inner()))
 }
 
-/// World space about its centre over a power of two, so that everything spans 1.
+/// World space relative to its centre, divided by a power of two, so that it spans about 1.
 struct Scene {
     center: DVec3,
     scale: f64,
@@ -111,7 +112,7 @@ impl Scene {
     }
 }
 
-/// Who gives the least value at each sample, or [`UNDECIDED`].
+/// The index of the field with the smallest bound at each sample, or [`UNDECIDED`].
 fn find_owners(
     context: &Arc<Context>,
     grid: &Grid,
@@ -170,13 +171,13 @@ fn find_owners(
     Ok(())
 }
 
-/// What the kernel reads.
+/// The buffers of the kernel.
 struct Tables<'a> {
     nodes: Vec<MergeNode>,
     order: Vec<u32>,
     fields: Vec<MergeField>,
     grids: Vec<MergeGrid>,
-    /// One for each grid.
+    /// One volume per grid.
     volumes: Vec<FieldView<'a>>,
 }
 
@@ -185,7 +186,7 @@ impl<'a> Tables<'a> {
         let boxes: Vec<_> =
             placed.iter().map(|placed| placed.bounds.map(|corner| scene.scene_from_world(corner))).collect();
         let tree = BoxTree::new(&boxes);
-        // A rounding more than the tree's own boxes: the shader has room for it.
+        // One more rounding than the boxes of the tree; the shader's margin covers it.
         let about_center = |corner: Vec3| (corner.as_dvec3() + tree.center).as_vec3().to_array();
         let nodes = tree.nodes.iter().map(|node| MergeNode {
             min: about_center(node.min),
@@ -213,7 +214,7 @@ impl<'a> Tables<'a> {
             return unknown;
         }
         let grid = *field.grid();
-        // Lengths of about 1.
+        // The unit makes lengths about 1.
         let unit = (grid.upper - grid.lower).length().log2().ceil().exp2();
         let center = (0.5 * bounds[0] + 0.5 * bounds[1]).as_vec3();
         let local_from_scene = placed.local_from_world * scene.world_from_scene();
@@ -223,7 +224,7 @@ impl<'a> Tables<'a> {
         let span = [rows.x_axis, rows.y_axis, rows.z_axis].map(|row| row.abs().element_sum());
         let voxels = grid.shape.map(|n| n as f64).into_iter().fold(0.0, f64::max);
         let error = POSITION_ERROR * span.into_iter().fold(0.0, f64::max) + VOXEL_ERROR * voxels;
-        // Cells so small that every place may be on a face of one.
+        // The cells are so small that every point may lie on a face of one.
         if error > 0.1 {
             return unknown;
         }
@@ -244,7 +245,7 @@ impl<'a> Tables<'a> {
         }
     }
 
-    /// The place of a volume among the grids; each is there once.
+    /// Index of a volume among the grids. Each volume is stored once.
     fn grid(&mut self, field: FieldView<'a>, unit: f64) -> u32 {
         let is_same =
             |known: &FieldView<'_>| std::ptr::eq(known.distances(), field.distances()) && known.grid() == field.grid();

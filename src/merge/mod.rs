@@ -1,25 +1,25 @@
-//! One coarse field for a whole scene: at each sample the least of what all placed fields say there.
+//! One coarse field for a whole scene: the minimum over all placed fields at each sample.
 //!
 //! # Theory
 //!
-//! The coarse aggregate of *Signed Distance Fields in Unity* (a blog post, kept in [`article`]), with two changes. Its
-//! value outside a volume, the distance to the box plus the value at the nearest point of the box, is an upper bound of
-//! the distance: rays pass through things. Here each field gives a proven lower bound ([`placed`]), and the least of lower bounds is a lower bound
-//! of the distance to the union. And its loop over all volumes for every cell is replaced by a tree over their boxes.
+//! The method is the coarse aggregate of *Signed Distance Fields in Unity* (a blog post, implemented in [`article`]),
+//! with two changes. First, the article's value outside a volume, the distance to the box plus the value at the nearest
+//! point of the box, is an upper bound on the distance, so rays pass through objects. Here each field gives a proven
+//! lower bound ([`placed`]), and the minimum of lower bounds is a lower bound on the distance to the union. Second, the
+//! loop over all volumes for every cell is replaced by a tree over their boxes.
 //!
-//! Samples are taken in blocks of 4^3. A block walks the tree from near to far; the farthest that any of its samples can
-//! still be, the largest of the values so far, ends the walk. What is skipped lies in a box that is farther away than
-//! the value of every sample, and no field is ever below the distance to its box: so the result equals that of a loop
-//! over all fields, bit for bit.
+//! Samples are computed in blocks of 4^3. A block searches the tree from near to far. The search ends at the largest
+//! value of its samples so far. A skipped field lies in a box that is farther away than the value of every sample, and
+//! no field is below the distance to its box. The result therefore equals that of a loop over all fields, bit for bit.
 //!
-//! Every sample remembers its owner, the field that gave the least value. If some fields move, blocks that they own
-//! samples of are done anew, and elsewhere the new value is compared with the old one: again bit for bit what merging
-//! everything would give ([`update`]).
+//! Every sample stores its owner, the field that gave the smallest value. If some fields move, blocks with samples that
+//! they own are computed anew. In other blocks the new value is compared with the old one. The result equals a new
+//! merge of all fields, bit for bit ([`update`]).
 //!
 //! # Practice
 //!
-//! [`merge`] runs on all cores by slabs of blocks; [`merge_on_device`] lets a graphics device look for the owners. Between samples the merged field is interpolated like any other, so
-//! there it may exceed the distance; at the samples it does not.
+//! [`merge`] runs on all cores by slabs of blocks. [`merge_on_device`] finds the owners on a graphics device. The
+//! merged field is interpolated between samples, so it may exceed the distance there; at the samples it does not.
 
 mod article;
 mod gpu;
@@ -39,7 +39,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Samples along a side of a block.
+/// Number of samples along a side of a block.
 const BLOCK: usize = 4;
 const BLOCK_SAMPLES: usize = BLOCK * BLOCK * BLOCK;
 
@@ -47,13 +47,13 @@ const BLOCK_SAMPLES: usize = BLOCK * BLOCK * BLOCK;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Merged {
     pub distances: Vec<f32>,
-    /// Which field gave each distance.
+    /// Index of the field that gave each distance.
     pub owners: Vec<u32>,
-    /// Samples of fields that were looked at.
+    /// Number of evaluated bounds.
     pub evaluations: u64,
 }
 
-/// The least lower bound of all fields at every sample of a grid.
+/// The smallest lower bound of all fields at every sample of a grid.
 pub fn merge(grid: &Grid, placed: &[Placed<'_>], progress: &Progress) -> Result<Merged, Error> {
     let merger = Merger::new(grid, placed)?;
     let what = format!("a merged field of {:?} samples", grid.shape);
@@ -73,7 +73,7 @@ pub fn merge(grid: &Grid, placed: &[Placed<'_>], progress: &Progress) -> Result<
     Ok(merged)
 }
 
-/// Bring a merged field up to date after the fields in `changed` have moved; `placed` are all, as they are now.
+/// Updates a merged field after the fields in `changed` have moved; `placed` are all fields in their new state.
 ///
 /// The distances are those of [`merge`], bit for bit.
 pub fn update(
@@ -116,7 +116,7 @@ pub fn update(
     })
 }
 
-/// Samples of a block, and who gave them.
+/// Samples of a block, and their owners.
 #[derive(Debug, Clone)]
 struct BlockValues {
     distances: [f32; BLOCK_SAMPLES],
@@ -148,7 +148,7 @@ impl Block {
         self.shape.iter().product()
     }
 
-    /// Rows along x: the row's first sample in the block's own order, and its y and z in the grid.
+    /// Rows along x: index of the row's first sample within the block, and its y and z in the grid.
     fn rows(&self) -> impl Iterator<Item = (usize, usize, usize)> {
         let Self { first, shape } = *self;
         (0..shape[1] * shape[2]).map(move |row| (row * shape[0], first[1] + row % shape[1], first[2] + row / shape[1]))
@@ -179,7 +179,7 @@ impl<'a> Merger<'a> {
         Ok(Self { grid: *grid, spacing: grid.spacing(), placed, tree: BoxTree::new(&boxes) })
     }
 
-    /// Run `work` on all slabs of blocks in parallel; it returns the samples it looked at.
+    /// Runs `work` on all slabs of blocks in parallel; `work` returns the number of bounds it evaluated.
     fn for_each_slab(
         &self,
         merged: &mut Merged,
@@ -219,14 +219,14 @@ impl<'a> Merger<'a> {
         [self.center(x, y, z), self.center(x + nx - 1, y + ny - 1, z + nz - 1)]
     }
 
-    /// The least of all fields.
+    /// The minimum over all fields.
     fn fill(&self, block: &Block, values: &mut BlockValues) {
         self.tree.around(self.bounds(block), f64::INFINITY, |place, limit| {
             self.lower(block, self.tree.order[place], values, limit);
         });
     }
 
-    /// Take the values of one field where they are less; `limit` is the largest value of the block.
+    /// Takes the values of one field where they are smaller; `limit` is the largest value of the block.
     fn lower(&self, block: &Block, field: u32, values: &mut BlockValues, limit: &mut f64) {
         let placed = &self.placed[field as usize];
         let [lower, upper] = self.bounds(block);

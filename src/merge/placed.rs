@@ -1,42 +1,43 @@
-//! A field in its place in the world, and the lower bound of the distance that it gives at any point.
+//! A field with a transform to the world, and its lower bound on the distance at any point.
 //!
 //! # Theory
 //!
-//! Let `M` take local to world coordinates, `sigma_min` and `sigma_max` be the least and largest factor by which it
-//! stretches a length. The distance `d` from a world point to the placed surface obeys
+//! Let `M` map local to world coordinates, and let `sigma_min` and `sigma_max` be the smallest and largest factor by
+//! which it stretches a length. The distance `d` from a world point to the placed surface satisfies
 //!
 //! ```text
 //!   sigma_min d_local <= d <= sigma_max d_local
 //! ```
 //!
-//! since every segment between the point and the surface is stretched by a factor between the two. So a lower bound
-//! `L` of the signed local distance becomes `sigma_min L` where it is positive, `sigma_max L` where it is negative, and
-//! neither exceeds the signed world distance. For a rigid motion both factors are 1 and nothing is lost.
+//! since every segment between the point and the surface is stretched by a factor between the two. A lower bound `L` on
+//! the signed local distance therefore becomes `sigma_min L` where it is positive and `sigma_max L` where it is
+//! negative, and neither exceeds the signed world distance. For a rigid motion both factors are 1 and the bound is as
+//! tight as in local space.
 //!
 //! `L` at a local point `p`:
 //!
-//! - Among eight voxel centres `c_i` with samples `d_i`. A signed distance changes by at most the length of the way, so
-//!   `L = max(d_i - |p - c_i|)`. Where all eight are positive, the variance bound `s` of [`crate::volume::outside`] also
-//!   holds, and the larger is taken. (Were `p` inside a part so thin that no corner sees it, at depth `e`, then
-//!   `d_i <= |p - c_i| - e` and `e <= |p - c_i|`, hence `sum w_i d_i^2 < sum w_i |p - c_i|^2`: `s` would be 0.) At a voxel
-//!   centre this is the sample itself; between centres, where trilinear interpolation may exceed the distance, it is
-//!   less: by half a voxel's diagonal at most, that is if all corners see the same point from behind it.
-//! - Outside the hull of the centres: `sqrt(a^2 + s^2)` as in [`crate::volume::outside`], from the hull and from the box
-//!   of the surface. Where the surface reaches beyond the outermost samples, because the grid's box cuts it, the cut
-//!   counts as surface and what is cut off as absent, so the bound is at most the distance to the grid's box.
-//! - In the world, the surface lies in the box around the transformed corners of its own box: the distance to that
-//!   is a lower bound as well. It makes culling by boxes exact: what a box is too far for can never be the least.
+//! - Between eight voxel centres `c_i` with samples `d_i`: a signed distance is 1-Lipschitz, so `L = max(d_i - |p -
+//!   c_i|)`. If all eight are positive, the variance bound `s` of [`crate::volume::outside`] also holds, and the larger
+//!   one is used. (If `p` were inside a part too thin for any corner to be inside, at depth `e`, then `d_i <= |p - c_i|
+//!   - e` and `e <= |p - c_i|`, hence `sum w_i d_i^2 < sum w_i |p - c_i|^2`: `s` would be 0.) At a voxel centre this is
+//!   the sample itself. Between centres, where trilinear interpolation may exceed the distance, it is smaller, by at
+//!   most half the diagonal of a voxel: this occurs if all corners see the same point from behind it.
+//! - Outside the hull of the centres: `sqrt(a^2 + s^2)` as in [`crate::volume::outside`], from the hull and from the
+//!   box of the surface. Where the surface extends beyond the outermost samples, because the grid's box cuts it, the
+//!   cut counts as surface and the part beyond it is absent, so the bound is at most the distance to the grid's box.
+//! - In the world, the surface lies in the box around the transformed corners of its own box. The distance to that box
+//!   is a lower bound as well. It makes culling by boxes exact: a box that is too far away cannot contain the minimum.
 //!
 //! # Practice
 //!
-//! All in f64, rounded down to f32 at the end. The bound is as true as the stored distances are.
+//! All arithmetic is f64, rounded down to f32 at the end. The bound holds up to the error of the stored distances.
 
 use crate::error::{ArgumentError, Error};
 use crate::quadric::local::Local;
 use crate::volume::{FieldView, Trilinear};
 use glam::{DAffine3, DMat3, DVec3};
 
-/// What stands in the world.
+/// The geometry of a placed field.
 #[derive(Debug, Clone, Copy)]
 pub enum Thing<'a> {
     /// A stored field; its surface lies in the box `inner`.
@@ -45,7 +46,7 @@ pub enum Thing<'a> {
     Quadric(Local),
 }
 
-/// A thing and its place.
+/// Geometry and its transform.
 #[derive(Debug, Clone)]
 pub struct Placed<'a> {
     pub thing: Thing<'a>,
@@ -55,7 +56,7 @@ pub struct Placed<'a> {
     pub sigma_max: f64,
     /// Box around the surface, world axes.
     pub bounds: [DVec3; 2],
-    /// The surface reaches beyond the outermost samples.
+    /// Whether the surface extends beyond the outermost samples.
     pub is_cut: bool,
 }
 
@@ -92,11 +93,11 @@ impl<'a> Placed<'a> {
         (self.bounds[0] - p).max(p - self.bounds[1]).max(DVec3::ZERO).length()
     }
 
-    /// Lower bound of the signed distance from a world point, or any number that is not below `best` if that is a lower
-    /// bound: then the rest is not worth finding.
+    /// Lower bound on the signed distance from a world point. If the bound is at least `best`, any value that is at
+    /// least `best` may be returned, which saves its evaluation.
     pub fn lower_bound(&self, p: DVec3, best: f64) -> f64 {
         let to_bounds = self.distance_to_bounds(p);
-        // In the box the field may be negative: zero says nothing there.
+        // Inside the box the field may be negative, so the distance zero to the box is not a bound.
         if to_bounds > 0.0 && to_bounds >= best {
             return to_bounds;
         }
@@ -121,7 +122,7 @@ impl<'a> Placed<'a> {
 /// `L` of the module.
 fn signed_bound(field: &FieldView<'_>, inner: [DVec3; 2], is_cut: bool, p: DVec3) -> f64 {
     let cell = field.cell_bound(p);
-    // Of the surface itself, not of the cut.
+    // Bound on the surface itself, without the cut.
     let unsigned = || field.unsigned_bound(p, inner);
     if !is_cut {
         let to_inner = distance_to_box(p, inner);
@@ -149,13 +150,13 @@ pub fn transformed_box([lower, upper]: [DVec3; 2], transform: &DAffine3) -> [DVe
     let half = 0.5 * (upper - lower);
     let m = transform.matrix3;
     let reach = m.x_axis.abs() * half.x + m.y_axis.abs() * half.y + m.z_axis.abs() * half.z;
-    // Some roundings of the numbers that were added.
+    // A few roundings of the summed values.
     let room = 8.0 * f64::EPSILON * (reach + center.abs());
     [center - reach - room, center + reach + room]
 }
 
-/// Least and largest factor by which a matrix stretches a vector: its singular values, by one-sided Jacobi rotations
-/// (Hestenes 1958), which find small ones as accurately as large ones. Narrowed and widened by their rounding.
+/// Smallest and largest factor by which a matrix stretches a vector: its singular values, by one-sided Jacobi rotations
+/// (Hestenes 1958), which compute small ones as accurately as large ones. The interval is widened by their rounding.
 fn stretch(m: DMat3) -> [f64; 2] {
     let mut columns = [m.x_axis, m.y_axis, m.z_axis];
     for _ in 0..MAX_SWEEPS {
@@ -187,11 +188,11 @@ fn stretch(m: DMat3) -> [f64; 2] {
     [least * (1.0 - STRETCH_ROUNDING), most * (1.0 + STRETCH_ROUNDING)]
 }
 
-/// Three or four do for any 3x3 matrix.
+/// Number of sweeps. Three or four suffice for any 3x3 matrix.
 const MAX_SWEEPS: usize = 20;
-/// Relative rounding of a singular value, some tens of operations.
+/// Relative rounding error of a singular value after some tens of operations.
 const STRETCH_ROUNDING: f64 = 1e-14;
-/// A rotation made in float64 keeps lengths to within this; far below the rounding of a sample.
+/// A rotation computed in float64 preserves lengths to within this, far below the rounding of a sample.
 const RIGID: f64 = 1e-12;
 
 #[cfg(test)]
@@ -211,7 +212,7 @@ mod tests {
         fn the_stretch_is_that_of_the_axes(a in rotation(), b in rotation(), scale in prop::array::uniform3(1e-6..1e6f64)) {
             let [least, most] = stretch(a * DMat3::from_diagonal(DVec3::from(scale)) * b);
             let exact = DVec3::from(scale);
-            // The product of three matrices is itself rounded, by some roundings of its largest entry.
+            // The product of three matrices is rounded itself, by a few roundings of its largest entry.
             let rounding = 1e-14 * exact.max_element();
             prop_assert!(least <= exact.min_element() + rounding && least >= exact.min_element() * (1.0 - 1e-13) - rounding);
             prop_assert!(most >= exact.max_element() - rounding && most <= exact.max_element() * (1.0 + 1e-13) + rounding);

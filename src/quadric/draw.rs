@@ -1,9 +1,9 @@
 //! Pictures of quadrics on the CPU, in f64.
 //!
-//! The nearest sheet on each pixel's ray wins; its normal is turned to the eye. Shading is that of every picture
-//! ([`crate::render::shade`]) with the quadric's reflectance as its colour. A light behind the seen side of a sheet gives
-//! nothing; from the seen side the ray to the light starts on the sheet itself, without a bias: the crossing where it
-//! starts is left out by name.
+//! The nearest sheet on the ray of each pixel is drawn; its normal faces the eye. Shading is that of every picture
+//! ([`crate::render::shade`]) with the reflectance of the quadric as its colour. A light behind the visible side of a
+//! sheet does not light it. The ray to a light starts on the sheet itself, without a bias: the crossing at its start is
+//! excluded explicitly.
 
 use super::Quadrics;
 use crate::error::Error;
@@ -13,7 +13,7 @@ use crate::render::shade::{Look, lit};
 use crate::render::{Camera, DirectionalLight, Frame, RaymarchOptions, Row};
 use glam::DVec3;
 
-/// Draw at a place. `options.color` is not used: each quadric has its reflectance.
+/// Draws at a place. `options.color` is ignored, since each quadric has its reflectance.
 pub fn draw_at(
     place: &Place,
     quadrics: &Quadrics,
@@ -30,18 +30,18 @@ pub fn draw_at(
     }
 }
 
-/// What every pixel needs.
+/// Data shared by all pixels.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct View<'a> {
     pub quadrics: &'a Quadrics,
     pub camera: &'a Camera,
     pub options: &'a RaymarchOptions,
-    /// With unit directions.
+    /// Lights with unit directions.
     pub lights: &'a [DirectionalLight],
 }
 
 impl View<'_> {
-    /// Fill pixel `x` of row `y`; the row already says "nothing hit".
+    /// Fills pixel `x` of row `y`. The row is initialised to "no hit".
     pub fn draw_pixel(&self, x: usize, y: usize, row: &mut Row<'_>) {
         row.color[4 * x..][..4].copy_from_slice(&self.options.background);
         // Multiples of `direction` are depths.

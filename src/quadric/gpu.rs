@@ -1,16 +1,17 @@
 //! Pictures of quadrics on a graphics device (`shaders/quadrics.wgsl`): geometry in a texture, as in the article.
 //!
-//! The texture is RGBA32F. Texel `i` lies in column `i mod w`, row `i / w`; `w` is a multiple of six near the device's
-//! limit, so that any number of records fits and none is cut:
+//! The texture is RGBA32F. Texel `i` lies in column `i mod w`, row `i / w`. `w` is a multiple of six near the device's
+//! limit, so that any number of records fits and no record spans two rows:
 //!
 //! ```text
 //!   6 n texels      a record each: matrix (4), centre and radius of the trim sphere, reflectance and opacity
 //!   2 m texels      a box of the tree each: min and first, max and count; m = 0 where all records are tried
 //! ```
 //!
-//! Two things differ from the record that `pack_quadrics` makes, so that float32 is enough at any place in the world: the
-//! matrix is that of the frame of the trim sphere ([`super::local`]), and the centre is relative to the middle of all.
-//! Depths then agree with the CPU's to some float32 roundings of the distance and of the radius over the slope.
+//! Two values differ from the record of `pack_quadrics`, so that float32 is precise enough at any position in the
+//! world. The matrix is that of the frame of the trim sphere ([`super::local`]), and the centre is relative to the
+//! centre of all quadrics. Depths then agree with the CPU's to a few float32 roundings of the distance, and of the
+//! radius divided by the slope.
 
 use super::draw::View;
 use super::{LINEAR_UP_TO, Quadrics};
@@ -23,15 +24,15 @@ use crate::render::{Frame, upload_lights};
 use glam::DVec3;
 
 const RECORD_TEXELS: usize = 6;
-/// Side of a workgroup, as in the shader.
+/// Side of a workgroup in pixels, as in the shader.
 const TILE: u32 = 8;
-/// Rows of workgroups of a dispatch: the first one, and the most.
+/// Number of rows of workgroups of a dispatch: in the first one, and at most.
 const TILE_ROWS: (u64, u64) = (1, 1024);
 const HIT: u32 = 1;
 const UNFINISHED: u32 = 2;
-/// Indices are stored as floats, which are whole up to here.
+/// Indices are stored as floats, which represent whole numbers exactly up to this.
 const MAX_INDEX: usize = 1 << 24;
-/// Boxes are grown by this share of everything's size, for the float32 rounding of a slab test.
+/// Boxes are enlarged by this fraction of the size of the scene, for the float32 rounding of a slab test.
 const BOX_GROWTH: f64 = 2e-6;
 
 pub(super) fn draw(context: &Context, view: &View<'_>, progress: &Progress) -> Result<Frame, Error> {

@@ -5,25 +5,27 @@
 //! With `p = c + r q` the trim sphere is the unit ball of `q`. A matrix `A` becomes `T^T A T`, scaled so that its largest
 //! entry is 1: as a form `q^T M q + 2 v.q + w`.
 //!
-//! A ray is given by its point `q` nearest to the centre and its unit direction `u`. Outside the ball nothing is seen, so
-//! only parameters `|s| <= h`, `h^2 = 1 - |q|^2`, matter, and every number below is at most about 10:
+//! A ray is given by its point `q` nearest to the centre and its unit direction `u`. The surface outside the ball is
+//! trimmed, so only parameters `|s| <= h`, `h^2 = 1 - |q|^2`, are relevant, and the magnitude of every value below is
+//! at most about 10:
 //!
 //! ```text
 //!   a s^2 + 2 b s + c = 0,   a = u^T M u,   b = u.(M q + v),   c = q^T M q + 2 v.q + w
 //!   k = -(b + sign(b) sqrt(b^2 - a c)),   s = k / a  and  s = c / k
 //! ```
 //!
-//! Neither quotient cancels (Numerical Recipes, 5.6). A quotient is taken only where it is at most `h`, compared as
-//! `|k| <= h |a|`: so `a` may be anything down to zero. Then the surface is nearly linear along the ray, the first root is
-//! beyond the ball, and the second is `-c / 2b`.
+//! Neither quotient cancels (Numerical Recipes, 5.6). A quotient is computed only if it is at most `h`, compared as
+//! `|k| <= h |a|`, so `a` may have any value down to zero. Then the surface is nearly linear along the ray, the first
+//! root is beyond the ball, and the second is `-c / 2b`.
 //!
-//! Rounding. Each of `a, b, c` is off by at most `EPS`, 16 machine epsilons, for 9 products of numbers up to 1. A
-//! discriminant within `2 EPS (|b| + |a| + |c|) + EPS^2` of zero is not known to be negative and counts as zero: a ray
-//! that touches is a hit, and a doubled plane is seen. A root moves by `EPS (s^2 + 2 |s| + 1) / |2 (a s + b)|`, where the
-//! denominator is the slope along the ray: `4 EPS / slope` radii in f64, below 1e-13 where the slope is above 0.05.
+//! Rounding. Each of `a, b, c` has an error of at most `EPS`, 16 machine epsilons, for 9 products of values up to 1. A
+//! discriminant within `2 EPS (|b| + |a| + |c|) + EPS^2` of zero is not certainly negative and counts as zero: a
+//! tangent ray is a hit, and a doubled plane is visible. A root moves by `EPS (s^2 + 2 |s| + 1) / |2 (a s + b)|`, where
+//! the denominator is the slope along the ray: `4 EPS / slope` radii in f64, below 1e-13 where the slope is above 0.05.
 //!
-//! The trim sphere of a ball is often the ball itself, so rounding must not trim at random. The sphere is widened by
-//! [`Local::slack`]: what rounding the matrix about the world's origin, in a record to float32, may move a surface.
+//! The trim sphere of a ball is often the ball itself, so rounding must not trim points at random. The sphere is
+//! widened by [`Local::slack`]: the largest displacement of the surface by the rounding of the matrix about the world's
+//! origin, in a record to float32.
 
 use super::Quadric;
 use glam::{DMat3, DMat4, DVec3};
@@ -31,11 +33,11 @@ use glam::{DMat3, DMat4, DVec3};
 /// Error of a coefficient of the quadratic; see the module.
 const EPS: f64 = 16.0 * f64::EPSILON;
 
-/// A quadric in the frame of its trim sphere: the form `q^T M q + 2 v.q + w`, largest entry 1.
+/// A quadric in the frame of its trim sphere: the form `q^T M q + 2 v.q + w` with the largest entry 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Local {
     pub center: DVec3,
-    /// Of the widened trim sphere.
+    /// Radius of the widened trim sphere.
     pub radius: f64,
     pub m: DMat3,
     pub v: DVec3,
@@ -45,8 +47,8 @@ pub struct Local {
 impl Local {
     /// Relative widening of the trim sphere.
     ///
-    /// An entry `c^T M c` is rounded by an epsilon of itself, which moves a surface of radius `r` by about
-    /// `epsilon (|c| / r)^2 r / 2`. Of float32, where all entries fit it: then they may come from a record.
+    /// An entry `c^T M c` is rounded by one epsilon, which moves a surface of radius `r` by about `epsilon (|c| / r)^2
+    /// r / 2`. The epsilon is that of float32 if all entries are float32 values, since they may come from a record.
     pub(super) fn slack(quadric: &Quadric) -> f64 {
         let offset = quadric.center.length() / quadric.radius;
         let is_record = quadric.matrix.to_cols_array().iter().all(|&entry| f64::from(entry as f32) == entry);
@@ -56,7 +58,7 @@ impl Local {
 
     pub fn new(quadric: &Quadric) -> Self {
         let (center, radius) = (quadric.center, quadric.radius * (1.0 + Self::slack(quadric)));
-        // By the largest entry first, so that products stay in range.
+        // Dividing by the largest entry first keeps products in range.
         let scale = |a: DMat4| a * (1.0 / largest(&a));
         let a = scale(quadric.matrix);
         let world_from_local =
@@ -84,7 +86,7 @@ impl Local {
 
     /// Unit normal at a point of the surface, turned against `direction`.
     ///
-    /// The gradient vanishes on a doubled plane and at the tip of a cone; there its change along the ray is taken.
+    /// The gradient vanishes on a doubled plane and at the tip of a cone. Its change along the ray replaces it there.
     pub fn normal(&self, p: DVec3, direction: DVec3) -> DVec3 {
         let unit = direction.normalize();
         let gradient = self.m * self.local_from_world(p) + self.v;
@@ -93,16 +95,17 @@ impl Local {
         if normal.dot(unit) > 0.0 { -normal } else { normal }
     }
 
-    /// Lower bound of the distance from a world point to the trimmed surface.
+    /// Lower bound on the distance from a world point to the trimmed surface.
     ///
-    /// For `f(q) = q^T M q + 2 v.q + w` and a step `d` with `|d| = s`: `|f(q + d) - f(q)| <= |grad f| s + |M| s^2`. On the
-    /// surface `f` is zero, so no point of it is nearer than the root `s` of `|M| s^2 + |grad f| s = |f|`. From outside the
-    /// ball, which is convex and holds the surface, `sqrt(a^2 + s^2)` as for a box (see `volume::outside`).
+    /// For `f(q) = q^T M q + 2 v.q + w` and a step `d` with `|d| = s`: `|f(q + d) - f(q)| <= |grad f| s + |M| s^2`. On
+    /// the surface `f` is zero, so no point of it is nearer than the root `s` of `|M| s^2 + |grad f| s = |f|`. Outside
+    /// the ball, which is convex and contains the surface, the bound is `sqrt(a^2 + s^2)` as for a box (see
+    /// `volume::outside`).
     pub fn distance_bound(&self, p: DVec3) -> f64 {
         let q = self.local_from_world(p);
         let length = q.length();
         let (nearest, outside) = if length > 1.0 { (q / length, length - 1.0) } else { (q, 0.0) };
-        // Both as rounding may have them at worst; the gradient of `f` is twice the slope.
+        // Both values are rounded to the safe side; the gradient of `f` is twice the slope.
         let f = (self.value(nearest).abs() - EPS).max(0.0);
         let half_slope = (self.m * nearest + self.v).length() + EPS;
         let root = f / (half_slope + (half_slope * half_slope + self.norm() * f).sqrt());
@@ -121,13 +124,13 @@ impl Local {
     }
 }
 
-/// Least relative widening of a trim sphere: some float32 roundings, which a device makes.
+/// Smallest relative widening of a trim sphere: a few float32 roundings of the device.
 const BASE_SLACK: f64 = 1e-5;
-/// Most; a record so far from the origin is lost anyway.
+/// Largest relative widening. A record so far from the origin has no precision left.
 const LARGEST_SLACK: f64 = 1e-2;
-/// A gradient below this, in the local frame, has no direction.
+/// A gradient shorter than this, in the local frame, has no usable direction.
 const SINGULAR: f64 = 1e-7;
-/// Relative room for the rounding of what follows in a lower bound.
+/// Relative slack for the rounding of the following operations of a lower bound.
 const BOUND_SLACK: f64 = 1e-13;
 
 /// Largest magnitude of an entry.
@@ -135,16 +138,16 @@ fn largest(a: &DMat4) -> f64 {
     a.to_cols_array().iter().fold(f64::MIN_POSITIVE, |largest, entry| largest.max(entry.abs()))
 }
 
-/// A ray that meets the trim sphere, in its frame.
+/// A ray that intersects the trim sphere, in its frame.
 #[derive(Debug, Clone, Copy)]
 pub struct LocalRay<'a> {
     local: &'a Local,
-    /// Its point nearest to the centre.
+    /// The point of the ray nearest to the centre.
     nearest: DVec3,
     unit: DVec3,
     /// Parameter of the ray's origin.
     start: f64,
-    /// Multiples of the ray's direction in a unit of the parameter.
+    /// Length of a unit of the parameter, in multiples of the ray's direction.
     t_per_s: f64,
     /// Half the chord in the ball.
     half_chord: f64,
@@ -155,7 +158,8 @@ impl<'a> LocalRay<'a> {
         let length = direction.length();
         let unit = direction / length;
         let from_center = local.local_from_world(origin);
-        // Twice: seen from a thousand radii the first difference is rounded by as much.
+        // The nearest point to the centre is computed in two rounds: from a thousand radii away, the first subtraction
+        // alone is rounded by too much.
         let about = from_center.dot(unit);
         let almost = from_center - about * unit;
         let rest = almost.dot(unit);
@@ -171,7 +175,7 @@ impl<'a> LocalRay<'a> {
         })
     }
 
-    /// Where the ray crosses the surface in the trim sphere, in ascending order.
+    /// The parameters at which the ray crosses the surface inside the trim sphere, in ascending order.
     pub fn roots(&self) -> [Option<f64>; 2] {
         let Local { m, v, .. } = self.local;
         let slope = *m * self.nearest + *v;
@@ -192,15 +196,16 @@ impl<'a> LocalRay<'a> {
         }
     }
 
-    /// Drop the root at which the ray starts: the one nearest to the origin.
+    /// Drops the root at which the ray starts: the one nearest to the origin.
     pub fn forget_start(&self, roots: &mut [Option<f64>; 2]) {
         let from_start = |root: Option<f64>| root.map_or(f64::INFINITY, |s| (s - self.start).abs());
         let own = usize::from(from_start(roots[1]) < from_start(roots[0]));
         roots[own] = None;
     }
 
-    /// Length from the root at the ray's origin to the next one ahead, in multiples of the direction. Without one the ray
-    /// leaves through the trim sphere if it `enters` the solid at the origin; else it is outside and the length is 0.
+    /// Length from the root at the ray's origin to the next one ahead, in multiples of the direction. Without a next
+    /// root the ray leaves through the trim sphere if it `enters` the solid at the origin. Otherwise it is outside, and
+    /// the length is 0.
     pub fn chord(&self, enters: bool) -> f64 {
         let mut roots = self.roots();
         self.forget_start(&mut roots);

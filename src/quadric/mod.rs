@@ -3,23 +3,25 @@
 //! # Theory
 //!
 //! O. Lawlor, *Storing raytraced geometry in textures* (CS 481, University of Alaska Fairbanks, 2010): a symmetric 4x4
-//! matrix holds a sphere, an ellipsoid, a cylinder, a cone, a paraboloid, a hyperboloid or a pair of planes alike, a trim
-//! sphere cuts it to a finite size, and six texels hold a record: four the matrix, one the centre and radius of the trim
-//! sphere, one the reflectance and opacity.
+//! matrix represents a sphere, an ellipsoid, a cylinder, a cone, a paraboloid, a hyperboloid or a pair of planes. A
+//! trim sphere limits it to a finite size. A record has six texels: four for the matrix, one for the centre and radius
+//! of the trim sphere, one for the reflectance and opacity.
 //!
-//! What is changed here: the arithmetic happens in the frame of the trim sphere, where it is the unit ball and the
-//! largest entry of the matrix is 1 ([`local`]). About the world's origin the entries of a small sphere far away cancel;
-//! in its own frame they do not, at any offset and scale. And shadows multiply: light that crosses several quadrics of
-//! opacity `k` arrives with the product of their `1 - k`, where the article takes the largest `k`.
+//! Two changes are made here. First, the arithmetic is done in the frame of the trim sphere, where the trim sphere is
+//! the unit ball and the largest entry of the matrix is 1 ([`local`]). About the world's origin the entries for a small
+//! sphere far away cancel; in its own frame they do not, at any offset and scale. Second, shadows multiply: light that
+//! crosses several quadrics of opacity `k` arrives with the product of their `1 - k`, where the article takes the
+//! largest `k`.
 //!
-//! A quadric is a sheet without an inside. Each counts once on a shadow ray, however often the ray crosses it. What is
-//! drawn is the nearest sheet; opacity matters to light alone.
+//! A quadric is a sheet without an inside. Each counts once per shadow ray, however often the ray crosses it. The
+//! picture shows the nearest sheet; opacity applies to shadows only.
 //!
 //! # Practice
 //!
-//! [`Quadrics`] holds any number with a tree over their trim boxes, in f64, and answers what a scene asks: bounds, first
-//! hit, transmittance, a lower bound of the distance. [`draw`] makes a picture on the CPU, [`gpu`] the same on a device,
-//! in float32 from records in a texture. Up to [`LINEAR_UP_TO`] quadrics are tried one by one, more through the tree.
+//! [`Quadrics`] holds any number of quadrics with a tree over their trim boxes, in f64. It computes bounds, first hits,
+//! transmittance, and a lower bound on the distance. [`draw`] makes a picture on the CPU, [`gpu`] the same picture on a
+//! device, in float32 from records in a texture. Up to [`LINEAR_UP_TO`] quadrics are tried one by one, more are
+//! searched through the tree.
 
 pub mod draw;
 pub mod gpu;
@@ -32,44 +34,44 @@ use glam::{DMat4, DVec3, Vec3};
 use local::{Local, LocalRay};
 use rayon::prelude::*;
 
-/// Where trying all is as fast as walking a tree.
+/// Up to this number of quadrics, trying all of them is as fast as searching a tree.
 pub const LINEAR_UP_TO: usize = 64;
 
-/// Points of a batch between two looks at the progress: a few milliseconds.
+/// Number of points of a batch between two checks of the progress: a few milliseconds.
 const CHUNK_POINTS: usize = 1024;
 
 /// A quadric surface in world space.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Quadric {
-    /// Symmetric, any scale.
+    /// Symmetric matrix of any scale.
     pub matrix: DMat4,
-    /// Of the trim sphere.
+    /// Centre of the trim sphere.
     pub center: DVec3,
     pub radius: f64,
     /// Linear RGB.
     pub reflectance: Vec3,
-    /// Share of the light that one crossing takes, 0 to 1.
+    /// Fraction of the light that one crossing blocks, 0 to 1.
     pub opacity: f32,
 }
 
-/// Where a ray first meets a quadric.
+/// First intersection of a ray with a quadric.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hit {
-    /// In multiples of the ray's direction.
+    /// Distance in multiples of the ray's direction.
     pub t: f64,
     /// Index of the quadric.
     pub quadric: u32,
-    /// World space, unit, towards the ray's origin.
+    /// Unit normal in world space, on the side of the ray's origin.
     pub normal: DVec3,
 }
 
-/// Many quadrics, made ready for rays. Kept in the order of the tree.
+/// Many quadrics prepared for rays, in the order of the tree.
 #[derive(Debug, Clone)]
 pub struct Quadrics {
     records: Vec<Quadric>,
     locals: Vec<Local>,
     tree: BoxTree,
-    /// Place of each quadric in the order of the tree.
+    /// Position of each quadric in the order of the tree.
     places: Vec<u32>,
 }
 
@@ -105,7 +107,7 @@ impl Quadrics {
         &self.records
     }
 
-    /// Their matrices in the frames of their trim spheres, in the same order.
+    /// The matrices of the quadrics in the frames of their trim spheres, in the same order.
     pub fn locals(&self) -> &[Local] {
         &self.locals
     }
@@ -124,8 +126,8 @@ impl Quadrics {
         self.records.iter().map(Quadric::bounds).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
     }
 
-    /// The first quadric that `origin + t direction` meets with a `t` in the range, and how many quadrics and boxes were
-    /// tried.
+    /// The first quadric that `origin + t direction` crosses at a `t` in the range, and the number of quadrics and
+    /// boxes tried.
     pub fn first_hit(&self, origin: DVec3, direction: DVec3, range: [f64; 2]) -> (Option<Hit>, u32) {
         let mut nearest: Option<(f64, usize)> = None;
         let mut tried = 0;
@@ -147,8 +149,9 @@ impl Quadrics {
         (hit, tried + boxes)
     }
 
-    /// Share of light that passes from `origin` along `direction` up to `t_max`, in multiples of the direction. A ray that
-    /// starts on a quadric names it in `from`: that crossing does not count, another one of the same quadric does.
+    /// Fraction of the light that passes from `origin` along `direction` up to `t_max`, in multiples of the direction.
+    /// `from` is the quadric on which the ray starts: the crossing at the origin is ignored, another crossing of the
+    /// same quadric is not.
     pub fn transmittance(&self, origin: DVec3, direction: DVec3, t_max: f64, from: Option<u32>) -> f32 {
         let mut share = 1.0f32;
         self.along(origin, direction, [0.0, t_max], |place, range| {
@@ -160,7 +163,7 @@ impl Quadrics {
             if roots.into_iter().flatten().map(|root| ray.t(root)).any(|t| t > 0.0 && t < t_max) {
                 share *= 1.0 - self.records[place].opacity;
                 if share == 0.0 {
-                    // Nothing is left: an empty range ends the walk.
+                    // No light is left: an empty range ends the search.
                     range[1] = f64::NEG_INFINITY;
                 }
             }
@@ -168,7 +171,7 @@ impl Quadrics {
         share
     }
 
-    /// Lower bound of the distance from a point to the nearest quadric; infinite without quadrics.
+    /// Lower bound on the distance from a point to the nearest quadric; infinite without quadrics.
     pub fn distance_bound(&self, p: DVec3) -> f64 {
         let mut least = f64::INFINITY;
         self.tree.around([p, p], f64::INFINITY, |place, limit| {
@@ -191,7 +194,7 @@ impl Quadrics {
         Ok(bounds)
     }
 
-    /// Through the tree where that pays.
+    /// Searches through the tree if there are enough quadrics.
     fn along(
         &self,
         origin: DVec3,

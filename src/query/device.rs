@@ -1,6 +1,6 @@
 //! The search for the nearest faces of a list of points on a graphics device (`shaders/query_points.wgsl`).
 //!
-//! Only the search runs there: the distance is found from the winning face in float64 on the CPU, and so is the side.
+//! Only the search runs there. The CPU computes the distance to the nearest face in float64, and the side.
 
 use crate::bvh::binary::BinaryTree;
 use crate::error::Error;
@@ -11,11 +11,12 @@ use crate::mesh::Mesh;
 use crate::progress::Progress;
 use glam::DVec3;
 
-/// In place of a face where a search ran out of rounds, as in the shader.
+/// Index of a face for a search that ran out of rounds, as in the shader.
 pub(super) const UNFINISHED: u32 = u32::MAX;
-/// Workgroups of a dispatch: the first one, and the most that one dimension holds. Each answers 64 points.
+/// Number of workgroups of a dispatch: in the first one, and at most, by the limit of one dimension. Each processes 64
+/// points.
 const WORKGROUPS: (u64, u64) = (4, 65_535);
-/// Points that are on the device at a time: 16 bytes each, within any binding.
+/// Number of points on the device at a time. 16 bytes each fit within any binding.
 const BATCH: usize = 1 << 22;
 
 /// The nearest face of every point, on a device.

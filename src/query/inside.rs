@@ -1,4 +1,4 @@
-//! Which points are inside, and the winding number of points: no distance is computed.
+//! The side and the winding number of points, without distances.
 
 use super::{Answers, answer_in_order, check_points, prepare};
 use crate::error::Error;
@@ -23,7 +23,7 @@ pub fn contains(mesh: &Mesh, points: &[[f64; 3]], method: SignMethod, progress: 
                 let closest = walk.closest_point(p, row);
                 walk.is_inside(&choice.rule, p, &closest)
             }
-            // A closed surface has nothing inside beyond its box.
+            // No point outside the box of a closed surface is inside.
             SignRule::Counted(_) if closed && (p.cmplt(lower).any() || p.cmpgt(upper).any()) => false,
             rule if closed && matches!(rule, SignRule::Counted(_)) => match mesh.winding_by_ray(p) {
                 Some(winding) => winding != 0,
@@ -42,7 +42,7 @@ pub fn winding_numbers(mesh: &Mesh, points: &[[f64; 3]], error: f64, progress: &
         rayon::join(|| mesh.bvh(), || mesh.topology());
     }
     let closure = mesh.raw_closure();
-    // The dipoles follow the repaired orientation, so they serve surfaces without a repair.
+    // The dipoles use the repaired orientation, so they apply to surfaces without a repair only.
     let topology = mesh.topology();
     let repaired = topology.flipped_faces > 0 || topology.duplicate_faces > 0;
     let fast = error >= DIPOLE_ERROR && !repaired && closure.is_costly(mesh);
@@ -58,7 +58,7 @@ pub fn winding_numbers(mesh: &Mesh, points: &[[f64; 3]], error: f64, progress: &
 /// Error of the dipoles of `sign::winding`, measured on open and closed meshes.
 const DIPOLE_ERROR: f64 = 0.01;
 
-/// Answers in the order of the points.
+/// Results in the order of the points.
 fn in_rows<T: Copy>(count: usize, answers: &Answers<T>) -> Vec<T> {
     let mut rows = Vec::with_capacity(count);
     answers.for_each_row(|&answer| rows.push(answer));

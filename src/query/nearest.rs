@@ -1,13 +1,13 @@
-//! All that is known about the nearest point of a mesh, in float64: position, distance, face, barycentric coordinates,
-//! normal, side and gradient.
+//! The nearest point of a mesh in float64: position, distance, face, barycentric coordinates, normal, side and
+//! gradient.
 //!
 //! The gradient of the distance at p with closest point c is (p - c) / |p - c|, negated inside. Where c lies within a face that
 //! is the normal of the face, which keeps its accuracy as the distance goes to zero. On the surface the gradient is the
 //! angle-weighted pseudonormal of the nearest feature, turned to point away from the inside.
 //!
-//! Signs are decided with float32 positions, which are off the mesh's own by 3e-8 local units. Within [`NEAR`] of the surface
-//! the side follows from the pseudonormal and float64 positions: the sign rule says what lies on either side of the surface,
-//! and the pseudonormal says on which of them the point is.
+//! Signs are decided with float32 positions, which differ from the mesh's own by 3e-8 local units. Within [`NEAR`] of
+//! the surface the side follows from the pseudonormal and float64 positions: the sign rule determines the sides in
+//! front of and behind the surface, and the pseudonormal determines on which of them the point lies.
 
 use super::{Walk, answer_in_order, check_points, prepare};
 use crate::bake::Report;
@@ -47,7 +47,7 @@ pub struct ClosestPoints {
     pub normals: Vec<[f64; 3]>,
 }
 
-/// The answers of a query, one entry per query point.
+/// Results of a query, one entry per query point.
 #[derive(Debug, Clone, Default)]
 pub struct Query {
     /// Negative inside, world units.
@@ -186,7 +186,7 @@ fn sides(mesh: &Mesh, rule: &SignRule, closest: &ClosestPoint, feature: Feature)
     (normal, inside_at(point + normal * ASIDE), inside_at(point - normal * ASIDE))
 }
 
-/// The unit pseudonormal at a closest point, turned away from the inside; its own direction where both sides are alike.
+/// The unit pseudonormal at a closest point, turned away from the inside; unchanged if both sides are alike.
 pub(super) fn outward_normal(mesh: &Mesh, rule: &SignRule, closest: &ClosestPoint) -> DVec3 {
     let corners = mesh.exact_triangle(closest.face);
     let weights = barycentric_weights(closest.on_triangle.point, corners, closest.on_triangle.feature);
@@ -194,7 +194,7 @@ pub(super) fn outward_normal(mesh: &Mesh, rule: &SignRule, closest: &ClosestPoin
     if front && !back { -normal } else { normal }
 }
 
-/// The unit vector from the closest point to the query point, by the normal of the face where that is the same.
+/// The unit vector from the closest point to the query point. Inside a face it is the normal of the face.
 fn direction_from(away: DVec3, closest: &ClosestPoint, corners: [DVec3; 3]) -> DVec3 {
     let plain = away / closest.distance;
     if closest.on_triangle.feature != Feature::Face {
@@ -207,7 +207,7 @@ fn direction_from(away: DVec3, closest: &ClosestPoint, corners: [DVec3; 3]) -> D
     }
 }
 
-/// The feature that a point of the surface belongs to: an edge or a vertex where the other weights vanish.
+/// The feature that contains a point of the surface: an edge or a vertex if the other weights vanish.
 fn nearest_feature(closest: &ClosestPoint, weights: [f64; 3]) -> Feature {
     let largest = (0..3u8).max_by(|&i, &j| weights[usize::from(i)].total_cmp(&weights[usize::from(j)])).unwrap_or(0);
     let vanishing = |i: u8| weights[usize::from(i)] < ON_EDGE;
@@ -223,7 +223,7 @@ fn nearest_feature(closest: &ClosestPoint, weights: [f64; 3]) -> Feature {
 pub(super) fn unit_normal(mesh: &Mesh, corners: [DVec3; 3], face: u32) -> DVec3 {
     triangle_cross(corners)
         .try_normalize()
-        // A face has area in float32 positions, by which it was kept.
+        // A face has an area in float32 positions, otherwise it would have been dropped.
         .or_else(|| triangle_cross(mesh.triangle(face)).try_normalize())
         .unwrap_or(DVec3::X)
 }

@@ -1,7 +1,7 @@
-//! Rays from anywhere against a mesh: first hits, occlusion, counts and lists of all intersections.
+//! Arbitrary rays against a mesh: first hits, occlusion, counts and lists of all intersections.
 //!
-//! Rays come in any order. Streams of neighbouring rays (pictures, scans) already share the part of the tree that is in the
-//! cache; others are sorted by origin and direction first, where the tree is larger than the cache.
+//! Rays come in any order. Streams of neighbouring rays (pictures, scans) share cached parts of the tree. Other rays
+//! are sorted by origin and direction first if the tree is larger than the cache.
 
 use super::nearest::unit_normal;
 use crate::bvh::cast::{FaceHit, Ray};
@@ -11,9 +11,9 @@ use crate::progress::Progress;
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Rays between two checks of the progress.
+/// Number of rays between two checks of the progress.
 const CHUNK: usize = 1024;
-/// Trees below this size stay in the cache, so that the order of the rays does not matter, bytes.
+/// Size of a tree that stays in the cache at any order of the rays, bytes.
 const CACHE: usize = 1 << 20;
 
 /// World-space rays: as many origins as directions, and the common range of `t` in lengths of the direction.
@@ -46,7 +46,7 @@ pub struct Intersections {
     pub barycentric: Vec<[f64; 3]>,
 }
 
-/// What a ray without a hit returns.
+/// Result of a ray without a hit.
 const MISS: FaceHit = FaceHit { t: f64::INFINITY, face: 0, weights: [0.0; 3], zeros: 0, is_front: false };
 
 /// The first hit of every ray.
@@ -105,7 +105,7 @@ pub fn all_intersections(mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> R
     Ok(all)
 }
 
-/// Answer every ray, in the order given. `answer` also gets room for a list of hits, kept from ray to ray.
+/// Processes every ray and returns the results in the given order. `answer` also receives a reusable list of hits.
 fn for_each_ray<T: Send + Default + Clone>(
     mesh: &Mesh,
     rays: &Rays<'_>,
@@ -151,7 +151,7 @@ fn for_each_ray<T: Send + Default + Clone>(
     Ok(in_rows)
 }
 
-/// Whether sorting pays: the tree is larger than the cache, and neighbouring rays are unlike each other.
+/// Whether sorting is worthwhile: the tree is larger than the cache, and consecutive rays are far apart.
 fn is_scattered(mesh: &Mesh, rays: &Rays<'_>) -> bool {
     if mesh.bvh().bytes() < CACHE {
         return false;

@@ -1,8 +1,8 @@
-//! Pairs of faces that pass through each other.
+//! Pairs of faces that intersect.
 //!
-//! Two triangles cross where an edge of one passes through the inside of the other, decided by exact orientations in float32
-//! positions (crate `robust`). Faces with a common vertex are left out: they meet there by construction. Faces that only touch,
-//! and overlapping faces of one plane, do not count.
+//! Two triangles cross where an edge of one passes through the inside of the other, decided by exact orientations of
+//! float32 positions (crate `robust`). Faces with a common vertex are excluded, since they touch there by construction.
+//! Faces that only touch, and overlapping faces in one plane, do not count.
 
 use crate::bvh::{Node, WIDTH};
 use crate::error::Error;
@@ -13,7 +13,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use robust::{Coord3D, orient3d};
 
-/// Faces between two checks of the progress.
+/// Number of faces between two checks of the progress.
 const CHUNK: usize = 1 << 12;
 
 /// The number of pairs of faces that cross.

@@ -1,8 +1,8 @@
 //! Points on the surface, uniform by area.
 //!
-//! Sample i depends on the seed and i alone (a counter through the finaliser of SplitMix64, Steele, Lea and Flood 2014), so
-//! the points are the same on any number of threads. Only additions, products, quotients and square roots take part, which
-//! every platform rounds alike.
+//! Sample i depends on the seed and i only (a counter through the finaliser of SplitMix64, Steele, Lea and Flood 2014),
+//! so the points are the same on any number of threads. Only additions, products, quotients and square roots are used,
+//! which every platform rounds in the same way.
 
 use super::nearest::unit_normal;
 use crate::error::Error;
@@ -11,7 +11,7 @@ use crate::mesh::Mesh;
 use crate::progress::Progress;
 use rayon::prelude::*;
 
-/// Samples between two checks of the progress.
+/// Number of samples between two checks of the progress.
 const CHUNK: usize = 1 << 14;
 
 /// Samples of a surface, one entry per sample.
@@ -62,11 +62,12 @@ pub fn sample_surface(mesh: &Mesh, count: usize, seed: u64, progress: &Progress)
     Ok(samples)
 }
 
-/// Faces by their share of the area.
+/// Table of the faces by their fraction of the area.
 struct Areas {
-    /// Sum of the areas up to and with each face.
+    /// Sum of the areas up to and including each face.
     sums: Vec<f64>,
-    /// For each equal part of the total, the first face that reaches into it: one look-up per sample instead of a search.
+    /// For each equal part of the total area, the first face that overlaps it: one look-up per sample instead of a
+    /// search.
     first: Vec<u32>,
 }
 
@@ -92,12 +93,12 @@ impl Areas {
         Self { sums, first }
     }
 
-    /// The face in which a share of the area, 0 to 1, lies.
+    /// The face that contains a fraction of the area, 0 to 1.
     fn face_at(&self, share: f64) -> u32 {
         let count = self.sums.len();
         let reached = share * self.sums[count - 1];
         let mut face = self.first[((share * count as f64) as usize).min(count - 1)] as usize;
-        // The product may round into the part before.
+        // The product may round into the previous part.
         while face > 0 && self.sums[face - 1] > reached {
             face -= 1;
         }
@@ -116,7 +117,7 @@ fn mix(x: u64) -> u64 {
     x ^ x >> 31
 }
 
-/// The number at a place of the stream of a key, from 0 to just below 1.
+/// The number at an index of the stream of a key, from 0 to just below 1.
 fn unit(key: u64, place: u64) -> f64 {
     (mix(key.wrapping_add(place.wrapping_mul(0x9e37_79b9_7f4a_7c15))) >> 11) as f64 / (1u64 << 53) as f64
 }

@@ -1,12 +1,13 @@
 //! Local thickness: the largest ball inside that touches a point of the surface.
 //!
-//! *Theory.* A ball that touches the surface at p with outward unit normal n has its centre at p - r n. Where the surface
-//! comes nearer to the centre than r, at a point q, the ball through p and q is smaller: r' = |p - q|^2 / (2 n.(p - q)).
-//! The radii decrease to the largest empty ball (Ma, Bae and Choi, *3D medial axis point approximation using nearest neighbors
-//! and the normal field*, 2012). The step is that of Newton's method, so a handful of searches do.
+//! *Theory.* A ball that touches the surface at p with outward unit normal n has its centre at p - r n. If the surface
+//! has a point q nearer to the centre than r, the ball through p and q is smaller: r' = |p - q|^2 / (2 n.(p - q)). The
+//! radii decrease to the largest empty ball (Ma, Bae and Choi, *3D medial axis point approximation using nearest
+//! neighbors and the normal field*, 2012). The step is that of Newton's method, so a few searches suffice.
 //!
-//! A facet beside p that is turned by a few degrees cuts off every ball near their common edge, however thick the body is.
-//! So a point q that is seen from p at less than [`FLAT`] above the tangent plane belongs to the same side and ends the search.
+//! A facet beside p that is tilted by a few degrees limits every ball near the common edge, however thick the body is.
+//! A point q at less than [`FLAT`] above the tangent plane, as seen from p, therefore belongs to the same side and ends
+//! the search.
 
 use super::nearest::outward_normal;
 use super::{answer_in_order, check_points, prepare};
@@ -17,18 +18,19 @@ use crate::progress::Progress;
 use crate::sign::SignMethod;
 use glam::DVec3;
 
-/// Sine of 15 degrees: neighbouring facets of less than that are one side of the body.
+/// Sine of 15 degrees. Neighbouring facets that differ by less are one side of the body.
 const FLAT: f64 = 0.258_819_045_102_520_74;
 /// Radius of the first ball, local units. The longest side of a mesh is at most 1, so no inscribed ball is larger.
 const FIRST: f64 = 2.0;
-/// A ball is empty when the surface is at most this much nearer than its radius, relative: ten times what float64 rounds.
+/// A ball is empty if the surface is at most this much nearer than its radius, relative: ten times the rounding of
+/// float64.
 const EMPTY: f64 = 1e-13;
-/// Searches for one point; Newton's method needs six from a radius a thousand times too large.
+/// Largest number of searches for one point. Newton's method needs six from a radius a thousand times too large.
 const STEPS: usize = 60;
 
-/// Diameter of the largest ball that touches the surface at each point from inside; infinite where nothing bounds it.
+/// Diameter of the largest ball inside that touches the surface at each point; infinite if no surface bounds it.
 ///
-/// Points are moved to the surface first. `normals` point away from the inside; without them the pseudonormals do.
+/// Points are moved to the surface first. `normals` point away from the inside; the default is the pseudonormals.
 pub fn thickness(
     mesh: &Mesh,
     points: &[[f64; 3]],

@@ -1,7 +1,8 @@
-//! Fields cut into cubic blocks of cells, as rays walk through them.
+//! Fields divided into cubic blocks of cells, for ray marching.
 //!
-//! Cell -1 of the grid is the first of block 0. A ray asks [`super::empty`] how far it may leap, and walks through the
-//! cells of a block where it may not. A field says which of its blocks hold a surface, and what their cells are.
+//! Cell -1 of the grid is the first cell of block 0. [`super::empty`] gives the distance that a ray may leap; elsewhere
+//! the ray visits the cells of a block one by one. An implementation states which of its blocks contain a surface, and
+//! the corners of their cells.
 
 use crate::error::{ArgumentError, Error};
 use crate::progress::Progress;
@@ -11,51 +12,50 @@ use rayon::prelude::*;
 
 /// A field whose blocks have the same number of voxels along each side.
 pub trait Blocks: Trilinear {
-    /// Voxels along the side of a block.
+    /// Side of a block, voxels.
     const SIDE: i32;
     type Block<'b>: Block
     where
         Self: 'b;
 
-    /// Whether each block, x fastest, has a corner that is not above zero. Fails where the field is not a finite number
-    /// of reasonable size.
+    /// Whether each block, x fastest, has a corner that is <= 0. Fails if a value is not finite or too large.
     fn occupied(&self, progress: &Progress) -> Result<Vec<bool>, Error>;
 
-    /// The cells around an occupied block.
+    /// The cells of a block that contains a surface.
     fn block(&self, index: [i32; 3]) -> Self::Block<'_>;
 
-    /// Blocks along each axis: the cells run from -1 to n - 1, n + 1 of them.
+    /// Number of blocks along each axis. The cells run from -1 to n - 1: n + 1 cells.
     fn block_counts(&self) -> [usize; 3] {
         self.grid().shape.map(|n| (n + 1).div_ceil(Self::SIDE as usize))
     }
 
-    /// The block that holds a cell, on any axis.
+    /// Index of the block that contains a cell, along one axis.
     #[inline]
     fn block_of(cell: i32) -> i32 {
-        // One below the grid is a block of its own.
+        // Cells below the grid belong to block -1.
         (cell + 1).div_euclid(Self::SIDE)
     }
 
-    /// The first cell of a block, on any axis; blocks outside the grid have one too.
+    /// Index of the first cell of a block along one axis, for blocks outside the grid too.
     #[inline]
     fn first_cell(block: i32) -> i32 {
         block * Self::SIDE - 1
     }
 }
 
-/// A cube of cells, all of one size.
+/// A cube of cells of equal size.
 pub trait Block {
-    /// Grid coordinates of the lower corner of cell 0, from which the block counts its cells.
+    /// Grid coordinates of the lower corner of cell 0 of the block.
     fn origin(&self) -> [i32; 3];
-    /// Voxels along the side of a cell, to base 2.
+    /// log2 of the side of a cell, voxels.
     fn cell_shift(&self) -> u32;
-    /// Whether the block has cells at this place along an axis.
+    /// Whether the block has cells at this index along an axis.
     fn contains(&self, axis: usize, cell: i32) -> bool;
-    /// The samples at the corners of a cell that may hold a root; none where all are above zero.
+    /// The samples at the corners of a cell that may contain a root; None if all are above zero.
     fn corners_around_root(&self, cell: [i32; 3]) -> Option<[f32; 8]>;
 }
 
-/// Field values must lie within this: the coefficients of a cell's cubic are up to ten times as large.
+/// Largest magnitude of a field value. The coefficients of a cell's cubic are up to ten times as large.
 pub(super) const LARGEST_VALUE: f32 = 1e37;
 
 impl<T: Texel> Blocks for FieldView<'_, T> {
@@ -73,7 +73,8 @@ impl<T: Texel> Blocks for FieldView<'_, T> {
         occupied.par_chunks_mut(bx * by).enumerate().try_for_each(|(z_block, slice)| {
             progress.check()?;
             let mut row = vec![0.0; grid.shape[0]];
-            // Voxels that are corners of the block's cells: from one before its first cell's upper corner to its end.
+            // Voxels that are corners of the block's cells: from one before the upper corner of its first cell to its
+            // end.
             let voxels = |block: usize, n: usize| (block * side).saturating_sub(1)..(block * side + side).min(n);
             for y_block in 0..by {
                 let row_of_blocks = &mut slice[y_block * bx..][..bx];
@@ -108,7 +109,7 @@ impl<'a, T: Texel> DenseBlock<'a, T> {
     }
 }
 
-/// A block of a dense field: its cells are single voxels, counted as those of the grid.
+/// A block of a dense field. Its cells are single voxels with the indices of the grid.
 #[derive(Debug, Clone, Copy)]
 pub struct DenseBlock<'a, T = f32> {
     field: FieldView<'a, T>,

@@ -1,8 +1,8 @@
-//! A sparse field as rays walk through it: which cells of its bricks can hold a root.
+//! A sparse field for ray marching: masks of the cells of its bricks that can contain a root.
 //!
-//! A stored brick has 7^3 cells, and in most of those that a ray visits all corners are above zero. A bit a cell, made once
-//! from the signs of the samples, tells so without reading them: 64 bytes a brick, one line of the processor's cache,
-//! where the samples of a cell lie in two to four. So the samples are decoded only where a root may be.
+//! A stored brick has 7^3 cells. In most of the cells that a ray visits all corners are above zero. One bit per cell,
+//! computed once from the signs of the samples, records this: 64 bytes per brick, one cache line, whereas the samples
+//! of a cell lie in two to four lines. Samples are therefore decoded only where a root may lie.
 
 use super::blocks::{Block, Blocks, LARGEST_VALUE};
 use crate::error::{ArgumentError, Error};
@@ -13,12 +13,13 @@ use crate::volume::{Cell, Texel, Trilinear};
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
-/// The cells of a brick with a corner that is not above zero: a word a layer along z, bit `x + 8 y`; the last is not used.
+/// The cells of a brick with a corner that is <= 0. One word per layer along z; the last word is unused. Bit x + 8 y of
+/// a word is cell (x, y); bits 7, 15, ... and 56 to 63 are unused.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
 pub struct CellMask([u64; BRICK_SAMPLES]);
 
-/// Bits of a layer that stand for cells: seven of seven rows.
+/// The bits of a layer that represent cells: seven bits in each of seven rows.
 const CELLS_OF_LAYER: u64 = 0x007f_7f7f_7f7f_7f7f;
 
 impl CellMask {
@@ -28,7 +29,7 @@ impl CellMask {
             for (i, texel) in texels.iter().enumerate() {
                 *bits |= u64::from(!texel.is_above_zero()) << i;
             }
-            // From samples to the cells that they are corners of, along x and y.
+            // Spreads the bits of samples to the cells of which they are corners, along x and y.
             *bits |= *bits >> 1;
             *bits |= *bits >> BRICK_SAMPLES;
         }
@@ -49,11 +50,11 @@ impl CellMask {
     }
 }
 
-/// A sparse field and the cells that can hold a root.
+/// A sparse field and the masks of its cells that can contain a root.
 #[derive(Debug)]
 pub struct MaskedBricks<'a, T> {
     view: SparseView<'a, T>,
-    /// Of each stored brick.
+    /// One mask per stored brick.
     masks: Vec<CellMask>,
 }
 
@@ -62,7 +63,7 @@ impl<'a, T: Texel> MaskedBricks<'a, T> {
         &self.view
     }
 
-    /// Fails where a sample is not a finite number of reasonable size.
+    /// Fails if a sample is not finite or too large.
     pub fn new(view: SparseView<'a, T>, progress: &Progress) -> Result<Self, Error> {
         let masks = view
             .texels()
@@ -78,9 +79,9 @@ impl<'a, T: Texel> MaskedBricks<'a, T> {
     }
 }
 
-/// Fails where a sample is not a finite number of reasonable size.
+/// Fails if a sample is not finite or too large.
 fn check_brick<T: Texel>(texels: &[T], scale: f32, number: usize) -> Result<(), Error> {
-    // Integers are within the scale.
+    // The magnitude of integers is at most the scale.
     if T::ENCODING.is_normalised() && scale <= LARGEST_VALUE {
         return Ok(());
     }
@@ -139,7 +140,7 @@ impl<T: Texel> Blocks for MaskedBricks<'_, T> {
     }
 }
 
-/// A block of a sparse field: a stored brick, or one that lies inside as a whole.
+/// A block of a sparse field: a stored brick, or a brick that lies inside completely.
 #[derive(Debug, Clone, Copy)]
 pub enum MaskedBrick<'a, T> {
     Stored { mask: &'a CellMask, brick: Brick<'a, T> },
@@ -183,7 +184,7 @@ mod tests {
     use half::f16;
     use proptest::prelude::*;
 
-    /// Every cell is looked at again, sample by sample.
+    /// Compares every cell with its samples.
     fn check<T: Texel>(values: &[f32]) {
         let texels: Vec<T> = values.iter().map(|&value| T::encode(value, 1.0)).collect();
         let mask = CellMask::of_brick(&texels);
@@ -216,7 +217,7 @@ mod tests {
             check::<f32>(&values);
             check::<f16>(&values);
             check::<i16>(&values);
-            // Less than a step is stored as zero.
+            // Values below one step are stored as zero.
             check::<i8>(&values);
         }
     }

@@ -5,7 +5,7 @@ use crate::error::{ArgumentError, Error};
 use crate::gpu::layout::PictureRays;
 use glam::DVec3;
 
-/// Where the picture is taken from.
+/// Position and orientation of the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
     pub eye: DVec3,
@@ -16,13 +16,14 @@ pub struct Camera {
     tan_half_fov: f64,
 }
 
-/// Largest cosine between two axes of a pose, so that float32 matrices pass and sheared ones do not.
+/// Largest cosine between two axes of a pose. Poses stored in float32 pass, sheared ones do not.
 const LARGEST_SKEW: f64 = 1e-3;
 
 impl Camera {
-    /// A camera from its pose, rows of the matrix `world_from_camera`, and the vertical field of view in degrees.
+    /// Makes a camera from its pose, the rows of the matrix `world_from_camera`, and the vertical field of view in
+    /// degrees.
     ///
-    /// A scale in the pose is dropped: depth is in world units. A mirrored pose gives a mirrored picture.
+    /// A scale in the pose is ignored: depth is in world units. A mirrored pose gives a mirrored picture.
     pub fn from_pose(pose: &[[f64; 4]; 4], fov_deg: f64) -> Result<Self, Error> {
         let error = |problem: String| Err(ArgumentError::new("pose", problem).into());
         if let Some((row, column)) = entries().find(|&(row, column)| !pose[row][column].is_finite()) {
@@ -36,7 +37,7 @@ impl Camera {
         }
         let column = |j: usize| DVec3::new(pose[0][j], pose[1][j], pose[2][j]);
         let axes = [0, 1, 2].map(|j| {
-            // Through the largest entry, so that tiny and huge scales keep their direction.
+            // Dividing by the largest entry first keeps the direction at tiny and huge scales.
             let axis = column(j);
             (axis / axis.abs().max_element()).normalize_or_zero()
         });
@@ -55,8 +56,8 @@ impl Camera {
         Ok(Self { eye: column(3), right, up, back, tan_half_fov: (0.5 * fov_deg.to_radians()).tan() })
     }
 
-    /// World direction through the centre of pixel `(x, y)`, row 0 on top; one unit long along the viewing axis, so a
-    /// multiple of it is a depth.
+    /// World direction through the centre of pixel `(x, y)`, row 0 on top. Its component along the viewing axis is 1,
+    /// so a multiple of it is a depth.
     pub fn pixel_direction(&self, x: u32, y: u32, [width, height]: [u32; 2]) -> DVec3 {
         let pixel = self.pixel_size(height);
         let right = (x as f64 + 0.5 - 0.5 * width as f64) * pixel;
@@ -69,13 +70,13 @@ impl Camera {
         2.0 * self.tan_half_fov / height as f64
     }
 
-    /// The rays of a picture for a device. `start` is where that of the middle starts, `start_depth` before the eye, both in
-    /// the units of the rays.
+    /// The rays of a picture for a device. The ray through the centre of the picture starts at `start`, at the depth
+    /// `start_depth`, both in the units of the rays.
     pub fn rays(&self, options: &RaymarchOptions, light_count: usize, start: DVec3, start_depth: f64) -> PictureRays {
         self.rays_in(DVec3::ONE, options, light_count, start, start_depth)
     }
 
-    /// [`Camera::rays`] where a unit along each axis is so many units long.
+    /// [`Camera::rays`] in a space with its own length of a unit along each axis.
     pub fn rays_in(
         &self,
         units: DVec3,
@@ -102,8 +103,8 @@ impl Camera {
         }
     }
 
-    /// Depth of a box's nearest corner, or zero if the box reaches behind the eye. A little nearer, so that rounding does not
-    /// put the start of a ray inside.
+    /// Depth of the nearest corner of a box, or zero if the box extends behind the eye. The depth is reduced slightly,
+    /// so that rounding does not place the start of a ray inside the box.
     pub fn depth_before(&self, [lower, upper]: [DVec3; 2]) -> f64 {
         let reach = 0.5 * (upper - lower).dot(self.back.abs());
         let nearest = (self.eye - 0.5 * (lower + upper)).dot(self.back) - reach;
@@ -140,7 +141,7 @@ pub(super) mod tests {
         let camera = Camera::from_pose(&IDENTITY, 90.0).unwrap();
         let near = |a: DVec3, b: DVec3| (a - b).length() < 1e-12;
         assert!(near(camera.pixel_direction(0, 0, [1, 1]), DVec3::NEG_Z));
-        // 90 degrees: the picture spans -1 to 1 vertically at depth 1; pixel centres are 1/4 from its edges.
+        // At 90 degrees the picture spans -1 to 1 vertically at depth 1; pixel centres are 1/4 from its edges.
         assert!(near(camera.pixel_direction(0, 0, [4, 4]), DVec3::new(-0.75, 0.75, -1.0)));
         assert!(near(camera.pixel_direction(7, 3, [8, 4]), DVec3::new(1.75, -0.75, -1.0)));
     }

@@ -1,15 +1,15 @@
 //! The first root of the trilinear field along a ray inside one cell.
 //!
-//! Along a straight line the three linear interpolations multiply to a cubic polynomial. Its turning points, the roots
-//! of a quadratic, cut the interval into at most three pieces on which it is monotone; the first piece whose end is
-//! not above zero holds the first root, and Newton's method inside that bracket finds it. This is the analytic
-//! intersection of Hansson-Söderlund, Evans and Akenine-Möller, *Ray Tracing of Signed Distance Function Grids*,
-//! JCGT 11(3), 2022, <https://jcgt.org/published/0011/03/06/>. Ours differs in the coefficients, which come from the
-//! interpolations themselves, x then y then z, so that the constant term is the sampled value to the bit.
+//! Along a straight line the three linear interpolations give a cubic polynomial. Its turning points, the roots of a
+//! quadratic, divide the interval into at most three monotone pieces. The first piece whose end is <= 0 contains the
+//! first root, and Newton's method inside that bracket finds it. This is the analytic intersection of
+//! Hansson-Söderlund, Evans and Akenine-Möller, *Ray Tracing of Signed Distance Function Grids*, JCGT 11(3), 2022,
+//! <https://jcgt.org/published/0011/03/06/>. The coefficients differ: they come from the interpolations themselves, x
+//! then y then z, so that the constant term equals the sampled value to the bit.
 
 use glam::Vec3;
 
-/// `c0 + c1 s + c2 s^2 + c3 s^3`.
+/// The polynomial `c0 + c1 s + c2 s^2 + c3 s^3`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Cubic {
     pub c0: f32,
@@ -18,15 +18,15 @@ pub struct Cubic {
     pub c3: f32,
 }
 
-/// Newton steps at most. Every second step at least halves the bracket, and 24 halvings exhaust an f32.
+/// Largest number of Newton steps. Every second step at least halves the bracket, and 24 halvings exhaust an f32.
 const MAX_STEPS: u32 = 48;
 
-/// Newton stops below this step, in voxels: one ulp at 1, and less than an ulp of the ray parameter that the root is
-/// added to.
+/// Newton's method stops at a step below this, in voxels: one ulp at 1, and less than an ulp of the ray parameter that
+/// the root is added to.
 const SMALLEST_STEP: f32 = f32::EPSILON;
 
 impl Cubic {
-    /// The trilinear function of `corners` along `p + s direction`, with `p` in the cell (0 to 1 on every axis).
+    /// The trilinear function of `corners` along `p + s direction`, where `p` is in the cell (0 to 1 along every axis).
     #[inline]
     pub fn along_ray(corners: &[f32; 8], p: Vec3, direction: Vec3) -> Self {
         // Along x: four linear functions.
@@ -52,7 +52,7 @@ impl Cubic {
         }
     }
 
-    /// The same cubic in another unit of distance.
+    /// The cubic divided by a unit of distance.
     #[inline]
     pub fn scaled(self, factor: f32) -> Self {
         Self { c0: self.c0 * factor, c1: self.c1 * factor, c2: self.c2 * factor, c3: self.c3 * factor }
@@ -68,7 +68,7 @@ impl Cubic {
         self.c1 + s * (2.0 * self.c2 + s * 3.0 * self.c3)
     }
 
-    /// The first `s` in `[0, s_end]` where the cubic is not above zero.
+    /// The first `s` in `[0, s_end]` where the cubic is <= 0.
     #[inline]
     pub fn first_root(&self, s_end: f32) -> Option<f32> {
         if self.c0 <= 0.0 {
@@ -87,7 +87,7 @@ impl Cubic {
         None
     }
 
-    /// The roots of the derivative that lie in `(0, s_end)`, in order; `s_end` for each that does not.
+    /// The roots of the derivative in `(0, s_end)`, in ascending order; `s_end` replaces each root outside.
     fn turning_points(&self, s_end: f32) -> [f32; 2] {
         // slope = a s^2 + 2 b s + c, solved without cancellation: q has the sign of -b.
         let (a, b, c) = (3.0 * self.c3, self.c2, self.c1);
@@ -102,8 +102,8 @@ impl Cubic {
         [first.min(second), first.max(second)]
     }
 
-    /// The root in `[start, end]`, where the cubic falls from above zero to zero or below: Newton's method, bisecting
-    /// where a step leaves the bracket or shrinks too slowly.
+    /// The root in `[start, end]`, where the cubic falls from above zero to zero or below. Newton's method, with a
+    /// bisection wherever a step leaves the bracket or shrinks too slowly.
     fn falling_root(&self, start: f32, end: f32) -> f32 {
         let (mut low, mut high) = (start, end);
         let (value_low, value_high) = (self.value(low), self.value(high));
@@ -116,7 +116,7 @@ impl Cubic {
             } else {
                 high = s;
             }
-            // value / slope may be anything where the slope vanishes; the comparison sends it to the bisection.
+            // value / slope is arbitrary where the slope vanishes. The comparison then selects the bisection.
             let slope = self.slope(s);
             let step = if slope < 0.0 { -value / slope } else { 2.0 * last_step };
             let newton = s + step;
@@ -132,7 +132,8 @@ impl Cubic {
     }
 }
 
-/// `numerator / denominator` if that lies in `(0, limit)`, else `limit`; never divides by a number that is too small.
+/// `numerator / denominator` if the quotient lies in `(0, limit)`, else `limit`. The division is skipped where it could
+/// overflow.
 #[inline]
 fn quotient_below(numerator: f32, denominator: f32, limit: f32) -> f32 {
     let same_sign = (numerator > 0.0 && denominator > 0.0) || (numerator < 0.0 && denominator < 0.0);
@@ -148,14 +149,14 @@ mod tests {
     /// A ray crosses at most the diagonal of a cell.
     const DIAGONAL: f32 = 1.732_050_8;
 
-    /// Sums of eight corners of magnitude 1, in at most a dozen operations, with direction components up to 1.
+    /// Sums of eight corners of magnitude 1 in about twelve operations, with direction components up to 1.
     const ROUNDING: f64 = 64.0 * f32::EPSILON as f64;
 
     fn exact(cubic: &Cubic, s: f64) -> f64 {
         cubic.c0 as f64 + s * (cubic.c1 as f64 + s * (cubic.c2 as f64 + s * cubic.c3 as f64))
     }
 
-    /// Check against dense sampling in f64: nothing is missed, nothing is invented, and no earlier root is skipped.
+    /// Compares with dense sampling in f64: no root is missed or invented, and no earlier root is skipped.
     fn check_first_root(cubic: &Cubic, s_end: f32) {
         const SAMPLES: usize = 4096;
         let size = (cubic.c0.abs() + cubic.c1.abs() + cubic.c2.abs() + cubic.c3.abs()) as f64;
@@ -194,7 +195,8 @@ mod tests {
             let (p, direction) = (Vec3::from(p), Vec3::from(direction));
             let cubic = Cubic::along_ray(&corners, p, direction);
             prop_assert_eq!(cubic.c0, trilinear(&corners, p));
-            // The point leaves the cell by up to one voxel, which grows each of the eight terms by up to eight.
+            // The point leaves the cell by up to one voxel, which increases each of the eight terms by a factor of up
+            // to eight.
             let difference = cubic.value(s) as f64 - trilinear(&corners, p + s * direction) as f64;
             prop_assert!(difference.abs() < 8.0 * ROUNDING);
         }
@@ -246,7 +248,7 @@ mod tests {
     #[test]
     fn a_triple_root_converges() {
         let cubic = Cubic { c0: 0.125, c1: -0.75, c2: 1.5, c3: -1.0 };
-        // The cube root of the rounding of 1 is the resolution here.
+        // The resolution of a double root is the cube root of the rounding of 1.
         assert!((cubic.first_root(1.0).unwrap() - 0.5).abs() < f32::EPSILON.cbrt());
     }
 }

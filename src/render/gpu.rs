@@ -1,8 +1,8 @@
 //! The raymarcher on a graphics device (`shaders/raymarch*.wgsl`).
 //!
-//! What needs float64 is done once a frame, here: the eye is moved along the viewing axis to just before the box, and the
-//! rays of all pixels become linear functions of the pixel in grid space. A picture goes up as a few hundred bytes and
-//! comes down as 48 bytes a pixel.
+//! Float64 computations are done once per picture, on the CPU: the eye is moved along the viewing axis to just before
+//! the box, and the rays of all pixels become linear functions of the pixel in grid space. The upload is a few hundred
+//! bytes, the read-back 48 bytes per pixel.
 
 use super::gpu_fields::MarchedField;
 use super::{Camera, DirectionalLight, Frame, RaymarchOptions};
@@ -13,16 +13,16 @@ use crate::gpu::pace::in_pieces;
 use crate::grid::Grid;
 use crate::progress::Progress;
 
-/// Side of a workgroup, as in the shader.
+/// Side of a workgroup in pixels, as in the shader.
 const TILE: u32 = 8;
-/// Rows of workgroups of a dispatch: the first one, and the most.
+/// Number of rows of workgroups in a dispatch: in the first one, and at most.
 const TILE_ROWS: (u64, u64) = (4, 1024);
-/// A picture is drawn in bands of rows of this size, in device memory.
+/// Size of the band of rows that is drawn at a time, bytes of device memory.
 const BAND_BYTES: u64 = 64 << 20;
-/// As in the shader.
+/// Largest number of lights, as in the shader.
 const MAX_LIGHTS: usize = 64;
 
-/// Draw what a device marches through. `lights` have unit directions.
+/// Draws a field on its device. `lights` must have unit directions.
 pub(super) fn raymarch(
     field: &MarchedField,
     grid: &Grid,
@@ -38,7 +38,7 @@ pub(super) fn raymarch(
     let unit = grid.spacing().min_element();
     let mut params = params(grid, camera, options, lights.len(), start_depth);
     let uniform = context.parameters("picture parameters", &params)?;
-    // In bands of rows, each in a buffer that the device can bind.
+    // The picture is drawn in bands of rows that fit in a buffer that the device can bind.
     let share_bytes = 4 * lights.len().max(1) as u64;
     let row_bytes = u64::from(width) * share_bytes.max(size_of::<Pixel>() as u64);
     let fitting =
@@ -83,7 +83,7 @@ pub(super) fn raymarch(
     Ok(frame)
 }
 
-/// Lights as the kernels read them. `lights` have unit directions.
+/// Uploads lights in the layout of the kernels. `lights` must have unit directions.
 pub(crate) fn upload_lights(context: &Context, lights: &[DirectionalLight]) -> Result<wgpu::Buffer, Error> {
     if lights.len() > MAX_LIGHTS {
         let problem = format!("{} lights, a graphics device draws with {MAX_LIGHTS} at most", lights.len());
@@ -99,7 +99,7 @@ pub(crate) fn upload_lights(context: &Context, lights: &[DirectionalLight]) -> R
 
 fn params(grid: &Grid, camera: &Camera, options: &RaymarchOptions, lights: usize, start_depth: f64) -> MarchParams {
     let spacing = grid.spacing();
-    // A unit of depth is the smallest side of a voxel there: world units may be of any size.
+    // The unit of depth in the shader is the smallest side of a voxel, since world units may have any size.
     let unit = spacing.min_element();
     let relative = spacing / unit;
     let start = (camera.eye - start_depth * camera.back - grid.lower) / spacing - 0.5;

@@ -1,7 +1,8 @@
-//! What a graphics device marches through: dense samples in any encoding, a texture of half floats, bricks, nested grids.
+//! Fields for the ray marcher on a graphics device: dense samples in any encoding, a texture of half floats, bricks,
+//! nested grids.
 //!
-//! Stored numbers go up as they are and are decoded where they are read, so a field takes as many bytes there as here;
-//! a sparse one takes a byte a brick more, for the leaps.
+//! Stored samples are uploaded unchanged and decoded by the kernel, so a field has the same size on the device as on
+//! the host. A sparse field needs one more byte per brick, for the leaps.
 
 use super::Filter;
 use super::blocks::Blocks;
@@ -19,14 +20,14 @@ use crate::volume::sparse::SparseView;
 use crate::volume::{FieldView, Texel, Trilinear};
 use std::sync::Arc;
 
-/// A field becomes a texture in pieces of this size.
+/// Size of the pieces in which a field is copied to a texture, bytes.
 const TEXTURE_PIECE_BYTES: u64 = 32 << 20;
-/// Workgroups that a device starts along one axis.
+/// Number of workgroups along x.
 const WORKGROUPS_PER_ROW: u32 = 65_535;
-/// Steps of a ray through bricks at most, as in the shader, and through nested grids.
+/// Largest number of steps of a ray through bricks, as in the shader, and through nested grids.
 const MAX_STEPS: usize = 16384;
 
-/// A field on a device, and the kernel that marches through it.
+/// A field on a device, and the kernel that marches rays through it.
 pub(super) struct MarchedField {
     pub context: Arc<Context>,
     pub kernel: &'static str,
@@ -35,7 +36,7 @@ pub(super) struct MarchedField {
 }
 
 impl MarchedField {
-    /// What the kernel reads beside the parameters of the picture.
+    /// The buffers and textures that the kernel binds besides the parameters of the picture.
     pub fn resources(&self) -> impl Iterator<Item = (u32, wgpu::BindingResource<'_>)> {
         let buffers = self.buffers.iter().map(|(binding, buffer)| (*binding, buffer.as_entire_binding()));
         let texture = self.texture.iter().flat_map(|texture| {
@@ -47,7 +48,7 @@ impl MarchedField {
         buffers.chain(texture)
     }
 
-    /// Samples in float32 that are there already.
+    /// Float32 samples that are already on the device.
     pub fn dense(field: &DeviceField, grid: &Grid, filter: Filter) -> Result<Self, Error> {
         let context = field.context().clone();
         Ok(match filter {
@@ -62,13 +63,13 @@ impl MarchedField {
         })
     }
 
-    /// Copy samples to a device as they are stored.
+    /// Copies samples to a device in their stored encoding.
     pub fn encoded<T: Texel>(context: &Arc<Context>, field: FieldView<'_, T>) -> Result<Self, Error> {
         let buffers = stored(context, "a field", field.texels(), field.scale())?;
         Ok(Self { context: context.clone(), kernel: "raymarch_encoded", buffers: buffers.into(), texture: None })
     }
 
-    /// Copy bricks to a device as they are stored.
+    /// Copies bricks to a device in their stored encoding.
     pub fn sparse<T: Texel>(
         context: &Arc<Context>,
         view: SparseView<'_, T>,
@@ -87,7 +88,7 @@ impl MarchedField {
         Ok(Self { context: context.clone(), kernel: "raymarch_sparse", buffers, texture: None })
     }
 
-    /// Copy nested fields to a device, finest first, to be drawn on [`nested_grid`].
+    /// Copies nested fields to a device, finest first. They are drawn on [`nested_grid`].
     pub fn nested(context: &Arc<Context>, levels: &[FieldView<'_>], grid: &Grid) -> Result<Self, Error> {
         check_sides(levels.iter().flat_map(|level| level.grid().shape).sum())?;
         let voxel = grid.spacing();
@@ -117,7 +118,7 @@ impl MarchedField {
     }
 }
 
-/// The grid that nested fields would lie on if all were as fine as the first, the finest. Nobody has samples for it.
+/// The grid of nested fields if every level were as fine as the first, the finest. It has no samples.
 pub(super) fn nested_grid(levels: &[FieldView<'_>]) -> Option<Grid> {
     let (finest, outermost) = (levels.first()?.grid(), levels.last()?.grid());
     let ratio = (outermost.spacing() / finest.spacing()).round();
@@ -125,7 +126,7 @@ pub(super) fn nested_grid(levels: &[FieldView<'_>]) -> Option<Grid> {
     Some(Grid { shape, ..*outermost })
 }
 
-/// A device's loops are bounded, and so is how far a ray goes.
+/// Loops on a device are bounded, which limits the number of cells along a ray.
 fn check_sides(voxels: usize) -> Result<(), ArgumentError> {
     if voxels + 4 <= MAX_STEPS {
         return Ok(());
@@ -137,7 +138,7 @@ fn check_sides(voxels: usize) -> Result<(), ArgumentError> {
     Err(ArgumentError::new("device", problem))
 }
 
-/// Stored samples and how to decode them; `shaders/shared/samples_encoded.wgsl`.
+/// Stored samples and their decoding parameters; `shaders/shared/samples_encoded.wgsl`.
 fn stored<T: Texel>(
     context: &Context,
     what: &str,

@@ -1,4 +1,4 @@
-//! The raymarcher on a device against the one on the CPU.
+//! The ray marcher on a device against the one on the CPU.
 
 use super::camera::tests::look_at;
 use super::*;
@@ -23,7 +23,7 @@ fn blob(shape: [usize; 3], bumps: f64, center: DVec3, scale: f64) -> (Grid, Vec<
     (grid, distances)
 }
 
-/// The pictures agree: hits but for one pixel in 10,000, depth to 1e-4 of the diagonal.
+/// The pictures agree: hits except for one pixel in 10,000, depth to 1e-4 of the diagonal.
 fn assert_same_picture(grid: &Grid, distances: &[f32], eye: DVec3, fov_deg: f64, shadows: Shadows) {
     let draw = |place: &Place, camera: &Camera, options: &RaymarchOptions| {
         raymarch_at(place, Source::Host(distances), grid, camera, options, &Progress::new()).unwrap()
@@ -31,7 +31,7 @@ fn assert_same_picture(grid: &Grid, distances: &[f32], eye: DVec3, fov_deg: f64,
     assert_twins(grid, eye, fov_deg, shadows, draw);
 }
 
-/// [`assert_same_picture`] of what `draw` draws at a place; returns both, the CPU's first.
+/// [`assert_same_picture`] for the output of `draw` at a place; returns both pictures, the CPU's first.
 fn assert_twins(
     grid: &Grid,
     eye: DVec3,
@@ -56,10 +56,10 @@ fn assert_twins(
         let color = |frame: &Frame, c: usize| frame.color[4 * i + c];
         shade += usize::from((0..3).any(|c| (color(&cpu, c) - color(&gpu, c)).abs() > 1e-2));
     }
-    // float32 itself cannot tell depths apart that differ by less than an ulp of the largest.
+    // Depths that differ by less than an ulp of the largest depth are equal in float32.
     let ulp = f64::from(f32::EPSILON) * (eye - center).length();
     assert!(worst <= tolerance + ulp, "depth differs by {worst:e}, allowed {tolerance:e}");
-    // At the edge of a shadow, and where the normal jumps between cells, a rounding shows.
+    // Rounding is visible at the edge of a shadow, and where the normal jumps between cells.
     assert!(shade <= pixels / 200, "{shade} pixels are shaded differently");
     Some([cpu, gpu])
 }
@@ -110,7 +110,7 @@ fn a_field_in_slabs_is_drawn_by_the_texture_hardware() {
 #[test]
 fn a_solid_cut_by_the_box_shows_the_cut() {
     let (mut grid, distances) = blob([24, 24, 24], 0.0, DVec3::ZERO, 1.0);
-    // The same samples in a smaller box read as a sphere that sticks out of it.
+    // The same samples in a smaller box represent a sphere that extends beyond it.
     let distances: Vec<f32> = distances.iter().map(|d| d - 0.5).collect();
     grid.upper *= 0.8;
     grid.lower *= 0.8;
@@ -124,7 +124,7 @@ fn encoded<T: Texel>(grid: &Grid, distances: &[f32]) -> (Vec<T>, f32) {
 }
 
 fn assert_same_encoded_picture<T: Texel>() {
-    // 21 x 17 x 25 samples of a byte or two are no whole words.
+    // 21 x 17 x 25 samples of one or two bytes do not fill whole words.
     for (shape, bumps) in [([21, 17, 25], 0.0), ([40, 24, 33], 0.15)] {
         let (grid, distances) = blob(shape, bumps, DVec3::ZERO, 1.0);
         let (texels, scale) = encoded::<T>(&grid, &distances);
@@ -149,21 +149,21 @@ fn sparse<T: Texel>(grid: &Grid, distances: &[f32], tolerance: Option<f64>) -> S
     FieldView::new(*grid, distances).unwrap().to_sparse([grid.lower, grid.upper], &options, &Progress::new()).unwrap()
 }
 
-/// The pictures agree, and so does every step of the rays to the surface.
+/// The pictures agree, and so does the number of steps of every ray.
 fn assert_same_sparse_picture<T: Texel>(field: &SparseField<T>, eye: DVec3, fov_deg: f64) {
     let view = field.view().unwrap();
     let draw = |place: &Place, camera: &Camera, options: &RaymarchOptions| {
         raymarch_sparse(place, view, camera, options, &Progress::new()).unwrap()
     };
     let Some([cpu, gpu]) = assert_twins(&field.grid, eye, fov_deg, Shadows::Hard, draw) else { return };
-    // A ray through an edge of cells may take the one or the other first, by a rounding.
+    // A ray through an edge of cells may visit either cell first, depending on rounding.
     let differ = cpu.steps.iter().zip(&gpu.steps).filter(|(a, b)| a != b).count();
     assert!(differ <= cpu.steps.len() / 100, "{differ} rays take other steps");
 }
 
 fn assert_same_sparse_pictures<T: Texel>() {
     let (grid, distances) = blob([60, 44, 51], 0.1, DVec3::ZERO, 1.0);
-    // Cells of one voxel; of up to four.
+    // Cells of one voxel, and cells of up to four.
     for tolerance in [None, Some(0.3)] {
         let field = sparse::<T>(&grid, &distances, tolerance);
         let coarse: usize = field.view().unwrap().bricks_by_level()[1..].iter().sum();
@@ -203,7 +203,7 @@ fn sparse_fields_agree_where_the_box_cuts_them_and_far_from_the_origin() {
 #[test]
 fn a_device_is_sent_the_stored_bytes_and_little_else() {
     let Some(shared_context) = test_context() else { return };
-    // A context of its own: other tests upload at the same time.
+    // A separate context, because other tests upload at the same time.
     let context = Arc::new(crate::gpu::Context::open(&shared_context.info).unwrap());
     let (grid, distances) = blob([96, 96, 96], 0.0, DVec3::ZERO, 1.0);
     let camera = Camera::from_pose(&look_at(DVec3::new(1.5, 2.0, 3.0), DVec3::ZERO), 45.0).unwrap();
@@ -214,7 +214,7 @@ fn a_device_is_sent_the_stored_bytes_and_little_else() {
         assert!(draw().object_id.contains(&0));
         (context.counters.uploaded_bytes.load(Ordering::Relaxed) - before) as usize
     };
-    // A light.
+    // Size of a light, bytes.
     const BESIDE: usize = 256;
 
     let (texels, scale) = encoded::<i8>(&grid, &distances);
@@ -225,7 +225,7 @@ fn a_device_is_sent_the_stored_bytes_and_little_else() {
     let field = sparse::<i8>(&grid, &distances, Some(0.05));
     let view = field.view().unwrap();
     let sent = uploaded(&|| raymarch_sparse(&place, view, &camera, &options, &Progress::new()).unwrap());
-    // A byte a brick says how far to leap.
+    // One byte per brick stores the leap.
     assert!(sent <= field.bytes() + field.index.len() + BESIDE, "{sent} bytes for {}", field.bytes());
     assert!(sent < grid.len());
 }
@@ -254,7 +254,7 @@ fn a_device_decodes_every_stored_number_as_the_core_does() {
     let kernel = context.compile("decode", "main", &text).unwrap();
     for (number, encoding) in [(1, Encoding::Float16), (2, Encoding::Snorm16), (3, Encoding::Snorm8)] {
         let stored: Vec<u32> = (0..1u32 << (8 * encoding.bytes()))
-            // Infinities and what is no number are refused before.
+            // Infinities and NaN are refused earlier.
             .map(|bits| if encoding == Encoding::Float16 && bits & 0x7c00 == 0x7c00 { 0 } else { bits })
             .collect();
         let bytes: Vec<u8> = stored.iter().flat_map(|bits| bits.to_le_bytes()[..encoding.bytes()].to_vec()).collect();
@@ -269,7 +269,7 @@ fn a_device_decodes_every_stored_number_as_the_core_does() {
         context.read("decoded", &decoded, &mut values, &Progress::new()).unwrap();
         for (bits, value) in stored.into_iter().zip(values) {
             let expected = encoding.decode(bits, scale);
-            // Shifts alone for halves; a quotient within 2.5 ulp (WGSL) and a product for the others.
+            // Halves are decoded by shifts alone. The others have a quotient within 2.5 ulp (WGSL) and a product.
             let allowed = if encoding == Encoding::Float16 { 0.0 } else { 3.5 * f32::EPSILON * expected.abs() };
             assert!((value - expected).abs() <= allowed, "{encoding:?} {bits:x}: {value}, expected {expected}");
         }

@@ -1,27 +1,27 @@
-//! The first point on a ray where the stored field is not above zero.
+//! The first point on a ray where the stored field is <= 0.
 //!
 //! # Theory
 //!
-//! The ray walks in grid space (voxel centres at integers, see [`crate::volume`]) with a unit direction, so `t` counts
-//! voxels. Each turn of the loop takes the ray out of
+//! The ray is traced in grid space (voxel centres at integers, see [`crate::volume`]) with a unit direction, so `t` is
+//! in voxels. Each iteration of the loop advances the ray through
 //!
-//! - *a cube of empty blocks*, where it is far from every surface ([`super::empty`]), or else
-//! - *one cell*. If a corner is not above zero, the cubic that the trilinear field is along the ray ([`super::cubic`])
-//!   is solved on the part of the ray in the cell; with all corners above zero there is no root.
+//! - *a cube of empty blocks*, if it is far from every surface ([`super::empty`]), or else
+//! - *one cell*. If a corner is <= 0, the cubic that the trilinear field is along the ray ([`super::cubic`]) is solved
+//!   on the part of the ray in the cell. With all corners above zero there is no root.
 //!
-//! and into the next cell, by the walk of Amanatides and Woo (1987). Both are exact for *any* stored numbers (noise,
-//! other people's fields, a narrow band, an open mesh), where steps by the distance itself would overshoot: the stored
-//! field is no lower bound. No epsilon decides a hit: a hit is a root of the trilinear field, to the rounding of f32.
-//! Where the box is entered, or the ray starts in it, at a value that is not above zero, the hit is right there.
+//! and into the next cell, by the traversal of Amanatides and Woo (1987). Both are exact for *any* stored values
+//! (noise, fields of other programs, a narrow band, an open mesh). Steps by the field value would overshoot, because
+//! the stored field is not a lower bound. No epsilon decides a hit: a hit is a root of the trilinear field, to the
+//! rounding of f32. If the field is <= 0 where the ray enters the box or starts in it, that point is the hit.
 //!
-//! Along the ray the pieces `[t, t_end]` join without a gap, whatever rounding does to the cells: each ends where the
-//! next begins, and a piece that begins at or below zero is a hit.
+//! Consecutive pieces `[t, t_end]` of the ray join without a gap, even if rounding selects a wrong cell: each piece
+//! starts where the previous one ends, and a piece that begins at a value <= 0 is a hit.
 //!
 //! # Practice
 //!
-//! [`Marcher::new`] reads the field once; build it once a frame. It takes every field that is cut into blocks of cells
-//! ([`super::blocks`]). The loop is bounded by the number of cells that a ray
-//! can cross, for a cell index never moves back. Everything in it is f32 or i32 and will run the same in a shader.
+//! [`Marcher::new`] reads the field once; build it once per picture. It accepts every field that is divided into blocks
+//! of cells ([`super::blocks`]). The loop is bounded by the number of cells that a ray can cross, since a cell index
+//! never moves back. All arithmetic is f32 or i32, as in the shader.
 
 use super::blocks::{Block, Blocks};
 use super::cubic::Cubic;
@@ -30,36 +30,36 @@ use crate::error::Error;
 use crate::progress::Progress;
 use glam::{DVec3, IVec3, Vec3};
 
-/// An axis on which the direction is smaller than this counts as parallel: over 2^40 voxels the ray moves less than an
-/// f32 can tell.
+/// A direction component below this counts as parallel to the faces: over 2^40 voxels the ray moves by less than the
+/// resolution of f32.
 const PARALLEL: f32 = 1e-20;
 
-/// Beyond every `t`; stands for infinity.
+/// Larger than every `t`; replaces infinity.
 const FAR: f32 = 1e30;
 
-/// A ray in grid space that begins in the box.
+/// A ray in grid space that begins inside the box.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GridRay {
     pub origin: Vec3,
-    /// Unit length, in voxels.
+    /// Unit length; grid space, so lengths along the ray are in voxels.
     pub direction: Vec3,
-    /// Where the ray leaves the box.
+    /// The `t` at which the ray leaves the box.
     pub t_max: f32,
 }
 
-/// A ray clipped to the box, and how it got there.
+/// A ray clipped to the box, and where it entered.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ClippedRay {
     pub ray: GridRay,
-    /// Length of the part before the box, in multiples of the direction that was given.
+    /// Distance from the given origin to the box, in multiples of the given direction.
     pub t_enter: f64,
-    /// Axis of the face through which the ray enters; none if it starts inside.
+    /// Axis of the face through which the ray enters; None if it starts inside.
     pub enter_axis: Option<usize>,
 }
 
-/// The part of a ray that lies in the box of `shape` voxels, in grid space; `None` where it misses.
+/// The part of a ray inside the box of `shape` voxels, in grid space; `None` if it misses.
 ///
-/// In f64, because an eye may be far away from a small box.
+/// The arithmetic is f64, because an eye may be far away from a small box.
 pub fn clip_to_box(origin: DVec3, direction: DVec3, shape: DVec3) -> Option<ClippedRay> {
     let (mut t_enter, mut t_leave) = (0.0, f64::INFINITY);
     let mut enter_axis = None;
@@ -92,23 +92,23 @@ pub fn clip_to_box(origin: DVec3, direction: DVec3, shape: DVec3) -> Option<Clip
     Some(ClippedRay { ray, t_enter, enter_axis })
 }
 
-/// Where a ray met the surface.
+/// Intersection of a ray with the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hit {
     pub t: f32,
-    /// The ray began at a value that was not above zero.
+    /// Whether the field is <= 0 at the start of the ray.
     pub at_start: bool,
 }
 
-/// What became of a ray.
+/// Result of a ray.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct March {
     pub hit: Option<Hit>,
-    /// Cells and leaps.
+    /// Number of visited cells plus leaps.
     pub steps: u32,
 }
 
-/// A field made ready for rays.
+/// A field prepared for rays.
 #[derive(Debug, Clone)]
 pub struct Marcher<F> {
     pub field: F,
@@ -116,32 +116,32 @@ pub struct Marcher<F> {
 }
 
 impl<F: Blocks> Marcher<F> {
-    /// Fails where a distance is not a finite number of reasonable size.
+    /// Fails if a distance is not finite or too large.
     pub fn new(field: F, progress: &Progress) -> Result<Self, Error> {
         let empty = EmptySpace::new(field.block_counts(), &field.occupied(progress)?, progress)?;
         Ok(Self { field, empty })
     }
 
-    /// What is known of empty blocks.
+    /// The empty blocks of the field.
     pub fn empty(&self) -> &EmptySpace {
         &self.empty
     }
 
-    /// Walk along a ray to its first hit.
+    /// Traces a ray to its first hit.
     pub fn march(&self, ray: &GridRay) -> March {
         let shape = self.field.grid().shape.map(|n| n as i32);
         let line = Line::new(ray);
         let mut t = 0.0f32;
         let mut cell = [0, 1, 2].map(|axis| floor(line.origin[axis]).clamp(-1, shape[axis] - 1));
 
-        // Every turn but the last moves on by a cell or more, along one axis at least and back along none.
+        // Every iteration except the last advances by at least one cell, and never moves back along an axis.
         let max_steps = (shape[0] + shape[1] + shape[2] + 4) as u32;
         let mut steps = 0;
         while steps < max_steps {
             let index = cell.map(F::block_of);
             let distance = self.empty.distance(index);
 
-            // Leap to the side of the empty cube around the block.
+            // Leaps to the face of the empty cube around the block.
             if distance > 0 {
                 steps += 1;
                 let first = index.map(|b| F::first_cell(b - (distance - 1)));
@@ -153,7 +153,7 @@ impl<F: Blocks> Marcher<F> {
                 if t >= ray.t_max {
                     return March { hit: None, steps };
                 }
-                // Exact on the axis of the face, never back on the others.
+                // The new cell is exact along the axis of the face, and never moves back along the others.
                 for axis in 0..3 {
                     let here = floor(line.origin[axis] + t * line.direction[axis]);
                     let moved = if line.forward[axis] { here.max(cell[axis]) } else { here.min(cell[axis]) };
@@ -163,7 +163,7 @@ impl<F: Blocks> Marcher<F> {
                 continue;
             }
 
-            // Walk from cell to cell to the side of the block.
+            // Visits the cells up to the face of the block.
             let block = self.field.block(index);
             let (origin, shift) = (block.origin(), block.cell_shift());
             let mut local = [0, 1, 2].map(|axis| (cell[axis] - origin[axis]) >> shift);
@@ -189,7 +189,8 @@ impl<F: Blocks> Marcher<F> {
                     for axis in 0..3 {
                         let low = origin[axis] + (local[axis] << shift);
                         let high = low + (1 << shift) - 1;
-                        // A cell of many voxels is left where the ray is; the face is exact on its own axis.
+                        // A cell of several voxels is left at the position of the ray. Along the axis of the face the
+                        // new cell is exact.
                         let here = if axis == next {
                             if line.forward[axis] { low } else { high }
                         } else if shift > 0 {
@@ -209,7 +210,7 @@ impl<F: Blocks> Marcher<F> {
     }
 }
 
-/// A ray and what does not change along it.
+/// A ray and its constants.
 struct Line {
     origin: [f32; 3],
     direction: [f32; 3],
@@ -225,28 +226,28 @@ impl Line {
         Self { origin: ray.origin.to_array(), direction, inverse, forward: direction.map(|d| d > 0.0) }
     }
 
-    /// The side by which the ray leaves a cell along an axis.
+    /// The side through which the ray leaves a cell along an axis: 0 lower, 1 upper.
     #[inline]
     fn far_side(&self, axis: usize, cell: i32) -> i32 {
         if self.forward[axis] { cell + 1 } else { cell }
     }
 
-    /// Where the ray crosses a face.
+    /// The `t` at which the ray crosses a face.
     #[inline]
     fn t_at(&self, axis: usize, face: i32) -> f32 {
         if self.inverse[axis] == 0.0 { FAR } else { (face as f32 - self.origin[axis]) * self.inverse[axis] }
     }
 }
 
-/// The root of the field in one cell, on the part `[t, t_end]` of the ray. The cell has its lower corner at `first` and
-/// `1 << shift` voxels along its side.
+/// The root of the field in one cell, on the interval `[t, t_end]` of the ray. The cell has its lower corner at `first`
+/// and a side of `1 << shift` voxels.
 #[inline]
 fn hit_in_cell(corners: &[f32; 8], ray: &GridRay, first: [i32; 3], shift: u32, t: f32, t_end: f32) -> Option<Hit> {
-    // A power of two: exact.
+    // Division by a power of two is exact.
     let per_voxel = 1.0 / (1 << shift) as f32;
     let p = (ray.origin + t * ray.direction - IVec3::from(first).as_vec3()) * per_voxel;
     let cubic = Cubic::along_ray(corners, p, ray.direction * per_voxel);
-    // In units of the largest corner: products of coefficients stay in range at any scale.
+    // Scaling by the largest corner keeps products of coefficients in range.
     let s = cubic.scaled(1.0 / largest(corners)).first_root(t_end - t)?;
     Some(Hit { t: t + s, at_start: t + s == 0.0 && cubic.c0 <= 0.0 })
 }
@@ -264,13 +265,13 @@ fn first_axis(t_faces: &[f32; 3]) -> usize {
     }
 }
 
-/// Round down a grid coordinate, which is at least -1/2 in the box; one above it, truncation does it.
+/// Rounds a grid coordinate down. It is at least -1/2 in the box; after adding one, truncation rounds down.
 #[inline]
 pub(super) fn floor(coordinate: f32) -> i32 {
     (coordinate + 1.0) as i32 - 1
 }
 
-/// Largest magnitude, at least the smallest normal number.
+/// Largest magnitude, at least the smallest normal float.
 #[inline]
 fn largest(corners: &[f32; 8]) -> f32 {
     corners.iter().fold(f32::MIN_POSITIVE, |largest, corner| largest.max(corner.abs()))
@@ -297,7 +298,7 @@ mod tests {
         field.sample_linear(p_grid.as_dvec3() + 0.5)
     }
 
-    /// Roundings of a position in a box of up to 16 voxels, times slopes of up to 2 a voxel on each axis.
+    /// Roundings of a position in a box of up to 16 voxels, times slopes of up to 2 per voxel along each axis.
     const ROUNDING: f32 = 16.0 * 6.0 * 4.0 * f32::EPSILON;
 
     fn check_against_dense_samples(field: &FieldView<'_>, ray: &GridRay) {
@@ -391,7 +392,7 @@ mod tests {
         let march = marcher.march(&clipped.ray);
         // Grid coordinate 40.25, from the face at -0.5.
         assert!((march.hit.unwrap().t - 40.75).abs() <= 64.0 * f32::EPSILON);
-        // Leaps halve what is left of the empty part, down to a block.
+        // Each leap halves the rest of the empty part, down to a block.
         assert!(march.steps < 12, "{march:?}");
     }
 

@@ -1,19 +1,19 @@
-//! Pictures of a stored field: its zero level set, seen by a camera and lit.
+//! Pictures of a stored field: its zero level set, viewed by a camera and lit.
 //!
 //! # Theory
 //!
-//! For each pixel: a ray through its centre ([`camera`]), clipped to the box of the grid and marched to the first root
-//! of the trilinear field ([`march`], [`empty`], [`cubic`]), then shaded ([`shade`]). The ray is set up in f64 and brought to grid
-//! space, where voxel centres are integers and f32 is exact enough at any scale and offset of the world; from there on
-//! everything is f32 with bounded loops, so that a shader can do the same.
+//! For each pixel, a ray through its centre ([`camera`]) is clipped to the box of the grid and traced to the first root
+//! of the trilinear field ([`march`], [`empty`], [`cubic`]), then shaded ([`shade`]). The ray is computed in f64 and
+//! transformed to grid space, where voxel centres are integers and f32 is precise enough at any scale and offset of the
+//! world. Everything after that is f32 with bounded loops, so that a shader can do the same.
 //!
-//! What is drawn is the solid "field not above zero, inside the box". Where the box cuts it, the cut is drawn as a
-//! flat face. A camera inside the solid sees it at depth 0.
+//! The picture shows the solid "field <= 0, inside the box". Where the box cuts it, the cut is drawn as a flat face. A
+//! camera inside the solid sees it at depth 0.
 //!
 //! # Practice
 //!
-//! [`raymarch`] runs on all cores by rows, counts its progress in rows and stops when it is cancelled. Its cost is that
-//! of the steps in `Frame::steps` plus as many for each light.
+//! [`raymarch`] runs on all cores by rows, counts its progress in rows and stops when it is cancelled. Its cost is
+//! proportional to the steps in `Frame::steps`, plus about as many for each light.
 
 pub mod blocks;
 pub mod bricks;
@@ -47,57 +47,57 @@ use rayon::prelude::*;
 use shade::{Shader, Surface};
 use std::sync::Arc;
 
-/// Light from infinitely far away.
+/// A light at infinite distance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DirectionalLight {
-    /// The way the light travels, world space, any length.
+    /// Direction in which the light travels, world space, any length.
     pub direction: Vec3,
-    /// Linear RGB; 1 lights a surface that faces the light to its own colour.
+    /// Linear RGB. A white light of value 1 lights a surface that faces it to the surface's own colour.
     pub color: Vec3,
 }
 
-/// How shadows are made.
+/// Kind of shadows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Shadows {
-    /// Every light reaches every surface.
+    /// No shadows: every light reaches every surface.
     None,
-    /// A light arrives or it does not.
+    /// Hard shadows: a light reaches a point completely or not at all.
     #[default]
     Hard,
 }
 
 impl Shadows {
-    /// The shadows that the Python interface calls `name`.
+    /// Converts the public name of a kind of shadows.
     pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
         choice("shadows", name, &[("none", Self::None), ("hard", Self::Hard)])
     }
 }
 
-/// Who interpolates between the samples.
+/// Interpolation between the samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Filter {
-    /// The trilinear field in float32; a hit is its root.
+    /// Trilinear interpolation in float32; a hit is its root.
     #[default]
     Linear,
-    /// The texture hardware of a graphics device: rounded weights and half floats.
+    /// The texture hardware of a graphics device, with rounded weights and half floats.
     Hardware,
 }
 
 impl Filter {
-    /// The filter that the Python interface calls `name`.
+    /// Converts the public name of a filter.
     pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
         choice("filter", name, &[("linear", Self::Linear), ("hardware", Self::Hardware)])
     }
 }
 
-/// What a picture looks like. The names are those of the Python interface, which holds the defaults.
+/// Options of a picture. The names are those of the Python interface, which defines the defaults.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RaymarchOptions {
     /// Width and height, pixels.
     pub size: [u32; 2],
-    /// An empty list: ambient light only.
+    /// Lights; an empty list leaves ambient light only.
     pub lights: Vec<DirectionalLight>,
-    /// Light from all round, most from above (+Y), as a share of a light of colour 1.
+    /// Ambient light, mostly from above (+Y), as a fraction of a light of colour 1.
     pub ambient: f32,
     /// Linear RGB of the surface.
     pub color: Vec3,
@@ -105,7 +105,7 @@ pub struct RaymarchOptions {
     pub specular: f32,
     /// Sharpness of the highlight, the exponent of Blinn-Phong.
     pub shininess: f32,
-    /// Linear RGBA where nothing is hit.
+    /// Linear RGBA of pixels without a hit.
     pub background: [f32; 4],
     pub shadows: Shadows,
     pub filter: Filter,
@@ -113,7 +113,7 @@ pub struct RaymarchOptions {
 
 #[cfg(test)]
 impl Default for RaymarchOptions {
-    /// Plain options for tests.
+    /// Simple options for tests.
     fn default() -> Self {
         Self {
             size: [512, 512],
@@ -129,31 +129,31 @@ impl Default for RaymarchOptions {
     }
 }
 
-/// A picture and what it was made from; each array by rows, row 0 on top.
+/// A picture and its arrays by rows, row 0 on top.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Frame {
     pub width: usize,
     pub height: usize,
-    /// Lights per pixel in `shadow`.
+    /// Number of lights per pixel in `shadow`.
     pub lights: usize,
-    /// Linear RGBA, 4 a pixel.
+    /// Linear RGBA, 4 values per pixel.
     pub color: Vec<f32>,
-    /// Distance along the viewing axis, world units; infinite where nothing is hit.
+    /// Distance along the viewing axis, world units; infinite without a hit.
     pub depth: Vec<f32>,
-    /// World space, unit, 3 a pixel; zero where nothing is hit.
+    /// Unit normal in world space, 3 values per pixel; zero without a hit.
     pub normal: Vec<f32>,
-    /// 0 for the field, -1 where nothing is hit.
+    /// 0 for the field, -1 without a hit.
     pub object_id: Vec<i32>,
-    /// Share of each light that arrives, 1 lit, 0 dark, `lights` a pixel; 1 where nothing is hit.
+    /// Fraction of each light that arrives, 1 lit, 0 dark, `lights` values per pixel; 1 without a hit.
     pub shadow: Vec<f32>,
-    /// Cells visited and empty regions leapt over by the ray of the pixel.
+    /// Number of cells visited and empty regions skipped by the ray of the pixel.
     pub steps: Vec<u32>,
 }
 
-/// Pixels of a picture at most: 16384 x 16384, about 12 GiB of frame.
+/// Largest number of pixels of a picture: 16384 x 16384, about 12 GiB of arrays.
 const MAX_PIXELS: u64 = 1 << 28;
 
-/// Draw the zero level set of a field.
+/// Draws the zero level set of a field.
 pub fn raymarch<F: Blocks>(
     field: F,
     camera: &Camera,
@@ -181,15 +181,15 @@ pub fn raymarch<F: Blocks>(
     Frame::by_pixels(options.size, lights.len(), progress, |x, y, row| view.draw_pixel(x, y, row))
 }
 
-/// Where the samples of a field are.
+/// Location of the samples of a field.
 #[derive(Debug, Clone, Copy)]
 pub enum Source<'a> {
-    /// x fastest.
+    /// Samples on the host, x fastest.
     Host(&'a [f32]),
     Device(&'a DeviceField),
 }
 
-/// Draw at a place; samples that are elsewhere are copied there first.
+/// Draws at a place. Samples that are elsewhere are copied there first.
 pub fn raymarch_at(
     place: &Place,
     source: Source<'_>,
@@ -219,8 +219,8 @@ pub fn raymarch_at(
     }
 }
 
-/// Draw samples in any encoding at a place: a graphics device decodes what it reads. Its texture hardware does not, and
-/// takes what they decode to.
+/// Draws samples in any encoding at a place. A graphics device decodes them when it reads them, except for its texture
+/// hardware, which receives decoded values.
 pub fn raymarch_view<T: Texel>(
     place: &Place,
     field: FieldView<'_, T>,
@@ -238,7 +238,7 @@ pub fn raymarch_view<T: Texel>(
     }
 }
 
-/// Draw a sparse field at a place, from its bricks; the texture hardware of a graphics device takes the whole grid.
+/// Draws a sparse field at a place, from its bricks. The texture hardware of a graphics device receives the whole grid.
 pub fn raymarch_sparse<T: Texel>(
     place: &Place,
     field: SparseView<'_, T>,
@@ -258,8 +258,8 @@ pub fn raymarch_sparse<T: Texel>(
     }
 }
 
-/// Draw nested fields on a device, finest first: each twice as fine as the one around it, and joined to it as
-/// `scene::nested` has it.
+/// Draws nested fields on a device, finest first. Each is twice as fine as the one around it, and joined to it as in
+/// `scene::nested`.
 pub fn raymarch_nested(
     context: &Arc<Context>,
     levels: &[FieldView<'_>],
@@ -271,9 +271,10 @@ pub fn raymarch_nested(
     draw_on_device(|| MarchedField::nested(context, levels, &grid), &grid, camera, options, progress)
 }
 
-/// Draw a field that is in device memory, there.
+/// Draws a field in device memory.
 ///
-/// The same picture as [`raymarch`] to float32 rounding with [`Filter::Linear`]; `Frame::steps` counts cells alone, for nothing is leapt over.
+/// The picture equals that of [`raymarch`] to float32 rounding with [`Filter::Linear`]. `Frame::steps` counts cells
+/// only, since the device does not leap.
 pub fn raymarch_on_device(
     field: &DeviceField,
     grid: &Grid,
@@ -284,7 +285,7 @@ pub fn raymarch_on_device(
     draw_on_device(|| MarchedField::dense(field, grid, options.filter), grid, camera, options, progress)
 }
 
-/// Check what is to be drawn, bring the field to its device, and draw it there.
+/// Checks the request, copies the field to its device, and draws it there.
 fn draw_on_device(
     field: impl FnOnce() -> Result<MarchedField, Error>,
     grid: &Grid,
@@ -297,7 +298,7 @@ fn draw_on_device(
     gpu::raymarch(&field()?, grid, camera, options, &lights, progress)
 }
 
-/// What every pixel needs.
+/// Data shared by all pixels.
 struct View<'a, F> {
     camera: &'a Camera,
     eye_grid: DVec3,
@@ -309,7 +310,7 @@ struct View<'a, F> {
 }
 
 impl<F: Blocks> View<'_, F> {
-    /// Fill pixel `x` of row `y`; the row already says "nothing hit".
+    /// Fills pixel `x` of row `y`. The row is initialised to "no hit".
     fn draw_pixel(&self, x: usize, y: usize, row: &mut Row<'_>) {
         row.color[4 * x..][..4].copy_from_slice(&self.options.background);
 
@@ -324,13 +325,13 @@ impl<F: Blocks> View<'_, F> {
         let p_grid = clipped.ray.origin + hit.t * clipped.ray.direction;
         let to_eye = -direction.normalize().as_vec3();
         let normal = match (hit.at_start, clipped.enter_axis) {
-            // The cut on a face of the box.
+            // The hit lies on a face of the box, which cuts the solid.
             (true, Some(axis)) => {
                 let mut normal = Vec3::ZERO;
                 normal[axis] = to_eye[axis].signum();
                 normal
             }
-            // The eye is in the solid.
+            // The eye is inside the solid.
             (true, None) => to_eye,
             (false, _) => self.shader.normal(p_grid, to_eye),
         };
@@ -366,7 +367,7 @@ impl RaymarchOptions {
         Ok(())
     }
 
-    /// The lights, with unit directions.
+    /// The lights with unit directions.
     pub(crate) fn unit_lights(&self) -> Result<Vec<DirectionalLight>, Error> {
         let unit = |(i, light): (usize, &DirectionalLight)| {
             let direction = light.direction.as_dvec3().normalize_or_zero().as_vec3();
@@ -396,7 +397,7 @@ pub(crate) struct Row<'a> {
 }
 
 impl Frame {
-    /// A picture of nothing.
+    /// A picture without any hit.
     pub(crate) fn new(width: usize, height: usize, lights: usize) -> Self {
         let pixels = width * height;
         Self {
@@ -412,8 +413,8 @@ impl Frame {
         }
     }
 
-    /// A picture that `draw_pixel` fills: pixel `x` of row `y` at a time, of which the row says that nothing is hit. On all
-    /// cores by rows, which the progress counts.
+    /// A picture that `draw_pixel` fills one pixel at a time: pixel `x` of row `y`, initialised to "no hit". Runs on
+    /// all cores by rows, which the progress counts.
     pub(crate) fn by_pixels(
         size: [u32; 2],
         lights: usize,
@@ -442,7 +443,7 @@ impl Frame {
             .zip(self.object_id.chunks_mut(width))
             .zip(self.steps.chunks_mut(width))
             .map(|((((color, depth), normal), object_id), steps)| {
-                // Not chunked like the rest: without lights the rows of `shadow` are empty.
+                // `shadow` is not chunked like the other arrays, since its rows are empty without lights.
                 let (row, rest) = std::mem::take(&mut shadow).split_at_mut(lights * width);
                 shadow = rest;
                 Row { lights, color, depth, normal, object_id, shadow: row, steps }

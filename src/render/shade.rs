@@ -1,37 +1,40 @@
 //! Colour of a hit: Blinn-Phong (Blinn 1977) with directional lights, a hemisphere of ambient light, hard shadows.
 //!
 //! The normal is the gradient of the trilinear field averaged over a voxel around the hit (a central difference of half
-//! a voxel is that average along its axis), turned to world space, so oblong voxels are right. The gradient at the point
-//! itself jumps from cell to cell and would draw the grid on every smooth surface; the average is continuous. On a face of the box where the ray entered the solid, the surface that is seen is the cut,
-//! and the normal is that of the face.
+//! a voxel is that average along its axis), transformed to world space, so it is right for oblong voxels. The gradient
+//! at the point itself jumps from cell to cell and would show the grid on every smooth surface; the average is
+//! continuous. Where the ray enters the solid through a face of the box, the visible surface is the cut, and the normal
+//! is that of the face.
 //!
-//! A shadow ray is marched like any other ([`super::march`]). It starts [`SHADOW_BIAS_VOXELS`] above the surface, along
-//! the normal: a distance in voxels, because what it has to clear is the facets of the trilinear surface, whose size is
-//! the voxel's. A side that is turned away from a light gets none of it.
+//! A shadow ray is traced like any other ([`super::march`]). It starts [`SHADOW_BIAS_VOXELS`] above the surface, along
+//! the normal. The bias is in voxels, because it must clear the facets of the trilinear surface, whose size is that of
+//! a voxel. A side that faces away from a light receives none of it.
 
 use super::blocks::Blocks;
 use super::march::{Marcher, clip_to_box, floor};
 use super::{DirectionalLight, RaymarchOptions, Shadows};
 use glam::{DVec3, IVec3, Vec3};
 
-/// Start of a shadow ray above the surface. A trilinear surface departs from a smooth one by h^2 / (8 R), less than an
-/// eighth of a voxel for a radius of a voxel or more; a ray that grazes it rises by as much again over the next voxels.
+/// Distance of the origin of a shadow ray from the surface. A trilinear surface departs from a smooth one by h^2 / (8
+/// R), less than an eighth of a voxel for a radius of a voxel or more. A grazing ray rises by the same amount again
+/// over the next voxels.
 const SHADOW_BIAS_VOXELS: f32 = 0.5;
 
-/// Ambient light that comes from below, as a share of the light from above.
+/// Ambient light from below, as a fraction of the ambient light from above.
 const GROUND_SHARE: f32 = 0.4;
 
-/// Where a picture's ray met the surface.
+/// Intersection of the ray of a pixel with the surface.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Surface {
     pub p_grid: Vec3,
-    /// World space, unit, outward.
+    /// Unit normal in world space, outward.
     pub normal: Vec3,
-    /// World space, unit, towards the eye.
+    /// Unit direction towards the eye, world space.
     pub to_eye: Vec3,
 }
 
-/// Linear RGB of a surface of colour `color` under lights of which the shares in `shadow` arrive. Directions are unit.
+/// Linear RGB of a surface of colour `color` under lights of which the fractions in `shadow` arrive. Directions must
+/// have unit length.
 pub(crate) fn lit_color(
     color: Vec3,
     normal: Vec3,
@@ -40,7 +43,7 @@ pub(crate) fn lit_color(
     shadow: &[f32],
     options: &RaymarchOptions,
 ) -> Vec3 {
-    // From the ground (normal down) to the sky (normal up).
+    // Interpolated between the ground (normal down) and the sky (normal up).
     let sky = 0.5 + 0.5 * normal.y;
     let mut lit = options.ambient * (GROUND_SHARE + (1.0 - GROUND_SHARE) * sky) * color;
     for (light, share) in lights.iter().zip(shadow) {
@@ -55,19 +58,19 @@ pub(crate) fn lit_color(
     lit
 }
 
-/// What the light falls on.
+/// The surface that light falls on.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Look {
-    /// World space, unit, outward.
+    /// Unit normal in world space, outward.
     pub normal: Vec3,
-    /// World space, unit, towards the eye.
+    /// Unit direction towards the eye, world space.
     pub to_eye: Vec3,
     /// Linear RGB.
     pub color: Vec3,
 }
 
-/// Linear RGB of a lit surface; writes the share of each light that arrives, which `share_that_arrives` finds for hard
-/// shadows.
+/// Linear RGB of a lit surface. Writes the fraction of each light that arrives; for hard shadows `share_that_arrives`
+/// computes it.
 pub(crate) fn lit(
     look: &Look,
     options: &RaymarchOptions,
@@ -84,7 +87,7 @@ pub(crate) fn lit(
     lit_color(look.color, look.normal, look.to_eye, lights, shadow, options)
 }
 
-/// Everything that is the same for all pixels.
+/// Data shared by all pixels.
 #[derive(Debug, Clone)]
 pub(super) struct Shader<'a, F> {
     marcher: &'a Marcher<F>,
@@ -93,12 +96,12 @@ pub(super) struct Shader<'a, F> {
     shape: DVec3,
     /// Upper corner of the box in grid space.
     last_point: Vec3,
-    /// Voxel size relative to its smallest side: a scale of the world would cancel everywhere below.
+    /// Voxel size divided by its smallest side. A scale of the world cancels in all formulas below.
     relative_spacing: Vec3,
 }
 
 impl<'a, F: Blocks> Shader<'a, F> {
-    /// `lights` have unit directions.
+    /// `lights` must have unit directions.
     pub fn new(marcher: &'a Marcher<F>, options: &'a RaymarchOptions, lights: &'a [DirectionalLight]) -> Self {
         let spacing = marcher.field.grid().spacing();
         Self {
@@ -111,11 +114,11 @@ impl<'a, F: Blocks> Shader<'a, F> {
         }
     }
 
-    /// World normal at a hit; `fallback` where the field has no slope.
+    /// World normal at a hit. Returns `fallback` where the gradient is zero.
     pub fn normal(&self, p_grid: Vec3, fallback: Vec3) -> Vec3 {
         let across = |half: Vec3| self.field_at(p_grid + half) - self.field_at(p_grid - half);
         let per_voxel = Vec3::new(across(0.5 * Vec3::X), across(0.5 * Vec3::Y), across(0.5 * Vec3::Z));
-        // Scaled by its largest entry first: the squares of a length must not leave the range of f32.
+        // Dividing by the largest component first keeps squares in the range of f32.
         let largest = per_voxel.abs().max_element();
         if largest == 0.0 {
             return fallback;
@@ -130,18 +133,18 @@ impl<'a, F: Blocks> Shader<'a, F> {
         self.marcher.field.cell(cell).at(p_grid.as_dvec3())
     }
 
-    /// Linear RGB of a surface; writes the share of each light that arrives.
+    /// Linear RGB of a surface. Writes the fraction of each light that arrives.
     pub fn shade(&self, surface: &Surface, shadow: &mut [f32]) -> Vec3 {
         let look = Look { normal: surface.normal, to_eye: surface.to_eye, color: self.options.color };
         lit(&look, self.options, self.lights, shadow, |to_light| self.share_that_arrives(surface, to_light))
     }
 
-    /// 1 where nothing of the field stands between the surface and the light, else 0.
+    /// 0 if the field occludes the light, else 1.
     fn share_that_arrives(&self, surface: &Surface, to_light: Vec3) -> f32 {
         if surface.normal.dot(to_light) <= 0.0 {
             return 0.0;
         }
-        // The bias is as long as the voxel is in the direction of the normal.
+        // The bias is the extent of a voxel along the normal.
         let voxel = (surface.normal * self.relative_spacing).length();
         let bias = SHADOW_BIAS_VOXELS * voxel * surface.normal / self.relative_spacing;
         let origin = surface.p_grid + bias;

@@ -5,7 +5,7 @@ use super::*;
 use crate::grid::Grid;
 use crate::volume::Trilinear;
 
-/// A field sampled on a grid, ready to be drawn.
+/// A field sampled on a grid, prepared for drawing.
 struct Scene {
     grid: Grid,
     distances: Vec<f32>,
@@ -117,7 +117,7 @@ fn every_hit_is_a_root_of_the_sampled_field() {
 
 #[test]
 fn a_box_is_exact_on_its_faces() {
-    // Faces of a box are planes, which a trilinear field holds exactly away from the edges.
+    // Faces of a box are planes, which a trilinear field represents exactly away from the edges.
     let scene = Scene::new(DVec3::splat(-1.0), DVec3::splat(1.0), [40, 20, 30], |p| {
         let q = p.abs() - DVec3::new(0.6, 0.5, 0.7);
         q.max(DVec3::ZERO).length() + q.max_element().min(0.0)
@@ -202,13 +202,14 @@ fn a_sphere_casts_its_shadow_on_a_slab() {
     for i in (0..160 * 160).filter(|&i| frame.depth[i].is_finite()) {
         let p = p_world(&camera, &frame, i % 160, i / 160);
         if (p - center).length() < radius + voxel {
-            // Acne would be a dark pixel on a side that faces the light by more than the facets are tilted.
+            // Self-shadowing would darken a pixel on a side that faces the light by more than the facets are tilted.
             if (p - center).normalize().dot(to_light) > 0.25 {
                 assert_eq!(frame.shadow[i], 1.0, "acne at {p}");
                 cap += 1;
             }
         } else if normal_at(&frame, i).y > 0.99 {
-            // Distance of the light ray from the sphere's centre; within two voxels of the edge anything goes.
+            // Distance of the light ray from the centre of the sphere. Within two voxels of the edge either result is
+            // valid.
             let to_center = center - p;
             let miss = (to_center - to_center.dot(to_light) * to_light).length();
             if (miss - radius).abs() > 2.0 * voxel {
