@@ -1,6 +1,6 @@
 //! fieldbake: exact signed distance fields from triangle meshes.
 //!
-//! Data walks one street: mesh, bake, volume, render. See ARCHITECTURE.md for the map and the conventions.
+//! Data passes through a pipeline: mesh, bake, volume, render. See ARCHITECTURE.md for the map and the conventions.
 
 pub mod atlas;
 pub mod bake;

@@ -3,7 +3,7 @@
 use crate::error::Error;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-/// How far a long job has come, and whether it should stop.
+/// Progress of a long job, and whether it was cancelled.
 ///
 /// Workers call [`Progress::advance`] once per block of work (well under 50 ms each) and stop when it fails.
 #[derive(Debug, Default)]
@@ -18,12 +18,12 @@ impl Progress {
         Self::default()
     }
 
-    /// Announce the size of the job, in any unit that `advance` uses too.
+    /// Sets the size of the job, in the unit of `advance`.
     pub fn set_total(&self, total: u64) {
         self.total.store(total, Ordering::Relaxed);
     }
 
-    /// Count finished work; fails once the job is cancelled.
+    /// Adds finished work. Fails once the job is cancelled.
     pub fn advance(&self, amount: u64) -> Result<(), Error> {
         self.done.fetch_add(amount, Ordering::Relaxed);
         self.check()
@@ -38,7 +38,7 @@ impl Progress {
         self.cancelled.store(true, Ordering::Relaxed);
     }
 
-    /// Share of the work done, 0 to 1.
+    /// Fraction of the work done, 0 to 1.
     pub fn fraction(&self) -> f64 {
         let total = self.total.load(Ordering::Relaxed);
         if total == 0 { 0.0 } else { (self.done.load(Ordering::Relaxed) as f64 / total as f64).min(1.0) }

@@ -1,4 +1,4 @@
-//! WGSL texts in other shading languages, written by naga.
+//! Translation of WGSL texts to other shading languages by naga.
 
 use crate::error::{ArgumentError, choice};
 use naga::back::{glsl, hlsl, msl};
@@ -16,7 +16,7 @@ pub enum Language {
 }
 
 impl Language {
-    /// The language that the Python interface calls `name`.
+    /// Converts the public name of a language.
     pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
         choice(
             "language",
@@ -26,7 +26,7 @@ impl Language {
     }
 }
 
-/// What GLSL, which has one entry point to a text, is written for.
+/// Options of GLSL, which has one entry point per text.
 #[derive(Debug, Clone, Copy)]
 pub struct GlslTarget {
     pub version: glsl::Version,
@@ -34,7 +34,7 @@ pub struct GlslTarget {
     pub entry_point: &'static str,
 }
 
-/// A WGSL text in another language.
+/// Translates a WGSL text.
 pub fn translate(wgsl: &str, language: Language, target: GlslTarget) -> Result<String, ArgumentError> {
     if language == Language::Wgsl {
         return Ok(wgsl.to_owned());
@@ -76,7 +76,7 @@ fn resources(module: &Module) -> impl Iterator<Item = (ResourceBinding, &GlobalV
     module.global_variables.iter().filter_map(|(_, variable)| Some((variable.binding?, variable)))
 }
 
-/// Metal has tables of its own for buffers, textures and samplers: each resource has the index of its WGSL binding there.
+/// Metal has separate tables for buffers, textures and samplers: each resource has the index of its WGSL binding there.
 /// The sizes of buffers are passed in one more buffer, after the last.
 fn msl_options(module: &Module) -> msl::Options {
     let mut entry = msl::EntryPointResources::default();
@@ -102,7 +102,7 @@ fn msl_options(module: &Module) -> msl::Options {
     msl::Options { per_entry_point_map, fake_missing_bindings: false, ..msl::Options::default() }
 }
 
-/// A WGSL text as naga sees it, valid on every device.
+/// Parses and validates a WGSL text for every device.
 pub(crate) fn parse(wgsl: &str) -> Result<(Module, ModuleInfo), ArgumentError> {
     let module = front::wgsl::parse_str(wgsl).map_err(|error| refused(&error.emit_to_string(wgsl)))?;
     let info = Validator::new(ValidationFlags::all(), Capabilities::empty())
@@ -111,7 +111,7 @@ pub(crate) fn parse(wgsl: &str) -> Result<(Module, ModuleInfo), ArgumentError> {
     Ok((module, info))
 }
 
-/// A text of ours that naga refuses: our bug, told as one.
+/// A generated text that naga refuses is a defect of fieldbake, and the message says so.
 fn refused(reason: &str) -> ArgumentError {
     ArgumentError::new("language", format!("the shader could not be translated: {reason}"))
 }

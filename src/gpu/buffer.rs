@@ -1,8 +1,8 @@
-//! Device memory: up, down, and how often.
+//! Buffers in device memory, and counters of their transfers.
 //!
-//! Sizes are checked against the device's limits before anything is allocated: software adapters allocate lazily and
-//! grant what they do not have. Uploads and read-backs are counted, so that a test can show that a field which was baked
-//! on the device is drawn without leaving it.
+//! Sizes are compared with the limits of the device before anything is allocated, since software adapters allocate
+//! lazily and grant more than they have. Uploads and read-backs are counted, so that a test can verify that a field
+//! baked on the device is drawn without leaving it.
 
 use super::context::Context;
 use crate::error::{DeviceError, Error};
@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// Transfers of a context so far.
+/// Number of transfers of a context so far.
 #[derive(Debug, Default)]
 pub struct Counters {
     pub uploads: AtomicU64,
@@ -21,19 +21,19 @@ pub struct Counters {
     pub readback_bytes: AtomicU64,
 }
 
-/// How often a wait looks at the progress, for cancellation.
+/// Interval between two checks of the progress while waiting.
 const LOOK: Duration = Duration::from_millis(50);
-/// A dispatch is kept near 50 ms; a device that has not finished one by now hangs.
+/// A dispatch takes about 50 ms. A device that has not finished one within this time hangs.
 const HANG: Duration = Duration::from_secs(120);
-/// Read back in pieces of this size, so that the staging memory stays small.
+/// Size of the pieces of a read-back, which bounds the staging memory, bytes.
 const STAGING_BYTES: u64 = 64 << 20;
-/// Sizes and places of copies are whole words.
+/// Alignment of the sizes and offsets of copies: whole words.
 const WORD: usize = size_of::<u32>();
-/// What to do about a buffer that is too large.
+/// Remedy for a buffer that is too large.
 const ADVICE: &str = "lower the resolution, bake parts of the box through bounds=, or use device=\"cpu\"";
 
 impl Context {
-    /// The largest buffer that a kernel can bind whole, a multiple of 256 bytes.
+    /// The largest buffer that a kernel can bind as a whole, bytes; a multiple of 256.
     pub fn max_binding(&self) -> u64 {
         self.limits.max_buffer_size.min(self.limits.max_storage_buffer_binding_size) / 256 * 256
     }
@@ -53,7 +53,7 @@ impl Context {
         Ok(())
     }
 
-    /// A zeroed buffer that kernels read and write, and that can be copied from and to.
+    /// A zeroed buffer that kernels read and write, and that can be copied in both directions.
     pub fn storage(&self, label: &str, bytes: u64) -> Result<wgpu::Buffer, DeviceError> {
         let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST;
         self.allocate(label, bytes, usage)
@@ -67,15 +67,16 @@ impl Context {
         Ok(buffer)
     }
 
-    /// A storage buffer with what is the same for all invocations of a dispatch. Not a uniform buffer: Mesa's llvmpipe
-    /// optimises a kernel anew for every value that its branches take from one, some 25 ms a dispatch for a long kernel.
+    /// A storage buffer for parameters that are the same for all invocations of a dispatch. It is not a uniform buffer,
+    /// because Mesa's llvmpipe optimises a kernel again for every value that its branches read from one: about 25 ms
+    /// per dispatch for a long kernel.
     pub fn parameters<T: Pod>(&self, label: &str, value: &T) -> Result<wgpu::Buffer, DeviceError> {
         let buffer = self.storage(label, size_of::<T>() as u64)?;
         self.write(label, &buffer, 0, std::slice::from_ref(value))?;
         Ok(buffer)
     }
 
-    /// A storage buffer that holds `items`; one zeroed item if there are none, since an empty buffer cannot be bound.
+    /// A storage buffer with `items`; one zeroed item if there are none, since an empty buffer cannot be bound.
     pub fn upload<T: Pod>(&self, label: &str, items: &[T]) -> Result<wgpu::Buffer, DeviceError> {
         let bytes = size_of_val(items).max(size_of::<T>()) as u64;
         let buffer = self.storage(label, bytes)?;
@@ -83,7 +84,7 @@ impl Context {
         Ok(buffer)
     }
 
-    /// A storage buffer that holds bytes, in whole words.
+    /// A storage buffer of bytes, padded to whole words.
     pub fn upload_bytes(&self, label: &str, bytes: &[u8]) -> Result<wgpu::Buffer, DeviceError> {
         let buffer = self.storage(label, bytes.len().max(WORD) as u64)?;
         let (whole, rest) = bytes.split_at(bytes.len() / WORD * WORD);
@@ -96,9 +97,9 @@ impl Context {
         Ok(buffer)
     }
 
-    /// Copy `items` to the start of a buffer.
+    /// Copies `items` to the start of a buffer.
     pub fn fill<T: Pod>(&self, label: &str, buffer: &wgpu::Buffer, items: &[T]) -> Result<(), DeviceError> {
-        // In pieces: the queue keeps a copy of each until it is submitted.
+        // The copy is done in pieces, since the queue keeps a copy of each until it is submitted.
         let piece = (STAGING_BYTES as usize / size_of::<T>()).max(1);
         for (i, part) in items.chunks(piece).enumerate() {
             self.write(label, buffer, (i * piece * size_of::<T>()) as u64, part)?;
@@ -109,7 +110,7 @@ impl Context {
         Ok(())
     }
 
-    /// Overwrite a part of a buffer, ahead of the next submission.
+    /// Overwrites a part of a buffer, before the next submission.
     pub fn write<T: Pod>(
         &self,
         label: &str,
@@ -131,7 +132,7 @@ impl Context {
         self.guarded(label, bytes, || self.device.create_buffer(&descriptor))
     }
 
-    /// Copy a buffer's first items to `out`.
+    /// Copies the first items of a buffer to `out`.
     pub fn read<T: Pod>(
         &self,
         label: &str,
@@ -175,7 +176,7 @@ impl Context {
         Ok(())
     }
 
-    /// Wait for a submission. A cancelled job stops waiting; what it submitted finishes by itself.
+    /// Waits for a submission. A cancelled job stops waiting; its submitted work finishes in the background.
     pub fn wait(&self, what: &str, submission: &wgpu::SubmissionIndex, progress: &Progress) -> Result<(), Error> {
         let start = Instant::now();
         loop {

@@ -1,11 +1,11 @@
-//! An open device: made once a process, shared by all threads, opened again after a loss.
+//! An open device: one per process, shared by all threads, opened again after a loss.
 //!
-//! A device can vanish at any time (driver update, watchdog, unplugged). wgpu then reports no error from later calls, so
-//! the context keeps its own flag, set by the loss callback and looked at after every wait. [`context`] hands out a
-//! living context or opens a new one.
+//! A device can be lost at any time (driver update, watchdog, unplugged). wgpu then reports no error from later calls,
+//! so the context has a flag of its own, which the loss callback sets and every wait checks. [`context`] returns a
+//! working context or opens a new one.
 //!
-//! Drivers keep threads and locks that a forked child does not have. So the process that opened the first device is
-//! remembered, and a child of it gets an error instead of a deadlock.
+//! Drivers have threads and locks that a forked child does not inherit. The process that opened the first device is
+//! therefore recorded, and a child of it gets an error instead of a deadlock.
 
 use super::buffer::Counters;
 use super::device::{DeviceInfo, describe, enumerate};
@@ -16,7 +16,7 @@ use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// An open device, its queue, its compiled kernels and what went wrong with it.
+/// An open device, its queue, its compiled kernels and its errors.
 #[derive(Debug)]
 pub struct Context {
     pub device: wgpu::Device,
@@ -28,14 +28,14 @@ pub struct Context {
     pub(super) raster_pipelines: RasterPipelines,
     pub(super) written: WrittenKernels,
     trouble: Arc<Trouble>,
-    /// Held during every call into wgpu: its submissions and waits are not safe against each other in wgpu 30.0, and a
-    /// mapping that another thread's wait completed must be seen complete.
+    /// Held during every call into wgpu. Its submissions and waits are not safe against each other in wgpu 30.0, and a
+    /// mapping that another thread's wait completed must be visible as complete.
     lane: Mutex<()>,
-    // Dropped last: the device comes from it.
+    // Dropped last, because the device was made from it.
     _instance: wgpu::Instance,
 }
 
-/// What the driver reported by itself.
+/// Errors that the driver reported asynchronously.
 #[derive(Debug, Default)]
 struct Trouble {
     lost: AtomicBool,
@@ -43,12 +43,12 @@ struct Trouble {
     uncaptured: Mutex<Option<String>>,
 }
 
-/// Storage buffers that a kernel may bind; WebGPU's default limit.
+/// Number of storage buffers that a kernel may bind: the default limit of WebGPU.
 pub const STORAGE_BUFFERS: u32 = 8;
-/// Invocations of the largest workgroup.
+/// Number of invocations of the largest workgroup.
 pub const INVOCATIONS: u32 = 64;
 
-/// The process that opened the first device, or zero.
+/// Id of the process that opened the first device, or zero.
 static OWNER: AtomicU32 = AtomicU32::new(0);
 
 /// Whether a parent of this process opened a device.
@@ -60,7 +60,7 @@ pub fn is_forked() -> bool {
 /// The context of an adapter, opened at the first call.
 pub fn context(info: &DeviceInfo) -> Result<Arc<Context>, DeviceError> {
     static CONTEXTS: Mutex<Option<HashMap<String, Arc<Context>>>> = Mutex::new(None);
-    // Before the lock, which another thread may have held at the fork.
+    // This check precedes the lock, which another thread may have held at the fork.
     if is_forked() {
         return Err(DeviceError::Forked { device: info.label() });
     }
@@ -120,7 +120,7 @@ impl Context {
         })
     }
 
-    /// Name and backend, as reports show it.
+    /// Name and backend, for reports.
     pub fn label(&self) -> String {
         self.info.label()
     }
@@ -129,7 +129,7 @@ impl Context {
         self.trouble.lost.load(Ordering::Acquire)
     }
 
-    /// Fails if the device is gone, or reported an error that no call was there to take.
+    /// Fails if the device is lost, or reported an error outside of a call.
     pub fn check(&self, what: &str) -> Result<(), DeviceError> {
         if self.is_lost() {
             let reason = self.trouble.reason.lock().unwrap_or_else(PoisonError::into_inner).clone();
@@ -141,18 +141,18 @@ impl Context {
         }
     }
 
-    /// Give the device up, as if the driver had taken it away: what comes after is a loss.
+    /// Destroys the device, as if the driver had removed it; later calls report a loss.
     pub fn destroy(&self) {
         self.device.destroy();
         self.trouble.lose("destroyed on request");
     }
 
-    /// Mark the device as lost after a wait without an answer.
+    /// Marks the device as lost after a wait without a result.
     pub(super) fn abandon(&self, reason: &str) {
         self.trouble.lose(reason);
     }
 
-    /// Run `call` between error scopes. `needed` is what it allocates, for the message.
+    /// Runs `call` inside error scopes. `needed` is the size of its allocation for the message, bytes.
     pub fn guarded<T>(&self, what: &str, needed: u64, call: impl FnOnce() -> T) -> Result<T, DeviceError> {
         let lane = self.lane();
         let value = self.scoped(what, needed, call);
@@ -160,14 +160,14 @@ impl Context {
         value
     }
 
-    /// [`Self::guarded`] beside other threads' calls, for what neither submits nor waits.
+    /// [`Self::guarded`] without the lock, for calls that neither submit nor wait.
     pub(super) fn scoped<T>(&self, what: &str, needed: u64, call: impl FnOnce() -> T) -> Result<T, DeviceError> {
         self.check(what)?;
         let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
         let internal = self.device.push_error_scope(wgpu::ErrorFilter::Internal);
         let value = call();
-        // Innermost first; the futures are ready at once on native backends.
+        // Scopes are popped from the innermost outwards. The futures are ready at once on native backends.
         let errors = [internal.pop(), validation.pop(), memory.pop()].map(pollster::block_on);
         self.check(what)?;
         match errors.into_iter().flatten().next() {
@@ -179,7 +179,7 @@ impl Context {
         }
     }
 
-    /// The right to call into wgpu.
+    /// Locks the calls into wgpu.
     pub(super) fn lane(&self) -> MutexGuard<'_, ()> {
         self.lane.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -197,7 +197,7 @@ impl Trouble {
     }
 }
 
-/// Whether an adapter has what the kernels need; otherwise why not.
+/// Whether an adapter has the features and limits of the kernels; otherwise the reason.
 pub(super) fn check_adapter(can_compute: bool, limits: &wgpu::Limits) -> Result<(), String> {
     if !can_compute {
         return Err("it has no compute shaders".into());

@@ -1,11 +1,11 @@
-//! Which devices there are, and which one a call runs on.
+//! The available devices, and the choice of a device for a call.
 
 use super::context::{Context, context};
 use crate::error::DeviceError;
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// A device that can compute.
+/// A device that can run kernels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DeviceInfo {
     pub name: String,
@@ -13,19 +13,19 @@ pub struct DeviceInfo {
     pub backend: String,
     /// "cpu", "discrete", "integrated", "virtual", "software" or "other".
     pub kind: &'static str,
-    /// False for the CPU and for drivers that emulate a GPU on it.
+    /// False for the CPU and for drivers that emulate a GPU on the CPU.
     pub hardware: bool,
     pub limits: Vec<(&'static str, u64)>,
 }
 
 impl DeviceInfo {
-    /// Name and backend, as reports show it.
+    /// Name and backend, for reports.
     pub fn label(&self) -> String {
         format!("{} ({})", self.name, self.backend)
     }
 }
 
-/// Where a call runs.
+/// The device of a call.
 #[derive(Debug, Clone)]
 pub enum Place {
     Cpu,
@@ -33,7 +33,7 @@ pub enum Place {
 }
 
 impl Place {
-    /// As reports show it.
+    /// Label for reports.
     pub fn label(&self) -> String {
         match self {
             Self::Cpu => "cpu".into(),
@@ -41,7 +41,7 @@ impl Place {
         }
     }
 
-    /// The warning for a value of `device=`: "gpu" found a software adapter only. An adapter chosen by its name gives none.
+    /// Warning for `device="gpu"` if there is only a software adapter. An adapter chosen by its name gives none.
     pub fn warning(&self, device: &str) -> Option<String> {
         match self {
             Self::Gpu(context) if device == "gpu" && !context.info.hardware => Some(format!(
@@ -53,7 +53,7 @@ impl Place {
         }
     }
 
-    /// Times that a query looks at its points: on a device once more, for the search there.
+    /// Number of passes of a query over its points: a device needs one more, for the search.
     pub fn passes(&self) -> u64 {
         match self {
             Self::Cpu => 1,
@@ -62,18 +62,18 @@ impl Place {
     }
 }
 
-/// The environment variable that stands in for `device="auto"`.
+/// Environment variable that replaces `device="auto"`.
 pub const OVERRIDE: &str = "FIELDBAKE_DEVICE";
 
-/// The place that a user's `device=` names: "auto" (hardware, else the CPU), "cpu", "gpu" (hardware, else a software
-/// adapter) or an adapter by name.
+/// The device for a user's `device=`: "auto" (hardware, else the CPU), "cpu", "gpu" (hardware, else a software adapter)
+/// or an adapter by name.
 pub fn choose(device: &str) -> Result<Place, DeviceError> {
     let named = std::env::var(OVERRIDE).ok().filter(|name| device == "auto" && !name.is_empty());
     let device = named.as_deref().unwrap_or(device);
     match device {
         "cpu" => Ok(Place::Cpu),
         "auto" => match offered().iter().find(|info| info.hardware) {
-            // A forked child cannot use the parent's device; "auto" may take the CPU instead.
+            // A forked child cannot use the parent's device. "auto" uses the CPU instead.
             Some(_) if super::context::is_forked() => Ok(Place::Cpu),
             Some(info) => Ok(Place::Gpu(context(info)?)),
             None => Ok(Place::Cpu),
@@ -96,7 +96,7 @@ pub fn choose(device: &str) -> Result<Place, DeviceError> {
     }
 }
 
-/// Where a call runs that exists only on the CPU.
+/// Checks the device of a call that runs on the CPU only.
 pub fn choose_cpu(device: &str, job: &str) -> Result<(), DeviceError> {
     match device {
         "auto" | "cpu" => Ok(()),
@@ -115,7 +115,7 @@ fn no_adapter(requested: &str) -> DeviceError {
     }
 }
 
-/// The CPU, then every adapter that the drivers offer.
+/// The CPU, then every adapter of the drivers.
 pub fn devices() -> Vec<DeviceInfo> {
     let threads = rayon::current_num_threads() as u64;
     let cpu = DeviceInfo {
@@ -131,14 +131,15 @@ pub fn devices() -> Vec<DeviceInfo> {
     list
 }
 
-/// What the drivers offered when this process first asked: loading them costs 50 to 250 ms.
+/// The adapters at the first call in this process. Loading the drivers takes 50 to 250 ms.
 fn offered() -> Vec<DeviceInfo> {
     static OFFERED: Mutex<Option<Vec<DeviceInfo>>> = Mutex::new(None);
     let mut offered = OFFERED.lock().unwrap_or_else(PoisonError::into_inner);
     offered.get_or_insert_with(|| enumerate().1.iter().map(describe).collect()).clone()
 }
 
-/// A new instance and its adapters. An instance must outlive what comes from it, and a lost device needs a new one.
+/// A new instance and its adapters. An instance must outlive the objects made from it, and a lost device needs a new
+/// one.
 pub(super) fn enumerate() -> (wgpu::Instance, Vec<wgpu::Adapter>) {
     let backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
@@ -150,11 +151,11 @@ pub(super) fn enumerate() -> (wgpu::Instance, Vec<wgpu::Adapter>) {
     (instance, adapters)
 }
 
-/// Keeps Mesa's layer `VK_LAYER_MESA_device_select` out of an instance that is made while this exists.
+/// Disables Mesa's layer `VK_LAYER_MESA_device_select` for an instance that is made while this object exists.
 ///
-/// The layer orders adapters by the display server's. Where no server runs, the Wayland library
-/// writes "error: XDG_RUNTIME_DIR is invalid or not set in the environment." to stderr. So the layer is left out where
-/// no display server runs, unless the user has chosen an adapter through it.
+/// The layer sorts adapters by the display server's. Without a display server, the Wayland library writes "error:
+/// XDG_RUNTIME_DIR is invalid or not set in the environment." to stderr. The layer is therefore disabled where no
+/// display server runs, unless the user has chosen an adapter through it.
 struct Quiet<'a>(Option<MutexGuard<'a, ()>>);
 
 impl Quiet<'_> {

@@ -1,16 +1,16 @@
-//! Graphics devices through wgpu (Vulkan, Metal and DX12): services for the rooms that compute on them, no algorithm.
+//! Graphics devices through wgpu (Vulkan, Metal and DX12): services for the modules that compute on them, without
+//! algorithms.
 //!
-//! *Theory.* One [`Context`] a process and adapter holds the open device, its queue and its compiled kernels. It is made
-//! at the first use and kept; after a device loss the next use opens a new one. WGSL files in `shaders/` are joined by
-//! their `#import` lines ([`shader`]) and compiled once a context ([`pipeline`]). A struct that both sides read has its
-//! `#[repr(C)]` twin in [`layout`].
+//! *Theory.* One [`Context`] per process and adapter holds the open device, its queue and its compiled kernels. It is
+//! made at the first use and kept; after a device loss the next use opens a new one. WGSL files in `shaders/` are
+//! joined by their `#import` lines ([`shader`]) and compiled once per context ([`pipeline`]). A struct that both sides
+//! read has its `#[repr(C)]` twin in [`layout`].
 //!
-//! *Practice.* [`choose`] turns the user's `device=` into a place to run. Every call into wgpu stands between error
-//! scopes, so a refusal is a [`DeviceError`](crate::error::DeviceError) with its reason and never a panic. Waiting looks
-//! at the job's progress ten times a second, so that Ctrl-C works; a dispatch is kept short for the same reason
-//! ([`pace`]).
+//! *Practice.* [`choose`] maps the user's `device=` to a device. Every call into wgpu runs inside error scopes, so a
+//! failure is a [`DeviceError`](crate::error::DeviceError) with its reason and never a panic. Waiting checks the
+//! progress of the job ten times a second, so that Ctrl-C works; dispatches are short for the same reason ([`pace`]).
 //!
-//! OpenGL is left out: its backend loses storage texture writes without an error.
+//! OpenGL is not used: its backend loses storage texture writes without an error.
 
 pub mod buffer;
 pub mod context;

@@ -1,21 +1,23 @@
-//! How much work to put into one dispatch.
+//! The amount of work in one dispatch.
 //!
-//! A long dispatch trips the driver's watchdog (two seconds on some systems) and cannot be cancelled; a short one wastes
-//! the device. How long an invocation takes is unknown and differs by a factor of ten thousand between a software adapter
-//! and a large GPU, so the size is found as the job runs: doubled while dispatches are quick, halved when they are slow.
+//! A long dispatch triggers the driver's watchdog (two seconds on some systems) and cannot be cancelled; a short one
+//! wastes the device. The time of an invocation is unknown and differs by a factor of ten thousand between a software
+//! adapter and a large GPU. The size is therefore adapted while the job runs: doubled while dispatches are quick,
+//! halved when they are slow.
 
 use super::context::Context;
 use crate::error::Error;
 use crate::progress::Progress;
 use std::time::{Duration, Instant};
 
-/// Aim between these two.
+/// Range of the wanted duration of a dispatch.
 const QUICK: Duration = Duration::from_millis(40);
 const SLOW: Duration = Duration::from_millis(160);
 
-/// Split `total` units of work into dispatches. `dispatch(first, count)` submits one; results do not depend on the cut.
+/// Splits `total` units of work into dispatches. `dispatch(first, count)` submits one. Results do not depend on the
+/// split.
 ///
-/// Two dispatches are in flight, so that the device never waits for the CPU.
+/// Two dispatches are in flight, so that the device does not wait for the CPU.
 pub fn in_pieces(
     context: &Context,
     what: &str,

@@ -1,4 +1,4 @@
-//! Compiled kernels, one for each entry point and context, and their dispatch.
+//! Compiled kernels, one per entry point and context, and their dispatch.
 
 use super::context::Context;
 use super::shader::{Instead, source_instead};
@@ -6,28 +6,28 @@ use crate::error::DeviceError;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Kernels by name, entry point and the texts that stand in place of files.
+/// Kernels by name, entry point and overrides of imported files.
 #[derive(Debug, Default)]
 pub struct Pipelines(Mutex<HashMap<KernelKey, wgpu::ComputePipeline>>);
 
 type KernelKey = (&'static str, &'static str, Vec<Instead>);
 
-/// Kernels that were written at run time, by their text.
+/// Kernels generated at run time, by their text.
 #[derive(Debug, Default)]
 pub struct WrittenKernels(Mutex<HashMap<String, Written>>);
 
 #[derive(Debug)]
 enum Written {
-    /// What is used once is not worth compiling.
+    /// Requested once. A kernel that is used only once is not worth compiling.
     AskedFor,
-    /// By a thread of its own.
+    /// A thread compiles it.
     BeingCompiled,
     Ready(wgpu::ComputePipeline),
-    /// The driver did not take it; it is not asked again.
+    /// The driver refused it; it is not compiled again.
     Refused,
 }
 
-/// Kernels that are kept at most; then all that were written are forgotten.
+/// Largest number of generated kernels that are kept. Beyond it all of them are dropped.
 const MAX_WRITTEN: usize = 256;
 
 impl WrittenKernels {
@@ -37,8 +37,8 @@ impl WrittenKernels {
 }
 
 impl Context {
-    /// A kernel that was written at run time, if it is there. If it is asked for a second time and is not, a thread begins to
-    /// compile it.
+    /// A kernel generated at run time, if it is compiled. The second request for a missing kernel starts a thread that
+    /// compiles it.
     pub fn written_kernel(
         self: &Arc<Self>,
         name: &'static str,
@@ -61,7 +61,7 @@ impl Context {
         let context = self.clone();
         let source = text.clone();
         let work = move || {
-            // Not in the lane: drawing goes on meanwhile.
+            // Outside of the lock, so that drawing continues meanwhile.
             let compiled = context.scoped(name, 0, || context.create(name, entry, &source));
             let kernel = compiled.map_or(Written::Refused, Written::Ready);
             context.written.lock().insert(source, kernel);
@@ -72,7 +72,7 @@ impl Context {
         None
     }
 
-    /// Kernels that were written at run time and are compiled.
+    /// Number of compiled kernels that were generated at run time.
     pub fn written_kernel_count(&self) -> usize {
         self.written.lock().values().filter(|kernel| matches!(kernel, Written::Ready(_))).count()
     }
@@ -82,7 +82,7 @@ impl Context {
         self.kernel_with(name, entry, &[])
     }
 
-    /// The same with other texts in place of some files that it imports.
+    /// [`Self::kernel`] with overrides of some files that it imports.
     pub fn kernel_with(
         &self,
         name: &'static str,
@@ -103,7 +103,7 @@ impl Context {
         Ok(pipeline)
     }
 
-    /// Compile one entry point of a WGSL text. The bind group layout follows from the text.
+    /// Compiles one entry point of a WGSL text. The bind group layout is derived from the text.
     pub fn compile(&self, name: &str, entry: &str, text: &str) -> Result<wgpu::ComputePipeline, DeviceError> {
         let compiled = self.guarded(name, 0, || self.create(name, entry, text));
         compiled.map_err(|error| match error {
@@ -131,7 +131,7 @@ impl Context {
         DeviceError::Shader { device: self.label(), kernel: kernel.into(), reason }
     }
 
-    /// Bind whole buffers to group 0 in order of binding.
+    /// Binds whole buffers to group 0 in order of binding.
     pub fn bind(
         &self,
         label: &str,
@@ -141,7 +141,7 @@ impl Context {
         self.bind_resources(label, pipeline, buffers.iter().map(|(at, buffer)| (*at, buffer.as_entire_binding())))
     }
 
-    /// Bind buffers, textures and samplers to group 0 in order of binding.
+    /// Binds buffers, textures and samplers to group 0 in order of binding.
     pub fn bind_resources<'a>(
         &self,
         label: &str,
@@ -159,7 +159,7 @@ impl Context {
         })
     }
 
-    /// Put one dispatch into the queue.
+    /// Queues one dispatch.
     pub fn dispatch(
         &self,
         label: &str,

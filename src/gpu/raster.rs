@@ -1,7 +1,7 @@
-//! Render passes into one target of four words a pixel, with a depth buffer.
+//! Render passes into one target of four words per pixel, with a depth buffer.
 //!
-//! Depth is 1 near and falls to 0 far away, in 32-bit floats: their precision near 0 makes up for the hyperbola, so it is
-//! the same share of the depth everywhere. The larger value wins.
+//! Depth is 1 near the eye and falls to 0 far away, in 32-bit floats. Their precision near 0 compensates for the
+//! hyperbola, so the relative precision of depth is the same everywhere. The larger value wins the depth test.
 
 use super::context::Context;
 use super::shader::{Instead, source_instead};
@@ -13,25 +13,25 @@ use std::sync::{Mutex, PoisonError};
 
 const SEEN: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Uint;
 const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
-/// Bytes of a pixel of [`SEEN`].
+/// Size of a pixel of [`SEEN`], bytes.
 const PIXEL_BYTES: u32 = 16;
 
-/// Pipelines by kernel and the texts that stand in place of files.
+/// Pipelines by kernel and overrides of imported files.
 #[derive(Debug, Default)]
 pub struct RasterPipelines(Mutex<HashMap<(&'static str, Vec<Instead>), wgpu::RenderPipeline>>);
 
-/// What a pass draws into.
+/// The target of a pass.
 #[derive(Debug)]
 pub struct RasterTarget {
     seen: wgpu::Texture,
     depth: wgpu::Texture,
-    /// Pixels in use, and those of a row in memory.
+    /// Size in pixels, and number of pixels of a row in memory.
     size: [u32; 2],
     stride: u32,
     rows: wgpu::Buffer,
 }
 
-/// One call of a pass.
+/// One draw call of a pass.
 #[derive(Debug)]
 pub struct Draw<'a> {
     pub pipeline: &'a wgpu::RenderPipeline,
@@ -41,8 +41,8 @@ pub struct Draw<'a> {
 }
 
 impl Context {
-    /// The pipeline of a kernel's vertex and fragment entry points, compiled at the first use. Faces are drawn from both
-    /// sides; the bind group layout follows from the text.
+    /// The pipeline of a kernel's vertex and fragment entry points, compiled at the first use. Both sides of faces are
+    /// drawn. The bind group layout is derived from the text.
     pub fn raster_pipeline(
         &self,
         name: &'static str,
@@ -96,7 +96,7 @@ impl Context {
         Ok(pipeline)
     }
 
-    /// Bind whole buffers to group 0 of a raster pipeline.
+    /// Binds whole buffers to group 0 of a raster pipeline.
     pub fn bind_raster(
         &self,
         label: &str,
@@ -116,9 +116,9 @@ impl Context {
         })
     }
 
-    /// A target of so many pixels.
+    /// A target of the given size in pixels.
     pub fn raster_target(&self, label: &str, [width, height]: [u32; 2]) -> Result<RasterTarget, DeviceError> {
-        // Rows of a copy begin at multiples of 256 bytes.
+        // Rows of a copy are aligned to 256 bytes.
         let stride = width.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT / PIXEL_BYTES);
         let limit = self.limits.max_texture_dimension_2d;
         if stride.max(height) > limit {
@@ -145,7 +145,7 @@ impl Context {
         Ok(RasterTarget { seen, depth, size: [width, height], stride, rows })
     }
 
-    /// Clear the target, draw, and read what each pixel saw: four words, zero where nothing was.
+    /// Clears the target, draws, and reads back four words per pixel, zero where no fragment was drawn.
     pub fn raster(
         &self,
         label: &str,

@@ -1,8 +1,8 @@
-//! WGSL sources and the rule that joins them.
+//! WGSL sources and the rule for joining them.
 //!
-//! A file in `shaders/` is plain WGSL, except that a line `#import name` stands for the text of `shaders/shared/NAME.wgsl`
-//! and of what that imports, each once, before the file that needs it. No names are mangled: the joined text is what a
-//! person reads, what the driver compiles, and what another WebGPU program can paste.
+//! A file in `shaders/` is plain WGSL, except that a line `#import name` is replaced by the text of
+//! `shaders/shared/NAME.wgsl` and of its own imports, each once, before the file that needs it. Names are not mangled:
+//! the joined text is readable, is the text that the driver compiles, and can be pasted into another WebGPU program.
 
 use std::borrow::Cow;
 use std::fmt::Write;
@@ -70,7 +70,7 @@ const SHARED: &[(&str, &str)] = &[
     ("triangle", include_str!("../../shaders/shared/triangle.wgsl")),
 ];
 
-/// The text of a shared file, for programs that are written at run time.
+/// The text of a shared file, for kernels generated at run time.
 pub fn shared(name: &str) -> Option<&'static str> {
     find(SHARED, name)
 }
@@ -80,7 +80,7 @@ pub fn source(kernel: &str) -> Result<String, String> {
     source_with(kernel, &[])
 }
 
-/// The whole text of a kernel, with other texts, by name, in place of files that it imports.
+/// The whole text of a kernel, with overrides of imported files by name.
 pub fn source_with(kernel: &str, instead: &[(&str, &str)]) -> Result<String, String> {
     let text = find(KERNELS, kernel).ok_or_else(|| format!("there is no kernel '{kernel}'"))?;
     let mut joined = String::new();
@@ -89,10 +89,10 @@ pub fn source_with(kernel: &str, instead: &[(&str, &str)]) -> Result<String, Str
     Ok(joined)
 }
 
-/// The name of an import, and the text that stands in its place.
+/// The name of an import, and the text that replaces it.
 pub type Instead = (&'static str, Cow<'static, str>);
 
-/// The whole text of a kernel, with other texts in place of some files that it imports.
+/// The whole text of a kernel, with overrides of some files that it imports.
 pub fn source_instead(kernel: &str, instead: &[Instead]) -> Result<String, String> {
     source_with(kernel, &instead.iter().map(|(name, text)| (*name, text.as_ref())).collect::<Vec<_>>())
 }
@@ -101,7 +101,7 @@ fn find<'a>(files: &[(&str, &'a str)], name: &str) -> Option<&'a str> {
     files.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
 }
 
-/// Append `text`, what it imports first.
+/// Appends `text` after its imports.
 fn join<'a>(
     name: &str,
     text: &'a str,

@@ -1,4 +1,4 @@
-//! Services that need no adapter are tested always; the others say why they are skipped.
+//! Services that need no adapter are always tested. The other tests print the reason when they are skipped.
 
 use super::context::{Context, check_adapter};
 use super::device::{Place, choose};
@@ -8,8 +8,8 @@ use crate::progress::Progress;
 use std::sync::Arc;
 use wgpu::naga;
 
-/// The adapter that tests run on, or none with the reason printed; a failure where `FIELDBAKE_REQUIRE_GPU=1` asks for
-/// one.
+/// The adapter for tests, or None with the reason printed. With `FIELDBAKE_REQUIRE_GPU=1` a missing adapter is a
+/// failure.
 pub(crate) fn test_context() -> Option<Arc<Context>> {
     match choose("gpu") {
         Ok(Place::Gpu(context)) => Some(context),
@@ -34,7 +34,7 @@ fn every_kernel_parses_and_validates() {
 /// Fails unless a text is a valid shader.
 pub(crate) fn validate(name: &str, text: &str) {
     let module = naga::front::wgsl::parse_str(text).unwrap_or_else(|e| panic!("{}", e.emit_to_string(text)));
-    // `pack2x16float` is part of WebGPU; naga counts it apart because of old OpenGL.
+    // `pack2x16float` is part of WebGPU; naga lists it as a capability because of old OpenGL.
     let core = naga::valid::Capabilities::SHADER_FLOAT16_IN_FLOAT32;
     let mut validator = naga::valid::Validator::new(naga::valid::ValidationFlags::all(), core);
     validator.validate(&module).unwrap_or_else(|e| panic!("{name}: {}", e.emit_to_string(text)));
@@ -107,14 +107,14 @@ fn a_cancelled_job_stops_waiting() {
     progress.cancel();
     let outcome = context.read("items", &buffer, &mut [0u32; 16], &progress);
     assert_eq!(outcome, Err(Error::Cancelled));
-    // The context is none the worse for it.
+    // The context still works.
     context.read("items", &buffer, &mut [0u32; 16], &Progress::new()).unwrap();
 }
 
 #[test]
 fn a_lost_device_is_an_error_and_the_next_one_works() {
     let Some(context) = test_context() else { return };
-    // Devices of its own: the shared one serves other tests at the same time.
+    // Separate devices, because the shared one serves other tests at the same time.
     let first = Context::open(&context.info).unwrap();
     let buffer = first.upload("items", &[7u32; 16]).unwrap();
     first.destroy();

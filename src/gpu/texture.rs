@@ -1,17 +1,17 @@
-//! 3D textures that the hardware filters.
+//! 3D textures with hardware filtering.
 
 use super::context::Context;
 use crate::error::DeviceError;
 
-/// Half floats: every adapter filters them, which is not so for 32 bits.
+/// Half floats. Every adapter filters them, but not every adapter filters 32-bit floats.
 const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R16Float;
-/// Bytes of a texel.
+/// Size of a texel, bytes.
 const TEXEL: u32 = 2;
 
-/// Rows of a buffer that is copied to a texture begin at multiples of this.
+/// Alignment of the rows of a buffer that is copied to a texture, bytes.
 pub const ROW_ALIGNMENT: u32 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT;
 
-/// A 3D texture of half floats and the sampler that reads between its texels, clamped at the edge.
+/// A 3D texture of half floats and a linear sampler, clamped at the edge.
 #[derive(Debug)]
 pub struct FilteredTexture {
     texture: wgpu::Texture,
@@ -19,7 +19,7 @@ pub struct FilteredTexture {
     pub sampler: wgpu::Sampler,
 }
 
-/// Bytes from one row of half floats to the next in a buffer that is copied to a texture.
+/// Distance between the rows of half floats in a buffer that is copied to a texture, bytes.
 pub fn row_bytes(width: u32) -> u32 {
     (width * TEXEL).next_multiple_of(ROW_ALIGNMENT)
 }
@@ -58,7 +58,7 @@ impl Context {
         })
     }
 
-    /// Copy planes of half floats, with rows of [`row_bytes`], to the texture from plane `first_plane` on.
+    /// Copies planes of half floats, with rows of [`row_bytes`], to the texture from plane `first_plane` on.
     pub fn copy_planes(
         &self,
         label: &str,

@@ -1,13 +1,13 @@
-//! Triangles, checked once when they enter and trusted afterwards.
+//! Triangles, checked once when the mesh is made.
 //!
-//! Positions are kept twice: the float64 *world* positions as they came, and float32 *local* coordinates, in which
-//! searches and bakes work. Local coordinates are offsets from the centre of the mesh's box, divided by a power of two that
-//! brings the longest side to between 1/2 and 1. So a mesh of size 1e-6, or one a million units from the origin, keeps its
-//! relative accuracy (half an ulp of the half extent, 3e-8), squares neither overflow nor vanish, and the division is
-//! exact: `world = center + scale * local`, but for the rounding of `local` to float32.
+//! Positions are stored twice: the float64 *world* positions of the input, and float32 *local* coordinates for searches
+//! and bakes. Local coordinates are offsets from the centre of the mesh's box, divided by a power of two that brings
+//! the longest side to between 1/2 and 1. A mesh of size 1e-6, or one a million units from the origin, therefore keeps
+//! its relative accuracy (half an ulp of the half extent, 3e-8), squares neither overflow nor vanish, and the division
+//! is exact: `world = center + scale * local`, except for the rounding of `local` to float32.
 //!
-//! Dropped on entry, and counted: vertices that are not finite and unused, and faces that are degenerate (a repeated
-//! corner, or zero area). A degenerate face still takes part in [`topology`], where it closes the surface around it.
+//! Unused vertices that are not finite, and degenerate faces (a repeated corner, or zero area), are dropped and
+//! counted. A degenerate face still belongs to [`topology`], where it closes the surface around it.
 
 #[cfg(test)]
 pub(crate) mod random;
@@ -50,15 +50,16 @@ pub struct Mesh {
     winding_choice: OnceLock<SignChoice>,
 }
 
-/// The tree's child index is 31 bits wide, and faces times three must fit in u32.
+/// The child index of the tree has 31 bits, and faces times three must fit in u32.
 const MAX_FACES: usize = 1 << 30;
-/// Largest local coordinate of a query: the sum of three squared differences stays below 3e38.
+/// Largest local coordinate of a query. The sum of three squared differences stays below 3e38.
 const MAX_REACH: f64 = 1e18;
-/// World distances are float32: a grid a thousand times the mesh, and a distance a millionth of it, must be normal numbers.
+/// World distances are float32. Distances in a grid a thousand times as large as the mesh, and a millionth of its size,
+/// must be normal numbers.
 const EXTENT_RANGE: (f64, f64) = (1e-30, 1e34);
 
 impl Mesh {
-    /// Check and recentre a mesh. Indices are signed so that a negative one can be reported as such.
+    /// Checks and recentres a mesh. Indices are signed, so that a negative one can be reported.
     pub fn new(vertices: &[[f64; 3]], faces: &[[i64; 3]]) -> Result<Self, MeshError> {
         for (what, count, limit) in [("vertices", vertices.len(), u32::MAX as usize), ("faces", faces.len(), MAX_FACES)]
         {
@@ -71,7 +72,7 @@ impl Mesh {
         }
         check_faces(vertices, faces)?;
 
-        // Keep every finite vertex, in order.
+        // Keeps every finite vertex, in order.
         let mut kept_row = vec![u32::MAX; vertices.len()];
         let mut source_vertices = Vec::with_capacity(vertices.len());
         for (row, vertex) in vertices.iter().enumerate() {
@@ -81,7 +82,7 @@ impl Mesh {
             }
         }
 
-        // The box of what the faces use: stray vertices must not cost precision.
+        // The box of the vertices that faces use. Stray vertices must not reduce precision.
         let position = |row: i64| DVec3::from_array(vertices[row as usize]);
         let (mut lower, mut upper) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         for row in faces.iter().flatten() {
@@ -92,7 +93,7 @@ impl Mesh {
         if extent > EXTENT_RANGE.1 || (extent > 0.0 && extent < EXTENT_RANGE.0) {
             return Err(MeshError::Extent { extent, min: EXTENT_RANGE.0, max: EXTENT_RANGE.1 });
         }
-        // Halves first: the corners of a finite box may be too far apart for their sum.
+        // Halves are added, because the sum of the corners of a finite box may overflow.
         let center = lower * 0.5 + upper * 0.5;
         let scale = power_of_two_above(extent);
         let world: Vec<[f64; 3]> = source_vertices.iter().map(|&row| vertices[row as usize]).collect();
@@ -150,7 +151,7 @@ impl Mesh {
         (p_world - self.center) * self.inverse_scale
     }
 
-    /// Whether float32 can square the distance from a world position to the mesh; 1e18 mesh sizes is its limit.
+    /// Whether float32 can square the distance from a world position to the mesh. The limit is 1e18 mesh sizes.
     pub fn can_reach(&self, p_world: DVec3) -> bool {
         self.local_from_world(p_world).abs().cmplt(DVec3::splat(MAX_REACH)).all()
     }
@@ -159,7 +160,7 @@ impl Mesh {
         self.center + p * self.scale
     }
 
-    /// World positions of the vertices, as they came.
+    /// World positions of the vertices, equal to the input.
     pub fn world_positions(&self) -> &[[f64; 3]] {
         &self.world
     }
@@ -173,7 +174,7 @@ impl Mesh {
         &self.faces
     }
 
-    /// Faces without area: no part of the surface, but of its connectivity.
+    /// Faces without area. They belong to the connectivity of the surface, but not to the surface.
     pub fn degenerate_faces(&self) -> &[[u32; 3]] {
         &self.degenerate
     }
@@ -188,22 +189,22 @@ impl Mesh {
         &self.source_faces
     }
 
-    /// Vertices dropped because they were not finite (and unused).
+    /// Number of vertices dropped because they were unused and not finite.
     pub fn dropped_vertices(&self) -> usize {
         self.dropped_vertices
     }
 
-    /// Local corners of a face: the float32 positions, which searches compare.
+    /// Local corners of a face in float32 precision, as searches compare them.
     pub fn triangle(&self, face: u32) -> [DVec3; 3] {
         self.faces[face as usize].map(|v| self.positions[v as usize].as_dvec3())
     }
 
-    /// Local position of a vertex in the accuracy of the mesh's own float64 positions.
+    /// Local position of a vertex in the precision of the float64 input.
     pub fn exact_position(&self, vertex: u32) -> DVec3 {
         self.local_from_world(DVec3::from_array(self.world[vertex as usize]))
     }
 
-    /// Local corners of a face in the accuracy of the mesh's own float64 positions.
+    /// Local corners of a face in the precision of the float64 input.
     pub fn exact_triangle(&self, face: u32) -> [DVec3; 3] {
         self.faces[face as usize].map(|v| self.exact_position(v))
     }
@@ -223,27 +224,27 @@ impl Mesh {
         self.bvh.get().is_some() && self.topology.get().is_some()
     }
 
-    /// Whether rays start at once too.
+    /// Whether the packs for rays have been built as well.
     pub fn is_prepared_for_rays(&self) -> bool {
         self.is_prepared() && self.ray_packs.get().is_some()
     }
 
-    /// Connectivity, found at the first call.
+    /// Connectivity, computed at the first call.
     pub fn topology(&self) -> &Topology {
         self.topology.get_or_init(|| Topology::of(self))
     }
 
-    /// Multipole moments for the fast winding number, found at the first call.
+    /// Multipole moments for the fast winding number, computed at the first call.
     pub fn moments(&self) -> &Moments {
         self.moments.get_or_init(|| Moments::of(self))
     }
 
-    /// Angle-weighted normals of vertices and edges, found at the first call.
+    /// Angle-weighted normals of vertices and edges, computed at the first call.
     pub fn pseudonormals(&self) -> &Pseudonormals {
         self.pseudonormals.get_or_init(|| Pseudonormals::of(self))
     }
 
-    /// Triangles as rays test them, made at the first call.
+    /// Triangles packed for ray tests, built at the first call.
     pub fn ray_packs(&self) -> &RayPacks {
         self.ray_packs.get_or_init(|| RayPacks::of(self))
     }
@@ -253,12 +254,12 @@ impl Mesh {
         self.winding_choice.get_or_init(|| SignChoice::new(self, SignMethod::Auto))
     }
 
-    /// What closes the faces as they are wound, made at the first call.
+    /// The triangles that close the faces as they are wound, built at the first call.
     pub fn raw_closure(&self) -> &RawClosure {
         self.raw_closure.get_or_init(|| RawClosure::of(self))
     }
 
-    /// Bytes held: positions, faces, and what has been built from them so far.
+    /// Memory in use, bytes: positions, faces, and the structures built from them so far.
     pub fn bytes(&self) -> usize {
         size_of_val(&self.world[..])
             + size_of_val(&self.positions[..])
@@ -286,7 +287,7 @@ fn power_of_two_above(extent: f64) -> f64 {
     if extent > 0.0 { extent.log2().ceil().exp2() } else { 1.0 }
 }
 
-/// Every index must name a vertex, and that vertex must be finite.
+/// Every index must refer to a vertex, and that vertex must be finite.
 fn check_faces(vertices: &[[f64; 3]], faces: &[[i64; 3]]) -> Result<(), MeshError> {
     for (face, corners) in faces.iter().enumerate() {
         for &index in corners {
@@ -301,8 +302,8 @@ fn check_faces(vertices: &[[f64; 3]], faces: &[[i64; 3]]) -> Result<(), MeshErro
     Ok(())
 }
 
-/// Three different corners, not on one line. Differences of float32 numbers and their products are exact in float64
-/// unless magnitudes differ by 2^29, so a face that is degenerate as stored is recognised as such.
+/// Three different corners that are not collinear. Differences of float32 numbers and their products are exact in
+/// float64 unless magnitudes differ by 2^29, so a degenerate face is recognised in its stored form.
 fn has_area(positions: &[Vec3], face: [u32; 3]) -> bool {
     let [a, b, c] = face;
     a != b && b != c && c != a && triangle_cross(face.map(|v| positions[v as usize].as_dvec3())) != DVec3::ZERO
@@ -344,7 +345,7 @@ mod tests {
     fn a_far_mesh_keeps_its_shape() {
         let far: Vec<_> = SQUARE.iter().map(|v| v.map(|x| x * 1e-3 + 1e6)).collect();
         let mesh = Mesh::new(&far, &[[0, 1, 2]]).unwrap();
-        // float64 itself rounds 1e6 + 1e-3 by up to 6e-11, 1.2e-7 of the square's size.
+        // float64 rounds 1e6 + 1e-3 by up to 6e-11, which is 1.2e-7 of the side of the square.
         let side = f64::from(mesh.positions()[1].distance(mesh.positions()[0])) * mesh.scale();
         assert!((side - 1e-3).abs() < 3e-7 * 1e-3, "{side}");
         assert_eq!(mesh.world_positions(), far);

@@ -1,8 +1,8 @@
-//! Random numbers and meshes for tests, the same at every run.
+//! Random numbers and meshes for tests, the same in every run.
 
 use super::Mesh;
 
-/// Numbers from 0 to 1 of a small linear congruential generator: tests need variety, not statistics.
+/// Numbers from 0 to 1 of a small linear congruential generator, whose quality is sufficient for tests.
 pub fn uniform(seed: u64) -> impl FnMut() -> f64 {
     let mut state = seed | 1;
     move || {

@@ -1,56 +1,59 @@
-//! How a mesh's faces hang together: openings, flipped and doubled faces, and the surface that decides the sign.
+//! Connectivity of the faces of a mesh: openings, flipped and duplicate faces, and the oriented surface that determines
+//! the sign.
 //!
 //! Corners with equal positions count as one vertex (texture seams split them). Three repairs are made for the sign
 //! only, never for the distance, and each is counted:
-//! - a face that repeats another one, in either direction, is left out;
-//! - faces joined by a manifold edge (two faces) are turned to agree; the side that covers the larger area keeps its
-//!   direction, unless the two are close (40 %) and the patch is closed: then the direction of positive volume wins;
-//! - a patch that cannot be made to agree (a Moebius strip) keeps the directions it came with.
+//! - a face that repeats another one, in either direction, is ignored;
+//! - faces joined by a manifold edge (two faces) are flipped to agree; the side that covers the larger area keeps its
+//!   direction, unless the two areas are close (40 %) and the patch is closed: then the direction of positive volume is
+//!   used;
+//! - a patch that cannot be oriented consistently (a Moebius strip) keeps the directions of the input.
 //!
-//! The mesh is *closed* when every edge is then walked equally often in both directions. That is the exact condition for
-//! an integer winding number everywhere, and allows nested, hollow, touching and self-intersecting surfaces.
+//! The mesh is *closed* if every edge is then traversed equally often in both directions. This is the exact condition
+//! for an integer winding number everywhere. It allows nested, hollow, touching and self-intersecting surfaces.
 
 use super::Mesh;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-/// What a face counts for in the winding number.
+/// Contribution of a face to the winding number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Orientation {
     Kept,
     Flipped,
-    /// A repetition of another face.
+    /// Ignored: a repetition of another face.
     Skipped,
 }
 
-/// Facts of a surface; see the module documentation.
+/// Properties of a surface; see the module documentation.
 #[derive(Debug)]
 pub struct Topology {
-    /// Edges of one face.
+    /// Number of edges of a single face.
     pub boundary_edges: usize,
-    /// Edges of more than two faces.
+    /// Number of edges of more than two faces.
     pub nonmanifold_edges: usize,
-    /// Faces turned to agree with their neighbours.
+    /// Number of faces flipped to agree with their neighbours.
     pub flipped_faces: usize,
-    /// Faces that repeat another one.
+    /// Number of faces that repeat another one.
     pub duplicate_faces: usize,
-    /// Patches that cannot be oriented.
+    /// Number of patches that cannot be oriented.
     pub unorientable_patches: usize,
-    /// Bodies: sets of faces connected through edges.
+    /// Number of components: sets of faces connected through edges.
     pub components: usize,
-    /// No opening: an integer winding number everywhere.
+    /// Whether there is no opening: the winding number is an integer everywhere.
     pub closed: bool,
-    /// Enclosed volume in local units, negative when the mesh is inside out; meaningful for a closed mesh.
+    /// Enclosed volume in local units, negative if the mesh is inside out. Defined for a closed mesh.
     pub signed_volume: f64,
-    /// Net directed edges of the opening, as vertex pairs in the direction the faces walk them, with repetition.
+    /// Net directed edges of the openings, as vertex pairs in the direction in which the faces traverse them, with
+    /// repetition.
     pub rim: Vec<[u32; 2]>,
     /// Welded vertex of each vertex: the lowest index with the same position.
     pub welded: Vec<u32>,
-    /// By face.
+    /// Orientation of each face.
     pub orientation: Vec<Orientation>,
 }
 
-/// A patch whose two directions differ in area by less than this share is turned to positive volume.
+/// A patch whose two directions differ in area by less than this fraction is oriented to positive volume.
 const MAJORITY: f64 = 0.6;
 
 /// A directed edge of a face, its vertices sorted.
@@ -59,14 +62,14 @@ struct HalfEdge {
     low: u32,
     high: u32,
     face: u32,
-    /// Walked from high to low.
+    /// Whether the face traverses the edge from the higher to the lower vertex.
     reversed: bool,
 }
 
 impl Topology {
     pub fn of(mesh: &Mesh) -> Self {
         let welded = weld(mesh);
-        // Degenerate faces close the surface around them; after welding they must still have three corners.
+        // Degenerate faces close the surface around them. After welding they must still have three corners.
         let faces: Vec<[u32; 3]> =
             mesh.faces().iter().chain(mesh.degenerate_faces()).map(|face| face.map(|v| welded[v as usize])).collect();
         let mut orientation = vec![Orientation::Kept; faces.len()];
@@ -84,7 +87,7 @@ impl Topology {
                 bodies.join(pair[0].face, pair[1].face, false);
             }
             if let [a, b] = edge {
-                // Two faces agree when they walk their common edge in opposite directions.
+                // Two faces agree if they traverse their common edge in opposite directions.
                 patches.join(a.face, b.face, a.reversed == b.reversed);
             }
         }
@@ -94,7 +97,7 @@ impl Topology {
         let unorientable_patches = patches.conflicts.len();
         let flipped_faces = orient(mesh, &faces, &edges, &mut patches, &mut orientation);
 
-        // What remains unbalanced is the rim of the openings.
+        // The unbalanced edges are the rim of the openings.
         let mut rim = Vec::new();
         for edge in &edges {
             let net: i32 = edge
@@ -124,7 +127,7 @@ impl Topology {
         }
     }
 
-    /// The faces that decide the sign, turned to agree: corner indices into the mesh's positions.
+    /// Corners of a face that determines the sign, in its final orientation: indices into the positions of the mesh.
     pub fn oriented_face(&self, mesh: &Mesh, face: u32) -> Option<[u32; 3]> {
         let [a, b, c] = mesh.faces()[face as usize];
         match self.orientation[face as usize] {
@@ -139,7 +142,7 @@ impl Topology {
     }
 }
 
-/// The factor a face's area vector takes part with.
+/// Factor of a face's area vector.
 pub fn direction(orientation: Orientation) -> f64 {
     match orientation {
         Orientation::Kept => 1.0,
@@ -148,9 +151,9 @@ pub fn direction(orientation: Orientation) -> f64 {
     }
 }
 
-/// For each vertex the lowest index with the same position, -0 and 0 being equal.
+/// For each vertex the lowest index with the same position, where -0 equals 0.
 fn weld(mesh: &Mesh) -> Vec<u32> {
-    // Keys beside their rows sort several times faster than keys looked up.
+    // Keys stored beside their rows sort several times faster than keys that are looked up.
     let key = |p: &Vec3| p.to_array().map(|x| (x + 0.0).to_bits());
     let mut order: Vec<([u32; 3], u32)> = mesh.positions().iter().map(key).zip(0..).collect();
     order.par_sort_unstable();
@@ -163,7 +166,7 @@ fn weld(mesh: &Mesh) -> Vec<u32> {
     welded
 }
 
-/// Mark every face with the same three corners as an earlier one.
+/// Marks every face with the same three corners as an earlier one.
 fn skip_duplicates(vertices: usize, faces: &[[u32; 3]], orientation: &mut [Orientation]) -> usize {
     let corners = |face: &[u32; 3]| {
         let mut corners = *face;
@@ -178,7 +181,7 @@ fn skip_duplicates(vertices: usize, faces: &[[u32; 3]], orientation: &mut [Orien
             duplicates += 1;
         }
     }
-    // Faces that lost a corner to welding have no direction and no two sides.
+    // Faces that lost a corner to welding have no orientation.
     for (f, &[a, b, c]) in faces.iter().enumerate() {
         if a == b || b == c || c == a {
             orientation[f] = Orientation::Skipped;
@@ -200,13 +203,13 @@ fn half_edges(vertices: usize, faces: &[[u32; 3]], orientation: &[Orientation]) 
     sort_by_vertex(vertices, taking_part.flat_map(of_face), |half_edge| half_edge.low)
 }
 
-/// Items in their order, of which `vertex` comes first: dealt out to the vertices, then sorted at each.
+/// Sorts items by the vertex that comes first in them: distributes them to the vertices, then sorts the items of each.
 fn sort_by_vertex<T: Copy + Ord>(
     vertices: usize,
     items: impl Iterator<Item = T> + Clone,
     vertex: impl Fn(&T) -> u32,
 ) -> Vec<T> {
-    // Where the items of each vertex begin; filling moves a start to where the next vertex begins.
+    // Start of the items of each vertex. Filling advances each start to that of the next vertex.
     let mut starts = vec![0u32; vertices + 1];
     items.clone().for_each(|item| starts[vertex(&item) as usize + 1] += 1);
     for v in 0..vertices {
@@ -223,7 +226,7 @@ fn sort_by_vertex<T: Copy + Ord>(
     sorted
 }
 
-/// Turn the faces of each patch to agree; returns how many were turned.
+/// Flips the faces of each patch to agree. Returns the number of flipped faces.
 fn orient(
     mesh: &Mesh,
     faces: &[[u32; 3]],
@@ -285,12 +288,12 @@ fn volume_under(mesh: &Mesh, face: usize) -> f64 {
     a.dot(b.cross(c)) / 6.0
 }
 
-/// Union-find that also keeps, for each element, whether it is turned against its root.
+/// Union-find that also stores, for each element, whether it is flipped relative to its root.
 struct DisjointSets {
     parent: Vec<u32>,
     turned: Vec<bool>,
     size: Vec<u32>,
-    /// Roots of sets that were asked to join themselves the wrong way round.
+    /// Roots of sets that were joined to themselves with opposite orientation.
     conflicts: std::collections::HashSet<u32>,
 }
 
@@ -304,7 +307,7 @@ impl DisjointSets {
         }
     }
 
-    /// The root of `x`, and whether `x` is turned against it. Halves the path on the way.
+    /// The root of `x`, and whether `x` is flipped relative to it. Halves the path.
     fn root(&mut self, mut x: u32) -> (u32, bool) {
         let mut turned = false;
         while self.parent[x as usize] != x {
@@ -320,7 +323,7 @@ impl DisjointSets {
         (x, turned)
     }
 
-    /// Join two sets, `b` being turned against `a` or not.
+    /// Joins two sets; `turned` tells whether `b` is flipped relative to `a`.
     fn join(&mut self, a: u32, b: u32, turned: bool) {
         let ((root_a, turned_a), (root_b, turned_b)) = (self.root(a), self.root(b));
         let relative = turned_a ^ turned_b ^ turned;
@@ -380,7 +383,7 @@ mod tests {
         let found = topology(&vertices, &faces[2..]);
         assert!(!found.closed);
         assert_eq!((found.boundary_edges, found.rim.len()), (4, 4));
-        // The removed faces walked 0-2-3-1, their neighbours walk it backwards.
+        // The removed faces traversed 0-2-3-1, their neighbours traverse it backwards.
         assert!(found.rim.contains(&[2, 0]));
     }
 

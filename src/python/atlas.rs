@@ -1,6 +1,7 @@
 //! `fieldbake._core.atlas_*`: planning, packing and reading atlases.
 //!
-//! Blocks cross as rows of ten numbers, the fields of `atlas::Block` in order; pages as bytes, (pages, size, size * bytes).
+//! A block crosses as a row of ten u32, the fields of `atlas::Block` in order. Pages cross as bytes, (pages, size, size
+//! * bytes).
 
 use super::convert::{points, volume_array};
 use super::device::{DeviceField, choose};
@@ -28,12 +29,12 @@ use std::sync::Arc;
 
 type Blocks<'py> = PyReadonlyArray2<'py, u32>;
 
-/// Numbers in a row of blocks.
+/// Number of values in a row of blocks.
 const BLOCK_NUMBERS: usize = size_of::<Block>() / size_of::<u32>();
-/// In place of the page in a row without a field.
+/// Page of a row without a field.
 const VACANT: u32 = u32::MAX;
 
-/// Blocks (n, 10) for fields of these shapes (n, 3), beside those that are taken.
+/// Plans blocks (n, 10) for fields of the shapes (n, 3), beside the occupied blocks.
 #[pyfunction]
 #[pyo3(signature = (shapes, taken, *, layout, page_size, gutter, encoding))]
 pub fn atlas_plan<'py>(
@@ -54,18 +55,18 @@ pub fn atlas_plan<'py>(
     numbers.into_pyarray(py).reshape([placed.len(), BLOCK_NUMBERS])
 }
 
-/// A device writes whole words, so blocks start at one.
+/// Alignment of blocks in texels: a device writes whole words.
 fn align(encoding: Encoding) -> u32 {
     (size_of::<u32>() / encoding.bytes()) as u32
 }
 
-/// Which of the blocks are safe to read through.
+/// Whether each block is safe to read.
 #[pyfunction]
 pub fn atlas_sound(blocks: Blocks<'_>, page_size: u32, pages: u32) -> PyResult<Vec<bool>> {
     Ok(self::blocks(&blocks)?.iter().map(|block| block.page == VACANT || block.is_sound(page_size, pages)).collect())
 }
 
-/// Fill the blocks of some fields.
+/// Fills the blocks of fields.
 #[pyfunction]
 #[pyo3(signature = (pages, blocks, volumes, scales, *, encoding, progress=None))]
 pub fn atlas_write<'py>(
@@ -105,7 +106,7 @@ pub struct DevicePages {
 
 #[pymethods]
 impl DevicePages {
-    /// How many there are.
+    /// Number of pages.
     fn __len__(&self) -> usize {
         self.count as usize
     }
@@ -121,14 +122,14 @@ impl DevicePages {
     }
 }
 
-/// A field where a device can read it, or one to upload.
+/// A field that a device can read, or one to upload.
 #[derive(FromPyObject)]
 pub enum Source<'py> {
     Device(PyRef<'py, DeviceField>),
     Host(PyReadonlyArray3<'py, f32>),
 }
 
-/// Fill new pages on a device; `None` where `device` is the CPU.
+/// Fills new pages on a device; `None` if `device` is the CPU.
 #[pyfunction]
 #[pyo3(signature = (blocks, volumes, scales, *, page_size, pages, encoding, device, progress=None))]
 pub fn atlas_pack_device<'py>(
@@ -176,7 +177,7 @@ pub fn atlas_pack_device<'py>(
     Ok(Some(DevicePages { pages: packed, count: pages }))
 }
 
-/// Zero the texels of one block.
+/// Sets the texels of one block to zero.
 #[pyfunction]
 pub fn atlas_clear<'py>(
     py: Python<'py>,
@@ -192,7 +193,7 @@ pub fn atlas_clear<'py>(
     Ok(())
 }
 
-/// Distances (nx, ny, nz) of one block.
+/// Reads the distances (nx, ny, nz) of one block.
 #[pyfunction]
 pub fn atlas_read<'py>(
     py: Python<'py>,
@@ -209,7 +210,7 @@ pub fn atlas_read<'py>(
     volume_array(py, samples, block.shape.map(|n| n as usize))
 }
 
-/// The field of one block at points (n, 3) of its own space.
+/// Evaluates the field of one block at points (n, 3) of its own space.
 #[pyfunction]
 #[pyo3(signature = (pages, block, encoding, scale, lower, upper, inner_lower, inner_upper, points, *, filter="linear"))]
 pub fn atlas_sample<'py>(
@@ -239,7 +240,7 @@ pub fn atlas_sample<'py>(
     Ok(values.into_pyarray(py))
 }
 
-/// Where points (n, 3) fall on the page, (n, 2).
+/// Texture coordinates (n, 2) of points (n, 3) on the page.
 #[pyfunction]
 pub fn atlas_texture_coordinates<'py>(
     py: Python<'py>,
@@ -255,8 +256,8 @@ pub fn atlas_texture_coordinates<'py>(
     coordinates.into_flattened().into_pyarray(py).reshape([count, 2])
 }
 
-/// The records of all blocks as bytes. `boxes` (n, 12): inner lower and upper, outer lower and upper corner; `models`
-/// (n, 16): world from field, row by row; `scales` of float32 are not written.
+/// The records of all blocks as bytes. `boxes` (n, 12): lower and upper inner corner, lower and upper outer corner.
+/// `models` (n, 16): world from field, row by row. The `scales` of float32 are not written.
 #[pyfunction]
 pub fn atlas_entries<'py>(
     py: Python<'py>,
@@ -313,7 +314,7 @@ pub fn atlas_shader(
     Ok(shader(&options, language).map_err(Failure::from)?)
 }
 
-/// Raise if the machine does not have so many bytes free.
+/// Raises an error if the machine does not have this number of bytes free.
 #[pyfunction]
 pub fn require_memory(what: &str, needed: u64, advice: &str) -> PyResult<()> {
     Ok(memory::require_for(what, needed, 0, advice).map_err(Failure::from)?)
@@ -336,7 +337,7 @@ fn grid(block: &Block, lower: [f64; 3], upper: [f64; 3]) -> PyResult<Grid> {
     super::convert::grid(lower, upper, shape)
 }
 
-/// The side of square pages, if every block lies on them.
+/// The side of square pages, after checking that every block lies on them.
 fn check_pages(py: Python<'_>, shape: &[usize], encoding: Encoding, blocks: &[Block]) -> PyResult<u32> {
     let [pages, size, row_bytes] = [shape[0], shape[1], shape[2]];
     let page_size = u32::try_from(size).ok().filter(|&size| size <= plan::MAX_PAGE_SIZE);
@@ -349,7 +350,7 @@ fn check_pages(py: Python<'_>, shape: &[usize], encoding: Encoding, blocks: &[Bl
     }
 }
 
-/// What only a mistake in the Python layer can cause.
+/// An error that only a defect of the Python layer can cause.
 fn broken(py: Python<'_>, problem: &str) -> PyErr {
     exception(py, "AtlasError", format!("atlas: {problem}"))
 }

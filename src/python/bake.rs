@@ -13,7 +13,7 @@ use numpy::PyArray3;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-/// Distances (nx, ny, nz), on a graphics device a `DeviceField`, and the report of the bake.
+/// Bakes a mesh: distances (nx, ny, nz), or a `DeviceField` on a graphics device, and the report.
 #[pyfunction]
 #[pyo3(signature = (mesh, lower, upper, shape, *, sign="auto", band=None, thickness=None, device="auto", progress=None))]
 pub fn bake<'py>(
@@ -42,7 +42,7 @@ pub fn bake<'py>(
     Ok((distances, report_dict(py, &report)?))
 }
 
-/// The articles' own bake, every sample against every triangle, on a graphics device: distances (nx, ny, nz).
+/// Bakes a mesh as the articles do, every sample against every triangle, on a graphics device: distances (nx, ny, nz).
 #[pyfunction]
 pub fn bake_brute<'py>(
     py: Python<'py>,

@@ -1,4 +1,4 @@
-//! Arrays across the border.
+//! Conversion of arrays between Python and the core.
 
 use super::error::{Failure, exception};
 use crate::error::Error;
@@ -19,7 +19,7 @@ pub fn rows<'a, T: numpy::Element>(array: &'a PyReadonlyArray2<'_, T>, name: &st
     Ok(flat.as_chunks().0)
 }
 
-/// A volume of shape (nx, ny, nz) with x fastest, as a view of the buffer that Rust filled.
+/// A volume of shape (nx, ny, nz) with x fastest, as a view of the buffer that Rust allocated.
 pub fn volume_array<'py>(
     py: Python<'py>,
     samples: Vec<f32>,
@@ -29,7 +29,7 @@ pub fn volume_array<'py>(
     array.permute(Some([2, 1, 0]))
 }
 
-/// An (n, 3) array of points, as the core takes them.
+/// Converts an (n, 3) array of points for the core.
 pub fn points(array: &Bound<'_, PyAny>) -> PyResult<Vec<DVec3>> {
     let array: PyReadonlyArray2<'_, f64> = array.extract()?;
     Ok(rows(&array, "points")?.iter().copied().map(DVec3::from_array).collect())
@@ -45,7 +45,7 @@ pub fn row_array<'py, T: numpy::Element>(
     flat.into_pyarray(py).reshape([count, 3])
 }
 
-/// An (n, 3) array that takes over the buffer of its rows.
+/// An (n, 3) array that owns the buffer of its rows.
 pub fn owned_rows<T: numpy::Element>(py: Python<'_>, rows: Vec<[T; 3]>) -> PyResult<Bound<'_, PyArray2<T>>> {
     let count = rows.len();
     rows.into_flattened().into_pyarray(py).reshape([count, 3])
@@ -60,12 +60,12 @@ pub fn image_array<'py, T: numpy::Element>(
     pixels.into_pyarray(py).reshape(shape)
 }
 
-/// A box cut into voxels.
+/// A box divided into voxels.
 pub fn grid(lower: [f64; 3], upper: [f64; 3], shape: [usize; 3]) -> PyResult<Grid> {
     Ok(Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape).map_err(Failure::from)?)
 }
 
-/// A stored field as Python hands it over: (nx, ny, nz) with x fastest, and its box.
+/// A stored field from Python: (nx, ny, nz) with x fastest, and its box.
 pub struct Field<'a, T = f32> {
     grid: Grid,
     samples: &'a [T],
@@ -100,7 +100,7 @@ impl<'a, T: Texel + numpy::Element> Field<'a, T> {
     }
 }
 
-/// Run `$body` with `$array` as the array of its own element type: one for each encoding.
+/// Runs `$body` with `$array` as the array of its own element type, one for each encoding.
 macro_rules! with_texels {
     ($any:expr, $rank:ident, |$array:ident| $body:expr) => {{
         let any = $any;

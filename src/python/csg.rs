@@ -21,14 +21,14 @@ use pyo3::types::PyDict;
 use std::collections::HashSet;
 use std::sync::{Arc, OnceLock};
 
-/// A CSG tree; compiled at the first question and kept.
+/// A CSG tree. It is compiled at the first evaluation and kept.
 #[pyclass(frozen, module = "fieldbake._core")]
 pub struct Shape {
     shape: csg::Shape,
     solid: OnceLock<Arc<Solid>>,
 }
 
-/// What Python asks of a decomposition at once.
+/// Boxes of a decomposition, and the end of the boxes of each part.
 type PartArrays<'py> = (Bound<'py, PyArray3<f64>>, Vec<usize>);
 
 impl Shape {
@@ -116,7 +116,7 @@ impl Shape {
         Ok(csg::language::to_sexpr(&self.shape).map_err(Failure::from)?)
     }
 
-    /// Lower and upper corner.
+    /// Lower and upper corner of the bounding box.
     fn bounds(&self, py: Python<'_>) -> PyResult<([f64; 3], [f64; 3])> {
         let [lower, upper] = self.solid(py)?.bounds().map_err(Failure::from)?;
         Ok((lower.to_array(), upper.to_array()))
@@ -159,7 +159,7 @@ impl Shape {
         row_array(py, slopes.into_iter())
     }
 
-    /// Linear RGB at points, (n, 3); NaN where nothing is painted.
+    /// Linear RGB at points, (n, 3); NaN where the shape is not painted.
     fn color<'py>(
         &self,
         py: Python<'py>,
@@ -187,7 +187,7 @@ impl Shape {
         Ok((volume_array(py, samples, shape)?, place.label()))
     }
 
-    /// The field in a shading language, and the numbers that it reads.
+    /// The field in a shading language, and the parameters that it reads.
     fn shader<'py>(&self, py: Python<'py>, language: &str) -> PyResult<(String, Bound<'py, PyArray1<f32>>)> {
         let language = Language::from_name(language).map_err(ShapeError::from).map_err(Failure::from)?;
         let solid = self.solid(py)?;
@@ -196,7 +196,7 @@ impl Shape {
         Ok((text, shader.numbers.into_pyarray(py)))
     }
 
-    /// The boxes of all parts (n, 2, 3), and where those of each part begin and end.
+    /// The boxes of all parts (n, 2, 3), and the ranges of the boxes of each part.
     fn decompose<'py>(&self, py: Python<'py>, method: &str) -> PyResult<PartArrays<'py>> {
         let method = Method::from_name(method).map_err(Failure::from)?;
         let solid = self.solid(py)?;
@@ -215,7 +215,7 @@ impl Shape {
         Ok((corners.into_pyarray(py).reshape([boxes, 2, 3])?, firsts))
     }
 
-    /// How many of the parts differ in more than their numbers.
+    /// Number of different structures among the parts.
     fn structures(&self, py: Python<'_>, method: &str) -> PyResult<usize> {
         let method = Method::from_name(method).map_err(Failure::from)?;
         let solid = self.solid(py)?;
@@ -238,7 +238,7 @@ impl Shape {
         Self::made(shape_of(&solid.model, &part.tokens))
     }
 
-    /// A picture, with the keys of `raymarch` and what it cost.
+    /// Draws a picture. The result has the keys of `raymarch` and the cost.
     #[pyo3(signature = (method, picture, device, progress=None))]
     fn draw<'py>(
         &self,

@@ -11,7 +11,7 @@ use pyo3::types::PyDict;
 use std::ffi::CString;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
-/// What can compute, the CPU first.
+/// The available devices, the CPU first.
 #[pyfunction]
 pub fn devices(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
     let found = py.detach(gpu::devices);
@@ -33,7 +33,7 @@ pub fn devices(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
         .collect()
 }
 
-/// Where a call with this `device=` runs. Warns once a process where "gpu" is a software adapter.
+/// The device of a call with this `device=`. Warns once per process if "gpu" is a software adapter.
 pub fn choose(py: Python<'_>, device: &str) -> PyResult<Place> {
     static WARNED: AtomicBool = AtomicBool::new(false);
     let place = py.detach(|| gpu::choose(device)).map_err(Failure::from)?;
@@ -74,7 +74,7 @@ impl DeviceField {
         volume_array(py, samples, self.0.shape())
     }
 
-    /// Whether a call with this `device=` runs where the field is.
+    /// Whether a call with this `device=` runs on the device of the field.
     fn serves(&self, py: Python<'_>, device: &str) -> PyResult<bool> {
         Ok(match choose(py, device)? {
             Place::Gpu(context) => std::sync::Arc::ptr_eq(&context, self.0.context()),
@@ -82,7 +82,7 @@ impl DeviceField {
         })
     }
 
-    /// Transfers of the device so far, for tests.
+    /// Number of transfers of the device so far, for tests.
     fn _transfers<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let counters = &self.0.context().counters;
         let facts = PyDict::new(py);
@@ -93,7 +93,7 @@ impl DeviceField {
         Ok(facts)
     }
 
-    /// Give the device up as if the driver had taken it away, for tests.
+    /// Destroys the device, as if the driver had removed it, for tests.
     fn _destroy_device(&self) {
         self.0.context().destroy();
     }

@@ -4,7 +4,7 @@ use crate::error::Error;
 use pyo3::prelude::*;
 use pyo3::types::PyType;
 
-/// A core error, or what Python raised while it waited (an interrupt, a failing callback).
+/// An error of the core, or a Python exception raised while waiting (an interrupt, a failing callback).
 pub enum Failure {
     Core(Error),
     Python(PyErr),
@@ -35,7 +35,7 @@ fn raise(py: Python<'_>, error: &Error) -> PyErr {
         Error::Shape(_) => "ShapeError",
         Error::Capacity(_) => "CapacityError",
         Error::Device(_) => "DeviceError",
-        // Cancelled by us only after Python has an exception of its own to raise; see `run`.
+        // Jobs are cancelled only after Python has an exception to raise; see `run`.
         Error::Cancelled => "Error",
     };
     exception(py, class, error.to_string())

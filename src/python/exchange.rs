@@ -25,7 +25,7 @@ pub fn texture_write<'py>(
     let samples = distances.as_slice().ok().filter(|_| distances.is_fortran_contiguous());
     let samples = samples.ok_or_else(|| exception(py, "ArgumentError", "distances: must be x fastest".into()))?;
     let bytes = run(py, None, |_| {
-        // Words, so that any encoding is aligned.
+        // Words keep every encoding aligned.
         let mut words = vec![0u32; (samples.len() * encoding.bytes()).div_ceil(4)];
         let texels = &mut bytemuck::cast_slice_mut(&mut words)[..samples.len() * encoding.bytes()];
         encoding.encode_slice(samples, scale, texels);
@@ -35,7 +35,7 @@ pub fn texture_write<'py>(
     Ok(PyBytes::new(py, &bytes))
 }
 
-/// Encoding, size, texels and our text of a "dds" or "ktx2" file.
+/// Encoding, size, texels and metadata of a "dds" or "ktx2" file.
 #[pyfunction]
 pub fn texture_read<'py>(
     py: Python<'py>,
@@ -48,7 +48,7 @@ pub fn texture_read<'py>(
     Ok((texture.encoding.name(), texture.size, PyBytes::new(py, &texture.texels), facts))
 }
 
-/// Distances (nx, ny, nz) from texels; the scale must be one that the encoding can have.
+/// Distances (nx, ny, nz) from texels. The scale must be valid for the encoding.
 #[pyfunction]
 pub fn texture_decode<'py>(
     py: Python<'py>,

@@ -18,13 +18,13 @@ use pyo3::types::PyDict;
 
 /// Samples, box and inner box of a volume.
 type VolumeRow<'py> = (PyReadonlyArray3<'py, f32>, [f64; 3], [f64; 3], [f64; 3], [f64; 3]);
-/// Distances and owners of an earlier merge, and the indices of what has moved since.
+/// Distances and owners of an earlier merge, and the indices of the moved instances.
 type Previous<'py> = (PyReadonlyArray3<'py, f32>, PyReadonlyArray1<'py, u32>, Vec<u32>);
 
-/// Distances, owners and facts.
+/// Distances, owners and report.
 type MergeArrays<'py> = (Bound<'py, PyArray3<f32>>, Option<Bound<'py, PyArray1<u32>>>, Bound<'py, PyDict>);
 
-/// One field for many placed volumes and quadrics.
+/// Merges placed volumes and quadrics into one field.
 #[pyfunction]
 #[pyo3(signature = (
     volumes, instances, transforms, quadrics, lower, upper, shape, *, method="bound", previous=None, device="auto",
@@ -59,7 +59,7 @@ pub fn merge<'py>(
     for (&index, matrix) in instances.iter().zip(matrices.as_chunks::<16>().0) {
         let &(field, inner) =
             fields.get(index).ok_or_else(|| wrong(format!("instances: there is no volume {index}")))?;
-        // Rows of Python are columns here.
+        // Rows in Python are columns here.
         let transform = DAffine3::from_mat4(DMat4::from_cols_slice(matrix).transpose());
         placed.push(Placed::volume(field, inner, transform).map_err(Failure::from)?);
     }
@@ -94,7 +94,7 @@ pub fn merge<'py>(
                 facts.set_item("undecided", undecided)?;
                 return results(py, merged, shape, facts);
             }
-            // Too much for the device is no reason to fail where none was asked for.
+            // If the user did not ask for a device, exceeding its limits is not an error.
             Err(Failure::Core(Error::Device(DeviceError::TooLarge { what, needed, limit, .. })))
                 if device == "auto" =>
             {

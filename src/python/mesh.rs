@@ -27,7 +27,7 @@ impl Mesh {
         Ok(Self(Arc::new(mesh)))
     }
 
-    /// A read-only view of the core's own array; the mesh lives as long as the view.
+    /// A read-only view of the core's own array. The view keeps the mesh alive.
     #[getter]
     fn vertices<'py>(mesh: Bound<'py, Self>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let vertices = mesh.get().0.world_positions();
@@ -70,8 +70,8 @@ impl Mesh {
         self.0.bytes()
     }
 
-    /// What makes this mesh again: kept vertices (n, 3), all faces in their order as rows of those (m, 3), and where
-    /// vertices were dropped the input row of each kept one, followed by the number of input vertices.
+    /// The data that restores this mesh: kept vertices (n, 3); all faces in input order as rows of those (m, 3); and,
+    /// if vertices were dropped, the input row of each kept one, followed by the number of input vertices.
     #[expect(clippy::type_complexity, reason = "a tuple of arrays is what Python unpacks")]
     fn state<'py>(
         mesh: Bound<'py, Self>,
@@ -81,7 +81,7 @@ impl Mesh {
         let mut degenerate = core.degenerate_faces().iter();
         let mut faces = Vec::with_capacity(core.faces().len() + degenerate.len());
         for (face, &row) in core.faces().iter().zip(core.source_faces()) {
-            // Faces without area fill the rows that the kept ones leave.
+            // Faces without area fill the rows between the kept ones.
             faces.extend(degenerate.by_ref().take(row as usize - faces.len()));
             faces.push(*face);
         }
@@ -94,12 +94,12 @@ impl Mesh {
         Ok((vertices, row_array(py, faces.into_iter())?, rows))
     }
 
-    /// Pairs of faces without a common vertex that pass through each other.
+    /// Number of pairs of faces without a common vertex that intersect.
     fn self_intersections(&self, py: Python<'_>) -> PyResult<u64> {
         Ok(run(py, None, |progress| count_self_intersections(&self.0, progress))?)
     }
 
-    /// What a user must know about the sign of this surface by a method; builds the connectivity.
+    /// Warnings about the sign of this surface by a method. Builds the connectivity.
     fn sign_warnings(&self, py: Python<'_>, sign: &str) -> PyResult<Vec<String>> {
         let method = sign.parse::<SignMethod>().map_err(Failure::from)?;
         self.prepare(py)?;
@@ -123,9 +123,10 @@ impl Mesh {
 }
 
 impl Mesh {
-    /// Build the tree and the connectivity on the worker threads: a forked child must not use another pool's.
+    /// Builds the tree and the connectivity on the worker threads. A forked child must not use the pool of its parent.
     pub fn prepare(&self, py: Python<'_>) -> PyResult<()> {
-        // One thread at a time: a worker that waits for its part of a tree may take up a job that needs the same tree.
+        // One thread at a time builds: a worker that waits for its part of a tree may start a job that needs the same
+        // tree.
         static PREPARING: Mutex<()> = Mutex::new(());
         if !self.0.is_prepared() {
             let _guard = loop {

@@ -1,6 +1,7 @@
-//! The Python module `fieldbake._core`: arrays in, the core's call without the GIL, arrays out. No algorithm lives here.
+//! The Python module `fieldbake._core`. It converts arrays, calls the core without the GIL, and converts the results.
+//! It contains no algorithm.
 //!
-//! The Python layer hands over C-contiguous arrays of the right dtype and shape; `_core.pyi` beside it is the contract.
+//! The Python layer passes C-contiguous arrays of the right dtype and shape. `_core.pyi` is the contract.
 
 mod atlas;
 mod bake;
@@ -23,7 +24,7 @@ mod volume;
 
 use pyo3::prelude::*;
 
-/// The whole exported surface.
+/// Registers all exported functions and classes.
 #[pymodule]
 mod _core {
     #[pymodule_export]

@@ -12,11 +12,11 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::time::Instant;
 
-/// Quadrics made ready for rays.
+/// Quadrics prepared for rays.
 #[pyclass(frozen, module = "fieldbake._core")]
 pub struct Quadrics(pub Core);
 
-/// Numbers of a row.
+/// Number of values in a row.
 const ROW: usize = 24;
 
 /// Quadrics from rows: matrix (16), centre (3), radius, reflectance (3), opacity.
@@ -47,7 +47,7 @@ impl Quadrics {
         self.0.len()
     }
 
-    /// Draw the nearest sheets.
+    /// Draws the nearest sheets.
     #[pyo3(signature = (picture, device, progress=None))]
     fn draw<'py>(
         &self,
@@ -63,7 +63,7 @@ impl Quadrics {
         images_of(py, frame, &place, start)
     }
 
-    /// Lower bound of the distance to the nearest quadric at points (n, 3).
+    /// Lower bound on the distance to the nearest quadric at points (n, 3).
     fn distance_bound<'py>(
         &self,
         py: Python<'py>,

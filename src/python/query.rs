@@ -13,7 +13,7 @@ use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-/// Points that the calling thread answers by itself: waking a worker takes longer.
+/// Largest number of points that the calling thread processes itself, since waking a worker takes longer.
 pub const FEW: usize = 64;
 
 /// Signed distance at points (n, 3).
@@ -108,7 +108,7 @@ pub fn query<'py>(
     ))
 }
 
-/// Whether the calling thread answers at once: few points, on the CPU, and what the mesh needs for it is there.
+/// Whether the calling thread processes the query: few points, on the CPU, and the mesh has the structures it needs.
 pub fn is_short(mesh: &crate::mesh::Mesh, points: usize, place: &Place) -> bool {
     points <= FEW && matches!(place, Place::Cpu) && mesh.is_prepared()
 }

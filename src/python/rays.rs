@@ -10,7 +10,7 @@ use crate::query::{self, Rays};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2};
 use pyo3::prelude::*;
 
-/// Run `job` for rays (n, 3); few rays on the calling thread, where the mesh is ready for them.
+/// Runs `job` for rays (n, 3). A few rays run on the calling thread if the mesh is prepared for them.
 fn with_rays<T: Send>(
     py: Python<'_>,
     mesh: &Mesh,

@@ -16,7 +16,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::time::Instant;
 
-/// Draw the zero level set of a field.
+/// Draws the zero level set of a field.
 #[pyfunction]
 #[pyo3(signature = (distances, lower, upper, picture, *, filter="linear", scale=1.0, device="auto", progress=None))]
 pub fn raymarch<'py>(
@@ -51,10 +51,10 @@ pub fn raymarch<'py>(
     images_of(py, frame, &place, start)
 }
 
-/// A level of nested fields: distances, and the corners of its box.
+/// A level of nested fields: distances, and the lower and upper corner of its box.
 type NestedLevel<'py> = (PyReadonlyArray3<'py, f32>, [f64; 3], [f64; 3]);
 
-/// Draw nested fields, finest first, on a graphics device; `None` where `device` is the CPU.
+/// Draws nested fields, finest first, on a graphics device; `None` if `device` is the CPU.
 #[pyfunction]
 #[pyo3(signature = (levels, picture, *, device="auto", progress=None))]
 pub fn raymarch_nested<'py>(
@@ -79,7 +79,7 @@ pub fn raymarch_nested<'py>(
     Ok(Some(images_of(py, frame, &place, start)?))
 }
 
-/// The arguments of a picture: a mapping, described in `_core.pyi`. Python holds every default.
+/// The arguments of a picture: a mapping, described in `_core.pyi`. The Python layer defines every default.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct PictureArguments<'py> {
@@ -141,7 +141,7 @@ fn lights(
     Ok(directions.iter().zip(colors).map(light).collect())
 }
 
-/// The arrays of a frame, where it was drawn, and how long that took.
+/// The arrays of a frame, its device and its duration.
 pub fn images_of<'py>(py: Python<'py>, frame: Frame, place: &Place, start: Instant) -> PyResult<Bound<'py, PyDict>> {
     let seconds = start.elapsed().as_secs_f64();
     let images = frame_dict(py, frame)?;

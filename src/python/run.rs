@@ -1,4 +1,4 @@
-//! Long jobs: without the GIL, with progress, stopped by Ctrl-C.
+//! Long jobs: they run without the GIL, report progress, and stop on Ctrl-C.
 
 use super::error::{Failure, exception};
 use crate::error::Error;
@@ -11,11 +11,11 @@ use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// How often the waiting thread looks for signals and reports progress.
+/// Interval at which the waiting thread checks for signals and reports progress.
 const POLL: Duration = Duration::from_millis(50);
 
-/// Run `job` on the worker threads while this thread waits for it, handles signals and calls `callback` with the share
-/// done. An exception in either cancels the job and is raised once it has stopped.
+/// Runs `job` on the worker threads. Meanwhile this thread waits, handles signals and calls `callback` with the
+/// finished fraction. An exception in either cancels the job and is raised once the job has stopped.
 pub fn run<T: Send>(
     py: Python<'_>,
     callback: Option<&Bound<'_, PyAny>>,
@@ -59,7 +59,7 @@ pub fn run<T: Send>(
     Ok(value)
 }
 
-/// Run a short `job` on this thread, without the GIL: it neither uses the worker threads nor waits for one to wake up.
+/// Runs a short `job` on this thread, without the GIL. It neither uses the worker threads nor waits for one to wake up.
 pub fn run_short<T: Send>(py: Python<'_>, job: impl FnOnce() -> Result<T, Error> + Send) -> Result<T, Failure> {
     let outcome = py.detach(|| catch_unwind(AssertUnwindSafe(job)));
     Ok(outcome.map_err(|panic| internal_error(py, &*panic))??)
@@ -83,7 +83,7 @@ fn look_at_python(py: Python<'_>, callback: Option<&Py<PyAny>>, progress: &Progr
     Ok(())
 }
 
-/// A panic is our bug; it must still be an exception that `except Exception` catches.
+/// A panic is a defect of fieldbake. It becomes an exception that `except Exception` catches.
 fn internal_error(py: Python<'_>, panic: &(dyn Any + Send)) -> Failure {
     let text =
         panic.downcast_ref::<&str>().map(ToString::to_string).or_else(|| panic.downcast_ref::<String>().cloned());
@@ -91,7 +91,7 @@ fn internal_error(py: Python<'_>, panic: &(dyn Any + Send)) -> Failure {
     Failure::Python(exception(py, "Error", message))
 }
 
-/// The worker threads of this process. A forked child inherits the handle but not the threads, so it makes its own.
+/// The worker threads of this process. A forked child inherits the handle but not the threads, so it makes new ones.
 fn worker_pool(py: Python<'_>) -> Result<Arc<rayon::ThreadPool>, Failure> {
     static POOL: Mutex<Option<Workers>> = Mutex::new(None);
     let (process, threads) = (std::process::id(), THREADS.load(Ordering::Relaxed));
@@ -106,8 +106,8 @@ fn worker_pool(py: Python<'_>) -> Result<Arc<rayon::ThreadPool>, Failure> {
     let pool = builder.build().map_err(|error| Failure::Python(exception(py, "Error", error.to_string())))?;
     let pool = Arc::new(pool);
     let replaced = workers.replace(Workers { process, threads, pool: pool.clone() });
-    // A pool of the parent process is leaked: joining threads that do not exist would wait for ever. One of this process
-    // ends with the last job that uses it.
+    // A pool of the parent process is leaked, since joining its threads would wait forever. A pool of this process ends
+    // with the last job that uses it.
     std::mem::forget(replaced.filter(|workers| workers.process != process));
     Ok(pool)
 }
@@ -123,7 +123,7 @@ struct Workers {
 /// Number of worker threads that later jobs use; 0 for one per core or `RAYON_NUM_THREADS`.
 static THREADS: AtomicUsize = AtomicUsize::new(0);
 
-/// Limit the worker threads of later jobs.
+/// Limits the worker threads of later jobs.
 #[pyfunction]
 pub fn set_threads(count: usize) {
     THREADS.store(count, Ordering::Relaxed);

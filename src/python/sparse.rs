@@ -50,7 +50,7 @@ macro_rules! impl_stored {
 }
 impl_stored!(f32, Float32; f16, Float16; i16, Snorm16; i8, Snorm8;);
 
-/// Run `$body` with the field of its own type.
+/// Runs `$body` with the field of its own type.
 macro_rules! with_field {
     ($any:expr, |$field:ident| $body:expr) => {
         match $any {
@@ -97,7 +97,7 @@ impl SparseField {
 
 #[pymethods]
 impl SparseField {
-    /// Check arrays that belong together.
+    /// Checks that the arrays are consistent.
     #[new]
     fn new(
         lower: [f64; 3],
@@ -151,25 +151,25 @@ impl SparseField {
         with_field!(&self.0, |field| name(field))
     }
 
-    /// World distance up to which bricks are stored.
+    /// Distance from the surface up to which bricks are stored, world units.
     #[getter]
     fn band(&self) -> f32 {
         with_field!(&self.0, |field| field.band)
     }
 
-    /// What samples are decoded with.
+    /// Scale of the stored samples.
     #[getter]
     fn scale(&self) -> f32 {
         with_field!(&self.0, |field| field.scale)
     }
 
-    /// Stored bricks of each level, finest first.
+    /// Number of stored bricks of each level, finest first.
     #[getter]
     fn levels(&self) -> PyResult<Vec<usize>> {
         Ok(with_field!(&self.0, |field| field.view().map_err(Failure::from)?.bricks_by_level()).to_vec())
     }
 
-    /// Field at points (n, 3); a proven lower bound outside the box and in empty bricks.
+    /// The field at points (n, 3); a proven lower bound outside the box and in empty bricks.
     #[pyo3(signature = (inner_lower, inner_upper, points, *, filter="linear"))]
     fn sample<'py>(
         &self,
@@ -313,7 +313,7 @@ pub fn encoding_scale(encoding: &str, voxel: f64, band: f64) -> PyResult<f32> {
     Ok(Encoding::from_name(encoding).map_err(Failure::from)?.scale(voxel, band))
 }
 
-/// Raise unless the encoding can have these scales.
+/// Raises an error unless the scales are valid for the encoding.
 #[pyfunction]
 pub fn check_scales(encoding: &str, scales: Vec<f32>) -> PyResult<()> {
     let encoding = Encoding::from_name(encoding).map_err(Failure::from)?;
@@ -347,7 +347,7 @@ pub fn encode<'py>(
     }
 }
 
-/// What [`encode`] was given, as far as it is stored.
+/// Decodes the result of [`encode`].
 #[pyfunction]
 pub fn decode<'py>(py: Python<'py>, texels: &Bound<'py, PyAny>, scale: f32) -> PyResult<Bound<'py, PyArray3<f32>>> {
     with_texels!(texels, PyReadonlyArray3, |array| {

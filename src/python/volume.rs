@@ -8,7 +8,7 @@ use glam::DVec3;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
 use pyo3::prelude::*;
 
-/// Field at points (n, 3); a proven lower bound outside the box.
+/// The field at points (n, 3); a proven lower bound outside the box.
 #[pyfunction]
 #[pyo3(signature = (distances, lower, upper, inner_lower, inner_upper, points, *, filter="linear", scale=1.0))]
 pub fn sample<'py>(

@@ -1,4 +1,4 @@
-//! Structs of bakes, and of questions about points.
+//! Structs of bakes and of queries of points.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -75,7 +75,7 @@ pub struct BruteParams {
     pub sign_rule: u32,
 }
 
-/// What a sample of the brute-force bake knows so far; `shaders/bake_brute.wgsl`.
+/// State of a sample of the brute-force bake; `shaders/bake_brute.wgsl`.
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
 pub struct BruteState {

@@ -1,4 +1,4 @@
-//! Structs that cross the border, each the twin of the WGSL struct of the same name.
+//! Structs shared with shaders, each the twin of the WGSL struct of the same name.
 //!
 //! Fields are ordered so that no padding is needed: a three-component vector is followed by a scalar. A test parses
 //! the WGSL and compares names, offsets and sizes.

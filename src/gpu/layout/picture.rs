@@ -1,4 +1,4 @@
-//! Structs of pictures of fields, and of what packs and copies them.
+//! Structs of pictures of fields, and of packing and copying.
 
 use bytemuck::{Pod, Zeroable};
 

@@ -7,10 +7,10 @@ use bytemuck::{Pod, Zeroable};
 #[repr(C)]
 pub struct SceneNode {
     pub min: [f32; 3],
-    /// First item of a leaf, or left child; the right one follows it.
+    /// Leaf: first item. Inner node: left child; the right child follows it.
     pub first: u32,
     pub max: [f32; 3],
-    /// Items of a leaf; 0 for an inner node.
+    /// Number of items in a leaf; 0 for an inner node.
     pub count: u32,
 }
 

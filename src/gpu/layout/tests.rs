@@ -1,4 +1,4 @@
-//! The structs against the shaders that read them.
+//! The structs compared with the shaders that read them.
 
 use super::*;
 use crate::gpu::shader::source;
