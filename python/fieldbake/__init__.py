@@ -69,31 +69,8 @@ from .scenes.instance import Instance
 from .scenes.lights import DirectionalLight, PointLight
 from .scenes.materials import Material
 from .scenes.scene import Scene
-from .shapes.primitives import (
-    Profile,
-    box,
-    box_frame,
-    capped_torus,
-    capsule,
-    circle,
-    cone,
-    cylinder,
-    ellipsoid,
-    extrude,
-    gyroid,
-    hex_prism,
-    octahedron,
-    plane,
-    polygon,
-    pyramid,
-    rectangle,
-    revolve,
-    rounded_box,
-    sphere,
-    torus,
-    truncated_cone,
-    volume_shape,
-)
+from .shapes import primitives as _primitives
+from .shapes.primitives import *
 from .shapes.quadric import Quadric
 from .shapes.quadric_texels import pack_quadrics, unpack_quadrics, wrap_quadrics
 from .shapes.shape import Shape
@@ -126,7 +103,6 @@ __all__ = [
     "Part",
     "PerformanceWarning",
     "PointLight",
-    "Profile",
     "Quadric",
     "QuantizedVolume",
     "Query",
@@ -147,24 +123,13 @@ __all__ = [
     "as_mesh",
     "bake",
     "bake_sparse",
-    "box",
-    "box_frame",
     "cache",
-    "capped_torus",
-    "capsule",
     "cast_rays",
-    "circle",
     "closest_point",
-    "cone",
     "contains",
     "count_intersections",
     "csg",
-    "cylinder",
     "devices",
-    "ellipsoid",
-    "extrude",
-    "gyroid",
-    "hex_prism",
     "jax",
     "load",
     "load_mesh",
@@ -173,33 +138,24 @@ __all__ = [
     "models",
     "normalize",
     "occluded",
-    "octahedron",
     "pack",
     "pack_quadrics",
-    "plane",
-    "polygon",
-    "pyramid",
     "query",
     "raymarch",
-    "rectangle",
     "render",
-    "revolve",
-    "rounded_box",
     "sample_surface",
     "sample_training",
     "set_threads",
     "signed_distance",
-    "sphere",
     "sphere_intersection",
     "thickness",
     "torch",
-    "torus",
-    "truncated_cone",
     "unpack_quadrics",
-    "volume_shape",
     "winding_number",
     "wrap_quadrics",
 ]
+
+__all__ += _primitives.__all__
 
 # Silent unless the program that imports the package configures logging.
 _logging.getLogger("fieldbake").addHandler(_logging.NullHandler())

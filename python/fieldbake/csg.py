@@ -122,11 +122,12 @@ def parse(text: str) -> Shape:
     Notes
     -----
     Brushes: ``(sphere d)``, ``(ellipsoid x y z)``, ``(box x y z)``, ``(cube s)``, ``(torus outer tube)``,
-    ``(cylinder d h)``, ``(cone d h)``, ``(coninder low high h)``, ``(plane nx ny nz)``, and the rest of the
-    primitives as
-    ``(rounded-box x y z r)``, ``(box-frame x y z t)``, ``(capped-torus outer tube degrees)``, ``(capsule d h)``,
-    ``(pyramid base h)``, ``(octahedron d)``, ``(hex-prism d h)``, ``(gyroid cell t)``, ``(extrude h PROFILE)`` and
-    ``(revolve offset PROFILE)`` with ``(circle d)``, ``(rectangle w h)`` or ``(polygon x y x y ...)``.
+    ``(cylinder d h)``, ``(cone d h)``, ``(coninder low high h)``, ``(plane nx ny nz)``. Every other primitive has its
+    Python name with hyphens and its Python arguments in order, with diameters in place of radii:
+    ``(rounded-box x y z r)``, ``(capped-torus outer tube degrees)``, ``(hex-prism d h)``. The radius of a rounded edge
+    stays a radius. Profiles: ``(extrude h PROFILE)`` and ``(revolve offset PROFILE)`` with ``(circle d)``,
+    ``(rectangle w h)`` or ``(polygon x y x y ...)``. A wrong count of numbers is answered with the form of the word.
+
     Operators: ``union``, ``inter``, ``diff``, ``xor``; ``(blend union k a b ...)`` and ``(chamfer union k a b ...)``.
     Modifiers: ``move``, ``move-x``, ``rotate`` (a quaternion x y z w), ``rotate-x``, ``scale``, ``flate`` (offset),
     ``shell``, ``align``, ``elongate``, ``mirror``, ``reflect``, ``repeat``, ``twist``, ``bend``, ``not``, and

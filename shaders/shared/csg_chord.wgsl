@@ -130,7 +130,7 @@ fn leaf_chord(leaf: u32, origin: vec3f, direction: vec3f, grow: f32) -> vec2f {
     switch leaves[leaf].kind {
         case KIND_SPHERE: { return ball_chord(o, d, s.x); }
         case KIND_ELLIPSOID: { return ball_chord(o / (a.xyz + grow), d / (a.xyz + grow), 1.0); }
-        case KIND_BOX: { return cuboid_chord(o, d, s); }
+        case KIND_ROUNDED_BOX: { return cuboid_chord(o, d, s); }
         case KIND_CYLINDER: { return both(disc_chord(o.xy, d.xy, s.x), slab(o.z, d.z, s.y)); }
         case KIND_CAPSULE: {
             let end = vec3f(0.0, 0.0, a.y);

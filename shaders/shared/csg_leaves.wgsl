@@ -1,6 +1,8 @@
-// The field of a leaf. Twin of PlacedLeaf::distances in src/csg/field.rs.
+// The field of one leaf. Twin of PlacedLeaf::distances in src/csg/leaf.rs, which writes the module csg_kinds: the constants
+// of the kinds, and `own_distance`, which selects the distance function of a leaf by its kind.
 
 #import csg_field
+#import csg_kinds
 #import csg_tables
 
 // Signed distance to a polygon: the nearest edge, with the sign from the parity of the edges to the right.
@@ -70,39 +72,4 @@ fn revolved(at: vec3f, offset: f32) -> vec2f {
 
 fn leaf_distance(leaf: u32, p: vec3f) -> f32 {
     return own_distance(leaf, placed(leaf, p));
-}
-
-// The field at a point in the space of the leaf.
-fn own_distance(leaf: u32, at: vec3f) -> f32 {
-    let a = leaves[leaf].a;
-    let b = leaves[leaf].b;
-    let k = array<f32, 6>(a.x, a.y, a.z, a.w, b.x, b.y);
-    let first = leaves[leaf].first;
-    switch leaves[leaf].kind {
-        case KIND_SPHERE: { return sphere(at, k); }
-        case KIND_ELLIPSOID: {
-            rounds += ELLIPSOID_STEPS;
-            return ellipsoid(at, k);
-        }
-        case KIND_BOX: { return rounded_box(at, k); }
-        case KIND_BOX_FRAME: { return box_frame(at, k); }
-        case KIND_TORUS: { return torus(at, k); }
-        case KIND_CAPPED_TORUS: { return capped_torus(at, k); }
-        case KIND_CYLINDER: { return cylinder(at, k); }
-        case KIND_CAPSULE: { return capsule(at, k); }
-        case KIND_CONE: { return cone(at, k); }
-        case KIND_PLANE: { return plane(at, k); }
-        case KIND_PYRAMID: { return pyramid(at, k); }
-        case KIND_OCTAHEDRON: { return octahedron(at, k); }
-        case KIND_HEX_PRISM: { return hex_prism(at, k); }
-        case KIND_GYROID: { return gyroid(at, k); }
-        case KIND_EXTRUDED_CIRCLE: { return prism(circle(at.xy, numbers[first]), at.z, k[0]); }
-        case KIND_EXTRUDED_RECTANGLE: { return prism(rectangle(at.xy, corner_at(first)), at.z, k[0]); }
-        case KIND_EXTRUDED_POLYGON: { return prism(polygon(at.xy, first + 1u, u32(numbers[first])), at.z, k[0]); }
-        case KIND_REVOLVED_CIRCLE: { return circle(revolved(at, k[0]), numbers[first]); }
-        case KIND_REVOLVED_RECTANGLE: { return rectangle(revolved(at, k[0]), corner_at(first)); }
-        case KIND_REVOLVED_POLYGON: { return polygon(revolved(at, k[0]), first + 1u, u32(numbers[first])); }
-        case KIND_VOLUME: { return volume(at, first); }
-        default: { return CSG_FAR; }
-    }
 }

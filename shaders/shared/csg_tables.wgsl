@@ -45,30 +45,6 @@ const TOKEN_COMPLEMENT: u32 = 7u;
 const TOKEN_ENTER: u32 = 8u;
 const TOKEN_LEAVE: u32 = 9u;
 
-// Kinds of leaves. A specialised kernel contains only the cases of the kinds that occur in its shape
-// (src/csg/compiled.rs).
-const KIND_SPHERE: u32 = 0u;
-const KIND_ELLIPSOID: u32 = 1u;
-const KIND_BOX: u32 = 2u;
-const KIND_BOX_FRAME: u32 = 3u;
-const KIND_TORUS: u32 = 4u;
-const KIND_CAPPED_TORUS: u32 = 5u;
-const KIND_CYLINDER: u32 = 6u;
-const KIND_CAPSULE: u32 = 7u;
-const KIND_CONE: u32 = 8u;
-const KIND_PLANE: u32 = 9u;
-const KIND_PYRAMID: u32 = 10u;
-const KIND_OCTAHEDRON: u32 = 11u;
-const KIND_HEX_PRISM: u32 = 12u;
-const KIND_GYROID: u32 = 13u;
-const KIND_EXTRUDED_CIRCLE: u32 = 14u;
-const KIND_EXTRUDED_RECTANGLE: u32 = 15u;
-const KIND_EXTRUDED_POLYGON: u32 = 16u;
-const KIND_REVOLVED_CIRCLE: u32 = 17u;
-const KIND_REVOLVED_RECTANGLE: u32 = 18u;
-const KIND_REVOLVED_POLYGON: u32 = 19u;
-const KIND_VOLUME: u32 = 20u;
-
 var<private> rounds: u32 = 0u;
 
 fn has_rounds() -> bool {

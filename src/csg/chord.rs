@@ -24,8 +24,9 @@
 //!
 //! [`Form::of`] says whether a part has a closed form. The twin on graphics devices is `shaders/shared/csg_chord.wgsl`.
 
+use super::leaf::{Flat, LeafField, PlacedLeaf};
 use super::model::Token;
-use super::program::{Flat, Joint, LeafField, PlacedLeaf, Program};
+use super::program::{Joint, Program};
 use super::shape::Op;
 use glam::{Vec2, Vec3};
 

@@ -10,8 +10,8 @@
 
 use super::chord::{Form, MAX_LEAVES};
 use super::decompose::{StructureToken, structure};
+use super::leaf::{KINDS_MODULE, KindSet, LeafField, kinds_text};
 use super::model::{Model, Token};
-use super::program::{Flat, LeafField, Program};
 use super::shader::{HELPERS, Writer};
 use super::shape::Op;
 use super::solid::Solid;
@@ -28,96 +28,6 @@ const MAX_TOKENS: usize = 64;
 
 /// The form of the first structure, as the kernel counts them.
 const FIRST_FORM: u32 = 3;
-
-/// Kinds of leaves as the shaders number them.
-const KINDS: [&str; 21] = [
-    "SPHERE",
-    "ELLIPSOID",
-    "BOX",
-    "BOX_FRAME",
-    "TORUS",
-    "CAPPED_TORUS",
-    "CYLINDER",
-    "CAPSULE",
-    "CONE",
-    "PLANE",
-    "PYRAMID",
-    "OCTAHEDRON",
-    "HEX_PRISM",
-    "GYROID",
-    "EXTRUDED_CIRCLE",
-    "EXTRUDED_RECTANGLE",
-    "EXTRUDED_POLYGON",
-    "REVOLVED_CIRCLE",
-    "REVOLVED_RECTANGLE",
-    "REVOLVED_POLYGON",
-    "VOLUME",
-];
-
-/// The number of a leaf's kind.
-pub fn kind(field: &LeafField<f32>) -> u32 {
-    let profile = |flat: &Flat<f32>| match flat {
-        Flat::Circle(_) => 0,
-        Flat::Rectangle(_) => 1,
-        Flat::Polygon(_) => 2,
-    };
-    match field {
-        LeafField::Sphere => 0,
-        LeafField::Ellipsoid => 1,
-        LeafField::Box => 2,
-        LeafField::BoxFrame => 3,
-        LeafField::Torus => 4,
-        LeafField::CappedTorus => 5,
-        LeafField::Cylinder => 6,
-        LeafField::Capsule => 7,
-        LeafField::Cone => 8,
-        LeafField::Plane => 9,
-        LeafField::Pyramid => 10,
-        LeafField::Octahedron => 11,
-        LeafField::HexPrism => 12,
-        LeafField::Gyroid => 13,
-        LeafField::Extrude(flat) => 14 + profile(flat),
-        LeafField::Revolve(flat) => 17 + profile(flat),
-        LeafField::Volume(..) => 20,
-    }
-}
-
-/// A set of kinds, a bit each.
-#[derive(Debug, Clone, Copy, Default)]
-struct Kinds(u32);
-
-impl Kinds {
-    fn of(program: &Program<f32>, tokens: &[Token]) -> Self {
-        let of_token = |token: &Token| match *token {
-            Token::Leaf(leaf) => 1 << kind(&program.leaves[leaf as usize].field),
-            _ => 0,
-        };
-        Self(tokens.iter().map(of_token).fold(0, |all, kind| all | kind))
-    }
-
-    fn has(self, name: &str) -> bool {
-        KINDS.iter().position(|&known| known == name).is_some_and(|kind| self.0 >> kind & 1 == 1)
-    }
-
-    /// A shader without the cases, written `case KIND_NAME: { .. }`, of other kinds.
-    fn cases_of(self, text: &str) -> String {
-        let mut kept = String::with_capacity(text.len());
-        // Braces that are open in a case that is left out.
-        let mut depth = 0;
-        for line in text.lines() {
-            let name = line.trim_start().strip_prefix("case KIND_").and_then(|rest| rest.split_once(':'));
-            let is_other = name.is_some_and(|(name, _)| !self.has(name));
-            if depth == 0 && !is_other {
-                kept.push_str(line);
-                kept.push('\n');
-            } else {
-                depth += line.matches('{').count();
-                depth -= line.matches('}').count();
-            }
-        }
-        kept
-    }
-}
 
 /// How the kernel evaluates a part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -177,7 +87,7 @@ impl Compiled {
             ("csg_part", parts_text(&functions, needs.interpreter)),
             ("csg_needs", needs.text()),
             ("csg_chord", needs.kinds.cases_of(shared("csg_chord"))),
-            ("csg_leaves", needs.evaluated().cases_of(shared("csg_leaves"))),
+            (KINDS_MODULE, kinds_text(needs.evaluated())),
         ];
         Self { texts, structures: structures.len(), entries }
     }
@@ -188,7 +98,7 @@ impl Compiled {
 #[derive(Debug, Default)]
 struct Needs {
     /// Kinds of all leaves of the shape.
-    kinds: Kinds,
+    kinds: KindSet,
     /// Whether the shape has an operator other than a union.
     combines: bool,
     /// Largest number of literals of a part in closed form.
@@ -210,12 +120,16 @@ impl Needs {
             _ => false,
         };
         let has_xor = tokens.iter().any(is_xor);
+        let with_kind = |kinds: KindSet, token: &Token| match token {
+            Token::Leaf(leaf) => kinds.with(&solid.program.leaves[*leaf as usize].field),
+            _ => kinds,
+        };
         let is_other = |token: &Token| match token {
             Token::Combine(i) => solid.program.combines[*i as usize].op != Op::Union,
             token => matches!(token, Token::Complement),
         };
         Self {
-            kinds: Kinds::of(&solid.program, tokens),
+            kinds: tokens.iter().fold(KindSet::default(), with_kind),
             combines: tokens.iter().any(is_other),
             leaves: if has_xor { MAX_LEAVES } else { Model::leaf_count(tokens) },
             ..Self::default()
@@ -229,8 +143,8 @@ impl Needs {
     }
 
     /// Kinds whose fields are evaluated by their number: for normals, or by the interpreter.
-    fn evaluated(&self) -> Kinds {
-        if self.chords || self.interpreter { self.kinds } else { Kinds::default() }
+    fn evaluated(&self) -> KindSet {
+        if self.chords || self.interpreter { self.kinds } else { KindSet::default() }
     }
 
     fn text(&self) -> String {
@@ -308,27 +222,4 @@ fn function(place: usize, writer: &Writer<'_>, value: &str) -> String {
     }
     let _ = write!(text, "{}    return {value};\n}}\n", writer.body);
     text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn kinds_are_those_of_the_shaders() {
-        let tables = shared("csg_tables").unwrap();
-        for (number, name) in KINDS.iter().enumerate() {
-            assert!(tables.contains(&format!("const KIND_{name}: u32 = {number}u;")), "{name}");
-            assert!(shared("csg_leaves").unwrap().contains(&format!("case KIND_{name}: ")), "{name}");
-        }
-    }
-
-    #[test]
-    fn other_cases_are_left_out_whole() {
-        let text = "switch a {\n case KIND_CONE: {\n  if b { c(); }\n }\n case KIND_BOX: { d(); }\n default: {}\n}\n";
-        let cone = Kinds(1 << 8);
-        assert_eq!(cone.cases_of(text), "switch a {\n case KIND_CONE: {\n  if b { c(); }\n }\n default: {}\n}\n");
-        assert_eq!(Kinds(1 << 2).cases_of(text), "switch a {\n case KIND_BOX: { d(); }\n default: {}\n}\n");
-        assert_eq!(Kinds(0).cases_of(text), "switch a {\n default: {}\n}\n");
-    }
 }

@@ -92,7 +92,7 @@ pub fn structure(model: &Model, tokens: &[Token]) -> Vec<StructureToken> {
     tokens
         .iter()
         .map(|&token| match token {
-            Token::Leaf(leaf) => StructureToken::Leaf(model.leaves[leaf as usize].primitive.structure()),
+            Token::Leaf(leaf) => StructureToken::Leaf(model.leaves[leaf as usize].primitive.name()),
             Token::Combine(i) => {
                 let combine = model.combines[i as usize];
                 let joint = match combine.blend {

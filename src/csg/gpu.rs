@@ -14,10 +14,11 @@
 //! shadow rays need it anyway, so it is the only way.
 
 use super::chord::{Form, Step};
-use super::compiled::{Compiled, Entry, kind};
+use super::compiled::{Compiled, Entry};
 use super::draw::{Drawing, Scratch, Seen, View};
+use super::leaf::{Flat, LeafField, PlacedLeaf, kernel_texts};
 use super::model::Token;
-use super::program::{Flat, Joint, LeafField, PlacedLeaf, PlacedLevel, PlacedWarpKind, Program};
+use super::program::{Joint, PlacedLevel, PlacedWarpKind, Program};
 use super::shape::Op;
 use super::solid::Solid;
 use super::trace::{PartProgram, Tracer};
@@ -170,7 +171,7 @@ fn encoded(leaf: &PlacedLeaf<f32>, numbers: &mut Vec<f32>) -> CsgLeaf {
         _ => {}
     }
     let [a0, a1, a2, a3, b0, b1] = leaf.parameters;
-    CsgLeaf { a: [a0, a1, a2, a3], b: [b0, b1], kind: kind(&leaf.field), first, ..placed(&leaf.rows, leaf.shift) }
+    CsgLeaf { a: [a0, a1, a2, a3], b: [b0, b1], kind: leaf.field.kind(), first, ..placed(&leaf.rows, leaf.shift) }
 }
 
 /// Signed distances at world points, in float32.
@@ -188,7 +189,7 @@ pub(super) fn distances(
     let encoder = Encoder::new(&solid.program);
     let tokens: Vec<u32> = solid.model.tokens.iter().map(|&token| encoder.token(token)).collect();
     let tables = encoder.upload(context, &tokens)?;
-    let kernel = context.kernel("csg_points", "main")?;
+    let kernel = interpreter(context, "csg_points")?;
     for (points, out) in points.chunks(BATCH).zip(out.chunks_mut(BATCH)) {
         let local: Vec<f32> = points.iter().flat_map(|&p| solid.frame.local(p).as_vec3().to_array()).collect();
         let positions = context.upload("points", &local)?;
@@ -267,7 +268,7 @@ pub(super) fn draw(view: &View<'_>, context: &Arc<Context>, progress: &Progress)
     let shares = context.storage("light shares", (4 * pixel_count * lights.len().max(1)) as u64)?;
     let kernel = match written.clone() {
         Some(kernel) => kernel,
-        None => context.kernel("csg_draw", "main")?,
+        None => interpreter(context, "csg_draw")?,
     };
     let buffers = [
         (0, &uniform),
@@ -327,6 +328,11 @@ pub(super) fn draw(view: &View<'_>, context: &Arc<Context>, progress: &Progress)
         is_compiled: written.is_some(),
         pipelines: 1 + context.written_kernel_count(),
     })
+}
+
+/// A kernel that evaluates all kinds of leaves.
+fn interpreter(context: &Context, name: &'static str) -> Result<wgpu::ComputePipeline, DeviceError> {
+    context.kernel_with(name, "main", &kernel_texts())
 }
 
 /// The kernel that was written for a shape, if it is compiled.

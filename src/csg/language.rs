@@ -1,32 +1,79 @@
-//! The s-expressions of "SDF Decomposition" (A. Palecek, 2021) and of the author's Tangerine: sizes are full lengths and
-//! diameters, angles degrees, round things stand along z.
+//! The s-expressions of "SDF Decomposition" (A. Palecek, 2021) and of the author's program Tangerine. Sizes are full lengths
+//! and diameters, angles are in degrees, and round primitives have z as their axis.
 //!
 //! ```text
-//! shape     = ( name number... shape... )          ; a comment runs to the end of the line
-//! brushes     sphere d | ellipsoid dx dy dz | box w l h | cube s | torus D d | cylinder d h | cone d h
-//!             coninder d_low d_high h | plane nx ny nz [offset] | and ours: rounded-box w l h r | box-frame w l h t
-//!             capped-torus D d degrees | capsule d h | pyramid base h | octahedron d | hex-prism d h | gyroid cell t
-//!             extrude h PROFILE | revolve offset PROFILE ; PROFILE = (circle d) (rectangle w h) (polygon x y x y ...)
+//! shape     = ( word number... shape... )          ; a comment runs to the end of its line
+//! brushes     the rows of the table of primitives (primitive.rs), and extrude h PROFILE | revolve offset PROFILE
+//!             ; PROFILE = (circle d) | (rectangle w h) | (polygon x y x y ...)
 //! operators   union | inter | diff | xor, and (blend union k a b ...), (chamfer union k a b ...); blend-union k a b ...
-//! modifiers   move x y z | move-x x | rotate qx qy qz qw | rotate-x degrees | scale s | flate r | align x y z
-//!             shell t | elongate x y z | mirror x y z | reflect x y z | repeat x y z nx ny nz | twist deg | bend deg | not
-//!             paint COLOR | paint-over COLOR | stencil COLOR subject mask | mask COLOR subject mask
-//!             ; COLOR = r g b from 0 to 1, linear, or #rrggbb
+//! modifiers   the rows of MODIFIERS, and rotate qx qy qz qw | align x y z | stencil COLOR subject mask
+//!             | mask COLOR subject mask           ; COLOR = r g b from 0 to 1, linear, or #rrggbb
 //! ```
 //!
 //! Names may be written with `-` or `_`; `'` before a parenthesis is skipped. The reader keeps its own stack, so nesting is
 //! limited by memory alone.
 
 use super::align::aligned;
-use super::primitive::Primitive;
+use super::primitive::{Primitive, WORDS};
 use super::profile::Profile;
 use super::shape::{Blend, Kind, Op, Shape};
+use super::word::{Slot, Word};
 use crate::error::ShapeError;
 use glam::{DQuat, DVec3};
 use std::fmt::Write;
 use std::sync::Arc;
 
-/// A place in the text, from 1.
+/// Words of the operators; the first word of each is written.
+const OPERATORS: [(&str, Op); 6] = [
+    ("union", Op::Union),
+    ("inter", Op::Intersection),
+    ("intersection", Op::Intersection),
+    ("diff", Op::Difference),
+    ("difference", Op::Difference),
+    ("xor", Op::Xor),
+];
+
+const fn modifier(word: &'static str, operation: &'static str, slots: &'static [Slot]) -> Word {
+    Word { word, operation, slots }
+}
+
+/// Forms that change one shape; the first form that can express a change is written.
+const MODIFIERS: &[Word] = {
+    use Slot::{Full, Half, One, Zero};
+    &[
+        modifier("move", "translate", &[Full("x"), Full("y"), Full("z")]),
+        modifier("move-x", "translate", &[Full("x"), Zero, Zero]),
+        modifier("move-y", "translate", &[Zero, Full("y"), Zero]),
+        modifier("move-z", "translate", &[Zero, Zero, Full("z")]),
+        modifier("rotate-x", "rotate", &[One, Zero, Zero, Full("degrees")]),
+        modifier("rotate-y", "rotate", &[Zero, One, Zero, Full("degrees")]),
+        modifier("rotate-z", "rotate", &[Zero, Zero, One, Full("degrees")]),
+        modifier("scale", "scale", &[Full("s")]),
+        modifier("flate", "offset", &[Full("r")]),
+        modifier("shell", "shell", &[Full("t")]),
+        modifier("not", "complement", &[]),
+        modifier("elongate", "elongate", &[Half("x"), Half("y"), Half("z")]),
+        modifier("mirror", "mirror", &[Full("x"), Full("y"), Full("z")]),
+        modifier("reflect", "reflect", &[Full("x"), Full("y"), Full("z")]),
+        modifier("repeat", "repeat", &[Full("x"), Full("y"), Full("z"), Full("nx"), Full("ny"), Full("nz")]),
+        modifier("twist", "twist", &[Full("degrees")]),
+        modifier("bend", "bend", &[Full("degrees")]),
+        modifier("paint", "paint", &[Full("r"), Full("g"), Full("b")]),
+        modifier("paint-over", "paint_over", &[Full("r"), Full("g"), Full("b")]),
+    ]
+};
+
+/// The forms that are no rows of a table, for messages.
+const OTHER_USAGES: [(&str, &str); 6] = [
+    ("extrude", "(extrude h PROFILE)"),
+    ("revolve", "(revolve offset PROFILE)"),
+    ("rotate", "(rotate qx qy qz qw)"),
+    ("align", "(align x y z)"),
+    ("stencil", "(stencil COLOR subject mask)"),
+    ("mask", "(mask COLOR subject mask)"),
+];
+
+/// A position in the text, counted from 1.
 #[derive(Debug, Clone, Copy)]
 struct Position {
     line: usize,
@@ -40,7 +87,7 @@ impl Position {
 }
 
 #[derive(Debug)]
-enum Word<'a> {
+enum Lexeme<'a> {
     Open,
     Close,
     Atom(&'a str),
@@ -65,13 +112,13 @@ enum Value {
 pub fn parse(text: &str) -> Result<Shape, ShapeError> {
     let mut open: Vec<Form<'_>> = Vec::new();
     let mut found: Option<Shape> = None;
-    let mut words = Words { rest: text, at: Position { line: 1, column: 1 } };
-    while let Some((word, at)) = words.next_word() {
+    let mut lexer = Lexer { rest: text, at: Position { line: 1, column: 1 } };
+    while let Some((lexeme, at)) = lexer.next_lexeme() {
         if found.is_some() {
             return Err(at.error("the shape ends before this; put several into (union ...)"));
         }
-        match word {
-            Word::Open => open.push(Form {
+        match lexeme {
+            Lexeme::Open => open.push(Form {
                 start: at,
                 name: None,
                 numbers: Vec::new(),
@@ -79,7 +126,7 @@ pub fn parse(text: &str) -> Result<Shape, ShapeError> {
                 shapes: Vec::new(),
                 profiles: Vec::new(),
             }),
-            Word::Close => {
+            Lexeme::Close => {
                 let form = open.pop().ok_or_else(|| at.error("this ')' closes nothing"))?;
                 match (form.finish()?, open.last_mut()) {
                     (Value::Shape(shape), None) => found = Some(shape),
@@ -90,7 +137,7 @@ pub fn parse(text: &str) -> Result<Shape, ShapeError> {
                     }
                 }
             }
-            Word::Atom(atom) => {
+            Lexeme::Atom(atom) => {
                 let form = open.last_mut().ok_or_else(|| at.error(format!("expected '(', got {}", quoted(atom))))?;
                 form.take(atom, at)?;
             }
@@ -99,7 +146,7 @@ pub fn parse(text: &str) -> Result<Shape, ShapeError> {
     if let Some(form) = open.last() {
         return Err(form.start.error(format!("this '(' is never closed ({} are open at the end)", open.len())));
     }
-    found.ok_or_else(|| words.at.error("expected a shape such as (sphere 1), the text is empty"))
+    found.ok_or_else(|| lexer.at.error("expected a shape such as (sphere 1), the text is empty"))
 }
 
 /// At most forty characters of what came.
@@ -108,13 +155,13 @@ fn quoted(atom: &str) -> String {
     format!("'{short}{}'", if short.len() < atom.len() { "..." } else { "" })
 }
 
-struct Words<'a> {
+struct Lexer<'a> {
     rest: &'a str,
     at: Position,
 }
 
-impl<'a> Words<'a> {
-    fn next_word(&mut self) -> Option<(Word<'a>, Position)> {
+impl<'a> Lexer<'a> {
+    fn next_lexeme(&mut self) -> Option<(Lexeme<'a>, Position)> {
         loop {
             let c = self.rest.chars().next()?;
             let at = self.at;
@@ -125,11 +172,11 @@ impl<'a> Words<'a> {
                 }
                 '(' => {
                     self.skip(1);
-                    return Some((Word::Open, at));
+                    return Some((Lexeme::Open, at));
                 }
                 ')' => {
                     self.skip(1);
-                    return Some((Word::Close, at));
+                    return Some((Lexeme::Close, at));
                 }
                 c if c.is_whitespace() || c == '\'' || c == ',' => self.skip(c.len_utf8()),
                 _ => {
@@ -137,7 +184,7 @@ impl<'a> Words<'a> {
                     let end = self.rest.find(is_end).unwrap_or(self.rest.len());
                     let atom = &self.rest[..end];
                     self.skip(end);
-                    return Some((Word::Atom(atom), at));
+                    return Some((Lexeme::Atom(atom), at));
                 }
             }
         }
@@ -211,7 +258,7 @@ impl<'a> Form<'a> {
     }
 
     fn shape(&self, written: &str) -> Result<Shape, ShapeError> {
-        let name = written.replace('-', "_");
+        let name = written.replace('_', "-");
         let n = self.numbers.as_slice();
 
         // Operators, with their joint.
@@ -222,19 +269,12 @@ impl<'a> Form<'a> {
                 return Err(self.start.error(problem));
             }
             (_, &[word, ..]) => return Err(self.start.error(format!("{written} does not take {}", quoted(word)))),
-            (whole, &[]) => match whole.split_once('_') {
+            (whole, &[]) => match whole.split_once('-') {
                 Some((joint @ ("blend" | "chamfer"), op)) => (joint, op),
                 _ => ("sharp", whole),
             },
         };
-        let op = match op {
-            "union" => Some(Op::Union),
-            "inter" | "intersection" => Some(Op::Intersection),
-            "diff" | "difference" => Some(Op::Difference),
-            "xor" => Some(Op::Xor),
-            _ => None,
-        };
-        if let Some(op) = op {
+        if let Some(&(_, op)) = OPERATORS.iter().find(|(word, _)| *word == op) {
             let blend = match (joint, n) {
                 ("sharp", &[]) => Blend::Sharp,
                 ("blend", &[k]) => Blend::new(k, 0.0)?,
@@ -249,34 +289,6 @@ impl<'a> Form<'a> {
             return Err(self.start.error(format!("{written} takes union, inter, diff or xor, a width, and shapes")));
         }
 
-        // Brushes: full lengths and diameters.
-        let primitive = match (name.as_str(), n) {
-            ("sphere", &[d]) => Some(Primitive::named("sphere", &[0.5 * d])),
-            ("ellipsoid", &[x, y, z]) => Some(Primitive::named("ellipsoid", &[0.5 * x, 0.5 * y, 0.5 * z])),
-            ("box", &[x, y, z]) => Some(Primitive::named("box", &[x, y, z])),
-            ("cube", &[side]) => Some(Primitive::named("box", &[side, side, side])),
-            ("torus", &[outer, tube]) => Some(Primitive::named("torus", &[0.5 * (outer - tube), 0.5 * tube])),
-            ("cylinder", &[d, h]) => Some(Primitive::named("cylinder", &[0.5 * d, h])),
-            ("cone", &[d, h]) => Some(Primitive::named("cone", &[0.5 * d, 0.0, h])),
-            ("coninder" | "cylicone", &[low, high, h]) => Some(Primitive::named("cone", &[0.5 * low, 0.5 * high, h])),
-            ("plane", &[x, y, z]) => Some(Primitive::named("plane", &[x, y, z, 0.0])),
-            ("plane", &[x, y, z, offset]) => Some(Primitive::named("plane", &[x, y, z, offset])),
-            ("rounded_box", &[x, y, z, r]) => Some(Primitive::named("rounded_box", &[x, y, z, r])),
-            ("box_frame", &[x, y, z, t]) => Some(Primitive::named("box_frame", &[x, y, z, t])),
-            ("capped_torus", &[outer, tube, angle]) => {
-                Some(Primitive::named("capped_torus", &[0.5 * (outer - tube), 0.5 * tube, angle]))
-            }
-            ("capsule", &[d, h]) => Some(Primitive::named("capsule", &[0.5 * d, h])),
-            ("pyramid", &[base, h]) => Some(Primitive::named("pyramid", &[base, h])),
-            ("octahedron", &[d]) => Some(Primitive::named("octahedron", &[0.5 * d])),
-            ("hex_prism", &[d, h]) => Some(Primitive::named("hex_prism", &[0.5 * d, h])),
-            ("gyroid", &[cell, t]) => Some(Primitive::named("gyroid", &[cell, t])),
-            _ => None,
-        };
-        if let Some(primitive) = primitive {
-            self.expect_shapes(written, 0, 0)?;
-            return Ok(Shape::primitive(primitive?));
-        }
         if let ("extrude" | "revolve", &[number]) = (name.as_str(), n) {
             let [profile] = self.profiles.as_slice() else {
                 return Err(self
@@ -290,73 +302,44 @@ impl<'a> Form<'a> {
                 Shape::revolve(profile.clone(), number)
             };
         }
-
-        // Modifiers.
-        let (name, numbers): (&str, Vec<f64>) = match (name.as_str(), n) {
-            ("move", &[x, y, z]) => ("translate", vec![x, y, z]),
-            ("move_x", &[x]) => ("translate", vec![x, 0.0, 0.0]),
-            ("move_y", &[y]) => ("translate", vec![0.0, y, 0.0]),
-            ("move_z", &[z]) => ("translate", vec![0.0, 0.0, z]),
-            ("rotate_x", &[degrees]) => ("rotate", vec![1.0, 0.0, 0.0, degrees]),
-            ("rotate_y", &[degrees]) => ("rotate", vec![0.0, 1.0, 0.0, degrees]),
-            ("rotate_z", &[degrees]) => ("rotate", vec![0.0, 0.0, 1.0, degrees]),
+        if let Some((operation, arguments)) = arguments_of(WORDS, &name, n) {
+            self.expect_shapes(written, 0, 0)?;
+            return Primitive::named(operation, &arguments).map(Shape::primitive);
+        }
+        if let Some((operation, arguments)) = arguments_of(MODIFIERS, &name, n) {
+            self.expect_shapes(written, 1, 1)?;
+            return self.shapes[0].changed(operation, &arguments);
+        }
+        match (name.as_str(), n) {
             ("rotate", &[x, y, z, w]) => {
                 let largest = [x, y, z, w].into_iter().map(f64::abs).fold(0.0, f64::max);
                 if largest == 0.0 {
                     return Err(self.start.error("the quaternion of rotate is zero"));
                 }
+                self.expect_shapes(written, 1, 1)?;
                 let turn = DQuat::from_xyzw(x / largest, y / largest, z / largest, w / largest).normalize();
                 let (axis, angle) = turn.to_axis_angle();
-                ("rotate", vec![axis.x, axis.y, axis.z, angle.to_degrees()])
+                self.shapes[0].changed("rotate", &[axis.x, axis.y, axis.z, angle.to_degrees()])
             }
-            ("flate", &[r]) => ("offset", vec![r]),
-            ("not", &[]) => ("complement", Vec::new()),
-            (name @ ("align" | "mask" | "stencil"), n) if n.len() == 3 => (name, n.to_vec()),
-            (
-                name @ ("scale" | "shell" | "elongate" | "mirror" | "reflect" | "repeat" | "twist" | "bend" | "paint"
-                | "paint_over"),
-                n,
-            ) => {
-                // Lengths are full ones: what is inserted on each side is half of it.
-                let half = if name == "elongate" { 0.5 } else { 1.0 };
-                (name, n.iter().map(|x| half * x).collect())
-            }
-            (
-                known @ ("sphere" | "ellipsoid" | "box" | "cube" | "torus" | "cylinder" | "cone" | "coninder"
-                | "cylicone" | "plane" | "rounded_box" | "box_frame" | "capped_torus" | "capsule" | "pyramid"
-                | "octahedron" | "hex_prism" | "gyroid" | "extrude" | "revolve" | "move" | "move_x" | "move_y"
-                | "move_z" | "rotate" | "rotate_x" | "rotate_y" | "rotate_z" | "flate" | "not" | "align"
-                | "mask" | "stencil"),
-                n,
-            ) => {
-                let problem = format!(
-                    "{} does not take {} number{}",
-                    known.replace('_', "-"),
-                    n.len(),
-                    if n.len() == 1 { "" } else { "s" }
-                );
-                return Err(self.start.error(problem));
-            }
-            _ => return Err(self.start.error(format!("{} is no brush, operator or modifier", quoted(written)))),
-        };
-        match name {
-            "align" => {
+            ("align", &[x, y, z]) => {
                 self.expect_shapes(written, 1, 1)?;
-                aligned(&self.shapes[0], DVec3::new(numbers[0], numbers[1], numbers[2]))
+                aligned(&self.shapes[0], DVec3::new(x, y, z))
             }
-            "stencil" | "mask" => {
+            ("stencil" | "mask", &[r, g, b]) => {
                 self.expect_shapes(written, 2, 2)?;
-                let color = [numbers[0], numbers[1], numbers[2]];
-                self.shapes[0].stencil(&self.shapes[1], color, name == "mask")
+                self.shapes[0].stencil(&self.shapes[1], [r, g, b], name == "mask")
             }
-            _ => {
-                self.expect_shapes(written, 1, 1)?;
-                self.shapes[0].changed(name, &numbers).map_err(|error| match error {
-                    ShapeError::Argument { argument: "name", .. } => {
-                        self.start.error(format!("{written} does not take {} numbers", n.len()))
-                    }
-                    other => other,
-                })
+            (name, n) => {
+                let rows = WORDS.iter().chain(MODIFIERS).filter(|row| row.word == name).map(Word::usage);
+                let others =
+                    OTHER_USAGES.iter().filter(|(word, _)| *word == name).map(|(_, usage)| (*usage).to_owned());
+                let usages: Vec<String> = rows.chain(others).collect();
+                if usages.is_empty() {
+                    return Err(self.start.error(format!("{} is no brush, operator or modifier", quoted(written))));
+                }
+                let s = if n.len() == 1 { "" } else { "s" };
+                let problem = format!("{name} does not take {} number{s}, expected {}", n.len(), usages.join(" or "));
+                Err(self.start.error(problem))
             }
         }
     }
@@ -435,102 +418,67 @@ pub fn to_sexpr(shape: &Shape) -> Result<String, ShapeError> {
     Ok(out)
 }
 
-/// Name and numbers.
+/// Writes the word and the numbers of a node.
 fn head(kind: &Kind, out: &mut String) -> Result<(), ShapeError> {
-    let mut put = |name: &str, numbers: &[f64]| {
-        out.push_str(name);
+    let mut put = |words: &[&str], numbers: &[f64]| {
+        out.push_str(&words.join(" "));
         for number in numbers {
             // The shortest text that reads back as the same number. Writing to a string cannot fail.
             let _ = write!(out, " {}", number + 0.0);
         }
     };
     match kind {
-        Kind::Primitive(primitive) => match primitive {
-            Primitive::Sphere { radius } => put("sphere", &[2.0 * radius]),
-            Primitive::Ellipsoid { radii } => put("ellipsoid", &(2.0 * *radii).to_array()),
-            Primitive::Box { half, rounding: 0.0 } if half.x == half.y && half.y == half.z => {
-                put("cube", &[2.0 * half.x])
-            }
-            Primitive::Box { half, rounding: 0.0 } => put("box", &(2.0 * *half).to_array()),
-            Primitive::Box { half, rounding } => {
-                let [x, y, z] = (2.0 * *half).to_array();
-                put("rounded-box", &[x, y, z, *rounding]);
-            }
-            Primitive::BoxFrame { half, thickness } => {
-                let [x, y, z] = (2.0 * *half).to_array();
-                put("box-frame", &[x, y, z, *thickness]);
-            }
-            Primitive::Torus { radius, tube } => put("torus", &[2.0 * (radius + tube), 2.0 * tube]),
-            Primitive::CappedTorus { radius, tube, half_angle } => {
-                put("capped-torus", &[2.0 * (radius + tube), 2.0 * tube, 2.0 * half_angle.to_degrees()]);
-            }
-            Primitive::Cylinder { radius, half_height } => put("cylinder", &[2.0 * radius, 2.0 * half_height]),
-            Primitive::Capsule { radius, half_height } => put("capsule", &[2.0 * radius, 2.0 * half_height]),
-            Primitive::Cone { low, high: 0.0, half_height } => put("cone", &[2.0 * low, 2.0 * half_height]),
-            Primitive::Cone { low, high, half_height } => {
-                put("coninder", &[2.0 * low, 2.0 * high, 2.0 * half_height]);
-            }
-            Primitive::Plane { normal, offset: 0.0 } => put("plane", &normal.to_array()),
-            Primitive::Plane { normal, offset } => put("plane", &[normal.x, normal.y, normal.z, *offset]),
-            Primitive::Pyramid { half_base, half_height } => put("pyramid", &[2.0 * half_base, 2.0 * half_height]),
-            Primitive::Octahedron { radius } => put("octahedron", &[2.0 * radius]),
-            Primitive::HexPrism { apothem, half_height } => {
-                put("hex-prism", &[2.0 * apothem / 0.75f64.sqrt(), 2.0 * half_height]);
-            }
-            Primitive::Gyroid { cell, thickness } => put("gyroid", &[*cell, *thickness]),
-            Primitive::Extrude { profile, half_height } => {
-                put("extrude", &[2.0 * half_height]);
-                profile_text(profile, out);
-            }
-            Primitive::Revolve { profile, offset } => {
-                put("revolve", &[*offset]);
-                profile_text(profile, out);
-            }
-            Primitive::Volume(_) => {
+        Kind::Primitive(Primitive::Extrude { profile, half_height }) => {
+            put(&["extrude"], &[2.0 * half_height]);
+            profile_text(profile, out);
+        }
+        Kind::Primitive(Primitive::Revolve { profile, offset }) => {
+            put(&["revolve"], &[*offset]);
+            profile_text(profile, out);
+        }
+        Kind::Primitive(primitive) => {
+            let form = primitive.arguments().and_then(|(name, arguments)| form_of(WORDS, name, &arguments));
+            let Some((word, numbers)) = form else {
                 let problem = "holds a baked volume, which s-expressions have no words for";
                 return Err(ShapeError::argument("shape", problem));
+            };
+            put(&[word], &numbers);
+        }
+        Kind::Combine { op, blend } => {
+            let word = OPERATORS.iter().find(|(_, known)| known == op).map_or("", |(word, _)| *word);
+            match blend {
+                Blend::Sharp => put(&[word], &[]),
+                Blend::Smooth(k) => put(&["blend", word], &[*k]),
+                Blend::Chamfer(k) => put(&["chamfer", word], &[*k]),
+            }
+        }
+        Kind::Stencil { color, outside } => {
+            put(&[if *outside { "mask" } else { "stencil" }], &color.map(f64::from));
+        }
+        change => match change.change().and_then(|(name, arguments)| form_of(MODIFIERS, name, &arguments)) {
+            Some((word, numbers)) => put(&[word], &numbers),
+            // A rotation about any axis is a quaternion.
+            None => {
+                if let Kind::Rotate { axis, degrees } = change {
+                    let turn = DQuat::from_axis_angle(*axis, degrees.rem_euclid(720.0).to_radians());
+                    put(&["rotate"], &turn.to_array());
+                }
             }
         },
-        Kind::Combine { op, blend } => {
-            let name = match op {
-                Op::Union => "union",
-                Op::Intersection => "inter",
-                Op::Difference => "diff",
-                Op::Xor => "xor",
-            };
-            match blend {
-                Blend::Sharp => put(name, &[]),
-                Blend::Smooth(k) => put(&format!("blend {name}"), &[*k]),
-                Blend::Chamfer(k) => put(&format!("chamfer {name}"), &[*k]),
-            }
-        }
-        Kind::Move(by) => put("move", &by.to_array()),
-        Kind::Rotate { axis, degrees } if *axis == DVec3::X => put("rotate-x", &[*degrees]),
-        Kind::Rotate { axis, degrees } if *axis == DVec3::Y => put("rotate-y", &[*degrees]),
-        Kind::Rotate { axis, degrees } if *axis == DVec3::Z => put("rotate-z", &[*degrees]),
-        Kind::Rotate { axis, degrees } => {
-            let turn = DQuat::from_axis_angle(*axis, degrees.rem_euclid(720.0).to_radians());
-            put("rotate", &turn.to_array());
-        }
-        Kind::Scale(factor) => put("scale", &[*factor]),
-        Kind::Offset(distance) => put("flate", &[*distance]),
-        Kind::Shell(thickness) => put("shell", &[*thickness]),
-        Kind::Complement => put("not", &[]),
-        Kind::Elongate(half) => put("elongate", &(2.0 * *half).to_array()),
-        Kind::Reflect(normal) => put("reflect", &normal.to_array()),
-        Kind::Mirror(normal) => put("mirror", &normal.to_array()),
-        Kind::Repeat { spacing, counts } => {
-            let [nx, ny, nz] = counts.map(f64::from);
-            put("repeat", &[spacing.x, spacing.y, spacing.z, nx, ny, nz]);
-        }
-        Kind::Twist(degrees) => put("twist", &[*degrees]),
-        Kind::Bend(degrees) => put("bend", &[*degrees]),
-        Kind::Paint { color, over } => {
-            put(if *over { "paint-over" } else { "paint" }, &color.map(f64::from));
-        }
-        Kind::Stencil { color, outside } => put(if *outside { "mask" } else { "stencil" }, &color.map(f64::from)),
     }
     Ok(())
+}
+
+/// The operation and the arguments of a form.
+fn arguments_of(rows: &[Word], word: &str, numbers: &[f64]) -> Option<(&'static str, Vec<f64>)> {
+    let mut rows = rows.iter().filter(|row| row.word == word);
+    rows.find_map(|row| Some((row.operation, row.arguments(numbers)?)))
+}
+
+/// The word and the numbers of the first form that expresses an operation.
+fn form_of(rows: &[Word], operation: &str, arguments: &[f64]) -> Option<(&'static str, Vec<f64>)> {
+    let mut rows = rows.iter().filter(|row| row.operation == operation);
+    rows.find_map(|row| Some((row.word, row.numbers(arguments)?)))
 }
 
 fn profile_text(profile: &Profile, out: &mut String) {

@@ -22,6 +22,7 @@ pub mod draw;
 mod field;
 mod gpu;
 pub mod language;
+mod leaf;
 mod lower;
 pub mod model;
 mod octree;
@@ -35,6 +36,9 @@ pub mod solid;
 pub mod trace;
 pub mod volume_leaf;
 pub mod whole;
+mod word;
 
+#[cfg(test)]
+pub(crate) use leaf::kernel_texts;
 pub use shape::{Blend, Op, Shape};
 pub use solid::Solid;

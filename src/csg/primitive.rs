@@ -1,98 +1,135 @@
-//! The leaves: simple solids about the origin, most of them round the z axis.
+//! The leaves of shapes: simple solids about the origin, most of them with z as their axis.
 //!
-//! Each has its checked parameters, what it declares about its field (exact or a bound, and the Lipschitz constant), and
-//! its support function, from which tight boxes follow under any rotation. The distances are in [`super::field`].
+//! The table `primitives!` lists them. Each primitive checks its parameters, declares whether its field is exact or a bound
+//! and its Lipschitz constant, and has a support function, which gives tight boxes under any rotation. The distances are
+//! in [`super::field`].
 
 use super::profile::Profile;
 use super::volume_leaf::VolumeLeaf;
+use super::word::{Slot, Word};
 use crate::error::ShapeError;
 use glam::{DVec2, DVec3};
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-/// A simple solid in its own space. Lengths are halves and radii.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Primitive {
-    Sphere {
-        radius: f64,
-    },
-    Ellipsoid {
-        radii: DVec3,
-    },
-    /// `half` includes the rounding of the edges.
-    Box {
-        half: DVec3,
-        rounding: f64,
-    },
-    /// The twelve edges of a box, square bars of the given thickness, inside `half`.
-    BoxFrame {
-        half: DVec3,
-        thickness: f64,
-    },
-    /// A tube round a circle in the plane z = 0.
-    Torus {
-        radius: f64,
-        tube: f64,
-    },
-    /// The part of a torus within an angle of the +x axis, with round ends.
-    CappedTorus {
-        radius: f64,
-        tube: f64,
-        half_angle: f64,
-    },
-    Cylinder {
-        radius: f64,
-        half_height: f64,
-    },
-    /// A segment of the z axis, thickened.
-    Capsule {
-        radius: f64,
-        half_height: f64,
-    },
-    /// A cone from radius `low` at the bottom to `high` at the top.
-    Cone {
-        low: f64,
-        high: f64,
-        half_height: f64,
-    },
-    /// The half space below the plane `normal . p = offset`.
-    Plane {
-        normal: DVec3,
-        offset: f64,
-    },
-    /// A square base at the bottom, the apex at the top.
-    Pyramid {
-        half_base: f64,
-        half_height: f64,
-    },
-    /// The corners lie at `radius` on the axes.
-    Octahedron {
-        radius: f64,
-    },
-    /// Six sides round the z axis, two of them facing +y and -y at `apothem`.
-    HexPrism {
-        apothem: f64,
-        half_height: f64,
-    },
-    /// A profile of the plane z = 0, drawn out along z.
-    Extrude {
-        profile: Arc<Profile>,
-        half_height: f64,
-    },
-    /// A profile turned round the z axis: its x is the distance from the axis less `offset`, its y is z.
-    Revolve {
-        profile: Arc<Profile>,
-        offset: f64,
-    },
-    /// A sheet about the gyroid, at least `thickness` thick, that repeats every `cell`.
-    Gyroid {
-        cell: f64,
-        thickness: f64,
-    },
-    Volume(Arc<VolumeLeaf>),
+/// The table of the primitives. A row has
+///
+/// - the help text, the variant of [`Primitive`] and its fields;
+/// - the distance function, with one name in [`super::field`] and in `shaders/shared/csg_field.wgsl`. The WGSL constant of
+///   the kind has the same name in capitals, and the number of the kind is the place of the row;
+/// - `loops`: the WGSL constant with the number of iterations of that function, if it has a loop;
+/// - `words`: the forms of the language that make the primitive, the preferred form first.
+///
+/// `primitives!(name)` calls the macro `name` with all rows.
+macro_rules! primitives {
+    ($make:ident) => {
+        $make! {
+            /// A ball.
+            Sphere { radius: f64 } = sphere,
+                words [("sphere", "sphere", [Half("d")])];
+            /// An ellipsoid with its half axes along x, y and z.
+            Ellipsoid { radii: DVec3 } = ellipsoid, loops ELLIPSOID_STEPS,
+                words [("ellipsoid", "ellipsoid", [Half("dx"), Half("dy"), Half("dz")])];
+            /// A box; `half` includes the rounding of the edges.
+            Box { half: DVec3, rounding: f64 } = rounded_box,
+                words [
+                    ("cube", "box", [Full("s"), Same, Same]),
+                    ("box", "box", [Full("w"), Full("l"), Full("h")]),
+                    ("rounded-box", "rounded_box", [Full("w"), Full("l"), Full("h"), Full("r")]),
+                ];
+            /// The twelve edges of a box, square bars of the given thickness, inside `half`.
+            BoxFrame { half: DVec3, thickness: f64 } = box_frame,
+                words [("box-frame", "box_frame", [Full("w"), Full("l"), Full("h"), Full("t")])];
+            /// A tube around a circle in the plane z = 0.
+            Torus { radius: f64, tube: f64 } = torus,
+                words [("torus", "torus", [Rim("D"), Half("d")])];
+            /// The part of a torus within an angle of the +x axis, with round ends.
+            CappedTorus { radius: f64, tube: f64, half_angle: f64 } = capped_torus,
+                words [("capped-torus", "capped_torus", [Rim("D"), Half("d"), Full("degrees")])];
+            /// A cylinder along z.
+            Cylinder { radius: f64, half_height: f64 } = cylinder,
+                words [("cylinder", "cylinder", [Half("d"), Full("h")])];
+            /// The points within `radius` of a segment of the z axis.
+            Capsule { radius: f64, half_height: f64 } = capsule,
+                words [("capsule", "capsule", [Half("d"), Full("h")])];
+            /// A cone along z from radius `low` at the bottom to `high` at the top.
+            Cone { low: f64, high: f64, half_height: f64 } = cone,
+                words [
+                    ("cone", "cone", [Half("d"), Zero, Full("h")]),
+                    ("coninder", "cone", [Half("low"), Half("high"), Full("h")]),
+                    ("cylicone", "cone", [Half("low"), Half("high"), Full("h")]),
+                ];
+            /// The half space below the plane `normal . p = offset`.
+            Plane { normal: DVec3, offset: f64 } = plane,
+                words [
+                    ("plane", "plane", [Full("x"), Full("y"), Full("z"), Zero]),
+                    ("plane", "plane", [Full("x"), Full("y"), Full("z"), Full("offset")]),
+                ];
+            /// A pyramid with a square base at the bottom and its apex at the top.
+            Pyramid { half_base: f64, half_height: f64 } = pyramid,
+                words [("pyramid", "pyramid", [Full("base"), Full("h")])];
+            /// An octahedron with its corners on the axes, at `radius`.
+            Octahedron { radius: f64 } = octahedron,
+                words [("octahedron", "octahedron", [Half("d")])];
+            /// A prism along z with six sides, two of which face +y and -y at `apothem`.
+            HexPrism { apothem: f64, half_height: f64 } = hex_prism,
+                words [("hex-prism", "hex_prism", [Half("d"), Full("h")])];
+            /// A sheet around the gyroid, at least `thickness` thick, that repeats every `cell`.
+            Gyroid { cell: f64, thickness: f64 } = gyroid,
+                words [("gyroid", "gyroid", [Full("cell"), Full("t")])];
+        }
+    };
 }
+pub(super) use primitives;
 
-/// Numbers that a primitive brings to its distance function.
+macro_rules! declare {
+    ($(
+        $(#[$help:meta])+
+        $variant:ident { $($field:ident: $type:ty),* } = $function:ident, $(loops $loops:ident,)?
+            words [$(($word:literal, $named:literal, [$($slot:expr),*])),* $(,)?];
+    )*) => {
+        /// A simple solid in its own space. Lengths are halves and radii.
+        #[derive(Debug, Clone, PartialEq)]
+        pub enum Primitive {
+            $($(#[$help])+ $variant { $($field: $type),* },)*
+            /// A profile of the plane z = 0, extruded along z.
+            Extrude { profile: Arc<Profile>, half_height: f64 },
+            /// A profile revolved about z: its x is the distance from the axis less `offset`, its y is z.
+            Revolve { profile: Arc<Profile>, offset: f64 },
+            /// A baked field.
+            Volume(Arc<VolumeLeaf>),
+        }
+
+        /// The forms of the language that make primitives.
+        pub const WORDS: &[Word] = {
+            use Slot::*;
+            &[$($(Word { word: $word, operation: $named, slots: &[$($slot),*] }),*),*]
+        };
+
+        impl Primitive {
+            /// The name of the distance function in shaders, which tells structures apart. Messages use it too.
+            pub fn name(&self) -> &'static str {
+                match self {
+                    $(Self::$variant { .. } => stringify!($function),)*
+                    Self::Extrude { profile, .. } => match **profile {
+                        Profile::Circle { .. } => "extrude_circle",
+                        Profile::Rectangle { .. } => "extrude_rectangle",
+                        Profile::Polygon { .. } => "extrude_polygon",
+                    },
+                    Self::Revolve { profile, .. } => match **profile {
+                        Profile::Circle { .. } => "revolve_circle",
+                        Profile::Rectangle { .. } => "revolve_rectangle",
+                        Profile::Polygon { .. } => "revolve_polygon",
+                    },
+                    Self::Volume(_) => "volume",
+                }
+            }
+        }
+    };
+}
+primitives!(declare);
+
+/// Number of parameters of a distance function.
 pub const PARAMETERS: usize = 6;
 
 /// Largest magnitude of a length: the square of what is made of it stays in the range of float64.
@@ -208,46 +245,29 @@ impl Primitive {
         })
     }
 
-    /// As messages call it.
-    pub fn name(&self) -> &'static str {
-        match self {
-            Self::Sphere { .. } => "sphere",
-            Self::Ellipsoid { .. } => "ellipsoid",
-            Self::Box { rounding: 0.0, .. } => "box",
-            Self::Box { .. } => "rounded_box",
-            Self::BoxFrame { .. } => "box_frame",
-            Self::Torus { .. } => "torus",
-            Self::CappedTorus { .. } => "capped_torus",
-            Self::Cylinder { .. } => "cylinder",
-            Self::Capsule { .. } => "capsule",
-            Self::Cone { .. } => "cone",
-            Self::Plane { .. } => "plane",
-            Self::Pyramid { .. } => "pyramid",
-            Self::Octahedron { .. } => "octahedron",
-            Self::HexPrism { .. } => "hex_prism",
-            Self::Extrude { .. } => "extrude",
-            Self::Revolve { .. } => "revolve",
-            Self::Gyroid { .. } => "gyroid",
-            Self::Volume(_) => "volume",
-        }
-    }
-
-    /// As shaders call the function of its distance: profiles make a difference.
-    pub fn structure(&self) -> &'static str {
-        match self {
-            Self::Extrude { profile, .. } => match **profile {
-                Profile::Circle { .. } => "extrude_circle",
-                Profile::Rectangle { .. } => "extrude_rectangle",
-                Profile::Polygon { .. } => "extrude_polygon",
-            },
-            Self::Revolve { profile, .. } => match **profile {
-                Profile::Circle { .. } => "revolve_circle",
-                Profile::Rectangle { .. } => "revolve_rectangle",
-                Profile::Polygon { .. } => "revolve_polygon",
-            },
-            Self::Box { .. } => "rounded_box",
-            other => other.name(),
-        }
+    /// The name and the arguments from which [`Self::named`] makes the primitive; `None` for profiles and volumes.
+    pub fn arguments(&self) -> Option<(&'static str, Vec<f64>)> {
+        let sides = |half: DVec3, rest: &[f64]| [&(2.0 * half).to_array(), rest].concat();
+        Some(match *self {
+            Self::Sphere { radius } => ("sphere", vec![radius]),
+            Self::Ellipsoid { radii } => ("ellipsoid", radii.to_array().to_vec()),
+            Self::Box { half, rounding: 0.0 } => ("box", sides(half, &[])),
+            Self::Box { half, rounding } => ("rounded_box", sides(half, &[rounding])),
+            Self::BoxFrame { half, thickness } => ("box_frame", sides(half, &[thickness])),
+            Self::Torus { radius, tube } => ("torus", vec![radius, tube]),
+            Self::CappedTorus { radius, tube, half_angle } => {
+                ("capped_torus", vec![radius, tube, 2.0 * half_angle.to_degrees()])
+            }
+            Self::Cylinder { radius, half_height } => ("cylinder", vec![radius, 2.0 * half_height]),
+            Self::Capsule { radius, half_height } => ("capsule", vec![radius, 2.0 * half_height]),
+            Self::Cone { low, high, half_height } => ("cone", vec![low, high, 2.0 * half_height]),
+            Self::Plane { normal, offset } => ("plane", vec![normal.x, normal.y, normal.z, offset]),
+            Self::Pyramid { half_base, half_height } => ("pyramid", vec![2.0 * half_base, 2.0 * half_height]),
+            Self::Octahedron { radius } => ("octahedron", vec![radius]),
+            Self::HexPrism { apothem, half_height } => ("hex_prism", vec![apothem / 0.75f64.sqrt(), 2.0 * half_height]),
+            Self::Gyroid { cell, thickness } => ("gyroid", vec![cell, thickness]),
+            Self::Extrude { .. } | Self::Revolve { .. } | Self::Volume(_) => return None,
+        })
     }
 
     /// Whether the field is the Euclidean distance everywhere, inside too; otherwise it is never larger in size than

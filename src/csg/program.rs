@@ -5,56 +5,11 @@
 //! instructions. With 64 lanes the walk costs next to nothing; with one it serves a ray. The shader that does the same is
 //! `shaders/shared/csg_field.wgsl`.
 
-use super::field;
+use super::leaf::{LeafField, PlacedLeaf};
 use super::model::{Coat, Level, Model, Token, WarpKind};
-use super::primitive::{PARAMETERS, Primitive};
-use super::profile::Profile;
 use super::real::{Real, length2};
 use super::shape::{Blend, Op};
-use super::volume_leaf::{PlacedVolume, VolumeLeaf};
 use glam::{DMat3, DVec3};
-use std::sync::Arc;
-
-/// Which distance function, with what does not fit into parameters.
-#[derive(Debug, Clone)]
-pub enum LeafField<F> {
-    Sphere,
-    Ellipsoid,
-    Box,
-    BoxFrame,
-    Torus,
-    CappedTorus,
-    Cylinder,
-    Capsule,
-    Cone,
-    Plane,
-    Pyramid,
-    Octahedron,
-    HexPrism,
-    Gyroid,
-    Extrude(Flat<F>),
-    Revolve(Flat<F>),
-    Volume(Arc<VolumeLeaf>, Box<PlacedVolume<F>>),
-}
-
-/// A profile in local units.
-#[derive(Debug, Clone)]
-pub enum Flat<F> {
-    Circle(F),
-    Rectangle([F; 2]),
-    Polygon(Vec<[F; 2]>),
-}
-
-/// A leaf in local units.
-#[derive(Debug, Clone)]
-pub struct PlacedLeaf<F> {
-    /// Rows of `leaf_from_local`.
-    pub rows: [[F; 3]; 3],
-    pub shift: [F; 3],
-    pub is_turned: bool,
-    pub parameters: [F; PARAMETERS],
-    pub field: LeafField<F>,
-}
 
 #[derive(Debug, Clone, Copy)]
 pub struct PlacedCombine<F> {
@@ -304,100 +259,6 @@ impl<F: Real> Program<F> {
             self.step(token, &mut stack);
         }
         colors.pop().flatten()
-    }
-}
-
-impl<F: Real> LeafField<F> {
-    fn new(primitive: &Primitive, scale: f64) -> Self {
-        match primitive {
-            Primitive::Sphere { .. } => Self::Sphere,
-            Primitive::Ellipsoid { .. } => Self::Ellipsoid,
-            Primitive::Box { .. } => Self::Box,
-            Primitive::BoxFrame { .. } => Self::BoxFrame,
-            Primitive::Torus { .. } => Self::Torus,
-            Primitive::CappedTorus { .. } => Self::CappedTorus,
-            Primitive::Cylinder { .. } => Self::Cylinder,
-            Primitive::Capsule { .. } => Self::Capsule,
-            Primitive::Cone { .. } => Self::Cone,
-            Primitive::Plane { .. } => Self::Plane,
-            Primitive::Pyramid { .. } => Self::Pyramid,
-            Primitive::Octahedron { .. } => Self::Octahedron,
-            Primitive::HexPrism { .. } => Self::HexPrism,
-            Primitive::Gyroid { .. } => Self::Gyroid,
-            Primitive::Extrude { profile, .. } => Self::Extrude(Flat::new(profile, scale)),
-            Primitive::Revolve { profile, .. } => Self::Revolve(Flat::new(profile, scale)),
-            Primitive::Volume(volume) => Self::Volume(volume.clone(), Box::new(PlacedVolume::new(volume, scale))),
-        }
-    }
-}
-
-impl<F: Real> Flat<F> {
-    fn new(profile: &Profile, scale: f64) -> Self {
-        match profile {
-            Profile::Circle { radius } => Self::Circle(F::of(scale * radius)),
-            Profile::Rectangle { half } => Self::Rectangle((scale * *half).to_array().map(F::of)),
-            Profile::Polygon { corners, .. } => {
-                Self::Polygon(corners.iter().map(|corner| (scale * *corner).to_array().map(F::of)).collect())
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn distance(&self, x: F, y: F) -> F {
-        match self {
-            Self::Circle(radius) => field::circle(x, y, *radius),
-            Self::Rectangle(half) => field::rectangle(x, y, *half),
-            Self::Polygon(corners) => field::polygon(x, y, corners),
-        }
-    }
-}
-
-impl<F: Real> PlacedLeaf<F> {
-    #[inline(always)]
-    pub(super) fn distances<const N: usize>(&self, at: &[[F; N]; 3]) -> [F; N] {
-        let p = &self.parameters;
-        match &self.field {
-            LeafField::Sphere => self.each(at, |q| field::sphere(q, p)),
-            LeafField::Ellipsoid => self.each(at, |q| field::ellipsoid(q, p)),
-            LeafField::Box => self.each(at, |q| field::rounded_box(q, p)),
-            LeafField::BoxFrame => self.each(at, |q| field::box_frame(q, p)),
-            LeafField::Torus => self.each(at, |q| field::torus(q, p)),
-            LeafField::CappedTorus => self.each(at, |q| field::capped_torus(q, p)),
-            LeafField::Cylinder => self.each(at, |q| field::cylinder(q, p)),
-            LeafField::Capsule => self.each(at, |q| field::capsule(q, p)),
-            LeafField::Cone => self.each(at, |q| field::cone(q, p)),
-            LeafField::Plane => self.each(at, |q| field::plane(q, p)),
-            LeafField::Pyramid => self.each(at, |q| field::pyramid(q, p)),
-            LeafField::Octahedron => self.each(at, |q| field::octahedron(q, p)),
-            LeafField::HexPrism => self.each(at, |q| field::hex_prism(q, p)),
-            LeafField::Gyroid => self.each(at, |q| field::gyroid(q, p)),
-            LeafField::Extrude(flat) => self.each(at, |[x, y, z]| field::extrude(flat.distance(x, y), z, p[0])),
-            LeafField::Revolve(flat) => self.each(at, |[x, y, z]| flat.distance(length2(x, y) - p[0], z)),
-            LeafField::Volume(volume, placed) => self.each(at, |q| placed.distance(volume.distances(), q)),
-        }
-    }
-
-    /// A loop over the lanes, of a function of the position in the leaf's space.
-    #[inline(always)]
-    fn each<const N: usize>(&self, at: &[[F; N]; 3], distance: impl Fn([F; 3]) -> F) -> [F; N] {
-        let mut out = [F::default(); N];
-        let [sx, sy, sz] = self.shift;
-        if self.is_turned {
-            let [a, b, c] = &self.rows;
-            for i in 0..N {
-                let (x, y, z) = (at[0][i], at[1][i], at[2][i]);
-                out[i] = distance([
-                    a[0] * x + a[1] * y + a[2] * z + sx,
-                    b[0] * x + b[1] * y + b[2] * z + sy,
-                    c[0] * x + c[1] * y + c[2] * z + sz,
-                ]);
-            }
-        } else {
-            for i in 0..N {
-                out[i] = distance([at[0][i] + sx, at[1][i] + sy, at[2][i] + sz]);
-            }
-        }
-        out
     }
 }
 

@@ -4,9 +4,10 @@
 //! and with it one pipeline. [`ShapeShader::numbers`] is what goes into the buffer. Positions are in world units.
 
 use super::decompose::{StructureToken, structure};
+use super::leaf::{Flat, LeafField};
 use super::model::{Model, Token, WarpKind};
 use super::primitive::{PARAMETERS, Primitive};
-use super::program::{Flat, Frame, Joint, LeafField, PlacedLevel, PlacedWarpKind, Program};
+use super::program::{Frame, Joint, PlacedLevel, PlacedWarpKind, Program};
 use super::shape::Op;
 use super::solid::Solid;
 use crate::error::ShapeError;
@@ -260,12 +261,10 @@ impl<'a> Writer<'a> {
                 self.profile(flat, &format!("vec2f(length({place}.xy) - {offset}, {place}.z)"))
             }
             field => {
-                if matches!(field, LeafField::Ellipsoid) {
-                    self.loops.push("ELLIPSOID_STEPS".to_owned());
-                }
+                self.loops.extend(field.loops().iter().map(|&steps| steps.to_owned()));
                 let first = self.next();
                 self.numbers.extend(&placed.parameters[..PARAMETERS]);
-                format!("{}({place}, six({first}))", self.model.leaves[leaf as usize].primitive.structure())
+                format!("{}({place}, six({first}))", self.model.leaves[leaf as usize].primitive.name())
             }
         }
     }

@@ -127,6 +127,29 @@ impl Blend {
     }
 }
 
+impl Kind {
+    /// The name and the arguments from which [`Shape::changed`] makes a change of one shape; `None` for other kinds.
+    pub fn change(&self) -> Option<(&'static str, Vec<f64>)> {
+        Some(match self {
+            Self::Move(by) => ("translate", by.to_array().to_vec()),
+            Self::Rotate { axis, degrees } => ("rotate", vec![axis.x, axis.y, axis.z, *degrees]),
+            Self::Scale(factor) => ("scale", vec![*factor]),
+            Self::Offset(distance) => ("offset", vec![*distance]),
+            Self::Shell(thickness) => ("shell", vec![*thickness]),
+            Self::Complement => ("complement", Vec::new()),
+            Self::Elongate(half) => ("elongate", half.to_array().to_vec()),
+            Self::Reflect(normal) => ("reflect", normal.to_array().to_vec()),
+            Self::Mirror(normal) => ("mirror", normal.to_array().to_vec()),
+            Self::Repeat { spacing, counts } => ("repeat", [spacing.to_array(), counts.map(f64::from)].concat()),
+            Self::Twist(degrees) => ("twist", vec![*degrees]),
+            Self::Bend(degrees) => ("bend", vec![*degrees]),
+            Self::Paint { color, over: false } => ("paint", color.map(f64::from).to_vec()),
+            Self::Paint { color, over: true } => ("paint_over", color.map(f64::from).to_vec()),
+            Self::Primitive(_) | Self::Combine { .. } | Self::Stencil { .. } => return None,
+        })
+    }
+}
+
 impl Shape {
     fn node(kind: Kind, children: Vec<Self>) -> Result<Self, ShapeError> {
         let copies = match &kind {

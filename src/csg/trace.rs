@@ -26,8 +26,9 @@
 
 use super::chord::{self, ERODED, Form, Step};
 use super::decompose::Part;
+use super::leaf::PlacedLeaf;
 use super::model::{Model, Token};
-use super::program::{PlacedLeaf, Stack};
+use super::program::Stack;
 use super::solid::{Solid, slope, with_vectors};
 use crate::bvh::boxes::{BoxTree, MAX_STACK};
 use glam::{DVec3, Vec3, Vec3A};

@@ -3,8 +3,8 @@
 //! As in [`super::compiled`] the text follows from the structure alone, and the numbers are an array's: shapes that differ in
 //! numbers share a function.
 
+use super::leaf::LeafField;
 use super::model::{Model, Token};
-use super::program::LeafField;
 use super::shader::{HELPERS, Writer};
 use super::solid::Solid;
 use std::fmt::Write;

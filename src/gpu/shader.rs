@@ -75,11 +75,6 @@ pub fn shared(name: &str) -> Option<&'static str> {
     find(SHARED, name)
 }
 
-/// The whole text of a kernel.
-pub fn source(kernel: &str) -> Result<String, String> {
-    source_with(kernel, &[])
-}
-
 /// The whole text of a kernel, with overrides of imported files by name.
 pub fn source_with(kernel: &str, instead: &[(&str, &str)]) -> Result<String, String> {
     let text = find(KERNELS, kernel).ok_or_else(|| format!("there is no kernel '{kernel}'"))?;

@@ -2,7 +2,8 @@
 
 use super::context::{Context, check_adapter};
 use super::device::{Place, choose};
-use super::shader::{KERNELS, source};
+use super::shader::{KERNELS, source_instead};
+use crate::csg::kernel_texts;
 use crate::error::{DeviceError, Error};
 use crate::progress::Progress;
 use std::sync::Arc;
@@ -29,6 +30,11 @@ fn every_kernel_parses_and_validates() {
     for (name, _) in KERNELS {
         validate(name, &source(name).unwrap());
     }
+}
+
+/// The whole text of a kernel, with the modules that the layers above write.
+pub(crate) fn source(kernel: &str) -> Result<String, String> {
+    source_instead(kernel, &kernel_texts())
 }
 
 /// Fails unless a text is a valid shader.

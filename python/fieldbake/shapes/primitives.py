@@ -11,6 +11,33 @@ from ..volumes.volume import Volume
 from .arguments import Axis, axis_of, number, numbers, sides
 from .shape import Shape
 
+#: The public functions; the package exports all of them.
+__all__ = [
+    "Profile",
+    "box",
+    "box_frame",
+    "capped_torus",
+    "capsule",
+    "circle",
+    "cone",
+    "cylinder",
+    "ellipsoid",
+    "extrude",
+    "gyroid",
+    "hex_prism",
+    "octahedron",
+    "plane",
+    "polygon",
+    "pyramid",
+    "rectangle",
+    "revolve",
+    "rounded_box",
+    "sphere",
+    "torus",
+    "truncated_cone",
+    "volume_shape",
+]
+
 
 class Profile:
     """A flat region in the xy plane that :func:`extrude` and :func:`revolve` turn into a shape."""

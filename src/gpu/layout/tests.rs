@@ -1,7 +1,7 @@
 //! The structs compared with the shaders that read them.
 
 use super::*;
-use crate::gpu::shader::source;
+use crate::gpu::tests::source;
 use std::mem::offset_of;
 use wgpu::naga;
 

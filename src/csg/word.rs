@@ -1,0 +1,79 @@
+//! Forms of the language with numbers only: one table row serves the reader and the writer.
+
+/// A form `(word number...)` and the operation of the Python interface that it stands for.
+#[derive(Debug)]
+pub struct Word {
+    pub word: &'static str,
+    /// The name that [`super::primitive::Primitive::named`] or [`super::shape::Shape::changed`] knows.
+    pub operation: &'static str,
+    /// One entry for each argument of the operation.
+    pub slots: &'static [Slot],
+}
+
+/// The source of one argument. The text is the name of the number in messages.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Slot {
+    /// The argument is the number.
+    Full(&'static str),
+    /// The argument is half the number. The language has diameters where the interface has radii.
+    Half(&'static str),
+    /// The argument is half the number less the next argument: the radius of the circle inside a tube, from the outer
+    /// diameter.
+    Rim(&'static str),
+    /// The argument is 0, without a number.
+    Zero,
+    /// The argument is 1, without a number.
+    One,
+    /// The argument equals the one before, without a number.
+    Same,
+}
+
+impl Word {
+    /// The arguments of the operation; `None` if the form does not take so many numbers.
+    pub fn arguments(&self, numbers: &[f64]) -> Option<Vec<f64>> {
+        let mut left = numbers.iter().rev();
+        let mut arguments = vec![0.0; self.slots.len()];
+        // From the last to the first, because a rim needs the argument behind it.
+        for (i, slot) in self.slots.iter().enumerate().rev() {
+            arguments[i] = match slot {
+                Slot::Full(_) => *left.next()?,
+                Slot::Half(_) => 0.5 * left.next()?,
+                Slot::Rim(_) => 0.5 * left.next()? - arguments[i + 1],
+                Slot::One => 1.0,
+                Slot::Zero | Slot::Same => 0.0,
+            };
+        }
+        for i in 1..arguments.len() {
+            if self.slots[i] == Slot::Same {
+                arguments[i] = arguments[i - 1];
+            }
+        }
+        left.next().is_none().then_some(arguments)
+    }
+
+    /// The numbers that give these arguments; `None` if the form cannot express them.
+    pub fn numbers(&self, arguments: &[f64]) -> Option<Vec<f64>> {
+        let mut numbers = Vec::with_capacity(arguments.len());
+        for (i, (slot, &argument)) in self.slots.iter().zip(arguments).enumerate() {
+            match slot {
+                Slot::Full(_) => numbers.push(argument),
+                Slot::Half(_) => numbers.push(2.0 * argument),
+                Slot::Rim(_) => numbers.push(2.0 * (argument + arguments[i + 1])),
+                Slot::Zero if argument == 0.0 => {}
+                Slot::One if argument == 1.0 => {}
+                Slot::Same if argument == arguments[i - 1] => {}
+                Slot::Zero | Slot::One | Slot::Same => return None,
+            }
+        }
+        (self.slots.len() == arguments.len()).then_some(numbers)
+    }
+
+    /// The form as messages show it, such as `(cylinder d h)`.
+    pub fn usage(&self) -> String {
+        let names = self.slots.iter().filter_map(|slot| match slot {
+            Slot::Full(name) | Slot::Half(name) | Slot::Rim(name) => Some(*name),
+            Slot::Zero | Slot::One | Slot::Same => None,
+        });
+        format!("({})", [self.word].into_iter().chain(names).collect::<Vec<_>>().join(" "))
+    }
+}
