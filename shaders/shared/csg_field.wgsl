@@ -75,6 +75,11 @@ fn cylinder(at: vec3f, k: array<f32, 6>) -> f32 {
     return prism(length(at.xy) - k[0], at.z, k[1]);
 }
 
+// The points within k[2] of a smaller cylinder.
+fn rounded_cylinder(at: vec3f, k: array<f32, 6>) -> f32 {
+    return prism(length(at.xy) - k[0], at.z, k[1]) - k[2];
+}
+
 fn capsule(at: vec3f, k: array<f32, 6>) -> f32 {
     return length(vec3f(at.xy, at.z - clamp(at.z, -k[1], k[1]))) - k[0];
 }

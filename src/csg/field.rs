@@ -110,6 +110,12 @@ pub fn cylinder<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     prism(length2(x, y) - p[0], z, p[1])
 }
 
+/// The points within `p[2]` of a smaller cylinder.
+#[inline(always)]
+pub fn rounded_cylinder<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+    prism(length2(x, y) - p[0], z, p[1]) - p[2]
+}
+
 #[inline(always)]
 pub fn capsule<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     length3([x, y, z - z.between(-p[1], p[1])]) - p[0]

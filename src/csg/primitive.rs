@@ -49,6 +49,9 @@ macro_rules! primitives {
             /// A cylinder along z.
             Cylinder { radius: f64, half_height: f64 } = cylinder,
                 words [("cylinder", "cylinder", [Half("d"), Full("h")])];
+            /// A cylinder along z whose edges are rounded; the sizes include the rounding.
+            RoundedCylinder { radius: f64, half_height: f64, rounding: f64 } = rounded_cylinder,
+                words [("rounded-cylinder", "rounded_cylinder", [Half("d"), Full("h"), Full("r")])];
             /// The points within `radius` of a segment of the z axis.
             Capsule { radius: f64, half_height: f64 } = capsule,
                 words [("capsule", "capsule", [Half("d"), Full("h")])];
@@ -207,6 +210,15 @@ impl Primitive {
             ("cylinder", &[radius, height]) => {
                 Self::Cylinder { radius: positive("radius", radius)?, half_height: 0.5 * positive("height", height)? }
             }
+            ("rounded_cylinder", &[radius, height, rounding]) => {
+                let (radius, half_height) = (positive("radius", radius)?, 0.5 * positive("height", height)?);
+                let (rounding, limit) = (not_negative("rounding", rounding)?, radius.min(half_height));
+                if rounding > limit {
+                    let problem = format!("must be at most the radius and half the height, {limit}, got {rounding}");
+                    return Err(ShapeError::argument("rounding", problem));
+                }
+                Self::RoundedCylinder { radius, half_height, rounding }
+            }
             ("capsule", &[radius, height]) => Self::Capsule {
                 radius: positive("radius", radius)?,
                 half_height: 0.5 * not_negative("height", height)?,
@@ -259,6 +271,9 @@ impl Primitive {
                 ("capped_torus", vec![radius, tube, 2.0 * half_angle.to_degrees()])
             }
             Self::Cylinder { radius, half_height } => ("cylinder", vec![radius, 2.0 * half_height]),
+            Self::RoundedCylinder { radius, half_height, rounding } => {
+                ("rounded_cylinder", vec![radius, 2.0 * half_height, rounding])
+            }
             Self::Capsule { radius, half_height } => ("capsule", vec![radius, 2.0 * half_height]),
             Self::Cone { low, high, half_height } => ("cone", vec![low, high, 2.0 * half_height]),
             Self::Plane { normal, offset } => ("plane", vec![normal.x, normal.y, normal.z, offset]),
@@ -321,6 +336,9 @@ impl Primitive {
             Self::Cylinder { radius, half_height } | Self::Capsule { radius, half_height } => {
                 put(&[s * radius, s * half_height]);
             }
+            Self::RoundedCylinder { radius, half_height, rounding } => {
+                put(&[s * (radius - rounding), s * (half_height - rounding), s * rounding]);
+            }
             Self::Cone { low, high, half_height } => {
                 let (dx, dy) = (s * (high - low), 2.0 * s * half_height);
                 put(&[s * low, s * high, s * half_height, 1.0 / (dx * dx + dy * dy)]);
@@ -359,6 +377,9 @@ impl Primitive {
                 radius * (n.x * angle.cos() + n.y * angle.sin()) + tube * n.length()
             }
             Self::Cylinder { radius, half_height } => radius * across + half_height * n.z.abs(),
+            Self::RoundedCylinder { radius, half_height, rounding } => {
+                (radius - rounding) * across + (half_height - rounding) * n.z.abs() + rounding * n.length()
+            }
             Self::Capsule { radius, half_height } => radius * n.length() + half_height * n.z.abs(),
             Self::Cone { low, high, half_height } => {
                 (high * across + half_height * n.z).max(low * across - half_height * n.z)

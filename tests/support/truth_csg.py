@@ -168,6 +168,19 @@ def _solids():
             _turned(lambda t: t, lambda t: -0.7 + 0 * t, (0, 0.6)),
         ),
     )
+    yield (
+        "rounded_cylinder",
+        fb.rounded_cylinder(0.7, 1.2, 0.2),
+        lambda p: np.hypot((r(p) - 0.5).clip(0), (np.abs(z(p)) - 0.4).clip(0)) <= 0.2,
+        _join(
+            _turned(lambda t: 0.7 + 0 * t, lambda t: t, (-0.4, 0.4)),
+            *(_turned(lambda t: t, lambda t, end=end: end + 0 * t, (0, 0.5)) for end in (-0.6, 0.6)),
+            *(
+                _turned(lambda t: 0.5 + 0.2 * np.cos(t), lambda t, up=up: up * (0.4 + 0.2 * np.sin(t)), (0, np.pi / 2))
+                for up in (-1, 1)
+            ),
+        ),
+    )
 
     def in_capsule(p):
         return np.hypot(r(p), z(p) - z(p).clip(-0.5, 0.5)) <= 0.4

@@ -32,6 +32,7 @@ __all__ = [
     "rectangle",
     "revolve",
     "rounded_box",
+    "rounded_cylinder",
     "sphere",
     "torus",
     "truncated_cone",
@@ -103,6 +104,39 @@ def capped_torus(radius: float, tube: float, angle_deg: float) -> Shape:
 def cylinder(radius: float = 1.0, height: float = 2.0) -> Shape:
     """Make a cylinder along z, centred at the origin. Its field is exact."""
     return _primitive("cylinder", number("radius", radius), number("height", height))
+
+
+def rounded_cylinder(radius: float = 1.0, height: float = 2.0, rounding: float = 0.1) -> Shape:
+    """Make a centred cylinder along z whose edges are rounded; the sizes include the rounding. Its field is exact.
+
+    Parameters
+    ----------
+    radius : float, default 1.0
+        Radius of the side.
+    height : float, default 2.0
+        Distance between the two flat faces.
+    rounding : float, default 0.1
+        Radius of the edges, at most `radius` and half of `height`.
+
+    Returns
+    -------
+    Shape
+
+    Raises
+    ------
+    ShapeError
+        If a size is not positive, or `rounding` is negative or larger than its limit.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> peg = fb.rounded_cylinder(1, 2, 0.5)
+    >>> peg.distance([(2, 0, 0), (0, 0, 0)]).tolist()
+    [1.0, -1.0]
+    """
+    return _primitive(
+        "rounded_cylinder", number("radius", radius), number("height", height), number("rounding", rounding)
+    )
 
 
 def capsule(radius: float = 0.5, height: float = 1.0) -> Shape:
