@@ -101,6 +101,10 @@ fn plane(at: vec3f, k: array<f32, 6>) -> f32 {
     return dot(at, vec3f(k[0], k[1], k[2])) - k[3];
 }
 
+fn slab(at: vec3f, k: array<f32, 6>) -> f32 {
+    return abs(dot(at, vec3f(k[0], k[1], k[2]))) - k[3];
+}
+
 // By symmetry the point has x >= y >= 0, and the nearest side is the one that faces +x.
 fn pyramid(at: vec3f, k: array<f32, 6>) -> f32 {
     let half = k[0];

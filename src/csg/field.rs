@@ -144,6 +144,11 @@ pub fn plane<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     x * p[0] + y * p[1] + z * p[2] - p[3]
 }
 
+#[inline(always)]
+pub fn slab<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+    (x * p[0] + y * p[1] + z * p[2]).abs() - p[3]
+}
+
 /// By symmetry a point with x >= y >= 0, whose nearest side is the one that faces +x.
 #[inline(always)]
 pub fn pyramid<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {

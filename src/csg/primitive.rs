@@ -68,6 +68,12 @@ macro_rules! primitives {
                     ("plane", "plane", [Full("x"), Full("y"), Full("z"), Zero]),
                     ("plane", "plane", [Full("x"), Full("y"), Full("z"), Full("offset")]),
                 ];
+            /// The space between two parallel planes.
+            Slab { normal: DVec3, half_thickness: f64 } = slab,
+                words [
+                    ("slab", "slab", [Full("t"), Zero, Zero, One]),
+                    ("slab", "slab", [Full("t"), Full("x"), Full("y"), Full("z")]),
+                ];
             /// A pyramid with a square base at the bottom and its apex at the top.
             Pyramid { half_base: f64, half_height: f64 } = pyramid,
                 words [("pyramid", "pyramid", [Full("base"), Full("h")])];
@@ -162,6 +168,24 @@ pub fn finite(argument: &'static str, value: f64) -> Result<f64, ShapeError> {
     Err(ShapeError::argument(argument, format!("must be a finite number (at most {FAR:e}), got {value}")))
 }
 
+/// The unit vector along a normal of any length.
+fn direction(normal: [f64; 3]) -> Result<DVec3, ShapeError> {
+    let [x, y, z] = normal.map(|component| finite("normal", component));
+    let normal = DVec3::new(x?, y?, z?);
+    let largest = normal.abs().max_element();
+    if largest == 0.0 {
+        return Err(ShapeError::argument("normal", "is zero, expected a direction"));
+    }
+    Ok((normal / largest).normalize())
+}
+
+/// The largest `n . p` over the points with `normal . p <= offset`, which is finite along the normal only.
+fn half_space_support(n: DVec3, normal: DVec3, offset: f64) -> f64 {
+    let along = n.dot(normal);
+    let is_along = along > 0.0 && (n - along * normal).length() <= 1e-12 * along;
+    if is_along { along * offset } else { f64::INFINITY }
+}
+
 impl Primitive {
     /// A primitive by the name and the arguments of the Python interface, where sizes are full lengths and radii.
     pub fn named(name: &str, numbers: &[f64]) -> Result<Self, ShapeError> {
@@ -231,12 +255,11 @@ impl Primitive {
                 Self::Cone { low, high, half_height: 0.5 * positive("height", height)? }
             }
             ("plane", &[x, y, z, offset]) => {
-                let normal = DVec3::new(finite("normal", x)?, finite("normal", y)?, finite("normal", z)?);
-                let largest = normal.abs().max_element();
-                if largest == 0.0 {
-                    return Err(ShapeError::argument("normal", "is zero, expected a direction"));
-                }
-                Self::Plane { normal: (normal / largest).normalize(), offset: finite("offset", offset)? }
+                Self::Plane { normal: direction([x, y, z])?, offset: finite("offset", offset)? }
+            }
+            ("slab", &[thickness, x, y, z]) => {
+                let half_thickness = 0.5 * positive("thickness", thickness)?;
+                Self::Slab { normal: direction([x, y, z])?, half_thickness }
             }
             ("pyramid", &[base, height]) => Self::Pyramid {
                 half_base: 0.5 * positive("base", base)?,
@@ -277,6 +300,7 @@ impl Primitive {
             Self::Capsule { radius, half_height } => ("capsule", vec![radius, 2.0 * half_height]),
             Self::Cone { low, high, half_height } => ("cone", vec![low, high, 2.0 * half_height]),
             Self::Plane { normal, offset } => ("plane", vec![normal.x, normal.y, normal.z, offset]),
+            Self::Slab { normal, half_thickness } => ("slab", vec![2.0 * half_thickness, normal.x, normal.y, normal.z]),
             Self::Pyramid { half_base, half_height } => ("pyramid", vec![2.0 * half_base, 2.0 * half_height]),
             Self::Octahedron { radius } => ("octahedron", vec![radius]),
             Self::HexPrism { apothem, half_height } => ("hex_prism", vec![apothem / 0.75f64.sqrt(), 2.0 * half_height]),
@@ -344,6 +368,7 @@ impl Primitive {
                 put(&[s * low, s * high, s * half_height, 1.0 / (dx * dx + dy * dy)]);
             }
             Self::Plane { normal, offset } => put(&[normal.x, normal.y, normal.z, s * offset]),
+            Self::Slab { normal, half_thickness } => put(&[normal.x, normal.y, normal.z, s * half_thickness]),
             Self::Pyramid { half_base, half_height } => {
                 // Slope of a side: from the middle of a base edge to the apex.
                 let slant = half_base.hypot(2.0 * half_height);
@@ -384,14 +409,9 @@ impl Primitive {
             Self::Cone { low, high, half_height } => {
                 (high * across + half_height * n.z).max(low * across - half_height * n.z)
             }
-            Self::Plane { normal, offset } => {
-                // Bounded along its own normal only.
-                let along = n.dot(normal);
-                if along > 0.0 && (n - along * normal).length() <= 1e-12 * along {
-                    along * offset
-                } else {
-                    f64::INFINITY
-                }
+            Self::Plane { normal, offset } => half_space_support(n, normal, offset),
+            Self::Slab { normal, half_thickness } => {
+                half_space_support(if n.dot(normal) < 0.0 { -n } else { n }, normal, half_thickness)
             }
             Self::Pyramid { half_base, half_height } => {
                 (half_height * n.z).max(half_base * (n.x.abs() + n.y.abs()) - half_height * n.z)

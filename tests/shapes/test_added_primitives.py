@@ -38,3 +38,22 @@ def test_a_rounded_cylinder_is_a_cylinder_and_all_points_near_it(sizes, points, 
 def test_the_rounding_of_a_cylinder_has_a_limit():
     with pytest.raises(fb.ShapeError, match=r"rounding: must be at most .* half the height, 0\.5, got 0\.6"):
         fb.rounded_cylinder(1.0, 1.0, 0.6)
+
+
+@pytest.mark.parametrize("normal", ["x", "z", (1, 2, -2)])
+def test_a_slab_is_exact_between_and_beyond_its_planes(normal, points, device):
+    vector = np.eye(3)["xyz".index(normal)] if isinstance(normal, str) else np.asarray(normal) / 3
+
+    compare(fb.slab(0.5, normal), points, np.abs(points @ vector) - 0.25, device)
+
+
+def test_a_slab_has_no_bounds_but_cuts_those_of_others(points):
+    with pytest.raises(fb.ShapeError, match="no bounds because of a slab"):
+        _ = fb.slab().bounds
+    disc = fb.sphere(1.5) & fb.slab(0.5).translate((0, 0, 0.25))
+    inside = (np.linalg.norm(points, axis=1) < 1.5) & (points[:, 2] > 0) & (points[:, 2] < 0.5)
+
+    assert disc.bounds.tolist() == [[-1.5, -1.5, 0.0], [1.5, 1.5, 0.5]]
+    assert ((disc.distance(points) < 0) == inside).all()
+    with pytest.raises(fb.ShapeError, match="normal: is zero"):
+        fb.slab(1.0, (0, 0, 0))

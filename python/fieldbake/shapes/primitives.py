@@ -33,6 +33,7 @@ __all__ = [
     "revolve",
     "rounded_box",
     "rounded_cylinder",
+    "slab",
     "sphere",
     "torus",
     "truncated_cone",
@@ -157,6 +158,39 @@ def truncated_cone(radius: float, top_radius: float, height: float) -> Shape:
 def plane(normal: Axis = "z", offset: float = 0.0) -> Shape:
     """Make the half space below a plane at `offset` along its normal. Its field is exact; it has no bounds."""
     return _primitive("plane", *axis_of("normal", normal), number("offset", offset))
+
+
+def slab(thickness: float = 1.0, normal: Axis = "z") -> Shape:
+    """Make the space between two parallel planes, centred at the origin. Its field is exact; it has no bounds.
+
+    Parameters
+    ----------
+    thickness : float, default 1.0
+        Distance between the two planes.
+    normal : {"x", "y", "z"} or array_like (3,), default "z"
+        Direction across the slab, of any length.
+
+    Returns
+    -------
+    Shape
+        A shape that is infinite along its planes, as :func:`plane` is. Intersect it with a bounded shape to bake or
+        draw it.
+
+    Raises
+    ------
+    ShapeError
+        If `thickness` is not positive, or `normal` is zero.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> disc = fb.sphere(2) & fb.slab(1)
+    >>> disc.distance([(0, 0, 1), (0, 0, 0)]).tolist()
+    [0.5, -0.5]
+    >>> disc.bounds[:, 2].tolist()
+    [-0.5, 0.5]
+    """
+    return _primitive("slab", number("thickness", thickness), *axis_of("normal", normal))
 
 
 def pyramid(base: float = 1.0, height: float = 1.0) -> Shape:
