@@ -97,6 +97,16 @@ fn cone(at: vec3f, k: array<f32, 6>) -> f32 {
     return select(size, -size, side.x < 0.0 && cap.y < 0.0);
 }
 
+// The nearest of the lower ball, the upper ball and the side. The normals of the side through the two centres separate
+// these regions.
+fn rounded_cone(at: vec3f, k: array<f32, 6>) -> f32 {
+    let q = vec2f(length(at.xy), at.z - k[2]);
+    let along = q.y * k[4] - q.x * k[5];
+    if along < 0.0 { return length(q) - k[0]; }
+    if along > k[3] * k[4] { return length(vec2f(q.x, q.y - k[3])) - k[1]; }
+    return q.x * k[4] + q.y * k[5] - k[0];
+}
+
 fn plane(at: vec3f, k: array<f32, 6>) -> f32 {
     return dot(at, vec3f(k[0], k[1], k[2])) - k[3];
 }

@@ -139,6 +139,22 @@ pub fn cone<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     if side[0] < zero && cap[1] < zero { -distance } else { distance }
 }
 
+/// The nearest of the lower ball, the upper ball and the side. The normals of the side through the two centres separate
+/// these regions, so the distance is exact inside too.
+#[inline(always)]
+pub fn rounded_cone<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+    let [low, high, base, height, cos, sin] = *p;
+    let (r, z) = (length2(x, y), z - base);
+    let along = z * cos - r * sin;
+    if along < F::default() {
+        length2(r, z) - low
+    } else if along > height * cos {
+        length2(r, z - height) - high
+    } else {
+        r * cos + z * sin - low
+    }
+}
+
 #[inline(always)]
 pub fn plane<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     x * p[0] + y * p[1] + z * p[2] - p[3]

@@ -62,6 +62,9 @@ macro_rules! primitives {
                     ("coninder", "cone", [Half("low"), Half("high"), Full("h")]),
                     ("cylicone", "cone", [Half("low"), Half("high"), Full("h")]),
                 ];
+            /// The convex hull of two balls on the z axis, of radius `low` at the bottom and `high` at the top.
+            RoundedCone { low: f64, high: f64, half_height: f64 } = rounded_cone,
+                words [("rounded-cone", "rounded_cone", [Half("low"), Half("high"), Full("h")])];
             /// The half space below the plane `normal . p = offset`.
             Plane { normal: DVec3, offset: f64 } = plane,
                 words [
@@ -254,6 +257,13 @@ impl Primitive {
                 }
                 Self::Cone { low, high, half_height: 0.5 * positive("height", height)? }
             }
+            ("rounded_cone", &[low, high, height]) => {
+                let (low, high) = (not_negative("radius", low)?, not_negative("top_radius", high)?);
+                if low == 0.0 && high == 0.0 {
+                    return Err(ShapeError::argument("radius", "both radii are 0: nothing is left of the cone"));
+                }
+                Self::RoundedCone { low, high, half_height: 0.5 * not_negative("height", height)? }
+            }
             ("plane", &[x, y, z, offset]) => {
                 Self::Plane { normal: direction([x, y, z])?, offset: finite("offset", offset)? }
             }
@@ -299,6 +309,7 @@ impl Primitive {
             }
             Self::Capsule { radius, half_height } => ("capsule", vec![radius, 2.0 * half_height]),
             Self::Cone { low, high, half_height } => ("cone", vec![low, high, 2.0 * half_height]),
+            Self::RoundedCone { low, high, half_height } => ("rounded_cone", vec![low, high, 2.0 * half_height]),
             Self::Plane { normal, offset } => ("plane", vec![normal.x, normal.y, normal.z, offset]),
             Self::Slab { normal, half_thickness } => ("slab", vec![2.0 * half_thickness, normal.x, normal.y, normal.z]),
             Self::Pyramid { half_base, half_height } => ("pyramid", vec![2.0 * half_base, 2.0 * half_height]),
@@ -367,6 +378,20 @@ impl Primitive {
                 let (dx, dy) = (s * (high - low), 2.0 * s * half_height);
                 put(&[s * low, s * high, s * half_height, 1.0 / (dx * dx + dy * dy)]);
             }
+            Self::RoundedCone { low, high, half_height } => {
+                // Radii, z of the lower centre, distance of the centres, and the normal (cos, sin) of the side.
+                let height = 2.0 * half_height;
+                if height > (low - high).abs() {
+                    let sin = (low - high) / height;
+                    // The cosine as a product, so that nothing cancels for a steep side.
+                    let cos = ((1.0 - sin) * (1.0 + sin)).sqrt();
+                    put(&[s * low, s * high, -s * half_height, s * height, cos, sin]);
+                } else {
+                    // The larger ball contains the other.
+                    let (radius, z) = if low > high { (low, -half_height) } else { (high, half_height) };
+                    put(&[s * radius, s * radius, s * z, 0.0, 1.0, 0.0]);
+                }
+            }
             Self::Plane { normal, offset } => put(&[normal.x, normal.y, normal.z, s * offset]),
             Self::Slab { normal, half_thickness } => put(&[normal.x, normal.y, normal.z, s * half_thickness]),
             Self::Pyramid { half_base, half_height } => {
@@ -408,6 +433,9 @@ impl Primitive {
             Self::Capsule { radius, half_height } => radius * n.length() + half_height * n.z.abs(),
             Self::Cone { low, high, half_height } => {
                 (high * across + half_height * n.z).max(low * across - half_height * n.z)
+            }
+            Self::RoundedCone { low, high, half_height } => {
+                (high * n.length() + half_height * n.z).max(low * n.length() - half_height * n.z)
             }
             Self::Plane { normal, offset } => half_space_support(n, normal, offset),
             Self::Slab { normal, half_thickness } => {

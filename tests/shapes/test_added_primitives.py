@@ -57,3 +57,35 @@ def test_a_slab_has_no_bounds_but_cuts_those_of_others(points):
     assert ((disc.distance(points) < 0) == inside).all()
     with pytest.raises(fb.ShapeError, match="normal: is zero"):
         fb.slab(1.0, (0, 0, 0))
+
+
+@pytest.mark.parametrize("sizes", [(0.6, 0.3, 1.0), (0.2, 0.9, 1.5), (0.5, 0.5, 1.0), (0.0, 0.7, 1.2)])
+def test_a_rounded_cone_is_the_union_of_balls_between_its_ends(sizes, points, device):
+    low, high, height = sizes
+    # Outside, the distance is the smallest distance to any of the balls. It is a convex function of the position along
+    # the axis, so a ternary search finds its minimum. Inside, the largest depth in a ball is the distance to the hull.
+    lower, upper = np.zeros(len(points)), np.ones(len(points))
+
+    def to_ball(t):
+        centre = -height / 2 + t * height
+        return np.hypot(np.hypot(points[:, 0], points[:, 1]), points[:, 2] - centre) - (low + t * (high - low))
+
+    for _ in range(120):
+        a, b = lower + (upper - lower) / 3, upper - (upper - lower) / 3
+        is_left = to_ball(a) < to_ball(b)
+        lower, upper = np.where(is_left, lower, a), np.where(is_left, b, upper)
+
+    compare(fb.rounded_cone(*sizes), points, to_ball((lower + upper) / 2), device)
+
+
+@pytest.mark.parametrize(("sizes", "z", "radius"), [((1.0, 0.2, 0.8), -0.4, 1.0), ((0.3, 0.9, 0.1), 0.05, 0.9)])
+def test_a_ball_that_contains_the_other_is_the_whole_cone(sizes, z, radius, points, device):
+    truth = np.linalg.norm(points - (0, 0, z), axis=1) - radius
+
+    compare(fb.rounded_cone(*sizes), points, truth, device)
+    assert np.abs(fb.rounded_cone(*sizes).bounds - np.array([[-radius] * 3, [radius] * 3]) - (0, 0, z)).max() <= 1e-15
+
+
+def test_a_rounded_cone_needs_a_radius():
+    with pytest.raises(fb.ShapeError, match="both radii are 0"):
+        fb.rounded_cone(0, 0, 1)

@@ -210,6 +210,23 @@ def _solids():
             _turned(lambda t: t, lambda t: 0.6 + 0 * t, (0, 0.8)),
         ),
     )
+    sin, cos = 0.3, np.sqrt(1 - 0.3**2)
+
+    def in_rounded_cone(p):
+        # The hull is the union of the balls between the ends; the depth in them is a concave quadratic of the position.
+        t = ((0.6 * -0.3 + (z(p) + 0.5)) / (1 - 0.3**2)).clip(0, 1)
+        return (0.6 - 0.3 * t) ** 2 - r(p) ** 2 - (z(p) + 0.5 - t) ** 2 >= 0
+
+    yield (
+        "rounded_cone",
+        fb.rounded_cone(0.6, 0.3, 1.0),
+        in_rounded_cone,
+        _join(
+            _turned(lambda t: 0.6 * np.sin(t), lambda t: -0.5 - 0.6 * np.cos(t), (0, np.pi / 2 + np.arcsin(sin))),
+            _turned(lambda t: 0.3 * np.sin(t), lambda t: 0.5 + 0.3 * np.cos(t), (0, np.pi / 2 - np.arcsin(sin))),
+            _turned(lambda t: (0.6 - 0.3 * t) * cos, lambda t: -0.5 + t + (0.6 - 0.3 * t) * sin, (0, 1)),
+        ),
+    )
     base = np.array([(0.7, 0.7), (-0.7, 0.7), (-0.7, -0.7), (0.7, -0.7)])
     edges = list(zip(base, np.roll(base, -1, axis=0), strict=True))
     yield (

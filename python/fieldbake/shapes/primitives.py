@@ -32,6 +32,7 @@ __all__ = [
     "rectangle",
     "revolve",
     "rounded_box",
+    "rounded_cone",
     "rounded_cylinder",
     "slab",
     "sphere",
@@ -153,6 +154,40 @@ def cone(radius: float = 1.0, height: float = 2.0) -> Shape:
 def truncated_cone(radius: float, top_radius: float, height: float) -> Shape:
     """Make a centred cone along z from `radius` at the bottom to `top_radius` at the top. Its field is exact."""
     return _primitive("cone", number("radius", radius), number("top_radius", top_radius), number("height", height))
+
+
+def rounded_cone(radius: float, top_radius: float, height: float) -> Shape:
+    """Make the convex hull of two balls on the z axis. Its field is exact.
+
+    Parameters
+    ----------
+    radius : float
+        Radius of the ball at the bottom, 0 or more.
+    top_radius : float
+        Radius of the ball at the top, 0 or more. One of the two radii is above 0.
+    height : float
+        Distance between the centres of the balls, 0 or more; the origin is halfway. If it is smaller than the
+        difference of the radii, the larger ball contains the other and is the result.
+
+    Returns
+    -------
+    Shape
+
+    Raises
+    ------
+    ShapeError
+        If a size is negative, or both radii are 0.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> drop = fb.rounded_cone(1, 0.5, 3)
+    >>> drop.bounds.tolist()
+    [[-1.0, -1.0, -2.5], [1.0, 1.0, 2.0]]
+    """
+    return _primitive(
+        "rounded_cone", number("radius", radius), number("top_radius", top_radius), number("height", height)
+    )
 
 
 def plane(normal: Axis = "z", offset: float = 0.0) -> Shape:
