@@ -25,7 +25,7 @@ fn hull(a: vec2f, b: vec2f) -> vec2f {
 }
 
 // The interval of t where |o + t d| < half.
-fn slab(o: f32, d: f32, half: f32) -> vec2f {
+fn slab_chord(o: f32, d: f32, half: f32) -> vec2f {
     if abs(d) < CHORD_STILL { return select(NO_CHORD, WHOLE_LINE, abs(o) < half); }
     let inverse = 1.0 / d;
     let a = (-half - o) * inverse;
@@ -34,7 +34,7 @@ fn slab(o: f32, d: f32, half: f32) -> vec2f {
 }
 
 fn cuboid_chord(o: vec3f, d: vec3f, half: vec3f) -> vec2f {
-    return both(slab(o.x, d.x, half.x), both(slab(o.y, d.y, half.y), slab(o.z, d.z, half.z)));
+    return both(slab_chord(o.x, d.x, half.x), both(slab_chord(o.y, d.y, half.y), slab_chord(o.z, d.z, half.z)));
 }
 
 // The interval of t where normal . p < offset.
@@ -70,7 +70,7 @@ fn disc_chord(o: vec2f, d: vec2f, radius: f32) -> vec2f {
 }
 
 fn cone_chord(o: vec3f, d: vec3f, low: f32, high: f32, half_height: f32) -> vec2f {
-    let ends = slab(o.z, d.z, half_height);
+    let ends = slab_chord(o.z, d.z, half_height);
     if ends.x >= ends.y { return NO_CHORD; }
     let middle = 0.5 * (low + high);
     let slope = 0.5 * (high - low) / half_height;
@@ -111,7 +111,7 @@ fn pyramid_chord(o: vec3f, d: vec3f, k: array<f32, 6>, grow: f32) -> vec2f {
 }
 
 fn slanted_slab(o: vec3f, d: vec3f, normal: vec3f, half: f32) -> vec2f {
-    return slab(dot(normal, o), dot(normal, d), half);
+    return slab_chord(dot(normal, o), dot(normal, d), half);
 }
 
 // The chord of a line in a leaf whose surface is moved outwards by `grow`. The kinds are those of leaf_distance.
@@ -131,10 +131,10 @@ fn leaf_chord(leaf: u32, origin: vec3f, direction: vec3f, grow: f32) -> vec2f {
         case KIND_SPHERE: { return ball_chord(o, d, s.x); }
         case KIND_ELLIPSOID: { return ball_chord(o / (a.xyz + grow), d / (a.xyz + grow), 1.0); }
         case KIND_ROUNDED_BOX: { return cuboid_chord(o, d, s); }
-        case KIND_CYLINDER: { return both(disc_chord(o.xy, d.xy, s.x), slab(o.z, d.z, s.y)); }
+        case KIND_CYLINDER: { return both(disc_chord(o.xy, d.xy, s.x), slab_chord(o.z, d.z, s.y)); }
         case KIND_CAPSULE: {
             let end = vec3f(0.0, 0.0, a.y);
-            let side = both(disc_chord(o.xy, d.xy, s.x), slab(o.z, d.z, a.y));
+            let side = both(disc_chord(o.xy, d.xy, s.x), slab_chord(o.z, d.z, a.y));
             return hull(hull(side, ball_chord(o - end, d, s.x)), ball_chord(o + end, d, s.x));
         }
         case KIND_CONE: { return cone_chord(o, d, s.x, s.y, s.z); }
@@ -153,10 +153,10 @@ fn leaf_chord(leaf: u32, origin: vec3f, direction: vec3f, grow: f32) -> vec2f {
                 slanted_slab(o, d, vec3f(0.8660254, 0.5, 0.0), s.x),
                 slanted_slab(o, d, vec3f(0.8660254, -0.5, 0.0), s.x),
             );
-            return both(both(slab(o.z, d.z, s.y), slab(o.y, d.y, s.x)), sides);
+            return both(both(slab_chord(o.z, d.z, s.y), slab_chord(o.y, d.y, s.x)), sides);
         }
         case KIND_EXTRUDED_CIRCLE: {
-            return both(disc_chord(o.xy, d.xy, max(numbers[first] + grow, 0.0)), slab(o.z, d.z, s.x));
+            return both(disc_chord(o.xy, d.xy, max(numbers[first] + grow, 0.0)), slab_chord(o.z, d.z, s.x));
         }
         case KIND_EXTRUDED_RECTANGLE: {
             return cuboid_chord(o, d, vec3f(max(corner_at(first) + grow, vec2f(0.0)), s.x));
