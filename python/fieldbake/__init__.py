@@ -17,7 +17,8 @@ from typing import Any as _Any
 
 from . import arrays, cache, csg, models
 from ._core import __version__
-from .atlases.atlas import Atlas, AtlasEntry, pack
+from .atlases.atlas import Atlas, AtlasEntry
+from .atlases.packing import pack
 from .baking.dense import bake
 from .baking.sparse import bake_sparse
 from .base.adapters import Device, devices

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _core
-from .atlases.atlas import pack as pack_volumes
+from .atlases.packing import pack as pack_volumes
 from .atlases.pages import Layout
 from .base import checks
 from .base.errors import ArgumentError

@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from .base.errors import Error
 from .meshes.mesh import Mesh
-from .queries.derivatives import linearize
+from .queries.derivatives import interpolate, linearize, optional, vertex_changes
 
 __all__ = ["sample", "signed_distance"]
 
@@ -55,7 +54,7 @@ def signed_distance(vertices: Any, faces: Any, points: Any, mesh: Mesh | None = 
     and those of one side on the medial axis. The distance is evaluated on the host by `jax.pure_callback`, so this
     function can be compiled by `jax.jit` and mapped by `jax.vmap`. float64 needs ``jax_enable_x64``.
     """
-    jax = _jax()
+    jax = optional("jax", "JAX")
     numbers = jax.numpy
     return _distance_function()(mesh, numbers.asarray(vertices), numbers.asarray(faces), numbers.asarray(points))
 
@@ -82,7 +81,7 @@ def sample(distances: Any, bounds: Any, points: Any) -> Any:
     Error
         If JAX is not installed.
     """
-    jax = _jax()
+    jax = optional("jax", "JAX")
     numbers = jax.numpy
     distances, bounds, points = (numbers.asarray(value) for value in (distances, bounds, points))
     shape = np.array(distances.shape)
@@ -90,27 +89,13 @@ def sample(distances: Any, bounds: Any, points: Any) -> Any:
     grid = numbers.clip(grid, 0, shape - 1)
     low = numbers.minimum(numbers.floor(jax.lax.stop_gradient(grid)).astype(int), np.maximum(shape - 2, 0))
     high = numbers.minimum(low + 1, shape - 1)
-    part = grid - low
-    total = 0
-    for corner in np.ndindex(2, 2, 2):
-        rows = tuple((high if bit else low)[..., axis] for axis, bit in enumerate(corner))
-        weights = [part[..., axis] if bit else 1 - part[..., axis] for axis, bit in enumerate(corner)]
-        total = total + weights[0] * weights[1] * weights[2] * distances[rows]
-    return total
-
-
-def _jax() -> Any:
-    try:
-        import jax
-    except ImportError as error:
-        raise Error("fieldbake.jax needs JAX; install it with: pip install 'fieldbake[jax]'") from error
-    return jax
+    return interpolate(distances, grid, low, high)
 
 
 @cache
 def _distance_function() -> Any:
     """The function of :func:`signed_distance` with its reverse-mode derivative."""
-    jax = _jax()
+    jax = optional("jax", "JAX")
     numbers = jax.numpy
 
     def evaluate(mesh: Mesh | None, vertices: Any, faces: Any, points: Any) -> Any:
@@ -139,7 +124,7 @@ def _distance_function() -> Any:
     def backward(_: Mesh | None, kept: Any, change: Any) -> Any:
         gradients, corners, weights, vertices = kept
         per_point = change[..., None] * gradients
-        of_corners = (-weights[..., :, None] * per_point[..., None, :]).astype(vertices.dtype)
+        of_corners = vertex_changes(weights, per_point).astype(vertices.dtype)
         of_vertices = numbers.zeros_like(vertices).at[corners].add(of_corners)
         return of_vertices, None, per_point
 

@@ -13,9 +13,8 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from .base.errors import Error
 from .meshes.mesh import Mesh
-from .queries.derivatives import linearize
+from .queries.derivatives import interpolate, linearize, optional, vertex_changes
 
 __all__ = ["sample", "signed_distance"]
 
@@ -79,37 +78,20 @@ def sample(distances: Any, bounds: Any, points: Any) -> Any:
     Error
         If PyTorch is not installed.
     """
-    torch = _torch()
+    torch = optional("torch", "PyTorch")
     distances, bounds, points = (torch.as_tensor(value) for value in (distances, bounds, points))
     shape = torch.tensor(distances.shape, dtype=points.dtype, device=points.device)
     grid = (points - bounds[0]) / (bounds[1] - bounds[0]) * shape - 0.5
     grid = torch.minimum(torch.clamp(grid, min=0), shape - 1)
     low = torch.minimum(grid.detach().floor().long(), torch.clamp(shape.long() - 2, min=0))
     high = torch.minimum(low + 1, shape.long() - 1)
-    part = grid - low
-    total = 0
-    for corner in range(8):
-        bits = [corner >> axis & 1 for axis in range(3)]
-        rows = [(high if bit else low)[..., axis] for axis, bit in enumerate(bits)]
-        weight = 1
-        for axis, bit in enumerate(bits):
-            weight = weight * (part[..., axis] if bit else 1 - part[..., axis])
-        total = total + weight * distances[rows[0], rows[1], rows[2]]
-    return total
-
-
-def _torch() -> Any:
-    try:
-        import torch
-    except ImportError as error:
-        raise Error("fieldbake.torch needs PyTorch; install it with: pip install 'fieldbake[torch]'") from error
-    return torch
+    return interpolate(distances, grid, low, high)
 
 
 @cache
 def _distance_function() -> Any:
     """The autograd function of :func:`signed_distance`."""
-    torch = _torch()
+    torch = optional("torch", "PyTorch")
 
     class SignedDistance(torch.autograd.Function):  # type: ignore[misc, name-defined]
         @staticmethod
@@ -129,7 +111,7 @@ def _distance_function() -> Any:
             of_vertices = of_points = None
             if context.needs_input_grad[0]:
                 shape, dtype, device = context.vertices
-                of_corners = -weights[..., :, None] * per_point[..., None, :]
+                of_corners = vertex_changes(weights, per_point)
                 of_vertices = torch.zeros(shape, dtype=per_point.dtype, device=per_point.device)
                 of_vertices.index_add_(0, corners.reshape(-1), of_corners.reshape(-1, 3))
                 of_vertices = of_vertices.to(dtype=dtype, device=device)

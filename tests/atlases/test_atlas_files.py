@@ -130,3 +130,17 @@ def test_a_damaged_file_is_a_format_error(good_file, tmp_path_factory, data):
         return
     # What nobody reads may be damaged; the rest is covered by checksums.
     assert [atlas.unpack(i).resolution for i in atlas.indices] == [(4, 4, 4)] * 3
+
+
+@pytest.mark.parametrize(("field", "value"), [("corner", 3), ("corner", [0, 0, 0]), ("page", [0]), ("shape", [4, 4])])
+def test_a_block_in_the_json_of_an_image_has_the_shape_of_its_dtype(tmp_path, field, value):
+    path = tmp_path / "atlas.exr"
+    fb.pack(cubes(1, 5), page_size=32).save(path)
+    beside = tmp_path / "atlas.exr.json"
+    facts = json.loads(beside.read_text(encoding="utf-8"))
+    assert {"page", "corner", "tile", "columns", "gutter", "shape"} <= facts["volumes"][0].keys()
+    facts["volumes"][0][field] = value
+    beside.write_text(json.dumps(facts), encoding="utf-8")
+
+    with pytest.raises(fb.FormatError):
+        fb.load(path)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _core
 from ..base import checks, encodings
-from ..base.encodings import DEFAULT_BAND, Encoding
-from ..base.errors import ArgumentError, AtlasError, FormatError
-from ..base.progress import Progress
+from ..base.encodings import Encoding
+from ..base.errors import AtlasError, FormatError
 from ..base.report import Report, bytes_text, count_text
 from ..files import container
 from ..volumes.sparse import SparseVolume
@@ -22,16 +21,13 @@ from ..volumes.volume import Volume
 from . import images
 from .pages import (
     ARRAYS,
-    BLOCK_FIELDS,
-    MAX_GUTTER,
-    MAX_PAGE_SIZE,
+    BLOCK,
     VACANT,
-    Layout,
     PageStore,
     Texels,
     checked_item,
     entry_dtype,
-    fitting_page,
+    rows_of,
 )
 
 if TYPE_CHECKING:
@@ -145,7 +141,7 @@ class Atlas(PageStore):
             if self._entries is None:
                 rows = len(self._blocks)
                 records = _core.atlas_entries(
-                    self._blocks,
+                    rows_of(self._blocks),
                     self._boxes.reshape(rows, 12).tolist(),
                     self._models.reshape(rows, 16).tolist(),
                     self._scales.tolist(),
@@ -190,9 +186,9 @@ class Atlas(PageStore):
         """
         with self._lock:
             i = self._index(i)
-            _core.atlas_clear(self._writable(), self._blocks[i : i + 1], self._encoding)
-            self._blocks[i] = 0
-            self._blocks[i, 0] = VACANT
+            _core.atlas_clear(self._writable(), self._row(i), self._encoding)
+            self._blocks[i] = np.zeros((), BLOCK)
+            self._blocks["page"][i] = VACANT
             self._boxes[i], self._models[i], self._scales[i] = 0, np.eye(4), 1
             self._reports[i] = Report()
             self._entries = None
@@ -200,7 +196,7 @@ class Atlas(PageStore):
 
     def resolution(self, i: int) -> tuple[int, int, int]:
         """Number of voxels of the volume with index `i` along x, y and z."""
-        nx, ny, nz = self._blocks[self._index(i), 7:].tolist()
+        nx, ny, nz = self._blocks["shape"][self._index(i)].tolist()
         return nx, ny, nz
 
     def unpack(self, i: int) -> Volume:
@@ -213,7 +209,7 @@ class Atlas(PageStore):
         """
         with self._lock:
             i = self._index(i)
-            distances = _core.atlas_read(self._bytes(), self._blocks[i : i + 1], self._encoding, float(self._scales[i]))
+            distances = _core.atlas_read(self._bytes(), self._row(i), self._encoding, float(self._scales[i]))
             inner, outer = self._boxes[i, :2].copy(), self._boxes[i, 2:].copy()
             return Volume._wrap(distances, outer, inner, self._reports[i])
 
@@ -249,7 +245,7 @@ class Atlas(PageStore):
             inner_lower, inner_upper, lower, upper = (checks.triple(corner) for corner in self._boxes[i])
             values = _core.atlas_sample(
                 self._bytes(),
-                self._blocks[i : i + 1],
+                self._row(i),
                 self._encoding,
                 float(self._scales[i]),
                 lower,
@@ -287,7 +283,7 @@ class Atlas(PageStore):
         flat, shape = checks.points(points)
         i = self._index(i)
         lower, upper = checks.triple(self._boxes[i, 2]), checks.triple(self._boxes[i, 3])
-        found = _core.atlas_texture_coordinates(self._blocks[i : i + 1], self._page_size, lower, upper, flat)
+        found = _core.atlas_texture_coordinates(self._row(i), self._page_size, lower, upper, flat)
         return found.reshape(*shape, 2)
 
     def shader(self, language: Language = "wgsl", *, texels: Texels | None = None) -> str:
@@ -318,12 +314,12 @@ class Atlas(PageStore):
         AtlasError
             For strips without a volume, whose size is unknown.
         """
-        blocks = self._blocks[self._blocks[:, 0] != VACANT]
+        blocks = self._blocks[self._blocks["page"] != VACANT]
         if self._layout == "strips" and not len(blocks):
             raise AtlasError(
                 "shader: the strips are empty, so the size of their cubes is not known; add a volume first"
             )
-        side = int(blocks[0, 9]) if len(blocks) else 0
+        side = int(blocks["shape"][0, 0]) if len(blocks) else 0
         name = checks.text("language", language)
         is_png = checks.choice("texels", self._texels if texels is None else texels, ("pages", "png")) == "png"
         return _core.atlas_shader(name, self._layout, self._page_size, self._gutter, self._encoding, side, is_png)
@@ -377,6 +373,7 @@ class Atlas(PageStore):
             if ending not in images.ENDINGS:
                 reports = json.dumps([report.to_dict() for report in self._reports]).encode()
                 arrays = {name: getattr(self, f"_{name}") for name in ("pages", *ARRAYS)}
+                arrays["blocks"] = rows_of(self._blocks)
                 arrays["reports"] = np.frombuffer(reports, np.uint8)
                 container.write(path, {**container.head("atlas", self._encoding), **self._facts()}, arrays)
                 return
@@ -398,14 +395,9 @@ class Atlas(PageStore):
 
     def _volume_facts(self, i: int) -> dict[str, Any]:
         """Metadata of the volume in row `i` that an image stores, for people and engines."""
-        block: dict[str, Any] = {}
-        numbers = iter(self._blocks[i].tolist())
-        for name, count in BLOCK_FIELDS.items():
-            values = [next(numbers) for _ in range(count)]
-            block[name] = values if count > 1 else values[0]
         inner_lower, inner_upper, lower, upper = self._boxes[i].tolist()
         return {
-            **block,
+            **{name: self._blocks[name][i].tolist() for name in BLOCK.names or ()},
             "bounds": [lower, upper],
             "inner_bounds": [inner_lower, inner_upper],
             "model": self._models[i].tolist(),
@@ -455,99 +447,6 @@ class Atlas(PageStore):
         )
 
 
-def pack(
-    volumes: Iterable[Volume | SparseVolume | tuple[Volume | SparseVolume, ArrayLike]],
-    *,
-    layout: Layout = "shelves",
-    page_size: int | Literal["fit"] = 4096,
-    gutter: int = 1,
-    encoding: Encoding = "float32",
-    band: float = DEFAULT_BAND,
-    device: str = "auto",
-    progress: Progress = None,
-) -> Atlas:
-    """Pack volumes into the pages of an atlas.
-
-    Parameters
-    ----------
-    volumes : list of Volume or SparseVolume
-        Items may be ``(volume, transform)``. The (4, 4) transform becomes the model matrix of the entry. A sparse
-        volume is packed as its whole grid: ``.to_volume()``.
-    layout : "shelves" or "strips", default "shelves"
-        Shelves: any mix of resolutions; slices are wrapped over rows and placed where a page has free area. Strips:
-        equal cubes, exactly as in the article: texel (x + z N, y + row N), 64 fields of 64^3 on a page of 4096 x 4096.
-    page_size : int or "fit", default 4096
-        Width and height of a page, texels. As many pages are opened as are needed. ``"fit"`` chooses the smallest power
-        of two that holds all volumes on one page, at most 16384.
-    gutter : int, default 1
-        Number of copies of the border around each slice, so that the rounded weights of a hardware sampler do not read
-        a neighbouring slice. Strips have none.
-    encoding : str, default "float32"
-        ``"float32"`` (exact), ``"float16"`` (11 significant bits), or the normalised ``"snorm16"`` and ``"snorm8"``,
-        which divide a band around the surface into 32767 or 127 steps per half width and store distances beyond it as
-        its end. All round toward zero: a stored magnitude never exceeds the true one. All but float32 are stored as
-        fractions of ``entries["scale"]``, which is proportional to the voxel: the error has the same bound in voxels
-        for a mesh of any size. See :meth:`Volume.quantize`.
-    band : float, default 4
-        Half width of the band of a normalised encoding, voxels.
-    device : str, default "auto"
-        Volumes that were baked on a graphics device are packed there, with the same bytes. The pages are copied to the
-        host at their first use. ``"auto"`` packs on the hardware GPU if all volumes are there.
-    progress : bool or callable, optional
-        As for :func:`fieldbake.bake`.
-
-    Returns
-    -------
-    Atlas
-        Volume i of the list has index i.
-
-    Raises
-    ------
-    AtlasError
-        If a volume cannot fit on a page (the message states the page size that would suffice), or if strips receive
-        volumes other than equal cubes.
-    ArgumentError
-        If an option is out of range.
-    CapacityError
-        If the pages do not fit in memory.
-    DeviceError
-        If the device does not exist, or a page is too large for it.
-
-    References
-    ----------
-    "Packing 3D SDF to a 2D Texture" defines the layout of strips. Shelves are packed by maximal rectangles: J. Jylänki,
-    A Thousand Ways to Pack the Bin (2010).
-
-    Examples
-    --------
-    >>> import fieldbake as fb
-    >>> knot = fb.bake(fb.models.torus_knot(), (16, 16, 16))
-    >>> atlas = pack([knot, knot], layout="strips", page_size=256)
-    >>> bool((atlas.pages[0, 16:32, 3 * 16 : 4 * 16] == knot.distances[:, :, 3].T).all())
-    True
-    >>> atlas.entries["atlas_offset"].tolist()
-    [0, 1]
-    """
-    layout = checks.choice("layout", layout, ("shelves", "strips"))
-    gutter = checks.integer("gutter", gutter, least=0, most=MAX_GUTTER)
-    encoding = checks.choice("encoding", encoding, encodings.NAMES)
-    band = checks.number("band", band, above=0)
-    if page_size != "fit":
-        page_size = checks.integer('page_size (or "fit")', page_size, least=1, most=MAX_PAGE_SIZE)
-    if isinstance(volumes, (Volume, SparseVolume)):
-        raise ArgumentError(f"volumes: must be a list of volumes, got a {type(volumes).__name__}; put it in a list")
-    try:
-        listed = list(volumes)
-    except TypeError:
-        raise ArgumentError(f"volumes: must be a list of volumes, got {checks.describe(volumes)}") from None
-    items = [checked_item(i, item) for i, item in enumerate(listed)]
-    if page_size == "fit":
-        page_size = fitting_page([volume.resolution for volume, _ in items], layout, gutter, encoding)
-    atlas = Atlas(layout=layout, page_size=page_size, gutter=gutter, encoding=encoding, band=band)
-    atlas._place(items, progress, checks.text("device", device))
-    return atlas
-
-
 def as_written(atlas: Atlas, ending: str) -> Atlas:
     """Convert an atlas for a file with this ending: a .png holds integers, so floats become snorm16."""
     if ending == ".png" and atlas.encoding.startswith("float"):
@@ -566,7 +465,5 @@ def _normalised_copy(atlas: Atlas, encoding: Encoding) -> Atlas:
     for i in atlas.indices:
         distances = atlas.unpack(i).distances
         copy._scales[i] = encodings.largest_scale(distances)
-        _core.atlas_write(
-            copy._bytes(), copy._blocks[i : i + 1], [distances], [float(copy._scales[i])], encoding=encoding
-        )
+        _core.atlas_write(copy._bytes(), copy._row(i), [distances], [float(copy._scales[i])], encoding=encoding)
     return copy

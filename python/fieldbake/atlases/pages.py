@@ -33,9 +33,19 @@ MAX_FITTING_PAGE = 1 << 14
 #: Page of an index without a volume.
 VACANT = np.uint32(0xFFFFFFFF)
 
-#: Fields of a block, in the order of the core, and how many numbers each has.
-BLOCK_FIELDS = {"page": 1, "corner": 2, "tile": 2, "columns": 1, "gutter": 1, "shape": 3}
-BLOCK_NUMBERS = sum(BLOCK_FIELDS.values())
+#: The block of a volume: its page, first texel (x, y), size of a slice with its gutters, slices in a row, gutter, and
+#: voxels along x, y and z. The core and files have it as a row of ten uint32 in this order.
+BLOCK = np.dtype(
+    [
+        ("page", "<u4"),
+        ("corner", "<u4", 2),
+        ("tile", "<u4", 2),
+        ("columns", "<u4"),
+        ("gutter", "<u4"),
+        ("shape", "<u4", 3),
+    ]
+)
+BLOCK_NUMBERS = BLOCK.itemsize // 4
 
 #: Arrays with one row per index, by their names in files.
 ARRAYS = ("blocks", "boxes", "models", "scales")
@@ -61,6 +71,16 @@ _SHELF_FIELDS: list[tuple[str, Any]] = [
     ("corner", ("<u4", 2)),
     ("tile", ("<u4", 2)),
 ]
+
+
+def rows_of(blocks: NDArray[Any]) -> NDArray[np.uint32]:
+    """View blocks (n,) as rows for the core and for files, (n, 10)."""
+    return blocks.view(np.uint32).reshape(-1, BLOCK_NUMBERS)
+
+
+def blocks_of(rows: NDArray[np.uint32]) -> NDArray[Any]:
+    """View rows (n, 10) as blocks, (n,)."""
+    return rows.view(BLOCK).reshape(-1)
 
 
 def entry_dtype(layout: Layout, encoding: Encoding) -> np.dtype[Any]:
@@ -102,7 +122,7 @@ class PageStore:
         self._host: NDArray[Any] | None = np.zeros((0, page_size, page_size), DTYPES[encoding])
         self._device: _core.DevicePages | None = None
         # Arrays with one row per index.
-        self._blocks = np.zeros((0, BLOCK_NUMBERS), np.uint32)
+        self._blocks = np.zeros(0, BLOCK)
         self._boxes = np.zeros((0, 4, 3))  # inner lower and upper, outer lower and upper corner
         self._models = np.zeros((0, 4, 4))
         self._scales = np.zeros(0, np.float32)
@@ -164,13 +184,13 @@ class PageStore:
     @property
     def indices(self) -> tuple[int, ...]:
         """Indices that hold a volume."""
-        return tuple(np.flatnonzero(self._blocks[:, 0] != VACANT).tolist())
+        return tuple(np.flatnonzero(self._blocks["page"] != VACANT).tolist())
 
     @property
     def fill(self) -> float:
         """Fraction of the texels of all pages that belong to a slice or its gutter."""
-        blocks = self._blocks[self._blocks[:, 0] != VACANT].astype(np.float64)
-        used = float((blocks[:, 3] * blocks[:, 4] * blocks[:, 9]).sum())
+        blocks = self._blocks[self._blocks["page"] != VACANT]
+        used = float((blocks["tile"].astype(np.float64).prod(axis=1) * blocks["shape"][:, 2]).sum())
         return used / (self._page_count * self._page_size**2) if self._page_count else 0.0
 
     @property
@@ -184,22 +204,23 @@ class PageStore:
         """Plan positions for volumes, open pages and write their texels; return the indices."""
         shapes = np.array([volume.resolution for volume, _ in items], np.uint32).reshape(-1, 3)
         with self._lock:
-            blocks = _core.atlas_plan(
+            rows = _core.atlas_plan(
                 shapes,
-                self._blocks,
+                rows_of(self._blocks),
                 layout=self._layout,
                 page_size=self._page_size,
                 gutter=self._gutter,
                 encoding=self._encoding,
             )
+            blocks = blocks_of(rows)
             scales = [scale_of(self._encoding, volume.spacing, self._band) for volume, _ in items]
-            count = max(int(blocks[:, 0].max(initial=0)) + 1 if len(blocks) else 0, self._page_count)
+            count = max(int(blocks["page"].max()) + 1 if len(blocks) else 0, self._page_count)
             with progress_callback(progress, "pack") as callback:
                 # A device fills new pages only.
                 packed = None
                 if count and not self._page_count and _is_worth_it([volume for volume, _ in items], device):
                     packed = _core.atlas_pack_device(
-                        blocks,
+                        rows,
                         [volume._source(device) for volume, _ in items],
                         scales,
                         page_size=self._page_size,
@@ -214,7 +235,7 @@ class PageStore:
                     self._open_pages(count)
                     _core.atlas_write(
                         self._writable(),
-                        blocks,
+                        rows,
                         [volume.distances for volume, _ in items],
                         scales,
                         encoding=self._encoding,
@@ -222,7 +243,7 @@ class PageStore:
                     )
 
             # Records are added last, so that an interrupted call leaves none behind.
-            free = [i for i in range(len(self._blocks)) if self._blocks[i, 0] == VACANT]
+            free = [i for i in range(len(self._blocks)) if self._blocks["page"][i] == VACANT]
             free += range(len(self._blocks), len(self._blocks) + len(items))
             indices = free[: len(items)]
             self._make_rows(max(indices, default=-1) + 1)
@@ -249,11 +270,15 @@ class PageStore:
     def _make_rows(self, count: int) -> None:
         more = count - len(self._blocks)
         if more > 0:
-            self._blocks = np.concatenate([self._blocks, np.zeros((more, BLOCK_NUMBERS), np.uint32)])
+            self._blocks = np.concatenate([self._blocks, np.zeros(more, BLOCK)])
             self._boxes = np.concatenate([self._boxes, np.zeros((more, 4, 3))])
             self._models = np.concatenate([self._models, np.tile(np.eye(4), (more, 1, 1))])
             self._scales = np.concatenate([self._scales, np.ones(more, np.float32)])
             self._reports += [Report()] * more
+
+    def _row(self, i: int) -> NDArray[np.uint32]:
+        """The block of the volume with index `i` as a row for the core, (1, 10)."""
+        return rows_of(self._blocks[i : i + 1])
 
     def _bytes(self) -> NDArray[np.uint8]:
         """The pages as an array of bytes for the core."""
@@ -270,7 +295,7 @@ class PageStore:
         if count == 0:
             raise AtlasError(f"i: the atlas is empty, it has no volume {i}")
         index = checks.integer("i", i, least=-count, most=count - 1, error=AtlasError) % count
-        if self._blocks[index, 0] == VACANT:
+        if self._blocks["page"][index] == VACANT:
             raise AtlasError(f"i: there is no volume {index}, it was removed")
         return index
 
@@ -308,18 +333,18 @@ def checked_item(i: int, item: object) -> tuple[Volume, NDArray[np.float64]]:
 def fitting_page(shapes: list[tuple[int, int, int]], layout: Layout, gutter: int, encoding: Encoding) -> int:
     """Choose the side of a page for these shapes: the smallest power of two, at most `MAX_FITTING_PAGE`."""
     wanted = np.array(shapes, np.uint32).reshape(-1, 3)
-    taken = np.zeros((0, BLOCK_NUMBERS), np.uint32)
+    taken = rows_of(np.zeros(0, BLOCK))
     options: dict[str, Any] = {"layout": layout, "gutter": gutter, "encoding": encoding}
     # No page is smaller than the number of texels of the volumes.
     area = sum(nx * ny * nz for nx, ny, nz in shapes)
     size = 1 << max(2, (math.isqrt(area) - 1).bit_length())
     while size < MAX_FITTING_PAGE:
         try:
-            blocks = _core.atlas_plan(wanted, taken, page_size=size, **options)
+            blocks = blocks_of(_core.atlas_plan(wanted, taken, page_size=size, **options))
         except AtlasError:  # A volume is larger than the page.
             size *= 2
             continue
-        if blocks[:, 0].max(initial=0) == 0:
+        if blocks["page"].max(initial=0) == 0:
             return size
         size *= 2
     return MAX_FITTING_PAGE

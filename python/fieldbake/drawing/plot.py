@@ -78,24 +78,27 @@ def plot_atlas(atlas: Atlas, page: int = 0) -> Figure:
 
     texels = atlas.pages[page].astype(np.float32)
     # Only the rows and columns that contain volumes are shown.
-    blocks = [(i, atlas._blocks[i].astype(int)) for i in atlas.indices if atlas._blocks[i, 0] == page]
-    right = max((b[1] + b[5] * b[3] for _, b in blocks), default=atlas.page_size)
-    bottom = max((b[2] + -(-b[9] // b[5]) * b[4] for _, b in blocks), default=atlas.page_size)
+    blocks = {i: atlas._blocks[i] for i in atlas.indices if atlas._blocks["page"][i] == page}
+    frames = {i: _frame_of(block) for i, block in blocks.items()}
+    right = max((x + width for x, _, width, _ in frames.values()), default=atlas.page_size)
+    bottom = max((y + height for _, y, _, height in frames.values()), default=atlas.page_size)
     shown = texels[:bottom, :right]
     figure = _figure(8, 0.6 + 8 * bottom / right)
     place = figure.subplots()
     reach = float(np.abs(shown).max()) or 1.0
     place.imshow(shown, cmap="RdBu", vmin=-reach, vmax=reach, interpolation="nearest", extent=(0, right, bottom, 0))
-    for i, (_, x, y, width, height, columns, gutter, nx, ny, nz) in blocks:
+    for i, block in blocks.items():
+        x, y, width, height = frames[i]
+        (tile_x, tile_y), (nx, ny, nz) = block["tile"].tolist(), block["shape"].tolist()
+        gutter, columns = int(block["gutter"]), int(block["columns"])
         for z in range(nz):
-            left, top = x + z % columns * width + gutter, y + z // columns * height + gutter
+            left, top = x + z % columns * tile_x + gutter, y + z // columns * tile_y + gutter
             tile = texels[top : top + ny, left : left + nx]
             if min(nx, ny) > 1 and tile.min() < 0 < tile.max():
                 place.contour(
                     left + 0.5 + np.arange(nx), top + 0.5 + np.arange(ny), tile, [0], colors="black", linewidths=0.7
                 )
-        rows = -(-nz // columns)
-        place.add_patch(Rectangle((x, y), columns * width, rows * height, fill=False, edgecolor="black", linewidth=1.2))
+        place.add_patch(Rectangle((x, y), width, height, fill=False, edgecolor="black", linewidth=1.2))
         place.annotate(
             str(i),
             (x, y),
@@ -108,3 +111,10 @@ def plot_atlas(atlas: Atlas, page: int = 0) -> Figure:
         )
     place.set(title=f"page {page} of {len(atlas.pages)}: {len(blocks)} volumes, {atlas.layout}, {atlas.encoding}")
     return figure
+
+
+def _frame_of(block: Any) -> tuple[int, int, int, int]:
+    """Left, top, width and height of the rectangle of a block, texels."""
+    columns, slices = int(block["columns"]), int(block["shape"][2])
+    (x, y), (tile_x, tile_y) = block["corner"].tolist(), block["tile"].tolist()
+    return x, y, columns * tile_x, -(-slices // columns) * tile_y

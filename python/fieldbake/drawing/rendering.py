@@ -153,16 +153,9 @@ def render(
         camera = scene.cameras[0] if scene.cameras else Camera.fit(scene.bounds, aspect=width / height)
     if not isinstance(camera, Camera):
         raise SceneError(f"camera: must be a Camera, got {checks.describe(camera)}; see Camera.from_pose")
-    lights = scene.lights
-    if lights is None:
-        lights = (key_light(camera.pose),)
-
-    scatters = any(
-        instance.material is not None and any(scattering_rgb(instance.material)) for instance in scene.instances
-    )
-    with_fields = shadows != "none" or occlusion is not None or primary == "raymarch" or scatters
-    marches_sheets = primary == "raymarch" or (method == "article" and shadows != "none")
-    core = scene._core(Fields(of_solids=with_fields, of_sheets=marches_sheets), device)
+    lights = (key_light(camera.pose),) if scene.lights is None else scene.lights
+    march = "article" if method == "article" and shadows != "none" else shadows
+    core = scene._core(_fields_of(scene, primary, march, has_occlusion=occlusion is not None), device)
     with progress_callback(progress, "render") as callback:
         result = _core.render(
             core,
@@ -171,7 +164,7 @@ def render(
             size=(width, height),
             lights=_light_table(lights),
             primary=primary,
-            shadows="article" if method == "article" and shadows != "none" else shadows,
+            shadows=march,
             area_samples=area_samples,
             ambient=scene.ambient,
             occlusion=occlusion,
@@ -184,6 +177,23 @@ def render(
             device=device,
             progress=callback,
         )
+    return _frame_of(result, scene, len(lights))
+
+
+def _fields_of(scene: Scene, primary: Primary, shadows: str, *, has_occlusion: bool) -> Fields:
+    """Decide which meshes of a scene need distance fields; `shadows` may be "article"."""
+    scatters = any(
+        instance.material is not None and any(scattering_rgb(instance.material)) for instance in scene.instances
+    )
+    is_marched = primary == "raymarch"
+    return Fields(
+        of_solids=shadows != "none" or has_occlusion or is_marched or scatters,
+        of_sheets=is_marched or shadows == "article",
+    )
+
+
+def _frame_of(result: dict[str, Any], scene: Scene, lights: int) -> Frame:
+    """Make a frame of the arrays in a result of the core; the other entries become its report."""
     arrays = {name: value for name, value in result.items() if isinstance(value, np.ndarray)}
     seconds = result["seconds"]
     report = {
@@ -192,7 +202,7 @@ def render(
         "devices": {"primary": result["primary_on"], "light": result["light_on"]},
         "milliseconds": {stage: 1e3 * duration for stage, duration in seconds.items()},
         "instances": len(scene.instances),
-        "lights": len(lights),
+        "lights": lights,
         "sheets": result["sheets"],
         "rays": result["rays"],
         "far_rays": result["far_rays"],

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from .. import _core
 from ..atlases.atlas import Atlas
-from ..atlases.pages import ARRAYS, BLOCK_FIELDS
+from ..atlases.pages import ARRAYS, BLOCK, BLOCK_NUMBERS
 from ..base import checks, encodings
 from ..base.errors import ArgumentError, FormatError
 from ..files import sidecar
@@ -67,7 +67,7 @@ def load_image(path: Path) -> Atlas:
     if not isinstance(volumes, list):
         raise FormatError("volumes must be a list")
     columns = {name: [_column(facts, name) for facts in volumes] for name in (*ARRAYS, "report")}
-    kinds = {"blocks": (np.uint32, (10,)), "boxes": (np.float64, (4, 3)), "models": (np.float64, (4, 4))}
+    kinds = {"blocks": (np.uint32, (BLOCK_NUMBERS,)), "boxes": (np.float64, (4, 3)), "models": (np.float64, (4, 4))}
     arrays: dict[str, NDArray[Any]] = {
         name: np.array(columns[name], kind).reshape(-1, *shape) for name, (kind, shape) in kinds.items()
     }
@@ -90,7 +90,10 @@ def _column(facts: Any, name: str) -> Any:
     if not isinstance(facts, dict):
         raise FormatError("volumes must be objects")
     if name == "blocks":
-        return [n for key, count in BLOCK_FIELDS.items() for n in (facts[key] if count > 1 else [facts[key]])]
+        parts = [np.array(facts[field], np.uint32) for field in BLOCK.names or ()]
+        if any(part.shape != BLOCK[field].shape for part, field in zip(parts, BLOCK.names or (), strict=True)):
+            raise FormatError("a volume must have a page, corner, tile, columns, gutter and shape")
+        return np.concatenate([part.reshape(-1) for part in parts])
     if name == "boxes":
         return [*facts["inner_bounds"], *facts["bounds"]]
     return facts[{"models": "model", "scales": "scale", "report": "report"}[name]]

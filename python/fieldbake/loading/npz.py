@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from .. import _core
 from ..atlases.atlas import Atlas
-from ..atlases.pages import ARRAYS, BLOCK_NUMBERS, MAX_GUTTER, MAX_PAGE_SIZE, VACANT
+from ..atlases.pages import ARRAYS, BLOCK_NUMBERS, MAX_GUTTER, MAX_PAGE_SIZE, VACANT, blocks_of
 from ..base import checks, encodings
 from ..base.errors import ArgumentError, FormatError
 from ..files.container import SCALED_FLOAT16_VERSION, members, read_array, read_facts, read_header, read_report
@@ -179,16 +179,17 @@ def make_atlas(header: dict[str, Any], arrays: dict[str, NDArray[Any]], reports:
             raise FormatError(f"{name} must have shape {shape} and dtype {kind}, got {checks.describe(array)}")
         if not _all_finite(array):
             raise FormatError(f"{name} must be finite")
-    blocks, boxes = arrays["blocks"], arrays["boxes"]
-    sound = np.array(_core.atlas_sound(blocks, size, len(pages)), bool)
+    blocks, boxes = blocks_of(arrays["blocks"]), arrays["boxes"]
+    sound = np.array(_core.atlas_sound(arrays["blocks"], size, len(pages)), bool)
     if atlas.layout == "strips":
-        side = blocks[:, 9]
-        cube = (blocks[:, 7:] == side[:, None]).all(axis=1) & (blocks[:, 5] == side) & (blocks[:, 6] == 0)
-        placed = (blocks[:, 1] == 0) & (blocks[:, 2] % np.maximum(side, 1) == 0)
-        sound &= (cube & placed) | (blocks[:, 0] == VACANT)
+        side = blocks["shape"][:, 0]
+        cube = (blocks["shape"] == side[:, None]).all(axis=1) & (blocks["columns"] == side) & (blocks["gutter"] == 0)
+        left, top = blocks["corner"].T
+        placed = (left == 0) & (top % np.maximum(side, 1) == 0)
+        sound &= (cube & placed) | (blocks["page"] == VACANT)
     if not sound.all():
         raise FormatError(f"blocks[{int(np.argmin(sound))}] does not lie on the pages")
-    live = blocks[:, 0] != VACANT
+    live = blocks["page"] != VACANT
     ordered = (boxes[:, 0] <= boxes[:, 1]).all(axis=1) & (boxes[:, 2] < boxes[:, 3]).all(axis=1)
     if not (ordered | ~live).all() or not (np.abs(boxes) <= checks.FAR).all():
         raise FormatError(f"boxes[{int(np.argmin(ordered | ~live))}] is no box")
@@ -205,7 +206,7 @@ def make_atlas(header: dict[str, Any], arrays: dict[str, NDArray[Any]], reports:
         raise FormatError(f"there must be {rows} reports")
 
     atlas._pages = pages
-    atlas._blocks, atlas._boxes, atlas._models, atlas._scales = (arrays[name] for name in ARRAYS)
+    atlas._blocks, atlas._boxes, atlas._models, atlas._scales = blocks, boxes, arrays["models"], arrays["scales"]
     atlas._reports = [read_report({"report": facts}) for facts in reports]
     return atlas
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,3 +58,8 @@ def source_faces(mesh: MeshLike, checked: Mesh, faces: NDArray[np.int64]) -> NDA
 def warn_of_signs(mesh: Mesh, sign: str) -> None:
     """Warn once if the inside of the surface is ambiguous."""
     warn_surface(mesh._core.sign_warnings(sign))
+
+
+def shaped(shape: tuple[int, ...], *arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    """Give results of points or rays, (n, ...) each, the leading shape of the points or rays."""
+    return tuple(array.reshape(shape + array.shape[1:]) for array in arrays)

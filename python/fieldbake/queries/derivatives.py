@@ -1,13 +1,14 @@
-"""The query behind the differentiable distances of PyTorch and JAX."""
+"""The parts that the differentiable functions of PyTorch and JAX share."""
 
 from __future__ import annotations
 
+import importlib
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import ArgumentError
+from ..base.errors import ArgumentError, Error
 from ..meshes.mesh import Mesh
 from .nearest import query
 
@@ -42,3 +43,42 @@ def linearize(vertices: NDArray[Any], faces: NDArray[Any], points: NDArray[Any],
         np.asarray(faces)[rows].astype(np.int64),
         found.barycentric.astype(kind),
     )
+
+
+def vertex_changes(weights: Any, change: Any) -> Any:
+    """Derivatives with respect to the corners of the nearest faces, (..., 3, 3), from those of the points, (..., 3)."""
+    return -weights[..., :, None] * change[..., None, :]
+
+
+def interpolate(distances: Any, grid: Any, low: Any, high: Any) -> Any:
+    """Interpolate a grid of distances trilinearly, with the operators of the library that made the arrays.
+
+    Parameters
+    ----------
+    distances : (nx, ny, nz)
+        Samples at voxel centres.
+    grid : (..., 3)
+        Positions in grid space, where voxel centres are at whole numbers.
+    low, high : (..., 3) integers
+        Lower and upper corner of the cells that contain the positions.
+
+    Returns
+    -------
+    (...)
+        Trilinear values.
+    """
+    part = grid - low
+    total = 0
+    for corner in np.ndindex(2, 2, 2):
+        rows = tuple((high if bit else low)[..., axis] for axis, bit in enumerate(corner))
+        weights = [part[..., axis] if bit else 1 - part[..., axis] for axis, bit in enumerate(corner)]
+        total = total + weights[0] * weights[1] * weights[2] * distances[rows]
+    return total
+
+
+def optional(module: str, title: str) -> Any:
+    """Import an optional library, `title` in messages, which has an extra of the same name as its module."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise Error(f"fieldbake.{module} needs {title}; install it with: pip install 'fieldbake[{module}]'") from error

@@ -15,7 +15,7 @@ from ..base.notices import warn_surface
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report
 from ..meshes.convert import MeshLike
-from .common import Sign, checked_points, choices, source_faces, warn_of_signs
+from .common import Sign, checked_points, choices, shaped, source_faces, warn_of_signs
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,13 +113,8 @@ def closest_point(
         nearest, distances, faces, weights, normals = _core.closest_point(
             checked._core, flat, device=where, progress=callback
         )
-    return ClosestPoints(
-        nearest.reshape(*shape, 3),
-        distances.reshape(shape),
-        source_faces(mesh, checked, faces).reshape(shape),
-        weights.reshape(*shape, 3),
-        normals.reshape(*shape, 3),
-    )
+    faces = source_faces(mesh, checked, faces)
+    return ClosestPoints(*shaped(shape, nearest, distances, faces, weights, normals))
 
 
 def query(
@@ -183,14 +178,9 @@ def query(
         )
     report = Report.of_mesh(checked, facts)
     warn_surface(report.warnings)
-    return Query(
-        distances.reshape(shape),
-        gradients.reshape(*shape, 3),
-        nearest.reshape(*shape, 3),
-        source_faces(mesh, checked, faces).reshape(shape),
-        weights.reshape(*shape, 3),
-        report,
-    )
+    faces = source_faces(mesh, checked, faces)
+    distances, gradients, nearest, faces, weights = shaped(shape, distances, gradients, nearest, faces, weights)
+    return Query(distances, gradients, nearest, faces, weights, report)
 
 
 def signed_distance(

@@ -14,7 +14,7 @@ from ..base.errors import ArgumentError
 from ..base.progress import Progress, progress_callback
 from ..meshes.convert import MeshLike, as_mesh
 from ..meshes.mesh import Mesh
-from .common import source_faces
+from .common import shaped, source_faces
 
 
 class RayHits(NamedTuple):
@@ -102,12 +102,7 @@ def cast_rays(
     checked, rays, shape, limits = _checked_rays(mesh, origins, directions, t_min, t_max)
     with progress_callback(progress, "cast rays") as callback:
         t, faces, weights, normals = _core.cast_rays(checked._core, *rays, **limits, progress=callback)
-    return RayHits(
-        t.reshape(shape),
-        source_faces(mesh, checked, faces).reshape(shape),
-        weights.reshape(*shape, 3),
-        normals.reshape(*shape, 3),
-    )
+    return RayHits(*shaped(shape, t, source_faces(mesh, checked, faces), weights, normals))
 
 
 def occluded(

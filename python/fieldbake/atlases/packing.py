@@ -1,0 +1,110 @@
+"""Packing of volumes into a new atlas."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Literal
+
+from numpy.typing import ArrayLike
+
+from ..base import checks, encodings
+from ..base.encodings import DEFAULT_BAND, Encoding
+from ..base.errors import ArgumentError
+from ..base.progress import Progress
+from ..volumes.sparse import SparseVolume
+from ..volumes.volume import Volume
+from .atlas import Atlas
+from .pages import MAX_GUTTER, MAX_PAGE_SIZE, Layout, checked_item, fitting_page
+
+
+def pack(
+    volumes: Iterable[Volume | SparseVolume | tuple[Volume | SparseVolume, ArrayLike]],
+    *,
+    layout: Layout = "shelves",
+    page_size: int | Literal["fit"] = 4096,
+    gutter: int = 1,
+    encoding: Encoding = "float32",
+    band: float = DEFAULT_BAND,
+    device: str = "auto",
+    progress: Progress = None,
+) -> Atlas:
+    """Pack volumes into the pages of an atlas.
+
+    Parameters
+    ----------
+    volumes : list of Volume or SparseVolume
+        Items may be ``(volume, transform)``. The (4, 4) transform becomes the model matrix of the entry. A sparse
+        volume is packed as its whole grid: ``.to_volume()``.
+    layout : "shelves" or "strips", default "shelves"
+        Shelves: any mix of resolutions; slices are wrapped over rows and placed where a page has free area. Strips:
+        equal cubes, exactly as in the article: texel (x + z N, y + row N), 64 fields of 64^3 on a page of 4096 x 4096.
+    page_size : int or "fit", default 4096
+        Width and height of a page, texels. As many pages are opened as are needed. ``"fit"`` chooses the smallest power
+        of two that holds all volumes on one page, at most 16384.
+    gutter : int, default 1
+        Number of copies of the border around each slice, so that the rounded weights of a hardware sampler do not read
+        a neighbouring slice. Strips have none.
+    encoding : str, default "float32"
+        ``"float32"`` (exact), ``"float16"`` (11 significant bits), or the normalised ``"snorm16"`` and ``"snorm8"``,
+        which divide a band around the surface into 32767 or 127 steps per half width and store distances beyond it as
+        its end. All round toward zero: a stored magnitude never exceeds the true one. All but float32 are stored as
+        fractions of ``entries["scale"]``, which is proportional to the voxel: the error has the same bound in voxels
+        for a mesh of any size. See :meth:`Volume.quantize`.
+    band : float, default 4
+        Half width of the band of a normalised encoding, voxels.
+    device : str, default "auto"
+        Volumes that were baked on a graphics device are packed there, with the same bytes. The pages are copied to the
+        host at their first use. ``"auto"`` packs on the hardware GPU if all volumes are there.
+    progress : bool or callable, optional
+        As for :func:`fieldbake.bake`.
+
+    Returns
+    -------
+    Atlas
+        Volume i of the list has index i.
+
+    Raises
+    ------
+    AtlasError
+        If a volume cannot fit on a page (the message states the page size that would suffice), or if strips receive
+        volumes other than equal cubes.
+    ArgumentError
+        If an option is out of range.
+    CapacityError
+        If the pages do not fit in memory.
+    DeviceError
+        If the device does not exist, or a page is too large for it.
+
+    References
+    ----------
+    "Packing 3D SDF to a 2D Texture" defines the layout of strips. Shelves are packed by maximal rectangles: J. Jylänki,
+    A Thousand Ways to Pack the Bin (2010).
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> knot = fb.bake(fb.models.torus_knot(), (16, 16, 16))
+    >>> atlas = pack([knot, knot], layout="strips", page_size=256)
+    >>> bool((atlas.pages[0, 16:32, 3 * 16 : 4 * 16] == knot.distances[:, :, 3].T).all())
+    True
+    >>> atlas.entries["atlas_offset"].tolist()
+    [0, 1]
+    """
+    layout = checks.choice("layout", layout, ("shelves", "strips"))
+    gutter = checks.integer("gutter", gutter, least=0, most=MAX_GUTTER)
+    encoding = checks.choice("encoding", encoding, encodings.NAMES)
+    band = checks.number("band", band, above=0)
+    if page_size != "fit":
+        page_size = checks.integer('page_size (or "fit")', page_size, least=1, most=MAX_PAGE_SIZE)
+    if isinstance(volumes, (Volume, SparseVolume)):
+        raise ArgumentError(f"volumes: must be a list of volumes, got a {type(volumes).__name__}; put it in a list")
+    try:
+        listed = list(volumes)
+    except TypeError:
+        raise ArgumentError(f"volumes: must be a list of volumes, got {checks.describe(volumes)}") from None
+    items = [checked_item(i, item) for i, item in enumerate(listed)]
+    if page_size == "fit":
+        page_size = fitting_page([volume.resolution for volume, _ in items], layout, gutter, encoding)
+    atlas = Atlas(layout=layout, page_size=page_size, gutter=gutter, encoding=encoding, band=band)
+    atlas._place(items, progress, checks.text("device", device))
+    return atlas
