@@ -393,7 +393,7 @@ def test_convert_names_what_cannot_be_written(cube, tmp_path):
     fb.pack([volume], page_size=64).save(tmp_path / "p.npz")
     result = fieldbake("convert", tmp_path / "v.npz", tmp_path / "v.png")
     assert result.exit_code == BAD_INPUT
-    assert_one_clear_line(result, "a volume is written as .npz, .dds, .ktx2 or .nrrd")
+    assert_one_clear_line(result, "a volume is written as .npz, .vdb, .nvdb, .vti, .nrrd, .dds, .ktx2, .vf or .exr")
     result = fieldbake("convert", tmp_path / "p.npz", tmp_path / "q.npz", "--encoding", "snorm8")
     assert result.exit_code == BAD_USAGE
     result = fieldbake("convert", cube, tmp_path / "q.npz")

@@ -20,6 +20,10 @@ DTYPES: dict[str, np.dtype[Any]] = {
     "snorm8": np.dtype(np.int8),
 }
 
+#: Element type of the texels of 3D textures: the encodings, and unsigned bytes with distance 0 at 127.5, for readers
+#: such as three.js that know no signed ones.
+TEXTURE_DTYPES = {**DTYPES, "unorm8": np.dtype(np.uint8)}
+
 #: Names of all encodings, and of those with fewer than 32 bits per sample.
 NAMES = tuple(DTYPES)
 QUANTIZED = NAMES[1:]
@@ -31,6 +35,23 @@ STEPS = {"snorm16": 32767, "snorm8": 127}
 DEFAULT_BAND = 4.0
 
 
+def to_unorm8(distances: NDArray[np.float32], scale: float) -> NDArray[np.uint8]:
+    """Distances as the nearest unsigned bytes, ``(byte / 127.5 - 1) * scale``.
+
+    Distance 0 lies between 127 and 128, so a byte is off by up to half a step, scale / 255. Negative distances become
+    127 or less, others 128 or more.
+    """
+    shares = np.clip(distances.astype(np.float64) / scale, -1, 1)
+    return np.asfortranarray(
+        np.where(shares < 0, np.ceil(127 + 127.5 * shares), np.floor(128 + 127.5 * shares)).clip(0, 255), np.uint8
+    )
+
+
+def from_unorm8(texels: NDArray[np.uint8], scale: float) -> NDArray[np.float32]:
+    """The distances of unsigned bytes."""
+    return np.asfortranarray((texels / 127.5 - 1) * scale, np.float32)
+
+
 def scale_of(encoding: str, spacing: Any, band: float) -> float:
     """The scale of `encoding` on a grid of voxels with the sides `spacing` (3,), world units; `band` is in voxels.
 
@@ -38,6 +59,7 @@ def scale_of(encoding: str, spacing: Any, band: float) -> float:
     voxel. For the normalised encodings it is the half width of the band.
     """
     voxel = float(np.max(spacing))
+    encoding = "snorm8" if encoding == "unorm8" else encoding
     return _core.encoding_scale(encoding, voxel, band * voxel)
 
 
@@ -48,7 +70,9 @@ def largest_scale(distances: NDArray[np.float32]) -> float:
 
 def texel_rule(ending: str, encoding: str) -> dict[str, str]:
     """Type of the texels in a file with this ending, and the formula for the distance of a texel."""
-    stored = DTYPES[encoding]
+    stored = TEXTURE_DTYPES[encoding]
+    if encoding == "unorm8":
+        return {"texel": "uint8", "decode": "distance = (texel / 127.5 - 1) * scale"}
     if ending == ".png":
         bits = 8 * stored.itemsize
         middle = 1 << (bits - 1)

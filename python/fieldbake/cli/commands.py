@@ -24,7 +24,7 @@ from ..base.encodings import texel_rule
 from ..base.report import bytes_text
 from ..drawing.frame import save_image
 from ..files.container import ENDINGS, atomic_write, check_target, listed
-from ..volumes import textures
+from ..volumes import writers as textures
 from . import demo as demonstration
 
 out = Console(highlight=False)

@@ -56,10 +56,12 @@ _NAMES = {
     "nested": "a nested field",
     "atlas": "an atlas",
 }
+#: Files of other programs that hold a grid.
+GRID_ENDINGS = (".vdb", ".nvdb", ".vti", ".nrrd", ".dds", ".ktx2", ".vf", ".exr")
 ENDINGS: dict[str, tuple[str, ...]] = {
-    "volume": (".npz", ".dds", ".ktx2", ".nrrd"),
-    "quantized": (".npz", ".dds", ".ktx2", ".nrrd"),
-    "sparse": (".npz",),
+    "volume": (".npz", *GRID_ENDINGS),
+    "quantized": (".npz", *GRID_ENDINGS),
+    "sparse": (".npz", ".vdb", ".nvdb"),
     "nested": (".npz",),
     "atlas": (".npz", ".exr", ".png"),
 }
@@ -80,12 +82,16 @@ def head(kind: str, encoding: str = "float32") -> dict[str, Any]:
 def write(path: str | os.PathLike[str], header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
     """Write an archive of a header and arrays. The file is either complete or not there."""
     target = Path(path)
-    if target.suffix.lower() != ".npz":
-        kind = header["kind"]
-        raise FormatError(f"{path}: {_NAMES[kind]} is written as {endings(kind)}, got the ending '{target.suffix}'")
+    check_ending(target, header["kind"])
     members: dict[str, Any] = {"header": np.array(json.dumps(header)), **arrays}
     with atomic_write(target) as stream:
         np.savez(stream, **members)
+
+
+def check_ending(target: Path, kind: str) -> None:
+    """Raise unless a file is an .npz archive; the message names all endings of this kind of object."""
+    if target.suffix.lower() != ".npz":
+        raise FormatError(f"{target}: {_NAMES[kind]} is written as {endings(kind)}, got the ending '{target.suffix}'")
 
 
 def endings(kind: str) -> str:

@@ -1,22 +1,14 @@
-"""Readers of the formats of other programs: textures of volumes, images of atlases, .nrrd grids.
+"""Readers of the formats that other programs share: grids and textures of volumes, images of atlases.
 
-=========  ========  ===================================================================================
-ending     what      contents
-=========  ========  ===================================================================================
-``.dds``   Volume    3D texture: R32_FLOAT, R16_FLOAT, R16_SNORM or R8_SNORM; facts in a JSON beside it
-``.ktx2``  Volume    the same formats of Vulkan; facts as JSON under the key ``fieldbake``; orientation ``ruo``
-``.nrrd``  Volume    float, with the grid's place in space; needs ``pynrrd``
-``.exr``   Atlas     one channel ``Y``, pages below each other; facts in a JSON beside it
-``.png``   Atlas     unsigned 16 bits (8 for snorm8), pages below each other; facts in a JSON beside it
-=========  ========  ===================================================================================
-
-The JSON file beside ``name.exr`` is ``name.exr.json``. Sizes are compared with it before anything is decompressed.
+The writers are in ``volumes/writers.py`` and ``atlases/images.py``, and the layouts of the files in ``files/``. A file
+of another program, without facts of fieldbake's, has the box that its grid has. The JSON beside ``name.exr`` is
+``name.exr.json``. Sizes are compared with each other and with the bytes of the file before anything is unpacked.
 """
 
 from __future__ import annotations
 
 import io
-import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,26 +20,123 @@ from ..atlases.atlas import Atlas
 from ..atlases.pages import ARRAYS, BLOCK, BLOCK_NUMBERS
 from ..base import checks, encodings
 from ..base.errors import ArgumentError, FormatError
-from ..files import sidecar
-from ..files.container import MAX_HEADER_BYTES, read_facts
-from ..volumes.textures import nrrd_package
+from ..base.report import Report
+from ..files import flipbook, nanovdb_reader, nrrd, openvdb_reader, sidecar, texture_files, vector_field, vti
+from ..files.container import read_facts
+from ..files.grid_samples import GridSamples
+from ..files.openvdb_reader import VdbGrid
 from ..volumes.volume import Volume, check_distances
 from .npz import make_atlas, read_scale
 
 
-def load_texture(path: Path) -> Volume:
-    """Read a file that :meth:`Volume.save` wrote."""
-    kind = path.suffix.lower()[1:]
-    if kind == "nrrd":
-        return _read_nrrd(path)
-    encoding, size, texels, text = _core.texture_read(kind, path.read_bytes())
-    facts = sidecar.read_beside(path) if kind == "dds" else sidecar.parse(text)
+def load_volume(path: Path) -> Volume:
+    """Read a grid that :meth:`Volume.save` or another program wrote."""
+    data = path.read_bytes()
+    kind = path.suffix.lower()
+    if kind in (".dds", ".ktx2"):
+        return _read_texture(path, data)
+    if kind == ".vdb":
+        return _placed(_read_level_set(data))
+    if kind == ".vf":
+        samples = vector_field.read(data)
+        if sidecar.beside(path).is_file():
+            return _own(samples, sidecar.read_beside(path))
+        # Unity's own fields have a longest side of 1, about the origin.
+        spacing = np.full(3, 1 / max(samples.shape))
+        return _placed(GridSamples(samples, (1 - np.array(samples.shape)) * spacing / 2, spacing))
+    if kind == ".nvdb":
+        facts = sidecar.read_beside(path) if sidecar.beside(path).is_file() else None
+        return _placed(_on_grid(nanovdb_reader.read(data), facts))
+    return _placed(vti.read(data) if kind == ".vti" else nrrd.read(data))
+
+
+def _read_texture(path: Path, data: bytes) -> Volume:
+    is_dds = path.suffix.lower() == ".dds"
+    texture = texture_files.read_dds(data) if is_dds else texture_files.read_ktx2(data)
+    facts = sidecar.read_beside(path) if is_dds else sidecar.parse(texture.facts)
+    return _decoded(texture.levels[0], texture.encoding, facts)
+
+
+def _decoded(texels: NDArray[Any], encoding: str, facts: dict[str, Any]) -> Volume:
+    """The volume of texels (nx, ny, nz) with the facts of their file."""
     sidecar.expect(facts, "volume texture")
-    if facts.get("encoding") != encoding or facts.get("resolution") != list(size):
-        raise FormatError(f"the texture is {list(size)} {encoding}, its facts are of another one")
-    scale = read_scale(facts, encoding)
-    samples = _core.texture_decode(np.frombuffer(texels, np.uint8), size, encoding, scale)
-    return _volume(samples, facts)
+    if facts.get("encoding") != encoding:
+        raise FormatError(f"the texels are {encoding}, their facts are of {str(facts.get('encoding'))[:40]}")
+    if encoding == "float32":
+        return _own(texels, facts)
+    scale = read_scale(facts, "snorm8" if encoding == "unorm8" else encoding)
+    if encoding == "unorm8":
+        return _own(encodings.from_unorm8(texels, scale), facts)
+    if encoding == "float16" and not np.isfinite(texels).all():
+        raise FormatError("a texel is not finite")
+    return _own(_core.decode(np.asfortranarray(texels), scale), facts)
+
+
+def _read_level_set(data: bytes) -> GridSamples:
+    grid = openvdb_reader.read(data)
+    text = grid.metadata.get("fieldbake")
+    return _on_grid(grid, None if text is None else sidecar.parse(text))
+
+
+def _on_grid(grid: VdbGrid, facts: dict[str, Any] | None) -> GridSamples:
+    """The dense grid of a tree: that of the facts if they fit, else the active voxels and one around them."""
+    band = grid.background if grid.kind == "level set" else 0.0
+    low, high = grid.active_box() if facts is None else (np.zeros(3, np.int64), np.zeros(3, np.int64))
+    low, high = low - 1, high + 1
+    if facts is not None:
+        box = read_facts(facts)[0]
+        sizes = facts.get("resolution")
+        if not isinstance(sizes, list) or len(sizes) != 3 or not all(type(n) is int and 0 < n < 2**31 for n in sizes):
+            raise FormatError(f"the facts are of {str(sizes)[:60]} voxels")
+        spacing = (box[1] - box[0]) / sizes
+        first = (box[0] + spacing / 2 - grid.origin) / spacing
+        # Another program may have moved the grid or changed its voxels; then its own numbers hold.
+        near = np.abs(first - np.rint(first)).max() <= 1e-3 and np.abs(first).max() <= openvdb_reader.FARTHEST
+        if near and np.allclose(spacing, grid.spacing, rtol=1e-6):
+            low = np.rint(first).astype(np.int64)
+            high = low + np.array(sizes) - 1
+        else:
+            return _on_grid(grid, None)
+    return GridSamples(grid.dense(low, high), grid.origin + low * grid.spacing, grid.spacing, facts, band)
+
+
+def _own(samples: NDArray[np.float32], facts: dict[str, Any], band: float = 0.0) -> Volume:
+    """A volume of samples and the facts that fieldbake wrote about them."""
+    sidecar.expect(facts, "volume texture")
+    if facts.get("resolution") != list(samples.shape):
+        raise FormatError(f"the samples are {samples.shape}, their facts are of {str(facts.get('resolution'))[:60]}")
+    bounds, inner, report = read_facts(facts)
+    if band:
+        report = replace(report, band=min(band, report.band or band))
+    try:
+        return Volume._wrap(check_distances(samples), bounds, inner, report)
+    except ArgumentError as error:
+        raise FormatError(str(error)) from None
+
+
+def _placed(grid: GridSamples) -> Volume:
+    """A volume of a grid; without facts its box is that of the grid."""
+    if grid.facts is not None:
+        return _own(grid.samples, grid.facts, grid.band)
+    try:
+        bounds = checks.box("bounds", grid.bounds)
+        return Volume._wrap(check_distances(grid.samples), bounds, bounds.copy(), Report(band=grid.band))
+    except ArgumentError as error:
+        raise FormatError(str(error)) from None
+
+
+def load_sheet(path: Path) -> Volume | Atlas:
+    """Read an .exr image: the sheet of a volume or the pages of an atlas, as its sidecar says."""
+    facts = sidecar.read_beside(path)
+    if facts.get("kind") != "volume texture":
+        return load_image(path)
+    sidecar.expect(facts, "volume texture")
+    sizes = facts.get("resolution")
+    sheet = flipbook.read_sheet(facts.get("sheet"), sizes if isinstance(sizes, list) else [])
+    encoding = checks.choice("encoding", facts.get("encoding"), ("float32", "float16"), FormatError)
+    content = _core.exr_read(path.read_bytes(), *sheet.size, encoding)
+    pixels = np.frombuffer(bytearray(content), encodings.DTYPES[encoding])
+    return _decoded(flipbook.from_pixels(pixels, sheet), encoding, facts)
 
 
 def load_image(path: Path) -> Atlas:
@@ -75,14 +164,6 @@ def load_image(path: Path) -> Atlas:
     atlas = make_atlas(facts, arrays, columns["report"], pages)
     atlas._texels = "png" if is_png else "pages"
     return atlas
-
-
-def _volume(samples: NDArray[np.float32], facts: dict[str, Any]) -> Volume:
-    bounds, inner, report = read_facts(facts)
-    try:
-        return Volume._wrap(check_distances(samples), bounds, inner, report)
-    except ArgumentError as error:
-        raise FormatError(str(error)) from None
 
 
 def _column(facts: Any, name: str) -> Any:
@@ -131,34 +212,3 @@ def _read_png(path: Path, width: int, height: int, encoding: str) -> NDArray[Any
     except (OSError, SyntaxError) as error:  # Pillow's words for a damaged file
         raise FormatError(f"the image is damaged ({error})") from None
     return (values - (1 << (8 * texel.itemsize - 1))).astype(texel)
-
-
-# --- NRRD
-
-
-def _read_nrrd(path: Path) -> Volume:
-    nrrd = nrrd_package()
-    with open(path, "rb") as stream:
-        # The header is parsed line by line. A header that names another file is refused.
-        text = stream.read(MAX_HEADER_BYTES).partition(b"\n\n")[0]
-        stream.seek(0)
-        header = nrrd.read_header(io.BytesIO(text + b"\n\n"))
-        if "data file" in header or "datafile" in header or header.get("encoding") != "raw":
-            raise FormatError("the samples must be in the file itself, and not compressed")
-        if header.get("type") not in ("float", "float32") or len(header.get("sizes", ())) != 3:
-            raise FormatError("the samples must be float32 in three dimensions")
-        sizes = [int(n) for n in header["sizes"]]
-        start = len(text) + 2
-        expected = 4
-        for n in sizes:
-            expected *= max(n, 0)
-        left = os.fstat(stream.fileno()).st_size - start
-        if expected != left or not expected:
-            raise FormatError(f"{sizes} samples need {expected} bytes, the file has {left}")
-        stream.seek(start)
-        samples = np.frombuffer(stream.read(), "<f4").reshape(sizes, order="F")
-    facts = sidecar.parse(str(header.get("fieldbake", "")))
-    sidecar.expect(facts, "volume texture")
-    if facts.get("resolution") != sizes:
-        raise FormatError(f"the samples are {sizes}, their facts are of {facts.get('resolution')}")
-    return _volume(samples, facts)

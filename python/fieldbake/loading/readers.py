@@ -12,27 +12,29 @@ from typing import Any, TypeVar
 from ..atlases import images
 from ..atlases.atlas import Atlas
 from ..base.errors import FormatError
-from ..volumes import textures
+from ..volumes import writers
 from ..volumes.volume import Volume
-from .foreign import load_image, load_texture
+from .foreign import load_image, load_sheet, load_volume
 from .npz import read_archive
 
 _Kind = TypeVar("_Kind")
 
 #: Readers of the formats other than .npz, by ending.
 _FOREIGN: dict[str, Callable[[Path], Volume | Atlas]] = {
-    **dict.fromkeys(textures.ENDINGS, load_texture),
+    **dict.fromkeys(writers.ENDINGS, load_volume),
     **dict.fromkeys(images.ENDINGS, load_image),
+    ".exr": load_sheet,
 }
 
 
 def load(path: str | os.PathLike[str]) -> Any:
-    """Read a file that fieldbake wrote.
+    """Read what fieldbake wrote, or a grid of another program.
 
     Parameters
     ----------
     path : str or path
-        A file of :meth:`Volume.save` or :meth:`Atlas.save` with any of their endings.
+        A file of :meth:`Volume.save`, :meth:`Atlas.save` or another ``save``. Of other programs: ``.vdb`` (the level
+        set, or the first float grid; as a dense grid), ``.vti``, ``.nrrd`` and ``.vf``.
 
     Returns
     -------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from ..base.errors import ArgumentError
 from ..base.report import Report
 from ..meshes.isosurface import Source, as_source, extract
 from ..meshes.mesh import Mesh
+from .conventions import Convention
 
 
 class GridField(ABC):
@@ -140,6 +142,14 @@ class GridField(ABC):
             "inner_bounds": self._inner_bounds.tolist(),
             "report": self._report.to_dict(),
         }
+
+    def _turned_boxes(self, way: Convention) -> tuple[NDArray[np.float64], NDArray[np.float64], Report]:
+        """Box, inner box and report in the space of a convention."""
+        placed = way.transform(self._bounds)
+        scale = way.scale(self._bounds)
+        found = self._report
+        report = replace(found, band=found.band * scale, chord_error=found.chord_error * scale)
+        return way.box(self._bounds, placed), way.box(self._inner_bounds, placed), report
 
     def _corners(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         return checks.triple(self._bounds[0]), checks.triple(self._bounds[1])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import os
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,9 @@ from ..base.errors import ArgumentError
 from ..base.report import Report, bytes_text
 from ..files import container
 from ..meshes.isosurface import Source
-from . import textures
+from . import writers
 from .volume import Volume
+from .writers import SaveOptions
 
 
 class QuantizedVolume(Volume):
@@ -112,36 +114,24 @@ class QuantizedVolume(Volume):
         checks.text("device", device)
         return self._encoded
 
-    def save(self, path: str | os.PathLike[str], *, encoding: str | None = None, band: float = 4.0) -> None:
-        """Write a file; see :meth:`Volume.save`. Containers and textures keep the stored samples unchanged.
-
-        Parameters
-        ----------
-        path : str or path
-            As for :meth:`Volume.save`.
-        encoding : str, optional
-            Encoding of a texture. The default is the encoding and the scale of the volume. .nrrd files are always
-            float32.
-        band : float, default 4
-            As for :meth:`Volume.save`. Used only if `encoding` is given.
-
-        Raises
-        ------
-        FormatError, ArgumentError, OSError
-            As for :meth:`Volume.save`.
-        """
-        ending = os.path.splitext(path)[1].lower()  # noqa: PTH122 - bytes and paths alike
-        if ending not in textures.ENDINGS:
-            if encoding not in (None, self._encoding):
-                got = checks.describe(encoding)
-                raise ArgumentError(f"encoding: {ending or 'such'} files keep the volume's {self._encoding}, got {got}")
+    def _save(self, target: Path, options: SaveOptions) -> None:
+        """See :meth:`Volume.save`. An .npz keeps the stored numbers; a texture does so unless `encoding` is given."""
+        ending = target.suffix.lower()
+        way = options.convention()
+        if options.encoding is None and ending in writers.MIPMAPPED:
+            band = self._unit / float(self.spacing.max())
+            super()._save(target, replace(options, encoding=self._encoding, band=band))
+        elif ending in writers.ENDINGS or not way.is_identity:
+            super()._save(target, options)
+        else:
+            container.check_ending(target, "quantized")
+            if options.encoding not in (None, self._encoding):
+                got = checks.describe(options.encoding)
+                raise ArgumentError(f"encoding: .npz files keep the volume's {self._encoding}, got {got}")
+            replace(options, encoding=None).check(ending)
             header = {**container.head("quantized", self._encoding), **self._facts()}
             header |= {"encoding": self._encoding, "scale": self._unit}
-            container.write(path, header, {"distances": self._encoded})
-        elif encoding is None and ending != ".nrrd":
-            super().save(path, encoding=self._encoding, band=self._unit / float(self.spacing.max()))
-        else:
-            super().save(path, encoding=encoding or "float32", band=band)
+            container.write(target, header, {"distances": self._encoded})
 
     def __reduce__(self) -> tuple[Any, ...]:
         parts = (self._encoded, self._encoding, self._unit, self._bounds, self._inner_bounds, self._report)

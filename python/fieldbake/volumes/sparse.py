@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _core
 from ..base import checks
+from ..base.errors import ArgumentError
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report, bytes_text
 from ..files import container
+from ..files.band_blocks import BandBlocks
 from ..meshes.isosurface import Source
+from . import writers
+from .brick_blocks import blocks_of_bricks
+from .conventions import Convention, Engine, Handedness, Up
 from .grid_field import GridField
 from .volume import Filter, Volume
+from .writers import SaveOptions
 
 
 class SparseVolume(GridField):
@@ -151,11 +158,52 @@ class SparseVolume(GridField):
         # Every point lies within half the diagonal of a voxel of a sample.
         return self.band - 0.5 * float(np.linalg.norm(self.spacing))
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an .npz file; read it with :func:`fieldbake.load`."""
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        encoding: str | None = None,
+        band: float | None = None,
+        compression: Literal["zip", "none"] | None = None,
+        engine: Engine | None = None,
+        handedness: Handedness | None = None,
+        up: Up | None = None,
+        normalize: bool | None = None,
+    ) -> None:
+        """Write a file without making the dense grid; an existing file is replaced after the new one is complete.
+
+        Parameters
+        ----------
+        path : str or path
+            ``.npz``, bit for bit, or ``.vdb`` and ``.nvdb``, whose leaves are filled from the bricks. For the other
+            endings of :meth:`Volume.save` call :meth:`to_volume` first.
+        encoding, band, compression, engine, handedness, up, normalize : optional
+            As for :meth:`Volume.save`; ``.npz`` files keep the encoding and the axes of the volume.
+
+        Raises
+        ------
+        FormatError, ArgumentError, OSError
+            As for :meth:`Volume.save`.
+        """
+        target = Path(os.fsdecode(path))
+        options = SaveOptions(encoding, band, compression, False, None, engine, handedness, up, normalize)
+        if target.suffix.lower() in writers.SPARSE_ENDINGS:
+            writers.write(target, self, options)
+            return
+        container.check_ending(target, "sparse")
+        if options != SaveOptions():
+            raise ArgumentError("path: a sparse .npz has no options; call to_volume() to change axes or encoding")
         field = self._core_field
         facts = {"encoding": field.encoding, "scale": field.scale, "band": field.band}
-        container.write(path, {**container.head("sparse", field.encoding), **self._facts(), **facts}, field.arrays())
+        container.write(target, {**container.head("sparse", field.encoding), **self._facts(), **facts}, field.arrays())
+
+    def _blocks(self, band: float) -> BandBlocks:
+        """The narrow band of a level set, `band` in world units."""
+        return blocks_of_bricks(self._core_field, self.sample, self.origin, self.spacing, band)
+
+    def _turned(self, way: Convention) -> _TurnedSparse:
+        """What a writer of level sets reads, in the space of a convention."""
+        return _TurnedSparse(self, way)
 
     def _source(self, device: str) -> _core.SparseField:
         checks.text("device", device)
@@ -175,6 +223,43 @@ class SparseVolume(GridField):
         shape = " x ".join(str(side) for side in self.resolution)
         bricks = sum(self.brick_counts.values())
         return f"SparseVolume({shape} voxels, {bricks:,} bricks as {self.encoding}, {bytes_text(self.nbytes)})"
+
+
+class _TurnedSparse(GridField):
+    """A sparse volume in the space of a convention, as far as writers of level sets read it."""
+
+    __slots__ = ("_volume", "_way")
+
+    _volume: SparseVolume
+    _way: Convention
+
+    def __init__(self, volume: SparseVolume, way: Convention) -> None:
+        self._volume, self._way = volume, way
+        self._stand_in(*volume._turned_boxes(way))
+
+    @property
+    def resolution(self) -> tuple[int, int, int]:
+        nx, ny, nz = (self._volume.resolution[axis] for axis in self._way.order)
+        return nx, ny, nz
+
+    @property
+    def distances(self) -> NDArray[np.float32]:
+        distances: NDArray[np.float32] = self._way.array(self._volume.distances) * np.float32(self._scale)
+        return distances
+
+    @property
+    def _scale(self) -> float:
+        return self._way.scale(self._volume.bounds)
+
+    def _surface(self, level: float) -> _core.Surface:
+        raise NotImplementedError
+
+    def _kept_distance(self) -> float | None:
+        kept = self._volume._kept_distance()
+        return None if kept is None else kept * self._scale
+
+    def _blocks(self, band: float) -> BandBlocks:
+        return self._way.blocks(self._volume._blocks(band / self._scale), self._volume.bounds)
 
 
 def _restore(

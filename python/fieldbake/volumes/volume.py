@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -15,9 +16,12 @@ from ..base.errors import ArgumentError
 from ..base.progress import Progress
 from ..base.report import Report, bytes_text
 from ..files import container
+from ..files.band_blocks import BandBlocks, blocks_of_grid
 from ..meshes.isosurface import Source
-from . import textures
+from . import writers
+from .conventions import Convention, Engine, Handedness, Up
 from .grid_field import GridField
+from .writers import SaveOptions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -384,37 +388,89 @@ class Volume(GridField):
 
         return load_as(cls, path)
 
-    def save(self, path: str | os.PathLike[str], *, encoding: str = "float32", band: float = 4.0) -> None:
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        encoding: str | None = None,
+        band: float | None = None,
+        compression: Literal["zip", "none"] | None = None,
+        mipmaps: bool = False,
+        columns: int | None = None,
+        engine: Engine | None = None,
+        handedness: Handedness | None = None,
+        up: Up | None = None,
+        normalize: bool | None = None,
+    ) -> None:
         """Write a file. An existing file is replaced only after the new file is complete.
 
         Parameters
         ----------
         path : str or path
-            The ending selects the format. ``.npz``: the container of fieldbake, readable by NumPy. ``.dds`` or
-            ``.ktx2``: a 3D texture. ``.nrrd``: for ParaView and 3D Slicer; needs the package pynrrd.
-            :func:`fieldbake.load` reads all of them.
-        encoding : str, default "float32"
-            Encoding of a texture: ``"float32"``, ``"float16"``, ``"snorm16"`` or ``"snorm8"``, as for
-            :func:`fieldbake.pack`.
-        band : float, default 4
-            Half width of the band that a normalised encoding represents, voxels.
+            The ending chooses the format:
+
+            - ``.npz``: fieldbake's own, and NumPy's; bit for bit.
+            - ``.vdb``: OpenVDB level set, for Blender, Houdini and Unreal. ``.nvdb``: NanoVDB, for warp and Omniverse.
+            - ``.vti``: VTK and ParaView. ``.nrrd``: 3D Slicer and ParaView.
+            - ``.dds``, ``.ktx2``: 3D textures. ``.exr``: the slices as tiles of one image, for engines that cut an
+              image into a 3D texture. ``.vf``: Unity's Visual Effect Graph.
+
+            Read any of them with :func:`fieldbake.load`. ``.dds``, ``.exr``, ``.vf`` and ``.nvdb`` files have a
+            JSON beside them.
+        encoding : str, optional
+            Textures: ``"float32"`` (default), ``"float16"``, ``"snorm16"``, ``"snorm8"`` as for
+            :func:`fieldbake.pack`, or ``"unorm8"``, unsigned bytes with distance 0 at 127.5. ``.vdb`` and ``.exr``:
+            ``"float32"`` or ``"float16"``.
+        band : float, optional
+            Textures: half width of the band that a normalised encoding keeps, voxels; 4 by default. ``.vdb`` and
+            ``.nvdb``: half width of the narrow band, voxels of the longest side; 3 by default. Within the band
+            distances are exact, beyond it they are plus or minus the band.
+        compression : "zip" or "none", optional
+            For ``.vdb``, ``.vti`` and ``.nrrd``; zip by default.
+        mipmaps : bool, default False
+            For ``.dds`` and ``.ktx2``: add coarser levels, each with half the sides of the one before.
+        columns : int, optional
+            For ``.exr``: tiles side by side. By default the sheet is as square as it can be without empty tiles.
+        engine : "unity", "unreal", "godot", "blender" or "three", optional
+            Sets the next three options, and the settings beside an ``.exr``, as the engine has them.
+        handedness : "right" or "left", default "right"
+            Axes of the file. Left-handed files have x negated, or y if z points upwards.
+        up : "y" or "z", default "y"
+            Axis of the file that points upwards. The field's own y axis becomes that axis.
+        normalize : bool, default False
+            Move the box to the origin and scale it, and the distances, to a longest side of 1.
 
         Raises
         ------
         FormatError
             For another ending.
         ArgumentError
-            For an encoding that the format does not support.
+            For an option that the format does not have.
         OSError
             If the file cannot be written.
         """
-        ending = os.path.splitext(path)[1].lower()  # noqa: PTH122 - bytes and paths alike
-        if ending in textures.ENDINGS:
-            textures.write(path, self.distances, self.origin, self.spacing, self._facts(), encoding, band)
+        options = SaveOptions(encoding, band, compression, mipmaps, columns, engine, handedness, up, normalize)
+        self._save(Path(os.fsdecode(path)), options)
+
+    def _save(self, target: Path, options: SaveOptions) -> None:
+        if target.suffix.lower() in writers.ENDINGS:
+            writers.write(target, self, options)
             return
-        if encoding != "float32":
-            raise ArgumentError(f'encoding: {ending or "such"} files hold "float32", got {checks.describe(encoding)}')
-        container.write(path, {**container.head("volume"), **self._facts()}, {"distances": self.distances})
+        container.check_ending(target, "volume")
+        options.check(".npz")
+        way = options.convention()
+        placed, facts = (self, {}) if way.is_identity else (self._turned(way), way.facts(self._bounds))
+        facts = {**container.head("volume"), **placed._facts(), **facts}
+        container.write(target, facts, {"distances": placed.distances})
+
+    def _blocks(self, band: float) -> BandBlocks:
+        """The narrow band of a level set, `band` in world units."""
+        return blocks_of_grid(self._distances, self.origin, self.spacing, band)
+
+    def _turned(self, way: Convention) -> Volume:
+        """The volume in the space of a convention."""
+        distances = way.array(self._distances) * np.float32(way.scale(self._bounds))
+        return Volume._wrap(distances, *self._turned_boxes(way))
 
     def _repr_png_(self) -> bytes | None:
         """Draw the surface for notebooks; None if there is no surface."""

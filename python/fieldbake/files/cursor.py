@@ -1,0 +1,60 @@
+"""A position in the bytes of a file from elsewhere: every read is checked against their end."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import FormatError
+
+
+class Cursor:
+    """Reads parts of a file in order."""
+
+    __slots__ = ("at", "data")
+
+    def __init__(self, data: bytes, at: int = 0) -> None:
+        self.data = memoryview(data)
+        self.at = at
+
+    def seek(self, at: int) -> None:
+        """Go to an offset in the file."""
+        if not 0 <= at <= len(self.data):
+            raise FormatError(f"byte {at} is not in the file, which has {len(self.data)}")
+        self.at = at
+
+    def take(self, count: int) -> memoryview:
+        """The next `count` bytes."""
+        if not 0 <= count <= len(self.data) - self.at:
+            raise FormatError(f"{count} bytes from byte {self.at} on are not in the file, which has {len(self.data)}")
+        start, self.at = self.at, self.at + count
+        return self.data[start : self.at]
+
+    def unpack(self, layout: str) -> tuple[Any, ...]:
+        """The next values of a struct."""
+        return struct.unpack(layout, self.take(struct.calcsize(layout)))
+
+    def one(self, layout: str) -> Any:
+        """The next value."""
+        (value,) = self.unpack(layout)
+        return value
+
+    def array(self, count: int, kind: str) -> NDArray[Any]:
+        """The next `count` numbers; a view of the bytes."""
+        return np.frombuffer(self.take(count * np.dtype(kind).itemsize), kind)
+
+
+def inflate(packed: bytes | memoryview, size: int, window: int = 15) -> bytes:
+    """The `size` bytes that a zlib stream holds; never more is unpacked."""
+    unpacker = zlib.decompressobj(window)
+    try:
+        content = unpacker.decompress(packed, size)
+    except zlib.error as error:
+        raise FormatError(f"compressed bytes are damaged ({error})") from None
+    if len(content) != size or (unpacker.unconsumed_tail and unpacker.decompress(unpacker.unconsumed_tail, 1)):
+        raise FormatError(f"compressed bytes do not hold {size} bytes")
+    return content

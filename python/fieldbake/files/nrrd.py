@@ -1,0 +1,165 @@
+"""``.nrrd`` files: grids for ParaView and 3D Slicer, with their position in space; compressed by gzip or plain.
+
+Source: "Definition of NRRD File Format" (Teem). The header is text; an empty line ends it, and the samples follow.
+"""
+
+from __future__ import annotations
+
+import re
+import zlib
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import FormatError
+from . import sidecar
+from .container import MAX_HEADER_BYTES
+from .cursor import inflate
+from .grid_samples import GridSamples, as_samples, checked_count
+
+#: Element types by their names in the format; aliases follow C.
+_TYPES = {
+    "float": "f4",
+    "double": "f8",
+    "signed char": "i1",
+    "int8": "i1",
+    "int8_t": "i1",
+    "uchar": "u1",
+    "unsigned char": "u1",
+    "uint8": "u1",
+    "uint8_t": "u1",
+    "short": "i2",
+    "int16": "i2",
+    "int16_t": "i2",
+    "ushort": "u2",
+    "unsigned short": "u2",
+    "uint16": "u2",
+    "uint16_t": "u2",
+    "int": "i4",
+    "int32": "i4",
+    "int32_t": "i4",
+    "uint": "u4",
+    "unsigned int": "u4",
+    "uint32": "u4",
+    "uint32_t": "u4",
+}
+_VECTOR = re.compile(r"\(([^()]*)\)")
+#: Level of compression: samples of a field get little shorter beyond it.
+_LEVEL = 3
+#: window of a zlib stream in the gzip format.
+_GZIP_WINDOW = 31
+
+
+def write(
+    stream: IO[bytes],
+    samples: NDArray[np.float32],
+    origin: NDArray[np.float64],
+    spacing: NDArray[np.float64],
+    facts: str,
+    *,
+    compressed: bool,
+) -> None:
+    """Write samples (nx, ny, nz) with their grid; `facts` is stored as the value of the key ``fieldbake``."""
+    directions = " ".join(
+        "(" + ",".join(repr(float(spacing[axis])) if axis == row else "0" for axis in range(3)) + ")"
+        for row in range(3)
+    )
+    lines = [
+        "NRRD0005",
+        "type: float",
+        "dimension: 3",
+        "space: 3D-right-handed",
+        f"sizes: {' '.join(map(str, samples.shape))}",
+        f"space directions: {directions}",
+        "centerings: cell cell cell",
+        "kinds: domain domain domain",
+        "endian: little",
+        f"encoding: {'gzip' if compressed else 'raw'}",
+        f"space origin: ({','.join(repr(float(x)) for x in origin)})",
+        f"fieldbake:={facts}",
+    ]
+    stream.write("\n".join(lines).encode() + b"\n\n")
+    content = np.ascontiguousarray(samples.T, "<f4").data.cast("B")
+    if not compressed:
+        stream.write(content)
+        return
+    packer = zlib.compressobj(_LEVEL, wbits=_GZIP_WINDOW)
+    stream.write(packer.compress(content))
+    stream.write(packer.flush())
+
+
+def read(data: bytes) -> GridSamples:
+    """The grid of a file."""
+    head, _, content = data[:MAX_HEADER_BYTES].partition(b"\n\n")
+    content = data[len(head) + 2 :]
+    lines = head.decode("utf-8", "replace").replace("\r", "").split("\n")
+    if not lines[0].startswith("NRRD"):
+        raise FormatError("is not a .nrrd file")
+    header, pairs = {}, {}
+    for line in lines[1:]:
+        if line.startswith("#"):
+            continue
+        name, colon, value = line.partition(":")
+        if not colon:
+            raise FormatError(f"the header has the line {line[:60]!r}")
+        if value.startswith("="):
+            pairs[name] = value[1:]
+        else:
+            header[name.strip().lower()] = value.strip()
+    sizes = _whole_numbers(header, "sizes")
+    kind = _TYPES.get(header.get("type", "").lower())
+    if kind is None or header.get("dimension") != "3":
+        raise FormatError("the samples must be numbers in three dimensions")
+    if "data file" in header or "datafile" in header or any(header.get(f"{skip} skip") for skip in ("line", "byte")):
+        raise FormatError("the samples must be in the file itself")
+    order = ">" if header.get("endian") == "big" else "<"
+    dtype = np.dtype(order + kind)
+    size = checked_count(sizes) * dtype.itemsize
+    encoding = header.get("encoding", "").lower()
+    if encoding in ("gzip", "gz"):
+        content = inflate(content, size, _GZIP_WINDOW)
+    elif encoding != "raw":
+        raise FormatError(f"the encoding is {encoding[:40]!r}; raw and gzip are read")
+    if len(content) != size:
+        raise FormatError(f"{sizes} samples need {size} bytes, the file has {len(content)}")
+    samples = as_samples(np.frombuffer(content, dtype), sizes)
+    origin, spacing = _place(header)
+    facts = sidecar.parse(pairs["fieldbake"]) if "fieldbake" in pairs else None
+    return GridSamples(samples, origin, spacing, facts)
+
+
+def _whole_numbers(header: dict[str, str], name: str) -> list[int]:
+    try:
+        return [int(word) for word in header.get(name, "").split()]
+    except ValueError:
+        raise FormatError(f"{name} must be whole numbers, got {header[name][:60]!r}") from None
+
+
+def _numbers(text: str) -> NDArray[np.float64]:
+    try:
+        numbers = np.array([float(word) for word in text.replace(",", " ").split()])
+    except ValueError:
+        raise FormatError(f"the header has {text[:60]!r} in place of numbers") from None
+    if numbers.shape != (3,) or not np.isfinite(numbers).all():
+        raise FormatError(f"the header has {text[:60]!r} in place of three numbers")
+    return numbers
+
+
+def _place(header: dict[str, str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Centre of the first sample and size of a voxel."""
+    if "space directions" in header:
+        rows = [_numbers(text) for text in _VECTOR.findall(header["space directions"])]
+        directions = np.array(rows).reshape(-1, 3)
+        spacing = np.diag(directions) if directions.shape == (3, 3) else np.zeros(3)
+        if not np.array_equal(directions, np.diag(spacing)):
+            raise FormatError("the axes of the grid are rotated or sheared; resample it onto an upright grid")
+        origin = _numbers(header["space origin"].strip("() ")) if "space origin" in header else np.zeros(3)
+    else:
+        spacing = _numbers(header["spacings"]) if "spacings" in header else np.ones(3)
+        origin = _numbers(header["axis mins"]) if "axis mins" in header else np.zeros(3)
+        if "axis mins" in header and "cell" in header.get("centerings", header.get("centers", "")):
+            origin = origin + spacing / 2
+    if not (spacing > 0).all():
+        raise FormatError(f"the voxels have the size {spacing.tolist()}")
+    return origin, np.array(spacing)

@@ -1,0 +1,256 @@
+"""Writers of volumes for other programs, by file ending.
+
+=========  ==========================================================  ==========================================
+ending     contents                                                    facts
+=========  ==========================================================  ==========================================
+``.dds``   3D texture with mipmaps on request                          sidecar
+``.ktx2``  the same; its axes are ``ruo``, or ``rui`` if left-handed    value of the key ``fieldbake``
+``.exr``   the slices as tiles of one image                            sidecar; settings for Unity and Godot
+``.vf``    grid of Unity's Visual Effect Graph                         sidecar
+``.vdb``   OpenVDB level set                                           string ``fieldbake`` of the grid
+``.nvdb``  NanoVDB level set                                           sidecar
+``.vti``   VTK ImageData                                               text ``fieldbake`` of the field data
+``.nrrd``  grid with its position                                      value of the key ``fieldbake``
+=========  ==========================================================  ==========================================
+
+The facts are JSON: the grid, the encoding, the report, and ``decode``, the formula for the distance of a texel.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _core
+from ..base import checks, encodings
+from ..base.errors import ArgumentError
+from ..files import container, flipbook, nanovdb, nrrd, openvdb, sidecar, texture_files, vector_field, vti
+from ..files.band_blocks import BandBlocks
+from ..files.container import atomic_write, head
+from .conventions import Convention, convention
+
+#: Endings of the files that :func:`write` writes for a dense and for a sparse volume.
+ENDINGS = container.ENDINGS["volume"][1:]
+SPARSE_ENDINGS = container.ENDINGS["sparse"][1:]
+
+#: Encodings that each ending has; the first is the default.
+ENCODINGS: dict[str, tuple[str, ...]] = {
+    ".dds": tuple(encodings.TEXTURE_DTYPES),
+    ".ktx2": tuple(encodings.TEXTURE_DTYPES),
+    ".exr": ("float32", "float16"),
+    ".vf": ("float32",),
+    ".vdb": ("float32", "float16"),
+    ".nvdb": ("float32",),
+    ".vti": ("float32",),
+    ".nrrd": ("float32",),
+}
+#: Endings whose samples can be compressed, and those that can have mipmaps or a number of columns.
+COMPRESSED = (".vdb", ".vti", ".nrrd")
+MIPMAPPED = (".dds", ".ktx2")
+BANDED = (".vdb", ".nvdb")
+#: Half width of the band of a level set, voxels.
+LEVEL_SET_BAND = 3.0
+#: Name of the grid in OpenVDB files.
+GRID_NAME = "surface"
+WRITER = f"fieldbake {_core.__version__}"
+
+
+class Placed(Protocol):
+    """What the writers read of a volume, in the space of the file."""
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Lower and upper corner of the box."""
+
+    @property
+    def origin(self) -> NDArray[np.float64]:
+        """Centre of the first voxel."""
+
+    @property
+    def spacing(self) -> NDArray[np.float64]:
+        """Size of a voxel."""
+
+    @property
+    def resolution(self) -> tuple[int, int, int]:
+        """Voxels along x, y and z."""
+
+    @property
+    def distances(self) -> NDArray[np.float32]:
+        """Samples."""
+
+    def _facts(self) -> dict[str, Any]: ...
+    def _kept_distance(self) -> float | None: ...
+    def _blocks(self, band: float) -> BandBlocks: ...
+
+
+class Field(Placed, Protocol):
+    """A volume that can be placed in the space of a file."""
+
+    def _turned(self, way: Convention) -> Placed: ...
+
+
+@dataclass(frozen=True)
+class SaveOptions:
+    """Options of ``save``; None is the default of the format."""
+
+    encoding: str | None = None
+    band: float | None = None
+    compression: str | None = None
+    mipmaps: bool = False
+    columns: int | None = None
+    engine: str | None = None
+    handedness: str | None = None
+    up: str | None = None
+    normalize: bool | None = None
+
+    def convention(self) -> Convention:
+        """Axes and units of the file."""
+        return convention(self.engine, self.handedness, self.up, self.normalize)
+
+    def check(self, ending: str) -> None:
+        """Refuse an option that a format does not have."""
+        known = ENCODINGS.get(ending, ("float32",))
+        if self.encoding is not None and self.encoding not in known:
+            words = container.listed(f'"{name}"' for name in known)
+            raise ArgumentError(
+                f"encoding: {ending or 'such'} files hold {words}, got {checks.describe(self.encoding)}"
+            )
+        if self.band is not None:
+            checks.number("band", self.band, above=0)
+        if self.compression is not None:
+            checks.choice("compression", self.compression, ("zip", "none"))
+            if ending not in COMPRESSED:
+                raise ArgumentError(f"compression: {ending or 'such'} files have none; {_words(COMPRESSED)} have")
+        if checks.flag("mipmaps", self.mipmaps) and ending not in MIPMAPPED:
+            raise ArgumentError(f"mipmaps: {ending or 'such'} files have none; {_words(MIPMAPPED)} have")
+        if self.columns is not None:
+            checks.integer("columns", self.columns, least=1, most=flipbook.MAX_SIDE)
+            if ending != ".exr":
+                raise ArgumentError(f"columns: {ending or 'such'} files have no tiles; .exr files have")
+
+
+def _words(endings: tuple[str, ...]) -> str:
+    return container.listed(endings)
+
+
+class _File(NamedTuple):
+    """A file to write: a volume in its space, and the facts of that volume."""
+
+    target: Path
+    field: Placed
+    options: SaveOptions
+    way: Convention
+    facts: dict[str, Any]
+
+
+def write(target: Path, field: Field, options: SaveOptions) -> None:
+    """Write a volume as the file that the ending of `target` names."""
+    ending = target.suffix.lower()
+    options.check(ending)
+    way = options.convention()
+    facts = way.facts(field.bounds)
+    placed: Placed = field if way.is_identity else field._turned(way)
+    _WRITERS[ending](_File(target, placed, options, way, {**placed._facts(), **facts}))
+
+
+def _texture(file: _File) -> None:
+    encoding = file.options.encoding or "float32"
+    band = encodings.DEFAULT_BAND if file.options.band is None else file.options.band
+    scale = encodings.scale_of(encoding, file.field.spacing, band)
+    facts = _texel_facts(file.target, encoding, scale, file.facts)
+    levels = [file.field.distances]
+    if file.options.mipmaps:
+        corners = checks.triple(file.field.bounds[0]), checks.triple(file.field.bounds[1])
+        for shape in texture_files.level_shapes(file.field.resolution)[1:]:
+            levels.append(_core.resample(levels[-1], *corners, shape, scale=1.0))
+    texture = texture_files.Texture(encoding, [_texels(level, encoding, scale) for level in levels], json.dumps(facts))
+    with atomic_write(file.target) as stream:
+        if file.target.suffix.lower() == ".dds":
+            texture_files.write_dds(stream, texture)
+        else:
+            texture_files.write_ktx2(stream, texture, "rui" if file.way.handedness == "left" else "ruo", WRITER)
+    if file.target.suffix.lower() == ".dds":
+        sidecar.write_beside(file.target, facts)
+
+
+def _texel_facts(target: Path, encoding: str, scale: float, facts: dict[str, Any]) -> dict[str, Any]:
+    rule = encodings.texel_rule(target.suffix.lower(), encoding)
+    return {**head("volume texture", encoding), **facts, "encoding": encoding, "scale": scale, **rule}
+
+
+def _texels(distances: NDArray[np.float32], encoding: str, scale: float) -> NDArray[Any]:
+    if encoding == "unorm8":
+        return encodings.to_unorm8(distances, scale)
+    return distances if encoding == "float32" else _core.encode(distances, encoding, scale)
+
+
+def _sheet(file: _File) -> None:
+    encoding = file.options.encoding or "float32"
+    scale = encodings.scale_of(encoding, file.field.spacing, 1.0)
+    columns = 1 if file.options.columns is None and file.way.engine == "godot" else file.options.columns
+    sheet = flipbook.arrange(file.field.resolution, columns, upwards=file.way.engine == "unity")
+    pixels = flipbook.to_pixels(_texels(file.field.distances, encoding, scale), sheet)
+    content = _core.exr_write(pixels.reshape(-1).view(np.uint8), *sheet.size, encoding)
+    facts = {**_texel_facts(file.target, encoding, scale, file.facts), "sheet": sheet.facts()}
+    sidecar.write_beside(file.target, facts)
+    with atomic_write(file.target) as stream:
+        stream.write(content)
+    if file.way.engine == "unity":
+        flipbook.write_unity(file.target, sheet, encoding)
+    elif file.way.engine == "godot":
+        flipbook.write_godot(file.target, sheet)
+
+
+def _vector_field(file: _File) -> None:
+    with atomic_write(file.target) as stream:
+        vector_field.write(stream, file.field.distances)
+    sidecar.write_beside(file.target, _texel_facts(file.target, "float32", 1.0, file.facts))
+
+
+def _level_set(file: _File) -> None:
+    kept = file.field._kept_distance()
+    voxel = float(file.field.spacing.max())
+    band = (LEVEL_SET_BAND if file.options.band is None else file.options.band) * voxel
+    if kept is not None and kept < band:
+        if file.options.band is not None:
+            raise ArgumentError(
+                f"band: the volume keeps distances up to {kept / voxel:.3g} voxels, got {file.options.band:g}"
+            )
+        band = kept
+    blocks = file.field._blocks(band)
+    facts = {**_texel_facts(file.target, file.options.encoding or "float32", 1.0, file.facts), "band": blocks.band}
+    with atomic_write(file.target) as stream:
+        if file.target.suffix.lower() == ".vdb":
+            strings = {"creator": WRITER, "fieldbake": json.dumps(facts)}
+            is_zipped, is_half = file.options.compression != "none", file.options.encoding == "float16"
+            openvdb.write(stream, blocks, strings, name=GRID_NAME, zipped=is_zipped, half=is_half)
+        else:
+            nanovdb.write(stream, blocks, name=GRID_NAME)
+    if file.target.suffix.lower() == ".nvdb":
+        sidecar.write_beside(file.target, facts)
+
+
+def _grid(file: _File) -> None:
+    text = json.dumps(_texel_facts(file.target, "float32", 1.0, file.facts))
+    save = vti.write if file.target.suffix.lower() == ".vti" else nrrd.write
+    is_packed = file.options.compression != "none"
+    with atomic_write(file.target) as stream:
+        save(stream, file.field.distances, file.field.origin, file.field.spacing, text, compressed=is_packed)
+
+
+_WRITERS: dict[str, Callable[[_File], None]] = {
+    ".dds": _texture,
+    ".ktx2": _texture,
+    ".exr": _sheet,
+    ".vf": _vector_field,
+    ".vdb": _level_set,
+    ".nvdb": _level_set,
+    ".vti": _grid,
+    ".nrrd": _grid,
+}
