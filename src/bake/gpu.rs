@@ -7,10 +7,8 @@
 //! bake its distances bound the far samples. Positions are computed here in float64 and rounded once, in the local
 //! coordinates of the CPU, so both devices agree to float32 rounding.
 //!
-//! Alternative tried: culling by convexity for a whole block, as on the CPU ([`super::dense`]). Each workgroup opened
-//! the tree together, from the root or from the nodes kept for blocks of 16^3, and its samples shared the list. It was
-//! slower on lavapipe: 0.80 to 0.97 of the speed of one search per sample (spot, fandisk and bunny at 48^3, bunny at
-//! 96^3). No hardware GPU was measured.
+//! Alternative tried: culling by convexity for a whole block, as on the CPU ([`super::dense`]). It was slower on lavapipe
+//! (`benches/results/2026-11-21-software-adapter.md`); no hardware GPU was measured.
 //!
 //! Signs require exact predicates in float64, which WGSL does not have. The code of the CPU ([`super::signs`]) computes
 //! them while the device is busy, and uploads them as bits.

@@ -38,9 +38,10 @@
 //!
 //! # Practice
 //!
-//! A smooth or chamfered joint needs the fields of both operands and not just their signs. Within reach of its width the whole
-//! joint is one piece, and outside it equals the sharp joint. What changes the field (offset, shell, warps) makes one piece of
-//! its operand. Fewer pieces are always right, so splitting stops where their number would explode.
+//! A smooth or chamfered joint needs the fields of both operands and not just their signs. Within reach of its width
+//! the whole joint is one piece; outside it equals the sharp joint. Operations that change the field (offset, shell,
+//! warps) make one piece of their operand. Fewer pieces are always valid, so splitting stops where their number would
+//! explode.
 
 use super::bounds::Extent;
 use super::decompose::{Part, grouped};
@@ -74,7 +75,7 @@ struct Piece {
 #[derive(Debug)]
 struct Operand {
     pieces: Vec<Piece>,
-    /// Each tree is right this far beyond its box, world units.
+    /// Distance beyond its box within which each tree is valid, world units.
     margin: f64,
     tokens: Arc<[Token]>,
     extent: Extent,
@@ -123,7 +124,7 @@ pub fn parts(model: &Model) -> Vec<Part> {
     grouped(root.into_iter().filter(|piece| is_finite(&piece.bounds)).map(|piece| (piece.tokens, piece.bounds)))
 }
 
-/// Tokens with one more; a warp begins with the token that ends it.
+/// Tokens with one appended. A warp also gets the token that begins it.
 fn changed(tokens: &[Token], token: Token) -> Arc<[Token]> {
     match token {
         Token::Leave(warp) => [&[Token::Enter(warp)], tokens, &[token]].concat().into(),
@@ -151,7 +152,7 @@ fn combined(op: Op, blend: Blend, a: Operand, b: Operand, join: &Join<'_>) -> Op
     let tokens = join.tokens(&a.tokens, &b.tokens);
     let extent = Extent::combined(op, blend, a.extent, b.extent);
     let width = blend.width();
-    // Where the joint differs from its operands.
+    // The zone in which the joint differs from its operands.
     let zone = match (op, blend) {
         (Op::Union, Blend::Sharp) => None,
         (Op::Union | Op::Xor, _) => Some(intersection(&bounds_at(&a, width), &bounds_at(&b, width))),
@@ -218,7 +219,7 @@ fn pairs(a: &Operand, b: &Operand, join: &Join<'_>) -> Vec<Piece> {
     pieces
 }
 
-/// The pieces without the solid of `b`, and the margin that is left of the margin of `b`.
+/// The pieces without the solid of `b`, and the remaining margin of `b`.
 fn differences(mut pieces: Vec<Piece>, b: &Operand, join: &Join<'_>) -> (Vec<Piece>, f64) {
     let together = Piece { bounds: bounds_at(b, 0.0), tokens: b.tokens.clone() };
     let is_one = b.pieces.len() > MAX_CUTS || b.margin < 2.0 * MIN_MARGIN * join.size;
@@ -237,7 +238,7 @@ fn differences(mut pieces: Vec<Piece>, b: &Operand, join: &Join<'_>) -> (Vec<Pie
             if is_empty(&common) || is_apart() {
                 left.push(piece.clone());
             } else if left.len() + pieces.len() > MAX_PIECES {
-                // The tree of the cut is right only near its own box, the tree of `b` everywhere.
+                // The tree of the cut is valid only near its own box, the tree of `b` everywhere.
                 left.push(Piece { bounds: piece.bounds, tokens: join.tokens(&piece.tokens, &b.tokens) });
             } else {
                 left.push(Piece { bounds: common, tokens: join.tokens(&piece.tokens, &cut.tokens) });

@@ -1,23 +1,23 @@
 //! Boxes of solids and of their level sets, carried from the leaves to the root.
 //!
-//! An operator may raise or lower the field of its operands (an offset, a fillet), so a box alone is not enough. An
-//! [`Extent`] says where *every* level set lies: `{field <= t}` is in the box grown by `slack + growth * t` on every side for
-//! `t > 0`, and shrunk by `-t` for `t < 0`. A box may be turned inside out: the intersection of two boxes that do not meet
-//! has a lower corner above its upper one, and grows into a real box at the level at which the two grown boxes meet.
+//! An operator may raise or lower the field of its operands (an offset, a fillet), so a box alone is not sufficient. An
+//! [`Extent`] bounds *every* level set: `{field <= t}` lies in the box grown by `slack + growth * t` on every side for
+//! `t > 0`, and shrunk by `-t` for `t < 0`. A box may be inverted: the intersection of two disjoint boxes has a lower
+//! corner above its upper one. It grows into a proper box at the level at which the two grown boxes touch.
 
 use super::model::{Place, Warp, WarpKind};
 use super::primitive::Primitive;
 use super::shape::{Blend, Op};
 use glam::DVec3;
 
-/// Where the level sets of a field lie.
+/// Bounds of the level sets of a field.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Extent {
     pub lower: DVec3,
     pub upper: DVec3,
     pub growth: f64,
     pub slack: f64,
-    /// The leaf to blame if a side is infinite.
+    /// Name of the leaf whose side is infinite, for the message.
     pub unbounded: Option<&'static str>,
 }
 
@@ -25,9 +25,9 @@ impl Extent {
     pub const EMPTY: Self =
         Self { lower: DVec3::INFINITY, upper: DVec3::NEG_INFINITY, growth: 1.0, slack: 0.0, unbounded: None };
 
-    /// The box of a placed primitive, tight under any turn.
+    /// The box of a placed primitive, tight under any rotation.
     pub fn of_leaf(primitive: &Primitive, place: &Place) -> Self {
-        // Along each world axis, seen from the leaf.
+        // The world axes in the space of the leaf.
         let axes = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| place.rotation.transpose() * axis);
         let upper = DVec3::from(axes.map(|axis| place.scale * primitive.support(axis)));
         let lower = DVec3::from(axes.map(|axis| -place.scale * primitive.support(-axis)));
@@ -45,7 +45,7 @@ impl Extent {
         Self { lower: self.lower + by, upper: self.upper + by, ..self }
     }
 
-    /// Nothing at level zero.
+    /// Whether the level set of zero is empty.
     pub fn is_empty(&self) -> bool {
         !self.lower.cmple(self.upper).all()
     }
@@ -54,16 +54,16 @@ impl Extent {
     pub fn level(self, t: f64) -> Self {
         let grown = match t {
             t if t > 0.0 => self.slack + self.growth * t,
-            // A field that may be steeper than the distance shrinks by less; how much is not known here.
+            // A field that may be steeper than the distance shrinks by an unknown smaller amount.
             _ if self.slack > 0.0 => 0.0,
             t => t,
         };
-        // Grown once, the slack is used up.
+        // Growing uses up the slack.
         let slack = if t > 0.0 { 0.0 } else { self.slack };
         Self { lower: self.lower - grown, upper: self.upper + grown, slack, ..self }
     }
 
-    /// Everything else, whatever this was.
+    /// The complement is unbounded.
     pub fn complement(self) -> Self {
         Self { lower: DVec3::NEG_INFINITY, upper: DVec3::INFINITY, unbounded: Some("complement"), ..self }
     }
@@ -101,17 +101,17 @@ impl Extent {
                 }
             }
             Op::Intersection => a.intersection(b),
-            // What is taken away can only make it smaller.
+            // Subtraction can only reduce the solid.
             Op::Difference => a,
         }
     }
 
-    /// Back in the space around a warp.
+    /// The extent in the space around a warp.
     pub fn warped(self, warp: &Warp) -> Self {
         let inside = match warp.kind {
             WarpKind::Elongate(half) => Self { lower: self.lower - half, upper: self.upper + half, ..self },
             WarpKind::Twist(_) | WarpKind::Bend(_) => {
-                // The distance from the z axis stays, the direction may be any.
+                // The distance from the z axis stays the same, the direction may be any.
                 let r = self.radius_about_z();
                 let stretch = warp.stretch.at(0.0);
                 Self {
@@ -132,7 +132,7 @@ impl Extent {
         Self { lower: middle - turned, upper: middle + turned, ..inside }
     }
 
-    /// The farthest corner from the z axis.
+    /// Largest distance of a corner from the z axis.
     pub fn radius_about_z(&self) -> f64 {
         let far = self.lower.abs().max(self.upper.abs());
         far.x.hypot(far.y)

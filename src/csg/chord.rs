@@ -22,7 +22,8 @@
 //!
 //! # Practice
 //!
-//! [`Form::of`] says whether a part has a closed form. The twin on graphics devices is `shaders/shared/csg_chord.wgsl`.
+//! [`Form::of`] determines whether a part has a closed form. The twin on graphics devices is
+//! `shaders/shared/csg_chord.wgsl`.
 
 use super::leaf::{Flat, LeafField, PlacedLeaf};
 use super::model::Token;
@@ -46,14 +47,14 @@ const STILL: f32 = 1e-30;
 /// Square of the component of a unit direction across an axis below which the line is parallel to the axis.
 const PARALLEL: f32 = 1e-14;
 
-/// How rays intersect a part.
+/// Method for intersecting rays with a part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Form {
-    /// By marching its field.
+    /// Sphere tracing of its field.
     Field,
     /// The nearest of the chords of its leaves.
     Union,
-    /// By combining the chords of its literals.
+    /// Boolean combination of the chords of its literals.
     Chords,
 }
 
@@ -162,7 +163,7 @@ pub fn first_inside(
     if form == Form::Union {
         let mut nearest = t_out;
         for (leaf, _) in literals {
-            // Nothing is taken away, so there are no slivers and nothing is eroded.
+            // A union removes nothing, so there are no slivers and no erosion is needed.
             let chord = chord(leaf, line, 0.0);
             let from = chord.from.max(t_in);
             if from < chord.to && from < nearest {
@@ -189,14 +190,15 @@ pub fn first_inside(
     if t == t_in {
         return Some(t);
     }
-    // The hit is the end of the uneroded chord, which is before that of the eroded one, or of the grown one of a complement.
+    // The depth of the hit is the end of the uneroded chord. It precedes the end of the eroded chord, or of the grown
+    // chord of a complement.
     let (owner, (leaf, _)) = literals.enumerate().find(|&(i, _)| chords[i].from == t || chords[i].to == t)?;
     let whole = chord(leaf, line, 0.0);
     let end = if chords[owner].from == t { whole.from } else { whole.to };
     Some(end.clamp(t_in, t))
 }
 
-/// Whether a line is inside right behind `t`; `chords` has one entry per literal, in the order of the steps.
+/// Whether a line is inside immediately behind `t`; `chords` has one entry per literal, in the order of the steps.
 fn is_inside(steps: &[Step], chords: &[Chord; MAX_LEAVES], t: f32) -> bool {
     // A stack of bits; the top is bit 0.
     let mut bits = 0u32;
@@ -237,7 +239,7 @@ impl Chord {
         self.from <= t && t < self.to
     }
 
-    /// The smallest chord that holds both; for two pieces of one convex solid.
+    /// The smallest chord that contains both. The two are pieces of one convex solid.
     fn hull(self, other: Self) -> Self {
         match (self.is_empty(), other.is_empty()) {
             (true, _) => other,
@@ -307,7 +309,8 @@ fn chord(leaf: &PlacedLeaf<f32>, [origin, direction]: [Vec3; 2], grow: f32) -> C
     }
 }
 
-/// Where `|o + t d| < half`. A line in the plane of a face is outside, because the field is zero there and not below.
+/// The interval where `|o + t d| < half`. A line in the plane of a face is outside, because the field is zero there and
+/// not below.
 fn slab(o: f32, d: f32, half: f32) -> Chord {
     if d.abs() < STILL {
         return if o.abs() < half { Chord::ALL } else { Chord::NONE };
@@ -321,7 +324,7 @@ fn cuboid(o: Vec3, d: Vec3, half: [f32; 3]) -> Chord {
     slab(o.x, d.x, half[0]).and(slab(o.y, d.y, half[1])).and(slab(o.z, d.z, half[2]))
 }
 
-/// Where `normal . p < offset`.
+/// The interval where `normal . p < offset`.
 fn half_space(o: Vec3, d: Vec3, normal: Vec3, offset: f32) -> Chord {
     let (rate, room) = (normal.dot(d), offset - normal.dot(o));
     if rate.abs() < STILL {
@@ -364,7 +367,7 @@ fn cone(o: Vec3, d: Vec3, [low, high, half_height]: [f32; 3]) -> Chord {
         return Chord::NONE;
     }
     let (middle, slope) = (0.5 * (low + high), 0.5 * (high - low) / half_height);
-    // Solved about the point nearest to the axis, between the ends.
+    // Solved about the point nearest to the axis, which lies between the ends.
     let speed_squared = d.truncate().length_squared();
     let nearest = if speed_squared < PARALLEL { 0.0 } else { -o.truncate().dot(d.truncate()) / speed_squared };
     let start = nearest.clamp(ends.from, ends.to);
@@ -375,10 +378,10 @@ fn cone(o: Vec3, d: Vec3, [low, high, half_height]: [f32; 3]) -> Chord {
     let c = q.truncate().length_squared() - radius * radius;
     let discriminant = b * b - a * c;
     if discriminant <= 0.0 {
-        // Without roots the sign is that of the square term.
+        // Without roots the sign is that of the quadratic term.
         return if a < 0.0 { ends } else { Chord::NONE };
     }
-    // Roots without cancellation; the first is at infinity where the square term vanishes.
+    // Roots without cancellation. The first is at infinity if the quadratic term vanishes.
     let far = -(b + discriminant.sqrt().copysign(b));
     let first = if a == 0.0 { FAR.copysign(far) } else { (far / a).clamp(-FAR, FAR) };
     let second = if far == 0.0 { 0.0 } else { c / far };
@@ -386,7 +389,8 @@ fn cone(o: Vec3, d: Vec3, [low, high, half_height]: [f32; 3]) -> Chord {
     if a > 0.0 {
         return ends.and(Chord { from: early, to: late });
     }
-    // Outside the roots, in one of the two halves of the double cone; the other is beyond the ends.
+    // The chord lies outside the roots, in one of the two halves of the double cone. The other half lies beyond the
+    // ends.
     let (before, after) = (Chord { to: early, ..ends }.and(ends), Chord { from: late, ..ends }.and(ends));
     if before.to - before.from > after.to - after.from { before } else { after }
 }

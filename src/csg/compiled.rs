@@ -1,12 +1,12 @@
-//! Kernels written for a shape: each structure of its marched parts has a function instead of the interpreter, and the closed
-//! forms have the cases of the shape's own kinds of leaves only.
+//! Kernels specialised for one shape. Each structure of its sphere-traced parts becomes a function that replaces the
+//! interpreter. The closed forms contain only the kinds of leaves that occur in the shape.
 //!
-//! Numbers stay in a buffer, so the text depends on the structures and kinds alone. Shapes that differ in numbers share a
-//! pipeline, and a changed parameter compiles nothing. Parts whose structure has no function are interpreted in the same
-//! dispatch.
+//! Parameters stay in a buffer, so the text depends only on the structures and kinds. Shapes that differ in parameters
+//! share a pipeline, and changing a parameter compiles nothing. Parts whose structure has no function are interpreted
+//! in the same dispatch.
 //!
-//! Text that no ray needs costs time as well: a group of invocations executes a branch if one of them does, and software
-//! adapters execute all branches. lavapipe compiles at the first dispatch, so the first picture by a new kernel waits for it.
+//! Unused text costs time as well: a group of invocations executes a branch if one of them does, and software adapters
+//! execute all branches. lavapipe compiles at the first dispatch, so the first picture by a new kernel waits for it.
 
 use super::chord::{Form, MAX_LEAVES};
 use super::decompose::{StructureToken, structure};
@@ -20,28 +20,29 @@ use crate::gpu::shader::shared;
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-/// Structures of a kernel at most: those with the most boxes. More make a text that takes seconds to compile.
+/// Largest number of structures of a kernel. Those with the most boxes are chosen. A text with more takes seconds to
+/// compile.
 const MAX_STRUCTURES: usize = 32;
 
-/// Tokens of a structure at most, for the same reason.
+/// Largest number of tokens of a structure, for the same reason.
 const MAX_TOKENS: usize = 64;
 
-/// The form of the first structure, as the kernel counts them.
+/// The `form` of the first structure in the kernel.
 const FIRST_FORM: u32 = 3;
 
-/// How the kernel evaluates a part.
+/// Evaluation of a part by the kernel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Entry {
     /// 0: the interpreter. 1 and 2: a closed form. From 3: the function of structure `form - 3`.
     pub form: u32,
-    /// Index of the first number of its function.
+    /// Index of the first parameter of its function.
     pub parameters: u32,
 }
 
-/// A kernel written for a shape.
+/// A kernel specialised for one shape.
 #[derive(Debug)]
 pub struct Compiled {
-    /// Names of shared shader files and the texts that replace them.
+    /// Overrides of imported shader files, by name.
     pub texts: [(&'static str, String); 4],
     /// Number of structures with a function.
     pub structures: usize,
@@ -50,7 +51,7 @@ pub struct Compiled {
 }
 
 impl Compiled {
-    /// Writes the kernel of a shape and appends the numbers that its functions read to `numbers`.
+    /// Generates the kernel of a shape and appends the parameters that its functions read to `numbers`.
     pub fn of(tracer: &Tracer<'_>, numbers: &mut Vec<f32>) -> Self {
         let structures = chosen(tracer);
         let program = &tracer.solid.program;
@@ -93,8 +94,8 @@ impl Compiled {
     }
 }
 
-/// The features that a kernel needs for the parts of a shape. Most follow from the shape and not from its parts, because the
-/// parts may change with the numbers.
+/// The features that a kernel needs for the parts of a shape. Most are derived from the shape instead of its parts,
+/// because the parts may change with the parameters.
 #[derive(Debug, Default)]
 struct Needs {
     /// Kinds of all leaves of the shape.
@@ -105,9 +106,9 @@ struct Needs {
     leaves: usize,
     /// Whether a part is in closed form.
     chords: bool,
-    /// Whether a part is marched.
+    /// Whether a part is sphere traced.
     marches: bool,
-    /// Whether a marched part has no function.
+    /// Whether a sphere-traced part has no function.
     interpreter: bool,
 }
 
@@ -142,13 +143,13 @@ impl Needs {
         self.interpreter |= part.form == Form::Field && !has_function;
     }
 
-    /// Kinds whose fields are evaluated by their number: for normals, or by the interpreter.
+    /// Kinds whose fields are evaluated by a switch: for normals, or by the interpreter.
     fn evaluated(&self) -> KindSet {
         if self.chords || self.interpreter { self.kinds } else { KindSet::default() }
     }
 
     fn text(&self) -> String {
-        // Few different sizes, so that shapes share kernels.
+        // Rounding to a few sizes lets shapes share kernels.
         let leaves = self.leaves.clamp(4, MAX_LEAVES).next_multiple_of(4);
         format!(
             "// What the parts of a shape need.
@@ -163,7 +164,7 @@ const MARCHES: bool = {};
     }
 }
 
-/// In place of `shaders/shared/csg_part.wgsl`. Without the interpreter the kernel is smaller: faster to compile, and to run.
+/// The override of `shaders/shared/csg_part.wgsl`. A kernel without the interpreter compiles and runs faster.
 fn parts_text(functions: &[String], needs_interpreter: bool) -> String {
     let module = if needs_interpreter { "csg_interpreter" } else { "csg_leaves" };
     let mut text = format!(
@@ -187,7 +188,7 @@ fn part_distance(p: vec3f, form: u32, first: u32, count: u32, parameters: u32) -
     switch form {
 ";
 
-/// The structures that get a function, by the order of their names, which does not depend on numbers.
+/// The structures that get a function, in the order of their names, which does not depend on parameters.
 fn chosen(tracer: &Tracer<'_>) -> BTreeMap<Vec<StructureToken>, usize> {
     let mut boxes = vec![0usize; tracer.programs.len()];
     tracer.boxes.iter().for_each(|cell| boxes[cell.part as usize] += 1);
@@ -204,7 +205,7 @@ fn chosen(tracer: &Tracer<'_>) -> BTreeMap<Vec<StructureToken>, usize> {
     names.into_keys().enumerate().map(|(place, name)| (name, place)).collect()
 }
 
-/// Whether a part is worth a function. A baked volume is read by the interpreter.
+/// Whether a part is worth a function. The interpreter evaluates baked volumes.
 fn is_short(tracer: &Tracer<'_>, part: &PartProgram) -> bool {
     let is_volume = |token: &Token| match token {
         Token::Leaf(leaf) => {

@@ -1,20 +1,20 @@
-//! Splitting a shape into parts, each a smaller shape that is all there is to see inside its own boxes.
+//! Decomposition of a shape into parts, smaller shapes that replace it inside their own boxes.
 //!
 //! # Theory
 //!
-//! Marching a ray through a shape of a thousand leaves evaluates a thousand leaves a step. But near any point of the surface
-//! only a few of them matter. A *part* is a list of tokens over the model's tables, and the boxes in which that list stands
-//! for the whole:
+//! Tracing a ray through a shape of a thousand leaves evaluates a thousand leaves per step, although only a few of them
+//! determine the surface near any point. A *part* is a list of tokens over the model's tables, and the boxes in which
+//! that list replaces the whole:
 //!
-//! - [`Method::Aabb`] is that of A. Palecek, "SDF Decomposition" (2021): boxes are carried from the leaves to the root, split
-//!   and discarded by the operators ([`super::aabb`]). The solid is the *union* of the parts, each cut to its boxes; boxes of
-//!   different parts may overlap, and the nearest hit wins.
-//! - [`Method::Octree`] cuts space into cells and keeps in each only the leaves that can matter there ([`super::octree`]).
-//!   In its boxes a part has the sign and the roots of the whole; the boxes do not overlap.
+//! - [`Method::Aabb`] is the method of A. Palecek, "SDF Decomposition" (2021): boxes are carried from the leaves to the
+//!   root, split and discarded by the operators ([`super::aabb`]). The solid is the *union* of the parts, each cut to
+//!   its boxes. Boxes of different parts may overlap, and the nearest hit is used.
+//! - [`Method::Octree`] divides space into cells and keeps in each only the leaves that can influence it
+//!   ([`super::octree`]). In its boxes a part has the sign and the roots of the whole; the boxes do not overlap.
 //!
 //! # Practice
 //!
-//! Parts of equal structure differ in the numbers of the tables alone, see [`structure`]: they share one shader.
+//! Parts of equal structure differ only in their parameters, see [`structure`]: they share one shader.
 
 use super::model::{Coat, Model, Place, Token, WarpKind};
 use super::shape::{Blend, Kind, Op, Shape};
@@ -26,7 +26,7 @@ use rustc_hash::FxHashMap;
 use std::hash::Hash;
 use std::sync::Arc;
 
-/// How to split.
+/// Method of decomposition.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Method {
     Aabb,
@@ -35,22 +35,22 @@ pub enum Method {
 }
 
 impl Method {
-    /// The method that the Python interface calls `name`.
+    /// Converts the public name of a method.
     pub fn from_name(name: &str) -> Result<Self, ShapeError> {
         choice("method", name, &[("aabb", Self::Aabb), ("octree", Self::Octree)]).map_err(ShapeError::from)
     }
 }
 
-/// A smaller shape and where it stands for the whole one.
+/// A smaller shape, and the boxes in which it replaces the whole.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Part {
-    /// Over the tables of the model.
+    /// Tokens over the tables of the model.
     pub tokens: Arc<[Token]>,
-    /// Lower and upper corners, world units. A box holds its lower faces and not its upper ones.
+    /// Lower and upper corners, world units. A box contains its lower faces and not its upper ones.
     pub boxes: Vec<[DVec3; 2]>,
 }
 
-/// Split a shape. An empty one has no parts.
+/// Decomposes a shape. An empty shape has no parts.
 pub fn decompose(solid: &Solid, method: Method) -> Result<Vec<Part>, Error> {
     solid.bounds()?;
     if solid.model.extent.is_empty() {
@@ -62,7 +62,7 @@ pub fn decompose(solid: &Solid, method: Method) -> Result<Vec<Part>, Error> {
     })
 }
 
-/// Boxes by tokens, in the order in which the tokens first came.
+/// Groups boxes by their tokens, in the order in which the tokens first occur.
 pub fn grouped(pieces: impl IntoIterator<Item = (Arc<[Token]>, [DVec3; 2])>) -> Vec<Part> {
     let mut places: FxHashMap<Arc<[Token]>, usize> = FxHashMap::default();
     let mut parts: Vec<Part> = Vec::new();
@@ -76,7 +76,7 @@ pub fn grouped(pieces: impl IntoIterator<Item = (Arc<[Token]>, [DVec3; 2])>) -> 
     parts
 }
 
-/// What a shader is compiled for: operators and kinds of leaves, without their numbers.
+/// The input of a shader's compilation: operators and kinds of leaves, without their parameters.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum StructureToken {
     Leaf(&'static str),
@@ -117,7 +117,7 @@ pub fn structure(model: &Model, tokens: &[Token]) -> Vec<StructureToken> {
         .collect()
 }
 
-/// A part as a shape of its own, every leaf in its place.
+/// A part as a shape of its own, with every leaf in its placement.
 pub fn shape_of(model: &Model, tokens: &[Token]) -> Result<Shape, ShapeError> {
     let mut stack: Vec<Shape> = Vec::new();
     for &token in tokens {
@@ -159,7 +159,7 @@ fn pop(stack: &mut Vec<Shape>) -> Shape {
     stack.pop().expect("tokens are in postfix order")
 }
 
-/// A sharp operator over the same one is one of more operands.
+/// A sharp operator over the same operator becomes one with more operands.
 fn joined(op: Op, blend: Blend, a: Shape, b: Shape) -> Result<Shape, ShapeError> {
     let operands = match a.kind() {
         Kind::Combine { op: inner, blend: Blend::Sharp } if *inner == op && blend == Blend::Sharp => {
@@ -170,7 +170,7 @@ fn joined(op: Op, blend: Blend, a: Shape, b: Shape) -> Result<Shape, ShapeError>
     Shape::combine(op, blend, operands)
 }
 
-/// Scaled, turned and moved; what changes nothing is left out.
+/// Scaled, rotated and moved, without the changes that have no effect.
 fn placed(shape: &Shape, place: &Place) -> Result<Shape, ShapeError> {
     let mut shape = shape.clone();
     if place.scale != 1.0 {
@@ -178,7 +178,7 @@ fn placed(shape: &Shape, place: &Place) -> Result<Shape, ShapeError> {
     }
     let mut rotation = place.rotation;
     if rotation.determinant() < 0.0 {
-        // A turn after a reflection in x.
+        // A rotation after a reflection in x.
         rotation *= DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0));
         shape = shape.changed("reflect", &[1.0, 0.0, 0.0])?;
     }
@@ -192,12 +192,12 @@ fn placed(shape: &Shape, place: &Place) -> Result<Shape, ShapeError> {
     Ok(shape)
 }
 
-/// A whole number of degrees where the quaternion's rounding hid one.
+/// Rounds to a whole number of degrees if only the rounding of the quaternion separates them.
 fn whole(degrees: f64) -> f64 {
     if (degrees - degrees.round()).abs() < 1e-9 { degrees.round() } else { degrees }
 }
 
-/// With the paint of a leaf.
+/// Applies the paint of a leaf.
 fn coated(mut shape: Shape, coat: Option<&Coat>) -> Result<Shape, ShapeError> {
     let mut next = coat;
     while let Some(coat) = next {

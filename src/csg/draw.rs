@@ -1,4 +1,4 @@
-//! Pictures of shapes on the CPU, with the camera, the light and the frame of every other picture.
+//! Pictures of shapes on the CPU, with the camera, the light and the frame of all other pictures.
 
 use super::chord::Form;
 use super::decompose::Method;
@@ -17,20 +17,20 @@ use glam::Vec3;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Which rays see what.
+/// The parts that rays are traced through.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum DrawMethod {
-    /// Every step evaluates every leaf.
+    /// The whole shape: every step evaluates every leaf.
     Whole,
-    /// Part by part in their boxes.
+    /// The parts, each in its boxes.
     Parts(Method),
-    /// Whatever promises to cost a ray least.
+    /// The method with the smallest estimated cost per ray.
     #[default]
     Auto,
 }
 
 impl DrawMethod {
-    /// The method that the Python interface calls `name`.
+    /// Converts the public name of a method.
     pub fn from_name(name: &str) -> Result<Self, ShapeError> {
         choice(
             "method",
@@ -46,26 +46,26 @@ impl DrawMethod {
     }
 }
 
-/// A picture, and what it cost.
+/// A picture and its cost.
 #[derive(Debug)]
 pub struct Drawing {
     pub frame: Frame,
     pub parts: usize,
     pub boxes: usize,
-    /// Evaluations of leaves by the rays of the pixels, shadow rays left out.
+    /// Number of evaluations of leaves by the rays of the pixels, without shadow rays.
     pub leaf_evaluations: u64,
-    /// Structures of parts that the device's kernel for this picture has a function for, or will have.
+    /// Number of structures that have a function in the device's kernel for this picture.
     pub structures: usize,
-    /// Whether that kernel was there; until then the interpreter draws.
+    /// Whether that kernel was compiled. Until then the interpreter draws.
     pub is_compiled: bool,
-    /// Kernels that the device keeps for pictures of shapes.
+    /// Number of kernels that the device keeps for pictures of shapes.
     pub pipelines: usize,
 }
 
-/// Start of a shadow ray above the surface, local units: some of the shortest steps.
+/// Distance of the origin of a shadow ray from the surface, local units: several of the shortest steps.
 const SHADOW_BIAS: f32 = 1e-3;
 
-/// The parts that rays meet at a place; one that is the whole for [`DrawMethod::Whole`].
+/// The parts that rays are traced through at a place; a single part for [`DrawMethod::Whole`].
 pub fn tracer<'a>(place: &Place, solid: &'a Solid, method: DrawMethod) -> Result<Tracer<'a>, Error> {
     solid.bounds()?;
     match method {
@@ -76,18 +76,18 @@ pub fn tracer<'a>(place: &Place, solid: &'a Solid, method: DrawMethod) -> Result
     }
 }
 
-/// A shape of so few leaves is one function on a device: which parts it would fall into depends on its numbers, and a changed
-/// number should compile nothing.
+/// Largest number of leaves of a shape that is one function on a device. The parts of its decomposition would depend on
+/// its parameters, and changing a parameter should compile nothing.
 const FEW_LEAVES: usize = 12;
 
-/// Whether a device compiles one function for a whole shape. Of closed forms it compiles none.
+/// Whether a device compiles one function for a whole shape. Shapes in closed form have none.
 fn is_one_structure(solid: &Solid) -> bool {
     let tokens = &solid.model.tokens;
     Model::leaf_count(tokens) <= FEW_LEAVES && Form::of(&solid.program, tokens) == Form::Field
 }
 
-/// The parts that promise to cost a ray least. Of a few leaves all can be asked at once; boxes carried from the leaves are few,
-/// and hug what is thinly spread; only the octree tells many leaves apart that meet.
+/// The parts with the smallest estimated cost per ray. A few leaves are evaluated together; boxes carried from the
+/// leaves are few and fit sparse scenes tightly; only the octree separates many leaves that intersect.
 fn cheapest(solid: &Solid) -> Result<Tracer<'_>, Error> {
     let octree = Tracer::of(solid, solid.cells(Method::Octree)?.clone());
     if Model::leaf_count(&solid.model.tokens) > AABB_LEAVES {
@@ -99,10 +99,10 @@ fn cheapest(solid: &Solid) -> Result<Tracer<'_>, Error> {
     Ok(others.min_by(|a, b| a.cost().total_cmp(&b.cost())).unwrap_or(octree))
 }
 
-/// More leaves are not tried by their own boxes.
+/// Largest number of leaves for which boxes carried from the leaves are tried.
 const AABB_LEAVES: usize = 256;
 
-/// Draw a shape at a place.
+/// Draws a shape at a place.
 pub fn draw(
     place: &Place,
     tracer: &Tracer<'_>,
@@ -116,7 +116,7 @@ pub fn draw(
     let rays = Rays::new(tracer, camera, options, lights.len());
     let view = View { tracer, camera, options, lights: &lights, is_eye_inside, rays };
     match place {
-        // With the eye inside there is nothing to trace, and without boxes nothing to see.
+        // With the eye inside, or without boxes, there is nothing to trace.
         Place::Gpu(context) if !view.is_eye_inside && !tracer.boxes.is_empty() => gpu::draw(&view, context, progress),
         _ => draw_on_cpu(&view, progress),
     }
@@ -146,7 +146,7 @@ fn draw_on_cpu(view: &View<'_>, progress: &Progress) -> Result<Drawing, Error> {
     })
 }
 
-/// What a thread keeps between pixels.
+/// Buffers that a thread keeps between pixels.
 #[derive(Default)]
 pub(super) struct Scratch {
     march: Stack<f32, 1>,
@@ -154,31 +154,31 @@ pub(super) struct Scratch {
     work: Work,
 }
 
-/// What every pixel needs.
+/// Data shared by all pixels.
 pub(super) struct View<'a> {
     pub tracer: &'a Tracer<'a>,
     pub camera: &'a Camera,
     pub options: &'a RaymarchOptions,
-    /// With unit directions.
+    /// Lights with unit directions.
     pub lights: &'a [DirectionalLight],
     pub is_eye_inside: bool,
     pub rays: Rays,
 }
 
-/// What a pixel sees, local units but for the depth.
+/// The visible point of a pixel, in local units except for the depth.
 pub(super) struct Seen {
     pub p: Vec3,
     pub depth: f64,
     pub normal: Vec3,
-    /// Without one it has the colour of the options.
+    /// Index of the part; None uses the colour of the options.
     pub part: Option<u32>,
 }
 
-/// The rays of a picture in local units. They start on a plane just before the bounds, where float64 puts them, so that float32
-/// is exact enough from there on for an eye at any distance. Twin of `shaders/shared/picture_rays.wgsl`.
+/// The rays of a picture in local units. They start on a plane just before the bounds, computed in float64, so that
+/// float32 is precise enough for an eye at any distance. Twin of `shaders/shared/picture_rays.wgsl`.
 pub(super) struct Rays {
     pub rays: PictureRays,
-    /// Of the plane, and of one local unit, world units.
+    /// Depth of the plane, and length of one local unit, world units.
     start_depth: f64,
     scale: f64,
     middle: [f32; 2],
@@ -213,14 +213,14 @@ impl Rays {
         }
     }
 
-    /// Depth, world units, of the place at `t`.
+    /// Depth of the point at `t`, world units.
     pub fn depth(&self, ray: &LocalRay, t: f32) -> f64 {
         self.start_depth + f64::from(t) * f64::from(self.forward.dot(ray.direction)) * self.scale
     }
 }
 
 impl View<'_> {
-    /// Fill pixel `x` of row `y`; the row already says "nothing hit".
+    /// Fills pixel `x` of row `y`. The row is initialised to "no hit".
     pub fn draw_pixel(&self, x: usize, y: usize, row: &mut Row<'_>, scratch: &mut Scratch) {
         row.color[4 * x..][..4].copy_from_slice(&self.options.background);
 
@@ -245,7 +245,7 @@ impl View<'_> {
         });
     }
 
-    /// Light what a pixel sees in a unit direction and write it down.
+    /// Lights the visible point in a unit direction and stores it.
     pub fn finish(
         &self,
         x: usize,
@@ -266,7 +266,7 @@ impl View<'_> {
         row.object_id[x] = 0;
     }
 
-    /// 1 where nothing stands between the surface and the light, else 0.
+    /// 0 if the shape occludes the light, else 1.
     fn share_that_arrives(&self, p: Vec3, normal: Vec3, to_light: Vec3, stack: &mut Stack<f32, 1>) -> f32 {
         if normal.dot(to_light) <= 0.0 {
             return 0.0;
@@ -276,5 +276,5 @@ impl View<'_> {
     }
 }
 
-/// Longer than any way through the model, from a plane that a slanted ray crosses long before it.
+/// Longer than any ray through the model from the plane, at any slant.
 const FAR: f32 = 1e6;

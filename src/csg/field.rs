@@ -1,15 +1,16 @@
 //! Distances of the primitives at a point. The WGSL twins, function by function, are in `shaders/shared/csg_field.wgsl`.
 //!
-//! The formulas are the well-known ones (I. Quilez, "Distance functions", iquilezles.org) where they are exact; the
-//! pyramid is written anew as the nearer of a side and the base. `p` holds the parameters in the order of
+//! The formulas are the known ones (I. Quilez, "Distance functions", iquilezles.org) where they are exact. The pyramid
+//! is a new formula: the nearer of a side and the base. `p` holds the parameters in the order of
 //! [`Primitive::parameters`](super::primitive::Primitive::parameters).
 //!
-//! The ellipsoid's is the Lagrange dual of the distance (D. Eberly, "Distance from a Point to an Ellipse, an Ellipsoid, or a
-//! Hyperellipsoid", has the equation). With radii `r`, the nearest point to `y` is `x = r^2 y / (r^2 + t)` where `t` solves
-//! `sum (r y / (r^2 + t))^2 = 1`; and `t (sum y^2 / (r^2 + t) - 1)` is at most the squared distance for *every* `t` above
-//! `-min(r)^2`, and equal to it there. So an iteration that has not converged leaves a lower bound. The inverse square root of
-//! the sum is concave in `t`, hence Newton's method on it climbs from below (J. More, D. Sorensen, "Computing a Trust Region
-//! Step", 1983); counted from `-min(r)^2`, nothing cancels.
+//! The distance to an ellipsoid is computed as the Lagrange dual (D. Eberly, "Distance from a Point to an Ellipse, an
+//! Ellipsoid, or a Hyperellipsoid", has the equation). With radii `r`, the nearest point to `y` is `x = r^2 y / (r^2 +
+//! t)`, where `t` solves `sum (r y / (r^2 + t))^2 = 1`. The value `t (sum y^2 / (r^2 + t) - 1)` is at most the squared
+//! distance for *every* `t` above `-min(r)^2`, and equal to it at the solution, so an iteration that has not converged
+//! gives a lower bound. The inverse square root of the sum is concave in `t`, hence Newton's method on it converges
+//! from below (J. More, D. Sorensen, "Computing a Trust Region Step", 1983). Counting `t` from `-min(r)^2` avoids
+//! cancellation.
 
 use super::primitive::PARAMETERS;
 use super::real::{Real, length2, length3};
@@ -21,11 +22,11 @@ pub fn sphere<F: Real>(at: [F; 3], p: &Parameters<F>) -> F {
     length3(at) - p[0]
 }
 
-/// Steps of Newton's method. One leaves at most 2/3 of the logarithm of what is missing, which is 1e3 in the worst places,
-/// where it weighs 1e-8; near the end the steps square it.
+/// Number of steps of Newton's method. A step leaves at most 2/3 of the logarithm of the error, which is 1e3 in the
+/// worst case, where it has the weight 1e-8. Near the end the steps square the error.
 const ELLIPSOID_STEPS: usize = 12;
 
-/// Small beside all that is divided by it, and its inverse times a coordinate is finite.
+/// Negligible beside all values that are divided by it, and its inverse times a coordinate is finite.
 const ELLIPSOID_TINY: f64 = 1e-20;
 
 #[inline(always)]
@@ -34,7 +35,7 @@ pub fn ellipsoid<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let [rx, ry, rz, dx, dy, dz] = *p;
     let [x, y, z] = [x.abs(), y.abs(), z.abs()];
     let [cx, cy, cz] = [rx * x, ry * y, rz * z];
-    // From below: there one of the terms is 1.
+    // Starts from below: one of the terms is 1 there.
     let mut t = (cx - dx).most(cy - dy).most(cz - dz).most(tiny);
     for _ in 0..ELLIPSOID_STEPS {
         let [wx, wy, wz] = [one / (t + dx), one / (t + dy), one / (t + dz)];
@@ -47,7 +48,7 @@ pub fn ellipsoid<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let shortest = rx.least(ry).least(rz);
     let t_from_zero = t - shortest * shortest;
     let excess = x * (x / (t + dx)) + y * (y / (t + dy)) + z * (z / (t + dz)) - one;
-    // Both have one sign, or the field is zero within rounding.
+    // Both have the same sign, or the field is zero within rounding.
     if t_from_zero > F::default() {
         t_from_zero.sqrt() * excess.most(F::default()).sqrt()
     } else {
@@ -55,7 +56,7 @@ pub fn ellipsoid<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     }
 }
 
-/// A box of the given half sides.
+/// A box with the given half sides.
 #[inline(always)]
 fn cuboid<F: Real>([x, y, z]: [F; 3], half: [F; 3]) -> F {
     let zero = F::default();
@@ -69,12 +70,12 @@ pub fn rounded_box<F: Real>(at: [F; 3], p: &Parameters<F>) -> F {
     cuboid(at, [p[0], p[1], p[2]]) - p[3]
 }
 
-/// The nearest of three bars, one along each axis, by symmetry.
+/// Distance to the nearest of three bars, one along each axis; all others follow by symmetry.
 #[inline(always)]
 pub fn box_frame<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let bar = p[3];
     let [hx, hy, hz] = [p[0], p[1], p[2]];
-    // About the middle of a bar, along the two axes across it.
+    // Coordinates relative to the middle of a bar, along the two axes across it.
     let at = [x.abs() - (hx - bar), y.abs() - (hy - bar), z.abs() - (hz - bar)];
     let along_x = cuboid([x, at[1], at[2]], [hx, bar, bar]);
     let along_y = cuboid([at[0], y, at[2]], [bar, hy, bar]);
@@ -97,7 +98,7 @@ pub fn capped_torus<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     (if is_beyond { to_end } else { to_ring }) - tube
 }
 
-/// A flat distance drawn out along z: the distance to the prism.
+/// Distance to a prism: a 2D distance extruded along z.
 #[inline(always)]
 fn prism<F: Real>(flat: F, z: F, half_height: F) -> F {
     let zero = F::default();
@@ -121,7 +122,7 @@ pub fn capsule<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     length3([x, y, z - z.between(-p[1], p[1])]) - p[0]
 }
 
-/// The nearer of the cap and the side of a truncated cone.
+/// The smaller of the distances to the cap and to the side of a truncated cone.
 #[inline(always)]
 pub fn cone<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let zero = F::default();
@@ -129,7 +130,7 @@ pub fn cone<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let r = length2(x, y);
     let cap_radius = if z < zero { low } else { high };
     let cap = [(r - cap_radius).most(zero), z.abs() - half_height];
-    // Along the side, 0 at the top and 1 at the bottom.
+    // Position along the side, 0 at the top and 1 at the bottom.
     let slant = [low - high, -(half_height + half_height)];
     let along = ((r - high) * slant[0] + (z - half_height) * slant[1]) * inverse_slant_squared;
     let along = along.between(zero, F::of(1.0));
@@ -165,24 +166,24 @@ pub fn slab<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     (x * p[0] + y * p[1] + z * p[2]).abs() - p[3]
 }
 
-/// By symmetry a point with x >= y >= 0, whose nearest side is the one that faces +x.
+/// By symmetry the point has x >= y >= 0, and the nearest side is the one that faces +x.
 #[inline(always)]
 pub fn pyramid<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let zero = F::default();
     let [half, half_height, slant, sin, cos] = [p[0], p[1], p[2], p[3], p[4]];
     let (x, y) = (x.abs().most(y.abs()), x.abs().least(y.abs()));
     let height = z + half_height;
-    // Out of the side, and up it from the middle of its base edge.
+    // Distance out of the side, and position up the side from the middle of its base edge.
     let out = (x - half) * cos + height * sin;
     let up = (half - x) * sin + height * cos;
 
     // Inside: the nearer of the planes. Outside: the nearer of the triangle and the square, whose points are clamped.
     let inside = out.most(-height);
-    // The triangle's other edge, from (half, 0) to (0, slant) in (y, up).
+    // The other edge of the triangle, from (half, 0) to (0, slant) in (y, up).
     let edge_squared = half * half + slant * slant;
     let beyond = ((y - half) * slant + up * half) / edge_squared;
     let (on_y, on_up) = if beyond > zero { (y - beyond * slant, up - beyond * half) } else { (y, up) };
-    // The nearest point on the edge, between its ends; then up from the base.
+    // The nearest point on the edge, between its ends; then the position above the base.
     let along = (on_up / slant).between(zero, F::of(1.0));
     let is_beyond = beyond > zero;
     let foot_y = if is_beyond { half * (F::of(1.0) - along) } else { on_y };
@@ -201,7 +202,7 @@ pub fn octahedron<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let radius = p[0];
     let [x, y, z] = [x.abs(), y.abs(), z.abs()];
     let m = x + y + z - radius;
-    // Where the foot on the plane of the face has a negative coordinate, the nearest point lies on that edge.
+    // Where the projection onto the plane of the face has a negative coordinate, the nearest point lies on that edge.
     let (u, v, w) = if three * x < m {
         (x, y, z)
     } else if three * y < m {
@@ -219,7 +220,7 @@ pub fn octahedron<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
 pub fn hex_prism<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let zero = F::default();
     let apothem = p[0];
-    // Mirror the sides onto the one that faces +y.
+    // Mirrors the sides onto the one that faces +y.
     let (kx, ky) = (F::of(-(0.75f64.sqrt())), F::of(0.5));
     let (x, y) = (x.abs(), y.abs());
     let beyond = (kx * x + ky * y).least(zero);
@@ -250,7 +251,7 @@ pub fn rectangle<F: Real>(x: F, y: F, half: [F; 2]) -> F {
     length2(q[0].most(zero), q[1].most(zero)) + q[0].most(q[1]).least(zero)
 }
 
-/// The nearest edge, and the parity of the edges to the right.
+/// Distance to the nearest edge, with the sign from the parity of the edges to the right.
 pub fn polygon<F: Real>(x: F, y: F, corners: &[[F; 2]]) -> F {
     let zero = F::default();
     let mut nearest = F::of(f64::from(f32::MAX));
@@ -263,7 +264,7 @@ pub fn polygon<F: Real>(x: F, y: F, corners: &[[F; 2]]) -> F {
         let share = share.between(zero, F::of(1.0));
         let away = [to[0] - share * edge[0], to[1] - share * edge[1]];
         nearest = nearest.least(away[0] * away[0] + away[1] * away[1]);
-        // The edge spans the height of the point, and crosses it on the right.
+        // The edge spans the height of the point, and crosses the ray to the right.
         if (corner[1] > y) != (previous[1] > y) {
             let is_left_of_it = to[0] * edge[1] < to[1] * edge[0];
             if is_left_of_it == (edge[1] > zero) {

@@ -1,17 +1,17 @@
 //! Shapes on a graphics device: the interpreter of `shaders/shared/csg_interpreter.wgsl` for points, grids and pictures.
 //!
-//! One kernel serves every shape. Tokens, tables and boxes are buffers, so a changed parameter or a changed tree compiles
-//! nothing. Pictures switch to a kernel written for the shape's structures and kinds of leaves ([`super::compiled`]) as soon as
-//! a background thread has compiled it.
+//! One kernel evaluates every shape. Tokens, tables and boxes are buffers, so a changed parameter or a changed tree
+//! compiles nothing. Pictures switch to a specialised kernel for the shape's structures and kinds of leaves
+//! ([`super::compiled`]) as soon as a background thread has compiled it.
 //!
-//! Rays walk the boxes of the parts in a compute kernel, one invocation per pixel. It returns the hit of each ray and the
-//! lights that reach it. The CPU computes colours from these with the function of its own pictures. An invocation that runs
-//! out of rounds (software adapters stop at 65,535) sets a flag, and the CPU repeats its point or pixel.
+//! A compute kernel traces rays through the boxes of the parts, one invocation per pixel. It returns the hit of each
+//! ray and the lights that reach it. The CPU computes colours from these with the function of its own pictures. An
+//! invocation that runs out of rounds (software adapters stop at 65,535) sets a flag, and the CPU repeats its point or
+//! pixel.
 //!
-//! Rasterising the boxes front to back, with a root search and a depth per fragment, gives the same picture. On lavapipe, at 64
-//! to 512 pixels a side, its first hits alone take 0.2 to 0.4 of the time of a whole picture with one box, 0.6 to 1.2 with
-//! 551 boxes, 1.3 to 5 with 8,782 boxes and 2.5 to 8 with 59,213 boxes. The walk visits nothing behind the first hit, and
-//! shadow rays need it anyway, so it is the only way.
+//! Alternative tried: rasterising the boxes front to back, with a root search and a depth per fragment. It gives the
+//! same picture and is slower with many boxes (`benches/results/2026-11-21-csg.md`). The compute kernel visits nothing
+//! behind the first hit, and shadow rays need it anyway.
 
 use super::chord::{Form, Step};
 use super::compiled::{Compiled, Entry};
@@ -35,15 +35,16 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Side of a workgroup of the picture, and points of one of the other kernel, as in the shaders.
+/// Side of a workgroup of the picture in pixels, and number of points of a workgroup of the other kernel, as in the
+/// shaders.
 const TILE: u32 = 8;
 const GROUP: u64 = 64;
-/// Workgroups of a dispatch, and rows of them: the first one, and the most.
+/// Number of workgroups of a dispatch, and of rows of them: in the first one, and at most.
 const WORKGROUPS: (u64, u64) = (4, 65_535);
 const TILE_ROWS: (u64, u64) = (1, 1024);
-/// Points that are on the device at a time.
+/// Number of points on the device at a time.
 const BATCH: usize = 1 << 20;
-/// As in the shaders.
+/// Largest number of lights, as in the shaders.
 const MAX_LIGHTS: usize = 64;
 const UNFINISHED: f32 = 3.0e38;
 const RAN_OUT: u32 = 2;
@@ -57,7 +58,7 @@ struct Tables {
     numbers: wgpu::Buffer,
 }
 
-/// Tables as the shader reads them.
+/// Encodes tables in the layout of the shader.
 struct Encoder<'a> {
     program: &'a Program<f32>,
     leaves: Vec<CsgLeaf>,
@@ -123,7 +124,7 @@ impl<'a> Encoder<'a> {
         what << 28 | index
     }
 
-    /// The tokens of a marched part, or the normal form of a part in closed form.
+    /// The tokens of a sphere-traced part, or the normal form of a part in closed form.
     fn part(&self, part: &PartProgram) -> Vec<u32> {
         if part.form == Form::Field {
             return part.tokens.iter().map(|&token| self.token(token)).collect();
@@ -214,7 +215,7 @@ pub(super) fn distances(
             Ok(context.dispatch("points of a shape", &kernel, &group, [count as u32, 1, 1])?)
         })?;
         context.read("distances", &found, out, progress)?;
-        // What ran out of rounds is done here.
+        // The CPU evaluates the points that ran out of rounds.
         let late: Vec<usize> = (0..out.len()).filter(|&i| out[i] >= UNFINISHED).collect();
         let redone = solid.distances(&late.iter().map(|&i| points[i]).collect::<Vec<_>>(), &Progress::new())?;
         let scale = solid.frame.scale;
@@ -229,7 +230,7 @@ pub(super) fn bake(solid: &Solid, context: &Context, grid: &Grid, progress: &Pro
     let [nx, ny, nz] = grid.shape;
     let what = format!("a field of {nx} x {ny} x {nz} samples");
     let mut samples = allocate_samples(&what, grid.len(), 0)?;
-    // Whole planes of points at a time.
+    // Number of whole planes of points at a time.
     let planes = (BATCH / (nx * ny)).max(1);
     for (slab, out) in samples.chunks_mut(nx * ny * planes).enumerate() {
         let first = slab * planes;
@@ -242,7 +243,7 @@ pub(super) fn bake(solid: &Solid, context: &Context, grid: &Grid, progress: &Pro
     Ok(samples)
 }
 
-/// Draw on a device.
+/// Draws on a device.
 pub(super) fn draw(view: &View<'_>, context: &Arc<Context>, progress: &Progress) -> Result<Drawing, Error> {
     let (tracer, options) = (view.tracer, view.options);
     if view.lights.len() > MAX_LIGHTS {
@@ -335,7 +336,7 @@ fn interpreter(context: &Context, name: &'static str) -> Result<wgpu::ComputePip
     context.kernel_with(name, "main", &kernel_texts())
 }
 
-/// The kernel that was written for a shape, if it is compiled.
+/// The kernel specialised for a shape, if it is compiled.
 fn written_kernel(context: &Arc<Context>, compiled: &Compiled) -> Result<Option<wgpu::ComputePipeline>, DeviceError> {
     let refused = |reason| DeviceError::Shader { device: context.label(), kernel: "csg_draw".into(), reason };
     let texts: Vec<_> = compiled.texts.iter().map(|(name, text)| (*name, text.as_str())).collect();
@@ -343,7 +344,7 @@ fn written_kernel(context: &Arc<Context>, compiled: &Compiled) -> Result<Option<
     Ok(context.written_kernel("csg_draw", "main", source))
 }
 
-/// Nodes, then boxes, and the tokens of all parts behind each other.
+/// Nodes, then boxes, and the concatenated tokens of all parts.
 fn encoded_boxes(tracer: &Tracer<'_>, encoder: &Encoder<'_>, entries: &[Entry]) -> (Vec<CsgBox>, Vec<u32>) {
     let mut tokens = Vec::new();
     let mut ranges = Vec::new();

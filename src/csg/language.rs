@@ -149,7 +149,7 @@ pub fn parse(text: &str) -> Result<Shape, ShapeError> {
     found.ok_or_else(|| lexer.at.error("expected a shape such as (sphere 1), the text is empty"))
 }
 
-/// At most forty characters of what came.
+/// The first forty characters of an unexpected atom.
 fn quoted(atom: &str) -> String {
     let short: String = atom.chars().take(40).collect();
     format!("'{short}{}'", if short.len() < atom.len() { "..." } else { "" })

@@ -119,7 +119,7 @@ impl LeafKind {
     }
 }
 
-/// A set of kinds, one bit for each.
+/// A set of kinds, one bit per kind.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct KindSet(u32);
 
@@ -218,7 +218,7 @@ impl<F: Real> Flat<F> {
         }
     }
 
-    /// Its place in the three kinds of profiles.
+    /// Index among the three kinds of profiles.
     fn index(&self) -> u32 {
         match self {
             Self::Circle(_) => 0,

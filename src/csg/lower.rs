@@ -1,7 +1,7 @@
-//! From a tree to a model: placements pushed down to the leaves, repetitions written out, equal leaves made one.
+//! Lowering of a tree to a model: placements move to the leaves, repetitions are written out, equal leaves are shared.
 //!
-//! The tree is walked without recursion, whatever its depth. The operand that needs the deeper stack goes first (Sethi and
-//! Ullman, 1970), so a model of a million leaves needs a stack of twenty, however the user nested it.
+//! The tree is traversed without recursion, at any depth. The operand that needs the deeper stack comes first (Sethi
+//! and Ullman, 1970), so a model of a million leaves needs a stack of twenty at any nesting.
 
 use super::bounds::Extent;
 use super::model::{
@@ -15,12 +15,12 @@ use glam::DVec3;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-/// The model of a tree.
+/// Lowers a tree to its model.
 pub(super) fn lower(shape: &Shape) -> Result<Model, ShapeError> {
     Builder::default().build(shape)
 }
 
-/// Scales and shifts of parts stay where float64 can square them.
+/// Limits of the scales and shifts of parts, within which float64 can square them.
 const MIN_SCALE: f64 = 1e-30;
 const MAX_REACH: f64 = 1e37;
 
@@ -34,7 +34,7 @@ enum Item {
     Warp(u32, usize),
 }
 
-/// What a node inherits from above.
+/// State that a node inherits from its parent.
 #[derive(Debug, Clone)]
 struct Context {
     place: Place,
@@ -42,7 +42,7 @@ struct Context {
     warps: usize,
 }
 
-/// What is still to be done.
+/// Work that is still to be done.
 enum Task<'a> {
     Visit(&'a Shape, Context),
     Combine { op: Op, blend: Blend, count: usize },
@@ -51,11 +51,11 @@ enum Task<'a> {
     Warp(WarpKind, Place),
 }
 
-/// Makes a model from a tree.
+/// Builds a model from a tree.
 #[derive(Default)]
 struct Builder {
     items: Vec<Item>,
-    /// Values that the evaluation of an item needs on the stack.
+    /// Number of stack entries that the evaluation of an item needs.
     needs: Vec<u32>,
     leaves: Vec<Leaf>,
     known: HashMap<LeafKey, u32>,
@@ -65,12 +65,12 @@ struct Builder {
     done: Vec<usize>,
 }
 
-/// Equal leaves are one: what differs between primitives of a kind is in their parameters and their place.
+/// Key for sharing equal leaves: primitives of a kind differ only in their parameters and placement.
 #[derive(PartialEq, Eq, Hash)]
 struct LeafKey {
     name: &'static str,
     parameters: Vec<u64>,
-    /// Profiles and volumes are told apart by who they are.
+    /// Profiles and volumes are compared by identity.
     data: usize,
     coat: usize,
     warps: usize,
@@ -184,7 +184,7 @@ impl Builder {
             return Err(ShapeError::argument("shape", problem));
         }
         let scale = context.place.scale;
-        // Inside, units are those of the world already.
+        // Inside, the units are already those of the world.
         let kind = match kind {
             WarpKind::Elongate(half) => WarpKind::Elongate(scale * half),
             WarpKind::Twist(rate) => WarpKind::Twist(rate / scale),
@@ -268,14 +268,14 @@ impl Builder {
         Ok(())
     }
 
-    /// Of an item inside a warp, which is being built.
+    /// Extent of an item inside the warp that is being built.
     fn extent_of(&self, item: usize) -> Extent {
         let (tokens, combines) = self.tokens(item);
         let model = self.assemble(tokens, combines);
         model.extent
     }
 
-    /// Postfix order, the operand with the deeper stack first.
+    /// Postfix order, with the operand that needs the deeper stack first.
     fn tokens(&self, root: usize) -> (Vec<Token>, Vec<Combine>) {
         enum Step {
             Visit(usize),
@@ -297,7 +297,7 @@ impl Builder {
                 Item::Combine { op, blend, first, second } => {
                     let is_swapped = self.needs[second] > self.needs[first];
                     let combine = Combine { op, blend, is_swapped };
-                    // Few kinds of operators, many uses: equal ones share an entry.
+                    // There are few different operators, so equal ones share an entry.
                     let known = combines.iter().rev().take(8).position(|other| *other == combine);
                     let id = known.map_or(combines.len(), |back| combines.len() - 1 - back);
                     if id == combines.len() {

@@ -1,16 +1,16 @@
-//! Constructive solid geometry: shapes from simple solids, evaluated, decomposed and drawn.
+//! Constructive solid geometry: shapes made of simple solids, evaluated, decomposed and drawn.
 //!
 //! # Theory
 //!
 //! A user's tree ([`shape`]) is lowered to a [`model`]: placements at the leaves, repetitions written out, operators in
 //! postfix order. [`program`] evaluates it for many points at a time; [`bounds`] carries boxes from the leaves to the root.
 //!
-//! Every field is a lower bound of the distance in size, up to its declared Lipschitz constant: a ray may step by field over
-//! constant and never passes through a surface.
+//! The magnitude of every field is a lower bound on the distance times its declared Lipschitz constant. A ray may step
+//! by the field divided by the constant and never passes through a surface.
 //!
 //! # Practice
 //!
-//! [`Solid`] is a shape ready for questions. [`language`] reads and writes s-expressions.
+//! [`Solid`] is a shape prepared for evaluation. [`language`] reads and writes s-expressions.
 
 mod aabb;
 pub mod align;

@@ -1,14 +1,14 @@
-//! A shape made ready: placements pushed down to the leaves, repetitions written out, operators in postfix order.
+//! A lowered shape: placements at the leaves, repetitions written out, operators in postfix order.
 //!
 //! A [`Model`] is a table of leaves and operators and a list of [`Token`]s over them. The list is a program for a stack
-//! machine: a leaf pushes its distance, an operator takes two. A part of a model is a shorter list over the same tables, so
-//! that decomposition, both evaluators and the graphics device speak one language.
+//! machine: a leaf pushes its distance, an operator pops two. A part of a model is a shorter list over the same tables,
+//! so decomposition, both evaluators and the graphics device share one representation.
 //!
-//! Positions are in *local units*: `(world - center) / scale`, with `scale` a power of two that brings the model to a size
-//! near one. The placement of a leaf holds its turn and its shift; its scale goes into its parameters, and so distances come
-//! out in local units without a multiplication.
+//! Positions are in *local units*: `(world - center) / scale`, where `scale` is a power of two that brings the model to
+//! a size near one. The placement of a leaf contains its rotation and translation. Its scale is applied to its
+//! parameters, so distances are in local units without a multiplication.
 //!
-//! A model is made from a tree in [`super::lower`].
+//! [`super::lower`] makes a model from a tree.
 
 use super::bounds::Extent;
 use super::lower::lower;
@@ -22,32 +22,32 @@ use std::sync::Arc;
 /// A step of the stack machine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Token {
-    /// Push the distance to a leaf.
+    /// Pushes the distance to a leaf.
     Leaf(u32),
-    /// Take two, push their combination.
+    /// Pops two values and pushes their combination.
     Combine(u32),
-    /// Subtract a radius, or fold into a skin; see [`Level`].
+    /// Subtracts a radius, or forms a shell; see [`Level`].
     Level(u32),
-    /// Negate.
+    /// Negates.
     Complement,
-    /// What follows is evaluated at a changed position, up to the matching `Leave`.
+    /// The following tokens are evaluated at a changed position, up to the matching `Leave`.
     Enter(u32),
     Leave(u32),
 }
 
-/// A placement without its scale: `world = rotation * leaf + translation`. The rotation may mirror.
+/// A placement without its scale: `world = rotation * leaf + translation`. The rotation may include a reflection.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Place {
     pub rotation: DMat3,
     pub translation: DVec3,
-    /// Units of the parent a unit of what is placed.
+    /// Number of units of the parent in a unit of the placed object.
     pub scale: f64,
 }
 
 impl Place {
     pub const HERE: Self = Self { rotation: DMat3::IDENTITY, translation: DVec3::ZERO, scale: 1.0 };
 
-    /// The placement of something that is placed by `inner` in what is placed by `self`.
+    /// The composition of two placements: `inner` first, then `self`.
     pub fn then(&self, inner: &Self) -> Self {
         Self {
             rotation: self.rotation * inner.rotation,
@@ -67,7 +67,7 @@ impl Place {
     }
 }
 
-/// Exact at multiples of 90 degrees about the axes, so that boxes stay boxes.
+/// Exact at multiples of 90 degrees about the axes, so that boxes stay axis-aligned.
 fn rotation(axis: DVec3, degrees: f64) -> DMat3 {
     let turn = degrees.rem_euclid(360.0);
     let (sin, cos) = match turn {
@@ -86,7 +86,7 @@ fn rotation(axis: DVec3, degrees: f64) -> DMat3 {
     cos * DMat3::IDENTITY + (1.0 - cos) * outer(axis, axis) + sin * cross
 }
 
-/// Mirrored in the plane through the origin with this normal.
+/// The reflection in the plane through the origin with this normal.
 pub(super) fn reflection(normal: DVec3) -> Place {
     let outer = DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
     Place { rotation: DMat3::IDENTITY - 2.0 * outer, ..Place::HERE }
@@ -95,10 +95,10 @@ pub(super) fn reflection(normal: DVec3) -> Place {
 #[derive(Debug, Clone)]
 pub struct Leaf {
     pub primitive: Primitive,
-    /// In world units, or in those of the warp that it stands in.
+    /// Placement in world units, or in those of the enclosing warp.
     pub place: Place,
     pub paint: Option<Arc<Coat>>,
-    /// Where its level sets lie.
+    /// Bounds of its level sets.
     pub extent: Extent,
     pub is_warped: bool,
 }
@@ -107,11 +107,11 @@ pub struct Leaf {
 pub struct Combine {
     pub op: Op,
     pub blend: Blend,
-    /// The second operand was put first: the stack holds (second, first).
+    /// Whether the second operand was evaluated first: the stack holds (second, first).
     pub is_swapped: bool,
 }
 
-/// A change of the distance alone.
+/// A change of the distance only.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Level {
     Offset(f64),
@@ -123,23 +123,24 @@ pub enum Level {
 pub struct Warp {
     pub kind: WarpKind,
     pub place: Place,
-    /// Distances inside are larger than outside by this at most; they are divided by it.
+    /// Upper bound on the ratio of distances inside to distances outside, by which they are divided.
     pub stretch: Stretch,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum WarpKind {
-    /// Half the lengths that are inserted.
+    /// Half the lengths inserted along each axis.
     Elongate(DVec3),
-    /// Radians a unit of z.
+    /// Radians per unit of z.
     Twist(f64),
-    /// Radians a unit of x.
+    /// Radians per unit of x.
     Bend(f64),
 }
 
-/// How much a turn that grows along an axis stretches: the derivative of `R(angle) p` is a turn plus `rate * r` across, at
-/// distance `r` from the z axis, so it is at most `1 + rate * r`. It is taken at `max(r, radius)`, where `radius` is twice
-/// that of the child: a straight way from a point to the solid never leaves the larger of its own radius and that.
+/// Stretch of a rotation that grows along an axis. The derivative of `R(angle) p` is a rotation plus `rate * r` across
+/// it, at distance `r` from the z axis, so its norm is at most `1 + rate * r`. It is evaluated at `max(r, radius)`,
+/// where `radius` is twice that of the child: a straight segment from a point to the solid never leaves the larger of
+/// its own radius and that.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stretch {
     pub rate: f64,
@@ -152,17 +153,17 @@ impl Stretch {
     }
 }
 
-/// Paint on a leaf; what is painted over it, farther out in the tree, is `above`.
+/// Paint on a leaf; `above` is the paint applied over it, farther up in the tree.
 #[derive(Debug)]
 pub struct Coat {
     pub above: Option<Arc<Self>>,
     pub color: [f32; 3],
-    /// Replaces colours below it.
+    /// Whether it replaces colours below it.
     pub over: bool,
     pub mask: Option<Mask>,
 }
 
-/// Where a coat covers: inside a shape, or outside.
+/// Region that a coat covers: the inside or the outside of a shape.
 #[derive(Debug)]
 pub struct Mask {
     pub shape: Shape,
@@ -181,8 +182,8 @@ impl Drop for Coat {
     }
 }
 
-/// A shape in postfix form. [`Model::new`] alone makes the tokens, from a tree that cannot lack an operand, so whoever walks
-/// them finds what each one takes on its stack; a part of them is cut out whole, operator with operands.
+/// A shape in postfix form. Only [`Model::new`] makes the tokens, from a tree whose operators have all their operands,
+/// so a stack machine always finds its operands. A part contains whole subtrees, operators with operands.
 #[derive(Debug, Clone)]
 pub struct Model {
     pub tokens: Vec<Token>,
@@ -192,16 +193,16 @@ pub struct Model {
     pub warps: Vec<Warp>,
     /// Box of the solid, world units.
     pub extent: Extent,
-    /// Values that wait at a time, at most.
+    /// Largest number of values on the stack.
     pub stack: usize,
-    /// The most that the field changes over a unit of length.
+    /// Lipschitz constant of the field.
     pub lipschitz: f64,
-    /// The field is the Euclidean distance everywhere.
+    /// Whether the field is the Euclidean distance everywhere.
     pub is_exact: bool,
     pub is_painted: bool,
 }
 
-/// Warps inside each other at most: a graphics device keeps the positions.
+/// Largest nesting depth of warps, since a graphics device keeps the positions.
 pub const MAX_WARPS: usize = 4;
 
 impl Model {
@@ -209,7 +210,7 @@ impl Model {
         lower(shape)
     }
 
-    /// A model over the same tables, for a part of the tokens.
+    /// Extent of a part of the tokens.
     pub fn extent_of(&self, tokens: &[Token]) -> Extent {
         let mut stack: Vec<Extent> = Vec::new();
         for &token in tokens {
@@ -242,14 +243,14 @@ impl Model {
         stack.push(extent);
     }
 
-    /// The box without the room that fillets take.
+    /// The box without the growth by fillets.
     pub fn sharp_extent(&self) -> Extent {
         let mut sharp = self.clone();
         sharp.combines.iter_mut().for_each(|combine| combine.blend = Blend::Sharp);
         sharp.extent_of(&self.tokens)
     }
 
-    /// How deep the stack gets.
+    /// Depth of the stack that the tokens need.
     pub fn stack_of(tokens: &[Token]) -> usize {
         let (mut depth, mut deepest) = (0usize, 0);
         for token in tokens {
@@ -291,7 +292,7 @@ impl Model {
         }
     }
 
-    /// Leaves that the tokens name.
+    /// Number of leaves among the tokens.
     pub fn leaf_count(tokens: &[Token]) -> usize {
         tokens.iter().filter(|token| matches!(token, Token::Leaf(_))).count()
     }

@@ -1,16 +1,16 @@
-//! Cells, and in each the leaves that can matter there: Lipschitz pruning (W. Barbier et al., "Lipschitz Pruning: Hierarchical
-//! Simplification of Primitive-Based SDFs", Eurographics 2025).
+//! Decomposition by an octree with the relevant leaves per cell: Lipschitz pruning (W. Barbier et al., "Lipschitz
+//! Pruning: Hierarchical Simplification of Primitive-Based SDFs", Eurographics 2025).
 //!
-//! A field of Lipschitz constant `L` stays within `L R` of its value at the middle of a cell whose corners are `R` away. So one
-//! evaluation at the middle bounds every node of the tree over the whole cell. An operand that cannot win anywhere is dropped
-//! (for two distances and a joint of width `k`: unless `|a - b| <= 2 R + k`), and a cell whose whole field keeps its sign holds
-//! no surface. What is left goes to the children, so a leaf is looked at in cells that it is near to: at the middles of all
-//! children of a cell at once, in the lanes of vector instructions. Cells that are all there and hold the same tokens are
-//! merged again.
+//! A field of Lipschitz constant `L` stays within `L R` of its value at the centre of a cell whose corners are `R`
+//! away. One evaluation at the centre therefore bounds every node of the tree over the whole cell. An operand that
+//! cannot determine the result anywhere is dropped (for two distances and a joint of width `k`: unless `|a - b| <= 2 R
+//! + k`), and a cell in which the whole field keeps its sign contains no surface. The remaining tokens are passed to
+//! the children. A leaf is evaluated only in cells near it: at the centres of all children of a cell at once, in the
+//! lanes of vector instructions. Sibling cells with equal tokens are merged again.
 //!
-//! A cell is cut until little is left in it. For a part that rays march that is a leaf or two, in a small cell: its box should
-//! hug the surface, for every step costs. Where hits have a closed form ([`super::chord`]) a few leaves in a large cell are
-//! cheaper than many boxes.
+//! A cell is divided until few leaves are left in it. For a sphere-traced part these are one or two leaves in a small
+//! cell: its box should fit the surface tightly, because every step is expensive. Where hits have a closed form
+//! ([`super::chord`]), a few leaves in a large cell are cheaper than many boxes.
 
 use super::chord::Form;
 use super::decompose::{Part, grouped};
@@ -22,26 +22,27 @@ use glam::{DVec3, UVec3};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Marched cells are cut so often whatever they hold, so that boxes hug the surface.
+/// Number of levels to which sphere-traced cells are always divided, so that boxes fit the surface tightly.
 const MIN_DEPTH: u32 = 4;
-/// And no further.
+/// Largest depth.
 const MAX_DEPTH: u32 = 7;
-/// A marched cell of that depth with so few leaves is cut no further; a level deeper, twice as many will do: eight boxes for
-/// one have to save more than they cost.
+/// A sphere-traced cell at that depth with at most this many leaves is not divided. One level deeper the limit is twice
+/// as high: eight boxes instead of one must save more than they cost.
 const FEW_LEAVES: usize = 2;
-/// The same for cells whose hits have a closed form, at any depth.
+/// The limit for cells whose hits have a closed form, at any depth.
 const FEW_CHORDS: usize = 4;
-/// Cells with more tokens than this are worth a task of their own.
+/// Number of tokens above which a cell becomes a task of its own.
 const TASK_TOKENS: usize = 48;
-/// Added to the radius of a cell, relative to the model: normals are taken this close to the faces, and float32 rounds.
+/// Margin of the radius of a cell, relative to the model. Normals are evaluated this close to the faces, and float32
+/// rounds.
 const PAD: f64 = 1e-4;
-/// The root is larger than the bounds by this, so that no surface lies in its faces.
+/// The root exceeds the bounds by this, so that no surface lies in its faces.
 const ROOT_PAD: f64 = 1e-3;
 
-/// Places of faces along an axis, from 0 to this.
+/// Number of lattice positions of faces along an axis.
 const LATTICE: u32 = 1 << MAX_DEPTH;
 
-/// Children of a cell at most.
+/// Largest number of children of a cell.
 const CHILDREN: usize = 8;
 
 /// A box of the lattice over the root.
@@ -57,7 +58,7 @@ impl Cell {
     }
 }
 
-/// A cell that is cut no further, and what is in it.
+/// A cell that is not divided, and its tokens.
 type Leaf = (Cell, Arc<[Token]>);
 
 struct Tree<'a> {
@@ -88,22 +89,22 @@ pub fn parts(solid: &Solid) -> Vec<Part> {
 }
 
 impl Tree<'_> {
-    /// The same lattice point is the same number, whichever cell asks.
+    /// A lattice point has the same coordinates in every cell.
     fn corner(&self, at: UVec3) -> DVec3 {
         self.lower + self.extent * (at.as_dvec3() / f64::from(LATTICE))
     }
 
-    /// Local units.
+    /// Centre of a cell, local units.
     fn middle(&self, cell: Cell) -> DVec3 {
         self.solid.frame.local(0.5 * (self.corner(cell.low) + self.corner(cell.high)))
     }
 
-    /// From the middle to the corners, and a little more, local units.
+    /// Slightly enlarged distance from the centre to the corners, local units.
     fn radius(&self, cell: Cell) -> f64 {
         0.5 * (self.corner(cell.high) - self.corner(cell.low)).length() / self.solid.frame.scale + PAD
     }
 
-    /// Whether a cell with these tokens is cut no further.
+    /// Whether a cell with these tokens is not divided further.
     fn is_done(&self, tokens: &[Token], depth: u32) -> bool {
         if depth == MAX_DEPTH {
             return true;
@@ -113,7 +114,7 @@ impl Tree<'_> {
         leaves <= few || (leaves <= FEW_CHORDS && Form::of(&self.solid.program, tokens) != Form::Field)
     }
 
-    /// Append the cells in `cell`, in which `tokens` matter.
+    /// Appends the leaves of the octree in `cell`, where `tokens` are relevant.
     fn visit(&self, cell: Cell, tokens: &[Token], depth: u32, scratch: &mut Scratch, out: &mut Vec<Leaf>) {
         if self.is_done(tokens, depth) {
             out.push((cell, tokens.into()));
@@ -148,14 +149,14 @@ impl Tree<'_> {
         merge(cell, first, out);
     }
 
-    /// Whether the field changes its sign in a ball, local units, as far as can be told; the tokens that matter there are then in
-    /// `scratch.kept`. The distances at its middle are those of lane `lane`.
+    /// Whether the field may change its sign in a ball, local units. The relevant tokens are then in `scratch.kept`.
+    /// The distances at the centre are those of lane `lane`.
     fn prune(&self, tokens: &[Token], middle: DVec3, radius: f64, lane: usize, scratch: &mut Scratch) -> bool {
         let program = &self.solid.program;
         let Scratch { values, operands: stack, balls, kept, .. } = scratch;
         stack.clear();
         kept.clear();
-        // The middle and the radius, in the space of each warp that is open.
+        // Centre and radius in the space of each open warp.
         balls.clear();
         balls.push((middle, radius));
         let mut values = values.iter();
@@ -213,7 +214,7 @@ impl Tree<'_> {
         stack.pop().is_some_and(|whole| whole.low <= 0.0 && whole.high >= 0.0)
     }
 
-    /// Halves of the long sides; a flat cell is not made flatter.
+    /// Divides the long sides in half. A flat cell is not made flatter.
     fn children(&self, cell: Cell) -> Vec<Cell> {
         let sides = self.corner(cell.high) - self.corner(cell.low);
         let longest = sides.max_element();
@@ -236,7 +237,7 @@ impl Tree<'_> {
     }
 }
 
-/// The parent instead of the cells from `first` on, where they fill it and are all equal.
+/// Replaces the cells from `first` on by their parent if they fill it and are all equal.
 fn merge(cell: Cell, first: usize, out: &mut Vec<Leaf>) {
     let Some(((_, tokens), others)) = out[first..].split_first() else { return };
     let is_one = others.len() < CHILDREN
@@ -249,15 +250,15 @@ fn merge(cell: Cell, first: usize, out: &mut Vec<Leaf>) {
     }
 }
 
-/// Room that a thread keeps from cell to cell.
+/// Buffers that a thread keeps between cells.
 #[derive(Default)]
 struct Scratch {
-    /// The distance to each leaf, in the order of the tokens, at the middle of each child.
+    /// The distance to each leaf, in the order of the tokens, at the centre of each child.
     values: Vec<[f32; CHILDREN]>,
     positions: Vec<[[f32; CHILDREN]; 3]>,
     operands: Vec<Operand>,
     balls: Vec<(DVec3, f64)>,
-    /// What [`prune`] left.
+    /// The tokens kept by [`prune`].
     kept: Vec<Token>,
 }
 
@@ -290,7 +291,7 @@ fn leaf_values(program: &Program<f32>, tokens: &[Token], points: &[DVec3], scrat
     });
 }
 
-/// Bounds of a node's field over a cell, and where its tokens begin.
+/// Bounds on a node's field over a cell, and the start of its tokens.
 #[derive(Debug, Clone, Copy)]
 struct Operand {
     low: f64,
@@ -298,19 +299,19 @@ struct Operand {
     start: usize,
 }
 
-/// The ball in the space of a warp, and by how much the warp stretches it.
+/// The ball in the space of a warp, and the factor by which the warp stretches it.
 fn entered(warp: &PlacedWarp<f32>, at: DVec3, radius: f64) -> (DVec3, f64) {
     let position = at.to_array().map(|x| [x as f32]);
     let [x, y, z] = warp.positions(&position).map(|x| f64::from(x[0]));
     let stretch = match warp.kind {
         PlacedWarpKind::Elongate(_) => 1.0,
-        // The real one over the ball, which may be less or more than the one that distances are divided by.
+        // The actual stretch over the ball, which may differ from the one that distances are divided by.
         _ => 1.0 + f64::from(warp.rate) * (warp.radius_at(at) + radius),
     };
     (DVec3::new(x, y, z), stretch)
 }
 
-/// The least and the most that distances are divided by in a ball.
+/// Smallest and largest divisor of distances in a ball.
 fn stretches(warp: &PlacedWarp<f32>, at: DVec3, radius: f64) -> (f64, f64) {
     let (rate, least) = (f64::from(warp.rate), f64::from(warp.radius));
     let r = warp.radius_at(at);
@@ -322,7 +323,7 @@ fn negate(operand: &mut Operand, kept: &mut Vec<Token>) {
     kept.push(Token::Complement);
 }
 
-/// One operand where the other cannot win, else both under the operator.
+/// One operand if the other cannot determine the result, else both under the operator.
 fn combined(
     op: Op,
     joint: Joint<f32>,
@@ -333,7 +334,7 @@ fn combined(
     kept: &mut Vec<Token>,
 ) -> Operand {
     let (a, b) = if is_swapped { (top, below) } else { (below, top) };
-    // As a union: what each contributes, with the signs turned as the operator turns them.
+    // The contributions as operands of a union, with the signs of the operator.
     let flip = |operand: Operand| Operand { low: -operand.high, high: -operand.low, ..operand };
     let (first, second) = match op {
         Op::Union | Op::Xor => (a, b),
@@ -341,19 +342,19 @@ fn combined(
         Op::Difference => (flip(a), b),
     };
 
-    // Whether `far` never matters beside `near`, in a union.
+    // Whether `far` is irrelevant beside `near` in a union.
     let is_beaten = |near: &Operand, far: &Operand| match joint {
         Joint::Sharp => far.low > near.high,
         Joint::Smooth(k, _) => far.low > near.high + f64::from(k),
         Joint::Chamfer(k) => far.low > near.high.max(f64::from(k) + (std::f64::consts::SQRT_2 - 1.0) * near.high),
     };
-    // In an xor the far one must be so far that it beats the other's size, inside or outside.
+    // In an xor the farther operand must exceed the magnitude of the other, inside or outside.
     let size = |operand: &Operand| Operand { high: operand.low.abs().max(operand.high.abs()), ..*operand };
     let beaten = |near: &Operand, far: &Operand| match op {
         Op::Xor => is_beaten(&size(near), far),
         _ => is_beaten(near, far),
     };
-    // Deep inside one operand, an xor is what is outside the other.
+    // Deep inside one operand, an xor is the complement of the other.
     let drowned = |near: &Operand, far: &Operand| op == Op::Xor && is_beaten(&size(near), &flip(*far));
 
     if beaten(&first, &second) || drowned(&first, &second) {
@@ -376,7 +377,7 @@ fn combined(
     kept.push(token);
     let start = below.start;
     let union = |a: &Operand, b: &Operand| {
-        // The smooth minimum rises with both operands.
+        // The smooth minimum is monotone in both operands.
         let at = |a: f64, b: f64| match joint {
             Joint::Sharp => a.min(b),
             Joint::Smooth(k, quarter) => {
@@ -397,7 +398,7 @@ fn combined(
     }
 }
 
-/// Drop the tokens of `gone`, which stand right before or right after those of `left`.
+/// Drops the tokens of `gone`, which are adjacent to those of `left`.
 fn keep(left: Operand, gone: Operand, kept: &mut Vec<Token>) -> Operand {
     if gone.start > left.start {
         kept.truncate(gone.start);

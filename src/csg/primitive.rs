@@ -144,7 +144,7 @@ primitives!(declare);
 /// Number of parameters of a distance function.
 pub const PARAMETERS: usize = 6;
 
-/// Largest magnitude of a length: the square of what is made of it stays in the range of float64.
+/// Largest magnitude of a length. Squares of derived values stay in the range of float64.
 const FAR: f64 = 1e37;
 
 /// A positive length.
@@ -320,12 +320,12 @@ impl Primitive {
         })
     }
 
-    /// Whether the field is the Euclidean distance everywhere, inside too; otherwise it is never larger in size than
-    /// the Lipschitz constant times that distance.
+    /// Whether the field is the Euclidean distance everywhere, inside too. Otherwise its magnitude never exceeds the
+    /// Lipschitz constant times that distance.
     pub fn is_exact(&self) -> bool {
         match self {
             Self::BoxFrame { .. } | Self::Gyroid { .. } | Self::Volume(_) => false,
-            // A tube that meets itself has its surface inside the tube.
+            // A tube that intersects itself has its surface inside the tube.
             Self::Torus { radius, tube } => tube <= radius,
             Self::CappedTorus { radius, tube, half_angle } => tube <= radius && *half_angle <= 0.5 * PI,
             Self::Extrude { profile, .. } => profile.is_exact(),
@@ -334,7 +334,7 @@ impl Primitive {
         }
     }
 
-    /// The most that the field changes over a unit of length.
+    /// Lipschitz constant of the field.
     pub fn lipschitz(&self) -> f64 {
         match self {
             Self::Volume(volume) => volume.lipschitz(),
@@ -342,7 +342,7 @@ impl Primitive {
         }
     }
 
-    /// Numbers of the distance function; lengths times `scale`. The order is that of [`super::field`].
+    /// Parameters of the distance function, with lengths times `scale`, in the order of [`super::field`].
     pub fn parameters(&self, scale: f64) -> [f64; PARAMETERS] {
         let s = scale;
         let mut out = [0.0; PARAMETERS];
@@ -350,7 +350,7 @@ impl Primitive {
         match *self {
             Self::Sphere { radius } | Self::Octahedron { radius } => put(&[s * radius]),
             Self::Ellipsoid { radii } => {
-                // And the squares above the least of them.
+                // The squares minus the smallest of them follow.
                 let shortest = radii.min_element();
                 let above = (s * (radii - shortest)) * (s * (radii + shortest));
                 put(&[s * radii.x, s * radii.y, s * radii.z, above.x, above.y, above.z]);
@@ -412,7 +412,8 @@ impl Primitive {
         out
     }
 
-    /// The largest `n . p` over the solid; infinite if it has no bounds that way. `n` need not be unit.
+    /// The largest `n . p` over the solid; infinite if it is unbounded in that direction. `n` need not have unit
+    /// length.
     pub fn support(&self, n: DVec3) -> f64 {
         let across = n.x.hypot(n.y);
         match *self {
@@ -457,7 +458,7 @@ impl Primitive {
                 profile.support(DVec2::new(n.x, n.y)) + half_height * n.z.abs()
             }
             Self::Revolve { ref profile, offset } => {
-                // What lies beyond the axis counts too, which can only make a box larger.
+                // The part beyond the axis counts too, which can only enlarge the box.
                 profile.support(DVec2::new(across, n.z)) + offset * across
             }
             Self::Gyroid { .. } => {
@@ -471,8 +472,7 @@ impl Primitive {
         }
     }
 
-    /// How much farther the field's level sets reach than their level: `{field <= t}` lies in the box grown by
-    /// `slack + growth * t` for `t > 0`.
+    /// Bound on the level sets of the field: `{field <= t}` lies in the box grown by `slack + growth * t` for `t > 0`.
     pub fn growth(&self) -> (f64, f64) {
         match self {
             Self::Volume(volume) => (1.0, volume.slack()),

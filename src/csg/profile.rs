@@ -1,10 +1,10 @@
-//! Flat shapes for extrusion and revolution.
+//! Flat profiles for extrusion and revolution.
 
 use super::primitive::positive;
 use crate::error::ShapeError;
 use glam::DVec2;
 
-/// A flat solid about the origin.
+/// A flat region about the origin.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Profile {
     Circle {
@@ -13,14 +13,14 @@ pub enum Profile {
     Rectangle {
         half: DVec2,
     },
-    /// Corners in order, closed; inside is what an odd number of edges lies to the right of.
+    /// Corners of a closed polygon in order. A point is inside if an odd number of edges lies to its right.
     Polygon {
         corners: Vec<DVec2>,
         is_simple: bool,
     },
 }
 
-/// Corners of a polygon at most: a graphics device loops over them.
+/// Largest number of corners of a polygon, since a graphics device loops over them.
 pub const MAX_CORNERS: usize = 1024;
 
 impl Profile {
@@ -72,19 +72,20 @@ impl Profile {
         }
     }
 
-    /// How far from the axis a revolution about x = -`offset` reaches; negative if the profile lies beyond the axis.
+    /// Largest distance from the axis in a revolution about x = -`offset`; negative if the profile lies beyond the
+    /// axis.
     pub fn reach(&self, offset: f64) -> f64 {
         offset + self.support(DVec2::X)
     }
 
-    /// Whether what lies beyond the axis of a revolution, if anything, is the mirror image of what lies before it: then
-    /// the nearest point of the profile is a point of the solid.
+    /// Whether the part beyond the axis of a revolution, if any, is the mirror image of the part before it. Then the
+    /// nearest point of the profile is a point of the solid.
     pub fn is_clear_of_axis(&self, offset: f64) -> bool {
         offset >= self.support(-DVec2::X) || (offset == 0.0 && !matches!(self, Self::Polygon { .. }))
     }
 }
 
-/// Whether no two edges meet but at their common corner. Quadratic in the corners, of which there are few.
+/// Whether no two edges touch except at their common corner. Quadratic in the number of corners, which is small.
 fn is_simple(corners: &[DVec2]) -> bool {
     let n = corners.len();
     let edge = |i: usize| (corners[i], corners[(i + 1) % n]);
@@ -96,7 +97,7 @@ fn is_simple(corners: &[DVec2]) -> bool {
             }
             let ((a, b), (c, d)) = (edge(i), edge(j));
             let crosses = side(a, b, c) * side(a, b, d) <= 0.0 && side(c, d, a) * side(c, d, b) <= 0.0;
-            // Edges of one line meet only where their boxes do.
+            // Collinear edges touch only if their boxes do.
             let meets = a.min(b).cmple(c.max(d)).all() && c.min(d).cmple(a.max(b)).all();
             if crosses && meets {
                 return false;

@@ -1,9 +1,9 @@
-//! Evaluation of a model on the CPU: many points at a time through one list of tokens.
+//! Evaluation of a model on the CPU: a list of tokens at many points at a time.
 //!
-//! A [`Program`] holds the tables of a model in local units, in float32 or float64. [`Program::run`] takes a list of tokens
-//! and `N` points and walks the list once; each leaf is a plain loop over the lanes, which the compiler turns into vector
-//! instructions. With 64 lanes the walk costs next to nothing; with one it serves a ray. The shader that does the same is
-//! `shaders/shared/csg_field.wgsl`.
+//! A [`Program`] holds the tables of a model in local units, in float32 or float64. [`Program::run`] takes a list of
+//! tokens and `N` points and processes the list once; each leaf is a plain loop over the lanes, which the compiler
+//! turns into vector instructions. With 64 lanes the overhead of the list is negligible; one lane serves a ray. The
+//! twin in WGSL is `shaders/shared/csg_field.wgsl`.
 
 use super::leaf::{LeafField, PlacedLeaf};
 use super::model::{Coat, Level, Model, Token, WarpKind};
@@ -61,7 +61,7 @@ pub enum PlacedLevel<F> {
     Shell(F),
 }
 
-/// From world units to local ones.
+/// The map from world units to local units.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frame {
     pub center: DVec3,
@@ -69,11 +69,11 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Brings the model to a size near one, the middle of its box to zero.
+    /// The frame that brings the model to a size near one, with the centre of its box at zero.
     pub fn of(model: &Model) -> Self {
         let extent = &model.extent;
         if extent.unbounded.is_some() || extent.is_empty() {
-            // The bounded leaves give the size; there may be none.
+            // The bounded leaves determine the size; there may be none.
             let sides = model.leaves.iter().filter(|leaf| leaf.extent.unbounded.is_none() && !leaf.is_warped);
             let size = sides.map(|leaf| (leaf.extent.upper - leaf.extent.lower).max_element()).fold(0.0, f64::max);
             return Self { center: DVec3::ZERO, scale: power_of_two(size) };
@@ -91,12 +91,12 @@ impl Frame {
     }
 }
 
-/// The power of two from `size` to its half; 1 for no size. Dividing by it rounds nothing.
+/// The power of two between `size` and its half; 1 for size zero. Division by it is exact.
 fn power_of_two(size: f64) -> f64 {
     if size > 0.0 && size.is_finite() { size.log2().ceil().exp2() } else { 1.0 }
 }
 
-/// Scratch for [`Program::run`], kept between calls.
+/// Buffers of [`Program::run`], kept between calls.
 #[derive(Debug, Clone)]
 pub struct Stack<F, const N: usize> {
     values: Vec<[F; N]>,
@@ -144,7 +144,8 @@ impl<F: Real> Program<F> {
             Level::Offset(distance) => PlacedLevel::Offset(unit(distance)),
             Level::Shell(thickness) => PlacedLevel::Shell(unit(0.5 * thickness)),
         });
-        // A warp may stand in another; only the outermost is placed in the world. Which are is told by the tokens.
+        // A warp may be inside another. The tokens tell which warps are outermost, and only those are placed in the
+        // world.
         let mut is_inner = vec![false; model.warps.len()];
         let mut depth = 0;
         for token in &model.tokens {
@@ -283,7 +284,7 @@ impl<F: Real> PlacedCombine<F> {
                     out[i] = -join.union(-a[i], b[i]);
                 }
             }
-            // In the union, not in the intersection.
+            // In the union and not in the intersection.
             Op::Xor => {
                 for i in 0..N {
                     let (either, both) = (join.union(a[i], b[i]), -join.union(-a[i], -b[i]));
@@ -294,19 +295,20 @@ impl<F: Real> PlacedCombine<F> {
         out
     }
 
-    /// The colour of the operand whose surface this is; mixed on a fillet. What is not painted takes the other's.
+    /// The colour of the operand that has the surface here, blended on a fillet. An unpainted operand takes the colour
+    /// of the other.
     fn color(&self, a: F, a_color: Option<[f32; 3]>, b: F, b_color: Option<[f32; 3]>) -> Option<[f32; 3]> {
         let (a, b) = match self.op {
             Op::Union => (a, b),
             Op::Intersection => (-a, -b),
             Op::Difference => (-a, b),
-            // The surface of either: of the one whose zero is nearer.
+            // The surface belongs to either operand: the one whose zero is nearer.
             Op::Xor => (a.abs(), b.abs()),
         };
         let (Some(first), Some(second)) = (a_color, b_color) else { return a_color.or(b_color) };
         let (near, far) = if a <= b { (first, second) } else { (second, first) };
         let Joint::Smooth(k, _) = self.joint else { return Some(near) };
-        // The share of the farther one in the slope of the fillet.
+        // Weight of the farther operand in the gradient of the fillet.
         let reach = (k - (a - b).abs()).most(F::default()) / (k + k);
         let share = reach.widen() as f32;
         Some([0, 1, 2].map(|i| near[i] + share * (far[i] - near[i])))
@@ -314,8 +316,8 @@ impl<F: Real> PlacedCombine<F> {
 }
 
 impl<F: Real> Joint<F> {
-    /// The smooth minimum is the quadratic one (I. Quilez, "Smooth minimum"): never above the sharp minimum, below it by at
-    /// most `k / 4`, and a weighted mean of the slopes.
+    /// The smooth minimum is the quadratic one (I. Quilez, "Smooth minimum"): never above the sharp minimum, below it
+    /// by at most `k / 4`, and its gradient is a weighted mean of the gradients.
     #[inline(always)]
     fn union(&self, a: F, b: F) -> F {
         match *self {
@@ -363,7 +365,7 @@ impl<F: Real> PlacedWarp<F> {
         out
     }
 
-    /// Divide by how much the warp stretches at each position.
+    /// Divides by the stretch of the warp at each position.
     #[inline(always)]
     fn unstretch<const N: usize>(&self, at: &[[F; N]; 3], values: &mut [F; N]) {
         if self.rate == F::default() {
@@ -376,7 +378,7 @@ impl<F: Real> PlacedWarp<F> {
     }
 }
 
-/// Turned about z.
+/// Rotates about z.
 #[inline(always)]
 fn turned<F: Real>(x: F, y: F, z: F, angle: F) -> [F; 3] {
     let (sin, cos) = (angle.sin(), angle.cos());

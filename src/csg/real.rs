@@ -1,4 +1,4 @@
-//! The arithmetic that evaluation needs, for float32 (pictures, grids) and float64 (queries, gradients).
+//! The arithmetic of evaluation, for float32 (pictures, grids) and float64 (queries, gradients).
 
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
@@ -26,7 +26,7 @@ pub trait Real:
     fn sin(self) -> Self;
     fn cos(self) -> Self;
 
-    /// Plain comparisons, for the standard `min` and `max` look out for NaN, which cannot come up here.
+    /// Plain comparisons. The standard `min` and `max` handle NaN, which cannot occur here.
     #[inline(always)]
     fn least(self, other: Self) -> Self {
         if self < other { self } else { other }

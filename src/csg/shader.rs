@@ -1,7 +1,8 @@
-//! The field of a shape as WGSL that a person reads, and in the other shading languages through naga.
+//! The field of a shape as readable WGSL, and in the other shading languages through naga.
 //!
-//! The text follows from the structure alone: numbers are read from a buffer, so shapes that differ in numbers share one text,
-//! and with it one pipeline. [`ShapeShader::numbers`] is what goes into the buffer. Positions are in world units.
+//! The text follows from the structure alone. Parameters are read from a buffer, so shapes that differ in parameters
+//! share one text and one pipeline. [`ShapeShader::numbers`] is the content of that buffer. Positions are in world
+//! units.
 
 use super::decompose::{StructureToken, structure};
 use super::leaf::{Flat, LeafField};
@@ -26,12 +27,12 @@ const GLSL: GlslTarget =
 #[derive(Debug, Clone, PartialEq)]
 pub struct ShapeShader {
     pub wgsl: String,
-    /// In the order in which the text reads them, world units.
+    /// Parameters in the order in which the text reads them, world units.
     pub numbers: Vec<f32>,
 }
 
 impl ShapeShader {
-    /// The text in some language.
+    /// The text in a shading language.
     pub fn text(&self, language: Language) -> Result<String, ShapeError> {
         Ok(translate(&self.wgsl, language, GLSL)?)
     }
@@ -67,7 +68,7 @@ pub fn shader(solid: &Solid) -> Result<ShapeShader, ShapeError> {
     Ok(ShapeShader { wgsl, numbers: writer.numbers })
 }
 
-/// What the generated function calls besides the primitives.
+/// Helper functions that the generated function calls besides the primitives.
 pub(super) const HELPERS: &str = "
 // A position in the space of a leaf, whose placement is the twelve numbers from `i`.
 fn place_at(p: vec3f, i: u32) -> vec3f {
@@ -112,17 +113,17 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
 }
 ";
 
-/// Writes the statements of a function.
+/// Generates the statements of a function.
 pub(super) struct Writer<'a> {
     model: &'a Model,
     program: &'a Program<f32>,
     pub body: String,
     pub numbers: Vec<f32>,
-    /// What is added to places in the buffer of numbers: nothing, or the name of a variable and a plus sign.
+    /// Prefix of indices into the buffer of parameters: empty, or the name of a variable and a plus sign.
     base: &'static str,
-    /// Turns of the loops that an evaluation goes through, as expressions.
+    /// Numbers of iterations of the loops in an evaluation, as expressions.
     pub loops: Vec<String>,
-    /// Spaces that are open: `p0` is the outermost.
+    /// Depth of the open spaces: `p0` is the outermost.
     depth: usize,
     names: usize,
 }
@@ -133,7 +134,7 @@ impl<'a> Writer<'a> {
         Self { model, program, body, numbers, base, loops, depth: 1, names: 0 }
     }
 
-    /// Write the statements for tokens; the name of the value.
+    /// Generates the statements for tokens; returns the name of the value.
     pub fn write(&mut self, tokens: &[Token]) -> String {
         let kinds = structure(self.model, tokens);
         let mut stack: Vec<String> = Vec::new();
@@ -188,7 +189,7 @@ impl<'a> Writer<'a> {
                         }
                     };
                     let inside = self.statement("q", &call, "");
-                    // What its distances are divided by, for the matching end.
+                    // The divisor of its distances, for the matching end.
                     let rate = self.number(warp.rate);
                     let radius = self.number(warp.radius);
                     stack.push(format!("(1.0 + {rate} * max(length({place}.xy), {radius}))"));
@@ -222,19 +223,19 @@ impl<'a> Writer<'a> {
         name
     }
 
-    /// A number in the buffer, as an expression.
+    /// A parameter in the buffer, as an expression.
     fn number(&mut self, value: f32) -> String {
         let at = self.next();
         self.numbers.push(value);
         format!("numbers[{at}]")
     }
 
-    /// The place of the next number, as an expression.
+    /// The index of the next parameter, as an expression.
     fn next(&self) -> String {
         format!("{}{}u", self.base, self.numbers.len())
     }
 
-    /// Twelve numbers; where they begin.
+    /// Appends twelve parameters; returns the index of the first.
     fn placement(&mut self, rows: &[[f32; 3]; 3], shift: [f32; 3]) -> String {
         let first = self.next();
         for (row, shift) in rows.iter().zip(shift) {

@@ -1,7 +1,8 @@
-//! The tree that a user builds: immutable, shared, of any depth.
+//! The tree that a user builds: immutable, with shared subtrees, of any depth.
 //!
-//! A [`Shape`] is a counted reference to a node. Operators make new nodes over old ones, so a part may stand in many trees,
-//! and in one tree many times. Nothing here recurses: a tree of a hundred thousand levels is built, walked and dropped.
+//! A [`Shape`] is a counted reference to a node. Operators make new nodes over existing ones, so a subtree may occur in
+//! many trees, and several times in one tree. No function recurses: a tree of a hundred thousand levels is built,
+//! traversed and dropped.
 
 use super::primitive::{Primitive, finite, not_negative, positive};
 use super::profile::Profile;
@@ -18,80 +19,80 @@ pub struct Shape(Arc<Node>);
 pub struct Node {
     pub kind: Kind,
     pub children: Vec<Shape>,
-    /// Leaves when every repetition is written out.
+    /// Number of leaves with all repetitions written out.
     leaves: u64,
 }
 
-/// What a node does with its children.
+/// Operation of a node on its children.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Kind {
     Primitive(Primitive),
-    /// Two children or more, from the left.
+    /// Two children or more, combined from the left.
     Combine {
         op: Op,
         blend: Blend,
     },
     Move(DVec3),
-    /// Right-handed about an axis through the origin, unit.
+    /// Right-handed rotation about a unit axis through the origin.
     Rotate {
         axis: DVec3,
         degrees: f64,
     },
     Scale(f64),
-    /// All points within this distance; a negative one takes away.
+    /// All points within this distance; a negative distance shrinks the solid.
     Offset(f64),
-    /// A skin of this thickness about the surface.
+    /// A shell of this thickness about the surface.
     Shell(f64),
-    /// All of space but the child.
+    /// The complement of the child.
     Complement,
-    /// Pulled apart at the planes through the origin by so much on each side.
+    /// Pulled apart at the planes through the origin by this length on each side.
     Elongate(DVec3),
-    /// The mirror image in the plane through the origin that has this normal, unit.
+    /// The mirror image in the plane through the origin with this unit normal.
     Reflect(DVec3),
-    /// Together with that mirror image.
+    /// The union with that mirror image.
     Mirror(DVec3),
     /// Copies on a lattice about the origin.
     Repeat {
         spacing: DVec3,
         counts: [u32; 3],
     },
-    /// Turned about z by so many degrees a unit of z.
+    /// Rotated about z by this number of degrees per unit of z.
     Twist(f64),
-    /// Turned about z by so many degrees a unit of x.
+    /// Rotated about z by this number of degrees per unit of x.
     Bend(f64),
     /// Linear RGB. `over` replaces colours below; otherwise they stay.
     Paint {
         color: [f32; 3],
         over: bool,
     },
-    /// The first child, painted where it is inside the second (or outside).
+    /// The first child, painted inside the second (or outside).
     Stencil {
         color: [f32; 3],
         outside: bool,
     },
 }
 
-/// How two solids make one.
+/// Boolean operators.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Op {
     Union,
     Intersection,
     Difference,
-    /// In one, not in both.
+    /// In exactly one of the two.
     Xor,
 }
 
-/// How the surfaces meet.
+/// Shape of a joint.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Blend {
     Sharp,
-    /// A fillet: the field differs from the sharp one where the two are nearer to each other than this.
+    /// A fillet: the field differs from the sharp one where the difference of the operands is below this width.
     Smooth(f64),
-    /// A flat at 45 degrees, that cuts this much off each.
+    /// A flat at 45 degrees that cuts this width off each operand.
     Chamfer(f64),
 }
 
-/// Leaves of a shape at most, with repetitions written out.
+/// Largest number of leaves of a shape, with repetitions written out.
 pub const MAX_LEAVES: u64 = 1 << 20;
 
 impl Op {
@@ -175,13 +176,13 @@ impl Shape {
         Self::primitive(Primitive::Volume(Arc::new(volume)))
     }
 
-    /// A profile drawn out along z, `height` in all.
+    /// A profile extruded along z, with `height` in total.
     pub fn extrude(profile: Arc<Profile>, height: f64) -> Result<Self, ShapeError> {
         let half_height = 0.5 * positive("height", height)?;
         Ok(Self::primitive(Primitive::Extrude { profile, half_height }))
     }
 
-    /// A profile turned about z.
+    /// A profile revolved about z.
     pub fn revolve(profile: Arc<Profile>, offset: f64) -> Result<Self, ShapeError> {
         let offset = finite("offset", offset)?;
         if profile.reach(offset) <= 0.0 {
@@ -199,7 +200,7 @@ impl Shape {
         }
     }
 
-    /// A change of one shape by the name and the numbers of the Python interface.
+    /// A change of one shape by its name and numbers in the Python interface.
     pub fn changed(&self, name: &str, numbers: &[f64]) -> Result<Self, ShapeError> {
         let vector = |argument, x, y, z| -> Result<DVec3, ShapeError> {
             Ok(DVec3::new(finite(argument, x)?, finite(argument, y)?, finite(argument, z)?))
@@ -251,12 +252,12 @@ impl Shape {
         Self::node(kind, vec![self.clone()])
     }
 
-    /// Painted where it is inside `mask`, or outside.
+    /// Painted inside `mask`, or outside.
     pub fn stencil(&self, mask: &Self, rgb: [f64; 3], outside: bool) -> Result<Self, ShapeError> {
         Self::node(Kind::Stencil { color: color(rgb)?, outside }, vec![self.clone(), mask.clone()])
     }
 
-    /// The same joint at the root, in another form.
+    /// Replaces the joint at the root.
     pub fn reblended(&self, blend: Blend) -> Result<Self, ShapeError> {
         match self.kind() {
             Kind::Combine { op, .. } => Self::combine(*op, blend, self.children().to_vec()),
@@ -272,7 +273,7 @@ impl Shape {
         &self.0.children
     }
 
-    /// Leaves, with repetitions written out.
+    /// Number of leaves, with repetitions written out.
     pub fn leaf_count(&self) -> u64 {
         self.0.leaves
     }
@@ -288,7 +289,7 @@ fn color(rgb: [f64; 3]) -> Result<[f32; 3], ShapeError> {
 const FAR_COLOR: f64 = 1e6;
 
 impl Drop for Node {
-    /// Without recursion: children that nobody else holds are taken apart one by one.
+    /// Without recursion: children without other owners are dropped one by one.
     fn drop(&mut self) {
         let mut waiting = std::mem::take(&mut self.children);
         while let Some(shape) = waiting.pop() {
@@ -299,7 +300,7 @@ impl Drop for Node {
     }
 }
 
-/// Compared node by node, without recursion.
+/// Compares node by node, without recursion.
 impl PartialEq for Shape {
     fn eq(&self, other: &Self) -> bool {
         let mut waiting = vec![(self, other)];

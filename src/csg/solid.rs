@@ -1,7 +1,7 @@
-//! A shape ready for questions: distances, slopes, colours, samples on a grid.
+//! A shape prepared for evaluation: distances, gradients, colours, samples on a grid.
 //!
-//! Queries run in float64 and are rounded once; grids and pictures run in float32, in local units, where it is exact to
-//! about 1e-7 of the model's size whatever its place. Batches of 64 points go to all cores.
+//! Queries run in float64 and are rounded once. Grids and pictures run in float32, in local units, where it is accurate
+//! to about 1e-7 of the model's size at any position. Batches of 64 points are distributed to all cores.
 
 use super::decompose::{Method, Part, decompose};
 use super::gpu;
@@ -19,7 +19,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use std::sync::OnceLock;
 
-/// A shape, lowered and compiled. Cheap to ask, immutable, shared between threads.
+/// A lowered and compiled shape. Immutable, and shared between threads.
 #[derive(Debug)]
 pub struct Solid {
     pub shape: Shape,
@@ -27,19 +27,19 @@ pub struct Solid {
     pub frame: Frame,
     pub program: Program<f32>,
     precise: Program<f64>,
-    /// Found at the first use: by boxes, by the octree.
+    /// Parts by method (boxes, octree), computed at the first use.
     parts: [OnceLock<Vec<Part>>; 2],
     cells: [OnceLock<Cells>; 2],
 }
 
-/// Points that are evaluated together.
+/// Number of points evaluated together.
 pub const LANES: usize = 64;
 
-/// Points of a piece of a batch.
+/// Number of points of a piece of a batch.
 const CHUNK_POINTS: usize = 16 * LANES;
 
-/// Half the step of a gradient's central differences, local units: the cube root of float64's rounding, at which the
-/// rounding of the field and the bend of the surface matter alike, about 1e-10.
+/// Half the step of a gradient's central differences, local units: the cube root of float64's rounding. There the
+/// errors by the rounding of the field and by the curvature of the surface are equal, about 1e-10.
 const GRADIENT_STEP: f64 = 6e-6;
 
 impl Solid {
@@ -59,7 +59,7 @@ impl Solid {
         })
     }
 
-    /// Lower and upper corner, or an error that names the leaf without bounds. An empty solid has its middle.
+    /// Lower and upper corner, or an error that names the leaf without bounds. An empty solid has its centre twice.
     pub fn bounds(&self) -> Result<[DVec3; 2], Error> {
         self.model.is_bounded()?;
         let extent = &self.model.extent;
@@ -71,23 +71,23 @@ impl Solid {
         Ok([extent.lower, extent.upper])
     }
 
-    /// The parts by a method, found once.
+    /// The parts by a method, computed once.
     pub fn parts(&self, method: Method) -> Result<&[Part], Error> {
         let known = &self.parts[method as usize];
         if known.get().is_none() {
-            // Two threads may find them, and find the same.
+            // Two threads may compute them, with equal results.
             let _ = known.set(decompose(self, method)?);
         }
         Ok(known.get().map_or(&[], Vec::as_slice))
     }
 
-    /// The parts by a method, ready for rays.
+    /// The parts by a method, prepared for rays.
     pub(super) fn cells(&self, method: Method) -> Result<&Cells, Error> {
         let parts = self.parts(method)?;
         Ok(self.cells[method as usize].get_or_init(|| Cells::new(self, parts)))
     }
 
-    /// Signed distance, or a bound of it, at world points.
+    /// Signed distance, or a bound on it, at world points.
     pub fn distances(&self, points: &[DVec3], progress: &Progress) -> Result<Vec<f32>, Error> {
         let mut out = vec![0.0f32; points.len()];
         progress.set_total(points.len() as u64);
@@ -127,7 +127,7 @@ impl Solid {
         }
     }
 
-    /// Slope of the field at world points; zero where it has none.
+    /// Gradient of the field at world points; zero where it is undefined.
     pub fn gradients(&self, points: &[DVec3], progress: &Progress) -> Result<Vec<[f32; 3]>, Error> {
         let mut out = vec![[0.0f32; 3]; points.len()];
         progress.set_total(points.len() as u64);
@@ -136,7 +136,7 @@ impl Solid {
             |stack, (out, points)| {
                 for (out, &p) in out.iter_mut().zip(points) {
                     let local = self.frame.local(p);
-                    // Far away, the step is as many roundings long.
+                    // The step is proportional to the rounding of positions far away.
                     let step = GRADIENT_STEP * local.abs().max_element().max(1.0);
                     *out = slope(&self.precise, &self.model.tokens, local, step, stack).as_vec3().to_array();
                 }
@@ -182,12 +182,12 @@ impl Solid {
     }
 }
 
-/// In float32, and finite: an empty solid is as far away as can be said.
+/// Converts to float32 and keeps the value finite: the distance to an empty solid is the largest float.
 fn saturated(value: f64) -> f32 {
     value.clamp(-f64::from(f32::MAX), f64::from(f32::MAX)) as f32
 }
 
-/// Central differences, six points at once.
+/// Gradient by central differences, six points at once.
 pub fn slope<F: Real>(program: &Program<F>, tokens: &[Token], p: DVec3, step: f64, stack: &mut Stack<F, 6>) -> DVec3 {
     let mut at = [[F::default(); 6]; 3];
     for axis in 0..3 {
@@ -210,7 +210,8 @@ pub(super) fn run_wide<F: Real, const N: usize>(
     with_vectors(|| program.run(tokens, at, stack))
 }
 
-/// Do something with the vector instructions of this machine. The results are the same bits: nothing is fused.
+/// Runs a function with the vector instructions of this machine. The results are the same bits, since no operations are
+/// fused.
 #[inline(always)]
 pub(super) fn with_vectors<T>(work: impl FnOnce() -> T) -> T {
     #[cfg(target_arch = "x86_64")]

@@ -2,18 +2,20 @@
 //!
 //! # Theory
 //!
-//! A ray walks a tree over the boxes of all parts, near child first. Each box that it enters before the nearest hit so far is
-//! searched from the point of entry to the point of exit, in closed form ([`super::chord`]) or by marching the part's field.
+//! A ray is traced through a tree over the boxes of all parts, near child first. Each box that it enters before the
+//! nearest hit so far is searched from the point of entry to the point of exit, in closed form ([`super::chord`]) or by
+//! sphere tracing the part's field.
 //!
 //! *Hits.* A hit is where a ray enters the solid eroded by [`ERODED`], that is the set `field < -ERODED`. Without the erosion
 //! the rounding of float32 would decide whether there is a film between coincident faces, for example over the mouth of a
 //! pocket that is flush with the outer face.
 //!
-//! *March* (J. Hart, "Sphere Tracing", 1996). A step is the field over its Lipschitz constant, and at least [`MIN_STEP`]. Only
-//! the smallest step can cross the surface. The root of the field is then bracketed and found by regula falsi, so it does not
-//! depend on where the march began: the whole shape and its parts have the same depth. The march may miss a ray whose
-//! interval in the eroded solid is shorter than [`MIN_STEP`]. It finds every longer interval, because two consecutive
-//! evaluations that are farther apart are separated by a step that crosses no surface. Closed forms have no such limit.
+//! *Sphere tracing* (J. Hart, "Sphere Tracing", 1996). A step is the field over its Lipschitz constant, and at least
+//! [`MIN_STEP`]. Only the smallest step can cross the surface. The root of the field is then bracketed and found by
+//! regula falsi, so it does not depend on the start of the search: the whole shape and its parts have the same depth.
+//! The search may miss a ray whose interval in the eroded solid is shorter than [`MIN_STEP`]. It finds every longer
+//! interval, because two consecutive evaluations that are farther apart are separated by a step that crosses no
+//! surface. Closed forms have no such limit.
 //!
 //! *Owner of a hit.* The nearest hit over all boxes is the hit of the whole shape, and the tree of its part has the whole's
 //! surface there. For boxes from the leaves this follows from the invariant that [`super::aabb`] proves: within a margin
@@ -34,8 +36,8 @@ use crate::bvh::boxes::{BoxTree, MAX_STACK};
 use glam::{DVec3, Vec3, Vec3A};
 use std::sync::Arc;
 
-/// Shortest step of a march, local units (the model has size 1/2 to 1): a hundred roundings of the field. A ray that is inside
-/// a sphere of the model's size for less than this goes 1e-9 deep.
+/// Shortest step, local units (the model has size 1/2 to 1): a hundred roundings of the field. A ray that is inside a
+/// sphere of the model's size for less than this reaches a depth of 1e-9.
 pub const MIN_STEP: f32 = 3e-5;
 
 /// Largest number of steps in one box; reached only by a ray that stays closer to a surface than the shortest step.
@@ -47,16 +49,16 @@ const MAX_ROOT_STEPS: u32 = 32;
 /// A bracket of this width is a root: an ulp of a position near 1.
 const ROOT_WIDTH: f32 = 1.2e-7;
 
-/// Half the step of a normal's differences in float64: those of a part's field, and those of one leaf's.
+/// Half the step of the differences for normals in float64: those of a part's field, and those of one leaf's.
 const NORMAL_STEP: f64 = 1e-5;
 const LEAF_STEP: f64 = 2e-6;
 
 /// A part's box extends this far beyond the extent of its tree, local units: some roundings of a coordinate.
 const BOX_PAD: f64 = 1e-6;
 
-/// Weights of [`Tracer::cost`], in evaluations of a leaf: reaching a box; then the steps of a march in a tiny box, and the
-/// further steps in a box as large as the model. With these the cheapest method is the fastest, or nearly, on scattered leaves
-/// and on the models of `examples/csg`.
+/// Weights of [`Tracer::cost`], in evaluations of a leaf. Visiting a box; sphere-tracing steps in a box of size 0;
+/// additional steps in a box as large as the model. With these weights the cheapest method is the fastest, or nearly,
+/// on scattered leaves and on the models of `examples/csg`.
 const BOX_LOOKS: f64 = 2.0;
 const MARCH_LOOKS: [f64; 2] = [2.0, 15.0];
 
@@ -88,7 +90,7 @@ pub struct Tracer<'a> {
     pub programs: Arc<[PartProgram]>,
     pub boxes: Arc<[LocalBox]>,
     pub nodes: Arc<[BoxNode]>,
-    /// Lower and upper corner of everything.
+    /// Lower and upper corner around all parts.
     pub bounds: [Vec3; 2],
 }
 
@@ -97,7 +99,7 @@ pub struct Tracer<'a> {
 pub struct PartProgram {
     pub tokens: Arc<[Token]>,
     pub form: Form,
-    /// Normal form of a part in closed form; empty for a marched part.
+    /// Normal form of a part in closed form; empty for a sphere-traced part.
     pub steps: Box<[Step]>,
     /// Evaluations of a leaf per evaluation of the part.
     pub leaves: u32,
@@ -146,7 +148,7 @@ impl Cells {
 
         let corners = |cell: &LocalBox| [cell.lower.as_dvec3(), cell.upper.as_dvec3()];
         let tree = BoxTree::new(&boxes.iter().map(corners).collect::<Vec<_>>());
-        // The tree stores corners relative to its center, which rounds them.
+        // The tree stores corners relative to its centre, which rounds them.
         let place = |corner: Vec3| (corner.as_dvec3() + tree.center).as_vec3a();
         let nodes: Arc<[BoxNode]> = tree
             .nodes
@@ -178,12 +180,12 @@ pub struct Hit {
     pub part: u32,
 }
 
-/// Evaluations that a ray has taken.
+/// Numbers of evaluations of a ray.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Work {
-    /// Evaluations of a part's field.
+    /// Number of evaluations of a part's field.
     pub steps: u32,
-    /// Evaluations of a leaf's field or chord.
+    /// Number of evaluations of a leaf's field or chord.
     pub leaves: u64,
 }
 
@@ -209,7 +211,7 @@ impl<'a> Tracer<'a> {
         Self::new(solid, &[Part { tokens: solid.model.tokens.as_slice().into(), boxes: vec![bounds] }])
     }
 
-    /// The whole shape in one box, always by marching its field: the reference for the parts.
+    /// The whole shape in one box, always by sphere tracing its field: the reference for the parts.
     pub fn whole(solid: &'a Solid) -> Self {
         let tracer = Self::one_box(solid);
         let march = |part: &PartProgram| PartProgram {
@@ -221,9 +223,9 @@ impl<'a> Tracer<'a> {
         Self { programs: tracer.programs.iter().map(march).collect(), ..tracer }
     }
 
-    /// Expected cost of a ray through the bounds that nothing stops, in evaluations of a leaf times a constant. The share of
-    /// rays that reach a box is proportional to its surface area. In it the leaves of its part are evaluated, once or at every
-    /// step of a march.
+    /// Expected cost of a ray that is not stopped, in evaluations of a leaf times a constant. The fraction of rays that
+    /// reach a box is proportional to its surface area. In it the leaves of its part are evaluated, once or at every
+    /// step.
     pub fn cost(&self) -> f64 {
         let of_box = |cell: &LocalBox| {
             let sides = (cell.upper - cell.lower).as_dvec3();
@@ -243,7 +245,7 @@ impl<'a> Tracer<'a> {
         self.trace(ray, false, stack, work)
     }
 
-    /// Whether anything is hit.
+    /// Whether a ray hits the shape.
     pub fn is_hit(&self, ray: &LocalRay, stack: &mut Stack<f32, 1>, work: &mut Work) -> bool {
         self.trace(ray, true, stack, work).is_some()
     }
@@ -343,7 +345,7 @@ impl<'a> Tracer<'a> {
         let (mut low, mut above) = (t, value.max(0.0));
         for _ in 0..MAX_STEPS {
             let safe = value * program.inverse_lipschitz;
-            // A safe step crosses nothing; the smallest step might.
+            // A safe step cannot cross a surface. The minimum step can.
             if t + safe >= t_out {
                 return None;
             }
@@ -363,16 +365,16 @@ impl<'a> Tracer<'a> {
         None
     }
 
-    /// Unit normal at the hit `p` of a ray with a part, local space, which has the axes of the world; `None` where the field
-    /// has no slope.
+    /// Unit normal at the hit `p` of a ray with a part, in local space, which has the axes of the world; `None` where
+    /// the gradient is zero.
     pub fn normal(&self, p: Vec3, direction: Vec3, part: u32, stack: &mut Stack<f64, 6>) -> Option<Vec3> {
         let part = &self.programs[part as usize];
         if part.form == Form::Field {
             let slope = slope(self.solid.precise(), &part.tokens, p.as_dvec3(), NORMAL_STEP, stack);
             return slope.try_normalize().map(|normal| normal.as_vec3());
         }
-        // The surface is that of the leaf whose field is nearest to zero. Where two leaves share it, their normals are equal or
-        // opposite. A ray enters the solid from outside, so the normal is against it.
+        // The surface is that of the leaf whose field is nearest to zero. Where two leaves share it, their normals are
+        // equal or opposite. A ray enters the solid from outside, so the normal points against it.
         let at = [[p.x], [p.y], [p.z]];
         let leaves = part.steps.iter().filter_map(|step| match *step {
             Step::Literal { leaf, .. } => Some(leaf),
@@ -419,7 +421,7 @@ fn root(field: &mut impl FnMut(f32) -> f32, t0: f32, value0: f32, t1: f32, value
             break;
         }
         let t = (low + (high - low) * (above / (above - below))).clamp(low, high);
-        // The root is an end of the bracket as far as float32 can tell.
+        // The next t is an end of the bracket: the root is exact to float32.
         if t == low || t == high {
             return t;
         }
@@ -441,7 +443,7 @@ fn root(field: &mut impl FnMut(f32) -> f32, t0: f32, value0: f32, t1: f32, value
     high
 }
 
-/// Slope of a leaf's field, of any length, by differences on a tetrahedron.
+/// Gradient of a leaf's field, of any length, by differences on a tetrahedron.
 fn leaf_slope(leaf: &PlacedLeaf<f64>, p: DVec3) -> DVec3 {
     const CORNERS: [DVec3; 4] =
         [DVec3::new(1.0, -1.0, -1.0), DVec3::new(-1.0, -1.0, 1.0), DVec3::new(-1.0, 1.0, -1.0), DVec3::ONE];

@@ -1,10 +1,10 @@
-//! A baked field as a leaf: a mesh among the primitives.
+//! A baked field as a leaf, which combines a mesh with primitives.
 //!
-//! Inside the box of its grid the field is the trilinear one, cut by the box: `max(field, distance to the faces)`, so that
-//! a surface that the box cuts is closed by it. Outside, at distance `a` from the box, it is `sqrt(a^2 + max(0, s)^2)`
-//! with `s` the field at the nearest point of the box. Together this is continuous, and its Lipschitz constant is that of
-//! the trilinear field: outside, the gradient is a mean of the unit vector away from the box and the slope along it, which
-//! are perpendicular.
+//! Inside the box of its grid the field is the trilinear one, cut by the box: `max(field, distance to the faces)`, so
+//! the box closes a surface that it cuts. Outside, at distance `a` from the box, it is `sqrt(a^2 + max(0, s)^2)`, where
+//! `s` is the field at the nearest point of the box. Together this is continuous, and its Lipschitz constant is that of
+//! the trilinear field: outside, the gradient is a mean of the unit vector away from the box and the gradient along it,
+//! which are perpendicular.
 
 use super::real::Real;
 use crate::error::{ArgumentError, Error};
@@ -56,7 +56,7 @@ impl VolumeLeaf {
         // Each derivative of the trilinear field is a mean of differences along its axis.
         let lipschitz = (DVec3::from_array(steepest) / h).length().max(1.0);
         let surface = if low[0] == usize::MAX {
-            // Nothing is inside: the box is empty, and the leaf with it.
+            // Nothing is inside: the box is empty, and so is the leaf.
             let middle = 0.5 * (grid.lower + grid.upper);
             [middle, middle]
         } else {
@@ -84,21 +84,21 @@ impl VolumeLeaf {
         (n * low).max(n * high).element_sum()
     }
 
-    /// From the box of the surface to that of the grid, at most: between them the field may be anything.
+    /// Largest distance from the box of the surface to that of the grid. Between them the field may have any value.
     pub fn slack(&self) -> f64 {
         let [low, high] = self.surface;
         (low - self.grid.lower).max(self.grid.upper - high).max_element()
     }
 }
 
-/// What a leaf reads at each point, in local units.
+/// The data that a leaf reads at each point, in local units.
 #[derive(Debug, Clone)]
 pub struct PlacedVolume<F> {
     pub lower: [F; 3],
     pub upper: [F; 3],
     pub inverse_spacing: [F; 3],
     pub shape: [usize; 3],
-    /// Local units a unit of the stored distances.
+    /// Number of local units in a unit of the stored distances.
     pub scale: F,
 }
 
@@ -119,7 +119,7 @@ impl<F: Real> PlacedVolume<F> {
         let zero = F::default();
         let half = F::of(0.5);
         let mut outside = zero;
-        // Negative inside: how far it is to the nearest face.
+        // Negative inside: minus the distance to the nearest face.
         let mut to_face = -F::of(f64::from(f32::MAX));
         let mut cell = [0usize; 3];
         let mut fraction = [zero; 3];
@@ -130,7 +130,7 @@ impl<F: Real> PlacedVolume<F> {
             to_face = to_face.most(self.lower[axis] - p[axis]).most(p[axis] - self.upper[axis]);
             let last = F::of((self.shape[axis] - 1) as f64);
             let at = ((inside - self.lower[axis]) * self.inverse_spacing[axis] - half).between(zero, last);
-            // Truncation rounds down what is not negative; the last centre belongs to the cell before it.
+            // Truncation rounds a non-negative value down. The last centre belongs to the cell before it.
             cell[axis] = (at.widen() as usize).min(self.shape[axis].saturating_sub(2));
             fraction[axis] = at - F::of(cell[axis] as f64);
         }

@@ -1,7 +1,7 @@
-//! The field of a whole shape as a WGSL function, for kernels that ask several shapes at once.
+//! The field of a whole shape as a WGSL function, for kernels that evaluate several shapes.
 //!
-//! As in [`super::compiled`] the text follows from the structure alone, and the numbers are an array's: shapes that differ in
-//! numbers share a function.
+//! As in [`super::compiled`], the text follows from the structure alone, and the parameters are in an array: shapes
+//! that differ in parameters share a function.
 
 use super::leaf::LeafField;
 use super::model::{Model, Token};
@@ -9,14 +9,14 @@ use super::shader::{HELPERS, Writer};
 use super::solid::Solid;
 use std::fmt::Write;
 
-/// Tokens of a shape at most: drivers put the function in place of each of its calls, and longer ones compile for minutes.
+/// Largest number of tokens of a shape. Drivers inline the function at each call, and longer ones compile for minutes.
 const MAX_TOKENS: usize = 64;
 
-/// Numbers of a shape at most. Each corner of a polygon is a turn of a loop, and software adapters stop an invocation after
-/// 65,535 turns.
+/// Largest number of parameters of a shape. Each corner of a polygon is an iteration of a loop, and software adapters
+/// stop an invocation after 65,535 iterations.
 const MAX_NUMBERS: usize = 4096;
 
-/// The field of a shape, local units, at `p0`, its numbers being those from place `n` of an array.
+/// The field of a shape at `p0`, local units. Its parameters start at index `n` of an array.
 #[derive(Debug)]
 pub struct Whole {
     pub body: String,
@@ -24,7 +24,7 @@ pub struct Whole {
 }
 
 impl Whole {
-    /// None for a shape that is too large for a function, or that holds a baked volume.
+    /// None for a shape that is too large for a function, or that contains a baked volume.
     pub fn of(solid: &Solid, array: &str, turns: &str) -> Option<Self> {
         let is_volume = |token: &Token| match token {
             Token::Leaf(leaf) => matches!(solid.program.leaves[*leaf as usize].field, LeafField::Volume(..)),
@@ -47,7 +47,7 @@ impl Whole {
         Some(Self { body: in_array(&body, array), numbers: writer.numbers })
     }
 
-    /// What the functions call besides the primitives of `shaders/shared/csg_field.wgsl`.
+    /// Helper functions for the generated ones, besides the primitives of `shaders/shared/csg_field.wgsl`.
     pub fn helpers(array: &str) -> String {
         in_array(HELPERS, array)
     }

@@ -1,10 +1,10 @@
 //! Forms of the language with numbers only: one table row serves the reader and the writer.
 
-/// A form `(word number...)` and the operation of the Python interface that it stands for.
+/// A form `(word number...)` and its operation in the Python interface.
 #[derive(Debug)]
 pub struct Word {
     pub word: &'static str,
-    /// The name that [`super::primitive::Primitive::named`] or [`super::shape::Shape::changed`] knows.
+    /// The name in [`super::primitive::Primitive::named`] or [`super::shape::Shape::changed`].
     pub operation: &'static str,
     /// One entry for each argument of the operation.
     pub slots: &'static [Slot],
@@ -17,7 +17,7 @@ pub enum Slot {
     Full(&'static str),
     /// The argument is half the number. The language has diameters where the interface has radii.
     Half(&'static str),
-    /// The argument is half the number less the next argument: the radius of the circle inside a tube, from the outer
+    /// The argument is half the number minus the next argument: the radius of the circle inside a tube, from the outer
     /// diameter.
     Rim(&'static str),
     /// The argument is 0, without a number.
@@ -29,7 +29,7 @@ pub enum Slot {
 }
 
 impl Word {
-    /// The arguments of the operation; `None` if the form does not take so many numbers.
+    /// The arguments of the operation; `None` if the form takes another number of values.
     pub fn arguments(&self, numbers: &[f64]) -> Option<Vec<f64>> {
         let mut left = numbers.iter().rev();
         let mut arguments = vec![0.0; self.slots.len()];
@@ -68,7 +68,7 @@ impl Word {
         (self.slots.len() == arguments.len()).then_some(numbers)
     }
 
-    /// The form as messages show it, such as `(cylinder d h)`.
+    /// The form for messages, such as `(cylinder d h)`.
     pub fn usage(&self) -> String {
         let names = self.slots.iter().filter_map(|slot| match slot {
             Slot::Full(name) | Slot::Half(name) | Slot::Rim(name) => Some(*name),
