@@ -1,4 +1,4 @@
-//! `fieldbake._core.Scene` and what it is made of, and `render`.
+//! `fieldbake._core.Scene` and its parts, and `render`.
 
 use super::convert::{Field, row_array, rows};
 use super::csg::Shape;
@@ -26,7 +26,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::Arc;
 
-/// Distances made ready for the rays of a scene.
+/// Distances prepared for the rays of a scene.
 #[pyclass(frozen, module = "fieldbake._core")]
 pub struct SceneField(Arc<dyn scene::field::Field>);
 
@@ -50,7 +50,7 @@ impl SceneField {
         Ok(Self(Arc::new(made)))
     }
 
-    /// Nested fields as one, finest first.
+    /// Nested fields as one field, finest first.
     #[staticmethod]
     fn nested(levels: Vec<Py<SceneField>>) -> PyResult<Self> {
         let levels = levels.iter().map(|level| level.get().0.clone()).collect();
@@ -67,16 +67,16 @@ impl SceneField {
         Ok(Self(Arc::new(made)))
     }
 
-    /// One for each row of quadrics.
+    /// One field for each row of quadrics.
     #[staticmethod]
     fn quadrics(rows: PyReadonlyArray2<'_, f64>) -> PyResult<Vec<Self>> {
         let quadrics = quadric_rows(&rows)?;
-        // Checked once, all together.
+        // All rows are checked at once.
         Quadrics::new(&quadrics).map_err(Failure::from)?;
         Ok(quadrics.iter().map(|quadric| Self(Arc::new(QuadricField::new(quadric)))).collect())
     }
 
-    /// A shape, with the parts that its rays walk through.
+    /// A shape, with the parts that rays are traced through.
     #[staticmethod]
     fn shape(py: Python<'_>, shape: &Shape) -> PyResult<Self> {
         let solid = shape.solid(py)?;
@@ -130,7 +130,7 @@ impl Texture {
     #[new]
     fn new(py: Python<'_>, pixels: PyReadonlyArray3<'_, u8>) -> PyResult<Self> {
         let (height, width) = (pixels.shape()[0], pixels.shape()[1]);
-        // ndarray's slice, not NumPy's, which takes columns first as well.
+        // The slice is ndarray's, since NumPy's accepts columns first as well.
         let pixels = pixels.as_array();
         let bytes = pixels.as_slice().map_or_else(|| pixels.iter().copied().collect(), <[u8]>::to_vec);
         let made = py.detach(|| CoreTexture::new(&bytes, width, height)).map_err(Failure::from)?;
@@ -143,11 +143,11 @@ impl Texture {
     }
 }
 
-/// Instances, materials and textures, ready to be drawn.
+/// Instances, materials and textures, prepared for drawing.
 #[pyclass(frozen, module = "fieldbake._core")]
 pub struct Scene(Arc<scene::Scene>);
 
-/// Columns of the material table.
+/// Number of columns of the material table.
 const MATERIAL_COLUMNS: usize = 18;
 
 #[pymethods]
@@ -244,7 +244,7 @@ fn material(row: &[f32], textures: usize) -> PyResult<Material> {
     })
 }
 
-/// Draw a scene.
+/// Draws a scene.
 #[pyfunction]
 #[pyo3(signature = (
     scene, pose, *, fov_deg, size, lights, primary, shadows, area_samples, ambient, occlusion, far, far_distance,

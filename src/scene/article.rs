@@ -1,9 +1,9 @@
-//! The shadow march of the article "Mesh Distance Field + Shadow" (Ale's blog, 2024), as it stands there: for teaching, and as
+//! The shadow march of the article "Mesh Distance Field + Shadow" (Ale's blog, 2024), unchanged: for teaching, and as
 //! the baseline of the bench.
 //!
-//! One loop over all instances, at most 100 steps each, a hit where the distance is below 0.01, and the start moved 0.05
-//! along the normal and 0.05 to the light: constants in world units. Outside the data it steps to the box of the surface.
-//! Ours is in [`super::shadow`].
+//! One loop over all instances with at most 100 steps each. A hit is a distance below 0.01. The start is moved 0.05
+//! along the normal and 0.05 towards the light. All constants are in world units. Outside the grid it steps to the box
+//! of the surface. [`super::shadow`] has the method of this crate.
 
 use super::Scene;
 use super::shadow::{Place, Ray, Work};
@@ -14,7 +14,7 @@ const HIT_DISTANCE: f64 = 0.01;
 const BIAS: f64 = 0.05;
 
 impl Scene {
-    /// 0 where the article's march finds something before the light, else 1.
+    /// 0 if the article's march finds an occluder before the light, else 1.
     pub fn article_share(&self, place: &Place, ray: &Ray, work: &mut Work) -> f32 {
         let start = place.p + (BIAS * place.normal.as_dvec3() + BIAS * ray.direction) / self.scale;
         let is_shaded = |(item, instance): (usize, &super::Instance)| {

@@ -1,5 +1,5 @@
-//! The fields of a scene as devices read them (`shaders/shared/scene_field.wgsl`): a record each, and the numbers and bytes
-//! that records refer to. Each kind says in its shader how it lays them out.
+//! The fields of a scene in the layout of devices (`shaders/shared/scene_field.wgsl`): one record per field, and the
+//! tables of floats and bytes that records refer to. The shader of each kind documents its layout.
 
 use super::field::{DenseField, SampledField};
 use super::kinds::{ARRAY, Kind, Kinds, MAX_STRUCTURES, TURNS};
@@ -15,7 +15,7 @@ use crate::quadric::local::Local;
 use crate::render::empty::EmptySpace;
 use crate::volume::Trilinear;
 
-/// Tables that grow field by field.
+/// Tables that grow by one field at a time.
 pub struct DeviceFields<'a> {
     context: &'a Context,
     pub records: Vec<SceneField>,
@@ -53,7 +53,7 @@ impl<'a> DeviceFields<'a> {
         Ok(())
     }
 
-    /// False for a shape that has no function, or one too many.
+    /// False for a shape that has no function, or beyond the largest number of functions.
     pub fn add_shape(&mut self, solid: &Solid) -> Result<bool, DeviceError> {
         let Some(Whole { body, numbers }) = Whole::of(solid, ARRAY, TURNS) else { return Ok(false) };
         let structures = &mut self.kinds.structures;
@@ -72,7 +72,7 @@ impl<'a> DeviceFields<'a> {
         Ok(true)
     }
 
-    /// The record of a sampled field, whose empty space goes to the bytes.
+    /// The record of a sampled field; its empty space is appended to the bytes.
     fn sampled(&mut self, kind: Kind, grid: &Grid, empty: &EmptySpace) -> SceneField {
         self.kinds.sparse |= kind == Kind::Sparse;
         let first_block = self.bytes.len() as u32;
@@ -87,7 +87,7 @@ impl<'a> DeviceFields<'a> {
         }
     }
 
-    /// Append a record and its numbers, if the device has room.
+    /// Appends a record and its floats, if they fit on the device.
     fn add(&mut self, record: SceneField, numbers: &[&[f32]]) -> Result<(), DeviceError> {
         let count = self.samples.len() + numbers.iter().map(|numbers| numbers.len()).sum::<usize>();
         self.context.check_size("the fields of a scene", 4 * count as u64)?;

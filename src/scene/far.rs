@@ -1,35 +1,35 @@
-//! The far part of rays: past a distance one coarse field answers for all opaque instances.
+//! The far part of rays: beyond a distance one coarse field replaces all opaque instances.
 //!
 //! # Theory
 //!
-//! The coarse field of *Signed Distance Fields in Unity* ([`crate::merge`]) is made for light that comes from afar. A
-//! ray has up to three parts:
+//! The coarse field of *Signed Distance Fields in Unity* ([`crate::merge`]) is made for light from far away. A ray has
+//! up to three parts:
 //!
 //! ```text
 //!   0 ----- near ----- distance ----- far ----- end of the data ----- rest ----- light
 //!      instances                     the field                     instances
 //! ```
 //!
-//! Near the surface, where its own shape and its neighbours' are seen in its shadow, the instances answer as ever. What
-//! the field does not hold is still there: beyond its data the instances answer again, and translucent ones, which it
-//! knows nothing of, are asked on all of the ray.
+//! Near the surface, where the shadow shows the shapes of the surface itself and of its neighbours, the instances are
+//! evaluated. Beyond the grid of the field the instances are evaluated again. Translucent instances, which the field
+//! does not contain, are evaluated on the whole ray.
 //!
-//! *No leaks.* Samples of a merged field are not above the signed distance `d`, so at a point `p` of a cell of side `h`
-//! the field is at most `sum w_i d(c_i)`. Take a wall of thickness `w` and a point in its middle: `d(c_i)` is
-//! `|(c_i - p).n| - w/2`, and the weighted mean of `|(c_i - p).n|` is at most its root mean square, `h/2`. So the field
-//! is below zero in the middle of every wall thicker than one voxel, however it is turned, and where a wall has two it
-//! is so in a layer of `1.7 h`: rays are marched exactly, none gets through. A thinner thing may be lost past the
-//! distance, as it may in any field of such voxels.
+//! *No leaks.* Samples of a merged field do not exceed the signed distance `d`, so at a point `p` of a cell of side `h`
+//! the field is at most `sum w_i d(c_i)`. Take a wall of thickness `w` and a point in its middle: `d(c_i)` is `|(c_i -
+//! p).n| - w/2`, and the weighted mean of `|(c_i - p).n|` is at most its root mean square, `h/2`. The field is
+//! therefore below zero in the middle of every wall thicker than one voxel, at any angle. In a wall of two voxels it is
+//! so in a layer of `1.7 h`: rays are traced exactly, so none passes. A thinner object may be lost beyond the distance,
+//! as in any field with such voxels.
 //!
-//! *Start.* Where the field is coarse, its surface lies up to about a voxel off the true one. A ray that the
-//! instances let pass is outside when the far part begins; if the field disagrees, it passes over one voxel and is asked
-//! again. A wall of two voxels cannot be jumped that way: its middle is a voxel behind its face.
+//! *Start.* The surface of a coarse field lies up to about one voxel off the true one. A ray that the instances let
+//! pass is outside when the far part begins. If the field is negative there, the ray skips one voxel and is evaluated
+//! again. A wall of two voxels cannot be skipped: its middle is one voxel behind its face.
 //!
-//! *Levels.* Nested fields answer each on its own piece of the ray, the finest where it has samples.
+//! *Levels.* Nested fields are each evaluated on their own piece of the ray, the finest where it has samples.
 //!
 //! # Practice
 //!
-//! [`Far::new`] places a field in a scene, once a picture; [`super::shadow::Casters`] asks it.
+//! [`Far::new`] places a field in a scene, once per picture; [`super::shadow::Casters`] evaluates it.
 
 use super::field::Field;
 use super::shadow::{Place, Ray, clip, widest};
@@ -40,12 +40,12 @@ use glam::{DAffine3, Vec3};
 use std::fmt;
 use std::sync::Arc;
 
-/// Fields in world space, finest first, and from where on they answer.
+/// Fields in world space, finest first, and the distance from which they are evaluated.
 #[derive(Clone)]
 pub struct FarField {
-    /// One, or more that are nested ([`super::nested`]).
+    /// One field, or several nested ones ([`super::nested`]).
     pub levels: Vec<Arc<dyn Field>>,
-    /// World units; if not given, [`FAR_VOXELS`] voxels of the level in which a ray starts.
+    /// World units. The default is [`FAR_VOXELS`] voxels of the level in which a ray starts.
     pub distance: Option<f64>,
 }
 
@@ -55,42 +55,43 @@ impl fmt::Debug for FarField {
     }
 }
 
-/// The surface of a far field is up to about a voxel off, so the edge of a shadow is right to an eighth of the way that the
-/// ray has come.
+/// The surface of a far field is up to about one voxel off, so the edge of a shadow is accurate to an eighth of the
+/// length of the ray.
 pub const FAR_VOXELS: f64 = 8.0;
 
 /// A far field in a scene.
 pub struct Far {
-    /// Finest first.
+    /// Levels, finest first.
     pub levels: Vec<FarLevel>,
-    /// Scene units.
+    /// Distance from which the field is evaluated, scene units.
     pub distance: Option<f64>,
-    /// No instance has to be asked past the distance: all are opaque, and none reaches beyond the data.
+    /// Whether no instance has to be evaluated beyond the distance: all are opaque, and none extends beyond the grid.
     pub holds_all: bool,
 }
 
 /// A level of a far field.
 pub struct FarLevel {
-    /// The field as if it were a thing in the scene.
+    /// The field as an instance of the scene.
     pub instance: Instance,
-    /// Where it answers, but for the levels in it: the box of its samples; the outermost one in that of its surface.
+    /// Region of the level, except for the finer levels in it: the box of its samples; for the outermost level the box
+    /// of its surface.
     pub bounds: Aabb,
-    /// Scene units.
+    /// Voxel size, scene units.
     pub voxel: f64,
 }
 
-/// Who answers which part of a ray, scene units.
+/// The split of a ray into parts for the instances and for the far field, scene units.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Split {
-    /// End of the part that the instances answer.
+    /// End of the part for the instances.
     pub near: f64,
     pub far: Option<[f64; 2]>,
-    /// From where on the instances answer again.
+    /// Start of the second part for the instances.
     pub rest: Option<f64>,
 }
 
 impl Split {
-    /// Without a far field.
+    /// The split without a far field.
     pub fn near(end: f64) -> Self {
         Self { near: end, far: None, rest: None }
     }
@@ -105,7 +106,7 @@ impl Far {
         let Some((outermost, finer)) = far.levels.split_last() else {
             return Err(SceneError::new("far", "has no levels").into());
         };
-        // Grids lie along the world's axes.
+        // Grids are aligned with the world's axes.
         let in_scene = |field: &Arc<dyn Field>, corners: [Vec3; 2]| {
             let world_from_field = field.field_from_local().inverse();
             let [min, max] = corners
@@ -136,7 +137,7 @@ impl Far {
         Ok(Self { levels, distance: far.distance.map(|distance| distance / scene.scale), holds_all })
     }
 
-    /// The parts of a ray, or of a cone of radius `slope t` around it.
+    /// Splits a ray, or a cone of radius `slope t` around it.
     pub fn split(&self, place: &Place, ray: &Ray, slope: f32) -> Split {
         let bounds = &self.outermost().bounds;
         let grown = if slope > 0.0 { widest(place, ray, slope, bounds) } else { 0.0 };
@@ -150,14 +151,14 @@ impl Far {
         }
     }
 
-    /// The levels that answer the far part of a ray, each with its piece.
+    /// The levels for the far part of a ray, each with its piece.
     pub fn pieces<'a>(
         &'a self,
         far: [f64; 2],
         place: &'a Place,
         ray: &'a Ray,
     ) -> impl Iterator<Item = (&'a FarLevel, [f64; 2])> {
-        // The part in the next finer level.
+        // The piece of the next finer level.
         let mut finer: Option<[f64; 2]> = None;
         self.levels.iter().enumerate().flat_map(move |(k, level)| {
             let part = if k + 1 == self.levels.len() {
@@ -179,7 +180,7 @@ impl Far {
         self.levels.last().expect("checked when it was made")
     }
 
-    /// From where on it answers a ray.
+    /// Distance from which the field is evaluated for a ray.
     fn distance_from(&self, place: &Place) -> f64 {
         self.distance.unwrap_or_else(|| {
             let p = place.p.as_vec3();

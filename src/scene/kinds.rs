@@ -1,15 +1,15 @@
-//! Which kinds of things a scene holds, and the text of its kernels: they know those kinds and no others.
+//! The kinds of objects in a scene, and the shader text for them: kernels contain the code of those kinds only.
 //!
-//! Software devices execute every branch, and all of them put functions in place of their calls: a kernel that knows a kind
-//! pays for it wherever it asks a field. So a scene of dense grids has the kernels as they are, and other scenes have other
-//! texts in the place of some files that those import. Shapes have a function for each of their structures.
+//! Software devices execute every branch and inline all functions, so a kernel has the cost of every kind it contains
+//! at each evaluation of a field. A scene of dense grids uses the kernels as they are. Other scenes override some of
+//! the imported files. Shapes have one function per structure.
 
 use crate::csg::whole::Whole;
 use crate::gpu::shader::{Instead, shared};
 use std::borrow::Cow;
 use std::fmt::Write;
 
-/// As in `shaders/shared/scene_field.wgsl`.
+/// The same values as in `shaders/shared/scene_field.wgsl`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     Dense = 0,
@@ -18,10 +18,10 @@ pub enum Kind {
     Shape = 3,
 }
 
-/// Structures of a scene's shapes at most; more make a text that takes minutes to compile.
+/// Largest number of structures of a scene's shapes. A text with more takes minutes to compile.
 pub const MAX_STRUCTURES: usize = 8;
 
-/// The kinds of a scene's things, besides dense grids.
+/// The kinds of a scene's objects, besides dense grids.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Kinds {
     pub sparse: bool,
@@ -31,7 +31,7 @@ pub struct Kinds {
 }
 
 impl Kinds {
-    /// What kernels import in place of files.
+    /// Overrides of imported files.
     pub fn texts(&self) -> Vec<Instead> {
         let file = |name| Cow::Borrowed(shared(name).unwrap_or_default());
         let mut texts = Vec::new();
@@ -49,7 +49,7 @@ impl Kinds {
     }
 }
 
-/// In place of `shaders/shared/scene_structures.wgsl`.
+/// The override of `shaders/shared/scene_structures.wgsl`.
 fn structures_text(bodies: &[String]) -> String {
     let mut text = "// A function for each structure of the shapes of a scene. Their numbers begin at `n`, in the order of the text.\n\n\
          #import scene_field\n#import csg_field\n"
@@ -68,7 +68,7 @@ fn structures_text(bodies: &[String]) -> String {
     text
 }
 
-/// Where the numbers of shapes are, and what counts the turns of loops, in `shaders/shared/scene_field.wgsl`.
+/// Array with the parameters of shapes, and counter of loop iterations, in `shaders/shared/scene_field.wgsl`.
 pub const ARRAY: &str = "samples";
 pub const TURNS: &str = "steps";
 

@@ -1,14 +1,15 @@
-//! Fields of one shape nested in each other, each twice as fine as the one around it: what a far field is near its centre.
+//! Nested fields, each twice as fine as the one around it: a far field that is finer near its centre.
 //!
 //! # Theory
 //!
-//! A point belongs to the finest level with samples on all sides of it. Every sample of a level lies on the lattice of the
-//! next finer one, and the outermost samples of a level are values of the level around it, so a finer level ends in whole
-//! cells of the coarser one with the same values: the field has no jump, and between samples it is trilinear everywhere.
-//! (Losasso and Hoppe, *Geometry clipmaps*, SIGGRAPH 2004, join height fields so.) Making them so is the caller's part.
+//! A point belongs to the finest level with samples on all sides of it. Every sample of a level lies on the lattice of
+//! the next finer one, and the outermost samples of a level are values of the level around it. A finer level therefore
+//! ends at whole cells of the coarser one with the same values: the field has no jump, and between samples it is
+//! trilinear everywhere. (Losasso and Hoppe, *Geometry clipmaps*, SIGGRAPH 2004, join height fields in this way.) The
+//! caller must provide such levels.
 //!
-//! A ray has one piece in each level before it enters the next finer one and one behind it. In each piece the march is
-//! the exact one of the level.
+//! A ray has one piece in each level before it enters the next finer one and one behind it. Each piece is traced
+//! exactly in its level.
 //!
 //! # Practice
 //!
@@ -26,10 +27,10 @@ pub struct NestedField {
 
 struct Level {
     field: Arc<dyn Field>,
-    /// Its grid space from that of the finest level, along each axis.
+    /// Map to its grid space from that of the finest level, along each axis.
     scale: Vec3,
     offset: Vec3,
-    /// Where it answers, its own grid space: between its samples, the outermost level in its whole box.
+    /// Region in its own grid space: between its samples; for the outermost level its whole box.
     region: [Vec3; 2],
 }
 
@@ -42,7 +43,7 @@ impl Level {
         p.cmpge(self.region[0]).all() && p.cmple(self.region[1]).all()
     }
 
-    /// The part of a ray, finest level's grid space, in the region; an empty one where it misses.
+    /// The part of a ray in the region, in grid space of the finest level; empty if the ray misses.
     fn clip(&self, ray: &FieldRay, t_max: f32) -> [f32; 2] {
         let (origin, direction) = (self.in_its_grid(ray.origin), self.scale * ray.direction);
         let part = super::shadow::clip(
@@ -58,7 +59,7 @@ impl Level {
 }
 
 impl NestedField {
-    /// `fields` are finest first, on grids along the same axes, each in the box of the next.
+    /// `fields` must be finest first, on grids along the same axes, each in the box of the next.
     pub fn new(fields: Vec<Arc<dyn Field>>) -> Result<Self, Error> {
         let Some(finest) = fields.first() else {
             return Err(SceneError::new("levels", "are empty").into());
@@ -115,7 +116,7 @@ impl Field for NestedField {
 
     fn first_hit(&self, ray: &FieldRay, t_max: f32) -> (Option<FieldHit>, u32) {
         let parts: Vec<[f32; 2]> = self.levels.iter().map(|level| level.clip(ray, t_max)).collect();
-        // Inwards to the finest level that the ray meets, and outwards again.
+        // Inwards to the finest level that the ray enters, then outwards again.
         let inwards = (1..self.levels.len()).rev().map(|k| (k, [parts[k][0], parts[k - 1][0].min(parts[k][1])]));
         let outwards = (1..self.levels.len()).map(|k| (k, [parts[k - 1][1].max(parts[k][0]), parts[k][1]]));
         let mut steps = 0;

@@ -1,10 +1,10 @@
-//! The primary pass: what each pixel sees.
+//! The primary pass: the visible surfaces of each pixel.
 //!
-//! Triangles are met by rays through the mesh's own tree, without gaps and at pixel centres, which gives the picture that a
-//! rasteriser gives; fields by the exact march. Either way an instance's box is entered only where a ray meets it, and the
-//! nearest hit is the union: mixed scenes compose by depth.
+//! Rays intersect triangles through the mesh's own tree, without gaps and at pixel centres, which gives the picture of
+//! a rasteriser. Fields are traced exactly. In both cases only instances whose box the ray enters are tested, and the
+//! nearest hit is used: mixed scenes are combined by depth.
 //!
-//! A pixel has a list of layers: the first opaque surface, and in front of it what lets light through.
+//! A pixel has a list of layers: the first opaque surface, and the translucent surfaces in front of it.
 
 use super::field::{FieldHit, FieldRay};
 use super::tree::Line;
@@ -17,41 +17,42 @@ use crate::render::Camera;
 use glam::{DVec3, Vec3, Vec4};
 use rayon::prelude::*;
 
-/// Surfaces of one pixel at most: behind so many translucent ones the last counts as opaque.
+/// Largest number of surfaces of one pixel. Behind so many translucent ones the last counts as opaque.
 pub const MAX_LAYERS: usize = 16;
 
-/// How far from the depth that a device saw the ray of a pixel meets the same surface, as a share of it. Devices compute in
-/// float32, in units of the thing; what is met a little too early is in front all the same.
+/// Relative tolerance between the depth found by a device and the depth of the same surface on the ray of the pixel.
+/// Devices compute in float32, in units of the object; a hit slightly in front is the same surface.
 const NEARNESS: f64 = 1e-3;
 
-/// A surface seen by a pixel.
+/// A surface visible in a pixel.
 #[derive(Debug, Clone, Copy)]
 pub struct Layer {
     pub x: u32,
     pub instance: u32,
     pub material: u32,
-    /// Along the viewing axis, in world units.
+    /// Depth along the viewing axis, world units.
     pub depth: f64,
-    /// World space, unit, on the side that is seen.
+    /// Unit normal in world space, on the visible side.
     pub normal: Vec3,
-    /// Linear RGB, and opacity.
+    /// Linear RGB and opacity.
     pub color: Vec4,
-    /// Linear RGB that the surface sends out by itself.
+    /// Linear RGB that the surface emits.
     pub emission: Vec3,
-    /// Hit as a triangle, not as a field.
+    /// Whether the hit is a triangle, not a field.
     pub is_triangle: bool,
 }
 
-/// What the camera saw: rows from the top; in a row the layers by pixel, those of a pixel from front to back.
+/// The visible surfaces of a picture, by rows from the top. A row has the layers of its pixels in order, those of one
+/// pixel from front to back.
 #[derive(Debug)]
 pub struct GBuffer {
     pub rows: Vec<Vec<Layer>>,
-    /// Work of each pixel.
+    /// Number of steps of each pixel.
     pub steps: Vec<Vec<u32>>,
     pub view: View,
 }
 
-/// The camera in float64, with the place in a pixel that its rays go through.
+/// The camera in float64, with the position in a pixel that its rays pass through.
 #[derive(Debug, Clone, Copy)]
 pub struct View {
     pub camera: Camera,
@@ -68,7 +69,7 @@ impl View {
     }
 }
 
-/// Find what each pixel sees, through the point `offset` of the pixel: (1/2, 1/2) is its centre.
+/// Finds the visible surfaces of each pixel, through the point `offset` of the pixel; (1/2, 1/2) is its centre.
 pub fn draw(
     scene: &Scene,
     camera: &Camera,
@@ -89,7 +90,7 @@ pub fn draw(
     Ok(GBuffer { rows, steps, view })
 }
 
-/// The layers of a row's pixels and their work, each pixel by `look`.
+/// The layers and steps of a row's pixels, each pixel by `look`.
 pub fn draw_row<'a>(
     scene: &'a Scene,
     options: &'a RenderOptions,
@@ -106,20 +107,20 @@ pub fn draw_row<'a>(
     (layers, steps)
 }
 
-/// One pixel's ray.
+/// The ray of one pixel.
 pub struct Eye<'a> {
     scene: &'a Scene,
     options: &'a RenderOptions,
     view: &'a View,
     pub x: u32,
     y: u32,
-    /// The instances of which a device left something to look for, if one has looked before; only that is looked for then.
+    /// For a pixel that a device drew: whether the CPU must still test each instance. None if no device drew.
     pub left_over: Option<&'a [bool]>,
     pub steps: u32,
 }
 
 impl Eye<'_> {
-    /// Append the layers of the pixel, up to the opaque surface `behind` if that is known.
+    /// Appends the layers of the pixel, up to the opaque surface `behind` if it is known.
     pub fn look(&mut self, layers: &mut Vec<Layer>, behind: Option<Layer>) {
         let direction = self.view.direction(self.x, self.y);
         let first = layers.len();
@@ -136,15 +137,15 @@ impl Eye<'_> {
         layers.extend(behind);
     }
 
-    /// The nearest surface from depth `from` to `limit` that is not among those seen before.
+    /// The nearest surface from depth `from` to `limit` that is not among the given ones.
     fn next_surface(&mut self, direction: DVec3, from: f64, limit: f64, before: &[Layer]) -> Option<Layer> {
         let scene = self.scene;
         let eye = scene.scene_from_world(self.view.camera.eye);
         let direction_scene = direction / scene.scale;
-        // Boxes are looked at in float32, from beside the scene.
+        // Boxes are tested in float32, starting beside the scene.
         let start = (self.depth_of_scene(direction)).max(from);
         let line = Line::new((eye + start * direction_scene).as_vec3(), direction_scene.as_vec3());
-        // A little further than a hit: boxes are float32.
+        // Slightly beyond a hit, since boxes are float32.
         let reach =
             |depth: f64| ((depth - start) * 1.000_01 + 1e-6 / direction_scene.length()).min(f64::from(f32::MAX)) as f32;
         let mut best: Option<Layer> = None;
@@ -173,7 +174,7 @@ impl Eye<'_> {
         best
     }
 
-    /// Depth at which the ray comes near the scene's box.
+    /// Depth at which the ray approaches the scene's box.
     fn depth_of_scene(&self, direction: DVec3) -> f64 {
         let [lower, upper] = self.scene.bounds();
         let center = (lower + upper) * 0.5;
@@ -182,12 +183,12 @@ impl Eye<'_> {
         (to_center - reach / direction.length()).max(0.0)
     }
 
-    /// Whether an instance is seen as triangles.
+    /// Whether an instance is drawn as triangles.
     pub fn is_triangles(&self, item: u32) -> bool {
         as_triangles(&self.scene.instances[item as usize], self.options.primary)
     }
 
-    /// Whether it is a field that the ray meets again where a device saw it.
+    /// Whether it is a field that the ray of the pixel must hit again after a device found it.
     pub fn is_met_again(&self, item: u32) -> bool {
         self.scene.instances[item as usize].field.as_ref().is_some_and(|field| field.is_met_again())
     }
@@ -203,14 +204,14 @@ impl Eye<'_> {
     ) -> Option<Layer> {
         let ray = self.mesh_ray(item, eye, direction)?;
         let hit = ray.triangles.mesh.first_hit(ray.origin, ray.along, nearest, |hit| {
-            // What is opaque a device has drawn already.
+            // A device has already drawn opaque surfaces.
             let is_drawn = || self.left_over.is_some() && is_opaque(ray.instance, ray.material(hit));
             hit.t >= from && !seen(hit.t) && !is_drawn() && ray.is_seen(hit)
         })?;
         Some(ray.layer(self.x, item, &hit))
     }
 
-    /// What the pixel sees of a face that it is known to see; none if its ray misses the face or the mask is cut there.
+    /// The layer of a face that the pixel is known to show; None if its ray misses the face or the mask is cut there.
     pub fn face(&self, item: u32, face: u32) -> Option<Layer> {
         let eye = self.scene.scene_from_world(self.view.camera.eye);
         let ray = self.mesh_ray(item, eye, self.view.direction(self.x, self.y))?;
@@ -245,7 +246,7 @@ impl Eye<'_> {
         let scene = self.scene;
         let instance = &scene.instances[item as usize];
         let field = instance.field.as_deref()?;
-        // A solid is one layer: what lies behind its surface is inside it.
+        // A solid is one layer: the surfaces behind its front are inside it.
         if seen(f64::NEG_INFINITY) {
             return None;
         }
@@ -265,7 +266,7 @@ impl Eye<'_> {
         self.field_layer(item, direction, depth, ray.origin + hit.t * ray.direction, &hit, is_cut)
     }
 
-    /// What the pixel sees of a field that it is known to meet near a depth, scene units: where its exact ray does.
+    /// The layer of a field that the pixel is known to show near a depth, scene units, at the exact hit of its ray.
     pub fn field_near(&self, item: u32, depth: f64) -> Option<Layer> {
         let depth = depth * self.scene.scale;
         let eye = self.scene.scene_from_world(self.view.camera.eye);
@@ -274,7 +275,7 @@ impl Eye<'_> {
         self.field(item, eye, direction, from, to, &|_| false, &mut 0)
     }
 
-    /// What the pixel sees of a field that it is known to meet at a depth, scene units.
+    /// The layer of a field that the pixel is known to show at a depth, scene units.
     pub fn field_at(&self, item: u32, depth: f64, at_start: bool) -> Option<Layer> {
         let depth = depth * self.scene.scale;
         let direction = self.view.direction(self.x, self.y);
@@ -287,7 +288,7 @@ impl Eye<'_> {
         self.field_layer(item, direction, depth, p.as_vec3(), &hit, at_start && is_outside)
     }
 
-    /// `is_cut`: the hit is on a face of the data.
+    /// `is_cut`: the hit is on a face of the grid.
     fn field_layer(
         &self,
         item: u32,
@@ -302,7 +303,7 @@ impl Eye<'_> {
         let to_eye = -direction.normalize().as_vec3();
         let look = field.look(p, hit, (instance.field_from_scene.matrix3 * direction).as_vec3());
         let normal = if is_cut {
-            // The face through which the ray came.
+            // The face through which the ray entered.
             let [lower, upper] = field.surface_bounds();
             let from_face = ((p - lower) / (upper - lower) - 0.5).abs();
             let axis = (1..3).fold(0, |best, axis| if from_face[axis] > from_face[best] { axis } else { best });
@@ -341,14 +342,14 @@ impl Eye<'_> {
     }
 }
 
-/// A pixel's ray in the space of a mesh's tree.
+/// The ray of a pixel in the space of a mesh's tree.
 struct MeshRay<'a> {
     scene: &'a Scene,
     instance: &'a Instance,
     triangles: &'a Triangles,
     origin: DVec3,
     along: DVec3,
-    /// World space; multiples of it are depths.
+    /// World direction; multiples of it are depths.
     direction: DVec3,
     /// Side of a pixel at depth 1.
     pixel: f64,
@@ -363,10 +364,10 @@ impl MeshRay<'_> {
         &self.scene.materials[self.material_index(hit) as usize]
     }
 
-    /// Whether a face is seen from this side, and not cut out by its mask.
+    /// Whether a face is visible from this side, and not cut out by its mask.
     fn is_seen(&self, hit: &RayHit) -> bool {
         let material = self.material(hit);
-        // Which side is seen is the same in any space, mirrored or not.
+        // The visible side is the same in any space, mirrored or not.
         if !material.two_sided && !hit.is_front {
             return false;
         }
@@ -400,7 +401,7 @@ impl MeshRay<'_> {
         let triangles = self.triangles;
         let [a, b, c] = triangles.mesh.triangle(hit.face);
         let normal = (b - a).cross(c - a);
-        // The pixel's side on the surface, in units of the tree, longer where the surface is seen at an angle.
+        // Side of the pixel on the surface, in units of the tree; larger on slanted surfaces.
         let slant = (normal.dot(self.along) / (normal.length() * self.along.length())).abs().max(0.05);
         let pixel = self.pixel * hit.t * self.along.length() / self.direction.length();
         let footprint = (pixel / slant.sqrt()) as f32 * triangles.uv_density(hit.face);
@@ -433,18 +434,18 @@ impl MeshRay<'_> {
     }
 }
 
-/// Whether a device finds all that hides what is behind, where an instance has this material.
+/// Whether a device finds everything that occludes surfaces behind it, for an instance with this material.
 pub fn is_opaque(instance: &Instance, material: &Material) -> bool {
     instance.opacity >= 1.0 && material.alpha != Alpha::Blend && !instance.has_colored_mask
 }
 
-/// Whether the primary pass sees an instance's triangles.
+/// Whether the primary pass draws the triangles of an instance.
 pub fn as_triangles(instance: &Instance, primary: Primary) -> bool {
     instance.triangles.is_some() && primary != Primary::Raymarch
 }
 
-/// A smooth normal on the side of the face that is seen. At a silhouette it may lean away from the eye; then the face's own
-/// normal is the better one.
+/// A smooth normal on the visible side of the face. At a silhouette it may point away from the eye; the normal of the
+/// face is used there.
 fn toward_eye(normal: Vec3, direction: DVec3, of_face: impl Fn() -> Vec3, is_front: bool) -> Vec3 {
     let normal = if is_front { normal } else { -normal };
     if normal.dot(direction.as_vec3()) < 0.0 {

@@ -1,11 +1,12 @@
 //! The primary pass on a graphics device: triangles and the boxes of fields are rasterised into one depth buffer.
 //!
-//! The device decides only *what* each pixel sees: the instance, and its face or the depth of its field. How that looks
-//! (place, normal, colour) is worked out from there in float64 by the very code of the CPU's pass ([`super::primary`]), so
-//! both passes give the same picture where they see the same thing. A pixel whose exact ray misses the face that the
-//! rasteriser chose, which snaps corners to 1/256 of a pixel, is looked at again on the CPU.
+//! The device decides only *which* surface each pixel shows: the instance, and its face or the depth of its field. The
+//! code of the CPU's pass ([`super::primary`]) computes position, normal and colour from it in float64, so both passes
+//! give the same picture where they see the same surface. The rasteriser snaps corners to 1/256 of a pixel. If the
+//! exact ray of a pixel misses the chosen face, the CPU draws the pixel.
 //!
-//! A device draws what hides all behind it, of the kinds that it knows. What is translucent is looked for by the CPU in front of what the device saw: both meet by depth.
+//! A device draws opaque surfaces of the kinds that it supports. The CPU searches for translucent surfaces in front of
+//! them; both are combined by depth.
 
 use super::gpu::DeviceScene;
 use super::primary::{Eye, GBuffer, Layer, View, as_triangles, draw_row, is_opaque};
@@ -28,7 +29,7 @@ use std::sync::Arc;
 pub struct DeviceMeshes {
     /// First corner and number of corners, by the address of the mesh.
     spans: HashMap<usize, Range<u32>>,
-    /// Positions, corners, coordinates, materials of faces, materials, levels and texels, in order of binding.
+    /// Positions, corners, texture coordinates, materials of faces, materials, levels and texels, in order of binding.
     buffers: [wgpu::Buffer; 7],
 }
 
@@ -67,12 +68,12 @@ impl DeviceMeshes {
     }
 }
 
-/// What tells one mesh from another; the scene keeps them alive.
+/// Identity of a mesh; the scene keeps it alive.
 fn address(triangles: &Arc<Triangles>) -> usize {
     Arc::as_ptr(triangles).addr()
 }
 
-/// Only masks need their texture to decide what is seen.
+/// Only masks need their texture to decide visibility.
 fn material_row(
     material: &Material,
     textures: &[Arc<Texture>],
@@ -106,7 +107,7 @@ fn material_row(
     row
 }
 
-/// What a device leaves to the CPU, by instance; none where it draws all that is visible.
+/// Whether the CPU must still draw each instance; None if the device draws all visible ones.
 pub fn left_over(scene: &Scene, device: &DeviceScene, options: &RenderOptions) -> Option<Vec<bool>> {
     let needs_cpu = |(i, instance): (usize, &Instance)| {
         instance.visible
@@ -127,10 +128,10 @@ fn is_drawn(instance: &Instance, is_known: bool, materials: &[Material], primary
     }
 }
 
-/// Rows of a picture that are drawn at a time: so many pixels, 64 MiB.
+/// Number of pixels that are drawn at a time, as whole rows: 64 MiB.
 const BAND_PIXELS: u32 = 1 << 22;
 
-/// The device's counterpart of [`super::primary::draw`].
+/// The counterpart of [`super::primary::draw`] on a device.
 pub fn draw(
     scene: &Scene,
     device: &DeviceScene,
@@ -170,7 +171,7 @@ pub fn draw(
 const AT_START: u32 = 1;
 const RAN_OUT: u32 = 2;
 
-/// The layers of a pixel of which the device says what it saw.
+/// The layers of a pixel, from the values that the device returned.
 fn resolve<'a>(eye: &mut Eye<'a>, seen: [u32; 4], left_over: Option<&'a [bool]>, layers: &mut Vec<Layer>) {
     let [item, word, depth, steps] = seen;
     let behind = match item.checked_sub(1) {
@@ -203,7 +204,8 @@ fn resolve<'a>(eye: &mut Eye<'a>, seen: [u32; 4], left_over: Option<&'a [bool]>,
     }
 }
 
-/// What the pixels of some rows see: an instance and one more, its face or flags, depth, steps; zero for nothing.
+/// The device's values for the pixels of some rows: index of the instance + 1, its face or flags, depth, steps; zero
+/// without a hit.
 fn seen_by_device(
     scene: &Scene,
     device: &DeviceScene,
@@ -216,7 +218,7 @@ fn seen_by_device(
     let context = device.context();
     let band = Band::new(scene, view, first_row, row_count);
     let meshes = device.meshes();
-    // Instances of one mesh stand side by side, for one call; fields come last.
+    // Instances of one mesh are adjacent, so that one call draws them; fields come last.
     let mut drawn: Vec<(Option<Range<u32>>, usize)> = scene
         .instances
         .iter()
@@ -256,13 +258,14 @@ fn seen_by_device(
     context.raster("primary pass", &target, &draws, progress)
 }
 
-/// Rows of a picture as a render target of their own.
+/// Rows of a picture as a separate render target.
 struct Band<'a> {
     scene: &'a Scene,
     /// Clip space from scene space: x, y and w.
     clip_from_scene: [(DVec3, f64); 3],
     eye: DVec3,
-    /// Scene directions, one unit deep: through fragment (0, 0), and the changes to the right and down.
+    /// Scene directions of rays, one unit of depth long: through fragment (0, 0), and the changes to the right and
+    /// down.
     ray: [DVec3; 3],
     middle: [f64; 2],
     pixel: f64,
@@ -275,7 +278,7 @@ impl<'a> Band<'a> {
         let [width, height] = view.size.map(f64::from);
         let (rows, pixel) = (f64::from(row_count), view.camera.pixel_size(view.size[1]));
         let eye = scene.scene_from_world(view.camera.eye);
-        // The viewing axis in fragments of the band; the rays go through `offset` of each.
+        // The viewing axis in fragments of the band; the rays pass through `offset` of each.
         let middle = [0.5 * width + 0.5 - view.offset[0], 0.5 * height + 0.5 - view.offset[1] - f64::from(first_row)];
         let linear = |axis: DVec3| (axis, -axis.dot(eye));
         let sum = |a: (DVec3, f64), s: f64, b: (DVec3, f64), t: f64| (s * a.0 + t * b.0, s * a.1 + t * b.1);
@@ -295,7 +298,7 @@ impl<'a> Band<'a> {
         }
     }
 
-    /// What the shaders need of an instance, seen as the triangles of `span` or as its field.
+    /// The shader's record of an instance, drawn as the triangles of `span` or as its field.
     fn row(&self, index: usize, span: Option<&Range<u32>>) -> RasterInstance {
         let instance = &self.scene.instances[index];
         let own_from_scene = if span.is_some() { instance.tree_from_scene } else { instance.field_from_scene };

@@ -1,4 +1,4 @@
-//! What the scene's passes are built from, against closed forms.
+//! The components of the scene's passes compared with closed forms.
 
 use super::cone::visible_share;
 use super::shadow::{basis, disc_point};

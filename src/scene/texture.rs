@@ -1,23 +1,23 @@
 //! Images on surfaces: stored as sRGB bytes, filtered in linear light.
 //!
-//! Each level of the pyramid is half the one below, averaged in linear light with colours weighed by their opacity. A
-//! sample is bilinear in the two levels around the footprint's size and linear between them (Williams, *Pyramidal
-//! parametrics*, 1983). Coordinates repeat; v runs upwards.
+//! Each level of the pyramid has half the size of the one below, averaged in linear light with colours weighted by
+//! their opacity. A sample is bilinear in the two levels around the footprint's size and linear between them (Williams,
+//! *Pyramidal parametrics*, 1983). Coordinates repeat; v points upwards.
 
 use crate::error::{Error, SceneError};
 use glam::{Vec2, Vec4};
 use rayon::prelude::*;
 use std::sync::LazyLock;
 
-/// A pyramid of RGBA texels, 8 bits sRGB and opacity, levels one after the other, rows from the top.
+/// A pyramid of RGBA texels, 8 bits sRGB and opacity, level after level, rows from the top.
 #[derive(Debug)]
 pub struct Texture {
     pub levels: Vec<Level>,
-    /// Red in the lowest byte.
+    /// One texel per word, red in the lowest byte.
     pub texels: Vec<u32>,
 }
 
-/// A picture of the pyramid.
+/// A level of the pyramid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Level {
     pub first: u32,
@@ -25,7 +25,7 @@ pub struct Level {
     pub height: u32,
 }
 
-/// Side of a texture at most.
+/// Largest side of a texture, texels.
 const MAX_SIDE: usize = 16384;
 
 /// Linear light of every sRGB byte.
@@ -37,7 +37,7 @@ pub fn linear_from_srgb(value: f32) -> f32 {
     if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
 }
 
-/// The linear light from which on the next sRGB byte is nearer: entry `b` lies between the bytes `b` and `b + 1`.
+/// Linear values at which the nearest sRGB byte changes: entry `b` lies between the bytes `b` and `b + 1`.
 static STEPS: LazyLock<[f32; 255]> =
     LazyLock::new(|| std::array::from_fn(|byte| linear_from_srgb((byte as f32 + 0.5) / 255.0)));
 
@@ -50,7 +50,7 @@ static FIRST_BYTE: LazyLock<Vec<u8>> = LazyLock::new(|| {
     (0..=INTERVALS).map(|i| STEPS.partition_point(|&step| step <= i as f32 / INTERVALS as f32) as u8).collect()
 });
 
-/// The sRGB byte that is nearest to a linear value.
+/// The sRGB byte nearest to a linear value.
 fn srgb_byte(value: f32) -> u8 {
     let value = value.clamp(0.0, 1.0);
     let mut byte = FIRST_BYTE[(value * INTERVALS as f32) as usize];
@@ -67,12 +67,12 @@ impl Texture {
             let problem = format!("expected 1 to {MAX_SIDE} pixels a side, RGBA, got {width} x {height}");
             return Err(SceneError::new("texture", problem).into());
         }
-        // A pyramid has at most 4/3 as many texels as its base, and one more a level for odd sides.
+        // A pyramid has at most 4/3 as many texels as its base, plus one per level for odd sides.
         let mut texels = Vec::with_capacity(width * height / 3 * 4 + 64);
         texels.extend(pixels.as_chunks::<4>().0.iter().map(|&texel| u32::from_le_bytes(texel)));
         let mut levels = vec![Level { first: 0, width: width as u32, height: height as u32 }];
         let mut size = [width, height];
-        // Levels stay unrounded until they are stored, so rounding does not add up.
+        // Levels stay unrounded until they are stored, so rounding errors do not accumulate.
         let mut level: Vec<Vec4> = Vec::new();
         while size != [1, 1] {
             level = match levels.len() {
@@ -86,7 +86,7 @@ impl Texture {
         Ok(Self { levels, texels })
     }
 
-    /// Linear RGB and opacity at `uv`; `footprint` is the side of what the pixel covers, in texture widths.
+    /// Linear RGB and opacity at `uv`; `footprint` is the side of the area that the pixel covers, in texture widths.
     pub fn sample(&self, uv: Vec2, footprint: f32) -> Vec4 {
         let base = self.levels[0];
         let texels = footprint * (base.width.max(base.height)) as f32;
@@ -113,7 +113,7 @@ impl Texture {
         unpack(a).lerp(unpack(b), f.x).lerp(unpack(c).lerp(unpack(d), f.x), f.y)
     }
 
-    /// The four texels around `uv`, upper left first, row by row, and the place between them.
+    /// The four texels around `uv`, upper left first, row by row, and the position between them.
     fn around(&self, level: Level, uv: Vec2) -> ([u32; 4], Vec2) {
         let size = Vec2::new(level.width as f32, level.height as f32);
         let wrapped = uv - uv.floor();
@@ -144,7 +144,7 @@ fn pack(texel: Vec4) -> u32 {
     u32::from_le_bytes([srgb_byte(texel.x), srgb_byte(texel.y), srgb_byte(texel.z), opacity])
 }
 
-/// Averages boxes of 2 x 2 texels, `texel(x + width * y)`, into a picture of half the sides. Where a side is odd the boxes
+/// Averages boxes of 2 x 2 texels, `texel(x + width * y)`, into a level of half the sides. If a side is odd the boxes
 /// are wider by up to two texels and overlap, so that every texel counts.
 fn halved([width, height]: [usize; 2], texel: impl Fn(usize) -> Vec4 + Sync) -> Vec<Vec4> {
     let (w, h) = ((width / 2).max(1), (height / 2).max(1));

@@ -1,4 +1,5 @@
-//! Light that passes through an object: the length of its material along a ray, and what is left of the light there.
+//! Light that passes through an object: the length of its material along a ray, and the fraction of the light that
+//! remains.
 //!
 //! # Theory
 //!
@@ -8,15 +9,16 @@
 //!   T = V(w) exp(-l(w) / s)
 //! ```
 //!
-//! is the share of the light that arrives through the object. `l` is the length of the ray from `p` along `w` inside the
-//! object, and `s` the material's scattering length, one for each of RGB. `V` is the visibility of the light from the point
-//! where the ray enters the object. No other point of the object is on the ray behind that one, so `V` is the share of the ray
-//! from `p` that all *other* instances let pass, in the mode of the picture's shadows.
+//! is the fraction of the light that arrives through the object. `l` is the length of the ray from `p` along `w` inside
+//! the object, and `s` the material's scattering length, one for each of RGB. `V` is the visibility of the light from
+//! the point where the ray enters the object. No other point of the object lies on the ray behind that one, so `V` is
+//! the fraction of the ray from `p` that all *other* instances let pass, in the mode of the picture's shadows.
 //!
-//! A quadric has its chord in closed form ([`Field::chord`](super::field::Field::chord)). Elsewhere the field is evaluated
-//! along the ray, and steps are the distances: no crossing lies within one. Only where the distance is below
-//! [`LEAST_VOXELS`] the step is that long. A crossing between two evaluations is interpolated linearly, so `l` is a continuous
-//! function of the ray but for stretches inside the object that are shorter than [`LEAST_VOXELS`] voxels.
+//! A quadric has its chord in closed form ([`Field::chord`](super::field::Field::chord)). For other objects the field
+//! is evaluated along the ray, with steps of the distance, within which no crossing lies. If the distance is below
+//! [`LEAST_VOXELS`], the step has that length. A crossing between two evaluations is interpolated linearly, so `l` is a
+//! continuous function of the ray, except for intervals inside the object that are shorter than [`LEAST_VOXELS`]
+//! voxels.
 //!
 //! The visible point of a mesh lies up to a third of a voxel from the surface of its field. A ray into the object starts one
 //! voxel before `p`, outside, and the length begins at the field's own surface; a ray away from it starts outside like
@@ -28,35 +30,35 @@ use glam::Vec3;
 
 /// The shortest step, voxels.
 const LEAST_VOXELS: f32 = 0.125;
-/// Steps of a ray that never comes near the surface are longer than this share of its part in the box.
+/// A ray far from the surface takes steps longer than this fraction of its interval in the box.
 const MOST_STEPS: f32 = 1024.0;
-/// How far before a visible point a ray into the object starts, voxels.
+/// Distance before a visible point at which a ray into the object starts, voxels.
 const BACK_VOXELS: f64 = 1.0;
 
-/// `exp(-x)` below this is no light.
+/// `exp(-x)` below this counts as no light.
 pub const NO_LIGHT: f32 = 1e-9;
 
-/// Share of light that is left after a length inside, for each of RGB, by scattering lengths in the same unit. A colour with
-/// a scattering length of 0 does not enter.
+/// Fraction of the light that remains after a length inside, for each of RGB; the scattering lengths are in the same
+/// unit. A colour with a scattering length of 0 does not enter.
 pub fn left(length: f32, scattering: Vec3) -> Vec3 {
     let share = (-length / scattering.max(Vec3::splat(f32::MIN_POSITIVE))).exp();
     Vec3::select(scattering.cmpgt(Vec3::ZERO), share, Vec3::ZERO)
 }
 
-/// Weight of transmitted light on a surface at this cosine to the light: 1 where the surface is turned away. On the lit side
-/// it falls fast enough that Lambert's cosine and the weight add up to at most 1.
+/// Weight of transmitted light on a surface at this cosine to the light: 1 where the surface faces away. On the lit
+/// side it falls fast enough that Lambert's cosine plus the weight is at most 1.
 pub fn weight(cosine: f32) -> f32 {
     let rest = 1.0 - cosine.clamp(0.0, 1.0);
     rest * rest
 }
 
-/// The ray through a surface's own field on which its length inside is measured.
+/// The ray through a surface's own field along which its length inside is measured.
 pub struct InsideRay {
-    /// At the entrance to the box of the surface, field space; `direction` is for one scene unit.
+    /// Start at the entrance to the box of the surface, field space; `direction` is that of one scene unit.
     pub ray: FieldRay,
     /// End in the box, scene units from the ray's start.
     pub end: f32,
-    /// Scene units of one local unit of distance.
+    /// Number of scene units in a local unit of distance.
     pub pace: f32,
     /// The shortest step, scene units.
     pub least_step: f32,
@@ -97,7 +99,7 @@ impl Casters<'_> {
         field.chord(&on_surface, enters).map(|chord| chord.min(ray.t_max as f32))
     }
 
-    /// The ray on which a length inside is measured; `None` where it misses the box of the surface.
+    /// The ray along which a length inside is measured; `None` if it misses the box of the surface.
     pub fn inside_ray(&self, place: &Place, ray: &Ray) -> Option<InsideRay> {
         let instance = &self.scene.instances[place.own as usize];
         let field = instance.field.as_deref()?;
@@ -117,8 +119,8 @@ impl Casters<'_> {
     }
 }
 
-/// Length inside between two evaluations of a field: a crossing is interpolated linearly. Before the first evaluation, at an
-/// infinite distance, nothing is inside.
+/// Length inside between two evaluations of a field; a crossing is interpolated linearly. The infinite distance before
+/// the first evaluation counts as outside.
 fn length_between(from: f32, distance_from: f32, to: f32, distance_to: f32) -> f32 {
     match (distance_from < 0.0, distance_to < 0.0) {
         (true, true) => to - from,

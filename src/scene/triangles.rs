@@ -1,26 +1,26 @@
-//! A mesh as a camera sees it: smooth normals, texture coordinates, and which material each face has.
+//! A mesh for the primary pass: smooth normals, texture coordinates, and the material of each face.
 //!
-//! Files rarely carry normals that fit their faces, so they are made here: at each corner the mean of the faces around
-//! the vertex, weighed by their angle there, but only of those within [`CREASE_DEG`] of the corner's own face. So a
-//! scan is smooth and a box keeps its edges.
+//! Files rarely contain normals that fit their faces, so they are computed here: at each corner the mean of the faces
+//! around the vertex, weighted by their angles there, of those within [`CREASE_DEG`] of the corner's own face. Scans
+//! are therefore smooth, and boxes keep their edges.
 
 use crate::error::{Error, SceneError};
 use crate::mesh::Mesh;
 use glam::{DVec3, Vec2, Vec3, Vec4};
 use std::sync::Arc;
 
-/// Faces that meet at more than this are divided by an edge.
+/// Largest angle between faces that share a smooth normal.
 const CREASE_DEG: f64 = 45.0;
 
-/// A mesh ready to be drawn.
+/// A mesh prepared for drawing.
 #[derive(Debug)]
 pub struct Triangles {
     pub mesh: Arc<Mesh>,
-    /// One row a vertex; empty without texture coordinates.
+    /// Texture coordinates, one row per vertex; empty without any.
     pub uv: Vec<Vec2>,
-    /// Index of the material of each face, among those of the mesh.
+    /// Index of the material of each face among the materials of the mesh.
     pub material: Vec<u32>,
-    /// Unit normals of each face's corners, the mesh's axes.
+    /// Unit normals of the corners of each face, in the mesh's axes.
     pub normals: Vec<[Vec3; 3]>,
     /// Linear RGBA of each vertex, a factor of the material's colour; empty without any.
     vertex_colors: Vec<Vec4>,
@@ -41,7 +41,7 @@ impl Triangles {
         Ok(Self { mesh, uv, material, normals, vertex_colors: Vec::new(), face_colors: Vec::new() })
     }
 
-    /// Adds colours of the vertices and faces; an empty list stands for white.
+    /// Adds colours of the vertices and faces; an empty list is white.
     pub fn with_colors(mut self, vertices: Vec<Vec4>, faces: Vec<Vec4>) -> Result<Self, Error> {
         let counts = [self.mesh.positions().len(), self.mesh.faces().len()];
         for (what, colors, count) in [("vertex_colors", &vertices, counts[0]), ("face_colors", &faces, counts[1])] {
@@ -77,7 +77,7 @@ impl Triangles {
         a * (1.0 - u - v) + b * u + c * v
     }
 
-    /// Smooth normal, the mesh's axes, not unit.
+    /// Smooth normal in the mesh's axes, not of unit length.
     pub fn normal_at(&self, face: u32, u: f32, v: f32) -> Vec3 {
         let [a, b, c] = self.normals[face as usize];
         a * (1.0 - u - v) + b * u + c * v
@@ -110,7 +110,7 @@ fn corner_normals(mesh: &Mesh) -> Vec<[Vec3; 3]> {
             (b - a).cross(c - a).normalize_or_zero()
         })
         .collect();
-    // The corners at each place: face and angle, sorted by place.
+    // The corners at each position: face and angle, sorted by position.
     let mut around: Vec<(u32, u32, f64)> = Vec::with_capacity(3 * mesh.faces().len());
     for (face, corners) in mesh.faces().iter().enumerate() {
         let p = mesh.triangle(face as u32);
@@ -160,7 +160,7 @@ mod tests {
                 [0.0, 0.0, 0.0],
                 [0.0, 1.0, 0.0],
                 [-1.0, 1.0, 0.0],
-                // The shared edge again: equal places count as one.
+                // The shared edge again: equal positions count as one.
                 [0.0, 0.0, 0.0],
                 [x, 0.0, z],
                 [x, 1.0, z],

@@ -1,4 +1,4 @@
-//! What stands in scenes without a dense grid: quadrics, shapes and sparse fields, each drawn and met as it is.
+//! Objects in scenes without a dense grid: quadrics, shapes and sparse fields, each drawn and traced directly.
 
 mod quadric;
 mod shape;

@@ -2,13 +2,14 @@
 //!
 //! # Theory
 //!
-//! Field space is the frame of the trim sphere ([`crate::quadric::local`]) in units of 1/[`UNITS`] of its radius, and rays
-//! meet the surface by its stable roots: there is no step and no epsilon. The roots are found in float64 from a ray whose
-//! start on the box is rounded to float32, so a hit is off by some 1e-7 of the radius.
+//! Field space is the frame of the trim sphere ([`crate::quadric::local`]) in units of 1/[`UNITS`] of its radius. Rays
+//! intersect the surface at its stable roots, without steps or epsilons. The roots are computed in float64 for a ray
+//! whose start on the box is rounded to float32, so a hit has an error of about 1e-7 of the radius.
 //!
-//! A quadric is a sheet: it has no inside, it is seen from both sides, and whatever the ray crosses, it counts once. Its
-//! distance is never negative, and cones are asked by thin rays ([`super::super::thin`]). `distance` is the proven lower
-//! bound `|M| s^2 + |grad f| s = |f|` of [`Local::distance_bound`], carried out of the trim sphere as `sqrt(a^2 + s^2)`.
+//! A quadric is a sheet: it has no inside, both sides are visible, and however often a ray crosses it, it counts once.
+//! Its distance is never negative, and cones are tested by thin rays ([`super::super::thin`]). `distance` is the proven
+//! lower bound `|M| s^2 + |grad f| s = |f|` of [`Local::distance_bound`], extended outside the trim sphere as `sqrt(a^2
+//! + s^2)`.
 
 use super::super::device_fields::DeviceFields;
 use super::super::field::{Field, FieldHit, FieldRay, Look};
@@ -17,20 +18,20 @@ use crate::quadric::Quadric;
 use crate::quadric::local::{Local, LocalRay};
 use glam::{DAffine3, DVec3, Vec3};
 
-/// Field units of the trim sphere's radius. Rays that leave the surface start half a unit off it.
+/// Number of field units in the radius of the trim sphere. Rays that leave the surface start half a unit off it.
 pub const UNITS: f64 = 1024.0;
 
-/// A quadric, ready for the rays of a scene.
+/// A quadric prepared for the rays of a scene.
 #[derive(Debug, Clone)]
 pub struct QuadricField {
-    /// In field space: about the origin, with a radius of `UNITS`.
+    /// The form in field space: about the origin, with a radius of `UNITS`.
     local: Local,
     field_from_local: DAffine3,
     opacity: f32,
 }
 
 impl QuadricField {
-    /// Of a quadric that [`crate::quadric::Quadrics`] would take.
+    /// `quadric` must be valid for [`crate::quadric::Quadrics`].
     pub fn new(quadric: &Quadric) -> Self {
         let placed = Local::new(quadric);
         let per_unit = UNITS / placed.radius;
@@ -68,7 +69,7 @@ impl Field for QuadricField {
     }
 
     fn distance(&self, p: Vec3) -> f32 {
-        // Rounded down: a bound.
+        // Rounded down, since it is a lower bound.
         (self.local.distance_bound(p.as_dvec3()) * self.voxel()) as f32 * (1.0 - f32::EPSILON)
     }
 
@@ -77,7 +78,7 @@ impl Field for QuadricField {
     }
 
     fn gradient(&self, p: Vec3) -> Vec3 {
-        // Away from the sheet, on the side where the point is.
+        // Away from the sheet, on the side of the point.
         let slope = self.local.m * (p.as_dvec3() / UNITS) + self.local.v;
         let side = if self.local.value(p.as_dvec3() / UNITS) < 0.0 { -1.0 } else { 1.0 };
         (side * slope).normalize_or_zero().as_vec3()

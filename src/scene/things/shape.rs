@@ -1,4 +1,4 @@
-//! A shape in a scene, without a grid in between.
+//! A shape in a scene, without an intermediate grid.
 //!
 //! # Theory
 //!
@@ -6,12 +6,12 @@
 //! 1/[`UNITS`]. Rays are those of [`crate::csg::trace`]: roots of the field, part by part, each in its own boxes. A distance
 //! is the field over its declared Lipschitz constant, which is a lower bound inside and outside.
 //!
-//! Penumbrae want the distance itself. Where the shape is not exact, [`Field::distance_guess`] walks to the surface: the
-//! field over its slope along the slope, some times over; what it reaches is on the surface to first order, so the way to it
-//! is hardly less than the truth, and never less than the bound.
+//! Penumbrae need the distance itself. If the shape is not exact, [`Field::distance_guess`] takes several first-order
+//! steps to the surface, each of the field over its gradient. The end point is on the surface to first order, so its
+//! distance is hardly less than the true one, and never less than the bound.
 //!
-//! A distance evaluates every leaf, a ray only those of the parts that it meets. Beyond [`DISTANCES_UP_TO`] leaves cones are
-//! asked by thin rays.
+//! A distance evaluates every leaf, a ray only those of the parts that it intersects. Beyond [`DISTANCES_UP_TO`] leaves
+//! cones are tested by thin rays.
 
 use super::super::device_fields::DeviceFields;
 use super::super::field::{Field, FieldHit, FieldRay, Look};
@@ -27,23 +27,25 @@ use glam::{DAffine3, DVec3, Vec3};
 use std::cell::RefCell;
 use std::sync::Arc;
 
-/// Field units of a local unit. Rays that leave the surface start half a unit off it, some of the tracer's shortest steps.
+/// Number of field units in a local unit. Rays that leave the surface start half a unit off it, several of the tracer's
+/// shortest steps.
 pub const UNITS: f32 = 1024.0;
 
-/// Leaves from which on a ray through the parts costs less than the distances along it.
+/// Number of leaves from which on a ray through the parts costs less than the distances along it.
 const DISTANCES_UP_TO: usize = 48;
 
-/// Walks to the surface, each of them first order.
+/// Number of first-order steps to the surface.
 const GUESSES: u32 = 3;
 
-/// Half the step of a slope's differences in float64, local units.
+/// Half the step of the central differences in float64, local units.
 const SLOPE_STEP: f64 = 1e-5;
 
-/// A hit whose field is below this, local units, is no root: the ray began in a box that the octree left out as all matter.
+/// A hit whose field is below this, local units, is not a root: the ray began in a box that the octree dropped because
+/// it lies inside completely.
 const DEEP: f32 = 1e-4;
 
 self_cell::self_cell!(
-    /// A solid and the parts that its rays walk through.
+    /// A solid and the parts that rays are traced through.
     struct Parts {
         owner: Arc<Solid>,
         #[covariant]
@@ -51,7 +53,7 @@ self_cell::self_cell!(
     }
 );
 
-/// A shape, ready for the rays of a scene.
+/// A shape prepared for the rays of a scene.
 pub struct ShapeField {
     parts: Parts,
     /// Lower and upper corner of the surface's box, field space.
@@ -60,7 +62,7 @@ pub struct ShapeField {
     leaves: usize,
 }
 
-/// What a thread keeps between calls.
+/// Buffers that a thread keeps between calls.
 #[derive(Default)]
 struct Scratch {
     march: Stack<f32, 1>,
@@ -80,11 +82,11 @@ impl ShapeField {
         let model = &tracer.solid.model;
         let inverse_lipschitz = (1.0 / model.lipschitz) as f32;
         let leaves = Model::leaf_count(&model.tokens);
-        // A ray enters a unit before the boxes, so that where it enters those is up to the tracer.
+        // A ray starts one unit before the boxes, so that the tracer determines where it enters them.
         Ok(Self { surface: [lower - 1.0, upper + 1.0], inverse_lipschitz, leaves, parts })
     }
 
-    /// The parts that rays walk through.
+    /// The parts that rays are traced through.
     pub fn tracer(&self) -> &Tracer<'_> {
         self.parts.borrow_dependent()
     }
@@ -93,7 +95,7 @@ impl ShapeField {
         self.parts.borrow_owner()
     }
 
-    /// The field of the whole, local units.
+    /// The field of the whole shape, local units.
     fn value(&self, p_local: Vec3) -> f32 {
         let at = p_local.to_array().map(|x| [x]);
         let solid = self.solid();
@@ -186,7 +188,7 @@ impl Field for ShapeField {
     }
 
     fn enter(&self, tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
-        // Devices ask the whole of it, which many leaves make dear.
+        // Devices evaluate the whole shape, which is expensive with many leaves.
         if self.prefers_rays() { Ok(false) } else { tables.add_shape(self.solid()) }
     }
 

@@ -1,4 +1,4 @@
-//! A sparse field in a scene: its own bricks, read in place.
+//! A sparse field in a scene, read directly from its bricks.
 
 use super::super::device_fields::DeviceFields;
 use super::super::field::{OnDevice, SampledField};
@@ -21,7 +21,7 @@ self_cell::self_cell!(
 
 type Bricks<'a> = MaskedBricks<'a, f32>;
 
-/// A sparse field and what rays need of it.
+/// A sparse field prepared for rays.
 pub struct SparseBricks(Owned);
 
 impl SparseBricks {
