@@ -4,6 +4,7 @@ import json
 import struct
 import subprocess
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -270,6 +271,18 @@ def test_a_vti_file_of_vtk_is_read(solid, form, tmp_path):
     assert np.allclose(found.bounds, solid.bounds, rtol=1e-12)
     # Text has six significant digits.
     assert np.allclose(found.distances, solid.distances, rtol=1e-5 if form == "ascii" else 0)
+
+
+def test_a_vti_file_has_its_samples_as_raw_bytes(solid, tmp_path):
+    solid.save(tmp_path / "v.vti", compression="none")
+    head, _, rest = (tmp_path / "v.vti").read_bytes().partition(b'<AppendedData encoding="raw">\n_')
+    image = ElementTree.fromstring(head + b"</VTKFile>").find("ImageData")
+    assert [float(word) for word in image.get("Origin").split()] == solid.origin.tolist()
+    assert [float(word) for word in image.get("Spacing").split()] == solid.spacing.tolist()
+    assert image.get("WholeExtent") == " ".join(f"0 {side - 1}" for side in solid.resolution)
+    (size,) = struct.unpack_from("<Q", rest)
+    assert size == solid.distances.nbytes
+    assert np.array_equal(np.frombuffer(rest, "<f4", size // 4, 8), solid.distances.ravel(order="F"))
 
 
 # --- NRRD, textures, sheets and .vf

@@ -1,4 +1,4 @@
-"""Triangles of other libraries' objects, recognised by their attributes: PyVista, Open3D, build123d and CadQuery."""
+"""Triangles of objects of other libraries, known by their attributes: PyVista, Open3D, meshio, build123d, CadQuery."""
 
 from __future__ import annotations
 
@@ -34,6 +34,8 @@ def triangles_of(thing: Any) -> Triangles | None:
     if hasattr(thing, "vertices") and hasattr(thing, "triangles") and not callable(thing.vertices):
         # Open3D's legacy mesh.
         return Triangles(np.asarray(thing.vertices), np.asarray(thing.triangles))
+    if hasattr(thing, "cells_dict") and hasattr(thing, "points"):
+        return _of_meshio(thing)
     if hasattr(thing, "tessellate"):
         return _of_solid(thing)
     if hasattr(thing, "val") and hasattr(thing, "vals") and callable(thing.vals):
@@ -46,6 +48,22 @@ def _of_pyvista(thing: Any) -> Triangles:
     """Read PolyData; PyVista triangulates polygons."""
     surface = thing if thing.is_all_triangles else thing.triangulate()
     return Triangles(np.asarray(surface.points), np.asarray(surface.regular_faces).reshape(-1, 3))
+
+
+def _of_meshio(thing: Any) -> Triangles:
+    """A mesh of meshio; its cells are triangles, quadrilaterals and polygons."""
+    faces = []
+    for kind, cells in thing.cells_dict.items():
+        corners = np.asarray(cells)
+        if kind in ("triangle", "quad", "polygon") or kind.startswith("polygon"):
+            # A fan around the first corner.
+            faces += [corners[:, [0, i, i + 1]] for i in range(1, corners.shape[1] - 1)]
+        elif kind not in ("vertex", "line"):
+            raise MeshError(f"mesh: has cells of the kind {kind!r}; give its surface, as triangles, quads or polygons")
+    points = np.asarray(thing.points)
+    if points.ndim == 2 and points.shape[1] == 2:
+        points = np.column_stack([points, np.zeros(len(points))])
+    return Triangles(points, np.concatenate(faces) if faces else np.empty((0, 3), np.int64))
 
 
 def _of_solid(thing: Any) -> Triangles:

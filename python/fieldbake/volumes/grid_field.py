@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import replace
 from typing import Any
 
@@ -16,9 +16,10 @@ from ..base.report import Report
 from ..meshes.isosurface import Source, as_source, extract
 from ..meshes.mesh import Mesh
 from .conventions import Convention
+from .neighbours import Neighbours
 
 
-class GridField(ABC):
+class GridField(Neighbours):
     """A field on a grid over a box. Immutable."""
 
     __slots__ = ("_bounds", "_geometry", "_inner_bounds", "_report")

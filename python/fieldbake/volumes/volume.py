@@ -21,6 +21,7 @@ from ..meshes.isosurface import Source
 from . import writers
 from .conventions import Convention, Engine, Handedness, Up
 from .grid_field import GridField
+from .neighbours import grid_of_xarray
 from .writers import SaveOptions
 
 if TYPE_CHECKING:
@@ -111,6 +112,24 @@ class Volume(GridField):
         volume = cls.__new__(cls)
         volume._set(distances, bounds, inner_bounds, report, geometry)
         return volume
+
+    @classmethod
+    def from_xarray(cls, array: Any) -> Volume:
+        """Make a volume from an xarray ``DataArray``.
+
+        Parameters
+        ----------
+        array : xarray.DataArray
+            Signed distances with the dimensions x, y and z, in any order. Coordinates have equal steps; they are the
+            voxel centres. The attribute ``inner_bounds`` is used if it is there.
+
+        Raises
+        ------
+        ArgumentError
+            For other dimensions, missing or uneven coordinates, and samples that are not finite.
+        """
+        samples, bounds, inner = grid_of_xarray(array)
+        return Volume(samples, bounds, inner_bounds=inner)
 
     @property
     def _distances(self) -> NDArray[np.float32]:

@@ -1,0 +1,249 @@
+"""Volumes as objects of other libraries: PyVista, xarray and Open3D, each imported at the first use."""
+
+from __future__ import annotations
+
+import importlib
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base import checks
+from ..base.errors import ArgumentError, Error
+from ..meshes.mesh import Mesh
+
+#: Name of the samples in other libraries.
+NAME = "distances"
+#: Share by which the steps between coordinates may differ.
+UNEVEN = 1e-4
+#: Slices that are checked at once.
+SLAB = 16
+
+
+class Coordinates(NamedTuple):
+    """Positions of the voxel centres along each axis, world units."""
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    z: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FieldCheck:
+    """How far samples behave like signed distances.
+
+    Attributes
+    ----------
+    gradient : float
+        Median length of the gradient between voxels; 1 for distances.
+    unit_share : float
+        Share of the voxels where that length is from 0.9 to 1.1. The rest lie on edges of the field.
+    steepest : float
+        Largest change between neighbours, per unit of length; at most 1 for distances and their lower bounds.
+    inside_share : float
+        Share of the voxels with a negative sample.
+    sign : str
+        ``"negative inside"``, ``"positive inside"`` if the border of the box is negative, ``"unsigned"`` if no sample
+        is negative.
+    """
+
+    gradient: float
+    unit_share: float
+    steepest: float
+    inside_share: float
+    sign: str
+
+    @property
+    def is_distance(self) -> bool:
+        """Whether the samples are signed distances, negative inside, as far as these numbers can tell."""
+        # Samples are float32, and distances are rounded; a slope of 1 may come out a little steeper.
+        return self.sign == "negative inside" and abs(self.gradient - 1) <= 0.05 and self.steepest <= 1.01
+
+
+class Neighbours(ABC):
+    """Methods of a grid that other libraries' objects are made from."""
+
+    __slots__ = ()
+
+    @property
+    @abstractmethod
+    def distances(self) -> NDArray[np.float32]:
+        """Samples (nx, ny, nz), world units."""
+
+    @property
+    @abstractmethod
+    def resolution(self) -> tuple[int, int, int]:
+        """Voxels along x, y and z."""
+
+    @property
+    @abstractmethod
+    def bounds(self) -> NDArray[np.float64]:
+        """Lower and upper corner of the box, (2, 3)."""
+
+    @property
+    @abstractmethod
+    def origin(self) -> NDArray[np.float64]:
+        """Centre of voxel (0, 0, 0)."""
+
+    @property
+    @abstractmethod
+    def spacing(self) -> NDArray[np.float64]:
+        """Size of a voxel."""
+
+    @property
+    @abstractmethod
+    def inner_bounds(self) -> NDArray[np.float64]:
+        """Box that contains the whole surface."""
+
+    @abstractmethod
+    def to_mesh(self) -> Mesh:
+        """Extract the zero surface."""
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """Positions of the voxel centres along x, y and z: three float64 arrays of lengths nx, ny and nz."""
+        x, y, z = (
+            start + np.arange(count) * step
+            for start, count, step in zip(self.origin, self.resolution, self.spacing, strict=True)
+        )
+        return Coordinates(x, y, z)
+
+    def to_pyvista(self) -> Any:
+        """Convert the volume to a PyVista ``ImageData``.
+
+        Returns
+        -------
+        pyvista.ImageData
+            Its points are the voxel centres; the point data ``"distances"`` are the samples.
+
+        Raises
+        ------
+        Error
+            If PyVista is not installed.
+        """
+        pyvista = _package("pyvista")
+        grid = pyvista.ImageData(dimensions=self.resolution, spacing=tuple(self.spacing), origin=tuple(self.origin))
+        grid.point_data.set_array(np.array(self.distances, order="F").ravel(order="F"), NAME)
+        grid.set_active_scalars(NAME, preference="point")
+        return grid
+
+    def to_xarray(self) -> Any:
+        """Convert the volume to an xarray ``DataArray``.
+
+        Returns
+        -------
+        xarray.DataArray
+            Dimensions x, y and z with the voxel centres as coordinates; `bounds`, `inner_bounds` and the rule of the
+            sign are attributes.
+
+        Raises
+        ------
+        Error
+            If xarray is not installed.
+        """
+        xarray = _package("xarray")
+        attributes = {
+            "long_name": "signed distance, negative inside",
+            "bounds": self.bounds.tolist(),
+            "inner_bounds": self.inner_bounds.tolist(),
+        }
+        places = dict(zip("xyz", self.coordinates, strict=True))
+        return xarray.DataArray(self.distances, coords=places, dims=("x", "y", "z"), name=NAME, attrs=attributes)
+
+    def to_open3d(self) -> Any:
+        """Convert the zero surface to an Open3D triangle mesh.
+
+        Returns
+        -------
+        open3d.t.geometry.TriangleMesh
+            The mesh of :meth:`to_mesh`, with float32 positions, as Open3D's ray casting needs them.
+
+        Raises
+        ------
+        Error
+            If Open3D is not installed.
+        """
+        open3d = _package("open3d")
+        mesh = self.to_mesh()
+        tensor = open3d.core.Tensor
+        vertices = np.ascontiguousarray(mesh.vertices, np.float32)
+        return open3d.t.geometry.TriangleMesh(tensor(vertices), tensor(np.ascontiguousarray(mesh.faces, np.int64)))
+
+    def check(self) -> FieldCheck:
+        """Measure the gradient and the sign of the samples, which tell whether they are signed distances.
+
+        Returns
+        -------
+        FieldCheck
+            Its property ``is_distance`` sums it up. Samples that a band cuts off do not count.
+
+        Examples
+        --------
+        >>> import fieldbake as fb
+        >>> volume = fb.bake(fb.sphere(1), 32)
+        >>> volume.check().is_distance
+        True
+        >>> fb.Volume(-volume.distances, volume.bounds).check().sign
+        'positive inside'
+        """
+        samples, spacing = self.distances, self.spacing
+        cut = np.abs(samples).max() * np.float32(1 - 1e-6)
+        is_cut = bool((np.abs(samples) >= cut).mean() > 0.01)
+        lengths, steepest, negative = [np.empty(0, np.float32)], 0.0, 0
+        nz = samples.shape[2]
+        for k in range(0, nz, SLAB):
+            slab = samples[:, :, max(k - 1, 0) : min(k + SLAB + 1, nz)].astype(np.float64)
+            negative += int((samples[:, :, k : k + SLAB] < 0).sum())
+            for axis, step in enumerate(spacing):
+                if slab.shape[axis] > 1:
+                    steepest = max(steepest, float(np.abs(np.diff(slab, axis=axis)).max()) / step)
+            if min(slab.shape) >= 3:
+                inner = slab[1:-1, 1:-1, 1:-1]
+                sides = [
+                    (slab[2:, 1:-1, 1:-1] - slab[:-2, 1:-1, 1:-1]) / (2 * spacing[0]),
+                    (slab[1:-1, 2:, 1:-1] - slab[1:-1, :-2, 1:-1]) / (2 * spacing[1]),
+                    (slab[1:-1, 1:-1, 2:] - slab[1:-1, 1:-1, :-2]) / (2 * spacing[2]),
+                ]
+                length = np.sqrt(sum(side**2 for side in sides))
+                kept = np.abs(inner) < float(cut) - 2 * float(spacing.max()) if is_cut else np.ones(inner.shape, bool)
+                lengths.append(length[kept].astype(np.float32))
+        found = np.concatenate(lengths)
+        border = np.concatenate([samples[[0, -1]].ravel(), samples[:, [0, -1]].ravel(), samples[:, :, [0, -1]].ravel()])
+        sign = "positive inside" if (border < 0).mean() > 0.5 else "negative inside"
+        return FieldCheck(
+            gradient=float(np.median(found)) if len(found) else 0.0,
+            unit_share=float((np.abs(found - 1) <= 0.1).mean()) if len(found) else 0.0,
+            steepest=steepest,
+            inside_share=negative / samples.size,
+            sign=sign if negative else "unsigned",
+        )
+
+
+def grid_of_xarray(array: Any) -> tuple[NDArray[Any], NDArray[np.float64], Any]:
+    """Samples (nx, ny, nz), box and inner box of a DataArray with the dimensions x, y and z in any order."""
+    dims = tuple(str(name) for name in getattr(array, "dims", ()))
+    if sorted(dims) != ["x", "y", "z"]:
+        raise ArgumentError(f"array: must be a DataArray with the dimensions x, y and z, got {dims or type(array)}")
+    ordered = array.transpose("x", "y", "z")
+    lower, upper = np.empty(3), np.empty(3)
+    for axis, name in enumerate("xyz"):
+        if name not in ordered.coords or len(ordered[name]) < 2:
+            raise ArgumentError(f"array: must have two or more coordinates along {name}")
+        places = checks.as_float64(np.asarray(ordered[name]))
+        steps = np.diff(places)
+        step = float(steps.mean())
+        if not (np.abs(steps - step) <= UNEVEN * abs(step)).all() or step == 0:
+            raise ArgumentError(f"array: the coordinates along {name} must have equal steps")
+        if step < 0:
+            ordered = ordered.isel({name: slice(None, None, -1)})
+        lower[axis], upper[axis] = places.min() - abs(step) / 2, places.max() + abs(step) / 2
+    return np.asarray(ordered), np.stack([lower, upper]), ordered.attrs.get("inner_bounds")
+
+
+def _package(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise Error(f"this needs the package {name}: pip install {name}") from None
