@@ -37,6 +37,7 @@ __all__ = [
     "bake",
     "bake_brute",
     "bake_sparse",
+    "bake_window",
     "cast_rays",
     "check_scales",
     "closest_point",
@@ -60,6 +61,7 @@ __all__ = [
     "sample",
     "sample_surface",
     "set_threads",
+    "sides_of_balls",
     "signed_distance",
     "texture_decode",
     "texture_read",
@@ -128,6 +130,26 @@ def bake(
     The report: ``sign_method`` ("winding", "parity", "pseudonormal", "normal", "unsigned"), ``sign_reason``
     (one sentence), the facts of :meth:`Mesh.topology`, ``undecided_voxels``, ``inside_voxels``, ``device``,
     ``seconds`` (dict: stage to float), ``peak_bytes``, ``warnings`` (list of sentences)."""
+
+def bake_window(
+    mesh: Mesh,
+    lower: tuple[float, float, float],
+    upper: tuple[float, float, float],
+    shape: tuple[int, int, int],
+    low: tuple[int, int, int],
+    size: tuple[int, int, int],
+    *,
+    sign: str = "auto",
+    band: float | None = None,
+) -> NDArray[np.float32]:
+    """Samples ``low`` to ``low + size`` of the bake of a grid on the CPU, (sx, sy, sz), with the bits of the whole bake.
+    Distances beyond ``band`` voxels are cut to it."""
+
+def sides_of_balls(
+    mesh: Mesh, centers: NDArray[np.float64], radii: NDArray[np.float64], *, sign: str = "auto"
+) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
+    """Distance of the surface from the centres (n, 3) of balls, (n,), world units, and the side of all points of each
+    ball, (n,): 1 outside, -1 inside, 0 if the surface is in the ball or the sign rule decides each point by itself."""
 
 def bake_brute(
     mesh: Mesh,

@@ -22,6 +22,44 @@ pub(super) const STRIDE: usize = 4;
 /// Room for float32 rounding of the stored squares, relative.
 const SLACK: f64 = 1e-5;
 
+/// What a bake stores for samples beyond the band.
+#[derive(Debug)]
+pub(super) enum Far {
+    /// The distance; there is no band.
+    Exact,
+    /// A lower bound of the distance.
+    Bound(Band),
+    /// The half width of the band, local units.
+    Cut(f64),
+}
+
+impl Far {
+    /// Half width of the band, local units.
+    pub fn width(&self) -> f64 {
+        match self {
+            Self::Exact => f64::INFINITY,
+            Self::Bound(band) => band.width,
+            Self::Cut(width) => *width,
+        }
+    }
+
+    /// What to store for a distance.
+    pub fn clip(&self, voxel: [usize; 3], distance: f64) -> f64 {
+        match self {
+            Self::Exact => distance,
+            Self::Bound(band) => band.clip(voxel, distance),
+            Self::Cut(width) => distance.min(*width),
+        }
+    }
+
+    pub fn bytes(&self) -> usize {
+        match self {
+            Self::Bound(band) => size_of_val(&band.squares[..]),
+            Self::Exact | Self::Cut(_) => 0,
+        }
+    }
+}
+
 /// Exact distances on a coarse grid, local units.
 #[derive(Debug)]
 pub(super) struct Band {
@@ -30,6 +68,11 @@ pub(super) struct Band {
     squares: Vec<f32>,
     /// Squared node spacing on each axis.
     spacing_squared: [f64; 3],
+}
+
+/// Half width of a band of `voxels`, counted in the longest side of a voxel, local units.
+pub(super) fn width(local: &LocalGrid, voxels: f64) -> f64 {
+    voxels * local.step().max_element()
 }
 
 impl Band {
@@ -41,24 +84,15 @@ impl Band {
         dense::distances(mesh.bvh(), &coarse, f32::INFINITY, 1.0, progress, &mut squares)?;
         squares.par_iter_mut().for_each(|distance| *distance *= *distance);
         Ok(Self {
-            width: voxels * local.step().max_element(),
+            width: width(local, voxels),
             nodes,
             squares,
             spacing_squared: local.step().to_array().map(|h| (h * STRIDE as f64).powi(2)),
         })
     }
 
-    pub fn bytes(&self) -> usize {
-        size_of_val(&self.squares[..])
-    }
-
-    /// Half width of the band, local units.
-    pub fn width(&self) -> f64 {
-        self.width
-    }
-
     /// What to store for a distance: itself within the band, a lower bound beyond.
-    pub fn clip(&self, voxel: [usize; 3], distance: f64) -> f64 {
+    fn clip(&self, voxel: [usize; 3], distance: f64) -> f64 {
         if distance <= self.width { distance } else { self.lower_bound(voxel).max(self.width) }
     }
 

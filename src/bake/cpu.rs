@@ -1,6 +1,6 @@
 //! The bake on the CPU.
 
-use super::band::Band;
+use super::band::{Band, Far};
 use super::signs::{Counts, SignPass};
 use super::{Bake, BakeOptions, LocalGrid, dense};
 use crate::error::Error;
@@ -36,18 +36,16 @@ pub(super) fn bake(mesh: &Mesh, grid: &Grid, options: &BakeOptions, progress: &P
     stage("sign rule", start);
 
     let start = Instant::now();
-    let job = Job { mesh, grid, local, rule: &choice.rule, progress };
-    let band = options.band.map(|voxels| Band::new(mesh, &local, voxels, progress)).transpose()?;
-    let by_closest = job.distances(&mut distances, band.as_ref())?;
+    let job = Job { mesh, local, rule: &choice.rule, progress };
+    let far = match options.band {
+        Some(voxels) => Far::Bound(Band::new(mesh, &local, voxels, progress)?),
+        None => Far::Exact,
+    };
+    let by_closest = job.distances(&mut distances, &far)?;
     stage("distance", start);
 
     let start = Instant::now();
-    let counts = if matches!(choice.rule, SignRule::Unsigned | SignRule::Pseudonormal | SignRule::Normal) {
-        progress.advance(grid.len() as u64)?;
-        by_closest
-    } else {
-        SignPass { mesh, local, rule: &choice.rule, progress }.negate(&mut distances)?
-    };
+    let counts = job.signs(&mut distances, by_closest)?;
     if let Some(thickness) = options.thickness {
         distances.par_iter_mut().for_each(|d| *d = (f64::from(*d) - 0.5 * thickness) as f32);
     }
@@ -59,34 +57,33 @@ pub(super) fn bake(mesh: &Mesh, grid: &Grid, options: &BakeOptions, progress: &P
     stage("sign", start);
 
     report.device = "cpu".into();
-    report.peak_bytes = size_of_val(&distances[..]) + mesh.bytes() + band.as_ref().map_or(0, Band::bytes);
+    report.peak_bytes = size_of_val(&distances[..]) + mesh.bytes() + far.bytes();
     report.seconds = seconds;
     Ok(Bake { distances, report })
 }
 
-struct Job<'a> {
-    mesh: &'a Mesh,
-    grid: &'a Grid,
-    local: LocalGrid,
-    rule: &'a SignRule,
-    progress: &'a Progress,
+/// A mesh, a grid or a part of one, and the rule for the sign.
+pub(super) struct Job<'a> {
+    pub mesh: &'a Mesh,
+    pub local: LocalGrid,
+    pub rule: &'a SignRule,
+    pub progress: &'a Progress,
 }
 
 impl Job<'_> {
     /// Unsigned distances, world units. Rules that look at the closest point set the sign here too; returns the number
     /// of samples they found inside.
-    fn distances(&self, out: &mut [f32], band: Option<&Band>) -> Result<Counts, Error> {
+    pub fn distances(&self, out: &mut [f32], far: &Far) -> Result<Counts, Error> {
         if matches!(self.rule, SignRule::Pseudonormal | SignRule::Normal) {
-            return self.closest_points(out, band);
+            return self.closest_points(out, far);
         }
-        let limit = band.map_or(f64::INFINITY, Band::width);
         // The scale is a power of two: the product is exact.
         let scale = self.mesh.scale();
-        dense::distances(self.mesh.bvh(), &self.local, limit as f32, scale as f32, self.progress, out)?;
-        if let Some(band) = band {
-            out.par_chunks_mut(self.grid.shape[0]).enumerate().for_each(|(row, samples)| {
+        dense::distances(self.mesh.bvh(), &self.local, far.width() as f32, scale as f32, self.progress, out)?;
+        if !matches!(far, Far::Exact) {
+            out.par_chunks_mut(self.local.shape()[0]).enumerate().for_each(|(row, samples)| {
                 for (x, sample) in samples.iter_mut().enumerate() {
-                    *sample = (band.clip(self.voxel(x, row), f64::from(*sample) / scale) * scale) as f32;
+                    *sample = (far.clip(self.voxel(x, row), f64::from(*sample) / scale) * scale) as f32;
                 }
             });
         }
@@ -94,19 +91,20 @@ impl Job<'_> {
     }
 
     fn voxel(&self, x: usize, row: usize) -> [usize; 3] {
-        [x, row % self.grid.shape[1], row / self.grid.shape[1]]
+        let rows = self.local.shape()[1];
+        [x, row % rows, row / rows]
     }
 
     /// Closest points sample by sample, for the rules that need them.
-    fn closest_points(&self, out: &mut [f32], band: Option<&Band>) -> Result<Counts, Error> {
-        let nx = self.grid.shape[0];
+    fn closest_points(&self, out: &mut [f32], far: &Far) -> Result<Counts, Error> {
+        let nx = self.local.shape()[0];
         let inside = AtomicUsize::new(0);
         out.par_chunks_mut(nx).enumerate().try_for_each(|(row, samples)| {
             for (x, sample) in samples.iter_mut().enumerate() {
                 let voxel = self.voxel(x, row);
                 let p = self.local.at(voxel);
                 let closest = self.mesh.closest_point(p);
-                let mut stored = band.map_or(closest.distance, |band| band.clip(voxel, closest.distance));
+                let mut stored = far.clip(voxel, closest.distance);
                 if self.rule.is_inside(self.mesh, p, &closest) {
                     stored = -stored;
                     inside.fetch_add(1, Ordering::Relaxed);
@@ -116,5 +114,16 @@ impl Job<'_> {
             self.progress.advance(nx as u64)
         })?;
         Ok(Counts { inside: inside.into_inner(), undecided: 0 })
+    }
+
+    /// Negate the samples inside, for the rules that need no closest point; the others have done so in
+    /// [`Job::distances`], which returned `by_closest`.
+    pub fn signs(&self, distances: &mut [f32], by_closest: Counts) -> Result<Counts, Error> {
+        let Self { mesh, local, rule, progress } = *self;
+        if matches!(rule, SignRule::Unsigned | SignRule::Pseudonormal | SignRule::Normal) {
+            progress.advance(distances.len() as u64)?;
+            return Ok(by_closest);
+        }
+        SignPass { mesh, local, rule, progress }.negate(distances)
     }
 }

@@ -14,10 +14,12 @@ mod gpu_tests;
 mod report;
 mod signs;
 mod sparse;
+mod window;
 
 pub use brute::bake_brute;
 pub use report::{Report, sign_warnings};
 pub use sparse::bake_sparse;
+pub use window::{bake_window, sides_of_balls};
 
 use crate::error::{ArgumentError, Error};
 use crate::gpu::{Context, Place};
@@ -124,7 +126,7 @@ impl LocalGrid {
     pub fn new(grid: &Grid, mesh: &Mesh) -> Self {
         let first = mesh.local_from_world(grid.center(0, 0, 0));
         let step = grid.spacing() / mesh.scale();
-        Self { axes: [0, 1, 2].map(|i| Samples { first: first[i], step: step[i], count: grid.shape[i] }) }
+        Self { axes: [0, 1, 2].map(|i| Samples { first: first[i], step: step[i], start: 0, count: grid.shape[i] }) }
     }
 
     pub fn shape(&self) -> [usize; 3] {
@@ -134,8 +136,8 @@ impl LocalGrid {
     /// Samples from `low` on, `shape` of them.
     pub fn part(&self, low: [usize; 3], shape: [usize; 3]) -> Self {
         let part = |axis: usize| {
-            let Samples { step, .. } = self.axes[axis];
-            Samples { first: self.axes[axis].at(low[axis]), step, count: shape[axis] }
+            let whole = self.axes[axis];
+            Samples { start: whole.start + low[axis], count: shape[axis], ..whole }
         };
         Self { axes: [0, 1, 2].map(part) }
     }
@@ -149,12 +151,14 @@ impl LocalGrid {
     }
 }
 
-/// Every `stride`-th sample of a grid, and one past its end where the last is not one of them.
+/// Every `stride`-th sample of a whole grid, and one past its end where the last is not one of them.
 fn coarse_grid(grid: &LocalGrid, stride: usize) -> LocalGrid {
+    debug_assert!(grid.axes.iter().all(|axis| axis.start == 0));
     LocalGrid {
-        axes: grid.axes.map(|Samples { first, step, count }| Samples {
+        axes: grid.axes.map(|Samples { first, step, start, count }| Samples {
             first,
             step: step * stride as f64,
+            start,
             count: (count - 1).div_ceil(stride) + 1,
         }),
     }

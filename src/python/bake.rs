@@ -1,15 +1,17 @@
-//! `fieldbake._core.bake`.
+//! `fieldbake._core.bake`, `bake_window`, `sides_of_balls` and `bake_brute`.
 
-use super::convert::{grid, volume_array};
+use super::convert::{grid, rows, volume_array};
 use super::device::{DeviceField, choose};
-use super::error::Failure;
+use super::error::{Failure, exception};
 use super::mesh::Mesh;
 use super::run::run;
-use crate::bake::{BakeOptions, Field, Report, bake_at, bake_brute as brute};
+use crate::bake::{
+    BakeOptions, Field, Report, bake_at, bake_brute as brute, bake_window as window, sides_of_balls as balls,
+};
 use crate::error::DeviceError;
 use crate::gpu::Place;
 use crate::sign::SignMethod;
-use numpy::PyArray3;
+use numpy::{IntoPyArray, PyArray1, PyArray3, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -40,6 +42,54 @@ pub fn bake<'py>(
         Field::Device(field) => Bound::new(py, DeviceField(field))?.into_any(),
     };
     Ok((distances, report_dict(py, &report)?))
+}
+
+/// Samples `low..low + size` of the bake on the CPU of a grid, (sx, sy, sz); distances beyond the band are cut to it.
+#[pyfunction]
+#[pyo3(signature = (mesh, lower, upper, shape, low, size, *, sign="auto", band=None))]
+pub fn bake_window<'py>(
+    py: Python<'py>,
+    mesh: &Mesh,
+    lower: [f64; 3],
+    upper: [f64; 3],
+    shape: [usize; 3],
+    low: [usize; 3],
+    size: [usize; 3],
+    sign: &str,
+    band: Option<f64>,
+) -> PyResult<Bound<'py, PyArray3<f32>>> {
+    mesh.prepare(py)?;
+    let mesh = mesh.0.clone();
+    let grid = grid(lower, upper, shape)?;
+    let sign = sign.parse::<SignMethod>().map_err(Failure::from)?;
+    let options = BakeOptions { sign, band, thickness: None };
+    let samples = run(py, None, |progress| window(&mesh, &grid, low, size, &options, progress))?;
+    volume_array(py, samples, size)
+}
+
+/// Distance of the surface from the centres (n, 3) of balls, (n,), and the side of each ball, (n,): 1 outside, -1 inside,
+/// 0 if the surface is in the ball or the sign rule decides each point by itself.
+#[pyfunction]
+#[pyo3(signature = (mesh, centers, radii, *, sign="auto"))]
+#[expect(clippy::type_complexity, reason = "two arrays are what Python unpacks")]
+pub fn sides_of_balls<'py>(
+    py: Python<'py>,
+    mesh: &Mesh,
+    centers: PyReadonlyArray2<'py, f64>,
+    radii: PyReadonlyArray1<'py, f64>,
+    sign: &str,
+) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<i8>>)> {
+    mesh.prepare(py)?;
+    let mesh = mesh.0.clone();
+    let centers = rows(&centers, "centers")?;
+    let radii = radii.as_slice().ok().filter(|radii| radii.len() == centers.len());
+    let radii = radii.ok_or_else(|| {
+        let message = "radii: must be contiguous, one for each centre";
+        exception(py, "ArgumentError", message.to_owned())
+    })?;
+    let sign = sign.parse::<SignMethod>().map_err(Failure::from)?;
+    let (distances, sides) = run(py, None, |progress| balls(&mesh, sign, centers, radii, progress))?;
+    Ok((distances.into_pyarray(py), sides.into_pyarray(py)))
 }
 
 /// Bakes a mesh as the articles do, every sample against every triangle, on a graphics device: distances (nx, ny, nz).

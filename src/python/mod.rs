@@ -33,7 +33,7 @@ mod _core {
         atlas_sound, atlas_texture_coordinates, atlas_write, require_memory,
     };
     #[pymodule_export]
-    use super::bake::{bake, bake_brute};
+    use super::bake::{bake, bake_brute, bake_window, sides_of_balls};
     #[pymodule_export]
     use super::csg::Shape;
     #[pymodule_export]

@@ -123,19 +123,23 @@ fn is_ahead(p: DVec3, [a, b, c]: [DVec3; 3], turns: i32, axes: Axes) -> bool {
 /// Equally spaced sample positions along one axis, local units.
 #[derive(Debug, Clone, Copy)]
 pub struct Samples {
+    /// Position of sample 0 of the whole axis.
     pub first: f64,
     pub step: f64,
+    /// Samples of the whole axis that lie before this part of it. Positions are computed from the whole axis, so that
+    /// they have the same bits in every part.
+    pub start: usize,
     pub count: usize,
 }
 
 impl Samples {
     pub fn at(&self, index: usize) -> f64 {
-        self.first + index as f64 * self.step
+        self.first + (self.start + index) as f64 * self.step
     }
 
     /// Number of samples that satisfy `is_before`, which holds for a leading run of them that ends near `estimate`.
     fn count_before(&self, estimate: f64, is_before: impl Fn(f64) -> bool) -> usize {
-        let guess = ((estimate - self.first) / self.step).ceil();
+        let guess = ((estimate - self.at(0)) / self.step).ceil();
         // The cast saturates, and maps NaN to zero.
         let mut count = (guess as i64).clamp(0, self.count as i64) as usize;
         while count < self.count && is_before(self.at(count)) {

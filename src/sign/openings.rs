@@ -134,6 +134,15 @@ impl Openings {
         self.cones.iter().map(reach).fold(f64::INFINITY, f64::min)
     }
 
+    /// Whether no cone comes within `radius` of a point and the fraction has one nearest integer there. False also where
+    /// one value cannot tell.
+    pub fn is_uniform_within(&self, p: DVec3, radius: f64) -> bool {
+        let mut left_out = 0.0;
+        let matters = |cone: &&Cone| cone.matters(p, radius, &mut left_out);
+        let near: Vec<Cone> = self.cones.iter().filter(matters).cloned().collect();
+        self.rounded_within(p, radius, &near, left_out).is_some()
+    }
+
     /// The nearest integer of the fraction at a point, and whether it is certain. The cones that are not in `near` add
     /// less than `left_out`.
     fn round(&self, p: DVec3, near: &[Cone], left_out: f64) -> (i8, bool) {

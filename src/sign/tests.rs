@@ -93,7 +93,7 @@ fn a_scanned_row_equals_single_rays() {
     // Steps of half a unit in local coordinates, from a corner of the first box.
     let step = 0.5 / mesh.scale();
     let first = mesh.local_from_world(DVec3::splat(-1.0));
-    let samples = |axis: usize| Samples { first: first[axis], step, count: 18 };
+    let samples = |axis: usize| Samples { first: first[axis], step, start: 0, count: 18 };
     for axes in [Axes::X, Axes::Y, Axes::Z, Axes { ray: 1, column: 0, row: 2 }] {
         let (columns, along, rows) = (samples(axes.column), samples(axes.ray), samples(axes.row));
         let mut windings = vec![0i16; columns.count * along.count];

@@ -167,7 +167,7 @@ impl Soup {
         let mesh = soup(48, 0.3, 1);
         let frames = (0..48).map(|face| TriangleFrame::new(mesh.triangle(face))).collect();
         let step = 1.2 / (TASK - 1) as f64;
-        let grid = LocalGrid { axes: [Samples { first: -0.6, step, count: TASK }; 3] };
+        let grid = LocalGrid { axes: [Samples { first: -0.6, step, start: 0, count: TASK }; 3] };
         Self { bvh: Bvh::build(mesh.positions(), mesh.faces()), frames, grid }
     }
 
