@@ -64,6 +64,7 @@ from .queries.sampling import (
     sample_training,
     thickness,
 )
+from .scaling.many import bake_many
 from .scenes.camera import Camera
 from .scenes.gltf import load_scene
 from .scenes.instance import Instance
@@ -123,6 +124,7 @@ __all__ = [
     "arrays",
     "as_mesh",
     "bake",
+    "bake_many",
     "bake_sparse",
     "cache",
     "cast_rays",

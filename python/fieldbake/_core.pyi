@@ -142,14 +142,14 @@ def bake_window(
     sign: str = "auto",
     band: float | None = None,
 ) -> NDArray[np.float32]:
-    """Samples ``low`` to ``low + size`` of the bake of a grid on the CPU, (sx, sy, sz), with the bits of the whole bake.
-    Distances beyond ``band`` voxels are cut to it."""
+    """Samples ``low`` to ``low + size`` of the bake of a grid on the CPU, (sx, sy, sz), with the bits of the whole
+    bake. Distances beyond ``band`` voxels are cut to it."""
 
 def sides_of_balls(
     mesh: Mesh, centers: NDArray[np.float64], radii: NDArray[np.float64], *, sign: str = "auto"
 ) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
-    """Distance of the surface from the centres (n, 3) of balls, (n,), world units, and the side of all points of each
-    ball, (n,): 1 outside, -1 inside, 0 if the surface is in the ball or the sign rule decides each point by itself."""
+    """Distance of the surface from the centres (n, 3) of balls, (n,), world units, and the side of all points of
+    each ball, (n,): 1 outside, -1 inside, 0 if the surface is in the ball or the sign rule decides each point."""
 
 def bake_brute(
     mesh: Mesh,

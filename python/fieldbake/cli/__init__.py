@@ -1,6 +1,6 @@
 """The command line."""
 
-from . import queries  # registers its commands
+from . import libraries, queries  # registers its commands
 from .commands import main
 
-__all__ = ["main", "queries"]
+__all__ = ["libraries", "main", "queries"]

@@ -26,6 +26,7 @@ from ..drawing.frame import save_image
 from ..files.container import ENDINGS, atomic_write, check_target, listed
 from ..volumes import writers as textures
 from . import demo as demonstration
+from .folders import bake_folder
 
 out = Console(highlight=False)
 err = Console(stderr=True, highlight=False)
@@ -132,9 +133,16 @@ Resolution = Annotated[
 
 @app.command()
 def bake(
-    mesh: Annotated[list[Path], typer.Argument(help="Mesh files; several files are baked into one field.")],
+    mesh: Annotated[
+        list[Path], typer.Argument(help="Mesh files. Several are baked into one field, or with a folder one by one.")
+    ],
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="The file to write: .npz, .dds, .ktx2 or .nrrd; with --sparse .npz.")
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            help="The file to write: .npz, .dds, .ktx2 or .nrrd; with --sparse .npz. A folder: one .npz for each mesh.",
+        ),
     ],
     resolution: Resolution = "64",
     voxel_size: Annotated[
@@ -157,9 +165,30 @@ def bake(
     encoding: Annotated[
         Literal["float32", "float16", "snorm16", "snorm8"], typer.Option(help="Encoding of the stored samples.")
     ] = "float32",
+    jobs: Annotated[
+        int | None,
+        typer.Option(help="Meshes that are baked at the same time; for a folder. One per core if not given."),
+    ] = None,
+    limit_s: Annotated[
+        float | None, typer.Option("--limit", help="Seconds after which a mesh is given up; for a folder.")
+    ] = None,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Bake meshes again whose results are up to date; for a folder.")
+    ] = False,
     device: Device = "auto",
 ) -> None:
-    """Bake the signed distance field of a mesh into a file."""
+    """Bake the signed distance field of a mesh into a file, or those of many meshes into a folder."""
+    if not output.suffix or output.is_dir():
+        if sparse or encoding != "float32":
+            raise typer.BadParameter("a folder takes dense float32 fields", param_hint="--sparse, --encoding")
+        options = {"resolution": resolution, "voxel_size": voxel_size, "margin": margin, "sign": sign, "band": band}
+        if voxel_size is not None:
+            del options["resolution"]
+        options |= {"two_sided": two_sided, "thickness": thickness, "device": device}
+        bake_folder(mesh, output, options, jobs=jobs, limit_s=limit_s, fresh=fresh)
+        return
+    if jobs is not None or limit_s is not None or fresh:
+        raise typer.BadParameter(f"'{output}' is a file; these options are for a folder", param_hint="--jobs, --limit")
     _check_output(output, ENDINGS["sparse" if sparse else "volume"])
     _check_encoding(output, encoding)
     things: Any = [str(path) for path in mesh] if len(mesh) > 1 else mesh[0]

@@ -1,0 +1,32 @@
+"""The command ``sample``: training samples of many meshes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ..scaling.many import sample_many
+from .commands import app, err
+from .folders import finish
+
+
+@app.command()
+def sample(
+    mesh: Annotated[list[Path], typer.Argument(help="Mesh files.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for one .npz for each mesh.")],
+    count: Annotated[int, typer.Option("--count", "-n", help="Points for each mesh.")] = 500_000,
+    uniform: Annotated[float, typer.Option(help="Share of the points that are uniform in the box.")] = 0.1,
+    seed: Annotated[int, typer.Option(help="Seed of the random numbers.")] = 0,
+    jobs: Annotated[
+        int | None, typer.Option(help="Meshes that are sampled at the same time. One per core if not given.")
+    ] = None,
+    limit_s: Annotated[float | None, typer.Option("--limit", help="Seconds after which a mesh is given up.")] = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Sample meshes again whose results are up to date.")] = False,
+) -> None:
+    """Write training samples of many meshes: points, signed distances and gradients, float32."""
+    options: dict[str, Any] = {"n": count, "uniform": uniform, "seed": seed}
+    bar = err.is_terminal
+    rows = sample_many(mesh, output, workers=jobs, limit_s=limit_s, resume=not fresh, progress=bar, **options)
+    finish(rows, output)

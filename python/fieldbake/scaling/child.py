@@ -1,0 +1,187 @@
+"""Calls in a child process: a call that crashes, runs out of memory or takes too long ends the child alone."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import signal
+import struct
+import subprocess
+import sys
+import threading
+import warnings
+import weakref
+from collections.abc import Callable
+from typing import IO, Any
+
+from ..base.errors import Error
+
+#: Eight bytes before each message: its length.
+_LENGTH = struct.Struct("<Q")
+
+#: What a child runs. Its path for imports is that of its parent; the program of the parent is not imported again.
+_PROGRAM = "import sys; sys.path[:] = {path!r}; from fieldbake.scaling.child import serve; serve()"
+
+
+class ChildError(Error):
+    """The child process ended before it returned a result."""
+
+
+class UnsendableError(Error):
+    """The call cannot be pickled, or the child cannot read it."""
+
+
+class Child:
+    """A process that makes one call at a time. It starts with the first call, and again after it was lost."""
+
+    def __init__(self, threads: int | None = None) -> None:
+        self._threads = threads
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def call(self, function: Callable[..., Any], *arguments: Any, limit_s: float | None = None) -> Any:
+        """Return what the function returns there, or raise what it raises.
+
+        Raises
+        ------
+        ChildError
+            If the process dies, or takes longer than `limit_s` seconds.
+        UnsendableError
+            If the call cannot be pickled, as functions defined in functions and in the main program cannot.
+        """
+        try:
+            message = pickle.dumps((function, arguments), pickle.HIGHEST_PROTOCOL)
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
+            raise UnsendableError(str(error)) from error
+        process = self._started()
+        assert process.stdin is not None
+        assert process.stdout is not None
+        expired = threading.Event()
+        timer = None
+        if limit_s is not None:
+
+            def stop() -> None:
+                expired.set()
+                process.kill()
+
+            timer = threading.Timer(limit_s, stop)
+            timer.daemon = True
+            timer.start()
+        try:
+            _send(process.stdin, message)
+            answer = _receive(process.stdout)
+        except OSError:
+            answer = None
+        except BaseException:
+            # The answer to an interrupted call would be taken for that of the next one.
+            self.close()
+            raise
+        finally:
+            if timer is not None:
+                timer.cancel()
+        if answer is None:
+            code = process.wait()
+            self.close()
+            if expired.is_set():
+                raise ChildError(f"took longer than the limit of {limit_s:g} s and was stopped")
+            raise ChildError(_epitaph(code))
+        succeeded, value = pickle.loads(answer)
+        if succeeded:
+            return value
+        raise value
+
+    def stop(self) -> None:
+        """End the process from another thread; the call in progress raises `ChildError`."""
+        process = self._process
+        if process is not None:
+            process.kill()
+
+    def close(self) -> None:
+        """End the process, if there is one."""
+        process, self._process = self._process, None
+        if process is not None:
+            _end(process)
+
+    def _started(self) -> subprocess.Popen[bytes]:
+        if self._process is not None and self._process.poll() is None:
+            return self._process
+        self.close()
+        environment = dict(os.environ)
+        if self._threads is not None:
+            environment.setdefault("RAYON_NUM_THREADS", str(self._threads))
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", _PROGRAM.format(path=[os.path.abspath(entry) for entry in sys.path])],  # noqa: PTH100 - "" is the working directory
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+        )
+        # The process ends with the thread that uses it.
+        weakref.finalize(self, _end, self._process)
+        return self._process
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    process.kill()
+    process.wait()
+    for stream in (process.stdin, process.stdout):
+        # Bytes that the process has not read cannot be flushed.
+        with contextlib.suppress(OSError):
+            stream.close()  # type: ignore[union-attr]
+
+
+def _epitaph(code: int) -> str:
+    if code >= 0:
+        return f"the process that worked on it ended with exit status {code}"
+    try:
+        name = signal.Signals(-code).name
+    except ValueError:
+        name = f"signal {-code}"
+    hint = "; it may have been out of memory" if name == "SIGKILL" else ""
+    return f"the process that worked on it was ended by {name}{hint}"
+
+
+def _send(stream: IO[bytes], message: bytes) -> None:
+    stream.write(_LENGTH.pack(len(message)))
+    stream.write(message)
+    stream.flush()
+
+
+def _receive(stream: IO[bytes]) -> bytes | None:
+    """The next message; None at the end of the stream."""
+    head = stream.read(_LENGTH.size)
+    if len(head) < _LENGTH.size:
+        return None
+    (length,) = _LENGTH.unpack(head)
+    message = stream.read(length)
+    return message if len(message) == length else None
+
+
+def serve() -> None:
+    """Make the calls that arrive on standard input, until it ends."""
+    # Ctrl-C reaches the whole group of processes; the parent decides what follows.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Standard error leads nowhere; warnings are part of the reports.
+    warnings.simplefilter("ignore")
+    source = sys.stdin.buffer
+    with os.fdopen(os.dup(sys.stdout.fileno()), "wb") as target:
+        # Prints of libraries must not mix with the answers.
+        os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+        while (message := _receive(source)) is not None:
+            _send(target, _answer(message))
+
+
+def _answer(message: bytes) -> bytes:
+    try:
+        function, arguments = pickle.loads(message)
+    except Exception as error:  # modules that only the parent has
+        return pickle.dumps((False, UnsendableError(str(error))), pickle.HIGHEST_PROTOCOL)
+    try:
+        return pickle.dumps((True, function(*arguments)), pickle.HIGHEST_PROTOCOL)
+    except Exception as error:  # it is raised in the parent
+        try:
+            answer = pickle.dumps((False, error), pickle.HIGHEST_PROTOCOL)
+            pickle.loads(answer)
+        except Exception:  # an exception that cannot be pickled
+            return pickle.dumps((False, Error(f"{type(error).__name__}: {error}")), pickle.HIGHEST_PROTOCOL)
+        return answer

@@ -1,0 +1,398 @@
+"""Many assets: one field, or one file of training samples, for each."""
+
+from __future__ import annotations
+
+import inspect
+import os
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ..baking.dense import bake
+from ..base import checks
+from ..base.errors import ArgumentError, Error
+from ..base.progress import Progress, progress_callback
+from ..files.container import atomic_write
+from ..meshes.convert import as_mesh
+from ..queries.sampling import sample_training
+from . import content, executors, ledger
+from .child import Child, UnsendableError
+
+#: Options of `bake` that all items share; progress is that of the whole run.
+BAKE_OPTIONS = tuple(name for name in inspect.signature(bake).parameters if name not in ("mesh", "progress"))
+SAMPLE_OPTIONS = ("n", "near", "uniform", "seed")
+
+#: Progress reaches a callback at most this often, seconds.
+INTERVAL = 0.1
+
+
+@dataclass(frozen=True)
+class Asset:
+    """One item, and the file that it is made into."""
+
+    item: Any
+    target: str
+    kind: Literal["bake", "sample"]
+    options: Mapping[str, Any]
+    #: Hash of the item; None for a callable, whose mesh is hashed once it is there.
+    content: str | None
+    #: Hash of the mesh of a callable at the last run, if the result of that run can stay.
+    known: str | None = None
+
+
+def bake_many(
+    items: Iterable[Any] | Mapping[str, Any],
+    out: str | os.PathLike[str],
+    *,
+    executor: Any = None,
+    on_error: Literal["record", "raise"] = "record",
+    resume: bool = True,
+    limit_s: float | None = None,
+    workers: int | None = None,
+    progress: Progress = None,
+    **options: Any,
+) -> list[dict[str, Any]]:
+    """Bake each item of a library into a file of its own.
+
+    Parameters
+    ----------
+    items : iterable of mesh files, meshes, (vertices, faces) or callables; or a mapping of stems to those
+        Everything that :func:`bake` takes as a mesh. A callable without arguments returns such a mesh; it runs where
+        the item is baked. The result is ``out/STEM.npz``. The stem is that of the file, the key of a mapping, the name
+        of a function, or else ``item-`` and the position of the item.
+    out : path
+        Folder for the results and for ``ledger.jsonl``; it is made if it is missing.
+    executor : optional
+        A pool of `concurrent.futures`, a ``dask.distributed.Client``, or anything with ``submit``. By default the items
+        are baked in processes of this machine.
+    on_error : "record" or "raise", default "record"
+        Record the error of an item and continue, or raise the first one.
+    resume : bool, default True
+        Skip items whose content and options are those of a finished result. Failed items are tried again.
+    limit_s : float, optional
+        Stop an item that takes longer, seconds. It counts as failed.
+    workers : int, optional
+        Number of items that are baked at the same time without an `executor`. By default the number of cores.
+    progress : bool or callable, optional
+        True draws a bar on stderr; a callable is called with the fraction of items done.
+    **options
+        Options of :func:`bake`, for all items.
+
+    Returns
+    -------
+    list of dict
+        One row for each item, in the order of the items: ``item`` (the path as it came, or the stem), ``path`` (the
+        result), ``status`` (``"done"``, ``"skipped"`` or ``"failed"``), ``seconds``, ``error`` (text or None) and
+        ``report`` (dict of the bake's report, or None).
+
+    Raises
+    ------
+    ArgumentError
+        If two items have the same stem, or an option is unknown; nothing is baked then.
+    Exception
+        The error of an item, with `on_error` ``"raise"``. Finished results stay.
+
+    Notes
+    -----
+    Each item is baked in a child process of its worker. An item that crashes, runs out of memory or exceeds `limit_s`
+    ends that process and no other item. Only items that cannot be pickled are baked in the worker itself. Results are
+    written to a temporary file and renamed, so no result is ever half there. The ledger has one line for each item that
+    was done or has failed.
+
+    Examples
+    --------
+    >>> import tempfile, fieldbake
+    >>> knot = fieldbake.models.torus_knot(segments=64, sides=8)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     first = fieldbake.bake_many({"knot": knot}, folder, resolution=16)
+    ...     second = fieldbake.bake_many({"knot": knot}, folder, resolution=16)
+    >>> first[0]["status"], second[0]["status"]
+    ('done', 'skipped')
+    """
+    _check_names(options, BAKE_OPTIONS, "bake")
+    run = Run("bake", Path(out), options, executor, on_error, resume, limit_s, workers, progress)
+    return run.rows(items)
+
+
+def sample_many(
+    items: Iterable[Any] | Mapping[str, Any],
+    out: str | os.PathLike[str],
+    *,
+    executor: Any = None,
+    on_error: Literal["record", "raise"] = "record",
+    resume: bool = True,
+    limit_s: float | None = None,
+    workers: int | None = None,
+    progress: Progress = None,
+    **options: Any,
+) -> list[dict[str, Any]]:
+    """Draw training samples of each item with :func:`sample_training`; arguments and rows as for :func:`bake_many`.
+
+    A result is an .npz file of ``points`` (n, 3), ``distances`` (n,) and ``gradients`` (n, 3), all float32.
+    """
+    _check_names(options, SAMPLE_OPTIONS, "sample_training")
+    run = Run("sample", Path(out), options, executor, on_error, resume, limit_s, workers, progress)
+    return run.rows(items)
+
+
+def _check_names(options: Mapping[str, Any], known: Sequence[str], function: str) -> None:
+    for name in options:
+        if name not in known:
+            raise ArgumentError(f"{name}: is no option of {function}; its options are {', '.join(known)}")
+
+
+class Run:
+    """One call of :func:`bake_many` or :func:`sample_many`."""
+
+    def __init__(
+        self,
+        kind: Literal["bake", "sample"],
+        out: Path,
+        options: Mapping[str, Any],
+        executor: Any,
+        on_error: str,
+        resume: bool,
+        limit_s: float | None,
+        workers: int | None,
+        progress: Progress,
+    ) -> None:
+        self.kind, self.out, self.options = kind, out, dict(options)
+        self.executor = executors.checked_executor(executor)
+        self.raises = checks.choice("on_error", on_error, ("record", "raise")) == "raise"
+        self.resume = checks.flag("resume", resume)
+        self.limit_s = None if limit_s is None else checks.number("limit_s", limit_s, above=0)
+        self.workers = None if workers is None else checks.integer("workers", workers, least=1, most=1024)
+        if self.workers is not None and executor is not None:
+            raise ArgumentError("workers: means nothing with an executor, which has its own")
+        self.progress = progress
+        self.options_hash = content.of_options({"kind": kind, **self.options})
+
+    def rows(self, items: Iterable[Any] | Mapping[str, Any]) -> list[dict[str, Any]]:
+        """Bake or sample all items."""
+        named = named_items(items)
+        check_stems([stem for stem, _ in named])
+        self.out.mkdir(parents=True, exist_ok=True)
+        earlier = ledger.read(self.out) if self.resume else {}
+        rows: list[dict[str, Any]] = []
+        assets: list[tuple[int, Asset]] = []
+        first_error: Exception | None = None
+        for index, (stem, item) in enumerate(named):
+            row = self._first_row(stem, item)
+            rows.append(row)
+            last = earlier.get(f"{stem}.npz")
+            start = time.perf_counter()
+            try:
+                found = None if callable(item) and not _is_mesh(item) else content.of_item(item)
+            except Exception as error:  # a file that is missing or broken is the item's own fault
+                row.update(error=_text(error), seconds=time.perf_counter() - start)
+                ledger.append(self.out, row)
+                first_error = first_error or _named(error, row)
+                continue
+            name = f"{stem}.npz"
+            if found is not None and ledger.is_done(self.out, last, name, found, self.options_hash):
+                assert last is not None
+                row.update(status="skipped", seconds=0.0, report=last.get("report"))
+                continue
+            known = last.get("content") if last is not None and found is None else None
+            if not ledger.is_done(self.out, last, name, known, self.options_hash):
+                known = None
+            assets.append((index, Asset(item, row["path"], self.kind, self.options, found, known)))
+        if first_error is not None and self.raises:
+            raise first_error
+        self._work(rows, assets)
+        return rows
+
+    def _first_row(self, stem: str, item: Any) -> dict[str, Any]:
+        label = item if isinstance(item, (str, os.PathLike)) else stem
+        path = os.fspath(self.out / f"{stem}.npz")
+        return {"item": label, "path": path, "status": "failed", "seconds": 0.0, "error": None, "report": None}
+
+    def _work(self, rows: list[dict[str, Any]], assets: list[tuple[int, Asset]]) -> None:
+        if not assets:
+            return
+        done = len(rows) - len(assets)
+        lost: list[tuple[int, Asset]] = []
+        with progress_callback(self.progress, self.kind) as callback:
+            report = _throttled(callback, len(rows))
+            for place, facts, error in self._results(self.executor, [asset for _, asset in assets]):
+                if isinstance(error, BrokenExecutor):
+                    lost.append(assets[place])
+                    continue
+                self._finish(rows[assets[place][0]], facts, error)
+                done += 1
+                report(done)
+            # A pool whose worker was killed takes no more tasks. Children of this process bake the rest.
+            for place, facts, error in self._results(None, [asset for _, asset in lost]):
+                self._finish(rows[lost[place][0]], facts, error)
+                done += 1
+                report(done)
+
+    def _results(self, executor: Any, assets: list[Asset]) -> Iterable[tuple[int, Any, BaseException | None]]:
+        if not assets:
+            return
+        if executor is not None:
+            threads = executors.threads_per_worker(executor)
+            if executors.is_local(executor):
+                threads = max(1, executors.available_cores() // executors.worker_count(executor))
+            tasks = [(asset, self.limit_s, threads) for asset in assets]
+            yield from executors.run_tasks(executor, work, tasks)
+            return
+        cores = executors.available_cores()
+        workers = min(self.workers or cores, len(assets))
+        children: list[Child] = []
+        local = threading.local()
+
+        def here(asset: Asset) -> dict[str, Any]:
+            if not hasattr(local, "child"):
+                local.child = Child(max(1, cores // workers))
+                children.append(local.child)
+            return work_in(local.child, asset, self.limit_s)
+
+        def stop() -> None:
+            for child in children:
+                child.stop()
+
+        with ThreadPoolExecutor(workers, thread_name_prefix="fieldbake") as pool:
+            yield from executors.run_tasks(pool, here, [(asset,) for asset in assets], stop)
+
+    def _finish(self, row: dict[str, Any], facts: dict[str, Any] | None, error: BaseException | None) -> None:
+        if facts is None:
+            assert error is not None
+            row.update(error=_text(error))
+        else:
+            error = facts.pop("exception", None)
+            row.update((key, facts[key]) for key in ("status", "seconds", "error", "report") if key in facts)
+        if row["status"] != "skipped":
+            proof = {
+                "content": None,
+                "bytes": None,
+                **{k: v for k, v in (facts or {}).items() if k in ("content", "bytes")},
+            }
+            ledger.append(self.out, {**row, **proof, "options": self.options_hash})
+        if error is not None and self.raises:
+            raise _named(error, row)
+
+
+def named_items(items: Iterable[Any] | Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """Each item with the stem of its result."""
+    if isinstance(items, (str, os.PathLike)):
+        raise ArgumentError(f"items: must be a list of meshes, got the path {os.fspath(items)!r}; put it in a list")
+    if isinstance(items, Mapping):
+        for stem in items:
+            if not isinstance(stem, str) or not stem or Path(stem).name != stem:
+                raise ArgumentError(f"items: keys are stems of file names, got {checks.describe(stem)}")
+        return list(items.items())
+    named = []
+    for index, item in enumerate(items):
+        name = getattr(item, "__name__", "")
+        if isinstance(item, (str, os.PathLike)):
+            stem = Path(item).stem
+        elif callable(item) and name.isidentifier():
+            stem = name
+        else:
+            stem = f"item-{index:05d}"
+        named.append((stem, item))
+    return named
+
+
+def check_stems(stems: Sequence[str]) -> None:
+    """Raise if two results would have the same name, also where file systems ignore case."""
+    seen: dict[str, int] = {}
+    for index, stem in enumerate(stems):
+        if not stem:
+            raise ArgumentError(f"items[{index}]: has no name for its result")
+        first = seen.setdefault(stem.casefold(), index)
+        if first != index:
+            raise ArgumentError(
+                f"items: number {first} and number {index} would both be written as '{stem}.npz'; rename one, "
+                "or pass a mapping of stems to items"
+            )
+
+
+def _is_mesh(item: Any) -> bool:
+    return hasattr(item, "vertices") or hasattr(item, "geometry")
+
+
+def _throttled(callback: Callable[[float], object] | None, count: int) -> Callable[[int], None]:
+    last = [0.0]
+
+    def report(done: int) -> None:
+        now = time.monotonic()
+        if callback is not None and (done == count or now - last[0] >= INTERVAL):
+            last[0] = now
+            callback(done / count)
+
+    return report
+
+
+def _text(error: BaseException) -> str:
+    if isinstance(error, OSError) and error.strerror:
+        return f"{type(error).__name__}: {error.strerror}" + (f": {error.filename}" if error.filename else "")
+    return f"{type(error).__name__}: {error}"
+
+
+def _named(error: BaseException, row: Mapping[str, Any]) -> Exception:
+    """The error, with the item in its message where that is not there yet."""
+    if not isinstance(error, Exception):
+        return Error(f"{row['item']}: {error}")
+    if isinstance(error, Error) and str(row["item"]) not in str(error):
+        try:
+            return type(error)(f"{row['item']}: {error}")
+        except TypeError:
+            return error
+    return error
+
+
+#: The child of each thread that works on items.
+_local = threading.local()
+
+
+def work(asset: Asset, limit_s: float | None, threads: int | None) -> dict[str, Any]:
+    """Work on an item in the child of this thread of a worker."""
+    if not hasattr(_local, "child"):
+        _local.child = Child(threads)
+    return work_in(_local.child, asset, limit_s)
+
+
+def work_in(child: Child, asset: Asset, limit_s: float | None) -> dict[str, Any]:
+    """Work on an item in a child, or in this process if it cannot be sent there. Errors are part of the result."""
+    start = time.perf_counter()
+    facts: dict[str, Any] = {"status": "failed", "error": None, "report": None, "content": asset.content}
+    try:
+        try:
+            facts |= child.call(process, asset, limit_s=limit_s)
+        except UnsendableError:
+            facts |= process(asset)
+    except Exception as error:  # it belongs to the item
+        facts |= {"error": _text(error), "exception": error}
+    facts["seconds"] = time.perf_counter() - start
+    return facts
+
+
+def process(asset: Asset) -> dict[str, Any]:
+    """Bake or sample an item and write the result."""
+    item = asset.item
+    found = asset.content
+    if found is None:
+        item = as_mesh(item())
+        found = content.of_mesh(item)
+        if found == asset.known:
+            return {"status": "skipped", "content": found}
+    target = Path(asset.target)
+    report = None
+    if asset.kind == "bake":
+        volume = bake(item, **asset.options)
+        volume.save(target)
+        report = volume.report.to_dict()
+    else:
+        samples = sample_training(item, **asset.options)
+        arrays: dict[str, Any] = {name: np.asarray(getattr(samples, name), np.float32) for name in samples._fields}
+        with atomic_write(target) as stream:
+            np.savez(stream, **arrays)
+    return {"status": "done", "content": found, "report": report, "bytes": target.stat().st_size}

@@ -1,0 +1,48 @@
+"""Commands on many meshes: folders, exit status and the names of what failed."""
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import assets
+import fieldbake as fb
+from fieldbake.cli.commands import app
+
+
+def fieldbake(*arguments):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments], prog_name="fieldbake")
+
+
+@pytest.fixture
+def library(tmp_path):
+    return assets.write_boxes(tmp_path / "in", 2)
+
+
+def test_bake_writes_a_folder_and_names_what_failed(library, tmp_path):
+    broken = tmp_path / "in" / "broken.obj"
+    broken.write_text("v 0 0 0\n")
+    result = fieldbake("bake", *library, broken, "-o", tmp_path / "out", "-r", 12, "--jobs", 1)
+
+    assert result.exit_code == 1
+    assert "2 done, 1 failed" in result.stdout
+    assert next(line for line in result.stderr.splitlines() if line).startswith(f"failed: {broken}: MeshError")
+    direct = fb.bake(library[1], 12).distances
+    assert fb.load(tmp_path / "out" / "box_1.npz").distances.tobytes() == direct.tobytes()
+
+    result = fieldbake("bake", *library, "-o", tmp_path / "out", "-r", 12, "--jobs", 1)
+    assert (result.exit_code, "2 skipped" in result.stdout) == (0, True)
+
+
+def test_options_of_folders_need_a_folder(library, tmp_path):
+    assert fieldbake("bake", *library, "-o", tmp_path / "one.npz", "--jobs", 2).exit_code == 2
+    assert fieldbake("bake", *library, "-o", tmp_path / "many", "--sparse").exit_code == 2
+    assert not (tmp_path / "many").exists()
+
+
+def test_sample_writes_training_samples(library, tmp_path):
+    result = fieldbake("sample", *library, "-o", tmp_path / "samples", "-n", 300, "--jobs", 1)
+
+    assert result.exit_code == 0, result.stderr
+    with np.load(tmp_path / "samples" / "box_0.npz") as found:
+        assert found["points"].shape == (300, 3)
+        assert np.abs(found["distances"] - fb.signed_distance(library[0], found["points"])).max() <= 1e-5
