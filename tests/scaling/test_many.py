@@ -122,8 +122,8 @@ def test_equal_stems_and_unknown_options_are_errors_before_any_work(library, tmp
     out = tmp_path / "out"
     with pytest.raises(fb.ArgumentError, match=r"number 0 and number 4.*box_0\.npz"):
         fb.bake_many([*library, *other], out)
-    with pytest.raises(fb.ArgumentError, match="resolutoin: is no option of bake"):
-        fb.bake_many(library, out, resolutoin=3)
+    with pytest.raises(fb.ArgumentError, match="resolutions: is no option of bake"):
+        fb.bake_many(library, out, resolutions=3)
     with pytest.raises(fb.ArgumentError, match="put it in a list"):
         fb.bake_many(os.fspath(library[0]), out)
     with pytest.raises(fb.ArgumentError, match="executor"):
