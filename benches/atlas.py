@@ -1,9 +1,9 @@
-"""Packing and sampling an atlas beside what they are compared with: a plain copy, and the volumes themselves.
+"""Times of packing and sampling an atlas, compared with a plain copy and with sampling the volumes.
 
     python benches/atlas.py [--count 64] [--side 64]
 
-Runs are interleaved, medians are shown: on the clock, and of all cores together, which other work disturbs
-less. A copy writes as many bytes as packing does, into memory that is as new.
+Runs are interleaved and medians are shown: elapsed time, and processor time of all cores, which other programs affect
+less. The copy writes as many bytes as packing does, into newly allocated memory.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import fieldbake as fb
 
 
 def seconds(call) -> tuple[float, float]:
-    """On the clock, and of all cores together."""
+    """Elapsed time and processor time of a call, seconds."""
     start, used = time.perf_counter(), time.process_time()
     call()
     return time.perf_counter() - start, time.process_time() - used
@@ -53,7 +53,7 @@ def main() -> None:
     volumes = [fb.Volume(v, [(-1, -1, -1), (1, 1, 1)]) for v in values]
     page = max(side * side, 64)
 
-    # One core copies in NumPy; packing has all of them.
+    # NumPy copies on one core; packing uses all cores.
     calls = {"plain copy": values.copy}
     for layout in ("strips", "shelves"):
         for encoding in ("float32", "float16", "snorm8"):

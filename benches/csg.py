@@ -1,10 +1,10 @@
-"""Decomposed drawing against marching the whole tree: field evaluations a pixel and time, on the same pictures.
+"""Drawing by parts compared with tracing the whole tree: field evaluations per pixel and time, on the same pictures.
 
     python benches/csg.py [--size 128] [--repeats 5] [--device cpu]
 
-Each row is one model; the two ways are interleaved, and the best of some runs counts. "octree" is the time to split the
-model that way, "auto" what pictures choose by themselves. "/px" are evaluations of a primitive's field, or of where a
-line is in it, by the rays of the pixels, over the pixels of the picture.
+Each row is one model. The two methods are interleaved, and the best of several runs counts. "octree" is the time of the
+decomposition, "auto" the method that pictures choose. "/px" counts evaluations of a primitive's field or chord by the
+rays of the pixels, divided by the number of pixels.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ ARTICLE = "(union (cube 3) (diff (cube 4) (move -2 -2 2 (sphere 5))))"
 
 
 def scattered_leaves(count: int) -> list[tuple[str, np.ndarray, float, np.ndarray]]:
-    """Kind, axis and angle of a turn, and place of some leaves in a cube; about as dense for any count."""
+    """Kind, axis, angle of rotation and position of leaves in a cube; the density hardly depends on the count."""
     random = np.random.default_rng(7)
     kinds = ("sphere", "box", "cylinder")
     return [
@@ -34,7 +34,7 @@ def leaf_size(count: int) -> float:
 
 
 def scattered(count: int) -> fb.Shape:
-    """Balls and blocks about a block, with bars taken away."""
+    """Balls and blocks united with a block, with bars subtracted."""
     size = leaf_size(count)
     makers = {
         "sphere": lambda: fb.sphere(size / 2),
@@ -49,7 +49,7 @@ def scattered(count: int) -> fb.Shape:
 
 
 def best(run, prepare=lambda: None, repeats: int = 3) -> tuple[float, object]:
-    """The best time of some runs, and what came out; `prepare` makes the argument of each, and is not timed."""
+    """Shortest time of several runs, and the result; `prepare` makes the argument of each run and is not timed."""
     times, result = [], None
     for _ in range(repeats):
         argument = prepare()
@@ -60,7 +60,7 @@ def best(run, prepare=lambda: None, repeats: int = 3) -> tuple[float, object]:
 
 
 def fresh(shape: fb.Shape) -> fb.Shape:
-    """The same shape without what it has found out about itself."""
+    """The same shape without its cached results."""
     made = shape.translate((0, 0, 0))
     _ = made.bounds
     return made

@@ -2,8 +2,8 @@
 
     python benches/devices.py [--device gpu] [--resolution 64] mesh ...
 
-Without meshes a knot is baked. Each line names the device; a software adapter says so by its name (llvmpipe,
-SwiftShader) and tells nothing about a GPU.
+Without arguments a knot is baked. Each line names the device. A software adapter (llvmpipe, SwiftShader) does not
+represent a GPU.
 """
 
 from __future__ import annotations

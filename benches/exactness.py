@@ -3,8 +3,8 @@
     python benches/exactness.py                      # every readable file of the mesh folder, 48^3
     python benches/exactness.py --mesh bunny.obj -r 64 --device gpu
 
-Distances come from the small Rust library in `brute/`, which looks at every triangle; exact winding numbers from
-libigl. Sides are judged on closed meshes, where the distance exceeds 1e-6 of the box's diagonal.
+Distances are computed by the small Rust library in `brute/`, which visits every triangle; exact winding numbers by
+libigl. Sides are compared on closed meshes, where the distance exceeds 1e-6 of the box's diagonal.
 """
 
 import argparse
@@ -43,7 +43,7 @@ def distances(brute: ctypes.CDLL, triangles: np.ndarray, points: np.ndarray) -> 
 
 
 def row(brute: ctypes.CDLL, path: Path, resolution: int, device: str) -> str:
-    """A line of the table, or why there is none."""
+    """A line of the table, or the reason why it is missing."""
     import igl
 
     import fieldbake as fb

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-#: Where real models are looked for, besides what a Python package carries.
+#: Folders with real models, in addition to those of Python packages.
 FOLDERS = [Path(os.environ.get("FIELDBAKE_MESHES", "../shared/meshes"))]
 NAMES = ["stanford-bunny", "armadillo", "spot/spot", "dragon"]
 
@@ -27,7 +27,7 @@ def find(names: list[str] | None = None) -> Iterator[tuple[str, np.ndarray, np.n
 
 
 def load(path: Path) -> tuple[str, np.ndarray, np.ndarray]:
-    """One file, its vertices rounded to float32 so that every tool sees the same mesh."""
+    """Load one file, with vertices rounded to float32 so that every tool gets the same mesh."""
     mesh = trimesh.load(path, process=False, force="mesh")
     return path.stem, np.ascontiguousarray(mesh.vertices, np.float32), np.ascontiguousarray(mesh.faces, np.uint32)
 

@@ -72,14 +72,14 @@ class Case:
 
     @property
     def samples(self) -> str:
-        """What is asked, for headings."""
+        """Description of the samples for headings."""
         return f"{self.random_points:,} random points" if self.random_points else f"{self.resolution}^3"
 
 
 #: The values, or a way to collect them that is not the tool's own work and is not timed.
 Run = Callable[[Case], "np.ndarray | Callable[[], np.ndarray]"]
 
-#: What answers without a sign.
+#: Tools that return unsigned distances.
 UNSIGNED = {"FCPW, unsigned", "fieldbake, unsigned"}
 
 
@@ -174,7 +174,7 @@ def parry() -> Run:
 
 
 def openvdb() -> Run:
-    """The narrow band of `openvdb/band.cpp`, built once; a band is a matter of grids."""
+    """The narrow band of `openvdb/band.cpp`, built once. It exists for grids only."""
     folder = HERE / "openvdb"
     built = folder / "target" / "libband.so"
     built.parent.mkdir(exist_ok=True)
@@ -219,7 +219,7 @@ def trimesh_points(case: Case) -> np.ndarray:
 
 
 def peers(names: list[str] | None = None) -> dict[str, Run]:
-    """Every tool that is installed, or those of them that are named; the others are told with the reason."""
+    """All installed tools, or those that are named; missing ones are listed with the reason."""
     wanted: dict[str, Callable[[], Run]] = {
         "fieldbake": lambda: fieldbake,
         "fieldbake, unsigned": lambda: fieldbake_unsigned,
@@ -282,7 +282,7 @@ def judge(case: Case, name: str, values: np.ndarray, exact: np.ndarray, winding:
 
 
 def peak_mib(case: Case, name: str) -> float:
-    """What a tool takes in a process of its own, above the level before it starts."""
+    """Peak memory of a tool in a process of its own, above the level before it starts, MiB."""
     code = "import peers, sys; print(peers.own_peak_mib(sys.stdin.buffer, sys.argv[1], *map(int, sys.argv[2:])))"
     numbers = [str(n) for n in (case.resolution, case.random_points, len(case.vertices))]
     mesh = case.vertices.tobytes() + case.faces.tobytes()
@@ -307,7 +307,7 @@ def own_peak_mib(mesh: Any, name: str, resolution: int, random_points: int, vert
 def measure(case: Case, runs: dict[str, Run], repetitions: int) -> list[dict[str, Any]]:
     """Times and errors of every tool, the runs in turn."""
     if case.random_points:
-        # A band is a matter of grids; trimesh takes a fifth of a millisecond a point.
+        # A band exists for grids only. trimesh takes a fifth of a millisecond per point.
         runs = {name: run for name, run in runs.items() if "band" not in name and name != "trimesh"}
     if len(case.faces) > TRIMESH_FACES:
         runs = {name: run for name, run in runs.items() if name != "trimesh"}
@@ -316,7 +316,7 @@ def measure(case: Case, runs: dict[str, Run], repetitions: int) -> list[dict[str
     cpu: dict[str, list[float]] = {name: [] for name in runs}
     for repetition in range(repetitions):
         for name, run in runs.items():
-            # Once is enough for what takes long.
+            # Long runs are not repeated.
             if repetition and min(seconds[name]) > 20:
                 continue
             wall, busy = time.perf_counter(), time.process_time()
@@ -337,7 +337,7 @@ def measure(case: Case, runs: dict[str, Run], repetitions: int) -> list[dict[str
                 "tool": name,
                 "seconds": median,
                 "nanoseconds": median / count * 1e9,
-                # Per sample, so that a tool that only did some of them compares.
+                # Per sample, so that tools that computed only some samples are comparable.
                 "ratio": (median / count) / (base / len(case.points)),
                 "threads": statistics.median(cpu[name]) / median,
                 "peak_mib": peak_mib(case, name),

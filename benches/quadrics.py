@@ -21,7 +21,7 @@ LOOP = 64
 
 
 def balls(count: int, random: np.random.Generator) -> np.ndarray:
-    """Rows of spheres that fill a cube as densely, whatever their number."""
+    """Rows of spheres that fill a cube, at the same density for any number."""
     rows = np.zeros((count, 24))
     centers = random.uniform(-1, 1, (count, 3))
     radius = 0.6 / count ** (1 / 3)

@@ -3,7 +3,7 @@
     make bench     or     .venv/bin/python benches/queries.py [mesh ...]
 
 Prints a table of nanoseconds per item and ratios (above 1: fieldbake is faster). Times are processor time of all
-threads, the least of several rounds, so other programs on the machine matter little.
+threads, the smallest of several rounds, so other programs affect them little.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def ray_times(mesh: fb.Mesh, scene: Any, kind: str) -> list[float]:
 
 
 def bench(name: str, mesh: fb.Mesh) -> None:
-    """One mesh: a row for each question."""
+    """Measure one mesh: a row for each kind of query."""
     import open3d as o3d
 
     scene = o3d.t.geometry.RaycastingScene()
@@ -90,7 +90,7 @@ def bench(name: str, mesh: fb.Mesh) -> None:
             f"| {name} | {label} | {ours / items * 1e9:,.0f} | {theirs / items * 1e9:,.0f} | {theirs / ours:.2f} |"
         )
 
-    # Trees first.
+    # The trees are built first.
     fb.query(mesh, one), fb.cast_rays(mesh, one, one), scene.compute_signed_distance(one_single)
     row(
         "one point",

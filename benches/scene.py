@@ -2,13 +2,13 @@
 
     python benches/scene.py [--size 640x480] [--instances 200] [--repeat 3]
 
-The loop marches at most 100 steps through every instance in turn (``method="article"``, a hard shadow, as it has no
-other); it is timed on a sixteenth of the pixels. Steps are those in fields, and the instances that were looked at.
+The loop of the article takes at most 100 steps through every instance in turn (``method="article"``, hard shadows
+only). It is timed on a sixteenth of the pixels. Steps count evaluations of fields, and tests of instances.
 
-Embree is Open3D's `test_occlusions` on the triangles of all instances as one soup, asked from the same points; its
-time is that of the rays alone, fieldbake's that of the whole light pass, shading included. A field costs the same
-whatever its triangles and tells how near as well as whether, so the rays are also asked of the same trees with each
-triangle cut in 64.
+Embree is Open3D's `test_occlusions` on the triangles of all instances as one soup, with rays from the same points. Its
+time is that of the rays alone; the time of fieldbake is that of the whole light pass, shading included. The cost of a
+field does not depend on the number of triangles, and a field also returns the clearance. The rays are therefore also
+traced through the same trees with each triangle divided into 64.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ def compare(mesh: fb.Mesh, resolution: int, rounds: int) -> None:
 
 
 def main() -> None:
-    """Compare at the resolutions asked for."""
+    """Compare at the requested resolutions."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("-r", "--resolution", type=int, nargs="*", default=[256, 512])
     parser.add_argument("--rounds", type=int, default=2)

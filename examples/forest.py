@@ -1,4 +1,4 @@
-"""Five hundred trees, two kinds, one field each: instances share what they are made of.
+"""Five hundred trees of two kinds with one field each: instances share meshes and fields.
 
 python examples/forest.py [-o forest.png] [--trees 500]
 """

@@ -2,9 +2,9 @@
 
     python examples/merged_forest.py [merged_forest.png] [--trees 60] [--size 320]
 
-Two fields, a trunk and a crown, stand in many places; the merged field is one grid that knows how far the next of them
-is. What is thinner than its voxels it cannot show: the trunks come with the resolution. In the last picture the trees
-are drawn as they are, and the field of 128 voxels answers their far shadow rays.
+Two fields, a trunk and a crown, have many instances. The merged field is one grid with the distance to the nearest of
+them. It cannot represent details thinner than its voxels, so trunks appear only at high resolutions. In the last
+picture the trees are drawn directly, and the field of 128 voxels is used for their far shadow rays.
 """
 
 from __future__ import annotations

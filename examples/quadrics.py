@@ -3,7 +3,7 @@
     python examples/quadrics.py [quadrics.png] [--size 960x540] [--device auto]
 
 The scene of O. Lawlor, Storing Raytraced Geometry in Textures (2010), with one more kind for each row of the texture.
-Half-opaque things throw half a shadow, and where two of those meet a quarter of the light is left.
+Half-opaque objects cast half a shadow; where two such shadows overlap, a quarter of the light remains.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 import fieldbake as fb
 from fieldbake import Quadric
 
-#: Quadrics stand along z; the world's up is y.
+#: Quadrics have z as their axis; the world's up is y.
 UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 

@@ -1,10 +1,10 @@
-"""One scene of every kind of thing: a mesh, a baked volume, a shape, quadrics, and what throws which shadow on which.
+"""One scene with every kind of object: a mesh, a baked volume, a shape, quadrics, and their shadows on each other.
 
     python examples/still_life.py [still_life.png] [--size 1024x576] [--samples 4] [--device auto]
 
-The gear is triangles; the knot is a field of distances; the die is drawn from its operators; bowls, vase and balls are
-equations in trim spheres. They meet in one depth buffer, and each of them shades the others. Where a shadow ray has
-come far enough, one coarse field that was merged from all of them goes on in their place.
+The gear consists of triangles, the knot is a distance field, the die is drawn from its operators, and bowls, vase and
+balls are equations in trim spheres. They share one depth buffer, and each of them shades the others. Beyond a distance,
+shadow rays use one coarse field merged from all objects.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ GLAZE = Material(specular=0.6, shininess=90)
 
 
 def place(x: float, y: float, z: float, *, scale: float = 1.0, tilt: float = 0.0, turn: float = 0.0) -> np.ndarray:
-    """Stand a thing with z as its axis upright, tilt it to the viewer, turn it about the vertical, and move it."""
+    """Place an object with z as its axis upright, tilt it to the viewer, rotate it about the vertical, and move it."""
     tilt, turn = np.radians(tilt), np.radians(turn)
     upright = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
     back = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])

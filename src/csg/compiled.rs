@@ -152,7 +152,7 @@ impl Needs {
         // Rounding to a few sizes lets shapes share kernels.
         let leaves = self.leaves.clamp(4, MAX_LEAVES).next_multiple_of(4);
         format!(
-            "// What the parts of a shape need.
+            "// Features that the parts of a shape need.
 
 const HAS_CHORDS: bool = {};
 const COMBINES_CHORDS: bool = {};

@@ -1,4 +1,4 @@
-//! Distances by brute force in float64, for `exactness.py`: every point looks at every triangle.
+//! Distances by brute force in float64, for `exactness.py`: every point visits every triangle.
 
 use rayon::prelude::*;
 use std::slice;

@@ -1,0 +1,57 @@
+"""Check comments, docstrings and documents for openings and words that make a sentence hard to understand.
+
+A paragraph of documentation starts with its subject or its verb, not with a fragment that depends on the line before.
+Data are not people, so verbs of speech have no place in it. Tests are not checked.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from itertools import groupby
+
+from check_paths import texts, tracked
+
+#: Openings of a paragraph that has no subject. "What " is one too, except in the headings of documents.
+OPENINGS = ("Of ", "That ", "In place of ", "Who ", "What of ")
+
+#: Words that have a better term in every case.
+WORDS = re.compile(
+    r"\b(asked|asks|told|whom|nobody|whatever|matters|dear|as it stands|fight over|holds back|takes part|who is)\b",
+    re.IGNORECASE,
+)
+
+#: Marks of comments, bullets and docstrings in front of the first word.
+MARKS = re.compile(r'^[\s/!#:*>-]*(?:r?""")?')
+
+
+def paragraphs(name: str) -> list[tuple[int, list[str]]]:
+    """The paragraphs of a file's text, each with the number of its first line."""
+    lines = sorted(dict(texts(name)).items())
+    numbered = [(number, MARKS.sub("", line).strip()) for number, line in lines]
+    filled = [(number, line) for number, line in numbered if line]
+    runs = groupby(enumerate(filled), lambda item: item[1][0] - item[0])
+    blocks = [[entry for _, entry in run] for _, run in runs]
+    return [(block[0][0], [line for _, line in block]) for block in blocks]
+
+
+def main() -> int:
+    """Print each fault; the exit status is 1 if there is one."""
+    faults = 0
+    for name in tracked():
+        if not name.endswith((".md", ".rs", ".wgsl", ".py")) or name.startswith(("tests/", "benches/results/")):
+            continue
+        for first, lines in paragraphs(name):
+            is_riddle = lines[0].startswith(OPENINGS) or (lines[0].startswith("What ") and not name.endswith(".md"))
+            if is_riddle:
+                print(f"{name}:{first}: a paragraph starts with its subject, got {lines[0][:60]!r}")
+                faults += 1
+            for line in lines:
+                for word in WORDS.findall(line):
+                    print(f"{name}:{first}: use a term for {word!r} in {line[:80]!r}")
+                    faults += 1
+    return 1 if faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
