@@ -1,15 +1,16 @@
 //! Far samples of a banded bake: a proven lower bound instead of a search.
 //!
-//! *Theory.* Squared distance less squared position is a concave function of p: it is the least of the functions
-//! |q|^2 - 2 p.q over the surface points q, each linear in p. So between nodes of a coarse grid, with trilinear weights
-//! w_i of the nodes c_i around p,
+//! *Theory.* The squared distance minus the squared position is a concave function of p: it is the minimum of the
+//! functions |q|^2 - 2 p.q over the surface points q, each linear in p. Let c_i be the nodes of a coarse grid around p,
+//! with trilinear weights w_i and exact distances d_i, H the spacing of the nodes, and f the position of p between two
+//! nodes, 0 to 1 along each axis. By Jensen's inequality
 //!
 //! ```text
-//! d(p)^2 >= sum_i w_i d_i^2 - sum_i w_i |c_i - p|^2,   the last sum being sum_axis H^2 f (1 - f),
+//! d(p)^2 >= sum_i w_i d_i^2 - sum_i w_i |c_i - p|^2,   where the last sum is sum over axes of H^2 f (1 - f)
 //! ```
 //!
-//! f the fraction of p between two nodes at spacing H (Jensen's inequality). The bound is exact at the nodes, continuous,
-//! and off by about H^2 / 8d between them. Where it clears the band no search is needed.
+//! The bound is exact at the nodes, continuous, and off by about H^2 / 8d between them. Where it exceeds the band, no
+//! search is needed.
 
 use super::{LocalGrid, coarse_grid, dense};
 use crate::error::Error;
@@ -17,17 +18,17 @@ use crate::mesh::Mesh;
 use crate::progress::Progress;
 use rayon::prelude::*;
 
-/// Voxels between two nodes of the coarse grid.
+/// Distance between neighbouring nodes of the coarse grid, voxels.
 pub(super) const STRIDE: usize = 4;
-/// Room for float32 rounding of the stored squares, relative.
+/// Relative slack for the float32 rounding of the stored squares.
 const SLACK: f64 = 1e-5;
 
-/// What a bake stores for samples beyond the band.
+/// Values that a bake stores for samples beyond the band.
 #[derive(Debug)]
 pub(super) enum Far {
-    /// The distance; there is no band.
+    /// The distance itself; there is no band.
     Exact,
-    /// A lower bound of the distance.
+    /// A lower bound on the distance.
     Bound(Band),
     /// The half width of the band, local units.
     Cut(f64),
@@ -43,7 +44,7 @@ impl Far {
         }
     }
 
-    /// What to store for a distance.
+    /// The value to store for a distance.
     pub fn clip(&self, voxel: [usize; 3], distance: f64) -> f64 {
         match self {
             Self::Exact => distance,
@@ -66,7 +67,7 @@ pub(super) struct Band {
     width: f64,
     nodes: [usize; 3],
     squares: Vec<f32>,
-    /// Squared node spacing on each axis.
+    /// Squared spacing of the nodes along each axis.
     spacing_squared: [f64; 3],
 }
 
@@ -91,12 +92,12 @@ impl Band {
         })
     }
 
-    /// What to store for a distance: itself within the band, a lower bound beyond.
+    /// The value to store for a distance: the distance itself within the band, a lower bound beyond it.
     fn clip(&self, voxel: [usize; 3], distance: f64) -> f64 {
         if distance <= self.width { distance } else { self.lower_bound(voxel).max(self.width) }
     }
 
-    /// A lower bound of the distance at a sample.
+    /// A lower bound on the distance at a sample.
     fn lower_bound(&self, voxel: [usize; 3]) -> f64 {
         let node = voxel.map(|i| i / STRIDE);
         let fraction = voxel.map(|i| (i % STRIDE) as f64 / STRIDE as f64);

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
-/// The tree costs about this much a face while it is built; used to refuse what cannot fit.
+/// Approximate memory of the tree per face while it is built, bytes. Used to refuse requests that do not fit.
 const BUILD_BYTES_PER_FACE: usize = 256;
 
 pub(super) fn bake(mesh: &Mesh, grid: &Grid, options: &BakeOptions, progress: &Progress) -> Result<Bake, Error> {
@@ -71,13 +71,13 @@ pub(super) struct Job<'a> {
 }
 
 impl Job<'_> {
-    /// Unsigned distances, world units. Rules that look at the closest point set the sign here too; returns the number
-    /// of samples they found inside.
+    /// Computes unsigned distances, world units. Rules that use the closest point set the sign here too; returns the
+    /// number of samples that they found inside.
     pub fn distances(&self, out: &mut [f32], far: &Far) -> Result<Counts, Error> {
         if matches!(self.rule, SignRule::Pseudonormal | SignRule::Normal) {
             return self.closest_points(out, far);
         }
-        // The scale is a power of two: the product is exact.
+        // The scale is a power of two, so the product is exact.
         let scale = self.mesh.scale();
         dense::distances(self.mesh.bvh(), &self.local, far.width() as f32, scale as f32, self.progress, out)?;
         if !matches!(far, Far::Exact) {
@@ -95,7 +95,7 @@ impl Job<'_> {
         [x, row % rows, row / rows]
     }
 
-    /// Closest points sample by sample, for the rules that need them.
+    /// Computes closest points sample by sample, for the rules that need them.
     fn closest_points(&self, out: &mut [f32], far: &Far) -> Result<Counts, Error> {
         let nx = self.local.shape()[0];
         let inside = AtomicUsize::new(0);
@@ -116,7 +116,7 @@ impl Job<'_> {
         Ok(Counts { inside: inside.into_inner(), undecided: 0 })
     }
 
-    /// Negate the samples inside, for the rules that need no closest point; the others have done so in
+    /// Negates the samples inside, for the rules that need no closest point. The other rules have done so in
     /// [`Job::distances`], which returned `by_closest`.
     pub fn signs(&self, distances: &mut [f32], by_closest: Counts) -> Result<Counts, Error> {
         let Self { mesh, local, rule, progress } = *self;

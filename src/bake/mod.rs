@@ -1,8 +1,8 @@
-//! Mesh to signed distance grid.
+//! Bake of a mesh: signed distances on a grid.
 //!
-//! Two passes over slabs of the grid: distances, then signs. Every sample's distance is that of the nearest triangle,
-//! found in float32 and evaluated in float64 (see `bvh`), and does not depend on the sign. The work is cut by slabs of
-//! the grid, never by threads, so the same input gives the same bytes on any number of them.
+//! Two passes over slabs of the grid compute distances, then signs. The distance of a sample is that of the nearest
+//! triangle, found in float32 and evaluated in float64 (see `bvh`), and does not depend on the sign. The work is
+//! divided by slabs of the grid, never by threads, so the same input gives the same bytes on any number of threads.
 
 mod band;
 mod brute;
@@ -32,33 +32,34 @@ use crate::volume::device::DeviceField;
 use glam::DVec3;
 use std::sync::Arc;
 
-/// What to bake besides the mesh and the grid.
+/// Options of a bake.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct BakeOptions {
     pub sign: SignMethod,
-    /// Exact within this many voxels of the surface, a lower bound beyond; exact everywhere if absent.
+    /// Half width of the band in which distances are exact, voxels; beyond it they are lower bounds. All are exact if
+    /// absent.
     pub band: Option<f64>,
-    /// Two-sided: the unsigned distance less half this thickness, world units.
+    /// Thickness of a two-sided sheet, world units: the distance is the unsigned distance minus half of it.
     pub thickness: Option<f64>,
 }
 
 /// A finished field.
 #[derive(Debug)]
 pub struct Bake {
-    /// World units, x fastest.
+    /// Distances in world units, x fastest.
     pub distances: Vec<f32>,
     pub report: Report,
 }
 
-/// A finished field that stays where it was made.
+/// A finished field in the memory where it was computed.
 #[derive(Debug)]
 pub enum Field {
-    /// World units, x fastest.
+    /// Distances in world units, x fastest.
     Host(Vec<f32>),
     Device(DeviceField),
 }
 
-/// Bake at a place.
+/// Bakes at a place.
 pub fn bake_at(
     place: &Place,
     mesh: &Mesh,
@@ -74,7 +75,7 @@ pub fn bake_at(
     }
 }
 
-/// Bake on a graphics device, and leave the field there.
+/// Bakes on a graphics device and leaves the field there.
 pub fn bake_on_device(
     context: &Arc<Context>,
     mesh: &Mesh,
@@ -86,7 +87,7 @@ pub fn bake_on_device(
     gpu::bake(context, mesh, grid, options, u64::MAX, progress)
 }
 
-/// Bake on the CPU.
+/// Bakes on the CPU.
 pub fn bake(mesh: &Mesh, grid: &Grid, options: &BakeOptions, progress: &Progress) -> Result<Bake, Error> {
     options.check(mesh, grid)?;
     cpu::bake(mesh, grid, options, progress)
@@ -106,7 +107,8 @@ impl BakeOptions {
         Ok(())
     }
 
-    /// Choose the sign rule and make it ready; and what the report says of mesh and rule. A two-sided sheet has no inside.
+    /// Chooses the sign rule and prepares it. Returns also the report on the mesh and the rule. A two-sided sheet has
+    /// no inside.
     fn choose_sign(&self, mesh: &Mesh) -> (SignChoice, Report) {
         let method = if self.thickness.is_some() { SignMethod::Unsigned } else { self.sign };
         let choice = SignChoice::new(mesh, method);
@@ -116,7 +118,7 @@ impl BakeOptions {
     }
 }
 
-/// The grid in a mesh's local coordinates: sample positions along each axis.
+/// The grid in the local coordinates of a mesh: sample positions along each axis.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LocalGrid {
     pub axes: [Samples; 3],
@@ -133,7 +135,7 @@ impl LocalGrid {
         self.axes.map(|axis| axis.count)
     }
 
-    /// Samples from `low` on, `shape` of them.
+    /// The part of the grid with `shape` samples from `low` on.
     pub fn part(&self, low: [usize; 3], shape: [usize; 3]) -> Self {
         let part = |axis: usize| {
             let whole = self.axes[axis];
@@ -151,7 +153,7 @@ impl LocalGrid {
     }
 }
 
-/// Every `stride`-th sample of a whole grid, and one past its end where the last is not one of them.
+/// Every `stride`-th sample of a whole grid, and one beyond its end if the last sample is not one of them.
 fn coarse_grid(grid: &LocalGrid, stride: usize) -> LocalGrid {
     debug_assert!(grid.axes.iter().all(|axis| axis.start == 0));
     LocalGrid {

@@ -1,4 +1,4 @@
-"""Axes and units of other programs: what they call right, up and forward, and how they scale fields.
+"""Axes and units of other programs: their right, up and forward directions, and their scale of fields.
 
 fieldbake's space is right-handed with y upwards, as that of glTF. Each engine's convention is that of its own glTF or
 model importer, so that a field lies where the imported mesh lies.
@@ -52,7 +52,7 @@ class Convention:
 
     @property
     def is_identity(self) -> bool:
-        """Whether nothing moves."""
+        """Whether the convention is that of the field."""
         return self.order == (0, 1, 2) and min(self.signs) > 0 and not self.normalize
 
     def array(self, samples: NDArray[Any]) -> NDArray[Any]:
@@ -106,7 +106,7 @@ class Convention:
         return matrix
 
     def facts(self, bounds: NDArray[np.float64]) -> dict[str, Any]:
-        """What a file states about its space; empty if that is the field's own."""
+        """Metadata of a file on its space; empty if the space is the field's own."""
         if self.is_identity:
             return {}
         told = {"engine": self.engine, "handedness": self.handedness, "up": self.up, "normalized": self.normalize}
@@ -114,7 +114,7 @@ class Convention:
 
 
 def convention(engine: object, handedness: object, up: object, normalize: object) -> Convention:
-    """The convention that named options ask for; each option replaces what the engine says."""
+    """Make the convention of named options; each option replaces the engine's."""
     hand, upwards, unit = "right", "y", False
     name: str | None = None
     if engine is not None:

@@ -202,7 +202,7 @@ class SparseVolume(GridField):
         return blocks_of_bricks(self._core_field, self.sample, self.origin, self.spacing, band)
 
     def _turned(self, way: Convention) -> _TurnedSparse:
-        """What a writer of level sets reads, in the space of a convention."""
+        """The properties that a writer of level sets reads, in the space of a convention."""
         return _TurnedSparse(self, way)
 
     def _source(self, device: str) -> _core.SparseField:

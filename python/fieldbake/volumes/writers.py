@@ -35,7 +35,7 @@ from ..files.band_blocks import BandBlocks
 from ..files.container import atomic_write, head
 from .conventions import Convention, convention
 
-#: Endings of the files that :func:`write` writes for a dense and for a sparse volume.
+#: Endings of the files that :func:`write` can write for a dense and for a sparse volume.
 ENDINGS = container.ENDINGS["volume"][1:]
 SPARSE_ENDINGS = container.ENDINGS["sparse"][1:]
 
@@ -62,7 +62,7 @@ WRITER = f"fieldbake {_core.__version__}"
 
 
 class Placed(Protocol):
-    """What the writers read of a volume, in the space of the file."""
+    """The properties of a volume that writers read, in the space of the file."""
 
     @property
     def bounds(self) -> NDArray[np.float64]:
