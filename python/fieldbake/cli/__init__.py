@@ -1,6 +1,6 @@
 """The command line."""
 
-from . import libraries, queries  # registers its commands
+from . import files, libraries, pictures, queries  # registers its commands
 from .commands import main
 
-__all__ = ["libraries", "main", "queries"]
+__all__ = ["files", "libraries", "main", "pictures", "queries"]

@@ -6,10 +6,10 @@ Exit codes: 0 for success, 1 for an error in the input (one line on stderr), 2 f
 from __future__ import annotations
 
 import warnings
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 import typer
 from rich.console import Console
 from rich.markup import escape
@@ -18,22 +18,44 @@ from typer.core import TyperGroup
 
 import fieldbake as fb
 
-from ..atlases import images
 from ..atlases.atlas import Language, as_written
-from ..base.encodings import texel_rule
-from ..base.report import bytes_text
-from ..drawing.frame import save_image
-from ..files.container import ENDINGS, atomic_write, check_target, listed
-from ..volumes import writers as textures
-from . import demo as demonstration
+from ..files.container import ENDINGS
+from ..volumes import writers
 from .folders import bake_folder
+from .streams import Clobber, check_output, input_file, is_stream, output_file
+from .tables import atlas_rows, volume_rows
+
+
+class Errors(Console):
+    """Standard error; without progress bars in quiet runs."""
+
+    silent = False
+
+    @property
+    def is_terminal(self) -> bool:
+        """Whether progress is shown."""
+        return super().is_terminal and not self.silent
+
 
 out = Console(highlight=False)
-err = Console(stderr=True, highlight=False)
+err = Errors(stderr=True, highlight=False)
+
+#: Endings of meshes that can be written.
+MESHES = (".stl", ".obj", ".ply", ".glb", ".3mf")
+
+#: Options of every command, which may come before or after its name.
+COMMON = ("-q", "--quiet", "--no-clobber")
 
 
 class Group(TyperGroup):
     """Prints errors in the input as one line, with exit code 1; other exceptions keep their traceback."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Move the options that all commands share to the front."""
+        end = args.index("--") if "--" in args else len(args)
+        common = [arg for arg in args[:end] if arg in COMMON]
+        rest = [arg for arg in args[:end] if arg not in COMMON] + args[end:]
+        return list(super().parse_args(ctx, common + rest))
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command; see the description of the class."""
@@ -50,7 +72,6 @@ class Group(TyperGroup):
 app = typer.Typer(
     cls=Group,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -69,11 +90,19 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def root(
-    version: Annotated[
+    version: Annotated[  # noqa: ARG001 - its callback has done the work
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
     ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Print errors only. May follow the name of a command.")
+    ] = False,
+    no_clobber: Annotated[
+        bool, typer.Option("--no-clobber", help="Do not replace existing files. May follow the name of a command.")
+    ] = False,
 ) -> None:
-    """Options that come before the command."""
+    """Options of every command."""
+    out.quiet = err.silent = quiet
+    Clobber.allowed = not no_clobber
 
 
 def parse_resolution(text: str) -> int | tuple[int, int, int]:
@@ -87,6 +116,17 @@ def parse_resolution(text: str) -> int | tuple[int, int, int]:
     if len(sides) == 3:
         return sides[0], sides[1], sides[2]
     raise typer.BadParameter(f"'{text}' is not a number such as 64, nor three such as 64x48x32")
+
+
+def parse_bounds(text: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """``-1,-1,-1,1,1,1``."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 6:
+        raise typer.BadParameter(f"'{text}' is not six numbers such as -1,-1,-1,1,1,1")
+    return tuple(numbers[:3]), tuple(numbers[3:])
 
 
 def parse_page_size(text: str) -> int | Literal["fit"]:
@@ -134,14 +174,19 @@ Resolution = Annotated[
 @app.command()
 def bake(
     mesh: Annotated[
-        list[Path], typer.Argument(help="Mesh files. Several are baked into one field, or with a folder one by one.")
+        list[Path],
+        typer.Argument(
+            help="Mesh files. Several are baked into one field, or with a folder one by one. - is standard input.",
+            metavar="MESH",
+        ),
     ],
     output: Annotated[
         Path,
         typer.Option(
             "--output",
             "-o",
-            help="The file to write: .npz, .dds, .ktx2 or .nrrd; with --sparse .npz. A folder: one .npz for each mesh.",
+            help=f"The file to write: {', '.join(ENDINGS['volume'])}; with --sparse {', '.join(ENDINGS['sparse'])}. "
+            "A folder: one .npz for each mesh. - is standard output.",
         ),
     ],
     resolution: Resolution = "64",
@@ -163,8 +208,20 @@ def bake(
     sparse: Annotated[bool, typer.Option("--sparse", help="Store bricks around the surface only.")] = False,
     tolerance: Annotated[float, typer.Option(help="Largest error of coarser bricks, voxels; for --sparse.")] = 0.05,
     encoding: Annotated[
-        Literal["float32", "float16", "snorm16", "snorm8"], typer.Option(help="Encoding of the stored samples.")
+        Literal["float32", "float16", "snorm16", "snorm8", "unorm8"],
+        typer.Option(help="Encoding of the stored samples; unorm8 for .dds and .ktx2."),
     ] = "float32",
+    bounds: Annotated[
+        Any,
+        typer.Option(parser=parse_bounds, metavar="X,Y,Z,X,Y,Z", help="Lower and upper corner of the box to sample."),
+    ] = None,
+    engine: Annotated[
+        Literal["unity", "unreal", "godot", "blender", "three"] | None,
+        typer.Option(help="Axes, units and import settings of an engine."),
+    ] = None,
+    mipmaps: Annotated[bool, typer.Option("--mipmaps", help="Add coarser levels to .dds and .ktx2.")] = False,
+    source: Annotated[str | None, typer.Option("--from", help="Kind of the mesh if MESH is -.")] = None,
+    kind: Annotated[str, typer.Option("--to", help="Kind of the output if it is -.")] = "npz",
     jobs: Annotated[
         int | None,
         typer.Option(help="Meshes that are baked at the same time; for a folder. One per core if not given."),
@@ -178,9 +235,13 @@ def bake(
     device: Device = "auto",
 ) -> None:
     """Bake the signed distance field of a mesh into a file, or those of many meshes into a folder."""
-    if not output.suffix or output.is_dir():
+    from .files import check_encoding, save_field
+
+    if not is_stream(output) and (not output.suffix or output.is_dir()):
         if sparse or encoding != "float32":
             raise typer.BadParameter("a folder takes dense float32 fields", param_hint="--sparse, --encoding")
+        if bounds is not None or engine is not None or mipmaps:
+            raise typer.BadParameter("a folder takes .npz files", param_hint="--bounds, --engine, --mipmaps")
         options = {"resolution": resolution, "voxel_size": voxel_size, "margin": margin, "sign": sign, "band": band}
         if voxel_size is not None:
             del options["resolution"]
@@ -189,93 +250,58 @@ def bake(
         return
     if jobs is not None or limit_s is not None or fresh:
         raise typer.BadParameter(f"'{output}' is a file; these options are for a folder", param_hint="--jobs, --limit")
-    _check_output(output, ENDINGS["sparse" if sparse else "volume"])
-    _check_encoding(output, encoding)
-    things: Any = [str(path) for path in mesh] if len(mesh) > 1 else mesh[0]
+    known = ENDINGS["sparse" if sparse else "volume"]
+    check_output(output, known)
+    ending = f".{kind.lstrip('.')}" if is_stream(output) else output.suffix.lower()
+    if ending not in known:
+        raise typer.BadParameter(f"'{kind}' is not one of {', '.join(known)}", param_hint="--to")
+    if not sparse:
+        check_encoding(ending, encoding)
     surface: dict[str, Any] = {
         "voxel_size": voxel_size,
         "margin": margin,
+        "bounds": bounds,
         "sign": sign,
         "two_sided": two_sided,
         "thickness": thickness,
         "progress": err.is_terminal,
     }
-    width = 4.0 if band is None else band
     volume: fb.Volume | fb.SparseVolume
-    if sparse:
-        if device not in ("auto", "cpu"):
-            raise typer.BadParameter("bricks are baked on the CPU", param_hint="--device")
-        volume = fb.bake_sparse(things, resolution, band=width, tolerance=tolerance, encoding=encoding, **surface)
-    else:
-        volume = fb.bake(things, resolution, band=band, device=device, **surface)
-        if encoding != "float32":
-            volume = volume.quantize(encoding, band=width)
-    volume.save(output)
-    show_rows(f"{output}", _volume_rows(volume))
+    with ExitStack() as stack:
+        paths = [stack.enter_context(input_file(path, source)) for path in mesh]
+        target = stack.enter_context(output_file(output, ending))
+        things: Any = [str(path) for path in paths] if len(paths) > 1 else paths[0]
+        if sparse:
+            if device not in ("auto", "cpu"):
+                raise typer.BadParameter("bricks are baked on the CPU", param_hint="--device")
+            if encoding == "unorm8":
+                raise typer.BadParameter("bricks have no unsigned bytes", param_hint="--encoding")
+            bricks: dict[str, Any] = {"tolerance": tolerance, "encoding": encoding, **surface}
+            volume = fb.bake_sparse(things, resolution, band=4.0 if band is None else band, **bricks)
+            volume = save_field(volume, target, None, None, engine, mipmaps=mipmaps)
+        else:
+            volume = fb.bake(things, resolution, band=band, device=device, **surface)
+            wanted = None if encoding == "float32" else encoding
+            is_stored = wanted is not None or ending == ".npz"
+            volume = save_field(volume, target, wanted, band if is_stored else None, engine, mipmaps=mipmaps)
+    if not is_stream(output):
+        show_rows(f"{output}", volume_rows(volume))
 
 
 @app.command()
 def merge(
     scene: Annotated[Path, typer.Argument(help="A glTF or GLB scene, or any mesh file.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The file to write: .npz, .dds, .ktx2 or .nrrd.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help=f"The file to write: {', '.join(ENDINGS['volume'])}.")],
     resolution: Resolution = "128",
     device: Device = "auto",
 ) -> None:
     """Merge all instances of a scene into one field that never exceeds the distance to them."""
-    _check_output(output, ENDINGS["volume"])
+    check_output(output, ENDINGS["volume"])
     is_scene = scene.suffix.lower() in (".gltf", ".glb")
     things = fb.load_scene(scene) if is_scene else [fb.load_mesh(scene)]
     field = fb.merge(things, resolution, device=device, progress=err.is_terminal)
     field.save(output)
-    show_rows(f"{output}", _volume_rows(field))
-
-
-@app.command()
-def info(
-    file: Annotated[Path, typer.Argument(help="A file written by fieldbake, or a mesh.")],
-) -> None:
-    """Describe the contents of a file."""
-    if file.suffix.lower() in (".npz", *textures.ENDINGS, *images.ENDINGS):
-        found = fb.load(file)
-        is_atlas = isinstance(found, fb.Atlas)
-        show_rows(str(file), _atlas_rows(found, file.suffix.lower()) if is_atlas else _volume_rows(found))
-    else:
-        show_rows(str(file), _mesh_rows(fb.load_mesh(file)))
-
-
-@app.command()
-def convert(
-    file: Annotated[Path, typer.Argument(help="A baked field or an atlas, in any format of fieldbake's.")],
-    output: Annotated[Path, typer.Argument(help="The file to write: .npz, .dds, .ktx2, .nrrd, or .exr or .png.")],
-    encoding: Annotated[
-        Literal["float32", "float16", "snorm16", "snorm8"] | None,
-        typer.Option(help="How samples are stored; if not given, as in the file."),
-    ] = None,
-    band: Annotated[float, typer.Option(help="Voxels that snorm encodings keep on each side of the surface.")] = 4.0,
-) -> None:
-    """Write a baked field or an atlas in another format, or in another encoding."""
-    _check_output(output, tuple(dict.fromkeys(ending for kind in ENDINGS.values() for ending in kind)))
-    if encoding is not None:
-        _check_encoding(output, encoding)
-    ending = output.suffix.lower()
-    found = fb.load(file)
-    if isinstance(found, fb.SparseVolume) and (ending in textures.ENDINGS or encoding is not None):
-        found = found.to_volume()
-    if encoding is not None:
-        if not isinstance(found, fb.Volume):
-            raise typer.BadParameter(
-                f"changes volumes only, {file} holds a {type(found).__name__}", param_hint="--encoding"
-            )
-        found = fb.Volume(found.distances, found.bounds, inner_bounds=found.inner_bounds, report=found.report)
-        if encoding != "float32":
-            found = found.quantize(encoding, band=band)
-    found.save(output)
-    if isinstance(found, fb.Atlas):
-        show_rows(str(output), _atlas_rows(as_written(found, ending), ending))
-    elif isinstance(found, (fb.Volume, fb.SparseVolume)):
-        show_rows(str(output), _volume_rows(found))
-    else:
-        out.print(f"[bold]{escape(str(output))}[/]  {escape(repr(found))}", soft_wrap=True)
+    show_rows(f"{output}", volume_rows(field))
 
 
 @app.command()
@@ -308,15 +334,15 @@ def pack(
     device: Device = "auto",
 ) -> None:
     """Pack baked fields and meshes into a texture atlas."""
-    _check_output(output, ENDINGS["atlas"])
+    check_output(output, ENDINGS["atlas"])
     languages: dict[str, Language] = {".wgsl": "wgsl", ".glsl": "glsl", ".hlsl": "hlsl", ".metal": "msl"}
     if shader is not None:
-        _check_output(shader, tuple(languages), "--shader")
+        check_output(shader, tuple(languages), "--shader")
     # The article's strips hold cubes.
     sides = (resolution,) * 3 if layout == "strips" and isinstance(resolution, int) else resolution
     volumes = []
     for file in files:
-        if file.suffix.lower() in (".npz", *textures.ENDINGS):
+        if file.suffix.lower() in (".npz", *writers.ENDINGS):
             volume = fb.load(file)
             if isinstance(volume, fb.SparseVolume):
                 volume = volume.to_volume()
@@ -340,200 +366,7 @@ def pack(
     if shader is not None:
         text = atlas.shader(languages[shader.suffix.lower()], texels="png" if ending == ".png" else "pages")
         shader.write_text(text, encoding="utf-8")
-    show_rows(f"{output}", _atlas_rows(atlas, ending))
-
-
-@app.command()
-def render(
-    file: Annotated[Path, typer.Argument(help="A scene, a mesh, or a baked .npz file.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write: .png, .jpg, ...")],
-    size: Annotated[
-        Any, typer.Option(parser=parse_size, metavar="WxH", help="Size of the picture, pixels.")
-    ] = "640x480",
-    resolution: Resolution = "64",
-    eye: Annotated[Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Position of the camera.")] = None,
-    target: Annotated[
-        Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Point in the middle of the picture.")
-    ] = None,
-    up: Annotated[
-        Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Direction that points upwards in the picture.")
-    ] = "0,1,0",
-    fov: Annotated[float, typer.Option(help="Vertical field of view, degrees.")] = 45.0,
-    color: Annotated[
-        Any, typer.Option(parser=parse_vector, metavar="R,G,B", help="Colour of all surfaces, linear RGB from 0 to 1.")
-    ] = None,
-    shadows: Annotated[
-        Literal["soft", "hard", "none", "area"],
-        typer.Option(help="Kind of shadows; area is slow, and the reference for soft."),
-    ] = "soft",
-    primary: Annotated[
-        Literal["auto", "raster", "raymarch"],
-        typer.Option(help="auto: meshes are rasterised, fields marched; raster: meshes only; raymarch: fields only."),
-    ] = "auto",
-    occlusion: Annotated[bool, typer.Option("--occlusion", help="Add ambient occlusion.")] = False,
-    samples: Annotated[int, typer.Option(help="Colour samples per pixel for smooth edges: 1, 4, 9, 16, ...")] = 1,
-    light: Annotated[
-        list[Any] | None,
-        typer.Option(
-            parser=parse_vector,
-            metavar="X,Y,Z",
-            help="Direction in which a sun shines; replaces the lights of the file. May be repeated.",
-        ),
-    ] = None,
-    angle: Annotated[
-        float, typer.Option(help="Angular diameter of --light, degrees. Larger values give softer shadows.")
-    ] = 2.0,
-    floor: Annotated[bool, typer.Option("--floor", help="Add a floor below the scene.")] = False,
-    heatmap: Annotated[
-        Literal["steps", "depth", "shadow"] | None, typer.Option(help="Show this quantity instead of colours.")
-    ] = None,
-    device: Device = "auto",
-) -> None:
-    """Draw a scene: a glTF or any mesh file with its textures, cameras and lights, or a baked field."""
-    if target is not None and eye is None:
-        raise typer.BadParameter("needs --eye", param_hint="--target")
-    scene = _scene(file, resolution, color, light, angle, floor)
-    camera = None
-    if eye is not None:
-        camera = fb.Camera(eye, scene.bounds.mean(axis=0) if target is None else target, up, fov)
-    elif not scene.cameras:
-        things = scene.instances[:-1] if floor else scene.instances
-        boxes = np.stack([instance.bounds for instance in things])
-        bounds = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
-        camera = fb.Camera.fit(bounds, up=up, fov_deg=fov, aspect=size[0] / size[1])
-    frame = fb.render(
-        scene,
-        camera,
-        size=size,
-        primary=primary,
-        shadows=shadows,
-        ambient_occlusion=occlusion,
-        samples=samples,
-        device=device,
-        progress=err.is_terminal,
-    )
-    if heatmap is None:
-        frame.save(output)
-    else:
-        save_image(frame.heatmap(heatmap), output)
-    out.print(f"[bold]{escape(str(output))}[/]  {escape(repr(frame))}", soft_wrap=True)
-
-
-def _scene(
-    file: Path,
-    resolution: Any,
-    color: tuple[float, float, float] | None,
-    light: list[Any] | None,
-    angle: float,
-    floor: bool,
-) -> fb.Scene:
-    """Build the scene that `render` draws."""
-    material = None if color is None else fb.Material(color=color)
-    lights = None if not light else [fb.DirectionalLight(way, angle_deg=angle) for way in light]
-    if file.suffix.lower() == ".npz":
-        scene = fb.Scene([fb.Instance(fb.load(file), material=material)])
-    else:
-        voxels = resolution if isinstance(resolution, int) else max(resolution)
-        scene = fb.load_scene(file, resolution=voxels)
-    instances = [
-        item if material is None else fb.Instance(item.thing, item.transform, material, resolution=item.resolution)
-        for item in scene.instances
-    ]
-    if floor:
-        lower, upper = scene.bounds
-        middle, reach = (lower + upper) / 2, 1.5 * float(np.linalg.norm(upper - lower))
-        corners = [
-            (middle[0] + x * reach, lower[1], middle[2] + z * reach) for x, z in ((-1, -1), (1, -1), (1, 1), (-1, 1))
-        ]
-        instances.append(fb.Instance(fb.Mesh(corners, [(0, 2, 1), (0, 3, 2)])))
-    return fb.Scene(instances, scene.lights if lights is None else lights, cameras=scene.cameras)
-
-
-@app.command()
-def csg(
-    model: Annotated[Path, typer.Argument(help="A text file with one s-expression.")],
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", help="The file to write: a picture, .npz (a baked field) or .stl (a mesh)."),
-    ],
-    size: Annotated[
-        Any, typer.Option(parser=parse_size, metavar="WxH", help="Size of the picture, pixels.")
-    ] = "640x480",
-    resolution: Resolution = "128",
-    method: Annotated[
-        Literal["auto", "whole", "aabb", "octree"],
-        typer.Option(help="Method of drawing; all methods give the same picture."),
-    ] = "auto",
-    direction: Annotated[
-        Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Viewing direction of the camera.")
-    ] = "-0.6,0.8,-0.6",
-    parts: Annotated[bool, typer.Option("--parts", help="List the parts of the decomposition.")] = False,
-    device: Device = "auto",
-) -> None:
-    """Draw, bake or mesh a shape from its s-expression. The z axis points upwards in pictures."""
-    shape = fb.csg.parse(model.read_text(encoding="utf-8"))
-    if parts:
-        found = fb.csg.decompose(shape, "aabb" if method == "aabb" else "octree")
-        table = Table("boxes", "part", title=f"{len(found)} parts, {found.structures} structures", title_justify="left")
-        for part in found:
-            table.add_row(str(len(part.boxes)), escape(repr(part.shape)))
-        out.print(table)
-    suffix = output.suffix.lower()
-    if suffix in (".npz", ".stl"):
-        volume = fb.bake(shape, resolution, device=device, progress=err.is_terminal)
-        if suffix == ".npz":
-            volume.save(output)
-        else:
-            mesh = volume.to_mesh().to_trimesh()
-            with atomic_write(output) as stream:
-                mesh.export(stream, file_type="stl")
-        out.print(f"[bold]{escape(str(output))}[/]  {escape(repr(volume))}", soft_wrap=True)
-        return
-    camera = fb.Camera.fit(shape.bounds, direction=direction, up=(0, 0, 1), aspect=size[0] / size[1])
-    frame = fb.raymarch(shape, camera, size=size, method=method, device=device, progress=err.is_terminal)
-    frame.save(output)
-    out.print(f"[bold]{escape(str(output))}[/]  {escape(repr(frame))}", soft_wrap=True)
-
-
-@app.command()
-def devices() -> None:
-    """List the compute devices."""
-    table = Table("name", "backend", "type", "hardware")
-    for device in fb.devices():
-        table.add_row(escape(device.name), device.backend, device.type, "yes" if device.hardware else "no")
-    out.print(table)
-
-
-@app.command()
-def demo(
-    mesh: Annotated[
-        list[Path] | None, typer.Argument(help="Mesh files; the default is two models made in code.")
-    ] = None,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the files that the demo writes.")] = Path(
-        "out"
-    ),
-    resolution: Annotated[int, typer.Option("--resolution", "-r", help="Voxels along the longest side.")] = 128,
-) -> None:
-    """Bake, save, load and draw meshes; write pictures and print the steps."""
-    demonstration.run(
-        output,
-        [str(path) for path in mesh or []],
-        resolution=resolution,
-        progress=err.is_terminal,
-        tell=lambda line: out.print(escape(line), soft_wrap=True),
-    )
-
-
-def _check_output(output: Path, endings: tuple[str, ...], option: str = "--output") -> None:
-    """Fail before any work if the output could not be written at its end."""
-    if output.suffix.lower() not in endings:
-        raise typer.BadParameter(f"'{output}' must end in {listed(endings)}", param_hint=option)
-    check_target(output)
-
-
-def _check_encoding(output: Path, encoding: str) -> None:
-    if output.suffix.lower() == ".nrrd" and encoding != "float32":
-        raise typer.BadParameter(f".nrrd files hold float32, got {encoding}", param_hint="--encoding")
+    show_rows(f"{output}", atlas_rows(atlas, ending))
 
 
 def show_rows(title: str, rows: list[tuple[str, str]]) -> None:
@@ -544,65 +377,6 @@ def show_rows(title: str, rows: list[tuple[str, str]]) -> None:
     for label, text in rows:
         table.add_row(label, escape(text), style="yellow" if label == "warning" else None)
     out.print(table)
-
-
-def _box_text(bounds: Any) -> str:
-    lower, upper = ("(" + ", ".join(f"{x:.5g}" for x in corner) + ")" for corner in bounds)
-    return f"{lower} to {upper}"
-
-
-def _volume_rows(volume: fb.Volume | fb.SparseVolume) -> list[tuple[str, str]]:
-    nx, ny, nz = volume.resolution
-    size = bytes_text(volume.nbytes)
-    if isinstance(volume, fb.Volume):
-        stored = f"{size} as {volume.encoding}" if isinstance(volume, fb.QuantizedVolume) else size
-        low, high = float(volume.distances.min()), float(volume.distances.max())
-        contents = [("distances", f"{low:.5g} to {high:.5g}")]
-    else:
-        stored = f"{size} as {volume.encoding}, {volume.nbytes / (4 * nx * ny * nz):.1%} of a dense volume"
-        counts = volume.brick_counts.items()
-        contents = [
-            ("bricks", ", ".join(f"{count:,} with cells of {side}" for side, count in counts if count) or "none"),
-            ("band", f"{volume.band:.5g}"),
-        ]
-    rows = [
-        ("voxels", f"{nx} x {ny} x {nz}, {stored}"),
-        ("voxel size", " x ".join(f"{side:.5g}" for side in volume.spacing)),
-        ("box", _box_text(volume.bounds)),
-        ("surface box", _box_text(volume.inner_bounds)),
-        *contents,
-    ]
-    return rows + (volume.report.rows() if volume.report.sign_method else [])
-
-
-def _atlas_rows(atlas: fb.Atlas, ending: str) -> list[tuple[str, str]]:
-    count, size = len(atlas.pages), atlas.page_size
-    rule = texel_rule(ending, atlas.encoding)
-    rows = [
-        ("pages", f"{count} of {size} x {size} {atlas.encoding}, {bytes_text(atlas.nbytes)}, {atlas.fill:.0%} full"),
-        ("texels", f"{rule['texel']}, {rule['decode']}"),
-        ("layout", atlas.layout if atlas.layout == "strips" else f"{atlas.layout}, gutter {atlas.gutter}"),
-    ]
-    for i in atlas.indices:
-        entry = atlas.entries[i]
-        shape = " x ".join(map(str, atlas.resolution(i)))
-        place = f"page {entry['atlas_index']}, offset {entry['atlas_offset']}"
-        rows.append((f"volume {i}", f"{shape} voxels, {place}"))
-    return rows
-
-
-def _mesh_rows(mesh: fb.Mesh) -> list[tuple[str, str]]:
-    rows = [
-        ("vertices", f"{len(mesh.vertices):,}"),
-        ("faces", f"{len(mesh.faces):,}"),
-        ("box", _box_text(mesh.bounds)),
-        ("memory", bytes_text(mesh.nbytes)),
-    ]
-    facts = mesh.topology()
-    rows.append(("closed", "yes" if facts.pop("closed") else "no"))
-    rows += [(name.replace("_", " "), f"{count:,}") for name, count in facts.items()]
-    rows += [("part", f"{part.name or '-'}: {len(part.faces):,} faces, {part.alpha_mode}") for part in mesh.parts]
-    return rows
 
 
 def main() -> None:

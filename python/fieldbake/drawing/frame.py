@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..base import checks
 from ..base.errors import FormatError
-from ..files.container import atomic_write
+from ..files.container import atomic_write, check_target
 
 Quantity = Literal["steps", "depth", "shadow"]
 
@@ -142,15 +142,26 @@ def srgb_from_linear(linear: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.where(cut <= 0.0031308, 12.92 * cut, 1.055 * np.power(cut, 1 / 2.4) - 0.055).astype(np.float32)
 
 
+def check_picture(target: Path) -> str:
+    """The kind of picture that the ending of a file names, if it and its folder can be written."""
+    from PIL import Image
+
+    kind = Image.registered_extensions().get(target.suffix.lower())
+    if kind is None or kind not in Image.SAVE:
+        raise FormatError(
+            f"{target}: cannot write a picture ending in '{target.suffix}'; use .png, .jpg, .webp, .tiff or .bmp"
+        )
+    check_target(target)
+    return kind
+
+
 def save_image(pixels: NDArray[np.uint8], path: str | os.PathLike[str]) -> None:
     """Write sRGB bytes (h, w, 3 or 4). The file is either complete or not there."""
     from PIL import Image
 
     target = Path(path)
     suffix = target.suffix.lower()
-    kind = Image.registered_extensions().get(suffix)
-    if kind is None or kind not in Image.SAVE:
-        raise FormatError(f"{path}: cannot write a picture ending in '{target.suffix}'; use .png")
+    kind = check_picture(target)
     image = Image.fromarray(pixels)
     if suffix in WITHOUT_ALPHA:
         image = image.convert("RGB")

@@ -255,8 +255,10 @@ def _read_file(path: str | os.PathLike[str], take: Callable[[Any, Document | Non
     except MeshError:
         raise
     except NotImplementedError as error:
-        known = ", ".join(sorted(trimesh.available_formats()))
-        raise MeshError(f"{path}: unknown kind of file '{file.suffix}'; readable here: {known}") from error
+        raise MeshError(
+            f"{path}: unknown kind of file '{file.suffix}'; meshes are read from .obj, .ply, .stl, .off, .glb, .gltf, "
+            ".3mf, .dae and others that trimesh reads"
+        ) from error
     except Exception as error:  # Readers of damaged files raise exceptions of any type.
         reason = str(error) or type(error).__name__
         raise MeshError(f"{path}: cannot be read as a mesh ({file.suffix.lstrip('.').upper()}): {reason}") from error

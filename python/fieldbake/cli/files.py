@@ -1,0 +1,143 @@
+"""The commands ``info`` and ``convert``: what files hold, and the same in another format."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+import fieldbake as fb
+
+from ..atlases import images
+from ..atlases.atlas import as_written
+from ..files.container import ENDINGS
+from ..volumes import writers
+from .commands import MESHES, app, show_rows
+from .streams import check_output, input_file, is_stream, output_file
+from .tables import facts_of, rows_of
+
+#: Endings of all fields and atlases.
+FIELDS = tuple(dict.fromkeys(ending for kind in ENDINGS.values() for ending in kind))
+
+Encoding = Literal["float32", "float16", "snorm16", "snorm8", "unorm8"]
+Engine = Annotated[
+    Literal["unity", "unreal", "godot", "blender", "three"] | None,
+    typer.Option(help="Axes, units and import settings of an engine."),
+]
+Band = Annotated[
+    float | None,
+    typer.Option(
+        help="Voxels on each side of the surface: those that snorm and unorm encodings keep (4), and the half width of "
+        "the narrow band of .vdb and .nvdb (3)."
+    ),
+]
+Mipmaps = Annotated[bool, typer.Option("--mipmaps", help="Add coarser levels to .dds and .ktx2.")]
+
+
+@app.command()
+def info(
+    files: Annotated[list[Path], typer.Argument(help="Files written by fieldbake, grids, or meshes.", metavar="FILE")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object per file.")] = False,
+    kind: Annotated[str | None, typer.Option("--from", help="Kind of the file if FILE is -.")] = None,
+) -> None:
+    """Describe the contents of files."""
+    for path in files:
+        with input_file(path, kind) as file:
+            found = _load(file)
+            if as_json:
+                typer.echo(json.dumps({"file": str(path), **facts_of(found)}))
+            else:
+                show_rows(str(path), rows_of(found, file.suffix.lower()))
+
+
+@app.command()
+def convert(
+    file: Annotated[Path, typer.Argument(help="A baked field, a grid, an atlas or a mesh; - reads standard input.")],
+    output: Annotated[
+        Path, typer.Argument(help=f"The file to write: {', '.join((*FIELDS, *MESHES))}; - writes standard output.")
+    ],
+    encoding: Annotated[
+        Encoding | None, typer.Option(help="Encoding of the samples; the default is that of the file.")
+    ] = None,
+    band: Band = None,
+    engine: Engine = None,
+    mipmaps: Mipmaps = False,
+    source: Annotated[str | None, typer.Option("--from", help="Kind of the input if it is -.")] = None,
+    kind: Annotated[str, typer.Option("--to", help="Kind of the output if it is -.")] = "npz",
+) -> None:
+    """Write a field, an atlas or a mesh in another format; a field becomes a mesh as its zero surface."""
+    check_output(output, (*FIELDS, *MESHES), "OUTPUT")
+    ending = f".{kind.lstrip('.')}" if is_stream(output) else output.suffix.lower()
+    if ending not in (*FIELDS, *MESHES):
+        raise typer.BadParameter(f"'{kind}' is not one of {', '.join((*FIELDS, *MESHES))}", param_hint="--to")
+    if encoding is not None:
+        check_encoding(ending, encoding)
+    with input_file(file, source) as path, output_file(output, ending) as target:
+        found = _load(path)
+        if isinstance(found, fb.Mesh):
+            if ending not in MESHES:
+                raise fb.FormatError(
+                    f"{file}: is a mesh and not a fieldbake file; `fieldbake bake` makes a field of it"
+                )
+            found.save(target)
+        elif ending in MESHES:
+            if not isinstance(found, (fb.Volume, fb.SparseVolume)):
+                raise fb.FormatError(f"{file}: holds a {type(found).__name__}, which has no single surface")
+            found.to_mesh().save(target)
+        elif isinstance(found, (fb.Volume, fb.SparseVolume)):
+            found = save_field(found, target, encoding, band, engine, mipmaps=mipmaps)
+        else:
+            if encoding is not None or engine is not None:
+                raise typer.BadParameter(
+                    f"changes volumes only, {file} holds a {type(found).__name__}",
+                    param_hint="--engine" if encoding is None else "--encoding",
+                )
+            found.save(target)
+    if not is_stream(output):
+        written = as_written(found, ending) if isinstance(found, fb.Atlas) else found
+        show_rows(str(output), rows_of(written, ending))
+
+
+def save_field(
+    field: fb.Volume | fb.SparseVolume,
+    target: Path,
+    encoding: str | None,
+    band: float | None,
+    engine: Any,
+    *,
+    mipmaps: bool,
+) -> fb.Volume | fb.SparseVolume:
+    """Save a field in the encoding that is wanted, and return what the file holds."""
+    ending = target.suffix.lower()
+    options: dict[str, Any] = {"engine": engine} if engine is not None else {}
+    if isinstance(field, fb.SparseVolume):
+        as_bricks = ending in writers.SPARSE_ENDINGS or (ending == ".npz" and encoding is None and engine is None)
+        if as_bricks:
+            if ending in writers.SPARSE_ENDINGS:
+                options |= {"band": band, "encoding": encoding}
+            field.save(target, **options)
+            return field
+        field = field.to_volume()
+    if encoding is not None and ending == ".npz":
+        field = fb.Volume(field.distances, field.bounds, inner_bounds=field.inner_bounds, report=field.report)
+        if encoding != "float32":
+            field = field.quantize(encoding, band=4 if band is None else band)  # type: ignore[arg-type]
+        encoding = None
+    elif ending != ".npz":
+        options |= {"band": band, "mipmaps": mipmaps}
+    field.save(target, encoding=encoding, **options)
+    return field
+
+
+def check_encoding(ending: str, encoding: str) -> None:
+    """Fail before any work if files with this ending do not have the encoding."""
+    known = writers.ENCODINGS.get(ending, ("float32", "float16", "snorm16", "snorm8"))
+    if encoding not in known:
+        raise typer.BadParameter(f"{ending} files hold {', '.join(known)}, got {encoding}", param_hint="--encoding")
+
+
+def _load(path: Path) -> Any:
+    is_ours = path.suffix.lower() in (".npz", *writers.ENDINGS, *images.ENDINGS)
+    return fb.load(path) if is_ours else fb.load_mesh(path)

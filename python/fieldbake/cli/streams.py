@@ -1,0 +1,100 @@
+"""Standard input and output in place of files, and the checks of outputs before any work.
+
+Readers and writers need the name of a file, so the bytes pass through a temporary one. The kind of the input follows
+from its first bytes, or from ``--from``.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import typer
+
+import fieldbake as fb
+
+from ..files.container import check_target, listed
+
+#: First bytes of files, and the endings of their names.
+_SIGNATURES = (
+    (b" BDV\0\0\0\0", ".vdb"),
+    (b"NanoVDB", ".nvdb"),
+    (b"\xabKTX 20", ".ktx2"),
+    (b"VF_", ".vf"),
+    (b"NRRD", ".nrrd"),
+    (b"PK\x03\x04", ".npz"),
+    (b"glTF", ".glb"),
+    (b"ply", ".ply"),
+    (b"OFF", ".off"),
+    (b"solid ", ".stl"),
+    (b"<?xml", ".vti"),
+    (b"<VTKFile", ".vti"),
+    (b"v ", ".obj"),
+    (b"# ", ".obj"),
+)
+
+
+class Clobber:
+    """Whether outputs may replace files that exist."""
+
+    allowed = True
+
+
+def is_stream(path: Path) -> bool:
+    """Whether a path is the dash that names standard input or output."""
+    return str(path) == "-"
+
+
+def check_output(output: Path, endings: tuple[str, ...], option: str = "--output") -> None:
+    """Fail before any work if the output could not be written at its end."""
+    if is_stream(output):
+        return
+    if output.suffix.lower() not in endings:
+        raise typer.BadParameter(f"'{output}' must end in {listed(endings)}", param_hint=option)
+    check_target(output)
+    check_clobber(output)
+
+
+def check_clobber(output: Path) -> None:
+    """Fail if the output exists and --no-clobber is given."""
+    if not Clobber.allowed and output.exists():
+        raise FileExistsError(17, "exists, and --no-clobber is given", str(output))
+
+
+@contextmanager
+def input_file(path: Path, kind: str | None) -> Iterator[Path]:
+    """A file to read: `path`, or what standard input holds if that is a dash."""
+    if not is_stream(path):
+        yield path
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        raw = Path(folder) / "input"
+        with raw.open("wb") as stream:
+            shutil.copyfileobj(sys.stdin.buffer, stream)
+        with raw.open("rb") as stream:
+            first = stream.read(16)
+        found = next((ending for signature, ending in _SIGNATURES if first.startswith(signature)), None)
+        ending = f".{kind.lstrip('.')}" if kind else found
+        if ending is None:
+            raise fb.FormatError("-: the kind of the input is not known from its first bytes; name it with --from")
+        named = raw.with_name(f"standard input{ending}")
+        raw.rename(named)
+        yield named
+
+
+@contextmanager
+def output_file(path: Path, kind: str) -> Iterator[Path]:
+    """A file to write: `path`, or one that goes to standard output if that is a dash."""
+    if not is_stream(path):
+        yield path
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / f"output.{kind.lstrip('.')}"
+        yield target
+        with target.open("rb") as stream:
+            shutil.copyfileobj(stream, sys.stdout.buffer)
+        sys.stdout.buffer.flush()
