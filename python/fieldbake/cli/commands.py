@@ -176,7 +176,7 @@ def bake(
     mesh: Annotated[
         list[Path],
         typer.Argument(
-            help="Mesh files. Several are baked into one field, or with a folder one by one. - is standard input.",
+            help="Mesh files. Several files become one field; with a folder as output, each becomes its own. - reads standard input.",
             metavar="MESH",
         ),
     ],
@@ -193,8 +193,8 @@ def bake(
     voxel_size: Annotated[
         float | None, typer.Option(help="Side of a cubic voxel, world units; replaces --resolution.")
     ] = None,
-    margin: Annotated[float, typer.Option(help="Margin around the mesh, as a share of its box.")] = 0.1,
-    sign: Annotated[Sign, typer.Option(help="Method that tells inside from outside.")] = "auto",
+    margin: Annotated[float, typer.Option(help="Margin around the mesh, as a fraction of its box.")] = 0.1,
+    sign: Annotated[Sign, typer.Option(help="Method that decides between inside and outside.")] = "auto",
     band: Annotated[
         float | None,
         typer.Option(help="Distances are exact within this many voxels of the surface, and lower bounds beyond."),
@@ -224,13 +224,13 @@ def bake(
     kind: Annotated[str, typer.Option("--to", help="Kind of the output if it is -.")] = "npz",
     jobs: Annotated[
         int | None,
-        typer.Option(help="Meshes that are baked at the same time; for a folder. One per core if not given."),
+        typer.Option(help="Number of meshes baked at the same time; for a folder. The default is one per core."),
     ] = None,
     limit_s: Annotated[
-        float | None, typer.Option("--limit", help="Seconds after which a mesh is given up; for a folder.")
+        float | None, typer.Option("--limit", help="Time limit for each mesh, seconds; for a folder.")
     ] = None,
     fresh: Annotated[
-        bool, typer.Option("--fresh", help="Bake meshes again whose results are up to date; for a folder.")
+        bool, typer.Option("--fresh", help="Bake all meshes again, even if their results are up to date; for a folder.")
     ] = False,
     device: Device = "auto",
 ) -> None:
@@ -318,16 +318,16 @@ def pack(
     page_size: Annotated[
         Any,
         typer.Option(
-            parser=parse_page_size, metavar="N|fit", help="Width and height of a page, texels; fit: as needed."
+            parser=parse_page_size,
+            metavar="N|fit",
+            help="Width and height of a page, texels; fit: the smallest power of two that holds all volumes.",
         ),
     ] = "4096",
     gutter: Annotated[int, typer.Option(help="Width of the copied border around each slice, texels.")] = 1,
     encoding: Annotated[
         Literal["float32", "float16", "snorm16", "snorm8"], typer.Option(help="Encoding of the stored distances.")
     ] = "float32",
-    band: Annotated[
-        float, typer.Option(help="Distance that snorm encodings keep on each side of the surface, voxels.")
-    ] = 4.0,
+    band: Annotated[float, typer.Option(help="Half width of the band that snorm encodings represent, voxels.")] = 4.0,
     shader: Annotated[
         Path | None, typer.Option(help="File for the sampling functions: .wgsl, .glsl, .hlsl or .metal.")
     ] = None,

@@ -29,7 +29,7 @@ Engine = Annotated[
 Band = Annotated[
     float | None,
     typer.Option(
-        help="Voxels on each side of the surface: those that snorm and unorm encodings keep (4), and the half width of "
+        help="Half width of a band around the surface, voxels: of snorm and unorm encodings (4), and of "
         "the narrow band of .vdb and .nvdb (3)."
     ),
 ]
@@ -109,7 +109,7 @@ def save_field(
     *,
     mipmaps: bool,
 ) -> fb.Volume | fb.SparseVolume:
-    """Save a field in the encoding that is wanted, and return what the file holds."""
+    """Save a field in the requested encoding, and return the field as the file stores it."""
     ending = target.suffix.lower()
     options: dict[str, Any] = {"engine": engine} if engine is not None else {}
     if isinstance(field, fb.SparseVolume):

@@ -16,14 +16,18 @@ from .folders import finish
 def sample(
     mesh: Annotated[list[Path], typer.Argument(help="Mesh files.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for one .npz for each mesh.")],
-    count: Annotated[int, typer.Option("--count", "-n", help="Points for each mesh.")] = 500_000,
-    uniform: Annotated[float, typer.Option(help="Share of the points that are uniform in the box.")] = 0.1,
+    count: Annotated[int, typer.Option("--count", "-n", help="Number of points for each mesh.")] = 500_000,
+    uniform: Annotated[
+        float, typer.Option(help="Fraction of the points that are uniform in the box; the others are near the surface.")
+    ] = 0.1,
     seed: Annotated[int, typer.Option(help="Seed of the random numbers.")] = 0,
     jobs: Annotated[
-        int | None, typer.Option(help="Meshes that are sampled at the same time. One per core if not given.")
+        int | None, typer.Option(help="Number of meshes sampled at the same time. The default is one per core.")
     ] = None,
-    limit_s: Annotated[float | None, typer.Option("--limit", help="Seconds after which a mesh is given up.")] = None,
-    fresh: Annotated[bool, typer.Option("--fresh", help="Sample meshes again whose results are up to date.")] = False,
+    limit_s: Annotated[float | None, typer.Option("--limit", help="Time limit for each mesh, seconds.")] = None,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Sample all meshes again, even if their results are up to date.")
+    ] = False,
 ) -> None:
     """Write training samples of many meshes: points, signed distances and gradients, float32."""
     options: dict[str, Any] = {"n": count, "uniform": uniform, "seed": seed}

@@ -35,7 +35,7 @@ def query(
     mesh: Annotated[Path, typer.Argument(help="A mesh file.")],
     points: Annotated[Path, typer.Argument(help="Points: .npy (n, 3), .csv, .xyz or .ply.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The .npy or .csv file to write.")],
-    sign: Annotated[Sign, typer.Option(help="How to tell inside from outside.")] = "auto",
+    sign: Annotated[Sign, typer.Option(help="Method that decides between inside and outside.")] = "auto",
     device: Device = "auto",
 ) -> None:
     """Write signed distance, gradient, closest point, face and weights of every point."""
@@ -98,7 +98,7 @@ def check(
     meshes: Annotated[list[Path], typer.Argument(help="Mesh files.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object per file.")] = False,
 ) -> None:
-    """Say whether meshes are closed, oriented and free of self-intersections, and how thin they are."""
+    """Report whether meshes are closed, oriented and free of self-intersections, and how thin they are."""
     for path in meshes:
         facts = facts_of(fb.load_mesh(path))
         if as_json:

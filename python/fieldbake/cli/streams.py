@@ -45,7 +45,7 @@ class Clobber:
 
 
 def is_stream(path: Path) -> bool:
-    """Whether a path is the dash that names standard input or output."""
+    """Whether a path is the dash, which means standard input or output."""
     return str(path) == "-"
 
 
@@ -67,7 +67,7 @@ def check_clobber(output: Path) -> None:
 
 @contextmanager
 def input_file(path: Path, kind: str | None) -> Iterator[Path]:
-    """A file to read: `path`, or what standard input holds if that is a dash."""
+    """Yield a file to read: `path`, or a copy of standard input if that is a dash."""
     if not is_stream(path):
         yield path
         return
@@ -88,7 +88,7 @@ def input_file(path: Path, kind: str | None) -> Iterator[Path]:
 
 @contextmanager
 def output_file(path: Path, kind: str) -> Iterator[Path]:
-    """A file to write: `path`, or one that goes to standard output if that is a dash."""
+    """Yield a file to write: `path`, or a file that is copied to standard output if that is a dash."""
     if not is_stream(path):
         yield path
         return

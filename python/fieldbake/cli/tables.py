@@ -74,7 +74,7 @@ def mesh_rows(mesh: fb.Mesh) -> list[tuple[str, str]]:
 
 
 def rows_of(found: Any, ending: str) -> list[tuple[str, str]]:
-    """Labels and texts of anything that a file holds."""
+    """Labels and texts of any object that a file can store."""
     if isinstance(found, fb.Atlas):
         return atlas_rows(found, ending)
     if isinstance(found, fb.Mesh):
@@ -85,7 +85,7 @@ def rows_of(found: Any, ending: str) -> list[tuple[str, str]]:
 
 
 def facts_of(found: Any) -> dict[str, Any]:
-    """Plain values that describe anything that a file holds, for JSON."""
+    """Describe any object that a file can store by plain values, for JSON."""
     facts: dict[str, Any] = {"kind": type(found).__name__}
     if isinstance(found, fb.Mesh):
         facts |= {"vertices": len(found.vertices), "faces": len(found.faces), "bounds": found.bounds.tolist()}

@@ -224,7 +224,7 @@ def _far_distance(far: Volume | NestedField | None, distance: float | None, meth
     if not isinstance(far, (Volume, NestedField)):
         raise ArgumentError(f"far: must be a Volume or NestedField from merge(), got {checks.describe(far)}")
     if method == "article":
-        raise ArgumentError('far: the article\'s march knows no far field; leave it out, or use method="fieldbake"')
+        raise ArgumentError('far: the march of the article has no far field; leave it out, or use method="fieldbake"')
     return None if distance is None else checks.number("far_distance", distance, least=0)
 
 

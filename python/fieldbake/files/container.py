@@ -212,7 +212,7 @@ def read_array(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], na
             _fill(stream, array)
         # zipfile compares the checksum at the end of the member.
         if stream.read(1):
-            raise FormatError(f"member '{name}' is longer than it says")
+            raise FormatError(f"member '{name}' is longer than its header states")
     return array
 
 

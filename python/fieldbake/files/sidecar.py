@@ -28,7 +28,7 @@ def read_beside(path: Path) -> dict[str, Any]:
     """Read the sidecar of `path`."""
     sidecar = beside(path)
     if not sidecar.is_file():
-        raise FormatError(f"{sidecar.name} is missing: it says what the texels are")
+        raise FormatError(f"{sidecar.name} is missing: it describes the texels")
     if sidecar.stat().st_size > MAX_SIDECAR_BYTES:
         raise FormatError(f"{sidecar.name} has more than {MAX_SIDECAR_BYTES} bytes")
     return parse(sidecar.read_bytes())

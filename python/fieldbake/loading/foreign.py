@@ -198,7 +198,7 @@ def _read_png(path: Path, width: int, height: int, encoding: str) -> NDArray[Any
     from PIL.PngImagePlugin import PngImageFile
 
     if not encoding.startswith("snorm"):
-        raise FormatError(f"a .png holds normalised texels, the facts say {encoding}")
+        raise FormatError(f"a .png holds normalised texels, but its JSON file has the encoding {encoding}")
     texel = encodings.DTYPES[encoding]
     # Image.open is not used, because it refuses large images as decompression bombs. The size is compared before
     # decoding.

@@ -140,7 +140,7 @@ def merge(
     checks.text("device", device)
     checks.choice("method", method, ("bound", "article"))
     if levels is None and center is not None:
-        raise ArgumentError("center: is what levels are nested round; give levels too")
+        raise ArgumentError("center: levels are nested around it; give levels too")
     baked: dict[tuple[int, int], Volume] = {}
     items = items_of(scene)
     placed = [place(f"instances[{number}]", item, baked) for number, item in enumerate(items)]

@@ -213,7 +213,7 @@ def items_of(scene: Any) -> Sequence[Any]:
     if isinstance(items, (Volume, SparseVolume, Quadric)):
         items = [items]
     if isinstance(items, (str, bytes)) or not isinstance(items, Sequence):
-        raise SceneError(f"scene: must be a Scene or a list of things, got {checks.describe(scene)}")
+        raise SceneError(f"scene: must be a Scene or a list of objects, got {checks.describe(scene)}")
     if not items:
         raise SceneError("scene: is empty; give at least one instance")
     return items
