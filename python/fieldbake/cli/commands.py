@@ -176,7 +176,7 @@ def bake(
     mesh: Annotated[
         list[Path],
         typer.Argument(
-            help="Mesh files. Several files become one field; with a folder as output, each becomes its own. - reads standard input.",
+            help="Mesh files: baked into one field, or into a folder one by one. - reads standard input.",
             metavar="MESH",
         ),
     ],

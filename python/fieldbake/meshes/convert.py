@@ -196,7 +196,7 @@ def _pieces(thing: MeshLike, name: str) -> list[_Piece]:
         return [_Piece(check_vertices(found.vertices), check_faces(found.faces), chord_error=found.chord_error)]
     raise MeshError(
         f"{name}: cannot make a mesh of {checks.describe(thing)}; give a path, a trimesh object, "
-        "(vertices, faces), an object of PyVista, Open3D, build123d or CadQuery, (object, transform), or a list of those"
+        "(vertices, faces), an object of PyVista, Open3D, build123d or CadQuery, (mesh, transform), or a list of those"
     )
 
 
