@@ -65,6 +65,8 @@ from .queries.sampling import (
     thickness,
 )
 from .scaling.many import bake_many
+from .scaling.zarr_bake import bake_to_zarr
+from .scaling.zarr_volume import ZarrVolume, open_zarr
 from .scenes.camera import Camera
 from .scenes.gltf import load_scene
 from .scenes.instance import Instance
@@ -119,6 +121,7 @@ __all__ = [
     "SurfaceWarning",
     "TrainingSamples",
     "Volume",
+    "ZarrVolume",
     "__version__",
     "all_intersections",
     "arrays",
@@ -126,6 +129,7 @@ __all__ = [
     "bake",
     "bake_many",
     "bake_sparse",
+    "bake_to_zarr",
     "cache",
     "cast_rays",
     "closest_point",
@@ -141,6 +145,7 @@ __all__ = [
     "models",
     "normalize",
     "occluded",
+    "open_zarr",
     "pack",
     "pack_quadrics",
     "query",

@@ -1,5 +1,6 @@
 """Small libraries of assets, and callables that worker processes can import."""
 
+import errno
 import os
 import signal
 import time
@@ -36,3 +37,7 @@ def write_boxes(folder: Path, count: int) -> list[Path]:
     """Boxes of different sizes as OBJ files box_0.obj, ..."""
     folder.mkdir(parents=True)
     return [write_box(folder / f"box_{i}.obj", 1 + 0.1 * i) for i in range(count)]
+
+
+def no_space(*_):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

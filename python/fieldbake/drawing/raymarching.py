@@ -15,6 +15,7 @@ from ..base import checks
 from ..base.errors import ArgumentError, SceneError
 from ..base.progress import Progress, progress_callback
 from ..merging.nested import NestedField
+from ..scaling.zarr_volume import ZarrVolume
 from ..scenes.camera import Camera
 from ..scenes.instance import Instance
 from ..scenes.lights import AMBIENT, BACKGROUND, DirectionalLight, Light, PointLight, key_light
@@ -57,10 +58,11 @@ def raymarch(
 
     Parameters
     ----------
-    thing : Volume, SparseVolume, NestedField, Shape, Scene, Quadric, list of Quadric, or anything :func:`bake` takes
+    thing : Volume, SparseVolume, ZarrVolume, NestedField, Shape, Scene, Quadric, list of Quadric, or a mesh
         A Scene has its own lights and materials; :func:`render` draws it with ``primary="raymarch"``. Quadrics are
         drawn in closed form, each in its own reflectance, and `object_id` is the index in the list. Meshes are baked
-        first, with 128 voxels along the longest side.
+        first, with 128 voxels along the longest side. A ZarrVolume is drawn from the level of which a voxel covers
+        about a pixel.
     camera : Camera, optional
         The view. The default fits the surface: ``Camera.fit(volume.inner_bounds)``.
     size : (width, height), default (512, 512)
@@ -162,6 +164,8 @@ def raymarch(
         raise ArgumentError(f"method: {method!r} is for shapes; a volume has one way to be drawn")
     if isinstance(thing, NestedField):
         return _draw_nested(thing, options)
+    if isinstance(thing, ZarrVolume):
+        return _draw_zarr(thing, options)
     if not isinstance(thing, (Volume, SparseVolume)):
         thing = bake(thing, PICTURE_RESOLUTION, device=device, progress=progress)
     return _draw_volume(thing, options)
@@ -276,6 +280,14 @@ def _draw_volume(volume: Volume | SparseVolume, options: _Options) -> Frame:
             progress=callback,
         )
     return frame_of(result)
+
+
+def _draw_zarr(volume: ZarrVolume, options: _Options) -> Frame:
+    """Draw the level of which a voxel covers about a pixel at the near side of the surface's box."""
+    camera = options.view_of(volume.inner_bounds)
+    nearest = np.clip(camera.eye, *volume.inner_bounds)
+    pixel = 2 * np.tan(np.deg2rad(camera.fov_deg) / 2) / options.size[1]
+    return _draw_volume(volume.picture_field(float(np.linalg.norm(camera.eye - nearest) * pixel)), options)
 
 
 def _refuse_hardware(options: _Options) -> None:

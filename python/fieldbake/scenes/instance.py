@@ -14,6 +14,7 @@ from ..base.errors import ArgumentError, SceneError
 from ..merging.nested import NestedField
 from ..meshes.convert import as_mesh
 from ..meshes.mesh import Mesh
+from ..scaling.zarr_volume import ZarrVolume
 from ..shapes.quadric import Quadric, bounds_of, check_quadrics, is_quadrics
 from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume
@@ -119,6 +120,8 @@ def _thing(thing: Any) -> Thing:
         # A shape without bounds raises an error that names the leaf.
         _ = thing.bounds
         return thing
+    if isinstance(thing, ZarrVolume):
+        return thing.picture_field()
     if isinstance(thing, (Mesh, Volume, SparseVolume, NestedField, AtlasEntry)):
         return thing
     return tuple(check_quadrics(thing)) if is_quadrics(thing) else as_mesh(thing)

@@ -1,0 +1,175 @@
+"""Layout of a field in a Zarr store: grids of the levels, attributes, and the OME-Zarr description.
+
+One group has::
+
+    0                 level 0, (nz, ny, nx), one file a shard
+    levels/1, ...     coarser levels: voxels twice as long, baked anew, with the same scale
+    far/distances     exact signed distances at the corners of the shards of level 0, float32
+    far/states/0, ... for each shard of a level 0 if it is wholly fill, 1 if it is stored
+    mesh/...          vertices and faces
+
+Stored values are shares of ``scale``: distances of level 0 within the band, cut to the band beyond it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from .. import _core
+from ..base import encodings
+from ..base.errors import FormatError
+from ..base.grid import Grid
+
+#: Version of the layout.
+VERSION = 1
+
+#: Levels are added until the longest side has at most so many voxels.
+COARSEST = 64
+
+#: Windows are baked this much beyond the band, relative, so that cut values have the largest code despite rounding.
+MARGIN = 1e-6
+
+
+@dataclass(frozen=True)
+class Layout:
+    """All that determines the contents of a store, besides the mesh itself."""
+
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+    shape: tuple[int, int, int]
+    #: Half width of the band, voxels of level 0.
+    band: float
+    #: Samples along the side of a shard and of a chunk.
+    shard: int
+    chunk: int
+    encoding: str
+    sign: str
+    #: Hash of the mesh.
+    mesh: str
+    inner: tuple[tuple[float, float, float], tuple[float, float, float]]
+
+    @property
+    def grid(self) -> Grid:
+        """The grid of level 0."""
+        return Grid(self.lower, self.upper, self.shape)
+
+    @property
+    def voxel(self) -> float:
+        """Longest side of a voxel of level 0, world units."""
+        return max(self.grid.spacing)
+
+    @property
+    def band_width(self) -> float:
+        """Half width of the band, world units."""
+        return self.band * self.voxel
+
+    @property
+    def scale(self) -> float:
+        """World distance of a stored share of 1."""
+        return float(encodings.scale_of(self.encoding, self.grid.spacing, self.band))
+
+    @property
+    def fill(self) -> Any:
+        """The stored value of points beyond the band outside."""
+        width = np.full((1, 1, 1), np.float32(self.band_width), order="F")
+        return _core.encode(width, self.encoding, self.scale)[0, 0, 0]
+
+    @property
+    def level_count(self) -> int:
+        """Number of levels."""
+        count = 1
+        while max(self.level(count - 1).shape) > COARSEST:
+            count += 1
+        return count
+
+    def level(self, level: int) -> Grid:
+        """The grid of a level: the same lower corner, voxels ``2**level`` times as long."""
+        if level == 0:
+            return self.grid
+        step = 2**level
+        x, y, z = (-(-n // step) for n in self.shape)
+        upper = [l + n * step * s for l, n, s in zip(self.lower, (x, y, z), self.grid.spacing, strict=True)]
+        return Grid(self.lower, (upper[0], upper[1], upper[2]), (x, y, z))
+
+    def counts(self, level: int) -> tuple[int, int, int]:
+        """Shards of a level along x, y and z."""
+        x, y, z = (-(-n // self.shard) for n in self.level(level).shape)
+        return x, y, z
+
+    def band_of(self, level: int) -> float:
+        """The band in voxels of a level, with the margin for rounding."""
+        return float(self.band / 2**level * (1 + MARGIN))
+
+    def box(self, level: int, index: tuple[int, int, int]) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
+        """First sample and number of samples of a shard along x, y and z."""
+        low = tuple(i * self.shard for i in index)
+        size = tuple(min(self.shard, n - a) for n, a in zip(self.level(level).shape, low, strict=True))
+        return low, size  # type: ignore[return-value]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values that JSON can store."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, facts: Mapping[str, Any]) -> Layout:
+        """The layout of a store, from its attributes."""
+        try:
+            return cls(
+                lower=_three(facts["lower"], float),
+                upper=_three(facts["upper"], float),
+                shape=_three(facts["shape"], int),
+                band=float(facts["band"]),
+                shard=int(facts["shard"]),
+                chunk=int(facts["chunk"]),
+                encoding=str(facts["encoding"]),
+                sign=str(facts["sign"]),
+                mesh=str(facts["mesh"]),
+                inner=(_three(facts["inner"][0], float), _three(facts["inner"][1], float)),
+            )
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise FormatError(f"the store's attributes are damaged: {error!r}") from error
+
+
+def _three(values: Any, kind: type) -> Any:
+    x, y, z = (kind(value) for value in values)
+    return x, y, z
+
+
+def path_of(level: int) -> str:
+    """Path of a level in the group."""
+    return "0" if level == 0 else f"levels/{level}"
+
+
+def shard_key(level: int, index: tuple[int, int, int]) -> str:
+    """Key of a shard in the store, relative to the group."""
+    x, y, z = index
+    return f"{path_of(level)}/c/{z}/{y}/{x}"
+
+
+def ome_attributes(layout: Layout, name: str) -> dict[str, Any]:
+    """The multiscales entry of OME-Zarr 0.5; translations are the centres of voxel 0, world units, in z, y, x order."""
+    datasets = []
+    for level in range(layout.level_count):
+        grid = layout.level(level)
+        scale = list(reversed(grid.spacing))
+        translation = [l + s / 2 for l, s in zip(reversed(grid.lower), scale, strict=True)]
+        transforms = [{"type": "scale", "scale": scale}, {"type": "translation", "translation": translation}]
+        datasets.append({"path": path_of(level), "coordinateTransformations": transforms})
+    axes = [{"name": axis, "type": "space"} for axis in "zyx"]
+    return {"version": "0.5", "multiscales": [{"name": name, "axes": axes, "datasets": datasets}]}
+
+
+def attributes(layout: Layout, name: str, report: Mapping[str, Any]) -> dict[str, Any]:
+    """Attributes of the group."""
+    return {
+        "ome": ome_attributes(layout, name),
+        "scale": float(layout.scale),
+        "bounds": [list(layout.lower), list(layout.upper)],
+        "spacing": list(layout.grid.spacing),
+        "mesh_hash": layout.mesh,
+        "fieldbake": {"layout": VERSION, "version": _core.__version__, **layout.to_dict(), "report": dict(report)},
+    }

@@ -1,0 +1,90 @@
+"""The work of one task: bake a shard and store it. A process keeps the mesh and its tree from task to task."""
+
+from __future__ import annotations
+
+import os
+import threading
+from typing import Any
+
+import numpy as np
+
+from .. import _core
+from ..base import encodings
+from ..base.threads import set_threads
+from ..meshes.mesh import Mesh
+from .layout import Layout, path_of
+from .plan import Blocks
+from .store import Place, read_mesh
+
+#: Samples along the side of the windows that a shard is baked in. Smaller windows leave out more of what is far.
+WINDOW = 64
+
+_lock = threading.Lock()
+#: The mesh of this process, by its hash.
+_meshes: dict[str, Mesh] = {}
+#: The process that has set its number of threads, and the number.
+_threads: tuple[int, int] | None = None
+
+
+def keep_mesh(key: str, mesh: Mesh) -> None:
+    """Keep one mesh in this process, in place of the last."""
+    with _lock:
+        _meshes.clear()
+        _meshes[key] = mesh
+
+
+def mesh_of(place: Place, layout: Layout) -> Mesh:
+    """The mesh of a store: the one that this process keeps, or else read from the store."""
+    with _lock:
+        if layout.mesh not in _meshes:
+            _meshes.clear()
+            _meshes[layout.mesh] = read_mesh(place.open("r"))
+        return _meshes[layout.mesh]
+
+
+def store_shard(place: Place, layout: Layout, level: int, index: tuple[int, int, int], threads: int | None) -> bool:
+    """Bake one shard and store it in one write. Returns whether it is stored: shards wholly of fill are not."""
+    global _threads
+    if threads is not None and _threads != (os.getpid(), threads):
+        set_threads(threads)
+        _threads = (os.getpid(), threads)
+    samples = bake_shard(mesh_of(place, layout), layout, level, index)
+    if (samples == layout.fill).all():
+        return False
+    (x, y, z), (nx, ny, nz) = layout.box(level, index)
+    array = place.open("r+")[path_of(level)]
+    array[z : z + nz, y : y + ny, x : x + nx] = samples
+    return True
+
+
+def bake_shard(mesh: Mesh, layout: Layout, level: int, index: tuple[int, int, int]) -> Any:
+    """Stored values of a shard, (nz, ny, nx)."""
+    low, size = layout.box(level, index)
+    return bake_box(mesh, layout, level, low, size)
+
+
+def bake_box(mesh: Mesh, layout: Layout, level: int, low: Any, size: Any) -> Any:
+    """Stored values of a box of samples, (nz, ny, nx)."""
+    grid = layout.level(level)
+    scale, width, band = layout.scale, layout.band_width, layout.band_of(level)
+    fill = layout.fill
+    out = np.full(tuple(reversed(size)), fill, dtype=encodings.DTYPES[layout.encoding])
+    steps = [range(0, n, WINDOW) for n in size]
+    lows = np.array(low) + np.array([(x, y, z) for z in steps[2] for y in steps[1] for x in steps[0]], dtype=np.int64)
+    highs = np.minimum(lows + WINDOW, np.array(low) + np.array(size))
+    _, _, sides = Blocks(mesh, grid, layout.sign).sides(lows, highs, beyond=width)
+    for a, b, side in zip(lows.tolist(), highs.tolist(), sides.tolist(), strict=True):
+        if side > 0:
+            continue
+        part = tuple(slice(p - o, q - o) for p, q, o in zip(reversed(a), reversed(b), reversed(low), strict=True))
+        if side < 0:
+            out[part] = -fill
+            continue
+        counts = tuple(q - p for p, q in zip(a, b, strict=True))
+        window = _core.bake_window(
+            mesh._core, grid.lower, grid.upper, grid.shape, tuple(a), counts, sign=layout.sign, band=band
+        )
+        if layout.encoding not in encodings.STEPS:
+            np.clip(window, -np.float32(width), np.float32(width), out=window)
+        out[part] = _core.encode(window, layout.encoding, scale).T
+    return out

@@ -1,0 +1,266 @@
+"""From a mesh to a truncated field in a Zarr store, shard by shard."""
+
+from __future__ import annotations
+
+import errno
+import os
+import time
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import _core
+from ..baking.dense import prepare
+from ..base import checks, encodings
+from ..base.encodings import Encoding
+from ..base.errors import ArgumentError, FormatError
+from ..base.grid import Resolution
+from ..base.progress import Progress, progress_callback
+from ..base.report import Report
+from ..meshes.convert import MeshLike
+from ..meshes.mesh import Mesh
+from ..queries.common import Sign
+from . import content, executors, plan, shards, store
+from .layout import Layout, path_of, shard_key
+from .zarr_volume import ZarrVolume
+
+if TYPE_CHECKING:
+    from zarr.abc.store import Store
+
+#: Progress reaches a callback at most this often, seconds.
+INTERVAL = 0.1
+
+
+def bake_to_zarr(
+    mesh: MeshLike,
+    store: str | os.PathLike[str] | Store,
+    resolution: Resolution = 4096,
+    *,
+    band: float = 3,
+    shard: int = 256,
+    chunk: int = 32,
+    encoding: Encoding = "snorm16",
+    executor: Any = None,
+    resume: bool = True,
+    progress: Progress = None,
+    bounds: ArrayLike | None = None,
+    margin: float = 0.1,
+    sign: Sign = "auto",
+    threads: int | None = None,
+    storage_options: Mapping[str, Any] | None = None,
+) -> ZarrVolume:
+    """Bake a mesh into a Zarr store; the grid may be larger than memory.
+
+    Parameters
+    ----------
+    mesh, bounds, margin, sign
+        As for :func:`bake`.
+    store : path, URL or Zarr store
+        A folder, a URL of fsspec (``s3://bucket/name``, ``memory://name``, ...) or any store of Zarr 3.
+    resolution : int or three ints, default 4096
+        As for :func:`bake`.
+    band : float, default 3
+        Distances are kept up to this many voxels from the surface, and cut to that farther away.
+    shard : int, default 256
+        Samples along the side of a shard: one task, and one file or object of the store.
+    chunk : int, default 32
+        Samples along the side of a chunk, the smallest part of a shard that is read; it divides `shard`.
+    encoding : str, default "snorm16"
+        ``"float32"``, ``"float16"``, ``"snorm16"`` or ``"snorm8"``, with the band as the scale of the integers.
+    executor : optional
+        A pool of `concurrent.futures`, a ``dask.distributed.Client``, or anything with ``submit``. By default the
+        threads of this process work on one shard after another.
+    resume : bool, default True
+        Keep the shards that a run with the same mesh and options has stored. False deletes the contents of the store.
+    progress : bool or callable, optional
+        True draws a bar on stderr; a callable is called with the fraction of shards done.
+    threads : int, optional
+        Threads of each worker process. By default processes times threads is the number of cores.
+    storage_options : mapping, optional
+        Options of the file system of a URL.
+
+    Returns
+    -------
+    ZarrVolume
+        The field, opened for reading.
+
+    Raises
+    ------
+    MeshError
+        If the mesh cannot be read or used.
+    ArgumentError
+        If an option is invalid, or the store has a bake of another mesh or with other options.
+    OSError
+        If the store cannot be written, for instance because the disk is full. A later call resumes.
+
+    Notes
+    -----
+    The store is a group of Zarr v3 with sharding and OME-Zarr 0.5 metadata, in the order z, y, x. Its array ``0`` has
+    the distances of :func:`bake` with `band`, encoded as :meth:`Volume.quantize` does, bit for bit. Coarser levels
+    are baked anew on grids with voxels 2, 4, ... times as long, and have the same scale. Shards wholly outside the
+    solid and the band are not stored: their value is the fill value. The mesh is stored too, and each worker process
+    reads it once.
+
+    A shard is stored in one atomic write. Ctrl-C, a killed worker or a killed client leave a store that the same call
+    completes: it repeats the plan and bakes what is missing.
+
+    Examples
+    --------
+    >>> import fieldbake
+    >>> knot = fieldbake.models.torus_knot(segments=64, sides=8)
+    >>> fieldbake.bake_to_zarr(knot, "memory://knot", 96, shard=64).resolution
+    (93, 96, 42)
+    """
+    place = _place(store, storage_options)
+    checks.flag("resume", resume)
+    executors.checked_executor(executor)
+    if not place.is_shared and not executors.is_local(executor):
+        raise ArgumentError(
+            f"executor: its processes cannot see {place}, which is in the memory of this process; use a path or a URL, "
+            "or executor=None"
+        )
+    limit = None if threads is None else checks.integer("threads", threads, least=1, most=2**16)
+    layout, surface = _checked_layout(mesh, resolution, band, shard, chunk, encoding, bounds, margin, sign)
+    shards.keep_mesh(layout.mesh, surface)
+    group = _prepared_group(place, layout, surface, resume)
+    tasks = _planned_tasks(group, layout, surface)
+    if tasks:
+        if limit is None:
+            limit = executors.threads_per_worker(executor)
+        _work(place, layout, tasks, executor, limit, progress)
+    return ZarrVolume._open(place)
+
+
+def _place(target: Any, options: Mapping[str, Any] | None) -> store.Place:
+    return store.Place.of(target, options)
+
+
+def _checked_layout(
+    mesh: MeshLike,
+    resolution: Resolution,
+    band: float,
+    shard: int,
+    chunk: int,
+    encoding: str,
+    bounds: ArrayLike | None,
+    margin: float,
+    sign: Sign,
+) -> tuple[Layout, Mesh]:
+    width = checks.number("band", band, above=0)
+    side = checks.integer("shard", shard, least=1, most=4096)
+    part = checks.integer("chunk", chunk, least=1, most=side)
+    if side % part:
+        raise ArgumentError(f"chunk: must divide shard ({side}), got {part}")
+    checks.choice("encoding", encoding, encodings.NAMES)
+    job = prepare(mesh, resolution, None, bounds, margin, sign, False, None)
+    # The names of the sign methods are checked by the core.
+    _core.contains(job.mesh._core, np.empty((0, 3)), sign=job.sign)
+    grid = job.grid
+    inner = checks.triple(job.inner[0]), checks.triple(job.inner[1])
+    facts = content.of_mesh(job.mesh)
+    layout = Layout(grid.lower, grid.upper, grid.shape, width, side, part, encoding, job.sign, facts, inner)
+    return layout, job.mesh
+
+
+def _prepared_group(place: store.Place, layout: Layout, mesh: Mesh, resume: bool) -> Any:
+    """The group of the store, created if there is none, with the far distances."""
+    group = place.existing("r+")
+    if group is not None and "fieldbake" not in group.attrs and len(list(group.members())):
+        unfinished = {"0", "levels", "mesh", "far"}
+        if not {name for name, _ in group.members()} <= unfinished:
+            raise FormatError(f"store: {place} is a Zarr group with other contents; choose another path")
+        group = None
+    if group is not None and "fieldbake" in group.attrs and resume:
+        _check_same(place, store.read_layout(group, place), layout)
+        return group
+    facts = _core.query(mesh._core, mesh.bounds.mean(axis=0)[None], sign=layout.sign, device="cpu")[-1]
+    facts.update(band=layout.band_width, points=0, inside_points=0, seconds={})
+    return store.create(place, layout, mesh, Report.of_mesh(mesh, facts).to_dict())
+
+
+def _check_same(place: store.Place, found: Layout, wanted: Layout) -> None:
+    if found == wanted:
+        return
+    differences = [
+        "another mesh" if name == "mesh" else f"{name} {old}, not {new}"
+        for (name, old), new in zip(found.to_dict().items(), wanted.to_dict().values(), strict=True)
+        if old != new and name != "inner"
+    ]
+    raise ArgumentError(
+        f"store: {place} has a bake with {'; '.join(differences)}. Pass the same options to resume it, "
+        "another store, or resume=False to delete it"
+    )
+
+
+Task = tuple[int, tuple[int, int, int]]
+
+
+def _planned_tasks(group: Any, layout: Layout, mesh: Mesh) -> list[Task]:
+    """The shards that are not stored yet: those near the surface first, in Morton order, level by level."""
+    tasks: list[Task] = []
+    far = group.require_group("far")
+    if "distances" not in far:
+        names = ("z", "y", "x")
+        far.create_array(name="distances", data=plan.far_distances(mesh, layout), dimension_names=names)
+    states = far.require_group("states")
+    for level in range(layout.level_count):
+        stored, near = plan.stored_shards(mesh, layout, level)
+        if str(level) not in states:
+            states.create_array(name=str(level), data=np.ascontiguousarray(stored.transpose(2, 1, 0).astype(np.uint8)))
+        keys = store.stored_keys(group, level)
+        for part in (near, stored & ~near):
+            for x, y, z in plan.morton_order(np.argwhere(part)).tolist():
+                if shard_key(level, (x, y, z)) not in keys:
+                    tasks.append((level, (x, y, z)))
+    return tasks
+
+
+def _work(
+    place: store.Place, layout: Layout, tasks: list[Task], executor: Any, threads: int | None, progress: Progress
+) -> None:
+    with progress_callback(progress, "bake") as callback:
+        last = 0.0
+        for done, (index, stored, error) in enumerate(_results(place, layout, tasks, executor, threads), 1):
+            level, shard = tasks[index]
+            if error is not None:
+                raise _explained(error, place, level, shard) from error
+            if not stored:
+                # The state of a shard that turned out to be wholly outside; the plan could not know.
+                x, y, z = shard
+                place.open("r+")[f"far/states/{level}"][z, y, x] = 0
+            now = time.monotonic()
+            if callback is not None and (done == len(tasks) or now - last >= INTERVAL):
+                last = now
+                callback(done / len(tasks))
+
+
+def _results(place: store.Place, layout: Layout, tasks: list[Task], executor: Any, threads: int | None) -> Any:
+    if executor is not None:
+        calls = [(place, layout, level, shard, threads) for level, shard in tasks]
+        yield from executors.run_tasks(executor, shards.store_shard, calls)
+        return
+    for index, (level, shard) in enumerate(tasks):
+        try:
+            yield index, shards.store_shard(place, layout, level, shard, threads), None
+        except Exception as error:  # noqa: PERF203 - as executors report it
+            yield index, None, error
+
+
+def _explained(error: BaseException, place: store.Place, level: int, shard: tuple[int, int, int]) -> BaseException:
+    """The error of a task, with the shard and what to do."""
+    if not isinstance(error, Exception):
+        return error
+    key = shard_key(level, shard)
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+        message = f"no space left for shard {key} of {place}; free some space and call again to resume"
+        return OSError(error.errno, message)
+    if isinstance(error, OSError):
+        return OSError(error.errno, f"shard {key} of {place} cannot be written: {error}; call again to resume")
+    if hasattr(error, "add_note"):
+        error.add_note(f"in shard {key} of {place}; call again to resume")
+    return error
+
+
+__all__ = ["bake_to_zarr", "path_of"]

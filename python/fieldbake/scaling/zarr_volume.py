@@ -1,0 +1,585 @@
+"""Truncated fields in Zarr stores: sampling, windows, meshes and pictures in bounded memory."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import _core
+from ..base import checks, encodings
+from ..base.errors import ArgumentError, Error, FormatError
+from ..base.report import Report, bytes_text
+from ..meshes.isosurface import MeshSource
+from ..meshes.mesh import Mesh
+from ..volumes.blocks import SIDE
+from ..volumes.grid_field import GridField
+from ..volumes.quantized import QuantizedVolume
+from ..volumes.sparse import SparseVolume, restore_field
+from ..volumes.volume import Filter, Volume
+from . import store as stores
+from .layout import Layout, path_of
+from .reader import Reader
+from .store import Place
+
+if TYPE_CHECKING:
+    import xarray
+    from zarr.abc.store import Store
+
+#: Points that are sampled at once: their bricks and corners take about 100 MB at most.
+BATCH = 1 << 18
+
+#: Cells of a brick of a sparse volume, and words of its index for bricks without samples.
+BRICK_CELLS = 7
+EMPTY, EMPTY_INSIDE = 3 << 30, 3 << 30 | 1
+
+#: The band is at least so many voxels wide at the levels that pictures are drawn from.
+LEAST_BAND = 1.5
+
+#: Memory of the bricks of a picture, bytes.
+PICTURE_BYTES = 1 << 30
+
+#: Lower bounds are reduced by this share, which covers the rounding of stored distances.
+ROUNDING = 1e-6
+
+
+def open_zarr(store: str | os.PathLike[str] | Store, *, storage_options: Mapping[str, Any] | None = None) -> ZarrVolume:
+    """Open a field that :func:`bake_to_zarr` wrote.
+
+    Parameters
+    ----------
+    store : path, URL or Zarr store
+        As for :func:`bake_to_zarr`.
+    storage_options : mapping, optional
+        Options of the file system of a URL.
+
+    Returns
+    -------
+    ZarrVolume
+        The field. Samples are read when they are needed.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no store.
+    FormatError
+        If fieldbake has not written it, or its plan was not finished.
+
+    Examples
+    --------
+    >>> import fieldbake
+    >>> knot = fieldbake.models.torus_knot(segments=64, sides=8)
+    >>> _ = fieldbake.bake_to_zarr(knot, "memory://opened", 64, shard=64)
+    >>> fieldbake.open_zarr("memory://opened").resolution
+    (62, 64, 28)
+    """
+    return ZarrVolume._open(Place.of(store, storage_options))
+
+
+class _StoredMesh:
+    """The mesh in a store as the source of exact tangent planes; it is read when it is needed."""
+
+    def __init__(self, volume: ZarrVolume) -> None:
+        self._volume = volume
+
+    def apply(self, surface: _core.Surface, level: float) -> None:
+        unsigned = self._volume.report.sign_method == "unsigned"
+        MeshSource(self._volume.mesh, 0.0 if unsigned else None).apply(surface, level)
+
+
+class ZarrVolume(GridField):
+    """A truncated signed distance field in a Zarr store. Made by :func:`bake_to_zarr` and :func:`open_zarr`.
+
+    Shards are read when they are needed, and memory is bounded by the bricks that are kept. Several threads may use one
+    object.
+
+    Notes
+    -----
+    Within the band around the surface the stored samples are distances. Beyond it they are cut to the width of the
+    band. Exact distances at the corners of the shards give proven lower bounds there.
+    """
+
+    __slots__ = ("__dict__", "_far", "_layout", "_place", "_reader")
+
+    _place: Place
+    _layout: Layout
+    _reader: Reader
+    #: Unsigned distances at the corners of the shards, (cz, cy, cx).
+    _far: NDArray[np.float64]
+
+    def __init__(self) -> None:
+        raise TypeError("a ZarrVolume is made by bake_to_zarr or open_zarr")
+
+    @classmethod
+    def _open(cls, place: Place) -> ZarrVolume:
+        group = place.existing("r")
+        if group is None:
+            raise FileNotFoundError(f"there is no Zarr group at {place}")
+        layout = stores.read_layout(group, place)
+        volume = cls.__new__(cls)
+        volume._place, volume._layout = place, layout
+        try:
+            volume._reader = Reader(place, layout, group)
+            volume._far = np.abs(np.asarray(group["far/distances"][...], dtype=np.float64))
+        except KeyError as error:
+            raise FormatError(
+                f"{place}: the plan was not finished ({error} is missing); call bake_to_zarr with the same options"
+            ) from None
+        facts: Any = group.attrs["fieldbake"]
+        report = Report.from_dict(facts["report"])
+        bounds = np.array([layout.lower, layout.upper])
+        volume._stand_in(bounds, np.array(layout.inner), report, _StoredMesh(volume))
+        return volume
+
+    @property
+    def resolution(self) -> tuple[int, int, int]:
+        """Voxels of level 0 along x, y and z."""
+        return self._layout.shape
+
+    @property
+    def levels(self) -> tuple[tuple[int, int, int], ...]:
+        """Voxels of each level along x, y and z, finest first."""
+        return tuple(self._layout.level(level).shape for level in range(self._layout.level_count))
+
+    @property
+    def encoding(self) -> str:
+        """How samples are stored: ``"float32"``, ``"float16"``, ``"snorm16"`` or ``"snorm8"``."""
+        return self._layout.encoding
+
+    @property
+    def band(self) -> float:
+        """Distance up to which samples are exact, world units."""
+        return self._layout.band_width
+
+    @property
+    def scale(self) -> float:
+        """World distance of a stored share of 1; of the code 32767 for ``"snorm16"``."""
+        return self._layout.scale
+
+    @property
+    def distances(self) -> NDArray[np.float32]:
+        """Samples of level 0, (nx, ny, nz), float32, world units; `CapacityError` if they do not fit in memory."""
+        nx, ny, nz = self.resolution
+        _core.require_memory("the whole grid", 6 * nx * ny * nz, "Read a window or a coarser level.")
+        return self._window(0, [0, 0, 0], [nx, ny, nz]).distances
+
+    @property
+    def store(self) -> Any:
+        """The path, URL or Zarr store."""
+        return self._place.store
+
+    @cached_property
+    def mesh(self) -> Mesh:
+        """The mesh that was baked, read from the store."""
+        return stores.read_mesh(self._place.open("r"))
+
+    def sample(self, points: ArrayLike, *, filter: Filter = "linear") -> NDArray[np.float32]:
+        """Evaluate the field at any points.
+
+        Parameters
+        ----------
+        points : (n, 3) real
+            World positions of any leading shape.
+        filter : "linear" or "nearest", default "linear"
+            As for :meth:`Volume.sample`.
+
+        Returns
+        -------
+        (n,) float32
+            World units. Within the band the trilinear field; beyond it, and outside the box, a proven lower bound of
+            the distance, with its sign.
+
+        Raises
+        ------
+        ArgumentError
+            For a wrong shape, a point that is not finite, or an unknown filter.
+        FormatError
+            If a shard is missing or damaged; the message has its key.
+        """
+        flat, shape = checks.points(points)
+        checks.choice("filter", filter, ("linear", "nearest"))
+        out = np.empty(len(flat), dtype=np.float32)
+        for start in range(0, len(flat), BATCH):
+            out[start : start + BATCH] = self._sample(flat[start : start + BATCH], filter)
+        return out.reshape(shape)
+
+    def gradient(self, points: ArrayLike) -> NDArray[np.float32]:
+        """Evaluate the gradient of the trilinear field at points.
+
+        Beyond the band it is the gradient of the distances at the corners of the shards, interpolated linearly, and its
+        length is at most 1.
+
+        Parameters
+        ----------
+        points : (n, 3) real
+            World positions of any leading shape. A point outside the box is replaced by the nearest point of the box.
+
+        Returns
+        -------
+        (n, 3) float32
+            Distance per world unit.
+
+        Raises
+        ------
+        ArgumentError, FormatError
+            As for :meth:`sample`.
+        """
+        flat, shape = checks.points(points)
+        out = np.empty((len(flat), 3), dtype=np.float32)
+        for start in range(0, len(flat), BATCH):
+            out[start : start + BATCH] = self._gradient(flat[start : start + BATCH])
+        return out.reshape(*shape, 3)
+
+    def _hull(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points (n, 3) in voxels, moved to the hull of the voxel centres."""
+        places = (points - self._bounds[0]) / self.spacing - 0.5
+        clipped: NDArray[np.float64] = np.clip(places, 0, np.array(self.resolution) - 1.0)
+        return clipped
+
+    def _cells(self, places: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Distances at the eight samples around each place, (n, 2, 2, 2) in x, y, z order, and the fractions (n, 3)."""
+        last = np.array(self.resolution) - 1
+        base = np.minimum(np.floor(places), np.maximum(last - 1, 0)).astype(np.int64)
+        offsets = np.array([[i >> 2, i >> 1 & 1, i & 1] for i in range(8)])
+        index = np.minimum(base[:, None] + offsets, last).reshape(-1, 3)
+        return self._decode(self._reader.values_at(0, index)).reshape(-1, 2, 2, 2), places - base
+
+    def _decode(self, codes: NDArray[Any]) -> NDArray[np.float64]:
+        if not codes.size:
+            return np.zeros(codes.shape)
+        values = _core.decode(np.asfortranarray(codes.reshape(-1, 1, 1)), self.scale)
+        return np.asarray(values, dtype=np.float64).reshape(codes.shape)
+
+    def _is_far(self, corners: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether all samples of a cell are cut, on one side."""
+        low, high = corners.min(axis=(1, 2, 3)), corners.max(axis=(1, 2, 3))
+        cut = abs(float(self._decode(np.array([self._reader.fill]))[0])) * (1 - ROUNDING)
+        far: NDArray[np.bool_] = (low >= cut) | (high <= -cut)
+        return far
+
+    def _sample(self, points: NDArray[np.float64], filter: str) -> NDArray[np.float64]:
+        places = self._hull(points)
+        corners, share = self._cells(places)
+        centers = self._bounds[0] + (places + 0.5) * self.spacing
+        values = _trilinear(corners, share)
+        far = self._is_far(corners)
+        if filter == "nearest":
+            rounded = (share >= 0.5).astype(np.int64)
+            values = corners[np.arange(len(corners)), rounded[:, 0], rounded[:, 1], rounded[:, 2]]
+        # Jensen's inequality for the squares of the samples: see the core's module on bounds outside a box.
+        variance = (self.spacing**2 * share * (1 - share)).sum(axis=1)
+        squares = np.maximum(_trilinear(corners**2, share) - variance, 0)
+        outside = (places != (points - self._bounds[0]) / self.spacing - 0.5).any(axis=1)
+        needed = far | outside
+        squares[needed] = np.maximum(squares[needed], self._far_bound(centers[needed]) ** 2)
+        bound = np.sqrt(squares) * (1 - ROUNDING)
+        values = np.where(far, np.copysign(bound, corners[:, 0, 0, 0]), values)
+        if outside.any():
+            values[outside] = self._outside(points[outside], centers[outside], squares[outside])
+        return values
+
+    def _outside(
+        self, points: NDArray[np.float64], centers: NDArray[np.float64], squares: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Lower bounds outside the hull, from the squared bounds at its nearest points and the box of the surface."""
+        away = np.linalg.norm(points - centers, axis=1)
+        to_inner = np.linalg.norm(points - np.clip(points, *self._inner_bounds), axis=1)
+        half = self.spacing / 2
+        lower, upper = self._bounds[0] + half, self._bounds[1] - half
+        if (self._inner_bounds[0] >= lower).all() and (self._inner_bounds[1] <= upper).all():
+            found = np.maximum(np.sqrt(away**2 + squares), to_inner)
+        else:
+            found = np.maximum(np.sqrt(squares) - away, to_inner)
+        bound: NDArray[np.float64] = np.maximum(found, 0) * (1 - ROUNDING)
+        return bound
+
+    def _far_cells(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Distances at the corners of the shard of each point, (n, 2, 2, 2) in x, y, z order, and fractions (n, 3)."""
+        size = self.spacing * self._layout.shard
+        places = (points - self._bounds[0]) / size
+        last = np.array(self._far.shape[::-1]) - 2
+        base = np.clip(np.floor(places), 0, last).astype(np.int64)
+        corners = np.empty((len(points), 2, 2, 2))
+        for i in range(8):
+            x, y, z = i >> 2, i >> 1 & 1, i & 1
+            corners[:, x, y, z] = self._far[base[:, 2] + z, base[:, 1] + y, base[:, 0] + x]
+        return corners, places - base
+
+    def _far_bound(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """A lower bound of the unsigned distance, from the corners of the shards."""
+        corners, share = self._far_cells(points)
+        size = self.spacing * self._layout.shard
+        within = ((share >= 0) & (share <= 1)).all(axis=1)
+        clipped = np.clip(share, 0, 1)
+        variance = (size**2 * clipped * (1 - clipped)).sum(axis=1)
+        found = np.sqrt(np.maximum(_trilinear(corners**2, clipped) - variance, 0)) * within
+        # The distance changes by at most the way to a corner.
+        low, high = (share * size) ** 2, ((share - 1) * size) ** 2
+        for i in range(8):
+            x, y, z = i >> 2, i >> 1 & 1, i & 1
+            way = (high if x else low)[:, 0] + (high if y else low)[:, 1] + (high if z else low)[:, 2]
+            found = np.maximum(found, corners[:, x, y, z] - np.sqrt(way))
+        bound: NDArray[np.float64] = np.maximum(found * (1 - ROUNDING), 0)
+        return bound
+
+    def _gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        places = self._hull(points)
+        corners, share = self._cells(places)
+        slopes = _slopes(corners, share) / self.spacing
+        far = self._is_far(corners)
+        if far.any():
+            centers = self._bounds[0] + (places[far] + 0.5) * self.spacing
+            around, share = self._far_cells(centers)
+            coarse = _slopes(around, np.clip(share, 0, 1)) / (self.spacing * self._layout.shard)
+            coarse /= np.maximum(np.linalg.norm(coarse, axis=1, keepdims=True), 1)
+            slopes[far] = coarse * np.sign(corners[far, 0, 0, 0])[:, None]
+        return slopes
+
+    def __getitem__(self, window: Any) -> Volume:
+        """The part ``volume[x0:x1, y0:y1, z0:z1]`` of level 0 as a Volume; see :meth:`window`."""
+        parts = window if isinstance(window, tuple) else (window,)
+        if len(parts) > 3 or not all(isinstance(part, slice) and part.step in (None, 1) for part in parts):
+            raise ArgumentError("window: must be up to three slices without a step, as in volume[0:64, 0:64, 0:64]")
+        parts += (slice(None),) * (3 - len(parts))
+        ranges = [part.indices(n)[:2] for part, n in zip(parts, self.resolution, strict=True)]
+        if any(stop <= start for start, stop in ranges):
+            raise ArgumentError(f"window: is empty, the grid has {self.resolution} voxels")
+        return self._window(0, [start for start, _ in ranges], [stop for _, stop in ranges])
+
+    def window(self, bounds: ArrayLike, *, level: int = 0) -> Volume:
+        """Read the part of the grid in a box as a Volume.
+
+        Parameters
+        ----------
+        bounds : (2, 3)
+            Lower and upper corner, world units. The window has all voxels that overlap the box, within the grid.
+        level : int, default 0
+            Level of the pyramid.
+
+        Returns
+        -------
+        Volume
+            In the encoding of the store. Its samples are those of the store, bit for bit.
+
+        Raises
+        ------
+        ArgumentError
+            If the box lies outside the grid, or there is no such level.
+        FormatError
+            If a shard is missing or damaged; the message has its key.
+        """
+        level = self._checked_level(level)
+        box = checks.box("bounds", bounds)
+        grid = self._layout.level(level)
+        places = (box - np.array(grid.lower)) / np.array(grid.spacing)
+        low = np.maximum(np.floor(places[0]), 0).astype(np.int64)
+        high = np.minimum(np.ceil(places[1]), grid.shape).astype(np.int64)
+        if not (low < high).all():
+            raise ArgumentError(f"bounds: must overlap the box {self._bounds.tolist()}, got {box.tolist()}")
+        return self._window(level, low.tolist(), high.tolist())
+
+    def _window(self, level: int, low: list[int], high: list[int]) -> Volume:
+        grid = self._layout.level(level)
+        x, y, z = low
+        nx, ny, nz = (b - a for a, b in zip(low, high, strict=True))
+        bytes_needed = nx * ny * nz * self._reader.fill.dtype.itemsize
+        _core.require_memory("a window", bytes_needed, "Read a smaller window or a coarser level.")
+        codes = self._reader.read(level, (x, y, z), (nx, ny, nz)).T
+        bounds = np.array(grid.lower) + np.array([low, high]) * np.array(grid.spacing)
+        if self.encoding == "float32":
+            return Volume._wrap(codes, bounds, self._inner_bounds.copy(), self._report, self._geometry)
+        return QuantizedVolume._of(
+            codes, self.encoding, self.scale, bounds, self._inner_bounds.copy(), self._report, self._geometry
+        )
+
+    def _checked_level(self, level: object) -> int:
+        return checks.integer("level", level, least=0, most=self._layout.level_count - 1)
+
+    def to_sparse(self, *, level: int = 0) -> SparseVolume:
+        """Convert a level to a sparse volume, which needs memory in proportion to the surface.
+
+        Parameters
+        ----------
+        level : int, default 0
+            Level of the pyramid.
+
+        Returns
+        -------
+        SparseVolume
+            Bricks of 8^3 samples where samples are in the band, with the stored values, and lower bounds elsewhere.
+
+        Raises
+        ------
+        ArgumentError
+            If there is no such level.
+        FormatError
+            If a shard is missing or damaged; the message has its key.
+        """
+        level = self._checked_level(level)
+        grid = self._layout.level(level)
+        counts = [-(-(n + 1) // BRICK_CELLS) for n in grid.shape]
+        index = np.full(counts, EMPTY, dtype=np.uint32, order="F")
+        fill, total, kept = self._reader.fill, 0, []
+        for first, blocks in self._reader.blocks(level, BRICK_CELLS):
+            low, high = blocks.min(axis=(3, 4, 5)), blocks.max(axis=(3, 4, 5))
+            words = np.where(high == -fill, np.uint32(EMPTY_INSIDE), np.uint32(EMPTY))
+            stored = (low != fill) & (high != -fill)
+            chosen = blocks[stored]
+            words[stored] = np.arange(total, total + len(chosen))
+            total += len(chosen)
+            kept.append(chosen.reshape(-1))
+            part = tuple(slice(a, a + n) for a, n in zip(first.tolist(), words.shape[::-1], strict=True))
+            index[part] = words.T
+        bricks = np.concatenate(kept) if kept else np.empty(0, dtype=fill.dtype)
+        arrays = {"index": index, "nodes": self._nodes(counts, grid.lower, np.array(grid.spacing))}
+        # Stored bricks are (n, x, y, z) there.
+        arrays["bricks"] = bricks.reshape(-1, *(BRICK_CELLS + 1,) * 3).transpose(0, 3, 2, 1)
+        band = float(np.nextafter(np.float32(self.band * (1 - ROUNDING)), np.float32(0)))
+        field = restore_field((grid.lower, grid.upper), grid.shape, band, self.scale, arrays)
+        bounds = np.array([grid.lower, grid.upper])
+        return SparseVolume._wrap(field, bounds, self._inner_bounds.copy(), self._report, self._geometry)
+
+    def _nodes(self, counts: list[int], lower: Any, spacing: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Lower bounds of the distance at the corners of bricks, x fastest; node 0 is at sample -1."""
+        axes = [
+            low + (BRICK_CELLS * np.arange(n + 1) - 0.5) * s for low, n, s in zip(lower, counts, spacing, strict=True)
+        ]
+        nodes = np.empty([n + 1 for n in counts], dtype=np.float32, order="F")
+        x, y = np.meshgrid(axes[0], axes[1], indexing="ij")
+        for k, z in enumerate(axes[2]):
+            points = np.stack([x.reshape(-1), y.reshape(-1), np.full(x.size, z)], axis=1)
+            nodes[:, :, k] = self._far_bound(points).reshape(x.shape)
+        return nodes
+
+    def _surface(self, level: float) -> _core.Surface:
+        kept_origins: list[NDArray[np.int32]] = [np.empty((0, 3), np.int32)]
+        kept_values: list[NDArray[np.float32]] = [np.empty((0, *(SIDE + 1,) * 3), np.float32)]
+        shape = np.array(self.resolution)
+        for first, blocks in self._reader.blocks(0, SIDE):
+            values = blocks.reshape(-1, *(SIDE + 1,) * 3)
+            # Decoding keeps the order of the values.
+            low, high = (self._decode(end.reshape(-1)) for end in (values.min((1, 2, 3)), values.max((1, 2, 3))))
+            steps = np.indices(blocks.shape[:3]).reshape(3, -1)[::-1].T
+            origins = (first + steps) * SIDE - 1
+            at_box = (origins < 0).any(axis=1) | (origins + SIDE >= shape).any(axis=1)
+            crossed = (low < level) & (at_box | (high >= level))
+            kept_origins.append(origins[crossed].astype(np.int32))
+            chosen = np.ascontiguousarray(values[crossed])
+            decoded: Any = self._decode(chosen.reshape(-1)).astype(np.float32)
+            kept_values.append(decoded.reshape(chosen.shape))
+        starts, samples = np.concatenate(kept_origins), np.concatenate(kept_values)
+        return _core.Surface.of_blocks(starts, samples, self._layout.lower, self._layout.upper, self.resolution, level)
+
+    def _kept_distance(self) -> float | None:
+        # Any point lies within half a voxel's diagonal of a sample.
+        return max(self.band - 0.5 * float(np.linalg.norm(self.spacing)), 0.0)
+
+    def raymarch(self, camera: Any = None, **options: Any) -> Any:
+        """Draw the surface; arguments and result as for :func:`fieldbake.raymarch`."""
+        from ..drawing.raymarching import raymarch
+
+        return raymarch(self, camera, **options)
+
+    def picture_field(self, pixel: float = 0.0) -> SparseVolume:
+        """The field for a picture whose pixels have the side `pixel` at the surface, world units.
+
+        The level is the coarsest one with voxels up to that size at which the band is wide enough for interpolation. A
+        coarser one is taken while the bricks would need more than 1 GiB.
+        """
+        widest = max(0, int(np.log2(max(self._layout.band / LEAST_BAND, 1))))
+        fitting = max(0, int(np.log2(max(pixel / self._layout.voxel, 1))))
+        level = min(widest, fitting, self._layout.level_count - 1)
+        while level + 1 < self._layout.level_count and self._brick_bytes(level) > PICTURE_BYTES:
+            level += 1
+        return self.to_sparse(level=level)
+
+    def _brick_bytes(self, level: int) -> float:
+        """About the memory of the sparse volume of a level."""
+        grid = self._layout.level(level)
+        # A stored shard has about one layer of bricks, twice as thick as the band.
+        per_side = min(self._layout.shard, max(grid.shape)) / BRICK_CELLS
+        bricks = int(self._reader.states[level].sum()) * per_side**2 * 2
+        nodes = float(np.prod([n / BRICK_CELLS for n in grid.shape])) * 8
+        return float(bricks * 512 * self._reader.fill.dtype.itemsize + nodes)
+
+    def to_xarray(self, *, level: int = 0) -> xarray.DataArray:
+        """The distances of a level as an xarray.DataArray with dimensions z, y, x; samples are read when needed.
+
+        Raises
+        ------
+        Error
+            If xarray is not installed.
+        """
+        level = self._checked_level(level)
+        try:
+            import xarray
+        except ImportError as error:
+            raise Error("to_xarray needs xarray; install it with: pip install xarray") from error
+        name = path_of(level)
+        group = self._place.open("r")
+        parent = f"{group.store_path.path}/levels".lstrip("/") if level else group.store_path.path or None
+        data = xarray.open_zarr(group.store_path.store, group=parent, consolidated=False, chunks=None, zarr_format=3)
+        array: Any = data[name.rpartition("/")[2]]
+        grid = self._layout.level(level)
+        steps = encodings.STEPS.get(self.encoding, 1)
+        array.attrs = {"scale_factor": self.scale / steps}
+        array.encoding = {}
+        array = xarray.decode_cf(array.to_dataset(name="distance"))["distance"]
+        centers = [
+            (axis, l + (np.arange(n) + 0.5) * s)
+            for axis, l, n, s in zip("xyz", grid.lower, grid.shape, grid.spacing, strict=True)
+        ]
+        result: xarray.DataArray = array.assign_coords(dict(centers))
+        return result
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return ZarrVolume._open, (self._place,)
+
+    def _repr_png_(self) -> bytes | None:
+        """Draw the surface for notebooks; None if there is no surface."""
+        if not self._reader.states[0].any():
+            return None
+        picture: bytes | None = self.raymarch(size=(256, 256), device="cpu")._repr_png_()
+        return picture
+
+    def __repr__(self) -> str:
+        shape = " x ".join(str(side) for side in self.resolution)
+        stored, total = int(self._reader.states[0].sum()), self._reader.states[0].size
+        shard = bytes_text(self._layout.shard**3 * self._reader.fill.dtype.itemsize)
+        return (
+            f"ZarrVolume({shape} voxels as {self.encoding}, {stored:,} of {total:,} shards of {shard} stored, "
+            f"{self._layout.level_count} levels, {self._place})"
+        )
+
+
+def _trilinear(corners: NDArray[np.float64], share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Interpolate (n, 2, 2, 2) at fractions (n, 3)."""
+    x, y, z = share.T
+    along_x = corners[:, 0] * (1 - x)[:, None, None] + corners[:, 1] * x[:, None, None]
+    along_y = along_x[:, 0] * (1 - y)[:, None] + along_x[:, 1] * y[:, None]
+    values: NDArray[np.float64] = along_y[:, 0] * (1 - z) + along_y[:, 1] * z
+    return values
+
+
+def _slopes(corners: NDArray[np.float64], share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Derivatives of the trilinear function along x, y and z, for cells of side 1, (n, 3)."""
+    x, y, z = (part[:, None, None] for part in share.T)
+    flat = np.zeros_like(share[:, 0])
+
+    def mean(differences: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+        rows = differences[:, 0] * (1 - a[:, :, 0]) + differences[:, 1] * a[:, :, 0]
+        result: NDArray[np.float64] = rows[:, 0] * (1 - b[:, 0, 0]) + rows[:, 1] * b[:, 0, 0] + flat
+        return result
+
+    return np.stack(
+        [
+            mean(corners[:, 1] - corners[:, 0], y, z),
+            mean(corners[:, :, 1] - corners[:, :, 0], x, z),
+            mean(corners[:, :, :, 1] - corners[:, :, :, 0], x, y),
+        ],
+        axis=1,
+    )
