@@ -1,5 +1,4 @@
-"""One field for a whole scene: the article's loop against the culled merge, more instances, one that moves;
-and a picture whose far rays it answers.
+"""Time of one field for a whole scene: the article's loop, the culled merge, updates, and a far field in a picture.
 
     python benches/merge.py [--resolution 128] [--instances 500] [--repeat 3]
 

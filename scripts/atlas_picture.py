@@ -1,4 +1,6 @@
-"""Make docs/atlas.png: one field from an atlas, drawn by three filters: .venv/bin/python scripts/atlas_picture.py
+"""Make docs/atlas.png: one field from an atlas, drawn by three filters.
+
+    .venv/bin/python scripts/atlas_picture.py
 
 Left: the nearest texel. Middle: the single bilinear tap of the article "Packing 3D SDF to a 2D Texture", smooth
 within a slice and blocky along z. Right: two taps and a step along z, which is the trilinear field.

@@ -213,7 +213,7 @@ def sign_errors(found: ArrayLike, distance: Array, inside: NDArray[np.bool_], to
 
 
 def from_trimesh(signed: ArrayLike) -> Array:
-    """trimesh's signed distance is positive inside; ours is negative there."""
+    """Negate the signed distance of trimesh, which is positive inside."""
     return -np.asarray(signed, np.float64)
 
 
