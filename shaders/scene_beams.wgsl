@@ -1,20 +1,21 @@
-// What share of thin rays and cones passes the instances of a scene. Twin of src/scene/shadow.rs and cone.rs.
+// Computes the fraction of thin rays and cones that passes the instances of a scene. Twin of src/scene/shadow.rs and
+// cone.rs.
 
 #import scene_things
 
 struct SceneNode {
     min: vec3f,
-    // First item of a leaf, or left child; the right one follows it.
+    // Leaf: first item. Inner node: left child; the right child follows it.
     first: u32,
     max: vec3f,
-    // Items of a leaf; 0 for an inner node.
+    // Number of items in a leaf; 0 for an inner node.
     count: u32,
 }
 
 struct Beam {
     p: vec3f,
     t_max: f32,
-    // Unit.
+    // Unit length.
     direction: vec3f,
     // Growth of a cone's radius with distance; 0 for a ray.
     slope: f32,
@@ -29,25 +30,26 @@ struct Beam {
 }
 
 struct Answer {
-    // Share that passes, or a thickness.
+    // Fraction that passes, or a length inside.
     value: f32,
     is_proven: u32,
     steps: u32,
-    // 0 where the steps ran out: then the value means nothing.
+    // 0 if the steps ran out: then the value is undefined.
     is_complete: u32,
-    // Went on in the far field.
+    // 1 if the beam entered the far field.
     is_far: u32,
 }
 
 struct BeamParams {
     first: u32,
     count: u32,
-    // The finest level of the far field among the instances, the others follow; NO_INSTANCE without one.
+    // Index of the finest level of the far field among the instances; the other levels follow. NO_INSTANCE without a
+    // far field.
     far: u32,
     far_levels: u32,
-    // No instance has to be asked past the far field's distance.
+    // 1 if no instance must be evaluated beyond the far field's distance.
     far_holds_all: u32,
-    // Negative: FAR_VOXELS voxels of the level in which a beam starts.
+    // Distance at which the far field starts. Negative: FAR_VOXELS voxels of the level in which a beam starts.
     far_distance: f32,
     pad_0: u32,
     pad_1: u32,
@@ -55,7 +57,7 @@ struct BeamParams {
 
 @group(0) @binding(0) var<uniform> params: BeamParams;
 @group(0) @binding(1) var<storage, read> nodes: array<SceneNode>;
-// Items of the tree's leaves.
+// Indices of instances, leaf by leaf.
 @group(0) @binding(2) var<storage, read> items: array<u32>;
 @group(0) @binding(7) var<storage, read> beams: array<Beam>;
 @group(0) @binding(8) var<storage, read_write> answers: array<Answer>;
@@ -71,7 +73,7 @@ var<private> is_far: u32;
 
 // ---- boxes
 
-// How far a box is from a point at most.
+// Largest distance from a point to a box.
 fn reach(p: vec3f, low: vec3f, high: vec3f) -> f32 {
     return length(max(abs(p - low), abs(p - high)));
 }
@@ -90,13 +92,13 @@ fn meets(beam: Beam, low: vec3f, high: vec3f, t_max: f32) -> bool {
 
 // ---- the far field, twin of src/scene/far.rs
 
-// Who answers which part of a beam.
+// The split of a beam into intervals for the instances and for the far field.
 struct Split {
-    // End of the part that the instances answer.
+    // End of the interval for the instances.
     near: f32,
-    // From where on they answer again; FAR_T for nowhere.
+    // Start of the second interval for the instances; FAR_T if there is none.
     rest: f32,
-    // What the far field answers; from above to for nothing.
+    // Interval for the far field; empty if from > to.
     far: vec2f,
 }
 
@@ -122,13 +124,13 @@ fn split_of(beam: Beam) -> Split {
     return Split(span.x, select(FAR_T, span.y, needs_rest), span);
 }
 
-// The part of the far part of a beam in a level's box.
+// The far interval of a beam inside the box of a level.
 fn part_in_level(level: u32, beam: Beam, far: vec2f) -> vec2f {
     if level == params.far + params.far_levels - 1u { return far; }
     return clip(beam.p, beam.direction, instances[level].box_min, instances[level].box_max, far);
 }
 
-// What of a part lies before (0) and behind (1) the part in the next finer level.
+// The piece of an interval before (0) or behind (1) the interval of the next finer level.
 fn piece_of(which: u32, part: vec2f, finer: vec2f) -> vec2f {
     if finer.x > finer.y { return select(NOWHERE, part, which == 0u); }
     return select(vec2f(finer.y, part.y), vec2f(part.x, finer.x), which == 0u);
@@ -151,27 +153,27 @@ fn ray_in_field(index: u32, beam: Beam) -> FieldRay {
     return ray;
 }
 
-// What a part of a beam may meet: an instance, or a level of the far field.
+// An occluder on an interval of a beam: an instance, or a level of the far field.
 struct Caster {
     index: u32,
     part: vec2f,
-    // How far it is passed over where the part begins inside it.
+    // Length to skip if the interval begins inside it.
     skip: f32,
 }
 
-// A walk along a beam: through the tree, then through the levels of the far field.
+// A search along a beam: through the tree, then through the levels of the far field.
 struct Walk {
     stack: array<u32, MAX_DEPTH>,
     top: u32,
-    // What is left of a leaf: places in `items`.
+    // The rest of a leaf: a range of indices in `items`.
     next: u32,
     end: u32,
     split: Split,
-    // How far the tree is walked.
+    // Length of the search through the tree.
     reach: f32,
-    // An instance that is asked again on the rest of the beam.
+    // An instance that must be evaluated again on the second interval of the beam.
     again: u32,
-    // Pieces of levels that were looked at, two a level, and the part in the level before.
+    // Number of visited pieces of levels, two per level, and the interval of the previous level.
     pieces: u32,
     finer: vec2f,
 }
@@ -188,7 +190,7 @@ fn begin_walk(beam: Beam) -> Walk {
     return walk;
 }
 
-// The next one that takes light and whose box the beam meets; NO_INSTANCE at the end.
+// The next occluder whose box the beam enters; NO_INSTANCE at the end.
 fn next_caster(walk: ptr<function, Walk>, beam: Beam) -> Caster {
     if (*walk).again != NO_INSTANCE {
         let again = Caster((*walk).again, vec2f((*walk).split.rest, beam.t_max), 0.0);
@@ -202,7 +204,7 @@ fn next_caster(walk: ptr<function, Walk>, beam: Beam) -> Caster {
             let opacity = instances[index].opacity;
             if instances[index].casts_shadow == 0u || opacity == 0.0 { continue; }
             if beam.skips_own != 0u && index == beam.own { continue; }
-            // The far field knows opaque solids alone.
+            // The far field contains opaque solids only.
             let is_whole = opacity < 1.0 || (HAS_THIN && instances[index].prefers_rays != 0u);
             if is_whole { return Caster(index, vec2f(0.0, beam.t_max), 0.0); }
             if (*walk).split.rest < FAR_T { (*walk).again = index; }
@@ -244,13 +246,13 @@ fn next_level(walk: ptr<function, Walk>, beam: Beam) -> Caster {
     return Caster(NO_INSTANCE, NOWHERE, 0.0);
 }
 
-// Where a beam enters a caster's matter, or -1.
+// The t at which a beam enters an occluder, or -1.
 fn hit_of(caster: Caster, ray: FieldRay) -> f32 {
     let to = &instances[caster.index];
     let field = fields[(*to).field];
     var part = caster.part;
     var found = -1.0;
-    // Once more where it has to be passed over. One march in a loop: drivers put functions in place of their calls.
+    // A second round if it must be skipped. The loop has one march, because drivers inline functions.
     for (var i = 0u; i < 2u; i++) {
         let span = clip(ray.origin, ray.direction, (*to).surface_lower, (*to).surface_upper, part);
         if span.x > span.y { return -1.0; }
@@ -263,7 +265,7 @@ fn hit_of(caster: Caster, ray: FieldRay) -> f32 {
     return found;
 }
 
-// Share of a thin ray that passes.
+// Fraction of a thin ray that passes.
 fn ray_share(beam: Beam) -> f32 {
     var share = 1.0;
     var walk = begin_walk(beam);
@@ -276,7 +278,7 @@ fn ray_share(beam: Beam) -> f32 {
     return share;
 }
 
-// Scene distance across of a local distance at a point.
+// Scene distance across the beam for a local distance at a point.
 fn across(index: u32, distance: f32, p: vec3f) -> f32 {
     let least = instances[index].least_stretch;
     if instances[index].largest_stretch <= least * 1.0001 { return distance * least; }
@@ -291,7 +293,7 @@ struct Cone {
     is_covered: bool,
 }
 
-// Look along a cone past one caster; only what comes closer than x_known matters.
+// Evaluates a cone past one occluder. Only edges closer to the axis than x_known are relevant.
 fn cone_past(caster: Caster, beam: Beam, x_known: f32) -> Cone {
     let index = caster.index;
     let to = &instances[index];
@@ -304,7 +306,7 @@ fn cone_past(caster: Caster, beam: Beam, x_known: f32) -> Cone {
     let upper = (*to).surface_upper + grown;
     var span = clip(ray.origin, ray.direction, lower, upper, caster.part);
     if span.x > span.y { return Cone(1.0, false); }
-    // Only levels of the far field are passed over.
+    // Only levels of the far field are skipped.
     if caster.skip > 0.0 && sampled_distance(field, ray.origin + span.x * ray.direction) <= 0.0 {
         span = clip(ray.origin, ray.direction, lower, upper, caster.part + vec2f(caster.skip, 0.0));
         if span.x > span.y { return Cone(1.0, false); }
@@ -316,7 +318,7 @@ fn cone_past(caster: Caster, beam: Beam, x_known: f32) -> Cone {
     if t_hit < 0.0 { return Cone(deepest.x, false); }
     if deepest.x <= -1.0 { return Cone(-1.0, true); }
 
-    // The nearest surface across the ray: an edge only if a ray just past it is free.
+    // The nearest surface across the ray. It counts as an edge only if a ray just beyond it is free.
     let p = ray.origin + deepest.y * ray.direction;
     let normal = scene_normal(index, field_gradient(field, p));
     let aside = normal - dot(normal, beam.direction) * beam.direction;
@@ -338,9 +340,9 @@ fn cone_past(caster: Caster, beam: Beam, x_known: f32) -> Cone {
     return Cone(-1.0, false);
 }
 
-// The nearest edge on the axis of a cone, in radii, and where. An axis that is free has a least clearance, at most x_known; one
-// that enters matter at t_hit goes so deep behind that, which is below zero. One loop for both: drivers put functions in place of
-// their calls.
+// The nearest edge on the axis of a cone, in radii, and its position. A free axis has a smallest clearance, at most
+// x_known. An axis that enters the occluder at t_hit has a depth behind it, which is negative. One loop computes both,
+// because drivers inline functions.
 fn nearest_edge(
     beam: Beam, index: u32, ray: FieldRay, x_known: f32, span: vec2f, least_step: f32, t_hit: f32
 ) -> vec2f {
@@ -372,10 +374,10 @@ fn nearest_edge(
     return nearest;
 }
 
-// Room for the rounding of an edge's place, in radii.
+// Margin for the rounding of an edge's position, in radii.
 const RIM_ROUNDING: f32 = 1e-5;
 
-// The share of a disc that is seen when an edge passes at x radii from its centre.
+// The visible fraction of a disc when an edge passes at x radii from its centre.
 fn visible_share(edge: f32) -> f32 {
     let x = clamp((1.0 + RIM_ROUNDING) * edge, -1.0, 1.0);
     if abs(x) == 1.0 { return 0.5 + 0.5 * x; }
@@ -389,10 +391,10 @@ const THIN_RAYS: u32 = 8u;
 // 2 pi (1 - 1 / golden ratio).
 const GOLDEN_ANGLE: f32 = 2.3999632;
 
-// What is left of the rays of a cone.
+// Transmitted fractions of the rays of a cone.
 struct ThinRays {
     shares: array<f32, THIN_RAYS>,
-    // Something was near enough to be asked.
+    // Whether an object was near enough to be tested.
     is_asked: bool,
 }
 
@@ -402,11 +404,11 @@ fn all_thin_rays() -> ThinRays {
     return thin;
 }
 
-// Whether a cone may meet an instance, by the ball around its surface.
+// Whether a cone may touch an instance, by the ball around its surface.
 fn may_meet(index: u32, beam: Beam) -> bool {
     let to = &instances[index];
     let ray = ray_in_field(index, beam);
-    // Under uneven scale a cone is widest where the scene is stretched least.
+    // Under non-uniform scale a cone is widest where the scene is stretched least.
     let slope = beam.slope / (length(local_direction(index, beam.direction)) * (*to).least_stretch);
     let way = 0.5 * ((*to).surface_lower + (*to).surface_upper) - ray.origin;
     let direction = normalize(ray.direction);
@@ -418,7 +420,7 @@ fn may_meet(index: u32, beam: Beam) -> bool {
 // The ray of a cone to point `i` of its section, spread evenly.
 fn thin_ray(beam: Beam, i: u32) -> Beam {
     let d = beam.direction;
-    // Two unit vectors at right angles to it and to each other, as `basis` in shadow.rs.
+    // Two unit vectors perpendicular to it and to each other, as `basis` in shadow.rs.
     let side = select(-1.0, 1.0, d.z >= 0.0);
     let a = -1.0 / (side + d.z);
     let b = d.x * d.y * a;
@@ -433,7 +435,7 @@ fn thin_ray(beam: Beam, i: u32) -> Beam {
     return ray;
 }
 
-// Let an instance stand in the way of the rays that hit it.
+// Multiplies the rays that hit an instance by its transmitted fraction.
 fn block(thin: ptr<function, ThinRays>, caster: Caster, beam: Beam) {
     let to = &instances[caster.index];
     (*thin).is_asked = true;
@@ -455,7 +457,7 @@ fn thin_share(thin: ptr<function, ThinRays>) -> f32 {
     return sum / f32(THIN_RAYS);
 }
 
-// Share of a cone's section that passes, and whether that is proven.
+// Fraction of a cone's section that passes, and whether it is proven.
 fn cone_share(beam: Beam) -> vec2f {
     var share = 1.0;
     var is_proven = true;
@@ -486,7 +488,8 @@ fn cone_share(beam: Beam) -> vec2f {
     return vec2f(share * visible_share(x), select(0.0, 1.0, is_proven && x >= 1.0));
 }
 
-// Apart, as a kernel takes the time of all that it holds: to start, and on software devices to run.
+// A separate kernel, because a kernel takes the time of everything it contains: to start, and on software devices to
+// run.
 @compute @workgroup_size(64)
 fn rays(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= params.count { return; }
@@ -511,8 +514,8 @@ const LEAST_VOXELS: f32 = 0.125;
 const MOST_LENGTH_STEPS: f32 = 1024.0;
 const BACK_VOXELS: f32 = 1.0;
 
-// Length inside between two evaluations: a crossing is interpolated linearly. Nothing is inside before the first evaluation,
-// at a distance of FAR_T.
+// Length inside between two evaluations; a crossing is interpolated linearly. The distance FAR_T before the first
+// evaluation counts as outside.
 fn length_between(before: vec2f, here: vec2f) -> f32 {
     let step = here.x - before.x;
     if before.y < 0.0 && here.y < 0.0 { return step; }
@@ -539,7 +542,7 @@ fn thicknesses(@builtin(global_invocation_id) id: vec3u) {
     if span.x <= span.y {
         let pace = 1.0 / length(local_direction(beam.own, beam.direction));
         let least_step = max(LEAST_VOXELS * voxel, (span.y - span.x) / MOST_LENGTH_STEPS);
-        // Position along the ray and distance there.
+        // Position along the ray and the distance there.
         var before = vec2f(span.x, FAR_T);
         var t = span.x;
         while steps < MAX_STEPS {

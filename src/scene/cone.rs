@@ -1,6 +1,7 @@
-//! Cones past fields: how near matter comes to their axis, and what share of their section that leaves.
+//! Cones past fields: the nearest edge to the axis of a cone, and the fraction of the cone's section that it leaves
+//! open.
 //!
-//! See [`super::shadow`] for what they are asked.
+//! [`super::shadow`] explains their use.
 
 use super::Instance;
 use super::field::Field;
@@ -14,12 +15,12 @@ const PAST_EDGE: f32 = 1.25;
 /// so near for so long.
 pub const MAX_CONE_STEPS: u32 = 512;
 
-/// What a cone met.
+/// Result of a cone past one instance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Cone {
     /// Signed distance of the nearest edge from the axis in radii, from -1 to 1.
     pub x: f32,
-    /// The whole section of the cone was inside matter somewhere.
+    /// Whether the whole section of the cone was inside the solid at some distance.
     pub is_covered: bool,
 }
 
@@ -32,9 +33,10 @@ const RIM_ROUNDING: f32 = 1e-5;
 
 /// The share of a disc that is seen when an edge passes at `x` radii from its centre, negative where it is covered.
 ///
-/// `1/2 + (asin x + x sqrt(1 - x^2)) / pi` by its series, the last term chosen so that 1 gives 1: within 0.004.
+/// `1/2 + (asin x + x sqrt(1 - x^2)) / pi` by its series, with the last term chosen so that 1 gives 1: accurate to
+/// 0.004.
 pub fn visible_share(x: f32) -> f32 {
-    // An edge that rounding has put a little inside the rim is at the rim: dark is exactly 0, lit exactly 1.
+    // An edge that rounding has moved slightly inside the rim counts as on the rim: dark is exactly 0, lit exactly 1.
     let x = ((1.0 + RIM_ROUNDING) * x).clamp(-1.0, 1.0);
     if x.abs() == 1.0 {
         return 0.5 + 0.5 * x;
@@ -43,18 +45,18 @@ pub fn visible_share(x: f32) -> f32 {
     0.5 + x * (std::f32::consts::FRAC_2_PI - s * (0.106_10 + s * (0.015_92 + s * 0.014_60)))
 }
 
-/// What a cone to a light found.
+/// Result of a cone to a light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ConeShare {
     pub share: f32,
     pub is_proven: bool,
 }
 
-/// What a cone met so far.
+/// Accumulated results of a cone.
 pub struct ConeSum {
-    /// Share that translucent instances leave.
+    /// Fraction that translucent instances let pass.
     translucent: f32,
-    /// They leave nothing open.
+    /// Whether opaque instances cover the cone completely.
     is_proven: bool,
     /// The nearest edge of the opaque ones.
     pub opaque: Cone,
@@ -70,7 +72,7 @@ impl ConeSum {
         if instance.is_opaque_solid() { self.opaque.x } else { 1.0 }
     }
 
-    /// Take in what the cone met of one more.
+    /// Adds the result of one more instance.
     pub fn add(&mut self, instance: &Instance, cone: Cone) {
         if instance.shade < 1.0 {
             self.translucent *= 1.0 - instance.shade * (1.0 - visible_share(cone.x));
@@ -102,7 +104,7 @@ pub struct ConeWalk<'a> {
     pub enter: f32,
     pub leave: f32,
     pub slope: f32,
-    /// Scene units that a ray may go for one local unit of distance.
+    /// Number of scene units that a ray may advance for one local unit of distance.
     pub pace: f32,
     /// Half a voxel, scene units.
     pub least_step: f32,
@@ -113,18 +115,18 @@ impl ConeWalk<'_> {
         self.start + (t - self.enter) * self.direction
     }
 
-    /// Scene distance across of a local distance at a point.
+    /// Scene distance across the ray for a local distance at a point.
     fn across(&self, distance: f32, p: Vec3) -> f32 {
         if self.instance.is_uniform() {
             return distance * self.instance.stretch[0];
         }
-        // The plane through the nearest point: its scene normal is L^T of the local one.
+        // The plane through the nearest point: its scene normal is L^T times the local one.
         let normal = self.instance.local_from_scene.transpose() * self.field.gradient(p);
         let length = normal.length();
         if length > 0.0 { distance / length } else { distance * self.instance.stretch[0] }
     }
 
-    /// The axis is free: the least clearance in radii, at most `x_known`.
+    /// The axis is free: the smallest clearance in radii, at most `x_known`.
     pub fn beside(&self, x_known: f32, steps: &mut u32) -> f32 {
         let mut x = x_known;
         let mut t = self.enter;
@@ -137,7 +139,7 @@ impl ConeWalk<'_> {
                 let clear = self.across(self.field.distance_guess(p).max(0.0), p);
                 x = x.min(clear / radius);
             }
-            // Where matter is near, half steps find the closest approach to 3 %.
+            // Near a surface, half steps find the closest approach to 3 %.
             let step = distance * self.pace;
             let step = if step < 2.0 * radius { 0.5 * step } else { step };
             t += step.max(self.least_step);
@@ -153,7 +155,7 @@ impl ConeWalk<'_> {
     pub fn inside(&self, t_hit: f32, steps: &mut u32) -> (Cone, Option<Vec3>) {
         let dark = Cone { x: -1.0, is_covered: false };
         let mut deepest = (0.0f32, t_hit);
-        // Just past the surface, where the field is below zero.
+        // Immediately behind the surface, where the field is below zero.
         let mut t = t_hit + 0.5 * self.least_step;
         for _ in 0..MAX_CONE_STEPS {
             *steps += 1;
@@ -174,7 +176,7 @@ impl ConeWalk<'_> {
                 break;
             }
         }
-        // The nearest surface across the ray, and a ray just past it.
+        // The nearest surface across the ray, and a ray just beyond it.
         let (x, t) = deepest;
         let p = self.at(t);
         let normal = self.instance.local_from_scene.transpose() * self.field.gradient(p);

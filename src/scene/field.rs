@@ -1,13 +1,14 @@
-//! What light meets in a thing: a distance field, as shadow, occlusion and scattering rays ask it.
+//! Distance fields of objects, for shadow, occlusion and scattering rays.
 //!
-//! A [`Field`] has a space of its own, in which its rays are plain: grid space for a sampled volume (voxel centres at
-//! whole numbers). Distances are in the thing's own units. Whatever answers the questions of the trait can stand in a
-//! scene; [`SampledField`] does so with the trilinear cells of a stored volume, [`super::things`] has the others.
+//! A [`Field`] has a space of its own in which its rays are simple: grid space for a sampled volume (voxel centres at
+//! whole numbers). Distances are in the object's own units. Any type that implements the trait can be an object of a
+//! scene. [`SampledField`] implements it for the trilinear cells of a stored volume; [`super::things`] has the other
+//! kinds.
 //!
-//! Outside its box a sampled field knows less. With `b` the nearest point of the box at distance `a`, and `s` the distance
-//! there, the surface is at least `sqrt(a^2 + s^2)` away, because the box is convex: rays may step that far. The nearest
-//! surface point of `b`, `q = b - s gradient`, lies on the surface, so `|p - q|` is no less than the truth; penumbrae take
-//! that, which is off by second order only.
+//! Outside its box a sampled field has bounds only. Let `b` be the nearest point of the box at distance `a`, and `s`
+//! the distance there. The surface is at least `sqrt(a^2 + s^2)` away, because the box is convex: rays may step that
+//! far. The nearest surface point of `b`, `q = b - s gradient`, lies on the surface, so `|p - q|` is at least the true
+//! distance. Penumbrae use it; its error is of second order.
 
 use super::device_fields::DeviceFields;
 use crate::error::{DeviceError, Error};
@@ -18,7 +19,7 @@ use crate::render::march::{GridRay, Marcher};
 use crate::volume::{Cell, FieldView, Trilinear, trilinear};
 use glam::{DAffine3, DMat3, DVec3, IVec3, Vec3};
 
-/// A ray in field space: `origin + t direction`, with `t` in the unit of whoever asks.
+/// A ray in field space: `origin + t direction`, with `t` in the unit of the caller.
 #[derive(Debug, Clone, Copy)]
 pub struct FieldRay {
     pub origin: Vec3,
@@ -29,88 +30,92 @@ pub struct FieldRay {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FieldHit {
     pub t: f32,
-    /// The ray began inside, or entered the data where it is inside.
+    /// Whether the ray began inside, or entered the grid where it is inside.
     pub at_start: bool,
-    /// Which part of the thing was hit, for what it looks like there.
+    /// Index of the part that was hit, for its appearance.
     pub part: u32,
 }
 
-/// What a surface looks like where it is hit.
+/// Appearance of a surface at a hit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Look {
-    /// Outwards, or against the ray where there is no inside; in the thing's own axes, unit; zero where there is none.
+    /// Unit normal in the object's own axes: outwards, or against the ray if there is no inside; zero if it is
+    /// undefined.
     pub normal: Vec3,
-    /// Linear RGB of the thing itself; none where it has no colour.
+    /// Linear RGB of the object itself; None if it has no colour.
     pub color: Option<[f32; 3]>,
 }
 
-/// A solid known by its distances.
+/// A solid given by its distances.
 pub trait Field: Send + Sync {
-    /// From the thing's own coordinates to those of the field.
+    /// Transform from the object's own coordinates to those of the field.
     fn field_from_local(&self) -> DAffine3;
 
-    /// Lower and upper corner of the data, field space.
+    /// Lower and upper corner of the grid, field space.
     fn bounds(&self) -> [Vec3; 2];
 
-    /// Lower and upper corner of a box that holds the surface, field space.
+    /// Lower and upper corner of a box that contains the surface, field space.
     fn surface_bounds(&self) -> [Vec3; 2];
 
-    /// The smallest detail, in the thing's units: the voxel.
+    /// Size of the smallest detail in the object's units: the voxel.
     fn voxel(&self) -> f64;
 
-    /// The first point with `t` in `[0, t_max]` that is inside, exact for what the field is made of, and the steps taken.
-    /// The ray lies in `bounds`.
+    /// The first point with `t` in `[0, t_max]` that is inside, exact for the field's representation, and the number of
+    /// steps. The ray must lie in `bounds`.
     fn first_hit(&self, ray: &FieldRay, t_max: f32) -> (Option<FieldHit>, u32);
 
-    /// The distance at a point, in the thing's units, negative inside; outside the data a lower bound.
+    /// The distance at a point, in the object's units, negative inside. Outside the grid it is a lower bound.
     fn distance(&self, p: Vec3) -> f32;
 
-    /// A better guess than `distance` outside the data, where it may exceed the truth by second order.
+    /// An estimate closer than `distance` outside the grid, where it may exceed the true distance by a second-order
+    /// error.
     fn distance_guess(&self, p: Vec3) -> f32;
 
-    /// Gradient of the distance in the thing's own axes, near length 1; zero where there is none.
+    /// Gradient of the distance in the object's own axes, of about unit length; zero where it is undefined.
     fn gradient(&self, p: Vec3) -> Vec3;
 
-    /// What it looks like where a ray of that direction hit it, at `p`.
+    /// Appearance at the point `p`, which a ray of this direction hit.
     fn look(&self, p: Vec3, _hit: &FieldHit, _direction: Vec3) -> Look {
         Look { normal: self.gradient(p), color: None }
     }
 
-    /// Share of the light that is kept by one crossing, besides the instance's.
+    /// Fraction of the light that one crossing blocks, besides the instance's opacity.
     fn opacity(&self) -> f32 {
         1.0
     }
 
-    /// Whether thin rays answer for cones ([`super::thin`]): for what has no depth, and where a distance costs more than a
-    /// ray.
+    /// Whether cones are estimated by thin rays ([`super::thin`]): for objects without depth, and for those whose
+    /// distances cost more than rays.
     fn prefers_rays(&self) -> bool {
         false
     }
 
-    /// Length of a ray's part inside the object, in `t`, from a start on the surface to the next crossing, where a closed form
-    /// gives it. `enters`: the ray starts into the object. `None` where the length follows from the distances.
+    /// Length of a ray's interval inside the object, in `t`, from a start on the surface to the next crossing, if there
+    /// is a closed form. `enters`: the ray starts into the object. `None` if the length must be computed from
+    /// distances.
     fn chord(&self, _ray: &FieldRay, _enters: bool) -> Option<f32> {
         None
     }
 
-    /// Radius of a ball about the middle of `surface_bounds` that holds the surface, field space.
+    /// Radius of a ball around the surface, centred in the box `surface_bounds`, field space.
     fn surface_radius(&self) -> f32 {
         let [lower, upper] = self.surface_bounds();
         0.5 * (upper - lower).length()
     }
 
-    /// Add what devices keep of it to their tables; false where they do not know the kind.
+    /// Appends its data to the tables of a device; false if devices do not support the kind.
     fn enter(&self, _tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
         Ok(false)
     }
 
-    /// Whether the ray of a pixel meets it again where a device saw it: what has parts, or is known better than float32 tells.
+    /// Whether the ray of a pixel must hit it again after a device found it: for objects with parts, or with more
+    /// precision than float32.
     fn is_met_again(&self) -> bool {
         false
     }
 }
 
-/// A stored field of trilinear cells, made ready for rays.
+/// A stored field of trilinear cells, prepared for rays.
 #[derive(Debug)]
 pub struct SampledField<F> {
     marcher: Marcher<F>,
@@ -121,10 +126,10 @@ pub struct SampledField<F> {
 }
 
 impl<F: Blocks> SampledField<F> {
-    /// `inner` holds the surface, world units of the grid. Fails where a distance is not a finite number of reasonable size.
+    /// `inner` must contain the surface, world units of the grid. Fails if a distance is not finite or too large.
     pub fn new(field: F, inner: [DVec3; 2], progress: &Progress) -> Result<Self, Error> {
         let last_point = (field.shape() - 0.5).as_vec3();
-        // The trilinear surface may leave the true one by less than a voxel.
+        // The trilinear surface may deviate from the true one by less than a voxel.
         let lower = (field.grid_from_world(inner[0]).as_vec3() - 1.0).clamp(Vec3::splat(-0.5), last_point);
         let upper = (field.grid_from_world(inner[1]).as_vec3() + 1.0).clamp(Vec3::splat(-0.5), last_point);
         let spacing = field.grid().spacing().as_vec3();
@@ -192,7 +197,8 @@ impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
     }
 
     fn gradient(&self, p: Vec3) -> Vec3 {
-        // Averaged over a voxel, and inward of the outer half voxel, where the field is constant along an axis.
+        // Averaged over a voxel. The point is moved out of the outermost half voxel, where the field is constant along
+        // an axis.
         let low = Vec3::splat(0.5).min(self.last_point - 1.0);
         let p = p.max(low).min((self.last_point - 1.0).max(low));
         let across = |half: Vec3| self.sample(p + half) - self.sample(p - half);
@@ -207,9 +213,9 @@ impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
     }
 }
 
-/// Fields that devices know.
+/// Fields that devices support.
 pub trait OnDevice: Sized {
-    /// Add one, made ready for rays, to a device's tables.
+    /// Appends a field that is prepared for rays to the tables of a device.
     fn enter(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<(), DeviceError>;
 }
 

@@ -1,8 +1,8 @@
-//! The light pass's questions answered by a graphics device (`shaders/scene_beams.wgsl`).
+//! The rays and cones of the light pass on a graphics device (`shaders/scene_beams.wgsl`).
 //!
-//! Instances, their tree and the fields behind them ([`super::device_fields`]) go up once a scene and device. A picture then sends its rays and
-//! cones as [`Beam`]s and gets the share of each that passes. One that runs out of the shader's bounded steps says so and is
-//! asked again on the CPU.
+//! Instances, their tree and their fields ([`super::device_fields`]) are uploaded once per scene and device. A picture
+//! then sends its rays and cones as [`Beam`]s and receives the fraction of each that passes. A beam that runs out of
+//! the shader's bounded steps is flagged, and the CPU evaluates it.
 
 use super::device_fields::DeviceFields;
 use super::far::Far;
@@ -23,7 +23,7 @@ use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::sync::Arc;
 
-/// Invocations of a workgroup, as in the shader.
+/// Number of invocations of a workgroup, as in the shader.
 const GROUP: u64 = 64;
 /// Workgroups of a dispatch: the first one, and the most.
 const GROUPS: (u64, u64) = (16, 65_535);
@@ -46,16 +46,16 @@ pub struct DeviceScene {
     meshes: DeviceMeshes,
     /// The levels of the far field that follow the instances.
     far: Vec<Arc<dyn Field>>,
-    /// Of its things.
+    /// Kinds of its objects.
     kinds: Kinds,
-    /// Whether it has the field, if any, of each instance and then of each level.
+    /// Whether the device has the field, if any, of each instance and then of each level.
     knows: Vec<bool>,
 }
 
 impl DeviceScene {
     pub fn upload(context: &Arc<Context>, scene: &Scene, far: Option<&Far>) -> Result<Self, Error> {
         let mut tables = DeviceFields::new(context);
-        // Records by the address of their field, which the scene keeps alive; none for what devices do not know.
+        // Records by the address of their field, which the scene keeps alive; None if devices do not support it.
         let mut known: HashMap<usize, Option<u32>> = HashMap::new();
         let mut rows = Vec::with_capacity(scene.instances.len() + 1);
         let mut knows = Vec::with_capacity(scene.instances.len() + 1);
@@ -95,17 +95,17 @@ impl DeviceScene {
         &self.context
     }
 
-    /// Whether it has the fields of all instances, so that it can light them.
+    /// Whether the device has the fields of all instances, so that it can light them.
     pub fn knows_all(&self) -> bool {
         !self.knows.contains(&false)
     }
 
-    /// Whether it has the field of an instance, if it has one.
+    /// Whether the device has the field of an instance, if the instance has one.
     pub fn knows(&self, instance: usize) -> bool {
         self.knows[instance]
     }
 
-    /// What kernels import for the kinds of its things.
+    /// Overrides of imported files for the kinds of its objects.
     pub fn texts(&self) -> Vec<Instead> {
         self.kinds.texts()
     }
@@ -119,14 +119,14 @@ impl DeviceScene {
         [(3, &self.instances), (4, &self.fields), (5, &self.samples), (6, &self.blocks)]
     }
 
-    /// Whether this far field, if any, is there.
+    /// Whether the device has this far field, if any.
     pub fn has(&self, far: Option<&Far>) -> bool {
         let Some(far) = far else { return true };
         let wanted = far.levels.iter().filter_map(|level| level.instance.field.as_ref());
         self.far.len() == far.levels.len() && wanted.zip(&self.far).all(|(wanted, there)| Arc::ptr_eq(wanted, there))
     }
 
-    /// Share of each beam that passes.
+    /// Fraction of each beam that passes.
     pub fn shares(&self, casters: &Casters<'_>, beams: &[Beam], progress: &Progress) -> Result<Vec<Answer>, Error> {
         let mut params = BeamParams { far: NO_FAR, ..BeamParams::default() };
         if let Some(far) = casters.far {
@@ -189,7 +189,8 @@ impl DeviceScene {
             (7, &asked),
             (8, &found),
         ];
-        // The layout has what the entry point reads: a thickness needs no tree, and the distance of a dense grid no blocks.
+        // The layout contains only the buffers that the entry point reads: a thickness needs no tree, and the distance
+        // of a dense grid no blocks.
         let unused: &[u32] = match (entry, self.kinds.sparse) {
             ("rays" | "cones", _) => &[],
             (_, true) => &[1, 2],

@@ -1,5 +1,5 @@
-//! What is known about the light at the surfaces that a camera sees: asked of the fields, on the CPU or a device, or taken
-//! from neighbours.
+//! The light at the visible surfaces of a camera: evaluated in the fields, on the CPU or a device, or interpolated from
+//! neighbours.
 //!
 //! Light changes slowly over most of a picture, and asking for it is what costs. So a picture at half resolution asks at
 //! every second pixel of every second row, and a picture of several samples a pixel asks at the pixels' centres. Whatever
@@ -18,38 +18,39 @@ use crate::progress::Progress;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-/// One look of the camera, and what its light is asked of.
+/// One pass of the camera, and the data for its light.
 #[derive(Clone, Copy)]
 pub struct Pass<'a> {
     pub casters: &'a Casters<'a>,
     pub buffer: &'a GBuffer,
     pub lights: &'a Lights,
     pub options: &'a RenderOptions,
-    /// None: the CPU.
+    /// Device of the light pass; None for the CPU.
     pub device: Option<&'a DeviceScene>,
     pub asked: &'a Asked,
     pub progress: &'a Progress,
 }
 
-/// What the fields say about the light on one layer.
+/// Light on one layer.
 #[derive(Debug, Clone, Copy)]
 pub struct Found<'a> {
-    /// Share of the surroundings' light.
+    /// Fraction of the ambient light that arrives.
     pub open: f32,
-    /// Share of each light that arrives.
+    /// Fraction of each light that arrives.
     pub shares: &'a [f32],
-    /// Share of each light, RGB, that arrives through the own instance, weighted for the surface; 0 where it does not scatter.
+    /// Fraction of each light, RGB, that arrives through the layer's own instance, weighted for the surface; 0 if it
+    /// does not scatter.
     pub through: &'a [[f32; 3]],
 }
 
-/// The same, to be written.
+/// [`Found`] for writing.
 pub struct FoundMut<'a> {
     pub open: &'a mut f32,
     pub shares: &'a mut [f32],
     pub through: &'a mut [[f32; 3]],
 }
 
-/// What is known about the layers of a G-buffer.
+/// The light on the layers of a G-buffer.
 pub struct Known {
     lights: usize,
     rows: Vec<KnownRow>,
@@ -58,13 +59,13 @@ pub struct Known {
 #[derive(Default)]
 struct KnownRow {
     is_known: Vec<bool>,
-    /// For each layer: open, one share a light, three shares a light of what comes through.
+    /// For each layer: ambient fraction, one fraction per light, three fractions per light for transmitted light.
     values: Vec<f32>,
     steps: Vec<u32>,
 }
 
 impl Known {
-    /// Nothing yet.
+    /// Nothing evaluated yet.
     pub fn new(buffer: &GBuffer, lights: usize) -> Self {
         let row = |layers: &Vec<Layer>| KnownRow {
             is_known: vec![false; layers.len()],
@@ -74,7 +75,7 @@ impl Known {
         Self { lights, rows: buffer.rows.iter().map(row).collect() }
     }
 
-    /// What is known of layer `i` in row `y`, and the steps that it took.
+    /// Light on layer `i` in row `y`, and the number of steps for it.
     pub fn at(&self, y: usize, i: usize) -> (Found<'_>, u32) {
         let row = &self.rows[y];
         let values = &row.values[i * stride(self.lights)..][..stride(self.lights)];
@@ -110,7 +111,7 @@ pub fn find(pass: &Pass<'_>, centre: Option<(&GBuffer, &Known)>) -> Result<Known
     Ok(known)
 }
 
-/// Put what was asked over what was gathered.
+/// Replaces interpolated values by evaluated ones.
 fn keep(known: &mut Known, asked: Known) {
     let stride = stride(known.lights);
     for (row, asked) in known.rows.iter_mut().zip(asked.rows) {
@@ -122,7 +123,7 @@ fn keep(known: &mut Known, asked: Known) {
     }
 }
 
-/// Ask for what is not known yet at the pixels that are wanted; each row counts as so much progress.
+/// Evaluates the missing light at the requested pixels. Each row counts as the same amount of progress.
 fn ask(
     pass: &Pass<'_>,
     known: &mut Known,
@@ -152,14 +153,14 @@ fn ask(
 
 // ---- neighbours
 
-/// Cosine between normals of surfaces that share their light: 18 degrees.
+/// Smallest cosine between normals of surfaces that share their light: 18 degrees.
 const SAME_NORMAL: f32 = 0.95;
 /// Values that differ by less may be averaged.
 const AGREE: f32 = 0.125;
-/// The bilinear weights of the neighbours that fit, together at least.
+/// Smallest sum of the bilinear weights of matching neighbours.
 const ENOUGH: f32 = 0.5;
 
-/// Take from a buffer whose light is known, at every so many pixels, what its surfaces tell about those of the pass.
+/// Interpolates light for the surfaces of the pass from a buffer that has light at every `every`-th pixel.
 fn gather(pass: &Pass<'_>, known: &mut Known, source: &GBuffer, asked: &Known, every: u32) -> Result<(), Error> {
     let lights = known.lights;
     known.rows.par_iter_mut().enumerate().try_for_each(|(y, row)| {
@@ -180,7 +181,7 @@ fn gather(pass: &Pass<'_>, known: &mut Known, source: &GBuffer, asked: &Known, e
     })
 }
 
-/// The known surfaces around one that could share their light with it, and their bilinear weights.
+/// The evaluated surfaces around a surface that can share their light with it, and their bilinear weights.
 fn fitting<'a>(
     pass: &Pass<'_>,
     surface: &Surface<'_>,
@@ -194,7 +195,7 @@ fn fitting<'a>(
     let eye = view.camera.eye;
     let p = eye + surface.layer.depth * view.direction(surface.layer.x, y as u32);
     let normal = surface.layer.normal.as_dvec3();
-    // Half the distance of two asked pixels there.
+    // Half the distance of two evaluated pixels there.
     let apart = 0.5 * view.camera.pixel_size(view.size[1]) * surface.layer.depth * f64::from(every);
     let at = |pixel: u32, offset: f64| (f64::from(pixel) + offset - 0.5) / f64::from(every);
     let (u, v) = (at(surface.layer.x, view.offset[0]), at(y as u32, view.offset[1]));
@@ -221,7 +222,7 @@ fn fitting<'a>(
     }
 }
 
-/// The weighed mean of values, or false where too few are there or they disagree.
+/// The weighted mean of values; false if there are too few or they disagree.
 fn mean(neighbours: &[(&[f32], f32)], values: &mut [f32]) -> bool {
     let total: f32 = neighbours.iter().map(|(_, weight)| weight).sum();
     if total < ENOUGH {
@@ -241,7 +242,7 @@ fn mean(neighbours: &[(&[f32], f32)], values: &mut [f32]) -> bool {
 
 // ---- devices
 
-/// Beams that go to a device at a time, about: 64 MiB.
+/// Approximate number of beams on a device at a time: 64 MiB.
 const MOST_BEAMS: usize = 1 << 20;
 
 fn ask_device(
@@ -251,7 +252,7 @@ fn ask_device(
     wanted: &dyn Fn(u32, u32) -> bool,
     worth: u64,
 ) -> Result<(), Error> {
-    // A bunch of rows at a time: beams take 64 bytes each.
+    // Rows are processed in bunches, since a beam has 64 bytes.
     let rays = if let SceneShadows::Area(count) = pass.options.shadows { count } else { PARTS } as usize;
     let beams_per_layer = pass.lights.lights.len().max(1) * rays + AO_CONES;
     let mut bunch = Vec::new();
@@ -270,7 +271,7 @@ fn ask_device(
     Ok(())
 }
 
-/// Light the surfaces of a bunch on a device: directly, then through their own instances.
+/// Computes the light on the surfaces of a bunch on a device: directly, then through their own instances.
 fn light_bunch(
     pass: &Pass<'_>,
     device: &DeviceScene,
@@ -279,7 +280,7 @@ fn light_bunch(
 ) -> Result<(), Error> {
     let lights = known.lights;
     let mut answers = Answers::ask(pass, device, bunch)?;
-    // For each beam from behind: the row and layer.
+    // Row and layer of each beam from behind.
     let (mut behind, mut owners) = (Vec::new(), Vec::new());
     for (y, i, surface) in bunch.drain(..) {
         let row = &mut known.rows[y];
@@ -315,13 +316,13 @@ fn too_few(device: &DeviceScene) -> DeviceError {
     DeviceError::Failed { device: device.context().label(), what: "the scene's light".into(), reason }
 }
 
-/// Beams, and what a device found along them, in order.
+/// Beams, and the device's results along them, in order.
 struct Batch {
     beams: std::iter::Zip<std::vec::IntoIter<Beam>, std::vec::IntoIter<Answer>>,
-    /// The parts of discs that one cone did not decide.
+    /// The narrow cones of discs for which one cone was not sufficient.
     parts: std::vec::IntoIter<Answer>,
-    /// Shares past the sheets, which the CPU evaluates: one for each ray and cone of occlusion, and one for each part of a
-    /// disc. Empty in scenes without sheets.
+    /// Fractions past the sheets, which the CPU evaluates: one for each ray and cone of occlusion, and one for each
+    /// part of a disc. Empty in scenes without sheets.
     past_sheets: std::vec::IntoIter<f32>,
 }
 
@@ -338,7 +339,7 @@ impl Batch {
         })
     }
 
-    /// The share of the next beam, and the work; `None` if the answers have run out.
+    /// The fraction of the next beam, and its work; `None` if there are no more results.
     fn next(&mut self, work: &mut Work) -> Option<f32> {
         let (beam, answer) = self.beams.next()?;
         *work += took(&answer);
@@ -368,7 +369,7 @@ impl Batch {
     }
 }
 
-/// What a device found about the surfaces of a bunch.
+/// The device's results for the surfaces of a bunch.
 struct Answers {
     direct: Batch,
     /// Lengths inside the own instance.
@@ -388,8 +389,9 @@ impl Answers {
         Ok(Self { direct: Batch::run(pass, device, beams, past_sheets)?, lengths: lengths.into_iter() })
     }
 
-    /// What was found about the next surface, and the work; `None` if the answers have run out. Light from behind it is what is
-    /// left of it inside; a ray to each light whose visibility from there is open is appended to `behind`.
+    /// Results for the next surface, and the work; `None` if there are no more results. Light from behind is the
+    /// fraction that remains inside the surface's instance. A ray to each light whose visibility from there is unknown
+    /// is appended to `behind`.
     fn next(
         &mut self,
         pass: &Pass<'_>,
@@ -445,14 +447,14 @@ impl Answers {
 /// A beam from a surface to light behind its own instance.
 struct Behind {
     light: usize,
-    /// Share of the light that is left inside the instance.
+    /// Fraction of the light that remains inside the instance.
     left: Vec3,
     place: Place,
     ray: Ray,
     slope: f32,
 }
 
-/// Shares of all beams of some surfaces past the sheets, in order.
+/// Fractions of all beams of some surfaces past the sheets, in order.
 fn past_sheets<T: Sync>(
     pass: &Pass<'_>,
     items: &[T],
@@ -495,7 +497,7 @@ fn first_beams(pass: &Pass<'_>, surface: &Surface<'_>, beams: &mut Vec<Beam>, in
     }
 }
 
-/// The narrow cones that share a light's disc.
+/// The narrow cones that divide a light's disc.
 fn parts_of_disc(disc: &Beam) -> impl Iterator<Item = Beam> {
     let direction = Vec3::from_array(disc.direction).as_dvec3();
     let ray = Ray { direction, t_max: f64::from(disc.t_max) };
@@ -516,7 +518,7 @@ fn took(answer: &Answer) -> Work {
     Work { steps: answer.steps, rays: 1, far_rays: answer.is_far }
 }
 
-/// Whether a cone to a light's disc needs a closer look. The cones of occlusion do not.
+/// Whether the cone to a light's disc must be divided. The cones of occlusion are never divided.
 fn is_undecided(beam: &Beam, answer: &Answer) -> bool {
     is_disc(beam) && answer.is_proven == 0
 }

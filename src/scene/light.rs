@@ -73,7 +73,7 @@ impl Lights {
 }
 
 impl SceneLight {
-    /// The way to the light from a scene point, its angular radius as a slope, and its colour.
+    /// The ray to the light from a scene point, the light's angular radius as a slope, and its colour.
     pub fn seen_from(&self, p: DVec3) -> (Ray, f32, Vec3) {
         match *self {
             Self::Directional { to_light, color, slope } => {
@@ -88,7 +88,7 @@ impl SceneLight {
     }
 }
 
-/// Shade the layers by what was found about their light, and lay them over the background.
+/// Shades the layers with the light on them, and composes them over the background.
 pub fn compose(pass: &Pass<'_>, known: &Known) -> Result<Frame, Error> {
     let &Pass { casters, buffer, lights, options, progress, .. } = pass;
     let scene = casters.scene;
@@ -109,7 +109,7 @@ pub fn compose(pass: &Pass<'_>, known: &Known) -> Result<Frame, Error> {
                 let light = surface.shade(scene, lights, options, &found);
                 color += passes * layer.color.w * light.extend(1.0);
                 passes *= 1.0 - layer.color.w;
-                // The pixel belongs to the first surface that hides half or more of what is behind it.
+                // The pixel belongs to the first surface that covers at least half of the background.
                 if is_first && layer.color.w >= 0.5 {
                     is_first = false;
                     row.depth[x] = layer.depth as f32;
@@ -129,7 +129,7 @@ pub fn compose(pass: &Pass<'_>, known: &Known) -> Result<Frame, Error> {
     Ok(frame)
 }
 
-/// A turn for each pixel's samples of an area light, from 0 to 2 pi: interleaved gradient noise (Jimenez, 2014).
+/// Rotation of the samples of an area light for each pixel, 0 to 2 pi: interleaved gradient noise (Jimenez, 2014).
 pub fn pixel_turn(x: usize, y: usize) -> f32 {
     let value = 52.982_918 * (0.067_110_56 * x as f32 + 0.005_837_15 * y as f32).fract();
     value.fract() * std::f32::consts::TAU
@@ -140,7 +140,7 @@ pub struct Surface<'a> {
     pub layer: &'a Layer,
     pub place: Place,
     to_eye: Vec3,
-    /// For samples of area lights.
+    /// Rotation of the samples of area lights, radians.
     pub turn: f32,
 }
 
@@ -163,7 +163,7 @@ impl<'a> Surface<'a> {
         self.layer.normal.dot(ray.direction.as_vec3())
     }
 
-    /// Whether a light's share is a question: a side that is turned away gets none.
+    /// Whether a light must be evaluated. A side that faces away receives none.
     pub fn asks_for(&self, ray: &Ray, options: &RenderOptions) -> bool {
         options.shadows != SceneShadows::None && self.cosine(ray) > 0.0
     }
@@ -172,7 +172,7 @@ impl<'a> Surface<'a> {
         scene.materials[self.layer.material as usize].scattering != [0.0; 3]
     }
 
-    /// The share of a light that needs no asking.
+    /// The fraction of a light that needs no evaluation; None if it does.
     pub fn plain_share(&self, ray: &Ray, options: &RenderOptions) -> Option<f32> {
         match options.shadows {
             SceneShadows::None => Some(1.0),
@@ -181,7 +181,7 @@ impl<'a> Surface<'a> {
         }
     }
 
-    /// Evaluate the light on the surface by the fields; returns the work.
+    /// Evaluates the light on the surface in the fields. Returns the work.
     pub fn look(
         &self,
         casters: &Casters<'_>,
@@ -226,7 +226,7 @@ impl<'a> Surface<'a> {
         work
     }
 
-    /// Visible share of a light from a place, in the mode of the picture.
+    /// Visible fraction of a light from a place, in the mode of the picture's shadows.
     fn visible_share(
         &self,
         casters: &Casters<'_>,
@@ -245,8 +245,8 @@ impl<'a> Surface<'a> {
         }
     }
 
-    /// The rays along which light comes through the instance, each with the slope of the light that is left to it: every ray
-    /// of an area light by itself, else the ray to the centre with the whole light.
+    /// The rays along which light passes through the instance, each with the slope of its part of the light: every ray
+    /// of an area light separately, else the ray to the centre with the whole light.
     pub fn ways(&self, ray: &Ray, slope: f32, shadows: SceneShadows) -> Vec<(Ray, f32)> {
         match shadows {
             SceneShadows::Area(count) if slope > 0.0 => {
@@ -257,14 +257,15 @@ impl<'a> Surface<'a> {
         }
     }
 
-    /// Share of light left behind a length inside the instance, scene units, with the weight of the surface.
+    /// Fraction of the light that remains after a length inside the instance, scene units, times the weight of the
+    /// surface.
     pub fn left(&self, scene: &Scene, ray: &Ray, length: f32) -> Vec3 {
         let scattering = Vec3::from_array(scene.materials[self.layer.material as usize].scattering);
         transmission::weight(self.cosine(ray)) * transmission::left(length * scene.scale as f32, scattering)
     }
 
-    /// The visibility of a light behind the instance where it needs no rays: without shadows, where no light is left, and where
-    /// the surface itself gets all of the light although its own instance can shade it.
+    /// The visibility of a light behind the instance if it needs no rays: without shadows, where no light remains, and
+    /// where the surface receives all of the light although its own instance can shade it.
     pub fn plain_visibility(&self, share: f32, left: Vec3, options: &RenderOptions) -> Option<f32> {
         match options.shadows {
             SceneShadows::None => Some(1.0),
@@ -273,7 +274,7 @@ impl<'a> Surface<'a> {
         }
     }
 
-    /// The place as light sees it that comes through the instance.
+    /// The place for light through the instance.
     pub fn place_behind(&self) -> Place {
         Place { skips_own: true, ..self.place }
     }

@@ -1,21 +1,23 @@
-//! Scenes: instances of meshes and volumes under any affine transform, seen by a camera and lit through distance fields.
+//! Scenes: instances of objects under any affine transform, viewed by a camera and lit through distance fields.
 //!
 //! # Theory
 //!
-//! A picture is made in two passes that meet in a G-buffer. The *primary* pass ([`primary`]) finds what each pixel sees:
-//! triangles exactly, as a rasteriser would at pixel centres, or the root of a field. The *light* pass ([`light`]) asks the
-//! scene's distance fields ([`field`], [`shadow`]) how much of each light arrives, how open the surroundings are, and how
-//! much matter lies behind the surface. Both walk a tree over the instances' boxes ([`tree`]).
+//! A picture is made in two passes that communicate by a G-buffer. The *primary* pass ([`primary`]) finds the visible
+//! surfaces of each pixel: triangles exactly, as a rasteriser would at pixel centres, or the root of a field. The
+//! *light* pass ([`light`]) evaluates the scene's distance fields ([`field`], [`shadow`]): the fraction of each light
+//! that arrives, the open part of the hemisphere, and the length of material behind the surface. Both search a tree
+//! over the boxes of the instances ([`tree`]).
 //!
-//! Spaces: *world*, as the user has it; *scene*, `(world - center) / scale` with a power of two, where the scene spans about
-//! 1 and float32 is good; *local*, the coordinates of the thing in an instance; *field*, see [`field`]. Matrices are
-//! named target-from-source. A distance `d` of an instance reaches `d / |L r|` along a scene ray `r`, `L` taking scene to
-//! local: safe for any affine transform, as the local ball around a point is an ellipsoid in the scene.
+//! Spaces: *world*, the user's; *scene*, `(world - center) / scale` with a power of two, where the scene spans about 1
+//! and float32 is accurate; *local*, the coordinates of the object of an instance; *field*, see [`field`]. Matrices are
+//! named target-from-source. A distance `d` of an instance allows a step of `d / |L r|` along a scene ray `r`, where
+//! `L` maps scene to local: valid for any affine transform, as the local ball around a point is an ellipsoid in the
+//! scene.
 //!
 //! # Practice
 //!
-//! Build a [`Scene`] once and [`render`] it as often as you like. Things are shared: a forest of one tree holds one field.
-//! To let another kind of thing cast shadows, implement [`field::Field`].
+//! Build a [`Scene`] once and [`render`] it any number of times. Objects are shared: a forest of one tree has one
+//! field. A new kind of object casts shadows if it implements [`field::Field`].
 
 pub mod article;
 pub mod cone;
@@ -57,29 +59,30 @@ use texture::Texture;
 use tree::Tree;
 use triangles::Triangles;
 
-/// What a surface looks like.
+/// Appearance of a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Material {
     /// Linear RGB and opacity; a factor of the texture.
     pub color: [f32; 4],
     /// Index of a texture of the scene.
     pub texture: Option<u32>,
-    /// Linear RGB that the surface sends out by itself; a factor of its texture.
+    /// Linear RGB that the surface emits; a factor of its texture.
     pub emission: [f32; 3],
     /// Index of a texture of the scene.
     pub emission_texture: Option<u32>,
-    /// The colour is shown as it is, without any light.
+    /// Whether the colour is shown unchanged, without lighting.
     pub unlit: bool,
     pub specular: f32,
     pub shininess: f32,
     pub alpha: Alpha,
-    /// The back of faces is seen too.
+    /// Whether the back of faces is visible too.
     pub two_sided: bool,
-    /// How far light goes inside before 1/e of it is left, world units, for each of RGB; 0 where it does not enter.
+    /// Length inside the object after which 1/e of the light remains, world units, for each of RGB; 0 if light does not
+    /// enter.
     pub scattering: [f32; 3],
 }
 
-/// What opacity means.
+/// Use of opacity.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Alpha {
     Opaque,
@@ -88,55 +91,56 @@ pub enum Alpha {
     Blend,
 }
 
-/// A thing and where it stands, as the caller gives it.
+/// An object and its transform, from the caller.
 #[derive(Clone)]
 pub struct InstanceInput {
     pub triangles: Option<Arc<Triangles>>,
     pub field: Option<Arc<dyn Field>>,
     pub world_from_local: DAffine3,
-    /// First of the thing's materials in the scene's list.
+    /// Index of the first of the object's materials in the scene's list.
     pub first_material: u32,
-    /// Shows the thing's own colours where it has them, in place of the material's.
+    /// Whether the object's own colours replace the material's, where it has any.
     pub own_colors: bool,
     pub opacity: f32,
     pub casts_shadow: bool,
     pub visible: bool,
-    /// What pixels call it: several instances may be one object.
+    /// Identifier in the picture; several instances may be one object.
     pub object: u32,
-    /// Light meets its triangles, not its field ([`sheets`]).
+    /// Whether light intersects its triangles instead of its field ([`sheets`]).
     pub is_sheet: bool,
 }
 
-/// An instance with what rays need of it.
+/// An instance with the data for rays.
 pub struct Instance {
     pub triangles: Option<Arc<Triangles>>,
     pub field: Option<Arc<dyn Field>>,
     pub first_material: u32,
     pub own_colors: bool,
-    /// Share of what is seen that it hides.
+    /// Fraction of the background that it hides.
     pub opacity: f32,
-    /// Share of the light that it keeps.
+    /// Fraction of the light that it blocks.
     pub shade: f32,
     pub casts_shadow: bool,
     pub visible: bool,
-    /// A mask depends on colours of vertices or faces, which devices do not read.
+    /// Whether a mask depends on colours of vertices or faces, which devices do not read.
     pub has_colored_mask: bool,
     pub object: u32,
-    /// Light meets its triangles, not its field ([`sheets`]).
+    /// Whether light intersects its triangles instead of its field ([`sheets`]).
     pub is_sheet: bool,
-    /// Local coordinates of the mesh's tree (`Mesh::local_from_world`) from scene space.
+    /// Transform from scene space to the local coordinates of the mesh's tree (`Mesh::local_from_world`).
     pub tree_from_scene: DAffine3,
-    /// Scene directions of normals from normals in the object's own axes. Only the direction counts: the largest entry is 1,
-    /// so that no length overflows in float32, whatever the units.
+    /// Map of normals from the object's own axes to scene space. Only the direction is used: the largest entry is 1, so
+    /// that no length overflows in float32 in any units.
     pub scene_from_normal: Mat3,
     pub field_from_scene: DAffine3,
-    /// Local directions from scene directions.
+    /// Map of directions from scene to local space.
     pub local_from_scene: Mat3,
-    /// Field normals from scene normals. Of a unit normal, its length is what a plane must move to be one voxel off.
+    /// Map of normals from scene to field space. The length of the image of a unit normal is the distance by which a
+    /// plane must move to be one voxel away.
     pub field_normal_from_scene: Mat3,
-    /// Field units that a scene unit spans along each axis.
+    /// Number of field units in a scene unit along each axis.
     pub field_extent: Vec3,
-    /// Scene units of one local unit, least and most over the directions.
+    /// Smallest and largest number of scene units in a local unit, over the directions.
     pub stretch: [f32; 2],
 }
 
@@ -147,12 +151,12 @@ impl Instance {
         &materials[self.first_material as usize..][..last.map_or(1, |&last| last as usize + 1)]
     }
 
-    /// Whether distances tell all that it does to light: neither translucent nor asked by thin rays.
+    /// Whether distances describe all its effects on light: it is neither translucent nor tested by thin rays.
     pub fn is_opaque_solid(&self) -> bool {
         !self.is_sheet && self.shade >= 1.0 && !self.field.as_ref().is_some_and(|field| field.prefers_rays())
     }
 
-    /// The opacity that all its materials have in common, if they blend without a texture; else 1.
+    /// The common opacity of all its materials, if they blend without a texture; else 1.
     fn blend_opacity(&self, materials: &[Material]) -> f32 {
         let of = |material: &Material| match (material.alpha, material.texture) {
             (Alpha::Blend, None) => material.color[3],
@@ -166,7 +170,7 @@ impl Instance {
         }
     }
 
-    /// Whether a transform keeps shapes, so that one factor turns local distances to scene distances.
+    /// Whether a transform preserves shapes, so that one factor converts local distances to scene distances.
     pub fn is_uniform(&self) -> bool {
         self.stretch[1] <= self.stretch[0] * 1.0001
     }
@@ -175,7 +179,7 @@ impl Instance {
 /// A light in world units.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Light {
-    /// `direction` is the way the light travels, any length; `slope` the tangent of half its angle.
+    /// `direction` is that in which the light travels, of any length; `slope` is the tangent of half its angle.
     Directional {
         direction: DVec3,
         color: Vec3,
@@ -188,13 +192,13 @@ pub enum Light {
     },
 }
 
-/// Lights of a scene at most.
+/// Largest number of lights of a scene.
 pub const MAX_LIGHTS: usize = 16;
 
-/// Instances, materials and textures, ready to be drawn.
+/// Instances, materials and textures, prepared for drawing.
 pub struct Scene {
     pub center: DVec3,
-    /// World units of a scene unit.
+    /// Number of world units in a scene unit.
     pub scale: f64,
     pub instances: Vec<Instance>,
     pub materials: Vec<Material>,
@@ -207,68 +211,68 @@ pub struct Scene {
     uploaded: Mutex<Option<Arc<DeviceScene>>>,
 }
 
-/// How the first surface of a pixel is found.
+/// Method for the first surface of a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Primary {
-    /// Triangles where there are some, else the field.
+    /// Triangles if there are any, else the field.
     #[default]
     Auto,
     Raster,
     Raymarch,
 }
 
-/// How shadows are made.
+/// Kind of shadows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum SceneShadows {
     None,
     Hard,
     #[default]
     Soft,
-    /// So many rays to each light: the reference that soft is measured against.
+    /// This number of rays to each light: the reference for soft shadows.
     Area(u32),
     /// The march of the article, with its constants in world units.
     Article,
 }
 
-/// What a picture looks like.
+/// Options of a picture.
 #[derive(Debug, Clone)]
 pub struct RenderOptions {
     pub size: [u32; 2],
     pub primary: Primary,
     pub shadows: SceneShadows,
     pub lights: Vec<Light>,
-    /// Light from all round, as a share of a light of colour 1.
+    /// Ambient light, as a fraction of a light of colour 1.
     pub ambient: f32,
-    /// How far occlusion of the ambient light looks, world units; none without it.
+    /// Range of occlusion of the ambient light, world units; None without occlusion.
     pub occlusion: Option<f64>,
-    /// What answers rays past a distance; the instances all the way without it.
+    /// Far field for rays beyond a distance; without it the instances are evaluated everywhere.
     pub far: Option<FarField>,
-    /// Linear RGBA where nothing is hit.
+    /// Linear RGBA of pixels without a hit.
     pub background: [f32; 4],
     pub exposure: f32,
-    /// Rays a pixel for its colour; 1, or a square number.
+    /// Number of rays per pixel for its colour; 1, or a square number.
     pub samples: u32,
-    /// Light is asked for at one of so many pixels along each side: 1 or 2; see [`known`].
+    /// Light is evaluated at every `light_scale`-th pixel along each side: 1 or 2; see [`known`].
     pub light_scale: u32,
 }
 
-/// A picture, how long its passes took, in seconds, and what they asked.
+/// A picture, the duration of its passes in seconds, and its counters.
 #[derive(Debug)]
 pub struct Rendered {
     pub frame: Frame,
-    /// Where surfaces were found: on the device, on the CPU.
+    /// Whether surfaces were found on the device, and on the CPU.
     pub primary_on: [bool; 2],
     pub seconds: Vec<(&'static str, f64)>,
-    /// Rays and cones to lights and surroundings, and how many of them went on in the far field.
+    /// Number of rays and cones to lights and surroundings, and number of those that entered the far field.
     pub rays: u64,
     pub far_rays: u64,
-    /// Instances whose triangles the CPU traced for light.
+    /// Number of instances whose triangles the CPU traced for light.
     pub sheets: usize,
-    /// The light pass ran on the device.
+    /// Whether the light pass ran on the device.
     pub is_lit_on_device: bool,
 }
 
-/// Instances at most.
+/// Largest number of instances.
 const MAX_INSTANCES: usize = 1 << 24;
 
 impl Scene {
@@ -309,7 +313,7 @@ impl Scene {
         (p - self.center) / self.scale
     }
 
-    /// Box of everything, world units.
+    /// Box around all instances, world units.
     pub fn bounds(&self) -> [DVec3; 2] {
         let all = self.boxes.iter().fold(Aabb::EMPTY, |all, &b| all.union(b));
         [all.min, all.max].map(|corner| self.center + corner.as_dvec3() * self.scale)
@@ -317,7 +321,7 @@ impl Scene {
 }
 
 impl Scene {
-    /// The scene in a device's memory, copied there at the first call.
+    /// The scene in the memory of a device, uploaded at the first call.
     fn on_device(&self, context: &Arc<Context>, far: Option<&Far>) -> Result<Arc<DeviceScene>, Error> {
         let mut uploaded = self.uploaded.lock().unwrap_or_else(PoisonError::into_inner);
         let is_there = |scene: &&Arc<DeviceScene>| Arc::ptr_eq(scene.context(), context) && scene.has(far);
@@ -330,8 +334,8 @@ impl Scene {
     }
 }
 
-/// Draw a scene. On a graphics device both passes run there; see [`raster`] for what it leaves to the CPU. The light pass
-/// runs there only if the device knows all things in the scene.
+/// Draws a scene. On a graphics device both passes run there; [`raster`] lists the surfaces that the CPU draws. The
+/// light pass runs there only if the device supports all objects in the scene.
 pub fn render(
     place: &Place,
     scene: &Scene,
@@ -360,10 +364,10 @@ pub fn render(
     let asked = Asked::default();
     let mut frame: Option<Frame> = None;
     let mut sum: Vec<f32> = Vec::new();
-    // What the first pass found, for the others.
+    // Results of the first pass for the others.
     let mut centre = None;
     for pass in 0..passes {
-        // The first pass looks through pixel centres; the others fill each pixel evenly, for its colour alone.
+        // The first pass goes through the pixel centres. The others divide each pixel evenly, for its colour only.
         let offset = match pass.checked_sub(1) {
             None => [0.5, 0.5],
             Some(i) => [i % sides, i / sides].map(|k| (f64::from(k) + 0.5) / f64::from(sides)),
@@ -424,7 +428,7 @@ impl Asked {
     }
 }
 
-/// Pixels of a picture at most, as for volumes.
+/// Largest number of pixels of a picture, as for volumes.
 const MAX_PIXELS: u64 = 1 << 28;
 
 pub(crate) fn check(scene: &Scene, options: &RenderOptions) -> Result<(), Error> {
@@ -458,7 +462,7 @@ pub(crate) fn check(scene: &Scene, options: &RenderOptions) -> Result<(), Error>
     Ok(())
 }
 
-/// Where an instance is, world units.
+/// Box of an instance, world units.
 fn world_box(index: usize, input: &InstanceInput) -> Result<[DVec3; 2], Error> {
     let (mut lower, mut upper) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     let mut grow = |corners: [DVec3; 2], world_from: DAffine3| {
@@ -487,7 +491,7 @@ fn world_box(index: usize, input: &InstanceInput) -> Result<[DVec3; 2], Error> {
     Ok([lower, upper])
 }
 
-/// Ratio of the largest to the smallest singular value past which a transform counts as singular.
+/// Ratio of the largest to the smallest singular value above which a transform counts as singular.
 const LARGEST_CONDITION: f64 = 1e9;
 
 fn instance(
@@ -552,7 +556,7 @@ fn largest_entry(m: DMat3) -> f64 {
     m.to_cols_array().iter().fold(0.0, |largest, x| largest.max(x.abs()))
 }
 
-/// Least and largest singular value, by the eigenvalues of `m^T m` (Jacobi rotations).
+/// Smallest and largest singular value, by the eigenvalues of `m^T m` (Jacobi rotations).
 fn singular_values(m: DMat3) -> [f64; 2] {
     let size = largest_entry(m);
     if !(size > 0.0 && size.is_finite()) {

@@ -1,27 +1,28 @@
-//! How much of a light arrives: rays and cones through the distance fields of a scene.
+//! The fraction of a light that arrives: rays and cones through the distance fields of a scene.
 //!
 //! # Theory
 //!
-//! *Hard.* A ray from the surface to the light walks the tree of instances; in each field it is the exact march of
-//! [`crate::render::march`], so no epsilon and no step count decides. Translucent instances take their share.
+//! *Hard.* A ray from the surface to the light searches the tree of instances. In each field it is traced exactly
+//! ([`crate::render::march`]), so neither an epsilon nor a step count decides. Translucent instances block their
+//! fraction.
 //!
-//! *Soft.* Seen from the surface a light is a disc of angular radius `w`. Matter whose edge passes the disc's centre at
-//! the signed angle `x w` leaves [`super::cone::visible_share`] of it, if that edge is straight over the disc: the share of a disc
-//! on one side of a chord, in full light from x = 1, dark from x = -1, and one half on the hard edge. The least
-//! `d / (w t)` along the ray is that x (Aaltonen, GDC 2018, after Quilez; ours takes a fraction of `d` as step where matter
-//! is near, in place of his guess between two steps).
+//! *Soft.* As seen from the surface, a light is a disc of angular radius `w`. An occluder whose edge passes the centre
+//! of the disc at the signed angle `x w` leaves the fraction [`super::cone::visible_share`] of it, if that edge is
+//! straight over the disc: the part of a disc on one side of a chord, fully lit from x = 1, dark from x = -1, and one
+//! half on the hard edge. The smallest `d / (w t)` along the ray is that x (Aaltonen, GDC 2018, after Quilez; here the
+//! step is a fraction of `d` near a surface, in place of his estimate between two steps).
 //!
-//! One cone to the whole disc decides most surfaces by proof: free if it stays clear of everything, dark if a ball inside
-//! matter covers it. What remains, the penumbra and the shade of thin things, is asked again by [`PARTS`] narrow cones that
-//! share the disc evenly, where edges are straight enough.
+//! One cone to the whole disc decides most surfaces by proof: free if no surface enters it, dark if a ball inside an
+//! occluder covers it. The remaining surfaces, in penumbrae and in the shade of thin objects, are evaluated by
+//! [`PARTS`] narrow cones that divide the disc evenly, in which edges are straight enough.
 //!
-//! Where the axis itself is blocked, depth inside tells how far the edge is only if there is one: the middle of a thin wall is
-//! as shallow as its rim. So a ray is sent just past the presumed edge, and only if it arrives does the edge count. Closed walls
-//! do not leak, however thin, and in however many parts.
+//! If the axis itself is blocked, the depth inside gives the distance of the edge only if there is an edge: the middle
+//! of a thin wall is as shallow as its rim. A ray is therefore traced just beyond the presumed edge, and the edge
+//! counts only if that ray arrives. Closed walls do not leak light, at any thickness and in any number of parts.
 //!
-//! *Bias.* Only the surface's own instance needs one, for its field and its triangles disagree by a part of a voxel: the ray
-//! starts so many voxels off the surface. Nothing is in world units, so scale does not matter; other instances touch the
-//! surface without a gap.
+//! *Bias.* Only the surface's own instance needs a bias, because its field and its triangles differ by a fraction of a
+//! voxel: the ray starts a number of voxels off the surface. No constant is in world units, so the scale of the scene
+//! has no effect. Other instances touch the surface without a gap.
 
 use super::cone::{Cone, ConeShare, ConeSum, ConeWalk};
 use super::far::{Far, FarLevel, Split};
@@ -32,30 +33,30 @@ use super::{Instance, Scene};
 use crate::geometry::Aabb;
 use glam::{DVec3, Vec2, Vec3};
 
-/// A place on a surface from where light is looked for.
+/// A point on a surface for which light is evaluated.
 #[derive(Debug, Clone, Copy)]
 pub struct Place {
-    /// Scene space.
+    /// Position, scene space.
     pub p: DVec3,
-    /// Unit, on the side that is seen.
+    /// Unit normal on the visible side.
     pub normal: Vec3,
     /// The instance that the surface belongs to.
     pub own: u32,
-    /// How far its own field is kept away, in voxels.
+    /// Distance between the start of a ray and the own field, voxels.
     pub bias_voxels: f32,
     /// The own instance casts no shadow on the place: light that scatters passes through it. Far fields, which contain the
     /// own instance, are not used then.
     pub skips_own: bool,
 }
 
-/// A way to look: a unit direction, and how far.
+/// A ray from a place: a unit direction and a length.
 #[derive(Debug, Clone, Copy)]
 pub struct Ray {
     pub direction: DVec3,
     pub t_max: f64,
 }
 
-/// Cones that share a light's disc where one is not enough.
+/// Number of cones that divide a light's disc if one is not sufficient.
 pub const PARTS: u32 = 16;
 
 /// Two unit vectors at right angles to a unit vector and to each other (Duff et al., *Building an orthonormal basis,
@@ -67,7 +68,7 @@ pub fn basis(n: DVec3) -> [DVec3; 2] {
     [DVec3::new(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x), DVec3::new(b, sign + n.y * n.y * a, -n.y)]
 }
 
-/// Point `i` of `count` spread evenly over the unit disc (Vogel 1979), the whole turned by `turn`.
+/// Point `i` of `count` points spread evenly over the unit disc (Vogel 1979), rotated by `turn`.
 pub fn disc_point(i: u32, count: u32, turn: f32) -> Vec2 {
     /// 2 pi (1 - 1 / golden ratio).
     const GOLDEN_ANGLE: f32 = 2.399_963_2;
@@ -76,13 +77,13 @@ pub fn disc_point(i: u32, count: u32, turn: f32) -> Vec2 {
     radius * Vec2::new(angle.cos(), angle.sin())
 }
 
-/// What rays and cones took.
+/// Counters of rays and cones.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Work {
     pub steps: u32,
-    /// Rays and cones.
+    /// Number of rays and cones.
     pub rays: u32,
-    /// Those that went on in the far field.
+    /// Number of those that entered the far field.
     pub far_rays: u32,
 }
 
@@ -117,14 +118,14 @@ struct Caster<'a> {
     bounds: &'a Aabb,
     /// Where it counts, scene units.
     part: [f64; 2],
-    /// The start is on its own surface.
+    /// Whether the start is on its own surface.
     is_own: bool,
-    /// How far it is passed over where its part begins inside it: only the far field, see there.
+    /// Length to skip if the interval begins inside it; only for the far field, see there.
     skip: f64,
 }
 
 impl<'a> Casters<'a> {
-    /// Share of a thin ray that passes fields and sheets.
+    /// Fraction of a thin ray that passes fields and sheets.
     pub fn ray_share(&self, place: &Place, ray: &Ray, work: &mut Work) -> f32 {
         let past_sheets = self.scene.ray_past_sheets(place, ray, work);
         if past_sheets == 0.0 {
@@ -133,7 +134,7 @@ impl<'a> Casters<'a> {
         past_sheets * self.field_share(place, ray, work)
     }
 
-    /// Share of a thin ray that passes the fields.
+    /// Fraction of a thin ray that passes the fields.
     pub fn field_share(&self, place: &Place, ray: &Ray, work: &mut Work) -> f32 {
         let (share, is_far) = self.pass_ray(place, ray, work);
         work.count(is_far);
@@ -230,7 +231,7 @@ impl<'a> Casters<'a> {
         cone
     }
 
-    /// Share of a disc of light that passes fields and sheets: angular radius `slope`, `ray` to its centre.
+    /// Fraction of a disc of light that passes fields and sheets: angular radius `slope`, `ray` to its centre.
     pub fn disc_share(&self, place: &Place, ray: &Ray, slope: f32, work: &mut Work) -> f32 {
         if slope <= 0.0 {
             return self.ray_share(place, ray, work);
@@ -245,7 +246,7 @@ impl<'a> Casters<'a> {
         if whole.is_proven {
             return whole.share * sheets_share;
         }
-        // What keeps clear of the whole cone keeps clear of its parts.
+        // An instance outside the whole cone is outside its parts.
         let part = slope / (PARTS as f32).sqrt();
         let axes = basis(ray.direction);
         let mut total = 0.0;
@@ -269,7 +270,7 @@ impl<'a> Casters<'a> {
         total / PARTS as f32
     }
 
-    /// The same by `count` thin rays.
+    /// [`Self::disc_share`] by `count` thin rays.
     pub fn area_share(&self, place: &Place, ray: &Ray, slope: f32, count: u32, turn: f32, work: &mut Work) -> f32 {
         if slope <= 0.0 {
             return self.ray_share(place, ray, work);
@@ -282,7 +283,7 @@ impl<'a> Casters<'a> {
         sum / count as f32
     }
 
-    /// Share of a thin ray, and whether it went on in the far field.
+    /// Fraction of a thin ray, and whether it entered the far field.
     fn pass_ray(&self, place: &Place, ray: &Ray, work: &mut Work) -> (f32, bool) {
         let split = self.split(place, ray, 0.0);
         let mut share = 1.0;
@@ -321,7 +322,7 @@ impl<'a> Casters<'a> {
         let instance = &self.scene.instances[item as usize];
         let casts = !instance.is_sheet && instance.casts_shadow && instance.shade > 0.0;
         let field = instance.field.as_deref().filter(|_| casts);
-        // A field of distances knows opaque solids alone.
+        // A field of distances contains opaque solids only.
         let (near, rest) = if instance.is_opaque_solid() { (split.near, split.rest) } else { (ray.t_max, None) };
         let bounds = &self.scene.boxes[item as usize];
         let is_own = item == place.own;
@@ -423,12 +424,12 @@ pub fn ray_in_field(instance: &Instance, is_own: bool, place: &Place, ray: &Ray)
     (instance.field_from_scene.transform_point3(p), instance.field_from_scene.matrix3 * ray.direction)
 }
 
-/// Whether a cone may meet a caster, by the ball around its surface.
+/// Whether a cone may touch an occluder, by the ball around its surface.
 fn may_meet(caster: &Caster<'_>, place: &Place, ray: &Ray, slope: f32) -> bool {
     let Caster { instance, field, .. } = *caster;
     let (origin, direction) = ray_in_field(instance, caster.is_own, place, ray);
     let [lower, upper] = field.surface_bounds();
-    // Under uneven scale a cone is widest where the scene is stretched least.
+    // Under non-uniform scale a cone is widest where the scene is stretched least.
     let pace = 1.0 / (instance.local_from_scene * ray.direction.as_vec3()).length();
     let slope = slope * pace / instance.stretch[0];
     let direction = direction.normalize().as_vec3();
@@ -450,7 +451,7 @@ pub fn toward(ray: &Ray, [right, up]: [DVec3; 2], slope: f32, offset: Vec2) -> R
     Ray { direction: direction / length, t_max: ray.t_max * length }
 }
 
-/// The part of `origin + t direction` in a box, with `t` from `t_min` to `t_max`.
+/// The interval of `origin + t direction` inside a box, with `t` from `t_min` to `t_max`.
 pub fn clip(origin: DVec3, direction: DVec3, lower: Vec3, upper: Vec3, t_min: f64, t_max: f64) -> Option<(f64, f64)> {
     let (mut enter, mut leave) = (t_min, t_max);
     for axis in 0..3 {

@@ -1,17 +1,19 @@
-//! Occlusion by sheets: open, flat and alpha-textured meshes, whose rays meet the triangles themselves.
+//! Occlusion by sheets: open, flat and alpha-textured meshes, whose triangles are intersected by rays.
 //!
 //! # Theory
 //!
-//! A distance field on a grid holds nothing thinner than a voxel, and a thicker one shades itself. So light and
-//! occlusion trace the triangles of a sheet in float64 ([`crate::bvh::ray`]), with the opacity of the material at each
-//! hit: all of it for opaque faces, all or nothing for a mask, the texture's for a blend. A ray keeps the product of
-//! what each crossing lets pass. Faces that a ray crosses at the same depth count once, as they do for the camera.
+//! A distance field on a grid cannot represent objects thinner than a voxel, and a thicker sheet shades itself. Light
+//! and occlusion therefore trace the triangles of a sheet in float64 ([`crate::bvh::ray`]), with the opacity of the
+//! material at each hit: 1 for opaque faces, 0 or 1 for a mask, the texture's for a blend. A ray keeps the product of
+//! the transmitted fractions of its crossings. Faces that a ray crosses at the same depth count once, as they do for
+//! the camera.
 //!
 //! A cone is sampled by [`CONE_RAYS`] rays spread evenly over its section, and a light's disc by [`PARTS`] such cones.
-//! Before that, [`RIM_RAYS`] rays on the rim and [`PROBE_RAYS`] inside it decide the discs that are all lit or all dark:
-//! a straight edge that slips between two rim rays covers less than 0.3 % of the disc.
+//! Before that, [`RIM_RAYS`] rays on the rim and [`PROBE_RAYS`] inside it decide discs that are completely lit or dark:
+//! a straight edge between two rim rays covers less than 0.3 % of the disc.
 //!
-//! Sheets and fields are independent factors of a cone's share: the shares of the same part of a disc are multiplied.
+//! Sheets and fields are independent factors of a cone's fraction: the fractions of the same part of a disc are
+//! multiplied.
 //!
 //! # Practice
 //!
@@ -27,29 +29,29 @@ use crate::geometry::Aabb;
 use crate::mesh::Mesh;
 use glam::{DVec3, Vec2};
 
-/// Rays of a cone; a light's disc has [`PARTS`] cones, so 64 rays.
+/// Number of rays of a cone. A light's disc has [`PARTS`] cones, so 64 rays.
 const CONE_RAYS: u32 = 4;
 
-/// Rays that decide whether a disc is all lit or all dark: on its rim, and spread over it.
+/// Number of rays that decide whether a disc is completely lit or dark: on its rim, and spread over it.
 const RIM_RAYS: u32 = 16;
 const PROBE_RAYS: u32 = 8;
 
-/// How far a ray starts off its own surface, in sizes of the mesh there: float32 vertices of coplanar faces differ by a
-/// sixteenth of it.
+/// Distance of the start of a ray from its own surface, in sizes of the mesh. Float32 vertices of coplanar faces differ
+/// by a sixteenth of it.
 const LIFT: f64 = 1e-6;
 
-/// Depths, in scene units and as a share, that count as one crossing.
+/// Difference of depths within which two crossings count as one, in scene units and relative.
 const SAME_DEPTH: f64 = 1e-9;
 
-/// Translucent crossings of one mesh that are compared by depth.
+/// Number of translucent crossings of one mesh that are compared by depth.
 const CROSSINGS: usize = 16;
 
-/// The instances that light meets as triangles, and a tree over their boxes.
+/// The instances whose triangles light intersects, and a tree over their boxes.
 #[derive(Debug, Default)]
 pub struct Sheets {
-    /// Index of each in the scene's instances.
+    /// Index of each sheet among the scene's instances.
     instances: Vec<u32>,
-    /// Whether each lies in a plane, so that it does not occlude itself.
+    /// Whether each sheet lies in a plane, so that it does not occlude itself.
     is_flat: Vec<bool>,
     tree: Option<Tree>,
 }
@@ -60,8 +62,8 @@ impl Sheets {
         let found: Vec<u32> = (0..instances.len() as u32).filter(|&i| casts(&instances[i as usize])).collect();
         let boxes: Vec<Aabb> = found.iter().map(|&i| boxes[i as usize]).collect();
         let tree = (!found.is_empty()).then(|| Tree::new(&boxes));
-        // Trees and topologies are made in parallel. Made at the first ray instead, inside a parallel loop, a worker could
-        // wait for work that is queued behind its own.
+        // Trees and topologies are built here in parallel. If they were built at the first ray, inside a parallel loop,
+        // a worker could wait for work that is queued behind its own.
         for triangles in found.iter().filter_map(|&i| instances[i as usize].triangles.as_ref()) {
             triangles.mesh.bvh();
             triangles.mesh.topology();
@@ -79,7 +81,7 @@ impl Sheets {
         self.instances.is_empty()
     }
 
-    /// The sheets whose boxes a cone of radius `slope t` meets, without the own one where it cannot occlude the place.
+    /// The sheets whose boxes a cone of radius `slope t` touches, without the own sheet if it cannot occlude the place.
     fn near(&self, place: &Place, ray: &Ray, slope: f32) -> Vec<u32> {
         let mut found = Vec::new();
         if let Some(tree) = &self.tree {
@@ -105,7 +107,7 @@ fn is_flat(mesh: &Mesh) -> bool {
 }
 
 impl Scene {
-    /// Share of a thin ray that passes the sheets.
+    /// Fraction of a thin ray that passes the sheets.
     pub fn ray_past_sheets(&self, place: &Place, ray: &Ray, work: &mut Work) -> f32 {
         if self.sheets.is_empty() {
             return 1.0;
@@ -113,7 +115,7 @@ impl Scene {
         self.ray_past(&self.sheets.near(place, ray, 0.0), place, ray, work)
     }
 
-    /// Mean share of a cone's section that passes the sheets.
+    /// Mean fraction of a cone's section that passes the sheets.
     pub fn cone_past_sheets(&self, place: &Place, ray: &Ray, slope: f32, work: &mut Work) -> f32 {
         if self.sheets.is_empty() {
             return 1.0;
@@ -122,7 +124,8 @@ impl Scene {
         if met.is_empty() { 1.0 } else { self.cone_past(&met, place, ray, slope, work) }
     }
 
-    /// Share of each of the [`PARTS`] of a light's disc that passes the sheets: angular radius `slope`, `ray` to its centre.
+    /// Fraction of each of the [`PARTS`] of a light's disc that passes the sheets: angular radius `slope`, `ray` to its
+    /// centre.
     pub fn disc_past_sheets(&self, place: &Place, ray: &Ray, slope: f32, work: &mut Work) -> [f32; PARTS as usize] {
         let mut parts = [1.0; PARTS as usize];
         if self.sheets.is_empty() {
@@ -149,7 +152,7 @@ impl Scene {
         parts
     }
 
-    /// Shares that pass the sheets on the way to a light: of each of its [`PARTS`], or one if it is a point.
+    /// Fractions of a light that pass the sheets: one for each of its [`PARTS`], or a single one for a point.
     pub fn light_past_sheets(&self, place: &Place, ray: &Ray, slope: f32, work: &mut Work) -> Vec<f32> {
         if slope > 0.0 {
             self.disc_past_sheets(place, ray, slope, work).to_vec()
@@ -158,8 +161,8 @@ impl Scene {
         }
     }
 
-    /// All that the light pass evaluates of the sheets at a surface: first each cone of occlusion, then for each light that
-    /// is evaluated one share (hard), [`PARTS`] (soft) or one per ray (area).
+    /// All fractions of the sheets that the light pass needs at a surface: first each cone of occlusion, then for each
+    /// evaluated light one fraction (hard), [`PARTS`] (soft) or one per ray (area).
     pub fn sheets_at(&self, surface: &Surface<'_>, lights: &Lights, options: &RenderOptions) -> (Vec<f32>, Work) {
         let (mut shares, mut work) = (Vec::new(), Work::default());
         let place = &surface.place;
@@ -207,7 +210,7 @@ impl Scene {
         share
     }
 
-    /// Where a ray starts: a little off its own surface, on the side to which it goes.
+    /// Start of a ray: slightly off its own surface, on the side to which it goes.
     fn lifted(&self, place: &Place, ray: &Ray) -> DVec3 {
         let own = &self.instances[place.own as usize];
         let Some(triangles) = &own.triangles else { return place.p };
@@ -216,7 +219,7 @@ impl Scene {
         place.p + lift.copysign(normal.dot(ray.direction)) * normal
     }
 
-    /// Share of a ray that one sheet lets pass.
+    /// Fraction of a ray that one sheet lets pass.
     fn instance_share(&self, instance: &Instance, start: DVec3, ray: &Ray) -> f32 {
         let Some(triangles) = instance.triangles.as_deref() else { return 1.0 };
         let origin = instance.tree_from_scene.transform_point3(start);
@@ -239,8 +242,8 @@ impl Scene {
         share
     }
 
-    /// Opacity of a mesh where a ray meets it, without the instance's. A translucent solid is one layer: its rays count
-    /// where they enter it.
+    /// Opacity of a mesh at a hit, without that of the instance. A translucent solid is one layer: a ray counts where
+    /// it enters.
     fn opacity_at(&self, instance: &Instance, triangles: &Triangles, hit: &RayHit) -> f32 {
         let index = instance.first_material + triangles.material[hit.face as usize];
         let material = &self.materials[index as usize];

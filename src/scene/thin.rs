@@ -1,30 +1,31 @@
-//! Cones that are asked by thin rays.
+//! Cones that are estimated by thin rays.
 //!
-//! A distance says how much of a cone a solid covers: as deep as its axis goes in, as far is the edge. A sheet has no depth,
-//! and where a field is dear a ray is cheaper than its distances. Such things answer thin rays, spread evenly over the
-//! cone's section: each ray keeps the product of what lets it pass, and their mean is the share. All things of a scene meet
-//! the same rays, so sheets that meet in an edge let nothing through between them, and what overlaps counts once a ray.
+//! A distance determines the covered part of a cone for a solid: the depth of the axis inside equals the distance of
+//! the edge. A sheet has no depth, and where a field is expensive a ray costs less than its distances. Such objects are
+//! tested by thin rays, spread evenly over the cone's section: each ray keeps the product of the transmitted fractions,
+//! and their mean is the fraction of the cone. All objects of a scene use the same rays, so sheets that share an edge
+//! let no light through between them, and overlapping objects count once per ray.
 //!
-//! A whole light is asked by 16 narrow cones, so by 128 rays.
+//! A whole light has 16 narrow cones, so 128 rays.
 
 use super::shadow::{Ray, basis, disc_point, toward};
 use glam::Vec3;
 
-/// Rays of a cone.
+/// Number of rays of a cone.
 pub const THIN_RAYS: usize = 8;
 
-/// What is left of the rays of a cone.
+/// Transmitted fractions of the rays of a cone.
 #[derive(Debug, Clone, Copy)]
 pub struct ThinRays {
     shares: [f32; THIN_RAYS],
-    /// Something was near enough to be asked.
+    /// Whether an object was near enough to be tested.
     pub is_asked: bool,
 }
 
 impl ThinRays {
     pub const NEW: Self = Self { shares: [1.0; THIN_RAYS], is_asked: false };
 
-    /// Let something of an opacity stand in the way of the rays that hit it.
+    /// Multiplies the rays that hit an object of an opacity by its transmitted fraction.
     pub fn block(&mut self, opacity: f32, ray: &Ray, slope: f32, mut is_hit: impl FnMut(&Ray) -> bool) {
         self.is_asked = true;
         let axes = basis(ray.direction);
@@ -35,16 +36,17 @@ impl ThinRays {
         }
     }
 
-    /// Mean of what is left.
+    /// Mean of the transmitted fractions.
     pub fn share(&self) -> f32 {
         self.shares.iter().sum::<f32>() / THIN_RAYS as f32
     }
 }
 
-/// Whether a cone of radius `slope t` about `origin + t direction` stays clear of a ball; `direction` is unit. On the safe
-/// side behind the origin.
+/// Whether a cone of radius `slope t` about `origin + t direction` does not touch a ball. `direction` must have unit
+/// length. The test is conservative behind the origin.
 ///
-/// The ball's centre lies `z` along the axis and `r` from it, so `(r - slope z) / sqrt(1 + slope^2)` outside the cone's side.
+/// The centre of the ball lies `z` along the axis and `r` from it, so it is `(r - slope z) / sqrt(1 + slope^2)` outside
+/// the side of the cone.
 pub fn is_clear(origin: Vec3, direction: Vec3, slope: f32, center: Vec3, radius: f32) -> bool {
     let way = center - origin;
     let along = way.dot(direction);

@@ -1,17 +1,18 @@
-//! Boxes of instances in a binary tree, for rays and for cones.
+//! A binary tree over the boxes of instances, for rays and for cones.
 //!
-//! Built by halving the longest axis of the centres; a scene has hundreds or thousands of instances, so the build is a
-//! matter of microseconds. Nodes are 32 bytes: a device walks them as they are.
+//! The tree is built by halving the longest axis of the centres. A scene has hundreds or thousands of instances, so the
+//! build takes microseconds. Nodes have 32 bytes, and devices read them unchanged.
 
 use crate::geometry::Aabb;
 use crate::gpu::layout::SceneNode;
 use glam::Vec3;
 
-/// Items in a leaf at most.
+/// Largest number of items in a leaf.
 const LEAF: usize = 2;
-/// Halving brings 2^32 boxes down to leaves in 32 levels; a walk has at most one node a level waiting, and the root.
+/// Halving divides 2^32 boxes into leaves in 32 levels. The stack of a search holds at most one node per level, and the
+/// root.
 pub const MAX_DEPTH: usize = 34;
-/// Boxes grow by this share of the scene, 1: more than the rounding of a float32 slab test there.
+/// Boxes are enlarged by this fraction of the scene size, 1: more than the rounding of a float32 slab test.
 const MARGIN: f32 = 2e-6;
 
 /// The tree. The root is node 0.
@@ -21,18 +22,18 @@ pub struct Tree {
     pub items: Vec<u32>,
 }
 
-/// A ray in scene space as boxes see it.
+/// A ray in scene space, prepared for tests of boxes.
 #[derive(Debug, Clone, Copy)]
 pub struct Line {
     origin: Vec3,
     inverse: Vec3,
-    /// Growth of boxes by the distance of their far corner: 0 for a ray.
+    /// Enlargement of boxes per distance of their far corner: 0 for a ray.
     spread: f32,
-    /// Of the cone's side.
+    /// Slope of the cone's side.
     slope: f32,
 }
 
-/// Stands for the inverse of zero.
+/// Inverse of a zero component.
 const PARALLEL: f32 = 1e30;
 
 impl Line {
@@ -44,7 +45,8 @@ impl Line {
     pub fn cone(origin: Vec3, direction: Vec3, slope: f32) -> Self {
         let inverse = |d: f32| if d.abs() < 1.0 / PARALLEL { PARALLEL } else { 1.0 / d };
         let inverse = Vec3::new(inverse(direction.x), inverse(direction.y), inverse(direction.z));
-        // A point of the box in the cone lies within `far` of the origin, and its foot on the axis within `far / (1 - slope)`.
+        // A point of the box in the cone lies within `far` of the origin, and its projection onto the axis within `far
+        // / (1 - slope)`.
         Self { origin, inverse, spread: 0.0, slope: 0.0 }.with_slope(slope)
     }
 
@@ -56,10 +58,10 @@ impl Line {
     /// Where the ray is in a box: from and to, `t` not below 0; `None` where it misses.
     #[inline]
     pub fn span(&self, min: Vec3, max: Vec3, t_max: f32) -> Option<(f32, f32)> {
-        // A cone meets the box where its axis meets the box grown by the largest radius there.
+        // A cone touches the box if its axis intersects the box enlarged by the largest radius there.
         let grown = if self.spread > 0.0 {
             let far = (self.origin - min).abs().max((self.origin - max).abs()).length();
-            // Nor does the cone get wider than at its end.
+            // The cone is not wider than at its end either.
             (self.spread * far).min(self.slope * t_max)
         } else {
             0.0
@@ -74,7 +76,7 @@ impl Line {
 }
 
 impl Tree {
-    /// `boxes` in scene space.
+    /// `boxes` are in scene space.
     pub fn new(boxes: &[Aabb]) -> Self {
         let mut items: Vec<u32> = (0..boxes.len() as u32).collect();
         let mut nodes = vec![SceneNode::default()];
@@ -134,7 +136,7 @@ impl Tree {
                 }
                 continue;
             }
-            // Put the far child on the stack first.
+            // Pushes the far child first.
             let children = [node.first, node.first + 1].map(|child| (child, span(child, limit)));
             let far_first = match (children[0].1, children[1].1) {
                 (Some((a, _)), Some((b, _))) if a < b => [children[1], children[0]],
@@ -160,7 +162,7 @@ mod tests {
     }
 
     proptest! {
-        /// Every box that a cone meets is visited, at any number of boxes.
+        /// Every box that a cone touches is visited, at any number of boxes.
         #[test]
         fn no_box_is_missed(
             corners in prop::collection::vec((vector(), vector()), 1..60),
@@ -176,7 +178,7 @@ mod tests {
                 limit
             });
             for (bounds, seen) in boxes.iter().zip(seen) {
-                // Brute force: points along the axis against the box.
+                // Brute force: points along the axis compared with the box.
                 let met = (0..2000).any(|i| {
                     let t = i as f32 * 0.005;
                     let p = origin + t * direction;
@@ -200,7 +202,7 @@ mod tests {
             if order.len() == 10 { -1.0 } else { limit }
         });
         assert_eq!(order.len(), 10);
-        // Leaves hold at most two, in any order.
+        // Leaves hold at most two items, in any order.
         assert!(order.iter().enumerate().all(|(i, &item)| (item as usize).abs_diff(i) <= 2), "{order:?}");
     }
 }
