@@ -74,7 +74,9 @@ from .scenes.lights import DirectionalLight, PointLight
 from .scenes.materials import Material
 from .scenes.scene import Scene
 from .shapes import primitives as _primitives
+from .shapes import profiles as _profiles
 from .shapes.primitives import *
+from .shapes.profiles import *
 from .shapes.quadric import Quadric
 from .shapes.quadric_texels import pack_quadrics, unpack_quadrics, wrap_quadrics
 from .shapes.shape import Shape
@@ -163,7 +165,7 @@ __all__ = [
     "wrap_quadrics",
 ]
 
-__all__ += _primitives.__all__
+__all__ += _primitives.__all__ + _profiles.__all__
 
 # Silent unless the program that imports the package configures logging.
 _logging.getLogger("fieldbake").addHandler(_logging.NullHandler())

@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
 from itertools import pairwise
 from typing import Literal
@@ -24,6 +25,13 @@ from .base.errors import ShapeError
 from .shapes.shape import Shape, checked_shape, combine
 
 Method = Literal["octree", "aabb"]
+
+#: The start of a program of OpenSCAD: comments, then an assignment, an `include`, a module or a call.
+OPENSCAD = re.compile(
+    r"(?:\s|//[^\n]*\n|/\*.*?\*/)*(?:[#%!*]\s*)?"
+    r"(\$?\w+\s*=[^=]|(?:include|use)\s*<|(?:module|function)\s+\w+|\w+\s*\()",
+    re.DOTALL,
+)
 
 __all__ = ["Part", "Parts", "decompose", "difference", "intersection", "parse", "union", "xor"]
 
@@ -81,22 +89,22 @@ class Parts(list[Part]):
         return self._structures()
 
 
-def union(*shapes: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
-    """Unite shapes, with a smooth joint of width `k` or a chamfered joint of width `chamfer`."""
+def union(*shapes: Shape | Iterable[Shape], k: float = 0.0, chamfer: float = 0.0) -> Shape:
+    """Unite shapes or lists of shapes, with a smooth joint of width `k` or a chamfered joint of width `chamfer`."""
     return combine("union", shapes, k=k, chamfer=chamfer)
 
 
-def intersection(*shapes: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
+def intersection(*shapes: Shape | Iterable[Shape], k: float = 0.0, chamfer: float = 0.0) -> Shape:
     """Intersect shapes, with a smooth joint of width `k` or a chamfered joint of width `chamfer`."""
     return combine("intersection", shapes, k=k, chamfer=chamfer)
 
 
-def difference(*shapes: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
+def difference(*shapes: Shape | Iterable[Shape], k: float = 0.0, chamfer: float = 0.0) -> Shape:
     """Subtract the others from the first shape, with a smooth (`k`) or chamfered joint of that width."""
     return combine("difference", shapes, k=k, chamfer=chamfer)
 
 
-def xor(*shapes: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
+def xor(*shapes: Shape | Iterable[Shape], k: float = 0.0, chamfer: float = 0.0) -> Shape:
     """Take the symmetric difference from left to right, with a smooth (`k`) or chamfered joint of that width."""
     return combine("xor", shapes, k=k, chamfer=chamfer)
 
@@ -121,7 +129,7 @@ def parse(text: str) -> Shape:
 
     Notes
     -----
-    Brushes: ``(sphere d)``, ``(ellipsoid x y z)``, ``(box x y z)``, ``(cube s)``, ``(torus outer tube)``,
+    Shapes: ``(sphere d)``, ``(ellipsoid x y z)``, ``(box x y z)``, ``(cube s)``, ``(torus outer tube)``,
     ``(cylinder d h)``, ``(cone d h)``, ``(coninder low high h)``, ``(plane nx ny nz)``. Every other primitive has its
     Python name with hyphens and its Python arguments in order, with diameters in place of radii:
     ``(rounded-box x y z r)``, ``(capped-torus outer tube degrees)``, ``(hex-prism d h)``. The radius of a rounded edge
@@ -145,6 +153,12 @@ def parse(text: str) -> Shape:
     """
     if not isinstance(text, str):
         raise ShapeError(f"text: must be text, got {checks.describe(text)}")
+    found = OPENSCAD.match(text)
+    if found:
+        raise ShapeError(
+            f"text: '{found[1]}' begins a program of OpenSCAD, whose language is another one. "
+            "Write an s-expression such as (diff (cube 3) (sphere 4)), where sizes are full lengths and diameters"
+        )
     return Shape._wrap(_core.Shape.parse(text))
 
 

@@ -21,12 +21,17 @@ Faces = NDArray[np.uint32]
 KINDS = (".stl", ".obj", ".ply", ".glb", ".3mf")
 
 
+def mesh_kind(path: str | os.PathLike[str]) -> str:
+    """Ending of a mesh file in lower case; MeshError for an ending that cannot be written."""
+    suffix = Path(path).suffix
+    if suffix.lower() not in KINDS:
+        raise MeshError(f"{path}: a mesh is written as {', '.join(KINDS)}, got the ending '{suffix}'")
+    return suffix.lower()
+
+
 def save_mesh(vertices: Vertices, faces: Faces, path: str | os.PathLike[str]) -> None:
     """Write vertices (n, 3) and faces (m, 3) to a file; see `Mesh.save`."""
-    target = Path(path)
-    kind = target.suffix.lower()
-    if kind not in KINDS:
-        raise MeshError(f"{path}: a mesh is written as {', '.join(KINDS)}, got the ending '{target.suffix}'")
+    target, kind = Path(path), mesh_kind(path)
     with atomic_write(target) as stream:
         if kind == ".stl":
             _write_stl(vertices, faces, stream)

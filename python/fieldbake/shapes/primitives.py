@@ -1,8 +1,9 @@
-"""The primitives: simple solids about the origin, and flat profiles to extrude or revolve."""
+"""The primitives: simple solids about the origin, and round ones between two points."""
 
 from __future__ import annotations
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from .. import _core
 from ..base import checks
@@ -13,24 +14,18 @@ from .shape import Shape
 
 #: The public functions; the package exports all of them.
 __all__ = [
-    "Profile",
     "box",
     "box_frame",
     "capped_torus",
     "capsule",
-    "circle",
     "cone",
     "cylinder",
     "ellipsoid",
-    "extrude",
     "gyroid",
     "hex_prism",
     "octahedron",
     "plane",
-    "polygon",
     "pyramid",
-    "rectangle",
-    "revolve",
     "rounded_box",
     "rounded_cone",
     "rounded_cylinder",
@@ -41,28 +36,10 @@ __all__ = [
     "volume_shape",
 ]
 
+#: A number, or a point (3,) where a primitive may lie between two points.
+Number = float | ArrayLike
 
-class Profile:
-    """A flat region in the xy plane that :func:`extrude` and :func:`revolve` turn into a shape."""
-
-    __slots__ = ("kind", "numbers")
-
-    def __init__(self, kind: str, numbers: list[float]) -> None:
-        self.kind = kind
-        self.numbers = numbers
-        # The core checks the parameters of a profile when it extrudes it, which is cheap.
-        _core.Shape.extrude(kind, numbers, 1.0)
-
-    def extrude(self, height: float) -> Shape:
-        """Extrude the profile along z; see :func:`extrude`."""
-        return extrude(self, height)
-
-    def revolve(self, offset: float = 0.0) -> Shape:
-        """Revolve the profile about z; see :func:`revolve`."""
-        return revolve(self, offset)
-
-    def __repr__(self) -> str:
-        return f"Profile({self.kind}, {self.numbers})"
+Point = NDArray[np.float64]
 
 
 # --- primitives, about the origin; round ones along z
@@ -103,8 +80,15 @@ def capped_torus(radius: float, tube: float, angle_deg: float) -> Shape:
     return _primitive("capped_torus", number("radius", radius), number("tube", tube), number("angle_deg", angle_deg))
 
 
-def cylinder(radius: float = 1.0, height: float = 2.0) -> Shape:
-    """Make a cylinder along z, centred at the origin. Its field is exact."""
+def cylinder(radius: Number = 1.0, height: Number = 2.0, *rest: float) -> Shape:
+    """Make a cylinder along z, centred at the origin: ``cylinder(radius, height)``. Its field is exact.
+
+    ``cylinder(a, b, radius)`` makes one between two points (3,).
+    """
+    if _is_point(radius):
+        start, end, (size,) = _segment("cylinder(a, b, radius)", radius, height, rest, ("radius",))
+        return _between(cylinder(size, _length(start, end)), start, end)
+    _no_more("cylinder(radius, height)", rest)
     return _primitive("cylinder", number("radius", radius), number("height", height))
 
 
@@ -141,13 +125,32 @@ def rounded_cylinder(radius: float = 1.0, height: float = 2.0, rounding: float =
     )
 
 
-def capsule(radius: float = 0.5, height: float = 1.0) -> Shape:
-    """Make the set of points within `radius` of a segment of length `height` along z. Its field is exact."""
+def capsule(radius: Number = 0.5, height: Number = 1.0, *rest: float) -> Shape:
+    """Make the set of points within `radius` of a segment of length `height` along z. Its field is exact.
+
+    ``capsule(a, b, radius)`` takes the ends of the segment, two points (3,).
+    """
+    if _is_point(radius):
+        start, end, (size,) = _segment("capsule(a, b, radius)", radius, height, rest, ("radius",))
+        return _between(capsule(size, _length(start, end)), start, end)
+    _no_more("capsule(radius, height)", rest)
     return _primitive("capsule", number("radius", radius), number("height", height))
 
 
-def cone(radius: float = 1.0, height: float = 2.0) -> Shape:
-    """Make a cone along z with its apex on top, centred at half its height. Its field is exact."""
+def cone(radius: Number = 1.0, height: Number = 2.0, *rest: float) -> Shape:
+    """Make a cone along z with its apex on top, centred at half its height. Its field is exact.
+
+    ``cone(a, b, radius)`` has its base at `a` and its apex at `b`, two points (3,). A fourth argument is the radius at
+    `b` of a truncated cone.
+    """
+    if _is_point(radius):
+        named = ("radius", "top_radius")[: max(1, len(rest))]
+        start, end, sizes = _segment("cone(a, b, radius)", radius, height, rest, named)
+        top = sizes[1] if len(sizes) > 1 else 0.0
+        length = _length(start, end)
+        made = cone(sizes[0], length) if top == 0 else truncated_cone(sizes[0], top, length)
+        return _between(made, start, end)
+    _no_more("cone(radius, height)", rest)
     return _primitive("cone", number("radius", radius), 0.0, number("height", height))
 
 
@@ -248,36 +251,6 @@ def gyroid(cell: float = 1.0, thickness: float = 0.1) -> Shape:
     return _primitive("gyroid", number("cell", cell), number("thickness", thickness))
 
 
-def circle(radius: float = 1.0) -> Profile:
-    """Make a disc."""
-    return Profile("circle", [number("radius", radius)])
-
-
-def rectangle(size: ArrayLike) -> Profile:
-    """Make a rectangle with full sides (2,)."""
-    return Profile("rectangle", numbers("size", size, 2))
-
-
-def polygon(points: ArrayLike) -> Profile:
-    """Make a closed polygon with corners (n, 2) in either orientation."""
-    array = checks.real_array("points", points, "(n, 2)", ShapeError)
-    if array.ndim != 2 or array.shape[1] != 2 or len(array) < 3:
-        raise ShapeError(f"points: must have shape (n, 2), three corners at least, got {checks.describe(array)}")
-    return Profile("polygon", checks.as_float64(array).ravel().tolist())
-
-
-def extrude(profile: Profile, height: float) -> Shape:
-    """Extrude a profile along z by `height`, centred at z = 0. Exact if the profile does not intersect itself."""
-    _profile(profile)
-    return Shape._wrap(_core.Shape.extrude(profile.kind, profile.numbers, number("height", height)))
-
-
-def revolve(profile: Profile, offset: float = 0.0) -> Shape:
-    """Revolve a profile about z: its x plus `offset` becomes the distance from the axis, its y becomes z."""
-    _profile(profile)
-    return Shape._wrap(_core.Shape.revolve(profile.kind, profile.numbers, number("offset", offset)))
-
-
 def volume_shape(volume: Volume) -> Shape:
     """Make a shape from a baked field, so that a mesh can be combined with primitives.
 
@@ -316,6 +289,31 @@ def _primitive(name: str, *numbers: float) -> Shape:
     return Shape._wrap(_core.Shape.primitive(name, list(numbers)))
 
 
-def _profile(value: object) -> None:
-    if not isinstance(value, Profile):
-        raise ShapeError(f"profile: must be a Profile, got {checks.describe(value)}; see circle(), polygon()")
+def _is_point(value: object) -> bool:
+    return np.ndim(value) == 1  # type: ignore[arg-type]
+
+
+def _segment(
+    usage: str, start: ArrayLike, end: ArrayLike, rest: tuple[float, ...], names: tuple[str, ...]
+) -> tuple[Point, Point, list[float]]:
+    """The two ends and the sizes of a primitive between two points."""
+    if len(rest) != len(names):
+        raise ShapeError(f"{names[0]}: use {usage} with two points (3,)")
+    ends = np.array([numbers("a", start, 3), numbers("b", end, 3)])
+    if (ends[0] == ends[1]).all():
+        raise ShapeError(f"b: must differ from a, got {ends[1].tolist()} twice")
+    return ends[0], ends[1], [number(name, value) for name, value in zip(names, rest, strict=True)]
+
+
+def _length(start: Point, end: Point) -> float:
+    return float(np.linalg.norm(end - start))
+
+
+def _between(shape: Shape, start: Point, end: Point) -> Shape:
+    """Move a shape centred on the z axis so that its axis runs from one point to another."""
+    return shape.orient((end - start).tolist()).translate(((start + end) / 2).tolist())
+
+
+def _no_more(usage: str, rest: tuple[float, ...]) -> None:
+    if rest:
+        raise ShapeError(f"radius: use {usage}, or two points (3,) before the radius")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -11,13 +13,17 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _core
 from .._core import Shape as CoreShape
 from ..base import checks
-from ..base.errors import ShapeError
+from ..base.errors import MeshError, ShapeError
 from ..base.grid import Resolution, make_grid
+from ..files.container import check_target
+from ..meshes.export import mesh_kind
 from ..meshes.isosurface import FieldSource, extract
 from ..meshes.mesh import Mesh
 from ..volumes.blocks import level_set
+from ..volumes.volume import Volume
 from . import arguments
 from .arguments import Axis
+from .representation import python_text
 
 Language = Literal["wgsl", "glsl", "hlsl", "msl"]
 
@@ -26,7 +32,8 @@ class Shape:
     """A solid made of primitives and operators. Immutable; every method returns a new shape.
 
     ``a | b`` is the union, ``a & b`` the intersection, ``a - b`` the difference, ``a ^ b`` the symmetric
-    difference, and ``~a`` the complement. Shapes share their subtrees, so large models are cheap to build.
+    difference, and ``~a`` the complement. An operand may be a Volume, which joins as a leaf. Shapes share their
+    subtrees, so large models are cheap to build.
 
     Examples
     --------
@@ -55,19 +62,38 @@ class Shape:
     # --- operators
 
     def __or__(self, other: object) -> Shape:
-        return combine("union", [self, other]) if isinstance(other, Shape) else NotImplemented
+        return self._combined("union", other)
+
+    def __ror__(self, other: object) -> Shape:
+        return self._combined("union", other, is_second=True)
 
     def __and__(self, other: object) -> Shape:
-        return combine("intersection", [self, other]) if isinstance(other, Shape) else NotImplemented
+        return self._combined("intersection", other)
+
+    def __rand__(self, other: object) -> Shape:
+        return self._combined("intersection", other, is_second=True)
 
     def __sub__(self, other: object) -> Shape:
-        return combine("difference", [self, other]) if isinstance(other, Shape) else NotImplemented
+        return self._combined("difference", other)
+
+    def __rsub__(self, other: object) -> Shape:
+        return self._combined("difference", other, is_second=True)
 
     def __xor__(self, other: object) -> Shape:
-        return combine("xor", [self, other]) if isinstance(other, Shape) else NotImplemented
+        return self._combined("xor", other)
+
+    def __rxor__(self, other: object) -> Shape:
+        return self._combined("xor", other, is_second=True)
 
     def __invert__(self) -> Shape:
         return self._changed("complement")
+
+    def _combined(self, op: str, other: object, *, is_second: bool = False) -> Shape:
+        """Combine with another operand; a volume joins as a leaf."""
+        operand = operand_of(other)
+        if operand is None:
+            return NotImplemented  # type: ignore[no-any-return]
+        return combine(op, [operand, self] if is_second else [self, operand])
 
     def union(self, *others: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
         """Unite the shapes, with a smooth joint of width `k` or a chamfered joint of width `chamfer`."""
@@ -101,7 +127,28 @@ class Shape:
 
     def rotate(self, axis: Axis, degrees: float) -> Shape:
         """Rotate right-handed about ``"x"``, ``"y"``, ``"z"`` or a vector through the origin."""
+        swapped: object = degrees
+        if isinstance(swapped, str) or (np.ndim(axis) == 0 and not isinstance(axis, str)):
+            raise ShapeError(
+                "axis: rotate(axis, degrees) takes the axis first, "
+                f"got rotate({checks.describe(axis)}, {checks.describe(degrees)})"
+            )
         return self._changed("rotate", *arguments.axis_of("axis", axis), arguments.number("degrees", degrees))
+
+    def orient(self, axis: str | Sequence[float]) -> Shape:
+        """Rotate the z axis of the shape to ``"x"``, ``"-x"``, ... or a vector, by the smallest angle."""
+        letter: Any = axis[1:] if isinstance(axis, str) and axis[:1] == "-" else axis
+        direction: NDArray[np.float64] = np.array(arguments.axis_of("axis", letter), dtype=np.float64)
+        length = float(np.linalg.norm(direction))
+        if not length > 0:
+            raise ShapeError("axis: must not be zero")
+        direction *= (1.0 if letter is axis else -1.0) / length
+        across = np.cross((0.0, 0.0, 1.0), direction)
+        sine = float(np.linalg.norm(across))
+        # Opposite to z, every axis across is as short a way.
+        turn = across / sine if sine > 1e-12 else np.array([1.0, 0.0, 0.0])
+        degrees = float(np.degrees(np.arctan2(sine, direction[2])))
+        return self.rotate(turn.tolist(), degrees) if degrees else self
 
     def scale(self, factor: float) -> Shape:
         """Scale about the origin by the same factor along all axes."""
@@ -131,6 +178,12 @@ class Shape:
         return self._changed(
             "repeat", *arguments.numbers("spacing", spacing, 3), *arguments.numbers("counts", counts, 3)
         )
+
+    def circular_array(self, count: int, radius: float = 0.0) -> Shape:
+        """Unite `count` copies at equal angles about z; each is first moved by `radius` along x."""
+        number = checks.integer("count", count, least=1, most=100_000, error=ShapeError)
+        first = self.translate((arguments.number("radius", radius), 0.0, 0.0))
+        return combine("union", [first.rotate("z", 360.0 * i / number) for i in range(number)])
 
     # --- deformation
 
@@ -280,6 +333,39 @@ class Shape:
         surface = level_set(self.distance, self.lipschitz, grid, 0.0)
         return extract(surface, 0.0, FieldSource(self.distance, self.gradient), sharp=sharp, capped=capped)
 
+    def save(self, path: str | os.PathLike[str], resolution: Resolution = 128, **options: Any) -> None:
+        """Write the surface of the solid to a mesh file.
+
+        Parameters
+        ----------
+        path : str or path
+            The ending chooses the format: ``.stl``, ``.obj``, ``.ply``, ``.glb`` or ``.3mf``.
+        resolution : int or three ints, default 128
+            Voxels along the longest side of the box, or along x, y and z.
+        **options
+            Further options of :meth:`to_mesh`.
+
+        Raises
+        ------
+        MeshError
+            For another ending, before any work, or if the shape has no surface in the box.
+        ShapeError
+            If a part has no bounds; give `bounds` then.
+        OSError
+            If the file cannot be written.
+
+        Examples
+        --------
+        >>> import fieldbake as fb
+        >>> (fb.box(2) - fb.sphere(1.2)).save("part.stl", 64)  # doctest: +SKIP
+        """
+        mesh_kind(path)
+        check_target(Path(path))
+        mesh = self.to_mesh(resolution, **options)
+        if not len(mesh.faces):
+            raise MeshError(f"{path}: the shape has no surface in the box")
+        mesh.save(path)
+
     def shader(self, language: Language = "wgsl") -> str:
         """Write the field as shader text: ``distance_to_shape`` and a compute entry point that calls it.
 
@@ -328,7 +414,7 @@ class Shape:
         if leaves > 12:
             return f"Shape({leaves:,} leaves)"
         try:
-            return f"Shape({self.to_sexpr()})"
+            return f"Shape({python_text(self.to_sexpr())})"
         except ShapeError:
             return f"Shape({leaves} leaves, one of them a volume)"
 
@@ -340,10 +426,27 @@ def _from_sexpr(text: str) -> Shape:
     return Shape._wrap(_core.Shape.parse(text))
 
 
-def combine(op: str, shapes: Iterable[Shape], *, k: float = 0.0, chamfer: float = 0.0) -> Shape:
-    """Combine shapes from the left; `op` is "union", "intersection", "difference" or "xor"."""
-    checked = [checked_shape(f"shapes[{number}]", shape)._core for number, shape in enumerate(shapes)]
+def combine(op: str, shapes: Iterable[object], *, k: float = 0.0, chamfer: float = 0.0) -> Shape:
+    """Combine shapes from the left; `op` is "union", "intersection", "difference" or "xor". Lists are taken apart."""
+    flat: list[object] = []
+    for item in shapes:
+        flat.extend(item if isinstance(item, (list, tuple)) else [item])
+    if not flat:
+        raise ShapeError("shapes: needs at least one shape")
+    checked = [
+        checked_shape(f"shapes[{number}]", operand_of(shape) or shape)._core for number, shape in enumerate(flat)
+    ]
     return Shape._wrap(_core.Shape.combine(op, checked, arguments.number("k", k), arguments.number("chamfer", chamfer)))
+
+
+def operand_of(value: object) -> Shape | None:
+    """A shape of an operand: a Shape itself, or the leaf of a Volume; None for any other object."""
+    if isinstance(value, Shape):
+        return value
+    if isinstance(value, Volume):
+        lower, upper = value._corners()
+        return Shape._wrap(_core.Shape.volume(value._distances, lower, upper))
+    return None
 
 
 def all_shapes(things: object) -> bool:

@@ -1,0 +1,183 @@
+"""Shapes between points, arrays, Booleans of profiles, volumes as operands, Python text of shapes, and mesh files."""
+
+import numpy as np
+import pytest
+
+import fieldbake as fb
+import meshes
+
+RANDOM = np.random.default_rng(5)
+POINTS = RANDOM.uniform(-3, 3, (4000, 3))
+
+
+def to_segment(points, a, b):
+    a, b = np.asarray(a, float), np.asarray(b, float)
+    t = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
+    return np.linalg.norm(points - a - t[:, None] * (b - a), axis=1)
+
+
+@pytest.mark.parametrize(("a", "b"), [((0, 0, 0), (1, 2, 1)), ((1, 0, 0), (1, 0, -2)), ((0.5, -1, 0), (0.5, 1, 0))])
+def test_round_primitives_lie_between_two_points(a, b):
+    a, b = np.array(a, float), np.array(b, float)
+    assert np.abs(fb.capsule(a, b, 0.4).distance(POINTS) - (to_segment(POINTS, a, b) - 0.4)).max() <= 1e-5
+    axis = (b - a) / np.linalg.norm(b - a)
+    along = (POINTS - a) @ axis
+    across = np.linalg.norm(POINTS - a - along[:, None] * axis, axis=1)
+    within = (along >= 0) & (along <= np.linalg.norm(b - a))
+    length = np.linalg.norm(b - a)
+    assert ((fb.cylinder(a, b, 0.7).distance(POINTS) < 0) == (within & (across < 0.7))).all()
+    assert ((fb.cone(a, b, 0.7).distance(POINTS) < 0) == (within & (across < 0.7 * (1 - along / length)))).all()
+    radius = 0.7 + (0.2 - 0.7) * along / length
+    assert ((fb.cone(a, b, 0.7, 0.2).distance(POINTS) < 0) == (within & (across < radius))).all()
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: fb.capsule((0, 0, 0), (0, 0, 0), 1),
+        lambda: fb.capsule((0, 0, 0), (0, 0, 1)),
+        lambda: fb.capsule((0, 0), (0, 1), 1),
+        lambda: fb.cylinder(1, 2, 3),
+        lambda: fb.cylinder((0, 0, 0), (0, 0, 1), 1, 2),
+        lambda: fb.cone((0, 0, 0), (0, 0, float("nan")), 1),
+        lambda: fb.sphere().orient("w"),
+        lambda: fb.sphere().orient((0, 0, 0)),
+        lambda: fb.sphere().circular_array(0),
+        lambda: fb.sphere().circular_array(2.5),
+        lambda: fb.csg.union(),
+        lambda: fb.csg.union([fb.sphere(), 3]),
+        lambda: fb.sphere().rotate(90, "x"),
+        lambda: fb.circle(1).scale(0),
+    ],
+)
+def test_mistakes_name_the_argument(call):
+    with pytest.raises(fb.ShapeError, match=r"^\w+(\[\d\])?:"):
+        call()
+
+
+@pytest.mark.parametrize("axis", ["x", "-x", "y", "z", "-z", (1, 2, -3)])
+def test_orient_turns_z_to_the_axis(axis):
+    part = fb.cylinder(0.3, 2).translate((0, 0, 2))
+    letters = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
+    direction = np.array(letters[axis[-1]], float) * (-1 if axis[0] == "-" else 1) if isinstance(axis, str) else axis
+    direction = np.asarray(direction, float) / np.linalg.norm(direction)
+    assert part.orient(axis).distance([2 * direction])[0] == pytest.approx(-0.3, abs=1e-5)
+    assert part.orient(axis).distance([3.5 * direction])[0] == pytest.approx(0.5, abs=1e-5)
+
+
+def test_a_circular_array_has_copies_at_equal_angles():
+    ring = fb.sphere(0.3).circular_array(5, 2)
+    angles = np.radians(72) * np.arange(5)
+    centres = np.stack([2 * np.cos(angles), 2 * np.sin(angles), 0 * angles], axis=1)
+    truth = np.linalg.norm(POINTS[:, None] - centres, axis=2).min(axis=1) - 0.3
+    assert np.abs(ring.distance(POINTS) - truth).max() <= 1e-5
+
+
+def test_profiles_are_combined_and_moved():
+    washer = fb.circle(1) - fb.circle(0.4).translate((0.2, 0))
+    solid = washer.extrude(1)
+    x, y, z = POINTS.T
+    truth = (np.hypot(x, y) < 1) & ~(np.hypot(x - 0.2, y) < 0.4) & (np.abs(z) < 0.5)
+    assert ((solid.distance(POINTS) < 0) == truth).all()
+
+    frame = (fb.rectangle((2, 1)) ^ fb.rectangle((1, 0.5))).rotate(30).scale(1.5).translate((0.3, -0.2))
+    turn = np.radians(30)
+    u = ((x - 0.3) * np.cos(turn) + (y + 0.2) * np.sin(turn)) / 1.5
+    v = (-(x - 0.3) * np.sin(turn) + (y + 0.2) * np.cos(turn)) / 1.5
+    truth = ((np.abs(u) < 1) & (np.abs(v) < 0.5)) ^ ((np.abs(u) < 0.5) & (np.abs(v) < 0.25))
+    assert ((frame.extrude(2).distance(POINTS) < 0) == (truth & (np.abs(z) < 1))).all()
+
+    vase = (fb.circle(0.5).translate((1.5, 0.4)) | fb.rectangle((0.4, 2)).translate((1.5, 0))).revolve()
+    r = np.hypot(x, y)
+    truth = (np.hypot(r - 1.5, z - 0.4) < 0.5) | ((np.abs(r - 1.5) < 0.2) & (np.abs(z) < 1))
+    assert ((vase.distance(POINTS) < 0) == truth).all()
+    with pytest.raises(TypeError):
+        fb.circle(1) | fb.sphere(1)
+
+
+def test_a_volume_is_an_operand_on_either_side():
+    volume = fb.bake(meshes.icosphere(3), 24)
+    leaf, cube = fb.volume_shape(volume), fb.box(1.4)
+    for mixed, plain in (
+        (volume | cube, leaf | cube),
+        (cube | volume, cube | leaf),
+        (volume - cube, leaf - cube),
+        (cube - volume, cube - leaf),
+        (volume & cube, leaf & cube),
+        (volume ^ cube, leaf ^ cube),
+    ):
+        np.testing.assert_array_equal(mixed.distance(POINTS), plain.distance(POINTS))
+    assert fb.csg.union([volume, cube], k=0.1).distance([(0, 0, 0)])[0] < 0
+
+
+def test_lists_of_shapes_are_united():
+    parts = [fb.sphere(0.5).translate((i, 0, 0)) for i in range(4)]
+    np.testing.assert_array_equal(fb.csg.union(parts).distance(POINTS), fb.csg.union(*parts).distance(POINTS))
+
+
+SHAPES = [
+    fb.sphere(1),
+    fb.box((1, 2, 3)) - fb.cylinder(0.4, 4).rotate("x", 90),
+    (fb.box(2) | fb.sphere(1.2) | fb.torus(2, 0.3)) & fb.plane("x", 0.5),
+    fb.sphere(1) - (fb.box(1) | fb.cone(1, 2)),
+    (fb.sphere(1) | fb.box(1)).smooth(0.2).translate((1, 2, 3)).scale(2),
+    ~fb.capsule(0.5, 2).rotate((1, 2, 3), 40),
+    fb.gyroid(1, 0.1) & fb.octahedron(1),
+    fb.extrude(fb.polygon([(0, 0), (1, 0), (0, 1)]), 2) ^ fb.revolve(fb.circle(0.2), 1),
+    fb.box(1).shell(0.1).offset(0.05).twist(20).bend(10).elongate((1, 0, 0)),
+    fb.hex_prism(1, 2).mirror("x").reflect((0, 1, 0)).repeat((3, 3, 3), (2, 1, 1)),
+    fb.sphere(1).paint((1, 0, 0)).stencil(fb.box(1), (0, 0, 1)),
+    fb.truncated_cone(1, 0.5, 2) | fb.capped_torus(1, 0.2, 90) | fb.pyramid(1, 1) | fb.ellipsoid((1, 2, 3)),
+]
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=range(len(SHAPES)))
+def test_repr_is_the_python_that_makes_the_shape(shape):
+    text = repr(shape)
+    assert text.startswith("Shape(")
+    again = eval(text[6:-1], {name: getattr(fb, name) for name in fb.__all__})
+    np.testing.assert_allclose(again.distance(POINTS), shape.distance(POINTS), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "difference(){cube(3);sphere(2);}",
+        "// a part\n$fn = 64;\nunion() { cube([1, 2, 3]); }",
+        "/* head */ module part(a) { cube(a); }\npart(3);",
+        "use <lib.scad>\ncube(3);",
+        "#translate([1,0,0]) sphere(r=2);",
+    ],
+)
+def test_openscad_is_recognised(text):
+    with pytest.raises(fb.ShapeError, match="OpenSCAD"):
+        fb.csg.parse(text)
+
+
+def test_s_expressions_are_not_taken_for_openscad():
+    assert fb.csg.parse("; a cube\n'(cube 3)") == fb.box(3)
+    with pytest.raises(fb.ShapeError, match="expected"):
+        fb.csg.parse("cube 3")
+
+
+@pytest.mark.parametrize("ending", [".stl", ".obj", ".ply", ".glb", ".3mf"])
+def test_a_shape_is_saved_as_a_mesh(ending, tmp_path):
+    import trimesh
+
+    part = fb.box(2) - fb.sphere(1.2)
+    part.save(tmp_path / f"part{ending}", 24)
+    if ending == ".3mf":
+        return
+    loaded = trimesh.load(tmp_path / f"part{ending}", force="mesh")
+    assert loaded.is_watertight
+    assert loaded.volume == pytest.approx(part.to_mesh(24).volume, rel=1e-5)
+
+
+def test_endings_are_checked_before_any_work(tmp_path):
+    everything = fb.sphere(1).repeat((3, 3, 3), (40, 40, 40))
+    for path, error in ((tmp_path / "a.step", fb.MeshError), (tmp_path / "no" / "a.stl", FileNotFoundError)):
+        with pytest.raises(error):
+            everything.save(path, 4096)
+    with pytest.raises(fb.ShapeError):
+        fb.plane().save(tmp_path / "a.stl")
+    assert not list(tmp_path.iterdir())
