@@ -28,7 +28,7 @@ impl Surface {
         &self,
         change: impl FnOnce(&mut [Crossing]) -> Result<(), crate::error::Error>,
     ) -> Result<(), crate::error::Error> {
-        // A panic in between leaves whole planes behind.
+        // A panic in between leaves whole planes, so the data stay valid.
         change(&mut self.crossings.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
@@ -87,7 +87,7 @@ impl Surface {
         self.surface.edge_count()
     }
 
-    /// Both ends of each crossed edge, (m, 3) each, and the share of it before the crossing, (m,).
+    /// Both ends of each crossed edge, (m, 3) each, and the fraction of the edge before the crossing, (m,).
     #[expect(clippy::type_complexity, reason = "a triple of arrays is what Python unpacks")]
     fn edges<'py>(
         &self,
@@ -99,7 +99,7 @@ impl Surface {
         Ok((row_array(py, end(0))?, row_array(py, end(1))?, shares))
     }
 
-    /// Take the tangent planes from the surface at a distance from a mesh.
+    /// Uses the tangent planes of the surface at a distance from a mesh.
     #[pyo3(signature = (mesh, offset, *, unsigned=false))]
     fn use_mesh(&self, py: Python<'_>, mesh: PyRef<'_, Mesh>, offset: f64, unsigned: bool) -> PyResult<()> {
         let mesh = mesh.0.clone();
@@ -110,7 +110,7 @@ impl Surface {
         })?)
     }
 
-    /// Take the tangent planes through `points` with `normals`, (m, 3) each; a row that is not finite keeps its plane.
+    /// Uses the tangent planes through `points` with `normals`, (m, 3) each; a row that is not finite keeps its plane.
     fn use_planes(
         &self,
         py: Python<'_>,

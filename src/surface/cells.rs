@@ -5,7 +5,7 @@
 //! `|d - level|` of the nearest sample of the grid, so a surface that leaves the box crosses an edge to the padding exactly
 //! on the face of the box. That closes the surface: it bounds the part of the solid that lies in the box.
 //!
-//! Memory grows with the number of crossed cells, plus one number for every row of cells.
+//! Memory grows with the number of crossed cells, plus one value per row of cells.
 
 use super::patches::{MAX_PATCHES, edge_corners, face_corners, face_edges, is_ambiguous, patches};
 use crate::error::Error;
@@ -48,7 +48,7 @@ impl Cell {
         patches(self.inside, self.joined).iter().copied().take_while(|&patch| patch != 0)
     }
 
-    /// Number of the patch that has an edge, among the patches of this cell.
+    /// Index of the patch that has an edge, among the patches of this cell.
     pub fn patch_of(&self, edge: usize) -> u32 {
         let patches = patches(self.inside, self.joined);
         (0..MAX_PATCHES).find(|&i| patches[i] >> edge & 1 == 1).unwrap_or(0) as u32

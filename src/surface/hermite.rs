@@ -1,4 +1,4 @@
-//! Tangent planes from the mesh that a field was made of.
+//! Tangent planes from the mesh that a field was computed from.
 
 use super::{Crossing, Surface};
 use crate::error::Error;
@@ -7,13 +7,14 @@ use crate::progress::Progress;
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Crossings between two looks at the progress.
+/// Number of crossings between two checks of the progress.
 const CHUNK: usize = 1024;
 
-/// A surface this many voxels (longest side) away from where the samples put the crossing is another sheet.
+/// A surface farther than this many voxels (longest side) from the crossing of the samples is another sheet.
 const REACH_VOXELS: f64 = 0.9;
 
-/// Offsets below this many voxels take the normals of faces: the direction to the nearest point has no digits left.
+/// Offsets below this many voxels use the normals of faces, since the direction to the nearest point has lost its
+/// precision.
 const FLAT_VOXELS: f64 = 1e-3;
 
 /// Replace the planes of `crossings` by tangent planes of the surface at the distance `offset` from `mesh`, world units.
@@ -40,7 +41,7 @@ pub fn planes_of_mesh(
                 offset_plane(mesh, crossing, offset, unsigned, REACH_VOXELS * voxel)
             };
             if let Some((point, normal)) = plane {
-                // The side of larger values is that of the samples, whichever way a face is wound.
+                // The plane faces the larger values of the samples, independent of the winding of the face.
                 let outward = if normal.dot(crossing.normal) < 0.0 { -normal } else { normal };
                 (crossing.point, crossing.normal) = (point, outward);
             }
@@ -49,7 +50,7 @@ pub fn planes_of_mesh(
     })
 }
 
-/// Where the edge of the crossing meets the mesh, nearest to the crossing, and the normal of that face.
+/// The intersection of the crossing's edge with the mesh that is nearest to the crossing, and the normal of its face.
 fn crossed_face(surface: &Surface, mesh: &Mesh, crossing: &Crossing) -> Option<(DVec3, DVec3)> {
     let [start, end] = surface.ends(crossing);
     let (origin, tip) = (mesh.local_from_world(start), mesh.local_from_world(end));

@@ -8,10 +8,11 @@ use crate::volume::{trilinear, trilinear_gradient};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-/// Steps of Newton's method onto the trilinear surface; each squares the error, which is below a voxel at the start.
+/// Number of steps of Newton's method onto the trilinear surface. Each squares the error, which is below a voxel at the
+/// start.
 const NEWTON_STEPS: usize = 4;
 
-/// How the vertices are placed and the surface is ended.
+/// Placement of the vertices, and treatment of the surface at the box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MeshOptions {
     /// Whether vertices minimise the distance to the tangent planes; else they are the means of the crossings, moved onto
@@ -24,17 +25,17 @@ pub struct MeshOptions {
 /// Triangles of a level set.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct SurfaceMesh {
-    /// World positions.
+    /// Positions in world units.
     pub vertices: Vec<DVec3>,
     /// Counter-clockwise seen from the side of larger values.
     pub faces: Vec<[u32; 3]>,
-    /// Number of vertices whose best place is outside the region around their cell that keeps the surface from folding;
-    /// they lie on the border of that region.
+    /// Number of vertices whose optimal position is outside the region around their cell in which the surface cannot
+    /// fold. They lie on the border of that region.
     pub clamped: usize,
 }
 
 impl Surface {
-    /// The mesh over `crossings`, one entry a crossed edge as [`Surface::crossings`] returns them.
+    /// The mesh over `crossings`, one entry per crossed edge in the order of [`Surface::crossings`].
     pub fn mesh(&self, crossings: &[Crossing], options: MeshOptions) -> SurfaceMesh {
         assert_eq!(crossings.len(), self.edge_count(), "one crossing for each crossed edge");
         let placed: Vec<(DVec3, bool)> = self
@@ -135,7 +136,7 @@ impl Surface {
             let mut index = cell.index;
             index[u] -= back_u;
             index[v] -= back_v;
-            // In a cell that lies back, the edge is on the upper side: see the numbering of edges in `patches`.
+            // In a cell one step back, the edge is on the upper side: see the numbering of edges in `patches`.
             let edge = 4 * axis + (back_u + 2 * back_v) as usize;
             // Every cell around a crossed edge is crossed, so it is found.
             self.cells.find(index).map_or(0, |around| around.first_patch + around.patch_of(edge))
@@ -158,8 +159,8 @@ impl Surface {
     }
 
     /// Whether a quadrilateral is better divided from its first to its third corner. `first` and `second` are twice the
-    /// smaller area, voxels squared, of the two triangles of either division, seen along the edge; a division that
-    /// folds has a negative one. Of two divisions that do not fold, the shorter diagonal is taken.
+    /// smaller area, voxels squared, of the two triangles of either division, as seen along the edge. A division that
+    /// folds has a negative one. Of two divisions that do not fold, the one with the shorter diagonal is chosen.
     fn prefers_first(&self, first: f64, second: f64, [a, b, c, d]: [u32; 4], vertices: &[DVec3]) -> bool {
         let folds = |area: f64| area <= MARGIN * MARGIN;
         if folds(first) || folds(second) {

@@ -42,7 +42,7 @@ use cells::{Cell, Cells};
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Least distance of a vertex from the faces of its cell, voxels.
+/// Smallest distance of a vertex from the faces of its cell, voxels.
 pub const MARGIN: f64 = 1.0 / 1024.0;
 
 /// The crossed cells of a grid in world space.
@@ -57,11 +57,11 @@ pub struct Surface {
 /// The tangent plane of the surface where an edge crosses it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Crossing {
-    /// Where the edge crosses the surface, world units.
+    /// Position of the crossing, world units.
     pub on_edge: DVec3,
     /// Axis that the edge is parallel to.
     pub axis: u8,
-    /// Share of the edge before the crossing, from 0 to 1.
+    /// Fraction of the edge before the crossing, from 0 to 1.
     pub share: f64,
     /// A point of the plane, world units.
     pub point: DVec3,
@@ -140,7 +140,7 @@ impl Surface {
         self.lower + (DVec3::from_array(index.map(f64::from)) + 0.5 + fraction) * self.spacing
     }
 
-    /// The crossings of all crossed edges, in order of their cells, as far as the samples tell: the root of the linear
+    /// The crossings of all crossed edges, in order of their cells, from the samples alone: the root of the linear
     /// function along the edge, and the gradient of the samples there by central differences.
     pub fn crossings(&self) -> Vec<Crossing> {
         self.cells
@@ -173,8 +173,8 @@ impl Surface {
         Crossing { on_edge, axis: axis as u8, share, point: on_edge, normal, on_box }
     }
 
-    /// Difference of the field along the axis `other`, per voxel, at a share of the way from one corner of the cell to the
-    /// next: the mean of the differences on both sides, or the one that does not reach into the padding.
+    /// Difference of the field along the axis `other`, per voxel, at a fraction of the way from one corner of the cell
+    /// to the next: the mean of the differences on both sides, or the one that does not use the padding.
     fn slope(&self, cell: &Cell, corners: [usize; 2], share: f64, other: usize) -> f64 {
         let step = 1 << other;
         let between = |cell: &Cell, offset: usize| {

@@ -13,9 +13,9 @@
 //! ```
 //!
 //! An edge is crossed if one end is inside and the other outside. On each face the crossed edges are joined in pairs by
-//! segments. A face whose two inside corners lie on a diagonal has four crossed edges and two ways to join them; a bit a
-//! face says whether its inside corners are joined across the face. The segments form closed cycles on the boundary of
-//! the cell, and each cycle bounds one patch (Nielson, "Dual Marching Cubes", 2004).
+//! segments. A face whose two inside corners lie on a diagonal has four crossed edges and two ways to join them; one
+//! bit per face tells whether its inside corners are joined across the face. The segments form closed cycles on the
+//! boundary of the cell, and each cycle bounds one patch (Nielson, "Dual Marching Cubes", 2004).
 
 use std::sync::OnceLock;
 
@@ -55,8 +55,8 @@ pub fn is_ambiguous(inside: u8, face: usize) -> bool {
     bit(a) == bit(c) && bit(b) == bit(d) && bit(a) != bit(b)
 }
 
-/// The patches of a cell with the corners `inside` (bit a corner), and the inside corners of ambiguous faces joined where
-/// the bit of the face is set in `joined`.
+/// The patches of a cell with the corners `inside` (one bit per corner). The inside corners of an ambiguous face are
+/// joined if the bit of the face is set in `joined`.
 pub fn patches(inside: u8, joined: u8) -> &'static Patches {
     static TABLE: OnceLock<Vec<Patches>> = OnceLock::new();
     let table = TABLE.get_or_init(|| (0..256 * 64).map(|i| trace((i / 64) as u8, (i % 64) as u8)).collect());

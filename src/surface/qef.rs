@@ -34,7 +34,7 @@ impl Planes {
         Self { matrix: DMat3::ZERO, ..Self::default() }
     }
 
-    /// Add the plane through `point` with the unit normal `normal`; `crossing` counts for the mean.
+    /// Adds the plane through `point` with the unit normal `normal`; `crossing` contributes to the mean.
     pub fn add(&mut self, crossing: DVec3, point: DVec3, normal: DVec3) {
         self.matrix += DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
         self.vector += normal * normal.dot(point);
@@ -72,7 +72,7 @@ fn constrained(matrix: DMat3, vector: DVec3, lower: DVec3, upper: DVec3) -> DVec
         let mut right = vector;
         for (axis, &end) in at.iter().enumerate() {
             if end > 0 {
-                // Replace the row by "coordinate = end".
+                // Replaces the row by "coordinate = end".
                 for column in 0..3 {
                     system.col_mut(column)[axis] = if column == axis { 1.0 } else { 0.0 };
                 }
@@ -80,7 +80,7 @@ fn constrained(matrix: DMat3, vector: DVec3, lower: DVec3, upper: DVec3) -> DVec
             }
         }
         let point = system.inverse() * right;
-        // Rounding puts a coordinate that was set a little beside its end.
+        // Rounding moves a coordinate slightly away from the end at which it was fixed.
         let point = DVec3::select(glam::BVec3::new(at[0] > 0, at[1] > 0, at[2] > 0), point.clamp(lower, upper), point);
         if point.cmpge(lower).all() && point.cmple(upper).all() && value(point) < best.0 {
             best = (value(point), point);

@@ -20,7 +20,7 @@ from ..base.errors import Error
 #: Eight bytes before each message: its length.
 _LENGTH = struct.Struct("<Q")
 
-#: What a child runs. Its path for imports is that of its parent; the program of the parent is not imported again.
+#: Program of a child. Its import path is that of its parent; the main program of the parent is not imported again.
 _PROGRAM = "import sys; sys.path[:] = {path!r}; from fieldbake.scaling.child import serve; serve()"
 
 
