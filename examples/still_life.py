@@ -53,7 +53,7 @@ def backdrop() -> fb.Mesh:
 
 
 def die() -> fb.Shape:
-    """A cube with round corners and three bores, each surface in the colour of what cut it."""
+    """A cube with round corners and three bores. Each surface has the colour of the solid that cut it."""
     body = (fb.rounded_box((2, 2, 2), 0.25) & fb.sphere(1.38)).paint((0.80, 0.74, 0.62))
     bore = fb.cylinder(radius=0.62, height=4).paint((0.10, 0.32, 0.30))
     return body - bore - bore.rotate("x", 90) - bore.rotate("y", 90)
@@ -114,7 +114,7 @@ def main() -> None:
         device=options.device,
         progress=True,
     )
-    # Opaque, so without the opacity: `frame.save` would keep it, in a fifth more bytes.
+    # The image is opaque, so it is saved without opacity, which would add a fifth to its size.
     Image.fromarray(frame.image[..., :3]).save(options.picture, optimize=True)
     for stage, duration in frame.report["milliseconds"].items():
         print(f"{stage:8} {duration:8.0f} ms on {frame.report['devices'][stage]}")

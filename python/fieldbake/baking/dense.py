@@ -54,13 +54,13 @@ def bake(
         Items of a list of meshes may be ``(mesh, transform)`` pairs. A list of shapes is baked as their union. Pass the
         same `Mesh` to several calls to build its search tree only once.
     resolution : int or three ints, default 64
-        One number: cubic voxels, with this number of voxels along the longest side of the padded box and whole voxels
-        along the others. Three numbers: voxels along x, y and z, which may be oblong.
+        One number: voxels along the longest side of the padded box. The voxels are cubic, and the other sides have
+        whole voxels. Three numbers: voxels along x, y and z, which may be oblong.
     voxel_size : float, optional
         Side of a cubic voxel, world units. It replaces `resolution`.
     bounds : (2, 3) array, optional
-        Box to sample, world units. The default is the box of the mesh and its margin. With one number as `resolution`
-        it is enlarged about its centre to whole voxels. It may cut the mesh or lie anywhere.
+        Box to sample, world units. The default is the box of the mesh and its margin. With a single number as
+        `resolution` it is enlarged about its centre to whole voxels. It may cut the mesh or lie anywhere.
     margin : float, default 0.1
         The box of the mesh is scaled by ``1 + margin`` about its centre. At least one voxel remains on each side.
     sign : str, default "auto"

@@ -54,8 +54,8 @@ def make_grid(
     inner : (2, 3) array
         Box of the surface, world units. Sides may be zero.
     resolution : int or three ints, default 64
-        One number: cubic voxels, with this number along the longest side of the box and whole voxels along the others;
-        the box is enlarged about its centre to fit. Three numbers: voxels along x, y and z, which may be oblong.
+        One number: voxels along the longest side of the box. The voxels are cubic, and the box is enlarged about its
+        centre to whole voxels along the other sides. Three numbers: voxels along x, y and z, which may be oblong.
     voxel_size : float, optional
         Side of a cubic voxel, world units. It replaces `resolution`.
     bounds : (2, 3) array, optional

@@ -1,4 +1,4 @@
-"""The commands ``info`` and ``convert``: what files hold, and the same in another format."""
+"""The commands ``info`` and ``convert``: a description of files, and conversion between formats."""
 
 from __future__ import annotations
 

@@ -122,9 +122,9 @@ def render(
     simulation and ray-tracing tech in Claybook, GDC 2018, and are centred on the hard edge. Where one cone does not
     decide, 16 cones divide the disc of the light.
 
-    Shadows and occlusion of open sheets, of flat meshes and of meshes with a mask or a translucent texture are those
-    of their triangles, with the opacity of the material at each hit; such meshes need no field. Each crossing of a
-    blended surface absorbs the share of the light that its opacity says.
+    Shadows and occlusion of open sheets, of flat meshes and of meshes with a mask or a translucent texture are those of
+    their triangles, with the opacity of the material at each hit; such meshes need no field. Each crossing of a blended
+    surface absorbs a fraction of the light equal to its opacity.
 
     A merged field keeps walls of at least two of its voxels closed. Past `far_distance` the edges of shadows deviate
     by up to about one of its voxels, and thinner objects may cast no shadow. Nearer occluders are unaffected.

@@ -13,13 +13,13 @@ from .cursor import Cursor, inflate
 
 SHUFFLED, COPIED, BIT_SHUFFLED, ONE_STREAM = 1, 2, 4, 16
 LZ4, ZLIB = 1, 3
-#: A block is cut into streams only if each has so many bytes, and elements have no more than so many bytes.
+#: A block is divided into streams only if each stream has at least this many bytes, and an element at most this many.
 LEAST_STREAM, MOST_STREAMS = 128, 16
 HEADER_BYTES = 16
 
 
 def unpack(buffer: memoryview, most: int) -> bytes:
-    """The bytes in a buffer, of which there may be at most `most`."""
+    """Unpack a buffer of at most `most` bytes."""
     cursor = Cursor(buffer)  # type: ignore[arg-type]
     _, _, flags, typesize, size, block_size, packed_size = cursor.unpack("<4B3I")
     if size == 0:
@@ -57,7 +57,7 @@ def _unshuffled(block: bytes, typesize: int) -> bytes:
 
 
 def _unpack_lz4(packed: memoryview, size: int) -> bytes:
-    """One LZ4 block: literals, then a copy of earlier bytes, and so on; it ends with literals."""
+    """Unpack one LZ4 block: literals, then a copy of earlier bytes, and so on; it ends with literals."""
     content = bytearray()
     cursor = Cursor(packed)  # type: ignore[arg-type]
     while True:
@@ -73,7 +73,7 @@ def _unpack_lz4(packed: memoryview, size: int) -> bytes:
             raise FormatError("an LZ4 block is damaged")
         start = len(content) - offset
         piece = content[start : start + length]
-        # A copy may reach into the bytes that it makes; then it repeats.
+        # A copy may overlap the bytes that it produces; then it repeats.
         content += (piece * (length // len(piece) + 1))[:length]
     if len(content) != size:
         raise FormatError("an LZ4 block is shorter than it says")

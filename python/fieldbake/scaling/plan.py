@@ -83,7 +83,7 @@ def stored_shards(mesh: Mesh, layout: Layout, level: int) -> tuple[NDArray[np.bo
         low = (low[:, None] + _corners() * side).reshape(-1, 3)
         low = low[(low < counts).all(axis=1)]
 
-    # The remaining windows are near the surface, or their side is not known.
+    # The remaining shards are near the surface, or their side is not known.
     samples = low * layout.shard, np.minimum((low + 1) * layout.shard, blocks.shape)
     in_band = _with_samples_in_band(blocks, *samples, layout.band_width)
     near[tuple(low[in_band].T)] = True
