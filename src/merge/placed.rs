@@ -18,8 +18,8 @@
 //!
 //! - Between eight voxel centres `c_i` with samples `d_i`: a signed distance is 1-Lipschitz, so `L = max(d_i - |p -
 //!   c_i|)`. If all eight are positive, the variance bound `s` of [`crate::volume::outside`] also holds, and the larger
-//!   one is used. (If `p` were inside a part too thin for any corner to be inside, at depth `e`, then `d_i <= |p - c_i|
-//!   - e` and `e <= |p - c_i|`, hence `sum w_i d_i^2 < sum w_i |p - c_i|^2`: `s` would be 0.) At a voxel centre this is
+//!   one is used. (If `p` were inside a part too thin for any corner to be inside, at depth `e`, then
+//!   `d_i <= |p - c_i| - e` and `e <= |p - c_i|`, hence `sum w_i d_i^2 < sum w_i |p - c_i|^2`: `s` would be 0.) At a voxel centre this is
 //!   the sample itself. Between centres, where trilinear interpolation may exceed the distance, it is smaller, by at
 //!   most half the diagonal of a voxel: this occurs if all corners see the same point from behind it.
 //! - Outside the hull of the centres: `sqrt(a^2 + s^2)` as in [`crate::volume::outside`], from the hull and from the
