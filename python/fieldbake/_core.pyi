@@ -1,7 +1,7 @@
 """The Rust core. Private: use :mod:`fieldbake` or :mod:`fieldbake.arrays`.
 
-Arrays come in C-contiguous and checked for dtype and shape by the Python layer; values are checked here.
-Every function releases the GIL, stops on Ctrl-C and raises the exception classes of :mod:`fieldbake.errors`.
+The Python layer passes C-contiguous arrays and checks their dtype and shape; values are checked here. Every function
+releases the GIL, stops on Ctrl-C and raises the exception classes of :mod:`fieldbake.errors`.
 """
 
 from collections.abc import Callable
@@ -81,16 +81,16 @@ class Mesh:
         """``vertices`` (n, 3), ``faces`` (m, 3). Raises MeshError naming the array, index and value."""
     @property
     def vertices(self) -> NDArray[np.float64]:
-        """World positions of the kept vertices as they came, (n, 3), a read-only view."""
+        """World positions of the kept vertices, equal to the input, (n, 3), a read-only view."""
     @property
     def faces(self) -> NDArray[np.uint32]:
         """Kept triangles, (m, 3), indices into ``vertices``."""
     @property
     def source_vertices(self) -> NDArray[np.int64]:
-        """Row of the input that each kept vertex came from, (n,)."""
+        """Input row of each kept vertex, (n,)."""
     @property
     def source_faces(self) -> NDArray[np.int64]:
-        """Row of the input that each kept face came from, (m,)."""
+        """Input row of each kept face, (m,)."""
     @property
     def center(self) -> NDArray[np.float64]:
         """Centre of the box; the core stores float32 offsets from it, (3,)."""
@@ -99,18 +99,20 @@ class Mesh:
         """Lower and upper corner, (2, 3)."""
     @property
     def nbytes(self) -> int:
-        """Memory of vertices, faces and, once built, the tree."""
+        """Memory of vertices, faces and the tree once it is built, bytes."""
     def state(self) -> tuple[NDArray[np.float64], NDArray[np.uint32], NDArray[np.uint32] | None]:
-        """What makes this mesh again: kept vertices (n, 3), all faces (m, 3) as rows of those, and where vertices were
-        dropped the input row of each kept one, followed by the number of input vertices."""
+        """The data that restores this mesh: kept vertices (n, 3); all faces (m, 3) as rows of those; and, if vertices
+        were dropped, the input row of each kept one, followed by the number of input vertices.
+        """
     def self_intersections(self) -> int:
-        """Pairs of faces without a common vertex that pass through each other."""
+        """Number of pairs of faces without a common vertex that intersect."""
     def sign_warnings(self, sign: str) -> list[str]:
-        """What a user must know about the sign of this surface by a method."""
+        """Warnings about the sign of this surface by a method."""
     def topology(self) -> dict[str, Any]:
-        """Facts of the surface, each an int unless said otherwise: ``boundary_edges``, ``nonmanifold_edges``,
+        """Properties of the surface, int unless stated otherwise: ``boundary_edges``, ``nonmanifold_edges``,
         ``flipped_faces``, ``duplicate_faces``, ``degenerate_faces`` (dropped), ``dropped_vertices`` (not finite,
-        unused), ``components``, ``closed`` (bool)."""
+        unused), ``components``, ``closed`` (bool).
+        """
 
 def bake(
     mesh: Mesh,
@@ -124,12 +126,14 @@ def bake(
     device: str = "auto",
     progress: Callable[[float], object] | None = None,
 ) -> tuple[NDArray[np.float32] | DeviceField, dict[str, Any]]:
-    """Distances (nx, ny, nz), x fastest in memory, and the report. ``band`` in voxels; ``thickness`` in world units
-    makes the field two-sided: unsigned minus half the thickness. ``progress`` gets 0 to 1 about ten times a second.
+    """Distances (nx, ny, nz), x fastest in memory, and the report. ``band`` is in voxels. ``thickness``, world units,
+    makes the field two-sided: the unsigned distance minus half the thickness. ``progress`` receives fractions from 0 to
+    1 about ten times a second.
 
-    The report: ``sign_method`` ("winding", "parity", "pseudonormal", "normal", "unsigned"), ``sign_reason``
-    (one sentence), the facts of :meth:`Mesh.topology`, ``undecided_voxels``, ``inside_voxels``, ``device``,
-    ``seconds`` (dict: stage to float), ``peak_bytes``, ``warnings`` (list of sentences)."""
+    The report: ``sign_method`` ("winding", "parity", "pseudonormal", "normal", "unsigned"), ``sign_reason`` (one
+    sentence), the entries of :meth:`Mesh.topology`, ``undecided_voxels``, ``inside_voxels``, ``device``, ``seconds``
+    (dict: stage to float), ``peak_bytes``, ``warnings`` (list of sentences).
+    """
 
 def bake_window(
     mesh: Mesh,
@@ -159,8 +163,9 @@ def bake_brute(
     sign: str,
     device: str,
 ) -> NDArray[np.float32]:
-    """The articles' own bake on a graphics device, every sample against every triangle; a reference for tests. ``sign``
-    is "normal", "parity" or "unsigned"."""
+    """The bake of the articles on a graphics device: every sample visits every triangle. A reference for tests.
+    ``sign`` is "normal", "parity" or "unsigned".
+    """
 
 @final
 class DeviceField:
@@ -173,17 +178,17 @@ class DeviceField:
     @property
     def device(self) -> str: ...
     def read(self) -> NDArray[np.float32]:
-        """The samples, (nx, ny, nz) with x fastest in memory; each call copies them anew."""
+        """The samples, (nx, ny, nz) with x fastest in memory; each call makes a new copy."""
     def serves(self, device: str) -> bool:
-        """Whether a call with this ``device`` runs where the field is."""
+        """Whether a call with this ``device`` runs on the device of the field."""
     def _transfers(self) -> dict[str, int]:
-        """Uploads, read-backs and their bytes on this device so far; for tests."""
+        """Number of uploads and read-backs on this device so far, and their bytes; for tests."""
     def _destroy_device(self) -> None:
-        """Give the device up as if the driver had taken it away; for tests."""
+        """Destroy the device, as if the driver had removed it; for tests."""
 
 @final
 class Shape:
-    """A CSG tree, compiled at the first question. Numbers are those of :mod:`fieldbake.shapes`."""
+    """A CSG tree, compiled at the first evaluation. Numbers are those of :mod:`fieldbake.shapes`."""
 
     @staticmethod
     def primitive(name: str, numbers: list[float]) -> Shape: ...
@@ -214,7 +219,7 @@ class Shape:
     def distance(self, points: NDArray[np.float64], device: str) -> NDArray[np.float32]: ...
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float32]: ...
     def color(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Linear RGB, nan where there is no paint."""
+        """Linear RGB; nan where the shape is not painted."""
     def bake(
         self,
         lower: tuple[float, float, float],
@@ -226,9 +231,9 @@ class Shape:
     ) -> tuple[NDArray[np.float32], str]:
         """Distances (nx, ny, nz), x fastest in memory, and the device."""
     def shader(self, language: str) -> tuple[str, NDArray[np.float32]]:
-        """The text, and the numbers that it reads from its buffer."""
+        """The text, and the parameters that it reads from its buffer."""
     def decompose(self, method: str) -> tuple[NDArray[np.float64], list[int]]:
-        """Boxes of all parts (n, 2, 3), and where those of each part begin and end."""
+        """Boxes of all parts (n, 2, 3), and the range of the boxes of each part."""
     def structures(self, method: str) -> int: ...
     def part(self, method: str, index: int) -> Shape: ...
     def draw(
@@ -383,7 +388,9 @@ def gradient(
     *,
     scale: float = 1.0,
 ) -> NDArray[np.float32]:
-    """Gradient of the trilinear field, (n, 3), distance per world unit; outside the box, of its nearest point."""
+    """Gradient of the trilinear field, (n, 3), distance per world unit. A point outside the box is replaced by its
+    nearest point.
+    """
 
 def resample(
     distances: NDArray[Any],
@@ -426,11 +433,13 @@ class Surface:
     def edge_count(self) -> int:
         """Number of crossed edges."""
     def edges(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Both ends of each crossed edge, (m, 3) each, and the share of it before the crossing, (m,)."""
+        """Both ends of each crossed edge, (m, 3) each, and the fraction of the edge before the crossing, (m,)."""
     def use_mesh(self, mesh: Mesh, offset: float, *, unsigned: bool = False) -> None:
-        """Take the tangent planes from the surface at a distance from a mesh."""
+        """Use the tangent planes of the surface at a distance from a mesh."""
     def use_planes(self, points: NDArray[np.float64], normals: NDArray[np.float64]) -> None:
-        """Take the tangent planes through `points` with `normals`, (m, 3) each; a row not finite keeps its plane."""
+        """Use the tangent planes through `points` with `normals`, (m, 3) each; a row that is not finite keeps its
+        plane.
+        """
     def mesh(self, *, sharp: bool = True, capped: bool = True) -> tuple[NDArray[np.float64], NDArray[np.uint32], int]:
         """Vertices (n, 3), faces (m, 3) and the number of vertices that were clamped to their cell."""
 
@@ -449,7 +458,7 @@ class SparseField:
         nodes: NDArray[np.float32],
         bricks: NDArray[Any],
     ) -> SparseField:
-        """Check arrays that belong together: ``index`` and ``nodes`` with x fastest, ``bricks`` flat."""
+        """Check that arrays are consistent: ``index`` and ``nodes`` with x fastest, ``bricks`` flat."""
     @property
     def shape(self) -> tuple[int, int, int]: ...
     @property
@@ -462,7 +471,7 @@ class SparseField:
     def scale(self) -> float: ...
     @property
     def levels(self) -> list[int]:
-        """Stored bricks with cells of 1, 2 and 4 voxels."""
+        """Number of stored bricks with cells of 1, 2 and 4 voxels."""
     def arrays(self) -> dict[str, NDArray[Any]]:
         """``index`` (bx, by, bz), ``nodes`` (bx + 1, by + 1, bz + 1), ``bricks`` (n, 8, 8, 8); copies."""
     def sample(
@@ -511,13 +520,13 @@ def encoding_scale(encoding: str, voxel: float, band: float) -> float:
     """The scale for voxels of this longest side and a band of this width, both in world units."""
 
 def check_scales(encoding: str, scales: list[float]) -> None:
-    """Raise ArgumentError unless the encoding can have these scales."""
+    """Raise ArgumentError unless the scales are valid for the encoding."""
 
 def encode(distances: NDArray[np.float32], encoding: str, scale: float) -> NDArray[Any]:
     """Distances (nx, ny, nz) in another encoding, rounded toward zero."""
 
 def decode(texels: NDArray[Any], scale: float) -> NDArray[np.float32]:
-    """What :func:`encode` was given, as far as it is stored."""
+    """Decode the result of :func:`encode`."""
 
 def raymarch(
     distances: NDArray[Any] | DeviceField | SparseField,
@@ -532,13 +541,14 @@ def raymarch(
 ) -> dict[str, Any]:
     """Draw the zero level set.
 
-    ``picture`` has every one of these keys: ``pose`` (4, 4) world from camera, looking along -Z; ``fov_deg``; ``size``
-    (width, height); ``light_directions`` (k, 3), the way the light travels; ``light_colors`` (k, 3); ``ambient``;
+    ``picture`` must have all of these keys: ``pose`` (4, 4) world from camera, with the viewing axis -Z; ``fov_deg``;
+    ``size`` (width, height); ``light_directions`` (k, 3), in which light travels; ``light_colors`` (k, 3); ``ambient``;
     ``color``; ``specular``; ``shininess``; ``background``; ``shadows``.
 
-    Keys: ``color`` (h, w, 4) linear RGBA, ``depth`` (h, w) along the view axis, inf where nothing is hit, ``normal``
-    (h, w, 3), ``object_id`` (h, w) int32, -1 for nothing, ``shadow`` (h, w) or (h, w, k), ``steps`` (h, w) uint32,
-    ``device``, ``seconds``."""
+    Keys: ``color`` (h, w, 4) linear RGBA; ``depth`` (h, w) along the viewing axis, inf without a hit; ``normal`` (h, w,
+    3); ``object_id`` (h, w) int32, -1 without a hit; ``shadow`` (h, w) or (h, w, k); ``steps`` (h, w) uint32;
+    ``device``; ``seconds``.
+    """
 
 def raymarch_nested(
     levels: list[tuple[NDArray[np.float32], tuple[float, float, float], tuple[float, float, float]]],
@@ -548,11 +558,12 @@ def raymarch_nested(
     progress: Callable[[float], object] | None = None,
 ) -> dict[str, Any] | None:
     """Draw nested fields on a graphics device: distances, lower and upper corner of each, finest first; picture and
-    result as for :func:`raymarch`. None where ``device`` is the CPU."""
+    result as for :func:`raymarch`. None if ``device`` is the CPU.
+    """
 
 @final
 class SceneField:
-    """Distances made ready for the rays of a scene; a copy."""
+    """Distances prepared for the rays of a scene; a copy."""
 
     def __new__(
         cls,
@@ -564,7 +575,7 @@ class SceneField:
     ) -> SceneField: ...
     @staticmethod
     def nested(levels: list[SceneField]) -> SceneField:
-        """Nested fields as one, finest first."""
+        """Nested fields as one field, finest first."""
     @staticmethod
     def sparse(
         field: SparseField, inner_lower: tuple[float, float, float], inner_upper: tuple[float, float, float]
@@ -572,10 +583,10 @@ class SceneField:
         """The bricks of a sparse field, decoded."""
     @staticmethod
     def quadrics(rows: NDArray[np.float64]) -> list[SceneField]:
-        """One for each row of quadrics; see :class:`Quadrics`."""
+        """One field for each row of quadrics; see :class:`Quadrics`."""
     @staticmethod
     def shape(shape: Shape) -> SceneField:
-        """A shape, with the parts that its rays walk through."""
+        """A shape, with the parts that rays are traced through."""
 
 @final
 class SceneMesh:
@@ -603,7 +614,7 @@ class Texture:
 
 @final
 class Scene:
-    """Instances, materials and textures, ready to be drawn."""
+    """Instances, materials and textures, prepared for drawing."""
 
     def __new__(
         cls,
@@ -620,13 +631,15 @@ class Scene:
         materials: NDArray[np.float32],
         textures: list[Texture],
     ) -> Scene:
-        """One item an instance; ``transforms`` (n, 4, 4) world from local. ``own_colors``: things show theirs in place
-        of the material's; ``objects``: what pixels call them; ``sheets``: light meets their triangles, not their
-        field. ``materials`` (k, 13): RGBA, specular, shininess, alpha mode (0 opaque, 1 mask, 2 blend), cutoff, two
-        sided, scattering RGB, texture or -1; an instance has those from its first on, as many as its mesh names."""
+        """One item per instance. ``transforms`` (n, 4, 4): world from local. ``own_colors``: whether the object's
+        colours replace the material's. ``objects``: ids in the picture. ``sheets``: whether light intersects the
+        triangles instead of the field. ``materials`` (k, 18): RGBA, specular, shininess, alpha mode (0 opaque, 1 mask,
+        2 blend), cutoff, two sided, scattering RGB, texture or -1, emission RGB, its texture or -1, unlit. An instance
+        has the rows from its first on, one for each material of its mesh.
+        """
     @property
     def bounds(self) -> NDArray[np.float64]:
-        """Lower and upper corner of everything, (2, 3), world units."""
+        """Lower and upper corner around all instances, (2, 3), world units."""
 
 def render(
     scene: Scene,
@@ -649,15 +662,16 @@ def render(
     device: str,
     progress: Callable[[float], object] | None = None,
 ) -> dict[str, Any]:
-    """Draw a scene. ``lights`` has three rows a light: kind (0 directional, 1 point), tangent of half its angle,
-    radius; direction or position; colour. Keys as for :func:`raymarch`, ``seconds`` a dict of passes, ``rays`` and
-    ``far_rays``: how many were sent to lights and surroundings, and how many of them went on in the far field;
-    ``light_on`` is where the light pass ran, ``sheets`` the number of instances whose triangles the CPU traced
-    for it."""
+    """Draw a scene. ``lights`` has three rows per light: kind (0 directional, 1 point), tangent of half its angle,
+    radius; direction or position; colour. Keys are those of :func:`raymarch`, with ``seconds`` as a dict of passes,
+    and: ``rays`` and ``far_rays``, the number of rays and cones to lights and surroundings and of those that entered
+    the far field; ``light_on``, the device of the light pass; ``sheets``, the number of instances whose triangles the
+    CPU traced.
+    """
 
 @final
 class Quadrics:
-    """Quadrics made ready for rays."""
+    """Quadrics prepared for rays."""
 
     def __new__(cls, rows: NDArray[np.float64]) -> Quadrics:
         """``rows`` (n, 24): matrix (16), centre (3), radius, reflectance (3), opacity."""
@@ -670,7 +684,7 @@ class Quadrics:
     ) -> dict[str, Any]:
         """Draw the nearest sheets, each in its own colour; picture and result as for :func:`raymarch`."""
     def distance_bound(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Lower bound of the distance to the nearest quadric at ``points`` (n, 3), shape (n,)."""
+        """Lower bound on the distance to the nearest quadric at ``points`` (n, 3), shape (n,)."""
 
 def merge(
     volumes: list[tuple[Any, ...]],
@@ -686,15 +700,17 @@ def merge(
     device: str = "auto",
     progress: Callable[[float], object] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.uint32] | None, dict[str, Any]]:
-    """One field (nx, ny, nz), who gave each sample (n,), and facts: ``device``, ``evaluations``.
+    """One field (nx, ny, nz), the owner of each sample (n,), and counters: ``device``, ``evaluations``.
 
-    ``volumes``: (distances, lower, upper, inner_lower, inner_upper) each; ``instances``: the volume of each instance;
-    ``transforms`` (k, 4, 4) world from local; ``quadrics`` (m, 24) as for :class:`Quadrics`, counted after the
-    instances. ``previous``: distances and owners of an earlier merge, and which instances have changed since."""
+    ``volumes``: (distances, lower, upper, inner_lower, inner_upper) each. ``instances``: the volume of each instance.
+    ``transforms`` (k, 4, 4): world from local. ``quadrics`` (m, 24): as for :class:`Quadrics`, counted after the
+    instances. ``previous``: distances and owners of an earlier merge, and the indices of the changed instances.
+    """
 
 def devices() -> list[dict[str, Any]]:
-    """What can compute: ``name``, ``backend``, ``type`` ("cpu", "discrete", "integrated", "software", ...),
-    ``hardware`` (bool) and ``limits`` (dict). The first is always the CPU."""
+    """The available devices: ``name``, ``backend``, ``type`` ("cpu", "discrete", "integrated", "software", ...),
+    ``hardware`` (bool) and ``limits`` (dict). The first is always the CPU.
+    """
 
 def require_memory(what: str, needed: int, advice: str) -> None:
     """Raise CapacityError if the machine does not have `needed` bytes free."""
@@ -708,11 +724,12 @@ def atlas_plan(
     gutter: int,
     encoding: str,
 ) -> NDArray[np.uint32]:
-    """Blocks for fields of ``shapes`` (n, 3) beside those that are ``taken`` (k, 10). A block is a row of ten numbers:
-    page, corner (2), tile (2), columns, gutter, shape (3); the page of an index without a field is 2**32 - 1."""
+    """Plan blocks for fields of ``shapes`` (n, 3) beside the blocks ``taken`` (k, 10). A block is a row of ten numbers:
+    page, corner (2), tile (2), columns, gutter, shape (3). The page of an index without a field is 2**32 - 1.
+    """
 
 def atlas_sound(blocks: NDArray[np.uint32], page_size: int, pages: int) -> list[bool]:
-    """Which blocks (n, 10) lie on the pages and are safe to read through."""
+    """Whether each block (n, 10) lies on the pages and is safe to read."""
 
 def atlas_write(
     pages: NDArray[np.uint8],
@@ -727,7 +744,7 @@ def atlas_write(
     the texels as bytes."""
 
 def atlas_clear(pages: NDArray[np.uint8], block: NDArray[np.uint32], encoding: str) -> None:
-    """Zero the texels of a block (1, 10)."""
+    """Set the texels of a block (1, 10) to zero."""
 
 def atlas_read(pages: NDArray[np.uint8], block: NDArray[np.uint32], encoding: str, scale: float) -> NDArray[np.float32]:
     """The field of a block (1, 10), (nx, ny, nz) with x fastest."""
@@ -754,7 +771,7 @@ def atlas_texture_coordinates(
     upper: tuple[float, float, float],
     points: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Where ``points`` (n, 3) fall on the page of a block (1, 10), (n, 2), 0 to 1."""
+    """Texture coordinates (n, 2), 0 to 1, of ``points`` (n, 3) on the page of a block (1, 10)."""
 
 def atlas_entries(
     blocks: NDArray[np.uint32],
@@ -765,8 +782,9 @@ def atlas_entries(
     page_size: int,
     encoding: str,
 ) -> bytes:
-    """The std430 records of ``blocks`` (n, 10). ``boxes``: twelve numbers each, inner lower and upper, outer lower and
-    upper corner; ``models``: sixteen, row by row."""
+    """The std430 records of ``blocks`` (n, 10). ``boxes``: twelve numbers each, lower and upper inner corner, lower and
+    upper outer corner; ``models``: sixteen numbers each, row by row.
+    """
 
 def atlas_shader(
     language: str, layout: str, page_size: int, gutter: int, encoding: str, side: int, unsigned: bool
@@ -777,10 +795,12 @@ def atlas_shader(
     """
 
 def texture_write(kind: str, distances: NDArray[np.float32], encoding: str, scale: float, facts: str) -> bytes:
-    """``distances`` (nx, ny, nz), x fastest, as a "dds" or "ktx2" file; the latter holds ``facts``, a text of ours."""
+    """``distances`` (nx, ny, nz), x fastest, as a "dds" or "ktx2" file; the latter stores ``facts``, the metadata of
+    fieldbake.
+    """
 
 def texture_read(kind: str, bytes: bytes) -> tuple[str, list[int], bytes, str]:
-    """Encoding, (width, height, depth), texels and our text of such a file."""
+    """Encoding, (width, height, depth), texels and metadata of such a file."""
 
 def texture_decode(texels: NDArray[np.uint8], shape: list[int], encoding: str, scale: float) -> NDArray[np.float32]:
     """Distances (nx, ny, nz) from the bytes of texels."""
@@ -799,7 +819,7 @@ class DevicePages:
     @property
     def device(self) -> str: ...
     def read(self) -> NDArray[np.uint8]:
-        """The texels of all pages as bytes; each call copies them anew."""
+        """The texels of all pages as bytes; each call makes a new copy."""
 
 def atlas_pack_device(
     blocks: NDArray[np.uint32],
@@ -812,4 +832,4 @@ def atlas_pack_device(
     device: str,
     progress: Callable[[float], object] | None = None,
 ) -> DevicePages | None:
-    """Fill new pages on a device; fields that are not there are uploaded. None where ``device`` is the CPU."""
+    """Fill new pages on a device; fields that are not there are uploaded. None if ``device`` is the CPU."""

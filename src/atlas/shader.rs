@@ -97,7 +97,7 @@ pub fn wgsl(options: &ShaderOptions) -> String {
 }
 
 const PLAIN_SHARE: &str = "\
-// The share of the entry's scale that a texel stands for: its value.
+// The distance of a texel as a fraction of the entry's scale: the value of the texel.
 fn atlas_share(texel: f32) -> f32 {
     return texel;
 }
@@ -110,8 +110,8 @@ fn unsigned_share(bits: u32) -> String {
     let steps = middle - 1;
     format!(
         "\
-// The share of the entry's scale that a texel stands for. The texture returns the unsigned integer over {largest}, and the
-// distance is (integer - {middle}) / {steps} * scale.
+// The distance of a texel as a fraction of the entry's scale. The texture returns the unsigned integer over {largest},
+// and the distance is (integer - {middle}) / {steps} * scale.
 fn atlas_share(texel: f32) -> f32 {{
     return (texel * {largest}.0 - {middle}.0) / {steps}.0;
 }}

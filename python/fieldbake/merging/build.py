@@ -86,7 +86,7 @@ def merge(
         least bound at each sample and the CPU evaluates the bound, so the field is the same bit for bit. If the volumes
         are too large for the device that ``"auto"`` chose, the CPU does all the work and ``report.warnings`` says so.
     progress : bool or callable, optional
-        True draws a bar on stderr; a callable receives the finished share from 0 to 1.
+        True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
 
     Returns
     -------
@@ -105,7 +105,7 @@ def merge(
 
     Notes
     -----
-    Each sample is the least, over the instances, of a proven lower bound of the signed distance. The bound is exact at
+    Each sample is the minimum over the instances of a proven lower bound on the signed distance. The bound is exact at
     a voxel centre of a rigidly placed volume. Elsewhere in the box of that volume it is less than the distance by up to
     half the diagonal of its voxel, 0.87 voxels. At distance `a` from the box it is ``sqrt(a^2 + s^2)``, where `s` is
     the bound at the nearest point of the box. Under scale it is multiplied by the least stretch. The bound holds up to

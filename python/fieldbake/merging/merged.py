@@ -79,7 +79,7 @@ class MergedField(Volume):
         device : str, default "auto"
             As for :func:`merge`. The update itself runs on the CPU.
         progress : bool or callable, optional
-            True draws a bar on stderr; a callable receives the finished share from 0 to 1.
+            True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
 
         Returns
         -------

@@ -80,7 +80,7 @@ def closest_point(
     device : str, default "auto"
         ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`.
     progress : bool or callable, optional
-        True draws a bar on stderr; a callable is called with the fraction done.
+        True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
 
     Returns
     -------
@@ -291,7 +291,7 @@ def winding_number(
     error : float, default 1e-6
         Largest absolute error. From 0.01 up, surfaces with many openings are evaluated faster, by dipoles.
     progress : bool or callable, optional
-        True draws a bar on stderr; a callable is called with the fraction done.
+        True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
 
     Returns
     -------

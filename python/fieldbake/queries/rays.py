@@ -71,7 +71,7 @@ def cast_rays(
     t_min, t_max : float, default 0 and infinity
         Range of the ray, both ends included, in lengths of the direction.
     progress : bool or callable, optional
-        True draws a bar on stderr; a callable is called with the fraction done.
+        True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
 
     Returns
     -------

@@ -60,7 +60,7 @@ def sample_surface(mesh: MeshLike, n: int, *, seed: int = 0, progress: Progress 
         From 0 to 2^64 - 1. The same seed gives the same points on every platform and any number of threads; the first
         points of a longer sample are those of a shorter one.
     progress : bool or callable, optional
-        True draws a bar on stderr; a callable is called with the fraction done.
+        True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
 
     Returns
     -------
@@ -201,7 +201,7 @@ def thickness(
         Normals of the surface at the points, away from the inside, of any length but zero. Without them the
         angle-weighted pseudonormals of the closest points are taken.
     progress : bool or callable, optional
-        True draws a bar on stderr; a callable is called with the fraction done.
+        True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
 
     Returns
     -------

@@ -80,7 +80,7 @@ def bake_many(
     workers : int, optional
         Number of items that are baked at the same time without an `executor`. By default the number of cores.
     progress : bool or callable, optional
-        True draws a bar on stderr; a callable is called with the fraction of items done.
+        True draws a bar on stderr; a callable receives the finished fraction of items.
     **options
         Options of :func:`bake`, for all items.
 

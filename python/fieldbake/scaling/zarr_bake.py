@@ -75,7 +75,7 @@ def bake_to_zarr(
     resume : bool, default True
         Keep the shards that a run with the same mesh and options has stored. False deletes the contents of the store.
     progress : bool or callable, optional
-        True draws a bar on stderr; a callable is called with the fraction of shards done.
+        True draws a bar on stderr; a callable receives the finished fraction of shards.
     threads : int, optional
         Threads of each worker process. By default processes times threads is the number of cores.
     storage_options : mapping, optional
