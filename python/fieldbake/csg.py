@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from . import _core
 from .base import checks
 from .base.errors import ShapeError
-from .shapes.shape import Shape, checked_shape, combine
+from .shapes.shape import Language, Shape, checked_shape, combine
 
 Method = Literal["octree", "aabb"]
 
@@ -65,6 +65,14 @@ class Part:
             whole, method, index = self._source
             self._source = Shape._wrap(whole.part(method, index))
         return self._source
+
+    def shader(self, language: Language = "wgsl") -> str:
+        """Write the field of this part alone as shader text; see :meth:`Shape.shader`."""
+        return self.shape.shader(language)
+
+    def shader_numbers(self) -> NDArray[np.float32]:
+        """List the contents of the buffer ``numbers`` of :meth:`shader`, in order."""
+        return self.shape.shader_numbers()
 
     def __repr__(self) -> str:
         return f"Part({self.shape!r}, {len(self.boxes)} boxes)"

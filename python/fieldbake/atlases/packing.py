@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Literal
+from typing import Any, Literal
 
 from numpy.typing import ArrayLike
 
 from ..base import checks, encodings
 from ..base.encodings import DEFAULT_BAND, Encoding
 from ..base.errors import ArgumentError
+from ..base.grid import DEFAULT_RESOLUTION, Resolution
 from ..base.progress import Progress
+from ..meshes.convert import MeshLike
+from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume
 from .atlas import Atlas
@@ -18,8 +21,9 @@ from .pages import MAX_GUTTER, MAX_PAGE_SIZE, Layout, checked_item, fitting_page
 
 
 def pack(
-    volumes: Iterable[Volume | SparseVolume | tuple[Volume | SparseVolume, ArrayLike]],
+    volumes: Iterable[Volume | SparseVolume | Shape | MeshLike | tuple[Any, ArrayLike]],
     *,
+    resolution: Resolution = DEFAULT_RESOLUTION,
     layout: Layout = "shelves",
     page_size: int | Literal["fit"] = 4096,
     gutter: int = 1,
@@ -32,9 +36,12 @@ def pack(
 
     Parameters
     ----------
-    volumes : list of Volume or SparseVolume
-        Items may be ``(volume, transform)``. The (4, 4) transform becomes the model matrix of the entry. A sparse
+    volumes : list of Volume, SparseVolume, Shape or mesh
+        Shapes and meshes, as :func:`fieldbake.bake` takes them, are baked first. Items may be ``(volume, transform)``.
+        The (4, 4) transform becomes the model matrix of the entry. A sparse
         volume is packed as its whole grid: ``.to_volume()``.
+    resolution : int or three ints, default 64
+        Resolution of the meshes and shapes, as for :func:`fieldbake.bake`; strips make cubes of one number.
     layout : "shelves" or "strips", default "shelves"
         Shelves: any mix of resolutions; slices are wrapped over rows and placed where a page has free area. Strips:
         equal cubes, exactly as in the article: texel (x + z N, y + row N), 64 fields of 64^3 on a page of 4096 x 4096.
@@ -102,7 +109,10 @@ def pack(
         listed = list(volumes)
     except TypeError:
         raise ArgumentError(f"volumes: must be a list of volumes, got {checks.describe(volumes)}") from None
-    items = [checked_item(i, item) for i, item in enumerate(listed)]
+    # The article's strips hold cubes.
+    is_one = isinstance(resolution, int) and layout == "strips"
+    sides = (resolution,) * 3 if is_one else resolution
+    items = [checked_item(i, item, sides) for i, item in enumerate(listed)]  # type: ignore[arg-type]
     if page_size == "fit":
         page_size = fitting_page([volume.resolution for volume, _ in items], layout, gutter, encoding)
     atlas = Atlas(layout=layout, page_size=page_size, gutter=gutter, encoding=encoding, band=band)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import threading
 from typing import Any, Literal
 
@@ -10,11 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
+from ..baking.dense import bake
 from ..base import checks
 from ..base.encodings import DEFAULT_BAND, DTYPES, Encoding, scale_of
-from ..base.errors import ArgumentError, AtlasError
+from ..base.errors import ArgumentError, AtlasError, MeshError
+from ..base.grid import DEFAULT_RESOLUTION, Resolution
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report
+from ..meshes.mesh import Mesh
+from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume
 
@@ -320,14 +325,30 @@ def _is_worth_it(volumes: list[Volume], device: str) -> bool:
     return device != "auto" or all(isinstance(volume._source(device), _core.DeviceField) for volume in volumes)
 
 
-def checked_item(i: int, item: object) -> tuple[Volume, NDArray[np.float64]]:
-    """Check a volume and its model matrix."""
-    volume, model = item if isinstance(item, tuple) and len(item) == 2 else (item, None)
-    if isinstance(volume, SparseVolume):
-        volume = volume.to_volume()
-    if not isinstance(volume, Volume):
-        raise ArgumentError(f"volumes[{i}]: must be a Volume or (Volume, transform), got {checks.describe(volume)}")
-    return volume, np.eye(4) if model is None else checks.affine(f"volumes[{i}] transform", model, ArgumentError)
+#: Objects that are no half of a mesh.
+_WHOLE = (Volume, SparseVolume, Mesh, Shape, str, os.PathLike)
+
+
+def checked_item(
+    i: int, item: object, resolution: Resolution = DEFAULT_RESOLUTION
+) -> tuple[Volume, NDArray[np.float64]]:
+    """Check a volume and its model matrix; meshes and shapes are baked at `resolution`."""
+    thing, model = item, None
+    # A pair may also be the vertices and faces of a mesh.
+    if isinstance(item, tuple) and len(item) == 2 and isinstance(item[0], _WHOLE):
+        thing, model = item
+    placed = np.eye(4) if model is None else checks.affine(f"volumes[{i}] transform", model, ArgumentError)
+    if isinstance(thing, SparseVolume):
+        return thing.to_volume(), placed
+    if isinstance(thing, Volume):
+        return thing, placed
+    wanted = f"volumes[{i}]: must be a volume, a mesh, a shape or a pair of one and a (4, 4) transform"
+    if hasattr(thing, "to_volume"):
+        raise ArgumentError(f"{wanted}, got {checks.describe(thing)}; give its to_volume()")
+    try:
+        return bake(thing, resolution), placed
+    except MeshError as error:
+        raise ArgumentError(f"{wanted}, got {checks.describe(thing)} ({error})") from None
 
 
 def fitting_page(shapes: list[tuple[int, int, int]], layout: Layout, gutter: int, encoding: Encoding) -> int:
