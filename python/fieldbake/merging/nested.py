@@ -208,6 +208,39 @@ class NestedField:
         facts = {**self._levels[-1]._facts(), "levels": len(self._levels)}
         container.write(path, {**container.head("nested"), **facts}, arrays)
 
+    def to_volume(self, level: int = -1) -> Volume:
+        """One level as a volume.
+
+        Parameters
+        ----------
+        level : int, default -1
+            Index of the level; 0 is the finest, -1 the outermost, which covers the whole scene.
+
+        Raises
+        ------
+        ArgumentError
+            If there is no such level.
+        """
+        count = len(self._levels)
+        index = checks.integer("level", level, least=-count, most=count - 1)
+        found = self._levels[index]
+        return Volume._wrap(found.distances, found.bounds, found.inner_bounds, found.report)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> NestedField:
+        """Read a file of :meth:`save`.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        FormatError
+            If the file holds another kind of object, is damaged, or was written by a newer version.
+        """
+        from ..loading.readers import load_as
+
+        return load_as(cls, path)
+
     def _joined_levels(self) -> tuple[Volume, ...]:
         """The levels, with their outermost samples taken from the level around them."""
         if self._joined is None:
