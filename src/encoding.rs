@@ -118,8 +118,8 @@ impl Encoding {
         }
     }
 
-    /// The bits of a value, in the low [`Encoding::bytes`] bytes, rounded toward zero. `scale` must be positive, and for
-    /// float16 a power of two; see [`Encoding::check_scale`].
+    /// The bits of a value, in the low [`Encoding::bytes`] bytes, rounded toward zero. `scale` must be positive, and
+    /// for float16 a power of two; see [`Encoding::check_scale`].
     #[inline]
     pub fn encode(self, value: f32, scale: f32) -> u32 {
         match self {

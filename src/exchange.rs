@@ -1,9 +1,10 @@
 //! Texture files for other programs: DDS and KTX2 for volumes, OpenEXR for the pages of an atlas.
 //!
 //! Formats: "Programming Guide for DDS" (Microsoft), KTX File Format Specification 2.0 (Khronos), OpenEXR. The crates
-//! `ddsfile`, `ktx2` and `exr` encode and decode the headers; this file chooses their values for a field. The sizes in a
-//! file are compared with each other before its texels are read, and nothing is larger in memory than it is in the file.
-//! The reader of the crate `ktx2` panics on damaged data-format descriptors, so a KTX2 file is read here, by its header.
+//! `ddsfile`, `ktx2` and `exr` encode and decode the headers; this file chooses their values for a field. The sizes in
+//! a file are compared with each other before its texels are read, and nothing is larger in memory than it is in the
+//! file. The reader of the crate `ktx2` panics on damaged data-format descriptors, so a KTX2 file is read here, by its
+//! header.
 
 use crate::encoding::Encoding;
 use crate::error::{ArgumentError, Error, FormatError};
@@ -26,8 +27,8 @@ pub struct Texture {
 const DDS_LIMIT: usize = u32::MAX as usize;
 /// Key of the metadata of fieldbake in a KTX2 file.
 const FACTS_KEY: &str = "fieldbake";
-/// The standard key for the directions in which texels are stored, and its value: x to the right, y up, and z out of the
-/// picture towards the viewer, which makes the axes right-handed. Without the key readers take y as down.
+/// The standard key for the directions in which texels are stored, and its value: x to the right, y up, and z out of
+/// the picture towards the viewer, which makes the axes right-handed. Without the key readers take y as down.
 const ORIENTATION: (&[u8], &[u8]) = (b"KTXorientation", b"ruo\0");
 
 impl Texture {

@@ -1,7 +1,7 @@
 //! The regular grid of a volume.
 //!
-//! Samples lie at voxel centres: `p = lower + (index + 0.5) * spacing`. Memory order is x fastest: `offset = x + nx *
-//! (y + ny * z)`.
+//! Samples lie at voxel centres: `p = lower + (index + 0.5) * spacing`. Memory order is x fastest:
+//! `offset = x + nx * (y + ny * z)`.
 
 use crate::error::{ArgumentError, Error};
 use glam::DVec3;

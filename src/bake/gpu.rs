@@ -7,8 +7,8 @@
 //! bake its distances bound the far samples. Positions are computed here in float64 and rounded once, in the local
 //! coordinates of the CPU, so both devices agree to float32 rounding.
 //!
-//! Alternative tried: culling by convexity for a whole block, as on the CPU ([`super::dense`]). It was slower on lavapipe
-//! (`benches/results/2026-11-21-software-adapter.md`); no hardware GPU was measured.
+//! Alternative tried: culling by convexity for a whole block, as on the CPU ([`super::dense`]). It was slower on
+//! lavapipe (`benches/results/2026-11-21-software-adapter.md`); no hardware GPU was measured.
 //!
 //! Signs require exact predicates in float64, which WGSL does not have. The code of the CPU ([`super::signs`]) computes
 //! them while the device is busy, and uploads them as bits.

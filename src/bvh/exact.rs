@@ -19,7 +19,8 @@ const FAR: f64 = 8.0;
 /// Rounding of a float32 distance, relative to 1 plus the largest coordinate of the point. Positions, the point and the
 /// frames are rounded to 6e-8 each, and about twelve operations follow (the test of `bvh::pack` allows 2.5e-7).
 const ROUNDING: f64 = 4e-7;
-/// Number of faces kept before float64 compares them. A list of 4 kB would displace the nodes from the first-level cache.
+/// Number of faces kept before float64 compares them. A list of 4 kB would displace the nodes from the first-level
+/// cache.
 const KEPT: usize = 48;
 /// Float32 positions of the boxes differ from the float64 positions of the mesh by half an ulp of 1/2.
 const BOX_ROUNDING: f64 = 3.1e-8;

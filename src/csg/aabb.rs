@@ -2,8 +2,8 @@
 //!
 //! # Theory
 //!
-//! Each operand is a list of pieces, where a piece is a box and a tree of tokens. The operand's solid is the union of the
-//! pieces' solids, each cut to its box. Operators act on the pieces:
+//! Each operand is a list of pieces, where a piece is a box and a tree of tokens. The operand's solid is the union of
+//! the pieces' solids, each cut to its box. Operators act on the pieces:
 //!
 //! ```text
 //! a | b    the pieces of both: the nearest hit is that of the union
@@ -12,29 +12,31 @@
 //! a ^ b    the xor where the boxes of a and b intersect, the pieces of both around
 //! ```
 //!
-//! A ray that enters a box at `t` may already be inside the piece's tree. That is a hit only if the solid's surface is there
-//! as well, and then its normal and colour follow from the piece's tree only if that tree holds the surface. Both would fail
-//! where a face of a subtrahend lies in the common face of two boxes: the box beyond the face has a tree without the
-//! subtrahend. The following invariant excludes this. Let `S` be the operand's solid, `T` the solid of a piece's tree, `B` its
-//! box, and `B + m` the box grown by the operand's *margin* `m > 0` on every side. Then
+//! A ray that enters a box at `t` may already be inside the piece's tree. That is a hit only if the solid's surface is
+//! there as well, and then its normal and colour follow from the piece's tree only if that tree holds the surface. Both
+//! would fail where a face of a subtrahend lies in the common face of two boxes: the box beyond the face has a tree
+//! without the subtrahend. The following invariant excludes this. Let `S` be the operand's solid, `T` the solid of a
+//! piece's tree, `B` its box, and `B + m` the box grown by the operand's *margin* `m > 0` on every side. Then
 //!
 //! ```text
 //! (1)  S is the union of all T & B           (2)  T & (B + m) is a subset of S
 //! ```
 //!
-//! *Consequence.* Let `t` be the first hit of a ray over all pieces and `p` its point, in a box `B` with tree `T`. By (1) the
-//! ray is outside `S` before `t` and inside right after it. If it were inside `T` right before `t`, it would be inside `S`
-//! there by (2), because that point is in `B + m`. So the ray enters `T` at `p`: a leaf of `T` has its surface there. Near
-//! `p`, `T` is a subset of `S` by (2), both have `p` on their surface, and so they have the same tangent plane wherever `S`
-//! has one. The tree of the piece that is hit is therefore right for depth, normal and colour.
+//! *Consequence.* Let `t` be the first hit of a ray over all pieces and `p` its point, in a box `B` with tree `T`. By
+//! (1) the ray is outside `S` before `t` and inside right after it. If it were inside `T` right before `t`, it would be
+//! inside `S` there by (2), because that point is in `B + m`. So the ray enters `T` at `p`: a leaf of `T` has its
+//! surface there. Near `p`, `T` is a subset of `S` by (2), both have `p` on their surface, and so they have the same
+//! tangent plane wherever `S` has one. The tree of the piece that is hit is therefore right for depth, normal and
+//! colour.
 //!
-//! *Proof of the invariant.* A leaf, or any operand taken as one piece, has `T = S` and an unlimited margin. A union keeps the
-//! smaller margin, as does an intersection. For `a - b` the box of each piece of `b` is first grown by `g`. In the common box
-//! `T_a - T_b` removes a superset of the piece of `b`; by (2) for `b`, within `b.margin` of the ungrown box it removes points
-//! of `b` only, so the margin there is `b.margin - g`. A box around the common box is at least `g` away from the piece of `b`,
-//! so within `g` of it `T_a` does not intersect that piece. The result has the margin `min(a.margin, g, b.margin - g)`, and
-//! `g` is half of `b.margin`, at most [`MARGIN`]. A piece whose tree does not intersect the box of the subtrahend stays.
-//! Where the joint of two operands is one piece in a zone, the zone is grown by [`MARGIN`] for the same reason.
+//! *Proof of the invariant.* A leaf, or any operand taken as one piece, has `T = S` and an unlimited margin. A union
+//! keeps the smaller margin, as does an intersection. For `a - b` the box of each piece of `b` is first grown by `g`.
+//! In the common box `T_a - T_b` removes a superset of the piece of `b`; by (2) for `b`, within `b.margin` of the
+//! ungrown box it removes points of `b` only, so the margin there is `b.margin - g`. A box around the common box is at
+//! least `g` away from the piece of `b`, so within `g` of it `T_a` does not intersect that piece. The result has the
+//! margin `min(a.margin, g, b.margin - g)`, and `g` is half of `b.margin`, at most [`MARGIN`]. A piece whose tree does
+//! not intersect the box of the subtrahend stays. Where the joint of two operands is one piece in a zone, the zone is
+//! grown by [`MARGIN`] for the same reason.
 //!
 //! # Practice
 //!
@@ -59,8 +61,8 @@ const MAX_CUTS: usize = 64;
 /// Largest growth of a subtrahend's box, relative to the longest side of the model.
 const MARGIN: f64 = 1e-3;
 
-/// Smallest margin, relative to the longest side of the model: ten times the erosion of hits and the rounding of boxes. A
-/// subtrahend that would leave less (after seven nested differences) is removed as one piece.
+/// Smallest margin, relative to the longest side of the model: ten times the erosion of hits and the rounding of boxes.
+/// A subtrahend that would leave less (after seven nested differences) is removed as one piece.
 const MIN_MARGIN: f64 = 1e-5;
 
 type Bounds = [DVec3; 2];

@@ -2,23 +2,26 @@
 //!
 //! # Theory
 //!
-//! A line meets a convex solid in one interval, its *chord*. The chords of a slab, a half space and a ball follow from a
-//! division or a square root. The chords of the other leaves are intersections of these. Operators combine chords as sets on
-//! the line (S. Roth, "Ray Casting for Modeling Solids", 1982). Membership in the whole can change only at an end of a chord.
-//! So the ends are tried in increasing order, and the first end behind which the line is inside is the hit.
+//! A line meets a convex solid in one interval, its *chord*. The chords of a slab, a half space and a ball follow from
+//! a division or a square root. The chords of the other leaves are intersections of these. Operators combine chords as
+//! sets on the line (S. Roth, "Ray Casting for Modeling Solids", 1982). Membership in the whole can change only at an
+//! end of a chord. So the ends are tried in increasing order, and the first end behind which the line is inside is the
+//! hit.
 //!
-//! *Normal form.* A part is a tree of unions and intersections of *literals*. A literal is a leaf or the complement of a
-//! leaf: De Morgan's laws push complements down to the leaves, `a - b` is `a & !b`, and `a ^ b` is `(a & !b) | (!a & b)`.
+//! *Normal form.* A part is a tree of unions and intersections of *literals*. A literal is a leaf or the complement of
+//! a leaf: De Morgan's laws push complements down to the leaves, `a - b` is `a & !b`, and `a ^ b` is
+//! `(a & !b) | (!a & b)`.
 //!
-//! *Erosion.* Faces that coincide in the model have float32 positions that differ by rounding. Exact set operations on such
-//! chords leave slivers, for example a film over the mouth of a pocket. Therefore each leaf is shrunk by [`ERODED`], and each
-//! complemented leaf is grown by it. The solid that is hit is a subset of the true one, its surface is moved by [`ERODED`] at
-//! most, and what remains between coincident faces is empty at every angle of the ray, because the erosion acts along the
-//! normal and not along the ray. For sharp operators this solid is `field < -ERODED`, which is also the condition of the
-//! march ([`super::trace`]). A wall thinner than `2 * ERODED` disappears. The depth of a hit is that of the uneroded face.
+//! *Erosion.* Faces that coincide in the model have float32 positions that differ by rounding. Exact set operations on
+//! such chords leave slivers, for example a film over the mouth of a pocket. Therefore each leaf is shrunk by
+//! [`ERODED`], and each complemented leaf is grown by it. The solid that is hit is a subset of the true one, its
+//! surface is moved by [`ERODED`] at most, and what remains between coincident faces is empty at every angle of the
+//! ray, because the erosion acts along the normal and not along the ray. For sharp operators this solid is
+//! `field < -ERODED`, which is also the condition of the march ([`super::trace`]). A wall thinner than `2 * ERODED`
+//! disappears. The depth of a hit is that of the uneroded face.
 //!
-//! Quadratics are solved about the point of the line that is nearest to the axis, which avoids cancellation. Hits are good to
-//! a few roundings of float32 over the sine of the angle between the line and the surface.
+//! Quadratics are solved about the point of the line that is nearest to the axis, which avoids cancellation. Hits are
+//! good to a few roundings of float32 over the sine of the angle between the line and the surface.
 //!
 //! # Practice
 //!
@@ -34,14 +37,16 @@ use glam::{Vec2, Vec3};
 /// Largest number of literals of a part in closed form: the chords of all literals and one bit for each are kept.
 pub const MAX_LEAVES: usize = 12;
 
-/// Depth in the solid that a ray must reach to hit it, local units (the model has size 1/2 to 1). A face is placed by up to eight
-/// float32 roundings of coordinates below 2, so two coincident faces are at most `2 * 8 * 2^-24 = 9.6e-7` apart.
+/// Depth in the solid that a ray must reach to hit it, local units (the model has size 1/2 to 1). A face is placed by
+/// up to eight float32 roundings of coordinates below 2, so two coincident faces are at most `2 * 8 * 2^-24 = 9.6e-7`
+/// apart.
 pub const ERODED: f32 = 1e-6;
 
 /// A coordinate beyond any point of a ray through a model of size 1.
 const FAR: f32 = 1e30;
 
-/// A line with a smaller component of its unit direction across a slab is parallel to it; the inverse of a larger one is finite.
+/// A line with a smaller component of its unit direction across a slab is parallel to it; the inverse of a larger one
+/// is finite.
 const STILL: f32 = 1e-30;
 
 /// Square of the component of a unit direction across an axis below which the line is parallel to the axis.
@@ -249,8 +254,8 @@ impl Chord {
     }
 }
 
-/// The chord of a line in a leaf whose surface is moved outwards by `grow`, or inwards where that is negative. `line` is the
-/// origin and the unit direction, local units.
+/// The chord of a line in a leaf whose surface is moved outwards by `grow`, or inwards where that is negative. `line`
+/// is the origin and the unit direction, local units.
 fn chord(leaf: &PlacedLeaf<f32>, [origin, direction]: [Vec3; 2], grow: f32) -> Chord {
     let p = &leaf.parameters;
     let shift = Vec3::from_array(leaf.shift);
@@ -334,8 +339,9 @@ fn half_space(o: Vec3, d: Vec3, normal: Vec3, offset: f32) -> Chord {
     if rate > 0.0 { Chord { to: t, ..Chord::ALL } } else { Chord { from: t, ..Chord::ALL } }
 }
 
-/// The chord in a ball about zero, in any number of dimensions. `middle` is the parameter of the point of the line nearest to
-/// zero, `nearest_squared` its squared distance from zero, `speed_squared` the squared length of the direction.
+/// The chord in a ball about zero, in any number of dimensions. `middle` is the parameter of the point of the line
+/// nearest to zero, `nearest_squared` its squared distance from zero, `speed_squared` the squared length of the
+/// direction.
 fn round(middle: f32, speed_squared: f32, nearest_squared: f32, radius: f32) -> Chord {
     let room = radius * radius - nearest_squared;
     if room <= 0.0 {

@@ -1,16 +1,17 @@
-//! Distances of the primitives at a point. The WGSL twins, function by function, are in `shaders/shared/csg_field.wgsl`.
+//! Distances of the primitives at a point. The WGSL twins, function by function, are in
+//! `shaders/shared/csg_field.wgsl`.
 //!
 //! The formulas are the known ones (I. Quilez, "Distance functions", iquilezles.org) where they are exact. The pyramid
 //! is a new formula: the nearer of a side and the base. `p` holds the parameters in the order of
 //! [`Primitive::parameters`](super::primitive::Primitive::parameters).
 //!
 //! The distance to an ellipsoid is computed as the Lagrange dual (D. Eberly, "Distance from a Point to an Ellipse, an
-//! Ellipsoid, or a Hyperellipsoid", has the equation). With radii `r`, the nearest point to `y` is `x = r^2 y / (r^2 +
-//! t)`, where `t` solves `sum (r y / (r^2 + t))^2 = 1`. The value `t (sum y^2 / (r^2 + t) - 1)` is at most the squared
-//! distance for *every* `t` above `-min(r)^2`, and equal to it at the solution, so an iteration that has not converged
-//! gives a lower bound. The inverse square root of the sum is concave in `t`, hence Newton's method on it converges
-//! from below (J. More, D. Sorensen, "Computing a Trust Region Step", 1983). Counting `t` from `-min(r)^2` avoids
-//! cancellation.
+//! Ellipsoid, or a Hyperellipsoid", has the equation). With radii `r`, the nearest point to `y` is
+//! `x = r^2 y / (r^2 + t)`, where `t` solves `sum (r y / (r^2 + t))^2 = 1`. The value `t (sum y^2 / (r^2 + t) - 1)` is
+//! at most the squared distance for *every* `t` above `-min(r)^2`, and equal to it at the solution, so an iteration
+//! that has not converged gives a lower bound. The inverse square root of the sum is concave in `t`, hence Newton's
+//! method on it converges from below (J. More, D. Sorensen, "Computing a Trust Region Step", 1983). Counting `t` from
+//! `-min(r)^2` avoids cancellation.
 
 use super::primitive::PARAMETERS;
 use super::real::{Real, length2, length3};

@@ -1,4 +1,5 @@
-//! Shapes on a graphics device: the interpreter of `shaders/shared/csg_interpreter.wgsl` for points, grids and pictures.
+//! Shapes on a graphics device: the interpreter of `shaders/shared/csg_interpreter.wgsl` for points, grids and
+//! pictures.
 //!
 //! One kernel evaluates every shape. Tokens, tables and boxes are buffers, so a changed parameter or a changed tree
 //! compiles nothing. Pictures switch to a specialised kernel for the shape's structures and kinds of leaves

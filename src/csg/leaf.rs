@@ -1,10 +1,11 @@
 //! Leaves in local units: the distance function of each, on the CPU and as WGSL.
 //!
-//! The table `primitives!` of [`super::primitive`] makes the list of distance functions here. Extruded and revolved profiles
-//! and baked volumes are added by hand, because they have data besides their parameters.
+//! The table `primitives!` of [`super::primitive`] makes the list of distance functions here. Extruded and revolved
+//! profiles and baked volumes are added by hand, because they have data besides their parameters.
 //!
-//! On a graphics device a leaf has a *kind*, the number of its distance function. [`kinds_text`] writes the constants of the
-//! kinds and the function that selects by them; `shaders/shared/csg_leaves.wgsl` imports this text as `csg_kinds`.
+//! On a graphics device a leaf has a *kind*, the number of its distance function. [`kinds_text`] writes the constants
+//! of the kinds and the function that selects by them; `shaders/shared/csg_leaves.wgsl` imports this text as
+//! `csg_kinds`.
 
 use super::field;
 use super::primitive::{PARAMETERS, Primitive, primitives};

@@ -3,7 +3,8 @@
 //! # Theory
 //!
 //! A user's tree ([`shape`]) is lowered to a [`model`]: placements at the leaves, repetitions written out, operators in
-//! postfix order. [`program`] evaluates it for many points at a time; [`bounds`] carries boxes from the leaves to the root.
+//! postfix order. [`program`] evaluates it for many points at a time; [`bounds`] carries boxes from the leaves to the
+//! root.
 //!
 //! The magnitude of every field is a lower bound on the distance times its declared Lipschitz constant. A ray may step
 //! by the field divided by the constant and never passes through a surface.

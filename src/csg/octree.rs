@@ -3,10 +3,10 @@
 //!
 //! A field of Lipschitz constant `L` stays within `L R` of its value at the centre of a cell whose corners are `R`
 //! away. One evaluation at the centre therefore bounds every node of the tree over the whole cell. An operand that
-//! cannot determine the result anywhere is dropped (for two distances and a joint of width `k`, unless their
-//! difference is at most `2 R + k`), and a cell in which the whole field keeps its sign contains no surface. The
-//! remaining tokens are passed to the children. A leaf is evaluated only in cells near it: at the centres of all children of a cell at once, in the
-//! lanes of vector instructions. Sibling cells with equal tokens are merged again.
+//! cannot determine the result anywhere is dropped (for two distances and a joint of width `k`, unless their difference
+//! is at most `2 R + k`), and a cell in which the whole field keeps its sign contains no surface. The remaining tokens
+//! are passed to the children. A leaf is evaluated only in cells near it: at the centres of all children of a cell at
+//! once, in the lanes of vector instructions. Sibling cells with equal tokens are merged again.
 //!
 //! A cell is divided until few leaves are left in it. For a sphere-traced part these are one or two leaves in a small
 //! cell: its box should fit the surface tightly, because every step is expensive. Where hits have a closed form

@@ -1,8 +1,8 @@
 //! The leaves of shapes: simple solids about the origin, most of them with z as their axis.
 //!
-//! The table `primitives!` lists them. Each primitive checks its parameters, declares whether its field is exact or a bound
-//! and its Lipschitz constant, and has a support function, which gives tight boxes under any rotation. The distances are
-//! in [`super::field`].
+//! The table `primitives!` lists them. Each primitive checks its parameters, declares whether its field is exact or a
+//! bound and its Lipschitz constant, and has a support function, which gives tight boxes under any rotation. The
+//! distances are in [`super::field`].
 
 use super::profile::Profile;
 use super::volume_leaf::VolumeLeaf;
@@ -15,8 +15,8 @@ use std::sync::Arc;
 /// The table of the primitives. A row has
 ///
 /// - the help text, the variant of [`Primitive`] and its fields;
-/// - the distance function, with one name in [`super::field`] and in `shaders/shared/csg_field.wgsl`. The WGSL constant of
-///   the kind has the same name in capitals, and the number of the kind is the place of the row;
+/// - the distance function, with one name in [`super::field`] and in `shaders/shared/csg_field.wgsl`. The WGSL constant
+///   of the kind has the same name in capitals, and the number of the kind is the place of the row;
 /// - `loops`: the WGSL constant with the number of iterations of that function, if it has a loop;
 /// - `words`: the forms of the language that make the primitive, the preferred form first.
 ///

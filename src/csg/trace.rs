@@ -6,9 +6,9 @@
 //! nearest hit so far is searched from the point of entry to the point of exit, in closed form ([`super::chord`]) or by
 //! sphere tracing the part's field.
 //!
-//! *Hits.* A hit is where a ray enters the solid eroded by [`ERODED`], that is the set `field < -ERODED`. Without the erosion
-//! the rounding of float32 would decide whether there is a film between coincident faces, for example over the mouth of a
-//! pocket that is flush with the outer face.
+//! *Hits.* A hit is where a ray enters the solid eroded by [`ERODED`], that is the set `field < -ERODED`. Without the
+//! erosion the rounding of float32 would decide whether there is a film between coincident faces, for example over the
+//! mouth of a pocket that is flush with the outer face.
 //!
 //! *Sphere tracing* (J. Hart, "Sphere Tracing", 1996). A step is the field over its Lipschitz constant, and at least
 //! [`MIN_STEP`]. Only the smallest step can cross the surface. The root of the field is then bracketed and found by
@@ -17,12 +17,13 @@
 //! interval, because two consecutive evaluations that are farther apart are separated by a step that crosses no
 //! surface. Closed forms have no such limit.
 //!
-//! *Owner of a hit.* The nearest hit over all boxes is the hit of the whole shape, and the tree of its part has the whole's
-//! surface there. For boxes from the leaves this follows from the invariant that [`super::aabb`] proves: within a margin
-//! around its box, each part is a subset of the whole. So a ray that is inside the part where it enters the box was inside
-//! the whole before, unless the part's own surface is there. In the cells of [`super::octree`] the part has the sign of the
-//! whole up to a margin around the cell, which implies the same. A box contains its face of entry and not its face of exit.
-//! Neighbours have the same float32 coordinates at their common face, so a root lies in exactly one of them.
+//! *Owner of a hit.* The nearest hit over all boxes is the hit of the whole shape, and the tree of its part has the
+//! whole's surface there. For boxes from the leaves this follows from the invariant that [`super::aabb`] proves: within
+//! a margin around its box, each part is a subset of the whole. So a ray that is inside the part where it enters the
+//! box was inside the whole before, unless the part's own surface is there. In the cells of [`super::octree`] the part
+//! has the sign of the whole up to a margin around the cell, which implies the same. A box contains its face of entry
+//! and not its face of exit. Neighbours have the same float32 coordinates at their common face, so a root lies in
+//! exactly one of them.
 //!
 //! Everything along the ray is in local units and float32.
 
@@ -73,8 +74,8 @@ pub struct LocalBox {
     pub part: u32,
 }
 
-/// A node of the tree over boxes. An inner node (`count` 0) has the children `first` and `first + 1`; a leaf has `count` boxes
-/// from `first`.
+/// A node of the tree over boxes. An inner node (`count` 0) has the children `first` and `first + 1`; a leaf has
+/// `count` boxes from `first`.
 #[derive(Debug, Clone, Copy)]
 pub struct BoxNode {
     pub lower: Vec3A,
@@ -319,8 +320,8 @@ impl<'a> Tracer<'a> {
         chord::first_inside(&self.solid.program, &program.steps, program.form, line, [t_in, t_out])
     }
 
-    /// The first root on `[t_in, t_out)` behind which the field is below `-ERODED`, or `t_in` itself if it is so there. Where
-    /// the field only touches zero, as in `a - a`, nothing is hit.
+    /// The first root on `[t_in, t_out)` behind which the field is below `-ERODED`, or `t_in` itself if it is so there.
+    /// Where the field only touches zero, as in `a - a`, nothing is hit.
     fn march(
         &self,
         program: &PartProgram,
@@ -410,8 +411,8 @@ impl<'a> Tracer<'a> {
     }
 }
 
-/// The root between `t0`, where the field is zero or more, and `t1`, where it is below: regula falsi, Illinois variant (Dowell
-/// and Jarratt, 1971).
+/// The root between `t0`, where the field is zero or more, and `t1`, where it is below: regula falsi, Illinois variant
+/// (Dowell and Jarratt, 1971).
 fn root(field: &mut impl FnMut(f32) -> f32, t0: f32, value0: f32, t1: f32, value1: f32) -> f32 {
     let (mut low, mut above) = (t0, value0);
     let (mut high, mut below) = (t1, value1);
@@ -466,7 +467,8 @@ impl Line {
         Self { origin: ray.origin.into(), inverse }
     }
 
-    /// The interval of the ray in a box, cut to `[0, t_max]`. A ray in the common face of two boxes is in the upper one.
+    /// The interval of the ray in a box, cut to `[0, t_max]`. A ray in the common face of two boxes is in the upper
+    /// one.
     #[inline(always)]
     fn span(&self, lower: Vec3A, upper: Vec3A, t_max: f32) -> Option<(f32, f32)> {
         let (a, b) = ((lower - self.origin) * self.inverse, (upper - self.origin) * self.inverse);

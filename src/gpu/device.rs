@@ -170,10 +170,11 @@ impl Quiet<'_> {
         if !cfg!(target_os = "linux") || has_session || chosen {
             return Self(None);
         }
-        // SAFETY: the lock of std::env orders this with the rest of Rust, and glibc's lock orders it with `setenv`, by which
-        // Python writes os.environ. The loader reads the variable on this thread. What is left is a `getenv` of another
-        // library on another thread at this moment, on a C library that does not guard it: the risk of every write to
-        // os.environ. It is taken once or twice in a process, when adapters are listed and when a device opens.
+        // SAFETY: the lock of std::env orders this with the rest of Rust, and glibc's lock orders it with `setenv`, by
+        // which Python writes os.environ. The loader reads the variable on this thread. What is left is a `getenv` of
+        // another library on another thread at this moment, on a C library that does not guard it: the risk of every
+        // write to os.environ. It is taken once or twice in a process, when adapters are listed and when a device
+        // opens.
         unsafe { std::env::set_var(Self::SWITCH, "1") };
         Self(Some(guard))
     }

@@ -1,7 +1,7 @@
 //! `fieldbake._core.atlas_*`: planning, packing and reading atlases.
 //!
-//! A block crosses as a row of ten u32, the fields of `atlas::Block` in order. Pages cross as bytes, (pages, size, size
-//! * bytes).
+//! A block crosses as a row of ten u32, the fields of `atlas::Block` in order. Pages cross as bytes
+//! of the shape (pages, size, size * bytes of a texel).
 
 use super::convert::{points, volume_array};
 use super::device::{DeviceField, choose};

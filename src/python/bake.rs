@@ -67,8 +67,8 @@ pub fn bake_window<'py>(
     volume_array(py, samples, size)
 }
 
-/// Distance of the surface from the centres (n, 3) of balls, (n,), and the side of each ball, (n,): 1 outside, -1 inside,
-/// 0 if the surface is in the ball or the sign rule decides each point by itself.
+/// Distance of the surface from the centres (n, 3) of balls, (n,), and the side of each ball, (n,): 1 outside, -1
+/// inside, 0 if the surface is in the ball or the sign rule decides each point by itself.
 #[pyfunction]
 #[pyo3(signature = (mesh, centers, radii, *, sign="auto"))]
 #[expect(clippy::type_complexity, reason = "two arrays are what Python unpacks")]

@@ -1,4 +1,5 @@
-//! `fieldbake._core.signed_distance`, `closest_point`, `query`, `contains`, `winding_number`, `thickness` and `sample_surface`.
+//! `fieldbake._core.signed_distance`, `closest_point`, `query`, `contains`, `winding_number`, `thickness` and
+//! `sample_surface`.
 
 use super::bake::report_dict;
 use super::convert::{owned_rows, rows};

@@ -2,8 +2,8 @@
 //!
 //! # Theory
 //!
-//! With `p = c + r q` the trim sphere is the unit ball of `q`. A matrix `A` becomes `T^T A T`, scaled so that its largest
-//! entry is 1: as a form `q^T M q + 2 v.q + w`.
+//! With `p = c + r q` the trim sphere is the unit ball of `q`. A matrix `A` becomes `T^T A T`, scaled so that its
+//! largest entry is 1: as a form `q^T M q + 2 v.q + w`.
 //!
 //! A ray is given by its point `q` nearest to the centre and its unit direction `u`. The surface outside the ball is
 //! trimmed, so only parameters `|s| <= h`, `h^2 = 1 - |q|^2`, are relevant, and the magnitude of every value below is
@@ -47,8 +47,9 @@ pub struct Local {
 impl Local {
     /// Relative widening of the trim sphere.
     ///
-    /// An entry `c^T M c` is rounded by one epsilon, which moves a surface of radius `r` by about `epsilon (|c| / r)^2
-    /// r / 2`. The epsilon is that of float32 if all entries are float32 values, since they may come from a record.
+    /// An entry `c^T M c` is rounded by one epsilon, which moves a surface of radius `r` by about
+    /// `epsilon (|c| / r)^2 r / 2`. The epsilon is that of float32 if all entries are float32 values, since they may
+    /// come from a record.
     pub(super) fn slack(quadric: &Quadric) -> f64 {
         let offset = quadric.center.length() / quadric.radius;
         let is_record = quadric.matrix.to_cols_array().iter().all(|&entry| f64::from(entry as f32) == entry);

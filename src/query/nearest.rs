@@ -1,9 +1,9 @@
 //! The nearest point of a mesh in float64: position, distance, face, barycentric coordinates, normal, side and
 //! gradient.
 //!
-//! The gradient of the distance at p with closest point c is (p - c) / |p - c|, negated inside. Where c lies within a face that
-//! is the normal of the face, which keeps its accuracy as the distance goes to zero. On the surface the gradient is the
-//! angle-weighted pseudonormal of the nearest feature, turned to point away from the inside.
+//! The gradient of the distance at p with closest point c is (p - c) / |p - c|, negated inside. Where c lies within a
+//! face that is the normal of the face, which keeps its accuracy as the distance goes to zero. On the surface the
+//! gradient is the angle-weighted pseudonormal of the nearest feature, turned to point away from the inside.
 //!
 //! Signs are decided with float32 positions, which differ from the mesh's own by 3e-8 local units. Within [`NEAR`] of
 //! the surface the side follows from the pseudonormal and float64 positions: the sign rule determines the sides in
@@ -174,7 +174,8 @@ fn side_and_gradient(
     (inside, if inside { -unit } else { unit })
 }
 
-/// The pseudonormal of the closest point, and whether the sign rule finds the inside in front of the surface and behind it.
+/// The pseudonormal of the closest point, and whether the sign rule finds the inside in front of the surface and behind
+/// it.
 fn sides(mesh: &Mesh, rule: &SignRule, closest: &ClosestPoint, feature: Feature) -> (DVec3, bool, bool) {
     let point = closest.on_triangle.point;
     let own = || triangle_cross(mesh.exact_triangle(closest.face)).try_normalize();

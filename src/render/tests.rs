@@ -102,7 +102,8 @@ fn every_hit_is_a_root_of_the_sampled_field() {
     });
     let camera = camera([3.0, 1.0, 9.0], [0.5, -0.5, 5.75], 40.0);
     let frame = scene.draw(&camera, &options(64, 64));
-    // Depth is stored in f32: at a depth of 8 that is 5e-7 along the ray; slopes are below 8; plus the field's rounding.
+    // Depth is stored in f32: at a depth of 8 that is 5e-7 along the ray; slopes are below 8; plus the field's
+    // rounding.
     let tolerance = 8.0 * 8.0 * f32::EPSILON + 16.0 * 33.0 * f32::EPSILON;
     let mut hits = 0;
     for i in (0..64 * 64).filter(|&i| frame.depth[i].is_finite()) {

@@ -15,8 +15,8 @@
 //! does not contain, are evaluated on the whole ray.
 //!
 //! *No leaks.* Samples of a merged field do not exceed the signed distance `d`, so at a point `p` of a cell of side `h`
-//! the field is at most `sum w_i d(c_i)`. Take a wall of thickness `w` and a point in its middle: `d(c_i)` is `|(c_i -
-//! p).n| - w/2`, and the weighted mean of `|(c_i - p).n|` is at most its root mean square, `h/2`. The field is
+//! the field is at most `sum w_i d(c_i)`. Take a wall of thickness `w` and a point in its middle: `d(c_i)` is
+//! `|(c_i - p).n| - w/2`, and the weighted mean of `|(c_i - p).n|` is at most its root mean square, `h/2`. The field is
 //! therefore below zero in the middle of every wall thicker than one voxel, at any angle. In a wall of two voxels it is
 //! so in a layer of `1.7 h`: rays are traced exactly, so none passes. A thinner object may be lost beyond the distance,
 //! as in any field with such voxels.

@@ -41,8 +41,8 @@ pub fn linear_from_srgb(value: f32) -> f32 {
 static STEPS: LazyLock<[f32; 255]> =
     LazyLock::new(|| std::array::from_fn(|byte| linear_from_srgb((byte as f32 + 0.5) / 255.0)));
 
-/// Intervals of [`FIRST_BYTE`]. sRGB rises by at most 12.92 * 255 = 3295 bytes per unit of light, so an interval holds at
-/// most two steps.
+/// Intervals of [`FIRST_BYTE`]. sRGB rises by at most 12.92 * 255 = 3295 bytes per unit of light, so an interval holds
+/// at most two steps.
 const INTERVALS: usize = 4096;
 
 /// Nearest sRGB byte at the lower end of each interval of linear light.

@@ -20,9 +20,9 @@
 //! continuous function of the ray, except for intervals inside the object that are shorter than [`LEAST_VOXELS`]
 //! voxels.
 //!
-//! The visible point of a mesh lies up to a third of a voxel from the surface of its field. A ray into the object starts one
-//! voxel before `p`, outside, and the length begins at the field's own surface; a ray away from it starts outside like
-//! shadow rays.
+//! The visible point of a mesh lies up to a third of a voxel from the surface of its field. A ray into the object
+//! starts one voxel before `p`, outside, and the length begins at the field's own surface; a ray away from it starts
+//! outside like shadow rays.
 
 use super::field::FieldRay;
 use super::shadow::{Casters, Place, Ray, Work, clip, ray_in_field};

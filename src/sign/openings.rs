@@ -134,8 +134,8 @@ impl Openings {
         self.cones.iter().map(reach).fold(f64::INFINITY, f64::min)
     }
 
-    /// Whether no cone comes within `radius` of a point and the fraction has one nearest integer there. False also where
-    /// one value cannot tell.
+    /// Whether no cone comes within `radius` of a point and the fraction has one nearest integer there. False also
+    /// where one value cannot tell.
     pub fn is_uniform_within(&self, p: DVec3, radius: f64) -> bool {
         let mut left_out = 0.0;
         let matters = |cone: &&Cone| cone.matters(p, radius, &mut left_out);

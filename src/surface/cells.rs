@@ -1,9 +1,10 @@
 //! The cells of a grid that a level set passes through.
 //!
-//! Cell (i, j, k) lies between the voxel centres i and i + 1, j and j + 1, k and k + 1. Around the grid there is one layer
-//! of *padding*: centres -1 and n, half a voxel outside the box, which are outside the solid. Their value is the mirror
-//! `|d - level|` of the nearest sample of the grid, so a surface that leaves the box crosses an edge to the padding exactly
-//! on the face of the box. That closes the surface: it bounds the part of the solid that lies in the box.
+//! Cell (i, j, k) lies between the voxel centres i and i + 1, j and j + 1, k and k + 1. Around the grid there is one
+//! layer of *padding*: centres -1 and n, half a voxel outside the box, which are outside the solid. Their value is the
+//! mirror `|d - level|` of the nearest sample of the grid, so a surface that leaves the box crosses an edge to the
+//! padding exactly on the face of the box. That closes the surface: it bounds the part of the solid that lies in the
+//! box.
 //!
 //! Memory grows with the number of crossed cells, plus one value per row of cells.
 
@@ -65,8 +66,8 @@ impl Cell {
     }
 }
 
-/// Whether the bilinear function of an ambiguous face is inside at its saddle point (Nielson and Hamann, "The Asymptotic
-/// Decider", 1991). Both cells of a face compare the same products, so they agree.
+/// Whether the bilinear function of an ambiguous face is inside at its saddle point (Nielson and Hamann, "The
+/// Asymptotic Decider", 1991). Both cells of a face compare the same products, so they agree.
 fn joins_inside(values: &[f32; 8], face: usize) -> bool {
     let [a, b, c, d] = face_corners(face).map(|corner| f64::from(values[corner]));
     let (first, second) = (a * c, b * d);
@@ -129,9 +130,9 @@ impl Cells {
         Ok(Self::new(shape, slabs.concat()))
     }
 
-    /// The crossed cells of blocks of samples. Block `b` has `side`^3 cells from cell `origins[b]` on, and `(side + 1)^3`
-    /// samples, x fastest, from `values[b * (side + 1)^3]` on; a sample outside the grid repeats the nearest one of the grid.
-    /// The blocks must not overlap, and hold every cell that the surface passes through.
+    /// The crossed cells of blocks of samples. Block `b` has `side`^3 cells from cell `origins[b]` on, and
+    /// `(side + 1)^3` samples, x fastest, from `values[b * (side + 1)^3]` on; a sample outside the grid repeats the
+    /// nearest one of the grid. The blocks must not overlap, and hold every cell that the surface passes through.
     pub fn of_blocks(shape: [i32; 3], side: usize, origins: &[[i32; 3]], values: &[f32], level: f32) -> Self {
         let samples = (side + 1).pow(3);
         let blocks = origins.par_iter().zip(values.par_chunks_exact(samples));
@@ -217,10 +218,11 @@ impl Cells {
         self.cells[first..last].binary_search_by_key(&index[0], |cell| cell.index[0]).ok().map(|i| first + i)
     }
 
-    /// Keep the mesh a two-manifold. Where both segments of an ambiguous face belong to one patch in either cell, the two
-    /// vertices would be joined by two edges of the mesh with the same ends, and four faces would meet there. Joining the
-    /// other corners of that face instead parts the patch in both cells. Parting patches never creates another such face,
-    /// so one pass over all faces suffices (the rule is that of R. Wenger, "Isosurfaces", 2013, for dual contouring).
+    /// Keep the mesh a two-manifold. Where both segments of an ambiguous face belong to one patch in either cell, the
+    /// two vertices would be joined by two edges of the mesh with the same ends, and four faces would meet there.
+    /// Joining the other corners of that face instead parts the patch in both cells. Parting patches never creates
+    /// another such face, so one pass over all faces suffices (the rule is that of R. Wenger, "Isosurfaces", 2013, for
+    /// dual contouring).
     fn part_doubly_joined_patches(&mut self) {
         for i in 0..self.cells.len() {
             for axis in 0..3 {

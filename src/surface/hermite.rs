@@ -17,8 +17,8 @@ const REACH_VOXELS: f64 = 0.9;
 /// precision.
 const FLAT_VOXELS: f64 = 1e-3;
 
-/// Replace the planes of `crossings` by tangent planes of the surface at the distance `offset` from `mesh`, world units.
-/// With `unsigned` the distance is without a sign, so a positive offset surrounds the mesh on both sides.
+/// Replace the planes of `crossings` by tangent planes of the surface at the distance `offset` from `mesh`, world
+/// units. With `unsigned` the distance is without a sign, so a positive offset surrounds the mesh on both sides.
 ///
 /// An offset of zero takes the face that the edge crosses. Any other offset takes the sphere around the nearest point.
 /// A crossing keeps its plane where the mesh is farther away than the samples say, as across an opening.

@@ -15,8 +15,8 @@ const NEWTON_STEPS: usize = 4;
 /// Placement of the vertices, and treatment of the surface at the box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MeshOptions {
-    /// Whether vertices minimise the distance to the tangent planes; else they are the means of the crossings, moved onto
-    /// the trilinear surface.
+    /// Whether vertices minimise the distance to the tangent planes; else they are the means of the crossings, moved
+    /// onto the trilinear surface.
     pub sharp: bool,
     /// Whether a surface that leaves the box is closed by the faces of the box; else it ends there.
     pub capped: bool,
@@ -81,9 +81,9 @@ impl Surface {
         ((corner + vertex).clamp(self.lower, self.upper), clamped)
     }
 
-    /// Where a vertex of the cell may lie, relative to the lower corner of the cell: within the cell by [`MARGIN`], in the
-    /// next cell across a face if neither the face nor that cell is crossed, and in the box. The tip of a corner that
-    /// holds no voxel centre lies in such a cell.
+    /// Where a vertex of the cell may lie, relative to the lower corner of the cell: within the cell by [`MARGIN`], in
+    /// the next cell across a face if neither the face nor that cell is crossed, and in the box. The tip of a corner
+    /// that holds no voxel centre lies in such a cell.
     fn allowed(&self, cell: &Cell) -> [DVec3; 2] {
         let mut lower = DVec3::splat(MARGIN);
         let mut upper = DVec3::splat(1.0 - MARGIN);

@@ -1,10 +1,10 @@
 //! The point nearest to a set of planes, within a box.
 //!
-//! The vertex of a patch minimises the quadratic error function of Garland and Heckbert's form that Ju, Losasso, Schaefer
-//! and Warren ("Dual Contouring of Hermite Data", 2002) use: the sum of squared distances to the tangent planes at the
-//! crossings. Where the planes leave a direction open (a flat surface, a straight edge) a small pull towards the mean of
-//! the crossings decides. The minimum is taken over the cell, not over all space: a vertex outside its cell could fold the
-//! surface.
+//! The vertex of a patch minimises the quadratic error function of Garland and Heckbert's form that Ju, Losasso,
+//! Schaefer and Warren ("Dual Contouring of Hermite Data", 2002) use: the sum of squared distances to the tangent
+//! planes at the crossings. Where the planes leave a direction open (a flat surface, a straight edge) a small pull
+//! towards the mean of the crossings decides. The minimum is taken over the cell, not over all space: a vertex outside
+//! its cell could fold the surface.
 
 use glam::{DMat3, DVec3};
 

@@ -131,8 +131,8 @@ fn a_sphere_on_oblong_voxels_comes_back() {
     for options in [SHARP, SMOOTH] {
         let mesh = mesh_of(grid, &distances, 0.0, options);
         assert_two_manifold(&mesh);
-        // The trilinear surface of a sphere of radius r lies h^2 / (8 r) inside it at most along each axis; the planes at the
-        // crossings meet as far outside.
+        // The trilinear surface of a sphere of radius r lies h^2 / (8 r) inside it at most along each axis; the planes
+        // at the crossings meet as far outside.
         let bound = grid.spacing().length_squared() / 4.0;
         assert!(mesh.vertices.iter().all(|&p| ((p - center).length() - 1.0).abs() <= bound));
         assert!((signed_volume(&mesh) / (4.0 / 3.0 * PI) - 1.0).abs() <= 0.02);

@@ -8,8 +8,8 @@
 //!
 //! A quadric is a sheet: it has no inside, both sides are visible, and however often a ray crosses it, it counts once.
 //! Its distance is never negative, and cones are tested by thin rays ([`super::super::thin`]). `distance` is the proven
-//! lower bound `|M| s^2 + |grad f| s = |f|` of [`Local::distance_bound`], extended outside the trim sphere as `sqrt(a^2
-//! + s^2)`.
+//! lower bound `|M| s^2 + |grad f| s = |f|` of [`Local::distance_bound`], extended outside the trim sphere as
+//! `sqrt(a^2 + s^2)`.
 
 use super::super::device_fields::DeviceFields;
 use super::super::field::{Field, FieldHit, FieldRay, Look};
