@@ -22,6 +22,7 @@ from ..atlases.atlas import Language, as_written
 from ..files.container import ENDINGS
 from ..volumes import writers
 from .folders import bake_folder
+from .saving import check_encoding, save_field
 from .streams import Clobber, check_output, input_file, is_stream, output_file
 from .tables import atlas_rows, volume_rows
 
@@ -235,8 +236,6 @@ def bake(
     device: Device = "auto",
 ) -> None:
     """Bake the signed distance field of a mesh into a file, or those of many meshes into a folder."""
-    from .files import check_encoding, save_field
-
     if not is_stream(output) and (not output.suffix or output.is_dir()):
         if sparse or encoding != "float32":
             raise typer.BadParameter("a folder takes dense float32 fields", param_hint="--sparse, --encoding")

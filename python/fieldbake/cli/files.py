@@ -15,6 +15,7 @@ from ..atlases.atlas import as_written
 from ..files.container import ENDINGS
 from ..volumes import writers
 from .commands import MESHES, app, show_rows
+from .saving import check_encoding, save_field
 from .streams import check_output, input_file, is_stream, output_file
 from .tables import facts_of, rows_of
 
@@ -98,44 +99,6 @@ def convert(
     if not is_stream(output):
         written = as_written(found, ending) if isinstance(found, fb.Atlas) else found
         show_rows(str(output), rows_of(written, ending))
-
-
-def save_field(
-    field: fb.Volume | fb.SparseVolume,
-    target: Path,
-    encoding: str | None,
-    band: float | None,
-    engine: Any,
-    *,
-    mipmaps: bool,
-) -> fb.Volume | fb.SparseVolume:
-    """Save a field in the requested encoding, and return the field as the file stores it."""
-    ending = target.suffix.lower()
-    options: dict[str, Any] = {"engine": engine} if engine is not None else {}
-    if isinstance(field, fb.SparseVolume):
-        as_bricks = ending in writers.SPARSE_ENDINGS or (ending == ".npz" and encoding is None and engine is None)
-        if as_bricks:
-            if ending in writers.SPARSE_ENDINGS:
-                options |= {"band": band, "encoding": encoding}
-            field.save(target, **options)
-            return field
-        field = field.to_volume()
-    if encoding is not None and ending == ".npz":
-        field = fb.Volume(field.distances, field.bounds, inner_bounds=field.inner_bounds, report=field.report)
-        if encoding != "float32":
-            field = field.quantize(encoding, band=4 if band is None else band)  # type: ignore[arg-type]
-        encoding = None
-    elif ending != ".npz":
-        options |= {"band": band, "mipmaps": mipmaps}
-    field.save(target, encoding=encoding, **options)
-    return field
-
-
-def check_encoding(ending: str, encoding: str) -> None:
-    """Fail before any work if files with this ending do not have the encoding."""
-    known = writers.ENCODINGS.get(ending, ("float32", "float16", "snorm16", "snorm8"))
-    if encoding not in known:
-        raise typer.BadParameter(f"{ending} files hold {', '.join(known)}, got {encoding}", param_hint="--encoding")
 
 
 def _load(path: Path) -> Any:
