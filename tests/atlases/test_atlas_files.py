@@ -128,7 +128,7 @@ def test_a_damaged_file_is_a_format_error(good_file, tmp_path_factory, data):
         atlas = fb.load(path)
     except fb.FormatError:
         return
-    # What nobody reads may be damaged; the rest is covered by checksums.
+    # Bytes that no reader uses may be damaged; checksums cover the rest.
     assert [atlas.unpack(i).resolution for i in atlas.indices] == [(4, 4, 4)] * 3
 
 

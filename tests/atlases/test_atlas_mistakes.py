@@ -1,4 +1,4 @@
-"""What an atlas refuses, and how it says so."""
+"""Input that an atlas refuses, and the error messages."""
 
 import numpy as np
 import pytest

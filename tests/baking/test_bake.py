@@ -527,7 +527,7 @@ INTERRUPTED = {
     "raymarch": "fb.raymarch(fb.bake(mesh, 64), size=(4000, 4000), progress=ready)",
 }
 
-#: The promise of the interface, in seconds.
+#: Largest delay after Ctrl-C that the interface guarantees, seconds.
 CTRL_C = 0.5
 
 

@@ -55,7 +55,7 @@ MESHES = {
 
 
 def assert_same_field(a: fb.Volume, b: fb.Volume) -> None:
-    # The bound that both promise, and twice the rounding of one float32 search.
+    # The error bound of both bakes, and twice the rounding of one float32 search.
     diagonal = np.linalg.norm(a.bounds[1] - a.bounds[0])
     assert np.abs(a.distances - b.distances).max() <= 1e-6 * diagonal
     assert np.array_equal(np.signbit(a.distances), np.signbit(b.distances))

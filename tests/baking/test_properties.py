@@ -1,4 +1,4 @@
-"""What holds for every mesh: looked for by hypothesis among random triangles, points and garbage.
+"""Properties that hold for every mesh, searched by hypothesis among random triangles, points and garbage.
 
 `HYPOTHESIS_PROFILE=search pytest tests/baking/test_properties.py` looks longer and elsewhere.
 """

@@ -44,7 +44,7 @@ def nested(volume):
     return fb.merge([volume], RESOLUTION, levels=2, center=tuple(CENTER), device="cpu")
 
 
-#: What is drawn by `raymarch`.
+#: Objects that `raymarch` draws.
 FIELDS = {
     "volume": lambda volume: volume,
     "sparse": lambda volume: volume.to_sparse(),
@@ -54,7 +54,7 @@ FIELDS = {
     "merged": lambda volume: fb.merge([volume], RESOLUTION, device="cpu"),
     "nested": nested,
 }
-#: What is drawn as an instance of a scene, besides the mesh.
+#: Objects that are drawn as instances of a scene, besides the mesh.
 INSTANCES = {
     "volume": lambda volume: volume,
     "sparse": lambda volume: volume.to_sparse(),

@@ -13,7 +13,7 @@ from merged import placed, random_scene, turn
 
 @pytest.fixture
 def facts(monkeypatch):
-    """What the core says of each merge."""
+    """Collect the report of the core for each merge."""
     said = []
     core_merge = _core.merge
 

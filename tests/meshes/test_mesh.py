@@ -1,4 +1,4 @@
-"""What may come in as a mesh, what is refused and how it is said, and what scale and offset cost."""
+"""Input that becomes a mesh, input that is refused with its message, and the precision at any scale and offset."""
 
 import struct
 

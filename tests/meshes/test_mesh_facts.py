@@ -1,4 +1,4 @@
-"""What a mesh knows of itself, that it travels to other processes, and that files keep it."""
+"""Properties of a mesh, its transfer to other processes, and its files."""
 
 import copy
 import multiprocessing

@@ -33,7 +33,7 @@ FEW_OPENINGS = ["stanford-bunny.obj", "suzanne.obj", "teapot.obj"]
 
 
 def assert_exact(mesh, signs):
-    """Distances against float64 on a whole grid and at random points; signs too if asked."""
+    """Distances against float64 on a whole grid and at random points; signs too on request."""
     vertices, faces = mesh.vertices, mesh.faces.astype(np.int64)
     reference = truth.Reference(vertices, faces)
     volume = fb.bake(mesh, resolution=RESOLUTION)

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-#: What takes long to import, and what it is for.
+#: Modules that take long to import, and their purpose.
 HEAVY = {
     "trimesh": "reading mesh files",
     "scipy": "nothing of ours; trimesh uses it",

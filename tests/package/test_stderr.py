@@ -1,4 +1,4 @@
-"""What a run writes to stderr: nothing of other libraries, and one warning where a device is a software adapter."""
+"""The output of a run on stderr: none of other libraries, and one warning if a device is a software adapter."""
 
 import json
 import os

@@ -69,7 +69,7 @@ def test_a_graphics_device_sees_the_same_surfaces(view: str, primary: str, gpu: 
     here, there = (fb.render(scene, VIEWS[view], **options, device=place) for place in ("cpu", gpu))
     assert len(np.unique(here.object_id)) > 3 or view == "from inside"
     assert_same_picture(here, there, scene)
-    # What is seen through is left to the CPU, and the report says so.
+    # The CPU draws translucent surfaces, and the report names it.
     assert here.report["devices"]["primary"] == "cpu"
     assert there.report["devices"]["primary"] == f"{there.report['device']} and cpu"
 

@@ -83,7 +83,7 @@ THINGS = {
         fb.Quadric.hyperbolic_paraboloid((0.5, 0, 1.2)),
     ],
     "shape": tube,
-    # More leaves than distances are asked of.
+    # More leaves than the limit up to which distances are evaluated.
     "large shape": lambda: fb.box_frame((2, 2, 2), 0.1).repeat((0.4, 0.4, 0.4), (4, 4, 4)).scale(0.5) & fb.sphere(1),
 }
 

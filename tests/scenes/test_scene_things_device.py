@@ -50,7 +50,7 @@ def shapes() -> list[fb.Instance]:
     ]
 
 
-#: What a scene holds besides the floor.
+#: Objects of a scene besides the floor.
 KINDS = {
     "quadrics": quadrics,
     "sparse": sparse,

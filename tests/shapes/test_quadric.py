@@ -15,7 +15,7 @@ from fieldbake import Quadric, _core
 from fieldbake.drawing.raymarching import picture_arguments
 from fieldbake.shapes.quadric import core_of
 
-#: What the package promises of depths, relative, where a ray meets a surface at a slope above GRAZING.
+#: Relative error bound of depths where a ray crosses a surface at a slope above GRAZING.
 DEPTH = 1e-5
 #: Slope along the ray, in units of the gradient's length at the hit: float32 roots move by some roundings over it.
 GRAZING = 0.05
@@ -118,7 +118,7 @@ def test_each_kind_is_hit_where_its_closed_form_says(name, device):
 
     directions = rays(CAMERA, SIZE)
     t, slope, unclear = nearest_root(implicit, CAMERA.eye, directions, quadric.center, quadric.radius)
-    # Of a closed kind the trim sphere is not seen, elsewhere its outline is a matter of rounding.
+    # The trim sphere of a closed kind is invisible. For other kinds, rounding decides on its outline.
     clear = ~unclear if name not in ("sphere",) else np.abs(slope) > GRAZING
     hit = np.isfinite(t)
     assert (hit & clear & (slope > GRAZING)).sum() > 100
@@ -346,7 +346,7 @@ def test_a_hundred_thousand_are_drawn(random, device):
     hit = same & np.isfinite(expected)
     assert hit.sum() > 200
     assert np.percentile(np.abs(got[hit] / expected[hit] - 1), 98) <= DEPTH
-    # Of 100,000 spheres a ray tries few: the tree culls.
+    # The tree culls: a ray tries few of the 100,000 spheres.
     assert images["steps"].mean() < 600
 
 

@@ -91,7 +91,7 @@ def test_atlas_texts_have_no_placeholders() -> None:
 
 
 def metal_errors(text: str) -> list[str]:
-    """What clang says of an MSL text, with declarations in place of Metal's library."""
+    """Errors of clang in an MSL text, with declarations in place of Metal's library."""
     index = pytest.importorskip("clang.cindex", reason="pip install libclang to parse MSL").Index.create()
     source = STUB.read_text() + re.sub(r"#include <.*?>", "", text)
     flags = [
@@ -122,7 +122,7 @@ def test_clang_parses_the_metal_texts_of_atlases() -> None:
 
 
 def glsl_errors(tmp_path: Path, stage: str, text: str) -> str:
-    """What the reference compiler of GLSL says, or nothing."""
+    """Errors of the reference compiler of GLSL; empty without any."""
     compiler = shutil.which("glslangValidator")
     if compiler is None:
         pytest.skip("no glslangValidator: install the package glslang-tools to compile GLSL")

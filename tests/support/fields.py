@@ -1,4 +1,4 @@
-"""Volumes of random distances, for tests of what is done with samples whatever they are."""
+"""Volumes of random distances, for tests that hold for any samples."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What a closed two-manifold is, checked on arrays."""
+"""The conditions of a closed two-manifold, checked on arrays."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""What the answers should be, in float64 and by means that share nothing with the package.
+"""Expected results in float64, by methods that share no code with the package.
 
 Three kinds of truth:
 
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
-#: Promise of the package: distances are right to this share of the box's diagonal.
+#: Error bound of the package: distances are right to this fraction of the box's diagonal.
 EXACT = 1e-6
 
 #: Pairs of point and triangle worked on at a time: some 20 arrays of (pairs, 3) float64 stay near 100 MB.
@@ -191,11 +191,11 @@ def diagonal(vertices: ArrayLike, faces: ArrayLike) -> float:
 
 
 def tolerance(vertices: ArrayLike, faces: ArrayLike, distances: ArrayLike = 0.0) -> Array:
-    """How far a distance may be off: the package's promise, and the float32 roundings of a large distance.
+    """Largest error of a distance: the package's bound, and the float32 roundings of a large distance.
 
-    Near the mesh the promise alone is the bound. A point a thousand diagonals away has a distance whose last float32
-    bit is worth more; position (1), difference (1), sum of squares (3, halved by the root) and root (1) add up to less
-    than five roundings.
+    Near the mesh the bound of the package is sufficient. A point a thousand diagonals away has a distance whose last
+    float32 bit is worth more; position (1), difference (1), sum of squares (3, halved by the root) and root (1) add up
+    to less than five roundings.
     """
     return EXACT * diagonal(vertices, faces) + 5 * FLOAT32_ROUNDING * np.abs(np.asarray(distances, np.float64))
 

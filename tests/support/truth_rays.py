@@ -271,7 +271,7 @@ def placed(model, offset=(0, 0, 0), axis=(0, 0, 1), degrees=0):
 
 @dataclass(frozen=True)
 class Picture:
-    """What each pixel's ray hits: depth along the view (inf for nothing), unit normal, and if it can be compared."""
+    """The hit of each pixel's ray: depth along the view (inf for a miss), unit normal, and if it can be compared."""
 
     depth: np.ndarray
     normal: np.ndarray

@@ -165,7 +165,7 @@ def test_an_unknown_filter_is_refused(noise):
 
 
 def test_the_gradient_is_that_of_the_interpolant(noise, random):
-    # Inside one cell the field is linear along each axis, so a difference quotient is exact whatever its step.
+    # Inside one cell the field is linear along each axis, so a difference quotient is exact for any step.
     cell = random.integers(0, np.array(SHAPE) - 1, size=(2_000, 3))
     points = noise.origin + (cell + random.uniform(0.2, 0.8, size=cell.shape)) * noise.spacing
 
