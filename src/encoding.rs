@@ -20,8 +20,8 @@
 //! |---|---|---|
 //! | float32 | 1 | 0 |
 //! | float16 | largest power of two up to the voxel's longest side | 2^-10 of the distance, or 2^-24 |
-//! | snorm16 | width of the band around the surface | band / 32767 |
-//! | snorm8 | width of the band around the surface | band / 127 |
+//! | snorm16 | half width of the band around the surface | band / 32767 |
+//! | snorm8 | half width of the band around the surface | band / 127 |
 //!
 //! Division by a power of two leaves the mantissa of a half unchanged. The normalised formats are those of texture
 //! hardware: a sampler of an R8 or R16 snorm texture returns `value / scale`, and so does one of an R16 float texture.

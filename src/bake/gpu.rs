@@ -43,7 +43,7 @@ const BLOCK: usize = 4;
 const BLOCKS: (u64, u64) = (4, 65_535);
 /// Number of workgroups of the finishing kernel along x, as in the shader.
 const WORKGROUPS_PER_ROW: u64 = 32_768;
-/// Relative slack above the width of the band for the rounding of a square.
+/// Relative slack above the half width of the band for the rounding of a square.
 const LIMIT_SLACK: f64 = 1e-5;
 /// Larger than any squared local distance, as in the shader.
 const FAR: f32 = 3.0e38;

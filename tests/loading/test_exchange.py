@@ -39,7 +39,7 @@ def assert_same_place(found, volume):
 
 
 def scale_of(volume, encoding, band=4):
-    """The scale by its definition: 1, the largest power of two up to a voxel, or the width of the band."""
+    """The scale by its definition: 1, the largest power of two up to a voxel, or the half width of the band."""
     voxel = float(volume.spacing.max())
     if encoding == "float16":
         return 2.0 ** np.floor(np.log2(voxel))
