@@ -16,6 +16,7 @@ from ..base.grid import Grid
 from ..base.progress import Progress, part_of, progress_callback
 from ..base.report import bytes_text
 from ..files import container
+from ..volumes.shader import Language, ShaderBuffers, nested_buffers, nested_text
 from ..volumes.volume import Volume
 from .merged import MergedField
 
@@ -240,6 +241,31 @@ class NestedField:
         from ..loading.readers import load_as
 
         return load_as(cls, path)
+
+    def shader(self, language: Language = "wgsl") -> str:
+        """Write functions that evaluate the field in a shader.
+
+        Parameters
+        ----------
+        language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
+            GLSL is that of WebGL 2 (ES 3.00); newer versions take it with another first line.
+
+        Returns
+        -------
+        str
+            ``nested_distance(p)``: the distance at a world position. Box and encoding are constants of the text;
+            the textures are those of :meth:`shader_buffers`. An entry point makes it a whole shader.
+
+        Raises
+        ------
+        ArgumentError
+            For another language.
+        """
+        return nested_text(self._joined_levels(), language)
+
+    def shader_buffers(self) -> ShaderBuffers:
+        """List the textures that the shader reads, with their formats; ``to_bytes()`` gives the bytes to upload."""
+        return nested_buffers(self._joined_levels())
 
     def _joined_levels(self) -> tuple[Volume, ...]:
         """The levels, with their outermost samples taken from the level around them."""

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _core
 from ..base import checks
 from ..base.errors import ArgumentError, ShapeError
+from .quadric_shader import quadric_text
 
 #: RGBA texels of a record: four for the matrix, one for the trim sphere, one for reflectance and opacity.
 RECORD_TEXELS = 6
@@ -319,6 +320,29 @@ class Quadric:
     def bounds(self) -> NDArray[np.float64]:
         """Box of the trim sphere, (2, 3), world units."""
         return np.stack([self._center - self._radius, self._center + self._radius])
+
+    @staticmethod
+    def shader(language: str = "wgsl") -> str:
+        """Write the functions that read and intersect quadrics in a shader.
+
+        Parameters
+        ----------
+        language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
+            GLSL is that of WebGL 2 (ES 3.00); newer versions take it with another first line.
+
+        Returns
+        -------
+        str
+            ``load_quadric(i)`` reads row i of the texture ``quadric_texels``, the array of :func:`pack_quadrics` as
+            RGBA32F; ``intersect_quadric(quadric, origin, direction, t_min)`` is the nearest hit or -1;
+            ``quadric_normal(quadric, p, direction)`` is the normal on the side of the ray.
+
+        Raises
+        ------
+        ArgumentError
+            For another language.
+        """
+        return quadric_text(language)
 
     def transformed(self, transform: ArrayLike) -> Quadric:
         """Move, rotate, scale or shear the quadric.

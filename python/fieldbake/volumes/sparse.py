@@ -22,6 +22,7 @@ from . import writers
 from .brick_blocks import blocks_of_bricks
 from .conventions import Convention, Engine, Handedness, Up
 from .grid_field import GridField
+from .shader import Language, ShaderBuffers, sparse_buffers, sparse_text
 from .volume import Filter, Volume
 from .writers import SaveOptions
 
@@ -204,6 +205,31 @@ class SparseVolume(GridField):
     def _turned(self, way: Convention) -> _TurnedSparse:
         """The properties that a writer of level sets reads, in the space of a convention."""
         return _TurnedSparse(self, way)
+
+    def shader(self, language: Language = "wgsl") -> str:
+        """Write functions that evaluate the field in a shader.
+
+        Parameters
+        ----------
+        language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
+            GLSL is that of WebGL 2 (ES 3.00); newer versions take it with another first line.
+
+        Returns
+        -------
+        str
+            ``sparse_distance(p)``: the distance at a world position. Box and encoding are constants of the text;
+            the textures are those of :meth:`shader_buffers`. An entry point makes it a whole shader.
+
+        Raises
+        ------
+        ArgumentError
+            For another language.
+        """
+        return sparse_text(self, language)
+
+    def shader_buffers(self) -> ShaderBuffers:
+        """List the textures that the shader reads, with their formats; ``to_bytes()`` gives the bytes to upload."""
+        return sparse_buffers(self)
 
     def _source(self, device: str) -> _core.SparseField:
         checks.text("device", device)

@@ -22,6 +22,7 @@ from . import writers
 from .conventions import Convention, Engine, Handedness, Up
 from .grid_field import GridField
 from .neighbours import grid_of_xarray
+from .shader import Language, ShaderBuffers, volume_buffers, volume_text
 from .writers import SaveOptions
 
 if TYPE_CHECKING:
@@ -490,6 +491,32 @@ class Volume(GridField):
         """The volume in the space of a convention."""
         distances = way.array(self._distances) * np.float32(way.scale(self._bounds))
         return Volume._wrap(distances, *self._turned_boxes(way))
+
+    def shader(self, language: Language = "wgsl") -> str:
+        """Write functions that evaluate the field in a shader.
+
+        Parameters
+        ----------
+        language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
+            GLSL is that of WebGL 2 (ES 3.00); newer versions take it with another first line.
+
+        Returns
+        -------
+        str
+            ``field_distance(p)``, the distance at a world position, and ``field_gradient(p)``. Box and encoding are
+            constants of the text;
+            the textures are those of :meth:`shader_buffers`. An entry point makes it a whole shader.
+
+        Raises
+        ------
+        ArgumentError
+            For another language.
+        """
+        return volume_text(self, language)
+
+    def shader_buffers(self) -> ShaderBuffers:
+        """List the textures that the shader reads, with their formats; ``to_bytes()`` gives the bytes to upload."""
+        return volume_buffers(self)
 
     def _repr_png_(self) -> bytes | None:
         """Draw the surface for notebooks; None if there is no surface."""
