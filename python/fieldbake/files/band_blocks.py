@@ -1,8 +1,8 @@
 """A level set in blocks of 8^3 voxels: the form that the writers of OpenVDB and NanoVDB share.
 
-A block is stored if one of its voxels is nearer to the surface than the band, or if its signs differ. Of every other
-block only the sign is kept. All magnitudes are at most the band: OpenVDB's level sets are defined so, with the value
-``+band`` outside and ``-band`` inside wherever no voxel is active.
+A block is stored if one of its voxels is nearer to the surface than the band, or if its signs differ. For every other
+block only the sign is kept. All magnitudes are at most the band. OpenVDB defines level sets so: wherever no voxel is
+active, the value is ``+band`` outside and ``-band`` inside.
 """
 
 from __future__ import annotations

@@ -115,10 +115,10 @@ def check_target(target: Path) -> None:
 
 @contextmanager
 def atomic_write(target: Path) -> Iterator[IO[bytes]]:
-    """Open a temporary file that replaces the target when the block ends without an error."""
+    """Open a temporary file that replaces the target when the ``with`` block ends without an error."""
     import tempfile
 
-    # An error names the target here. Further below it would name the temporary file.
+    # An error raised here names the target. An error raised later would name the temporary file.
     check_target(target)
     mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
     descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".tmp")

@@ -1,4 +1,4 @@
-"""A position in the bytes of a file from elsewhere: every read is checked against their end."""
+"""A position in the bytes of a file. Every read is checked against the end of the bytes."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Cursor:
 
 
 def inflate(packed: bytes | memoryview, size: int, window: int = 15) -> bytes:
-    """The `size` bytes that a zlib stream holds; never more is unpacked."""
+    """The `size` bytes in a zlib stream. Unpacking stops at that size."""
     unpacker = zlib.decompressobj(window)
     try:
         content = unpacker.decompress(packed, size)

@@ -56,7 +56,7 @@ class Sheet:
 
 
 def arrange(shape: tuple[int, int, int], columns: int | None, *, upwards: bool) -> Sheet:
-    """The most nearly square sheet without empty tiles, or one with as many columns as are wanted."""
+    """The most nearly square sheet without empty tiles, or a sheet with the given number of columns."""
     nx, ny, nz = shape
     if columns is None:
         divisors = [n for n in range(1, nz + 1) if nz % n == 0]
@@ -101,7 +101,7 @@ def from_pixels(pixels: NDArray[Any], sheet: Sheet) -> NDArray[Any]:
 
 
 def write_unity(path: Path, sheet: Sheet, encoding: str) -> None:
-    """Write the import settings of Unity; the GUID of settings that are there is kept, for scenes refer to it."""
+    """Write the import settings of Unity. The GUID of existing settings is kept, because scenes refer to it."""
     beside = path.with_name(path.name + ".meta")
     found = (
         re.search(r"^guid: ([0-9a-f]{32})$", beside.read_text("utf-8", "replace"), re.M) if beside.exists() else None

@@ -1,4 +1,4 @@
-"""Samples of a regular grid, as files of other programs hold them."""
+"""Samples of a regular grid, read from files of other programs."""
 
 from __future__ import annotations
 

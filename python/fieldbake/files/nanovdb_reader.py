@@ -1,6 +1,6 @@
 """NanoVDB files, ABI 32: the reader of float grids that are not compressed.
 
-Every offset in a file is checked against its end, and no more nodes are visited than the file has bytes for.
+Every offset in a file is checked against its end. The number of visited nodes is limited by the number of bytes.
 """
 
 from __future__ import annotations
@@ -130,6 +130,6 @@ class _Reader:
 
 
 def _signed(key: int) -> int:
-    """A number of 21 bits whose highest is the sign of an index shifted by 12, of 20 bits."""
+    """Decode a voxel index shifted right by 12 bits: the lower 20 of the 21 bits of `key`, in two's complement."""
     key &= 0xFFFFF
     return key - (1 << 20) if key >= 1 << 19 else key

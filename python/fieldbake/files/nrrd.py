@@ -45,7 +45,7 @@ _TYPES = {
     "uint32_t": "u4",
 }
 _VECTOR = re.compile(r"\(([^()]*)\)")
-#: Level of compression: samples of a field get little shorter beyond it.
+#: Level of compression. Higher levels make fields only a little smaller.
 _LEVEL = 3
 #: window of a zlib stream in the gzip format.
 _GZIP_WINDOW = 31

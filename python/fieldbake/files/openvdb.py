@@ -33,7 +33,7 @@ from .band_blocks import SIDE, BandBlocks
 
 MAGIC = b" BDV\0\0\0\0"
 VERSION = 224
-#: Version of the library whose files these equal.
+#: Version of the library that writes equal files.
 LIBRARY = (10, 0)
 
 #: Bits of the compression of a grid.
@@ -136,7 +136,7 @@ class _Writer:
             self.put("<3d", *vector)
 
     def values(self, values: NDArray[np.float32], active: NDArray[np.bool_]) -> None:
-        """The values of a node, flat; those that are not active are +band, -band or a child's 0."""
+        """The values of a node, flat. A value that is not active is +band, -band or, for a child, 0."""
         if self.compression & ACTIVE_MASK:
             self.stream.write(bytes([ACTIVE_AND_SIGNS]) + mask_bytes(~active & (values > 0)))
             values = values[active]
@@ -202,7 +202,7 @@ class _Writer:
 
 
 class _LowerNode:
-    """The blocks below a lower node: which are stored, in the order of their slots, and which lie inside."""
+    """The blocks below a lower node: the stored blocks in the order of their slots, and which blocks lie inside."""
 
     __slots__ = ("all_inside", "inside", "leaves", "slots")
 
@@ -214,7 +214,7 @@ class _LowerNode:
 
 
 def _lower_nodes(blocks: BandBlocks) -> dict[tuple[int, int, int], _LowerNode]:
-    """Lower nodes with a stored block or one inside, by their place in units of their size."""
+    """Lower nodes with a block that is stored or lies inside. The key is the position in units of the node's size."""
     counts = [-(-side // LOWER) for side in blocks.inside.shape]
     padded = np.zeros([count * LOWER for count in counts], np.bool_)
     padded[tuple(slice(side) for side in blocks.inside.shape)] = blocks.inside

@@ -1,8 +1,8 @@
 """OpenVDB files, versions 222 to 224: the reader of scalar grids with the standard tree.
 
-The layout is that of :mod:`.openvdb`. Values may be floats or halves, plain or packed by zip or Blosc, with or without
-those that are not active. Every size is compared with the bytes that the file has before anything is unpacked, and the
-dense grid may have at most `VOXELS_PER_BYTE` voxels for each byte of the file.
+The layout is described in :mod:`.openvdb`. Values may be floats or halves; plain, or packed by zip or Blosc; with or
+without the inactive values. Every size is compared with the number of bytes of the file before anything is unpacked.
+The dense grid may have at most `VOXELS_PER_BYTE` voxels for each byte of the file.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from .band_blocks import SIDE
 from .cursor import Cursor, inflate
 from .openvdb import ACTIVE_MASK, BLOSC, HALF_SUFFIX, LOWER, LOWER_VOXELS, MAGIC, TREE, UPPER, UPPER_VOXELS, ZIP
 
-#: Versions whose layout this is; the first is that of OpenVDB 2.
+#: Versions with this layout. OpenVDB 2 wrote the first of them.
 VERSIONS = range(222, 225)
 #: Voxels of a dense grid that are always allowed, and those allowed for each byte of a file. A closed surface in a grid
 #: of 4096^3 voxels takes about one byte for 100 of them.
 LEAST_VOXELS, VOXELS_PER_BYTE = 1 << 22, 1024
-#: Blosc pads what it packs to this size.
+#: Blosc pads the data to a multiple of this size before packing.
 BLOSC_LEAST = 128
 #: How the values of a node are stored.
 BACKGROUND, MINUS_BACKGROUND, ONE_VALUE, SIGNS, SIGN_AND_VALUE, TWO_VALUES, ALL_VALUES = range(7)
@@ -51,7 +51,7 @@ class VdbGrid:
     metadata : dict
         Strings of the grid.
     background : float
-        Value of all voxels without one of their own.
+        Value of all voxels that have no value of their own.
     origin, spacing : (3,) float64
         World position of the index (0, 0, 0), which is the centre of that voxel, and size of a voxel.
     corners : list of (3,) int, and values : list of (8, 8, 8) float32
@@ -299,7 +299,7 @@ class _Reader:
             self.grid.tiles.append((corner, side, float(value)))
 
     def _internal(self, corner: tuple[int, int, int], side: int, step: int) -> None:
-        """An internal node with `side` children of `step` voxels along each axis, and what lies below it."""
+        """Read an internal node with `side` children of `step` voxels along each axis, and the nodes below it."""
         children, active = self._mask(side), self._mask(side)
         values = self._values(active)
         own = np.flatnonzero(~children & (values != self.background))

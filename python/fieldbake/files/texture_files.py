@@ -32,7 +32,7 @@ KTX_FACTS, KTX_ORIENTATION = b"fieldbake", b"KTXorientation"
 
 DDS_MAGIC, DDS_HEADER_BYTES, DDS_START = b"DDS ", 124, 148
 DDS_TEXTURE_3D = 4
-#: Most bytes of texels in a DDS file.
+#: Largest number of bytes of texels in a DDS file.
 DDS_LIMIT = 2**32 - 1
 
 
@@ -81,7 +81,8 @@ def write_dds(stream: IO[bytes], texture: Texture) -> None:
     caps = 0x1000 | 0x8 | (0x400000 if mipmapped else 0)
     pitch = width * texture.levels[0].itemsize
     stream.write(DDS_MAGIC + struct.pack("<7I", DDS_HEADER_BYTES, flags, height, width, pitch, depth, count))
-    # The pixel format is the four characters alone: readers take a file that also claims to be RGB for a picture.
+    # The pixel format has only the four characters. With the flag for RGB as well, readers would take the file for a
+    # picture.
     stream.write(bytes(44) + struct.pack("<2I4s5I", 32, 0x4, b"DX10", 0, 0, 0, 0, 0))
     stream.write(struct.pack("<5I", caps, 0x200000, 0, 0, 0))
     stream.write(struct.pack("<5I", DXGI[texture.encoding], DDS_TEXTURE_3D, 0, 1, 0))

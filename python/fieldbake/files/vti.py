@@ -1,7 +1,7 @@
 """``.vti`` files: VTK's ImageData as XML, for ParaView, PyVista and VTK.
 
-The samples are point data: VTK's points are the voxel centres. Written files append the samples as raw bytes or as
-zlib blocks; read are those, and base64 and text within the XML.
+The samples are point data: VTK's points are the voxel centres. The writer appends the samples as raw bytes or as zlib
+blocks. The reader accepts both, and also base64 and text within the XML.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def _words(vector: NDArray[np.float64]) -> str:
 
 
 def read(data: bytes) -> GridSamples:
-    """The grid of a file, and its point data of the name ``distances``, or its first numbers."""
+    """The grid of a file, and its point data named ``distances``; without that name, its first numbers."""
     start = _APPENDED.search(data)
     is_raw = start is not None and start[1] == b"raw"
     text = data if start is None else data[: start.start()] + b"</VTKFile>"
@@ -205,7 +205,7 @@ class _Arrays:
 
 
 def _base64(text: bytes) -> bytes:
-    """Base64 of a header and its data, each padded by itself, up to the first other character."""
+    """Decode base64 of a header and its data, padded separately, up to the first other character."""
     words = re.match(rb"[\sA-Za-z0-9+/=]*", text)
     compact = b"".join(words[0].split()) if words is not None else b""
     parts = re.findall(rb"[^=]+=*", compact)

@@ -20,7 +20,7 @@ from ..base.errors import Error
 #: Eight bytes before each message: its length.
 _LENGTH = struct.Struct("<Q")
 
-#: Program of a child. Its import path is that of its parent; the main program of the parent is not imported again.
+#: Program of a child. Its import path is the path of its parent. The main program of the parent is not imported again.
 _PROGRAM = "import sys; sys.path[:] = {path!r}; from fieldbake.scaling.child import serve; serve()"
 
 
@@ -73,7 +73,7 @@ class Child:
         except OSError:
             answer = None
         except BaseException:
-            # The answer to an interrupted call would be taken for that of the next one.
+            # The answer to an interrupted call would be taken for the answer to the next call.
             self.close()
             raise
         finally:

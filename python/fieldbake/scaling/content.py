@@ -63,7 +63,7 @@ def of_arrays(*arrays: NDArray[Any]) -> str:
 
 
 def of_item(item: Any) -> str:
-    """Hash of anything that makes a mesh."""
+    """Hash of anything that can be turned into a mesh."""
     return of_file(item) if isinstance(item, (str, os.PathLike)) else of_mesh(as_mesh(item))
 
 
@@ -74,7 +74,7 @@ def of_options(options: Mapping[str, Any]) -> str:
 
 
 def plain(value: Any) -> Any:
-    """The value as JSON has it: arrays as lists, NumPy's numbers as Python's."""
+    """The value in the types of JSON: arrays as lists, NumPy numbers as Python numbers."""
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     return np.asarray(value).tolist()

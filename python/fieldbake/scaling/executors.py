@@ -34,7 +34,7 @@ def is_dask(executor: Any) -> bool:
 
 
 def is_local(executor: Any) -> bool:
-    """Whether tasks run in this process, as far as is known."""
+    """Whether tasks run in this process, as far as the executor shows it."""
     return executor is None or isinstance(executor, ThreadPoolExecutor)
 
 
@@ -56,7 +56,7 @@ def available_cores() -> int:
 def threads_per_worker(executor: Any) -> int | None:
     """Threads for each worker so that all of them together use the cores once; None for workers in this process.
 
-    Where the variable ``RAYON_NUM_THREADS`` is set, it is left to decide.
+    If the variable ``RAYON_NUM_THREADS`` is set, it decides.
     """
     if is_local(executor) or "RAYON_NUM_THREADS" in os.environ:
         return None
@@ -74,8 +74,8 @@ def run_tasks(
 ) -> Iterator[tuple[int, Any, BaseException | None]]:
     """Call ``function(*task)`` for each task; yield its index with the result or the exception, as they finish.
 
-    Only a few tasks for each worker are submitted ahead. When the iteration is given up, tasks that have not started
-    are cancelled, `on_abandon` is called, and the others are waited for.
+    Only a few tasks for each worker are submitted ahead. If the caller stops the iteration, tasks that have not started
+    are cancelled, `on_abandon` is called, and the running tasks are waited for.
     """
     options = {"pure": False, "retries": RETRIES} if is_dask(executor) else {}
     finished: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()

@@ -36,7 +36,7 @@ MARGIN = 1e-6
 
 @dataclass(frozen=True)
 class Layout:
-    """All that determines the contents of a store, besides the mesh itself."""
+    """All settings that determine the contents of a store, besides the mesh itself."""
 
     lower: tuple[float, float, float]
     upper: tuple[float, float, float]

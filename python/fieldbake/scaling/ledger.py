@@ -42,7 +42,7 @@ def append(folder: Path, row: Mapping[str, Any]) -> None:
 
 
 def is_done(folder: Path, row: Mapping[str, Any] | None, name: str, content: str | None, options: str) -> bool:
-    """Whether the file `name` was made from this content with these options, and has its size of then."""
+    """Whether the file `name` was made from this content with these options, and still has the size in the ledger."""
     if row is None or row.get("status") != "done":
         return False
     if (row.get("content"), row.get("options")) != (content, options):

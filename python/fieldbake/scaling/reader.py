@@ -1,4 +1,4 @@
-"""Reading of shards: damage has a name, bricks are kept in bounded memory, and several threads may read."""
+"""Reading of shards. Errors name the damaged shard, bricks are kept in bounded memory, and several threads may read."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Reader:
             raise
 
     def _check(self, level: int, index: Triple) -> None:
-        """Raise if the plan has a shard that the store has not."""
+        """Raise an error if a shard of the plan is missing in the store."""
         if (level, index) in self._known:
             return
         key = shard_key(level, index)

@@ -16,7 +16,7 @@ from .layout import Layout, path_of
 from .plan import Blocks
 from .store import Place, read_mesh
 
-#: Samples along the side of the windows that a shard is baked in. Smaller windows leave out more of what is far.
+#: Samples along the side of the windows that a shard is baked in. With smaller windows more far samples are skipped.
 WINDOW = 64
 
 _lock = threading.Lock()
@@ -27,7 +27,7 @@ _threads: tuple[int, int] | None = None
 
 
 def keep_mesh(key: str, mesh: Mesh) -> None:
-    """Keep one mesh in this process, in place of the last."""
+    """Keep one mesh in this process. It replaces the mesh kept before."""
     with _lock:
         _meshes.clear()
         _meshes[key] = mesh
