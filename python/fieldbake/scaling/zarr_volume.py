@@ -37,8 +37,9 @@ BATCH = 1 << 18
 BRICK_CELLS = 7
 EMPTY, EMPTY_INSIDE = 3 << 30, 3 << 30 | 1
 
-#: The band is at least so many voxels wide at the levels that pictures are drawn from.
-LEAST_BAND = 1.5
+#: Half width of the band, voxels, at the levels that pictures are drawn from. The corners of a cell that the surface
+#: crosses are at most its diagonal from the surface, so none of them is cut.
+LEAST_BAND = 3**0.5
 
 #: Memory of the bricks of a picture, bytes.
 PICTURE_BYTES = 1 << 30

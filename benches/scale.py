@@ -1,0 +1,112 @@
+"""Grids beyond memory and libraries of assets: plan, shards by workers, peak memory of a worker, assets a minute.
+
+    python benches/scale.py bunny.obj --resolution 1024
+
+Ratios are of processor time, so that other load on the machine does not enter. A worker is a fresh process.
+"""
+
+import argparse
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+import fieldbake as fb
+from fieldbake.scaling import plan, shards, store
+from fieldbake.scaling.zarr_bake import _checked_layout
+from memory import peak_mib, reset_peak
+
+
+def measure_plan(resolution):
+    """Plan of a sphere: seconds of the processor, peak memory above the start, stored shards."""
+    ball = fb.sphere(1).to_mesh(128)
+    reset_peak()
+    before, start = peak_mib(), time.process_time()
+    layout, mesh = _checked_layout(ball, resolution, 3, 256, 32, "snorm16", None, 0.1, "auto")
+    stored = [int(plan.stored_shards(mesh, layout, level)[0].sum()) for level in range(layout.level_count)]
+    return time.process_time() - start, peak_mib() - before, stored
+
+
+def work(place, layout, tasks):
+    """Bake shards in this process; processor seconds, peak memory before and after, MiB."""
+    mesh = shards.mesh_of(place, layout)
+    mesh._core.topology()
+    reset_peak()
+    before = peak_mib()
+    start = time.process_time()
+    for index in tasks:
+        shards.store_shard(place, layout, 0, index, 1)
+    return time.process_time() - start, before, peak_mib()
+
+
+def prepared(path, resolution, folder):
+    """A store without shards, and the near shards of level 0."""
+    layout, mesh = _checked_layout(path, resolution, 3, 256, 32, "snorm16", None, 0.1, "auto")
+    place = store.Place.of(folder / "k.zarr", None)
+    store.create(place, layout, mesh, {})
+    _, near = plan.stored_shards(mesh, layout, 0)
+    return place, layout, mesh, [tuple(row) for row in plan.morton_order(np.argwhere(near)).tolist()]
+
+
+def measure_workers(path, resolution, count):
+    """Near shards by one process of one thread, and by two of them."""
+    with tempfile.TemporaryDirectory() as folder:
+        place, layout, mesh, near = prepared(path, resolution, Path(folder))
+        near = near[: 2 * count]
+        context = get_context("spawn")
+        with ProcessPoolExecutor(1, mp_context=context) as one:
+            alone, before, after = one.submit(work, place, layout, near).result()
+        start = time.perf_counter()
+        with ProcessPoolExecutor(2, mp_context=context) as two:
+            halves = [two.submit(work, place, layout, near[i::2]) for i in range(2)]
+            together = [half.result()[0] for half in halves]
+        wall = time.perf_counter() - start
+    shard = 256**3 * 2 / 2**20
+    print(f"{len(near)} near shards at {resolution}^3: one process {alone:.1f} s of processor time")
+    print(
+        f"  two processes {together[0]:.1f} + {together[1]:.1f} s, longest {max(together):.1f} s ({wall:.1f} s of wall)"
+    )
+    print(f"  speed-up by processor time {alone / max(together):.2f}")
+    print(f"  peak memory {before:.0f} MiB with the mesh ({mesh.nbytes / 2**20:.0f} MiB), {after:.0f} MiB with shards")
+    print(f"  that is {after - before - shard:.0f} MiB besides the shard of {shard:.0f} MiB")
+
+
+def measure_assets(count, resolution):
+    """Assets a minute by bake_many, and by a plain loop in this process."""
+    rng = np.random.default_rng(0)
+    knots = {f"knot-{i}": fb.models.torus_knot(segments=int(rng.integers(48, 96)), sides=8) for i in range(count)}
+    for i, stem in enumerate(list(knots)[:: max(1, count // 5)][:5]):
+        knots[stem] = ([(0, 0, i)], [(0, 0, 0)])
+    with tempfile.TemporaryDirectory() as folder:
+        start = time.perf_counter()
+        rows = fb.bake_many(knots, folder, resolution=resolution)
+        first = time.perf_counter() - start
+        start = time.perf_counter()
+        again = fb.bake_many(knots, folder, resolution=resolution)
+        second = time.perf_counter() - start
+    done = [sum(row["status"] == status for row in rows) for status in ("done", "failed")]
+    computed = sum(row["status"] == "done" for row in again)
+    print(f"{count} assets at {resolution}^3: {done[0]} done, {done[1]} failed, {60 * count / first:.0f} a minute")
+    print(f"  second run: {computed} computed, {second:.1f} s")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("mesh")
+    parser.add_argument("--resolution", type=int, default=1024)
+    parser.add_argument("--shards", type=int, default=8, help="near shards of each of two workers")
+    parser.add_argument("--assets", type=int, default=2000)
+    arguments = parser.parse_args()
+    for resolution in (1024, 2048, 4096, 8192):
+        seconds, memory, stored = measure_plan(resolution)
+        print(f"plan of a sphere, {resolution}^3: {seconds:.2f} s of processor time, {memory:.0f} MiB, stored {stored}")
+    measure_workers(arguments.mesh, arguments.resolution, arguments.shards)
+    if arguments.assets:
+        measure_assets(arguments.assets, 32)
+
+
+if __name__ == "__main__":
+    main()
