@@ -1,96 +1,82 @@
 //! Structs of bakes and of queries of points.
 
-use bytemuck::{Pod, Zeroable};
+gpu_structs! {
+    /// A node of the binary tree; `shaders/shared/bvh.wgsl`.
+    "bake_distance": struct Node {
+        left_min: [f32; 3],
+        /// A child: the index of a node, or a leaf (see `bvh::binary`).
+        left: u32,
+        left_max: [f32; 3],
+        right: u32,
+        right_min: [f32; 3],
+        pad_0: u32,
+        right_max: [f32; 3],
+        pad_1: u32,
+    }
 
-/// A node of the binary tree; `shaders/shared/bvh.wgsl`.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
-#[repr(C)]
-pub struct Node {
-    pub left_min: [f32; 3],
-    /// A child: the index of a node, or a leaf (see `bvh::binary`).
-    pub left: u32,
-    pub left_max: [f32; 3],
-    pub right: u32,
-    pub right_min: [f32; 3],
-    pub pad_0: u32,
-    pub right_max: [f32; 3],
-    pub pad_1: u32,
-}
+    /// A triangle in its own frame; `shaders/shared/triangle.wgsl`.
+    "bake_distance": struct Triangle {
+        a: [f32; 3],
+        face: u32,
+        u: [f32; 3],
+        length: f32,
+        v: [f32; 3],
+        left_length: f32,
+        n: [f32; 3],
+        right_length: f32,
+        left: [f32; 2],
+        right: [f32; 2],
+    }
 
-/// A triangle in its own frame; `shaders/shared/triangle.wgsl`.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
-#[repr(C)]
-pub struct Triangle {
-    pub a: [f32; 3],
-    pub face: u32,
-    pub u: [f32; 3],
-    pub length: f32,
-    pub v: [f32; 3],
-    pub left_length: f32,
-    pub n: [f32; 3],
-    pub right_length: f32,
-    pub left: [f32; 2],
-    pub right: [f32; 2],
-}
+    /// `shaders/bake_distance.wgsl`.
+    "bake_distance": struct DistanceParams {
+        shape: [u32; 3],
+        first_block: u32,
+        coarse_shape: [u32; 3],
+        stride: u32,
+        first_plane: u32,
+        planes: u32,
+        pad_0: u32,
+        limit_squared: f32,
+    }
 
-/// `shaders/bake_distance.wgsl`.
-#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
-#[repr(C)]
-pub struct DistanceParams {
-    pub shape: [u32; 3],
-    pub first_block: u32,
-    pub coarse_shape: [u32; 3],
-    pub stride: u32,
-    pub first_plane: u32,
-    pub planes: u32,
-    pub pad_0: u32,
-    pub limit_squared: f32,
-}
+    /// `shaders/bake_finish.wgsl`.
+    "bake_finish": struct FinishParams {
+        shape: [u32; 3],
+        first_plane: u32,
+        coarse_shape: [u32; 3],
+        planes: u32,
+        spacing_squared: [f32; 3],
+        scale: f32,
+        width: f32,
+        half_thickness: f32,
+        words_per_row: u32,
+        stride: u32,
+    }
 
-/// `shaders/bake_finish.wgsl`.
-#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
-#[repr(C)]
-pub struct FinishParams {
-    pub shape: [u32; 3],
-    pub first_plane: u32,
-    pub coarse_shape: [u32; 3],
-    pub planes: u32,
-    pub spacing_squared: [f32; 3],
-    pub scale: f32,
-    pub width: f32,
-    pub half_thickness: f32,
-    pub words_per_row: u32,
-    pub stride: u32,
-}
+    /// `shaders/bake_brute.wgsl`.
+    "bake_brute": struct BruteParams {
+        shape: [u32; 3],
+        first_triangle: u32,
+        triangle_count: u32,
+        first_sample: u32,
+        sample_count: u32,
+        sign_rule: u32,
+    }
 
-/// `shaders/bake_brute.wgsl`.
-#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
-#[repr(C)]
-pub struct BruteParams {
-    pub shape: [u32; 3],
-    pub first_triangle: u32,
-    pub triangle_count: u32,
-    pub first_sample: u32,
-    pub sample_count: u32,
-    pub sign_rule: u32,
-}
+    /// State of a sample of the brute-force bake; `shaders/bake_brute.wgsl`.
+    "bake_brute": struct BruteState {
+        squared: f32,
+        nudged_squared: f32,
+        behind: u32,
+        crossings: u32,
+    }
 
-/// State of a sample of the brute-force bake; `shaders/bake_brute.wgsl`.
-#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
-#[repr(C)]
-pub struct BruteState {
-    pub squared: f32,
-    pub nudged_squared: f32,
-    pub behind: u32,
-    pub crossings: u32,
-}
-
-/// `shaders/query_points.wgsl`.
-#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
-#[repr(C)]
-pub struct QueryParams {
-    pub first: u32,
-    pub count: u32,
-    pub pad_0: u32,
-    pub pad_1: u32,
+    /// `shaders/query_points.wgsl`.
+    "query_points": struct QueryParams {
+        first: u32,
+        count: u32,
+        pad_0: u32,
+        pad_1: u32,
+    }
 }

@@ -1,54 +1,46 @@
 //! Structs of merging.
 
-use bytemuck::{Pod, Zeroable};
+gpu_structs! {
+    /// A node of the tree over placed fields; `shaders/merge_owners.wgsl`.
+    "merge_owners": struct MergeNode {
+        min: [f32; 3],
+        first: u32,
+        max: [f32; 3],
+        count: u32,
+    }
 
-/// A node of the tree over placed fields; `shaders/merge_owners.wgsl`.
-#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
-#[repr(C)]
-pub struct MergeNode {
-    pub min: [f32; 3],
-    pub first: u32,
-    pub max: [f32; 3],
-    pub count: u32,
-}
+    /// `shaders/merge_owners.wgsl`.
+    "merge_owners": struct MergeField {
+        row_x: [f32; 4],
+        row_y: [f32; 4],
+        row_z: [f32; 4],
+        center: [f32; 3],
+        grid: u32,
+        lower: [f32; 3],
+        sigma_min: f32,
+        upper: [f32; 3],
+        sigma_max: f32,
+        inner_lower: [f32; 3],
+        error: f32,
+        inner_upper: [f32; 3],
+        is_known: u32,
+    }
 
-/// `shaders/merge_owners.wgsl`.
-#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
-#[repr(C)]
-pub struct MergeField {
-    pub row_x: [f32; 4],
-    pub row_y: [f32; 4],
-    pub row_z: [f32; 4],
-    pub center: [f32; 3],
-    pub grid: u32,
-    pub lower: [f32; 3],
-    pub sigma_min: f32,
-    pub upper: [f32; 3],
-    pub sigma_max: f32,
-    pub inner_lower: [f32; 3],
-    pub error: f32,
-    pub inner_upper: [f32; 3],
-    pub is_known: u32,
-}
+    /// `shaders/merge_owners.wgsl`.
+    "merge_owners": struct MergeGrid {
+        shape: [u32; 3],
+        first_sample: u32,
+        spacing: [f32; 3],
+        inverse_unit: f32,
+    }
 
-/// `shaders/merge_owners.wgsl`.
-#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
-#[repr(C)]
-pub struct MergeGrid {
-    pub shape: [u32; 3],
-    pub first_sample: u32,
-    pub spacing: [f32; 3],
-    pub inverse_unit: f32,
-}
-
-/// `shaders/merge_owners.wgsl`.
-#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
-#[repr(C)]
-pub struct MergeParams {
-    pub shape: [u32; 3],
-    pub first: u32,
-    pub first_plane: u32,
-    pub count: u32,
-    pub pad_0: u32,
-    pub pad_1: u32,
+    /// `shaders/merge_owners.wgsl`.
+    "merge_owners": struct MergeParams {
+        shape: [u32; 3],
+        first: u32,
+        first_plane: u32,
+        count: u32,
+        pad_0: u32,
+        pad_1: u32,
+    }
 }

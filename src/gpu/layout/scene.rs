@@ -1,143 +1,125 @@
 //! Structs of scenes.
 
-use bytemuck::{Pod, Zeroable};
+gpu_structs! {
+    /// A node of the tree over a scene's instances; `shaders/scene_beams.wgsl`.
+    "scene_beams": struct SceneNode {
+        min: [f32; 3],
+        /// Leaf: first item. Inner node: left child; the right child follows it.
+        first: u32,
+        max: [f32; 3],
+        /// Number of items in a leaf; 0 for an inner node.
+        count: u32,
+    }
 
-/// A node of the tree over a scene's instances; `shaders/scene_beams.wgsl`.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
-#[repr(C)]
-pub struct SceneNode {
-    pub min: [f32; 3],
-    /// Leaf: first item. Inner node: left child; the right child follows it.
-    pub first: u32,
-    pub max: [f32; 3],
-    /// Number of items in a leaf; 0 for an inner node.
-    pub count: u32,
-}
+    /// `shaders/scene_beams.wgsl`.
+    "scene_beams": struct SceneInstance {
+        field_x: [f32; 4],
+        field_y: [f32; 4],
+        field_z: [f32; 4],
+        local_x: [f32; 3],
+        opacity: f32,
+        local_y: [f32; 3],
+        least_stretch: f32,
+        local_z: [f32; 3],
+        largest_stretch: f32,
+        normal_x: [f32; 3],
+        field: u32,
+        normal_y: [f32; 3],
+        casts_shadow: u32,
+        normal_z: [f32; 3],
+        voxel: f32,
+        box_min: [f32; 3],
+        prefers_rays: u32,
+        box_max: [f32; 3],
+        pad_1: u32,
+        surface_lower: [f32; 3],
+        surface_radius: f32,
+        surface_upper: [f32; 3],
+        pad_2: u32,
+        field_extent: [f32; 3],
+        pad_3: u32,
+    }
 
-/// `shaders/scene_beams.wgsl`.
-#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
-#[repr(C)]
-pub struct SceneInstance {
-    pub field_x: [f32; 4],
-    pub field_y: [f32; 4],
-    pub field_z: [f32; 4],
-    pub local_x: [f32; 3],
-    pub opacity: f32,
-    pub local_y: [f32; 3],
-    pub least_stretch: f32,
-    pub local_z: [f32; 3],
-    pub largest_stretch: f32,
-    pub normal_x: [f32; 3],
-    pub field: u32,
-    pub normal_y: [f32; 3],
-    pub casts_shadow: u32,
-    pub normal_z: [f32; 3],
-    pub voxel: f32,
-    pub box_min: [f32; 3],
-    pub prefers_rays: u32,
-    pub box_max: [f32; 3],
-    pub pad_1: u32,
-    pub surface_lower: [f32; 3],
-    pub surface_radius: f32,
-    pub surface_upper: [f32; 3],
-    pub pad_2: u32,
-    pub field_extent: [f32; 3],
-    pub pad_3: u32,
-}
+    /// `shaders/scene_beams.wgsl`.
+    "scene_beams": struct SceneField {
+        shape: [u32; 3],
+        first_sample: u32,
+        spacing: [f32; 3],
+        first_block: u32,
+        blocks: [u32; 3],
+        kind: u32,
+    }
 
-/// `shaders/scene_beams.wgsl`.
-#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
-#[repr(C)]
-pub struct SceneField {
-    pub shape: [u32; 3],
-    pub first_sample: u32,
-    pub spacing: [f32; 3],
-    pub first_block: u32,
-    pub blocks: [u32; 3],
-    pub kind: u32,
-}
+    /// `shaders/scene_beams.wgsl`.
+    "scene_beams": struct Beam {
+        p: [f32; 3],
+        t_max: f32,
+        direction: [f32; 3],
+        slope: f32,
+        normal: [f32; 3],
+        bias_voxels: f32,
+        own: u32,
+        is_coarse: u32,
+        skips_own: u32,
+        pad_0: u32,
+    }
 
-/// `shaders/scene_beams.wgsl`.
-#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
-#[repr(C)]
-pub struct Beam {
-    pub p: [f32; 3],
-    pub t_max: f32,
-    pub direction: [f32; 3],
-    pub slope: f32,
-    pub normal: [f32; 3],
-    pub bias_voxels: f32,
-    pub own: u32,
-    pub is_coarse: u32,
-    pub skips_own: u32,
-    pub pad_0: u32,
-}
+    /// `shaders/scene_beams.wgsl`.
+    "scene_beams": struct Answer {
+        value: f32,
+        is_proven: u32,
+        steps: u32,
+        is_complete: u32,
+        is_far: u32,
+    }
 
-/// `shaders/scene_beams.wgsl`.
-#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
-#[repr(C)]
-pub struct Answer {
-    pub value: f32,
-    pub is_proven: u32,
-    pub steps: u32,
-    pub is_complete: u32,
-    pub is_far: u32,
-}
+    /// `shaders/scene_beams.wgsl`.
+    "scene_beams": struct BeamParams {
+        first: u32,
+        count: u32,
+        far: u32,
+        far_levels: u32,
+        far_holds_all: u32,
+        far_distance: f32,
+        pad_0: u32,
+        pad_1: u32,
+    }
 
-/// `shaders/scene_beams.wgsl`.
-#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
-#[repr(C)]
-pub struct BeamParams {
-    pub first: u32,
-    pub count: u32,
-    pub far: u32,
-    pub far_levels: u32,
-    pub far_holds_all: u32,
-    pub far_distance: f32,
-    pub pad_0: u32,
-    pub pad_1: u32,
-}
+    /// `shaders/shared/scene_view.wgsl`.
+    "scene_fields": struct RasterInstance {
+        clip_x: [f32; 4],
+        clip_y: [f32; 4],
+        clip_w: [f32; 4],
+        eye: [f32; 3],
+        index: u32,
+        ray: [f32; 3],
+        first_face: u32,
+        ray_x: [f32; 3],
+        first_material: u32,
+        ray_y: [f32; 3],
+        is_mirrored: u32,
+        middle: [f32; 2],
+        pixel: f32,
+        pad_0: u32,
+    }
 
-/// `shaders/shared/scene_view.wgsl`.
-#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
-#[repr(C)]
-pub struct RasterInstance {
-    pub clip_x: [f32; 4],
-    pub clip_y: [f32; 4],
-    pub clip_w: [f32; 4],
-    pub eye: [f32; 3],
-    pub index: u32,
-    pub ray: [f32; 3],
-    pub first_face: u32,
-    pub ray_x: [f32; 3],
-    pub first_material: u32,
-    pub ray_y: [f32; 3],
-    pub is_mirrored: u32,
-    pub middle: [f32; 2],
-    pub pixel: f32,
-    pub pad_0: u32,
-}
+    /// `shaders/scene_triangles.wgsl`.
+    "scene_triangles": struct RasterMaterial {
+        kind: u32,
+        two_sided: u32,
+        cutoff: f32,
+        opacity: f32,
+        first_level: u32,
+        levels: u32,
+        pad_0: u32,
+        pad_1: u32,
+    }
 
-/// `shaders/scene_triangles.wgsl`.
-#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
-#[repr(C)]
-pub struct RasterMaterial {
-    pub kind: u32,
-    pub two_sided: u32,
-    pub cutoff: f32,
-    pub opacity: f32,
-    pub first_level: u32,
-    pub levels: u32,
-    pub pad_0: u32,
-    pub pad_1: u32,
-}
-
-/// `shaders/scene_triangles.wgsl`.
-#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
-#[repr(C)]
-pub struct TextureLevel {
-    pub first: u32,
-    pub width: u32,
-    pub height: u32,
-    pub pad_0: u32,
+    /// `shaders/scene_triangles.wgsl`.
+    "scene_triangles": struct TextureLevel {
+        first: u32,
+        width: u32,
+        height: u32,
+        pad_0: u32,
+    }
 }
