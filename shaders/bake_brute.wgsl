@@ -38,14 +38,6 @@ struct BruteState {
 @group(0) @binding(4) var<storage, read_write> state: array<BruteState>;
 @group(0) @binding(5) var<storage, read_write> distances: array<f32>;
 
-// Largest number of triangles per dispatch: a quarter of the loop iterations that software adapters allow.
-const MAX_TRIANGLES: u32 = 16384u;
-const NORMAL: u32 = 1u;
-const PARITY: u32 = 2u;
-// Article 001 nudges by 1e-4 in a scene of about unit size. Local coordinates are of about unit size too.
-const NUDGE: f32 = 1e-4;
-const WORKGROUPS_PER_ROW: u32 = 32768u;
-
 // Closest point on a triangle by Voronoi regions: Ericson, Real-Time Collision Detection, 2005, section 5.1.5.
 fn closest_point_on_triangle(p: vec3f, a: vec3f, b: vec3f, c: vec3f) -> vec3f {
     let ab = b - a;

@@ -31,8 +31,6 @@ struct DistanceParams {
 @group(0) @binding(5) var<storage, read_write> results: array<f32>;
 @group(0) @binding(6) var<storage, read_write> overflows: atomic<u32>;
 
-const BLOCK: u32 = 4u;
-
 // The sample of an invocation, relative to the slab. The caller must discard samples past the edge of the slab.
 fn slab_sample(block: u32, local: vec3u) -> vec3u {
     let slab = vec3u(params.shape.xy, params.planes);

@@ -29,10 +29,6 @@ struct FinishParams {
 @group(0) @binding(4) var<storage, read_write> distances: array<f32>;
 @group(0) @binding(5) var<storage, read_write> negative_count: atomic<u32>;
 
-// Relative margin for float32 rounding of the squares and sums below. The CPU uses the same value.
-const SLACK: f32 = 1e-5;
-const WORKGROUPS_PER_ROW: u32 = 32768u;
-
 // A lower bound on the distance at a sample, from the exact squared distances at the surrounding nodes
 // (src/bake/band.rs).
 fn lower_bound(voxel: vec3u) -> f32 {

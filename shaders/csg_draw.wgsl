@@ -61,18 +61,8 @@ struct CsgPixel {
 
 // Step of the tetrahedral differences of a part's field along each axis, local units.
 const NORMAL_STEP: f32 = 1e-4;
-const SHADOW_BIAS: f32 = 1e-3;
-// Longer than any ray through the model, and far from overflow.
-const FAR_T: f32 = 1e6;
 const MAX_WAITING: u32 = 64u;
-const MAX_LIGHTS: u32 = 64u;
-// A direction component below this counts as parallel to the faces; the inverse uses this value instead.
-const STILL: f32 = 1e-30;
 const NO_BOX: u32 = 0xffffffffu;
-
-// Kinds of parts that are intersected in closed form. Parts of all other kinds are sphere traced.
-const FORM_UNION: u32 = 1u;
-const FORM_CHORDS: u32 = 2u;
 
 struct Ray {
     origin: vec3f,
@@ -242,13 +232,13 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         pixel.steps = steps;
         pixel.tokens = evaluated;
         if !hit.is_hit { break; }
-        pixel.state = 1u;
+        pixel.state = PIXEL_HIT;
         pixel.t = hit.t;
         pixel.cell = hit.cell;
         p = from_eye.start + hit.t * direction;
         pixel.normal = surface_normal(p, direction, hit.cell);
         if params.rays.shadows == 0u { break; }
     }
-    if !has_rounds() { pixel.state = 2u; }
+    if !has_rounds() { pixel.state = PIXEL_RAN_OUT; }
     pixels[index] = pixel;
 }

@@ -64,9 +64,7 @@ struct MergeParams {
 @group(0) @binding(6) var<storage, read> axes: array<f32>;
 @group(0) @binding(7) var<storage, read_write> owners: array<u32>;
 
-const UNDECIDED: u32 = 0xffffffffu;
-const FAR: f32 = 1e30;
-const MAX_STACK: u32 = 56u;
+const FAR_T: f32 = 1e30;
 // Largest number of loop iterations of an invocation. Software drivers stop it at 65,535 without an error.
 const MAX_WORK: u32 = 60000u;
 // Number of loop iterations to evaluate the bound of one field.
@@ -106,8 +104,8 @@ fn square_range(grid: MergeGrid, place: vec3f, error: f32) -> Range {
     let f = place - cell;
     let corners = corners_at(grid, cell);
     var sum = 0.0;
-    var least = FAR;
-    var most = -FAR;
+    var least = FAR_T;
+    var most = -FAR_T;
     for (var i = 0u; i < 8u; i++) {
         let is_upper = vec3<bool>((i & 1u) != 0u, (i & 2u) != 0u, (i & 4u) != 0u);
         let w = select(1.0 - f, f, is_upper);
@@ -135,7 +133,7 @@ fn bound_range(index: u32, p: vec3f) -> Range {
     let outside = max(max((*field).lower - p, p - (*field).upper), vec3f(0.0));
     let to_bounds = length_range(length(outside), SCENE_ROUNDING);
     let is_out = to_bounds.low > 0.0;
-    let unknown = Range(select(-FAR, to_bounds.low, is_out), FAR);
+    let unknown = Range(select(-FAR_T, to_bounds.low, is_out), FAR_T);
     if (*field).is_known == 0u { return unknown; }
 
     let grid = grids[(*field).grid];
@@ -158,7 +156,7 @@ fn bound_range(index: u32, p: vec3f) -> Range {
     let corners = corners_at(grid, cell);
     let to_low = (q - cell) * h;
     let to_high = (q - min(cell + 1.0, last)) * h;
-    var by_distance = -FAR;
+    var by_distance = -FAR_T;
     var all_positive = true;
     var size = 0.0;
     for (var i = 0u; i < 8u; i++) {
@@ -210,9 +208,9 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     let p = vec3f(axes[x], axes[params.shape.x + y], axes[params.shape.x + params.shape.y + z]);
 
     var owner = UNDECIDED;
-    var best = Range(FAR, FAR);
+    var best = Range(FAR_T, FAR_T);
     // Smallest lower end of the ranges of all other fields.
-    var others = FAR;
+    var others = FAR_T;
     var stack: array<u32, MAX_STACK>;
     stack[0] = 0u;
     var top = 1u;
@@ -243,6 +241,6 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
             }
         }
     }
-    let is_decided = top == 0u && best.high < FAR && others > best.high;
+    let is_decided = top == 0u && best.high < FAR_T && others > best.high;
     owners[index] = select(UNDECIDED, owner, is_decided);
 }

@@ -41,15 +41,8 @@ struct QuadricPixel {
 // Fraction of each light that arrives, `light_count` values per pixel.
 @group(0) @binding(4) var<storage, read_write> shares: array<f32>;
 
-const NOTHING_HIT: u32 = 0u;
-const HIT: u32 = 1u;
-const UNFINISHED: u32 = 2u;
 const NO_QUADRIC: u32 = 0xffffffffu;
 
-const RECORD_TEXELS: u32 = 6u;
-const NODE_TEXELS: u32 = 2u;
-// The same value as in src/bvh/boxes.rs.
-const MAX_STACK: u32 = 56u;
 // Largest number of boxes and quadrics that one pixel may try with all its rays. Software adapters stop an invocation
 // at 65,535 loop iterations. The CPU draws the pixels that need more.
 const MAX_TRIED: u32 = 60000u;

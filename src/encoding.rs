@@ -62,7 +62,7 @@ const HALF_LARGEST_BITS: u32 = 0x7bff;
 const HALF_NORMAL: f32 = 1.0 / (1u32 << 14) as f32;
 const TWO_TO_112: f32 = f32::from_bits((127 + 112) << 23);
 /// Spacing of halves below 2^-14, which are evenly spaced.
-const HALF_SUBNORMAL: f32 = 1.0 / (1u32 << 24) as f32;
+pub const HALF_SUBNORMAL: f32 = 1.0 / (1u32 << 24) as f32;
 /// Range of the exponents of the scales of float16: every half times the scale is a finite f32 without rounding.
 const HALF_SCALE_EXPONENTS: std::ops::RangeInclusive<i32> = -125..=111;
 /// Largest scale of a normalised encoding: the largest valid coordinate.

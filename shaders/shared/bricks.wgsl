@@ -33,13 +33,6 @@ struct Bricks {
     first_empty: u32,
 }
 
-// Number of cells, and of samples, along the side of a brick.
-const BRICK_CELLS: i32 = 7;
-const BRICK_SAMPLES: u32 = 8u;
-const BRICK_LEN: u32 = 512u;
-const NOTHING_STORED: u32 = 3u;
-const BRICK_MASK: u32 = 0x3fffffffu;
-
 // The brick that contains a cell of the grid. Cell -1 is the first cell of brick 0.
 fn brick_of(cell: vec3i) -> vec3u {
     return vec3u(cell + 1) / u32(BRICK_CELLS);
@@ -51,7 +44,7 @@ fn brick_offset(bricks: Bricks, brick: vec3u) -> u32 {
 
 // log2 of the side of the brick's cells, in voxels.
 fn cell_shift(word: u32) -> u32 {
-    return select(word >> 30u, 0u, word >> 30u == NOTHING_STORED);
+    return select(word >> LEVEL_SHIFT, 0u, word >> LEVEL_SHIFT == NOTHING_STORED);
 }
 
 // Grid coordinates of sample 0 of the stored brick that covers `brick`.
@@ -102,7 +95,7 @@ fn sample_bricks(bricks: Bricks, p: vec3f) -> f32 {
     let cell = vec3i(floor(p));
     let brick = brick_of(cell);
     let word = brick_word(bricks.first_word + brick_offset(bricks, brick));
-    if word >> 30u != NOTHING_STORED {
+    if word >> LEVEL_SHIFT != NOTHING_STORED {
         let shift = cell_shift(word);
         let origin = brick_origin(brick, shift);
         let local = (cell - origin) >> vec3u(shift);

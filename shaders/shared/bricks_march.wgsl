@@ -52,7 +52,7 @@ fn march_bricks(bricks: Bricks, start: vec3f, direction: vec3f, t_max: f32) -> f
 
         // A brick that has no samples and is not empty lies inside the solid.
         var corners = array<f32, 8>(-1.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0);
-        if word >> 30u != NOTHING_STORED { corners = brick_corners(bricks, word, local); }
+        if word >> LEVEL_SHIFT != NOTHING_STORED { corners = brick_corners(bricks, word, local); }
         let per_voxel = 1.0 / f32(1u << shift);
         let p = (start + t * direction - vec3f(low)) * per_voxel;
         let root = root_in_cell(corners, p, direction * per_voxel, t_end - t).x;

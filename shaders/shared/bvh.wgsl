@@ -24,22 +24,12 @@ struct Node {
 
 // Largest number of rounds, below the 65,535 of software adapters.
 const MAX_ROUNDS: u32 = 65000u;
-// Capacity of the stack. The builder of the tree checks that its depth does not exceed it.
-const MAX_STACK: u32 = 96u;
-// Larger than any squared distance in local coordinates. WGSL has no infinity.
-const FAR: f32 = 3.0e38;
 
 // A leaf is a run of triangles in one u32. An inner child is an index below LEAF.
 //   31 30      28 27                    0
 //   +-+----------+----------------------+
 //   |1| count - 1|    first triangle    |
 //   +-+----------+----------------------+
-const LEAF: u32 = 0x80000000u;
-const LEAF_ONE: u32 = 0x10000000u;
-const LEAF_FIRST: u32 = 0x0fffffffu;
-
-// No child left to visit.
-const NOTHING: u32 = 0xffffffffu;
 
 struct Nearest {
     squared: f32,

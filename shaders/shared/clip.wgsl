@@ -1,8 +1,6 @@
 // Clips rays to the box of a grid, in grid space: voxel centres are at whole numbers. Twin of `clip_to_box` in
 // src/render/march.rs.
 
-// Larger than every t. WGSL has no infinity.
-const FAR_T: f32 = 1e30;
 const NO_AXIS: u32 = 3u;
 // Slightly above the smallest normal float32.
 const TINY: f32 = 1.2e-38;

@@ -5,10 +5,6 @@
 #import csg_needs
 #import csg_root
 
-const CHORD_FAR: f32 = 1e30;
-// A line with a smaller component across a slab is parallel to it.
-const CHORD_STILL: f32 = 1e-30;
-const CHORD_PARALLEL: f32 = 1e-14;
 // The whole line and the empty chord, as (t_from, t_to).
 const WHOLE_LINE = vec2f(-CHORD_FAR, CHORD_FAR);
 const NO_CHORD = vec2f(CHORD_FAR, -CHORD_FAR);
@@ -173,7 +169,7 @@ fn is_inside(chords: ptr<function, array<vec2f, CHORD_LEAVES>>, first: u32, coun
     for (var i = 0u; i < count && has_rounds(); i++) {
         rounds++;
         let token = tokens[first + i];
-        let what = token >> 28u;
+        let what = token >> TOKEN_SHIFT;
         if what == TOKEN_LEAF {
             let chord = (*chords)[next];
             let is_complement = (token & TOKEN_COMPLEMENTED) != 0u;
@@ -216,7 +212,7 @@ fn first_inside(
             for (var j = 0u; j < count && has_rounds(); j++) {
                 rounds++;
                 let token = tokens[first + j];
-                if token >> 28u != TOKEN_LEAF { continue; }
+                if token >> TOKEN_SHIFT != TOKEN_LEAF { continue; }
                 let chord = chords[literal];
                 if chord.x == nearest || chord.y == nearest {
                     owner = token;
@@ -227,7 +223,7 @@ fn first_inside(
             }
         }
         let token = select(tokens[first + min(i, count - 1u)], owner, is_last);
-        if token >> 28u != TOKEN_LEAF { continue; }
+        if token >> TOKEN_SHIFT != TOKEN_LEAF { continue; }
         let grow = select(-ERODED, ERODED, (token & TOKEN_COMPLEMENTED) != 0u);
         let chord = leaf_chord(token & TOKEN_INDEX, origin, direction, select(grow, 0.0, is_union || is_last));
         if is_last { return clamp(select(chord.y, chord.x, is_start), t_in, nearest); }
@@ -289,7 +285,7 @@ fn chord_slope(p: vec3f, direction: vec3f, first: u32, count: u32) -> vec3f {
         rounds++;
         let is_search = i < count;
         let token = select(leaf, tokens[first + min(i, count - 1u)], is_search);
-        if token >> 28u != TOKEN_LEAF { continue; }
+        if token >> TOKEN_SHIFT != TOKEN_LEAF { continue; }
         let candidate = token & TOKEN_INDEX;
         let corner = select(tetrahedron(i - count), vec3f(0.0), is_search);
         let distance = own_distance(candidate, placed(candidate, p) + LEAF_STEP * corner);

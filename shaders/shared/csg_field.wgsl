@@ -1,9 +1,6 @@
 // Distances of the primitives of CSG shapes, and the joints of their operators. Twin of src/csg/field.rs and
 // src/csg/program.rs, function by function. `k` holds the parameters in the order of Primitive::parameters.
 
-// Larger than any distance in local units. WGSL has no infinity.
-const CSG_FAR: f32 = 3.0e38;
-
 fn sphere(at: vec3f, k: array<f32, 6>) -> f32 {
     return length(at) - k[0];
 }
@@ -28,9 +25,6 @@ fn ellipsoid(at: vec3f, k: array<f32, 6>) -> f32 {
     if t_from_zero > 0.0 { return sqrt(t_from_zero) * sqrt(max(excess, 0.0)); }
     return -(sqrt(-t_from_zero) * sqrt(max(-excess, 0.0)));
 }
-
-const ELLIPSOID_STEPS: u32 = 12u;
-const ELLIPSOID_TINY: f32 = 1e-20;
 
 fn cuboid(at: vec3f, half: vec3f) -> f32 {
     let q = abs(at) - half;

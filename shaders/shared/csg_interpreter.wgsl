@@ -4,7 +4,6 @@
 
 // Depth of the stack. The operand that needs the deeper stack is evaluated first, so no shape needs more.
 const MAX_STACK: u32 = 32u;
-const MAX_WARPS: u32 = 4u;
 
 // A point in the space inside a warp. Kinds: 0 elongation, 1 twist, 2 bend.
 fn warped(warp: u32, p: vec3f) -> vec3f {
@@ -58,7 +57,7 @@ fn csg_distance(p: vec3f, first: u32, count: u32) -> f32 {
         rounds++;
         let token = tokens[first + i];
         let index = token & TOKEN_INDEX;
-        let what = token >> 28u;
+        let what = token >> TOKEN_SHIFT;
         switch what {
             case TOKEN_LEAF: {
                 values[top] = leaf_distance(index, at);

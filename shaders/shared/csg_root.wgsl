@@ -4,13 +4,6 @@
 //
 // The caller evaluates the field, at a single place of its text, because drivers inline the field at each call.
 
-// A hit requires the field to fall below minus this, local units; see src/csg/trace.rs.
-const ERODED: f32 = 1e-6;
-const MIN_STEP: f32 = 3e-5;
-const MAX_MARCH_STEPS: u32 = 4096u;
-const MAX_ROOT_STEPS: u32 = 32u;
-const ROOT_WIDTH: f32 = 1.2e-7;
-
 const SEARCHING: u32 = 0u;
 const FOUND: u32 = 1u;
 const MISSED: u32 = 2u;

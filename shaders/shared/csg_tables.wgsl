@@ -31,19 +31,7 @@ const MAX_ROUNDS: u32 = 64000u;
 //   +-------+--+--+----------------------+
 //   | opcode| -|C | index into the table |   C: TOKEN_COMPLEMENTED, for leaves
 //   +-------+--+--+----------------------+
-const TOKEN_INDEX: u32 = 0x03ffffffu;
 // Set for a leaf of a part in closed form whose literal is the complement of the leaf.
-const TOKEN_COMPLEMENTED: u32 = 0x04000000u;
-const TOKEN_LEAF: u32 = 0u;
-const TOKEN_UNION: u32 = 1u;
-const TOKEN_INTERSECTION: u32 = 2u;
-const TOKEN_DIFFERENCE: u32 = 3u;
-const TOKEN_XOR: u32 = 4u;
-const TOKEN_OFFSET: u32 = 5u;
-const TOKEN_SHELL: u32 = 6u;
-const TOKEN_COMPLEMENT: u32 = 7u;
-const TOKEN_ENTER: u32 = 8u;
-const TOKEN_LEAVE: u32 = 9u;
 
 var<private> rounds: u32 = 0u;
 

@@ -48,10 +48,6 @@ fn quotient_below(numerator: f32, denominator: f32, limit: f32) -> f32 {
     return limit;
 }
 
-// Largest number of Newton steps. Every second step at least halves the bracket.
-const MAX_NEWTON_STEPS: u32 = 48u;
-// Newton's method stops at a step below this, in voxels: one ulp at 1.
-const SMALLEST_STEP: f32 = 1.1920929e-7;
 const NO_ROOT: f32 = -1.0;
 
 // The root in [start, end], where the cubic falls from above zero to zero or below. Newton's method, with a bisection

@@ -9,9 +9,6 @@ struct Light {
     pad_1: u32,
 }
 
-// Ambient light from below, as a fraction of the ambient light from above.
-const GROUND_SHARE: f32 = 0.4;
-const MAX_LIGHTS: u32 = 64u;
 // Slightly above the smallest normal float32. A shorter vector has no direction.
 const SHORTEST: f32 = 1.2e-38;
 

@@ -42,9 +42,6 @@ struct Pixel {
 // Fraction of each light that arrives, `light_count` values per pixel.
 @group(0) @binding(4) var<storage, read_write> shares: array<f32>;
 
-// Distance of the origin of a shadow ray from the surface, voxels.
-const SHADOW_BIAS_VOXELS: f32 = 0.5;
-
 // The gradient at a point in grid space of `shape` voxels, averaged over one voxel around the point.
 fn slope_over_voxel(p_grid: vec3f, shape: vec3u) -> vec3f {
     var per_voxel: vec3f;

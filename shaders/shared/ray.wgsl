@@ -4,9 +4,6 @@
 #import clip
 #import sampling
 
-// An axis on which the direction is smaller than this counts as parallel.
-const PARALLEL: f32 = 1e-20;
-
 // Traces a ray to its first hit.
 fn march(ray: ClippedRay, shape: vec3u) -> Hit {
     var hit: Hit;

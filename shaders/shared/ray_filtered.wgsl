@@ -10,9 +10,6 @@
 @group(0) @binding(5) var field: texture_3d<f32>;
 @group(0) @binding(6) var field_sampler: sampler;
 
-// Largest number of steps of a ray: more than twice the voxels along the diagonal of the largest 3D texture that
-// devices offer.
-const MAX_STEPS: u32 = 16384u;
 // Smallest step, voxels. A shorter step would stay in the cell.
 const MIN_STEP: f32 = 0.5;
 // Largest difference by which the interpolated field may exceed the distance, in units of the smallest side of a voxel:

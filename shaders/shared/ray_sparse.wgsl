@@ -21,11 +21,6 @@ struct SparseParams {
 @group(0) @binding(8) var<storage, read> empty_space: array<u32>;
 @group(0) @binding(9) var<uniform> sparse: SparseParams;
 
-// An axis on which the direction is smaller than this counts as parallel.
-const PARALLEL: f32 = 1e-20;
-// Largest number of steps of a ray. src/render/gpu_fields.rs refuses grids in which a ray may visit more cells.
-const MAX_STEPS: u32 = 16384u;
-
 var<private> steps: u32;
 
 fn brick_word(at: u32) -> u32 {

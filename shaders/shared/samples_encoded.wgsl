@@ -13,14 +13,6 @@ struct StoredParams {
 @group(0) @binding(1) var<storage, read> words: array<u32>;
 @group(0) @binding(7) var<uniform> stored: StoredParams;
 
-const FLOAT32: u32 = 0u;
-const FLOAT16: u32 = 1u;
-const SNORM16: u32 = 2u;
-const SNORM8: u32 = 3u;
-
-// Spacing of halves below 2^-14, which are evenly spaced: 2^-24.
-const HALF_SUBNORMAL: f32 = 5.9604645e-8;
-
 // The value of a finite half. The conversion is written out, because devices may read subnormal halves as zero, which
 // would count as a hit.
 fn half_value(bits: u32) -> f32 {

@@ -14,14 +14,13 @@
 
 use super::{LocalGrid, coarse_grid, dense};
 use crate::error::Error;
+use crate::gpu::constants::bake_finish::SLACK;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use rayon::prelude::*;
 
 /// Distance between neighbouring nodes of the coarse grid, voxels.
 pub(super) const STRIDE: usize = 4;
-/// Relative slack for the float32 rounding of the stored squares.
-const SLACK: f64 = 1e-5;
 
 /// Values that a bake stores for samples beyond the band.
 #[derive(Debug)]

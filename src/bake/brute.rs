@@ -8,6 +8,8 @@ use super::{Bake, LocalGrid, Report};
 use crate::bvh::pack::TriangleFrame;
 use crate::error::{ArgumentError, Error};
 use crate::gpu::Context;
+use crate::gpu::constants::bake_brute::{MAX_TRIANGLES, NORMAL, PARITY, WORKGROUPS_PER_ROW};
+use crate::gpu::constants::bvh::FAR;
 use crate::gpu::layout::{BruteParams, BruteState, Triangle};
 use crate::gpu::pace::in_pieces;
 use crate::grid::Grid;
@@ -18,12 +20,8 @@ use crate::sign::{SignChoice, SignMethod};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Number of triangles of a dispatch, as in the shader: a quarter of the rounds that software adapters allow.
-const TRIANGLES: usize = 16_384;
 /// Number of workgroups of 64 samples in a dispatch: in the first one, and at most.
-const WORKGROUPS: (u64, u64) = (16, 32_768);
-/// Larger than any squared local distance.
-const FAR: f32 = 3.0e38;
+const WORKGROUPS: (u64, u64) = (16, WORKGROUPS_PER_ROW);
 
 /// Bake by brute force. `sign` is `Normal` (article 001), `Parity` (article 003) or `Unsigned`.
 pub fn bake_brute(
@@ -35,8 +33,8 @@ pub fn bake_brute(
 ) -> Result<Bake, Error> {
     let sign_rule = match sign {
         SignMethod::Unsigned => 0,
-        SignMethod::Normal => 1,
-        SignMethod::Parity => 2,
+        SignMethod::Normal => NORMAL,
+        SignMethod::Parity => PARITY,
         _ => {
             let problem = "brute force knows \"normal\", \"parity\" and \"unsigned\" only";
             return Err(ArgumentError::new("sign", problem).into());
@@ -66,10 +64,10 @@ pub fn bake_brute(
     let group = context.bind("brute force", &kernel, &buffers)?;
 
     let workgroups = (grid.len() as u64).div_ceil(64);
-    progress.set_total(workgroups * triangles.len().div_ceil(TRIANGLES) as u64);
-    for first_triangle in (0..triangles.len()).step_by(TRIANGLES) {
+    progress.set_total(workgroups * triangles.len().div_ceil(MAX_TRIANGLES) as u64);
+    for first_triangle in (0..triangles.len()).step_by(MAX_TRIANGLES) {
         params.first_triangle = first_triangle as u32;
-        params.triangle_count = TRIANGLES.min(triangles.len() - first_triangle) as u32;
+        params.triangle_count = MAX_TRIANGLES.min(triangles.len() - first_triangle) as u32;
         in_pieces(
             context,
             "the brute force kernel",

@@ -24,6 +24,9 @@ use super::{BakeOptions, LocalGrid, Report, coarse_grid};
 use crate::bvh::binary::BinaryTree;
 use crate::error::Error;
 use crate::gpu::Context;
+use crate::gpu::constants::bake_distance::BLOCK;
+use crate::gpu::constants::bake_finish::WORKGROUPS_PER_ROW;
+use crate::gpu::constants::bvh::FAR;
 use crate::gpu::layout::{DistanceParams, FinishParams};
 use crate::gpu::pace::in_pieces;
 use crate::grid::Grid;
@@ -36,17 +39,11 @@ use std::time::Instant;
 
 /// Distance between neighbouring coarse samples along each axis, in samples.
 const STRIDE: usize = super::band::STRIDE;
-/// Side of a workgroup's block in samples, as in the shader.
-const BLOCK: usize = 4;
 /// Number of blocks of a dispatch: in the first one, and at most, by the limit of one dimension of workgroups. The
 /// first dispatch is small because a software adapter may compute during the submission, which cannot be interrupted.
 const BLOCKS: (u64, u64) = (4, 65_535);
-/// Number of workgroups of the finishing kernel along x, as in the shader.
-const WORKGROUPS_PER_ROW: u64 = 32_768;
-/// Relative slack above the half width of the band for the rounding of a square.
+/// Relative slack above the width of the band for the rounding of a square.
 const LIMIT_SLACK: f64 = 1e-5;
-/// Larger than any squared local distance, as in the shader.
-const FAR: f32 = 3.0e38;
 
 /// Bakes into device memory. No slab is larger than `slab_bytes`.
 pub(super) fn bake(

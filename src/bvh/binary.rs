@@ -7,21 +7,14 @@
 use super::pack::TriangleFrame;
 use super::{Bvh, ChildRef, WIDTH};
 use crate::geometry::Aabb;
+use crate::gpu::constants::bvh::{LEAF as LEAF_FLAG, LEAF_ONE, MAX_STACK, NOTHING};
 use crate::gpu::layout::{Node, Triangle};
 use glam::Vec3;
 
 /// Largest number of triangles of a leaf.
 pub const LEAF: usize = 4;
-/// Capacity of the stack of a search: one node per level. An eight-wide level gives three levels, a pack one.
-pub const MAX_DEPTH: usize = 96;
-const _: () = assert!(super::build::MAX_DEPTH * 3 + 2 <= MAX_DEPTH);
+const _: () = assert!(super::build::MAX_DEPTH * 3 + 2 <= MAX_STACK);
 
-/// A leaf has this bit set. The number of its triangles minus one follows from [`LEAF_ONE`] on, then its first
-/// triangle.
-const LEAF_BIT: u32 = 1 << 31;
-const LEAF_ONE: u32 = 1 << 28;
-/// Index of an absent child.
-const NOTHING: u32 = u32::MAX;
 /// The box of an absent child is a point at this distance. It is never the nearest, and its square is a valid float32.
 const FAR_AWAY: f32 = 1e18;
 
@@ -69,7 +62,7 @@ impl BinaryTree {
                 }
                 Err(Part::Triangles(triangles)) => {
                     let first = tree.triangles.len() as u32;
-                    tree.set(place, bounds, LEAF_BIT + LEAF_ONE * (triangles.len() as u32 - 1) + first);
+                    tree.set(place, bounds, LEAF_FLAG + LEAF_ONE * (triangles.len() as u32 - 1) + first);
                     tree.triangles.extend(triangles.iter().map(|(_, face, frame)| frame.for_device(*face)));
                 }
                 // A single child is used directly.
@@ -168,8 +161,8 @@ mod tests {
             if squared >= best {
                 continue;
             }
-            if child >= LEAF_BIT {
-                let (first, count) = (child & (LEAF_ONE - 1), (child - LEAF_BIT) / LEAF_ONE + 1);
+            if child >= LEAF_FLAG {
+                let (first, count) = (child & (LEAF_ONE - 1), (child - LEAF_FLAG) / LEAF_ONE + 1);
                 for slot in first..first + count {
                     best = best.min(frames[tree.triangles[slot as usize].face as usize].distance_squared(p));
                 }
@@ -203,7 +196,7 @@ mod tests {
                 let p = Vec3::new(next() as f32, next() as f32, next() as f32) - 0.5;
                 let (squared, deepest) = nearest(&tree, &frames, p);
                 assert_eq!(squared, mesh.bvh().nearest(p, f32::INFINITY).unwrap().distance_squared);
-                assert!(deepest <= MAX_DEPTH);
+                assert!(deepest <= MAX_STACK);
             }
         }
     }

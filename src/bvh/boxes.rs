@@ -10,14 +10,14 @@
 
 use super::build::{Primitive, bounds_of, split, split_in_half};
 use crate::geometry::Aabb;
+pub use crate::gpu::constants::BOX_STACK as MAX_STACK;
 use glam::{DVec3, Vec3};
 
 /// Largest number of items in a leaf.
 const LEAF: usize = 4;
-/// From this level on ranges are halved by count, which limits the depth for every input.
-const HALVE_FROM: usize = 24;
-/// Capacity of the stack of a walk: one sibling per level. 2^32 items need 32 levels of halves.
-pub const MAX_STACK: usize = HALVE_FROM + 32;
+/// From this level on ranges are halved by count, so that no input makes a deep tree. A walk keeps one sibling per
+/// level, and 2^32 objects take 32 levels of halves.
+const HALVE_FROM: usize = MAX_STACK - 32;
 
 /// A box and its contents. Leaf: `count` items of the order from `first` on. Inner node: `count` is zero and the
 /// children are the nodes `first` and `first + 1`.

@@ -32,25 +32,12 @@ use super::leaf::{Flat, LeafField, PlacedLeaf};
 use super::model::Token;
 use super::program::{Joint, Program};
 use super::shape::Op;
+use crate::gpu::constants::csg_chord::{CHORD_FAR, CHORD_PARALLEL, CHORD_STILL};
+pub use crate::gpu::constants::csg_root::ERODED;
 use glam::{Vec2, Vec3};
 
 /// Largest number of literals of a part in closed form: the chords of all literals and one bit for each are kept.
 pub const MAX_LEAVES: usize = 12;
-
-/// Depth in the solid that a ray must reach to hit it, local units (the model has size 1/2 to 1). A face is placed by
-/// up to eight float32 roundings of coordinates below 2, so two coincident faces are at most `2 * 8 * 2^-24 = 9.6e-7`
-/// apart.
-pub const ERODED: f32 = 1e-6;
-
-/// A coordinate beyond any point of a ray through a model of size 1.
-const FAR: f32 = 1e30;
-
-/// A line with a smaller component of its unit direction across a slab is parallel to it; the inverse of a larger one
-/// is finite.
-const STILL: f32 = 1e-30;
-
-/// Square of the component of a unit direction across an axis below which the line is parallel to the axis.
-const PARALLEL: f32 = 1e-14;
 
 /// Method for intersecting rays with a part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -229,8 +216,8 @@ struct Chord {
 }
 
 impl Chord {
-    const ALL: Self = Self { from: -FAR, to: FAR };
-    const NONE: Self = Self { from: FAR, to: -FAR };
+    const ALL: Self = Self { from: -CHORD_FAR, to: CHORD_FAR };
+    const NONE: Self = Self { from: CHORD_FAR, to: -CHORD_FAR };
 
     fn and(self, other: Self) -> Self {
         Self { from: self.from.max(other.from), to: self.to.min(other.to) }
@@ -317,7 +304,7 @@ fn chord(leaf: &PlacedLeaf<f32>, [origin, direction]: [Vec3; 2], grow: f32) -> C
 /// The interval where `|o + t d| < half`. A line in the plane of a face is outside, because the field is zero there and
 /// not below.
 fn slab(o: f32, d: f32, half: f32) -> Chord {
-    if d.abs() < STILL {
+    if d.abs() < CHORD_STILL {
         return if o.abs() < half { Chord::ALL } else { Chord::NONE };
     }
     let inverse = 1.0 / d;
@@ -332,10 +319,10 @@ fn cuboid(o: Vec3, d: Vec3, half: [f32; 3]) -> Chord {
 /// The interval where `normal . p < offset`.
 fn half_space(o: Vec3, d: Vec3, normal: Vec3, offset: f32) -> Chord {
     let (rate, room) = (normal.dot(d), offset - normal.dot(o));
-    if rate.abs() < STILL {
+    if rate.abs() < CHORD_STILL {
         return if room > 0.0 { Chord::ALL } else { Chord::NONE };
     }
-    let t = (room / rate).clamp(-FAR, FAR);
+    let t = (room / rate).clamp(-CHORD_FAR, CHORD_FAR);
     if rate > 0.0 { Chord { to: t, ..Chord::ALL } } else { Chord { from: t, ..Chord::ALL } }
 }
 
@@ -359,7 +346,7 @@ fn ball(o: Vec3, d: Vec3, radius: f32) -> Chord {
 
 fn disc(o: Vec2, d: Vec2, radius: f32) -> Chord {
     let speed_squared = d.length_squared();
-    if speed_squared < PARALLEL {
+    if speed_squared < CHORD_PARALLEL {
         return if o.length_squared() < radius * radius { Chord::ALL } else { Chord::NONE };
     }
     let middle = -o.dot(d) / speed_squared;
@@ -375,7 +362,7 @@ fn cone(o: Vec3, d: Vec3, [low, high, half_height]: [f32; 3]) -> Chord {
     let (middle, slope) = (0.5 * (low + high), 0.5 * (high - low) / half_height);
     // Solved about the point nearest to the axis, which lies between the ends.
     let speed_squared = d.truncate().length_squared();
-    let nearest = if speed_squared < PARALLEL { 0.0 } else { -o.truncate().dot(d.truncate()) / speed_squared };
+    let nearest = if speed_squared < CHORD_PARALLEL { 0.0 } else { -o.truncate().dot(d.truncate()) / speed_squared };
     let start = nearest.clamp(ends.from, ends.to);
     let q = o + start * d;
     let (radius, widens) = (middle + slope * q.z, slope * d.z);
@@ -389,7 +376,7 @@ fn cone(o: Vec3, d: Vec3, [low, high, half_height]: [f32; 3]) -> Chord {
     }
     // Roots without cancellation. The first is at infinity if the quadratic term vanishes.
     let far = -(b + discriminant.sqrt().copysign(b));
-    let first = if a == 0.0 { FAR.copysign(far) } else { (far / a).clamp(-FAR, FAR) };
+    let first = if a == 0.0 { CHORD_FAR.copysign(far) } else { (far / a).clamp(-CHORD_FAR, CHORD_FAR) };
     let second = if far == 0.0 { 0.0 } else { c / far };
     let (early, late) = (start + first.min(second), start + first.max(second));
     if a > 0.0 {

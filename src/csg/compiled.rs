@@ -16,6 +16,7 @@ use super::shader::{HELPERS, Writer};
 use super::shape::Op;
 use super::solid::Solid;
 use super::trace::{PartProgram, Tracer};
+use crate::gpu::constants::csg_draw::{FORM_CHORDS, FORM_FIELD, FORM_UNION};
 use crate::gpu::shader::shared;
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -28,7 +29,7 @@ const MAX_STRUCTURES: usize = 32;
 const MAX_TOKENS: usize = 64;
 
 /// The `form` of the first structure in the kernel.
-const FIRST_FORM: u32 = 3;
+const FIRST_FORM: u32 = FORM_CHORDS + 1;
 
 /// Evaluation of a part by the kernel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -68,9 +69,9 @@ impl Compiled {
             needs.add(part, place.is_some());
             let Some(place) = place else {
                 let form = match part.form {
-                    Form::Field => 0,
-                    Form::Union => 1,
-                    Form::Chords => 2,
+                    Form::Field => FORM_FIELD,
+                    Form::Union => FORM_UNION,
+                    Form::Chords => FORM_CHORDS,
                 };
                 entries.push(Entry { form, parameters: 0 });
                 continue;

@@ -9,6 +9,7 @@ use super::solid::Solid;
 use super::trace::{LocalRay, Tracer, Work};
 use crate::error::{Error, ShapeError, choice};
 use crate::gpu::Place;
+use crate::gpu::constants::csg_draw::{FAR_T, SHADOW_BIAS};
 use crate::gpu::layout::PictureRays;
 use crate::progress::Progress;
 use crate::render::shade::{Look, lit};
@@ -61,9 +62,6 @@ pub struct Drawing {
     /// Number of kernels that the device keeps for pictures of shapes.
     pub pipelines: usize,
 }
-
-/// Distance of the origin of a shadow ray from the surface, local units: several of the shortest steps.
-const SHADOW_BIAS: f32 = 1e-3;
 
 /// The parts that rays are traced through at a place; a single part for [`DrawMethod::Whole`].
 pub fn tracer<'a>(place: &Place, solid: &'a Solid, method: DrawMethod) -> Result<Tracer<'a>, Error> {
@@ -209,7 +207,7 @@ impl Rays {
         LocalRay {
             origin: start + along_right * start_right + along_up * start_up,
             direction: (self.forward + along_right * right + along_up * up).normalize(),
-            t_max: FAR,
+            t_max: FAR_T,
         }
     }
 
@@ -271,10 +269,7 @@ impl View<'_> {
         if normal.dot(to_light) <= 0.0 {
             return 0.0;
         }
-        let ray = LocalRay { origin: p + SHADOW_BIAS * normal, direction: to_light, t_max: FAR };
+        let ray = LocalRay { origin: p + SHADOW_BIAS * normal, direction: to_light, t_max: FAR_T };
         if self.tracer.is_hit(&ray, stack, &mut Work::default()) { 0.0 } else { 1.0 }
     }
 }
-
-/// Longer than any ray through the model from the plane, at any slant.
-const FAR: f32 = 1e6;

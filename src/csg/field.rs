@@ -15,6 +15,7 @@
 
 use super::primitive::PARAMETERS;
 use super::real::{Real, length2, length3};
+use crate::gpu::constants::csg_field::{ELLIPSOID_STEPS, ELLIPSOID_TINY};
 
 type Parameters<F> = [F; PARAMETERS];
 
@@ -22,13 +23,6 @@ type Parameters<F> = [F; PARAMETERS];
 pub fn sphere<F: Real>(at: [F; 3], p: &Parameters<F>) -> F {
     length3(at) - p[0]
 }
-
-/// Number of steps of Newton's method. A step leaves at most 2/3 of the logarithm of the error, which is 1e3 in the
-/// worst case, where it has the weight 1e-8. Near the end the steps square the error.
-const ELLIPSOID_STEPS: usize = 12;
-
-/// Negligible beside all values that are divided by it, and its inverse times a coordinate is finite.
-const ELLIPSOID_TINY: f64 = 1e-20;
 
 #[inline(always)]
 pub fn ellipsoid<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {

@@ -25,6 +25,9 @@ use super::solid::Solid;
 use super::trace::{PartProgram, Tracer};
 use crate::error::{ArgumentError, DeviceError, Error};
 use crate::gpu::Context;
+use crate::gpu::constants::csg_draw::{MAX_LIGHTS, PIXEL_HIT, PIXEL_RAN_OUT};
+use crate::gpu::constants::csg_field::CSG_FAR;
+use crate::gpu::constants::csg_tables::*;
 use crate::gpu::layout::{CsgBox, CsgDrawParams, CsgLeaf, CsgPixel, CsgPointParams};
 use crate::gpu::pace::in_pieces;
 use crate::gpu::shader::source_with;
@@ -45,12 +48,6 @@ const WORKGROUPS: (u64, u64) = (4, 65_535);
 const TILE_ROWS: (u64, u64) = (1, 1024);
 /// Number of points on the device at a time.
 const BATCH: usize = 1 << 20;
-/// Largest number of lights, as in the shaders.
-const MAX_LIGHTS: usize = 64;
-const UNFINISHED: f32 = 3.0e38;
-const RAN_OUT: u32 = 2;
-/// Flag of the token of a complemented leaf, as in the shaders.
-const COMPLEMENT: u32 = 1 << 26;
 
 /// Tables in device memory.
 struct Tables {
@@ -101,28 +98,28 @@ impl<'a> Encoder<'a> {
 
     fn token(&self, token: Token) -> u32 {
         let (what, index) = match token {
-            Token::Leaf(leaf) => (0, leaf),
+            Token::Leaf(leaf) => (TOKEN_LEAF, leaf),
             Token::Combine(i) => {
                 let what = match self.program.combines[i as usize].op {
-                    Op::Union => 1,
-                    Op::Intersection => 2,
-                    Op::Difference => 3,
-                    Op::Xor => 4,
+                    Op::Union => TOKEN_UNION,
+                    Op::Intersection => TOKEN_INTERSECTION,
+                    Op::Difference => TOKEN_DIFFERENCE,
+                    Op::Xor => TOKEN_XOR,
                 };
                 (what, self.first_joint + 3 * i)
             }
             Token::Level(i) => {
                 let what = match self.program.levels[i as usize] {
-                    PlacedLevel::Offset(_) => 5,
-                    PlacedLevel::Shell(_) => 6,
+                    PlacedLevel::Offset(_) => TOKEN_OFFSET,
+                    PlacedLevel::Shell(_) => TOKEN_SHELL,
                 };
                 (what, self.first_level + i)
             }
-            Token::Complement => (7, 0),
-            Token::Enter(i) => (8, self.first_warp + i),
-            Token::Leave(i) => (9, self.first_warp + i),
+            Token::Complement => (TOKEN_COMPLEMENT, 0),
+            Token::Enter(i) => (TOKEN_ENTER, self.first_warp + i),
+            Token::Leave(i) => (TOKEN_LEAVE, self.first_warp + i),
         };
-        what << 28 | index
+        what << TOKEN_SHIFT | index
     }
 
     /// The tokens of a sphere-traced part, or the normal form of a part in closed form.
@@ -132,9 +129,9 @@ impl<'a> Encoder<'a> {
         }
         let encoded = |step: &Step| match *step {
             Step::Literal { leaf, is_complement: false } => leaf,
-            Step::Literal { leaf, is_complement: true } => leaf | COMPLEMENT,
-            Step::Union => 1 << 28,
-            Step::Intersection => 2 << 28,
+            Step::Literal { leaf, is_complement: true } => leaf | TOKEN_COMPLEMENTED,
+            Step::Union => TOKEN_UNION << TOKEN_SHIFT,
+            Step::Intersection => TOKEN_INTERSECTION << TOKEN_SHIFT,
         };
         part.steps.iter().map(encoded).collect()
     }
@@ -217,7 +214,7 @@ pub(super) fn distances(
         })?;
         context.read("distances", &found, out, progress)?;
         // The CPU evaluates the points that ran out of rounds.
-        let late: Vec<usize> = (0..out.len()).filter(|&i| out[i] >= UNFINISHED).collect();
+        let late: Vec<usize> = (0..out.len()).filter(|&i| out[i] >= CSG_FAR).collect();
         let redone = solid.distances(&late.iter().map(|&i| points[i]).collect::<Vec<_>>(), &Progress::new())?;
         let scale = solid.frame.scale;
         out.iter_mut().for_each(|d| *d = (f64::from(*d) * scale) as f32);
@@ -299,14 +296,14 @@ pub(super) fn draw(view: &View<'_>, context: &Arc<Context>, progress: &Progress)
     frame.rows().into_par_iter().enumerate().try_for_each_init(Scratch::default, |scratch, (y, mut row)| {
         for x in 0..width as usize {
             let pixel = &found[y * width as usize + x];
-            if pixel.state == RAN_OUT {
+            if pixel.state == PIXEL_RAN_OUT {
                 row.shadow[x * row.lights..][..row.lights].fill(1.0);
                 view.draw_pixel(x, y, &mut row, scratch);
                 continue;
             }
             row.color[4 * x..][..4].copy_from_slice(&options.background);
             row.steps[x] = pixel.steps;
-            if pixel.state == 1 {
+            if pixel.state == PIXEL_HIT {
                 let ray = view.rays.through(x, y);
                 let hit = Seen {
                     p: ray.origin + pixel.t * ray.direction,

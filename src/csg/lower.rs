@@ -4,13 +4,12 @@
 //! and Ullman, 1970), so a model of a million leaves needs a stack of twenty at any nesting.
 
 use super::bounds::Extent;
-use super::model::{
-    Coat, Combine, Leaf, Level, MAX_WARPS, Mask, Model, Place, Stretch, Token, Warp, WarpKind, reflection,
-};
+use super::model::{Coat, Combine, Leaf, Level, Mask, Model, Place, Stretch, Token, Warp, WarpKind, reflection};
 use super::primitive::Primitive;
 use super::program::{Frame, Program};
 use super::shape::{Blend, Kind, Op, Shape};
 use crate::error::ShapeError;
+use crate::gpu::constants::csg_interpreter::MAX_WARPS;
 use glam::DVec3;
 use std::collections::HashMap;
 use std::sync::Arc;

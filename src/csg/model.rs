@@ -202,9 +202,6 @@ pub struct Model {
     pub is_painted: bool,
 }
 
-/// Largest nesting depth of warps, since a graphics device keeps the positions.
-pub const MAX_WARPS: usize = 4;
-
 impl Model {
     pub fn new(shape: &Shape) -> Result<Self, ShapeError> {
         lower(shape)

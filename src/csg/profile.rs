@@ -2,6 +2,7 @@
 
 use super::primitive::positive;
 use crate::error::ShapeError;
+use crate::gpu::constants::csg_field::MAX_CORNERS;
 use glam::DVec2;
 
 /// A flat region about the origin.
@@ -19,9 +20,6 @@ pub enum Profile {
         is_simple: bool,
     },
 }
-
-/// Largest number of corners of a polygon, since a graphics device loops over them.
-pub const MAX_CORNERS: usize = 1024;
 
 impl Profile {
     pub fn circle(radius: f64) -> Result<Self, ShapeError> {

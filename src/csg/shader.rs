@@ -101,8 +101,6 @@ fn polygon_at(at: vec2f, i: u32) -> f32 {
     }
     return select(sqrt(nearest), -sqrt(nearest), is_inside);
 }
-
-const MAX_CORNERS: u32 = 1024u;
 ";
 
 const ENTRY: &str = "

@@ -34,21 +34,10 @@ use super::model::{Model, Token};
 use super::program::Stack;
 use super::solid::{Solid, slope, with_vectors};
 use crate::bvh::boxes::{BoxTree, MAX_STACK};
+use crate::gpu::constants::csg_draw::STILL;
+use crate::gpu::constants::csg_root::{MAX_MARCH_STEPS, MAX_ROOT_STEPS, MIN_STEP, ROOT_WIDTH};
 use glam::{DVec3, Vec3, Vec3A};
 use std::sync::Arc;
-
-/// Shortest step, local units (the model has size 1/2 to 1): a hundred roundings of the field. A ray that is inside a
-/// sphere of the model's size for less than this reaches a depth of 1e-9.
-pub const MIN_STEP: f32 = 3e-5;
-
-/// Largest number of steps in one box; reached only by a ray that stays closer to a surface than the shortest step.
-pub const MAX_STEPS: u32 = 4096;
-
-/// Largest number of steps of regula falsi; it needs a fraction of them.
-const MAX_ROOT_STEPS: u32 = 32;
-
-/// A bracket of this width is a root: an ulp of a position near 1.
-const ROOT_WIDTH: f32 = 1.2e-7;
 
 /// Half the step of the differences for normals in float64: those of a part's field, and those of one leaf's.
 const NORMAL_STEP: f64 = 1e-5;
@@ -62,9 +51,6 @@ const BOX_PAD: f64 = 1e-6;
 /// on scattered leaves and on the models of `examples/csg`.
 const BOX_LOOKS: f64 = 2.0;
 const MARCH_LOOKS: [f64; 2] = [2.0, 15.0];
-
-/// Replaces a component of a direction that is smaller, so that its inverse is finite.
-const STILL: f32 = 1e-30;
 
 /// A part's box in local units.
 #[derive(Debug, Clone, Copy)]
@@ -344,7 +330,7 @@ impl<'a> Tracer<'a> {
         }
         // The last point that is not inside the uneroded solid.
         let (mut low, mut above) = (t, value.max(0.0));
-        for _ in 0..MAX_STEPS {
+        for _ in 0..MAX_MARCH_STEPS {
             let safe = value * program.inverse_lipschitz;
             // A safe step cannot cross a surface. The minimum step can.
             if t + safe >= t_out {

@@ -13,6 +13,7 @@
 //! OpenGL is not used: its backend loses storage texture writes without an error.
 
 pub mod buffer;
+pub mod constants;
 pub mod context;
 pub mod device;
 pub mod layout;

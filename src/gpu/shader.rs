@@ -4,8 +4,10 @@
 //! `shaders/shared/NAME.wgsl` and of its own imports, each once, before the file that needs it. Names are not mangled:
 //! the joined text is readable, is the text that the driver compiles, and can be pasted into another WebGPU program.
 
+use super::constants::declarations;
 use std::borrow::Cow;
 use std::fmt::Write;
+use std::sync::LazyLock;
 
 /// Every kernel by name, and its file.
 pub const KERNELS: &[(&str, &str)] = &[
@@ -70,14 +72,26 @@ const SHARED: &[(&str, &str)] = &[
     ("triangle", include_str!("../../shaders/shared/triangle.wgsl")),
 ];
 
+/// Kernels and shared files, each with the constants of its group in front.
+static TEXTS: LazyLock<[Vec<(&str, String)>; 2]> = LazyLock::new(|| {
+    [KERNELS, SHARED].map(|files| {
+        let with_constants = |&(name, text)| {
+            let declarations = declarations(name);
+            let gap = if declarations.is_empty() { "" } else { "\n" };
+            (name, format!("{declarations}{gap}{text}"))
+        };
+        files.iter().map(with_constants).collect()
+    })
+});
+
 /// The text of a shared file, for kernels generated at run time.
 pub fn shared(name: &str) -> Option<&'static str> {
-    find(SHARED, name)
+    find(&TEXTS[1], name)
 }
 
 /// The whole text of a kernel, with overrides of imported files by name.
 pub fn source_with(kernel: &str, instead: &[(&str, &str)]) -> Result<String, String> {
-    let text = find(KERNELS, kernel).ok_or_else(|| format!("there is no kernel '{kernel}'"))?;
+    let text = find(&TEXTS[0], kernel).ok_or_else(|| format!("there is no kernel '{kernel}'"))?;
     let mut joined = String::new();
     let mut seen = Vec::new();
     join(kernel, text, instead, &mut seen, &mut joined)?;
@@ -92,15 +106,15 @@ pub fn source_instead(kernel: &str, instead: &[Instead]) -> Result<String, Strin
     source_with(kernel, &instead.iter().map(|(name, text)| (*name, text.as_ref())).collect::<Vec<_>>())
 }
 
-fn find<'a>(files: &[(&str, &'a str)], name: &str) -> Option<&'a str> {
-    files.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
+fn find<'a, T: AsRef<str>>(files: &'a [(&str, T)], name: &str) -> Option<&'a str> {
+    files.iter().find(|(known, _)| *known == name).map(|(_, text)| text.as_ref())
 }
 
 /// Appends `text` after its imports.
 fn join<'a>(
     name: &str,
     text: &'a str,
-    instead: &[(&str, &'a str)],
+    instead: &'a [(&str, &str)],
     seen: &mut Vec<&'a str>,
     joined: &mut String,
 ) -> Result<(), String> {
@@ -110,7 +124,7 @@ fn join<'a>(
         if !seen.contains(&import) {
             seen.push(import);
             let shared = find(instead, import)
-                .or_else(|| find(SHARED, import))
+                .or_else(|| find(&TEXTS[1], import))
                 .ok_or_else(|| format!("{name} imports '{import}', which does not exist"))?;
             join(import, shared, instead, seen, joined)?;
         }

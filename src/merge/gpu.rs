@@ -19,6 +19,7 @@ use super::{Merged, Merger, Placed, Thing};
 use crate::bvh::boxes::BoxTree;
 use crate::error::Error;
 use crate::gpu::Context;
+use crate::gpu::constants::merge_owners::UNDECIDED;
 use crate::gpu::layout::{MergeField, MergeGrid, MergeNode, MergeParams};
 use crate::gpu::pace::in_pieces;
 use crate::grid::Grid;
@@ -35,8 +36,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 const GROUP: u64 = 64;
 /// Number of workgroups of a dispatch: in the first one, and at most.
 const GROUPS: (u64, u64) = (16, 65_535);
-/// The value for "no owner", as in the shader.
-const UNDECIDED: u32 = u32::MAX;
 /// Error of a grid coordinate computed from a scene position, per grid unit that a scene unit spans along the three
 /// axes together: 3 + 2 x 6 roundings of values up to 2, of 6e-8 each, doubled to cover the device's arithmetic.
 const POSITION_ERROR: f64 = 2e-6;

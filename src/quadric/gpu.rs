@@ -17,19 +17,17 @@ use super::draw::View;
 use super::{LINEAR_UP_TO, Quadrics};
 use crate::error::{DeviceError, Error};
 use crate::gpu::Context;
+use crate::gpu::constants::quadrics::{HIT, NODE_TEXELS, RECORD_TEXELS, UNFINISHED};
 use crate::gpu::layout::{QuadricParams, QuadricPixel};
 use crate::gpu::pace::in_pieces;
 use crate::progress::Progress;
 use crate::render::{Frame, upload_lights};
 use glam::DVec3;
 
-const RECORD_TEXELS: usize = 6;
 /// Side of a workgroup in pixels, as in the shader.
 const TILE: u32 = 8;
 /// Number of rows of workgroups of a dispatch: in the first one, and at most.
 const TILE_ROWS: (u64, u64) = (1, 1024);
-const HIT: u32 = 1;
-const UNFINISHED: u32 = 2;
 /// Indices are stored as floats, which represent whole numbers exactly up to this.
 const MAX_INDEX: usize = 1 << 24;
 /// Boxes are enlarged by this fraction of the size of the scene, for the float32 rounding of a slab test.
@@ -120,7 +118,7 @@ impl Store {
         let has_tree = quadrics.len() > LINEAR_UP_TO;
         let nodes = if has_tree { quadrics.tree().nodes.as_slice() } else { &[] };
 
-        let mut texels: Vec<[f32; 4]> = Vec::with_capacity(RECORD_TEXELS * quadrics.len() + 2 * nodes.len());
+        let mut texels: Vec<[f32; 4]> = Vec::with_capacity(RECORD_TEXELS * quadrics.len() + NODE_TEXELS * nodes.len());
         for (record, local) in quadrics.records().iter().zip(quadrics.locals()) {
             texels.extend(local.matrix().to_cols_array_2d().map(|column| column.map(|entry| entry as f32)));
             texels.push((local.center - center).as_vec3().extend(local.radius as f32).to_array());
@@ -136,7 +134,7 @@ impl Store {
         let width = needed.min(limit / RECORD_TEXELS * RECORD_TEXELS);
         let height = needed.div_ceil(width);
         if height > limit || quadrics.len().max(nodes.len()) > MAX_INDEX {
-            let most = (limit / (RECORD_TEXELS + 2) * limit).min(MAX_INDEX);
+            let most = (limit / (RECORD_TEXELS + NODE_TEXELS) * limit).min(MAX_INDEX);
             return Err(DeviceError::TooLarge {
                 device: context.label(),
                 what: format!("a texture of {} quadrics", quadrics.len()),

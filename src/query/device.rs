@@ -5,14 +5,13 @@
 use crate::bvh::binary::BinaryTree;
 use crate::error::Error;
 use crate::gpu::Context;
+pub(super) use crate::gpu::constants::bvh::NOTHING as UNFINISHED;
 use crate::gpu::layout::QueryParams;
 use crate::gpu::pace::in_pieces;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use glam::DVec3;
 
-/// Index of a face for a search that ran out of rounds, as in the shader.
-pub(super) const UNFINISHED: u32 = u32::MAX;
 /// Number of workgroups of a dispatch: in the first one, and at most, by the limit of one dimension. Each processes 64
 /// points.
 const WORKGROUPS: (u64, u64) = (4, 65_535);

@@ -7,6 +7,7 @@
 //! <https://jcgt.org/published/0011/03/06/>. The coefficients differ: they come from the interpolations themselves, x
 //! then y then z, so that the constant term equals the sampled value to the bit.
 
+use crate::gpu::constants::cubic::{MAX_NEWTON_STEPS, SMALLEST_STEP};
 use glam::Vec3;
 
 /// The polynomial `c0 + c1 s + c2 s^2 + c3 s^3`.
@@ -17,13 +18,6 @@ pub struct Cubic {
     pub c2: f32,
     pub c3: f32,
 }
-
-/// Largest number of Newton steps. Every second step at least halves the bracket, and 24 halvings exhaust an f32.
-const MAX_STEPS: u32 = 48;
-
-/// Newton's method stops at a step below this, in voxels: one ulp at 1, and less than an ulp of the ray parameter that
-/// the root is added to.
-const SMALLEST_STEP: f32 = f32::EPSILON;
 
 impl Cubic {
     /// The trilinear function of `corners` along `p + s direction`, where `p` is in the cell (0 to 1 along every axis).
@@ -109,7 +103,7 @@ impl Cubic {
         let (value_low, value_high) = (self.value(low), self.value(high));
         let mut s = low + (high - low) * (value_low / (value_low - value_high));
         let mut last_step = high - low;
-        for _ in 0..MAX_STEPS {
+        for _ in 0..MAX_NEWTON_STEPS {
             let value = self.value(s);
             if value > 0.0 {
                 low = s;

@@ -8,6 +8,7 @@ use super::gpu_fields::MarchedField;
 use super::{Camera, DirectionalLight, Frame, RaymarchOptions};
 use crate::error::{ArgumentError, Error};
 use crate::gpu::Context;
+use crate::gpu::constants::light::MAX_LIGHTS;
 use crate::gpu::layout::{Light, MarchParams, Pixel};
 use crate::gpu::pace::in_pieces;
 use crate::grid::Grid;
@@ -19,8 +20,6 @@ const TILE: u32 = 8;
 const TILE_ROWS: (u64, u64) = (4, 1024);
 /// Size of the band of rows that is drawn at a time, bytes of device memory.
 const BAND_BYTES: u64 = 64 << 20;
-/// Largest number of lights, as in the shader.
-const MAX_LIGHTS: usize = 64;
 
 /// Draws a field on its device. `lights` must have unit directions.
 pub(super) fn raymarch(

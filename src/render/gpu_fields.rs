@@ -11,6 +11,7 @@ use super::empty::EmptySpace;
 use crate::encoding::Encoding;
 use crate::error::{ArgumentError, DeviceError, Error};
 use crate::gpu::Context;
+use crate::gpu::constants::ray_sparse::MAX_STEPS;
 use crate::gpu::layout::{NestedLevel, StoredParams, TextureParams};
 use crate::gpu::texture::{FilteredTexture, row_bytes};
 use crate::grid::Grid;
@@ -24,8 +25,6 @@ use std::sync::Arc;
 const TEXTURE_PIECE_BYTES: u64 = 32 << 20;
 /// Number of workgroups along x.
 const WORKGROUPS_PER_ROW: u32 = 65_535;
-/// Largest number of steps of a ray through bricks, as in the shader, and through nested grids.
-const MAX_STEPS: usize = 16384;
 
 /// A field on a device, and the kernel that marches rays through it.
 pub(super) struct MarchedField {

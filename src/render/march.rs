@@ -27,15 +27,9 @@ use super::blocks::{Block, Blocks};
 use super::cubic::Cubic;
 use super::empty::EmptySpace;
 use crate::error::Error;
+use crate::gpu::constants::{FAR_ALONG_RAY, PARALLEL_DIRECTION};
 use crate::progress::Progress;
 use glam::{DVec3, IVec3, Vec3};
-
-/// A direction component below this counts as parallel to the faces: over 2^40 voxels the ray moves by less than the
-/// resolution of f32.
-const PARALLEL: f32 = 1e-20;
-
-/// Larger than every `t`; replaces infinity.
-const FAR: f32 = 1e30;
 
 /// A ray in grid space that begins inside the box.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -222,7 +216,7 @@ struct Line {
 impl Line {
     fn new(ray: &GridRay) -> Self {
         let direction = ray.direction.to_array();
-        let inverse = direction.map(|d| if d.abs() < PARALLEL { 0.0 } else { 1.0 / d });
+        let inverse = direction.map(|d| if d.abs() < PARALLEL_DIRECTION { 0.0 } else { 1.0 / d });
         Self { origin: ray.origin.to_array(), direction, inverse, forward: direction.map(|d| d > 0.0) }
     }
 
@@ -235,7 +229,7 @@ impl Line {
     /// The `t` at which the ray crosses a face.
     #[inline]
     fn t_at(&self, axis: usize, face: i32) -> f32 {
-        if self.inverse[axis] == 0.0 { FAR } else { (face as f32 - self.origin[axis]) * self.inverse[axis] }
+        if self.inverse[axis] == 0.0 { FAR_ALONG_RAY } else { (face as f32 - self.origin[axis]) * self.inverse[axis] }
     }
 }
 

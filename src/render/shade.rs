@@ -13,15 +13,9 @@
 use super::blocks::Blocks;
 use super::march::{Marcher, clip_to_box, floor};
 use super::{DirectionalLight, RaymarchOptions, Shadows};
+use crate::gpu::constants::light::GROUND_SHARE;
+use crate::gpu::constants::picture::SHADOW_BIAS_VOXELS;
 use glam::{DVec3, IVec3, Vec3};
-
-/// Distance of the origin of a shadow ray from the surface. A trilinear surface departs from a smooth one by h^2 / (8
-/// R), less than an eighth of a voxel for a radius of a voxel or more. A grazing ray rises by the same amount again
-/// over the next voxels.
-const SHADOW_BIAS_VOXELS: f32 = 0.5;
-
-/// Ambient light from below, as a fraction of the ambient light from above.
-const GROUND_SHARE: f32 = 0.4;
 
 /// Intersection of the ray of a pixel with the surface.
 #[derive(Debug, Clone, Copy)]

@@ -26,6 +26,7 @@ mod tests;
 use crate::bvh::closest::ClosestPoint;
 use crate::error::{ArgumentError, choice};
 use crate::geometry::triangle_cross;
+use crate::gpu::constants::bake_brute::NUDGE;
 use crate::mesh::Mesh;
 use crossing::{Axes, Surface};
 use glam::DVec3;
@@ -94,8 +95,6 @@ pub struct SignChoice {
 
 /// Largest number of rim edges that are closed by cones. Each costs about 40 ns at the samples around the openings.
 const MAX_CAPS: usize = 2048;
-/// Article 001 nudges by 1e-4 in a scene of about unit size. Local coordinates are of about unit size too.
-const NUDGE: f64 = 1e-4;
 
 impl SignChoice {
     pub fn new(mesh: &Mesh, method: SignMethod) -> Self {

@@ -35,6 +35,8 @@ mod tests;
 use super::outside::{bound_outside, round_down, square_bound};
 use super::{Cell, FieldView, Texel, Trilinear, trilinear};
 use crate::error::{ArgumentError, Error};
+pub use crate::gpu::constants::bricks::{BRICK_CELLS, BRICK_LEN, BRICK_SAMPLES};
+use crate::gpu::constants::bricks::{BRICK_MASK, LEVEL_SHIFT, NOTHING_STORED};
 use crate::gpu::layout::SparseParams;
 use crate::grid::Grid;
 use crate::memory::allocate_samples;
@@ -42,10 +44,6 @@ use crate::progress::Progress;
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
-/// Number of cells and of samples along the side of a brick, and number of its samples.
-pub const BRICK_CELLS: usize = 7;
-pub const BRICK_SAMPLES: usize = BRICK_CELLS + 1;
-pub const BRICK_LEN: usize = BRICK_SAMPLES * BRICK_SAMPLES * BRICK_SAMPLES;
 /// The coarsest cells have a side of `1 << MAX_LEVEL` voxels.
 pub const MAX_LEVEL: u32 = 2;
 /// Number of bricks along the side of the region that a brick of the coarsest level covers.
@@ -61,9 +59,7 @@ pub const REGION_BRICKS: usize = 1 << MAX_LEVEL;
 /// |  3  | unused                       inside|  level 3: no samples stored; bit 0 is 1 inside, 0 outside
 /// +-----+------------------------------------+
 /// ```
-const LEVEL_SHIFT: u32 = 30;
-const BRICK_MASK: u32 = (1 << LEVEL_SHIFT) - 1;
-const EMPTY: u32 = 3 << LEVEL_SHIFT;
+const EMPTY: u32 = NOTHING_STORED << LEVEL_SHIFT;
 const EMPTY_INSIDE: u32 = EMPTY | 1;
 
 /// Entry of a brick in the index.

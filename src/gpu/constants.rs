@@ -1,0 +1,253 @@
+//! Constants that a kernel and the Rust side of it share. Each is defined here and written into the WGSL text.
+//!
+//! A group has the name of a file in `shaders/` or `shaders/shared/`. [`super::shader`] puts the constants of the group
+//! in front of the text of that file. In Rust, a group is a module: `csg_root::ERODED`. A constant has two types, since
+//! an index is `usize` in Rust and `u32` in WGSL, and the CPU may use `f64` where a kernel uses `f32`.
+
+use crate::encoding::{Encoding, HALF_SUBNORMAL as HALF_SUBNORMAL_STEP};
+use std::fmt::Write;
+
+macro_rules! wgsl_constants {
+    ($($group:ident {
+        $($(#[$doc:meta])* $name:ident: $rust:ty as $wgsl:ident = $value:expr;)*
+    })*) => {
+        $(pub mod $group {
+            #[allow(unused_imports)]
+            use super::*;
+            $($(#[$doc])* pub const $name: $rust = $value;)*
+        })*
+
+        /// The declarations of a group in WGSL; empty for a file without shared constants.
+        pub fn declarations(group: &str) -> String {
+            let mut text = String::new();
+            match group {
+                $(stringify!($group) => {
+                    // Writing to a string cannot fail.
+                    $(let _ = writeln!(
+                        text,
+                        concat!("const ", stringify!($name), ": ", stringify!($wgsl), " = {};"),
+                        $wgsl($group::$name as _),
+                    );)*
+                })*
+                _ => {}
+            }
+            text
+        }
+
+        /// The groups and the names in them, for tests.
+        #[cfg(test)]
+        pub const NAMES: &[(&str, &[&str])] = &[$((stringify!($group), &[$(stringify!($name)),*])),*];
+    };
+}
+
+fn u32(value: u32) -> String {
+    format!("{value}u")
+}
+
+fn i32(value: i32) -> String {
+    format!("{value}i")
+}
+
+/// The shortest text that reads back as the same number.
+fn f32(value: f32) -> String {
+    format!("{value:?}f")
+}
+
+/// Larger than any squared distance in local coordinates. WGSL has no infinity.
+const FAR_SQUARED: f32 = 3.0e38;
+
+/// Capacity of the stack of a walk through a tree over boxes.
+pub const BOX_STACK: usize = 56;
+
+/// A direction component below this counts as parallel to the faces: over 2^40 voxels the ray moves by less than the
+/// resolution of float32.
+pub const PARALLEL_DIRECTION: f32 = 1e-20;
+
+/// Larger than every `t` of a ray; replaces infinity.
+pub const FAR_ALONG_RAY: f32 = 1e30;
+
+/// Number of workgroups along x of kernels with one invocation for each sample.
+const SAMPLE_GROUPS_PER_ROW: u64 = 32_768;
+
+wgsl_constants! {
+    bvh {
+        /// Capacity of the stack of a search: each level of the eight-wide tree takes three entries, a pack one.
+        MAX_STACK: usize as u32 = 96;
+        /// Larger than any squared distance in local coordinates.
+        FAR: f32 as f32 = FAR_SQUARED;
+        /// Bit of a child that is a leaf.
+        LEAF: u32 as u32 = 1 << 31;
+        /// Unit of the number of triangles less one in a leaf.
+        LEAF_ONE: u32 as u32 = 1 << 28;
+        /// Mask of the first triangle of a leaf.
+        LEAF_FIRST: u32 as u32 = LEAF_ONE - 1;
+        /// Replaces a child that does not exist.
+        NOTHING: u32 as u32 = u32::MAX;
+    }
+    bake_distance {
+        /// Side of the block of samples that a workgroup evaluates.
+        BLOCK: usize as u32 = 4;
+    }
+    bake_finish {
+        /// Relative margin for the float32 rounding of stored squares.
+        SLACK: f64 as f32 = 1e-5;
+        WORKGROUPS_PER_ROW: u64 as u32 = SAMPLE_GROUPS_PER_ROW;
+    }
+    bake_brute {
+        /// Largest number of triangles of a dispatch: a quarter of the loop iterations that software adapters allow.
+        MAX_TRIANGLES: usize as u32 = 16_384;
+        /// Sign rules. Any other number leaves the distance unsigned.
+        NORMAL: u32 as u32 = 1;
+        PARITY: u32 as u32 = 2;
+        /// Article 001 nudges by 1e-4 in a scene of about unit size. Local coordinates are of about unit size too.
+        NUDGE: f64 as f32 = 1e-4;
+        WORKGROUPS_PER_ROW: u64 as u32 = SAMPLE_GROUPS_PER_ROW;
+    }
+    bricks {
+        /// Number of cells along the side of a brick.
+        BRICK_CELLS: usize as i32 = 7;
+        /// Number of samples along the side of a brick.
+        BRICK_SAMPLES: usize as u32 = BRICK_CELLS + 1;
+        /// Number of samples of a brick.
+        BRICK_LEN: usize as u32 = BRICK_SAMPLES * BRICK_SAMPLES * BRICK_SAMPLES;
+        /// Lowest bit of the level in a word of the index.
+        LEVEL_SHIFT: u32 as u32 = 30;
+        /// Level of a brick without samples.
+        NOTHING_STORED: u32 as u32 = 3;
+        /// Mask of the stored brick in a word of the index.
+        BRICK_MASK: u32 as u32 = (1 << LEVEL_SHIFT) - 1;
+    }
+    samples_encoded {
+        FLOAT32: u32 as u32 = Encoding::Float32 as u32;
+        FLOAT16: u32 as u32 = Encoding::Float16 as u32;
+        SNORM16: u32 as u32 = Encoding::Snorm16 as u32;
+        SNORM8: u32 as u32 = Encoding::Snorm8 as u32;
+        /// Spacing of halves below 2^-14, which are evenly spaced.
+        HALF_SUBNORMAL: f32 as f32 = HALF_SUBNORMAL_STEP;
+    }
+    quadrics {
+        /// Results of a pixel.
+        NOTHING_HIT: u32 as u32 = 0;
+        HIT: u32 as u32 = 1;
+        UNFINISHED: u32 as u32 = 2;
+        /// Number of texels of a quadric, and of a node of the tree.
+        RECORD_TEXELS: usize as u32 = 6;
+        NODE_TEXELS: usize as u32 = 2;
+        MAX_STACK: usize as u32 = BOX_STACK;
+    }
+    merge_owners {
+        /// Replaces the instance where the device could not identify it.
+        UNDECIDED: u32 as u32 = u32::MAX;
+        MAX_STACK: usize as u32 = BOX_STACK;
+    }
+    clip {
+        FAR_T: f32 as f32 = FAR_ALONG_RAY;
+    }
+    ray {
+        PARALLEL: f32 as f32 = PARALLEL_DIRECTION;
+    }
+    ray_filtered {
+        /// Largest number of steps of a ray: more than twice the voxels along the diagonal of the largest 3D texture
+        /// that devices offer.
+        MAX_STEPS: usize as u32 = 16384;
+    }
+    ray_sparse {
+        PARALLEL: f32 as f32 = PARALLEL_DIRECTION;
+        /// Largest number of steps of a ray. Grids in which a ray may visit more cells are refused.
+        MAX_STEPS: usize as u32 = 16384;
+    }
+    cubic {
+        /// Largest number of Newton steps. Every second step at least halves the bracket, and 24 halvings exhaust an
+        /// f32.
+        MAX_NEWTON_STEPS: u32 as u32 = 48;
+        /// Newton's method stops at a step below this, in voxels: one ulp at 1, and less than an ulp of the ray
+        /// parameter that the root is added to.
+        SMALLEST_STEP: f32 as f32 = f32::EPSILON;
+    }
+    light {
+        /// Ambient light from below, as a fraction of the ambient light from above.
+        GROUND_SHARE: f32 as f32 = 0.4;
+        MAX_LIGHTS: usize as u32 = 64;
+    }
+    picture {
+        /// Distance of the origin of a shadow ray from the surface, voxels. A trilinear surface departs from a smooth
+        /// one by h^2 / (8 R), less than an eighth of a voxel for a radius of a voxel or more. A grazing ray rises by
+        /// the same amount again over the next voxels.
+        SHADOW_BIAS_VOXELS: f32 as f32 = 0.5;
+    }
+    csg_tables {
+        /// Lowest bit of the opcode of a token.
+        TOKEN_SHIFT: u32 as u32 = 28;
+        /// Flag of the token of a leaf in a part in closed form: the literal is the complement of the leaf.
+        TOKEN_COMPLEMENTED: u32 as u32 = 1 << 26;
+        /// Mask of the index of a token.
+        TOKEN_INDEX: u32 as u32 = TOKEN_COMPLEMENTED - 1;
+        /// Opcodes.
+        TOKEN_LEAF: u32 as u32 = 0;
+        TOKEN_UNION: u32 as u32 = 1;
+        TOKEN_INTERSECTION: u32 as u32 = 2;
+        TOKEN_DIFFERENCE: u32 as u32 = 3;
+        TOKEN_XOR: u32 as u32 = 4;
+        TOKEN_OFFSET: u32 as u32 = 5;
+        TOKEN_SHELL: u32 as u32 = 6;
+        TOKEN_COMPLEMENT: u32 as u32 = 7;
+        TOKEN_ENTER: u32 as u32 = 8;
+        TOKEN_LEAVE: u32 as u32 = 9;
+    }
+    csg_interpreter {
+        /// Largest number of warps inside each other: a device keeps the position before each.
+        MAX_WARPS: usize as u32 = 4;
+    }
+    csg_field {
+        /// Larger than any distance in local units. As a result it means that an invocation ran out of rounds.
+        CSG_FAR: f32 as f32 = FAR_SQUARED;
+        /// Number of steps of Newton's method. In the worst places a step leaves at most 2/3 of the logarithm of the
+        /// error, which is 1e3 there and weighs 1e-8; near the end a step squares the error.
+        ELLIPSOID_STEPS: usize as u32 = 12;
+        /// Small beside all that is divided by it, and its inverse times a coordinate is finite.
+        ELLIPSOID_TINY: f64 as f32 = 1e-20;
+        /// Largest number of corners of a polygon: a device loops over them.
+        MAX_CORNERS: usize as u32 = 1024;
+    }
+    csg_chord {
+        /// Larger than the coordinate of any point of a ray through a model of size 1.
+        CHORD_FAR: f32 as f32 = 1e30;
+        /// A line with a smaller component of its unit direction across a slab is parallel to it. The inverse of a
+        /// larger component is finite.
+        CHORD_STILL: f32 as f32 = 1e-30;
+        /// Square of the component of a unit direction across an axis below which the line is parallel to the axis.
+        CHORD_PARALLEL: f32 as f32 = 1e-14;
+    }
+    csg_root {
+        /// Depth in the solid that a ray must reach to hit it, local units (the model has size 1/2 to 1). A face is
+        /// placed by up to eight float32 roundings of coordinates below 2, so two coincident faces are at most
+        /// `2 * 8 * 2^-24 = 9.6e-7` apart.
+        ERODED: f32 as f32 = 1e-6;
+        /// Shortest step of a march, local units: a hundred roundings of the field. A ray that is inside a sphere of
+        /// the model's size for less than this goes 1e-9 deep.
+        MIN_STEP: f32 as f32 = 3e-5;
+        /// Largest number of steps in one box. Only a ray that stays closer to a surface than the shortest step needs
+        /// more.
+        MAX_MARCH_STEPS: u32 as u32 = 4096;
+        /// Largest number of steps of regula falsi, which needs a fraction of them.
+        MAX_ROOT_STEPS: u32 as u32 = 32;
+        /// A bracket of this width is a root: one ulp of a position near 1.
+        ROOT_WIDTH: f32 as f32 = 1.2e-7;
+    }
+    csg_draw {
+        /// Start of a shadow ray above the surface, local units: some of the shortest steps.
+        SHADOW_BIAS: f32 as f32 = 1e-3;
+        /// Longer than any way through the model from a plane that a slanted ray crosses long before it.
+        FAR_T: f32 as f32 = 1e6;
+        /// Replaces a smaller component of a direction, so that its inverse is finite.
+        STILL: f32 as f32 = 1e-30;
+        MAX_LIGHTS: usize as u32 = 64;
+        /// Kinds of parts. A part with a larger number has a function of its own.
+        FORM_FIELD: u32 as u32 = 0;
+        FORM_UNION: u32 as u32 = 1;
+        FORM_CHORDS: u32 as u32 = 2;
+        /// Results of a pixel.
+        PIXEL_HIT: u32 as u32 = 1;
+        PIXEL_RAN_OUT: u32 as u32 = 2;
+    }
+}
