@@ -14,6 +14,7 @@
 
 use super::{Bvh, ChildRef, MAX_STACK, Node, WIDTH};
 use crate::mesh::Mesh;
+use crate::mesh::derived::Derived;
 use crate::mesh::topology::Orientation;
 use glam::DVec3;
 use robust::{Coord, orient2d};
@@ -68,8 +69,8 @@ const PARALLEL: f32 = 1e30;
 /// Coordinates of absent lanes.
 const ABSENT: f32 = 1e4;
 
-impl RayPacks {
-    pub fn of(mesh: &Mesh) -> Self {
+impl Derived for RayPacks {
+    fn derive(mesh: &Mesh) -> Self {
         let packs = mesh.bvh().packs.iter().map(|pack| {
             let mut corners = [[[ABSENT; WIDTH]; 3]; 3];
             let mut faces = [u32::MAX; WIDTH];
@@ -87,8 +88,20 @@ impl RayPacks {
         Self(packs.collect())
     }
 
-    pub fn bytes(&self) -> usize {
+    fn bytes(&self) -> usize {
         size_of_val(&self.0[..])
+    }
+}
+
+impl Mesh {
+    /// Triangles packed for ray tests, built at the first call.
+    pub fn ray_packs(&self) -> &RayPacks {
+        self.derived()
+    }
+
+    /// Whether the packs for rays, the tree and the connectivity have been built.
+    pub fn is_prepared_for_rays(&self) -> bool {
+        self.is_prepared() && self.has_derived::<RayPacks>()
     }
 }
 

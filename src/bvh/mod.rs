@@ -18,6 +18,8 @@ pub mod pack;
 pub mod ray;
 
 use crate::geometry::Aabb;
+use crate::mesh::Mesh;
+use crate::mesh::derived::Derived;
 use glam::Vec3;
 use pack::Pack;
 
@@ -75,16 +77,34 @@ pub struct Bvh {
 /// Capacity of the stack of a depth-first traversal: seven siblings per level, and the root.
 pub const MAX_STACK: usize = build::MAX_DEPTH * (WIDTH - 1) + 1;
 
+impl Derived for Bvh {
+    fn derive(mesh: &Mesh) -> Self {
+        Self::build(mesh.positions(), mesh.faces())
+    }
+
+    fn bytes(&self) -> usize {
+        size_of_val(&self.nodes[..]) + size_of_val(&self.packs[..])
+    }
+}
+
+impl Mesh {
+    /// The search tree, built at the first call.
+    pub fn bvh(&self) -> &Bvh {
+        self.derived()
+    }
+
+    /// Whether the tree and the connectivity have been built, so that a query starts at once.
+    pub fn is_prepared(&self) -> bool {
+        self.has_derived::<Bvh>() && self.has_topology()
+    }
+}
+
 impl Bvh {
     pub const ROOT: ChildRef = ChildRef(0);
 
     /// `faces` index `positions`. Every face must have a positive area.
     pub fn build(positions: &[Vec3], faces: &[[u32; 3]]) -> Self {
         build::build(positions, faces)
-    }
-
-    pub fn bytes(&self) -> usize {
-        size_of_val(&self.nodes[..]) + size_of_val(&self.packs[..])
     }
 
     /// [`Bvh::visit`] without an allocation, in another order, for traversals of about a microsecond.

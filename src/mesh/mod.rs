@@ -9,18 +9,14 @@
 //! Unused vertices that are not finite, and degenerate faces (a repeated corner, or zero area), are dropped and
 //! counted. A degenerate face still belongs to [`topology`], where it closes the surface around it.
 
+pub mod derived;
 #[cfg(test)]
 pub(crate) mod random;
 pub mod topology;
 
-use crate::bvh::Bvh;
-use crate::bvh::cast::RayPacks;
 use crate::error::MeshError;
 use crate::geometry::triangle_cross;
-use crate::sign::pseudonormal::Pseudonormals;
-use crate::sign::raw::RawClosure;
-use crate::sign::winding::Moments;
-use crate::sign::{SignChoice, SignMethod};
+use derived::Tables;
 use glam::{DVec3, Vec3};
 use std::sync::OnceLock;
 use topology::Topology;
@@ -42,12 +38,7 @@ pub struct Mesh {
     source_faces: Vec<u32>,
     dropped_vertices: usize,
     topology: OnceLock<Topology>,
-    bvh: OnceLock<Bvh>,
-    moments: OnceLock<Moments>,
-    pseudonormals: OnceLock<Pseudonormals>,
-    ray_packs: OnceLock<RayPacks>,
-    raw_closure: OnceLock<RawClosure>,
-    winding_choice: OnceLock<SignChoice>,
+    tables: Tables,
 }
 
 /// The child index of the tree has 31 bits, and faces times three must fit in u32.
@@ -128,12 +119,7 @@ impl Mesh {
             source_vertices,
             source_faces,
             topology: OnceLock::new(),
-            bvh: OnceLock::new(),
-            moments: OnceLock::new(),
-            pseudonormals: OnceLock::new(),
-            ray_packs: OnceLock::new(),
-            raw_closure: OnceLock::new(),
-            winding_choice: OnceLock::new(),
+            tables: Tables::default(),
         })
     }
 
@@ -214,49 +200,14 @@ impl Mesh {
         self.bounds
     }
 
-    /// The search tree, built at the first call.
-    pub fn bvh(&self) -> &Bvh {
-        self.bvh.get_or_init(|| Bvh::build(&self.positions, &self.faces))
-    }
-
-    /// Whether the tree and the connectivity have been built, so that a query starts at once.
-    pub fn is_prepared(&self) -> bool {
-        self.bvh.get().is_some() && self.topology.get().is_some()
-    }
-
-    /// Whether the packs for rays have been built as well.
-    pub fn is_prepared_for_rays(&self) -> bool {
-        self.is_prepared() && self.ray_packs.get().is_some()
+    /// Whether the connectivity has been computed.
+    pub fn has_topology(&self) -> bool {
+        self.topology.get().is_some()
     }
 
     /// Connectivity, computed at the first call.
     pub fn topology(&self) -> &Topology {
         self.topology.get_or_init(|| Topology::of(self))
-    }
-
-    /// Multipole moments for the fast winding number, computed at the first call.
-    pub fn moments(&self) -> &Moments {
-        self.moments.get_or_init(|| Moments::of(self))
-    }
-
-    /// Angle-weighted normals of vertices and edges, computed at the first call.
-    pub fn pseudonormals(&self) -> &Pseudonormals {
-        self.pseudonormals.get_or_init(|| Pseudonormals::of(self))
-    }
-
-    /// Triangles packed for ray tests, built at the first call.
-    pub fn ray_packs(&self) -> &RayPacks {
-        self.ray_packs.get_or_init(|| RayPacks::of(self))
-    }
-
-    /// The winding number's rule for this surface, chosen at the first call.
-    pub fn winding_choice(&self) -> &SignChoice {
-        self.winding_choice.get_or_init(|| SignChoice::new(self, SignMethod::Auto))
-    }
-
-    /// The triangles that close the faces as they are wound, built at the first call.
-    pub fn raw_closure(&self) -> &RawClosure {
-        self.raw_closure.get_or_init(|| RawClosure::of(self))
     }
 
     /// Memory in use, bytes: positions, faces, and the structures built from them so far.
@@ -267,12 +218,8 @@ impl Mesh {
             + size_of_val(&self.degenerate[..])
             + size_of_val(&self.source_vertices[..])
             + size_of_val(&self.source_faces[..])
-            + self.bvh.get().map_or(0, Bvh::bytes)
             + self.topology.get().map_or(0, Topology::bytes)
-            + self.moments.get().map_or(0, Moments::bytes)
-            + self.pseudonormals.get().map_or(0, Pseudonormals::bytes)
-            + self.ray_packs.get().map_or(0, RayPacks::bytes)
-            + self.raw_closure.get().map_or(0, RawClosure::bytes)
+            + self.tables.bytes()
     }
 }
 

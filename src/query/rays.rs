@@ -7,6 +7,7 @@ use super::nearest::unit_normal;
 use crate::bvh::cast::{FaceHit, Ray};
 use crate::error::{ArgumentError, Error};
 use crate::mesh::Mesh;
+use crate::mesh::derived::Derived;
 use crate::progress::Progress;
 use glam::DVec3;
 use rayon::prelude::*;

@@ -28,6 +28,7 @@ use crate::error::{ArgumentError, choice};
 use crate::geometry::triangle_cross;
 use crate::gpu::constants::bake_brute::NUDGE;
 use crate::mesh::Mesh;
+use crate::mesh::derived::Derived;
 use crossing::{Axes, Surface};
 use glam::DVec3;
 use openings::Openings;
@@ -95,6 +96,23 @@ pub struct SignChoice {
 
 /// Largest number of rim edges that are closed by cones. Each costs about 40 ns at the samples around the openings.
 const MAX_CAPS: usize = 2048;
+
+impl Derived for SignChoice {
+    fn derive(mesh: &Mesh) -> Self {
+        Self::new(mesh, SignMethod::Auto)
+    }
+
+    fn bytes(&self) -> usize {
+        size_of::<Self>()
+    }
+}
+
+impl Mesh {
+    /// The winding number's rule for this surface, chosen at the first call.
+    pub fn winding_choice(&self) -> &SignChoice {
+        self.derived()
+    }
+}
 
 impl SignChoice {
     pub fn new(mesh: &Mesh, method: SignMethod) -> Self {

@@ -8,6 +8,7 @@
 use crate::bvh::closest::ClosestPoint;
 use crate::geometry::{Feature, triangle_cross};
 use crate::mesh::Mesh;
+use crate::mesh::derived::Derived;
 use crate::mesh::topology::{Orientation, direction};
 use glam::DVec3;
 use std::collections::HashMap;
@@ -22,8 +23,8 @@ pub struct Pseudonormals {
     edge: HashMap<[u32; 2], DVec3>,
 }
 
-impl Pseudonormals {
-    pub fn of(mesh: &Mesh) -> Self {
+impl Derived for Pseudonormals {
+    fn derive(mesh: &Mesh) -> Self {
         let topology = mesh.topology();
         let mut face = Vec::with_capacity(mesh.faces().len());
         let mut vertex = vec![DVec3::ZERO; mesh.positions().len()];
@@ -52,12 +53,21 @@ impl Pseudonormals {
         normals
     }
 
-    pub fn bytes(&self) -> usize {
+    fn bytes(&self) -> usize {
         size_of_val(&self.face[..])
             + size_of_val(&self.vertex[..])
             + self.edge.capacity() * size_of::<([u32; 2], DVec3)>()
     }
+}
 
+impl Mesh {
+    /// Angle-weighted normals of vertices and edges, computed at the first call.
+    pub fn pseudonormals(&self) -> &Pseudonormals {
+        self.derived()
+    }
+}
+
+impl Pseudonormals {
     /// The normal of a feature of a face. Its length is arbitrary, and zero if the faces cancel.
     pub fn at(&self, mesh: &Mesh, face: u32, feature: Feature) -> DVec3 {
         match feature {

@@ -15,6 +15,7 @@ use super::crossing::{Axes, crossing};
 use crate::bvh::{Node, WIDTH};
 use crate::geometry::solid_angle;
 use crate::mesh::Mesh;
+use crate::mesh::derived::Derived;
 use glam::DVec3;
 use rustc_hash::FxHashMap;
 use std::f64::consts::PI;
@@ -34,8 +35,8 @@ pub struct RawClosure {
     flat: Vec<[DVec3; 3]>,
 }
 
-impl RawClosure {
-    pub fn of(mesh: &Mesh) -> Self {
+impl Derived for RawClosure {
+    fn derive(mesh: &Mesh) -> Self {
         let welded = &mesh.topology().welded;
         let mut net: FxHashMap<[u32; 2], i32> = FxHashMap::default();
         for face in mesh.faces().iter().chain(mesh.degenerate_faces()) {
@@ -60,10 +61,19 @@ impl RawClosure {
         Self { cone, flat }
     }
 
-    pub fn bytes(&self) -> usize {
+    fn bytes(&self) -> usize {
         size_of_val(&self.cone[..]) + size_of_val(&self.flat[..])
     }
+}
 
+impl Mesh {
+    /// The triangles that close the faces as they are wound, built at the first call.
+    pub fn raw_closure(&self) -> &RawClosure {
+        self.derived()
+    }
+}
+
+impl RawClosure {
     /// Whether the cost of a point is proportional to the number of faces.
     pub fn is_costly(&self, mesh: &Mesh) -> bool {
         8 * self.cone.len() > mesh.faces().len().max(1 << 12)
@@ -126,7 +136,7 @@ mod tests {
         let surfaces = [cube.clone(), cube[..9].to_vec(), flipped, repeated, reversed];
         let meshes = surfaces.iter().map(|faces| Mesh::new(&corners, faces).unwrap());
         for mesh in meshes.chain([soup(60, 0.4, 9)]) {
-            let closure = RawClosure::of(&mesh);
+            let closure = RawClosure::derive(&mesh);
             for _ in 0..200 {
                 let p = DVec3::new(random(), random(), random());
                 let faces = 0..mesh.faces().len() as u32;

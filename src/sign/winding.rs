@@ -17,6 +17,7 @@
 use crate::bvh::{Bvh, ChildRef, MAX_STACK, WIDTH};
 use crate::geometry::{solid_angle, triangle_cross};
 use crate::mesh::Mesh;
+use crate::mesh::derived::Derived;
 use crate::mesh::topology::direction;
 use glam::{DMat3, DVec3, Vec3};
 use std::f64::consts::PI;
@@ -77,8 +78,8 @@ impl Part {
     }
 }
 
-impl Moments {
-    pub fn of(mesh: &Mesh) -> Self {
+impl Derived for Moments {
+    fn derive(mesh: &Mesh) -> Self {
         let bvh = mesh.bvh();
         let empty = NodeMoments {
             center: [[0.0; WIDTH]; 3],
@@ -111,10 +112,19 @@ impl Moments {
         Self { nodes }
     }
 
-    pub fn bytes(&self) -> usize {
+    fn bytes(&self) -> usize {
         size_of_val(&self.nodes[..])
     }
+}
 
+impl Mesh {
+    /// Multipole moments for the fast winding number, computed at the first call.
+    pub fn moments(&self) -> &Moments {
+        self.derived()
+    }
+}
+
+impl Moments {
     /// Winding number of a local point.
     pub fn winding(&self, mesh: &Mesh, p: DVec3) -> f64 {
         let bvh = mesh.bvh();

@@ -1,0 +1,107 @@
+//! Tables that follow from a mesh alone, such as its search tree. The layers above define them; a mesh keeps each of
+//! them from its first use on, so that later calls do not build it again.
+
+use super::Mesh;
+use std::any::{Any, TypeId};
+use std::sync::OnceLock;
+
+/// A table that follows from a mesh.
+pub trait Derived: Any + Send + Sync {
+    fn derive(mesh: &Mesh) -> Self;
+
+    /// Memory in use, bytes.
+    fn bytes(&self) -> usize;
+}
+
+/// Largest number of different tables of one mesh.
+const SLOTS: usize = 8;
+
+/// The tables of a mesh, one slot for each type. The first type that finds a free slot takes it for good.
+#[derive(Debug, Default)]
+pub(super) struct Tables([OnceLock<Slot>; SLOTS]);
+
+#[derive(Debug)]
+struct Slot {
+    id: TypeId,
+    value: OnceLock<Box<dyn Any + Send + Sync>>,
+    bytes: OnceLock<usize>,
+}
+
+impl Tables {
+    /// The slot of a type, taken at the first call.
+    fn slot<T: Derived>(&self) -> &Slot {
+        let id = TypeId::of::<T>();
+        let slots =
+            self.0.iter().map(|slot| slot.get_or_init(|| Slot { id, value: OnceLock::new(), bytes: OnceLock::new() }));
+        // Threads that come at the same time agree on the owner of a slot, so a type never has two.
+        slots.into_iter().find(|slot| slot.id == id).expect("there is a slot for each type of table")
+    }
+
+    pub(super) fn bytes(&self) -> usize {
+        self.0.iter().filter_map(|slot| slot.get()?.bytes.get()).sum()
+    }
+}
+
+impl Mesh {
+    /// A table of this mesh, built at the first call.
+    pub fn derived<T: Derived>(&self) -> &T {
+        let slot = self.tables.slot::<T>();
+        let value = slot.value.get_or_init(|| {
+            let table = T::derive(self);
+            slot.bytes.get_or_init(|| table.bytes());
+            Box::new(table)
+        });
+        value.downcast_ref().expect("a slot has the type that took it")
+    }
+
+    /// Whether a table has been built.
+    pub fn has_derived<T: Derived>(&self) -> bool {
+        let id = TypeId::of::<T>();
+        self.tables.0.iter().filter_map(OnceLock::get).any(|slot| slot.id == id && slot.value.get().is_some())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::random::soup;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    static BUILT: AtomicUsize = AtomicUsize::new(0);
+
+    struct Count<const N: usize>(usize);
+
+    impl<const N: usize> Derived for Count<N> {
+        fn derive(mesh: &Mesh) -> Self {
+            BUILT.fetch_add(1, Ordering::Relaxed);
+            // A table may need another one.
+            Self(if N == 0 { mesh.faces().len() } else { mesh.derived::<Count<0>>().0 + N })
+        }
+
+        fn bytes(&self) -> usize {
+            self.0
+        }
+    }
+
+    #[test]
+    fn tables_are_built_once_by_whichever_thread_comes_first() {
+        let mesh = soup(12, 0.5, 3);
+        assert!(!mesh.has_derived::<Count<0>>());
+        let before = mesh.bytes();
+        std::thread::scope(|scope| {
+            for i in 0..8 {
+                let mesh = &mesh;
+                scope.spawn(move || {
+                    assert_eq!(mesh.derived::<Count<0>>().0, 12);
+                    assert_eq!(
+                        if i % 2 == 0 { mesh.derived::<Count<1>>().0 } else { mesh.derived::<Count<2>>().0 - 1 },
+                        13
+                    );
+                });
+            }
+        });
+        assert_eq!(BUILT.load(Ordering::Relaxed), 3);
+        assert!(mesh.has_derived::<Count<2>>());
+        assert_eq!(mesh.bytes() - before, 12 + 13 + 14);
+    }
+}
