@@ -166,6 +166,21 @@ fn gyroid(at: vec3f, k: array<f32, 6>) -> f32 {
     return abs(dot(sin(q), cos(q.yzx))) * k[1] - k[2];
 }
 
+fn schwarz_p(at: vec3f, k: array<f32, 6>) -> f32 {
+    return abs(dot(cos(at * k[0]), vec3f(1.0))) * k[1] - k[2];
+}
+
+fn diamond(at: vec3f, k: array<f32, 6>) -> f32 {
+    let q = at * k[0];
+    return abs(sin(q.x) * cos(q.y - q.z) + cos(q.x) * sin(q.y + q.z)) * k[1] - k[2];
+}
+
+fn iwp(at: vec3f, k: array<f32, 6>) -> f32 {
+    let c = cos(at * k[0]);
+    // cos 2x = 2 cos^2 x - 1.
+    return abs(2.0 * (dot(c, c.yzx) - dot(c, c) + 1.5)) * k[1] - k[2];
+}
+
 // Squared distance to an edge of a polygon, and 1 if the edge crosses the ray from the point to the right, else 0. The
 // parity of the crossings tells the side.
 fn edge_beside(at: vec2f, before: vec2f, corner: vec2f) -> vec2f {

@@ -235,6 +235,27 @@ pub fn gyroid<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
 }
 
 #[inline(always)]
+pub fn schwarz_p<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+    let value = (x * p[0]).cos() + (y * p[0]).cos() + (z * p[0]).cos();
+    value.abs() * p[1] - p[2]
+}
+
+#[inline(always)]
+pub fn diamond<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+    let [x, y, z] = [x * p[0], y * p[0], z * p[0]];
+    let value = x.sin() * (y - z).cos() + x.cos() * (y + z).sin();
+    value.abs() * p[1] - p[2]
+}
+
+#[inline(always)]
+pub fn iwp<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+    let [x, y, z] = [(x * p[0]).cos(), (y * p[0]).cos(), (z * p[0]).cos()];
+    // cos 2x = 2 cos^2 x - 1.
+    let value = x * y + y * z + z * x - x * x - y * y - z * z + F::of(1.5);
+    (value + value).abs() * p[1] - p[2]
+}
+
+#[inline(always)]
 pub fn circle<F: Real>(x: F, y: F, radius: F) -> F {
     length2(x, y) - radius
 }

@@ -89,6 +89,15 @@ macro_rules! primitives {
             /// A sheet around the gyroid, at least `thickness` thick, that repeats every `cell`.
             Gyroid { cell: f64, thickness: f64 } = gyroid,
                 words [("gyroid", "gyroid", [Full("cell"), Full("t")])];
+            /// A sheet around the primitive surface of Schwarz, at least `thickness` thick, that repeats every `cell`.
+            SchwarzP { cell: f64, thickness: f64 } = schwarz_p,
+                words [("schwarz-p", "schwarz_p", [Full("cell"), Full("t")])];
+            /// A sheet around the diamond surface of Schwarz, at least `thickness` thick, that repeats every `cell`.
+            Diamond { cell: f64, thickness: f64 } = diamond,
+                words [("diamond", "diamond", [Full("cell"), Full("t")])];
+            /// A sheet around the I-WP surface of Schoen, at least `thickness` thick, that repeats every `cell`.
+            Iwp { cell: f64, thickness: f64 } = iwp,
+                words [("iwp", "iwp", [Full("cell"), Full("t")])];
         }
     };
 }
@@ -283,6 +292,15 @@ impl Primitive {
             ("gyroid", &[cell, thickness]) => {
                 Self::Gyroid { cell: positive("cell", cell)?, thickness: positive("thickness", thickness)? }
             }
+            ("schwarz_p", &[cell, thickness]) => {
+                Self::SchwarzP { cell: positive("cell", cell)?, thickness: positive("thickness", thickness)? }
+            }
+            ("diamond", &[cell, thickness]) => {
+                Self::Diamond { cell: positive("cell", cell)?, thickness: positive("thickness", thickness)? }
+            }
+            ("iwp", &[cell, thickness]) => {
+                Self::Iwp { cell: positive("cell", cell)?, thickness: positive("thickness", thickness)? }
+            }
             _ => {
                 let problem = format!("there is no primitive '{name}' of {} numbers", numbers.len());
                 return Err(ShapeError::argument("primitive", problem));
@@ -316,6 +334,9 @@ impl Primitive {
             Self::Octahedron { radius } => ("octahedron", vec![radius]),
             Self::HexPrism { apothem, half_height } => ("hex_prism", vec![apothem / 0.75f64.sqrt(), 2.0 * half_height]),
             Self::Gyroid { cell, thickness } => ("gyroid", vec![cell, thickness]),
+            Self::SchwarzP { cell, thickness } => ("schwarz_p", vec![cell, thickness]),
+            Self::Diamond { cell, thickness } => ("diamond", vec![cell, thickness]),
+            Self::Iwp { cell, thickness } => ("iwp", vec![cell, thickness]),
             Self::Extrude { .. } | Self::Revolve { .. } | Self::Volume(_) => return None,
         })
     }
@@ -324,7 +345,8 @@ impl Primitive {
     /// Lipschitz constant times that distance.
     pub fn is_exact(&self) -> bool {
         match self {
-            Self::BoxFrame { .. } | Self::Gyroid { .. } | Self::Volume(_) => false,
+            Self::BoxFrame { .. } | Self::Volume(_) => false,
+            Self::Gyroid { .. } | Self::SchwarzP { .. } | Self::Diamond { .. } | Self::Iwp { .. } => false,
             // A tube that intersects itself has its surface inside the tube.
             Self::Torus { radius, tube } => tube <= radius,
             Self::CappedTorus { radius, tube, half_angle } => tube <= radius && *half_angle <= 0.5 * PI,
@@ -402,10 +424,17 @@ impl Primitive {
             Self::HexPrism { apothem, half_height } => put(&[s * apothem, s * half_height]),
             Self::Extrude { half_height, .. } => put(&[s * half_height]),
             Self::Revolve { offset, .. } => put(&[s * offset]),
-            Self::Gyroid { cell, thickness } => {
-                // The gradient of sin x cos y + sin y cos z + sin z cos x is at most sqrt(3) long.
+            // The level functions of the first three have gradients of at most sqrt(3), that of the last one sqrt(27). For
+            // the diamond, with t = cos^2 x, Cauchy's inequality bounds the square of the gradient by a linear function
+            // of t with the values 3 - cos^2(y - z) - cos^2(y + z) and 1 + cos^2(y - z) + cos^2(y + z) at its ends. A test
+            // bounds the gradient of I-WP by intervals.
+            Self::Gyroid { cell, thickness }
+            | Self::SchwarzP { cell, thickness }
+            | Self::Diamond { cell, thickness }
+            | Self::Iwp { cell, thickness } => {
+                let slope = if matches!(self, Self::Iwp { .. }) { 27f64.sqrt() } else { 3f64.sqrt() };
                 let frequency = 2.0 * PI / (s * cell);
-                put(&[frequency, 1.0 / (frequency * 3f64.sqrt()), 0.5 * s * thickness]);
+                put(&[frequency, 1.0 / (frequency * slope), 0.5 * s * thickness]);
             }
             Self::Volume(_) => put(&[s]),
         }
@@ -461,12 +490,8 @@ impl Primitive {
                 // The part beyond the axis counts too, which can only enlarge the box.
                 profile.support(DVec2::new(across, n.z)) + offset * across
             }
-            Self::Gyroid { .. } => {
-                if n == DVec3::ZERO {
-                    0.0
-                } else {
-                    f64::INFINITY
-                }
+            Self::Gyroid { .. } | Self::SchwarzP { .. } | Self::Diamond { .. } | Self::Iwp { .. } => {
+                if n == DVec3::ZERO { 0.0 } else { f64::INFINITY }
             }
             Self::Volume(ref volume) => volume.support(n),
         }

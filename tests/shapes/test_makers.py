@@ -5,6 +5,7 @@ import pytest
 
 import fieldbake as fb
 import meshes
+from manifold import faults
 
 RANDOM = np.random.default_rng(5)
 POINTS = RANDOM.uniform(-3, 3, (4000, 3))
@@ -181,3 +182,45 @@ def test_endings_are_checked_before_any_work(tmp_path):
     with pytest.raises(fb.ShapeError):
         fb.plane().save(tmp_path / "a.stl")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["gyroid", "schwarz_p", "diamond", "iwp"])
+def test_sheets_about_minimal_surfaces_have_the_slope_1_at_most(name):
+    sheet = getattr(fb, name)(1.3, 0.2)
+    step = 1e-3
+    there = POINTS + step * RANDOM.normal(size=POINTS.shape)
+    change = np.abs(sheet.distance(there).astype(float) - sheet.distance(POINTS))
+    assert (change <= np.linalg.norm(there - POINTS, axis=1) * (1 + 1e-4) + 1e-6).all()
+    np.testing.assert_allclose(sheet.distance(POINTS + (1.3, -2.6, 1.3)), sheet.distance(POINTS), atol=1e-5)
+    # The middle surface lies in the sheet, half the thickness deep.
+    assert sheet.distance(POINTS).min() >= -0.1 - 1e-6
+    assert faults(*_arrays((sheet & fb.sphere(1)).to_mesh(32))) == []
+
+
+def _arrays(mesh):
+    return mesh.vertices, mesh.faces
+
+
+def test_the_gradient_of_iwp_is_at_most_the_root_of_27():
+    """Branch and bound over the cube of the cosines (a, b, c) with interval arithmetic."""
+    boxes = np.array([[[-1.0, 1.0]] * 3])
+    for _ in range(60):
+        lower, upper = boxes[..., 0], boxes[..., 1]
+        total = 0.0
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            smallest = np.where(lower[:, i] * upper[:, i] <= 0, 0, np.minimum(lower[:, i] ** 2, upper[:, i] ** 2))
+            low = lower[:, j] + lower[:, k] - 2 * upper[:, i]
+            high = upper[:, j] + upper[:, k] - 2 * lower[:, i]
+            total = total + 4 * (1 - smallest) * np.maximum(low**2, high**2)
+        boxes = boxes[total > 27 * 1.002]
+        if not len(boxes):
+            return
+        widest = np.argmax(boxes[..., 1] - boxes[..., 0], axis=1)
+        rows = np.arange(len(boxes))
+        middle = boxes[rows, widest].mean(axis=1)
+        first, second = boxes.copy(), boxes.copy()
+        first[rows, widest, 1] = middle
+        second[rows, widest, 0] = middle
+        boxes = np.concatenate([first, second])
+    raise AssertionError("not decided")

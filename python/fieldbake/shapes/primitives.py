@@ -20,15 +20,18 @@ __all__ = [
     "capsule",
     "cone",
     "cylinder",
+    "diamond",
     "ellipsoid",
     "gyroid",
     "hex_prism",
+    "iwp",
     "octahedron",
     "plane",
     "pyramid",
     "rounded_box",
     "rounded_cone",
     "rounded_cylinder",
+    "schwarz_p",
     "slab",
     "sphere",
     "torus",
@@ -249,6 +252,30 @@ def hex_prism(radius: float = 1.0, height: float = 1.0) -> Shape:
 def gyroid(cell: float = 1.0, thickness: float = 0.1) -> Shape:
     """Make a sheet about the gyroid with period `cell`, at least `thickness` thick. A lower bound; no bounds."""
     return _primitive("gyroid", number("cell", cell), number("thickness", thickness))
+
+
+def schwarz_p(cell: float = 1.0, thickness: float = 0.1) -> Shape:
+    """Make a sheet about the primitive surface of Schwarz with period `cell`, at least `thickness` thick.
+
+    Its field is a lower bound with the slope 1 at most. It has no bounds.
+    """
+    return _primitive("schwarz_p", number("cell", cell), number("thickness", thickness))
+
+
+def diamond(cell: float = 1.0, thickness: float = 0.1) -> Shape:
+    """Make a sheet about the diamond surface of Schwarz with period `cell`, at least `thickness` thick.
+
+    Its field is a lower bound with the slope 1 at most. It has no bounds.
+    """
+    return _primitive("diamond", number("cell", cell), number("thickness", thickness))
+
+
+def iwp(cell: float = 1.0, thickness: float = 0.1) -> Shape:
+    """Make a sheet about the I-WP surface of Schoen with period `cell`, at least `thickness` thick.
+
+    Its field is a lower bound with the slope 1 at most. It has no bounds.
+    """
+    return _primitive("iwp", number("cell", cell), number("thickness", thickness))
 
 
 def volume_shape(volume: Volume) -> Shape:
