@@ -5,7 +5,7 @@ use super::error::exception;
 use super::mesh::Mesh;
 use super::run::run;
 use super::sparse::SparseField;
-use crate::surface::{self, Crossing, MeshOptions};
+use crate::surface::{self, Crossing, ExtraPlanes, MeshOptions, Probes};
 use glam::DVec3;
 use numpy::{PyArray1, PyArray2, PyReadonlyArray2, PyReadonlyArray4, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -16,12 +16,13 @@ use std::sync::{Mutex, PoisonError};
 pub struct Surface {
     surface: surface::Surface,
     crossings: Mutex<Vec<Crossing>>,
+    extra: Mutex<(ExtraPlanes, Probes)>,
 }
 
 impl Surface {
     fn new(surface: surface::Surface) -> Self {
         let crossings = Mutex::new(surface.crossings());
-        Self { surface, crossings }
+        Self { surface, crossings, extra: Mutex::default() }
     }
 
     fn change(
@@ -137,6 +138,40 @@ impl Surface {
         })?)
     }
 
+    /// Points (k, 3) around the vertices where the source has to be evaluated; `sharp_only` leaves out those on smooth parts.
+    #[pyo3(signature = (*, sharp_only=false))]
+    fn probes<'py>(&self, py: Python<'py>, sharp_only: bool) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let points = run(py, None, |_| {
+            let crossings = self.crossings.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut extra = self.extra.lock().unwrap_or_else(PoisonError::into_inner);
+            extra.1 = self.surface.probes(&crossings, &extra.0, sharp_only);
+            Ok(extra.1.points.clone())
+        })?;
+        row_array(py, points.iter().map(DVec3::to_array))
+    }
+
+    /// Join the tangent planes through `points` with `normals`, (k, 3) each, one row for each of the last probes.
+    fn join_planes(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = points)] points: Vec<DVec3>,
+        #[pyo3(from_py_with = points)] normals: Vec<DVec3>,
+    ) -> PyResult<()> {
+        let count = self.extra.lock().unwrap_or_else(PoisonError::into_inner).1.points.len();
+        if points.len() != count || normals.len() != count {
+            let message =
+                format!("points and normals: must have {count} rows, got {} and {}", points.len(), normals.len());
+            return Err(exception(py, "ArgumentError", message));
+        }
+        Ok(run(py, None, |_| {
+            let crossings = self.crossings.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut extra = self.extra.lock().unwrap_or_else(PoisonError::into_inner);
+            let (planes, probes) = &*extra;
+            *extra = (self.surface.join_planes(&crossings, planes, probes, &points, &normals), Probes::default());
+            Ok(())
+        })?)
+    }
+
     /// Vertices (n, 3), faces (m, 3) and the number of vertices that were clamped to their cell.
     #[expect(clippy::type_complexity, reason = "two arrays and a count are what Python unpacks")]
     #[pyo3(signature = (*, sharp=true, capped=true))]
@@ -148,7 +183,8 @@ impl Surface {
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<u32>>, usize)> {
         let mesh = run(py, None, |_| {
             let crossings = self.crossings.lock().unwrap_or_else(PoisonError::into_inner);
-            Ok(self.surface.mesh(&crossings, MeshOptions { sharp, capped }))
+            let extra = self.extra.lock().unwrap_or_else(PoisonError::into_inner);
+            Ok(self.surface.mesh(&crossings, &extra.0, MeshOptions { sharp, capped }))
         })?;
         let vertices = row_array(py, mesh.vertices.iter().map(DVec3::to_array))?;
         Ok((vertices, row_array(py, mesh.faces.into_iter())?, mesh.clamped))

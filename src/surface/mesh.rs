@@ -2,6 +2,7 @@
 
 use super::cells::{Cell, owner_of};
 use super::patches::face_corners;
+use super::probes::ExtraPlanes;
 use super::qef::Planes;
 use super::{Crossing, MARGIN, Surface};
 use crate::volume::{trilinear, trilinear_gradient};
@@ -35,17 +36,11 @@ pub struct SurfaceMesh {
 }
 
 impl Surface {
-    /// The mesh over `crossings`, one entry per crossed edge in the order of [`Surface::crossings`].
-    pub fn mesh(&self, crossings: &[Crossing], options: MeshOptions) -> SurfaceMesh {
+    /// The mesh over `crossings`, one entry a crossed edge as [`Surface::crossings`] returns them, and over the planes
+    /// that probes have found.
+    pub fn mesh(&self, crossings: &[Crossing], extra: &ExtraPlanes, options: MeshOptions) -> SurfaceMesh {
         assert_eq!(crossings.len(), self.edge_count(), "one crossing for each crossed edge");
-        let placed: Vec<(DVec3, bool)> = self
-            .cells
-            .cells()
-            .par_iter()
-            .flat_map_iter(|cell| cell.patches().map(move |patch| self.vertex(cell, patch, crossings, options)))
-            .collect();
-        let clamped = placed.iter().filter(|(_, clamped)| *clamped).count();
-        let vertices: Vec<DVec3> = placed.into_iter().map(|(vertex, _)| vertex).collect();
+        let (vertices, clamped) = self.vertices(crossings, extra, options);
         let faces: Vec<[u32; 3]> = self
             .cells
             .cells()
@@ -58,16 +53,95 @@ impl Surface {
         if options.capped { mesh } else { mesh.without_unused_vertices() }
     }
 
-    /// The vertex of a patch, and whether it was clamped to its cell.
-    fn vertex(&self, cell: &Cell, patch: u16, crossings: &[Crossing], options: MeshOptions) -> (DVec3, bool) {
-        let corner = self.world(cell.index, DVec3::ZERO);
-        let mut planes = Planes::new();
-        for edge in (0..12).filter(|edge| patch >> edge & 1 == 1) {
-            let (owner, axis) = owner_of(cell, edge);
-            let Some(owner) = self.cells.find(owner) else { continue };
-            let crossing = &crossings[owner.edge(axis) as usize];
-            planes.add(crossing.on_edge - corner, crossing.point - corner, crossing.normal);
+    /// The vertices of all patches, and the number of those that were clamped.
+    pub(super) fn vertices(
+        &self,
+        crossings: &[Crossing],
+        extra: &ExtraPlanes,
+        options: MeshOptions,
+    ) -> (Vec<DVec3>, usize) {
+        let placed: Vec<(DVec3, bool)> = self
+            .cells
+            .cells()
+            .par_iter()
+            .flat_map_iter(|cell| {
+                (cell.first_patch..)
+                    .zip(cell.patches())
+                    .map(move |(id, patch)| self.vertex(cell, id, patch, crossings, extra, options))
+            })
+            .collect();
+        let mut vertices: Vec<DVec3> = placed.iter().map(|(vertex, _)| *vertex).collect();
+        let mut clamped = placed.iter().filter(|(_, clamped)| *clamped).count();
+        // Planes of the samples alone are not worth a vertex outside its cell.
+        if !extra.is_empty() {
+            clamped -= self.free_clamped(&placed, &mut vertices, crossings, extra);
         }
+        (vertices, clamped)
+    }
+
+    /// Move clamped vertices to their best place up to a voxel outside their region, one after the other, where that folds
+    /// no quadrilateral. A ridge or a corner may pass between the edges of the grid through a cell that has a patch of its
+    /// own. Returns the number of vertices that moved.
+    fn free_clamped(
+        &self,
+        placed: &[(DVec3, bool)],
+        vertices: &mut [DVec3],
+        crossings: &[Crossing],
+        extra: &ExtraPlanes,
+    ) -> usize {
+        let mut moved = 0;
+        for cell in self.cells.cells() {
+            for (id, patch) in (cell.first_patch..).zip(cell.patches()) {
+                if !placed[id as usize].1 {
+                    continue;
+                }
+                let corner = self.world(cell.index, DVec3::ZERO);
+                let [lower, upper] = self.allowed(cell);
+                let planes = self.planes(cell, id, patch, crossings, extra);
+                let best = planes.minimum(lower - self.spacing, upper + self.spacing).point;
+                let clamped = vertices[id as usize];
+                vertices[id as usize] = (corner + best).clamp(self.lower, self.upper);
+                let folds = (0..12).filter(|edge| patch >> edge & 1 == 1).any(|edge| {
+                    let (owner, axis) = owner_of(cell, edge);
+                    self.cells.find(owner).is_none_or(|owner| self.folds(owner, axis, vertices))
+                });
+                if folds {
+                    // Planes beyond the cell would bend the surface; the crossings alone may have a place inside.
+                    let own = self.planes(cell, id, patch, crossings, &ExtraPlanes::default()).minimum(lower, upper);
+                    vertices[id as usize] = if own.clamped { clamped } else { corner + own.point };
+                } else {
+                    moved += 1;
+                }
+            }
+        }
+        moved
+    }
+
+    /// The crossings of the edges of a patch.
+    pub(super) fn crossings_of<'a>(
+        &'a self,
+        cell: &'a Cell,
+        patch: u16,
+        crossings: &'a [Crossing],
+    ) -> impl Iterator<Item = &'a Crossing> {
+        (0..12).filter(move |edge| patch >> edge & 1 == 1).filter_map(move |edge| {
+            let (owner, axis) = owner_of(cell, edge);
+            self.cells.find(owner).map(|owner| &crossings[owner.edge(axis) as usize])
+        })
+    }
+
+    /// The vertex of a patch with the number `id`, and whether it was clamped to its cell.
+    pub(super) fn vertex(
+        &self,
+        cell: &Cell,
+        id: u32,
+        patch: u16,
+        crossings: &[Crossing],
+        extra: &ExtraPlanes,
+        options: MeshOptions,
+    ) -> (DVec3, bool) {
+        let corner = self.world(cell.index, DVec3::ZERO);
+        let planes = self.planes(cell, id, patch, crossings, extra);
         let [lower, upper] = self.allowed(cell);
         let (vertex, clamped) = if options.sharp {
             let minimum = planes.minimum(lower, upper);
@@ -81,10 +155,23 @@ impl Surface {
         ((corner + vertex).clamp(self.lower, self.upper), clamped)
     }
 
-    /// Where a vertex of the cell may lie, relative to the lower corner of the cell: within the cell by [`MARGIN`], in
-    /// the next cell across a face if neither the face nor that cell is crossed, and in the box. The tip of a corner
-    /// that holds no voxel centre lies in such a cell.
-    fn allowed(&self, cell: &Cell) -> [DVec3; 2] {
+    /// The tangent planes of a patch, relative to the lower corner of its cell.
+    fn planes(&self, cell: &Cell, id: u32, patch: u16, crossings: &[Crossing], extra: &ExtraPlanes) -> Planes {
+        let corner = self.world(cell.index, DVec3::ZERO);
+        let mut planes = Planes::new();
+        for crossing in self.crossings_of(cell, patch, crossings) {
+            planes.add(crossing.on_edge - corner, crossing.point - corner, crossing.normal);
+        }
+        for &(point, normal) in extra.of(id) {
+            planes.add_plane(point, normal);
+        }
+        planes
+    }
+
+    /// Where a vertex of the cell may lie, relative to the lower corner of the cell: within the cell by [`MARGIN`], in the
+    /// next cell across a face if neither the face nor that cell is crossed, and in the box. The tip of a corner that
+    /// holds no voxel centre lies in such a cell.
+    pub(super) fn allowed(&self, cell: &Cell) -> [DVec3; 2] {
         let mut lower = DVec3::splat(MARGIN);
         let mut upper = DVec3::splat(1.0 - MARGIN);
         for axis in 0..3 {
@@ -128,11 +215,12 @@ impl Surface {
         p
     }
 
-    /// The two triangles across the crossed edge from the lower corner of `cell` along `axis`.
-    fn triangles(&self, cell: &Cell, axis: usize, vertices: &[DVec3]) -> [[u32; 3]; 2] {
+    /// The patches around the crossed edge from the lower corner of `cell` along `axis`, counter-clockwise seen from its
+    /// far end.
+    pub(super) fn patches_around(&self, cell: &Cell, axis: usize) -> [u32; 4] {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-        // The cells around the edge, counter-clockwise seen from its far end, by their steps along -u and -v.
-        let mut quad = [(0, 0), (1, 0), (1, 1), (0, 1)].map(|(back_u, back_v): (i32, i32)| {
+        // The cells around the edge by their steps along -u and -v.
+        [(0, 0), (1, 0), (1, 1), (0, 1)].map(|(back_u, back_v): (i32, i32)| {
             let mut index = cell.index;
             index[u] -= back_u;
             index[v] -= back_v;
@@ -140,7 +228,15 @@ impl Surface {
             let edge = 4 * axis + (back_u + 2 * back_v) as usize;
             // Every cell around a crossed edge is crossed, so it is found.
             self.cells.find(index).map_or(0, |around| around.first_patch + around.patch_of(edge))
-        });
+        })
+    }
+
+    /// The corners of the quadrilateral around the crossed edge from the lower corner of `cell` along `axis`,
+    /// counter-clockwise seen from outside, and twice the smaller area, voxels squared, of the two triangles of either
+    /// division, seen along the edge.
+    fn quad(&self, cell: &Cell, axis: usize, vertices: &[DVec3]) -> ([u32; 4], [f64; 2]) {
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        let mut quad = self.patches_around(cell, axis);
         // Seen from the outside end of the edge the order must be counter-clockwise.
         let far_is_outside = cell.inside & 1 == 1;
         if !far_is_outside {
@@ -152,8 +248,18 @@ impl Surface {
             if far_is_outside { p } else { DVec2::new(p.y, p.x) }
         });
         let area = |a: usize, b: usize, c: usize| (flat[b] - flat[a]).perp_dot(flat[c] - flat[a]);
-        let first = area(0, 1, 2).min(area(0, 2, 3));
-        let second = area(1, 2, 3).min(area(1, 3, 0));
+        (quad, [area(0, 1, 2).min(area(0, 2, 3)), area(1, 2, 3).min(area(1, 3, 0))])
+    }
+
+    /// Whether both divisions of a quadrilateral fold it, seen along its edge.
+    fn folds(&self, cell: &Cell, axis: usize, vertices: &[DVec3]) -> bool {
+        let (_, areas) = self.quad(cell, axis, vertices);
+        areas.into_iter().all(|area| area <= MARGIN * MARGIN)
+    }
+
+    /// The two triangles across the crossed edge from the lower corner of `cell` along `axis`.
+    fn triangles(&self, cell: &Cell, axis: usize, vertices: &[DVec3]) -> [[u32; 3]; 2] {
+        let (quad, [first, second]) = self.quad(cell, axis, vertices);
         let [a, b, c, d] = quad;
         if self.prefers_first(first, second, quad, vertices) { [[a, b, c], [a, c, d]] } else { [[b, c, d], [b, d, a]] }
     }

@@ -21,16 +21,18 @@
 //! # Practice
 //!
 //! [`Surface::of_field`] or [`Surface::of_blocks`], then [`Surface::crossings`], which a source may replace by its own
-//! planes, then [`Surface::mesh`]. The result does not depend on the number of threads.
+//! planes, then [`Surface::probes`] and [`Surface::join_planes`] if there is a source, then [`Surface::mesh`]. The result does not depend on the number of threads.
 
 pub mod cells;
 mod hermite;
 mod mesh;
 pub mod patches;
+mod probes;
 pub mod qef;
 
 pub use hermite::planes_of_mesh;
 pub use mesh::{MeshOptions, SurfaceMesh};
+pub use probes::{ExtraPlanes, Probes};
 
 use crate::error::{ArgumentError, Error};
 use crate::grid::Grid;

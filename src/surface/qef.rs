@@ -36,10 +36,15 @@ impl Planes {
 
     /// Adds the plane through `point` with the unit normal `normal`; `crossing` contributes to the mean.
     pub fn add(&mut self, crossing: DVec3, point: DVec3, normal: DVec3) {
-        self.matrix += DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
-        self.vector += normal * normal.dot(point);
+        self.add_plane(point, normal);
         self.mean += crossing;
         self.count += 1.0;
+    }
+
+    /// Add the plane through `point` with the unit normal `normal`, which no edge crosses.
+    pub fn add_plane(&mut self, point: DVec3, normal: DVec3) {
+        self.matrix += DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
+        self.vector += normal * normal.dot(point);
     }
 
     /// The mean of the crossings.

@@ -21,12 +21,21 @@ ROOT_STEPS = 24
 #: A crossing is found once the interval is this fraction of an edge, a tenth of the resolution of the vertices.
 ROOT_SHARE = 1e-5
 
+#: Steps of Newton's method from a probe onto a level set. Fields of distances need one on smooth parts.
+NEWTON_STEPS = 2
+
+#: A gradient shorter than this fraction of one nearby is the mean of two sides of a crease, which are 23 degrees apart.
+CREASE_SLOPE = 0.98
+
 
 class Source(Protocol):
     """Geometry that a field was computed from. It replaces the tangent planes of the samples by exact ones."""
 
     def apply(self, surface: _core.Surface, level: float) -> None:
         """Set the tangent planes of `surface`, the level set of the field at `level`."""
+
+    def planes(self, points: NDArray[np.float64], level: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Evaluate tangent planes of the level set near points (n, 3): a point and a normal each, (n, 3)."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +51,23 @@ class MeshSource:
             surface.use_mesh(self.mesh._core, level)
         else:
             surface.use_mesh(self.mesh._core, level + self.half_thickness, unsigned=True)
+
+    def planes(self, points: NDArray[np.float64], level: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Evaluate the planes of the nearest faces; at other levels than zero, of spheres around the nearest points."""
+        sign = "auto" if self.half_thickness is None else "unsigned"
+        level += self.half_thickness or 0.0
+        if level != 0:
+            distances, gradients, *_ = _core.query(self.mesh._core, points, sign=sign)
+            return points + gradients * (level - distances)[:, None], gradients
+        facts = self.mesh._core.topology()
+        if facts["flipped_faces"] == 0 and facts["duplicate_faces"] == 0:
+            # The faces agree on the outside, so no point needs a side.
+            nearest, _, _, _, normals = _core.closest_point(self.mesh._core, points)
+            return nearest, normals if self.mesh.volume >= 0 else -normals
+        _, gradients, nearest, faces, *_ = _core.query(self.mesh._core, points, sign=sign)
+        normals = self.mesh.face_normals[faces]
+        turned = np.einsum("ij,ij->i", normals, gradients) < 0
+        return nearest, np.where(turned[:, None], -normals, normals)
 
 
 @dataclass(frozen=True)
@@ -66,6 +92,24 @@ class FieldSource:
         normals = np.full(points.shape, np.nan)
         normals[found] = self.gradient(points[found])
         surface.use_planes(points, normals)
+
+    def planes(self, points: NDArray[np.float64], level: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Move points onto the level set by Newton's method, and evaluate the gradients there.
+
+        Rows are nan where the gradient is the mean of two sides of a crease: it is shorter there than at the probe.
+        """
+        slopes = np.zeros(len(points))
+        for _ in range(NEWTON_STEPS):
+            values, gradients = self._values(points, level), np.asarray(self.gradient(points), dtype=np.float64)
+            square = np.einsum("ij,ij->i", gradients, gradients)
+            slopes = np.maximum(slopes, np.sqrt(square))
+            with np.errstate(divide="ignore", invalid="ignore"):
+                points = points - gradients * np.where(square > 1e-12, values / square, np.nan)[:, None]
+            points[~np.isfinite(points).all(axis=1)] = 0.0
+        gradients = np.asarray(self.gradient(points), dtype=np.float64)
+        kept = np.abs(self._values(points, level)) <= np.abs(values) + 1e-12
+        kept &= np.linalg.norm(gradients, axis=1) >= CREASE_SLOPE * slopes
+        return np.where(kept[:, None], points, np.nan), gradients
 
     def roots(
         self,
@@ -121,5 +165,10 @@ def extract(surface: _core.Surface, level: float, source: Source | None, *, shar
     sharp, capped = checks.flag("sharp", sharp), checks.flag("capped", capped)
     if sharp and source is not None:
         source.apply(surface, level)
+        # The second probes lie around the places where the planes of the first have put the sharp vertices.
+        for sharp_only in (False, True):
+            probes = surface.probes(sharp_only=sharp_only)
+            if len(probes):
+                surface.join_planes(*source.planes(probes, level))
     vertices, faces, clamped = surface.mesh(sharp=sharp, capped=capped)
     return Mesh._extracted(vertices, faces, SurfaceReport(clamped_vertices=clamped))

@@ -109,9 +109,9 @@ class GridField(Neighbours):
         -----
         One vertex is made for each surface patch of a cell (G. Nielson, "Dual Marching Cubes", IEEE Visualization
         2004). A quadratic error function places it within its cell (T. Ju et al., "Dual Contouring of Hermite Data",
-        SIGGRAPH 2002). Time and additional memory grow with the surface. Edges and corners of the source are reproduced
-        to a fiftieth of a voxel where edges of the grid cross the faces on all their sides. A tip that lies between the
-        edges of the grid is cut off by up to half a voxel.
+        SIGGRAPH 2002). The planes are those at the crossed edges of the grid and, if the source is known, those at
+        points around the vertices. Time and additional memory grow with the surface. Straight edges and corners of the
+        source that are some voxels apart are reproduced to a fiftieth of a voxel.
 
         Examples
         --------
