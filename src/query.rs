@@ -13,16 +13,20 @@
 //!
 //! The order is cut into chunks of fixed size, so the result does not depend on the number of threads.
 
+mod deviation;
 mod device;
 mod inside;
 mod nearest;
+mod outer;
 mod rays;
 mod self_intersections;
 mod surface;
 mod thickness;
 
+pub use deviation::{Deviation, deviation};
 pub use inside::{contains, winding_numbers};
 pub use nearest::{ClosestPoints, Query, closest_points, query};
+pub use outer::OuterSides;
 pub use rays::{Intersections, RayHits, Rays, all_intersections, cast_rays, count_intersections, occluded};
 pub use self_intersections::count_self_intersections;
 pub use surface::{SurfaceSamples, sample_surface};

@@ -80,6 +80,8 @@ from .shapes.profiles import *
 from .shapes.quadric import Quadric
 from .shapes.quadric_texels import pack_quadrics, unpack_quadrics, wrap_quadrics
 from .shapes.shape import Shape
+from .surfaces.report import SolidReport
+from .surfaces.solids import boolean, offset, shell, solid
 from .volumes.quantized import QuantizedVolume
 from .volumes.sparse import SparseVolume
 from .volumes.volume import Volume
@@ -118,6 +120,7 @@ __all__ = [
     "SceneError",
     "Shape",
     "ShapeError",
+    "SolidReport",
     "SparseVolume",
     "SurfaceSamples",
     "SurfaceWarning",
@@ -132,6 +135,7 @@ __all__ = [
     "bake_many",
     "bake_sparse",
     "bake_to_zarr",
+    "boolean",
     "cache",
     "cast_rays",
     "closest_point",
@@ -147,6 +151,7 @@ __all__ = [
     "models",
     "normalize",
     "occluded",
+    "offset",
     "open_zarr",
     "pack",
     "pack_quadrics",
@@ -156,7 +161,9 @@ __all__ = [
     "sample_surface",
     "sample_training",
     "set_threads",
+    "shell",
     "signed_distance",
+    "solid",
     "sphere_intersection",
     "thickness",
     "torch",

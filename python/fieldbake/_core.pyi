@@ -106,6 +106,8 @@ class Mesh:
         """
     def self_intersections(self) -> int:
         """Number of pairs of faces without a common vertex that intersect."""
+    def deviation(self, other: Mesh) -> tuple[float, float]:
+        """Bounds from below and above of the largest distance from this surface to another one, world units."""
     def sign_warnings(self, sign: str) -> list[str]:
         """Warnings about the sign of this surface by a method."""
     def topology(self) -> dict[str, Any]:
@@ -440,8 +442,28 @@ class Surface:
         """Use the tangent planes through `points` with `normals`, (m, 3) each; a row that is not finite keeps its
         plane.
         """
+    def probes(self, *, sharp_only: bool = False) -> NDArray[np.float64]:
+        """Points (k, 3) around the vertices where the source has to be evaluated; without those on smooth parts."""
+    def join_planes(self, points: NDArray[np.float64], normals: NDArray[np.float64]) -> None:
+        """Join the tangent planes through `points` with `normals`, (k, 3) each, one row for each of the last probes."""
     def mesh(self, *, sharp: bool = True, capped: bool = True) -> tuple[NDArray[np.float64], NDArray[np.uint32], int]:
         """Vertices (n, 3), faces (m, 3) and the number of vertices that were clamped to their cell."""
+
+@final
+class OuterSides:
+    """The samples of a grid that a flood from the box reaches without crossing a triangle."""
+
+    def __new__(
+        cls,
+        mesh: Mesh,
+        lower: tuple[float, float, float],
+        upper: tuple[float, float, float],
+        shape: tuple[int, int, int],
+        radius: float,
+    ) -> OuterSides:
+        """Openings up to twice `radius` wide, world units, are closed."""
+    def is_outside(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether the samples nearest to points (n, 3) lie outside, (n,)."""
 
 @final
 class SparseField:

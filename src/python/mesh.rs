@@ -5,7 +5,7 @@ use super::error::Failure;
 use super::run::run;
 use crate::bake::sign_warnings;
 use crate::mesh;
-use crate::query::count_self_intersections;
+use crate::query::{count_self_intersections, deviation};
 use crate::sign::SignMethod;
 use numpy::ndarray::ArrayView2;
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
@@ -97,6 +97,13 @@ impl Mesh {
     /// Number of pairs of faces without a common vertex that intersect.
     fn self_intersections(&self, py: Python<'_>) -> PyResult<u64> {
         Ok(run(py, None, |progress| count_self_intersections(&self.0, progress))?)
+    }
+
+    /// Bounds from below and above of the largest distance from this surface to another one.
+    fn deviation(&self, py: Python<'_>, other: PyRef<'_, Self>) -> PyResult<(f64, f64)> {
+        let other = other.0.clone();
+        let found = run(py, None, |progress| deviation(&self.0, &other, progress))?;
+        Ok((found.lower, found.upper))
     }
 
     /// Warnings about the sign of this surface by a method. Builds the connectivity.

@@ -47,7 +47,9 @@ mod _core {
     #[pymodule_export]
     use super::quadric::Quadrics;
     #[pymodule_export]
-    use super::query::{closest_point, contains, query, sample_surface, signed_distance, thickness, winding_number};
+    use super::query::{
+        OuterSides, closest_point, contains, query, sample_surface, signed_distance, thickness, winding_number,
+    };
     #[pymodule_export]
     use super::rays::{all_intersections, cast_rays, count_intersections, occluded};
     #[pymodule_export]

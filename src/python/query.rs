@@ -197,3 +197,46 @@ pub fn sample_surface<'py>(
         owned_rows(py, samples.barycentric)?,
     ))
 }
+
+/// The samples of a grid that a flood from the box reaches without crossing a triangle.
+#[pyclass(frozen, module = "fieldbake._core")]
+pub struct OuterSides {
+    sides: core::OuterSides,
+    grid: crate::grid::Grid,
+}
+
+#[pymethods]
+impl OuterSides {
+    #[new]
+    fn new(
+        py: Python<'_>,
+        mesh: PyRef<'_, Mesh>,
+        lower: [f64; 3],
+        upper: [f64; 3],
+        shape: [usize; 3],
+        radius: f64,
+    ) -> PyResult<Self> {
+        let grid = super::convert::grid(lower, upper, shape)?;
+        let mesh = mesh.0.clone();
+        let sides = run(py, None, |progress| core::OuterSides::new(&mesh, &grid, radius, progress))?;
+        Ok(Self { sides, grid })
+    }
+
+    /// Whether the samples nearest to points (n, 3) lie outside, (n,).
+    fn is_outside<'py>(
+        &self,
+        py: Python<'py>,
+        points: PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Bound<'py, PyArray1<bool>>> {
+        let points = rows(&points, "points")?;
+        let spacing = self.grid.spacing();
+        let found: Vec<bool> = points
+            .iter()
+            .map(|&p| {
+                let at = (glam::DVec3::from_array(p) - self.grid.lower) / spacing - 0.5;
+                self.sides.is_outside(at.round().to_array().map(|i| i as i64))
+            })
+            .collect();
+        Ok(found.into_pyarray(py))
+    }
+}

@@ -1,0 +1,134 @@
+"""The commands ``mesh``, ``solid`` and ``boolean``: closed meshes from fields, shapes and other meshes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+import fieldbake as fb
+
+from ..files.container import ENDINGS
+from .commands import MESHES, app, parse_resolution, parse_vector, show_rows
+from .streams import check_output
+
+Output = Annotated[Path, typer.Option("--output", "-o", help="The mesh file to write: .stl, .obj, .ply, .glb or .3mf.")]
+Resolution = Annotated[
+    Any,
+    typer.Option(
+        "--resolution",
+        "-r",
+        parser=parse_resolution,
+        metavar="N|NxNxN",
+        help="Voxels along the longest side (256), or along x, y and z (256x128x64).",
+    ),
+]
+Measure = Annotated[
+    bool, typer.Option("--measure", help="Also report the largest distances between the result and its source.")
+]
+#: Words for the operations of `boolean`.
+OPERATIONS = {"-": "difference", "+": "union", "|": "union", "&": "intersection"}
+
+
+@app.command()
+def mesh(
+    file: Annotated[Path, typer.Argument(help="A baked field (.npz, .dds, ...), an s-expression (.csg), or a mesh.")],
+    output: Output,
+    level: Annotated[
+        float, typer.Option(help="Value of the field on the surface, world units; for fields and shapes.")
+    ] = 0.0,
+    offset: Annotated[
+        float | None, typer.Option(help="Grow a mesh by this distance, world units; a negative one shrinks it.")
+    ] = None,
+    shell: Annotated[float | None, typer.Option(help="Hollow a mesh: thickness of its wall, world units.")] = None,
+    side: Annotated[
+        Literal["inward", "outward", "both"], typer.Option(help="Side of the surface on which --shell puts the wall.")
+    ] = "inward",
+    open: Annotated[
+        list[str] | None,
+        typer.Option(help="Direction in which --shell leaves the wall open: z, -x or 0,0,1. May be repeated."),
+    ] = None,
+    resolution: Resolution = "256",
+    measure: Measure = False,
+) -> None:
+    """Write the surface of a field, a shape or a mesh as a closed mesh."""
+    check_output(output, MESHES)
+    if shell is None and open:
+        raise typer.BadParameter("needs --shell", param_hint="--open")
+    if offset is not None and shell is not None:
+        raise typer.BadParameter("give either --offset or --shell", param_hint="--shell")
+    ending = file.suffix.lower()
+    is_field = ending in ENDINGS["volume"]
+    if is_field or ending in (".csg", ".sexpr"):
+        if offset is not None or shell is not None:
+            raise typer.BadParameter("is for meshes; use --level for fields and shapes", param_hint="--offset, --shell")
+        if is_field:
+            field = fb.load(file)
+            if not hasattr(field, "to_mesh"):
+                raise fb.FormatError(f"{file}: holds a {type(field).__name__}, which has no surface")
+            made = field.to_mesh(level)
+        else:
+            shape = fb.csg.parse(file.read_text(encoding="utf-8"))
+            made = (shape.offset(level) if level else shape).to_mesh(resolution)
+        if not len(made.faces):
+            raise fb.MeshError(f"{file}: has no surface at the level {level:g}")
+    else:
+        if level:
+            raise typer.BadParameter("is for fields and shapes; use --offset for meshes", param_hint="--level")
+        if shell is not None:
+            directions = [parse_vector(text) if "," in text else text for text in open or []]
+            made = fb.shell(file, shell, resolution, side, directions)
+        elif offset is not None:
+            made = fb.offset(file, offset, resolution)
+        else:
+            made = fb.solid(file, resolution)
+    _finish(made, output, measure)
+
+
+@app.command()
+def solid(
+    mesh: Annotated[Path, typer.Argument(help="A mesh file: open, doubled, intersecting or wound both ways.")],
+    output: Output,
+    resolution: Resolution = "256",
+    fill: Annotated[
+        Literal["winding", "outer"],
+        typer.Option(help="winding: inside by the winding number; outer: all that the outer surface encloses."),
+    ] = "winding",
+    seal: Annotated[float, typer.Option(help="Diameter of the holes that --fill outer closes, voxels.")] = 0.0,
+    measure: Measure = False,
+) -> None:
+    """Write a closed two-manifold mesh made from any triangles."""
+    check_output(output, MESHES)
+    _finish(fb.solid(mesh, resolution, fill=fill, seal=seal), output, measure)
+
+
+@app.command(context_settings={"ignore_unknown_options": True})
+def boolean(
+    a: Annotated[Path, typer.Argument(help="The first mesh file.")],
+    operation: Annotated[str, typer.Argument(metavar="-|+|&", help="Difference, union or intersection.")],
+    b: Annotated[Path, typer.Argument(help="The second mesh file.")],
+    output: Output,
+    resolution: Resolution = "256",
+    smooth: Annotated[float, typer.Option(help="Width of a fillet where the surfaces meet, world units.")] = 0.0,
+    measure: Measure = False,
+) -> None:
+    """Combine two meshes: fieldbake boolean a.stl - b.stl -o c.stl."""
+    check_output(output, MESHES)
+    op: Any = OPERATIONS.get(operation, operation)
+    _finish(fb.boolean(op, a, b, resolution=resolution, smooth=smooth), output, measure)
+
+
+def _finish(made: fb.Mesh, output: Path, measure: bool) -> None:
+    """Write a mesh and describe it."""
+    made.save(output)
+    rows = [("mesh", f"{len(made.vertices):,} vertices, {len(made.faces):,} faces")]
+    rows += [("volume", f"{made.volume:.6g}"), ("area", f"{made.area:.6g}")]
+    report = made.report
+    if isinstance(report, fb.SolidReport):
+        rows.append(("bodies", f"{report.bodies:,}, genus {report.genus}"))
+        rows.append(("crossing faces", f"{report.self_intersections:,} pairs"))
+        if measure:
+            rows.append(("to source", f"{report.distance_to_source:.4g}, voxels of {report.voxel_size:.4g}"))
+            rows.append(("from source", f"{report.distance_from_source:.4g}"))
+    show_rows(str(output), rows)

@@ -1,0 +1,122 @@
+"""Distances between a mesh and the zero level set of a field, as the largest of samples that are refined.
+
+Each distance is that of a point found by the search, so it never exceeds the true largest one. Samples are at most a
+voxel apart, and the neighbourhoods of the largest ones are searched to a thousandth of a voxel.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _core
+from ..base.grid import Grid
+from ..meshes.mesh import Mesh
+from .fields import Field, projected
+
+Array = NDArray[np.float64]
+
+#: Points evaluated at once.
+BATCH = 1 << 20
+
+#: Places whose neighbourhood is searched, and the number of times that the search is narrowed by half.
+PLACES = 512
+ROUNDS = 10
+
+#: Steps of Newton's method onto a level set, and the error that they may leave, voxels.
+STEPS = 3
+ON_SURFACE = 1e-3
+
+
+def to_ideal(mesh: Mesh, field: Field) -> float:
+    """Largest distance from the surface of a mesh to the zero level set of a field."""
+    corners = mesh.vertices[mesh.faces]
+    scores = np.concatenate([_scores(field, part) for part in np.array_split(corners, 1 + len(corners) * 7 // BATCH)])
+    kept = _largest(scores)
+    pieces, best = corners[kept], float(scores.max())
+    for _ in range(ROUNDS):
+        quarters = _quarters(pieces)
+        scores = _scores(field, quarters.reshape(-1, 3, 3)).reshape(-1, 4)
+        best = max(best, float(scores.max()))
+        pieces = quarters[np.arange(len(pieces)), scores.argmax(axis=1)]
+    return best
+
+
+def _scores(field: Field, triangles: Array) -> Array:
+    """Largest distance at the corners, the middles of the edges and the centre of triangles (m, 3, 3), (m,)."""
+    middles = (triangles + np.roll(triangles, -1, axis=1)) / 2
+    points = np.concatenate([triangles, middles, triangles.mean(axis=1, keepdims=True)], axis=1)
+    found: Array = field.distances(points.reshape(-1, 3)).reshape(-1, 7).max(axis=1)
+    return found
+
+
+def from_ideal(mesh: Mesh, field: Field, grid: Grid) -> float:
+    """Largest distance from the zero level set of a field to the surface of a mesh."""
+    spacing = np.array(grid.spacing)
+    voxel = float(spacing.max())
+
+    def measure(points: Array) -> tuple[Array, Array]:
+        """The points moved onto the level set, and their distances from the mesh; -1 where that fails."""
+        for _ in range(STEPS):
+            points = projected(field, points)[0]
+            points[~np.isfinite(points).all(axis=1)] = mesh.vertices[0]
+        found = _core.closest_point(mesh._core, np.ascontiguousarray(points))[1]
+        return points, np.where(np.abs(field.values(points)) <= ON_SURFACE * voxel, found, -1.0)
+
+    tops, scores = [np.empty((0, 3))], [np.empty(0)]
+    for centers in _near(field, grid):
+        points, found = measure(centers)
+        kept = _largest(found)
+        tops.append(points[kept])
+        scores.append(found[kept])
+    points, found = np.concatenate(tops), np.concatenate(scores)
+    kept = _largest(found)
+    points, found = points[kept], found[kept]
+    # A pattern search around each place: its step is halved where no neighbour is farther from the mesh.
+    steps = np.concatenate([np.eye(3), -np.eye(3)]) * voxel
+    size = np.full(len(points), 0.5)
+    for _ in range(2 * ROUNDS):
+        near, scores_near = measure((points[:, None] + steps * size[:, None, None]).reshape(-1, 3))
+        scores_near = scores_near.reshape(-1, len(steps))
+        farthest = scores_near.argmax(axis=1)
+        rows = np.arange(len(points))
+        better = scores_near[rows, farthest] > found
+        points = np.where(better[:, None], near.reshape(-1, len(steps), 3)[rows, farthest], points)
+        found = np.where(better, scores_near[rows, farthest], found)
+        size = np.where(better, size, size / 2)
+    return max(float(found.max(initial=0.0)), 0.0)
+
+
+def _near(field: Field, grid: Grid) -> list[Array]:
+    """Centres of cubes of half a voxel that the zero level set may pass through, in batches of points (n, 3)."""
+    lower, spacing = np.array(grid.lower), np.array(grid.spacing)
+    shape = np.array(grid.shape)
+    corner = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    side = float(2 ** int(np.ceil(np.log2(shape.max()))))
+    batches = [np.zeros((1, 3))]
+    while side > 0.5:
+        side /= 2
+        reach = side / 2 * float(np.linalg.norm(spacing)) * (1 + 1e-5)
+        next_batches = []
+        for origins in batches:
+            for part in np.array_split(origins, max(1, 8 * len(origins) // BATCH)):
+                children = (part[:, None] + corner * side).reshape(-1, 3)
+                children = children[(children < shape).all(axis=1)]
+                values = field.values(lower + (children + side / 2) * spacing)
+                next_batches.append(children[np.abs(values) <= reach])
+        batches = next_batches
+    return [lower + (origins + side / 2) * spacing for origins in batches]
+
+
+def _largest(scores: Array) -> NDArray[np.intp]:
+    """Rows of the largest scores, at most `PLACES`, the same on every run."""
+    count = min(PLACES, len(scores))
+    return np.argsort(-scores, kind="stable")[:count]
+
+
+def _quarters(triangles: Array) -> Array:
+    """Four similar triangles for each of (m, 3, 3), (m, 4, 3, 3)."""
+    a, b, c = (triangles[:, i] for i in range(3))
+    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+    parts = [np.stack(part, axis=1) for part in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+    return np.stack(parts, axis=1)

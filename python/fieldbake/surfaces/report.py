@@ -1,0 +1,94 @@
+"""The report of a solid: how far it is from its source, and the facts of its surface."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ..base.report import SurfaceReport
+from ..meshes.mesh import Mesh
+
+
+@dataclass(frozen=True)
+class SolidReport(SurfaceReport):
+    """Facts of a mesh made by :func:`fieldbake.solid`, `offset`, `shell` or `boolean`.
+
+    Every fact is computed when it is first read. `distance_to_source` and `distance_from_source` take about as long as
+    the mesh itself.
+
+    Attributes
+    ----------
+    clamped_vertices : int
+        Vertices whose nearest point to the tangent planes lies outside their cell; they lie on the border of the cell.
+    voxel_size : float
+        Side of a voxel of the grid, world units.
+    """
+
+    voxel_size: float = 0.0
+    _mesh: Mesh | None = field(default=None, repr=False, compare=False)
+    _to_source: Callable[[Mesh], float] | None = field(default=None, repr=False, compare=False)
+    _from_source: Callable[[Mesh], float] | None = field(default=None, repr=False, compare=False)
+
+    @cached_property
+    def distance_to_source(self) -> float:
+        """Largest distance from the surface of the result to the source, world units.
+
+        The source is the input mesh of `solid`, the ideal offset surface of `offset` and `shell`, and the exact
+        combination of `boolean`.
+        """
+        return self._measured(self._to_source)
+
+    @cached_property
+    def distance_from_source(self) -> float:
+        """Largest distance from the source to the surface of the result, world units."""
+        return self._measured(self._from_source)
+
+    @cached_property
+    def volume(self) -> float:
+        """Enclosed volume, cubic world units."""
+        return self._made.volume
+
+    @cached_property
+    def area(self) -> float:
+        """Area of the surface, square world units."""
+        return self._made.area
+
+    @cached_property
+    def bodies(self) -> int:
+        """Number of closed surfaces; a cavity is one too."""
+        return int(self._made.topology()["components"])
+
+    @cached_property
+    def genus(self) -> int:
+        """Number of handles, summed over all closed surfaces."""
+        faces = self._made.faces
+        # Every edge of a closed two-manifold has two faces.
+        characteristic = len(np.unique(faces)) - len(faces) * 3 // 2 + len(faces)
+        return self.bodies - characteristic // 2
+
+    @cached_property
+    def self_intersections(self) -> int:
+        """Pairs of faces without a common vertex that pass through each other."""
+        return self._made._core.self_intersections()
+
+    @property
+    def _made(self) -> Mesh:
+        assert self._mesh is not None
+        return self._mesh
+
+    def _measured(self, measure: Callable[[Mesh], float] | None) -> float:
+        assert measure is not None
+        return measure(self._made)
+
+    def __str__(self) -> str:
+        rows = [
+            ("bodies", f"{self.bodies:,}, genus {self.genus}, {self.self_intersections:,} self-intersections"),
+            ("volume", f"{self.volume:.6g}"),
+            ("area", f"{self.area:.6g}"),
+            ("distance", f"{self.distance_to_source:.4g} to the source, {self.distance_from_source:.4g} from it"),
+            ("voxel", f"{self.voxel_size:.4g}"),
+        ]
+        return "\n".join(f"{label:<8}  {text}" for label, text in rows)

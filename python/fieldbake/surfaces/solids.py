@@ -1,0 +1,347 @@
+"""Closed meshes from meshes: solids, offsets, shells and Booleans through their distance fields."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import _core
+from ..base import checks
+from ..base.errors import ArgumentError, MeshError
+from ..base.grid import Grid, Resolution, make_grid
+from ..meshes.convert import MeshLike, as_mesh
+from ..meshes.isosurface import MeshSource, Source, extract
+from ..meshes.mesh import Mesh
+from ..volumes.blocks import level_set
+from .fields import Field, Intersection, MeshField, OuterField, Shifted, TangentSource, Wall, complement
+from .ideal import from_ideal, to_ideal
+from .report import SolidReport
+
+Operation = Literal["union", "intersection", "difference"]
+Side = Literal["inward", "outward", "both"]
+Fill = Literal["winding", "outer"]
+
+#: Cosine of the largest angle between the normal of a face and a direction of `open` for which the face is left out.
+OPEN_COSINE = np.cos(np.radians(45.0)) - 1e-9
+
+#: The axes by name, for `open`.
+DIRECTIONS = {
+    sign + axis: (-1.0 if sign == "-" else 1.0) * np.eye(3)[i]
+    for sign in ("", "+", "-")
+    for i, axis in enumerate("xyz")
+}
+
+
+def solid(mesh: MeshLike, resolution: Resolution = 256, *, fill: Fill = "winding", seal: float = 0) -> Mesh:
+    """Make a closed two-manifold mesh of any triangles.
+
+    Parameters
+    ----------
+    mesh : Mesh or anything that `as_mesh` takes
+        Triangles that may be open, doubled, intersecting or wound both ways.
+    resolution : int or three ints, default 256
+        Voxels along the longest side of the box, or along x, y and z. Parts thinner than a voxel may be lost.
+    fill : "winding" or "outer", default "winding"
+        ``"winding"``: a point is inside if the magnitude of its winding number exceeds 1/2; openings are closed.
+        ``"outer"``: a point is inside if no path on the grid leads from outside to it without crossing a triangle, so
+        that everything within the outer surface is filled.
+    seal : float, default 0
+        Diameter, voxels, of the largest hole that ``"outer"`` closes. Without it a hole wider than a voxel lets the
+        outside in.
+
+    Returns
+    -------
+    Mesh
+        Every edge belongs to two faces, every vertex has one fan of faces, and faces are counter-clockwise seen from
+        outside. `report` is a :class:`SolidReport`.
+
+    Raises
+    ------
+    MeshError
+        If the mesh cannot be used, encloses nothing at this resolution, or an option makes no sense.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> knot = fb.solid(fb.models.torus_knot(), 48)
+    >>> knot.is_closed, knot.report.genus
+    (True, 1)
+    """
+    source = as_mesh(mesh)
+    _word("fill", fill, ("winding", "outer"))
+    diameter = _number("seal", seal, least=0)
+    field: MeshField | OuterField
+    if fill == "outer":
+        # The flood needs space for the seal between the mesh and the box.
+        grid = _grid(source.bounds, resolution, border=2 + diameter / 2)
+        radius = diameter / 2 * max(grid.spacing)
+        field = OuterField(source, _core.OuterSides(source._core, grid.lower, grid.upper, grid.shape, radius))
+    elif diameter > 0:
+        raise MeshError('seal: closes holes with fill="outer" only')
+    else:
+        grid = _grid(source.bounds, resolution)
+        field = MeshField(source)
+    surface = level_set(field.values, 1.0, grid, 0.0, follow=True)
+    nothing = "it encloses no voxel centre. Raise the resolution, or give sheets a thickness by shell(..., side='both')"
+    return _extracted(
+        surface,
+        MeshSource(source),
+        grid,
+        f"mesh: {nothing}",
+        lambda made: made._core.deviation(source._core)[0],
+        lambda made: source._core.deviation(made._core)[0],
+    )
+
+
+def offset(mesh: MeshLike, distance: float, resolution: Resolution = 256) -> Mesh:
+    """Make the surface at a distance from a mesh.
+
+    Parameters
+    ----------
+    mesh : Mesh or anything that `as_mesh` takes
+        The source. Its inside is that of :func:`fieldbake.signed_distance`.
+    distance : float
+        World units. A positive distance grows the solid and rounds its convex edges; a negative one shrinks it.
+    resolution : int or three ints, default 256
+        Voxels along the longest side of the box of the result, or along x, y and z.
+
+    Returns
+    -------
+    Mesh
+        As for :func:`solid`. The source of the report is the level set of the signed distance at `distance`.
+
+    Raises
+    ------
+    MeshError
+        If nothing is left, or `distance` is not a finite number.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> grown = fb.offset(fb.box(2).to_mesh(32), 0.5, 32)
+    >>> grown.bounds.round(2).tolist()
+    [[-1.5, -1.5, -1.5], [1.5, 1.5, 1.5]]
+    """
+    source = as_mesh(mesh)
+    distance = _number("distance", distance)
+    bounds = source.bounds + max(distance, 0.0) * np.array([[-1.0], [1.0]])
+    grid = _grid(bounds, resolution)
+    field = Shifted(MeshField(source), distance)
+    surface = level_set(field.field.values, 1.0, grid, distance, follow=True)
+    return _extracted(
+        surface,
+        MeshSource(source),
+        grid,
+        f"distance: nothing is left of the mesh at {distance:g}; its thickest part is thinner",
+        lambda made: to_ideal(made, field),
+        lambda made: from_ideal(made, field, grid),
+        level=distance,
+    )
+
+
+def shell(
+    mesh: MeshLike,
+    thickness: float,
+    resolution: Resolution = 256,
+    side: Side = "inward",
+    open: ArrayLike | str | Sequence[str] = (),
+) -> Mesh:
+    """Hollow a mesh: make the wall of a thickness along its surface.
+
+    Parameters
+    ----------
+    mesh : Mesh or anything that `as_mesh` takes
+        The source. Sheets without an inside need ``side="both"``.
+    thickness : float
+        Thickness of the wall, world units.
+    resolution : int or three ints, default 256
+        Voxels along the longest side of the box of the result, or along x, y and z.
+    side : "inward", "outward" or "both", default "inward"
+        Where the wall lies: inside the surface, outside, or half on each side.
+    open : directions, default none
+        Directions in which the wall is left open: ``"x"``, ``"-z"``, a vector (3,), or a sequence of those. Faces whose
+        normal is within 45 degrees of a direction get no wall.
+
+    Returns
+    -------
+    Mesh
+        As for :func:`solid`. The source of the report is the ideal surface of the wall.
+
+    Raises
+    ------
+    MeshError
+        If nothing is left, the thickness is not positive, or a word or a direction is unknown.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> cup = fb.shell(fb.box(2).to_mesh(32), 0.2, 40, open="z")
+    >>> round(cup.volume, 1)
+    2.8
+    """
+    source = as_mesh(mesh)
+    thickness = _number("thickness", thickness)
+    if thickness <= 0:
+        raise MeshError(f"thickness: must be above 0, got {thickness:g}")
+    _word("side", side, ("inward", "outward", "both"))
+    kept = _without_open_faces(source, open)
+    reach = {"inward": 0.0, "outward": thickness, "both": thickness / 2}[side]
+    grid = _grid(source.bounds + reach * np.array([[-1.0], [1.0]]), resolution)
+    field: Field
+    if side == "both":
+        field = Shifted(MeshField(kept, unsigned=True), thickness / 2)
+    elif kept is source:
+        lower, upper = (-thickness, 0.0) if side == "inward" else (0.0, thickness)
+        field = Wall(MeshField(source), lower, upper)
+    else:
+        near = Shifted(MeshField(kept, unsigned=True), thickness)
+        within = MeshField(source) if side == "inward" else complement(MeshField(source))
+        field = Intersection(within, near)
+    surface = level_set(field.values, 1.0, grid, 0.0, follow=True)
+    return _extracted(
+        surface,
+        TangentSource(field),
+        grid,
+        f"thickness: no wall of {thickness:g} is left; it needs about a voxel ({max(grid.spacing):.3g})",
+        lambda made: to_ideal(made, field),
+        lambda made: from_ideal(made, field, grid),
+    )
+
+
+def boolean(op: Operation, a: MeshLike, b: MeshLike, *, resolution: Resolution = 256, smooth: float = 0) -> Mesh:
+    """Combine two solids.
+
+    Parameters
+    ----------
+    op : "union", "intersection" or "difference"
+        The operation; the difference is `a` without `b`.
+    a, b : Mesh or anything that `as_mesh` takes
+        The operands. They may be open, and may intersect themselves and each other.
+    resolution : int or three ints, default 256
+        Voxels along the longest side of the box of the result, or along x, y and z.
+    smooth : float, default 0
+        Width of a fillet where the surfaces meet, world units: the surface changes where the two distances differ by
+        less.
+
+    Returns
+    -------
+    Mesh
+        As for :func:`solid`. The source of the report is the surface of the exact combination.
+
+    Raises
+    ------
+    MeshError
+        If nothing is left, the operation is unknown, or `smooth` is negative or not a number.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> ball, cube = fb.sphere(1.2).to_mesh(32), fb.box(2).to_mesh(32)
+    >>> round(fb.boolean("intersection", cube, ball, resolution=48).volume, 1)
+    6.5
+    """
+    _word("op", op, ("union", "intersection", "difference"))
+    first, second = as_mesh(a), as_mesh(b)
+    smooth = _number("smooth", smooth, least=0)
+    # A fillet of the union reaches a quarter of its width outside the operands.
+    grown = smooth / 4 * np.array([[-1.0], [1.0]])
+    boxes = np.array([first.bounds, second.bounds])
+    if op == "union":
+        bounds = np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)]) + grown
+    elif op == "intersection":
+        bounds = np.array([boxes[:, 0].max(axis=0), boxes[:, 1].min(axis=0)])
+    else:
+        bounds = first.bounds
+    nothing = f"op: the {op} is empty at this resolution"
+    if not (bounds[0] < bounds[1]).all():
+        raise MeshError(nothing)
+    grid = _grid(bounds, resolution)
+    one, two = MeshField(first), MeshField(second)
+    field: Field
+    if op == "union":
+        field = complement(Intersection(complement(one), complement(two), smooth))
+    else:
+        field = Intersection(one, two if op == "intersection" else complement(two), smooth)
+    surface = level_set(field.values, 1.0, grid, 0.0, follow=True)
+    return _extracted(
+        surface,
+        TangentSource(field),
+        grid,
+        nothing,
+        lambda made: to_ideal(made, field),
+        lambda made: from_ideal(made, field, grid),
+    )
+
+
+def _extracted(
+    surface: _core.Surface,
+    source: Source,
+    grid: Grid,
+    nothing: str,
+    to_source: Callable[[Mesh], float],
+    from_source: Callable[[Mesh], float],
+    *,
+    level: float = 0.0,
+) -> Mesh:
+    """Mesh a surface, and attach its report; an empty surface raises `nothing`."""
+    made = extract(surface, level, source, sharp=True, capped=True)
+    if not len(made.faces):
+        raise MeshError(nothing)
+    clamped = made.report.clamped_vertices if made.report else 0
+    made._report = SolidReport(clamped, max(grid.spacing), made, to_source, from_source)
+    return made
+
+
+def _without_open_faces(mesh: Mesh, directions: ArrayLike | str | Sequence[str]) -> Mesh:
+    """The mesh without the faces that look into one of the directions; the mesh itself without a direction."""
+    vectors = [_direction(item) for item in _directions(directions)]
+    if not vectors:
+        return mesh
+    kept = (mesh.face_normals @ np.array(vectors).T <= OPEN_COSINE).all(axis=1)
+    if not kept.any():
+        raise MeshError("open: every face of the mesh looks into one of the directions")
+    return Mesh(mesh.vertices, mesh.faces[kept].astype(np.int64))
+
+
+def _directions(value: Any) -> Sequence[object]:
+    """The directions one by one; a single one may stand alone."""
+    if isinstance(value, str) or (not isinstance(value, (list, tuple)) and np.ndim(value) == 1):
+        return [value]
+    try:
+        items = list(value)
+    except TypeError:
+        raise MeshError(f'open: must be directions such as "z" or a vector, got {checks.describe(value)}') from None
+    is_vector = len(items) == 3 and all(np.ndim(item) == 0 and not isinstance(item, str) for item in items)
+    return [items] if is_vector else items
+
+
+def _direction(value: object) -> NDArray[np.float64]:
+    if isinstance(value, str):
+        if value not in DIRECTIONS:
+            raise MeshError(f'open: must hold directions such as "z", "-x" or a vector, got {checks.describe(value)}')
+        return DIRECTIONS[value]
+    vector = checks.vector("open", value, 3, MeshError)
+    length = float(np.linalg.norm(vector))
+    if not length > 0:
+        raise MeshError("open: a direction must not be zero")
+    unit: NDArray[np.float64] = vector / length
+    return unit
+
+
+def _grid(bounds: NDArray[np.float64], resolution: Resolution, border: float = 1.0) -> Grid:
+    """The grid around a surface in a box, with `border` free voxels on each side."""
+    return make_grid(bounds, resolution, margin=0.0, border=border)
+
+
+def _number(name: str, value: object, **limits: float) -> float:
+    try:
+        return checks.number(name, value, **limits)  # type: ignore[arg-type]
+    except ArgumentError as error:
+        raise MeshError(str(error)) from None
+
+
+def _word(name: str, value: object, words: Sequence[str]) -> None:
+    checks.choice(name, value, words, MeshError)

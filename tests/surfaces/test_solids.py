@@ -1,0 +1,273 @@
+"""Solids, offsets, shells and Booleans: closed two-manifolds, volumes and distances in closed form, mistakes."""
+
+import numpy as np
+import pytest
+
+import fieldbake as fb
+import meshes
+import truth
+from manifold import faults
+
+
+def assert_solid(mesh):
+    assert faults(mesh.vertices, mesh.faces) == []
+    assert truth.volume(mesh.vertices, mesh.faces) > 0
+    assert mesh.report.volume == pytest.approx(truth.volume(mesh.vertices, mesh.faces))
+
+
+def box_distance(points, half):
+    """Signed distance of an axis-aligned box about the origin."""
+    q = np.abs(points) - half
+    return np.linalg.norm(np.maximum(q, 0), axis=1) + np.minimum(q.max(axis=1), 0)
+
+
+def surface_samples(mesh, count=200_000):
+    return fb.sample_surface(mesh, count, seed=3).points
+
+
+# --- solid
+
+
+@pytest.mark.parametrize("name", ["knot", "hollow_sphere", "torus"])
+def test_a_closed_mesh_comes_back(name):
+    geometry = meshes.CLOSED[name]()
+    mesh = fb.solid(geometry, 48)
+    assert_solid(mesh)
+    assert mesh.volume == pytest.approx(truth.volume(*geometry), rel=0.01)
+    assert mesh.report.genus == {"knot": 1, "hollow_sphere": 0, "torus": 1}[name]
+    assert mesh.report.bodies == (2 if name == "hollow_sphere" else 1)
+
+
+def test_an_open_mesh_is_closed_across_its_opening():
+    mesh = fb.solid(meshes.open_box(), 40)
+    assert_solid(mesh)
+    assert mesh.volume == pytest.approx(8, rel=0.01)
+
+
+def test_a_soup_gives_a_closed_mesh_or_an_error():
+    random = np.random.default_rng(4)
+    corners = random.normal(size=(60, 1, 3)) + 0.6 * random.normal(size=(60, 3, 3))
+    soup = (corners.reshape(-1, 3), np.arange(180).reshape(-1, 3))
+    for options in ({}, {"fill": "outer"}, {"fill": "outer", "seal": 3}):
+        try:
+            mesh = fb.solid(soup, 16, **options)
+        except fb.MeshError:
+            continue
+        assert_solid(mesh)
+
+
+def test_the_outer_fill_drops_what_lies_inside():
+    junk = meshes.join(meshes.box(), meshes.icosphere(2, 0.5), meshes.flip(meshes.icosphere(2, 0.3)))
+    mesh = fb.solid(junk, 40, fill="outer")
+    assert_solid(mesh)
+    assert mesh.report.bodies == 1
+    assert mesh.volume == pytest.approx(8, rel=1e-3)
+    assert mesh.report.distance_to_source <= 0.02 * mesh.report.voxel_size
+    # The centre of the cavity of the junk is farthest from the box.
+    assert mesh.report.distance_from_source >= 0.49
+
+
+def test_a_seal_closes_a_leak():
+    # Two boxes inside each other, each with a hole of 0.4 in its top: the outside reaches the inner one.
+    frame = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], float)
+    vertices = np.concatenate([np.c_[frame, [-1] * 4], np.c_[frame, [1] * 4], np.c_[0.2 * frame, [1] * 4]])
+    quads = [(0, 3, 2, 1)]
+    quads += [(i, (i + 1) % 4, (i + 1) % 4 + 4, i + 4) for i in range(4)]
+    quads += [(i + 4, (i + 1) % 4 + 4, (i + 1) % 4 + 8, i + 8) for i in range(4)]
+    holed = (vertices, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
+    with pytest.raises(fb.MeshError):
+        fb.solid(holed, 40, fill="outer")
+    # The hole is 8 voxels wide.
+    mesh = fb.solid(holed, 40, fill="outer", seal=10)
+    assert_solid(mesh)
+    assert mesh.volume == pytest.approx(8, rel=0.01)
+
+
+@pytest.mark.parametrize(("scale", "shift"), [(1e-3, 0), (1e3, 1e6)])
+def test_scale_and_place_change_no_triangle(scale, shift):
+    here = fb.solid(meshes.knot(), 40)
+    there = fb.solid(meshes.scale_and_shift(meshes.knot(), scale, (shift, -shift, shift)), 40)
+    assert_solid(there)
+    assert there.volume == pytest.approx(here.volume * scale**3, rel=1e-4)
+
+
+# --- offset
+
+
+@pytest.mark.parametrize("distance", [-0.4, -0.05, 0.1, 0.7])
+def test_the_offset_of_a_sphere_is_a_sphere(distance):
+    mesh = fb.offset(meshes.icosphere(5), distance, 64)
+    assert_solid(mesh)
+    # The icosphere lies up to 3.3e-4 inside the sphere.
+    assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - (1 + distance)).max() <= 1e-3 * (1 + distance) + 3.3e-4
+
+
+def test_the_offset_of_a_box_has_round_edges_outside_and_sharp_ones_inside():
+    grown, shrunk = fb.offset(meshes.box(), 0.3, 48), fb.offset(meshes.box(), -0.3, 48)
+    assert_solid(grown)
+    assert_solid(shrunk)
+    # Steiner's formula for a cube of side 2.
+    r = 0.3
+    assert grown.volume == pytest.approx(8 + 24 * r + 6 * np.pi * r**2 + 4 / 3 * np.pi * r**3, rel=1e-3)
+    assert shrunk.volume == pytest.approx(1.4**3, rel=1e-4)
+    assert grown.bounds == pytest.approx(np.array([[-1.3] * 3, [1.3] * 3]), abs=1e-3)
+
+
+def test_the_report_of_an_offset_bounds_dense_samples():
+    mesh = fb.offset(meshes.box(), 0.3, 24)
+    report = mesh.report
+    samples = surface_samples(mesh)
+    deviation = np.abs(box_distance(samples, 1.0) - 0.3).max()
+    assert deviation <= report.distance_to_source * (1 + 1e-3)
+    assert report.distance_to_source <= 0.5 * report.voxel_size
+    # The ideal surface: points of the box pushed outwards along directions of its normal cone.
+    random = np.random.default_rng(1)
+    points = random.normal(size=(100_000, 3))
+    ideal = np.clip(points * 10, -1, 1)
+    ideal += (
+        0.3
+        * (points - np.clip(points, -1e-3, 1e-3))
+        / np.linalg.norm(points - np.clip(points, -1e-3, 1e-3), axis=1, keepdims=True)
+    )
+    ideal = ideal[np.abs(box_distance(ideal, 1.0) - 0.3) <= 1e-9]
+    assert len(ideal) > 10_000
+    missed = fb.closest_point(mesh, ideal).distances.max()
+    assert missed <= report.distance_from_source * (1 + 1e-3)
+
+
+# --- shell
+
+
+def test_shells_have_the_volume_of_their_walls():
+    box, r = meshes.box(), 0.3
+    inward = fb.shell(box, r, 32)
+    outward = fb.shell(box, r, 32, side="outward")
+    both = fb.shell(box, 2 * r, 32, side="both")
+    steiner = 24 * r + 6 * np.pi * r**2 + 4 / 3 * np.pi * r**3
+    for mesh, expected in ((inward, 8 - 1.4**3), (outward, steiner), (both, steiner + 8 - 1.4**3)):
+        assert_solid(mesh)
+        assert mesh.report.bodies == 2
+        assert mesh.volume == pytest.approx(expected, rel=2e-3)
+
+
+@pytest.mark.parametrize(("open", "openings"), [("z", 1), (["z", "-z"], 2), ((0, 0, 1), 1), ([(0, 0, 1), "x"], 2)])
+def test_a_shell_is_open_in_the_directions_asked_for(open, openings):
+    mesh = fb.shell(meshes.box(), 0.25, 40, open=open)
+    assert_solid(mesh)
+    assert mesh.report.bodies == 1
+    if openings == 1:
+        assert mesh.volume == pytest.approx(8 - 1.5 * 1.5 * 1.75, rel=2e-3)
+    elif open == ["z", "-z"]:
+        assert mesh.report.genus == 1
+        assert mesh.volume == pytest.approx(8 - 1.5 * 1.5 * 2, rel=2e-3)
+
+
+def test_a_sheet_gets_a_wall_on_both_sides():
+    sheet = ([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [(0, 1, 2), (0, 2, 3)])
+    with pytest.raises(fb.MeshError, match="thickness"):
+        fb.solid(sheet, 32)
+    mesh = fb.shell(sheet, 0.3, 40, side="both")
+    assert_solid(mesh)
+    r = 0.15
+    assert mesh.volume == pytest.approx(4 * 2 * r + np.pi * r**2 / 2 * 8 + 4 / 3 * np.pi * r**3, rel=5e-3)
+
+
+# --- boolean
+
+OTHER = ((0.1, 0.2, 0.3), (1.6, 1.7, 1.8))
+
+
+@pytest.mark.parametrize(
+    ("op", "volume"), [("union", 8 + 3.375 - 0.504), ("intersection", 0.504), ("difference", 8 - 0.504)]
+)
+def test_booleans_of_boxes_have_exact_volumes(op, volume):
+    mesh = fb.boolean(op, meshes.box(), meshes.box(*OTHER), resolution=32)
+    assert_solid(mesh)
+    assert mesh.volume == pytest.approx(volume, rel=2e-3)
+    assert mesh.report.distance_to_source <= 0.5 * mesh.report.voxel_size
+
+
+def test_booleans_agree_with_manifold():
+    manifold3d = pytest.importorskip("manifold3d")
+
+    def solid_of(geometry):
+        vertices, faces = geometry
+        parts = np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.uint32)
+        return manifold3d.Manifold(manifold3d.Mesh(*parts))
+
+    a, b = meshes.torus(), meshes.icosphere(3, 0.6, (1, 0, 0))
+    for op, exact in (
+        ("union", solid_of(a) + solid_of(b)),
+        ("intersection", solid_of(a) ^ solid_of(b)),
+        ("difference", solid_of(a) - solid_of(b)),
+    ):
+        mesh = fb.boolean(op, a, b, resolution=64)
+        assert_solid(mesh)
+        assert mesh.volume == pytest.approx(exact.volume(), rel=5e-3)
+        assert mesh.report.genus == exact.genus()
+        assert solid_of((mesh.vertices, mesh.faces)).status() == manifold3d.Error.NoError
+
+
+def test_a_smooth_union_adds_a_fillet():
+    a, b = meshes.box(), meshes.box((0, 0, 0), (2, 2, 2))
+    sharp, smooth = (fb.boolean("union", a, b, resolution=40, smooth=k) for k in (0, 0.4))
+    assert_solid(smooth)
+    assert smooth.volume > sharp.volume
+    corner = [(0.97, 0.97, 1.03)]
+    assert fb.contains(smooth, [(-0.02, 0.5, 1.02)])[0]
+    assert not fb.contains(sharp, [(-0.04, 0.5, 1.04)])[0]
+    assert fb.contains(smooth, corner)[0] == fb.contains(sharp, corner)[0]
+
+
+# --- results and mistakes
+
+
+def test_results_are_the_same_on_any_number_of_threads():
+    first = fb.boolean("difference", meshes.torus(), meshes.icosphere(2, 0.9), resolution=24)
+    fb.set_threads(1)
+    try:
+        second = fb.boolean("difference", meshes.torus(), meshes.icosphere(2, 0.9), resolution=24)
+    finally:
+        fb.set_threads(2)
+    np.testing.assert_array_equal(first.vertices, second.vertices)
+    np.testing.assert_array_equal(first.faces, second.faces)
+
+
+def far_box():
+    return meshes.box((5, 5, 5), (6, 6, 6))
+
+
+@pytest.mark.parametrize(
+    ("call", "match"),
+    [
+        (lambda: fb.offset(meshes.box(), -1.5, 24), "distance"),
+        (lambda: fb.offset(meshes.box(), float("nan"), 24), "distance"),
+        (lambda: fb.offset(meshes.box(), None, 24), "distance"),
+        (lambda: fb.shell(meshes.box(), 0, 24), "thickness"),
+        (lambda: fb.shell(meshes.box(), -0.1, 24), "thickness"),
+        (lambda: fb.shell(meshes.box(), float("nan"), 24), "thickness"),
+        (lambda: fb.shell(meshes.box(), 0.1, 24, side="left"), "side"),
+        (lambda: fb.shell(meshes.box(), 0.1, 24, open="up"), "open"),
+        (lambda: fb.shell(meshes.box(), 0.1, 24, open=[(0, 0, 0)]), "open"),
+        (lambda: fb.shell(meshes.box(), 0.1, 24, open=3), "open"),
+        (lambda: fb.shell(meshes.box(), 0.1, 24, open=["x", "-x", "y", "-y", "z", "-z"]), "open"),
+        (lambda: fb.boolean("xor", meshes.box(), far_box(), resolution=24), "op"),
+        (lambda: fb.boolean("intersection", meshes.box(), far_box(), resolution=24), "empty"),
+        (lambda: fb.boolean("difference", meshes.box(), meshes.box((-2,) * 3, (2,) * 3), resolution=24), "empty"),
+        (lambda: fb.boolean("union", meshes.box(), far_box(), resolution=24, smooth=-1), "smooth"),
+        (lambda: fb.boolean("union", meshes.box(), far_box(), resolution=24, smooth=float("nan")), "smooth"),
+        (lambda: fb.solid(meshes.box(), 24, fill="inner"), "fill"),
+        (lambda: fb.solid(meshes.box(), 24, fill="outer", seal=-1), "seal"),
+        (lambda: fb.solid(meshes.box(), 24, seal=2), "seal"),
+        (lambda: fb.solid(object(), 24), "mesh"),
+    ],
+)
+def test_mistakes_are_mesh_errors(call, match):
+    with pytest.raises(fb.MeshError, match=match):
+        call()
+
+
+@pytest.mark.parametrize("resolution", [0, -3, 2.5, None, (8, 8)])
+def test_a_resolution_must_be_whole_numbers(resolution):
+    with pytest.raises(fb.Error, match="resolution"):
+        fb.solid(meshes.box(), resolution)
