@@ -191,7 +191,7 @@ def test_sheets_about_minimal_surfaces_have_the_slope_1_at_most(name):
     there = POINTS + step * RANDOM.normal(size=POINTS.shape)
     change = np.abs(sheet.distance(there).astype(float) - sheet.distance(POINTS))
     assert (change <= np.linalg.norm(there - POINTS, axis=1) * (1 + 1e-4) + 1e-6).all()
-    np.testing.assert_allclose(sheet.distance(POINTS + (1.3, -2.6, 1.3)), sheet.distance(POINTS), atol=1e-5)
+    np.testing.assert_allclose(sheet.distance(POINTS + np.array([1.3, -2.6, 1.3])), sheet.distance(POINTS), atol=1e-5)
     # The middle surface lies in the sheet, half the thickness deep.
     assert sheet.distance(POINTS).min() >= -0.1 - 1e-6
     assert faults(*_arrays((sheet & fb.sphere(1)).to_mesh(32))) == []

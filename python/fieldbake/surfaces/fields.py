@@ -212,7 +212,7 @@ def projected(field: Field, points: Array, level: float = 0.0) -> tuple[Array, A
     """
     values, gradients = field.tangents(points)
     square = np.einsum("ij,ij->i", gradients, gradients)
-    # A gradient vanishes where opposite walls cancel, as between two fields that are blended; such a row keeps its plane.
+    # A gradient vanishes where those of two blended fields cancel. Such a row keeps its plane.
     with np.errstate(divide="ignore", invalid="ignore"):
         step = np.where(square > 1e-12, (values - level) / square, np.nan)
     return points - gradients * step[:, None], gradients

@@ -306,7 +306,7 @@ def _without_open_faces(mesh: Mesh, directions: ArrayLike | str | Sequence[str])
     return Mesh(mesh.vertices, mesh.faces[kept].astype(np.int64))
 
 
-def _directions(value: Any) -> Sequence[object]:
+def _directions(value: Any) -> Sequence[Any]:
     """The directions one by one; a single one may stand alone."""
     if isinstance(value, str) or (not isinstance(value, (list, tuple)) and np.ndim(value) == 1):
         return [value]
@@ -318,11 +318,12 @@ def _directions(value: Any) -> Sequence[object]:
     return [items] if is_vector else items
 
 
-def _direction(value: object) -> NDArray[np.float64]:
+def _direction(value: Any) -> NDArray[np.float64]:
     if isinstance(value, str):
         if value not in DIRECTIONS:
             raise MeshError(f'open: must hold directions such as "z", "-x" or a vector, got {checks.describe(value)}')
-        return DIRECTIONS[value]
+        named: NDArray[np.float64] = DIRECTIONS[value]
+        return named
     vector = checks.vector("open", value, 3, MeshError)
     length = float(np.linalg.norm(vector))
     if not length > 0:
@@ -336,9 +337,9 @@ def _grid(bounds: NDArray[np.float64], resolution: Resolution, border: float = 1
     return make_grid(bounds, resolution, margin=0.0, border=border)
 
 
-def _number(name: str, value: object, **limits: float) -> float:
+def _number(name: str, value: object, *, least: float | None = None) -> float:
     try:
-        return checks.number(name, value, **limits)  # type: ignore[arg-type]
+        return checks.number(name, value, least=least)
     except ArgumentError as error:
         raise MeshError(str(error)) from None
 
