@@ -2,8 +2,8 @@
 
     python benches/solids.py --mesh stanford-bunny.obj [-r 256] [--large]
 
-Runs alternate in one process, and the least processor time of each is shown. scikit-image and manifold3d are measured if
-they are installed. `--large` adds the offset at 1024 voxels with its peak memory.
+Runs alternate in one process, and the least processor time of each is shown. scikit-image and manifold3d are measured
+if they are installed. `--large` adds the offset at 1024 voxels with its peak memory.
 """
 
 from __future__ import annotations

@@ -1,0 +1,71 @@
+"""The commands mesh, solid and boolean."""
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import fieldbake as fb
+import meshes
+from fieldbake.cli.commands import app
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture
+def files(tmp_path):
+    fb.Mesh(*meshes.box()).save(tmp_path / "a.ply")
+    fb.Mesh(*meshes.box((0, 0, 0), (2, 2, 2))).save(tmp_path / "b.stl")
+    fb.bake(meshes.icosphere(2), 24).save(tmp_path / "ball.npz")
+    (tmp_path / "part.csg").write_text("(diff (cube 2) (sphere 2.4))")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "volume"),
+    [
+        (("solid", "a.ply"), 8.0),
+        (("solid", "a.ply", "--fill", "outer", "--seal", "2"), 8.0),
+        (("boolean", "a.ply", "-", "b.stl"), 7.0),
+        (("boolean", "a.ply", "+", "b.stl"), 15.0),
+        (("boolean", "a.ply", "&", "b.stl"), 1.0),
+        (("mesh", "a.ply", "--offset", "-0.5"), 1.0),
+        (("mesh", "a.ply", "--shell", "0.25", "--open", "z", "--measure"), 8 - 1.5 * 1.5 * 1.75),
+        (("mesh", "a.ply"), 8.0),
+    ],
+)
+def test_results_are_meshes_in_files(files, arguments, volume):
+    known = {"a.ply", "b.stl"}
+    result = run(*(files / word if word in known else word for word in arguments), "-r", "24", "-o", files / "out.ply")
+    assert result.exit_code == 0, result.output
+    made = fb.load_mesh(files / "out.ply")
+    assert made.is_closed
+    assert made.volume == pytest.approx(volume, rel=5e-3)
+
+
+def test_fields_and_shapes_have_levels(files):
+    assert run("mesh", files / "ball.npz", "-o", files / "ball.stl", "--level", "-0.2").exit_code == 0
+    radii = np.linalg.norm(fb.load_mesh(files / "ball.stl").vertices, axis=1)
+    assert np.abs(radii - 0.8).max() <= 0.05
+    assert run("mesh", files / "part.csg", "-o", files / "part.obj", "-r", "24").exit_code == 0
+    assert fb.load_mesh(files / "part.obj").is_closed
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (("solid", "a.ply", "-o", "out.step"), 2),
+        (("mesh", "a.ply", "-o", "out.stl", "--level", "1"), 2),
+        (("mesh", "a.ply", "-o", "out.stl", "--open", "z"), 2),
+        (("mesh", "a.ply", "-o", "out.stl", "--offset", "1", "--shell", "1"), 2),
+        (("mesh", "ball.npz", "-o", "out.stl", "--offset", "1"), 2),
+        (("boolean", "a.ply", "%", "b.stl", "-o", "out.stl"), 1),
+        (("mesh", "a.ply", "-o", "out.stl", "--offset", "-3", "-r", "16"), 1),
+    ],
+)
+def test_mistakes_end_before_a_file_is_written(files, arguments, code):
+    known = {"a.ply", "b.stl", "ball.npz", "out.step", "out.stl"}
+    result = run(*(files / word if word in known else word for word in arguments))
+    assert result.exit_code == code, result.output
+    assert not list(files.glob("out.*"))
