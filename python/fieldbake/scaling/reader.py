@@ -156,11 +156,14 @@ class Reader:
                 out[rows] = bricks[place[rows] - first, z, y, x]
         return out
 
-    def blocks(self, level: int, cells: int) -> Iterator[tuple[NDArray[np.int64], NDArray[Any]]]:
+    def blocks(
+        self, level: int, cells: int
+    ) -> Iterator[tuple[NDArray[np.int64], NDArray[Any], NDArray[Any], NDArray[Any]]]:
         """Blocks of `cells`^3 cells, cell -1 first, in groups of about a shard.
 
-        Yields the position of the first block of each group, (3,), and the stored values (bz, by, bx, c + 1, c + 1,
-        c + 1). Samples outside the grid repeat its border. Groups that are wholly outside are left out.
+        Yields the position of the first block of each group, (3,), the stored values (bz, by, bx, c + 1, c + 1, c + 1),
+        and the least and the largest value of each block, (bz, by, bx). Samples outside the grid repeat its border.
+        Groups that are wholly outside are left out.
         """
         shape = np.array(self.layout.level(level).shape)
         counts = -(-(shape + 1) // cells)
@@ -183,4 +186,17 @@ class Reader:
             margins = [(a, b) for a, b in zip((low - origin).tolist(), (end - high).tolist(), strict=True)]
             padded = np.pad(values, margins[::-1], mode="edge")
             windows = np.lib.stride_tricks.sliding_window_view(padded, (cells + 1,) * 3)
-            yield first, windows[::cells, ::cells, ::cells]
+            least, largest = (_over_blocks(fold, padded, cells) for fold in (np.minimum, np.maximum))
+            yield first, windows[::cells, ::cells, ::cells], least, largest
+
+
+def _over_blocks(fold: np.ufunc, samples: NDArray[Any], cells: int) -> NDArray[Any]:
+    """Fold the samples of each block, one axis after the other; blocks share the samples on their faces."""
+    for axis in range(3):
+        rows = np.moveaxis(samples, axis, 0)
+        count = (len(rows) - 1) // cells
+        folded = rows[: count * cells : cells].copy()
+        for offset in range(1, cells + 1):
+            fold(folded, rows[offset : offset + (count - 1) * cells + 1 : cells], out=folded)
+        samples = np.moveaxis(folded, 0, axis)
+    return samples

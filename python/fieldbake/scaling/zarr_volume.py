@@ -431,8 +431,7 @@ class ZarrVolume(GridField):
         counts = [-(-(n + 1) // BRICK_CELLS) for n in grid.shape]
         index = np.full(counts, EMPTY, dtype=np.uint32, order="F")
         fill, total, kept = self._reader.fill, 0, []
-        for first, blocks in self._reader.blocks(level, BRICK_CELLS):
-            low, high = blocks.min(axis=(3, 4, 5)), blocks.max(axis=(3, 4, 5))
+        for first, blocks, low, high in self._reader.blocks(level, BRICK_CELLS):
             words = np.where(high == -fill, np.uint32(EMPTY_INSIDE), np.uint32(EMPTY))
             stored = (low != fill) & (high != -fill)
             chosen = blocks[stored]
@@ -466,16 +465,15 @@ class ZarrVolume(GridField):
         kept_origins: list[NDArray[np.int32]] = [np.empty((0, 3), np.int32)]
         kept_values: list[NDArray[np.float32]] = [np.empty((0, *(SIDE + 1,) * 3), np.float32)]
         shape = np.array(self.resolution)
-        for first, blocks in self._reader.blocks(0, SIDE):
-            values = blocks.reshape(-1, *(SIDE + 1,) * 3)
+        for first, blocks, least, largest in self._reader.blocks(0, SIDE):
             # Decoding keeps the order of the values.
-            low, high = (self._decode(end.reshape(-1)) for end in (values.min((1, 2, 3)), values.max((1, 2, 3))))
+            low, high = self._decode(least.reshape(-1)), self._decode(largest.reshape(-1))
             steps = np.indices(blocks.shape[:3]).reshape(3, -1)[::-1].T
             origins = (first + steps) * SIDE - 1
             at_box = (origins < 0).any(axis=1) | (origins + SIDE >= shape).any(axis=1)
             crossed = (low < level) & (at_box | (high >= level))
             kept_origins.append(origins[crossed].astype(np.int32))
-            chosen = np.ascontiguousarray(values[crossed])
+            chosen = blocks[crossed.reshape(least.shape)]
             decoded: Any = self._decode(chosen.reshape(-1)).astype(np.float32)
             kept_values.append(decoded.reshape(chosen.shape))
         starts, samples = np.concatenate(kept_origins), np.concatenate(kept_values)
