@@ -332,10 +332,10 @@ pub fn encode<'py>(
     let [x, y, z] = std::array::from_fn(|axis| distances.shape()[axis]);
     macro_rules! encoded {
         ($texel:ty) => {{
-            let texels: Vec<$texel> = py.detach(|| {
+            let texels: Vec<$texel> = run(py, None, |_| {
                 use rayon::prelude::*;
-                samples.par_iter().map(|&sample| Texel::encode(sample, scale)).collect()
-            });
+                Ok(samples.par_iter().map(|&sample| Texel::encode(sample, scale)).collect())
+            })?;
             Ok(texels.into_pyarray(py).reshape([z, y, x])?.permute(Some([2, 1, 0]))?.into_any())
         }};
     }
