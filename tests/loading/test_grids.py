@@ -396,6 +396,21 @@ def test_a_sheet_has_the_slices_as_tiles(encoding, engine, tmp_path):
             assert line in text
 
 
+def test_a_sheet_of_a_prime_number_of_slices_has_empty_tiles(tmp_path):
+    volume = fb.Volume(np.random.default_rng(1).normal(size=(3000, 2, 7)), [(0, 0, 0), (3000, 2, 7)])
+    volume.save(tmp_path / "v.exr")
+    sheet = json.loads((tmp_path / "v.exr.json").read_text())["sheet"]
+    assert sheet["columns"] == 1
+    tall = fb.Volume(np.random.default_rng(1).normal(size=(300, 1500, 11)), [(0, 0, 0), (3, 15, 1)])
+    tall.save(tmp_path / "w.exr", columns=4)
+    assert np.array_equal(fb.load(tmp_path / "w.exr").distances, tall.distances)
+    tall.save(tmp_path / "w.exr")
+    sheet = json.loads((tmp_path / "w.exr.json").read_text())["sheet"]
+    assert (sheet["columns"] - 1) * sheet["rows"] < 11 <= sheet["columns"] * sheet["rows"]
+    assert max(sheet["columns"] * 300, sheet["rows"] * 1500) <= 16384
+    assert np.array_equal(fb.load(tmp_path / "w.exr").distances, tall.distances)
+
+
 def test_a_vf_file_has_the_samples_after_ten_bytes(solid, tmp_path):
     solid.save(tmp_path / "v.vf")
     content = (tmp_path / "v.vf").read_bytes()

@@ -48,6 +48,7 @@ class Sheet:
             "columns": self.columns,
             "rows": self.rows,
             "tile": [nx, ny],
+            "slices": self.shape[2],
             "y": "up" if self.upwards else "down",
             "unity": {"flipbookColumns": self.columns, "flipbookRows": self.rows},
             "unreal": {"Source2DTileSizeX": nx, "Source2DTileSizeY": ny},
@@ -56,11 +57,16 @@ class Sheet:
 
 
 def arrange(shape: tuple[int, int, int], columns: int | None, *, upwards: bool) -> Sheet:
-    """The most nearly square sheet without empty tiles, or a sheet with the given number of columns."""
+    """Choose the most nearly square sheet, or one with as many columns as are wanted.
+
+    A sheet without empty tiles is preferred, for engines count all tiles as slices. There may be none, as for a prime
+    number of slices.
+    """
     nx, ny, nz = shape
     if columns is None:
-        divisors = [n for n in range(1, nz + 1) if nz % n == 0]
-        columns = min(divisors, key=lambda n: abs(math.log(n * nx / (nz // n * ny))))
+        fitting = [n for n in range(1, nz + 1) if max(n * nx, -(-nz // n) * ny) <= MAX_SIDE]
+        full = [n for n in fitting if nz % n == 0]
+        columns = min(full or fitting or [nz], key=lambda n: abs(math.log(n * nx / (-(-nz // n) * ny))))
     sheet = Sheet(shape, columns, -(-nz // columns), upwards)
     if max(sheet.size) > MAX_SIDE:
         width, height = sheet.size
@@ -85,10 +91,11 @@ def read_sheet(facts: Any, shape: list[int]) -> Sheet:
 
 
 def to_pixels(samples: NDArray[Any], sheet: Sheet) -> NDArray[Any]:
-    """The image (height, width) of samples (nx, ny, nz); empty tiles are 0."""
+    """The image (height, width) of samples (nx, ny, nz); empty tiles repeat the last slice."""
     nx, ny, nz = sheet.shape
-    tiles = np.zeros((sheet.rows * sheet.columns, ny, nx), samples.dtype)
+    tiles = np.empty((sheet.rows * sheet.columns, ny, nx), samples.dtype)
     tiles[:nz] = samples.T[:, ::-1] if sheet.upwards else samples.T
+    tiles[nz:] = tiles[nz - 1]
     by_row = tiles.reshape(sheet.rows, sheet.columns, ny, nx).transpose(0, 2, 1, 3)
     return np.ascontiguousarray(by_row.reshape(sheet.rows * ny, sheet.columns * nx))
 
