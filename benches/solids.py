@@ -78,7 +78,7 @@ def booleans(resolution):
         return
 
     def solid(mesh):
-        parts = np.ascontiguousarray(mesh.vertices, np.float32), np.ascontiguousarray(mesh.faces, np.uint32)
+        parts = np.array(mesh.vertices, np.float32, order="C"), np.array(mesh.faces, np.uint32, order="C")
         return manifold3d.Manifold(manifold3d.Mesh(*parts))
 
     seconds, exact = least(lambda: (solid(a) - solid(b)).volume())

@@ -33,7 +33,7 @@ ERRORS_ALLOWED = ("AlphaBlendModeTest.glb", "soup.stl", "woody.obj", "bad/", "fo
 def assert_solid(mesh):
     manifold3d = pytest.importorskip("manifold3d")
     assert faults(mesh.vertices, mesh.faces) == []
-    parts = np.ascontiguousarray(mesh.vertices, np.float32), np.ascontiguousarray(mesh.faces, np.uint32)
+    parts = np.array(mesh.vertices, np.float32, order="C"), np.array(mesh.faces, np.uint32, order="C")
     assert manifold3d.Manifold(manifold3d.Mesh(*parts)).status() == manifold3d.Error.NoError
     assert mesh.to_trimesh().is_watertight
 

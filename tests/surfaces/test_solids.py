@@ -192,7 +192,7 @@ def test_booleans_agree_with_manifold():
 
     def solid_of(geometry):
         vertices, faces = geometry
-        parts = np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.uint32)
+        parts = np.array(vertices, np.float32, order="C"), np.array(faces, np.uint32, order="C")
         return manifold3d.Manifold(manifold3d.Mesh(*parts))
 
     a, b = meshes.torus(), meshes.icosphere(3, 0.6, (1, 0, 0))
