@@ -1,4 +1,4 @@
-//! Which samples of a grid lie outside the outer surface of a mesh: those that a flood from the box reaches.
+//! Samples of a grid outside the outer surface of a mesh: a flood from the box reaches them.
 //!
 //! *Theory.* The flood walks from sample to sample along the axes and does not cross a triangle. Blocks of 8^3 samples that
 //! no triangle comes near are one node of the walk; in all others each sample is one. A step needs a test for a crossing only
@@ -21,7 +21,7 @@ use rayon::prelude::*;
 const SIDE: usize = 8;
 const SAMPLES: usize = SIDE * SIDE * SIDE;
 
-/// Room for the rounding of float32 distances, relative to 1 plus the largest coordinate.
+/// Margin for the rounding of float32 distances, relative to 1 plus the largest coordinate.
 const ROUNDING: f64 = 1e-6;
 
 /// The samples of a grid that lie outside.
@@ -37,9 +37,9 @@ pub struct OuterSides {
 
 #[derive(Debug, Clone, Copy)]
 enum Block {
-    /// No triangle is near; whether the flood has reached it.
+    /// No triangle is near. The value is true once the flood has reached the block.
     Far(bool),
-    /// Its number among the near blocks.
+    /// Triangles are near. The value is its index among such blocks.
     Near(u32),
 }
 

@@ -1,9 +1,9 @@
 //! Tangent planes of the source around the vertices, beside those at the crossings.
 //!
-//! The tip of an edge or corner may lie between the edges of the grid, so the crossings of a patch do not know all faces
-//! that meet there. A vertex whose patch, or one next to it, has different normals is *sharp*: the source is evaluated at
-//! points around it, and the tangent planes found there join the crossings' own. All other vertices have one probe, at
-//! the vertex itself, which puts it onto the surface.
+//! The tip of an edge or corner may lie between the edges of the grid. Then the crossings of a patch do not contain all
+//! faces that meet there. A vertex is *sharp* if its patch, or a neighbouring patch, has different normals. For a sharp
+//! vertex the source is evaluated at points around it, and the tangent planes found there are added to the planes of
+//! the crossings. All other vertices have one probe, at the vertex itself, which moves it onto the surface.
 
 use super::cells::Cell;
 use super::mesh::MeshOptions;
@@ -17,14 +17,14 @@ const SHARP_COSINE: f64 = 0.95;
 /// Probes around a sharp vertex lie this far from it along each axis, voxels.
 const STEP: f64 = 0.4;
 
-/// A plane joins a patch if its point lies at most this far outside the region where the vertex may lie, voxels.
+/// A plane is added to a patch if its point lies at most this far outside the region where the vertex may lie, voxels.
 const REACH: f64 = 0.1;
 
-/// A plane joins a patch if the cosine between its normal and the mean normal of the patch is larger. Smaller ones belong
-/// to the other side of a thin wall.
+/// A plane is added to a patch if the cosine between its normal and the mean normal of the patch is larger. Planes with
+/// a smaller cosine belong to the other side of a thin wall.
 const OTHER_SIDE: f64 = -0.1;
 
-/// A plane within this angle (its cosine) and distance (voxels) of another one of the patch adds nothing.
+/// A plane within this angle (its cosine) and distance (voxels) of another plane of the patch is left out.
 const SAME: (f64, f64) = (0.9999, 1e-3);
 
 /// Points where the source is evaluated.
@@ -60,7 +60,7 @@ impl ExtraPlanes {
 }
 
 impl Surface {
-    /// The probes of all vertices, or of the sharp ones alone.
+    /// The probes of all vertices, or only those of the sharp vertices.
     pub fn probes(&self, crossings: &[Crossing], extra: &ExtraPlanes, sharp_only: bool) -> Probes {
         let is_sharp = self.sharp_patches(crossings);
         let (vertices, _) = self.vertices(crossings, extra, MeshOptions { sharp: true, capped: true });

@@ -13,7 +13,8 @@ from ..meshes.mesh import Mesh
 
 Array = NDArray[np.float64]
 
-#: A tangent plane this many voxels from the crossing that it is for belongs to another part of the surface.
+#: A tangent plane is rejected if it lies more than this many voxels from its crossing: it then belongs to another part
+#: of the surface.
 REACH_VOXELS = 0.9
 
 #: Steps of Newton's method onto the curve where two surfaces meet.
@@ -24,7 +25,7 @@ BATCH = 1 << 20
 
 
 class Field(Protocol):
-    """A field with the slope 1 at most, negative inside."""
+    """A field with a slope of at most 1, negative inside."""
 
     def values(self, points: Array) -> Array:
         """Values at points (n, 3), (n,)."""
@@ -65,7 +66,7 @@ class MeshField:
 
 @dataclass(frozen=True)
 class OuterField:
-    """The distance of a mesh, negative where a flood from outside does not reach; defined at the samples of a grid."""
+    """The distance of a mesh at samples of a grid, negative where a flood from outside does not reach."""
 
     mesh: Mesh
     sides: _core.OuterSides
@@ -78,7 +79,7 @@ class OuterField:
 
 @dataclass(frozen=True)
 class Shifted:
-    """``sign * field - distance``: an offset surface, of the complement with the sign -1."""
+    """``sign * field - distance``: an offset surface. With the sign -1 it is an offset surface of the complement."""
 
     field: Field
     distance: float = 0.0
@@ -212,7 +213,7 @@ def projected(field: Field, points: Array, level: float = 0.0) -> tuple[Array, A
     """
     values, gradients = field.tangents(points)
     square = np.einsum("ij,ij->i", gradients, gradients)
-    # A gradient vanishes where those of two blended fields cancel. Such a row keeps its plane.
+    # A gradient vanishes where the gradients of two blended fields cancel. Such a row keeps its plane.
     with np.errstate(divide="ignore", invalid="ignore"):
         step = np.where(square > 1e-12, (values - level) / square, np.nan)
     return points - gradients * step[:, None], gradients

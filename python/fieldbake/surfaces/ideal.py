@@ -1,7 +1,7 @@
-"""Distances between a mesh and the zero level set of a field, as the largest of samples that are refined.
+"""Distances between a mesh and the zero level set of a field: the largest of samples, which are then refined.
 
-Each distance is that of a point found by the search, so it never exceeds the true largest one. Samples are at most a
-voxel apart, and the neighbourhoods of the largest ones are searched to a thousandth of a voxel.
+Each distance is computed at a point that the search found, so it never exceeds the true largest distance. Samples are
+at most a voxel apart, and the neighbourhoods of the largest ones are searched to a thousandth of a voxel.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ BATCH = 1 << 20
 PLACES = 512
 ROUNDS = 10
 
-#: Steps of Newton's method onto a level set, and the error that they may leave, voxels.
+#: Steps of Newton's method onto a level set, and the largest error after them, voxels.
 STEPS = 3
 ON_SURFACE = 1e-3
 

@@ -36,8 +36,8 @@ class SolidReport(SurfaceReport):
     def distance_to_source(self) -> float:
         """Largest distance from the surface of the result to the source, world units.
 
-        The source is the input mesh of `solid`, the ideal offset surface of `offset` and `shell`, and the exact
-        combination of `boolean`.
+        The source is the input mesh for `solid`, the ideal offset surface for `offset` and `shell`, and the exact
+        combination for `boolean`.
         """
         return self._measured(self._to_source)
 

@@ -296,7 +296,7 @@ def _extracted(
 
 
 def _without_open_faces(mesh: Mesh, directions: ArrayLike | str | Sequence[str]) -> Mesh:
-    """The mesh without the faces that look into one of the directions; the mesh itself without a direction."""
+    """The mesh without the faces that point in one of the directions. Without directions, the mesh itself."""
     vectors = [_direction(item) for item in _directions(directions)]
     if not vectors:
         return mesh
@@ -307,7 +307,7 @@ def _without_open_faces(mesh: Mesh, directions: ArrayLike | str | Sequence[str])
 
 
 def _directions(value: Any) -> Sequence[Any]:
-    """The directions one by one; a single one may stand alone."""
+    """The directions as a sequence. A single direction becomes a sequence of one."""
     if isinstance(value, str) or (not isinstance(value, (list, tuple)) and np.ndim(value) == 1):
         return [value]
     try:
