@@ -215,7 +215,7 @@ class Neighbours(ABC):
         return FieldCheck(
             gradient=float(np.median(found)) if len(found) else 0.0,
             unit_share=float((np.abs(found - 1) <= 0.1).mean()) if len(found) else 0.0,
-            steepest=steepest,
+            steepest=float(steepest),
             inside_share=negative / samples.size,
             sign=sign if negative else "unsigned",
         )
