@@ -24,7 +24,7 @@ struct Beam {
     own: u32,
     // Only the share of the cone is wanted, not whether it is proven.
     is_coarse: u32,
-    // Light comes through the own instance: it casts no shadow, and the far field is not used.
+    // 1 if light passes through the own instance: it casts no shadow, and the far field is not used.
     skips_own: u32,
     pad_0: u32,
 }
@@ -350,7 +350,7 @@ fn nearest_edge(
     let pace = 1.0 / length(local_direction(index, beam.direction));
     let is_blocked = t_hit >= 0.0;
     var nearest = vec2f(select(x_known, 0.0, is_blocked), t_hit);
-    // Just past the surface the field is below zero.
+    // Immediately behind the surface the field is below zero.
     var t = select(span.x, t_hit + 0.5 * least_step, is_blocked);
     for (var i = 0u; i < MAX_CONE_STEPS; i++) {
         steps++;

@@ -11,8 +11,8 @@ use glam::Vec3;
 /// How far past an edge the ray goes that is to prove it, in depths.
 const PAST_EDGE: f32 = 1.25;
 
-/// Steps of one cone past one instance. Steps of half a voxel at least cross the diagonal of 128^3 in 450; few cones stay
-/// so near for so long.
+/// Largest number of steps of one cone past one instance. Steps of at least half a voxel cross the diagonal of 128^3 in
+/// 450; few cones stay so near to a surface for so long.
 pub const MAX_CONE_STEPS: u32 = 512;
 
 /// Result of a cone past one instance.
@@ -31,7 +31,8 @@ impl Cone {
 /// Room for the rounding of an edge's place, in radii.
 const RIM_ROUNDING: f32 = 1e-5;
 
-/// The share of a disc that is seen when an edge passes at `x` radii from its centre, negative where it is covered.
+/// The visible fraction of a disc when an edge passes at `x` radii from its centre; negative `x` if the edge covers the
+/// centre.
 ///
 /// `1/2 + (asin x + x sqrt(1 - x^2)) / pi` by its series, with the last term chosen so that 1 gives 1: accurate to
 /// 0.004.
@@ -58,7 +59,7 @@ pub struct ConeSum {
     translucent: f32,
     /// Whether opaque instances cover the cone completely.
     is_proven: bool,
-    /// The nearest edge of the opaque ones.
+    /// The nearest edge of the opaque instances.
     pub opaque: Cone,
     /// What those let pass that are asked by rays.
     pub thin: ThinRays,
@@ -67,7 +68,7 @@ pub struct ConeSum {
 impl ConeSum {
     pub const NEW: Self = Self { translucent: 1.0, is_proven: true, opaque: Cone::FREE, thin: ThinRays::NEW };
 
-    /// How close to the axis another instance must come, in radii, to change the sum.
+    /// Distance from the axis, in radii, within which another instance can change the result.
     pub fn x_known(&self, instance: &Instance) -> f32 {
         if instance.is_opaque_solid() { self.opaque.x } else { 1.0 }
     }

@@ -119,7 +119,7 @@ pub trait Field: Send + Sync {
 #[derive(Debug)]
 pub struct SampledField<F> {
     marcher: Marcher<F>,
-    /// Corners of the surface's box, grid space.
+    /// Corners of the box of the surface, grid space.
     surface: [Vec3; 2],
     spacing: Vec3,
     last_point: Vec3,

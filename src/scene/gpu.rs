@@ -25,13 +25,13 @@ use std::sync::Arc;
 
 /// Number of invocations of a workgroup, as in the shader.
 const GROUP: u64 = 64;
-/// Workgroups of a dispatch: the first one, and the most.
+/// Number of workgroups of a dispatch: in the first one, and at most.
 const GROUPS: (u64, u64) = (16, 65_535);
-/// Stands for infinity in a shader.
+/// The value for infinity in a shader.
 const FAR: f32 = 1e30;
 /// Stands for no far field, as in the shader.
 const NO_FAR: u32 = u32::MAX;
-/// Stands for a distance in voxels, as in the shader.
+/// A distance that is given in voxels, as in the shader.
 const BY_VOXELS: f32 = -1.0;
 
 /// A scene in device memory.

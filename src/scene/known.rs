@@ -1,11 +1,12 @@
 //! The light at the visible surfaces of a camera: evaluated in the fields, on the CPU or a device, or interpolated from
 //! neighbours.
 //!
-//! Light changes slowly over most of a picture, and asking for it is what costs. So a picture at half resolution asks at
-//! every second pixel of every second row, and a picture of several samples a pixel asks at the pixels' centres. Whatever
-//! lies between takes the mean of the four asked surfaces around it, weighed bilinearly, of those that belong to the same
-//! instance, lie in its plane and face its way (joint bilateral upsampling: Kopf et al., SIGGRAPH 2007). Where too few of
-//! them do, or where they disagree, as at the edge of a shadow, it is asked after all.
+//! Light changes slowly over most of a picture, and its evaluation is the main cost. A picture at half resolution
+//! therefore evaluates it at every second pixel of every second row, and a picture with several samples per pixel
+//! evaluates it at the centres of the pixels. All other surfaces take the mean of the four evaluated surfaces around
+//! them, weighted bilinearly, of those that belong to the same instance, lie in their plane and have a similar normal
+//! (joint bilateral upsampling: Kopf et al., SIGGRAPH 2007). Where too few of them match, or where they disagree, as at
+//! the edge of a shadow, the light is evaluated.
 
 use super::gpu::{DeviceScene, beam};
 use super::light::{AO_CONES, AO_SLOPE, Lights, Surface};
@@ -475,8 +476,8 @@ fn past_sheets<T: Sync>(
     Ok(found.concat())
 }
 
-/// The beams of a surface, first those of occlusion, then for each light one or all of an area light; apart from them the rays
-/// whose length inside the own instance is wanted.
+/// Appends the beams of a surface: first those of occlusion, then for each light one, or all of an area light. The rays
+/// whose length inside the own instance is needed are appended to `inside`.
 fn first_beams(pass: &Pass<'_>, surface: &Surface<'_>, beams: &mut Vec<Beam>, inside: &mut Vec<Beam>) {
     if let Some(distance) = pass.options.occlusion {
         let cones = surface.open_rays(distance / pass.casters.scene.scale);

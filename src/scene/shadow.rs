@@ -116,7 +116,7 @@ struct Caster<'a> {
     field: &'a dyn Field,
     /// Its box, scene space.
     bounds: &'a Aabb,
-    /// Where it counts, scene units.
+    /// Interval in which it is evaluated, scene units.
     part: [f64; 2],
     /// Whether the start is on its own surface.
     is_own: bool,
@@ -414,7 +414,7 @@ impl<'a> Casters<'a> {
     }
 }
 
-/// A ray in an instance's field space, its start moved off the surface if that is the instance's own.
+/// A ray in the field space of an instance. Its start is moved off the surface if the surface belongs to the instance.
 pub fn ray_in_field(instance: &Instance, is_own: bool, place: &Place, ray: &Ray) -> (DVec3, DVec3) {
     let mut p = place.p;
     if is_own {

@@ -55,7 +55,7 @@ impl Line {
         Self { spread: slope / (1.0 - slope.min(0.9)), slope, ..self }
     }
 
-    /// Where the ray is in a box: from and to, `t` not below 0; `None` where it misses.
+    /// The interval of the ray inside a box, with `t` not below 0; `None` if it misses.
     #[inline]
     pub fn span(&self, min: Vec3, max: Vec3, t_max: f32) -> Option<(f32, f32)> {
         // A cone touches the box if its axis intersects the box enlarged by the largest radius there.
