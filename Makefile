@@ -70,8 +70,10 @@ $(VENV)/.lint: pyproject.toml | $(VENV)/.made
 	$(BIN)/pip install --quiet --group lint
 	touch $@
 
-$(VENV)/.test: pyproject.toml scripts/system_packages.sh | $(VENV)/.made
+$(VENV)/.test: pyproject.toml scripts/system_packages.sh web/package-lock.json | $(VENV)/.made
 	scripts/system_packages.sh test
+	# The viewer's bundler and the driver of its browser; what needs them is skipped without Node.js, but not in CI.
+	if command -v npm >/dev/null; then npm ci --prefix web --ignore-scripts --no-audit --no-fund --silent; fi
 	$(BIN)/pip install --quiet --group test
 	# pyrender pins a PyOpenGL that cannot draw without a screen; one call for both would walk back to an old pyrender.
 	$(BIN)/pip install --quiet pyrender

@@ -22,6 +22,13 @@ fi
 if [ "$1" = test ] && ! command -v glslangValidator >/dev/null; then
     missing+=(glslang-tools) # compiles the GLSL texts
 fi
+if [ "$1" = test ] && ! command -v chromium >/dev/null && ! command -v chromium-browser >/dev/null \
+    && ! command -v google-chrome >/dev/null; then
+    missing+=(chromium) # draws live views and runs the GLSL texts
+fi
+if [ "$1" = test ] && ! command -v npm >/dev/null; then
+    missing+=(nodejs npm) # bundles the viewer and drives the browser
+fi
 if [ "$1" = bench ] && [ ! -d /usr/include/eigen3 ]; then
     missing+=(libeigen3-dev) # pysdf is built from source
 fi

@@ -25,4 +25,5 @@ pub mod scene;
 pub mod shader_text;
 pub mod sign;
 pub mod surface;
+pub mod viewer;
 pub mod volume;

@@ -2,8 +2,9 @@
 
 use crate::error::{ArgumentError, choice};
 use naga::back::{glsl, hlsl, msl};
+use naga::compact::{KeepUnused, compact};
 use naga::proc::BoundsCheckPolicies;
-use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
+use naga::valid::{Capabilities, ModuleInfo, ValidationError, ValidationFlags, Validator};
 use naga::{AddressSpace, GlobalVariable, Module, ResourceBinding, ShaderStage, TypeInner, front};
 
 /// A shading language.
@@ -40,11 +41,26 @@ pub fn translate(wgsl: &str, language: Language, target: GlslTarget) -> Result<S
         return Ok(wgsl.to_owned());
     }
     let (module, info) = parse(wgsl)?;
+    write(&module, &info, language, target)
+}
+
+/// A WGSL text in another language, without what its entry points do not use.
+pub fn translate_used(wgsl: &str, language: Language, target: GlslTarget) -> Result<String, ArgumentError> {
+    if language == Language::Wgsl {
+        return Ok(wgsl.to_owned());
+    }
+    let (mut module, _) = parse(wgsl)?;
+    compact(&mut module, KeepUnused::No);
+    let info = validated(&module).map_err(|error| refused(&error.emit_to_string(wgsl)))?;
+    write(&module, &info, language, target)
+}
+
+fn write(module: &Module, info: &ModuleInfo, language: Language, target: GlslTarget) -> Result<String, ArgumentError> {
     let mut text = String::new();
     match language {
-        Language::Wgsl => unreachable!("returned above"),
+        Language::Wgsl => unreachable!("WGSL needs no writer"),
         Language::Glsl => {
-            let binding_map = resources(&module).map(|(binding, _)| (binding, binding.binding as u8)).collect();
+            let binding_map = resources(module).map(|(binding, _)| (binding, binding.binding as u8)).collect();
             let options = glsl::Options { version: target.version, binding_map, ..glsl::Options::default() };
             let pipeline = glsl::PipelineOptions {
                 shader_stage: target.stage,
@@ -52,19 +68,19 @@ pub fn translate(wgsl: &str, language: Language, target: GlslTarget) -> Result<S
                 multiview: None,
             };
             let policies = BoundsCheckPolicies::default();
-            glsl::Writer::new(&mut text, &module, &info, &options, &pipeline, policies)
+            glsl::Writer::new(&mut text, module, info, &options, &pipeline, policies)
                 .and_then(|mut writer| writer.write())
                 .map_err(|error| refused(&error.to_string()))?;
         }
         Language::Hlsl => {
             let options = hlsl::Options { fake_missing_bindings: true, ..hlsl::Options::default() };
             hlsl::Writer::new(&mut text, &options, &hlsl::PipelineOptions::default())
-                .write(&module, &info, None)
+                .write(module, info, None)
                 .map_err(|error| refused(&error.to_string()))?;
         }
         Language::Msl => {
-            let options = msl_options(&module);
-            (text, _) = msl::write_string(&module, &info, &options, &msl::PipelineOptions::default())
+            let options = msl_options(module);
+            (text, _) = msl::write_string(module, info, &options, &msl::PipelineOptions::default())
                 .map_err(|error| refused(&error.to_string()))?;
         }
     }
@@ -105,10 +121,12 @@ fn msl_options(module: &Module) -> msl::Options {
 /// Parses and validates a WGSL text for every device.
 pub(crate) fn parse(wgsl: &str) -> Result<(Module, ModuleInfo), ArgumentError> {
     let module = front::wgsl::parse_str(wgsl).map_err(|error| refused(&error.emit_to_string(wgsl)))?;
-    let info = Validator::new(ValidationFlags::all(), Capabilities::empty())
-        .validate(&module)
-        .map_err(|error| refused(&error.emit_to_string(wgsl)))?;
+    let info = validated(&module).map_err(|error| refused(&error.emit_to_string(wgsl)))?;
     Ok((module, info))
+}
+
+fn validated(module: &Module) -> Result<ModuleInfo, naga::WithSpan<ValidationError>> {
+    Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(module)
 }
 
 /// A generated text that naga refuses is a defect of fieldbake, and the message says so.

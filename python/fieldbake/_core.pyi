@@ -816,6 +816,16 @@ def atlas_shader(
     ``side`` is that of the cubes in strips. ``unsigned`` texels are the integers of a .png.
     """
 
+def viewer_shader(
+    language: str, kinds: tuple[bool, bool, bool], encoding: str | None, shapes: list[Shape]
+) -> tuple[str, list[tuple[int, NDArray[np.float32], list[float], float, float] | None]]:
+    """The fragment shader of a view; ``kinds``: whether it has dense and sparse fields and quadrics.
+
+    ``encoding`` is that of all sampled fields, where it is one. For each shape: the index of its function and the
+    numbers that it reads, centre and scale of its local frame, and one over its Lipschitz constant; None for a shape
+    without a function.
+    """
+
 def texture_write(kind: str, distances: NDArray[np.float32], encoding: str, scale: float, facts: str) -> bytes:
     """``distances`` (nx, ny, nz), x fastest, as a "dds" or "ktx2" file; the latter stores ``facts``, the metadata of
     fieldbake.

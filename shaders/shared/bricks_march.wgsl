@@ -11,7 +11,7 @@
 fn march_bricks(bricks: Bricks, start: vec3f, direction: vec3f, t_max: f32) -> f32 {
     let last_cell = vec3i(bricks.shape) - 1;
     let is_forward = direction > vec3f(0.0);
-    let side = select(vec3i(0), vec3i(1), is_forward);
+    let side = vec3i(is_forward);
     let is_parallel = abs(direction) < vec3f(PARALLEL);
     let inverse = 1.0 / select(direction, vec3f(1.0), is_parallel);
 
@@ -23,7 +23,7 @@ fn march_bricks(bricks: Bricks, start: vec3f, direction: vec3f, t_max: f32) -> f
         let brick = brick_of(cell);
         let offset = brick_offset(bricks, brick);
         let byte = bricks.first_empty + offset;
-        let distance = i32(extractBits(empty_bytes(byte >> 2u), 8u * (byte & 3u), 8u));
+        let distance = i32((empty_bytes(byte >> 2u) >> (8u * (byte & 3u))) & 0xffu);
         if distance > 0 {
             // Leaps to the face of the empty cube around the brick.
             let first = BRICK_CELLS * (vec3i(brick) - (distance - 1)) - 1;
@@ -34,7 +34,8 @@ fn march_bricks(bricks: Bricks, start: vec3f, direction: vec3f, t_max: f32) -> f
             if t >= t_max { return -1.0; }
             // The new cell is exact along the axis of the face, and never moves back along the others.
             let here = vec3i(floor(start + t * direction));
-            cell = select(min(here, cell), max(here, cell), is_forward);
+            // GLSL ES 3.00 selects no integers.
+            cell = side * max(here, cell) + (1 - side) * min(here, cell);
             cell[axis] = face[axis] - 1 + side[axis];
             cell = clamp(cell, vec3i(-1), last_cell);
             continue;

@@ -6,7 +6,7 @@
 
 use super::decompose::{StructureToken, structure};
 use super::leaf::{Flat, LeafField};
-use super::model::{Model, Token, WarpKind};
+use super::model::{Leaf, Model, Token, WarpKind};
 use super::primitive::{PARAMETERS, Primitive};
 use super::program::{Frame, Joint, PlacedLevel, PlacedWarpKind, Program};
 use super::shape::Op;
@@ -18,6 +18,7 @@ use glam::DVec3;
 use naga::ShaderStage;
 use naga::back::glsl::Version;
 use std::fmt::Write;
+use std::iter::successors;
 
 /// OpenGL 4.3 and OpenGL ES 3.1 have compute shaders.
 const GLSL: GlslTarget =
@@ -124,12 +125,66 @@ pub(super) struct Writer<'a> {
     /// Depth of the open spaces: `p0` is the outermost.
     depth: usize,
     names: usize,
+    /// Colours of the values on the stack, as expressions; `None` where colours are not written.
+    colors: Option<Vec<Option<String>>>,
 }
 
 impl<'a> Writer<'a> {
     pub fn new(model: &'a Model, program: &'a Program<f32>, base: &'static str) -> Self {
         let (body, numbers, loops) = Default::default();
-        Self { model, program, body, numbers, base, loops, depth: 1, names: 0 }
+        Self { model, program, body, numbers, base, loops, depth: 1, names: 0, colors: None }
+    }
+
+    /// Write the statements for tokens and for their paint, which calls `mixed_color`; the name of the colour. `None` where
+    /// nothing is painted, or where a stencil or mask decides. `numbers` are those before its own.
+    pub fn write_color(&mut self, tokens: &[Token], numbers: Vec<f32>) -> Option<String> {
+        let is_masked = |leaf: &Leaf| {
+            successors(leaf.paint.as_deref(), |coat| coat.above.as_deref()).any(|coat| coat.mask.is_some())
+        };
+        if !self.model.is_painted || self.model.leaves.iter().any(is_masked) {
+            return None;
+        }
+        self.numbers = numbers;
+        self.colors = Some(Vec::new());
+        self.write(tokens);
+        self.colors.take()?.pop()?
+    }
+
+    /// The colour of a leaf without masks: that of the outermost coat that covers those below, else of the innermost.
+    fn paint(&mut self, leaf: u32) {
+        let Some(mut colors) = self.colors.take() else { return };
+        let mut color = None;
+        for coat in successors(self.model.leaves[leaf as usize].paint.as_deref(), |coat| coat.above.as_deref()) {
+            if color.is_none() || coat.over {
+                color = Some(coat.color);
+            }
+        }
+        colors.push(color.map(|rgb| {
+            let rgb = rgb.map(|x| self.number(x)).join(", ");
+            self.statement("c", &format!("vec3f({rgb})"), "paint")
+        }));
+        self.colors = Some(colors);
+    }
+
+    /// The colour of a combination; twin of `color` in src/csg/program.rs.
+    fn combine_colors(&mut self, op: Op, is_smooth: bool, is_swapped: bool, a: &str, b: &str, width: &str) {
+        let Some(mut colors) = self.colors.take() else { return };
+        let (top, below) = (colors.pop().flatten(), colors.pop().flatten());
+        let (first, second) = if is_swapped { (top, below) } else { (below, top) };
+        colors.push(match (first, second) {
+            (Some(first), Some(second)) => {
+                let (a, b) = match op {
+                    Op::Union => (a.to_owned(), b.to_owned()),
+                    Op::Intersection => (format!("-{a}"), format!("-{b}")),
+                    Op::Difference => (format!("-{a}"), b.to_owned()),
+                    Op::Xor => (format!("abs({a})"), format!("abs({b})")),
+                };
+                let width = if is_smooth { width } else { "0.0" };
+                Some(self.statement("c", &format!("mixed_color({a}, {b}, {first}, {second}, {width})"), ""))
+            }
+            (first, second) => first.or(second),
+        });
+        self.colors = Some(colors);
     }
 
     /// Generates the statements for tokens; returns the name of the value.
@@ -143,6 +198,7 @@ impl<'a> Writer<'a> {
                 (Token::Leaf(leaf), _) => {
                     let call = self.leaf(leaf, &p);
                     let name = self.statement("d", &call, "");
+                    self.paint(leaf);
                     stack.push(name);
                 }
                 (Token::Combine(i), StructureToken::Combine { op, is_swapped, joint }) => {
@@ -152,6 +208,8 @@ impl<'a> Writer<'a> {
                         Joint::Sharp => "0.0".to_owned(),
                         Joint::Smooth(k, _) | Joint::Chamfer(k) => self.number(k),
                     };
+                    let is_smooth = matches!(self.program.combines[i as usize].joint, Joint::Smooth(..));
+                    self.combine_colors(op, is_smooth, is_swapped, &a, &b, &width);
                     let call = joined(op, joint, &a, &b, &width);
                     let name = self.statement("d", &call, &format!("{joint} {}", op.name()));
                     stack.push(name);

@@ -21,6 +21,8 @@ const MAX_NUMBERS: usize = 4096;
 pub struct Whole {
     pub body: String,
     pub numbers: Vec<f32>,
+    /// The body of the function of its paint, whose numbers follow the others; it returns linear RGB.
+    pub color: Option<String>,
 }
 
 impl Whole {
@@ -44,7 +46,12 @@ impl Whole {
             let _ = writeln!(body, "    {turns} += {};", writer.loops.join(" + "));
         }
         let _ = writeln!(body, "{}    return {value};", writer.body);
-        Some(Self { body: in_array(&body, array), numbers: writer.numbers })
+        let mut colors = Writer::new(&solid.model, &solid.program, "n + ");
+        let color = colors.write_color(tokens, writer.numbers.clone()).map(|color| {
+            writer.numbers = colors.numbers;
+            in_array(&format!("{}    return {color};\n", colors.body), array)
+        });
+        Some(Self { body: in_array(&body, array), numbers: writer.numbers, color })
     }
 
     /// Helper functions for the generated ones, besides the primitives of `shaders/shared/csg_field.wgsl`.

@@ -117,7 +117,7 @@ wgsl_constants! {
         /// Mask of the stored brick in a word of the index.
         BRICK_MASK: u32 as u32 = (1 << LEVEL_SHIFT) - 1;
     }
-    samples_encoded {
+    decode {
         FLOAT32: u32 as u32 = Encoding::Float32 as u32;
         FLOAT16: u32 as u32 = Encoding::Float16 as u32;
         SNORM16: u32 as u32 = Encoding::Snorm16 as u32;

@@ -29,6 +29,7 @@ pub const KERNELS: &[(&str, &str)] = &[
     ("scene_fields", include_str!("../../shaders/scene_fields.wgsl")),
     ("scene_triangles", include_str!("../../shaders/scene_triangles.wgsl")),
     ("query_points", include_str!("../../shaders/query_points.wgsl")),
+    ("viewer", include_str!("../../shaders/viewer/view.wgsl")),
 ];
 
 const SHARED: &[(&str, &str)] = &[
@@ -45,6 +46,7 @@ const SHARED: &[(&str, &str)] = &[
     ("csg_part", include_str!("../../shaders/shared/csg_part.wgsl")),
     ("csg_root", include_str!("../../shaders/shared/csg_root.wgsl")),
     ("csg_tables", include_str!("../../shaders/shared/csg_tables.wgsl")),
+    ("decode", include_str!("../../shaders/shared/decode.wgsl")),
     ("grid", include_str!("../../shaders/shared/grid.wgsl")),
     ("light", include_str!("../../shaders/shared/light.wgsl")),
     ("nested", include_str!("../../shaders/shared/nested.wgsl")),
@@ -70,6 +72,10 @@ const SHARED: &[(&str, &str)] = &[
     ("samples_encoded", include_str!("../../shaders/shared/samples_encoded.wgsl")),
     ("sampling", include_str!("../../shaders/shared/sampling.wgsl")),
     ("triangle", include_str!("../../shaders/shared/triangle.wgsl")),
+    ("viewer_data", include_str!("../../shaders/viewer/data.wgsl")),
+    ("viewer_hits", include_str!("../../shaders/viewer/hits.wgsl")),
+    ("viewer_needs", include_str!("../../shaders/viewer/needs.wgsl")),
+    ("viewer_shapes", include_str!("../../shaders/viewer/shapes.wgsl")),
 ];
 
 /// Kernels and shared files, each with the constants of its group in front.

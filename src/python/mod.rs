@@ -20,6 +20,7 @@ mod run;
 mod scene;
 mod sparse;
 mod surface;
+mod viewer;
 mod volume;
 
 use pyo3::prelude::*;
@@ -62,6 +63,8 @@ mod _core {
     use super::sparse::{SparseField, bake_sparse, check_scales, decode, encode, encoding_scale, to_sparse};
     #[pymodule_export]
     use super::surface::Surface;
+    #[pymodule_export]
+    use super::viewer::viewer_shader;
     #[pymodule_export]
     use super::volume::{gradient, resample, sample};
 

@@ -55,7 +55,7 @@ impl<'a> DeviceFields<'a> {
 
     /// False for a shape that has no function, or beyond the largest number of functions.
     pub fn add_shape(&mut self, solid: &Solid) -> Result<bool, DeviceError> {
-        let Some(Whole { body, numbers }) = Whole::of(solid, ARRAY, TURNS) else { return Ok(false) };
+        let Some(Whole { body, numbers, .. }) = Whole::of(solid, ARRAY, TURNS) else { return Ok(false) };
         let structures = &mut self.kinds.structures;
         let known = structures.iter().position(|known| *known == body);
         if known.is_none() && structures.len() == MAX_STRUCTURES {

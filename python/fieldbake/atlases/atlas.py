@@ -15,6 +15,7 @@ from ..base import checks, encodings
 from ..base.encodings import Encoding
 from ..base.errors import AtlasError, FormatError
 from ..base.report import Report, bytes_text, count_text
+from ..base.viewable import Viewable
 from ..files import container
 from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume
@@ -89,7 +90,7 @@ class AtlasEntry:
         return f"AtlasEntry({self._index} of {self._atlas!r})"
 
 
-class Atlas(PageStore):
+class Atlas(PageStore, Viewable):
     """Many volumes in the pages of one texture array. Made by :func:`fieldbake.pack` or :func:`fieldbake.load`.
 
     The slices of a volume along z are tiles, side by side on a page. Each volume keeps its index. :meth:`add` and

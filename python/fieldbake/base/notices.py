@@ -21,8 +21,13 @@ def warn_surface(messages: Sequence[str]) -> None:
         warnings.warn("; ".join(of_surface), SurfaceWarning, stacklevel=_depth_of_caller())
 
 
+def warn(message: str, category: type[Warning]) -> None:
+    """Warn at the line of the caller."""
+    warnings.warn(message, category, stacklevel=_depth_of_caller())
+
+
 def _depth_of_caller() -> int:
-    """Count the frames from `warn_surface` up to the first frame outside this package, as `warnings.warn` counts."""
+    """Count the frames up from the caller of this function to the first frame outside this package, as `warnings.warn` counts."""
     depth = 1
     frame = sys._getframe(1)
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == PACKAGE:

@@ -14,6 +14,7 @@ from .. import _core
 from ..base import checks
 from ..base.errors import MeshError
 from ..base.report import SurfaceReport
+from ..base.viewable import Viewable
 from . import facts
 from .export import save_mesh
 from .images import decoded
@@ -125,7 +126,7 @@ class Part:
         return f"Part('{self.name}', {len(self.faces)} faces, {looks}, {self.alpha_mode})"
 
 
-class Mesh:
+class Mesh(Viewable):
     """Triangles, checked when the mesh is made.
 
     The search tree is built at the first query and kept. Pass the same `Mesh` to several calls to build it only once.

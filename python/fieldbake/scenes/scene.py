@@ -11,13 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _core
 from ..base import checks
 from ..base.errors import ArgumentError, MeshError, SceneError
+from ..base.viewable import Viewable
 from .camera import Camera
 from .core_scene import Fields, build_scene
 from .instance import Instance
 from .lights import AMBIENT, BACKGROUND, Light, check_lights
 
 
-class Scene:
+class Scene(Viewable):
     """Instances and lights. Immutable.
 
     Parameters

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _core
 from ..base import checks
 from ..base.errors import ArgumentError, ShapeError
+from ..base.viewable import Viewable
 from .quadric_shader import quadric_text
 
 #: RGBA texels of a record: four for the matrix, one for the trim sphere, one for reflectance and opacity.
@@ -20,7 +21,7 @@ RECORD_TEXELS = 6
 GREY = (0.8, 0.8, 0.8)
 
 
-class Quadric:
+class Quadric(Viewable):
     """The points ``x = (p, 1)`` with ``x.T @ A @ x == 0`` that lie in a trim sphere. Immutable.
 
     A quadric is a sheet without an inside, and both of its sides are visible. The class methods make the common kinds

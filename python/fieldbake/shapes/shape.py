@@ -15,6 +15,7 @@ from .._core import Shape as CoreShape
 from ..base import checks
 from ..base.errors import MeshError, ShapeError
 from ..base.grid import Resolution, make_grid
+from ..base.viewable import Viewable
 from ..files.container import check_target
 from ..meshes.export import mesh_kind
 from ..meshes.isosurface import FieldSource, extract
@@ -28,7 +29,7 @@ from .representation import python_text
 Language = Literal["wgsl", "glsl", "hlsl", "msl"]
 
 
-class Shape:
+class Shape(Viewable):
     """A solid made of primitives and operators. Immutable; every method returns a new shape.
 
     ``a | b`` is the union, ``a & b`` the intersection, ``a - b`` the difference, ``a ^ b`` the symmetric

@@ -13,13 +13,14 @@ from .. import _core
 from ..base import checks
 from ..base.errors import ArgumentError
 from ..base.report import Report
+from ..base.viewable import Viewable
 from ..meshes.isosurface import Source, as_source, extract
 from ..meshes.mesh import Mesh
 from .conventions import Convention
 from .neighbours import Neighbours
 
 
-class GridField(Neighbours):
+class GridField(Viewable, Neighbours):
     """A field on a grid over a box. Immutable."""
 
     __slots__ = ("_bounds", "_geometry", "_inner_bounds", "_report")

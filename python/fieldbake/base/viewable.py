@@ -1,0 +1,69 @@
+"""The views of an object."""
+
+from __future__ import annotations
+
+import os
+from typing import Any, Literal
+
+
+class Viewable:
+    """Base class of objects that have a live view."""
+
+    __slots__ = ()
+
+    def to_html(
+        self,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        camera: Any = None,
+        encoding: Literal["snorm8", "float16", "float32"] = "snorm8",
+        size: tuple[int, int] = (640, 480),
+    ) -> str:
+        """Write a live view as one HTML page, which needs no network and no server.
+
+        The page draws the surface in WebGL 2, as :func:`fieldbake.raymarch` does: with the same roots, lights,
+        background and camera. It can be turned, moved and zoomed, sliced along any axis, and offset by a level; a
+        double click reports a point with its normal and distance.
+
+        Parameters
+        ----------
+        path : str or path, optional
+            The file to write. The text is returned in any case.
+        camera : fieldbake.Camera, optional
+            The first view. The default is that of :func:`fieldbake.raymarch`: it fits the surface.
+        encoding : "snorm8", "float16" or "float32", default "snorm8"
+            How samples are stored on the page, as :meth:`Volume.quantize` does: 1, 2 or 4 bytes each before
+            compression. Quantised volumes stay as they are; shapes and quadrics have no samples.
+        size : (width, height), default (640, 480)
+            Size of the canvas, CSS pixels.
+
+        Returns
+        -------
+        str
+            The text of the page.
+
+        Raises
+        ------
+        SceneError
+            For an unusable camera or size, or an object without a view.
+        ArgumentError
+            For an unknown encoding.
+        OSError
+            If the file cannot be written.
+
+        Warns
+        -----
+        UserWarning
+            If the page has more than 5 MB, with the option that makes it smaller.
+
+        Notes
+        -----
+        A mesh is drawn by its field of 128 voxels along the longest side, as :func:`fieldbake.raymarch` draws it, and a
+        mesh in a Scene by the field of its instance. A shape with more than 64 nodes, or with a baked volume in it, is
+        drawn by a volume of 192 voxels. Shadows are hard, colours are those of materials and paint; textures, opacity
+        and scattering are those of :func:`fieldbake.render` alone.
+        Where the browser has no WebGL 2, or forbids scripts, the page shows a picture.
+        """
+        from ..viewing import hosts
+
+        return hosts.to_html(self, path, camera, encoding, size)

@@ -1,0 +1,1 @@
+"""Live views in browsers: pages of one file, and widgets of notebooks."""

@@ -1,0 +1,335 @@
+"""What a view shows: the instances of an object, their light and camera, as the bytes that the viewer reads."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _core
+from ..atlases.atlas import Atlas, AtlasEntry
+from ..baking.dense import bake
+from ..base import checks
+from ..base.errors import SceneError
+from ..drawing.frame import Frame
+from ..drawing.raymarching import PICTURE_RESOLUTION, raymarch
+from ..meshes.mesh import Mesh, Part
+from ..scenes import field_cache
+from ..scenes.camera import Camera
+from ..scenes.instance import Instance
+from ..scenes.lights import AMBIENT, BACKGROUND, KEY_DIRECTION, KEY_INTENSITY, DirectionalLight, Light
+from ..scenes.materials import PLAIN, SHININESS, SPECULAR, Material
+from ..scenes.scene import Scene
+from ..scenes.sheets import Look
+from ..shapes.quadric import Quadric
+from ..shapes.shape import Shape
+from ..volumes.sparse import SparseVolume
+from ..volumes.volume import Volume
+from . import records
+from .records import Record
+
+#: Voxels along the longest side of the volume that takes the place of a shape without a function in the shader.
+SHAPE_RESOLUTION = 192
+
+#: Levels of the slider reach so far, as a share of the diagonal of the box.
+LEVEL_SHARE = 0.1
+
+#: Iso-lines of a slice, about so many over the diagonal of the box.
+LINES = 28
+
+#: Steps of a ray that are drawn lightest.
+MOST_STEPS = 64
+
+
+@dataclass
+class Placed:
+    """A field with its place and its look."""
+
+    record: Record
+    world_from_object: NDArray[np.float64]
+    color: Sequence[float]
+    name: str
+    specular: float = SPECULAR
+    shininess: float = SHININESS
+    emission: Sequence[float] = (0.0, 0.0, 0.0)
+    flags: int = records.VISIBLE | records.CASTS
+    number: int = 0
+
+
+@dataclass
+class Content:
+    """Everything that a view shows."""
+
+    title: str
+    placed: list[Placed]
+    shapes: list[Shape]
+    bounds: NDArray[np.float64]
+    camera: Camera
+    size: tuple[int, int]
+    lights: Sequence[Light] | None = None
+    ambient: float = AMBIENT
+    background: Sequence[float] = BACKGROUND
+    #: Ambient light comes from above more than from below, as in pictures of one field.
+    hemisphere: bool = True
+    #: What raymarch draws for the picture that stands in for the view.
+    drawn: Any = None
+    _frame: Frame | None = field(default=None, repr=False)
+
+    def frame(self, most_px: int) -> Frame:
+        """The picture of :func:`raymarch`, its longest side at most `most_px` pixels."""
+        width, height = self.size
+        share = min(1.0, most_px / max(width, height))
+        size = max(1, round(width * share)), max(1, round(height * share))
+        if self._frame is None or self._frame.size != size:
+            self._frame = raymarch(self.drawn, self.camera, size=size, device="cpu")
+        return self._frame
+
+    def packed(self) -> bytes:
+        """The data of the viewer, compressed by gzip; the same content gives the same bytes."""
+        rows, words = records.joined(
+            [item.record for item in self.placed],
+            [item.flags for item in self.placed],
+            [item.number for item in self.placed],
+        )
+        text = json.dumps(self._description(rows), allow_nan=False).encode()
+        text += b" " * (-len(text) % 4)
+        data = len(text).to_bytes(4, "little") + text + words.astype("<u4").tobytes()
+        return gzip.compress(data, 9, mtime=0)
+
+    def _shader(self) -> str:
+        kinds = {item.record.numbers[records.KIND] for item in self.placed}
+        sampled = [item.record for item in self.placed if item.record.numbers[records.KIND] < records.SHAPE]
+        encodings = {records.ENCODINGS[int(record.numbers[records.ENCODING])] for record in sampled}
+        return _shader(kinds, encodings, self.shapes)
+
+    def _description(self, rows: list[list[float]]) -> dict[str, Any]:
+        lower, upper = self.bounds
+        diagonal = float(np.linalg.norm(upper - lower))
+        reach = LEVEL_SHARE * diagonal
+        scales = [np.cbrt(abs(np.linalg.det(item.world_from_object[:3, :3]))) for item in self.placed]
+        low = max([item.record.levels[0] * scale for item, scale in zip(self.placed, scales, strict=True)], default=0.0)
+        high = min(
+            [item.record.levels[1] * scale for item, scale in zip(self.placed, scales, strict=True)], default=0.0
+        )
+        eye, forward = self.camera.pose[:3, 3], -self.camera.pose[:3, 2]
+        distance = float((0.5 * (lower + upper) - eye) @ forward)
+        if not distance > 1e-6 * diagonal:
+            distance = max(float(np.linalg.norm(0.5 * (lower + upper) - eye)), diagonal)
+        return {
+            "title": self.title,
+            "size": self.size,
+            "shader": self._shader(),
+            "instances": [_instance_data(item, row) for item, row in zip(self.placed, rows, strict=True)],
+            "lights": None if self.lights is None else [_light_data(light) for light in self.lights],
+            "key": {"direction": KEY_DIRECTION, "color": [KEY_INTENSITY] * 3},
+            "background": list(self.background),
+            "ambient": self.ambient,
+            "hemisphere": self.hemisphere,
+            "bounds": self.bounds.tolist(),
+            "camera": {"pose": self.camera.pose.ravel().tolist(), "fov": self.camera.fov_deg, "distance": distance},
+            "levels": [min(max(low, -reach), 0.0), max(min(high, reach), 0.0)],
+            "range": reach,
+            "spacing": nice_step(diagonal / LINES),
+            "most_steps": MOST_STEPS,
+            "note": f"{_size_text(upper - lower)} world units; iso-lines every {nice_step(diagonal / LINES):g}",
+        }
+
+
+def content_of(thing: Any, camera: Camera | None, encoding: str, size: tuple[int, int]) -> Content:
+    """The content of a view of any object that can be viewed.
+
+    Raises
+    ------
+    SceneError
+        If the object has no view.
+    """
+    aspect = size[0] / size[1]
+    if isinstance(thing, Mesh):
+        volume = bake(thing, PICTURE_RESOLUTION)
+        content = content_of(volume, camera, encoding, size)
+        content.title = f"Mesh, {len(thing.faces):,} faces, drawn by its field of {_shape_text(volume.resolution)}"
+        return content
+    if isinstance(thing, Scene):
+        return _of_scene(thing, camera, encoding, size)
+    if isinstance(thing, Atlas):
+        content = _of_scene(_entries_scene(thing), camera, encoding, size)
+        content.title = f"Atlas of {len(content.placed)} volumes"
+        return content
+    if isinstance(thing, Quadric):
+        content = _of_scene(Scene([thing]), camera, encoding, size)
+        content.title, content.hemisphere, content.drawn = "Quadric", True, thing
+        return content
+    functions = _functions([thing])
+    if isinstance(thing, Shape):
+        drawn: Any = thing
+        if functions[0] is None:
+            drawn = bake(thing, SHAPE_RESOLUTION)
+            record = records.of_volume(drawn, encoding)
+        else:
+            record = records.of_shape(thing, functions[0], records.SHAPE_BIAS)
+        bounds, title = thing.bounds, "Shape"
+    elif isinstance(thing, SparseVolume):
+        record, bounds, drawn = records.of_sparse(thing, encoding), thing.inner_bounds, thing
+        title = (
+            f"Sparse volume {_shape_text(thing.resolution)}, {records.ENCODINGS[int(record.numbers[records.ENCODING])]}"
+        )
+    elif isinstance(thing, Volume):
+        record, bounds, drawn = records.of_volume(thing, encoding), thing.inner_bounds, thing
+        title = f"Volume {_shape_text(thing.resolution)}, {records.ENCODINGS[int(record.numbers[records.ENCODING])]}"
+    else:
+        raise SceneError(f"{checks.describe(thing)} has no view; bake it, or put it in a Scene")
+    placed = Placed(record, np.eye(4), PLAIN[:3], title)
+    view = camera or Camera.fit(bounds, aspect=aspect)
+    shapes = [thing] if isinstance(thing, Shape) else []
+    return Content(title, [placed], shapes, np.asarray(bounds, dtype=np.float64), view, size, drawn=drawn)
+
+
+def _of_scene(scene: Scene, camera: Camera | None, encoding: str, size: tuple[int, int]) -> Content:
+    things = [_field_of(instance) for instance in scene.instances]
+    found = iter(_functions([thing for group in things for thing in group]))
+    known: dict[int, Record] = {}
+    placed = []
+    for number, (instance, group) in enumerate(zip(scene.instances, things, strict=True)):
+        for thing in group:
+            function = next(found)
+            if id(thing) not in known:
+                known[id(thing)] = _record(thing, function, encoding)
+            placed.append(_placed(instance, number, thing, known[id(thing)]))
+    view = camera or (scene.cameras[0] if scene.cameras else Camera.fit(scene.bounds, aspect=size[0] / size[1]))
+    return Content(
+        f"Scene of {len(scene.instances)} instances" if len(scene.instances) > 1 else "Scene",
+        placed,
+        [thing for group in things for thing in group if isinstance(thing, Shape)],
+        scene.bounds,
+        view,
+        size,
+        lights=scene.lights,
+        ambient=scene.ambient,
+        background=scene._background,
+        hemisphere=False,
+        drawn=scene,
+    )
+
+
+def _field_of(instance: Instance) -> list[Any]:
+    """The fields of an instance; a mesh has the one of its shadows."""
+    thing = instance.thing
+    if isinstance(thing, Mesh):
+        looks = [Look.of(instance.material, part) for part in thing.parts]
+        return [field_cache.bake_for_scene(thing, instance.resolution, looks=looks)]
+    if isinstance(thing, AtlasEntry):
+        return [thing.to_volume()]
+    if isinstance(thing, tuple):
+        return list(thing)
+    if not isinstance(thing, (Volume, SparseVolume, Shape)):
+        raise SceneError(f"a view has no {type(thing).__name__}; put one of its levels into the Scene")
+    return [thing]
+
+
+def _record(thing: Any, function: Any, encoding: str) -> Record:
+    if isinstance(thing, Quadric):
+        return records.of_quadric(thing)
+    if isinstance(thing, SparseVolume):
+        return records.of_sparse(thing, encoding)
+    if isinstance(thing, Shape):
+        if function is not None:
+            return records.of_shape(thing, function, records.SCENE_BIAS)
+        thing = bake(thing, SHAPE_RESOLUTION)
+    return records.of_volume(thing, encoding)
+
+
+def _placed(instance: Instance, number: int, thing: Any, record: Record) -> Placed:
+    material = instance.material or Material()
+    if isinstance(instance.thing, Mesh):
+        part = instance.thing.parts[0]
+    else:
+        red, green, blue = record.color or PLAIN[:3]
+        part = Part("own", color=(red, green, blue, 1.0))
+    look = Look.of(instance.material, part)
+    flags = records.VISIBLE * instance.visible | records.UNLIT * look.unlit
+    # A shadow in the view is whole: half or more of the light is kept.
+    flags |= records.CASTS * (instance.casts_shadow and instance.opacity >= 0.5)
+    return Placed(
+        record,
+        np.asarray(instance.transform, dtype=np.float64),
+        look.color[:3],
+        type(thing).__name__,
+        specular=material.specular,
+        shininess=material.shininess,
+        emission=look.emission,
+        flags=flags,
+        number=number,
+    )
+
+
+def _entries_scene(atlas: Atlas) -> Scene:
+    """The volumes of an atlas side by side, in rows along x and y."""
+    entries = [atlas[i] for i in range(len(atlas))]
+    if not entries:
+        raise SceneError("the atlas is empty; add a volume")
+    columns = math.ceil(math.sqrt(len(entries)))
+    step = 1.15 * max(float((entry.inner_bounds[1] - entry.inner_bounds[0]).max()) for entry in entries)
+    instances = []
+    for number, entry in enumerate(entries):
+        place = np.eye(4)
+        row, column = divmod(number, columns)
+        place[:3, 3] = (column * step, -row * step, 0) - entry.inner_bounds.mean(axis=0)
+        instances.append(Instance(entry, place))
+    return Scene(instances)
+
+
+def _functions(things: Sequence[Any]) -> list[Any]:
+    """One entry for each thing: the function of a shape; None for a shape without one, and for everything else."""
+    shapes = [thing for thing in things if isinstance(thing, Shape)]
+    _, functions = _core.viewer_shader("wgsl", (True, False, False), None, [shape._core for shape in shapes])
+    found = iter(functions)
+    return [next(found) if isinstance(thing, Shape) else None for thing in things]
+
+
+def _shader(kinds: set[float], encodings: set[str], shapes: Sequence[Shape]) -> str:
+    """The GLSL for these kinds of fields, encodings and shapes, in the order of `_functions`."""
+    one = next(iter(encodings)) if len(encodings) == 1 else None
+    has = (records.DENSE in kinds, records.SPARSE in kinds, records.QUADRIC in kinds)
+    return _core.viewer_shader("glsl", has, one, [shape._core for shape in shapes])[0]
+
+
+def _instance_data(item: Placed, row: list[float]) -> dict[str, Any]:
+    field_from_world = item.record.field_from_object @ np.linalg.inv(item.world_from_object)
+    return {
+        "name": item.name,
+        "record": row,
+        "fieldFromWorld": field_from_world[:3].ravel().tolist(),
+        "color": list(item.color),
+        "specular": item.specular,
+        "emission": list(item.emission),
+        "shininess": item.shininess,
+    }
+
+
+def _light_data(light: Light) -> dict[str, Any]:
+    color = np.multiply(light.color, light.intensity).tolist()
+    if isinstance(light, DirectionalLight):
+        return {"kind": 0, "vector": list(light.direction), "color": color}
+    return {"kind": 1, "vector": list(light.position), "color": color}
+
+
+def nice_step(value: float) -> float:
+    """The largest of 1, 2 and 5 times a power of ten that is not above `value`."""
+    if not value > 0:
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(value))
+    return power * max(step for step in (1, 2, 5) if step * power <= value * (1 + 1e-9))
+
+
+def _shape_text(shape: Sequence[int]) -> str:
+    return " x ".join(str(n) for n in shape)
+
+
+def _size_text(extent: NDArray[np.float64]) -> str:
+    return " x ".join(f"{side:.3g}" for side in extent)

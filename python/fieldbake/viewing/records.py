@@ -1,0 +1,247 @@
+"""What the shader of a view reads: a record of 32 numbers for each instance, and the samples of all as 32-bit words.
+
+`shaders/viewer/data.wgsl` draws the layout of a record, which is its texels 14 to 21.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _core
+from ..base import encodings
+from ..base.errors import SceneError
+from ..shapes.quadric import Quadric
+from ..shapes.shape import Shape
+from ..volumes.quantized import QuantizedVolume
+from ..volumes.sparse import SparseVolume
+from ..volumes.volume import Volume
+
+#: Numbers of a record, and the places of some of them.
+RECORD = 32
+KIND, ENCODING, SCALE, FIRST, VOXELS, EMPTY, BLOCKS, MASKS = 0, 1, 2, 3, 4, 7, 8, 11
+LOWER, FLAGS, UPPER, OBJECT, UNIT, BIAS, STRUCTURE, INVERSE_LIPSCHITZ = 12, 15, 16, 19, 20, 21, 22, 23
+INDEX, NODES, FLOOR, LONGEST_STEP, NODE_STEP = 24, 25, 26, 27, 28
+
+#: Most words of a view: their indices are float32.
+MOST_WORDS = 1 << 24
+
+#: Kinds of fields.
+DENSE, SPARSE, SHAPE, QUADRIC = range(4)
+
+#: Flags of an instance.
+VISIBLE, CASTS, UNLIT = 1, 2, 4
+
+#: Encodings as the shader numbers them.
+ENCODINGS = ("float32", "float16", "snorm16", "snorm8")
+
+#: Cells along the side of a block of a dense grid, and of a brick.
+BLOCK_CELLS, BRICK_CELLS = 4, 7
+
+#: Start of a shadow ray above the surface, field units: half a voxel, the step of pictures of one shape, and half of
+#: 1/1024 for quadrics and for shapes in scenes.
+VOXEL_BIAS, SHAPE_BIAS, SCENE_BIAS = 0.5, 1e-3, 0.5 / 1024
+
+#: A shape is drawn in its box grown by this share of its frame, so that rays start outside.
+SHAPE_MARGIN = 1e-3
+
+
+@dataclass
+class Record:
+    """One field: the numbers of its record by their places, its data, and its place in the world."""
+
+    #: Field space from the object's own space, (4, 4).
+    field_from_object: NDArray[np.float64]
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+    numbers: dict[int, float]
+    #: Arrays of words by the place of the record that gets their index.
+    arrays: dict[int, NDArray[np.uint32]] = field(default_factory=dict)
+    #: Least and largest level of the data, world units of the object.
+    levels: tuple[float, float] = (-np.inf, np.inf)
+    #: Linear RGB of the object itself.
+    color: Sequence[float] | None = None
+
+
+def of_volume(volume: Volume, encoding: str) -> Record:
+    """The record of a dense grid. A quantised volume stays as it is; others are stored in `encoding`."""
+    if encoding_of(volume) == "float32" and encoding != "float32":
+        volume = volume.quantize(encoding)  # type: ignore[arg-type]
+    shape = volume.resolution
+    blocks = [(n + 1 + BLOCK_CELLS - 1) // BLOCK_CELLS for n in shape]
+    texels = volume._texels
+    scale = volume._scale
+    values = np.asarray(texels)
+    normalised = encoding_of(volume) in encodings.STEPS
+    steps = encodings.STEPS[encoding_of(volume)] if normalised else 1
+    # Beyond the largest integer nothing is known.
+    least, largest = float(values.min()) / steps * scale, float(values.max()) / steps * scale
+    keep = scale * (1 - 1 / steps) if normalised else np.inf
+    return Record(
+        field_from_object=_grid_from_world(volume),
+        lower=np.full(3, -0.5),
+        upper=np.array(shape) - 0.5,
+        numbers={
+            KIND: DENSE,
+            ENCODING: ENCODINGS.index(encoding_of(volume)),
+            SCALE: scale,
+            UNIT: 1.0,
+            BIAS: VOXEL_BIAS,
+            **_three(VOXELS, shape),
+            **_three(BLOCKS, blocks),
+        },
+        arrays={
+            FIRST: _words(np.asarray(texels).ravel(order="F")),
+            EMPTY: _reserved(1, blocks),
+            MASKS: _reserved(8, blocks),
+        },
+        levels=(max(least, -keep), min(largest, keep)),
+    )
+
+
+def of_sparse(volume: SparseVolume, encoding: str) -> Record:
+    """The record of bricks; they are stored in `encoding` if that has fewer bits than their own."""
+    arrays = volume._core_field.arrays()
+    # The samples of each brick with x fastest, as one tall grid.
+    bricks = np.ascontiguousarray(arrays["bricks"].transpose(0, 3, 2, 1)).reshape(-1, 8, 8).transpose()
+    stored, scale = volume.encoding, volume._core_field.scale
+    spacing = volume.spacing
+    if ENCODINGS.index(encoding) > ENCODINGS.index(stored):
+        values = bricks if stored == "float32" else _core.decode(bricks, scale)
+        scale = encodings.scale_of(encoding, spacing, volume.band / float(spacing.max()))
+        bricks, stored = _core.encode(values, encoding, scale), encoding
+    counts = arrays["index"].shape
+    step = spacing * BRICK_CELLS
+    longest = float(step.max())
+    nodes = (arrays["nodes"].ravel(order="F").astype(np.float64) / longest).astype(np.float32)
+    floor = max(volume.band - 0.5 * float(np.linalg.norm(spacing)), 0.0)
+    return Record(
+        field_from_object=_grid_from_world(volume),
+        lower=np.full(3, -0.5),
+        upper=np.array(volume.resolution) - 0.5,
+        numbers={
+            KIND: SPARSE,
+            ENCODING: ENCODINGS.index(stored),
+            SCALE: scale,
+            UNIT: 1.0,
+            BIAS: VOXEL_BIAS,
+            FLOOR: floor,
+            LONGEST_STEP: longest,
+            **_three(VOXELS, volume.resolution),
+            **_three(BLOCKS, counts),
+            **_three(NODE_STEP, step / longest),
+        },
+        arrays={
+            FIRST: _words(np.asarray(bricks).ravel(order="F")),
+            EMPTY: _reserved(1, counts),
+            INDEX: _words(arrays["index"].ravel(order="F")),
+            NODES: _words(nodes),
+        },
+        levels=(-volume.band, 0.99 * floor),
+    )
+
+
+def of_shape(shape: Shape, function: tuple[int, NDArray[np.float32], Any, float, float], bias: float) -> Record:
+    """The record of a shape that has a function in the shader."""
+    structure, numbers, center, scale, inverse_lipschitz = function
+    local = np.eye(4)
+    local[:3, :3] /= scale
+    local[:3, 3] = -np.asarray(center) / scale
+    lower, upper = ((np.asarray(corner) - center) / scale for corner in shape.bounds)
+    return Record(
+        field_from_object=local,
+        lower=lower - SHAPE_MARGIN,
+        upper=upper + SHAPE_MARGIN,
+        numbers={
+            KIND: SHAPE,
+            SCALE: 1.0,
+            STRUCTURE: structure,
+            INVERSE_LIPSCHITZ: inverse_lipschitz,
+            UNIT: scale,
+            BIAS: bias,
+        },
+        arrays={FIRST: _words(numbers)},
+        levels=(-0.25 * scale, SHAPE_MARGIN * scale),
+    )
+
+
+def of_quadric(quadric: Quadric) -> Record:
+    """The record of a quadric: its form in the frame of its trim sphere, where the largest entry is 1."""
+    slack = min(1e-5 + 2.0**-23 * float(np.sum(quadric.center**2)) / quadric.radius**2, 1e-2)
+    radius = quadric.radius * (1 + slack)
+    world_from_local = np.diag([radius, radius, radius, 1.0])
+    world_from_local[:3, 3] = quadric.center
+    matrix = quadric.matrix / np.abs(quadric.matrix).max()
+    form = world_from_local.T @ matrix @ world_from_local
+    form = 0.5 * (form + form.T) / np.abs(form).max()
+    return Record(
+        field_from_object=np.linalg.inv(world_from_local),
+        lower=np.full(3, -1.0),
+        upper=np.full(3, 1.0),
+        numbers={KIND: QUADRIC, SCALE: 1.0, UNIT: radius, BIAS: SCENE_BIAS},
+        arrays={FIRST: _words(form.T.astype(np.float32).ravel())},
+        color=quadric.reflectance.tolist(),
+    )
+
+
+def joined(
+    records: Sequence[Record], flags: Sequence[int], objects: Sequence[int]
+) -> tuple[list[list[float]], NDArray[np.uint32]]:
+    """The numbers of all records, and all arrays; an array of several records is stored once.
+
+    Raises
+    ------
+    SceneError
+        If the view has more than 2^24 words of samples.
+    """
+    rows: list[list[float]] = []
+    pieces: list[NDArray[np.uint32]] = []
+    at = 0
+    known: dict[int, int] = {}
+    for record, flag, number in zip(records, flags, objects, strict=True):
+        numbers = {**record.numbers, FLAGS: flag, OBJECT: number}
+        numbers.update({**_three(LOWER, record.lower), **_three(UPPER, record.upper)})
+        for place, array in record.arrays.items():
+            if id(array) not in known:
+                known[id(array)] = at
+                pieces.append(array)
+                at += len(array)
+            numbers[place] = known[id(array)]
+        rows.append([float(numbers.get(place, 0.0)) for place in range(RECORD)])
+    if at > MOST_WORDS:
+        advice = "a smaller encoding, a coarser volume, or Volume.to_sparse()"
+        raise SceneError(
+            f"a view holds at most 64 MiB of samples, and these have {4 * at / 2**20:.0f} MiB; use {advice}"
+        )
+    return rows, np.concatenate(pieces)
+
+
+def encoding_of(volume: Volume) -> str:
+    """The encoding of a dense volume."""
+    return volume.encoding if isinstance(volume, QuantizedVolume) else "float32"
+
+
+def _grid_from_world(volume: Volume | SparseVolume) -> NDArray[np.float64]:
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.diag(1 / volume.spacing)
+    matrix[:3, 3] = -volume.bounds[0] / volume.spacing - 0.5
+    return matrix
+
+
+def _three(place: int, values: Any) -> dict[int, Any]:
+    return {place + i: values[i] for i in range(3)}
+
+
+def _reserved(size: int, blocks: Sequence[int]) -> NDArray[np.uint32]:
+    """Room for `size` bytes of each block, which the viewer fills."""
+    return np.zeros((size * int(np.prod(blocks)) + 3) // 4, dtype=np.uint32)
+
+
+def _words(values: NDArray[Any]) -> NDArray[np.uint32]:
+    """The bytes of an array as words, padded with zeros."""
+    data = values.tobytes()
+    return np.frombuffer(data + bytes(-len(data) % 4), dtype="<u4")

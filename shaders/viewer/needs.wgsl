@@ -1,0 +1,8 @@
+// Which kinds of fields a view has. The text of a view replaces this file and drops the lines of the other kinds.
+
+const HAS_DENSE: bool = true;
+const HAS_SPARSE: bool = true;
+const HAS_SHAPE: bool = true;
+const HAS_QUADRIC: bool = true;
+// The encoding of all sampled fields; -1 where they differ.
+const ONE_ENCODING: i32 = -1;

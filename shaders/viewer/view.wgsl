@@ -1,0 +1,273 @@
+// The picture of a view in a browser: a fragment finds the first hit of its ray among the fields of all instances, sends a
+// ray to each light, and shades the hit as fieldbake.raymarch does. Twin of src/render/shade.rs and src/scene/light.rs.
+//
+// One loop holds the ray from the eye and the rays to the lights, because drivers inline functions at each call.
+
+#import clip
+#import cubic
+#import decode
+#import light
+#import viewer_needs
+#import bricks_march
+#import viewer_data
+#import sampling
+#import quadric
+#import csg_root
+#import viewer_shapes
+#import viewer_hits
+
+// Kinds of pictures. From PICTURE_DEPTH on, a pixel is the four bytes of a float32.
+const PICTURE_COLOR: u32 = 0u;
+const PICTURE_STEPS: u32 = 1u;
+const PICTURE_DEPTH: u32 = 2u;
+const PICTURE_NORMAL: u32 = 3u;
+const PICTURE_OBJECT: u32 = 6u;
+const PICTURE_SLICE: u32 = 7u;
+
+const NO_DEPTH: f32 = 3.0e38;
+
+struct Found {
+    depth: f32,
+    instance: u32,
+    object: u32,
+    // Field space.
+    p: vec3f,
+    along: vec3f,
+    at_start: bool,
+    enter_axis: u32,
+}
+
+// The paint of a shape's own over a colour.
+fn painted(color: vec3f, p: vec3f) -> vec3f {
+    let paint = structure_color(structure, p);
+    return select(color, paint, paint.x >= 0.0);
+}
+
+// The three rows of a 3 x 4 matrix, times a point or a direction.
+fn moved(instance: u32, first: u32, p: vec4f) -> vec3f {
+    return vec3f(
+        dot(frame_at(instance, first), p), dot(frame_at(instance, first + 1u), p), dot(frame_at(instance, first + 2u), p)
+    );
+}
+
+// The transpose of the 3 x 3 part of a 3 x 4 matrix, times a vector.
+fn moved_by_transpose(instance: u32, first: u32, v: vec3f) -> vec3f {
+    return v.x * frame_at(instance, first).xyz + v.y * frame_at(instance, first + 1u).xyz
+        + v.z * frame_at(instance, first + 2u).xyz;
+}
+
+// A direction of any length, unit; `fallback` for zero. Scaled by its largest entry first, so that squares stay in range.
+fn unit_or(v: vec3f, fallback: vec3f) -> vec3f {
+    let sizes = abs(v);
+    let largest = max(sizes.x, max(sizes.y, sizes.z));
+    if largest < TINY { return fallback; }
+    return normalize(v / largest);
+}
+
+// IEC 61966-2-1.
+fn srgb(linear: vec3f) -> vec3f {
+    let cut = clamp(linear, vec3f(0.0), vec3f(1.0));
+    return select(1.055 * pow(max(cut, vec3f(0.0031308)), vec3f(1.0 / 2.4)) - 0.055, 12.92 * cut, cut <= vec3f(0.0031308));
+}
+
+// The colours of Frame.heatmap, sRGB.
+fn heat(share: f32) -> vec3f {
+    let s = clamp(share, 0.0, 1.0) * 4.0;
+    let a = mix(vec3f(0.03, 0.03, 0.12), vec3f(0.25, 0.12, 0.45), clamp(s, 0.0, 1.0));
+    let b = mix(a, vec3f(0.70, 0.20, 0.42), clamp(s - 1.0, 0.0, 1.0));
+    let c = mix(b, vec3f(0.96, 0.50, 0.25), clamp(s - 2.0, 0.0, 1.0));
+    return mix(c, vec3f(1.00, 0.92, 0.60), clamp(s - 3.0, 0.0, 1.0));
+}
+
+fn as_bytes(value: f32) -> vec4f {
+    let bits = bitcast<u32>(value);
+    let bytes = vec4u(bits & 255u, (bits >> 8u) & 255u, (bits >> 16u) & 255u, bits >> 24u);
+    return vec4f(bytes) / 255.0;
+}
+
+// The least distance to the fields at a point of scene space, world units.
+fn distance_to_scene(p: vec3f, count: u32) -> f32 {
+    var least = NO_DEPTH;
+    for (var i = 0u; i < count; i++) {
+        select_field(i);
+        let lower = frame_at(i, 17u);
+        if (u32(lower.w) & FLAG_VISIBLE) == 0u || kind == KIND_QUADRIC { continue; }
+        let q = moved(i, 6u, vec4f(p, 1.0));
+        let inside = clamp(q, lower.xyz, frame_at(i, 18u).xyz);
+        var value = field_value(q, inside) * unit;
+        // Outside its box a sampled field is known at the nearest point of the box only.
+        if kind != KIND_SHAPE {
+            let away = moved(i, 9u, vec4f(q - inside, 0.0)) * view.scene.x;
+            value = select(value, sqrt(dot(away, away) + max(value, 0.0) * max(value, 0.0)), dot(away, away) > 0.0);
+        }
+        least = min(least, value);
+    }
+    return least;
+}
+
+// Colour, sRGB, and opacity of the slice plane where the distance has this value; `pixel` is the side of a pixel there.
+fn slice_color(value: f32, pixel: f32) -> vec4f {
+    let spacing = view.level.y;
+    let near_line = abs(value / spacing - round(value / spacing)) * spacing;
+    let line = 1.0 - smoothstep(0.6 * pixel, 1.5 * pixel, near_line);
+    let zero = 1.0 - smoothstep(1.2 * pixel, 2.4 * pixel, abs(value));
+    let share = clamp(abs(value) / view.level.z, 0.0, 1.0);
+    // Lines are seen against both fills, and fade where they are closer than pixels.
+    let faded = line * clamp(0.25 * spacing / pixel - 0.5, 0.0, 1.0);
+    var color = mix(vec3f(0.96, 0.82, 0.56), vec3f(0.74, 0.29, 0.10), sqrt(share));
+    var opacity = 0.34;
+    if value <= 0.0 {
+        color = mix(vec3f(0.66, 0.85, 0.92), vec3f(0.07, 0.28, 0.52), sqrt(share));
+        opacity = 1.0;
+    }
+    color = mix(color, vec3f(0.10, 0.10, 0.12), 0.55 * faded);
+    color = mix(color, vec3f(1.0), zero);
+    return vec4f(color, max(opacity, max(0.55 * faded, zero)));
+}
+
+@fragment
+fn main(@builtin(position) position: vec4f) -> @location(0) vec4f {
+    let picture = u32(view.light.w);
+    let count = u32(view.size.w);
+    let light_count = u32(view.light.z);
+    let along_right = (position.x - 0.5 * view.size.x) * view.size.z;
+    let along_up = (position.y - 0.5 * view.size.y) * view.size.z;
+
+    // The slice plane on the ray. Row `count` of the frames holds the rays of scene space.
+    let scene_start = frame_at(count, 0u).xyz + along_right * frame_at(count, 1u).xyz + along_up * frame_at(count, 2u).xyz;
+    let scene_along = frame_at(count, 3u).xyz + along_right * frame_at(count, 4u).xyz + along_up * frame_at(count, 5u).xyz;
+    let to_eye = -normalize(scene_along);
+    var slice_depth = NO_DEPTH;
+    var slice_point = vec3f(0.0);
+    var near = 0.0;
+    let descent = dot(view.slice.xyz, scene_along);
+    if dot(view.slice.xyz, view.slice.xyz) > 0.0 && descent != 0.0 {
+        let t = (view.slice.w - dot(view.slice.xyz, scene_start)) / descent;
+        slice_point = scene_start + t * scene_along;
+        let is_there = all(slice_point >= view.slice_lower.xyz) && all(slice_point <= view.slice_upper.xyz);
+        let depth = frame_at(count, 0u).w + t;
+        if depth > 0.0 && is_there { slice_depth = depth; }
+        // The half on the side of the eye is cut away.
+        if view.scene.w == 1.0 && depth > 0.0 && descent < 0.0 { near = depth; }
+    }
+    if picture == PICTURE_SLICE {
+        if slice_depth == NO_DEPTH { return as_bytes(NO_DEPTH); }
+        return as_bytes(distance_to_scene(slice_point, count) + view.level.x);
+    }
+
+    var found: Found;
+    found.depth = NO_DEPTH;
+    var p_scene = vec3f(0.0);
+    var own_start = vec3f(0.0);
+    var normal = vec3f(0.0);
+    var albedo = vec3f(0.0);
+    var color = view.background.xyz;
+    var specular = 0.0;
+    var shininess = 1.0;
+    var ray_steps = 0u;
+    steps = 0u;
+    let is_color = picture == PICTURE_COLOR;
+    for (var r = 0u; r <= light_count; r++) {
+        var light: Light;
+        var reach = NO_DEPTH;
+        if r > 0u {
+            let place = frame_at(count + r, 0u);
+            light.color = frame_at(count + r, 1u).xyz;
+            light.direction = place.xyz;
+            if place.w == 1.0 {
+                let way = place.xyz - p_scene;
+                reach = max(length(way), 1e-12);
+                light.direction = -way / reach;
+            }
+            if dot(normal, light.direction) >= 0.0 { continue; }
+        }
+        var is_dark = false;
+        if r == 0u || view.scene.y == 1.0 {
+            for (var i = 0u; i < count; i++) {
+                let lower = frame_at(i, 17u);
+                let upper = frame_at(i, 18u);
+                if (u32(lower.w) & select(FLAG_CASTS, FLAG_VISIBLE, r == 0u)) == 0u { continue; }
+                var start = own_start;
+                var along = vec3f(0.0);
+                var before = 0.0;
+                if r == 0u {
+                    let middle = frame_at(i, 0u);
+                    before = middle.w;
+                    start = middle.xyz + along_right * frame_at(i, 1u).xyz + along_up * frame_at(i, 2u).xyz;
+                    along = frame_at(i, 3u).xyz + along_right * frame_at(i, 4u).xyz + along_up * frame_at(i, 5u).xyz;
+                } else {
+                    along = moved(i, 6u, vec4f(-light.direction, 0.0));
+                    if i != found.instance { start = moved(i, 6u, vec4f(p_scene, 1.0)); }
+                }
+                var ray = clip_between(start, along, lower.xyz, upper.xyz);
+                if !ray.is_in_box { continue; }
+                let per_t = length(along);
+                let skipped = near - before - ray.t_enter;
+                if r == 0u && skipped > 0.0 {
+                    ray.origin = start + (near - before) * along;
+                    ray.t_max -= skipped * per_t;
+                    ray.t_enter = near - before;
+                    ray.enter_axis = NO_AXIS;
+                }
+                let end = min(ray.t_max, (select(found.depth - before, reach, r > 0u) - ray.t_enter) * per_t);
+                if end < 0.0 { continue; }
+                select_field(i);
+                let t = field_hit(ray.origin, ray.direction, end);
+                if t < 0.0 { continue; }
+                if r > 0u {
+                    is_dark = true;
+                    break;
+                }
+                let depth = before + ray.t_enter + t / per_t;
+                if depth >= found.depth { continue; }
+                found = Found(depth, i, u32(upper.w), ray.origin + t * ray.direction, along, t == 0.0, ray.enter_axis);
+            }
+        }
+        if r > 0u {
+            if !is_dark { color += light_adds(light, albedo, normal, to_eye, specular, shininess); }
+            continue;
+        }
+        ray_steps = steps;
+        if found.depth == NO_DEPTH || picture == PICTURE_STEPS || picture == PICTURE_DEPTH || picture == PICTURE_OBJECT { break; }
+
+        // The surface that was hit.
+        let own = found.instance;
+        let lower = frame_at(own, 17u);
+        select_field(own);
+        var slope = vec3f(0.0);
+        if !found.at_start {
+            slope = field_slope(found.p, -found.along, lower.xyz, frame_at(own, 18u).xyz);
+        } else if found.enter_axis != NO_AXIS {
+            // The cut on a face of the box.
+            slope[found.enter_axis] = select(1.0, -1.0, found.along[found.enter_axis] > 0.0);
+        }
+        normal = unit_or(moved_by_transpose(own, 6u, slope), to_eye);
+        p_scene = moved(own, 9u, vec4f(found.p, 1.0));
+        let offset = bias * length(moved_by_transpose(own, 9u, normal));
+        own_start = found.p + offset * moved(own, 6u, vec4f(normal, 0.0));
+        let tint = frame_at(own, 12u);
+        let glow = frame_at(own, 13u);
+        albedo = tint.xyz;
+        if HAS_SHAPE && kind == KIND_SHAPE { albedo = painted(albedo, found.p); }
+        specular = tint.w;
+        shininess = glow.w;
+        if !is_color || (u32(lower.w) & FLAG_UNLIT) != 0u {
+            color = glow.xyz + albedo;
+            break;
+        }
+        let ambient = select(view.light.x, ambient_light(normal, view.light.x), view.light.y == 1.0);
+        color = glow.xyz + ambient * albedo;
+    }
+
+    if picture == PICTURE_DEPTH { return as_bytes(found.depth); }
+    if picture == PICTURE_OBJECT { return as_bytes(select(-1.0, f32(found.object), found.depth < NO_DEPTH)); }
+    if picture >= PICTURE_NORMAL { return as_bytes(normal[min(picture - PICTURE_NORMAL, 2u)]); }
+    if picture == PICTURE_STEPS { return vec4f(heat(f32(ray_steps) / view.level.w), 1.0); }
+    var shown = vec4f(srgb(color), select(view.background.w, 1.0, found.depth < NO_DEPTH));
+    if slice_depth < NO_DEPTH && (slice_depth <= found.depth || near > 0.0) {
+        let cosine = abs(dot(normalize(view.slice.xyz), to_eye));
+        let over = slice_color(distance_to_scene(slice_point, count) + view.level.x, view.size.z * slice_depth / max(cosine, 0.2));
+        shown = vec4f(mix(shown.xyz, over.xyz, over.w), max(shown.w, over.w));
+    }
+    return shown;
+}

@@ -1,0 +1,32 @@
+//! `fieldbake._core.viewer_shader`.
+
+use super::csg::Shape;
+use super::error::Failure;
+use crate::encoding::Encoding;
+use crate::shader_text::Language;
+use crate::viewer::{Kinds, ShapeFunction, shader};
+use numpy::{IntoPyArray, PyArray1};
+use pyo3::prelude::*;
+
+/// Index and numbers of a shape's function, centre and scale of its local frame, one over its Lipschitz constant.
+type ShapeRow<'py> = (u32, Bound<'py, PyArray1<f32>>, [f64; 3], f64, f64);
+
+/// The fragment shader of a view, and one entry for each shape; `kinds`: whether it has dense and sparse fields, quadrics.
+#[pyfunction]
+pub fn viewer_shader<'py>(
+    py: Python<'py>,
+    language: &str,
+    kinds: [bool; 3],
+    encoding: Option<&str>,
+    shapes: Vec<Py<Shape>>,
+) -> PyResult<(String, Vec<Option<ShapeRow<'py>>>)> {
+    let language = Language::from_name(language).map_err(Failure::from)?;
+    let solids = shapes.iter().map(|shape| shape.get().solid(py)).collect::<PyResult<Vec<_>>>()?;
+    let encoding = encoding.map(Encoding::from_name).transpose().map_err(Failure::from)?;
+    let [dense, sparse, quadric] = kinds;
+    let made = shader(Kinds { dense, sparse, quadric, encoding }, &solids, language).map_err(Failure::from)?;
+    let row = |found: ShapeFunction| {
+        (found.structure, found.numbers.into_pyarray(py), found.center, found.scale, found.inverse_lipschitz)
+    };
+    Ok((made.text, made.shapes.into_iter().map(|found| found.map(row)).collect()))
+}

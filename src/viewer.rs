@@ -1,0 +1,184 @@
+//! The shader of the viewer in browsers, written for the kinds of fields that a view has.
+//!
+//! The WGSL files in `shaders/viewer/` are the source. Each structure of the shapes in a view becomes a function, and naga
+//! writes the whole as GLSL ES 3.00, the language of WebGL 2. The numbers of a shape stay in the data of the view, so that
+//! a changed parameter compiles nothing.
+
+use crate::csg::Solid;
+use crate::csg::whole::Whole;
+use crate::encoding::Encoding;
+use crate::error::{DeviceError, Error};
+use crate::gpu::shader::{shared, source_with};
+use crate::shader_text::{GlslTarget, Language, translate_used};
+use naga::ShaderStage;
+use naga::back::glsl::Version;
+use std::fmt::Write;
+use std::sync::Arc;
+
+const GLSL: GlslTarget = GlslTarget {
+    version: Version::Embedded { version: 300, is_webgl: true },
+    stage: ShaderStage::Fragment,
+    entry_point: "main",
+};
+
+/// Kinds of fields besides shapes.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Kinds {
+    pub dense: bool,
+    pub sparse: bool,
+    pub quadric: bool,
+    /// The encoding of all sampled fields, where it is one.
+    pub encoding: Option<Encoding>,
+}
+
+/// The shader of a view, and what its data must have for the shapes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ViewerShader {
+    pub text: String,
+    /// One entry per shape; `None` for a shape without a function: one that is too large, or that contains a baked volume.
+    pub shapes: Vec<Option<ShapeFunction>>,
+}
+
+/// How the shader evaluates a shape.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ShapeFunction {
+    /// Index of its function.
+    pub structure: u32,
+    /// What the function reads, local units.
+    pub numbers: Vec<f32>,
+    /// The local frame in world units: a local position is `(world - center) / scale`.
+    pub center: [f64; 3],
+    pub scale: f64,
+    /// One over the largest slope of the field.
+    pub inverse_lipschitz: f64,
+}
+
+/// Write the shader for fields of these kinds and for these shapes.
+pub fn shader(kinds: Kinds, solids: &[Arc<Solid>], language: Language) -> Result<ViewerShader, Error> {
+    let mut functions: Vec<(String, Option<String>)> = Vec::new();
+    let mut shapes = Vec::new();
+    for solid in solids {
+        shapes.push(Whole::of(solid, ARRAY, "steps").map(|whole| {
+            let function = (whole.body, whole.color);
+            let known = functions.iter().position(|known| *known == function);
+            if known.is_none() {
+                functions.push(function);
+            }
+            ShapeFunction {
+                structure: known.unwrap_or(functions.len() - 1) as u32,
+                numbers: whole.numbers,
+                center: solid.frame.center.to_array(),
+                scale: solid.frame.scale,
+                inverse_lipschitz: 1.0 / solid.model.lipschitz,
+            }
+        }));
+    }
+    let has_shape = !functions.is_empty();
+    let texts = [("viewer_needs", &*needs(kinds, has_shape)), ("viewer_shapes", &*shapes_text(&functions))];
+    let refused = |reason| DeviceError::Shader { device: "WebGL 2".into(), kernel: "viewer".into(), reason };
+    let wgsl = source_with("viewer", &texts).map_err(refused)?;
+    let has = [("DENSE", kinds.dense), ("SPARSE", kinds.sparse), ("SHAPE", has_shape), ("QUADRIC", kinds.quadric)];
+    let wgsl = has.iter().filter(|(_, has)| !has).fold(wgsl, |text, (name, _)| without_lines(&text, name));
+    Ok(ViewerShader { text: translate_used(&wgsl, language, GLSL)?, shapes })
+}
+
+/// Name of the array of numbers before its elements become calls of `number_at`.
+const ARRAY: &str = "numbers";
+
+/// The colour of the operand whose surface is nearer, mixed on a fillet; twin of `color` in src/csg/program.rs.
+const MIXED_COLOR: &str = "
+fn mixed_color(a: f32, b: f32, first: vec3f, second: vec3f, width: f32) -> vec3f {
+    let is_first = a <= b;
+    let near = select(second, first, is_first);
+    if width <= 0.0 { return near; }
+    return mix(near, select(first, second, is_first), max(width - abs(a - b), 0.0) / (2.0 * width));
+}
+";
+
+/// A text without the lines that begin with `if HAS_NAME`.
+fn without_lines(text: &str, name: &str) -> String {
+    let start = format!("if HAS_{name} ");
+    text.lines().filter(|line| !line.trim_start().starts_with(&start)).flat_map(|line| [line, "\n"]).collect()
+}
+
+/// The text in place of `shaders/viewer/needs.wgsl`.
+fn needs(kinds: Kinds, has_shape: bool) -> String {
+    let Kinds { dense, sparse, quadric, encoding } = kinds;
+    let encoding = encoding.and_then(|one| Encoding::ALL.iter().position(|&known| known == one));
+    format!(
+        "const HAS_DENSE: bool = {dense};\nconst HAS_SPARSE: bool = {sparse};\nconst HAS_SHAPE: bool = {has_shape};\n\
+         const HAS_QUADRIC: bool = {quadric};\nconst ONE_ENCODING: i32 = {};\n",
+        encoding.map_or(-1, |place| place as i32)
+    )
+}
+
+/// The text in place of `shaders/viewer/shapes.wgsl`.
+fn shapes_text(functions: &[(String, Option<String>)]) -> String {
+    let mut text = String::new();
+    if !functions.is_empty() {
+        text += shared("csg_field").unwrap_or_default();
+        text += MIXED_COLOR;
+        text += &by_calls(&Whole::helpers(ARRAY));
+    }
+    let (mut distances, mut colors) = (String::new(), String::new());
+    // Writing to a string cannot fail.
+    for (i, (body, color)) in functions.iter().enumerate() {
+        let body = by_calls(body);
+        let _ = write!(text, "\nfn structure_{i}(p0: vec3f, n: u32) -> f32 {{\n{body}}}\n");
+        let _ = writeln!(distances, "        case {i}u: {{ return structure_{i}(p, 0u); }}");
+        if let Some(color) = color {
+            let color = by_calls(color);
+            let _ = write!(text, "\nfn color_{i}(p0: vec3f, n: u32) -> vec3f {{\n{color}}}\n");
+            let _ = writeln!(colors, "        case {i}u: {{ return color_{i}(p, 0u); }}");
+        }
+    }
+    let choice = |name: &str, kind: &str, cases: &str, otherwise: &str| {
+        format!(
+            "\nfn {name}(structure: u32, p: vec3f) -> {kind} {{\n    switch structure {{\n{cases}        default: {{ return \
+             {otherwise}; }}\n    }}\n}}\n"
+        )
+    };
+    text + &choice("structure_distance", "f32", &distances, "1.0")
+        + &choice("structure_color", "vec3f", &colors, "vec3f(-1.0)")
+}
+
+/// A text whose elements `numbers[i]` are calls `number_at(i)`. No index has brackets of its own.
+fn by_calls(text: &str) -> String {
+    let mut pieces = text.split("numbers[");
+    let mut out = pieces.next().unwrap_or_default().to_owned();
+    for piece in pieces {
+        let (index, rest) = piece.split_once(']').unwrap_or((piece, ""));
+        let _ = write!(out, "number_at({index}){rest}");
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::csg::{Shape, language};
+
+    #[test]
+    fn every_text_is_valid_in_both_languages() {
+        let texts = ["(smooth-union 0.1 (paint 1 0 0 (box 1 1 1)) (paint 0 1 0 (sphere 0.6)))", "(torus 1 0.2)"];
+        let solid = |text: &&str| {
+            let shape: Shape = language::parse(text).unwrap();
+            Arc::new(Solid::new(&shape).unwrap())
+        };
+        for solids in [vec![], texts[1..].iter().map(solid).collect(), texts.iter().map(solid).collect::<Vec<_>>()] {
+            for bits in 0..8u8 {
+                let encoding = (bits == 1).then_some(Encoding::Snorm8);
+                let kinds = Kinds { dense: bits & 1 == 1, sparse: bits & 2 == 2, quadric: bits & 4 == 4, encoding };
+                let glsl = shader(kinds, &solids, Language::Glsl).unwrap();
+                assert!(glsl.text.starts_with("#version 300 es\n"));
+                assert_eq!(glsl.shapes.iter().flatten().count(), solids.len());
+                assert!(shader(kinds, &solids, Language::Wgsl).unwrap().text.contains("fn main("));
+            }
+        }
+    }
+
+    #[test]
+    fn elements_become_calls() {
+        assert_eq!(by_calls("f(numbers[n + 2u], k[0])"), "f(number_at(n + 2u), k[0])");
+    }
+}

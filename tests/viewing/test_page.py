@@ -1,0 +1,118 @@
+"""Pages of live views: their pixels in Chromium against pictures of raymarch, their text, and the bundle."""
+
+from __future__ import annotations
+
+import gzip
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fieldbake as fb
+from browser import PIXELS, WEB, node_tool, visit
+from fieldbake.viewing.page import bundle
+
+#: Pixels of the pictures here.
+SIZE = (96, 80)
+
+
+def knot(resolution: int = 40) -> fb.Volume:
+    return fb.bake(fb.models.torus_knot(), resolution, device="cpu")
+
+
+def shape() -> fb.Shape:
+    painted = fb.sphere(radius=1.1).paint((0.9, 0.2, 0.1)) | fb.box((2, 2, 2))
+    return painted - fb.cylinder(radius=0.4, height=4).rotate("x", 90)
+
+
+def scene() -> fb.Scene:
+    place = np.eye(4)
+    place[:3, 3] = 2.4, 0.2, 0.3
+    place[:3, :3] *= 0.8
+    things = [
+        fb.Instance(knot(), material=fb.Material(color=(0.9, 0.5, 0.1))),
+        fb.Instance(fb.torus(1, 0.3), place),
+        fb.Instance(fb.Quadric.sphere((0, 2.2, 0), radius=0.7, reflectance=(0.2, 0.5, 0.9))),
+        fb.Instance(fb.box((9, 0.2, 9)).translate((0, -1.6, 0))),
+    ]
+    lights = [fb.DirectionalLight((-1, -2, -0.7), intensity=0.6), fb.PointLight((3, 5, 4), intensity=0.4)]
+    return fb.Scene(things, lights)
+
+
+#: Objects, the encoding of their page, and the object that raymarch draws.
+CASES = {
+    "dense, float32": lambda: (knot(), "float32", knot()),
+    "dense, snorm8": lambda: (knot(), "snorm8", knot().quantize("snorm8")),
+    "dense, float16": lambda: (knot(), "float16", knot().quantize("float16")),
+    "sparse": lambda: (knot().to_sparse(), "float32", knot().to_sparse()),
+    "sparse, float16": lambda: (knot().to_sparse(), "float16", knot().to_sparse(encoding="float16")),
+    "shape": lambda: (shape(), "snorm8", shape()),
+    "scene": lambda: (scene(), "float32", scene()),
+    "quadric": lambda: ((q := fb.Quadric.ellipsoid(radii=(1, 0.6, 0.4))), "snorm8", q),
+}
+
+
+def test_pages_show_the_pictures_of_raymarch(tmp_path: Path) -> None:
+    camera = fb.Camera((3.5, 3.0, 7.5), (0.4, 0, 0), fov_deg=40)
+    expected, jobs, voxels = [], [], []
+    for number, make in enumerate(CASES.values()):
+        thing, encoding, drawn = make()
+        page = tmp_path / f"{number}.html"
+        text = thing.to_html(page, camera=camera, encoding=encoding, size=SIZE)
+        assert page.read_text(encoding="utf-8") == text
+        jobs.append({"url": page.as_uri(), "expression": PIXELS})
+        expected.append(fb.raymarch(drawn, camera, size=SIZE, device="cpu"))
+        # Shapes and quadrics have no voxels: as fine as the knot's.
+        voxels.append(float(knot().spacing.max()))
+    for name, result, frame, voxel in zip(CASES, visit(jobs), expected, voxels, strict=True):
+        assert result.errors == [], name
+        assert result.requests == [], name
+        color, depth = result.picture
+        off = np.abs(color.astype(int) - frame.image).max(axis=-1)
+        assert (off <= 2).mean() >= 0.995, (name, (off <= 2).mean())
+        both = np.isfinite(depth) & np.isfinite(frame.depth)
+        assert both.mean() > 0.02, name
+        assert (np.isfinite(depth) != np.isfinite(frame.depth)).mean() <= 0.005, name
+        # Roots at grazing rays move by more than a pixel's depth: those within 99.5 % of the pixels count.
+        error = np.abs(depth[both] - frame.depth[both])
+        assert np.quantile(error, 0.995) <= 0.01 * voxel, (name, np.quantile(error, 0.995) / voxel)
+
+
+def test_the_bundle_is_built_from_its_source_and_small() -> None:
+    command = [node_tool(".bin/esbuild"), "src/main.ts", "--bundle", "--minify", "--format=esm", "--target=es2022"]
+    built = subprocess.run([*command, "--legal-comments=none"], cwd=WEB, capture_output=True, text=True, check=True)
+    assert built.stdout == bundle(), "viewer.js is older than its source: run npm run build in web/"
+    assert len(bundle().encode()) <= 60_000
+    assert len(gzip.compress(bundle().encode(), 9)) <= 20_000
+    assert "</script" not in bundle()
+
+
+@pytest.mark.slow
+def test_the_source_of_the_bundle_has_the_right_types() -> None:
+    subprocess.run([node_tool(".bin/tsc"), "--noEmit"], cwd=WEB, check=True)
+
+
+def test_the_page_is_the_same_text_every_time_and_names_nothing_outside() -> None:
+    text = knot(16).to_html(size=(32, 24))
+    assert text == knot(16).to_html(size=(32, 24))
+    assert "http" not in text.replace("http-equiv", "")
+    assert 'width="32" height="24"' in text
+
+
+def test_mistakes_are_named(tmp_path: Path) -> None:
+    volume = knot(16)
+    with pytest.raises(fb.ArgumentError, match="encoding: "):
+        volume.to_html(encoding="snorm7")
+    with pytest.raises(fb.SceneError, match="camera: "):
+        volume.to_html(camera=np.eye(4))
+    with pytest.raises(fb.SceneError, match="size: "):
+        volume.to_html(size=640)
+    with pytest.raises(FileNotFoundError):
+        volume.to_html(tmp_path / "nowhere" / "page.html", size=(16, 16))
+
+
+def test_a_large_page_warns() -> None:
+    noise = fb.Volume(np.random.default_rng(3).uniform(-1, 1, (110, 110, 110)), [(0, 0, 0), (1, 1, 1)])
+    with pytest.warns(UserWarning, match='encoding="snorm8"'):
+        noise.to_html(encoding="float32", size=(16, 16))

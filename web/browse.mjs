@@ -1,0 +1,32 @@
+// Open pages in Chromium without a network and evaluate an expression in each. Standard input: {"jobs": [{"url", "expression",
+// "width", "height", "screenshot"}]}. Standard output: one result for each job: its value, errors of the console, requests.
+import { chromium } from "playwright-core";
+
+const { executable, jobs } = JSON.parse(await new Response(process.stdin).text());
+const browser = await chromium.launch({
+  executablePath: executable,
+  ignoreDefaultArgs: ["--disable-gpu"],
+  args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--disable-dev-shm-usage"],
+});
+const results = [];
+for (const job of jobs) {
+  const context = await browser.newContext({ viewport: { width: job.width ?? 700, height: job.height ?? 620 }, offline: true });
+  const page = await context.newPage();
+  const errors = [];
+  const requests = [];
+  page.on("console", (message) => ["error", "warning"].includes(message.type()) && errors.push(message.text()));
+  page.on("pageerror", (error) => errors.push(String(error)));
+  page.on("request", (request) => /^(https?|wss?):/.test(request.url()) && requests.push(request.url()));
+  let value = null;
+  try {
+    await page.goto(job.url);
+    value = await page.evaluate(job.expression);
+    if (job.screenshot) await page.screenshot({ path: job.screenshot });
+  } catch (error) {
+    errors.push(String(error));
+  }
+  results.push({ value, errors, requests });
+  await context.close();
+}
+await browser.close();
+process.stdout.write(JSON.stringify(results));

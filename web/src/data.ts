@@ -1,0 +1,225 @@
+// The data of a view: a description in JSON, then the words that the shader reads.
+//
+//     uint32        length of the description, bytes
+//     UTF-8         the description, padded with spaces to a multiple of four bytes
+//     uint32 ...    samples of the instances (shaders/viewer/data.wgsl)
+
+import { CameraState } from "./camera";
+import { Affine, Vector } from "./vectors";
+
+export interface InstanceData {
+  name: string;
+  /** Texels 14 to 21 of its row in shaders/viewer/data.wgsl. */
+  record: number[];
+  fieldFromWorld: Affine;
+  color: Vector;
+  specular: number;
+  emission: Vector;
+  shininess: number;
+}
+
+export interface LightData {
+  /** 0: `vector` is the way the light travels. 1: it is the light's position. */
+  kind: number;
+  vector: Vector;
+  color: Vector;
+}
+
+export interface ViewData {
+  title: string;
+  size: [number, number];
+  shader: string;
+  instances: InstanceData[];
+  /** Null for the key light of the camera. */
+  lights: LightData[] | null;
+  key: { direction: Vector; color: Vector };
+  background: [number, number, number, number];
+  ambient: number;
+  hemisphere: boolean;
+  bounds: [Vector, Vector];
+  camera: CameraState;
+  /** Smallest and largest level that the data have, world units. */
+  levels: [number, number];
+  /** Range of the colours and distance of the lines of a slice, world units. */
+  range: number;
+  spacing: number;
+  most_steps: number;
+  note: string;
+}
+
+/** Places in a record. */
+const [KIND, ENCODING, SCALE, FIRST, SHAPE, EMPTY, BLOCKS, MASKS] = [0, 1, 2, 3, 4, 7, 8, 11];
+const [LOWER, UPPER, UNIT, INDEX] = [12, 16, 20, 24];
+export const [DENSE, SPARSE] = [0, 1];
+/** Blocks beyond which empty space is not counted. */
+const FARTHEST = 32;
+
+export class Data {
+  readonly description: ViewData;
+  readonly words: Uint32Array;
+  private readonly bytes: Uint8Array;
+  /** Least sample of each block, by instance. */
+  private readonly least = new Map<number, Float32Array>();
+
+  constructor(buffer: ArrayBuffer) {
+    const length = new DataView(buffer).getUint32(0, true);
+    this.description = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
+    const start = 4 + 4 * Math.ceil(length / 4);
+    this.words = new Uint32Array(buffer.slice(start));
+    this.bytes = new Uint8Array(this.words.buffer);
+  }
+
+  get count(): number {
+    return this.description.instances.length;
+  }
+
+  /** Corners of an instance's box, field space. */
+  box(instance: number): [Vector, Vector] {
+    const { record } = this.description.instances[instance];
+    const corner = (at: number) => record.slice(at, at + 3) as Vector;
+    return [corner(LOWER), corner(UPPER)];
+  }
+
+  /** Mark how far around each block all samples are above a level, world units, and the cells that may have a root. */
+  markEmpty(level: number): void {
+    for (let i = 0; i < this.count; i++) {
+      const { record } = this.description.instances[i];
+      if (record[KIND] > SPARSE) continue;
+      if (!this.least.has(i)) this.least.set(i, record[KIND] === DENSE ? this.ofBlocks(record) : this.ofBricks(record));
+      const least = this.least.get(i)!;
+      const own = Math.fround(level / record[UNIT]);
+      const distance = this.bytes.subarray(4 * record[EMPTY], 4 * record[EMPTY] + least.length);
+      for (let b = 0; b < least.length; b++) distance[b] = least[b] <= own ? 0 : FARTHEST;
+      if (record[KIND] === DENSE) this.markCells(record, distance, own);
+      spread(distance, record.slice(BLOCKS, BLOCKS + 3));
+    }
+  }
+
+  /** Least samples of blocks of 4^3 cells, which share the samples on their faces. */
+  private ofBlocks(record: number[]): Float32Array {
+    const [nx, ny, nz] = record.slice(SHAPE, SHAPE + 3);
+    const [bx, by, bz] = record.slice(BLOCKS, BLOCKS + 3);
+    const sample = this.samples(record);
+    const least = new Float32Array(bx * by * bz).fill(Infinity);
+    for (let z = 0, i = 0; z < nz; z++) {
+      for (let y = 0; y < ny; y++) {
+        for (let x = 0; x < nx; x++, i++) {
+          const value = sample(i);
+          // Sample x is a corner of cells x - 1 and x, which lie in blocks floor(x / 4) and floor((x + 1) / 4).
+          for (let cz = z >> 2; cz <= (z + 1) >> 2; cz++) {
+            for (let cy = y >> 2; cy <= (y + 1) >> 2; cy++) {
+              for (let cx = x >> 2; cx <= (x + 1) >> 2; cx++) {
+                const b = cx + bx * (cy + by * cz);
+                if (value < least[b]) least[b] = value;
+              }
+            }
+          }
+        }
+      }
+    }
+    return least;
+  }
+
+  /** A bit for each cell of the blocks at distance 0 with a corner that is not above the level. */
+  private markCells(record: number[], distance: Uint8Array, level: number): void {
+    const [nx, ny, nz] = record.slice(SHAPE, SHAPE + 3);
+    const [bx, by] = record.slice(BLOCKS, BLOCKS + 2);
+    const sample = this.samples(record);
+    const masks = this.words.subarray(record[MASKS], record[MASKS] + 2 * distance.length).fill(0);
+    for (let b = 0; b < distance.length; b++) {
+      if (distance[b] > 0) continue;
+      const [x0, y0, z0] = [4 * (b % bx), 4 * (Math.floor(b / bx) % by), 4 * Math.floor(b / (bx * by))];
+      // Sample s of the block, 0 to 4 on each axis, is a corner of its cells s - 1 and s; sample 0 is one before the block.
+      for (let z = 0; z < 5; z++) {
+        const row = Math.min(Math.max(z0 - 1 + z, 0), nz - 1);
+        for (let y = 0; y < 5; y++) {
+          const line = nx * (Math.min(Math.max(y0 - 1 + y, 0), ny - 1) + ny * row);
+          for (let x = 0; x < 5; x++) {
+            if (sample(line + Math.min(Math.max(x0 - 1 + x, 0), nx - 1)) > level) continue;
+            for (let cz = Math.max(z - 1, 0); cz <= Math.min(z, 3); cz++) {
+              for (let cy = Math.max(y - 1, 0); cy <= Math.min(y, 3); cy++) {
+                for (let cx = Math.max(x - 1, 0); cx <= Math.min(x, 3); cx++) {
+                  masks[2 * b + (cz >> 1)] |= 1 << (cx + 4 * cy + 16 * (cz & 1));
+                }
+              }
+            }
+          }
+        }
+      }
+    }
+  }
+
+  /** Least samples of the bricks of a sparse field; bricks without samples lie inside or outside as a whole. */
+  private ofBricks(record: number[]): Float32Array {
+    const [bx, by, bz] = record.slice(BLOCKS, BLOCKS + 3);
+    const sample = this.samples(record);
+    const known = new Map<number, number>();
+    return Float32Array.from({ length: bx * by * bz }, (_, b) => {
+      const word = this.words[record[INDEX] + b];
+      if (word >>> 30 === 3) return word & 1 ? -Infinity : Infinity;
+      const brick = word & 0x3fffffff;
+      if (!known.has(brick)) {
+        let least = Infinity;
+        for (let i = 512 * brick; i < 512 * (brick + 1); i++) least = Math.min(least, sample(i));
+        known.set(brick, least);
+      }
+      return known.get(brick)!;
+    });
+  }
+
+  /** The function that decodes sample `i` of an instance, as `decoded` in shaders/shared/decode.wgsl does. */
+  private samples(record: number[]): (i: number) => number {
+    const first = 4 * record[FIRST];
+    const buffer = this.words.buffer;
+    const scale = record[SCALE];
+    switch (record[ENCODING]) {
+      case 0: {
+        const values = new Float32Array(buffer, first);
+        return (i) => values[i];
+      }
+      case 1: {
+        const values = new Uint16Array(buffer, first);
+        return (i) => half(values[i]) * scale;
+      }
+      case 2: {
+        const values = new Int16Array(buffer, first);
+        return (i) => Math.max(values[i] / 32767, -1) * scale;
+      }
+      default: {
+        const values = new Int8Array(buffer, first);
+        return (i) => Math.max(values[i] / 127, -1) * scale;
+      }
+    }
+  }
+}
+
+function half(bits: number): number {
+  const magnitude = bits & 0x7fff;
+  const size = magnitude < 0x400 ? magnitude * 2 ** -24 : (1024 + (bits & 0x3ff)) * 2 ** ((magnitude >> 10) - 25);
+  return bits & 0x8000 ? -size : size;
+}
+
+/** Chessboard distances to the nearest 0, axis by axis: distance(i) = min over j of max(distance(j), |i - j|). */
+function spread(distance: Uint8Array, [nx, ny, nz]: number[]): void {
+  const line = new Uint8Array(Math.max(nx, ny, nz));
+  const along = (n: number, stride: number, starts: Iterable<number>) => {
+    for (const start of starts) {
+      for (let i = 0; i < n; i++) line[i] = distance[start + i * stride];
+      for (let i = 0; i < n; i++) {
+        let best = line[i];
+        // What is farther away than the best cannot improve it.
+        for (let away = 1; away < best; away++) {
+          if (i >= away) best = Math.min(best, Math.max(line[i - away], away));
+          if (i + away < n) best = Math.min(best, Math.max(line[i + away], away));
+        }
+        distance[start + i * stride] = best;
+      }
+    }
+  };
+  function* grid(a: number, stepA: number, b: number, stepB: number) {
+    for (let j = 0; j < b; j++) for (let i = 0; i < a; i++) yield i * stepA + j * stepB;
+  }
+  along(nx, 1, grid(ny, nx, nz, nx * ny));
+  along(ny, nx, grid(nx, 1, nz, nx * ny));
+  along(nz, nx * ny, grid(nx, 1, ny, nx));
+}

@@ -1,0 +1,298 @@
+// WebGL 2: one context for all views of a document, and what a view keeps in it.
+
+import { Camera } from "./camera";
+import { Data } from "./data";
+import { Affine, Vector, add, direction, inverse, point, product, subtract, times, unit } from "./vectors";
+
+const WIDTH = 2048;
+/** Texels of a row of the table of instances, as in shaders/viewer/data.wgsl. */
+const ROW = 24;
+const MOST_LIGHTS = 16;
+
+export const Picture = { color: 0, steps: 1, depth: 2, normal: 3, object: 6, slice: 7 } as const;
+
+/** What a picture shows besides the fields and the camera. */
+export interface Settings {
+  level: number;
+  /** Axis 0 to 2 and its place, world units. */
+  slice: { axis: number; at: number; cut: boolean } | null;
+  /** Direction of the key light in camera space; null for the lights of the data. */
+  light: Vector | null;
+  background: [number, number, number, number];
+  steps: boolean;
+}
+
+const VERTEX = `#version 300 es
+void main() { gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0, 0.0, 1.0); }`;
+
+/** A problem that keeps a view from being drawn, as a sentence for the reader of the page. */
+export class Unavailable extends Error {}
+
+export class Engine {
+  readonly canvas = document.createElement("canvas");
+  readonly gl: WebGL2RenderingContext;
+  readonly mostRows: number;
+  private readonly programs = new Map<string, WebGLProgram>();
+
+  constructor(onLost: () => void) {
+    const gl = this.canvas.getContext("webgl2", {
+      alpha: true,
+      antialias: false,
+      depth: false,
+      premultipliedAlpha: false,
+      preserveDrawingBuffer: true,
+    });
+    if (!gl) throw new Unavailable("This browser has no WebGL 2. The picture was drawn before; it cannot be turned.");
+    this.gl = gl;
+    this.mostRows = gl.getParameter(gl.MAX_TEXTURE_SIZE);
+    this.canvas.addEventListener("webglcontextlost", (event) => {
+      event.preventDefault();
+      onLost();
+    });
+  }
+
+  get isLost(): boolean {
+    return this.gl.isContextLost();
+  }
+
+  release(): void {
+    this.gl.getExtension("WEBGL_lose_context")?.loseContext();
+  }
+
+  program(fragment: string): WebGLProgram {
+    const known = this.programs.get(fragment);
+    if (known) return known;
+    const { gl } = this;
+    const program = gl.createProgram();
+    for (const [kind, text] of [
+      [gl.VERTEX_SHADER, VERTEX],
+      [gl.FRAGMENT_SHADER, fragment],
+    ] as const) {
+      const shader = gl.createShader(kind)!;
+      gl.shaderSource(shader, text);
+      gl.compileShader(shader);
+      gl.attachShader(program, shader);
+      gl.deleteShader(shader);
+    }
+    gl.linkProgram(program);
+    if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
+      const logs = (gl.getAttachedShaders(program) ?? []).map((shader) => gl.getShaderInfoLog(shader));
+      throw new Unavailable(`The shader was not compiled: ${[gl.getProgramInfoLog(program), ...logs].join(" ")}`);
+    }
+    this.programs.set(fragment, program);
+    return program;
+  }
+}
+
+/** What a view keeps in an engine: its program, its words, its table of instances. */
+export class Resources {
+  private readonly program: WebGLProgram;
+  private readonly words: WebGLTexture;
+  private readonly frames: WebGLTexture;
+  private readonly block: WebGLBuffer;
+  private readonly inverses: Affine[];
+  private level = 0;
+
+  constructor(
+    readonly engine: Engine,
+    private readonly data: Data,
+  ) {
+    const { gl } = engine;
+    const rows = Math.ceil(data.words.length / WIDTH);
+    if (rows > engine.mostRows)
+      throw new Unavailable("The data are too large for the textures of this graphics device. The picture was drawn before.");
+    this.program = engine.program(data.description.shader);
+    this.words = this.texture();
+    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.R32UI, WIDTH, Math.max(rows, 1));
+    data.markEmpty(0);
+    this.upload();
+    this.frames = this.texture();
+    this.block = gl.createBuffer();
+    this.inverses = data.description.instances.map((instance) => inverse(instance.fieldFromWorld));
+  }
+
+  free(): void {
+    const { gl } = this.engine;
+    gl.deleteTexture(this.words);
+    gl.deleteTexture(this.frames);
+    gl.deleteBuffer(this.block);
+  }
+
+  private texture(): WebGLTexture {
+    const { gl } = this.engine;
+    const texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.NEAREST);
+    for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, name, gl.CLAMP_TO_EDGE);
+    return texture;
+  }
+
+  /** Copy the words, whole rows first. */
+  private upload(): void {
+    const { gl } = this.engine;
+    const { words } = this.data;
+    const rows = Math.floor(words.length / WIDTH);
+    const put = (row: number, width: number, height: number) => {
+      if (width * height > 0)
+        gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, row, width, height, gl.RED_INTEGER, gl.UNSIGNED_INT, words, row * WIDTH);
+    };
+    gl.bindTexture(gl.TEXTURE_2D, this.words);
+    put(0, WIDTH, rows);
+    put(rows, words.length - rows * WIDTH, 1);
+  }
+
+  /** Set everything for pictures of this size; `draw` follows. */
+  prepare(camera: Camera, settings: Settings, width: number, height: number, picture: number): void {
+    const { gl, canvas } = this.engine;
+    if (canvas.width !== width || canvas.height !== height) {
+      canvas.width = width;
+      canvas.height = height;
+    }
+    if (settings.level !== this.level) {
+      this.level = settings.level;
+      this.data.markEmpty(settings.level);
+      this.upload();
+    }
+    const lights = this.fillFrames(camera, settings);
+    this.fillBlock(camera, settings, width, height, picture, lights);
+    gl.viewport(0, 0, width, height);
+    gl.useProgram(this.program);
+    gl.uniformBlockBinding(this.program, 0, 0);
+    gl.bindBufferBase(gl.UNIFORM_BUFFER, 0, this.block);
+    const active = gl.getProgramParameter(this.program, gl.ACTIVE_UNIFORMS);
+    for (let i = 0; i < active; i++) {
+      const { name, type } = gl.getActiveUniform(this.program, i)!;
+      const unit = type === gl.UNSIGNED_INT_SAMPLER_2D ? 0 : type === gl.SAMPLER_2D ? 1 : -1;
+      if (unit < 0) continue;
+      gl.uniform1i(gl.getUniformLocation(this.program, name), unit);
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(gl.TEXTURE_2D, unit === 0 ? this.words : this.frames);
+    }
+    gl.activeTexture(gl.TEXTURE0);
+  }
+
+  /** Draw the rows from `first`, counted from below. */
+  draw(first: number, rows: number): void {
+    const { gl, canvas } = this.engine;
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(0, first, canvas.width, rows);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  /** One float32 of the pixel (x, y), row 0 on top, of a picture that was prepared. */
+  value(x: number, y: number): number {
+    const { gl, canvas } = this.engine;
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(x, canvas.height - 1 - y, 1, 1);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    const bytes = new Uint8Array(4);
+    gl.readPixels(x, canvas.height - 1 - y, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
+    return new DataView(bytes.buffer).getFloat32(0, true);
+  }
+
+  /** The bytes of the canvas, row 0 on top. */
+  read(): Uint8Array<ArrayBuffer> {
+    const { gl, canvas } = this.engine;
+    const { width, height } = canvas;
+    const below = new Uint8Array(4 * width * height);
+    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, below);
+    const bytes = new Uint8Array(below.length);
+    for (let y = 0; y < height; y++) {
+      bytes.set(below.subarray(4 * width * (height - 1 - y), 4 * width * (height - y)), 4 * width * y);
+    }
+    return bytes;
+  }
+
+  /** The scene space: centre and scale of the box of the view. */
+  private sceneFrame(): { center: Vector; scale: number } {
+    const [lower, upper] = this.data.description.bounds;
+    const extent = subtract(upper, lower);
+    return { center: times(add(lower, upper), 0.5), scale: Math.max(...extent) || 1 };
+  }
+
+  private fillFrames(camera: Camera, settings: Settings): number {
+    const { gl } = this.engine;
+    const { instances, lights, key } = this.data.description;
+    const { center, scale } = this.sceneFrame();
+    const sceneFromWorld = [1 / scale, 0, 0, -center[0] / scale, 0, 1 / scale, 0, -center[1] / scale, 0, 0, 1 / scale, -center[2] / scale];
+    const worldFromScene = inverse(sceneFromWorld);
+    const fromCamera = (v: Vector): Vector =>
+      unit(add(add(times(camera.right, v[0]), times(camera.up, v[1])), times(camera.back, v[2])));
+    const keyed = [{ kind: 0, vector: fromCamera(settings.light ?? key.direction), color: key.color }];
+    const shining = (settings.light || !lights ? keyed : lights).slice(0, MOST_LIGHTS);
+
+    const rows = instances.length + 1 + shining.length;
+    const texels = new Float32Array(4 * ROW * rows);
+    const put = (row: number, texel: number, values: number[]) => texels.set(values, 4 * (ROW * row + texel));
+    const rays = (row: number, map: Affine, corners: Vector[]) => {
+      // Rays start on a plane just before the box, found in float64: float32 is exact enough from there.
+      const depths = corners.map((corner) => camera.depth(corner));
+      const nearest = Math.min(...depths);
+      const start = Math.max(0, nearest - 0.01 * (Math.max(...depths) - nearest));
+      const forward = times(camera.back, -1);
+      put(row, 0, [...point(map, add(camera.eye, times(forward, start))), start]);
+      put(row, 1, direction(map, times(camera.right, start)));
+      put(row, 2, direction(map, times(camera.up, start)));
+      put(row, 3, direction(map, forward));
+      put(row, 4, direction(map, camera.right));
+      put(row, 5, direction(map, camera.up));
+    };
+    instances.forEach((instance, i) => {
+      const map = instance.fieldFromWorld;
+      rays(i, map, corners(this.data.box(i)).map((corner) => point(this.inverses[i], corner)));
+      const fieldFromScene = product(map, worldFromScene);
+      put(i, 6, fieldFromScene);
+      put(i, 9, inverse(fieldFromScene));
+      put(i, 12, [...instance.color, instance.specular]);
+      put(i, 13, [...instance.emission, instance.shininess]);
+      put(i, 14, instance.record);
+    });
+    rays(instances.length, sceneFromWorld, corners(this.data.description.bounds));
+    shining.forEach((light, i) => {
+      const row = instances.length + 1 + i;
+      put(row, 0, light.kind === 1 ? [...point(sceneFromWorld, light.vector), 1] : [...unit(light.vector), 0]);
+      put(row, 1, light.color);
+    });
+    gl.bindTexture(gl.TEXTURE_2D, this.frames);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, ROW, rows, 0, gl.RGBA, gl.FLOAT, texels);
+    return shining.length;
+  }
+
+  private fillBlock(camera: Camera, settings: Settings, width: number, height: number, picture: number, lights: number): void {
+    const { gl } = this.engine;
+    const { description, count } = this.data;
+    const { center, scale } = this.sceneFrame();
+    const [lower, upper] = description.bounds.map((corner) => times(subtract(corner, center), 1 / scale));
+    const plane = [0, 0, 0, 0];
+    const slice = settings.slice;
+    if (slice) {
+      // The normal of the plane points to the eye.
+      const place = (slice.at - center[slice.axis]) / scale;
+      const sign = camera.eye[slice.axis] >= slice.at ? 1 : -1;
+      plane[slice.axis] = sign;
+      plane[3] = sign * place;
+      lower[slice.axis] = place - 1e-4;
+      upper[slice.axis] = place + 1e-4;
+    }
+    const values = [
+      ...[width, height, camera.pixel(height), count],
+      ...settings.background,
+      ...[description.ambient, description.hemisphere ? 1 : 0, lights, picture],
+      ...[settings.level, description.spacing, description.range, description.most_steps],
+      ...plane,
+      ...[...lower, 0],
+      ...[...upper, 0],
+      ...[scale, 1, 0, slice?.cut ? 1 : 0],
+    ];
+    gl.bindBuffer(gl.UNIFORM_BUFFER, this.block);
+    gl.bufferData(gl.UNIFORM_BUFFER, new Float32Array(values), gl.DYNAMIC_DRAW);
+  }
+}
+
+/** The eight corners of a box. */
+function corners([lower, upper]: [Vector, Vector]): Vector[] {
+  const found: Vector[] = [];
+  for (const x of [lower[0], upper[0]]) for (const y of [lower[1], upper[1]]) for (const z of [lower[2], upper[2]]) found.push([x, y, z]);
+  return found;
+}
+
