@@ -19,7 +19,7 @@ for (const job of jobs) {
   page.on("request", (request) => /^(https?|wss?):/.test(request.url()) && requests.push(request.url()));
   let value = null;
   try {
-    await page.goto(job.url);
+    await page.goto(job.url, { waitUntil: "commit", timeout: 120_000 });
     value = await page.evaluate(job.expression);
     if (job.screenshot) await page.screenshot({ path: job.screenshot });
   } catch (error) {

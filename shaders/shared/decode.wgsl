@@ -23,7 +23,7 @@ fn word_of(index: u32, encoding: u32) -> u32 {
 }
 
 // The distance of a sample. A half is multiplied by `scale`, and so is the share of a normalised integer.
-fn decoded(word: u32, index: u32, encoding: u32, scale: f32) -> f32 {
+fn decode_sample(word: u32, index: u32, encoding: u32, scale: f32) -> f32 {
     if encoding == FLOAT32 { return bitcast<f32>(word); }
     if encoding == SNORM8 {
         return max(f32(signed_bits(word, 8u * (index & 3u), 8u)) / 127.0, -1.0) * scale;

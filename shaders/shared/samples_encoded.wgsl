@@ -15,5 +15,5 @@ struct StoredParams {
 @group(0) @binding(7) var<uniform> stored: StoredParams;
 
 fn stored_sample(index: u32) -> f32 {
-    return decoded(words[word_of(index, stored.encoding)], index, stored.encoding, stored.scale);
+    return decode_sample(words[word_of(index, stored.encoding)], index, stored.encoding, stored.scale);
 }

@@ -120,7 +120,7 @@ fn select_bricks(instance: u32) {
 // The sample at a place of the field, less the level.
 fn stored_sample(index: u32) -> f32 {
     let stored = select(encoding, u32(ONE_ENCODING), ONE_ENCODING >= 0);
-    return decoded(word_at(first_word + word_of(index, stored)), index, stored, scale) - level;
+    return decode_sample(word_at(first_word + word_of(index, stored)), index, stored, scale) - level;
 }
 
 fn brick_word(at: u32) -> u32 {

@@ -4,5 +4,7 @@ const HAS_DENSE: bool = true;
 const HAS_SPARSE: bool = true;
 const HAS_SHAPE: bool = true;
 const HAS_QUADRIC: bool = true;
+// Whether there is a slice. The viewer sets this to false in the text where there is none: smaller programs start faster.
+const HAS_SLICE: bool = true;
 // The encoding of all sampled fields; -1 where they differ.
 const ONE_ENCODING: i32 = -1;

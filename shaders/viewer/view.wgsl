@@ -141,7 +141,7 @@ fn main(@builtin(position) position: vec4f) -> @location(0) vec4f {
     var slice_point = vec3f(0.0);
     var near = 0.0;
     let descent = dot(view.slice.xyz, scene_along);
-    if dot(view.slice.xyz, view.slice.xyz) > 0.0 && descent != 0.0 {
+    if HAS_SLICE && dot(view.slice.xyz, view.slice.xyz) > 0.0 && descent != 0.0 {
         let t = (view.slice.w - dot(view.slice.xyz, scene_start)) / descent;
         slice_point = scene_start + t * scene_along;
         let is_there = all(slice_point >= view.slice_lower.xyz) && all(slice_point <= view.slice_upper.xyz);
@@ -150,10 +150,9 @@ fn main(@builtin(position) position: vec4f) -> @location(0) vec4f {
         // The half on the side of the eye is cut away.
         if view.scene.w == 1.0 && depth > 0.0 && descent < 0.0 { near = depth; }
     }
-    if picture == PICTURE_SLICE {
-        if slice_depth == NO_DEPTH { return as_bytes(NO_DEPTH); }
-        return as_bytes(distance_to_scene(slice_point, count) + view.level.x);
-    }
+    var slice_value = NO_DEPTH;
+    if HAS_SLICE && slice_depth < NO_DEPTH { slice_value = distance_to_scene(slice_point, count) + view.level.x; }
+    if HAS_SLICE && picture == PICTURE_SLICE { return as_bytes(slice_value); }
 
     var found: Found;
     found.depth = NO_DEPTH;
@@ -264,9 +263,9 @@ fn main(@builtin(position) position: vec4f) -> @location(0) vec4f {
     if picture >= PICTURE_NORMAL { return as_bytes(normal[min(picture - PICTURE_NORMAL, 2u)]); }
     if picture == PICTURE_STEPS { return vec4f(heat(f32(ray_steps) / view.level.w), 1.0); }
     var shown = vec4f(srgb(color), select(view.background.w, 1.0, found.depth < NO_DEPTH));
-    if slice_depth < NO_DEPTH && (slice_depth <= found.depth || near > 0.0) {
+    if HAS_SLICE && slice_depth < NO_DEPTH && (slice_depth <= found.depth || near > 0.0) {
         let cosine = abs(dot(normalize(view.slice.xyz), to_eye));
-        let over = slice_color(distance_to_scene(slice_point, count) + view.level.x, view.size.z * slice_depth / max(cosine, 0.2));
+        let over = slice_color(slice_value, view.size.z * slice_depth / max(cosine, 0.2));
         shown = vec4f(mix(shown.xyz, over.xyz, over.w), max(shown.w, over.w));
     }
     return shown;

@@ -246,7 +246,7 @@ fn a_grid_with_too_many_voxels_on_the_way_is_refused() {
 #[test]
 fn a_device_decodes_every_stored_number_as_the_core_does() {
     let Some(context) = test_context() else { return };
-    let text = shared("samples_encoded").unwrap().to_owned()
+    let text = [shared("decode").unwrap(), shared("samples_encoded").unwrap()].concat().replace("#import decode", "")
         + "@group(0) @binding(2) var<storage, read_write> decoded: array<f32>;
            @compute @workgroup_size(64) fn main(@builtin(global_invocation_id) id: vec3u) {
                decoded[id.x] = stored_sample(id.x);

@@ -10,15 +10,15 @@ const STYLE = `
 .fb-view canvas:active{cursor:grabbing}
 .fb-bar{display:flex;flex-wrap:wrap;align-items:center;gap:4px 10px;padding:5px 9px}
 .fb-bar label{display:inline-flex;align-items:center;gap:5px;white-space:nowrap}
-.fb-bar input[type=range]{width:84px;margin:0;accent-color:#2f7fb5}
+.fb-bar input[type=range]{width:70px;margin:0;accent-color:#2f7fb5}
 .fb-bar button,.fb-bar select{font:inherit;color:inherit;border:1px solid #c9ced6;border-radius:5px;background:#fff;padding:1px 7px;cursor:pointer}
-.fb-bar button[aria-pressed=true]{background:#2f7fb5;border-color:#2f7fb5;color:#fff}
-.fb-bar output{min-width:5.5em;font-variant-numeric:tabular-nums}
+.fb-bar output{min-width:3.2em;font-variant-numeric:tabular-nums}
 .fb-note{padding:0 9px 6px;display:flex;gap:14px;flex-wrap:wrap;color:#5d6572;min-height:1.9em;font-variant-numeric:tabular-nums}
 .fb-note b{font-weight:600;color:#2b3038}
 .fb-dark{background:#20242b;color:#dfe3ea}
 .fb-dark .fb-note{color:#99a1ad}.fb-dark .fb-note b{color:#dfe3ea}
 .fb-dark .fb-bar button,.fb-dark .fb-bar select{background:#2c313a;border-color:#444b57}
+.fb-view .fb-bar button[aria-pressed=true]{background:#2f7fb5;border-color:#2f7fb5;color:#fff}
 `;
 
 /** Pixels of a whole turn. */

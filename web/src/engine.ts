@@ -86,7 +86,7 @@ export class Engine {
 
 /** What a view keeps in an engine: its program, its words, its table of instances. */
 export class Resources {
-  private readonly program: WebGLProgram;
+  private program!: WebGLProgram;
   private readonly words: WebGLTexture;
   private readonly frames: WebGLTexture;
   private readonly block: WebGLBuffer;
@@ -101,7 +101,6 @@ export class Resources {
     const rows = Math.ceil(data.words.length / WIDTH);
     if (rows > engine.mostRows)
       throw new Unavailable("The data are too large for the textures of this graphics device. The picture was drawn before.");
-    this.program = engine.program(data.description.shader);
     this.words = this.texture();
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.R32UI, WIDTH, Math.max(rows, 1));
     data.markEmpty(0);
@@ -153,6 +152,10 @@ export class Resources {
       this.data.markEmpty(settings.level);
       this.upload();
     }
+    // A program without the slice is smaller and starts faster.
+    const text = this.data.description.shader;
+    const isPlain = !settings.slice;
+    this.program = this.engine.program(isPlain ? text.replace("const bool HAS_SLICE = true", "const bool HAS_SLICE = false") : text);
     const lights = this.fillFrames(camera, settings);
     this.fillBlock(camera, settings, width, height, picture, lights);
     gl.viewport(0, 0, width, height);

@@ -31,6 +31,8 @@ export function mount(root: HTMLElement, buffer: ArrayBuffer): Mounted {
   canvas.height = Math.round(height * dense);
   canvas.style.width = `${width}px`;
   canvas.style.height = `${height}px`;
+  // At least as wide as the bar of controls needs.
+  root.style.width = `${Math.max(width, 240)}px`;
   canvas.setAttribute("role", "img");
   canvas.setAttribute("aria-label", data.description.title);
   const view = new View(canvas, data);
@@ -46,7 +48,8 @@ export function mount(root: HTMLElement, buffer: ArrayBuffer): Mounted {
     };
   }
   view.onProblem = (message) => controls.say(message);
-  view.redraw();
+  // A coarse picture at once, then the exact one.
+  view.redraw("moving");
   const close = () => {
     controls.close();
     view.close();

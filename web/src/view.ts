@@ -60,7 +60,7 @@ export class View {
   /** Counts requests; a picture that another one replaces stops. */
   private turn = 0;
   /** How many times smaller pictures in motion are. */
-  private coarseness = 2;
+  private coarseness = 3;
   private isBusy = false;
   private isStale: "moving" | "still" | null = null;
   private idle = 0;

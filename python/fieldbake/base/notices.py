@@ -27,7 +27,7 @@ def warn(message: str, category: type[Warning]) -> None:
 
 
 def _depth_of_caller() -> int:
-    """Count the frames up from the caller of this function to the first frame outside this package, as `warnings.warn` counts."""
+    """Count the frames from the caller up to the first one outside this package, as `warnings.warn` counts them."""
     depth = 1
     frame = sys._getframe(1)
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == PACKAGE:

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from typing import Any
 
 from . import checks
 from .errors import ArgumentError
@@ -14,6 +15,9 @@ Progress = bool | Callable[[float], object] | None
 
 #: Duration after which work on a terminal shows a bar without request, seconds.
 DELAY = 3.0
+
+#: Least time between two states of the bar of a notebook, seconds.
+NOTEBOOK_STEP = 0.2
 
 
 @contextmanager
@@ -37,6 +41,8 @@ def progress_callback(progress: Progress, label: str) -> Iterator[Callable[[floa
 
 def _bar(stack: ExitStack, label: str, delay: float) -> Callable[[float], object]:
     """Make a callable that draws a bar once `delay` seconds have passed; `stack` removes it."""
+    if _is_notebook():
+        return _notebook_bar(stack, label, delay)
     from rich.console import Console
     from rich.progress import Progress as Bar
 
@@ -48,6 +54,38 @@ def _bar(stack: ExitStack, label: str, delay: float) -> Callable[[float], object
         bar.update(task, completed=share)
         if not bar.live.is_started and time.monotonic() - start >= delay:
             stack.enter_context(bar)
+
+    return update
+
+
+def _is_notebook() -> bool:
+    """Whether the process is the kernel of a notebook."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return getattr(shell, "kernel", None) is not None
+
+
+def _notebook_bar(stack: ExitStack, label: str, delay: float) -> Callable[[float], object]:
+    """A bar of HTML in the output of a cell, removed at the end. The bars of rich leave an empty widget there."""
+    from html import escape
+
+    from IPython import display
+
+    make: Callable[[str], Any] = display.HTML
+    show: Callable[..., Any] = display.display
+    shown: list[Any] = []
+    next_time = time.monotonic() + delay
+
+    def update(share: float) -> None:
+        nonlocal next_time
+        if time.monotonic() < next_time:
+            return
+        next_time = time.monotonic() + NOTEBOOK_STEP
+        bar = make(f'{escape(label)} <progress max="1" value="{share:.3f}"></progress>')
+        if shown:
+            shown[0].update(bar)
+        else:
+            shown.append(show(bar, display_id=True))
+            stack.callback(lambda: shown[0].update(make("")))
 
     return update
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from html import escape
 from types import MappingProxyType
 from typing import Any
 
@@ -140,6 +141,11 @@ class Report:
 
     def __str__(self) -> str:
         return "\n".join(f"{label:<8}  {text}" for label, text in self.rows())
+
+    def _repr_html_(self) -> str:
+        """The rows as a table, for notebooks."""
+        rows = "".join(f"<tr><th>{escape(label)}</th><td>{escape(text)}</td></tr>" for label, text in self.rows())
+        return f'<table style="text-align:left">{rows}</table>'
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Report.from_dict, (self.to_dict(),)

@@ -1,4 +1,4 @@
-"""The views of an object."""
+"""The views of an object: a page, and a widget of a notebook."""
 
 from __future__ import annotations
 
@@ -67,3 +67,34 @@ class Viewable:
         from ..viewing import hosts
 
         return hosts.to_html(self, path, camera, encoding, size)
+
+    def show(self, **options: Any) -> Any:
+        """Show a live view in a notebook.
+
+        Parameters
+        ----------
+        **options
+            ``camera``, ``encoding`` and ``size`` as for :meth:`to_html`. A shape also takes ``parameters``, a mapping
+            from names to (least, largest), and ``model``, a function of these parameters that returns a shape: each
+            parameter gets a slider.
+
+        Returns
+        -------
+        widget
+            An anywidget with the traits ``camera``, ``level``, ``slice``, ``light`` and ``picked``, which follow the
+            view and change it. Without the package anywidget, an object that shows the page of :meth:`to_html`.
+
+        Raises
+        ------
+        SceneError, ArgumentError
+            As for :meth:`to_html`.
+        """
+        from ..viewing import hosts
+
+        return hosts.show(self, **options)
+
+    def _repr_png_(self) -> bytes | None:
+        """Draw the object for notebooks, as PNG; None if there is no surface."""
+        from ..viewing import hosts
+
+        return hosts.picture(self)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +21,9 @@ if TYPE_CHECKING:
 #: Number of iso-lines on each side of the surface.
 LINES = 8
 
+#: Largest height of a figure, inches: a screen of a notebook.
+MOST_HEIGHT = 12.0
+
 #: Samples along the longest side of a slice.
 SLICE_PX = 200
 
@@ -29,7 +34,17 @@ def _figure(width: float, height: float) -> Figure:
     except ImportError:
         raise Error("plots need the package matplotlib: pip install matplotlib") from None
     # pyplot would keep a reference to the figure and may open a window.
-    return Figure(figsize=(width, height), layout="constrained")
+    figure = Figure(figsize=(width, min(height, MOST_HEIGHT)), layout="constrained")
+    # Notebooks know figures of pyplot only.
+    setattr(figure, "_repr_png_", partial(_png, figure))  # noqa: B010
+    return figure
+
+
+def _png(figure: Figure) -> bytes:
+    """A figure as PNG, for notebooks."""
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png")
+    return buffer.getvalue()
 
 
 def plot_slices(volume: Volume, at: Any = None) -> Figure:

@@ -395,12 +395,6 @@ class Shape(Viewable):
     def _changed(self, name: str, *numbers: float) -> Shape:
         return Shape._wrap(self._core.changed(name, list(numbers)))
 
-    def _repr_png_(self) -> bytes:
-        """Draw the shape for notebooks, as PNG."""
-        from ..drawing.raymarching import raymarch
-
-        return raymarch(self, size=(256, 256), device="cpu")._repr_png_()
-
     def __setattr__(self, name: str, value: Any) -> None:
         raise AttributeError(f"a Shape cannot be changed ({name}); its methods return new ones")
 

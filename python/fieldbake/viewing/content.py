@@ -117,6 +117,18 @@ class Content:
         high = min(
             [item.record.levels[1] * scale for item, scale in zip(self.placed, scales, strict=True)], default=0.0
         )
+        # Lines and colours stay within the band of quantised samples.
+        known = min(
+            [
+                reach,
+                *(
+                    min(-item.record.levels[0], item.record.levels[1]) * scale
+                    for item, scale in zip(self.placed, scales, strict=True)
+                    if item.record.numbers[records.KIND] == records.DENSE
+                ),
+            ]
+        )
+        spacing = nice_step(min(diagonal / LINES, max(known / 3, reach / 40)))
         eye, forward = self.camera.pose[:3, 3], -self.camera.pose[:3, 2]
         distance = float((0.5 * (lower + upper) - eye) @ forward)
         if not distance > 1e-6 * diagonal:
@@ -134,10 +146,10 @@ class Content:
             "bounds": self.bounds.tolist(),
             "camera": {"pose": self.camera.pose.ravel().tolist(), "fov": self.camera.fov_deg, "distance": distance},
             "levels": [min(max(low, -reach), 0.0), max(min(high, reach), 0.0)],
-            "range": reach,
-            "spacing": nice_step(diagonal / LINES),
+            "range": max(known, reach / 40),
+            "spacing": spacing,
             "most_steps": MOST_STEPS,
-            "note": f"{_size_text(upper - lower)} world units; iso-lines every {nice_step(diagonal / LINES):g}",
+            "note": f"{_size_text(upper - lower)} world units; iso-lines every {spacing:g}",
         }
 
 

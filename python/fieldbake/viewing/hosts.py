@@ -1,19 +1,29 @@
-"""Where a view is shown: a page."""
+"""Where a view is shown: a page, or the output of a notebook's cell."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from ..atlases.atlas import Atlas
 from ..base import checks
-from ..base.errors import SceneError
+from ..base.errors import ArgumentError, SceneError
 from ..base.notices import warn
 from ..drawing.options import checked_size
+from ..drawing.rendering import render
 from ..files.container import atomic_write
+from ..meshes.mesh import Mesh
 from ..scenes.camera import Camera
+from ..scenes.scene import Scene
+from ..volumes.volume import Volume
 from .content import Content, content_of
+from .output import PageOutput
 from .page import page_of
+
+#: Size of the picture of an object in a notebook, pixels.
+PICTURE_SIZE = (256, 256)
 
 #: Encodings of the samples on a page.
 ENCODINGS = ("snorm8", "float16", "float32")
@@ -30,6 +40,19 @@ def checked_content(thing: Any, camera: Camera | None, encoding: str, size: tupl
     return content_of(thing, camera, encoding, checked_size(size))
 
 
+def picture(thing: Any) -> bytes | None:
+    """The picture of an object for notebooks, PNG; None for a field without a surface."""
+    if isinstance(thing, (Mesh, Scene)):
+        # Triangles need no field, and shadows would.
+        scene = thing if isinstance(thing, Scene) else Scene([thing])
+        return render(scene, size=PICTURE_SIZE, shadows="none", device="cpu")._repr_png_()
+    if isinstance(thing, Volume) and not thing.distances.min() <= 0 <= thing.distances.max():
+        return None
+    if isinstance(thing, Atlas) and not len(thing):
+        return None
+    return content_of(thing, None, "float32", PICTURE_SIZE).frame(max(PICTURE_SIZE))._repr_png_()
+
+
 def to_html(
     thing: Any, path: str | os.PathLike[str] | None, camera: Camera | None, encoding: str, size: tuple[int, int]
 ) -> str:
@@ -44,3 +67,44 @@ def to_html(
         with atomic_write(Path(path)) as stream:
             stream.write(text.encode())
     return text
+
+
+def show(
+    thing: Any,
+    *,
+    camera: Camera | None = None,
+    encoding: str = "snorm8",
+    size: tuple[int, int] = (640, 480),
+    parameters: Mapping[str, tuple[float, float]] | None = None,
+    model: Callable[..., Any] | None = None,
+) -> Any:
+    """The widget of an object, or its page where anywidget is missing; see :meth:`fieldbake.Volume.show`."""
+    if (parameters is None) != (model is None):
+        raise ArgumentError(
+            "parameters and model go together: model is a function of the parameters that returns an object"
+        )
+    content = checked_content(thing, camera, encoding, size)
+    try:
+        from .widget import ViewWidget
+    except ImportError:
+        return PageOutput(content)
+    if parameters is None or model is None:
+        return ViewWidget(content)
+    ranges = {name: _range(name, parameters[name]) for name in parameters}
+
+    def remake(values: Mapping[str, float]) -> Content:
+        return checked_content(model(**values), camera or content.camera, encoding, size)
+
+    middle = {name: 0.5 * (least + largest) for name, (least, largest) in ranges.items()}
+    return ViewWidget(remake(middle), remake, ranges, middle)
+
+
+def _range(name: str, value: Any) -> tuple[float, float]:
+    try:
+        least, largest = value
+        least, largest = checks.number(name, least), checks.number(name, largest)
+    except (TypeError, ValueError):
+        raise ArgumentError(f"parameters[{name!r}]: must be (least, largest), got {value!r}") from None
+    if not least < largest:
+        raise ArgumentError(f"parameters[{name!r}]: the largest must be above the least, got {value!r}")
+    return least, largest

@@ -518,15 +518,6 @@ class Volume(GridField):
         """List the textures that the shader reads, with their formats; ``to_bytes()`` gives the bytes to upload."""
         return volume_buffers(self)
 
-    def _repr_png_(self) -> bytes | None:
-        """Draw the surface for notebooks; None if there is no surface."""
-        from ..drawing.raymarching import raymarch
-
-        distances = self._distances
-        if not distances.min() <= 0 <= distances.max():
-            return None
-        return raymarch(self, size=(256, 256), device="cpu")._repr_png_()
-
     def __reduce__(self) -> tuple[Any, ...]:
         return _restore, (self._distances, self._bounds, self._inner_bounds, self._report)
 
