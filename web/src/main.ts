@@ -48,13 +48,30 @@ export function mount(root: HTMLElement, buffer: ArrayBuffer): Mounted {
     };
   }
   view.onProblem = (message) => controls.say(message);
-  // A coarse picture at once, then the exact one.
-  view.redraw("moving");
+  void drawFirst(view);
   const close = () => {
     controls.close();
     view.close();
   };
   return { view, controls, close };
+}
+
+/** Draws at the same time, over all documents of an origin: browsers stop at 16 contexts. */
+const SLOTS = 4;
+/** A picture that takes longer gives its slot away, milliseconds. */
+const SLOT_MS = 20_000;
+
+/** Draw a coarse picture, then the exact one, when one of a few slots is free; then give the context back. */
+async function drawFirst(view: View): Promise<void> {
+  const draw = async () => {
+    view.redraw("moving");
+    await Promise.race([view.ready, new Promise((done) => setTimeout(done, SLOT_MS))]);
+    view.rest();
+  };
+  // Documents without an origin, such as sandboxed frames, have no locks.
+  const locks = window.origin === "null" ? undefined : navigator.locks;
+  if (locks) await locks.request(`fieldbake ${Math.floor(Math.random() * SLOTS)}`, draw);
+  else await draw();
 }
 
 /** What a page offers to scripts and tests. */

@@ -181,15 +181,19 @@ export class View {
     return this.resources;
   }
 
-  /** Release the context if nothing happens for a while. The canvas keeps the picture. */
+  /** Release the context unless something is being drawn. The canvas keeps the picture. */
+  rest(): void {
+    if (this.isBusy) return this.wait();
+    clearTimeout(this.idle);
+    this.resources?.free();
+    this.resources = null;
+    if (![...users].some((view) => view.resources)) releaseShared();
+  }
+
+  /** Rest if nothing happens for a while. */
   private wait(): void {
     clearTimeout(this.idle);
-    this.idle = window.setTimeout(() => {
-      if (this.isBusy) return this.wait();
-      this.resources?.free();
-      this.resources = null;
-      if (![...users].some((view) => view.resources)) releaseShared();
-    }, IDLE_MS);
+    this.idle = window.setTimeout(() => this.rest(), IDLE_MS);
   }
 
   /** Show what the context has drawn. */
