@@ -68,6 +68,7 @@ __all__ = [
     "texture_write",
     "thickness",
     "to_sparse",
+    "viewer_shader",
     "winding_number",
 ]
 

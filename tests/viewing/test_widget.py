@@ -108,3 +108,17 @@ def test_the_command_writes_pages(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["ball.html", "knot.html"]
     assert CliRunner().invoke(app, ["view", files[0], "--size", "64"]).exit_code == 2
+
+
+@pytest.mark.slow
+def test_the_notebook_runs() -> None:
+    import nbformat
+    from nbclient import NotebookClient
+
+    path = Path(__file__).parents[2] / "examples" / "notebooks" / "first_look.ipynb"
+    notebook = nbformat.read(path, as_version=4)
+    NotebookClient(notebook, timeout=240, kernel_name="python3").execute()
+    outputs = [output.get("data", {}) for cell in notebook.cells for output in cell.get("outputs", [])]
+    assert sum("application/vnd.jupyter.widget-view+json" in data and "text/html" in data for data in outputs) == 2
+    assert sum("image/png" in data for data in outputs) == 4
+    assert any("<table" in data.get("text/html", "") for data in outputs)
