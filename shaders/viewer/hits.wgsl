@@ -71,7 +71,7 @@ fn quadric_form() -> QuadricForm {
 
 fn quadric_hit(origin: vec3f, direction: vec3f, t_max: f32) -> f32 {
     let found = quadric_crossings(quadric_form(), origin, direction);
-    let is_ahead = found >= vec2f(0.0) & found <= vec2f(t_max);
+    let is_ahead = (found >= vec2f(0.0)) & (found <= vec2f(t_max));
     let ahead = select(vec2f(NO_CROSSING), found, is_ahead);
     let first = min(ahead.x, ahead.y);
     return select(-1.0, first, first < NO_CROSSING);
