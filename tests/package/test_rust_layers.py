@@ -24,6 +24,7 @@ LAYERS = [
     "quadric",
     "merge",
     "scene",
+    "viewer",
     "python",
 ]
 
