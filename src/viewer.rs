@@ -44,7 +44,7 @@ pub struct ViewerShader {
 pub struct ShapeFunction {
     /// Index of its function.
     pub structure: u32,
-    /// What the function reads, local units.
+    /// Input of the function, local units.
     pub numbers: Vec<f32>,
     /// The local frame in world units: a local position is `(world - center) / scale`.
     pub center: [f64; 3],

@@ -26,7 +26,7 @@ PIXELS = """(async () => {
 
 
 class Visit(NamedTuple):
-    """What came of a page: the value of the expression, errors and warnings of the console, requests to a network."""
+    """Results of a page: the value of the expression, errors and warnings of the console, requests to a network."""
 
     value: Any
     errors: list[str]

@@ -1,4 +1,4 @@
-"""What a view shows: the instances of an object, their light and camera, as the bytes that the viewer reads."""
+"""Content of a view: the instances of an object, their light and camera, as the bytes that the viewer reads."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Content:
     background: Sequence[float] = BACKGROUND
     #: Ambient light comes from above more than from below, as in pictures of one field.
     hemisphere: bool = True
-    #: What raymarch draws for the picture that stands in for the view.
+    #: Content that raymarch draws for the picture that replaces the view.
     drawn: Any = None
     _frame: Frame | None = field(default=None, repr=False)
 
