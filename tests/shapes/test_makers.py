@@ -74,6 +74,15 @@ def test_a_circular_array_has_copies_at_equal_angles():
     assert np.abs(ring.distance(POINTS) - truth).max() <= 1e-5
 
 
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_no_film_closes_the_hole_of_a_profile(sign):
+    holes = (fb.circle(1) - fb.circle(0.4), fb.circle(1) ^ fb.circle(0.4))
+
+    for profile in holes:
+        # The axis of the hole is 0.4 away from its wall, also in the planes of both end faces.
+        assert profile.extrude(1).distance([(0, 0, sign * 0.5), (0, 0, 0)]) == pytest.approx([0.4, 0.4], abs=1e-6)
+
+
 def test_profiles_are_combined_and_moved():
     washer = fb.circle(1) - fb.circle(0.4).translate((0.2, 0))
     solid = washer.extrude(1)

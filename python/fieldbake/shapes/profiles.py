@@ -59,6 +59,10 @@ class _Leaf:
         return shape if y == 0 else shape.translate((0.0, 0.0, y))
 
 
+#: Height of a subtracted profile in heights of the extrusion. Its end faces are then far from the solid.
+TALLER = 64.0
+
+
 @dataclass(frozen=True)
 class _Combined:
     """Profiles joined by an operator."""
@@ -76,6 +80,14 @@ class _Combined:
         return _Combined(self.op, tuple(part.rotated(degrees) for part in self.parts))
 
     def extruded(self, height: float) -> Shape:
+        # A subtracted part is taller, since equal end faces would leave a film of distance zero over the hole.
+        tall = TALLER * height
+        if self.op == "difference":
+            first, *others = self.parts
+            return combine("difference", [first.extruded(height), *(part.extruded(tall) for part in others)])
+        if self.op == "xor":
+            either = combine("union", [part.extruded(height) for part in self.parts])
+            return combine("difference", [either, combine("intersection", [p.extruded(tall) for p in self.parts])])
         return combine(self.op, [part.extruded(height) for part in self.parts])
 
     def revolved(self, offset: float) -> Shape:

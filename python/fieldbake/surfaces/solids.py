@@ -180,7 +180,7 @@ def shell(
     >>> import fieldbake as fb
     >>> cup = fb.shell(fb.box(2).to_mesh(32), 0.2, 40, open="z")
     >>> round(cup.volume, 1)
-    2.8
+    3.4
     """
     source = as_mesh(mesh)
     thickness = _number("thickness", thickness)
@@ -241,7 +241,7 @@ def boolean(op: Operation, a: MeshLike, b: MeshLike, *, resolution: Resolution =
     >>> import fieldbake as fb
     >>> ball, cube = fb.sphere(1.2).to_mesh(32), fb.box(2).to_mesh(32)
     >>> round(fb.boolean("intersection", cube, ball, resolution=48).volume, 1)
-    6.5
+    6.4
     """
     _word("op", op, ("union", "intersection", "difference"))
     first, second = as_mesh(a), as_mesh(b)
