@@ -4,7 +4,7 @@ use crate::error::{ArgumentError, choice};
 use naga::back::{glsl, hlsl, msl};
 use naga::compact::{KeepUnused, compact};
 use naga::proc::BoundsCheckPolicies;
-use naga::valid::{Capabilities, ModuleInfo, ValidationError, ValidationFlags, Validator};
+use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
 use naga::{AddressSpace, GlobalVariable, Module, ResourceBinding, ShaderStage, TypeInner, front};
 
 /// A shading language.
@@ -51,7 +51,7 @@ pub fn translate_used(wgsl: &str, language: Language, target: GlslTarget) -> Res
     }
     let (mut module, _) = parse(wgsl)?;
     compact(&mut module, KeepUnused::No);
-    let info = validated(&module).map_err(|error| refused(&error.emit_to_string(wgsl)))?;
+    let info = validated(&module, wgsl)?;
     write(&module, &info, language, target)
 }
 
@@ -121,12 +121,15 @@ fn msl_options(module: &Module) -> msl::Options {
 /// Parses and validates a WGSL text for every device.
 pub(crate) fn parse(wgsl: &str) -> Result<(Module, ModuleInfo), ArgumentError> {
     let module = front::wgsl::parse_str(wgsl).map_err(|error| refused(&error.emit_to_string(wgsl)))?;
-    let info = validated(&module).map_err(|error| refused(&error.emit_to_string(wgsl)))?;
+    let info = validated(&module, wgsl)?;
     Ok((module, info))
 }
 
-fn validated(module: &Module) -> Result<ModuleInfo, naga::WithSpan<ValidationError>> {
-    Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(module)
+/// Types and uniformity of the expressions of a module that is valid on every device.
+fn validated(module: &Module, wgsl: &str) -> Result<ModuleInfo, ArgumentError> {
+    Validator::new(ValidationFlags::all(), Capabilities::empty())
+        .validate(module)
+        .map_err(|error| refused(&error.emit_to_string(wgsl)))
 }
 
 /// A generated text that naga refuses is a defect of fieldbake, and the message says so.

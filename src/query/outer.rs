@@ -102,7 +102,7 @@ impl OuterSides {
         let outside = vec![[false; SAMPLES]; distances.len()];
         let sides = Self { shape, blocks, states, distances, outside };
         let mut flood = Flood { mesh, sides, first, spacing, queue: Vec::new() };
-        flood.from_box(core as f32);
+        flood.start_at_border(core as f32);
         flood.run(core as f32, progress)?;
         if core > 0.0 {
             flood.climb(core as f32);
@@ -139,7 +139,7 @@ fn sample(block: [usize; 3], s: usize) -> [usize; 3] {
 
 impl Flood<'_> {
     /// Start at all samples of the border of the grid.
-    fn from_box(&mut self, core: f32) {
+    fn start_at_border(&mut self, core: f32) {
         let [nx, ny, nz] = self.sides.shape;
         for axis in 0..3 {
             let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
