@@ -160,7 +160,7 @@ mod tests {
 
     #[test]
     fn every_text_is_valid_in_both_languages() {
-        let texts = ["(smooth-union 0.1 (paint 1 0 0 (box 1 1 1)) (paint 0 1 0 (sphere 0.6)))", "(torus 1 0.2)"];
+        let texts = ["(blend union 0.1 (paint 1 0 0 (cube 1)) (paint 0 1 0 (sphere 0.6)))", "(torus 1 0.2)"];
         let solid = |text: &&str| {
             let shape: Shape = language::parse(text).unwrap();
             Arc::new(Solid::new(&shape).unwrap())

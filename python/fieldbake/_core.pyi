@@ -14,6 +14,7 @@ __all__ = [
     "DeviceField",
     "DevicePages",
     "Mesh",
+    "OuterSides",
     "Quadrics",
     "Scene",
     "SceneField",

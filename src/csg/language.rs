@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! shape     = ( word number... shape... )          ; a comment runs to the end of its line
-//! brushes     the rows of the table of primitives (primitive.rs), and extrude h PROFILE | revolve offset PROFILE
+//! shapes      the rows of the table of primitives (primitive.rs), and extrude h PROFILE | revolve offset PROFILE
 //!             ; PROFILE = (circle d) | (rectangle w h) | (polygon x y x y ...)
 //! operators   union | inter | diff | xor, and (blend union k a b ...), (chamfer union k a b ...); blend-union k a b ...
 //! modifiers   the rows of MODIFIERS, and rotate qx qy qz qw | align x y z | stencil COLOR subject mask
@@ -335,7 +335,7 @@ impl<'a> Form<'a> {
                     OTHER_USAGES.iter().filter(|(word, _)| *word == name).map(|(_, usage)| (*usage).to_owned());
                 let usages: Vec<String> = rows.chain(others).collect();
                 if usages.is_empty() {
-                    return Err(self.start.error(format!("{} is no brush, operator or modifier", quoted(written))));
+                    return Err(self.start.error(format!("{} is no shape, operator or modifier", quoted(written))));
                 }
                 let s = if n.len() == 1 { "" } else { "s" };
                 let problem = format!("{name} does not take {} number{s}, expected {}", n.len(), usages.join(" or "));
