@@ -46,12 +46,13 @@ fn refusal(what: &str, needed: u64, available: Option<u64>, advice: &str) -> Cap
     CapacityError { what: what.to_owned(), needed, available, advice: advice.to_owned() }
 }
 
-/// Free memory of the machine, or of the container where that is less.
+/// Free memory of the machine, or of the container where that is less. Neither counts the file cache as used, since the
+/// system drops it when memory is needed.
 fn available_bytes() -> u64 {
     let mut system = sysinfo::System::new();
     system.refresh_memory();
     let machine = if system.available_memory() > 0 { system.available_memory() } else { u64::MAX };
-    system.cgroup_limits().map_or(machine, |limits| machine.min(limits.free_memory))
+    system.cgroup_limits().map_or(machine, |limits| machine.min(limits.total_memory.saturating_sub(limits.rss)))
 }
 
 #[cfg(test)]
