@@ -1,6 +1,6 @@
 """The command line."""
 
-from . import files, libraries, pictures, queries, solids, view  # they register their commands
+from . import doctor, files, libraries, pictures, queries, solids, view  # they register their commands
 from .commands import main
 
-__all__ = ["files", "libraries", "main", "pictures", "queries", "solids", "view"]
+__all__ = ["doctor", "files", "libraries", "main", "pictures", "queries", "solids", "view"]

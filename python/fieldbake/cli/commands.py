@@ -1,4 +1,4 @@
-"""The command line: ``fieldbake bake | query | check | info | convert | pack | render | merge | csg | devices | demo``.
+"""The command line: the application, and the commands ``bake``, ``merge`` and ``pack``.
 
 Exit codes: 0 for success, 1 for an error in the input (one line on stderr), 2 for wrong usage.
 """

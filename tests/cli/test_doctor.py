@@ -1,0 +1,129 @@
+"""`fieldbake doctor` describes the installation and tests it, even if parts are missing."""
+
+import importlib.metadata
+import json
+import os
+import signal
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+import assets
+import fieldbake as fb
+import meshes
+from fieldbake.cli import diagnosis, selftests
+from fieldbake.cli.commands import app
+
+
+def doctor(*arguments):
+    result = CliRunner().invoke(app, ["doctor", *arguments], prog_name="fieldbake")
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result
+
+
+@pytest.fixture
+def no_driver(monkeypatch, tmp_path):
+    """A machine without a graphics driver. The devices are listed in a child process, which sees the variable."""
+    monkeypatch.setenv("VK_DRIVER_FILES", str(tmp_path / "missing.json"))
+
+
+@pytest.mark.usefixtures("no_driver")
+def test_json_has_versions_the_cpu_and_its_tests():
+    result = doctor("--json")
+    found = json.loads(result.stdout)
+
+    assert result.exit_code == 0, result.stdout
+    assert found["problems"] == []
+    assert found["fieldbake"]["version"] == fb.__version__
+    assert found["python"]["version"] == ".".join(map(str, sys.version_info[:3]))
+    assert found["cpu"]["cores"] == os.cpu_count()
+    (cpu,) = found["devices"]
+    assert (cpu["name"], cpu["backend"]) == ("cpu", "cpu")
+    assert cpu["limits"]["threads"] >= 1
+    for path, limit in (("bake", selftests.DISTANCE_TOLERANCE), ("draw", selftests.DEPTH_TOLERANCE)):
+        assert cpu["tests"][path]["ok"]
+        assert 0 <= cpu["tests"][path]["error"] <= limit
+        assert cpu["tests"][path]["seconds"] > 0
+
+
+@pytest.mark.usefixtures("no_driver")
+def test_text_says_that_no_adapter_was_found_and_names_the_missing_driver():
+    result = doctor()
+    text = " ".join(result.stdout.replace("│", " ").split())
+
+    assert result.exit_code == 0
+    assert "no graphics adapter was found" in text
+    assert "missing.json" in text
+    assert "every test passed" in text
+
+
+@pytest.mark.usefixtures("gpu")
+def test_each_adapter_is_tested():
+    found = diagnosis.diagnose()
+
+    assert found["problems"] == []
+    assert [device["name"] for device in found["devices"]] == [device.name for device in fb.devices()]
+    assert all(device["tests"][path]["ok"] for device in found["devices"] for path in ("bake", "draw"))
+
+
+@pytest.mark.usefixtures("no_driver")
+@pytest.mark.parametrize("path", ["bake", "draw"])
+def test_a_crash_of_a_driver_is_a_failed_test(monkeypatch, path):
+    monkeypatch.setattr(selftests, f"check_{path}", assets.kill_on)
+
+    result = doctor("--json")
+    found = json.loads(result.stdout)
+
+    other = {"bake": "draw", "draw": "bake"}[path]
+    assert result.exit_code == 1
+    assert not found["devices"][0]["tests"][path]["ok"]
+    assert found["devices"][0]["tests"][other]["ok"]
+    assert signal.Signals.SIGKILL.name in " ".join(found["problems"])
+
+
+def test_a_wrong_result_fails_a_self_test(monkeypatch):
+    vertices, faces = meshes.box()
+    mesh = fb.Mesh(0.51 * vertices, faces)  # its half side is 0.51
+    monkeypatch.setattr(selftests, "_cube", lambda: mesh)
+
+    with pytest.raises(fb.Error, match=r"largest error is 0\.01"):
+        selftests.check_bake("cpu")
+    with pytest.raises(fb.Error, match=r"largest error is 0\.01"):
+        selftests.check_draw("cpu")
+
+
+@pytest.mark.usefixtures("no_driver")
+def test_packages_that_are_missing_or_too_old_are_problems_but_optional_ones_are_not(monkeypatch):
+    requirements = ["numpy>=99.0", "no-such-package>=1.2", 'other-package>=3; extra == "zarr"', "pillow>=1.1,<99"]
+    monkeypatch.setattr(importlib.metadata, "requires", lambda _: requirements)
+
+    result = doctor("--json")
+    found = json.loads(result.stdout)
+
+    assert result.exit_code == 1
+    assert [row["name"] for row in found["packages"]] == ["numpy", "no-such-package", "other-package", "pillow"]
+    assert [row["extra"] for row in found["packages"]] == [None, None, "zarr", None]
+    assert [row["least"] for row in found["packages"]] == ["99.0", "1.2", "3", "1.1"]
+    assert [bool(row["error"]) for row in found["packages"]] == [True, True, False, False]
+    assert len(found["problems"]) == 2
+    assert "older than 99.0" in found["problems"][0]
+
+
+def test_without_metadata_the_diagnosis_has_no_packages(monkeypatch):
+    def missing(name):
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(importlib.metadata, "requires", missing)
+
+    assert diagnosis.diagnose(self_tests=False)["packages"] == []
+
+
+def test_the_cache_has_its_size(monkeypatch, tmp_path):
+    (tmp_path / "one.npz").write_bytes(b"1234")
+    (tmp_path / "two.npz").write_bytes(b"123")
+    monkeypatch.setenv("FIELDBAKE_CACHE", str(tmp_path))
+
+    cache = diagnosis.diagnose(self_tests=False)["cache"]
+
+    assert (cache["folder"], cache["used"], cache["files"], cache["nbytes"]) == (str(tmp_path), True, 2, 7)
