@@ -397,7 +397,7 @@ def test_a_volume_is_pickled_and_read_by_threads(volume, mesh):
     assert "voxels as snorm16" in repr(volume)
     assert volume.report.closed
     with pytest.raises(AttributeError):
-        volume._far = None
+        volume._layout = None
 
 
 def test_degenerate_faces_do_not_change_the_bits(tmp_path, mesh):

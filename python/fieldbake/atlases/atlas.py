@@ -14,6 +14,7 @@ from .. import _core
 from ..base import checks, encodings
 from ..base.encodings import Encoding
 from ..base.errors import AtlasError, FormatError
+from ..base.loadable import Loadable
 from ..base.report import Report, bytes_text, count_text
 from ..base.viewable import Viewable
 from ..files import container
@@ -90,7 +91,7 @@ class AtlasEntry:
         return f"AtlasEntry({self._index} of {self._atlas!r})"
 
 
-class Atlas(PageStore, Viewable):
+class Atlas(PageStore, Viewable, Loadable):
     """Many volumes in the pages of one texture array. Made by :func:`fieldbake.pack` or :func:`fieldbake.load`.
 
     The slices of a volume along z are tiles, side by side on a page. Each volume keeps its index. :meth:`add` and
@@ -324,31 +325,6 @@ class Atlas(PageStore, Viewable):
         name = checks.text("language", language)
         is_png = checks.choice("texels", self._texels if texels is None else texels, ("pages", "png")) == "png"
         return _core.atlas_shader(name, self._layout, self._page_size, self._gutter, self._encoding, side, is_png)
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Atlas:
-        """Read a file that holds an atlas.
-
-        Parameters
-        ----------
-        path : str or path
-            A file that :meth:`save` wrote.
-
-        Returns
-        -------
-        Atlas
-            Equal bit for bit to the saved atlas.
-
-        Raises
-        ------
-        FileNotFoundError
-            If there is no such file.
-        FormatError
-            If the file holds another kind of object, is damaged, or was written by a newer version.
-        """
-        from ..loading.readers import load_as
-
-        return load_as(cls, path)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a file. An existing file is replaced only after the new file is complete.

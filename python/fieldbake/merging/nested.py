@@ -13,10 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from ..base import checks
 from ..base.errors import ArgumentError, SceneError
 from ..base.grid import Grid
+from ..base.loadable import Loadable
 from ..base.progress import Progress, part_of, progress_callback
 from ..base.report import bytes_text
 from ..files import container
-from ..volumes.shader import Language, ShaderBuffers, nested_buffers, nested_text
+from ..volumes.shaded import Shaded
+from ..volumes.shader import ShaderBuffers, nested_buffers, nested_text
 from ..volumes.volume import Volume
 from .merged import MergedField
 
@@ -27,7 +29,7 @@ MAX_LEVELS = 12
 LEAST_SIDE = 8
 
 
-class NestedField:
+class NestedField(Loadable, Shaded):
     """The field of a scene on nested grids, fine near a point and coarse far from it. Made by :func:`merge`.
 
     All levels have the same number of voxels, and each level is twice as large as the one inside it. A loaded field
@@ -227,44 +229,10 @@ class NestedField:
         found = self._levels[index]
         return Volume._wrap(found.distances, found.bounds, found.inner_bounds, found.report)
 
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> NestedField:
-        """Read a file of :meth:`save`.
-
-        Raises
-        ------
-        FileNotFoundError
-            If there is no such file.
-        FormatError
-            If the file holds another kind of object, is damaged, or was written by a newer version.
-        """
-        from ..loading.readers import load_as
-
-        return load_as(cls, path)
-
-    def shader(self, language: Language = "wgsl") -> str:
-        """Write functions that evaluate the field in a shader.
-
-        Parameters
-        ----------
-        language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
-            GLSL is that of WebGL 2 (ES 3.00); newer versions take it with another first line.
-
-        Returns
-        -------
-        str
-            ``nested_distance(p)``: the distance at a world position. Box and encoding are constants of the text;
-            the textures are those of :meth:`shader_buffers`. An entry point makes it a whole shader.
-
-        Raises
-        ------
-        ArgumentError
-            For another language.
-        """
+    def _shader_text(self, language: object) -> str:
         return nested_text(self._joined_levels(), language)
 
-    def shader_buffers(self) -> ShaderBuffers:
-        """List the textures that the shader reads, with their formats; ``to_bytes()`` gives the bytes to upload."""
+    def _shader_textures(self) -> ShaderBuffers:
         return nested_buffers(self._joined_levels())
 
     def _joined_levels(self) -> tuple[Volume, ...]:

@@ -20,11 +20,12 @@ from ..volumes.blocks import SIDE
 from ..volumes.grid_field import GridField
 from ..volumes.quantized import QuantizedVolume
 from ..volumes.sparse import SparseVolume, restore_field
-from ..volumes.volume import Filter, Volume
+from ..volumes.volume import Volume
 from . import store as stores
 from .layout import Layout, path_of
 from .reader import Reader
 from .store import Place
+from .zarr_sampling import ROUNDING, Sampler
 
 if TYPE_CHECKING:
     import xarray
@@ -43,9 +44,6 @@ LEAST_BAND = 3**0.5
 
 #: Memory of the bricks of a picture, bytes.
 PICTURE_BYTES = 1 << 30
-
-#: Lower bounds are reduced by this share, which covers the rounding of stored distances.
-ROUNDING = 1e-6
 
 
 def open_zarr(store: str | os.PathLike[str] | Store, *, storage_options: Mapping[str, Any] | None = None) -> ZarrVolume:
@@ -110,13 +108,12 @@ class ZarrVolume(GridField):
     band. Exact distances at the corners of the shards give proven lower bounds there.
     """
 
-    __slots__ = ("__dict__", "_far", "_layout", "_place", "_reader")
+    __slots__ = ("__dict__", "_layout", "_place", "_reader", "_sampler")
 
     _place: Place
     _layout: Layout
     _reader: Reader
-    #: Unsigned distances at the corners of the shards, (cz, cy, cx).
-    _far: NDArray[np.float64]
+    _sampler: Sampler
 
     def __init__(self) -> None:
         raise TypeError("a ZarrVolume is made by bake_to_zarr or open_zarr")
@@ -131,21 +128,16 @@ class ZarrVolume(GridField):
         volume._place, volume._layout = place, layout
         try:
             volume._reader = Reader(place, layout, group)
-            volume._far = np.abs(np.asarray(group["far/distances"][...], dtype=np.float64))
+            far = np.abs(np.asarray(group["far/distances"][...], dtype=np.float64))
         except KeyError as error:
             raise FormatError(
                 f"{place}: the plan was not finished ({error} is missing); call bake_to_zarr with the same options"
             ) from None
+        volume._sampler, volume._geometry = Sampler(layout, volume._reader, far), _StoredMesh(volume)
         facts: Any = group.attrs["fieldbake"]
         report = Report.from_dict(facts["report"])
-        bounds = np.array([layout.lower, layout.upper])
-        volume._stand_in(bounds, np.array(layout.inner), report, _StoredMesh(volume))
+        volume._set_box(layout.shape, np.array([layout.lower, layout.upper]), np.array(layout.inner), report)
         return volume
-
-    @property
-    def resolution(self) -> tuple[int, int, int]:
-        """Voxels of level 0 along x, y and z."""
-        return self._layout.shape
 
     @property
     def levels(self) -> tuple[tuple[int, int, int], ...]:
@@ -184,167 +176,17 @@ class ZarrVolume(GridField):
         """The mesh that was baked, read from the store."""
         return stores.read_mesh(self._place.open("r"))
 
-    def sample(self, points: ArrayLike, *, filter: Filter = "linear") -> NDArray[np.float32]:
-        """Evaluate the field at any points.
+    def _sample(self, points: NDArray[np.float64], filter: str) -> NDArray[np.float32]:
+        out = np.empty(len(points), dtype=np.float32)
+        for start in range(0, len(points), BATCH):
+            out[start : start + BATCH] = self._sampler.sample(points[start : start + BATCH], filter)
+        return out
 
-        Parameters
-        ----------
-        points : (n, 3) real
-            World positions of any leading shape.
-        filter : "linear" or "nearest", default "linear"
-            As for :meth:`Volume.sample`.
-
-        Returns
-        -------
-        (n,) float32
-            World units. Within the band the trilinear field; beyond it, and outside the box, a proven lower bound of
-            the distance, with its sign.
-
-        Raises
-        ------
-        ArgumentError
-            For a wrong shape, a point that is not finite, or an unknown filter.
-        FormatError
-            If a shard is missing or damaged; the message has its key.
-        """
-        flat, shape = checks.points(points)
-        checks.choice("filter", filter, ("linear", "nearest"))
-        out = np.empty(len(flat), dtype=np.float32)
-        for start in range(0, len(flat), BATCH):
-            out[start : start + BATCH] = self._sample(flat[start : start + BATCH], filter)
-        return out.reshape(shape)
-
-    def gradient(self, points: ArrayLike) -> NDArray[np.float32]:
-        """Evaluate the gradient of the trilinear field at points.
-
-        Beyond the band it is the gradient of the distances at the corners of the shards, interpolated linearly, and its
-        length is at most 1.
-
-        Parameters
-        ----------
-        points : (n, 3) real
-            World positions of any leading shape. A point outside the box is replaced by the nearest point of the box.
-
-        Returns
-        -------
-        (n, 3) float32
-            Distance per world unit.
-
-        Raises
-        ------
-        ArgumentError, FormatError
-            As for :meth:`sample`.
-        """
-        flat, shape = checks.points(points)
-        out = np.empty((len(flat), 3), dtype=np.float32)
-        for start in range(0, len(flat), BATCH):
-            out[start : start + BATCH] = self._gradient(flat[start : start + BATCH])
-        return out.reshape(*shape, 3)
-
-    def _hull(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points (n, 3) in voxels, moved to the hull of the voxel centres."""
-        places = (points - self._bounds[0]) / self.spacing - 0.5
-        clipped: NDArray[np.float64] = np.clip(places, 0, np.array(self.resolution) - 1.0)
-        return clipped
-
-    def _cells(self, places: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Distances at the eight samples around each place, (n, 2, 2, 2) in x, y, z order, and the fractions (n, 3)."""
-        last = np.array(self.resolution) - 1
-        base = np.minimum(np.floor(places), np.maximum(last - 1, 0)).astype(np.int64)
-        offsets = np.array([[i >> 2, i >> 1 & 1, i & 1] for i in range(8)])
-        index = np.minimum(base[:, None] + offsets, last).reshape(-1, 3)
-        return self._decode(self._reader.values_at(0, index)).reshape(-1, 2, 2, 2), places - base
-
-    def _decode(self, codes: NDArray[Any]) -> NDArray[np.float64]:
-        if not codes.size:
-            return np.zeros(codes.shape)
-        values = _core.decode(np.asfortranarray(codes.reshape(-1, 1, 1)), self.scale)
-        return np.asarray(values, dtype=np.float64).reshape(codes.shape)
-
-    def _is_far(self, corners: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Whether all samples of a cell are cut, on one side."""
-        low, high = corners.min(axis=(1, 2, 3)), corners.max(axis=(1, 2, 3))
-        cut = abs(float(self._decode(np.array([self._reader.fill]))[0])) * (1 - ROUNDING)
-        far: NDArray[np.bool_] = (low >= cut) | (high <= -cut)
-        return far
-
-    def _sample(self, points: NDArray[np.float64], filter: str) -> NDArray[np.float64]:
-        places = self._hull(points)
-        corners, share = self._cells(places)
-        centers = self._bounds[0] + (places + 0.5) * self.spacing
-        values = _trilinear(corners, share)
-        far = self._is_far(corners)
-        if filter == "nearest":
-            rounded = (share >= 0.5).astype(np.int64)
-            values = corners[np.arange(len(corners)), rounded[:, 0], rounded[:, 1], rounded[:, 2]]
-        # Jensen's inequality for the squares of the samples: see the core's module on bounds outside a box.
-        variance = (self.spacing**2 * share * (1 - share)).sum(axis=1)
-        squares = np.maximum(_trilinear(corners**2, share) - variance, 0)
-        outside = (places != (points - self._bounds[0]) / self.spacing - 0.5).any(axis=1)
-        needed = far | outside
-        squares[needed] = np.maximum(squares[needed], self._far_bound(centers[needed]) ** 2)
-        bound = np.sqrt(squares) * (1 - ROUNDING)
-        values = np.where(far, np.copysign(bound, corners[:, 0, 0, 0]), values)
-        if outside.any():
-            values[outside] = self._outside(points[outside], centers[outside], squares[outside])
-        return values
-
-    def _outside(
-        self, points: NDArray[np.float64], centers: NDArray[np.float64], squares: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Lower bounds outside the hull, from the squared bounds at its nearest points and the box of the surface."""
-        away = np.linalg.norm(points - centers, axis=1)
-        to_inner = np.linalg.norm(points - np.clip(points, *self._inner_bounds), axis=1)
-        half = self.spacing / 2
-        lower, upper = self._bounds[0] + half, self._bounds[1] - half
-        if (self._inner_bounds[0] >= lower).all() and (self._inner_bounds[1] <= upper).all():
-            found = np.maximum(np.sqrt(away**2 + squares), to_inner)
-        else:
-            found = np.maximum(np.sqrt(squares) - away, to_inner)
-        bound: NDArray[np.float64] = np.maximum(found, 0) * (1 - ROUNDING)
-        return bound
-
-    def _far_cells(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Distances at the corners of the shard of each point, (n, 2, 2, 2) in x, y, z order, and fractions (n, 3)."""
-        size = self.spacing * self._layout.shard
-        places = (points - self._bounds[0]) / size
-        last = np.array(self._far.shape[::-1]) - 2
-        base = np.clip(np.floor(places), 0, last).astype(np.int64)
-        corners = np.empty((len(points), 2, 2, 2))
-        for i in range(8):
-            x, y, z = i >> 2, i >> 1 & 1, i & 1
-            corners[:, x, y, z] = self._far[base[:, 2] + z, base[:, 1] + y, base[:, 0] + x]
-        return corners, places - base
-
-    def _far_bound(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """A lower bound of the unsigned distance, from the corners of the shards."""
-        corners, share = self._far_cells(points)
-        size = self.spacing * self._layout.shard
-        within = ((share >= 0) & (share <= 1)).all(axis=1)
-        clipped = np.clip(share, 0, 1)
-        variance = (size**2 * clipped * (1 - clipped)).sum(axis=1)
-        found = np.sqrt(np.maximum(_trilinear(corners**2, clipped) - variance, 0)) * within
-        # The distance changes by at most the way to a corner.
-        low, high = (share * size) ** 2, ((share - 1) * size) ** 2
-        for i in range(8):
-            x, y, z = i >> 2, i >> 1 & 1, i & 1
-            way = (high if x else low)[:, 0] + (high if y else low)[:, 1] + (high if z else low)[:, 2]
-            found = np.maximum(found, corners[:, x, y, z] - np.sqrt(way))
-        bound: NDArray[np.float64] = np.maximum(found * (1 - ROUNDING), 0)
-        return bound
-
-    def _gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        places = self._hull(points)
-        corners, share = self._cells(places)
-        slopes = _slopes(corners, share) / self.spacing
-        far = self._is_far(corners)
-        if far.any():
-            centers = self._bounds[0] + (places[far] + 0.5) * self.spacing
-            around, share = self._far_cells(centers)
-            coarse = _slopes(around, np.clip(share, 0, 1)) / (self.spacing * self._layout.shard)
-            coarse /= np.maximum(np.linalg.norm(coarse, axis=1, keepdims=True), 1)
-            slopes[far] = coarse * np.sign(corners[far, 0, 0, 0])[:, None]
-        return slopes
+    def _gradient(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
+        out = np.empty((len(points), 3), dtype=np.float32)
+        for start in range(0, len(points), BATCH):
+            out[start : start + BATCH] = self._sampler.gradient(points[start : start + BATCH])
+        return out
 
     def __getitem__(self, window: Any) -> Volume:
         """The part ``volume[x0:x1, y0:y1, z0:z1]`` of level 0 as a Volume; see :meth:`window`."""
@@ -398,9 +240,9 @@ class ZarrVolume(GridField):
         codes = self._reader.read(level, (x, y, z), (nx, ny, nz)).T
         bounds = np.array(grid.lower) + np.array([low, high]) * np.array(grid.spacing)
         if self.encoding == "float32":
-            return Volume._wrap(codes, bounds, self._inner_bounds.copy(), self._report, self._geometry)
+            return Volume._wrap(codes, bounds, self._inner_bounds, self._report, self._geometry)
         return QuantizedVolume._of(
-            codes, self.encoding, self.scale, bounds, self._inner_bounds.copy(), self._report, self._geometry
+            codes, self.encoding, self.scale, bounds, self._inner_bounds, self._report, self._geometry
         )
 
     def _checked_level(self, level: object) -> int:
@@ -447,7 +289,7 @@ class ZarrVolume(GridField):
         band = float(np.nextafter(np.float32(self.band * (1 - ROUNDING)), np.float32(0)))
         field = restore_field((grid.lower, grid.upper), grid.shape, band, self.scale, arrays)
         bounds = np.array([grid.lower, grid.upper])
-        return SparseVolume._wrap(field, bounds, self._inner_bounds.copy(), self._report, self._geometry)
+        return SparseVolume._wrap(field, bounds, self._inner_bounds, self._report, self._geometry)
 
     def _nodes(self, counts: list[int], lower: Any, spacing: NDArray[np.float64]) -> NDArray[np.float32]:
         """Lower bounds of the distance at the corners of bricks, x fastest; node 0 is at sample -1."""
@@ -458,7 +300,7 @@ class ZarrVolume(GridField):
         x, y = np.meshgrid(axes[0], axes[1], indexing="ij")
         for k, z in enumerate(axes[2]):
             points = np.stack([x.reshape(-1), y.reshape(-1), np.full(x.size, z)], axis=1)
-            nodes[:, :, k] = self._far_bound(points).reshape(x.shape)
+            nodes[:, :, k] = self._sampler.far_bound(points).reshape(x.shape)
         return nodes
 
     def _surface(self, level: float) -> _core.Surface:
@@ -467,14 +309,14 @@ class ZarrVolume(GridField):
         shape = np.array(self.resolution)
         for first, blocks, least, largest in self._reader.blocks(0, SIDE):
             # Decoding keeps the order of the values.
-            low, high = self._decode(least.reshape(-1)), self._decode(largest.reshape(-1))
+            low, high = self._sampler.decode(least.reshape(-1)), self._sampler.decode(largest.reshape(-1))
             steps = np.indices(blocks.shape[:3]).reshape(3, -1)[::-1].T
             origins = (first + steps) * SIDE - 1
             at_box = (origins < 0).any(axis=1) | (origins + SIDE >= shape).any(axis=1)
             crossed = (low < level) & (at_box | (high >= level))
             kept_origins.append(origins[crossed].astype(np.int32))
             chosen = blocks[crossed.reshape(least.shape)]
-            decoded: Any = self._decode(chosen.reshape(-1)).astype(np.float32)
+            decoded: Any = self._sampler.decode(chosen.reshape(-1)).astype(np.float32)
             kept_values.append(decoded.reshape(chosen.shape))
         starts, samples = np.concatenate(kept_origins), np.concatenate(kept_values)
         return _core.Surface.of_blocks(starts, samples, self._layout.lower, self._layout.upper, self.resolution, level)
@@ -559,32 +401,3 @@ class ZarrVolume(GridField):
             f"ZarrVolume({shape} voxels as {self.encoding}, {stored:,} of {total:,} shards of {shard} stored, "
             f"{self._layout.level_count} levels, {self._place})"
         )
-
-
-def _trilinear(corners: NDArray[np.float64], share: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Interpolate (n, 2, 2, 2) at fractions (n, 3)."""
-    x, y, z = share.T
-    along_x = corners[:, 0] * (1 - x)[:, None, None] + corners[:, 1] * x[:, None, None]
-    along_y = along_x[:, 0] * (1 - y)[:, None] + along_x[:, 1] * y[:, None]
-    values: NDArray[np.float64] = along_y[:, 0] * (1 - z) + along_y[:, 1] * z
-    return values
-
-
-def _slopes(corners: NDArray[np.float64], share: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Derivatives of the trilinear function along x, y and z, for cells of side 1, (n, 3)."""
-    x, y, z = (part[:, None, None] for part in share.T)
-    flat = np.zeros_like(share[:, 0])
-
-    def mean(differences: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-        rows = differences[:, 0] * (1 - a[:, :, 0]) + differences[:, 1] * a[:, :, 0]
-        result: NDArray[np.float64] = rows[:, 0] * (1 - b[:, 0, 0]) + rows[:, 1] * b[:, 0, 0] + flat
-        return result
-
-    return np.stack(
-        [
-            mean(corners[:, 1] - corners[:, 0], y, z),
-            mean(corners[:, :, 1] - corners[:, :, 0], x, z),
-            mean(corners[:, :, :, 1] - corners[:, :, :, 0], x, y),
-        ],
-        axis=1,
-    )

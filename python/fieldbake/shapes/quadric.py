@@ -329,7 +329,7 @@ class Quadric(Viewable):
         Parameters
         ----------
         language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
-            GLSL is that of WebGL 2 (ES 3.00); newer versions take it with another first line.
+            As for :meth:`Volume.shader`.
 
         Returns
         -------

@@ -62,6 +62,8 @@ class Convention:
 
     def blocks(self, blocks: BandBlocks, bounds: NDArray[np.float64]) -> BandBlocks:
         """A level set in the file's space. Blocks stay aligned, so voxels outside the grid may come before it."""
+        if self.is_identity:
+            return blocks
         order, scale = self.order, self.scale(bounds)
         counts = [blocks.inside.shape[axis] for axis in order]
         spacing, corner = blocks.spacing[list(order)] * scale, blocks.corners[:, order].copy()

@@ -3,77 +3,89 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import replace
-from typing import Any
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .. import _core
 from ..base import checks
 from ..base.errors import ArgumentError
-from ..base.report import Report
 from ..base.viewable import Viewable
 from ..meshes.isosurface import Source, as_source, extract
 from ..meshes.mesh import Mesh
-from .conventions import Convention
 from .neighbours import Neighbours
+
+Filter = Literal["linear", "nearest"]
 
 
 class GridField(Viewable, Neighbours):
     """A field on a grid over a box. Immutable."""
 
-    __slots__ = ("_bounds", "_geometry", "_inner_bounds", "_report")
+    __slots__ = ("_geometry",)
 
-    _bounds: NDArray[np.float64]
-    _inner_bounds: NDArray[np.float64]
-    _report: Report
     #: Mesh or shape that the field was computed from; None if it is not known.
     _geometry: Source | None
 
-    def _stand_in(
-        self,
-        bounds: NDArray[np.float64],
-        inner_bounds: NDArray[np.float64],
-        report: Report,
-        geometry: Source | None = None,
-    ) -> None:
-        """Set the box, the inner box, the report and the geometry, which have been checked."""
-        self._geometry = geometry
-        self._bounds = checks.frozen(bounds)
-        self._inner_bounds = checks.frozen(inner_bounds)
-        self._report = report
+    def sample(self, points: ArrayLike, *, filter: Filter = "linear") -> NDArray[np.float32]:
+        """Evaluate the field at points.
 
-    @property
-    def bounds(self) -> NDArray[np.float64]:
-        """Lower and upper corner of the box, (2, 3), world units. Samples lie half a voxel inside the box."""
-        return self._bounds
+        Parameters
+        ----------
+        points : (n, 3) real
+            World positions of any leading shape.
+        filter : "linear" or "nearest", default "linear"
+            Trilinear interpolation of the eight surrounding samples, or the nearest sample.
 
-    @property
-    def inner_bounds(self) -> NDArray[np.float64]:
-        """Box that contains the whole surface, (2, 3), world units."""
-        return self._inner_bounds
+        Returns
+        -------
+        (n,) float32
+            World units. Where the field has no samples, beyond the band of a sparse volume or of a field in a Zarr
+            store: a proven lower bound on the distance, with its sign. Outside the box: the proven lower bound
+            sqrt(a^2 + s^2), where `a` is the distance from the box of the outermost samples and `s` a lower bound at
+            the nearest point of that box.
 
-    @property
+        Raises
+        ------
+        ArgumentError
+            For a wrong shape, a point that is not finite, or an unknown filter.
+        FormatError
+            If a shard of a Zarr store is missing or damaged; the message has its key.
+        """
+        flat, shape = checks.points(points)
+        return self._sample(flat, checks.choice("filter", filter, ("linear", "nearest"))).reshape(shape)
+
+    def gradient(self, points: ArrayLike) -> NDArray[np.float32]:
+        """Evaluate the gradient of the trilinear field at points. On the surface it points outwards.
+
+        Parameters
+        ----------
+        points : (n, 3) real
+            World positions of any leading shape. A point outside the box is replaced by the nearest point of the box.
+
+        Returns
+        -------
+        (n, 3) float32
+            Distance per world unit. The length is about 1 away from edges of the field. Beyond the band of a field in a
+            Zarr store, distances at the corners of the shards are interpolated, and the length is at most 1.
+
+        Raises
+        ------
+        ArgumentError
+            For a wrong shape or a point that is not finite.
+        FormatError
+            As for :meth:`sample`.
+        """
+        flat, shape = checks.points(points)
+        return self._gradient(flat).reshape(*shape, 3)
+
     @abstractmethod
-    def resolution(self) -> tuple[int, int, int]:
-        """Number of voxels along x, y and z."""
+    def _sample(self, points: NDArray[np.float64], filter: str) -> NDArray[np.float32]:
+        """Evaluate the field at checked points, (n, 3)."""
 
-    @property
-    def spacing(self) -> NDArray[np.float64]:
-        """Size of a voxel, (3,), world units."""
-        return np.asarray((self._bounds[1] - self._bounds[0]) / np.array(self.resolution))
-
-    @property
-    def origin(self) -> NDArray[np.float64]:
-        """Centre of voxel (0, 0, 0), (3,), world units."""
-        corner: NDArray[np.float64] = self._bounds[0]
-        return corner + self.spacing / 2
-
-    @property
-    def report(self) -> Report:
-        """Properties of the surface and cost of the bake."""
-        return self._report
+    @abstractmethod
+    def _gradient(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Evaluate the gradient at checked points, (n, 3)."""
 
     def to_mesh(self, level: float = 0.0, *, sharp: bool = True, source: object = None, capped: bool = True) -> Mesh:
         """Extract the surface where the field has the value `level`, as a closed triangle mesh.
@@ -135,28 +147,3 @@ class GridField(Viewable, Neighbours):
     def _kept_distance(self) -> float | None:
         """Largest magnitude of a stored distance, world units; None without a limit."""
         return self._report.band or None
-
-    def _facts(self) -> dict[str, Any]:
-        """Metadata of the field that a file stores besides the samples."""
-        return {
-            "resolution": list(self.resolution),
-            "bounds": self._bounds.tolist(),
-            "inner_bounds": self._inner_bounds.tolist(),
-            "report": self._report.to_dict(),
-        }
-
-    def _turned_boxes(self, way: Convention) -> tuple[NDArray[np.float64], NDArray[np.float64], Report]:
-        """Box, inner box and report in the space of a convention."""
-        placed = way.transform(self._bounds)
-        scale = way.scale(self._bounds)
-        found = self._report
-        report = replace(found, band=found.band * scale, chord_error=found.chord_error * scale)
-        return way.box(self._bounds, placed), way.box(self._inner_bounds, placed), report
-
-    def _corners(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        return checks.triple(self._bounds[0]), checks.triple(self._bounds[1])
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if hasattr(self, name):
-            raise AttributeError(f"a {type(self).__name__} cannot be changed ({name}); make a new one")
-        super().__setattr__(name, value)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import importlib
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..base import checks
 from ..base.errors import ArgumentError, Error
 from ..meshes.mesh import Mesh
+from .grid_box import GridBox
 
 #: Name of the samples in other libraries.
 NAME = "distances"
@@ -20,14 +21,6 @@ NAME = "distances"
 UNEVEN = 1e-4
 #: Slices that are checked at once.
 SLAB = 16
-
-
-class Coordinates(NamedTuple):
-    """Positions of the voxel centres along each axis, world units."""
-
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    z: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -62,53 +55,14 @@ class FieldCheck:
         return self.sign == "negative inside" and abs(self.gradient - 1) <= 0.05 and self.steepest <= 1.01
 
 
-class Neighbours(ABC):
-    """Methods of a grid that other libraries' objects are made from."""
+class Neighbours(GridBox):
+    """A grid with methods that make objects of other libraries from it."""
 
     __slots__ = ()
-
-    @property
-    @abstractmethod
-    def distances(self) -> NDArray[np.float32]:
-        """Samples (nx, ny, nz), world units."""
-
-    @property
-    @abstractmethod
-    def resolution(self) -> tuple[int, int, int]:
-        """Voxels along x, y and z."""
-
-    @property
-    @abstractmethod
-    def bounds(self) -> NDArray[np.float64]:
-        """Lower and upper corner of the box, (2, 3)."""
-
-    @property
-    @abstractmethod
-    def origin(self) -> NDArray[np.float64]:
-        """Centre of voxel (0, 0, 0)."""
-
-    @property
-    @abstractmethod
-    def spacing(self) -> NDArray[np.float64]:
-        """Size of a voxel."""
-
-    @property
-    @abstractmethod
-    def inner_bounds(self) -> NDArray[np.float64]:
-        """Box that contains the whole surface."""
 
     @abstractmethod
     def to_mesh(self) -> Mesh:
         """Extract the zero surface."""
-
-    @property
-    def coordinates(self) -> Coordinates:
-        """Positions of the voxel centres along x, y and z: three float64 arrays of lengths nx, ny and nz."""
-        x, y, z = (
-            start + np.arange(count) * step
-            for start, count, step in zip(self.origin, self.resolution, self.spacing, strict=True)
-        )
-        return Coordinates(x, y, z)
 
     def to_pyvista(self) -> Any:
         """Convert the volume to a PyVista ``ImageData``.

@@ -46,10 +46,9 @@ class QuantizedVolume(Volume):
     ) -> QuantizedVolume:
         """Make a volume of a checked array with x fastest in memory."""
         volume = cls.__new__(cls)
-        nx, ny, nz = encoded.shape
         volume._encoded, volume._encoding, volume._unit = checks.frozen(encoded), encoding, scale
-        volume._field, volume._samples, volume._shape = None, None, (nx, ny, nz)
-        volume._stand_in(bounds, inner_bounds, report, geometry)
+        volume._field, volume._samples, volume._geometry = None, None, geometry
+        volume._set_box(encoded.shape, bounds, inner_bounds, report)
         return volume
 
     @property

@@ -8,11 +8,12 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from .. import _core
 from ..base import checks
 from ..base.errors import ArgumentError
+from ..base.loadable import Loadable
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report, bytes_text
 from ..files import container
@@ -20,14 +21,15 @@ from ..files.band_blocks import BandBlocks
 from ..meshes.isosurface import Source
 from . import writers
 from .brick_blocks import blocks_of_bricks
-from .conventions import Convention, Engine, Handedness, Up
+from .conventions import Engine, Handedness, Up
 from .grid_field import GridField
-from .shader import Language, ShaderBuffers, sparse_buffers, sparse_text
-from .volume import Filter, Volume
+from .shaded import Shaded
+from .shader import ShaderBuffers, sparse_buffers, sparse_text
+from .volume import Volume
 from .writers import SaveOptions
 
 
-class SparseVolume(GridField):
+class SparseVolume(GridField, Loadable, Shaded):
     """Signed distances as bricks of 8^3 samples near the surface, and bounds everywhere else. Immutable.
 
     Made by :func:`fieldbake.bake_sparse` or :meth:`Volume.to_sparse`. It is sampled and drawn like a `Volume`.
@@ -58,14 +60,9 @@ class SparseVolume(GridField):
         geometry: Source | None = None,
     ) -> SparseVolume:
         volume = cls.__new__(cls)
-        volume._core_field = field
-        volume._stand_in(bounds, inner_bounds, report, geometry)
+        volume._core_field, volume._geometry = field, geometry
+        volume._set_box(field.shape, bounds, inner_bounds, report)
         return volume
-
-    @property
-    def resolution(self) -> tuple[int, int, int]:
-        """Number of voxels of the whole grid along x, y and z."""
-        return self._core_field.shape
 
     @property
     def encoding(self) -> str:
@@ -97,60 +94,11 @@ class SparseVolume(GridField):
         dense = self._core_field.dense()
         return Volume._wrap(dense, self._bounds, self._inner_bounds, self._report, self._geometry)
 
-    def sample(self, points: ArrayLike, *, filter: Filter = "linear") -> NDArray[np.float32]:
-        """Evaluate the field at points.
+    def _sample(self, points: NDArray[np.float64], filter: str) -> NDArray[np.float32]:
+        return self._core_field.sample(*self._inner_corners(), points, filter=filter)
 
-        Parameters
-        ----------
-        points : (n, 3) real
-            World positions of any leading shape.
-        filter : "linear" or "nearest", default "linear"
-            As for :meth:`Volume.sample`.
-
-        Returns
-        -------
-        (n,) float32
-            World units. In bricks near the surface: the trilinear field. Elsewhere and outside the box: a proven lower
-            bound on the distance, with its sign.
-
-        Raises
-        ------
-        ArgumentError
-            For a wrong shape, a point that is not finite, or an unknown filter.
-        """
-        flat, shape = checks.points(points)
-        inner = checks.triple(self._inner_bounds[0]), checks.triple(self._inner_bounds[1])
-        return self._core_field.sample(*inner, flat, filter=checks.text("filter", filter)).reshape(shape)
-
-    def gradient(self, points: ArrayLike) -> NDArray[np.float32]:
-        """Evaluate the gradient of the field at points, (n, 3); see :meth:`Volume.gradient`."""
-        flat, shape = checks.points(points)
-        return self._core_field.gradient(flat).reshape(*shape, 3)
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> SparseVolume:
-        """Read a file that holds a sparse volume.
-
-        Parameters
-        ----------
-        path : str or path
-            A file that :meth:`save` wrote.
-
-        Returns
-        -------
-        SparseVolume
-            Equal bit for bit to the saved volume.
-
-        Raises
-        ------
-        FileNotFoundError
-            If there is no such file.
-        FormatError
-            If the file holds another kind of object, is damaged, or was written by a newer version.
-        """
-        from ..loading.readers import load_as
-
-        return load_as(cls, path)
+    def _gradient(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
+        return self._core_field.gradient(points)
 
     def _surface(self, level: float) -> _core.Surface:
         return _core.Surface.of_sparse(self._core_field, level)
@@ -189,7 +137,7 @@ class SparseVolume(GridField):
         target = Path(os.fsdecode(path))
         options = SaveOptions(encoding, band, compression, False, None, engine, handedness, up, normalize)
         if target.suffix.lower() in writers.SPARSE_ENDINGS:
-            writers.write(target, self, options)
+            writers.write(target, self, self._blocks, options)
             return
         container.check_ending(target, "sparse")
         if options != SaveOptions():
@@ -198,37 +146,14 @@ class SparseVolume(GridField):
         facts = {"encoding": field.encoding, "scale": field.scale, "band": field.band}
         container.write(target, {**container.head("sparse", field.encoding), **self._facts(), **facts}, field.arrays())
 
-    def _blocks(self, band: float) -> BandBlocks:
-        """The narrow band of a level set, `band` in world units."""
-        return blocks_of_bricks(self._core_field, self.sample, self.origin, self.spacing, band)
+    def _blocks(self, placed: writers.Placed, band: float) -> BandBlocks:
+        own = blocks_of_bricks(self._core_field, self.sample, self.origin, self.spacing, band / placed.scale)
+        return placed.way.blocks(own, self._bounds)
 
-    def _turned(self, way: Convention) -> _TurnedSparse:
-        """The properties that a writer of level sets reads, in the space of a convention."""
-        return _TurnedSparse(self, way)
-
-    def shader(self, language: Language = "wgsl") -> str:
-        """Write functions that evaluate the field in a shader.
-
-        Parameters
-        ----------
-        language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
-            GLSL is that of WebGL 2 (ES 3.00); newer versions take it with another first line.
-
-        Returns
-        -------
-        str
-            ``sparse_distance(p)``: the distance at a world position. Box and encoding are constants of the text;
-            the textures are those of :meth:`shader_buffers`. An entry point makes it a whole shader.
-
-        Raises
-        ------
-        ArgumentError
-            For another language.
-        """
+    def _shader_text(self, language: object) -> str:
         return sparse_text(self, language)
 
-    def shader_buffers(self) -> ShaderBuffers:
-        """List the textures that the shader reads, with their formats; ``to_bytes()`` gives the bytes to upload."""
+    def _shader_textures(self) -> ShaderBuffers:
         return sparse_buffers(self)
 
     def _source(self, device: str) -> _core.SparseField:
@@ -249,43 +174,6 @@ class SparseVolume(GridField):
         shape = " x ".join(str(side) for side in self.resolution)
         bricks = sum(self.brick_counts.values())
         return f"SparseVolume({shape} voxels, {bricks:,} bricks as {self.encoding}, {bytes_text(self.nbytes)})"
-
-
-class _TurnedSparse(GridField):
-    """A sparse volume in the space of a convention, as far as writers of level sets read it."""
-
-    __slots__ = ("_volume", "_way")
-
-    _volume: SparseVolume
-    _way: Convention
-
-    def __init__(self, volume: SparseVolume, way: Convention) -> None:
-        self._volume, self._way = volume, way
-        self._stand_in(*volume._turned_boxes(way))
-
-    @property
-    def resolution(self) -> tuple[int, int, int]:
-        nx, ny, nz = (self._volume.resolution[axis] for axis in self._way.order)
-        return nx, ny, nz
-
-    @property
-    def distances(self) -> NDArray[np.float32]:
-        distances: NDArray[np.float32] = self._way.array(self._volume.distances) * np.float32(self._scale)
-        return distances
-
-    @property
-    def _scale(self) -> float:
-        return self._way.scale(self._volume.bounds)
-
-    def _surface(self, level: float) -> _core.Surface:
-        raise NotImplementedError
-
-    def _kept_distance(self) -> float | None:
-        kept = self._volume._kept_distance()
-        return None if kept is None else kept * self._scale
-
-    def _blocks(self, band: float) -> BandBlocks:
-        return self._way.blocks(self._volume._blocks(band / self._scale), self._volume.bounds)
 
 
 def _restore(
@@ -322,15 +210,15 @@ def to_sparse(
 ) -> SparseVolume:
     """See :meth:`Volume.to_sparse`."""
     options = sparse_options(band, tolerance, encoding)
-    inner = volume.inner_bounds
+    inner_lower, inner_upper = volume._inner_corners()
     with progress_callback(progress, "bricks") as callback:
         field = _core.to_sparse(
             volume._texels,
             *volume._corners(),
-            checks.triple(inner[0]),
-            checks.triple(inner[1]),
+            inner_lower,
+            inner_upper,
             scale=volume._scale,
             progress=callback,
             **options,
         )
-    return SparseVolume._wrap(field, volume.bounds, inner, volume.report, volume._geometry)
+    return SparseVolume._wrap(field, volume.bounds, volume.inner_bounds, volume.report, volume._geometry)

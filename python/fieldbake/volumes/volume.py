@@ -13,16 +13,18 @@ from .. import _core
 from ..base import checks
 from ..base.encodings import Encoding
 from ..base.errors import ArgumentError
+from ..base.loadable import Loadable
 from ..base.progress import Progress
 from ..base.report import Report, bytes_text
 from ..files import container
 from ..files.band_blocks import BandBlocks, blocks_of_grid
 from ..meshes.isosurface import Source
 from . import writers
-from .conventions import Convention, Engine, Handedness, Up
+from .conventions import Engine, Handedness, Up
 from .grid_field import GridField
 from .neighbours import grid_of_xarray
-from .shader import Language, ShaderBuffers, volume_buffers, volume_text
+from .shaded import Shaded
+from .shader import ShaderBuffers, volume_buffers, volume_text
 from .writers import SaveOptions
 
 if TYPE_CHECKING:
@@ -31,10 +33,8 @@ if TYPE_CHECKING:
     from .quantized import QuantizedVolume
     from .sparse import SparseVolume
 
-Filter = Literal["linear", "nearest"]
 
-
-class Volume(GridField):
+class Volume(GridField, Loadable, Shaded):
     """Signed distances on a regular grid: negative inside, in the mesh's own units. Immutable.
 
     Made by :func:`fieldbake.bake`, by :func:`fieldbake.load`, or from an array.
@@ -65,12 +65,11 @@ class Volume(GridField):
     [[1.0, 0.0, 0.0]]
     """
 
-    __slots__ = ("_field", "_samples", "_shape")
+    __slots__ = ("_field", "_samples")
 
     # Samples on a graphics device, and on the host. At least one of the two is present.
     _field: _core.DeviceField | None
     _samples: NDArray[np.float32] | None
-    _shape: tuple[int, int, int]
 
     def __init__(
         self,
@@ -96,9 +95,8 @@ class Volume(GridField):
             self._field, self._samples = distances, None
         else:
             self._field, self._samples = None, checks.frozen(distances)
-        nx, ny, nz = distances.shape
-        self._shape = (nx, ny, nz)
-        self._stand_in(bounds, inner_bounds, report, geometry)
+        self._geometry = geometry
+        self._set_box(distances.shape, bounds, inner_bounds, report)
 
     @classmethod
     def _wrap(
@@ -162,11 +160,6 @@ class Volume(GridField):
         return self._distances[...]
 
     @property
-    def resolution(self) -> tuple[int, int, int]:
-        """Number of voxels along x, y and z."""
-        return self._shape
-
-    @property
     def nbytes(self) -> int:
         """Memory of the samples, bytes."""
         nx, ny, nz = self._shape
@@ -202,63 +195,15 @@ class Volume(GridField):
     def __dlpack_device__(self) -> tuple[int, int]:
         return self._distances.__dlpack_device__()
 
-    def sample(self, points: ArrayLike, *, filter: Filter = "linear") -> NDArray[np.float32]:
-        """Evaluate the field at points.
-
-        Parameters
-        ----------
-        points : (n, 3) real
-            World positions of any leading shape.
-        filter : "linear" or "nearest", default "linear"
-            Trilinear interpolation of the eight surrounding samples, or the nearest sample.
-
-        Returns
-        -------
-        (n,) float32
-            World units. Outside the box: a proven lower bound on the distance. It is sqrt(a^2 + s^2), where `a` is the
-            distance from the box of the outermost samples and `s` a lower bound at the nearest point of that box.
-
-        Raises
-        ------
-        ArgumentError
-            For a wrong shape, a point that is not finite, or an unknown filter.
-        """
-        flat, shape = checks.points(points)
+    def _sample(self, points: NDArray[np.float64], filter: str) -> NDArray[np.float32]:
         lower, upper = self._corners()
-        inner = self._inner_bounds
-        values = _core.sample(
-            self._texels,
-            lower,
-            upper,
-            checks.triple(inner[0]),
-            checks.triple(inner[1]),
-            flat,
-            filter=checks.text("filter", filter),
-            scale=self._scale,
+        inner_lower, inner_upper = self._inner_corners()
+        return _core.sample(
+            self._texels, lower, upper, inner_lower, inner_upper, points, filter=filter, scale=self._scale
         )
-        return values.reshape(shape)
 
-    def gradient(self, points: ArrayLike) -> NDArray[np.float32]:
-        """Evaluate the gradient of the trilinear field at points. On the surface it points outwards.
-
-        Parameters
-        ----------
-        points : (n, 3) real
-            World positions of any leading shape. A point outside the box is replaced by the nearest point of the box.
-
-        Returns
-        -------
-        (n, 3) float32
-            Distance per world unit. The length is about 1 away from edges of the field.
-
-        Raises
-        ------
-        ArgumentError
-            For a wrong shape or a point that is not finite.
-        """
-        flat, shape = checks.points(points)
-        lower, upper = self._corners()
-        return _core.gradient(self._texels, lower, upper, flat, scale=self._scale).reshape(*shape, 3)
+    def _gradient(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
+        return _core.gradient(self._texels, *self._corners(), points, scale=self._scale)
 
     def _surface(self, level: float) -> _core.Surface:
         return _core.Surface.of_field(self._texels, *self._corners(), level, scale=self._scale)
@@ -383,31 +328,6 @@ class Volume(GridField):
 
         return to_sparse(self, tolerance, band, encoding, progress)
 
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Volume:
-        """Read a file that holds a volume.
-
-        Parameters
-        ----------
-        path : str or path
-            A file that :meth:`save` wrote.
-
-        Returns
-        -------
-        Volume
-            Equal bit for bit to the saved volume.
-
-        Raises
-        ------
-        FileNotFoundError
-            If there is no such file.
-        FormatError
-            If the file holds another kind of object, is damaged, or was written by a newer version.
-        """
-        from ..loading.readers import load_as
-
-        return load_as(cls, path)
-
     def save(
         self,
         path: str | os.PathLike[str],
@@ -474,48 +394,20 @@ class Volume(GridField):
 
     def _save(self, target: Path, options: SaveOptions) -> None:
         if target.suffix.lower() in writers.ENDINGS:
-            writers.write(target, self, options)
+            writers.write(target, self, self._blocks, options)
             return
         container.check_ending(target, "volume")
         options.check(".npz")
-        way = options.convention()
-        placed, facts = (self, {}) if way.is_identity else (self._turned(way), way.facts(self._bounds))
-        facts = {**container.head("volume"), **placed._facts(), **facts}
-        container.write(target, facts, {"distances": placed.distances})
+        placed = writers.Placed(self, self._blocks, options.convention())
+        container.write(target, {**container.head("volume"), **placed.facts}, {"distances": placed.distances})
 
-    def _blocks(self, band: float) -> BandBlocks:
-        """The narrow band of a level set, `band` in world units."""
-        return blocks_of_grid(self._distances, self.origin, self.spacing, band)
+    def _blocks(self, placed: writers.Placed, band: float) -> BandBlocks:
+        return blocks_of_grid(placed.distances, placed.origin, placed.spacing, band)
 
-    def _turned(self, way: Convention) -> Volume:
-        """The volume in the space of a convention."""
-        distances = way.array(self._distances) * np.float32(way.scale(self._bounds))
-        return Volume._wrap(distances, *self._turned_boxes(way))
-
-    def shader(self, language: Language = "wgsl") -> str:
-        """Write functions that evaluate the field in a shader.
-
-        Parameters
-        ----------
-        language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
-            GLSL is that of WebGL 2 (ES 3.00); newer versions take it with another first line.
-
-        Returns
-        -------
-        str
-            ``field_distance(p)``, the distance at a world position, and ``field_gradient(p)``. Box and encoding are
-            constants of the text;
-            the textures are those of :meth:`shader_buffers`. An entry point makes it a whole shader.
-
-        Raises
-        ------
-        ArgumentError
-            For another language.
-        """
+    def _shader_text(self, language: object) -> str:
         return volume_text(self, language)
 
-    def shader_buffers(self) -> ShaderBuffers:
-        """List the textures that the shader reads, with their formats; ``to_bytes()`` gives the bytes to upload."""
+    def _shader_textures(self) -> ShaderBuffers:
         return volume_buffers(self)
 
     def __reduce__(self) -> tuple[Any, ...]:

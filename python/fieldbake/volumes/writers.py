@@ -20,9 +20,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,7 @@ from ..files import container, flipbook, nanovdb, nrrd, openvdb, sidecar, textur
 from ..files.band_blocks import BandBlocks
 from ..files.container import atomic_write, head
 from .conventions import Convention, convention
+from .grid_field import GridField
 
 #: Endings of the files that :func:`write` can write for a dense and for a sparse volume.
 ENDINGS = container.ENDINGS["volume"][1:]
@@ -60,39 +61,66 @@ LEVEL_SET_BAND = 3.0
 GRID_NAME = "surface"
 WRITER = f"fieldbake {_core.__version__}"
 
+#: Makes the level set of a volume in the space of a file; the number is the half width of its band, units of the file.
+Blocks = Callable[["Placed", float], BandBlocks]
 
-class Placed(Protocol):
-    """The properties of a volume that writers read, in the space of the file."""
 
-    @property
-    def bounds(self) -> NDArray[np.float64]:
-        """Lower and upper corner of the box."""
+class Placed:
+    """A volume in the space of a file.
 
-    @property
-    def origin(self) -> NDArray[np.float64]:
-        """Centre of the first voxel."""
+    Attributes
+    ----------
+    way : Convention
+        Axes and units of the file.
+    scale : float
+        Length in the file of a world unit.
+    bounds : (2, 3) float64
+        Lower and upper corner of the box in the space of the file.
+    resolution : tuple of int
+        Voxels along the axes of the file.
+    spacing, origin : (3,) float64
+        Size of a voxel, and centre of the first voxel.
+    """
 
-    @property
-    def spacing(self) -> NDArray[np.float64]:
-        """Size of a voxel."""
-
-    @property
-    def resolution(self) -> tuple[int, int, int]:
-        """Voxels along x, y and z."""
+    def __init__(self, field: GridField, blocks: Blocks, way: Convention) -> None:
+        self._field, self._blocks, self.way = field, blocks, way
+        self.scale = way.scale(field.bounds)
+        self.bounds = way.box(field.bounds, way.transform(field.bounds))
+        nx, ny, nz = (field.resolution[axis] for axis in way.order)
+        self.resolution = (nx, ny, nz)
+        self.spacing = (self.bounds[1] - self.bounds[0]) / np.array(self.resolution)
+        self.origin = self.bounds[0] + self.spacing / 2
 
     @property
     def distances(self) -> NDArray[np.float32]:
-        """Samples."""
+        """Samples along the axes of the file, x fastest, in units of the file."""
+        samples: NDArray[np.float32] = self.way.array(self._field.distances)
+        return samples * np.float32(self.scale) if self.way.normalize else samples
 
-    def _facts(self) -> dict[str, Any]: ...
-    def _kept_distance(self) -> float | None: ...
-    def _blocks(self, band: float) -> BandBlocks: ...
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Metadata of the field that a file stores besides the samples."""
+        field, scale, report = self._field, self.scale, self._field.report
+        inner = self.way.box(field.inner_bounds, self.way.transform(field.bounds))
+        scaled = replace(report, band=report.band * scale, chord_error=report.chord_error * scale)
+        return {
+            **field._facts(),
+            "resolution": list(self.resolution),
+            "bounds": self.bounds.tolist(),
+            "inner_bounds": inner.tolist(),
+            "report": scaled.to_dict(),
+            **self.way.facts(field.bounds),
+        }
 
+    @property
+    def kept_distance(self) -> float | None:
+        """Largest magnitude of a stored distance, units of the file; None without a limit."""
+        kept = self._field._kept_distance()
+        return None if kept is None else kept * self.scale
 
-class Field(Placed, Protocol):
-    """A volume that can be placed in the space of a file."""
-
-    def _turned(self, way: Convention) -> Placed: ...
+    def blocks(self, band: float) -> BandBlocks:
+        """The level set with the half width `band`, units of the file."""
+        return self._blocks(self, band)
 
 
 @dataclass(frozen=True)
@@ -140,30 +168,25 @@ def _words(endings: tuple[str, ...]) -> str:
 
 
 class _File(NamedTuple):
-    """A file to write: a volume in its space, and the facts of that volume."""
+    """A file to write: a volume in the space of the file, and the options."""
 
     target: Path
     field: Placed
     options: SaveOptions
-    way: Convention
-    facts: dict[str, Any]
 
 
-def write(target: Path, field: Field, options: SaveOptions) -> None:
-    """Write a volume as the file that the ending of `target` names."""
+def write(target: Path, field: GridField, blocks: Blocks, options: SaveOptions) -> None:
+    """Write a volume as the file that the ending of `target` names; `blocks` makes its level set."""
     ending = target.suffix.lower()
     options.check(ending)
-    way = options.convention()
-    facts = way.facts(field.bounds)
-    placed: Placed = field if way.is_identity else field._turned(way)
-    _WRITERS[ending](_File(target, placed, options, way, {**placed._facts(), **facts}))
+    _WRITERS[ending](_File(target, Placed(field, blocks, options.convention()), options))
 
 
 def _texture(file: _File) -> None:
     encoding = file.options.encoding or "float32"
     band = encodings.DEFAULT_BAND if file.options.band is None else file.options.band
     scale = encodings.scale_of(encoding, file.field.spacing, band)
-    facts = _texel_facts(file.target, encoding, scale, file.facts)
+    facts = _texel_facts(file.target, encoding, scale, file.field.facts)
     levels = [file.field.distances]
     if file.options.mipmaps:
         corners = checks.triple(file.field.bounds[0]), checks.triple(file.field.bounds[1])
@@ -174,7 +197,7 @@ def _texture(file: _File) -> None:
         if file.target.suffix.lower() == ".dds":
             texture_files.write_dds(stream, texture)
         else:
-            texture_files.write_ktx2(stream, texture, "rui" if file.way.handedness == "left" else "ruo", WRITER)
+            texture_files.write_ktx2(stream, texture, "rui" if file.field.way.handedness == "left" else "ruo", WRITER)
     if file.target.suffix.lower() == ".dds":
         sidecar.write_beside(file.target, facts)
 
@@ -193,28 +216,28 @@ def _texels(distances: NDArray[np.float32], encoding: str, scale: float) -> NDAr
 def _sheet(file: _File) -> None:
     encoding = file.options.encoding or "float32"
     scale = encodings.scale_of(encoding, file.field.spacing, 1.0)
-    columns = 1 if file.options.columns is None and file.way.engine == "godot" else file.options.columns
-    sheet = flipbook.arrange(file.field.resolution, columns, upwards=file.way.engine == "unity")
+    columns = 1 if file.options.columns is None and file.field.way.engine == "godot" else file.options.columns
+    sheet = flipbook.arrange(file.field.resolution, columns, upwards=file.field.way.engine == "unity")
     pixels = flipbook.to_pixels(_texels(file.field.distances, encoding, scale), sheet)
     content = _core.exr_write(pixels.reshape(-1).view(np.uint8), *sheet.size, encoding)
-    facts = {**_texel_facts(file.target, encoding, scale, file.facts), "sheet": sheet.facts()}
+    facts = {**_texel_facts(file.target, encoding, scale, file.field.facts), "sheet": sheet.facts()}
     sidecar.write_beside(file.target, facts)
     with atomic_write(file.target) as stream:
         stream.write(content)
-    if file.way.engine == "unity":
+    if file.field.way.engine == "unity":
         flipbook.write_unity(file.target, sheet, encoding)
-    elif file.way.engine == "godot":
+    elif file.field.way.engine == "godot":
         flipbook.write_godot(file.target, sheet)
 
 
 def _vector_field(file: _File) -> None:
     with atomic_write(file.target) as stream:
         vector_field.write(stream, file.field.distances)
-    sidecar.write_beside(file.target, _texel_facts(file.target, "float32", 1.0, file.facts))
+    sidecar.write_beside(file.target, _texel_facts(file.target, "float32", 1.0, file.field.facts))
 
 
 def _level_set(file: _File) -> None:
-    kept = file.field._kept_distance()
+    kept = file.field.kept_distance
     voxel = float(file.field.spacing.max())
     band = (LEVEL_SET_BAND if file.options.band is None else file.options.band) * voxel
     if kept is not None and kept < band:
@@ -223,8 +246,11 @@ def _level_set(file: _File) -> None:
                 f"band: the volume keeps distances up to {kept / voxel:.3g} voxels, got {file.options.band:g}"
             )
         band = kept
-    blocks = file.field._blocks(band)
-    facts = {**_texel_facts(file.target, file.options.encoding or "float32", 1.0, file.facts), "band": blocks.band}
+    blocks = file.field.blocks(band)
+    facts = {
+        **_texel_facts(file.target, file.options.encoding or "float32", 1.0, file.field.facts),
+        "band": blocks.band,
+    }
     with atomic_write(file.target) as stream:
         if file.target.suffix.lower() == ".vdb":
             strings = {"creator": WRITER, "fieldbake": json.dumps(facts)}
@@ -237,7 +263,7 @@ def _level_set(file: _File) -> None:
 
 
 def _grid(file: _File) -> None:
-    text = json.dumps(_texel_facts(file.target, "float32", 1.0, file.facts))
+    text = json.dumps(_texel_facts(file.target, "float32", 1.0, file.field.facts))
     save = vti.write if file.target.suffix.lower() == ".vti" else nrrd.write
     is_packed = file.options.compression != "none"
     with atomic_write(file.target) as stream:

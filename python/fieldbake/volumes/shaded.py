@@ -1,0 +1,48 @@
+"""Fields that a shader can evaluate."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+from .shader import Language, ShaderBuffers
+
+
+class Shaded(ABC):
+    """Base class of stored fields with shader text."""
+
+    __slots__ = ()
+
+    def shader(self, language: Language = "wgsl") -> str:
+        """Write functions that evaluate the field in a shader.
+
+        Parameters
+        ----------
+        language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
+            GLSL is that of WebGL 2 (ES 3.00); newer versions take it with another first line.
+
+        Returns
+        -------
+        str
+            The distance at a world position ``p`` is ``field_distance(p)`` for a `Volume`, ``sparse_distance(p)`` for a
+            `SparseVolume` and ``nested_distance(p)`` for a `NestedField`; ``field_gradient(p)`` is the gradient of a
+            `Volume`. Box and encoding are constants of the text; the textures are those of :meth:`shader_buffers`. An
+            entry point makes it a whole shader.
+
+        Raises
+        ------
+        ArgumentError
+            For another language.
+        """
+        return self._shader_text(language)
+
+    def shader_buffers(self) -> ShaderBuffers:
+        """List the textures that the shader reads, with their formats; ``to_bytes()`` gives the bytes to upload."""
+        return self._shader_textures()
+
+    @abstractmethod
+    def _shader_text(self, language: object) -> str:
+        """Text of the functions; the language is checked here."""
+
+    @abstractmethod
+    def _shader_textures(self) -> ShaderBuffers:
+        """Textures of the text, in the order of their bindings."""
