@@ -133,7 +133,8 @@ def test_no_modules_import_each_other_in_a_circle():
 
 
 def test_only_named_exceptions_are_imported_late():
-    late = {found.edge for found in all_imports() if found.deferred}
+    # `import fieldbake` imports every module at the first use of its names.
+    late = {found.edge for found in all_imports() if found.deferred and found.importer != "fieldbake"}
 
     assert late <= exceptions()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Sequence
 from time import perf_counter
@@ -15,6 +14,7 @@ from .. import _core
 from ..base import checks
 from ..base.errors import ArgumentError, ShapeError
 from ..base.grid import DEFAULT_RESOLUTION, Grid, Resolution, make_grid
+from ..base.log import logger
 from ..base.notices import warn_surface
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report
@@ -24,8 +24,6 @@ from ..meshes.mesh import Mesh
 from ..queries.common import Sign, check_reach, choices
 from ..shapes.shape import Shape, all_shapes, combine
 from ..volumes.volume import Volume
-
-logger = logging.getLogger("fieldbake")
 
 #: Largest distance of a sample from the centre of the mesh, in mesh sizes. The core squares it in float32.
 MAX_GRID_REACH = 1e15

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..baking.dense import bake
+from ..base.log import logger
 from ..base.progress import Progress
 from ..base.report import bytes_text
 from ..drawing.frame import bytes_from_unit, save_image
@@ -21,8 +21,6 @@ from ..meshes.mesh import Mesh
 from ..models import gear, torus_knot
 from ..scenes.camera import Camera
 from ..volumes.volume import Volume
-
-logger = logging.getLogger("fieldbake")
 
 SIZE = (640, 480)
 

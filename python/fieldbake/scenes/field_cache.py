@@ -9,7 +9,6 @@ Nothing is written unless that variable is set or :func:`use_disk` was called.
 from __future__ import annotations
 
 import hashlib
-import logging
 import os
 from collections import OrderedDict
 from collections.abc import Sequence
@@ -24,6 +23,7 @@ from ..atlases.atlas import AtlasEntry
 from ..baking.dense import bake, bake_job, prepare
 from ..base import checks
 from ..base.errors import FormatError
+from ..base.log import logger
 from ..loading.readers import load
 from ..merging.nested import NestedField
 from ..meshes.alpha_mask import kept_triangles
@@ -33,8 +33,6 @@ from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume
 from .sheets import FLAT, Look, sheet_of
-
-logger = logging.getLogger("fieldbake")
 
 #: Memory limit of the fields, bytes. The least recently used field is dropped first.
 MEMORY_BYTES = 1 << 30
