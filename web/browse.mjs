@@ -1,26 +1,30 @@
-// Open pages in Chromium without a network and evaluate an expression in each. Standard input: {"jobs": [{"url", "expression",
-// "width", "height", "screenshot"}]}. Standard output: one result for each job: its value, errors of the console, requests.
+// Open pages in Chromium without a network. Standard input: {"executable", "jobs": [{"url", "expression" or "script", "before",
+// "width", "height", "screenshot", "online"}]}. An expression is evaluated in the page; a script is the body of an asynchronous
+// function of `page`, the object of playwright; `before` runs in each frame before its own scripts.
+// Standard output: one result for each job: its value, errors and warnings of the console, requests.
 import { chromium } from "playwright-core";
 
 const { executable, jobs } = JSON.parse(await new Response(process.stdin).text());
 const browser = await chromium.launch({
   executablePath: executable,
   ignoreDefaultArgs: ["--disable-gpu"],
-  args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--disable-dev-shm-usage"],
+  args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--disable-dev-shm-usage", "--js-flags=--expose-gc"],
 });
+const AsyncFunction = (async () => {}).constructor;
 const results = [];
 for (const job of jobs) {
-  const context = await browser.newContext({ viewport: { width: job.width ?? 700, height: job.height ?? 620 }, offline: true });
+  const context = await browser.newContext({ viewport: { width: job.width ?? 700, height: job.height ?? 620 }, offline: !job.online });
   const page = await context.newPage();
   const errors = [];
   const requests = [];
   page.on("console", (message) => ["error", "warning"].includes(message.type()) && errors.push(message.text()));
   page.on("pageerror", (error) => errors.push(String(error)));
   page.on("request", (request) => /^(https?|wss?):/.test(request.url()) && requests.push(request.url()));
+  if (job.before) await page.addInitScript(job.before);
   let value = null;
   try {
     await page.goto(job.url, { waitUntil: "commit", timeout: 120_000 });
-    value = await page.evaluate(job.expression);
+    value = job.script ? await new AsyncFunction("page", job.script)(page) : await page.evaluate(job.expression);
     if (job.screenshot) await page.screenshot({ path: job.screenshot });
   } catch (error) {
     errors.push(String(error));

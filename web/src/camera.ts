@@ -2,7 +2,7 @@
 
 import { Vector, add, cross, dot, subtract, times, turned, unit } from "./vectors";
 
-/** Rows of the 4 x 4 matrix `world_from_camera`, the vertical field of view, degrees, and the target's distance. */
+/** The 4 x 4 matrix `world_from_camera` by rows, the vertical field of view in degrees, and the distance of the target. */
 export interface CameraState {
   pose: number[];
   fov: number;
@@ -23,7 +23,7 @@ export class Camera {
     this.set(first);
     const sizes = this.up.map(Math.abs);
     const axis = sizes.indexOf(Math.max(...sizes));
-    // Of two axes alike, +Y.
+    // The axis nearest to the first camera's up vector stays upright. The y axis wins unless it is clearly farther away.
     const chosen = sizes[1] > 0.7 * sizes[axis] ? 1 : axis;
     this.upright = [0, 0, 0];
     this.upright[chosen] = Math.sign(this.up[chosen]) || 1;
@@ -57,10 +57,9 @@ export class Camera {
   orbit(across: number, upwards: number): void {
     const target = this.target;
     const height = Math.asin(Math.max(-1, Math.min(1, dot(this.back, this.upright))));
-    const most = 0.49 * Math.PI;
-    const bounded = Math.max(-most, Math.min(most, height + upwards)) - height;
-    // A camera that is beyond the limit already may only come back.
-    const tilt = Math.abs(height) > most ? 0 : bounded;
+    // A camera that starts beyond the limit can only tilt back.
+    const most = Math.max(0.49 * Math.PI, Math.abs(height));
+    const tilt = Math.max(-most, Math.min(most, height + upwards)) - height;
     const turn = (v: Vector) => turned(turned(v, this.right, -tilt), this.upright, -across);
     const [right, up, back] = [turn(this.right), turn(this.up), turn(this.back)];
     this.right = unit(right);
@@ -70,7 +69,7 @@ export class Camera {
     this.eye = add(target, times(this.back, this.distance));
   }
 
-  /** Move along the picture by shares of its height. */
+  /** Move the camera parallel to the picture. Both shares are relative to the picture's height at the target. */
   pan(across: number, upwards: number): void {
     const height = 2 * this.distance * Math.tan((this.fov * Math.PI) / 360);
     this.eye = add(this.eye, add(times(this.right, -across * height), times(this.up, upwards * height)));
@@ -82,7 +81,7 @@ export class Camera {
     this.eye = add(target, times(this.back, this.distance));
   }
 
-  /** Side of a pixel at depth 1. */
+  /** Side of a pixel on the plane at depth 1, for a picture of `height` pixels. */
   pixel(height: number): number {
     return (2 * Math.tan((this.fov * Math.PI) / 360)) / height;
   }
@@ -95,9 +94,8 @@ export class Camera {
     return subtract(add(across, upwards), this.back);
   }
 
-  /** Depth of a point. */
+  /** Distance of a point from the eye along the viewing axis. */
   depth(p: Vector): number {
     return -dot(subtract(p, this.eye), this.back);
   }
-
 }

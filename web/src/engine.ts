@@ -1,22 +1,23 @@
-// WebGL 2: one context for all views of a document, and what a view keeps in it.
+// WebGL 2: one context for all views of a document, and the resources of each view in it.
 
 import { Camera } from "./camera";
 import { Data } from "./data";
 import { Affine, Vector, add, direction, inverse, point, product, subtract, times, unit } from "./vectors";
 
+/** Texels in a row of the texture of words. */
 const WIDTH = 2048;
-/** Texels of a row of the table of instances, as in shaders/viewer/data.wgsl. */
+/** Texels in a row of the table of instances, as in shaders/viewer/data.wgsl. */
 const ROW = 24;
 const MOST_LIGHTS = 16;
 
 export const Picture = { color: 0, steps: 1, depth: 2, normal: 3, object: 6, slice: 7 } as const;
 
-/** What a picture shows besides the fields and the camera. */
+/** Settings of a picture besides the camera. */
 export interface Settings {
   level: number;
-  /** Axis 0 to 2 and its place, world units. */
+  /** Axis 0 to 2, its coordinate in world units, and whether the half in front of the slice is removed. */
   slice: { axis: number; at: number; cut: boolean } | null;
-  /** Direction of the key light in camera space; null for the lights of the data. */
+  /** Direction in which the key light travels, camera space; null for the lights of the data. */
   light: Vector | null;
   background: [number, number, number, number];
   steps: boolean;
@@ -25,7 +26,7 @@ export interface Settings {
 const VERTEX = `#version 300 es
 void main() { gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0, 0.0, 1.0); }`;
 
-/** A problem that keeps a view from being drawn, as a sentence for the reader of the page. */
+/** The reason why a view cannot be drawn, as a sentence for the reader of the page. */
 export class Unavailable extends Error {}
 
 export class Engine {
@@ -42,13 +43,15 @@ export class Engine {
       premultipliedAlpha: false,
       preserveDrawingBuffer: true,
     });
-    if (!gl) throw new Unavailable("This browser has no WebGL 2. The picture was drawn before; it cannot be turned.");
+    if (!gl) throw new Unavailable("This browser has no WebGL 2, so this picture is still and cannot be turned.");
     this.gl = gl;
     this.mostRows = gl.getParameter(gl.MAX_TEXTURE_SIZE);
     this.canvas.addEventListener("webglcontextlost", (event) => {
       event.preventDefault();
       onLost();
     });
+    // The views have made a new context by then.
+    this.canvas.addEventListener("webglcontextrestored", () => this.release());
   }
 
   get isLost(): boolean {
@@ -56,7 +59,7 @@ export class Engine {
   }
 
   release(): void {
-    this.gl.getExtension("WEBGL_lose_context")?.loseContext();
+    if (!this.isLost) this.gl.getExtension("WEBGL_lose_context")?.loseContext();
   }
 
   program(fragment: string): WebGLProgram {
@@ -84,7 +87,7 @@ export class Engine {
   }
 }
 
-/** What a view keeps in an engine: its program, its words, its table of instances. */
+/** The resources of a view in an engine: its program, its words and its table of instances. */
 export class Resources {
   private program!: WebGLProgram;
   private readonly words: WebGLTexture;
@@ -100,7 +103,7 @@ export class Resources {
     const { gl } = engine;
     const rows = Math.ceil(data.words.length / WIDTH);
     if (rows > engine.mostRows)
-      throw new Unavailable("The data are too large for the textures of this graphics device. The picture was drawn before.");
+      throw new Unavailable("The samples exceed the textures of this graphics device, so this picture is still and cannot be turned.");
     this.words = this.texture();
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.R32UI, WIDTH, Math.max(rows, 1));
     data.markEmpty(0);
@@ -140,7 +143,7 @@ export class Resources {
     put(rows, words.length - rows * WIDTH, 1);
   }
 
-  /** Set everything for pictures of this size; `draw` follows. */
+  /** Set the program and all its input for a picture of this size; `draw` follows. */
   prepare(camera: Camera, settings: Settings, width: number, height: number, picture: number): void {
     const { gl, canvas } = this.engine;
     if (canvas.width !== width || canvas.height !== height) {
@@ -152,7 +155,7 @@ export class Resources {
       this.data.markEmpty(settings.level);
       this.upload();
     }
-    // A program without the slice is smaller and starts faster.
+    // A program without the slice compiles faster.
     const text = this.data.description.shader;
     const isPlain = !settings.slice;
     this.program = this.engine.program(isPlain ? text.replace("const bool HAS_SLICE = true", "const bool HAS_SLICE = false") : text);
@@ -174,7 +177,7 @@ export class Resources {
     gl.activeTexture(gl.TEXTURE0);
   }
 
-  /** Draw the rows from `first`, counted from below. */
+  /** Draw `rows` rows from row `first`, counted from below. */
   draw(first: number, rows: number): void {
     const { gl, canvas } = this.engine;
     gl.enable(gl.SCISSOR_TEST);
@@ -182,7 +185,7 @@ export class Resources {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
-  /** One float32 of the pixel (x, y), row 0 on top, of a picture that was prepared. */
+  /** The float32 at pixel (x, y), row 0 on top, of the picture that was prepared last. */
   value(x: number, y: number): number {
     const { gl, canvas } = this.engine;
     gl.enable(gl.SCISSOR_TEST);
@@ -206,7 +209,7 @@ export class Resources {
     return bytes;
   }
 
-  /** The scene space: centre and scale of the box of the view. */
+  /** The origin and the unit of scene space in world units: the centre and the longest side of the view's box. */
   private sceneFrame(): { center: Vector; scale: number } {
     const [lower, upper] = this.data.description.bounds;
     const extent = subtract(upper, lower);
@@ -228,7 +231,7 @@ export class Resources {
     const texels = new Float32Array(4 * ROW * rows);
     const put = (row: number, texel: number, values: number[]) => texels.set(values, 4 * (ROW * row + texel));
     const rays = (row: number, map: Affine, corners: Vector[]) => {
-      // Rays start on a plane just before the box, found in float64: float32 is exact enough from there.
+      // Rays start on a plane just before the box. The plane is found in float64; float32 is exact enough beyond it.
       const depths = corners.map((corner) => camera.depth(corner));
       const nearest = Math.min(...depths);
       const start = Math.max(0, nearest - 0.01 * (Math.max(...depths) - nearest));

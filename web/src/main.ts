@@ -1,8 +1,9 @@
-// The viewer of fieldbake, in two hosts: a page that holds its data, and a widget of a notebook (widget.ts).
+// The entry of the viewer. It has two hosts: a page that contains its data, and a widget of a notebook (widget.ts).
 
 import { Controls } from "./controls";
 import { Data } from "./data";
 import { Pixels, View } from "./view";
+import { inTurn } from "./turns";
 import { render } from "./widget";
 
 export default { render };
@@ -20,35 +21,33 @@ export async function inflated(bytes: Uint8Array<ArrayBuffer>): Promise<ArrayBuf
   return new Response(stream).arrayBuffer();
 }
 
-/** Put a view into an element; a picture that is there stays until the first one is drawn. */
+/** Put a view into an element. A picture in the element is shown until the view has drawn its own. */
 export function mount(root: HTMLElement, buffer: ArrayBuffer): Mounted {
   const data = new Data(buffer);
   const [width, height] = data.description.size;
-  const before = root.querySelector("img");
+  const still = root.querySelector("img");
   const canvas = document.createElement("canvas");
-  const dense = Math.min(2, window.devicePixelRatio || 1);
-  canvas.width = Math.round(width * dense);
-  canvas.height = Math.round(height * dense);
+  const density = Math.min(2, window.devicePixelRatio || 1);
+  canvas.width = Math.round(width * density);
+  canvas.height = Math.round(height * density);
   canvas.style.width = `${width}px`;
   canvas.style.height = `${height}px`;
-  // At least as wide as the bar of controls needs.
+  // The bar of controls needs 240 pixels.
   root.style.width = `${Math.max(width, 240)}px`;
   canvas.setAttribute("role", "img");
   canvas.setAttribute("aria-label", data.description.title);
   const view = new View(canvas, data);
-  if (before) before.before(canvas);
+  if (still) still.before(canvas);
   else root.append(canvas);
   const controls = new Controls(root, view);
-  if (before) {
+  if (still) showStill(still, view);
+  view.onProblem = (message) => {
+    controls.say(message);
+    if (!still || view.hasDrawn) return;
     canvas.style.display = "none";
-    view.onChange = () => {
-      before.remove();
-      canvas.style.display = "";
-      view.onChange = () => {};
-    };
-  }
-  view.onProblem = (message) => controls.say(message);
-  void drawFirst(view);
+    still.style.display = "";
+  };
+  void drawFirst(view, still ? "still" : "moving");
   const close = () => {
     controls.close();
     view.close();
@@ -56,26 +55,35 @@ export function mount(root: HTMLElement, buffer: ArrayBuffer): Mounted {
   return { view, controls, close };
 }
 
-/** Draws at the same time, over all documents of an origin: browsers stop at 16 contexts. */
-const SLOTS = 4;
-/** A picture that takes longer gives its slot away, milliseconds. */
-const SLOT_MS = 20_000;
-
-/** Draw a coarse picture, then the exact one, when one of a few slots is free; then give the context back. */
-async function drawFirst(view: View): Promise<void> {
-  const draw = async () => {
-    view.redraw("moving");
-    await Promise.race([view.ready, new Promise((done) => setTimeout(done, SLOT_MS))]);
-    view.rest();
+/** Copy the picture of a page to the canvas of its view, so that the view accepts input before it has drawn. */
+function showStill(still: HTMLImageElement, view: View): void {
+  const copy = () => {
+    if (view.hasDrawn) return;
+    view.canvas.getContext("2d")!.drawImage(still, 0, 0, view.canvas.width, view.canvas.height);
+    view.canvas.style.display = "";
+    still.style.display = "none";
   };
-  // Documents without an origin, such as sandboxed frames, have no locks.
-  const locks = window.origin === "null" ? undefined : navigator.locks;
-  if (locks) await locks.request(`fieldbake ${Math.floor(Math.random() * SLOTS)}`, draw);
-  else await draw();
+  view.canvas.style.display = "none";
+  still.decode().then(copy, () => {});
+  view.onChange = () => {
+    view.canvas.style.display = "";
+    still.remove();
+    view.onChange = () => {};
+  };
 }
 
-/** What a page offers to scripts and tests. */
+/** Draw the first picture in turn with the other windows of the tab, and release the context if there are others. */
+function drawFirst(view: View, kind: "moving" | "still"): Promise<void> {
+  return inTurn(async () => {
+    view.redraw(kind);
+    await view.settled;
+    if (window.top !== window) view.rest();
+  });
+}
+
+/** The object `window.fieldbake` of a page, for scripts and tests. */
 interface PageHook {
+  /** Resolves when the first picture is drawn, or the view has reported why there is none. */
   ready: Promise<void>;
   pixels(): Pixels;
   view: View;
@@ -88,9 +96,10 @@ async function openPage(): Promise<void> {
   const binary = atob(holder.textContent ?? "");
   const bytes = Uint8Array.from(binary, (character) => character.charCodeAt(0));
   const mounted = mount(root, await inflated(bytes));
-  const hook: PageHook = { ready: mounted.view.ready, pixels: () => mounted.view.pixels(), view: mounted.view };
+  const hook: PageHook = { ready: mounted.view.settled, pixels: () => mounted.view.pixels(), view: mounted.view };
   Object.assign(window, { fieldbake: hook });
-  mounted.view.ready.then(() => (document.documentElement.dataset.fieldbake = "ready"));
+  await hook.ready;
+  document.documentElement.dataset.fieldbake = mounted.view.hasDrawn ? "ready" : "still";
 }
 
 void openPage();

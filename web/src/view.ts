@@ -1,4 +1,4 @@
-// One view: its canvas, the pictures that it draws, and what a pick finds.
+// A view: its canvas, its pictures, and the points that picks find.
 
 import { Camera } from "./camera";
 import { Data } from "./data";
@@ -8,9 +8,11 @@ import { Vector, add, times } from "./vectors";
 export interface Pick {
   point: Vector;
   normal: Vector;
-  /** Distance of the point to the fields; 0 on the surface. */
+  /** Value of the field at the point, world units: the level on the surface, the distance on a slice. */
   distance: number;
+  /** Distance from the eye along the viewing axis, world units. */
   depth: number;
+  /** Index of the object; -1 for the slice. */
   object: number;
 }
 
@@ -18,20 +20,21 @@ export interface Pick {
 export interface Pixels {
   width: number;
   height: number;
-  /** sRGB and opacity, four bytes a pixel. */
+  /** sRGB and opacity, four bytes per pixel. */
   color: Uint8Array;
-  /** World units; Infinity where nothing was hit. */
+  /** Distances from the eye along the viewing axis, world units; Infinity on the background. */
   depth: Float32Array;
 }
 
-/** Depths from here on are of no hit. */
+/** Values from here on mean that the ray hit nothing. */
 const NO_DEPTH = 2e38;
-/** A picture in motion takes about as long, milliseconds. */
+/** Time that a picture in motion should take, milliseconds. */
 const MOVING_MS = 60;
-/** A picture at rest is drawn in pieces of about as long. */
+/** Time that each piece of a picture at rest should take, milliseconds. */
 const PIECE_MS = 40;
-/** A view without input releases its context after as long. */
-const IDLE_MS = 1500;
+/** A view releases its context after this time without input, milliseconds. */
+const IDLE_MS = 3000;
+/** Largest factor by which a picture in motion is smaller. */
 const COARSEST = 6;
 
 let shared: Engine | null = null;
@@ -51,20 +54,26 @@ function engine(): Engine {
 export class View {
   readonly camera: Camera;
   readonly settings: Settings;
-  /** Milliseconds of the last picture at full size, and of the last one in motion. */
+  /** Milliseconds: the start of the page until the first picture, the last picture at full size, and the last in motion. */
   readonly times = { first: 0, still: 0, moving: 0 };
   onChange: () => void = () => {};
   onProblem: (message: string) => void = () => {};
   private readonly context: CanvasRenderingContext2D;
   private resources: Resources | null = null;
-  /** Counts requests; a picture that another one replaces stops. */
+  /** Number of requests so far. A drawing stops when a later request replaces it. */
   private turn = 0;
-  /** How many times smaller pictures in motion are. */
+  /** Factor by which the pictures in motion are smaller. */
   private coarseness = 3;
   private isBusy = false;
   private isStale: "moving" | "still" | null = null;
   private idle = 0;
   private waiting: Array<() => void> = [];
+  /** How many contexts this view has lost since its last whole picture. */
+  private losses = 0;
+  private hasFailed = false;
+  /** Whether the canvas has a picture of this view. */
+  hasDrawn = false;
+  /** Whether the canvas has the picture at full size of the present camera and settings. */
   isComplete = false;
   isClosed = false;
 
@@ -78,9 +87,14 @@ export class View {
     users.add(this);
   }
 
-  /** Resolves when the picture at full size is on the canvas. */
-  get ready(): Promise<void> {
-    return this.isComplete ? Promise.resolve() : new Promise((done) => this.waiting.push(done));
+  /** Resolves when the picture at full size is on the canvas, when it cannot be drawn, or when the view is closed. */
+  get settled(): Promise<void> {
+    const isSettled = this.isComplete || this.isClosed || this.hasFailed;
+    return isSettled ? Promise.resolve() : new Promise((done) => this.waiting.push(done));
+  }
+
+  private settle(): void {
+    for (const done of this.waiting.splice(0)) done();
   }
 
   close(): void {
@@ -91,20 +105,23 @@ export class View {
     this.resources = null;
     users.delete(this);
     if (users.size === 0) releaseShared();
+    this.settle();
   }
 
-  /** The context was lost: what was in it is gone. */
+  /** Forget the resources of a lost context. An unfinished picture is drawn again in a new context. */
   lost(engine: Engine): void {
     if (this.resources?.engine !== engine) return;
     this.resources = null;
-    // Other documents may want a context as well: later, and not all at once.
-    if (!this.isComplete && !this.isClosed) setTimeout(() => this.redraw(), 100 + 500 * Math.random());
+    if (this.isComplete || this.isClosed) return;
+    // The browser drops a context when other windows make new ones. The delay grows, so that those finish first.
+    const delay = (100 + 500 * Math.random()) * 2 ** Math.min(this.losses++, 5);
+    setTimeout(() => this.redraw(), delay);
   }
 
-  /** Draw again: `moving` for one of many pictures, at a size that can be drawn at once. */
+  /** Draw again: a "moving" picture is smaller, so that it is drawn at once, and a "still" one follows it. */
   redraw(kind: "moving" | "still" = "still"): void {
     if (this.isClosed) return;
-    this.isComplete = false;
+    this.isComplete = this.hasFailed = false;
     this.turn++;
     if (this.isBusy) {
       this.isStale = kind;
@@ -114,18 +131,22 @@ export class View {
     const work = kind === "moving" ? this.drawMoving() : this.drawStill();
     work
       .catch((problem) => {
-        if (shared && !shared.isLost) this.onProblem(problem instanceof Unavailable ? problem.message : String(problem));
+        // A lost context is no problem of the view: `lost` draws again.
+        if (shared?.isLost) return;
+        this.hasFailed = true;
+        this.onProblem(problem instanceof Unavailable ? problem.message : String(problem));
       })
       .finally(() => {
         this.isBusy = false;
         const next = this.isStale;
         this.isStale = null;
         if (next) this.redraw(next);
-        else if (kind === "moving") this.redraw("still");
+        else if (kind === "moving" && this.resources) this.redraw("still");
+        else if (this.isComplete || this.hasFailed) this.settle();
       });
   }
 
-  /** Colours and depths, drawn now. */
+  /** Colours and depths of the present camera and settings, drawn at once. */
   pixels(): Pixels {
     const resources = this.acquire();
     const { width, height } = this.canvas;
@@ -140,7 +161,7 @@ export class View {
     return { width, height, color, depth };
   }
 
-  /** What is at a place of the canvas, in its own pixels from the upper left corner. */
+  /** The surface or slice at a pixel of the canvas, counted from the upper left corner; null on the background. */
   pick(x: number, y: number): Pick | null {
     const slice = this.settings.slice && this.value(Picture.slice, x, y);
     const depth = this.value(Picture.depth, x, y);
@@ -161,7 +182,7 @@ export class View {
     return { point: add(this.camera.eye, times(way, depth)), normal, distance: this.settings.level, depth, object };
   }
 
-  /** The distance at a place of the slice, or null beside it. */
+  /** The distance on the slice at a pixel of the canvas; null where the slice is not visible. */
   sliceValue(x: number, y: number): number | null {
     if (!this.settings.slice) return null;
     const value = this.value(Picture.slice, x, y);
@@ -181,7 +202,7 @@ export class View {
     return this.resources;
   }
 
-  /** Release the context unless something is being drawn. The canvas keeps the picture. */
+  /** Release the context, or wait while a picture is being drawn. The canvas keeps the picture. */
   rest(): void {
     if (this.isBusy) return this.wait();
     clearTimeout(this.idle);
@@ -190,18 +211,19 @@ export class View {
     if (![...users].some((view) => view.resources)) releaseShared();
   }
 
-  /** Rest if nothing happens for a while. */
+  /** Release the context after a time without input. */
   private wait(): void {
     clearTimeout(this.idle);
     this.idle = window.setTimeout(() => this.rest(), IDLE_MS);
   }
 
-  /** Show what the context has drawn. */
+  /** Copy the picture in the context to the canvas. */
   private show(width: number, height: number): void {
     const { canvas, context } = this;
     context.globalCompositeOperation = "copy";
     context.imageSmoothingEnabled = width !== canvas.width;
     context.drawImage(this.resources!.engine.canvas, 0, 0, width, height, 0, 0, canvas.width, canvas.height);
+    this.hasDrawn = true;
     this.onChange();
   }
 
@@ -228,7 +250,7 @@ export class View {
     const resources = this.acquire();
     const { width, height } = this.canvas;
     resources.prepare(this.camera, this.settings, width, height, this.picture);
-    // In pieces, so that input comes between, and no driver takes the picture for a hang.
+    // Input is handled between the pieces, and no driver mistakes a long picture for a hang.
     let rows = Math.max(1, Math.round(height / 8));
     for (let row = 0; row < height; ) {
       const before = performance.now();
@@ -243,7 +265,7 @@ export class View {
     this.times.still = performance.now() - started;
     this.times.first ||= performance.now();
     this.isComplete = true;
-    for (const done of this.waiting.splice(0)) done();
+    this.losses = 0;
   }
 
   private get picture(): number {
@@ -257,7 +279,7 @@ function releaseShared(): void {
   engine?.release();
 }
 
-/** Resolves when the device has drawn everything so far. */
+/** Resolves when the device has finished all commands so far. */
 async function finished(gl: WebGL2RenderingContext): Promise<void> {
   const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
   gl.flush();
@@ -269,8 +291,7 @@ async function finished(gl: WebGL2RenderingContext): Promise<void> {
   if (fence) gl.deleteSync(fence);
 }
 
-/** Text of a number with as many digits as its size bears. */
+/** A number with four significant digits. */
 export function text(value: number): string {
   return value === 0 ? "0" : Number(value.toPrecision(4)).toString();
 }
-
