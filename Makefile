@@ -9,7 +9,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := $(shell find src shaders -type f 2>/dev/null) Cargo.toml Cargo.lock pyproject.toml
 
-.PHONY: help demo test test-long check types bench fix wheel clean
+.PHONY: help demo test test-long check types bench docs fix wheel clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -21,7 +21,7 @@ test: check types ## Everything CI runs: format, lints, types, Rust tests, Pytho
 	cargo test --quiet
 	PYOPENGL_PLATFORM=osmesa $(BIN)/pytest -n 2 -m "not slow"
 
-test-long: $(VENV)/.built $(VENV)/.test ## The tests that `make test` leaves out: slow ones, and builds of 1 to 256 units
+test-long: $(VENV)/.built $(VENV)/.test $(VENV)/.docs ## The tests that `make test` leaves out: slow ones, and builds of 1 to 256 units
 	PYOPENGL_PLATFORM=osmesa $(BIN)/pytest -n 2 -m slow
 	scripts/check_units.sh
 
@@ -37,6 +37,9 @@ types: $(VENV)/.built $(VENV)/.test ## Clippy, mypy, and the stub beside the com
 	cargo clippy --quiet --all-targets --features python -- --deny warnings
 	$(BIN)/mypy
 	$(BIN)/python -m mypy.stubtest fieldbake._core --ignore-disjoint-bases
+
+docs: $(VENV)/.built $(VENV)/.docs ## Execute and build the documentation site: docs/build/html/index.html
+	$(BIN)/python -m sphinx -W --keep-going --quiet docs docs/build/html
 
 bench: $(VENV)/.built $(VENV)/.bench ## Bake real meshes side by side with other tools
 	$(BIN)/python benches/peers.py
@@ -54,7 +57,7 @@ wheel: $(VENV)/.made ## Build the wheel for this machine into dist/
 	$(BIN)/maturin build --release --out dist
 
 clean: ## Remove what the other targets made
-	rm -rf $(VENV) target dist out
+	rm -rf $(VENV) target dist out docs/build docs/generated
 
 # The environment. Each stamp is newer than its sources.
 $(VENV)/.made: scripts/make_venv.sh
@@ -78,6 +81,10 @@ $(VENV)/.test: pyproject.toml scripts/system_packages.sh web/package-lock.json |
 	# pyrender pins a PyOpenGL that cannot draw without a screen; one call for both would walk back to an old pyrender.
 	$(BIN)/pip install --quiet pyrender
 	$(BIN)/pip install --quiet --no-deps PyOpenGL==3.1.10
+	touch $@
+
+$(VENV)/.docs: pyproject.toml | $(VENV)/.made
+	$(BIN)/pip install --quiet --group docs
 	touch $@
 
 $(VENV)/.bench: pyproject.toml scripts/system_packages.sh | $(VENV)/.made

@@ -76,6 +76,15 @@ def bake(
     ------
     MeshError, ArgumentError, CapacityError, DeviceError
         As for :func:`fieldbake.bake`.
+
+    Examples
+    --------
+    >>> from fieldbake import arrays
+    >>> corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    >>> faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
+    >>> distances = arrays.bake(corners, faces, (-1, -1, -1), (2, 2, 2), (12, 12, 12))
+    >>> distances.shape, bool(distances[4, 4, 4] < 0)
+    ((12, 12, 12), True)
     """
     corners = _box(lower, upper)
     nx, ny, nz = (checks.integer("shape", n, least=1, most=MAX_SIDE) for n in _three(shape))
@@ -165,6 +174,16 @@ def raymarch(
     ------
     ArgumentError, SceneError, DeviceError
         As for :func:`fieldbake.raymarch`.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> from fieldbake import arrays
+    >>> volume = fb.bake(fb.sphere(), 32)
+    >>> pose = fb.Camera((0, 0, 4), (0, 0, 0)).pose
+    >>> color, depth = arrays.raymarch(volume.distances, *volume.bounds, pose, size=(65, 65))
+    >>> round(float(depth[32, 32]), 2)
+    3.0
     """
     corners = _box(lower, upper)
     camera = Camera.from_pose(pose, fov_deg)

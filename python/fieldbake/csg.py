@@ -49,6 +49,13 @@ class Part:
         The smaller shape; it is made at the first use.
     boxes : (k, 2, 3) float64
         Lower and upper corners, world units. A box contains its lower faces, but not its upper faces.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> part = fb.csg.decompose(fb.sphere() | fb.box().translate((3, 0, 0)), method="aabb")[0]
+    >>> part.shape.to_sexpr(), part.boxes.shape
+    ('(sphere 2)', (1, 2, 3))
     """
 
     __slots__ = ("_source", "boxes")
@@ -85,6 +92,13 @@ class Parts(list[Part]):
     ----------
     structures : int
         Number of different structures, which are parts without their parameters. Each needs its own shader.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> parts = fb.csg.decompose(fb.sphere() | fb.box().translate((3, 0, 0)))
+    >>> len(parts), parts.structures
+    (1, 1)
     """
 
     def __init__(self, parts: Iterable[Part] = (), *, structures: Callable[[], int] = int) -> None:
@@ -98,22 +112,50 @@ class Parts(list[Part]):
 
 
 def union(*shapes: Shape | Iterable[Shape], k: float = 0.0, chamfer: float = 0.0) -> Shape:
-    """Unite shapes or lists of shapes, with a smooth joint of width `k` or a chamfered joint of width `chamfer`."""
+    """Unite shapes or lists of shapes, with a smooth joint of width `k` or a chamfered joint of width `chamfer`.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.csg.union(fb.sphere(), fb.box(2.0), k=0.2).distance([(3, 0, 0)])
+    array([1.95], dtype=float32)
+    """
     return combine("union", shapes, k=k, chamfer=chamfer)
 
 
 def intersection(*shapes: Shape | Iterable[Shape], k: float = 0.0, chamfer: float = 0.0) -> Shape:
-    """Intersect shapes, with a smooth joint of width `k` or a chamfered joint of width `chamfer`."""
+    """Intersect shapes, with a smooth joint of width `k` or a chamfered joint of width `chamfer`.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.csg.intersection(fb.sphere(1.2), fb.box(2.0)).distance([(2, 0, 0)]).tolist()
+    [1.0]
+    """
     return combine("intersection", shapes, k=k, chamfer=chamfer)
 
 
 def difference(*shapes: Shape | Iterable[Shape], k: float = 0.0, chamfer: float = 0.0) -> Shape:
-    """Subtract the others from the first shape, with a smooth (`k`) or chamfered joint of that width."""
+    """Subtract the others from the first shape, with a smooth (`k`) or chamfered joint of that width.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.csg.difference(fb.box(2.0), fb.sphere(0.5)).distance([(0, 0, 0)]).tolist()
+    [0.5]
+    """
     return combine("difference", shapes, k=k, chamfer=chamfer)
 
 
 def xor(*shapes: Shape | Iterable[Shape], k: float = 0.0, chamfer: float = 0.0) -> Shape:
-    """Take the symmetric difference from left to right, with a smooth (`k`) or chamfered joint of that width."""
+    """Take the symmetric difference from left to right, with a smooth (`k`) or chamfered joint of that width.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.csg.xor(fb.box(2.0), fb.sphere(0.5)).distance([(0, 0, 0)]).tolist()
+    [0.5]
+    """
     return combine("xor", shapes, k=k, chamfer=chamfer)
 
 
@@ -197,6 +239,13 @@ def decompose(shape: Shape, method: Method = "octree") -> Parts:
     ----------
     A. Palecek, SDF Decomposition, 2021. W. Barbier et al., Lipschitz Pruning: Hierarchical Simplification of
     Primitive-Based SDFs, Eurographics 2025.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> model = fb.csg.parse("(union (cube 3) (diff (cube 4) (move -2 -2 2 (sphere 5))))")
+    >>> [len(part.boxes) for part in fb.csg.decompose(model, method="aabb")]
+    [1, 1, 7]
     """
     checks.choice("method", method, ("octree", "aabb"), ShapeError)
     core = checked_shape("shape", shape)._core

@@ -53,6 +53,16 @@ def signed_distance(vertices: Any, faces: Any, points: Any, mesh: Mesh | None = 
     The derivatives are those of :func:`fieldbake.torch.signed_distance`: exact wherever the closest point is unique,
     and those of one side on the medial axis. The distance is evaluated on the host by `jax.pure_callback`, so this
     function can be compiled by `jax.jit` and mapped by `jax.vmap`. float64 needs ``jax_enable_x64``.
+
+    Examples
+    --------
+    >>> import jax
+    >>> import fieldbake as fb
+    >>> from fieldbake.jax import signed_distance
+    >>> mesh = fb.models.gear()
+    >>> point = jax.numpy.array([0.7, 0.0, 1.0])
+    >>> jax.grad(lambda p: signed_distance(mesh.vertices, mesh.faces, p))(point).tolist()
+    [0.0, 0.0, 1.0]
     """
     jax = optional("jax", "JAX")
     numbers = jax.numpy
@@ -80,6 +90,16 @@ def sample(distances: Any, bounds: Any, points: Any) -> Any:
     ------
     Error
         If JAX is not installed.
+
+    Examples
+    --------
+    >>> import jax
+    >>> import fieldbake as fb
+    >>> from fieldbake.jax import sample
+    >>> volume = fb.bake(fb.sphere(), 32)
+    >>> point = jax.numpy.array([1.0, 0.0, 0.0])
+    >>> jax.grad(lambda p: sample(volume.distances, volume.bounds, p))(point).round(1).tolist()
+    [1.0, 0.0, 0.0]
     """
     jax = optional("jax", "JAX")
     numbers = jax.numpy

@@ -52,6 +52,15 @@ def signed_distance(vertices: Any, faces: Any, points: Any, mesh: Mesh | None = 
     the exact first derivatives wherever the closest point is unique. On the medial axis, where several points are
     equally near, the distance has a kink; the derivative is that of one of its sides. Second derivatives are not
     provided.
+
+    Examples
+    --------
+    >>> import torch  # doctest: +SKIP
+    >>> import fieldbake as fb
+    >>> from fieldbake.torch import signed_distance
+    >>> mesh = fb.models.gear()
+    >>> point = torch.tensor([[0.7, 0.0, 1.0]], requires_grad=True)  # doctest: +SKIP
+    >>> signed_distance(torch.tensor(mesh.vertices), torch.tensor(mesh.faces), point).backward()  # doctest: +SKIP
     """
     return _distance_function().apply(vertices, faces, points, mesh)
 
@@ -77,6 +86,15 @@ def sample(distances: Any, bounds: Any, points: Any) -> Any:
     ------
     Error
         If PyTorch is not installed.
+
+    Examples
+    --------
+    >>> import torch  # doctest: +SKIP
+    >>> import fieldbake as fb
+    >>> from fieldbake.torch import sample
+    >>> volume = fb.bake(fb.sphere(), 32)
+    >>> distances = torch.tensor(volume.distances, requires_grad=True)  # doctest: +SKIP
+    >>> sample(distances, volume.bounds, torch.zeros(1, 3)).sum().backward()  # doctest: +SKIP
     """
     torch = optional("torch", "PyTorch")
     distances, bounds, points = (torch.as_tensor(value) for value in (distances, bounds, points))

@@ -40,7 +40,16 @@ Language = Literal["wgsl", "glsl", "hlsl", "msl"]
 
 
 class AtlasEntry:
-    """One volume of an atlas, as an object for scenes. Made by ``atlas[i]``."""
+    """One volume of an atlas, as an object for scenes. Made by ``atlas[i]``.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> atlas = fb.pack([fb.bake(fb.sphere(), 16)])
+    >>> atlas[0].resolution
+    (16, 16, 16)
+    >>> scene = fb.Scene([fb.Instance(atlas[0])])
+    """
 
     __slots__ = ("_atlas", "_index")
 

@@ -22,6 +22,13 @@ class Device(str):
         False for the CPU and for software adapters, which run on the CPU.
     limits : mapping
         Limits of the device, such as the largest buffer in bytes and the largest texture in texels.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> cpu = fb.devices()[0]
+    >>> cpu.name, cpu.type, cpu.hardware
+    ('cpu', 'cpu', False)
     """
 
     backend: str

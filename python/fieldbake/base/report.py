@@ -63,6 +63,13 @@ class Report:
         Distances up to this magnitude are exact, world units; larger magnitudes are lower bounds. 0 if all are exact.
     warnings : tuple of str
         Warnings; each names a remedy.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> report = fb.bake(fb.models.gear(), 16).report
+    >>> report.closed, report.sign_method, report.boundary_edges
+    (True, 'winding', 0)
     """
 
     sign_method: str = ""

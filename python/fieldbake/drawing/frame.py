@@ -53,6 +53,13 @@ class Frame:
         Number of steps of each ray.
     report : mapping
         ``device``, ``seconds`` and other properties of the work.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> frame = fb.raymarch(fb.sphere(), size=(64, 48))
+    >>> frame.depth.shape, frame.image.dtype.name, bool(frame.object_id[24, 32] == 0)
+    ((48, 64), 'uint8', True)
     """
 
     def __init__(self, arrays: Mapping[str, NDArray[Any]], report: Mapping[str, Any]) -> None:

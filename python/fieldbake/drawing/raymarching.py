@@ -126,6 +126,15 @@ def raymarch(
     References
     ----------
     H. Hansson-Soderlund, A. Evans, T. Akenine-Moller, Ray tracing of signed distance function grids, JCGT 11(3), 2022.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> frame = fb.raymarch(fb.bake(fb.models.torus_knot(), 32), size=(64, 64))
+    >>> frame.image.shape
+    (64, 64, 4)
+    >>> float(frame.depth[0, 0])  # the corner of the picture shows the background
+    inf
     """
     if isinstance(thing, Scene):
         own = {"lights": lights, "ambient": ambient, "color": color, "specular": specular, "shininess": shininess}

@@ -132,6 +132,15 @@ def render(
     Examples
     --------
     See :class:`Scene`.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> floor = fb.box((4, 0.2, 4)).translate((0, -1.2, 0))
+    >>> scene = fb.Scene([fb.Instance(fb.sphere()), fb.Instance(floor)], lights=[fb.PointLight((2, 4, 2), radius=0.5)])
+    >>> frame = fb.render(scene, size=(64, 64), shadows="soft")
+    >>> frame.shadow.shape, sorted(set(frame.object_id.ravel().tolist()))
+    ((64, 64), [-1, 0, 1])
     """
     if not isinstance(scene, Scene):
         scene = Scene(scene if isinstance(scene, list) else [scene])

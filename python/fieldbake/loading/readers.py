@@ -47,6 +47,16 @@ def load(path: str | os.PathLike[str]) -> Any:
         If there is no such file.
     FormatError
         If the file is of another kind, damaged, unsafe to read, or written by a newer version.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import fieldbake as fb
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     fb.bake(fb.sphere(), 16).save(f"{folder}/ball.npz")
+    ...     volume = fb.load(f"{folder}/ball.npz")
+    >>> volume.resolution
+    (16, 16, 16)
     """
     if Path(path).is_dir():
         raise FormatError(f"{path}: is a directory, not a fieldbake file")

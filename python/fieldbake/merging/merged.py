@@ -57,6 +57,18 @@ class MergedField(Volume):
     """The field of a scene: a :class:`Volume` that keeps the instances it was merged from. Made by :func:`merge`.
 
     A saved field is loaded as a plain Volume.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import fieldbake as fb
+    >>> ball = fb.bake(fb.sphere(), 16)
+    >>> place = np.eye(4)
+    >>> place[0, 3] = 1.5
+    >>> field = fb.merge([ball, (ball, place)], resolution=32)
+    >>> place[0, 3] = 1.25
+    >>> field.update([(1, place)]).resolution == field.resolution
+    True
     """
 
     __slots__ = ("_owners", "_placed")

@@ -79,6 +79,16 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
         If there is no such file.
     MeshError
         If the file cannot be read, has an unknown format, or contains no triangles.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import fieldbake as fb
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     fb.models.gear().save(f"{folder}/gear.stl")
+    ...     mesh = fb.load_mesh(f"{folder}/gear.stl")
+    >>> mesh.is_closed
+    True
     """
     return _mesh(_from_file(path), os.fspath(path))
 
@@ -100,6 +110,13 @@ def as_mesh(thing: MeshLike) -> Mesh:
         If a path does not exist.
     MeshError
         If the object contains no usable mesh.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    >>> fb.as_mesh((corners, [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])).is_closed
+    True
     """
     if isinstance(thing, Mesh):
         return thing

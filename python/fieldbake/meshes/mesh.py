@@ -46,6 +46,14 @@ class Part:
         Linear RGB that the surface emits; multiplies `emission_texture`.
     unlit : bool
         Whether the base colour is shown unchanged, without lighting.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> mesh = fb.models.gear()
+    >>> part = fb.Part("steel", range(len(mesh.faces)), color=(0.5, 0.5, 0.6, 1.0))
+    >>> fb.Mesh(mesh.vertices, mesh.faces, parts=[part]).parts[0].name
+    'steel'
     """
 
     def __init__(

@@ -16,7 +16,15 @@ Target = Literal["unit cube", "unit sphere"]
 
 
 class Normalized(NamedTuple):
-    """A normalised mesh and its transform."""
+    """A normalised mesh and its transform.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> mesh, transform = fb.normalize(fb.models.gear(), "unit sphere")
+    >>> transform.shape
+    (4, 4)
+    """
 
     mesh: Mesh
     #: 4x4 matrix from the positions of the original to those of `mesh`; column vectors.

@@ -37,6 +37,13 @@ class ClosestPoints:
         Weights of the face's corners, from 0 to 1; their sum is 1.
     normals : (..., 3) float64
         Unit normals of the faces, by their own winding.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> points, distances, faces = fb.closest_point(fb.models.gear(), [(0, 0, 3), (0, 0, -3)])
+    >>> distances.round(3).tolist()
+    [2.853, 2.853]
     """
 
     points: NDArray[np.float64]
@@ -50,7 +57,15 @@ class ClosestPoints:
 
 
 class Query(NamedTuple):
-    """Signed distances of points with the nearest points of the surface; arrays keep the leading shape."""
+    """Signed distances of points with the nearest points of the surface; arrays keep the leading shape.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> found = fb.query(fb.models.gear(), [(0.7, 0, 3)])
+    >>> found.distances.round(3).tolist(), found.gradients.round(3).tolist()
+    ([2.825], [[0.0, 0.0, 1.0]])
+    """
 
     #: Signed distances, (...) float64, world units, negative inside.
     distances: NDArray[np.float64]

@@ -18,7 +18,15 @@ from .common import shaped, source_faces
 
 
 class RayHits(NamedTuple):
-    """First hits of rays; arrays keep the leading shape of the rays."""
+    """First hits of rays; arrays keep the leading shape of the rays.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> hits = fb.cast_rays(fb.models.gear(), [(0.7, 0, 3)], [(0, 0, -1)])
+    >>> hits.hit.tolist(), hits.t.round(3).tolist(), hits.normals.tolist()
+    ([True], [2.825], [[0.0, 0.0, 1.0]])
+    """
 
     #: Distance to the hit in lengths of the direction, (...) float64; infinite for a miss.
     t: NDArray[np.float64]
@@ -37,7 +45,15 @@ class RayHits(NamedTuple):
 
 
 class Intersections(NamedTuple):
-    """All intersections of rays, sorted by ray and then `t`."""
+    """All intersections of rays, sorted by ray and then `t`.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> found = fb.all_intersections(fb.models.gear(), [(0.7, 0, 3)], [(0, 0, -1)])
+    >>> found.rays.tolist(), found.t.round(3).tolist()
+    ([0, 0], [2.825, 3.175])
+    """
 
     #: Rows of the rays in C order, (k,) int64.
     rays: NDArray[np.int64]

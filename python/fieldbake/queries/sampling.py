@@ -24,7 +24,15 @@ UNIFORM_BOX = 1.1
 
 
 class SurfaceSamples(NamedTuple):
-    """Points on a surface, uniform by area."""
+    """Points on a surface, uniform by area.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> samples = fb.sample_surface(fb.models.gear(), 100)
+    >>> samples.points.shape, samples.normals.shape, samples.faces.shape
+    ((100, 3), (100, 3), (100,))
+    """
 
     #: Positions, (n, 3) float64, world units.
     points: NDArray[np.float64]
@@ -37,7 +45,15 @@ class SurfaceSamples(NamedTuple):
 
 
 class TrainingSamples(NamedTuple):
-    """Points around a surface with their signed distances."""
+    """Points around a surface with their signed distances.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> samples = fb.sample_training(fb.models.gear(), 100)
+    >>> samples.points.shape, samples.distances.shape, samples.gradients.shape
+    ((100, 3), (100,), (100, 3))
+    """
 
     #: Positions, (n, 3) float64, world units: near points first, then uniform ones.
     points: NDArray[np.float64]
@@ -140,14 +156,14 @@ def sample_training(
     Recipes of known work. They state deviations for a normalised mesh (see :func:`normalize`); divide those by the
     diagonal of its box.
 
-    ===========================  ==============================================  ==========================
-    recipe                       near                                            uniform
-    ===========================  ==============================================  ==========================
-    DeepSDF (Park et al. 2019)   variances 0.0025 and 0.00025 in the unit        ``0.05``
+    ===========================  ================================================  =========
+    recipe                       near                                              uniform
+    ===========================  ================================================  =========
+    DeepSDF (Park et al. 2019)   variances 0.0025 and 0.00025 in the unit          ``0.05``
                                  sphere: ``(0.05 / diagonal, 0.0158 / diagonal)``
-    Hunyuan3D 2.1, random part   deviations 0.005 and 0.05 in its normalised     ``0.5``
+    Hunyuan3D 2.1, random part   deviations 0.005 and 0.05 in its normalised       ``0.5``
                                  box: ``(0.005 / diagonal, 0.05 / diagonal)``
-    ===========================  ==============================================  ==========================
+    ===========================  ================================================  =========
 
     Hunyuan3D also samples near sharp edges, which this function does not.
 

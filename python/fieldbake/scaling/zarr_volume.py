@@ -106,6 +106,15 @@ class ZarrVolume(GridField):
     -----
     Within the band around the surface the stored samples are distances. Beyond it they are cut to the width of the
     band. Exact distances at the corners of the shards give proven lower bounds there.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> volume = fb.bake_to_zarr(fb.models.gear(), "memory://gear.zarr", 64, shard=32)
+    >>> volume.resolution
+    (64, 64, 13)
+    >>> volume[0:16, 0:16, 0:16].distances.shape
+    (16, 16, 13)
     """
 
     __slots__ = ("__dict__", "_layout", "_place", "_reader", "_sampler")

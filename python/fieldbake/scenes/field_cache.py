@@ -63,6 +63,11 @@ def use_disk(folder: str | os.PathLike[str] | None = None) -> Path:
     -------
     Path
         The folder in use.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> folder = fb.cache.use_disk("fields")  # doctest: +SKIP
     """
     global _disk
     if folder is None:
@@ -75,7 +80,13 @@ def use_disk(folder: str | os.PathLike[str] | None = None) -> Path:
 
 
 def clear() -> None:
-    """Drop the fields in memory; files stay."""
+    """Drop the fields in memory; files stay.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.cache.clear()
+    """
     with _lock:
         _kept.clear()
 

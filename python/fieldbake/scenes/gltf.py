@@ -54,6 +54,16 @@ def load_scene(
         If there is no such file.
     MeshError
         If the file cannot be read or contains no triangles.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import fieldbake as fb
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     fb.models.gear().save(f"{folder}/gear.glb")
+    ...     scene = fb.load_scene(f"{folder}/gear.glb")
+    >>> len(scene.instances)
+    1
     """
     nodes = load_nodes(path)
     instances = [Instance(mesh, transform, resolution=resolution) for mesh, transform in nodes]

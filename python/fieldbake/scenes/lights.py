@@ -66,6 +66,13 @@ class DirectionalLight:
         Factor of the colour.
     angle_deg : float, default 0
         Angular diameter of the light, degrees. Hard shadows ignore it.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> sun = fb.DirectionalLight((-1, -2, -1), angle_deg=0.5)
+    >>> sun.intensity
+    1.0
     """
 
     direction: Sequence[float]
@@ -100,6 +107,13 @@ class PointLight:
         Factor of the colour.
     radius : float, default 0
         Radius of the source, world units. Hard shadows ignore it.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> lamp = fb.PointLight((1, 3, 1), radius=0.4)
+    >>> lamp.position
+    (1.0, 3.0, 1.0)
     """
 
     position: Sequence[float]

@@ -49,37 +49,86 @@ Point = NDArray[np.float64]
 
 
 def sphere(radius: float = 1.0) -> Shape:
-    """Make a ball. Its field is exact."""
+    """Make a ball. Its field is exact.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.sphere(1.0).distance([(0, 0, 0), (3, 0, 0)]).tolist()
+    [-1.0, 2.0]
+    """
     return _primitive("sphere", number("radius", radius))
 
 
 def ellipsoid(radii: ArrayLike) -> Shape:
-    """Make an ellipsoid with half axes (3,). Its field is exact."""
+    """Make an ellipsoid with half axes (3,). Its field is exact.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.ellipsoid((1, 2, 3)).distance([(2, 0, 0), (0, 0, 4)]).tolist()
+    [1.0, 1.0]
+    """
     return _primitive("ellipsoid", *numbers("radii", radii, 3))
 
 
 def box(size: ArrayLike = 1.0) -> Shape:
-    """Make a box with full sides (3,), or a cube with one side. Its field is exact."""
+    """Make a box with full sides (3,), or a cube with one side. Its field is exact.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.box((2, 2, 4)).distance([(0, 0, 0), (2, 0, 0)]).tolist()
+    [-1.0, 1.0]
+    """
     return _primitive("box", *sides(size))
 
 
 def rounded_box(size: ArrayLike, radius: float) -> Shape:
-    """Make a box with full sides (3,) whose edges are rounded by `radius`. Its field is exact."""
+    """Make a box with full sides (3,) whose edges are rounded by `radius`. Its field is exact.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.rounded_box((2, 2, 2), 0.2).distance([(2, 0, 0), (0, 0, 0)]).tolist()
+    [1.0, -1.0]
+    """
     return _primitive("rounded_box", *sides(size), number("radius", radius))
 
 
 def box_frame(size: ArrayLike, thickness: float) -> Shape:
-    """Make the twelve edges of a box with full sides (3,), as square bars inside it. Its field is exact outside."""
+    """Make the twelve edges of a box with full sides (3,), as square bars inside it. Its field is exact outside.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.box_frame((2, 2, 2), 0.2).distance([(0, 0, 0), (2, 1, 0)])
+    array([1.1313709, 1.       ], dtype=float32)
+    """
     return _primitive("box_frame", *sides(size), number("thickness", thickness))
 
 
 def torus(radius: float = 1.0, tube: float = 0.25) -> Shape:
-    """Make a tube of radius `tube` around a circle of `radius` in the plane z = 0. Exact while `tube` <= `radius`."""
+    """Make a tube of radius `tube` around a circle of `radius` in the plane z = 0. Exact while `tube` <= `radius`.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.torus(1.0, 0.25).distance([(1, 0, 0), (0, 0, 0)]).tolist()
+    [-0.25, 0.75]
+    """
     return _primitive("torus", number("radius", radius), number("tube", tube))
 
 
 def capped_torus(radius: float, tube: float, angle_deg: float) -> Shape:
-    """Make an arc of a torus with round ends, `angle_deg` degrees long and centred on +x. Exact up to 180 degrees."""
+    """Make an arc of a torus with round ends, `angle_deg` degrees long and centred on +x. Exact up to 180 degrees.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.capped_torus(1.0, 0.25, 90).distance([(1, 0, 0), (-1, 0, 0)])
+    array([-0.25    ,  1.597759], dtype=float32)
+    """
     return _primitive("capped_torus", number("radius", radius), number("tube", tube), number("angle_deg", angle_deg))
 
 
@@ -87,6 +136,12 @@ def cylinder(radius: Number = 1.0, height: Number = 2.0, *rest: float) -> Shape:
     """Make a cylinder along z, centred at the origin: ``cylinder(radius, height)``. Its field is exact.
 
     ``cylinder(a, b, radius)`` makes one between two points (3,).
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.cylinder(1.0, 2.0).distance([(0, 0, 0), (2, 0, 0)]).tolist()
+    [-1.0, 1.0]
     """
     if _is_point(radius):
         start, end, (size,) = _segment("cylinder(a, b, radius)", radius, height, rest, ("radius",))
@@ -132,6 +187,12 @@ def capsule(radius: Number = 0.5, height: Number = 1.0, *rest: float) -> Shape:
     """Make the set of points within `radius` of a segment of length `height` along z. Its field is exact.
 
     ``capsule(a, b, radius)`` takes the ends of the segment, two points (3,).
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.capsule(0.5, 2.0).distance([(0, 0, 0), (0, 0, 2)]).tolist()
+    [-0.5, 0.5]
     """
     if _is_point(radius):
         start, end, (size,) = _segment("capsule(a, b, radius)", radius, height, rest, ("radius",))
@@ -145,6 +206,12 @@ def cone(radius: Number = 1.0, height: Number = 2.0, *rest: float) -> Shape:
 
     ``cone(a, b, radius)`` has its base at `a` and its apex at `b`, two points (3,). A fourth argument is the radius at
     `b` of a truncated cone.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.cone(1.0, 2.0).distance([(0, 0, 2), (0, 0, -2)]).tolist()
+    [1.0, 1.0]
     """
     if _is_point(radius):
         named = ("radius", "top_radius")[: max(1, len(rest))]
@@ -158,7 +225,14 @@ def cone(radius: Number = 1.0, height: Number = 2.0, *rest: float) -> Shape:
 
 
 def truncated_cone(radius: float, top_radius: float, height: float) -> Shape:
-    """Make a centred cone along z from `radius` at the bottom to `top_radius` at the top. Its field is exact."""
+    """Make a centred cone along z from `radius` at the bottom to `top_radius` at the top. Its field is exact.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.truncated_cone(1.0, 0.5, 2.0).distance([(0, 0, 2), (0, 0, 0)])
+    array([ 1.       , -0.7276069], dtype=float32)
+    """
     return _primitive("cone", number("radius", radius), number("top_radius", top_radius), number("height", height))
 
 
@@ -197,7 +271,14 @@ def rounded_cone(radius: float, top_radius: float, height: float) -> Shape:
 
 
 def plane(normal: Axis = "z", offset: float = 0.0) -> Shape:
-    """Make the half space below a plane at `offset` along its normal. Its field is exact; it has no bounds."""
+    """Make the half space below a plane at `offset` along its normal. Its field is exact; it has no bounds.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.plane("z", 0.5).distance([(0, 0, 0), (5, 5, 2)]).tolist()
+    [-0.5, 1.5]
+    """
     return _primitive("plane", *axis_of("normal", normal), number("offset", offset))
 
 
@@ -235,22 +316,51 @@ def slab(thickness: float = 1.0, normal: Axis = "z") -> Shape:
 
 
 def pyramid(base: float = 1.0, height: float = 1.0) -> Shape:
-    """Make a centred pyramid along z over a square of side `base`. Its field is exact."""
+    """Make a centred pyramid along z over a square of side `base`. Its field is exact.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.pyramid(1.0, 1.0).distance([(0, 0, 1), (0, 0, -1)]).tolist()
+    [0.5, 0.5]
+    """
     return _primitive("pyramid", number("base", base), number("height", height))
 
 
 def octahedron(radius: float = 1.0) -> Shape:
-    """Make an octahedron with its corners on the axes at `radius`. Its field is exact."""
+    """Make an octahedron with its corners on the axes at `radius`. Its field is exact.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.octahedron(1.0).distance([(2, 0, 0), (1, 1, 1)])
+    array([1.       , 1.1547005], dtype=float32)
+    """
     return _primitive("octahedron", number("radius", radius))
 
 
 def hex_prism(radius: float = 1.0, height: float = 1.0) -> Shape:
-    """Make a centred prism along z over a regular hexagon with corners at `radius`, two of them on x. Exact."""
+    """Make a centred prism along z over a regular hexagon with corners at `radius`, two of them on x. Exact.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.hex_prism(1.0, 1.0).distance([(0, 0, 0), (2, 0, 0)]).tolist()
+    [-0.5, 1.0]
+    """
     return _primitive("hex_prism", number("radius", radius), number("height", height))
 
 
 def gyroid(cell: float = 1.0, thickness: float = 0.1) -> Shape:
-    """Make a sheet about the gyroid with period `cell`, at least `thickness` thick. A lower bound; no bounds."""
+    """Make a sheet about the gyroid with period `cell`, at least `thickness` thick. A lower bound; no bounds.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> core = fb.sphere(1.0) & fb.gyroid(cell=0.5, thickness=0.05)
+    >>> core.bounds.tolist()
+    [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]
+    """
     return _primitive("gyroid", number("cell", cell), number("thickness", thickness))
 
 
@@ -258,6 +368,13 @@ def schwarz_p(cell: float = 1.0, thickness: float = 0.1) -> Shape:
     """Make a sheet about the primitive surface of Schwarz with period `cell`, at least `thickness` thick.
 
     Its field is a lower bound with the slope 1 at most. It has no bounds.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> core = fb.sphere(1.0) & fb.schwarz_p(cell=0.5, thickness=0.05)
+    >>> core.bounds.tolist()
+    [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]
     """
     return _primitive("schwarz_p", number("cell", cell), number("thickness", thickness))
 
@@ -266,6 +383,13 @@ def diamond(cell: float = 1.0, thickness: float = 0.1) -> Shape:
     """Make a sheet about the diamond surface of Schwarz with period `cell`, at least `thickness` thick.
 
     Its field is a lower bound with the slope 1 at most. It has no bounds.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> core = fb.sphere(1.0) & fb.diamond(cell=0.5, thickness=0.05)
+    >>> core.bounds.tolist()
+    [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]
     """
     return _primitive("diamond", number("cell", cell), number("thickness", thickness))
 
@@ -274,6 +398,13 @@ def iwp(cell: float = 1.0, thickness: float = 0.1) -> Shape:
     """Make a sheet about the I-WP surface of Schoen with period `cell`, at least `thickness` thick.
 
     Its field is a lower bound with the slope 1 at most. It has no bounds.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> core = fb.sphere(1.0) & fb.iwp(cell=0.5, thickness=0.05)
+    >>> core.bounds.tolist()
+    [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]
     """
     return _primitive("iwp", number("cell", cell), number("thickness", thickness))
 

@@ -169,17 +169,38 @@ class Profile:
 
 
 def circle(radius: float = 1.0) -> Profile:
-    """Make a disc."""
+    """Make a disc.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> (fb.circle(1.0) - fb.circle(0.5)).extrude(2.0).distance([(0, 0, 0), (0.75, 0, 0)]).tolist()
+    [0.5, -0.25]
+    """
     return Profile("circle", [number("radius", radius)])
 
 
 def rectangle(size: ArrayLike) -> Profile:
-    """Make a rectangle with full sides (2,)."""
+    """Make a rectangle with full sides (2,).
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.rectangle((2, 1)).extrude(1.0).distance([(0, 0, 0), (2, 0, 0)]).tolist()
+    [-0.5, 1.0]
+    """
     return Profile("rectangle", numbers("size", size, 2))
 
 
 def polygon(points: ArrayLike) -> Profile:
-    """Make a closed polygon with corners (n, 2) in either orientation."""
+    """Make a closed polygon with corners (n, 2) in either orientation.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.polygon([(0, 0), (2, 0), (0, 2)]).extrude(1.0).distance([(0.5, 0.5, 2)]).tolist()
+    [1.5]
+    """
     array = checks.real_array("points", points, "(n, 2)", ShapeError)
     if array.ndim != 2 or array.shape[1] != 2 or len(array) < 3:
         raise ShapeError(f"points: must have shape (n, 2), three corners at least, got {checks.describe(array)}")
@@ -187,12 +208,27 @@ def polygon(points: ArrayLike) -> Profile:
 
 
 def extrude(profile: Profile, height: float) -> Shape:
-    """Extrude a profile along z by `height`, centred at z = 0. Exact for one primitive that does not cross itself."""
+    """Extrude a profile along z by `height`, centred at z = 0. Exact for one primitive that does not cross itself.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> fb.extrude(fb.circle(1.0), 2.0).distance([(0, 0, 3)]).tolist()
+    [2.0]
+    """
     return _checked(profile)._tree.extruded(number("height", height))
 
 
 def revolve(profile: Profile, offset: float = 0.0) -> Shape:
-    """Revolve a profile about z: its x plus `offset` becomes the distance from the axis, its y becomes z."""
+    """Revolve a profile about z: its x plus `offset` becomes the distance from the axis, its y becomes z.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> ring = fb.revolve(fb.circle(0.25), offset=1.0)
+    >>> ring.distance([(1, 0, 0), (0, 0, 0)]).tolist()
+    [-0.25, 0.75]
+    """
     return _checked(profile)._tree.revolved(number("offset", offset))
 
 

@@ -111,6 +111,13 @@ def wrap_quadrics(packed: ArrayLike, max_side: int = 8192) -> NDArray[np.float32
     ------
     ShapeError
         For a wrong shape, or too many quadrics for the texture.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> packed = fb.pack_quadrics([fb.Quadric.sphere()] * 100)
+    >>> packed.shape, fb.wrap_quadrics(packed, max_side=64).shape
+    ((100, 6, 4), (10, 60, 4))
     """
     array = checks.real_array("packed", packed, "(n, 6, 4)", ShapeError)
     if array.ndim != 3 or array.shape[1:] != (RECORD_TEXELS, 4):

@@ -41,6 +41,13 @@ class SparseVolume(GridField, Loadable, Shaded):
     samples agree with theirs to the tolerance. All other bricks store only their sign and the distances at their
     corners. Between those corners the field is a proven lower bound on the distance, so rays may leap over empty
     bricks.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> sparse = fb.bake_sparse(fb.models.gear(), resolution=64)
+    >>> sparse.sample([(0, 0, 0)]) > 0  # in the hole of the gear
+    array([ True])
     """
 
     __slots__ = ("_core_field",)

@@ -1,0 +1,98 @@
+"""The documentation: every public name has an entry and an example, and the built site needs no network."""
+
+import ast
+import importlib
+import importlib.util
+import inspect
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import fieldbake as fb
+from browser import missing, visit
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+MODULES = ("arrays", "cache", "csg", "jax", "models", "torch")
+
+
+def public_names() -> set[str]:
+    """Full names of everything public that is not a module or the version."""
+    names = {f"fieldbake.{name}" for name in fb.__all__ if name not in MODULES and name != "__version__"}
+    for module in MODULES:
+        names |= {f"fieldbake.{module}.{name}" for name in importlib.import_module(f"fieldbake.{module}").__all__}
+    return names
+
+
+def test_the_reference_has_every_public_name_once():
+    listed = []
+    for page in sorted((DOCS / "reference").glob("*.md")):
+        listed += re.findall(r"^\.\. auto(?:class|function|exception):: (\S+)", page.read_text(encoding="utf-8"), re.M)
+
+    assert len(listed) == len(set(listed))
+    assert public_names() - set(listed) == set(), "add these names to a page of docs/reference/"
+    assert set(listed) - public_names() == set(), "these names are no longer public"
+
+
+def test_every_public_name_has_an_example():
+    without = []
+    for name in sorted(public_names()):
+        module, _, attribute = name.rpartition(".")
+        if ">>> " not in (inspect.getdoc(getattr(importlib.import_module(module), attribute)) or ""):
+            without.append(name)
+
+    assert without == [], "add an Examples section to their docstrings"
+
+
+def test_every_page_is_reached_from_another_one():
+    pages = {path.relative_to(DOCS).with_suffix("").as_posix() for path in DOCS.rglob("*.md")}
+    pages = {page for page in pages if not page.startswith(("build/", "generated/", "notes/"))}
+    listed = {"index"}
+    for page in pages:
+        text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+        for tree in re.findall(r"^```\{toctree\}\n(.*?)^```", text, re.M | re.S):
+            for line in tree.splitlines():
+                if line and not line.startswith(":"):
+                    listed.add((DOCS / page).parent.joinpath(line).resolve().relative_to(DOCS).as_posix())
+
+    assert pages - listed == set(), "add these pages to a toctree"
+
+
+def test_code_of_pages_that_are_not_executed_is_python():
+    for page in sorted(DOCS.rglob("*.md")):
+        for fence in re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S):
+            ast.parse(fence)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> Path:
+    """The built site."""
+    if importlib.util.find_spec("sphinx") is None or importlib.util.find_spec("myst_nb") is None:
+        missing("Sphinx or myst-nb is missing: pip install --group docs")
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "--quiet", str(DOCS), str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
+    assert "WARNING" not in done.stdout + done.stderr
+    return folder
+
+
+@pytest.mark.slow
+def test_built_pages_show_their_pictures_without_a_network(site: Path):
+    pages = [page for page in sorted(site.rglob("*.html")) if "_static" not in page.parts]
+    # Names of pictures without pixels. Pictures further down are loaded first.
+    expression = """(async () => {
+      const pictures = [...document.querySelectorAll("article img")];
+      await Promise.all(pictures.map((picture) => picture.decode().catch(() => null)));
+      return pictures.filter((picture) => !picture.naturalWidth).map((picture) => picture.src);
+    })()"""
+    results = visit([{"url": page.as_uri(), "expression": expression} for page in pages], timeout=900)
+
+    for page, result in zip(pages, results, strict=True):
+        assert result.errors == [], page
+        assert result.requests == [], page
+        assert result.value == [], page
+    assert len(pages) > 20
