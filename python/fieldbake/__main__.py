@@ -1,6 +1,6 @@
 """``python -m fieldbake``: the command line."""
 
-from .cli.commands import main
+from .cli.application import main
 
 if __name__ == "__main__":
     main()

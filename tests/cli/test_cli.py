@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 import fieldbake as fb
 import meshes
-from fieldbake.cli.commands import app
+from fieldbake.cli.application import app
 
 DONE, BAD_INPUT, BAD_USAGE = 0, 1, 2
 

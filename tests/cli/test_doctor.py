@@ -4,6 +4,7 @@ import importlib.metadata
 import json
 import os
 import signal
+import subprocess
 import sys
 
 import pytest
@@ -13,7 +14,7 @@ import assets
 import fieldbake as fb
 import meshes
 from fieldbake.cli import diagnosis, selftests
-from fieldbake.cli.commands import app
+from fieldbake.cli.application import app
 
 
 def doctor(*arguments):
@@ -127,3 +128,17 @@ def test_the_cache_has_its_size(monkeypatch, tmp_path):
     cache = diagnosis.diagnose(self_tests=False)["cache"]
 
     assert (cache["folder"], cache["used"], cache["files"], cache["nbytes"]) == (str(tmp_path), True, 2, 7)
+
+
+@pytest.mark.parametrize("module", ["fieldbake._core", "numpy"])
+def test_an_installation_that_cannot_be_imported_is_a_problem_not_a_crash(module):
+    script = f"import sys; sys.modules[{module!r}] = None; from fieldbake.cli import main; main()"
+
+    result = subprocess.run(
+        [sys.executable, "-c", script, "doctor"], capture_output=True, text=True, check=False, timeout=120
+    )
+
+    assert result.returncode == 1
+    assert result.stderr == ""
+    assert "import of" in result.stdout
+    assert "no graphics adapter" not in result.stdout

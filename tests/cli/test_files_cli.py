@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 import fieldbake as fb
-from fieldbake.cli.commands import app
+from fieldbake.cli.application import app
 
 DONE, BAD_INPUT, BAD_USAGE = 0, 1, 2
 ENDINGS = (".npz", ".vdb", ".nvdb", ".vti", ".nrrd", ".dds", ".ktx2", ".vf", ".exr")

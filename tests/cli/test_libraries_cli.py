@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 
 import assets
 import fieldbake as fb
-from fieldbake.cli.commands import app
+from fieldbake.cli.application import app
 
 
 def fieldbake(*arguments):

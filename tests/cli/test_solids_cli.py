@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 
 import fieldbake as fb
 import meshes
-from fieldbake.cli.commands import app
+from fieldbake.cli.application import app
 
 
 def run(*arguments):

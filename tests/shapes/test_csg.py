@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import fieldbake as fb
 import truth_csg as truth
-from fieldbake.cli.commands import app
+from fieldbake.cli.application import app
 
 #: The tree of the article.
 ARTICLE = "(union (cube 3) (diff (cube 4) (move -2 -2 2 (sphere 5))))"

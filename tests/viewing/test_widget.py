@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 import fieldbake as fb
-from fieldbake.cli.commands import app
+from fieldbake.cli.application import app
 
 PNG = b"\x89PNG"
 

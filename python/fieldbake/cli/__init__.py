@@ -1,6 +1,5 @@
 """The command line."""
 
-from . import doctor, files, libraries, pictures, queries, solids, view  # they register their commands
-from .commands import main
+from .application import main
 
-__all__ = ["doctor", "files", "libraries", "main", "pictures", "queries", "solids", "view"]
+__all__ = ["main"]

@@ -1,109 +1,29 @@
-"""The command line: the application, and the commands ``bake``, ``merge`` and ``pack``.
-
-Exit codes: 0 for success, 1 for an error in the input (one line on stderr), 2 for wrong usage.
-"""
+"""The commands ``bake``, ``merge`` and ``pack``, and the options and tables that commands share."""
 
 from __future__ import annotations
 
-import warnings
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
-from typer.core import TyperGroup
 
 import fieldbake as fb
 
 from ..atlases.atlas import Language, as_written
 from ..files.container import ENDINGS
 from ..volumes import writers
+from .application import app, err, show_rows
 from .folders import bake_folder
 from .saving import check_encoding, save_field
-from .streams import Clobber, check_output, input_file, is_stream, output_file
+from .streams import check_output, input_file, is_stream, output_file
 from .tables import atlas_rows, volume_rows
-
-
-class Errors(Console):
-    """Standard error; without progress bars in quiet runs."""
-
-    silent = False
-
-    @property
-    def is_terminal(self) -> bool:
-        """Whether progress is shown."""
-        return super().is_terminal and not self.silent
-
-
-out = Console(highlight=False)
-err = Errors(stderr=True, highlight=False)
 
 #: Endings of meshes that can be written.
 MESHES = (".stl", ".obj", ".ply", ".glb", ".3mf")
 
-#: Options of every command, which may come before or after its name.
-COMMON = ("-q", "--quiet", "--no-clobber")
-
-
-class Group(TyperGroup):
-    """Prints errors in the input as one line, with exit code 1; other exceptions keep their traceback."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Move the options that all commands share to the front."""
-        end = args.index("--") if "--" in args else len(args)
-        common = [arg for arg in args[:end] if arg in COMMON]
-        rest = [arg for arg in args[:end] if arg not in COMMON] + args[end:]
-        return list(super().parse_args(ctx, common + rest))
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run a command; see the description of the class."""
-        try:
-            return super().invoke(ctx)
-        except (fb.Error, OSError) as error:
-            text = str(error)
-            if isinstance(error, OSError) and error.strerror:
-                text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-            err.print(f"[bold red]error:[/] {escape(text)}", soft_wrap=True)
-            raise typer.Exit(1) from None
-
-
-app = typer.Typer(
-    cls=Group,
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
-    context_settings={"help_option_names": ["-h", "--help"]},
-    help="Exact signed distance fields from triangle meshes and CSG shapes.",
-)
-
 Device = Annotated[str, typer.Option(help='Compute device: "auto", "cpu", "gpu" or a name from `fieldbake devices`.')]
 Sign = Literal["auto", "winding", "parity", "pseudonormal", "normal", "unsigned"]
-
-
-def _version(wanted: bool) -> None:
-    if wanted:
-        out.print(f"fieldbake {fb.__version__}")
-        raise typer.Exit
-
-
-@app.callback()
-def root(
-    version: Annotated[  # noqa: ARG001 - its callback has done the work
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
-    ] = False,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Print errors only. May follow the name of a command.")
-    ] = False,
-    no_clobber: Annotated[
-        bool, typer.Option("--no-clobber", help="Do not replace existing files. May follow the name of a command.")
-    ] = False,
-) -> None:
-    """Options of every command."""
-    out.quiet = err.silent = quiet
-    Clobber.allowed = not no_clobber
 
 
 def parse_resolution(text: str) -> int | tuple[int, int, int]:
@@ -366,20 +286,3 @@ def pack(
         text = atlas.shader(languages[shader.suffix.lower()], texels="png" if ending == ".png" else "pages")
         shader.write_text(text, encoding="utf-8")
     show_rows(f"{output}", atlas_rows(atlas, ending))
-
-
-def show_rows(title: str, rows: list[tuple[str, str]]) -> None:
-    """Print labels and texts as a table."""
-    table = Table(title=escape(title), title_justify="left", show_header=False, title_style="bold")
-    table.add_column(style="cyan", no_wrap=True)
-    table.add_column(overflow="fold")
-    for label, text in rows:
-        table.add_row(label, escape(text), style="yellow" if label == "warning" else None)
-    out.print(table)
-
-
-def main() -> None:
-    """Run the command line."""
-    # What deserves a warning is a row of the tables that commands print.
-    warnings.simplefilter("ignore", fb.SurfaceWarning)
-    app(prog_name="fieldbake")

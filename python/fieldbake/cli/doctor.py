@@ -7,8 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..base.report import bytes_text
-from .commands import app, show_rows
+from .application import app, show_rows
 from .diagnosis import diagnose
 
 
@@ -39,7 +38,7 @@ def rows_of(found: dict[str, Any]) -> list[tuple[str, str]]:
     for device in found["devices"]:
         rows.append(("device", _device_text(device)))
         rows += [("", f"{path}: {_test_text(test)}") for path, test in device.get("tests", {}).items()]
-    if not any(device.get("backend", "cpu") != "cpu" for device in found["devices"]):
+    if [device.get("backend") for device in found["devices"]] == ["cpu"]:
         rows.append(("device", "no graphics adapter was found; everything runs on the CPU"))
     rows += [("Vulkan driver", path) for path in found["vulkan_drivers"]]
     rows.append(("cache", _cache_text(cache)))
@@ -65,7 +64,7 @@ def _test_text(test: dict[str, Any]) -> str:
 
 
 def _cache_text(cache: dict[str, Any]) -> str:
-    size = f"{cache['files']} fields, {bytes_text(cache['nbytes'])}"
+    size = f"{cache['files']} fields, {cache['nbytes'] / 1e6:.1f} MB"
     state = "" if cache["used"] else "; used only after fieldbake.cache.use_disk() or with FIELDBAKE_CACHE"
     return f"{cache['folder'] or cache['error']}: {size}{state}"
 

@@ -14,7 +14,8 @@ from ..atlases import images
 from ..atlases.atlas import as_written
 from ..files.container import ENDINGS
 from ..volumes import writers
-from .commands import MESHES, app, show_rows
+from .application import app, show_rows
+from .commands import MESHES
 from .saving import check_encoding, save_field
 from .streams import check_output, input_file, is_stream, output_file
 from .tables import facts_of, rows_of

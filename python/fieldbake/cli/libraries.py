@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from ..scaling.many import sample_many
-from .commands import app, err
+from .application import app, err
 from .folders import finish
 
 

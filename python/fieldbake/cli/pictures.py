@@ -15,7 +15,8 @@ import fieldbake as fb
 from ..drawing.frame import check_picture, save_image
 from ..files.container import ENDINGS
 from . import demo as demonstration
-from .commands import MESHES, Device, Resolution, app, err, out, parse_size, parse_vector
+from .application import app, err, out
+from .commands import MESHES, Device, Resolution, parse_size, parse_vector
 from .streams import check_clobber, check_output
 
 

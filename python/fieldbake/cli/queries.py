@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 import fieldbake as fb
 
 from ..files.container import atomic_write
-from .commands import Device, Sign, app, show_rows
+from .application import app, show_rows
+from .commands import Device, Sign
 
 #: Names of the columns of a result.
 COLUMNS = (

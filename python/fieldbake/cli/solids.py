@@ -10,7 +10,8 @@ import typer
 import fieldbake as fb
 
 from ..files.container import ENDINGS
-from .commands import MESHES, app, parse_resolution, parse_vector, show_rows
+from .application import app, show_rows
+from .commands import MESHES, parse_resolution, parse_vector
 from .streams import check_output
 
 Output = Annotated[Path, typer.Option("--output", "-o", help="The mesh file to write: .stl, .obj, .ply, .glb or .3mf.")]

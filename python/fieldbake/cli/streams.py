@@ -18,6 +18,7 @@ import typer
 import fieldbake as fb
 
 from ..files.container import check_target, listed
+from .application import Clobber
 
 #: First bytes of files, and the endings of their names.
 _SIGNATURES = (
@@ -36,12 +37,6 @@ _SIGNATURES = (
     (b"v ", ".obj"),
     (b"# ", ".obj"),
 )
-
-
-class Clobber:
-    """Whether outputs may replace files that exist."""
-
-    allowed = True
 
 
 def is_stream(path: Path) -> bool:

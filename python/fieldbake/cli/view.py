@@ -12,7 +12,7 @@ import typer
 import fieldbake as fb
 
 from ..viewing.hosts import ENCODINGS
-from .commands import app, out
+from .application import app, out
 
 #: Kinds of files that hold a whole scene.
 SCENES = (".glb", ".gltf")

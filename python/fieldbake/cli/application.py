@@ -1,0 +1,172 @@
+"""The command line: the application, its common options, and the table of commands.
+
+Exit codes: 0 for success, 1 for an error in the input (one line on stderr), 2 for wrong usage.
+"""
+
+from __future__ import annotations
+
+import importlib
+import warnings
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from typer.core import TyperCommand, TyperGroup
+
+import fieldbake as fb
+
+
+class Errors(Console):
+    """Standard error; without progress bars in quiet runs."""
+
+    silent = False
+
+    @property
+    def is_terminal(self) -> bool:
+        """Whether progress is shown."""
+        return super().is_terminal and not self.silent
+
+
+class Clobber:
+    """Whether outputs may replace files that exist."""
+
+    allowed = True
+
+
+out = Console(highlight=False)
+err = Errors(stderr=True, highlight=False)
+
+#: The module of each command, and the text that the list of commands shows: the first paragraph of its docstring.
+COMMANDS = {
+    "bake": (
+        "commands",
+        "Bake the signed distance field of a mesh into a file, or those of many meshes into a folder.",
+    ),
+    "info": ("files", "Describe the contents of files."),
+    "check": (
+        "queries",
+        "Report whether meshes are closed, oriented and free of self-intersections, and how thin they are.",
+    ),
+    "query": ("queries", "Write signed distance, gradient, closest point, face and weights of every point."),
+    "sample": ("libraries", "Write training samples of many meshes: points, signed distances and gradients, float32."),
+    "pack": ("commands", "Pack baked fields and meshes into a texture atlas."),
+    "render": (
+        "pictures",
+        "Draw a scene: a glTF or any mesh file with its textures, cameras and lights, or a baked field.",
+    ),
+    "view": ("view", "Write a live view of each file as one HTML page, and open it."),
+    "csg": ("pictures", "Draw, bake or mesh a shape from its s-expression. The z axis points upwards in pictures."),
+    "merge": ("commands", "Merge all instances of a scene into one field that never exceeds the distance to them."),
+    "mesh": ("solids", "Write the surface of a field, a shape or a mesh as a closed mesh."),
+    "solid": ("solids", "Write a closed two-manifold mesh made from any triangles."),
+    "boolean": ("solids", "Combine two meshes: fieldbake boolean a.stl - b.stl -o c.stl."),
+    "convert": (
+        "files",
+        "Write a field, an atlas or a mesh in another format; a field becomes a mesh as its zero surface.",
+    ),
+    "demo": ("pictures", "Bake, save, load and draw meshes; write pictures and print the steps."),
+    "devices": ("pictures", "List the compute devices."),
+    "doctor": (
+        "doctor",
+        "Print versions, devices and packages, and test what works here. Exit status 1 means that a test failed.",
+    ),
+}
+
+#: Options of every command, which may come before or after its name.
+COMMON = ("-q", "--quiet", "--no-clobber")
+
+
+class Group(TyperGroup):
+    """The group of all commands, each of which is imported when it is called.
+
+    Errors in the input are printed as one line, with exit code 1; other exceptions keep their traceback.
+    """
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        listed = {name: TyperCommand(name=name, help=text) for name, (_, text) in COMMANDS.items()}
+        # Commands of modules that are imported are complete; the others only have their help in the list.
+        self.commands = {**listed, **self.commands}
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Import the module of a command before it is called or completed."""
+        if args and args[0] in COMMANDS:
+            load(args[0])
+            self.commands.update(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+        return super().resolve_command(ctx, args)
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Move the options that all commands share to the front."""
+        end = args.index("--") if "--" in args else len(args)
+        common = [arg for arg in args[:end] if arg in COMMON]
+        rest = [arg for arg in args[:end] if arg not in COMMON] + args[end:]
+        return list(super().parse_args(ctx, common + rest))
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command; see the description of the class."""
+        try:
+            return super().invoke(ctx)
+        except (fb.Error, OSError) as error:
+            text = str(error)
+            if isinstance(error, OSError) and error.strerror:
+                text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+            err.print(f"[bold red]error:[/] {escape(text)}", soft_wrap=True)
+            raise typer.Exit(1) from None
+
+
+app = typer.Typer(
+    cls=Group,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Exact signed distance fields from triangle meshes and CSG shapes.",
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"fieldbake {fb.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[  # noqa: ARG001 - its callback has done the work
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Print errors only. May follow the name of a command.")
+    ] = False,
+    no_clobber: Annotated[
+        bool, typer.Option("--no-clobber", help="Do not replace existing files. May follow the name of a command.")
+    ] = False,
+) -> None:
+    """Options of every command."""
+    out.quiet = err.silent = quiet
+    Clobber.allowed = not no_clobber
+
+
+def load(*names: str) -> None:
+    """Import the modules of commands, by default of all: this adds the commands to `app`."""
+    for name in names or COMMANDS:
+        importlib.import_module(f".{COMMANDS[name][0]}", __package__)
+
+
+def show_rows(title: str, rows: list[tuple[str, str]]) -> None:
+    """Print labels and texts as a table."""
+    table = Table(title=escape(title), title_justify="left", show_header=False, title_style="bold")
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column(overflow="fold")
+    for label, text in rows:
+        table.add_row(label, escape(text), style="yellow" if label == "warning" else None)
+    out.print(table)
+
+
+def main() -> None:
+    """Run the command line."""
+    # What deserves a warning is a row of the tables that commands print.
+    warnings.simplefilter("ignore", fb.SurfaceWarning)
+    app(prog_name="fieldbake")
