@@ -1,125 +1,17 @@
 """Shader text of stored fields: GLSL in a browser beside NumPy, and the buffers that the texts read."""
 
-import html
-import json
-import re
-import shutil
-import subprocess
-
 import numpy as np
 import pytest
 
 import fieldbake as fb
+from browser import Texture, glsl_job, run_glsl
 
 LANGUAGES = ("wgsl", "glsl", "hlsl", "msl")
 COUNT = 256
 
-PAGE = """<!doctype html><pre id="out">nothing ran</pre><script>
-const jobs = JOBS;
-const out = document.getElementById("out");
-const run = job => {
-  const gl = document.createElement("canvas").getContext("webgl2");
-  if (!gl) throw "no WebGL 2";
-  if (!gl.getExtension("EXT_color_buffer_float")) throw "no float targets";
-  const compile = (kind, text) => {
-    const shader = gl.createShader(kind);
-    gl.shaderSource(shader, text);
-    gl.compileShader(shader);
-    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw gl.getShaderInfoLog(shader);
-    return shader;
-  };
-  const program = gl.createProgram();
-  gl.attachShader(program, compile(gl.VERTEX_SHADER, job.vertex));
-  gl.attachShader(program, compile(gl.FRAGMENT_SHADER, job.fragment));
-  gl.linkProgram(program);
-  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw gl.getProgramInfoLog(program);
-  gl.useProgram(program);
-  job.textures.forEach(({name, format, size, values}, unit) => {
-    const [inner, outer, kind, list] = {
-      r32float: [gl.R32F, gl.RED, gl.FLOAT, Float32Array],
-      rgba32float: [gl.RGBA32F, gl.RGBA, gl.FLOAT, Float32Array],
-      r32uint: [gl.R32UI, gl.RED_INTEGER, gl.UNSIGNED_INT, Uint32Array],
-    }[format];
-    const target = size.length === 3 ? gl.TEXTURE_3D : gl.TEXTURE_2D;
-    gl.activeTexture(gl.TEXTURE0 + unit);
-    gl.bindTexture(target, gl.createTexture());
-    gl.texParameteri(target, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
-    gl.texParameteri(target, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
-    const data = new list(values);
-    if (size.length === 3) gl.texImage3D(target, 0, inner, ...size, 0, outer, kind, data);
-    else gl.texImage2D(target, 0, inner, ...size, 0, outer, kind, data);
-    gl.uniform1i(gl.getUniformLocation(program, name), unit);
-  });
-  gl.activeTexture(gl.TEXTURE0 + job.textures.length);
-  const target = gl.createTexture();
-  gl.bindTexture(gl.TEXTURE_2D, target);
-  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, job.count, 1, 0, gl.RGBA, gl.FLOAT, null);
-  gl.bindFramebuffer(gl.FRAMEBUFFER, gl.createFramebuffer());
-  gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, target, 0);
-  gl.viewport(0, 0, job.count, 1);
-  gl.drawArrays(gl.TRIANGLES, 0, 3);
-  const values = new Float32Array(4 * job.count);
-  gl.readPixels(0, 0, job.count, 1, gl.RGBA, gl.FLOAT, values);
-  if (gl.getError()) throw "GL error";
-  return Array.from(values);
-};
-try {
-  out.textContent = JSON.stringify({values: jobs.map(run)});
-} catch (problem) {
-  out.textContent = JSON.stringify({problem: String(problem)});
-}
-</script>"""
-
-VERTEX = """#version 300 es
-void main() { gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0, 0.0, 1.0); }
-"""
-
-MAIN = """
-uniform highp sampler2D points;
-out vec4 values;
-void main() {
-    vec3 p = texelFetch(points, ivec2(int(gl_FragCoord.x), 0), 0).xyz;
-    vec3 q = texelFetch(points, ivec2(int(gl_FragCoord.x), 1), 0).xyz;
-    values = RESULT;
-}
-"""
-
-
-def job(text, result, buffers, points, others=None):
-    """One program for the page: the text and a main that evaluates `result` at points p, with vectors q."""
-    others = points if others is None else others
-    rows = np.zeros((2, len(points), 4), np.float32)
-    rows[0, :, :3], rows[1, :, :3] = points, others
-    textures = [
-        {"name": name, "format": form, "size": list(size), "values": np.ravel(array).tolist()}
-        for name, form, size, array in [*buffers, ("points", "rgba32float", (len(points), 2), rows)]
-    ]
-    fragment = text + MAIN.replace("RESULT", result)
-    return {"vertex": VERTEX, "fragment": fragment, "textures": textures, "count": len(points)}
-
-
-def run_in_browser(tmp_path, jobs):
-    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if browser is None:
-        pytest.skip("no Chromium: install the package chromium to run the GLSL in a browser")
-    page = tmp_path / "page.html"
-    page.write_text(PAGE.replace("JOBS", json.dumps(jobs)), encoding="utf-8")
-    flags = ["--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    flags += ["--disable-dev-shm-usage", f"--user-data-dir={tmp_path / 'profile'}"]
-    result = subprocess.run(
-        [browser, *flags, "--dump-dom", page.as_uri()], capture_output=True, text=True, timeout=180, check=False
-    )
-    written = re.search(r'<pre id="out">(.*?)</pre>', result.stdout, re.DOTALL)
-    assert written is not None, f"the browser said nothing (exit code {result.returncode}): {result.stderr[-500:]}"
-    answer = json.loads(html.unescape(written[1]))
-    if answer.get("problem") == "no WebGL 2":
-        pytest.skip("this Chromium has no WebGL 2")
-    assert "problem" not in answer, answer["problem"]
-    return [np.array(values).reshape(-1, 4) for values in answer["values"]]
-
 
 def listed(buffers):
-    return [(one.name, one.format, one.size, one.array) for one in buffers]
+    return [Texture(one.name, one.format, one.size, one.array, f"{len(one.size)}d") for one in buffers]
 
 
 @pytest.fixture(scope="module")
@@ -143,24 +35,23 @@ def test_the_glsl_of_every_field_is_the_field_of_numpy(volume, nested, tmp_path)
     around = random.uniform(*nested.bounds, (COUNT, 3)).astype(np.float32)
     quadrics = [fb.Quadric.sphere((1, 2, 3), 0.5), fb.Quadric.cylinder(), fb.Quadric.cone()]
     packed = fb.pack_quadrics(quadrics)
-    texels = [("quadric_texels", "rgba32float", (6, len(quadrics)), packed)]
+    texels = [Texture("quadric_texels", "rgba32float", (6, len(quadrics)), packed, "2d")]
     center = np.array((1.0, 2.0, 3.0))
     eyes = center + random.normal(size=(COUNT, 3)) + random.choice([-8, 8], (COUNT, 1))
     ways = center + random.normal(size=(COUNT, 3)) * 0.3 - eyes
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    volume.shader("glsl")
-    far, level, brick, hit = run_in_browser(
+    far, level, brick, hit = run_glsl(
         tmp_path,
         [
-            job(
+            glsl_job(
                 volume.shader("glsl"),
                 "vec4(field_distance(p), field_gradient(p))",
                 listed(volume.shader_buffers()),
                 inside,
             ),
-            job(nested.shader("glsl"), "vec4(nested_distance(p))", listed(nested.shader_buffers()), around),
-            job(sparse.shader("glsl"), "vec4(sparse_distance(p))", listed(sparse.shader_buffers()), inside),
-            job(
+            glsl_job(nested.shader("glsl"), "vec4(nested_distance(p))", listed(nested.shader_buffers()), around),
+            glsl_job(sparse.shader("glsl"), "vec4(sparse_distance(p))", listed(sparse.shader_buffers()), inside),
+            glsl_job(
                 fb.Quadric.shader("glsl"),
                 "vec4(intersect_quadric(load_quadric(0), p, q, 0.0))",
                 texels,
