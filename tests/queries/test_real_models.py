@@ -28,11 +28,14 @@ def model(request, model_path):
     return meshes.Geometry(loaded.vertices, loaded.faces.astype(np.int64))
 
 
+@pytest.fixture(params=PLACES)
+def geometry(request, model):
+    scale, shift = PLACES[request.param]
+    return meshes.scale_and_shift(model, scale, (shift, -shift, shift / 2))
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("place", PLACES)
-def test_points_agree_with_brute_force(model, place):
-    scale, shift = PLACES[place]
-    geometry = meshes.scale_and_shift(model, scale, (shift, -shift, shift / 2))
+def test_points_agree_with_brute_force(geometry):
     mesh = fb.Mesh(*geometry)
     points = meshes.points_around(geometry, COUNT)
 
@@ -59,10 +62,7 @@ def test_points_agree_with_brute_force(model, place):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("place", PLACES)
-def test_rays_agree_with_brute_force(model, place):
-    scale, shift = PLACES[place]
-    geometry = meshes.scale_and_shift(model, scale, (shift, -shift, shift / 2))
+def test_rays_agree_with_brute_force(geometry):
     mesh = fb.Mesh(*geometry)
     origins = meshes.points_around(geometry, COUNT, 6, spread=2)
     directions = meshes.points_around(geometry, COUNT, 7, spread=0.8) - origins

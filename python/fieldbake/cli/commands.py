@@ -80,16 +80,14 @@ def parse_vector(text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
-Resolution = Annotated[
-    Any,
-    typer.Option(
-        "--resolution",
-        "-r",
-        parser=parse_resolution,
-        metavar="N|NxNxN",
-        help="Voxels along the longest side (64), or along x, y and z (64x48x32).",
-    ),
-]
+def resolution_option(example: int) -> Any:
+    """The option of a number of voxels; the example is the number along the longest side."""
+    three = f"{example}x{example // 2}x{example // 4}"
+    text = f"Voxels along the longest side ({example}), or along x, y and z ({three})."
+    return typer.Option("--resolution", "-r", parser=parse_resolution, metavar="N|NxNxN", help=text)
+
+
+Resolution = Annotated[Any, resolution_option(64)]
 
 
 @app.command()

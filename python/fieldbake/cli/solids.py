@@ -11,20 +11,11 @@ import fieldbake as fb
 
 from ..files.container import ENDINGS
 from .application import app, show_rows
-from .commands import MESHES, parse_resolution, parse_vector
+from .commands import MESHES, parse_vector, resolution_option
 from .streams import check_output
 
 Output = Annotated[Path, typer.Option("--output", "-o", help="The mesh file to write: .stl, .obj, .ply, .glb or .3mf.")]
-Resolution = Annotated[
-    Any,
-    typer.Option(
-        "--resolution",
-        "-r",
-        parser=parse_resolution,
-        metavar="N|NxNxN",
-        help="Voxels along the longest side (256), or along x, y and z (256x128x64).",
-    ),
-]
+Resolution = Annotated[Any, resolution_option(256)]
 Measure = Annotated[
     bool, typer.Option("--measure", help="Also report the largest distances between the result and its source.")
 ]

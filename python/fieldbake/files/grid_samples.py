@@ -1,4 +1,4 @@
-"""Samples of a regular grid, read from files of other programs."""
+"""Samples of a regular grid in files that other programs read and write."""
 
 from __future__ import annotations
 

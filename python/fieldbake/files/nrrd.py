@@ -5,6 +5,7 @@ Source: "Definition of NRRD File Format" (Teem). The header is text; an empty li
 
 from __future__ import annotations
 
+import json
 import re
 import zlib
 from typing import IO
@@ -51,18 +52,10 @@ _LEVEL = 3
 _GZIP_WINDOW = 31
 
 
-def write(
-    stream: IO[bytes],
-    samples: NDArray[np.float32],
-    origin: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-    facts: str,
-    *,
-    compressed: bool,
-) -> None:
-    """Write samples (nx, ny, nz) with their grid; `facts` is stored as the value of the key ``fieldbake``."""
+def write(stream: IO[bytes], grid: GridSamples, *, compressed: bool) -> None:
+    """Write a grid; its facts are JSON, the value of the key ``fieldbake``."""
     directions = " ".join(
-        "(" + ",".join(repr(float(spacing[axis])) if axis == row else "0" for axis in range(3)) + ")"
+        "(" + ",".join(repr(float(grid.spacing[axis])) if axis == row else "0" for axis in range(3)) + ")"
         for row in range(3)
     )
     lines = [
@@ -70,17 +63,17 @@ def write(
         "type: float",
         "dimension: 3",
         "space: 3D-right-handed",
-        f"sizes: {' '.join(map(str, samples.shape))}",
+        f"sizes: {' '.join(map(str, grid.samples.shape))}",
         f"space directions: {directions}",
         "centerings: cell cell cell",
         "kinds: domain domain domain",
         "endian: little",
         f"encoding: {'gzip' if compressed else 'raw'}",
-        f"space origin: ({','.join(repr(float(x)) for x in origin)})",
-        f"fieldbake:={facts}",
+        f"space origin: ({','.join(repr(float(x)) for x in grid.origin)})",
+        f"fieldbake:={json.dumps(grid.facts)}",
     ]
     stream.write("\n".join(lines).encode() + b"\n\n")
-    content = np.ascontiguousarray(samples.T, "<f4").data.cast("B")
+    content = np.ascontiguousarray(grid.samples.T, "<f4").data.cast("B")
     if not compressed:
         stream.write(content)
         return

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import binascii
+import json
 import re
 import struct
 import zlib
@@ -42,23 +43,15 @@ _ZLIB = "vtkZLibDataCompressor"
 _APPENDED = re.compile(rb'<AppendedData\s+encoding="(raw|base64)"\s*>\s*_')
 
 
-def write(
-    stream: IO[bytes],
-    samples: NDArray[np.float32],
-    origin: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-    facts: str,
-    *,
-    compressed: bool,
-) -> None:
-    """Write samples (nx, ny, nz); `facts` becomes the text array ``fieldbake`` of the field data."""
-    extent = " ".join(f"0 {side - 1}" for side in samples.shape)
-    codes = " ".join(map(str, [*facts.encode(), 0]))
+def write(stream: IO[bytes], grid: GridSamples, *, compressed: bool) -> None:
+    """Write a grid; its facts are JSON, the text array ``fieldbake`` of the field data."""
+    extent = " ".join(f"0 {side - 1}" for side in grid.samples.shape)
+    codes = " ".join(map(str, [*json.dumps(grid.facts).encode(), 0]))
     compressor = f' compressor="{_ZLIB}"' if compressed else ""
     stream.write(
         f'<?xml version="1.0"?>\n'
         f'<VTKFile type="ImageData" version="1.0" byte_order="LittleEndian" header_type="UInt64"{compressor}>\n'
-        f'<ImageData WholeExtent="{extent}" Origin="{_words(origin)}" Spacing="{_words(spacing)}" '
+        f'<ImageData WholeExtent="{extent}" Origin="{_words(grid.origin)}" Spacing="{_words(grid.spacing)}" '
         f'Direction="1 0 0 0 1 0 0 0 1">\n'
         f'<FieldData><DataArray type="String" Name="fieldbake" NumberOfTuples="1" format="ascii">{codes}</DataArray>'
         f"</FieldData>\n"
@@ -66,7 +59,7 @@ def write(
         f'<DataArray type="Float32" Name="{NAME}" format="appended" offset="0"/>'
         f'</PointData><CellData/></Piece>\n</ImageData>\n<AppendedData encoding="raw">\n_'.encode()
     )
-    content = np.ascontiguousarray(samples.T, "<f4").data.cast("B")
+    content = np.ascontiguousarray(grid.samples.T, "<f4").data.cast("B")
     if compressed:
         pieces = [content[at : at + BLOCK_BYTES] for at in range(0, len(content), BLOCK_BYTES)]
         packed = [zlib.compress(piece, 3) for piece in pieces]

@@ -35,12 +35,9 @@ MARGIN = 1e-6
 
 
 @dataclass(frozen=True)
-class Layout:
-    """All settings that determine the contents of a store, besides the mesh itself."""
+class Layout(Grid):
+    """All settings that determine the contents of a store, besides the mesh itself: the grid of level 0 and these."""
 
-    lower: tuple[float, float, float]
-    upper: tuple[float, float, float]
-    shape: tuple[int, int, int]
     #: Half width of the band, voxels of level 0.
     band: float
     #: Samples along the side of a shard and of a chunk.
@@ -53,14 +50,9 @@ class Layout:
     inner: tuple[tuple[float, float, float], tuple[float, float, float]]
 
     @property
-    def grid(self) -> Grid:
-        """The grid of level 0."""
-        return Grid(self.lower, self.upper, self.shape)
-
-    @property
     def voxel(self) -> float:
         """Longest side of a voxel of level 0, world units."""
-        return max(self.grid.spacing)
+        return max(self.spacing)
 
     @property
     def band_width(self) -> float:
@@ -70,7 +62,7 @@ class Layout:
     @property
     def scale(self) -> float:
         """World distance of a stored share of 1."""
-        return float(encodings.scale_of(self.encoding, self.grid.spacing, self.band))
+        return float(encodings.scale_of(self.encoding, self.spacing, self.band))
 
     @property
     def fill(self) -> Any:
@@ -89,10 +81,10 @@ class Layout:
     def level(self, level: int) -> Grid:
         """The grid of a level: the same lower corner, voxels ``2**level`` times as long."""
         if level == 0:
-            return self.grid
+            return self
         step = 2**level
         x, y, z = (-(-n // step) for n in self.shape)
-        upper = [l + n * step * s for l, n, s in zip(self.lower, (x, y, z), self.grid.spacing, strict=True)]
+        upper = [l + n * step * s for l, n, s in zip(self.lower, (x, y, z), self.spacing, strict=True)]
         return Grid(self.lower, (upper[0], upper[1], upper[2]), (x, y, z))
 
     def counts(self, level: int) -> tuple[int, int, int]:
@@ -169,7 +161,7 @@ def attributes(layout: Layout, name: str, report: Mapping[str, Any]) -> dict[str
         "ome": ome_attributes(layout, name),
         "scale": float(layout.scale),
         "bounds": [list(layout.lower), list(layout.upper)],
-        "spacing": list(layout.grid.spacing),
+        "spacing": list(layout.spacing),
         "mesh_hash": layout.mesh,
         "fieldbake": {"layout": VERSION, "version": _core.__version__, **layout.to_dict(), "report": dict(report)},
     }

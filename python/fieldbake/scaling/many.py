@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,9 +24,11 @@ from ..queries.sampling import sample_training
 from . import content, executors, ledger
 from .child import Child, UnsendableError
 
-#: Options of `bake` that all items share; progress is that of the whole run.
-BAKE_OPTIONS = tuple(name for name in inspect.signature(bake).parameters if name not in ("mesh", "progress"))
-SAMPLE_OPTIONS = ("n", "near", "uniform", "seed")
+#: For each kind of run its function, and the options of that function that all items share.
+OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "bake": ("bake", tuple(name for name in inspect.signature(bake).parameters if name not in ("mesh", "progress"))),
+    "sample": ("sample_training", ("n", "near", "uniform", "seed")),
+}
 
 #: Progress reaches a callback at most this often, seconds.
 INTERVAL = 0.1
@@ -115,63 +117,51 @@ def bake_many(
     >>> first[0]["status"], second[0]["status"]
     ('done', 'skipped')
     """
-    _check_names(options, BAKE_OPTIONS, "bake")
     run = Run("bake", Path(out), options, executor, on_error, resume, limit_s, workers, progress)
     return run.rows(items)
 
 
 def sample_many(
-    items: Iterable[Any] | Mapping[str, Any],
-    out: str | os.PathLike[str],
-    *,
-    executor: Any = None,
-    on_error: Literal["record", "raise"] = "record",
-    resume: bool = True,
-    limit_s: float | None = None,
-    workers: int | None = None,
-    progress: Progress = None,
-    **options: Any,
+    items: Iterable[Any] | Mapping[str, Any], out: str | os.PathLike[str], **options: Any
 ) -> list[dict[str, Any]]:
-    """Draw training samples of each item with :func:`sample_training`; arguments and rows as for :func:`bake_many`.
+    """Draw training samples of each item; arguments and rows as for :func:`bake_many`.
 
-    A result is an .npz file of ``points`` (n, 3), ``distances`` (n,) and ``gradients`` (n, 3), all float32.
+    The options are those of :func:`sample_training`. A result is an .npz file of ``points`` (n, 3), ``distances`` (n,)
+    and ``gradients`` (n, 3), all float32.
     """
-    _check_names(options, SAMPLE_OPTIONS, "sample_training")
-    run = Run("sample", Path(out), options, executor, on_error, resume, limit_s, workers, progress)
-    return run.rows(items)
+    shared = {field.name: options.pop(field.name) for field in fields(Run) if field.name in options}
+    return Run("sample", Path(out), options, **shared).rows(items)
 
 
-def _check_names(options: Mapping[str, Any], known: Sequence[str], function: str) -> None:
-    for name in options:
-        if name not in known:
-            raise ArgumentError(f"{name}: is no option of {function}; its options are {', '.join(known)}")
-
-
+@dataclass
 class Run:
-    """One call of :func:`bake_many` or :func:`sample_many`."""
+    """One call of :func:`bake_many` or :func:`sample_many`, whose arguments are its fields."""
 
-    def __init__(
-        self,
-        kind: Literal["bake", "sample"],
-        out: Path,
-        options: Mapping[str, Any],
-        executor: Any,
-        on_error: str,
-        resume: bool,
-        limit_s: float | None,
-        workers: int | None,
-        progress: Progress,
-    ) -> None:
-        self.kind, self.out, self.options = kind, out, dict(options)
-        self.executor = executors.checked_executor(executor)
-        self.raises = checks.choice("on_error", on_error, ("record", "raise")) == "raise"
-        self.resume = checks.flag("resume", resume)
-        self.limit_s = None if limit_s is None else checks.number("limit_s", limit_s, above=0)
-        self.workers = None if workers is None else checks.integer("workers", workers, least=1, most=1024)
-        if self.workers is not None and executor is not None:
-            raise ArgumentError("workers: means nothing with an executor, which has its own")
-        self.progress = progress
-        self.options_hash = content.of_options({"kind": kind, **self.options})
+    kind: Literal["bake", "sample"]
+    out: Path
+    options: Mapping[str, Any]
+    executor: Any = None
+    on_error: Literal["record", "raise"] = "record"
+    resume: bool = True
+    limit_s: float | None = None
+    workers: int | None = None
+    progress: Progress = None
+
+    def __post_init__(self) -> None:
+        function, known = OPTIONS[self.kind]
+        for name in self.options:
+            if name not in known:
+                raise ArgumentError(f"{name}: is no option of {function}; its options are {', '.join(known)}")
+        self.executor = executors.checked_executor(self.executor)
+        checks.choice("on_error", self.on_error, ("record", "raise"))
+        checks.flag("resume", self.resume)
+        if self.limit_s is not None:
+            checks.number("limit_s", self.limit_s, above=0)
+        if self.workers is not None:
+            checks.integer("workers", self.workers, least=1, most=1024)
+            if self.executor is not None:
+                raise ArgumentError("workers: means nothing with an executor, which has its own")
+        self.options_hash = content.of_options({"kind": self.kind, **self.options})
 
     def rows(self, items: Iterable[Any] | Mapping[str, Any]) -> list[dict[str, Any]]:
         """Bake or sample all items."""
@@ -203,7 +193,7 @@ class Run:
             if not ledger.is_done(self.out, last, name, known, self.options_hash):
                 known = None
             assets.append((index, Asset(item, row["path"], self.kind, self.options, found, known)))
-        if first_error is not None and self.raises:
+        if first_error is not None and self.on_error == "raise":
             raise first_error
         self._work(rows, assets)
         return rows
@@ -275,7 +265,7 @@ class Run:
                 **{k: v for k, v in (facts or {}).items() if k in ("content", "bytes")},
             }
             ledger.append(self.out, {**row, **proof, "options": self.options_hash})
-        if error is not None and self.raises:
+        if error is not None and self.on_error == "raise":
             raise _named(error, row)
 
 

@@ -148,7 +148,7 @@ def morton_order(shards: NDArray[np.int64]) -> NDArray[np.int64]:
 def far_distances(mesh: Mesh, layout: Layout) -> NDArray[np.float32]:
     """Signed distances at the corners of the shards of level 0, (cz, cy, cx)."""
     counts = np.array(layout.counts(0)) + 1
-    spacing = np.array(layout.grid.spacing) * layout.shard
+    spacing = np.array(layout.spacing) * layout.shard
     index = np.stack(np.meshgrid(*[np.arange(n) for n in counts[::-1]], indexing="ij"), axis=-1)[..., ::-1]
     points = np.ascontiguousarray((np.array(layout.lower) + index * spacing).reshape(-1, 3))
     return _core.signed_distance(mesh._core, points, sign=layout.sign, device="cpu").reshape(tuple(counts[::-1]))

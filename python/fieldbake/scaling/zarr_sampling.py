@@ -31,7 +31,7 @@ class Sampler:
         self.scale = layout.scale
         self.lower, self.upper = np.array(layout.lower), np.array(layout.upper)
         self.inner = np.array(layout.inner)
-        self.shape, self.spacing = np.array(layout.shape), np.array(layout.grid.spacing)
+        self.shape, self.spacing = np.array(layout.shape), np.array(layout.spacing)
         #: Size of a shard, world units.
         self.shard = self.spacing * layout.shard
         #: Smallest magnitude of a sample that the band has cut.

@@ -33,6 +33,7 @@ from ..base.errors import ArgumentError
 from ..files import container, flipbook, nanovdb, nrrd, openvdb, sidecar, texture_files, vector_field, vti
 from ..files.band_blocks import BandBlocks
 from ..files.container import atomic_write, head
+from ..files.grid_samples import GridSamples
 from .conventions import Convention, convention
 from .grid_field import GridField
 
@@ -263,11 +264,12 @@ def _level_set(file: _File) -> None:
 
 
 def _grid(file: _File) -> None:
-    text = json.dumps(_texel_facts(file.target, "float32", 1.0, file.field.facts))
+    facts = _texel_facts(file.target, "float32", 1.0, file.field.facts)
+    grid = GridSamples(file.field.distances, file.field.origin, file.field.spacing, facts)
     save = vti.write if file.target.suffix.lower() == ".vti" else nrrd.write
     is_packed = file.options.compression != "none"
     with atomic_write(file.target) as stream:
-        save(stream, file.field.distances, file.field.origin, file.field.spacing, text, compressed=is_packed)
+        save(stream, grid, compressed=is_packed)
 
 
 _WRITERS: dict[str, Callable[[_File], None]] = {
