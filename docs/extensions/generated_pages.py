@@ -8,7 +8,8 @@ from pathlib import Path
 import typer
 from sphinx.application import Sphinx
 
-from fieldbake.cli.commands import app as command_line
+from fieldbake.cli.application import app as command_line
+from fieldbake.cli.application import load as load_commands
 
 DOCS = Path(__file__).parents[1]
 ROOT = DOCS.parent
@@ -41,6 +42,7 @@ def _cell(text: str) -> str:
 
 def commands() -> str:
     """A section for each command: its purpose, its arguments and its options, from the objects that parse them."""
+    load_commands()  # without it the group has the names of the commands only
     group = typer.main.get_command(command_line)
     lines = [
         "# Command line",
