@@ -15,7 +15,8 @@ pub mod cast;
 pub mod closest;
 pub mod exact;
 pub mod pack;
-pub mod ray;
+pub mod ray_lanes;
+pub mod watertight;
 
 use crate::geometry::Aabb;
 use crate::mesh::Mesh;

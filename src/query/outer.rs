@@ -10,6 +10,7 @@
 //! two spaces meet where the distance is smallest between them, in the middle of an opening (a watershed). A sample without
 //! a higher neighbour lies in a gap that is too narrow, which is inside.
 
+use crate::bvh::watertight::Ray;
 use crate::error::Error;
 use crate::grid::Grid;
 use crate::mesh::Mesh;
@@ -242,7 +243,7 @@ impl Flood<'_> {
         }
         // From the lower end, so that both directions have the same answer.
         let (start, end) = if from < to { (start, end) } else { (end, start) };
-        self.mesh.first_hit(start, end - start, 1.0, |_| true).is_some()
+        self.mesh.is_occluded(&Ray { origin: start, direction: end - start, t_min: 0.0, t_max: 1.0 })
     }
 
     /// Decide the samples within the seal, from the largest distance to the smallest.

@@ -4,7 +4,7 @@
 //! are sorted by origin and direction first if the tree is larger than the cache.
 
 use super::nearest::unit_normal;
-use crate::bvh::cast::{FaceHit, Ray};
+use crate::bvh::watertight::{FaceHit, Ray};
 use crate::error::{ArgumentError, Error};
 use crate::mesh::Mesh;
 use crate::mesh::derived::Derived;
@@ -53,7 +53,7 @@ const MISS: FaceHit = FaceHit { t: f64::INFINITY, face: 0, weights: [0.0; 3], ze
 /// The first hit of every ray.
 pub fn cast_rays(mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> Result<RayHits, Error> {
     let found = for_each_ray(mesh, rays, progress, |ray, _| {
-        let hit = mesh.cast(ray)?;
+        let hit = mesh.first_hit(ray, |_| true)?;
         Some((hit, unit_normal(mesh, mesh.exact_triangle(hit.face), hit.face)))
     })?;
     let count = found.len();

@@ -10,7 +10,7 @@ use super::field::{FieldHit, FieldRay};
 use super::tree::Line;
 use super::triangles::Triangles;
 use super::{Alpha, Instance, Material, Primary, RenderOptions, Scene};
-use crate::bvh::ray::RayHit;
+use crate::bvh::watertight::{FaceHit, Ray};
 use crate::error::Error;
 use crate::progress::Progress;
 use crate::render::Camera;
@@ -203,7 +203,7 @@ impl Eye<'_> {
         seen: &dyn Fn(f64) -> bool,
     ) -> Option<Layer> {
         let ray = self.mesh_ray(item, eye, direction)?;
-        let hit = ray.triangles.mesh.first_hit(ray.origin, ray.along, nearest, |hit| {
+        let hit = ray.triangles.mesh.first_hit(&Ray { t_max: nearest, ..ray.in_tree }, |hit| {
             // A device has already drawn opaque surfaces.
             let is_drawn = || self.left_over.is_some() && is_opaque(ray.instance, ray.material(hit));
             hit.t >= from && !seen(hit.t) && !is_drawn() && ray.is_seen(hit)
@@ -215,8 +215,8 @@ impl Eye<'_> {
     pub fn face(&self, item: u32, face: u32) -> Option<Layer> {
         let eye = self.scene.scene_from_world(self.view.camera.eye);
         let ray = self.mesh_ray(item, eye, self.view.direction(self.x, self.y))?;
-        let hit = ray.triangles.mesh.hit_of_face(face, ray.origin, ray.along)?;
-        (hit.t >= 0.0 && ray.is_seen(&hit)).then(|| ray.layer(self.x, item, &hit))
+        let hit = ray.triangles.mesh.hit_of_face(face, &ray.in_tree)?;
+        ray.is_seen(&hit).then(|| ray.layer(self.x, item, &hit))
     }
 
     fn mesh_ray(&self, item: u32, eye: DVec3, direction: DVec3) -> Option<MeshRay<'_>> {
@@ -226,8 +226,12 @@ impl Eye<'_> {
             scene: self.scene,
             instance,
             triangles: instance.triangles.as_deref()?,
-            origin: to_tree.transform_point3(eye),
-            along: to_tree.matrix3 * (direction / self.scene.scale),
+            in_tree: Ray {
+                origin: to_tree.transform_point3(eye),
+                direction: to_tree.matrix3 * (direction / self.scene.scale),
+                t_min: 0.0,
+                t_max: f64::INFINITY,
+            },
             direction,
             pixel: self.view.camera.pixel_size(self.view.size[1]),
         })
@@ -342,13 +346,13 @@ impl Eye<'_> {
     }
 }
 
-/// The ray of a pixel in the space of a mesh's tree.
+/// The ray of a pixel through an instance with triangles.
 struct MeshRay<'a> {
     scene: &'a Scene,
     instance: &'a Instance,
     triangles: &'a Triangles,
-    origin: DVec3,
-    along: DVec3,
+    /// The ray in the space of the mesh's tree.
+    in_tree: Ray,
     /// World direction; multiples of it are depths.
     direction: DVec3,
     /// Side of a pixel at depth 1.
@@ -356,16 +360,16 @@ struct MeshRay<'a> {
 }
 
 impl MeshRay<'_> {
-    fn material_index(&self, hit: &RayHit) -> u32 {
+    fn material_index(&self, hit: &FaceHit) -> u32 {
         self.instance.first_material + self.triangles.material[hit.face as usize]
     }
 
-    fn material(&self, hit: &RayHit) -> &Material {
+    fn material(&self, hit: &FaceHit) -> &Material {
         &self.scene.materials[self.material_index(hit) as usize]
     }
 
     /// Whether a face is visible from this side, and not cut out by its mask.
-    fn is_seen(&self, hit: &RayHit) -> bool {
+    fn is_seen(&self, hit: &FaceHit) -> bool {
         let material = self.material(hit);
         // The visible side is the same in any space, mirrored or not.
         if !material.two_sided && !hit.is_front {
@@ -378,16 +382,16 @@ impl MeshRay<'_> {
         }
     }
 
-    fn color(&self, hit: &RayHit) -> Vec4 {
+    fn color(&self, hit: &FaceHit) -> Vec4 {
         let (material, triangles) = (self.material(hit), self.triangles);
-        let factor = Vec4::from_array(material.color) * triangles.color_at(hit.face, hit.u as f32, hit.v as f32);
+        let factor = Vec4::from_array(material.color) * triangles.color_at(hit.face, hit.weights.map(|w| w as f32));
         match material.texture {
             None => factor,
             Some(texture) => factor * self.texel(texture, hit),
         }
     }
 
-    fn emission(&self, hit: &RayHit) -> Vec3 {
+    fn emission(&self, hit: &FaceHit) -> Vec3 {
         let material = self.material(hit);
         let factor = Vec3::from_array(material.emission);
         match material.emission_texture {
@@ -397,26 +401,27 @@ impl MeshRay<'_> {
     }
 
     /// Linear RGB and opacity of a texture at a hit.
-    fn texel(&self, texture: u32, hit: &RayHit) -> Vec4 {
+    fn texel(&self, texture: u32, hit: &FaceHit) -> Vec4 {
         let triangles = self.triangles;
         let [a, b, c] = triangles.mesh.triangle(hit.face);
         let normal = (b - a).cross(c - a);
         // Side of the pixel on the surface, in units of the tree; larger on slanted surfaces.
-        let slant = (normal.dot(self.along) / (normal.length() * self.along.length())).abs().max(0.05);
-        let pixel = self.pixel * hit.t * self.along.length() / self.direction.length();
+        let slant =
+            (normal.dot(self.in_tree.direction) / (normal.length() * self.in_tree.direction.length())).abs().max(0.05);
+        let pixel = self.pixel * hit.t * self.in_tree.direction.length() / self.direction.length();
         let footprint = (pixel / slant.sqrt()) as f32 * triangles.uv_density(hit.face);
-        let uv = triangles.uv_at(hit.face, hit.u as f32, hit.v as f32);
+        let uv = triangles.uv_at(hit.face, hit.weights.map(|w| w as f32));
         self.scene.textures[texture as usize].sample(uv, footprint)
     }
 
-    fn layer(&self, x: u32, item: u32, hit: &RayHit) -> Layer {
+    fn layer(&self, x: u32, item: u32, hit: &FaceHit) -> Layer {
         let mut color = self.color(hit);
         if self.material(hit).alpha != Alpha::Blend {
             color.w = 1.0;
         }
         color.w *= self.instance.opacity;
         let to_scene = self.instance.scene_from_normal;
-        let smooth = self.triangles.normal_at(hit.face, hit.u as f32, hit.v as f32);
+        let smooth = self.triangles.normal_at(hit.face, hit.weights.map(|w| w as f32));
         let of_face = || {
             let [a, b, c] = self.triangles.mesh.triangle(hit.face);
             to_scene * (b - a).cross(c - a).normalize_or_zero().as_vec3()

@@ -3,7 +3,7 @@
 //! # Theory
 //!
 //! A distance field on a grid cannot represent objects thinner than a voxel, and a thicker sheet shades itself. Light
-//! and occlusion therefore trace the triangles of a sheet in float64 ([`crate::bvh::ray`]), with the opacity of the
+//! and occlusion therefore trace the triangles of a sheet in float64 ([`crate::bvh::cast`]), with the opacity of the
 //! material at each hit: 1 for opaque faces, 0 or 1 for a mask, the texture's for a blend. A ray keeps the product of
 //! the transmitted fractions of its crossings. Faces that a ray crosses at the same depth count once, as they do for
 //! the camera.
@@ -24,7 +24,7 @@ use super::shadow::{PARTS, Place, Ray, Work, basis, disc_point, toward};
 use super::tree::{Line, Tree};
 use super::triangles::Triangles;
 use super::{Alpha, Instance, RenderOptions, Scene, SceneShadows};
-use crate::bvh::ray::RayHit;
+use crate::bvh::watertight::{self, FaceHit};
 use crate::geometry::Aabb;
 use crate::mesh::Mesh;
 use glam::{DVec3, Vec2};
@@ -223,11 +223,12 @@ impl Scene {
     fn instance_share(&self, instance: &Instance, start: DVec3, ray: &Ray) -> f32 {
         let Some(triangles) = instance.triangles.as_deref() else { return 1.0 };
         let origin = instance.tree_from_scene.transform_point3(start);
-        let along = instance.tree_from_scene.matrix3 * ray.direction;
+        let direction = instance.tree_from_scene.matrix3 * ray.direction;
+        let in_tree = watertight::Ray { origin, direction, t_min: 0.0, t_max: ray.t_max };
         let mut share = 1.0;
         let mut depths = [0.0; CROSSINGS];
         let mut crossings = 0;
-        triangles.mesh.first_hit(origin, along, ray.t_max, |hit| {
+        triangles.mesh.first_hit(&in_tree, |hit| {
             let opacity = instance.opacity * self.opacity_at(instance, triangles, hit);
             let is_same = |depth: &f64| (hit.t - depth).abs() <= SAME_DEPTH * (1.0 + hit.t);
             if opacity > 0.0 && !depths[..crossings].iter().any(is_same) {
@@ -244,12 +245,12 @@ impl Scene {
 
     /// Opacity of a mesh at a hit, without that of the instance. A translucent solid is one layer: a ray counts where
     /// it enters.
-    fn opacity_at(&self, instance: &Instance, triangles: &Triangles, hit: &RayHit) -> f32 {
+    fn opacity_at(&self, instance: &Instance, triangles: &Triangles, hit: &FaceHit) -> f32 {
         let index = instance.first_material + triangles.material[hit.face as usize];
         let material = &self.materials[index as usize];
         let color = || {
             let texture = material.texture.map(|texture| &self.textures[texture as usize]);
-            let uv = || triangles.uv_at(hit.face, hit.u as f32, hit.v as f32);
+            let uv = || triangles.uv_at(hit.face, hit.weights.map(|w| w as f32));
             material.color[3] * texture.map_or(1.0, |texture| texture.opacity(uv()))
         };
         match material.alpha {

@@ -53,12 +53,12 @@ impl Triangles {
         Ok(self)
     }
 
-    /// Linear RGBA of the vertices, interpolated, times that of the face.
-    pub fn color_at(&self, face: u32, u: f32, v: f32) -> Vec4 {
+    /// Linear RGBA of the vertices, interpolated with the barycentric weights of the corners, times that of the face.
+    pub fn color_at(&self, face: u32, weights: [f32; 3]) -> Vec4 {
         let mut color = self.face_colors.get(face as usize).copied().unwrap_or(Vec4::ONE);
         if !self.vertex_colors.is_empty() {
             let [a, b, c] = self.mesh.faces()[face as usize].map(|vertex| self.vertex_colors[vertex as usize]);
-            color *= a * (1.0 - u - v) + b * u + c * v;
+            color *= a * weights[0] + b * weights[1] + c * weights[2];
         }
         color
     }
@@ -68,19 +68,19 @@ impl Triangles {
         self.vertex_colors.iter().chain(&self.face_colors).any(|color| color.w != 1.0)
     }
 
-    /// Texture coordinates at barycentric weights of the second and third corner; zero without any.
-    pub fn uv_at(&self, face: u32, u: f32, v: f32) -> Vec2 {
+    /// Texture coordinates at barycentric weights of the corners; zero if the mesh has none.
+    pub fn uv_at(&self, face: u32, weights: [f32; 3]) -> Vec2 {
         if self.uv.is_empty() {
             return Vec2::ZERO;
         }
         let [a, b, c] = self.mesh.faces()[face as usize].map(|vertex| self.uv[vertex as usize]);
-        a * (1.0 - u - v) + b * u + c * v
+        a * weights[0] + b * weights[1] + c * weights[2]
     }
 
-    /// Smooth normal in the mesh's axes, not of unit length.
-    pub fn normal_at(&self, face: u32, u: f32, v: f32) -> Vec3 {
+    /// Smooth normal at barycentric weights of the corners, in the mesh's axes, not of unit length.
+    pub fn normal_at(&self, face: u32, weights: [f32; 3]) -> Vec3 {
         let [a, b, c] = self.normals[face as usize];
-        a * (1.0 - u - v) + b * u + c * v
+        a * weights[0] + b * weights[1] + c * weights[2]
     }
 
     /// Texture widths per local unit on a face: the square root of the ratio of areas.
@@ -169,11 +169,11 @@ mod tests {
             triangles(&vertices, &[[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
         };
         let sharp = folded(1.2);
-        assert!(sharp.normal_at(0, 1.0, 0.0).distance(Vec3::Z) < 1e-6);
+        assert!(sharp.normal_at(0, [0.0, 1.0, 0.0]).distance(Vec3::Z) < 1e-6);
         let smooth = folded(0.4);
-        let at_edge = smooth.normal_at(0, 1.0, 0.0).normalize();
+        let at_edge = smooth.normal_at(0, [0.0, 1.0, 0.0]).normalize();
         assert!(at_edge.x < -0.05 && at_edge.z > 0.9);
-        assert!(smooth.normal_at(0, 0.0, 0.0).distance(Vec3::Z) < 1e-6);
+        assert!(smooth.normal_at(0, [1.0, 0.0, 0.0]).distance(Vec3::Z) < 1e-6);
     }
 
     #[test]
@@ -185,7 +185,7 @@ mod tests {
         assert!(plain().with_colors(vec![Vec4::ONE; 2], vec![]).is_err());
         assert!(plain().with_colors(vec![], vec![Vec4::ONE; 3]).is_err());
         let colored = plain().with_colors(vec![Vec4::X, Vec4::Y, Vec4::Z], vec![Vec4::splat(0.5)]).unwrap();
-        assert_eq!(colored.color_at(0, 0.25, 0.5), Vec4::new(0.125, 0.125, 0.25, 0.0));
+        assert_eq!(colored.color_at(0, [0.25, 0.25, 0.5]), Vec4::new(0.125, 0.125, 0.25, 0.0));
         assert!(colored.has_opacity() && !plain().has_opacity());
     }
 }

@@ -1,6 +1,7 @@
 //! Tangent planes from the mesh that a field was computed from.
 
 use super::{Crossing, Surface};
+use crate::bvh::watertight::Ray;
 use crate::error::Error;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
@@ -55,7 +56,7 @@ fn crossed_face(surface: &Surface, mesh: &Mesh, crossing: &Crossing) -> Option<(
     let [start, end] = surface.ends(crossing);
     let (origin, tip) = (mesh.local_from_world(start), mesh.local_from_world(end));
     let mut best = (f64::INFINITY, None);
-    mesh.first_hit(origin, tip - origin, 1.0, |hit| {
+    mesh.first_hit(&Ray { origin, direction: tip - origin, t_min: 0.0, t_max: 1.0 }, |hit| {
         if (hit.t - crossing.share).abs() < best.0 {
             best = ((hit.t - crossing.share).abs(), Some(*hit));
         }

@@ -1,0 +1,165 @@
+//! The exact test of a ray against one triangle.
+//!
+//! *Theory.* The triangle is moved into a space that is sheared along the ray (Woop, Benthin and Wald, *Watertight
+//! Ray/Triangle Intersection*, JCGT 2(1), 2013). The ray becomes the point (0, 0) of a plane, a triangle is hit where its
+//! three edge functions have no two opposite signs, and both faces of an edge evaluate the same function of the same two
+//! points. We add exact signs: a difference of two rounded products has the right sign or is zero, and where it is zero
+//! the exact predicate of Shewchuk (crate `robust`) decides. The projected surface is therefore continuous with exact
+//! answers: no ray passes between faces, and a hit lies on an edge or a vertex if and only if the corresponding functions
+//! are zero.
+
+use glam::DVec3;
+use robust::{Coord, orient2d};
+
+/// Margin of boxes in ray tests, local units. Coordinates are below 1 and rounded to 6e-8 in float32, three times in a
+/// slab test.
+pub const BOX_MARGIN: f32 = 1e-6;
+
+/// The intersection of a ray with a face.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FaceHit {
+    /// Distance in multiples of the direction.
+    pub t: f64,
+    pub face: u32,
+    /// Weights of the face's corners: not negative, their sum is 1.
+    pub weights: [f64; 3],
+    /// Bit i is set if the weight of corner i is exactly zero.
+    pub zeros: u8,
+    /// Whether the ray comes from the counter-clockwise side.
+    pub is_front: bool,
+}
+
+/// The part of a line that is searched, `t` from `t_min` to `t_max` in multiples of the direction.
+#[derive(Debug, Clone, Copy)]
+pub struct Ray {
+    /// Origin in local units.
+    pub origin: DVec3,
+    pub direction: DVec3,
+    pub t_min: f64,
+    pub t_max: f64,
+}
+
+/// The part of a ray inside the box of a mesh, prepared for exact tests of triangles.
+#[derive(Debug)]
+pub struct ClippedRay {
+    t_min: f64,
+    t_max: f64,
+    /// Where the ray enters the box, and where it leaves the box or ends.
+    t_start: f64,
+    t_end: f64,
+    /// Largest component of the direction. Divided by it, the direction has the component 1 or -1.
+    size: f64,
+    pub sheared: Sheared,
+}
+
+impl ClippedRay {
+    /// None if the ray misses the box.
+    pub fn new(ray: &Ray, min: DVec3, max: DVec3) -> Option<Self> {
+        let (enter, leave) = slab(ray, min, max);
+        let (t_start, t_end) = (enter.max(ray.t_min), leave.min(ray.t_max));
+        if t_start > t_end {
+            return None;
+        }
+        let size = ray.direction.abs().max_element();
+        let sheared = Sheared::new(ray.origin + t_start * ray.direction, ray.direction / size);
+        Some(Self { t_min: ray.t_min, t_max: ray.t_max, t_start, t_end, size, sheared })
+    }
+
+    /// The hit of a face with these corners, if it lies within the limits of the ray.
+    #[inline]
+    pub fn hit(&self, face: u32, corners: [DVec3; 3]) -> Option<FaceHit> {
+        let hit = self.sheared.hit(corners)?;
+        let t = self.t_start + hit.t / self.size;
+        (t >= self.t_min && t <= self.t_max).then_some(FaceHit { t, face, ..hit })
+    }
+
+    /// Limit of a float32 search for hits up to `t`, in the scaled direction from the start. It has slack for the
+    /// rounding of the values that are compared with it.
+    #[inline]
+    pub fn search_limit(&self, t: f64) -> f32 {
+        let length = (t.min(self.t_end) - self.t_start) * self.size;
+        length as f32 * 1.000_001 + 2.0 * BOX_MARGIN
+    }
+}
+
+/// The interval of a line inside a slightly enlarged box. The second value is below the first if the line misses.
+fn slab(ray: &Ray, min: DVec3, max: DVec3) -> (f64, f64) {
+    let margin = 2.0 * f64::from(BOX_MARGIN);
+    let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
+    for axis in 0..3 {
+        let (low, high) = (min[axis] - margin - ray.origin[axis], max[axis] + margin - ray.origin[axis]);
+        if ray.direction[axis] == 0.0 {
+            if low > 0.0 || high < 0.0 {
+                return (f64::INFINITY, f64::NEG_INFINITY);
+            }
+            continue;
+        }
+        let (a, b) = (low / ray.direction[axis], high / ray.direction[axis]);
+        enter = enter.max(a.min(b));
+        leave = leave.min(a.max(b));
+    }
+    // For origins far away the ends are rounded by more than the margin.
+    let room = 1e-14 * enter.abs().max(leave.abs());
+    (enter - room, leave + room)
+}
+
+/// A float64 ray in coordinates whose z axis is the ray.
+#[derive(Debug)]
+pub struct Sheared {
+    pub origin: DVec3,
+    /// Its largest component is 1 or -1.
+    pub direction: DVec3,
+    pub axes: [usize; 3],
+    pub shear: [f64; 3],
+}
+
+impl Sheared {
+    /// The largest component of `direction` must be 1 or -1.
+    fn new(origin: DVec3, direction: DVec3) -> Self {
+        let magnitude = direction.abs();
+        let z = (1..3).fold(0, |best, axis| if magnitude[axis] > magnitude[best] { axis } else { best });
+        let (x, y) = ((z + 1) % 3, (z + 2) % 3);
+        // Two axes are exchanged for a negative direction, which keeps the winding.
+        let (x, y) = if direction[z] < 0.0 { (y, x) } else { (x, y) };
+        let shear = [direction[x] / direction[z], direction[y] / direction[z], 1.0 / direction[z]];
+        Self { origin, direction, axes: [x, y, z], shear }
+    }
+
+    /// The hit of a triangle; `t` is in the scaled direction, and the face is not set yet.
+    #[inline]
+    fn hit(&self, corners: [DVec3; 3]) -> Option<FaceHit> {
+        let [x, y, z] = self.axes;
+        let [a, b, c] = corners.map(|corner| {
+            let p = corner - self.origin;
+            [p[x] - self.shear[0] * p[z], p[y] - self.shear[1] * p[z], p[z]]
+        });
+        let edges = [edge_function(c, b), edge_function(a, c), edge_function(b, a)];
+        let (mut positive, mut negative, mut zeros) = (false, false, 0u8);
+        for (i, &edge) in edges.iter().enumerate() {
+            positive |= edge > 0.0;
+            negative |= edge < 0.0;
+            zeros |= u8::from(edge == 0.0) << i;
+        }
+        let sum = edges[0] + edges[1] + edges[2];
+        // A triangle parallel to the ray has no inside. Its neighbours are hit at the common edges.
+        if (positive && negative) || sum == 0.0 {
+            return None;
+        }
+        let weights = edges.map(|edge| edge / sum);
+        let t = self.shear[2] * (weights[0] * a[2] + weights[1] * b[2] + weights[2] * c[2]);
+        Some(FaceHit { t, face: 0, weights, zeros, is_front: sum > 0.0 })
+    }
+}
+
+/// Twice the signed area of the triangle (0, 0), p, q; zero only where it is exactly zero.
+#[inline(always)]
+fn edge_function(p: [f64; 3], q: [f64; 3]) -> f64 {
+    let difference = p[0] * q[1] - p[1] * q[0];
+    if difference != 0.0 { difference } else { exact_edge_function(p, q) }
+}
+
+#[cold]
+fn exact_edge_function(p: [f64; 3], q: [f64; 3]) -> f64 {
+    let at = |p: [f64; 3]| Coord { x: p[0], y: p[1] };
+    orient2d(at(p), at(q), Coord { x: 0.0, y: 0.0 })
+}
