@@ -8,13 +8,13 @@ pub mod bvh;
 pub mod csg;
 pub mod encoding;
 pub mod error;
-pub mod exchange;
 pub mod geometry;
 pub mod gpu;
 pub mod grid;
 mod memory;
 pub mod merge;
 pub mod mesh;
+pub mod openexr;
 pub mod progress;
 #[cfg(feature = "python")]
 mod python;

@@ -64,9 +64,6 @@ __all__ = [
     "set_threads",
     "sides_of_balls",
     "signed_distance",
-    "texture_decode",
-    "texture_read",
-    "texture_write",
     "thickness",
     "to_sparse",
     "viewer_shader",
@@ -827,17 +824,6 @@ def viewer_shader(
     numbers that it reads, centre and scale of its local frame, and one over its Lipschitz constant; None for a shape
     without a function.
     """
-
-def texture_write(kind: str, distances: NDArray[np.float32], encoding: str, scale: float, facts: str) -> bytes:
-    """``distances`` (nx, ny, nz), x fastest, as a "dds" or "ktx2" file; the latter stores ``facts``, the metadata of
-    fieldbake.
-    """
-
-def texture_read(kind: str, bytes: bytes) -> tuple[str, list[int], bytes, str]:
-    """Encoding, (width, height, depth), texels and metadata of such a file."""
-
-def texture_decode(texels: NDArray[np.uint8], shape: list[int], encoding: str, scale: float) -> NDArray[np.float32]:
-    """Distances (nx, ny, nz) from the bytes of texels."""
 
 def exr_write(texels: NDArray[np.uint8], width: int, height: int, encoding: str) -> bytes:
     """An OpenEXR file with the channel Y: the bytes of (height, width) float32 or float16."""

@@ -9,9 +9,9 @@ mod convert;
 mod csg;
 mod device;
 mod error;
-mod exchange;
 mod merge;
 mod mesh;
+mod openexr;
 mod quadric;
 mod query;
 mod rays;
@@ -40,11 +40,11 @@ mod _core {
     #[pymodule_export]
     use super::device::{DeviceField, devices};
     #[pymodule_export]
-    use super::exchange::{exr_read, exr_write, texture_decode, texture_read, texture_write};
-    #[pymodule_export]
     use super::merge::merge;
     #[pymodule_export]
     use super::mesh::Mesh;
+    #[pymodule_export]
+    use super::openexr::{exr_read, exr_write};
     #[pymodule_export]
     use super::quadric::Quadrics;
     #[pymodule_export]

@@ -9,7 +9,7 @@ SOURCE = Path(__file__).parents[2] / "src"
 LAYERS = [
     "error",
     "memory progress geometry encoding shader_text",
-    "grid exchange",
+    "grid openexr",
     "gpu",
     "mesh",
     "bvh",
