@@ -191,7 +191,7 @@ mod avx2 {
         /// [`LaneRay::boxes`] in eight lanes: the same operations, the same bits.
         #[inline]
         #[target_feature(enable = "avx2")]
-        pub fn boxes_avx2(&self, node: &Node, limit: f32) -> (u32, [f32; WIDTH]) {
+        pub(in crate::bvh) fn boxes_avx2(&self, node: &Node, limit: f32) -> (u32, [f32; WIDTH]) {
             let mut enter = _mm256_setzero_ps();
             let mut leave = _mm256_set1_ps(limit);
             for axis in 0..3 {
@@ -214,7 +214,7 @@ mod avx2 {
         /// [`LaneRay::triangles`] in eight lanes: the same operations, the same bits.
         #[inline]
         #[target_feature(enable = "avx2")]
-        pub fn triangles_avx2(&self, pack: &RayPack, limit: f32) -> u32 {
+        pub(in crate::bvh) fn triangles_avx2(&self, pack: &RayPack, limit: f32) -> u32 {
             let [ox, oy, oz] = self.origin;
             let origin = [_mm256_set1_ps(ox), _mm256_set1_ps(oy), _mm256_set1_ps(oz)];
             let shear = [_mm256_set1_ps(self.shear[0]), _mm256_set1_ps(self.shear[1])];
