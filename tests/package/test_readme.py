@@ -1,0 +1,60 @@
+"""The pages that introduce the package run as pasted, and their links lead somewhere."""
+
+import re
+from pathlib import Path
+
+from fences import fences, run_fences
+
+ROOT = Path(__file__).parents[2]
+README, DESCRIPTION = ROOT / "README.md", ROOT / "python" / "DESCRIPTION.md"
+
+LINK = re.compile(r"\]\((?P<target>[^)\s]+)\)")
+
+
+def test_the_code_runs_in_an_empty_folder(tmp_path, capsys):
+    run_fences(README, tmp_path)
+
+    written = {"knot.vdb", "knot.html", "knot.png", "scene.png", "knot.glb", "knot.npz"}
+    assert {path.name for path in tmp_path.iterdir()} == written
+    assert "float32" in capsys.readouterr().out
+
+
+def test_the_readme_is_short_and_starts_with_ten_lines():
+    first = fences(README)[0]
+
+    assert first.language == "python"
+    assert len(first.text.splitlines()) == 10
+    assert len(README.read_text(encoding="utf-8").splitlines()) <= 100
+
+
+def test_the_links_of_the_readme_lead_to_files():
+    targets = [match["target"] for match in LINK.finditer(README.read_text(encoding="utf-8"))]
+    missing = [target for target in targets if "://" not in target and not (ROOT / target.partition("#")[0]).exists()]
+
+    assert len(targets) > 10
+    assert missing == []
+
+
+def test_the_description_for_package_indexes_has_the_same_code_and_no_relative_link():
+    targets = [match["target"] for match in LINK.finditer(DESCRIPTION.read_text(encoding="utf-8"))]
+
+    assert [target for target in targets if not target.startswith("https://")] == []
+    assert fences(DESCRIPTION)[0].text == fences(README)[0].text
+
+
+def test_the_figures_are_those_of_their_source():
+    """Each figure of the table is a rounded figure of the results that the text above it links."""
+    text = README.read_text(encoding="utf-8")
+    source = (ROOT / "benches" / "results" / "2026-11-21-peers-128.md").read_text(encoding="utf-8")
+    bunny = source.partition("### stanford-bunny")[2].partition("###")[0]
+    rows = {cells[1]: cells for line in bunny.splitlines() if len(cells := [c.strip() for c in line.split("|")]) > 8}
+
+    def seconds(tool):
+        return float(rows[tool][2].split()[0])
+
+    for tool in ("libigl", "Open3D", "parry3d"):
+        assert f"{tool} {seconds(tool):.1f} s" in text
+        assert f"{tool} {rows[tool][8].split()[0]}" in text.partition("wrong signs")[2]
+    assert f"| {seconds('fieldbake'):.2f} s |" in text
+    assert f"{seconds('fieldbake, band=3'):.2f} s; {rows['fieldbake, band=3'][7].replace('e-0', 'e-')}" in text
+    assert f"OpenVDB {seconds('OpenVDB, band=3'):.2f} s; {rows['OpenVDB, band=3'][7].replace('e-0', 'e-')}" in text
