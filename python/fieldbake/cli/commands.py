@@ -199,7 +199,7 @@ def bake(
         else:
             volume = fb.bake(things, resolution, band=band, device=device, **surface)
             wanted = None if encoding == "float32" else encoding
-            is_stored = wanted is not None or ending == ".npz"
+            is_stored = ending == ".npz" or (wanted is not None and ending in writers.BANDED)
             volume = save_field(volume, target, wanted, band if is_stored else None, engine, mipmaps=mipmaps)
     if not is_stream(output):
         show_rows(f"{output}", volume_rows(volume))

@@ -15,7 +15,6 @@ SHUFFLED, COPIED, BIT_SHUFFLED, ONE_STREAM = 1, 2, 4, 16
 LZ4, ZLIB = 1, 3
 #: A block is divided into streams only if each stream has at least this many bytes, and an element at most this many.
 LEAST_STREAM, MOST_STREAMS = 128, 16
-HEADER_BYTES = 16
 
 
 def unpack(buffer: memoryview, most: int) -> bytes:

@@ -81,23 +81,27 @@ def _read_level_set(data: bytes) -> GridSamples:
 def _on_grid(grid: VdbGrid, facts: dict[str, Any] | None) -> GridSamples:
     """The dense grid of a tree: that of the facts if they fit, else the active voxels and one around them."""
     band = grid.background if grid.kind == "level set" else 0.0
-    low, high = grid.active_box() if facts is None else (np.zeros(3, np.int64), np.zeros(3, np.int64))
-    low, high = low - 1, high + 1
-    if facts is not None:
-        box = read_facts(facts)[0]
-        sizes = facts.get("resolution")
-        if not isinstance(sizes, list) or len(sizes) != 3 or not all(type(n) is int and 0 < n < 2**31 for n in sizes):
-            raise FormatError(f"the facts are of {str(sizes)[:60]} voxels")
-        spacing = (box[1] - box[0]) / sizes
-        first = (box[0] + spacing / 2 - grid.origin) / spacing
-        # Another program may have moved the grid or changed its voxels; then its own numbers hold.
-        near = np.abs(first - np.rint(first)).max() <= 1e-3 and np.abs(first).max() <= openvdb_reader.FARTHEST
-        if near and np.allclose(spacing, grid.spacing, rtol=1e-6):
-            low = np.rint(first).astype(np.int64)
-            high = low + np.array(sizes) - 1
-        else:
-            return _on_grid(grid, None)
-    return GridSamples(grid.dense(low, high), grid.origin + low * grid.spacing, grid.spacing, facts, band)
+    window = None if facts is None else _window_of(grid, facts)
+    if window is None:
+        facts = None
+        low, high = grid.active_box()
+        window = low - 1, high + 1
+    return GridSamples(grid.dense(*window), grid.origin + window[0] * grid.spacing, grid.spacing, facts, band)
+
+
+def _window_of(grid: VdbGrid, facts: dict[str, Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+    """First and last voxel of the grid in the facts; None if another program has moved the tree or changed its voxels."""
+    box = read_facts(facts)[0]
+    sizes = facts.get("resolution")
+    if not isinstance(sizes, list) or len(sizes) != 3 or not all(type(n) is int and 0 < n < 2**31 for n in sizes):
+        raise FormatError(f"the facts are of {str(sizes)[:60]} voxels")
+    spacing = (box[1] - box[0]) / sizes
+    first = (box[0] + spacing / 2 - grid.origin) / spacing
+    is_near = np.abs(first - np.rint(first)).max() <= 1e-3 and np.abs(first).max() <= openvdb_reader.FARTHEST
+    if not (is_near and np.allclose(spacing, grid.spacing, rtol=1e-6)):
+        return None
+    low = np.rint(first).astype(np.int64)
+    return low, low + np.array(sizes) - 1
 
 
 def _own(samples: NDArray[np.float32], facts: dict[str, Any], band: float = 0.0) -> Volume:

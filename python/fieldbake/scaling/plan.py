@@ -18,8 +18,6 @@ FIRST_BLOCKS = 4096
 #: Relative rounding of radii and distances.
 ROUNDING = 1e-6
 
-Boxes = tuple[NDArray[np.int64], NDArray[np.int64]]
-
 
 class Blocks:
     """Boxes of samples of a grid, and the balls around them."""

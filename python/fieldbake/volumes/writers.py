@@ -52,10 +52,17 @@ ENCODINGS: dict[str, tuple[str, ...]] = {
     ".vti": ("float32",),
     ".nrrd": ("float32",),
 }
-#: Endings whose samples can be compressed, and those that can have mipmaps or a number of columns.
-COMPRESSED = (".vdb", ".vti", ".nrrd")
+#: Endings whose files can have mipmaps.
 MIPMAPPED = (".dds", ".ktx2")
-BANDED = (".vdb", ".nvdb")
+#: Endings whose files have a band, the narrow band of a level set or that of a normalised encoding.
+BANDED = (".vdb", ".nvdb", *MIPMAPPED)
+#: Endings of the files that have an option.
+_ENDINGS_WITH = {
+    "band": BANDED,
+    "compression": (".vdb", ".vti", ".nrrd"),
+    "mipmaps": MIPMAPPED,
+    "columns": (".exr",),
+}
 #: Half width of the band of a level set, voxels.
 LEVEL_SET_BAND = 3.0
 #: Name of the grid in OpenVDB files.
@@ -154,18 +161,12 @@ class SaveOptions:
             checks.number("band", self.band, above=0)
         if self.compression is not None:
             checks.choice("compression", self.compression, ("zip", "none"))
-            if ending not in COMPRESSED:
-                raise ArgumentError(f"compression: {ending or 'such'} files have none; {_words(COMPRESSED)} have")
-        if checks.flag("mipmaps", self.mipmaps) and ending not in MIPMAPPED:
-            raise ArgumentError(f"mipmaps: {ending or 'such'} files have none; {_words(MIPMAPPED)} have")
+        checks.flag("mipmaps", self.mipmaps)
         if self.columns is not None:
             checks.integer("columns", self.columns, least=1, most=flipbook.MAX_SIDE)
-            if ending != ".exr":
-                raise ArgumentError(f"columns: {ending or 'such'} files have no tiles; .exr files have")
-
-
-def _words(endings: tuple[str, ...]) -> str:
-    return container.listed(endings)
+        for name, endings in _ENDINGS_WITH.items():
+            if getattr(self, name) not in (None, False) and ending not in endings:
+                raise ArgumentError(f"{name}: {ending} files have no {name}; {container.listed(endings)} have")
 
 
 class _File(NamedTuple):
