@@ -90,7 +90,7 @@ def _on_grid(grid: VdbGrid, facts: dict[str, Any] | None) -> GridSamples:
 
 
 def _window_of(grid: VdbGrid, facts: dict[str, Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
-    """First and last voxel of the grid in the facts; None if another program has moved the tree or changed its voxels."""
+    """First and last voxel of the grid in the facts; None if another program has moved or scaled the tree."""
     box = read_facts(facts)[0]
     sizes = facts.get("resolution")
     if not isinstance(sizes, list) or len(sizes) != 3 or not all(type(n) is int and 0 < n < 2**31 for n in sizes):
