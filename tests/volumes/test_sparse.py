@@ -37,6 +37,40 @@ def in_band(volume: fb.Volume, points: np.ndarray, voxels: float) -> np.ndarray:
     return np.abs(volume.sample(points)) < (voxels - 2) * volume.spacing.max()
 
 
+@pytest.mark.parametrize("encoding", ["float16", "snorm16", "snorm8"])
+def test_quantized_bricks_are_those_that_the_volume_gives(encoding):
+    radius, volume = 1.0, fb.bake(fb.sphere(1), 40)
+    found = volume.to_sparse().quantize(encoding)
+
+    assert found.encoding == encoding
+    same = volume.to_sparse(encoding=encoding)
+    for name, array in same._core_field.arrays().items():
+        assert np.array_equal(found._core_field.arrays()[name], array)
+    points = np.stack(np.meshgrid(*volume.coordinates, indexing="ij"), axis=-1).reshape(-1, 3)
+    exact = np.linalg.norm(points, axis=1) - radius
+    near = np.abs(exact) <= 0.9 * found.band
+    # One step of the encoding, rounded toward zero, and float32 roundings of distances below 4.
+    bound = volume.quantize(encoding).error_bound(found.band) + 8 * 2.0**-23
+    assert near.sum() > 1000
+    assert np.abs(found.sample(points[near]) - exact[near]).max() <= bound
+    with pytest.raises(fb.ArgumentError, match="encoding"):
+        found.quantize("snorm4")
+
+
+def test_a_volume_has_what_other_fields_lack():
+    sparse = fb.bake(fb.sphere(1), 16).to_sparse()
+    with pytest.raises(AttributeError, match=r"SparseVolume has no downsample; .* to_volume\(\).downsample"):
+        sparse.downsample()
+    with pytest.raises(AttributeError, match="object has no attribute 'depth'"):
+        _ = sparse.depth
+    nested = fb.merge([sparse], 16, levels=2, center=(0, 0, 0))
+    with pytest.raises(AttributeError, match=r"NestedField has no quantize; .* to_volume\(\).quantize"):
+        nested.quantize("snorm8")
+    for function in (fb.volume_shape, lambda field: fb.pack([field]), lambda field: fb.merge([field], 8)):
+        with pytest.raises(fb.Error, match=r"NestedField; its to_volume\(\) is a Volume"):
+            function(nested)
+
+
 def test_a_sparse_bake_stores_what_the_dense_bake_stores(knot: fb.Mesh, dense: fb.Volume) -> None:
     baked, converted = fb.bake_sparse(knot, 72, tolerance=None), dense.to_sparse(tolerance=None)
     ours, theirs = baked._core_field.arrays(), converted._core_field.arrays()
@@ -230,7 +264,7 @@ def test_a_sparse_volume_is_packed_and_merged_as_its_whole_grid(dense: fb.Volume
 
 def test_a_sparse_volume_is_no_shape_and_no_list(dense: fb.Volume) -> None:
     sparse = dense.to_sparse()
-    with pytest.raises(fb.ShapeError, match=r"volume: .*volume\.to_volume\(\)"):
+    with pytest.raises(fb.ShapeError, match=r"volume: .*its to_volume\(\)"):
         fb.volume_shape(sparse)
     with pytest.raises(fb.ArgumentError, match=r"volumes: .*put it in a list"):
         fb.pack(sparse)

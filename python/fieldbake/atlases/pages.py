@@ -344,7 +344,7 @@ def checked_item(
         return thing, placed
     wanted = f"volumes[{i}]: must be a volume, a mesh, a shape or a pair of one and a (4, 4) transform"
     if hasattr(thing, "to_volume"):
-        raise ArgumentError(f"{wanted}, got {checks.describe(thing)}; give its to_volume()")
+        raise ArgumentError(f"{wanted}, got {checks.describe(thing)}")
     try:
         return bake(thing, resolution), placed
     except MeshError as error:

@@ -20,7 +20,8 @@ def describe(value: object) -> str:
     if isinstance(value, np.ndarray):
         return f"an array of shape {value.shape} and dtype {value.dtype}"
     text = repr(value)
-    return f"{text if len(text) <= 60 else text[:57] + '...'} ({type(value).__name__})"
+    hint = "; its to_volume() is a Volume" if hasattr(value, "to_volume") else ""
+    return f"{text if len(text) <= 60 else text[:57] + '...'} ({type(value).__name__}{hint})"
 
 
 def number(name: str, value: object, *, above: float | None = None, least: float | None = None) -> float:

@@ -19,7 +19,7 @@ from ..base.report import bytes_text
 from ..files import container
 from ..volumes.shaded import Shaded
 from ..volumes.shader import ShaderBuffers, nested_buffers, nested_text
-from ..volumes.volume import Volume
+from ..volumes.volume import Convertible, Volume
 from .merged import MergedField
 
 #: Most levels; a voxel of the outermost level is then 2048 times as long as a voxel of the finest.
@@ -29,7 +29,7 @@ MAX_LEVELS = 12
 LEAST_SIDE = 8
 
 
-class NestedField(Loadable, Shaded):
+class NestedField(Loadable, Shaded, Convertible):
     """The field of a scene on nested grids, fine near a point and coarse far from it. Made by :func:`merge`.
 
     All levels have the same number of voxels, and each level is twice as large as the one inside it. A loaded field

@@ -432,15 +432,9 @@ def volume_shape(volume: Volume) -> Shape:
     True
     """
     if not isinstance(volume, Volume):
-        raise ShapeError(f"volume: must be a Volume, got {checks.describe(volume)}; {_cure(volume)}")
+        raise ShapeError(f"volume: must be a Volume, got {checks.describe(volume)}; see bake()")
     lower, upper = volume._corners()
     return Shape._wrap(_core.Shape.volume(volume._distances, lower, upper))
-
-
-def _cure(thing: object) -> str:
-    """Suggest how to make a Volume of another object."""
-    # A sparse volume has bounds instead of distances in empty bricks. The jumps between them would be steep.
-    return "bake a Volume, or give volume.to_volume()" if hasattr(thing, "to_volume") else "see bake()"
 
 
 def _primitive(name: str, *numbers: float) -> Shape:

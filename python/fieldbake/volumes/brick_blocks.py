@@ -75,7 +75,7 @@ def blocks_of_bricks(
         samples = np.empty(voxels.shape[:4], np.float32)
         fine = levels == 0
         rows = index[tuple(batch[fine].T)] & ((1 << LEVEL_SHIFT) - 1)
-        samples[fine] = _decoded(bricks[rows], field)
+        samples[fine] = decoded(bricks[rows], field)
         samples[~fine] = sample(origin + voxels[~fine] * spacing)
         held = ((voxels >= 0) & (voxels < shape)).all(axis=-1)
         at_voxel = voxels[held]
@@ -89,7 +89,8 @@ def blocks_of_bricks(
     return BandBlocks((nx, ny, nz), origin, spacing, float(width), places[kept] * SIDE, values[kept], inside)
 
 
-def _decoded(bricks: NDArray[Any], field: _core.SparseField) -> NDArray[np.float32]:
+def decoded(bricks: NDArray[Any], field: _core.SparseField) -> NDArray[np.float32]:
+    """Distances of the samples of bricks, (n, 8, 8, 8)."""
     if field.encoding == "float32" or not len(bricks):
         return np.asarray(bricks, np.float32)
     flat = np.asfortranarray(bricks.reshape(len(bricks), 1, -1))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
-from ..base import checks
+from ..base import checks, encodings
 from ..base.errors import ArgumentError
 from ..base.loadable import Loadable
 from ..base.progress import Progress, progress_callback
@@ -20,16 +20,16 @@ from ..files import container
 from ..files.band_blocks import BandBlocks
 from ..meshes.isosurface import Source
 from . import writers
-from .brick_blocks import blocks_of_bricks
+from .brick_blocks import blocks_of_bricks, decoded
 from .conventions import Engine, Handedness, Up
 from .grid_field import GridField
 from .shaded import Shaded
 from .shader import ShaderBuffers, sparse_buffers, sparse_text
-from .volume import Volume
+from .volume import Convertible, Volume
 from .writers import SaveOptions
 
 
-class SparseVolume(GridField, Loadable, Shaded):
+class SparseVolume(GridField, Loadable, Shaded, Convertible):
     """Signed distances as bricks of 8^3 samples near the surface, and bounds everywhere else. Immutable.
 
     Made by :func:`fieldbake.bake_sparse` or :meth:`Volume.to_sparse`. It is sampled and drawn like a `Volume`.
@@ -100,6 +100,40 @@ class SparseVolume(GridField, Loadable, Shaded):
         """Make the dense volume of the same grid: stored samples, and bounds in empty bricks."""
         dense = self._core_field.dense()
         return Volume._wrap(dense, self._bounds, self._inner_bounds, self._report, self._geometry)
+
+    def quantize(self, encoding: Literal["float16", "snorm16", "snorm8"]) -> SparseVolume:
+        """Store the samples of the bricks in 16 or 8 bits; magnitudes are rounded toward zero.
+
+        Parameters
+        ----------
+        encoding : "float16", "snorm16" or "snorm8"
+            As for :meth:`Volume.quantize`. The largest integer of a normalised encoding stands for the band.
+
+        Returns
+        -------
+        SparseVolume
+            The same bricks.
+
+        Raises
+        ------
+        ArgumentError
+            For another encoding.
+
+        Examples
+        --------
+        >>> import fieldbake as fb
+        >>> sparse = fb.bake_sparse(fb.sphere(1), 32)
+        >>> sparse.quantize("snorm8").encoding
+        'snorm8'
+        """
+        checks.choice("encoding", encoding, encodings.QUANTIZED)
+        field, arrays = self._core_field, self._core_field.arrays()
+        scale = encodings.scale_of(encoding, self.spacing, field.band / float(self.spacing.max()))
+        bricks = decoded(arrays["bricks"], field)
+        flat = np.asfortranarray(bricks.reshape(-1, 1, 1))
+        arrays["bricks"] = _core.encode(flat, encoding, scale).reshape(bricks.shape)
+        made = restore_field(self._corners(), self.resolution, field.band, scale, arrays)
+        return SparseVolume._wrap(made, self._bounds, self._inner_bounds, self._report, self._geometry)
 
     def _sample(self, points: NDArray[np.float64], filter: str) -> NDArray[np.float32]:
         return self._core_field.sample(*self._inner_corners(), points, filter=filter)

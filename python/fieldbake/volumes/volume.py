@@ -422,6 +422,20 @@ class Volume(GridField, Loadable, Shaded):
         return f"Volume({shape} voxels of {voxel} units, {bytes_text(self.nbytes)}{made})"
 
 
+class Convertible:
+    """Base class of fields that are no `Volume`, but have ``to_volume``."""
+
+    __slots__ = ()
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            kind = type(self).__name__
+            if not name.startswith("_") and hasattr(Volume, name):
+                raise AttributeError(f"a {kind} has no {name}; a Volume has: call to_volume().{name}")
+            raise AttributeError(f"'{kind}' object has no attribute '{name}'")
+
+
 def _restore(distances: Any, bounds: Any, inner_bounds: Any, report: Report) -> Volume:
     return Volume(distances, bounds, inner_bounds=inner_bounds, report=report)
 
