@@ -27,7 +27,8 @@ extensions = [
     "mathml",
 ]
 # A word of a docstring, such as the type "faces", may name several attributes.
-suppress_warnings = ["ref.python"]
+# Files of results that are included below a title may skip a level of headings.
+suppress_warnings = ["ref.python", "myst.header"]
 exclude_patterns = ["build", "notes", "extensions"]
 
 # Docstrings are in NumPy style; the types of their sections are written for people.
@@ -76,6 +77,8 @@ shutil.copy(DOCS / "extensions" / "kernel_startup.py", _STARTUP / "00-views.py")
 (_STARTUP.parent / "ipython_kernel_config.py").write_text("get_config().IPKernelApp.log_level = 40\n", encoding="utf-8")
 os.environ["IPYTHONDIR"] = str(BUILD / "ipython")
 os.environ["FIELDBAKE_DEVICE"] = "cpu"
+# They import the package that this file has imported.
+os.environ["PYTHONPATH"] = os.pathsep.join([str(Path(fieldbake.__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
 os.environ["PYTHONWARNINGS"] = "ignore::UserWarning"
 
 html_theme = "pydata_sphinx_theme"

@@ -131,10 +131,6 @@ def render(
 
     Examples
     --------
-    See :class:`Scene`.
-
-    Examples
-    --------
     >>> import fieldbake as fb
     >>> floor = fb.box((4, 0.2, 4)).translate((0, -1.2, 0))
     >>> scene = fb.Scene([fb.Instance(fb.sphere()), fb.Instance(floor)], lights=[fb.PointLight((2, 4, 2), radius=0.5)])
