@@ -62,8 +62,34 @@ def test_parameters_rebuild_the_model() -> None:
     assert widget.data != before
     assert widget.camera is not None
     widget.close()
-    with pytest.raises(fb.ArgumentError, match="model"):
-        fb.sphere(radius=1).show(parameters={"radius": (0, 1)})
+
+
+def test_numbers_of_a_shape_are_parameters() -> None:
+    shape = (fb.sphere(radius=1).translate((0.5, 0, 0)) - fb.cylinder(radius=0.4, height=4)).offset(0.1)
+    ranges = {"sphere.radius": (0.5, 1.5), "height": (1, 5), "distance": (0, 0.2)}
+    widget = shape.show(parameters=ranges, size=(32, 24))
+    assert widget.parameters == {"sphere.radius": 1, "height": 4, "distance": 0.1}
+    before = widget._content
+    widget.parameters = {"sphere.radius": 1.25, "height": 3, "distance": 0.05}
+    made = (fb.sphere(radius=1.25).translate((0.5, 0, 0)) - fb.cylinder(radius=0.4, height=3)).offset(0.05)
+    assert widget._content.shapes[0] == made
+    # Numbers are data: the program stays the same, so that the browser compiles nothing.
+    assert widget._content._shader() == before._shader()
+    widget.close()
+    blend = fb.sphere(radius=1).union(fb.box(1), k=0.2).show(parameters={"k": (0.1, 0.5)}, size=(16, 16))
+    assert blend.parameters == {"k": 0.2}
+    blend.close()
+    with pytest.raises(fb.ArgumentError, match=r"'radius' names arguments with the values 0.4, 1; pass model="):
+        shape.show(parameters={"radius": (0, 1)})
+    with pytest.raises(fb.ArgumentError, match=r"no number 'size'; it has .*cylinder.height"):
+        shape.show(parameters={"size": (0, 1)})
+    with pytest.raises(fb.ArgumentError, match=r"Volume.* needs model="):
+        ball().show(parameters={"radius": (0, 1)})
+    with pytest.raises(fb.ArgumentError, match="needs parameters="):
+        shape.show(model=fb.sphere)
+
+
+def test_ranges_of_parameters_are_checked() -> None:
     with pytest.raises(fb.ArgumentError, match="radius"):
         fb.sphere(radius=1).show(parameters={"radius": (1, 0)}, model=fb.sphere)
 

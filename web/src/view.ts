@@ -79,7 +79,7 @@ export class View {
 
   constructor(
     readonly canvas: HTMLCanvasElement,
-    readonly data: Data,
+    public data: Data,
   ) {
     this.context = canvas.getContext("2d")!;
     this.camera = new Camera(data.description.camera);
@@ -95,6 +95,18 @@ export class View {
 
   private settle(): void {
     for (const done of this.waiting.splice(0)) done();
+  }
+
+  /** Draw other data of the same size from now on; false if the size differs. A known shader is not compiled again. */
+  replace(buffer: ArrayBuffer): boolean {
+    const data = new Data(buffer);
+    const [width, height] = this.data.description.size;
+    if (data.description.size[0] !== width || data.description.size[1] !== height) return false;
+    this.data = data;
+    this.resources?.free();
+    this.resources = null;
+    this.redraw("moving");
+    return true;
   }
 
   close(): void {
@@ -163,6 +175,8 @@ export class View {
 
   /** The surface or slice at a pixel of the canvas, counted from the upper left corner; null on the background. */
   pick(x: number, y: number): Pick | null {
+    // The ray goes through the centre of the pixel, as in the shader.
+    [x, y] = [Math.floor(x), Math.floor(y)];
     const slice = this.settings.slice && this.value(Picture.slice, x, y);
     const depth = this.value(Picture.depth, x, y);
     const { width, height } = this.canvas;

@@ -4,7 +4,7 @@ import { Mounted, inflated, mount } from "./main";
 import { CameraState } from "./camera";
 import { Vector } from "./vectors";
 
-/** What anywidget hands over. */
+/** The model of a widget, as anywidget passes it to `render`. */
 interface Model {
   get(name: string): unknown;
   set(name: string, value: unknown): void;
@@ -21,14 +21,14 @@ interface SliceTrait {
 
 const same = (a: unknown, b: unknown): boolean => JSON.stringify(a) === JSON.stringify(b);
 
-/** Put the model's view into an element; the result ends it. */
+/** Put the model's view into an element. The result closes the view. */
 export async function render({ model, el }: { model: Model; el: HTMLElement }): Promise<() => void> {
   const root = document.createElement("div");
   el.append(root);
   let mounted: Mounted | null = null;
   let isApplying = false;
 
-  /** Set what differs from the model. */
+  /** Copy the traits of the model to the view. */
   const apply = () => {
     if (!mounted || isApplying) return;
     const { view, controls } = mounted;
@@ -42,7 +42,7 @@ export async function render({ model, el }: { model: Model; el: HTMLElement }): 
     controls.refresh();
     view.redraw();
   };
-  /** Report what the reader has changed. */
+  /** Copy the settings of the view to the model after input. */
   const report = () => {
     const { view } = mounted!;
     const { level, slice, light } = view.settings;
@@ -55,14 +55,14 @@ export async function render({ model, el }: { model: Model; el: HTMLElement }): 
     isApplying = false;
   };
   let turn = 0;
-  /** Show the model's data, at first and after they were replaced. */
+  /** Show the model's data. New data of the same size go into the present view, so that no slider is replaced in use. */
   const open = async () => {
     const mine = ++turn;
     const bytes = model.get("data") as DataView;
     const buffer = await inflated(new Uint8Array(bytes.buffer, bytes.byteOffset, bytes.byteLength) as Uint8Array<ArrayBuffer>);
     if (mine !== turn) return;
-    const before = mounted;
-    before?.close();
+    if (mounted?.view.replace(buffer)) return;
+    mounted?.close();
     root.replaceChildren();
     mounted = mount(root, buffer);
     addParameters();

@@ -74,9 +74,10 @@ class Viewable:
         Parameters
         ----------
         **options
-            ``camera``, ``encoding`` and ``size`` as for :meth:`to_html`. A shape also takes ``parameters``, a mapping
-            from names to (least, largest), and ``model``, a function of these parameters that returns a shape: each
-            parameter gets a slider.
+            ``camera``, ``encoding`` and ``size`` as for :meth:`to_html`. ``parameters`` is a mapping from names to
+            (least, largest): each parameter gets a slider, which makes the object again. The names are those of
+            numbers in a shape, such as ``"radius"`` or ``"cylinder.radius"``, with any object those of the arguments of
+            ``model``, a function that returns an object.
 
         Returns
         -------

@@ -17,10 +17,12 @@ from ..files.container import atomic_write
 from ..meshes.mesh import Mesh
 from ..scenes.camera import Camera
 from ..scenes.scene import Scene
+from ..shapes.shape import Shape
 from ..volumes.volume import Volume
 from .content import Content, content_of
 from .output import PageOutput
 from .page import page_of
+from .parameters import model_of
 
 #: Size of the picture of an object in a notebook, pixels.
 PICTURE_SIZE = (256, 256)
@@ -79,24 +81,27 @@ def show(
     model: Callable[..., Any] | None = None,
 ) -> Any:
     """The widget of an object, or its page where anywidget is missing; see :meth:`fieldbake.Volume.show`."""
-    if (parameters is None) != (model is None):
-        raise ArgumentError(
-            "parameters and model go together: model is a function of the parameters that returns an object"
-        )
+    if model is not None and parameters is None:
+        raise ArgumentError("model: needs parameters=, the least and largest value of each of its parameters")
+    ranges = {name: _range(name, value) for name, value in (parameters or {}).items()}
+    values = {name: 0.5 * (least + largest) for name, (least, largest) in ranges.items()}
+    if ranges and model is None:
+        if not isinstance(thing, Shape):
+            raise ArgumentError(f"parameters: {checks.describe(thing)} needs model=, a function of the parameters")
+        model, own = model_of(thing, list(ranges))
+        values = {name: min(max(own[name], least), largest) for name, (least, largest) in ranges.items()}
     content = checked_content(thing, camera, encoding, size)
     try:
         from .widget import ViewWidget
     except ImportError:
         return PageOutput(content)
-    if parameters is None or model is None:
+    if not ranges or model is None:
         return ViewWidget(content)
-    ranges = {name: _range(name, parameters[name]) for name in parameters}
 
     def remake(values: Mapping[str, float]) -> Content:
         return checked_content(model(**values), camera or content.camera, encoding, size)
 
-    middle = {name: 0.5 * (least + largest) for name, (least, largest) in ranges.items()}
-    return ViewWidget(remake(middle), remake, ranges, middle)
+    return ViewWidget(remake(values), remake, ranges, values)
 
 
 def _range(name: str, value: Any) -> tuple[float, float]:

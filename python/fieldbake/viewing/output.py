@@ -22,6 +22,39 @@ def frame_html(page: str, size: tuple[int, int]) -> str:
     )
 
 
+#: Output that shows a widget on static pages. nbconvert prefers the widget to its page and its picture, and needs a
+#: network to draw widgets. The script finds the place of the widget there and draws the view from the state that the
+#: notebook has saved, or shows the picture. Live notebooks have no such place.
+STATIC = """<img hidden id="fb-{model}" src="data:image/png;base64,{picture}" alt="">
+<script>
+addEventListener("DOMContentLoaded", async () => {{
+  const model = "{model}";
+  const tags = (kind) => [...document.querySelectorAll(`script[type="application/vnd.jupyter.widget-${{kind}}+json"]`)];
+  const content = (tag) => JSON.parse(tag.textContent);
+  const place = tags("view").find((tag) => content(tag).model_id === model);
+  if (!place) return;
+  const saved = tags("state").map((tag) => content(tag).state[model]).find((found) => found?.state._esm);
+  const image = document.getElementById(`fb-${{model}}`);
+  const el = document.createElement("div");
+  el.append(image);
+  image.hidden = false;
+  place.replaceWith(el);
+  if (!saved) return;
+  const values = {{ ...saved.state }};
+  for (const {{ path, data }} of saved.buffers ?? []) {{
+    values[path[0]] = new DataView(Uint8Array.from(atob(data), (character) => character.charCodeAt(0)).buffer);
+  }}
+  const address = URL.createObjectURL(new Blob([values._esm], {{ type: "text/javascript" }}));
+  const {{ default: viewer }} = await import(address);
+  const set = (name, value) => (values[name] = value);
+  const ignore = () => {{}};
+  const own = {{ get: (name) => values[name], set, save_changes: ignore, on: ignore, off: ignore }};
+  await viewer.render({{ model: own, el }});
+  image.remove();
+}});
+</script>"""
+
+
 class PageOutput:
     """The page of a view as the output of a cell. Made by ``show`` where anywidget is not installed."""
 

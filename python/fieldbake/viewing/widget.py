@@ -14,7 +14,7 @@ import traitlets
 from ..base.errors import ArgumentError
 from ..scenes.camera import Camera
 from .content import Content
-from .output import frame_html
+from .output import STATIC, frame_html
 from .page import bundle, page_of
 
 #: Longest side of the picture in the output of a cell, pixels.
@@ -146,6 +146,17 @@ class ViewWidget(anywidget.AnyWidget):
         """The widget, a page in a frame, and a picture: every host shows one of them."""
         made: Any = super()._repr_mimebundle_(**kwargs)
         data, metadata = made if isinstance(made, tuple) else (made or {}, {})
-        picture = base64.b64encode(self._content.frame(PICTURE_PX)._repr_png_()).decode()
-        still = {"text/html": frame_html(page_of(self._content), self._content.size), "image/png": picture}
+        still = {"text/html": frame_html(page_of(self._content), self._content.size), "image/png": self._picture()}
         return {**data, **still}, metadata
+
+    def _ipython_display_(self) -> None:
+        """Display the widget, and beside it what static pages of the notebook show in its place."""
+        from IPython.display import publish_display_data
+
+        publish: Callable[..., object] = publish_display_data
+        publish(*self._repr_mimebundle_())
+        publish({"text/html": STATIC.format(model=self.model_id, picture=self._picture())})
+
+    def _picture(self) -> str:
+        """The picture of the first view, PNG in base64."""
+        return base64.b64encode(self._content.frame(PICTURE_PX)._repr_png_()).decode()
