@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import struct
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -162,6 +163,33 @@ class Atlas(PageStore, Viewable, Loadable):
                 )
                 self._entries = np.frombuffer(records, entry_dtype(self._layout, self._encoding))
             return self._entries
+
+    def entry_bytes(self, *, header: bool = False) -> bytes:
+        """The bytes of :attr:`entries`, little-endian, for a storage buffer.
+
+        Parameters
+        ----------
+        header : bool, default False
+            Put the number of entries before them, as the article's buffer has it::
+
+                layout (std430, binding = 0) buffer PackedSdfOffsetDetailBuffer {
+                    int offsetSize;                   // bytes 0 to 3; 12 bytes of padding follow
+                    PackedSdfOffsetDetail offsets[];  // from byte 16
+                };
+
+        Returns
+        -------
+        bytes
+            208 or 240 bytes for each entry, after the 16 bytes of the header.
+
+        Raises
+        ------
+        ArgumentError
+            If `header` is not a bool.
+        """
+        entries = self.entries
+        count = struct.pack("<i12x", len(entries)) if checks.flag("header", header) else b""
+        return count + entries.tobytes()
 
     def add(self, volume: Volume | SparseVolume, transform: ArrayLike | None = None) -> int:
         """Add a volume without moving the others.
