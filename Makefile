@@ -21,7 +21,7 @@ test: check types ## Everything CI runs: format, lints, types, Rust tests, Pytho
 	cargo test --quiet
 	PYOPENGL_PLATFORM=osmesa $(BIN)/pytest -n 2 -m "not slow"
 
-test-long: $(VENV)/.built $(VENV)/.test $(VENV)/.docs ## The tests that `make test` leaves out: slow ones, and builds of 1 to 256 units
+test-long: $(VENV)/.built $(VENV)/.test $(VENV)/.long $(VENV)/.docs ## The tests that `make test` leaves out: slow ones, and builds of 1 to 256 units
 	$(BIN)/pip install --quiet --group test-long
 	PYOPENGL_PLATFORM=osmesa $(BIN)/pytest -n 2 -m slow
 	scripts/check_units.sh
@@ -82,6 +82,10 @@ $(VENV)/.test: pyproject.toml scripts/system_packages.sh web/package-lock.json |
 	# pyrender pins a PyOpenGL that cannot draw without a screen; one call for both would walk back to an old pyrender.
 	$(BIN)/pip install --quiet pyrender
 	$(BIN)/pip install --quiet --no-deps PyOpenGL==3.1.10
+	touch $@
+
+$(VENV)/.long: pyproject.toml $(VENV)/.test
+	$(BIN)/pip install --quiet --group long
 	touch $@
 
 $(VENV)/.docs: pyproject.toml | $(VENV)/.made
