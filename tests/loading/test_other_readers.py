@@ -1,9 +1,14 @@
 """Files of a body without symmetry, sampled at world points by readers of other projects."""
 
+import json
+import subprocess
+
 import numpy as np
 import pytest
+import scipy.ndimage
 
 import fieldbake as fb
+from browser import WEB, node_tool
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 
@@ -74,3 +79,24 @@ def test_vtk_samples_a_vti_file(body, engine, tmp_path):
     grid = pyvista.read(tmp_path / "v.vti")
     found = pyvista.PolyData(IN_FILE[engine](points)).sample(grid)["distances"]
     assert np.abs(np.asarray(found) - values).max() <= rounding(volume)
+
+
+@pytest.mark.parametrize("encoding", ["float32", "unorm8"])
+def test_three_samples_a_ktx2_file(body, encoding, tmp_path):
+    node_tool("three")
+    volume, points, values = body
+    volume.save(tmp_path / "v.ktx2", encoding=encoding, engine="three", band=3)
+    command = ["node", str(WEB / "read_ktx2.mjs"), str(tmp_path / "v.ktx2")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    texture = json.loads(done.stdout)
+    assert (texture["is3D"], texture["flipY"], texture["size"]) == (True, False, list(volume.resolution))
+    texels = np.array(texture["data"], np.float64).reshape(texture["size"][::-1])
+    scale = 3 * float(volume.spacing.max())
+    distances = texels if encoding == "float32" else (texels / 127.5 - 1) * scale
+    # Texture coordinates run from 0 to 1 over the box, and texel centres lie half a texel inside.
+    share = (points - volume.bounds[0]) / (volume.bounds[1] - volume.bounds[0])
+    places = share * volume.resolution - 0.5
+    found = scipy.ndimage.map_coordinates(distances, places.T[::-1], order=1)
+    step = 0 if encoding == "float32" else scale / 127.5
+    assert np.abs(found - values).max() <= rounding(volume) + step
