@@ -9,7 +9,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := $(shell find src shaders -type f 2>/dev/null) Cargo.toml Cargo.lock pyproject.toml
 
-.PHONY: help demo test test-long check types bench docs fix wheel clean
+.PHONY: help demo test test-long check types bench docs fix wheel portable clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -56,6 +56,11 @@ fix: $(VENV)/.lint ## Format, and repair what lints can repair
 
 wheel: $(VENV)/.made ## Build the wheel for this machine into dist/
 	$(BIN)/maturin build --release --out dist
+
+portable: $(VENV)/.made ## Build a wheel for every Linux with glibc 2.28 or newer into dist/
+	$(BIN)/pip install --quiet --group release
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/maturin build --release --locked --zig --compatibility manylinux_2_28 --out dist
+	$(BIN)/auditwheel show dist/*manylinux_2_28*.whl
 
 clean: ## Remove what the other targets made
 	rm -rf $(VENV) target dist out docs/build docs/generated

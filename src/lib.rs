@@ -1,6 +1,29 @@
 //! fieldbake: exact signed distance fields from triangle meshes.
 //!
-//! Data passes through a pipeline: mesh, bake, volume, render. See ARCHITECTURE.md for the map and the conventions.
+//! Data passes through a pipeline: mesh, bake, volume, render. See ARCHITECTURE.md for the map and the conventions. The
+//! Python package is a layer above this crate; the crate itself needs neither Python nor a GPU:
+//!
+//! ```
+//! use fieldbake::bake::{BakeOptions, bake};
+//! use fieldbake::grid::Grid;
+//! use fieldbake::mesh::Mesh;
+//! use fieldbake::progress::Progress;
+//! use glam::DVec3;
+//!
+//! // The tetrahedron x, y, z >= 0, x + y + z <= 1, with faces counter-clockwise as seen from outside.
+//! let corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+//! let mesh = Mesh::new(&corners, &[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])?;
+//! let grid = Grid::new(DVec3::splat(-0.5), DVec3::splat(1.5), [32; 3])?;
+//! let baked = bake(&mesh, &grid, &BakeOptions::default(), &Progress::new())?;
+//!
+//! // Inside, near the slanted face: its distance is (1 - x - y - z) / sqrt(3), and negative.
+//! let p = grid.center(11, 11, 11);
+//! let truth = (p.element_sum() - 1.0) / 3f64.sqrt();
+//! let sample = f64::from(baked.distances[grid.offset(11, 11, 11)]);
+//! assert!((sample - truth).abs() <= 1e-6 * grid.diagonal());
+//! assert!(baked.report.closed);
+//! # Ok::<(), fieldbake::error::Error>(())
+//! ```
 
 pub mod atlas;
 pub mod bake;
