@@ -14,10 +14,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from . import _core
 from .base import checks
@@ -33,7 +33,7 @@ OPENSCAD = re.compile(
     re.DOTALL,
 )
 
-__all__ = ["Part", "Parts", "decompose", "difference", "intersection", "parse", "union", "xor"]
+__all__ = ["Part", "PartGroup", "Parts", "decompose", "difference", "intersection", "parse", "union", "xor"]
 
 
 def __dir__() -> list[str]:
@@ -85,6 +85,27 @@ class Part:
         return f"Part({self.shape!r}, {len(self.boxes)} boxes)"
 
 
+class PartGroup(NamedTuple):
+    """Parts of one structure, drawn as instances of a box by one draw call.
+
+    Attributes
+    ----------
+    text : str
+        Shader text of the structure, as of :meth:`Part.shader`.
+    boxes : (n, 2, 3) float64
+        Lower and upper corner of the box of each instance, world units.
+    numbers : (n, m) float32
+        Parameters of each instance: the contents of the buffer ``numbers`` of the text.
+    parts : (n,) int64
+        Index in the list of the part that each instance belongs to.
+    """
+
+    text: str
+    boxes: NDArray[np.float64]
+    numbers: NDArray[np.float32]
+    parts: NDArray[np.int64]
+
+
 class Parts(list[Part]):
     """A list of parts.
 
@@ -109,6 +130,54 @@ class Parts(list[Part]):
     def structures(self) -> int:
         """Number of different structures among the parts."""
         return self._structures()
+
+    def groups(self, language: Language = "wgsl", *, eye: ArrayLike | None = None) -> list[PartGroup]:
+        """Group the boxes of all parts by structure, for drawing them as instances.
+
+        Parameters
+        ----------
+        language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
+            Language of the texts.
+        eye : (3,) array, optional
+            Position of the camera. Instances of a group, and groups, are then in the order of the distance from the
+            eye to their nearest box, so that hidden fragments fail the depth test early. The default is the order of
+            the list. The picture is the same in any order: the depth buffer keeps the nearest hit.
+
+        Returns
+        -------
+        list of PartGroup
+            One group for each of the :attr:`structures`; every box of every part is one instance.
+
+        Raises
+        ------
+        ShapeError
+            For an unknown language, a position that is not finite, or a part that contains a baked volume.
+
+        Examples
+        --------
+        >>> import fieldbake as fb
+        >>> balls = fb.sphere().translate((-2, 0, 0)) | fb.sphere().translate((2, 0, 0))
+        >>> (group,) = fb.csg.decompose(balls, method="aabb").groups("glsl", eye=(9, 0, 0))
+        >>> group.boxes[:, 0, 0].tolist(), group.parts.tolist()
+        ([1.0, -3.0], [1, 0])
+        """
+        place = None if eye is None else checks.vector("eye", eye, 3, ShapeError)
+        found: dict[str, list[int]] = {}
+        for index, part in enumerate(self):
+            found.setdefault(part.shader(language), []).append(index)
+        groups, nearest = [], []
+        for text, members in found.items():
+            counts = [len(self[index].boxes) for index in members]
+            boxes = np.concatenate([self[index].boxes for index in members])
+            numbers = np.stack([self[index].shader_numbers() for index in members])
+            rows = np.repeat(np.arange(len(members)), counts)
+            if place is not None:
+                distances = np.linalg.norm(place - np.clip(place, boxes[:, 0], boxes[:, 1]), axis=1)
+                order = np.argsort(distances, kind="stable")
+                boxes, rows = boxes[order], rows[order]
+                nearest.append(float(distances.min()))
+            groups.append(PartGroup(text, boxes, numbers[rows], np.array(members, np.int64)[rows]))
+        return groups if place is None else [groups[i] for i in np.argsort(nearest, kind="stable")]
 
 
 def union(*shapes: Shape | Iterable[Shape], k: float = 0.0, chamfer: float = 0.0) -> Shape:
