@@ -42,6 +42,7 @@ if _TYPE_CHECKING:
     from .base.threads import set_threads as set_threads
     from .drawing.frame import Frame as Frame
     from .drawing.raymarching import raymarch as raymarch
+    from .drawing.renderer import Renderer as Renderer
     from .drawing.rendering import render as render
     from .loading.readers import load as load
     from .merging.build import merge as merge, sphere_intersection as sphere_intersection
@@ -162,6 +163,7 @@ _NAMES = {
     "base.threads": ("set_threads",),
     "drawing.frame": ("Frame",),
     "drawing.raymarching": ("raymarch",),
+    "drawing.renderer": ("Renderer",),
     "drawing.rendering": ("render",),
     "loading.readers": ("load",),
     "merging.build": (

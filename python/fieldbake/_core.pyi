@@ -16,6 +16,7 @@ __all__ = [
     "Mesh",
     "OuterSides",
     "Quadrics",
+    "Renderer",
     "Scene",
     "SceneField",
     "SceneMesh",
@@ -56,7 +57,6 @@ __all__ = [
     "query",
     "raymarch",
     "raymarch_nested",
-    "render",
     "require_memory",
     "resample",
     "sample",
@@ -662,33 +662,46 @@ class Scene:
     def bounds(self) -> NDArray[np.float64]:
         """Lower and upper corner around all instances, (2, 3), world units."""
 
-def render(
-    scene: Scene,
-    pose: NDArray[np.float64],
-    *,
-    fov_deg: float,
-    size: tuple[int, int],
-    lights: NDArray[np.float64],
-    primary: str,
-    shadows: str,
-    area_samples: int,
-    ambient: float,
-    occlusion: float | None,
-    far: list[SceneField],
-    far_distance: float | None,
-    background: tuple[float, float, float, float],
-    exposure: float,
-    samples: int,
-    light_scale: int,
-    device: str,
-    progress: Callable[[float], object] | None = None,
-) -> dict[str, Any]:
-    """Draw a scene. ``lights`` has three rows per light: kind (0 directional, 1 point), tangent of half its angle,
-    radius; direction or position; colour. Keys are those of :func:`raymarch`, with ``seconds`` as a dict of passes,
-    and: ``rays`` and ``far_rays``, the number of rays and cones to lights and surroundings and of those that entered
-    the far field; ``light_on``, the device of the light pass; ``sheets``, the number of instances whose triangles the
-    CPU traced.
-    """
+    def moved(self, transforms: NDArray[np.float64]) -> Scene:
+        """The same instances with other transforms, (n, 4, 4). All objects are shared."""
+
+@final
+class Renderer:
+    """Draws frames, and keeps what they have in common in device memory."""
+
+    def __new__(cls, device: str | None = None) -> Renderer:
+        """Fails if ``device`` is given and not available."""
+    @property
+    def counters(self) -> dict[str, int]:
+        """``uploads``, ``upload_bytes``, ``submits`` and ``readbacks`` of all frames."""
+    def frame(
+        self,
+        scene: Scene,
+        pose: NDArray[np.float64],
+        *,
+        fov_deg: float,
+        size: tuple[int, int],
+        lights: NDArray[np.float64],
+        primary: str,
+        shadows: str,
+        area_samples: int,
+        ambient: float,
+        occlusion: float | None,
+        far: list[SceneField],
+        far_distance: float | None,
+        background: tuple[float, float, float, float],
+        exposure: float,
+        samples: int,
+        light_scale: int,
+        device: str,
+        progress: Callable[[float], object] | None = None,
+    ) -> dict[str, Any]:
+        """Draw a scene. ``lights`` has three rows per light: kind (0 directional, 1 point), tangent of half its angle,
+        radius; direction or position; colour. Keys are those of :func:`raymarch`, with ``seconds`` as a dict of passes,
+        and: ``rays`` and ``far_rays``, the number of rays and cones to lights and surroundings and of those that
+        entered the far field; ``light_on``, the device of the light pass; ``sheets``, the number of instances whose
+        triangles the CPU traced.
+        """
 
 @final
 class Quadrics:

@@ -12,11 +12,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// Number of transfers of a context so far.
+/// Number of transfers through the handles of a device that share these counters.
 #[derive(Debug, Default)]
 pub struct Counters {
     pub uploads: AtomicU64,
     pub uploaded_bytes: AtomicU64,
+    pub submits: AtomicU64,
     pub readbacks: AtomicU64,
     pub readback_bytes: AtomicU64,
 }
@@ -103,10 +104,8 @@ impl Context {
         let piece = (STAGING_BYTES as usize / size_of::<T>()).max(1);
         for (i, part) in items.chunks(piece).enumerate() {
             self.write(label, buffer, (i * piece * size_of::<T>()) as u64, part)?;
-            self.guarded(label, 0, || self.queue.submit([]))?;
+            self.guarded(label, 0, || self.submit(None))?;
         }
-        self.counters.uploads.fetch_add(1, Ordering::Relaxed);
-        self.counters.uploaded_bytes.fetch_add(size_of_val(items) as u64, Ordering::Relaxed);
         Ok(())
     }
 
@@ -118,7 +117,10 @@ impl Context {
         offset: u64,
         items: &[T],
     ) -> Result<(), DeviceError> {
-        self.guarded(label, 0, || self.queue.write_buffer(buffer, offset, bytemuck::cast_slice(items)))
+        self.guarded(label, 0, || self.queue.write_buffer(buffer, offset, bytemuck::cast_slice(items)))?;
+        self.counters.uploads.fetch_add(1, Ordering::Relaxed);
+        self.counters.uploaded_bytes.fetch_add(size_of_val(items) as u64, Ordering::Relaxed);
+        Ok(())
     }
 
     fn allocate(&self, label: &str, bytes: u64, usage: wgpu::BufferUsages) -> Result<wgpu::Buffer, DeviceError> {
@@ -155,7 +157,7 @@ impl Context {
                 let mut encoder =
                     self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
                 encoder.copy_buffer_to_buffer(buffer, offset, &staging, 0, size);
-                let submission = self.queue.submit([encoder.finish()]);
+                let submission = self.submit(Some(encoder.finish()));
                 staging.map_async(wgpu::MapMode::Read, 0..size, move |result| {
                     done.store(result.is_ok(), Ordering::Release);
                 });

@@ -13,17 +13,32 @@ use super::pipeline::{Pipelines, WrittenKernels};
 use super::raster::RasterPipelines;
 use crate::error::DeviceError;
 use std::collections::HashMap;
+use std::ops::Deref;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// An open device, its queue, its compiled kernels and its errors.
+/// A handle of an open device. Each handle counts the transfers that were made through it.
 #[derive(Debug)]
 pub struct Context {
+    open: Arc<OpenDevice>,
+    pub counters: Arc<Counters>,
+}
+
+impl Deref for Context {
+    type Target = OpenDevice;
+
+    fn deref(&self) -> &OpenDevice {
+        &self.open
+    }
+}
+
+/// An open device, its queue, its compiled kernels and its errors.
+#[derive(Debug)]
+pub struct OpenDevice {
     pub device: wgpu::Device,
     pub queue: wgpu::Queue,
     pub info: DeviceInfo,
     pub limits: wgpu::Limits,
-    pub counters: Counters,
     pub(super) pipelines: Pipelines,
     pub(super) raster_pipelines: RasterPipelines,
     pub(super) written: WrittenKernels,
@@ -105,19 +120,35 @@ impl Context {
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
             *seen.uncaptured.lock().unwrap_or_else(PoisonError::into_inner) = Some(error.to_string());
         }));
-        Ok(Self {
+        let open = OpenDevice {
             device,
             queue,
             info: info.clone(),
             limits,
-            counters: Counters::default(),
             pipelines: Pipelines::default(),
             raster_pipelines: RasterPipelines::default(),
             written: WrittenKernels::default(),
             trouble,
             lane: Mutex::new(()),
             _instance: instance,
-        })
+        };
+        Ok(Self { open: Arc::new(open), counters: Arc::default() })
+    }
+
+    /// Another handle of the same device, with these counters.
+    pub fn counted_by(&self, counters: &Arc<Counters>) -> Arc<Self> {
+        Arc::new(Self { open: self.open.clone(), counters: counters.clone() })
+    }
+
+    /// Whether two handles have the same open device.
+    pub fn is_same_device(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.open, &other.open)
+    }
+
+    /// Submits commands, or only the pending writes if there are none.
+    pub(super) fn submit(&self, commands: Option<wgpu::CommandBuffer>) -> wgpu::SubmissionIndex {
+        self.counters.submits.fetch_add(1, Ordering::Relaxed);
+        self.queue.submit(commands)
     }
 
     /// Name and backend, for reports.

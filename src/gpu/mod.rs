@@ -21,6 +21,7 @@ pub mod pace;
 pub mod pipeline;
 pub mod raster;
 pub mod shader;
+pub mod table;
 pub mod texture;
 
 #[cfg(test)]

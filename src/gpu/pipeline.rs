@@ -177,7 +177,7 @@ impl Context {
                 pass.set_bind_group(0, group, &[]);
                 pass.dispatch_workgroups(workgroups[0], workgroups[1], workgroups[2]);
             }
-            self.queue.submit([encoder.finish()])
+            self.submit(Some(encoder.finish()))
         })
     }
 }

@@ -202,7 +202,7 @@ impl Context {
                 },
                 target.seen.size(),
             );
-            self.queue.submit([encoder.finish()])
+            self.submit(Some(encoder.finish()))
         })?;
         self.wait(label, &submission, progress)?;
         let mut pixels = vec![[0u32; 4]; target.stride as usize * height as usize];

@@ -88,7 +88,7 @@ impl Context {
                 },
                 wgpu::Extent3d { depth_or_array_layers: planes, ..size },
             );
-            self.queue.submit([encoder.finish()]);
+            self.submit(Some(encoder.finish()));
         })
     }
 }

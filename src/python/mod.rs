@@ -58,7 +58,7 @@ mod _core {
     #[pymodule_export]
     use super::run::set_threads;
     #[pymodule_export]
-    use super::scene::{Scene, SceneField, SceneMesh, Texture, render};
+    use super::scene::{Renderer, Scene, SceneField, SceneMesh, Texture};
     #[pymodule_export]
     use super::sparse::{SparseField, bake_sparse, check_scales, decode, encode, encoding_scale, to_sparse};
     #[pymodule_export]

@@ -1,4 +1,4 @@
-//! `fieldbake._core.Scene` and its parts, and `render`.
+//! `fieldbake._core.Scene` and its parts, and `Renderer`.
 
 use super::convert::{Field, row_array, rows};
 use super::csg::Shape;
@@ -25,6 +25,7 @@ use numpy::{PyArray2, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUn
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 
 /// Distances prepared for the rays of a scene.
 #[pyclass(frozen, module = "fieldbake._core")]
@@ -183,23 +184,19 @@ impl Scene {
         if lengths != [count; 8] || !shapes_fit {
             return Err(Failure::from(SceneError::new("instances", "lists of different lengths")).into());
         }
-        let transforms = transforms.as_array();
-        let inputs = (0..count)
-            .map(|i| {
-                let entry = |row: usize, column: usize| transforms[[i, row, column]];
-                let columns = std::array::from_fn(|c| std::array::from_fn(|r| entry(r, c)));
-                InstanceInput {
-                    triangles: meshes[i].as_ref().map(|mesh| mesh.get().0.clone()),
-                    field: fields[i].as_ref().map(|field| field.get().0.clone()),
-                    world_from_local: DAffine3::from_mat4(DMat4::from_cols_array_2d(&columns)),
-                    first_material: first_materials[i],
-                    opacity: opacities[i],
-                    casts_shadow: casts_shadow[i],
-                    visible: visible[i],
-                    own_colors: own_colors[i],
-                    object: objects[i],
-                    is_sheet: sheets[i],
-                }
+        let inputs = affine_maps(&transforms)
+            .enumerate()
+            .map(|(i, world_from_local)| InstanceInput {
+                triangles: meshes[i].as_ref().map(|mesh| mesh.get().0.clone()),
+                field: fields[i].as_ref().map(|field| field.get().0.clone()),
+                world_from_local,
+                first_material: first_materials[i],
+                opacity: opacities[i],
+                casts_shadow: casts_shadow[i],
+                visible: visible[i],
+                own_colors: own_colors[i],
+                object: objects[i],
+                is_sheet: sheets[i],
             })
             .collect();
         let textures: Vec<_> = textures.iter().map(|texture| texture.get().0.clone()).collect();
@@ -210,10 +207,29 @@ impl Scene {
         Ok(Self(Arc::new(made)))
     }
 
+    /// The same instances with other transforms.
+    fn moved(&self, py: Python<'_>, transforms: PyReadonlyArray3<'_, f64>) -> PyResult<Self> {
+        let maps: Vec<_> = affine_maps(&transforms).collect();
+        Ok(Self(Arc::new(py.detach(|| self.0.moved(&maps)).map_err(Failure::from)?)))
+    }
+
     #[getter]
     fn bounds<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         row_array(py, self.0.bounds().into_iter().map(|corner| corner.to_array()))
     }
+}
+
+/// The maps of (n, 4, 4) matrices for column vectors.
+fn affine_maps(matrices: &PyReadonlyArray3<'_, f64>) -> impl Iterator<Item = DAffine3> {
+    let matrices = matrices.as_array();
+    matrices
+        .outer_iter()
+        .map(|matrix| {
+            let columns = std::array::from_fn(|c| std::array::from_fn(|r| matrix[[r, c]]));
+            DAffine3::from_mat4(DMat4::from_cols_array_2d(&columns))
+        })
+        .collect::<Vec<_>>()
+        .into_iter()
 }
 
 /// A row of the material table: RGBA, specular, shininess, alpha mode (0 opaque, 1 mask, 2 blend), cutoff, two sided,
@@ -244,81 +260,110 @@ fn material(row: &[f32], textures: usize) -> PyResult<Material> {
     })
 }
 
-/// Draws a scene.
-#[pyfunction]
-#[pyo3(signature = (
-    scene, pose, *, fov_deg, size, lights, primary, shadows, area_samples, ambient, occlusion, far, far_distance,
-    background, exposure, samples, light_scale, device, progress=None
-))]
-pub fn render<'py>(
-    py: Python<'py>,
-    scene: &Scene,
-    pose: PyReadonlyArray2<'py, f64>,
-    fov_deg: f64,
-    size: [u32; 2],
-    lights: PyReadonlyArray2<'py, f64>,
-    primary: &str,
-    shadows: &str,
-    area_samples: u32,
-    ambient: f32,
-    occlusion: Option<f64>,
-    far: Vec<Py<SceneField>>,
-    far_distance: Option<f64>,
-    background: [f32; 4],
-    exposure: f32,
-    samples: u32,
-    light_scale: u32,
-    device: &str,
-    progress: Option<&Bound<'py, PyAny>>,
-) -> PyResult<Bound<'py, PyDict>> {
-    let place = choose(py, device)?;
-    let camera = Camera::from_pose(&pose_matrix(&pose)?, fov_deg).map_err(Failure::from)?;
-    let options = RenderOptions {
-        size,
-        primary: match primary {
-            "auto" => Primary::Auto,
-            "raster" => Primary::Raster,
-            "raymarch" => Primary::Raymarch,
-            other => return Err(unknown("primary", "\"auto\", \"raster\" or \"raymarch\"", other)),
-        },
-        shadows: match shadows {
-            "none" => SceneShadows::None,
-            "hard" => SceneShadows::Hard,
-            "soft" => SceneShadows::Soft,
-            "area" => SceneShadows::Area(area_samples),
-            "article" => SceneShadows::Article,
-            other => return Err(unknown("shadows", "\"soft\", \"hard\", \"none\" or \"area\"", other)),
-        },
-        lights: rows::<f64>(&lights, "lights")?.as_chunks::<3>().0.iter().map(light).collect(),
-        ambient,
-        occlusion,
-        far: (!far.is_empty()).then(|| FarField {
-            levels: far.iter().map(|level| level.get().0.clone()).collect(),
-            distance: far_distance,
-        }),
-        background,
-        exposure,
-        samples,
-        light_scale,
-    };
-    let scene = scene.0.clone();
-    let rendered = run(py, progress, |progress| scene::render(&place, &scene, &camera, &options, progress))?;
-    let images = frame_dict(py, rendered.frame)?;
-    let lit_at = if rendered.is_lit_on_device { place.label() } else { "cpu".to_owned() };
-    images.set_item("light_on", lit_at)?;
-    images.set_item("device", place.label())?;
-    let label = place.label();
-    let places = [label.as_str(), "cpu"].into_iter().zip(rendered.primary_on).filter(|(_, used)| *used);
-    images.set_item("primary_on", places.map(|(place, _)| place).collect::<Vec<_>>().join(" and "))?;
-    let seconds = PyDict::new(py);
-    for (stage, duration) in rendered.seconds {
-        seconds.set_item(stage, duration)?;
+/// Draws frames, and keeps what they have in common in device memory.
+#[pyclass(frozen, module = "fieldbake._core")]
+pub struct Renderer(scene::renderer::Renderer);
+
+#[pymethods]
+impl Renderer {
+    /// Fails if a device is given and not available.
+    #[new]
+    #[pyo3(signature = (device=None))]
+    fn new(py: Python<'_>, device: Option<&str>) -> PyResult<Self> {
+        if let Some(device) = device {
+            choose(py, device)?;
+        }
+        Ok(Self(scene::renderer::Renderer::default()))
     }
-    images.set_item("seconds", seconds)?;
-    images.set_item("sheets", rendered.sheets)?;
-    images.set_item("rays", rendered.rays)?;
-    images.set_item("far_rays", rendered.far_rays)?;
-    Ok(images)
+
+    /// Transfers of all frames so far.
+    #[getter]
+    fn counters<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let counters = self.0.counters();
+        let facts = PyDict::new(py);
+        facts.set_item("uploads", counters.uploads.load(Relaxed))?;
+        facts.set_item("upload_bytes", counters.uploaded_bytes.load(Relaxed))?;
+        facts.set_item("submits", counters.submits.load(Relaxed))?;
+        facts.set_item("readbacks", counters.readbacks.load(Relaxed))?;
+        Ok(facts)
+    }
+
+    /// Draws a scene.
+    #[pyo3(signature = (
+        scene, pose, *, fov_deg, size, lights, primary, shadows, area_samples, ambient, occlusion, far, far_distance,
+        background, exposure, samples, light_scale, device, progress=None
+    ))]
+    fn frame<'py>(
+        &self,
+        py: Python<'py>,
+        scene: &Scene,
+        pose: PyReadonlyArray2<'py, f64>,
+        fov_deg: f64,
+        size: [u32; 2],
+        lights: PyReadonlyArray2<'py, f64>,
+        primary: &str,
+        shadows: &str,
+        area_samples: u32,
+        ambient: f32,
+        occlusion: Option<f64>,
+        far: Vec<Py<SceneField>>,
+        far_distance: Option<f64>,
+        background: [f32; 4],
+        exposure: f32,
+        samples: u32,
+        light_scale: u32,
+        device: &str,
+        progress: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let place = choose(py, device)?;
+        let camera = Camera::from_pose(&pose_matrix(&pose)?, fov_deg).map_err(Failure::from)?;
+        let options = RenderOptions {
+            size,
+            primary: match primary {
+                "auto" => Primary::Auto,
+                "raster" => Primary::Raster,
+                "raymarch" => Primary::Raymarch,
+                other => return Err(unknown("primary", "\"auto\", \"raster\" or \"raymarch\"", other)),
+            },
+            shadows: match shadows {
+                "none" => SceneShadows::None,
+                "hard" => SceneShadows::Hard,
+                "soft" => SceneShadows::Soft,
+                "area" => SceneShadows::Area(area_samples),
+                "article" => SceneShadows::Article,
+                other => return Err(unknown("shadows", "\"soft\", \"hard\", \"none\" or \"area\"", other)),
+            },
+            lights: rows::<f64>(&lights, "lights")?.as_chunks::<3>().0.iter().map(light).collect(),
+            ambient,
+            occlusion,
+            far: (!far.is_empty()).then(|| FarField {
+                levels: far.iter().map(|level| level.get().0.clone()).collect(),
+                distance: far_distance,
+            }),
+            background,
+            exposure,
+            samples,
+            light_scale,
+        };
+        let scene = scene.0.clone();
+        let rendered = run(py, progress, |progress| self.0.frame(&place, &scene, &camera, &options, progress))?;
+        let images = frame_dict(py, rendered.frame)?;
+        let lit_at = if rendered.is_lit_on_device { place.label() } else { "cpu".to_owned() };
+        images.set_item("light_on", lit_at)?;
+        images.set_item("device", place.label())?;
+        let label = place.label();
+        let places = [label.as_str(), "cpu"].into_iter().zip(rendered.primary_on).filter(|(_, used)| *used);
+        images.set_item("primary_on", places.map(|(place, _)| place).collect::<Vec<_>>().join(" and "))?;
+        let seconds = PyDict::new(py);
+        for (stage, duration) in rendered.seconds {
+            seconds.set_item(stage, duration)?;
+        }
+        images.set_item("seconds", seconds)?;
+        images.set_item("sheets", rendered.sheets)?;
+        images.set_item("rays", rendered.rays)?;
+        images.set_item("far_rays", rendered.far_rays)?;
+        Ok(images)
+    }
 }
 
 /// Three rows of three: kind (0 directional, 1 point), slope, radius; direction or position; colour.

@@ -115,7 +115,7 @@ impl Far {
         };
         let level = |field: &Arc<dyn Field>, corners: [Vec3; 2]| {
             Ok::<_, Error>(FarLevel {
-                instance: instance(0, as_thing(field), scene.center, scene.scale, 1)?,
+                instance: instance(0, &as_thing(field), scene.center, scene.scale, 1)?,
                 bounds: in_scene(field, corners),
                 voxel: field.voxel() / scene.scale,
             })

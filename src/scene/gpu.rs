@@ -1,6 +1,6 @@
 //! The rays and cones of the light pass on a graphics device (`shaders/scene_beams.wgsl`).
 //!
-//! Instances, their tree and their fields ([`super::device_fields`]) are uploaded once per scene and device. A picture
+//! Instances, their tree and their fields ([`super::device_fields`]) stay in device memory between frames. A picture
 //! then sends its rays and cones as [`Beam`]s and receives the fraction of each that passes. A beam that runs out of
 //! the shader's bounded steps is flagged, and the CPU evaluates it.
 
@@ -14,9 +14,10 @@ use super::{Instance, Scene};
 use crate::error::Error;
 use crate::geometry::Aabb;
 use crate::gpu::Context;
-use crate::gpu::layout::{Answer, Beam, BeamParams, SceneInstance};
+use crate::gpu::layout::{Answer, Beam, BeamParams, SceneInstance, SceneNode};
 use crate::gpu::pace::in_pieces;
 use crate::gpu::shader::Instead;
+use crate::gpu::table::Table;
 use crate::progress::Progress;
 use glam::{Mat3, Vec3};
 use std::collections::HashMap;
@@ -37,58 +38,98 @@ const BY_VOXELS: f32 = -1.0;
 /// A scene in device memory.
 pub struct DeviceScene {
     context: Arc<Context>,
-    nodes: wgpu::Buffer,
-    items: wgpu::Buffer,
-    instances: wgpu::Buffer,
-    fields: wgpu::Buffer,
+    nodes: Table<SceneNode>,
+    items: Table<u32>,
+    instances: Table<SceneInstance>,
+    fields: Fields,
+    meshes: DeviceMeshes,
+    /// Whether the device has the field, if any, of each instance and then of each level of the far field.
+    knows: Vec<bool>,
+}
+
+/// The fields of a scene in device memory.
+struct Fields {
+    /// Fields by address, each with its record; None if devices do not support it.
+    known: HashMap<usize, (Arc<dyn Field>, Option<u32>)>,
+    records: wgpu::Buffer,
     samples: wgpu::Buffer,
     blocks: wgpu::Buffer,
-    meshes: DeviceMeshes,
-    /// The levels of the far field that follow the instances.
-    far: Vec<Arc<dyn Field>>,
     /// Kinds of its objects.
     kinds: Kinds,
-    /// Whether the device has the field, if any, of each instance and then of each level.
-    knows: Vec<bool>,
+}
+
+impl Fields {
+    fn upload(context: &Context, scene: &Scene, far: Option<&Far>) -> Result<Self, Error> {
+        let mut tables = DeviceFields::new(context);
+        let mut known = HashMap::new();
+        for field in fields_of(scene, far) {
+            if let Entry::Vacant(new) = known.entry(address(field)) {
+                let place = tables.records.len() as u32;
+                new.insert((field.clone(), field.enter(&mut tables)?.then_some(place)));
+            }
+        }
+        Ok(Self {
+            known,
+            records: context.upload("scene fields", &tables.records)?,
+            samples: context.upload("samples of scene fields", &tables.samples)?,
+            blocks: context.upload("scene blocks", &tables.words())?,
+            kinds: tables.kinds,
+        })
+    }
+
+    /// The rows of all instances, then of the levels of the far field, and whether the device has the field of each.
+    fn rows(&self, scene: &Scene, far: Option<&Far>) -> (Vec<SceneInstance>, Vec<bool>) {
+        let of_scene = scene.instances.iter().zip(&scene.boxes).map(|(instance, bounds)| (instance, bounds, 0.0));
+        let levels = far.map_or(&[][..], |far| &far.levels);
+        let of_far = levels.iter().map(|level| (&level.instance, &level.bounds, level.voxel));
+        let row = |(instance, bounds, voxel): (&Instance, &Aabb, f64)| {
+            let record = instance.field.as_ref().and_then(|field| self.known[&address(field)].1);
+            let row = instance_row(instance, bounds, record.unwrap_or(0));
+            (SceneInstance { voxel: voxel as f32, ..row }, instance.field.is_none() || record.is_some())
+        };
+        of_scene.chain(of_far).map(row).unzip()
+    }
+}
+
+/// Fields of all instances, then of the levels of the far field.
+fn fields_of<'a>(scene: &'a Scene, far: Option<&'a Far>) -> impl Iterator<Item = &'a Arc<dyn Field>> {
+    let levels = far.map_or(&[][..], |far| &far.levels);
+    scene.instances.iter().chain(levels.iter().map(|level| &level.instance)).filter_map(|i| i.field.as_ref())
+}
+
+/// Identity of a field. Whoever stores it keeps the field alive.
+fn address(field: &Arc<dyn Field>) -> usize {
+    Arc::as_ptr(field).addr()
 }
 
 impl DeviceScene {
     pub fn upload(context: &Arc<Context>, scene: &Scene, far: Option<&Far>) -> Result<Self, Error> {
-        let mut tables = DeviceFields::new(context);
-        // Records by the address of their field, which the scene keeps alive; None if devices do not support it.
-        let mut known: HashMap<usize, Option<u32>> = HashMap::new();
-        let mut rows = Vec::with_capacity(scene.instances.len() + 1);
-        let mut knows = Vec::with_capacity(scene.instances.len() + 1);
-        let of_scene = scene.instances.iter().zip(&scene.boxes).map(|(instance, bounds)| (instance, bounds, 0.0));
-        let levels = far.map_or(&[][..], |far| &far.levels);
-        let of_far = levels.iter().map(|level| (&level.instance, &level.bounds, level.voxel));
-        for (instance, bounds, voxel) in of_scene.chain(of_far) {
-            let record = match &instance.field {
-                None => None,
-                Some(field) => match known.entry(Arc::as_ptr(field).addr()) {
-                    Entry::Occupied(known) => *known.get(),
-                    Entry::Vacant(new) => {
-                        let place = tables.records.len() as u32;
-                        *new.insert(field.enter(&mut tables)?.then_some(place))
-                    }
-                },
-            };
-            knows.push(instance.field.is_none() || record.is_some());
-            rows.push(SceneInstance { voxel: voxel as f32, ..instance_row(instance, bounds, record.unwrap_or(0)) });
-        }
+        let fields = Fields::upload(context, scene, far)?;
+        let (rows, knows) = fields.rows(scene, far);
         Ok(Self {
             context: context.clone(),
-            nodes: context.upload("scene tree", &scene.tree.nodes)?,
-            items: context.upload("scene items", &scene.tree.items)?,
-            instances: context.upload("scene instances", &rows)?,
-            fields: context.upload("scene fields", &tables.records)?,
-            samples: context.upload("samples of scene fields", &tables.samples)?,
-            blocks: context.upload("scene blocks", &tables.words())?,
+            nodes: Table::new(context, "scene tree", scene.tree.nodes.clone())?,
+            items: Table::new(context, "scene items", scene.tree.items.clone())?,
+            instances: Table::new(context, "scene instances", rows)?,
+            fields,
             meshes: DeviceMeshes::upload(context, scene)?,
-            far: levels.iter().filter_map(|level| level.instance.field.clone()).collect(),
-            kinds: tables.kinds,
             knows,
         })
+    }
+
+    /// Makes it the memory of another scene. Objects that both scenes have stay; of the rows those that differ are
+    /// uploaded.
+    pub fn update(&mut self, scene: &Scene, far: Option<&Far>) -> Result<(), Error> {
+        let context = &self.context;
+        if !fields_of(scene, far).all(|field| self.fields.known.contains_key(&address(field))) {
+            self.fields = Fields::upload(context, scene, far)?;
+        }
+        let (rows, knows) = self.fields.rows(scene, far);
+        self.knows = knows;
+        self.instances.set(context, rows)?;
+        self.nodes.set(context, scene.tree.nodes.clone())?;
+        self.items.set(context, scene.tree.items.clone())?;
+        self.meshes.update(context, scene)
     }
 
     pub fn context(&self) -> &Arc<Context> {
@@ -107,7 +148,7 @@ impl DeviceScene {
 
     /// Overrides of imported files for the kinds of its objects.
     pub fn texts(&self) -> Vec<Instead> {
-        self.kinds.texts()
+        self.fields.kinds.texts()
     }
 
     pub fn meshes(&self) -> &DeviceMeshes {
@@ -116,14 +157,8 @@ impl DeviceScene {
 
     /// The buffers of `shaders/shared/scene_field.wgsl`.
     pub fn field_bindings(&self) -> [(u32, &wgpu::Buffer); 4] {
-        [(3, &self.instances), (4, &self.fields), (5, &self.samples), (6, &self.blocks)]
-    }
-
-    /// Whether the device has this far field, if any.
-    pub fn has(&self, far: Option<&Far>) -> bool {
-        let Some(far) = far else { return true };
-        let wanted = far.levels.iter().filter_map(|level| level.instance.field.as_ref());
-        self.far.len() == far.levels.len() && wanted.zip(&self.far).all(|(wanted, there)| Arc::ptr_eq(wanted, there))
+        let fields = &self.fields;
+        [(3, self.instances.buffer()), (4, &fields.records), (5, &fields.samples), (6, &fields.blocks)]
     }
 
     /// Fraction of each beam that passes.
@@ -180,18 +215,18 @@ impl DeviceScene {
         let kernel = context.kernel_with("scene_beams", entry, &self.texts())?;
         let all = [
             (0, &uniform),
-            (1, &self.nodes),
-            (2, &self.items),
-            (3, &self.instances),
-            (4, &self.fields),
-            (5, &self.samples),
-            (6, &self.blocks),
+            (1, self.nodes.buffer()),
+            (2, self.items.buffer()),
+            (3, self.instances.buffer()),
+            (4, &self.fields.records),
+            (5, &self.fields.samples),
+            (6, &self.fields.blocks),
             (7, &asked),
             (8, &found),
         ];
         // The layout contains only the buffers that the entry point reads: a thickness needs no tree, and the distance
         // of a dense grid no blocks.
-        let unused: &[u32] = match (entry, self.kinds.sparse) {
+        let unused: &[u32] = match (entry, self.fields.kinds.sparse) {
             ("rays" | "cones", _) => &[],
             (_, true) => &[1, 2],
             (_, false) => &[1, 2, 6],

@@ -11,8 +11,9 @@
 use super::gpu::{DeviceScene, beam};
 use super::light::{AO_CONES, AO_SLOPE, Lights, Surface};
 use super::primary::{GBuffer, Layer};
+use super::renderer::Asked;
 use super::shadow::{Casters, PARTS, Place, Ray, Work, basis, disc_point, toward};
-use super::{Asked, RenderOptions, SceneShadows};
+use super::{RenderOptions, SceneShadows};
 use crate::error::{DeviceError, Error};
 use crate::gpu::layout::{Answer, Beam};
 use crate::progress::Progress;

@@ -16,8 +16,9 @@
 //!
 //! # Practice
 //!
-//! Build a [`Scene`] once and [`render`] it any number of times. Objects are shared: a forest of one tree has one
-//! field. A new kind of object casts shadows if it implements [`field::Field`].
+//! Build a [`Scene`] once and draw it any number of times by a [`Renderer`](renderer::Renderer). Objects are shared: a
+//! forest of one tree has one field, and [`Scene::moved`] shares them all. A new kind of object casts shadows if it
+//! implements [`field::Field`].
 
 pub mod article;
 pub mod cone;
@@ -31,6 +32,7 @@ pub mod light;
 pub mod nested;
 pub mod primary;
 pub mod raster;
+pub mod renderer;
 pub mod shadow;
 pub mod sheets;
 pub mod texture;
@@ -40,21 +42,13 @@ pub mod transmission;
 pub mod tree;
 pub mod triangles;
 
-use crate::error::{DeviceError, Error, SceneError};
+use crate::error::{Error, SceneError};
 use crate::geometry::Aabb;
-use crate::gpu::{Context, Place};
-use crate::progress::Progress;
-use crate::render::{Camera, Frame};
-use far::{Far, FarField};
+use far::FarField;
 use field::Field;
 use glam::{DAffine3, DMat3, DVec3, Mat3, Vec3};
-use gpu::DeviceScene;
-use known::Pass;
-use shadow::{Casters, Work};
 use sheets::Sheets;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Instant;
+use std::sync::Arc;
 use texture::Texture;
 use tree::Tree;
 use triangles::Triangles;
@@ -147,8 +141,8 @@ pub struct Instance {
 impl Instance {
     /// Its rows of the scene's materials.
     pub fn own_materials<'a>(&self, materials: &'a [Material]) -> &'a [Material] {
-        let last = self.triangles.as_ref().and_then(|triangles| triangles.material.iter().max());
-        &materials[self.first_material as usize..][..last.map_or(1, |&last| last as usize + 1)]
+        let count = self.triangles.as_ref().map_or(1, |triangles| triangles.material_count());
+        &materials[self.first_material as usize..][..count]
     }
 
     /// Whether distances describe all its effects on light: it is neither translucent nor tested by thin rays.
@@ -165,7 +159,7 @@ impl Instance {
         let first = of(&materials[self.first_material as usize]);
         let is_common = |&material: &u32| of(&materials[(self.first_material + material) as usize]) == first;
         match &self.triangles {
-            Some(triangles) if !triangles.material.iter().all(is_common) => 1.0,
+            Some(triangles) if !triangles.used_materials().iter().all(is_common) => 1.0,
             _ => first,
         }
     }
@@ -207,8 +201,8 @@ pub struct Scene {
     /// Scene boxes of the instances.
     pub boxes: Vec<Aabb>,
     pub sheets: Sheets,
-    /// On the device that drew it last.
-    uploaded: Mutex<Option<Arc<DeviceScene>>>,
+    /// What it was made of, for [`Scene::moved`].
+    inputs: Vec<InstanceInput>,
 }
 
 /// Method for the first surface of a pixel.
@@ -256,22 +250,6 @@ pub struct RenderOptions {
     pub light_scale: u32,
 }
 
-/// A picture, the duration of its passes in seconds, and its counters.
-#[derive(Debug)]
-pub struct Rendered {
-    pub frame: Frame,
-    /// Whether surfaces were found on the device, and on the CPU.
-    pub primary_on: [bool; 2],
-    pub seconds: Vec<(&'static str, f64)>,
-    /// Number of rays and cones to lights and surroundings, and number of those that entered the far field.
-    pub rays: u64,
-    pub far_rays: u64,
-    /// Number of instances whose triangles the CPU traced for light.
-    pub sheets: usize,
-    /// Whether the light pass ran on the device.
-    pub is_lit_on_device: bool,
-}
-
 /// Largest number of instances.
 const MAX_INSTANCES: usize = 1 << 24;
 
@@ -303,10 +281,25 @@ impl Scene {
             made.has_colored_mask = made.own_materials(&materials).iter().any(is_mask) && has_opacity();
             Ok::<_, Error>(made)
         };
-        let instances: Vec<Instance> = inputs.into_iter().enumerate().map(make).collect::<Result<_, _>>()?;
+        let instances: Vec<Instance> = inputs.iter().enumerate().map(make).collect::<Result<_, _>>()?;
         let tree = Tree::new(&boxes);
         let sheets = Sheets::new(&instances, &boxes);
-        Ok(Self { center, scale, instances, materials, textures, tree, boxes, sheets, uploaded: Mutex::new(None) })
+        Ok(Self { center, scale, instances, materials, textures, tree, boxes, sheets, inputs })
+    }
+
+    /// The same instances with other transforms, world from local, one for each instance. All objects are shared. The
+    /// scene is the one that [`Scene::new`] makes of these transforms.
+    pub fn moved(&self, world_from_local: &[DAffine3]) -> Result<Self, Error> {
+        if world_from_local.len() != self.inputs.len() {
+            let problem = format!("{} for {} instances", world_from_local.len(), self.inputs.len());
+            return Err(SceneError::new("transforms", problem).into());
+        }
+        let place = |(input, &world_from_local): (&InstanceInput, &DAffine3)| InstanceInput {
+            world_from_local,
+            ..input.clone()
+        };
+        let inputs = self.inputs.iter().zip(world_from_local).map(place).collect();
+        Self::new(inputs, self.materials.clone(), self.textures.clone())
     }
 
     pub fn scene_from_world(&self, p: DVec3) -> DVec3 {
@@ -318,148 +311,6 @@ impl Scene {
         let all = self.boxes.iter().fold(Aabb::EMPTY, |all, &b| all.union(b));
         [all.min, all.max].map(|corner| self.center + corner.as_dvec3() * self.scale)
     }
-}
-
-impl Scene {
-    /// The scene in the memory of a device, uploaded at the first call.
-    fn on_device(&self, context: &Arc<Context>, far: Option<&Far>) -> Result<Arc<DeviceScene>, Error> {
-        let mut uploaded = self.uploaded.lock().unwrap_or_else(PoisonError::into_inner);
-        let is_there = |scene: &&Arc<DeviceScene>| Arc::ptr_eq(scene.context(), context) && scene.has(far);
-        if let Some(scene) = uploaded.as_ref().filter(is_there) {
-            return Ok(scene.clone());
-        }
-        let scene = Arc::new(DeviceScene::upload(context, self, far)?);
-        *uploaded = Some(scene.clone());
-        Ok(scene)
-    }
-}
-
-/// Draws a scene. On a graphics device both passes run there; [`raster`] lists the surfaces that the CPU draws. The
-/// light pass runs there only if the device supports all objects in the scene.
-pub fn render(
-    place: &Place,
-    scene: &Scene,
-    camera: &Camera,
-    options: &RenderOptions,
-    progress: &Progress,
-) -> Result<Rendered, Error> {
-    check(scene, options)?;
-    let sides = (options.samples as f64).sqrt().round() as u32;
-    let passes = if sides == 1 { 1 } else { 1 + sides * sides };
-    progress.set_total(u64::from(passes) * 2 * u64::from(options.size[1]));
-
-    let far = options.far.as_ref().map(|far| Far::new(scene, far)).transpose()?;
-    let casters = Casters { scene, far: far.as_ref() };
-    let device = match place {
-        Place::Cpu => None,
-        Place::Gpu(context) if options.shadows == SceneShadows::Article => {
-            let reason = "the article's march runs on the CPU only; use device=\"cpu\"".to_owned();
-            return Err(DeviceError::NotAvailable { requested: context.label(), reason }.into());
-        }
-        Place::Gpu(context) => Some(scene.on_device(context, far.as_ref())?),
-    };
-    let light_device = device.as_ref().filter(|device| device.knows_all());
-    let lights = light::Lights::new(scene, options);
-    let mut seconds = vec![("primary", 0.0), ("light", 0.0)];
-    let asked = Asked::default();
-    let mut frame: Option<Frame> = None;
-    let mut sum: Vec<f32> = Vec::new();
-    // Results of the first pass for the others.
-    let mut centre = None;
-    for pass in 0..passes {
-        // The first pass goes through the pixel centres. The others divide each pixel evenly, for its colour only.
-        let offset = match pass.checked_sub(1) {
-            None => [0.5, 0.5],
-            Some(i) => [i % sides, i / sides].map(|k| (f64::from(k) + 0.5) / f64::from(sides)),
-        };
-        let start = Instant::now();
-        let buffer = match &device {
-            None => primary::draw(scene, camera, options, offset, progress)?,
-            Some(device) => raster::draw(scene, device, camera, options, offset, progress)?,
-        };
-        seconds[0].1 += start.elapsed().as_secs_f64();
-        let start = Instant::now();
-        let device = light_device.map(AsRef::as_ref);
-        let look =
-            Pass { casters: &casters, buffer: &buffer, lights: &lights, options, device, asked: &asked, progress };
-        let known = known::find(&look, centre.as_ref().map(|(buffer, known)| (buffer, known)))?;
-        let lit = light::compose(&look, &known)?;
-        seconds[1].1 += start.elapsed().as_secs_f64();
-        match &mut frame {
-            None => frame = Some(lit),
-            Some(_) if sum.is_empty() => sum = lit.color,
-            Some(_) => sum.iter_mut().zip(lit.color).for_each(|(sum, color)| *sum += color),
-        }
-        if pass == 0 {
-            centre = Some((buffer, known));
-        }
-    }
-    let mut frame = frame.expect("at least one pass");
-    if !sum.is_empty() {
-        let share = 1.0 / (sides * sides) as f32;
-        frame.color = sum.into_iter().map(|color| color * share).collect();
-    }
-    let primary_on = match &device {
-        None => [false, true],
-        Some(device) => [true, raster::left_over(scene, device, options).is_some()],
-    };
-    Ok(Rendered {
-        frame,
-        primary_on,
-        sheets: scene.sheets.len(),
-        is_lit_on_device: light_device.is_some(),
-        seconds,
-        rays: asked.rays.into_inner(),
-        far_rays: asked.far_rays.into_inner(),
-    })
-}
-
-/// Rays and cones of a picture, counted by all threads.
-#[derive(Debug, Default)]
-pub struct Asked {
-    rays: AtomicU64,
-    far_rays: AtomicU64,
-}
-
-impl Asked {
-    fn add(&self, work: Work) {
-        self.rays.fetch_add(u64::from(work.rays), Ordering::Relaxed);
-        self.far_rays.fetch_add(u64::from(work.far_rays), Ordering::Relaxed);
-    }
-}
-
-/// Largest number of pixels of a picture, as for volumes.
-const MAX_PIXELS: u64 = 1 << 28;
-
-pub(crate) fn check(scene: &Scene, options: &RenderOptions) -> Result<(), Error> {
-    let error = |what: &str, problem: String| Err(SceneError::new(what, problem).into());
-    let [width, height] = options.size;
-    if width == 0 || height == 0 || u64::from(width) * u64::from(height) > MAX_PIXELS {
-        return error("size", format!("expected 1 to {MAX_PIXELS} pixels, got {width} x {height}"));
-    }
-    if options.lights.len() > MAX_LIGHTS {
-        return error("lights", format!("at most {MAX_LIGHTS}, got {}", options.lights.len()));
-    }
-    let sides = (f64::from(options.samples)).sqrt().round() as u32;
-    if options.samples == 0 || options.samples > 64 || sides * sides != options.samples {
-        return error("samples", format!("must be a square number from 1 to 64, got {}", options.samples));
-    }
-    if !(1..=2).contains(&options.light_scale) {
-        return error("light_scale", format!("must be 1 or 2, got {}", options.light_scale));
-    }
-    for instance in scene.instances.iter().filter(|instance| instance.visible) {
-        let i = instance.object;
-        if options.primary == Primary::Raster && instance.triangles.is_none() {
-            return error(
-                "primary",
-                format!("instances[{i}] has no triangles to raster; use \"auto\" or \"raymarch\""),
-            );
-        }
-        if options.primary == Primary::Raymarch && instance.field.is_none() {
-            return error("primary", format!("instances[{i}] has no field to march; use \"auto\" or \"raster\""));
-        }
-    }
-    Ok(())
 }
 
 /// Box of an instance, world units.
@@ -496,7 +347,7 @@ const LARGEST_CONDITION: f64 = 1e9;
 
 fn instance(
     index: usize,
-    input: InstanceInput,
+    input: &InstanceInput,
     center: DVec3,
     scale: f64,
     materials: usize,
@@ -511,7 +362,7 @@ fn instance(
     if !(0.0..=1.0).contains(&input.opacity) {
         return Err(SceneError::new(what(), format!("opacity must lie from 0 to 1, got {}", input.opacity)).into());
     }
-    let of_thing = input.triangles.as_ref().map_or(1, |t| t.material.iter().max().map_or(1, |&last| last as usize + 1));
+    let of_thing = input.triangles.as_ref().map_or(1, |triangles| triangles.material_count());
     if input.first_material as usize + of_thing > materials {
         return Err(SceneError::new(what(), "refers to a material that the scene does not have").into());
     }
@@ -538,8 +389,8 @@ fn instance(
         field_extent: DVec3::new(rows.x_axis.length(), rows.y_axis.length(), rows.z_axis.length()).as_vec3(),
         stretch: [(singular[0] / scale) as f32, (singular[1] / scale) as f32],
         shade: input.opacity * input.field.as_ref().map_or(1.0, |field| field.opacity()),
-        triangles: input.triangles,
-        field: input.field,
+        triangles: input.triangles.clone(),
+        field: input.field.clone(),
         first_material: input.first_material,
         own_colors: input.own_colors,
         opacity: input.opacity,
@@ -556,6 +407,9 @@ fn largest_entry(m: DMat3) -> f64 {
     m.to_cols_array().iter().fold(0.0, |largest, x| largest.max(x.abs()))
 }
 
+/// Square of the relative size of an entry beside the diagonal that counts as zero.
+const NEGLIGIBLE: f64 = 1e-34;
+
 /// Smallest and largest singular value, by the eigenvalues of `m^T m` (Jacobi rotations).
 fn singular_values(m: DMat3) -> [f64; 2] {
     let size = largest_entry(m);
@@ -565,16 +419,22 @@ fn singular_values(m: DMat3) -> [f64; 2] {
     let m = m * (1.0 / size);
     let mut a = (m.transpose() * m).to_cols_array_2d();
     for _ in 0..30 {
+        let mut is_done = true;
         for (p, q) in [(0, 1), (0, 2), (1, 2)] {
-            if a[p][q] == 0.0 {
+            // A smaller entry changes the eigenvalues by less than their rounding.
+            if a[p][q] * a[p][q] <= NEGLIGIBLE * a[p][p] * a[q][q] {
                 continue;
             }
+            is_done = false;
             let theta = 0.5 * (2.0 * a[p][q]).atan2(a[q][q] - a[p][p]);
             let (s, c) = theta.sin_cos();
             let mut turn = DMat3::IDENTITY.to_cols_array_2d();
             (turn[p][p], turn[q][q], turn[p][q], turn[q][p]) = (c, c, -s, s);
             let turn = DMat3::from_cols_array_2d(&turn);
             a = (turn.transpose() * DMat3::from_cols_array_2d(&a) * turn).to_cols_array_2d();
+        }
+        if is_done {
+            break;
         }
     }
     let values = [a[0][0], a[1][1], a[2][2]].map(|value| value.max(0.0).sqrt() * size);

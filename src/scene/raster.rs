@@ -17,6 +17,7 @@ use crate::error::Error;
 use crate::gpu::Context;
 use crate::gpu::layout::{RasterInstance, RasterMaterial, TextureLevel};
 use crate::gpu::raster::Draw;
+use crate::gpu::table::Table;
 use crate::progress::Progress;
 use crate::render::Camera;
 use glam::{DAffine3, DMat3, DVec3};
@@ -27,84 +28,130 @@ use std::sync::Arc;
 
 /// The meshes and masks of a scene in device memory.
 pub struct DeviceMeshes {
-    /// First corner and number of corners, by the address of the mesh.
-    spans: HashMap<usize, Range<u32>>,
-    /// Positions, corners, texture coordinates, materials of faces, materials, levels and texels, in order of binding.
-    buffers: [wgpu::Buffer; 7],
+    /// Meshes by address, each with its range of corners.
+    meshes: HashMap<usize, (Arc<Triangles>, Range<u32>)>,
+    /// Positions, corners, texture coordinates and materials of faces, in order of binding.
+    geometry: [wgpu::Buffer; 4],
+    materials: Table<RasterMaterial>,
+    /// Textures of the masks by address, each with its first mip level.
+    masks: HashMap<usize, (Arc<Texture>, u32)>,
+    /// Levels and texels of the masks, in order of binding.
+    texels: [wgpu::Buffer; 2],
 }
 
 impl DeviceMeshes {
     pub fn upload(context: &Context, scene: &Scene) -> Result<Self, Error> {
-        let mut spans = HashMap::new();
-        let (mut positions, mut corners, mut coordinates) = (Vec::new(), Vec::new(), Vec::new());
-        let mut face_materials = Vec::new();
-        for triangles in scene.instances.iter().filter_map(|instance| instance.triangles.as_ref()) {
-            if spans.contains_key(&address(triangles)) {
-                continue;
-            }
-            let (first_vertex, first_corner) = (positions.len() as u32, corners.len() as u32);
-            positions.extend(triangles.mesh.positions().iter().map(|p| p.to_array()));
-            corners.extend(triangles.mesh.faces().iter().flatten().map(|vertex| first_vertex + vertex));
-            coordinates.extend(triangles.uv.iter().map(|uv| uv.to_array()));
-            coordinates.resize(positions.len(), [0.0; 2]);
-            face_materials.extend_from_slice(&triangles.material);
-            spans.insert(address(triangles), first_corner..corners.len() as u32);
+        let (meshes, geometry) = upload_meshes(context, scene)?;
+        let (masks, texels) = upload_masks(context, scene)?;
+        let materials = Table::new(context, "scene materials", material_rows(scene, &masks))?;
+        Ok(Self { meshes, geometry, materials, masks, texels })
+    }
+
+    /// Brings the tables up to date with a scene. Objects that are there already stay.
+    pub fn update(&mut self, context: &Context, scene: &Scene) -> Result<(), Error> {
+        if !scene_meshes(scene).all(|triangles| self.meshes.contains_key(&address(triangles))) {
+            (self.meshes, self.geometry) = upload_meshes(context, scene)?;
         }
-        let (mut levels, mut texels) = (Vec::new(), Vec::new());
-        let materials: Vec<_> =
-            scene.materials.iter().map(|m| material_row(m, &scene.textures, &mut levels, &mut texels)).collect();
-        Ok(Self {
-            spans,
-            buffers: [
-                context.upload("mesh positions", &positions)?,
-                context.upload("mesh corners", &corners)?,
-                context.upload("mesh coordinates", &coordinates)?,
-                context.upload("mesh materials", &face_materials)?,
-                context.upload("scene materials", &materials)?,
-                context.upload("texture levels", &levels)?,
-                context.upload("texels", &texels)?,
-            ],
-        })
+        if !mask_textures(scene).all(|texture| self.masks.contains_key(&address(texture))) {
+            (self.masks, self.texels) = upload_masks(context, scene)?;
+        }
+        Ok(self.materials.set(context, material_rows(scene, &self.masks))?)
+    }
+
+    /// Range of corners of a mesh of the scene.
+    fn span(&self, triangles: &Arc<Triangles>) -> Range<u32> {
+        self.meshes[&address(triangles)].1.clone()
+    }
+
+    fn buffers(&self) -> impl Iterator<Item = &wgpu::Buffer> {
+        self.geometry.iter().chain([self.materials.buffer()]).chain(&self.texels)
     }
 }
 
-/// Identity of a mesh; the scene keeps it alive.
-fn address(triangles: &Arc<Triangles>) -> usize {
-    Arc::as_ptr(triangles).addr()
+fn scene_meshes(scene: &Scene) -> impl Iterator<Item = &Arc<Triangles>> {
+    scene.instances.iter().filter_map(|instance| instance.triangles.as_ref())
 }
 
-/// Only masks need their texture to decide visibility.
-fn material_row(
-    material: &Material,
-    textures: &[Arc<Texture>],
-    levels: &mut Vec<TextureLevel>,
-    texels: &mut Vec<u32>,
-) -> RasterMaterial {
-    let mut row = RasterMaterial {
-        two_sided: u32::from(material.two_sided),
-        opacity: material.color[3],
-        ..RasterMaterial::default()
+/// Textures of the materials with an alpha mask: only they decide visibility.
+fn mask_textures(scene: &Scene) -> impl Iterator<Item = &Arc<Texture>> {
+    let masks = scene.materials.iter().filter(|material| matches!(material.alpha, Alpha::Mask(_)));
+    masks.filter_map(|material| material.texture.map(|texture| &scene.textures[texture as usize]))
+}
+
+type Meshes = HashMap<usize, (Arc<Triangles>, Range<u32>)>;
+type Masks = HashMap<usize, (Arc<Texture>, u32)>;
+
+fn upload_meshes(context: &Context, scene: &Scene) -> Result<(Meshes, [wgpu::Buffer; 4]), Error> {
+    let mut spans = Meshes::new();
+    let (mut positions, mut corners, mut coordinates) = (Vec::new(), Vec::new(), Vec::new());
+    let mut face_materials = Vec::new();
+    for triangles in scene_meshes(scene) {
+        if spans.contains_key(&address(triangles)) {
+            continue;
+        }
+        let (first_vertex, first_corner) = (positions.len() as u32, corners.len() as u32);
+        positions.extend(triangles.mesh.positions().iter().map(|p| p.to_array()));
+        corners.extend(triangles.mesh.faces().iter().flatten().map(|vertex| first_vertex + vertex));
+        coordinates.extend(triangles.uv.iter().map(|uv| uv.to_array()));
+        coordinates.resize(positions.len(), [0.0; 2]);
+        face_materials.extend_from_slice(&triangles.material);
+        spans.insert(address(triangles), (triangles.clone(), first_corner..corners.len() as u32));
+    }
+    let buffers = [
+        context.upload("mesh positions", &positions)?,
+        context.upload("mesh corners", &corners)?,
+        context.upload("mesh coordinates", &coordinates)?,
+        context.upload("mesh materials", &face_materials)?,
+    ];
+    Ok((spans, buffers))
+}
+
+fn upload_masks(context: &Context, scene: &Scene) -> Result<(Masks, [wgpu::Buffer; 2]), Error> {
+    let mut masks = Masks::new();
+    let (mut levels, mut texels) = (Vec::new(), Vec::new());
+    for texture in mask_textures(scene) {
+        if masks.contains_key(&address(texture)) {
+            continue;
+        }
+        masks.insert(address(texture), (texture.clone(), levels.len() as u32));
+        let first = texels.len() as u32;
+        levels.extend(texture.levels.iter().map(|level| TextureLevel {
+            first: first + level.first,
+            width: level.width,
+            height: level.height,
+            pad_0: 0,
+        }));
+        texels.extend_from_slice(&texture.texels);
+    }
+    Ok((masks, [context.upload("texture levels", &levels)?, context.upload("texels", &texels)?]))
+}
+
+/// Identity of a shared object. Whoever stores it keeps the object alive.
+fn address<T>(object: &Arc<T>) -> usize {
+    Arc::as_ptr(object).addr()
+}
+
+fn material_rows(scene: &Scene, masks: &Masks) -> Vec<RasterMaterial> {
+    let row = |material: &Material| {
+        let mut row = RasterMaterial {
+            two_sided: u32::from(material.two_sided),
+            opacity: material.color[3],
+            ..RasterMaterial::default()
+        };
+        match material.alpha {
+            Alpha::Blend => {}
+            Alpha::Opaque => row.kind = 1,
+            Alpha::Mask(cutoff) => {
+                (row.kind, row.cutoff) = (2, cutoff);
+                if let Some(texture) = material.texture.map(|texture| &scene.textures[texture as usize]) {
+                    row.first_level = masks[&address(texture)].1;
+                    row.levels = texture.levels.len() as u32;
+                }
+            }
+        }
+        row
     };
-    match material.alpha {
-        Alpha::Blend => {}
-        Alpha::Opaque => row.kind = 1,
-        Alpha::Mask(cutoff) => {
-            (row.kind, row.cutoff) = (2, cutoff);
-            if let Some(texture) = material.texture.map(|texture| &textures[texture as usize]) {
-                row.first_level = levels.len() as u32;
-                row.levels = texture.levels.len() as u32;
-                let first = texels.len() as u32;
-                levels.extend(texture.levels.iter().map(|level| TextureLevel {
-                    first: first + level.first,
-                    width: level.width,
-                    height: level.height,
-                    pad_0: 0,
-                }));
-                texels.extend_from_slice(&texture.texels);
-            }
-        }
-    }
-    row
+    scene.materials.iter().map(row).collect()
 }
 
 /// Whether the CPU must still draw each instance; None if the device draws all visible ones.
@@ -228,7 +275,7 @@ fn seen_by_device(
         })
         .map(|(i, instance)| {
             let triangles = instance.triangles.as_ref().filter(|_| as_triangles(instance, options.primary));
-            (triangles.map(|triangles| meshes.spans[&address(triangles)].clone()), i)
+            (triangles.map(|triangles| meshes.span(triangles)), i)
         })
         .collect();
     drawn.sort_by_key(|(span, i)| (span.as_ref().map_or(u32::MAX, |span| span.start), *i));
@@ -238,7 +285,7 @@ fn seen_by_device(
     let triangles = context.raster_pipeline("scene_triangles", "triangle_corner", "triangle_seen", &[])?;
     let fields = context.raster_pipeline("scene_fields", "box_corner", "field_seen", &device.texts())?;
     let mut bindings = vec![(0, &rows_buffer)];
-    bindings.extend((1..).zip(&meshes.buffers));
+    bindings.extend((1..).zip(meshes.buffers()));
     let triangles_group = context.bind_raster("scene_triangles", &triangles, &bindings)?;
     bindings.truncate(1);
     bindings.extend(device.field_bindings());

@@ -26,7 +26,6 @@ use super::triangles::Triangles;
 use super::{Alpha, Instance, RenderOptions, Scene, SceneShadows};
 use crate::bvh::watertight::{self, FaceHit};
 use crate::geometry::Aabb;
-use crate::mesh::Mesh;
 use glam::{DVec3, Vec2};
 
 /// Number of rays of a cone. A light's disc has [`PARTS`] cones, so 64 rays.
@@ -69,7 +68,7 @@ impl Sheets {
             triangles.mesh.topology();
         }
         let flat =
-            |&i: &u32| instances[i as usize].triangles.as_ref().is_some_and(|triangles| is_flat(&triangles.mesh));
+            |&i: &u32| instances[i as usize].triangles.as_ref().is_some_and(|triangles| triangles.is_flat(0.5 * LIFT));
         Self { is_flat: found.iter().map(flat).collect(), instances: found, tree }
     }
 
@@ -96,14 +95,6 @@ impl Sheets {
         }
         found
     }
-}
-
-/// Whether all vertices lie within half of [`LIFT`] of the plane of the first face.
-fn is_flat(mesh: &Mesh) -> bool {
-    let [a, b, c] = mesh.triangle(0);
-    let normal = (b - a).cross(c - a).normalize_or_zero();
-    let is_near = |p: &DVec3| (*p - a).dot(normal).abs() <= 0.5 * LIFT;
-    (0..mesh.faces().len() as u32).all(|face| mesh.triangle(face).iter().all(is_near))
 }
 
 impl Scene {

@@ -7,7 +7,8 @@
 use crate::error::{Error, SceneError};
 use crate::mesh::Mesh;
 use glam::{DVec3, Vec2, Vec3, Vec4};
-use std::sync::Arc;
+use std::collections::BTreeSet;
+use std::sync::{Arc, OnceLock};
 
 /// Largest angle between faces that share a smooth normal.
 const CREASE_DEG: f64 = 45.0;
@@ -26,6 +27,10 @@ pub struct Triangles {
     vertex_colors: Vec<Vec4>,
     /// Linear RGBA of each face, another factor; empty without any.
     face_colors: Vec<Vec4>,
+    /// Indices in `material`, each once, in ascending order.
+    used_materials: Vec<u32>,
+    has_opacity: OnceLock<bool>,
+    is_flat: OnceLock<bool>,
 }
 
 impl Triangles {
@@ -38,7 +43,18 @@ impl Triangles {
             return Err(SceneError::new("material", format!("{} rows for {faces} faces", material.len())).into());
         }
         let normals = corner_normals(&mesh);
-        Ok(Self { mesh, uv, material, normals, vertex_colors: Vec::new(), face_colors: Vec::new() })
+        let used_materials = material.iter().copied().collect::<BTreeSet<_>>().into_iter().collect();
+        Ok(Self {
+            mesh,
+            uv,
+            material,
+            normals,
+            vertex_colors: Vec::new(),
+            face_colors: Vec::new(),
+            used_materials,
+            has_opacity: OnceLock::new(),
+            is_flat: OnceLock::new(),
+        })
     }
 
     /// Adds colours of the vertices and faces; an empty list is white.
@@ -65,7 +81,28 @@ impl Triangles {
 
     /// Whether a colour of a vertex or face is not opaque.
     pub fn has_opacity(&self) -> bool {
-        self.vertex_colors.iter().chain(&self.face_colors).any(|color| color.w != 1.0)
+        *self.has_opacity.get_or_init(|| self.vertex_colors.iter().chain(&self.face_colors).any(|color| color.w != 1.0))
+    }
+
+    /// Indices of the materials that faces have, each once, in ascending order.
+    pub fn used_materials(&self) -> &[u32] {
+        &self.used_materials
+    }
+
+    /// Number of materials that the mesh needs: the largest index plus one.
+    pub fn material_count(&self) -> usize {
+        self.used_materials.last().map_or(1, |&last| last as usize + 1)
+    }
+
+    /// Whether all vertices lie within `tolerance` of the plane of the first face, local units. The answer is kept, so
+    /// all callers pass the same tolerance.
+    pub fn is_flat(&self, tolerance: f64) -> bool {
+        *self.is_flat.get_or_init(|| {
+            let [a, b, c] = self.mesh.triangle(0);
+            let normal = (b - a).cross(c - a).normalize_or_zero();
+            let is_near = |p: &DVec3| (*p - a).dot(normal).abs() <= tolerance;
+            (0..self.mesh.faces().len() as u32).all(|face| self.mesh.triangle(face).iter().all(is_near))
+        })
     }
 
     /// Texture coordinates at barycentric weights of the corners; zero if the mesh has none.

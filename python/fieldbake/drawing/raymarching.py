@@ -27,7 +27,8 @@ from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume
 from .frame import Frame
 from .options import checked_color, checked_size, frame_of
-from .rendering import Primary, render
+from .rendering import render
+from .scene_options import Primary
 
 Shadows = Literal["hard", "none", "soft", "area"]
 Filter = Literal["linear", "hardware"]

@@ -2,32 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
-from .. import _core
-from ..base import checks
-from ..base.errors import ArgumentError, SceneError
-from ..base.progress import Progress, progress_callback
+from ..base.progress import Progress
 from ..merging.nested import NestedField
-from ..scenes import field_cache
 from ..scenes.camera import Camera
-from ..scenes.core_scene import Fields
-from ..scenes.lights import DirectionalLight, Light, key_light
-from ..scenes.materials import scattering_rgb
-from ..scenes.scene import Scene
 from ..volumes.volume import Volume
 from .frame import Frame
-from .options import checked_size
-
-Primary = Literal["auto", "raster", "raymarch"]
-SceneShadows = Literal["soft", "hard", "none", "area"]
-
-#: Range of ambient occlusion for True, as a fraction of the diagonal of the scene.
-OCCLUSION_SHARE = 0.15
+from .scene_options import Options, Primary, SceneShadows, as_scene, checked_camera
 
 
 def render(
@@ -138,108 +120,21 @@ def render(
     >>> frame.shadow.shape, sorted(set(frame.object_id.ravel().tolist()))
     ((64, 64), [-1, 0, 1])
     """
-    if not isinstance(scene, Scene):
-        scene = Scene(scene if isinstance(scene, list) else [scene])
-    width, height = checked_size(size)
-    checks.text("device", device)
-    checks.choice("primary", primary, get_args(Primary), SceneError)
-    checks.choice("shadows", shadows, get_args(SceneShadows), SceneError)
-    checks.choice("method", method, ("fieldbake", "article"), SceneError)
-    try:
-        exposure = checks.number("exposure", exposure, least=0)
-        samples = checks.integer("samples", samples, least=1, most=64)
-        light_scale = checks.integer("light_scale", light_scale, least=1, most=2)
-        area_samples = checks.integer("area_samples", area_samples, least=1, most=4096)
-        occlusion = _occlusion(ambient_occlusion, scene)
-        far_distance = _far_distance(far, far_distance, method)
-    except ArgumentError as error:
-        raise SceneError(str(error)) from None
-    if camera is None:
-        camera = scene.cameras[0] if scene.cameras else Camera.fit(scene.bounds, aspect=width / height)
-    if not isinstance(camera, Camera):
-        raise SceneError(f"camera: must be a Camera, got {checks.describe(camera)}; see Camera.from_pose")
-    lights = (key_light(camera.pose),) if scene.lights is None else scene.lights
-    march = "article" if method == "article" and shadows != "none" else shadows
-    core = scene._core(_fields_of(scene, primary, march, has_occlusion=occlusion is not None), device)
-    with progress_callback(progress, "render") as callback:
-        result = _core.render(
-            core,
-            camera.pose,
-            fov_deg=camera.fov_deg,
-            size=(width, height),
-            lights=_light_table(lights),
-            primary=primary,
-            shadows=march,
-            area_samples=area_samples,
-            ambient=scene.ambient,
-            occlusion=occlusion,
-            far=[] if far is None else field_cache.levels_of(far),
-            far_distance=far_distance,
-            background=scene._background,
-            exposure=exposure,
-            samples=samples,
-            light_scale=light_scale,
-            device=device,
-            progress=callback,
-        )
-    return _frame_of(result, scene, len(lights))
-
-
-def _fields_of(scene: Scene, primary: Primary, shadows: str, *, has_occlusion: bool) -> Fields:
-    """Decide which meshes of a scene need distance fields; `shadows` may be "article"."""
-    scatters = any(
-        instance.material is not None and any(scattering_rgb(instance.material)) for instance in scene.instances
+    scene = as_scene(scene)
+    options = Options.checked(
+        size=size,
+        primary=primary,
+        shadows=shadows,
+        ambient_occlusion=ambient_occlusion,
+        samples=samples,
+        light_scale=light_scale,
+        exposure=exposure,
+        area_samples=area_samples,
+        far=far,
+        far_distance=far_distance,
+        method=method,
+        device=device,
+        progress=progress,
     )
-    is_marched = primary == "raymarch"
-    return Fields(
-        of_solids=shadows != "none" or has_occlusion or is_marched or scatters,
-        of_sheets=is_marched or shadows == "article",
-    )
-
-
-def _frame_of(result: dict[str, Any], scene: Scene, lights: int) -> Frame:
-    """Make a frame of the arrays in a result of the core; the other entries become its report."""
-    arrays = {name: value for name, value in result.items() if isinstance(value, np.ndarray)}
-    seconds = result["seconds"]
-    report = {
-        "device": result["device"],
-        "seconds": sum(seconds.values()),
-        "devices": {"primary": result["primary_on"], "light": result["light_on"]},
-        "milliseconds": {stage: 1e3 * duration for stage, duration in seconds.items()},
-        "instances": len(scene.instances),
-        "lights": lights,
-        "sheets": result["sheets"],
-        "rays": result["rays"],
-        "far_rays": result["far_rays"],
-    }
-    return Frame(arrays, report)
-
-
-def _occlusion(wanted: bool | float, scene: Scene) -> float | None:
-    if isinstance(wanted, (bool, np.bool_)):
-        return OCCLUSION_SHARE * float(np.linalg.norm(np.diff(scene.bounds, axis=0))) if wanted else None
-    return checks.number("ambient_occlusion", wanted, above=0)
-
-
-def _far_distance(far: Volume | NestedField | None, distance: float | None, method: str) -> float | None:
-    if far is None:
-        if distance is not None:
-            raise ArgumentError("far_distance: needs far, a field from merge()")
-        return None
-    if not isinstance(far, (Volume, NestedField)):
-        raise ArgumentError(f"far: must be a Volume or NestedField from merge(), got {checks.describe(far)}")
-    if method == "article":
-        raise ArgumentError('far: the march of the article has no far field; leave it out, or use method="fieldbake"')
-    return None if distance is None else checks.number("far_distance", distance, least=0)
-
-
-def _light_table(lights: Sequence[Light]) -> NDArray[np.float64]:
-    """Convert lights to the table of the core, three rows of three for each light."""
-    rows: list[Sequence[float]] = []
-    for light in lights:
-        if isinstance(light, DirectionalLight):
-            rows += [(0.0, np.tan(np.radians(min(light.angle_deg, 170.0) / 2)), 0.0), light.direction]
-        else:
-            rows += [(1.0, 0.0, light.radius), light.position]
-        rows.append(np.multiply(light.color, light.intensity).tolist())
-    return np.array(rows, dtype=np.float64).reshape(-1, 3)
+    core = scene._core(options.fields_of(scene.instances), device)
+    return options.draw(scene._renderer, core, scene, checked_camera(camera), scene.lights, scene.bounds)

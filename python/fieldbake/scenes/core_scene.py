@@ -15,23 +15,29 @@ from .instance import Instance
 from .materials import PLAIN, Material, scattering_rgb
 from .sheets import NO_SHEET, Look, Sheet, sheet_of
 
+#: Converted images by the id of their pixels, with the pixels, so that no id is reused.
+Textures = dict[int, tuple[NDArray[np.uint8], _core.Texture]]
+
 
 class MaterialTable:
     """Materials and textures of a scene while they are collected."""
 
-    def __init__(self) -> None:
+    def __init__(self, converted: Textures) -> None:
         self.materials: list[list[float]] = []
         self.textures: list[_core.Texture] = []
+        #: Textures of this table. Those in `converted` are not converted again.
+        self.used: Textures = {}
+        self._converted = converted
         self._known: dict[int, int] = {}
-        self._owners: list[object] = []
 
     def texture(self, pixels: NDArray[np.uint8]) -> int:
         """Index of an image; all users of the image share it."""
-        if id(pixels) not in self._known:
-            self._known[id(pixels)] = len(self.textures)
-            self._owners.append(pixels)
-            self.textures.append(_core.Texture(pixels))
-        return self._known[id(pixels)]
+        key = id(pixels)
+        if key not in self._known:
+            self._known[key] = len(self.textures)
+            self.used[key] = self._converted.get(key) or (pixels, _core.Texture(pixels))
+            self.textures.append(self.used[key][1])
+        return self._known[key]
 
     def add(self, material: Material | None, look: Look, is_two_sided: bool) -> None:
         """Add one row; `is_two_sided` applies if the material does not decide it."""
@@ -56,8 +62,8 @@ class MaterialTable:
 class Rows:
     """Instances of the core's scene while they are collected. A list of quadrics becomes one instance per quadric."""
 
-    def __init__(self) -> None:
-        self.table = MaterialTable()
+    def __init__(self, converted: Textures) -> None:
+        self.table = MaterialTable(converted)
         self.columns: dict[str, list[Any]] = {}
 
     def add(
@@ -116,43 +122,79 @@ class Fields(NamedTuple):
     of_sheets: bool
 
 
-def build_scene(instances: Sequence[Instance], fields: Fields, device: str) -> _core.Scene:
-    """Make the scene of the core. An object that several instances share is converted once."""
-    rows = Rows()
-    meshes: dict[tuple[int, bool], _core.SceneMesh] = {}
-    # Looks by mesh and material.
-    looks_of: dict[tuple[int, int], tuple[list[Look], Sheet]] = {}
-    quadrics: dict[int, list[_core.SceneField]] = {}
-    for number, instance in enumerate(instances):
-        thing = instance.thing
-        if isinstance(thing, tuple):
-            if id(thing) not in quadrics:
-                quadrics[id(thing)] = field_cache.of_quadrics(thing)
-            for quadric, field in zip(thing, quadrics[id(thing)], strict=True):
-                red, green, blue = quadric.reflectance.tolist()
-                part = Part("quadric", color=(red, green, blue, 1.0))
-                rows.add(number, instance, None, field, [Look.of(instance.material, part)])
-        elif isinstance(thing, Mesh):
-            # A material with a colour or a texture replaces those of the mesh.
-            material = instance.material
-            keeps_colors = material is None or (material.color is None and material.texture is None)
-            vertex_colors, face_colors = (thing.vertex_colors, thing.face_colors) if keeps_colors else (None, None)
-            is_colored = vertex_colors is not None or face_colors is not None
-            made = id(thing), is_colored
-            if made not in meshes:
-                meshes[made] = _core.SceneMesh(thing._core, thing.uv, _materials_of(thing), vertex_colors, face_colors)
-            key = id(thing), id(material)
-            if key not in looks_of:
-                looks = [Look.of(material, part, is_colored) for part in thing.parts]
-                looks_of[key] = looks, sheet_of(thing, looks)
-            looks, sheet = looks_of[key]
-            is_baked = fields.of_sheets if sheet.is_traced else fields.of_solids
-            baked = field_cache.of_mesh(thing, instance.resolution, device, looks) if is_baked else None
-            rows.add(number, instance, meshes[made], baked, looks, sheet)
-        else:
-            looks = [Look.of(instance.material, Part(color=PLAIN))]
-            rows.add(number, instance, None, field_cache.of_thing(thing), looks)
-    return rows.build()
+class SceneBuilder:
+    """Makes scenes of the core from instances of the same objects, and keeps the converted objects."""
+
+    def __init__(self) -> None:
+        # By the id of the object, which the instances keep alive.
+        self._meshes: dict[tuple[int, bool], _core.SceneMesh] = {}
+        self._fields: dict[object, _core.SceneField] = {}
+        self._quadrics: dict[int, list[_core.SceneField]] = {}
+        self._sheets: dict[object, Sheet] = {}
+        # Of the first scene and of the last one: materials may differ from scene to scene.
+        self._first: Textures | None = None
+        self._textures: Textures = {}
+
+    def build(self, instances: Sequence[Instance], fields: Fields, device: str) -> _core.Scene:
+        """Make a scene. An object that several instances or scenes share is converted once."""
+        rows = Rows(self._textures)
+        # Looks by mesh and material.
+        looks_of: dict[tuple[int, int], tuple[list[Look], Sheet]] = {}
+        for number, instance in enumerate(instances):
+            thing = instance.thing
+            if isinstance(thing, tuple):
+                if id(thing) not in self._quadrics:
+                    self._quadrics[id(thing)] = field_cache.of_quadrics(thing)
+                for quadric, field in zip(thing, self._quadrics[id(thing)], strict=True):
+                    red, green, blue = quadric.reflectance.tolist()
+                    part = Part("quadric", color=(red, green, blue, 1.0))
+                    rows.add(number, instance, None, field, [Look.of(instance.material, part)])
+            elif isinstance(thing, Mesh):
+                # A material with a colour or a texture replaces those of the mesh.
+                material = instance.material
+                keeps_colors = material is None or (material.color is None and material.texture is None)
+                is_colored = keeps_colors and (thing.vertex_colors is not None or thing.face_colors is not None)
+                key = id(thing), id(material)
+                if key not in looks_of:
+                    looks = [Look.of(material, part, is_colored) for part in thing.parts]
+                    looks_of[key] = looks, self._sheet(thing, looks)
+                looks, sheet = looks_of[key]
+                is_baked = fields.of_sheets if sheet.is_traced else fields.of_solids
+                baked = self._baked(thing, instance.resolution, device, looks, sheet) if is_baked else None
+                rows.add(number, instance, self._mesh(thing, is_colored), baked, looks, sheet)
+            else:
+                looks = [Look.of(instance.material, Part(color=PLAIN))]
+                if id(thing) not in self._fields:
+                    self._fields[id(thing)] = field_cache.of_thing(thing)
+                rows.add(number, instance, None, self._fields[id(thing)], looks)
+        if self._first is None:
+            self._first = rows.table.used
+        self._textures = self._first | rows.table.used
+        return rows.build()
+
+    def _mesh(self, mesh: Mesh, is_colored: bool) -> _core.SceneMesh:
+        key = id(mesh), is_colored
+        if key not in self._meshes:
+            colors = (mesh.vertex_colors, mesh.face_colors) if is_colored else (None, None)
+            self._meshes[key] = _core.SceneMesh(mesh._core, mesh.uv, _materials_of(mesh), *colors)
+        return self._meshes[key]
+
+    def _sheet(self, mesh: Mesh, looks: Sequence[Look]) -> Sheet:
+        if any(look.texture is not None and look.alpha_mode != "opaque" for look in looks):
+            return sheet_of(mesh, looks)
+        key = id(mesh), tuple((look.alpha_mode, look.alpha_cutoff, look.two_sided, look.color[3]) for look in looks)
+        if key not in self._sheets:
+            self._sheets[key] = sheet_of(mesh, looks)
+        return self._sheets[key]
+
+    def _baked(self, mesh: Mesh, resolution: int, device: str, looks: Sequence[Look], sheet: Sheet) -> _core.SceneField:
+        if any(look.alpha_mode == "mask" for look in looks):
+            return field_cache.of_mesh(mesh, resolution, device, looks)
+        # Without masks the field is that of the whole mesh.
+        key = id(mesh), resolution, sheet.is_traced
+        if key not in self._fields:
+            self._fields[key] = field_cache.of_mesh(mesh, resolution, device, looks)
+        return self._fields[key]
 
 
 def _materials_of(mesh: Mesh) -> NDArray[np.uint32]:

@@ -104,10 +104,13 @@ class Instance:
     @property
     def bounds(self) -> NDArray[np.float64]:
         """Box around the surface, (2, 3), world units."""
+        return self.bounds_at(np.asarray(self.transform))
+
+    def bounds_at(self, transform: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Box around the surface, (2, 3), world units, under another transform, (4, 4)."""
         box = _box_of(self.thing)
         corners = np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
-        matrix = np.asarray(self.transform)
-        placed = corners @ matrix[:3, :3].T + matrix[:3, 3]
+        placed = corners @ transform[:3, :3].T + transform[:3, 3]
         return np.stack([placed.min(axis=0), placed.max(axis=0)])
 
     def __repr__(self) -> str:

@@ -13,7 +13,7 @@ from ..base import checks
 from ..base.errors import ArgumentError, MeshError, SceneError
 from ..base.viewable import Viewable
 from .camera import Camera
-from .core_scene import Fields, build_scene
+from .core_scene import Fields, SceneBuilder
 from .instance import Instance
 from .lights import AMBIENT, BACKGROUND, Light, check_lights
 
@@ -77,8 +77,11 @@ class Scene(Viewable):
             if not isinstance(camera, Camera):
                 raise SceneError(f"cameras: must hold Cameras, got {checks.describe(camera)}")
         self._cameras = tuple(cameras)
-        # Scenes of the core, by the fields that they contain.
+        # Scenes of the core, by the fields that they contain, and the objects that they share.
         self._cores: dict[Fields, _core.Scene] = {}
+        self._builder = SceneBuilder()
+        #: Draws single pictures of the scene, and keeps it on the device that drew the last one.
+        self._renderer = _core.Renderer()
 
     @property
     def instances(self) -> tuple[Instance, ...]:
@@ -106,10 +109,14 @@ class Scene(Viewable):
         boxes = np.stack([instance.bounds for instance in self._instances])
         return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
 
+    def _core_of(self, instances: Sequence[Instance], fields: Fields, device: str) -> _core.Scene:
+        """Make the scene of the core for other instances of the same objects."""
+        return self._builder.build(instances, fields, device)
+
     def _core(self, fields: Fields, device: str) -> _core.Scene:
         """Make the scene of the core, baking fields where needed."""
         if fields not in self._cores:
-            self._cores[fields] = build_scene(self._instances, fields, device)
+            self._cores[fields] = self._builder.build(self._instances, fields, device)
         return self._cores[fields]
 
     def __repr__(self) -> str:

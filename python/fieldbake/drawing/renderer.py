@@ -1,0 +1,243 @@
+"""Frames of one scene: whatever does not change between them is prepared once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import _core
+from ..base import checks
+from ..base.errors import SceneError
+from ..base.progress import Progress
+from ..merging.nested import NestedField
+from ..scenes.camera import Camera
+from ..scenes.instance import Instance
+from ..scenes.lights import Light, check_lights
+from ..scenes.materials import Material
+from ..scenes.scene import Scene
+from ..volumes.volume import Volume
+from .frame import Frame
+from .scene_options import Options, Primary, SceneShadows, as_scene, checked_camera
+
+
+class Renderer:
+    """A scene prepared for many frames.
+
+    Fields are baked when the renderer is made. Meshes, fields, textures and compiled kernels stay in the memory of the
+    device as long as the renderer exists. A frame uploads only what differs from the frame before.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene. An object that :class:`Instance` accepts, or a list of objects and instances, is converted to one.
+    size : (width, height), default (1280, 720)
+        Size of the frames, pixels.
+    device : str, default "auto"
+        ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`.
+    shadows, ambient_occlusion, primary, samples, light_scale, exposure, area_samples, far, far_distance, method
+        As for :func:`render`.
+    progress : bool or callable, optional
+        As for :func:`render`, for each frame.
+
+    Raises
+    ------
+    SceneError
+        For an unusable scene or size, or an option out of range.
+    MeshError, CapacityError, DeviceError
+        As for :func:`bake`.
+
+    Notes
+    -----
+    A frame is the picture that :func:`render` draws of the scene with the same camera, lights, transforms and
+    materials: bit for bit on the CPU.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> renderer = fb.Renderer(fb.models.gear(teeth=6), size=(48, 32), device="cpu")
+    >>> frames = list(renderer.frames(fb.Camera((4 * x, 2, 4), (0, 0, 0)) for x in (-1, 0, 1)))
+    >>> len(frames), frames[0].image.shape
+    (3, (32, 48, 4))
+    """
+
+    def __init__(
+        self,
+        scene: Any,
+        *,
+        size: tuple[int, int] = (1280, 720),
+        device: str = "auto",
+        shadows: SceneShadows = "soft",
+        ambient_occlusion: bool | float = False,
+        primary: Primary = "auto",
+        samples: int = 1,
+        light_scale: int = 1,
+        exposure: float = 1.0,
+        area_samples: int = 64,
+        far: Volume | NestedField | None = None,
+        far_distance: float | None = None,
+        method: Literal["fieldbake", "article"] = "fieldbake",
+        progress: Progress = None,
+    ) -> None:
+        self._scene = as_scene(scene)
+        self._options = Options.checked(
+            size=size,
+            primary=primary,
+            shadows=shadows,
+            ambient_occlusion=ambient_occlusion,
+            samples=samples,
+            light_scale=light_scale,
+            exposure=exposure,
+            area_samples=area_samples,
+            far=far,
+            far_distance=far_distance,
+            method=method,
+            device=device,
+            progress=progress,
+        )
+        self._renderer = _core.Renderer(device)
+        instances = self._scene.instances
+        self._core = self._scene._core(self._options.fields_of(instances), device)
+        # The core has one instance for each quadric of a list.
+        self._rows = np.array([len(i.thing) if isinstance(i.thing, tuple) else 1 for i in instances])
+        # The last materials that a frame was given, and their scene in the core.
+        self._varied: tuple[tuple[Material | None, ...], _core.Scene] | None = None
+
+    @property
+    def scene(self) -> Scene:
+        """The scene, as the renderer was given it."""
+        return self._scene
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the frames, pixels."""
+        return self._options.size
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """Transfers to and from the device since the renderer was made; all are 0 on the CPU.
+
+        ``uploads`` is the number of writes to device memory, ``upload_bytes`` their size, ``submits`` the number of
+        submissions of commands, and ``readbacks`` the number of results that were copied to host memory.
+        """
+        return self._renderer.counters
+
+    def frame(
+        self,
+        camera: Camera | None = None,
+        lights: Sequence[Light] | None = None,
+        transforms: ArrayLike | Sequence[ArrayLike | None] | None = None,
+        materials: Sequence[Material | None] | None = None,
+    ) -> Frame:
+        """Draw one frame. What a frame is given holds for this frame only; None is the scene's own.
+
+        Parameters
+        ----------
+        camera : Camera, optional
+            The view. The default is the first camera of the scene, or else a camera that fits the bounds of the
+            instances in this frame.
+        lights : sequence of PointLight and DirectionalLight, optional
+            At most 16 lights in place of those of the scene.
+        transforms : (n, 4, 4), optional
+            World from the object's own coordinates, one matrix for each instance of the scene. In a list, None is the
+            instance's own transform.
+        materials : sequence of Material, length n, optional
+            The material of each instance. None is the instance's own material.
+
+        Returns
+        -------
+        Frame
+            As from :func:`render`. Its arrays are new; later frames do not change them.
+
+        Raises
+        ------
+        SceneError
+            For a wrong type, number of items or matrix; the message names the argument.
+        """
+        camera = checked_camera(camera)
+        lights = self._scene.lights if lights is None else check_lights(lights)
+        matrices = None if transforms is None else self._matrices(transforms)
+        core = self._core if materials is None else self._with_materials(materials)
+        bounds = self._scene.bounds
+        if matrices is not None:
+            core = core.moved(np.repeat(matrices, self._rows, axis=0))
+            boxes = np.stack([i.bounds_at(m) for i, m in zip(self._scene.instances, matrices, strict=True)])
+            bounds = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+        return self._options.draw(self._renderer, core, self._scene, camera, lights, bounds)
+
+    def frames(self, cameras: Iterable[Camera]) -> Iterator[Frame]:
+        """Draw a frame for each camera, when the iterator is advanced.
+
+        Parameters
+        ----------
+        cameras : iterable of Camera
+            The views: a list, or a generator of any length.
+
+        Returns
+        -------
+        iterator of Frame
+            The frames in order.
+
+        Raises
+        ------
+        SceneError
+            If `cameras` is not iterable, and for an item that is not a Camera when its frame is due.
+        """
+        try:
+            views = iter(cameras)
+        except TypeError:
+            raise SceneError(f"cameras: must be an iterable of Camera, got {checks.describe(cameras)}") from None
+        return self._frames(views)
+
+    def _frames(self, cameras: Iterator[Camera]) -> Iterator[Frame]:
+        for number, camera in enumerate(cameras):
+            if not isinstance(camera, Camera):
+                raise SceneError(f"cameras[{number}]: must be a Camera, got {checks.describe(camera)}")
+            yield self.frame(camera)
+
+    def _matrices(self, transforms: Any) -> NDArray[np.float64]:
+        """Check transforms, (n, 4, 4)."""
+        instances = self._scene.instances
+        if isinstance(transforms, (list, tuple)):
+            self._check_count("transforms", transforms)
+            transforms = [
+                own.transform if matrix is None else checks.matrix(f"transforms[{i}]", matrix, (4, 4), SceneError)
+                for i, (own, matrix) in enumerate(zip(instances, transforms, strict=True))
+            ]
+        matrices = checks.matrix("transforms", transforms, (len(instances), 4, 4), SceneError)
+        for number, matrix in enumerate(matrices):
+            checks.affine(f"transforms[{number}]", matrix, SceneError)
+        return matrices
+
+    def _with_materials(self, materials: Any) -> _core.Scene:
+        """The scene of the core with other materials."""
+        if isinstance(materials, (str, bytes)) or not isinstance(materials, Sequence):
+            raise SceneError(f"materials: must be a list of Material, got {checks.describe(materials)}")
+        self._check_count("materials", materials)
+        for number, material in enumerate(materials):
+            if material is not None and not isinstance(material, Material):
+                raise SceneError(f"materials[{number}]: must be a Material, got {checks.describe(material)}")
+        if self._varied is None or any(a is not b for a, b in zip(self._varied[0], materials, strict=True)):
+            instances = [
+                _with_material(instance, material)
+                for instance, material in zip(self._scene.instances, materials, strict=True)
+            ]
+            fields = self._options.fields_of(instances)
+            self._varied = tuple(materials), self._scene._core_of(instances, fields, self._options.device)
+        return self._varied[1]
+
+    def _check_count(self, name: str, items: Sequence[object]) -> None:
+        count = len(self._scene.instances)
+        if len(items) != count:
+            raise SceneError(f"{name}: must have {count} items, one for each instance of the scene, got {len(items)}")
+
+    def __repr__(self) -> str:
+        width, height = self.size
+        return f"Renderer({self._scene!r}, {width} x {height} pixels, device={self._options.device!r})"
+
+
+def _with_material(instance: Instance, material: Material | None) -> Instance:
+    return instance if material is None else replace(instance, material=material)

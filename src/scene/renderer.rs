@@ -1,0 +1,218 @@
+//! The renderer: it draws pictures of a scene, and keeps what they have in common.
+//!
+//! On a graphics device the fields, meshes, textures and rows of a scene stay in device memory between frames
+//! ([`super::gpu`]). A frame with other transforms or materials is a scene of its own that shares the objects
+//! ([`Scene::moved`]), so its picture is the one that a new renderer would draw. Only rows that differ from those of the
+//! frame before are uploaded.
+//!
+//! On the CPU the trees of the meshes and the fields are parts of the scene, and a renderer keeps nothing.
+
+use super::far::Far;
+use super::gpu::DeviceScene;
+use super::known::{self, Pass};
+use super::shadow::{Casters, Work};
+use super::{MAX_LIGHTS, Primary, RenderOptions, Scene, SceneShadows, light, primary, raster};
+use crate::error::{DeviceError, Error, SceneError};
+use crate::gpu::buffer::Counters;
+use crate::gpu::{Context, Place};
+use crate::progress::Progress;
+use crate::render::{Camera, Frame};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+
+/// Draws frames of one scene, or of scenes that share most of their objects.
+#[derive(Default)]
+pub struct Renderer {
+    /// The scene on the device that drew the last frame. A frame takes it out, so two frames at the same time do not wait
+    /// for each other; the second one uploads the scene again.
+    resident: Mutex<Option<DeviceScene>>,
+    /// Transfers of all frames.
+    counters: Arc<Counters>,
+}
+
+impl Renderer {
+    pub fn counters(&self) -> &Counters {
+        &self.counters
+    }
+
+    /// Draws a scene. On a graphics device both passes run there; [`raster`] lists the surfaces that the CPU draws. The
+    /// light pass runs there only if the device supports all objects in the scene.
+    pub fn frame(
+        &self,
+        place: &Place,
+        scene: &Scene,
+        camera: &Camera,
+        options: &RenderOptions,
+        progress: &Progress,
+    ) -> Result<Rendered, Error> {
+        check(scene, options)?;
+        let far = options.far.as_ref().map(|far| Far::new(scene, far)).transpose()?;
+        let context = match place {
+            Place::Cpu => return draw(scene, far.as_ref(), None, camera, options, progress),
+            Place::Gpu(context) if options.shadows == SceneShadows::Article => {
+                let reason = "the article's march runs on the CPU only; use device=\"cpu\"".to_owned();
+                return Err(DeviceError::NotAvailable { requested: context.label(), reason }.into());
+            }
+            Place::Gpu(context) => context,
+        };
+        let device = self.on_device(context, scene, far.as_ref())?;
+        let rendered = draw(scene, far.as_ref(), Some(&device), camera, options, progress);
+        *self.slot() = Some(device);
+        rendered
+    }
+
+    /// The scene in the memory of a device.
+    fn on_device(&self, context: &Context, scene: &Scene, far: Option<&Far>) -> Result<DeviceScene, Error> {
+        let resident = self.slot().take();
+        if let Some(mut device) = resident.filter(|device| device.context().is_same_device(context)) {
+            device.update(scene, far)?;
+            return Ok(device);
+        }
+        DeviceScene::upload(&context.counted_by(&self.counters), scene, far)
+    }
+
+    fn slot(&self) -> std::sync::MutexGuard<'_, Option<DeviceScene>> {
+        self.resident.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// A picture, the duration of its passes in seconds, and its counters.
+#[derive(Debug)]
+pub struct Rendered {
+    pub frame: Frame,
+    /// Whether surfaces were found on the device, and on the CPU.
+    pub primary_on: [bool; 2],
+    pub seconds: Vec<(&'static str, f64)>,
+    /// Number of rays and cones to lights and surroundings, and number of those that entered the far field.
+    pub rays: u64,
+    pub far_rays: u64,
+    /// Number of instances whose triangles the CPU traced for light.
+    pub sheets: usize,
+    /// Whether the light pass ran on the device.
+    pub is_lit_on_device: bool,
+}
+
+/// Draws a scene on the CPU, or on the device that has it.
+fn draw(
+    scene: &Scene,
+    far: Option<&Far>,
+    device: Option<&DeviceScene>,
+    camera: &Camera,
+    options: &RenderOptions,
+    progress: &Progress,
+) -> Result<Rendered, Error> {
+    let sides = (options.samples as f64).sqrt().round() as u32;
+    let passes = if sides == 1 { 1 } else { 1 + sides * sides };
+    progress.set_total(u64::from(passes) * 2 * u64::from(options.size[1]));
+
+    let casters = Casters { scene, far };
+    let light_device = device.filter(|device| device.knows_all());
+    let lights = light::Lights::new(scene, options);
+    let mut seconds = vec![("primary", 0.0), ("light", 0.0)];
+    let asked = Asked::default();
+    let mut frame: Option<Frame> = None;
+    let mut sum: Vec<f32> = Vec::new();
+    // Results of the first pass for the others.
+    let mut centre = None;
+    for pass in 0..passes {
+        // The first pass goes through the pixel centres. The others divide each pixel evenly, for its colour only.
+        let offset = match pass.checked_sub(1) {
+            None => [0.5, 0.5],
+            Some(i) => [i % sides, i / sides].map(|k| (f64::from(k) + 0.5) / f64::from(sides)),
+        };
+        let start = Instant::now();
+        let buffer = match device {
+            None => primary::draw(scene, camera, options, offset, progress)?,
+            Some(device) => raster::draw(scene, device, camera, options, offset, progress)?,
+        };
+        seconds[0].1 += start.elapsed().as_secs_f64();
+        let start = Instant::now();
+        let look = Pass {
+            casters: &casters,
+            buffer: &buffer,
+            lights: &lights,
+            options,
+            device: light_device,
+            asked: &asked,
+            progress,
+        };
+        let known = known::find(&look, centre.as_ref().map(|(buffer, known)| (buffer, known)))?;
+        let lit = light::compose(&look, &known)?;
+        seconds[1].1 += start.elapsed().as_secs_f64();
+        match &mut frame {
+            None => frame = Some(lit),
+            Some(_) if sum.is_empty() => sum = lit.color,
+            Some(_) => sum.iter_mut().zip(lit.color).for_each(|(sum, color)| *sum += color),
+        }
+        if pass == 0 {
+            centre = Some((buffer, known));
+        }
+    }
+    let mut frame = frame.expect("at least one pass");
+    if !sum.is_empty() {
+        let share = 1.0 / (sides * sides) as f32;
+        frame.color = sum.into_iter().map(|color| color * share).collect();
+    }
+    let primary_on = match device {
+        None => [false, true],
+        Some(device) => [true, raster::left_over(scene, device, options).is_some()],
+    };
+    Ok(Rendered {
+        frame,
+        primary_on,
+        sheets: scene.sheets.len(),
+        is_lit_on_device: light_device.is_some(),
+        seconds,
+        rays: asked.rays.into_inner(),
+        far_rays: asked.far_rays.into_inner(),
+    })
+}
+
+/// Rays and cones of a picture, counted by all threads.
+#[derive(Debug, Default)]
+pub struct Asked {
+    rays: AtomicU64,
+    far_rays: AtomicU64,
+}
+
+impl Asked {
+    pub fn add(&self, work: Work) {
+        self.rays.fetch_add(u64::from(work.rays), Ordering::Relaxed);
+        self.far_rays.fetch_add(u64::from(work.far_rays), Ordering::Relaxed);
+    }
+}
+
+/// Largest number of pixels of a picture, as for volumes.
+const MAX_PIXELS: u64 = 1 << 28;
+
+fn check(scene: &Scene, options: &RenderOptions) -> Result<(), Error> {
+    let error = |what: &str, problem: String| Err(SceneError::new(what, problem).into());
+    let [width, height] = options.size;
+    if width == 0 || height == 0 || u64::from(width) * u64::from(height) > MAX_PIXELS {
+        return error("size", format!("expected 1 to {MAX_PIXELS} pixels, got {width} x {height}"));
+    }
+    if options.lights.len() > MAX_LIGHTS {
+        return error("lights", format!("at most {MAX_LIGHTS}, got {}", options.lights.len()));
+    }
+    let sides = (f64::from(options.samples)).sqrt().round() as u32;
+    if options.samples == 0 || options.samples > 64 || sides * sides != options.samples {
+        return error("samples", format!("must be a square number from 1 to 64, got {}", options.samples));
+    }
+    if !(1..=2).contains(&options.light_scale) {
+        return error("light_scale", format!("must be 1 or 2, got {}", options.light_scale));
+    }
+    for instance in scene.instances.iter().filter(|instance| instance.visible) {
+        let i = instance.object;
+        if options.primary == Primary::Raster && instance.triangles.is_none() {
+            return error(
+                "primary",
+                format!("instances[{i}] has no triangles to raster; use \"auto\" or \"raymarch\""),
+            );
+        }
+        if options.primary == Primary::Raymarch && instance.field.is_none() {
+            return error("primary", format!("instances[{i}] has no field to march; use \"auto\" or \"raster\""));
+        }
+    }
+    Ok(())
+}
