@@ -34,7 +34,7 @@ struct Answer {
     value: f32,
     is_proven: u32,
     steps: u32,
-    // 0 if the steps ran out: then the value is undefined.
+    // 0 if the steps ran out, NEEDS_EDGE if a ray past an edge is needed: then the value is undefined.
     is_complete: u32,
     // 1 if the beam entered the far field.
     is_far: u32,
@@ -69,7 +69,10 @@ const FAR_VOXELS: f32 = 8.0;
 const NO_INSTANCE: u32 = 0xffffffffu;
 const NOWHERE: vec2f = vec2f(1.0, 0.0);
 
+const NEEDS_EDGE: u32 = 2u;
+
 var<private> is_far: u32;
+var<private> needs_edge: bool;
 
 // ---- boxes
 
@@ -293,8 +296,9 @@ struct Cone {
     is_covered: bool,
 }
 
-// Evaluates a cone past one occluder. Only edges closer to the axis than x_known are relevant.
-fn cone_past(caster: Caster, beam: Beam, x_known: f32) -> Cone {
+// Evaluates a cone past one occluder. Only edges closer to the axis than x_known are relevant. Without `with_edges` a cone
+// that needs a ray past an edge sets `needs_edge`.
+fn cone_past(caster: Caster, beam: Beam, x_known: f32, with_edges: bool) -> Cone {
     let index = caster.index;
     let to = &instances[index];
     let field = fields[(*to).field];
@@ -317,6 +321,12 @@ fn cone_past(caster: Caster, beam: Beam, x_known: f32) -> Cone {
     let deepest = nearest_edge(beam, index, ray, x_known, span, least_step, t_hit);
     if t_hit < 0.0 { return Cone(deepest.x, false); }
     if deepest.x <= -1.0 { return Cone(-1.0, true); }
+    // A disc with a blocked axis that no occluder covers is divided, so its own fraction is not used.
+    if beam.is_coarse == 0u { return Cone(deepest.x, false); }
+    if !with_edges {
+        needs_edge = true;
+        return Cone(-1.0, false);
+    }
 
     // The nearest surface across the ray. It counts as an edge only if a ray just beyond it is free.
     let p = ray.origin + deepest.y * ray.direction;
@@ -458,7 +468,7 @@ fn thin_share(thin: ptr<function, ThinRays>) -> f32 {
 }
 
 // Fraction of a cone's section that passes, and whether it is proven.
-fn cone_share(beam: Beam) -> vec2f {
+fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
     var share = 1.0;
     var is_proven = true;
     var x = 1.0;
@@ -471,7 +481,8 @@ fn cone_share(beam: Beam) -> vec2f {
         }
         let opacity = instances[caster.index].opacity;
         let x_known = select(1.0, x, beam.is_coarse != 0u && opacity >= 1.0);
-        let cone = cone_past(caster, beam, x_known);
+        let cone = cone_past(caster, beam, x_known, with_edges);
+        if needs_edge { return vec2f(0.0); }
         if opacity < 1.0 {
             share *= 1.0 - opacity * (1.0 - visible_share(cone.x));
             is_proven = is_proven && (cone.is_covered || cone.x >= 1.0);
@@ -499,12 +510,26 @@ fn rays(@builtin(global_invocation_id) id: vec3u) {
     answers[params.first + id.x] = Answer(share, 1u, steps, u32(steps < MAX_STEPS), is_far);
 }
 
+// Most cones need no ray past an edge, and a kernel without those rays is much shorter.
 @compute @workgroup_size(64)
 fn cones(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= params.count { return; }
     steps = 0u;
     is_far = 0u;
-    let found = cone_share(beams[params.first + id.x]);
+    needs_edge = false;
+    let found = cone_share(beams[params.first + id.x], false);
+    let state = select(u32(steps < MAX_STEPS), NEEDS_EDGE, needs_edge);
+    answers[params.first + id.x] = Answer(found.x, u32(found.y), steps, state, is_far);
+}
+
+// The cones that need such a ray.
+@compute @workgroup_size(64)
+fn edge_cones(@builtin(global_invocation_id) id: vec3u) {
+    if id.x >= params.count { return; }
+    steps = 0u;
+    is_far = 0u;
+    needs_edge = false;
+    let found = cone_share(beams[params.first + id.x], true);
     answers[params.first + id.x] = Answer(found.x, u32(found.y), steps, u32(steps < MAX_STEPS), is_far);
 }
 

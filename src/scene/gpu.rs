@@ -28,6 +28,8 @@ use std::sync::Arc;
 const GROUP: u64 = 64;
 /// Number of workgroups of a dispatch: in the first one, and at most.
 const GROUPS: (u64, u64) = (16, 65_535);
+/// State of a cone that needs a ray past an edge, as in the shader.
+const NEEDS_EDGE: u32 = 2;
 /// The value for infinity in a shader.
 const FAR: f32 = 1e30;
 /// Stands for no far field, as in the shader.
@@ -171,8 +173,15 @@ impl DeviceScene {
             params.far_distance = far.distance.map_or(BY_VOXELS, |distance| distance as f32);
         }
         let mut answers = vec![Answer::default(); beams.len()];
-        for (entry, is_cone) in [("rays", false), ("cones", true)] {
-            let places: Vec<usize> = (0..beams.len()).filter(|&i| (beams[i].slope > 0.0) == is_cone).collect();
+        let is_cone = |i: usize| beams[i].slope > 0.0;
+        type Wanted<'a> = &'a dyn Fn(usize, &Answer) -> bool;
+        let kernels: [(_, Wanted<'_>); 3] = [
+            ("rays", &|i, _| !is_cone(i)),
+            ("cones", &|i, _| is_cone(i)),
+            ("edge_cones", &|_, answer| answer.is_complete == NEEDS_EDGE),
+        ];
+        for (entry, is_wanted) in kernels {
+            let places: Vec<usize> = (0..beams.len()).filter(|&i| is_wanted(i, &answers[i])).collect();
             let asked: Vec<Beam> = places.iter().map(|&i| beams[i]).collect();
             for (i, answer) in places.into_iter().zip(self.ask(entry, params, &asked, progress)?) {
                 answers[i] = answer;
@@ -227,7 +236,7 @@ impl DeviceScene {
         // The layout contains only the buffers that the entry point reads: a thickness needs no tree, and the distance
         // of a dense grid no blocks.
         let unused: &[u32] = match (entry, self.fields.kinds.sparse) {
-            ("rays" | "cones", _) => &[],
+            ("rays" | "cones" | "edge_cones", _) => &[],
             (_, true) => &[1, 2],
             (_, false) => &[1, 2, 6],
         };

@@ -32,6 +32,7 @@ pub mod light;
 pub mod nested;
 pub mod primary;
 pub mod raster;
+pub mod rasterizer;
 pub mod renderer;
 pub mod shadow;
 pub mod sheets;

@@ -1,12 +1,13 @@
 //! The primary pass: the visible surfaces of each pixel.
 //!
-//! Rays intersect triangles through the mesh's own tree, without gaps and at pixel centres, which gives the picture of
-//! a rasteriser. Fields are traced exactly. In both cases only instances whose box the ray enters are tested, and the
-//! nearest hit is used: mixed scenes are combined by depth.
+//! Rays intersect triangles through the mesh's own tree, without gaps and at pixel centres. A rasteriser
+//! ([`super::rasterizer`]) selects the visible face of most pixels without a search. Fields are traced exactly. A search
+//! tests only instances whose box the ray enters and uses the nearest hit: mixed scenes are combined by depth.
 //!
 //! A pixel has a list of layers: the first opaque surface, and the translucent surfaces in front of it.
 
 use super::field::{FieldHit, FieldRay};
+use super::rasterizer::{BAND_ROWS, Rasterizer};
 use super::tree::Line;
 use super::triangles::Triangles;
 use super::{Alpha, Instance, Material, Primary, RenderOptions, Scene};
@@ -25,7 +26,7 @@ pub const MAX_LAYERS: usize = 16;
 const NEARNESS: f64 = 1e-3;
 
 /// A surface visible in a pixel.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Layer {
     pub x: u32,
     pub instance: u32,
@@ -78,15 +79,27 @@ pub fn draw(
     progress: &Progress,
 ) -> Result<GBuffer, Error> {
     let view = View { camera: *camera, size: options.size, offset };
-    let rows = (0..options.size[1]).into_par_iter();
-    let pairs: Vec<(Vec<Layer>, Vec<u32>)> = rows
-        .map(|y| {
-            let row = draw_row(scene, options, &view, y, |eye, layers| eye.look(layers, None));
-            progress.advance(1)?;
-            Ok(row)
+    let rasterizer = Rasterizer::new(scene, options, &view);
+    let [width, height] = options.size;
+    let bands = (0..height.div_ceil(BAND_ROWS)).into_par_iter();
+    let pairs: Vec<Vec<(Vec<Layer>, Vec<u32>)>> = bands
+        .map(|band| {
+            let rows = band * BAND_ROWS..((band + 1) * BAND_ROWS).min(height);
+            let seen = rasterizer.band(rows.clone());
+            rows.zip(seen.chunks_exact(width as usize))
+                .map(|(y, seen)| {
+                    let searched = rasterizer.searched(y);
+                    let row = draw_row(scene, options, &view, y, |eye, layers| {
+                        let x = eye.x as usize;
+                        rasterizer.look(eye, &seen[x], searched[x], layers);
+                    });
+                    progress.advance(1)?;
+                    Ok(row)
+                })
+                .collect()
         })
         .collect::<Result<_, Error>>()?;
-    let (rows, steps) = pairs.into_iter().unzip();
+    let (rows, steps) = pairs.into_iter().flatten().unzip();
     Ok(GBuffer { rows, steps, view })
 }
 
@@ -100,7 +113,7 @@ pub fn draw_row<'a>(
 ) -> (Vec<Layer>, Vec<u32>) {
     let (mut layers, mut steps) = (Vec::new(), Vec::new());
     for x in 0..view.size[0] {
-        let mut eye = Eye { scene, options, view, x, y, left_over: None, steps: 0 };
+        let mut eye = Eye { scene, options, view, x, y, left_over: None, skips_opaque: false, steps: 0 };
         look(&mut eye, &mut layers);
         steps.push(eye.steps);
     }
@@ -114,8 +127,10 @@ pub struct Eye<'a> {
     view: &'a View,
     pub x: u32,
     y: u32,
-    /// For a pixel that a device drew: whether the CPU must still test each instance. None if no device drew.
+    /// Whether the search tests each instance; None for all.
     pub left_over: Option<&'a [bool]>,
+    /// Whether the opaque faces of all instances are drawn already.
+    pub skips_opaque: bool,
     pub steps: u32,
 }
 
@@ -204,8 +219,7 @@ impl Eye<'_> {
     ) -> Option<Layer> {
         let ray = self.mesh_ray(item, eye, direction)?;
         let hit = ray.triangles.mesh.first_hit(&Ray { t_max: nearest, ..ray.in_tree }, |hit| {
-            // A device has already drawn opaque surfaces.
-            let is_drawn = || self.left_over.is_some() && is_opaque(ray.instance, ray.material(hit));
+            let is_drawn = || self.skips_opaque && is_opaque(ray.instance, ray.material(hit));
             hit.t >= from && !seen(hit.t) && !is_drawn() && ray.is_seen(hit)
         })?;
         Some(ray.layer(self.x, item, &hit))

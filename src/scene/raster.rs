@@ -245,6 +245,8 @@ fn resolve<'a>(eye: &mut Eye<'a>, seen: [u32; 4], left_over: Option<&'a [bool]>,
     eye.steps += steps.max(1);
     if left_over.is_some() {
         eye.left_over = left_over;
+        // The device drew opaque surfaces.
+        eye.skips_opaque = true;
         eye.look(layers, behind);
     } else {
         layers.extend(behind);
