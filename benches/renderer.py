@@ -60,7 +60,8 @@ def main() -> None:
     lines = [
         f"# Frames of a renderer, {datetime.datetime.now(tz=datetime.UTC).date()}",
         "",
-        f"{machine()}; `benches/renderer.py`, {width} x {height} pixels, soft shadows, the best of {options.frames} frames.",
+        f"{machine()}; `benches/renderer.py`, {width} x {height} pixels, soft shadows, "
+        f"the best of {options.frames} frames.",
         "",
         "| instances | device | first frame, s | later frame, s | primary pass, ms | light pass, ms | uploads "
         "| uploaded bytes | submits | read-backs |",

@@ -2,6 +2,7 @@
 // cone.rs.
 
 #import scene_things
+#import scene_beam
 
 struct SceneNode {
     min: vec3f,
@@ -10,34 +11,6 @@ struct SceneNode {
     max: vec3f,
     // Number of items in a leaf; 0 for an inner node.
     count: u32,
-}
-
-struct Beam {
-    p: vec3f,
-    t_max: f32,
-    // Unit length.
-    direction: vec3f,
-    // Growth of a cone's radius with distance; 0 for a ray.
-    slope: f32,
-    normal: vec3f,
-    bias_voxels: f32,
-    own: u32,
-    // Only the share of the cone is wanted, not whether it is proven.
-    is_coarse: u32,
-    // 1 if light passes through the own instance: it casts no shadow, and the far field is not used.
-    skips_own: u32,
-    pad_0: u32,
-}
-
-struct Answer {
-    // Fraction that passes, or a length inside.
-    value: f32,
-    is_proven: u32,
-    steps: u32,
-    // 0 if the steps ran out, NEEDS_EDGE if a ray past an edge is needed: then the value is undefined.
-    is_complete: u32,
-    // 1 if the beam entered the far field.
-    is_far: u32,
 }
 
 struct BeamParams {
@@ -68,8 +41,6 @@ const PAST_EDGE: f32 = 1.25;
 const FAR_VOXELS: f32 = 8.0;
 const NO_INSTANCE: u32 = 0xffffffffu;
 const NOWHERE: vec2f = vec2f(1.0, 0.0);
-
-const NEEDS_EDGE: u32 = 2u;
 
 var<private> is_far: u32;
 var<private> needs_edge: bool;
@@ -398,8 +369,6 @@ fn visible_share(edge: f32) -> f32 {
 // ---- cones as thin rays, twin of src/scene/thin.rs
 
 const THIN_RAYS: u32 = 8u;
-// 2 pi (1 - 1 / golden ratio).
-const GOLDEN_ANGLE: f32 = 2.3999632;
 
 // Transmitted fractions of the rays of a cone.
 struct ThinRays {
@@ -430,15 +399,10 @@ fn may_meet(index: u32, beam: Beam) -> bool {
 // The ray of a cone to point `i` of its section, spread evenly.
 fn thin_ray(beam: Beam, i: u32) -> Beam {
     let d = beam.direction;
-    // Two unit vectors perpendicular to it and to each other, as `basis` in shadow.rs.
-    let side = select(-1.0, 1.0, d.z >= 0.0);
-    let a = -1.0 / (side + d.z);
-    let b = d.x * d.y * a;
-    let right = vec3f(1.0 + side * d.x * d.x * a, side * b, -side * d.x);
-    let up = vec3f(b, side + d.y * d.y * a, -d.y);
+    let axes = axes_of(d);
     let radius = beam.slope * sqrt((f32(i) + 0.5) / f32(THIN_RAYS));
     let angle = f32(i) * GOLDEN_ANGLE;
-    let way = d + radius * (cos(angle) * right + sin(angle) * up);
+    let way = d + radius * (cos(angle) * axes.right + sin(angle) * axes.up);
     var ray = beam;
     ray.slope = 0.0;
     ray.direction = normalize(way);
@@ -506,8 +470,9 @@ fn rays(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= params.count { return; }
     steps = 0u;
     is_far = 0u;
-    let share = ray_share(beams[params.first + id.x]);
-    answers[params.first + id.x] = Answer(share, 1u, steps, u32(steps < MAX_STEPS), is_far);
+    let beam = beams[params.first + id.x];
+    let share = ray_share(beam);
+    answers[beam.owner] = Answer(share, 1u, steps, u32(steps < MAX_STEPS), is_far);
 }
 
 // Most cones need no ray past an edge, and a kernel without those rays is much shorter.
@@ -517,9 +482,10 @@ fn cones(@builtin(global_invocation_id) id: vec3u) {
     steps = 0u;
     is_far = 0u;
     needs_edge = false;
-    let found = cone_share(beams[params.first + id.x], false);
+    let beam = beams[params.first + id.x];
+    let found = cone_share(beam, false);
     let state = select(u32(steps < MAX_STEPS), NEEDS_EDGE, needs_edge);
-    answers[params.first + id.x] = Answer(found.x, u32(found.y), steps, state, is_far);
+    answers[beam.owner] = Answer(found.x, u32(found.y), steps, state, is_far);
 }
 
 // The cones that need such a ray.
@@ -529,8 +495,9 @@ fn edge_cones(@builtin(global_invocation_id) id: vec3u) {
     steps = 0u;
     is_far = 0u;
     needs_edge = false;
-    let found = cone_share(beams[params.first + id.x], true);
-    answers[params.first + id.x] = Answer(found.x, u32(found.y), steps, u32(steps < MAX_STEPS), is_far);
+    let beam = beams[params.first + id.x];
+    let found = cone_share(beam, true);
+    answers[beam.owner] = Answer(found.x, u32(found.y), steps, u32(steps < MAX_STEPS), is_far);
 }
 
 // ---- lengths inside an instance, twin of src/scene/transmission.rs
@@ -579,5 +546,5 @@ fn thicknesses(@builtin(global_invocation_id) id: vec3u) {
             t = min(t + max(abs(here.y) * pace, least_step), span.y);
         }
     }
-    answers[params.first + id.x] = Answer(inside, 1u, steps, 1u, 0u);
+    answers[beam.owner] = Answer(inside, 1u, steps, 1u, 0u);
 }

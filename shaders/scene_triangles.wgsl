@@ -33,6 +33,9 @@ struct TextureLevel {
 @group(0) @binding(6) var<storage, read> texture_levels: array<TextureLevel>;
 @group(0) @binding(7) var<storage, read> texels: array<u32>;
 
+// The fourth word of a pixel that shows a face; fields have their number of steps there.
+const IS_TRIANGLE: u32 = 0xffffffffu;
+
 struct Corner {
     @builtin(position) position: vec4f,
     @location(0) @interpolate(flat) row: u32,
@@ -111,5 +114,6 @@ fn triangle_seen(corner: Corner, @builtin(front_facing) is_front: bool) -> @loca
         }
         if opacity < material.cutoff { discard; }
     }
-    return vec4u(rows[row].index + 1u, corner.face - rows[row].first_face, 0u, 0u);
+    // Index of the instance + 1, face of its mesh, row, mark.
+    return vec4u(rows[row].index + 1u, corner.face - rows[row].first_face, row, IS_TRIANGLE);
 }

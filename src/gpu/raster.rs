@@ -40,6 +40,13 @@ pub struct Draw<'a> {
     pub instances: Range<u32>,
 }
 
+impl RasterTarget {
+    /// The pixels of the last pass in device memory, and their number per row.
+    pub fn pixels(&self) -> (wgpu::Buffer, u32) {
+        (self.rows.clone(), self.stride)
+    }
+}
+
 impl Context {
     /// The pipeline of a kernel's vertex and fragment entry points, compiled at the first use. Both sides of faces are
     /// drawn. The bind group layout is derived from the text.

@@ -61,16 +61,17 @@ mod tests {
 
     #[test]
     fn ranges_cover_what_differs() {
+        let one = |range: std::ops::Range<usize>| vec![range];
         let before: Vec<u32> = (0..100).collect();
         let mut after = before.clone();
         assert!(changed(&before, &after).is_empty());
         (after[3], after[9], after[60]) = (0, 0, 0);
         assert_eq!(changed(&before, &after), [3..10, 60..61]);
         after.truncate(50);
-        assert_eq!(changed(&before, &after), [3..10]);
+        assert_eq!(changed(&before, &after), one(3..10));
         after.extend(50..110);
         assert_eq!(changed(&before, &after), [3..10, 100..110]);
-        assert_eq!(changed(&[], &[f32::NAN]), [0..1]);
+        assert_eq!(changed(&[], &[f32::NAN]), one(0..1));
         assert!(changed(&[f32::NAN], &[f32::NAN]).is_empty());
     }
 }

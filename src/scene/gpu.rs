@@ -5,6 +5,7 @@
 //! the shader's bounded steps is flagged, and the CPU evaluates it.
 
 use super::device_fields::DeviceFields;
+use super::device_light::LightBuffers;
 use super::far::Far;
 use super::field::Field;
 use super::kinds::Kinds;
@@ -45,6 +46,7 @@ pub struct DeviceScene {
     instances: Table<SceneInstance>,
     fields: Fields,
     meshes: DeviceMeshes,
+    pub(super) light: LightBuffers,
     /// Whether the device has the field, if any, of each instance and then of each level of the far field.
     knows: Vec<bool>,
 }
@@ -115,6 +117,7 @@ impl DeviceScene {
             instances: Table::new(context, "scene instances", rows)?,
             fields,
             meshes: DeviceMeshes::upload(context, scene)?,
+            light: LightBuffers::default(),
             knows,
         })
     }
@@ -153,6 +156,15 @@ impl DeviceScene {
         self.fields.kinds.texts()
     }
 
+    pub fn instances(&self) -> &wgpu::Buffer {
+        self.instances.buffer()
+    }
+
+    /// Three corners and three normals of each face, if they fit into one buffer.
+    pub fn faces(&self) -> Option<&wgpu::Buffer> {
+        self.meshes.faces()
+    }
+
     pub fn meshes(&self) -> &DeviceMeshes {
         &self.meshes
     }
@@ -163,8 +175,8 @@ impl DeviceScene {
         [(3, self.instances.buffer()), (4, &fields.records), (5, &fields.samples), (6, &fields.blocks)]
     }
 
-    /// Fraction of each beam that passes.
-    pub fn shares(&self, casters: &Casters<'_>, beams: &[Beam], progress: &Progress) -> Result<Vec<Answer>, Error> {
+    /// The parameters of kernels that evaluate beams.
+    pub fn beam_params(casters: &Casters<'_>) -> BeamParams {
         let mut params = BeamParams { far: NO_FAR, ..BeamParams::default() };
         if let Some(far) = casters.far {
             params.far = casters.scene.instances.len() as u32;
@@ -172,6 +184,12 @@ impl DeviceScene {
             params.far_holds_all = u32::from(far.holds_all);
             params.far_distance = far.distance.map_or(BY_VOXELS, |distance| distance as f32);
         }
+        params
+    }
+
+    /// Fraction of each beam that passes.
+    pub fn shares(&self, casters: &Casters<'_>, beams: &[Beam], progress: &Progress) -> Result<Vec<Answer>, Error> {
+        let params = Self::beam_params(casters);
         let mut answers = vec![Answer::default(); beams.len()];
         let is_cone = |i: usize| beams[i].slope > 0.0;
         type Wanted<'a> = &'a dyn Fn(usize, &Answer) -> bool;
@@ -209,7 +227,7 @@ impl DeviceScene {
     fn ask(
         &self,
         entry: &'static str,
-        mut params: BeamParams,
+        params: BeamParams,
         beams: &[Beam],
         progress: &Progress,
     ) -> Result<Vec<Answer>, Error> {
@@ -218,9 +236,29 @@ impl DeviceScene {
         if beams.is_empty() {
             return Ok(answers);
         }
-        let uniform = context.uniform("beam parameters", &params)?;
-        let asked = context.upload("beams", beams)?;
+        let beams: Vec<Beam> = beams.iter().zip(0..).map(|(beam, owner)| Beam { owner, ..*beam }).collect();
+        let asked = context.upload("beams", &beams)?;
         let found = context.storage("answers", size_of_val(&answers[..]) as u64)?;
+        self.run(entry, params, &asked, &found, beams.len(), progress)?;
+        context.read("answers", &found, &mut answers, progress)?;
+        Ok(answers)
+    }
+
+    /// Evaluates the first `count` beams of a buffer.
+    pub fn run(
+        &self,
+        entry: &'static str,
+        mut params: BeamParams,
+        beams: &wgpu::Buffer,
+        answers: &wgpu::Buffer,
+        count: usize,
+        progress: &Progress,
+    ) -> Result<(), Error> {
+        if count == 0 {
+            return Ok(());
+        }
+        let context = &self.context;
+        let uniform = context.uniform("beam parameters", &params)?;
         let kernel = context.kernel_with("scene_beams", entry, &self.texts())?;
         let all = [
             (0, &uniform),
@@ -230,8 +268,8 @@ impl DeviceScene {
             (4, &self.fields.records),
             (5, &self.fields.samples),
             (6, &self.fields.blocks),
-            (7, &asked),
-            (8, &found),
+            (7, beams),
+            (8, answers),
         ];
         // The layout contains only the buffers that the entry point reads: a thickness needs no tree, and the distance
         // of a dense grid no blocks.
@@ -242,16 +280,14 @@ impl DeviceScene {
         };
         let used: Vec<_> = all.into_iter().filter(|(binding, _)| !unused.contains(binding)).collect();
         let group = context.bind("scene_beams", &kernel, &used)?;
-        let groups = (beams.len() as u64).div_ceil(GROUP);
-        in_pieces(context, "the scene's light", groups, GROUPS.0, GROUPS.1, progress, |first, count| {
+        let groups = (count as u64).div_ceil(GROUP);
+        in_pieces(context, "the scene's light", groups, GROUPS.0, GROUPS.1, progress, |first, pieces| {
             params.first = (first * GROUP) as u32;
-            params.count = ((count * GROUP) as u32).min(beams.len() as u32 - params.first);
+            params.count = ((pieces * GROUP) as u32).min(count as u32 - params.first);
             context.write("beam parameters", &uniform, 0, &[params])?;
             progress.check()?;
-            Ok(context.dispatch("scene_beams", &kernel, &group, [count as u32, 1, 1])?)
-        })?;
-        context.read("answers", &found, &mut answers, progress)?;
-        Ok(answers)
+            Ok(context.dispatch("scene_beams", &kernel, &group, [pieces as u32, 1, 1])?)
+        })
     }
 }
 

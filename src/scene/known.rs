@@ -8,6 +8,7 @@
 //! (joint bilateral upsampling: Kopf et al., SIGGRAPH 2007). Where too few of them match, or where they disagree, as at
 //! the edge of a shadow, the light is evaluated.
 
+use super::device_light::light_faces;
 use super::gpu::{DeviceScene, beam};
 use super::light::{AO_CONES, AO_SLOPE, Lights, Surface};
 use super::primary::{GBuffer, Layer};
@@ -55,15 +56,15 @@ pub struct FoundMut<'a> {
 /// The light on the layers of a G-buffer.
 pub struct Known {
     lights: usize,
-    rows: Vec<KnownRow>,
+    pub(super) rows: Vec<KnownRow>,
 }
 
 #[derive(Default)]
-struct KnownRow {
-    is_known: Vec<bool>,
+pub(super) struct KnownRow {
+    pub is_known: Vec<bool>,
     /// For each layer: ambient fraction, one fraction per light, three fractions per light for transmitted light.
-    values: Vec<f32>,
-    steps: Vec<u32>,
+    pub values: Vec<f32>,
+    pub steps: Vec<u32>,
 }
 
 impl Known {
@@ -77,6 +78,13 @@ impl Known {
         Self { lights, rows: buffer.rows.iter().map(row).collect() }
     }
 
+    /// Whether the light of at most one layer in [`FEW`] is missing.
+    fn is_almost_complete(&self) -> bool {
+        let known = self.rows.iter().flat_map(|row| &row.is_known);
+        let [count, missing] = known.fold([0, 0], |[count, missing], known| [count + 1, missing + usize::from(!known)]);
+        missing * FEW <= count
+    }
+
     /// Light on layer `i` in row `y`, and the number of steps for it.
     pub fn at(&self, y: usize, i: usize) -> (Found<'_>, u32) {
         let row = &self.rows[y];
@@ -86,11 +94,14 @@ impl Known {
     }
 }
 
-fn stride(lights: usize) -> usize {
+/// See [`Known::is_almost_complete`].
+const FEW: usize = 32;
+
+pub fn stride(lights: usize) -> usize {
     1 + 4 * lights
 }
 
-fn parts_of(values: &mut [f32], lights: usize) -> FoundMut<'_> {
+pub fn parts_of(values: &mut [f32], lights: usize) -> FoundMut<'_> {
     let (open, rest) = values.split_first_mut().expect("a layer has `stride` values, at least one");
     let (shares, through) = rest.split_at_mut(lights);
     FoundMut { open, shares, through: through.as_chunks_mut().0 }
@@ -100,6 +111,7 @@ fn parts_of(values: &mut [f32], lights: usize) -> FoundMut<'_> {
 pub fn find(pass: &Pass<'_>, centre: Option<(&GBuffer, &Known)>) -> Result<Known, Error> {
     let mut known = Known::new(pass.buffer, pass.lights.lights.len());
     let every = pass.options.light_scale;
+    let mut last = *pass;
     if let Some((buffer, centre)) = centre {
         gather(pass, &mut known, buffer, centre, 1)?;
     } else if every > 1 {
@@ -108,8 +120,14 @@ pub fn find(pass: &Pass<'_>, centre: Option<(&GBuffer, &Known)>) -> Result<Known
         std::mem::swap(&mut between, &mut known);
         gather(pass, &mut known, pass.buffer, &between, every)?;
         keep(&mut known, between);
+    } else if let Some(device) = pass.device
+        && light_faces(pass, device, &mut known)?
+        && known.is_almost_complete()
+    {
+        // Beams for so few surfaces are not worth an upload.
+        last.device = None;
     }
-    ask(pass, &mut known, &|_, _| true, 1)?;
+    ask(&last, &mut known, &|_, _| true, 1)?;
     Ok(known)
 }
 
@@ -516,7 +534,7 @@ fn parts_of_disc(disc: &Beam) -> impl Iterator<Item = Beam> {
     })
 }
 
-fn took(answer: &Answer) -> Work {
+pub fn took(answer: &Answer) -> Work {
     Work { steps: answer.steps, rays: 1, far_rays: answer.is_far }
 }
 

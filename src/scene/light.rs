@@ -34,7 +34,7 @@ const AO_RING: (f64, f64) = (0.5, 0.866_025_403_784_438_6);
 /// Start above the surface in voxels. A field's own surface departs from a smooth one by less than an eighth of a voxel, and
 /// half a voxel clears it; a triangle and the field baked from it differ by up to a third more.
 const BIAS_FIELD: f32 = 0.5;
-const BIAS_TRIANGLE: f32 = 1.0;
+pub const BIAS_TRIANGLE: f32 = 1.0;
 
 /// The lights of a picture in scene space.
 #[derive(Debug)]

@@ -23,6 +23,7 @@
 pub mod article;
 pub mod cone;
 pub mod device_fields;
+pub mod device_light;
 pub mod far;
 pub mod field;
 pub mod gpu;

@@ -6,6 +6,7 @@
 //!
 //! A pixel has a list of layers: the first opaque surface, and the translucent surfaces in front of it.
 
+use super::device_light::DeviceSeen;
 use super::field::{FieldHit, FieldRay};
 use super::rasterizer::{BAND_ROWS, Rasterizer};
 use super::tree::Line;
@@ -41,6 +42,8 @@ pub struct Layer {
     pub emission: Vec3,
     /// Whether the hit is a triangle, not a field.
     pub is_triangle: bool,
+    /// Whether the device that drew the picture has the surface too.
+    pub is_from_device: bool,
 }
 
 /// The visible surfaces of a picture, by rows from the top. A row has the layers of its pixels in order, those of one
@@ -51,6 +54,8 @@ pub struct GBuffer {
     /// Number of steps of each pixel.
     pub steps: Vec<Vec<u32>>,
     pub view: View,
+    /// The same picture in the memory of the device that drew it, if it is there as a whole.
+    pub seen: Option<DeviceSeen>,
 }
 
 /// The camera in float64, with the position in a pixel that its rays pass through.
@@ -100,7 +105,7 @@ pub fn draw(
         })
         .collect::<Result<_, Error>>()?;
     let (rows, steps) = pairs.into_iter().flatten().unzip();
-    Ok(GBuffer { rows, steps, view })
+    Ok(GBuffer { rows, steps, view, seen: None })
 }
 
 /// The layers and steps of a row's pixels, each pixel by `look`.
@@ -356,6 +361,7 @@ impl Eye<'_> {
                 Vec3::ZERO
             },
             is_triangle: false,
+            is_from_device: false,
         })
     }
 }
@@ -449,6 +455,7 @@ impl MeshRay<'_> {
             color,
             emission: self.emission(hit),
             is_triangle: true,
+            is_from_device: false,
         }
     }
 }

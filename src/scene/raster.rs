@@ -8,6 +8,7 @@
 //! A device draws opaque surfaces of the kinds that it supports. The CPU searches for translucent surfaces in front of
 //! them; both are combined by depth.
 
+use super::device_light::DeviceSeen;
 use super::gpu::DeviceScene;
 use super::primary::{Eye, GBuffer, Layer, View, as_triangles, draw_row, is_opaque};
 use super::texture::Texture;
@@ -20,7 +21,7 @@ use crate::gpu::raster::Draw;
 use crate::gpu::table::Table;
 use crate::progress::Progress;
 use crate::render::Camera;
-use glam::{DAffine3, DMat3, DVec3};
+use glam::{DAffine3, DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::ops::Range;
@@ -30,8 +31,7 @@ use std::sync::Arc;
 pub struct DeviceMeshes {
     /// Meshes by address, each with its range of corners.
     meshes: HashMap<usize, (Arc<Triangles>, Range<u32>)>,
-    /// Positions, corners, texture coordinates and materials of faces, in order of binding.
-    geometry: [wgpu::Buffer; 4],
+    geometry: Geometry,
     materials: Table<RasterMaterial>,
     /// Textures of the masks by address, each with its first mip level.
     masks: HashMap<usize, (Arc<Texture>, u32)>,
@@ -63,8 +63,13 @@ impl DeviceMeshes {
         self.meshes[&address(triangles)].1.clone()
     }
 
+    /// Three corners and three normals of each face, if they fit into one buffer.
+    pub fn faces(&self) -> Option<&wgpu::Buffer> {
+        self.geometry.faces.as_ref()
+    }
+
     fn buffers(&self) -> impl Iterator<Item = &wgpu::Buffer> {
-        self.geometry.iter().chain([self.materials.buffer()]).chain(&self.texels)
+        self.geometry.buffers.iter().chain([self.materials.buffer()]).chain(&self.texels)
     }
 }
 
@@ -78,12 +83,20 @@ fn mask_textures(scene: &Scene) -> impl Iterator<Item = &Arc<Texture>> {
     masks.filter_map(|material| material.texture.map(|texture| &scene.textures[texture as usize]))
 }
 
+/// The faces of all meshes.
+struct Geometry {
+    /// Positions, corners, texture coordinates and materials of faces, in order of binding.
+    buffers: [wgpu::Buffer; 4],
+    faces: Option<wgpu::Buffer>,
+}
+
 type Meshes = HashMap<usize, (Arc<Triangles>, Range<u32>)>;
 type Masks = HashMap<usize, (Arc<Texture>, u32)>;
 
-fn upload_meshes(context: &Context, scene: &Scene) -> Result<(Meshes, [wgpu::Buffer; 4]), Error> {
+fn upload_meshes(context: &Context, scene: &Scene) -> Result<(Meshes, Geometry), Error> {
     let mut spans = Meshes::new();
     let (mut positions, mut corners, mut coordinates) = (Vec::new(), Vec::new(), Vec::new());
+    let mut faces: Vec<[[Vec3; 3]; 2]> = Vec::new();
     let mut face_materials = Vec::new();
     for triangles in scene_meshes(scene) {
         if spans.contains_key(&address(triangles)) {
@@ -95,6 +108,10 @@ fn upload_meshes(context: &Context, scene: &Scene) -> Result<(Meshes, [wgpu::Buf
         coordinates.extend(triangles.uv.iter().map(|uv| uv.to_array()));
         coordinates.resize(positions.len(), [0.0; 2]);
         face_materials.extend_from_slice(&triangles.material);
+        let with_normals = |(corners, normals): (&[u32; 3], &[Vec3; 3])| {
+            [corners.map(|vertex| triangles.mesh.positions()[vertex as usize]), *normals]
+        };
+        faces.extend(triangles.mesh.faces().iter().zip(&triangles.normals).map(with_normals));
         spans.insert(address(triangles), (triangles.clone(), first_corner..corners.len() as u32));
     }
     let buffers = [
@@ -103,7 +120,9 @@ fn upload_meshes(context: &Context, scene: &Scene) -> Result<(Meshes, [wgpu::Buf
         context.upload("mesh coordinates", &coordinates)?,
         context.upload("mesh materials", &face_materials)?,
     ];
-    Ok((spans, buffers))
+    let fits = size_of_val(&faces[..]) as u64 <= context.max_binding();
+    let faces = fits.then(|| context.upload("faces with normals", &faces)).transpose()?;
+    Ok((spans, Geometry { buffers, faces }))
 }
 
 fn upload_masks(context: &Context, scene: &Scene) -> Result<(Masks, [wgpu::Buffer; 2]), Error> {
@@ -191,10 +210,11 @@ pub fn draw(
     let left_over = left_over(scene, device, options);
     let [width, height] = options.size;
     let band = (BAND_PIXELS / width).clamp(1, height);
-    let mut buffer = GBuffer { rows: Vec::new(), steps: Vec::new(), view };
+    let mut buffer = GBuffer { rows: Vec::new(), steps: Vec::new(), view, seen: None };
     for first in (0..height).step_by(band as usize) {
         let count = band.min(height - first);
-        let seen = seen_by_device(scene, device, &view, options, first, count, progress)?;
+        let (seen, on_device) = seen_by_device(scene, device, &view, options, first, count, progress)?;
+        buffer.seen = Some(on_device).filter(|_| band == height);
         let rows: Vec<_> = seen
             .par_chunks_exact(width as usize)
             .enumerate()
@@ -217,6 +237,8 @@ pub fn draw(
 /// Flags of a field's hit, as in the shader.
 const AT_START: u32 = 1;
 const RAN_OUT: u32 = 2;
+/// Mark of a pixel that shows a face, as in the shader.
+const IS_TRIANGLE: u32 = u32::MAX;
 
 /// The layers of a pixel, from the values that the device returned.
 fn resolve<'a>(eye: &mut Eye<'a>, seen: [u32; 4], left_over: Option<&'a [bool]>, layers: &mut Vec<Layer>) {
@@ -225,7 +247,7 @@ fn resolve<'a>(eye: &mut Eye<'a>, seen: [u32; 4], left_over: Option<&'a [bool]>,
         None => None,
         Some(item) => {
             let layer = if eye.is_triangles(item) {
-                eye.face(item, word)
+                eye.face(item, word).map(|layer| Layer { is_from_device: true, ..layer })
             } else if word & RAN_OUT != 0 {
                 None
             } else if eye.is_met_again(item) {
@@ -242,7 +264,7 @@ fn resolve<'a>(eye: &mut Eye<'a>, seen: [u32; 4], left_over: Option<&'a [bool]>,
             layer
         }
     };
-    eye.steps += steps.max(1);
+    eye.steps += if steps == IS_TRIANGLE { 1 } else { steps.max(1) };
     if left_over.is_some() {
         eye.left_over = left_over;
         // The device drew opaque surfaces.
@@ -253,8 +275,8 @@ fn resolve<'a>(eye: &mut Eye<'a>, seen: [u32; 4], left_over: Option<&'a [bool]>,
     }
 }
 
-/// The device's values for the pixels of some rows: index of the instance + 1, its face or flags, depth, steps; zero
-/// without a hit.
+/// The device's values for the pixels of some rows: index of the instance + 1, its face and row or flags and depth, a
+/// mark or steps; zero without a hit.
 fn seen_by_device(
     scene: &Scene,
     device: &DeviceScene,
@@ -263,7 +285,7 @@ fn seen_by_device(
     first_row: u32,
     row_count: u32,
     progress: &Progress,
-) -> Result<Vec<[u32; 4]>, Error> {
+) -> Result<(Vec<[u32; 4]>, DeviceSeen), Error> {
     let context = device.context();
     let band = Band::new(scene, view, first_row, row_count);
     let meshes = device.meshes();
@@ -304,7 +326,9 @@ fn seen_by_device(
         });
     }
     let target = context.raster_target("primary pass", [view.size[0], row_count])?;
-    context.raster("primary pass", &target, &draws, progress)
+    let seen = context.raster("primary pass", &target, &draws, progress)?;
+    let (pixels, stride) = target.pixels();
+    Ok((seen, DeviceSeen { pixels, stride, rows: rows_buffer, rays: band.ray }))
 }
 
 /// Rows of a picture as a separate render target.

@@ -280,7 +280,7 @@ impl Screen {
         let is_mirrored = camera_from_tree.matrix3.determinant() < 0.0;
         let materials = instance.own_materials(&scene.materials);
         let mut kept = Vec::new();
-        let mut rows = u32::MAX..0;
+        let (mut first_row, mut end_row) = (u32::MAX, 0);
         for (face, vertices) in faces.iter().enumerate() {
             let abc = vertices.map(|vertex| corners[vertex as usize]);
             if !materials[triangles.material[face] as usize].two_sided {
@@ -292,11 +292,11 @@ impl Screen {
                 }
             }
             if let Some(rectangle) = self.rectangle(&abc) {
-                rows = rows.start.min(rectangle[1].start)..rows.end.max(rectangle[1].end);
+                (first_row, end_row) = (first_row.min(rectangle[1].start), end_row.max(rectangle[1].end));
                 kept.push((face as u32, rectangle));
             }
         }
-        Mesh { item, corners, faces, kept, rows }
+        Mesh { item, corners, faces, kept, rows: first_row..end_row }
     }
 
     /// Draws a face into a rectangle of a band.

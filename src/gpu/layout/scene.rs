@@ -61,7 +61,7 @@ gpu_structs! {
         own: u32,
         is_coarse: u32,
         skips_own: u32,
-        pad_0: u32,
+        owner: u32,
     }
 
     /// `shaders/scene_beams.wgsl`.
@@ -83,6 +83,41 @@ gpu_structs! {
         far_distance: f32,
         pad_0: u32,
         pad_1: u32,
+    }
+
+    /// `shaders/scene_surfaces.wgsl`.
+    "scene_surfaces": struct SurfaceLight {
+        place: [f32; 3],
+        size: f32,
+        is_point: u32,
+        pad_0: u32,
+        pad_1: u32,
+        pad_2: u32,
+    }
+
+    /// `shaders/scene_surfaces.wgsl`.
+    "scene_surfaces": struct SurfaceParams {
+        eye: [f32; 3],
+        width: u32,
+        ray: [f32; 3],
+        stride: u32,
+        ray_x: [f32; 3],
+        light_count: u32,
+        ray_y: [f32; 3],
+        bias_voxels: f32,
+        occlusion: f32,
+        per_pixel: u32,
+        pad_0: u32,
+        pad_1: u32,
+        lights: [SurfaceLight; 16],
+    }
+
+    /// `shaders/scene_surfaces.wgsl`.
+    "scene_surfaces": struct PieceParams {
+        first: u32,
+        count: u32,
+        wants_cones: u32,
+        clears: u32,
     }
 
     /// `shaders/shared/scene_view.wgsl`.

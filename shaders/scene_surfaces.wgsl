@@ -1,0 +1,212 @@
+// Makes the beams of the light pass from the faces that the primary pass found, divides the discs of lights that one
+// cone does not decide, and collects cones that need a ray past an edge. Twin of `first_beams` and `parts_of_disc` in
+// src/scene/known.rs.
+
+#import scene_view
+#import scene_field
+#import scene_beam
+
+struct SurfaceLight {
+    // Unit direction to the light, or its position in scene space.
+    place: vec3f,
+    // Tangent of half its angle, or its radius in scene units; 0 for hard shadows.
+    size: f32,
+    is_point: u32,
+    pad_0: u32,
+    pad_1: u32,
+    pad_2: u32,
+}
+
+struct SurfaceParams {
+    eye: vec3f,
+    // Pixels of a row, and their number in memory.
+    width: u32,
+    // Scene directions of rays, one unit of depth long: through fragment (0, 0), and the changes to the right and down.
+    ray: vec3f,
+    stride: u32,
+    ray_x: vec3f,
+    light_count: u32,
+    ray_y: vec3f,
+    bias_voxels: f32,
+    // Range of occlusion, scene units; below zero without occlusion.
+    occlusion: f32,
+    // Number of answers of a pixel: those of occlusion, then one for each light.
+    per_pixel: u32,
+    pad_0: u32,
+    pad_1: u32,
+    lights: array<SurfaceLight, 16>,
+}
+
+struct PieceParams {
+    first: u32,
+    count: u32,
+    // 1: make cones, 0: make rays.
+    wants_cones: u32,
+    // 1: reset the answers.
+    clears: u32,
+}
+
+@group(0) @binding(1) var<uniform> view: SurfaceParams;
+@group(0) @binding(2) var<uniform> piece: PieceParams;
+@group(0) @binding(7) var<storage, read> seen_pixels: array<vec4u>;
+// Three corners and three normals of each face, in the space of the mesh's tree.
+@group(0) @binding(8) var<storage, read> faces: array<f32>;
+@group(0) @binding(9) var<storage, read_write> beams: array<Beam>;
+@group(0) @binding(10) var<storage, read_write> answers: array<Answer>;
+// Number of beams, of divided discs and of collected cones.
+@group(0) @binding(11) var<storage, read_write> counts: array<atomic<u32>, 4>;
+// Output of `divide` and `collect_edges`.
+@group(0) @binding(12) var<storage, read_write> parts: array<Beam>;
+// The answer of each divided disc.
+@group(0) @binding(13) var<storage, read_write> parents: array<u32>;
+@group(0) @binding(14) var<storage, read> part_answers: array<Answer>;
+
+const IS_TRIANGLE: u32 = 0xffffffffu;
+const FACE_FLOATS: u32 = 18u;
+const AO_CONES: u32 = 7u;
+const AO_SLOPE: f32 = 0.57735027;
+const AO_RING: vec2f = vec2f(0.5, 0.8660254);
+const PARTS: u32 = 16u;
+const TAU: f32 = 6.2831855;
+
+fn vector_at(i: u32) -> vec3f {
+    return vec3f(faces[i], faces[i + 1u], faces[i + 2u]);
+}
+
+fn add_beam(beam: Beam) {
+    beams[atomicAdd(&counts[0], 1u)] = beam;
+}
+
+@compute @workgroup_size(64)
+fn surface_beams(@builtin(global_invocation_id) id: vec3u) {
+    if id.x >= piece.count { return; }
+    let first_answer = id.x * view.per_pixel;
+    if piece.clears != 0u {
+        for (var k = 0u; k < view.per_pixel; k++) { answers[first_answer + k] = Answer(); }
+    }
+    let x = (piece.first + id.x) % view.width;
+    let y = (piece.first + id.x) / view.width;
+    let seen = seen_pixels[y * view.stride + x];
+    if seen.x == 0u || seen.w != IS_TRIANGLE { return; }
+    let index = seen.x - 1u;
+    let row = seen.z;
+
+    // The hit in the space of the mesh's tree.
+    let fragment = vec2f(f32(x), f32(y)) + 0.5;
+    let along = ray_through(row, fragment);
+    let eye = rows[row].eye;
+    let first = FACE_FLOATS * (rows[row].first_face + seen.y);
+    let a = vector_at(first);
+    let ab = vector_at(first + 3u) - a;
+    let ac = vector_at(first + 6u) - a;
+    let plane = cross(ab, ac);
+    let facing = dot(plane, along);
+    if facing == 0.0 { return; }
+    let t = dot(plane, a - eye) / facing;
+    if !(t > 0.0 && t < FAR_T) { return; }
+    let from_a = eye - a + t * along;
+    let area = dot(plane, plane);
+    let u = dot(cross(from_a, ac), plane) / area;
+    let v = dot(cross(ab, from_a), plane) / area;
+    let scene_ray = view.ray + fragment.x * view.ray_x + fragment.y * view.ray_y;
+
+    let smooth_normal = (1.0 - u - v) * vector_at(first + 9u) + u * vector_at(first + 12u) + v * vector_at(first + 15u);
+    var normal = scene_normal(index, smooth_normal) * select(-1.0, 1.0, facing < 0.0);
+    // At a silhouette a smooth normal may point away from the eye.
+    if !(dot(normal, scene_ray) < 0.0) {
+        normal = scene_normal(index, normalize(plane)) * select(-1.0, 1.0, facing < 0.0);
+    }
+
+    var beam: Beam;
+    beam.p = view.eye + t * scene_ray;
+    beam.normal = normalize(normal);
+    beam.bias_voxels = view.bias_voxels;
+    beam.own = index;
+    var next = first_answer;
+    if view.occlusion >= 0.0 {
+        if piece.wants_cones != 0u {
+            let axes = axes_of(beam.normal);
+            beam.slope = AO_SLOPE;
+            beam.t_max = view.occlusion;
+            beam.is_coarse = 1u;
+            for (var i = 0u; i < AO_CONES; i++) {
+                beam.direction = beam.normal;
+                if i > 0u {
+                    let angle = f32(i - 1u) * (TAU / f32(AO_CONES - 1u));
+                    let aside = cos(angle) * axes.right + sin(angle) * axes.up;
+                    beam.direction = AO_RING.x * beam.normal + AO_RING.y * aside;
+                }
+                beam.owner = next + i;
+                add_beam(beam);
+            }
+        }
+        next += AO_CONES;
+    }
+    beam.is_coarse = 0u;
+    for (var i = 0u; i < view.light_count; i++) {
+        let light = view.lights[i];
+        beam.direction = light.place;
+        beam.t_max = FAR_T;
+        beam.slope = light.size;
+        if light.is_point != 0u {
+            let way = light.place - beam.p;
+            beam.t_max = max(length(way), 1e-12);
+            beam.direction = way / beam.t_max;
+            beam.slope = light.size / beam.t_max;
+        }
+        beam.owner = next + i;
+        let is_wanted = (beam.slope > 0.0) == (piece.wants_cones != 0u);
+        if is_wanted && dot(beam.normal, beam.direction) > 0.0 { add_beam(beam); }
+    }
+}
+
+// Divides the discs of lights that one cone does not decide into narrow cones.
+@compute @workgroup_size(64)
+fn divide(@builtin(global_invocation_id) id: vec3u) {
+    if id.x >= piece.count { return; }
+    let disc = beams[piece.first + id.x];
+    let found = answers[disc.owner];
+    if disc.is_coarse != 0u || found.is_proven != 0u || found.is_complete != 1u { return; }
+    let slot = atomicAdd(&counts[1], 1u);
+    parents[slot] = disc.owner;
+    let axes = axes_of(disc.direction);
+    var part = disc;
+    part.slope = disc.slope / sqrt(f32(PARTS));
+    part.is_coarse = 1u;
+    for (var i = 0u; i < PARTS; i++) {
+        let radius = disc.slope * sqrt((f32(i) + 0.5) / f32(PARTS));
+        let angle = f32(i) * GOLDEN_ANGLE;
+        let way = disc.direction + radius * (cos(angle) * axes.right + sin(angle) * axes.up);
+        part.direction = normalize(way);
+        part.t_max = min(disc.t_max * length(way), FAR_T);
+        part.owner = PARTS * slot + i;
+        parts[part.owner] = part;
+    }
+}
+
+// Collects the cones that need a ray past an edge.
+@compute @workgroup_size(64)
+fn collect_edges(@builtin(global_invocation_id) id: vec3u) {
+    if id.x >= piece.count { return; }
+    let beam = beams[piece.first + id.x];
+    if answers[beam.owner].is_complete == NEEDS_EDGE { parts[atomicAdd(&counts[2], 1u)] = beam; }
+}
+
+// Replaces the answers of divided discs by the means of their parts.
+@compute @workgroup_size(64)
+fn join_parts(@builtin(global_invocation_id) id: vec3u) {
+    if id.x >= piece.count { return; }
+    let parent = parents[id.x];
+    var found = answers[parent];
+    var sum = 0.0;
+    for (var i = 0u; i < PARTS; i++) {
+        let part = part_answers[PARTS * id.x + i];
+        sum += part.value;
+        found.steps += part.steps;
+        found.is_far += part.is_far;
+        if part.is_complete != 1u { found.is_complete = 0u; }
+    }
+    found.value = sum / f32(PARTS);
+    found.is_proven = DIVIDED;
+    answers[parent] = found;
+}

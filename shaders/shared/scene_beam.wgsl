@@ -1,0 +1,49 @@
+// Rays and cones of the light pass, and their results.
+
+struct Beam {
+    p: vec3f,
+    t_max: f32,
+    // Unit length.
+    direction: vec3f,
+    // Growth of a cone's radius with distance; 0 for a ray.
+    slope: f32,
+    normal: vec3f,
+    bias_voxels: f32,
+    own: u32,
+    // Only the share of the cone is wanted, not whether it is proven.
+    is_coarse: u32,
+    // 1 if light passes through the own instance: it casts no shadow, and the far field is not used.
+    skips_own: u32,
+    // Index of its answer.
+    owner: u32,
+}
+
+struct Answer {
+    // Fraction that passes, or a length inside.
+    value: f32,
+    // 1 if a cone decides the disc of a light, DIVIDED if the parts of the disc do.
+    is_proven: u32,
+    steps: u32,
+    // 1 if the value is known. 0 if the steps ran out, NEEDS_EDGE if a ray past an edge is needed.
+    is_complete: u32,
+    // Number of rays and cones that entered the far field.
+    is_far: u32,
+}
+
+const NEEDS_EDGE: u32 = 2u;
+const DIVIDED: u32 = 2u;
+// 2 pi (1 - 1 / golden ratio).
+const GOLDEN_ANGLE: f32 = 2.3999632;
+
+// Two unit vectors perpendicular to a unit vector and to each other, as `basis` in src/scene/shadow.rs.
+struct Axes {
+    right: vec3f,
+    up: vec3f,
+}
+
+fn axes_of(d: vec3f) -> Axes {
+    let side = select(-1.0, 1.0, d.z >= 0.0);
+    let a = -1.0 / (side + d.z);
+    let b = d.x * d.y * a;
+    return Axes(vec3f(1.0 + side * d.x * d.x * a, side * b, -side * d.x), vec3f(b, side + d.y * d.y * a, -d.y));
+}

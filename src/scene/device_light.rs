@@ -1,0 +1,344 @@
+//! The light on the faces that a device found, without leaving the device: the beams are made from the picture in its
+//! memory (`shaders/scene_surfaces.wgsl`), and only their results are read back.
+//!
+//! It applies to faces of meshes under hard and soft shadows and occlusion. Everything else is left to
+//! [`super::known`]: fields, translucent surfaces, light through objects, sheets, and pixels that the CPU drew.
+
+use super::SceneShadows;
+use super::gpu::DeviceScene;
+use super::known::{Known, Pass, parts_of, stride, took};
+use super::light::{AO_CONES, BIAS_TRIANGLE, SceneLight, Surface};
+use super::shadow::{PARTS, Work};
+use crate::error::Error;
+use crate::gpu::layout::{Answer, Beam, PieceParams, SurfaceLight, SurfaceParams};
+use crate::progress::Progress;
+use glam::DVec3;
+use rayon::prelude::*;
+use std::sync::OnceLock;
+
+/// Number of beams at a time, and of parts of divided discs: 16 MiB and 32 MiB.
+const MOST_BEAMS: usize = 1 << 18;
+const MOST_PARTS: usize = 1 << 19;
+/// Largest distance of the eye from the middle of the scene, scene units. The device computes positions in float32 along
+/// the ray, and a position must be precise to a fraction of a voxel.
+const MOST_DISTANCE: f64 = 16.0;
+/// Number of invocations of a workgroup, as in the shader.
+const GROUP: u32 = 64;
+/// An answer that is the mean of the parts of a disc, as in the shader.
+const DIVIDED: u32 = 2;
+
+/// The faces that a device found, in its memory.
+#[derive(Debug)]
+pub struct DeviceSeen {
+    /// Four words per pixel, with this number of pixels per row in memory.
+    pub pixels: wgpu::Buffer,
+    pub stride: u32,
+    /// Rows of the drawn instances.
+    pub rows: wgpu::Buffer,
+    /// Scene directions of rays, one unit of depth long: through fragment (0, 0), and the changes to the right and down.
+    pub rays: [DVec3; 3],
+}
+
+/// Buffers for beams, allocated at the first use.
+#[derive(Default)]
+pub struct LightBuffers(OnceLock<Buffers>);
+
+struct Buffers {
+    view: wgpu::Buffer,
+    piece: wgpu::Buffer,
+    counts: wgpu::Buffer,
+    beams: wgpu::Buffer,
+    answers: wgpu::Buffer,
+    parts: wgpu::Buffer,
+    part_answers: wgpu::Buffer,
+    edges: wgpu::Buffer,
+    parents: wgpu::Buffer,
+}
+
+/// Kinds of counts, as in the shader.
+#[derive(Clone, Copy)]
+enum Count {
+    Beams,
+    Discs,
+    Edges,
+}
+
+/// Lights the faces that the device found. Returns whether it applies to the picture.
+pub fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut Known) -> Result<bool, Error> {
+    let Some(seen) = &pass.buffer.seen else { return Ok(false) };
+    let scene = pass.casters.scene;
+    let eye = scene.scene_from_world(pass.buffer.view.camera.eye);
+    let lights = match pass.options.shadows {
+        SceneShadows::None => 0,
+        SceneShadows::Hard | SceneShadows::Soft => pass.lights.lights.len(),
+        SceneShadows::Area(_) | SceneShadows::Article => return Ok(false),
+    };
+    let cones = if pass.options.occlusion.is_some() { AO_CONES } else { 0 };
+    let per_pixel = cones + lights;
+    let is_near = eye.length() <= MOST_DISTANCE;
+    if per_pixel == 0 || !scene.sheets.is_empty() || !is_near || device.faces().is_none() {
+        return Ok(false);
+    }
+    let mut view = SurfaceParams {
+        eye: eye.as_vec3().to_array(),
+        width: pass.options.size[0],
+        ray: seen.rays[0].as_vec3().to_array(),
+        stride: seen.stride,
+        ray_x: seen.rays[1].as_vec3().to_array(),
+        light_count: lights as u32,
+        ray_y: seen.rays[2].as_vec3().to_array(),
+        bias_voxels: BIAS_TRIANGLE,
+        occlusion: pass.options.occlusion.map_or(-1.0, |distance| (distance / scene.scale) as f32),
+        per_pixel: per_pixel as u32,
+        ..SurfaceParams::default()
+    };
+    for (row, light) in view.lights.iter_mut().zip(&pass.lights.lights[..lights]) {
+        *row = light_row(light, pass.options.shadows);
+    }
+    let rows = &view.lights[..lights];
+    let kinds = [cones > 0 || rows.iter().any(|row| row.size > 0.0), rows.iter().any(|row| row.size <= 0.0)];
+    let work = FaceLight { pass, device, seen, progress: pass.progress, buffers: device.light_buffers()? };
+    device.context().write("view of surfaces", &work.buffers.view, 0, &[view])?;
+
+    let width = pass.options.size[0] as usize;
+    let pixels = width * pass.options.size[1] as usize;
+    let chunk = (MOST_BEAMS / per_pixel).min(pixels);
+    for first in (0..pixels).step_by(chunk) {
+        let count = chunk.min(pixels - first);
+        let answers = work.answers(first, count, per_pixel, kinds, cones > 0)?;
+        take(pass, known, first, per_pixel, &answers)?;
+    }
+    Ok(true)
+}
+
+fn light_row(light: &SceneLight, shadows: SceneShadows) -> SurfaceLight {
+    let (place, size, is_point) = match *light {
+        SceneLight::Directional { to_light, slope, .. } => (to_light, slope, 0),
+        SceneLight::Point { position, radius, .. } => (position, radius as f32, 1),
+    };
+    let size = if shadows == SceneShadows::Soft { size } else { 0.0 };
+    SurfaceLight { place: place.as_vec3().to_array(), size, is_point, ..SurfaceLight::default() }
+}
+
+/// Stores the answers for a range of pixels.
+fn take(pass: &Pass<'_>, known: &mut Known, first: usize, per_pixel: usize, answers: &[Answer]) -> Result<(), Error> {
+    let scene = pass.casters.scene;
+    let width = pass.options.size[0] as usize;
+    let lights = pass.lights.lights.len();
+    let range = first..first + answers.len() / per_pixel;
+    known.rows.par_iter_mut().enumerate().try_for_each(|(y, row)| {
+        if (y + 1) * width <= range.start || y * width >= range.end {
+            return Ok(());
+        }
+        let mut total = Work::default();
+        for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
+            let pixel = y * width + layer.x as usize;
+            if !layer.is_from_device || !range.contains(&pixel) {
+                continue;
+            }
+            let surface = Surface::new(scene, pass.buffer, y, layer);
+            if surface.scatters(scene) {
+                continue;
+            }
+            let mut found = answers[(pixel - first) * per_pixel..][..per_pixel].iter();
+            let values = &mut row.values[i * stride(lights)..][..stride(lights)];
+            if let Some(work) = take_pixel(pass, &surface, &mut found, values) {
+                row.steps[i] = work.steps;
+                row.is_known[i] = true;
+                total += work;
+            }
+        }
+        pass.asked.add(total);
+        pass.progress.check()
+    })
+}
+
+/// The light on a surface; None if an answer is missing.
+fn take_pixel(
+    pass: &Pass<'_>,
+    surface: &Surface<'_>,
+    answers: &mut std::slice::Iter<'_, Answer>,
+    values: &mut [f32],
+) -> Option<Work> {
+    let mut work = Work::default();
+    let mut value = |answer: &Answer| {
+        if answer.is_complete != 1 {
+            return None;
+        }
+        work += took(answer);
+        work.rays += if answer.is_proven == DIVIDED { PARTS } else { 0 };
+        Some(answer.value)
+    };
+    let found = parts_of(values, pass.lights.lights.len());
+    *found.open = 1.0;
+    if let Some(distance) = pass.options.occlusion {
+        let (mut sum, mut weights) = (0.0, 0.0);
+        for (_, weight) in surface.open_rays(distance / pass.casters.scene.scale) {
+            sum += weight * value(answers.next()?)?;
+            weights += weight;
+        }
+        *found.open = sum / weights;
+    }
+    for (light, share) in pass.lights.lights.iter().zip(found.shares) {
+        let answer = answers.next();
+        let (ray, ..) = light.seen_from(surface.place.p);
+        *share = match surface.plain_share(&ray, pass.options) {
+            Some(share) => share,
+            None => value(answer?)?,
+        };
+    }
+    Some(work)
+}
+
+/// The kernels on the buffers of one picture.
+struct FaceLight<'a> {
+    pass: &'a Pass<'a>,
+    device: &'a DeviceScene,
+    seen: &'a DeviceSeen,
+    progress: &'a Progress,
+    buffers: &'a Buffers,
+}
+
+impl FaceLight<'_> {
+    /// The answers for some pixels. `kinds`: whether there are cones and rays.
+    fn answers(
+        &self,
+        first: usize,
+        count: usize,
+        per_pixel: usize,
+        kinds: [bool; 2],
+        has_occlusion: bool,
+    ) -> Result<Vec<Answer>, Error> {
+        let buffers = self.buffers;
+        let mut clears = 1;
+        for (is_wanted, wants_cones) in kinds.into_iter().zip([1, 0]) {
+            if !is_wanted {
+                continue;
+            }
+            self.reset_counts()?;
+            let bindings = [
+                (0, &self.seen.rows),
+                (1, &buffers.view),
+                (3, self.device.instances()),
+                (7, &self.seen.pixels),
+                (8, self.device.faces().expect("checked before")),
+                (9, &buffers.beams),
+                (10, &buffers.answers),
+                (11, &buffers.counts),
+            ];
+            let piece = PieceParams { first: first as u32, count: count as u32, wants_cones, clears };
+            self.dispatch("surface_beams", piece, &bindings)?;
+            clears = 0;
+            let beams = self.count(Count::Beams)?;
+            if wants_cones == 0 {
+                self.run("rays", &buffers.beams, &buffers.answers, beams)?;
+                continue;
+            }
+            self.run("cones", &buffers.beams, &buffers.answers, beams)?;
+            if has_occlusion {
+                self.edges(&buffers.beams, &buffers.answers, beams)?;
+            }
+            for first in (0..beams).step_by(MOST_PARTS / PARTS as usize) {
+                self.divide(first, (MOST_PARTS / PARTS as usize).min(beams - first))?;
+            }
+        }
+        let mut answers = vec![Answer::default(); count * per_pixel];
+        self.device.context().read("answers", &buffers.answers, &mut answers, self.progress)?;
+        Ok(answers)
+    }
+
+    /// Divides the undecided discs among some beams.
+    fn divide(&self, first: usize, count: usize) -> Result<(), Error> {
+        let buffers = self.buffers;
+        self.reset_counts()?;
+        let piece = PieceParams { first: first as u32, count: count as u32, ..PieceParams::default() };
+        let bindings = [
+            (9, &buffers.beams),
+            (10, &buffers.answers),
+            (11, &buffers.counts),
+            (12, &buffers.parts),
+            (13, &buffers.parents),
+        ];
+        self.dispatch("divide", piece, &bindings)?;
+        let discs = self.count(Count::Discs)?;
+        if discs == 0 {
+            return Ok(());
+        }
+        self.run("cones", &buffers.parts, &buffers.part_answers, discs * PARTS as usize)?;
+        self.edges(&buffers.parts, &buffers.part_answers, discs * PARTS as usize)?;
+        let piece = PieceParams { count: discs as u32, ..PieceParams::default() };
+        let bindings = [(10, &buffers.answers), (13, &buffers.parents), (14, &buffers.part_answers)];
+        self.dispatch("join_parts", piece, &bindings)
+    }
+
+    /// Evaluates the cones that need a ray past an edge.
+    fn edges(&self, beams: &wgpu::Buffer, answers: &wgpu::Buffer, count: usize) -> Result<(), Error> {
+        let buffers = self.buffers;
+        self.reset_counts()?;
+        let piece = PieceParams { count: count as u32, ..PieceParams::default() };
+        let bindings = [(9, beams), (10, answers), (11, &buffers.counts), (12, &buffers.edges)];
+        self.dispatch("collect_edges", piece, &bindings)?;
+        let edges = self.count(Count::Edges)?;
+        self.run("edge_cones", &buffers.edges, answers, edges)
+    }
+
+    fn run(
+        &self,
+        entry: &'static str,
+        beams: &wgpu::Buffer,
+        answers: &wgpu::Buffer,
+        count: usize,
+    ) -> Result<(), Error> {
+        let params = DeviceScene::beam_params(self.pass.casters);
+        self.device.run(entry, params, beams, answers, count, self.progress)
+    }
+
+    fn dispatch(
+        &self,
+        entry: &'static str,
+        piece: PieceParams,
+        bindings: &[(u32, &wgpu::Buffer)],
+    ) -> Result<(), Error> {
+        let context = self.device.context();
+        context.write("piece of surfaces", &self.buffers.piece, 0, &[piece])?;
+        let kernel = context.kernel_with("scene_surfaces", entry, &[])?;
+        let all: Vec<_> = bindings.iter().copied().chain([(2, &self.buffers.piece)]).collect();
+        let group = context.bind("scene_surfaces", &kernel, &all)?;
+        context.dispatch("scene_surfaces", &kernel, &group, [piece.count.div_ceil(GROUP), 1, 1])?;
+        Ok(())
+    }
+
+    fn reset_counts(&self) -> Result<(), Error> {
+        Ok(self.device.context().write("counts of beams", &self.buffers.counts, 0, &[0u32; 4])?)
+    }
+
+    fn count(&self, which: Count) -> Result<usize, Error> {
+        let mut counts = [0u32; 4];
+        self.device.context().read("counts of beams", &self.buffers.counts, &mut counts, self.progress)?;
+        Ok(counts[which as usize] as usize)
+    }
+}
+
+impl DeviceScene {
+    fn light_buffers(&self) -> Result<&Buffers, Error> {
+        let slot = &self.light.0;
+        if slot.get().is_none() {
+            let context = self.context();
+            let storage = |label: &str, items: usize, size: usize| context.storage(label, (items * size) as u64);
+            let made = Buffers {
+                view: context.uniform("view of surfaces", &SurfaceParams::default())?,
+                piece: context.uniform("piece of surfaces", &PieceParams::default())?,
+                counts: storage("counts of beams", 4, size_of::<u32>())?,
+                beams: storage("beams", MOST_BEAMS, size_of::<Beam>())?,
+                answers: storage("answers", MOST_BEAMS, size_of::<Answer>())?,
+                parts: storage("parts of discs", MOST_PARTS, size_of::<Beam>())?,
+                part_answers: storage("answers of parts", MOST_PARTS, size_of::<Answer>())?,
+                edges: storage("cones at edges", MOST_PARTS, size_of::<Beam>())?,
+                parents: storage("divided discs", MOST_PARTS / PARTS as usize, size_of::<u32>())?,
+            };
+            // Another thread cannot have made them: a frame has the scene for itself.
+            let _ = slot.set(made);
+        }
+        Ok(slot.get().expect("made above"))
+    }
+}
