@@ -45,6 +45,7 @@ pub mod quadric;
 pub mod query;
 pub mod render;
 pub mod scene;
+pub mod shader_library;
 pub mod shader_text;
 pub mod sign;
 pub mod surface;

@@ -88,7 +88,7 @@ fn write(module: &Module, info: &ModuleInfo, language: Language, target: GlslTar
 }
 
 /// The variables of a module that a program binds, and their bindings.
-fn resources(module: &Module) -> impl Iterator<Item = (ResourceBinding, &GlobalVariable)> {
+pub(crate) fn resources(module: &Module) -> impl Iterator<Item = (ResourceBinding, &GlobalVariable)> {
     module.global_variables.iter().filter_map(|(_, variable)| Some((variable.binding?, variable)))
 }
 

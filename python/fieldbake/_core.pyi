@@ -62,6 +62,7 @@ __all__ = [
     "sample",
     "sample_surface",
     "set_threads",
+    "shader_library",
     "sides_of_balls",
     "signed_distance",
     "thickness",
@@ -836,6 +837,11 @@ def viewer_shader(
     ``encoding`` is that of all sampled fields, where it is one. For each shape: the index of its function and the
     numbers that it reads, centre and scale of its local frame, and one over its Lipschitz constant; None for a shape
     without a function.
+    """
+
+def shader_library(library: str, head: str, language: str) -> str:
+    """The functions of "volume", "sparse", "nested" or "quadrics" in a language; ``head`` is WGSL with a comment and
+    the constants that they read.
     """
 
 def exr_write(texels: NDArray[np.uint8], width: int, height: int, encoding: str) -> bytes:

@@ -1,15 +1,10 @@
-//! The sampling functions of an atlas as shader text, for the user's programs.
-//!
-//! The WGSL files in `shaders/atlas/` are the source; naga translates them to the other languages. The text lacks only
-//! an entry point: together with the user's `main` it is a complete shader. naga drops comments, so they are inserted
-//! again before the functions and structs that they explain.
+//! The sampling functions of an atlas as shader text, for the user's programs ([`crate::shader_library`]).
 
 use super::Layout;
 use crate::encoding::Encoding;
 use crate::error::Error;
-use crate::shader_text::{GlslTarget, Language, translate};
-use naga::ShaderStage;
-use naga::back::glsl::Version;
+use crate::shader_library::text_without_entry;
+use crate::shader_text::Language;
 use std::fmt::Write;
 
 const SHELVES: &str = include_str!("../../shaders/atlas/shelves.wgsl");
@@ -29,36 +24,19 @@ pub struct ShaderOptions {
     pub side: u32,
 }
 
-/// GLSL ES 3.00, the language of WebGL 2. Newer desktop versions accept it with another first line.
-const GLSL: GlslTarget = GlslTarget {
-    version: Version::Embedded { version: 300, is_webgl: true },
-    stage: ShaderStage::Fragment,
-    entry_point: "entry_point",
-};
-
-/// An entry point that makes every function reachable. It is removed from the translation.
-const ENTRY: &str = "
-@fragment fn entry_point() {
+/// Statements that call every function.
+const CALLS: &str = "
     var entry: AtlasEntry;
     let p = vec3f(atlas_texture_coordinates(entry, vec3f(0.0)), 0.0);
     var sum = atlas_sample(entry, p) + atlas_sample_filtered(entry, p) + atlas_sample_nearest(entry, p);
-}
 ";
 
 /// The sampling functions of an atlas in a language.
 pub fn shader(options: &ShaderOptions, language: Language) -> Result<String, Error> {
-    let wgsl = wgsl(options);
-    if language == Language::Wgsl {
-        return Ok(wgsl);
-    }
-    let translated = translate(&format!("{wgsl}{ENTRY}"), language, GLSL)?;
-    let translated = match language {
-        Language::Wgsl => translated,
-        Language::Glsl => plain_glsl(&translated),
-        Language::Hlsl => plain_hlsl(&translated),
-        Language::Msl => before(&translated, "fragment void entry_point"),
-    };
-    Ok(with_comments(&plain_names(&translated), &wgsl, language))
+    let text = text_without_entry(&wgsl(options), CALLS, language)?;
+    // HLSL counts rows where the other languages count columns.
+    let is_hlsl = language == Language::Hlsl;
+    Ok(if is_hlsl { text.replace("entry.inverse_model * world", "mul(world, entry.inverse_model)") } else { text })
 }
 
 /// The whole WGSL text.
@@ -119,111 +97,12 @@ fn atlas_share(texel: f32) -> f32 {{
     )
 }
 
-/// GLSL has no separate samplers, and naga generates a name for the texture.
-fn plain_glsl(text: &str) -> String {
-    before(text, "void main()").replace("_group_0_binding_0_fs", "atlas_pages")
-}
-
-/// naga reads samplers from a heap of its own; here there is only one.
-fn plain_hlsl(text: &str) -> String {
-    let is_heap = |line: &str| line.starts_with("Sampler") || line.contains("SamplerIndexArray");
-    let mut plain = String::new();
-    for line in before(text, "void entry_point").lines().filter(|line| !is_heap(line)) {
-        plain = plain + line + "\n";
-        if line.starts_with("Texture2DArray") {
-            plain += "SamplerState atlas_sampler : register(s0);\n";
-        }
-    }
-    plain
-}
-
-/// The text before the entry point.
-fn before(text: &str, entry: &str) -> String {
-    text.find(entry).map_or(text, |end| &text[..end]).trim_end().to_owned() + "\n"
-}
-
-/// naga numbers the parameters throughout the text. Within a function the plain names are free.
-fn plain_names(text: &str) -> String {
-    let mut plain = String::new();
-    let mut rest = text;
-    while let Some(start) = rest.find(is_word) {
-        let (between, word) = rest.split_at(start);
-        let end = word.find(|c| !is_word(c)).unwrap_or(word.len());
-        let (word, after) = word.split_at(end);
-        let numbered = ["entry", "p"].into_iter().find(|name| {
-            let number = word.strip_prefix(name).and_then(|rest| rest.strip_prefix('_'));
-            number.is_some_and(|digits| !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_digit()))
-        });
-        plain = plain + between + numbered.unwrap_or(word);
-        rest = after;
-    }
-    plain + rest
-}
-
-fn is_word(c: char) -> bool {
-    c.is_ascii_alphanumeric() || c == '_'
-}
-
-/// Inserts the comments of the WGSL text before the functions and structs of its translation, and its header at the
-/// top.
-fn with_comments(translated: &str, wgsl: &str, language: Language) -> String {
-    let mut head: String =
-        wgsl.lines().take_while(|line| line.starts_with("//")).flat_map(|line| [line, "\n"]).collect();
-    if language == Language::Hlsl {
-        // HLSL counts rows where the other languages count columns.
-        head = head.replace("entry.inverse_model * world", "mul(world, entry.inverse_model)");
-    }
-    let comments = comments(wgsl);
-    let mut text = String::new();
-    let mut lines = translated.lines().skip_while(|line| line.is_empty()).peekable();
-    // A version or an include must remain in the first lines.
-    while let Some(line) = lines.next_if(|line| line.starts_with('#') || line.starts_with("//")) {
-        text = text + line + "\n";
-    }
-    text = text + &head + "\n";
-    let mut lines = lines.skip_while(|line| line.is_empty()).peekable();
-    while let Some(line) = lines.next() {
-        if let Some((_, comment)) = comments.iter().find(|(name, _)| defines(line, name)) {
-            text += comment;
-        }
-        // Several empty lines become one.
-        if !(line.is_empty() && lines.peek().is_none_or(|next| next.is_empty())) {
-            text = text + line + "\n";
-        }
-    }
-    text
-}
-
-/// Name and comment of each function and struct of a WGSL text.
-fn comments(wgsl: &str) -> Vec<(&str, String)> {
-    let mut found = Vec::new();
-    let mut pending = String::new();
-    for line in wgsl.lines() {
-        if line.starts_with("//") {
-            pending = pending + line + "\n";
-            continue;
-        }
-        let definition = line.strip_prefix("fn ").or(line.strip_prefix("struct "));
-        if let Some(name) = definition.and_then(|rest| rest.split(['(', ' ']).next()) {
-            found.push((name, pending.clone()));
-        }
-        pending.clear();
-    }
-    found
-}
-
-/// Whether a line of a C-like text begins the definition of a struct or function.
-fn defines(line: &str, name: &str) -> bool {
-    let is_function = line.contains(&format!(" {name}(")) && !line.starts_with([' ', '\t']) && !line.ends_with(';');
-    is_function || line.starts_with(&format!("struct {name} "))
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::entry::{AtlasEntry, StripEntry};
     use super::*;
     use crate::shader_text::parse;
-    use naga::{Module, front};
+    use naga::{Module, ShaderStage, front};
     use std::mem::offset_of;
 
     const LANGUAGES: [Language; 4] = [Language::Wgsl, Language::Glsl, Language::Hlsl, Language::Msl];

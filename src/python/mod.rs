@@ -18,6 +18,7 @@ mod rays;
 mod render;
 mod run;
 mod scene;
+mod shader;
 mod sparse;
 mod surface;
 mod viewer;
@@ -59,6 +60,8 @@ mod _core {
     use super::run::set_threads;
     #[pymodule_export]
     use super::scene::{Renderer, Scene, SceneField, SceneMesh, Texture};
+    #[pymodule_export]
+    use super::shader::shader_library;
     #[pymodule_export]
     use super::sparse::{SparseField, bake_sparse, check_scales, decode, encode, encoding_scale, to_sparse};
     #[pymodule_export]

@@ -9,6 +9,7 @@ SOURCE = Path(__file__).parents[2] / "src"
 LAYERS = [
     "error",
     "memory progress geometry encoding shader_text",
+    "shader_library",
     "grid openexr",
     "gpu",
     "mesh",

@@ -12,7 +12,7 @@ from .. import _core
 from ..base import checks
 from ..base.errors import ArgumentError, ShapeError
 from ..base.viewable import Viewable
-from .quadric_shader import quadric_text
+from ..volumes.shader import quadric_text
 
 #: RGBA texels of a record: four for the matrix, one for the trim sphere, one for reflectance and opacity.
 RECORD_TEXELS = 6
