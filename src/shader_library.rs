@@ -35,11 +35,17 @@ impl Library {
     /// The WGSL text, and statements that call its functions.
     fn source(self) -> (&'static str, &'static str) {
         match self {
-            Self::Volume => (include_str!("../shaders/library/volume.wgsl"), "let g = field_gradient(vec3f(0.0));"),
-            Self::Sparse => (include_str!("../shaders/library/sparse.wgsl"), "let d = sparse_distance(vec3f(0.0));"),
-            Self::Nested => (include_str!("../shaders/library/nested.wgsl"), "let d = nested_distance(vec3f(0.0));"),
+            Self::Volume => {
+                (include_str!("../shaders/library/stored_volume.wgsl"), "let g = field_gradient(vec3f(0.0));")
+            }
+            Self::Sparse => {
+                (include_str!("../shaders/library/stored_sparse.wgsl"), "let d = sparse_distance(vec3f(0.0));")
+            }
+            Self::Nested => {
+                (include_str!("../shaders/library/stored_nested.wgsl"), "let d = nested_distance(vec3f(0.0));")
+            }
             Self::Quadrics => (
-                include_str!("../shaders/library/quadrics.wgsl"),
+                include_str!("../shaders/library/stored_quadrics.wgsl"),
                 "let q = load_quadric(0);
                 let t = intersect_quadric(q, vec3f(0.0), vec3f(0.0), 0.0);
                 let n = quadric_normal(q, vec3f(t), vec3f(0.0));",
