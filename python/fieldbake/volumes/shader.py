@@ -167,11 +167,12 @@ def sparse_buffers(volume: Any) -> ShaderBuffers:
 
 def nested_text(levels: Any, language: object) -> str:
     """See :meth:`NestedField.shader`; `levels` are joined, finest first."""
+    lowers, spacings = [level.bounds[0] for level in levels], [level.spacing for level in levels]
     definitions: list[object] = [
         Constant("NESTED_LEVELS", "i32", len(levels), "Number of levels."),
         Constant("NESTED_SHAPE", "vec3i", levels[0].resolution, "Voxels of each level along x, y and z."),
-        _of_level("nested_lower", "Lower corner of the box of a level, world units.", [one.bounds[0] for one in levels]),
-        _of_level("nested_spacing", "Size of a voxel of a level, world units.", [one.spacing for one in levels]),
+        _of_level("nested_lower", "Lower corner of the box of a level, world units.", lowers),
+        _of_level("nested_spacing", "Size of a voxel of a level, world units.", spacings),
     ]
     return _text("nested", _header("r32float", "nested_distance"), definitions, language)
 
