@@ -7,7 +7,6 @@ a ``scale``.
 
 from __future__ import annotations
 
-import io
 import os
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from .. import _core
 from ..base.encodings import texel_rule
 from ..files import container, sidecar
 from ..files.container import atomic_write, head
+from ..files.png import write_grey
 
 #: Endings of the files that :func:`write` can write.
 ENDINGS = container.ENDINGS["atlas"][1:]
@@ -33,14 +33,14 @@ def write(path: str | os.PathLike[str], pages: NDArray[Any], facts: dict[str, An
     ending = target.suffix.lower()
     is_png = ending == ".png"
     stacked = pages.reshape(-1, pages.shape[-1])
-    content = _png(stacked) if is_png else _exr(stacked)
+    content = write_grey(_unsigned(stacked)) if is_png else _exr(stacked)
     encoding = facts["encoding"]
     sidecar.write_beside(target, {**head("atlas image", encoding), **texel_rule(ending, encoding), **facts})
     with atomic_write(target) as stream:
         stream.write(content)
     if is_png:
         with atomic_write(target.with_suffix(".preview.png")) as stream:
-            stream.write(_preview(stacked))
+            stream.write(write_grey(_preview(stacked)))
 
 
 def _exr(stacked: NDArray[Any]) -> bytes:
@@ -56,21 +56,19 @@ def _shares(texels: NDArray[Any]) -> NDArray[np.float32]:
     return shares
 
 
-def _png(stacked: NDArray[Any]) -> bytes:
-    # Integers are offset by half the range: 0 becomes 32768 or 128.
+def _unsigned(stacked: NDArray[Any]) -> NDArray[Any]:
+    """Offset normalised integers by half their range: 0 becomes 32768 or 128."""
     bits = 8 * stacked.itemsize
-    unsigned = np.uint8 if bits == 8 else np.uint16
-    return _png_bytes((stacked.astype(np.int32) + (1 << (bits - 1))).astype(unsigned))
+    unsigned = np.dtype(f"u{stacked.itemsize}").type
+    texels: NDArray[Any] = np.ascontiguousarray(stacked).view(unsigned) ^ unsigned(1 << (bits - 1))
+    return texels
 
 
-def _preview(stacked: NDArray[Any]) -> bytes:
+def _preview(stacked: NDArray[Any]) -> NDArray[np.uint8]:
     """Make a grey preview: the surface is mid-grey, the inside dark."""
-    return _png_bytes(np.round(127.5 + 127.5 * _shares(stacked)).astype(np.uint8))
-
-
-def _png_bytes(pixels: NDArray[Any]) -> bytes:
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, format="PNG", compress_level=1)
-    return buffer.getvalue()
+    bits = 8 * stacked.itemsize
+    texels = np.arange(1 << bits, dtype=np.int64) - (1 << (bits - 1))
+    # One grey for each of the 256 or 65,536 texels that exist.
+    greys = np.round(127.5 + 127.5 * _shares(texels.astype(stacked.dtype))).astype(np.uint8)
+    preview: NDArray[np.uint8] = greys[_unsigned(stacked)]
+    return preview

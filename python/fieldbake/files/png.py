@@ -1,0 +1,60 @@
+"""Grey .png files of 8 or 16 bits, compressed in blocks of rows on several threads.
+
+Each block is a deflate stream of its own without an end, so that the blocks joined are one stream. The differences
+between rows (filter "up") of a distance field have long runs of equal bytes, which `zlib.Z_RLE` finds in a third of
+the time of a general search. Blocks do not depend on the number of threads, so the bytes do not either.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Size of a block before compression, bytes: large beside the 32 KiB that a stream looks back.
+BLOCK_BYTES = 4 << 20
+
+#: Filter "up" of the PNG specification: each byte minus the byte above it.
+UP = 2
+
+
+def write_grey(pixels: NDArray[Any]) -> bytes:
+    """Encode unsigned integers (height, width) of 8 or 16 bits as a .png file."""
+    height, width = pixels.shape
+    stored = pixels.astype(pixels.dtype.newbyteorder(">"), copy=False)
+    rows = np.ascontiguousarray(stored).view(np.uint8).reshape(height, width * pixels.itemsize)
+    step = max(1, BLOCK_BYTES // (rows.shape[1] + 1))
+    starts = range(0, height, step)
+    # zlib and NumPy release the lock of the interpreter.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        blocks = list(pool.map(lambda start: _compressed(rows, start, step), starts))
+    checksum = 1
+    for filtered, _ in blocks:
+        checksum = zlib.adler32(filtered.data, checksum)
+    header = struct.pack(">IIBBBBB", width, height, 8 * pixels.itemsize, 0, 0, 0, 0)
+    chunks = [_chunk(b"IHDR", header), _chunk(b"IDAT", b"\x78\x01")]
+    chunks += [_chunk(b"IDAT", stream) for _, stream in blocks]
+    # Two bytes end the stream: an empty block with the mark of the last.
+    chunks += [_chunk(b"IDAT", b"\x03\x00" + struct.pack(">I", checksum)), _chunk(b"IEND", b"")]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+
+
+def _compressed(rows: NDArray[np.uint8], start: int, step: int) -> tuple[NDArray[np.uint8], bytes]:
+    """Filter and compress a block of rows."""
+    block = rows[start : start + step]
+    filtered = np.empty((len(block), block.shape[1] + 1), np.uint8)
+    filtered[:, 0] = UP
+    # The row above the first one of the image is zero.
+    filtered[0, 1:] = block[0] - rows[start - 1] if start else block[0]
+    np.subtract(block[1:], block[:-1], out=filtered[1:, 1:])
+    stream = zlib.compressobj(1, zlib.DEFLATED, -15, 9, zlib.Z_RLE)
+    return filtered, stream.compress(filtered.data) + stream.flush(zlib.Z_FULL_FLUSH)
+
+
+def _chunk(kind: bytes, content: bytes) -> bytes:
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(content, zlib.crc32(kind)))
