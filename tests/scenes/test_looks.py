@@ -98,17 +98,17 @@ COLORS = np.array([(1.0, 0, 0), (0, 0.5, 0), (0, 0, 0.25), (0.5, 0.5, 0.5)])
 def test_linear_colors_of_vertices_are_interpolated(device):
     # Float32 weights of a corner are within 1e-6; a ray is 2 units long.
     image = shown(fb.Mesh(CORNERS, FACES, vertex_colors=COLORS), device)
-    np.testing.assert_allclose(image, bilinear_of_corners(COLORS), atol=1e-5)
+    np.testing.assert_allclose(image, bilinear_of_corners(COLORS), atol=1e-5, equal_nan=False)
 
 
 def test_bytes_are_srgb_and_faces_have_colors_too():
     half = shown(fb.Mesh(CORNERS, FACES, vertex_colors=np.full((4, 3), 188, np.uint8)))
-    np.testing.assert_allclose(half, ((188 / 255 + 0.055) / 1.055) ** 2.4, atol=1e-6)
+    np.testing.assert_allclose(half, ((188 / 255 + 0.055) / 1.055) ** 2.4, atol=1e-6, equal_nan=False)
     image = shown(fb.Mesh(CORNERS, FACES, face_colors=[(0.5, 0.0, 0.0), (0.0, 0.0, 1.0)]))
     x, y = np.moveaxis(points(), -1, 0)
     expected = np.where((x >= y)[..., None], (0.5, 0.0, 0.0), (0.0, 0.0, 1.0))
     off_diagonal = np.abs(x - y) > 1e-6
-    np.testing.assert_allclose(image[off_diagonal], expected[off_diagonal], atol=1e-6)
+    np.testing.assert_allclose(image[off_diagonal], expected[off_diagonal], atol=1e-6, equal_nan=False)
 
 
 def test_trimesh_and_ply_keep_their_colors(tmp_path):
@@ -117,7 +117,7 @@ def test_trimesh_and_ply_keep_their_colors(tmp_path):
     mesh.export(tmp_path / "scan.ply")
     expected = (((188 / 255 + 0.055) / 1.055) ** 2.4, 0.0, 1.0)
     for thing in (mesh, fb.load_mesh(tmp_path / "scan.ply"), fb.as_mesh([mesh, (mesh, np.eye(4))])):
-        np.testing.assert_allclose(shown(thing), np.broadcast_to(expected, (32, 32, 3)), atol=1e-6)
+        np.testing.assert_allclose(shown(thing), np.broadcast_to(expected, (32, 32, 3)), atol=1e-6, equal_nan=False)
     faces = trimesh.Trimesh(CORNERS, FACES, process=False)
     faces.visual.face_colors = [[255, 0, 0, 255], [255, 0, 0, 255]]
     assert np.array_equal(shown(faces), np.broadcast_to(np.float32((1, 0, 0)), (32, 32, 3)))
@@ -140,7 +140,7 @@ def test_gltf_multiplies_factor_texture_and_linear_vertex_colors(tmp_path, devic
     texel = ((188 / 255 + 0.055) / 1.055) ** 2.4
     rows = color[:, :3].astype(float) / (1 if stored == "float" else 255)
     expected = bilinear_of_corners(rows) * texel * (0.5, 1, 0.25)
-    np.testing.assert_allclose(shown(fb.load_mesh(path), device), expected, atol=1e-5)
+    np.testing.assert_allclose(shown(fb.load_mesh(path), device), expected, atol=1e-5, equal_nan=False)
 
 
 def test_a_texture_in_column_order_looks_the_same():
@@ -169,10 +169,10 @@ def test_texture_transforms_move_the_coordinates(tmp_path):
         tmp_path / "b.glb", {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}, uv=by_hand, image=quarters
     )
     # Coordinates of the second file are float32.
-    np.testing.assert_allclose(shown(fb.load_mesh(path)), shown(fb.load_mesh(other)), atol=1e-5)
+    np.testing.assert_allclose(shown(fb.load_mesh(path)), shown(fb.load_mesh(other)), atol=1e-5, equal_nan=False)
     # A turn by a positive quarter puts the image's lower left texel to the left of the upper edge's start.
     mesh = fb.load_mesh(path)
-    np.testing.assert_allclose(mesh.uv, by_hand * (1, -1) + (0, 1), atol=1e-6)
+    np.testing.assert_allclose(mesh.uv, by_hand * (1, -1) + (0, 1), atol=1e-6, equal_nan=False)
 
 
 def test_emission_is_added_and_unlit_needs_no_light(tmp_path):
@@ -182,21 +182,21 @@ def test_emission_is_added_and_unlit_needs_no_light(tmp_path):
     path = glb(tmp_path / "a.glb", glows, extensions=list(strong))
     expected = 0.5 * np.array((0.5, 0.25, 0.125)) + 3 * np.array((0.1, 0.2, 0.3))
     np.testing.assert_allclose(
-        shown(fb.load_mesh(path), ambient=0.5), np.broadcast_to(expected, (32, 32, 3)), atol=1e-6
+        shown(fb.load_mesh(path), ambient=0.5), np.broadcast_to(expected, (32, 32, 3)), atol=1e-6, equal_nan=False
     )
 
     unlit = {**base, "emissiveFactor": [1, 1, 1], "extensions": {"KHR_materials_unlit": {}}}
     path = glb(tmp_path / "b.glb", unlit, extensions=["KHR_materials_unlit"])
     for lights in ([], [fb.DirectionalLight((0, 0, -1))]):
         image = shown(fb.load_mesh(path), lights=lights, ambient=0.0)
-        np.testing.assert_allclose(image, np.broadcast_to((0.5, 0.25, 0.125), (32, 32, 3)), atol=1e-6)
+        np.testing.assert_allclose(image, np.broadcast_to((0.5, 0.25, 0.125), (32, 32, 3)), atol=1e-6, equal_nan=False)
 
     image = np.zeros((1, 1, 3), np.uint8) + np.uint8(188)
     textured = {"emissiveFactor": [1, 0.5, 0], "emissiveTexture": {"index": 0}}
     path = glb(tmp_path / "c.glb", textured, uv=[(0, 0)] * 4, image=image)
     expected = ((188 / 255 + 0.055) / 1.055) ** 2.4 * np.array((1, 0.5, 0))
     np.testing.assert_allclose(
-        shown(fb.load_mesh(path), ambient=0.0), np.broadcast_to(expected, (32, 32, 3)), atol=1e-6
+        shown(fb.load_mesh(path), ambient=0.0), np.broadcast_to(expected, (32, 32, 3)), atol=1e-6, equal_nan=False
     )
 
     glow = fb.Material(color=(0.5, 0.5, 0.5), emission=(0, 1, 0))

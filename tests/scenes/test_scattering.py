@@ -38,7 +38,7 @@ def test_a_slab_passes_the_exponential_of_its_thickness(thickness: float, device
     frame = seen([fb.Instance(slab(thickness), material=jade((0.2, 0.4, 0.0)))], device=device)
     # Samples of a flat face are exact, so the length inside is right to the rounding of float32: 1e-5 voxels of 1/32.
     truth = [np.exp(-thickness / 0.2), np.exp(-thickness / 0.4), 0]
-    np.testing.assert_allclose(frame.color[16, 16, :3], truth, rtol=1e-4)
+    np.testing.assert_allclose(frame.color[16, 16, :3], truth, rtol=1e-4, equal_nan=False)
 
 
 @pytest.mark.parametrize("shadows", SHADOWS)
@@ -47,14 +47,16 @@ def test_a_wall_before_the_lamp_keeps_light_out(shadows: str, device: str) -> No
     wall = fb.Instance(slab(0.2, z=-2, side=3))
     options = {"shadows": shadows, "device": device}
     # A ray of the area lamp is slanted by up to 1 degree: 2e-4 of the exponent.
-    np.testing.assert_allclose(red_in_the_middle(seen([thing], **options)), np.exp(-1), rtol=5e-4)
+    np.testing.assert_allclose(red_in_the_middle(seen([thing], **options)), np.exp(-1), rtol=5e-4, equal_nan=False)
     assert red_in_the_middle(seen([thing, wall], **options)) == 0
     # Half-opaque ones keep half.
     veil = fb.Instance(slab(0.2, z=-2, side=3), opacity=0.5)
-    np.testing.assert_allclose(red_in_the_middle(seen([thing, veil], **options)), np.exp(-1) / 2, rtol=5e-4)
+    np.testing.assert_allclose(
+        red_in_the_middle(seen([thing, veil], **options)), np.exp(-1) / 2, rtol=5e-4, equal_nan=False
+    )
     # Without shadows nothing is in the way.
     frame = seen([thing, wall], shadows="none", device=device)
-    np.testing.assert_allclose(red_in_the_middle(frame), np.exp(-1), rtol=1e-4)
+    np.testing.assert_allclose(red_in_the_middle(frame), np.exp(-1), rtol=1e-4, equal_nan=False)
 
 
 BALL = fb.Mesh(*meshes.icosphere(5))
@@ -104,13 +106,13 @@ def test_the_length_inside_counts_all_of_the_ray_and_ends_at_the_lamp() -> None:
     # A tube of shape: two walls of 0.2 on the ray.
     tube = fb.cylinder(1, 3) - fb.cylinder(0.8, 4)
     frame = seen([fb.Instance(tube.rotate("x", 90), material=jade())])
-    np.testing.assert_allclose(red_in_the_middle(frame), np.exp(-2), rtol=1e-3)
+    np.testing.assert_allclose(red_in_the_middle(frame), np.exp(-2), rtol=1e-3, equal_nan=False)
     # A ball within the tube keeps all light from the wall that is seen.
     core = fb.Instance(fb.sphere(0.3))
     assert red_in_the_middle(seen([fb.Instance(tube.rotate("x", 90), material=jade()), core])) == 0
     lamp = fb.PointLight((0, 0, 0.0))
     np.testing.assert_allclose(
-        red_in_the_middle(seen([fb.Instance(slab(0.8), material=jade())], lamp)), np.exp(-2), rtol=1e-3
+        red_in_the_middle(seen([fb.Instance(slab(0.8), material=jade())], lamp)), np.exp(-2), rtol=1e-3, equal_nan=False
     )
 
 
@@ -199,4 +201,4 @@ def test_light_of_an_area_lamp_is_the_monte_carlo_mean(shadows: str, device: str
     # 256 spiral points: a straight edge cuts 2 / sqrt(256) of a ring at most, 3 sigma of 20,000 samples are 0.011; soft
     # shadows treat the edge as one at its depth, 0.02.
     assert truth.min() < 0.01 * truth.max()
-    np.testing.assert_allclose(found, truth, atol=0.04 * np.exp(-0.4 / length))
+    np.testing.assert_allclose(found, truth, atol=0.04 * np.exp(-0.4 / length), equal_nan=False)

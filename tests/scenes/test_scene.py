@@ -263,7 +263,7 @@ def test_samples_smooth_the_edges_alone() -> None:
     scene = fb.Scene([fb.Mesh(*meshes.box())], lights=[], background=(0, 0, 0))
     camera = fb.Camera((3, 2, 5), (0, 0, 0))
     plain, smooth = (fb.render(scene, camera, size=(40, 30), samples=n, device="cpu") for n in (1, 4))
-    np.testing.assert_array_equal(plain.depth, smooth.depth)
+    assert np.array_equal(plain.depth, smooth.depth)
     inside = np.unique(plain.color[..., 0])
     assert len(inside) == 2
     assert len(np.unique(smooth.color[..., 0].round(5))) == 5
@@ -287,7 +287,7 @@ def test_light_at_half_resolution_keeps_edges(shadows: str) -> None:
     light = fb.DirectionalLight(SUN, angle_deg=6)
     full, _ = over_plane(light, shadows)
     half, _ = over_plane(light, shadows, light_scale=2)
-    np.testing.assert_array_equal(full.depth, half.depth)
+    assert np.array_equal(full.depth, half.depth)
     off = np.abs(full.shadow - half.shadow)
     assert exceeds(off, 1 / 8).mean() < 0.005
     assert off.mean() < 2e-3

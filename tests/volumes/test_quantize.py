@@ -54,10 +54,10 @@ def test_samples_and_slopes_are_those_of_the_decoded_field(volume: fb.Volume, en
     quantized = volume.quantize(encoding)  # type: ignore[arg-type]
     decoded = fb.Volume(quantized.distances, volume.bounds, inner_bounds=volume.inner_bounds)
     points = np.random.default_rng(5).uniform(volume.bounds[0] - 0.5, volume.bounds[1] + 0.5, (5000, 3))
-    np.testing.assert_array_equal(quantized.sample(points), decoded.sample(points))
-    np.testing.assert_array_equal(quantized.sample(points, filter="nearest"), decoded.sample(points, filter="nearest"))
-    np.testing.assert_array_equal(quantized.gradient(points), decoded.gradient(points))
-    np.testing.assert_array_equal(quantized.downsample().distances, decoded.downsample().distances)
+    assert np.array_equal(quantized.sample(points), decoded.sample(points))
+    assert np.array_equal(quantized.sample(points, filter="nearest"), decoded.sample(points, filter="nearest"))
+    assert np.array_equal(quantized.gradient(points), decoded.gradient(points))
+    assert np.array_equal(quantized.downsample().distances, decoded.downsample().distances)
     assert quantized.to_mesh().faces.shape == decoded.to_mesh().faces.shape
     outside = ~((points > volume.bounds[0]) & (points < volume.bounds[1])).all(axis=1)
     exact = fb.signed_distance(meshes.torus(), points[outside], device="cpu")
@@ -69,8 +69,8 @@ def test_pictures_are_those_of_the_decoded_field(volume: fb.Volume, encoding: st
     quantized = volume.quantize(encoding)  # type: ignore[arg-type]
     decoded = fb.Volume(quantized.distances, volume.bounds, inner_bounds=volume.inner_bounds)
     ours, theirs = (fb.raymarch(field, size=(64, 48), device=device) for field in (quantized, decoded))
-    np.testing.assert_array_equal(ours.depth, theirs.depth)
-    np.testing.assert_array_equal(ours.color, theirs.color)
+    assert np.array_equal(ours.depth, theirs.depth)
+    assert np.array_equal(ours.color, theirs.color)
     # Off by a step at most: hits move by a step over the cosine.
     full = fb.raymarch(volume, size=(64, 48), device=device)
     both = (ours.object_id == 0) & (full.object_id == 0)
@@ -85,9 +85,9 @@ def test_files_and_pickles_bring_the_bits_back(volume: fb.Volume, encoding: str,
     quantized.save(tmp_path / "q.npz")
     for other in (fb.load(tmp_path / "q.npz"), pickle.loads(pickle.dumps(quantized))):
         assert isinstance(other, fb.QuantizedVolume)
-        np.testing.assert_array_equal(other.encoded, quantized.encoded)
+        assert np.array_equal(other.encoded, quantized.encoded)
         assert (other.encoding, other.scale) == (quantized.encoding, quantized.scale)
-        np.testing.assert_array_equal(other.distances, quantized.distances)
+        assert np.array_equal(other.distances, quantized.distances)
 
 
 def test_files_that_lie_are_refused(volume: fb.Volume, tmp_path: Path) -> None:
@@ -161,9 +161,9 @@ def test_the_error_is_the_same_in_voxels_for_a_mesh_of_any_size(size: float, enc
         if encoding == "float16":
             # 11 significant bits everywhere that is more than 2^-14 voxels from the surface.
             assert (error <= np.maximum(2.0**-10 * np.abs(exact), 2.0**-24 * voxel)).all()
-        np.testing.assert_array_equal(distances, fields[0])
+        assert np.array_equal(distances, fields[0])
     points = np.random.default_rng(1).uniform(*volume.bounds, (200, 3))
-    np.testing.assert_array_equal(atlas.sample(0, points), quantized.sample(points))
+    assert np.array_equal(atlas.sample(0, points), quantized.sample(points))
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
@@ -171,7 +171,7 @@ def test_stored_numbers_do_not_change_with_a_power_of_two(volume: fb.Volume, enc
     stored = volume.quantize(encoding).encoded  # type: ignore[arg-type]
     for factor in (2.0**-100, 2.0**-20, 2.0**20, 2.0**100):
         scaled = fb.Volume(volume.distances * np.float32(factor), volume.bounds * factor)
-        np.testing.assert_array_equal(scaled.quantize(encoding).encoded, stored)  # type: ignore[arg-type]
+        assert np.array_equal(scaled.quantize(encoding).encoded, stored)  # type: ignore[arg-type]
 
 
 def test_halves_beyond_their_range_are_a_lower_bound() -> None:
@@ -197,13 +197,13 @@ def test_pictures_of_a_quantised_mesh_of_any_size(size: float, device: str) -> N
 def test_textures_keep_the_stored_numbers(volume: fb.Volume, encoding: str, ending: str, tmp_path: Path) -> None:
     quantized = volume.quantize(encoding, band=3)  # type: ignore[arg-type]
     quantized.save(tmp_path / f"torus{ending}")
-    np.testing.assert_array_equal(fb.load(tmp_path / f"torus{ending}").distances, quantized.distances)
+    assert np.array_equal(fb.load(tmp_path / f"torus{ending}").distances, quantized.distances)
 
 
 def test_a_texture_in_another_encoding(volume: fb.Volume, tmp_path: Path) -> None:
     quantized = volume.quantize("snorm8")
     quantized.save(tmp_path / "torus.dds", encoding="float32")
-    np.testing.assert_array_equal(fb.load(tmp_path / "torus.dds").distances, quantized.distances)
+    assert np.array_equal(fb.load(tmp_path / "torus.dds").distances, quantized.distances)
     with pytest.raises(fb.ArgumentError, match="snorm8, got 'snorm16'"):
         quantized.save(tmp_path / "torus.npz", encoding="snorm16")
 
@@ -216,4 +216,4 @@ def test_a_scene_takes_volumes_of_every_kind(volume: fb.Volume) -> None:
     ]
     assert (pictures[0] == 0).any()
     for picture in pictures[1:]:
-        np.testing.assert_array_equal(picture, pictures[0])
+        assert np.array_equal(picture, pictures[0])

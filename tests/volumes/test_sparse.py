@@ -74,7 +74,7 @@ def test_a_volume_has_what_other_fields_lack():
 def test_a_sparse_bake_stores_what_the_dense_bake_stores(knot: fb.Mesh, dense: fb.Volume) -> None:
     baked, converted = fb.bake_sparse(knot, 72, tolerance=None), dense.to_sparse(tolerance=None)
     ours, theirs = baked._core_field.arrays(), converted._core_field.arrays()
-    np.testing.assert_array_equal(ours["index"], theirs["index"])
+    assert np.array_equal(ours["index"], theirs["index"])
     np.testing.assert_allclose(ours["bricks"], theirs["bricks"], equal_nan=False, atol=2.0**-20 * dense.spacing[0])
     assert baked.report.inside_voxels == dense.report.inside_voxels
     assert baked.resolution == dense.resolution
@@ -179,7 +179,7 @@ def test_any_shape_will_do(resolution: tuple[int, int, int]) -> None:
     sparse = volume.to_sparse(tolerance=0)
     points = rng.uniform(0, 1, (2000, 3))
     np.testing.assert_allclose(sparse.sample(points), volume.sample(points), equal_nan=False, atol=1e-6)
-    np.testing.assert_array_equal(sparse.distances, volume.distances)
+    assert np.array_equal(sparse.distances, volume.distances)
     first, second = (fb.raymarch(field, size=(16, 16), device="cpu") for field in (sparse, volume))
     np.testing.assert_allclose(first.depth, second.depth, equal_nan=False, rtol=1e-5)
 
@@ -201,8 +201,8 @@ def test_files_and_pickles_bring_it_back(dense: fb.Volume, encoding: str, tmp_pa
     for other in (fb.load(tmp_path / "sparse.npz"), pickle.loads(pickle.dumps(sparse))):
         assert isinstance(other, fb.SparseVolume)
         assert (other.encoding, other.band, other.nbytes) == (sparse.encoding, sparse.band, sparse.nbytes)
-        np.testing.assert_array_equal(other.sample(points), sparse.sample(points))
-        np.testing.assert_array_equal(other.inner_bounds, sparse.inner_bounds)
+        assert np.array_equal(other.sample(points), sparse.sample(points))
+        assert np.array_equal(other.inner_bounds, sparse.inner_bounds)
     assert (tmp_path / "sparse.npz").stat().st_size < sparse.nbytes + 8192
 
 

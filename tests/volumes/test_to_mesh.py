@@ -207,8 +207,8 @@ def test_a_sparse_volume_gives_the_mesh_of_its_samples(tolerance):
     mesh = sparse.to_mesh()
     assert_solid(mesh, sparse.bounds)
     dense = sparse.to_volume().to_mesh()
-    np.testing.assert_array_equal(mesh.vertices, dense.vertices)
-    np.testing.assert_array_equal(mesh.faces, dense.faces)
+    assert np.array_equal(mesh.vertices, dense.vertices)
+    assert np.array_equal(mesh.faces, dense.faces)
 
 
 @pytest.mark.parametrize("encoding", ["float16", "snorm16", "snorm8"])
