@@ -37,6 +37,7 @@ napoleon_use_rtype = False
 napoleon_use_param = False
 napoleon_use_ivar = True
 default_role = "code"
+smartquotes = False  # it would join the two dashes of options
 napoleon_preprocess_types = False
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"

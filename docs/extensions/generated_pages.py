@@ -18,10 +18,6 @@ ROOT = DOCS.parent
 DOCUMENTS = ("ARCHITECTURE", "CHANGELOG", "CONTRIBUTING")
 
 
-#: A bar within a cell of a table of Markdown.
-ESCAPED_BAR = r"\|"
-
-
 def document(name: str) -> str:
     """The text of a document of the root. Links to other documents lead to their pages; others become plain text."""
     text = (ROOT / f"{name}.md").read_text(encoding="utf-8")
@@ -62,13 +58,12 @@ def commands() -> str:
         paragraphs = re.split(r"\n\s*\n", (command.help or "").replace("\b", "").strip())
         for paragraph in paragraphs:
             lines += [_cell(paragraph), ""]
-        records = [parameter.get_help_record(inner) for parameter in command.get_params(inner)]
-        rows = [
-            f"| `{record[0].replace('|', ESCAPED_BAR)}` | {_cell(record[1])} |"
-            for record in records
-            if record is not None
-        ]
-        lines += ["| argument or option | meaning |", "|---|---|", *rows, ""]
+        for parameter in command.get_params(inner):
+            record = parameter.get_help_record(inner)
+            if record is not None:
+                # The type of an argument is Python's; its name says enough.
+                name = record[0].split()[0] if parameter.param_type_name == "argument" else record[0]
+                lines += [f"`{name}`", f": {_cell(record[1])}", ""]
     return "\n".join(lines)
 
 

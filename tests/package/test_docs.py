@@ -5,6 +5,7 @@ import importlib
 import importlib.util
 import inspect
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -65,6 +66,18 @@ def test_code_of_pages_that_are_not_executed_is_python():
     for page in sorted(DOCS.rglob("*.md")):
         for fence in re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S):
             ast.parse(fence)
+
+
+def test_notebooks_are_those_of_the_pages():
+    import nbformat
+
+    made = runpy.run_path(str(ROOT / "scripts" / "make_notebooks.py"))
+    for name, page in made["PAGES"].items():
+        text = (made["NOTEBOOKS"] / f"{name}.ipynb").read_text(encoding="utf-8")
+        assert text == made["notebook"](DOCS / f"{page}.md"), "run scripts/make_notebooks.py"
+        notebook = nbformat.reads(text, as_version=4)
+        nbformat.validate(notebook)
+        assert sum(cell.cell_type == "code" for cell in notebook.cells) >= 3
 
 
 @pytest.fixture(scope="module")
