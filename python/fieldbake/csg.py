@@ -98,6 +98,14 @@ class PartGroup(NamedTuple):
         Parameters of each instance: the contents of the buffer ``numbers`` of the text.
     parts : (n,) int64
         Index in the list of the part that each instance belongs to.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> balls = fb.sphere() | fb.sphere(0.5).translate((3, 0, 0))
+    >>> groups = fb.csg.decompose(balls, method="aabb").groups()
+    >>> [group.boxes.shape for group in groups]
+    [(2, 2, 3)]
     """
 
     text: str
