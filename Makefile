@@ -26,13 +26,14 @@ test-long: $(VENV)/.built $(VENV)/.test $(VENV)/.long $(VENV)/.docs ## The tests
 	PYOPENGL_PLATFORM=osmesa $(BIN)/pytest -n 2 -m slow
 	scripts/check_units.sh
 
-check: $(VENV)/.lint ## Format, layers, spelling and named paths, in seconds and without a build
+check: $(VENV)/.lint ## Format, layers, spelling, named paths and wording, in seconds and without a build
 	$(BIN)/ruff format --check --quiet .
 	$(BIN)/ruff check --quiet .
 	cargo fmt --check
 	PYTHONPATH=python $(BIN)/lint-imports --no-logo --no-cache
 	$(BIN)/typos
 	$(BIN)/python scripts/check_paths.py
+	$(BIN)/python scripts/check_text.py
 
 types: $(VENV)/.built $(VENV)/.test ## Clippy, mypy, and the stub beside the compiled module
 	cargo clippy --quiet --all-targets --features python -- --deny warnings

@@ -61,7 +61,7 @@ pub struct ConeSum {
     is_proven: bool,
     /// The nearest edge of the opaque instances.
     pub opaque: Cone,
-    /// What those let pass that are asked by rays.
+    /// Fractions of the thin rays, for instances that are tested by rays.
     pub thin: ThinRays,
 }
 

@@ -107,7 +107,7 @@ pub fn parts_of(values: &mut [f32], lights: usize) -> FoundMut<'_> {
     FoundMut { open, shares, through: through.as_chunks_mut().0 }
 }
 
-/// Find the light of a pass: all of it by asking, or what lies between asked pixels from those.
+/// Computes the light of a pass: at every pixel, or at some pixels with interpolation between them.
 pub fn find(pass: &Pass<'_>, centre: Option<(&GBuffer, &Known)>) -> Result<Known, Error> {
     let mut known = Known::new(pass.buffer, pass.lights.lights.len());
     let every = pass.options.light_scale;

@@ -203,7 +203,7 @@ pub struct Scene {
     /// Scene boxes of the instances.
     pub boxes: Vec<Aabb>,
     pub sheets: Sheets,
-    /// What it was made of, for [`Scene::moved`].
+    /// The inputs of the scene, for [`Scene::moved`].
     inputs: Vec<InstanceInput>,
 }
 

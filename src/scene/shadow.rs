@@ -147,7 +147,7 @@ impl<'a> Casters<'a> {
         let mut sum = ConeSum::NEW;
         let line = Line::cone(place.p.as_vec3(), ray.direction.as_vec3(), slope);
         self.scene.tree.walk(&line, self.reach(&split, ray), |item, limit| {
-            // What is further from the axis than something known already cannot change the result.
+            // An occluder farther from the axis than the nearest edge so far cannot change the result.
             let bounds = &self.scene.boxes[item as usize];
             let x_known = sum.x_known(&self.scene.instances[item as usize]);
             if line.with_slope(slope * x_known.max(0.0)).span(bounds.min, bounds.max, limit).is_some() {
@@ -192,7 +192,7 @@ impl<'a> Casters<'a> {
         sum.share()
     }
 
-    /// Take the far field into the sum of a cone; whether it was asked.
+    /// Adds the far field to the results of a cone. Returns whether it was evaluated.
     fn add_far(&self, split: &Split, place: &Place, ray: &Ray, slope: f32, sum: &mut ConeSum, work: &mut Work) -> bool {
         let is_far = split.far.is_some() && sum.opaque.x > -1.0;
         if is_far {
@@ -317,7 +317,7 @@ impl<'a> Casters<'a> {
         (if is_near { split.near } else { ray.t_max }) as f32
     }
 
-    /// An instance on the parts of a ray where it is asked.
+    /// An instance on the intervals of a ray in which it is evaluated.
     fn casters(&self, item: u32, place: &Place, ray: &Ray, split: &Split) -> impl Iterator<Item = Caster<'a>> {
         let instance = &self.scene.instances[item as usize];
         let casts = !instance.is_sheet && instance.casts_shadow && instance.shade > 0.0;
@@ -359,7 +359,8 @@ impl<'a> Casters<'a> {
         }
     }
 
-    /// Look along a cone of radius `slope t` past one caster; only what comes closer than `x_known` matters.
+    /// Evaluates a cone of radius `slope t` past one occluder. Only edges closer to the axis than `x_known` are
+    /// relevant.
     fn cone_past(
         &self,
         caster: &Caster<'_>,

@@ -71,7 +71,7 @@ def test_frames_are_the_pictures_of_render(scene, instances, options, device) ->
     assert_equal(frame, fb.render(fb.Scene(both, lights), CAMERA, **options))
     assert not np.array_equal(frame.color, first.color)
 
-    # What a frame is given holds for that frame only.
+    # The arguments of a frame are valid for that frame only.
     assert_equal(renderer.frame(CAMERA), first)
 
 

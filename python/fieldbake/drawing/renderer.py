@@ -1,4 +1,4 @@
-"""Frames of one scene: whatever does not change between them is prepared once."""
+"""Frames of one scene: data that does not change between them is prepared once."""
 
 from __future__ import annotations
 

@@ -131,7 +131,7 @@ class SceneBuilder:
         self._fields: dict[object, _core.SceneField] = {}
         self._quadrics: dict[int, list[_core.SceneField]] = {}
         self._sheets: dict[object, Sheet] = {}
-        # Of the first scene and of the last one: materials may differ from scene to scene.
+        # Textures of the first scene and of the last scene: materials may differ from scene to scene.
         self._first: Textures | None = None
         self._textures: Textures = {}
 
