@@ -40,14 +40,14 @@ export function mount(root: HTMLElement, buffer: ArrayBuffer): Mounted {
   if (still) still.before(canvas);
   else root.append(canvas);
   const controls = new Controls(root, view);
-  if (still) showStill(still, view);
+  const copied = still && showStill(still, view);
   view.onProblem = (message) => {
     controls.say(message);
     if (!still || view.hasDrawn) return;
     canvas.style.display = "none";
     still.style.display = "";
   };
-  void drawFirst(view, still ? "still" : "moving");
+  void Promise.resolve(copied).then(() => drawFirst(view, still ? "still" : "moving"));
   const close = () => {
     controls.close();
     view.close();
@@ -56,7 +56,7 @@ export function mount(root: HTMLElement, buffer: ArrayBuffer): Mounted {
 }
 
 /** Copy the picture of a page to the canvas of its view, so that the view accepts input before it has drawn. */
-function showStill(still: HTMLImageElement, view: View): void {
+function showStill(still: HTMLImageElement, view: View): Promise<void> {
   const copy = () => {
     if (view.hasDrawn) return;
     view.canvas.getContext("2d")!.drawImage(still, 0, 0, view.canvas.width, view.canvas.height);
@@ -64,12 +64,12 @@ function showStill(still: HTMLImageElement, view: View): void {
     still.style.display = "none";
   };
   view.canvas.style.display = "none";
-  still.decode().then(copy, () => {});
   view.onChange = () => {
     view.canvas.style.display = "";
     still.remove();
     view.onChange = () => {};
   };
+  return still.decode().then(copy, () => {});
 }
 
 /** Draw the first picture in turn with the other windows of the tab, and release the context if there are others. */
@@ -89,10 +89,19 @@ interface PageHook {
   view: View;
 }
 
+/** Resolves after the browser has painted the page, or after 500 ms where it paints nothing. */
+function painted(): Promise<void> {
+  return new Promise((done) => {
+    requestAnimationFrame(() => setTimeout(done));
+    setTimeout(done, 500);
+  });
+}
+
 async function openPage(): Promise<void> {
   const holder = document.getElementById("fieldbake-data");
   const root = document.getElementById("fieldbake-view");
   if (!holder || !root) return;
+  await painted();
   const binary = atob(holder.textContent ?? "");
   const bytes = Uint8Array.from(binary, (character) => character.charCodeAt(0));
   const mounted = mount(root, await inflated(bytes));

@@ -253,8 +253,9 @@ export class View {
     this.show(width, height);
     const spent = performance.now() - started;
     this.times.moving = spent;
-    if (spent > 1.5 * MOVING_MS) this.coarseness = Math.min(COARSEST, this.coarseness + 1);
-    else if (spent < 0.4 * MOVING_MS) this.coarseness = Math.max(1, this.coarseness - 1);
+    // Time goes with the number of pixels. One slow frame, such as that of a first compilation, changes little.
+    const factor = Math.max(0.7, Math.min(1.4, Math.sqrt(spent / MOVING_MS)));
+    this.coarseness = Math.max(1, Math.min(COARSEST, this.coarseness * factor));
     await new Promise(requestAnimationFrame);
   }
 
