@@ -359,7 +359,7 @@ def test_pictures_are_those_of_the_dense_bake(volume, mesh):
     assert np.array_equal(np.isfinite(frame.depth), np.isfinite(expected.depth))
     hit = np.isfinite(frame.depth)
     assert np.abs(frame.depth[hit] - expected.depth[hit]).max() <= 1e-4 * np.ptp(volume.bounds, axis=0).max()
-    assert (np.abs(frame.image.astype(int) - expected.image.astype(int)).max(axis=2) > 2).mean() < 0.005
+    assert (np.abs(frame.image.astype(int) - expected.image.astype(int)).max(axis=2) <= 2).mean() > 0.995
     assert volume.raymarch(size=(32, 32), shadows="soft", device="cpu").color.shape == (32, 32, 4)
     assert volume._repr_png_().startswith(b"\x89PNG")
 

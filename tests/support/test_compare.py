@@ -1,5 +1,9 @@
 """The comparisons fail where they must."""
 
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -33,3 +37,46 @@ def test_close_holds_up_to_the_tolerance():
 
 def test_nan_exceeds_every_limit():
     assert exceeds([0.5, 1.0, 1.5, np.nan, np.inf], 1.0).tolist() == [False, False, True, True, True]
+
+
+def comparisons_that_nan_passes(text: str) -> Iterator[str]:
+    """Assertions of a test file that hold where values are NaN."""
+
+    def is_order(node: ast.AST) -> bool:
+        return isinstance(node, ast.Compare) and isinstance(node.ops[0], (ast.Lt, ast.LtE, ast.Gt, ast.GtE))
+
+    def counts(node: ast.AST) -> bool:
+        """Whether a call counts the elements for which a comparison holds."""
+        is_method = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
+        return is_method and node.func.attr in ("mean", "sum", "any") and is_order(node.func.value)
+
+    for node in ast.walk(ast.parse(text)):
+        is_method = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
+        if is_method and node.func.attr == "assert_allclose" and "equal_nan" not in [w.arg for w in node.keywords]:
+            yield ast.unparse(node)
+        for part in ast.walk(node.test) if isinstance(node, ast.Assert) else ():
+            is_few = isinstance(part, ast.Compare) and counts(part.left) and isinstance(part.ops[0], (ast.Lt, ast.LtE))
+            is_not = isinstance(part, ast.UnaryOp) and isinstance(part.op, ast.Not)
+            if is_few or (is_not and (is_order(part.operand) or counts(part.operand))):
+                yield ast.unparse(part)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "assert (error > 1e-6).mean() <= 0.01",
+        "assert not (error > 1e-6).any()",
+        "assert not error > 1e-6",
+        "np.testing.assert_allclose(a, b)",
+    ],
+)
+def test_a_comparison_that_nan_passes_is_found(text):
+    assert len(list(comparisons_that_nan_passes(text))) == 1
+    assert not list(comparisons_that_nan_passes("assert exceeds(error, 1e-6).mean() <= 0.01"))
+
+
+def test_no_test_has_a_comparison_that_nan_passes():
+    files = sorted(Path(__file__).parents[1].rglob("*.py"))
+    found = {file.name: list(comparisons_that_nan_passes(file.read_text(encoding="utf-8"))) for file in files}
+    assert len(files) > 100
+    assert {name: texts for name, texts in found.items() if texts} == {}
