@@ -21,6 +21,10 @@ pub enum MeshError {
         "the mesh spans {extent:e} units, outside the range that float32 distances can hold ({min:e} to {max:e}); scale it"
     )]
     Extent { extent: f64, min: f64, max: f64 },
+    #[error("vertices: must have one row for each of the {vertices} vertices of the mesh, got {count}")]
+    MovedCount { count: usize, vertices: usize },
+    #[error("vertices[{vertex}] = ({x}, {y}, {z}) is not finite")]
+    MovedNotFinite { vertex: usize, x: f64, y: f64, z: f64 },
     #[error("the mesh has {count} {what}, the limit is {limit}")]
     TooLarge { what: &'static str, count: usize, limit: usize },
 }

@@ -23,6 +23,7 @@ if _TYPE_CHECKING:
     from .atlases.atlas import Atlas as Atlas, AtlasEntry as AtlasEntry
     from .atlases.packing import pack as pack
     from .baking.dense import bake as bake
+    from .baking.sequence import bake_sequence as bake_sequence
     from .baking.sparse import bake_sparse as bake_sparse
     from .base.adapters import Device as Device, devices as devices
     from .base.errors import (
@@ -141,6 +142,7 @@ _NAMES = {
     ),
     "atlases.packing": ("pack",),
     "baking.dense": ("bake",),
+    "baking.sequence": ("bake_sequence",),
     "baking.sparse": ("bake_sparse",),
     "base.adapters": (
         "Device",

@@ -93,7 +93,7 @@ class Mesh:
         """Input row of each kept face, (m,)."""
     @property
     def center(self) -> NDArray[np.float64]:
-        """Centre of the box; the core stores float32 offsets from it, (3,)."""
+        """Origin of local coordinates, near the centre of the box; the core stores float32 offsets from it, (3,)."""
     @property
     def bounds(self) -> NDArray[np.float64]:
         """Lower and upper corner, (2, 3)."""
@@ -104,6 +104,8 @@ class Mesh:
         """The data that restores this mesh: kept vertices (n, 3); all faces (m, 3) as rows of those; and, if vertices
         were dropped, the input row of each kept one, followed by the number of input vertices.
         """
+    def moved(self, vertices: NDArray[np.float64]) -> Mesh:
+        """The mesh with its kept vertices at other positions (n, 3), and with the tables that still hold."""
     def self_intersections(self) -> int:
         """Number of pairs of faces without a common vertex that intersect."""
     def deviation(self, other: Mesh) -> tuple[float, float]:
@@ -136,6 +138,23 @@ def bake(
     sentence), the entries of :meth:`Mesh.topology`, ``undecided_voxels``, ``inside_voxels``, ``device``, ``seconds``
     (dict: stage to float), ``peak_bytes``, ``warnings`` (list of sentences).
     """
+
+def bake_update(
+    mesh: Mesh,
+    before: Mesh,
+    distances: NDArray[np.float32],
+    undecided: int,
+    lower: tuple[float, float, float],
+    upper: tuple[float, float, float],
+    *,
+    sign: str = "auto",
+    band: float | None = None,
+    thickness: float | None = None,
+    progress: Callable[[float], object] | None = None,
+) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    """The result of :func:`bake` on the CPU for a mesh whose vertices moved. ``before`` and ``distances`` are the mesh
+    and the samples (nx, ny, nz), x fastest in memory, of a bake on the CPU with the same grid and options, and
+    ``undecided`` is its number of undecided voxels."""
 
 def bake_window(
     mesh: Mesh,

@@ -81,7 +81,7 @@ impl Band {
         let coarse = coarse_grid(local, STRIDE);
         let nodes = coarse.shape();
         let mut squares = vec![0.0; nodes.iter().product()];
-        dense::distances(mesh.bvh(), &coarse, f32::INFINITY, 1.0, progress, &mut squares)?;
+        dense::distances(mesh, &coarse, f32::INFINITY, 1.0, progress, &mut squares)?;
         squares.par_iter_mut().for_each(|distance| *distance *= *distance);
         Ok(Self {
             width: width(local, voxels),

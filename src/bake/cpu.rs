@@ -79,7 +79,7 @@ impl Job<'_> {
         }
         // The scale is a power of two, so the product is exact.
         let scale = self.mesh.scale();
-        dense::distances(self.mesh.bvh(), &self.local, far.width() as f32, scale as f32, self.progress, out)?;
+        dense::distances(self.mesh, &self.local, far.width() as f32, scale as f32, self.progress, out)?;
         if !matches!(far, Far::Exact) {
             out.par_chunks_mut(self.local.shape()[0]).enumerate().for_each(|(row, samples)| {
                 for (x, sample) in samples.iter_mut().enumerate() {

@@ -14,11 +14,13 @@ mod gpu_tests;
 mod report;
 mod signs;
 mod sparse;
+mod update;
 mod window;
 
 pub use brute::bake_brute;
 pub use report::{Report, sign_warnings};
 pub use sparse::bake_sparse;
+pub use update::{Before, update};
 pub use window::{bake_window, sides_of_balls};
 
 use crate::error::{ArgumentError, Error};

@@ -62,7 +62,7 @@ pub fn bake_sparse<T: Texel>(
     let scale = mesh.scale() as f32;
     let regions = brick_counts(grid).map(|bricks| bricks.div_ceil(REGION_BRICKS)).iter().product::<usize>() as u64;
     progress.set_total(nodes.len() as u64 + regions * REGION_WORK);
-    dense::distances(mesh.bvh(), &LocalGrid::new(&nodes_on, mesh), f32::INFINITY, scale, progress, &mut nodes)?;
+    dense::distances(mesh, &LocalGrid::new(&nodes_on, mesh), f32::INFINITY, scale, progress, &mut nodes)?;
     nodes.par_iter_mut().for_each(|node| *node = (f64::from(*node) - half_thickness).abs() as f32);
     stage("brick corners", start);
 
@@ -241,8 +241,7 @@ impl SampleSource for Layer<'_> {
         let distances = &mut distances[..shape.iter().product()];
         let part = job.local.part(of.low, shape);
         // One task of the dense bake. Its progress is private and is never cancelled.
-        let bvh = job.mesh.bvh();
-        let _ = dense::distances(bvh, &part, f32::INFINITY, job.mesh.scale() as f32, &Progress::new(), distances);
+        let _ = dense::distances(job.mesh, &part, f32::INFINITY, job.mesh.scale() as f32, &Progress::new(), distances);
         for (i, &distance) in distances.iter().enumerate() {
             let step = [i % shape[0], i / shape[0] % shape[1], i / (shape[0] * shape[1])];
             let sample = [0, 1, 2].map(|axis| of.low[axis] + step[axis]);

@@ -71,7 +71,8 @@ pub(super) fn build(positions: &[Vec3], faces: &[[u32; 3]]) -> Bvh {
             Pack::new(positions, faces, &members[..count])
         })
         .collect();
-    Bvh { nodes, packs, bounds }
+    let built_cost = Bvh::cost(&nodes);
+    Bvh { nodes, packs, bounds, built_cost, is_refitted: false }
 }
 
 pub(super) fn bounds_of(primitives: &[Primitive]) -> Aabb {

@@ -1,7 +1,11 @@
 //! The nearest triangle of one point: depth first, near child first, pruned by the smallest squared distance so far.
+//!
+//! The result is the least float32 distance of all triangles, and among equal ones the lowest face. Boxes are dropped
+//! only beyond the rounding of float32, so that the result does not depend on the tree. Points far from the mesh use
+//! the tree of a build ([`Mesh::bvh_within`]).
 
 use super::pack::TriangleFrame;
-use super::{Bvh, ChildRef, MAX_STACK, Node, WIDTH};
+use super::{Bvh, ChildRef, FAR, MAX_STACK, Node, ROUNDING, WIDTH};
 use crate::geometry::{TrianglePoint, closest_point_on_triangle};
 use crate::mesh::Mesh;
 use glam::{DVec3, Vec3};
@@ -31,14 +35,14 @@ pub struct ClosestPoint {
 }
 
 impl Mesh {
-    /// The closest point to a local position. Among equally near faces the first one found is returned.
+    /// The closest point to a local position. Among equally near faces the lowest one is returned.
     pub fn closest_point(&self, p: DVec3) -> ClosestPoint {
         self.closest_point_within(p, f32::INFINITY).expect("a mesh has at least one face")
     }
 
     /// The closest point, or None if every squared float32 distance exceeds `bound_squared`.
     pub fn closest_point_within(&self, p: DVec3, bound_squared: f32) -> Option<ClosestPoint> {
-        let nearest = self.bvh().nearest(p.as_vec3(), bound_squared)?;
+        let nearest = self.bvh_within(p.abs().max_element()).nearest(p.as_vec3(), bound_squared)?;
         Some(self.closest_point_on_face(nearest.face, p))
     }
 
@@ -100,22 +104,33 @@ impl Bvh {
         stack[0] = (0.0, Bvh::ROOT);
         let mut top = 1;
         let mut best = bound_squared;
-        let mut best_slot = None;
+        // A box may be dropped beyond the rounding of a distance to it and of one to a triangle in it.
+        let reach = f64::from(p.abs().max_element());
+        let slack = if reach <= FAR { (2.0 * ROUNDING * (1.0 + reach)) as f32 } else { 0.0 };
+        let beyond = |squared: f32| {
+            let limit = squared.sqrt() + slack;
+            limit * limit
+        };
+        let mut limit = beyond(best);
+        let mut nearest: Option<(Slot, u32)> = None;
         while top > 0 {
             top -= 1;
             let (box_squared, child) = stack[top];
-            if box_squared > best {
+            if box_squared > limit {
                 continue;
             }
             if child.is_pack() {
                 let pack = &self.packs[child.index()];
                 let found = pack.distances_squared(p);
                 for lane in 0..WIDTH {
-                    if found[lane] < best || (found[lane] == best && best_slot.is_none()) {
+                    let face = pack.face(lane);
+                    let is_lower = || nearest.is_none_or(|(_, lowest)| face < lowest);
+                    if found[lane] < best || (found[lane] == best && is_lower()) {
                         best = found[lane];
-                        best_slot = Some(Slot { pack: child.index() as u32, lane: lane as u8 });
+                        nearest = Some((Slot { pack: child.index() as u32, lane: lane as u8 }, face));
                     }
                 }
+                limit = beyond(best);
                 continue;
             }
             // Pushes the children that may contain a nearer triangle, the nearest on top.
@@ -123,7 +138,7 @@ impl Bvh {
             let found = node.distances_squared(p);
             let bottom = top;
             for lane in 0..WIDTH {
-                if found[lane] <= best && !node.children[lane].is_none() {
+                if found[lane] <= limit && !node.children[lane].is_none() {
                     let mut slot = top;
                     while slot > bottom && stack[slot - 1].0 < found[lane] {
                         stack[slot] = stack[slot - 1];
@@ -134,12 +149,7 @@ impl Bvh {
                 }
             }
         }
-        best_slot.map(|slot| Nearest { slot, face: self.face(slot), distance_squared: best })
-    }
-
-    /// The face in a slot.
-    pub fn face(&self, slot: Slot) -> u32 {
-        self.packs[slot.pack as usize].face(usize::from(slot.lane))
+        nearest.map(|(slot, face)| Nearest { slot, face, distance_squared: best })
     }
 
     /// The triangle in a slot.

@@ -10,15 +10,10 @@
 //! are compared in float64 instead.
 
 use super::closest::ClosestPoint;
-use super::{Bvh, ChildRef, MAX_STACK, Node, WIDTH};
+use super::{Bvh, ChildRef, FAR, MAX_STACK, Node, ROUNDING, WIDTH};
 use crate::mesh::Mesh;
 use glam::DVec3;
 
-/// Largest local coordinate of a point for which the float32 search is used.
-const FAR: f64 = 8.0;
-/// Rounding of a float32 distance, relative to 1 plus the largest coordinate of the point. Positions, the point and the
-/// frames are rounded to 6e-8 each, and about twelve operations follow (the test of `bvh::pack` allows 2.5e-7).
-const ROUNDING: f64 = 4e-7;
 /// Number of faces kept before float64 compares them. A list of 4 kB would displace the nodes from the first-level
 /// cache.
 const KEPT: usize = 48;

@@ -16,6 +16,7 @@ pub mod closest;
 pub mod exact;
 pub mod pack;
 pub mod ray_lanes;
+mod refit;
 pub mod watertight;
 
 use crate::geometry::Aabb;
@@ -73,7 +74,18 @@ pub struct Bvh {
     pub nodes: Vec<Node>,
     pub packs: Vec<Pack>,
     pub bounds: Aabb,
+    /// Cost of the tree by the surface area heuristic when it was built.
+    built_cost: f64,
+    /// Whether the boxes were refitted since.
+    is_refitted: bool,
 }
+
+/// Largest local coordinate of a point for which searches bound the rounding of float32, so that their results do not
+/// depend on the tree. Beyond it too many boxes would lie within the rounding.
+pub const FAR: f64 = 8.0;
+/// Rounding of a float32 distance, relative to 1 plus the largest coordinate of the point. Positions, the point and the
+/// frames are rounded to 6e-8 each, and about twelve operations follow (the test of `bvh::pack` allows 2.5e-7).
+const ROUNDING: f64 = 4e-7;
 
 /// Capacity of the stack of a depth-first traversal: seven siblings per level, and the root.
 pub const MAX_STACK: usize = build::MAX_DEPTH * (WIDTH - 1) + 1;
@@ -81,6 +93,10 @@ pub const MAX_STACK: usize = build::MAX_DEPTH * (WIDTH - 1) + 1;
 impl Derived for Bvh {
     fn derive(mesh: &Mesh) -> Self {
         Self::build(mesh.positions(), mesh.faces())
+    }
+
+    fn follow(&self, before: &Mesh, after: &Mesh) -> Option<Self> {
+        self.refitted(before.positions(), after.positions(), after.faces())
     }
 
     fn bytes(&self) -> usize {
@@ -94,9 +110,34 @@ impl Mesh {
         self.derived()
     }
 
+    /// The tree as a build makes it, never refitted. Results that depend on the tree use this one, so that a moved mesh
+    /// has the results of a new one: sums over nodes, searches on a device, and searches far from the mesh.
+    pub fn built_bvh(&self) -> &Bvh {
+        let bvh = self.bvh();
+        if bvh.is_refitted { &self.derived::<BuiltBvh>().0 } else { bvh }
+    }
+
+    /// The tree for points whose largest local coordinate is `reach`.
+    pub fn bvh_within(&self, reach: f64) -> &Bvh {
+        if reach <= FAR { self.bvh() } else { self.built_bvh() }
+    }
+
     /// Whether the tree and the connectivity have been built, so that a query starts at once.
     pub fn is_prepared(&self) -> bool {
         self.has_derived::<Bvh>() && self.has_topology()
+    }
+}
+
+/// See [`Mesh::built_bvh`].
+struct BuiltBvh(Bvh);
+
+impl Derived for BuiltBvh {
+    fn derive(mesh: &Mesh) -> Self {
+        Self(Bvh::build(mesh.positions(), mesh.faces()))
+    }
+
+    fn bytes(&self) -> usize {
+        self.0.bytes()
     }
 }
 

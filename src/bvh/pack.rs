@@ -38,11 +38,17 @@ struct Offset {
 }
 
 impl TriangleFrame {
-    pub fn new(corners: [DVec3; 3]) -> Self {
+    #[inline]
+    pub fn new([a, b, c]: [DVec3; 3]) -> Self {
         // The longest edge comes first, because its direction is the most accurate.
-        let squared = |i: usize| corners[i].distance_squared(corners[(i + 1) % 3]);
-        let first = (1..3).fold(0, |best, i| if squared(i) > squared(best) { i } else { best });
-        let [a, b, c] = [0, 1, 2].map(|i| corners[(first + i) % 3]);
+        let (ab, bc, ca) = (a.distance_squared(b), b.distance_squared(c), c.distance_squared(a));
+        let (a, b, c) = if ca > ab && ca > bc {
+            (c, a, b)
+        } else if bc > ab {
+            (b, c, a)
+        } else {
+            (a, b, c)
+        };
 
         let u = (b - a).normalize();
         // Perpendicular to u. The cross product of a sliver may consist of rounding only; any plane through the edge is
@@ -128,15 +134,20 @@ const FRAME_FLOATS: usize = size_of::<TriangleFrame>() / size_of::<f32>();
 impl Pack {
     pub fn new(positions: &[Vec3], faces: &[[u32; 3]], members: &[u32]) -> Self {
         let mut pack = Self { frames: [[0.0; WIDTH]; FRAME_FLOATS], faces: [0; WIDTH], count: members.len() as u32 };
-        let floats =
-            |face: u32| TriangleFrame::new(faces[face as usize].map(|v| positions[v as usize].as_dvec3())).floats();
-        for (row, value) in pack.frames.iter_mut().zip(floats(members[0])) {
-            *row = [value; WIDTH];
-        }
-        pack.faces = [members[0]; WIDTH];
-        for (lane, &face) in members.iter().enumerate().skip(1) {
-            for (row, value) in pack.frames.iter_mut().zip(floats(face)) {
-                row[lane] = value;
+        for lane in 0..WIDTH {
+            // Empty lanes repeat the first triangle.
+            let Some(&face) = members.get(lane) else {
+                for row in &mut pack.frames {
+                    row[lane] = row[0];
+                }
+                pack.faces[lane] = members[0];
+                continue;
+            };
+            let [a, b, c] = faces[face as usize];
+            let corner = |v: u32| positions[v as usize].as_dvec3();
+            let floats = TriangleFrame::new([corner(a), corner(b), corner(c)]).floats();
+            for i in 0..FRAME_FLOATS {
+                pack.frames[i][lane] = floats[i];
             }
             pack.faces[lane] = face;
         }

@@ -9,12 +9,21 @@ use std::sync::OnceLock;
 pub trait Derived: Any + Send + Sync {
     fn derive(mesh: &Mesh) -> Self;
 
+    /// The table of `after`, which has the faces of `before` at moved vertices, made from this table of `before`. None
+    /// if it must be derived anew.
+    fn follow(&self, _before: &Mesh, _after: &Mesh) -> Option<Self>
+    where
+        Self: Sized,
+    {
+        None
+    }
+
     /// Memory in use, bytes.
     fn bytes(&self) -> usize;
 }
 
 /// Largest number of different tables of one mesh.
-const SLOTS: usize = 8;
+const SLOTS: usize = 12;
 
 /// The tables of a mesh, one slot for each type. The first type that finds a free slot takes it for good.
 #[derive(Debug, Default)]
@@ -23,18 +32,50 @@ pub(super) struct Tables([OnceLock<Slot>; SLOTS]);
 #[derive(Debug)]
 struct Slot {
     id: TypeId,
-    value: OnceLock<Box<dyn Any + Send + Sync>>,
+    /// [`carry`] for the type of the slot.
+    carry: fn(&Table, &Mesh, &Mesh),
+    value: OnceLock<Box<Table>>,
     bytes: OnceLock<usize>,
+}
+
+type Table = dyn Any + Send + Sync;
+
+/// Hands a table of one mesh to another one with the same faces, if the type of the table can follow the motion.
+fn carry<T: Derived>(table: &Table, before: &Mesh, after: &Mesh) {
+    let table: &T = table.downcast_ref().expect("a slot has the type that took it");
+    if let Some(next) = table.follow(before, after) {
+        after.tables.slot::<T>().fill(next);
+    }
+}
+
+impl Slot {
+    fn of<T: Derived>() -> Self {
+        Self { id: TypeId::of::<T>(), carry: carry::<T>, value: OnceLock::new(), bytes: OnceLock::new() }
+    }
+
+    /// Stores a table. The first one that is stored stays.
+    fn fill<T: Derived>(&self, table: T) -> &Table {
+        self.bytes.get_or_init(|| table.bytes());
+        &**self.value.get_or_init(|| Box::new(table))
+    }
 }
 
 impl Tables {
     /// The slot of a type, taken at the first call.
     fn slot<T: Derived>(&self) -> &Slot {
         let id = TypeId::of::<T>();
-        let slots =
-            self.0.iter().map(|slot| slot.get_or_init(|| Slot { id, value: OnceLock::new(), bytes: OnceLock::new() }));
+        let slots = self.0.iter().map(|slot| slot.get_or_init(Slot::of::<T>));
         // Threads that come at the same time agree on the owner of a slot, so a type never has two.
         slots.into_iter().find(|slot| slot.id == id).expect("there is a slot for each type of table")
+    }
+
+    /// Hands the tables of `before`, which are these, to `after`, a mesh with the same faces.
+    pub(super) fn carry(&self, before: &Mesh, after: &Mesh) {
+        for slot in self.0.iter().filter_map(OnceLock::get) {
+            if let Some(table) = slot.value.get() {
+                (slot.carry)(&**table, before, after);
+            }
+        }
     }
 
     pub(super) fn bytes(&self) -> usize {

@@ -1,10 +1,13 @@
 //! Triangles, checked once when the mesh is made.
 //!
 //! Positions are stored twice: the float64 *world* positions of the input, and float32 *local* coordinates for searches
-//! and bakes. Local coordinates are offsets from the centre of the mesh's box, divided by a power of two that brings
-//! the longest side to between 1/2 and 1. A mesh of size 1e-6, or one a million units from the origin, therefore keeps
-//! its relative accuracy (half an ulp of the half extent, 3e-8), squares neither overflow nor vanish, and the division
-//! is exact: `world = center + scale * local`, except for the rounding of `local` to float32.
+//! and bakes. Local coordinates are offsets from a point near the centre of the mesh's box, divided by a power of two
+//! that brings the longest side to between 1/2 and 1. A mesh of size 1e-6, or one a million units from the origin,
+//! therefore keeps its relative accuracy (3e-8: half an ulp of coordinates below 1), squares neither overflow nor
+//! vanish, and the division is exact: `world = center + scale * local`, except for the rounding of `local` to float32.
+//!
+//! The origin of local coordinates is the centre of the box, rounded to multiples of [`CENTER_STEP`] times `scale`.
+//! Small motions of the vertices therefore leave the local coordinates of all other vertices unchanged, to the bit.
 //!
 //! Unused vertices that are not finite, and degenerate faces (a repeated corner, or zero area), are dropped and
 //! counted. A degenerate face still belongs to [`topology`], where it closes the surface around it.
@@ -48,6 +51,9 @@ const MAX_REACH: f64 = 1e18;
 /// World distances are float32. Distances in a grid a thousand times as large as the mesh, and a millionth of its size,
 /// must be normal numbers.
 const EXTENT_RANGE: (f64, f64) = (1e-30, 1e34);
+/// Step to which the origin of local coordinates is rounded, local units, a power of two. Local coordinates reach 1/2
+/// plus half a step and must stay below 1, where the rounding to float32 is still 3e-8.
+const CENTER_STEP: f64 = 0.25;
 
 impl Mesh {
     /// Checks and recentres a mesh. Indices are signed, so that a negative one can be reported.
@@ -73,49 +79,57 @@ impl Mesh {
             }
         }
 
+        let world = source_vertices.iter().map(|&row| vertices[row as usize]).collect();
+        let corners: Vec<[u32; 3]> = faces.iter().map(|face| face.map(|index| kept_row[index as usize])).collect();
+        let dropped = vertices.len() - source_vertices.len();
+        Self::assemble(world, source_vertices, dropped, &corners)
+    }
+
+    /// A mesh of finite vertices and valid faces.
+    fn assemble(
+        world: Vec<[f64; 3]>,
+        source_vertices: Vec<u32>,
+        dropped_vertices: usize,
+        faces: &[[u32; 3]],
+    ) -> Result<Self, MeshError> {
         // The box of the vertices that faces use. Stray vertices must not reduce precision.
-        let position = |row: i64| DVec3::from_array(vertices[row as usize]);
-        let (mut lower, mut upper) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-        for row in faces.iter().flatten() {
-            lower = lower.min(position(*row));
-            upper = upper.max(position(*row));
-        }
+        let [lower, upper] = bounds_of(&world, faces);
         let extent = (upper - lower).max_element();
         if extent > EXTENT_RANGE.1 || (extent > 0.0 && extent < EXTENT_RANGE.0) {
             return Err(MeshError::Extent { extent, min: EXTENT_RANGE.0, max: EXTENT_RANGE.1 });
         }
-        // Halves are added, because the sum of the corners of a finite box may overflow.
-        let center = lower * 0.5 + upper * 0.5;
         let scale = power_of_two_above(extent);
-        let world: Vec<[f64; 3]> = source_vertices.iter().map(|&row| vertices[row as usize]).collect();
-        let positions: Vec<Vec3> = world.iter().map(|&p| ((DVec3::from_array(p) - center) / scale).as_vec3()).collect();
+        let center = rounded_center(lower, upper, scale);
+        let inverse_scale = scale.recip();
+        let local = |&p: &[f64; 3]| ((DVec3::from_array(p) - center) * inverse_scale).as_vec3();
+        let positions: Vec<Vec3> = world.iter().map(local).collect();
 
         let mut kept = Vec::with_capacity(faces.len());
         let mut source_faces = Vec::with_capacity(faces.len());
         let mut degenerate = Vec::new();
-        for (row, face) in faces.iter().enumerate() {
-            let corners = face.map(|index| kept_row[index as usize]);
-            if has_area(&positions, corners) {
-                kept.push(corners);
+        for (row, &face) in faces.iter().enumerate() {
+            if has_area(&positions, face) {
+                kept.push(face);
                 source_faces.push(row as u32);
             } else {
-                degenerate.push(corners);
+                degenerate.push(face);
             }
         }
         if kept.is_empty() {
             return Err(MeshError::AllDegenerate { faces: faces.len() });
         }
+        let bounds = if degenerate.is_empty() { [lower, upper] } else { bounds_of(&world, &kept) };
 
         Ok(Self {
             center,
             scale,
-            inverse_scale: scale.recip(),
-            bounds: bounds_of(&world, &kept),
+            inverse_scale,
+            bounds,
             world,
             positions,
             faces: kept,
             degenerate,
-            dropped_vertices: vertices.len() - source_vertices.len(),
+            dropped_vertices,
             source_vertices,
             source_faces,
             topology: OnceLock::new(),
@@ -123,7 +137,7 @@ impl Mesh {
         })
     }
 
-    /// Centre of the box of all faces, world units.
+    /// Origin of local coordinates, near the centre of the box of all faces, world units.
     pub fn center(&self) -> DVec3 {
         self.center
     }
@@ -175,6 +189,52 @@ impl Mesh {
         &self.source_faces
     }
 
+    /// Faces of the input in their order, degenerate ones included, as indices of the kept vertices.
+    pub fn input_faces(&self) -> Vec<[u32; 3]> {
+        let mut degenerate = self.degenerate.iter();
+        let mut faces = Vec::with_capacity(self.faces.len() + self.degenerate.len());
+        for (face, &row) in self.faces.iter().zip(&self.source_faces) {
+            // Faces without area fill the rows between the kept ones.
+            faces.extend(degenerate.by_ref().take(row as usize - faces.len()));
+            faces.push(*face);
+        }
+        faces.extend(degenerate);
+        faces
+    }
+
+    /// This mesh with its kept vertices at other positions: equal to a new mesh of these positions and the faces of the
+    /// input. The connectivity and the tables are carried over where they still hold. This mesh stays unchanged.
+    pub fn moved(&self, vertices: &[[f64; 3]]) -> Result<Self, MeshError> {
+        if vertices.len() != self.world.len() {
+            return Err(MeshError::MovedCount { count: vertices.len(), vertices: self.world.len() });
+        }
+        if let Some(vertex) = vertices.iter().position(|p| p.iter().any(|x| !x.is_finite())) {
+            let [x, y, z] = vertices[vertex];
+            return Err(MeshError::MovedNotFinite { vertex, x, y, z });
+        }
+        let (source, dropped) = (self.source_vertices.clone(), self.dropped_vertices);
+        let mut mesh = if self.degenerate.is_empty() {
+            Self::assemble(vertices.to_vec(), source, dropped, &self.faces)?
+        } else {
+            Self::assemble(vertices.to_vec(), source, dropped, &self.input_faces())?
+        };
+        if mesh.has_faces_of(self) {
+            let (topology, ()) = rayon::join(
+                || self.topology.get().and_then(|topology| topology.follow(&mesh)),
+                || self.tables.carry(self, &mesh),
+            );
+            if let Some(topology) = topology {
+                mesh.topology = OnceLock::from(topology);
+            }
+        }
+        Ok(mesh)
+    }
+
+    /// Whether both meshes have the same faces, and the same of them are degenerate.
+    pub fn has_faces_of(&self, other: &Self) -> bool {
+        self.faces == other.faces && self.degenerate == other.degenerate
+    }
+
     /// Number of vertices dropped because they were unused and not finite.
     pub fn dropped_vertices(&self) -> usize {
         self.dropped_vertices
@@ -182,7 +242,9 @@ impl Mesh {
 
     /// Local corners of a face in float32 precision, as searches compare them.
     pub fn triangle(&self, face: u32) -> [DVec3; 3] {
-        self.faces[face as usize].map(|v| self.positions[v as usize].as_dvec3())
+        let [a, b, c] = self.faces[face as usize];
+        let corner = |v: u32| self.positions[v as usize].as_dvec3();
+        [corner(a), corner(b), corner(c)]
     }
 
     /// Local position of a vertex in the precision of the float64 input.
@@ -225,8 +287,23 @@ impl Mesh {
 
 /// Lower and upper corner of the vertices that faces use.
 fn bounds_of(vertices: &[[f64; 3]], faces: &[[u32; 3]]) -> [DVec3; 2] {
-    let used = faces.iter().flatten().map(|&v| DVec3::from_array(vertices[v as usize]));
-    used.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[lower, upper], p| [lower.min(p), upper.max(p)])
+    let (mut lower, mut upper) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    for &v in faces.as_flattened() {
+        let p = DVec3::from_array(vertices[v as usize]);
+        lower = lower.min(p);
+        upper = upper.max(p);
+    }
+    [lower, upper]
+}
+
+/// The centre of a box, rounded to multiples of [`CENTER_STEP`] times `scale`.
+fn rounded_center(lower: DVec3, upper: DVec3, scale: f64) -> DVec3 {
+    // Halves are added, because the sum of the corners of a finite box may overflow.
+    let center = lower * 0.5 + upper * 0.5;
+    let step = CENTER_STEP * scale;
+    let rounded = (center / step).round() * step;
+    // The quotient of a box without extent may overflow. Such a mesh has no face with an area.
+    if rounded.is_finite() { rounded } else { center }
 }
 
 /// The power of two that brings `extent` to the interval (1/2, 1]; 1 for a single point.
@@ -253,7 +330,8 @@ fn check_faces(vertices: &[[f64; 3]], faces: &[[i64; 3]]) -> Result<(), MeshErro
 /// float64 unless magnitudes differ by 2^29, so a degenerate face is recognised in its stored form.
 fn has_area(positions: &[Vec3], face: [u32; 3]) -> bool {
     let [a, b, c] = face;
-    a != b && b != c && c != a && triangle_cross(face.map(|v| positions[v as usize].as_dvec3())) != DVec3::ZERO
+    let corner = |v: u32| positions[v as usize].as_dvec3();
+    a != b && b != c && c != a && triangle_cross([corner(a), corner(b), corner(c)]) != DVec3::ZERO
 }
 
 #[cfg(test)]

@@ -15,6 +15,7 @@
 use super::Mesh;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
+use rustc_hash::{FxBuildHasher, FxHashSet};
 
 /// Contribution of a face to the winding number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -26,7 +27,7 @@ pub enum Orientation {
 }
 
 /// Properties of a surface; see the module documentation.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Topology {
     /// Number of edges of a single face.
     pub boundary_edges: usize,
@@ -51,6 +52,9 @@ pub struct Topology {
     pub welded: Vec<u32>,
     /// Orientation of each face.
     pub orientation: Vec<Orientation>,
+    /// Whether the areas or the volume of a patch decided its direction. If not, the orientation follows from the
+    /// connectivity alone.
+    is_weighed: bool,
 }
 
 /// A patch whose two directions differ in area by less than this fraction is oriented to positive volume.
@@ -95,7 +99,7 @@ impl Topology {
             .filter(|&f| orientation[f as usize] != Orientation::Skipped && bodies.root(f).0 == f)
             .count();
         let unorientable_patches = patches.conflicts.len();
-        let flipped_faces = orient(mesh, &faces, &edges, &mut patches, &mut orientation);
+        let (flipped_faces, is_weighed) = orient(mesh, &faces, &edges, &mut patches, &mut orientation);
 
         // The unbalanced edges are the rim of the openings.
         let mut rim = Vec::new();
@@ -108,8 +112,6 @@ impl Topology {
             let walked = if net > 0 { [low, high] } else { [high, low] };
             rim.extend(std::iter::repeat_n(walked, net.unsigned_abs() as usize));
         }
-        let signed_volume =
-            (0..mesh.faces().len()).map(|f| direction(orientation[f]) * volume_under(mesh, f)).sum::<f64>();
         orientation.truncate(mesh.faces().len());
 
         Self {
@@ -120,11 +122,21 @@ impl Topology {
             unorientable_patches,
             components,
             closed: rim.is_empty(),
-            signed_volume,
+            signed_volume: signed_volume(mesh, &orientation),
             rim,
             welded,
             orientation,
+            is_weighed,
         }
+    }
+
+    /// The connectivity of `mesh`, which has the same faces at moved vertices. None if it may differ from this one:
+    /// other vertices coincide, or areas decide the direction of a patch.
+    pub fn follow(&self, mesh: &Mesh) -> Option<Self> {
+        if self.is_weighed || !is_welded(mesh, &self.welded) {
+            return None;
+        }
+        Some(Self { signed_volume: signed_volume(mesh, &self.orientation), ..self.clone() })
     }
 
     /// Corners of a face that determines the sign, in its final orientation: indices into the positions of the mesh.
@@ -154,8 +166,7 @@ pub fn direction(orientation: Orientation) -> f64 {
 /// For each vertex the lowest index with the same position, where -0 equals 0.
 fn weld(mesh: &Mesh) -> Vec<u32> {
     // Keys stored beside their rows sort several times faster than keys that are looked up.
-    let key = |p: &Vec3| p.to_array().map(|x| (x + 0.0).to_bits());
-    let mut order: Vec<([u32; 3], u32)> = mesh.positions().iter().map(key).zip(0..).collect();
+    let mut order: Vec<([u32; 3], u32)> = mesh.positions().iter().map(position_key).zip(0..).collect();
     order.par_sort_unstable();
     let mut welded = vec![0; order.len()];
     for group in order.chunk_by(|a, b| a.0 == b.0) {
@@ -164,6 +175,24 @@ fn weld(mesh: &Mesh) -> Vec<u32> {
         }
     }
     welded
+}
+
+/// A key that equal positions share, where -0 equals 0.
+fn position_key(p: &Vec3) -> [u32; 3] {
+    [(p.x + 0.0).to_bits(), (p.y + 0.0).to_bits(), (p.z + 0.0).to_bits()]
+}
+
+/// Whether `welded` is the result of [`weld`], in linear time.
+fn is_welded(mesh: &Mesh, welded: &[u32]) -> bool {
+    let positions = mesh.positions();
+    let mut seen = FxHashSet::with_capacity_and_hasher(positions.len(), FxBuildHasher);
+    welded.iter().enumerate().all(|(v, &first)| {
+        if first as usize == v {
+            seen.insert(position_key(&positions[v]))
+        } else {
+            positions[v] == positions[first as usize]
+        }
+    })
 }
 
 /// Marks every face with the same three corners as an earlier one.
@@ -226,14 +255,14 @@ fn sort_by_vertex<T: Copy + Ord>(
     sorted
 }
 
-/// Flips the faces of each patch to agree. Returns the number of flipped faces.
+/// Flips the faces of each patch to agree. Returns the number of flipped faces, and whether areas or volumes decided.
 fn orient(
     mesh: &Mesh,
     faces: &[[u32; 3]],
     edges: &[&[HalfEdge]],
     patches: &mut DisjointSets,
     orientation: &mut [Orientation],
-) -> usize {
+) -> (usize, bool) {
     #[derive(Clone, Copy, Default)]
     struct Patch {
         area: [f64; 2],
@@ -263,13 +292,14 @@ fn orient(
         }
     }
 
-    let mut flipped = 0;
+    let (mut flipped, mut is_weighed) = (0, false);
     for f in 0..faces.len() {
         let (root, turned) = patches.root(f as u32);
         let patch = &of_root[root as usize];
         if orientation[f] == Orientation::Skipped || patches.conflicts.contains(&root) || patch.faces.contains(&0) {
             continue;
         }
+        is_weighed = true;
         let total = patch.area[0] + patch.area[1];
         let majority_is_turned = patch.area[1] > patch.area[0];
         let clear = patch.area[usize::from(majority_is_turned)] >= MAJORITY * total;
@@ -279,7 +309,12 @@ fn orient(
             flipped += 1;
         }
     }
-    flipped
+    (flipped, is_weighed)
+}
+
+/// Volume that the oriented faces enclose, local units.
+fn signed_volume(mesh: &Mesh, orientation: &[Orientation]) -> f64 {
+    (0..mesh.faces().len()).map(|f| direction(orientation[f]) * volume_under(mesh, f)).sum()
 }
 
 /// Signed volume of the tetrahedron that a face spans with the centre of the mesh.

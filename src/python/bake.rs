@@ -1,17 +1,18 @@
-//! `fieldbake._core.bake`, `bake_window`, `sides_of_balls` and `bake_brute`.
+//! `fieldbake._core.bake`, `bake_update`, `bake_window`, `sides_of_balls` and `bake_brute`.
 
-use super::convert::{grid, rows, volume_array};
+use super::convert::{self, grid, rows, volume_array};
 use super::device::{DeviceField, choose};
 use super::error::{Failure, exception};
 use super::mesh::Mesh;
 use super::run::run;
 use crate::bake::{
-    BakeOptions, Field, Report, bake_at, bake_brute as brute, bake_window as window, sides_of_balls as balls,
+    BakeOptions, Before, Field, Report, bake_at, bake_brute as brute, bake_window as window, sides_of_balls as balls,
+    update,
 };
 use crate::error::DeviceError;
 use crate::gpu::Place;
 use crate::sign::SignMethod;
-use numpy::{IntoPyArray, PyArray1, PyArray3, PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{IntoPyArray, PyArray1, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -42,6 +43,36 @@ pub fn bake<'py>(
         Field::Device(field) => Bound::new(py, DeviceField(field))?.into_any(),
     };
     Ok((distances, report_dict(py, &report)?))
+}
+
+/// Bakes a mesh whose vertices moved, on the CPU: the distances (nx, ny, nz) and the report of `bake`. `before` and
+/// `distances` are the mesh and the result of a bake on the CPU with the same grid and options, `undecided` its number
+/// of undecided voxels.
+#[pyfunction]
+#[pyo3(signature = (
+    mesh, before, distances, undecided, lower, upper, *, sign="auto", band=None, thickness=None, progress=None
+))]
+pub fn bake_update<'py>(
+    py: Python<'py>,
+    mesh: &Mesh,
+    before: &Mesh,
+    distances: PyReadonlyArray3<'py, f32>,
+    undecided: usize,
+    lower: [f64; 3],
+    upper: [f64; 3],
+    sign: &str,
+    band: Option<f64>,
+    thickness: Option<f64>,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<(Bound<'py, PyArray3<f32>>, Bound<'py, PyDict>)> {
+    let field = convert::Field::new(&distances, lower, upper)?;
+    let sign = sign.parse::<SignMethod>().map_err(Failure::from)?;
+    let options = BakeOptions { sign, band, thickness };
+    let (mesh, before) = (mesh.0.clone(), before.0.clone());
+    let (grid, samples) = (field.grid(), field.samples());
+    let before = Before { mesh: &before, distances: samples, undecided };
+    let baked = run(py, progress, |progress| update(&before, &mesh, &grid, &options, progress))?;
+    Ok((volume_array(py, baked.distances, grid.shape)?, report_dict(py, &baked.report)?))
 }
 
 /// Samples `low..low + size` of the bake on the CPU of a grid, (sx, sy, sz); distances beyond the band are cut to it.

@@ -95,6 +95,15 @@ impl<'a, T: Texel + numpy::Element> Field<'a, T> {
         Ok(Self { grid: grid(lower, upper, shape)?, samples, scale })
     }
 
+    pub fn grid(&self) -> Grid {
+        self.grid
+    }
+
+    /// Samples, x fastest.
+    pub fn samples(&self) -> &'a [T] {
+        self.samples
+    }
+
     pub fn view(&self) -> Result<FieldView<'a, T>, Error> {
         FieldView::encoded(self.grid, self.samples, self.scale)
     }

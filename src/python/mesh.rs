@@ -78,20 +78,19 @@ impl Mesh {
         py: Python<'py>,
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<u32>>, Option<Bound<'py, PyArray1<u32>>>)> {
         let core = &mesh.get().0;
-        let mut degenerate = core.degenerate_faces().iter();
-        let mut faces = Vec::with_capacity(core.faces().len() + degenerate.len());
-        for (face, &row) in core.faces().iter().zip(core.source_faces()) {
-            // Faces without area fill the rows between the kept ones.
-            faces.extend(degenerate.by_ref().take(row as usize - faces.len()));
-            faces.push(*face);
-        }
-        faces.extend(degenerate);
         let rows = (core.dropped_vertices() > 0).then(|| {
             let count = core.source_vertices().len() + core.dropped_vertices();
             PyArray1::from_iter(py, core.source_vertices().iter().copied().chain([count as u32]))
         });
         let vertices = row_array(py, core.world_positions().iter().copied())?;
-        Ok((vertices, row_array(py, faces.into_iter())?, rows))
+        Ok((vertices, row_array(py, core.input_faces().into_iter())?, rows))
+    }
+
+    /// The mesh with its kept vertices at other positions (n, 3).
+    fn moved(&self, py: Python<'_>, vertices: PyReadonlyArray2<'_, f64>) -> PyResult<Self> {
+        let vertices = rows(&vertices, "vertices")?;
+        let moved = run(py, None, |_| Ok(self.0.moved(vertices)))?;
+        Ok(Self(Arc::new(moved.map_err(Failure::from)?)))
     }
 
     /// Number of pairs of faces without a common vertex that intersect.

@@ -29,7 +29,7 @@ pub(super) fn nearest_faces(
     if points.is_empty() {
         return Ok(faces);
     }
-    let tree = BinaryTree::new(mesh.bvh(), mesh.positions(), mesh.faces());
+    let tree = BinaryTree::new(mesh.built_bvh(), mesh.positions(), mesh.faces());
     let nodes = context.upload("tree", &tree.nodes)?;
     let triangles = context.upload("triangles", &tree.triangles)?;
     let kernel = context.kernel("query_points", "main")?;

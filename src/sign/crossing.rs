@@ -164,53 +164,71 @@ pub fn scan_row(surface: &Surface<'_>, axes: Axes, row: f64, columns: &Samples, 
             f64::from(node.min[axes.row][i]) <= row
                 && row <= f64::from(node.max[axes.row][i])
                 && columns.at(0) <= f64::from(node.max[axes.column][i])
+                && f64::from(node.min[axes.column][i]) <= columns.at(columns.count - 1)
         })
     };
-    surface.for_each_candidate(overlaps, |triangle| {
-        // The row crosses two edges or none; the columns between them are covered.
-        let mut cuts = [(0, 0); 2];
-        let mut found = 0;
-        for i in 0..3 {
-            let (a, b) = (triangle[i], triangle[(i + 1) % 3]);
-            let (low, high, turn) = match (a[axes.row] <= row, b[axes.row] <= row) {
-                (true, false) => (a, b, 1),
-                (false, true) => (b, a, -1),
-                _ => continue,
-            };
-            let t = (row - low[axes.row]) / (high[axes.row] - low[axes.row]);
-            let estimate = low[axes.column] + t * (high[axes.column] - low[axes.column]);
-            let column = columns.count_before(estimate, |column| {
-                let mut p = DVec3::ZERO;
-                p[axes.column] = column;
-                p[axes.row] = row;
-                side(low, high, p, axes) > 0.0
-            });
-            cuts[found] = (column, turn);
-            found += 1;
+    surface.for_each_candidate(overlaps, |triangle| mark_row(triangle, axes, row, columns, along, 1, windings));
+    sum_marks(along, windings);
+}
+
+/// Adds the contribution of one triangle, times `weight`, to the marks of a row. [`sum_marks`] makes winding numbers of
+/// the marks of all triangles.
+pub fn mark_row(
+    triangle: [DVec3; 3],
+    axes: Axes,
+    row: f64,
+    columns: &Samples,
+    along: &Samples,
+    weight: i16,
+    windings: &mut [i16],
+) {
+    // The row crosses two edges or none; the columns between them are covered.
+    let mut cuts = [(0, 0); 2];
+    let mut found = 0;
+    for i in 0..3 {
+        let (a, b) = (triangle[i], triangle[(i + 1) % 3]);
+        let (low, high, turn) = match (a[axes.row] <= row, b[axes.row] <= row) {
+            (true, false) => (a, b, 1),
+            (false, true) => (b, a, -1),
+            _ => continue,
+        };
+        let t = (row - low[axes.row]) / (high[axes.row] - low[axes.row]);
+        let estimate = low[axes.column] + t * (high[axes.column] - low[axes.column]);
+        let column = columns.count_before(estimate, |column| {
+            let mut p = DVec3::ZERO;
+            p[axes.column] = column;
+            p[axes.row] = row;
+            side(low, high, p, axes) > 0.0
+        });
+        cuts[found] = (column, turn);
+        found += 1;
+    }
+    if found < 2 {
+        return;
+    }
+    cuts.sort_unstable();
+    // Columns before both cuts are left of both edges, which cancel. Between them only the farther edge counts.
+    let turns = cuts[1].1;
+    for column in cuts[0].0..cuts[1].0 {
+        let mut origin = DVec3::ZERO;
+        origin[axes.column] = columns.at(column);
+        origin[axes.row] = row;
+        let ahead = along.count_before(height_at(triangle, origin, axes), |position| {
+            let mut p = origin;
+            p[axes.ray] = position;
+            is_ahead(p, triangle, turns, axes)
+        });
+        if ahead > 0 {
+            // The triangle is ahead of every sample up to here. The last one is marked, and the marks are summed
+            // below.
+            let mark = &mut windings[column * along.count + ahead - 1];
+            *mark = mark.wrapping_add(weight * turns as i16);
         }
-        if found < 2 {
-            return;
-        }
-        cuts.sort_unstable();
-        // Columns before both cuts are left of both edges, which cancel. Between them only the farther edge counts.
-        let turns = cuts[1].1;
-        for column in cuts[0].0..cuts[1].0 {
-            let mut origin = DVec3::ZERO;
-            origin[axes.column] = columns.at(column);
-            origin[axes.row] = row;
-            let ahead = along.count_before(height_at(triangle, origin, axes), |position| {
-                let mut p = origin;
-                p[axes.ray] = position;
-                is_ahead(p, triangle, turns, axes)
-            });
-            if ahead > 0 {
-                // The triangle is ahead of every sample up to here. The last one is marked, and the marks are summed
-                // below.
-                let mark = &mut windings[column * along.count + ahead - 1];
-                *mark = mark.wrapping_add(turns as i16);
-            }
-        }
-    });
+    }
+}
+
+/// Sums the marks of each column of a row from the far end, which gives the winding numbers.
+pub fn sum_marks(along: &Samples, windings: &mut [i16]) {
     for column in windings.chunks_exact_mut(along.count) {
         let mut sum = 0i16;
         for mark in column.iter_mut().rev() {

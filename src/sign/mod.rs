@@ -197,16 +197,17 @@ pub fn parity(mesh: &Mesh, p: DVec3) -> (bool, bool) {
 /// Article 001: move the closest point of every face along its normal by a small step, take the nearest, and test the
 /// side of that face. The step breaks ties at edges. Here it scales with the mesh.
 fn is_behind_nudged_face(mesh: &Mesh, p: DVec3, closest: &ClosestPoint) -> bool {
-    let mut best = (f64::INFINITY, false);
+    let mut best = (f64::INFINITY, u32::MAX, false);
     // A nudge changes a distance by at most its length, so no other face can become the nearest.
     let reach = (closest.distance + 2.0 * NUDGE) * (1.0 + 1e-6);
     mesh.bvh().faces_within(p.as_vec3(), reach as f32, |face| {
         let normal = triangle_cross(mesh.triangle(face)).normalize();
         let q = mesh.closest_point_on_face(face, p).on_triangle.point;
         let nudged = (q + normal * NUDGE).distance(p);
-        if nudged < best.0 {
-            best = (nudged, (p - q).dot(normal) < 0.0);
+        // Among equally near faces the lowest one decides, in any order of the faces.
+        if nudged < best.0 || (nudged == best.0 && face < best.1) {
+            best = (nudged, face, (p - q).dot(normal) < 0.0);
         }
     });
-    best.1
+    best.2
 }

@@ -80,7 +80,7 @@ impl Part {
 
 impl Derived for Moments {
     fn derive(mesh: &Mesh) -> Self {
-        let bvh = mesh.bvh();
+        let bvh = mesh.built_bvh();
         let empty = NodeMoments {
             center: [[0.0; WIDTH]; 3],
             far_squared: [0.0; WIDTH],
@@ -127,7 +127,7 @@ impl Mesh {
 impl Moments {
     /// Winding number of a local point.
     pub fn winding(&self, mesh: &Mesh, p: DVec3) -> f64 {
-        let bvh = mesh.bvh();
+        let bvh = mesh.built_bvh();
         let p_single = p.as_vec3();
         let mut stack = [ChildRef::NONE; MAX_STACK];
         stack[0] = Bvh::ROOT;

@@ -23,7 +23,7 @@ from ..meshes.isosurface import FieldSource, MeshSource
 from ..meshes.mesh import Mesh
 from ..queries.common import Sign, check_reach, choices
 from ..shapes.shape import Shape, all_shapes, combine
-from ..volumes.volume import Volume
+from ..volumes.volume import Recipe, Volume
 
 #: Largest distance of a sample from the centre of the mesh, in mesh sizes. The core squares it in float32.
 MAX_GRID_REACH = 1e15
@@ -149,6 +149,17 @@ class Job(NamedTuple):
             return MeshSource(self.mesh, 0.0 if sign_method == "unsigned" else None)
         return MeshSource(self.mesh, self.thickness / 2)
 
+    def on_same_grid(self, mesh: Mesh) -> Job:
+        """Prepare another mesh on the same grid with the same options."""
+        return place(mesh, self.grid, self.sign, self.thickness)
+
+
+def place(mesh: Mesh, grid: Grid, sign: str, thickness: float | None) -> Job:
+    """Prepare a bake on a given grid with checked options."""
+    grown = 0.0 if thickness is None else thickness / 2
+    check_reach("bounds", mesh, np.array([grid.lower, grid.upper]), MAX_GRID_REACH)
+    return Job(mesh, grid, mesh.bounds + np.array([[-grown], [grown]]), sign, thickness)
+
 
 def prepare(
     mesh: MeshLike,
@@ -159,8 +170,9 @@ def prepare(
     sign: Sign,
     two_sided: bool,
     thickness: float | None,
+    box: NDArray[np.float64] | None = None,
 ) -> Job:
-    """Check the arguments that every bake has, and choose the grid."""
+    """Check the arguments that every bake has, and choose the grid. `box` (2, 3) replaces the box of the mesh in it."""
     method = checks.text("sign", sign)
     two_sided = checks.flag("two_sided", two_sided)
     if thickness is not None:
@@ -171,37 +183,55 @@ def prepare(
 
     # A sheet extends half its thickness beyond the triangles.
     grown = 0.0 if thickness is None else thickness / 2
-    inner = checked.bounds + np.array([[-grown], [grown]])
+    inner = (checked.bounds if box is None else box) + np.array([[-grown], [grown]])
     grid = make_grid(inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin)
     if two_sided and thickness is None:
         # Samples of the last voxel lie half a voxel inside the box. The sheet must end before them.
         border = 0.5 + sheet_thickness(grid) / (2 * np.array(grid.spacing))
         grid = make_grid(inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin, border=1.01 * border)
         thickness = sheet_thickness(grid)
-        inner += np.array([[-thickness / 2], [thickness / 2]])
-    check_reach("bounds", checked, np.array([grid.lower, grid.upper]), MAX_GRID_REACH)
-    return Job(checked, grid, inner, method, thickness)
+    return place(checked, grid, method, thickness)
 
 
-def bake_job(job: Job, band: float | None, device: str, progress: Progress) -> Volume:
-    """Bake a prepared job. Its warnings are in the report only."""
+def bake_job(job: Job, band: float | None, device: str, progress: Progress, before: Volume | None = None) -> Volume:
+    """Bake a prepared job. Its warnings are in the report only.
+
+    `before` may be a volume on the same grid with the same options. If it was baked on the CPU from a known mesh, only
+    what differs is baked.
+    """
     grid = job.grid
+    distances: NDArray[np.float32] | _core.DeviceField
     with progress_callback(progress, "bake") as callback:
-        distances, facts = _core.bake(
-            job.mesh._core,
-            grid.lower,
-            grid.upper,
-            grid.shape,
-            sign=job.sign,
-            band=band,
-            thickness=job.thickness,
-            device=device,
-            progress=callback,
-        )
+        if before is not None and before._recipe is not None and before.report.device == "cpu":
+            distances, facts = _core.bake_update(
+                job.mesh._core,
+                before._recipe.mesh._core,
+                before._distances,
+                before.report.undecided_voxels,
+                grid.lower,
+                grid.upper,
+                sign=job.sign,
+                band=band,
+                thickness=job.thickness,
+                progress=callback,
+            )
+        else:
+            distances, facts = _core.bake(
+                job.mesh._core,
+                grid.lower,
+                grid.upper,
+                grid.shape,
+                sign=job.sign,
+                band=band,
+                thickness=job.thickness,
+                device=device,
+                progress=callback,
+            )
     reach = 0.0 if band is None else band * max(grid.spacing)
-    report = Report.of_mesh(job.mesh, {**facts, "band": reach})
+    report = Report.of_mesh(job.mesh, {**facts, "band": reach, "thickness": job.thickness or 0.0})
     source = job.source(report.sign_method)
-    return Volume._wrap(distances, np.array([grid.lower, grid.upper]), job.inner, report, source)
+    recipe = Recipe(job.mesh, job.sign, band, job.thickness, device)
+    return Volume._wrap(distances, np.array([grid.lower, grid.upper]), job.inner, report, source, recipe)
 
 
 def sheet_thickness(grid: Grid) -> float:

@@ -100,6 +100,9 @@ def make_grid(
     if len(sides) != 3:
         raise ArgumentError(f"resolution: must be one whole number or three, got {checks.describe(resolution)}")
     shape = [checks.integer("resolution", n, least=1, most=MAX_SIDE) for n in sides]
+    if outer is not None and not _flat(extent).any():
+        # The corners stay as given, to the bit, so that the box of a volume makes the grid of that volume.
+        return _grid(outer[0], outer[1], shape)
     return _oblong(center, extent, wanted, border_voxels, shape)
 
 
@@ -150,10 +153,15 @@ def _oblong(
     inside = np.where(counts > border_voxels, counts - border_voxels, counts)
     spacing = np.maximum(wanted / counts, extent / inside)
     # A side without extent takes the voxel size of the others.
-    flat = extent <= WHOLE * extent.max()
-    spacing[flat] = spacing.max()
+    spacing[_flat(extent)] = spacing.max()
     half = spacing * counts / 2
     return _grid(center - half, center + half, shape)
+
+
+def _flat(extent: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Mark the sides of a box that have no extent compared with the longest."""
+    flat: NDArray[np.bool_] = extent <= WHOLE * extent.max()
+    return flat
 
 
 def _grid(lower: NDArray[np.float64], upper: NDArray[np.float64], shape: Sequence[int]) -> Grid:

@@ -61,6 +61,8 @@ class Report:
         Peak memory of the bake, bytes.
     band : float
         Distances up to this magnitude are exact, world units; larger magnitudes are lower bounds. 0 if all are exact.
+    thickness : float
+        Thickness of a two-sided sheet, world units; 0 for other fields.
     warnings : tuple of str
         Warnings; each names a remedy.
 
@@ -93,6 +95,7 @@ class Report:
     seconds: Mapping[str, float] = field(default_factory=dict)
     peak_bytes: int = 0
     band: float = 0.0
+    thickness: float = 0.0
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

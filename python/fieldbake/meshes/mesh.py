@@ -209,7 +209,10 @@ class Mesh(Viewable):
         self._vertex_colors = _kept(
             "vertex_colors", vertex_colors, len(positions), "vertex", self._core.source_vertices
         )
-        self._face_colors = _kept("face_colors", face_colors, len(triangles), "face", self._core.source_faces)
+        self._input_face_colors = None
+        if face_colors is not None:
+            self._input_face_colors = checks.frozen(check_colors("face_colors", face_colors, len(triangles), "face"))
+        self._face_colors = self._colors_of_faces()
         if parts is None:
             material = _material(texture, alpha)
             if any(
@@ -219,10 +222,20 @@ class Mesh(Viewable):
             parts = [Part(faces=range(len(triangles)), **material)]
         elif texture is not None or alpha is not None:
             raise MeshError("parts: give either parts or texture and alpha")
+        self._part_rows = tuple(part.faces for part in parts)
+        self._parts = self._placed(parts)
+
+    def _colors_of_faces(self) -> NDArray[np.float32] | None:
+        """Select the colours of the kept faces from those of the faces of the input."""
+        colors = self._input_face_colors
+        return None if colors is None else checks.frozen(colors[self._core.source_faces])
+
+    def _placed(self, parts: Sequence[Part]) -> tuple[Part, ...]:
+        """Copy parts to the kept ones of their faces, whose rows in the input are `_part_rows`."""
         kept = self._core.source_faces
-        self._parts = tuple(
-            part.with_faces(range(*np.searchsorted(kept, (part.faces.start, part.faces.stop)).tolist()))
-            for part in parts
+        return tuple(
+            part.with_faces(range(*np.searchsorted(kept, (rows.start, rows.stop)).tolist()))
+            for part, rows in zip(parts, self._part_rows, strict=True)
         )
 
     @classmethod
@@ -293,7 +306,7 @@ class Mesh(Viewable):
 
     @cached_property
     def center(self) -> NDArray[np.float64]:
-        """Origin of the core's local coordinates: the centre of the box of all faces, (3,) float64, world units."""
+        """Origin of the core's local coordinates, near the centre of the box, (3,) float64, world units."""
         return checks.frozen(self._core.center)
 
     @property
@@ -312,7 +325,7 @@ class Mesh(Viewable):
 
         For an open mesh: the sum of the signed volumes between its faces and the centre of its box.
         """
-        return facts.signed_volume(self._core.vertices, self.faces, self.center)
+        return facts.signed_volume(self._core.vertices, self.faces, self.bounds.mean(axis=0))
 
     @cached_property
     def is_closed(self) -> bool:
@@ -359,9 +372,52 @@ class Mesh(Viewable):
         """
         save_mesh(self.vertices, self.faces, path)
 
+    def moved(self, vertices: ArrayLike) -> Mesh:
+        """Move the vertices and keep the faces. This mesh stays as it is.
+
+        Parameters
+        ----------
+        vertices : (n, 3) real
+            New positions, one row for each row of `vertices`, world units.
+
+        Returns
+        -------
+        Mesh
+            Results with it are equal, bit for bit, to those with a new `Mesh` of these positions and the faces of the
+            input; of several equally near faces either one may be found. Texture coordinates, colours and parts are
+            those of this mesh.
+
+        Raises
+        ------
+        MeshError
+            For a wrong shape, a position that is not finite, and positions that leave no triangle of positive area.
+
+        Notes
+        -----
+        The search tree, if it has been built, is refitted to the new positions in linear time. It is built anew once
+        its cost by the surface area heuristic is 1.5 times that of its build, or if other faces are degenerate. The
+        connectivity is kept as long as the same vertices coincide. What depends on positions is computed again.
+
+        Examples
+        --------
+        >>> mesh = Mesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
+        >>> mesh.moved(mesh.vertices + [0, 0, 2]).bounds.tolist()
+        [[0.0, 0.0, 2.0], [1.0, 1.0, 2.0]]
+        """
+        positions = check_vertices(vertices)
+        mesh = Mesh.__new__(Mesh)
+        mesh._core = self._core.moved(checks.as_float64(positions))
+        mesh._uv, mesh._vertex_colors = self._uv, self._vertex_colors
+        mesh._input_face_colors, mesh._part_rows = self._input_face_colors, self._part_rows
+        if np.array_equal(mesh._core.source_faces, self._core.source_faces):
+            mesh._parts, mesh._face_colors = self._parts, self._face_colors
+        else:
+            mesh._parts, mesh._face_colors = mesh._placed(self._parts), mesh._colors_of_faces()
+        return mesh
+
     def __reduce__(self) -> tuple[Any, ...]:
-        core = self._core
-        return restore, (*core.state(), self._uv, self._parts, self._chord_error)
+        looks = (self._uv, self._vertex_colors, self._input_face_colors)
+        return restore, (*self._core.state(), *looks, self._parts, self._part_rows, self._chord_error)
 
     def topology(self) -> dict[str, Any]:
         """Topology of the surface: boundary, non-manifold, flipped, duplicate and degenerate counts, `closed`, ..."""
@@ -384,11 +440,18 @@ def restore(
     vertices: NDArray[np.float64],
     faces: NDArray[np.uint32],
     rows: NDArray[np.uint32] | None,
-    uv: NDArray[np.float32] | None,
-    parts: tuple[Part, ...],
-    chord_error: float,
+    uv: NDArray[np.float32] | None = None,
+    vertex_colors: NDArray[np.float32] | None = None,
+    face_colors: NDArray[np.float32] | None = None,
+    parts: tuple[Part, ...] = (),
+    part_rows: tuple[range, ...] = (),
+    chord_error: float = 0.0,
 ) -> Mesh:
-    """Restore the mesh that `Mesh.__reduce__` pickled. `rows` are the rows of the input vertices that were kept."""
+    """Restore the mesh that `Mesh.__reduce__` pickled.
+
+    `rows` are the rows of the input vertices that were kept. `face_colors` and `part_rows` are those of all faces of
+    the input.
+    """
     mesh = Mesh.__new__(Mesh)
     if rows is not None:
         # Dropped vertices were not finite. Their rows stay, so that the indices of the input remain valid.
@@ -397,8 +460,11 @@ def restore(
         vertices = places
         faces = rows[faces]
     mesh._core = _core.Mesh(np.ascontiguousarray(vertices), faces.astype(np.int64))
-    mesh._uv = None if uv is None else checks.frozen(uv)
-    mesh._parts = parts
+    mesh._uv, mesh._vertex_colors, mesh._input_face_colors = (
+        None if array is None else checks.frozen(array) for array in (uv, vertex_colors, face_colors)
+    )
+    mesh._face_colors = mesh._colors_of_faces()
+    mesh._parts, mesh._part_rows = parts, part_rows
     mesh._chord_error = chord_error
     return mesh
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..base import checks
 from ..base.errors import ArgumentError
 from .convert import MeshLike, as_mesh
-from .mesh import Mesh, restore
+from .mesh import Mesh
 
 Target = Literal["unit cube", "unit sphere"]
 
@@ -76,6 +76,6 @@ def normalize(mesh: MeshLike, target: Target = "unit cube") -> Normalized:
     transform = np.eye(4)
     transform[:3, :3] /= size
     transform[:3, 3] = -center / size
-    vertices, faces, rows = checked._core.state()
-    parts = (checked.uv, checked.parts, checked.chord_error / size)
-    return Normalized(restore((vertices - center) / size, faces, rows, *parts), transform)
+    normalized = checked.moved((checked.vertices - center) / size)
+    normalized._chord_error = checked.chord_error / size
+    return Normalized(normalized, transform)

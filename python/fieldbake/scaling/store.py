@@ -139,7 +139,7 @@ def read_mesh(group: Any) -> Mesh:
     parts = group["mesh"]
     rows = np.asarray(parts["rows"][...]) if "rows" in parts else None
     vertices, faces = np.asarray(parts["vertices"][...]), np.asarray(parts["faces"][...])
-    return restore(vertices, faces, rows, None, (), 0.0)
+    return restore(vertices, faces, rows)
 
 
 def stored_keys(group: Any, level: int) -> set[str]:

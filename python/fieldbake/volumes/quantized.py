@@ -58,6 +58,7 @@ class QuantizedVolume(Volume):
         volume = cls.__new__(cls)
         volume._encoded, volume._encoding, volume._unit = checks.frozen(encoded), encoding, scale
         volume._field, volume._samples, volume._geometry = None, None, geometry
+        volume._recipe = None
         volume._set_box(encoded.shape, bounds, inner_bounds, report)
         return volume
 

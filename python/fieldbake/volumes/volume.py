@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -18,7 +18,9 @@ from ..base.progress import Progress
 from ..base.report import Report, bytes_text
 from ..files import container
 from ..files.band_blocks import BandBlocks, blocks_of_grid
+from ..meshes.convert import MeshLike
 from ..meshes.isosurface import Source
+from ..meshes.mesh import Mesh
 from . import writers
 from .conventions import Engine, Handedness, Up
 from .grid_field import GridField
@@ -32,6 +34,18 @@ if TYPE_CHECKING:
 
     from .quantized import QuantizedVolume
     from .sparse import SparseVolume
+
+
+class Recipe(NamedTuple):
+    """The mesh and the options of the bake that made a volume."""
+
+    mesh: Mesh
+    sign: str
+    #: Half width of the band, voxels.
+    band: float | None
+    #: Thickness of a two-sided sheet, world units.
+    thickness: float | None
+    device: str
 
 
 class Volume(GridField, Loadable, Shaded):
@@ -65,8 +79,10 @@ class Volume(GridField, Loadable, Shaded):
     [[1.0, 0.0, 0.0]]
     """
 
-    __slots__ = ("_field", "_samples")
+    __slots__ = ("_field", "_recipe", "_samples")
 
+    #: How the volume was baked from a mesh; None for other volumes.
+    _recipe: Recipe | None
     # Samples on a graphics device, and on the host. At least one of the two is present.
     _field: _core.DeviceField | None
     _samples: NDArray[np.float32] | None
@@ -90,7 +106,9 @@ class Volume(GridField, Loadable, Shaded):
         inner_bounds: NDArray[np.float64],
         report: Report,
         geometry: Source | None = None,
+        recipe: Recipe | None = None,
     ) -> None:
+        self._recipe = recipe
         if isinstance(distances, _core.DeviceField):
             self._field, self._samples = distances, None
         else:
@@ -106,10 +124,11 @@ class Volume(GridField, Loadable, Shaded):
         inner_bounds: NDArray[np.float64],
         report: Report,
         geometry: Source | None = None,
+        recipe: Recipe | None = None,
     ) -> Volume:
         """Make a volume of checked arrays without a copy."""
         volume = cls.__new__(cls)
-        volume._set(distances, bounds, inner_bounds, report, geometry)
+        volume._set(distances, bounds, inner_bounds, report, geometry, recipe)
         return volume
 
     @classmethod
@@ -327,6 +346,50 @@ class Volume(GridField, Loadable, Shaded):
         from .sparse import to_sparse
 
         return to_sparse(self, tolerance, band, encoding, progress)
+
+    def update(self, mesh: MeshLike) -> Volume:
+        """Bake another state of the mesh into the same box, with the same resolution and options.
+
+        Parameters
+        ----------
+        mesh : Mesh, or anything that :func:`fieldbake.bake` accepts as a mesh
+            Usually ``volume``'s mesh after :meth:`Mesh.moved`.
+
+        Returns
+        -------
+        Volume
+            Equal, bit for bit, to ``bake(mesh, volume.resolution, bounds=volume.bounds, ...)`` with the options of the
+            first bake. The box stays even if the mesh leaves it. This volume stays as it is.
+
+        Raises
+        ------
+        MeshError
+            If the mesh cannot be read or used.
+        ArgumentError
+            If the box is too far from the mesh.
+
+        Notes
+        -----
+        If the mesh has the faces of the one before, on the CPU, only the blocks of samples near moved triangles are
+        computed again. The whole grid is baked if most faces moved, if the box of the mesh moved by about an eighth of
+        its size or its longest side passed a power of two (then all positions are rounded differently), with a `band`,
+        with ``sign="pseudonormal"`` or ``"normal"``, and on graphics devices. A volume from a file or an array does
+        not know its mesh and is baked whole, with the options that its report states.
+
+        Examples
+        --------
+        An instance follows its mesh by the field of the current state:
+
+        >>> import fieldbake as fb
+        >>> knot = fb.models.torus_knot()
+        >>> volume = fb.bake(knot, 32)
+        >>> bent = knot.moved(knot.vertices + [[0, 0.1, 0]] * np.sin(knot.vertices[:, :1]))
+        >>> volume = volume.update(bent)
+        >>> scene = fb.Scene([fb.Instance(volume, material=fb.Material(color=(0.9, 0.6, 0.2)))])
+        """
+        from ..baking.update import update
+
+        return update(self, mesh)
 
     def save(
         self,

@@ -110,7 +110,8 @@ class Placed:
         """Metadata of the field that a file stores besides the samples."""
         field, scale, report = self._field, self.scale, self._field.report
         inner = self.way.box(field.inner_bounds, self.way.transform(field.bounds))
-        scaled = replace(report, band=report.band * scale, chord_error=report.chord_error * scale)
+        lengths = {name: getattr(report, name) * scale for name in ("band", "thickness", "chord_error")}
+        scaled = replace(report, **lengths)
         return {
             **field._facts(),
             "resolution": list(self.resolution),

@@ -42,12 +42,16 @@
 //! `scripts/check_units.sh` tests builds with 1 to 256 codegen units.
 
 mod block;
+mod changes;
+
+pub(super) use changes::Changes;
 
 use super::LocalGrid;
 use crate::bvh::closest::Slot;
 use crate::bvh::pack::TriangleFrame;
 use crate::bvh::{Bvh, Node, WIDTH};
 use crate::error::Error;
+use crate::mesh::Mesh;
 use crate::progress::Progress;
 use block::{Block, CORNERS, max, min, not_positive, roots};
 use glam::Vec3;
@@ -70,28 +74,68 @@ const SLACK: f32 = 4e-6;
 /// `limit` is the largest distance that is needed, local units. Samples of a block that lies completely beyond it are
 /// infinite.
 pub(super) fn distances(
-    bvh: &Bvh,
+    mesh: &Mesh,
     grid: &LocalGrid,
     limit: f32,
     scale: f32,
     progress: &Progress,
     out: &mut [f32],
 ) -> Result<(), Error> {
-    let shape = grid.axes.map(|axis| axis.count);
+    fill_tiles(mesh, grid, limit, None, progress, out, |to, from| *to = from * scale)
+}
+
+/// Computes the distances again in the blocks of a grid where `changes` may have changed them. `put` receives the
+/// stored sample and the distance, local units.
+pub(super) fn update(
+    mesh: &Mesh,
+    grid: &LocalGrid,
+    changes: &Changes<'_>,
+    progress: &Progress,
+    out: &mut [f32],
+    put: impl Fn(&mut f32, f32) + Sync,
+) -> Result<(), Error> {
+    fill_tiles(mesh, grid, f32::INFINITY, Some(changes), progress, out, |to, from| {
+        if from != KEPT {
+            put(to, from);
+        }
+    })
+}
+
+/// Distance of a sample that is not computed again.
+const KEPT: f32 = -1.0;
+
+/// Fills a grid in parallel, a tile at a time, and hands each sample of the output and its distance, local units, to
+/// `put`.
+fn fill_tiles(
+    mesh: &Mesh,
+    grid: &LocalGrid,
+    limit: f32,
+    changes: Option<&Changes<'_>>,
+    progress: &Progress,
+    out: &mut [f32],
+    put: impl Fn(&mut f32, f32) + Sync,
+) -> Result<(), Error> {
+    let shape = grid.shape();
     let tasks = shape.map(|n| n.div_ceil(TASK));
     let rows = SharedRows { samples: out.as_mut_ptr(), shape };
-    // Rounding errors are proportional to the largest coordinate that occurs.
-    let reach = (grid.at([0; 3]).abs().max(grid.at(shape.map(|n| n - 1)).abs()).max_element() as f32).max(1.0);
+    let reach = reach(grid);
+    let bvh = mesh.bvh_within(reach);
+    let slack = SLACK * (reach as f32).max(1.0);
+    let empty = if changes.is_some() { KEPT } else { f32::INFINITY };
     (0..tasks.iter().product::<usize>()).into_par_iter().try_for_each_init(Scratch::default, |scratch, task| {
         let low = [task % tasks[0], task / tasks[0] % tasks[1], task / (tasks[0] * tasks[1])].map(|i| i * TASK);
         let high = [0, 1, 2].map(|axis| (low[axis] + TASK).min(shape[axis]));
-        let mut tile =
-            Tile { bvh, grid, slack: SLACK * reach, limit, low, samples: [f32::INFINITY; TASK * TASK * TASK] };
+        let mut tile = Tile { bvh, grid, slack, limit, changes, low, samples: [empty; TASK * TASK * TASK] };
         tile.fill(scratch, low, high);
         // SAFETY: tasks are disjoint boxes of the grid, and each writes only rows of its own box.
-        unsafe { rows.write(low, high, &tile.samples, scale) };
+        unsafe { rows.write(low, high, &tile.samples, &put) };
         progress.advance(high.iter().zip(low).map(|(h, l)| (h - l) as u64).product())
     })
+}
+
+/// The largest local coordinate of the samples of a grid. Rounding errors are proportional to it.
+pub(super) fn reach(grid: &LocalGrid) -> f64 {
+    grid.at([0; 3]).abs().max(grid.at(grid.shape().map(|n| n - 1)).abs()).max_element()
 }
 
 /// The output, written by several tasks at once.
@@ -104,19 +148,19 @@ struct SharedRows {
 unsafe impl Sync for SharedRows {}
 
 impl SharedRows {
-    /// Writes a tile, scaled, to its position.
+    /// Hands the samples at the position of a tile, and those of the tile, to `put`.
     ///
     /// # Safety
     /// The box `low..high` lies in the grid, and no other thread writes to it.
-    unsafe fn write(&self, low: [usize; 3], high: [usize; 3], tile: &[f32], scale: f32) {
+    unsafe fn write(&self, low: [usize; 3], high: [usize; 3], tile: &[f32], put: &impl Fn(&mut f32, f32)) {
         for z in low[2]..high[2] {
             for y in low[1]..high[1] {
                 let offset = low[0] + self.shape[0] * (y + self.shape[1] * z);
                 let row = &tile[TASK * ((y - low[1]) + TASK * (z - low[2]))..][..high[0] - low[0]];
                 // SAFETY: by the contract above, the row lies in the output and no other thread writes to it.
                 let target = unsafe { std::slice::from_raw_parts_mut(self.samples.add(offset), row.len()) };
-                for (to, from) in target.iter_mut().zip(row) {
-                    *to = from * scale;
+                for (to, &from) in target.iter_mut().zip(row) {
+                    put(to, from);
                 }
             }
         }
@@ -182,6 +226,8 @@ struct Tile<'a> {
     grid: &'a LocalGrid,
     slack: f32,
     limit: f32,
+    /// The changes of an update, which computes some blocks only.
+    changes: Option<&'a Changes<'a>>,
     low: [usize; 3],
     samples: [f32; TASK * TASK * TASK],
 }
@@ -208,6 +254,9 @@ impl Tile<'_> {
     fn fill_portable(&mut self, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
         let Scratch { levels: [root, middle, packs], stack, tangents, list } = scratch;
         let block = self.block(low, high);
+        if self.is_kept(&block, low, high) {
+            return;
+        }
         let Some(nearest) = self.bvh.nearest(block.center, f32::INFINITY) else { return };
         if self.is_beyond(&block, nearest.distance_squared) {
             return;
@@ -219,6 +268,9 @@ impl Tile<'_> {
 
         for sub in blocks(low, high, [TASK / 2; 3]) {
             let block = self.block(sub.0, sub.1);
+            if self.is_kept(&block, sub.0, sub.1) {
+                continue;
+            }
             let bound = self.just_beyond(first, block.center);
             let found = self.bvh.nearest(block.center, bound);
             let (of_parent, squared) = found.map_or((first, bound), |nearest| (nearest.slot, nearest.distance_squared));
@@ -233,6 +285,9 @@ impl Tile<'_> {
             let mut previous = of_parent;
             for sub in blocks(sub.0, sub.1, [LEAF; 3]) {
                 let block = self.block(sub.0, sub.1);
+                if self.is_kept(&block, sub.0, sub.1) {
+                    continue;
+                }
                 let distance_squared = |slot: Slot| self.bvh.frame(slot).distance_squared(block.center);
                 let mut near =
                     if distance_squared(previous) < distance_squared(of_parent) { previous } else { of_parent };
@@ -265,6 +320,12 @@ impl Tile<'_> {
     /// Squared distance of `p` to a triangle, plus the rounding of the search that it bounds.
     fn just_beyond(&self, slot: Slot, p: Vec3) -> f32 {
         self.bvh.frame(slot).distance_squared(p) * (1.0 + 1e-5) + 1e-12
+    }
+
+    /// Whether no sample of the block `low..high` can have changed.
+    #[inline(always)]
+    fn is_kept(&self, block: &Block, low: [usize; 3], high: [usize; 3]) -> bool {
+        self.changes.is_some_and(|changes| !changes.reach(self.grid, block, low, high))
     }
 
     /// Whether no sample of the block is within the limit.

@@ -13,7 +13,7 @@ fn assert_exact(mesh: &Mesh, lower: DVec3, upper: DVec3, shape: [usize; 3]) {
     let grid = Grid::new(lower, upper, shape).unwrap();
     let local = LocalGrid::new(&grid, mesh);
     let mut out = vec![f32::NAN; grid.len()];
-    distances(mesh.bvh(), &local, f32::INFINITY, 1.0, &Progress::new(), &mut out).unwrap();
+    distances(mesh, &local, f32::INFINITY, 1.0, &Progress::new(), &mut out).unwrap();
     // The error bound of the module is 1e-6 of the box around mesh and grid. A tenth of it is typical.
     let reach = local.at([0; 3]).abs().max(local.at(shape.map(|n| n - 1)).abs()).max_element().max(1.0);
     for z in 0..shape[2] {
@@ -150,7 +150,7 @@ fn the_check_of_a_build_sees_a_damaged_sample() {
 /// One tile of a grid, computed by `fill`.
 fn tile(bvh: &Bvh, grid: &LocalGrid, fill: impl FnOnce(&mut Tile<'_>, &mut Scratch)) -> [f32; TASK * TASK * TASK] {
     let samples = [f32::INFINITY; TASK * TASK * TASK];
-    let mut tile = Tile { bvh, grid, slack: SLACK, limit: f32::INFINITY, low: [0; 3], samples };
+    let mut tile = Tile { bvh, grid, slack: SLACK, limit: f32::INFINITY, changes: None, low: [0; 3], samples };
     fill(&mut tile, &mut Scratch::default());
     tile.samples
 }
@@ -187,6 +187,6 @@ fn cancelling_stops_the_work() {
     let grid = Grid::new(DVec3::splat(-0.6), DVec3::splat(0.6), [40; 3]).unwrap();
     let progress = Progress::new();
     progress.cancel();
-    let result = distances(mesh.bvh(), &LocalGrid::new(&grid, &mesh), f32::INFINITY, 1.0, &progress, &mut [0.0; 64000]);
+    let result = distances(&mesh, &LocalGrid::new(&grid, &mesh), f32::INFINITY, 1.0, &progress, &mut [0.0; 64000]);
     assert_eq!(result, Err(Error::Cancelled));
 }
