@@ -2,7 +2,7 @@
 //! memory (`shaders/scene_surfaces.wgsl`), and only their results are read back.
 //!
 //! It applies to faces of meshes under hard and soft shadows and occlusion. Everything else is left to
-//! [`super::known`]: fields, translucent surfaces, light through objects, sheets, and pixels that the CPU drew.
+//! [`super::known`]: fields, translucent surfaces, light through objects, and pixels that the CPU drew.
 
 use super::SceneShadows;
 use super::gpu::DeviceScene;
@@ -76,7 +76,7 @@ pub fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut Known) -> 
     let cones = if pass.options.occlusion.is_some() { AO_CONES } else { 0 };
     let per_pixel = cones + lights;
     let is_near = eye.length() <= MOST_DISTANCE;
-    if per_pixel == 0 || !scene.sheets.is_empty() || !is_near || device.faces().is_none() {
+    if per_pixel == 0 || !is_near || device.faces().is_none() {
         return Ok(false);
     }
     let mut view = SurfaceParams {
@@ -153,38 +153,54 @@ fn take(pass: &Pass<'_>, known: &mut Known, first: usize, per_pixel: usize, answ
     })
 }
 
-/// The light on a surface; None if an answer is missing.
+/// The light on a surface; None if an answer is missing. The CPU evaluates sheets. Where they cover some of the parts of a
+/// divided disc, the fractions of the parts are missing.
 fn take_pixel(
     pass: &Pass<'_>,
     surface: &Surface<'_>,
     answers: &mut std::slice::Iter<'_, Answer>,
     values: &mut [f32],
 ) -> Option<Work> {
-    let mut work = Work::default();
-    let mut value = |answer: &Answer| {
+    let scene = pass.casters.scene;
+    let (past_sheets, mut work) = if scene.sheets.is_empty() {
+        (Vec::new(), Work::default())
+    } else {
+        scene.sheets_at(surface, pass.lights, pass.options)
+    };
+    let mut past_sheets = past_sheets.into_iter();
+    // The product of an answer and the mean of the next `count` fractions past the sheets.
+    let mut value = |answer: &Answer, count: u32| {
         if answer.is_complete != 1 {
             return None;
         }
         work += took(answer);
         work.rays += if answer.is_proven == DIVIDED { PARTS } else { 0 };
-        Some(answer.value)
+        if scene.sheets.is_empty() {
+            return Some(answer.value);
+        }
+        let fractions: Vec<f32> = past_sheets.by_ref().take(count as usize).collect();
+        if answer.is_proven == DIVIDED && fractions.iter().any(|&fraction| fraction != fractions[0]) {
+            return None;
+        }
+        Some(answer.value * fractions.iter().sum::<f32>() / count as f32)
     };
     let found = parts_of(values, pass.lights.lights.len());
     *found.open = 1.0;
     if let Some(distance) = pass.options.occlusion {
         let (mut sum, mut weights) = (0.0, 0.0);
-        for (_, weight) in surface.open_rays(distance / pass.casters.scene.scale) {
-            sum += weight * value(answers.next()?)?;
+        for (_, weight) in surface.open_rays(distance / scene.scale) {
+            sum += weight * value(answers.next()?, 1)?;
             weights += weight;
         }
         *found.open = sum / weights;
     }
     for (light, share) in pass.lights.lights.iter().zip(found.shares) {
         let answer = answers.next();
-        let (ray, ..) = light.seen_from(surface.place.p);
+        let (ray, slope, _) = light.seen_from(surface.place.p);
+        let parts = if pass.options.shadows == SceneShadows::Soft && slope > 0.0 { PARTS } else { 1 };
         *share = match surface.plain_share(&ray, pass.options) {
             Some(share) => share,
-            None => value(answer?)?,
+            None => value(answer?, parts)?,
         };
     }
     Some(work)
