@@ -1,4 +1,4 @@
-// What a reader can do with a view: turn, move and zoom it, pick points, and set what it shows in a bar below.
+// The controls of a view: the pointer and the keyboard move the camera and pick points, a bar below has the settings.
 
 import { Pick, View, text } from "./view";
 import { Vector, unit } from "./vectors";
@@ -21,7 +21,7 @@ const STYLE = `
 .fb-view .fb-bar button[aria-pressed=true]{background:#2f7fb5;border-color:#2f7fb5;color:#fff}
 `;
 
-/** Pixels of a whole turn. */
+/** Length of a drag that turns the camera by 360 degrees, pixels. */
 const TURN_PX = 500;
 
 function element<K extends keyof HTMLElementTagNameMap>(
@@ -39,7 +39,7 @@ function element<K extends keyof HTMLElementTagNameMap>(
 
 export class Controls {
   onPick: (pick: Pick) => void = () => {};
-  /** Called after the reader has changed the camera or a setting. */
+  /** Called after input has changed the camera or a setting. */
   onInput: () => void = () => {};
   private readonly bar: HTMLElement;
   private readonly note: HTMLElement;
@@ -105,7 +105,7 @@ export class Controls {
     this.stop.abort();
   }
 
-  /** Set the settings that the bar shows from those of the view. */
+  /** Show the settings of the view in the bar. */
   refresh(): void {
     const { settings, data } = this.view;
     const [lower, upper] = data.description.bounds;
@@ -134,7 +134,7 @@ export class Controls {
     }, { signal: this.stop.signal });
   }
 
-  /** Say something below the picture. */
+  /** Show a message below the picture. */
   say(message: string): void {
     this.under.textContent = message;
   }
@@ -239,7 +239,7 @@ export class Controls {
     canvas.addEventListener("contextmenu", (event) => event.preventDefault(), on);
     canvas.addEventListener("dblclick", (event) => {
       const pick = view.pick(...place(event));
-      if (!pick) return this.say("nothing there");
+      if (!pick) return this.say("no surface at this pixel");
       this.say(`point ${pick.point.map(text).join(", ")}   normal ${pick.normal.map((x) => x.toFixed(3)).join(", ")}   distance ${text(pick.distance)}`);
       this.onPick(pick);
     }, on);
@@ -264,7 +264,7 @@ export class Controls {
   private moveLight(dx: number, dy: number): void {
     const { settings, data } = this.view;
     const [x, y, z] = settings.light ?? unit(data.description.key.direction);
-    // The drag moves the place that the light comes from over the sphere around the solid.
+    // The drag moves the position of the light on a sphere around the object.
     settings.light = unit([x - (2 * dx) / TURN_PX, y + (2 * dy) / TURN_PX, Math.min(z, -0.05)] as Vector);
   }
 

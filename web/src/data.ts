@@ -9,7 +9,7 @@ import { Affine, Vector } from "./vectors";
 
 export interface InstanceData {
   name: string;
-  /** Texels 14 to 21 of its row in shaders/viewer/data.wgsl. */
+  /** Texels 14 to 21 of the row of this instance, as shaders/viewer/data.wgsl draws it. */
   record: number[];
   fieldFromWorld: Affine;
   color: Vector;
@@ -19,7 +19,7 @@ export interface InstanceData {
 }
 
 export interface LightData {
-  /** 0: `vector` is the way the light travels. 1: it is the light's position. */
+  /** 0: `vector` is the direction in which the light travels. 1: `vector` is the position of the light. */
   kind: number;
   vector: Vector;
   color: Vector;
@@ -30,7 +30,7 @@ export interface ViewData {
   size: [number, number];
   shader: string;
   instances: InstanceData[];
-  /** Null for the key light of the camera. */
+  /** Null if the view has only the key light, which moves with the camera. */
   lights: LightData[] | null;
   key: { direction: Vector; color: Vector };
   background: [number, number, number, number];
@@ -38,27 +38,28 @@ export interface ViewData {
   hemisphere: boolean;
   bounds: [Vector, Vector];
   camera: CameraState;
-  /** Smallest and largest level that the data have, world units. */
+  /** Smallest and largest level at which the data have a surface, world units. */
   levels: [number, number];
-  /** Range of the colours and distance of the lines of a slice, world units. */
+  /** Distance at which the colours of a slice saturate, world units. */
   range: number;
+  /** Distance between two iso-lines of a slice, world units. */
   spacing: number;
   most_steps: number;
   note: string;
 }
 
-/** Places in a record. */
+/** Indices of numbers in a record. */
 const [KIND, ENCODING, SCALE, FIRST, SHAPE, EMPTY, BLOCKS, MASKS] = [0, 1, 2, 3, 4, 7, 8, 11];
 const [LOWER, UPPER, UNIT, INDEX] = [12, 16, 20, 24];
 export const [DENSE, SPARSE] = [0, 1];
-/** Blocks beyond which empty space is not counted. */
+/** Largest distance in blocks that the map of empty space stores. */
 const FARTHEST = 32;
 
 export class Data {
   readonly description: ViewData;
   readonly words: Uint32Array;
   private readonly bytes: Uint8Array;
-  /** Least sample of each block, by instance. */
+  /** For each instance, the least sample of each block. */
   private readonly least = new Map<number, Float32Array>();
 
   constructor(buffer: ArrayBuffer) {
@@ -80,12 +81,12 @@ export class Data {
     return [corner(LOWER), corner(UPPER)];
   }
 
-  /** Mark how far around each block all samples are above a level, world units, and the cells that may have a root. */
+  /** Store for each block how many blocks around it are above a level, world units, and which cells may contain a root. */
   markEmpty(level: number): void {
     for (let i = 0; i < this.count; i++) {
       const { record } = this.description.instances[i];
       if (record[KIND] > SPARSE) continue;
-      if (!this.least.has(i)) this.least.set(i, record[KIND] === DENSE ? this.ofBlocks(record) : this.ofBricks(record));
+      if (!this.least.has(i)) this.least.set(i, record[KIND] === DENSE ? this.leastOfBlocks(record) : this.leastOfBricks(record));
       const least = this.least.get(i)!;
       const own = Math.fround(level / record[UNIT]);
       const distance = this.bytes.subarray(4 * record[EMPTY], 4 * record[EMPTY] + least.length);
@@ -95,8 +96,8 @@ export class Data {
     }
   }
 
-  /** Least samples of blocks of 4^3 cells, which share the samples on their faces. */
-  private ofBlocks(record: number[]): Float32Array {
+  /** The least sample of each block of 4^3 cells. Neighbouring blocks share the samples on their faces. */
+  private leastOfBlocks(record: number[]): Float32Array {
     const [nx, ny, nz] = record.slice(SHAPE, SHAPE + 3);
     const [bx, by, bz] = record.slice(BLOCKS, BLOCKS + 3);
     const sample = this.samples(record);
@@ -120,7 +121,7 @@ export class Data {
     return least;
   }
 
-  /** A bit for each cell of the blocks at distance 0 with a corner that is not above the level. */
+  /** Set the bit of each cell with a corner that is not above the level, in the blocks at distance 0. */
   private markCells(record: number[], distance: Uint8Array, level: number): void {
     const [nx, ny, nz] = record.slice(SHAPE, SHAPE + 3);
     const [bx, by] = record.slice(BLOCKS, BLOCKS + 2);
@@ -149,8 +150,8 @@ export class Data {
     }
   }
 
-  /** Least samples of the bricks of a sparse field; bricks without samples lie inside or outside as a whole. */
-  private ofBricks(record: number[]): Float32Array {
+  /** The least sample of each brick. A brick without samples lies inside (-Infinity) or outside (Infinity) as a whole. */
+  private leastOfBricks(record: number[]): Float32Array {
     const [bx, by, bz] = record.slice(BLOCKS, BLOCKS + 3);
     const sample = this.samples(record);
     const known = new Map<number, number>();
@@ -207,7 +208,7 @@ function spread(distance: Uint8Array, [nx, ny, nz]: number[]): void {
       for (let i = 0; i < n; i++) line[i] = distance[start + i * stride];
       for (let i = 0; i < n; i++) {
         let best = line[i];
-        // What is farther away than the best cannot improve it.
+        // An element at a distance of `best` or more cannot lower it.
         for (let away = 1; away < best; away++) {
           if (i >= away) best = Math.min(best, Math.max(line[i - away], away));
           if (i + away < n) best = Math.min(best, Math.max(line[i + away], away));

@@ -129,7 +129,7 @@ export class Resources {
     return texture;
   }
 
-  /** Copy the words, whole rows first. */
+  /** Copy the words to their texture: all whole rows, then the rest. */
   private upload(): void {
     const { gl } = this.engine;
     const { words } = this.data;

@@ -29,7 +29,7 @@ export const direction = (m: Affine, v: Vector): Vector => [
 ];
 export const point = (m: Affine, v: Vector): Vector => add(direction(m, v), [m[3], m[7], m[11]]);
 
-/** The map that does `b` first, then `a`. */
+/** The composition of two maps: `b` is applied first, then `a`. */
 export function product(a: Affine, b: Affine): Affine {
   const columns = [0, 1, 2].map((j) => direction(a, [b[j], b[4 + j], b[8 + j]]));
   const shift = point(a, [b[3], b[7], b[11]]);
