@@ -76,8 +76,8 @@ def update_table(vertices: np.ndarray, faces: np.ndarray) -> None:
     volume = fb.bake(mesh, RESOLUTION)
     size = float(np.ptp(vertices, axis=0).max())
     print(f"\n| moved, {RESOLUTION}^3 | bake, s | moved and update, s | ratio | changed bits |\n|---|---|---|---|---|")
-    for share in (0.01, 0.05, 0.2):
-        for seed in (0, 1, 2):
+    for share in (0.05, 0.2):
+        for seed in (0, 1):
             positions = patch(vertices, seed, share, 0.02 * size)
             baked, whole = seconds(
                 lambda p=positions: fb.bake(fb.Mesh(p, faces), volume.resolution, bounds=volume.bounds)
