@@ -38,6 +38,9 @@ struct BeamParams {
 const MAX_DEPTH: u32 = 34u;
 const MAX_CONE_STEPS: u32 = 512u;
 const PAST_EDGE: f32 = 1.25;
+const WIDE: u32 = 2u;
+// Least step along a wide cone, in radii.
+const WIDE_STEP: f32 = 0.5;
 const FAR_VOXELS: f32 = 8.0;
 const NO_INSTANCE: u32 = 0xffffffffu;
 const NOWHERE: vec2f = vec2f(1.0, 0.0);
@@ -333,23 +336,38 @@ fn nearest_edge(
     var nearest = vec2f(select(x_known, 0.0, is_blocked), t_hit);
     // Immediately behind the surface the field is below zero.
     var t = select(span.x, t_hit + 0.5 * least_step, is_blocked);
+    let is_wide = beam.is_coarse == WIDE && !is_blocked;
+    // The step that led to t, and the clearance before that step.
+    var step = 0.0;
+    var before = 0.0;
     for (var i = 0u; i < MAX_CONE_STEPS; i++) {
         steps++;
         let p = ray.origin + t * ray.direction;
         let radius = beam.slope * t;
         let distance = field_distance(field, p);
+        var clear = distance * instances[index].least_stretch;
         if is_blocked && distance >= 0.0 { break; }
         if distance * instances[index].least_stretch < nearest.x * radius || is_blocked {
             var local = distance;
             if !is_blocked { local = max(field_guess(field, p), 0.0); }
-            let x = across(index, local, p) / radius;
+            clear = across(index, local, p);
+            let x = clear / radius;
             if x < nearest.x { nearest = vec2f(x, t); }
             if x <= -1.0 { break; }
         }
-        // Where matter is near, half steps find the closest approach to 3 %.
-        var step = select(distance, -distance, is_blocked) * pace;
-        if is_blocked || step < 2.0 * radius { step *= 0.5; }
-        t += max(step, least_step);
+        let along = (before * before - clear * clear + step * step) / (2.0 * step);
+        if is_wide && step > 0.0 && step <= before && along > 0.0 && along < step {
+            // Closest approach within the step, see `beside_wide` in cone.rs.
+            let closest = sqrt(max(before * before - along * along, 0.0));
+            nearest.x = min(nearest.x, closest / (beam.slope * (t - step + along)));
+        }
+        before = clear;
+        step = select(distance, -distance, is_blocked) * pace;
+        // Near a narrow cone, half steps find the closest approach to 3 %.
+        if is_wide { step = max(step, WIDE_STEP * radius); }
+        else if is_blocked || step < 2.0 * radius { step *= 0.5; }
+        step = max(step, least_step);
+        t += step;
         if t >= span.y { break; }
     }
     return nearest;
@@ -394,6 +412,23 @@ fn may_meet(index: u32, beam: Beam) -> bool {
     let along = dot(way, direction);
     let aside = length(way - along * direction);
     return aside - slope * along <= (*to).surface_radius * sqrt(1.0 + slope * slope);
+}
+
+// Lower bound, in radii, of the distance between the axis of a cone and the surface of an instance, by the ball around
+// the surface: see src/scene/occlusion.rs.
+fn least_x(index: u32, beam: Beam) -> f32 {
+    let to = &instances[index];
+    let ray = ray_in_field(index, beam);
+    let slope = beam.slope / (length(local_direction(index, beam.direction)) * (*to).least_stretch);
+    let way = 0.5 * ((*to).surface_lower + (*to).surface_upper) - ray.origin;
+    let squared = dot(way, way);
+    let radius = (*to).surface_radius;
+    if squared <= radius * radius { return -1.0; }
+    let along = dot(way, normalize(ray.direction));
+    let aside = sqrt(max(squared - along * along, 0.0));
+    let tangent = sqrt(squared - radius * radius);
+    if along * tangent + aside * radius < 0.0 { return FAR_T; }
+    return (aside * tangent - along * radius) / (slope * squared);
 }
 
 // The ray of a cone to point `i` of its section, spread evenly.
@@ -444,9 +479,19 @@ fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
             continue;
         }
         let opacity = instances[caster.index].opacity;
-        let x_known = select(1.0, x, beam.is_coarse != 0u && opacity >= 1.0);
-        let cone = cone_past(caster, beam, x_known, with_edges);
+        var x_known = select(1.0, x, beam.is_coarse != 0u && opacity >= 1.0);
+        var least = -1.0;
+        if beam.is_coarse == WIDE {
+            // Cones of occlusion are wide: they enter the boxes of many instances and miss most of the surfaces inside.
+            if caster.index < params.far { least = least_x(caster.index, beam); }
+            if least >= x_known { continue; }
+            // The value for one instance does not depend on the instances before.
+            x_known = 1.0;
+        }
+        var cone = cone_past(caster, beam, x_known, with_edges);
         if needs_edge { return vec2f(0.0); }
+        // Beside a free axis a distance may be a loose bound.
+        if cone.x >= 0.0 { cone.x = max(cone.x, least); }
         if opacity < 1.0 {
             share *= 1.0 - opacity * (1.0 - visible_share(cone.x));
             is_proven = is_proven && (cone.is_covered || cone.x >= 1.0);

@@ -28,12 +28,6 @@ struct SurfaceParams {
     light_count: u32,
     ray_y: vec3f,
     bias_voxels: f32,
-    // Range of occlusion, scene units; below zero without occlusion.
-    occlusion: f32,
-    // Number of answers of a pixel: those of occlusion, then one for each light.
-    per_pixel: u32,
-    pad_0: u32,
-    pad_1: u32,
     lights: array<SurfaceLight, 16>,
 }
 
@@ -63,11 +57,7 @@ struct PieceParams {
 
 const IS_TRIANGLE: u32 = 0xffffffffu;
 const FACE_FLOATS: u32 = 18u;
-const AO_CONES: u32 = 7u;
-const AO_SLOPE: f32 = 0.57735027;
-const AO_RING: vec2f = vec2f(0.5, 0.8660254);
 const PARTS: u32 = 16u;
-const TAU: f32 = 6.2831855;
 
 fn vector_at(i: u32) -> vec3f {
     return vec3f(faces[i], faces[i + 1u], faces[i + 2u]);
@@ -80,9 +70,9 @@ fn add_beam(beam: Beam) {
 @compute @workgroup_size(64)
 fn surface_beams(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= piece.count { return; }
-    let first_answer = id.x * view.per_pixel;
+    let first_answer = id.x * view.light_count;
     if piece.clears != 0u {
-        for (var k = 0u; k < view.per_pixel; k++) { answers[first_answer + k] = Answer(); }
+        for (var k = 0u; k < view.light_count; k++) { answers[first_answer + k] = Answer(); }
     }
     let x = (piece.first + id.x) % view.width;
     let y = (piece.first + id.x) / view.width;
@@ -122,27 +112,6 @@ fn surface_beams(@builtin(global_invocation_id) id: vec3u) {
     beam.normal = normalize(normal);
     beam.bias_voxels = view.bias_voxels;
     beam.own = index;
-    var next = first_answer;
-    if view.occlusion >= 0.0 {
-        if piece.wants_cones != 0u {
-            let axes = axes_of(beam.normal);
-            beam.slope = AO_SLOPE;
-            beam.t_max = view.occlusion;
-            beam.is_coarse = 1u;
-            for (var i = 0u; i < AO_CONES; i++) {
-                beam.direction = beam.normal;
-                if i > 0u {
-                    let angle = f32(i - 1u) * (TAU / f32(AO_CONES - 1u));
-                    let aside = cos(angle) * axes.right + sin(angle) * axes.up;
-                    beam.direction = AO_RING.x * beam.normal + AO_RING.y * aside;
-                }
-                beam.owner = next + i;
-                add_beam(beam);
-            }
-        }
-        next += AO_CONES;
-    }
-    beam.is_coarse = 0u;
     for (var i = 0u; i < view.light_count; i++) {
         let light = view.lights[i];
         beam.direction = light.place;
@@ -154,7 +123,7 @@ fn surface_beams(@builtin(global_invocation_id) id: vec3u) {
             beam.direction = way / beam.t_max;
             beam.slope = light.size / beam.t_max;
         }
-        beam.owner = next + i;
+        beam.owner = first_answer + i;
         let is_wanted = (beam.slope > 0.0) == (piece.wants_cones != 0u);
         if is_wanted && dot(beam.normal, beam.direction) > 0.0 { add_beam(beam); }
     }
@@ -166,7 +135,7 @@ fn divide(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= piece.count { return; }
     let disc = beams[piece.first + id.x];
     let found = answers[disc.owner];
-    if disc.is_coarse != 0u || found.is_proven != 0u || found.is_complete != 1u { return; }
+    if found.is_proven != 0u || found.is_complete != 1u { return; }
     let slot = atomicAdd(&counts[1], 1u);
     parents[slot] = disc.owner;
     let axes = axes_of(disc.direction);

@@ -42,10 +42,28 @@ fn sampled_gradient(field: SceneField, point: vec3f) -> vec3f {
     return normalize(slope / largest);
 }
 
+// Unit direction of the gradient at a point of the box with the distance s, by differences over one voxel inwards; zero where
+// there is none.
+fn direction_at_rim(field: SceneField, point: vec3f, s: f32) -> vec3f {
+    let last = vec3f(field.shape) - 1.0;
+    let b = clamp(point, vec3f(0.0), last);
+    let inwards = select(vec3f(-1.0), vec3f(1.0), b < 0.5 * last);
+    var slope: vec3f;
+    for (var axis = 0u; axis < 3u; axis++) {
+        var step = vec3f(0.0);
+        step[axis] = inwards[axis];
+        slope[axis] = (sample_field(field, b + step) - s) * inwards[axis];
+    }
+    slope /= field.spacing;
+    let largest = max(abs(slope.x), max(abs(slope.y), abs(slope.z)));
+    if largest == 0.0 { return vec3f(0.0); }
+    return normalize(slope / largest);
+}
+
 // An estimate of the distance, closer than the lower bound outside the grid.
 fn sampled_guess(field: SceneField, p: vec3f) -> f32 {
     let b = into_data(field, p);
     let s = sample_in_data(field, b);
-    if all(p == b) || s <= 0.0 { return distance_beyond(field, p, b, s); }
-    return length((p - b) * field.spacing + s * sampled_gradient(field, b));
+    if all(p == b) { return s; }
+    return length((p - b) * field.spacing + max(s, 0.0) * direction_at_rim(field, b, s));
 }

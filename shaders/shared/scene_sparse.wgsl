@@ -49,10 +49,14 @@ fn sparse_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32
 
 // ---- in a scene with dense grids
 
-// The field at a point inside the grid; `p` is in grid space.
+// Largest float32 below 1.
+const BELOW_ONE: f32 = 0.99999994;
+
+// The field at a point inside the grid; `p` is in grid space. Past the outermost samples the field is constant along an
+// axis. An empty brick has bounds there instead, so the point moves into the last cell between samples.
 fn sample_in_data(field: SceneField, p: vec3f) -> f32 {
-    if field.kind == KIND_SPARSE { return sample_bricks(bricks_of(field), p); }
-    return dense_sample(field, p);
+    if field.kind != KIND_SPARSE { return dense_sample(field, p); }
+    return sample_bricks(bricks_of(field), clamp(p, vec3f(0.0), BELOW_ONE * (vec3f(field.shape) - 1.0)));
 }
 
 fn sampled_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 {

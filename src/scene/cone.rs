@@ -8,7 +8,7 @@ use super::field::Field;
 use super::thin::ThinRays;
 use glam::Vec3;
 
-/// How far past an edge the ray goes that is to prove it, in depths.
+/// Distance beyond an edge at which a ray must pass to prove the edge, in depths of the axis.
 const PAST_EDGE: f32 = 1.25;
 
 /// Largest number of steps of one cone past one instance. Steps of at least half a voxel cross the diagonal of 128^3 in
@@ -28,16 +28,20 @@ impl Cone {
     pub const FREE: Self = Self { x: 1.0, is_covered: false };
 }
 
-/// Room for the rounding of an edge's place, in radii.
+/// Least step along a wide cone, in radii.
+const WIDE_STEP: f32 = 0.5;
+
+/// Margin for the rounding of an edge's position, in radii.
 const RIM_ROUNDING: f32 = 1e-5;
 
 /// The visible fraction of a disc when an edge passes at `x` radii from its centre; negative `x` if the edge covers the
 /// centre.
 ///
-/// `1/2 + (asin x + x sqrt(1 - x^2)) / pi` by its series, with the last term chosen so that 1 gives 1: accurate to
-/// 0.004.
+/// `1/2 + (asin x + x sqrt(1 - x^2)) / pi` by its series, accurate to 0.004. The last term is chosen so that the series
+/// is 1 at x = 1.
 pub fn visible_share(x: f32) -> f32 {
-    // An edge that rounding has moved slightly inside the rim counts as on the rim: dark is exactly 0, lit exactly 1.
+    // An edge that rounding has moved slightly inside the rim counts as on the rim. So dark is exactly 0 and lit is
+    // exactly 1.
     let x = ((1.0 + RIM_ROUNDING) * x).clamp(-1.0, 1.0);
     if x.abs() == 1.0 {
         return 0.5 + 0.5 * x;
@@ -63,10 +67,25 @@ pub struct ConeSum {
     pub opaque: Cone,
     /// Fractions of the thin rays, for instances that are tested by rays.
     pub thin: ThinRays,
+    /// Whether the cone is a wide cone of occlusion: [`ConeWalk::beside_wide`].
+    pub is_wide: bool,
+    /// Lower bound, in radii, of the distance between a free axis and the surface of the current instance. Distances of
+    /// its field may be loose bounds.
+    pub least_x: f32,
 }
 
 impl ConeSum {
-    pub const NEW: Self = Self { translucent: 1.0, is_proven: true, opaque: Cone::FREE, thin: ThinRays::NEW };
+    pub const NEW: Self = Self {
+        translucent: 1.0,
+        is_proven: true,
+        opaque: Cone::FREE,
+        thin: ThinRays::NEW,
+        is_wide: false,
+        least_x: -1.0,
+    };
+
+    /// Initial results of a wide cone of occlusion.
+    pub const WIDE: Self = Self { is_wide: true, ..Self::NEW };
 
     /// Distance from the axis, in radii, within which another instance can change the result.
     pub fn x_known(&self, instance: &Instance) -> f32 {
@@ -151,8 +170,58 @@ impl ConeWalk<'_> {
         x
     }
 
-    /// The axis enters matter at `t_hit`: how deep it gets, in radii, and the offset of a unit direction that would pass the
-    /// nearest edge, if that is near enough.
+    /// The smallest clearance of a wide cone of occlusion in radii, at most 1. If the axis enters the object, returns
+    /// the position of the entry as an error.
+    ///
+    /// A step is the whole distance. The balls around the two ends of such a step are free of the surface and touch it.
+    /// They intersect in a circle of radius `c` about the axis, and `c` is taken as the closest approach between them
+    /// (Aaltonen, GDC 2018). It is exact for a point or an edge, and at most 13 % too low for a plane. Near the
+    /// surface, steps are at least half a radius. There an approach to the fraction `x` of the radius may be estimated
+    /// as `sqrt(x^2 + 1/16)`.
+    ///
+    /// Steps of the whole distance cannot cross the surface. Before the first longer step, `hit_from` traces the axis
+    /// from the previous step.
+    pub fn beside_wide(&self, steps: &mut u32, mut hit_from: impl FnMut(f32) -> Option<f32>) -> Result<f32, f32> {
+        let mut x = 1.0f32;
+        let mut t = self.enter;
+        let mut is_free = false;
+        // The step that led to `t`, and the clearance before it.
+        let (mut step, mut before) = (0.0f32, 0.0f32);
+        for _ in 0..MAX_CONE_STEPS {
+            *steps += 1;
+            let p = self.at(t);
+            let radius = self.slope * t;
+            let distance = self.field.distance(p);
+            let free = distance * self.pace;
+            let next = free.max(WIDE_STEP * radius).max(self.least_step);
+            if next > free && !is_free {
+                if let Some(t_hit) = hit_from(t - step) {
+                    return Err(t_hit);
+                }
+                is_free = true;
+            }
+            let mut clear = distance * self.instance.stretch[0];
+            if clear < x * radius {
+                clear = self.across(self.field.distance_guess(p).max(0.0), p);
+                x = x.min(clear / radius);
+            }
+            let along = (before * before - clear * clear + step * step) / (2.0 * step);
+            if step > 0.0 && step <= before && along > 0.0 && along < step {
+                let closest = (before * before - along * along).max(0.0).sqrt();
+                x = x.min(closest / (self.slope * (t - step + along)));
+            }
+            before = clear;
+            step = next;
+            t += step;
+            if t >= self.leave {
+                break;
+            }
+        }
+        Ok(x)
+    }
+
+    /// The axis enters the solid at `t_hit`. Returns its depth in radii, and the offset of a unit direction that would
+    /// pass the nearest edge, if that edge is near enough.
     pub fn inside(&self, t_hit: f32, steps: &mut u32) -> (Cone, Option<Vec3>) {
         let dark = Cone { x: -1.0, is_covered: false };
         let mut deepest = (0.0f32, t_hit);

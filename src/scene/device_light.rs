@@ -1,13 +1,13 @@
 //! The light on the faces that a device found, without leaving the device: the beams are made from the picture in its
 //! memory (`shaders/scene_surfaces.wgsl`), and only their results are read back.
 //!
-//! It applies to faces of meshes under hard and soft shadows and occlusion. Everything else is left to
+//! It applies to faces of meshes under hard and soft shadows without occlusion. Everything else is left to
 //! [`super::known`]: fields, translucent surfaces, light through objects, and pixels that the CPU drew.
 
 use super::SceneShadows;
 use super::gpu::DeviceScene;
 use super::known::{Known, Pass, parts_of, stride, took};
-use super::light::{AO_CONES, BIAS_TRIANGLE, SceneLight, Surface};
+use super::light::{BIAS_TRIANGLE, SceneLight, Surface};
 use super::shadow::{PARTS, Work};
 use crate::error::Error;
 use crate::gpu::layout::{Answer, Beam, PieceParams, SurfaceLight, SurfaceParams};
@@ -73,10 +73,8 @@ pub fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut Known) -> 
         SceneShadows::Hard | SceneShadows::Soft => pass.lights.lights.len(),
         SceneShadows::Area(_) | SceneShadows::Article => return Ok(false),
     };
-    let cones = if pass.options.occlusion.is_some() { AO_CONES } else { 0 };
-    let per_pixel = cones + lights;
     let is_near = eye.length() <= MOST_DISTANCE;
-    if per_pixel == 0 || !is_near || device.faces().is_none() {
+    if lights == 0 || pass.options.occlusion.is_some() || !is_near || device.faces().is_none() {
         return Ok(false);
     }
     let mut view = SurfaceParams {
@@ -88,25 +86,23 @@ pub fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut Known) -> 
         light_count: lights as u32,
         ray_y: seen.rays[2].as_vec3().to_array(),
         bias_voxels: BIAS_TRIANGLE,
-        occlusion: pass.options.occlusion.map_or(-1.0, |distance| (distance / scene.scale) as f32),
-        per_pixel: per_pixel as u32,
         ..SurfaceParams::default()
     };
     for (row, light) in view.lights.iter_mut().zip(&pass.lights.lights[..lights]) {
         *row = light_row(light, pass.options.shadows);
     }
     let rows = &view.lights[..lights];
-    let kinds = [cones > 0 || rows.iter().any(|row| row.size > 0.0), rows.iter().any(|row| row.size <= 0.0)];
+    let kinds = [rows.iter().any(|row| row.size > 0.0), rows.iter().any(|row| row.size <= 0.0)];
     let work = FaceLight { pass, device, seen, progress: pass.progress, buffers: device.light_buffers()? };
     device.context().write("view of surfaces", &work.buffers.view, 0, &[view])?;
 
     let width = pass.options.size[0] as usize;
     let pixels = width * pass.options.size[1] as usize;
-    let chunk = (MOST_BEAMS / per_pixel).min(pixels);
+    let chunk = (MOST_BEAMS / lights).min(pixels);
     for first in (0..pixels).step_by(chunk) {
         let count = chunk.min(pixels - first);
-        let answers = work.answers(first, count, per_pixel, kinds, cones > 0)?;
-        take(pass, known, first, per_pixel, &answers)?;
+        let answers = work.answers(first, count, lights, kinds)?;
+        take(pass, known, first, &answers)?;
     }
     Ok(true)
 }
@@ -121,11 +117,11 @@ fn light_row(light: &SceneLight, shadows: SceneShadows) -> SurfaceLight {
 }
 
 /// Stores the answers for a range of pixels.
-fn take(pass: &Pass<'_>, known: &mut Known, first: usize, per_pixel: usize, answers: &[Answer]) -> Result<(), Error> {
+fn take(pass: &Pass<'_>, known: &mut Known, first: usize, answers: &[Answer]) -> Result<(), Error> {
     let scene = pass.casters.scene;
     let width = pass.options.size[0] as usize;
     let lights = pass.lights.lights.len();
-    let range = first..first + answers.len() / per_pixel;
+    let range = first..first + answers.len() / lights;
     known.rows.par_iter_mut().enumerate().try_for_each(|(y, row)| {
         if (y + 1) * width <= range.start || y * width >= range.end {
             return Ok(());
@@ -140,7 +136,7 @@ fn take(pass: &Pass<'_>, known: &mut Known, first: usize, per_pixel: usize, answ
             if surface.scatters(scene) {
                 continue;
             }
-            let mut found = answers[(pixel - first) * per_pixel..][..per_pixel].iter();
+            let mut found = answers[(pixel - first) * lights..][..lights].iter();
             let values = &mut row.values[i * stride(lights)..][..stride(lights)];
             if let Some(work) = take_pixel(pass, &surface, &mut found, values) {
                 row.steps[i] = work.steps;
@@ -186,14 +182,6 @@ fn take_pixel(
     };
     let found = parts_of(values, pass.lights.lights.len());
     *found.open = 1.0;
-    if let Some(distance) = pass.options.occlusion {
-        let (mut sum, mut weights) = (0.0, 0.0);
-        for (_, weight) in surface.open_rays(distance / scene.scale) {
-            sum += weight * value(answers.next()?, 1)?;
-            weights += weight;
-        }
-        *found.open = sum / weights;
-    }
     for (light, share) in pass.lights.lights.iter().zip(found.shares) {
         let answer = answers.next();
         let (ray, slope, _) = light.seen_from(surface.place.p);
@@ -217,14 +205,7 @@ struct FaceLight<'a> {
 
 impl FaceLight<'_> {
     /// The answers for some pixels. `kinds`: whether there are cones and rays.
-    fn answers(
-        &self,
-        first: usize,
-        count: usize,
-        per_pixel: usize,
-        kinds: [bool; 2],
-        has_occlusion: bool,
-    ) -> Result<Vec<Answer>, Error> {
+    fn answers(&self, first: usize, count: usize, lights: usize, kinds: [bool; 2]) -> Result<Vec<Answer>, Error> {
         let buffers = self.buffers;
         let mut clears = 1;
         for (is_wanted, wants_cones) in kinds.into_iter().zip([1, 0]) {
@@ -251,14 +232,11 @@ impl FaceLight<'_> {
                 continue;
             }
             self.run("cones", &buffers.beams, &buffers.answers, beams)?;
-            if has_occlusion {
-                self.edges(&buffers.beams, &buffers.answers, beams)?;
-            }
             for first in (0..beams).step_by(MOST_PARTS / PARTS as usize) {
                 self.divide(first, (MOST_PARTS / PARTS as usize).min(beams - first))?;
             }
         }
-        let mut answers = vec![Answer::default(); count * per_pixel];
+        let mut answers = vec![Answer::default(); count * lights];
         self.device.context().read("answers", &buffers.answers, &mut answers, self.progress)?;
         Ok(answers)
     }

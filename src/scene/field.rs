@@ -84,6 +84,11 @@ pub trait Field: Send + Sync {
         1.0
     }
 
+    /// Whether distances away from the surface may be far below the truth.
+    fn is_loose(&self) -> bool {
+        false
+    }
+
     /// Whether cones are estimated by thin rays ([`super::thin`]): for objects without depth, and for those whose
     /// distances cost more than rays.
     fn prefers_rays(&self) -> bool {
@@ -97,7 +102,7 @@ pub trait Field: Send + Sync {
         None
     }
 
-    /// Radius of a ball around the surface, centred in the box `surface_bounds`, field space.
+    /// Radius of a ball around the surface, field space. Its centre is the centre of the box `surface_bounds`.
     fn surface_radius(&self) -> f32 {
         let [lower, upper] = self.surface_bounds();
         0.5 * (upper - lower).length()
@@ -123,6 +128,8 @@ pub struct SampledField<F> {
     surface: [Vec3; 2],
     spacing: Vec3,
     last_point: Vec3,
+    /// Position of the last cell between samples: positions are clamped to it before they select a cell.
+    last_cell: Vec3,
 }
 
 impl<F: Blocks> SampledField<F> {
@@ -133,7 +140,20 @@ impl<F: Blocks> SampledField<F> {
         let lower = (field.grid_from_world(inner[0]).as_vec3() - 1.0).clamp(Vec3::splat(-0.5), last_point);
         let upper = (field.grid_from_world(inner[1]).as_vec3() + 1.0).clamp(Vec3::splat(-0.5), last_point);
         let spacing = field.grid().spacing().as_vec3();
-        Ok(Self { marcher: Marcher::new(field, progress)?, surface: [lower, upper], spacing, last_point })
+        let last_cell = (last_point - 1.5).max(Vec3::ZERO);
+        Ok(Self { marcher: Marcher::new(field, progress)?, surface: [lower, upper], spacing, last_point, last_cell })
+    }
+
+    /// Unit direction of the gradient at a point on the box with the distance `s`, by differences over one voxel inwards; zero
+    /// where there is none.
+    fn direction_at_rim(&self, b: Vec3, s: f32) -> Vec3 {
+        let last = self.last_point - 0.5;
+        let b = b.clamp(Vec3::ZERO, last);
+        let inwards = Vec3::select(b.cmplt(0.5 * last), Vec3::ONE, Vec3::NEG_ONE);
+        let change = |step: Vec3| self.sample(b + step * inwards) - s;
+        let slope = inwards * Vec3::new(change(Vec3::X), change(Vec3::Y), change(Vec3::Z)) / self.spacing;
+        let largest = slope.abs().max_element();
+        if largest == 0.0 { Vec3::ZERO } else { (slope / largest).normalize_or_zero() }
     }
 
     pub fn marcher(&self) -> &Marcher<F> {
@@ -141,10 +161,13 @@ impl<F: Blocks> SampledField<F> {
     }
 
     /// The trilinear field at the nearest point of the box.
+    ///
+    /// The field is constant along an axis past the outermost samples, so the point moves to them: the cells there lie between
+    /// samples.
     #[inline]
     fn sample(&self, p: Vec3) -> f32 {
-        let p = p.clamp(Vec3::splat(-0.5), self.last_point);
-        let index = p.floor();
+        let p = p.clamp(Vec3::ZERO, self.last_point - 0.5);
+        let index = p.min(self.last_cell).floor();
         let cell = self.marcher.field.cell(IVec3::new(index.x as i32, index.y as i32, index.z as i32));
         trilinear(&cell.corners, (p - cell.first.as_vec3()) / cell.size as f32)
     }
@@ -190,10 +213,10 @@ impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
     fn distance_guess(&self, p: Vec3) -> f32 {
         let b = p.clamp(Vec3::splat(-0.5), self.last_point);
         let s = self.sample(b);
-        if p == b || s <= 0.0 {
-            return self.distance(p);
+        if p == b {
+            return s;
         }
-        ((p - b) * self.spacing + s * self.gradient(b)).length()
+        ((p - b) * self.spacing + s.max(0.0) * self.direction_at_rim(b, s)).length()
     }
 
     fn gradient(&self, p: Vec3) -> Vec3 {
@@ -207,6 +230,10 @@ impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
         if largest == 0.0 { Vec3::ZERO } else { (slope / largest).normalize_or_zero() }
     }
 
+    fn is_loose(&self) -> bool {
+        F::IS_LOOSE
+    }
+
     fn enter(&self, tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
         F::enter(self, tables)?;
         Ok(true)
@@ -215,6 +242,9 @@ impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
 
 /// Fields that devices support.
 pub trait OnDevice: Sized {
+    /// See [`Field::is_loose`].
+    const IS_LOOSE: bool = false;
+
     /// Appends a field that is prepared for rays to the tables of a device.
     fn enter(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<(), DeviceError>;
 }
@@ -238,7 +268,7 @@ impl DenseField {
 
     #[inline]
     fn view(&self) -> FieldView<'_> {
-        FieldView::new(self.grid, &self.samples).expect("checked when it was made")
+        FieldView::checked(self.grid, &self.samples)
     }
 }
 

@@ -9,6 +9,7 @@ use super::device_light::LightBuffers;
 use super::far::Far;
 use super::field::Field;
 use super::kinds::Kinds;
+use super::occlusion::Occluders;
 use super::raster::DeviceMeshes;
 use super::shadow::{Casters, Place, Ray, Work};
 use super::{Instance, Scene};
@@ -33,7 +34,9 @@ const GROUPS: (u64, u64) = (16, 65_535);
 const NEEDS_EDGE: u32 = 2;
 /// The value for infinity in a shader.
 const FAR: f32 = 1e30;
-/// Stands for no far field, as in the shader.
+/// Value of [`Beam::is_coarse`] for a wide cone of occlusion, as in the shader.
+pub const WIDE: u32 = 2;
+/// Index for no far field, as in the shader.
 const NO_FAR: u32 = u32::MAX;
 /// A distance that is given in voxels, as in the shader.
 const BY_VOXELS: f32 = -1.0;
@@ -86,12 +89,15 @@ impl Fields {
         let of_scene = scene.instances.iter().zip(&scene.boxes).map(|(instance, bounds)| (instance, bounds, 0.0));
         let levels = far.map_or(&[][..], |far| &far.levels);
         let of_far = levels.iter().map(|level| (&level.instance, &level.bounds, level.voxel));
-        let row = |(instance, bounds, voxel): (&Instance, &Aabb, f64)| {
+        let balls = scene.balls();
+        let row = |(i, (instance, bounds, voxel)): (usize, (&Instance, &Aabb, f64))| {
             let record = instance.field.as_ref().and_then(|field| self.known[&address(field)].1);
             let row = instance_row(instance, bounds, record.unwrap_or(0));
-            (SceneInstance { voxel: voxel as f32, ..row }, instance.field.is_none() || record.is_some())
+            let surface_radius = balls.get(i).map_or(row.surface_radius, |ball| ball.field_radius);
+            let row = SceneInstance { voxel: voxel as f32, surface_radius, ..row };
+            (row, instance.field.is_none() || record.is_some())
         };
-        of_scene.chain(of_far).map(row).unzip()
+        of_scene.chain(of_far).enumerate().map(row).unzip()
     }
 }
 
@@ -208,7 +214,11 @@ impl DeviceScene {
         for (answer, beam) in answers.iter_mut().zip(beams).filter(|(answer, _)| answer.is_complete == 0) {
             let (place, ray) = from_beam(beam);
             let mut work = Work::default();
-            if beam.slope > 0.0 {
+            if beam.is_coarse == WIDE {
+                let mut occluders = Occluders::default();
+                casters.gather(&place, ray.t_max, &mut occluders);
+                answer.value = casters.wide_share(&place, &ray, beam.slope, &mut occluders, &mut work);
+            } else if beam.slope > 0.0 {
                 let cone = casters.whole_cone(&place, &ray, beam.slope, &mut Vec::new(), &mut work);
                 (answer.value, answer.is_proven) = (cone.share, u32::from(cone.is_proven));
             } else {

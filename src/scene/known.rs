@@ -9,8 +9,9 @@
 //! the edge of a shadow, the light is evaluated.
 
 use super::device_light::light_faces;
-use super::gpu::{DeviceScene, beam};
-use super::light::{AO_CONES, AO_SLOPE, Lights, Surface};
+use super::gpu::{DeviceScene, WIDE, beam};
+use super::light::{Lights, Surface};
+use super::occlusion::{AO_CONES, AO_SLOPE, Occluders};
 use super::primary::{GBuffer, Layer};
 use super::renderer::Asked;
 use super::shadow::{Casters, PARTS, Place, Ray, Work, basis, disc_point, toward};
@@ -107,28 +108,73 @@ pub fn parts_of(values: &mut [f32], lights: usize) -> FoundMut<'_> {
     FoundMut { open, shares, through: through.as_chunks_mut().0 }
 }
 
-/// Computes the light of a pass: at every pixel, or at some pixels with interpolation between them.
+/// Occlusion is evaluated at one of this many pixels along each side. Between these pixels it is interpolated on finer
+/// and finer lattices. A pixel is also evaluated if its neighbours on the coarser lattice lie on other surfaces or
+/// disagree.
+const OCCLUSION_SCALE: u32 = 4;
+
+/// Progress of one call of [`find`], per row of the picture. It is divisible by each possible number of lattices, 1 to
+/// 3.
+pub const FIND_WORTH: u64 = 6;
+
+/// Whether the occlusion of a first pass is computed separately from the lights, at its own scale.
+pub fn shares_occlusion(options: &RenderOptions) -> bool {
+    options.occlusion.is_some()
+}
+
+/// Find the occlusion of a pass at its scale, then the lights.
+fn find_apart(pass: &Pass<'_>) -> Result<Known, Error> {
+    let no_lights = Lights { lights: Vec::new() };
+    let open = find_at(&Pass { lights: &no_lights, ..*pass }, OCCLUSION_SCALE)?;
+    let options = RenderOptions { occlusion: None, ..pass.options.clone() };
+    let mut known = find_at(&Pass { options: &options, ..*pass }, options.light_scale)?;
+    let stride = stride(known.lights);
+    for (row, open) in known.rows.iter_mut().zip(&open.rows) {
+        for (i, (&value, steps)) in open.values.iter().zip(&open.steps).enumerate() {
+            row.values[i * stride] = value;
+            row.steps[i] += steps;
+        }
+    }
+    Ok(known)
+}
+
+/// Computes the light of a pass. If a G-buffer with light is given, the light is interpolated from it wherever its
+/// values agree.
 pub fn find(pass: &Pass<'_>, centre: Option<(&GBuffer, &Known)>) -> Result<Known, Error> {
+    let Some((buffer, centre)) = centre else {
+        return if shares_occlusion(pass.options) { find_apart(pass) } else { find_at(pass, pass.options.light_scale) };
+    };
     let mut known = Known::new(pass.buffer, pass.lights.lights.len());
-    let every = pass.options.light_scale;
-    let mut last = *pass;
-    if let Some((buffer, centre)) = centre {
-        gather(pass, &mut known, buffer, centre, 1)?;
-    } else if every > 1 {
-        ask(pass, &mut known, &|x, y| x % every == 0 && y % every == 0, 0)?;
-        let mut between = Known::new(pass.buffer, known.lights);
-        std::mem::swap(&mut between, &mut known);
-        gather(pass, &mut known, pass.buffer, &between, every)?;
-        keep(&mut known, between);
-    } else if let Some(device) = pass.device
+    gather(pass, &mut known, buffer, centre, [1, 1])?;
+    ask(pass, &mut known, &|_, _| true, FIND_WORTH)?;
+    Ok(known)
+}
+
+/// Evaluates every pixel of a lattice whose pixels are `every` apart. Then the lattice is halved until it is the
+/// picture: each step interpolates from the coarser lattice, and evaluates the pixels whose neighbours disagree.
+fn find_at(pass: &Pass<'_>, every: u32) -> Result<Known, Error> {
+    let mut known = Known::new(pass.buffer, pass.lights.lights.len());
+    let worth = FIND_WORTH / u64::from(every.ilog2() + 1);
+    let mut every = every;
+    if every == 1
+        && let Some(device) = pass.device
         && light_faces(pass, device, &mut known)?
         && known.is_almost_complete()
     {
         // Beams for so few surfaces are not worth an upload.
-        last.device = None;
+        ask(&Pass { device: None, ..*pass }, &mut known, &|_, _| true, worth)?;
+        return Ok(known);
     }
-    ask(&last, &mut known, &|_, _| true, 1)?;
-    Ok(known)
+    loop {
+        ask(pass, &mut known, &|x, y| x % every == 0 && y % every == 0, worth)?;
+        if every == 1 {
+            return Ok(known);
+        }
+        let coarse = std::mem::replace(&mut known, Known::new(pass.buffer, pass.lights.lights.len()));
+        gather(pass, &mut known, pass.buffer, &coarse, [every, every / 2])?;
+        keep(&mut known, coarse);
+        every /= 2;
+    }
 }
 
 /// Replaces interpolated values by evaluated ones.
@@ -155,12 +201,12 @@ fn ask(
     }
     let lights = known.lights;
     known.rows.par_iter_mut().enumerate().try_for_each(|(y, row)| {
-        let mut total = Work::default();
+        let (mut total, mut occluders) = (Work::default(), Occluders::default());
         for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
             if !row.is_known[i] && wanted(layer.x, y as u32) {
                 let surface = Surface::new(pass.casters.scene, pass.buffer, y, layer);
                 let mut found = parts_of(&mut row.values[i * stride(lights)..][..stride(lights)], lights);
-                let work = surface.look(pass.casters, pass.lights, pass.options, &mut found);
+                let work = surface.look(pass.casters, pass.lights, pass.options, &mut occluders, &mut found);
                 row.steps[i] = work.steps;
                 total += work;
                 row.is_known[i] = true;
@@ -175,22 +221,34 @@ fn ask(
 
 /// Smallest cosine between normals of surfaces that share their light: 18 degrees.
 const SAME_NORMAL: f32 = 0.95;
-/// Values that differ by less may be averaged.
+/// Values that differ by less may be averaged, if they are at most two pixels apart. For four pixels the limit is half
+/// as large.
 const AGREE: f32 = 0.125;
 /// Smallest sum of the bilinear weights of matching neighbours.
 const ENOUGH: f32 = 0.5;
 
-/// Interpolates light for the surfaces of the pass from a buffer that has light at every `every`-th pixel.
-fn gather(pass: &Pass<'_>, known: &mut Known, source: &GBuffer, asked: &Known, every: u32) -> Result<(), Error> {
+/// Interpolates light for the surfaces of the pass from a buffer that has light at every `every`-th pixel. Values are
+/// interpolated at every `finer`-th pixel.
+fn gather(
+    pass: &Pass<'_>,
+    known: &mut Known,
+    source: &GBuffer,
+    asked: &Known,
+    [every, finer]: [u32; 2],
+) -> Result<(), Error> {
     let lights = known.lights;
+    let agree = AGREE * (2.0 / every as f32).min(1.0);
     known.rows.par_iter_mut().enumerate().try_for_each(|(y, row)| {
         let mut neighbours = Vec::with_capacity(4);
         for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
+            if !layer.x.is_multiple_of(finer) || !(y as u32).is_multiple_of(finer) {
+                continue;
+            }
             let surface = Surface::new(pass.casters.scene, pass.buffer, y, layer);
             neighbours.clear();
             fitting(pass, &surface, y, source, asked, every, &mut neighbours);
             let values = &mut row.values[i * stride(lights)..][..stride(lights)];
-            row.is_known[i] = mean(&neighbours, values);
+            row.is_known[i] = mean(&neighbours, agree, values);
             for (light, share) in pass.lights.lights.iter().zip(&mut values[1..]) {
                 if let Some(plain) = surface.plain_share(&light.seen_from(surface.place.p).0, pass.options) {
                     *share = plain;
@@ -215,7 +273,7 @@ fn fitting<'a>(
     let eye = view.camera.eye;
     let p = eye + surface.layer.depth * view.direction(surface.layer.x, y as u32);
     let normal = surface.layer.normal.as_dvec3();
-    // Half the distance of two evaluated pixels there.
+    // Half the distance between two evaluated pixels on the surface.
     let apart = 0.5 * view.camera.pixel_size(view.size[1]) * surface.layer.depth * f64::from(every);
     let at = |pixel: u32, offset: f64| (f64::from(pixel) + offset - 0.5) / f64::from(every);
     let (u, v) = (at(surface.layer.x, view.offset[0]), at(y as u32, view.offset[1]));
@@ -242,8 +300,8 @@ fn fitting<'a>(
     }
 }
 
-/// The weighted mean of values; false if there are too few or they disagree.
-fn mean(neighbours: &[(&[f32], f32)], values: &mut [f32]) -> bool {
+/// The weighted mean of values; false if there are too few or they differ by more than `agree`.
+fn mean(neighbours: &[(&[f32], f32)], agree: f32, values: &mut [f32]) -> bool {
     let total: f32 = neighbours.iter().map(|(_, weight)| weight).sum();
     if total < ENOUGH {
         return false;
@@ -252,7 +310,7 @@ fn mean(neighbours: &[(&[f32], f32)], values: &mut [f32]) -> bool {
         let of = |neighbour: &(&[f32], f32)| neighbour.0[i];
         let low = neighbours.iter().map(of).fold(f32::INFINITY, f32::min);
         let high = neighbours.iter().map(of).fold(0.0, f32::max);
-        if high - low > AGREE {
+        if high - low > agree {
             return false;
         }
         *value = neighbours.iter().map(|(values, weight)| values[i] * weight).sum::<f32>() / total;
@@ -424,7 +482,7 @@ impl Answers {
         *found.open = 1.0;
         if let Some(distance) = pass.options.occlusion {
             let (mut sum, mut weights) = (0.0, 0.0);
-            for (_, weight) in surface.open_rays(distance / scene.scale) {
+            for (_, weight) in surface.place.open_rays(distance / scene.scale) {
                 sum += weight * self.direct.next(&mut work)?;
                 weights += weight;
             }
@@ -499,8 +557,8 @@ fn past_sheets<T: Sync>(
 /// whose length inside the own instance is needed are appended to `inside`.
 fn first_beams(pass: &Pass<'_>, surface: &Surface<'_>, beams: &mut Vec<Beam>, inside: &mut Vec<Beam>) {
     if let Some(distance) = pass.options.occlusion {
-        let cones = surface.open_rays(distance / pass.casters.scene.scale);
-        beams.extend(cones.map(|(ray, _)| Beam { is_coarse: 1, ..beam(&surface.place, &ray, AO_SLOPE) }));
+        let cones = surface.place.open_rays(distance / pass.casters.scene.scale);
+        beams.extend(cones.map(|(ray, _)| Beam { is_coarse: WIDE, ..beam(&surface.place, &ray, AO_SLOPE) }));
     }
     for light in &pass.lights.lights {
         let (ray, slope, _) = light.seen_from(surface.place.p);

@@ -8,13 +8,14 @@
 //!         + sum over lights of  through * light * albedo * (1 - max(0, n.l))^2
 //! ```
 //!
-//! `arrives` is the visible share of the light ([`super::shadow`]), 0 on a side that is turned away. `open` is the mean of
-//! [`AO_CONES`] cones over the hemisphere, each weighted by its cosine; occluders beyond a given distance do not count.
-//! `through` is the share of the light that arrives through the instance itself ([`super::transmission`]). A side that is
-//! turned away gets all of it. On the lit side its weight falls with the cosine, so the picture is continuous where the cosine
-//! is 0, and no surface sends out more light than arrives.
+//! `arrives` is the visible fraction of the light ([`super::shadow`]), 0 on a side that faces away. `open` is the mean
+//! of cones over the hemisphere ([`super::occlusion`]), each weighted by its cosine; occluders beyond a given distance
+//! do not count. `through` is the fraction of the light that arrives through the instance itself
+//! ([`super::transmission`]). A side that faces away receives all of it. On the lit side its weight falls with the
+//! cosine, so the picture is continuous where the cosine is 0, and no surface emits more light than arrives.
 
 use super::known::{Found, FoundMut, Known, Pass};
+use super::occlusion::Occluders;
 use super::primary::{GBuffer, Layer};
 use super::shadow::{Casters, Place, Ray, Work, basis, disc_point, toward};
 use super::transmission::{self, NO_LIGHT};
@@ -24,15 +25,9 @@ use crate::render::Frame;
 use glam::{DVec3, Vec3, Vec4};
 use rayon::prelude::*;
 
-/// Cones of ambient occlusion: one along the normal and a ring of six.
-pub const AO_CONES: usize = 7;
-/// Tangent of half a cone's angle, 30 degrees: seven such cones just cover a hemisphere.
-pub const AO_SLOPE: f32 = 0.577_350_3;
-/// Angle of the ring from the normal: 60 degrees.
-const AO_RING: (f64, f64) = (0.5, 0.866_025_403_784_438_6);
-
-/// Start above the surface in voxels. A field's own surface departs from a smooth one by less than an eighth of a voxel, and
-/// half a voxel clears it; a triangle and the field baked from it differ by up to a third more.
+/// Distance of the start from the surface in voxels. A field's own surface departs from a smooth one by less than an
+/// eighth of a voxel, and half a voxel clears it. A triangle and the field baked from it differ by up to a third of a
+/// voxel more.
 const BIAS_FIELD: f32 = 0.5;
 pub const BIAS_TRIANGLE: f32 = 1.0;
 
@@ -187,20 +182,13 @@ impl<'a> Surface<'a> {
         casters: &Casters<'_>,
         lights: &Lights,
         options: &RenderOptions,
+        occluders: &mut Occluders,
         found: &mut FoundMut<'_>,
     ) -> Work {
         let (scene, place, mut work) = (casters.scene, &self.place, Work::default());
         *found.open = match options.occlusion {
             None => 1.0,
-            Some(distance) => {
-                let (mut sum, mut weights) = (0.0, 0.0);
-                for (ray, weight) in self.open_rays(distance / scene.scale) {
-                    let past_sheets = scene.cone_past_sheets(place, &ray, AO_SLOPE, &mut work);
-                    sum += weight * past_sheets * casters.cone_share(place, &ray, AO_SLOPE, &mut work);
-                    weights += weight;
-                }
-                sum / weights
-            }
+            Some(distance) => casters.open_share(place, distance / scene.scale, occluders, &mut work),
         };
         for (i, light) in lights.lights.iter().enumerate() {
             let (ray, slope, _) = light.seen_from(place.p);
@@ -279,21 +267,7 @@ impl<'a> Surface<'a> {
         Place { skips_own: true, ..self.place }
     }
 
-    /// The cones over the hemisphere with their weights; occluders within `distance`, scene units, count.
-    pub fn open_rays(&self, distance: f64) -> impl Iterator<Item = (Ray, f32)> {
-        let normal = self.place.normal.as_dvec3();
-        let [right, up] = basis(normal);
-        (0..AO_CONES).map(move |i| {
-            if i == 0 {
-                return (Ray { direction: normal, t_max: distance }, 1.0);
-            }
-            let angle = (i - 1) as f64 * (std::f64::consts::TAU / (AO_CONES - 1) as f64);
-            let aside = angle.cos() * right + angle.sin() * up;
-            (Ray { direction: AO_RING.0 * normal + AO_RING.1 * aside, t_max: distance }, AO_RING.0 as f32)
-        })
-    }
-
-    /// Linear RGB.
+    /// Linear RGB of the lit surface.
     fn shade(&self, scene: &Scene, lights: &Lights, options: &RenderOptions, found: &Found<'_>) -> Vec3 {
         let material = &scene.materials[self.layer.material as usize];
         let albedo = self.layer.color.truncate();

@@ -31,6 +31,7 @@ pub mod kinds;
 pub mod known;
 pub mod light;
 pub mod nested;
+pub mod occlusion;
 pub mod primary;
 pub mod raster;
 pub mod rasterizer;
@@ -49,8 +50,9 @@ use crate::geometry::Aabb;
 use far::FarField;
 use field::Field;
 use glam::{DAffine3, DMat3, DVec3, Mat3, Vec3};
+use occlusion::Ball;
 use sheets::Sheets;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use texture::Texture;
 use tree::Tree;
 use triangles::Triangles;
@@ -203,6 +205,8 @@ pub struct Scene {
     /// Scene boxes of the instances.
     pub boxes: Vec<Aabb>,
     pub sheets: Sheets,
+    /// A ball around each instance, computed for the first picture with occlusion.
+    balls: OnceLock<Vec<Ball>>,
     /// The inputs of the scene, for [`Scene::moved`].
     inputs: Vec<InstanceInput>,
 }
@@ -286,7 +290,7 @@ impl Scene {
         let instances: Vec<Instance> = inputs.iter().enumerate().map(make).collect::<Result<_, _>>()?;
         let tree = Tree::new(&boxes);
         let sheets = Sheets::new(&instances, &boxes);
-        Ok(Self { center, scale, instances, materials, textures, tree, boxes, sheets, inputs })
+        Ok(Self { center, scale, instances, materials, textures, tree, boxes, sheets, balls: OnceLock::new(), inputs })
     }
 
     /// The same instances with other transforms, world from local, one for each instance. All objects are shared. The
@@ -306,6 +310,11 @@ impl Scene {
 
     pub fn scene_from_world(&self, p: DVec3) -> DVec3 {
         (p - self.center) / self.scale
+    }
+
+    /// A ball around the surface of each instance.
+    pub fn balls(&self) -> &[Ball] {
+        self.balls.get_or_init(|| Ball::of(&self.instances))
     }
 
     /// Box around all instances, world units.

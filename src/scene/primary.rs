@@ -23,6 +23,9 @@ use rayon::prelude::*;
 pub const MAX_LAYERS: usize = 16;
 
 /// Relative tolerance between the depth found by a device and the depth of the same surface on the ray of the pixel.
+/// Nearest hit of a view ray with a mesh, local units: beyond the rounding of a position in float64. An eye in the plane
+/// of a face does not see this face.
+const NEAR: f64 = 1e-12;
 /// Devices compute in float32, in units of the object; a hit slightly in front is the same surface.
 const NEARNESS: f64 = 1e-3;
 
@@ -241,14 +244,15 @@ impl Eye<'_> {
     fn mesh_ray(&self, item: u32, eye: DVec3, direction: DVec3) -> Option<MeshRay<'_>> {
         let instance = &self.scene.instances[item as usize];
         let to_tree = instance.tree_from_scene;
+        let along = to_tree.matrix3 * (direction / self.scene.scale);
         Some(MeshRay {
             scene: self.scene,
             instance,
             triangles: instance.triangles.as_deref()?,
             in_tree: Ray {
                 origin: to_tree.transform_point3(eye),
-                direction: to_tree.matrix3 * (direction / self.scene.scale),
-                t_min: 0.0,
+                direction: along,
+                t_min: NEAR / along.length(),
                 t_max: f64::INFINITY,
             },
             direction,

@@ -104,7 +104,10 @@ fn draw(
 ) -> Result<Rendered, Error> {
     let sides = (options.samples as f64).sqrt().round() as u32;
     let passes = if sides == 1 { 1 } else { 1 + sides * sides };
-    progress.set_total(u64::from(passes) * 2 * u64::from(options.size[1]));
+    // Each pass advances the progress by one for each row in which it finds surfaces, and by more for each row in which
+    // it finds their light.
+    let finds = u64::from(passes) + u64::from(known::shares_occlusion(options));
+    progress.set_total((u64::from(passes) + finds * known::FIND_WORTH) * u64::from(options.size[1]));
 
     let casters = Casters { scene, far };
     let light_device = device.filter(|device| device.knows_all());

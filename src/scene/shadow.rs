@@ -6,11 +6,12 @@
 //! ([`crate::render::march`]), so neither an epsilon nor a step count decides. Translucent instances block their
 //! fraction.
 //!
-//! *Soft.* As seen from the surface, a light is a disc of angular radius `w`. An occluder whose edge passes the centre
-//! of the disc at the signed angle `x w` leaves the fraction [`super::cone::visible_share`] of it, if that edge is
-//! straight over the disc: the part of a disc on one side of a chord, fully lit from x = 1, dark from x = -1, and one
-//! half on the hard edge. The smallest `d / (w t)` along the ray is that x (Aaltonen, GDC 2018, after Quilez; here the
-//! step is a fraction of `d` near a surface, in place of his estimate between two steps).
+//! *Soft.* As seen from the surface, a light is a disc of angular radius `w`. Suppose the edge of an occluder passes
+//! the centre of the disc at the signed angle `x w`, and is straight over the disc. Then the fraction
+//! [`super::cone::visible_share`] of the disc is visible, which is the part of a disc on one side of a chord: fully lit
+//! from x = 1, dark from x = -1, and one half on the hard edge. The smallest `d / (w t)` along the ray is that x
+//! (Aaltonen, GDC 2018, after Quilez). Near a surface the step is a fraction of `d` here; Aaltonen estimates the value
+//! between two steps instead.
 //!
 //! One cone to the whole disc decides most surfaces by proof: free if no surface enters it, dark if a ball inside an
 //! occluder covers it. The remaining surfaces, in penumbrae and in the shade of thin objects, are evaluated by
@@ -88,7 +89,7 @@ pub struct Work {
 }
 
 impl Work {
-    fn count(&mut self, is_far: bool) {
+    pub fn count(&mut self, is_far: bool) {
         self.rays += 1;
         self.far_rays += u32::from(is_far);
     }
@@ -110,10 +111,10 @@ pub struct Casters<'a> {
     pub far: Option<&'a Far>,
 }
 
-/// One occluder on a part of a ray: an instance or a level of the far field.
-struct Caster<'a> {
-    instance: &'a Instance,
-    field: &'a dyn Field,
+/// One occluder on an interval of a ray: an instance or a level of the far field.
+pub struct Caster<'a> {
+    pub instance: &'a Instance,
+    pub field: &'a dyn Field,
     /// Its box, scene space.
     bounds: &'a Aabb,
     /// Interval in which it is evaluated, scene units.
@@ -141,29 +142,8 @@ impl<'a> Casters<'a> {
         share
     }
 
-    /// Share of a cone's section that passes, if edges in it are straight.
-    pub fn cone_share(&self, place: &Place, ray: &Ray, slope: f32, work: &mut Work) -> f32 {
-        let split = self.split(place, ray, slope);
-        let mut sum = ConeSum::NEW;
-        let line = Line::cone(place.p.as_vec3(), ray.direction.as_vec3(), slope);
-        self.scene.tree.walk(&line, self.reach(&split, ray), |item, limit| {
-            // An occluder farther from the axis than the nearest edge so far cannot change the result.
-            let bounds = &self.scene.boxes[item as usize];
-            let x_known = sum.x_known(&self.scene.instances[item as usize]);
-            if line.with_slope(slope * x_known.max(0.0)).span(bounds.min, bounds.max, limit).is_some() {
-                for caster in self.casters(item, place, ray, &split) {
-                    self.add_cone(&caster, place, ray, slope, x_known, &mut sum, work);
-                }
-            }
-            if sum.opaque.x <= -1.0 { -1.0 } else { limit }
-        });
-        let is_far = self.add_far(&split, place, ray, slope, &mut sum, work);
-        work.count(is_far);
-        sum.share().share
-    }
-
-    /// Share of a cone's section that passes, and whether that is proven: all lit or all dark. `met` becomes the instances
-    /// that stand in the cone.
+    /// Fraction of a cone's section that passes, and whether it is proven: completely lit or dark. `met` becomes the
+    /// list of instances in the cone.
     pub fn whole_cone(&self, place: &Place, ray: &Ray, slope: f32, met: &mut Vec<u32>, work: &mut Work) -> ConeShare {
         met.clear();
         let split = self.split(place, ray, slope);
@@ -193,7 +173,15 @@ impl<'a> Casters<'a> {
     }
 
     /// Adds the far field to the results of a cone. Returns whether it was evaluated.
-    fn add_far(&self, split: &Split, place: &Place, ray: &Ray, slope: f32, sum: &mut ConeSum, work: &mut Work) -> bool {
+    pub fn add_far(
+        &self,
+        split: &Split,
+        place: &Place,
+        ray: &Ray,
+        slope: f32,
+        sum: &mut ConeSum,
+        work: &mut Work,
+    ) -> bool {
         let is_far = split.far.is_some() && sum.opaque.x > -1.0;
         if is_far {
             for far in self.far_casters(split, place, ray) {
@@ -207,8 +195,9 @@ impl<'a> Casters<'a> {
         is_far
     }
 
-    /// Take one caster into the sum of a cone; what it did to the cone, or no more than that it may stand there.
-    fn add_cone(
+    /// Adds one occluder to the results of a cone. Returns the result for this occluder. For an occluder that is tested
+    /// by thin rays, returns only whether the cone may touch it.
+    pub fn add_cone(
         &self,
         caster: &Caster<'_>,
         place: &Place,
@@ -226,7 +215,10 @@ impl<'a> Casters<'a> {
             sum.thin.block(caster.instance.shade, ray, slope, |thin| self.hit_of(caster, place, thin, work).is_some());
             return Cone { x: 0.0, is_covered: false };
         }
-        let cone = self.cone_past(caster, place, ray, slope, x_known, work);
+        let cone = match sum.is_wide {
+            true => self.wide_cone_past(caster, place, ray, slope, sum.least_x, work),
+            false => self.cone_past(caster, place, ray, slope, x_known, work),
+        };
         sum.add(caster.instance, cone);
         cone
     }
@@ -305,20 +297,20 @@ impl<'a> Casters<'a> {
         (share, is_far)
     }
 
-    /// Which parts of a ray or cone the instances answer, and which the far field.
-    fn split(&self, place: &Place, ray: &Ray, slope: f32) -> Split {
+    /// The intervals of a ray or cone for the instances and for the far field.
+    pub fn split(&self, place: &Place, ray: &Ray, slope: f32) -> Split {
         let far = self.far.filter(|_| !place.skips_own);
         far.map_or(Split::near(ray.t_max), |far| far.split(place, ray, slope))
     }
 
-    /// How far a walk through the instances goes.
-    fn reach(&self, split: &Split, ray: &Ray) -> f32 {
+    /// Length of the search through the instances.
+    pub fn reach(&self, split: &Split, ray: &Ray) -> f32 {
         let is_near = split.rest.is_none() && self.far.is_none_or(|far| far.holds_all);
         (if is_near { split.near } else { ray.t_max }) as f32
     }
 
     /// An instance on the intervals of a ray in which it is evaluated.
-    fn casters(&self, item: u32, place: &Place, ray: &Ray, split: &Split) -> impl Iterator<Item = Caster<'a>> {
+    pub fn casters(&self, item: u32, place: &Place, ray: &Ray, split: &Split) -> impl Iterator<Item = Caster<'a>> {
         let instance = &self.scene.instances[item as usize];
         let casts = !instance.is_sheet && instance.casts_shadow && instance.shade > 0.0;
         let field = instance.field.as_deref().filter(|_| casts);
@@ -342,8 +334,13 @@ impl<'a> Casters<'a> {
         })
     }
 
-    /// Where a ray enters a caster's matter, in scene units.
+    /// The position at which a ray enters an occluder, scene units.
     fn hit_of(&self, caster: &Caster<'_>, place: &Place, ray: &Ray, work: &mut Work) -> Option<f32> {
+        self.hit_from(caster, place, ray, caster.part[0], work)
+    }
+
+    /// The same for the part of the ray that begins at `from`, scene units.
+    fn hit_from(&self, caster: &Caster<'_>, place: &Place, ray: &Ray, from: f64, work: &mut Work) -> Option<f32> {
         let (origin, direction) = ray_in_field(caster.instance, caster.is_own, place, ray);
         let [lower, upper] = caster.field.surface_bounds();
         let mut first_hit = |from: f64| {
@@ -353,7 +350,7 @@ impl<'a> Casters<'a> {
             work.steps += taken;
             hit.map(|hit| (hit.t + enter as f32, hit.at_start))
         };
-        match first_hit(caster.part[0])? {
+        match first_hit(from)? {
             (_, true) if caster.skip > 0.0 => first_hit(caster.part[0] + caster.skip).map(|(t, _)| t),
             (t, _) => Some(t),
         }
@@ -370,49 +367,74 @@ impl<'a> Casters<'a> {
         x_known: f32,
         work: &mut Work,
     ) -> Cone {
-        let Caster { instance, field, bounds, .. } = *caster;
-        let (origin, direction) = ray_in_field(instance, caster.is_own, place, ray);
-        let [lower, upper] = field.surface_bounds();
-        // The box grown by the cone's radius at its far side; see `Line::cone`.
-        let speed = direction.length();
-        let grown = instance.field_extent * widest(place, ray, slope * x_known.max(0.0), bounds);
-        let clip_from = |from: f64| clip(origin, direction, lower - grown, upper + grown, from, caster.part[1]);
-        let Some((mut enter, leave)) = clip_from(caster.part[0]) else { return Cone::FREE };
-        if caster.skip > 0.0 && field.distance((origin + enter * direction).as_vec3()) <= 0.0 {
-            match clip_from(caster.part[0] + caster.skip) {
-                Some((later, _)) => enter = later,
-                None => return Cone::FREE,
-            }
-        }
-        let walk = ConeWalk {
-            field,
-            instance,
-            // From the entrance on, float32 will do.
-            start: (origin + enter * direction).as_vec3(),
-            direction: direction.as_vec3(),
-            ray_scene: ray.direction.as_vec3(),
-            enter: enter as f32,
-            leave: leave as f32,
-            slope,
-            pace: 1.0 / (instance.local_from_scene * ray.direction.as_vec3()).length(),
-            least_step: 0.5 / speed as f32,
-        };
+        let Some(walk) = cone_walk(caster, place, ray, slope, x_known) else { return Cone::FREE };
         match self.hit_of(caster, place, ray, work) {
-            Some(t) => {
-                let (cone, edge) = walk.inside(t, &mut work.steps);
-                // It is an edge only if a ray past it is free.
-                let is_edge = edge.is_some_and(|edge| {
-                    let direction = ray.direction + edge.as_dvec3();
-                    let length = direction.length();
-                    let past = Ray { direction: direction / length, t_max: ray.t_max * length };
-                    self.pass_ray(place, &past, work).0 > 0.0
-                });
-                if cone.is_covered || is_edge { cone } else { Cone { x: -1.0, is_covered: false } }
-            }
+            Some(t) => self.blocked_cone(&walk, t, place, ray, work),
             None if x_known <= 0.0 => Cone::FREE,
             None => Cone { x: walk.beside(x_known, &mut work.steps), is_covered: false },
         }
     }
+
+    /// Evaluates a wide cone of occlusion past one occluder in fewer steps: see [`ConeWalk::beside_wide`].
+    fn wide_cone_past(
+        &self,
+        caster: &Caster<'_>,
+        place: &Place,
+        ray: &Ray,
+        slope: f32,
+        least_x: f32,
+        work: &mut Work,
+    ) -> Cone {
+        let Some(walk) = cone_walk(caster, place, ray, slope, 1.0) else { return Cone::FREE };
+        let mut steps = 0;
+        let found = walk.beside_wide(&mut steps, |from| self.hit_from(caster, place, ray, f64::from(from), work));
+        work.steps += steps;
+        match found {
+            Ok(x) => Cone { x: x.max(least_x), is_covered: false },
+            Err(t) => self.blocked_cone(&walk, t, place, ray, work),
+        }
+    }
+
+    /// Evaluates a cone whose axis enters an occluder at `t_hit`.
+    fn blocked_cone(&self, walk: &ConeWalk<'_>, t_hit: f32, place: &Place, ray: &Ray, work: &mut Work) -> Cone {
+        let (cone, edge) = walk.inside(t_hit, &mut work.steps);
+        // The edge counts only if a ray past it is free.
+        let is_edge = edge.is_some_and(|edge| {
+            let direction = ray.direction + edge.as_dvec3();
+            let length = direction.length();
+            let past = Ray { direction: direction / length, t_max: ray.t_max * length };
+            self.pass_ray(place, &past, work).0 > 0.0
+        });
+        if cone.is_covered || is_edge { cone } else { Cone { x: -1.0, is_covered: false } }
+    }
+}
+
+/// The interval of a cone of radius `slope t` in which the surface of an occluder may come within `x_known` radii of
+/// the axis.
+fn cone_walk<'a>(caster: &Caster<'a>, place: &Place, ray: &Ray, slope: f32, x_known: f32) -> Option<ConeWalk<'a>> {
+    let Caster { instance, field, bounds, .. } = *caster;
+    let (origin, direction) = ray_in_field(instance, caster.is_own, place, ray);
+    let [lower, upper] = field.surface_bounds();
+    // The box is enlarged by the radius of the cone at its far side; see `Line::cone`.
+    let grown = instance.field_extent * widest(place, ray, slope * x_known.max(0.0), bounds);
+    let clip_from = |from: f64| clip(origin, direction, lower - grown, upper + grown, from, caster.part[1]);
+    let (mut enter, leave) = clip_from(caster.part[0])?;
+    if caster.skip > 0.0 && field.distance((origin + enter * direction).as_vec3()) <= 0.0 {
+        (enter, _) = clip_from(caster.part[0] + caster.skip)?;
+    }
+    Some(ConeWalk {
+        field,
+        instance,
+        // From the entry on, float32 is sufficient.
+        start: (origin + enter * direction).as_vec3(),
+        direction: direction.as_vec3(),
+        ray_scene: ray.direction.as_vec3(),
+        enter: enter as f32,
+        leave: leave as f32,
+        slope,
+        pace: 1.0 / (instance.local_from_scene * ray.direction.as_vec3()).length(),
+        least_step: 0.5 / direction.length() as f32,
+    })
 }
 
 /// A ray in the field space of an instance. Its start is moved off the surface if the surface belongs to the instance.

@@ -19,7 +19,8 @@
 //!
 //! Sheets are evaluated on the CPU for pictures of every device, so their shadows do not depend on it.
 
-use super::light::{AO_SLOPE, Lights, Surface};
+use super::light::{Lights, Surface};
+use super::occlusion::AO_SLOPE;
 use super::shadow::{PARTS, Place, Ray, Work, basis, disc_point, toward};
 use super::tree::{Line, Tree};
 use super::triangles::Triangles;
@@ -158,7 +159,7 @@ impl Scene {
         let (mut shares, mut work) = (Vec::new(), Work::default());
         let place = &surface.place;
         if let Some(distance) = options.occlusion {
-            for (ray, _) in surface.open_rays(distance / self.scale) {
+            for (ray, _) in place.open_rays(distance / self.scale) {
                 shares.push(self.cone_past_sheets(place, &ray, AO_SLOPE, &mut work));
             }
         }

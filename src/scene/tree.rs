@@ -66,6 +66,12 @@ impl Line {
         } else {
             0.0
         };
+        self.clip(min, max, grown, t_max)
+    }
+
+    /// The part of the ray in a box that is grown by a length on all sides.
+    #[inline]
+    fn clip(&self, min: Vec3, max: Vec3, grown: f32, t_max: f32) -> Option<(f32, f32)> {
         let a = (min - grown - self.origin) * self.inverse;
         let b = (max + grown - self.origin) * self.inverse;
         let (near, far) = (a.min(b), a.max(b));
@@ -106,8 +112,32 @@ impl Tree {
         Self { nodes, items }
     }
 
-    /// Call `visit` with each item whose leaf the line meets before `t_max`, near leaves first. It returns how far to look
-    /// from then on; below zero ends the walk.
+    /// Call `visit` with each item whose leaf comes within `radius` of a point and is not wholly more than `depth` below the plane
+    /// through the point.
+    pub fn near(&self, p: Vec3, radius: f32, normal: Vec3, depth: f32, mut visit: impl FnMut(u32)) {
+        let mut stack = [0u32; MAX_DEPTH];
+        let mut top = 1;
+        while top > 0 {
+            top -= 1;
+            let node = &self.nodes[stack[top] as usize];
+            let (min, max) = (Vec3::from_array(node.min), Vec3::from_array(node.max));
+            let highest = Vec3::select(normal.cmpgt(Vec3::ZERO), max, min);
+            let is_below = (highest - p).dot(normal) < -depth;
+            if is_below || p.distance_squared(p.clamp(min, max)) > radius * radius {
+                continue;
+            }
+            if node.count > 0 {
+                self.items[node.first as usize..][..node.count as usize].iter().for_each(|&item| visit(item));
+            } else {
+                stack[top] = node.first;
+                stack[top + 1] = node.first + 1;
+                top += 2;
+            }
+        }
+    }
+
+    /// Calls `visit` with each item whose leaf the line intersects before `t_max`, near leaves first. `visit` returns
+    /// the new limit; a negative limit ends the search.
     pub fn walk(&self, line: &Line, t_max: f32, mut visit: impl FnMut(u32, f32) -> f32) {
         let mut limit = t_max;
         let mut stack = [(0u32, 0.0f32); MAX_DEPTH];

@@ -53,6 +53,13 @@ impl<'a> FieldView<'a> {
         Self::encoded(grid, distances, 1.0)
     }
 
+    /// The view of a grid and distances that [`Self::new`] accepted before.
+    #[inline]
+    pub fn checked(grid: Grid, distances: &'a [f32]) -> Self {
+        debug_assert_eq!(distances.len(), grid.len());
+        Self { grid, texels: distances, scale: 1.0 }
+    }
+
     pub fn distances(&self) -> &'a [f32] {
         self.texels
     }

@@ -525,6 +525,8 @@ INTERRUPTED = {
     "signed_distance": "fb.signed_distance(mesh, points, progress=ready)",
     "closest_point": "fb.closest_point(mesh, points, progress=ready)",
     "raymarch": "fb.raymarch(fb.bake(mesh, 64), size=(4000, 4000), progress=ready)",
+    # The search for visible surfaces is a thirteenth of the progress, so this is within the light pass.
+    "render": "fb.render([mesh], size=(4000, 4000), ambient_occlusion=True, progress=lambda share: ready(share - 0.2))",
 }
 
 #: Largest delay after Ctrl-C that the interface guarantees, seconds.

@@ -1,4 +1,4 @@
-"""Ambient occlusion: walls that stay closed to wide cones, and the bar of long pictures."""
+"""Ambient occlusion: its cost beside soft shadows, and walls that stay closed to wide cones."""
 
 from __future__ import annotations
 
@@ -10,7 +10,37 @@ import pytest
 
 import fieldbake as fb
 import meshes
-from scenes import moved, plane
+from scenes import moved, plane, positions
+
+CAMERA = fb.Camera((6, 5, 9), (0, -0.6, 0), fov_deg=40)
+
+
+def crowd(count: int) -> fb.Scene:
+    """Knots and balls at random over a floor, as far apart at any count."""
+    random = np.random.default_rng(4)
+    things = [fb.models.torus_knot(segments=64, sides=10), fb.Mesh(*meshes.icosphere(3))]
+    side = 0.8 * np.sqrt(count)
+    places = [moved(scale=(0.3, 0.3, 0.3)) for _ in range(count)]
+    for place in places:
+        place[:3, 3] = random.uniform(-side, side), -0.7, random.uniform(-side, side)
+    instances = [fb.Instance(things[i % 2], place, resolution=32) for i, place in enumerate(places)]
+    return fb.Scene([*instances, plane(2 * side)], lights=[fb.DirectionalLight((-1, -2, -0.6), angle_deg=1.5)])
+
+
+# Cones that walk the tree one by one at every pixel take 21 times the steps of soft shadows at 10 instances, and 40
+# times at 60. Half of that is the limit.
+@pytest.mark.parametrize(("count", "limit"), [(10, 10), (60, 20)])
+def test_occlusion_takes_few_steps(count: int, limit: int) -> None:
+    scene = crowd(count)
+    steps = {}
+    for name, options in {
+        "none": {"shadows": "none"},
+        "soft": {"shadows": "soft"},
+        "open": {"shadows": "none", "ambient_occlusion": True},
+    }.items():
+        steps[name] = fb.render(scene, CAMERA, size=(120, 90), device="cpu", **options).steps.mean()
+    # The steps of the light pass alone: those of the first pass are subtracted.
+    assert steps["open"] - steps["none"] <= limit * (steps["soft"] - steps["none"])
 
 
 @pytest.mark.parametrize("thickness", [0.3, 0.05])
@@ -28,6 +58,59 @@ def test_a_closed_room_is_dark_from_within(thickness: float, device: str) -> Non
     assert np.all(frame.color[..., :3] <= 0.05)
 
 
+def exact_openness(points, normals, centers, radii, reach):
+    """Open fraction above points by seven cones past balls, float64: every ball at 300 positions along every axis."""
+    sign = np.where(normals[:, 2] >= 0, 1.0, -1.0)
+    x, y, _ = normals.T
+    a = -1 / (sign + normals[:, 2])
+    right = np.stack([1 + sign * x * x * a, sign * x * y * a, -sign * x], -1)
+    up = np.stack([x * y * a, sign + y * y * a, -y], -1)
+    slope, t = np.tan(np.radians(30)), np.geomspace(1e-3, 1, 300) * reach
+    total = np.zeros(len(points))
+    for i in range(7):
+        angle = (i - 1) * np.pi / 3
+        ring = 0.5 * normals + np.sqrt(0.75) * (np.cos(angle) * right + np.sin(angle) * up)
+        nearest = np.ones(len(points))
+        for center, radius in zip(centers, radii, strict=True):
+            way = center - points
+            along = (way * (normals if i == 0 else ring)).sum(-1)[:, None]
+            clearance = np.sqrt((way * way).sum(-1)[:, None] - 2 * along * t + t * t) - radius
+            nearest = np.minimum(nearest, (clearance / (slope * t)).min(1))
+        edge = np.clip(nearest, -1, 1)
+        # The fraction of a disc on one side of a chord.
+        share = 0.5 + (np.arcsin(edge) + edge * np.sqrt(1 - edge * edge)) / np.pi
+        total += share * (1 if i == 0 else 0.5)
+    return total / 4
+
+
+@pytest.mark.parametrize("kind", ["dense", "sparse"])
+def test_occlusion_is_that_of_exact_cones(kind: str, device: str) -> None:
+    random = np.random.default_rng(3)
+    centers = np.array([(x, random.uniform(-0.6, 0.2), z) for x in (-2, -0.7, 0.6, 1.9) for z in (-2, -0.7, 0.6, 1.9)])
+    radii = random.uniform(0.2, 0.4, len(centers))
+    field = fb.bake(fb.Mesh(*meshes.icosphere(4)), 32, device="cpu")
+    ball = field if kind == "dense" else field.to_sparse()
+    places = [moved(*center, scale=(radius,) * 3) for center, radius in zip(centers, radii, strict=True)]
+    instances = [fb.Instance(ball, place) for place in places]
+    scene = fb.Scene([*instances, plane(8)], lights=[], ambient=1, background=(0, 0, 0))
+    camera, options = fb.Camera((2, 3, 5), (0, -0.5, 0), fov_deg=50), {"size": (80, 60), "shadows": "none"}
+    plain = fb.render(scene, camera, **options, device=device).color[..., 0]
+    frame = fb.render(scene, camera, **options, device=device, ambient_occlusion=2.0)
+    floor = np.asarray(frame.object_id) == len(centers)
+    open_share = (frame.color[..., 0][floor] / plain[floor])[::7]
+    normals = np.broadcast_to((0.0, 1.0, 0.0), (len(open_share), 3))
+    exact = exact_openness(positions(frame, camera)[floor][::7], normals, centers, radii, 2.0)
+    assert len(exact) > 300
+    assert (exact < 0.8).sum() > 80
+    error = np.abs(open_share - exact)
+    # Values that differ by up to 1/16 are interpolated. Near a ball a step of half a radius takes an edge at the
+    # fraction x of the radius for one at sqrt(x^2 + 1/16), which changes the fraction of a cone by at most 1/6.
+    assert error.mean() <= 1 / 32
+    assert (error <= 1 / 16 + 1 / 6 / 4).mean() >= 0.98
+    # Culled occluders would brighten the floor as a whole.
+    assert abs((open_share - exact).mean()) <= 1 / 64
+
+
 def test_a_bar_appears_on_a_terminal_in_long_work(monkeypatch) -> None:
     class Terminal(io.StringIO):
         def isatty(self) -> bool:
@@ -43,3 +126,12 @@ def test_a_bar_appears_on_a_terminal_in_long_work(monkeypatch) -> None:
         assert ("render" in screen.getvalue()) == draws
         fb.render(fb.Scene([plane()]), size=(16, 16), device="cpu", progress=False)
         assert draws or not screen.getvalue()
+
+
+def test_progress_is_reported_within_the_light_pass() -> None:
+    fractions: list[float] = []
+    options = {"size": (240, 180), "shadows": "none", "ambient_occlusion": 4.0, "device": "cpu"}
+    fb.render(crowd(20), CAMERA, progress=fractions.append, **options)
+    # The search for visible surfaces is a fourteenth of the progress. The light pass, which takes longer, reports too.
+    assert np.all(np.diff(fractions) >= 0)
+    assert sum(0.1 <= fraction <= 0.95 for fraction in fractions) >= 2

@@ -105,10 +105,6 @@ gpu_structs! {
         light_count: u32,
         ray_y: [f32; 3],
         bias_voxels: f32,
-        occlusion: f32,
-        per_pixel: u32,
-        pad_0: u32,
-        pad_1: u32,
         lights: [SurfaceLight; 16],
     }
 

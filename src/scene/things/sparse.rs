@@ -68,6 +68,8 @@ impl Blocks for SparseBricks {
 }
 
 impl OnDevice for SparseBricks {
+    const IS_LOOSE: bool = true;
+
     fn enter(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<(), DeviceError> {
         tables.add_sparse(field)
     }

@@ -1,0 +1,322 @@
+//! Ambient occlusion: the open fraction of wide cones over the hemisphere above a surface.
+//!
+//! # Theory
+//!
+//! [`AO_CONES`] cones cover the hemisphere. Each is evaluated like a cone of a soft shadow ([`super::shadow`]), but
+//! only up to a given distance, and without the narrow cones that refine a penumbra.
+//!
+//! A wide cone meets many instances, and the nearest edge alone decides its fraction. So the instances near a place are
+//! gathered once for all of its cones. The surface of each instance lies in a ball. Seen from the place, let the ball
+//! have the radius `r`, the distance `c`, and the angle `A` from the axis of a cone. Its angular radius is `B`, with
+//! `sin B = r / c`. The surface in it therefore passes the axis at
+//!
+//! ```text
+//!   x >= sin(A - B) / slope      in radii of the cone, where A - B < 90 degrees; else it stays out of the cone
+//! ```
+//!
+//! because the balls of radius `slope x t` about the axis fill the cone of half-angle `asin(slope x)`. The instances
+//! are evaluated in the order of these bounds. All instances whose bound is larger than the nearest edge so far are
+//! skipped, which are nearly all.
+//!
+//! The value for one instance is at least its bound and does not depend on the others. Therefore the minimum of all
+//! values does not depend on the order.
+
+use super::cone::ConeSum;
+use super::field::Field;
+use super::shadow::{Casters, Place, Ray, Work, basis};
+use super::tree::Line;
+use super::{Instance, Scene};
+use glam::{DMat3, DVec3, Vec3};
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// Cones over a hemisphere: one along the normal and a ring of six.
+pub const AO_CONES: usize = 7;
+/// Tangent of half the angle of a cone, 30 degrees: seven such cones just cover a hemisphere.
+pub const AO_SLOPE: f32 = 0.577_350_3;
+/// Cosine and sine of the angle of the ring from the normal: 60 degrees.
+const AO_RING: (f64, f64) = (0.5, 0.866_025_403_784_438_6);
+
+/// Relative margin for the rounding of distances and bounds.
+const ROUNDING: f32 = 1e-5;
+
+/// Stands for an infinite radius in a shader; its square is finite.
+const LARGEST_RADIUS: f32 = 1e15;
+
+impl Place {
+    /// The cones over the hemisphere with their weights. Occluders within `distance`, scene units, count.
+    pub fn open_rays(&self, distance: f64) -> impl Iterator<Item = (Ray, f32)> {
+        let normal = self.normal.as_dvec3();
+        let [right, up] = basis(normal);
+        (0..AO_CONES).map(move |i| {
+            if i == 0 {
+                return (Ray { direction: normal, t_max: distance }, 1.0);
+            }
+            let angle = (i - 1) as f64 * (std::f64::consts::TAU / (AO_CONES - 1) as f64);
+            let aside = angle.cos() * right + angle.sin() * up;
+            (Ray { direction: AO_RING.0 * normal + AO_RING.1 * aside, t_max: distance }, AO_RING.0 as f32)
+        })
+    }
+}
+
+/// A ball that contains the surface of an instance, scene units.
+#[derive(Debug, Clone, Copy)]
+pub struct Ball {
+    center: Vec3,
+    radius: f32,
+    /// The radius in field space. The centre is the centre of the surface's box.
+    pub field_radius: f32,
+}
+
+impl Ball {
+    /// The balls of all instances. An instance without a field has a ball of radius 0.
+    pub fn of(instances: &[Instance]) -> Vec<Self> {
+        let mut known: HashMap<usize, (DVec3, f64)> = HashMap::new();
+        instances
+            .iter()
+            .map(|instance| {
+                let Some(field) = &instance.field else {
+                    return Self { center: Vec3::ZERO, radius: 0.0, field_radius: 0.0 };
+                };
+                let (center, radius) =
+                    *known.entry(Arc::as_ptr(field).addr()).or_insert_with(|| surface_ball(field.as_ref()));
+                let center = instance.field_from_scene.inverse().transform_point3(center).as_vec3();
+                // Loose bounds of distances would otherwise make the result depend on the order of the instances.
+                let radius = if field.is_loose() { f32::INFINITY } else { radius as f32 * (1.0 + ROUNDING) };
+                let scale = field.field_from_local().matrix3;
+                let units =
+                    [scale.x_axis, scale.y_axis, scale.z_axis].map(DVec3::length).into_iter().fold(0.0, f64::max);
+                let field_radius =
+                    (radius * units as f32).min(if field.is_loose() { LARGEST_RADIUS } else { field.surface_radius() });
+                Self { center, radius: radius * instance.stretch[1], field_radius }
+            })
+            .collect()
+    }
+}
+
+/// Largest number of halvings of a surface's box in [`surface_ball`]. They give the radius to an eighth of the box.
+const HALVINGS: u32 = 4;
+
+/// Centre in field space and radius in the object's units of a ball that contains the surface.
+///
+/// Cells of the surface's box are halved along all axes, and the cell with the farthest corner comes first. A cell is
+/// dropped if the distance at its centre exceeds its half diagonal by a voxel or more.
+fn surface_ball(field: &dyn Field) -> (DVec3, f64) {
+    let [lower, upper] = field.surface_bounds().map(|corner| corner.as_dvec3());
+    let (center, half) = (0.5 * (lower + upper), 0.5 * (upper - lower));
+    let m = field.field_from_local().inverse().matrix3;
+    let local_from_field = DMat3::from_cols(m.x_axis.abs(), m.y_axis.abs(), m.z_axis.abs());
+    if field.prefers_rays() {
+        // For these objects one distance costs more than the larger ball.
+        let unit = local_from_field.mul_vec3(DVec3::ONE).max_element();
+        return (center, (f64::from(field.surface_radius()) * unit).min((local_from_field * half).length()));
+    }
+    let corner = |middle: DVec3, half: DVec3| (local_from_field * ((middle - center).abs() + half)).length();
+    let mut radius = 0.0f64;
+    let mut cells = vec![(center, 0)];
+    while let Some((middle, halvings)) = cells.pop() {
+        let half = half * 0.5f64.powi(halvings as i32);
+        let furthest = corner(middle, half);
+        let clearance = (local_from_field * half).length() + field.voxel();
+        if furthest <= radius || f64::from(field.distance(middle.as_vec3())) > clearance {
+            continue;
+        }
+        if halvings == HALVINGS {
+            radius = furthest;
+            continue;
+        }
+        let first = cells.len();
+        cells.extend((0..8).map(|i| {
+            let side = |axis: u32| if i >> axis & 1 == 0 { -0.5 } else { 0.5 };
+            (middle + DVec3::new(side(0), side(1), side(2)) * half, halvings + 1)
+        }));
+        cells[first..].sort_by(|a, b| corner(a.0, 0.5 * half).total_cmp(&corner(b.0, 0.5 * half)));
+    }
+    (center, radius)
+}
+
+/// The instances that may occlude a place, with the positions of their balls relative to it.
+#[derive(Debug, Default)]
+pub struct Occluders {
+    items: Vec<u32>,
+    /// Vector from the place to the centre of the ball.
+    x: Vec<f32>,
+    y: Vec<f32>,
+    z: Vec<f32>,
+    /// Its squared length `c^2`.
+    squared: Vec<f32>,
+    radius: Vec<f32>,
+    /// Length of the tangent from the place to the ball; 0 inside the ball.
+    tangent: Vec<f32>,
+    /// Lower bounds of `x` for the current cone, one per instance.
+    bounds: Vec<f32>,
+    /// Bound and index of the instances that the current cone may meet.
+    met: Vec<(f32, u32)>,
+}
+
+impl Occluders {
+    fn clear(&mut self) {
+        self.items.clear();
+        let Self { x, y, z, squared, radius, tangent, .. } = self;
+        [x, y, z, squared, radius, tangent].into_iter().for_each(Vec::clear);
+    }
+
+    fn push(&mut self, item: u32, ball: Ball, p: Vec3) {
+        let way = ball.center - p;
+        let squared = way.length_squared();
+        let tangent = squared - ball.radius * ball.radius;
+        // Inside a ball all values are 0, and so is the bound.
+        let is_outside = tangent > ROUNDING * squared;
+        let outside = |value: f32| if is_outside { value } else { 0.0 };
+        self.items.push(item);
+        self.x.push(way.x);
+        self.y.push(way.y);
+        self.z.push(way.z);
+        self.squared.push(squared);
+        self.radius.push(outside(ball.radius));
+        self.tangent.push(outside(tangent.max(0.0).sqrt()));
+    }
+
+    /// Finds the instances that a cone may meet, in the order of their bounds.
+    fn sort(&mut self, direction: Vec3, slope: f32) {
+        let n = self.items.len();
+        let Self { x, y, z, squared, radius, tangent, bounds, met, .. } = self;
+        let [x, y, z, squared] = [&x[..n], &y[..n], &z[..n], &squared[..n]];
+        let [radius, tangent] = [&radius[..n], &tangent[..n]];
+        bounds.resize(n, 0.0);
+        for (i, bound) in bounds[..n].iter_mut().enumerate() {
+            let along = x[i] * direction.x + y[i] * direction.y + z[i] * direction.z;
+            let aside = (squared[i] - along * along).max(0.0).sqrt();
+            // Sine and cosine of A - B, each times c^2.
+            let sine = aside * tangent[i] - along * radius[i];
+            let cosine = along * tangent[i] + aside * radius[i];
+            let is_behind = cosine < -ROUNDING * squared[i];
+            *bound = if is_behind { f32::INFINITY } else { sine - ROUNDING * squared[i] };
+        }
+        met.clear();
+        for (i, &bound) in bounds[..n].iter().enumerate() {
+            if bound <= slope * squared[i] {
+                // Inside a ball both are 0, and there is no bound.
+                let bound = if tangent[i] > 0.0 { bound / (slope * squared[i]) } else { -1.0 };
+                met.push((bound, i as u32));
+            }
+        }
+        met.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+    }
+}
+
+impl Casters<'_> {
+    /// Fraction of the hemisphere above a place that no occluder within `distance`, scene units, covers.
+    pub fn open_share(&self, place: &Place, distance: f64, occluders: &mut Occluders, work: &mut Work) -> f32 {
+        self.gather(place, distance, occluders);
+        let (mut sum, mut weights) = (0.0, 0.0);
+        for (ray, weight) in place.open_rays(distance) {
+            let past_sheets = self.scene.cone_past_sheets(place, &ray, AO_SLOPE, work);
+            if past_sheets > 0.0 {
+                sum += weight * past_sheets * self.wide_share(place, &ray, AO_SLOPE, occluders, work);
+            }
+            weights += weight;
+        }
+        sum / weights
+    }
+
+    /// Gathers the instances that cones over the hemisphere above a place may meet.
+    ///
+    /// A cone ends at `distance` with the radius `slope distance`. So it meets no surface beyond
+    /// `distance (1 + slope)`, and no surface below the lowest point of the balls about the axes of the ring.
+    pub fn gather(&self, place: &Place, distance: f64, occluders: &mut Occluders) {
+        let Scene { tree, boxes, instances, .. } = self.scene;
+        let p = place.p.as_vec3();
+        let reach = distance as f32 * (1.0 + AO_SLOPE) * (1.0 + ROUNDING);
+        let depth = distance as f32 * (AO_SLOPE - AO_RING.0 as f32) * (1.0 + ROUNDING);
+        let balls = self.scene.balls();
+        occluders.clear();
+        tree.near(p, reach, place.normal, depth, |item| {
+            let (instance, bounds) = (&instances[item as usize], &boxes[item as usize]);
+            let casts = !instance.is_sheet && instance.casts_shadow && instance.shade > 0.0 && instance.field.is_some();
+            if casts && p.distance_squared(p.clamp(bounds.min, bounds.max)) <= reach * reach {
+                occluders.push(item, balls[item as usize], p);
+            }
+        });
+    }
+
+    /// Fraction of a wide cone's section that passes the occluders of its place, if edges in it are straight.
+    pub fn wide_share(&self, place: &Place, ray: &Ray, slope: f32, occluders: &mut Occluders, work: &mut Work) -> f32 {
+        let direction = ray.direction.as_vec3();
+        let split = self.split(place, ray, slope);
+        let reach = self.reach(&split, ray);
+        let line = Line::cone(place.p.as_vec3(), direction, slope);
+        let mut sum = ConeSum::WIDE;
+        occluders.sort(direction, slope);
+        for &(bound, i) in &occluders.met {
+            let item = occluders.items[i as usize];
+            let x_known = sum.x_known(&self.scene.instances[item as usize]);
+            let bounds = &self.scene.boxes[item as usize];
+            if bound >= x_known || line.span(bounds.min, bounds.max, reach).is_none() {
+                continue;
+            }
+            sum.least_x = bound;
+            for caster in self.casters(item, place, ray, &split) {
+                self.add_cone(&caster, place, ray, slope, x_known, &mut sum, work);
+            }
+            sum.least_x = -1.0;
+            if sum.opaque.x <= -1.0 {
+                break;
+            }
+        }
+        let is_far = self.add_far(&split, place, ray, slope, &mut sum, work);
+        work.count(is_far);
+        sum.share().share
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grid::Grid;
+    use crate::progress::Progress;
+    use crate::scene::field::{DenseField, SampledField};
+    use proptest::prelude::*;
+
+    fn vector() -> impl Strategy<Value = Vec3> {
+        (-1.0..1.0f32, -1.0..1.0f32, -1.0..1.0f32).prop_map(|(x, y, z)| Vec3::new(x, y, z))
+    }
+
+    proptest! {
+        /// The distance of a ball from the axis of a cone is never less than its bound, and all balls that a cone meets
+        /// are found.
+        #[test]
+        fn bounds_hold(centers in prop::collection::vec((vector(), 0.01..0.8f32), 1..20), p in vector(), way in vector()) {
+            prop_assume!(way.length() > 0.01);
+            let direction = way.normalize();
+            let mut occluders = Occluders::default();
+            for (i, &(center, radius)) in centers.iter().enumerate() {
+                occluders.push(i as u32, Ball { center, radius, field_radius: radius }, p);
+            }
+            occluders.sort(direction, AO_SLOPE);
+            for (i, &(center, radius)) in centers.iter().enumerate() {
+                let x_at = |t: f32| ((center - p - t * direction).length() - radius) / (AO_SLOPE * t);
+                let nearest = (1..2000).map(|i| x_at(i as f32 * 0.003)).fold(f32::INFINITY, f32::min);
+                match occluders.met.iter().find(|&&(_, at)| at as usize == i) {
+                    Some(&(bound, _)) => prop_assert!(bound <= nearest.max(-1.0) + 1e-4, "{bound} {nearest}"),
+                    None => prop_assert!(nearest >= 1.0 - 1e-4, "{nearest}"),
+                }
+            }
+            prop_assert!(occluders.met.is_sorted_by(|a, b| a.0 <= b.0));
+        }
+    }
+
+    #[test]
+    fn the_ball_of_a_sphere_is_nearly_as_small() {
+        let grid = Grid::new(DVec3::splat(-1.5), DVec3::splat(1.5), [48; 3]).unwrap();
+        let samples =
+            (0..grid.len()).map(|i| (grid.center(i % 48, i / 48 % 48, i / 2304).length() - 1.0) as f32).collect();
+        let field = DenseField::new(grid, samples).unwrap();
+        let field = SampledField::new(field, [DVec3::splat(-1.0), DVec3::ONE], &Progress::new()).unwrap();
+        let (center, radius) = surface_ball(&field);
+        assert!((center - 23.5).length() <= 1.0, "{center}");
+        // A cell of an eighth of the box has the diagonal 0.24. Its centre may be half of that and a voxel off the
+        // surface.
+        assert!((1.0..=1.0 + 0.24 + 0.0625).contains(&radius), "{radius}");
+    }
+}
