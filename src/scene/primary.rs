@@ -23,11 +23,11 @@ use rayon::prelude::*;
 pub const MAX_LAYERS: usize = 16;
 
 /// Relative tolerance between the depth found by a device and the depth of the same surface on the ray of the pixel.
+/// Devices compute in float32, in units of the object; a hit slightly in front is the same surface.
+const NEARNESS: f64 = 1e-3;
 /// Nearest hit of a view ray with a mesh, local units: beyond the rounding of a position in float64. An eye in the plane
 /// of a face does not see this face.
 const NEAR: f64 = 1e-12;
-/// Devices compute in float32, in units of the object; a hit slightly in front is the same surface.
-const NEARNESS: f64 = 1e-3;
 
 /// A surface visible in a pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
