@@ -102,12 +102,16 @@ def test_meshes_cross_to_worker_processes(method):
 
 
 def test_scenes_travel():
-    scene = fb.Scene([fb.Instance(fb.Mesh(*meshes.box()))])
+    camera = fb.Camera((3, 2, 4), (0, 0, 0))
+    light = fb.DirectionalLight((0, -1, 0))
+    scene = fb.Scene(
+        [fb.Instance(fb.Mesh(*meshes.box()))], [light], ambient=0.3, background=(1, 0, 0), cameras=[camera]
+    )
+    drawn = fb.render(scene, camera, size=(24, 16), device="cpu")
 
-    again = pickle.loads(pickle.dumps(scene))
-
-    assert len(again.instances) == 1
-    assert len(copy.deepcopy(scene).instances) == 1
+    for again in (pickle.loads(pickle.dumps(scene)), copy.deepcopy(scene)):
+        assert np.array_equal(fb.render(again, camera, size=(24, 16), device="cpu").color, drawn.color)
+        assert again.cameras[0].fov_deg == camera.fov_deg
 
 
 @pytest.mark.parametrize("kind", ["stl", "obj", "ply", "glb", "3mf", "STL"])

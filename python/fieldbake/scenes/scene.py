@@ -119,9 +119,23 @@ class Scene(Viewable):
             self._cores[fields] = self._builder.build(self._instances, fields, device)
         return self._cores[fields]
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # The copy makes the objects of the core again when it is drawn.
+        return _copy, (self._instances, self._lights, self._ambient, self._background, self._cameras)
+
     def __repr__(self) -> str:
         lights = "a light at the camera" if self._lights is None else f"{len(self._lights)} lights"
         return f"Scene({len(self._instances)} instances, {lights})"
+
+
+def _copy(
+    instances: Sequence[Instance],
+    lights: Sequence[Light] | None,
+    ambient: float,
+    background: ArrayLike,
+    cameras: Sequence[Camera],
+) -> Scene:
+    return Scene(instances, lights, ambient=ambient, background=background, cameras=cameras)
 
 
 def _instance(number: int, item: Any) -> Instance:
