@@ -22,7 +22,6 @@ test: check types ## Everything CI runs: format, lints, types, Rust tests, Pytho
 	PYOPENGL_PLATFORM=osmesa $(BIN)/pytest -n 2 -m "not slow"
 
 test-long: $(VENV)/.built $(VENV)/.test $(VENV)/.long $(VENV)/.docs ## The tests that `make test` leaves out: slow ones, and builds of 1 to 256 units
-	$(BIN)/pip install --quiet --group test-long
 	PYOPENGL_PLATFORM=osmesa $(BIN)/pytest -n 2 -m slow
 	scripts/check_units.sh
 

@@ -102,7 +102,7 @@ def free_port() -> int:
 @contextlib.contextmanager
 def jupyter_lab(folder: Path) -> Iterator[str]:
     """A server of JupyterLab in a folder; its address."""
-    pytest.importorskip("jupyterlab", reason="JupyterLab is missing: pip install --group test-long")
+    pytest.importorskip("jupyterlab", reason="JupyterLab is missing: pip install --group long")
     port = free_port()
     command = [sys.executable, "-m", "jupyterlab", "--no-browser", "--allow-root", f"--port={port}"]
     command.append("--IdentityProvider.token=")
