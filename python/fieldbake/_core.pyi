@@ -39,6 +39,7 @@ __all__ = [
     "bake",
     "bake_brute",
     "bake_sparse",
+    "bake_update",
     "bake_window",
     "cast_rays",
     "check_scales",

@@ -133,6 +133,19 @@ def test_meshes_are_baked_once_for_all_their_instances():
     assert values[2] > 0
 
 
+def test_a_shape_is_placed_by_the_transform_of_its_pair():
+    aside = np.eye(4)
+    aside[0, 3] = 4
+    field = fb.merge([fb.sphere(1), (fb.sphere(1), aside)], 48)
+
+    assert np.all(field.sample([(0, 0, 0), (4, 0, 0)]) < 0)
+    points = np.array([(1.2, 0, 0), (2, 0, 0), (4, 1.2, 0)])
+    expected = np.minimum(np.linalg.norm(points, axis=1), np.linalg.norm(points - (4, 0, 0), axis=1)) - 1
+    # Outside, the field is a lower bound, and the merge loses less than a voxel.
+    lost = expected - field.sample(points)
+    assert np.all((lost >= -1e-6) & (lost <= field.spacing.max()))
+
+
 def test_where_the_box_cuts_the_surface_the_cut_is_a_surface():
     ball = meshes.icosphere(3)
     cut = fb.bake(ball, 24, bounds=[(-1.2, -1.2, -1.2), (0.1, 1.2, 1.2)])

@@ -18,6 +18,7 @@ from ..base.progress import Progress, progress_callback
 from ..base.report import Report
 from ..meshes.convert import is_arrays
 from ..shapes.quadric import Quadric, bounds_of, check_quadrics, is_quadrics, rows_of
+from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume
 
@@ -240,7 +241,7 @@ def place(name: str, item: Any, baked: dict[tuple[int, int], Volume]) -> Placed:
     elif (
         isinstance(item, tuple)
         and len(item) == 2
-        and (isinstance(item[0], (Volume, SparseVolume, Quadric)) or not is_arrays(item))
+        and (isinstance(item[0], (Volume, SparseVolume, AtlasEntry, Quadric, Shape)) or not is_arrays(item))
     ):
         thing, transform = item
     matrix = np.eye(4) if transform is None else checks.affine(f"{name}: transform", transform, SceneError)
@@ -253,7 +254,7 @@ def place(name: str, item: Any, baked: dict[tuple[int, int], Volume]) -> Placed:
     key = (id(thing), resolution)
     if key not in baked:
         try:
-            baked[key] = thing.to_volume() if isinstance(thing, SparseVolume) else bake(thing, resolution)
+            baked[key] = bake(thing, resolution)
         except DeviceError:
             raise
         except Error as error:
