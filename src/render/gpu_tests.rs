@@ -2,6 +2,7 @@
 
 use super::camera::tests::look_at;
 use super::*;
+use crate::gpu::layout;
 use crate::gpu::shader::shared;
 use crate::gpu::tests::test_context;
 use crate::volume::sparse::SparseField;
@@ -214,8 +215,9 @@ fn a_device_is_sent_the_stored_bytes_and_little_else() {
         assert!(draw().object_id.contains(&0));
         (context.counters.uploaded_bytes.load(Ordering::Relaxed) - before) as usize
     };
-    // Size of a light, bytes.
-    const BESIDE: usize = 256;
+    // A light, the parameters of the picture at their allocation and before the kernel, and those of the samples.
+    const BESIDE: usize =
+        size_of::<layout::Light>() + 2 * size_of::<layout::MarchParams>() + size_of::<layout::StoredParams>();
 
     let (texels, scale) = encoded::<i8>(&grid, &distances);
     let field = FieldView::encoded(grid, &texels, scale).unwrap();
@@ -226,7 +228,8 @@ fn a_device_is_sent_the_stored_bytes_and_little_else() {
     let view = field.view().unwrap();
     let sent = uploaded(&|| raymarch_sparse(&place, view, &camera, &options, &Progress::new()).unwrap());
     // One byte per brick stores the leap.
-    assert!(sent <= field.bytes() + field.index.len() + BESIDE, "{sent} bytes for {}", field.bytes());
+    let parameters = BESIDE + size_of::<layout::SparseParams>();
+    assert!(sent <= field.bytes() + field.index.len() + parameters, "{sent} bytes for {}", field.bytes());
     assert!(sent < grid.len());
 }
 
@@ -259,7 +262,7 @@ fn a_device_decodes_every_stored_number_as_the_core_does() {
             .collect();
         let bytes: Vec<u8> = stored.iter().flat_map(|bits| bits.to_le_bytes()[..encoding.bytes()].to_vec()).collect();
         let scale = 0.3;
-        let params = crate::gpu::layout::StoredParams { encoding: number, scale, ..Default::default() };
+        let params = layout::StoredParams { encoding: number, scale, ..Default::default() };
         let words = context.upload_bytes("stored", &bytes).unwrap();
         let uniform = context.uniform("encoding", &params).unwrap();
         let decoded = context.storage("decoded", 4 * stored.len() as u64).unwrap();
