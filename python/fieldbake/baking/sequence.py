@@ -74,8 +74,8 @@ def bake_sequence(
     >>> import fieldbake as fb
     >>> knot = fb.models.torus_knot()
     >>> rising = [knot] + [knot.vertices + [0, 0, height] for height in (0.1, 0.2)]
-    >>> [volume.resolution for volume in bake_sequence(rising, 24)]
-    [(24, 21, 13), (24, 21, 13), (24, 21, 13)]
+    >>> [volume.resolution for volume in fb.bake_sequence(rising, 24)]
+    [(23, 24, 13), (23, 24, 13), (23, 24, 13)]
     """
     shared = bounds != "follow" if isinstance(bounds, str) else True
     if isinstance(bounds, str):

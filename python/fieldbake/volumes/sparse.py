@@ -122,7 +122,7 @@ class SparseVolume(GridField, Loadable, Shaded, Convertible):
         Examples
         --------
         >>> import fieldbake as fb
-        >>> sparse = fb.bake_sparse(fb.sphere(1), 32)
+        >>> sparse = fb.bake(fb.sphere(1), 32).to_sparse()
         >>> sparse.quantize("snorm8").encoding
         'snorm8'
         """
