@@ -141,6 +141,81 @@ def test_standard_streams(folder):
     assert "--from" in unknown.stderr
 
 
+@pytest.mark.parametrize(
+    "head", [b"", b"# exported\n\n# by a program\n", b"\nmtllib a.mtl\no body\n"], ids=["bare", "comment", "material"]
+)
+def test_standard_input_is_recognised_by_its_first_bytes(folder, head):
+    result = fieldbake("info", "-", "--json", input=head + (folder / "body.obj").read_bytes())
+    assert result.exit_code == DONE, result.stderr
+    assert json.loads(result.stdout)["faces"] == len(fb.load_mesh(folder / "body.obj").faces)
+
+
+@pytest.mark.parametrize("ending", [".vdb", ".ktx2", ".nrrd", ".npz", ".vti", ".dds", ".exr"])
+def test_fields_pass_through_streams(folder, ending, tmp_path):
+    written = fieldbake("convert", folder / "v.npz", "/dev/stdout", "--to", ending)
+    assert written.exit_code == DONE, written.stderr
+    read = fieldbake("convert", "/dev/stdin", tmp_path / "v.npz", input=written.stdout_bytes)
+    exact = fb.load(folder / "v.npz")
+    if ending in (".dds", ".exr"):
+        # The box lies in the file beside them, which a stream does not have.
+        assert read.exit_code == BAD_INPUT
+        assert ".json" in read.stderr
+        return
+    assert read.exit_code == DONE, read.stderr
+    near = np.abs(exact.distances) < 2.9 * exact.spacing.max()
+    assert np.array_equal(fb.load(tmp_path / "v.npz").distances[near], exact.distances[near])
+
+
+def test_tables_show_what_a_file_stores(folder, tmp_path):
+    """A narrow band limits the stored distances, so the table has other extremes than the source."""
+    exact = fb.load(folder / "v.npz")
+    for name, band in (("a.ktx2", 4), ("b.vdb", 3)):
+        options = ["--encoding", "snorm16"] if name == "a.ktx2" else []
+        result = fieldbake("convert", folder / "v.npz", tmp_path / name, *options)
+        highest = min(band * float(exact.spacing.max()), float(exact.distances.max()))
+        assert f"to {highest:.5g}" in result.stdout
+        assert ("snorm16" in result.stdout) == (name == "a.ktx2")
+
+
+def test_several_files_are_drawn_in_one_picture(folder, tmp_path):
+    ball = fb.bake(fb.sphere(0.5).translate((4, 2, 3)), 16)
+    ball.save(tmp_path / "ball.vdb")
+    result = fieldbake("render", folder / "v.npz", tmp_path / "ball.vdb", folder / "body.obj", "--size", "48x32",
+                       "--shadows", "none", "-o", tmp_path / "a.png")  # fmt: skip
+    assert result.exit_code == DONE, result.stderr
+    # The box (0 to 2) is on the left, the ball (3.5 to 4.5) on the right, and background between them.
+    from PIL import Image
+
+    drawn = np.asarray(Image.open(tmp_path / "a.png").convert("L")).astype(int)
+    covered = (np.abs(drawn - drawn[0, 0]) > 8).any(axis=0)
+    assert np.count_nonzero(np.diff(covered.astype(int)) == 1) == 2
+
+
+def test_a_resolution_out_of_range_names_the_largest(folder):
+    result = fieldbake("bake", folder / "body.obj", "-r", 99999, "-o", folder / "x.npz")
+    assert result.exit_code == BAD_INPUT
+    words = result.stderr.split()
+    most = int(words[words.index("most", words.index("at", words.index("use"))) + 1])
+    # The box of a 2 x 1 x 0.5 body.
+    assert 10_000 < most < 99_999
+    assert "1.1e+12" in result.stderr
+    with pytest.raises(fb.ArgumentError, match="at most"):
+        fb.bake(fb.sphere(1), 20_000)
+
+
+def test_help_names_arguments_plainly():
+    text = fieldbake("bake", "--help").stdout
+    assert "MESH..." in text
+    assert "{" not in text
+    assert "list[" not in text
+
+
+def test_a_closed_pipe_is_no_error(folder):
+    command = f"{sys.executable} -m fieldbake info {folder / 'v.npz'} --json | true; exit ${{PIPESTATUS[0]}}"
+    result = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=60, check=False)
+    assert result.stderr == ""
+
+
 def test_outputs_are_checked_before_work(folder, tmp_path):
     for arguments, word in (
         (["bake", folder / "missing.obj", "-o", tmp_path / "v.xyz"], "must end in"),

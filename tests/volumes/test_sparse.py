@@ -262,10 +262,8 @@ def test_a_sparse_volume_is_packed_and_merged_as_its_whole_grid(dense: fb.Volume
     assert np.array_equal(merged.distances, expected.distances)
 
 
-def test_a_sparse_volume_is_no_shape_and_no_list(dense: fb.Volume) -> None:
+def test_a_sparse_volume_is_no_list(dense: fb.Volume) -> None:
     sparse = dense.to_sparse()
-    with pytest.raises(fb.ShapeError, match=r"volume: .*its to_volume\(\)"):
-        fb.volume_shape(sparse)
     with pytest.raises(fb.ArgumentError, match=r"volumes: .*put it in a list"):
         fb.pack(sparse)
 
@@ -293,3 +291,18 @@ def test_noise_is_drawn_alike_on_the_device(encoding: str, gpu: str, random: np.
     # A ray that grazes a bump may miss it by a rounding.
     assert (ours.object_id != theirs.object_id).sum() <= 2
     assert np.quantile(np.abs(ours.depth[hit] - theirs.depth[hit]), 0.995) <= 1e-5
+
+
+def test_a_sparse_volume_is_a_leaf_of_a_shape_and_no_array():
+    volume = fb.bake(fb.box((2, 1, 0.5)), 16)
+    sparse = volume.to_sparse()
+    points = np.random.default_rng(3).uniform(-1.5, 1.5, (64, 3))
+    assert np.array_equal(
+        fb.volume_shape(sparse).distance(points), fb.volume_shape(sparse.to_volume()).distance(points)
+    )
+    with pytest.raises(TypeError, match="to_volume"):
+        np.asarray(sparse)
+    with pytest.raises(fb.FormatError, match=r"to_volume\(\)\.save"):
+        sparse.save("v.dds")
+    merged = fb.merge([volume], 8)
+    assert repr(merged).startswith("MergedField(")

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _core
 from ..base import checks
 from ..base.errors import ArgumentError, ShapeError
-from ..base.grid import DEFAULT_RESOLUTION, Grid, Resolution, make_grid
+from ..base.grid import DEFAULT_RESOLUTION, Grid, Resolution, check_count, make_grid
 from ..base.log import logger
 from ..base.notices import warn_surface
 from ..base.progress import Progress, progress_callback
@@ -190,7 +190,7 @@ def prepare(
         border = 0.5 + sheet_thickness(grid) / (2 * np.array(grid.spacing))
         grid = make_grid(inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin, border=1.01 * border)
         thickness = sheet_thickness(grid)
-    return place(checked, grid, method, thickness)
+    return place(checked, check_count(grid), method, thickness)
 
 
 def bake_job(job: Job, band: float | None, device: str, progress: Progress, before: Volume | None = None) -> Volume:
@@ -270,7 +270,7 @@ def _bake_shape(
         if bounds is None:
             raise
         inner = checks.box("bounds", bounds)
-    grid = make_grid(inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin)
+    grid = check_count(make_grid(inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin))
     start = perf_counter()
     with progress_callback(progress, "bake") as callback:
         distances, where = shape._core.bake(grid.lower, grid.upper, grid.shape, device=device, progress=callback)

@@ -19,6 +19,9 @@ DEFAULT_RESOLUTION = 64
 #: Largest number of voxels along one side. Beyond it even a slab of one voxel exceeds any memory.
 MAX_SIDE = 2**31 - 1
 
+#: Largest number of voxels of a volume. The core refuses more.
+MAX_VOXELS = 2**40
+
 #: Tolerance, in voxels, within which a side counts as a whole number of voxels. It covers the rounding of a division.
 WHOLE = 1e-6
 
@@ -104,6 +107,20 @@ def make_grid(
         # The corners stay as given, to the bit, so that the box of a volume makes the grid of that volume.
         return _grid(outer[0], outer[1], shape)
     return _oblong(center, extent, wanted, border_voxels, shape)
+
+
+def check_count(grid: Grid) -> Grid:
+    """Return the grid of a volume, or raise an error with the largest grid in the same box."""
+    count = math.prod(grid.shape)
+    if count > MAX_VOXELS:
+        share = (MAX_VOXELS / count) ** (1 / 3)
+        most = math.floor(max(grid.shape) * share)
+        x, y, z = grid.shape
+        raise ArgumentError(
+            f"resolution: {x} x {y} x {z} are {count:.2g} voxels, and a field has at most {MAX_VOXELS:.2g}; use at "
+            f"most {most} along the longest side, a smaller box (bounds), or bake_to_zarr"
+        )
+    return grid
 
 
 def _cubic_from_count(

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import importlib
 import warnings
-from typing import Annotated, Any
+from collections.abc import Callable
+from typing import Annotated, Any, TypeVar
 
 import typer
 from rich.console import Console
@@ -16,6 +17,8 @@ from rich.table import Table
 from typer.core import TyperCommand, TyperGroup
 
 import fieldbake as fb
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 class Errors(Console):
@@ -54,7 +57,7 @@ COMMANDS = {
     "pack": ("commands", "Pack baked fields and meshes into a texture atlas."),
     "render": (
         "pictures",
-        "Draw a scene: a glTF or any mesh file with its textures, cameras and lights, or a baked field.",
+        "Draw scenes: glTF or any mesh files with their textures, cameras and lights, or baked fields.",
     ),
     "view": ("view", "Write a live view of each file as one HTML page, and open it."),
     "csg": ("pictures", "Draw, bake or mesh a shape from its s-expression. The z axis points upwards in pictures."),
@@ -108,6 +111,8 @@ class Group(TyperGroup):
         """Run a command; see the description of the class."""
         try:
             return super().invoke(ctx)
+        except BrokenPipeError:
+            raise  # the program that read the output has ended; Typer then exits without a message
         except (fb.Error, OSError) as error:
             text = str(error)
             if isinstance(error, OSError) and error.strerror:
@@ -116,7 +121,32 @@ class Group(TyperGroup):
             raise typer.Exit(1) from None
 
 
-app = typer.Typer(
+class Command(TyperCommand):
+    """A command whose help names arguments plainly: ``MESH...`` instead of ``{MESH}...`` and ``<list[Path]>``."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the parameters; arguments without the Python type that some versions of Typer print."""
+        parameters: list[Any] = list(super().get_params(ctx))
+        for parameter in parameters:
+            if parameter.param_type_name == "argument":
+                parameter.metavar = (parameter.metavar or parameter.name or "").upper()
+                parameter.display_type_rich = lambda ctx: None  # noqa: ARG005 - the signature is Typer's
+        return parameters
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Return the words of the usage line."""
+        return [piece.replace("{", "").replace("}", "") for piece in super().collect_usage_pieces(ctx)]
+
+
+class Application(typer.Typer):
+    """An application whose commands are of the class above."""
+
+    def command(self, name: str | None = None, **options: Any) -> Callable[[_Function], _Function]:
+        """Return a decorator that adds a command."""
+        return super().command(name, **{"cls": Command, **options})
+
+
+app = Application(
     cls=Group,
     no_args_is_help=True,
     pretty_exceptions_enable=False,

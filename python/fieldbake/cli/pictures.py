@@ -22,7 +22,9 @@ from .streams import check_clobber, check_output
 
 @app.command()
 def render(
-    file: Annotated[Path, typer.Argument(help="A scene, a mesh, or a baked .npz file.")],
+    files: Annotated[
+        list[Path], typer.Argument(help="Scenes, meshes and baked fields, drawn in one picture.", metavar="FILE")
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write: .png, .jpg, ...")],
     size: Annotated[
         Any, typer.Option(parser=parse_size, metavar="WxH", help="Size of the picture, pixels.")
@@ -66,12 +68,12 @@ def render(
     ] = None,
     device: Device = "auto",
 ) -> None:
-    """Draw a scene: a glTF or any mesh file with its textures, cameras and lights, or a baked field."""
+    """Draw scenes: glTF or any mesh files with their textures, cameras and lights, or baked fields."""
     if target is not None and eye is None:
         raise typer.BadParameter("needs --eye", param_hint="--target")
     check_picture(output)
     check_clobber(output)
-    scene = _scene(file, resolution, color, light, angle, floor)
+    scene = _scene(files, resolution, color, light, angle, floor)
     camera = None
     if eye is not None:
         camera = fb.Camera(eye, scene.bounds.mean(axis=0) if target is None else target, up, fov)
@@ -99,7 +101,7 @@ def render(
 
 
 def _scene(
-    file: Path,
+    files: list[Path],
     resolution: Any,
     color: tuple[float, float, float] | None,
     light: list[Any] | None,
@@ -108,24 +110,30 @@ def _scene(
 ) -> fb.Scene:
     """Build the scene that `render` draws."""
     material = None if color is None else fb.Material(color=color)
-    lights = None if not light else [fb.DirectionalLight(way, angle_deg=angle) for way in light]
-    if file.suffix.lower() == ".npz":
-        scene = fb.Scene([fb.Instance(fb.load(file), material=material)])
-    else:
-        voxels = resolution if isinstance(resolution, int) else max(resolution)
-        scene = fb.load_scene(file, resolution=voxels)
+    lights: list[Any] | None = None if not light else [fb.DirectionalLight(way, angle_deg=angle) for way in light]
+    voxels = resolution if isinstance(resolution, int) else max(resolution)
+    scenes = [
+        fb.Scene([fb.Instance(fb.load(file))])
+        if file.suffix.lower() in ENDINGS["volume"]
+        else fb.load_scene(file, resolution=voxels)
+        for file in files
+    ]
     instances = [
         item if material is None else fb.Instance(item.thing, item.transform, material, resolution=item.resolution)
+        for scene in scenes
         for item in scene.instances
     ]
+    cameras = [camera for scene in scenes for camera in scene.cameras]
     if floor:
-        lower, upper = scene.bounds
+        lower, upper = fb.Scene(instances).bounds
         middle, reach = (lower + upper) / 2, 1.5 * float(np.linalg.norm(upper - lower))
         corners = [
             (middle[0] + x * reach, lower[1], middle[2] + z * reach) for x, z in ((-1, -1), (1, -1), (1, 1), (-1, 1))
         ]
         instances.append(fb.Instance(fb.Mesh(corners, [(0, 2, 1), (0, 3, 2)])))
-    return fb.Scene(instances, scene.lights if lights is None else lights, cameras=scene.cameras)
+    if lights is None:
+        lights = [light for scene in scenes for light in scene.lights or ()] or None
+    return fb.Scene(instances, lights, cameras=cameras)
 
 
 @app.command()

@@ -40,7 +40,7 @@ def save_field(
     elif ending != ".npz":
         options |= {"band": band, "mipmaps": mipmaps}
     field.save(target, encoding=encoding, **options)
-    return field
+    return fb.load(target) if ending in writers.BANDED or encoding is not None else field
 
 
 def check_encoding(ending: str, encoding: str) -> None:

@@ -6,6 +6,7 @@ from its first bytes, or from ``--from``.
 
 from __future__ import annotations
 
+import re
 import shutil
 import sys
 import tempfile
@@ -28,20 +29,31 @@ _SIGNATURES = (
     (b"VF_", ".vf"),
     (b"NRRD", ".nrrd"),
     (b"PK\x03\x04", ".npz"),
+    (b"DDS ", ".dds"),
+    (b"\x76\x2f\x31\x01", ".exr"),
     (b"glTF", ".glb"),
     (b"ply", ".ply"),
     (b"OFF", ".off"),
     (b"solid ", ".stl"),
     (b"<?xml", ".vti"),
     (b"<VTKFile", ".vti"),
-    (b"v ", ".obj"),
-    (b"# ", ".obj"),
+    (b"{", ".gltf"),
 )
+#: A line of an OBJ file, which has no signature.
+_OBJ_LINE = re.compile(rb"^[ \t]*(v|vn|vt|f|o|g|s|usemtl|mtllib)[ \t]", re.MULTILINE)
+#: Number of bytes in which the kind of an input is searched. Exporters may write a long comment first.
+_HEAD = 4096
 
 
 def is_stream(path: Path) -> bool:
-    """Whether a path is the dash, which means standard input or output."""
-    return str(path) == "-"
+    """Whether a path means standard input or output."""
+    return str(path) in ("-", "/dev/stdin", "/dev/stdout")
+
+
+def _kind(first: bytes) -> str | None:
+    """The ending that the first bytes of a file imply; None if they imply none."""
+    found = next((ending for signature, ending in _SIGNATURES if first.startswith(signature)), None)
+    return ".obj" if found is None and _OBJ_LINE.search(first) else found
 
 
 def check_output(output: Path, endings: tuple[str, ...], option: str = "--output") -> None:
@@ -62,7 +74,7 @@ def check_clobber(output: Path) -> None:
 
 @contextmanager
 def input_file(path: Path, kind: str | None) -> Iterator[Path]:
-    """Yield a file to read: `path`, or a copy of standard input if that is a dash."""
+    """Yield a file to read: `path`, or a copy of standard input if the path means that."""
     if not is_stream(path):
         yield path
         return
@@ -71,9 +83,7 @@ def input_file(path: Path, kind: str | None) -> Iterator[Path]:
         with raw.open("wb") as stream:
             shutil.copyfileobj(sys.stdin.buffer, stream)
         with raw.open("rb") as stream:
-            first = stream.read(16)
-        found = next((ending for signature, ending in _SIGNATURES if first.startswith(signature)), None)
-        ending = f".{kind.lstrip('.')}" if kind else found
+            ending = f".{kind.lstrip('.')}" if kind else _kind(stream.read(_HEAD))
         if ending is None:
             raise fb.FormatError("-: the kind of the input is not known from its first bytes; name it with --from")
         named = raw.with_name(f"standard input{ending}")
@@ -83,7 +93,7 @@ def input_file(path: Path, kind: str | None) -> Iterator[Path]:
 
 @contextmanager
 def output_file(path: Path, kind: str) -> Iterator[Path]:
-    """Yield a file to write: `path`, or a file that is copied to standard output if that is a dash."""
+    """Yield a file to write: `path`, or a file that is copied to standard output if the path means that."""
     if not is_stream(path):
         yield path
         return

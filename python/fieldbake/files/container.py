@@ -90,8 +90,11 @@ def write(path: str | os.PathLike[str], header: dict[str, Any], arrays: dict[str
 
 def check_ending(target: Path, kind: str) -> None:
     """Raise unless a file is an .npz archive; the message names all endings of this kind of object."""
-    if target.suffix.lower() != ".npz":
-        raise FormatError(f"{target}: {_NAMES[kind]} is written as {endings(kind)}, got the ending '{target.suffix}'")
+    if (ending := target.suffix.lower()) != ".npz":
+        hint = "; to_volume().save() writes it" if kind in ("sparse", "nested") and ending in ENDINGS["volume"] else ""
+        raise FormatError(
+            f"{target}: {_NAMES[kind]} is written as {endings(kind)}, got the ending '{target.suffix}'{hint}"
+        )
 
 
 def endings(kind: str) -> str:

@@ -25,6 +25,7 @@ from ..files import flipbook, nanovdb_reader, nrrd, openvdb_reader, sidecar, tex
 from ..files.container import read_facts
 from ..files.grid_samples import GridSamples
 from ..files.openvdb_reader import VdbGrid
+from ..volumes.quantized import QuantizedVolume
 from ..volumes.volume import Volume, check_distances
 from .npz import make_atlas, read_scale
 
@@ -58,7 +59,7 @@ def _read_texture(path: Path, data: bytes) -> Volume:
 
 
 def _decoded(texels: NDArray[Any], encoding: str, facts: dict[str, Any]) -> Volume:
-    """The volume of texels (nx, ny, nz) with the facts of their file."""
+    """The volume of texels (nx, ny, nz) with the facts of their file; it keeps an encoding that volumes have."""
     sidecar.expect(facts, "volume texture")
     if facts.get("encoding") != encoding:
         raise FormatError(f"the texels are {encoding}, their facts are of {str(facts.get('encoding'))[:40]}")
@@ -69,7 +70,9 @@ def _decoded(texels: NDArray[Any], encoding: str, facts: dict[str, Any]) -> Volu
         return _own(encodings.from_unorm8(texels, scale), facts)
     if encoding == "float16" and not np.isfinite(texels).all():
         raise FormatError("a texel is not finite")
-    return _own(_core.decode(np.asfortranarray(texels), scale), facts)
+    texels = np.asfortranarray(texels)
+    own = _own(_core.decode(texels, scale), facts)
+    return QuantizedVolume._of(texels, encoding, scale, own.bounds, own.inner_bounds, own.report)
 
 
 def _read_level_set(data: bytes) -> GridSamples:

@@ -85,7 +85,6 @@ def load_as(kind: type[_Kind], path: str | os.PathLike[str]) -> _Kind:
     """Read the object in a file, and check that it is of this kind."""
     found = load(path)
     if not isinstance(found, kind):
-        raise FormatError(
-            f"{os.fspath(path)}: holds a {type(found).__name__}, not a {kind.__name__}; use fieldbake.load"
-        )
+        name, wanted = (f"{'an' if one[0] in 'AEIOU' else 'a'} {one}" for one in (type(found).__name__, kind.__name__))
+        raise FormatError(f"{os.fspath(path)}: holds {name}, not {wanted}; use fieldbake.load")
     return found

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _core
 from ..base import checks
 from ..base.errors import ShapeError
+from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume
 from .arguments import Axis, axis_of, number, numbers, sides
 from .shape import Shape
@@ -409,13 +410,14 @@ def iwp(cell: float = 1.0, thickness: float = 0.1) -> Shape:
     return _primitive("iwp", number("cell", cell), number("thickness", thickness))
 
 
-def volume_shape(volume: Volume) -> Shape:
+def volume_shape(volume: Volume | SparseVolume) -> Shape:
     """Make a shape from a baked field, so that a mesh can be combined with primitives.
 
     Parameters
     ----------
-    volume : Volume
-        The volume whose zero level set is the surface. The faces of the box close a surface that the box cuts.
+    volume : Volume or SparseVolume
+        The volume whose zero level set is the surface. The faces of the box close a surface that the box cuts. A sparse
+        volume is converted to its dense grid.
 
     Returns
     -------
@@ -431,6 +433,8 @@ def volume_shape(volume: Volume) -> Shape:
     >>> bool(bitten.distance([(0.9, 0, 0)])[0] > 0)
     True
     """
+    if isinstance(volume, SparseVolume):
+        volume = volume.to_volume()
     if not isinstance(volume, Volume):
         raise ShapeError(f"volume: must be a Volume, got {checks.describe(volume)}; see bake()")
     lower, upper = volume._corners()

@@ -482,7 +482,7 @@ class Volume(GridField, Loadable, Shaded):
         same = np.allclose(spacing, spacing[0], rtol=1e-6)
         voxel = f"{spacing[0]:.4g}" if same else " x ".join(f"{side:.4g}" for side in spacing)
         made = f", sign {self._report.sign_method} on {self._report.device}" if self._report.sign_method else ""
-        return f"Volume({shape} voxels of {voxel} units, {bytes_text(self.nbytes)}{made})"
+        return f"{type(self).__name__}({shape} voxels of {voxel} units, {bytes_text(self.nbytes)}{made})"
 
 
 class Convertible:
@@ -497,6 +497,11 @@ class Convertible:
             if not name.startswith("_") and hasattr(Volume, name):
                 raise AttributeError(f"a {kind} has no {name}; a Volume has: call to_volume().{name}")
             raise AttributeError(f"'{kind}' object has no attribute '{name}'")
+
+        def __array__(self, *_: Any, **__: Any) -> Any:
+            raise TypeError(
+                f"a {type(self).__name__} is not an array; to_volume() makes a Volume, which converts to one"
+            )
 
 
 def _restore(distances: Any, bounds: Any, inner_bounds: Any, report: Report) -> Volume:
