@@ -48,6 +48,7 @@ pub mod scene;
 pub mod shader_library;
 pub mod shader_text;
 pub mod sign;
+mod simd;
 pub mod surface;
 pub mod viewer;
 pub mod volume;

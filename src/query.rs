@@ -71,9 +71,9 @@ pub fn signed_distances(
 }
 
 /// Results along the curve, in chunks of [`CHUNK`], each with the row of its point.
-struct Answers<T>(Vec<Vec<(u32, T)>>);
+struct ChunkedResults<T>(Vec<Vec<(u32, T)>>);
 
-impl<T> Answers<T> {
+impl<T> ChunkedResults<T> {
     /// Visits the results in the order of the points. Reading them out of order touches less memory than writing
     /// several arrays out of order.
     fn for_each_row(&self, mut visit: impl FnMut(&T)) {
@@ -183,7 +183,7 @@ fn answer_in_order<T: Send>(
     points: &[[f64; 3]],
     progress: &Progress,
     answer: impl Fn(&mut Walk<'_>, DVec3, u32) -> T + Sync,
-) -> Result<Answers<T>, Error> {
+) -> Result<ChunkedResults<T>, Error> {
     progress.set_total(place.passes() * points.len() as u64);
     let faces = match place {
         Place::Cpu => Vec::new(),
@@ -198,9 +198,9 @@ fn answer_in_order<T: Send>(
     };
     let order = curve(points);
     if order.len() <= CHUNK {
-        return Ok(Answers(vec![answer_chunk(&order)?]));
+        return Ok(ChunkedResults(vec![answer_chunk(&order)?]));
     }
-    Ok(Answers(order.par_chunks(CHUNK).map(answer_chunk).collect::<Result<_, Error>>()?))
+    Ok(ChunkedResults(order.par_chunks(CHUNK).map(answer_chunk).collect::<Result<_, Error>>()?))
 }
 
 /// Rows in order of the Morton code, or in their own order if there are too few.

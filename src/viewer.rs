@@ -23,7 +23,7 @@ const GLSL: GlslTarget = GlslTarget {
 
 /// Kinds of fields besides shapes.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Kinds {
+pub struct ViewedKinds {
     pub dense: bool,
     pub sparse: bool,
     pub quadric: bool,
@@ -54,7 +54,7 @@ pub struct ShapeFunction {
 }
 
 /// Write the shader for fields of these kinds and for these shapes.
-pub fn shader(kinds: Kinds, solids: &[Arc<Solid>], language: Language) -> Result<ViewerShader, Error> {
+pub fn shader(kinds: ViewedKinds, solids: &[Arc<Solid>], language: Language) -> Result<ViewerShader, Error> {
     let mut functions: Vec<(String, Option<String>)> = Vec::new();
     let mut shapes = Vec::new();
     for solid in solids {
@@ -102,8 +102,8 @@ fn without_lines(text: &str, name: &str) -> String {
 }
 
 /// The text in place of `shaders/viewer/needs.wgsl`.
-fn needs(kinds: Kinds, has_shape: bool) -> String {
-    let Kinds { dense, sparse, quadric, encoding } = kinds;
+fn needs(kinds: ViewedKinds, has_shape: bool) -> String {
+    let ViewedKinds { dense, sparse, quadric, encoding } = kinds;
     let encoding = encoding.and_then(|one| Encoding::ALL.iter().position(|&known| known == one));
     format!(
         "const HAS_DENSE: bool = {dense};\nconst HAS_SPARSE: bool = {sparse};\nconst HAS_SHAPE: bool = {has_shape};\n\
@@ -168,7 +168,8 @@ mod tests {
         for solids in [vec![], texts[1..].iter().map(solid).collect(), texts.iter().map(solid).collect::<Vec<_>>()] {
             for bits in 0..8u8 {
                 let encoding = (bits == 1).then_some(Encoding::Snorm8);
-                let kinds = Kinds { dense: bits & 1 == 1, sparse: bits & 2 == 2, quadric: bits & 4 == 4, encoding };
+                let kinds =
+                    ViewedKinds { dense: bits & 1 == 1, sparse: bits & 2 == 2, quadric: bits & 4 == 4, encoding };
                 let glsl = shader(kinds, &solids, Language::Glsl).unwrap();
                 assert!(glsl.text.starts_with("#version 300 es\n"));
                 assert_eq!(glsl.shapes.iter().flatten().count(), solids.len());

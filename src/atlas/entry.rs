@@ -3,7 +3,7 @@
 //! Strips have the article's record, 208 bytes in std430, to the byte. Shelves have the same first 200 bytes, followed
 //! by the layout of the slices. Matrices are stored by columns, as GLSL and WGSL read them.
 
-use super::Block;
+use super::AtlasBlock;
 use bytemuck::{Pod, Zeroable};
 use glam::{DMat4, DVec3};
 
@@ -55,7 +55,7 @@ pub struct AtlasEntry {
 /// Position and boxes of a field, world units.
 #[derive(Debug, Clone, Copy)]
 pub struct Facts {
-    pub block: Block,
+    pub block: AtlasBlock,
     pub inner: [DVec3; 2],
     pub outer: [DVec3; 2],
     /// Transform from the field's own space to the world.

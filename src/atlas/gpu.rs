@@ -3,7 +3,7 @@
 //! A page is a storage buffer of the occupied rows, padded to 256 bytes, so that it can be copied to a layer of a
 //! texture without conversion ([`DevicePages::texture`]). The bytes are those of [`super::texels::write`].
 
-use super::Block;
+use super::AtlasBlock;
 use crate::encoding::Encoding;
 use crate::error::{DeviceError, Error};
 use crate::gpu::Context;
@@ -18,7 +18,7 @@ const ROW_ALIGNMENT: u32 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT;
 /// A field on a device and its block.
 #[derive(Debug, Clone, Copy)]
 pub struct DeviceItem<'a> {
-    pub block: Block,
+    pub block: AtlasBlock,
     pub field: &'a DeviceField,
     /// Factor of stored values; see [`Encoding::scale`].
     pub scale: f32,

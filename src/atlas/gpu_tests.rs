@@ -6,7 +6,7 @@ use super::plan::plan;
 use super::sample::{AtlasField, AtlasFilter};
 use super::shader::{ShaderOptions, wgsl};
 use super::texels::{self, Item};
-use super::{Block, Layout};
+use super::{AtlasBlock, Layout};
 use crate::encoding::Encoding;
 use crate::gpu::Context;
 use crate::gpu::tests::test_context;
@@ -32,7 +32,7 @@ fn field(shape: [u32; 3], seed: u32) -> Vec<f32> {
 }
 
 struct Packed {
-    blocks: Vec<Block>,
+    blocks: Vec<AtlasBlock>,
     pages: u32,
     fields: Vec<Vec<f32>>,
     host: Vec<u8>,
@@ -144,7 +144,7 @@ fn the_wgsl_samples_the_texture_as_the_cpu_samples_the_pages() {
             } else {
                 pack_on_device(&context, encoding, &packed, u64::MAX).texture().unwrap()
             };
-            let box_of = |block: &Block| {
+            let box_of = |block: &AtlasBlock| {
                 let shape = block.shape.map(|n| n as usize);
                 Grid::new(DVec3::new(-1.0, 0.0, 0.5), DVec3::new(1.0, 2.0, 3.0), shape).unwrap()
             };
@@ -227,7 +227,7 @@ fn image_texture(context: &Context, encoding: Encoding, packed: &Packed) -> wgpu
 
 /// Largest change when rounding moves a point across a voxel border: the range of the samples of the cell and its
 /// neighbours.
-fn corner_range(samples: &[f32], block: &Block, cell: [i32; 3], encoding: Encoding) -> f32 {
+fn corner_range(samples: &[f32], block: &AtlasBlock, cell: [i32; 3], encoding: Encoding) -> f32 {
     let [nx, ny, nz] = block.shape.map(|n| n as i32);
     let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
     for z in cell[2] - 1..=cell[2] + 2 {

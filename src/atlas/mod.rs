@@ -3,7 +3,7 @@
 //! # Theory
 //!
 //! A field is divided into its slices along z, and each slice is a tile of the page. The tiles of a field form one
-//! [`Block`]: `columns` tiles per row, rows below each other. Two layouts differ only in how blocks are made:
+//! [`AtlasBlock`]: `columns` tiles per row, rows below each other. Two layouts differ only in how blocks are made:
 //!
 //! - *Strips*, of the article "Packing 3D SDF to a 2D Texture": cubes of n voxels, all tiles in one row, blocks below
 //!   each other. Texel (x + z n, y + row n); 64 fields of 64^3 fill a page of 4096^2.
@@ -58,7 +58,7 @@ impl Layout {
 /// Position of the slices of a field.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable)]
 #[repr(C)]
-pub struct Block {
+pub struct AtlasBlock {
     pub page: u32,
     /// First texel: (column, row).
     pub corner: [u32; 2],
@@ -71,7 +71,7 @@ pub struct Block {
     pub shape: [u32; 3],
 }
 
-impl Block {
+impl AtlasBlock {
     /// Rectangle of the slices and their gutters, texels.
     pub fn rectangle(&self) -> Rectangle {
         let [x, y] = self.corner;

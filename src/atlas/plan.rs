@@ -1,7 +1,7 @@
 //! Positions of new fields, given the occupied blocks.
 
 use super::rectangles::FreeArea;
-use super::{Block, Layout};
+use super::{AtlasBlock, Layout};
 use crate::error::{AtlasError, Error};
 
 /// Largest side of a page: twice the limit of current devices. Texel offsets fit in an i32.
@@ -16,9 +16,9 @@ pub fn plan(
     layout: Layout,
     page_size: u32,
     align: u32,
-    taken: &[Block],
+    taken: &[AtlasBlock],
     shapes: &[[u32; 3]],
-) -> Result<Vec<Block>, Error> {
+) -> Result<Vec<AtlasBlock>, Error> {
     match layout {
         Layout::Strips => plan_strips(page_size, taken, shapes),
         Layout::Shelves { gutter } => plan_shelves(page_size, gutter, align, taken, shapes),
@@ -26,7 +26,7 @@ pub fn plan(
 }
 
 /// Rows of the article, the lowest free one first.
-fn plan_strips(page_size: u32, taken: &[Block], shapes: &[[u32; 3]]) -> Result<Vec<Block>, Error> {
+fn plan_strips(page_size: u32, taken: &[AtlasBlock], shapes: &[[u32; 3]]) -> Result<Vec<AtlasBlock>, Error> {
     let Some(side) = taken.first().map(|block| block.shape[0]).or(shapes.first().map(|shape| shape[0])) else {
         return Ok(Vec::new());
     };
@@ -55,7 +55,7 @@ fn plan_strips(page_size: u32, taken: &[Block], shapes: &[[u32; 3]]) -> Result<V
             let page = u32::try_from(page).ok().filter(|&page| page < MAX_PAGES);
             let page = page.ok_or(AtlasError::TooManyPages { item, limit: MAX_PAGES })?;
             let corner = [0, row_of_page as u32 * side];
-            Ok(Block { page, corner, tile: [side; 2], columns: side, gutter: 0, shape: *shape })
+            Ok(AtlasBlock { page, corner, tile: [side; 2], columns: side, gutter: 0, shape: *shape })
         })
         .collect()
 }
@@ -65,9 +65,9 @@ fn plan_shelves(
     page_size: u32,
     gutter: u32,
     align: u32,
-    taken: &[Block],
+    taken: &[AtlasBlock],
     shapes: &[[u32; 3]],
-) -> Result<Vec<Block>, Error> {
+) -> Result<Vec<AtlasBlock>, Error> {
     let mut pages: Vec<FreeArea> = Vec::new();
     for block in taken {
         while pages.len() <= block.page as usize {
@@ -82,7 +82,7 @@ fn plan_shelves(
     let mut order: Vec<usize> = (0..shapes.len()).collect();
     order.sort_by_key(|&item| std::cmp::Reverse(area(&shapes[item])));
 
-    let mut blocks = vec![Block::default(); shapes.len()];
+    let mut blocks = vec![AtlasBlock::default(); shapes.len()];
     for item in order {
         let shape = shapes[item];
         let tile = tile(&shape);
@@ -114,7 +114,7 @@ fn plan_shelves(
             }
         };
         pages[page].take(&place);
-        blocks[item] = Block { page: page as u32, corner: [place.x, place.y], tile, columns, gutter, shape };
+        blocks[item] = AtlasBlock { page: page as u32, corner: [place.x, place.y], tile, columns, gutter, shape };
     }
     Ok(blocks)
 }
@@ -162,7 +162,7 @@ mod tests {
         prop::collection::vec(prop::array::uniform3(1..20u32), 1..30)
     }
 
-    fn assert_apart(blocks: &[Block]) {
+    fn assert_apart(blocks: &[AtlasBlock]) {
         for (i, a) in blocks.iter().enumerate() {
             for b in &blocks[..i] {
                 assert!(a.page != b.page || !a.rectangle().overlaps(&b.rectangle()), "{a:?} {b:?}");
@@ -226,15 +226,15 @@ mod tests {
         let block = plan(Layout::Shelves { gutter: 1 }, 64, 1, &[], &[[5, 6, 7]]).unwrap()[0];
         assert!(block.is_sound(64, 1));
         for wrong in [
-            Block { page: 1, ..block },
-            Block { columns: 0, ..block },
-            Block { columns: u32::MAX, ..block },
-            Block { corner: [u32::MAX, 0], ..block },
-            Block { corner: [0, 60], ..block },
-            Block { shape: [5, 6, u32::MAX], ..block },
-            Block { shape: [0, 6, 7], ..block },
-            Block { tile: [8, 8], ..block },
-            Block { gutter: u32::MAX, ..block },
+            AtlasBlock { page: 1, ..block },
+            AtlasBlock { columns: 0, ..block },
+            AtlasBlock { columns: u32::MAX, ..block },
+            AtlasBlock { corner: [u32::MAX, 0], ..block },
+            AtlasBlock { corner: [0, 60], ..block },
+            AtlasBlock { shape: [5, 6, u32::MAX], ..block },
+            AtlasBlock { shape: [0, 6, 7], ..block },
+            AtlasBlock { tile: [8, 8], ..block },
+            AtlasBlock { gutter: u32::MAX, ..block },
         ] {
             assert!(!wrong.is_sound(64, 1), "{wrong:?}");
         }

@@ -13,13 +13,13 @@
 //!
 //! Twin of `shaders/atlas/sampling.wgsl`. Offsets of the slices are computed once per view.
 
-use super::Block;
+use super::AtlasBlock;
 use crate::encoding::Encoding;
 use crate::error::{ArgumentError, Error, choice};
 use crate::grid::Grid;
 use crate::progress::Progress;
 use crate::volume::outside::bound_outside;
-use crate::volume::{Cell, Filter, Trilinear, trilinear};
+use crate::volume::{Cell, SampleFilter, Trilinear, trilinear};
 use glam::{DVec2, DVec3, IVec3};
 
 /// Interpolation of the texels.
@@ -54,7 +54,14 @@ pub struct AtlasField<'a> {
 
 impl<'a> AtlasField<'a> {
     /// The block must be sound on these pages, and have the shape of the grid.
-    pub fn new(pages: &'a [u8], page_size: u32, encoding: Encoding, scale: f32, block: &Block, grid: Grid) -> Self {
+    pub fn new(
+        pages: &'a [u8],
+        page_size: u32,
+        encoding: Encoding,
+        scale: f32,
+        block: &AtlasBlock,
+        grid: Grid,
+    ) -> Self {
         let row_texels = page_size as usize;
         let page_bytes = row_texels * row_texels * encoding.bytes();
         let slices = (0..block.shape[2])
@@ -77,9 +84,9 @@ impl<'a> AtlasField<'a> {
         progress: &Progress,
     ) -> Result<Vec<f32>, Error> {
         match filter {
-            AtlasFilter::Linear => self.sample(points, inner, Filter::Linear, progress),
-            AtlasFilter::Nearest => self.sample(points, inner, Filter::Nearest, progress),
-            AtlasFilter::Slice => BySlice(self).sample(points, inner, Filter::Linear, progress),
+            AtlasFilter::Linear => self.sample(points, inner, SampleFilter::Linear, progress),
+            AtlasFilter::Nearest => self.sample(points, inner, SampleFilter::Nearest, progress),
+            AtlasFilter::Slice => BySlice(self).sample(points, inner, SampleFilter::Linear, progress),
         }
     }
 
@@ -152,7 +159,7 @@ fn bits<const N: usize>(page: &[u8], texel: usize) -> u32 {
 
 /// Texture coordinates of points on the page, 0 to 1: `ConvertWorldToTexture` of the article. Points outside the box
 /// are moved to its nearest point; z selects the slice.
-pub fn texture_coordinates(block: &Block, page_size: u32, grid: &Grid, points: &[DVec3]) -> Vec<[f64; 2]> {
+pub fn texture_coordinates(block: &AtlasBlock, page_size: u32, grid: &Grid, points: &[DVec3]) -> Vec<[f64; 2]> {
     let last = block.shape[2] - 1;
     let shape = DVec3::from_array(block.shape.map(f64::from));
     points
@@ -196,7 +203,7 @@ mod tests {
             let item = Item { block, distances: &distances, scale: 1.0 };
             write(bytemuck::cast_slice_mut(&mut pages), 32, Encoding::Float32, &[item], &Progress::new()).unwrap();
             let field = AtlasField::new(bytemuck::cast_slice(&pages), 32, Encoding::Float32, 1.0, &block, grid);
-            for (ours, theirs) in [(AtlasFilter::Linear, Filter::Linear), (AtlasFilter::Nearest, Filter::Nearest)] {
+            for (ours, theirs) in [(AtlasFilter::Linear, SampleFilter::Linear), (AtlasFilter::Nearest, SampleFilter::Nearest)] {
                 prop_assert_eq!(
                     field.sample_filtered(&points, inner, ours, &Progress::new()).unwrap(),
                     view.sample(&points, inner, theirs, &Progress::new()).unwrap()

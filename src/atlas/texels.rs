@@ -3,7 +3,7 @@
 //! Pages are bytes, so that the same code serves every encoding: `pages` x `page_size` x `page_size` texels, row 0
 //! first.
 
-use super::Block;
+use super::AtlasBlock;
 use crate::encoding::Encoding;
 use crate::error::Error;
 use crate::memory::allocate_samples;
@@ -16,7 +16,7 @@ const BAND_ROWS: usize = 16;
 /// A field and its block.
 #[derive(Debug, Clone, Copy)]
 pub struct Item<'a> {
-    pub block: Block,
+    pub block: AtlasBlock,
     /// Samples, x fastest in memory.
     pub distances: &'a [f32],
     /// Factor of stored values; see [`Encoding::scale`].
@@ -88,7 +88,7 @@ fn write_band(rows: &mut [u8], first_row: usize, row_bytes: usize, encoding: Enc
 }
 
 /// Sets the texels of a block to zero.
-pub fn clear(pages: &mut [u8], page_size: u32, encoding: Encoding, block: &Block) {
+pub fn clear(pages: &mut [u8], page_size: u32, encoding: Encoding, block: &AtlasBlock) {
     let row_bytes = page_size as usize * encoding.bytes();
     let room = block.rectangle();
     let first = (block.page as usize * page_size as usize + room.y as usize) * row_bytes;
@@ -103,7 +103,7 @@ pub fn read(
     pages: &[u8],
     page_size: u32,
     encoding: Encoding,
-    block: &Block,
+    block: &AtlasBlock,
     scale: f32,
     progress: &Progress,
 ) -> Result<Vec<f32>, Error> {

@@ -24,7 +24,7 @@ pub(super) const STRIDE: usize = 4;
 
 /// Values that a bake stores for samples beyond the band.
 #[derive(Debug)]
-pub(super) enum Far {
+pub(super) enum BeyondBand {
     /// The distance itself; there is no band.
     Exact,
     /// A lower bound on the distance.
@@ -33,7 +33,7 @@ pub(super) enum Far {
     Cut(f64),
 }
 
-impl Far {
+impl BeyondBand {
     /// Half width of the band, local units.
     pub fn width(&self) -> f64 {
         match self {

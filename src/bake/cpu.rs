@@ -1,6 +1,6 @@
 //! The bake on the CPU.
 
-use super::band::{Band, Far};
+use super::band::{Band, BeyondBand};
 use super::signs::{Counts, SignPass};
 use super::{Bake, BakeOptions, LocalGrid, dense};
 use crate::error::Error;
@@ -38,8 +38,8 @@ pub(super) fn bake(mesh: &Mesh, grid: &Grid, options: &BakeOptions, progress: &P
     let start = Instant::now();
     let job = Job { mesh, local, rule: &choice.rule, progress };
     let far = match options.band {
-        Some(voxels) => Far::Bound(Band::new(mesh, &local, voxels, progress)?),
-        None => Far::Exact,
+        Some(voxels) => BeyondBand::Bound(Band::new(mesh, &local, voxels, progress)?),
+        None => BeyondBand::Exact,
     };
     let by_closest = job.distances(&mut distances, &far)?;
     stage("distance", start);
@@ -73,14 +73,14 @@ pub(super) struct Job<'a> {
 impl Job<'_> {
     /// Computes unsigned distances, world units. Rules that use the closest point set the sign here too; returns the
     /// number of samples that they found inside.
-    pub fn distances(&self, out: &mut [f32], far: &Far) -> Result<Counts, Error> {
+    pub fn distances(&self, out: &mut [f32], far: &BeyondBand) -> Result<Counts, Error> {
         if matches!(self.rule, SignRule::Pseudonormal | SignRule::Normal) {
             return self.closest_points(out, far);
         }
         // The scale is a power of two, so the product is exact.
         let scale = self.mesh.scale();
         dense::distances(self.mesh, &self.local, far.width() as f32, scale as f32, self.progress, out)?;
-        if !matches!(far, Far::Exact) {
+        if !matches!(far, BeyondBand::Exact) {
             out.par_chunks_mut(self.local.shape()[0]).enumerate().for_each(|(row, samples)| {
                 for (x, sample) in samples.iter_mut().enumerate() {
                     *sample = (far.clip(self.voxel(x, row), f64::from(*sample) / scale) * scale) as f32;
@@ -96,7 +96,7 @@ impl Job<'_> {
     }
 
     /// Computes closest points sample by sample, for the rules that need them.
-    fn closest_points(&self, out: &mut [f32], far: &Far) -> Result<Counts, Error> {
+    fn closest_points(&self, out: &mut [f32], far: &BeyondBand) -> Result<Counts, Error> {
         let nx = self.local.shape()[0];
         let inside = AtomicUsize::new(0);
         out.par_chunks_mut(nx).enumerate().try_for_each(|(row, samples)| {

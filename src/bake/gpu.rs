@@ -42,7 +42,7 @@ const STRIDE: usize = super::band::STRIDE;
 /// Number of blocks of a dispatch: in the first one, and at most, by the limit of one dimension of workgroups. The
 /// first dispatch is small because a software adapter may compute during the submission, which cannot be interrupted.
 const BLOCKS: (u64, u64) = (4, 65_535);
-/// Relative slack above the width of the band for the rounding of a square.
+/// Relative slack above the half width of the band for the rounding of a square.
 const LIMIT_SLACK: f64 = 1e-5;
 
 /// Bakes into device memory. No slab is larger than `slab_bytes`.
@@ -73,7 +73,7 @@ pub(super) fn bake(
 
     let start = Instant::now();
     let local = LocalGrid::new(grid, mesh);
-    let job = Job::new(context, mesh, local, options, &tree, progress)?;
+    let job = DeviceJob::new(context, mesh, local, options, &tree, progress)?;
     stage("upload", start);
 
     // The device computes distances while the threads of the CPU compute signs.
@@ -121,7 +121,7 @@ pub(super) fn bake(
 }
 
 /// Resources that the kernels of one bake share.
-struct Job<'a> {
+struct DeviceJob<'a> {
     context: &'a Arc<Context>,
     mesh: &'a Mesh,
     local: LocalGrid,
@@ -136,7 +136,7 @@ struct Job<'a> {
     coarse_squares: wgpu::Buffer,
 }
 
-impl<'a> Job<'a> {
+impl<'a> DeviceJob<'a> {
     fn new(
         context: &'a Arc<Context>,
         mesh: &'a Mesh,

@@ -55,7 +55,7 @@ pub struct Bake {
 
 /// A finished field in the memory where it was computed.
 #[derive(Debug)]
-pub enum Field {
+pub enum BakedField {
     /// Distances in world units, x fastest.
     Host(Vec<f32>),
     Device(DeviceField),
@@ -68,12 +68,13 @@ pub fn bake_at(
     grid: &Grid,
     options: &BakeOptions,
     progress: &Progress,
-) -> Result<(Field, Report), Error> {
+) -> Result<(BakedField, Report), Error> {
     match place {
-        Place::Cpu => bake(mesh, grid, options, progress).map(|baked| (Field::Host(baked.distances), baked.report)),
-        Place::Gpu(context) => {
-            bake_on_device(context, mesh, grid, options, progress).map(|(field, report)| (Field::Device(field), report))
+        Place::Cpu => {
+            bake(mesh, grid, options, progress).map(|baked| (BakedField::Host(baked.distances), baked.report))
         }
+        Place::Gpu(context) => bake_on_device(context, mesh, grid, options, progress)
+            .map(|(field, report)| (BakedField::Device(field), report)),
     }
 }
 

@@ -7,7 +7,7 @@ use super::LocalGrid;
 use crate::error::Error;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
-use crate::sign::crossing::{Axes, Surface, scan_row};
+use crate::sign::crossing::{Axes, ClosedSurface, scan_row};
 use crate::sign::openings::{Openings, SampleBlock};
 use crate::sign::{SignRule, parity};
 use rayon::prelude::*;
@@ -130,7 +130,7 @@ impl SignPass<'_> {
             let block = SampleBlock { low: [0; 3], high: [nx, ny, planes], at: &at };
             counts.undecided = openings.for_each_rounded_fraction(&block, &mut set);
         }
-        let surface = Surface::new(self.mesh, &openings.caps);
+        let surface = ClosedSurface::new(self.mesh, &openings.caps);
         let mut windings = vec![0i16; nx * ny];
         for k in 0..planes {
             let row = self.local.axes[2].at(first_plane + k);
@@ -150,7 +150,7 @@ impl SignPass<'_> {
     /// Parity along x and y by plane; parity along z only where those two disagree.
     fn vote_slab(&self, first_plane: usize, planes: usize, mark: &mut impl FnMut(usize)) -> Result<Counts, Error> {
         let [nx, ny] = self.plane();
-        let surface = Surface::new(self.mesh, &[]);
+        let surface = ClosedSurface::new(self.mesh, &[]);
         let mut counts = Counts::default();
         let (mut along_x, mut along_y) = (vec![0i16; nx * ny], vec![0i16; nx * ny]);
         // The same row, with the other axis of the plane as the ray.

@@ -70,7 +70,7 @@ pub fn bake_sparse<T: Texel>(
     let corners = nodes.clone();
     let local = LocalGrid::new(grid, mesh);
     let voxel = grid.spacing();
-    let job = Job {
+    let job = SparseJob {
         mesh,
         rule: &choice.rule,
         local,
@@ -100,7 +100,7 @@ pub fn bake_sparse<T: Texel>(
 }
 
 /// Data shared by all layers.
-struct Job<'a> {
+struct SparseJob<'a> {
     mesh: &'a Mesh,
     rule: &'a SignRule,
     local: LocalGrid,
@@ -113,7 +113,7 @@ struct Job<'a> {
     is_closed: bool,
 }
 
-impl Job<'_> {
+impl SparseJob<'_> {
     /// Upper bound on the number of bricks with a sample in the band, from the distances at their corners.
     fn count_near(&self) -> usize {
         let [nx, ny, nz] = self.bricks;
@@ -133,11 +133,12 @@ impl Job<'_> {
     }
 
     /// Signs of the planes of a layer, for rules that count by planes.
-    fn layer(&self, planes: Range<usize>, progress: &Progress) -> Result<Layer<'_>, Error> {
+    fn layer(&self, planes: Range<usize>, progress: &Progress) -> Result<RegionLayer<'_>, Error> {
         let [nx, ny, _] = self.local.shape();
         let words_per_row = nx.div_ceil(64);
         let by_planes = matches!(self.rule, SignRule::Counted(_) | SignRule::Parity);
-        let mut layer = Layer { job: self, first_plane: planes.start, words_per_row, words: Vec::new(), undecided: 0 };
+        let mut layer =
+            RegionLayer { job: self, first_plane: planes.start, words_per_row, words: Vec::new(), undecided: 0 };
         if !by_planes {
             return Ok(layer);
         }
@@ -166,8 +167,8 @@ impl Job<'_> {
 const SLAB_PLANES: usize = 4;
 
 /// A layer of regions, and the signs of its samples if they are known.
-struct Layer<'a> {
-    job: &'a Job<'a>,
+struct RegionLayer<'a> {
+    job: &'a SparseJob<'a>,
     first_plane: usize,
     words_per_row: usize,
     /// One bit per sample, set if inside; each row of samples begins with a new word. Empty for rules that classify
@@ -176,10 +177,10 @@ struct Layer<'a> {
     undecided: usize,
 }
 
-impl Layer<'_> {
+impl RegionLayer<'_> {
     fn is_inside(&self, [x, y, z]: [usize; 3]) -> bool {
         if self.words.is_empty() {
-            let Job { mesh, rule, local, .. } = self.job;
+            let SparseJob { mesh, rule, local, .. } = self.job;
             let p = local.at([x, y, z]);
             return match rule {
                 SignRule::Unsigned => false,
@@ -211,7 +212,7 @@ impl Layer<'_> {
     }
 }
 
-impl SampleSource for Layer<'_> {
+impl SampleSource for RegionLayer<'_> {
     type Worker = ();
 
     fn worker(&self) {}

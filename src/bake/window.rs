@@ -3,7 +3,7 @@
 //! A window computes the positions of its samples from the whole grid and evaluates each of them by itself, so its
 //! samples have the bits of the whole bake.
 
-use super::band::{Far, width};
+use super::band::{BeyondBand, width};
 use super::cpu::Job;
 use super::{BakeOptions, LocalGrid};
 use crate::error::{ArgumentError, Error};
@@ -43,7 +43,7 @@ pub fn bake_window(
     let (choice, _) = options.choose_sign(mesh);
     let whole = LocalGrid::new(grid, mesh);
     let job = Job { mesh, local: whole.part(low, shape), rule: &choice.rule, progress };
-    let far = options.band.map_or(Far::Exact, |voxels| Far::Cut(width(&whole, voxels)));
+    let far = options.band.map_or(BeyondBand::Exact, |voxels| BeyondBand::Cut(width(&whole, voxels)));
     let by_closest = job.distances(&mut distances, &far)?;
     job.signs(&mut distances, by_closest)?;
     if let Some(thickness) = options.thickness {

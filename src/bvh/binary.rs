@@ -26,16 +26,16 @@ pub struct BinaryTree {
 }
 
 /// A future child: part of the children of an eight-wide node, or of the triangles of a pack.
-enum Part {
+enum FutureChild {
     Children(Vec<(Aabb, ChildRef)>),
     Triangles(Vec<(Aabb, u32, TriangleFrame)>),
 }
 
 /// Position at which a child is written: a node, and its left or right side.
-type Place = (usize, Side);
+type ChildPosition = (usize, ChildSide);
 
 #[derive(Clone, Copy)]
-enum Side {
+enum ChildSide {
     Left,
     Right,
 }
@@ -46,10 +46,10 @@ impl BinaryTree {
         let mut tree = Self { nodes: vec![absent()], triangles: Vec::with_capacity(faces.len()) };
         let expand = |child: ChildRef| expand(bvh, positions, faces, child);
         // The root is always an inner node. The tree of a single leaf has it on the left.
-        let mut waiting: Vec<(Place, Part)> = Vec::new();
+        let mut waiting: Vec<(ChildPosition, FutureChild)> = Vec::new();
         match expand(Bvh::ROOT).halves() {
-            Ok([left, right]) => waiting.extend([((0, Side::Right), right), ((0, Side::Left), left)]),
-            Err(whole) => waiting.push(((0, Side::Left), whole)),
+            Ok([left, right]) => waiting.extend([((0, ChildSide::Right), right), ((0, ChildSide::Left), left)]),
+            Err(whole) => waiting.push(((0, ChildSide::Left), whole)),
         }
         while let Some((place, part)) = waiting.pop() {
             let bounds = part.bounds();
@@ -58,15 +58,15 @@ impl BinaryTree {
                     let index = tree.nodes.len();
                     tree.nodes.push(absent());
                     tree.set(place, bounds, index as u32);
-                    waiting.extend([((index, Side::Right), right), ((index, Side::Left), left)]);
+                    waiting.extend([((index, ChildSide::Right), right), ((index, ChildSide::Left), left)]);
                 }
-                Err(Part::Triangles(triangles)) => {
+                Err(FutureChild::Triangles(triangles)) => {
                     let first = tree.triangles.len() as u32;
                     tree.set(place, bounds, LEAF_FLAG + LEAF_ONE * (triangles.len() as u32 - 1) + first);
                     tree.triangles.extend(triangles.iter().map(|(_, face, frame)| frame.for_device(*face)));
                 }
                 // A single child is used directly.
-                Err(Part::Children(children)) => {
+                Err(FutureChild::Children(children)) => {
                     waiting.extend(children.into_iter().map(|(_, child)| (place, expand(child))));
                 }
             }
@@ -74,33 +74,33 @@ impl BinaryTree {
         tree
     }
 
-    fn set(&mut self, (index, side): Place, bounds: Aabb, child: u32) {
+    fn set(&mut self, (index, side): ChildPosition, bounds: Aabb, child: u32) {
         let node = &mut self.nodes[index];
         let (min, max) = (bounds.min.to_array(), bounds.max.to_array());
         match side {
-            Side::Left => (node.left_min, node.left_max, node.left) = (min, max, child),
-            Side::Right => (node.right_min, node.right_max, node.right) = (min, max, child),
+            ChildSide::Left => (node.left_min, node.left_max, node.left) = (min, max, child),
+            ChildSide::Right => (node.right_min, node.right_max, node.right) = (min, max, child),
         }
     }
 }
 
 /// Expands a child of an eight-wide node to its contents.
-fn expand(bvh: &Bvh, positions: &[Vec3], faces: &[[u32; 3]], child: ChildRef) -> Part {
+fn expand(bvh: &Bvh, positions: &[Vec3], faces: &[[u32; 3]], child: ChildRef) -> FutureChild {
     if child.is_pack() {
         let pack = &bvh.packs[child.index()];
         let box_of = |face: u32| Aabb::of_points(&faces[face as usize].map(|v| positions[v as usize]));
         let lanes = pack.faces().iter().enumerate();
-        return Part::Triangles(lanes.map(|(lane, &face)| (box_of(face), face, pack.frame(lane))).collect());
+        return FutureChild::Triangles(lanes.map(|(lane, &face)| (box_of(face), face, pack.frame(lane))).collect());
     }
     let node = &bvh.nodes[child.index()];
     let corner = |of: &[[f32; WIDTH]; 3], i: usize| Vec3::new(of[0][i], of[1][i], of[2][i]);
     let lanes = (0..WIDTH).filter(|&i| !node.children[i].is_none());
-    Part::Children(
+    FutureChild::Children(
         lanes.map(|i| (Aabb { min: corner(&node.min, i), max: corner(&node.max, i) }, node.children[i])).collect(),
     )
 }
 
-impl Part {
+impl FutureChild {
     fn bounds(&self) -> Aabb {
         let join = |bounds: Aabb, of: &Aabb| bounds.union(*of);
         match self {

@@ -21,7 +21,7 @@ const KEPT: usize = 48;
 const BOX_ROUNDING: f64 = 3.1e-8;
 
 /// Faces that may be the nearest, and the best face compared in float64 so far.
-struct Candidates<'a> {
+struct ExactCandidates<'a> {
     mesh: &'a Mesh,
     p: DVec3,
     kept: [(f32, u32); KEPT],
@@ -29,7 +29,7 @@ struct Candidates<'a> {
     best: Option<ClosestPoint>,
 }
 
-impl<'a> Candidates<'a> {
+impl<'a> ExactCandidates<'a> {
     fn new(mesh: &'a Mesh, p: DVec3) -> Self {
         Self { mesh, p, kept: [(0.0, 0); KEPT], count: 0, best: None }
     }
@@ -106,7 +106,7 @@ impl Mesh {
         let bvh = self.bvh();
         let p_single = p.as_vec3();
         let slack = (2.0 * ROUNDING * (1.0 + p.abs().max_element())) as f32;
-        let mut candidates = Candidates::new(self, p);
+        let mut candidates = ExactCandidates::new(self, p);
         let reach = bound as f32 + slack;
         // Squared distances: the best one, and the largest one that float64 may still prefer.
         let mut limit = reach * reach * (1.0 + 1e-6);
@@ -151,7 +151,7 @@ impl Mesh {
     /// The closest point by float64 boxes, for points outside the range of the float32 search.
     fn closest_point_from_afar(&self, p: DVec3) -> ClosestPoint {
         let bvh = self.bvh();
-        let mut candidates = Candidates::new(self, p);
+        let mut candidates = ExactCandidates::new(self, p);
         candidates.compare(bvh.nearest(p.as_vec3(), f32::INFINITY).map_or(0, |nearest| nearest.face));
         let mut stack = vec![(0.0f64, Bvh::ROOT)];
         while let Some((box_distance, child)) = stack.pop() {

@@ -46,8 +46,8 @@
 //! explode.
 
 use super::bounds::Extent;
-use super::decompose::{Part, grouped};
 use super::model::{Model, Token};
+use super::part::{Part, grouped};
 use super::shape::{Blend, Op};
 use glam::DVec3;
 use std::sync::Arc;
@@ -111,7 +111,7 @@ pub fn parts(model: &Model) -> Vec<Part> {
                 stack.push(combined(combine.op, combine.blend, a, b, &join));
             }
             Token::Enter(_) => enters.push(std::mem::take(&mut stack)),
-            Token::Level(_) | Token::Complement | Token::Leave(_) => {
+            Token::DistanceOp(_) | Token::Complement | Token::Leave(_) => {
                 let operand = stack.pop().expect("one operand");
                 if let Token::Leave(_) = token {
                     stack = enters.pop().expect("entered before");

@@ -5,7 +5,7 @@
 //! `t > 0`, and shrunk by `-t` for `t < 0`. A box may be inverted: the intersection of two disjoint boxes has a lower
 //! corner above its upper one. It grows into a proper box at the level at which the two grown boxes touch.
 
-use super::model::{Place, Warp, WarpKind};
+use super::placement::{Placement, Warp, WarpKind};
 use super::primitive::Primitive;
 use super::shape::{Blend, Op};
 use glam::DVec3;
@@ -26,7 +26,7 @@ impl Extent {
         Self { lower: DVec3::INFINITY, upper: DVec3::NEG_INFINITY, growth: 1.0, slack: 0.0, unbounded: None };
 
     /// The box of a placed primitive, tight under any rotation.
-    pub fn of_leaf(primitive: &Primitive, place: &Place) -> Self {
+    pub fn of_leaf(primitive: &Primitive, place: &Placement) -> Self {
         // The world axes in the space of the leaf.
         let axes = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| place.rotation.transpose() * axis);
         let upper = DVec3::from(axes.map(|axis| place.scale * primitive.support(axis)));

@@ -25,7 +25,7 @@
 //!
 //! # Practice
 //!
-//! [`Form::of`] determines whether a part has a closed form. The twin on graphics devices is
+//! [`PartKind::of`] determines whether a part has a closed form. The twin on graphics devices is
 //! `shaders/shared/csg_chord.wgsl`.
 
 use super::leaf::{Flat, LeafField, PlacedLeaf};
@@ -41,7 +41,7 @@ pub const MAX_LEAVES: usize = 12;
 
 /// Method for intersecting rays with a part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Form {
+pub enum PartKind {
     /// Sphere tracing of its field.
     Field,
     /// The nearest of the chords of its leaves.
@@ -61,7 +61,7 @@ pub enum Step {
     Intersection,
 }
 
-impl Form {
+impl PartKind {
     pub fn of(program: &Program<f32>, tokens: &[Token]) -> Self {
         let (mut leaves, mut is_union, mut has_xor) = (0, true, false);
         for &token in tokens {
@@ -140,11 +140,11 @@ fn has_chord(leaf: &PlacedLeaf<f32>) -> bool {
     }
 }
 
-/// The first point in `[t_in, t_out)` where a line is inside a part of form `form`, which is not [`Form::Field`].
+/// The first point in `[t_in, t_out)` where a line is inside a part of form `form`, which is not [`PartKind::Field`].
 pub fn first_inside(
     program: &Program<f32>,
     steps: &[Step],
-    form: Form,
+    form: PartKind,
     line: [Vec3; 2],
     [t_in, t_out]: [f32; 2],
 ) -> Option<f32> {
@@ -152,7 +152,7 @@ pub fn first_inside(
         Step::Literal { leaf, is_complement } => Some((&program.leaves[leaf as usize], is_complement)),
         _ => None,
     });
-    if form == Form::Union {
+    if form == PartKind::Union {
         let mut nearest = t_out;
         for (leaf, _) in literals {
             // A union removes nothing, so there are no slivers and no erosion is needed.

@@ -8,14 +8,15 @@
 //! Unused text costs time as well: a group of invocations executes a branch if one of them does, and software adapters
 //! execute all branches. lavapipe compiles at the first dispatch, so the first picture by a new kernel waits for it.
 
-use super::chord::{Form, MAX_LEAVES};
-use super::decompose::{StructureToken, structure};
+use super::cells::PartProgram;
+use super::chord::{MAX_LEAVES, PartKind};
 use super::leaf::{KINDS_MODULE, KindSet, LeafField, kinds_text};
 use super::model::{Model, Token};
+use super::part::{StructureToken, structure};
 use super::shader::{HELPERS, Writer};
 use super::shape::Op;
 use super::solid::Solid;
-use super::trace::{PartProgram, Tracer};
+use super::trace::Tracer;
 use crate::gpu::constants::csg_draw::{FORM_CHORDS, FORM_FIELD, FORM_UNION};
 use crate::gpu::shader::shared;
 use std::collections::BTreeMap;
@@ -61,7 +62,7 @@ impl Compiled {
         let mut needs = Needs::of(tracer.solid);
         for part in tracer.programs.iter() {
             let place = match part.form {
-                Form::Field if is_short(tracer, part) => {
+                PartKind::Field if is_short(tracer, part) => {
                     structures.get(&structure(&tracer.solid.model, &part.tokens)).copied()
                 }
                 _ => None,
@@ -69,9 +70,9 @@ impl Compiled {
             needs.add(part, place.is_some());
             let Some(place) = place else {
                 let form = match part.form {
-                    Form::Field => FORM_FIELD,
-                    Form::Union => FORM_UNION,
-                    Form::Chords => FORM_CHORDS,
+                    PartKind::Field => FORM_FIELD,
+                    PartKind::Union => FORM_UNION,
+                    PartKind::Chords => FORM_CHORDS,
                 };
                 entries.push(Entry { form, parameters: 0 });
                 continue;
@@ -139,9 +140,9 @@ impl Needs {
     }
 
     fn add(&mut self, part: &PartProgram, has_function: bool) {
-        self.chords |= part.form != Form::Field;
-        self.marches |= part.form == Form::Field;
-        self.interpreter |= part.form == Form::Field && !has_function;
+        self.chords |= part.form != PartKind::Field;
+        self.marches |= part.form == PartKind::Field;
+        self.interpreter |= part.form == PartKind::Field && !has_function;
     }
 
     /// Kinds whose fields are evaluated by a switch: for normals, or by the interpreter.
@@ -195,7 +196,7 @@ fn chosen(tracer: &Tracer<'_>) -> BTreeMap<Vec<StructureToken>, usize> {
     tracer.boxes.iter().for_each(|cell| boxes[cell.part as usize] += 1);
     let mut counts: BTreeMap<Vec<StructureToken>, usize> = BTreeMap::new();
     for (part, boxes) in tracer.programs.iter().zip(boxes) {
-        if part.form == Form::Field && is_short(tracer, part) {
+        if part.form == PartKind::Field && is_short(tracer, part) {
             *counts.entry(structure(&tracer.solid.model, &part.tokens)).or_default() += boxes;
         }
     }

@@ -14,41 +14,18 @@
 //!
 //! # Practice
 //!
-//! Parts of equal structure differ only in their parameters, see [`structure`]: they share one shader.
+//! Parts of equal structure differ only in their parameters, see [`structure`](super::part::structure): they share one
+//! shader.
 
-use super::model::{Coat, Model, Place, Token, WarpKind};
+use super::cells::PartCells;
+use super::model::{Coat, DistanceOp, Model, Token};
+use super::part::{Method, Part};
+use super::placement::{Placement, WarpKind};
 use super::shape::{Blend, Kind, Op, Shape};
 use super::solid::Solid;
 use super::{aabb, octree};
-use crate::error::{Error, ShapeError, choice};
+use crate::error::{Error, ShapeError};
 use glam::{DMat3, DQuat, DVec3};
-use rustc_hash::FxHashMap;
-use std::hash::Hash;
-use std::sync::Arc;
-
-/// Method of decomposition.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Method {
-    Aabb,
-    #[default]
-    Octree,
-}
-
-impl Method {
-    /// Converts the public name of a method.
-    pub fn from_name(name: &str) -> Result<Self, ShapeError> {
-        choice("method", name, &[("aabb", Self::Aabb), ("octree", Self::Octree)]).map_err(ShapeError::from)
-    }
-}
-
-/// A smaller shape, and the boxes in which it replaces the whole.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Part {
-    /// Tokens over the tables of the model.
-    pub tokens: Arc<[Token]>,
-    /// Lower and upper corners, world units. A box contains its lower faces and not its upper ones.
-    pub boxes: Vec<[DVec3; 2]>,
-}
 
 /// Decomposes a shape. An empty shape has no parts.
 pub fn decompose(solid: &Solid, method: Method) -> Result<Vec<Part>, Error> {
@@ -62,59 +39,22 @@ pub fn decompose(solid: &Solid, method: Method) -> Result<Vec<Part>, Error> {
     })
 }
 
-/// Groups boxes by their tokens, in the order in which the tokens first occur.
-pub fn grouped(pieces: impl IntoIterator<Item = (Arc<[Token]>, [DVec3; 2])>) -> Vec<Part> {
-    let mut places: FxHashMap<Arc<[Token]>, usize> = FxHashMap::default();
-    let mut parts: Vec<Part> = Vec::new();
-    for (tokens, cell) in pieces {
-        let place = *places.entry(tokens.clone()).or_insert(parts.len());
-        if place == parts.len() {
-            parts.push(Part { tokens, boxes: Vec::new() });
+impl Solid {
+    /// The parts of a decomposition, computed at the first call.
+    pub fn parts(&self, method: Method) -> Result<&[Part], Error> {
+        let known = &self.parts[method as usize];
+        if known.get().is_none() {
+            // Two threads may compute them at the same time, with the same result.
+            let _ = known.set(decompose(self, method)?);
         }
-        parts[place].boxes.push(cell);
+        Ok(known.get().map_or(&[], Vec::as_slice))
     }
-    parts
-}
 
-/// The input of a shader's compilation: operators and kinds of leaves, without their parameters.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum StructureToken {
-    Leaf(&'static str),
-    Combine { op: Op, is_swapped: bool, joint: &'static str },
-    Level(&'static str),
-    Complement,
-    Enter(&'static str),
-    Leave,
-}
-
-/// The structure of a part.
-pub fn structure(model: &Model, tokens: &[Token]) -> Vec<StructureToken> {
-    tokens
-        .iter()
-        .map(|&token| match token {
-            Token::Leaf(leaf) => StructureToken::Leaf(model.leaves[leaf as usize].primitive.name()),
-            Token::Combine(i) => {
-                let combine = model.combines[i as usize];
-                let joint = match combine.blend {
-                    Blend::Sharp => "sharp",
-                    Blend::Smooth(_) => "smooth",
-                    Blend::Chamfer(_) => "chamfer",
-                };
-                StructureToken::Combine { op: combine.op, is_swapped: combine.is_swapped, joint }
-            }
-            Token::Level(i) => StructureToken::Level(match model.levels[i as usize] {
-                super::model::Level::Offset(_) => "offset",
-                super::model::Level::Shell(_) => "shell",
-            }),
-            Token::Complement => StructureToken::Complement,
-            Token::Enter(i) => StructureToken::Enter(match model.warps[i as usize].kind {
-                WarpKind::Elongate(_) => "elongate",
-                WarpKind::Twist(_) => "twist",
-                WarpKind::Bend(_) => "bend",
-            }),
-            Token::Leave(_) => StructureToken::Leave,
-        })
-        .collect()
+    /// The parts of a decomposition, prepared for rays at the first call.
+    pub(super) fn cells(&self, method: Method) -> Result<&PartCells, Error> {
+        let parts = self.parts(method)?;
+        Ok(self.cells[method as usize].get_or_init(|| PartCells::new(self.tables(), parts)))
+    }
 }
 
 /// A part as a shape of its own, with every leaf in its placement.
@@ -133,9 +73,9 @@ pub fn shape_of(model: &Model, tokens: &[Token]) -> Result<Shape, ShapeError> {
                 let (a, b) = if combine.is_swapped { (top, below) } else { (below, top) };
                 joined(combine.op, combine.blend, a, b)?
             }
-            Token::Level(i) => match model.levels[i as usize] {
-                super::model::Level::Offset(distance) => pop(&mut stack).changed("offset", &[distance])?,
-                super::model::Level::Shell(thickness) => pop(&mut stack).changed("shell", &[thickness])?,
+            Token::DistanceOp(i) => match model.levels[i as usize] {
+                DistanceOp::Offset(distance) => pop(&mut stack).changed("offset", &[distance])?,
+                DistanceOp::Shell(thickness) => pop(&mut stack).changed("shell", &[thickness])?,
             },
             Token::Complement => pop(&mut stack).changed("complement", &[])?,
             Token::Enter(_) => continue,
@@ -171,7 +111,7 @@ fn joined(op: Op, blend: Blend, a: Shape, b: Shape) -> Result<Shape, ShapeError>
 }
 
 /// Scaled, rotated and moved, without the changes that have no effect.
-fn placed(shape: &Shape, place: &Place) -> Result<Shape, ShapeError> {
+fn placed(shape: &Shape, place: &Placement) -> Result<Shape, ShapeError> {
     let mut shape = shape.clone();
     if place.scale != 1.0 {
         shape = shape.changed("scale", &[place.scale])?;

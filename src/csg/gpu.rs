@@ -14,23 +14,24 @@
 //! same picture and is slower with many boxes (`benches/results/2026-11-21-csg.md`). The compute kernel visits nothing
 //! behind the first hit, and shadow rays need it anyway.
 
-use super::chord::{Form, Step};
+use super::cells::PartProgram;
+use super::chord::{PartKind, Step};
 use super::compiled::{Compiled, Entry};
-use super::draw::{Drawing, Scratch, Seen, View};
 use super::leaf::{Flat, LeafField, PlacedLeaf, kernel_texts};
 use super::model::Token;
-use super::program::{Joint, PlacedLevel, PlacedWarpKind, Program};
+use super::picture::{Drawing, PixelScratch, ShapeView, VisiblePoint};
+use super::program::{Joint, PlacedDistanceOp, PlacedWarpKind, Program};
 use super::shape::Op;
 use super::solid::Solid;
-use super::trace::{PartProgram, Tracer};
+use super::trace::Tracer;
 use crate::error::{ArgumentError, DeviceError, Error};
-use crate::gpu::Context;
 use crate::gpu::constants::csg_draw::{MAX_LIGHTS, PIXEL_HIT, PIXEL_RAN_OUT};
 use crate::gpu::constants::csg_field::CSG_FAR;
 use crate::gpu::constants::csg_tables::*;
 use crate::gpu::layout::{CsgBox, CsgDrawParams, CsgLeaf, CsgPixel, CsgPointParams};
 use crate::gpu::pace::in_pieces;
 use crate::gpu::shader::source_with;
+use crate::gpu::{Context, Place};
 use crate::grid::Grid;
 use crate::memory::allocate_samples;
 use crate::progress::Progress;
@@ -50,7 +51,7 @@ const TILE_ROWS: (u64, u64) = (1, 1024);
 const BATCH: usize = 1 << 20;
 
 /// Tables in device memory.
-struct Tables {
+struct ShapeBuffers {
     tokens: wgpu::Buffer,
     leaves: wgpu::Buffer,
     numbers: wgpu::Buffer,
@@ -80,8 +81,8 @@ impl<'a> Encoder<'a> {
         }
         let first_level = numbers.len() as u32;
         numbers.extend(program.levels.iter().map(|level| match *level {
-            PlacedLevel::Offset(distance) => distance,
-            PlacedLevel::Shell(half) => half,
+            PlacedDistanceOp::Offset(distance) => distance,
+            PlacedDistanceOp::Shell(half) => half,
         }));
         let mut leaves: Vec<CsgLeaf> = program.leaves.iter().map(|leaf| encoded(leaf, &mut numbers)).collect();
         let first_warp = leaves.len() as u32;
@@ -108,10 +109,10 @@ impl<'a> Encoder<'a> {
                 };
                 (what, self.first_joint + 3 * i)
             }
-            Token::Level(i) => {
+            Token::DistanceOp(i) => {
                 let what = match self.program.levels[i as usize] {
-                    PlacedLevel::Offset(_) => TOKEN_OFFSET,
-                    PlacedLevel::Shell(_) => TOKEN_SHELL,
+                    PlacedDistanceOp::Offset(_) => TOKEN_OFFSET,
+                    PlacedDistanceOp::Shell(_) => TOKEN_SHELL,
                 };
                 (what, self.first_level + i)
             }
@@ -124,7 +125,7 @@ impl<'a> Encoder<'a> {
 
     /// The tokens of a sphere-traced part, or the normal form of a part in closed form.
     fn part(&self, part: &PartProgram) -> Vec<u32> {
-        if part.form == Form::Field {
+        if part.form == PartKind::Field {
             return part.tokens.iter().map(|&token| self.token(token)).collect();
         }
         let encoded = |step: &Step| match *step {
@@ -136,8 +137,8 @@ impl<'a> Encoder<'a> {
         part.steps.iter().map(encoded).collect()
     }
 
-    fn upload(&self, context: &Context, tokens: &[u32]) -> Result<Tables, Error> {
-        Ok(Tables {
+    fn upload(&self, context: &Context, tokens: &[u32]) -> Result<ShapeBuffers, Error> {
+        Ok(ShapeBuffers {
             tokens: context.upload("tokens of a shape", tokens)?,
             leaves: context.upload("leaves of a shape", &self.leaves)?,
             numbers: context.upload("numbers of a shape", &self.numbers)?,
@@ -173,13 +174,26 @@ fn encoded(leaf: &PlacedLeaf<f32>, numbers: &mut Vec<f32>) -> CsgLeaf {
     CsgLeaf { a: [a0, a1, a2, a3], b: [b0, b1], kind: leaf.field.kind(), first, ..placed(&leaf.rows, leaf.shift) }
 }
 
+impl Solid {
+    /// [`Self::distances`] at a place.
+    pub fn distances_at(&self, place: &Place, points: &[DVec3], progress: &Progress) -> Result<Vec<f32>, Error> {
+        match place {
+            Place::Cpu => self.distances(points, progress),
+            Place::Gpu(context) => distances(self, context, points, progress),
+        }
+    }
+
+    /// [`Self::bake`] at a place.
+    pub fn bake_at(&self, place: &Place, grid: &Grid, progress: &Progress) -> Result<Vec<f32>, Error> {
+        match place {
+            Place::Cpu => self.bake(grid, progress),
+            Place::Gpu(context) => bake(self, context, grid, progress),
+        }
+    }
+}
+
 /// Signed distances at world points, in float32.
-pub(super) fn distances(
-    solid: &Solid,
-    context: &Context,
-    points: &[DVec3],
-    progress: &Progress,
-) -> Result<Vec<f32>, Error> {
+fn distances(solid: &Solid, context: &Context, points: &[DVec3], progress: &Progress) -> Result<Vec<f32>, Error> {
     progress.set_total(points.len() as u64);
     let mut out = vec![0.0f32; points.len()];
     if points.is_empty() {
@@ -224,7 +238,7 @@ pub(super) fn distances(
 }
 
 /// Samples at the voxel centres of a grid, x fastest.
-pub(super) fn bake(solid: &Solid, context: &Context, grid: &Grid, progress: &Progress) -> Result<Vec<f32>, Error> {
+fn bake(solid: &Solid, context: &Context, grid: &Grid, progress: &Progress) -> Result<Vec<f32>, Error> {
     let [nx, ny, nz] = grid.shape;
     let what = format!("a field of {nx} x {ny} x {nz} samples");
     let mut samples = allocate_samples(&what, grid.len(), 0)?;
@@ -242,7 +256,7 @@ pub(super) fn bake(solid: &Solid, context: &Context, grid: &Grid, progress: &Pro
 }
 
 /// Draws on a device.
-pub(super) fn draw(view: &View<'_>, context: &Arc<Context>, progress: &Progress) -> Result<Drawing, Error> {
+pub(super) fn draw(view: &ShapeView<'_>, context: &Arc<Context>, progress: &Progress) -> Result<Drawing, Error> {
     let (tracer, options) = (view.tracer, view.options);
     if view.lights.len() > MAX_LIGHTS {
         let problem = format!("{} lights, a graphics device draws with {MAX_LIGHTS} at most", view.lights.len());
@@ -293,7 +307,7 @@ pub(super) fn draw(view: &View<'_>, context: &Arc<Context>, progress: &Progress)
     context.read("a picture", &pixels, &mut found, progress)?;
     let mut frame = Frame::new(width as usize, height as usize, lights.len());
     context.read("light shares", &shares, &mut frame.shadow, progress)?;
-    frame.rows().into_par_iter().enumerate().try_for_each_init(Scratch::default, |scratch, (y, mut row)| {
+    frame.rows().into_par_iter().enumerate().try_for_each_init(PixelScratch::default, |scratch, (y, mut row)| {
         for x in 0..width as usize {
             let pixel = &found[y * width as usize + x];
             if pixel.state == PIXEL_RAN_OUT {
@@ -305,7 +319,7 @@ pub(super) fn draw(view: &View<'_>, context: &Arc<Context>, progress: &Progress)
             row.steps[x] = pixel.steps;
             if pixel.state == PIXEL_HIT {
                 let ray = view.rays.through(x, y);
-                let hit = Seen {
+                let hit = VisiblePoint {
                     p: ray.origin + pixel.t * ray.direction,
                     depth: view.rays.depth(&ray, pixel.t),
                     normal: Vec3::from_array(pixel.normal),
@@ -370,7 +384,7 @@ fn encoded_boxes(tracer: &Tracer<'_>, encoder: &Encoder<'_>, entries: &[Entry]) 
     (nodes.chain(boxes).collect(), tokens)
 }
 
-fn params(view: &View<'_>) -> CsgDrawParams {
+fn params(view: &ShapeView<'_>) -> CsgDrawParams {
     let tracer = view.tracer;
     CsgDrawParams {
         rays: view.rays.rays,

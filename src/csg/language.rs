@@ -17,7 +17,7 @@ use super::align::aligned;
 use super::primitive::{Primitive, WORDS};
 use super::profile::Profile;
 use super::shape::{Blend, Kind, Op, Shape};
-use super::word::{Slot, Word};
+use super::word::{NumberSource, Word};
 use crate::error::ShapeError;
 use glam::{DQuat, DVec3};
 use std::fmt::Write;
@@ -33,13 +33,13 @@ const OPERATORS: [(&str, Op); 6] = [
     ("xor", Op::Xor),
 ];
 
-const fn modifier(word: &'static str, operation: &'static str, slots: &'static [Slot]) -> Word {
+const fn modifier(word: &'static str, operation: &'static str, slots: &'static [NumberSource]) -> Word {
     Word { word, operation, slots }
 }
 
 /// Forms that change one shape; the first form that can express a change is written.
 const MODIFIERS: &[Word] = {
-    use Slot::{Full, Half, One, Zero};
+    use NumberSource::{Full, Half, One, Zero};
     &[
         modifier("move", "translate", &[Full("x"), Full("y"), Full("z")]),
         modifier("move-x", "translate", &[Full("x"), Zero, Zero]),
@@ -94,7 +94,7 @@ enum Lexeme<'a> {
 }
 
 /// A form that is being read.
-struct Form<'a> {
+struct ReadForm<'a> {
     start: Position,
     name: Option<&'a str>,
     numbers: Vec<f64>,
@@ -110,7 +110,7 @@ enum Value {
 
 /// Read one shape.
 pub fn parse(text: &str) -> Result<Shape, ShapeError> {
-    let mut open: Vec<Form<'_>> = Vec::new();
+    let mut open: Vec<ReadForm<'_>> = Vec::new();
     let mut found: Option<Shape> = None;
     let mut lexer = Lexer { rest: text, at: Position { line: 1, column: 1 } };
     while let Some((lexeme, at)) = lexer.next_lexeme() {
@@ -118,7 +118,7 @@ pub fn parse(text: &str) -> Result<Shape, ShapeError> {
             return Err(at.error("the shape ends before this; put several into (union ...)"));
         }
         match lexeme {
-            Lexeme::Open => open.push(Form {
+            Lexeme::Open => open.push(ReadForm {
                 start: at,
                 name: None,
                 numbers: Vec::new(),
@@ -203,7 +203,7 @@ impl<'a> Lexer<'a> {
     }
 }
 
-impl<'a> Form<'a> {
+impl<'a> ReadForm<'a> {
     fn take(&mut self, atom: &'a str, at: Position) -> Result<(), ShapeError> {
         if self.name.is_none() {
             self.name = Some(atom);

@@ -4,9 +4,10 @@
 //! and Ullman, 1970), so a model of a million leaves needs a stack of twenty at any nesting.
 
 use super::bounds::Extent;
-use super::model::{Coat, Combine, Leaf, Level, Mask, Model, Place, Stretch, Token, Warp, WarpKind, reflection};
+use super::model::{Coat, Combine, DistanceOp, Leaf, Mask, MaskDistance, Model, Token};
+use super::placement::{Placement, Stretch, Warp, WarpKind, reflection};
 use super::primitive::Primitive;
-use super::program::{Frame, Program};
+use super::program::{LocalFrame, Program, Stack};
 use super::shape::{Blend, Kind, Op, Shape};
 use crate::error::ShapeError;
 use crate::gpu::constants::csg_interpreter::MAX_WARPS;
@@ -14,9 +15,11 @@ use glam::DVec3;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-/// Lowers a tree to its model.
-pub(super) fn lower(shape: &Shape) -> Result<Model, ShapeError> {
-    Builder::default().build(shape)
+impl Model {
+    /// The model of a tree.
+    pub fn new(shape: &Shape) -> Result<Self, ShapeError> {
+        Builder::default().build(shape)
+    }
 }
 
 /// Limits of the scales and shifts of parts, within which float64 can square them.
@@ -25,40 +28,40 @@ const MAX_REACH: f64 = 1e37;
 
 /// A node of the written-out tree.
 #[derive(Debug, Clone, Copy)]
-enum Item {
+enum LoweredNode {
     Leaf(u32),
     Combine { op: Op, blend: Blend, first: usize, second: usize },
-    Level(u32, usize),
+    DistanceOp(u32, usize),
     Complement(usize),
     Warp(u32, usize),
 }
 
 /// State that a node inherits from its parent.
 #[derive(Debug, Clone)]
-struct Context {
-    place: Place,
+struct InheritedState {
+    place: Placement,
     coat: Option<Arc<Coat>>,
     warps: usize,
 }
 
 /// Work that is still to be done.
 enum Task<'a> {
-    Visit(&'a Shape, Context),
+    Visit(&'a Shape, InheritedState),
     Combine { op: Op, blend: Blend, count: usize },
-    Level(Level),
+    DistanceOp(DistanceOp),
     Complement,
-    Warp(WarpKind, Place),
+    Warp(WarpKind, Placement),
 }
 
 /// Builds a model from a tree.
 #[derive(Default)]
 struct Builder {
-    items: Vec<Item>,
+    items: Vec<LoweredNode>,
     /// Number of stack entries that the evaluation of an item needs.
     needs: Vec<u32>,
     leaves: Vec<Leaf>,
     known: HashMap<LeafKey, u32>,
-    levels: Vec<Level>,
+    levels: Vec<DistanceOp>,
     warps: Vec<Warp>,
     /// Items that wait for their operator.
     done: Vec<usize>,
@@ -77,17 +80,17 @@ struct LeafKey {
 
 impl Builder {
     fn build(mut self, shape: &Shape) -> Result<Model, ShapeError> {
-        let context = Context { place: Place::HERE, coat: None, warps: 0 };
+        let context = InheritedState { place: Placement::HERE, coat: None, warps: 0 };
         let mut tasks = vec![Task::Visit(shape, context)];
         while let Some(task) = tasks.pop() {
             match task {
                 Task::Visit(shape, context) => self.visit(shape, context, &mut tasks)?,
                 Task::Combine { op, blend, count } => self.combine(op, blend, count),
-                Task::Level(level) => {
+                Task::DistanceOp(level) => {
                     self.levels.push(level);
-                    self.wrap(|child, builder| Item::Level(builder.levels.len() as u32 - 1, child));
+                    self.wrap(|child, builder| LoweredNode::DistanceOp(builder.levels.len() as u32 - 1, child));
                 }
-                Task::Complement => self.wrap(|child, _| Item::Complement(child)),
+                Task::Complement => self.wrap(|child, _| LoweredNode::Complement(child)),
                 Task::Warp(kind, place) => self.warp(kind, place)?,
             }
         }
@@ -95,10 +98,15 @@ impl Builder {
         Ok(self.emit(root))
     }
 
-    fn visit<'a>(&mut self, shape: &'a Shape, context: Context, tasks: &mut Vec<Task<'a>>) -> Result<(), ShapeError> {
+    fn visit<'a>(
+        &mut self,
+        shape: &'a Shape,
+        context: InheritedState,
+        tasks: &mut Vec<Task<'a>>,
+    ) -> Result<(), ShapeError> {
         let children = shape.children();
-        let inside = |place: Place| Context { place: context.place.then(&place), ..context.clone() };
-        if let Some(place) = Place::of_kind(shape.kind()) {
+        let inside = |place: Placement| InheritedState { place: context.place.then(&place), ..context.clone() };
+        if let Some(place) = Placement::of_kind(shape.kind()) {
             let scale = context.place.scale * place.scale;
             let reach = context.place.then(&place).translation.abs().max_element();
             if !(MIN_SCALE..=1.0 / MIN_SCALE).contains(&scale) || reach.is_nan() || reach > MAX_REACH {
@@ -121,11 +129,11 @@ impl Builder {
                 tasks.extend(children.iter().rev().map(|child| Task::Visit(child, context.clone())));
             }
             Kind::Offset(distance) => {
-                tasks.push(Task::Level(Level::Offset(context.place.scale * distance)));
+                tasks.push(Task::DistanceOp(DistanceOp::Offset(context.place.scale * distance)));
                 tasks.push(Task::Visit(&children[0], context));
             }
             Kind::Shell(thickness) => {
-                tasks.push(Task::Level(Level::Shell(context.place.scale * thickness)));
+                tasks.push(Task::DistanceOp(DistanceOp::Shell(context.place.scale * thickness)));
                 tasks.push(Task::Visit(&children[0], context));
             }
             Kind::Complement => {
@@ -147,7 +155,10 @@ impl Builder {
                     for y in 0..counts[1] {
                         for x in 0..counts[0] {
                             let at = spacing * (DVec3::from([x, y, z].map(f64::from)) - middle);
-                            tasks.push(Task::Visit(&children[0], inside(Place { translation: at, ..Place::HERE })));
+                            tasks.push(Task::Visit(
+                                &children[0],
+                                inside(Placement { translation: at, ..Placement::HERE }),
+                            ));
                         }
                     }
                 }
@@ -157,14 +168,18 @@ impl Builder {
             Kind::Bend(degrees) => self.enter(WarpKind::Bend(degrees.to_radians()), &children[0], context, tasks)?,
             Kind::Paint { color, over } => {
                 let coat = Coat { above: context.coat, color, over, mask: None };
-                tasks.push(Task::Visit(&children[0], Context { coat: Some(Arc::new(coat)), ..context }));
+                tasks.push(Task::Visit(&children[0], InheritedState { coat: Some(Arc::new(coat)), ..context }));
             }
             Kind::Stencil { color, outside } => {
                 let model = Self::default().build(&children[1])?;
-                let program = Program::new(&model, Frame::of(&model));
-                let mask = Mask { shape: children[1].clone(), model, program, place: context.place, outside };
+                let program = Program::<f64>::new(&model, LocalFrame::of(&model));
+                let distance = MaskDistance(Box::new(move |p| {
+                    let at = program.frame.local(p).to_array().map(|x| [x]);
+                    program.run(&model.tokens, &at, &mut Stack::default())[0]
+                }));
+                let mask = Mask { shape: children[1].clone(), distance, place: context.place, outside };
                 let coat = Coat { above: context.coat, color, over: true, mask: Some(mask) };
-                tasks.push(Task::Visit(&children[0], Context { coat: Some(Arc::new(coat)), ..context }));
+                tasks.push(Task::Visit(&children[0], InheritedState { coat: Some(Arc::new(coat)), ..context }));
             }
             Kind::Move(_) | Kind::Rotate { .. } | Kind::Scale(_) | Kind::Reflect(_) => unreachable!("placed above"),
         }
@@ -175,7 +190,7 @@ impl Builder {
         &mut self,
         kind: WarpKind,
         child: &'a Shape,
-        context: Context,
+        context: InheritedState,
         tasks: &mut Vec<Task<'a>>,
     ) -> Result<(), ShapeError> {
         if context.warps == MAX_WARPS {
@@ -189,13 +204,13 @@ impl Builder {
             WarpKind::Twist(rate) => WarpKind::Twist(rate / scale),
             WarpKind::Bend(rate) => WarpKind::Bend(rate / scale),
         };
-        tasks.push(Task::Warp(kind, Place { scale: 1.0, ..context.place }));
-        let place = Place { scale, ..Place::HERE };
-        tasks.push(Task::Visit(child, Context { place, coat: context.coat, warps: context.warps + 1 }));
+        tasks.push(Task::Warp(kind, Placement { scale: 1.0, ..context.place }));
+        let place = Placement { scale, ..Placement::HERE };
+        tasks.push(Task::Visit(child, InheritedState { place, coat: context.coat, warps: context.warps + 1 }));
         Ok(())
     }
 
-    fn leaf(&mut self, primitive: &Primitive, context: &Context) {
+    fn leaf(&mut self, primitive: &Primitive, context: &InheritedState) {
         let place = context.place;
         let mut parameters: Vec<u64> = primitive.parameters(place.scale).map(f64::to_bits).to_vec();
         parameters.extend(place.rotation.to_cols_array().map(|x| (x + 0.0).to_bits()));
@@ -225,16 +240,16 @@ impl Builder {
                 is_warped: context.warps > 0,
             });
         }
-        self.push(Item::Leaf(id), 1);
+        self.push(LoweredNode::Leaf(id), 1);
     }
 
-    fn push(&mut self, item: Item, need: u32) {
+    fn push(&mut self, item: LoweredNode, need: u32) {
         self.done.push(self.items.len());
         self.items.push(item);
         self.needs.push(need);
     }
 
-    fn wrap(&mut self, item: impl FnOnce(usize, &Self) -> Item) {
+    fn wrap(&mut self, item: impl FnOnce(usize, &Self) -> LoweredNode) {
         let child = self.done.pop().expect("the child is done");
         let item = item(child, self);
         self.push(item, self.needs[child]);
@@ -245,13 +260,13 @@ impl Builder {
         let mut first = operands[0];
         for &second in &operands[1..] {
             let (a, b) = (self.needs[first], self.needs[second]);
-            self.push(Item::Combine { op, blend, first, second }, if a == b { a + 1 } else { a.max(b) });
+            self.push(LoweredNode::Combine { op, blend, first, second }, if a == b { a + 1 } else { a.max(b) });
             first = self.done.pop().expect("just pushed");
         }
         self.done.push(first);
     }
 
-    fn warp(&mut self, kind: WarpKind, place: Place) -> Result<(), ShapeError> {
+    fn warp(&mut self, kind: WarpKind, place: Placement) -> Result<(), ShapeError> {
         let child = self.done.pop().expect("the child is done");
         let extent = self.extent_of(child);
         let mut stretch = Stretch { rate: 0.0, radius: 0.0 };
@@ -263,7 +278,7 @@ impl Builder {
             stretch = Stretch { rate, radius: 2.0 * extent.radius_about_z() };
         }
         self.warps.push(Warp { kind, place, stretch });
-        self.push(Item::Warp(self.warps.len() as u32 - 1, child), self.needs[child]);
+        self.push(LoweredNode::Warp(self.warps.len() as u32 - 1, child), self.needs[child]);
         Ok(())
     }
 
@@ -292,8 +307,8 @@ impl Builder {
                 Step::Visit(item) => item,
             };
             match self.items[item] {
-                Item::Leaf(leaf) => tokens.push(Token::Leaf(leaf)),
-                Item::Combine { op, blend, first, second } => {
+                LoweredNode::Leaf(leaf) => tokens.push(Token::Leaf(leaf)),
+                LoweredNode::Combine { op, blend, first, second } => {
                     let is_swapped = self.needs[second] > self.needs[first];
                     let combine = Combine { op, blend, is_swapped };
                     // There are few different operators, so equal ones share an entry.
@@ -307,15 +322,15 @@ impl Builder {
                     steps.push(Step::Visit(late));
                     steps.push(Step::Visit(early));
                 }
-                Item::Level(level, child) => {
-                    steps.push(Step::Emit(Token::Level(level)));
+                LoweredNode::DistanceOp(level, child) => {
+                    steps.push(Step::Emit(Token::DistanceOp(level)));
                     steps.push(Step::Visit(child));
                 }
-                Item::Complement(child) => {
+                LoweredNode::Complement(child) => {
                     steps.push(Step::Emit(Token::Complement));
                     steps.push(Step::Visit(child));
                 }
-                Item::Warp(warp, child) => {
+                LoweredNode::Warp(warp, child) => {
                     steps.push(Step::Emit(Token::Leave(warp)));
                     steps.push(Step::Visit(child));
                     tokens.push(Token::Enter(warp));

@@ -16,6 +16,8 @@
 mod aabb;
 pub mod align;
 pub mod bounds;
+mod cells;
+mod checks;
 pub mod chord;
 mod compiled;
 pub mod decompose;
@@ -27,6 +29,9 @@ mod leaf;
 mod lower;
 pub mod model;
 mod octree;
+pub mod part;
+mod picture;
+mod placement;
 pub mod primitive;
 pub mod profile;
 pub mod program;

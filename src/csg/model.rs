@@ -11,12 +11,12 @@
 //! [`super::lower`] makes a model from a tree.
 
 use super::bounds::Extent;
-use super::lower::lower;
+use super::placement::{Placement, Warp};
 use super::primitive::Primitive;
-use super::program::Program;
-use super::shape::{Blend, Kind, Op, Shape};
+use super::shape::{Blend, Op, Shape};
 use crate::error::ShapeError;
-use glam::{DMat3, DVec3};
+use glam::DVec3;
+use std::fmt;
 use std::sync::Arc;
 
 /// A step of the stack machine.
@@ -26,8 +26,8 @@ pub enum Token {
     Leaf(u32),
     /// Pops two values and pushes their combination.
     Combine(u32),
-    /// Subtracts a radius, or forms a shell; see [`Level`].
-    Level(u32),
+    /// Subtracts a radius, or forms a shell; see [`DistanceOp`].
+    DistanceOp(u32),
     /// Negates.
     Complement,
     /// The following tokens are evaluated at a changed position, up to the matching `Leave`.
@@ -35,68 +35,11 @@ pub enum Token {
     Leave(u32),
 }
 
-/// A placement without its scale: `world = rotation * leaf + translation`. The rotation may include a reflection.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Place {
-    pub rotation: DMat3,
-    pub translation: DVec3,
-    /// Number of units of the parent in a unit of the placed object.
-    pub scale: f64,
-}
-
-impl Place {
-    pub const HERE: Self = Self { rotation: DMat3::IDENTITY, translation: DVec3::ZERO, scale: 1.0 };
-
-    /// The composition of two placements: `inner` first, then `self`.
-    pub fn then(&self, inner: &Self) -> Self {
-        Self {
-            rotation: self.rotation * inner.rotation,
-            translation: self.translation + self.scale * (self.rotation * inner.translation),
-            scale: self.scale * inner.scale,
-        }
-    }
-
-    pub(super) fn of_kind(kind: &Kind) -> Option<Self> {
-        match *kind {
-            Kind::Move(translation) => Some(Self { translation, ..Self::HERE }),
-            Kind::Rotate { axis, degrees } => Some(Self { rotation: rotation(axis, degrees), ..Self::HERE }),
-            Kind::Scale(scale) => Some(Self { scale, ..Self::HERE }),
-            Kind::Reflect(normal) => Some(reflection(normal)),
-            _ => None,
-        }
-    }
-}
-
-/// Exact at multiples of 90 degrees about the axes, so that boxes stay axis-aligned.
-fn rotation(axis: DVec3, degrees: f64) -> DMat3 {
-    let turn = degrees.rem_euclid(360.0);
-    let (sin, cos) = match turn {
-        0.0 => (0.0, 1.0),
-        90.0 => (1.0, 0.0),
-        180.0 => (0.0, -1.0),
-        270.0 => (-1.0, 0.0),
-        _ => turn.to_radians().sin_cos(),
-    };
-    let outer = |a: DVec3, b: DVec3| DMat3::from_cols(a * b.x, a * b.y, a * b.z);
-    let cross = DMat3::from_cols(
-        DVec3::new(0.0, axis.z, -axis.y),
-        DVec3::new(-axis.z, 0.0, axis.x),
-        DVec3::new(axis.y, -axis.x, 0.0),
-    );
-    cos * DMat3::IDENTITY + (1.0 - cos) * outer(axis, axis) + sin * cross
-}
-
-/// The reflection in the plane through the origin with this normal.
-pub(super) fn reflection(normal: DVec3) -> Place {
-    let outer = DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
-    Place { rotation: DMat3::IDENTITY - 2.0 * outer, ..Place::HERE }
-}
-
 #[derive(Debug, Clone)]
 pub struct Leaf {
     pub primitive: Primitive,
     /// Placement in world units, or in those of the enclosing warp.
-    pub place: Place,
+    pub place: Placement,
     pub paint: Option<Arc<Coat>>,
     /// Bounds of its level sets.
     pub extent: Extent,
@@ -113,44 +56,9 @@ pub struct Combine {
 
 /// A change of the distance only.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Level {
+pub enum DistanceOp {
     Offset(f64),
     Shell(f64),
-}
-
-/// A change of the position.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Warp {
-    pub kind: WarpKind,
-    pub place: Place,
-    /// Upper bound on the ratio of distances inside to distances outside, by which they are divided.
-    pub stretch: Stretch,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum WarpKind {
-    /// Half the lengths inserted along each axis.
-    Elongate(DVec3),
-    /// Radians per unit of z.
-    Twist(f64),
-    /// Radians per unit of x.
-    Bend(f64),
-}
-
-/// Stretch of a rotation that grows along an axis. The derivative of `R(angle) p` is a rotation plus `rate * r` across
-/// it, at distance `r` from the z axis, so its norm is at most `1 + rate * r`. It is evaluated at `max(r, radius)`,
-/// where `radius` is twice that of the child: a straight segment from a point to the solid never leaves the larger of
-/// its own radius and that.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Stretch {
-    pub rate: f64,
-    pub radius: f64,
-}
-
-impl Stretch {
-    pub fn at(&self, r: f64) -> f64 {
-        1.0 + self.rate.abs() * r.max(self.radius)
-    }
 }
 
 /// Paint on a leaf; `above` is the paint applied over it, farther up in the tree.
@@ -167,10 +75,18 @@ pub struct Coat {
 #[derive(Debug)]
 pub struct Mask {
     pub shape: Shape,
-    pub model: Model,
-    pub program: Program<f64>,
-    pub place: Place,
+    pub distance: MaskDistance,
+    pub place: Placement,
     pub outside: bool,
+}
+
+/// The field of the shape of a mask, at a point in the units of that shape.
+pub struct MaskDistance(pub Box<dyn Fn(DVec3) -> f64 + Send + Sync>);
+
+impl fmt::Debug for MaskDistance {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("MaskDistance")
+    }
 }
 
 impl Drop for Coat {
@@ -182,6 +98,28 @@ impl Drop for Coat {
     }
 }
 
+impl Coat {
+    /// The colour of a painted leaf at a point, in the units of the leaf's placement.
+    pub fn color(coat: Option<&Self>, p: DVec3) -> Option<[f32; 3]> {
+        let mut color = None;
+        let mut next = coat;
+        while let Some(coat) = next {
+            if (color.is_none() || coat.over) && coat.mask.as_ref().is_none_or(|mask| mask.covers(p)) {
+                color = Some(coat.color);
+            }
+            next = coat.above.as_deref();
+        }
+        color
+    }
+}
+
+impl Mask {
+    fn covers(&self, p: DVec3) -> bool {
+        let inside = self.place.rotation.transpose() * (p - self.place.translation) / self.place.scale;
+        ((self.distance.0)(inside) <= 0.0) != self.outside
+    }
+}
+
 /// A shape in postfix form. Only [`Model::new`] makes the tokens, from a tree whose operators have all their operands,
 /// so a stack machine always finds its operands. A part contains whole subtrees, operators with operands.
 #[derive(Debug, Clone)]
@@ -189,7 +127,7 @@ pub struct Model {
     pub tokens: Vec<Token>,
     pub leaves: Vec<Leaf>,
     pub combines: Vec<Combine>,
-    pub levels: Vec<Level>,
+    pub levels: Vec<DistanceOp>,
     pub warps: Vec<Warp>,
     /// Box of the solid, world units.
     pub extent: Extent,
@@ -203,10 +141,6 @@ pub struct Model {
 }
 
 impl Model {
-    pub fn new(shape: &Shape) -> Result<Self, ShapeError> {
-        lower(shape)
-    }
-
     /// Extent of a part of the tokens.
     pub fn extent_of(&self, tokens: &[Token]) -> Extent {
         let mut stack: Vec<Extent> = Vec::new();
@@ -226,9 +160,9 @@ impl Model {
                 let (a, b) = if combine.is_swapped { (top, below) } else { (below, top) };
                 Extent::combined(combine.op, combine.blend, a, b)
             }
-            Token::Level(i) => match self.levels[i as usize] {
-                Level::Offset(distance) => pop().level(distance),
-                Level::Shell(thickness) => pop().level(0.5 * thickness),
+            Token::DistanceOp(i) => match self.levels[i as usize] {
+                DistanceOp::Offset(distance) => pop().level(distance),
+                DistanceOp::Shell(thickness) => pop().level(0.5 * thickness),
             },
             Token::Complement => pop().complement(),
             Token::Enter(_) => return,

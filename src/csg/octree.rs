@@ -12,12 +12,13 @@
 //! cell: its box should fit the surface tightly, because every step is expensive. Where hits have a closed form
 //! ([`super::chord`]), a few leaves in a large cell are cheaper than many boxes.
 
-use super::chord::Form;
-use super::decompose::{Part, grouped};
+use super::chord::PartKind;
 use super::model::{Model, Token};
-use super::program::{Joint, PlacedLevel, PlacedWarp, PlacedWarpKind, Program};
+use super::part::{Part, grouped};
+use super::program::{Joint, PlacedDistanceOp, PlacedWarp, PlacedWarpKind, Program};
 use super::shape::Op;
-use super::solid::{Solid, with_vectors};
+use super::solid::Solid;
+use crate::simd;
 use glam::{DVec3, UVec3};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -47,21 +48,21 @@ const CHILDREN: usize = 8;
 
 /// A box of the lattice over the root.
 #[derive(Debug, Clone, Copy)]
-struct Cell {
+struct OctreeCell {
     low: UVec3,
     high: UVec3,
 }
 
-impl Cell {
+impl OctreeCell {
     fn volume(&self) -> u64 {
         (self.high - self.low).as_u64vec3().element_product()
     }
 }
 
 /// A cell that is not divided, and its tokens.
-type Leaf = (Cell, Arc<[Token]>);
+type OctreeLeaf = (OctreeCell, Arc<[Token]>);
 
-struct Tree<'a> {
+struct Octree<'a> {
     solid: &'a Solid,
     lower: DVec3,
     extent: DVec3,
@@ -75,10 +76,10 @@ pub fn parts(solid: &Solid) -> Vec<Part> {
     let pad = DVec3::splat(ROOT_PAD * (extent.upper - extent.lower).max_element());
     let (lower, upper) = (extent.lower - pad, extent.upper + pad);
     let steepness = solid.model.leaves.iter().map(|leaf| leaf.primitive.lipschitz()).collect();
-    let tree = Tree { solid, lower, extent: upper - lower, steepness };
-    let root = Cell { low: UVec3::ZERO, high: UVec3::splat(LATTICE) };
+    let tree = Octree { solid, lower, extent: upper - lower, steepness };
+    let root = OctreeCell { low: UVec3::ZERO, high: UVec3::splat(LATTICE) };
     let mut cells = Vec::new();
-    let mut scratch = Scratch::default();
+    let mut scratch = OctreeScratch::default();
     let (middle, radius) = (tree.middle(root), tree.radius(root));
     leaf_values(&solid.program, &solid.model.tokens, &[middle], &mut scratch);
     if tree.prune(&solid.model.tokens, middle, radius, 0, &mut scratch) {
@@ -88,19 +89,19 @@ pub fn parts(solid: &Solid) -> Vec<Part> {
     grouped(cells.into_iter().map(|(cell, tokens)| (tokens, [tree.corner(cell.low), tree.corner(cell.high)])))
 }
 
-impl Tree<'_> {
+impl Octree<'_> {
     /// A lattice point has the same coordinates in every cell.
     fn corner(&self, at: UVec3) -> DVec3 {
         self.lower + self.extent * (at.as_dvec3() / f64::from(LATTICE))
     }
 
     /// Centre of a cell, local units.
-    fn middle(&self, cell: Cell) -> DVec3 {
+    fn middle(&self, cell: OctreeCell) -> DVec3 {
         self.solid.frame.local(0.5 * (self.corner(cell.low) + self.corner(cell.high)))
     }
 
     /// Slightly enlarged distance from the centre to the corners, local units.
-    fn radius(&self, cell: Cell) -> f64 {
+    fn radius(&self, cell: OctreeCell) -> f64 {
         0.5 * (self.corner(cell.high) - self.corner(cell.low)).length() / self.solid.frame.scale + PAD
     }
 
@@ -111,11 +112,18 @@ impl Tree<'_> {
         }
         let leaves = Model::leaf_count(tokens);
         let few = if depth < MIN_DEPTH { 0 } else { FEW_LEAVES << (depth - MIN_DEPTH) };
-        leaves <= few || (leaves <= FEW_CHORDS && Form::of(&self.solid.program, tokens) != Form::Field)
+        leaves <= few || (leaves <= FEW_CHORDS && PartKind::of(&self.solid.program, tokens) != PartKind::Field)
     }
 
     /// Appends the leaves of the octree in `cell`, where `tokens` are relevant.
-    fn visit(&self, cell: Cell, tokens: &[Token], depth: u32, scratch: &mut Scratch, out: &mut Vec<Leaf>) {
+    fn visit(
+        &self,
+        cell: OctreeCell,
+        tokens: &[Token],
+        depth: u32,
+        scratch: &mut OctreeScratch,
+        out: &mut Vec<OctreeLeaf>,
+    ) {
         if self.is_done(tokens, depth) {
             out.push((cell, tokens.into()));
             return;
@@ -133,10 +141,10 @@ impl Tree<'_> {
         let first = out.len();
         let inner = children.into_iter().zip(kept).filter_map(|(child, kept)| Some((child, kept?)));
         if tokens.len() > TASK_TOKENS {
-            let inner: Vec<(Cell, Vec<Token>)> = inner.collect();
-            let found: Vec<Vec<Leaf>> = inner
+            let inner: Vec<(OctreeCell, Vec<Token>)> = inner.collect();
+            let found: Vec<Vec<OctreeLeaf>> = inner
                 .par_iter()
-                .map_init(Scratch::default, |scratch, (child, kept)| {
+                .map_init(OctreeScratch::default, |scratch, (child, kept)| {
                     let mut cells = Vec::new();
                     self.visit(*child, kept, depth + 1, scratch, &mut cells);
                     cells
@@ -151,9 +159,9 @@ impl Tree<'_> {
 
     /// Whether the field may change its sign in a ball, local units. The relevant tokens are then in `scratch.kept`.
     /// The distances at the centre are those of lane `lane`.
-    fn prune(&self, tokens: &[Token], middle: DVec3, radius: f64, lane: usize, scratch: &mut Scratch) -> bool {
+    fn prune(&self, tokens: &[Token], middle: DVec3, radius: f64, lane: usize, scratch: &mut OctreeScratch) -> bool {
         let program = &self.solid.program;
-        let Scratch { values, operands: stack, balls, kept, .. } = scratch;
+        let OctreeScratch { values, operands: stack, balls, kept, .. } = scratch;
         stack.clear();
         kept.clear();
         // Centre and radius in the space of each open warp.
@@ -166,7 +174,7 @@ impl Tree<'_> {
                 Token::Leaf(leaf) => {
                     let distance = f64::from(values.next().expect("a value for each leaf")[lane]);
                     let reach = radius * self.steepness[leaf as usize];
-                    stack.push(Operand { low: distance - reach, high: distance + reach, start: kept.len() });
+                    stack.push(CellOperand { low: distance - reach, high: distance + reach, start: kept.len() });
                     kept.push(token);
                 }
                 Token::Combine(i) => {
@@ -175,14 +183,14 @@ impl Tree<'_> {
                     let combine = &program.combines[i as usize];
                     stack.push(combined(combine.op, combine.joint, combine.is_swapped, below, top, token, kept));
                 }
-                Token::Level(i) => {
+                Token::DistanceOp(i) => {
                     let operand = stack.last_mut().expect("one operand");
                     match program.levels[i as usize] {
-                        PlacedLevel::Offset(distance) => {
+                        PlacedDistanceOp::Offset(distance) => {
                             operand.low -= f64::from(distance);
                             operand.high -= f64::from(distance);
                         }
-                        PlacedLevel::Shell(half) => {
+                        PlacedDistanceOp::Shell(half) => {
                             let (low, high) = (operand.low, operand.high);
                             let nearest = if low <= 0.0 && high >= 0.0 { 0.0 } else { low.abs().min(high.abs()) };
                             operand.low = nearest - f64::from(half);
@@ -215,7 +223,7 @@ impl Tree<'_> {
     }
 
     /// Divides the long sides in half. A flat cell is not made flatter.
-    fn children(&self, cell: Cell) -> Vec<Cell> {
+    fn children(&self, cell: OctreeCell) -> Vec<OctreeCell> {
         let sides = self.corner(cell.high) - self.corner(cell.low);
         let longest = sides.max_element();
         let halves = |axis: usize| {
@@ -229,7 +237,7 @@ impl Tree<'_> {
             for y in 0..along_y {
                 for x in 0..along_x {
                     let (low, high) = (UVec3::new(xs[x], ys[y], zs[z]), UVec3::new(xs[x + 1], ys[y + 1], zs[z + 1]));
-                    children.push(Cell { low, high });
+                    children.push(OctreeCell { low, high });
                 }
             }
         }
@@ -238,7 +246,7 @@ impl Tree<'_> {
 }
 
 /// Replaces the cells from `first` on by their parent if they fill it and are all equal.
-fn merge(cell: Cell, first: usize, out: &mut Vec<Leaf>) {
+fn merge(cell: OctreeCell, first: usize, out: &mut Vec<OctreeLeaf>) {
     let Some(((_, tokens), others)) = out[first..].split_first() else { return };
     let is_one = others.len() < CHILDREN
         && others.iter().all(|(_, other)| other == tokens)
@@ -252,18 +260,18 @@ fn merge(cell: Cell, first: usize, out: &mut Vec<Leaf>) {
 
 /// Buffers that a thread keeps between cells.
 #[derive(Default)]
-struct Scratch {
+struct OctreeScratch {
     /// The distance to each leaf, in the order of the tokens, at the centre of each child.
     values: Vec<[f32; CHILDREN]>,
     positions: Vec<[[f32; CHILDREN]; 3]>,
-    operands: Vec<Operand>,
+    operands: Vec<CellOperand>,
     balls: Vec<(DVec3, f64)>,
     /// The tokens kept by [`prune`].
     kept: Vec<Token>,
 }
 
 /// The distances to all leaves at some points, local units.
-fn leaf_values(program: &Program<f32>, tokens: &[Token], points: &[DVec3], scratch: &mut Scratch) {
+fn leaf_values(program: &Program<f32>, tokens: &[Token], points: &[DVec3], scratch: &mut OctreeScratch) {
     let mut at = [[0.0; CHILDREN]; 3];
     for (i, point) in points.iter().enumerate() {
         for axis in 0..3 {
@@ -273,7 +281,7 @@ fn leaf_values(program: &Program<f32>, tokens: &[Token], points: &[DVec3], scrat
     scratch.values.clear();
     scratch.positions.clear();
     scratch.positions.push(at);
-    with_vectors(|| {
+    simd::with_vectors(|| {
         for &token in tokens {
             let at = scratch.positions.last().expect("there is always a position");
             match token {
@@ -293,7 +301,7 @@ fn leaf_values(program: &Program<f32>, tokens: &[Token], points: &[DVec3], scrat
 
 /// Bounds on a node's field over a cell, and the start of its tokens.
 #[derive(Debug, Clone, Copy)]
-struct Operand {
+struct CellOperand {
     low: f64,
     high: f64,
     start: usize,
@@ -318,7 +326,7 @@ fn stretches(warp: &PlacedWarp<f32>, at: DVec3, radius: f64) -> (f64, f64) {
     (1.0 + rate * (r - radius).max(least), 1.0 + rate * (r + radius).max(least))
 }
 
-fn negate(operand: &mut Operand, kept: &mut Vec<Token>) {
+fn negate(operand: &mut CellOperand, kept: &mut Vec<Token>) {
     (operand.low, operand.high) = (-operand.high, -operand.low);
     kept.push(Token::Complement);
 }
@@ -328,14 +336,14 @@ fn combined(
     op: Op,
     joint: Joint<f32>,
     is_swapped: bool,
-    below: Operand,
-    top: Operand,
+    below: CellOperand,
+    top: CellOperand,
     token: Token,
     kept: &mut Vec<Token>,
-) -> Operand {
+) -> CellOperand {
     let (a, b) = if is_swapped { (top, below) } else { (below, top) };
     // The contributions as operands of a union, with the signs of the operator.
-    let flip = |operand: Operand| Operand { low: -operand.high, high: -operand.low, ..operand };
+    let flip = |operand: CellOperand| CellOperand { low: -operand.high, high: -operand.low, ..operand };
     let (first, second) = match op {
         Op::Union | Op::Xor => (a, b),
         Op::Intersection => (flip(a), flip(b)),
@@ -343,19 +351,19 @@ fn combined(
     };
 
     // Whether `far` is irrelevant beside `near` in a union.
-    let is_beaten = |near: &Operand, far: &Operand| match joint {
+    let is_beaten = |near: &CellOperand, far: &CellOperand| match joint {
         Joint::Sharp => far.low > near.high,
         Joint::Smooth(k, _) => far.low > near.high + f64::from(k),
         Joint::Chamfer(k) => far.low > near.high.max(f64::from(k) + (std::f64::consts::SQRT_2 - 1.0) * near.high),
     };
     // In an xor the farther operand must exceed the magnitude of the other, inside or outside.
-    let size = |operand: &Operand| Operand { high: operand.low.abs().max(operand.high.abs()), ..*operand };
-    let beaten = |near: &Operand, far: &Operand| match op {
+    let size = |operand: &CellOperand| CellOperand { high: operand.low.abs().max(operand.high.abs()), ..*operand };
+    let beaten = |near: &CellOperand, far: &CellOperand| match op {
         Op::Xor => is_beaten(&size(near), far),
         _ => is_beaten(near, far),
     };
     // Deep inside one operand, an xor is the complement of the other.
-    let drowned = |near: &Operand, far: &Operand| op == Op::Xor && is_beaten(&size(near), &flip(*far));
+    let drowned = |near: &CellOperand, far: &CellOperand| op == Op::Xor && is_beaten(&size(near), &flip(*far));
 
     if beaten(&first, &second) || drowned(&first, &second) {
         let is_inverted = drowned(&first, &second);
@@ -376,7 +384,7 @@ fn combined(
 
     kept.push(token);
     let start = below.start;
-    let union = |a: &Operand, b: &Operand| {
+    let union = |a: &CellOperand, b: &CellOperand| {
         // The smooth minimum is monotone in both operands.
         let at = |a: f64, b: f64| match joint {
             Joint::Sharp => a.min(b),
@@ -386,7 +394,7 @@ fn combined(
             }
             Joint::Chamfer(k) => a.min(b).min((a + b - f64::from(k)) * 0.5f64.sqrt()),
         };
-        Operand { low: at(a.low, b.low), high: at(a.high, b.high), start }
+        CellOperand { low: at(a.low, b.low), high: at(a.high, b.high), start }
     };
     match op {
         Op::Union => union(&first, &second),
@@ -399,12 +407,12 @@ fn combined(
 }
 
 /// Drops the tokens of `gone`, which are adjacent to those of `left`.
-fn keep(left: Operand, gone: Operand, kept: &mut Vec<Token>) -> Operand {
+fn keep(left: CellOperand, gone: CellOperand, kept: &mut Vec<Token>) -> CellOperand {
     if gone.start > left.start {
         kept.truncate(gone.start);
         left
     } else {
         kept.drain(gone.start..left.start);
-        Operand { start: gone.start, ..left }
+        CellOperand { start: gone.start, ..left }
     }
 }

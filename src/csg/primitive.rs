@@ -4,9 +4,10 @@
 //! bound and its Lipschitz constant, and has a support function, which gives tight boxes under any rotation. The
 //! distances are in [`super::field`].
 
+use super::checks::{finite, not_negative, positive};
 use super::profile::Profile;
 use super::volume_leaf::VolumeLeaf;
-use super::word::{Slot, Word};
+use super::word::{NumberSource, Word};
 use crate::error::ShapeError;
 use glam::{DVec2, DVec3};
 use std::f64::consts::PI;
@@ -123,7 +124,7 @@ macro_rules! declare {
 
         /// The forms of the language that make primitives.
         pub const WORDS: &[Word] = {
-            use Slot::*;
+            use NumberSource::*;
             &[$($(Word { word: $word, operation: $named, slots: &[$($slot),*] }),*),*]
         };
 
@@ -152,33 +153,6 @@ primitives!(declare);
 
 /// Number of parameters of a distance function.
 pub const PARAMETERS: usize = 6;
-
-/// Largest magnitude of a length. Squares of derived values stay in the range of float64.
-const FAR: f64 = 1e37;
-
-/// A positive length.
-pub fn positive(argument: &'static str, value: f64) -> Result<f64, ShapeError> {
-    if value > 0.0 && value <= FAR {
-        return Ok(value);
-    }
-    Err(ShapeError::argument(argument, format!("must be a number above 0, got {value}")))
-}
-
-/// A length of zero or more.
-pub fn not_negative(argument: &'static str, value: f64) -> Result<f64, ShapeError> {
-    if (0.0..=FAR).contains(&value) {
-        return Ok(value);
-    }
-    Err(ShapeError::argument(argument, format!("must be a number of at least 0, got {value}")))
-}
-
-/// Any finite number of reasonable size.
-pub fn finite(argument: &'static str, value: f64) -> Result<f64, ShapeError> {
-    if value.abs() <= FAR {
-        return Ok(value);
-    }
-    Err(ShapeError::argument(argument, format!("must be a finite number (at most {FAR:e}), got {value}")))
-}
 
 /// The unit vector along a normal of any length.
 fn direction(normal: [f64; 3]) -> Result<DVec3, ShapeError> {

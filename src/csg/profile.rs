@@ -1,6 +1,6 @@
 //! Flat profiles for extrusion and revolution.
 
-use super::primitive::positive;
+use super::checks::positive;
 use crate::error::ShapeError;
 use crate::gpu::constants::csg_field::MAX_CORNERS;
 use glam::DVec2;

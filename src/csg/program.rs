@@ -6,7 +6,8 @@
 //! twin in WGSL is `shaders/shared/csg_field.wgsl`.
 
 use super::leaf::{LeafField, PlacedLeaf};
-use super::model::{Coat, Level, Model, Token, WarpKind};
+use super::model::{Coat, DistanceOp, Model, Token};
+use super::placement::WarpKind;
 use super::real::{Real, length2};
 use super::shape::{Blend, Op};
 use glam::{DMat3, DVec3};
@@ -47,15 +48,15 @@ pub enum PlacedWarpKind<F> {
 #[derive(Debug, Clone)]
 pub struct Program<F> {
     /// `local = (world - center) / scale`.
-    pub frame: Frame,
+    pub frame: LocalFrame,
     pub leaves: Vec<PlacedLeaf<F>>,
     pub combines: Vec<PlacedCombine<F>>,
-    pub levels: Vec<PlacedLevel<F>>,
+    pub levels: Vec<PlacedDistanceOp<F>>,
     pub warps: Vec<PlacedWarp<F>>,
 }
 
 #[derive(Debug, Clone, Copy)]
-pub enum PlacedLevel<F> {
+pub enum PlacedDistanceOp<F> {
     Offset(F),
     /// Half the thickness.
     Shell(F),
@@ -63,12 +64,12 @@ pub enum PlacedLevel<F> {
 
 /// The map from world units to local units.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Frame {
+pub struct LocalFrame {
     pub center: DVec3,
     pub scale: f64,
 }
 
-impl Frame {
+impl LocalFrame {
     /// The frame that brings the model to a size near one, with the centre of its box at zero.
     pub fn of(model: &Model) -> Self {
         let extent = &model.extent;
@@ -110,7 +111,7 @@ impl<F: Real, const N: usize> Default for Stack<F, N> {
 }
 
 impl<F: Real> Program<F> {
-    pub fn new(model: &Model, frame: Frame) -> Self {
+    pub fn new(model: &Model, frame: LocalFrame) -> Self {
         let s = frame.scale;
         let unit = |x: f64| F::of(x / s);
         let rows = |rotation: DMat3| {
@@ -141,8 +142,8 @@ impl<F: Real> Program<F> {
             },
         });
         let levels = model.levels.iter().map(|level| match *level {
-            Level::Offset(distance) => PlacedLevel::Offset(unit(distance)),
-            Level::Shell(thickness) => PlacedLevel::Shell(unit(0.5 * thickness)),
+            DistanceOp::Offset(distance) => PlacedDistanceOp::Offset(unit(distance)),
+            DistanceOp::Shell(thickness) => PlacedDistanceOp::Shell(unit(0.5 * thickness)),
         });
         // A warp may be inside another. The tokens tell which warps are outermost, and only those are placed in the
         // world.
@@ -205,11 +206,11 @@ impl<F: Real> Program<F> {
                 let (a, b) = if combine.is_swapped { (top, *below) } else { (*below, top) };
                 *below = combine.apply(&a, &b);
             }
-            Token::Level(i) => {
+            Token::DistanceOp(i) => {
                 let values = stack.values.last_mut().expect("one operand");
                 match self.levels[i as usize] {
-                    PlacedLevel::Offset(distance) => values.iter_mut().for_each(|d| *d = *d - distance),
-                    PlacedLevel::Shell(half) => values.iter_mut().for_each(|d| *d = d.abs() - half),
+                    PlacedDistanceOp::Offset(distance) => values.iter_mut().for_each(|d| *d = *d - distance),
+                    PlacedDistanceOp::Shell(half) => values.iter_mut().for_each(|d| *d = d.abs() - half),
                 }
             }
             Token::Complement => {
@@ -383,28 +384,4 @@ impl<F: Real> PlacedWarp<F> {
 fn turned<F: Real>(x: F, y: F, z: F, angle: F) -> [F; 3] {
     let (sin, cos) = (angle.sin(), angle.cos());
     [cos * x - sin * y, sin * x + cos * y, z]
-}
-
-impl Coat {
-    /// The colour of a painted leaf at a point, in the units of the leaf's placement.
-    fn color(coat: Option<&Self>, p: DVec3) -> Option<[f32; 3]> {
-        let mut color = None;
-        let mut next = coat;
-        while let Some(coat) = next {
-            if (color.is_none() || coat.over) && coat.mask.as_ref().is_none_or(|mask| mask.covers(p)) {
-                color = Some(coat.color);
-            }
-            next = coat.above.as_deref();
-        }
-        color
-    }
-}
-
-impl super::model::Mask {
-    fn covers(&self, p: DVec3) -> bool {
-        let inside = self.place.rotation.transpose() * (p - self.place.translation) / self.place.scale;
-        let at = self.program.frame.local(inside).to_array().map(|x| [x]);
-        let distance = self.program.run(&self.model.tokens, &at, &mut Stack::default())[0];
-        (distance <= 0.0) != self.outside
-    }
 }

@@ -4,11 +4,12 @@
 //! share one text and one pipeline. [`ShapeShader::numbers`] is the content of that buffer. Positions are in world
 //! units.
 
-use super::decompose::{StructureToken, structure};
 use super::leaf::{Flat, LeafField};
-use super::model::{Leaf, Model, Token, WarpKind};
+use super::model::{Leaf, Model, Token};
+use super::part::{StructureToken, structure};
+use super::placement::WarpKind;
 use super::primitive::{PARAMETERS, Primitive};
-use super::program::{Frame, Joint, PlacedLevel, PlacedWarpKind, Program};
+use super::program::{Joint, LocalFrame, PlacedDistanceOp, PlacedWarpKind, Program};
 use super::shape::Op;
 use super::solid::Solid;
 use crate::error::ShapeError;
@@ -49,7 +50,7 @@ pub fn shader(solid: &Solid) -> Result<ShapeShader, ShapeError> {
         }
     }
     // World units: nothing is moved or scaled.
-    let program = Program::<f32>::new(model, Frame { center: DVec3::ZERO, scale: 1.0 });
+    let program = Program::<f32>::new(model, LocalFrame { center: DVec3::ZERO, scale: 1.0 });
     let mut writer = Writer::new(model, &program, "");
     let value = writer.write(&model.tokens);
     let _ = writeln!(writer.body, "    return {value};");
@@ -214,11 +215,11 @@ impl<'a> Writer<'a> {
                     let name = self.statement("d", &call, &format!("{joint} {}", op.name()));
                     stack.push(name);
                 }
-                (Token::Level(i), _) => {
+                (Token::DistanceOp(i), _) => {
                     let d = stack.pop().unwrap_or_default();
                     let (call, what) = match self.program.levels[i as usize] {
-                        PlacedLevel::Offset(distance) => (format!("{d} - {}", self.number(distance)), "offset"),
-                        PlacedLevel::Shell(half) => (format!("abs({d}) - {}", self.number(half)), "shell"),
+                        PlacedDistanceOp::Offset(distance) => (format!("{d} - {}", self.number(distance)), "offset"),
+                        PlacedDistanceOp::Shell(half) => (format!("abs({d}) - {}", self.number(half)), "shell"),
                     };
                     let name = self.statement("d", &call, what);
                     stack.push(name);

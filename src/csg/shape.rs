@@ -4,7 +4,8 @@
 //! many trees, and several times in one tree. No function recurses: a tree of a hundred thousand levels is built,
 //! traversed and dropped.
 
-use super::primitive::{Primitive, finite, not_negative, positive};
+use super::checks::{finite, not_negative, positive};
+use super::primitive::Primitive;
 use super::profile::Profile;
 use super::volume_leaf::VolumeLeaf;
 use crate::error::ShapeError;
@@ -13,10 +14,10 @@ use std::sync::Arc;
 
 /// A solid: a leaf, or operators over others.
 #[derive(Debug, Clone)]
-pub struct Shape(Arc<Node>);
+pub struct Shape(Arc<ShapeNode>);
 
 #[derive(Debug)]
-pub struct Node {
+pub struct ShapeNode {
     pub kind: Kind,
     pub children: Vec<Shape>,
     /// Number of leaves with all repetitions written out.
@@ -164,11 +165,11 @@ impl Shape {
             let problem = format!("has {leaves} leaves with its repetitions written out, the limit is {MAX_LEAVES}");
             return Err(ShapeError::argument("shape", problem));
         }
-        Ok(Self(Arc::new(Node { kind, children, leaves })))
+        Ok(Self(Arc::new(ShapeNode { kind, children, leaves })))
     }
 
     pub fn primitive(primitive: Primitive) -> Self {
-        Self(Arc::new(Node { kind: Kind::Primitive(primitive), children: Vec::new(), leaves: 1 }))
+        Self(Arc::new(ShapeNode { kind: Kind::Primitive(primitive), children: Vec::new(), leaves: 1 }))
     }
 
     /// A baked field.
@@ -288,7 +289,7 @@ fn color(rgb: [f64; 3]) -> Result<[f32; 3], ShapeError> {
 
 const FAR_COLOR: f64 = 1e6;
 
-impl Drop for Node {
+impl Drop for ShapeNode {
     /// Without recursion: children without other owners are dropped one by one.
     fn drop(&mut self) {
         let mut waiting = std::mem::take(&mut self.children);

@@ -3,18 +3,17 @@
 //! Queries run in float64 and are rounded once. Grids and pictures run in float32, in local units, where it is accurate
 //! to about 1e-7 of the model's size at any position. Batches of 64 points are distributed to all cores.
 
-use super::decompose::{Method, Part, decompose};
-use super::gpu;
+use super::cells::{PartCells, SharedTables};
 use super::model::{Model, Token};
-use super::program::{Frame, Program, Stack};
+use super::part::Part;
+use super::program::{LocalFrame, Program, Stack};
 use super::real::Real;
 use super::shape::Shape;
-use super::trace::Cells;
 use crate::error::Error;
-use crate::gpu::Place;
 use crate::grid::Grid;
 use crate::memory::allocate_samples;
 use crate::progress::Progress;
+use crate::simd;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::sync::OnceLock;
@@ -24,12 +23,12 @@ use std::sync::OnceLock;
 pub struct Solid {
     pub shape: Shape,
     pub model: Model,
-    pub frame: Frame,
+    pub frame: LocalFrame,
     pub program: Program<f32>,
     precise: Program<f64>,
     /// Parts by method (boxes, octree), computed at the first use.
-    parts: [OnceLock<Vec<Part>>; 2],
-    cells: [OnceLock<Cells>; 2],
+    pub(super) parts: [OnceLock<Vec<Part>>; 2],
+    pub(super) cells: [OnceLock<PartCells>; 2],
 }
 
 /// Number of points evaluated together.
@@ -45,7 +44,7 @@ const GRADIENT_STEP: f64 = 6e-6;
 impl Solid {
     pub fn new(shape: &Shape) -> Result<Self, Error> {
         let model = Model::new(shape)?;
-        let frame = Frame::of(&model);
+        let frame = LocalFrame::of(&model);
         let program = Program::new(&model, frame);
         let precise = Program::new(&model, frame);
         Ok(Self {
@@ -71,22 +70,6 @@ impl Solid {
         Ok([extent.lower, extent.upper])
     }
 
-    /// The parts by a method, computed once.
-    pub fn parts(&self, method: Method) -> Result<&[Part], Error> {
-        let known = &self.parts[method as usize];
-        if known.get().is_none() {
-            // Two threads may compute them, with equal results.
-            let _ = known.set(decompose(self, method)?);
-        }
-        Ok(known.get().map_or(&[], Vec::as_slice))
-    }
-
-    /// The parts by a method, prepared for rays.
-    pub(super) fn cells(&self, method: Method) -> Result<&Cells, Error> {
-        let parts = self.parts(method)?;
-        Ok(self.cells[method as usize].get_or_init(|| Cells::new(self, parts)))
-    }
-
     /// Signed distance, or a bound on it, at world points.
     pub fn distances(&self, points: &[DVec3], progress: &Progress) -> Result<Vec<f32>, Error> {
         let mut out = vec![0.0f32; points.len()];
@@ -109,22 +92,6 @@ impl Solid {
             },
         )?;
         Ok(out)
-    }
-
-    /// [`Self::distances`] at a place.
-    pub fn distances_at(&self, place: &Place, points: &[DVec3], progress: &Progress) -> Result<Vec<f32>, Error> {
-        match place {
-            Place::Cpu => self.distances(points, progress),
-            Place::Gpu(context) => gpu::distances(self, context, points, progress),
-        }
-    }
-
-    /// [`Self::bake`] at a place.
-    pub fn bake_at(&self, place: &Place, grid: &Grid, progress: &Progress) -> Result<Vec<f32>, Error> {
-        match place {
-            Place::Cpu => self.bake(grid, progress),
-            Place::Gpu(context) => gpu::bake(self, context, grid, progress),
-        }
     }
 
     /// Gradient of the field at world points; zero where it is undefined.
@@ -177,6 +144,11 @@ impl Solid {
     }
 
     /// The tables in float64.
+    /// The tables that the parts share.
+    pub(super) fn tables(&self) -> SharedTables<'_> {
+        SharedTables { model: &self.model, frame: self.frame, program: &self.program }
+    }
+
     pub fn precise(&self) -> &Program<f64> {
         &self.precise
     }
@@ -207,23 +179,5 @@ pub(super) fn run_wide<F: Real, const N: usize>(
     at: &[[F; N]; 3],
     stack: &mut Stack<F, N>,
 ) -> [F; N] {
-    with_vectors(|| program.run(tokens, at, stack))
-}
-
-/// Runs a function with the vector instructions of this machine. The results are the same bits, since no operations are
-/// fused.
-#[inline(always)]
-pub(super) fn with_vectors<T>(work: impl FnOnce() -> T) -> T {
-    #[cfg(target_arch = "x86_64")]
-    {
-        #[target_feature(enable = "avx2")]
-        fn with_avx2<T>(work: impl FnOnce() -> T) -> T {
-            work()
-        }
-        if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has AVX2.
-            return unsafe { with_avx2(work) };
-        }
-    }
-    work()
+    simd::with_vectors(|| program.run(tokens, at, stack))
 }

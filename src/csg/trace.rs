@@ -27,15 +27,17 @@
 //!
 //! Everything along the ray is in local units and float32.
 
-use super::chord::{self, ERODED, Form, Step};
-use super::decompose::Part;
+use super::cells::{CellNode, LocalBox, PartCells, PartProgram};
+use super::chord::{self, ERODED, PartKind, Step};
 use super::leaf::PlacedLeaf;
-use super::model::{Model, Token};
+use super::model::Model;
+use super::part::Part;
 use super::program::Stack;
-use super::solid::{Solid, slope, with_vectors};
-use crate::bvh::boxes::{BoxTree, MAX_STACK};
+use super::solid::{Solid, slope};
+use crate::bvh::boxes::MAX_STACK;
 use crate::gpu::constants::csg_draw::STILL;
 use crate::gpu::constants::csg_root::{MAX_MARCH_STEPS, MAX_ROOT_STEPS, MIN_STEP, ROOT_WIDTH};
+use crate::simd;
 use glam::{DVec3, Vec3, Vec3A};
 use std::sync::Arc;
 
@@ -43,32 +45,11 @@ use std::sync::Arc;
 const NORMAL_STEP: f64 = 1e-5;
 const LEAF_STEP: f64 = 2e-6;
 
-/// A part's box extends this far beyond the extent of its tree, local units: some roundings of a coordinate.
-const BOX_PAD: f64 = 1e-6;
-
 /// Weights of [`Tracer::cost`], in evaluations of a leaf. Visiting a box; sphere-tracing steps in a box of size 0;
 /// additional steps in a box as large as the model. With these weights the cheapest method is the fastest, or nearly,
 /// on scattered leaves and on the models of `examples/csg`.
 const BOX_LOOKS: f64 = 2.0;
 const MARCH_LOOKS: [f64; 2] = [2.0, 15.0];
-
-/// A part's box in local units.
-#[derive(Debug, Clone, Copy)]
-pub struct LocalBox {
-    pub lower: Vec3A,
-    pub upper: Vec3A,
-    pub part: u32,
-}
-
-/// A node of the tree over boxes. An inner node (`count` 0) has the children `first` and `first + 1`; a leaf has
-/// `count` boxes from `first`.
-#[derive(Debug, Clone, Copy)]
-pub struct BoxNode {
-    pub lower: Vec3A,
-    pub upper: Vec3A,
-    pub first: u32,
-    pub count: u32,
-}
 
 /// A shape, split or whole, prepared for rays. Cloning shares the tables.
 #[derive(Debug, Clone)]
@@ -76,100 +57,28 @@ pub struct Tracer<'a> {
     pub solid: &'a Solid,
     pub programs: Arc<[PartProgram]>,
     pub boxes: Arc<[LocalBox]>,
-    pub nodes: Arc<[BoxNode]>,
+    pub nodes: Arc<[CellNode]>,
     /// Lower and upper corner around all parts.
     pub bounds: [Vec3; 2],
 }
 
-/// The tree of a part, prepared for rays.
-#[derive(Debug)]
-pub struct PartProgram {
-    pub tokens: Arc<[Token]>,
-    pub form: Form,
-    /// Normal form of a part in closed form; empty for a sphere-traced part.
-    pub steps: Box<[Step]>,
-    /// Evaluations of a leaf per evaluation of the part.
-    pub leaves: u32,
-    pub inverse_lipschitz: f32,
-}
-
-impl PartProgram {
-    fn new(solid: &Solid, tokens: &Arc<[Token]>) -> Self {
-        let form = Form::of(&solid.program, tokens);
-        let steps = if form == Form::Field { None } else { chord::steps(&solid.program, tokens) }.unwrap_or_default();
-        let leaves = if steps.is_empty() { Model::leaf_count(tokens) } else { steps.len().div_ceil(2) };
-        Self {
-            form,
-            steps: steps.into_boxed_slice(),
-            leaves: leaves as u32,
-            inverse_lipschitz: (1.0 / solid.model.lipschitz_of(tokens)) as f32,
-            tokens: tokens.clone(),
-        }
-    }
-}
-
-/// The tables of a [`Tracer`].
-#[derive(Debug, Clone)]
-pub(super) struct Cells {
-    programs: Arc<[PartProgram]>,
-    boxes: Arc<[LocalBox]>,
-    nodes: Arc<[BoxNode]>,
-    bounds: [Vec3; 2],
-}
-
-impl Cells {
-    /// Prepares the parts of a solid, whose boxes are in world units. Each box is cut to the extent of its part's tree.
-    pub fn new(solid: &Solid, parts: &[Part]) -> Self {
-        let programs: Arc<[PartProgram]> = parts.iter().map(|part| PartProgram::new(solid, &part.tokens)).collect();
-        let mut boxes: Vec<LocalBox> = Vec::new();
-        for (i, part) in parts.iter().enumerate() {
-            let filled = solid.model.extent_of(&part.tokens);
-            let (low, high) = (solid.frame.local(filled.lower) - BOX_PAD, solid.frame.local(filled.upper) + BOX_PAD);
-            boxes.extend(part.boxes.iter().map(|&[lower, upper]| LocalBox {
-                lower: solid.frame.local(lower).max(low).as_vec3a(),
-                upper: solid.frame.local(upper).min(high).as_vec3a(),
-                part: i as u32,
-            }));
-        }
-        boxes.retain(|cell| cell.lower.cmplt(cell.upper).all());
-
-        let corners = |cell: &LocalBox| [cell.lower.as_dvec3(), cell.upper.as_dvec3()];
-        let tree = BoxTree::new(&boxes.iter().map(corners).collect::<Vec<_>>());
-        // The tree stores corners relative to its centre, which rounds them.
-        let place = |corner: Vec3| (corner.as_dvec3() + tree.center).as_vec3a();
-        let nodes: Arc<[BoxNode]> = tree
-            .nodes
-            .iter()
-            .map(|node| BoxNode {
-                lower: place(node.min) - BOX_PAD as f32,
-                upper: place(node.max) + BOX_PAD as f32,
-                first: node.first,
-                count: node.count,
-            })
-            .collect();
-        let boxes = tree.order.iter().map(|&i| boxes[i as usize]).collect();
-        let bounds = nodes.first().map_or([Vec3::ZERO; 2], |root| [root.lower.into(), root.upper.into()]);
-        Self { programs, boxes, nodes, bounds }
-    }
-}
-
 /// Part of a line, local units; `direction` is unit.
 #[derive(Debug, Clone, Copy)]
-pub struct LocalRay {
+pub struct ShapeRay {
     pub origin: Vec3,
     pub direction: Vec3,
     pub t_max: f32,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Hit {
+pub struct ShapeHit {
     pub t: f32,
     pub part: u32,
 }
 
 /// Numbers of evaluations of a ray.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Work {
+pub struct TraceWork {
     /// Number of evaluations of a part's field.
     pub steps: u32,
     /// Number of evaluations of a leaf's field or chord.
@@ -179,11 +88,11 @@ pub struct Work {
 impl<'a> Tracer<'a> {
     /// Prepares the parts of a solid, whose boxes are in world units.
     pub fn new(solid: &'a Solid, parts: &[Part]) -> Self {
-        Self::of(solid, Cells::new(solid, parts))
+        Self::of(solid, PartCells::new(solid.tables(), parts))
     }
 
-    pub(super) fn of(solid: &'a Solid, cells: Cells) -> Self {
-        let Cells { programs, boxes, nodes, bounds } = cells;
+    pub(super) fn of(solid: &'a Solid, cells: PartCells) -> Self {
+        let PartCells { programs, boxes, nodes, bounds } = cells;
         Self { solid, programs, boxes, nodes, bounds }
     }
 
@@ -202,10 +111,10 @@ impl<'a> Tracer<'a> {
     pub fn whole(solid: &'a Solid) -> Self {
         let tracer = Self::one_box(solid);
         let march = |part: &PartProgram| PartProgram {
-            form: Form::Field,
+            form: PartKind::Field,
             steps: Box::default(),
             leaves: Model::leaf_count(&part.tokens) as u32,
-            ..PartProgram::new(solid, &part.tokens)
+            ..PartProgram::new(solid.tables(), &part.tokens)
         };
         Self { programs: tracer.programs.iter().map(march).collect(), ..tracer }
     }
@@ -219,8 +128,8 @@ impl<'a> Tracer<'a> {
             let area = sides.x * sides.y + sides.y * sides.z + sides.z * sides.x;
             let part = &self.programs[cell.part as usize];
             let looks = match part.form {
-                Form::Field => MARCH_LOOKS[0] + MARCH_LOOKS[1] * sides.element_sum() / 3.0,
-                Form::Union | Form::Chords => 1.0,
+                PartKind::Field => MARCH_LOOKS[0] + MARCH_LOOKS[1] * sides.element_sum() / 3.0,
+                PartKind::Union | PartKind::Chords => 1.0,
             };
             area * (BOX_LOOKS + looks * f64::from(part.leaves))
         };
@@ -228,18 +137,18 @@ impl<'a> Tracer<'a> {
     }
 
     /// The first hit of a ray.
-    pub fn first_hit(&self, ray: &LocalRay, stack: &mut Stack<f32, 1>, work: &mut Work) -> Option<Hit> {
+    pub fn first_hit(&self, ray: &ShapeRay, stack: &mut Stack<f32, 1>, work: &mut TraceWork) -> Option<ShapeHit> {
         self.trace(ray, false, stack, work)
     }
 
     /// Whether a ray hits the shape.
-    pub fn is_hit(&self, ray: &LocalRay, stack: &mut Stack<f32, 1>, work: &mut Work) -> bool {
+    pub fn is_hit(&self, ray: &ShapeRay, stack: &mut Stack<f32, 1>, work: &mut TraceWork) -> bool {
         self.trace(ray, true, stack, work).is_some()
     }
 
-    fn trace(&self, ray: &LocalRay, any: bool, stack: &mut Stack<f32, 1>, work: &mut Work) -> Option<Hit> {
-        let line = Line::new(ray);
-        let mut best: Option<Hit> = None;
+    fn trace(&self, ray: &ShapeRay, any: bool, stack: &mut Stack<f32, 1>, work: &mut TraceWork) -> Option<ShapeHit> {
+        let line = BoxRay::new(ray);
+        let mut best: Option<ShapeHit> = None;
         let mut t_best = ray.t_max;
         let mut waiting = [(0u32, 0f32); MAX_STACK];
         let mut count = 0;
@@ -262,7 +171,7 @@ impl<'a> Tracer<'a> {
                         && let Some(t) = self.first_root(cell.part, ray, span, stack, work)
                     {
                         t_best = t;
-                        best = Some(Hit { t, part: cell.part });
+                        best = Some(ShapeHit { t, part: cell.part });
                         if any {
                             return best;
                         }
@@ -291,13 +200,13 @@ impl<'a> Tracer<'a> {
     fn first_root(
         &self,
         part: u32,
-        ray: &LocalRay,
+        ray: &ShapeRay,
         (t_in, t_out): (f32, f32),
         stack: &mut Stack<f32, 1>,
-        work: &mut Work,
+        work: &mut TraceWork,
     ) -> Option<f32> {
         let program = &self.programs[part as usize];
-        if program.form == Form::Field {
+        if program.form == PartKind::Field {
             return self.march(program, ray, t_in, t_out, stack, work);
         }
         work.steps += 1;
@@ -311,11 +220,11 @@ impl<'a> Tracer<'a> {
     fn march(
         &self,
         program: &PartProgram,
-        ray: &LocalRay,
+        ray: &ShapeRay,
         t_in: f32,
         t_out: f32,
         stack: &mut Stack<f32, 1>,
-        work: &mut Work,
+        work: &mut TraceWork,
     ) -> Option<f32> {
         let mut field = |t: f32| {
             work.steps += 1;
@@ -356,7 +265,7 @@ impl<'a> Tracer<'a> {
     /// the gradient is zero.
     pub fn normal(&self, p: Vec3, direction: Vec3, part: u32, stack: &mut Stack<f64, 6>) -> Option<Vec3> {
         let part = &self.programs[part as usize];
-        if part.form == Form::Field {
+        if part.form == PartKind::Field {
             let slope = slope(self.solid.precise(), &part.tokens, p.as_dvec3(), NORMAL_STEP, stack);
             return slope.try_normalize().map(|normal| normal.as_vec3());
         }
@@ -435,18 +344,18 @@ fn leaf_slope(leaf: &PlacedLeaf<f64>, p: DVec3) -> DVec3 {
     const CORNERS: [DVec3; 4] =
         [DVec3::new(1.0, -1.0, -1.0), DVec3::new(-1.0, -1.0, 1.0), DVec3::new(-1.0, 1.0, -1.0), DVec3::ONE];
     let at = [0, 1, 2].map(|axis| CORNERS.map(|corner| p[axis] + LEAF_STEP * corner[axis]));
-    let values = with_vectors(|| leaf.distances(&at));
+    let values = simd::with_vectors(|| leaf.distances(&at));
     CORNERS.iter().zip(values).map(|(&corner, value)| value * corner).sum()
 }
 
 /// A ray, with the inverse of its direction.
-struct Line {
+struct BoxRay {
     origin: Vec3A,
     inverse: Vec3A,
 }
 
-impl Line {
-    fn new(ray: &LocalRay) -> Self {
+impl BoxRay {
+    fn new(ray: &ShapeRay) -> Self {
         let still = Vec3A::splat(STILL);
         let direction = Vec3A::from(ray.direction);
         let inverse = Vec3A::select(direction.abs().cmplt(still), still, direction).recip();

@@ -7,12 +7,12 @@ pub struct Word {
     /// The name in [`super::primitive::Primitive::named`] or [`super::shape::Shape::changed`].
     pub operation: &'static str,
     /// One entry for each argument of the operation.
-    pub slots: &'static [Slot],
+    pub slots: &'static [NumberSource],
 }
 
 /// The source of one argument. The text is the name of the number in messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Slot {
+pub enum NumberSource {
     /// The argument is the number.
     Full(&'static str),
     /// The argument is half the number. The language has diameters where the interface has radii.
@@ -36,15 +36,15 @@ impl Word {
         // From the last to the first, because a rim needs the argument behind it.
         for (i, slot) in self.slots.iter().enumerate().rev() {
             arguments[i] = match slot {
-                Slot::Full(_) => *left.next()?,
-                Slot::Half(_) => 0.5 * left.next()?,
-                Slot::Rim(_) => 0.5 * left.next()? - arguments[i + 1],
-                Slot::One => 1.0,
-                Slot::Zero | Slot::Same => 0.0,
+                NumberSource::Full(_) => *left.next()?,
+                NumberSource::Half(_) => 0.5 * left.next()?,
+                NumberSource::Rim(_) => 0.5 * left.next()? - arguments[i + 1],
+                NumberSource::One => 1.0,
+                NumberSource::Zero | NumberSource::Same => 0.0,
             };
         }
         for i in 1..arguments.len() {
-            if self.slots[i] == Slot::Same {
+            if self.slots[i] == NumberSource::Same {
                 arguments[i] = arguments[i - 1];
             }
         }
@@ -56,13 +56,13 @@ impl Word {
         let mut numbers = Vec::with_capacity(arguments.len());
         for (i, (slot, &argument)) in self.slots.iter().zip(arguments).enumerate() {
             match slot {
-                Slot::Full(_) => numbers.push(argument),
-                Slot::Half(_) => numbers.push(2.0 * argument),
-                Slot::Rim(_) => numbers.push(2.0 * (argument + arguments[i + 1])),
-                Slot::Zero if argument == 0.0 => {}
-                Slot::One if argument == 1.0 => {}
-                Slot::Same if argument == arguments[i - 1] => {}
-                Slot::Zero | Slot::One | Slot::Same => return None,
+                NumberSource::Full(_) => numbers.push(argument),
+                NumberSource::Half(_) => numbers.push(2.0 * argument),
+                NumberSource::Rim(_) => numbers.push(2.0 * (argument + arguments[i + 1])),
+                NumberSource::Zero if argument == 0.0 => {}
+                NumberSource::One if argument == 1.0 => {}
+                NumberSource::Same if argument == arguments[i - 1] => {}
+                NumberSource::Zero | NumberSource::One | NumberSource::Same => return None,
             }
         }
         (self.slots.len() == arguments.len()).then_some(numbers)
@@ -71,8 +71,8 @@ impl Word {
     /// The form for messages, such as `(cylinder d h)`.
     pub fn usage(&self) -> String {
         let names = self.slots.iter().filter_map(|slot| match slot {
-            Slot::Full(name) | Slot::Half(name) | Slot::Rim(name) => Some(*name),
-            Slot::Zero | Slot::One | Slot::Same => None,
+            NumberSource::Full(name) | NumberSource::Half(name) | NumberSource::Rim(name) => Some(*name),
+            NumberSource::Zero | NumberSource::One | NumberSource::Same => None,
         });
         format!("({})", [self.word].into_iter().chain(names).collect::<Vec<_>>().join(" "))
     }

@@ -89,12 +89,12 @@ pub fn merge_on_device(
 }
 
 /// World space relative to its centre, divided by a power of two, so that it spans about 1.
-struct Scene {
+struct SceneSpace {
     center: DVec3,
     scale: f64,
 }
 
-impl Scene {
+impl SceneSpace {
     fn new(grid: &Grid, placed: &[Placed<'_>]) -> Self {
         let lower = placed.iter().fold(grid.lower, |lower, placed| lower.min(placed.bounds[0]));
         let upper = placed.iter().fold(grid.upper, |upper, placed| upper.max(placed.bounds[1]));
@@ -119,8 +119,8 @@ fn find_owners(
     owners: &mut [u32],
     progress: &Progress,
 ) -> Result<(), Error> {
-    let scene = Scene::new(grid, placed);
-    let tables = Tables::new(&scene, placed);
+    let scene = SceneSpace::new(grid, placed);
+    let tables = KernelTables::new(&scene, placed);
     let total: usize = tables.volumes.iter().map(|field| field.distances().len()).sum();
     context.check_size("the volumes of a merge", 4 * total as u64)?;
     let mut samples = Vec::with_capacity(total);
@@ -171,7 +171,7 @@ fn find_owners(
 }
 
 /// The buffers of the kernel.
-struct Tables<'a> {
+struct KernelTables<'a> {
     nodes: Vec<MergeNode>,
     order: Vec<u32>,
     fields: Vec<MergeField>,
@@ -180,8 +180,8 @@ struct Tables<'a> {
     volumes: Vec<FieldView<'a>>,
 }
 
-impl<'a> Tables<'a> {
-    fn new(scene: &Scene, placed: &[Placed<'a>]) -> Self {
+impl<'a> KernelTables<'a> {
+    fn new(scene: &SceneSpace, placed: &[Placed<'a>]) -> Self {
         let boxes: Vec<_> =
             placed.iter().map(|placed| placed.bounds.map(|corner| scene.scene_from_world(corner))).collect();
         let tree = BoxTree::new(&boxes);
@@ -202,7 +202,7 @@ impl<'a> Tables<'a> {
         tables
     }
 
-    fn field(&mut self, scene: &Scene, placed: &Placed<'a>, bounds: &[DVec3; 2]) -> MergeField {
+    fn field(&mut self, scene: &SceneSpace, placed: &Placed<'a>, bounds: &[DVec3; 2]) -> MergeField {
         let unknown = MergeField {
             lower: bounds[0].as_vec3().to_array(),
             upper: bounds[1].as_vec3().to_array(),

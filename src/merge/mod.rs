@@ -131,19 +131,19 @@ impl Default for BlockValues {
 }
 
 impl BlockValues {
-    fn largest(&self, block: &Block) -> f64 {
+    fn largest(&self, block: &SampleBlock) -> f64 {
         self.distances[..block.len()].iter().fold(f64::NEG_INFINITY, |largest, d| largest.max(f64::from(*d)))
     }
 }
 
 /// A block of samples.
 #[derive(Debug, Clone, Copy)]
-struct Block {
+struct SampleBlock {
     first: [usize; 3],
     shape: [usize; 3],
 }
 
-impl Block {
+impl SampleBlock {
     fn len(&self) -> usize {
         self.shape.iter().product()
     }
@@ -156,7 +156,7 @@ impl Block {
 }
 
 /// The planes of a slab, mutable.
-struct Slab<'a> {
+struct PlaneSlab<'a> {
     first_plane: usize,
     distances: &'a mut [f32],
     owners: &'a mut [u32],
@@ -184,7 +184,7 @@ impl<'a> Merger<'a> {
         &self,
         merged: &mut Merged,
         progress: &Progress,
-        work: impl Fn(&mut Slab<'_>, Vec<Block>) -> u64 + Sync,
+        work: impl Fn(&mut PlaneSlab<'_>, Vec<SampleBlock>) -> u64 + Sync,
     ) -> Result<(), Error> {
         let [nx, ny, nz] = self.grid.shape;
         let evaluations = AtomicU64::new(0);
@@ -193,9 +193,9 @@ impl<'a> Merger<'a> {
             merged.distances.par_chunks_mut(nx * ny * BLOCK).zip(merged.owners.par_chunks_mut(nx * ny * BLOCK));
         planes.enumerate().try_for_each(|(slab, (distances, owners))| {
             let first_plane = slab * BLOCK;
-            let mut slab = Slab { first_plane, distances, owners };
+            let mut slab = PlaneSlab { first_plane, distances, owners };
             for y in (0..ny).step_by(BLOCK) {
-                let blocks = (0..nx).step_by(BLOCK).map(|x| Block {
+                let blocks = (0..nx).step_by(BLOCK).map(|x| SampleBlock {
                     first: [x, y, first_plane],
                     shape: [BLOCK.min(nx - x), BLOCK.min(ny - y), BLOCK.min(nz - first_plane)],
                 });
@@ -213,21 +213,21 @@ impl<'a> Merger<'a> {
     }
 
     /// Box of the samples of a block.
-    fn bounds(&self, block: &Block) -> [DVec3; 2] {
+    fn bounds(&self, block: &SampleBlock) -> [DVec3; 2] {
         let [x, y, z] = block.first;
         let [nx, ny, nz] = block.shape;
         [self.center(x, y, z), self.center(x + nx - 1, y + ny - 1, z + nz - 1)]
     }
 
     /// The minimum over all fields.
-    fn fill(&self, block: &Block, values: &mut BlockValues) {
+    fn fill(&self, block: &SampleBlock, values: &mut BlockValues) {
         self.tree.around(self.bounds(block), f64::INFINITY, |place, limit| {
             self.lower(block, self.tree.order[place], values, limit);
         });
     }
 
     /// Takes the values of one field where they are smaller; `limit` is the largest value of the block.
-    fn lower(&self, block: &Block, field: u32, values: &mut BlockValues, limit: &mut f64) {
+    fn lower(&self, block: &SampleBlock, field: u32, values: &mut BlockValues, limit: &mut f64) {
         let placed = &self.placed[field as usize];
         let [lower, upper] = self.bounds(block);
         let distance = (placed.bounds[0] - upper).max(lower - placed.bounds[1]).max(DVec3::ZERO).length();
@@ -248,12 +248,12 @@ impl<'a> Merger<'a> {
         *limit = values.largest(block);
     }
 
-    fn offset(&self, slab: &Slab<'_>, block: &Block, y: usize, z: usize) -> usize {
+    fn offset(&self, slab: &PlaneSlab<'_>, block: &SampleBlock, y: usize, z: usize) -> usize {
         let [nx, ny, _] = self.grid.shape;
         block.first[0] + nx * (y + ny * (z - slab.first_plane))
     }
 
-    fn load(&self, block: &Block, slab: &Slab<'_>) -> BlockValues {
+    fn load(&self, block: &SampleBlock, slab: &PlaneSlab<'_>) -> BlockValues {
         let mut values = BlockValues::default();
         let width = block.shape[0];
         for (start, y, z) in block.rows() {
@@ -264,7 +264,7 @@ impl<'a> Merger<'a> {
         values
     }
 
-    fn store(&self, block: &Block, values: &BlockValues, slab: &mut Slab<'_>) {
+    fn store(&self, block: &SampleBlock, values: &BlockValues, slab: &mut PlaneSlab<'_>) {
         let width = block.shape[0];
         for (start, y, z) in block.rows() {
             let offset = self.offset(slab, block, y, z);

@@ -27,44 +27,44 @@ const SLOTS: usize = 12;
 
 /// The tables of a mesh, one slot for each type. The first type that finds a free slot takes it for good.
 #[derive(Debug, Default)]
-pub(super) struct Tables([OnceLock<Slot>; SLOTS]);
+pub(super) struct DerivedTables([OnceLock<TableSlot>; SLOTS]);
 
 #[derive(Debug)]
-struct Slot {
+struct TableSlot {
     id: TypeId,
     /// [`carry`] for the type of the slot.
-    carry: fn(&Table, &Mesh, &Mesh),
-    value: OnceLock<Box<Table>>,
+    carry: fn(&AnyTable, &Mesh, &Mesh),
+    value: OnceLock<Box<AnyTable>>,
     bytes: OnceLock<usize>,
 }
 
-type Table = dyn Any + Send + Sync;
+type AnyTable = dyn Any + Send + Sync;
 
 /// Hands a table of one mesh to another one with the same faces, if the type of the table can follow the motion.
-fn carry<T: Derived>(table: &Table, before: &Mesh, after: &Mesh) {
+fn carry<T: Derived>(table: &AnyTable, before: &Mesh, after: &Mesh) {
     let table: &T = table.downcast_ref().expect("a slot has the type that took it");
     if let Some(next) = table.follow(before, after) {
         after.tables.slot::<T>().fill(next);
     }
 }
 
-impl Slot {
+impl TableSlot {
     fn of<T: Derived>() -> Self {
         Self { id: TypeId::of::<T>(), carry: carry::<T>, value: OnceLock::new(), bytes: OnceLock::new() }
     }
 
     /// Stores a table. The first one that is stored stays.
-    fn fill<T: Derived>(&self, table: T) -> &Table {
+    fn fill<T: Derived>(&self, table: T) -> &AnyTable {
         self.bytes.get_or_init(|| table.bytes());
         &**self.value.get_or_init(|| Box::new(table))
     }
 }
 
-impl Tables {
+impl DerivedTables {
     /// The slot of a type, taken at the first call.
-    fn slot<T: Derived>(&self) -> &Slot {
+    fn slot<T: Derived>(&self) -> &TableSlot {
         let id = TypeId::of::<T>();
-        let slots = self.0.iter().map(|slot| slot.get_or_init(Slot::of::<T>));
+        let slots = self.0.iter().map(|slot| slot.get_or_init(TableSlot::of::<T>));
         // Threads that come at the same time agree on the owner of a slot, so a type never has two.
         slots.into_iter().find(|slot| slot.id == id).expect("there is a slot for each type of table")
     }

@@ -19,7 +19,7 @@ pub mod topology;
 
 use crate::error::MeshError;
 use crate::geometry::triangle_cross;
-use derived::Tables;
+use derived::DerivedTables;
 use glam::{DVec3, Vec3};
 use std::sync::OnceLock;
 use topology::Topology;
@@ -41,7 +41,7 @@ pub struct Mesh {
     source_faces: Vec<u32>,
     dropped_vertices: usize,
     topology: OnceLock<Topology>,
-    tables: Tables,
+    tables: DerivedTables,
 }
 
 /// The child index of the tree has 31 bits, and faces times three must fit in u32.
@@ -133,7 +133,7 @@ impl Mesh {
             source_vertices,
             source_faces,
             topology: OnceLock::new(),
-            tables: Tables::default(),
+            tables: DerivedTables::default(),
         })
     }
 

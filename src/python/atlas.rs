@@ -11,7 +11,7 @@ use crate::atlas::entry::{AtlasEntry, Facts, StripEntry};
 use crate::atlas::sample::{AtlasField, AtlasFilter, texture_coordinates};
 use crate::atlas::shader::{ShaderOptions, shader};
 use crate::atlas::texels::{self, Item};
-use crate::atlas::{Block, Layout, gpu, plan};
+use crate::atlas::{AtlasBlock, Layout, gpu, plan};
 use crate::encoding::Encoding;
 use crate::gpu::Place;
 use crate::grid::Grid;
@@ -30,7 +30,7 @@ use std::sync::Arc;
 type Blocks<'py> = PyReadonlyArray2<'py, u32>;
 
 /// Number of values in a row of blocks.
-const BLOCK_NUMBERS: usize = size_of::<Block>() / size_of::<u32>();
+const BLOCK_NUMBERS: usize = size_of::<AtlasBlock>() / size_of::<u32>();
 /// Page of a row without a field.
 const VACANT: u32 = u32::MAX;
 
@@ -47,7 +47,7 @@ pub fn atlas_plan<'py>(
     encoding: &str,
 ) -> PyResult<Bound<'py, PyArray2<u32>>> {
     let shapes = super::convert::rows(&shapes, "shapes")?;
-    let taken: Vec<Block> = blocks(&taken)?.iter().filter(|block| block.page != VACANT).copied().collect();
+    let taken: Vec<AtlasBlock> = blocks(&taken)?.iter().filter(|block| block.page != VACANT).copied().collect();
     let layout = Layout::from_name(layout, gutter).map_err(Failure::from)?;
     let encoding = Encoding::from_name(encoding).map_err(Failure::from)?;
     let placed = run_short(py, || plan::plan(layout, page_size, align(encoding), &taken, shapes))?;
@@ -320,25 +320,25 @@ pub fn require_memory(what: &str, needed: u64, advice: &str) -> PyResult<()> {
     Ok(memory::require_for(what, needed, 0, advice).map_err(Failure::from)?)
 }
 
-fn blocks<'a>(rows: &'a Blocks<'_>) -> PyResult<&'a [Block]> {
+fn blocks<'a>(rows: &'a Blocks<'_>) -> PyResult<&'a [AtlasBlock]> {
     let numbers = rows.as_slice().ok().filter(|_| rows.shape()[1] == BLOCK_NUMBERS);
     Ok(bytemuck::cast_slice(numbers.ok_or_else(|| broken(rows.py(), "blocks must be rows of ten numbers"))?))
 }
 
-fn only(py: Python<'_>, rows: &Blocks<'_>) -> PyResult<Block> {
+fn only(py: Python<'_>, rows: &Blocks<'_>) -> PyResult<AtlasBlock> {
     match blocks(rows)? {
         [block] => Ok(*block),
         _ => Err(broken(py, "one block is wanted")),
     }
 }
 
-fn grid(block: &Block, lower: [f64; 3], upper: [f64; 3]) -> PyResult<Grid> {
+fn grid(block: &AtlasBlock, lower: [f64; 3], upper: [f64; 3]) -> PyResult<Grid> {
     let shape = block.shape.map(|n| n as usize);
     super::convert::grid(lower, upper, shape)
 }
 
 /// The side of square pages, after checking that every block lies on them.
-fn check_pages(py: Python<'_>, shape: &[usize], encoding: Encoding, blocks: &[Block]) -> PyResult<u32> {
+fn check_pages(py: Python<'_>, shape: &[usize], encoding: Encoding, blocks: &[AtlasBlock]) -> PyResult<u32> {
     let [pages, size, row_bytes] = [shape[0], shape[1], shape[2]];
     let page_size = u32::try_from(size).ok().filter(|&size| size <= plan::MAX_PAGE_SIZE);
     let page_size = page_size.filter(|_| row_bytes == size * encoding.bytes());

@@ -6,8 +6,8 @@ use super::error::{Failure, exception};
 use super::mesh::Mesh;
 use super::run::run;
 use crate::bake::{
-    BakeOptions, Before, Field, Report, bake_at, bake_brute as brute, bake_window as window, sides_of_balls as balls,
-    update,
+    BakeOptions, BakedField, Before, Report, bake_at, bake_brute as brute, bake_window as window,
+    sides_of_balls as balls, update,
 };
 use crate::error::DeviceError;
 use crate::gpu::Place;
@@ -39,8 +39,8 @@ pub fn bake<'py>(
     let (field, mut report) = run(py, progress, |progress| bake_at(&place, &mesh, &grid, &options, progress))?;
     report.warnings.extend(place.warning(device));
     let distances = match field {
-        Field::Host(samples) => volume_array(py, samples, shape)?.into_any(),
-        Field::Device(field) => Bound::new(py, DeviceField(field))?.into_any(),
+        BakedField::Host(samples) => volume_array(py, samples, shape)?.into_any(),
+        BakedField::Device(field) => Bound::new(py, DeviceField(field))?.into_any(),
     };
     Ok((distances, report_dict(py, &report)?))
 }

@@ -12,10 +12,10 @@ use crate::gpu::Place;
 use crate::progress::Progress;
 use crate::render::{Camera, Frame, RaymarchOptions, raymarch_sparse};
 use crate::sign::SignMethod;
-use crate::surface::Surface;
+use crate::surface::LevelSurface;
 use crate::volume::sparse::build::SparseOptions;
 use crate::volume::sparse::{BRICK_LEN, BRICK_SAMPLES, SparseField as Sparse, brick_counts, node_grid};
-use crate::volume::{Filter, Texel, Trilinear};
+use crate::volume::{SampleFilter, Texel, Trilinear};
 use glam::DVec3;
 use half::f16;
 use numpy::{
@@ -80,8 +80,8 @@ impl SparseField {
     }
 
     /// The surface where the field equals `level`.
-    pub fn surface(&self, level: f32, progress: &Progress) -> Result<Surface, Error> {
-        with_field!(&self.0, |field| Surface::of_sparse(&field.view()?, level, progress))
+    pub fn surface(&self, level: f32, progress: &Progress) -> Result<LevelSurface, Error> {
+        with_field!(&self.0, |field| LevelSurface::of_sparse(&field.view()?, level, progress))
     }
 
     pub fn raymarch(
@@ -179,7 +179,7 @@ impl SparseField {
         #[pyo3(from_py_with = points)] points: Vec<DVec3>,
         filter: &str,
     ) -> PyResult<Bound<'py, PyArray1<f32>>> {
-        let filter = Filter::from_name(filter).map_err(Failure::from)?;
+        let filter = SampleFilter::from_name(filter).map_err(Failure::from)?;
         let inner = [DVec3::from_array(inner_lower), DVec3::from_array(inner_upper)];
         let values = run(py, None, |progress| {
             with_field!(&self.0, |field| field.view()?.sample(&points, inner, filter, progress))

@@ -14,13 +14,13 @@ use std::sync::{Mutex, PoisonError};
 /// The crossed cells of a level set and the tangent planes at their crossed edges.
 #[pyclass(frozen, module = "fieldbake._core")]
 pub struct Surface {
-    surface: surface::Surface,
+    surface: surface::LevelSurface,
     crossings: Mutex<Vec<Crossing>>,
     extra: Mutex<(ExtraPlanes, Probes)>,
 }
 
 impl Surface {
-    fn new(surface: surface::Surface) -> Self {
+    fn new(surface: surface::LevelSurface) -> Self {
         let crossings = Mutex::new(surface.crossings());
         Self { surface, crossings, extra: Mutex::default() }
     }
@@ -49,7 +49,9 @@ impl Surface {
     ) -> PyResult<Self> {
         with_texels!(distances, PyReadonlyArray3, |array| {
             let field = Field::encoded(&array, lower, upper, scale)?;
-            Ok(run(py, None, |progress| Ok(Self::new(surface::Surface::of_field(&field.view()?, level, progress)?)))?)
+            Ok(run(py, None, |progress| {
+                Ok(Self::new(surface::LevelSurface::of_field(&field.view()?, level, progress)?))
+            })?)
         })
     }
 
@@ -72,7 +74,7 @@ impl Surface {
             let message = "values: must be a C-contiguous (k, n, n, n) array with n of at least 2";
             exception(py, "ArgumentError", message.to_owned())
         })?;
-        Ok(run(py, None, |_| Ok(Self::new(surface::Surface::of_blocks(&grid, side, origins, flat, level)?)))?)
+        Ok(run(py, None, |_| Ok(Self::new(surface::LevelSurface::of_blocks(&grid, side, origins, flat, level)?)))?)
     }
 
     /// The level set of a sparse field.

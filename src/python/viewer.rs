@@ -4,7 +4,7 @@ use super::csg::Shape;
 use super::error::Failure;
 use crate::encoding::Encoding;
 use crate::shader_text::Language;
-use crate::viewer::{Kinds, ShapeFunction, shader};
+use crate::viewer::{ShapeFunction, ViewedKinds, shader};
 use numpy::{IntoPyArray, PyArray1};
 use pyo3::prelude::*;
 
@@ -24,7 +24,7 @@ pub fn viewer_shader<'py>(
     let solids = shapes.iter().map(|shape| shape.get().solid(py)).collect::<PyResult<Vec<_>>>()?;
     let encoding = encoding.map(Encoding::from_name).transpose().map_err(Failure::from)?;
     let [dense, sparse, quadric] = kinds;
-    let made = shader(Kinds { dense, sparse, quadric, encoding }, &solids, language).map_err(Failure::from)?;
+    let made = shader(ViewedKinds { dense, sparse, quadric, encoding }, &solids, language).map_err(Failure::from)?;
     let row = |found: ShapeFunction| {
         (found.structure, found.numbers.into_pyarray(py), found.center, found.scale, found.inverse_lipschitz)
     };

@@ -3,7 +3,7 @@
 use super::convert::{Field, points, row_array, volume_array, with_texels};
 use super::error::Failure;
 use super::run::run;
-use crate::volume::{Filter, Trilinear};
+use crate::volume::{SampleFilter, Trilinear};
 use glam::DVec3;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
 use pyo3::prelude::*;
@@ -22,7 +22,7 @@ pub fn sample<'py>(
     filter: &str,
     scale: f32,
 ) -> PyResult<Bound<'py, PyArray1<f32>>> {
-    let filter = Filter::from_name(filter).map_err(Failure::from)?;
+    let filter = SampleFilter::from_name(filter).map_err(Failure::from)?;
     let inner = [DVec3::from_array(inner_lower), DVec3::from_array(inner_upper)];
     let values = with_texels!(distances, PyReadonlyArray3, |array| {
         let field = Field::encoded(&array, lower, upper, scale)?;

@@ -9,7 +9,7 @@ use super::Quadrics;
 use crate::error::Error;
 use crate::gpu::Place;
 use crate::progress::Progress;
-use crate::render::shade::{Look, lit};
+use crate::render::shade::{LitPoint, lit};
 use crate::render::{Camera, DirectionalLight, Frame, RaymarchOptions, Row};
 use glam::DVec3;
 
@@ -23,7 +23,7 @@ pub fn draw_at(
 ) -> Result<Frame, Error> {
     options.check()?;
     let lights = options.unit_lights()?;
-    let view = View { quadrics, camera, options, lights: &lights };
+    let view = QuadricView { quadrics, camera, options, lights: &lights };
     match place {
         Place::Cpu => Frame::by_pixels(options.size, lights.len(), progress, |x, y, row| view.draw_pixel(x, y, row)),
         Place::Gpu(context) => super::gpu::draw(context, &view, progress),
@@ -32,7 +32,7 @@ pub fn draw_at(
 
 /// Data shared by all pixels.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct View<'a> {
+pub(super) struct QuadricView<'a> {
     pub quadrics: &'a Quadrics,
     pub camera: &'a Camera,
     pub options: &'a RaymarchOptions,
@@ -40,7 +40,7 @@ pub(super) struct View<'a> {
     pub lights: &'a [DirectionalLight],
 }
 
-impl View<'_> {
+impl QuadricView<'_> {
     /// Fills pixel `x` of row `y`. The row is initialised to "no hit".
     pub fn draw_pixel(&self, x: usize, y: usize, row: &mut Row<'_>) {
         row.color[4 * x..][..4].copy_from_slice(&self.options.background);
@@ -54,7 +54,7 @@ impl View<'_> {
         let shadow = &mut row.shadow[x * row.lights..][..row.lights];
         let to_eye = -direction.normalize().as_vec3();
         let normal = hit.normal.as_vec3();
-        let look = Look { normal, to_eye, color: self.quadrics.reflectance(hit.quadric) };
+        let look = LitPoint { normal, to_eye, color: self.quadrics.reflectance(hit.quadric) };
         let color = lit(&look, self.options, self.lights, shadow, |to_light| {
             self.share_that_arrives(p, hit.normal, hit.quadric, to_light.as_dvec3())
         });

@@ -13,7 +13,7 @@
 //! centre of all quadrics. Depths then agree with the CPU's to a few float32 roundings of the distance, and of the
 //! radius divided by the slope.
 
-use super::draw::View;
+use super::draw::QuadricView;
 use super::{LINEAR_UP_TO, Quadrics};
 use crate::error::{DeviceError, Error};
 use crate::gpu::Context;
@@ -33,8 +33,8 @@ const MAX_INDEX: usize = 1 << 24;
 /// Boxes are enlarged by this fraction of the size of the scene, for the float32 rounding of a slab test.
 const BOX_GROWTH: f64 = 2e-6;
 
-pub(super) fn draw(context: &Context, view: &View<'_>, progress: &Progress) -> Result<Frame, Error> {
-    let View { quadrics, camera, options, lights } = *view;
+pub(super) fn draw(context: &Context, view: &QuadricView<'_>, progress: &Progress) -> Result<Frame, Error> {
+    let QuadricView { quadrics, camera, options, lights } = *view;
     let light_buffer = upload_lights(context, lights)?;
     let [width, height] = options.size;
     let pixel_count = width as usize * height as usize;

@@ -56,7 +56,7 @@ pub struct Quadric {
 
 /// First intersection of a ray with a quadric.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Hit {
+pub struct QuadricHit {
     /// Distance in multiples of the ray's direction.
     pub t: f64,
     /// Index of the quadric.
@@ -128,7 +128,7 @@ impl Quadrics {
 
     /// The first quadric that `origin + t direction` crosses at a `t` in the range, and the number of quadrics and
     /// boxes tried.
-    pub fn first_hit(&self, origin: DVec3, direction: DVec3, range: [f64; 2]) -> (Option<Hit>, u32) {
+    pub fn first_hit(&self, origin: DVec3, direction: DVec3, range: [f64; 2]) -> (Option<QuadricHit>, u32) {
         let mut nearest: Option<(f64, usize)> = None;
         let mut tried = 0;
         let visit = |place: usize, range: &mut [f64; 2]| {
@@ -144,7 +144,7 @@ impl Quadrics {
         let boxes = self.along(origin, direction, range, visit);
         let hit = nearest.map(|(t, place)| {
             let normal = self.locals[place].normal(origin + t * direction, direction);
-            Hit { t, quadric: self.tree.order[place], normal }
+            QuadricHit { t, quadric: self.tree.order[place], normal }
         });
         (hit, tried + boxes)
     }

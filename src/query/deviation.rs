@@ -50,26 +50,26 @@ struct Corner {
 
 /// A triangle and an upper bound of the distance of its points.
 #[derive(Debug, Clone, Copy)]
-struct Piece {
+struct TrianglePiece {
     corners: [Corner; 3],
     bound: f64,
 }
 
-impl PartialEq for Piece {
+impl PartialEq for TrianglePiece {
     fn eq(&self, other: &Self) -> bool {
         self.cmp(other) == Ordering::Equal
     }
 }
 
-impl Eq for Piece {}
+impl Eq for TrianglePiece {}
 
-impl PartialOrd for Piece {
+impl PartialOrd for TrianglePiece {
     fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
         Some(self.cmp(other))
     }
 }
 
-impl Ord for Piece {
+impl Ord for TrianglePiece {
     fn cmp(&self, other: &Self) -> Ordering {
         self.bound.total_cmp(&other.bound)
     }
@@ -84,10 +84,10 @@ pub fn deviation(mesh: &Mesh, other: &Mesh, progress: &Progress) -> Result<Devia
     // Vertices without a face are no part of the surface.
     let attained = |face: &[u32; 3]| face.map(|v| corners[v as usize].distance).into_iter().fold(0.0, f64::max);
     let mut best = mesh.faces().par_iter().map(attained).reduce(|| 0.0, f64::max);
-    let pool: Vec<Piece> = mesh
+    let pool: Vec<TrianglePiece> = mesh
         .faces()
         .par_iter()
-        .map(|face| Piece::new(other, face.map(|v| corners[v as usize])))
+        .map(|face| TrianglePiece::new(other, face.map(|v| corners[v as usize])))
         .filter(|piece| piece.bound > limit(best))
         .collect();
     let mut pool = BinaryHeap::from(pool);
@@ -101,7 +101,7 @@ pub fn deviation(mesh: &Mesh, other: &Mesh, progress: &Progress) -> Result<Devia
             pool.pop();
         }
         halved += batch.len();
-        let halves: Vec<[Piece; 2]> = batch.par_iter().map(|piece| piece.halves(other)).collect();
+        let halves: Vec<[TrianglePiece; 2]> = batch.par_iter().map(|piece| piece.halves(other)).collect();
         let distances = halves.iter().flatten().flat_map(|half| half.corners).map(|corner| corner.distance);
         best = distances.fold(best, f64::max);
         pool.extend(halves.into_iter().flatten().filter(|half| half.bound > limit(best)));
@@ -121,7 +121,7 @@ fn corner_at(other: &Mesh, point: DVec3) -> Corner {
     Corner { point, distance: closest.distance, face: closest.face }
 }
 
-impl Piece {
+impl TrianglePiece {
     fn new(other: &Mesh, corners: [Corner; 3]) -> Self {
         let mut bound = f64::INFINITY;
         for face in corners.map(|corner| corner.face) {

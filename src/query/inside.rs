@@ -1,6 +1,6 @@
 //! The side and the winding number of points, without distances.
 
-use super::{Answers, answer_in_order, check_points, prepare};
+use super::{ChunkedResults, answer_in_order, check_points, prepare};
 use crate::error::Error;
 use crate::gpu::Place;
 use crate::mesh::Mesh;
@@ -59,7 +59,7 @@ pub fn winding_numbers(mesh: &Mesh, points: &[[f64; 3]], error: f64, progress: &
 const DIPOLE_ERROR: f64 = 0.01;
 
 /// Results in the order of the points.
-fn in_rows<T: Copy>(count: usize, answers: &Answers<T>) -> Vec<T> {
+fn in_rows<T: Copy>(count: usize, answers: &ChunkedResults<T>) -> Vec<T> {
     let mut rows = Vec::with_capacity(count);
     answers.for_each_row(|&answer| rows.push(answer));
     rows

@@ -30,14 +30,14 @@ const ROUNDING: f64 = 1e-6;
 pub struct OuterSides {
     shape: [usize; 3],
     blocks: [usize; 3],
-    states: Vec<Block>,
+    states: Vec<FloodBlock>,
     /// Distances of the samples of near blocks, local units, x fastest.
     distances: Vec<[f32; SAMPLES]>,
     outside: Vec<[bool; SAMPLES]>,
 }
 
 #[derive(Debug, Clone, Copy)]
-enum Block {
+enum FloodBlock {
     /// No triangle is near. The value is true once the flood has reached the block.
     Far(bool),
     /// Triangles are near. The value is its index among such blocks.
@@ -82,9 +82,9 @@ impl OuterSides {
             .map(|(i, &is_near)| {
                 if is_near {
                     near.push(i);
-                    Block::Near(near.len() as u32 - 1)
+                    FloodBlock::Near(near.len() as u32 - 1)
                 } else {
-                    Block::Far(false)
+                    FloodBlock::Far(false)
                 }
             })
             .collect();
@@ -116,8 +116,8 @@ impl OuterSides {
         let at: [usize; 3] = std::array::from_fn(|axis| at[axis].clamp(0, self.shape[axis] as i64 - 1) as usize);
         let (block, offset) = self.place(at);
         match self.states[block] {
-            Block::Far(outside) => outside,
-            Block::Near(near) => self.outside[near as usize][offset],
+            FloodBlock::Far(outside) => outside,
+            FloodBlock::Near(near) => self.outside[near as usize][offset],
         }
     }
 
@@ -161,12 +161,12 @@ impl Flood<'_> {
     fn reach(&mut self, at: [usize; 3], core: f32) {
         let (block, offset) = self.sides.place(at);
         match &mut self.sides.states[block] {
-            Block::Far(outside) => {
+            FloodBlock::Far(outside) => {
                 if !std::mem::replace(outside, true) {
                     self.queue.push(at);
                 }
             }
-            Block::Near(near) => {
+            FloodBlock::Near(near) => {
                 let near = *near as usize;
                 if self.sides.distances[near][offset] >= core && !self.sides.outside[near][offset] {
                     self.sides.outside[near][offset] = true;
@@ -184,7 +184,7 @@ impl Flood<'_> {
                 progress.check()?;
             }
             let (block, _) = self.sides.place(at);
-            if let Block::Far(_) = self.sides.states[block] {
+            if let FloodBlock::Far(_) = self.sides.states[block] {
                 self.leave_block(at.map(|i| i / SIDE), core);
                 continue;
             }
@@ -229,8 +229,8 @@ impl Flood<'_> {
     fn distance(&self, at: [usize; 3]) -> f32 {
         let (block, offset) = self.sides.place(at);
         match self.sides.states[block] {
-            Block::Far(_) => f32::INFINITY,
-            Block::Near(near) => self.sides.distances[near as usize][offset],
+            FloodBlock::Far(_) => f32::INFINITY,
+            FloodBlock::Near(near) => self.sides.distances[near as usize][offset],
         }
     }
 
@@ -251,7 +251,7 @@ impl Flood<'_> {
         let mut order: Vec<(f32, [usize; 3])> = Vec::new();
         let [bx, by, _] = self.sides.blocks;
         for (i, state) in self.sides.states.iter().enumerate() {
-            let Block::Near(near) = state else { continue };
+            let FloodBlock::Near(near) = state else { continue };
             for (s, &distance) in self.sides.distances[*near as usize].iter().enumerate() {
                 let at = sample([i % bx, i / bx % by, i / (bx * by)], s);
                 if distance < core && (0..3).all(|axis| at[axis] < self.sides.shape[axis]) {
@@ -271,7 +271,7 @@ impl Flood<'_> {
             }
             if highest.1.is_some_and(|next| self.sides.is_outside(next.map(|i| i as i64))) {
                 let (block, offset) = self.sides.place(at);
-                if let Block::Near(near) = self.sides.states[block] {
+                if let FloodBlock::Near(near) = self.sides.states[block] {
                     self.sides.outside[near as usize][offset] = true;
                 }
             }

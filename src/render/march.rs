@@ -43,7 +43,7 @@ pub struct GridRay {
 
 /// A ray clipped to the box, and where it entered.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ClippedRay {
+pub struct BoxClip {
     pub ray: GridRay,
     /// Distance from the given origin to the box, in multiples of the given direction.
     pub t_enter: f64,
@@ -54,7 +54,7 @@ pub struct ClippedRay {
 /// The part of a ray inside the box of `shape` voxels, in grid space; `None` if it misses.
 ///
 /// The arithmetic is f64, because an eye may be far away from a small box.
-pub fn clip_to_box(origin: DVec3, direction: DVec3, shape: DVec3) -> Option<ClippedRay> {
+pub fn clip_to_box(origin: DVec3, direction: DVec3, shape: DVec3) -> Option<BoxClip> {
     let (mut t_enter, mut t_leave) = (0.0, f64::INFINITY);
     let mut enter_axis = None;
     for axis in 0..3 {
@@ -83,12 +83,12 @@ pub fn clip_to_box(origin: DVec3, direction: DVec3, shape: DVec3) -> Option<Clip
         direction: (direction / voxels_per_t).as_vec3(),
         t_max: ((t_leave - t_enter) * voxels_per_t) as f32,
     };
-    Some(ClippedRay { ray, t_enter, enter_axis })
+    Some(BoxClip { ray, t_enter, enter_axis })
 }
 
 /// Intersection of a ray with the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Hit {
+pub struct FieldHit {
     pub t: f32,
     /// Whether the field is <= 0 at the start of the ray.
     pub at_start: bool,
@@ -97,7 +97,7 @@ pub struct Hit {
 /// Result of a ray.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct March {
-    pub hit: Option<Hit>,
+    pub hit: Option<FieldHit>,
     /// Number of visited cells plus leaps.
     pub steps: u32,
 }
@@ -124,7 +124,7 @@ impl<F: Blocks> Marcher<F> {
     /// Traces a ray to its first hit.
     pub fn march(&self, ray: &GridRay) -> March {
         let shape = self.field.grid().shape.map(|n| n as i32);
-        let line = Line::new(ray);
+        let line = MarchLine::new(ray);
         let mut t = 0.0f32;
         let mut cell = [0, 1, 2].map(|axis| floor(line.origin[axis]).clamp(-1, shape[axis] - 1));
 
@@ -205,7 +205,7 @@ impl<F: Blocks> Marcher<F> {
 }
 
 /// A ray and its constants.
-struct Line {
+struct MarchLine {
     origin: [f32; 3],
     direction: [f32; 3],
     /// `t` per voxel; 0 where the ray is parallel to the faces.
@@ -213,7 +213,7 @@ struct Line {
     forward: [bool; 3],
 }
 
-impl Line {
+impl MarchLine {
     fn new(ray: &GridRay) -> Self {
         let direction = ray.direction.to_array();
         let inverse = direction.map(|d| if d.abs() < PARALLEL_DIRECTION { 0.0 } else { 1.0 / d });
@@ -236,14 +236,14 @@ impl Line {
 /// The root of the field in one cell, on the interval `[t, t_end]` of the ray. The cell has its lower corner at `first`
 /// and a side of `1 << shift` voxels.
 #[inline]
-fn hit_in_cell(corners: &[f32; 8], ray: &GridRay, first: [i32; 3], shift: u32, t: f32, t_end: f32) -> Option<Hit> {
+fn hit_in_cell(corners: &[f32; 8], ray: &GridRay, first: [i32; 3], shift: u32, t: f32, t_end: f32) -> Option<FieldHit> {
     // Division by a power of two is exact.
     let per_voxel = 1.0 / (1 << shift) as f32;
     let p = (ray.origin + t * ray.direction - IVec3::from(first).as_vec3()) * per_voxel;
     let cubic = Cubic::along_ray(corners, p, ray.direction * per_voxel);
     // Scaling by the largest corner keeps products of coefficients in range.
     let s = cubic.scaled(1.0 / largest(corners)).first_root(t_end - t)?;
-    Some(Hit { t: t + s, at_start: t + s == 0.0 && cubic.c0 <= 0.0 })
+    Some(FieldHit { t: t + s, at_start: t + s == 0.0 && cubic.c0 <= 0.0 })
 }
 
 /// The axis whose face comes first.

@@ -19,7 +19,7 @@ use glam::{DVec3, IVec3, Vec3};
 
 /// Intersection of the ray of a pixel with the surface.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Surface {
+pub(super) struct PixelHit {
     pub p_grid: Vec3,
     /// Unit normal in world space, outward.
     pub normal: Vec3,
@@ -54,7 +54,7 @@ pub(crate) fn lit_color(
 
 /// The surface that light falls on.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Look {
+pub(crate) struct LitPoint {
     /// Unit normal in world space, outward.
     pub normal: Vec3,
     /// Unit direction towards the eye, world space.
@@ -66,7 +66,7 @@ pub(crate) struct Look {
 /// Linear RGB of a lit surface. Writes the fraction of each light that arrives; for hard shadows `share_that_arrives`
 /// computes it.
 pub(crate) fn lit(
-    look: &Look,
+    look: &LitPoint,
     options: &RaymarchOptions,
     lights: &[DirectionalLight],
     shadow: &mut [f32],
@@ -128,13 +128,13 @@ impl<'a, F: Blocks> Shader<'a, F> {
     }
 
     /// Linear RGB of a surface. Writes the fraction of each light that arrives.
-    pub fn shade(&self, surface: &Surface, shadow: &mut [f32]) -> Vec3 {
-        let look = Look { normal: surface.normal, to_eye: surface.to_eye, color: self.options.color };
+    pub fn shade(&self, surface: &PixelHit, shadow: &mut [f32]) -> Vec3 {
+        let look = LitPoint { normal: surface.normal, to_eye: surface.to_eye, color: self.options.color };
         lit(&look, self.options, self.lights, shadow, |to_light| self.share_that_arrives(surface, to_light))
     }
 
     /// 0 if the field occludes the light, else 1.
-    fn share_that_arrives(&self, surface: &Surface, to_light: Vec3) -> f32 {
+    fn share_that_arrives(&self, surface: &PixelHit, to_light: Vec3) -> f32 {
         if surface.normal.dot(to_light) <= 0.0 {
             return 0.0;
         }

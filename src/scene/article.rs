@@ -6,7 +6,7 @@
 //! of the surface. [`super::shadow`] has the method of this crate.
 
 use super::Scene;
-use super::shadow::{Place, Ray, Work};
+use super::shadow::{LightRay, LightWork, SurfacePoint};
 use glam::Vec3;
 
 const STEPS: u32 = 100;
@@ -15,7 +15,7 @@ const BIAS: f64 = 0.05;
 
 impl Scene {
     /// 0 if the article's march finds an occluder before the light, else 1.
-    pub fn article_share(&self, place: &Place, ray: &Ray, work: &mut Work) -> f32 {
+    pub fn article_share(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
         let start = place.p + (BIAS * place.normal.as_dvec3() + BIAS * ray.direction) / self.scale;
         let is_shaded = |(item, instance): (usize, &super::Instance)| {
             if place.skips_own && item == place.own as usize {

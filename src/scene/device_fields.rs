@@ -2,7 +2,7 @@
 //! tables of floats and bytes that records refer to. The shader of each kind documents its layout.
 
 use super::field::{DenseField, SampledField};
-use super::kinds::{ARRAY, Kind, Kinds, MAX_STRUCTURES, TURNS};
+use super::kinds::{ARRAY, FieldKind, GeometryKinds, MAX_STRUCTURES, TURNS};
 use super::things::SparseBricks;
 use crate::csg::Solid;
 use crate::csg::model::Model;
@@ -21,24 +21,24 @@ pub struct DeviceFields<'a> {
     pub records: Vec<SceneField>,
     pub samples: Vec<f32>,
     pub bytes: Vec<u8>,
-    pub kinds: Kinds,
+    pub kinds: GeometryKinds,
 }
 
 impl<'a> DeviceFields<'a> {
     pub fn new(context: &'a Context) -> Self {
-        Self { context, records: Vec::new(), samples: Vec::new(), bytes: Vec::new(), kinds: Kinds::default() }
+        Self { context, records: Vec::new(), samples: Vec::new(), bytes: Vec::new(), kinds: GeometryKinds::default() }
     }
 
     pub fn add_dense(&mut self, field: &SampledField<DenseField>) -> Result<(), DeviceError> {
         let marcher = field.marcher();
-        let record = self.sampled(Kind::Dense, marcher.field.grid(), marcher.empty());
+        let record = self.sampled(FieldKind::Dense, marcher.field.grid(), marcher.empty());
         self.add(record, &[marcher.field.samples()])
     }
 
     pub fn add_sparse(&mut self, field: &SampledField<SparseBricks>) -> Result<(), DeviceError> {
         let marcher = field.marcher();
         let view = marcher.field.view();
-        let record = self.sampled(Kind::Sparse, view.grid(), marcher.empty());
+        let record = self.sampled(FieldKind::Sparse, view.grid(), marcher.empty());
         self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
         self.bytes.extend_from_slice(bytemuck::cast_slice(view.index()));
         let (params, nodes) = view.for_devices();
@@ -48,7 +48,7 @@ impl<'a> DeviceFields<'a> {
 
     pub fn add_quadric(&mut self, local: &Local) -> Result<(), DeviceError> {
         let numbers = local.matrix().to_cols_array().map(|entry| entry as f32);
-        self.add(SceneField { kind: Kind::Quadric as u32, ..SceneField::default() }, &[&numbers])?;
+        self.add(SceneField { kind: FieldKind::Quadric as u32, ..SceneField::default() }, &[&numbers])?;
         self.kinds.quadrics = true;
         Ok(())
     }
@@ -68,13 +68,13 @@ impl<'a> DeviceFields<'a> {
         let Model { lipschitz, is_exact, .. } = solid.model;
         let header =
             [structure as f32, (1.0 / lipschitz) as f32, solid.frame.scale as f32, f32::from(u8::from(is_exact))];
-        self.add(SceneField { kind: Kind::Shape as u32, ..SceneField::default() }, &[&header, &numbers])?;
+        self.add(SceneField { kind: FieldKind::Shape as u32, ..SceneField::default() }, &[&header, &numbers])?;
         Ok(true)
     }
 
     /// The record of a sampled field; its empty space is appended to the bytes.
-    fn sampled(&mut self, kind: Kind, grid: &Grid, empty: &EmptySpace) -> SceneField {
-        self.kinds.sparse |= kind == Kind::Sparse;
+    fn sampled(&mut self, kind: FieldKind, grid: &Grid, empty: &EmptySpace) -> SceneField {
+        self.kinds.sparse |= kind == FieldKind::Sparse;
         let first_block = self.bytes.len() as u32;
         self.bytes.extend_from_slice(empty.distances());
         SceneField {

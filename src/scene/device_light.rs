@@ -7,8 +7,8 @@
 use super::SceneShadows;
 use super::gpu::DeviceScene;
 use super::known::{Known, Pass, parts_of, stride, took};
-use super::light::{BIAS_TRIANGLE, SceneLight, Surface};
-use super::shadow::{PARTS, Work};
+use super::light::{BIAS_TRIANGLE, LitSurface, SceneLight};
+use super::shadow::{LightWork, PARTS};
 use crate::error::Error;
 use crate::gpu::layout::{Answer, Beam, PieceParams, SurfaceLight, SurfaceParams};
 use crate::progress::Progress;
@@ -126,13 +126,13 @@ fn take(pass: &Pass<'_>, known: &mut Known, first: usize, answers: &[Answer]) ->
         if (y + 1) * width <= range.start || y * width >= range.end {
             return Ok(());
         }
-        let mut total = Work::default();
+        let mut total = LightWork::default();
         for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
             let pixel = y * width + layer.x as usize;
             if !layer.is_from_device || !range.contains(&pixel) {
                 continue;
             }
-            let surface = Surface::new(scene, pass.buffer, y, layer);
+            let surface = LitSurface::new(scene, pass.buffer, y, layer);
             if surface.scatters(scene) {
                 continue;
             }
@@ -153,13 +153,13 @@ fn take(pass: &Pass<'_>, known: &mut Known, first: usize, answers: &[Answer]) ->
 /// divided disc, the fractions of the parts are missing.
 fn take_pixel(
     pass: &Pass<'_>,
-    surface: &Surface<'_>,
+    surface: &LitSurface<'_>,
     answers: &mut std::slice::Iter<'_, Answer>,
     values: &mut [f32],
-) -> Option<Work> {
+) -> Option<LightWork> {
     let scene = pass.casters.scene;
     let (past_sheets, mut work) = if scene.sheets.is_empty() {
-        (Vec::new(), Work::default())
+        (Vec::new(), LightWork::default())
     } else {
         scene.sheets_at(surface, pass.lights, pass.options)
     };

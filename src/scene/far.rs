@@ -32,8 +32,8 @@
 //! [`Far::new`] places a field in a scene, once per picture; [`super::shadow::Casters`] evaluates it.
 
 use super::field::Field;
-use super::shadow::{Place, Ray, clip, widest};
-use super::{Instance, InstanceInput, Scene, instance};
+use super::shadow::{LightRay, SurfacePoint, clip, widest};
+use super::{Instance, InstanceInput, Scene};
 use crate::error::{Error, SceneError};
 use crate::geometry::Aabb;
 use glam::{DAffine3, Vec3};
@@ -115,7 +115,7 @@ impl Far {
         };
         let level = |field: &Arc<dyn Field>, corners: [Vec3; 2]| {
             Ok::<_, Error>(FarLevel {
-                instance: instance(0, &as_thing(field), scene.center, scene.scale, 1)?,
+                instance: Instance::placed(0, &as_thing(field), scene.center, scene.scale, 1)?,
                 bounds: in_scene(field, corners),
                 voxel: field.voxel() / scene.scale,
             })
@@ -138,7 +138,7 @@ impl Far {
     }
 
     /// Splits a ray, or a cone of radius `slope t` around it.
-    pub fn split(&self, place: &Place, ray: &Ray, slope: f32) -> Split {
+    pub fn split(&self, place: &SurfacePoint, ray: &LightRay, slope: f32) -> Split {
         let bounds = &self.outermost().bounds;
         let grown = if slope > 0.0 { widest(place, ray, slope, bounds) } else { 0.0 };
         let (lower, upper) = (bounds.min - grown, bounds.max + grown);
@@ -155,8 +155,8 @@ impl Far {
     pub fn pieces<'a>(
         &'a self,
         far: [f64; 2],
-        place: &'a Place,
-        ray: &'a Ray,
+        place: &'a SurfacePoint,
+        ray: &'a LightRay,
     ) -> impl Iterator<Item = (&'a FarLevel, [f64; 2])> {
         // The piece of the next finer level.
         let mut finer: Option<[f64; 2]> = None;
@@ -181,7 +181,7 @@ impl Far {
     }
 
     /// Distance from which the field is evaluated for a ray.
-    fn distance_from(&self, place: &Place) -> f64 {
+    fn distance_from(&self, place: &SurfacePoint) -> f64 {
         self.distance.unwrap_or_else(|| {
             let p = place.p.as_vec3();
             let holds = |level: &&FarLevel| p.cmpge(level.bounds.min).all() && p.cmple(level.bounds.max).all();

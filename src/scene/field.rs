@@ -38,7 +38,7 @@ pub struct FieldHit {
 
 /// Appearance of a surface at a hit.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Look {
+pub struct SurfaceLook {
     /// Unit normal in the object's own axes: outwards, or against the ray if there is no inside; zero if it is
     /// undefined.
     pub normal: Vec3,
@@ -75,8 +75,8 @@ pub trait Field: Send + Sync {
     fn gradient(&self, p: Vec3) -> Vec3;
 
     /// Appearance at the point `p`, which a ray of this direction hit.
-    fn look(&self, p: Vec3, _hit: &FieldHit, _direction: Vec3) -> Look {
-        Look { normal: self.gradient(p), color: None }
+    fn look(&self, p: Vec3, _hit: &FieldHit, _direction: Vec3) -> SurfaceLook {
+        SurfaceLook { normal: self.gradient(p), color: None }
     }
 
     /// Fraction of the light that one crossing blocks, besides the instance's opacity.

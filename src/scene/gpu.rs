@@ -8,10 +8,10 @@ use super::device_fields::DeviceFields;
 use super::device_light::LightBuffers;
 use super::far::Far;
 use super::field::Field;
-use super::kinds::Kinds;
+use super::kinds::GeometryKinds;
 use super::occlusion::Occluders;
 use super::raster::DeviceMeshes;
-use super::shadow::{Casters, Place, Ray, Work};
+use super::shadow::{Casters, LightRay, LightWork, SurfacePoint};
 use super::{Instance, Scene};
 use crate::error::Error;
 use crate::geometry::Aabb;
@@ -62,7 +62,7 @@ struct Fields {
     samples: wgpu::Buffer,
     blocks: wgpu::Buffer,
     /// Kinds of its objects.
-    kinds: Kinds,
+    kinds: GeometryKinds,
 }
 
 impl Fields {
@@ -213,7 +213,7 @@ impl DeviceScene {
         }
         for (answer, beam) in answers.iter_mut().zip(beams).filter(|(answer, _)| answer.is_complete == 0) {
             let (place, ray) = from_beam(beam);
-            let mut work = Work::default();
+            let mut work = LightWork::default();
             if beam.is_coarse == WIDE {
                 let mut occluders = Occluders::default();
                 casters.gather(&place, ray.t_max, &mut occluders);
@@ -302,7 +302,7 @@ impl DeviceScene {
 }
 
 /// A ray or, with a slope, a cone.
-pub fn beam(place: &Place, ray: &Ray, slope: f32) -> Beam {
+pub fn beam(place: &SurfacePoint, ray: &LightRay, slope: f32) -> Beam {
     Beam {
         p: place.p.as_vec3().to_array(),
         t_max: (ray.t_max as f32).min(FAR),
@@ -316,8 +316,8 @@ pub fn beam(place: &Place, ray: &Ray, slope: f32) -> Beam {
     }
 }
 
-fn from_beam(beam: &Beam) -> (Place, Ray) {
-    let place = Place {
+fn from_beam(beam: &Beam) -> (SurfacePoint, LightRay) {
+    let place = SurfacePoint {
         p: Vec3::from_array(beam.p).as_dvec3(),
         normal: Vec3::from_array(beam.normal),
         own: beam.own,
@@ -325,7 +325,7 @@ fn from_beam(beam: &Beam) -> (Place, Ray) {
         skips_own: beam.skips_own != 0,
     };
     let direction = Vec3::from_array(beam.direction).as_dvec3().normalize();
-    (place, Ray { direction, t_max: if beam.t_max < FAR { f64::from(beam.t_max) } else { f64::INFINITY } })
+    (place, LightRay { direction, t_max: if beam.t_max < FAR { f64::from(beam.t_max) } else { f64::INFINITY } })
 }
 
 fn instance_row(instance: &Instance, bounds: &Aabb, record: u32) -> SceneInstance {

@@ -11,7 +11,7 @@ use std::fmt::Write;
 
 /// The same values as in `shaders/shared/scene_field.wgsl`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+pub enum FieldKind {
     Dense = 0,
     Sparse = 1,
     Quadric = 2,
@@ -23,14 +23,14 @@ pub const MAX_STRUCTURES: usize = 8;
 
 /// The kinds of a scene's objects, besides dense grids.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Kinds {
+pub struct GeometryKinds {
     pub sparse: bool,
     pub quadrics: bool,
     /// The functions of the shapes' structures.
     pub structures: Vec<String>,
 }
 
-impl Kinds {
+impl GeometryKinds {
     /// Overrides of imported files.
     pub fn texts(&self) -> Vec<Instead> {
         let file = |name| Cow::Borrowed(shared(name).unwrap_or_default());
@@ -86,7 +86,7 @@ mod tests {
         for i in 0..8u8 {
             let has = |bit: u8| i >> bit & 1 == 1;
             let structures = if has(2) { vec![body.clone()] } else { Vec::new() };
-            let texts = Kinds { sparse: has(0), quadrics: has(1), structures }.texts();
+            let texts = GeometryKinds { sparse: has(0), quadrics: has(1), structures }.texts();
             for kernel in ["scene_beams", "scene_fields"] {
                 let text = source_instead(kernel, &texts).unwrap();
                 validate(kernel, &text);

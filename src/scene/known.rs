@@ -10,11 +10,11 @@
 
 use super::device_light::light_faces;
 use super::gpu::{DeviceScene, WIDE, beam};
-use super::light::{Lights, Surface};
+use super::light::{Lights, LitSurface};
 use super::occlusion::{AO_CONES, AO_SLOPE, Occluders};
 use super::primary::{GBuffer, Layer};
 use super::renderer::Asked;
-use super::shadow::{Casters, PARTS, Place, Ray, Work, basis, disc_point, toward};
+use super::shadow::{Casters, LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
 use super::{RenderOptions, SceneShadows};
 use crate::error::{DeviceError, Error};
 use crate::gpu::layout::{Answer, Beam};
@@ -201,10 +201,10 @@ fn ask(
     }
     let lights = known.lights;
     known.rows.par_iter_mut().enumerate().try_for_each(|(y, row)| {
-        let (mut total, mut occluders) = (Work::default(), Occluders::default());
+        let (mut total, mut occluders) = (LightWork::default(), Occluders::default());
         for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
             if !row.is_known[i] && wanted(layer.x, y as u32) {
-                let surface = Surface::new(pass.casters.scene, pass.buffer, y, layer);
+                let surface = LitSurface::new(pass.casters.scene, pass.buffer, y, layer);
                 let mut found = parts_of(&mut row.values[i * stride(lights)..][..stride(lights)], lights);
                 let work = surface.look(pass.casters, pass.lights, pass.options, &mut occluders, &mut found);
                 row.steps[i] = work.steps;
@@ -244,7 +244,7 @@ fn gather(
             if !layer.x.is_multiple_of(finer) || !(y as u32).is_multiple_of(finer) {
                 continue;
             }
-            let surface = Surface::new(pass.casters.scene, pass.buffer, y, layer);
+            let surface = LitSurface::new(pass.casters.scene, pass.buffer, y, layer);
             neighbours.clear();
             fitting(pass, &surface, y, source, asked, every, &mut neighbours);
             let values = &mut row.values[i * stride(lights)..][..stride(lights)];
@@ -262,7 +262,7 @@ fn gather(
 /// The evaluated surfaces around a surface that can share their light with it, and their bilinear weights.
 fn fitting<'a>(
     pass: &Pass<'_>,
-    surface: &Surface<'_>,
+    surface: &LitSurface<'_>,
     y: usize,
     source: &GBuffer,
     asked: &'a Known,
@@ -337,7 +337,7 @@ fn ask_device(
     for y in 0..known.rows.len() {
         for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
             if !known.rows[y].is_known[i] && wanted(layer.x, y as u32) {
-                bunch.push((y, i, Surface::new(pass.casters.scene, pass.buffer, y, layer)));
+                bunch.push((y, i, LitSurface::new(pass.casters.scene, pass.buffer, y, layer)));
             }
         }
         pass.progress.advance(worth)?;
@@ -354,10 +354,10 @@ fn light_bunch(
     pass: &Pass<'_>,
     device: &DeviceScene,
     known: &mut Known,
-    bunch: &mut Vec<(usize, usize, Surface<'_>)>,
+    bunch: &mut Vec<(usize, usize, LitSurface<'_>)>,
 ) -> Result<(), Error> {
     let lights = known.lights;
-    let mut answers = Answers::ask(pass, device, bunch)?;
+    let mut answers = DeviceResults::ask(pass, device, bunch)?;
     // Row and layer of each beam from behind.
     let (mut behind, mut owners) = (Vec::new(), Vec::new());
     for (y, i, surface) in bunch.drain(..) {
@@ -371,13 +371,13 @@ fn light_bunch(
     }
     let beams = behind.iter().map(|behind| beam(&behind.place, &behind.ray, behind.slope)).collect();
     let past_sheets = past_sheets(pass, &behind, |Behind { place, ray, slope, .. }| {
-        let mut work = Work::default();
+        let mut work = LightWork::default();
         let shares = pass.casters.scene.light_past_sheets(place, ray, *slope, &mut work);
         (shares, work)
     })?;
     let mut shares = Batch::run(pass, device, beams, past_sheets)?;
     for (Behind { light, left, .. }, (y, i)) in behind.into_iter().zip(owners) {
-        let mut work = Work::default();
+        let mut work = LightWork::default();
         let visible = shares.next(&mut work).ok_or_else(|| too_few(device))?;
         let row = &mut known.rows[y];
         let found = parts_of(&mut row.values[i * stride(lights)..][..stride(lights)], lights);
@@ -418,7 +418,7 @@ impl Batch {
     }
 
     /// The fraction of the next beam, and its work; `None` if there are no more results.
-    fn next(&mut self, work: &mut Work) -> Option<f32> {
+    fn next(&mut self, work: &mut LightWork) -> Option<f32> {
         let (beam, answer) = self.beams.next()?;
         *work += took(&answer);
         let count = if is_disc(&beam) { PARTS as usize } else { 1 };
@@ -438,7 +438,7 @@ impl Batch {
         Some(sum / PARTS as f32)
     }
 
-    fn mean(&mut self, count: usize, work: &mut Work) -> Option<f32> {
+    fn mean(&mut self, count: usize, work: &mut LightWork) -> Option<f32> {
         let mut sum = 0.0;
         for _ in 0..count {
             sum += self.next(work)?;
@@ -448,14 +448,14 @@ impl Batch {
 }
 
 /// The device's results for the surfaces of a bunch.
-struct Answers {
+struct DeviceResults {
     direct: Batch,
     /// Lengths inside the own instance.
     lengths: std::vec::IntoIter<Answer>,
 }
 
-impl Answers {
-    fn ask(pass: &Pass<'_>, device: &DeviceScene, bunch: &[(usize, usize, Surface<'_>)]) -> Result<Self, Error> {
+impl DeviceResults {
+    fn ask(pass: &Pass<'_>, device: &DeviceScene, bunch: &[(usize, usize, LitSurface<'_>)]) -> Result<Self, Error> {
         let (mut beams, mut inside) = (Vec::new(), Vec::new());
         for (_, _, surface) in bunch {
             first_beams(pass, surface, &mut beams, &mut inside);
@@ -473,11 +473,11 @@ impl Answers {
     fn next(
         &mut self,
         pass: &Pass<'_>,
-        surface: &Surface<'_>,
+        surface: &LitSurface<'_>,
         found: &mut FoundMut<'_>,
         behind: &mut Vec<Behind>,
-    ) -> Option<Work> {
-        let mut work = Work::default();
+    ) -> Option<LightWork> {
+        let mut work = LightWork::default();
         let scene = pass.casters.scene;
         *found.open = 1.0;
         if let Some(distance) = pass.options.occlusion {
@@ -527,8 +527,8 @@ struct Behind {
     light: usize,
     /// Fraction of the light that remains inside the instance.
     left: Vec3,
-    place: Place,
-    ray: Ray,
+    place: SurfacePoint,
+    ray: LightRay,
     slope: f32,
 }
 
@@ -536,7 +536,7 @@ struct Behind {
 fn past_sheets<T: Sync>(
     pass: &Pass<'_>,
     items: &[T],
-    shares: impl Fn(&T) -> (Vec<f32>, Work) + Sync,
+    shares: impl Fn(&T) -> (Vec<f32>, LightWork) + Sync,
 ) -> Result<Vec<f32>, Error> {
     if pass.casters.scene.sheets.is_empty() {
         return Ok(Vec::new());
@@ -555,7 +555,7 @@ fn past_sheets<T: Sync>(
 
 /// Appends the beams of a surface: first those of occlusion, then for each light one, or all of an area light. The rays
 /// whose length inside the own instance is needed are appended to `inside`.
-fn first_beams(pass: &Pass<'_>, surface: &Surface<'_>, beams: &mut Vec<Beam>, inside: &mut Vec<Beam>) {
+fn first_beams(pass: &Pass<'_>, surface: &LitSurface<'_>, beams: &mut Vec<Beam>, inside: &mut Vec<Beam>) {
     if let Some(distance) = pass.options.occlusion {
         let cones = surface.place.open_rays(distance / pass.casters.scene.scale);
         beams.extend(cones.map(|(ray, _)| Beam { is_coarse: WIDE, ..beam(&surface.place, &ray, AO_SLOPE) }));
@@ -578,7 +578,7 @@ fn first_beams(pass: &Pass<'_>, surface: &Surface<'_>, beams: &mut Vec<Beam>, in
 /// The narrow cones that divide a light's disc.
 fn parts_of_disc(disc: &Beam) -> impl Iterator<Item = Beam> {
     let direction = Vec3::from_array(disc.direction).as_dvec3();
-    let ray = Ray { direction, t_max: f64::from(disc.t_max) };
+    let ray = LightRay { direction, t_max: f64::from(disc.t_max) };
     let axes = basis(ray.direction);
     (0..PARTS).map(move |i| {
         let part = toward(&ray, axes, disc.slope, disc_point(i, PARTS, 0.0));
@@ -592,8 +592,8 @@ fn parts_of_disc(disc: &Beam) -> impl Iterator<Item = Beam> {
     })
 }
 
-pub fn took(answer: &Answer) -> Work {
-    Work { steps: answer.steps, rays: 1, far_rays: answer.is_far }
+pub fn took(answer: &Answer) -> LightWork {
+    LightWork { steps: answer.steps, rays: 1, far_rays: answer.is_far }
 }
 
 /// Whether the cone to a light's disc must be divided. The cones of occlusion are never divided.

@@ -17,7 +17,7 @@
 use super::known::{Found, FoundMut, Known, Pass};
 use super::occlusion::Occluders;
 use super::primary::{GBuffer, Layer};
-use super::shadow::{Casters, Place, Ray, Work, basis, disc_point, toward};
+use super::shadow::{Casters, LightRay, LightWork, SurfacePoint, basis, disc_point, toward};
 use super::transmission::{self, NO_LIGHT};
 use super::{Light, RenderOptions, Scene, SceneShadows};
 use crate::error::Error;
@@ -69,15 +69,15 @@ impl Lights {
 
 impl SceneLight {
     /// The ray to the light from a scene point, the light's angular radius as a slope, and its colour.
-    pub fn seen_from(&self, p: DVec3) -> (Ray, f32, Vec3) {
+    pub fn seen_from(&self, p: DVec3) -> (LightRay, f32, Vec3) {
         match *self {
             Self::Directional { to_light, color, slope } => {
-                (Ray { direction: to_light, t_max: f64::INFINITY }, slope, color)
+                (LightRay { direction: to_light, t_max: f64::INFINITY }, slope, color)
             }
             Self::Point { position, color, radius } => {
                 let way = position - p;
                 let distance = way.length().max(1e-12);
-                (Ray { direction: way / distance, t_max: distance }, (radius / distance) as f32, color)
+                (LightRay { direction: way / distance, t_max: distance }, (radius / distance) as f32, color)
             }
         }
     }
@@ -98,7 +98,7 @@ pub fn compose(pass: &Pass<'_>, known: &Known) -> Result<Frame, Error> {
             let mut passes = 1.0;
             let mut is_first = true;
             while let Some(layer) = layers.get(next).filter(|layer| layer.x as usize == x) {
-                let surface = Surface::new(scene, buffer, y, layer);
+                let surface = LitSurface::new(scene, buffer, y, layer);
                 let (found, steps) = known.at(y, next);
                 row.steps[x] += steps;
                 let light = surface.shade(scene, lights, options, &found);
@@ -131,19 +131,19 @@ pub fn pixel_turn(x: usize, y: usize) -> f32 {
 }
 
 /// A layer in scene space.
-pub struct Surface<'a> {
+pub struct LitSurface<'a> {
     pub layer: &'a Layer,
-    pub place: Place,
+    pub place: SurfacePoint,
     to_eye: Vec3,
     /// Rotation of the samples of area lights, radians.
     pub turn: f32,
 }
 
-impl<'a> Surface<'a> {
+impl<'a> LitSurface<'a> {
     /// A layer of row `y`.
     pub fn new(scene: &Scene, buffer: &GBuffer, y: usize, layer: &'a Layer) -> Self {
         let direction = buffer.view.direction(layer.x, y as u32);
-        let place = Place {
+        let place = SurfacePoint {
             p: scene.scene_from_world(buffer.view.camera.eye + layer.depth * direction),
             normal: layer.normal,
             own: layer.instance,
@@ -154,12 +154,12 @@ impl<'a> Surface<'a> {
         Self { layer, place, to_eye, turn: pixel_turn(layer.x as usize, y) }
     }
 
-    fn cosine(&self, ray: &Ray) -> f32 {
+    fn cosine(&self, ray: &LightRay) -> f32 {
         self.layer.normal.dot(ray.direction.as_vec3())
     }
 
     /// Whether a light must be evaluated. A side that faces away receives none.
-    pub fn asks_for(&self, ray: &Ray, options: &RenderOptions) -> bool {
+    pub fn asks_for(&self, ray: &LightRay, options: &RenderOptions) -> bool {
         options.shadows != SceneShadows::None && self.cosine(ray) > 0.0
     }
 
@@ -168,7 +168,7 @@ impl<'a> Surface<'a> {
     }
 
     /// The fraction of a light that needs no evaluation; None if it does.
-    pub fn plain_share(&self, ray: &Ray, options: &RenderOptions) -> Option<f32> {
+    pub fn plain_share(&self, ray: &LightRay, options: &RenderOptions) -> Option<f32> {
         match options.shadows {
             SceneShadows::None => Some(1.0),
             _ if !self.asks_for(ray, options) => Some(0.0),
@@ -184,8 +184,8 @@ impl<'a> Surface<'a> {
         options: &RenderOptions,
         occluders: &mut Occluders,
         found: &mut FoundMut<'_>,
-    ) -> Work {
-        let (scene, place, mut work) = (casters.scene, &self.place, Work::default());
+    ) -> LightWork {
+        let (scene, place, mut work) = (casters.scene, &self.place, LightWork::default());
         *found.open = match options.occlusion {
             None => 1.0,
             Some(distance) => casters.open_share(place, distance / scene.scale, occluders, &mut work),
@@ -218,11 +218,11 @@ impl<'a> Surface<'a> {
     fn visible_share(
         &self,
         casters: &Casters<'_>,
-        place: &Place,
-        ray: &Ray,
+        place: &SurfacePoint,
+        ray: &LightRay,
         slope: f32,
         options: &RenderOptions,
-        work: &mut Work,
+        work: &mut LightWork,
     ) -> f32 {
         match options.shadows {
             SceneShadows::None => 1.0,
@@ -235,7 +235,7 @@ impl<'a> Surface<'a> {
 
     /// The rays along which light passes through the instance, each with the slope of its part of the light: every ray
     /// of an area light separately, else the ray to the centre with the whole light.
-    pub fn ways(&self, ray: &Ray, slope: f32, shadows: SceneShadows) -> Vec<(Ray, f32)> {
+    pub fn ways(&self, ray: &LightRay, slope: f32, shadows: SceneShadows) -> Vec<(LightRay, f32)> {
         match shadows {
             SceneShadows::Area(count) if slope > 0.0 => {
                 let axes = basis(ray.direction);
@@ -247,7 +247,7 @@ impl<'a> Surface<'a> {
 
     /// Fraction of the light that remains after a length inside the instance, scene units, times the weight of the
     /// surface.
-    pub fn left(&self, scene: &Scene, ray: &Ray, length: f32) -> Vec3 {
+    pub fn left(&self, scene: &Scene, ray: &LightRay, length: f32) -> Vec3 {
         let scattering = Vec3::from_array(scene.materials[self.layer.material as usize].scattering);
         transmission::weight(self.cosine(ray)) * transmission::left(length * scene.scale as f32, scattering)
     }
@@ -263,8 +263,8 @@ impl<'a> Surface<'a> {
     }
 
     /// The place for light through the instance.
-    pub fn place_behind(&self) -> Place {
-        Place { skips_own: true, ..self.place }
+    pub fn place_behind(&self) -> SurfacePoint {
+        SurfacePoint { skips_own: true, ..self.place }
     }
 
     /// Linear RGB of the lit surface.

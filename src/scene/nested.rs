@@ -22,10 +22,10 @@ use std::sync::Arc;
 
 /// Nested levels, finest first.
 pub struct NestedField {
-    levels: Vec<Level>,
+    levels: Vec<NestedLevel>,
 }
 
-struct Level {
+struct NestedLevel {
     field: Arc<dyn Field>,
     /// Map to its grid space from that of the finest level, along each axis.
     scale: Vec3,
@@ -34,7 +34,7 @@ struct Level {
     region: [Vec3; 2],
 }
 
-impl Level {
+impl NestedLevel {
     fn in_its_grid(&self, p: Vec3) -> Vec3 {
         self.scale * p + self.offset
     }
@@ -71,7 +71,7 @@ impl NestedField {
             let m = map.matrix3;
             let border = if k == outermost { 0.0 } else { 0.5 };
             let [lower, upper] = field.bounds();
-            Level {
+            NestedLevel {
                 scale: Vec3::new(m.x_axis.x as f32, m.y_axis.y as f32, m.z_axis.z as f32),
                 offset: map.translation.as_vec3(),
                 region: [lower + border, upper - border],
@@ -81,12 +81,12 @@ impl NestedField {
         Ok(Self { levels: levels.collect() })
     }
 
-    fn outermost(&self) -> &Level {
+    fn outermost(&self) -> &NestedLevel {
         self.levels.last().expect("there is one")
     }
 
     /// The level of a point, and the point in its grid space.
-    fn at(&self, p: Vec3) -> (&Level, Vec3) {
+    fn at(&self, p: Vec3) -> (&NestedLevel, Vec3) {
         let found = self.levels.iter().map(|level| (level, level.in_its_grid(p))).find(|(level, p)| level.holds(*p));
         found.unwrap_or_else(|| (self.outermost(), self.outermost().in_its_grid(p)))
     }

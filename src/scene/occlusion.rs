@@ -23,7 +23,7 @@
 
 use super::cone::ConeSum;
 use super::field::Field;
-use super::shadow::{Casters, Place, Ray, Work, basis};
+use super::shadow::{Casters, LightRay, LightWork, SurfacePoint, basis};
 use super::tree::Line;
 use super::{Instance, Scene};
 use glam::{DMat3, DVec3, Vec3};
@@ -43,18 +43,18 @@ const ROUNDING: f32 = 1e-5;
 /// Stands for an infinite radius in a shader; its square is finite.
 const LARGEST_RADIUS: f32 = 1e15;
 
-impl Place {
+impl SurfacePoint {
     /// The cones over the hemisphere with their weights. Occluders within `distance`, scene units, count.
-    pub fn open_rays(&self, distance: f64) -> impl Iterator<Item = (Ray, f32)> {
+    pub fn open_rays(&self, distance: f64) -> impl Iterator<Item = (LightRay, f32)> {
         let normal = self.normal.as_dvec3();
         let [right, up] = basis(normal);
         (0..AO_CONES).map(move |i| {
             if i == 0 {
-                return (Ray { direction: normal, t_max: distance }, 1.0);
+                return (LightRay { direction: normal, t_max: distance }, 1.0);
             }
             let angle = (i - 1) as f64 * (std::f64::consts::TAU / (AO_CONES - 1) as f64);
             let aside = angle.cos() * right + angle.sin() * up;
-            (Ray { direction: AO_RING.0 * normal + AO_RING.1 * aside, t_max: distance }, AO_RING.0 as f32)
+            (LightRay { direction: AO_RING.0 * normal + AO_RING.1 * aside, t_max: distance }, AO_RING.0 as f32)
         })
     }
 }
@@ -207,7 +207,13 @@ impl Occluders {
 
 impl Casters<'_> {
     /// Fraction of the hemisphere above a place that no occluder within `distance`, scene units, covers.
-    pub fn open_share(&self, place: &Place, distance: f64, occluders: &mut Occluders, work: &mut Work) -> f32 {
+    pub fn open_share(
+        &self,
+        place: &SurfacePoint,
+        distance: f64,
+        occluders: &mut Occluders,
+        work: &mut LightWork,
+    ) -> f32 {
         self.gather(place, distance, occluders);
         let (mut sum, mut weights) = (0.0, 0.0);
         for (ray, weight) in place.open_rays(distance) {
@@ -224,7 +230,7 @@ impl Casters<'_> {
     ///
     /// A cone ends at `distance` with the radius `slope distance`. So it meets no surface beyond
     /// `distance (1 + slope)`, and no surface below the lowest point of the balls about the axes of the ring.
-    pub fn gather(&self, place: &Place, distance: f64, occluders: &mut Occluders) {
+    pub fn gather(&self, place: &SurfacePoint, distance: f64, occluders: &mut Occluders) {
         let Scene { tree, boxes, instances, .. } = self.scene;
         let p = place.p.as_vec3();
         let reach = distance as f32 * (1.0 + AO_SLOPE) * (1.0 + ROUNDING);
@@ -241,7 +247,14 @@ impl Casters<'_> {
     }
 
     /// Fraction of a wide cone's section that passes the occluders of its place, if edges in it are straight.
-    pub fn wide_share(&self, place: &Place, ray: &Ray, slope: f32, occluders: &mut Occluders, work: &mut Work) -> f32 {
+    pub fn wide_share(
+        &self,
+        place: &SurfacePoint,
+        ray: &LightRay,
+        slope: f32,
+        occluders: &mut Occluders,
+        work: &mut LightWork,
+    ) -> f32 {
         let direction = ray.direction.as_vec3();
         let split = self.split(place, ray, slope);
         let reach = self.reach(&split, ray);

@@ -287,7 +287,7 @@ fn seen_by_device(
     progress: &Progress,
 ) -> Result<(Vec<[u32; 4]>, DeviceSeen), Error> {
     let context = device.context();
-    let band = Band::new(scene, view, first_row, row_count);
+    let band = RowBand::new(scene, view, first_row, row_count);
     let meshes = device.meshes();
     // Instances of one mesh are adjacent, so that one call draws them; fields come last.
     let mut drawn: Vec<(Option<Range<u32>>, usize)> = scene
@@ -332,7 +332,7 @@ fn seen_by_device(
 }
 
 /// Rows of a picture as a separate render target.
-struct Band<'a> {
+struct RowBand<'a> {
     scene: &'a Scene,
     /// Clip space from scene space: x, y and w.
     clip_from_scene: [(DVec3, f64); 3],
@@ -345,7 +345,7 @@ struct Band<'a> {
     is_mirrored: bool,
 }
 
-impl<'a> Band<'a> {
+impl<'a> RowBand<'a> {
     fn new(scene: &'a Scene, view: &View, first_row: u32, row_count: u32) -> Self {
         let Camera { right, up, back, .. } = view.camera;
         let [width, height] = view.size.map(f64::from);

@@ -44,7 +44,7 @@ const PIXEL_MARGIN: f64 = 0.01;
 
 /// The nearest face of a pixel.
 #[derive(Debug, Clone, Copy)]
-pub struct Seen {
+pub struct VisibleFace {
     /// Depth in scene units; infinite without a face.
     depth: f64,
     /// Smallest depth of a face for which rounding decides whether it is visible.
@@ -53,9 +53,9 @@ pub struct Seen {
     face: u32,
 }
 
-const NOTHING: Seen = Seen { depth: f64::INFINITY, unsure: f64::INFINITY, item: 0, face: 0 };
+const NOTHING: VisibleFace = VisibleFace { depth: f64::INFINITY, unsure: f64::INFINITY, item: 0, face: 0 };
 
-impl Seen {
+impl VisibleFace {
     fn is_unsure(&self) -> bool {
         self.unsure < f64::INFINITY && self.unsure <= self.depth * (1.0 + SAME_DEPTH)
     }
@@ -74,24 +74,24 @@ impl Seen {
 }
 
 /// Half-open ranges of columns and rows.
-type Rectangle = [Range<u32>; 2];
+type PixelRectangle = [Range<u32>; 2];
 
 /// A mesh instance in camera space.
-struct Mesh<'a> {
+struct RasterMesh<'a> {
     item: u32,
     corners: Vec<DVec3>,
     faces: &'a [[u32; 3]],
     /// Faces that may be visible, with their rectangles.
-    kept: Vec<(u32, Rectangle)>,
+    kept: Vec<(u32, PixelRectangle)>,
     rows: Range<u32>,
 }
 
 /// The meshes of a scene as a view sees them.
 pub struct Rasterizer<'a> {
     screen: Screen,
-    meshes: Vec<Mesh<'a>>,
+    meshes: Vec<RasterMesh<'a>>,
     /// Whether the search must still test each instance, and their rectangles. None if it need not test any.
-    left_over: Option<(Vec<bool>, Vec<Rectangle>)>,
+    left_over: Option<(Vec<bool>, Vec<PixelRectangle>)>,
 }
 
 impl<'a> Rasterizer<'a> {
@@ -117,7 +117,7 @@ impl<'a> Rasterizer<'a> {
     }
 
     /// The nearest faces of the pixels of some rows.
-    pub fn band(&self, rows: Range<u32>) -> Vec<Seen> {
+    pub fn band(&self, rows: Range<u32>) -> Vec<VisibleFace> {
         let width = self.screen.size[0];
         let mut seen = vec![NOTHING; width as usize * rows.len()];
         for mesh in self.meshes.iter().filter(|mesh| overlap(&mesh.rows, &rows).is_some()) {
@@ -144,7 +144,7 @@ impl<'a> Rasterizer<'a> {
     }
 
     /// Appends the layers of a pixel. `is_searched`: whether the box of an instance that is not rasterised covers it.
-    pub fn look<'b>(&'b self, eye: &mut Eye<'b>, seen: &Seen, is_searched: bool, layers: &mut Vec<Layer>) {
+    pub fn look<'b>(&'b self, eye: &mut Eye<'b>, seen: &VisibleFace, is_searched: bool, layers: &mut Vec<Layer>) {
         if seen.is_unsure() {
             return eye.look(layers, None);
         }
@@ -193,7 +193,7 @@ fn overlap(a: &Range<u32>, b: &Range<u32>) -> Option<Range<u32>> {
 
 /// The pixels of a band.
 struct Target<'a> {
-    seen: &'a mut [Seen],
+    seen: &'a mut [VisibleFace],
     first_row: u32,
     width: u32,
 }
@@ -238,7 +238,7 @@ impl Screen {
 
     /// The pixels that a set of positions may cover: their rectangle, all pixels if some positions are behind the eye, or
     /// none.
-    fn rectangle(&self, points: &[DVec3]) -> Option<Rectangle> {
+    fn rectangle(&self, points: &[DVec3]) -> Option<PixelRectangle> {
         let [width, height] = self.size;
         let near = NEAR * self.reach;
         if points.iter().all(|p| p.z < -near) {
@@ -262,7 +262,7 @@ impl Screen {
         (columns.start < columns.end && rows.start < rows.end).then_some([columns, rows])
     }
 
-    fn rectangle_of_box(&self, min: Vec3, max: Vec3) -> Option<Rectangle> {
+    fn rectangle_of_box(&self, min: Vec3, max: Vec3) -> Option<PixelRectangle> {
         let corners: [DVec3; 8] = std::array::from_fn(|i| {
             let pick = |axis: usize| f64::from(if i >> axis & 1 == 0 { min[axis] } else { max[axis] });
             self.camera_from_scene.transform_point3(DVec3::new(pick(0), pick(1), pick(2)))
@@ -270,7 +270,7 @@ impl Screen {
         self.rectangle(&corners)
     }
 
-    fn mesh<'a>(&self, scene: &'a Scene, item: u32) -> Mesh<'a> {
+    fn mesh<'a>(&self, scene: &'a Scene, item: u32) -> RasterMesh<'a> {
         let instance = &scene.instances[item as usize];
         let triangles = instance.triangles.as_ref().expect("only meshes are rasterised");
         let camera_from_tree = self.camera_from_scene * instance.tree_from_scene.inverse();
@@ -296,11 +296,11 @@ impl Screen {
                 kept.push((face as u32, rectangle));
             }
         }
-        Mesh { item, corners, faces, kept, rows: first_row..end_row }
+        RasterMesh { item, corners, faces, kept, rows: first_row..end_row }
     }
 
     /// Draws a face into a rectangle of a band.
-    fn fill(&self, [a, b, c]: [DVec3; 3], [columns, rows]: Rectangle, target: Target<'_>, item: u32, face: u32) {
+    fn fill(&self, [a, b, c]: [DVec3; 3], [columns, rows]: PixelRectangle, target: Target<'_>, item: u32, face: u32) {
         let plane = Plane::new([a, b, c], self.reach);
         let is_edge_on = plane.volume.abs() <= plane.volume_error;
         let is_clear = plane.volume.abs() * SAME_DEPTH > plane.volume_error;
@@ -406,7 +406,7 @@ mod tests {
         let faces: Vec<_> = (0..side).flat_map(|i| (0..side).flat_map(move |j| quad(i, j))).collect();
         let count = faces.len();
         Arc::new(
-            Triangles::new(Arc::new(crate::mesh::Mesh::new(&vertices, &faces).unwrap()), vec![], vec![0; count])
+            Triangles::new(Arc::new(crate::mesh::RasterMesh::new(&vertices, &faces).unwrap()), vec![], vec![0; count])
                 .unwrap(),
         )
     }
@@ -500,7 +500,7 @@ mod tests {
                 }
                 assert!(count > 500, "{count} layers from {eye}");
                 let rasterizer = Rasterizer::new(&scene, &options, &view);
-                let seen: Vec<Seen> = (0..options.size[1]).flat_map(|y| rasterizer.band(y..y + 1)).collect();
+                let seen: Vec<VisibleFace> = (0..options.size[1]).flat_map(|y| rasterizer.band(y..y + 1)).collect();
                 let unsure = seen.iter().filter(|seen| seen.is_unsure()).count();
                 let found = seen.iter().filter(|seen| seen.depth < f64::INFINITY).count();
                 assert!(found > 400, "{found} of {unsure} unsure");

@@ -10,7 +10,7 @@
 use super::far::Far;
 use super::gpu::DeviceScene;
 use super::known::{self, Pass};
-use super::shadow::{Casters, Work};
+use super::shadow::{Casters, LightWork};
 use super::{MAX_LIGHTS, Primary, RenderOptions, Scene, SceneShadows, light, primary, raster};
 use crate::error::{DeviceError, Error, SceneError};
 use crate::gpu::buffer::Counters;
@@ -180,7 +180,7 @@ pub struct Asked {
 }
 
 impl Asked {
-    pub fn add(&self, work: Work) {
+    pub fn add(&self, work: LightWork) {
         self.rays.fetch_add(u64::from(work.rays), Ordering::Relaxed);
         self.far_rays.fetch_add(u64::from(work.far_rays), Ordering::Relaxed);
     }

@@ -36,7 +36,7 @@ use glam::{DVec3, Vec2, Vec3};
 
 /// A point on a surface for which light is evaluated.
 #[derive(Debug, Clone, Copy)]
-pub struct Place {
+pub struct SurfacePoint {
     /// Position, scene space.
     pub p: DVec3,
     /// Unit normal on the visible side.
@@ -52,7 +52,7 @@ pub struct Place {
 
 /// A ray from a place: a unit direction and a length.
 #[derive(Debug, Clone, Copy)]
-pub struct Ray {
+pub struct LightRay {
     pub direction: DVec3,
     pub t_max: f64,
 }
@@ -80,7 +80,7 @@ pub fn disc_point(i: u32, count: u32, turn: f32) -> Vec2 {
 
 /// Counters of rays and cones.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Work {
+pub struct LightWork {
     pub steps: u32,
     /// Number of rays and cones.
     pub rays: u32,
@@ -88,14 +88,14 @@ pub struct Work {
     pub far_rays: u32,
 }
 
-impl Work {
+impl LightWork {
     pub fn count(&mut self, is_far: bool) {
         self.rays += 1;
         self.far_rays += u32::from(is_far);
     }
 }
 
-impl std::ops::AddAssign for Work {
+impl std::ops::AddAssign for LightWork {
     fn add_assign(&mut self, other: Self) {
         self.steps += other.steps;
         self.rays += other.rays;
@@ -127,7 +127,7 @@ pub struct Caster<'a> {
 
 impl<'a> Casters<'a> {
     /// Fraction of a thin ray that passes fields and sheets.
-    pub fn ray_share(&self, place: &Place, ray: &Ray, work: &mut Work) -> f32 {
+    pub fn ray_share(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
         let past_sheets = self.scene.ray_past_sheets(place, ray, work);
         if past_sheets == 0.0 {
             return 0.0;
@@ -136,7 +136,7 @@ impl<'a> Casters<'a> {
     }
 
     /// Fraction of a thin ray that passes the fields.
-    pub fn field_share(&self, place: &Place, ray: &Ray, work: &mut Work) -> f32 {
+    pub fn field_share(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
         let (share, is_far) = self.pass_ray(place, ray, work);
         work.count(is_far);
         share
@@ -144,7 +144,14 @@ impl<'a> Casters<'a> {
 
     /// Fraction of a cone's section that passes, and whether it is proven: completely lit or dark. `met` becomes the
     /// list of instances in the cone.
-    pub fn whole_cone(&self, place: &Place, ray: &Ray, slope: f32, met: &mut Vec<u32>, work: &mut Work) -> ConeShare {
+    pub fn whole_cone(
+        &self,
+        place: &SurfacePoint,
+        ray: &LightRay,
+        slope: f32,
+        met: &mut Vec<u32>,
+        work: &mut LightWork,
+    ) -> ConeShare {
         met.clear();
         let split = self.split(place, ray, slope);
         let mut sum = ConeSum::NEW;
@@ -176,11 +183,11 @@ impl<'a> Casters<'a> {
     pub fn add_far(
         &self,
         split: &Split,
-        place: &Place,
-        ray: &Ray,
+        place: &SurfacePoint,
+        ray: &LightRay,
         slope: f32,
         sum: &mut ConeSum,
-        work: &mut Work,
+        work: &mut LightWork,
     ) -> bool {
         let is_far = split.far.is_some() && sum.opaque.x > -1.0;
         if is_far {
@@ -200,12 +207,12 @@ impl<'a> Casters<'a> {
     pub fn add_cone(
         &self,
         caster: &Caster<'_>,
-        place: &Place,
-        ray: &Ray,
+        place: &SurfacePoint,
+        ray: &LightRay,
         slope: f32,
         x_known: f32,
         sum: &mut ConeSum,
-        work: &mut Work,
+        work: &mut LightWork,
     ) -> Cone {
         work.steps += 1;
         if caster.field.prefers_rays() {
@@ -224,7 +231,7 @@ impl<'a> Casters<'a> {
     }
 
     /// Fraction of a disc of light that passes fields and sheets: angular radius `slope`, `ray` to its centre.
-    pub fn disc_share(&self, place: &Place, ray: &Ray, slope: f32, work: &mut Work) -> f32 {
+    pub fn disc_share(&self, place: &SurfacePoint, ray: &LightRay, slope: f32, work: &mut LightWork) -> f32 {
         if slope <= 0.0 {
             return self.ray_share(place, ray, work);
         }
@@ -263,7 +270,15 @@ impl<'a> Casters<'a> {
     }
 
     /// [`Self::disc_share`] by `count` thin rays.
-    pub fn area_share(&self, place: &Place, ray: &Ray, slope: f32, count: u32, turn: f32, work: &mut Work) -> f32 {
+    pub fn area_share(
+        &self,
+        place: &SurfacePoint,
+        ray: &LightRay,
+        slope: f32,
+        count: u32,
+        turn: f32,
+        work: &mut LightWork,
+    ) -> f32 {
         if slope <= 0.0 {
             return self.ray_share(place, ray, work);
         }
@@ -276,7 +291,7 @@ impl<'a> Casters<'a> {
     }
 
     /// Fraction of a thin ray, and whether it entered the far field.
-    fn pass_ray(&self, place: &Place, ray: &Ray, work: &mut Work) -> (f32, bool) {
+    fn pass_ray(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> (f32, bool) {
         let split = self.split(place, ray, 0.0);
         let mut share = 1.0;
         let line = Line::new(place.p.as_vec3(), ray.direction.as_vec3());
@@ -298,19 +313,25 @@ impl<'a> Casters<'a> {
     }
 
     /// The intervals of a ray or cone for the instances and for the far field.
-    pub fn split(&self, place: &Place, ray: &Ray, slope: f32) -> Split {
+    pub fn split(&self, place: &SurfacePoint, ray: &LightRay, slope: f32) -> Split {
         let far = self.far.filter(|_| !place.skips_own);
         far.map_or(Split::near(ray.t_max), |far| far.split(place, ray, slope))
     }
 
     /// Length of the search through the instances.
-    pub fn reach(&self, split: &Split, ray: &Ray) -> f32 {
+    pub fn reach(&self, split: &Split, ray: &LightRay) -> f32 {
         let is_near = split.rest.is_none() && self.far.is_none_or(|far| far.holds_all);
         (if is_near { split.near } else { ray.t_max }) as f32
     }
 
     /// An instance on the intervals of a ray in which it is evaluated.
-    pub fn casters(&self, item: u32, place: &Place, ray: &Ray, split: &Split) -> impl Iterator<Item = Caster<'a>> {
+    pub fn casters(
+        &self,
+        item: u32,
+        place: &SurfacePoint,
+        ray: &LightRay,
+        split: &Split,
+    ) -> impl Iterator<Item = Caster<'a>> {
         let instance = &self.scene.instances[item as usize];
         let casts = !instance.is_sheet && instance.casts_shadow && instance.shade > 0.0;
         let field = instance.field.as_deref().filter(|_| casts);
@@ -324,7 +345,12 @@ impl<'a> Casters<'a> {
     }
 
     /// The levels of the far field on their pieces of a ray.
-    fn far_casters(&self, split: &Split, place: &'a Place, ray: &'a Ray) -> impl Iterator<Item = Caster<'a>> {
+    fn far_casters(
+        &self,
+        split: &Split,
+        place: &'a SurfacePoint,
+        ray: &'a LightRay,
+    ) -> impl Iterator<Item = Caster<'a>> {
         let start = split.far.map_or(0.0, |far| far[0]);
         let pieces = self.far.zip(split.far).into_iter().flat_map(move |(far, part)| far.pieces(part, place, ray));
         pieces.filter_map(move |(level, part)| {
@@ -335,12 +361,19 @@ impl<'a> Casters<'a> {
     }
 
     /// The position at which a ray enters an occluder, scene units.
-    fn hit_of(&self, caster: &Caster<'_>, place: &Place, ray: &Ray, work: &mut Work) -> Option<f32> {
+    fn hit_of(&self, caster: &Caster<'_>, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> Option<f32> {
         self.hit_from(caster, place, ray, caster.part[0], work)
     }
 
     /// The same for the part of the ray that begins at `from`, scene units.
-    fn hit_from(&self, caster: &Caster<'_>, place: &Place, ray: &Ray, from: f64, work: &mut Work) -> Option<f32> {
+    fn hit_from(
+        &self,
+        caster: &Caster<'_>,
+        place: &SurfacePoint,
+        ray: &LightRay,
+        from: f64,
+        work: &mut LightWork,
+    ) -> Option<f32> {
         let (origin, direction) = ray_in_field(caster.instance, caster.is_own, place, ray);
         let [lower, upper] = caster.field.surface_bounds();
         let mut first_hit = |from: f64| {
@@ -361,11 +394,11 @@ impl<'a> Casters<'a> {
     fn cone_past(
         &self,
         caster: &Caster<'_>,
-        place: &Place,
-        ray: &Ray,
+        place: &SurfacePoint,
+        ray: &LightRay,
         slope: f32,
         x_known: f32,
-        work: &mut Work,
+        work: &mut LightWork,
     ) -> Cone {
         let Some(walk) = cone_walk(caster, place, ray, slope, x_known) else { return Cone::FREE };
         match self.hit_of(caster, place, ray, work) {
@@ -379,11 +412,11 @@ impl<'a> Casters<'a> {
     fn wide_cone_past(
         &self,
         caster: &Caster<'_>,
-        place: &Place,
-        ray: &Ray,
+        place: &SurfacePoint,
+        ray: &LightRay,
         slope: f32,
         least_x: f32,
-        work: &mut Work,
+        work: &mut LightWork,
     ) -> Cone {
         let Some(walk) = cone_walk(caster, place, ray, slope, 1.0) else { return Cone::FREE };
         let mut steps = 0;
@@ -396,13 +429,20 @@ impl<'a> Casters<'a> {
     }
 
     /// Evaluates a cone whose axis enters an occluder at `t_hit`.
-    fn blocked_cone(&self, walk: &ConeWalk<'_>, t_hit: f32, place: &Place, ray: &Ray, work: &mut Work) -> Cone {
+    fn blocked_cone(
+        &self,
+        walk: &ConeWalk<'_>,
+        t_hit: f32,
+        place: &SurfacePoint,
+        ray: &LightRay,
+        work: &mut LightWork,
+    ) -> Cone {
         let (cone, edge) = walk.inside(t_hit, &mut work.steps);
         // The edge counts only if a ray past it is free.
         let is_edge = edge.is_some_and(|edge| {
             let direction = ray.direction + edge.as_dvec3();
             let length = direction.length();
-            let past = Ray { direction: direction / length, t_max: ray.t_max * length };
+            let past = LightRay { direction: direction / length, t_max: ray.t_max * length };
             self.pass_ray(place, &past, work).0 > 0.0
         });
         if cone.is_covered || is_edge { cone } else { Cone { x: -1.0, is_covered: false } }
@@ -411,7 +451,13 @@ impl<'a> Casters<'a> {
 
 /// The interval of a cone of radius `slope t` in which the surface of an occluder may come within `x_known` radii of
 /// the axis.
-fn cone_walk<'a>(caster: &Caster<'a>, place: &Place, ray: &Ray, slope: f32, x_known: f32) -> Option<ConeWalk<'a>> {
+fn cone_walk<'a>(
+    caster: &Caster<'a>,
+    place: &SurfacePoint,
+    ray: &LightRay,
+    slope: f32,
+    x_known: f32,
+) -> Option<ConeWalk<'a>> {
     let Caster { instance, field, bounds, .. } = *caster;
     let (origin, direction) = ray_in_field(instance, caster.is_own, place, ray);
     let [lower, upper] = field.surface_bounds();
@@ -438,7 +484,7 @@ fn cone_walk<'a>(caster: &Caster<'a>, place: &Place, ray: &Ray, slope: f32, x_kn
 }
 
 /// A ray in the field space of an instance. Its start is moved off the surface if the surface belongs to the instance.
-pub fn ray_in_field(instance: &Instance, is_own: bool, place: &Place, ray: &Ray) -> (DVec3, DVec3) {
+pub fn ray_in_field(instance: &Instance, is_own: bool, place: &SurfacePoint, ray: &LightRay) -> (DVec3, DVec3) {
     let mut p = place.p;
     if is_own {
         let voxel = (instance.field_normal_from_scene * place.normal).length();
@@ -448,7 +494,7 @@ pub fn ray_in_field(instance: &Instance, is_own: bool, place: &Place, ray: &Ray)
 }
 
 /// Whether a cone may touch an occluder, by the ball around its surface.
-fn may_meet(caster: &Caster<'_>, place: &Place, ray: &Ray, slope: f32) -> bool {
+fn may_meet(caster: &Caster<'_>, place: &SurfacePoint, ray: &LightRay, slope: f32) -> bool {
     let Caster { instance, field, .. } = *caster;
     let (origin, direction) = ray_in_field(instance, caster.is_own, place, ray);
     let [lower, upper] = field.surface_bounds();
@@ -460,18 +506,18 @@ fn may_meet(caster: &Caster<'_>, place: &Place, ray: &Ray, slope: f32) -> bool {
 }
 
 /// The largest radius that a cone has beside a box, scene units.
-pub fn widest(place: &Place, ray: &Ray, slope: f32, bounds: &Aabb) -> f32 {
+pub fn widest(place: &SurfacePoint, ray: &LightRay, slope: f32, bounds: &Aabb) -> f32 {
     let p = place.p.as_vec3();
     let far = (p - bounds.min).abs().max((p - bounds.max).abs()).length();
     f64::from(slope / (1.0 - slope.min(0.9)) * far).min(f64::from(slope) * ray.t_max) as f32
 }
 
 /// The ray to another point of the disc; `offset` in radii.
-pub fn toward(ray: &Ray, [right, up]: [DVec3; 2], slope: f32, offset: Vec2) -> Ray {
+pub fn toward(ray: &LightRay, [right, up]: [DVec3; 2], slope: f32, offset: Vec2) -> LightRay {
     let aside = f64::from(slope * offset.x) * right + f64::from(slope * offset.y) * up;
     let direction = ray.direction + aside;
     let length = direction.length();
-    Ray { direction: direction / length, t_max: ray.t_max * length }
+    LightRay { direction: direction / length, t_max: ray.t_max * length }
 }
 
 /// The interval of `origin + t direction` inside a box, with `t` from `t_min` to `t_max`.

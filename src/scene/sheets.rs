@@ -19,9 +19,9 @@
 //!
 //! Sheets are evaluated on the CPU for pictures of every device, so their shadows do not depend on it.
 
-use super::light::{Lights, Surface};
+use super::light::{Lights, LitSurface};
 use super::occlusion::AO_SLOPE;
-use super::shadow::{PARTS, Place, Ray, Work, basis, disc_point, toward};
+use super::shadow::{LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
 use super::tree::{Line, Tree};
 use super::triangles::Triangles;
 use super::{Alpha, Instance, RenderOptions, Scene, SceneShadows};
@@ -82,7 +82,7 @@ impl Sheets {
     }
 
     /// The sheets whose boxes a cone of radius `slope t` touches, without the own sheet if it cannot occlude the place.
-    fn near(&self, place: &Place, ray: &Ray, slope: f32) -> Vec<u32> {
+    fn near(&self, place: &SurfacePoint, ray: &LightRay, slope: f32) -> Vec<u32> {
         let mut found = Vec::new();
         if let Some(tree) = &self.tree {
             let line = Line::cone(place.p.as_vec3(), ray.direction.as_vec3(), slope);
@@ -100,7 +100,7 @@ impl Sheets {
 
 impl Scene {
     /// Fraction of a thin ray that passes the sheets.
-    pub fn ray_past_sheets(&self, place: &Place, ray: &Ray, work: &mut Work) -> f32 {
+    pub fn ray_past_sheets(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
         if self.sheets.is_empty() {
             return 1.0;
         }
@@ -108,7 +108,7 @@ impl Scene {
     }
 
     /// Mean fraction of a cone's section that passes the sheets.
-    pub fn cone_past_sheets(&self, place: &Place, ray: &Ray, slope: f32, work: &mut Work) -> f32 {
+    pub fn cone_past_sheets(&self, place: &SurfacePoint, ray: &LightRay, slope: f32, work: &mut LightWork) -> f32 {
         if self.sheets.is_empty() {
             return 1.0;
         }
@@ -118,7 +118,13 @@ impl Scene {
 
     /// Fraction of each of the [`PARTS`] of a light's disc that passes the sheets: angular radius `slope`, `ray` to its
     /// centre.
-    pub fn disc_past_sheets(&self, place: &Place, ray: &Ray, slope: f32, work: &mut Work) -> [f32; PARTS as usize] {
+    pub fn disc_past_sheets(
+        &self,
+        place: &SurfacePoint,
+        ray: &LightRay,
+        slope: f32,
+        work: &mut LightWork,
+    ) -> [f32; PARTS as usize] {
         let mut parts = [1.0; PARTS as usize];
         if self.sheets.is_empty() {
             return parts;
@@ -145,7 +151,13 @@ impl Scene {
     }
 
     /// Fractions of a light that pass the sheets: one for each of its [`PARTS`], or a single one for a point.
-    pub fn light_past_sheets(&self, place: &Place, ray: &Ray, slope: f32, work: &mut Work) -> Vec<f32> {
+    pub fn light_past_sheets(
+        &self,
+        place: &SurfacePoint,
+        ray: &LightRay,
+        slope: f32,
+        work: &mut LightWork,
+    ) -> Vec<f32> {
         if slope > 0.0 {
             self.disc_past_sheets(place, ray, slope, work).to_vec()
         } else {
@@ -155,8 +167,13 @@ impl Scene {
 
     /// All fractions of the sheets that the light pass needs at a surface: first each cone of occlusion, then for each
     /// evaluated light one fraction (hard), [`PARTS`] (soft) or one per ray (area).
-    pub fn sheets_at(&self, surface: &Surface<'_>, lights: &Lights, options: &RenderOptions) -> (Vec<f32>, Work) {
-        let (mut shares, mut work) = (Vec::new(), Work::default());
+    pub fn sheets_at(
+        &self,
+        surface: &LitSurface<'_>,
+        lights: &Lights,
+        options: &RenderOptions,
+    ) -> (Vec<f32>, LightWork) {
+        let (mut shares, mut work) = (Vec::new(), LightWork::default());
         let place = &surface.place;
         if let Some(distance) = options.occlusion {
             for (ray, _) in place.open_rays(distance / self.scale) {
@@ -183,13 +200,13 @@ impl Scene {
         (shares, work)
     }
 
-    fn cone_past(&self, met: &[u32], place: &Place, ray: &Ray, slope: f32, work: &mut Work) -> f32 {
+    fn cone_past(&self, met: &[u32], place: &SurfacePoint, ray: &LightRay, slope: f32, work: &mut LightWork) -> f32 {
         let axes = basis(ray.direction);
         let to = |i: u32| toward(ray, axes, slope, disc_point(i, CONE_RAYS, 0.0));
         (0..CONE_RAYS).map(|i| self.ray_past(met, place, &to(i), work)).sum::<f32>() / CONE_RAYS as f32
     }
 
-    fn ray_past(&self, met: &[u32], place: &Place, ray: &Ray, work: &mut Work) -> f32 {
+    fn ray_past(&self, met: &[u32], place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
         let start = self.lifted(place, ray);
         let mut share = 1.0;
         for &item in met {
@@ -203,7 +220,7 @@ impl Scene {
     }
 
     /// Start of a ray: slightly off its own surface, on the side to which it goes.
-    fn lifted(&self, place: &Place, ray: &Ray) -> DVec3 {
+    fn lifted(&self, place: &SurfacePoint, ray: &LightRay) -> DVec3 {
         let own = &self.instances[place.own as usize];
         let Some(triangles) = &own.triangles else { return place.p };
         let lift = LIFT * triangles.mesh.scale() * f64::from(own.stretch[1]);
@@ -212,7 +229,7 @@ impl Scene {
     }
 
     /// Fraction of a ray that one sheet lets pass.
-    fn instance_share(&self, instance: &Instance, start: DVec3, ray: &Ray) -> f32 {
+    fn instance_share(&self, instance: &Instance, start: DVec3, ray: &LightRay) -> f32 {
         let Some(triangles) = instance.triangles.as_deref() else { return 1.0 };
         let origin = instance.tree_from_scene.transform_point3(start);
         let direction = instance.tree_from_scene.matrix3 * ray.direction;

@@ -12,14 +12,14 @@ use std::sync::LazyLock;
 /// A pyramid of RGBA texels, 8 bits sRGB and opacity, level after level, rows from the top.
 #[derive(Debug)]
 pub struct Texture {
-    pub levels: Vec<Level>,
+    pub levels: Vec<MipLevel>,
     /// One texel per word, red in the lowest byte.
     pub texels: Vec<u32>,
 }
 
 /// A level of the pyramid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Level {
+pub struct MipLevel {
     pub first: u32,
     pub width: u32,
     pub height: u32,
@@ -70,7 +70,7 @@ impl Texture {
         // A pyramid has at most 4/3 as many texels as its base, plus one per level for odd sides.
         let mut texels = Vec::with_capacity(width * height / 3 * 4 + 64);
         texels.extend(pixels.as_chunks::<4>().0.iter().map(|&texel| u32::from_le_bytes(texel)));
-        let mut levels = vec![Level { first: 0, width: width as u32, height: height as u32 }];
+        let mut levels = vec![MipLevel { first: 0, width: width as u32, height: height as u32 }];
         let mut size = [width, height];
         // Levels stay unrounded until they are stored, so rounding errors do not accumulate.
         let mut level: Vec<Vec4> = Vec::new();
@@ -80,7 +80,7 @@ impl Texture {
                 _ => halved(size, |i| level[i]),
             };
             size = size.map(|side| (side / 2).max(1));
-            levels.push(Level { first: texels.len() as u32, width: size[0] as u32, height: size[1] as u32 });
+            levels.push(MipLevel { first: texels.len() as u32, width: size[0] as u32, height: size[1] as u32 });
             texels.par_extend(level.par_iter().map(|&texel| pack(texel)));
         }
         Ok(Self { levels, texels })
@@ -108,13 +108,13 @@ impl Texture {
         mix(mix(opacity(a), opacity(b), f.x), mix(opacity(c), opacity(d), f.x), f.y)
     }
 
-    fn bilinear(&self, level: Level, uv: Vec2) -> Vec4 {
+    fn bilinear(&self, level: MipLevel, uv: Vec2) -> Vec4 {
         let ([a, b, c, d], f) = self.around(level, uv);
         unpack(a).lerp(unpack(b), f.x).lerp(unpack(c).lerp(unpack(d), f.x), f.y)
     }
 
     /// The four texels around `uv`, upper left first, row by row, and the position between them.
-    fn around(&self, level: Level, uv: Vec2) -> ([u32; 4], Vec2) {
+    fn around(&self, level: MipLevel, uv: Vec2) -> ([u32; 4], Vec2) {
         let size = Vec2::new(level.width as f32, level.height as f32);
         let wrapped = uv - uv.floor();
         let p = Vec2::new(wrapped.x, 1.0 - wrapped.y) * size - 0.5;

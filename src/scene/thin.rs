@@ -8,7 +8,7 @@
 //!
 //! A whole light has 16 narrow cones, so 128 rays.
 
-use super::shadow::{Ray, basis, disc_point, toward};
+use super::shadow::{LightRay, basis, disc_point, toward};
 use glam::Vec3;
 
 /// Number of rays of a cone.
@@ -26,7 +26,7 @@ impl ThinRays {
     pub const NEW: Self = Self { shares: [1.0; THIN_RAYS], is_asked: false };
 
     /// Multiplies the rays that hit an object of an opacity by its transmitted fraction.
-    pub fn block(&mut self, opacity: f32, ray: &Ray, slope: f32, mut is_hit: impl FnMut(&Ray) -> bool) {
+    pub fn block(&mut self, opacity: f32, ray: &LightRay, slope: f32, mut is_hit: impl FnMut(&LightRay) -> bool) {
         self.is_asked = true;
         let axes = basis(ray.direction);
         for (i, share) in self.shares.iter_mut().enumerate() {

@@ -25,7 +25,7 @@
 //! outside like shadow rays.
 
 use super::field::FieldRay;
-use super::shadow::{Casters, Place, Ray, Work, clip, ray_in_field};
+use super::shadow::{Casters, LightRay, LightWork, SurfacePoint, clip, ray_in_field};
 use glam::Vec3;
 
 /// The shortest step, voxels.
@@ -66,7 +66,7 @@ pub struct InsideRay {
 
 impl Casters<'_> {
     /// Length of a ray from a visible point inside the point's own instance, scene units; 0 without a field.
-    pub fn length_inside(&self, place: &Place, ray: &Ray, work: &mut Work) -> f32 {
+    pub fn length_inside(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
         if let Some(chord) = self.chord(place, ray) {
             return chord;
         }
@@ -90,7 +90,7 @@ impl Casters<'_> {
     }
 
     /// The same length where the instance has it in closed form.
-    pub fn chord(&self, place: &Place, ray: &Ray) -> Option<f32> {
+    pub fn chord(&self, place: &SurfacePoint, ray: &LightRay) -> Option<f32> {
         let instance = &self.scene.instances[place.own as usize];
         let field = instance.field.as_deref()?;
         let (origin, direction) = ray_in_field(instance, false, place, ray);
@@ -100,7 +100,7 @@ impl Casters<'_> {
     }
 
     /// The ray along which a length inside is measured; `None` if it misses the box of the surface.
-    pub fn inside_ray(&self, place: &Place, ray: &Ray) -> Option<InsideRay> {
+    pub fn inside_ray(&self, place: &SurfacePoint, ray: &LightRay) -> Option<InsideRay> {
         let instance = &self.scene.instances[place.own as usize];
         let field = instance.field.as_deref()?;
         let enters = place.normal.dot(ray.direction.as_vec3()) < 0.0;

@@ -38,7 +38,7 @@ impl Axes {
 
 /// The closed surface for the rays: the oriented faces of the mesh and any extra triangles, local units.
 #[derive(Debug, Clone, Copy)]
-pub struct Surface<'a> {
+pub struct ClosedSurface<'a> {
     pub bvh: &'a Bvh,
     pub mesh: &'a Mesh,
     pub topology: &'a Topology,
@@ -46,7 +46,7 @@ pub struct Surface<'a> {
     pub caps: &'a [[DVec3; 3]],
 }
 
-impl<'a> Surface<'a> {
+impl<'a> ClosedSurface<'a> {
     /// A mesh with its openings closed by `caps`.
     pub fn new(mesh: &'a Mesh, caps: &'a [[DVec3; 3]]) -> Self {
         Self { bvh: mesh.bvh(), mesh, topology: mesh.topology(), caps }
@@ -156,7 +156,14 @@ impl Samples {
 ///
 /// `windings[column * along.count + i]` is the winding number of the sample at `column` and position i along the ray.
 /// The cost is one exact test per edge, and one per column that a triangle covers.
-pub fn scan_row(surface: &Surface<'_>, axes: Axes, row: f64, columns: &Samples, along: &Samples, windings: &mut [i16]) {
+pub fn scan_row(
+    surface: &ClosedSurface<'_>,
+    axes: Axes,
+    row: f64,
+    columns: &Samples,
+    along: &Samples,
+    windings: &mut [i16],
+) {
     debug_assert_eq!(windings.len(), columns.count * along.count);
     windings.fill(0);
     let overlaps = |node: &Node| -> [bool; WIDTH] {

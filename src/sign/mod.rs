@@ -29,7 +29,7 @@ use crate::geometry::triangle_cross;
 use crate::gpu::constants::bake_brute::NUDGE;
 use crate::mesh::Mesh;
 use crate::mesh::derived::Derived;
-use crossing::{Axes, Surface};
+use crossing::{Axes, ClosedSurface};
 use glam::DVec3;
 use openings::Openings;
 use std::str::FromStr;
@@ -168,7 +168,7 @@ impl SignRule {
     pub fn is_inside_without_distance(&self, mesh: &Mesh, p: DVec3) -> bool {
         match self {
             Self::Counted(openings) => {
-                let count = Surface::new(mesh, &openings.caps).winding(p, Axes::X);
+                let count = ClosedSurface::new(mesh, &openings.caps).winding(p, Axes::X);
                 count != i32::from(openings.rounded_fraction(p))
             }
             Self::Winding => mesh.moments().winding(mesh, p).abs() > 0.5,
@@ -189,7 +189,7 @@ impl SignRule {
 
 /// Whether most of three axis-parallel rays cross an odd number of faces, and whether all three agree.
 pub fn parity(mesh: &Mesh, p: DVec3) -> (bool, bool) {
-    let surface = Surface::new(mesh, &[]);
+    let surface = ClosedSurface::new(mesh, &[]);
     let votes = [Axes::X, Axes::Y, Axes::Z].iter().filter(|&&axes| surface.crossings(p, axes) % 2 == 1).count();
     (votes >= 2, votes == 0 || votes == 3)
 }

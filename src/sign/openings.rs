@@ -26,12 +26,12 @@ use std::ops::Range;
 pub struct Openings {
     pub caps: Vec<[DVec3; 3]>,
     packs: Vec<CapPack>,
-    cones: Vec<Cone>,
+    cones: Vec<OpeningCone>,
 }
 
 /// One opening: its triangles among the packs, a ball that contains it, and its area.
 #[derive(Debug, Clone)]
-struct Cone {
+struct OpeningCone {
     packs: Range<usize>,
     center: DVec3,
     radius: f64,
@@ -99,7 +99,7 @@ impl Openings {
             let center = caps[0][2];
             let first = openings.packs.len();
             openings.packs.extend(caps.chunks(WIDTH).map(CapPack::new));
-            openings.cones.push(Cone {
+            openings.cones.push(OpeningCone {
                 packs: first..openings.packs.len(),
                 center,
                 radius: caps.iter().flatten().map(|p| p.distance(center)).fold(0.0, f64::max),
@@ -121,7 +121,8 @@ impl Openings {
             return 0;
         }
         let mut left_out = 0.0;
-        let near: Vec<Cone> = self.cones.iter().filter(|cone| cone.matters(p, 0.0, &mut left_out)).cloned().collect();
+        let near: Vec<OpeningCone> =
+            self.cones.iter().filter(|cone| cone.matters(p, 0.0, &mut left_out)).cloned().collect();
         self.round(p, &near, left_out).0
     }
 
@@ -130,7 +131,7 @@ impl Openings {
     pub fn clearance(&self, p: DVec3) -> f64 {
         // Each cone gets an equal share of just under a half turn.
         let share = 4.0 * PI * (0.5 - UNDECIDED) / self.cones.len() as f64;
-        let reach = |cone: &Cone| p.distance(cone.center) - cone.radius - (cone.area / share).sqrt();
+        let reach = |cone: &OpeningCone| p.distance(cone.center) - cone.radius - (cone.area / share).sqrt();
         self.cones.iter().map(reach).fold(f64::INFINITY, f64::min)
     }
 
@@ -138,14 +139,14 @@ impl Openings {
     /// where one value cannot tell.
     pub fn is_uniform_within(&self, p: DVec3, radius: f64) -> bool {
         let mut left_out = 0.0;
-        let matters = |cone: &&Cone| cone.matters(p, radius, &mut left_out);
-        let near: Vec<Cone> = self.cones.iter().filter(matters).cloned().collect();
+        let matters = |cone: &&OpeningCone| cone.matters(p, radius, &mut left_out);
+        let near: Vec<OpeningCone> = self.cones.iter().filter(matters).cloned().collect();
         self.rounded_within(p, radius, &near, left_out).is_some()
     }
 
     /// The nearest integer of the fraction at a point, and whether it is certain. The cones that are not in `near` add
     /// less than `left_out`.
-    fn round(&self, p: DVec3, near: &[Cone], left_out: f64) -> (i8, bool) {
+    fn round(&self, p: DVec3, near: &[OpeningCone], left_out: f64) -> (i8, bool) {
         let fast = self
             .fast_fraction(p, near)
             .filter(|(fraction, error)| (fraction - fraction.round()).abs() + left_out + error < 0.5 - UNDECIDED);
@@ -155,7 +156,7 @@ impl Openings {
 
     /// The contribution of some cones to the fraction by lanes, and its error; None if the point is too close to one of
     /// them.
-    fn fast_fraction(&self, p: DVec3, near: &[Cone]) -> Option<(f64, f64)> {
+    fn fast_fraction(&self, p: DVec3, near: &[OpeningCone]) -> Option<(f64, f64)> {
         let packs = near.iter().flat_map(|cone| &self.packs[cone.packs.clone()]);
         let sum = sum_angles(packs.clone(), p.as_vec3())?;
         let error = ANGLE_ERROR * (packs.count() * WIDTH) as f64;
@@ -172,7 +173,7 @@ impl Openings {
     fn decide(
         &self,
         block: &SampleBlock<'_>,
-        near: &[Cone],
+        near: &[OpeningCone],
         mut left_out: f64,
         set: &mut impl FnMut([usize; 3], i8),
     ) -> usize {
@@ -210,7 +211,7 @@ impl Openings {
 
     /// The integer nearest to the fraction everywhere within `radius` of `center`; None if a single value is not
     /// sufficient.
-    fn rounded_within(&self, center: DVec3, radius: f64, near: &[Cone], left_out: f64) -> Option<i8> {
+    fn rounded_within(&self, center: DVec3, radius: f64, near: &[OpeningCone], left_out: f64) -> Option<i8> {
         // No cone lies within the radius, and the gradient of the rim is bounded.
         let packs = near.iter().flat_map(|cone| &self.packs[cone.packs.clone()]);
         let (nearest, change) = least_reach(packs, center.as_vec3(), radius as f32);
@@ -267,7 +268,7 @@ fn least_reach<'a>(packs: impl Iterator<Item = &'a CapPack>, p: Vec3, radius: f3
     fold(packs, p, radius)
 }
 
-impl Cone {
+impl OpeningCone {
     /// Whether the cone must be evaluated within `radius` of `center`. If not, its largest contribution there is added
     /// to `left_out`.
     fn matters(&self, center: DVec3, radius: f64, left_out: &mut f64) -> bool {

@@ -1,6 +1,6 @@
 //! Every exact rule against brute-force winding numbers, on meshes and points chosen to produce ties.
 
-use super::crossing::{Axes, Samples, Surface, scan_row};
+use super::crossing::{Axes, ClosedSurface, Samples, scan_row};
 use super::openings::SampleBlock;
 use super::*;
 use crate::geometry::solid_angle;
@@ -69,7 +69,7 @@ fn bumpy_sphere(seed: u64) -> (Vec<[f64; 3]>, Vec<[i64; 3]>) {
 #[test]
 fn counted_crossings_survive_every_tie() {
     let mesh = boxes();
-    let surface = Surface::new(&mesh, &[]);
+    let surface = ClosedSurface::new(&mesh, &[]);
     for axes in [Axes::X, Axes::Y, Axes::Z] {
         for x in -1..=13 {
             for y in -1..=13 {
@@ -89,7 +89,7 @@ fn counted_crossings_survive_every_tie() {
 #[test]
 fn a_scanned_row_equals_single_rays() {
     let mesh = boxes();
-    let surface = Surface::new(&mesh, &[]);
+    let surface = ClosedSurface::new(&mesh, &[]);
     // Steps of half a unit in local coordinates, from a corner of the first box.
     let step = 0.5 / mesh.scale();
     let first = mesh.local_from_world(DVec3::splat(-1.0));
@@ -129,7 +129,7 @@ proptest! {
         }
         let mesh = mesh(&vertices, &faces);
         let openings = Openings::of(&mesh);
-        let surface = Surface::new(&mesh, &openings.caps);
+        let surface = ClosedSurface::new(&mesh, &openings.caps);
         for (x, y, z) in points {
             let p = mesh.local_from_world(DVec3::new(x, y, z));
             let found = f64::from(surface.winding(p, Axes::X)) - openings.fraction(p);

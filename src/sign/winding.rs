@@ -46,14 +46,14 @@ pub struct Moments {
 
 /// Moments of a set of faces about its centre.
 #[derive(Clone, Copy, Default)]
-struct Part {
+struct FaceCluster {
     weight: f64,
     center: DVec3,
     area: DVec3,
     first: DMat3,
 }
 
-impl Part {
+impl FaceCluster {
     fn of_faces(mesh: &Mesh, faces: &[u32]) -> Self {
         let members = faces.iter().map(|&face| {
             let [a, b, c] = mesh.triangle(face);
@@ -88,7 +88,7 @@ impl Derived for Moments {
             first: [[0.0; WIDTH]; 6],
         };
         let mut nodes = vec![empty; bvh.nodes.len()];
-        let mut parts = vec![Part::default(); bvh.nodes.len()];
+        let mut parts = vec![FaceCluster::default(); bvh.nodes.len()];
         // Children follow their parents in memory, so the loop runs backwards.
         for index in (0..nodes.len()).rev() {
             let node = &bvh.nodes[index];
@@ -96,7 +96,7 @@ impl Derived for Moments {
             for lane in (0..WIDTH).filter(|&lane| !node.children[lane].is_none()) {
                 let child = node.children[lane];
                 let part = if child.is_pack() {
-                    Part::of_faces(mesh, bvh.packs[child.index()].faces())
+                    FaceCluster::of_faces(mesh, bvh.packs[child.index()].faces())
                 } else {
                     parts[child.index()]
                 };
@@ -107,7 +107,7 @@ impl Derived for Moments {
                 nodes[index].set(lane, &part, reach.length());
                 children.push(part);
             }
-            parts[index] = Part::join(children);
+            parts[index] = FaceCluster::join(children);
         }
         Self { nodes }
     }
@@ -165,7 +165,7 @@ fn face_angle(mesh: &Mesh, face: u32, p: DVec3) -> f64 {
 }
 
 impl NodeMoments {
-    fn set(&mut self, lane: usize, part: &Part, radius: f64) {
+    fn set(&mut self, lane: usize, part: &FaceCluster, radius: f64) {
         let c = &part.first;
         let symmetric = [
             c.x_axis.x,

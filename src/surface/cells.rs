@@ -17,7 +17,7 @@ use rayon::prelude::*;
 
 /// A cell that the surface passes through.
 #[derive(Debug, Clone, Copy)]
-pub struct Cell {
+pub struct SurfaceCell {
     /// Indices of its lower corner, from -1 to n - 1.
     pub index: [i32; 3],
     /// Samples at the corners minus the level; negative inside.
@@ -32,7 +32,7 @@ pub struct Cell {
     pub first_edge: u32,
 }
 
-impl Cell {
+impl SurfaceCell {
     /// The cell, if the surface passes through it.
     fn new(index: [i32; 3], values: [f32; 8]) -> Option<Self> {
         let inside = values.iter().enumerate().fold(0, |bits, (c, &value)| bits | u8::from(value < 0.0) << c);
@@ -76,17 +76,17 @@ fn joins_inside(values: &[f32; 8], face: usize) -> bool {
 
 /// All crossed cells of a grid, sorted by z, then y, then x.
 #[derive(Debug)]
-pub struct Cells {
+pub struct SurfaceCells {
     /// Voxels along each axis.
     shape: [i32; 3],
-    cells: Vec<Cell>,
+    cells: Vec<SurfaceCell>,
     /// First cell of each row; rows are sorted by z, then y, from -1.
     rows: Vec<u32>,
     patches: u32,
     edges: u32,
 }
 
-impl Cells {
+impl SurfaceCells {
     /// The crossed cells of a stored field.
     pub fn of_field<T: Texel>(field: &FieldView<'_, T>, level: f32, progress: &Progress) -> Result<Self, Error> {
         let shape = field.grid().shape.map(|n| n as i32);
@@ -98,7 +98,7 @@ impl Cells {
             let first = nx * (clamp(y, ny) + ny * clamp(z, nz));
             &texels[first..first + nx]
         };
-        let slabs: Vec<Vec<Cell>> = (-1..shape[2])
+        let slabs: Vec<Vec<SurfaceCell>> = (-1..shape[2])
             .into_par_iter()
             .map(|z| {
                 let mut found = Vec::new();
@@ -119,7 +119,7 @@ impl Cells {
                         let far_signs = signs(&far);
                         if !(near_signs == far_signs && (near_signs == 0 || near_signs == 4)) {
                             let values = [near[0], far[0], near[1], far[1], near[2], far[2], near[3], far[3]];
-                            found.extend(Cell::new([x, y, z], values));
+                            found.extend(SurfaceCell::new([x, y, z], values));
                         }
                         (near, near_signs) = (far, far_signs);
                     }
@@ -146,7 +146,7 @@ impl Cells {
         let shape = field.grid().shape.map(|n| n as i32);
         let bricks = field.bricks().map(|n| n as i32);
         progress.set_total(bricks[2] as u64);
-        let slabs: Vec<Vec<Cell>> = (0..bricks[2])
+        let slabs: Vec<Vec<SurfaceCell>> = (0..bricks[2])
             .into_par_iter()
             .map(|z| {
                 let mut found = Vec::new();
@@ -163,12 +163,12 @@ impl Cells {
         Ok(Self::sorted(shape, slabs.concat()))
     }
 
-    fn sorted(shape: [i32; 3], mut cells: Vec<Cell>) -> Self {
+    fn sorted(shape: [i32; 3], mut cells: Vec<SurfaceCell>) -> Self {
         cells.par_sort_unstable_by_key(|cell| (cell.index[2], cell.index[1], cell.index[0]));
         Self::new(shape, cells)
     }
 
-    fn new(shape: [i32; 3], cells: Vec<Cell>) -> Self {
+    fn new(shape: [i32; 3], cells: Vec<SurfaceCell>) -> Self {
         let row_count = (shape[1] + 1) as usize * (shape[2] + 1) as usize;
         let mut surface = Self { shape, cells, rows: Vec::with_capacity(row_count + 1), patches: 0, edges: 0 };
         for (i, cell) in surface.cells.iter().enumerate() {
@@ -190,7 +190,7 @@ impl Cells {
         self.shape
     }
 
-    pub fn cells(&self) -> &[Cell] {
+    pub fn cells(&self) -> &[SurfaceCell] {
         &self.cells
     }
 
@@ -205,7 +205,7 @@ impl Cells {
     }
 
     /// The crossed cell at an index.
-    pub fn find(&self, index: [i32; 3]) -> Option<&Cell> {
+    pub fn find(&self, index: [i32; 3]) -> Option<&SurfaceCell> {
         self.position(index).map(|i| &self.cells[i])
     }
 
@@ -243,14 +243,14 @@ impl Cells {
     }
 }
 
-/// The crossed cells of one block of samples; see [`Cells::of_blocks`].
+/// The crossed cells of one block of samples; see [`SurfaceCells::of_blocks`].
 fn cells_of_block(
     shape: [i32; 3],
     side: usize,
     origin: [i32; 3],
     samples: &[f32],
     level: f32,
-) -> impl Iterator<Item = Cell> {
+) -> impl Iterator<Item = SurfaceCell> {
     let n = side + 1;
     let inside = samples.iter().filter(|&&value| value < level).count();
     // Padding is outside, so a block that is inside everywhere may still have crossed cells at the box.
@@ -271,12 +271,12 @@ fn cells_of_block(
             let padded = (0..3).any(|axis| at(axis) < 0 || at(axis) >= shape[axis]);
             if padded { value.abs() } else { value }
         });
-        Cell::new(index, values)
+        SurfaceCell::new(index, values)
     })
 }
 
 /// Whether all four edges of an ambiguous face belong to one patch of the cell.
-fn one_patch(cell: &Cell, face: usize) -> bool {
+fn one_patch(cell: &SurfaceCell, face: usize) -> bool {
     let edges = face_edges(face).iter().fold(0u16, |bits, edge| bits | 1 << edge);
     cell.patches().any(|patch| patch & edges == edges)
 }
@@ -286,7 +286,7 @@ fn row(shape: &[i32; 3], y: i32, z: i32) -> usize {
 }
 
 /// The cell that owns an edge of `cell` (the edge starts at its lower corner), and the axis of the edge.
-pub fn owner_of(cell: &Cell, edge: usize) -> ([i32; 3], usize) {
+pub fn owner_of(cell: &SurfaceCell, edge: usize) -> ([i32; 3], usize) {
     let low = edge_corners(edge)[0];
     (std::array::from_fn(|axis| cell.index[axis] + (low >> axis & 1) as i32), edge / 4)
 }

@@ -1,6 +1,6 @@
 //! Tangent planes from the mesh that a field was computed from.
 
-use super::{Crossing, Surface};
+use super::{Crossing, LevelSurface};
 use crate::bvh::watertight::Ray;
 use crate::error::Error;
 use crate::mesh::Mesh;
@@ -24,7 +24,7 @@ const FLAT_VOXELS: f64 = 1e-3;
 /// An offset of zero takes the face that the edge crosses. Any other offset takes the sphere around the nearest point.
 /// A crossing keeps its plane where the mesh is farther away than the samples say, as across an opening.
 pub fn planes_of_mesh(
-    surface: &Surface,
+    surface: &LevelSurface,
     crossings: &mut [Crossing],
     mesh: &Mesh,
     offset: f64,
@@ -52,7 +52,7 @@ pub fn planes_of_mesh(
 }
 
 /// The intersection of the crossing's edge with the mesh that is nearest to the crossing, and the normal of its face.
-fn crossed_face(surface: &Surface, mesh: &Mesh, crossing: &Crossing) -> Option<(DVec3, DVec3)> {
+fn crossed_face(surface: &LevelSurface, mesh: &Mesh, crossing: &Crossing) -> Option<(DVec3, DVec3)> {
     let [start, end] = surface.ends(crossing);
     let (origin, tip) = (mesh.local_from_world(start), mesh.local_from_world(end));
     let mut best = (f64::INFINITY, None);

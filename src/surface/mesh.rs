@@ -1,10 +1,10 @@
 //! Vertices and faces of the dual mesh.
 
-use super::cells::{Cell, owner_of};
+use super::cells::{SurfaceCell, owner_of};
 use super::patches::face_corners;
 use super::probes::ExtraPlanes;
 use super::qef::Planes;
-use super::{Crossing, MARGIN, Surface};
+use super::{Crossing, LevelSurface, MARGIN};
 use crate::volume::{trilinear, trilinear_gradient};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -35,8 +35,8 @@ pub struct SurfaceMesh {
     pub clamped: usize,
 }
 
-impl Surface {
-    /// The mesh over `crossings`, one entry a crossed edge as [`Surface::crossings`] returns them, and over the planes
+impl LevelSurface {
+    /// The mesh over `crossings`, one entry a crossed edge as [`LevelSurface::crossings`] returns them, and over the planes
     /// that probes have found.
     pub fn mesh(&self, crossings: &[Crossing], extra: &ExtraPlanes, options: MeshOptions) -> SurfaceMesh {
         assert_eq!(crossings.len(), self.edge_count(), "one crossing for each crossed edge");
@@ -120,7 +120,7 @@ impl Surface {
     /// The crossings of the edges of a patch.
     pub(super) fn crossings_of<'a>(
         &'a self,
-        cell: &'a Cell,
+        cell: &'a SurfaceCell,
         patch: u16,
         crossings: &'a [Crossing],
     ) -> impl Iterator<Item = &'a Crossing> {
@@ -133,7 +133,7 @@ impl Surface {
     /// The vertex of a patch with the number `id`, and whether it was clamped to its cell.
     pub(super) fn vertex(
         &self,
-        cell: &Cell,
+        cell: &SurfaceCell,
         id: u32,
         patch: u16,
         crossings: &[Crossing],
@@ -156,7 +156,7 @@ impl Surface {
     }
 
     /// The tangent planes of a patch, relative to the lower corner of its cell.
-    fn planes(&self, cell: &Cell, id: u32, patch: u16, crossings: &[Crossing], extra: &ExtraPlanes) -> Planes {
+    fn planes(&self, cell: &SurfaceCell, id: u32, patch: u16, crossings: &[Crossing], extra: &ExtraPlanes) -> Planes {
         let corner = self.world(cell.index, DVec3::ZERO);
         let mut planes = Planes::new();
         for crossing in self.crossings_of(cell, patch, crossings) {
@@ -171,7 +171,7 @@ impl Surface {
     /// Where a vertex of the cell may lie, relative to the lower corner of the cell: within the cell by [`MARGIN`], in the
     /// next cell across a face if neither the face nor that cell is crossed, and in the box. The tip of a corner that
     /// holds no voxel centre lies in such a cell.
-    pub(super) fn allowed(&self, cell: &Cell) -> [DVec3; 2] {
+    pub(super) fn allowed(&self, cell: &SurfaceCell) -> [DVec3; 2] {
         let mut lower = DVec3::splat(MARGIN);
         let mut upper = DVec3::splat(1.0 - MARGIN);
         for axis in 0..3 {
@@ -197,7 +197,7 @@ impl Surface {
     }
 
     /// A point of the cell moved onto the surface of its trilinear function.
-    fn on_trilinear(&self, cell: &Cell, start: DVec3, lower: DVec3, upper: DVec3) -> DVec3 {
+    fn on_trilinear(&self, cell: &SurfaceCell, start: DVec3, lower: DVec3, upper: DVec3) -> DVec3 {
         if (0..3).any(|axis| self.is_padding(cell.index[axis], axis) || self.is_padding(cell.index[axis] + 1, axis)) {
             return start;
         }
@@ -217,7 +217,7 @@ impl Surface {
 
     /// The patches around the crossed edge from the lower corner of `cell` along `axis`, counter-clockwise seen from its
     /// far end.
-    pub(super) fn patches_around(&self, cell: &Cell, axis: usize) -> [u32; 4] {
+    pub(super) fn patches_around(&self, cell: &SurfaceCell, axis: usize) -> [u32; 4] {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
         // The cells around the edge by their steps along -u and -v.
         [(0, 0), (1, 0), (1, 1), (0, 1)].map(|(back_u, back_v): (i32, i32)| {
@@ -234,7 +234,7 @@ impl Surface {
     /// The corners of the quadrilateral around the crossed edge from the lower corner of `cell` along `axis`,
     /// counter-clockwise seen from outside, and twice the smaller area, voxels squared, of the two triangles of either
     /// division, seen along the edge.
-    fn quad(&self, cell: &Cell, axis: usize, vertices: &[DVec3]) -> ([u32; 4], [f64; 2]) {
+    fn quad(&self, cell: &SurfaceCell, axis: usize, vertices: &[DVec3]) -> ([u32; 4], [f64; 2]) {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
         let mut quad = self.patches_around(cell, axis);
         // Seen from the outside end of the edge the order must be counter-clockwise.
@@ -252,13 +252,13 @@ impl Surface {
     }
 
     /// Whether both divisions of a quadrilateral fold it, seen along its edge.
-    fn folds(&self, cell: &Cell, axis: usize, vertices: &[DVec3]) -> bool {
+    fn folds(&self, cell: &SurfaceCell, axis: usize, vertices: &[DVec3]) -> bool {
         let (_, areas) = self.quad(cell, axis, vertices);
         areas.into_iter().all(|area| area <= MARGIN * MARGIN)
     }
 
     /// The two triangles across the crossed edge from the lower corner of `cell` along `axis`.
-    fn triangles(&self, cell: &Cell, axis: usize, vertices: &[DVec3]) -> [[u32; 3]; 2] {
+    fn triangles(&self, cell: &SurfaceCell, axis: usize, vertices: &[DVec3]) -> [[u32; 3]; 2] {
         let (quad, [first, second]) = self.quad(cell, axis, vertices);
         let [a, b, c, d] = quad;
         if self.prefers_first(first, second, quad, vertices) { [[a, b, c], [a, c, d]] } else { [[b, c, d], [b, d, a]] }

@@ -20,8 +20,8 @@
 //!
 //! # Practice
 //!
-//! [`Surface::of_field`] or [`Surface::of_blocks`], then [`Surface::crossings`], which a source may replace by its own
-//! planes, then [`Surface::probes`] and [`Surface::join_planes`] if there is a source, then [`Surface::mesh`]. The result does not depend on the number of threads.
+//! [`LevelSurface::of_field`] or [`LevelSurface::of_blocks`], then [`LevelSurface::crossings`], which a source may replace by its own
+//! planes, then [`LevelSurface::probes`] and [`LevelSurface::join_planes`] if there is a source, then [`LevelSurface::mesh`]. The result does not depend on the number of threads.
 
 pub mod cells;
 mod hermite;
@@ -39,7 +39,7 @@ use crate::grid::Grid;
 use crate::progress::Progress;
 use crate::volume::sparse::SparseView;
 use crate::volume::{FieldView, Texel, Trilinear};
-use cells::{Cell, Cells};
+use cells::{SurfaceCell, SurfaceCells};
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -48,11 +48,11 @@ pub const MARGIN: f64 = 1.0 / 1024.0;
 
 /// The crossed cells of a grid in world space.
 #[derive(Debug)]
-pub struct Surface {
+pub struct LevelSurface {
     lower: DVec3,
     upper: DVec3,
     spacing: DVec3,
-    cells: Cells,
+    cells: SurfaceCells,
 }
 
 /// The tangent plane of the surface where an edge crosses it.
@@ -72,7 +72,7 @@ pub struct Crossing {
     pub on_box: bool,
 }
 
-impl Surface {
+impl LevelSurface {
     /// The surface where a stored field equals `level`; the inside is below it.
     pub fn of_field<T: Texel>(field: &FieldView<'_, T>, level: f32, progress: &Progress) -> Result<Self, Error> {
         check_level(level)?;
@@ -82,11 +82,11 @@ impl Surface {
             lower: grid.lower,
             upper: grid.upper,
             spacing: grid.spacing(),
-            cells: Cells::of_field(field, level, progress)?,
+            cells: SurfaceCells::of_field(field, level, progress)?,
         })
     }
 
-    /// The surface in blocks of samples; see [`Cells::of_blocks`].
+    /// The surface in blocks of samples; see [`SurfaceCells::of_blocks`].
     pub fn of_blocks(
         grid: &Grid,
         side: usize,
@@ -104,7 +104,7 @@ impl Surface {
         if values.iter().any(|value| !value.is_finite()) {
             return Err(ArgumentError::new("values", "must be finite").into());
         }
-        let cells = Cells::of_blocks(grid.shape.map(|n| n as i32), side, origins, values, level);
+        let cells = SurfaceCells::of_blocks(grid.shape.map(|n| n as i32), side, origins, values, level);
         Ok(Self { lower: grid.lower, upper: grid.upper, spacing: grid.spacing(), cells })
     }
 
@@ -122,7 +122,7 @@ impl Surface {
             lower: grid.lower,
             upper: grid.upper,
             spacing: grid.spacing(),
-            cells: Cells::of_sparse(field, level, progress)?,
+            cells: SurfaceCells::of_sparse(field, level, progress)?,
         })
     }
 
@@ -151,7 +151,7 @@ impl Surface {
             .collect()
     }
 
-    fn crossing(&self, cell: &Cell, axis: usize) -> Crossing {
+    fn crossing(&self, cell: &SurfaceCell, axis: usize) -> Crossing {
         let far = 1 << axis;
         let [start, end] = [cell.values[0], cell.values[far]].map(f64::from);
         let share = start / (start - end);
@@ -176,9 +176,9 @@ impl Surface {
 
     /// Difference of the field along the axis `other`, per voxel, at a fraction of the way from one corner of the cell
     /// to the next: the mean of the differences on both sides, or the one that does not use the padding.
-    fn slope(&self, cell: &Cell, corners: [usize; 2], share: f64, other: usize) -> f64 {
+    fn slope(&self, cell: &SurfaceCell, corners: [usize; 2], share: f64, other: usize) -> f64 {
         let step = 1 << other;
-        let between = |cell: &Cell, offset: usize| {
+        let between = |cell: &SurfaceCell, offset: usize| {
             let [start, end] = corners.map(|corner| f64::from(cell.values[corner | offset]));
             start + (end - start) * share
         };

@@ -5,9 +5,9 @@
 //! vertex the source is evaluated at points around it, and the tangent planes found there are added to the planes of
 //! the crossings. All other vertices have one probe, at the vertex itself, which moves it onto the surface.
 
-use super::cells::Cell;
+use super::cells::SurfaceCell;
 use super::mesh::MeshOptions;
-use super::{Crossing, Surface};
+use super::{Crossing, LevelSurface};
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -59,7 +59,7 @@ impl ExtraPlanes {
     }
 }
 
-impl Surface {
+impl LevelSurface {
     /// The probes of all vertices, or only those of the sharp vertices.
     pub fn probes(&self, crossings: &[Crossing], extra: &ExtraPlanes, sharp_only: bool) -> Probes {
         let is_sharp = self.sharp_patches(crossings);
@@ -146,7 +146,7 @@ impl Surface {
 
     fn join_plane(
         &self,
-        cell: &Cell,
+        cell: &SurfaceCell,
         patch: u16,
         crossings: &[Crossing],
         planes: &mut Vec<(DVec3, DVec3)>,

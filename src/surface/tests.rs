@@ -20,7 +20,7 @@ fn fill(grid: &Grid, field: impl Fn(DVec3) -> f64) -> Vec<f32> {
 
 fn mesh_of(grid: Grid, distances: &[f32], level: f32, options: MeshOptions) -> SurfaceMesh {
     let field = FieldView::new(grid, distances).unwrap();
-    let surface = Surface::of_field(&field, level, &Progress::new()).unwrap();
+    let surface = LevelSurface::of_field(&field, level, &Progress::new()).unwrap();
     surface.mesh(&surface.crossings(), &ExtraPlanes::default(), options)
 }
 
@@ -119,7 +119,7 @@ fn blocks_give_the_mesh_of_the_whole_grid() {
             }
         }
     }
-    let surface = Surface::of_blocks(&grid, side, &origins, &values, 0.05).unwrap();
+    let surface = LevelSurface::of_blocks(&grid, side, &origins, &values, 0.05).unwrap();
     let mesh = surface.mesh(&surface.crossings(), &ExtraPlanes::default(), SHARP);
     assert_eq!(mesh, mesh_of(grid, &distances, 0.05, SHARP));
 }
@@ -173,7 +173,7 @@ fn no_surface_is_an_empty_mesh() {
     assert!(mesh_of(grid, &[1.0, 2.0], 1.0, SHARP).faces.is_empty());
     assert!(!mesh_of(grid, &[1.0, 2.0], 2.0, SHARP).faces.is_empty());
     let field = FieldView::new(grid, &[1.0, 2.0]).unwrap();
-    assert!(Surface::of_field(&field, f32::NAN, &Progress::new()).is_err());
+    assert!(LevelSurface::of_field(&field, f32::NAN, &Progress::new()).is_err());
 }
 
 #[test]
@@ -190,7 +190,7 @@ fn a_turned_cube_keeps_its_faces_and_edges_with_its_mesh_as_source() {
         q.max(DVec3::ZERO).length() + q.max_element().min(0.0)
     });
     let field = FieldView::new(grid, &distances).unwrap();
-    let surface = Surface::of_field(&field, 0.0, &Progress::new()).unwrap();
+    let surface = LevelSurface::of_field(&field, 0.0, &Progress::new()).unwrap();
     let mut crossings = surface.crossings();
     planes_of_mesh(&surface, &mut crossings, &cube, 0.0, false, &Progress::new()).unwrap();
     let mut extra = ExtraPlanes::default();

@@ -33,7 +33,7 @@ mod texel;
 mod trilinear;
 
 pub use texel::Texel;
-pub use trilinear::{Cell, Filter, Trilinear, trilinear, trilinear_gradient};
+pub use trilinear::{Cell, SampleFilter, Trilinear, trilinear, trilinear_gradient};
 
 use crate::error::{ArgumentError, Error};
 use crate::grid::Grid;
@@ -284,7 +284,7 @@ mod tests {
         let field = FieldView::new(grid, &distances).unwrap();
         let points = [DVec3::new(f64::NAN, 1.0, 2.2), DVec3::new(f64::INFINITY, 1.0, 2.2)];
         let inner = [grid.lower, grid.upper];
-        let values = field.sample(&points, inner, Filter::Linear, &Progress::new()).unwrap();
+        let values = field.sample(&points, inner, SampleFilter::Linear, &Progress::new()).unwrap();
         assert!(values[0].is_nan());
         assert_eq!(values[1], f32::INFINITY);
         assert!(field.gradients(&points, &Progress::new()).unwrap()[0].is_nan());
@@ -297,7 +297,7 @@ mod tests {
         let field = FieldView::new(grid, &distances).unwrap();
         let progress = Progress::new();
         progress.cancel();
-        let result = field.sample(&[DVec3::ONE], [grid.lower, grid.upper], Filter::Linear, &progress);
+        let result = field.sample(&[DVec3::ONE], [grid.lower, grid.upper], SampleFilter::Linear, &progress);
         assert_eq!(result, Err(Error::Cancelled));
     }
 
@@ -305,7 +305,7 @@ mod tests {
     fn wrong_length_and_unknown_filter_are_refused() {
         let message = FieldView::new(oblong_grid(), &[0.0; 7]).unwrap_err().to_string();
         assert_eq!(message, "distances: 5 x 4 x 3 voxels need 60 values, got 7");
-        assert!(Filter::from_name("cubic").unwrap_err().to_string().contains("cubic"));
-        assert_eq!(Filter::from_name("nearest"), Ok(Filter::Nearest));
+        assert!(SampleFilter::from_name("cubic").unwrap_err().to_string().contains("cubic"));
+        assert_eq!(SampleFilter::from_name("nearest"), Ok(SampleFilter::Nearest));
     }
 }

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 /// Interpolation of the stored samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Filter {
+pub enum SampleFilter {
     /// The trilinear field.
     #[default]
     Linear,
@@ -16,7 +16,7 @@ pub enum Filter {
     Nearest,
 }
 
-impl Filter {
+impl SampleFilter {
     /// Converts the public name of a filter.
     pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
         choice("filter", name, &[("linear", Self::Linear), ("nearest", Self::Nearest)])
@@ -104,7 +104,7 @@ pub trait Trilinear: Sync {
         &self,
         points: &[DVec3],
         inner: [DVec3; 2],
-        filter: Filter,
+        filter: SampleFilter,
         progress: &Progress,
     ) -> Result<Vec<f32>, Error> {
         batch(points, progress, |p| {
@@ -114,8 +114,8 @@ pub trait Trilinear: Sync {
                 self.distance_bound(p, inner)
             } else {
                 match filter {
-                    Filter::Linear => self.sample_linear(p),
-                    Filter::Nearest => self.sample_nearest(p),
+                    SampleFilter::Linear => self.sample_linear(p),
+                    SampleFilter::Nearest => self.sample_nearest(p),
                 }
             }
         })

@@ -8,7 +8,7 @@ SOURCE = Path(__file__).parents[2] / "src"
 #: From the bottom to the top. A folder has the name of the file beside it.
 LAYERS = [
     "error",
-    "memory progress geometry encoding shader_text",
+    "memory progress geometry encoding shader_text simd",
     "shader_library",
     "grid openexr",
     "gpu",
@@ -59,3 +59,52 @@ def test_folders_import_only_what_lies_below_them():
         if LEVEL[name] >= LEVEL[layer(path)]
     ]
     assert wrong == []
+
+
+#: Files that import each other. The context of a device owns caches whose methods take the context, and an object of a
+#: scene enters itself into the tables of the device.
+KNOTS = {
+    "gpu": {"buffer context device pipeline raster"},
+    "quadric": {"draw gpu"},
+    "scene": {"device_fields field", "cone far shadow thin", "gpu raster", "known light"},
+}
+
+
+def imports(folder):
+    """The files of a folder and the files beside them that they import; `mod.rs` is an index."""
+    files = {path.stem: path for path in sources() if path.parent == SOURCE / folder and path.stem != "mod"}
+    graph = {}
+    for name, path in files.items():
+        text = code(path)
+        found = set(re.findall(r"super::(\w+)", text)) | set(re.findall(rf"crate::{folder}::(\w+)", text))
+        for group in re.findall(r"use super::\{([^;]*)\};", text):
+            found |= set(re.findall(r"\w+", group))
+        graph[name] = {other for other in found if other in files and other != name}
+    return graph
+
+
+def knots(graph):
+    """Sets of files that reach each other."""
+
+    def reach(start):
+        seen, waiting = set(), [start]
+        while waiting:
+            for other in graph[waiting.pop()] - seen:
+                seen.add(other)
+                waiting.append(other)
+        return seen
+
+    ways = {name: reach(name) for name in graph}
+    circles = {name: {other for other in ways[name] if name in ways[other]} for name in graph if name in ways[name]}
+    return {" ".join(sorted(circle)) for circle in circles.values()}
+
+
+def test_files_of_a_folder_import_each_other_in_one_direction():
+    folders = sorted({path.parent.name for path in sources() if path.parent.parent == SOURCE})
+    found = {folder: circles for folder in folders if (circles := knots(imports(folder)))}
+
+    assert found == KNOTS
+
+
+def test_a_knot_is_found():
+    assert knots({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == {"b c"}

@@ -8,12 +8,12 @@ pub(super) const CORNERS: usize = 8;
 
 /// A box of samples: centre and half size of the box around their positions.
 #[derive(Clone, Copy)]
-pub(super) struct Block {
+pub(super) struct SampleBox {
     pub center: Vec3,
     pub half: Vec3,
 }
 
-impl Block {
+impl SampleBox {
     /// Positions of the corners; bit `axis` of the index selects the upper side.
     #[inline(always)]
     pub fn corners(&self) -> [[f32; CORNERS]; 3] {

@@ -13,7 +13,7 @@
 //! which suffices for large blocks. Both sides are float32. The margin is that of the culling test of the bake.
 
 use super::super::LocalGrid;
-use super::block::Block;
+use super::block::SampleBox;
 use super::{LEAF, SLACK, reach};
 use crate::bvh::Bvh;
 use glam::{DVec3, Vec3};
@@ -48,7 +48,7 @@ impl<'a> Changes<'a> {
     }
 
     /// Whether a change may reach a sample of the block `low..high`.
-    pub(super) fn reach(&self, grid: &LocalGrid, block: &Block, low: [usize; 3], high: [usize; 3]) -> bool {
+    pub(super) fn reach(&self, grid: &LocalGrid, block: &SampleBox, low: [usize; 3], high: [usize; 3]) -> bool {
         let bound = if (0..3).all(|axis| high[axis] - low[axis] <= LEAF) {
             self.bound_of_samples(grid, block, low, high)
         } else {
@@ -59,7 +59,7 @@ impl<'a> Changes<'a> {
         self.triangles.nearest(block.center, limit * limit).is_some()
     }
 
-    fn bound_of_samples(&self, grid: &LocalGrid, block: &Block, low: [usize; 3], high: [usize; 3]) -> f32 {
+    fn bound_of_samples(&self, grid: &LocalGrid, block: &SampleBox, low: [usize; 3], high: [usize; 3]) -> f32 {
         let mut largest = 0.0f32;
         for z in low[2]..high[2] {
             for y in low[1]..high[1] {
@@ -73,7 +73,7 @@ impl<'a> Changes<'a> {
 
     /// The distance of a sample before the change, plus that from the sample to the centre of the block.
     #[inline(always)]
-    fn bound_at(&self, grid: &LocalGrid, block: &Block, [x, y, z]: [usize; 3]) -> f32 {
+    fn bound_at(&self, grid: &LocalGrid, block: &SampleBox, [x, y, z]: [usize; 3]) -> f32 {
         let [nx, ny, _] = grid.shape();
         let stored = self.samples[x + nx * (y + ny * z)];
         let distance = match self.half_thickness {

@@ -53,7 +53,7 @@ use crate::bvh::{Bvh, Node, WIDTH};
 use crate::error::Error;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
-use block::{Block, CORNERS, max, min, not_positive, roots};
+use block::{CORNERS, SampleBox, max, min, not_positive, roots};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -122,7 +122,7 @@ fn fill_tiles(
     let bvh = mesh.bvh_within(reach);
     let slack = SLACK * (reach as f32).max(1.0);
     let empty = if changes.is_some() { KEPT } else { f32::INFINITY };
-    (0..tasks.iter().product::<usize>()).into_par_iter().try_for_each_init(Scratch::default, |scratch, task| {
+    (0..tasks.iter().product::<usize>()).into_par_iter().try_for_each_init(BlockScratch::default, |scratch, task| {
         let low = [task % tasks[0], task / tasks[0] % tasks[1], task / (tasks[0] * tasks[1])].map(|i| i * TASK);
         let high = [0, 1, 2].map(|axis| (low[axis] + TASK).min(shape[axis]));
         let mut tile = Tile { bvh, grid, slack, limit, changes, low, samples: [empty; TASK * TASK * TASK] };
@@ -172,7 +172,7 @@ type Candidates = Vec<(u32, u8)>;
 
 /// Buffers that tasks of one thread reuse.
 #[derive(Default)]
-struct Scratch {
+struct BlockScratch {
     levels: [Candidates; 3],
     stack: Candidates,
     tangents: Tangents,
@@ -234,7 +234,7 @@ struct Tile<'a> {
 
 impl Tile<'_> {
     /// Computes the samples of the box `low..high`.
-    fn fill(&mut self, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
+    fn fill(&mut self, scratch: &mut BlockScratch, low: [usize; 3], high: [usize; 3]) {
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") {
             // SAFETY: the processor has AVX2. The code is the portable one, compiled for wider registers; without
@@ -246,13 +246,13 @@ impl Tile<'_> {
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
-    fn fill_avx2(&mut self, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
+    fn fill_avx2(&mut self, scratch: &mut BlockScratch, low: [usize; 3], high: [usize; 3]) {
         self.fill_portable(scratch, low, high);
     }
 
     #[inline(always)]
-    fn fill_portable(&mut self, scratch: &mut Scratch, low: [usize; 3], high: [usize; 3]) {
-        let Scratch { levels: [root, middle, packs], stack, tangents, list } = scratch;
+    fn fill_portable(&mut self, scratch: &mut BlockScratch, low: [usize; 3], high: [usize; 3]) {
+        let BlockScratch { levels: [root, middle, packs], stack, tangents, list } = scratch;
         let block = self.block(low, high);
         if self.is_kept(&block, low, high) {
             return;
@@ -312,9 +312,9 @@ impl Tile<'_> {
         }
     }
 
-    fn block(&self, low: [usize; 3], high: [usize; 3]) -> Block {
+    fn block(&self, low: [usize; 3], high: [usize; 3]) -> SampleBox {
         let (first, last) = (self.grid.at(low), self.grid.at(high.map(|i| i - 1)));
-        Block { center: ((first + last) * 0.5).as_vec3(), half: ((last - first) * 0.5).as_vec3() }
+        SampleBox { center: ((first + last) * 0.5).as_vec3(), half: ((last - first) * 0.5).as_vec3() }
     }
 
     /// Squared distance of `p` to a triangle, plus the rounding of the search that it bounds.
@@ -324,18 +324,18 @@ impl Tile<'_> {
 
     /// Whether no sample of the block `low..high` can have changed.
     #[inline(always)]
-    fn is_kept(&self, block: &Block, low: [usize; 3], high: [usize; 3]) -> bool {
+    fn is_kept(&self, block: &SampleBox, low: [usize; 3], high: [usize; 3]) -> bool {
         self.changes.is_some_and(|changes| !changes.reach(self.grid, block, low, high))
     }
 
     /// Whether no sample of the block is within the limit.
-    fn is_beyond(&self, block: &Block, center_squared: f32) -> bool {
+    fn is_beyond(&self, block: &SampleBox, center_squared: f32) -> bool {
         center_squared.sqrt() > (self.limit + block.half.length()) * (1.0 + 1e-5) + self.slack
     }
 
     /// Moves the nodes of `stack` that pass the culling test to `kept`, opening those larger than the block.
     #[inline(always)]
-    fn cull_nodes(&self, block: &Block, near: Slot, stack: &mut Candidates, kept: &mut Candidates) {
+    fn cull_nodes(&self, block: &SampleBox, near: Slot, stack: &mut Candidates, kept: &mut Candidates) {
         kept.clear();
         let bounds = roots(self.bvh.frame(near).distances_squared(block.corners()));
         let size = 2.0 * block.half.max_element();
@@ -360,7 +360,7 @@ impl Tile<'_> {
 
     /// Mask of the children of a node that pass the culling test.
     #[inline(always)]
-    fn survivors(&self, node: &Node, block: &Block, bounds: &[f32; CORNERS]) -> u8 {
+    fn survivors(&self, node: &Node, block: &SampleBox, bounds: &[f32; CORNERS]) -> u8 {
         let mut excess = [0.0f32; WIDTH];
         for i in 0..WIDTH {
             // From the nearest point of the box to the centre of the block.
@@ -380,7 +380,7 @@ impl Tile<'_> {
 
     /// The packs that pass the culling test of a block. Stops once they are too many for a list.
     #[inline(always)]
-    fn list_packs(&self, block: &Block, near: Slot, stack: &mut Candidates, packs: &mut Candidates) {
+    fn list_packs(&self, block: &SampleBox, near: Slot, stack: &mut Candidates, packs: &mut Candidates) {
         let bounds = roots(self.bvh.frame(near).distances_squared(block.corners()));
         packs.clear();
         while let Some((index, mask)) = stack.pop() {
@@ -424,7 +424,7 @@ impl Tile<'_> {
     #[inline(always)]
     fn list_triangles(
         &self,
-        block: &Block,
+        block: &SampleBox,
         near: Slot,
         packs: &Candidates,
         tangents: &mut Tangents,
@@ -491,7 +491,7 @@ impl Tile<'_> {
 
     /// Distances of the samples of a block, a group at a time.
     #[inline(always)]
-    fn evaluate(&mut self, block: &Block, low: [usize; 3], high: [usize; 3], list: &List) {
+    fn evaluate(&mut self, block: &SampleBox, low: [usize; 3], high: [usize; 3], list: &List) {
         for (low, high) in blocks(low, high, GROUP) {
             // Positions of the group; beyond the edge of the grid the last sample is repeated.
             let mut p = [[0.0f32; LANES]; 3];

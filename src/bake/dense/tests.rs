@@ -148,10 +148,10 @@ fn the_check_of_a_build_sees_a_damaged_sample() {
 }
 
 /// One tile of a grid, computed by `fill`.
-fn tile(bvh: &Bvh, grid: &LocalGrid, fill: impl FnOnce(&mut Tile<'_>, &mut Scratch)) -> [f32; TASK * TASK * TASK] {
+fn tile(bvh: &Bvh, grid: &LocalGrid, fill: impl FnOnce(&mut Tile<'_>, &mut BlockScratch)) -> [f32; TASK * TASK * TASK] {
     let samples = [f32::INFINITY; TASK * TASK * TASK];
     let mut tile = Tile { bvh, grid, slack: SLACK, limit: f32::INFINITY, changes: None, low: [0; 3], samples };
-    fill(&mut tile, &mut Scratch::default());
+    fill(&mut tile, &mut BlockScratch::default());
     tile.samples
 }
 

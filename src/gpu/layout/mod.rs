@@ -22,7 +22,7 @@ macro_rules! gpu_structs {
         )*
 
         #[cfg(test)]
-        pub(super) const LAYOUTS: &[super::Layout] = &[$(super::Layout {
+        pub(super) const LAYOUTS: &[super::StructLayout] = &[$(super::StructLayout {
             kernel: $kernel,
             name: stringify!($name),
             size: size_of::<$name>(),
@@ -33,7 +33,7 @@ macro_rules! gpu_structs {
 
 /// The layout of a struct, for the test that compares it with the kernel's.
 #[cfg(test)]
-struct Layout {
+struct StructLayout {
     kernel: &'static str,
     name: &'static str,
     size: usize,
@@ -50,7 +50,7 @@ macro_rules! files {
         )*
 
         #[cfg(test)]
-        const FILES: &[&[Layout]] = &[$($file::LAYOUTS),*];
+        const FILES: &[&[StructLayout]] = &[$($file::LAYOUTS),*];
     };
 }
 files!(bake, merge, picture, scene, surfaces);

@@ -1,6 +1,6 @@
 //! The structs against the shaders that read them.
 
-use super::{FILES, Layout};
+use super::{FILES, StructLayout};
 use crate::gpu::tests::source;
 use std::collections::HashMap;
 use wgpu::naga;
@@ -16,7 +16,7 @@ fn members(module: &naga::Module, name: &str) -> (Vec<(String, usize)>, usize) {
 #[test]
 fn structs_have_the_layout_that_the_shaders_read() {
     let mut modules = HashMap::new();
-    for Layout { kernel, name, size, fields } in FILES.iter().copied().flatten() {
+    for StructLayout { kernel, name, size, fields } in FILES.iter().copied().flatten() {
         let module =
             modules.entry(*kernel).or_insert_with(|| naga::front::wgsl::parse_str(&source(kernel).unwrap()).unwrap());
         let ours: Vec<_> = fields.iter().map(|&(field, offset)| (field.to_owned(), offset)).collect();

@@ -14,13 +14,13 @@
 //! cones are tested by thin rays.
 
 use super::super::device_fields::DeviceFields;
-use super::super::field::{Field, FieldHit, FieldRay, Look};
+use super::super::field::{Field, FieldHit, FieldRay, SurfaceLook};
 use crate::csg::Solid;
 use crate::csg::draw::{DrawMethod, tracer};
 use crate::csg::model::Model;
 use crate::csg::program::Stack;
 use crate::csg::solid::slope;
-use crate::csg::trace::{LocalRay, Tracer, Work};
+use crate::csg::trace::{ShapeRay, TraceWork, Tracer};
 use crate::error::{DeviceError, Error};
 use crate::gpu::Place;
 use glam::{DAffine3, DVec3, Vec3};
@@ -64,13 +64,13 @@ pub struct ShapeField {
 
 /// Buffers that a thread keeps between calls.
 #[derive(Default)]
-struct Scratch {
+struct FieldScratch {
     march: Stack<f32, 1>,
     slope: Stack<f64, 6>,
 }
 
 thread_local! {
-    static SCRATCH: RefCell<Scratch> = RefCell::default();
+    static SCRATCH: RefCell<FieldScratch> = RefCell::default();
 }
 
 impl ShapeField {
@@ -132,9 +132,9 @@ impl Field for ShapeField {
         let units_per_t = ray.direction.length();
         let per_t = units_per_t / UNITS;
         let local =
-            LocalRay { origin: ray.origin / UNITS, direction: ray.direction / units_per_t, t_max: t_max * per_t };
+            ShapeRay { origin: ray.origin / UNITS, direction: ray.direction / units_per_t, t_max: t_max * per_t };
         let tracer = self.tracer();
-        let mut work = Work::default();
+        let mut work = TraceWork::default();
         let found = SCRATCH.with_borrow_mut(|scratch| {
             let hit = tracer.first_hit(&local, &mut scratch.march, &mut work)?;
             let at = (local.origin + hit.t * local.direction).to_array().map(|x| [x]);
@@ -176,11 +176,11 @@ impl Field for ShapeField {
         self.slope((p / UNITS).as_dvec3()).normalize_or_zero().as_vec3()
     }
 
-    fn look(&self, p: Vec3, hit: &FieldHit, direction: Vec3) -> Look {
+    fn look(&self, p: Vec3, hit: &FieldHit, direction: Vec3) -> SurfaceLook {
         let p = p / UNITS;
         let tracer = self.tracer();
         let normal = SCRATCH.with_borrow_mut(|scratch| tracer.normal(p, direction, hit.part, &mut scratch.slope));
-        Look { normal: normal.unwrap_or_default(), color: tracer.color(p, hit.part) }
+        SurfaceLook { normal: normal.unwrap_or_default(), color: tracer.color(p, hit.part) }
     }
 
     fn is_loose(&self) -> bool {

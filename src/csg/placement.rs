@@ -1,0 +1,96 @@
+//! Placements of leaves, and changes of the position.
+
+use super::shape::Kind;
+use glam::{DMat3, DVec3};
+
+/// A placement without its scale: `world = rotation * leaf + translation`. The rotation may include a reflection.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Placement {
+    pub rotation: DMat3,
+    pub translation: DVec3,
+    /// Number of units of the parent in a unit of the placed object.
+    pub scale: f64,
+}
+
+impl Placement {
+    pub const HERE: Self = Self { rotation: DMat3::IDENTITY, translation: DVec3::ZERO, scale: 1.0 };
+
+    /// The composition of two placements: `inner` first, then `self`.
+    pub fn then(&self, inner: &Self) -> Self {
+        Self {
+            rotation: self.rotation * inner.rotation,
+            translation: self.translation + self.scale * (self.rotation * inner.translation),
+            scale: self.scale * inner.scale,
+        }
+    }
+
+    pub(super) fn of_kind(kind: &Kind) -> Option<Self> {
+        match *kind {
+            Kind::Move(translation) => Some(Self { translation, ..Self::HERE }),
+            Kind::Rotate { axis, degrees } => Some(Self { rotation: rotation(axis, degrees), ..Self::HERE }),
+            Kind::Scale(scale) => Some(Self { scale, ..Self::HERE }),
+            Kind::Reflect(normal) => Some(reflection(normal)),
+            _ => None,
+        }
+    }
+}
+
+/// Exact at multiples of 90 degrees about the axes, so that boxes stay axis-aligned.
+fn rotation(axis: DVec3, degrees: f64) -> DMat3 {
+    let turn = degrees.rem_euclid(360.0);
+    let (sin, cos) = match turn {
+        0.0 => (0.0, 1.0),
+        90.0 => (1.0, 0.0),
+        180.0 => (0.0, -1.0),
+        270.0 => (-1.0, 0.0),
+        _ => turn.to_radians().sin_cos(),
+    };
+    let outer = |a: DVec3, b: DVec3| DMat3::from_cols(a * b.x, a * b.y, a * b.z);
+    let cross = DMat3::from_cols(
+        DVec3::new(0.0, axis.z, -axis.y),
+        DVec3::new(-axis.z, 0.0, axis.x),
+        DVec3::new(axis.y, -axis.x, 0.0),
+    );
+    cos * DMat3::IDENTITY + (1.0 - cos) * outer(axis, axis) + sin * cross
+}
+
+/// The reflection in the plane through the origin with this normal.
+pub(super) fn reflection(normal: DVec3) -> Placement {
+    let outer = DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
+    Placement { rotation: DMat3::IDENTITY - 2.0 * outer, ..Placement::HERE }
+}
+
+/// A change of the position.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Warp {
+    pub kind: WarpKind,
+    pub place: Placement,
+    /// Upper bound on the ratio of distances inside to distances outside, by which they are divided.
+    pub stretch: Stretch,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum WarpKind {
+    /// Half the lengths inserted along each axis.
+    Elongate(DVec3),
+    /// Radians per unit of z.
+    Twist(f64),
+    /// Radians per unit of x.
+    Bend(f64),
+}
+
+/// Stretch of a rotation that grows along an axis. The derivative of `R(angle) p` is a rotation plus `rate * r` across
+/// it, at distance `r` from the z axis, so its norm is at most `1 + rate * r`. It is evaluated at `max(r, radius)`,
+/// where `radius` is twice that of the child: a straight segment from a point to the solid never leaves the larger of
+/// its own radius and that.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stretch {
+    pub rate: f64,
+    pub radius: f64,
+}
+
+impl Stretch {
+    pub fn at(&self, r: f64) -> f64 {
+        1.0 + self.rate.abs() * r.max(self.radius)
+    }
+}

@@ -1,0 +1,129 @@
+//! Options of a picture of one field.
+
+use crate::error::{ArgumentError, Error, choice};
+use glam::Vec3;
+
+/// A light at infinite distance.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DirectionalLight {
+    /// Direction in which the light travels, world space, any length.
+    pub direction: Vec3,
+    /// Linear RGB. A white light of value 1 lights a surface that faces it to the surface's own colour.
+    pub color: Vec3,
+}
+
+/// Kind of shadows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Shadows {
+    /// No shadows: every light reaches every surface.
+    None,
+    /// Hard shadows: a light reaches a point completely or not at all.
+    #[default]
+    Hard,
+}
+
+impl Shadows {
+    /// Converts the public name of a kind of shadows.
+    pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
+        choice("shadows", name, &[("none", Self::None), ("hard", Self::Hard)])
+    }
+}
+
+/// Interpolation between the samples.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Filter {
+    /// Trilinear interpolation in float32; a hit is its root.
+    #[default]
+    Linear,
+    /// The texture hardware of a graphics device, with rounded weights and half floats.
+    Hardware,
+}
+
+impl Filter {
+    /// Converts the public name of a filter.
+    pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
+        choice("filter", name, &[("linear", Self::Linear), ("hardware", Self::Hardware)])
+    }
+}
+
+/// Options of a picture. The names are those of the Python interface, which defines the defaults.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RaymarchOptions {
+    /// Width and height, pixels.
+    pub size: [u32; 2],
+    /// Lights; an empty list leaves ambient light only.
+    pub lights: Vec<DirectionalLight>,
+    /// Ambient light, mostly from above (+Y), as a fraction of a light of colour 1.
+    pub ambient: f32,
+    /// Linear RGB of the surface.
+    pub color: Vec3,
+    /// Strength of the highlight.
+    pub specular: f32,
+    /// Sharpness of the highlight, the exponent of Blinn-Phong.
+    pub shininess: f32,
+    /// Linear RGBA of pixels without a hit.
+    pub background: [f32; 4],
+    pub shadows: Shadows,
+    pub filter: Filter,
+}
+
+#[cfg(test)]
+impl Default for RaymarchOptions {
+    /// Simple options for tests.
+    fn default() -> Self {
+        Self {
+            size: [512, 512],
+            lights: vec![DirectionalLight { direction: Vec3::new(0.3, -0.7, -0.6), color: Vec3::ONE }],
+            ambient: 0.2,
+            color: Vec3::splat(0.8),
+            specular: 0.25,
+            shininess: 32.0,
+            background: [1.0; 4],
+            shadows: Shadows::Hard,
+            filter: Filter::Linear,
+        }
+    }
+}
+
+/// Largest number of pixels of a picture: 16384 x 16384, about 12 GiB of arrays.
+const MAX_PIXELS: u64 = 1 << 28;
+
+impl RaymarchOptions {
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        let error = |argument, problem: String| Err(ArgumentError::new(argument, problem).into());
+        let [width, height] = self.size;
+        if width == 0 || height == 0 || width as u64 * height as u64 > MAX_PIXELS {
+            return error("size", format!("expected 1 to {MAX_PIXELS} pixels, got {width} x {height}"));
+        }
+        if !(self.ambient.is_finite() && self.ambient >= 0.0) {
+            return error("ambient", format!("must be finite and at least 0, got {}", self.ambient));
+        }
+        if !self.color.is_finite() {
+            return error("color", format!("must be finite, got {}", self.color));
+        }
+        if !self.specular.is_finite() {
+            return error("specular", format!("must be finite, got {}", self.specular));
+        }
+        if !(self.shininess.is_finite() && self.shininess >= 0.0) {
+            return error("shininess", format!("must be finite and at least 0, got {}", self.shininess));
+        }
+        Ok(())
+    }
+
+    /// The lights with unit directions.
+    pub(crate) fn unit_lights(&self) -> Result<Vec<DirectionalLight>, Error> {
+        let unit = |(i, light): (usize, &DirectionalLight)| {
+            let direction = light.direction.as_dvec3().normalize_or_zero().as_vec3();
+            if direction == Vec3::ZERO {
+                let problem = format!("[{i}] is {}, expected a finite direction that is not zero", light.direction);
+                return Err(ArgumentError::new("light_directions", problem).into());
+            }
+            if !light.color.is_finite() {
+                let problem = format!("[{i}] is {}, expected finite numbers", light.color);
+                return Err(ArgumentError::new("light_colors", problem).into());
+            }
+            Ok(DirectionalLight { direction, color: light.color })
+        };
+        self.lights.iter().enumerate().map(unit).collect()
+    }
+}

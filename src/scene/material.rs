@@ -1,0 +1,33 @@
+//! The appearance of surfaces.
+
+/// Appearance of a surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Material {
+    /// Linear RGB and opacity; a factor of the texture.
+    pub color: [f32; 4],
+    /// Index of a texture of the scene.
+    pub texture: Option<u32>,
+    /// Linear RGB that the surface emits; a factor of its texture.
+    pub emission: [f32; 3],
+    /// Index of a texture of the scene.
+    pub emission_texture: Option<u32>,
+    /// Whether the colour is shown unchanged, without lighting.
+    pub unlit: bool,
+    pub specular: f32,
+    pub shininess: f32,
+    pub alpha: Alpha,
+    /// Whether the back of faces is visible too.
+    pub two_sided: bool,
+    /// Length inside the object after which 1/e of the light remains, world units, for each of RGB; 0 if light does not
+    /// enter.
+    pub scattering: [f32; 3],
+}
+
+/// Use of opacity.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Alpha {
+    Opaque,
+    /// Cut out where the opacity is below this.
+    Mask(f32),
+    Blend,
+}

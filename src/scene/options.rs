@@ -1,0 +1,68 @@
+//! Lights, and the options of a picture of a scene.
+
+use super::far::FarField;
+use glam::{DVec3, Vec3};
+
+/// A light in world units.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Light {
+    /// `direction` is that in which the light travels, of any length; `slope` is the tangent of half its angle.
+    Directional {
+        direction: DVec3,
+        color: Vec3,
+        slope: f32,
+    },
+    Point {
+        position: DVec3,
+        color: Vec3,
+        radius: f64,
+    },
+}
+
+/// Largest number of lights of a scene.
+pub const MAX_LIGHTS: usize = 16;
+
+/// Method for the first surface of a pixel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Primary {
+    /// Triangles if there are any, else the field.
+    #[default]
+    Auto,
+    Raster,
+    Raymarch,
+}
+
+/// Kind of shadows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum SceneShadows {
+    None,
+    Hard,
+    #[default]
+    Soft,
+    /// This number of rays to each light: the reference for soft shadows.
+    Area(u32),
+    /// The march of the article, with its constants in world units.
+    Article,
+}
+
+/// Options of a picture.
+#[derive(Debug, Clone)]
+pub struct RenderOptions {
+    pub size: [u32; 2],
+    pub primary: Primary,
+    pub shadows: SceneShadows,
+    pub lights: Vec<Light>,
+    /// Ambient light, as a fraction of a light of colour 1.
+    pub ambient: f32,
+    /// Range of occlusion of the ambient light, world units; None without occlusion.
+    pub occlusion: Option<f64>,
+    /// Far field for rays beyond a distance; without it the instances are evaluated everywhere.
+    pub far: Option<FarField>,
+    /// Linear RGBA of pixels without a hit.
+    pub background: [f32; 4],
+    pub exposure: f32,
+    /// Number of rays per pixel for its colour; 1, or a square number.
+    pub samples: u32,
+    /// Light is evaluated at every `light_scale`-th pixel along each side: 1 or 2; see [`known`].
+    pub light_scale: u32,
+}
