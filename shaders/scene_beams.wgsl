@@ -1,7 +1,7 @@
 // Computes the fraction of thin rays and cones that passes the instances of a scene. Twin of src/scene/shadow.rs and
 // cone.rs.
 
-#import scene_things
+#import scene_objects
 #import scene_beam
 
 struct SceneNode {

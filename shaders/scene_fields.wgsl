@@ -1,8 +1,8 @@
 // Finds the field that each pixel shows. The box of each instance's surface is rasterised; a fragment traces the field
-// to the exact hit and writes its depth. Twin of `field` in src/scene/primary.rs.
+// to the exact hit and writes its depth. Twin of `field` in src/scene/eye.rs.
 
 #import scene_view
-#import scene_things
+#import scene_objects
 
 struct BoxCorner {
     @builtin(position) position: vec4f,

@@ -1,6 +1,6 @@
 // Makes the beams of the light pass from the faces that the primary pass found, divides the discs of lights that one
 // cone does not decide, and collects cones that need a ray past an edge. Twin of `first_beams` and `parts_of_disc` in
-// src/scene/known.rs.
+// src/scene/device_beams.rs.
 
 #import scene_view
 #import scene_field

@@ -35,7 +35,7 @@ const DIVIDED: u32 = 2u;
 // 2 pi (1 - 1 / golden ratio).
 const GOLDEN_ANGLE: f32 = 2.3999632;
 
-// Two unit vectors perpendicular to a unit vector and to each other, as `basis` in src/scene/shadow.rs.
+// Two unit vectors perpendicular to a unit vector and to each other, as `basis` in src/scene/light_rays.rs.
 struct Axes {
     right: vec3f,
     up: vec3f,

@@ -1,4 +1,4 @@
-// Quadrics of a scene: sheets in trim spheres about the origin of field space. Twin of src/scene/things/quadric.rs.
+// Quadrics of a scene: sheets in trim spheres about the origin of field space. Twin of src/scene/objects/quadric.rs.
 //
 // The record of a quadric in `samples` is the 4x4 matrix of its form in the frame of the trim sphere, by columns.
 
@@ -27,7 +27,7 @@ fn quadric_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f3
     return select(-1.0, first / per_t, first < NO_CROSSING);
 }
 
-// ---- in a scene with other things
+// ---- in a scene with other objects
 
 const HAS_THIN: bool = true;
 

@@ -1,4 +1,4 @@
-// Shapes of a scene, traced and measured as a whole. Twin of src/scene/things/shape.rs, and of `march` in
+// Shapes of a scene, traced and measured as a whole. Twin of src/scene/objects/shape.rs, and of `march` in
 // src/csg/trace.rs.
 //
 // Layout of a shape in `samples`:

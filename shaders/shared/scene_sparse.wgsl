@@ -1,4 +1,4 @@
-// Sparse fields of a scene, as bricks. Twin of src/scene/things/sparse.rs.
+// Sparse fields of a scene, as bricks. Twin of src/scene/objects/sparse.rs.
 //
 // Layout of a sparse field:
 //   `samples`: floor, longest step, step along x, y and z, nodes, samples of the bricks

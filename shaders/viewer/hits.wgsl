@@ -57,7 +57,7 @@ fn dense_hit(origin: vec3f, direction: vec3f, t_max: f32) -> f32 {
     return -1.0;
 }
 
-// ---- quadrics, twin of src/scene/things/quadric.rs: the columns of the form, in the frame of the trim sphere
+// ---- quadrics, twin of src/scene/objects/quadric.rs: the columns of the form, in the frame of the trim sphere
 
 fn quadric_column(column: u32) -> vec4f {
     let at = 4u * column;

@@ -67,7 +67,7 @@ const SHARED: &[(&str, &str)] = &[
     ("scene_solids", include_str!("../../shaders/shared/scene_solids.wgsl")),
     ("scene_sparse", include_str!("../../shaders/shared/scene_sparse.wgsl")),
     ("scene_structures", include_str!("../../shaders/shared/scene_structures.wgsl")),
-    ("scene_things", include_str!("../../shaders/shared/scene_things.wgsl")),
+    ("scene_objects", include_str!("../../shaders/shared/scene_objects.wgsl")),
     ("scene_view", include_str!("../../shaders/shared/scene_view.wgsl")),
     ("ray_sparse", include_str!("../../shaders/shared/ray_sparse.wgsl")),
     ("samples", include_str!("../../shaders/shared/samples.wgsl")),

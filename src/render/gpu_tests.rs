@@ -2,12 +2,19 @@
 
 use super::camera::tests::look_at;
 use super::*;
-use crate::gpu::layout;
+use crate::encoding::Encoding;
 use crate::gpu::shader::shared;
 use crate::gpu::tests::test_context;
+use crate::gpu::{Place, layout};
+use crate::grid::Grid;
+use crate::progress::Progress;
+use crate::volume::device::DeviceField;
 use crate::volume::sparse::SparseField;
 use crate::volume::sparse::build::SparseOptions;
+use crate::volume::{FieldView, Texel};
+use glam::DVec3;
 use half::f16;
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 /// A sphere, or a bumpy one, on a grid; `center` and `scale` move the world.

@@ -2,8 +2,11 @@
 
 use super::camera::tests::look_at;
 use super::*;
+use crate::error::Error;
 use crate::grid::Grid;
-use crate::volume::Trilinear;
+use crate::progress::Progress;
+use crate::volume::{FieldView, Trilinear};
+use glam::{DVec3, Vec3};
 
 /// A field sampled on a grid, prepared for drawing.
 struct Scene {

@@ -6,7 +6,7 @@
 //! of the surface. [`super::shadow`] has the method of this crate.
 
 use super::Scene;
-use super::shadow::{LightRay, LightWork, SurfacePoint};
+use super::light_rays::{LightRay, LightWork, SurfacePoint};
 use glam::Vec3;
 
 const STEPS: u32 = 100;

@@ -3,7 +3,7 @@
 
 use super::field::{DenseField, SampledField};
 use super::kinds::{ARRAY, FieldKind, GeometryKinds, MAX_STRUCTURES, TURNS};
-use super::things::SparseBricks;
+use super::objects::SparseBricks;
 use crate::csg::Solid;
 use crate::csg::model::Model;
 use crate::csg::whole::Whole;

@@ -2,23 +2,21 @@
 //! memory (`shaders/scene_surfaces.wgsl`), and only their results are read back.
 //!
 //! It applies to faces of meshes under hard and soft shadows without occlusion. Everything else is left to
-//! [`super::known`]: fields, translucent surfaces, light through objects, and pixels that the CPU drew.
+//! [`super::device_beams`]: fields, translucent surfaces, light through objects, and pixels that the CPU drew.
 
 use super::SceneShadows;
-use super::gpu::DeviceScene;
-use super::known::{Known, Pass, parts_of, stride, took};
-use super::light::{BIAS_TRIANGLE, LitSurface, SceneLight};
-use super::shadow::{LightWork, PARTS};
+use super::device_buffers::{Buffers, MOST_BEAMS, MOST_PARTS};
+use super::gbuffer::DeviceSeen;
+use super::gpu::{DeviceScene, work_of};
+use super::light_buffer::{LightBuffer, parts_of, stride};
+use super::light_rays::{LightWork, PARTS};
+use super::lit_surface::{BIAS_TRIANGLE, LitSurface, SceneLight};
+use super::pass::Pass;
 use crate::error::Error;
-use crate::gpu::layout::{Answer, Beam, PieceParams, SurfaceLight, SurfaceParams};
+use crate::gpu::layout::{Answer, PieceParams, SurfaceLight, SurfaceParams};
 use crate::progress::Progress;
-use glam::DVec3;
 use rayon::prelude::*;
-use std::sync::OnceLock;
 
-/// Number of beams at a time, and of parts of divided discs: 16 MiB and 32 MiB.
-const MOST_BEAMS: usize = 1 << 18;
-const MOST_PARTS: usize = 1 << 19;
 /// Largest distance of the eye from the middle of the scene, scene units. The device computes positions in float32 along
 /// the ray, and a position must be precise to a fraction of a voxel.
 const MOST_DISTANCE: f64 = 16.0;
@@ -26,34 +24,6 @@ const MOST_DISTANCE: f64 = 16.0;
 const GROUP: u32 = 64;
 /// An answer that is the mean of the parts of a disc, as in the shader.
 const DIVIDED: u32 = 2;
-
-/// The faces that a device found, in its memory.
-#[derive(Debug)]
-pub struct DeviceSeen {
-    /// Four words per pixel, with this number of pixels per row in memory.
-    pub pixels: wgpu::Buffer,
-    pub stride: u32,
-    /// Rows of the drawn instances.
-    pub rows: wgpu::Buffer,
-    /// Scene directions of rays, one unit of depth long: through fragment (0, 0), and the changes to the right and down.
-    pub rays: [DVec3; 3],
-}
-
-/// Buffers for beams, allocated at the first use.
-#[derive(Default)]
-pub struct LightBuffers(OnceLock<Buffers>);
-
-struct Buffers {
-    view: wgpu::Buffer,
-    piece: wgpu::Buffer,
-    counts: wgpu::Buffer,
-    beams: wgpu::Buffer,
-    answers: wgpu::Buffer,
-    parts: wgpu::Buffer,
-    part_answers: wgpu::Buffer,
-    edges: wgpu::Buffer,
-    parents: wgpu::Buffer,
-}
 
 /// Kinds of counts, as in the shader.
 #[derive(Clone, Copy)]
@@ -64,7 +34,7 @@ enum Count {
 }
 
 /// Lights the faces that the device found. Returns whether it applies to the picture.
-pub fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut Known) -> Result<bool, Error> {
+pub fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut LightBuffer) -> Result<bool, Error> {
     let Some(seen) = &pass.buffer.seen else { return Ok(false) };
     let scene = pass.casters.scene;
     let eye = scene.scene_from_world(pass.buffer.view.camera.eye);
@@ -93,7 +63,7 @@ pub fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut Known) -> 
     }
     let rows = &view.lights[..lights];
     let kinds = [rows.iter().any(|row| row.size > 0.0), rows.iter().any(|row| row.size <= 0.0)];
-    let work = FaceLight { pass, device, seen, progress: pass.progress, buffers: device.light_buffers()? };
+    let work = FaceLight { pass, device, seen, progress: pass.progress, buffers: device.light.on(device.context())? };
     device.context().write("view of surfaces", &work.buffers.view, 0, &[view])?;
 
     let width = pass.options.size[0] as usize;
@@ -117,7 +87,7 @@ fn light_row(light: &SceneLight, shadows: SceneShadows) -> SurfaceLight {
 }
 
 /// Stores the answers for a range of pixels.
-fn take(pass: &Pass<'_>, known: &mut Known, first: usize, answers: &[Answer]) -> Result<(), Error> {
+fn take(pass: &Pass<'_>, known: &mut LightBuffer, first: usize, answers: &[Answer]) -> Result<(), Error> {
     let scene = pass.casters.scene;
     let width = pass.options.size[0] as usize;
     let lights = pass.lights.lights.len();
@@ -144,7 +114,7 @@ fn take(pass: &Pass<'_>, known: &mut Known, first: usize, answers: &[Answer]) ->
                 total += work;
             }
         }
-        pass.asked.add(total);
+        pass.counters.add(total);
         pass.progress.check()
     })
 }
@@ -169,7 +139,7 @@ fn take_pixel(
         if answer.is_complete != 1 {
             return None;
         }
-        work += took(answer);
+        work += work_of(answer);
         work.rays += if answer.is_proven == DIVIDED { PARTS } else { 0 };
         if scene.sheets.is_empty() {
             return Some(answer.value);
@@ -310,29 +280,5 @@ impl FaceLight<'_> {
         let mut counts = [0u32; 4];
         self.device.context().read("counts of beams", &self.buffers.counts, &mut counts, self.progress)?;
         Ok(counts[which as usize] as usize)
-    }
-}
-
-impl DeviceScene {
-    fn light_buffers(&self) -> Result<&Buffers, Error> {
-        let slot = &self.light.0;
-        if slot.get().is_none() {
-            let context = self.context();
-            let storage = |label: &str, items: usize, size: usize| context.storage(label, (items * size) as u64);
-            let made = Buffers {
-                view: context.uniform("view of surfaces", &SurfaceParams::default())?,
-                piece: context.uniform("piece of surfaces", &PieceParams::default())?,
-                counts: storage("counts of beams", 4, size_of::<u32>())?,
-                beams: storage("beams", MOST_BEAMS, size_of::<Beam>())?,
-                answers: storage("answers", MOST_BEAMS, size_of::<Answer>())?,
-                parts: storage("parts of discs", MOST_PARTS, size_of::<Beam>())?,
-                part_answers: storage("answers of parts", MOST_PARTS, size_of::<Answer>())?,
-                edges: storage("cones at edges", MOST_PARTS, size_of::<Beam>())?,
-                parents: storage("divided discs", MOST_PARTS / PARTS as usize, size_of::<u32>())?,
-            };
-            // Another thread cannot have made them: a frame has the scene for itself.
-            let _ = slot.set(made);
-        }
-        Ok(slot.get().expect("made above"))
     }
 }

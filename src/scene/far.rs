@@ -32,7 +32,7 @@
 //! [`Far::new`] places a field in a scene, once per picture; [`super::shadow::Casters`] evaluates it.
 
 use super::field::Field;
-use super::shadow::{LightRay, SurfacePoint, clip, widest};
+use super::light_rays::{LightRay, SurfacePoint, clip, widest};
 use super::{Instance, InstanceInput, Scene};
 use crate::error::{Error, SceneError};
 use crate::geometry::Aabb;

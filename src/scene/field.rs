@@ -2,7 +2,7 @@
 //!
 //! A [`Field`] has a space of its own in which its rays are simple: grid space for a sampled volume (voxel centres at
 //! whole numbers). Distances are in the object's own units. Any type that implements the trait can be an object of a
-//! scene. [`SampledField`] implements it for the trilinear cells of a stored volume; [`super::things`] has the other
+//! scene. [`SampledField`] implements it for the trilinear cells of a stored volume; [`super::objects`] has the other
 //! kinds.
 //!
 //! Outside its box a sampled field has bounds only. Let `b` be the nearest point of the box at distance `a`, and `s`

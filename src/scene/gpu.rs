@@ -4,14 +4,15 @@
 //! then sends its rays and cones as [`Beam`]s and receives the fraction of each that passes. A beam that runs out of
 //! the shader's bounded steps is flagged, and the CPU evaluates it.
 
+use super::device_buffers::LightBuffers;
 use super::device_fields::DeviceFields;
-use super::device_light::LightBuffers;
+use super::device_meshes::DeviceMeshes;
 use super::far::Far;
 use super::field::Field;
 use super::kinds::GeometryKinds;
+use super::light_rays::{LightRay, LightWork, SurfacePoint};
 use super::occlusion::Occluders;
-use super::raster::DeviceMeshes;
-use super::shadow::{Casters, LightRay, LightWork, SurfacePoint};
+use super::shadow::Casters;
 use super::{Instance, Scene};
 use crate::error::Error;
 use crate::geometry::Aabb;
@@ -314,6 +315,11 @@ pub fn beam(place: &SurfacePoint, ray: &LightRay, slope: f32) -> Beam {
         skips_own: u32::from(place.skips_own),
         ..Beam::default()
     }
+}
+
+/// The cost of a beam.
+pub fn work_of(answer: &Answer) -> LightWork {
+    LightWork { steps: answer.steps, rays: 1, far_rays: answer.is_far }
 }
 
 fn from_beam(beam: &Beam) -> (SurfacePoint, LightRay) {

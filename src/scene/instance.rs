@@ -208,7 +208,7 @@ fn largest_entry(m: DMat3) -> f64 {
 const NEGLIGIBLE: f64 = 1e-34;
 
 /// Smallest and largest singular value, by the eigenvalues of `m^T m` (Jacobi rotations).
-fn singular_values(m: DMat3) -> [f64; 2] {
+pub(super) fn singular_values(m: DMat3) -> [f64; 2] {
     let size = largest_entry(m);
     if !(size > 0.0 && size.is_finite()) {
         return [0.0, size];

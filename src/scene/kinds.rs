@@ -39,7 +39,7 @@ impl GeometryKinds {
             texts.push(("scene_samples", file("scene_sparse")));
         }
         if self.quadrics {
-            texts.push(("scene_things", file("scene_quadric")));
+            texts.push(("scene_objects", file("scene_quadric")));
         }
         if !self.structures.is_empty() {
             texts.push(("scene_solids", file("scene_shape")));

@@ -14,77 +14,17 @@
 //! ([`super::transmission`]). A side that faces away receives all of it. On the lit side its weight falls with the
 //! cosine, so the picture is continuous where the cosine is 0, and no surface emits more light than arrives.
 
-use super::known::{Found, FoundMut, Known, Pass};
-use super::occlusion::Occluders;
-use super::primary::{GBuffer, Layer};
-use super::shadow::{Casters, LightRay, LightWork, SurfacePoint, basis, disc_point, toward};
-use super::transmission::{self, NO_LIGHT};
-use super::{Light, RenderOptions, Scene, SceneShadows};
+use super::light_buffer::{LightBuffer, LightSample};
+use super::lit_surface::{Lights, LitSurface};
+use super::pass::Pass;
+use super::{RenderOptions, Scene};
 use crate::error::Error;
 use crate::render::Frame;
-use glam::{DVec3, Vec3, Vec4};
+use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 
-/// Distance of the start from the surface in voxels. A field's own surface departs from a smooth one by less than an
-/// eighth of a voxel, and half a voxel clears it. A triangle and the field baked from it differ by up to a third of a
-/// voxel more.
-const BIAS_FIELD: f32 = 0.5;
-pub const BIAS_TRIANGLE: f32 = 1.0;
-
-/// The lights of a picture in scene space.
-#[derive(Debug)]
-pub struct Lights {
-    pub lights: Vec<SceneLight>,
-}
-
-/// A light in scene space.
-#[derive(Debug, Clone, Copy)]
-pub enum SceneLight {
-    /// Unit direction to the light.
-    Directional {
-        to_light: DVec3,
-        color: Vec3,
-        slope: f32,
-    },
-    Point {
-        position: DVec3,
-        color: Vec3,
-        radius: f64,
-    },
-}
-
-impl Lights {
-    pub fn new(scene: &Scene, options: &RenderOptions) -> Self {
-        let in_scene = |light: &Light| match *light {
-            Light::Directional { direction, color, slope } => {
-                SceneLight::Directional { to_light: -direction.normalize(), color, slope }
-            }
-            Light::Point { position, color, radius } => {
-                SceneLight::Point { position: scene.scene_from_world(position), color, radius: radius / scene.scale }
-            }
-        };
-        Self { lights: options.lights.iter().map(in_scene).collect() }
-    }
-}
-
-impl SceneLight {
-    /// The ray to the light from a scene point, the light's angular radius as a slope, and its colour.
-    pub fn seen_from(&self, p: DVec3) -> (LightRay, f32, Vec3) {
-        match *self {
-            Self::Directional { to_light, color, slope } => {
-                (LightRay { direction: to_light, t_max: f64::INFINITY }, slope, color)
-            }
-            Self::Point { position, color, radius } => {
-                let way = position - p;
-                let distance = way.length().max(1e-12);
-                (LightRay { direction: way / distance, t_max: distance }, (radius / distance) as f32, color)
-            }
-        }
-    }
-}
-
 /// Shades the layers with the light on them, and composes them over the background.
-pub fn compose(pass: &Pass<'_>, known: &Known) -> Result<Frame, Error> {
+pub fn compose(pass: &Pass<'_>, known: &LightBuffer) -> Result<Frame, Error> {
     let &Pass { casters, buffer, lights, options, progress, .. } = pass;
     let scene = casters.scene;
     let [width, height] = options.size.map(|n| n as usize);
@@ -124,151 +64,9 @@ pub fn compose(pass: &Pass<'_>, known: &Known) -> Result<Frame, Error> {
     Ok(frame)
 }
 
-/// Rotation of the samples of an area light for each pixel, 0 to 2 pi: interleaved gradient noise (Jimenez, 2014).
-pub fn pixel_turn(x: usize, y: usize) -> f32 {
-    let value = 52.982_918 * (0.067_110_56 * x as f32 + 0.005_837_15 * y as f32).fract();
-    value.fract() * std::f32::consts::TAU
-}
-
-/// A layer in scene space.
-pub struct LitSurface<'a> {
-    pub layer: &'a Layer,
-    pub place: SurfacePoint,
-    to_eye: Vec3,
-    /// Rotation of the samples of area lights, radians.
-    pub turn: f32,
-}
-
-impl<'a> LitSurface<'a> {
-    /// A layer of row `y`.
-    pub fn new(scene: &Scene, buffer: &GBuffer, y: usize, layer: &'a Layer) -> Self {
-        let direction = buffer.view.direction(layer.x, y as u32);
-        let place = SurfacePoint {
-            p: scene.scene_from_world(buffer.view.camera.eye + layer.depth * direction),
-            normal: layer.normal,
-            own: layer.instance,
-            bias_voxels: if layer.is_triangle { BIAS_TRIANGLE } else { BIAS_FIELD },
-            skips_own: false,
-        };
-        let to_eye = -direction.normalize().as_vec3();
-        Self { layer, place, to_eye, turn: pixel_turn(layer.x as usize, y) }
-    }
-
-    fn cosine(&self, ray: &LightRay) -> f32 {
-        self.layer.normal.dot(ray.direction.as_vec3())
-    }
-
-    /// Whether a light must be evaluated. A side that faces away receives none.
-    pub fn asks_for(&self, ray: &LightRay, options: &RenderOptions) -> bool {
-        options.shadows != SceneShadows::None && self.cosine(ray) > 0.0
-    }
-
-    pub fn scatters(&self, scene: &Scene) -> bool {
-        scene.materials[self.layer.material as usize].scattering != [0.0; 3]
-    }
-
-    /// The fraction of a light that needs no evaluation; None if it does.
-    pub fn plain_share(&self, ray: &LightRay, options: &RenderOptions) -> Option<f32> {
-        match options.shadows {
-            SceneShadows::None => Some(1.0),
-            _ if !self.asks_for(ray, options) => Some(0.0),
-            _ => None,
-        }
-    }
-
-    /// Evaluates the light on the surface in the fields. Returns the work.
-    pub fn look(
-        &self,
-        casters: &Casters<'_>,
-        lights: &Lights,
-        options: &RenderOptions,
-        occluders: &mut Occluders,
-        found: &mut FoundMut<'_>,
-    ) -> LightWork {
-        let (scene, place, mut work) = (casters.scene, &self.place, LightWork::default());
-        *found.open = match options.occlusion {
-            None => 1.0,
-            Some(distance) => casters.open_share(place, distance / scene.scale, occluders, &mut work),
-        };
-        for (i, light) in lights.lights.iter().enumerate() {
-            let (ray, slope, _) = light.seen_from(place.p);
-            found.shares[i] = self
-                .plain_share(&ray, options)
-                .unwrap_or_else(|| self.visible_share(casters, place, &ray, slope, options, &mut work));
-            found.through[i] = [0.0; 3];
-            if self.scatters(scene) {
-                let ways = self.ways(&ray, slope, options.shadows);
-                let mut sum = Vec3::ZERO;
-                for (way, slope) in &ways {
-                    let left = self.left(scene, way, casters.length_inside(place, way, &mut work));
-                    sum += match self.plain_visibility(found.shares[i], left, options) {
-                        Some(share) => share * left,
-                        None => {
-                            left * self.visible_share(casters, &self.place_behind(), way, *slope, options, &mut work)
-                        }
-                    };
-                }
-                found.through[i] = (sum / ways.len() as f32).to_array();
-            }
-        }
-        work
-    }
-
-    /// Visible fraction of a light from a place, in the mode of the picture's shadows.
-    fn visible_share(
-        &self,
-        casters: &Casters<'_>,
-        place: &SurfacePoint,
-        ray: &LightRay,
-        slope: f32,
-        options: &RenderOptions,
-        work: &mut LightWork,
-    ) -> f32 {
-        match options.shadows {
-            SceneShadows::None => 1.0,
-            SceneShadows::Hard => casters.ray_share(place, ray, work),
-            SceneShadows::Soft => casters.disc_share(place, ray, slope, work),
-            SceneShadows::Area(count) => casters.area_share(place, ray, slope, count, self.turn, work),
-            SceneShadows::Article => casters.scene.article_share(place, ray, work),
-        }
-    }
-
-    /// The rays along which light passes through the instance, each with the slope of its part of the light: every ray
-    /// of an area light separately, else the ray to the centre with the whole light.
-    pub fn ways(&self, ray: &LightRay, slope: f32, shadows: SceneShadows) -> Vec<(LightRay, f32)> {
-        match shadows {
-            SceneShadows::Area(count) if slope > 0.0 => {
-                let axes = basis(ray.direction);
-                (0..count).map(|i| (toward(ray, axes, slope, disc_point(i, count, self.turn)), 0.0)).collect()
-            }
-            _ => vec![(*ray, slope)],
-        }
-    }
-
-    /// Fraction of the light that remains after a length inside the instance, scene units, times the weight of the
-    /// surface.
-    pub fn left(&self, scene: &Scene, ray: &LightRay, length: f32) -> Vec3 {
-        let scattering = Vec3::from_array(scene.materials[self.layer.material as usize].scattering);
-        transmission::weight(self.cosine(ray)) * transmission::left(length * scene.scale as f32, scattering)
-    }
-
-    /// The visibility of a light behind the instance if it needs no rays: without shadows, where no light remains, and
-    /// where the surface receives all of the light although its own instance can shade it.
-    pub fn plain_visibility(&self, share: f32, left: Vec3, options: &RenderOptions) -> Option<f32> {
-        match options.shadows {
-            SceneShadows::None => Some(1.0),
-            _ if left.max_element() <= NO_LIGHT => Some(0.0),
-            _ => (share >= 1.0).then_some(1.0),
-        }
-    }
-
-    /// The place for light through the instance.
-    pub fn place_behind(&self) -> SurfacePoint {
-        SurfacePoint { skips_own: true, ..self.place }
-    }
-
+impl LitSurface<'_> {
     /// Linear RGB of the lit surface.
-    fn shade(&self, scene: &Scene, lights: &Lights, options: &RenderOptions, found: &Found<'_>) -> Vec3 {
+    fn shade(&self, scene: &Scene, lights: &Lights, options: &RenderOptions, found: &LightSample<'_>) -> Vec3 {
         let material = &scene.materials[self.layer.material as usize];
         let albedo = self.layer.color.truncate();
         if material.unlit {

@@ -46,7 +46,7 @@ impl NestedLevel {
     /// The part of a ray in the region, in grid space of the finest level; empty if the ray misses.
     fn clip(&self, ray: &FieldRay, t_max: f32) -> [f32; 2] {
         let (origin, direction) = (self.in_its_grid(ray.origin), self.scale * ray.direction);
-        let part = super::shadow::clip(
+        let part = super::light_rays::clip(
             origin.as_dvec3(),
             direction.as_dvec3(),
             self.region[0],

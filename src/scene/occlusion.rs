@@ -23,7 +23,8 @@
 
 use super::cone::ConeSum;
 use super::field::Field;
-use super::shadow::{Casters, LightRay, LightWork, SurfacePoint, basis};
+use super::light_rays::{LightRay, LightWork, SurfacePoint, basis};
+use super::shadow::Casters;
 use super::tree::Line;
 use super::{Instance, Scene};
 use glam::{DMat3, DVec3, Vec3};

@@ -63,6 +63,6 @@ pub struct RenderOptions {
     pub exposure: f32,
     /// Number of rays per pixel for its colour; 1, or a square number.
     pub samples: u32,
-    /// Light is evaluated at every `light_scale`-th pixel along each side: 1 or 2; see [`known`].
+    /// Light is evaluated at every `light_scale`-th pixel along each side: 1 or 2; see [`super::evaluation`].
     pub light_scale: u32,
 }

@@ -17,7 +17,8 @@
 //! screen are left to the search, as are all fields. For these the rasteriser knows the pixels that their boxes cover,
 //! so that no ray is traced elsewhere. Rows are drawn in bands, in parallel.
 
-use super::primary::{Eye, Layer, View, as_triangles, is_opaque};
+use super::eye::{Eye, as_triangles, is_opaque};
+use super::gbuffer::{Layer, View};
 use super::{Alpha, Instance, RenderOptions, Scene};
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use rayon::prelude::*;
@@ -388,7 +389,8 @@ mod tests {
     use super::*;
     use crate::progress::Progress;
     use crate::render::Camera;
-    use crate::scene::primary::{draw, draw_row};
+    use crate::scene::eye::draw_row;
+    use crate::scene::primary::draw;
     use std::sync::Arc;
 
     /// A grid of quads over the unit square at height 0, with `bumps` of this height.
@@ -406,7 +408,7 @@ mod tests {
         let faces: Vec<_> = (0..side).flat_map(|i| (0..side).flat_map(move |j| quad(i, j))).collect();
         let count = faces.len();
         Arc::new(
-            Triangles::new(Arc::new(crate::mesh::RasterMesh::new(&vertices, &faces).unwrap()), vec![], vec![0; count])
+            Triangles::new(Arc::new(crate::mesh::Mesh::new(&vertices, &faces).unwrap()), vec![], vec![0; count])
                 .unwrap(),
         )
     }

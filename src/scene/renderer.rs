@@ -7,17 +7,19 @@
 //!
 //! On the CPU the trees of the meshes and the fields are parts of the scene, and a renderer keeps nothing.
 
+use super::evaluation;
 use super::far::Far;
 use super::gpu::DeviceScene;
-use super::known::{self, Pass};
-use super::shadow::{Casters, LightWork};
+use super::light_rays::RayCounters;
+use super::lit_surface::Lights;
+use super::pass::Pass;
+use super::shadow::Casters;
 use super::{MAX_LIGHTS, Primary, RenderOptions, Scene, SceneShadows, light, primary, raster};
 use crate::error::{DeviceError, Error, SceneError};
 use crate::gpu::buffer::Counters;
 use crate::gpu::{Context, Place};
 use crate::progress::Progress;
 use crate::render::{Camera, Frame};
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
@@ -106,14 +108,14 @@ fn draw(
     let passes = if sides == 1 { 1 } else { 1 + sides * sides };
     // Each pass advances the progress by one for each row in which it finds surfaces, and by more for each row in which
     // it finds their light.
-    let finds = u64::from(passes) + u64::from(known::shares_occlusion(options));
-    progress.set_total((u64::from(passes) + finds * known::FIND_WORTH) * u64::from(options.size[1]));
+    let finds = u64::from(passes) + u64::from(evaluation::shares_occlusion(options));
+    progress.set_total((u64::from(passes) + finds * evaluation::FIND_WORTH) * u64::from(options.size[1]));
 
     let casters = Casters { scene, far };
     let light_device = device.filter(|device| device.knows_all());
-    let lights = light::Lights::new(scene, options);
+    let lights = Lights::new(scene, options);
     let mut seconds = vec![("primary", 0.0), ("light", 0.0)];
-    let asked = Asked::default();
+    let counters = RayCounters::default();
     let mut frame: Option<Frame> = None;
     let mut sum: Vec<f32> = Vec::new();
     // Results of the first pass for the others.
@@ -137,10 +139,10 @@ fn draw(
             lights: &lights,
             options,
             device: light_device,
-            asked: &asked,
+            counters: &counters,
             progress,
         };
-        let known = known::find(&look, centre.as_ref().map(|(buffer, known)| (buffer, known)))?;
+        let known = evaluation::find(&look, centre.as_ref().map(|(buffer, known)| (buffer, known)))?;
         let lit = light::compose(&look, &known)?;
         seconds[1].1 += start.elapsed().as_secs_f64();
         match &mut frame {
@@ -167,23 +169,9 @@ fn draw(
         sheets: scene.sheets.len(),
         is_lit_on_device: light_device.is_some(),
         seconds,
-        rays: asked.rays.into_inner(),
-        far_rays: asked.far_rays.into_inner(),
+        rays: counters.rays.into_inner(),
+        far_rays: counters.far_rays.into_inner(),
     })
-}
-
-/// Rays and cones of a picture, counted by all threads.
-#[derive(Debug, Default)]
-pub struct Asked {
-    rays: AtomicU64,
-    far_rays: AtomicU64,
-}
-
-impl Asked {
-    pub fn add(&self, work: LightWork) {
-        self.rays.fetch_add(u64::from(work.rays), Ordering::Relaxed);
-        self.far_rays.fetch_add(u64::from(work.far_rays), Ordering::Relaxed);
-    }
 }
 
 /// Largest number of pixels of a picture, as for volumes.

@@ -28,80 +28,12 @@
 use super::cone::{Cone, ConeShare, ConeSum, ConeWalk};
 use super::far::{Far, FarLevel, Split};
 use super::field::{Field, FieldRay};
+use super::light_rays::{LightRay, LightWork, PARTS, SurfacePoint, basis, clip, disc_point, toward, widest};
 use super::thin::is_clear;
 use super::tree::Line;
 use super::{Instance, Scene};
 use crate::geometry::Aabb;
-use glam::{DVec3, Vec2, Vec3};
-
-/// A point on a surface for which light is evaluated.
-#[derive(Debug, Clone, Copy)]
-pub struct SurfacePoint {
-    /// Position, scene space.
-    pub p: DVec3,
-    /// Unit normal on the visible side.
-    pub normal: Vec3,
-    /// The instance that the surface belongs to.
-    pub own: u32,
-    /// Distance between the start of a ray and the own field, voxels.
-    pub bias_voxels: f32,
-    /// The own instance casts no shadow on the place: light that scatters passes through it. Far fields, which contain the
-    /// own instance, are not used then.
-    pub skips_own: bool,
-}
-
-/// A ray from a place: a unit direction and a length.
-#[derive(Debug, Clone, Copy)]
-pub struct LightRay {
-    pub direction: DVec3,
-    pub t_max: f64,
-}
-
-/// Number of cones that divide a light's disc if one is not sufficient.
-pub const PARTS: u32 = 16;
-
-/// Two unit vectors at right angles to a unit vector and to each other (Duff et al., *Building an orthonormal basis,
-/// revisited*, JCGT 6(1), 2017).
-pub fn basis(n: DVec3) -> [DVec3; 2] {
-    let sign = if n.z >= 0.0 { 1.0 } else { -1.0 };
-    let a = -1.0 / (sign + n.z);
-    let b = n.x * n.y * a;
-    [DVec3::new(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x), DVec3::new(b, sign + n.y * n.y * a, -n.y)]
-}
-
-/// Point `i` of `count` points spread evenly over the unit disc (Vogel 1979), rotated by `turn`.
-pub fn disc_point(i: u32, count: u32, turn: f32) -> Vec2 {
-    /// 2 pi (1 - 1 / golden ratio).
-    const GOLDEN_ANGLE: f32 = 2.399_963_2;
-    let radius = ((i as f32 + 0.5) / count as f32).sqrt();
-    let angle = i as f32 * GOLDEN_ANGLE + turn;
-    radius * Vec2::new(angle.cos(), angle.sin())
-}
-
-/// Counters of rays and cones.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct LightWork {
-    pub steps: u32,
-    /// Number of rays and cones.
-    pub rays: u32,
-    /// Number of those that entered the far field.
-    pub far_rays: u32,
-}
-
-impl LightWork {
-    pub fn count(&mut self, is_far: bool) {
-        self.rays += 1;
-        self.far_rays += u32::from(is_far);
-    }
-}
-
-impl std::ops::AddAssign for LightWork {
-    fn add_assign(&mut self, other: Self) {
-        self.steps += other.steps;
-        self.rays += other.rays;
-        self.far_rays += other.far_rays;
-    }
-}
+use glam::DVec3;
 
 /// The occluders of a picture: the instances of a scene and, past a distance, one far field for all of them
 /// ([`super::far`]).
@@ -503,37 +435,4 @@ fn may_meet(caster: &Caster<'_>, place: &SurfacePoint, ray: &LightRay, slope: f3
     let slope = slope * pace / instance.stretch[0];
     let direction = direction.normalize().as_vec3();
     !is_clear(origin.as_vec3(), direction, slope, 0.5 * (lower + upper), field.surface_radius())
-}
-
-/// The largest radius that a cone has beside a box, scene units.
-pub fn widest(place: &SurfacePoint, ray: &LightRay, slope: f32, bounds: &Aabb) -> f32 {
-    let p = place.p.as_vec3();
-    let far = (p - bounds.min).abs().max((p - bounds.max).abs()).length();
-    f64::from(slope / (1.0 - slope.min(0.9)) * far).min(f64::from(slope) * ray.t_max) as f32
-}
-
-/// The ray to another point of the disc; `offset` in radii.
-pub fn toward(ray: &LightRay, [right, up]: [DVec3; 2], slope: f32, offset: Vec2) -> LightRay {
-    let aside = f64::from(slope * offset.x) * right + f64::from(slope * offset.y) * up;
-    let direction = ray.direction + aside;
-    let length = direction.length();
-    LightRay { direction: direction / length, t_max: ray.t_max * length }
-}
-
-/// The interval of `origin + t direction` inside a box, with `t` from `t_min` to `t_max`.
-pub fn clip(origin: DVec3, direction: DVec3, lower: Vec3, upper: Vec3, t_min: f64, t_max: f64) -> Option<(f64, f64)> {
-    let (mut enter, mut leave) = (t_min, t_max);
-    for axis in 0..3 {
-        let (low, high) = (f64::from(lower[axis]) - origin[axis], f64::from(upper[axis]) - origin[axis]);
-        if direction[axis] == 0.0 {
-            if low > 0.0 || high < 0.0 {
-                return None;
-            }
-            continue;
-        }
-        let (a, b) = (low / direction[axis], high / direction[axis]);
-        enter = enter.max(a.min(b));
-        leave = leave.min(a.max(b));
-    }
-    (enter <= leave).then_some((enter, leave))
 }

@@ -19,9 +19,9 @@
 //!
 //! Sheets are evaluated on the CPU for pictures of every device, so their shadows do not depend on it.
 
-use super::light::{Lights, LitSurface};
+use super::light_rays::{LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
+use super::lit_surface::{Lights, LitSurface};
 use super::occlusion::AO_SLOPE;
-use super::shadow::{LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
 use super::tree::{Line, Tree};
 use super::triangles::Triangles;
 use super::{Alpha, Instance, RenderOptions, Scene, SceneShadows};
@@ -182,7 +182,7 @@ impl Scene {
         }
         for light in &lights.lights {
             let (ray, slope, _) = light.seen_from(place.p);
-            if !surface.asks_for(&ray, options) {
+            if !surface.needs_rays(&ray, options) {
                 continue;
             }
             match options.shadows {

@@ -1,8 +1,9 @@
 //! The components of the scene's passes compared with closed forms.
 
 use super::cone::visible_share;
-use super::shadow::{basis, disc_point};
-use super::*;
+use super::instance::singular_values;
+use super::light_rays::{basis, disc_point};
+use glam::{DMat3, DVec3};
 use proptest::prelude::*;
 
 proptest! {

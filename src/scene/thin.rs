@@ -8,7 +8,7 @@
 //!
 //! A whole light has 16 narrow cones, so 128 rays.
 
-use super::shadow::{LightRay, basis, disc_point, toward};
+use super::light_rays::{LightRay, basis, disc_point, toward};
 use glam::Vec3;
 
 /// Number of rays of a cone.

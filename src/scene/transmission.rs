@@ -25,7 +25,8 @@
 //! outside like shadow rays.
 
 use super::field::FieldRay;
-use super::shadow::{Casters, LightRay, LightWork, SurfacePoint, clip, ray_in_field};
+use super::light_rays::{LightRay, LightWork, SurfacePoint, clip};
+use super::shadow::{Casters, ray_in_field};
 use glam::Vec3;
 
 /// The shortest step, voxels.

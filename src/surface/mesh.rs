@@ -4,7 +4,7 @@ use super::cells::{SurfaceCell, owner_of};
 use super::patches::face_corners;
 use super::probes::ExtraPlanes;
 use super::qef::Planes;
-use super::{Crossing, LevelSurface, MARGIN};
+use super::{Crossing, LevelSurface, MARGIN, MeshOptions};
 use crate::volume::{trilinear, trilinear_gradient};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -12,16 +12,6 @@ use rayon::prelude::*;
 /// Number of steps of Newton's method onto the trilinear surface. Each squares the error, which is below a voxel at the
 /// start.
 const NEWTON_STEPS: usize = 4;
-
-/// Placement of the vertices, and treatment of the surface at the box.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct MeshOptions {
-    /// Whether vertices minimise the distance to the tangent planes; else they are the means of the crossings, moved
-    /// onto the trilinear surface.
-    pub sharp: bool,
-    /// Whether a surface that leaves the box is closed by the faces of the box; else it ends there.
-    pub capped: bool,
-}
 
 /// Triangles of a level set.
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -31,7 +31,7 @@ mod probes;
 pub mod qef;
 
 pub use hermite::planes_of_mesh;
-pub use mesh::{MeshOptions, SurfaceMesh};
+pub use mesh::SurfaceMesh;
 pub use probes::{ExtraPlanes, Probes};
 
 use crate::error::{ArgumentError, Error};
@@ -45,6 +45,16 @@ use rayon::prelude::*;
 
 /// Smallest distance of a vertex from the faces of its cell, voxels.
 pub const MARGIN: f64 = 1.0 / 1024.0;
+
+/// Placement of the vertices, and treatment of the surface at the box.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MeshOptions {
+    /// Whether vertices minimise the distance to the tangent planes; else they are the means of the crossings, moved
+    /// onto the trilinear surface.
+    pub sharp: bool,
+    /// Whether a surface that leaves the box is closed by the faces of the box; else it ends there.
+    pub capped: bool,
+}
 
 /// The crossed cells of a grid in world space.
 #[derive(Debug)]

@@ -6,8 +6,7 @@
 //! the crossings. All other vertices have one probe, at the vertex itself, which moves it onto the surface.
 
 use super::cells::SurfaceCell;
-use super::mesh::MeshOptions;
-use super::{Crossing, LevelSurface};
+use super::{Crossing, LevelSurface, MeshOptions};
 use glam::DVec3;
 use rayon::prelude::*;
 

@@ -66,7 +66,7 @@ def test_folders_import_only_what_lies_below_them():
 KNOTS = {
     "gpu": {"buffer context device pipeline raster"},
     "quadric": {"draw gpu"},
-    "scene": {"device_fields field", "cone far shadow thin", "gpu raster", "known light"},
+    "scene": {"device_fields field"},
 }
 
 

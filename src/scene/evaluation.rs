@@ -1,0 +1,119 @@
+//! The light at the visible surfaces of a camera: evaluated in the fields, on the CPU or a device, or interpolated from
+//! neighbours.
+//!
+//! Light changes slowly over most of a picture, and its evaluation is the main cost. A picture at half resolution
+//! therefore evaluates it at every second pixel of every second row, and a picture with several samples per pixel
+//! evaluates it at the centres of the pixels. All other surfaces take the mean of the four evaluated surfaces around
+//! them, weighted bilinearly, of those that belong to the same instance, lie in their plane and have a similar normal
+//! (joint bilateral upsampling: Kopf et al., SIGGRAPH 2007). Where too few of them match, or where they disagree, as at
+//! the edge of a shadow, the light is evaluated.
+
+use super::RenderOptions;
+use super::device_beams::evaluate_by_beams;
+use super::device_light::light_faces;
+use super::gbuffer::GBuffer;
+use super::light_buffer::{LightBuffer, parts_of, stride};
+use super::light_rays::LightWork;
+use super::lit_surface::{Lights, LitSurface};
+use super::occlusion::Occluders;
+use super::pass::Pass;
+use super::upsampling::gather;
+use crate::error::Error;
+use rayon::prelude::*;
+
+/// Occlusion is evaluated at one of this many pixels along each side. Between these pixels it is interpolated on finer
+/// and finer lattices. A pixel is also evaluated if its neighbours on the coarser lattice lie on other surfaces or
+/// disagree.
+const OCCLUSION_SCALE: u32 = 4;
+
+/// Progress of one call of [`find`], per row of the picture. It is divisible by each possible number of lattices, 1 to
+/// 3.
+pub const FIND_WORTH: u64 = 6;
+
+/// Whether the occlusion of a first pass is computed separately from the lights, at its own scale.
+pub fn shares_occlusion(options: &RenderOptions) -> bool {
+    options.occlusion.is_some()
+}
+
+/// Find the occlusion of a pass at its scale, then the lights.
+fn find_apart(pass: &Pass<'_>) -> Result<LightBuffer, Error> {
+    let no_lights = Lights { lights: Vec::new() };
+    let open = find_at(&Pass { lights: &no_lights, ..*pass }, OCCLUSION_SCALE)?;
+    let options = RenderOptions { occlusion: None, ..pass.options.clone() };
+    let mut known = find_at(&Pass { options: &options, ..*pass }, options.light_scale)?;
+    let stride = stride(known.lights);
+    for (row, open) in known.rows.iter_mut().zip(&open.rows) {
+        for (i, (&value, steps)) in open.values.iter().zip(&open.steps).enumerate() {
+            row.values[i * stride] = value;
+            row.steps[i] += steps;
+        }
+    }
+    Ok(known)
+}
+
+/// Computes the light of a pass. If a G-buffer with light is given, the light is interpolated from it wherever its
+/// values agree.
+pub fn find(pass: &Pass<'_>, centre: Option<(&GBuffer, &LightBuffer)>) -> Result<LightBuffer, Error> {
+    let Some((buffer, centre)) = centre else {
+        return if shares_occlusion(pass.options) { find_apart(pass) } else { find_at(pass, pass.options.light_scale) };
+    };
+    let mut known = LightBuffer::new(pass.buffer, pass.lights.lights.len());
+    gather(pass, &mut known, buffer, centre, [1, 1])?;
+    ask(pass, &mut known, &|_, _| true, FIND_WORTH)?;
+    Ok(known)
+}
+
+/// Evaluates every pixel of a lattice whose pixels are `every` apart. Then the lattice is halved until it is the
+/// picture: each step interpolates from the coarser lattice, and evaluates the pixels whose neighbours disagree.
+fn find_at(pass: &Pass<'_>, every: u32) -> Result<LightBuffer, Error> {
+    let mut known = LightBuffer::new(pass.buffer, pass.lights.lights.len());
+    let worth = FIND_WORTH / u64::from(every.ilog2() + 1);
+    let mut every = every;
+    if every == 1
+        && let Some(device) = pass.device
+        && light_faces(pass, device, &mut known)?
+        && known.is_almost_complete()
+    {
+        // Beams for so few surfaces are not worth an upload.
+        ask(&Pass { device: None, ..*pass }, &mut known, &|_, _| true, worth)?;
+        return Ok(known);
+    }
+    loop {
+        ask(pass, &mut known, &|x, y| x % every == 0 && y % every == 0, worth)?;
+        if every == 1 {
+            return Ok(known);
+        }
+        let coarse = std::mem::replace(&mut known, LightBuffer::new(pass.buffer, pass.lights.lights.len()));
+        gather(pass, &mut known, pass.buffer, &coarse, [every, every / 2])?;
+        known.keep(coarse);
+        every /= 2;
+    }
+}
+
+/// Evaluates the missing light at the requested pixels. Each row counts as the same amount of progress.
+fn ask(
+    pass: &Pass<'_>,
+    known: &mut LightBuffer,
+    wanted: &(dyn Fn(u32, u32) -> bool + Sync),
+    worth: u64,
+) -> Result<(), Error> {
+    if let Some(device) = pass.device {
+        return evaluate_by_beams(pass, device, known, wanted, worth);
+    }
+    let lights = known.lights;
+    known.rows.par_iter_mut().enumerate().try_for_each(|(y, row)| {
+        let (mut total, mut occluders) = (LightWork::default(), Occluders::default());
+        for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
+            if !row.is_known[i] && wanted(layer.x, y as u32) {
+                let surface = LitSurface::new(pass.casters.scene, pass.buffer, y, layer);
+                let mut found = parts_of(&mut row.values[i * stride(lights)..][..stride(lights)], lights);
+                let work = surface.look(pass.casters, pass.lights, pass.options, &mut occluders, &mut found);
+                row.steps[i] = work.steps;
+                total += work;
+                row.is_known[i] = true;
+            }
+        }
+        pass.counters.add(total);
+        pass.progress.advance(worth)
+    })
+}

@@ -1,0 +1,393 @@
+//! The search for the surfaces of one pixel.
+
+use super::field::{FieldHit, FieldRay};
+use super::gbuffer::{Layer, View};
+use super::tree::Line;
+use super::triangles::Triangles;
+use super::{Alpha, Instance, Material, Primary, RenderOptions, Scene};
+use crate::bvh::watertight::{FaceHit, Ray};
+use glam::{DVec3, Vec3, Vec4};
+
+/// Largest number of surfaces of one pixel. Behind so many translucent ones the last counts as opaque.
+pub const MAX_LAYERS: usize = 16;
+
+/// Relative tolerance between the depth found by a device and the depth of the same surface on the ray of the pixel.
+/// Devices compute in float32, in units of the object; a hit slightly in front is the same surface.
+const NEARNESS: f64 = 1e-3;
+/// Nearest hit of a view ray with a mesh, local units: beyond the rounding of a position in float64. An eye in the plane
+/// of a face does not see this face.
+const NEAR: f64 = 1e-12;
+
+/// The layers and steps of a row's pixels, each pixel by `look`.
+pub fn draw_row<'a>(
+    scene: &'a Scene,
+    options: &'a RenderOptions,
+    view: &'a View,
+    y: u32,
+    mut look: impl FnMut(&mut Eye<'a>, &mut Vec<Layer>),
+) -> (Vec<Layer>, Vec<u32>) {
+    let (mut layers, mut steps) = (Vec::new(), Vec::new());
+    for x in 0..view.size[0] {
+        let mut eye = Eye { scene, options, view, x, y, left_over: None, skips_opaque: false, steps: 0 };
+        look(&mut eye, &mut layers);
+        steps.push(eye.steps);
+    }
+    (layers, steps)
+}
+
+/// The ray of one pixel.
+pub struct Eye<'a> {
+    scene: &'a Scene,
+    options: &'a RenderOptions,
+    view: &'a View,
+    pub x: u32,
+    y: u32,
+    /// Whether the search tests each instance; None for all.
+    pub left_over: Option<&'a [bool]>,
+    /// Whether the opaque faces of all instances are drawn already.
+    pub skips_opaque: bool,
+    pub steps: u32,
+}
+
+impl Eye<'_> {
+    /// Appends the layers of the pixel, up to the opaque surface `behind` if it is known.
+    pub fn look(&mut self, layers: &mut Vec<Layer>, behind: Option<Layer>) {
+        let direction = self.view.direction(self.x, self.y);
+        let first = layers.len();
+        let limit = behind.map_or(f64::INFINITY, |layer| layer.depth);
+        let mut from = 0.0;
+        while let Some(layer) = self.next_surface(direction, from, limit, &layers[first..]) {
+            let is_last = layers.len() - first + 1 == MAX_LAYERS;
+            layers.push(layer);
+            if layer.color.w >= 1.0 || is_last {
+                return;
+            }
+            from = layer.depth;
+        }
+        layers.extend(behind);
+    }
+
+    /// The nearest surface from depth `from` to `limit` that is not among the given ones.
+    fn next_surface(&mut self, direction: DVec3, from: f64, limit: f64, before: &[Layer]) -> Option<Layer> {
+        let scene = self.scene;
+        let eye = scene.scene_from_world(self.view.camera.eye);
+        let direction_scene = direction / scene.scale;
+        // Boxes are tested in float32, starting beside the scene.
+        let start = (self.depth_of_scene(direction)).max(from);
+        let line = Line::new((eye + start * direction_scene).as_vec3(), direction_scene.as_vec3());
+        // Slightly beyond a hit, since boxes are float32.
+        let reach =
+            |depth: f64| ((depth - start) * 1.000_01 + 1e-6 / direction_scene.length()).min(f64::from(f32::MAX)) as f32;
+        let mut best: Option<Layer> = None;
+        let mut nearest = limit;
+        let mut steps = self.steps;
+        scene.tree.walk(&line, reach(limit), |item, limit| {
+            let instance = &scene.instances[item as usize];
+            if !instance.visible || self.left_over.is_some_and(|left_over| !left_over[item as usize]) {
+                return limit;
+            }
+            steps += 1;
+            let seen = |depth: f64| before.iter().any(|layer| layer.instance == item && layer.depth >= depth);
+            let found = if as_triangles(instance, self.options.primary) {
+                self.triangle(item, eye, direction, from, nearest, &seen)
+            } else {
+                self.field(item, eye, direction, from, nearest, &seen, &mut steps)
+            };
+            if let Some(layer) = found {
+                nearest = layer.depth;
+                best = Some(layer);
+                return reach(nearest);
+            }
+            limit
+        });
+        self.steps = steps;
+        best
+    }
+
+    /// Depth at which the ray approaches the scene's box.
+    fn depth_of_scene(&self, direction: DVec3) -> f64 {
+        let [lower, upper] = self.scene.bounds();
+        let center = (lower + upper) * 0.5;
+        let reach = (upper - lower).length();
+        let to_center = (center - self.view.camera.eye).dot(direction) / direction.length_squared();
+        (to_center - reach / direction.length()).max(0.0)
+    }
+
+    /// Whether an instance is drawn as triangles.
+    pub fn is_triangles(&self, item: u32) -> bool {
+        as_triangles(&self.scene.instances[item as usize], self.options.primary)
+    }
+
+    /// Whether it is a field that the ray of the pixel must hit again after a device found it.
+    pub fn is_met_again(&self, item: u32) -> bool {
+        self.scene.instances[item as usize].field.as_ref().is_some_and(|field| field.is_met_again())
+    }
+
+    fn triangle(
+        &self,
+        item: u32,
+        eye: DVec3,
+        direction: DVec3,
+        from: f64,
+        nearest: f64,
+        seen: &dyn Fn(f64) -> bool,
+    ) -> Option<Layer> {
+        let ray = self.mesh_ray(item, eye, direction)?;
+        let hit = ray.triangles.mesh.first_hit(&Ray { t_max: nearest, ..ray.in_tree }, |hit| {
+            let is_drawn = || self.skips_opaque && is_opaque(ray.instance, ray.material(hit));
+            hit.t >= from && !seen(hit.t) && !is_drawn() && ray.is_seen(hit)
+        })?;
+        Some(ray.layer(self.x, item, &hit))
+    }
+
+    /// The layer of a face that the pixel is known to show; None if its ray misses the face or the mask is cut there.
+    pub fn face(&self, item: u32, face: u32) -> Option<Layer> {
+        let eye = self.scene.scene_from_world(self.view.camera.eye);
+        let ray = self.mesh_ray(item, eye, self.view.direction(self.x, self.y))?;
+        let hit = ray.triangles.mesh.hit_of_face(face, &ray.in_tree)?;
+        ray.is_seen(&hit).then(|| ray.layer(self.x, item, &hit))
+    }
+
+    fn mesh_ray(&self, item: u32, eye: DVec3, direction: DVec3) -> Option<MeshRay<'_>> {
+        let instance = &self.scene.instances[item as usize];
+        let to_tree = instance.tree_from_scene;
+        let along = to_tree.matrix3 * (direction / self.scene.scale);
+        Some(MeshRay {
+            scene: self.scene,
+            instance,
+            triangles: instance.triangles.as_deref()?,
+            in_tree: Ray {
+                origin: to_tree.transform_point3(eye),
+                direction: along,
+                t_min: NEAR / along.length(),
+                t_max: f64::INFINITY,
+            },
+            direction,
+            pixel: self.view.camera.pixel_size(self.view.size[1]),
+        })
+    }
+
+    fn field(
+        &self,
+        item: u32,
+        eye: DVec3,
+        direction: DVec3,
+        from: f64,
+        nearest: f64,
+        seen: &dyn Fn(f64) -> bool,
+        steps: &mut u32,
+    ) -> Option<Layer> {
+        let scene = self.scene;
+        let instance = &scene.instances[item as usize];
+        let field = instance.field.as_deref()?;
+        // A solid is one layer: the surfaces behind its front are inside it.
+        if seen(f64::NEG_INFINITY) {
+            return None;
+        }
+        let origin = instance.field_from_scene.transform_point3(eye);
+        let along = instance.field_from_scene.matrix3 * (direction / scene.scale);
+        let [lower, upper] = field.surface_bounds();
+        let (enter, leave) = super::light_rays::clip(origin, along, lower, upper, from, nearest)?;
+        let ray = FieldRay { origin: (origin + enter * along).as_vec3(), direction: along.as_vec3() };
+        let (hit, taken) = field.first_hit(&ray, (leave - enter) as f32);
+        *steps += taken;
+        let hit = hit?;
+        let depth = enter + f64::from(hit.t);
+        if depth > nearest {
+            return None;
+        }
+        let is_cut = hit.at_start && enter > from;
+        self.field_layer(item, direction, depth, ray.origin + hit.t * ray.direction, &hit, is_cut)
+    }
+
+    /// The layer of a field that the pixel is known to show near a depth, scene units, at the exact hit of its ray.
+    pub fn field_near(&self, item: u32, depth: f64) -> Option<Layer> {
+        let depth = depth * self.scene.scale;
+        let eye = self.scene.scene_from_world(self.view.camera.eye);
+        let direction = self.view.direction(self.x, self.y);
+        let (from, to) = ((1.0 - NEARNESS) * depth, (1.0 + NEARNESS) * depth);
+        self.field(item, eye, direction, from, to, &|_| false, &mut 0)
+    }
+
+    /// The layer of a field that the pixel is known to show at a depth, scene units.
+    pub fn field_at(&self, item: u32, depth: f64, at_start: bool) -> Option<Layer> {
+        let depth = depth * self.scene.scale;
+        let direction = self.view.direction(self.x, self.y);
+        let to_field = self.scene.instances[item as usize].field_from_scene;
+        let eye = to_field.transform_point3(self.scene.scene_from_world(self.view.camera.eye));
+        let p = eye + to_field.matrix3 * (depth / self.scene.scale * direction);
+        let [lower, upper] = self.scene.instances[item as usize].field.as_deref()?.surface_bounds();
+        let is_outside = eye.cmplt(lower.as_dvec3()).any() || eye.cmpgt(upper.as_dvec3()).any();
+        let hit = FieldHit { t: depth as f32, at_start, part: 0 };
+        self.field_layer(item, direction, depth, p.as_vec3(), &hit, at_start && is_outside)
+    }
+
+    /// `is_cut`: the hit is on a face of the grid.
+    fn field_layer(
+        &self,
+        item: u32,
+        direction: DVec3,
+        depth: f64,
+        p: Vec3,
+        hit: &FieldHit,
+        is_cut: bool,
+    ) -> Option<Layer> {
+        let instance = &self.scene.instances[item as usize];
+        let field = instance.field.as_deref()?;
+        let to_eye = -direction.normalize().as_vec3();
+        let look = field.look(p, hit, (instance.field_from_scene.matrix3 * direction).as_vec3());
+        let normal = if is_cut {
+            // The face through which the ray entered.
+            let [lower, upper] = field.surface_bounds();
+            let from_face = ((p - lower) / (upper - lower) - 0.5).abs();
+            let axis = (1..3).fold(0, |best, axis| if from_face[axis] > from_face[best] { axis } else { best });
+            let mut face = Vec3::ZERO;
+            face[axis] = -(instance.field_from_scene.matrix3 * direction).as_vec3()[axis].signum();
+            (instance.field_from_scene.matrix3.transpose().as_mat3() * face).normalize_or_zero()
+        } else if hit.at_start {
+            to_eye
+        } else {
+            (instance.scene_from_normal * look.normal).normalize_or(to_eye)
+        };
+        let material = &self.scene.materials[instance.first_material as usize];
+        let mut color = Vec4::from_array(material.color);
+        if let Some(own) = look.color.filter(|_| instance.own_colors) {
+            color = Vec3::from_array(own).extend(color.w);
+        }
+        if material.alpha != Alpha::Blend {
+            color.w = 1.0;
+        }
+        color.w *= instance.opacity;
+        Some(Layer {
+            x: self.x,
+            instance: item,
+            material: instance.first_material,
+            depth,
+            normal,
+            color,
+            // Fields have no texture coordinates.
+            emission: if material.emission_texture.is_none() {
+                Vec3::from_array(material.emission)
+            } else {
+                Vec3::ZERO
+            },
+            is_triangle: false,
+            is_from_device: false,
+        })
+    }
+}
+
+/// The ray of a pixel through an instance with triangles.
+struct MeshRay<'a> {
+    scene: &'a Scene,
+    instance: &'a Instance,
+    triangles: &'a Triangles,
+    /// The ray in the space of the mesh's tree.
+    in_tree: Ray,
+    /// World direction; multiples of it are depths.
+    direction: DVec3,
+    /// Side of a pixel at depth 1.
+    pixel: f64,
+}
+
+impl MeshRay<'_> {
+    fn material_index(&self, hit: &FaceHit) -> u32 {
+        self.instance.first_material + self.triangles.material[hit.face as usize]
+    }
+
+    fn material(&self, hit: &FaceHit) -> &Material {
+        &self.scene.materials[self.material_index(hit) as usize]
+    }
+
+    /// Whether a face is visible from this side, and not cut out by its mask.
+    fn is_seen(&self, hit: &FaceHit) -> bool {
+        let material = self.material(hit);
+        // The visible side is the same in any space, mirrored or not.
+        if !material.two_sided && !hit.is_front {
+            return false;
+        }
+        match material.alpha {
+            Alpha::Opaque => true,
+            Alpha::Mask(cutoff) => self.color(hit).w >= cutoff,
+            Alpha::Blend => self.color(hit).w > 0.0,
+        }
+    }
+
+    fn color(&self, hit: &FaceHit) -> Vec4 {
+        let (material, triangles) = (self.material(hit), self.triangles);
+        let factor = Vec4::from_array(material.color) * triangles.color_at(hit.face, hit.weights.map(|w| w as f32));
+        match material.texture {
+            None => factor,
+            Some(texture) => factor * self.texel(texture, hit),
+        }
+    }
+
+    fn emission(&self, hit: &FaceHit) -> Vec3 {
+        let material = self.material(hit);
+        let factor = Vec3::from_array(material.emission);
+        match material.emission_texture {
+            Some(texture) if factor != Vec3::ZERO => factor * self.texel(texture, hit).truncate(),
+            _ => factor,
+        }
+    }
+
+    /// Linear RGB and opacity of a texture at a hit.
+    fn texel(&self, texture: u32, hit: &FaceHit) -> Vec4 {
+        let triangles = self.triangles;
+        let [a, b, c] = triangles.mesh.triangle(hit.face);
+        let normal = (b - a).cross(c - a);
+        // Side of the pixel on the surface, in units of the tree; larger on slanted surfaces.
+        let slant =
+            (normal.dot(self.in_tree.direction) / (normal.length() * self.in_tree.direction.length())).abs().max(0.05);
+        let pixel = self.pixel * hit.t * self.in_tree.direction.length() / self.direction.length();
+        let footprint = (pixel / slant.sqrt()) as f32 * triangles.uv_density(hit.face);
+        let uv = triangles.uv_at(hit.face, hit.weights.map(|w| w as f32));
+        self.scene.textures[texture as usize].sample(uv, footprint)
+    }
+
+    fn layer(&self, x: u32, item: u32, hit: &FaceHit) -> Layer {
+        let mut color = self.color(hit);
+        if self.material(hit).alpha != Alpha::Blend {
+            color.w = 1.0;
+        }
+        color.w *= self.instance.opacity;
+        let to_scene = self.instance.scene_from_normal;
+        let smooth = self.triangles.normal_at(hit.face, hit.weights.map(|w| w as f32));
+        let of_face = || {
+            let [a, b, c] = self.triangles.mesh.triangle(hit.face);
+            to_scene * (b - a).cross(c - a).normalize_or_zero().as_vec3()
+        };
+        Layer {
+            x,
+            instance: item,
+            material: self.material_index(hit),
+            depth: hit.t,
+            normal: toward_eye((to_scene * smooth).normalize_or_zero(), self.direction, of_face, hit.is_front),
+            color,
+            emission: self.emission(hit),
+            is_triangle: true,
+            is_from_device: false,
+        }
+    }
+}
+
+/// Whether a device finds everything that occludes surfaces behind it, for an instance with this material.
+pub fn is_opaque(instance: &Instance, material: &Material) -> bool {
+    instance.opacity >= 1.0 && material.alpha != Alpha::Blend && !instance.has_colored_mask
+}
+
+/// Whether the primary pass draws the triangles of an instance.
+pub fn as_triangles(instance: &Instance, primary: Primary) -> bool {
+    instance.triangles.is_some() && primary != Primary::Raymarch
+}
+
+/// A smooth normal on the visible side of the face. At a silhouette it may point away from the eye; the normal of the
+/// face is used there.
+fn toward_eye(normal: Vec3, direction: DVec3, of_face: impl Fn() -> Vec3, is_front: bool) -> Vec3 {
+    let normal = if is_front { normal } else { -normal };
+    if normal.dot(direction.as_vec3()) < 0.0 {
+        return normal;
+    }
+    let face = of_face().normalize_or_zero();
+    if is_front { face } else { -face }
+}

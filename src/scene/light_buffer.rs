@@ -1,0 +1,91 @@
+//! The light on the surfaces of a G-buffer.
+
+use super::gbuffer::{GBuffer, Layer};
+
+/// Light on one layer.
+#[derive(Debug, Clone, Copy)]
+pub struct LightSample<'a> {
+    /// Fraction of the ambient light that arrives.
+    pub open: f32,
+    /// Fraction of each light that arrives.
+    pub shares: &'a [f32],
+    /// Fraction of each light, RGB, that arrives through the layer's own instance, weighted for the surface; 0 if it
+    /// does not scatter.
+    pub through: &'a [[f32; 3]],
+}
+
+/// [`LightSample`] for writing.
+pub struct LightSampleMut<'a> {
+    pub open: &'a mut f32,
+    pub shares: &'a mut [f32],
+    pub through: &'a mut [[f32; 3]],
+}
+
+/// The light on the layers of a G-buffer.
+pub struct LightBuffer {
+    /// Number of lights.
+    pub lights: usize,
+    pub(super) rows: Vec<LightRow>,
+}
+
+#[derive(Default)]
+pub(super) struct LightRow {
+    pub is_known: Vec<bool>,
+    /// For each layer: ambient fraction, one fraction per light, three fractions per light for transmitted light.
+    pub values: Vec<f32>,
+    pub steps: Vec<u32>,
+}
+
+impl LightBuffer {
+    /// Nothing evaluated yet.
+    pub fn new(buffer: &GBuffer, lights: usize) -> Self {
+        let row = |layers: &Vec<Layer>| LightRow {
+            is_known: vec![false; layers.len()],
+            values: vec![0.0; layers.len() * stride(lights)],
+            steps: vec![0; layers.len()],
+        };
+        Self { lights, rows: buffer.rows.iter().map(row).collect() }
+    }
+
+    /// Whether the light of at most one layer in [`FEW`] is missing.
+    pub fn is_almost_complete(&self) -> bool {
+        let known = self.rows.iter().flat_map(|row| &row.is_known);
+        let [count, missing] = known.fold([0, 0], |[count, missing], known| [count + 1, missing + usize::from(!known)]);
+        missing * FEW <= count
+    }
+
+    /// Light on layer `i` in row `y`, and the number of steps for it.
+    pub fn at(&self, y: usize, i: usize) -> (LightSample<'_>, u32) {
+        let row = &self.rows[y];
+        let values = &row.values[i * stride(self.lights)..][..stride(self.lights)];
+        let (shares, through) = values[1..].split_at(self.lights);
+        (LightSample { open: values[0], shares, through: through.as_chunks().0 }, row.steps[i])
+    }
+
+    /// Replaces interpolated values by the evaluated ones of another buffer.
+    pub fn keep(&mut self, asked: Self) {
+        let stride = stride(self.lights);
+        for (row, asked) in self.rows.iter_mut().zip(asked.rows) {
+            for i in (0..asked.is_known.len()).filter(|&i| asked.is_known[i]) {
+                row.is_known[i] = true;
+                row.steps[i] = asked.steps[i];
+                row.values[i * stride..][..stride].copy_from_slice(&asked.values[i * stride..][..stride]);
+            }
+        }
+    }
+}
+
+/// See [`LightBuffer::is_almost_complete`].
+const FEW: usize = 32;
+
+/// Number of values of a layer in a picture with this number of lights.
+pub fn stride(lights: usize) -> usize {
+    1 + 4 * lights
+}
+
+/// The values of a layer as light.
+pub fn parts_of(values: &mut [f32], lights: usize) -> LightSampleMut<'_> {
+    let (open, rest) = values.split_first_mut().expect("a layer has `stride` values, at least one");
+    let (shares, through) = rest.split_at_mut(lights);
+    LightSampleMut { open, shares, through: through.as_chunks_mut().0 }
+}
