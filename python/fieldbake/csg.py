@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from . import _core
 from .base import checks
 from .base.errors import ShapeError
+from .shapes.shader_function import FUNCTION, shader_function
 from .shapes.shape import Language, Shape, checked_shape, combine
 
 Method = Literal["octree", "aabb"]
@@ -73,12 +74,41 @@ class Part:
             self._source = Shape._wrap(whole.part(method, index))
         return self._source
 
-    def shader(self, language: Language = "wgsl") -> str:
-        """Write the field of this part alone as shader text; see :meth:`Shape.shader`."""
-        return self.shape.shader(language)
+    def shader(self, language: Language = "wgsl", *, name: str = FUNCTION) -> str:
+        """Write the field of this part as a function with its own leaves only, to paste into a fragment shader.
+
+        Parameters
+        ----------
+        language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
+            GLSL is that of WebGL 2 (ES 3.00).
+        name : str, default "distance_to_shape"
+            Name of the function. Another name is also put before the names of all other definitions, so that the texts
+            of several parts fit into one shader.
+
+        Returns
+        -------
+        str
+            Functions and constants without buffers and without an entry point. ``name(p)`` is the signed distance at a
+            world position. The parameters of the part are constants; :attr:`PartGroup.text` reads them from a buffer.
+
+        Raises
+        ------
+        ShapeError
+            For an unknown language, a name that is no identifier, or a part that contains a baked volume.
+
+        Examples
+        --------
+        >>> import fieldbake as fb
+        >>> part = fb.csg.decompose(fb.sphere() | fb.box().translate((3, 0, 0)), method="aabb")[0]
+        >>> "fn ball(p0: vec3f) -> f32" in part.shader(name="ball"), "rounded_box" in part.shader()
+        (True, False)
+        """
+        if not re.fullmatch(r"[a-z]\w*", checks.text("name", name), re.ASCII | re.IGNORECASE):
+            raise ShapeError(f"name: must be a name of letters, digits and underscores, got {checks.describe(name)}")
+        return shader_function(self.shape.shader(language), self.shape.shader_numbers(), language, name)
 
     def shader_numbers(self) -> NDArray[np.float32]:
-        """List the contents of the buffer ``numbers`` of :meth:`shader`, in order."""
+        """List the parameters of the part: one row of :attr:`PartGroup.numbers`."""
         return self.shape.shader_numbers()
 
     def __repr__(self) -> str:
@@ -91,7 +121,7 @@ class PartGroup(NamedTuple):
     Attributes
     ----------
     text : str
-        Shader text of the structure, as of :meth:`Part.shader`.
+        Text of the structure as a compute shader, as of :meth:`Shape.shader`.
     boxes : (n, 2, 3) float64
         Lower and upper corner of the box of each instance, world units.
     numbers : (n, m) float32
@@ -172,7 +202,7 @@ class Parts(list[Part]):
         place = None if eye is None else checks.vector("eye", eye, 3, ShapeError)
         found: dict[str, list[int]] = {}
         for index, part in enumerate(self):
-            found.setdefault(part.shader(language), []).append(index)
+            found.setdefault(part.shape.shader(language), []).append(index)
         groups, nearest = [], []
         for text, members in found.items():
             counts = [len(self[index].boxes) for index in members]

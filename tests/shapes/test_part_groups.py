@@ -26,7 +26,7 @@ def test_every_box_is_an_instance_with_the_parameters_of_its_part(method):
             part = parts[index]
             assert (part.boxes == box).all(axis=(1, 2)).any()
             assert np.array_equal(numbers, part.shader_numbers())
-            assert group.text == part.shader("glsl")
+            assert group.text == part.shape.shader("glsl")
 
 
 def test_groups_are_drawn_from_near_to_far():

@@ -1,18 +1,19 @@
-"""The texts of shapes and atlases in every shading language: bindings, and what compilers say."""
+"""The texts of shapes, parts and atlases in every shading language: bindings, compilers, and values in a browser."""
 
 from __future__ import annotations
 
 import re
-import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import fieldbake as fb
+from browser import glsl_job, run_glsl
+from compilers import glsl_errors, hlsl_errors, metal_errors, wgsl_errors
 
-STUB = Path(__file__).parents[1] / "support" / "metal_stub.h"
+#: Positions of the distances that a browser computes.
+POINTS = np.random.default_rng(8).uniform(-2, 2, (128, 3)).astype(np.float32)
 
 
 def shapes() -> dict[str, fb.Shape]:
@@ -90,23 +91,6 @@ def test_atlas_texts_have_no_placeholders() -> None:
         assert re.search(r"^uniform highp sampler2DArray atlas_pages;", text, re.MULTILINE)
 
 
-def metal_errors(text: str) -> list[str]:
-    """Errors of clang in an MSL text, with declarations in place of Metal's library."""
-    index = pytest.importorskip("clang.cindex", reason="pip install libclang to parse MSL").Index.create()
-    source = STUB.read_text() + re.sub(r"#include <.*?>", "", text)
-    flags = [
-        "-x",
-        "c++",
-        "-std=c++14",
-        "-nostdinc",
-        "-Wno-unknown-attributes",
-        "-Xclang",
-        "-cl-single-precision-constant",
-    ]
-    unit = index.parse("text.cpp", args=flags, unsaved_files=[("text.cpp", source)])
-    return [str(found) for found in unit.diagnostics if found.severity >= 3]
-
-
 @pytest.mark.parametrize("name", shapes())
 def test_clang_parses_the_metal_text_of_a_shape(name: str) -> None:
     text = shapes()[name].shader("msl")
@@ -119,17 +103,6 @@ def test_clang_parses_the_metal_texts_of_atlases() -> None:
     for name, text in atlas_texts("msl").items():
         assert metal_errors(text) == [], name
         assert metal_errors(text.replace("atlas_share(", "atlas_part(", 1))
-
-
-def glsl_errors(tmp_path: Path, stage: str, text: str) -> str:
-    """Errors of the reference compiler of GLSL; empty without any."""
-    compiler = shutil.which("glslangValidator")
-    if compiler is None:
-        pytest.skip("no glslangValidator: install the package glslang-tools to compile GLSL")
-    path = tmp_path / f"text.{stage}"
-    path.write_text(text)
-    result = subprocess.run([compiler, str(path)], capture_output=True, text=True, timeout=60, check=False)
-    return result.stdout if result.returncode else ""
 
 
 @pytest.mark.parametrize("name", shapes())
@@ -150,3 +123,48 @@ void main() {
 """
     for name, text in atlas_texts("glsl").items():
         assert glsl_errors(tmp_path, "frag", text + main) == "", name
+
+
+@pytest.mark.parametrize("name", shapes())
+def test_every_language_compiles_the_function_of_a_part(name: str, tmp_path: Path) -> None:
+    part = next(iter(fb.csg.decompose(shapes()[name])))
+    assert wgsl_errors(part.shader()) == ""
+    main = "\nout vec4 color;\nvoid main() { color = vec4(leaf(gl_FragCoord.xyz)); }\n"
+    assert glsl_errors(tmp_path, "frag", part.shader("glsl", name="leaf") + main) == ""
+    main = "\nfloat4 main(float4 p : SV_Position) : SV_Target { return leaf(p.xyz).xxxx; }\n"
+    assert hlsl_errors(tmp_path, "frag", part.shader("hlsl", name="leaf") + main) == ""
+    assert metal_errors(part.shader("msl", name="leaf")) == []
+
+
+def test_the_text_has_the_leaves_of_the_part_only() -> None:
+    ball, block = fb.csg.decompose(fb.sphere() | fb.box(1).translate((4, 0, 0)), method="aabb")
+    for language in ("wgsl", "glsl", "hlsl", "msl"):
+        for part, has_sphere in ((ball, True), (block, False)):
+            text = part.shader(language)
+            assert ("sphere(" in text) == has_sphere
+            assert ("rounded_box(" in text) != has_sphere
+            assert not any(word in text for word in ("torus(", "ellipsoid(", "binding", "register", "main", "kernel"))
+
+
+def test_parts_in_one_shader_have_the_distances_of_numpy(tmp_path: Path) -> None:
+    parts = [next(iter(fb.csg.decompose(shape))) for shape in shapes().values()]
+    texts = [part.shader("glsl", name=f"part{i}") for i, part in enumerate(parts)]
+    # One version line at the start of the shader.
+    joined = texts[0] + "".join(text.partition("\n")[2] for text in texts[1:])
+    calls = ("vec4(part0(p), part1(p), part2(p), part3(p))", "vec4(part4(p))")
+    results = run_glsl(tmp_path, [glsl_job(joined, call, [], POINTS) for call in calls])
+    values = np.concatenate([results[0], results[1][:, :1]], axis=1)
+    for name, column, part in zip(shapes(), values.T, parts, strict=True):
+        # Distances reach 4 units, and sums of products round by some 2^-22 of that. Vulkan allows sines of devices an
+        # error of 2^-11, and the twist turns points up to 3 units from its axis.
+        bound = 3 * 2.0**-11 if name == "warped" else 4 * 2.0**-18
+        assert np.abs(column - part.shape.distance(POINTS)).max() <= bound
+
+
+def test_a_name_that_is_no_identifier_is_an_error() -> None:
+    part = fb.csg.decompose(fb.sphere())[0]
+    for name in ("a b", "1a", "", None, 3):
+        with pytest.raises(fb.Error, match="name"):
+            part.shader("glsl", name=name)
+    with pytest.raises(fb.ShapeError, match="language"):
+        part.shader("cg")

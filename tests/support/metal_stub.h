@@ -64,7 +64,9 @@ struct float4x4 { float4 columns[4]; float4& operator[](uint); };
 #define OPERATORS(V) \
     template <typename T> V<T> operator+(V<T>, V<T>); template <typename T> V<T> operator-(V<T>, V<T>); \
     template <typename T> V<T> operator*(V<T>, V<T>); template <typename T> V<T> operator/(V<T>, V<T>); \
-    template <typename T> V<T> operator%(V<T>, V<T>); template <typename T> V<T> operator-(V<T>); \
+    template <typename T> V<T> operator%(V<T>, V<T>); template <typename T> V<T> operator&(V<T>, T); \
+    template <typename T> V<T> operator&(V<T>, V<T>); \
+    template <typename T> V<T> operator|(V<T>, V<T>); template <typename T> V<bool> operator==(V<T>, T); template <typename T> V<T> operator-(V<T>); \
     template <typename T> V<T> operator*(V<T>, T); template <typename T> V<T> operator*(T, V<T>); \
     template <typename T> V<T> operator/(V<T>, T); template <typename T> V<T> operator+(V<T>, T); \
     template <typename T> V<T> operator-(V<T>, T); template <typename T> V<T> operator+(T, V<T>); \
@@ -79,6 +81,7 @@ struct float4x4 { float4 columns[4]; float4& operator[](uint); };
     template <typename T> V<T> min(V<T>, V<T>); template <typename T> V<T> max(V<T>, V<T>); \
     template <typename T> V<T> clamp(V<T>, T, T); template <typename T> V<T> clamp(V<T>, V<T>, V<T>); template <typename T> V<T> mix(V<T>, V<T>, V<T>); \
     template <typename T> V<T> mix(V<T>, V<T>, T); template <typename T> V<T> select(V<T>, V<T>, V<bool>); \
+    template <typename T> V<T> select(V<T>, T, V<bool>); \
     template <typename T> V<T> normalize(V<T>); template <typename T> T dot(V<T>, V<T>); template <typename T> T length(V<T>); \
     template <typename T> T distance(V<T>, V<T>); bool any(V<bool>); bool all(V<bool>); \
     template <typename T> V<T> sin(V<T>); template <typename T> V<T> cos(V<T>); template <typename T> V<T> exp(V<T>); \
@@ -108,6 +111,16 @@ template <typename T, access A = access::sample> struct texture2d_array {
     vec4<T> sample(sampler, float2, int, level) const;
     vec4<T> read(uint2, uint, uint = 0) const;
     uint get_width(uint = 0) const; uint get_height(uint = 0) const; uint get_array_size() const;
+};
+template <typename T, access A = access::sample> struct texture2d {
+    vec4<T> sample(sampler, float2, level) const;
+    vec4<T> read(uint2, uint = 0) const;
+    uint get_width(uint = 0) const; uint get_height(uint = 0) const;
+};
+template <typename T, access A = access::sample> struct texture3d {
+    vec4<T> sample(sampler, float3, level) const;
+    vec4<T> read(uint3, uint = 0) const;
+    uint get_width(uint = 0) const; uint get_height(uint = 0) const; uint get_depth(uint = 0) const;
 };
 }  // namespace metal
 
