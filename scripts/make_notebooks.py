@@ -22,6 +22,8 @@ PAGES = {
     "training_data": "howto/training_data",
     "csg_to_print": "howto/print_a_part",
     "engine_export": "howto/engines",
+    "differentiable_fit": "howto/fit",
+    "cluster": "howto/cluster",
 }
 
 CELL = re.compile(r"^```\{code-cell\} python\n(.*?)^```\n", re.M | re.S)

@@ -1,0 +1,79 @@
+"""The code of pages that the site only shows runs as pasted: each fence as a program, on small data."""
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import fieldbake as fb
+from fences import fences
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+pytestmark = pytest.mark.slow
+
+#: Sizes of the pages, and those of the test.
+SMALL = {
+    r"\b4096\b": "96, shard=32, chunk=16",
+    r"1000:1256": "16:32",
+    r"resolution=128": "resolution=16",
+    r"ProcessPoolExecutor\(8": "ProcessPoolExecutor(2",
+    r"n_workers=8": "n_workers=2, dashboard_address=None, silence_logs=50",
+    # Stores in memory in place of those on S3, which tests/scaling/test_s3.py uses.
+    r"s3://bucket": "memory://bucket",
+    r', storage_options=\{"profile": "lab"\}': "",
+}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder with the files that the pages name."""
+    (tmp_path / "assets").mkdir()
+    ball = fb.bake(fb.sphere(0.5), 12).to_mesh()
+    for name in ("bunny.obj", "a.glb", "b.glb", "assets/chair.glb", "assets/table.glb"):
+        ball.save(tmp_path / name)
+    return tmp_path
+
+
+def programs(name):
+    """The Python fences of a page with small sizes; each begins with the imports of those before it."""
+    imports = "import fieldbake as fb\n"
+    for fence in fences(DOCS / name):
+        if fence.language == "python":
+            text = fence.text
+            for pattern, small in SMALL.items():
+                text = re.sub(pattern, small, text)
+            yield pytest.param(imports + text, id=f"{Path(name).stem}-{fence.line}")
+
+
+@pytest.mark.parametrize("program", [*programs("scale.md"), *programs("threads.md")])
+def test_fences_run_as_programs(program, folder):
+    for package in ("zarr", "torch", "distributed"):
+        if re.search(rf"^(import|from) {package}\b", program, re.M) and importlib.util.find_spec(package) is None:
+            pytest.skip(f"{package} is not installed")
+    (folder / "program.py").write_text(program, encoding="utf-8")
+    environment = {**os.environ, "FIELDBAKE_DEVICE": "cpu"}
+    command = [sys.executable, "-W", "error::SyntaxWarning", "program.py"]
+    done = subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300, check=False
+    )
+    assert done.returncode == 0, done.stdout[-500:] + done.stderr[-3000:]
+
+
+def test_the_commands_of_the_pages_run(folder):
+    """The command lines in the text of the page on scale."""
+    text = (DOCS / "scale.md").read_text(encoding="utf-8")
+    commands = re.findall(r"`(fieldbake (?:bake|sample)\s[^`]+)`", text)
+    assert len(commands) >= 2
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
+    for command in commands:
+        small = re.sub(r"-r 128", "-r 16", re.sub(r"-n 500000", "-n 500", re.sub(r"--jobs 8", "--jobs 1", command)))
+        done = subprocess.run(
+            ["bash", "-c", small.replace("fieldbake", f"{sys.executable} -m fieldbake", 1)],
+            cwd=folder, env={**os.environ, "PATH": path}, capture_output=True, text=True, timeout=120, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
