@@ -50,7 +50,7 @@ export async function fieldMesh(file, renderer, color = 0xd9853b) {
           value(p + vec3(h.x, 0, 0)) - value(p - vec3(h.x, 0, 0)),
           value(p + vec3(0, h.y, 0)) - value(p - vec3(0, h.y, 0)),
           value(p + vec3(0, 0, h.z)) - value(p - vec3(0, 0, h.z))) / h);
-        pixel = vec4(tint * (0.25 + 0.75 * max(dot(normal, normalize(vec3(1, 2, 1.5))), 0.0)), 1);
+        pixel = linearToOutputTexel(vec4(tint * (0.25 + 0.75 * max(dot(normal, normalize(vec3(1, 2, 1.5))), 0.0)), 1));
         vec4 clip = projectionMatrix * viewMatrix * vec4(p, 1);
         gl_FragDepth = 0.5 * clip.z / clip.w + 0.5; // meshes and the field hide each other
       }`,

@@ -177,6 +177,22 @@ def test_tables_show_what_a_file_stores(folder, tmp_path):
         assert ("snorm16" in result.stdout) == (name == "a.ktx2")
 
 
+@pytest.mark.parametrize("sparse", [[], ["--sparse"]], ids=["dense", "sparse"])
+def test_the_band_of_a_bake_is_that_of_the_level_set(folder, tmp_path, sparse):
+    box = "-1,0,1,3,4,5"
+    result = fieldbake(
+        "bake", folder / "body.obj", "-r", 32, "-o", tmp_path / "w.vdb", "--band", 4, "--bounds", box, *sparse
+    )
+    assert result.exit_code == DONE, result.stderr
+    exact = fb.bake(folder / "body.obj", 32, bounds=[(-1, 0, 1), (3, 4, 5)])
+    found = fb.load(tmp_path / "w.vdb")
+    voxel = exact.spacing.max()
+    assert found.distances.max() == pytest.approx(4 * voxel, rel=1e-6)
+    near = np.abs(exact.distances) < 3.9 * voxel
+    # Coarser bricks of a sparse volume are off by up to 0.05 voxels.
+    assert np.abs(found.distances - exact.distances)[near].max() <= (0.05 * voxel if sparse else 0)
+
+
 def test_several_files_are_drawn_in_one_picture(folder, tmp_path):
     ball = fb.bake(fb.sphere(0.5).translate((4, 2, 3)), 16)
     ball.save(tmp_path / "ball.vdb")

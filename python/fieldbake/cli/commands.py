@@ -116,7 +116,10 @@ def bake(
     sign: Annotated[Sign, typer.Option(help="Method that decides between inside and outside.")] = "auto",
     band: Annotated[
         float | None,
-        typer.Option(help="Distances are exact within this many voxels of the surface, and lower bounds beyond."),
+        typer.Option(
+            help="Distances are exact within this many voxels of the surface, and lower bounds beyond. It is also the "
+            "half width of the level set in .vdb and .nvdb (3), and of snorm and unorm encodings (4)."
+        ),
     ] = None,
     two_sided: Annotated[
         bool, typer.Option("--two-sided", help="Treat the surface as a sheet with a thickness.")
@@ -194,12 +197,15 @@ def bake(
             if encoding == "unorm8":
                 raise typer.BadParameter("bricks have no unsigned bytes", param_hint="--encoding")
             bricks: dict[str, Any] = {"tolerance": tolerance, "encoding": encoding, **surface}
-            volume = fb.bake_sparse(things, resolution, band=4.0 if band is None else band, **bricks)
-            volume = save_field(volume, target, None, None, engine, mipmaps=mipmaps)
+            # Bricks keep all distances up to their band less half the diagonal of a voxel.
+            reach = 4.0 if band is None else band + (ending in writers.SPARSE_ENDINGS)
+            volume = fb.bake_sparse(things, resolution, band=reach, **bricks)
+            volume = save_field(volume, target, None, band, engine, mipmaps=mipmaps)
         else:
             volume = fb.bake(things, resolution, band=band, device=device, **surface)
             wanted = None if encoding == "float32" else encoding
-            is_stored = ending == ".npz" or (wanted is not None and ending in writers.BANDED)
+            is_texture = ending in writers.MIPMAPPED
+            is_stored = ending == ".npz" or (ending in writers.BANDED and not (is_texture and wanted is None))
             volume = save_field(volume, target, wanted, band if is_stored else None, engine, mipmaps=mipmaps)
     if not is_stream(output):
         show_rows(f"{output}", volume_rows(volume))
