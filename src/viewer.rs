@@ -107,7 +107,8 @@ fn needs(kinds: ViewedKinds, has_shape: bool) -> String {
     let encoding = encoding.and_then(|one| Encoding::ALL.iter().position(|&known| known == one));
     format!(
         "const HAS_DENSE: bool = {dense};\nconst HAS_SPARSE: bool = {sparse};\nconst HAS_SHAPE: bool = {has_shape};\n\
-         const HAS_QUADRIC: bool = {quadric};\nconst HAS_SLICE: bool = true;\nconst ONE_ENCODING: i32 = {};\n",
+         const HAS_QUADRIC: bool = {quadric};\nconst HAS_SLICE: bool = true;\nconst IS_MOTION: bool = false;\n\
+         const ONE_ENCODING: i32 = {};\n",
         encoding.map_or(-1, |place| place as i32)
     )
 }

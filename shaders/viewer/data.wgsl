@@ -1,5 +1,5 @@
-// The fields of a view: one texture of 32-bit words with the samples, and one texture of numbers, which has a row for each
-// instance.
+// The fields of a view: one texture of 32-bit words with the samples, one texture of numbers, which has a row for each
+// instance, and for pictures in motion one filtered texture with the dense grids, stacked along z.
 //
 // Row of an instance, texels of four floats. Indices count words and are below 2^24, so that floats have them exactly.
 //
@@ -17,7 +17,10 @@
 //           18    upper corner (3), object
 //           19    world units of a distance of 1, bias of shadow rays, structure, 1 / Lipschitz constant
 //           20    index of bricks, nodes, floor, longest step
-//           21    node step (3)
+//           21    node step (3), errors of the samples (bytes)
+//           22    place in the filtered texture: first layer, texels per voxel, distance of 1.0, one over the
+//                 difference between neighbouring samples that 1 % of the pairs exceed
+//           23    share of the view's largest error at a byte of 255
 //
 // Row `count` has the rays of scene space. The rows after it are lights: direction or position in scene space with 0 or 1,
 // then the colour.
@@ -35,13 +38,17 @@ struct View {
     // Box of the slice, scene space.
     slice_lower: vec4f,
     slice_upper: vec4f,
-    // World units of a scene unit; whether shadows are cast; 1 on a dark background; 1 cuts the near half away.
+    // World units of a scene unit; 1 cuts the half of the slice on the side of the eye away; two unused numbers.
     scene: vec4f,
+    // One over the size of the filtered texture; one unused number.
+    filtered: vec4f,
 }
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var words: texture_2d<u32>;
 @group(0) @binding(2) var frames: texture_2d<f32>;
+@group(0) @binding(3) var filtered: texture_3d<f32>;
+@group(0) @binding(4) var linear_filter: sampler;
 
 const WIDTH_BITS: u32 = 11u;
 
@@ -72,6 +79,9 @@ var<private> unit: f32;
 var<private> bias: f32;
 var<private> structure: u32;
 var<private> inverse_lipschitz: f32;
+var<private> error_words: u32;
+// Texel 22 of its row.
+var<private> filter_place: vec4f;
 var<private> bricks: Bricks;
 var<private> index_words: u32;
 var<private> node_words: u32;
@@ -106,12 +116,14 @@ fn select_field(instance: u32) {
     structure = u32(d.z);
     inverse_lipschitz = d.w;
     level = view.level.x / unit;
-    if HAS_SPARSE { select_bricks(instance); }
+    let step = frame_at(instance, 21u);
+    error_words = u32(step.w);
+    if IS_MOTION { filter_place = frame_at(instance, 22u); }
+    if HAS_SPARSE { select_bricks(instance, step); }
 }
 
-fn select_bricks(instance: u32) {
+fn select_bricks(instance: u32, step: vec4f) {
     let e = frame_at(instance, 20u);
-    let step = frame_at(instance, 21u);
     index_words = u32(e.x);
     node_words = u32(e.y);
     bricks = Bricks(shape, blocks, e.z - level, step.xyz, e.w, 0u, 0u, 0u, 0u);

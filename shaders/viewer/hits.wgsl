@@ -1,6 +1,69 @@
 // Where rays meet the fields of a view, and their distances: one function for each kind of field. Rays and positions are
 // those of field space; distances are in the field's own units.
 
+// The part of a ray between two corners of a box. It computes what `clip_between` does without a loop over the axes, because
+// software devices are slow at indices that vary.
+fn clip_to_field(origin: vec3f, direction: vec3f, lower: vec3f, upper: vec3f) -> ClippedRay {
+    var clipped: ClippedRay;
+    clipped.enter_axis = NO_AXIS;
+    let is_parallel = direction == vec3f(0.0);
+    if any(is_parallel & ((origin < lower) | (origin > upper))) { return clipped; }
+    let divisor = select(direction, vec3f(1.0), is_parallel);
+    let to_lower = (lower - origin) / divisor;
+    let to_upper = (upper - origin) / divisor;
+    let enter = select(min(to_lower, to_upper), vec3f(-FAR_T), is_parallel);
+    let leave = select(max(to_lower, to_upper), vec3f(FAR_T), is_parallel);
+    let last = max(enter.x, max(enter.y, enter.z));
+    if last > 0.0 {
+        clipped.t_enter = last;
+        clipped.enter_axis = select(select(2u, 1u, enter.y == last), 0u, enter.x == last);
+    }
+    let t_leave = min(leave.x, min(leave.y, leave.z));
+    let voxels_per_t = length(direction);
+    clipped.is_in_box = t_leave >= clipped.t_enter && voxels_per_t > 0.0;
+    clipped.origin = origin + clipped.t_enter * direction;
+    clipped.direction = direction / max(voxels_per_t, TINY);
+    clipped.t_max = (t_leave - clipped.t_enter) * voxels_per_t;
+    return clipped;
+}
+
+// ---- dense grids in motion
+
+// A step along a ray in motion has at least this length, and the surface is found at this distance, texels.
+const LEAST_STEP: f32 = 0.25;
+const NEAR_SURFACE: f32 = 0.02;
+// Steps of a ray in motion at most.
+const MAX_MOTION_STEPS: u32 = 512u;
+
+// The dense field by the filter of the device, less the level. The grid of the texture may be coarser than the field's.
+fn filtered_value(p: vec3f) -> f32 {
+    let last = (vec3f(shape) - 1.0) * filter_place.y;
+    var texel = clamp(p * filter_place.y, vec3f(0.0), last) + 0.5;
+    texel.z += filter_place.x;
+    return textureSampleLevel(filtered, linear_filter, texel * view.filtered.xyz, 0.0).x * filter_place.z - level;
+}
+
+// Sphere tracing with steps for neighbouring samples that differ by at most 1 / filter_place.w. A step that passes through
+// the surface returns to the zero of the line between its ends.
+fn filtered_hit(origin: vec3f, direction: vec3f, t_max: f32) -> f32 {
+    let least = LEAST_STEP / filter_place.y;
+    let near = NEAR_SURFACE / filter_place.y;
+    var t = 0.0;
+    var t_before = 0.0;
+    var before = 1.0;
+    for (var i = 0u; i < MAX_MOTION_STEPS && t <= t_max; i++) {
+        let value = filtered_value(origin + t * direction) * filter_place.w;
+        if value <= near {
+            if value < 0.0 && i > 0u { return mix(t_before, t, before / (before - value)); }
+            return t;
+        }
+        t_before = t;
+        before = value;
+        t += max(value, least);
+    }
+    return -1.0;
+}
+
 // ---- dense grids, twin of src/render/march.rs
 
 fn empty_blocks(index: u32) -> i32 {
@@ -18,6 +81,7 @@ fn may_have_root(index: u32, cell: vec3i) -> bool {
 // empty blocks of 4^3 cells and passes cells without a root; the outer loop solves the cubic in the others. So lanes of a
 // software device that are in different places of their rays wait less for each other.
 fn dense_hit(origin: vec3f, direction: vec3f, t_max: f32) -> f32 {
+    if IS_MOTION { return filtered_hit(origin, direction, t_max); }
     let last_cell = vec3i(shape) - 1;
     let side = vec3i(direction > vec3f(0.0));
     let is_parallel = abs(direction) < vec3f(PARALLEL);
@@ -109,8 +173,18 @@ fn quadric_slope(p: vec3f, to_eye: vec3f) -> vec3f {
 }
 
 fn dense_value(p: vec3f) -> f32 {
+    if IS_MOTION { return filtered_value(p); }
     let cell = floor(p);
     return trilinear(cell_corners(vec3i(cell), shape), p - cell);
+}
+
+// Index of the sample of a stored brick that is nearest to a voxel.
+fn brick_sample(voxel: vec3i) -> u32 {
+    let brick = brick_of(voxel);
+    let word = brick_word(brick_offset(bricks, brick));
+    let shift = cell_shift(word);
+    let local = vec3u((voxel - brick_origin(brick, shift)) >> vec3u(shift));
+    return (word & BRICK_MASK) * BRICK_LEN + local.x + BRICK_SAMPLES * (local.y + BRICK_SAMPLES * local.z);
 }
 
 // ---- any field. The text of a view has the lines for its own kinds only.
@@ -139,10 +213,20 @@ fn field_slope(p: vec3f, to_eye: vec3f, lower: vec3f, upper: vec3f) -> vec3f {
     let step = select(0.5, NORMAL_STEP, kind == KIND_SHAPE);
     var slope = vec3f(0.0);
     for (var i = 0u; i < 6u; i++) {
-        var there = p;
         let sign = select(step, -step, (i & 1u) == 1u);
-        there[i >> 1u] += sign;
-        slope[i >> 1u] += field_value(there, clamp(there, lower, upper)) * sign;
+        let axis = select(vec3f(0.0), vec3f(1.0), vec3u(i >> 1u) == vec3u(0u, 1u, 2u));
+        let there = p + sign * axis;
+        slope += field_value(there, clamp(there, lower, upper)) * sign * axis;
     }
     return slope;
+}
+
+// The error of the stored sample that is nearest to a point, as a share of the view's largest error.
+fn error_share(instance: u32, p: vec3f) -> f32 {
+    if error_words == 0u { return 0.0; }
+    let at = clamp(vec3i(round(p)), vec3i(0), vec3i(shape) - 1);
+    var index = u32(at.x) + shape.x * (u32(at.y) + shape.y * u32(at.z));
+    if HAS_SPARSE && kind == KIND_SPARSE { index = brick_sample(at); }
+    let byte = (word_at(error_words + (index >> 2u)) >> (8u * (index & 3u))) & 0xffu;
+    return f32(byte) / 255.0 * frame_at(instance, 23u).x;
 }

@@ -23,6 +23,7 @@ const PICTURE_DEPTH: u32 = 2u;
 const PICTURE_NORMAL: u32 = 3u;
 const PICTURE_OBJECT: u32 = 6u;
 const PICTURE_SLICE: u32 = 7u;
+const PICTURE_ERROR: u32 = 8u;
 
 const NO_DEPTH: f32 = 3.0e38;
 
@@ -148,11 +149,11 @@ fn main(@builtin(position) position: vec4f) -> @location(0) vec4f {
         let depth = frame_at(count, 0u).w + t;
         if depth > 0.0 && is_there { slice_depth = depth; }
         // The half on the side of the eye is cut away.
-        if view.scene.w == 1.0 && depth > 0.0 && descent < 0.0 { near = depth; }
+        if view.scene.y == 1.0 && depth > 0.0 && descent < 0.0 { near = depth; }
     }
     var slice_value = NO_DEPTH;
     if HAS_SLICE && slice_depth < NO_DEPTH { slice_value = distance_to_scene(slice_point, count) + view.level.x; }
-    if HAS_SLICE && picture == PICTURE_SLICE { return as_bytes(slice_value); }
+    if HAS_SLICE && !IS_MOTION && picture == PICTURE_SLICE { return as_bytes(slice_value); }
 
     var found: Found;
     found.depth = NO_DEPTH;
@@ -181,53 +182,52 @@ fn main(@builtin(position) position: vec4f) -> @location(0) vec4f {
             if dot(normal, light.direction) >= 0.0 { continue; }
         }
         var is_dark = false;
-        if r == 0u || view.scene.y == 1.0 {
-            for (var i = 0u; i < count; i++) {
-                let lower = frame_at(i, 17u);
-                let upper = frame_at(i, 18u);
-                if (u32(lower.w) & select(FLAG_CASTS, FLAG_VISIBLE, r == 0u)) == 0u { continue; }
-                var start = own_start;
-                var along = vec3f(0.0);
-                var before = 0.0;
-                if r == 0u {
-                    let middle = frame_at(i, 0u);
-                    before = middle.w;
-                    start = middle.xyz + along_right * frame_at(i, 1u).xyz + along_up * frame_at(i, 2u).xyz;
-                    along = frame_at(i, 3u).xyz + along_right * frame_at(i, 4u).xyz + along_up * frame_at(i, 5u).xyz;
-                } else {
-                    along = moved(i, 6u, vec4f(-light.direction, 0.0));
-                    if i != found.instance { start = moved(i, 6u, vec4f(p_scene, 1.0)); }
-                }
-                var ray = clip_between(start, along, lower.xyz, upper.xyz);
-                if !ray.is_in_box { continue; }
-                let per_t = length(along);
-                let skipped = near - before - ray.t_enter;
-                if r == 0u && skipped > 0.0 {
-                    ray.origin = start + (near - before) * along;
-                    ray.t_max -= skipped * per_t;
-                    ray.t_enter = near - before;
-                    ray.enter_axis = NO_AXIS;
-                }
-                let end = min(ray.t_max, (select(found.depth - before, reach, r > 0u) - ray.t_enter) * per_t);
-                if end < 0.0 { continue; }
-                select_field(i);
-                let t = field_hit(ray.origin, ray.direction, end);
-                if t < 0.0 { continue; }
-                if r > 0u {
-                    is_dark = true;
-                    break;
-                }
-                let depth = before + ray.t_enter + t / per_t;
-                if depth >= found.depth { continue; }
-                found = Found(depth, i, u32(upper.w), ray.origin + t * ray.direction, along, t == 0.0, ray.enter_axis);
+        for (var i = 0u; i < count; i++) {
+            let lower = frame_at(i, 17u);
+            let upper = frame_at(i, 18u);
+            if (u32(lower.w) & select(FLAG_CASTS, FLAG_VISIBLE, r == 0u)) == 0u { continue; }
+            var start = own_start;
+            var along = vec3f(0.0);
+            var before = 0.0;
+            if r == 0u {
+                let middle = frame_at(i, 0u);
+                before = middle.w;
+                start = middle.xyz + along_right * frame_at(i, 1u).xyz + along_up * frame_at(i, 2u).xyz;
+                along = frame_at(i, 3u).xyz + along_right * frame_at(i, 4u).xyz + along_up * frame_at(i, 5u).xyz;
+            } else {
+                along = moved(i, 6u, vec4f(-light.direction, 0.0));
+                if i != found.instance { start = moved(i, 6u, vec4f(p_scene, 1.0)); }
             }
+            var ray = clip_to_field(start, along, lower.xyz, upper.xyz);
+            if !ray.is_in_box { continue; }
+            let per_t = length(along);
+            let skipped = near - before - ray.t_enter;
+            if r == 0u && skipped > 0.0 {
+                ray.origin = start + (near - before) * along;
+                ray.t_max -= skipped * per_t;
+                ray.t_enter = near - before;
+                ray.enter_axis = NO_AXIS;
+            }
+            let end = min(ray.t_max, (select(found.depth - before, reach, r > 0u) - ray.t_enter) * per_t);
+            if end < 0.0 { continue; }
+            select_field(i);
+            let t = field_hit(ray.origin, ray.direction, end);
+            if t < 0.0 { continue; }
+            if r > 0u {
+                is_dark = true;
+                break;
+            }
+            let depth = before + ray.t_enter + t / per_t;
+            if depth >= found.depth { continue; }
+            found = Found(depth, i, u32(upper.w), ray.origin + t * ray.direction, along, t == 0.0, ray.enter_axis);
         }
         if r > 0u {
             if !is_dark { color += light_adds(light, albedo, normal, to_eye, specular, shininess); }
             continue;
         }
         ray_steps = steps;
-        if found.depth == NO_DEPTH || picture == PICTURE_STEPS || picture == PICTURE_DEPTH || picture == PICTURE_OBJECT { break; }
+        if found.depth == NO_DEPTH { break; }
+        if !IS_MOTION && (picture == PICTURE_STEPS || picture == PICTURE_DEPTH || picture == PICTURE_OBJECT) { break; }
 
         // The surface that was hit.
         let own = found.instance;
@@ -250,7 +250,7 @@ fn main(@builtin(position) position: vec4f) -> @location(0) vec4f {
         if HAS_SHAPE && kind == KIND_SHAPE { albedo = painted(albedo, found.p); }
         specular = tint.w;
         shininess = glow.w;
-        if !is_color || (u32(lower.w) & FLAG_UNLIT) != 0u {
+        if (!is_color && !IS_MOTION) || (u32(lower.w) & FLAG_UNLIT) != 0u {
             color = glow.xyz + albedo;
             break;
         }
@@ -258,10 +258,15 @@ fn main(@builtin(position) position: vec4f) -> @location(0) vec4f {
         color = glow.xyz + ambient * albedo;
     }
 
-    if picture == PICTURE_DEPTH { return as_bytes(found.depth); }
-    if picture == PICTURE_OBJECT { return as_bytes(select(-1.0, f32(found.object), found.depth < NO_DEPTH)); }
-    if picture >= PICTURE_NORMAL { return as_bytes(normal[min(picture - PICTURE_NORMAL, 2u)]); }
-    if picture == PICTURE_STEPS { return vec4f(heat(f32(ray_steps) / view.level.w), 1.0); }
+    if !IS_MOTION && !is_color {
+        if picture == PICTURE_DEPTH { return as_bytes(found.depth); }
+        if picture == PICTURE_OBJECT { return as_bytes(select(-1.0, f32(found.object), found.depth < NO_DEPTH)); }
+        if picture == PICTURE_STEPS { return vec4f(heat(f32(ray_steps) / view.level.w), 1.0); }
+        if picture < PICTURE_ERROR { return as_bytes(normal[min(picture - PICTURE_NORMAL, 2u)]); }
+        if found.depth == NO_DEPTH { return vec4f(srgb(color), view.background.w); }
+        // Surfaces that face away from the eye are darker, so that the form stays visible.
+        return vec4f(heat(error_share(found.instance, found.p)) * (0.5 + 0.5 * abs(dot(normal, to_eye))), 1.0);
+    }
     var shown = vec4f(srgb(color), select(view.background.w, 1.0, found.depth < NO_DEPTH));
     if HAS_SLICE && slice_depth < NO_DEPTH && (slice_depth <= found.depth || near > 0.0) {
         let cosine = abs(dot(normalize(view.slice.xyz), to_eye));

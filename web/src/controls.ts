@@ -18,8 +18,21 @@ const STYLE = `
 .fb-dark{background:#20242b;color:#dfe3ea}
 .fb-dark .fb-note{color:#99a1ad}.fb-dark .fb-note b{color:#dfe3ea}
 .fb-dark .fb-bar button,.fb-dark .fb-bar select{background:#2c313a;border-color:#444b57}
+.fb-scale{display:inline-flex;align-items:center;gap:5px}
+.fb-scale i{width:70px;height:9px;border-radius:3px}
+.fb-pages{position:absolute;inset:0 0 auto;overflow:auto;background:inherit;padding:8px 9px;display:grid;gap:8px;align-content:start}
+.fb-pages[hidden]{display:none}
+.fb-pages figure{margin:0}
+.fb-pages figcaption{padding-bottom:3px}
+.fb-pages figure div{position:relative;max-width:512px}
+.fb-pages img{display:block;width:100%;image-rendering:pixelated}
+.fb-pages span{position:absolute;border:1px solid #16181d;overflow:hidden;font-size:11px;line-height:1.2;color:#16181d}
+.fb-pages b{background:#fffc;padding:0 3px}
 .fb-view .fb-bar button[aria-pressed=true]{background:#2f7fb5;border-color:#2f7fb5;color:#fff}
 `;
+
+/** The colours from 0 to the most steps or the largest error, as `heat` in shaders/viewer/view.wgsl has them. */
+const HEAT = "linear-gradient(90deg,#08081f,#401f73,#b3336b,#f58040,#ffeb99)";
 
 /** Length of a drag that turns the camera by 360 degrees, pixels. */
 const TURN_PX = 500;
@@ -44,6 +57,8 @@ export class Controls {
   private readonly bar: HTMLElement;
   private readonly note: HTMLElement;
   private readonly under: HTMLElement;
+  private readonly scale: HTMLElement;
+  private readonly pages: HTMLElement | null;
   private readonly level: HTMLInputElement;
   private readonly axis: HTMLSelectElement;
   private readonly place: HTMLInputElement;
@@ -79,9 +94,13 @@ export class Controls {
       this.isLight = !this.isLight;
       this.refresh();
     });
-    this.button(bar, "steps", "Steps of each ray, dark for few and light for many", () => this.change(() => {
-      view.settings.steps = !view.settings.steps;
-    }));
+    const paint = (colors: "steps" | "error") => () => this.change(() => {
+      view.settings.colors = view.settings.colors === colors ? "light" : colors;
+    });
+    this.button(bar, "steps", "Steps of each ray, dark for few and light for many", paint("steps"));
+    if (description.error !== null)
+      this.button(bar, "error", "Difference of the stored samples from the exact ones, dark for small and light for large", paint("error"));
+    this.pages = description.pages.length ? this.addPages() : null;
     this.button(bar, "ground", "Dark or light background", () => this.change(() => {
       const isOwn = view.settings.background === description.background;
       view.settings.background = isOwn ? [0.9, 0.91, 0.93, 1] : description.background;
@@ -91,6 +110,7 @@ export class Controls {
     this.note = element("div", root, "", { class: "fb-note", "aria-live": "polite" });
     element("b", this.note, description.title);
     element("span", this.note, description.note);
+    this.scale = element("span", this.note, "", { class: "fb-scale" });
     this.under = element("span", this.note);
 
     const on = { signal: this.stop.signal };
@@ -118,10 +138,46 @@ export class Controls {
       const { axis, at } = settings.slice;
       this.place.value = String((at - lower[axis]) / (upper[axis] - lower[axis]));
     }
-    const pressed = { cut: settings.slice?.cut ?? false, light: this.isLight, steps: settings.steps };
-    for (const [name, is] of Object.entries(pressed)) this.buttons.get(name)!.setAttribute("aria-pressed", String(is));
+    const pressed = { cut: settings.slice?.cut ?? false, light: this.isLight, steps: settings.colors === "steps", error: settings.colors === "error", pages: this.pages?.hidden === false };
+    this.refreshScale();
+    for (const [name, is] of Object.entries(pressed)) this.buttons.get(name)?.setAttribute("aria-pressed", String(is));
     this.buttons.get("cut")!.disabled = !settings.slice;
     this.root.classList.toggle("fb-dark", settings.background === data.description.background && data.description.background[0] < 0.3);
+  }
+
+  /** Show what the colours of steps and errors mean. */
+  private refreshScale(): void {
+    const { settings, data } = this.view;
+    const { error, most_steps } = data.description;
+    this.scale.replaceChildren();
+    if (settings.colors === "light") return;
+    const isSteps = settings.colors === "steps";
+    element("span", this.scale, "0");
+    element("i", this.scale).style.background = HEAT;
+    element("span", this.scale, isSteps ? `${most_steps} steps of a ray` : `${text(error ?? 0)} world units, error of the nearest sample`);
+  }
+
+  /** The pages of an atlas in a layer over the canvas, and the button that shows it. */
+  private addPages(): HTMLElement {
+    const { canvas, data } = this.view;
+    const layer = element("div", this.root, "", { class: "fb-pages", hidden: "" });
+    layer.style.height = canvas.style.height;
+    for (const { title, picture, volumes } of data.description.pages) {
+      const figure = element("figure", layer);
+      element("figcaption", figure, title);
+      const page = element("div", figure);
+      element("img", page, "", { src: picture, alt: title });
+      for (const { name, box } of volumes) {
+        const frame = element("span", page, "", { title: name });
+        [frame.style.left, frame.style.top, frame.style.width, frame.style.height] = box.map((share) => `${100 * share}%`);
+        element("b", frame, name);
+      }
+    }
+    this.button(this.bar, "pages", "The pages of the atlas with the frames of its volumes", () => {
+      layer.hidden = !layer.hidden;
+      this.refresh();
+    });
+    return layer;
   }
 
   /** Add a slider whose changes go to `onValue`. */
@@ -171,8 +227,9 @@ export class Controls {
   private reset(): void {
     const { view } = this;
     view.camera.reset();
-    Object.assign(view.settings, { level: 0, slice: null, light: null, steps: false, background: view.data.description.background });
+    Object.assign(view.settings, { level: 0, slice: null, light: null, colors: "light", background: view.data.description.background });
     this.isLight = false;
+    if (this.pages) this.pages.hidden = true;
     this.change(() => {});
   }
 
@@ -240,7 +297,8 @@ export class Controls {
     canvas.addEventListener("dblclick", (event) => {
       const pick = view.pick(...place(event));
       if (!pick) return this.say("no surface at this pixel");
-      this.say(`point ${pick.point.map(text).join(", ")}   normal ${pick.normal.map((x) => x.toFixed(3)).join(", ")}   distance ${text(pick.distance)}`);
+      const name = view.data.count > 1 ? view.data.nameOf(pick.object) : "";
+      this.say(`${name}   point ${pick.point.map(text).join(", ")}   normal ${pick.normal.map((x) => x.toFixed(3)).join(", ")}   distance ${text(pick.distance)}`);
       this.onPick(pick);
     }, on);
     canvas.addEventListener("keydown", (event) => {

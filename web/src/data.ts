@@ -16,6 +16,18 @@ export interface InstanceData {
   specular: number;
   emission: Vector;
   shininess: number;
+  /** Difference between neighbouring samples of a dense grid that 1 % of the pairs exceed, units of the samples. */
+  slope: number;
+  /** Share of the view's largest error at a byte of 255 in the map of errors. */
+  errorShare: number;
+}
+
+/** Dense grids as one texture of signed bytes, stacked along z. */
+export interface FilteredGrids {
+  size: Vector;
+  texels: Int8Array;
+  /** Texel 22 of the row of each instance, as shaders/viewer/data.wgsl draws it. */
+  places: number[][];
 }
 
 export interface LightData {
@@ -23,6 +35,13 @@ export interface LightData {
   kind: number;
   vector: Vector;
   color: Vector;
+}
+
+/** A page of an atlas: its picture as an address, and its volumes in rectangles of left, top, width and height, shares. */
+export interface PageData {
+  title: string;
+  picture: string;
+  volumes: { name: string; box: [number, number, number, number] }[];
 }
 
 export interface ViewData {
@@ -45,15 +64,22 @@ export interface ViewData {
   /** Distance between two iso-lines of a slice, world units. */
   spacing: number;
   most_steps: number;
+  /** Largest error of the stored samples, world units; null where the samples are exact or their errors are not known. */
+  error: number | null;
+  pages: PageData[];
   note: string;
 }
 
 /** Indices of numbers in a record. */
 const [KIND, ENCODING, SCALE, FIRST, SHAPE, EMPTY, BLOCKS, MASKS] = [0, 1, 2, 3, 4, 7, 8, 11];
-const [LOWER, UPPER, UNIT, INDEX] = [12, 16, 20, 24];
+const [LOWER, UPPER, OBJECT, UNIT, INDEX] = [12, 16, 19, 20, 24];
 export const [DENSE, SPARSE] = [0, 1];
 /** Largest distance in blocks that the map of empty space stores. */
 const FARTHEST = 32;
+/** Distances in a filtered texture reach so far, texels. */
+const REACH = 8;
+/** Largest number of texels in a filtered texture. */
+const MOST_TEXELS = 2 ** 25;
 
 export class Data {
   readonly description: ViewData;
@@ -72,6 +98,54 @@ export class Data {
 
   get count(): number {
     return this.description.instances.length;
+  }
+
+  /** Whether an instance has data besides dense grids, which pictures in motion read from the texture of words. */
+  get hasOtherThanDense(): boolean {
+    return this.description.instances.some(({ record }) => record[KIND] !== DENSE);
+  }
+
+  /** The dense grids for pictures in motion. Every `step`-th sample is kept, so that no side of the texture exceeds `most`. */
+  filtered(most: number): FilteredGrids {
+    const { instances } = this.description;
+    const grids = new Map(instances.filter(({ record }) => record[KIND] === DENSE).map((one) => [one.record[FIRST], one]));
+    let step = 0;
+    let counts: Vector[];
+    let size: Vector;
+    do {
+      step++;
+      counts = [...grids.values()].map(({ record }) => record.slice(SHAPE, SHAPE + 3).map((n) => Math.ceil((n - 1) / step) + 1) as Vector);
+      const along = (axis: number) => counts.map((count) => count[axis]);
+      size = [Math.max(1, ...along(0)), Math.max(1, ...along(1)), Math.max(1, along(2).reduce((sum, n) => sum + n, 0))];
+    } while (Math.max(...size) > most || size[0] * size[1] * size[2] > MOST_TEXELS);
+
+    const texels = new Int8Array(size[0] * size[1] * size[2]);
+    const places = new Map<number, number[]>();
+    let layer = 0;
+    [...grids].forEach(([first, { record, slope }], i) => {
+      const [nx, ny, nz] = record.slice(SHAPE, SHAPE + 3);
+      const reach = REACH * step * (slope || 1);
+      const sample = this.samples(record);
+      const [cx, cy, cz] = counts[i];
+      for (let z = 0; z < cz; z++) {
+        for (let y = 0; y < cy; y++) {
+          const row = nx * (Math.min(step * y, ny - 1) + ny * Math.min(step * z, nz - 1));
+          const to = size[0] * (y + size[1] * (layer + z));
+          for (let x = 0; x < cx; x++) {
+            const share = sample(row + Math.min(step * x, nx - 1)) / reach;
+            texels[to + x] = Math.round(127 * Math.max(-1, Math.min(1, share)));
+          }
+        }
+      }
+      places.set(first, [layer, 1 / step, reach, 1 / (slope || 1)]);
+      layer += cz;
+    });
+    return { size, texels, places: instances.map(({ record }) => (record[KIND] === DENSE ? places.get(record[FIRST])! : [0, 1, 1, 1])) };
+  }
+
+  /** The name of an object; several instances may belong to it. */
+  nameOf(object: number): string {
+    return this.description.instances.find(({ record }) => record[OBJECT] === object)?.name ?? "";
   }
 
   /** Corners of an instance's box, field space. */

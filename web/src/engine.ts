@@ -1,7 +1,7 @@
 // WebGL 2: one context for all views of a document, and the resources of each view in it.
 
 import { Camera } from "./camera";
-import { Data } from "./data";
+import { Data, FilteredGrids } from "./data";
 import { Affine, Vector, add, direction, inverse, point, product, subtract, times, unit } from "./vectors";
 
 /** Texels in a row of the texture of words. */
@@ -10,7 +10,7 @@ const WIDTH = 2048;
 const ROW = 24;
 const MOST_LIGHTS = 16;
 
-export const Picture = { color: 0, steps: 1, depth: 2, normal: 3, object: 6, slice: 7 } as const;
+export const Picture = { color: 0, steps: 1, depth: 2, normal: 3, object: 6, slice: 7, error: 8 } as const;
 
 /** Settings of a picture besides the camera. */
 export interface Settings {
@@ -20,7 +20,8 @@ export interface Settings {
   /** Direction in which the key light travels, camera space; null for the lights of the data. */
   light: Vector | null;
   background: [number, number, number, number];
-  steps: boolean;
+  /** What the colours of surfaces show: light, the steps of each ray, or the errors of the stored samples. */
+  colors: "light" | "steps" | "error";
 }
 
 const VERTEX = `#version 300 es
@@ -33,6 +34,7 @@ export class Engine {
   readonly canvas = document.createElement("canvas");
   readonly gl: WebGL2RenderingContext;
   readonly mostRows: number;
+  readonly mostLayers: number;
   private readonly programs = new Map<string, WebGLProgram>();
 
   constructor(onLost: () => void) {
@@ -46,6 +48,7 @@ export class Engine {
     if (!gl) throw new Unavailable("This browser has no WebGL 2, so this picture is still and cannot be turned.");
     this.gl = gl;
     this.mostRows = gl.getParameter(gl.MAX_TEXTURE_SIZE);
+    this.mostLayers = gl.getParameter(gl.MAX_3D_TEXTURE_SIZE);
     this.canvas.addEventListener("webglcontextlost", (event) => {
       event.preventDefault();
       onLost();
@@ -87,14 +90,17 @@ export class Engine {
   }
 }
 
-/** The resources of a view in an engine: its program, its words and its table of instances. */
+/** The resources of a view in an engine: its programs, its samples and its table of instances. */
 export class Resources {
   private program!: WebGLProgram;
   private readonly words: WebGLTexture;
   private readonly frames: WebGLTexture;
   private readonly block: WebGLBuffer;
   private readonly inverses: Affine[];
-  private level = 0;
+  /** The level for which the words on the device are marked; null before the first upload. */
+  private level: number | null = null;
+  private grids: FilteredGrids | null = null;
+  private filtered: WebGLTexture | null = null;
 
   constructor(
     readonly engine: Engine,
@@ -106,8 +112,6 @@ export class Resources {
       throw new Unavailable("The samples exceed the textures of this graphics device, so this picture is still and cannot be turned.");
     this.words = this.texture();
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.R32UI, WIDTH, Math.max(rows, 1));
-    data.markEmpty(0);
-    this.upload();
     this.frames = this.texture();
     this.block = gl.createBuffer();
     this.inverses = data.description.instances.map((instance) => inverse(instance.fieldFromWorld));
@@ -117,6 +121,7 @@ export class Resources {
     const { gl } = this.engine;
     gl.deleteTexture(this.words);
     gl.deleteTexture(this.frames);
+    gl.deleteTexture(this.filtered);
     gl.deleteBuffer(this.block);
   }
 
@@ -143,22 +148,37 @@ export class Resources {
     put(rows, words.length - rows * WIDTH, 1);
   }
 
-  /** Set the program and all its input for a picture of this size; `draw` follows. */
-  prepare(camera: Camera, settings: Settings, width: number, height: number, picture: number): void {
+  /** Copy the dense grids to a texture that the device filters. */
+  private uploadFiltered(): void {
+    const { gl } = this.engine;
+    const { size, texels } = (this.grids = this.data.filtered(this.engine.mostLayers));
+    this.filtered = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_3D, this.filtered);
+    for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_3D, name, gl.LINEAR);
+    for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T, gl.TEXTURE_WRAP_R]) gl.texParameteri(gl.TEXTURE_3D, name, gl.CLAMP_TO_EDGE);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+    gl.texImage3D(gl.TEXTURE_3D, 0, gl.R8_SNORM, ...size, 0, gl.RED, gl.BYTE, texels);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 4);
+  }
+
+  /** Set the program and all its input for a picture of this size; `draw` follows. Only colours are drawn in motion. */
+  prepare(camera: Camera, settings: Settings, width: number, height: number, picture: number, isMotion = false): void {
     const { gl, canvas } = this.engine;
     if (canvas.width !== width || canvas.height !== height) {
       canvas.width = width;
       canvas.height = height;
     }
-    if (settings.level !== this.level) {
+    if (settings.level !== this.level && (!isMotion || this.data.hasOtherThanDense)) {
       this.level = settings.level;
       this.data.markEmpty(settings.level);
       this.upload();
     }
-    // A program without the slice compiles faster.
-    const text = this.data.description.shader;
-    const isPlain = !settings.slice;
-    this.program = this.engine.program(isPlain ? text.replace("const bool HAS_SLICE = true", "const bool HAS_SLICE = false") : text);
+    if (isMotion && !this.filtered) this.uploadFiltered();
+    // A program without what this picture does not need compiles faster.
+    let text = this.data.description.shader;
+    if (!settings.slice) text = text.replace("const bool HAS_SLICE = true", "const bool HAS_SLICE = false");
+    if (isMotion) text = text.replace("const bool IS_MOTION = false", "const bool IS_MOTION = true");
+    this.program = this.engine.program(text);
     const lights = this.fillFrames(camera, settings);
     this.fillBlock(camera, settings, width, height, picture, lights);
     gl.viewport(0, 0, width, height);
@@ -168,11 +188,12 @@ export class Resources {
     const active = gl.getProgramParameter(this.program, gl.ACTIVE_UNIFORMS);
     for (let i = 0; i < active; i++) {
       const { name, type } = gl.getActiveUniform(this.program, i)!;
-      const unit = type === gl.UNSIGNED_INT_SAMPLER_2D ? 0 : type === gl.SAMPLER_2D ? 1 : -1;
+      const unit = [gl.UNSIGNED_INT_SAMPLER_2D, gl.SAMPLER_2D, gl.SAMPLER_3D].indexOf(type as 0x8dd2);
       if (unit < 0) continue;
       gl.uniform1i(gl.getUniformLocation(this.program, name), unit);
       gl.activeTexture(gl.TEXTURE0 + unit);
-      gl.bindTexture(gl.TEXTURE_2D, unit === 0 ? this.words : this.frames);
+      if (unit === 2) gl.bindTexture(gl.TEXTURE_3D, this.filtered);
+      else gl.bindTexture(gl.TEXTURE_2D, unit === 0 ? this.words : this.frames);
     }
     gl.activeTexture(gl.TEXTURE0);
   }
@@ -252,6 +273,8 @@ export class Resources {
       put(i, 12, [...instance.color, instance.specular]);
       put(i, 13, [...instance.emission, instance.shininess]);
       put(i, 14, instance.record);
+      put(i, 22, this.grids?.places[i] ?? [0, 1, 1, 1]);
+      put(i, 23, [instance.errorShare]);
     });
     rays(instances.length, sceneFromWorld, corners(this.data.description.bounds));
     shining.forEach((light, i) => {
@@ -288,7 +311,9 @@ export class Resources {
       ...plane,
       ...[...lower, 0],
       ...[...upper, 0],
-      ...[scale, 1, 0, slice?.cut ? 1 : 0],
+      ...[scale, slice?.cut ? 1 : 0, 0, 0],
+      ...(this.grids?.size.map((n) => 1 / n) ?? [1, 1, 1]),
+      0,
     ];
     gl.bindBuffer(gl.UNIFORM_BUFFER, this.block);
     gl.bufferData(gl.UNIFORM_BUFFER, new Float32Array(values), gl.DYNAMIC_DRAW);

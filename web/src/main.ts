@@ -47,7 +47,7 @@ export function mount(root: HTMLElement, buffer: ArrayBuffer): Mounted {
     canvas.style.display = "none";
     still.style.display = "";
   };
-  void Promise.resolve(copied).then(() => drawFirst(view, still ? "still" : "moving"));
+  void Promise.resolve(copied).then(() => drawFirst(view, still ? "hidden" : "moving"));
   const close = () => {
     controls.close();
     view.close();
@@ -73,7 +73,7 @@ function showStill(still: HTMLImageElement, view: View): Promise<void> {
 }
 
 /** Draw the first picture in turn with the other windows of the tab, and release the context if there are others. */
-function drawFirst(view: View, kind: "moving" | "still"): Promise<void> {
+function drawFirst(view: View, kind: "moving" | "hidden"): Promise<void> {
   return inTurn(async () => {
     view.redraw(kind);
     await view.settled;
@@ -97,14 +97,22 @@ function painted(): Promise<void> {
   });
 }
 
+/** The bytes of a text in base64. Browsers before 2025 lack the function for it, which is a hundred times faster. */
+function decoded(text: string): Uint8Array<ArrayBuffer> {
+  const { fromBase64 } = Uint8Array as { fromBase64?: (text: string) => Uint8Array<ArrayBuffer> };
+  if (fromBase64) return fromBase64.call(Uint8Array, text);
+  const binary = atob(text);
+  const bytes = new Uint8Array(binary.length);
+  for (let i = 0; i < bytes.length; i++) bytes[i] = binary.charCodeAt(i);
+  return bytes;
+}
+
 async function openPage(): Promise<void> {
   const holder = document.getElementById("fieldbake-data");
   const root = document.getElementById("fieldbake-view");
   if (!holder || !root) return;
   await painted();
-  const binary = atob(holder.textContent ?? "");
-  const bytes = Uint8Array.from(binary, (character) => character.charCodeAt(0));
-  const mounted = mount(root, await inflated(bytes));
+  const mounted = mount(root, await inflated(decoded(holder.textContent ?? "")));
   const hook: PageHook = { ready: mounted.view.settled, pixels: () => mounted.view.pixels(), view: mounted.view };
   Object.assign(window, { fieldbake: hook });
   await hook.ready;

@@ -29,7 +29,7 @@ export interface Pixels {
 /** Values from here on mean that the ray hit nothing. */
 const NO_DEPTH = 2e38;
 /** Time that a picture in motion should take, milliseconds. */
-const MOVING_MS = 60;
+const MOVING_MS = 80;
 /** Time that each piece of a picture at rest should take, milliseconds. */
 const PIECE_MS = 40;
 /** A view releases its context after this time without input, milliseconds. */
@@ -51,10 +51,13 @@ function engine(): Engine {
   return shared;
 }
 
+/** Kinds of drawings; see `View.redraw`. */
+type Drawing = "moving" | "hidden" | "still";
+
 export class View {
   readonly camera: Camera;
   readonly settings: Settings;
-  /** Milliseconds: the start of the page until the first picture, the last picture at full size, and the last in motion. */
+  /** Milliseconds: the start of the page until the first drawing, the last picture at full size, and the last in motion. */
   readonly times = { first: 0, still: 0, moving: 0 };
   onChange: () => void = () => {};
   onProblem: (message: string) => void = () => {};
@@ -63,9 +66,9 @@ export class View {
   /** Number of requests so far. A drawing stops when a later request replaces it. */
   private turn = 0;
   /** Factor by which the pictures in motion are smaller. */
-  private coarseness = 3;
+  private coarseness = 2;
   private isBusy = false;
-  private isStale: "moving" | "still" | null = null;
+  private isStale: Drawing | null = null;
   private idle = 0;
   private waiting: Array<() => void> = [];
   /** How many contexts this view has lost since its last whole picture. */
@@ -83,7 +86,7 @@ export class View {
   ) {
     this.context = canvas.getContext("2d")!;
     this.camera = new Camera(data.description.camera);
-    this.settings = { level: 0, slice: null, light: null, background: data.description.background, steps: false };
+    this.settings = { level: 0, slice: null, light: null, background: data.description.background, colors: "light" };
     users.add(this);
   }
 
@@ -130,8 +133,11 @@ export class View {
     setTimeout(() => this.redraw(), delay);
   }
 
-  /** Draw again: a "moving" picture is smaller, so that it is drawn at once, and a "still" one follows it. */
-  redraw(kind: "moving" | "still" = "still"): void {
+  /**
+   * Draw again: a "moving" picture is smaller and filtered, so that it is drawn at once, and a "still" one follows it.
+   * A "hidden" picture is a moving one that leaves the canvas as it is: it prepares the device for the first input.
+   */
+  redraw(kind: Drawing = "still"): void {
     if (this.isClosed) return;
     this.isComplete = this.hasFailed = false;
     this.turn++;
@@ -140,7 +146,7 @@ export class View {
       return;
     }
     this.isBusy = true;
-    const work = kind === "moving" ? this.drawMoving() : this.drawStill();
+    const work = kind === "still" ? this.drawStill() : this.drawMoving(kind === "moving");
     work
       .catch((problem) => {
         // A lost context is no problem of the view: `lost` draws again.
@@ -153,7 +159,7 @@ export class View {
         const next = this.isStale;
         this.isStale = null;
         if (next) this.redraw(next);
-        else if (kind === "moving" && this.resources) this.redraw("still");
+        else if (kind !== "still" && this.resources) this.redraw("still");
         else if (this.isComplete || this.hasFailed) this.settle();
       });
   }
@@ -241,18 +247,21 @@ export class View {
     this.onChange();
   }
 
-  private async drawMoving(): Promise<void> {
+  private async drawMoving(isShown: boolean): Promise<void> {
     const started = performance.now();
     const resources = this.acquire();
+    // Steps and errors are those of the exact picture.
+    const isFiltered = this.picture === Picture.color;
     const width = Math.max(1, Math.round(this.canvas.width / this.coarseness));
     const height = Math.max(1, Math.round(this.canvas.height / this.coarseness));
-    resources.prepare(this.camera, this.settings, width, height, this.picture);
+    resources.prepare(this.camera, this.settings, width, height, this.picture, isFiltered);
     resources.draw(0, height);
     await finished(resources.engine.gl);
     if (this.resources !== resources || resources.engine.isLost) return;
-    this.show(width, height);
+    if (isShown) this.show(width, height);
     const spent = performance.now() - started;
     this.times.moving = spent;
+    this.times.first ||= performance.now();
     // Time goes with the number of pixels. One slow frame, such as that of a first compilation, changes little.
     const factor = Math.max(0.7, Math.min(1.4, Math.sqrt(spent / MOVING_MS)));
     this.coarseness = Math.max(1, Math.min(COARSEST, this.coarseness * factor));
@@ -284,7 +293,7 @@ export class View {
   }
 
   private get picture(): number {
-    return this.settings.steps ? Picture.steps : Picture.color;
+    return { light: Picture.color, steps: Picture.steps, error: Picture.error }[this.settings.colors];
   }
 }
 

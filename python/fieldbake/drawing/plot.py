@@ -94,7 +94,7 @@ def plot_atlas(atlas: Atlas, page: int = 0) -> Figure:
     texels = atlas.pages[page].astype(np.float32)
     # Only the rows and columns that contain volumes are shown.
     blocks = {i: atlas._blocks[i] for i in atlas.indices if atlas._blocks["page"][i] == page}
-    frames = {i: _frame_of(block) for i, block in blocks.items()}
+    frames = {i: frame_of(block) for i, block in blocks.items()}
     right = max((x + width for x, _, width, _ in frames.values()), default=atlas.page_size)
     bottom = max((y + height for _, y, _, height in frames.values()), default=atlas.page_size)
     shown = texels[:bottom, :right]
@@ -128,7 +128,7 @@ def plot_atlas(atlas: Atlas, page: int = 0) -> Figure:
     return figure
 
 
-def _frame_of(block: Any) -> tuple[int, int, int, int]:
+def frame_of(block: Any) -> tuple[int, int, int, int]:
     """Left, top, width and height of the rectangle of a block, texels."""
     columns, slices = int(block["columns"]), int(block["shape"][2])
     (x, y), (tile_x, tile_y) = block["corner"].tolist(), block["tile"].tolist()

@@ -32,6 +32,7 @@ from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume
 from . import records
+from .pages import pages_of
 from .records import Record
 
 #: Voxels along the longest side of the volume that takes the place of a shape without a function in the shader.
@@ -77,6 +78,8 @@ class Content:
     background: Sequence[float] = BACKGROUND
     #: Ambient light comes from above more than from below, as in pictures of one field.
     hemisphere: bool = True
+    #: Pictures of the pages of an atlas.
+    pages: list[dict[str, Any]] = field(default_factory=list)
     #: Content that raymarch draws for the picture that replaces the view.
     drawn: Any = None
     _frame: Frame | None = field(default=None, repr=False)
@@ -128,6 +131,12 @@ class Content:
                 ),
             ]
         )
+        errors = [
+            item.record.error * scale
+            for item, scale in zip(self.placed, scales, strict=True)
+            if item.record.error is not None
+        ]
+        error = max(errors) if errors else None
         spacing = nice_step(min(diagonal / LINES, max(known / 3, reach / 40)))
         eye, forward = self.camera.pose[:3, 3], -self.camera.pose[:3, 2]
         distance = float((0.5 * (lower + upper) - eye) @ forward)
@@ -137,7 +146,10 @@ class Content:
             "title": self.title,
             "size": self.size,
             "shader": self._shader(),
-            "instances": [_instance_data(item, row) for item, row in zip(self.placed, rows, strict=True)],
+            "instances": [
+                _instance_data(item, row, (item.record.error or 0.0) * scale / (error or 1.0))
+                for item, row, scale in zip(self.placed, rows, scales, strict=True)
+            ],
             "lights": None if self.lights is None else [_light_data(light) for light in self.lights],
             "key": {"direction": KEY_DIRECTION, "color": [KEY_INTENSITY] * 3},
             "background": list(self.background),
@@ -149,6 +161,8 @@ class Content:
             "range": max(known, reach / 40),
             "spacing": spacing,
             "most_steps": MOST_STEPS,
+            "error": error,
+            "pages": self.pages,
             "note": f"{_size_text(upper - lower)} world units; iso-lines every {spacing:g}",
         }
 
@@ -172,6 +186,9 @@ def content_of(thing: Any, camera: Camera | None, encoding: str, size: tuple[int
     if isinstance(thing, Atlas):
         content = _of_scene(_entries_scene(thing), camera, encoding, size)
         content.title = f"Atlas of {len(content.placed)} volumes"
+        content.pages = pages_of(thing)
+        for placed, index in zip(content.placed, thing.indices, strict=True):
+            placed.name = f"volume {index}"
         return content
     if isinstance(thing, Quadric):
         content = _of_scene(Scene([thing]), camera, encoding, size)
@@ -282,7 +299,7 @@ def _placed(instance: Instance, number: int, thing: Any, record: Record) -> Plac
 
 def _entries_scene(atlas: Atlas) -> Scene:
     """The volumes of an atlas side by side, in rows along x and y."""
-    entries = [atlas[i] for i in range(len(atlas))]
+    entries = list(atlas)
     if not entries:
         raise SceneError("the atlas is empty; add a volume")
     columns = math.ceil(math.sqrt(len(entries)))
@@ -311,7 +328,7 @@ def _shader(kinds: set[float], encodings: set[str], shapes: Sequence[Shape]) -> 
     return _core.viewer_shader("glsl", has, one, [shape._core for shape in shapes])[0]
 
 
-def _instance_data(item: Placed, row: list[float]) -> dict[str, Any]:
+def _instance_data(item: Placed, row: list[float], error_share: float) -> dict[str, Any]:
     field_from_world = item.record.field_from_object @ np.linalg.inv(item.world_from_object)
     return {
         "name": item.name,
@@ -321,6 +338,8 @@ def _instance_data(item: Placed, row: list[float]) -> dict[str, Any]:
         "specular": item.specular,
         "emission": list(item.emission),
         "shininess": item.shininess,
+        "slope": item.record.slope,
+        "errorShare": error_share,
     }
 
 

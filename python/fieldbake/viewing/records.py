@@ -25,7 +25,7 @@ from ..volumes.volume import Volume
 RECORD = 32
 KIND, ENCODING, SCALE, FIRST, VOXELS, EMPTY, BLOCKS, MASKS = 0, 1, 2, 3, 4, 7, 8, 11
 LOWER, FLAGS, UPPER, OBJECT, UNIT, BIAS, STRUCTURE, INVERSE_LIPSCHITZ = 12, 15, 16, 19, 20, 21, 22, 23
-INDEX, NODES, FLOOR, LONGEST_STEP, NODE_STEP = 24, 25, 26, 27, 28
+INDEX, NODES, FLOOR, LONGEST_STEP, NODE_STEP, ERRORS = 24, 25, 26, 27, 28, 31
 
 #: Most words of a view: their indices are float32.
 MOST_WORDS = 1 << 24
@@ -41,6 +41,9 @@ ENCODINGS = ("float32", "float16", "snorm16", "snorm8")
 
 #: Cells along the side of a block of a dense grid, and of a brick.
 BLOCK_CELLS, BRICK_CELLS = 4, 7
+
+#: Steps of the errors of samples, which divide 255.
+ERROR_STEPS = 5
 
 #: Start of a shadow ray above the surface, field units: half a voxel, the step of pictures of one shape, and half of
 #: 1/1024 for quadrics and for shapes in scenes.
@@ -65,11 +68,17 @@ class Record:
     levels: tuple[float, float] = (-np.inf, np.inf)
     #: Linear RGB of the object itself.
     color: Sequence[float] | None = None
+    #: Difference between neighbouring samples of a dense grid that 1 % of the pairs exceed, units of the samples.
+    slope: float = 0.0
+    #: Largest difference of the stored samples from the exact ones, world units of the object; None if it is not known.
+    error: float | None = None
 
 
 def of_volume(volume: Volume, encoding: str) -> Record:
     """The record of a dense grid. A quantised volume stays as it is; others are stored in `encoding`."""
+    exact = None
     if encoding_of(volume) == "float32" and encoding != "float32":
+        exact = volume.distances
         volume = volume.quantize(encoding)  # type: ignore[arg-type]
     shape = volume.resolution
     blocks = [(n + 1 + BLOCK_CELLS - 1) // BLOCK_CELLS for n in shape]
@@ -81,6 +90,15 @@ def of_volume(volume: Volume, encoding: str) -> Record:
     # Beyond the largest integer nothing is known.
     least, largest = float(values.min()) / steps * scale, float(values.max()) / steps * scale
     keep = scale * (1 - 1 / steps) if normalised else np.inf
+    arrays = {
+        FIRST: _words(np.asarray(texels).ravel(order="F")),
+        EMPTY: _reserved(1, blocks),
+        MASKS: _reserved(8, blocks),
+    }
+    stored = volume.distances
+    error = None
+    if exact is not None:
+        arrays[ERRORS], error = _errors(exact, stored, volume.spacing)
     return Record(
         field_from_object=_grid_from_world(volume),
         lower=np.full(3, -0.5),
@@ -94,12 +112,10 @@ def of_volume(volume: Volume, encoding: str) -> Record:
             **_three(VOXELS, shape),
             **_three(BLOCKS, blocks),
         },
-        arrays={
-            FIRST: _words(np.asarray(texels).ravel(order="F")),
-            EMPTY: _reserved(1, blocks),
-            MASKS: _reserved(8, blocks),
-        },
+        arrays=arrays,
         levels=(max(least, -keep), min(largest, keep)),
+        slope=_slope(stored),
+        error=error,
     )
 
 
@@ -110,11 +126,16 @@ def of_sparse(volume: SparseVolume, encoding: str) -> Record:
     bricks = np.ascontiguousarray(arrays["bricks"].transpose(0, 3, 2, 1)).reshape(-1, 8, 8).transpose()
     stored, scale = volume.encoding, volume._core_field.scale
     spacing = volume.spacing
+    counts = arrays["index"].shape
+    maps: dict[int, NDArray[np.uint32]] = {}
+    error = None
     if ENCODINGS.index(encoding) > ENCODINGS.index(stored):
         values = bricks if stored == "float32" else _core.decode(bricks, scale)
         scale = encodings.scale_of(encoding, spacing, volume.band / float(spacing.max()))
-        bricks, stored = _core.encode(values, encoding, scale), encoding
-    counts = arrays["index"].shape
+        bricks = _core.encode(values, encoding, scale)
+        if stored == "float32":
+            maps[ERRORS], error = _errors(values, _core.decode(bricks, scale), spacing)
+        stored = encoding
     step = spacing * BRICK_CELLS
     longest = float(step.max())
     nodes = (arrays["nodes"].ravel(order="F").astype(np.float64) / longest).astype(np.float32)
@@ -140,8 +161,10 @@ def of_sparse(volume: SparseVolume, encoding: str) -> Record:
             EMPTY: _reserved(1, counts),
             INDEX: _words(arrays["index"].ravel(order="F")),
             NODES: _words(nodes),
+            **maps,
         },
         levels=(-volume.band, 0.99 * floor),
+        error=error,
     )
 
 
@@ -218,6 +241,28 @@ def joined(
             f"a view holds at most 64 MiB of samples, and these have {4 * at / 2**20:.0f} MiB; use {advice}"
         )
     return rows, np.concatenate(pieces)
+
+
+def _slope(values: NDArray[Any]) -> float:
+    """The difference between neighbouring samples that 1 % of the pairs along an axis exceed; more do at no axis.
+
+    Fields of open meshes jump at their openings, so that the largest difference says little about the others.
+    """
+    steps = [np.abs(np.diff(values, axis=axis)) for axis in range(3)]
+    return max(float(np.percentile(step, 99)) if step.size else 0.0 for step in steps)
+
+
+def _errors(exact: NDArray[Any], stored: NDArray[Any], spacing: NDArray[Any]) -> tuple[NDArray[np.uint32], float]:
+    """Errors of the samples near the surface as bytes, 255 for the largest, and the largest; 0 for other samples.
+
+    The sample that is nearest to a point of the surface is at most half the diagonal of a voxel away. Errors have
+    :data:`ERROR_STEPS` steps, because noise of more steps compresses badly.
+    """
+    near = 0.5 * float(np.linalg.norm(spacing))
+    errors = np.where(np.abs(exact) <= near, np.abs(exact - stored), 0)
+    largest = float(errors.max(initial=0.0))
+    shares = np.rint(ERROR_STEPS / (largest or 1.0) * errors) * (255 // ERROR_STEPS)
+    return _words(shares.astype(np.uint8).ravel(order="F")), largest
 
 
 def encoding_of(volume: Volume) -> str:

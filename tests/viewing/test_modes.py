@@ -1,0 +1,155 @@
+"""Pictures of a view besides the lit one at rest: in motion, steps and errors of samples, pages of an atlas."""
+
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fieldbake as fb
+from browser import visit
+
+SIZE = (80, 64)
+
+#: Resolves to the colours of the view drawn in motion, of its errors and steps, and to its depths.
+MODES = """(async () => {
+  while (!window.fieldbake) await new Promise((done) => setTimeout(done, 20));
+  await fieldbake.ready;
+  const { view } = fieldbake;
+  const { width, height } = view.canvas;
+  const text = (bytes) => btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(""));
+  const drawn = (picture, isMotion) => {
+    const resources = view.acquire();
+    resources.prepare(view.camera, view.settings, width, height, picture, isMotion);
+    resources.draw(0, height);
+    return text(resources.read());
+  };
+  const made = { motion: drawn(0, true), error: drawn(8, false), steps: drawn(1, false), depth: drawn(2, false) };
+  const buttons = [...document.querySelectorAll(".fb-bar button")];
+  const press = (name) => buttons.find((it) => it.textContent === name).click();
+  const legends = ["steps", "error"].map((name) => {
+    press(name);
+    const legend = document.querySelector(".fb-scale").textContent;
+    press(name);
+    return legend;
+  });
+  const scale = view.data.description.error;
+  press("reset");
+  await view.settled;
+  return { ...made, legends, scale };
+})()"""
+
+#: Resolves to what the layer of pages shows after its button was pressed.
+PAGES = """(async () => {
+  while (!window.fieldbake) await new Promise((done) => setTimeout(done, 20));
+  await fieldbake.ready;
+  const [layer] = document.querySelectorAll(".fb-pages");
+  const before = layer.getBoundingClientRect().height;
+  [...document.querySelectorAll(".fb-bar button")].find((it) => it.textContent === "pages").click();
+  await Promise.all([...layer.querySelectorAll("img")].map((image) => image.decode()));
+  const box = (it) => {
+    const { left, top, width, height } = it.getBoundingClientRect();
+    return [left, top, width, height];
+  };
+  const figures = [...layer.querySelectorAll("figure")].map((figure) => ({
+    title: figure.querySelector("figcaption").textContent,
+    image: box(figure.querySelector("img")),
+    names: [...figure.querySelectorAll("span")].map((it) => it.textContent),
+    boxes: [...figure.querySelectorAll("span")].map(box),
+  }));
+  return { before, after: layer.getBoundingClientRect().height, figures };
+})()"""
+
+
+def knot(resolution: int = 40) -> fb.Volume:
+    return fb.bake(fb.models.torus_knot(), resolution, device="cpu")
+
+
+def decoded(text: str) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(text), np.uint8).reshape(SIZE[1], SIZE[0], 4)
+
+
+def heat(share: np.ndarray) -> np.ndarray:
+    """The colours of Frame.heatmap, sRGB in [0, 1]."""
+    colors = [(0.03, 0.03, 0.12), (0.25, 0.12, 0.45), (0.70, 0.20, 0.42), (0.96, 0.50, 0.25), (1.00, 0.92, 0.60)]
+    return np.stack([np.interp(share, np.linspace(0, 1, 5), channel) for channel in zip(*colors, strict=True)], axis=-1)
+
+
+def test_modes_of_a_view(tmp_path: Path) -> None:
+    camera = fb.Camera((3.5, 3.0, 7.5), (0.4, 0, 0), fov_deg=40)
+    place = np.eye(4)
+    place[:3, 3] = 2.4, 0.2, 0.3
+    place[:3, :3] *= 0.8
+    ball = fb.bake(fb.sphere(radius=0.9), 24, device="cpu")
+    scene = fb.Scene([fb.Instance(knot()), fb.Instance(ball, place), fb.Instance(fb.torus(1.9, 0.1))])
+    things = {"dense": knot(), "sparse": knot().to_sparse(), "scene": scene}
+    jobs, frames = [], {}
+    for name, thing in things.items():
+        page = tmp_path / f"{name}.html"
+        thing.to_html(page, camera=camera, size=SIZE)
+        jobs.append({"url": page.as_uri(), "expression": MODES})
+        frames[name] = fb.raymarch(thing, camera, size=SIZE, device="cpu")
+    found = dict(zip(things, visit(jobs), strict=True))
+    for name, result in found.items():
+        assert result.value is not None, (name, result.errors)
+        assert result.errors == [], name
+        # Filters round their weights to 8 bits, and snorm8 has steps of 4 voxels / 127: normals and silhouettes move.
+        difference = np.abs(decoded(result.value["motion"]).astype(int) - frames[name].image).max(axis=-1)
+        assert (difference <= 16).mean() >= 0.93, (name, (difference <= 16).mean())
+        assert difference.mean() <= 4, (name, difference.mean())
+        steps, error = result.value["legends"]
+        assert steps.endswith("64 steps of a ray")
+        assert error.startswith("0")
+        assert error.endswith("world units, error of the nearest sample")
+        assert len(np.unique(decoded(result.value["steps"])[..., 0])) > 4
+
+    # The colour of the errors, up to the brightness of the surface, against the errors of the nearest samples.
+    volume, value = knot(), found["dense"].value
+    stored = volume.quantize("snorm8").distances
+    errors = np.abs(stored - volume.distances)
+    depth = decoded(value["depth"]).copy().view(np.float32)[..., 0]
+    hit = depth < 1e38
+    height, width = depth.shape
+    pixel = 2 * np.tan(np.radians(camera.fov_deg) / 2) / height
+    x = (np.arange(width) + 0.5 - width / 2) * pixel
+    y = (height / 2 - np.arange(height) - 0.5) * pixel
+    right, up, back, eye = camera.pose[:3].T
+    rays = x[None, :, None] * right + y[:, None, None] * up - back
+    points = eye + rays[hit] * depth[hit][:, None]
+    grid = (points - volume.bounds[0]) / volume.spacing - 0.5
+    nearest = tuple(np.clip(np.rint(grid), 0, np.array(volume.resolution) - 1).astype(int).T)
+    near = np.abs(volume.distances) <= 0.5 * np.linalg.norm(volume.spacing)
+    assert value["scale"] == pytest.approx(errors[near].max(), rel=1e-6)
+    # Errors are stored in five steps.
+    expected = heat(np.rint(5 * errors[nearest] / value["scale"]) / 5)
+    seen = decoded(value["error"])[hit][:, :3] / 255
+    ratio = seen / np.linalg.norm(seen, axis=1, keepdims=True)
+    wanted = expected / np.linalg.norm(expected, axis=1, keepdims=True)
+    # A point half way between two samples may take either.
+    assert (np.abs(ratio - wanted).max(axis=1) <= 0.03).mean() >= 0.97
+    assert len(np.unique(expected, axis=0)) >= 4
+
+
+def test_the_pages_of_an_atlas_are_shown(tmp_path: Path) -> None:
+    volumes = [fb.bake(fb.sphere(radius=1), n, device="cpu") for n in (24, 16, 20)]
+    atlas = fb.pack(volumes, page_size=256)
+    atlas.remove(1)
+    page = tmp_path / "atlas.html"
+    atlas.to_html(page, size=(320, 240))
+    (result,) = visit([{"url": page.as_uri(), "expression": PAGES}])
+    assert result.errors == []
+    assert result.value["before"] == 0
+    assert result.value["after"] == 240
+    (figure,) = result.value["figures"]
+    assert figure["title"] == f"page 0 of 1, 256 x 256 {atlas.encoding}, {atlas.layout}"
+    sizes = {i: " x ".join(map(str, atlas.resolution(i))) for i in (0, 2)}
+    assert figure["names"] == [f"0: {sizes[0]}", f"2: {sizes[2]}"]
+    left, top, width, height = figure["image"]
+    for x, y, across, down in figure["boxes"]:
+        assert left - 1 <= x <= x + across <= left + width + 1
+        assert top - 1 <= y <= y + down <= top + height + 1
+    (x0, y0, w0, h0), (x1, y1, w1, h1) = figure["boxes"]
+    # The frames do not overlap by more than their lines.
+    assert x0 + w0 <= x1 + 2 or x1 + w1 <= x0 + 2 or y0 + h0 <= y1 + 2 or y1 + h1 <= y0 + 2
