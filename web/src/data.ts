@@ -176,18 +176,21 @@ export class Data {
     const [bx, by, bz] = record.slice(BLOCKS, BLOCKS + 3);
     const sample = this.samples(record);
     const least = new Float32Array(bx * by * bz).fill(Infinity);
+    const row = new Float32Array(bx);
     for (let z = 0, i = 0; z < nz; z++) {
       for (let y = 0; y < ny; y++) {
+        // Sample x is a corner of cells x - 1 and x, which lie in blocks floor(x / 4) and floor((x + 1) / 4).
+        row.fill(Infinity);
         for (let x = 0; x < nx; x++, i++) {
           const value = sample(i);
-          // Sample x is a corner of cells x - 1 and x, which lie in blocks floor(x / 4) and floor((x + 1) / 4).
-          for (let cz = z >> 2; cz <= (z + 1) >> 2; cz++) {
-            for (let cy = y >> 2; cy <= (y + 1) >> 2; cy++) {
-              for (let cx = x >> 2; cx <= (x + 1) >> 2; cx++) {
-                const b = cx + bx * (cy + by * cz);
-                if (value < least[b]) least[b] = value;
-              }
-            }
+          const b = x >> 2;
+          if (value < row[b]) row[b] = value;
+          if ((x & 3) === 3 && value < row[b + 1]) row[b + 1] = value;
+        }
+        for (let cz = z >> 2; cz <= (z + 1) >> 2; cz++) {
+          for (let cy = y >> 2; cy <= (y + 1) >> 2; cy++) {
+            const first = bx * (cy + by * cz);
+            for (let b = 0; b < bx; b++) if (row[b] < least[first + b]) least[first + b] = row[b];
           }
         }
       }

@@ -62,6 +62,11 @@ class Placed:
     flags: int = records.VISIBLE | records.CASTS
     number: int = 0
 
+    @property
+    def scale(self) -> float:
+        """World units of a unit of the object: the mean over the three axes where they differ."""
+        return float(np.cbrt(abs(np.linalg.det(self.world_from_object[:3, :3]))))
+
 
 @dataclass
 class Content:
@@ -115,29 +120,14 @@ class Content:
         lower, upper = self.bounds
         diagonal = float(np.linalg.norm(upper - lower))
         reach = LEVEL_SHARE * diagonal
-        scales = [np.cbrt(abs(np.linalg.det(item.world_from_object[:3, :3]))) for item in self.placed]
-        low = max([item.record.levels[0] * scale for item, scale in zip(self.placed, scales, strict=True)], default=0.0)
-        high = min(
-            [item.record.levels[1] * scale for item, scale in zip(self.placed, scales, strict=True)], default=0.0
-        )
+        known = [(item.record, item.scale) for item in self.placed]
+        low = max([record.levels[0] * scale for record, scale in known], default=0.0)
+        high = min([record.levels[1] * scale for record, scale in known], default=0.0)
         # Lines and colours stay within the band of quantised samples.
-        known = min(
-            [
-                reach,
-                *(
-                    min(-item.record.levels[0], item.record.levels[1]) * scale
-                    for item, scale in zip(self.placed, scales, strict=True)
-                    if item.record.numbers[records.KIND] == records.DENSE
-                ),
-            ]
-        )
-        errors = [
-            item.record.error * scale
-            for item, scale in zip(self.placed, scales, strict=True)
-            if item.record.error is not None
-        ]
-        error = max(errors) if errors else None
-        spacing = nice_step(min(diagonal / LINES, max(known / 3, reach / 40)))
+        dense = [(record.levels, scale) for record, scale in known if record.numbers[records.KIND] == records.DENSE]
+        band = min([reach, *(min(-least, largest) * scale for (least, largest), scale in dense)])
+        error = max([record.error * scale for record, scale in known if record.error is not None], default=None)
+        spacing = nice_step(min(diagonal / LINES, max(band / 3, reach / 40)))
         eye, forward = self.camera.pose[:3, 3], -self.camera.pose[:3, 2]
         distance = float((0.5 * (lower + upper) - eye) @ forward)
         if not distance > 1e-6 * diagonal:
@@ -146,10 +136,7 @@ class Content:
             "title": self.title,
             "size": self.size,
             "shader": self._shader(),
-            "instances": [
-                _instance_data(item, row, (item.record.error or 0.0) * scale / (error or 1.0))
-                for item, row, scale in zip(self.placed, rows, scales, strict=True)
-            ],
+            "instances": [_instance_data(item, row, error) for item, row in zip(self.placed, rows, strict=True)],
             "lights": None if self.lights is None else [_light_data(light) for light in self.lights],
             "key": {"direction": KEY_DIRECTION, "color": [KEY_INTENSITY] * 3},
             "background": list(self.background),
@@ -158,7 +145,7 @@ class Content:
             "bounds": self.bounds.tolist(),
             "camera": {"pose": self.camera.pose.ravel().tolist(), "fov": self.camera.fov_deg, "distance": distance},
             "levels": [min(max(low, -reach), 0.0), max(min(high, reach), 0.0)],
-            "range": max(known, reach / 40),
+            "range": max(band, reach / 40),
             "spacing": spacing,
             "most_steps": MOST_STEPS,
             "error": error,
@@ -328,7 +315,7 @@ def _shader(kinds: set[float], encodings: set[str], shapes: Sequence[Shape]) -> 
     return _core.viewer_shader("glsl", has, one, [shape._core for shape in shapes])[0]
 
 
-def _instance_data(item: Placed, row: list[float], error_share: float) -> dict[str, Any]:
+def _instance_data(item: Placed, row: list[float], largest_error: float | None) -> dict[str, Any]:
     field_from_world = item.record.field_from_object @ np.linalg.inv(item.world_from_object)
     return {
         "name": item.name,
@@ -339,7 +326,7 @@ def _instance_data(item: Placed, row: list[float], error_share: float) -> dict[s
         "emission": list(item.emission),
         "shininess": item.shininess,
         "slope": item.record.slope,
-        "errorShare": error_share,
+        "errorShare": (item.record.error or 0.0) * item.scale / (largest_error or 1.0),
     }
 
 
