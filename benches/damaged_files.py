@@ -13,8 +13,10 @@ import resource
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import fieldbake as fb
 
@@ -25,8 +27,11 @@ MEMORY = 6 << 30
 WORDS = (0, 1, 4, 2**31, 2**32 - 1)
 
 
-def sources(folder: Path) -> list[tuple[str, bytes]]:
-    """Sound files of every format and encoding."""
+def sources(folder: Path) -> list[tuple[Path, Path, bytes]]:
+    """Sound files of every format and encoding: the file to damage, the file to read, and the bytes of the first.
+
+    The first is the JSON beside the second, or the second itself.
+    """
     volume = fb.bake(fb.models.gear(), (13, 12, 9))
     wanted: list[tuple[str, dict[str, object]]] = [
         (".npz", {}),
@@ -44,13 +49,29 @@ def sources(folder: Path) -> list[tuple[str, bytes]]:
     ]
     wanted += [(ending, {"encoding": name}) for ending in (".dds", ".ktx2") for name in ("float32", "snorm8", "unorm8")]
     wanted += [(".ktx2", {"mipmaps": True, "encoding": "float16"})]
+    atlas = fb.pack([volume, volume.quantize("snorm16")], page_size="fit")
+    aside = np.eye(4)
+    aside[0, 3] = 5
+    nested = fb.merge([volume, (volume, aside)], 8, levels=2, center=(0, 0, 0))
+    things: list[tuple[Any, str, dict[str, object]]] = [(volume, *one) for one in wanted]
+    things += [(one, ".npz", {}) for one in (volume.to_sparse(), volume.quantize("snorm8"), nested, atlas)]
+    things += [(atlas, ".exr", {}), (atlas, ".png", {})]
     found = []
-    for ending, options in wanted:
-        volume.save(folder / f"source{ending}", **options)  # type: ignore[arg-type]
-        found.append((ending, (folder / f"source{ending}").read_bytes()))
-    volume.to_sparse().save(folder / "source.npz")
-    found.append((".npz", (folder / "source.npz").read_bytes()))
+    for number, (thing, ending, options) in enumerate(things):
+        path = folder / f"{number}{ending}"
+        thing.save(path, **options)
+        beside = path.with_name(f"{path.name}.json")
+        found += [(one, path, one.read_bytes()) for one in (path, beside) if one.exists()]
     return found
+
+
+def samples(found: Any) -> list[NDArray[np.float32]]:
+    """All distances of any object that a file can hold."""
+    if isinstance(found, fb.Atlas):
+        return [found.unpack(i).distances for i in found.indices]
+    if isinstance(found, fb.NestedField):
+        return [level.distances for level in found.levels]
+    return [(found.to_volume() if isinstance(found, fb.SparseVolume) else found).distances]
 
 
 def damaged(content: bytes, random: np.random.Generator) -> bytes:
@@ -94,19 +115,19 @@ def main() -> None:
                 continue
             counts = {"refused": 0, "read": 0, "slowest": 0.0}
             for seed in range(first, min(first + BLOCK, options.count)):
-                ending, content = files[seed % len(files)]
-                path = folder / f"source{ending}"
-                path.write_bytes(damaged(content, np.random.default_rng(seed)))
+                target, path, content = files[seed % len(files)]
+                target.write_bytes(damaged(content, np.random.default_rng(seed)))
                 start = time.process_time()
                 try:
                     found = fb.load(path)
-                    assert np.isfinite(found.distances).all(), f"seed {seed}: a sample is not finite"
+                    assert all(np.isfinite(one).all() for one in samples(found)), f"seed {seed}: not finite"
                     counts["read"] += 1
                 except (fb.FormatError, fb.CapacityError):
                     counts["refused"] += 1
                 except BaseException:
-                    print(f"seed {seed}, {ending}")
+                    print(f"seed {seed}, {target.name}")
                     raise
+                target.write_bytes(content)
                 counts["slowest"] = max(counts["slowest"], time.process_time() - start)
             assert counts["slowest"] <= MOST_SECONDS, f"block {first}: {counts['slowest']:.1f} s"
             state[str(first)] = counts
