@@ -57,7 +57,9 @@ class Leaf:
         start, along = np.broadcast_to(self.local(origin), directions.shape), directions @ self.turned
         t = np.sort(np.nan_to_num(self.roots(start, along), nan=np.inf), axis=1)
         last = np.where(np.isfinite(t), t, -np.inf).max(axis=1, keepdims=True)
-        ends = np.concatenate([t[:, :1] - 1, np.where(np.isfinite(t), t, last), last + 1], axis=1)
+        # Missing crossings lie behind the last one, 1 apart: the middle of an empty interval would be on the surface.
+        behind = last + np.arange(1, t.shape[1] + 2)
+        ends = np.concatenate([t[:, :1] - 1, np.where(np.isfinite(t), t, behind[:, :-1]), behind[:, -1:]], axis=1)
         ends = np.where(np.isfinite(ends), ends, 0)
         middle = (ends[:, 1:] + ends[:, :-1]) / 2
         is_inside = self.inside(start[:, None] + middle[..., None] * along[:, None])
