@@ -43,11 +43,13 @@ SCRIPT = """
     return entries()[0].startTime;
   });
   const still = spent();
+  await page.waitForFunction(() => window.fieldbake);
   await page.evaluate(() => fieldbake.ready);
   const exact = spent();
   const times = await page.evaluate(() => {
     const load = performance.getEntriesByType("navigation")[0].loadEventEnd;
-    return { first: fieldbake.view.times.first - load, load, still: fieldbake.view.times.still };
+    const { first, still } = fieldbake.view.times;
+    return { first: first - load, load, still };
   });
   const moving = [];
   for (let i = 0; i < 40; i++) {
@@ -91,7 +93,8 @@ def main() -> None:
     print(f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors; processor time in brackets")
     print(f"load event: {value['load']:.0f} ms; first picture on the screen: {value['shown']:.0f} ms")
     print(f"one word on an empty page: {least.value:.0f} ms")
-    print(f"exact live picture: {value['first']:.0f} ms after the load event ({value['exact_cpu']} ms)")
+    print(f"first live picture: {value['first']:.0f} ms after the load event")
+    print(f"exact live picture: {value['still']:.0f} ms after that ({value['exact_cpu']} ms for both)")
     wall = sorted(ms for ms, _, _ in value["moving"][10:])
     cpu = sum(ticks for _, ticks, _ in value["moving"][10:]) / len(wall)
     print(f"moving frame: {wall[len(wall) // 2]:.0f} ms ({cpu:.0f} ms), width {value['moving'][-1][2]} pixels")

@@ -13,7 +13,7 @@ const STYLE = `
 .fb-bar input[type=range]{width:70px;margin:0;accent-color:#2f7fb5}
 .fb-bar button,.fb-bar select{font:inherit;color:inherit;border:1px solid #c9ced6;border-radius:5px;background:#fff;padding:1px 7px;cursor:pointer}
 .fb-bar output{min-width:3.2em;font-variant-numeric:tabular-nums}
-.fb-note{padding:0 9px 6px;display:flex;gap:14px;flex-wrap:wrap;color:#5d6572;min-height:1.9em;font-variant-numeric:tabular-nums}
+.fb-note{padding:0 9px 6px;display:flex;gap:0 14px;flex-wrap:wrap;color:#5d6572;min-height:1.9em;font-variant-numeric:tabular-nums}
 .fb-note b{font-weight:600;color:#2b3038}
 .fb-dark{background:#20242b;color:#dfe3ea}
 .fb-dark .fb-note{color:#99a1ad}.fb-dark .fb-note b{color:#dfe3ea}

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import base64
 import html
+import math
 from typing import Any
 
 from .content import Content
 from .page import page_of
 
-#: Height of the controls below the canvas, CSS pixels.
-CONTROLS_PX = 84
+#: Height of a row of controls below the canvas, and the width of all controls in one row, CSS pixels.
+ROW_PX, CONTROLS_PX = 28, 620
 
 
 def frame_html(page: str, size: tuple[int, int]) -> str:
     """An iframe with a whole page inside, which needs no file and no network."""
     width, height = size
+    # Two rows of notes come after the rows of controls.
+    rows = 2 + math.ceil(CONTROLS_PX / max(width, 240))
     return (
-        f'<iframe srcdoc="{html.escape(page, quote=True)}" width="{width}" height="{height + CONTROLS_PX}" '
+        f'<iframe srcdoc="{html.escape(page, quote=True)}" width="{width}" height="{height + ROW_PX * rows}" '
         'style="border:0;max-width:100%" sandbox="allow-scripts allow-downloads"></iframe>'
     )
 
