@@ -67,6 +67,15 @@ def test_encodings_of_textures_are_kept(encoding, volume, folder, tmp_path):
     assert np.abs(first.distances - volume.distances)[near].max() <= bound * scale * 1.001
 
 
+def test_half_floats_of_sheets_are_kept(volume, folder, tmp_path):
+    convert(folder / "v.npz", tmp_path / "a.exr", "--encoding", "float16")
+    convert(tmp_path / "a.exr", tmp_path / "b.exr")
+    first, second = (fb.load(tmp_path / name) for name in ("a.exr", "b.exr"))
+    assert first.encoding == second.encoding == "float16"
+    assert np.array_equal(first.distances, second.distances)
+    assert (tmp_path / "a.exr").stat().st_size == (tmp_path / "b.exr").stat().st_size
+
+
 def test_sparse_fields_become_every_format(volume, tmp_path):
     volume.to_sparse(band=3).save(tmp_path / "s.npz")
     for ending in FIELDS:

@@ -118,7 +118,7 @@ def check_count(grid: Grid) -> Grid:
         x, y, z = grid.shape
         raise ArgumentError(
             f"resolution: {x} x {y} x {z} are {count:.2g} voxels, and a field has at most {MAX_VOXELS:.2g}; use at "
-            f"most {most} along the longest side, a smaller box (bounds), or bake_to_zarr"
+            f"most {most} along the longest side, or a smaller box (bounds)"
         )
     return grid
 

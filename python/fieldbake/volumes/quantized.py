@@ -131,6 +131,8 @@ class QuantizedVolume(Volume):
         if options.encoding is None and ending in writers.MIPMAPPED:
             band = self._unit / float(self.spacing.max())
             super()._save(target, replace(options, encoding=self._encoding, band=band))
+        elif options.encoding is None and ending == ".exr" and self._encoding == "float16":
+            super()._save(target, replace(options, encoding="float16"))
         elif ending in writers.ENDINGS or not way.is_identity:
             super()._save(target, options)
         else:
