@@ -306,3 +306,15 @@ def test_a_sparse_volume_is_a_leaf_of_a_shape_and_no_array():
         sparse.save("v.dds")
     merged = fb.merge([volume], 8)
     assert repr(merged).startswith("MergedField(")
+
+
+def test_a_shape_is_baked_to_bricks():
+    shape = fb.sphere(1.0) | fb.box(0.8).translate((1, 0, 0))
+    sparse, dense = fb.bake_sparse(shape, 64, tolerance=None), fb.bake(shape, 64, device="cpu")
+    near = np.abs(dense.distances) < 4 * dense.spacing.max()
+    points = np.stack(np.meshgrid(*dense.coordinates, indexing="ij"), axis=-1)[near]
+    # The same samples, read at the voxel centres, whose positions round to 1e-7 of the box.
+    assert np.abs(sparse.sample(points) - dense.distances[near]).max() <= 1e-6 * np.ptp(dense.bounds)
+    assert fb.bake_sparse([fb.sphere(1.0), fb.box(0.8).translate((1, 0, 0))], 64).resolution == dense.resolution
+    with pytest.raises(fb.ArgumentError, match="sign"):
+        fb.bake_sparse(shape, 32, sign="parity")

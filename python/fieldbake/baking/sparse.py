@@ -1,6 +1,8 @@
-"""Baking of a mesh to a sparse volume, without the dense grid."""
+"""Baking to a sparse volume; of a mesh without the dense grid."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,12 +14,13 @@ from ..base.progress import Progress, progress_callback
 from ..base.report import Report
 from ..meshes.convert import MeshLike
 from ..queries.common import Sign
+from ..shapes.shape import Shape, all_shapes
 from ..volumes.sparse import SparseVolume, sparse_options
-from .dense import log_warnings, prepare
+from .dense import bake, log_warnings, prepare
 
 
 def bake_sparse(
-    mesh: MeshLike,
+    mesh: MeshLike | Shape | Sequence[Shape],
     resolution: Resolution = 512,
     *,
     band: float = 4,
@@ -31,7 +34,7 @@ def bake_sparse(
     thickness: float | None = None,
     progress: Progress = None,
 ) -> SparseVolume:
-    """Bake a mesh into bricks around its surface, without making the dense grid.
+    """Bake a mesh or a shape into bricks around its surface.
 
     Parameters
     ----------
@@ -60,6 +63,8 @@ def bake_sparse(
 
     Notes
     -----
+    The bake of a mesh never makes the dense grid. A shape is evaluated on the dense grid first, 4 bytes a sample.
+
     The bake runs on the CPU. Stored distances equal those of :func:`bake`. A brick far from the surface lies on one
     side. On closed meshes this is certain. On open meshes all its samples are tested, on triangle soups its corners.
 
@@ -74,6 +79,20 @@ def bake_sparse(
     True
     """
     options = sparse_options(band, tolerance, encoding)
+    if isinstance(mesh, Shape) or all_shapes(mesh):
+        dense = bake(
+            mesh,
+            resolution,
+            voxel_size=voxel_size,
+            bounds=bounds,
+            margin=margin,
+            sign=sign,
+            two_sided=two_sided,
+            thickness=thickness,
+            device="cpu",
+            progress=progress,
+        )
+        return dense.to_sparse(tolerance=tolerance, band=band, encoding=encoding)
     job = prepare(mesh, resolution, voxel_size, bounds, margin, sign, two_sided, thickness)
     with progress_callback(progress, "bake") as callback:
         field, facts = _core.bake_sparse(

@@ -30,8 +30,16 @@ ON_SURFACE = 1e-3
 
 def to_ideal(mesh: Mesh, field: Field) -> float:
     """Largest distance from the surface of a mesh to the zero level set of a field."""
-    corners = mesh.vertices[mesh.faces]
-    scores = np.concatenate([_scores(field, part) for part in np.array_split(corners, 1 + len(corners) * 7 // BATCH)])
+    vertices, faces = mesh.vertices, mesh.faces.astype(np.int64)
+    # Corners and middles of edges are shared by several faces. Each is evaluated once.
+    ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1), axis=-1)
+    edges, edge_of = np.unique(ends[..., 0] * len(vertices) + ends[..., 1], return_inverse=True)
+    middles = (vertices[edges // len(vertices)] + vertices[edges % len(vertices)]) / 2
+    corners = vertices[faces]
+    scores = np.maximum(
+        np.maximum(_distances(field, vertices)[faces].max(axis=1), _distances(field, corners.mean(axis=1))),
+        _distances(field, middles)[edge_of.reshape(faces.shape)].max(axis=1),
+    )
     kept = _largest(scores)
     pieces, best = corners[kept], float(scores.max())
     for _ in range(ROUNDS):
@@ -40,6 +48,12 @@ def to_ideal(mesh: Mesh, field: Field) -> float:
         best = max(best, float(scores.max()))
         pieces = quarters[np.arange(len(pieces)), scores.argmax(axis=1)]
     return best
+
+
+def _distances(field: Field, points: Array) -> Array:
+    """Distances of points (n, 3) from the zero level set, (n,), in batches."""
+    parts = [field.distances(points[first : first + BATCH]) for first in range(0, len(points), BATCH)]
+    return np.concatenate(parts)
 
 
 def _scores(field: Field, triangles: Array) -> Array:
@@ -65,7 +79,11 @@ def from_ideal(mesh: Mesh, field: Field, grid: Grid) -> float:
 
     tops, scores = [np.empty((0, 3))], [np.empty(0)]
     for centers in _near(field, grid):
-        points, found = measure(centers)
+        # One step of Newton's method is exact where the field is a distance. The few farthest points are measured.
+        moved = projected(field, centers)[0]
+        moved[~np.isfinite(moved).all(axis=1)] = mesh.vertices[0]
+        near = _core.closest_point(mesh._core, np.ascontiguousarray(moved))[1]
+        points, found = measure(moved[_largest(near, 8 * PLACES)])
         kept = _largest(found)
         tops.append(points[kept])
         scores.append(found[kept])
@@ -108,9 +126,9 @@ def _near(field: Field, grid: Grid) -> list[Array]:
     return [lower + (origins + side / 2) * spacing for origins in batches]
 
 
-def _largest(scores: Array) -> NDArray[np.intp]:
-    """Rows of the largest scores, at most `PLACES`, the same on every run."""
-    count = min(PLACES, len(scores))
+def _largest(scores: Array, most: int = PLACES) -> NDArray[np.intp]:
+    """Rows of the largest scores, at most `most`, the same on every run."""
+    count = min(most, len(scores))
     return np.argsort(-scores, kind="stable")[:count]
 
 
