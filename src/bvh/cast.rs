@@ -12,6 +12,7 @@ use super::{Bvh, ChildRef, MAX_STACK, Node, WIDTH};
 use crate::mesh::Mesh;
 use crate::mesh::topology::Orientation;
 use glam::DVec3;
+use std::mem::MaybeUninit;
 
 impl Mesh {
     /// The first hit of a ray that `accept` returns true for. Among equal distances the lowest face is returned.
@@ -140,50 +141,116 @@ impl Mesh {
         let Some(clipped) = ClippedRay::new(ray, bvh.bounds.min.as_dvec3(), bvh.bounds.max.as_dvec3()) else { return };
         let lanes = LaneRay::new(&clipped.sheared);
         let mut limit = clipped.search_limit(f64::INFINITY);
-        let mut stack = [(0.0f32, ChildRef::NONE); MAX_STACK];
-        let mut top = 0;
-        let mut next = (0.0f32, Bvh::ROOT);
+        let mut stack = Stack::new();
+        let mut child = Bvh::ROOT;
         loop {
-            let (near, child) = next;
-            if near <= limit {
-                if child.is_pack() {
-                    let pack = &packs[child.index()];
-                    let mut mask = triangles(&lanes, pack, limit);
-                    while mask != 0 {
-                        let face = pack.faces[mask.trailing_zeros() as usize];
-                        mask &= mask - 1;
-                        let Some(hit) = clipped.hit(face, self.exact_triangle(face)) else { continue };
-                        let t_limit = accept(hit);
-                        if t_limit == f64::NEG_INFINITY {
-                            return;
-                        }
-                        limit = limit.min(clipped.search_limit(t_limit));
+            if child.is_pack() {
+                let pack = &packs[child.index()];
+                let mut mask = triangles(&lanes, pack, limit);
+                while mask != 0 {
+                    let face = pack.faces[mask.trailing_zeros() as usize];
+                    mask &= mask - 1;
+                    let Some(hit) = self.hit_in_pack(face, &clipped) else { continue };
+                    let t_limit = accept(hit);
+                    if t_limit == f64::NEG_INFINITY {
+                        return;
                     }
-                } else {
-                    let node = &bvh.nodes[child.index()];
-                    let (mut mask, entered) = boxes(&lanes, node, limit);
-                    if mask != 0 {
-                        let bottom = top;
-                        while mask != 0 {
-                            let lane = mask.trailing_zeros() as usize;
-                            mask &= mask - 1;
-                            let mut slot = top;
-                            while slot > bottom && stack[slot - 1].0 < entered[lane] {
-                                stack[slot] = stack[slot - 1];
-                                slot -= 1;
-                            }
-                            stack[slot] = (entered[lane], node.children[lane]);
-                            top += 1;
-                        }
-                    }
+                    limit = limit.min(clipped.search_limit(t_limit));
+                }
+            } else {
+                let node = &bvh.nodes[child.index()];
+                let (mask, entered) = boxes(&lanes, node, limit);
+                if mask != 0 {
+                    child = stack.push_all_but_nearest(mask, &entered, &node.children);
+                    continue;
                 }
             }
-            if top == 0 {
-                return;
-            }
-            top -= 1;
-            next = stack[top];
+            child = match stack.pop(limit) {
+                Some(next) => next,
+                None => return,
+            };
         }
+    }
+
+    /// The exact test of a candidate. A lane without a face has the face `u32::MAX`.
+    #[inline(always)]
+    fn hit_in_pack(&self, face: u32, clipped: &ClippedRay) -> Option<FaceHit> {
+        let &[a, b, c] = self.faces().get(face as usize)?;
+        clipped.hit(face, [self.exact_position(a), self.exact_position(b), self.exact_position(c)])
+    }
+}
+
+/// Boxes that are still to be searched, with the t of entry, the nearest of each node on top.
+///
+/// The memory is not initialised, since that takes longer than a short search.
+struct Stack {
+    slots: [MaybeUninit<(f32, ChildRef)>; MAX_STACK],
+    /// Number of slots in use. All of them have been written.
+    top: usize,
+}
+
+impl Stack {
+    #[inline(always)]
+    fn new() -> Self {
+        Self { slots: [const { MaybeUninit::uninit() }; MAX_STACK], top: 0 }
+    }
+
+    #[inline(always)]
+    fn push(&mut self, entry: (f32, ChildRef)) {
+        self.slots[self.top].write(entry);
+        self.top += 1;
+    }
+
+    /// The entry at an index below `top`.
+    #[inline(always)]
+    fn at(&self, index: usize) -> (f32, ChildRef) {
+        assert!(index < self.top);
+        // SAFETY: every slot below `top` has been written, and the type has no destructor.
+        unsafe { self.slots[index].assume_init() }
+    }
+
+    /// The nearest child of a mask that is not zero; the others are pushed.
+    #[inline(always)]
+    fn push_all_but_nearest(
+        &mut self,
+        mut mask: u32,
+        entered: &[f32; WIDTH],
+        children: &[ChildRef; WIDTH],
+    ) -> ChildRef {
+        let mut take = || {
+            let lane = mask.trailing_zeros() as usize & (WIDTH - 1);
+            mask &= mask - 1;
+            ((entered[lane], children[lane]), mask != 0)
+        };
+        let (mut nearest, mut more) = take();
+        let bottom = self.top;
+        while more {
+            let next;
+            (next, more) = take();
+            // The nearer of the two stays out of the stack; the other one goes to its place.
+            let farther = if next.0 < nearest.0 { std::mem::replace(&mut nearest, next) } else { next };
+            let mut slot = self.top;
+            self.push(farther);
+            while slot > bottom && self.at(slot - 1).0 < farther.0 {
+                self.slots[slot] = self.slots[slot - 1];
+                slot -= 1;
+            }
+            self.slots[slot].write(farther);
+        }
+        nearest.1
+    }
+
+    /// The next box that the ray enters before the limit.
+    #[inline(always)]
+    fn pop(&mut self, limit: f32) -> Option<ChildRef> {
+        while self.top > 0 {
+            let (near, child) = self.at(self.top - 1);
+            self.top -= 1;
+            if near <= limit {
+                return Some(child);
+            }
+        }
+        None
     }
 }
 

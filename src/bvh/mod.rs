@@ -196,6 +196,13 @@ impl Bvh {
 }
 
 impl Node {
+    /// Lower sides of the boxes along x, y and z, then their upper sides.
+    #[inline(always)]
+    pub fn rows(&self) -> &[[f32; WIDTH]; 6] {
+        // SAFETY: the struct has C layout and begins with `min` and `max`, six rows without padding.
+        unsafe { &*std::ptr::from_ref(self).cast() }
+    }
+
     fn empty() -> Self {
         Self {
             min: [[f32::INFINITY; WIDTH]; 3],

@@ -7,6 +7,7 @@ use super::watertight::{BOX_MARGIN, Sheared};
 use super::{Node, WIDTH};
 use crate::mesh::Mesh;
 use crate::mesh::derived::Derived;
+use glam::DVec3;
 
 /// Corners of up to eight triangles side by side, in the order of the tree's packs.
 #[derive(Debug, Clone)]
@@ -51,8 +52,8 @@ const SHEAR_ROUNDING: f32 = 1e-6;
 /// Rounding error of a product of two sheared coordinates, relative to the square of the largest: three roundings of
 /// 6e-8.
 const PRODUCT_ROUNDING: f32 = 3e-7;
-/// Inverse of a zero component of the direction. It is large, and its products with local coordinates are finite.
-const PARALLEL: f32 = 1e30;
+/// Largest magnitude of an inverse component of the direction. Its products with local coordinates are finite.
+const PARALLEL: f64 = 1e30;
 /// Coordinates of absent lanes.
 const ABSENT: f32 = 1e4;
 
@@ -63,7 +64,10 @@ pub struct LaneRay {
     enter_origin: [f32; 3],
     leave_origin: [f32; 3],
     inverse: [f32; 3],
-    negative: [bool; 3],
+    /// Rows of a node's boxes with the sides that the ray enters and leaves through: 0 to 2 are the lower sides, 3 to 5
+    /// the upper ones.
+    near: [usize; 3],
+    far: [usize; 3],
     /// Origin for triangles, by sheared axis.
     origin: [f32; 3],
     shear: [f32; 2],
@@ -85,22 +89,30 @@ impl Mesh {
 }
 
 impl LaneRay {
+    #[inline]
     pub fn new(sheared: &Sheared) -> Self {
-        let origin = sheared.origin.as_vec3().to_array();
-        let direction = sheared.direction.as_vec3().to_array();
-        let negative = direction.map(|d| d < 0.0);
-        let inverse = direction.map(|d| if d.abs() < 1.0 / PARALLEL { PARALLEL } else { 1.0 / d });
-        let margin = negative.map(|negative| if negative { -BOX_MARGIN } else { BOX_MARGIN });
-        Self {
-            enter_origin: [0, 1, 2].map(|axis| origin[axis] + margin[axis]),
-            leave_origin: [0, 1, 2].map(|axis| origin[axis] - margin[axis]),
-            inverse,
-            negative,
-            origin: sheared.axes.map(|axis| origin[axis]),
+        let (position, [x, y, z]) = (sheared.origin.as_vec3().to_array(), sheared.axes);
+        let mut ray = Self {
+            enter_origin: position,
+            leave_origin: position,
+            inverse: sheared.inverse.clamp(DVec3::splat(-PARALLEL), DVec3::splat(PARALLEL)).as_vec3().to_array(),
+            near: [0, 1, 2],
+            far: [3, 4, 5],
+            origin: [position[x], position[y], position[z]],
             shear: [sheared.shear[0] as f32, sheared.shear[1] as f32],
             axes: sheared.axes,
             ahead: sheared.shear[2] as f32,
+        };
+        for axis in 0..3 {
+            let negative = ray.inverse[axis] < 0.0;
+            let margin = if negative { -BOX_MARGIN } else { BOX_MARGIN };
+            ray.enter_origin[axis] += margin;
+            ray.leave_origin[axis] -= margin;
+            if negative {
+                (ray.near[axis], ray.far[axis]) = (3 + axis, axis);
+            }
         }
+        ray
     }
 
     /// Mask of the lanes whose box the ray enters before `limit`, and the t of entry.
@@ -112,7 +124,7 @@ impl LaneRay {
             let (mut enter, mut leave) = (0.0f32, limit);
             for axis in 0..3 {
                 let (low, high) = (node.min[axis][lane], node.max[axis][lane]);
-                let (near, far) = if self.negative[axis] { (high, low) } else { (low, high) };
+                let (near, far) = if self.near[axis] > 2 { (high, low) } else { (low, high) };
                 let near = (near - self.enter_origin[axis]) * self.inverse[axis];
                 let far = (far - self.leave_origin[axis]) * self.inverse[axis];
                 enter = if near > enter { near } else { enter };
@@ -192,14 +204,14 @@ mod avx2 {
         #[inline]
         #[target_feature(enable = "avx2")]
         pub(in crate::bvh) fn boxes_avx2(&self, node: &Node, limit: f32) -> (u32, [f32; WIDTH]) {
+            let rows = node.rows();
             let mut enter = _mm256_setzero_ps();
             let mut leave = _mm256_set1_ps(limit);
             for axis in 0..3 {
-                let (low, high) = (&node.min[axis], &node.max[axis]);
-                let (near, far) = if self.negative[axis] { (high, low) } else { (low, high) };
                 let inverse = _mm256_set1_ps(self.inverse[axis]);
-                let near = _mm256_mul_ps(_mm256_sub_ps(row!(*near), _mm256_set1_ps(self.enter_origin[axis])), inverse);
-                let far = _mm256_mul_ps(_mm256_sub_ps(row!(*far), _mm256_set1_ps(self.leave_origin[axis])), inverse);
+                let (near, far) = (row!(rows[self.near[axis]]), row!(rows[self.far[axis]]));
+                let near = _mm256_mul_ps(_mm256_sub_ps(near, _mm256_set1_ps(self.enter_origin[axis])), inverse);
+                let far = _mm256_mul_ps(_mm256_sub_ps(far, _mm256_set1_ps(self.leave_origin[axis])), inverse);
                 enter = _mm256_max_ps(near, enter);
                 leave = _mm256_min_ps(far, leave);
             }

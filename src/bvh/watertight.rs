@@ -49,28 +49,43 @@ pub struct ClippedRay {
     t_end: f64,
     /// Largest component of the direction. Divided by it, the direction has the component 1 or -1.
     size: f64,
+    /// 1 / size.
+    unscale: f64,
     pub sheared: Sheared,
 }
 
 impl ClippedRay {
-    /// None if the ray misses the box.
+    /// None if the ray misses the box, or reaches it at a `t` that float64 cannot hold.
+    #[inline]
     pub fn new(ray: &Ray, min: DVec3, max: DVec3) -> Option<Self> {
-        let (enter, leave) = slab(ray, min, max);
-        let (t_start, t_end) = (enter.max(ray.t_min), leave.min(ray.t_max));
-        if t_start > t_end {
+        let magnitude = ray.direction.abs();
+        let z = if magnitude.y > magnitude.x { 1 } else { 0 };
+        let z = if magnitude.z > magnitude[z] { 2 } else { z };
+        // The only divisions. The ray is scaled by its largest component.
+        let reciprocal = ray.direction.recip();
+        let unscale = reciprocal[z].abs();
+        if unscale.is_infinite() {
             return None;
         }
-        let size = ray.direction.abs().max_element();
-        let sheared = Sheared::new(ray.origin + t_start * ray.direction, ray.direction / size);
-        Some(Self { t_min: ray.t_min, t_max: ray.t_max, t_start, t_end, size, sheared })
+        let mut direction = ray.direction * unscale;
+        direction[z] = 1f64.copysign(reciprocal[z]);
+        let inverse = reciprocal * magnitude[z];
+        let (enter, leave) = slab(ray.origin, inverse, min, max);
+        let (t_start, t_end) = ((enter * unscale).max(ray.t_min), (leave * unscale).min(ray.t_max));
+        // A ray that misses has enter > leave.
+        if enter > leave || t_start > t_end || t_start.is_infinite() {
+            return None;
+        }
+        let sheared = Sheared::new(ray.origin + t_start * ray.direction, direction, inverse, z);
+        Some(Self { t_min: ray.t_min, t_max: ray.t_max, t_start, t_end, size: magnitude[z], unscale, sheared })
     }
 
     /// The hit of a face with these corners, if it lies within the limits of the ray.
     #[inline]
     pub fn hit(&self, face: u32, corners: [DVec3; 3]) -> Option<FaceHit> {
         let hit = self.sheared.hit(corners)?;
-        let t = self.t_start + hit.t / self.size;
-        (t >= self.t_min && t <= self.t_max).then_some(FaceHit { t, face, ..hit })
+        let t = self.t_start + hit.t * self.unscale;
+        (t >= self.t_min && t <= self.t_max && t < f64::INFINITY).then_some(FaceHit { t, face, ..hit })
     }
 
     /// Limit of a float32 search for hits up to `t`, in the scaled direction from the start. It has slack for the
@@ -82,21 +97,21 @@ impl ClippedRay {
     }
 }
 
-/// The interval of a line inside a slightly enlarged box. The second value is below the first if the line misses.
-fn slab(ray: &Ray, min: DVec3, max: DVec3) -> (f64, f64) {
+/// The interval of a line inside a slightly enlarged box, in multiples of the scaled direction. The first value exceeds
+/// the second if the line misses.
+#[inline]
+fn slab(origin: DVec3, inverse: DVec3, min: DVec3, max: DVec3) -> (f64, f64) {
     let margin = 2.0 * f64::from(BOX_MARGIN);
+    let (low, high) = ((min - margin - origin) * inverse, (max + margin - origin) * inverse);
+    // A zero component has an infinite inverse: the ray misses, or that axis bounds nothing. A NaN is the product of
+    // such an inverse and a zero, on the margin, and is ignored by `f64::min` and `f64::max`.
     let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
     for axis in 0..3 {
-        let (low, high) = (min[axis] - margin - ray.origin[axis], max[axis] + margin - ray.origin[axis]);
-        if ray.direction[axis] == 0.0 {
-            if low > 0.0 || high < 0.0 {
-                return (f64::INFINITY, f64::NEG_INFINITY);
-            }
-            continue;
-        }
-        let (a, b) = (low / ray.direction[axis], high / ray.direction[axis]);
-        enter = enter.max(a.min(b));
-        leave = leave.min(a.max(b));
+        enter = enter.max(low[axis].min(high[axis]));
+        leave = leave.min(low[axis].max(high[axis]));
+    }
+    if enter.is_infinite() || leave.is_infinite() {
+        return (f64::INFINITY, f64::NEG_INFINITY);
     }
     // For origins far away the ends are rounded by more than the margin.
     let room = 1e-14 * enter.abs().max(leave.abs());
@@ -107,32 +122,30 @@ fn slab(ray: &Ray, min: DVec3, max: DVec3) -> (f64, f64) {
 #[derive(Debug)]
 pub struct Sheared {
     pub origin: DVec3,
-    /// Its largest component is 1 or -1.
-    pub direction: DVec3,
+    /// Inverse of the direction, whose largest component is 1 or -1. A zero has an infinite inverse of its sign.
+    pub inverse: DVec3,
     pub axes: [usize; 3],
     pub shear: [f64; 3],
 }
 
 impl Sheared {
-    /// The largest component of `direction` must be 1 or -1.
-    fn new(origin: DVec3, direction: DVec3) -> Self {
-        let magnitude = direction.abs();
-        let z = (1..3).fold(0, |best, axis| if magnitude[axis] > magnitude[best] { axis } else { best });
+    /// Axis `z` has the largest component of `direction`, which must be 1 or -1.
+    #[inline]
+    fn new(origin: DVec3, direction: DVec3, inverse: DVec3, z: usize) -> Self {
         let (x, y) = ((z + 1) % 3, (z + 2) % 3);
+        let ahead = direction[z];
         // Two axes are exchanged for a negative direction, which keeps the winding.
-        let (x, y) = if direction[z] < 0.0 { (y, x) } else { (x, y) };
-        let shear = [direction[x] / direction[z], direction[y] / direction[z], 1.0 / direction[z]];
-        Self { origin, direction, axes: [x, y, z], shear }
+        let (x, y) = if ahead < 0.0 { (y, x) } else { (x, y) };
+        // Products with 1 or -1 are exact, as are quotients.
+        Self { origin, inverse, axes: [x, y, z], shear: [direction[x] * ahead, direction[y] * ahead, ahead] }
     }
 
     /// The hit of a triangle; `t` is in the scaled direction, and the face is not set yet.
     #[inline]
     fn hit(&self, corners: [DVec3; 3]) -> Option<FaceHit> {
-        let [x, y, z] = self.axes;
-        let [a, b, c] = corners.map(|corner| {
-            let p = corner - self.origin;
-            [p[x] - self.shear[0] * p[z], p[y] - self.shear[1] * p[z], p[z]]
-        });
+        let a = self.corner(corners[0]);
+        let b = self.corner(corners[1]);
+        let c = self.corner(corners[2]);
         let edges = [edge_function(c, b), edge_function(a, c), edge_function(b, a)];
         let (mut positive, mut negative, mut zeros) = (false, false, 0u8);
         for (i, &edge) in edges.iter().enumerate() {
@@ -145,9 +158,17 @@ impl Sheared {
         if (positive && negative) || sum == 0.0 {
             return None;
         }
-        let weights = edges.map(|edge| edge / sum);
+        let weights = [edges[0] / sum, edges[1] / sum, edges[2] / sum];
         let t = self.shear[2] * (weights[0] * a[2] + weights[1] * b[2] + weights[2] * c[2]);
         Some(FaceHit { t, face: 0, weights, zeros, is_front: sum > 0.0 })
+    }
+
+    /// A point in the sheared space.
+    #[inline(always)]
+    fn corner(&self, p: DVec3) -> [f64; 3] {
+        let [x, y, z] = self.axes;
+        let p = (p - self.origin).to_array();
+        [p[x] - self.shear[0] * p[z], p[y] - self.shear[1] * p[z], p[z]]
     }
 }
 

@@ -143,10 +143,12 @@ impl Mesh {
     }
 
     /// World units per local unit, a power of two.
+    #[inline]
     pub fn scale(&self) -> f64 {
         self.scale
     }
 
+    #[inline]
     pub fn local_from_world(&self, p_world: DVec3) -> DVec3 {
         (p_world - self.center) * self.inverse_scale
     }
@@ -170,6 +172,7 @@ impl Mesh {
         &self.positions
     }
 
+    #[inline]
     pub fn faces(&self) -> &[[u32; 3]] {
         &self.faces
     }
@@ -248,11 +251,13 @@ impl Mesh {
     }
 
     /// Local position of a vertex in the precision of the float64 input.
+    #[inline]
     pub fn exact_position(&self, vertex: u32) -> DVec3 {
         self.local_from_world(DVec3::from_array(self.world[vertex as usize]))
     }
 
     /// Local corners of a face in the precision of the float64 input.
+    #[inline]
     pub fn exact_triangle(&self, face: u32) -> [DVec3; 3] {
         self.faces[face as usize].map(|v| self.exact_position(v))
     }

@@ -11,11 +11,25 @@ use crate::mesh::derived::Derived;
 use crate::progress::Progress;
 use glam::DVec3;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Number of rays between two checks of the progress.
 const CHUNK: usize = 1024;
 /// Size of a tree that stays in the cache at any order of the rays, bytes.
 const CACHE: usize = 1 << 20;
+
+/// Number of different keys of [`order_of`].
+const KEYS: usize = 1 << 18;
+/// Bits of a number of four bits, with two empty bits after each.
+const SPREAD: [usize; 16] = {
+    let mut table = [0; 16];
+    let mut x = 0;
+    while x < 16 {
+        table[x] = x & 1 | (x & 2) << 2 | (x & 4) << 4 | (x & 8) << 6;
+        x += 1;
+    }
+    table
+};
 
 /// World-space rays: as many origins as directions, and the common range of `t` in lengths of the direction.
 #[derive(Debug, Clone, Copy)]
@@ -47,55 +61,70 @@ pub struct Intersections {
     pub barycentric: Vec<[f64; 3]>,
 }
 
+/// The first hit of one ray, as it is stored in [`RayHits`].
+#[derive(Debug, Clone, Copy)]
+struct RayHit {
+    t: f64,
+    face: i64,
+    weights: [f64; 3],
+    normal: [f64; 3],
+}
+
 /// Result of a ray without a hit.
-const MISS: FaceHit = FaceHit { t: f64::INFINITY, face: 0, weights: [0.0; 3], zeros: 0, is_front: false };
+const MISS: RayHit = RayHit { t: f64::INFINITY, face: -1, weights: [0.0; 3], normal: [0.0; 3] };
 
 /// The first hit of every ray.
 pub fn cast_rays(mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> Result<RayHits, Error> {
-    let found = for_each_ray(mesh, rays, progress, |ray, _| {
-        let hit = mesh.first_hit(ray, |_| true)?;
-        Some((hit, unit_normal(mesh, mesh.exact_triangle(hit.face), hit.face)))
+    let found = trace(mesh, rays, progress, |ray, _| {
+        let Some(hit) = mesh.first_hit(ray, |_| true) else { return MISS };
+        let normal = unit_normal(mesh, mesh.exact_triangle(hit.face), hit.face).to_array();
+        RayHit { t: hit.t, face: hit.face.into(), weights: hit.weights, normal }
     })?;
-    let count = found.len();
+    let count = rays.origins.len();
     let mut hits = RayHits {
-        t: Vec::with_capacity(count),
-        faces: Vec::with_capacity(count),
-        barycentric: Vec::with_capacity(count),
-        normals: Vec::with_capacity(count),
+        t: vec![0.0; count],
+        faces: vec![0; count],
+        barycentric: vec![[0.0; 3]; count],
+        normals: vec![[0.0; 3]; count],
     };
-    for hit in found {
-        let (hit, normal) = hit.unwrap_or((MISS, DVec3::ZERO));
-        hits.t.push(hit.t);
-        hits.faces.push(if hit.t == f64::INFINITY { -1 } else { i64::from(hit.face) });
-        hits.barycentric.push(hit.weights);
-        hits.normals.push(normal.to_array());
-    }
+    let columns = (
+        hits.t.par_chunks_mut(CHUNK),
+        hits.faces.par_chunks_mut(CHUNK),
+        hits.barycentric.par_chunks_mut(CHUNK),
+        hits.normals.par_chunks_mut(CHUNK),
+    );
+    columns.into_par_iter().enumerate().for_each(|(chunk, (t, faces, barycentric, normals))| {
+        for (i, hit) in found.rows(chunk * CHUNK..chunk * CHUNK + t.len()).enumerate() {
+            (t[i], faces[i], barycentric[i], normals[i]) = (hit.t, hit.face, hit.weights, hit.normal);
+        }
+    });
     Ok(hits)
 }
 
 /// Whether each ray hits anything.
 pub fn occluded(mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> Result<Vec<bool>, Error> {
-    for_each_ray(mesh, rays, progress, |ray, _| mesh.is_occluded(ray))
+    Ok(trace(mesh, rays, progress, |ray, _| mesh.is_occluded(ray))?.rows(0..rays.origins.len()).copied().collect())
 }
 
 /// The number of intersections of each ray; an edge or a vertex that several faces share counts once.
 pub fn count_intersections(mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> Result<Vec<i64>, Error> {
     mesh.topology();
-    for_each_ray(mesh, rays, progress, |ray, scratch| {
+    let counts = trace(mesh, rays, progress, |ray, scratch| {
         mesh.cast_all(ray, scratch);
         scratch.len() as i64
-    })
+    })?;
+    Ok(counts.rows(0..rays.origins.len()).copied().collect())
 }
 
 /// All intersections of all rays.
 pub fn all_intersections(mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> Result<Intersections, Error> {
     mesh.topology();
-    let found = for_each_ray(mesh, rays, progress, |ray, scratch| {
+    let found = trace(mesh, rays, progress, |ray, scratch| {
         mesh.cast_all(ray, scratch);
         scratch.clone()
     })?;
     let mut all = Intersections::default();
-    for (row, hits) in found.iter().enumerate() {
+    for (row, hits) in found.rows(0..rays.origins.len()).enumerate() {
         for hit in hits {
             all.rays.push(row as i64);
             all.t.push(hit.t);
@@ -106,50 +135,68 @@ pub fn all_intersections(mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> R
     Ok(all)
 }
 
-/// Processes every ray and returns the results in the given order. `answer` also receives a reusable list of hits.
-fn for_each_ray<T: Send + Default + Clone>(
+/// Results in the order in which the rays were traced, in chunks of [`CHUNK`].
+struct Traced<T> {
+    chunks: Vec<Vec<T>>,
+    /// The place of each row in that order; None if the rays were traced in the order of the rows.
+    places: Option<Vec<u32>>,
+}
+
+impl<T> Traced<T> {
+    /// The results of these rows. Reading out of order touches less memory than writing several arrays out of order.
+    fn rows(&self, rows: Range<usize>) -> impl Iterator<Item = &T> {
+        rows.map(|row| {
+            let place = self.places.as_ref().map_or(row, |places| places[row] as usize);
+            &self.chunks[place / CHUNK][place % CHUNK]
+        })
+    }
+}
+
+/// Processes every ray. `answer` also receives a reusable list of hits.
+fn trace<T: Send + Sync>(
     mesh: &Mesh,
     rays: &Rays<'_>,
     progress: &Progress,
     answer: impl Fn(&Ray, &mut Vec<FaceHit>) -> T + Sync,
-) -> Result<Vec<T>, Error> {
+) -> Result<Traced<T>, Error> {
     check(rays)?;
     let count = rays.origins.len();
     progress.set_total(count as u64);
     mesh.bvh();
     mesh.ray_packs();
+    let scale = mesh.scale().recip();
     let local = |row: usize| Ray {
         origin: mesh.local_from_world(DVec3::from_array(rays.origins[row])),
-        direction: DVec3::from_array(rays.directions[row]) / mesh.scale(),
+        direction: DVec3::from_array(rays.directions[row]) * scale,
         t_min: rays.t_min,
         t_max: rays.t_max,
     };
-    let answer_chunk = |rows: &mut dyn Iterator<Item = usize>, answers: &mut [T]| -> Result<(), Error> {
+    let order = if count > CHUNK && is_scattered(mesh, rays) { Some(order_of(mesh, rays)) } else { None };
+    let answer_chunk = |chunk: usize| {
         let mut scratch = Vec::new();
-        for (row, slot) in rows.zip(answers.iter_mut()) {
-            *slot = answer(&local(row), &mut scratch);
-        }
-        progress.advance(answers.len() as u64)
+        let places = chunk * CHUNK..count.min((chunk + 1) * CHUNK);
+        // Rays out of order are read first: a loop that does nothing else waits for several of them at once.
+        let rays: Vec<Ray> = match &order {
+            Some(order) => order[places].iter().map(|&row| local(row as usize)).collect(),
+            None => places.map(local).collect(),
+        };
+        let answers: Vec<T> = rays.iter().map(|ray| answer(ray, &mut scratch)).collect();
+        progress.advance(answers.len() as u64)?;
+        Ok(answers)
     };
-    let mut answers = vec![T::default(); count];
     if count <= CHUNK {
-        answer_chunk(&mut (0..count), &mut answers)?;
-        return Ok(answers);
+        // A few rays are processed without the worker threads.
+        return Ok(Traced { chunks: vec![answer_chunk(0)?], places: None });
     }
-    let order = if is_scattered(mesh, rays) { Some(order_of(mesh, rays)) } else { None };
-    answers.par_chunks_mut(CHUNK).enumerate().try_for_each(|(chunk, answers)| {
-        let rows = chunk * CHUNK..chunk * CHUNK + answers.len();
-        match &order {
-            Some(order) => answer_chunk(&mut order[rows].iter().map(|&(_, row)| row as usize), answers),
-            None => answer_chunk(&mut rows.into_iter(), answers),
+    let chunks = (0..count.div_ceil(CHUNK)).into_par_iter().map(answer_chunk).collect::<Result<_, Error>>()?;
+    let places = order.map(|order| {
+        let mut places = vec![0u32; count];
+        for (place, row) in order.into_iter().enumerate() {
+            places[row as usize] = place as u32;
         }
-    })?;
-    let Some(order) = order else { return Ok(answers) };
-    let mut in_rows = vec![T::default(); count];
-    for ((_, row), value) in order.into_iter().zip(answers) {
-        in_rows[row as usize] = value;
-    }
-    Ok(in_rows)
+        places
+    });
+    Ok(Traced { chunks, places })
 }
 
 /// Whether sorting is worthwhile: the tree is larger than the cache, and consecutive rays are far apart.
@@ -166,25 +213,36 @@ fn is_scattered(mesh: &Mesh, rays: &Rays<'_>) -> bool {
     unlike.count() > 16
 }
 
-/// Rows by the cell of the origin (32 to a side), then by the direction's octant and its cells (8 to a side).
-fn order_of(mesh: &Mesh, rays: &Rays<'_>) -> Vec<(u32, u32)> {
+/// Rows by the cell of the origin (16 to a side, along the Morton curve), then by the cell of the direction (8 to a side
+/// of the octahedral map). Rows with equal keys keep their order.
+fn order_of(mesh: &Mesh, rays: &Rays<'_>) -> Vec<u32> {
     let key = |row: usize| {
-        let origin = mesh.local_from_world(DVec3::from_array(rays.origins[row]));
-        let direction = DVec3::from_array(rays.directions[row]).normalize_or_zero();
-        // Casts saturate: origins outside the box share its outer cells.
-        let cell = |x: f64, cells: f64| ((x + 1.0) * 0.5 * cells).clamp(0.0, cells - 1.0) as u32;
-        let interleave = |p: DVec3, bits: u32| {
-            let cells = f64::from(1u32 << bits);
-            (0..bits).rev().fold(0u32, |code, bit| {
-                let bit_of = |x: f64| (cell(x, cells) >> bit) & 1;
-                code << 3 | bit_of(p.x) << 2 | bit_of(p.y) << 1 | bit_of(p.z)
-            })
+        let origin = (mesh.local_from_world(DVec3::from_array(rays.origins[row])) + 1.0) * 8.0;
+        let direction = DVec3::from_array(rays.directions[row]);
+        let direction = direction / direction.abs().element_sum();
+        let (u, v) = if direction.z < 0.0 {
+            let folded = |x: f64, y: f64| (1.0 - y.abs()).copysign(x);
+            (folded(direction.x, direction.y), folded(direction.y, direction.x))
+        } else {
+            (direction.x, direction.y)
         };
-        interleave(origin, 5) << 9 | interleave(direction, 3)
+        // Casts saturate: origins outside the box share its outer cells. NaN becomes 0.
+        let cell = |x: f64, cells: usize| (x as usize).min(cells - 1);
+        let curve = SPREAD[cell(origin.x, 16)] << 2 | SPREAD[cell(origin.y, 16)] << 1 | SPREAD[cell(origin.z, 16)];
+        (curve << 6 | cell(4.0 * u + 4.0, 8) << 3 | cell(4.0 * v + 4.0, 8)) as u32
     };
-    let mut order: Vec<(u32, u32)> =
-        (0..rays.origins.len()).into_par_iter().map(|row| (key(row), row as u32)).collect();
-    order.par_sort_unstable();
+    let keys: Vec<u32> = (0..rays.origins.len()).into_par_iter().map(key).collect();
+    let mut starts = vec![0u32; KEYS + 1];
+    keys.iter().for_each(|&key| starts[key as usize + 1] += 1);
+    for key in 0..KEYS {
+        starts[key + 1] += starts[key];
+    }
+    let mut order = vec![0u32; keys.len()];
+    for (row, &key) in keys.iter().enumerate() {
+        let place = &mut starts[key as usize];
+        order[*place as usize] = row as u32;
+        *place += 1;
+    }
     order
 }
 
@@ -197,12 +255,17 @@ fn check(rays: &Rays<'_>) -> Result<(), ArgumentError> {
     if u32::try_from(origins.len()).is_err() {
         return Err(ArgumentError::new("origins", format!("at most {} at a time, got {}", u32::MAX, origins.len())));
     }
-    let finite = |p: &[f64; 3]| p.iter().all(|x| x.is_finite());
-    if let Some(row) = origins.iter().position(|p| !finite(p)) {
+    let finite = |p: &[f64; 3]| p[0].is_finite() & p[1].is_finite() & p[2].is_finite();
+    let has_length = |p: &[f64; 3]| p[0].abs().max(p[1].abs()).max(p[2].abs()) >= f64::MIN_POSITIVE;
+    if let Some(row) = first_failure(origins, finite) {
         return Err(ArgumentError::new("origins", format!("origins[{row}] = {:?} is not finite", origins[row])));
     }
-    if let Some(row) = directions.iter().position(|p| !finite(p) || *p == [0.0; 3]) {
-        let problem = if finite(&directions[row]) { "has no length" } else { "is not finite" };
+    if let Some(row) = first_failure(directions, |p| finite(p) & has_length(p)) {
+        let problem = match &directions[row] {
+            direction if !finite(direction) => "is not finite",
+            [0.0, 0.0, 0.0] => "has no length",
+            _ => "is too short: its largest component is below 2.3e-308",
+        };
         return Err(ArgumentError::new("directions", format!("directions[{row}] = {:?} {problem}", directions[row])));
     }
     if rays.t_min > rays.t_max || rays.t_min.is_nan() || rays.t_max.is_nan() {
@@ -210,4 +273,11 @@ fn check(rays: &Rays<'_>) -> Result<(), ArgumentError> {
         return Err(ArgumentError::new("t_min", problem));
     }
     Ok(())
+}
+
+/// The first row that is not `sound`. Each chunk is checked without an early end, which wide registers can do.
+fn first_failure(rows: &[[f64; 3]], sound: impl Fn(&[f64; 3]) -> bool) -> Option<usize> {
+    let chunk = rows.chunks(CHUNK).position(|rows| !rows.iter().fold(true, |all, p| all & sound(p)))?;
+    let first = chunk * CHUNK;
+    rows[first..].iter().position(|p| !sound(p)).map(|i| first + i)
 }

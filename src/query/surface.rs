@@ -9,10 +9,13 @@ use crate::error::Error;
 use crate::geometry::triangle_cross;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
+use glam::DVec3;
 use rayon::prelude::*;
 
 /// Number of samples between two checks of the progress.
 const CHUNK: usize = 1 << 14;
+/// Number of samples that are computed side by side.
+const BLOCK: usize = 64;
 
 /// Samples of a surface, one entry per sample.
 #[derive(Debug, Clone, Default)]
@@ -44,18 +47,27 @@ pub fn sample_surface(mesh: &Mesh, count: usize, seed: u64, progress: &Progress)
         .zip(samples.barycentric.par_chunks_mut(CHUNK))
         .enumerate()
         .try_for_each(|(chunk, (((points, normals), faces), barycentric))| {
-            for i in 0..points.len() {
-                let first = 3 * (chunk * CHUNK + i) as u64;
-                let [u, v, w] = [0, 1, 2].map(|k| unit(key, first + k));
-                let face = areas.face_at(u);
-                let root = v.sqrt();
-                let weights = [1.0 - root, root * (1.0 - w), root * w];
-                let corners = mesh.exact_triangle(face);
-                let local = corners[0] * weights[0] + corners[1] * weights[1] + corners[2] * weights[2];
-                points[i] = mesh.world_from_local(local).to_array();
-                normals[i] = unit_normal(mesh, corners, face).to_array();
-                faces[i] = i64::from(face);
-                barycentric[i] = weights;
+            // Loops of one memory access per sample wait for several samples at once.
+            for start in (0..points.len()).step_by(BLOCK) {
+                let block = start..points.len().min(start + BLOCK);
+                let (mut members, mut corners) = ([0u32; BLOCK], [[DVec3::ZERO; 3]; BLOCK]);
+                for i in block.clone() {
+                    members[i - start] = areas.face_at(unit(key, 3 * (chunk * CHUNK + i) as u64));
+                }
+                for i in block.clone() {
+                    corners[i - start] = mesh.exact_triangle(members[i - start]);
+                }
+                for i in block {
+                    let first = 3 * (chunk * CHUNK + i) as u64;
+                    let (v, w) = (unit(key, first + 1), unit(key, first + 2));
+                    let (face, [a, b, c]) = (members[i - start], corners[i - start]);
+                    let root = v.sqrt();
+                    let weights = [1.0 - root, root * (1.0 - w), root * w];
+                    points[i] = mesh.world_from_local(a * weights[0] + b * weights[1] + c * weights[2]).to_array();
+                    normals[i] = unit_normal(mesh, [a, b, c], face).to_array();
+                    faces[i] = i64::from(face);
+                    barycentric[i] = weights;
+                }
             }
             progress.advance(points.len() as u64)
         })?;

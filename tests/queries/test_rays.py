@@ -97,11 +97,10 @@ def test_no_ray_leaves_through_a_vertex_or_an_edge(name, inside, place):
     assert leaks(geometry, np.array(inside, np.float64) * scale + shift) == 0
 
 
-@pytest.mark.parametrize(("name", "inside"), [("fandisk.obj", None), ("stanford-bunny.obj", None)])
-def test_no_ray_leaves_a_real_model(name, inside, model_path):
+@pytest.mark.parametrize("name", ["fandisk.obj", "rocker-arm.obj", "spot/spot.obj"])
+def test_no_ray_leaves_a_real_model(name, model_path):
     mesh = fb.load_mesh(model_path(name))
-    if not mesh.is_closed:
-        pytest.skip(f"{name} is open")
+    assert mesh.is_closed
     samples = meshes.points_around(meshes.Geometry(mesh.vertices, mesh.faces), 400, spread=0.9)
     distances = fb.signed_distance(mesh, samples)
 
@@ -151,6 +150,31 @@ def test_the_length_of_the_direction_does_not_matter(length):
     assert fb.cast_rays(cube, (0.2, 0.3, 5), (0, 0, -length)).t * length == pytest.approx(4, rel=1e-12)
 
 
+@pytest.mark.parametrize("tiny", [1e-20, 1e-35, 1e-300, 5e-324, 0.0])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_nearly_axis_parallel_rays_hit(tiny, sign):
+    """Float32 rounds such a component to a subnormal number or to zero, whose inverse is not finite."""
+    tiny *= sign
+    directions = np.array([(tiny, 0, 1), (0, 1, tiny), (1, tiny, 0), (tiny, -1, tiny), (-1, tiny, tiny)])
+
+    hits = fb.cast_rays(meshes.box(), (0.3, 0.2, -0.1), directions)
+
+    assert np.allclose(hits.t, [1.1, 0.8, 0.7, 1.2, 1.3], rtol=1e-12)
+    assert (fb.count_intersections(meshes.box(), (0.3, 0.2, -0.1), directions) == 1).all()
+
+
+def test_directions_are_divided_safely():
+    cube = meshes.box()
+
+    assert fb.cast_rays(cube, (0, 0, 0), (0, 0, 1e-300)).t == pytest.approx(1e300, rel=1e-12)
+    # The distance in lengths of the direction, 3e304, is near the largest float64.
+    small = meshes.scale_and_shift(cube, 1e-3, (0, 0, 0))
+    assert fb.cast_rays(small, (0, 0, 0), (0, 3e-308, 0)).t == pytest.approx(1e-3 / 3e-308, rel=1e-12)
+    for function in FUNCTIONS:
+        with pytest.raises(fb.ArgumentError, match=r"directions\[1\].*short"):
+            function(cube, np.zeros((2, 3)), [(0, 0, 1), (5e-324, 0, 0)])
+
+
 @pytest.mark.parametrize("far", [1e3, 1e6, 1e9])
 def test_far_origins_hit(far):
     direction = np.array([0.3, -0.5, 0.8])
@@ -184,6 +208,19 @@ def test_faces_are_rows_of_what_was_passed():
     assert fb.cast_rays((vertices, padded), (0.2, 0.2, 1), (0, 0, -1)).faces == 2
     assert fb.all_intersections((vertices, padded), (0.2, 0.2, 1), (0, 0, -1)).faces.tolist() == [2]
     assert fb.cast_rays((vertices, padded), (5, 5, 1), (0, 0, -1)).faces == -1
+
+
+def test_threads_change_no_bit_of_the_hits():
+    mesh = fb.Mesh(*meshes.knot(400, 40))
+    rays = random_rays(meshes.Geometry(mesh.vertices, mesh.faces), 20_000)
+    results = []
+    for threads in (1, 2, 5):
+        fb.set_threads(threads)
+        results.append((*fb.cast_rays(mesh, *rays), fb.occluded(mesh, *rays), *fb.all_intersections(mesh, *rays)))
+    fb.set_threads(2)
+
+    for result in results[1:]:
+        assert all(one.tobytes() == other.tobytes() for one, other in zip(result, results[0], strict=True))
 
 
 def test_many_rays_answer_as_one(random):

@@ -140,9 +140,9 @@ def points(value: object, name: str = "points") -> tuple[NDArray[np.float64], tu
     if array.ndim == 0 or array.shape[-1] != 3:
         raise ArgumentError(f"{name}: must have shape (n, 3), got {describe(array)}")
     flat = as_float64(array.reshape(-1, 3))
-    near = np.abs(flat) <= FAR  # false for nan too
-    if not near.all():
-        row = int(np.flatnonzero(~near.all(axis=1))[0])
+    # Reductions need no temporary array. Both comparisons are false for nan.
+    if flat.size and not (flat.min() >= -FAR and flat.max() <= FAR):
+        row = int(np.flatnonzero(~(np.abs(flat) <= FAR).all(axis=1))[0])
         raise ArgumentError(f"{name}[{row}]: must be finite and at most {FAR:g} from 0, got {flat[row].tolist()}")
     return flat, array.shape[:-1]
 

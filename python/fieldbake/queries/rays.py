@@ -100,7 +100,7 @@ def cast_rays(
         If the mesh cannot be read or used.
     ArgumentError
         For shapes that do not fit together, positions or directions that are not finite, a direction of length zero,
-        and ``t_min > t_max``.
+        a direction whose largest component is below 2.3e-308, and ``t_min > t_max``.
 
     Notes
     -----
