@@ -199,6 +199,9 @@ class DeviceField:
     def nbytes(self) -> int: ...
     @property
     def device(self) -> str: ...
+    @staticmethod
+    def upload(distances: NDArray[np.float32], device: str) -> DeviceField:
+        """Copy samples (nx, ny, nz) with x fastest to a device, which must not be the CPU."""
     def read(self) -> NDArray[np.float32]:
         """The samples, (nx, ny, nz) with x fastest in memory; each call makes a new copy."""
     def serves(self, device: str) -> bool:
@@ -389,7 +392,7 @@ def all_intersections(
     """All intersections by ray and t: rays (k,), t (k,), faces (k,), barycentric coordinates (k, 3)."""
 
 def sample(
-    distances: NDArray[Any],
+    distances: NDArray[Any] | DeviceField,
     lower: tuple[float, float, float],
     upper: tuple[float, float, float],
     inner_lower: tuple[float, float, float],
@@ -403,7 +406,7 @@ def sample(
     lower bound, for a surface that lies in the inner box."""
 
 def gradient(
-    distances: NDArray[Any],
+    distances: NDArray[Any] | DeviceField,
     lower: tuple[float, float, float],
     upper: tuple[float, float, float],
     points: NDArray[np.float64],

@@ -15,6 +15,7 @@ pub const KERNELS: &[(&str, &str)] = &[
     ("bake_brute", include_str!("../../shaders/bake_brute.wgsl")),
     ("bake_distance", include_str!("../../shaders/bake_distance.wgsl")),
     ("bake_finish", include_str!("../../shaders/bake_finish.wgsl")),
+    ("field_cells", include_str!("../../shaders/field_cells.wgsl")),
     ("field_to_texture", include_str!("../../shaders/field_to_texture.wgsl")),
     ("merge_owners", include_str!("../../shaders/merge_owners.wgsl")),
     ("quadrics", include_str!("../../shaders/quadrics.wgsl")),

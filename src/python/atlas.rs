@@ -3,7 +3,7 @@
 //! A block crosses as a row of ten u32, the fields of `atlas::Block` in order. Pages cross as bytes
 //! of the shape (pages, size, size * bytes of a texel).
 
-use super::convert::{points, volume_array};
+use super::convert::{points, samples, volume_array};
 use super::device::{DeviceField, choose};
 use super::error::{Failure, exception};
 use super::run::{run, run_short};
@@ -155,10 +155,8 @@ pub fn atlas_pack_device<'py>(
         .map(|volume| match volume {
             Source::Device(field) if Arc::ptr_eq(field.0.context(), &context) => Ok(field.0.clone()),
             Source::Device(_) => Err(broken(py, "a field lies on another device")),
-            Source::Host(samples) => {
-                let shape = std::array::from_fn(|axis| samples.shape()[axis]);
-                let samples = samples.as_slice().ok().filter(|_| samples.is_fortran_contiguous());
-                let samples = samples.ok_or_else(|| broken(py, "volumes must be x fastest"))?;
+            Source::Host(array) => {
+                let (shape, samples) = samples(array)?;
                 Ok(run(py, None, |_| device::DeviceField::upload(&context, shape, samples))?)
             }
         })

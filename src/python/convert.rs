@@ -65,6 +65,17 @@ pub fn grid(lower: [f64; 3], upper: [f64; 3], shape: [usize; 3]) -> PyResult<Gri
     Ok(Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape).map_err(Failure::from)?)
 }
 
+/// The shape (nx, ny, nz) and the samples of an array with x fastest, without a copy.
+pub fn samples<'a, T: numpy::Element>(array: &'a PyReadonlyArray3<'_, T>) -> PyResult<([usize; 3], &'a [T])> {
+    let shape = std::array::from_fn(|axis| array.shape()[axis]);
+    let samples = array.as_slice().ok().filter(|_| array.is_fortran_contiguous());
+    let samples = samples.ok_or_else(|| {
+        let message = "distances: must be (nx, ny, nz) with x fastest in memory (Fortran order)";
+        exception(array.py(), "ArgumentError", message.to_owned())
+    })?;
+    Ok((shape, samples))
+}
+
 /// A stored field from Python: (nx, ny, nz) with x fastest, and its box.
 pub struct Field<'a, T = f32> {
     grid: Grid,
@@ -86,12 +97,7 @@ impl<'a, T: Texel + numpy::Element> Field<'a, T> {
         upper: [f64; 3],
         scale: f32,
     ) -> PyResult<Self> {
-        let shape = std::array::from_fn(|axis| distances.shape()[axis]);
-        let samples = distances.as_slice().ok().filter(|_| distances.is_fortran_contiguous());
-        let samples = samples.ok_or_else(|| {
-            let message = "distances: must be (nx, ny, nz) with x fastest in memory (Fortran order)";
-            exception(distances.py(), "ArgumentError", message.to_owned())
-        })?;
+        let (shape, samples) = samples(distances)?;
         Ok(Self { grid: grid(lower, upper, shape)?, samples, scale })
     }
 

@@ -1,11 +1,11 @@
 //! `fieldbake._core.devices` and `DeviceField`.
 
-use super::convert::volume_array;
-use super::error::Failure;
+use super::convert::{samples, volume_array};
+use super::error::{Failure, exception};
 use super::run::run;
 use crate::gpu::{self, Place};
 use crate::volume::device;
-use numpy::PyArray3;
+use numpy::{PyArray3, PyReadonlyArray3};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::ffi::CString;
@@ -66,6 +66,16 @@ impl DeviceField {
     #[getter]
     fn device(&self) -> String {
         self.0.context().label()
+    }
+
+    /// Copies samples (nx, ny, nz) with x fastest to a device, which must not be the CPU.
+    #[staticmethod]
+    fn upload(py: Python<'_>, distances: PyReadonlyArray3<'_, f32>, device: &str) -> PyResult<Self> {
+        let Place::Gpu(context) = choose(py, device)? else {
+            return Err(exception(py, "ArgumentError", format!("device: samples on {device:?} need no upload")));
+        };
+        let (shape, samples) = samples(&distances)?;
+        Ok(Self(run(py, None, |_| device::DeviceField::upload(&context, shape, samples))?))
     }
 
     /// The samples, (nx, ny, nz) float32 with x fastest.

@@ -1,14 +1,15 @@
 //! `fieldbake._core.sample`, `gradient` and `resample`.
 
-use super::convert::{Field, points, row_array, volume_array, with_texels};
+use super::convert::{Field, grid, points, row_array, volume_array, with_texels};
+use super::device::DeviceField;
 use super::error::Failure;
 use super::run::run;
-use crate::volume::{SampleFilter, Trilinear};
+use crate::volume::{SampleFilter, Trilinear, cells};
 use glam::DVec3;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
 use pyo3::prelude::*;
 
-/// The field at points (n, 3); a proven lower bound outside the box.
+/// The field, an array or a `DeviceField`, at points (n, 3); a proven lower bound outside the box.
 #[pyfunction]
 #[pyo3(signature = (distances, lower, upper, inner_lower, inner_upper, points, *, filter="linear", scale=1.0))]
 pub fn sample<'py>(
@@ -24,10 +25,16 @@ pub fn sample<'py>(
 ) -> PyResult<Bound<'py, PyArray1<f32>>> {
     let filter = SampleFilter::from_name(filter).map_err(Failure::from)?;
     let inner = [DVec3::from_array(inner_lower), DVec3::from_array(inner_upper)];
-    let values = with_texels!(distances, PyReadonlyArray3, |array| {
-        let field = Field::encoded(&array, lower, upper, scale)?;
-        run(py, None, |progress| field.view()?.sample(&points, inner, filter, progress))?
-    });
+    let values = if let Ok(field) = distances.cast::<DeviceField>() {
+        let field = &field.get().0;
+        let grid = grid(lower, upper, field.shape())?;
+        run(py, None, |progress| cells::sample(field, &grid, &points, inner, filter, progress))?
+    } else {
+        with_texels!(distances, PyReadonlyArray3, |array| {
+            let field = Field::encoded(&array, lower, upper, scale)?;
+            run(py, None, |progress| field.view()?.sample(&points, inner, filter, progress))?
+        })
+    };
     Ok(values.into_pyarray(py))
 }
 
@@ -42,10 +49,16 @@ pub fn gradient<'py>(
     #[pyo3(from_py_with = points)] points: Vec<DVec3>,
     scale: f32,
 ) -> PyResult<Bound<'py, PyArray2<f32>>> {
-    let gradients = with_texels!(distances, PyReadonlyArray3, |array| {
-        let field = Field::encoded(&array, lower, upper, scale)?;
-        run(py, None, |progress| field.view()?.gradients(&points, progress))?
-    });
+    let gradients = if let Ok(field) = distances.cast::<DeviceField>() {
+        let field = &field.get().0;
+        let grid = grid(lower, upper, field.shape())?;
+        run(py, None, |progress| cells::gradients(field, &grid, &points, progress))?
+    } else {
+        with_texels!(distances, PyReadonlyArray3, |array| {
+            let field = Field::encoded(&array, lower, upper, scale)?;
+            run(py, None, |progress| field.view()?.gradients(&points, progress))?
+        })
+    };
     row_array(py, gradients.iter().map(glam::Vec3::to_array))
 }
 

@@ -25,6 +25,7 @@
 //! [`FieldView`] borrows the distances and is cheap to make. Batches run on all cores in chunks, count their progress
 //! in points, and stop when they are cancelled.
 
+pub mod cells;
 pub mod device;
 pub mod outside;
 mod resample;

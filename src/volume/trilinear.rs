@@ -107,23 +107,31 @@ pub trait Trilinear: Sync {
         filter: SampleFilter,
         progress: &Progress,
     ) -> Result<Vec<f32>, Error> {
-        batch(points, progress, |p| {
-            if p.is_nan() {
-                f32::NAN
-            } else if !self.contains(p) {
-                self.distance_bound(p, inner)
-            } else {
-                match filter {
-                    SampleFilter::Linear => self.sample_linear(p),
-                    SampleFilter::Nearest => self.sample_nearest(p),
-                }
+        batch(points, progress, |p| self.sample_or_bound(p, inner, filter))
+    }
+
+    /// The field at one point. See [`Trilinear::sample`].
+    fn sample_or_bound(&self, p: DVec3, inner: [DVec3; 2], filter: SampleFilter) -> f32 {
+        if p.is_nan() {
+            f32::NAN
+        } else if !self.contains(p) {
+            self.distance_bound(p, inner)
+        } else {
+            match filter {
+                SampleFilter::Linear => self.sample_linear(p),
+                SampleFilter::Nearest => self.sample_nearest(p),
             }
-        })
+        }
     }
 
     /// [`Trilinear::gradient`] at points. A NaN coordinate gives NaN.
     fn gradients(&self, points: &[DVec3], progress: &Progress) -> Result<Vec<Vec3>, Error> {
-        batch(points, progress, |p| if p.is_nan() { Vec3::NAN } else { self.gradient(p) })
+        batch(points, progress, |p| self.gradient_or_nan(p))
+    }
+
+    /// The gradient at one point. See [`Trilinear::gradients`].
+    fn gradient_or_nan(&self, p: DVec3) -> Vec3 {
+        if p.is_nan() { Vec3::NAN } else { self.gradient(p) }
     }
 
     /// Whether the box, faces included, contains `p`.

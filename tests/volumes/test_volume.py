@@ -564,3 +564,56 @@ def test_the_array_interface_shares_the_samples():
     array = np.asarray(Holder())
     assert np.shares_memory(array, volume.distances)
     assert not array.flags.writeable
+
+
+@pytest.mark.parametrize("filter", ["linear", "nearest"])
+def test_a_device_samples_to_the_bit(noise, gpu, random, filter):
+    points = random.uniform(BOX[0] - 1, BOX[1] + 1, (40, 25, 3))
+
+    there = noise.sample(points, filter=filter, device=gpu)
+
+    assert there.shape == (40, 25)
+    assert there.tobytes() == noise.sample(points, filter=filter, device="cpu").tobytes()
+    assert noise.gradient(points, device=gpu).tobytes() == noise.gradient(points, device="cpu").tobytes()
+    assert noise.sample(np.empty((0, 3)), device=gpu).shape == (0,)
+    assert noise.gradient((0, 0, 0), device=gpu).shape == (3,)
+
+
+def test_the_field_stays_on_the_device(gpu, random):
+    points = random.uniform(-1.5, 1.5, (100, 3))
+    volume = fb.bake(meshes.icosphere(2), resolution=32, device=gpu)
+    field = volume._field
+    before = field._transfers()
+
+    values = volume.sample(points, device=gpu)
+
+    after = field._transfers()
+    # Eight samples of at most two cells for each point.
+    assert after["readback_bytes"] - before["readback_bytes"] <= 100 * 2 * 32
+    assert volume._samples is None
+    assert values.tobytes() == volume.sample(points, device="cpu").tobytes()
+
+
+def test_an_upload_is_kept(noise, gpu):
+    noise.sample((0, 0, 0), device=gpu)
+    field = noise._field
+    before = field._transfers()["uploaded_bytes"]
+
+    noise.gradient((0, 0, 0), device=gpu)
+
+    assert noise._field is field
+    assert field._transfers()["uploaded_bytes"] - before < 4 * np.prod(SHAPE)
+
+
+def test_stored_encodings_are_sampled_on_devices(noise, gpu, random):
+    points = random.uniform(BOX[0], BOX[1], (50, 3))
+    for encoding in ("float16", "snorm8"):
+        stored = noise.quantize(encoding)
+        assert stored.sample(points, device=gpu).tobytes() == stored.sample(points, device="cpu").tobytes()
+
+
+@pytest.mark.parametrize("device", ["abacus", None, 3])
+def test_unknown_devices_are_refused(noise, device):
+    for function in (noise.sample, noise.gradient):
+        with pytest.raises(fb.Error, match=r"device|abacus"):
+            function((0, 0, 0), device=device)

@@ -23,7 +23,7 @@ from ..meshes.isosurface import Source
 from ..meshes.mesh import Mesh
 from . import writers
 from .conventions import Engine, Handedness, Up
-from .grid_field import GridField
+from .grid_field import Filter, GridField
 from .neighbours import grid_of_xarray
 from .shaded import Shaded
 from .shader import ShaderBuffers, volume_buffers, volume_text
@@ -214,15 +214,91 @@ class Volume(GridField, Loadable, Shaded):
     def __dlpack_device__(self) -> tuple[int, int]:
         return self._distances.__dlpack_device__()
 
-    def _sample(self, points: NDArray[np.float64], filter: str) -> NDArray[np.float32]:
-        lower, upper = self._corners()
-        inner_lower, inner_upper = self._inner_corners()
-        return _core.sample(
-            self._texels, lower, upper, inner_lower, inner_upper, points, filter=filter, scale=self._scale
-        )
+    def sample(self, points: ArrayLike, *, filter: Filter = "linear", device: str = "auto") -> NDArray[np.float32]:
+        """Evaluate the field at points.
 
-    def _gradient(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
-        return _core.gradient(self._texels, *self._corners(), points, scale=self._scale)
+        Parameters
+        ----------
+        points : (n, 3) real
+            World positions of any leading shape.
+        filter : "linear" or "nearest", default "linear"
+            Trilinear interpolation of the eight surrounding samples, or the nearest sample.
+        device : str, default "auto"
+            ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`. ``"auto"`` reads the samples from a
+            hardware device if they are only there, else from host memory. A call for another device uploads the samples
+            once, and they stay there.
+
+        Returns
+        -------
+        (n,) float32
+            World units. Outside the box: the proven lower bound sqrt(a^2 + s^2), where `a` is the distance from the box
+            of the outermost samples and `s` a lower bound at the nearest point of that box.
+
+        Raises
+        ------
+        ArgumentError
+            For a wrong shape, a point that is not finite, or an unknown filter.
+        DeviceError
+            If the device is not available or has too little memory.
+
+        Notes
+        -----
+        A device returns the corners of the cells that contain the points, 32 bytes per cell, and the CPU interpolates
+        them. The results of all devices are equal to the bit. The other samples stay on the device.
+
+        Examples
+        --------
+        >>> import fieldbake as fb
+        >>> fb.bake(fb.sphere(), 32).sample([(0, 0, 0), (2, 0, 0)], device="cpu").round(1).tolist()
+        [-1.0, 0.9]
+        """
+        flat, shape = checks.points(points)
+        return self._sample(flat, checks.choice("filter", filter, ("linear", "nearest")), device).reshape(shape)
+
+    def gradient(self, points: ArrayLike, *, device: str = "auto") -> NDArray[np.float32]:
+        """Evaluate the gradient of the trilinear field at points. On the surface it points outwards.
+
+        Parameters
+        ----------
+        points : (n, 3) real
+            World positions of any leading shape. A point outside the box is replaced by the nearest point of the box.
+        device
+            As for :meth:`sample`.
+
+        Returns
+        -------
+        (n, 3) float32
+            Distance per world unit. The length is about 1 away from edges of the field.
+
+        Raises
+        ------
+        ArgumentError, DeviceError
+            As for :meth:`sample`.
+        """
+        flat, shape = checks.points(points)
+        return self._gradient(flat, device).reshape(*shape, 3)
+
+    def _sample(self, points: NDArray[np.float64], filter: str, device: str = "auto") -> NDArray[np.float32]:
+        texels, scale = self._texels_at(device)
+        lower, upper = self._corners()
+        return _core.sample(texels, lower, upper, *self._inner_corners(), points, filter=filter, scale=scale)
+
+    def _gradient(self, points: NDArray[np.float64], device: str = "auto") -> NDArray[np.float32]:
+        texels, scale = self._texels_at(device)
+        return _core.gradient(texels, *self._corners(), points, scale=scale)
+
+    def _texels_at(self, device: str) -> tuple[NDArray[Any] | _core.DeviceField, float]:
+        """The samples at the place where a call with this `device` reads them, and the factor that decodes them."""
+        where, field = checks.text("device", device), self._field
+        if where == "auto":
+            on_host = self._samples is not None or field is None or not field.serves(where)
+            return (self._texels, self._scale) if on_host or field is None else (field, 1.0)
+        if where == "cpu":
+            return self._texels, self._scale
+        if field is None or not field.serves(where):
+            field = _core.DeviceField.upload(self._distances, where)
+            object.__setattr__(self, "_field", field)
+        return field, 1.0
 
     def _surface(self, level: float) -> _core.Surface:
         return _core.Surface.of_field(self._texels, *self._corners(), level, scale=self._scale)

@@ -72,6 +72,16 @@ gpu_structs! {
         crossings: u32,
     }
 
+    /// `shaders/field_cells.wgsl`.
+    "field_cells": struct CellParams {
+        shape: [u32; 3],
+        first: u32,
+        count: u32,
+        first_plane: u32,
+        end_plane: u32,
+        pad_0: u32,
+    }
+
     /// `shaders/query_points.wgsl`.
     "query_points": struct QueryParams {
         first: u32,

@@ -1,0 +1,143 @@
+//! Samples and gradients of a field in device memory (`shaders/field_cells.wgsl`).
+//!
+//! *Theory.* The value at a point depends on the corners of one or two cells of the grid. The device copies these
+//! corners, and the CPU interpolates them. The results have the bits of a field in host memory, also for the bound
+//! outside the box, and no other sample leaves the device.
+//!
+//! *Practice.* Each point is evaluated twice by the same code. The first pass records the cells that it reads. The
+//! second pass reads their corners in the same order. Which cells are read depends on the point only.
+
+use super::device::DeviceField;
+use super::{Cell, SampleFilter, Trilinear, outside};
+use crate::error::Error;
+use crate::gpu::layout::CellParams;
+use crate::gpu::pace::in_pieces;
+use crate::grid::Grid;
+use crate::progress::Progress;
+use glam::{DVec3, IVec3, Vec3};
+use rayon::prelude::*;
+use std::sync::{Mutex, PoisonError};
+
+/// Number of points on the device at a time. At most two cells of 44 bytes each fit within any binding.
+const BATCH: usize = 1 << 20;
+/// Number of points that a thread evaluates at a time.
+const CHUNK: usize = 4096;
+/// Number of workgroups of a dispatch: in the first one, and at most, by the limit of one dimension. Each copies the
+/// corners of 64 cells.
+const WORKGROUPS: (u64, u64) = (64, 65_535);
+
+/// The trilinear field at points, and the lower bound outside the box. See [`Trilinear::sample`].
+pub fn sample(
+    field: &DeviceField,
+    grid: &Grid,
+    points: &[DVec3],
+    inner: [DVec3; 2],
+    filter: SampleFilter,
+    progress: &Progress,
+) -> Result<Vec<f32>, Error> {
+    evaluate(field, grid, points, progress, |cells, p| cells.sample_or_bound(p, inner, filter))
+}
+
+/// [`Trilinear::gradients`] of a field in device memory.
+pub fn gradients(field: &DeviceField, grid: &Grid, points: &[DVec3], progress: &Progress) -> Result<Vec<Vec3>, Error> {
+    evaluate(field, grid, points, progress, |cells, p| cells.gradient_or_nan(p))
+}
+
+/// Evaluates a function of a field at every point.
+fn evaluate<T: Copy + Default + Send>(
+    field: &DeviceField,
+    grid: &Grid,
+    points: &[DVec3],
+    progress: &Progress,
+    value: impl Fn(&CellReader<'_>, DVec3) -> T + Sync,
+) -> Result<Vec<T>, Error> {
+    progress.set_total(points.len() as u64);
+    let mut values = vec![T::default(); points.len()];
+    for (points, values) in points.chunks(BATCH).zip(values.chunks_mut(BATCH)) {
+        let recorded: Vec<Vec<[i32; 3]>> = points
+            .par_chunks(CHUNK)
+            .map(|points| {
+                let reader = CellReader { grid, corners: &[], read: Mutex::default() };
+                for &p in points {
+                    value(&reader, p);
+                }
+                reader.read.into_inner().unwrap_or_else(PoisonError::into_inner)
+            })
+            .collect();
+        let corners = corners_of(field, &recorded.concat(), progress)?;
+        let mut rest = &corners[..];
+        let corners: Vec<&[[f32; 8]]> = recorded
+            .iter()
+            .map(|cells| {
+                let (own, others) = rest.split_at(cells.len());
+                rest = others;
+                own
+            })
+            .collect();
+        values.par_chunks_mut(CHUNK).zip(points.par_chunks(CHUNK)).zip(corners).for_each(
+            |((values, points), corners)| {
+                let reader = CellReader { grid, corners, read: Mutex::default() };
+                for (slot, &p) in values.iter_mut().zip(points) {
+                    *slot = value(&reader, p);
+                }
+            },
+        );
+        progress.advance(points.len() as u64)?;
+    }
+    Ok(values)
+}
+
+/// The cells that an evaluation reads, in order, and their corners if they are known.
+struct CellReader<'a> {
+    grid: &'a Grid,
+    /// Corners of the cells in the order in which they are read; empty while the cells are recorded.
+    corners: &'a [[f32; 8]],
+    /// One thread uses a reader; [`Trilinear`] requires that several could.
+    read: Mutex<Vec<[i32; 3]>>,
+}
+
+impl Trilinear for CellReader<'_> {
+    fn grid(&self) -> &Grid {
+        self.grid
+    }
+
+    fn cell(&self, index: IVec3) -> Cell {
+        let mut read = self.read.lock().unwrap_or_else(PoisonError::into_inner);
+        let corners = self.corners.get(read.len()).copied().unwrap_or_default();
+        read.push(index.to_array());
+        Cell { corners, first: index, size: 1 }
+    }
+
+    fn distance_bound(&self, p: DVec3, inner: [DVec3; 2]) -> f32 {
+        outside::bound_outside(self, p, inner)
+    }
+}
+
+/// The samples at the corners of cells; bit 0 of the corner is x, bit 1 y, bit 2 z.
+fn corners_of(field: &DeviceField, cells: &[[i32; 3]], progress: &Progress) -> Result<Vec<[f32; 8]>, Error> {
+    let mut corners = vec![[0.0f32; 8]; cells.len()];
+    if cells.is_empty() {
+        return Ok(corners);
+    }
+    let context = field.context();
+    let kernel = context.kernel("field_cells", "main")?;
+    let positions = context.upload("cells", cells)?;
+    let found = context.storage("corners of cells", size_of_val(&corners[..]) as u64)?;
+    let mut params = CellParams { shape: field.shape().map(|n| n as u32), ..CellParams::default() };
+    for slab in field.slabs() {
+        params.first_plane = slab.first_plane as u32;
+        params.end_plane = (slab.first_plane + slab.planes) as u32;
+        let uniform = context.uniform("parameters of cells", &params)?;
+        let buffers = [(0, &uniform), (1, &slab.buffer), (2, &positions), (3, &found)];
+        let group = context.bind("cells", &kernel, &buffers)?;
+        let workgroups = (cells.len() as u64).div_ceil(64);
+        in_pieces(context, "the kernel of cells", workgroups, WORKGROUPS.0, WORKGROUPS.1, progress, |first, count| {
+            params.first = 64 * first as u32;
+            params.count = (64 * count as u32).min(cells.len() as u32 - params.first);
+            context.write("parameters of cells", &uniform, 0, &[params])?;
+            Ok(context.dispatch("cells", &kernel, &group, [count as u32, 1, 1])?)
+        })?;
+    }
+    context.read("corners of cells", &found, &mut corners, progress)?;
+    Ok(corners)
+}
