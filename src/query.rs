@@ -37,7 +37,7 @@ use crate::error::{ArgumentError, Error};
 use crate::gpu::Place;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
-use crate::sign::{SignChoice, SignMethod, SignRule};
+use crate::sign::{SideWalk, SignChoice, SignMethod, SignRule};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::ops::Deref;
@@ -128,8 +128,7 @@ struct Walk<'a> {
     /// The nearest face of each point if a device has searched; else empty.
     faces: &'a [u32],
     last: Option<(DVec3, f64)>,
-    /// A ball in which every point is on the same side.
-    known: Option<(DVec3, f64, bool)>,
+    sides: SideWalk,
 }
 
 impl Walk<'_> {
@@ -165,14 +164,7 @@ impl Walk<'_> {
     }
 
     fn is_inside(&mut self, rule: &SignRule, p: DVec3, closest: &ClosestPoint) -> bool {
-        if let Some((center, radius, inside)) = self.known
-            && p.distance(center) < radius
-        {
-            return inside;
-        }
-        let inside = rule.is_inside(self.mesh, p, closest);
-        self.known = rule.same_side_within(p, closest.distance).map(|radius| (p, radius, inside));
-        inside
+        self.sides.is_inside(rule, self.mesh, p, closest)
     }
 }
 
@@ -190,7 +182,7 @@ fn answer_in_order<T: Send>(
         Place::Gpu(context) => device::nearest_faces(context, mesh, points, progress)?,
     };
     let answer_chunk = |rows: &[(u64, u32)]| -> Result<Vec<(u32, T)>, Error> {
-        let mut walk = Walk { mesh, faces: &faces, last: None, known: None };
+        let mut walk = Walk { mesh, faces: &faces, last: None, sides: SideWalk::default() };
         let position = |row: u32| mesh.local_from_world(DVec3::from_array(points[row as usize]));
         let answers = rows.iter().map(|&(_, row)| (row, answer(&mut walk, position(row), row))).collect();
         progress.advance(rows.len() as u64)?;

@@ -29,7 +29,7 @@ pub fn contains(mesh: &Mesh, points: &[[f64; 3]], method: SignMethod, progress: 
                 Some(winding) => winding != 0,
                 None => rule.is_inside_without_distance(mesh, p),
             },
-            rule => rule.is_inside_without_distance(mesh, p),
+            rule => walk.sides.is_inside_without_distance(rule, mesh, p),
         }
     })?;
     Ok(in_rows(points.len(), &answers))

@@ -17,7 +17,7 @@ use crate::geometry::{Feature, barycentric_weights, triangle_cross};
 use crate::gpu::Place;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
-use crate::sign::{SignMethod, SignRule};
+use crate::sign::{SideWalk, SignMethod, SignRule};
 use glam::DVec3;
 use std::time::Instant;
 
@@ -161,7 +161,7 @@ fn side_and_gradient(
     let magnitude = 1.0 + mesh.center().abs().max_element() / mesh.scale();
     let on_surface = closest.distance <= ON_SURFACE * magnitude;
     let feature = if on_surface { nearest_feature(closest, weights) } else { closest.on_triangle.feature };
-    let (normal, front, back) = sides(mesh, rule, closest, feature);
+    let (normal, front, back) = sides(mesh, rule, &mut walk.sides, closest, feature);
     let outwards = if front && !back { -normal } else { normal };
     if on_surface {
         return (false, outwards);
@@ -176,14 +176,23 @@ fn side_and_gradient(
 
 /// The pseudonormal of the closest point, and whether the sign rule finds the inside in front of the surface and behind
 /// it.
-fn sides(mesh: &Mesh, rule: &SignRule, closest: &ClosestPoint, feature: Feature) -> (DVec3, bool, bool) {
+fn sides(
+    mesh: &Mesh,
+    rule: &SignRule,
+    walk: &mut SideWalk,
+    closest: &ClosestPoint,
+    feature: Feature,
+) -> (DVec3, bool, bool) {
     let point = closest.on_triangle.point;
     let own = || triangle_cross(mesh.exact_triangle(closest.face)).try_normalize();
     let normal = mesh.pseudonormals().at(mesh, closest.face, feature).try_normalize().or_else(own).unwrap_or(DVec3::X);
     if matches!(rule, SignRule::Unsigned) {
         return (normal, false, false);
     }
-    let inside_at = |q: DVec3| rule.is_inside(mesh, q, &mesh.closest_point(q));
+    let mut inside_at = |q: DVec3| match rule {
+        SignRule::Pseudonormal | SignRule::Normal => rule.is_inside(mesh, q, &mesh.closest_point(q)),
+        _ => walk.is_inside_without_distance(rule, mesh, q),
+    };
     (normal, inside_at(point + normal * ASIDE), inside_at(point - normal * ASIDE))
 }
 
@@ -191,7 +200,8 @@ fn sides(mesh: &Mesh, rule: &SignRule, closest: &ClosestPoint, feature: Feature)
 pub(super) fn outward_normal(mesh: &Mesh, rule: &SignRule, closest: &ClosestPoint) -> DVec3 {
     let corners = mesh.exact_triangle(closest.face);
     let weights = barycentric_weights(closest.on_triangle.point, corners, closest.on_triangle.feature);
-    let (normal, front, back) = sides(mesh, rule, closest, nearest_feature(closest, weights));
+    let feature = nearest_feature(closest, weights);
+    let (normal, front, back) = sides(mesh, rule, &mut SideWalk::default(), closest, feature);
     if front && !back { -normal } else { normal }
 }
 

@@ -38,16 +38,38 @@ impl CapPack {
         Self { corners, distances: Pack::new(&positions, &faces, &members) }
     }
 
+    /// A corner of the triangle of one lane, relative to `p`.
+    #[inline(always)]
+    fn corner(&self, corner: usize, lane: usize, p: Vec3) -> [f32; 3] {
+        let [x, y, z] = &self.corners[corner];
+        [x[lane] - p.x, y[lane] - p.y, z[lane] - p.z]
+    }
+
     /// Sum of the solid angles as seen from `p`, each within [`ANGLE_ERROR`]. None if `p` is so close to a triangle
     /// that float32 cannot determine the side.
     ///
     /// The formula of [`crate::geometry::solid_angle`].
-    #[inline(always)]
     pub fn angles(&self, p: Vec3) -> Option<f32> {
+        #[cfg(target_arch = "x86_64")]
+        {
+            #[target_feature(enable = "avx2")]
+            fn wide(pack: &CapPack, p: Vec3) -> Option<f32> {
+                pack.angles_by_lanes(p)
+            }
+            if std::arch::is_x86_feature_detected!("avx2") {
+                // SAFETY: the processor has AVX2.
+                return unsafe { wide(self, p) };
+            }
+        }
+        self.angles_by_lanes(p)
+    }
+
+    #[inline(always)]
+    fn angles_by_lanes(&self, p: Vec3) -> Option<f32> {
         let mut sum = [0.0f32; WIDTH];
         let mut doubtful = [0.0f32; WIDTH];
         for i in 0..WIDTH {
-            let [a, b, c] = self.corners.map(|corner| [corner[0][i] - p.x, corner[1][i] - p.y, corner[2][i] - p.z]);
+            let (a, b, c) = (self.corner(0, i, p), self.corner(1, i, p), self.corner(2, i, p));
             let dot = |u: [f32; 3], v: [f32; 3]| u[0] * v[0] + u[1] * v[1] + u[2] * v[2];
             let cross = [b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]];
             let numerator = dot(a, cross);
@@ -66,12 +88,27 @@ impl CapPack {
 
     /// Squared distance of `p` to the nearest triangle, and the sum over the rim edges of length / (distance -
     /// radius)^2.
-    #[inline(always)]
     pub fn reach(&self, p: Vec3, radius: f32) -> (f32, f32) {
+        #[cfg(target_arch = "x86_64")]
+        {
+            #[target_feature(enable = "avx2")]
+            fn wide(pack: &CapPack, p: Vec3, radius: f32) -> (f32, f32) {
+                pack.reach_by_lanes(p, radius)
+            }
+            if std::arch::is_x86_feature_detected!("avx2") {
+                // SAFETY: the processor has AVX2.
+                return unsafe { wide(self, p, radius) };
+            }
+        }
+        self.reach_by_lanes(p, radius)
+    }
+
+    #[inline(always)]
+    fn reach_by_lanes(&self, p: Vec3, radius: f32) -> (f32, f32) {
         let nearest = self.distances.distances_squared(p).iter().fold(f32::INFINITY, |least, &x| least.min(x));
         let mut change = [0.0f32; WIDTH];
         for i in 0..WIDTH {
-            let [a, b, _] = self.corners.map(|corner| [corner[0][i] - p.x, corner[1][i] - p.y, corner[2][i] - p.z]);
+            let (a, b) = (self.corner(0, i, p), self.corner(1, i, p));
             let along = [b[0] - a[0], b[1] - a[1], b[2] - a[2]];
             let squared = along[0] * along[0] + along[1] * along[1] + along[2] * along[2];
             let t = -(a[0] * along[0] + a[1] * along[1] + a[2] * along[2]) / (squared + f32::MIN_POSITIVE);

@@ -94,7 +94,7 @@ pub struct SignChoice {
     pub reason: String,
 }
 
-/// Largest number of rim edges that are closed by cones. Each costs about 40 ns at the samples around the openings.
+/// Largest number of rim edges that are closed by cones. Samples near an opening cost a sum over the tree of its caps.
 const MAX_CAPS: usize = 2048;
 
 impl Derived for SignChoice {
@@ -154,22 +154,12 @@ impl SignRule {
         }
     }
 
-    /// Radius of a ball around a local point in which every point is on the same side, given the distance of the
-    /// surface. None for rules without such a guarantee.
-    pub fn same_side_within(&self, p: DVec3, distance: f64) -> Option<f64> {
-        match self {
-            Self::Counted(openings) => Some(distance.min(openings.clearance(p)) * (1.0 - 1e-9)),
-            Self::Unsigned => Some(f64::INFINITY),
-            Self::Winding | Self::Parity | Self::Pseudonormal | Self::Normal => None,
-        }
-    }
-
     /// Whether a local point is inside, for the rules that do not use the closest point; false for the others.
     pub fn is_inside_without_distance(&self, mesh: &Mesh, p: DVec3) -> bool {
         match self {
             Self::Counted(openings) => {
-                let count = ClosedSurface::new(mesh, &openings.caps).winding(p, Axes::X);
-                count != i32::from(openings.rounded_fraction(p))
+                let (rounded, _) = openings.rounded_ball(p);
+                openings.winding(mesh, p) != i32::from(rounded)
             }
             Self::Winding => mesh.moments().winding(mesh, p).abs() > 0.5,
             Self::Parity => parity(mesh, p).0,
@@ -184,6 +174,51 @@ impl SignRule {
             Self::Normal => is_behind_nudged_face(mesh, p, closest),
             _ => self.is_inside_without_distance(mesh, p),
         }
+    }
+}
+
+/// The sides of points that follow each other closely. What is known of the last points decides most of the next ones.
+#[derive(Debug, Default)]
+pub struct SideWalk {
+    /// A ball in which every point is on the same side.
+    side: Option<(DVec3, f64, bool)>,
+    /// A ball in which the fraction of the openings has one nearest integer, and that contains no cap.
+    fraction: Option<(DVec3, f64, i8)>,
+}
+
+impl SideWalk {
+    /// [`SignRule::is_inside`] of the next point.
+    pub fn is_inside(&mut self, rule: &SignRule, mesh: &Mesh, p: DVec3, closest: &ClosestPoint) -> bool {
+        let SignRule::Counted(openings) = rule else { return rule.is_inside(mesh, p, closest) };
+        if let Some((center, radius, inside)) = self.side
+            && p.distance(center) < radius
+        {
+            return inside;
+        }
+        let (inside, radius) = self.counted(openings, mesh, p);
+        // No surface lies within the distance, and no cap within the radius, so the count is the same there.
+        self.side = Some((p, closest.distance.min(radius) * (1.0 - 1e-9), inside));
+        inside
+    }
+
+    /// [`SignRule::is_inside_without_distance`] of the next point.
+    pub fn is_inside_without_distance(&mut self, rule: &SignRule, mesh: &Mesh, p: DVec3) -> bool {
+        match rule {
+            SignRule::Counted(openings) => self.counted(openings, mesh, p).0,
+            _ => rule.is_inside_without_distance(mesh, p),
+        }
+    }
+
+    /// Whether a point is inside, and the radius of a ball around it in which the fraction has the same nearest integer.
+    fn counted(&mut self, openings: &Openings, mesh: &Mesh, p: DVec3) -> (bool, f64) {
+        let known = self.fraction.map(|(center, radius, rounded)| (rounded, radius - p.distance(center)));
+        let (rounded, radius) = known.filter(|&(_, left)| left > 0.0).unwrap_or_else(|| {
+            let (rounded, radius) = openings.rounded_ball(p);
+            let radius = radius * (1.0 - 1e-9);
+            self.fraction = Some((p, radius, rounded));
+            (rounded, radius)
+        });
+        (openings.winding(mesh, p) != i32::from(rounded), radius)
     }
 }
 

@@ -5,37 +5,53 @@
 //! winding number of the cones alone. Inside means |w| > 1/2 (either direction of the faces counts as a surface), and
 //! for an integer W this is equivalent to **W != round(f)**.
 //!
-//! f jumps only at the cones. Elsewhere its gradient is that of the rim alone, by the Biot-Savart law: |grad f| <= sum
-//! over rim edges of length / (4 pi distance^2). One value therefore decides whole blocks of samples away from the
-//! openings. From far away a cone covers at most its area over the squared distance. It is omitted from the sum while
-//! the omitted parts cannot change the nearest integer. Only samples near an opening have a cost, proportional to the
-//! number of its rim edges. [`super::winding`] handles meshes that consist of openings.
+//! f is summed over a tree of the caps, the triangles of all cones. A part of the tree with the area A and the area
+//! vector N, in a ball of the radius R around the centroid c, contributes the angle of its dipole, N.x / |x|^3 with
+//! x = c - p. The field r / |r|^3 has the slope 2 / |r|^3, so the error of the dipole is at most 2 A R / (|x| - R)^3.
+//! Parts whose error is too large for their share of the total are divided; leaves are summed triangle by triangle. If
+//! the error leaves the nearest integer open, a finer sum follows, and a sum over all caps in float64 at last.
+//!
+//! f jumps only at the caps. Elsewhere its gradient is that of the rim alone, by the Biot-Savart law: |grad f| <= sum
+//! over rim edges of length / (4 pi distance^2). A part of the tree also changes by at most 2 A / (4 pi distance^3). One
+//! value therefore decides a whole ball of samples ([`Openings::rounded_ball`]), and only samples near an opening have a
+//! cost. [`super::winding`] handles meshes that consist of openings.
 
 use super::caps::{ANGLE_ERROR, CapPack};
+use super::crossing::{Axes, ClosedSurface, crossing};
 use crate::bvh::WIDTH;
 use crate::geometry::triangle_cross;
 use crate::mesh::Mesh;
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use robust::{Coord3D, orient3d};
 use std::collections::{BTreeMap, HashMap};
 use std::f64::consts::PI;
-use std::ops::Range;
 
-/// The cones over the rims of all openings, local units. Empty for a closed mesh.
+/// The caps over the rims of all openings, local units. Empty for a closed mesh.
 #[derive(Debug, Default)]
 pub struct Openings {
+    /// Triangles in the order of the leaves of the tree.
     pub caps: Vec<[DVec3; 3]>,
     packs: Vec<CapPack>,
-    cones: Vec<OpeningCone>,
+    /// Nodes in preorder: the children of a node follow it.
+    nodes: Vec<CapNode>,
 }
 
-/// One opening: its triangles among the packs, a ball that contains it, and its area.
-#[derive(Debug, Clone)]
-struct OpeningCone {
-    packs: Range<usize>,
+/// Some caps that lie together.
+#[derive(Debug)]
+struct CapNode {
+    /// Ball that contains the caps. Its centre is the centroid of their areas.
     center: DVec3,
     radius: f64,
+    /// Sum of the area vectors, and of the areas.
+    vector: DVec3,
     area: f64,
+    /// Length of the rim edges of the caps.
+    rim: f64,
+    /// Index of the first node that follows the descendants of this one.
+    next: usize,
+    /// First cap. A leaf has the caps of one pack.
+    first: usize,
+    is_leaf: bool,
 }
 
 /// A box of samples, and the position of each sample.
@@ -45,8 +61,20 @@ pub struct SampleBlock<'a> {
     pub at: &'a dyn Fn([usize; 3]) -> DVec3,
 }
 
-/// Largest sum, in turns, of the cones that are omitted.
-const LEFT_OUT: f64 = 0.1;
+/// The solid angle of all caps at a point.
+struct CapAngle {
+    /// Sum and its largest error, steradians.
+    sum: f64,
+    error: f64,
+    /// No cap is nearer than this, local units.
+    clear: f64,
+    /// Bound of the gradient of the sum within the radius of the evaluation.
+    slope: f64,
+}
+
+/// Errors that a sum over the tree may have: half of a turn decides the nearest integer.
+const COARSE: f64 = 0.1 * 4.0 * PI;
+const FINE: f64 = 1e-3 * 4.0 * PI;
 
 /// Offset of the apex from the centre of its rim, in rim sizes. It points away from the planes of typical grids and
 /// models, so that no sample lies on a cone by symmetry.
@@ -54,6 +82,9 @@ const APEX_OFFSET: DVec3 = DVec3::new(0.003_69, 0.005_37, 0.007_58);
 
 /// A sample counts as undecided if its winding number is closer to 1/2 than this.
 const UNDECIDED: f64 = 0.05;
+
+/// Relative and absolute margin for float32 in a distance: a hundred times its rounding.
+const ROUNDING: f64 = 1e-5;
 
 impl Openings {
     pub fn of(mesh: &Mesh) -> Self {
@@ -94,102 +125,110 @@ impl Openings {
             // The closing face traverses the edge backwards. The predicates are fastest with coordinates of few bits.
             by_opening.entry(opening).or_default().push([position(to), position(from), apex.as_vec3().as_dvec3()]);
         }
-        let mut openings = Self::default();
-        for caps in by_opening.into_values() {
-            let center = caps[0][2];
-            let first = openings.packs.len();
-            openings.packs.extend(caps.chunks(WIDTH).map(CapPack::new));
-            openings.cones.push(OpeningCone {
-                packs: first..openings.packs.len(),
-                center,
-                radius: caps.iter().flatten().map(|p| p.distance(center)).fold(0.0, f64::max),
-                area: caps.iter().map(|&cap| 0.5 * triangle_cross(cap).length()).sum(),
-            });
-            openings.caps.extend(caps);
+        let mut openings = Self { caps: by_opening.into_values().flatten().collect(), ..Self::default() };
+        if !openings.caps.is_empty() {
+            openings.divide(0, openings.caps.len());
         }
+        openings.packs = openings.caps.chunks(WIDTH).map(CapPack::new).collect();
         openings
     }
 
-    /// Winding number of the cones alone.
+    /// Add the node of a range of caps and its descendants. Ranges begin at multiples of the caps of a pack.
+    fn divide(&mut self, first: usize, end: usize) {
+        let index = self.nodes.len();
+        let is_leaf = end - first <= WIDTH;
+        self.nodes.push(CapNode { is_leaf, ..CapNode::new(first, &self.caps[first..end]) });
+        if !is_leaf {
+            let centroid = |cap: &[DVec3; 3]| (cap[0] + cap[1] + cap[2]) / 3.0;
+            let centroids = self.caps[first..end].iter().map(centroid);
+            let (low, high) =
+                centroids.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
+            let axis = (high - low).max_position();
+            self.caps[first..end].sort_by(|a, b| centroid(a)[axis].total_cmp(&centroid(b)[axis]));
+            let middle = first + ((end - first) / 2).next_multiple_of(WIDTH);
+            self.divide(first, middle);
+            self.divide(middle, end);
+        }
+        self.nodes[index].next = self.nodes.len();
+    }
+
+    /// Winding number of the caps alone, with the rounding of float64.
     pub fn fraction(&self, p: DVec3) -> f64 {
         self.caps.iter().map(|cap| angle_from(p, cap)).sum::<f64>() / (4.0 * PI)
     }
 
-    /// The integer nearest to the fraction at a point.
-    pub fn rounded_fraction(&self, p: DVec3) -> i8 {
-        if self.clearance(p) >= 0.0 {
-            return 0;
+    /// Winding number of a mesh whose openings are closed by the caps.
+    pub fn winding(&self, mesh: &Mesh, p: DVec3) -> i32 {
+        let axes = Axes::X;
+        let mut winding = ClosedSurface::new(mesh, &[]).winding(p, axes);
+        let mut i = 0;
+        while let Some(node) = self.nodes.get(i) {
+            let to = node.center - p;
+            let beside = to[axes.column].abs().max(to[axes.row].abs());
+            if beside > node.radius || to[axes.ray] < -node.radius {
+                i = node.next;
+                continue;
+            }
+            if node.is_leaf {
+                winding += self.caps_of(node).iter().map(|&cap| crossing(p, cap, axes)).sum::<i32>();
+            }
+            i += 1;
         }
-        let mut left_out = 0.0;
-        let near: Vec<OpeningCone> =
-            self.cones.iter().filter(|cone| cone.matters(p, 0.0, &mut left_out)).cloned().collect();
-        self.round(p, &near, left_out).0
+        winding
     }
 
-    /// Distance by which a point may move without crossing a cone, and without changing the nearest integer of the
-    /// fraction from 0. Negative near an opening.
-    pub fn clearance(&self, p: DVec3) -> f64 {
-        // Each cone gets an equal share of just under a half turn.
-        let share = 4.0 * PI * (0.5 - UNDECIDED) / self.cones.len() as f64;
-        let reach = |cone: &OpeningCone| p.distance(cone.center) - cone.radius - (cone.area / share).sqrt();
-        self.cones.iter().map(reach).fold(f64::INFINITY, f64::min)
+    /// The integer nearest to the fraction at a point, and the radius of a ball in which it is the same and that
+    /// contains no cap. The radius is 0 where the fraction is close to the middle between two integers.
+    pub fn rounded_ball(&self, p: DVec3) -> (i8, f64) {
+        if self.caps.is_empty() {
+            return (0, f64::INFINITY);
+        }
+        let angle = self.sum(p, 0.0, COARSE, false);
+        let Some((rounded, margin)) = angle.rounded().filter(|&(_, margin)| margin > UNDECIDED) else {
+            return (self.round(p).0, 0.0);
+        };
+        // No summand of the slope is larger than C / (D - r)^3 at the distance r, if it is C / D^3 here and D is at least
+        // `clear`. For a fraction x of `clear` the change is then at most x clear slope / (1 - x)^3, and
+        // x / (1 - x)^3 <= q holds for x = q / (1 + 3 q).
+        let clear = angle.clear.max(0.0);
+        let q = margin * 4.0 * PI / (clear * angle.slope * (1.0 + ROUNDING));
+        let share = if q.is_finite() { q / (1.0 + 3.0 * q) } else { 1.0 / 3.0 };
+        (rounded, clear * share)
     }
 
-    /// Whether no cone comes within `radius` of a point and the fraction has one nearest integer there. False also
+    /// Whether no cap comes within `radius` of a point and the fraction has one nearest integer there. False also
     /// where one value cannot tell.
     pub fn is_uniform_within(&self, p: DVec3, radius: f64) -> bool {
-        let mut left_out = 0.0;
-        let matters = |cone: &&OpeningCone| cone.matters(p, radius, &mut left_out);
-        let near: Vec<OpeningCone> = self.cones.iter().filter(matters).cloned().collect();
-        self.rounded_within(p, radius, &near, left_out).is_some()
+        self.caps.is_empty() || self.rounded_within(p, radius).is_some()
     }
 
-    /// The nearest integer of the fraction at a point, and whether it is certain. The cones that are not in `near` add
-    /// less than `left_out`.
-    fn round(&self, p: DVec3, near: &[OpeningCone], left_out: f64) -> (i8, bool) {
-        let fast = self
-            .fast_fraction(p, near)
-            .filter(|(fraction, error)| (fraction - fraction.round()).abs() + left_out + error < 0.5 - UNDECIDED);
-        let fraction = fast.map_or_else(|| self.fraction(p), |(fraction, _)| fraction);
+    /// The nearest integer of the fraction at a point, and whether it is certain.
+    fn round(&self, p: DVec3) -> (i8, bool) {
+        if let Some((rounded, margin)) = self.sum(p, 0.0, COARSE, false).rounded()
+            && margin > UNDECIDED
+        {
+            return (rounded, true);
+        }
+        if let Some((rounded, margin)) = self.sum(p, 0.0, FINE, true).rounded() {
+            return (rounded, margin >= UNDECIDED);
+        }
+        let fraction = self.fraction(p);
         (fraction.round() as i8, (fraction - fraction.round()).abs() <= 0.5 - UNDECIDED)
-    }
-
-    /// The contribution of some cones to the fraction by lanes, and its error; None if the point is too close to one of
-    /// them.
-    fn fast_fraction(&self, p: DVec3, near: &[OpeningCone]) -> Option<(f64, f64)> {
-        let packs = near.iter().flat_map(|cone| &self.packs[cone.packs.clone()]);
-        let sum = sum_angles(packs.clone(), p.as_vec3())?;
-        let error = ANGLE_ERROR * (packs.count() * WIDTH) as f64;
-        Some((f64::from(sum) / (4.0 * PI), error / (4.0 * PI)))
     }
 
     /// Computes the nearest integer of the fraction at each sample of a block and passes it to `set`. Returns the
     /// number of samples that were close to undecided.
     pub fn for_each_rounded_fraction(&self, block: &SampleBlock<'_>, set: &mut impl FnMut([usize; 3], i8)) -> usize {
-        self.decide(block, &self.cones, 0.0, set)
-    }
-
-    /// `near` are the cones that are evaluated in the block. The others add less than `left_out` anywhere in it.
-    fn decide(
-        &self,
-        block: &SampleBlock<'_>,
-        near: &[OpeningCone],
-        mut left_out: f64,
-        set: &mut impl FnMut([usize; 3], i8),
-    ) -> usize {
         let &SampleBlock { low, high, at } = block;
         let (first, last) = (at(low), at(high.map(|i| i - 1)));
         let center = (first + last) * 0.5;
         let radius = first.distance(last) * 0.5 * (1.0 + 1e-9);
-        let mut nearer = near.to_vec();
-        nearer.retain(|cone| cone.matters(center, radius, &mut left_out));
-
         if (0..3).all(|axis| high[axis] - low[axis] == 1) {
-            let (rounded, decided) = self.round(center, &nearer, left_out);
+            let (rounded, decided) = self.round(center);
             set(low, rounded);
             return usize::from(!decided);
         }
-        if let Some(rounded) = self.rounded_within(center, radius, &nearer, left_out) {
+        if let Some(rounded) = self.rounded_within(center, radius) {
             for z in low[2]..high[2] {
                 for y in low[1]..high[1] {
                     for x in low[0]..high[0] {
@@ -206,77 +245,93 @@ impl Openings {
         right_low[axis] = left_high[axis];
         let left = SampleBlock { low, high: left_high, at };
         let right = SampleBlock { low: right_low, high, at };
-        self.decide(&left, &nearer, left_out, set) + self.decide(&right, &nearer, left_out, set)
+        self.for_each_rounded_fraction(&left, set) + self.for_each_rounded_fraction(&right, set)
     }
 
     /// The integer nearest to the fraction everywhere within `radius` of `center`; None if a single value is not
     /// sufficient.
-    fn rounded_within(&self, center: DVec3, radius: f64, near: &[OpeningCone], left_out: f64) -> Option<i8> {
-        // No cone lies within the radius, and the gradient of the rim is bounded.
-        let packs = near.iter().flat_map(|cone| &self.packs[cone.packs.clone()]);
-        let (nearest, change) = least_reach(packs, center.as_vec3(), radius as f32);
-        if f64::from(nearest.sqrt()) <= radius * (1.0 + ROUNDING) + ROUNDING {
-            return None;
+    fn rounded_within(&self, center: DVec3, radius: f64) -> Option<i8> {
+        let angle = self.sum(center, radius, COARSE, false);
+        let is_clear = angle.clear > radius * (1.0 + ROUNDING) + ROUNDING;
+        let (rounded, margin) = angle.rounded().filter(|_| is_clear)?;
+        (margin * 4.0 * PI > radius * angle.slope * (1.0 + ROUNDING)).then_some(rounded)
+    }
+
+    /// The solid angle of all caps at a point, with an error of at most `error` steradians and the rounding of the
+    /// leaves. The slope holds within `radius`; the sum ends at the first cap within that radius. With `exact` the
+    /// leaves are summed in float64.
+    fn sum(&self, p: DVec3, radius: f64, error: f64, exact: bool) -> CapAngle {
+        let mut found = CapAngle { sum: 0.0, error: 0.0, clear: f64::INFINITY, slope: 0.0 };
+        let share = error / self.nodes.first().map_or(1.0, |root| root.area.max(f64::MIN_POSITIVE));
+        let mut i = 0;
+        while let Some(node) = self.nodes.get(i) {
+            let to = node.center - p;
+            let distance = to.length();
+            let reach = distance - node.radius;
+            if reach > radius && 2.0 * node.radius <= share * reach * reach * reach {
+                let left = reach - radius;
+                found.sum += node.vector.dot(to) / (distance * distance * distance);
+                found.error += 2.0 * node.area * node.radius / (reach * reach * reach);
+                found.clear = found.clear.min(reach);
+                found.slope += (node.rim / (left * left)).min(2.0 * node.area / (left * left * left));
+                i = node.next;
+                continue;
+            }
+            if node.is_leaf {
+                let pack = &self.packs[node.first / WIDTH];
+                let (nearest, slope) = pack.reach(p.as_vec3(), radius as f32);
+                found.clear = found.clear.min(f64::from(nearest.sqrt()) * (1.0 - ROUNDING) - ROUNDING);
+                found.slope += f64::from(slope);
+                if radius > 0.0 && found.clear <= radius {
+                    return found;
+                }
+                match pack.angles(p.as_vec3()).filter(|_| !exact) {
+                    Some(sum) => {
+                        found.sum += f64::from(sum);
+                        found.error += ANGLE_ERROR * WIDTH as f64;
+                    }
+                    None => found.sum += self.caps_of(node).iter().map(|cap| angle_from(p, cap)).sum::<f64>(),
+                }
+            }
+            i += 1;
         }
-        let change = radius * f64::from(change) * (1.0 + ROUNDING) / (4.0 * PI);
-        let (fraction, error) = self.fast_fraction(center, near)?;
+        found
+    }
+
+    fn caps_of(&self, leaf: &CapNode) -> &[[DVec3; 3]] {
+        &self.caps[leaf.first..(leaf.first + WIDTH).min(self.caps.len())]
+    }
+}
+
+impl CapAngle {
+    /// The nearest number of whole turns, and the distance of the fraction from the middle between two numbers less its
+    /// error. None if the error leaves the number open.
+    fn rounded(&self) -> Option<(i8, f64)> {
+        let fraction = self.sum / (4.0 * PI);
         let rounded = fraction.round();
-        ((fraction - rounded).abs() + change + error + left_out < 0.5).then_some(rounded as i8)
+        let margin = 0.5 - (fraction - rounded).abs() - self.error / (4.0 * PI) - EXACT_ERROR;
+        (margin > 0.0).then_some((rounded as i8, margin))
     }
 }
 
-/// Relative and absolute margin for float32 in a distance: a hundred times its rounding.
-const ROUNDING: f64 = 1e-5;
+/// Rounding of sums of float64 angles, turns.
+const EXACT_ERROR: f64 = 1e-9;
 
-/// Sum of the solid angles of packs, with the widest registers of the processor.
-fn sum_angles<'a>(packs: impl Iterator<Item = &'a CapPack>, p: Vec3) -> Option<f32> {
-    #[cfg(target_arch = "x86_64")]
-    {
-        #[target_feature(enable = "avx2")]
-        fn wide<'a>(mut packs: impl Iterator<Item = &'a CapPack>, p: Vec3) -> Option<f32> {
-            packs.try_fold(0.0, |sum, pack| Some(sum + pack.angles(p)?))
+impl CapNode {
+    fn new(first: usize, caps: &[[DVec3; 3]]) -> Self {
+        let (mut vector, mut area, mut rim, mut moment) = (DVec3::ZERO, 0.0, 0.0, DVec3::ZERO);
+        for &cap in caps {
+            let cross = 0.5 * triangle_cross(cap);
+            // A cap without an area still has a place.
+            let weight = cross.length().max(1e-30);
+            vector += cross;
+            area += weight;
+            moment += (cap[0] + cap[1] + cap[2]) / 3.0 * weight;
+            rim += cap[0].distance(cap[1]);
         }
-        if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has AVX2.
-            return unsafe { wide(packs, p) };
-        }
-    }
-    let mut packs = packs;
-    packs.try_fold(0.0, |sum, pack| Some(sum + pack.angles(p)?))
-}
-
-/// Smallest squared distance to packs, and the sum of the gradients of their rims.
-fn least_reach<'a>(packs: impl Iterator<Item = &'a CapPack>, p: Vec3, radius: f32) -> (f32, f32) {
-    #[inline(always)]
-    fn fold<'a>(packs: impl Iterator<Item = &'a CapPack>, p: Vec3, radius: f32) -> (f32, f32) {
-        packs.fold((f32::INFINITY, 0.0), |(least, sum), pack| {
-            let (nearest, change) = pack.reach(p, radius);
-            (least.min(nearest), sum + change)
-        })
-    }
-    #[cfg(target_arch = "x86_64")]
-    {
-        #[target_feature(enable = "avx2")]
-        fn wide<'a>(packs: impl Iterator<Item = &'a CapPack>, p: Vec3, radius: f32) -> (f32, f32) {
-            fold(packs, p, radius)
-        }
-        if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has AVX2.
-            return unsafe { wide(packs, p, radius) };
-        }
-    }
-    fold(packs, p, radius)
-}
-
-impl OpeningCone {
-    /// Whether the cone must be evaluated within `radius` of `center`. If not, its largest contribution there is added
-    /// to `left_out`.
-    fn matters(&self, center: DVec3, radius: f64, left_out: &mut f64) -> bool {
-        let reach = (self.center.distance(center) - self.radius - radius).max(0.0);
-        let largest = self.area / (4.0 * PI * reach * reach);
-        let matters = *left_out + largest > LEFT_OUT;
-        *left_out += if matters { 0.0 } else { largest };
-        matters
+        let center = moment / area;
+        let radius = caps.iter().flatten().map(|p| p.distance(center)).fold(0.0, f64::max) * (1.0 + 1e-9) + 1e-12;
+        Self { center, radius, vector, area, rim, next: 0, first, is_leaf: true }
     }
 }
 

@@ -150,9 +150,33 @@ proptest! {
         openings.for_each_rounded_fraction(&block, &mut |voxel, rounded| {
             seen += 1;
             assert_eq!(rounded, openings.fraction(at(voxel)).round() as i8);
-            assert_eq!(rounded, openings.rounded_fraction(at(voxel)));
+            assert_eq!(rounded, openings.rounded_ball(at(voxel)).0);
         });
         prop_assert_eq!(seen, 23 * 22 * 21);
+    }
+
+    /// Points that follow each other have the sides of single points, among scattered openings.
+    #[test]
+    fn a_walk_has_the_sides_of_its_points(seed in any::<u64>(), every in 6usize..40) {
+        let (vertices, mut faces) = bumpy_sphere(seed);
+        let mut index = 0;
+        faces.retain(|_| {
+            index += 1;
+            index % every != 0
+        });
+        let mesh = mesh(&vertices, &faces);
+        let rule = SignRule::Counted(Openings::of(&mesh));
+        let mut walk = SideWalk::default();
+        let mut next = uniform(seed);
+        let mut p = DVec3::new(0.1, 0.0, 0.0);
+        for _ in 0..400 {
+            let step = DVec3::new(next() - 0.5, next() - 0.5, next() - 0.5) * 0.2;
+            p = (p + step).clamp(DVec3::splat(-1.4), DVec3::splat(1.4));
+            let local = mesh.local_from_world(p);
+            let inside = walk.is_inside(&rule, &mesh, local, &mesh.closest_point(local));
+            let winding = brute_force(&mesh, local).abs();
+            prop_assert!(inside == (winding > 0.5) || (winding - 0.5).abs() < 1e-9, "{p} {winding}");
+        }
     }
 
     /// The fast winding number stays within the error that its module states.
