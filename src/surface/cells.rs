@@ -8,7 +8,7 @@
 //!
 //! Memory grows with the number of crossed cells, plus one value per row of cells.
 
-use super::patches::{MAX_PATCHES, edge_corners, face_corners, face_edges, is_ambiguous, patches};
+use super::patches::{edge_corners, face_corners, face_edges, is_ambiguous, patches};
 use crate::error::Error;
 use crate::progress::Progress;
 use crate::volume::sparse::{BRICK_CELLS, SparseView};
@@ -26,6 +26,8 @@ pub struct SurfaceCell {
     pub inside: u8,
     /// Ambiguous faces whose inside corners are joined, bit `f` for face `f`.
     pub joined: u8,
+    /// Faces without crossed edges beyond which no cell is crossed, bit `f` for face `f`.
+    pub free: u8,
     /// Number of its first patch among all patches.
     pub first_patch: u32,
     /// Number of the first of the crossed edges that start at its lower corner, among all crossed edges.
@@ -41,18 +43,12 @@ impl SurfaceCell {
         }
         let joined = (0..6).filter(|&face| is_ambiguous(inside, face) && joins_inside(&values, face));
         let joined = joined.fold(0, |bits, face| bits | 1 << face);
-        Some(Self { index, values, inside, joined, first_patch: 0, first_edge: 0 })
+        Some(Self { index, values, inside, joined, free: 0, first_patch: 0, first_edge: 0 })
     }
 
     /// Sets of edges, one for each patch.
     pub fn patches(&self) -> impl Iterator<Item = u16> + use<> {
         patches(self.inside, self.joined).iter().copied().take_while(|&patch| patch != 0)
-    }
-
-    /// Index of the patch that has an edge, among the patches of this cell.
-    pub fn patch_of(&self, edge: usize) -> u32 {
-        let patches = patches(self.inside, self.joined);
-        (0..MAX_PATCHES).find(|&i| patches[i] >> edge & 1 == 1).unwrap_or(0) as u32
     }
 
     /// Whether the edge from the lower corner along an axis is crossed.
@@ -98,31 +94,25 @@ impl SurfaceCells {
             let first = nx * (clamp(y, ny) + ny * clamp(z, nz));
             &texels[first..first + nx]
         };
+        let bits = InsideBits::new(texels, nx, |texel: &T| texel.decode(scale) < level);
         let slabs: Vec<Vec<SurfaceCell>> = (-1..shape[2])
             .into_par_iter()
             .map(|z| {
                 let mut found = Vec::new();
                 for y in -1..shape[1] {
-                    let rows = [row(y, z), row(y + 1, z), row(y, z + 1), row(y + 1, z + 1)];
-                    let padded = [(y, z), (y + 1, z), (y, z + 1), (y + 1, z + 1)]
-                        .map(|(y, z)| y < 0 || z < 0 || y >= shape[1] || z >= shape[2]);
-                    let value = |r: usize, x: i32| {
-                        let value = rows[r][(x.max(0) as usize).min(nx - 1)].decode(scale) - level;
-                        if padded[r] || x < 0 || x >= shape[0] { value.abs() } else { value }
-                    };
-                    let column = |x: i32| -> [f32; 4] { std::array::from_fn(|r| value(r, x)) };
-                    let signs = |column: &[f32; 4]| column.iter().filter(|&&value| value < 0.0).count();
-                    let mut near = column(-1);
-                    let mut near_signs = signs(&near);
-                    for x in -1..shape[0] {
-                        let far = column(x + 1);
-                        let far_signs = signs(&far);
-                        if !(near_signs == far_signs && (near_signs == 0 || near_signs == 4)) {
-                            let values = [near[0], far[0], near[1], far[1], near[2], far[2], near[3], far[3]];
-                            found.extend(SurfaceCell::new([x, y, z], values));
-                        }
-                        (near, near_signs) = (far, far_signs);
-                    }
+                    let rows = [(y, z), (y + 1, z), (y, z + 1), (y + 1, z + 1)];
+                    let padded = rows.map(|(y, z)| y < 0 || z < 0 || y >= shape[1] || z >= shape[2]);
+                    let samples = rows.map(|(y, z)| row(y, z));
+                    let numbers: [Option<usize>; 4] =
+                        std::array::from_fn(|r| (!padded[r]).then(|| rows[r].0 as usize + ny * rows[r].1 as usize));
+                    bits.for_each_crossed(numbers, |x| {
+                        let values = std::array::from_fn(|corner| {
+                            let (r, x) = (corner >> 1, x + (corner & 1) as i32);
+                            let value = samples[r][(x.max(0) as usize).min(nx - 1)].decode(scale) - level;
+                            if padded[r] || x < 0 || x >= shape[0] { value.abs() } else { value }
+                        });
+                        found.extend(SurfaceCell::new([x, y, z], values));
+                    });
                 }
                 progress.advance(1).map(|()| found)
             })
@@ -177,6 +167,8 @@ impl SurfaceCells {
         }
         surface.rows.resize(row_count + 1, surface.cells.len() as u32);
         surface.part_doubly_joined_patches();
+        let free: Vec<u8> = surface.cells.par_iter().map(|cell| surface.free_faces(cell)).collect();
+        surface.cells.iter_mut().zip(free).for_each(|(cell, free)| cell.free = free);
         for cell in &mut surface.cells {
             (cell.first_patch, cell.first_edge) = (surface.patches, surface.edges);
             surface.patches += cell.patches().count() as u32;
@@ -209,6 +201,17 @@ impl SurfaceCells {
         self.position(index).map(|i| &self.cells[i])
     }
 
+    /// The faces of a cell that have no crossed edge and beyond which no cell is crossed, one bit a face.
+    fn free_faces(&self, cell: &SurfaceCell) -> u8 {
+        let is_free = |face: usize| {
+            let inside = face_corners(face).iter().filter(|&&corner| cell.inside >> corner & 1 == 1).count();
+            let mut next = cell.index;
+            next[face / 2] += if face % 2 == 1 { 1 } else { -1 };
+            inside % 4 == 0 && self.position(next).is_none()
+        };
+        (0..6).filter(|&face| is_free(face)).fold(0, |bits, face| bits | 1 << face)
+    }
+
     fn position(&self, index: [i32; 3]) -> Option<usize> {
         if index.iter().zip(&self.shape).any(|(&i, &n)| i < -1 || i >= n) {
             return None;
@@ -238,6 +241,46 @@ impl SurfaceCells {
                     self.cells[i].joined ^= 1 << face;
                     self.cells[next].joined ^= 1 << (face - 1);
                 }
+            }
+        }
+    }
+}
+
+/// The samples inside the solid, one bit each. Bit x + 1 of a row stands for sample x, so the padding on both sides has bits
+/// too; they are 0, since padding is outside.
+struct InsideBits {
+    words_per_row: usize,
+    words: Vec<u64>,
+    padding: Vec<u64>,
+}
+
+impl InsideBits {
+    fn new<T: Sync>(texels: &[T], nx: usize, is_inside: impl Fn(&T) -> bool + Sync) -> Self {
+        let words_per_row = (nx + 2).div_ceil(64);
+        let mut words = vec![0; texels.len() / nx * words_per_row];
+        words.par_chunks_mut(words_per_row).zip(texels.par_chunks(nx)).for_each(|(words, texels)| {
+            for (i, texel) in texels.iter().enumerate() {
+                words[(i + 1) / 64] |= u64::from(is_inside(texel)) << ((i + 1) % 64);
+            }
+        });
+        Self { words_per_row, words, padding: vec![0; words_per_row] }
+    }
+
+    /// Calls `found` with the index along x of every crossed cell between four rows. None is a row of padding.
+    fn for_each_crossed(&self, rows: [Option<usize>; 4], mut found: impl FnMut(i32)) {
+        let words = self.words_per_row;
+        let rows = rows.map(|row| row.map_or(&self.padding[..], |row| &self.words[row * words..(row + 1) * words]));
+        let any = |word: usize| rows.iter().fold(0, |bits, row| bits | row[word]);
+        let all = |word: usize| rows.iter().fold(u64::MAX, |bits, row| bits & row[word]);
+        for word in 0..words {
+            let is_last = word + 1 == words;
+            let (next_any, next_all) = if is_last { (0, 0) } else { (any(word + 1), all(word + 1)) };
+            let some = any(word) | any(word) >> 1 | next_any << 63;
+            let every = all(word) & (all(word) >> 1 | next_all << 63);
+            let mut crossed = some & !every;
+            while crossed != 0 {
+                found((word * 64) as i32 + crossed.trailing_zeros() as i32 - 1);
+                crossed &= crossed - 1;
             }
         }
     }

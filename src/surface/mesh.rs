@@ -1,7 +1,6 @@
 //! Vertices and faces of the dual mesh.
 
 use super::cells::{SurfaceCell, owner_of};
-use super::patches::face_corners;
 use super::probes::ExtraPlanes;
 use super::qef::Planes;
 use super::{Crossing, LevelSurface, MARGIN, MeshOptions};
@@ -57,7 +56,7 @@ impl LevelSurface {
             .flat_map_iter(|cell| {
                 (cell.first_patch..)
                     .zip(cell.patches())
-                    .map(move |(id, patch)| self.vertex(cell, id, patch, crossings, extra, options))
+                    .map(move |(id, _)| self.vertex(cell, id, crossings, extra, options))
             })
             .collect();
         let mut vertices: Vec<DVec3> = placed.iter().map(|(vertex, _)| *vertex).collect();
@@ -87,7 +86,7 @@ impl LevelSurface {
                 }
                 let corner = self.world(cell.index, DVec3::ZERO);
                 let [lower, upper] = self.allowed(cell);
-                let planes = self.planes(cell, id, patch, crossings, extra);
+                let planes = self.planes(cell, id, crossings, extra);
                 let best = planes.minimum(lower - self.spacing, upper + self.spacing).point;
                 let clamped = vertices[id as usize];
                 vertices[id as usize] = (corner + best).clamp(self.lower, self.upper);
@@ -97,7 +96,7 @@ impl LevelSurface {
                 });
                 if folds {
                     // Planes beyond the cell would bend the surface; the crossings alone may have a place inside.
-                    let own = self.planes(cell, id, patch, crossings, &ExtraPlanes::default()).minimum(lower, upper);
+                    let own = self.planes(cell, id, crossings, &ExtraPlanes::default()).minimum(lower, upper);
                     vertices[id as usize] = if own.clamped { clamped } else { corner + own.point };
                 } else {
                     moved += 1;
@@ -110,14 +109,10 @@ impl LevelSurface {
     /// The crossings of the edges of a patch.
     pub(super) fn crossings_of<'a>(
         &'a self,
-        cell: &'a SurfaceCell,
-        patch: u16,
+        patch: u32,
         crossings: &'a [Crossing],
     ) -> impl Iterator<Item = &'a Crossing> {
-        (0..12).filter(move |edge| patch >> edge & 1 == 1).filter_map(move |edge| {
-            let (owner, axis) = owner_of(cell, edge);
-            self.cells.find(owner).map(|owner| &crossings[owner.edge(axis) as usize])
-        })
+        self.links.edges_of(patch).iter().map(|&edge| &crossings[edge as usize])
     }
 
     /// The vertex of a patch with the number `id`, and whether it was clamped to its cell.
@@ -125,13 +120,12 @@ impl LevelSurface {
         &self,
         cell: &SurfaceCell,
         id: u32,
-        patch: u16,
         crossings: &[Crossing],
         extra: &ExtraPlanes,
         options: MeshOptions,
     ) -> (DVec3, bool) {
         let corner = self.world(cell.index, DVec3::ZERO);
-        let planes = self.planes(cell, id, patch, crossings, extra);
+        let planes = self.planes(cell, id, crossings, extra);
         let [lower, upper] = self.allowed(cell);
         let (vertex, clamped) = if options.sharp {
             let minimum = planes.minimum(lower, upper);
@@ -146,10 +140,10 @@ impl LevelSurface {
     }
 
     /// The tangent planes of a patch, relative to the lower corner of its cell.
-    fn planes(&self, cell: &SurfaceCell, id: u32, patch: u16, crossings: &[Crossing], extra: &ExtraPlanes) -> Planes {
+    fn planes(&self, cell: &SurfaceCell, id: u32, crossings: &[Crossing], extra: &ExtraPlanes) -> Planes {
         let corner = self.world(cell.index, DVec3::ZERO);
         let mut planes = Planes::new();
-        for crossing in self.crossings_of(cell, patch, crossings) {
+        for crossing in self.crossings_of(id, crossings) {
             planes.add(crossing.on_edge - corner, crossing.point - corner, crossing.normal);
         }
         for &(point, normal) in extra.of(id) {
@@ -165,13 +159,7 @@ impl LevelSurface {
         let mut lower = DVec3::splat(MARGIN);
         let mut upper = DVec3::splat(1.0 - MARGIN);
         for axis in 0..3 {
-            let is_free = |side: usize| {
-                let corners = face_corners(2 * axis + side);
-                let inside = corners.iter().filter(|&&corner| cell.inside >> corner & 1 == 1).count();
-                let mut next = cell.index;
-                next[axis] += if side == 1 { 1 } else { -1 };
-                inside % 4 == 0 && self.cells.find(next).is_none()
-            };
+            let is_free = |side: usize| cell.free >> (2 * axis + side) & 1 == 1;
             if is_free(0) {
                 lower[axis] -= 1.0;
             }
@@ -205,28 +193,12 @@ impl LevelSurface {
         p
     }
 
-    /// The patches around the crossed edge from the lower corner of `cell` along `axis`, counter-clockwise seen from its
-    /// far end.
-    pub(super) fn patches_around(&self, cell: &SurfaceCell, axis: usize) -> [u32; 4] {
-        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-        // The cells around the edge by their steps along -u and -v.
-        [(0, 0), (1, 0), (1, 1), (0, 1)].map(|(back_u, back_v): (i32, i32)| {
-            let mut index = cell.index;
-            index[u] -= back_u;
-            index[v] -= back_v;
-            // In a cell one step back, the edge is on the upper side: see the numbering of edges in `patches`.
-            let edge = 4 * axis + (back_u + 2 * back_v) as usize;
-            // Every cell around a crossed edge is crossed, so it is found.
-            self.cells.find(index).map_or(0, |around| around.first_patch + around.patch_of(edge))
-        })
-    }
-
     /// The corners of the quadrilateral around the crossed edge from the lower corner of `cell` along `axis`,
     /// counter-clockwise seen from outside, and twice the smaller area, voxels squared, of the two triangles of either
     /// division, seen along the edge.
     fn quad(&self, cell: &SurfaceCell, axis: usize, vertices: &[DVec3]) -> ([u32; 4], [f64; 2]) {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-        let mut quad = self.patches_around(cell, axis);
+        let mut quad = self.links.patches_around(cell.edge(axis));
         // Seen from the outside end of the edge the order must be counter-clockwise.
         let far_is_outside = cell.inside & 1 == 1;
         if !far_is_outside {

@@ -25,12 +25,13 @@
 
 pub mod cells;
 mod hermite;
+mod links;
 mod mesh;
 pub mod patches;
 mod probes;
 pub mod qef;
 
-pub use hermite::planes_of_mesh;
+pub use hermite::{join_planes_of_mesh, planes_of_mesh};
 pub use mesh::SurfaceMesh;
 pub use probes::{ExtraPlanes, Probes};
 
@@ -41,6 +42,7 @@ use crate::volume::sparse::SparseView;
 use crate::volume::{FieldView, Texel, Trilinear};
 use cells::{SurfaceCell, SurfaceCells};
 use glam::DVec3;
+use links::PatchLinks;
 use rayon::prelude::*;
 
 /// Smallest distance of a vertex from the faces of its cell, voxels.
@@ -63,6 +65,7 @@ pub struct LevelSurface {
     upper: DVec3,
     spacing: DVec3,
     cells: SurfaceCells,
+    links: PatchLinks,
 }
 
 /// The tangent plane of the surface where an edge crosses it.
@@ -87,13 +90,7 @@ impl LevelSurface {
     pub fn of_field<T: Texel>(field: &FieldView<'_, T>, level: f32, progress: &Progress) -> Result<Self, Error> {
         check_level(level)?;
         check_shape(field.grid().shape)?;
-        let grid = field.grid();
-        Ok(Self {
-            lower: grid.lower,
-            upper: grid.upper,
-            spacing: grid.spacing(),
-            cells: SurfaceCells::of_field(field, level, progress)?,
-        })
+        Ok(Self::new(field.grid(), SurfaceCells::of_field(field, level, progress)?))
     }
 
     /// The surface in blocks of samples; see [`SurfaceCells::of_blocks`].
@@ -115,7 +112,7 @@ impl LevelSurface {
             return Err(ArgumentError::new("values", "must be finite").into());
         }
         let cells = SurfaceCells::of_blocks(grid.shape.map(|n| n as i32), side, origins, values, level);
-        Ok(Self { lower: grid.lower, upper: grid.upper, spacing: grid.spacing(), cells })
+        Ok(Self::new(grid, cells))
     }
 
     /// The surface where a sparse field equals `level`. Bricks are stored within the band alone, so a level beyond what
@@ -127,13 +124,12 @@ impl LevelSurface {
             let problem = format!("{level} is beyond the band, samples are stored up to {} only", field.floor());
             return Err(ArgumentError::new("level", problem).into());
         }
-        let grid = field.grid();
-        Ok(Self {
-            lower: grid.lower,
-            upper: grid.upper,
-            spacing: grid.spacing(),
-            cells: SurfaceCells::of_sparse(field, level, progress)?,
-        })
+        Ok(Self::new(field.grid(), SurfaceCells::of_sparse(field, level, progress)?))
+    }
+
+    fn new(grid: &Grid, cells: SurfaceCells) -> Self {
+        let links = PatchLinks::new(&cells);
+        Self { lower: grid.lower, upper: grid.upper, spacing: grid.spacing(), cells, links }
     }
 
     /// Number of crossed edges.

@@ -16,6 +16,9 @@ const SHARP_COSINE: f64 = 0.95;
 /// Probes around a sharp vertex lie this far from it along each axis, voxels.
 const STEP: f64 = 0.4;
 
+/// A vertex that the planes of the first probes have moved by less than this, voxels, has no second probes.
+const SETTLED: f64 = 0.02;
+
 /// A plane is added to a patch if its point lies at most this far outside the region where the vertex may lie, voxels.
 const REACH: f64 = 0.1;
 
@@ -59,13 +62,16 @@ impl ExtraPlanes {
 }
 
 impl LevelSurface {
-    /// The probes of all vertices, or only those of the sharp vertices.
+    /// The probes of all vertices, or only those of the sharp vertices that `extra` has moved.
     pub fn probes(&self, crossings: &[Crossing], extra: &ExtraPlanes, sharp_only: bool) -> Probes {
         let is_sharp = self.sharp_patches(crossings);
-        let (vertices, _) = self.vertices(crossings, extra, MeshOptions { sharp: true, capped: true });
+        let options = MeshOptions { sharp: true, capped: true };
+        let (vertices, _) = self.vertices(crossings, extra, options);
+        let before = if sharp_only { self.vertices(crossings, &ExtraPlanes::default(), options).0 } else { Vec::new() };
+        let is_settled = |id: usize| ((vertices[id] - before[id]) / self.spacing).length() <= SETTLED;
         let found: Vec<(u32, DVec3)> = (0..vertices.len())
             .into_par_iter()
-            .filter(|&id| !sharp_only || is_sharp[id])
+            .filter(|&id| !sharp_only || (is_sharp[id] && !is_settled(id)))
             .flat_map_iter(|id| {
                 let (vertex, spacing) = (vertices[id], self.spacing);
                 (0..if is_sharp[id] { 7 } else { 1 }).map(move |i: usize| {
@@ -88,8 +94,8 @@ impl LevelSurface {
             .cells()
             .par_iter()
             .flat_map_iter(|cell| {
-                cell.patches().map(move |patch| {
-                    let mut normals = self.crossings_of(cell, patch, crossings).map(|crossing| crossing.normal);
+                (cell.first_patch..).zip(cell.patches()).map(move |(id, _)| {
+                    let mut normals = self.crossings_of(id, crossings).map(|crossing| crossing.normal);
                     let first = normals.next().unwrap_or(DVec3::X);
                     // The angle to the first normal is at least half of the largest angle.
                     normals.any(|normal| normal.dot(first) < SHARP_COSINE)
@@ -97,12 +103,10 @@ impl LevelSurface {
             })
             .collect();
         let mut all = own.clone();
-        for cell in self.cells.cells() {
-            for axis in (0..3).filter(|&axis| cell.owns(axis)) {
-                let quad = self.patches_around(cell, axis);
-                if quad.iter().any(|&patch| own[patch as usize]) {
-                    quad.iter().for_each(|&patch| all[patch as usize] = true);
-                }
+        for edge in 0..self.edge_count() as u32 {
+            let around = self.links.patches_around(edge);
+            if around.iter().any(|&patch| own[patch as usize]) {
+                around.iter().for_each(|&patch| all[patch as usize] = true);
             }
         }
         all
@@ -121,14 +125,14 @@ impl LevelSurface {
         let cells = self.cells.cells();
         let joined: Vec<Vec<(DVec3, DVec3)>> = cells
             .par_iter()
-            .flat_map_iter(|cell| (cell.first_patch..).zip(cell.patches()).map(move |(id, patch)| (cell, id, patch)))
-            .map(|(cell, id, patch)| {
+            .flat_map_iter(|cell| (cell.first_patch..).zip(cell.patches()).map(move |(id, _)| (cell, id)))
+            .map(|(cell, id)| {
                 let first = probes.patches.partition_point(|&other| other < id);
                 let count = probes.patches[first..].iter().take_while(|&&other| other == id).count();
                 let rows = first..first + count;
                 let mut planes = extra.of(id).to_vec();
                 for (&point, &normal) in points[rows.clone()].iter().zip(&normals[rows]) {
-                    self.join_plane(cell, patch, crossings, &mut planes, point, normal);
+                    self.join_plane(cell, id, crossings, &mut planes, point, normal);
                 }
                 planes
             })
@@ -146,7 +150,7 @@ impl LevelSurface {
     fn join_plane(
         &self,
         cell: &SurfaceCell,
-        patch: u16,
+        id: u32,
         crossings: &[Crossing],
         planes: &mut Vec<(DVec3, DVec3)>,
         point: DVec3,
@@ -159,7 +163,7 @@ impl LevelSurface {
         if point.cmplt(lower - reach).any() || point.cmpgt(upper + reach).any() {
             return;
         }
-        let mean: DVec3 = self.crossings_of(cell, patch, crossings).map(|crossing| crossing.normal).sum();
+        let mean: DVec3 = self.crossings_of(id, crossings).map(|crossing| crossing.normal).sum();
         if normal.dot(mean.normalize_or_zero()) <= OTHER_SIDE {
             return;
         }
