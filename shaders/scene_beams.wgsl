@@ -40,7 +40,7 @@ const MAX_CONE_STEPS: u32 = 512u;
 const PAST_EDGE: f32 = 1.25;
 const WIDE: u32 = 2u;
 // Least step along a wide cone, in radii.
-const WIDE_STEP: f32 = 0.5;
+const WIDE_STEP: f32 = 0.4;
 const FAR_VOXELS: f32 = 8.0;
 const NO_INSTANCE: u32 = 0xffffffffu;
 const NOWHERE: vec2f = vec2f(1.0, 0.0);

@@ -29,7 +29,7 @@ impl Cone {
 }
 
 /// Least step along a wide cone, in radii.
-const WIDE_STEP: f32 = 0.5;
+const WIDE_STEP: f32 = 0.4;
 
 /// Margin for the rounding of an edge's position, in radii.
 const RIM_ROUNDING: f32 = 1e-5;
@@ -58,7 +58,7 @@ pub struct ConeShare {
 }
 
 /// Accumulated results of a cone.
-pub struct ConeSum {
+pub struct ConeSum<'a> {
     /// Fraction that translucent instances let pass.
     translucent: f32,
     /// Whether opaque instances cover the cone completely.
@@ -67,25 +67,53 @@ pub struct ConeSum {
     pub opaque: Cone,
     /// Fractions of the thin rays, for instances that are tested by rays.
     pub thin: ThinRays,
-    /// Whether the cone is a wide cone of occlusion: [`ConeWalk::beside_wide`].
-    pub is_wide: bool,
-    /// Lower bound, in radii, of the distance between a free axis and the surface of the current instance. Distances of
-    /// its field may be loose bounds.
-    pub least_x: f32,
+    /// For a wide cone of occlusion: see [`WideCone`].
+    pub wide: Option<WideCone<'a>>,
 }
 
-impl ConeSum {
-    pub const NEW: Self = Self {
-        translucent: 1.0,
-        is_proven: true,
-        opaque: Cone::FREE,
-        thin: ThinRays::NEW,
-        is_wide: false,
-        least_x: -1.0,
-    };
+/// A wide cone of occlusion and what is known about the instance that it passes ([`ConeWalk::beside_wide`]).
+#[derive(Clone, Copy)]
+pub struct WideCone<'a> {
+    /// The instances that the cone and the rays past its edges may meet.
+    pub nearby: &'a [u32],
+    /// Lower bound, in radii, of the distance between a free axis and the surface of the instance. Distances of its
+    /// field may be loose bounds. A positive value proves that the axis is free.
+    pub least_x: f32,
+    pub ball: BallAhead,
+}
+
+/// The ball around the surface of an instance beside the axis of a cone, scene units.
+#[derive(Debug, Clone, Copy)]
+pub struct BallAhead {
+    /// Position of the ball's centre along the axis, and its squared distance from the apex.
+    pub along: f32,
+    pub squared: f32,
+    pub radius: f32,
+}
+
+impl BallAhead {
+    /// An unbounded surface.
+    pub const ENDLESS: Self = Self { along: 0.0, squared: 0.0, radius: f32::INFINITY };
+
+    /// Whether balls of radius `slope s` about the axis stay clear of this ball for all `s >= t`. Their distance is
+    /// convex in `s`, so it suffices that it is positive and does not decrease at `t`.
+    fn is_passed(&self, t: f32, slope: f32) -> bool {
+        let distance = (self.squared + t * (t - 2.0 * self.along)).max(0.0).sqrt();
+        t - self.along >= slope * distance && distance >= (1.0 + BALL_ROUNDING) * (self.radius + slope * t)
+    }
+}
+
+/// Relative margin for the rounding of the distance between two balls.
+const BALL_ROUNDING: f32 = 1e-3;
+
+impl<'a> ConeSum<'a> {
+    pub const NEW: Self =
+        Self { translucent: 1.0, is_proven: true, opaque: Cone::FREE, thin: ThinRays::NEW, wide: None };
 
     /// Initial results of a wide cone of occlusion.
-    pub const WIDE: Self = Self { is_wide: true, ..Self::NEW };
+    pub fn wide(nearby: &'a [u32]) -> Self {
+        Self { wide: Some(WideCone { nearby, least_x: -1.0, ball: BallAhead::ENDLESS }), ..Self::NEW }
+    }
 
     /// Distance from the axis, in radii, within which another instance can change the result.
     pub fn x_known(&self, instance: &Instance) -> f32 {
@@ -156,7 +184,7 @@ impl ConeWalk<'_> {
             let radius = self.slope * t;
             let distance = self.field.distance(p);
             if distance * self.instance.stretch[0] < x * radius {
-                let clear = self.across(self.field.distance_guess(p).max(0.0), p);
+                let clear = self.across(self.field.distance_guess(p, distance).max(0.0), p);
                 x = x.min(clear / radius);
             }
             // Near a surface, half steps find the closest approach to 3 %.
@@ -176,15 +204,22 @@ impl ConeWalk<'_> {
     /// A step is the whole distance. The balls around the two ends of such a step are free of the surface and touch it.
     /// They intersect in a circle of radius `c` about the axis, and `c` is taken as the closest approach between them
     /// (Aaltonen, GDC 2018). It is exact for a point or an edge, and at most 13 % too low for a plane. Near the
-    /// surface, steps are at least half a radius. There an approach to the fraction `x` of the radius may be estimated
-    /// as `sqrt(x^2 + 1/16)`.
+    /// surface, steps are at least two fifths of a radius. There an approach to the fraction `x` of the radius may be
+    /// estimated as `sqrt(x^2 + 1/25)`.
     ///
     /// Steps of the whole distance cannot cross the surface. Before the first longer step, `hit_from` traces the axis
-    /// from the previous step.
-    pub fn beside_wide(&self, steps: &mut u32, mut hit_from: impl FnMut(f32) -> Option<f32>) -> Result<f32, f32> {
+    /// from the previous step. An axis that is known to be free is not traced. The walk ends where the rest of the cone
+    /// cannot come closer to the surface, nor closer than the known edge at `x_known`.
+    pub fn beside_wide(
+        &self,
+        wide: &WideCone<'_>,
+        x_known: f32,
+        steps: &mut u32,
+        mut hit_from: impl FnMut(f32) -> Option<f32>,
+    ) -> Result<f32, f32> {
         let mut x = 1.0f32;
         let mut t = self.enter;
-        let mut is_free = false;
+        let mut is_free = wide.least_x > 0.0;
         // The step that led to `t`, and the clearance before it.
         let (mut step, mut before) = (0.0f32, 0.0f32);
         for _ in 0..MAX_CONE_STEPS {
@@ -202,7 +237,7 @@ impl ConeWalk<'_> {
             }
             let mut clear = distance * self.instance.stretch[0];
             if clear < x * radius {
-                clear = self.across(self.field.distance_guess(p).max(0.0), p);
+                clear = self.across(self.field.distance_guess(p, distance).max(0.0), p);
                 x = x.min(clear / radius);
             }
             let along = (before * before - clear * clear + step * step) / (2.0 * step);
@@ -213,7 +248,7 @@ impl ConeWalk<'_> {
             before = clear;
             step = next;
             t += step;
-            if t >= self.leave {
+            if t >= self.leave || wide.ball.is_passed(t, self.slope * x.min(x_known).max(0.0)) {
                 break;
             }
         }
@@ -256,5 +291,33 @@ impl ConeWalk<'_> {
             PAST_EDGE * -x * self.slope + self.least_step * self.instance.stretch[1] / self.instance.stretch[0] / t;
         let edge = (past <= 2.0 * self.slope).then_some(past * across);
         (Cone { x, is_covered: false }, edge)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Behind the point at which a ball is passed, no point of the axis is closer to it than the known edge.
+        #[test]
+        fn no_passed_ball_comes_closer(
+            along in -2.0..2.0f32, aside in 0.0..2.0f32, radius in 0.0..1.0f32, t in 0.0..4.0f32, x in 0.0..1.0f32
+        ) {
+            const SLOPE: f32 = 0.577_350_3;
+            let ball = BallAhead { along, squared: along * along + aside * aside, radius };
+            prop_assume!(ball.is_passed(t, x * SLOPE));
+            for i in 0..400 {
+                let s = t + 0.02 * i as f32;
+                let distance = (aside * aside + (s - along) * (s - along)).sqrt() - radius;
+                prop_assert!(distance >= x * SLOPE * s, "{s}: {distance}");
+            }
+        }
+    }
+
+    #[test]
+    fn an_endless_surface_is_never_passed() {
+        assert!(!BallAhead::ENDLESS.is_passed(1e6, 0.0));
     }
 }

@@ -67,9 +67,9 @@ pub trait Field: Send + Sync {
     /// The distance at a point, in the object's units, negative inside. Outside the grid it is a lower bound.
     fn distance(&self, p: Vec3) -> f32;
 
-    /// An estimate closer than `distance` outside the grid, where it may exceed the true distance by a second-order
-    /// error.
-    fn distance_guess(&self, p: Vec3) -> f32;
+    /// An estimate closer than [`Field::distance`] outside the grid, where it may exceed the true distance by a
+    /// second-order error. `distance` is the value of [`Field::distance`] at `p`.
+    fn distance_guess(&self, p: Vec3, distance: f32) -> f32;
 
     /// Gradient of the distance in the object's own axes, of about unit length; zero where it is undefined.
     fn gradient(&self, p: Vec3) -> Vec3;
@@ -167,8 +167,8 @@ impl<F: Blocks> SampledField<F> {
     #[inline]
     fn sample(&self, p: Vec3) -> f32 {
         let p = p.clamp(Vec3::ZERO, self.last_point - 0.5);
-        let index = p.min(self.last_cell).floor();
-        let cell = self.marcher.field.cell(IVec3::new(index.x as i32, index.y as i32, index.z as i32));
+        // The position is not negative, so the conversion rounds down.
+        let cell = self.marcher.field.cell(p.min(self.last_cell).as_ivec3());
         trilinear(&cell.corners, (p - cell.first.as_vec3()) / cell.size as f32)
     }
 }
@@ -210,12 +210,12 @@ impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
     }
 
     #[inline]
-    fn distance_guess(&self, p: Vec3) -> f32 {
+    fn distance_guess(&self, p: Vec3, distance: f32) -> f32 {
         let b = p.clamp(Vec3::splat(-0.5), self.last_point);
-        let s = self.sample(b);
         if p == b {
-            return s;
+            return distance;
         }
+        let s = self.sample(b);
         ((p - b) * self.spacing + s.max(0.0) * self.direction_at_rim(b, s)).length()
     }
 

@@ -143,9 +143,9 @@ impl Field for NestedField {
         level.field.distance(p)
     }
 
-    fn distance_guess(&self, p: Vec3) -> f32 {
+    fn distance_guess(&self, p: Vec3, distance: f32) -> f32 {
         let (level, p) = self.at(p);
-        level.field.distance_guess(p)
+        level.field.distance_guess(p, distance)
     }
 
     fn gradient(&self, p: Vec3) -> Vec3 {

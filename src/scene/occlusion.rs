@@ -21,10 +21,10 @@
 //! The value for one instance is at least its bound and does not depend on the others. Therefore the minimum of all
 //! values does not depend on the order.
 
-use super::cone::ConeSum;
+use super::cone::{BallAhead, ConeSum, WideCone};
 use super::field::Field;
 use super::light_rays::{LightRay, LightWork, SurfacePoint, basis};
-use super::shadow::Casters;
+use super::shadow::{Casters, bias};
 use super::tree::Line;
 use super::{Instance, Scene};
 use glam::{DMat3, DVec3, Vec3};
@@ -136,9 +136,20 @@ fn surface_ball(field: &dyn Field) -> (DVec3, f64) {
     (center, radius)
 }
 
+/// Neighbouring surfaces share the search for their occluders: a search finds the occluders of all surfaces within this
+/// fraction of its radius.
+const SHARED: f32 = 0.25;
+
 /// The instances that may occlude a place, with the positions of their balls relative to it.
 #[derive(Debug, Default)]
 pub struct Occluders {
+    /// Centre and radius of the last search.
+    around: Option<(Vec3, f32)>,
+    /// The instances that it found.
+    nearby: Vec<u32>,
+    /// Whether some instances of `nearby` are not opaque solids.
+    is_mixed: bool,
+    /// The instances that cones from the place may meet.
     items: Vec<u32>,
     /// Vector from the place to the centre of the ball.
     x: Vec<f32>,
@@ -178,8 +189,8 @@ impl Occluders {
         self.tangent.push(outside(tangent.max(0.0).sqrt()));
     }
 
-    /// Finds the instances that a cone may meet, in the order of their bounds.
-    fn sort(&mut self, direction: Vec3, slope: f32) {
+    /// Finds the instances that a cone may meet.
+    fn meet(&mut self, direction: Vec3, slope: f32) {
         let n = self.items.len();
         let Self { x, y, z, squared, radius, tangent, bounds, met, .. } = self;
         let [x, y, z, squared] = [&x[..n], &y[..n], &z[..n], &squared[..n]];
@@ -202,8 +213,13 @@ impl Occluders {
                 met.push((bound, i as u32));
             }
         }
-        met.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
     }
+}
+
+/// Removes the instance with the smallest bound. A cone evaluates few of the instances, so they are not sorted.
+fn take_nearest(met: &mut Vec<(f32, u32)>) -> Option<(f32, u32)> {
+    let at = (0..met.len()).min_by(|&a, &b| met[a].0.total_cmp(&met[b].0))?;
+    Some(met.swap_remove(at))
 }
 
 impl Casters<'_> {
@@ -233,18 +249,32 @@ impl Casters<'_> {
     /// `distance (1 + slope)`, and no surface below the lowest point of the balls about the axes of the ring.
     pub fn gather(&self, place: &SurfacePoint, distance: f64, occluders: &mut Occluders) {
         let Scene { tree, boxes, instances, .. } = self.scene;
-        let p = place.p.as_vec3();
+        let (p, up) = (place.p.as_vec3(), place.normal.cmpgt(Vec3::ZERO));
         let reach = distance as f32 * (1.0 + AO_SLOPE) * (1.0 + ROUNDING);
-        let depth = distance as f32 * (AO_SLOPE - AO_RING.0 as f32) * (1.0 + ROUNDING);
+        let depth = distance as f32 * (AO_SLOPE - AO_RING.0 as f32) + ROUNDING * reach;
         let balls = self.scene.balls();
+        if !occluders.around.is_some_and(|(center, radius)| radius == reach && center.distance(p) <= SHARED * reach) {
+            occluders.around = Some((p, reach));
+            occluders.nearby.clear();
+            tree.near(p, (1.0 + SHARED + ROUNDING) * reach, |item| {
+                let instance = &instances[item as usize];
+                let is_solid = !instance.is_sheet && instance.field.is_some();
+                if is_solid && instance.casts_shadow && instance.shade > 0.0 {
+                    occluders.nearby.push(item);
+                }
+            });
+            occluders.is_mixed = occluders.nearby.iter().any(|&item| !instances[item as usize].is_opaque_solid());
+        }
         occluders.clear();
-        tree.near(p, reach, place.normal, depth, |item| {
-            let (instance, bounds) = (&instances[item as usize], &boxes[item as usize]);
-            let casts = !instance.is_sheet && instance.casts_shadow && instance.shade > 0.0 && instance.field.is_some();
-            if casts && p.distance_squared(p.clamp(bounds.min, bounds.max)) <= reach * reach {
+        for i in 0..occluders.nearby.len() {
+            let item = occluders.nearby[i];
+            let bounds = &boxes[item as usize];
+            let highest = Vec3::select(up, bounds.max, bounds.min);
+            let is_below = (highest - p).dot(place.normal) < -depth;
+            if !is_below && p.distance_squared(p.clamp(bounds.min, bounds.max)) <= reach * reach {
                 occluders.push(item, balls[item as usize], p);
             }
-        });
+        }
     }
 
     /// Fraction of a wide cone's section that passes the occluders of its place, if edges in it are straight.
@@ -260,24 +290,36 @@ impl Casters<'_> {
         let split = self.split(place, ray, slope);
         let reach = self.reach(&split, ray);
         let line = Line::cone(place.p.as_vec3(), direction, slope);
-        let mut sum = ConeSum::WIDE;
-        occluders.sort(direction, slope);
-        for &(bound, i) in &occluders.met {
-            let item = occluders.items[i as usize];
+        occluders.meet(direction, slope);
+        let Occluders { nearby, is_mixed, items, x, y, z, squared, met, .. } = occluders;
+        let mut sum = ConeSum::wide(nearby);
+        while let Some((bound, i)) = take_nearest(met) {
+            if bound >= sum.opaque.x && !*is_mixed {
+                break;
+            }
+            let i = i as usize;
+            let item = items[i];
             let x_known = sum.x_known(&self.scene.instances[item as usize]);
             let bounds = &self.scene.boxes[item as usize];
             if bound >= x_known || line.span(bounds.min, bounds.max, reach).is_none() {
                 continue;
             }
-            sum.least_x = bound;
+            // The own field is evaluated from a point that is moved off the surface.
+            let moved = if item == place.own { bias(&self.scene.instances[item as usize], place) } else { 0.0 };
+            let ball = BallAhead {
+                along: Vec3::new(x[i], y[i], z[i]).dot(direction),
+                squared: squared[i],
+                radius: self.scene.balls()[item as usize].radius + moved,
+            };
+            sum.wide = Some(WideCone { nearby, least_x: bound, ball });
             for caster in self.casters(item, place, ray, &split) {
                 self.add_cone(&caster, place, ray, slope, x_known, &mut sum, work);
             }
-            sum.least_x = -1.0;
             if sum.opaque.x <= -1.0 {
                 break;
             }
         }
+        sum.wide = ConeSum::wide(nearby).wide;
         let is_far = self.add_far(&split, place, ray, slope, &mut sum, work);
         work.count(is_far);
         sum.share().share
@@ -307,7 +349,7 @@ mod tests {
             for (i, &(center, radius)) in centers.iter().enumerate() {
                 occluders.push(i as u32, Ball { center, radius, field_radius: radius }, p);
             }
-            occluders.sort(direction, AO_SLOPE);
+            occluders.meet(direction, AO_SLOPE);
             for (i, &(center, radius)) in centers.iter().enumerate() {
                 let x_at = |t: f32| ((center - p - t * direction).length() - radius) / (AO_SLOPE * t);
                 let nearest = (1..2000).map(|i| x_at(i as f32 * 0.003)).fold(f32::INFINITY, f32::min);
@@ -316,7 +358,11 @@ mod tests {
                     None => prop_assert!(nearest >= 1.0 - 1e-4, "{nearest}"),
                 }
             }
-            prop_assert!(occluders.met.is_sorted_by(|a, b| a.0 <= b.0));
+            let mut least = f32::NEG_INFINITY;
+            while let Some((bound, _)) = take_nearest(&mut occluders.met) {
+                prop_assert!(bound >= least);
+                least = bound;
+            }
         }
     }
 

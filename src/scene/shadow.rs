@@ -25,7 +25,7 @@
 //! voxel: the ray starts a number of voxels off the surface. No constant is in world units, so the scale of the scene
 //! has no effect. Other instances touch the surface without a gap.
 
-use super::cone::{Cone, ConeShare, ConeSum, ConeWalk};
+use super::cone::{Cone, ConeShare, ConeSum, ConeWalk, WideCone};
 use super::far::{Far, FarLevel, Split};
 use super::field::{Field, FieldRay};
 use super::light_rays::{LightRay, LightWork, PARTS, SurfacePoint, basis, clip, disc_point, toward, widest};
@@ -69,7 +69,7 @@ impl<'a> Casters<'a> {
 
     /// Fraction of a thin ray that passes the fields.
     pub fn field_share(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
-        let (share, is_far) = self.pass_ray(place, ray, work);
+        let (share, is_far) = self.pass_ray(place, ray, None, work);
         work.count(is_far);
         share
     }
@@ -118,7 +118,7 @@ impl<'a> Casters<'a> {
         place: &SurfacePoint,
         ray: &LightRay,
         slope: f32,
-        sum: &mut ConeSum,
+        sum: &mut ConeSum<'_>,
         work: &mut LightWork,
     ) -> bool {
         let is_far = split.far.is_some() && sum.opaque.x > -1.0;
@@ -143,7 +143,7 @@ impl<'a> Casters<'a> {
         ray: &LightRay,
         slope: f32,
         x_known: f32,
-        sum: &mut ConeSum,
+        sum: &mut ConeSum<'_>,
         work: &mut LightWork,
     ) -> Cone {
         work.steps += 1;
@@ -154,9 +154,9 @@ impl<'a> Casters<'a> {
             sum.thin.block(caster.instance.shade, ray, slope, |thin| self.hit_of(caster, place, thin, work).is_some());
             return Cone { x: 0.0, is_covered: false };
         }
-        let cone = match sum.is_wide {
-            true => self.wide_cone_past(caster, place, ray, slope, sum.least_x, work),
-            false => self.cone_past(caster, place, ray, slope, x_known, work),
+        let cone = match &sum.wide {
+            Some(wide) => self.wide_cone_past(caster, place, ray, slope, wide, x_known, work),
+            None => self.cone_past(caster, place, ray, slope, x_known, work),
         };
         sum.add(caster.instance, cone);
         cone
@@ -222,12 +222,20 @@ impl<'a> Casters<'a> {
         sum / count as f32
     }
 
-    /// Fraction of a thin ray, and whether it entered the far field.
-    fn pass_ray(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> (f32, bool) {
+    /// Fraction of a thin ray, and whether it entered the far field. `nearby`: all instances that the ray may meet, if
+    /// they are known.
+    fn pass_ray(
+        &self,
+        place: &SurfacePoint,
+        ray: &LightRay,
+        nearby: Option<&[u32]>,
+        work: &mut LightWork,
+    ) -> (f32, bool) {
         let split = self.split(place, ray, 0.0);
         let mut share = 1.0;
         let line = Line::new(place.p.as_vec3(), ray.direction.as_vec3());
-        self.scene.tree.walk(&line, self.reach(&split, ray), |item, limit| {
+        let reach = self.reach(&split, ray);
+        let mut pass = |item: u32, limit: f32| {
             for caster in self.casters(item, place, ray, &split) {
                 work.steps += 1;
                 if self.hit_of(&caster, place, ray, work).is_some() {
@@ -236,7 +244,14 @@ impl<'a> Casters<'a> {
                 }
             }
             if share > 0.0 { limit } else { -1.0 }
-        });
+        };
+        match nearby {
+            None => self.scene.tree.walk(&line, reach, pass),
+            Some(nearby) => {
+                let mut met = nearby.iter().filter(|&&item| line.meets(&self.scene.boxes[item as usize], reach));
+                met.any(|&item| pass(item, reach) < 0.0);
+            }
+        }
         let is_far = split.far.is_some() && share > 0.0;
         if is_far && self.far_casters(&split, place, ray).any(|far| self.hit_of(&far, place, ray, work).is_some()) {
             share = 0.0;
@@ -334,7 +349,7 @@ impl<'a> Casters<'a> {
     ) -> Cone {
         let Some(walk) = cone_walk(caster, place, ray, slope, x_known) else { return Cone::FREE };
         match self.hit_of(caster, place, ray, work) {
-            Some(t) => self.blocked_cone(&walk, t, place, ray, work),
+            Some(t) => self.blocked_cone(caster, &walk, t, place, ray, None, work),
             None if x_known <= 0.0 => Cone::FREE,
             None => Cone { x: walk.beside(x_known, &mut work.steps), is_covered: false },
         }
@@ -347,26 +362,30 @@ impl<'a> Casters<'a> {
         place: &SurfacePoint,
         ray: &LightRay,
         slope: f32,
-        least_x: f32,
+        wide: &WideCone<'_>,
+        x_known: f32,
         work: &mut LightWork,
     ) -> Cone {
         let Some(walk) = cone_walk(caster, place, ray, slope, 1.0) else { return Cone::FREE };
         let mut steps = 0;
-        let found = walk.beside_wide(&mut steps, |from| self.hit_from(caster, place, ray, f64::from(from), work));
+        let hit_from = |from| self.hit_from(caster, place, ray, f64::from(from), work);
+        let found = walk.beside_wide(wide, x_known, &mut steps, hit_from);
         work.steps += steps;
         match found {
-            Ok(x) => Cone { x: x.max(least_x), is_covered: false },
-            Err(t) => self.blocked_cone(&walk, t, place, ray, work),
+            Ok(x) => Cone { x: x.max(wide.least_x), is_covered: false },
+            Err(t) => self.blocked_cone(caster, &walk, t, place, ray, Some(wide.nearby), work),
         }
     }
 
     /// Evaluates a cone whose axis enters an occluder at `t_hit`.
     fn blocked_cone(
         &self,
+        caster: &Caster<'_>,
         walk: &ConeWalk<'_>,
         t_hit: f32,
         place: &SurfacePoint,
         ray: &LightRay,
+        nearby: Option<&[u32]>,
         work: &mut LightWork,
     ) -> Cone {
         let (cone, edge) = walk.inside(t_hit, &mut work.steps);
@@ -375,7 +394,10 @@ impl<'a> Casters<'a> {
             let direction = ray.direction + edge.as_dvec3();
             let length = direction.length();
             let past = LightRay { direction: direction / length, t_max: ray.t_max * length };
-            self.pass_ray(place, &past, work).0 > 0.0
+            // The occluder itself is the likeliest to block the ray.
+            let is_blocked =
+                self.far.is_none() && caster.instance.shade >= 1.0 && self.hit_of(caster, place, &past, work).is_some();
+            !is_blocked && self.pass_ray(place, &past, nearby, work).0 > 0.0
         });
         if cone.is_covered || is_edge { cone } else { Cone { x: -1.0, is_covered: false } }
     }
@@ -415,12 +437,16 @@ fn cone_walk<'a>(
     })
 }
 
+/// Distance by which a ray in the field of the own instance starts off the surface, scene units.
+pub fn bias(own: &Instance, place: &SurfacePoint) -> f32 {
+    place.bias_voxels * (own.field_normal_from_scene * place.normal).length()
+}
+
 /// A ray in the field space of an instance. Its start is moved off the surface if the surface belongs to the instance.
 pub fn ray_in_field(instance: &Instance, is_own: bool, place: &SurfacePoint, ray: &LightRay) -> (DVec3, DVec3) {
     let mut p = place.p;
     if is_own {
-        let voxel = (instance.field_normal_from_scene * place.normal).length();
-        p += (place.bias_voxels * voxel * place.normal).as_dvec3();
+        p += (bias(instance, place) * place.normal).as_dvec3();
     }
     (instance.field_from_scene.transform_point3(p), instance.field_from_scene.matrix3 * ray.direction)
 }

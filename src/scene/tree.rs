@@ -69,6 +69,11 @@ impl Line {
         self.clip(min, max, grown, t_max)
     }
 
+    /// Whether a ray may intersect a box before `t_max`.
+    pub fn meets(&self, bounds: &Aabb, t_max: f32) -> bool {
+        self.clip(bounds.min, bounds.max, MARGIN, t_max).is_some()
+    }
+
     /// The part of the ray in a box that is grown by a length on all sides.
     #[inline]
     fn clip(&self, min: Vec3, max: Vec3, grown: f32, t_max: f32) -> Option<(f32, f32)> {
@@ -112,18 +117,15 @@ impl Tree {
         Self { nodes, items }
     }
 
-    /// Call `visit` with each item whose leaf comes within `radius` of a point and is not wholly more than `depth` below the plane
-    /// through the point.
-    pub fn near(&self, p: Vec3, radius: f32, normal: Vec3, depth: f32, mut visit: impl FnMut(u32)) {
+    /// Calls `visit` with each item whose leaf comes within `radius` of a point.
+    pub fn near(&self, p: Vec3, radius: f32, mut visit: impl FnMut(u32)) {
         let mut stack = [0u32; MAX_DEPTH];
         let mut top = 1;
         while top > 0 {
             top -= 1;
             let node = &self.nodes[stack[top] as usize];
             let (min, max) = (Vec3::from_array(node.min), Vec3::from_array(node.max));
-            let highest = Vec3::select(normal.cmpgt(Vec3::ZERO), max, min);
-            let is_below = (highest - p).dot(normal) < -depth;
-            if is_below || p.distance_squared(p.clamp(min, max)) > radius * radius {
+            if p.distance_squared(p.clamp(min, max)) > radius * radius {
                 continue;
             }
             if node.count > 0 {

@@ -13,6 +13,8 @@ const SAME_NORMAL: f32 = 0.95;
 /// Values that differ by less may be averaged, if they are at most two pixels apart. For four pixels the limit is half
 /// as large.
 const AGREE: f32 = 0.125;
+/// The same for occlusion, which has no edges as sharp as those of shadows.
+const AGREE_OPEN: f32 = 0.25;
 /// Smallest sum of the bilinear weights of matching neighbours.
 const ENOUGH: f32 = 0.5;
 
@@ -26,7 +28,8 @@ pub fn gather(
     [every, finer]: [u32; 2],
 ) -> Result<(), Error> {
     let lights = known.lights;
-    let agree = AGREE * (2.0 / every as f32).min(1.0);
+    let is_open_only = pass.lights.lights.is_empty();
+    let agree = if is_open_only && every <= 2 { AGREE_OPEN } else { AGREE * (2.0 / every as f32).min(1.0) };
     known.rows.par_iter_mut().enumerate().try_for_each(|(y, row)| {
         let mut neighbours = Vec::with_capacity(4);
         for (i, layer) in pass.buffer.rows[y].iter().enumerate() {

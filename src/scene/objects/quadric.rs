@@ -73,8 +73,8 @@ impl Field for QuadricField {
         (self.local.distance_bound(p.as_dvec3()) * self.voxel()) as f32 * (1.0 - f32::EPSILON)
     }
 
-    fn distance_guess(&self, p: Vec3) -> f32 {
-        self.distance(p)
+    fn distance_guess(&self, _: Vec3, distance: f32) -> f32 {
+        distance
     }
 
     fn gradient(&self, p: Vec3) -> Vec3 {

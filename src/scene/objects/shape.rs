@@ -154,8 +154,7 @@ impl Field for ShapeField {
         self.value(p / UNITS) * self.inverse_lipschitz * self.solid().frame.scale as f32
     }
 
-    fn distance_guess(&self, p: Vec3) -> f32 {
-        let bound = self.distance(p);
+    fn distance_guess(&self, p: Vec3, bound: f32) -> f32 {
         if self.solid().model.is_exact || bound <= 0.0 {
             return bound;
         }
