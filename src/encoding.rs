@@ -38,10 +38,14 @@ use half::slice::HalfFloatSliceExt;
 /// A format for stored distances.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum Encoding {
+    /// 32-bit floats, world units.
     #[default]
     Float32,
+    /// 16-bit floats.
     Float16,
+    /// Signed 16-bit integers.
     Snorm16,
+    /// Signed 8-bit integers.
     Snorm8,
 }
 
@@ -74,8 +78,10 @@ impl Encoding {
         choice("encoding", name, &Self::ALL.map(|encoding| (encoding.name(), encoding)))
     }
 
+    /// All encodings.
     pub const ALL: [Self; 4] = [Self::Float32, Self::Float16, Self::Snorm16, Self::Snorm8];
 
+    /// The public name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Float32 => "float32",

@@ -3,6 +3,8 @@
 //! Messages name the argument as the user wrote it, the value, and a remedy. The Python layer maps each stage to its
 //! own exception class. No user input causes a panic.
 
+#![expect(missing_docs, reason = "the message of a variant is its documentation")]
+
 use thiserror::Error;
 
 /// A mesh that cannot be used.

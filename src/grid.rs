@@ -9,8 +9,11 @@ use glam::DVec3;
 /// An axis-aligned box divided into `shape` voxels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Grid {
+    /// Lower corner of the box, world units.
     pub lower: DVec3,
+    /// Upper corner of the box, world units.
     pub upper: DVec3,
+    /// Number of voxels along x, y and z.
     pub shape: [usize; 3],
 }
 
@@ -41,10 +44,12 @@ impl Grid {
         Ok(Self { lower, upper, shape })
     }
 
+    /// Number of voxels.
     pub fn len(&self) -> usize {
         self.shape.iter().product()
     }
 
+    /// Whether there are no voxels.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -64,6 +69,7 @@ impl Grid {
         x + self.shape[0] * (y + self.shape[1] * z)
     }
 
+    /// Length of the diagonal of the box, world units.
     pub fn diagonal(&self) -> f64 {
         (self.upper - self.lower).length()
     }

@@ -27,7 +27,7 @@
 
 pub mod atlas;
 pub mod bake;
-pub mod bvh;
+mod bvh;
 pub mod csg;
 pub mod encoding;
 pub mod error;
@@ -37,7 +37,7 @@ pub mod grid;
 mod memory;
 pub mod merge;
 pub mod mesh;
-pub mod openexr;
+mod openexr;
 pub mod progress;
 #[cfg(feature = "python")]
 mod python;
@@ -45,10 +45,10 @@ pub mod quadric;
 pub mod query;
 pub mod render;
 pub mod scene;
-pub mod shader_library;
-pub mod shader_text;
+mod shader_library;
+mod shader_text;
 pub mod sign;
 mod simd;
 pub mod surface;
-pub mod viewer;
+mod viewer;
 pub mod volume;

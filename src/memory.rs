@@ -7,7 +7,7 @@ use std::alloc::Layout;
 ///
 /// `scratch` is the additional memory that the job will need, in bytes. Linux grants memory that it does not have, so
 /// the free memory is compared first. A limit on the process makes the allocation itself fail.
-pub fn allocate_samples(what: &str, count: usize, scratch: usize) -> Result<Vec<f32>, Error> {
+pub(crate) fn allocate_samples(what: &str, count: usize, scratch: usize) -> Result<Vec<f32>, Error> {
     let needed = (count as u64).saturating_mul(size_of::<f32>() as u64);
     require(what, needed, scratch as u64)?;
     let layout = Layout::array::<f32>(count).map_err(|_| refusal(what, needed, None, ADVICE))?;
@@ -25,12 +25,12 @@ pub fn allocate_samples(what: &str, count: usize, scratch: usize) -> Result<Vec<
 }
 
 /// Fails if the machine does not have `needed` plus `scratch` bytes free.
-pub fn require(what: &str, needed: u64, scratch: u64) -> Result<(), Error> {
+pub(crate) fn require(what: &str, needed: u64, scratch: u64) -> Result<(), Error> {
     require_for(what, needed, scratch, ADVICE)
 }
 
 /// [`require`] with a remedy for the message.
-pub fn require_for(what: &str, needed: u64, scratch: u64, advice: &str) -> Result<(), Error> {
+pub(crate) fn require_for(what: &str, needed: u64, scratch: u64, advice: &str) -> Result<(), Error> {
     let available = available_bytes();
     if needed.saturating_add(scratch) > available {
         Err(refusal(what, needed, Some(available), advice).into())

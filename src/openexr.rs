@@ -11,7 +11,7 @@ use half::f16;
 use std::io::Cursor;
 
 /// An OpenEXR file with one channel, `Y`: FLOAT for f32, HALF for f16. ZIP compression, without loss.
-pub fn write_exr(width: usize, height: usize, encoding: Encoding, texels: &[u8]) -> Result<Vec<u8>, Error> {
+pub(crate) fn write_exr(width: usize, height: usize, encoding: Encoding, texels: &[u8]) -> Result<Vec<u8>, Error> {
     let samples = match encoding {
         Encoding::Float16 => {
             let halves = bytemuck::cast_slice::<_, u16>(texels).iter().map(|&bits| f16::from_bits(bits)).collect();
@@ -29,7 +29,7 @@ pub fn write_exr(width: usize, height: usize, encoding: Encoding, texels: &[u8])
 }
 
 /// Reads the texels of a file of [`write_exr`]. The size is known from elsewhere, and compared before decompression.
-pub fn read_exr(bytes: &[u8], width: usize, height: usize, encoding: Encoding) -> Result<Vec<u8>, Error> {
+pub(crate) fn read_exr(bytes: &[u8], width: usize, height: usize, encoding: Encoding) -> Result<Vec<u8>, Error> {
     let found = exr::meta::MetaData::read_from_buffered(Cursor::new(bytes), true);
     let found = found.map_err(|error| failed(&error.to_string()))?;
     let fits = |header: &exr::meta::header::Header| {

@@ -14,6 +14,7 @@ pub struct Progress {
 }
 
 impl Progress {
+    /// Nothing done, total unknown.
     pub fn new() -> Self {
         Self::default()
     }
@@ -34,6 +35,7 @@ impl Progress {
         if self.cancelled.load(Ordering::Relaxed) { Err(Error::Cancelled) } else { Ok(()) }
     }
 
+    /// Requests that the work stops.
     pub fn cancel(&self) {
         self.cancelled.store(true, Ordering::Relaxed);
     }

@@ -13,7 +13,7 @@ use std::collections::HashMap;
 
 /// Shader functions that evaluate stored fields or quadrics. Their constants are written in front.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Library {
+pub(crate) enum Library {
     Volume,
     Sparse,
     Nested,
@@ -22,7 +22,7 @@ pub enum Library {
 
 impl Library {
     /// Converts the internal name of a library.
-    pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
+    pub(crate) fn from_name(name: &str) -> Result<Self, ArgumentError> {
         let names = [
             ("volume", Self::Volume),
             ("sparse", Self::Sparse),
@@ -54,7 +54,7 @@ impl Library {
     }
 
     /// The text in a language. `head` is WGSL: a comment and the constants that the functions read.
-    pub fn text(self, head: &str, language: Language) -> Result<String, Error> {
+    pub(crate) fn text(self, head: &str, language: Language) -> Result<String, Error> {
         let (functions, calls) = self.source();
         text_without_entry(&format!("{head}\n{functions}"), calls, language)
     }
@@ -68,7 +68,7 @@ const GLSL: GlslTarget = GlslTarget {
 };
 
 /// The text of WGSL functions in a language. `calls` are statements that call every function that should remain.
-pub fn text_without_entry(wgsl: &str, calls: &str, language: Language) -> Result<String, Error> {
+pub(crate) fn text_without_entry(wgsl: &str, calls: &str, language: Language) -> Result<String, Error> {
     if language == Language::Wgsl {
         return Ok(wgsl.to_owned());
     }

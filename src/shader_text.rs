@@ -9,7 +9,7 @@ use naga::{AddressSpace, GlobalVariable, Module, ResourceBinding, ShaderStage, T
 
 /// A shading language.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Language {
+pub(crate) enum Language {
     Wgsl,
     Glsl,
     Hlsl,
@@ -18,7 +18,7 @@ pub enum Language {
 
 impl Language {
     /// Converts the public name of a language.
-    pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
+    pub(crate) fn from_name(name: &str) -> Result<Self, ArgumentError> {
         choice(
             "language",
             name,
@@ -29,14 +29,14 @@ impl Language {
 
 /// Options of GLSL, which has one entry point per text.
 #[derive(Debug, Clone, Copy)]
-pub struct GlslTarget {
+pub(crate) struct GlslTarget {
     pub version: glsl::Version,
     pub stage: ShaderStage,
     pub entry_point: &'static str,
 }
 
 /// Translates a WGSL text.
-pub fn translate(wgsl: &str, language: Language, target: GlslTarget) -> Result<String, ArgumentError> {
+pub(crate) fn translate(wgsl: &str, language: Language, target: GlslTarget) -> Result<String, ArgumentError> {
     if language == Language::Wgsl {
         return Ok(wgsl.to_owned());
     }
@@ -45,7 +45,7 @@ pub fn translate(wgsl: &str, language: Language, target: GlslTarget) -> Result<S
 }
 
 /// A WGSL text in another language, without what its entry points do not use.
-pub fn translate_used(wgsl: &str, language: Language, target: GlslTarget) -> Result<String, ArgumentError> {
+pub(crate) fn translate_used(wgsl: &str, language: Language, target: GlslTarget) -> Result<String, ArgumentError> {
     if language == Language::Wgsl {
         return Ok(wgsl.to_owned());
     }

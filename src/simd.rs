@@ -3,7 +3,7 @@
 /// Runs a function with the vector instructions of this machine. The results are the same bits, since no operations are
 /// fused.
 #[inline(always)]
-pub fn with_vectors<T>(work: impl FnOnce() -> T) -> T {
+pub(crate) fn with_vectors<T>(work: impl FnOnce() -> T) -> T {
     #[cfg(target_arch = "x86_64")]
     {
         #[target_feature(enable = "avx2")]

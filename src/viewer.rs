@@ -23,7 +23,7 @@ const GLSL: GlslTarget = GlslTarget {
 
 /// Kinds of fields besides shapes.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct ViewedKinds {
+pub(crate) struct ViewedKinds {
     pub dense: bool,
     pub sparse: bool,
     pub quadric: bool,
@@ -33,7 +33,7 @@ pub struct ViewedKinds {
 
 /// The shader of a view, and what its data must have for the shapes.
 #[derive(Debug, Clone, PartialEq)]
-pub struct ViewerShader {
+pub(crate) struct ViewerShader {
     pub text: String,
     /// One entry per shape; `None` for a shape without a function: one that is too large, or that contains a baked volume.
     pub shapes: Vec<Option<ShapeFunction>>,
@@ -41,7 +41,7 @@ pub struct ViewerShader {
 
 /// How the shader evaluates a shape.
 #[derive(Debug, Clone, PartialEq)]
-pub struct ShapeFunction {
+pub(crate) struct ShapeFunction {
     /// Index of its function.
     pub structure: u32,
     /// Input of the function, local units.
@@ -54,7 +54,7 @@ pub struct ShapeFunction {
 }
 
 /// Write the shader for fields of these kinds and for these shapes.
-pub fn shader(kinds: ViewedKinds, solids: &[Arc<Solid>], language: Language) -> Result<ViewerShader, Error> {
+pub(crate) fn shader(kinds: ViewedKinds, solids: &[Arc<Solid>], language: Language) -> Result<ViewerShader, Error> {
     let mut functions: Vec<(String, Option<String>)> = Vec::new();
     let mut shapes = Vec::new();
     for solid in solids {

@@ -10,7 +10,7 @@ use glam::{DMat4, DVec3};
 /// The article's struct `PackedSdfOffsetDetail`.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
-pub struct StripEntry {
+pub(crate) struct StripEntry {
     pub model: [f32; 16],
     pub inverse_model: [f32; 16],
     pub inner_min: [f32; 4],
@@ -29,7 +29,7 @@ pub struct StripEntry {
 /// The record of a field of any shape; `AtlasEntry` in `shaders/atlas/shelves.wgsl`.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
-pub struct AtlasEntry {
+pub(crate) struct AtlasEntry {
     pub model: [f32; 16],
     pub inverse_model: [f32; 16],
     pub inner_min: [f32; 4],
@@ -54,7 +54,7 @@ pub struct AtlasEntry {
 
 /// Position and boxes of a field, world units.
 #[derive(Debug, Clone, Copy)]
-pub struct Facts {
+pub(crate) struct Facts {
     pub block: AtlasBlock,
     pub inner: [DVec3; 2],
     pub outer: [DVec3; 2],
@@ -65,7 +65,7 @@ pub struct Facts {
 }
 
 impl Facts {
-    pub fn strip_entry(&self) -> StripEntry {
+    pub(crate) fn strip_entry(&self) -> StripEntry {
         let block = &self.block;
         let AtlasEntry { model, inverse_model, inner_min, inner_max, outer_min, outer_max, atlas_index, .. } =
             self.atlas_entry(0);
@@ -85,7 +85,7 @@ impl Facts {
         }
     }
 
-    pub fn atlas_entry(&self, page_size: u32) -> AtlasEntry {
+    pub(crate) fn atlas_entry(&self, page_size: u32) -> AtlasEntry {
         let block = &self.block;
         AtlasEntry {
             model: self.model.as_mat4().to_cols_array(),

@@ -17,7 +17,7 @@ const ROW_ALIGNMENT: u32 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT;
 
 /// A field on a device and its block.
 #[derive(Debug, Clone, Copy)]
-pub struct DeviceItem<'a> {
+pub(crate) struct DeviceItem<'a> {
     pub block: AtlasBlock,
     pub field: &'a DeviceField,
     /// Factor of stored values; see [`Encoding::scale`].
@@ -42,7 +42,7 @@ struct Page {
 
 impl DevicePages {
     /// Fills `pages` pages. Blocks must be sound, disjoint, and aligned to whole words.
-    pub fn pack(
+    pub(crate) fn pack(
         context: &Arc<Context>,
         page_size: u32,
         pages: u32,
@@ -112,12 +112,12 @@ impl DevicePages {
         last.map_or(Ok(()), |submission| context.wait("pack", &submission, progress))
     }
 
-    pub fn context(&self) -> &Arc<Context> {
+    pub(crate) fn context(&self) -> &Arc<Context> {
         &self.context
     }
 
     /// Copies all pages to the host as bytes, without the padding of rows.
-    pub fn read(&self, progress: &Progress) -> Result<Vec<u8>, Error> {
+    pub(crate) fn read(&self, progress: &Progress) -> Result<Vec<u8>, Error> {
         let row = self.page_size as usize * self.encoding.bytes();
         let padded = Self::row_bytes(self.page_size, self.encoding) as usize;
         let page_bytes = row * self.page_size as usize;

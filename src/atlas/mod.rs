@@ -25,25 +25,30 @@
 //! bit for bit. The plan depends only on the occupied blocks: an atlas grows and shrinks without moving other fields,
 //! also after it was saved and loaded.
 
-pub mod entry;
-pub mod gpu;
+pub(crate) mod entry;
+pub(crate) mod gpu;
 #[cfg(test)]
 mod gpu_tests;
-pub mod plan;
-pub mod rectangles;
-pub mod sample;
-pub mod shader;
-pub mod texels;
+pub(crate) mod plan;
+pub(crate) mod rectangles;
+pub(crate) mod sample;
+pub(crate) mod shader;
+pub(crate) mod texels;
 
 use crate::error::{ArgumentError, choice};
 use bytemuck::{Pod, Zeroable};
+pub use gpu::DevicePages;
+
 use rectangles::Rectangle;
 
 /// Layout of the blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Layout {
-    /// Fields of any shape, slices wrapped over rows, with `gutter` texels around each.
-    Shelves { gutter: u32 },
+    /// Fields of any shape, slices wrapped over rows.
+    Shelves {
+        /// Number of texels around each slice.
+        gutter: u32,
+    },
     /// Equal cubes, all slices in one row, as in the article.
     Strips,
 }
@@ -59,6 +64,7 @@ impl Layout {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable)]
 #[repr(C)]
 pub struct AtlasBlock {
+    /// Index of the page.
     pub page: u32,
     /// First texel: (column, row).
     pub corner: [u32; 2],
@@ -66,6 +72,7 @@ pub struct AtlasBlock {
     pub tile: [u32; 2],
     /// Number of slices in a row.
     pub columns: u32,
+    /// Width of the gutter around a slice, texels.
     pub gutter: u32,
     /// Number of voxels along x, y and z.
     pub shape: [u32; 3],
@@ -91,6 +98,7 @@ impl AtlasBlock {
         ]
     }
 
+    /// Number of voxels of the field.
     pub fn voxels(&self) -> usize {
         self.shape.iter().map(|&n| n as usize).product()
     }

@@ -5,14 +5,14 @@ use super::{AtlasBlock, Layout};
 use crate::error::{AtlasError, Error};
 
 /// Largest side of a page: twice the limit of current devices. Texel offsets fit in an i32.
-pub const MAX_PAGE_SIZE: u32 = 1 << 15;
+pub(crate) const MAX_PAGE_SIZE: u32 = 1 << 15;
 
 /// Largest number of pages of an atlas, far beyond the memory of any machine.
 const MAX_PAGES: u32 = 1 << 16;
 
 /// Places fields of the given shapes on pages of `page_size` squared, beside the blocks that are `taken`. Blocks start
 /// at multiples of `align` texels along x. New pages are opened as needed; occupied blocks do not move.
-pub fn plan(
+pub(crate) fn plan(
     layout: Layout,
     page_size: u32,
     align: u32,

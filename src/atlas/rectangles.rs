@@ -44,19 +44,19 @@ impl Rectangle {
 
 /// The free area of a page.
 #[derive(Debug, Clone)]
-pub struct FreeArea {
+pub(crate) struct FreeArea {
     maximal: Vec<Rectangle>,
 }
 
 impl FreeArea {
     /// The free area of an empty page.
-    pub fn new(width: u32, height: u32) -> Self {
+    pub(crate) fn new(width: u32, height: u32) -> Self {
         Self { maximal: vec![Rectangle { x: 0, y: 0, width, height }] }
     }
 
     /// The position where a rectangle of this size fits most closely, and the remaining lengths on its two sides, the
     /// smaller first.
-    pub fn best_fit(&self, width: u32, height: u32) -> Option<(Rectangle, [u32; 2])> {
+    pub(crate) fn best_fit(&self, width: u32, height: u32) -> Option<(Rectangle, [u32; 2])> {
         self.maximal
             .iter()
             .filter(|free| width <= free.width && height <= free.height)
@@ -68,7 +68,7 @@ impl FreeArea {
     }
 
     /// Removes a rectangle from the free area.
-    pub fn take(&mut self, taken: &Rectangle) {
+    pub(crate) fn take(&mut self, taken: &Rectangle) {
         let mut pieces = Vec::new();
         self.maximal.retain(|free| {
             if !free.overlaps(taken) {

@@ -24,7 +24,7 @@ use glam::{DVec2, DVec3, IVec3};
 
 /// Interpolation of the texels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum AtlasFilter {
+pub(crate) enum AtlasFilter {
     /// Two bilinear taps and interpolation along z: the trilinear field.
     #[default]
     Linear,
@@ -36,13 +36,13 @@ pub enum AtlasFilter {
 
 impl AtlasFilter {
     /// Converts the public name of a filter.
-    pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
+    pub(crate) fn from_name(name: &str) -> Result<Self, ArgumentError> {
         choice("filter", name, &[("linear", Self::Linear), ("nearest", Self::Nearest), ("slice", Self::Slice)])
     }
 }
 
 /// A field that lies in the pages of an atlas.
-pub struct AtlasField<'a> {
+pub(crate) struct AtlasField<'a> {
     grid: Grid,
     page: &'a [u8],
     row_texels: usize,
@@ -54,7 +54,7 @@ pub struct AtlasField<'a> {
 
 impl<'a> AtlasField<'a> {
     /// The block must be sound on these pages, and have the shape of the grid.
-    pub fn new(
+    pub(crate) fn new(
         pages: &'a [u8],
         page_size: u32,
         encoding: Encoding,
@@ -76,7 +76,7 @@ impl<'a> AtlasField<'a> {
 
     /// The field at points of its own space. Outside the box: a lower bound on the distance to a surface in the box
     /// `inner`.
-    pub fn sample_filtered(
+    pub(crate) fn sample_filtered(
         &self,
         points: &[DVec3],
         inner: [DVec3; 2],
@@ -159,7 +159,7 @@ fn bits<const N: usize>(page: &[u8], texel: usize) -> u32 {
 
 /// Texture coordinates of points on the page, 0 to 1: `ConvertWorldToTexture` of the article. Points outside the box
 /// are moved to its nearest point; z selects the slice.
-pub fn texture_coordinates(block: &AtlasBlock, page_size: u32, grid: &Grid, points: &[DVec3]) -> Vec<[f64; 2]> {
+pub(crate) fn texture_coordinates(block: &AtlasBlock, page_size: u32, grid: &Grid, points: &[DVec3]) -> Vec<[f64; 2]> {
     let last = block.shape[2] - 1;
     let shape = DVec3::from_array(block.shape.map(f64::from));
     points

@@ -13,7 +13,7 @@ const SAMPLING: &str = include_str!("../../shaders/atlas/sampling.wgsl");
 
 /// Parameters of the text.
 #[derive(Debug, Clone, Copy)]
-pub struct ShaderOptions {
+pub(crate) struct ShaderOptions {
     pub layout: Layout,
     pub encoding: Encoding,
     /// Whether texels are the unsigned integers of an image file, whose middle is distance 0. Image files hold snorm16
@@ -32,7 +32,7 @@ const CALLS: &str = "
 ";
 
 /// The sampling functions of an atlas in a language.
-pub fn shader(options: &ShaderOptions, language: Language) -> Result<String, Error> {
+pub(crate) fn shader(options: &ShaderOptions, language: Language) -> Result<String, Error> {
     let text = text_without_entry(&wgsl(options), CALLS, language)?;
     // HLSL counts rows where the other languages count columns.
     let is_hlsl = language == Language::Hlsl;
@@ -40,7 +40,7 @@ pub fn shader(options: &ShaderOptions, language: Language) -> Result<String, Err
 }
 
 /// The whole WGSL text.
-pub fn wgsl(options: &ShaderOptions) -> String {
+pub(crate) fn wgsl(options: &ShaderOptions) -> String {
     let size = options.page_size;
     let (layout, entry) = match options.layout {
         Layout::Shelves { .. } => ("shelves", SHELVES),

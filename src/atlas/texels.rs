@@ -15,7 +15,7 @@ const BAND_ROWS: usize = 16;
 
 /// A field and its block.
 #[derive(Debug, Clone, Copy)]
-pub struct Item<'a> {
+pub(crate) struct Item<'a> {
     pub block: AtlasBlock,
     /// Samples, x fastest in memory.
     pub distances: &'a [f32],
@@ -24,7 +24,7 @@ pub struct Item<'a> {
 }
 
 /// Writes fields into pages, gutters included. Blocks must be sound and disjoint.
-pub fn write(
+pub(crate) fn write(
     pages: &mut [u8],
     page_size: u32,
     encoding: Encoding,
@@ -88,7 +88,7 @@ fn write_band(rows: &mut [u8], first_row: usize, row_bytes: usize, encoding: Enc
 }
 
 /// Sets the texels of a block to zero.
-pub fn clear(pages: &mut [u8], page_size: u32, encoding: Encoding, block: &AtlasBlock) {
+pub(crate) fn clear(pages: &mut [u8], page_size: u32, encoding: Encoding, block: &AtlasBlock) {
     let row_bytes = page_size as usize * encoding.bytes();
     let room = block.rectangle();
     let first = (block.page as usize * page_size as usize + room.y as usize) * row_bytes;
@@ -99,7 +99,7 @@ pub fn clear(pages: &mut [u8], page_size: u32, encoding: Encoding, block: &Atlas
 }
 
 /// The stored values of a field, x fastest.
-pub fn read(
+pub(crate) fn read(
     pages: &[u8],
     page_size: u32,
     encoding: Encoding,

@@ -35,7 +35,7 @@ pub(super) enum BeyondBand {
 
 impl BeyondBand {
     /// Half width of the band, local units.
-    pub fn width(&self) -> f64 {
+    pub(super) fn width(&self) -> f64 {
         match self {
             Self::Exact => f64::INFINITY,
             Self::Bound(band) => band.width,
@@ -44,7 +44,7 @@ impl BeyondBand {
     }
 
     /// The value to store for a distance.
-    pub fn clip(&self, voxel: [usize; 3], distance: f64) -> f64 {
+    pub(super) fn clip(&self, voxel: [usize; 3], distance: f64) -> f64 {
         match self {
             Self::Exact => distance,
             Self::Bound(band) => band.clip(voxel, distance),
@@ -52,7 +52,7 @@ impl BeyondBand {
         }
     }
 
-    pub fn bytes(&self) -> usize {
+    pub(super) fn bytes(&self) -> usize {
         match self {
             Self::Bound(band) => size_of_val(&band.squares[..]),
             Self::Exact | Self::Cut(_) => 0,
@@ -77,7 +77,7 @@ pub(super) fn width(local: &LocalGrid, voxels: f64) -> f64 {
 
 impl Band {
     /// `voxels` is the half width of the band, in the longest side of a voxel.
-    pub fn new(mesh: &Mesh, local: &LocalGrid, voxels: f64, progress: &Progress) -> Result<Self, Error> {
+    pub(super) fn new(mesh: &Mesh, local: &LocalGrid, voxels: f64, progress: &Progress) -> Result<Self, Error> {
         let coarse = coarse_grid(local, STRIDE);
         let nodes = coarse.shape();
         let mut squares = vec![0.0; nodes.iter().product()];

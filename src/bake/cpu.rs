@@ -73,7 +73,7 @@ pub(super) struct Job<'a> {
 impl Job<'_> {
     /// Computes unsigned distances, world units. Rules that use the closest point set the sign here too; returns the
     /// number of samples that they found inside.
-    pub fn distances(&self, out: &mut [f32], far: &BeyondBand) -> Result<Counts, Error> {
+    pub(super) fn distances(&self, out: &mut [f32], far: &BeyondBand) -> Result<Counts, Error> {
         if matches!(self.rule, SignRule::Pseudonormal | SignRule::Normal) {
             return self.closest_points(out, far);
         }
@@ -118,7 +118,7 @@ impl Job<'_> {
 
     /// Negates the samples inside, for the rules that need no closest point. The other rules have done so in
     /// [`Job::distances`], which returned `by_closest`.
-    pub fn signs(&self, distances: &mut [f32], by_closest: Counts) -> Result<Counts, Error> {
+    pub(super) fn signs(&self, distances: &mut [f32], by_closest: Counts) -> Result<Counts, Error> {
         let Self { mesh, local, rule, progress } = *self;
         if matches!(rule, SignRule::Unsigned | SignRule::Pseudonormal | SignRule::Normal) {
             progress.advance(distances.len() as u64)?;

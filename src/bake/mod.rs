@@ -37,6 +37,7 @@ use std::sync::Arc;
 /// Options of a bake.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct BakeOptions {
+    /// Method for the signs.
     pub sign: SignMethod,
     /// Half width of the band in which distances are exact, voxels; beyond it they are lower bounds. All are exact if
     /// absent.
@@ -50,6 +51,7 @@ pub struct BakeOptions {
 pub struct Bake {
     /// Distances in world units, x fastest.
     pub distances: Vec<f32>,
+    /// Properties of the surface, and the cost.
     pub report: Report,
 }
 
@@ -58,6 +60,7 @@ pub struct Bake {
 pub enum BakedField {
     /// Distances in world units, x fastest.
     Host(Vec<f32>),
+    /// Distances in the memory of a device.
     Device(DeviceField),
 }
 
@@ -128,18 +131,18 @@ pub(crate) struct LocalGrid {
 }
 
 impl LocalGrid {
-    pub fn new(grid: &Grid, mesh: &Mesh) -> Self {
+    pub(crate) fn new(grid: &Grid, mesh: &Mesh) -> Self {
         let first = mesh.local_from_world(grid.center(0, 0, 0));
         let step = grid.spacing() / mesh.scale();
         Self { axes: [0, 1, 2].map(|i| Samples { first: first[i], step: step[i], start: 0, count: grid.shape[i] }) }
     }
 
-    pub fn shape(&self) -> [usize; 3] {
+    pub(crate) fn shape(&self) -> [usize; 3] {
         self.axes.map(|axis| axis.count)
     }
 
     /// The part of the grid with `shape` samples from `low` on.
-    pub fn part(&self, low: [usize; 3], shape: [usize; 3]) -> Self {
+    pub(crate) fn part(&self, low: [usize; 3], shape: [usize; 3]) -> Self {
         let part = |axis: usize| {
             let whole = self.axes[axis];
             Samples { start: whole.start + low[axis], count: shape[axis], ..whole }
@@ -147,11 +150,11 @@ impl LocalGrid {
         Self { axes: [0, 1, 2].map(part) }
     }
 
-    pub fn at(&self, [x, y, z]: [usize; 3]) -> DVec3 {
+    pub(crate) fn at(&self, [x, y, z]: [usize; 3]) -> DVec3 {
         DVec3::new(self.axes[0].at(x), self.axes[1].at(y), self.axes[2].at(z))
     }
 
-    pub fn step(&self) -> DVec3 {
+    pub(crate) fn step(&self) -> DVec3 {
         DVec3::new(self.axes[0].step, self.axes[1].step, self.axes[2].step)
     }
 }

@@ -8,31 +8,46 @@ use crate::sign::{SignChoice, SignMethod};
 /// Facts about the mesh, the method and the cost of a bake.
 #[derive(Debug, Clone, Default)]
 pub struct Report {
+    /// Name of the method for the signs.
     pub sign_method: &'static str,
+    /// Reason for the choice of the method.
     pub sign_reason: String,
+    /// Number of edges with one face.
     pub boundary_edges: usize,
+    /// Number of edges with more than two faces.
     pub nonmanifold_edges: usize,
+    /// Number of faces that were flipped to agree with their neighbours.
     pub flipped_faces: usize,
+    /// Number of faces that occur more than once.
     pub duplicate_faces: usize,
+    /// Number of faces without area.
     pub degenerate_faces: usize,
+    /// Number of vertices without faces.
     pub dropped_vertices: usize,
+    /// Number of connected components.
     pub components: usize,
+    /// Whether each edge is used once in each direction.
     pub closed: bool,
     /// Number of samples where the sign rule was close to undecided.
     pub undecided_voxels: usize,
+    /// Number of samples with a negative distance.
     pub inside_voxels: usize,
     /// Number of points of a query, and number of those inside.
     pub points: usize,
+    /// Number of queried points inside.
     pub inside_points: usize,
+    /// Name of the device.
     pub device: String,
     /// Name and seconds of each stage, in the order of execution.
     pub seconds: Vec<(&'static str, f64)>,
     /// Peak memory of output, mesh, tree and working buffers, bytes.
     pub peak_bytes: usize,
+    /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 
 impl Report {
+    /// The report of a mesh before a bake or query.
     pub fn new(mesh: &Mesh, topology: &Topology, choice: &SignChoice) -> Self {
         let mut report = Self {
             sign_method: choice.method.name(),

@@ -46,7 +46,7 @@ pub(super) struct SignPass<'a> {
 
 impl SignPass<'_> {
     /// Negates the samples that are inside.
-    pub fn negate(&self, samples: &mut [f32]) -> Result<Counts, Error> {
+    pub(super) fn negate(&self, samples: &mut [f32]) -> Result<Counts, Error> {
         let [nx, ny] = self.plane();
         samples
             .par_chunks_mut(nx * ny * SLAB_PLANES)
@@ -59,7 +59,7 @@ impl SignPass<'_> {
     }
 
     /// Bits of the samples that are inside.
-    pub fn bits(&self) -> Result<(InsideBits, Counts), Error> {
+    pub(super) fn bits(&self) -> Result<(InsideBits, Counts), Error> {
         let [nx, ny] = self.plane();
         let words_per_row = nx.div_ceil(32);
         let mut words = vec![0u32; words_per_row * ny * self.local.axes[2].count];
@@ -82,7 +82,12 @@ impl SignPass<'_> {
     }
 
     /// Calls `mark` with the position, within the slab, of every sample inside.
-    pub fn slab(&self, first_plane: usize, planes: usize, mark: &mut impl FnMut(usize)) -> Result<Counts, Error> {
+    pub(super) fn slab(
+        &self,
+        first_plane: usize,
+        planes: usize,
+        mark: &mut impl FnMut(usize),
+    ) -> Result<Counts, Error> {
         match self.rule {
             SignRule::Counted(openings) => self.count_slab(first_plane, planes, openings, mark),
             SignRule::Parity => self.vote_slab(first_plane, planes, mark),

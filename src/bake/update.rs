@@ -36,6 +36,7 @@ const MOST_CHANGED: f64 = 0.5;
 /// A finished bake on the CPU.
 #[derive(Debug, Clone, Copy)]
 pub struct Before<'a> {
+    /// The mesh of the earlier bake.
     pub mesh: &'a Mesh,
     /// Distances in world units, x fastest.
     pub distances: &'a [f32],

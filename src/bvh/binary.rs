@@ -12,7 +12,7 @@ use crate::gpu::layout::{Node, Triangle};
 use glam::Vec3;
 
 /// Largest number of triangles of a leaf.
-pub const LEAF: usize = 4;
+pub(crate) const LEAF: usize = 4;
 const _: () = assert!(super::build::MAX_DEPTH * 3 + 2 <= MAX_STACK);
 
 /// The box of an absent child is a point at this distance. It is never the nearest, and its square is a valid float32.
@@ -20,7 +20,7 @@ const FAR_AWAY: f32 = 1e18;
 
 /// Nodes and triangles, ready to upload. The root is node 0.
 #[derive(Debug)]
-pub struct BinaryTree {
+pub(crate) struct BinaryTree {
     pub nodes: Vec<Node>,
     pub triangles: Vec<Triangle>,
 }
@@ -42,7 +42,7 @@ enum ChildSide {
 
 impl BinaryTree {
     /// `positions` and `faces` must be those from which the tree was built.
-    pub fn new(bvh: &Bvh, positions: &[Vec3], faces: &[[u32; 3]]) -> Self {
+    pub(crate) fn new(bvh: &Bvh, positions: &[Vec3], faces: &[[u32; 3]]) -> Self {
         let mut tree = Self { nodes: vec![absent()], triangles: Vec::with_capacity(faces.len()) };
         let expand = |child: ChildRef| expand(bvh, positions, faces, child);
         // The root is always an inner node. The tree of a single leaf has it on the left.

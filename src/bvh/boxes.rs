@@ -10,7 +10,7 @@
 
 use super::build::{Primitive, bounds_of, split, split_in_half};
 use crate::geometry::Aabb;
-pub use crate::gpu::constants::BOX_STACK as MAX_STACK;
+pub(crate) use crate::gpu::constants::BOX_STACK as MAX_STACK;
 use glam::{DVec3, Vec3};
 
 /// Largest number of items in a leaf.
@@ -164,7 +164,7 @@ impl BoxTree {
 }
 
 /// Relative slack for the rounding of a distance between boxes in float64.
-pub const DISTANCE_SLACK: f64 = 1e-12;
+pub(crate) const DISTANCE_SLACK: f64 = 1e-12;
 
 /// Fills node `index` with a range of items; `start` is the position of the range in the order.
 fn subdivide(primitives: &mut [Primitive], nodes: &mut Vec<BoxNode>, index: usize, start: usize, depth: usize) {

@@ -8,16 +8,16 @@
 //! *Practice.* [`Bvh::build`] costs about 0.3 us per face and thread, and 110 bytes per face. [`closest`] finds nearest
 //! triangles; other modules traverse the tree with [`Bvh::visit`].
 
-pub mod binary;
-pub mod boxes;
+pub(crate) mod binary;
+pub(crate) mod boxes;
 mod build;
-pub mod cast;
-pub mod closest;
-pub mod exact;
-pub mod pack;
-pub mod ray_lanes;
+pub(crate) mod cast;
+pub(crate) mod closest;
+pub(crate) mod exact;
+pub(crate) mod pack;
+pub(crate) mod ray_lanes;
 mod refit;
-pub mod watertight;
+pub(crate) mod watertight;
 
 use crate::geometry::Aabb;
 use crate::mesh::Mesh;
@@ -26,7 +26,7 @@ use glam::Vec3;
 use pack::Pack;
 
 /// Number of lanes of a node and of a pack.
-pub const WIDTH: usize = 8;
+pub(crate) const WIDTH: usize = 8;
 
 /// Eight child boxes, one array per coordinate. An absent child has an empty box and [`ChildRef::NONE`].
 #[derive(Debug, Clone)]
@@ -82,13 +82,13 @@ pub struct Bvh {
 
 /// Largest local coordinate of a point for which searches bound the rounding of float32, so that their results do not
 /// depend on the tree. Beyond it too many boxes would lie within the rounding.
-pub const FAR: f64 = 8.0;
+pub(crate) const FAR: f64 = 8.0;
 /// Rounding of a float32 distance, relative to 1 plus the largest coordinate of the point. Positions, the point and the
 /// frames are rounded to 6e-8 each, and about twelve operations follow (the test of `bvh::pack` allows 2.5e-7).
 const ROUNDING: f64 = 4e-7;
 
 /// Capacity of the stack of a depth-first traversal: seven siblings per level, and the root.
-pub const MAX_STACK: usize = build::MAX_DEPTH * (WIDTH - 1) + 1;
+pub(crate) const MAX_STACK: usize = build::MAX_DEPTH * (WIDTH - 1) + 1;
 
 impl Derived for Bvh {
     fn derive(mesh: &Mesh) -> Self {

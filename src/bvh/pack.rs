@@ -218,7 +218,7 @@ impl Pack {
 
 impl TriangleFrame {
     /// The layout that shaders read.
-    pub fn for_device(&self, face: u32) -> Triangle {
+    pub(crate) fn for_device(&self, face: u32) -> Triangle {
         let Self { a, u, v, n, length, left, left_length, right, right_length } = *self;
         Triangle { a, face, u, length, v, left_length, n, right_length, left, right }
     }

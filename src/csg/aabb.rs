@@ -92,7 +92,7 @@ impl Operand {
 }
 
 /// The parts of a bounded model.
-pub fn parts(model: &Model) -> Vec<Part> {
+pub(super) fn parts(model: &Model) -> Vec<Part> {
     let size = (model.extent.upper - model.extent.lower).max_element();
     let mut stack: Vec<Operand> = Vec::new();
     let mut enters: Vec<Vec<Operand>> = Vec::new();

@@ -14,7 +14,7 @@ const BOX_PAD: f64 = 1e-6;
 
 /// The tables of a solid that its parts share.
 #[derive(Debug, Clone, Copy)]
-pub struct SharedTables<'a> {
+pub(crate) struct SharedTables<'a> {
     pub model: &'a Model,
     pub frame: LocalFrame,
     pub program: &'a Program<f32>,
@@ -22,7 +22,7 @@ pub struct SharedTables<'a> {
 
 /// A part's box in local units.
 #[derive(Debug, Clone, Copy)]
-pub struct LocalBox {
+pub(crate) struct LocalBox {
     pub lower: Vec3A,
     pub upper: Vec3A,
     pub part: u32,
@@ -31,7 +31,7 @@ pub struct LocalBox {
 /// A node of the tree over boxes. An inner node (`count` 0) has the children `first` and `first + 1`; a leaf has
 /// `count` boxes from `first`.
 #[derive(Debug, Clone, Copy)]
-pub struct CellNode {
+pub(crate) struct CellNode {
     pub lower: Vec3A,
     pub upper: Vec3A,
     pub first: u32,
@@ -40,7 +40,7 @@ pub struct CellNode {
 
 /// The tree of a part, prepared for rays.
 #[derive(Debug)]
-pub struct PartProgram {
+pub(crate) struct PartProgram {
     pub tokens: Arc<[Token]>,
     pub form: PartKind,
     /// Normal form of a part in closed form; empty for a sphere-traced part.
@@ -51,7 +51,7 @@ pub struct PartProgram {
 }
 
 impl PartProgram {
-    pub fn new(solid: SharedTables<'_>, tokens: &Arc<[Token]>) -> Self {
+    pub(crate) fn new(solid: SharedTables<'_>, tokens: &Arc<[Token]>) -> Self {
         let form = PartKind::of(solid.program, tokens);
         let steps =
             if form == PartKind::Field { None } else { chord::steps(solid.program, tokens) }.unwrap_or_default();
@@ -68,7 +68,7 @@ impl PartProgram {
 
 /// Parts prepared for rays, the tables of a tracer.
 #[derive(Debug, Clone)]
-pub struct PartCells {
+pub(super) struct PartCells {
     pub programs: Arc<[PartProgram]>,
     pub boxes: Arc<[LocalBox]>,
     pub nodes: Arc<[CellNode]>,
@@ -78,7 +78,7 @@ pub struct PartCells {
 
 impl PartCells {
     /// Prepares the parts of a solid, whose boxes are in world units. Each box is cut to the extent of its part's tree.
-    pub fn new(solid: SharedTables<'_>, parts: &[Part]) -> Self {
+    pub(super) fn new(solid: SharedTables<'_>, parts: &[Part]) -> Self {
         let programs: Arc<[PartProgram]> = parts.iter().map(|part| PartProgram::new(solid, &part.tokens)).collect();
         let mut boxes: Vec<LocalBox> = Vec::new();
         for (i, part) in parts.iter().enumerate() {

@@ -6,7 +6,7 @@ use crate::error::ShapeError;
 const FAR: f64 = 1e37;
 
 /// A positive length.
-pub fn positive(argument: &'static str, value: f64) -> Result<f64, ShapeError> {
+pub(super) fn positive(argument: &'static str, value: f64) -> Result<f64, ShapeError> {
     if value > 0.0 && value <= FAR {
         return Ok(value);
     }
@@ -14,7 +14,7 @@ pub fn positive(argument: &'static str, value: f64) -> Result<f64, ShapeError> {
 }
 
 /// A length of zero or more.
-pub fn not_negative(argument: &'static str, value: f64) -> Result<f64, ShapeError> {
+pub(super) fn not_negative(argument: &'static str, value: f64) -> Result<f64, ShapeError> {
     if (0.0..=FAR).contains(&value) {
         return Ok(value);
     }
@@ -22,7 +22,7 @@ pub fn not_negative(argument: &'static str, value: f64) -> Result<f64, ShapeErro
 }
 
 /// Any finite number of reasonable size.
-pub fn finite(argument: &'static str, value: f64) -> Result<f64, ShapeError> {
+pub(super) fn finite(argument: &'static str, value: f64) -> Result<f64, ShapeError> {
     if value.abs() <= FAR {
         return Ok(value);
     }

@@ -33,15 +33,15 @@ use super::model::Token;
 use super::program::{Joint, Program};
 use super::shape::Op;
 use crate::gpu::constants::csg_chord::{CHORD_FAR, CHORD_PARALLEL, CHORD_STILL};
-pub use crate::gpu::constants::csg_root::ERODED;
+pub(crate) use crate::gpu::constants::csg_root::ERODED;
 use glam::{Vec2, Vec3};
 
 /// Largest number of literals of a part in closed form: the chords of all literals and one bit for each are kept.
-pub const MAX_LEAVES: usize = 12;
+pub(crate) const MAX_LEAVES: usize = 12;
 
 /// Method for intersecting rays with a part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum PartKind {
+pub(crate) enum PartKind {
     /// Sphere tracing of its field.
     Field,
     /// The nearest of the chords of its leaves.
@@ -52,7 +52,7 @@ pub enum PartKind {
 
 /// One step of a part in normal form, in postfix order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Step {
+pub(crate) enum Step {
     /// Pushes a literal: whether a point is in the leaf, or outside it for a complement.
     Literal { leaf: u32, is_complement: bool },
     /// Replaces the two topmost values by their disjunction.
@@ -62,7 +62,7 @@ pub enum Step {
 }
 
 impl PartKind {
-    pub fn of(program: &Program<f32>, tokens: &[Token]) -> Self {
+    pub(crate) fn of(program: &Program<f32>, tokens: &[Token]) -> Self {
         let (mut leaves, mut is_union, mut has_xor) = (0, true, false);
         for &token in tokens {
             match token {
@@ -87,7 +87,7 @@ impl PartKind {
 }
 
 /// The normal form of a part of leaves under sharp operators; `None` if it has more than [`MAX_LEAVES`] literals.
-pub fn steps(program: &Program<f32>, tokens: &[Token]) -> Option<Vec<Step>> {
+pub(crate) fn steps(program: &Program<f32>, tokens: &[Token]) -> Option<Vec<Step>> {
     // Each operand and its complement.
     let mut waiting: Vec<[Vec<Step>; 2]> = Vec::new();
     let join = |a: &[Step], b: &[Step], step: Step| [a, b, &[step]].concat();
@@ -141,7 +141,7 @@ fn has_chord(leaf: &PlacedLeaf<f32>) -> bool {
 }
 
 /// The first point in `[t_in, t_out)` where a line is inside a part of form `form`, which is not [`PartKind::Field`].
-pub fn first_inside(
+pub(crate) fn first_inside(
     program: &Program<f32>,
     steps: &[Step],
     form: PartKind,

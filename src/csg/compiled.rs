@@ -34,7 +34,7 @@ const FIRST_FORM: u32 = FORM_CHORDS + 1;
 
 /// Evaluation of a part by the kernel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Entry {
+pub(super) struct Entry {
     /// 0: the interpreter. 1 and 2: a closed form. From 3: the function of structure `form - 3`.
     pub form: u32,
     /// Index of the first parameter of its function.
@@ -43,7 +43,7 @@ pub struct Entry {
 
 /// A kernel specialised for one shape.
 #[derive(Debug)]
-pub struct Compiled {
+pub(super) struct Compiled {
     /// Overrides of imported shader files, by name.
     pub texts: [(&'static str, String); 4],
     /// Number of structures with a function.
@@ -54,7 +54,7 @@ pub struct Compiled {
 
 impl Compiled {
     /// Generates the kernel of a shape and appends the parameters that its functions read to `numbers`.
-    pub fn of(tracer: &Tracer<'_>, numbers: &mut Vec<f32>) -> Self {
+    pub(super) fn of(tracer: &Tracer<'_>, numbers: &mut Vec<f32>) -> Self {
         let structures = chosen(tracer);
         let program = &tracer.solid.program;
         let mut functions = vec![String::new(); structures.len()];

@@ -28,7 +28,7 @@ use crate::error::{Error, ShapeError};
 use glam::{DMat3, DQuat, DVec3};
 
 /// Decomposes a shape. An empty shape has no parts.
-pub fn decompose(solid: &Solid, method: Method) -> Result<Vec<Part>, Error> {
+pub(crate) fn decompose(solid: &Solid, method: Method) -> Result<Vec<Part>, Error> {
     solid.bounds()?;
     if solid.model.extent.is_empty() {
         return Ok(Vec::new());
@@ -58,7 +58,7 @@ impl Solid {
 }
 
 /// A part as a shape of its own, with every leaf in its placement.
-pub fn shape_of(model: &Model, tokens: &[Token]) -> Result<Shape, ShapeError> {
+pub(crate) fn shape_of(model: &Model, tokens: &[Token]) -> Result<Shape, ShapeError> {
     let mut stack: Vec<Shape> = Vec::new();
     for &token in tokens {
         let shape = match token {

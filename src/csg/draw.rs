@@ -14,7 +14,7 @@ use crate::render::{Camera, RaymarchOptions};
 
 /// The parts that rays are traced through.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum DrawMethod {
+pub(crate) enum DrawMethod {
     /// The whole shape: every step evaluates every leaf.
     Whole,
     /// The parts, each in its boxes.
@@ -26,7 +26,7 @@ pub enum DrawMethod {
 
 impl DrawMethod {
     /// Converts the public name of a method.
-    pub fn from_name(name: &str) -> Result<Self, ShapeError> {
+    pub(crate) fn from_name(name: &str) -> Result<Self, ShapeError> {
         choice(
             "method",
             name,
@@ -42,7 +42,7 @@ impl DrawMethod {
 }
 
 /// The parts that rays are traced through at a place; a single part for [`DrawMethod::Whole`].
-pub fn tracer<'a>(place: &Place, solid: &'a Solid, method: DrawMethod) -> Result<Tracer<'a>, Error> {
+pub(crate) fn tracer<'a>(place: &Place, solid: &'a Solid, method: DrawMethod) -> Result<Tracer<'a>, Error> {
     solid.bounds()?;
     match method {
         DrawMethod::Whole => Ok(Tracer::whole(solid)),
@@ -79,7 +79,7 @@ fn cheapest(solid: &Solid) -> Result<Tracer<'_>, Error> {
 const AABB_LEAVES: usize = 256;
 
 /// Draws a shape at a place.
-pub fn draw(
+pub(crate) fn draw(
     place: &Place,
     tracer: &Tracer<'_>,
     camera: &Camera,

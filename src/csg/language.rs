@@ -109,7 +109,7 @@ enum Value {
 }
 
 /// Read one shape.
-pub fn parse(text: &str) -> Result<Shape, ShapeError> {
+pub(crate) fn parse(text: &str) -> Result<Shape, ShapeError> {
     let mut open: Vec<ReadForm<'_>> = Vec::new();
     let mut found: Option<Shape> = None;
     let mut lexer = Lexer { rest: text, at: Position { line: 1, column: 1 } };
@@ -383,7 +383,7 @@ fn hex_color(digits: &str) -> Option<[f64; 3]> {
 }
 
 /// Write a shape so that [`parse`] reads it back. A volume has no words in the language.
-pub fn to_sexpr(shape: &Shape) -> Result<String, ShapeError> {
+pub(crate) fn to_sexpr(shape: &Shape) -> Result<String, ShapeError> {
     enum Step<'a> {
         Visit(&'a Shape),
         Text(&'static str),

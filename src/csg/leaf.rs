@@ -122,14 +122,14 @@ impl LeafKind {
 
 /// A set of kinds, one bit per kind.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct KindSet(u32);
+pub(super) struct KindSet(u32);
 
 const _: () = assert!(KINDS.len() <= 32, "a set of kinds has 32 bits");
 
 impl KindSet {
-    pub const ALL: Self = Self(u32::MAX);
+    pub(super) const ALL: Self = Self(u32::MAX);
 
-    pub fn with(self, field: &LeafField<f32>) -> Self {
+    pub(super) fn with(self, field: &LeafField<f32>) -> Self {
         Self(self.0 | 1 << field.kind())
     }
 
@@ -141,7 +141,7 @@ impl KindSet {
     }
 
     /// A shader without the cases `case KIND_NAME: { .. }` of kinds that are not in the set.
-    pub fn cases_of(self, text: &str) -> String {
+    pub(super) fn cases_of(self, text: &str) -> String {
         let mut kept = String::with_capacity(text.len());
         // Number of open braces of a case that is left out.
         let mut depth = 0;
@@ -161,15 +161,15 @@ impl KindSet {
 }
 
 /// The name under which shaders import [`kinds_text`].
-pub const KINDS_MODULE: &str = "csg_kinds";
+pub(super) const KINDS_MODULE: &str = "csg_kinds";
 
 /// The modules that a kernel which evaluates all kinds of leaves imports.
-pub fn kernel_texts() -> [Instead; 1] {
+pub(crate) fn kernel_texts() -> [Instead; 1] {
     [(KINDS_MODULE, kinds_text(KindSet::ALL).into())]
 }
 
 /// The text of [`KINDS_MODULE`]: a constant for each kind, and the distances of those in a set.
-pub fn kinds_text(set: KindSet) -> String {
+pub(super) fn kinds_text(set: KindSet) -> String {
     let mut text = String::from("// Kinds of leaves and their distances, written by src/csg/leaf.rs.\n\n");
     let mut cases = String::new();
     for (number, LeafKind { function, call, loops }) in KINDS.iter().enumerate() {

@@ -14,34 +14,34 @@
 //! [`Solid`] is a shape prepared for evaluation. [`language`] reads and writes s-expressions.
 
 mod aabb;
-pub mod align;
-pub mod bounds;
+pub(crate) mod align;
+pub(crate) mod bounds;
 mod cells;
 mod checks;
-pub mod chord;
+pub(crate) mod chord;
 mod compiled;
-pub mod decompose;
-pub mod draw;
+pub(crate) mod decompose;
+pub(crate) mod draw;
 mod field;
 mod gpu;
-pub mod language;
+pub(crate) mod language;
 mod leaf;
 mod lower;
-pub mod model;
+pub(crate) mod model;
 mod octree;
-pub mod part;
+pub(crate) mod part;
 mod picture;
 mod placement;
-pub mod primitive;
-pub mod profile;
-pub mod program;
+pub(crate) mod primitive;
+pub(crate) mod profile;
+pub(crate) mod program;
 mod real;
-pub mod shader;
-pub mod shape;
-pub mod solid;
-pub mod trace;
-pub mod volume_leaf;
-pub mod whole;
+pub(crate) mod shader;
+pub(crate) mod shape;
+pub(crate) mod solid;
+pub(crate) mod trace;
+pub(crate) mod volume_leaf;
+pub(crate) mod whole;
 mod word;
 
 #[cfg(test)]

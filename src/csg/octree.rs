@@ -71,7 +71,7 @@ struct Octree<'a> {
 }
 
 /// The parts of a bounded solid.
-pub fn parts(solid: &Solid) -> Vec<Part> {
+pub(super) fn parts(solid: &Solid) -> Vec<Part> {
     let extent = &solid.model.extent;
     let pad = DVec3::splat(ROOT_PAD * (extent.upper - extent.lower).max_element());
     let (lower, upper) = (extent.lower - pad, extent.upper + pad);

@@ -33,7 +33,7 @@ pub struct Part {
 }
 
 /// Groups boxes by their tokens, in the order in which the tokens first occur.
-pub fn grouped(pieces: impl IntoIterator<Item = (Arc<[Token]>, [DVec3; 2])>) -> Vec<Part> {
+pub(crate) fn grouped(pieces: impl IntoIterator<Item = (Arc<[Token]>, [DVec3; 2])>) -> Vec<Part> {
     let mut places: FxHashMap<Arc<[Token]>, usize> = FxHashMap::default();
     let mut parts: Vec<Part> = Vec::new();
     for (tokens, cell) in pieces {
@@ -48,7 +48,7 @@ pub fn grouped(pieces: impl IntoIterator<Item = (Arc<[Token]>, [DVec3; 2])>) -> 
 
 /// The input of a shader's compilation: operators and kinds of leaves, without their parameters.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum StructureToken {
+pub(crate) enum StructureToken {
     Leaf(&'static str),
     Combine { op: Op, is_swapped: bool, joint: &'static str },
     DistanceOp(&'static str),
@@ -58,7 +58,7 @@ pub enum StructureToken {
 }
 
 /// The structure of a part.
-pub fn structure(model: &Model, tokens: &[Token]) -> Vec<StructureToken> {
+pub(crate) fn structure(model: &Model, tokens: &[Token]) -> Vec<StructureToken> {
     tokens
         .iter()
         .map(|&token| match token {

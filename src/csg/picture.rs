@@ -15,7 +15,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 /// A picture and its cost.
 #[derive(Debug)]
-pub struct Drawing {
+pub(crate) struct Drawing {
     pub frame: Frame,
     pub parts: usize,
     pub boxes: usize,
@@ -94,7 +94,7 @@ pub(super) struct PixelRays {
 }
 
 impl PixelRays {
-    pub fn new(tracer: &Tracer<'_>, camera: &Camera, options: &RaymarchOptions, light_count: usize) -> Self {
+    pub(super) fn new(tracer: &Tracer<'_>, camera: &Camera, options: &RaymarchOptions, light_count: usize) -> Self {
         let frame = tracer.solid.frame;
         let start_depth = camera.depth_before(tracer.bounds.map(|corner| frame.world(corner.as_dvec3())));
         let start = frame.local(camera.eye - start_depth * camera.back);
@@ -108,7 +108,7 @@ impl PixelRays {
         }
     }
 
-    pub fn through(&self, x: usize, y: usize) -> ShapeRay {
+    pub(super) fn through(&self, x: usize, y: usize) -> ShapeRay {
         let rays = &self.rays;
         let along_right = (x as f32 + 0.5 - self.middle[0]) * rays.pixel;
         let along_up = (self.middle[1] - 0.5 - y as f32) * rays.pixel;
@@ -122,14 +122,14 @@ impl PixelRays {
     }
 
     /// Depth of the point at `t`, world units.
-    pub fn depth(&self, ray: &ShapeRay, t: f32) -> f64 {
+    pub(super) fn depth(&self, ray: &ShapeRay, t: f32) -> f64 {
         self.start_depth + f64::from(t) * f64::from(self.forward.dot(ray.direction)) * self.scale
     }
 }
 
 impl ShapeView<'_> {
     /// Fills pixel `x` of row `y`. The row is initialised to "no hit".
-    pub fn draw_pixel(&self, x: usize, y: usize, row: &mut Row<'_>, scratch: &mut PixelScratch) {
+    pub(super) fn draw_pixel(&self, x: usize, y: usize, row: &mut Row<'_>, scratch: &mut PixelScratch) {
         row.color[4 * x..][..4].copy_from_slice(&self.options.background);
 
         if self.is_eye_inside {
@@ -154,7 +154,7 @@ impl ShapeView<'_> {
     }
 
     /// Lights the visible point in a unit direction and stores it.
-    pub fn finish(
+    pub(super) fn finish(
         &self,
         x: usize,
         row: &mut Row<'_>,

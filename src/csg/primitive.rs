@@ -123,7 +123,7 @@ macro_rules! declare {
         }
 
         /// The forms of the language that make primitives.
-        pub const WORDS: &[Word] = {
+        pub(crate) const WORDS: &[Word] = {
             use NumberSource::*;
             &[$($(Word { word: $word, operation: $named, slots: &[$($slot),*] }),*),*]
         };
@@ -152,7 +152,7 @@ macro_rules! declare {
 primitives!(declare);
 
 /// Number of parameters of a distance function.
-pub const PARAMETERS: usize = 6;
+pub(crate) const PARAMETERS: usize = 6;
 
 /// The unit vector along a normal of any length.
 fn direction(normal: [f64; 3]) -> Result<DVec3, ShapeError> {

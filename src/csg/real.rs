@@ -76,12 +76,12 @@ real!(f64);
 
 /// Length of a vector in the plane.
 #[inline(always)]
-pub fn length2<F: Real>(x: F, y: F) -> F {
+pub(super) fn length2<F: Real>(x: F, y: F) -> F {
     (x * x + y * y).sqrt()
 }
 
 /// Length of a vector in space.
 #[inline(always)]
-pub fn length3<F: Real>([x, y, z]: [F; 3]) -> F {
+pub(super) fn length3<F: Real>([x, y, z]: [F; 3]) -> F {
     (x * x + y * y + z * z).sqrt()
 }

@@ -27,7 +27,7 @@ const GLSL: GlslTarget =
 
 /// A shader for the field of a shape.
 #[derive(Debug, Clone, PartialEq)]
-pub struct ShapeShader {
+pub(crate) struct ShapeShader {
     pub wgsl: String,
     /// Parameters in the order in which the text reads them, world units.
     pub numbers: Vec<f32>,
@@ -35,13 +35,13 @@ pub struct ShapeShader {
 
 impl ShapeShader {
     /// The text in a shading language.
-    pub fn text(&self, language: Language) -> Result<String, ShapeError> {
+    pub(crate) fn text(&self, language: Language) -> Result<String, ShapeError> {
         Ok(translate(&self.wgsl, language, GLSL)?)
     }
 }
 
 /// The whole shape as one function.
-pub fn shader(solid: &Solid) -> Result<ShapeShader, ShapeError> {
+pub(crate) fn shader(solid: &Solid) -> Result<ShapeShader, ShapeError> {
     let model = &solid.model;
     for leaf in &model.leaves {
         if let Primitive::Volume(_) = leaf.primitive {
@@ -131,14 +131,14 @@ pub(super) struct Writer<'a> {
 }
 
 impl<'a> Writer<'a> {
-    pub fn new(model: &'a Model, program: &'a Program<f32>, base: &'static str) -> Self {
+    pub(super) fn new(model: &'a Model, program: &'a Program<f32>, base: &'static str) -> Self {
         let (body, numbers, loops) = Default::default();
         Self { model, program, body, numbers, base, loops, depth: 1, names: 0, colors: None }
     }
 
     /// Write the statements for tokens and for their paint, which calls `mixed_color`; the name of the colour. `None` where
     /// nothing is painted, or where a stencil or mask decides. `numbers` are those before its own.
-    pub fn write_color(&mut self, tokens: &[Token], numbers: Vec<f32>) -> Option<String> {
+    pub(super) fn write_color(&mut self, tokens: &[Token], numbers: Vec<f32>) -> Option<String> {
         let is_masked = |leaf: &Leaf| {
             successors(leaf.paint.as_deref(), |coat| coat.above.as_deref()).any(|coat| coat.mask.is_some())
         };
@@ -189,7 +189,7 @@ impl<'a> Writer<'a> {
     }
 
     /// Generates the statements for tokens; returns the name of the value.
-    pub fn write(&mut self, tokens: &[Token]) -> String {
+    pub(super) fn write(&mut self, tokens: &[Token]) -> String {
         let kinds = structure(self.model, tokens);
         let mut stack: Vec<String> = Vec::new();
         let mut spaces = vec!["p0".to_owned()];

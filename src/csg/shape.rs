@@ -17,7 +17,7 @@ use std::sync::Arc;
 pub struct Shape(Arc<ShapeNode>);
 
 #[derive(Debug)]
-pub struct ShapeNode {
+pub(crate) struct ShapeNode {
     pub kind: Kind,
     pub children: Vec<Shape>,
     /// Number of leaves with all repetitions written out.
@@ -76,8 +76,11 @@ pub enum Kind {
 /// Boolean operators.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Op {
+    /// Points inside any of the shapes.
     Union,
+    /// Points inside all of the shapes.
     Intersection,
+    /// Points inside the first shape and outside the others.
     Difference,
     /// In exactly one of the two.
     Xor,
@@ -86,6 +89,7 @@ pub enum Op {
 /// Shape of a joint.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Blend {
+    /// No blend: the minimum or maximum itself.
     Sharp,
     /// A fillet: the field differs from the sharp one where the difference of the operands is below this width.
     Smooth(f64),
@@ -94,11 +98,13 @@ pub enum Blend {
 }
 
 /// Largest number of leaves of a shape, with repetitions written out.
-pub const MAX_LEAVES: u64 = 1 << 20;
+pub(crate) const MAX_LEAVES: u64 = 1 << 20;
 
 impl Op {
+    /// All operators.
     pub const ALL: [Self; 4] = [Self::Union, Self::Intersection, Self::Difference, Self::Xor];
 
+    /// The word of the language and of messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Union => "union",
@@ -168,6 +174,7 @@ impl Shape {
         Ok(Self(Arc::new(ShapeNode { kind, children, leaves })))
     }
 
+    /// A primitive as a shape.
     pub fn primitive(primitive: Primitive) -> Self {
         Self(Arc::new(ShapeNode { kind: Kind::Primitive(primitive), children: Vec::new(), leaves: 1 }))
     }
@@ -193,6 +200,7 @@ impl Shape {
         Ok(Self::primitive(Primitive::Revolve { profile, offset }))
     }
 
+    /// Combines shapes by an operator. Fails if there are too few of them.
     pub fn combine(op: Op, blend: Blend, shapes: Vec<Self>) -> Result<Self, ShapeError> {
         match shapes.len() {
             0 => Err(ShapeError::argument("shapes", format!("a {} needs at least one shape", op.name()))),
@@ -266,10 +274,12 @@ impl Shape {
         }
     }
 
+    /// The kind of the node at the root.
     pub fn kind(&self) -> &Kind {
         &self.0.kind
     }
 
+    /// The shapes that the root combines or changes.
     pub fn children(&self) -> &[Self] {
         &self.0.children
     }

@@ -21,9 +21,13 @@ use std::sync::OnceLock;
 /// A lowered and compiled shape. Immutable, and shared between threads.
 #[derive(Debug)]
 pub struct Solid {
+    /// The shape as it was written.
     pub shape: Shape,
+    /// The lowered tree.
     pub model: Model,
+    /// The map to local units.
     pub frame: LocalFrame,
+    /// The program of the model in float32.
     pub program: Program<f32>,
     precise: Program<f64>,
     /// Parts by method (boxes, octree), computed at the first use.
@@ -32,7 +36,7 @@ pub struct Solid {
 }
 
 /// Number of points evaluated together.
-pub const LANES: usize = 64;
+pub(crate) const LANES: usize = 64;
 
 /// Number of points of a piece of a batch.
 const CHUNK_POINTS: usize = 16 * LANES;
@@ -42,6 +46,7 @@ const CHUNK_POINTS: usize = 16 * LANES;
 const GRADIENT_STEP: f64 = 6e-6;
 
 impl Solid {
+    /// Lowers and compiles a shape.
     pub fn new(shape: &Shape) -> Result<Self, Error> {
         let model = Model::new(shape)?;
         let frame = LocalFrame::of(&model);
@@ -149,6 +154,7 @@ impl Solid {
         SharedTables { model: &self.model, frame: self.frame, program: &self.program }
     }
 
+    /// The program of the model in float64.
     pub fn precise(&self) -> &Program<f64> {
         &self.precise
     }
@@ -160,7 +166,13 @@ fn saturated(value: f64) -> f32 {
 }
 
 /// Gradient by central differences, six points at once.
-pub fn slope<F: Real>(program: &Program<F>, tokens: &[Token], p: DVec3, step: f64, stack: &mut Stack<F, 6>) -> DVec3 {
+pub(crate) fn slope<F: Real>(
+    program: &Program<F>,
+    tokens: &[Token],
+    p: DVec3,
+    step: f64,
+    stack: &mut Stack<F, 6>,
+) -> DVec3 {
     let mut at = [[F::default(); 6]; 3];
     for axis in 0..3 {
         at[axis] = [F::of(p[axis]); 6];

@@ -53,7 +53,7 @@ const MARCH_LOOKS: [f64; 2] = [2.0, 15.0];
 
 /// A shape, split or whole, prepared for rays. Cloning shares the tables.
 #[derive(Debug, Clone)]
-pub struct Tracer<'a> {
+pub(crate) struct Tracer<'a> {
     pub solid: &'a Solid,
     pub programs: Arc<[PartProgram]>,
     pub boxes: Arc<[LocalBox]>,
@@ -64,21 +64,21 @@ pub struct Tracer<'a> {
 
 /// Part of a line, local units; `direction` is unit.
 #[derive(Debug, Clone, Copy)]
-pub struct ShapeRay {
+pub(crate) struct ShapeRay {
     pub origin: Vec3,
     pub direction: Vec3,
     pub t_max: f32,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ShapeHit {
+pub(crate) struct ShapeHit {
     pub t: f32,
     pub part: u32,
 }
 
 /// Numbers of evaluations of a ray.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct TraceWork {
+pub(crate) struct TraceWork {
     /// Number of evaluations of a part's field.
     pub steps: u32,
     /// Number of evaluations of a leaf's field or chord.
@@ -87,7 +87,7 @@ pub struct TraceWork {
 
 impl<'a> Tracer<'a> {
     /// Prepares the parts of a solid, whose boxes are in world units.
-    pub fn new(solid: &'a Solid, parts: &[Part]) -> Self {
+    pub(crate) fn new(solid: &'a Solid, parts: &[Part]) -> Self {
         Self::of(solid, PartCells::new(solid.tables(), parts))
     }
 
@@ -97,7 +97,7 @@ impl<'a> Tracer<'a> {
     }
 
     /// The whole shape in one box, a little larger than its bounds.
-    pub fn one_box(solid: &'a Solid) -> Self {
+    pub(crate) fn one_box(solid: &'a Solid) -> Self {
         let extent = &solid.model.extent;
         if extent.is_empty() {
             return Self::new(solid, &[]);
@@ -108,7 +108,7 @@ impl<'a> Tracer<'a> {
     }
 
     /// The whole shape in one box, always by sphere tracing its field: the reference for the parts.
-    pub fn whole(solid: &'a Solid) -> Self {
+    pub(crate) fn whole(solid: &'a Solid) -> Self {
         let tracer = Self::one_box(solid);
         let march = |part: &PartProgram| PartProgram {
             form: PartKind::Field,
@@ -122,7 +122,7 @@ impl<'a> Tracer<'a> {
     /// Expected cost of a ray that is not stopped, in evaluations of a leaf times a constant. The fraction of rays that
     /// reach a box is proportional to its surface area. In it the leaves of its part are evaluated, once or at every
     /// step.
-    pub fn cost(&self) -> f64 {
+    pub(crate) fn cost(&self) -> f64 {
         let of_box = |cell: &LocalBox| {
             let sides = (cell.upper - cell.lower).as_dvec3();
             let area = sides.x * sides.y + sides.y * sides.z + sides.z * sides.x;
@@ -137,12 +137,17 @@ impl<'a> Tracer<'a> {
     }
 
     /// The first hit of a ray.
-    pub fn first_hit(&self, ray: &ShapeRay, stack: &mut Stack<f32, 1>, work: &mut TraceWork) -> Option<ShapeHit> {
+    pub(crate) fn first_hit(
+        &self,
+        ray: &ShapeRay,
+        stack: &mut Stack<f32, 1>,
+        work: &mut TraceWork,
+    ) -> Option<ShapeHit> {
         self.trace(ray, false, stack, work)
     }
 
     /// Whether a ray hits the shape.
-    pub fn is_hit(&self, ray: &ShapeRay, stack: &mut Stack<f32, 1>, work: &mut TraceWork) -> bool {
+    pub(crate) fn is_hit(&self, ray: &ShapeRay, stack: &mut Stack<f32, 1>, work: &mut TraceWork) -> bool {
         self.trace(ray, true, stack, work).is_some()
     }
 
@@ -263,7 +268,7 @@ impl<'a> Tracer<'a> {
 
     /// Unit normal at the hit `p` of a ray with a part, in local space, which has the axes of the world; `None` where
     /// the gradient is zero.
-    pub fn normal(&self, p: Vec3, direction: Vec3, part: u32, stack: &mut Stack<f64, 6>) -> Option<Vec3> {
+    pub(crate) fn normal(&self, p: Vec3, direction: Vec3, part: u32, stack: &mut Stack<f64, 6>) -> Option<Vec3> {
         let part = &self.programs[part as usize];
         if part.form == PartKind::Field {
             let slope = slope(self.solid.precise(), &part.tokens, p.as_dvec3(), NORMAL_STEP, stack);
@@ -286,7 +291,7 @@ impl<'a> Tracer<'a> {
     }
 
     /// Linear RGB at a hit; `None` without paint.
-    pub fn color(&self, p: Vec3, part: u32) -> Option<[f32; 3]> {
+    pub(crate) fn color(&self, p: Vec3, part: u32) -> Option<[f32; 3]> {
         if !self.solid.model.is_painted {
             return None;
         }
@@ -295,7 +300,7 @@ impl<'a> Tracer<'a> {
     }
 
     /// Whether a world point is in the solid.
-    pub fn is_inside(&self, world: DVec3) -> bool {
+    pub(crate) fn is_inside(&self, world: DVec3) -> bool {
         let local = self.solid.frame.local(world);
         let [lower, upper] = self.bounds.map(Vec3::as_dvec3);
         if self.boxes.is_empty() || !(local.cmpge(lower).all() && local.cmple(upper).all()) {

@@ -18,7 +18,7 @@ const MAX_NUMBERS: usize = 4096;
 
 /// The field of a shape at `p0`, local units. Its parameters start at index `n` of an array.
 #[derive(Debug)]
-pub struct Whole {
+pub(crate) struct Whole {
     pub body: String,
     pub numbers: Vec<f32>,
     /// The body of the function of its paint, whose numbers follow the others; it returns linear RGB.
@@ -27,7 +27,7 @@ pub struct Whole {
 
 impl Whole {
     /// None for a shape that is too large for a function, or that contains a baked volume.
-    pub fn of(solid: &Solid, array: &str, turns: &str) -> Option<Self> {
+    pub(crate) fn of(solid: &Solid, array: &str, turns: &str) -> Option<Self> {
         let is_volume = |token: &Token| match token {
             Token::Leaf(leaf) => matches!(solid.program.leaves[*leaf as usize].field, LeafField::Volume(..)),
             _ => false,
@@ -55,7 +55,7 @@ impl Whole {
     }
 
     /// Helper functions for the generated ones, besides the primitives of `shaders/shared/csg_field.wgsl`.
-    pub fn helpers(array: &str) -> String {
+    pub(crate) fn helpers(array: &str) -> String {
         in_array(HELPERS, array)
     }
 }

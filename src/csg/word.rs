@@ -2,7 +2,7 @@
 
 /// A form `(word number...)` and its operation in the Python interface.
 #[derive(Debug)]
-pub struct Word {
+pub(crate) struct Word {
     pub word: &'static str,
     /// The name in [`super::primitive::Primitive::named`] or [`super::shape::Shape::changed`].
     pub operation: &'static str,
@@ -12,7 +12,7 @@ pub struct Word {
 
 /// The source of one argument. The text is the name of the number in messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum NumberSource {
+pub(crate) enum NumberSource {
     /// The argument is the number.
     Full(&'static str),
     /// The argument is half the number. The language has diameters where the interface has radii.
@@ -30,7 +30,7 @@ pub enum NumberSource {
 
 impl Word {
     /// The arguments of the operation; `None` if the form takes another number of values.
-    pub fn arguments(&self, numbers: &[f64]) -> Option<Vec<f64>> {
+    pub(crate) fn arguments(&self, numbers: &[f64]) -> Option<Vec<f64>> {
         let mut left = numbers.iter().rev();
         let mut arguments = vec![0.0; self.slots.len()];
         // From the last to the first, because a rim needs the argument behind it.
@@ -52,7 +52,7 @@ impl Word {
     }
 
     /// The numbers that give these arguments; `None` if the form cannot express them.
-    pub fn numbers(&self, arguments: &[f64]) -> Option<Vec<f64>> {
+    pub(crate) fn numbers(&self, arguments: &[f64]) -> Option<Vec<f64>> {
         let mut numbers = Vec::with_capacity(arguments.len());
         for (i, (slot, &argument)) in self.slots.iter().zip(arguments).enumerate() {
             match slot {
@@ -69,7 +69,7 @@ impl Word {
     }
 
     /// The form for messages, such as `(cylinder d h)`.
-    pub fn usage(&self) -> String {
+    pub(crate) fn usage(&self) -> String {
         let names = self.slots.iter().filter_map(|slot| match slot {
             NumberSource::Full(name) | NumberSource::Half(name) | NumberSource::Rim(name) => Some(*name),
             NumberSource::Zero | NumberSource::One | NumberSource::Same => None,

@@ -8,15 +8,20 @@ use glam::DVec3;
 /// The feature of a triangle that contains its closest point. Edge `i` joins corner `i` and corner `(i + 1) % 3`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Feature {
+    /// The interior.
     Face,
+    /// The edge from this corner to the next one.
     Edge(u8),
+    /// This corner.
     Vertex(u8),
 }
 
 /// The closest point of a triangle, and its feature.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrianglePoint {
+    /// The nearest point.
     pub point: DVec3,
+    /// The part of the triangle that has the point.
     pub feature: Feature,
 }
 

@@ -11,14 +11,14 @@ macro_rules! wgsl_constants {
     ($($group:ident {
         $($(#[$doc:meta])* $name:ident: $rust:ty as $wgsl:ident = $value:expr;)*
     })*) => {
-        $(pub mod $group {
+        $(pub(crate) mod $group {
             #[allow(unused_imports)]
             use super::*;
-            $($(#[$doc])* pub const $name: $rust = $value;)*
+            $($(#[$doc])* pub(crate) const $name: $rust = $value;)*
         })*
 
         /// The declarations of a group in WGSL; empty for a file without shared constants.
-        pub fn declarations(group: &str) -> String {
+        pub(crate) fn declarations(group: &str) -> String {
             let mut text = String::new();
             match group {
                 $(stringify!($group) => {
@@ -33,10 +33,6 @@ macro_rules! wgsl_constants {
             }
             text
         }
-
-        /// The groups and the names in them, for tests.
-        #[cfg(test)]
-        pub const NAMES: &[(&str, &[&str])] = &[$((stringify!($group), &[$(stringify!($name)),*])),*];
     };
 }
 
@@ -57,14 +53,14 @@ fn f32(value: f32) -> String {
 const FAR_SQUARED: f32 = 3.0e38;
 
 /// Capacity of the stack of a walk through a tree over boxes.
-pub const BOX_STACK: usize = 56;
+pub(crate) const BOX_STACK: usize = 56;
 
 /// A direction component below this counts as parallel to the faces: over 2^40 voxels the ray moves by less than the
 /// resolution of float32.
-pub const PARALLEL_DIRECTION: f32 = 1e-20;
+pub(crate) const PARALLEL_DIRECTION: f32 = 1e-20;
 
 /// Larger than every `t` of a ray; replaces infinity.
-pub const FAR_ALONG_RAY: f32 = 1e30;
+pub(crate) const FAR_ALONG_RAY: f32 = 1e30;
 
 /// Number of workgroups along x of kernels with one invocation for each sample.
 const SAMPLE_GROUPS_PER_ROW: u64 = 32_768;

@@ -21,6 +21,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 #[derive(Debug)]
 pub struct Context {
     open: Arc<OpenDevice>,
+    /// Transfers and submissions of the context.
     pub counters: Arc<Counters>,
 }
 
@@ -59,15 +60,15 @@ struct Trouble {
 }
 
 /// Number of storage buffers that a kernel may bind: the default limit of WebGPU.
-pub const STORAGE_BUFFERS: u32 = 8;
+pub(crate) const STORAGE_BUFFERS: u32 = 8;
 /// Number of invocations of the largest workgroup.
-pub const INVOCATIONS: u32 = 64;
+pub(crate) const INVOCATIONS: u32 = 64;
 
 /// Id of the process that opened the first device, or zero.
 static OWNER: AtomicU32 = AtomicU32::new(0);
 
 /// Whether a parent of this process opened a device.
-pub fn is_forked() -> bool {
+pub(crate) fn is_forked() -> bool {
     let owner = OWNER.load(Ordering::Acquire);
     owner != 0 && owner != std::process::id()
 }
@@ -156,6 +157,7 @@ impl Context {
         self.info.label()
     }
 
+    /// Whether the device stopped working.
     pub fn is_lost(&self) -> bool {
         self.trouble.lost.load(Ordering::Acquire)
     }

@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 /// A device that can run kernels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DeviceInfo {
+    /// Name by which the device is chosen.
     pub name: String,
     /// "cpu", "vulkan", "metal" or "dx12".
     pub backend: String,
@@ -15,6 +16,7 @@ pub struct DeviceInfo {
     pub kind: &'static str,
     /// False for the CPU and for drivers that emulate a GPU on the CPU.
     pub hardware: bool,
+    /// Limits by name.
     pub limits: Vec<(&'static str, u64)>,
 }
 
@@ -28,7 +30,9 @@ impl DeviceInfo {
 /// The device of a call.
 #[derive(Debug, Clone)]
 pub enum Place {
+    /// The processor.
     Cpu,
+    /// A graphics device.
     Gpu(Arc<Context>),
 }
 
@@ -63,7 +67,7 @@ impl Place {
 }
 
 /// Environment variable that replaces `device="auto"`.
-pub const OVERRIDE: &str = "FIELDBAKE_DEVICE";
+pub(crate) const OVERRIDE: &str = "FIELDBAKE_DEVICE";
 
 /// The device for a user's `device=`: "auto" (hardware, else the CPU), "cpu", "gpu" (hardware, else a software adapter)
 /// or an adapter by name.
@@ -93,18 +97,6 @@ pub fn choose(device: &str) -> Result<Place, DeviceError> {
                 _ => Err(DeviceError::Unknown { requested: name.into() }),
             }
         }
-    }
-}
-
-/// Checks the device of a call that runs on the CPU only.
-pub fn choose_cpu(device: &str, job: &str) -> Result<(), DeviceError> {
-    match device {
-        "auto" | "cpu" => Ok(()),
-        "gpu" => Err(DeviceError::NotAvailable {
-            requested: device.into(),
-            reason: format!("{job} runs on the CPU only; use device=\"auto\" or \"cpu\""),
-        }),
-        _ => Err(DeviceError::Unknown { requested: device.into() }),
     }
 }
 

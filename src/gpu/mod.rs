@@ -12,17 +12,17 @@
 //!
 //! OpenGL is not used: its backend loses storage texture writes without an error.
 
-pub mod buffer;
-pub mod constants;
-pub mod context;
-pub mod device;
-pub mod layout;
-pub mod pace;
-pub mod pipeline;
-pub mod raster;
-pub mod shader;
-pub mod table;
-pub mod texture;
+pub(crate) mod buffer;
+pub(crate) mod constants;
+pub(crate) mod context;
+pub(crate) mod device;
+pub(crate) mod layout;
+pub(crate) mod pace;
+pub(crate) mod pipeline;
+pub(crate) mod raster;
+pub(crate) mod shader;
+pub(crate) mod table;
+pub(crate) mod texture;
 
 #[cfg(test)]
 pub(crate) mod tests;

@@ -18,7 +18,7 @@ const SLOW: Duration = Duration::from_millis(160);
 /// split.
 ///
 /// Two dispatches are in flight, so that the device does not wait for the CPU.
-pub fn in_pieces(
+pub(crate) fn in_pieces(
     context: &Context,
     what: &str,
     total: u64,

@@ -8,13 +8,13 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Kernels by name, entry point and overrides of imported files.
 #[derive(Debug, Default)]
-pub struct Pipelines(Mutex<HashMap<KernelKey, wgpu::ComputePipeline>>);
+pub(crate) struct Pipelines(Mutex<HashMap<KernelKey, wgpu::ComputePipeline>>);
 
 type KernelKey = (&'static str, &'static str, Vec<Instead>);
 
 /// Kernels generated at run time, by their text.
 #[derive(Debug, Default)]
-pub struct WrittenKernels(Mutex<HashMap<String, Written>>);
+pub(crate) struct WrittenKernels(Mutex<HashMap<String, Written>>);
 
 #[derive(Debug)]
 enum Written {

@@ -18,7 +18,7 @@ const PIXEL_BYTES: u32 = 16;
 
 /// Pipelines by kernel and overrides of imported files.
 #[derive(Debug, Default)]
-pub struct RasterPipelines(Mutex<HashMap<(&'static str, Vec<Instead>), wgpu::RenderPipeline>>);
+pub(crate) struct RasterPipelines(Mutex<HashMap<(&'static str, Vec<Instead>), wgpu::RenderPipeline>>);
 
 /// The target of a pass.
 #[derive(Debug)]

@@ -10,7 +10,7 @@ use std::fmt::Write;
 use std::sync::LazyLock;
 
 /// Every kernel by name, and its file.
-pub const KERNELS: &[(&str, &str)] = &[
+pub(crate) const KERNELS: &[(&str, &str)] = &[
     ("atlas_pack", include_str!("../../shaders/atlas_pack.wgsl")),
     ("bake_brute", include_str!("../../shaders/bake_brute.wgsl")),
     ("bake_distance", include_str!("../../shaders/bake_distance.wgsl")),
@@ -94,12 +94,12 @@ static TEXTS: LazyLock<[Vec<(&str, String)>; 2]> = LazyLock::new(|| {
 });
 
 /// The text of a shared file, for kernels generated at run time.
-pub fn shared(name: &str) -> Option<&'static str> {
+pub(crate) fn shared(name: &str) -> Option<&'static str> {
     find(&TEXTS[1], name)
 }
 
 /// The whole text of a kernel, with overrides of imported files by name.
-pub fn source_with(kernel: &str, instead: &[(&str, &str)]) -> Result<String, String> {
+pub(crate) fn source_with(kernel: &str, instead: &[(&str, &str)]) -> Result<String, String> {
     let text = find(&TEXTS[0], kernel).ok_or_else(|| format!("there is no kernel '{kernel}'"))?;
     let mut joined = String::new();
     let mut seen = Vec::new();
@@ -108,10 +108,10 @@ pub fn source_with(kernel: &str, instead: &[(&str, &str)]) -> Result<String, Str
 }
 
 /// The name of an import, and the text that replaces it.
-pub type Instead = (&'static str, Cow<'static, str>);
+pub(crate) type Instead = (&'static str, Cow<'static, str>);
 
 /// The whole text of a kernel, with overrides of some files that it imports.
-pub fn source_instead(kernel: &str, instead: &[Instead]) -> Result<String, String> {
+pub(crate) fn source_instead(kernel: &str, instead: &[Instead]) -> Result<String, String> {
     source_with(kernel, &instead.iter().map(|(name, text)| (*name, text.as_ref())).collect::<Vec<_>>())
 }
 

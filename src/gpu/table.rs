@@ -10,23 +10,23 @@ const GAP: usize = 8;
 
 /// A storage buffer, and a copy of its rows in host memory.
 #[derive(Debug)]
-pub struct Table<T> {
+pub(crate) struct Table<T> {
     label: &'static str,
     buffer: wgpu::Buffer,
     rows: Vec<T>,
 }
 
 impl<T: Pod> Table<T> {
-    pub fn new(context: &Context, label: &'static str, rows: Vec<T>) -> Result<Self, DeviceError> {
+    pub(crate) fn new(context: &Context, label: &'static str, rows: Vec<T>) -> Result<Self, DeviceError> {
         Ok(Self { label, buffer: context.upload(label, &rows)?, rows })
     }
 
-    pub fn buffer(&self) -> &wgpu::Buffer {
+    pub(crate) fn buffer(&self) -> &wgpu::Buffer {
         &self.buffer
     }
 
     /// Replaces the rows. Only ranges that differ are uploaded; a larger table gets a new buffer.
-    pub fn set(&mut self, context: &Context, rows: Vec<T>) -> Result<(), DeviceError> {
+    pub(crate) fn set(&mut self, context: &Context, rows: Vec<T>) -> Result<(), DeviceError> {
         if size_of_val(&rows[..]) as u64 > self.buffer.size() {
             *self = Self::new(context, self.label, rows)?;
             return Ok(());

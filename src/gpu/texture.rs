@@ -9,7 +9,7 @@ const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R16Float;
 const TEXEL: u32 = 2;
 
 /// Alignment of the rows of a buffer that is copied to a texture, bytes.
-pub const ROW_ALIGNMENT: u32 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT;
+pub(crate) const ROW_ALIGNMENT: u32 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT;
 
 /// A 3D texture of half floats and a linear sampler, clamped at the edge.
 #[derive(Debug)]
@@ -20,7 +20,7 @@ pub struct FilteredTexture {
 }
 
 /// Distance between the rows of half floats in a buffer that is copied to a texture, bytes.
-pub fn row_bytes(width: u32) -> u32 {
+pub(crate) fn row_bytes(width: u32) -> u32 {
     (width * TEXEL).next_multiple_of(ROW_ALIGNMENT)
 }
 

@@ -9,7 +9,7 @@
 //! The article does not discuss scaled volumes. Here the sample is scaled by the mean stretch, the cube root of the
 //! determinant.
 
-use super::{Placed, Thing};
+use super::{Geometry, Placed};
 use crate::error::Error;
 use crate::grid::Grid;
 use crate::memory::allocate_samples;
@@ -34,9 +34,9 @@ pub fn merge_as_article(grid: &Grid, placed: &[Placed<'_>], progress: &Progress)
 }
 
 fn value_at(placed: &Placed<'_>, p: DVec3) -> f64 {
-    match &placed.thing {
-        Thing::Quadric(local) => local.distance_bound(p),
-        Thing::Volume { field, .. } => {
+    match &placed.geometry {
+        Geometry::Quadric(local) => local.distance_bound(p),
+        Geometry::Volume { field, .. } => {
             let p_local = placed.local_from_world.transform_point3(p);
             let nearest = p_local.clamp(field.grid().lower, field.grid().upper);
             let to_box = placed.world_from_local.transform_vector3(p_local - nearest).length();

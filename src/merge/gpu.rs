@@ -15,7 +15,7 @@
 //! of each volume are uploaded once and must fit one binding. Owners are read back by slabs of planes that fit a
 //! binding.
 
-use super::{Merged, Merger, Placed, Thing};
+use super::{Geometry, Merged, Merger, Placed};
 use crate::bvh::boxes::BoxTree;
 use crate::error::Error;
 use crate::gpu::Context;
@@ -208,7 +208,7 @@ impl<'a> KernelTables<'a> {
             upper: bounds[1].as_vec3().to_array(),
             ..MergeField::default()
         };
-        let Thing::Volume { field, inner } = placed.thing else { return unknown };
+        let Geometry::Volume { field, inner } = placed.geometry else { return unknown };
         if placed.is_cut {
             return unknown;
         }

@@ -23,11 +23,11 @@
 
 mod article;
 mod gpu;
-pub mod placed;
+pub(crate) mod placed;
 
 pub use article::merge_as_article;
 pub use gpu::merge_on_device;
-pub use placed::{Placed, Thing};
+pub use placed::{Geometry, Placed};
 
 use crate::bvh::boxes::{BoxTree, DISTANCE_SLACK};
 use crate::error::{ArgumentError, Error};
@@ -46,6 +46,7 @@ const BLOCK_SAMPLES: usize = BLOCK * BLOCK * BLOCK;
 /// A merged field, x fastest.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Merged {
+    /// Lower bounds on the distance, world units, x fastest.
     pub distances: Vec<f32>,
     /// Index of the field that gave each distance.
     pub owners: Vec<u32>,

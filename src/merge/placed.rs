@@ -40,9 +40,14 @@ use glam::{DAffine3, DMat3, DVec3};
 
 /// The geometry of a placed field.
 #[derive(Debug, Clone, Copy)]
-pub enum Thing<'a> {
-    /// A stored field; its surface lies in the box `inner`.
-    Volume { field: FieldView<'a>, inner: [DVec3; 2] },
+pub enum Geometry<'a> {
+    /// A stored field.
+    Volume {
+        /// The field.
+        field: FieldView<'a>,
+        /// A box that contains its surface.
+        inner: [DVec3; 2],
+    },
     /// A quadric in world space; it is not transformed.
     Quadric(Local),
 }
@@ -50,10 +55,15 @@ pub enum Thing<'a> {
 /// Geometry and its transform.
 #[derive(Debug, Clone)]
 pub struct Placed<'a> {
-    pub thing: Thing<'a>,
+    /// The object.
+    pub geometry: Geometry<'a>,
+    /// Transform of the object.
     pub world_from_local: DAffine3,
+    /// Inverse of the transform.
     pub local_from_world: DAffine3,
+    /// Smallest stretch of the transform.
     pub sigma_min: f64,
+    /// Largest stretch of the transform.
     pub sigma_max: f64,
     /// Box around the surface, world axes.
     pub bounds: [DVec3; 2],
@@ -62,6 +72,7 @@ pub struct Placed<'a> {
 }
 
 impl<'a> Placed<'a> {
+    /// Places a stored field. Fails if the transform cannot be inverted.
     pub fn volume(field: FieldView<'a>, inner: [DVec3; 2], world_from_local: DAffine3) -> Result<Self, Error> {
         let [sigma_min, sigma_max] = stretch(world_from_local.matrix3);
         let local_from_world = world_from_local.inverse();
@@ -73,13 +84,14 @@ impl<'a> Placed<'a> {
         let is_cut = inner[0].cmplt(grid.lower + half).any() || inner[1].cmpgt(grid.upper - half).any();
         let solid = if is_cut { [grid.lower, grid.upper] } else { inner };
         let bounds = transformed_box(solid, &world_from_local);
-        let thing = Thing::Volume { field, inner };
-        Ok(Self { thing, world_from_local, local_from_world, sigma_min, sigma_max, bounds, is_cut })
+        let geometry = Geometry::Volume { field, inner };
+        Ok(Self { geometry, world_from_local, local_from_world, sigma_min, sigma_max, bounds, is_cut })
     }
 
+    /// Places a quadric.
     pub fn quadric(local: Local) -> Self {
         Self {
-            thing: Thing::Quadric(local),
+            geometry: Geometry::Quadric(local),
             world_from_local: DAffine3::IDENTITY,
             local_from_world: DAffine3::IDENTITY,
             sigma_min: 1.0,
@@ -102,9 +114,9 @@ impl<'a> Placed<'a> {
         if to_bounds > 0.0 && to_bounds >= best {
             return to_bounds;
         }
-        match &self.thing {
-            Thing::Quadric(local) => local.distance_bound(p).max(to_bounds),
-            Thing::Volume { field, inner } => {
+        match &self.geometry {
+            Geometry::Quadric(local) => local.distance_bound(p).max(to_bounds),
+            Geometry::Volume { field, inner } => {
                 let p_local = self.local_from_world.transform_point3(p);
                 if !self.is_cut {
                     let by_box = self.sigma_min * distance_to_box(p_local, *inner);
@@ -146,7 +158,7 @@ fn distance_to_box(p: DVec3, [lower, upper]: [DVec3; 2]) -> f64 {
 }
 
 /// Box around a transformed box.
-pub fn transformed_box([lower, upper]: [DVec3; 2], transform: &DAffine3) -> [DVec3; 2] {
+pub(crate) fn transformed_box([lower, upper]: [DVec3; 2], transform: &DAffine3) -> [DVec3; 2] {
     let center = transform.transform_point3(0.5 * (lower + upper));
     let half = 0.5 * (upper - lower);
     let m = transform.matrix3;

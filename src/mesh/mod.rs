@@ -12,10 +12,10 @@
 //! Unused vertices that are not finite, and degenerate faces (a repeated corner, or zero area), are dropped and
 //! counted. A degenerate face still belongs to [`topology`], where it closes the surface around it.
 
-pub mod derived;
+pub(crate) mod derived;
 #[cfg(test)]
 pub(crate) mod random;
-pub mod topology;
+pub(crate) mod topology;
 
 use crate::error::MeshError;
 use crate::geometry::triangle_cross;
@@ -148,6 +148,7 @@ impl Mesh {
         self.scale
     }
 
+    /// Local coordinates of a world position.
     #[inline]
     pub fn local_from_world(&self, p_world: DVec3) -> DVec3 {
         (p_world - self.center) * self.inverse_scale
@@ -158,6 +159,7 @@ impl Mesh {
         self.local_from_world(p_world).abs().cmplt(DVec3::splat(MAX_REACH)).all()
     }
 
+    /// World position of local coordinates.
     pub fn world_from_local(&self, p: DVec3) -> DVec3 {
         self.center + p * self.scale
     }
@@ -172,6 +174,7 @@ impl Mesh {
         &self.positions
     }
 
+    /// Vertices of each face.
     #[inline]
     pub fn faces(&self) -> &[[u32; 3]] {
         &self.faces

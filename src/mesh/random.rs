@@ -3,7 +3,7 @@
 use super::Mesh;
 
 /// Numbers from 0 to 1 of a small linear congruential generator, whose quality is sufficient for tests.
-pub fn uniform(seed: u64) -> impl FnMut() -> f64 {
+pub(crate) fn uniform(seed: u64) -> impl FnMut() -> f64 {
     let mut state = seed | 1;
     move || {
         state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
@@ -12,7 +12,7 @@ pub fn uniform(seed: u64) -> impl FnMut() -> f64 {
 }
 
 /// A soup of `count` triangles of about `size`, most of them within the cube from -1/2 to 1/2.
-pub fn soup(count: usize, size: f64, seed: u64) -> Mesh {
+pub(crate) fn soup(count: usize, size: f64, seed: u64) -> Mesh {
     let mut uniform = uniform(seed);
     let mut next = || uniform() - 0.5;
     let vertices: Vec<[f64; 3]> = (0..count)

@@ -155,7 +155,7 @@ impl Topology {
 }
 
 /// Factor of a face's area vector.
-pub fn direction(orientation: Orientation) -> f64 {
+pub(crate) fn direction(orientation: Orientation) -> f64 {
     match orientation {
         Orientation::Kept => 1.0,
         Orientation::Flipped => -1.0,

@@ -37,7 +37,7 @@ const VACANT: u32 = u32::MAX;
 /// Plans blocks (n, 10) for fields of the shapes (n, 3), beside the occupied blocks.
 #[pyfunction]
 #[pyo3(signature = (shapes, taken, *, layout, page_size, gutter, encoding))]
-pub fn atlas_plan<'py>(
+pub(super) fn atlas_plan<'py>(
     py: Python<'py>,
     shapes: PyReadonlyArray2<'py, u32>,
     taken: Blocks<'py>,
@@ -62,14 +62,14 @@ fn align(encoding: Encoding) -> u32 {
 
 /// Whether each block is safe to read.
 #[pyfunction]
-pub fn atlas_sound(blocks: Blocks<'_>, page_size: u32, pages: u32) -> PyResult<Vec<bool>> {
+pub(super) fn atlas_sound(blocks: Blocks<'_>, page_size: u32, pages: u32) -> PyResult<Vec<bool>> {
     Ok(self::blocks(&blocks)?.iter().map(|block| block.page == VACANT || block.is_sound(page_size, pages)).collect())
 }
 
 /// Fills the blocks of fields.
 #[pyfunction]
 #[pyo3(signature = (pages, blocks, volumes, scales, *, encoding, progress=None))]
-pub fn atlas_write<'py>(
+pub(super) fn atlas_write<'py>(
     py: Python<'py>,
     mut pages: PyReadwriteArray3<'py, u8>,
     blocks: Blocks<'py>,
@@ -124,7 +124,7 @@ impl DevicePages {
 
 /// A field that a device can read, or one to upload.
 #[derive(FromPyObject)]
-pub enum Source<'py> {
+pub(super) enum Source<'py> {
     Device(PyRef<'py, DeviceField>),
     Host(PyReadonlyArray3<'py, f32>),
 }
@@ -132,7 +132,7 @@ pub enum Source<'py> {
 /// Fills new pages on a device; `None` if `device` is the CPU.
 #[pyfunction]
 #[pyo3(signature = (blocks, volumes, scales, *, page_size, pages, encoding, device, progress=None))]
-pub fn atlas_pack_device<'py>(
+pub(super) fn atlas_pack_device<'py>(
     py: Python<'py>,
     blocks: Blocks<'py>,
     volumes: Vec<Source<'py>>,
@@ -177,7 +177,7 @@ pub fn atlas_pack_device<'py>(
 
 /// Sets the texels of one block to zero.
 #[pyfunction]
-pub fn atlas_clear<'py>(
+pub(super) fn atlas_clear<'py>(
     py: Python<'py>,
     mut pages: PyReadwriteArray3<'py, u8>,
     block: Blocks<'py>,
@@ -193,7 +193,7 @@ pub fn atlas_clear<'py>(
 
 /// Reads the distances (nx, ny, nz) of one block.
 #[pyfunction]
-pub fn atlas_read<'py>(
+pub(super) fn atlas_read<'py>(
     py: Python<'py>,
     pages: PyReadonlyArray3<'py, u8>,
     block: Blocks<'py>,
@@ -211,7 +211,7 @@ pub fn atlas_read<'py>(
 /// Evaluates the field of one block at points (n, 3) of its own space.
 #[pyfunction]
 #[pyo3(signature = (pages, block, encoding, scale, lower, upper, inner_lower, inner_upper, points, *, filter="linear"))]
-pub fn atlas_sample<'py>(
+pub(super) fn atlas_sample<'py>(
     py: Python<'py>,
     pages: PyReadonlyArray3<'py, u8>,
     block: Blocks<'py>,
@@ -240,7 +240,7 @@ pub fn atlas_sample<'py>(
 
 /// Texture coordinates (n, 2) of points (n, 3) on the page.
 #[pyfunction]
-pub fn atlas_texture_coordinates<'py>(
+pub(super) fn atlas_texture_coordinates<'py>(
     py: Python<'py>,
     block: Blocks<'py>,
     page_size: u32,
@@ -257,7 +257,7 @@ pub fn atlas_texture_coordinates<'py>(
 /// The records of all blocks as bytes. `boxes` (n, 12): lower and upper inner corner, lower and upper outer corner.
 /// `models` (n, 16): world from field, row by row. The `scales` of float32 are not written.
 #[pyfunction]
-pub fn atlas_entries<'py>(
+pub(super) fn atlas_entries<'py>(
     py: Python<'py>,
     blocks: Blocks<'py>,
     boxes: Vec<[f64; 12]>,
@@ -296,7 +296,7 @@ pub fn atlas_entries<'py>(
 
 /// The sampling functions of an atlas as text; `unsigned` texels are those of a .png.
 #[pyfunction]
-pub fn atlas_shader(
+pub(super) fn atlas_shader(
     language: &str,
     layout: &str,
     page_size: u32,
@@ -314,7 +314,7 @@ pub fn atlas_shader(
 
 /// Raises an error if the machine does not have this number of bytes free.
 #[pyfunction]
-pub fn require_memory(what: &str, needed: u64, advice: &str) -> PyResult<()> {
+pub(super) fn require_memory(what: &str, needed: u64, advice: &str) -> PyResult<()> {
     Ok(memory::require_for(what, needed, 0, advice).map_err(Failure::from)?)
 }
 

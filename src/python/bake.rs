@@ -19,7 +19,7 @@ use pyo3::types::PyDict;
 /// Bakes a mesh: distances (nx, ny, nz), or a `DeviceField` on a graphics device, and the report.
 #[pyfunction]
 #[pyo3(signature = (mesh, lower, upper, shape, *, sign="auto", band=None, thickness=None, device="auto", progress=None))]
-pub fn bake<'py>(
+pub(super) fn bake<'py>(
     py: Python<'py>,
     mesh: &Mesh,
     lower: [f64; 3],
@@ -52,7 +52,7 @@ pub fn bake<'py>(
 #[pyo3(signature = (
     mesh, before, distances, undecided, lower, upper, *, sign="auto", band=None, thickness=None, progress=None
 ))]
-pub fn bake_update<'py>(
+pub(super) fn bake_update<'py>(
     py: Python<'py>,
     mesh: &Mesh,
     before: &Mesh,
@@ -78,7 +78,7 @@ pub fn bake_update<'py>(
 /// Samples `low..low + size` of the bake on the CPU of a grid, (sx, sy, sz); distances beyond the band are cut to it.
 #[pyfunction]
 #[pyo3(signature = (mesh, lower, upper, shape, low, size, *, sign="auto", band=None))]
-pub fn bake_window<'py>(
+pub(super) fn bake_window<'py>(
     py: Python<'py>,
     mesh: &Mesh,
     lower: [f64; 3],
@@ -103,7 +103,7 @@ pub fn bake_window<'py>(
 #[pyfunction]
 #[pyo3(signature = (mesh, centers, radii, *, sign="auto"))]
 #[expect(clippy::type_complexity, reason = "two arrays are what Python unpacks")]
-pub fn sides_of_balls<'py>(
+pub(super) fn sides_of_balls<'py>(
     py: Python<'py>,
     mesh: &Mesh,
     centers: PyReadonlyArray2<'py, f64>,
@@ -125,7 +125,7 @@ pub fn sides_of_balls<'py>(
 
 /// Bakes a mesh as the articles do, every sample against every triangle, on a graphics device: distances (nx, ny, nz).
 #[pyfunction]
-pub fn bake_brute<'py>(
+pub(super) fn bake_brute<'py>(
     py: Python<'py>,
     mesh: &Mesh,
     lower: [f64; 3],
@@ -149,7 +149,7 @@ pub fn bake_brute<'py>(
     volume_array(py, baked.distances, shape)
 }
 
-pub fn report_dict<'py>(py: Python<'py>, report: &Report) -> PyResult<Bound<'py, PyDict>> {
+pub(super) fn report_dict<'py>(py: Python<'py>, report: &Report) -> PyResult<Bound<'py, PyDict>> {
     let facts = PyDict::new(py);
     facts.set_item("sign_method", report.sign_method)?;
     facts.set_item("sign_reason", &report.sign_reason)?;

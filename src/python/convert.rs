@@ -12,7 +12,7 @@ use numpy::{
 use pyo3::prelude::*;
 
 /// The rows of an (n, 3) array, without a copy.
-pub fn rows<'a, T: numpy::Element>(array: &'a PyReadonlyArray2<'_, T>, name: &str) -> PyResult<&'a [[T; 3]]> {
+pub(super) fn rows<'a, T: numpy::Element>(array: &'a PyReadonlyArray2<'_, T>, name: &str) -> PyResult<&'a [[T; 3]]> {
     let flat = array.as_slice().ok().filter(|_| array.as_array().ncols() == 3).ok_or_else(|| {
         exception(array.py(), "ArgumentError", format!("{name}: must be a C-contiguous (n, 3) array"))
     })?;
@@ -20,7 +20,7 @@ pub fn rows<'a, T: numpy::Element>(array: &'a PyReadonlyArray2<'_, T>, name: &st
 }
 
 /// A volume of shape (nx, ny, nz) with x fastest, as a view of the buffer that Rust allocated.
-pub fn volume_array<'py>(
+pub(super) fn volume_array<'py>(
     py: Python<'py>,
     samples: Vec<f32>,
     [nx, ny, nz]: [usize; 3],
@@ -30,13 +30,13 @@ pub fn volume_array<'py>(
 }
 
 /// Converts an (n, 3) array of points for the core.
-pub fn points(array: &Bound<'_, PyAny>) -> PyResult<Vec<DVec3>> {
+pub(super) fn points(array: &Bound<'_, PyAny>) -> PyResult<Vec<DVec3>> {
     let array: PyReadonlyArray2<'_, f64> = array.extract()?;
     Ok(rows(&array, "points")?.iter().copied().map(DVec3::from_array).collect())
 }
 
 /// An (n, 3) array from rows.
-pub fn row_array<'py, T: numpy::Element>(
+pub(super) fn row_array<'py, T: numpy::Element>(
     py: Python<'py>,
     rows: impl ExactSizeIterator<Item = [T; 3]>,
 ) -> PyResult<Bound<'py, PyArray2<T>>> {
@@ -46,13 +46,13 @@ pub fn row_array<'py, T: numpy::Element>(
 }
 
 /// An (n, 3) array that owns the buffer of its rows.
-pub fn owned_rows<T: numpy::Element>(py: Python<'_>, rows: Vec<[T; 3]>) -> PyResult<Bound<'_, PyArray2<T>>> {
+pub(super) fn owned_rows<T: numpy::Element>(py: Python<'_>, rows: Vec<[T; 3]>) -> PyResult<Bound<'_, PyArray2<T>>> {
     let count = rows.len();
     rows.into_flattened().into_pyarray(py).reshape([count, 3])
 }
 
 /// An image from its pixels, row 0 on top.
-pub fn image_array<'py, T: numpy::Element>(
+pub(super) fn image_array<'py, T: numpy::Element>(
     py: Python<'py>,
     pixels: Vec<T>,
     shape: &[usize],
@@ -61,7 +61,7 @@ pub fn image_array<'py, T: numpy::Element>(
 }
 
 /// A box divided into voxels.
-pub fn grid(lower: [f64; 3], upper: [f64; 3], shape: [usize; 3]) -> PyResult<Grid> {
+pub(super) fn grid(lower: [f64; 3], upper: [f64; 3], shape: [usize; 3]) -> PyResult<Grid> {
     Ok(Grid::new(DVec3::from_array(lower), DVec3::from_array(upper), shape).map_err(Failure::from)?)
 }
 
@@ -77,21 +77,21 @@ pub fn samples<'a, T: numpy::Element>(array: &'a PyReadonlyArray3<'_, T>) -> PyR
 }
 
 /// A stored field from Python: (nx, ny, nz) with x fastest, and its box.
-pub struct Field<'a, T = f32> {
+pub(super) struct Field<'a, T = f32> {
     grid: Grid,
     samples: &'a [T],
     scale: f32,
 }
 
 impl<'a> Field<'a> {
-    pub fn new(distances: &'a PyReadonlyArray3<'_, f32>, lower: [f64; 3], upper: [f64; 3]) -> PyResult<Self> {
+    pub(super) fn new(distances: &'a PyReadonlyArray3<'_, f32>, lower: [f64; 3], upper: [f64; 3]) -> PyResult<Self> {
         Self::encoded(distances, lower, upper, 1.0)
     }
 }
 
 impl<'a, T: Texel + numpy::Element> Field<'a, T> {
     /// Samples in any encoding.
-    pub fn encoded(
+    pub(super) fn encoded(
         distances: &'a PyReadonlyArray3<'_, T>,
         lower: [f64; 3],
         upper: [f64; 3],
@@ -101,16 +101,16 @@ impl<'a, T: Texel + numpy::Element> Field<'a, T> {
         Ok(Self { grid: grid(lower, upper, shape)?, samples, scale })
     }
 
-    pub fn grid(&self) -> Grid {
+    pub(super) fn grid(&self) -> Grid {
         self.grid
     }
 
     /// Samples, x fastest.
-    pub fn samples(&self) -> &'a [T] {
+    pub(super) fn samples(&self) -> &'a [T] {
         self.samples
     }
 
-    pub fn view(&self) -> Result<FieldView<'a, T>, Error> {
+    pub(super) fn view(&self) -> Result<FieldView<'a, T>, Error> {
         FieldView::encoded(self.grid, self.samples, self.scale)
     }
 }

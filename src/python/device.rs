@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
 /// The available devices, the CPU first.
 #[pyfunction]
-pub fn devices(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
+pub(super) fn devices(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
     let found = py.detach(gpu::devices);
     found
         .into_iter()
@@ -34,7 +34,7 @@ pub fn devices(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
 }
 
 /// The device of a call with this `device=`. Warns once per process if "gpu" is a software adapter.
-pub fn choose(py: Python<'_>, device: &str) -> PyResult<Place> {
+pub(super) fn choose(py: Python<'_>, device: &str) -> PyResult<Place> {
     static WARNED: AtomicBool = AtomicBool::new(false);
     let place = py.detach(|| gpu::choose(device)).map_err(Failure::from)?;
     if let Some(warning) = place.warning(device)

@@ -42,7 +42,7 @@ fn raise(py: Python<'_>, error: &Error) -> PyErr {
 }
 
 /// An exception of `fieldbake.base.errors` by name; the import error itself if the package is broken.
-pub fn exception(py: Python<'_>, class: &str, message: String) -> PyErr {
+pub(super) fn exception(py: Python<'_>, class: &str, message: String) -> PyErr {
     let found = py.import("fieldbake.base.errors").and_then(|module| module.getattr(class));
     match found.and_then(|class| Ok(class.cast_into::<PyType>()?)) {
         Ok(class) => PyErr::from_type(class, message),

@@ -30,7 +30,7 @@ type MergeArrays<'py> = (Bound<'py, PyArray3<f32>>, Option<Bound<'py, PyArray1<u
     volumes, instances, transforms, quadrics, lower, upper, shape, *, method="bound", previous=None, device="auto",
     progress=None
 ))]
-pub fn merge<'py>(
+pub(super) fn merge<'py>(
     py: Python<'py>,
     volumes: Vec<VolumeRow<'py>>,
     instances: Vec<usize>,

@@ -10,7 +10,7 @@ use pyo3::types::PyBytes;
 
 /// An OpenEXR file of one channel; `texels` (height, width, bytes).
 #[pyfunction]
-pub fn exr_write<'py>(
+pub(super) fn exr_write<'py>(
     py: Python<'py>,
     texels: PyReadonlyArray1<'py, u8>,
     width: usize,
@@ -25,7 +25,7 @@ pub fn exr_write<'py>(
 
 /// The texels of an OpenEXR file of one channel and of this size.
 #[pyfunction]
-pub fn exr_read<'py>(
+pub(super) fn exr_read<'py>(
     py: Python<'py>,
     bytes: &[u8],
     width: usize,

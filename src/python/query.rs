@@ -15,12 +15,12 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 /// Largest number of points that the calling thread processes itself, since waking a worker takes longer.
-pub const FEW: usize = 64;
+pub(super) const FEW: usize = 64;
 
 /// Signed distance at points (n, 3).
 #[pyfunction]
 #[pyo3(signature = (mesh, points, *, sign="auto", device="auto", progress=None))]
-pub fn signed_distance<'py>(
+pub(super) fn signed_distance<'py>(
     py: Python<'py>,
     mesh: &Mesh,
     points: PyReadonlyArray2<'py, f64>,
@@ -43,7 +43,7 @@ pub fn signed_distance<'py>(
 #[pyfunction]
 #[pyo3(signature = (mesh, points, *, device="auto", progress=None))]
 #[expect(clippy::type_complexity, reason = "a tuple of arrays is what Python unpacks")]
-pub fn closest_point<'py>(
+pub(super) fn closest_point<'py>(
     py: Python<'py>,
     mesh: &Mesh,
     points: PyReadonlyArray2<'py, f64>,
@@ -76,7 +76,7 @@ pub fn closest_point<'py>(
 #[pyfunction]
 #[pyo3(signature = (mesh, points, *, sign="auto", device="auto", progress=None))]
 #[expect(clippy::type_complexity, reason = "a tuple of arrays is what Python unpacks")]
-pub fn query<'py>(
+pub(super) fn query<'py>(
     py: Python<'py>,
     mesh: &Mesh,
     points: PyReadonlyArray2<'py, f64>,
@@ -110,14 +110,14 @@ pub fn query<'py>(
 }
 
 /// Whether the calling thread processes the query: few points, on the CPU, and the mesh has the structures it needs.
-pub fn is_short(mesh: &crate::mesh::Mesh, points: usize, place: &Place) -> bool {
+pub(super) fn is_short(mesh: &crate::mesh::Mesh, points: usize, place: &Place) -> bool {
     points <= FEW && matches!(place, Place::Cpu) && mesh.is_prepared()
 }
 
 /// Whether each point (n, 3) is inside, (n,).
 #[pyfunction]
 #[pyo3(signature = (mesh, points, *, sign="auto", progress=None))]
-pub fn contains<'py>(
+pub(super) fn contains<'py>(
     py: Python<'py>,
     mesh: &Mesh,
     points: PyReadonlyArray2<'py, f64>,
@@ -137,7 +137,7 @@ pub fn contains<'py>(
 /// Signed winding number of the faces as they are wound at points (n, 3), (n,).
 #[pyfunction]
 #[pyo3(signature = (mesh, points, *, error=1e-6, progress=None))]
-pub fn winding_number<'py>(
+pub(super) fn winding_number<'py>(
     py: Python<'py>,
     mesh: &Mesh,
     points: PyReadonlyArray2<'py, f64>,
@@ -156,7 +156,7 @@ pub fn winding_number<'py>(
 /// Diameter of the largest inscribed ball that touches each point (n, 3), (n,).
 #[pyfunction]
 #[pyo3(signature = (mesh, points, normals=None, *, progress=None))]
-pub fn thickness<'py>(
+pub(super) fn thickness<'py>(
     py: Python<'py>,
     mesh: &Mesh,
     points: PyReadonlyArray2<'py, f64>,
@@ -175,7 +175,7 @@ pub fn thickness<'py>(
 #[pyfunction]
 #[pyo3(signature = (mesh, count, *, seed=0, progress=None))]
 #[expect(clippy::type_complexity, reason = "a tuple of arrays is what Python unpacks")]
-pub fn sample_surface<'py>(
+pub(super) fn sample_surface<'py>(
     py: Python<'py>,
     mesh: &Mesh,
     count: usize,

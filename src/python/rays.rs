@@ -30,7 +30,7 @@ fn with_rays<T: Send>(
 #[pyfunction]
 #[pyo3(signature = (mesh, origins, directions, *, t_min=0.0, t_max=f64::INFINITY, progress=None))]
 #[expect(clippy::type_complexity, reason = "a tuple of arrays is what Python unpacks")]
-pub fn cast_rays<'py>(
+pub(super) fn cast_rays<'py>(
     py: Python<'py>,
     mesh: &Mesh,
     origins: PyReadonlyArray2<'py, f64>,
@@ -56,7 +56,7 @@ pub fn cast_rays<'py>(
 /// Whether each ray hits anything, (n,).
 #[pyfunction]
 #[pyo3(signature = (mesh, origins, directions, *, t_min=0.0, t_max=f64::INFINITY, progress=None))]
-pub fn occluded<'py>(
+pub(super) fn occluded<'py>(
     py: Python<'py>,
     mesh: &Mesh,
     origins: PyReadonlyArray2<'py, f64>,
@@ -72,7 +72,7 @@ pub fn occluded<'py>(
 /// Number of intersections of each ray, (n,).
 #[pyfunction]
 #[pyo3(signature = (mesh, origins, directions, *, t_min=0.0, t_max=f64::INFINITY, progress=None))]
-pub fn count_intersections<'py>(
+pub(super) fn count_intersections<'py>(
     py: Python<'py>,
     mesh: &Mesh,
     origins: PyReadonlyArray2<'py, f64>,
@@ -89,7 +89,7 @@ pub fn count_intersections<'py>(
 #[pyfunction]
 #[pyo3(signature = (mesh, origins, directions, *, t_min=0.0, t_max=f64::INFINITY, progress=None))]
 #[expect(clippy::type_complexity, reason = "a tuple of arrays is what Python unpacks")]
-pub fn all_intersections<'py>(
+pub(super) fn all_intersections<'py>(
     py: Python<'py>,
     mesh: &Mesh,
     origins: PyReadonlyArray2<'py, f64>,

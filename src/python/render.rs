@@ -19,7 +19,7 @@ use std::time::Instant;
 /// Draws the zero level set of a field.
 #[pyfunction]
 #[pyo3(signature = (distances, lower, upper, picture, *, filter="linear", scale=1.0, device="auto", progress=None))]
-pub fn raymarch<'py>(
+pub(super) fn raymarch<'py>(
     py: Python<'py>,
     distances: &Bound<'py, PyAny>,
     lower: [f64; 3],
@@ -57,7 +57,7 @@ type NestedLevel<'py> = (PyReadonlyArray3<'py, f32>, [f64; 3], [f64; 3]);
 /// Draws nested fields, finest first, on a graphics device; `None` if `device` is the CPU.
 #[pyfunction]
 #[pyo3(signature = (levels, picture, *, device="auto", progress=None))]
-pub fn raymarch_nested<'py>(
+pub(super) fn raymarch_nested<'py>(
     py: Python<'py>,
     levels: Vec<NestedLevel<'py>>,
     picture: PictureArguments<'py>,
@@ -82,7 +82,7 @@ pub fn raymarch_nested<'py>(
 /// The arguments of a picture: a mapping, described in `_core.pyi`. The Python layer defines every default.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
-pub struct PictureArguments<'py> {
+pub(super) struct PictureArguments<'py> {
     pose: PyReadonlyArray2<'py, f64>,
     fov_deg: f64,
     size: [u32; 2],
@@ -97,7 +97,7 @@ pub struct PictureArguments<'py> {
 }
 
 impl PictureArguments<'_> {
-    pub fn read(&self) -> PyResult<(Camera, RaymarchOptions)> {
+    pub(super) fn read(&self) -> PyResult<(Camera, RaymarchOptions)> {
         let camera = Camera::from_pose(&pose_matrix(&self.pose)?, self.fov_deg).map_err(Failure::from)?;
         let options = RaymarchOptions {
             size: self.size,
@@ -114,7 +114,7 @@ impl PictureArguments<'_> {
     }
 }
 
-pub fn pose_matrix(pose: &PyReadonlyArray2<'_, f64>) -> PyResult<[[f64; 4]; 4]> {
+pub(super) fn pose_matrix(pose: &PyReadonlyArray2<'_, f64>) -> PyResult<[[f64; 4]; 4]> {
     let pose_array = pose.as_array();
     if pose_array.shape() != [4, 4] {
         let message = format!("pose: must be a (4, 4) matrix, got shape {:?}", pose_array.shape());
@@ -142,7 +142,12 @@ fn lights(
 }
 
 /// The arrays of a frame, its device and its duration.
-pub fn images_of<'py>(py: Python<'py>, frame: Frame, place: &Place, start: Instant) -> PyResult<Bound<'py, PyDict>> {
+pub(super) fn images_of<'py>(
+    py: Python<'py>,
+    frame: Frame,
+    place: &Place,
+    start: Instant,
+) -> PyResult<Bound<'py, PyDict>> {
     let seconds = start.elapsed().as_secs_f64();
     let images = frame_dict(py, frame)?;
     images.set_item("device", place.label())?;
@@ -150,7 +155,7 @@ pub fn images_of<'py>(py: Python<'py>, frame: Frame, place: &Place, start: Insta
     Ok(images)
 }
 
-pub fn frame_dict<'py>(py: Python<'py>, frame: Frame) -> PyResult<Bound<'py, PyDict>> {
+pub(super) fn frame_dict<'py>(py: Python<'py>, frame: Frame) -> PyResult<Bound<'py, PyDict>> {
     let (height, width) = (frame.height, frame.width);
     let images = PyDict::new(py);
     images.set_item("color", image_array(py, frame.color, &[height, width, 4])?)?;

@@ -16,7 +16,7 @@ const POLL: Duration = Duration::from_millis(50);
 
 /// Runs `job` on the worker threads. Meanwhile this thread waits, handles signals and calls `callback` with the
 /// finished fraction. An exception in either cancels the job and is raised once the job has stopped.
-pub fn run<T: Send>(
+pub(super) fn run<T: Send>(
     py: Python<'_>,
     callback: Option<&Bound<'_, PyAny>>,
     job: impl FnOnce(&Progress) -> Result<T, Error> + Send,
@@ -60,13 +60,13 @@ pub fn run<T: Send>(
 }
 
 /// Runs a short `job` on this thread, without the GIL. It neither uses the worker threads nor waits for one to wake up.
-pub fn run_short<T: Send>(py: Python<'_>, job: impl FnOnce() -> Result<T, Error> + Send) -> Result<T, Failure> {
+pub(super) fn run_short<T: Send>(py: Python<'_>, job: impl FnOnce() -> Result<T, Error> + Send) -> Result<T, Failure> {
     let outcome = py.detach(|| catch_unwind(AssertUnwindSafe(job)));
     Ok(outcome.map_err(|panic| internal_error(py, &*panic))??)
 }
 
 /// [`run`], or [`run_short`] for a job that `is_short`.
-pub fn run_sized<T: Send>(
+pub(super) fn run_sized<T: Send>(
     py: Python<'_>,
     callback: Option<&Bound<'_, PyAny>>,
     is_short: bool,
@@ -125,6 +125,6 @@ static THREADS: AtomicUsize = AtomicUsize::new(0);
 
 /// Limits the worker threads of later jobs.
 #[pyfunction]
-pub fn set_threads(count: usize) {
+pub(super) fn set_threads(count: usize) {
     THREADS.store(count, Ordering::Relaxed);
 }

@@ -234,7 +234,7 @@ fn brick_array<'py, T: numpy::Element + Copy>(py: Python<'py>, texels: &[T]) -> 
 #[pyo3(signature = (
     mesh, lower, upper, shape, *, sign="auto", thickness=None, band, tolerance=None, encoding="float32", progress=None
 ))]
-pub fn bake_sparse<'py>(
+pub(super) fn bake_sparse<'py>(
     py: Python<'py>,
     mesh: &Mesh,
     lower: [f64; 3],
@@ -276,7 +276,7 @@ pub fn bake_sparse<'py>(
     distances, lower, upper, inner_lower, inner_upper, *, band, tolerance=None, encoding="float32", scale=1.0,
     progress=None
 ))]
-pub fn to_sparse<'py>(
+pub(super) fn to_sparse<'py>(
     py: Python<'py>,
     distances: &Bound<'py, PyAny>,
     lower: [f64; 3],
@@ -309,20 +309,20 @@ pub fn to_sparse<'py>(
 
 /// The scale of an encoding for a field with voxels of this longest side and a band of this width, world units.
 #[pyfunction]
-pub fn encoding_scale(encoding: &str, voxel: f64, band: f64) -> PyResult<f32> {
+pub(super) fn encoding_scale(encoding: &str, voxel: f64, band: f64) -> PyResult<f32> {
     Ok(Encoding::from_name(encoding).map_err(Failure::from)?.scale(voxel, band))
 }
 
 /// Raises an error unless the scales are valid for the encoding.
 #[pyfunction]
-pub fn check_scales(encoding: &str, scales: Vec<f32>) -> PyResult<()> {
+pub(super) fn check_scales(encoding: &str, scales: Vec<f32>) -> PyResult<()> {
     let encoding = Encoding::from_name(encoding).map_err(Failure::from)?;
     Ok(scales.into_iter().try_for_each(|scale| encoding.check_scale(scale)).map_err(Failure::from)?)
 }
 
 /// Distances (nx, ny, nz) in another encoding, rounded toward zero.
 #[pyfunction]
-pub fn encode<'py>(
+pub(super) fn encode<'py>(
     py: Python<'py>,
     distances: PyReadonlyArray3<'py, f32>,
     encoding: &str,
@@ -349,7 +349,11 @@ pub fn encode<'py>(
 
 /// Decodes the result of [`encode`].
 #[pyfunction]
-pub fn decode<'py>(py: Python<'py>, texels: &Bound<'py, PyAny>, scale: f32) -> PyResult<Bound<'py, PyArray3<f32>>> {
+pub(super) fn decode<'py>(
+    py: Python<'py>,
+    texels: &Bound<'py, PyAny>,
+    scale: f32,
+) -> PyResult<Bound<'py, PyArray3<f32>>> {
     with_texels!(texels, PyReadonlyArray3, |array| {
         let shape = std::array::from_fn(|axis| array.shape()[axis]);
         let field = Field::encoded(&array, [0.0; 3], [1.0; 3], scale)?;

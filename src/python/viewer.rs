@@ -13,7 +13,7 @@ type ShapeRow<'py> = (u32, Bound<'py, PyArray1<f32>>, [f64; 3], f64, f64);
 
 /// The fragment shader of a view, and one entry for each shape; `kinds`: whether it has dense and sparse fields, quadrics.
 #[pyfunction]
-pub fn viewer_shader<'py>(
+pub(super) fn viewer_shader<'py>(
     py: Python<'py>,
     language: &str,
     kinds: [bool; 3],

@@ -12,7 +12,7 @@ use pyo3::prelude::*;
 /// The field, an array or a `DeviceField`, at points (n, 3); a proven lower bound outside the box.
 #[pyfunction]
 #[pyo3(signature = (distances, lower, upper, inner_lower, inner_upper, points, *, filter="linear", scale=1.0))]
-pub fn sample<'py>(
+pub(super) fn sample<'py>(
     py: Python<'py>,
     distances: &Bound<'py, PyAny>,
     lower: [f64; 3],
@@ -41,7 +41,7 @@ pub fn sample<'py>(
 /// Gradient of the trilinear field at points (n, 3).
 #[pyfunction]
 #[pyo3(signature = (distances, lower, upper, points, *, scale=1.0))]
-pub fn gradient<'py>(
+pub(super) fn gradient<'py>(
     py: Python<'py>,
     distances: &Bound<'py, PyAny>,
     lower: [f64; 3],
@@ -65,7 +65,7 @@ pub fn gradient<'py>(
 /// The trilinear field on another grid over the same box.
 #[pyfunction]
 #[pyo3(signature = (distances, lower, upper, shape, *, scale=1.0))]
-pub fn resample<'py>(
+pub(super) fn resample<'py>(
     py: Python<'py>,
     distances: &Bound<'py, PyAny>,
     lower: [f64; 3],

@@ -14,7 +14,7 @@ use crate::render::{Camera, DirectionalLight, Frame, RaymarchOptions, Row};
 use glam::DVec3;
 
 /// Draws at a place. `options.color` is ignored, since each quadric has its reflectance.
-pub fn draw_at(
+pub(crate) fn draw_at(
     place: &Place,
     quadrics: &Quadrics,
     camera: &Camera,
@@ -42,7 +42,7 @@ pub(super) struct QuadricView<'a> {
 
 impl QuadricView<'_> {
     /// Fills pixel `x` of row `y`. The row is initialised to "no hit".
-    pub fn draw_pixel(&self, x: usize, y: usize, row: &mut Row<'_>) {
+    pub(super) fn draw_pixel(&self, x: usize, y: usize, row: &mut Row<'_>) {
         row.color[4 * x..][..4].copy_from_slice(&self.options.background);
         // Multiples of `direction` are depths.
         let direction = self.camera.pixel_direction(x as u32, y as u32, self.options.size);

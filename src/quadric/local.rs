@@ -141,7 +141,7 @@ fn largest(a: &DMat4) -> f64 {
 
 /// A ray that intersects the trim sphere, in its frame.
 #[derive(Debug, Clone, Copy)]
-pub struct LocalRay<'a> {
+pub(crate) struct LocalRay<'a> {
     local: &'a Local,
     /// The point of the ray nearest to the centre.
     nearest: DVec3,
@@ -155,7 +155,7 @@ pub struct LocalRay<'a> {
 }
 
 impl<'a> LocalRay<'a> {
-    pub fn new(local: &'a Local, origin: DVec3, direction: DVec3) -> Option<Self> {
+    pub(crate) fn new(local: &'a Local, origin: DVec3, direction: DVec3) -> Option<Self> {
         let length = direction.length();
         let unit = direction / length;
         let from_center = local.local_from_world(origin);
@@ -177,7 +177,7 @@ impl<'a> LocalRay<'a> {
     }
 
     /// The parameters at which the ray crosses the surface inside the trim sphere, in ascending order.
-    pub fn roots(&self) -> [Option<f64>; 2] {
+    pub(crate) fn roots(&self) -> [Option<f64>; 2] {
         let Local { m, v, .. } = self.local;
         let slope = *m * self.nearest + *v;
         let a = self.unit.dot(*m * self.unit);
@@ -198,7 +198,7 @@ impl<'a> LocalRay<'a> {
     }
 
     /// Drops the root at which the ray starts: the one nearest to the origin.
-    pub fn forget_start(&self, roots: &mut [Option<f64>; 2]) {
+    pub(crate) fn forget_start(&self, roots: &mut [Option<f64>; 2]) {
         let from_start = |root: Option<f64>| root.map_or(f64::INFINITY, |s| (s - self.start).abs());
         let own = usize::from(from_start(roots[1]) < from_start(roots[0]));
         roots[own] = None;
@@ -207,7 +207,7 @@ impl<'a> LocalRay<'a> {
     /// Length from the root at the ray's origin to the next one ahead, in multiples of the direction. Without a next
     /// root the ray leaves through the trim sphere if it `enters` the solid at the origin. Otherwise it is outside, and
     /// the length is 0.
-    pub fn chord(&self, enters: bool) -> f64 {
+    pub(crate) fn chord(&self, enters: bool) -> f64 {
         let mut roots = self.roots();
         self.forget_start(&mut roots);
         let ahead = roots.into_iter().flatten().find(|&root| root > self.start);
@@ -216,7 +216,7 @@ impl<'a> LocalRay<'a> {
     }
 
     /// A root in multiples of the ray's direction.
-    pub fn t(&self, root: f64) -> f64 {
+    pub(crate) fn t(&self, root: f64) -> f64 {
         (root - self.start) * self.t_per_s
     }
 }

@@ -23,9 +23,9 @@
 //! device, in float32 from records in a texture. Up to [`LINEAR_UP_TO`] quadrics are tried one by one, more are
 //! searched through the tree.
 
-pub mod draw;
-pub mod gpu;
-pub mod local;
+pub(crate) mod draw;
+pub(crate) mod gpu;
+pub(crate) mod local;
 
 use crate::bvh::boxes::BoxTree;
 use crate::error::{ArgumentError, Error};
@@ -47,6 +47,7 @@ pub struct Quadric {
     pub matrix: DMat4,
     /// Centre of the trim sphere.
     pub center: DVec3,
+    /// Radius of the trim sphere, world units.
     pub radius: f64,
     /// Linear RGB.
     pub reflectance: Vec3,
@@ -94,10 +95,12 @@ impl Quadrics {
         Ok(Self { records, locals, tree, places })
     }
 
+    /// Number of quadrics.
     pub fn len(&self) -> usize {
         self.records.len()
     }
 
+    /// Whether there are no quadrics.
     pub fn is_empty(&self) -> bool {
         self.records.is_empty()
     }
@@ -112,6 +115,7 @@ impl Quadrics {
         &self.locals
     }
 
+    /// The tree over the boxes of the quadrics.
     pub fn tree(&self) -> &BoxTree {
         &self.tree
     }

@@ -60,6 +60,7 @@ pub struct Query {
     pub faces: Vec<i64>,
     /// Weights of the face's corners.
     pub barycentric: Vec<[f64; 3]>,
+    /// Properties of the surface, and the cost.
     pub report: Report,
 }
 

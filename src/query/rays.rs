@@ -34,9 +34,13 @@ const SPREAD: [usize; 16] = {
 /// World-space rays: as many origins as directions, and the common range of `t` in lengths of the direction.
 #[derive(Debug, Clone, Copy)]
 pub struct Rays<'a> {
+    /// Start of each ray, world units.
     pub origins: &'a [[f64; 3]],
+    /// Direction of each ray, any length except 0.
     pub directions: &'a [[f64; 3]],
+    /// Smallest parameter of a hit, lengths of the direction.
     pub t_min: f64,
+    /// Largest parameter of a hit, lengths of the direction.
     pub t_max: f64,
 }
 
@@ -47,6 +51,7 @@ pub struct RayHits {
     pub t: Vec<f64>,
     /// -1 for a miss.
     pub faces: Vec<i64>,
+    /// Weights of the corners of the face.
     pub barycentric: Vec<[f64; 3]>,
     /// Unit normals of the faces by their own winding; zero for a miss.
     pub normals: Vec<[f64; 3]>,
@@ -55,9 +60,13 @@ pub struct RayHits {
 /// All intersections, sorted by ray and then `t`.
 #[derive(Debug, Clone, Default)]
 pub struct Intersections {
+    /// Index of the ray of each hit.
     pub rays: Vec<i64>,
+    /// Parameter of each hit, lengths of the direction.
     pub t: Vec<f64>,
+    /// Face of each hit.
     pub faces: Vec<i64>,
+    /// Weights of the corners of the face.
     pub barycentric: Vec<[f64; 3]>,
 }
 

@@ -24,7 +24,9 @@ pub struct SurfaceSamples {
     pub points: Vec<[f64; 3]>,
     /// Unit normals of the faces.
     pub normals: Vec<[f64; 3]>,
+    /// Face of each point.
     pub faces: Vec<i64>,
+    /// Weights of the corners of the face.
     pub barycentric: Vec<[f64; 3]>,
 }
 

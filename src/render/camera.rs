@@ -8,10 +8,13 @@ use glam::DVec3;
 /// Position and orientation of the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
+    /// Position, world space.
     pub eye: DVec3,
     /// The camera's axes in world space, unit length.
     pub right: DVec3,
+    /// Unit vector upwards in the picture.
     pub up: DVec3,
+    /// Unit vector against the viewing direction.
     pub back: DVec3,
     tan_half_fov: f64,
 }
@@ -72,12 +75,12 @@ impl Camera {
 
     /// The rays of a picture for a device. The ray through the centre of the picture starts at `start`, at the depth
     /// `start_depth`, both in the units of the rays.
-    pub fn rays(&self, options: &RaymarchOptions, light_count: usize, start: DVec3, start_depth: f64) -> PictureRays {
+    pub(crate) fn rays(&self, options: &RaymarchOptions, light_count: usize, start: DVec3, start_depth: f64) -> PictureRays {
         self.rays_in(DVec3::ONE, options, light_count, start, start_depth)
     }
 
     /// [`Camera::rays`] in a space with its own length of a unit along each axis.
-    pub fn rays_in(
+    pub(crate) fn rays_in(
         &self,
         units: DVec3,
         options: &RaymarchOptions,
@@ -121,7 +124,7 @@ pub(super) mod tests {
     use super::*;
 
     /// Pose of a camera at `eye` that looks at `target`, +Y up.
-    pub fn look_at(eye: DVec3, target: DVec3) -> [[f64; 4]; 4] {
+    pub(crate) fn look_at(eye: DVec3, target: DVec3) -> [[f64; 4]; 4] {
         let back = (eye - target).normalize();
         let right = DVec3::Y.cross(back).normalize();
         let up = back.cross(right);

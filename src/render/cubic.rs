@@ -12,7 +12,7 @@ use glam::Vec3;
 
 /// The polynomial `c0 + c1 s + c2 s^2 + c3 s^3`.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Cubic {
+pub(crate) struct Cubic {
     pub c0: f32,
     pub c1: f32,
     pub c2: f32,
@@ -22,7 +22,7 @@ pub struct Cubic {
 impl Cubic {
     /// The trilinear function of `corners` along `p + s direction`, where `p` is in the cell (0 to 1 along every axis).
     #[inline]
-    pub fn along_ray(corners: &[f32; 8], p: Vec3, direction: Vec3) -> Self {
+    pub(crate) fn along_ray(corners: &[f32; 8], p: Vec3, direction: Vec3) -> Self {
         // Along x: four linear functions.
         let linear = |a: f32, b: f32| [a + (b - a) * p.x, (b - a) * direction.x];
         let x00 = linear(corners[0], corners[1]);
@@ -48,23 +48,23 @@ impl Cubic {
 
     /// The cubic divided by a unit of distance.
     #[inline]
-    pub fn scaled(self, factor: f32) -> Self {
+    pub(crate) fn scaled(self, factor: f32) -> Self {
         Self { c0: self.c0 * factor, c1: self.c1 * factor, c2: self.c2 * factor, c3: self.c3 * factor }
     }
 
     #[inline]
-    pub fn value(&self, s: f32) -> f32 {
+    pub(crate) fn value(&self, s: f32) -> f32 {
         self.c0 + s * (self.c1 + s * (self.c2 + s * self.c3))
     }
 
     #[inline]
-    pub fn slope(&self, s: f32) -> f32 {
+    pub(crate) fn slope(&self, s: f32) -> f32 {
         self.c1 + s * (2.0 * self.c2 + s * 3.0 * self.c3)
     }
 
     /// The first `s` in `[0, s_end]` where the cubic is <= 0.
     #[inline]
-    pub fn first_root(&self, s_end: f32) -> Option<f32> {
+    pub(crate) fn first_root(&self, s_end: f32) -> Option<f32> {
         if self.c0 <= 0.0 {
             return Some(0.0);
         }

@@ -53,6 +53,7 @@ pub fn raymarch<F: Blocks>(
 pub enum Source<'a> {
     /// Samples on the host, x fastest.
     Host(&'a [f32]),
+    /// Samples in the memory of a device.
     Device(&'a DeviceField),
 }
 

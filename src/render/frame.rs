@@ -7,7 +7,9 @@ use rayon::prelude::*;
 /// A picture and its arrays by rows, row 0 on top.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Frame {
+    /// Number of pixels of a row.
     pub width: usize,
+    /// Number of rows.
     pub height: usize,
     /// Number of lights per pixel in `shadow`.
     pub lights: usize,

@@ -36,7 +36,7 @@ pub(super) struct MarchedField {
 
 impl MarchedField {
     /// The buffers and textures that the kernel binds besides the parameters of the picture.
-    pub fn resources(&self) -> impl Iterator<Item = (u32, wgpu::BindingResource<'_>)> {
+    pub(super) fn resources(&self) -> impl Iterator<Item = (u32, wgpu::BindingResource<'_>)> {
         let buffers = self.buffers.iter().map(|(binding, buffer)| (*binding, buffer.as_entire_binding()));
         let texture = self.texture.iter().flat_map(|texture| {
             [
@@ -48,7 +48,7 @@ impl MarchedField {
     }
 
     /// Float32 samples that are already on the device.
-    pub fn dense(field: &DeviceField, grid: &Grid, filter: Filter) -> Result<Self, Error> {
+    pub(super) fn dense(field: &DeviceField, grid: &Grid, filter: Filter) -> Result<Self, Error> {
         let context = field.context().clone();
         Ok(match filter {
             Filter::Linear => {
@@ -63,13 +63,13 @@ impl MarchedField {
     }
 
     /// Copies samples to a device in their stored encoding.
-    pub fn encoded<T: Texel>(context: &Arc<Context>, field: FieldView<'_, T>) -> Result<Self, Error> {
+    pub(super) fn encoded<T: Texel>(context: &Arc<Context>, field: FieldView<'_, T>) -> Result<Self, Error> {
         let buffers = stored(context, "a field", field.texels(), field.scale())?;
         Ok(Self { context: context.clone(), kernel: "raymarch_encoded", buffers: buffers.into(), texture: None })
     }
 
     /// Copies bricks to a device in their stored encoding.
-    pub fn sparse<T: Texel>(
+    pub(super) fn sparse<T: Texel>(
         context: &Arc<Context>,
         view: SparseView<'_, T>,
         progress: &Progress,
@@ -88,7 +88,7 @@ impl MarchedField {
     }
 
     /// Copies nested fields to a device, finest first. They are drawn on [`nested_grid`].
-    pub fn nested(context: &Arc<Context>, levels: &[FieldView<'_>], grid: &Grid) -> Result<Self, Error> {
+    pub(super) fn nested(context: &Arc<Context>, levels: &[FieldView<'_>], grid: &Grid) -> Result<Self, Error> {
         check_sides(levels.iter().flat_map(|level| level.grid().shape).sum())?;
         let voxel = grid.spacing();
         let mut first_sample = 0;

@@ -43,7 +43,7 @@ pub struct GridRay {
 
 /// A ray clipped to the box, and where it entered.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct BoxClip {
+pub(crate) struct BoxClip {
     pub ray: GridRay,
     /// Distance from the given origin to the box, in multiples of the given direction.
     pub t_enter: f64,
@@ -54,7 +54,7 @@ pub struct BoxClip {
 /// The part of a ray inside the box of `shape` voxels, in grid space; `None` if it misses.
 ///
 /// The arithmetic is f64, because an eye may be far away from a small box.
-pub fn clip_to_box(origin: DVec3, direction: DVec3, shape: DVec3) -> Option<BoxClip> {
+pub(crate) fn clip_to_box(origin: DVec3, direction: DVec3, shape: DVec3) -> Option<BoxClip> {
     let (mut t_enter, mut t_leave) = (0.0, f64::INFINITY);
     let mut enter_axis = None;
     for axis in 0..3 {

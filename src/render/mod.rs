@@ -15,19 +15,19 @@
 //! [`raymarch`] runs on all cores by rows, counts its progress in rows and stops when it is cancelled. Its cost is
 //! proportional to the steps in `Frame::steps`, plus about as many for each light.
 
-pub mod blocks;
-pub mod bricks;
-pub mod camera;
-pub mod cubic;
+pub(crate) mod blocks;
+pub(crate) mod bricks;
+pub(crate) mod camera;
+pub(crate) mod cubic;
 mod draw;
-pub mod empty;
-pub mod frame;
+pub(crate) mod empty;
+pub(crate) mod frame;
 mod gpu;
 mod gpu_fields;
 #[cfg(test)]
 mod gpu_tests;
-pub mod march;
-pub mod options;
+pub(crate) mod march;
+pub(crate) mod options;
 pub(crate) mod shade;
 
 pub use camera::Camera;

@@ -63,7 +63,9 @@ pub struct RaymarchOptions {
     pub shininess: f32,
     /// Linear RGBA of pixels without a hit.
     pub background: [f32; 4],
+    /// Kind of shadows.
     pub shadows: Shadows,
+    /// Interpolation between the samples.
     pub filter: Filter,
 }
 

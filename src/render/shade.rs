@@ -96,7 +96,7 @@ pub(super) struct Shader<'a, F> {
 
 impl<'a, F: Blocks> Shader<'a, F> {
     /// `lights` must have unit directions.
-    pub fn new(marcher: &'a Marcher<F>, options: &'a RaymarchOptions, lights: &'a [DirectionalLight]) -> Self {
+    pub(super) fn new(marcher: &'a Marcher<F>, options: &'a RaymarchOptions, lights: &'a [DirectionalLight]) -> Self {
         let spacing = marcher.field.grid().spacing();
         Self {
             marcher,
@@ -109,7 +109,7 @@ impl<'a, F: Blocks> Shader<'a, F> {
     }
 
     /// World normal at a hit. Returns `fallback` where the gradient is zero.
-    pub fn normal(&self, p_grid: Vec3, fallback: Vec3) -> Vec3 {
+    pub(super) fn normal(&self, p_grid: Vec3, fallback: Vec3) -> Vec3 {
         let across = |half: Vec3| self.field_at(p_grid + half) - self.field_at(p_grid - half);
         let per_voxel = Vec3::new(across(0.5 * Vec3::X), across(0.5 * Vec3::Y), across(0.5 * Vec3::Z));
         // Dividing by the largest component first keeps squares in the range of f32.
@@ -128,7 +128,7 @@ impl<'a, F: Blocks> Shader<'a, F> {
     }
 
     /// Linear RGB of a surface. Writes the fraction of each light that arrives.
-    pub fn shade(&self, surface: &PixelHit, shadow: &mut [f32]) -> Vec3 {
+    pub(super) fn shade(&self, surface: &PixelHit, shadow: &mut [f32]) -> Vec3 {
         let look = LitPoint { normal: surface.normal, to_eye: surface.to_eye, color: self.options.color };
         lit(&look, self.options, self.lights, shadow, |to_light| self.share_that_arrives(surface, to_light))
     }

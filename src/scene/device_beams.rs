@@ -16,7 +16,7 @@ use rayon::prelude::*;
 const MOST_BEAMS: usize = 1 << 20;
 
 /// Evaluates the missing light at the requested pixels on a device.
-pub fn evaluate_by_beams(
+pub(crate) fn evaluate_by_beams(
     pass: &Pass<'_>,
     device: &DeviceScene,
     known: &mut LightBuffer,

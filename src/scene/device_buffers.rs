@@ -7,15 +7,15 @@ use crate::gpu::layout::{Answer, Beam, PieceParams, SurfaceParams};
 use std::sync::OnceLock;
 
 /// Number of beams at a time, and of parts of divided discs: 16 MiB and 32 MiB.
-pub const MOST_BEAMS: usize = 1 << 18;
-pub const MOST_PARTS: usize = 1 << 19;
+pub(crate) const MOST_BEAMS: usize = 1 << 18;
+pub(crate) const MOST_PARTS: usize = 1 << 19;
 
 /// Buffers for beams, allocated at the first use.
 #[derive(Default)]
-pub struct LightBuffers(OnceLock<Buffers>);
+pub(crate) struct LightBuffers(OnceLock<Buffers>);
 
 /// The buffers of one picture.
-pub struct Buffers {
+pub(crate) struct Buffers {
     pub view: wgpu::Buffer,
     pub piece: wgpu::Buffer,
     pub counts: wgpu::Buffer,
@@ -29,7 +29,7 @@ pub struct Buffers {
 
 impl LightBuffers {
     /// The buffers in the memory of a device.
-    pub fn on(&self, context: &Context) -> Result<&Buffers, Error> {
+    pub(crate) fn on(&self, context: &Context) -> Result<&Buffers, Error> {
         let slot = &self.0;
         if slot.get().is_none() {
             let storage = |label: &str, items: usize, size: usize| context.storage(label, (items * size) as u64);

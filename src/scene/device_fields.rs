@@ -18,7 +18,7 @@ use crate::volume::Trilinear;
 /// Tables that grow by one field at a time.
 pub struct DeviceFields<'a> {
     context: &'a Context,
-    pub records: Vec<SceneField>,
+    pub(crate) records: Vec<SceneField>,
     pub samples: Vec<f32>,
     pub bytes: Vec<u8>,
     pub kinds: GeometryKinds,

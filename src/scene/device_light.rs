@@ -34,7 +34,7 @@ enum Count {
 }
 
 /// Lights the faces that the device found. Returns whether it applies to the picture.
-pub fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut LightBuffer) -> Result<bool, Error> {
+pub(crate) fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut LightBuffer) -> Result<bool, Error> {
     let Some(seen) = &pass.buffer.seen else { return Ok(false) };
     let scene = pass.casters.scene;
     let eye = scene.scene_from_world(pass.buffer.view.camera.eye);

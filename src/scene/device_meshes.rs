@@ -13,7 +13,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 /// The meshes and masks of a scene in device memory.
-pub struct DeviceMeshes {
+pub(crate) struct DeviceMeshes {
     /// Meshes by address, each with its range of corners.
     meshes: HashMap<usize, (Arc<Triangles>, Range<u32>)>,
     geometry: Geometry,
@@ -25,7 +25,7 @@ pub struct DeviceMeshes {
 }
 
 impl DeviceMeshes {
-    pub fn upload(context: &Context, scene: &Scene) -> Result<Self, Error> {
+    pub(crate) fn upload(context: &Context, scene: &Scene) -> Result<Self, Error> {
         let (meshes, geometry) = upload_meshes(context, scene)?;
         let (masks, texels) = upload_masks(context, scene)?;
         let materials = Table::new(context, "scene materials", material_rows(scene, &masks))?;
@@ -33,7 +33,7 @@ impl DeviceMeshes {
     }
 
     /// Brings the tables up to date with a scene. Objects that are there already stay.
-    pub fn update(&mut self, context: &Context, scene: &Scene) -> Result<(), Error> {
+    pub(crate) fn update(&mut self, context: &Context, scene: &Scene) -> Result<(), Error> {
         if !scene_meshes(scene).all(|triangles| self.meshes.contains_key(&address(triangles))) {
             (self.meshes, self.geometry) = upload_meshes(context, scene)?;
         }
@@ -44,16 +44,16 @@ impl DeviceMeshes {
     }
 
     /// Range of corners of a mesh of the scene.
-    pub fn span(&self, triangles: &Arc<Triangles>) -> Range<u32> {
+    pub(crate) fn span(&self, triangles: &Arc<Triangles>) -> Range<u32> {
         self.meshes[&address(triangles)].1.clone()
     }
 
     /// Three corners and three normals of each face, if they fit into one buffer.
-    pub fn faces(&self) -> Option<&wgpu::Buffer> {
+    pub(crate) fn faces(&self) -> Option<&wgpu::Buffer> {
         self.geometry.faces.as_ref()
     }
 
-    pub fn buffers(&self) -> impl Iterator<Item = &wgpu::Buffer> {
+    pub(crate) fn buffers(&self) -> impl Iterator<Item = &wgpu::Buffer> {
         self.geometry.buffers.iter().chain([self.materials.buffer()]).chain(&self.texels)
     }
 }

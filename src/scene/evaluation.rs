@@ -28,10 +28,10 @@ const OCCLUSION_SCALE: u32 = 4;
 
 /// Progress of one call of [`find`], per row of the picture. It is divisible by each possible number of lattices, 1 to
 /// 3.
-pub const FIND_WORTH: u64 = 6;
+pub(crate) const FIND_WORTH: u64 = 6;
 
 /// Whether the occlusion of a first pass is computed separately from the lights, at its own scale.
-pub fn shares_occlusion(options: &RenderOptions) -> bool {
+pub(crate) fn shares_occlusion(options: &RenderOptions) -> bool {
     options.occlusion.is_some()
 }
 
@@ -53,7 +53,7 @@ fn find_apart(pass: &Pass<'_>) -> Result<LightBuffer, Error> {
 
 /// Computes the light of a pass. If a G-buffer with light is given, the light is interpolated from it wherever its
 /// values agree.
-pub fn find(pass: &Pass<'_>, centre: Option<(&GBuffer, &LightBuffer)>) -> Result<LightBuffer, Error> {
+pub(crate) fn find(pass: &Pass<'_>, centre: Option<(&GBuffer, &LightBuffer)>) -> Result<LightBuffer, Error> {
     let Some((buffer, centre)) = centre else {
         return if shares_occlusion(pass.options) { find_apart(pass) } else { find_at(pass, pass.options.light_scale) };
     };

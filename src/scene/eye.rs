@@ -9,7 +9,7 @@ use crate::bvh::watertight::{FaceHit, Ray};
 use glam::{DVec3, Vec3, Vec4};
 
 /// Largest number of surfaces of one pixel. Behind so many translucent ones the last counts as opaque.
-pub const MAX_LAYERS: usize = 16;
+pub(crate) const MAX_LAYERS: usize = 16;
 
 /// Relative tolerance between the depth found by a device and the depth of the same surface on the ray of the pixel.
 /// Devices compute in float32, in units of the object; a hit slightly in front is the same surface.
@@ -19,7 +19,7 @@ const NEARNESS: f64 = 1e-3;
 const NEAR: f64 = 1e-12;
 
 /// The layers and steps of a row's pixels, each pixel by `look`.
-pub fn draw_row<'a>(
+pub(crate) fn draw_row<'a>(
     scene: &'a Scene,
     options: &'a RenderOptions,
     view: &'a View,
@@ -36,7 +36,7 @@ pub fn draw_row<'a>(
 }
 
 /// The ray of one pixel.
-pub struct Eye<'a> {
+pub(crate) struct Eye<'a> {
     scene: &'a Scene,
     options: &'a RenderOptions,
     view: &'a View,
@@ -51,7 +51,7 @@ pub struct Eye<'a> {
 
 impl Eye<'_> {
     /// Appends the layers of the pixel, up to the opaque surface `behind` if it is known.
-    pub fn look(&mut self, layers: &mut Vec<Layer>, behind: Option<Layer>) {
+    pub(crate) fn look(&mut self, layers: &mut Vec<Layer>, behind: Option<Layer>) {
         let direction = self.view.direction(self.x, self.y);
         let first = layers.len();
         let limit = behind.map_or(f64::INFINITY, |layer| layer.depth);
@@ -91,7 +91,7 @@ impl Eye<'_> {
             let found = if as_triangles(instance, self.options.primary) {
                 self.triangle(item, eye, direction, from, nearest, &seen)
             } else {
-                self.field(item, eye, direction, from, nearest, &seen, &mut steps)
+                self.field(item, eye, direction, [from, nearest], &seen, &mut steps)
             };
             if let Some(layer) = found {
                 nearest = layer.depth;
@@ -114,12 +114,12 @@ impl Eye<'_> {
     }
 
     /// Whether an instance is drawn as triangles.
-    pub fn is_triangles(&self, item: u32) -> bool {
+    pub(crate) fn is_triangles(&self, item: u32) -> bool {
         as_triangles(&self.scene.instances[item as usize], self.options.primary)
     }
 
     /// Whether it is a field that the ray of the pixel must hit again after a device found it.
-    pub fn is_met_again(&self, item: u32) -> bool {
+    pub(crate) fn is_met_again(&self, item: u32) -> bool {
         self.scene.instances[item as usize].field.as_ref().is_some_and(|field| field.is_met_again())
     }
 
@@ -141,7 +141,7 @@ impl Eye<'_> {
     }
 
     /// The layer of a face that the pixel is known to show; None if its ray misses the face or the mask is cut there.
-    pub fn face(&self, item: u32, face: u32) -> Option<Layer> {
+    pub(crate) fn face(&self, item: u32, face: u32) -> Option<Layer> {
         let eye = self.scene.scene_from_world(self.view.camera.eye);
         let ray = self.mesh_ray(item, eye, self.view.direction(self.x, self.y))?;
         let hit = ray.triangles.mesh.hit_of_face(face, &ray.in_tree)?;
@@ -172,8 +172,7 @@ impl Eye<'_> {
         item: u32,
         eye: DVec3,
         direction: DVec3,
-        from: f64,
-        nearest: f64,
+        [from, nearest]: [f64; 2],
         seen: &dyn Fn(f64) -> bool,
         steps: &mut u32,
     ) -> Option<Layer> {
@@ -201,16 +200,16 @@ impl Eye<'_> {
     }
 
     /// The layer of a field that the pixel is known to show near a depth, scene units, at the exact hit of its ray.
-    pub fn field_near(&self, item: u32, depth: f64) -> Option<Layer> {
+    pub(crate) fn field_near(&self, item: u32, depth: f64) -> Option<Layer> {
         let depth = depth * self.scene.scale;
         let eye = self.scene.scene_from_world(self.view.camera.eye);
         let direction = self.view.direction(self.x, self.y);
         let (from, to) = ((1.0 - NEARNESS) * depth, (1.0 + NEARNESS) * depth);
-        self.field(item, eye, direction, from, to, &|_| false, &mut 0)
+        self.field(item, eye, direction, [from, to], &|_| false, &mut 0)
     }
 
     /// The layer of a field that the pixel is known to show at a depth, scene units.
-    pub fn field_at(&self, item: u32, depth: f64, at_start: bool) -> Option<Layer> {
+    pub(crate) fn field_at(&self, item: u32, depth: f64, at_start: bool) -> Option<Layer> {
         let depth = depth * self.scene.scale;
         let direction = self.view.direction(self.x, self.y);
         let to_field = self.scene.instances[item as usize].field_from_scene;
@@ -372,12 +371,12 @@ impl MeshRay<'_> {
 }
 
 /// Whether a device finds everything that occludes surfaces behind it, for an instance with this material.
-pub fn is_opaque(instance: &Instance, material: &Material) -> bool {
+pub(crate) fn is_opaque(instance: &Instance, material: &Material) -> bool {
     instance.opacity >= 1.0 && material.alpha != Alpha::Blend && !instance.has_colored_mask
 }
 
 /// Whether the primary pass draws the triangles of an instance.
-pub fn as_triangles(instance: &Instance, primary: Primary) -> bool {
+pub(crate) fn as_triangles(instance: &Instance, primary: Primary) -> bool {
     instance.triangles.is_some() && primary != Primary::Raymarch
 }
 

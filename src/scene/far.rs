@@ -57,7 +57,7 @@ impl fmt::Debug for FarField {
 
 /// The surface of a far field is up to about one voxel off, so the edge of a shadow is accurate to an eighth of the
 /// length of the ray.
-pub const FAR_VOXELS: f64 = 8.0;
+pub(crate) const FAR_VOXELS: f64 = 8.0;
 
 /// A far field in a scene.
 pub struct Far {

@@ -36,14 +36,14 @@ const NEEDS_EDGE: u32 = 2;
 /// The value for infinity in a shader.
 const FAR: f32 = 1e30;
 /// Value of [`Beam::is_coarse`] for a wide cone of occlusion, as in the shader.
-pub const WIDE: u32 = 2;
+pub(crate) const WIDE: u32 = 2;
 /// Index for no far field, as in the shader.
 const NO_FAR: u32 = u32::MAX;
 /// A distance that is given in voxels, as in the shader.
 const BY_VOXELS: f32 = -1.0;
 
 /// A scene in device memory.
-pub struct DeviceScene {
+pub(crate) struct DeviceScene {
     context: Arc<Context>,
     nodes: Table<SceneNode>,
     items: Table<u32>,
@@ -114,7 +114,7 @@ fn address(field: &Arc<dyn Field>) -> usize {
 }
 
 impl DeviceScene {
-    pub fn upload(context: &Arc<Context>, scene: &Scene, far: Option<&Far>) -> Result<Self, Error> {
+    pub(crate) fn upload(context: &Arc<Context>, scene: &Scene, far: Option<&Far>) -> Result<Self, Error> {
         let fields = Fields::upload(context, scene, far)?;
         let (rows, knows) = fields.rows(scene, far);
         Ok(Self {
@@ -131,7 +131,7 @@ impl DeviceScene {
 
     /// Makes it the memory of another scene. Objects that both scenes have stay; of the rows those that differ are
     /// uploaded.
-    pub fn update(&mut self, scene: &Scene, far: Option<&Far>) -> Result<(), Error> {
+    pub(crate) fn update(&mut self, scene: &Scene, far: Option<&Far>) -> Result<(), Error> {
         let context = &self.context;
         if !fields_of(scene, far).all(|field| self.fields.known.contains_key(&address(field))) {
             self.fields = Fields::upload(context, scene, far)?;
@@ -144,46 +144,46 @@ impl DeviceScene {
         self.meshes.update(context, scene)
     }
 
-    pub fn context(&self) -> &Arc<Context> {
+    pub(crate) fn context(&self) -> &Arc<Context> {
         &self.context
     }
 
     /// Whether the device has the fields of all instances, so that it can light them.
-    pub fn knows_all(&self) -> bool {
+    pub(crate) fn knows_all(&self) -> bool {
         !self.knows.contains(&false)
     }
 
     /// Whether the device has the field of an instance, if the instance has one.
-    pub fn knows(&self, instance: usize) -> bool {
+    pub(crate) fn knows(&self, instance: usize) -> bool {
         self.knows[instance]
     }
 
     /// Overrides of imported files for the kinds of its objects.
-    pub fn texts(&self) -> Vec<Instead> {
+    pub(crate) fn texts(&self) -> Vec<Instead> {
         self.fields.kinds.texts()
     }
 
-    pub fn instances(&self) -> &wgpu::Buffer {
+    pub(crate) fn instances(&self) -> &wgpu::Buffer {
         self.instances.buffer()
     }
 
     /// Three corners and three normals of each face, if they fit into one buffer.
-    pub fn faces(&self) -> Option<&wgpu::Buffer> {
+    pub(crate) fn faces(&self) -> Option<&wgpu::Buffer> {
         self.meshes.faces()
     }
 
-    pub fn meshes(&self) -> &DeviceMeshes {
+    pub(crate) fn meshes(&self) -> &DeviceMeshes {
         &self.meshes
     }
 
     /// The buffers of `shaders/shared/scene_field.wgsl`.
-    pub fn field_bindings(&self) -> [(u32, &wgpu::Buffer); 4] {
+    pub(crate) fn field_bindings(&self) -> [(u32, &wgpu::Buffer); 4] {
         let fields = &self.fields;
         [(3, self.instances.buffer()), (4, &fields.records), (5, &fields.samples), (6, &fields.blocks)]
     }
 
     /// The parameters of kernels that evaluate beams.
-    pub fn beam_params(casters: &Casters<'_>) -> BeamParams {
+    pub(crate) fn beam_params(casters: &Casters<'_>) -> BeamParams {
         let mut params = BeamParams { far: NO_FAR, ..BeamParams::default() };
         if let Some(far) = casters.far {
             params.far = casters.scene.instances.len() as u32;
@@ -195,7 +195,12 @@ impl DeviceScene {
     }
 
     /// Fraction of each beam that passes.
-    pub fn shares(&self, casters: &Casters<'_>, beams: &[Beam], progress: &Progress) -> Result<Vec<Answer>, Error> {
+    pub(crate) fn shares(
+        &self,
+        casters: &Casters<'_>,
+        beams: &[Beam],
+        progress: &Progress,
+    ) -> Result<Vec<Answer>, Error> {
         let params = Self::beam_params(casters);
         let mut answers = vec![Answer::default(); beams.len()];
         let is_cone = |i: usize| beams[i].slope > 0.0;
@@ -231,7 +236,7 @@ impl DeviceScene {
     }
 
     /// The length of each beam inside its own instance.
-    pub fn thicknesses(&self, beams: &[Beam], progress: &Progress) -> Result<Vec<Answer>, Error> {
+    pub(crate) fn thicknesses(&self, beams: &[Beam], progress: &Progress) -> Result<Vec<Answer>, Error> {
         self.ask("thicknesses", BeamParams { far: NO_FAR, ..BeamParams::default() }, beams, progress)
     }
 
@@ -256,7 +261,7 @@ impl DeviceScene {
     }
 
     /// Evaluates the first `count` beams of a buffer.
-    pub fn run(
+    pub(crate) fn run(
         &self,
         entry: &'static str,
         mut params: BeamParams,
@@ -303,7 +308,7 @@ impl DeviceScene {
 }
 
 /// A ray or, with a slope, a cone.
-pub fn beam(place: &SurfacePoint, ray: &LightRay, slope: f32) -> Beam {
+pub(crate) fn beam(place: &SurfacePoint, ray: &LightRay, slope: f32) -> Beam {
     Beam {
         p: place.p.as_vec3().to_array(),
         t_max: (ray.t_max as f32).min(FAR),
@@ -318,7 +323,7 @@ pub fn beam(place: &SurfacePoint, ray: &LightRay, slope: f32) -> Beam {
 }
 
 /// The cost of a beam.
-pub fn work_of(answer: &Answer) -> LightWork {
+pub(crate) fn work_of(answer: &Answer) -> LightWork {
     LightWork { steps: answer.steps, rays: 1, far_rays: answer.is_far }
 }
 

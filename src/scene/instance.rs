@@ -10,44 +10,58 @@ use std::sync::Arc;
 /// An object and its transform, from the caller.
 #[derive(Clone)]
 pub struct InstanceInput {
+    /// Its triangles, if it is a mesh.
     pub triangles: Option<Arc<Triangles>>,
+    /// Its distances, if it casts shadows or has no triangles.
     pub field: Option<Arc<dyn Field>>,
+    /// Transform of the object.
     pub world_from_local: DAffine3,
     /// Index of the first of the object's materials in the scene's list.
     pub first_material: u32,
     /// Whether the object's own colours replace the material's, where it has any.
     pub own_colors: bool,
+    /// Fraction of the background that it hides.
     pub opacity: f32,
+    /// Whether it blocks light.
     pub casts_shadow: bool,
+    /// Whether the camera sees it.
     pub visible: bool,
     /// Identifier in the picture; several instances may be one object.
     pub object: u32,
-    /// Whether light intersects its triangles instead of its field ([`sheets`]).
+    /// Whether light intersects its triangles instead of its field ([`super::sheets`]).
     pub is_sheet: bool,
 }
 
 /// An instance with the data for rays.
 pub struct Instance {
+    /// Its triangles, if it is a mesh.
     pub triangles: Option<Arc<Triangles>>,
+    /// Its distances, if it casts shadows or has no triangles.
     pub field: Option<Arc<dyn Field>>,
+    /// Index of the first of the object's materials in the scene's list.
     pub first_material: u32,
+    /// Whether the object's own colours replace the material's, where it has any.
     pub own_colors: bool,
     /// Fraction of the background that it hides.
     pub opacity: f32,
     /// Fraction of the light that it blocks.
     pub shade: f32,
+    /// Whether it blocks light.
     pub casts_shadow: bool,
+    /// Whether the camera sees it.
     pub visible: bool,
     /// Whether a mask depends on colours of vertices or faces, which devices do not read.
     pub has_colored_mask: bool,
+    /// Identifier in the picture.
     pub object: u32,
-    /// Whether light intersects its triangles instead of its field ([`sheets`]).
+    /// Whether light intersects its triangles instead of its field ([`super::sheets`]).
     pub is_sheet: bool,
     /// Transform from scene space to the local coordinates of the mesh's tree (`Mesh::local_from_world`).
     pub tree_from_scene: DAffine3,
     /// Map of normals from the object's own axes to scene space. Only the direction is used: the largest entry is 1, so
     /// that no length overflows in float32 in any units.
     pub scene_from_normal: Mat3,
+    /// Transform from scene space to the space of its field.
     pub field_from_scene: DAffine3,
     /// Map of directions from scene to local space.
     pub local_from_scene: Mat3,

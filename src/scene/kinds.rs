@@ -11,7 +11,7 @@ use std::fmt::Write;
 
 /// The same values as in `shaders/shared/scene_field.wgsl`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum FieldKind {
+pub(crate) enum FieldKind {
     Dense = 0,
     Sparse = 1,
     Quadric = 2,
@@ -19,7 +19,7 @@ pub enum FieldKind {
 }
 
 /// Largest number of structures of a scene's shapes. A text with more takes minutes to compile.
-pub const MAX_STRUCTURES: usize = 8;
+pub(crate) const MAX_STRUCTURES: usize = 8;
 
 /// The kinds of a scene's objects, besides dense grids.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -69,8 +69,8 @@ fn structures_text(bodies: &[String]) -> String {
 }
 
 /// Array with the parameters of shapes, and counter of loop iterations, in `shaders/shared/scene_field.wgsl`.
-pub const ARRAY: &str = "samples";
-pub const TURNS: &str = "steps";
+pub(crate) const ARRAY: &str = "samples";
+pub(crate) const TURNS: &str = "steps";
 
 #[cfg(test)]
 mod tests {

@@ -24,7 +24,7 @@ use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 
 /// Shades the layers with the light on them, and composes them over the background.
-pub fn compose(pass: &Pass<'_>, known: &LightBuffer) -> Result<Frame, Error> {
+pub(crate) fn compose(pass: &Pass<'_>, known: &LightBuffer) -> Result<Frame, Error> {
     let &Pass { casters, buffer, lights, options, progress, .. } = pass;
     let scene = casters.scene;
     let [width, height] = options.size.map(|n| n as usize);

@@ -4,7 +4,7 @@ use super::gbuffer::{GBuffer, Layer};
 
 /// Light on one layer.
 #[derive(Debug, Clone, Copy)]
-pub struct LightSample<'a> {
+pub(crate) struct LightSample<'a> {
     /// Fraction of the ambient light that arrives.
     pub open: f32,
     /// Fraction of each light that arrives.
@@ -22,7 +22,7 @@ pub struct LightSampleMut<'a> {
 }
 
 /// The light on the layers of a G-buffer.
-pub struct LightBuffer {
+pub(crate) struct LightBuffer {
     /// Number of lights.
     pub lights: usize,
     pub(super) rows: Vec<LightRow>,
@@ -38,7 +38,7 @@ pub(super) struct LightRow {
 
 impl LightBuffer {
     /// Nothing evaluated yet.
-    pub fn new(buffer: &GBuffer, lights: usize) -> Self {
+    pub(crate) fn new(buffer: &GBuffer, lights: usize) -> Self {
         let row = |layers: &Vec<Layer>| LightRow {
             is_known: vec![false; layers.len()],
             values: vec![0.0; layers.len() * stride(lights)],
@@ -48,14 +48,14 @@ impl LightBuffer {
     }
 
     /// Whether the light of at most one layer in [`FEW`] is missing.
-    pub fn is_almost_complete(&self) -> bool {
+    pub(crate) fn is_almost_complete(&self) -> bool {
         let known = self.rows.iter().flat_map(|row| &row.is_known);
         let [count, missing] = known.fold([0, 0], |[count, missing], known| [count + 1, missing + usize::from(!known)]);
         missing * FEW <= count
     }
 
     /// Light on layer `i` in row `y`, and the number of steps for it.
-    pub fn at(&self, y: usize, i: usize) -> (LightSample<'_>, u32) {
+    pub(crate) fn at(&self, y: usize, i: usize) -> (LightSample<'_>, u32) {
         let row = &self.rows[y];
         let values = &row.values[i * stride(self.lights)..][..stride(self.lights)];
         let (shares, through) = values[1..].split_at(self.lights);
@@ -63,7 +63,7 @@ impl LightBuffer {
     }
 
     /// Replaces interpolated values by the evaluated ones of another buffer.
-    pub fn keep(&mut self, asked: Self) {
+    pub(crate) fn keep(&mut self, asked: Self) {
         let stride = stride(self.lights);
         for (row, asked) in self.rows.iter_mut().zip(asked.rows) {
             for i in (0..asked.is_known.len()).filter(|&i| asked.is_known[i]) {
@@ -79,12 +79,12 @@ impl LightBuffer {
 const FEW: usize = 32;
 
 /// Number of values of a layer in a picture with this number of lights.
-pub fn stride(lights: usize) -> usize {
+pub(crate) fn stride(lights: usize) -> usize {
     1 + 4 * lights
 }
 
 /// The values of a layer as light.
-pub fn parts_of(values: &mut [f32], lights: usize) -> LightSampleMut<'_> {
+pub(crate) fn parts_of(values: &mut [f32], lights: usize) -> LightSampleMut<'_> {
     let (open, rest) = values.split_first_mut().expect("a layer has `stride` values, at least one");
     let (shares, through) = rest.split_at_mut(lights);
     LightSampleMut { open, shares, through: through.as_chunks_mut().0 }

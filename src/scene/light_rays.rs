@@ -28,11 +28,11 @@ pub struct LightRay {
 }
 
 /// Number of cones that divide a light's disc if one is not sufficient.
-pub const PARTS: u32 = 16;
+pub(crate) const PARTS: u32 = 16;
 
 /// Two unit vectors at right angles to a unit vector and to each other (Duff et al., *Building an orthonormal basis,
 /// revisited*, JCGT 6(1), 2017).
-pub fn basis(n: DVec3) -> [DVec3; 2] {
+pub(crate) fn basis(n: DVec3) -> [DVec3; 2] {
     let sign = if n.z >= 0.0 { 1.0 } else { -1.0 };
     let a = -1.0 / (sign + n.z);
     let b = n.x * n.y * a;
@@ -40,7 +40,7 @@ pub fn basis(n: DVec3) -> [DVec3; 2] {
 }
 
 /// Point `i` of `count` points spread evenly over the unit disc (Vogel 1979), rotated by `turn`.
-pub fn disc_point(i: u32, count: u32, turn: f32) -> Vec2 {
+pub(crate) fn disc_point(i: u32, count: u32, turn: f32) -> Vec2 {
     /// 2 pi (1 - 1 / golden ratio).
     const GOLDEN_ANGLE: f32 = 2.399_963_2;
     let radius = ((i as f32 + 0.5) / count as f32).sqrt();
@@ -74,14 +74,14 @@ impl std::ops::AddAssign for LightWork {
 }
 
 /// The largest radius that a cone has beside a box, scene units.
-pub fn widest(place: &SurfacePoint, ray: &LightRay, slope: f32, bounds: &Aabb) -> f32 {
+pub(crate) fn widest(place: &SurfacePoint, ray: &LightRay, slope: f32, bounds: &Aabb) -> f32 {
     let p = place.p.as_vec3();
     let far = (p - bounds.min).abs().max((p - bounds.max).abs()).length();
     f64::from(slope / (1.0 - slope.min(0.9)) * far).min(f64::from(slope) * ray.t_max) as f32
 }
 
 /// The ray to another point of the disc; `offset` in radii.
-pub fn toward(ray: &LightRay, [right, up]: [DVec3; 2], slope: f32, offset: Vec2) -> LightRay {
+pub(crate) fn toward(ray: &LightRay, [right, up]: [DVec3; 2], slope: f32, offset: Vec2) -> LightRay {
     let aside = f64::from(slope * offset.x) * right + f64::from(slope * offset.y) * up;
     let direction = ray.direction + aside;
     let length = direction.length();
@@ -89,7 +89,14 @@ pub fn toward(ray: &LightRay, [right, up]: [DVec3; 2], slope: f32, offset: Vec2)
 }
 
 /// The interval of `origin + t direction` inside a box, with `t` from `t_min` to `t_max`.
-pub fn clip(origin: DVec3, direction: DVec3, lower: Vec3, upper: Vec3, t_min: f64, t_max: f64) -> Option<(f64, f64)> {
+pub(crate) fn clip(
+    origin: DVec3,
+    direction: DVec3,
+    lower: Vec3,
+    upper: Vec3,
+    t_min: f64,
+    t_max: f64,
+) -> Option<(f64, f64)> {
     let (mut enter, mut leave) = (t_min, t_max);
     for axis in 0..3 {
         let (low, high) = (f64::from(lower[axis]) - origin[axis], f64::from(upper[axis]) - origin[axis]);
@@ -108,13 +115,13 @@ pub fn clip(origin: DVec3, direction: DVec3, lower: Vec3, upper: Vec3, t_min: f6
 
 /// Rays and cones of a picture, counted by all threads.
 #[derive(Debug, Default)]
-pub struct RayCounters {
+pub(crate) struct RayCounters {
     pub rays: AtomicU64,
     pub far_rays: AtomicU64,
 }
 
 impl RayCounters {
-    pub fn add(&self, work: LightWork) {
+    pub(crate) fn add(&self, work: LightWork) {
         self.rays.fetch_add(u64::from(work.rays), Ordering::Relaxed);
         self.far_rays.fetch_add(u64::from(work.far_rays), Ordering::Relaxed);
     }

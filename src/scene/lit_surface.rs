@@ -13,7 +13,7 @@ use glam::{DVec3, Vec3};
 /// eighth of a voxel, and half a voxel clears it. A triangle and the field baked from it differ by up to a third of a
 /// voxel more.
 const BIAS_FIELD: f32 = 0.5;
-pub const BIAS_TRIANGLE: f32 = 1.0;
+pub(crate) const BIAS_TRIANGLE: f32 = 1.0;
 
 /// The lights of a picture in scene space.
 #[derive(Debug)]
@@ -68,7 +68,7 @@ impl SceneLight {
 }
 
 /// Rotation of the samples of an area light for each pixel, 0 to 2 pi: interleaved gradient noise (Jimenez, 2014).
-pub fn pixel_turn(x: usize, y: usize) -> f32 {
+pub(crate) fn pixel_turn(x: usize, y: usize) -> f32 {
     let value = 52.982_918 * (0.067_110_56 * x as f32 + 0.005_837_15 * y as f32).fract();
     value.fract() * std::f32::consts::TAU
 }

@@ -13,8 +13,11 @@ pub struct Material {
     pub emission_texture: Option<u32>,
     /// Whether the colour is shown unchanged, without lighting.
     pub unlit: bool,
+    /// Strength of the highlight.
     pub specular: f32,
+    /// Sharpness of the highlight, the exponent of Blinn-Phong.
     pub shininess: f32,
+    /// Use of the opacity of the colour.
     pub alpha: Alpha,
     /// Whether the back of faces is visible too.
     pub two_sided: bool,
@@ -26,8 +29,10 @@ pub struct Material {
 /// Use of opacity.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Alpha {
+    /// Opacity is ignored.
     Opaque,
     /// Cut out where the opacity is below this.
     Mask(f32),
+    /// Opacity is the fraction of the background that the surface hides.
     Blend,
 }

@@ -13,15 +13,21 @@ use std::sync::{Arc, OnceLock};
 
 /// Instances, materials and textures, prepared for drawing.
 pub struct Scene {
+    /// Middle of the scene, world units.
     pub center: DVec3,
     /// Number of world units in a scene unit.
     pub scale: f64,
+    /// The instances, in the order of their inputs.
     pub instances: Vec<Instance>,
+    /// Materials of all instances.
     pub materials: Vec<Material>,
+    /// Textures of the materials.
     pub textures: Vec<Arc<Texture>>,
+    /// Tree over the boxes of the instances.
     pub tree: Tree,
     /// Scene boxes of the instances.
     pub boxes: Vec<Aabb>,
+    /// The instances whose triangles block light.
     pub sheets: Sheets,
     /// A ball around each instance, computed for the first picture with occlusion.
     balls: OnceLock<Vec<Ball>>,
@@ -33,6 +39,7 @@ pub struct Scene {
 const MAX_INSTANCES: usize = 1 << 24;
 
 impl Scene {
+    /// Prepares instances for drawing. Fails if an input is invalid.
     pub fn new(
         inputs: Vec<InstanceInput>,
         materials: Vec<Material>,
@@ -74,6 +81,7 @@ impl Scene {
         Self::new(inputs, self.materials.clone(), self.textures.clone())
     }
 
+    /// Scene coordinates of a world position.
     pub fn scene_from_world(&self, p: DVec3) -> DVec3 {
         (p - self.center) / self.scale
     }

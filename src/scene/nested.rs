@@ -21,7 +21,7 @@ use glam::{DAffine3, Vec3};
 use std::sync::Arc;
 
 /// Nested levels, finest first.
-pub struct NestedField {
+pub(crate) struct NestedField {
     levels: Vec<NestedLevel>,
 }
 
@@ -60,7 +60,7 @@ impl NestedLevel {
 
 impl NestedField {
     /// `fields` must be finest first, on grids along the same axes, each in the box of the next.
-    pub fn new(fields: Vec<Arc<dyn Field>>) -> Result<Self, Error> {
+    pub(crate) fn new(fields: Vec<Arc<dyn Field>>) -> Result<Self, Error> {
         let Some(finest) = fields.first() else {
             return Err(SceneError::new("levels", "are empty").into());
         };

@@ -32,9 +32,9 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 /// Cones over a hemisphere: one along the normal and a ring of six.
-pub const AO_CONES: usize = 7;
+pub(crate) const AO_CONES: usize = 7;
 /// Tangent of half the angle of a cone, 30 degrees: seven such cones just cover a hemisphere.
-pub const AO_SLOPE: f32 = 0.577_350_3;
+pub(crate) const AO_SLOPE: f32 = 0.577_350_3;
 /// Cosine and sine of the angle of the ring from the normal: 60 degrees.
 const AO_RING: (f64, f64) = (0.5, 0.866_025_403_784_438_6);
 

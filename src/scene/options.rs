@@ -8,13 +8,20 @@ use glam::{DVec3, Vec3};
 pub enum Light {
     /// `direction` is that in which the light travels, of any length; `slope` is the tangent of half its angle.
     Directional {
+        /// Direction in which the light travels, any length.
         direction: DVec3,
+        /// Linear RGB.
         color: Vec3,
+        /// Tangent of half the angle of the light's disc.
         slope: f32,
     },
+    /// A light at a position.
     Point {
+        /// Position, world units.
         position: DVec3,
+        /// Linear RGB.
         color: Vec3,
+        /// Radius of the ball that emits the light, world units.
         radius: f64,
     },
 }
@@ -28,15 +35,20 @@ pub enum Primary {
     /// Triangles if there are any, else the field.
     #[default]
     Auto,
+    /// Triangles only where there are any, by a rasteriser.
     Raster,
+    /// The field of every object.
     Raymarch,
 }
 
 /// Kind of shadows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum SceneShadows {
+    /// Every light reaches every surface that faces it.
     None,
+    /// A light reaches a point completely or not at all.
     Hard,
+    /// The visible fraction of the light's disc, by cones.
     #[default]
     Soft,
     /// This number of rays to each light: the reference for soft shadows.
@@ -48,9 +60,13 @@ pub enum SceneShadows {
 /// Options of a picture.
 #[derive(Debug, Clone)]
 pub struct RenderOptions {
+    /// Width and height, pixels.
     pub size: [u32; 2],
+    /// Method for the first surface of a pixel.
     pub primary: Primary,
+    /// Kind of shadows.
     pub shadows: SceneShadows,
+    /// The lights, at most [`MAX_LIGHTS`].
     pub lights: Vec<Light>,
     /// Ambient light, as a fraction of a light of colour 1.
     pub ambient: f32,
@@ -60,6 +76,7 @@ pub struct RenderOptions {
     pub far: Option<FarField>,
     /// Linear RGBA of pixels without a hit.
     pub background: [f32; 4],
+    /// Factor of all colours.
     pub exposure: f32,
     /// Number of rays per pixel for its colour; 1, or a square number.
     pub samples: u32,

@@ -10,7 +10,7 @@ use crate::progress::Progress;
 
 /// One pass of the camera, and the data for its light.
 #[derive(Clone, Copy)]
-pub struct Pass<'a> {
+pub(crate) struct Pass<'a> {
     pub casters: &'a Casters<'a>,
     pub buffer: &'a GBuffer,
     pub lights: &'a Lights,

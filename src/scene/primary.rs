@@ -16,7 +16,7 @@ use crate::render::Camera;
 use rayon::prelude::*;
 
 /// Finds the visible surfaces of each pixel, through the point `offset` of the pixel; (1/2, 1/2) is its centre.
-pub fn draw(
+pub(crate) fn draw(
     scene: &Scene,
     camera: &Camera,
     options: &RenderOptions,

@@ -22,7 +22,7 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// Whether the CPU must still draw each instance; None if the device draws all visible ones.
-pub fn left_over(scene: &Scene, device: &DeviceScene, options: &RenderOptions) -> Option<Vec<bool>> {
+pub(crate) fn left_over(scene: &Scene, device: &DeviceScene, options: &RenderOptions) -> Option<Vec<bool>> {
     let needs_cpu = |(i, instance): (usize, &Instance)| {
         instance.visible
             && (!is_drawn(instance, device.knows(i), &scene.materials, options.primary)
@@ -46,7 +46,7 @@ fn is_drawn(instance: &Instance, is_known: bool, materials: &[Material], primary
 const BAND_PIXELS: u32 = 1 << 22;
 
 /// The counterpart of [`super::primary::draw`] on a device.
-pub fn draw(
+pub(crate) fn draw(
     scene: &Scene,
     device: &DeviceScene,
     camera: &Camera,

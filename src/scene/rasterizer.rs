@@ -25,7 +25,7 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// Number of rows of a band.
-pub const BAND_ROWS: u32 = 16;
+pub(crate) const BAND_ROWS: u32 = 16;
 
 /// Bound of the rounding errors of a position in camera space, relative to the distances of the eye and the position:
 /// 180 units of rounding. The inverse of a transform has at most [`MOST_STRETCH`] times the rounding of its products.
@@ -45,7 +45,7 @@ const PIXEL_MARGIN: f64 = 0.01;
 
 /// The nearest face of a pixel.
 #[derive(Debug, Clone, Copy)]
-pub struct VisibleFace {
+pub(crate) struct VisibleFace {
     /// Depth in scene units; infinite without a face.
     depth: f64,
     /// Smallest depth of a face for which rounding decides whether it is visible.
@@ -88,7 +88,7 @@ struct RasterMesh<'a> {
 }
 
 /// The meshes of a scene as a view sees them.
-pub struct Rasterizer<'a> {
+pub(crate) struct Rasterizer<'a> {
     screen: Screen,
     meshes: Vec<RasterMesh<'a>>,
     /// Whether the search must still test each instance, and their rectangles. None if it need not test any.
@@ -96,7 +96,7 @@ pub struct Rasterizer<'a> {
 }
 
 impl<'a> Rasterizer<'a> {
-    pub fn new(scene: &'a Scene, options: &RenderOptions, view: &View) -> Self {
+    pub(crate) fn new(scene: &'a Scene, options: &RenderOptions, view: &View) -> Self {
         let screen = Screen::new(scene, view);
         let mut left = vec![false; scene.instances.len()];
         let (mut rectangles, mut drawn) = (Vec::new(), Vec::new());
@@ -118,7 +118,7 @@ impl<'a> Rasterizer<'a> {
     }
 
     /// The nearest faces of the pixels of some rows.
-    pub fn band(&self, rows: Range<u32>) -> Vec<VisibleFace> {
+    pub(crate) fn band(&self, rows: Range<u32>) -> Vec<VisibleFace> {
         let width = self.screen.size[0];
         let mut seen = vec![NOTHING; width as usize * rows.len()];
         for mesh in self.meshes.iter().filter(|mesh| overlap(&mesh.rows, &rows).is_some()) {
@@ -134,7 +134,7 @@ impl<'a> Rasterizer<'a> {
     }
 
     /// Whether the search must look through each pixel of a row, as its boxes cover it.
-    pub fn searched(&self, y: u32) -> Vec<bool> {
+    pub(crate) fn searched(&self, y: u32) -> Vec<bool> {
         let mut columns = vec![false; self.screen.size[0] as usize];
         for [across, rows] in self.left_over.iter().flat_map(|(_, rectangles)| rectangles) {
             if rows.contains(&y) {
@@ -145,7 +145,13 @@ impl<'a> Rasterizer<'a> {
     }
 
     /// Appends the layers of a pixel. `is_searched`: whether the box of an instance that is not rasterised covers it.
-    pub fn look<'b>(&'b self, eye: &mut Eye<'b>, seen: &VisibleFace, is_searched: bool, layers: &mut Vec<Layer>) {
+    pub(crate) fn look<'b>(
+        &'b self,
+        eye: &mut Eye<'b>,
+        seen: &VisibleFace,
+        is_searched: bool,
+        layers: &mut Vec<Layer>,
+    ) {
         if seen.is_unsure() {
             return eye.look(layers, None);
         }

@@ -34,6 +34,7 @@ pub struct Renderer {
 }
 
 impl Renderer {
+    /// Transfers of all frames.
     pub fn counters(&self) -> &Counters {
         &self.counters
     }
@@ -82,12 +83,15 @@ impl Renderer {
 /// A picture, the duration of its passes in seconds, and its counters.
 #[derive(Debug)]
 pub struct Rendered {
+    /// The picture.
     pub frame: Frame,
     /// Whether surfaces were found on the device, and on the CPU.
     pub primary_on: [bool; 2],
+    /// Duration of each pass by name.
     pub seconds: Vec<(&'static str, f64)>,
     /// Number of rays and cones to lights and surroundings, and number of those that entered the far field.
     pub rays: u64,
+    /// Number of rays and cones that entered the far field.
     pub far_rays: u64,
     /// Number of instances whose triangles the CPU traced for light.
     pub sheets: usize,

@@ -443,7 +443,7 @@ pub fn bias(own: &Instance, place: &SurfacePoint) -> f32 {
 }
 
 /// A ray in the field space of an instance. Its start is moved off the surface if the surface belongs to the instance.
-pub fn ray_in_field(instance: &Instance, is_own: bool, place: &SurfacePoint, ray: &LightRay) -> (DVec3, DVec3) {
+pub(crate) fn ray_in_field(instance: &Instance, is_own: bool, place: &SurfacePoint, ray: &LightRay) -> (DVec3, DVec3) {
     let mut p = place.p;
     if is_own {
         p += (bias(instance, place) * place.normal).as_dvec3();

@@ -12,7 +12,7 @@ use super::light_rays::{LightRay, basis, disc_point, toward};
 use glam::Vec3;
 
 /// Number of rays of a cone.
-pub const THIN_RAYS: usize = 8;
+pub(crate) const THIN_RAYS: usize = 8;
 
 /// Transmitted fractions of the rays of a cone.
 #[derive(Debug, Clone, Copy)]
@@ -47,7 +47,7 @@ impl ThinRays {
 ///
 /// The centre of the ball lies `z` along the axis and `r` from it, so it is `(r - slope z) / sqrt(1 + slope^2)` outside
 /// the side of the cone.
-pub fn is_clear(origin: Vec3, direction: Vec3, slope: f32, center: Vec3, radius: f32) -> bool {
+pub(crate) fn is_clear(origin: Vec3, direction: Vec3, slope: f32, center: Vec3, radius: f32) -> bool {
     let way = center - origin;
     let along = way.dot(direction);
     let aside = (way - along * direction).length();

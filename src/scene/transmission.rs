@@ -37,18 +37,18 @@ const MOST_STEPS: f32 = 1024.0;
 const BACK_VOXELS: f64 = 1.0;
 
 /// `exp(-x)` below this counts as no light.
-pub const NO_LIGHT: f32 = 1e-9;
+pub(crate) const NO_LIGHT: f32 = 1e-9;
 
 /// Fraction of the light that remains after a length inside, for each of RGB; the scattering lengths are in the same
 /// unit. A colour with a scattering length of 0 does not enter.
-pub fn left(length: f32, scattering: Vec3) -> Vec3 {
+pub(crate) fn left(length: f32, scattering: Vec3) -> Vec3 {
     let share = (-length / scattering.max(Vec3::splat(f32::MIN_POSITIVE))).exp();
     Vec3::select(scattering.cmpgt(Vec3::ZERO), share, Vec3::ZERO)
 }
 
 /// Weight of transmitted light on a surface at this cosine to the light: 1 where the surface faces away. On the lit
 /// side it falls fast enough that Lambert's cosine plus the weight is at most 1.
-pub fn weight(cosine: f32) -> f32 {
+pub(crate) fn weight(cosine: f32) -> f32 {
     let rest = 1.0 - cosine.clamp(0.0, 1.0);
     rest * rest
 }

@@ -11,14 +11,14 @@ use glam::Vec3;
 const LEAF: usize = 2;
 /// Halving divides 2^32 boxes into leaves in 32 levels. The stack of a search holds at most one node per level, and the
 /// root.
-pub const MAX_DEPTH: usize = 34;
+pub(crate) const MAX_DEPTH: usize = 34;
 /// Boxes are enlarged by this fraction of the scene size, 1: more than the rounding of a float32 slab test.
 const MARGIN: f32 = 2e-6;
 
 /// The tree. The root is node 0.
 #[derive(Debug)]
 pub struct Tree {
-    pub nodes: Vec<SceneNode>,
+    pub(crate) nodes: Vec<SceneNode>,
     pub items: Vec<u32>,
 }
 

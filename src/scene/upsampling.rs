@@ -20,7 +20,7 @@ const ENOUGH: f32 = 0.5;
 
 /// Interpolates light for the surfaces of the pass from a buffer that has light at every `every`-th pixel. Values are
 /// interpolated at every `finer`-th pixel.
-pub fn gather(
+pub(crate) fn gather(
     pass: &Pass<'_>,
     known: &mut LightBuffer,
     source: &GBuffer,

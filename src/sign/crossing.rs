@@ -24,21 +24,21 @@ use robust::{Coord, Coord3D, orient2d, orient3d};
 
 /// Direction of the rays and the two axes of the projection: a right-handed triple.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Axes {
+pub(crate) struct Axes {
     pub ray: usize,
     pub column: usize,
     pub row: usize,
 }
 
 impl Axes {
-    pub const X: Self = Self { ray: 0, column: 1, row: 2 };
-    pub const Y: Self = Self { ray: 1, column: 2, row: 0 };
-    pub const Z: Self = Self { ray: 2, column: 0, row: 1 };
+    pub(crate) const X: Self = Self { ray: 0, column: 1, row: 2 };
+    pub(crate) const Y: Self = Self { ray: 1, column: 2, row: 0 };
+    pub(crate) const Z: Self = Self { ray: 2, column: 0, row: 1 };
 }
 
 /// The closed surface for the rays: the oriented faces of the mesh and any extra triangles, local units.
 #[derive(Debug, Clone, Copy)]
-pub struct ClosedSurface<'a> {
+pub(crate) struct ClosedSurface<'a> {
     pub bvh: &'a Bvh,
     pub mesh: &'a Mesh,
     pub topology: &'a Topology,
@@ -48,19 +48,19 @@ pub struct ClosedSurface<'a> {
 
 impl<'a> ClosedSurface<'a> {
     /// A mesh with its openings closed by `caps`.
-    pub fn new(mesh: &'a Mesh, caps: &'a [[DVec3; 3]]) -> Self {
+    pub(crate) fn new(mesh: &'a Mesh, caps: &'a [[DVec3; 3]]) -> Self {
         Self { bvh: mesh.bvh(), mesh, topology: mesh.topology(), caps }
     }
 
     /// Winding number of a local point by the ray in the positive direction of `axes.ray`.
-    pub fn winding(&self, p: DVec3, axes: Axes) -> i32 {
+    pub(crate) fn winding(&self, p: DVec3, axes: Axes) -> i32 {
         let mut winding = 0;
         self.for_each_candidate(|node| ray_overlaps(node, p, axes), |triangle| winding += crossing(p, triangle, axes));
         winding
     }
 
     /// Number of faces that the ray crosses, in any direction.
-    pub fn crossings(&self, p: DVec3, axes: Axes) -> u32 {
+    pub(crate) fn crossings(&self, p: DVec3, axes: Axes) -> u32 {
         let mut count = 0;
         self.for_each_candidate(
             |node| ray_overlaps(node, p, axes),
@@ -91,7 +91,7 @@ fn ray_overlaps(node: &Node, p: DVec3, axes: Axes) -> [bool; WIDTH] {
 }
 
 /// +1 if the ray from `p` leaves through the triangle, -1 if it enters, 0 if it misses.
-pub fn crossing(p: DVec3, [a, b, c]: [DVec3; 3], axes: Axes) -> i32 {
+pub(crate) fn crossing(p: DVec3, [a, b, c]: [DVec3; 3], axes: Axes) -> i32 {
     let turns = edge_turn(p, a, b, axes) + edge_turn(p, b, c, axes) + edge_turn(p, c, a, axes);
     if turns != 0 && is_ahead(p, [a, b, c], turns, axes) { turns } else { 0 }
 }
@@ -122,7 +122,7 @@ fn is_ahead(p: DVec3, [a, b, c]: [DVec3; 3], turns: i32, axes: Axes) -> bool {
 
 /// Equally spaced sample positions along one axis, local units.
 #[derive(Debug, Clone, Copy)]
-pub struct Samples {
+pub(crate) struct Samples {
     /// Position of sample 0 of the whole axis.
     pub first: f64,
     pub step: f64,
@@ -133,7 +133,7 @@ pub struct Samples {
 }
 
 impl Samples {
-    pub fn at(&self, index: usize) -> f64 {
+    pub(crate) fn at(&self, index: usize) -> f64 {
         self.first + (self.start + index) as f64 * self.step
     }
 
@@ -156,7 +156,7 @@ impl Samples {
 ///
 /// `windings[column * along.count + i]` is the winding number of the sample at `column` and position i along the ray.
 /// The cost is one exact test per edge, and one per column that a triangle covers.
-pub fn scan_row(
+pub(crate) fn scan_row(
     surface: &ClosedSurface<'_>,
     axes: Axes,
     row: f64,
@@ -180,7 +180,7 @@ pub fn scan_row(
 
 /// Adds the contribution of one triangle, times `weight`, to the marks of a row. [`sum_marks`] makes winding numbers of
 /// the marks of all triangles.
-pub fn mark_row(
+pub(crate) fn mark_row(
     triangle: [DVec3; 3],
     axes: Axes,
     row: f64,
@@ -235,7 +235,7 @@ pub fn mark_row(
 }
 
 /// Sums the marks of each column of a row from the far end, which gives the winding numbers.
-pub fn sum_marks(along: &Samples, windings: &mut [i16]) {
+pub(crate) fn sum_marks(along: &Samples, windings: &mut [i16]) {
     for column in windings.chunks_exact_mut(along.count) {
         let mut sum = 0i16;
         for mark in column.iter_mut().rev() {

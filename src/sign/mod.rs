@@ -14,11 +14,11 @@
 //! fails.
 
 mod caps;
-pub mod crossing;
-pub mod openings;
-pub mod pseudonormal;
-pub mod raw;
-pub mod winding;
+pub(crate) mod crossing;
+pub(crate) mod openings;
+pub(crate) mod pseudonormal;
+pub(crate) mod raw;
+pub(crate) mod winding;
 
 #[cfg(test)]
 mod tests;
@@ -37,6 +37,7 @@ use std::str::FromStr;
 /// A rule by its public name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum SignMethod {
+    /// The method that suits the mesh.
     #[default]
     Auto,
     /// Generalised winding number.
@@ -47,10 +48,12 @@ pub enum SignMethod {
     Pseudonormal,
     /// Normal of the face that is nearest after each is nudged along its normal (article 001).
     Normal,
+    /// No signs.
     Unsigned,
 }
 
 impl SignMethod {
+    /// The public name of each method.
     pub const NAMES: [(&'static str, Self); 6] = [
         ("auto", Self::Auto),
         ("winding", Self::Winding),
@@ -60,6 +63,7 @@ impl SignMethod {
         ("unsigned", Self::Unsigned),
     ];
 
+    /// The public name.
     pub fn name(self) -> &'static str {
         Self::NAMES.iter().find(|(_, method)| *method == self).map_or("", |(name, _)| name)
     }
@@ -80,17 +84,24 @@ pub enum SignRule {
     Counted(Openings),
     /// Fast winding number.
     Winding,
+    /// Parity of crossings along rays.
     Parity,
+    /// Angle-weighted pseudonormals.
     Pseudonormal,
+    /// The normal of the nearest face, as in article 001.
     Normal,
+    /// No signs.
     Unsigned,
 }
 
 /// A rule, its public method, and the reason for its choice.
 #[derive(Debug)]
 pub struct SignChoice {
+    /// The rule that was chosen.
     pub rule: SignRule,
+    /// The method that was requested.
     pub method: SignMethod,
+    /// Reason for the choice.
     pub reason: String,
 }
 
@@ -115,6 +126,7 @@ impl Mesh {
 }
 
 impl SignChoice {
+    /// Chooses the rule for a mesh.
     pub fn new(mesh: &Mesh, method: SignMethod) -> Self {
         let asked_for = |rule| Self { rule, method, reason: "asked for".to_owned() };
         match method {

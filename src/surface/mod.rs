@@ -23,13 +23,13 @@
 //! [`LevelSurface::of_field`] or [`LevelSurface::of_blocks`], then [`LevelSurface::crossings`], which a source may replace by its own
 //! planes, then [`LevelSurface::probes`] and [`LevelSurface::join_planes`] if there is a source, then [`LevelSurface::mesh`]. The result does not depend on the number of threads.
 
-pub mod cells;
+pub(crate) mod cells;
 mod hermite;
 mod links;
 mod mesh;
-pub mod patches;
+pub(crate) mod patches;
 mod probes;
-pub mod qef;
+pub(crate) mod qef;
 
 pub use hermite::{join_planes_of_mesh, planes_of_mesh};
 pub use mesh::SurfaceMesh;

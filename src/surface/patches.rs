@@ -20,20 +20,20 @@
 use std::sync::OnceLock;
 
 /// Most patches that a cell can have: one around each of four corners that share no edge.
-pub const MAX_PATCHES: usize = 4;
+pub(crate) const MAX_PATCHES: usize = 4;
 
 /// The patches of a cell: a set of edges each, bit `e` for edge `e`. Unused entries are 0.
-pub type Patches = [u16; MAX_PATCHES];
+pub(crate) type Patches = [u16; MAX_PATCHES];
 
 /// The two corners of an edge, the lower one first.
-pub const fn edge_corners(edge: usize) -> [usize; 2] {
+pub(crate) const fn edge_corners(edge: usize) -> [usize; 2] {
     let (axis, u, v) = (edge / 4, edge % 2, edge / 2 % 2);
     let low = u << ((axis + 1) % 3) | v << ((axis + 2) % 3);
     [low, low | 1 << axis]
 }
 
 /// Corners of a face in cyclic order.
-pub const fn face_corners(face: usize) -> [usize; 4] {
+pub(crate) const fn face_corners(face: usize) -> [usize; 4] {
     let (axis, side) = (face / 2, face % 2);
     let (u, v) = (1 << ((axis + 1) % 3), 1 << ((axis + 2) % 3));
     let first = side << axis;
@@ -41,7 +41,7 @@ pub const fn face_corners(face: usize) -> [usize; 4] {
 }
 
 /// Edges of a face; entry `i` joins the corners `i` and `i + 1` of [`face_corners`].
-pub const fn face_edges(face: usize) -> [usize; 4] {
+pub(crate) const fn face_edges(face: usize) -> [usize; 4] {
     let (axis, side) = (face / 2, face % 2);
     let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
     // The axes after u are v and `axis`, those after v are `axis` and u.
@@ -49,7 +49,7 @@ pub const fn face_edges(face: usize) -> [usize; 4] {
 }
 
 /// Whether both corners of one diagonal of the face are inside and both of the other outside.
-pub fn is_ambiguous(inside: u8, face: usize) -> bool {
+pub(crate) fn is_ambiguous(inside: u8, face: usize) -> bool {
     let [a, b, c, d] = face_corners(face);
     let bit = |corner: usize| inside >> corner & 1;
     bit(a) == bit(c) && bit(b) == bit(d) && bit(a) != bit(b)
@@ -57,7 +57,7 @@ pub fn is_ambiguous(inside: u8, face: usize) -> bool {
 
 /// The patches of a cell with the corners `inside` (one bit per corner). The inside corners of an ambiguous face are
 /// joined if the bit of the face is set in `joined`.
-pub fn patches(inside: u8, joined: u8) -> &'static Patches {
+pub(crate) fn patches(inside: u8, joined: u8) -> &'static Patches {
     static TABLE: OnceLock<Vec<Patches>> = OnceLock::new();
     let table = TABLE.get_or_init(|| (0..256 * 64).map(|i| trace((i / 64) as u8, (i % 64) as u8)).collect());
     &table[usize::from(inside) * 64 + usize::from(joined & 63)]

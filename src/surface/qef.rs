@@ -14,7 +14,7 @@ const PULL: f64 = 1e-3;
 
 /// The sum of squared distances to planes as `v' A v - 2 b' v + const`.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Planes {
+pub(crate) struct Planes {
     matrix: DMat3,
     vector: DVec3,
     mean: DVec3,
@@ -23,37 +23,37 @@ pub struct Planes {
 
 /// The minimum of [`Planes`] over a box.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Minimum {
+pub(crate) struct Minimum {
     pub point: DVec3,
     /// Whether the minimum over all space lies outside the box.
     pub clamped: bool,
 }
 
 impl Planes {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self { matrix: DMat3::ZERO, ..Self::default() }
     }
 
     /// Adds the plane through `point` with the unit normal `normal`; `crossing` contributes to the mean.
-    pub fn add(&mut self, crossing: DVec3, point: DVec3, normal: DVec3) {
+    pub(crate) fn add(&mut self, crossing: DVec3, point: DVec3, normal: DVec3) {
         self.add_plane(point, normal);
         self.mean += crossing;
         self.count += 1.0;
     }
 
     /// Add the plane through `point` with the unit normal `normal`, which no edge crosses.
-    pub fn add_plane(&mut self, point: DVec3, normal: DVec3) {
+    pub(crate) fn add_plane(&mut self, point: DVec3, normal: DVec3) {
         self.matrix += DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
         self.vector += normal * normal.dot(point);
     }
 
     /// The mean of the crossings.
-    pub fn mean(&self) -> DVec3 {
+    pub(crate) fn mean(&self) -> DVec3 {
         self.mean / self.count
     }
 
     /// The minimum over the box from `lower` to `upper`.
-    pub fn minimum(&self, lower: DVec3, upper: DVec3) -> Minimum {
+    pub(crate) fn minimum(&self, lower: DVec3, upper: DVec3) -> Minimum {
         let pull = PULL * self.count;
         let matrix = self.matrix + DMat3::from_diagonal(DVec3::splat(pull));
         let vector = self.vector + self.mean() * pull;

@@ -25,11 +25,11 @@
 //! [`FieldView`] borrows the distances and is cheap to make. Batches run on all cores in chunks, count their progress
 //! in points, and stop when they are cancelled.
 
-pub mod cells;
-pub mod device;
-pub mod outside;
+pub(crate) mod cells;
+pub(crate) mod device;
+pub(crate) mod outside;
 mod resample;
-pub mod sparse;
+pub(crate) mod sparse;
 mod texel;
 mod trilinear;
 
@@ -50,6 +50,7 @@ pub struct FieldView<'a, T = f32> {
 }
 
 impl<'a> FieldView<'a> {
+    /// A view of samples on a grid. Fails if their numbers differ.
     pub fn new(grid: Grid, distances: &'a [f32]) -> Result<Self, Error> {
         Self::encoded(grid, distances, 1.0)
     }
@@ -61,6 +62,7 @@ impl<'a> FieldView<'a> {
         Self { grid, texels: distances, scale: 1.0 }
     }
 
+    /// The samples, x fastest.
     pub fn distances(&self) -> &'a [f32] {
         self.texels
     }

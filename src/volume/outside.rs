@@ -85,7 +85,7 @@ pub(crate) struct CellBound {
 
 /// Lower bound, zero or more, on the distance from `p`, outside the box, to a surface inside the box `inner`, from a
 /// field that stores every sample of its grid.
-pub fn bound_outside(field: &impl Trilinear, p: DVec3, inner: [DVec3; 2]) -> f32 {
+pub(crate) fn bound_outside(field: &impl Trilinear, p: DVec3, inner: [DVec3; 2]) -> f32 {
     round_down(unsigned_bound(field, p, inner))
 }
 

@@ -6,11 +6,13 @@ use half::f16;
 
 /// A stored sample.
 pub trait Texel: Pod + Send + Sync + 'static {
+    /// The encoding of samples of this type.
     const ENCODING: Encoding;
 
     /// `value` rounded toward zero; `scale` as for [`Encoding::encode`].
     fn encode(value: f32, scale: f32) -> Self;
 
+    /// The distance of a sample; `scale` is that of the largest code.
     fn decode(self, scale: f32) -> f32;
 
     /// Whether the decoded value is above zero, without decoding.

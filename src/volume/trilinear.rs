@@ -60,6 +60,7 @@ impl Cell {
 
 /// A field over a grid that is trilinear between samples.
 pub trait Trilinear: Sync {
+    /// The grid of the samples.
     fn grid(&self) -> &Grid;
 
     /// The cell from voxel centre `index` to the next; indices run from -1 to n - 1.

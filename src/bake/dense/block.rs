@@ -16,7 +16,7 @@ pub(super) struct SampleBox {
 impl SampleBox {
     /// Positions of the corners; bit `axis` of the index selects the upper side.
     #[inline(always)]
-    pub fn corners(&self) -> [[f32; CORNERS]; 3] {
+    pub(super) fn corners(&self) -> [[f32; CORNERS]; 3] {
         let mut corners = [[0.0; CORNERS]; 3];
         for axis in 0..3 {
             for i in 0..CORNERS {
@@ -30,7 +30,7 @@ impl SampleBox {
     /// The largest value that a tangent may have at the centre without lying above every bound: the maximum over the
     /// corners of the bound there minus the rise of the tangent to that corner.
     #[inline(always)]
-    pub fn slackest(&self, gradient: [f32; 3], bounds: &[f32; CORNERS]) -> f32 {
+    pub(super) fn slackest(&self, gradient: [f32; 3], bounds: &[f32; CORNERS]) -> f32 {
         let [x, y, z] = [0, 1, 2].map(|axis| gradient[axis] * self.half[axis]);
         let (sum, difference) = (x + y, x - y);
         // The rise to the corners with x and y up, x up, y up, and neither; for the lower and the upper side in z.

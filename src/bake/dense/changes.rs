@@ -34,7 +34,7 @@ pub(in crate::bake) struct Changes<'a> {
 impl<'a> Changes<'a> {
     /// `triangles` are the changed ones at their old and at their new positions, local units. `samples` are those of
     /// the whole grid, `scale` world units to the local unit. `half_thickness` is in world units.
-    pub fn new(
+    pub(crate) fn new(
         triangles: &'a Bvh,
         grid: &LocalGrid,
         samples: &'a [f32],

@@ -16,8 +16,8 @@ macro_rules! gpu_structs {
             $(#[$doc])*
             #[derive(Debug, Clone, Copy, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
             #[repr(C)]
-            pub struct $name {
-                $($(#[$field_doc])* pub $field: $type,)*
+            pub(crate) struct $name {
+                $($(#[$field_doc])* pub(crate) $field: $type,)*
             }
         )*
 
@@ -46,7 +46,7 @@ macro_rules! files {
     ($($file:ident),*) => {
         $(
             mod $file;
-            pub use $file::*;
+            pub(crate) use $file::*;
         )*
 
         #[cfg(test)]

@@ -4,6 +4,6 @@ mod quadric;
 mod shape;
 mod sparse;
 
-pub use quadric::QuadricField;
-pub use shape::ShapeField;
-pub use sparse::SparseBricks;
+pub(crate) use quadric::QuadricField;
+pub(crate) use shape::ShapeField;
+pub(crate) use sparse::SparseBricks;

@@ -19,11 +19,11 @@ use crate::quadric::local::{Local, LocalRay};
 use glam::{DAffine3, DVec3, Vec3};
 
 /// Number of field units in the radius of the trim sphere. Rays that leave the surface start half a unit off it.
-pub const UNITS: f64 = 1024.0;
+pub(super) const UNITS: f64 = 1024.0;
 
 /// A quadric prepared for the rays of a scene.
 #[derive(Debug, Clone)]
-pub struct QuadricField {
+pub(crate) struct QuadricField {
     /// The form in field space: about the origin, with a radius of `UNITS`.
     local: Local,
     field_from_local: DAffine3,
@@ -32,7 +32,7 @@ pub struct QuadricField {
 
 impl QuadricField {
     /// `quadric` must be valid for [`crate::quadric::Quadrics`].
-    pub fn new(quadric: &Quadric) -> Self {
+    pub(crate) fn new(quadric: &Quadric) -> Self {
         let placed = Local::new(quadric);
         let per_unit = UNITS / placed.radius;
         Self {

@@ -29,7 +29,7 @@ use std::sync::Arc;
 
 /// Number of field units in a local unit. Rays that leave the surface start half a unit off it, several of the tracer's
 /// shortest steps.
-pub const UNITS: f32 = 1024.0;
+pub(super) const UNITS: f32 = 1024.0;
 
 /// Number of leaves from which on a ray through the parts costs less than the distances along it.
 const DISTANCES_UP_TO: usize = 48;
@@ -54,7 +54,7 @@ self_cell::self_cell!(
 );
 
 /// A shape prepared for the rays of a scene.
-pub struct ShapeField {
+pub(crate) struct ShapeField {
     parts: Parts,
     /// Lower and upper corner of the surface's box, field space.
     surface: [Vec3; 2],
@@ -75,7 +75,7 @@ thread_local! {
 
 impl ShapeField {
     /// Fails for a shape without bounds, naming the leaf.
-    pub fn new(solid: Arc<Solid>) -> Result<Self, Error> {
+    pub(crate) fn new(solid: Arc<Solid>) -> Result<Self, Error> {
         let parts = Parts::try_new(solid, |solid| tracer(&Place::Cpu, solid, DrawMethod::Auto))?;
         let tracer = parts.borrow_dependent();
         let [lower, upper] = tracer.bounds.map(|corner| UNITS * corner);
@@ -87,7 +87,7 @@ impl ShapeField {
     }
 
     /// The parts that rays are traced through.
-    pub fn tracer(&self) -> &Tracer<'_> {
+    pub(crate) fn tracer(&self) -> &Tracer<'_> {
         self.parts.borrow_dependent()
     }
 

@@ -22,7 +22,7 @@ const REGION_SAMPLES: usize = REGION_BRICKS * BRICK_CELLS + 1;
 const REGION_LEN: usize = REGION_BRICKS * REGION_BRICKS * REGION_BRICKS;
 
 /// Weight of a region in the progress of a job. The weight of a sample is one.
-pub const REGION_WORK: u64 = 512;
+pub(crate) const REGION_WORK: u64 = 512;
 
 /// Options of a sparse field.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -53,7 +53,7 @@ impl SparseOptions {
 }
 
 /// Source of the samples of a grid.
-pub trait SampleSource: Sync {
+pub(crate) trait SampleSource: Sync {
     /// Working memory of one thread.
     type Worker: Send;
 
@@ -68,21 +68,21 @@ pub trait SampleSource: Sync {
 
 /// Samples from `low` up to, but excluding, `high`; within the grid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct SampleBox {
+pub(crate) struct SampleBox {
     pub low: [usize; 3],
     pub high: [usize; 3],
 }
 
 /// The side of the surface on which a whole box lies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Side {
+pub(crate) enum Side {
     Outside,
     Inside,
 }
 
 /// Builds the regions of a sparse field and joins them.
 #[derive(Debug)]
-pub struct SparseBuilder<T> {
+pub(crate) struct SparseBuilder<T> {
     field: SparseField<T>,
     bricks: [usize; 3],
     tolerance: Option<f32>,
@@ -90,7 +90,7 @@ pub struct SparseBuilder<T> {
 
 impl<T: Texel> SparseBuilder<T> {
     /// `nodes` have the layout of [`SparseField`].
-    pub fn new(grid: Grid, options: &SparseOptions, nodes: Vec<f32>) -> Result<Self, Error> {
+    pub(crate) fn new(grid: Grid, options: &SparseOptions, nodes: Vec<f32>) -> Result<Self, Error> {
         options.check()?;
         let bricks = brick_counts(&grid);
         let voxel = grid.spacing().max_element();
@@ -102,18 +102,23 @@ impl<T: Texel> SparseBuilder<T> {
     }
 
     /// Number of regions along each axis.
-    pub fn regions(&self) -> [usize; 3] {
+    pub(crate) fn regions(&self) -> [usize; 3] {
         self.bricks.map(|bricks| bricks.div_ceil(REGION_BRICKS))
     }
 
     /// The range of samples along z that a layer of regions needs.
-    pub fn planes_of_layer(&self, layer: usize) -> std::ops::Range<usize> {
+    pub(crate) fn planes_of_layer(&self, layer: usize) -> std::ops::Range<usize> {
         let bounds = self.clipped([0, 0, layer * REGION_BRICKS], REGION_BRICKS);
         bounds.low[2]..bounds.high[2]
     }
 
     /// Builds one layer of regions. Layers must be added in order.
-    pub fn add_layer<S: SampleSource>(&mut self, source: &S, layer: usize, progress: &Progress) -> Result<(), Error> {
+    pub(crate) fn add_layer<S: SampleSource>(
+        &mut self,
+        source: &S,
+        layer: usize,
+        progress: &Progress,
+    ) -> Result<(), Error> {
         let [rx, ry, _] = self.regions();
         let regions: Vec<Region<T>> = (0..rx * ry)
             .into_par_iter()
@@ -144,7 +149,7 @@ impl<T: Texel> SparseBuilder<T> {
         Ok(())
     }
 
-    pub fn finish(mut self) -> SparseField<T> {
+    pub(crate) fn finish(mut self) -> SparseField<T> {
         self.field.texels.shrink_to_fit();
         self.field
     }

@@ -28,14 +28,14 @@
 //! [`SparseField`] owns the arrays, [`SparseView`] borrows them. At 512^3 the index and the nodes take 3 MB; the memory
 //! of the bricks is proportional to the surface.
 
-pub mod build;
+pub(crate) mod build;
 #[cfg(test)]
 mod tests;
 
 use super::outside::{bound_outside, round_down, square_bound};
 use super::{Cell, FieldView, Texel, Trilinear, trilinear};
 use crate::error::{ArgumentError, Error};
-pub use crate::gpu::constants::bricks::{BRICK_CELLS, BRICK_LEN, BRICK_SAMPLES};
+pub(crate) use crate::gpu::constants::bricks::{BRICK_CELLS, BRICK_LEN, BRICK_SAMPLES};
 use crate::gpu::constants::bricks::{BRICK_MASK, LEVEL_SHIFT, NOTHING_STORED};
 use crate::gpu::layout::SparseParams;
 use crate::grid::Grid;
@@ -45,9 +45,9 @@ use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 /// The coarsest cells have a side of `1 << MAX_LEVEL` voxels.
-pub const MAX_LEVEL: u32 = 2;
+pub(crate) const MAX_LEVEL: u32 = 2;
 /// Number of bricks along the side of the region that a brick of the coarsest level covers.
-pub const REGION_BRICKS: usize = 1 << MAX_LEVEL;
+pub(crate) const REGION_BRICKS: usize = 1 << MAX_LEVEL;
 
 /// Layout of a word of the index:
 ///
@@ -114,12 +114,12 @@ impl<T: Texel> SparseField<T> {
 }
 
 /// Number of bricks along each axis of a grid. Its cells run from -1 to n - 1.
-pub fn brick_counts(grid: &Grid) -> [usize; 3] {
+pub(crate) fn brick_counts(grid: &Grid) -> [usize; 3] {
     grid.shape.map(|n| (n + 1).div_ceil(BRICK_CELLS))
 }
 
 /// The grid whose voxel centres are the corners of the bricks.
-pub fn node_grid(grid: &Grid) -> Grid {
+pub(crate) fn node_grid(grid: &Grid) -> Grid {
     let shape = brick_counts(grid).map(|bricks| bricks + 1);
     let step = grid.spacing() * BRICK_CELLS as f64;
     // Node 0 coincides with sample -1; the voxel around it begins half a step before it.
@@ -205,7 +205,7 @@ impl<'a, T: Texel> SparseView<'a, T> {
     }
 
     /// Parameters for shaders, and the nodes in units of the longest step between them (`shaders/shared/bricks.wgsl`).
-    pub fn for_devices(&self) -> (SparseParams, Vec<f32>) {
+    pub(crate) fn for_devices(&self) -> (SparseParams, Vec<f32>) {
         let step = self.grid.spacing() * BRICK_CELLS as f64;
         let longest = step.max_element();
         let nodes = self.nodes().iter().map(|&node| (f64::from(node) / longest) as f32).collect();
@@ -329,7 +329,7 @@ impl<'a, T: Texel> SparseView<'a, T> {
 
 /// Grid coordinates of sample 0 of the brick of a given level that covers the brick `of_brick`.
 #[inline]
-pub fn brick_origin(of_brick: [i32; 3], level: u32) -> [i32; 3] {
+pub(crate) fn brick_origin(of_brick: [i32; 3], level: u32) -> [i32; 3] {
     of_brick.map(|b| (b >> level << level) * BRICK_CELLS as i32 - 1)
 }
 
@@ -402,7 +402,7 @@ impl<T: Texel> Trilinear for SparseView<'_, T> {
 /// A coarser brick at a sample of a finer lattice: the value of its trilinear function at sample `at`. The finer
 /// lattice has `1 << levels` steps per cell.
 #[inline]
-pub fn coarse_value(samples: &[f32; BRICK_LEN], at: [usize; 3], levels: u32) -> f32 {
+pub(crate) fn coarse_value(samples: &[f32; BRICK_LEN], at: [usize; 3], levels: u32) -> f32 {
     let steps = 1usize << levels;
     // The last sample belongs to the last cell.
     let cell = at.map(|i| (i >> levels).min(BRICK_CELLS - 1));
