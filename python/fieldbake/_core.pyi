@@ -4,8 +4,8 @@ The Python layer passes C-contiguous arrays and checks their dtype and shape; va
 releases the GIL, stops on Ctrl-C and raises the exception classes of :mod:`fieldbake.errors`.
 """
 
-from collections.abc import Callable
-from typing import Any, final
+from collections.abc import Callable, Sequence
+from typing import Any, TypedDict, final, type_check_only
 
 import numpy as np
 from numpy.typing import NDArray
@@ -661,31 +661,68 @@ class Texture:
     @property
     def nbytes(self) -> int: ...
 
+@type_check_only
+class InstanceRow(TypedDict):
+    """An instance of a scene. It has the materials from ``first_material`` on, one for each material of its mesh."""
+
+    mesh: SceneMesh | None
+    field: SceneField | None
+    #: World from local, (4, 4).
+    transform: NDArray[np.float64]
+    first_material: int
+    opacity: float
+    casts_shadow: bool
+    visible: bool
+    #: Whether the object's colours replace the material's.
+    own_colors: bool
+    #: Identifier in the picture.
+    object: int
+    #: Whether light intersects the triangles instead of the field.
+    is_sheet: bool
+
+@type_check_only
+class MaterialRow(TypedDict):
+    """A material of a scene. Textures are indices of the textures of the scene."""
+
+    #: Linear RGBA.
+    color: Sequence[float]
+    specular: float
+    shininess: float
+    #: "opaque", "mask" or "blend".
+    alpha_mode: str
+    alpha_cutoff: float
+    two_sided: bool
+    #: Length for each of RGB, world units.
+    scattering: tuple[float, float, float]
+    texture: int | None
+    #: Linear RGB.
+    emission: Sequence[float]
+    emission_texture: int | None
+    unlit: bool
+
+@type_check_only
+class DirectionalRow(TypedDict):
+    """A light at infinite distance. ``slope`` is the tangent of half its angle."""
+
+    direction: Sequence[float]
+    slope: float
+    #: Linear RGB.
+    color: tuple[float, float, float]
+
+@type_check_only
+class PointRow(TypedDict):
+    """A light at a position."""
+
+    position: Sequence[float]
+    radius: float
+    #: Linear RGB.
+    color: tuple[float, float, float]
+
 @final
 class Scene:
     """Instances, materials and textures, prepared for drawing."""
 
-    def __new__(
-        cls,
-        meshes: list[SceneMesh | None],
-        fields: list[SceneField | None],
-        transforms: NDArray[np.float64],
-        first_materials: list[int],
-        opacities: list[float],
-        casts_shadow: list[bool],
-        visible: list[bool],
-        own_colors: list[bool],
-        objects: list[int],
-        sheets: list[bool],
-        materials: NDArray[np.float32],
-        textures: list[Texture],
-    ) -> Scene:
-        """One item per instance. ``transforms`` (n, 4, 4): world from local. ``own_colors``: whether the object's
-        colours replace the material's. ``objects``: ids in the picture. ``sheets``: whether light intersects the
-        triangles instead of the field. ``materials`` (k, 18): RGBA, specular, shininess, alpha mode (0 opaque, 1 mask,
-        2 blend), cutoff, two sided, scattering RGB, texture or -1, emission RGB, its texture or -1, unlit. An instance
-        has the rows from its first on, one for each material of its mesh.
-        """
+    def __new__(cls, instances: list[InstanceRow], materials: list[MaterialRow], textures: list[Texture]) -> Scene: ...
     @property
     def bounds(self) -> NDArray[np.float64]:
         """Lower and upper corner around all instances, (2, 3), world units."""
@@ -709,7 +746,7 @@ class Renderer:
         *,
         fov_deg: float,
         size: tuple[int, int],
-        lights: NDArray[np.float64],
+        lights: list[DirectionalRow | PointRow],
         primary: str,
         shadows: str,
         area_samples: int,
@@ -724,11 +761,9 @@ class Renderer:
         device: str,
         progress: Callable[[float], object] | None = None,
     ) -> dict[str, Any]:
-        """Draw a scene. ``lights`` has three rows per light: kind (0 directional, 1 point), tangent of half its angle,
-        radius; direction or position; colour. Keys are those of :func:`raymarch`, with ``seconds`` as a dict of passes,
-        and: ``rays`` and ``far_rays``, the number of rays and cones to lights and surroundings and of those that
-        entered the far field; ``light_on``, the device of the light pass; ``sheets``, the number of instances whose
-        triangles the CPU traced.
+        """Draw a scene. Keys are those of :func:`raymarch`, with ``seconds`` as a dict of passes, and: ``rays`` and
+        ``far_rays``, the number of rays and cones to lights and surroundings and of those that entered the far field;
+        ``light_on``, the device of the light pass; ``sheets``, the number of instances whose triangles the CPU traced.
         """
 
 @final

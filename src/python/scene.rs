@@ -1,6 +1,6 @@
 //! `fieldbake._core.Scene` and its parts, and `Renderer`.
 
-use super::convert::{Field, row_array, rows};
+use super::convert::{Field, row_array};
 use super::csg::Shape;
 use super::device::choose;
 use super::error::Failure;
@@ -21,6 +21,7 @@ use crate::scene::triangles::Triangles;
 use crate::scene::{self, Alpha, InstanceInput, Light, Material, Primary, RenderOptions, SceneShadows};
 use crate::volume::Trilinear;
 use glam::{DAffine3, DMat4, DVec3, Vec2, Vec4};
+use numpy::ndarray::ArrayView2;
 use numpy::{PyArray2, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -148,68 +149,150 @@ impl Texture {
 #[pyclass(frozen, module = "fieldbake._core")]
 pub struct Scene(Arc<scene::Scene>);
 
-/// Number of columns of the material table.
-const MATERIAL_COLUMNS: usize = 18;
+/// One instance, as a dictionary. `transform` is world from local. An instance has the materials from `first_material`
+/// on, one for each material of its mesh.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct InstanceRow<'py> {
+    mesh: Option<Py<SceneMesh>>,
+    field: Option<Py<SceneField>>,
+    transform: PyReadonlyArray2<'py, f64>,
+    first_material: u32,
+    opacity: f32,
+    casts_shadow: bool,
+    visible: bool,
+    own_colors: bool,
+    object: u32,
+    is_sheet: bool,
+}
+
+impl InstanceRow<'_> {
+    fn input(&self) -> PyResult<InstanceInput> {
+        Ok(InstanceInput {
+            triangles: self.mesh.as_ref().map(|mesh| mesh.get().0.clone()),
+            field: self.field.as_ref().map(|field| field.get().0.clone()),
+            world_from_local: affine_map(&self.transform.as_array())?,
+            first_material: self.first_material,
+            opacity: self.opacity,
+            casts_shadow: self.casts_shadow,
+            visible: self.visible,
+            own_colors: self.own_colors,
+            object: self.object,
+            is_sheet: self.is_sheet,
+        })
+    }
+}
+
+/// One material, as a dictionary. Textures are indices of the textures of the scene.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct MaterialRow {
+    color: [f32; 4],
+    specular: f32,
+    shininess: f32,
+    alpha_mode: String,
+    alpha_cutoff: f32,
+    two_sided: bool,
+    scattering: [f32; 3],
+    texture: Option<u32>,
+    emission: [f32; 3],
+    emission_texture: Option<u32>,
+    unlit: bool,
+}
+
+impl MaterialRow {
+    fn material(&self, textures: usize) -> PyResult<Material> {
+        let numbers = [&self.color[..], &self.scattering, &self.emission].concat();
+        let others = [self.specular, self.shininess, self.alpha_cutoff];
+        if !numbers.iter().chain(&others).all(|value| value.is_finite()) {
+            return Err(Failure::from(SceneError::new("material", "must be finite".to_owned())).into());
+        }
+        let is_there = |texture: &Option<u32>| texture.is_none_or(|texture| (texture as usize) < textures);
+        if ![self.texture, self.emission_texture].iter().all(is_there) {
+            return Err(Failure::from(SceneError::new("material", "refers to a texture that is not there")).into());
+        }
+        Ok(Material {
+            color: self.color,
+            specular: self.specular,
+            shininess: self.shininess,
+            alpha: match self.alpha_mode.as_str() {
+                "opaque" => Alpha::Opaque,
+                "mask" => Alpha::Mask(self.alpha_cutoff),
+                "blend" => Alpha::Blend,
+                other => return Err(unknown("alpha_mode", "\"opaque\", \"mask\" or \"blend\"", other)),
+            },
+            two_sided: self.two_sided,
+            scattering: self.scattering,
+            texture: self.texture,
+            emission: self.emission,
+            emission_texture: self.emission_texture,
+            unlit: self.unlit,
+        })
+    }
+}
+
+/// One light, as a dictionary: a directional one with `direction` and `slope`, or a point light with `position` and
+/// `radius`.
+#[derive(FromPyObject)]
+enum LightRow {
+    #[pyo3(transparent)]
+    Directional(DirectionalRow),
+    #[pyo3(transparent)]
+    Point(PointRow),
+}
+
+/// The light of a direction; `slope` is the tangent of half its angle.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct DirectionalRow {
+    direction: [f64; 3],
+    slope: f32,
+    color: [f64; 3],
+}
+
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct PointRow {
+    position: [f64; 3],
+    radius: f64,
+    color: [f64; 3],
+}
+
+impl From<LightRow> for Light {
+    fn from(row: LightRow) -> Self {
+        let color = |color| DVec3::from_array(color).as_vec3();
+        match row {
+            LightRow::Directional(row) => Self::Directional {
+                direction: DVec3::from_array(row.direction),
+                color: color(row.color),
+                slope: row.slope,
+            },
+            LightRow::Point(row) => {
+                Self::Point { position: DVec3::from_array(row.position), color: color(row.color), radius: row.radius }
+            }
+        }
+    }
+}
 
 #[pymethods]
 impl Scene {
     #[new]
     fn new(
         py: Python<'_>,
-        meshes: Vec<Option<Py<SceneMesh>>>,
-        fields: Vec<Option<Py<SceneField>>>,
-        transforms: PyReadonlyArray3<'_, f64>,
-        first_materials: Vec<u32>,
-        opacities: Vec<f32>,
-        casts_shadow: Vec<bool>,
-        visible: Vec<bool>,
-        own_colors: Vec<bool>,
-        objects: Vec<u32>,
-        sheets: Vec<bool>,
-        materials: PyReadonlyArray2<'_, f32>,
+        instances: Vec<InstanceRow<'_>>,
+        materials: Vec<MaterialRow>,
         textures: Vec<Py<Texture>>,
     ) -> PyResult<Self> {
-        let count = meshes.len();
-        let lengths = [
-            fields.len(),
-            first_materials.len(),
-            opacities.len(),
-            casts_shadow.len(),
-            visible.len(),
-            own_colors.len(),
-            objects.len(),
-            sheets.len(),
-        ];
-        let shapes_fit = transforms.shape() == [count, 4, 4] && materials.shape()[1] == MATERIAL_COLUMNS;
-        if lengths != [count; 8] || !shapes_fit {
-            return Err(Failure::from(SceneError::new("instances", "lists of different lengths")).into());
-        }
-        let inputs = affine_maps(&transforms)
-            .enumerate()
-            .map(|(i, world_from_local)| InstanceInput {
-                triangles: meshes[i].as_ref().map(|mesh| mesh.get().0.clone()),
-                field: fields[i].as_ref().map(|field| field.get().0.clone()),
-                world_from_local,
-                first_material: first_materials[i],
-                opacity: opacities[i],
-                casts_shadow: casts_shadow[i],
-                visible: visible[i],
-                own_colors: own_colors[i],
-                object: objects[i],
-                is_sheet: sheets[i],
-            })
-            .collect();
-        let textures: Vec<_> = textures.iter().map(|texture| texture.get().0.clone()).collect();
-        let materials = materials.as_array();
-        let materials =
-            materials.rows().into_iter().map(|row| material(&row.to_vec(), textures.len())).collect::<PyResult<_>>()?;
+        let inputs = instances.iter().map(InstanceRow::input).collect::<PyResult<_>>()?;
+        let materials = materials.iter().map(|row| row.material(textures.len())).collect::<PyResult<_>>()?;
+        let textures = textures.iter().map(|texture| texture.get().0.clone()).collect();
         let made = py.detach(|| scene::Scene::new(inputs, materials, textures)).map_err(Failure::from)?;
         Ok(Self(Arc::new(made)))
     }
 
     /// The same instances with other transforms.
     fn moved(&self, py: Python<'_>, transforms: PyReadonlyArray3<'_, f64>) -> PyResult<Self> {
-        let maps: Vec<_> = affine_maps(&transforms).collect();
+        let maps: Vec<_> = transforms.as_array().outer_iter().map(|map| affine_map(&map)).collect::<PyResult<_>>()?;
         Ok(Self(Arc::new(py.detach(|| self.0.moved(&maps)).map_err(Failure::from)?)))
     }
 
@@ -219,45 +302,14 @@ impl Scene {
     }
 }
 
-/// The maps of (n, 4, 4) matrices for column vectors.
-fn affine_maps(matrices: &PyReadonlyArray3<'_, f64>) -> impl Iterator<Item = DAffine3> {
-    let matrices = matrices.as_array();
-    matrices
-        .outer_iter()
-        .map(|matrix| {
-            let columns = std::array::from_fn(|c| std::array::from_fn(|r| matrix[[r, c]]));
-            DAffine3::from_mat4(DMat4::from_cols_array_2d(&columns))
-        })
-        .collect::<Vec<_>>()
-        .into_iter()
-}
-
-/// A row of the material table: RGBA, specular, shininess, alpha mode (0 opaque, 1 mask, 2 blend), cutoff, two sided,
-/// scattering RGB, texture or -1, emission RGB, its texture or -1, unlit.
-fn material(row: &[f32], textures: usize) -> PyResult<Material> {
-    if !row.iter().all(|value| value.is_finite()) {
-        return Err(Failure::from(SceneError::new("material", format!("must be finite, got {row:?}"))).into());
+/// The map of a 4x4 matrix for column vectors.
+fn affine_map(matrix: &ArrayView2<'_, f64>) -> PyResult<DAffine3> {
+    if matrix.shape() != [4, 4] {
+        let problem = format!("must have shape (4, 4), got {:?}", matrix.shape());
+        return Err(Failure::from(SceneError::new("transform", problem)).into());
     }
-    let [texture, emission_texture] = [row[12], row[16]].map(|index| (index >= 0.0).then_some(index as u32));
-    if [texture, emission_texture].into_iter().flatten().any(|texture| texture as usize >= textures) {
-        return Err(Failure::from(SceneError::new("material", "refers to a texture that is not there")).into());
-    }
-    Ok(Material {
-        color: [row[0], row[1], row[2], row[3]],
-        specular: row[4],
-        shininess: row[5],
-        alpha: match row[6] as i32 {
-            1 => Alpha::Mask(row[7]),
-            2 => Alpha::Blend,
-            _ => Alpha::Opaque,
-        },
-        two_sided: row[8] != 0.0,
-        scattering: [row[9], row[10], row[11]],
-        texture,
-        emission: [row[13], row[14], row[15]],
-        emission_texture,
-        unlit: row[17] != 0.0,
-    })
+    let columns = std::array::from_fn(|c| std::array::from_fn(|r| matrix[[r, c]]));
+    Ok(DAffine3::from_mat4(DMat4::from_cols_array_2d(&columns)))
 }
 
 /// Draws frames, and keeps what they have in common in device memory.
@@ -300,7 +352,7 @@ impl Renderer {
         pose: PyReadonlyArray2<'py, f64>,
         fov_deg: f64,
         size: [u32; 2],
-        lights: PyReadonlyArray2<'py, f64>,
+        lights: Vec<LightRow>,
         primary: &str,
         shadows: &str,
         area_samples: u32,
@@ -333,7 +385,7 @@ impl Renderer {
                 "article" => SceneShadows::Article,
                 other => return Err(unknown("shadows", "\"soft\", \"hard\", \"none\" or \"area\"", other)),
             },
-            lights: rows::<f64>(&lights, "lights")?.as_chunks::<3>().0.iter().map(light).collect(),
+            lights: lights.into_iter().map(Light::from).collect(),
             ambient,
             occlusion,
             far: (!far.is_empty()).then(|| FarField {
@@ -363,17 +415,6 @@ impl Renderer {
         images.set_item("rays", rendered.rays)?;
         images.set_item("far_rays", rendered.far_rays)?;
         Ok(images)
-    }
-}
-
-/// Three rows of three: kind (0 directional, 1 point), slope, radius; direction or position; colour.
-fn light(rows: &[[f64; 3]; 3]) -> Light {
-    let [[kind, slope, radius], place, color] = *rows;
-    let (place, color) = (DVec3::from_array(place), DVec3::from_array(color).as_vec3());
-    if kind == 0.0 {
-        Light::Directional { direction: place, color, slope: slope as f32 }
-    } else {
-        Light::Point { position: place, color, radius }
     }
 }
 

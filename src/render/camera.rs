@@ -75,7 +75,13 @@ impl Camera {
 
     /// The rays of a picture for a device. The ray through the centre of the picture starts at `start`, at the depth
     /// `start_depth`, both in the units of the rays.
-    pub(crate) fn rays(&self, options: &RaymarchOptions, light_count: usize, start: DVec3, start_depth: f64) -> PictureRays {
+    pub(crate) fn rays(
+        &self,
+        options: &RaymarchOptions,
+        light_count: usize,
+        start: DVec3,
+        start_depth: f64,
+    ) -> PictureRays {
         self.rays_in(DVec3::ONE, options, light_count, start, start_depth)
     }
 

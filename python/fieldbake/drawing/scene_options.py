@@ -135,7 +135,7 @@ class Options:
                 camera.pose,
                 fov_deg=camera.fov_deg,
                 size=self.size,
-                lights=_light_table(lights),
+                lights=[_light_row(light) for light in lights],
                 primary=self.primary,
                 shadows=self.march,
                 area_samples=self.area_samples,
@@ -195,13 +195,10 @@ def _far_distance(far: Volume | NestedField | None, distance: float | None, meth
     return None if distance is None else checks.number("far_distance", distance, least=0)
 
 
-def _light_table(lights: Sequence[Light]) -> NDArray[np.float64]:
-    """Convert lights to the table of the core, three rows of three for each light."""
-    rows: list[Sequence[float]] = []
-    for light in lights:
-        if isinstance(light, DirectionalLight):
-            rows += [(0.0, np.tan(np.radians(min(light.angle_deg, 170.0) / 2)), 0.0), light.direction]
-        else:
-            rows += [(1.0, 0.0, light.radius), light.position]
-        rows.append(np.multiply(light.color, light.intensity).tolist())
-    return np.array(rows, dtype=np.float64).reshape(-1, 3)
+def _light_row(light: Light) -> _core.DirectionalRow | _core.PointRow:
+    """Convert a light to the row of the core."""
+    red, green, blue = (channel * light.intensity for channel in light.color)
+    if isinstance(light, DirectionalLight):
+        slope = float(np.tan(np.radians(min(light.angle_deg, 170.0) / 2)))
+        return {"direction": light.direction, "slope": slope, "color": (red, green, blue)}
+    return {"position": light.position, "radius": light.radius, "color": (red, green, blue)}

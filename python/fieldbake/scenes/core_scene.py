@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
-from ..meshes.mesh import ALPHA_MODES, Mesh, Part
+from ..meshes.mesh import Mesh, Part
 from . import field_cache
 from .instance import Instance
 from .materials import PLAIN, Material, scattering_rgb
@@ -23,7 +23,7 @@ class MaterialTable:
     """Materials and textures of a scene while they are collected."""
 
     def __init__(self, converted: Textures) -> None:
-        self.materials: list[list[float]] = []
+        self.materials: list[_core.MaterialRow] = []
         self.textures: list[_core.Texture] = []
         #: Textures of this table. Those in `converted` are not converted again.
         self.used: Textures = {}
@@ -43,19 +43,19 @@ class MaterialTable:
         """Add one row; `is_two_sided` applies if the material does not decide it."""
         material = material or Material()
         self.materials.append(
-            [
-                *look.color,
-                material.specular,
-                material.shininess,
-                float(ALPHA_MODES.index(look.alpha_mode)),
-                look.alpha_cutoff,
-                float(look.two_sided or (is_two_sided and material.two_sided is None)),
-                *scattering_rgb(material),
-                -1.0 if look.texture is None else float(self.texture(look.texture)),
-                *look.emission,
-                -1.0 if look.emission_texture is None else float(self.texture(look.emission_texture)),
-                float(look.unlit),
-            ]
+            {
+                "color": look.color,
+                "specular": material.specular,
+                "shininess": material.shininess,
+                "alpha_mode": look.alpha_mode,
+                "alpha_cutoff": look.alpha_cutoff,
+                "two_sided": look.two_sided or (is_two_sided and material.two_sided is None),
+                "scattering": scattering_rgb(material),
+                "texture": None if look.texture is None else self.texture(look.texture),
+                "emission": look.emission,
+                "emission_texture": None if look.emission_texture is None else self.texture(look.emission_texture),
+                "unlit": look.unlit,
+            }
         )
 
 
@@ -64,7 +64,7 @@ class Rows:
 
     def __init__(self, converted: Textures) -> None:
         self.table = MaterialTable(converted)
-        self.columns: dict[str, list[Any]] = {}
+        self.instances: list[_core.InstanceRow] = []
 
     def add(
         self,
@@ -77,40 +77,26 @@ class Rows:
     ) -> None:
         """Add one instance, with a row of the material table for the look of each part."""
         own_colors = instance.material is None or instance.material.color is None
-        row = {
-            "mesh": mesh,
-            "field": field,
-            "transform": instance.transform,
-            "first": len(self.table.materials),
-            "opacity": instance.opacity,
-            "casts": instance.casts_shadow,
-            "visible": instance.visible,
-            "own": own_colors,
-            "object": number,
-            "sheet": sheet.is_traced,
-        }
-        for name, value in row.items():
-            self.columns.setdefault(name, []).append(value)
+        self.instances.append(
+            {
+                "mesh": mesh,
+                "field": field,
+                "transform": np.asarray(instance.transform, dtype=np.float64),
+                "first_material": len(self.table.materials),
+                "opacity": instance.opacity,
+                "casts_shadow": instance.casts_shadow,
+                "visible": instance.visible,
+                "own_colors": own_colors,
+                "object": number,
+                "is_sheet": sheet.is_traced,
+            }
+        )
         for look in looks:
             self.table.add(instance.material, look, sheet.is_two_sided)
 
     def build(self) -> _core.Scene:
         """Make the scene of the core."""
-        columns = self.columns
-        return _core.Scene(
-            columns["mesh"],
-            columns["field"],
-            np.array(columns["transform"], dtype=np.float64),
-            columns["first"],
-            columns["opacity"],
-            columns["casts"],
-            columns["visible"],
-            columns["own"],
-            columns["object"],
-            columns["sheet"],
-            np.array(self.table.materials, dtype=np.float32),
-            self.table.textures,
-        )
+        return _core.Scene(self.instances, self.table.materials, self.table.textures)
 
 
 class Fields(NamedTuple):
