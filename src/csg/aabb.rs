@@ -46,9 +46,10 @@
 //! explode.
 
 use super::bounds::Extent;
-use super::model::{Model, Token};
+use super::model::Model;
 use super::part::{Part, grouped};
 use super::shape::{Blend, Op};
+use super::token::Token;
 use glam::DVec3;
 use std::sync::Arc;
 

@@ -2,9 +2,10 @@
 //! intersected.
 
 use super::chord::{self, PartKind, Step};
-use super::model::{Model, Token};
+use super::model::Model;
 use super::part::Part;
 use super::program::{LocalFrame, Program};
+use super::token::Token;
 use crate::bvh::boxes::BoxTree;
 use glam::{Vec3, Vec3A};
 use std::sync::Arc;

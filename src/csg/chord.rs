@@ -29,9 +29,9 @@
 //! `shaders/shared/csg_chord.wgsl`.
 
 use super::leaf::{Flat, LeafField, PlacedLeaf};
-use super::model::Token;
 use super::program::{Joint, Program};
 use super::shape::Op;
+use super::token::{Operation, Token, fold_postfix};
 use crate::gpu::constants::csg_chord::{CHORD_FAR, CHORD_PARALLEL, CHORD_STILL};
 pub(crate) use crate::gpu::constants::csg_root::ERODED;
 use glam::{Vec2, Vec3};
@@ -88,15 +88,13 @@ impl PartKind {
 
 /// The normal form of a part of leaves under sharp operators; `None` if it has more than [`MAX_LEAVES`] literals.
 pub(crate) fn steps(program: &Program<f32>, tokens: &[Token]) -> Option<Vec<Step>> {
-    // Each operand and its complement.
-    let mut waiting: Vec<[Vec<Step>; 2]> = Vec::new();
     let join = |a: &[Step], b: &[Step], step: Step| [a, b, &[step]].concat();
-    for &token in tokens {
-        let operand = match token {
-            Token::Leaf(leaf) => [false, true].map(|is_complement| vec![Step::Literal { leaf, is_complement }]),
-            Token::Combine(i) => {
+    // Each operand and its complement.
+    let both = fold_postfix::<[Vec<Step>; 2]>(tokens, |operation| {
+        let both = match operation {
+            Operation::Leaf(leaf) => [false, true].map(|is_complement| vec![Step::Literal { leaf, is_complement }]),
+            Operation::Combine(i, below, top) => {
                 let combine = &program.combines[i as usize];
-                let (top, below) = (waiting.pop()?, waiting.pop()?);
                 let ([a, not_a], [b, not_b]) = if combine.is_swapped { (top, below) } else { (below, top) };
                 let or = |a: &[Step], b: &[Step]| join(a, b, Step::Union);
                 let and = |a: &[Step], b: &[Step]| join(a, b, Step::Intersection);
@@ -107,19 +105,13 @@ pub(crate) fn steps(program: &Program<f32>, tokens: &[Token]) -> Option<Vec<Step
                     Op::Xor => [or(&and(&a, &not_b), &and(&not_a, &b)), or(&and(&a, &b), &and(&not_a, &not_b))],
                 }
             }
-            Token::Complement => {
-                let [operand, complement] = waiting.pop()?;
-                [complement, operand]
-            }
-            _ => return None,
+            Operation::Complement([operand, complement]) => [complement, operand],
+            Operation::DistanceOp(..) | Operation::Warp(..) => return None,
         };
         // A normal form with `n` literals has `2 n - 1` steps.
-        if operand[0].len() >= 2 * MAX_LEAVES {
-            return None;
-        }
-        waiting.push(operand);
-    }
-    waiting.pop().map(|[operand, _]| operand)
+        (both[0].len() < 2 * MAX_LEAVES).then_some(both)
+    });
+    both.map(|[operand, _]| operand)
 }
 
 /// Whether a leaf is convex and has a closed form here.

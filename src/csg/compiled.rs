@@ -11,11 +11,12 @@
 use super::cells::PartProgram;
 use super::chord::{MAX_LEAVES, PartKind};
 use super::leaf::{KINDS_MODULE, KindSet, LeafField, kinds_text};
-use super::model::{Model, Token};
+use super::model::Model;
 use super::part::{StructureToken, structure};
 use super::shader::{HELPERS, Writer};
 use super::shape::Op;
 use super::solid::Solid;
+use super::token::Token;
 use super::trace::Tracer;
 use crate::gpu::constants::csg_draw::{FORM_CHORDS, FORM_FIELD, FORM_UNION};
 use crate::gpu::shader::shared;

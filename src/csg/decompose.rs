@@ -18,11 +18,12 @@
 //! shader.
 
 use super::cells::PartCells;
-use super::model::{Coat, DistanceOp, Model, Token};
+use super::model::{Coat, DistanceOp, Model};
 use super::part::{Method, Part};
 use super::placement::{Placement, WarpKind};
 use super::shape::{Blend, Kind, Op, Shape};
 use super::solid::Solid;
+use super::token::{Operation, Token, fold_postfix};
 use super::{aabb, octree};
 use crate::error::{Error, ShapeError};
 use glam::{DMat3, DQuat, DVec3};
@@ -59,44 +60,38 @@ impl Solid {
 
 /// A part as a shape of its own, with every leaf in its placement.
 pub(crate) fn shape_of(model: &Model, tokens: &[Token]) -> Result<Shape, ShapeError> {
-    let mut stack: Vec<Shape> = Vec::new();
-    for &token in tokens {
-        let shape = match token {
-            Token::Leaf(i) => {
-                let leaf = &model.leaves[i as usize];
-                let bare = Shape::primitive(leaf.primitive.clone());
-                coated(placed(&bare, &leaf.place)?, leaf.paint.as_deref())?
-            }
-            Token::Combine(i) => {
-                let combine = model.combines[i as usize];
-                let (top, below) = (pop(&mut stack), pop(&mut stack));
-                let (a, b) = if combine.is_swapped { (top, below) } else { (below, top) };
-                joined(combine.op, combine.blend, a, b)?
-            }
-            Token::DistanceOp(i) => match model.levels[i as usize] {
-                DistanceOp::Offset(distance) => pop(&mut stack).changed("offset", &[distance])?,
-                DistanceOp::Shell(thickness) => pop(&mut stack).changed("shell", &[thickness])?,
-            },
-            Token::Complement => pop(&mut stack).changed("complement", &[])?,
-            Token::Enter(_) => continue,
-            Token::Leave(i) => {
-                let warp = model.warps[i as usize];
-                let child = pop(&mut stack);
-                let warped = match warp.kind {
-                    WarpKind::Elongate(half) => child.changed("elongate", &half.to_array())?,
-                    WarpKind::Twist(rate) => child.changed("twist", &[rate.to_degrees()])?,
-                    WarpKind::Bend(rate) => child.changed("bend", &[rate.to_degrees()])?,
-                };
-                placed(&warped, &warp.place)?
-            }
-        };
-        stack.push(shape);
-    }
-    stack.pop().ok_or_else(|| ShapeError::argument("shape", "has no parts"))
+    let shape = fold_postfix(tokens, |operation| Some(applied(model, operation)));
+    shape.unwrap_or_else(|| Err(ShapeError::argument("shape", "has no parts")))
 }
 
-fn pop(stack: &mut Vec<Shape>) -> Shape {
-    stack.pop().expect("tokens are in postfix order")
+/// The shape of one token.
+fn applied(model: &Model, operation: Operation<Result<Shape, ShapeError>>) -> Result<Shape, ShapeError> {
+    match operation {
+        Operation::Leaf(i) => {
+            let leaf = &model.leaves[i as usize];
+            let bare = Shape::primitive(leaf.primitive.clone());
+            coated(placed(&bare, &leaf.place)?, leaf.paint.as_deref())
+        }
+        Operation::Combine(i, first, second) => {
+            let combine = model.combines[i as usize];
+            let [a, b] = combine.in_order(first?, second?);
+            joined(combine.op, combine.blend, a, b)
+        }
+        Operation::DistanceOp(i, operand) => match model.levels[i as usize] {
+            DistanceOp::Offset(distance) => operand?.changed("offset", &[distance]),
+            DistanceOp::Shell(thickness) => operand?.changed("shell", &[thickness]),
+        },
+        Operation::Complement(operand) => operand?.changed("complement", &[]),
+        Operation::Warp(i, operand) => {
+            let warp = model.warps[i as usize];
+            let warped = match warp.kind {
+                WarpKind::Elongate(half) => operand?.changed("elongate", &half.to_array()),
+                WarpKind::Twist(rate) => operand?.changed("twist", &[rate.to_degrees()]),
+                WarpKind::Bend(rate) => operand?.changed("bend", &[rate.to_degrees()]),
+            };
+            placed(&warped?, &warp.place)
+        }
+    }
 }
 
 /// A sharp operator over the same operator becomes one with more operands.

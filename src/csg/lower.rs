@@ -4,11 +4,12 @@
 //! and Ullman, 1970), so a model of a million leaves needs a stack of twenty at any nesting.
 
 use super::bounds::Extent;
-use super::model::{Coat, Combine, DistanceOp, Leaf, Mask, MaskDistance, Model, Token};
+use super::model::{Coat, Combine, DistanceOp, Leaf, Mask, MaskDistance, Model};
 use super::placement::{Placement, Stretch, Warp, WarpKind, reflection};
 use super::primitive::Primitive;
 use super::program::{LocalFrame, Program, Stack};
 use super::shape::{Blend, Kind, Op, Shape};
+use super::token::Token;
 use crate::error::ShapeError;
 use crate::gpu::constants::csg_interpreter::MAX_WARPS;
 use glam::DVec3;

@@ -39,6 +39,7 @@ mod real;
 pub(crate) mod shader;
 pub(crate) mod shape;
 pub(crate) mod solid;
+pub(crate) mod token;
 pub(crate) mod trace;
 pub(crate) mod volume_leaf;
 pub(crate) mod whole;

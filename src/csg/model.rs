@@ -14,26 +14,11 @@ use super::bounds::Extent;
 use super::placement::{Placement, Warp};
 use super::primitive::Primitive;
 use super::shape::{Blend, Op, Shape};
+use super::token::{Operation, Token, fold_postfix};
 use crate::error::ShapeError;
 use glam::DVec3;
 use std::fmt;
 use std::sync::Arc;
-
-/// A step of the stack machine.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Token {
-    /// Pushes the distance to a leaf.
-    Leaf(u32),
-    /// Pops two values and pushes their combination.
-    Combine(u32),
-    /// Subtracts a radius, or forms a shell; see [`DistanceOp`].
-    DistanceOp(u32),
-    /// Negates.
-    Complement,
-    /// The following tokens are evaluated at a changed position, up to the matching `Leave`.
-    Enter(u32),
-    Leave(u32),
-}
 
 #[derive(Debug, Clone)]
 pub struct Leaf {
@@ -52,6 +37,13 @@ pub struct Combine {
     pub blend: Blend,
     /// Whether the second operand was evaluated first: the stack holds (second, first).
     pub is_swapped: bool,
+}
+
+impl Combine {
+    /// The operands in the order of the operator, from those in the order of their evaluation.
+    pub(super) fn in_order<T>(&self, first: T, second: T) -> [T; 2] {
+        if self.is_swapped { [second, first] } else { [first, second] }
+    }
 }
 
 /// A change of the distance only.
@@ -142,36 +134,24 @@ pub struct Model {
 
 impl Model {
     /// Extent of a part of the tokens.
-    pub fn extent_of(&self, tokens: &[Token]) -> Extent {
-        let mut stack: Vec<Extent> = Vec::new();
-        for &token in tokens {
-            self.apply_extent(token, &mut stack);
-        }
-        stack.pop().unwrap_or(Extent::EMPTY)
-    }
-
-    fn apply_extent(&self, token: Token, stack: &mut Vec<Extent>) {
-        let mut pop = || stack.pop().expect("tokens are in postfix order");
-        let extent = match token {
-            Token::Leaf(leaf) => self.leaves[leaf as usize].extent,
-            Token::Combine(i) => {
-                let combine = self.combines[i as usize];
-                let (top, below) = (pop(), pop());
-                let (a, b) = if combine.is_swapped { (top, below) } else { (below, top) };
-                Extent::combined(combine.op, combine.blend, a, b)
-            }
-            Token::DistanceOp(i) => match self.levels[i as usize] {
-                DistanceOp::Offset(distance) => pop().level(distance),
-                DistanceOp::Shell(thickness) => pop().level(0.5 * thickness),
-            },
-            Token::Complement => pop().complement(),
-            Token::Enter(_) => return,
-            Token::Leave(i) => {
-                let warp = &self.warps[i as usize];
-                pop().warped(warp)
-            }
-        };
-        stack.push(extent);
+    pub(crate) fn extent_of(&self, tokens: &[Token]) -> Extent {
+        let extent = fold_postfix(tokens, |operation| {
+            Some(match operation {
+                Operation::Leaf(leaf) => self.leaves[leaf as usize].extent,
+                Operation::Combine(i, below, top) => {
+                    let combine = self.combines[i as usize];
+                    let [a, b] = combine.in_order(below, top);
+                    Extent::combined(combine.op, combine.blend, a, b)
+                }
+                Operation::DistanceOp(i, operand) => match self.levels[i as usize] {
+                    DistanceOp::Offset(distance) => operand.level(distance),
+                    DistanceOp::Shell(thickness) => operand.level(0.5 * thickness),
+                },
+                Operation::Complement(operand) => operand.complement(),
+                Operation::Warp(i, operand) => operand.warped(&self.warps[i as usize]),
+            })
+        });
+        extent.unwrap_or(Extent::EMPTY)
     }
 
     /// The box without the growth by fillets.
@@ -196,24 +176,24 @@ impl Model {
     }
 
     /// The Lipschitz constant of a part.
-    pub fn lipschitz_of(&self, tokens: &[Token]) -> f64 {
-        let mut stack: Vec<f64> = Vec::new();
-        for &token in tokens {
-            match token {
-                Token::Leaf(leaf) => stack.push(self.leaves[leaf as usize].primitive.lipschitz()),
-                Token::Combine(i) => {
-                    let (a, b) = (stack.pop().unwrap_or(1.0), stack.pop().unwrap_or(1.0));
+    pub(crate) fn lipschitz_of(&self, tokens: &[Token]) -> f64 {
+        let constant = fold_postfix::<f64>(tokens, |operation| {
+            Some(match operation {
+                Operation::Leaf(leaf) => self.leaves[leaf as usize].primitive.lipschitz(),
+                Operation::Combine(i, a, b) => {
                     // The flat of a chamfer: (a + b - k) / sqrt(2).
                     let flat = match self.combines[i as usize].blend {
                         Blend::Chamfer(_) => std::f64::consts::SQRT_2,
                         _ => 1.0,
                     };
-                    stack.push(a.max(b) * flat);
+                    a.max(b) * flat
                 }
-                _ => {}
-            }
-        }
-        stack.pop().unwrap_or(1.0)
+                Operation::DistanceOp(_, operand) | Operation::Complement(operand) | Operation::Warp(_, operand) => {
+                    operand
+                }
+            })
+        });
+        constant.unwrap_or(1.0)
     }
 
     pub fn is_bounded(&self) -> Result<(), ShapeError> {

@@ -13,11 +13,12 @@
 //! ([`super::chord`]), a few leaves in a large cell are cheaper than many boxes.
 
 use super::chord::PartKind;
-use super::model::{Model, Token};
+use super::model::Model;
 use super::part::{Part, grouped};
 use super::program::{Joint, PlacedDistanceOp, PlacedWarp, PlacedWarpKind, Program};
 use super::shape::Op;
 use super::solid::Solid;
+use super::token::Token;
 use crate::simd;
 use glam::{DVec3, UVec3};
 use rayon::prelude::*;

@@ -1,8 +1,9 @@
 //! Parts of a shape, and the structure that parts of one kernel share.
 
-use super::model::{DistanceOp, Model, Token};
+use super::model::{DistanceOp, Model};
 use super::placement::WarpKind;
 use super::shape::{Blend, Op};
+use super::token::Token;
 use crate::error::{ShapeError, choice};
 use glam::DVec3;
 use rustc_hash::FxHashMap;

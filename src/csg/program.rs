@@ -6,10 +6,11 @@
 //! twin in WGSL is `shaders/shared/csg_field.wgsl`.
 
 use super::leaf::{LeafField, PlacedLeaf};
-use super::model::{Coat, DistanceOp, Model, Token};
+use super::model::{Coat, DistanceOp, Model};
 use super::placement::WarpKind;
 use super::real::{Real, length2};
 use super::shape::{Blend, Op};
+use super::token::Token;
 use glam::{DMat3, DVec3};
 
 #[derive(Debug, Clone, Copy)]

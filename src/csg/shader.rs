@@ -5,13 +5,14 @@
 //! units.
 
 use super::leaf::{Flat, LeafField};
-use super::model::{Leaf, Model, Token};
+use super::model::{Leaf, Model};
 use super::part::{StructureToken, structure};
 use super::placement::WarpKind;
 use super::primitive::{PARAMETERS, Primitive};
 use super::program::{Joint, LocalFrame, PlacedDistanceOp, PlacedWarpKind, Program};
 use super::shape::Op;
 use super::solid::Solid;
+use super::token::Token;
 use crate::error::ShapeError;
 use crate::gpu::shader::shared;
 use crate::shader_text::{GlslTarget, Language, translate};

@@ -4,11 +4,12 @@
 //! to about 1e-7 of the model's size at any position. Batches of 64 points are distributed to all cores.
 
 use super::cells::{PartCells, SharedTables};
-use super::model::{Model, Token};
+use super::model::Model;
 use super::part::Part;
 use super::program::{LocalFrame, Program, Stack};
 use super::real::Real;
 use super::shape::Shape;
+use super::token::Token;
 use crate::error::Error;
 use crate::grid::Grid;
 use crate::memory::allocate_samples;

@@ -4,9 +4,10 @@
 //! that differ in parameters share a function.
 
 use super::leaf::LeafField;
-use super::model::{Model, Token};
+use super::model::Model;
 use super::shader::{HELPERS, Writer};
 use super::solid::Solid;
+use super::token::Token;
 use std::fmt::Write;
 
 /// Largest number of tokens of a shape. Drivers inline the function at each call, and longer ones compile for minutes.
