@@ -9,7 +9,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := $(shell find src shaders -type f 2>/dev/null) Cargo.toml Cargo.lock pyproject.toml
 
-.PHONY: help demo test test-long check types bench docs fix wheel portable clean
+.PHONY: help demo test test-long check types bench hardware docs fix wheel portable clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -48,6 +48,9 @@ bench: $(VENV)/.built $(VENV)/.bench ## Bake real meshes side by side with other
 	$(BIN)/python benches/exactness.py
 	$(BIN)/python benches/curves.py
 	for bench in queries atlas sparse csg csg_peers quadrics merge scene; do $(BIN)/python benches/$$bench.py; done
+
+hardware: $(VENV)/.built $(VENV)/.test ## Test and measure a graphics card: benches/results/DATE-hardware-CARD.md
+	$(BIN)/python benches/hardware.py
 
 fix: $(VENV)/.lint ## Format, and repair what lints can repair
 	$(BIN)/ruff check --fix --quiet . || true
