@@ -59,7 +59,7 @@ const ABSENT: f32 = 1e4;
 
 /// A float32 ray for tests of eight boxes or triangles.
 #[derive(Debug)]
-pub struct LaneRay {
+pub(crate) struct LaneRay {
     /// Origin moved by the margin of the boxes, for the sides that the ray enters and leaves through.
     enter_origin: [f32; 3],
     leave_origin: [f32; 3],
@@ -90,7 +90,7 @@ impl Mesh {
 
 impl LaneRay {
     #[inline]
-    pub fn new(sheared: &Sheared) -> Self {
+    pub(crate) fn new(sheared: &Sheared) -> Self {
         let (position, [x, y, z]) = (sheared.origin.as_vec3().to_array(), sheared.axes);
         let mut ray = Self {
             enter_origin: position,
@@ -117,7 +117,7 @@ impl LaneRay {
 
     /// Mask of the lanes whose box the ray enters before `limit`, and the t of entry.
     #[inline(always)]
-    pub fn boxes(&self, node: &Node, limit: f32) -> (u32, [f32; WIDTH]) {
+    pub(crate) fn boxes(&self, node: &Node, limit: f32) -> (u32, [f32; WIDTH]) {
         let mut entered = [0.0f32; WIDTH];
         let mut mask = 0;
         for lane in 0..WIDTH {
@@ -139,7 +139,7 @@ impl LaneRay {
 
     /// Mask of the lanes whose triangle the ray may hit before `limit`.
     #[inline(always)]
-    pub fn triangles(&self, pack: &RayPack, limit: f32) -> u32 {
+    pub(crate) fn triangles(&self, pack: &RayPack, limit: f32) -> u32 {
         let [kx, ky, kz] = self.axes;
         let mut mask = 0;
         for lane in 0..WIDTH {

@@ -13,7 +13,7 @@ use robust::{Coord, orient2d};
 
 /// Margin of boxes in ray tests, local units. Coordinates are below 1 and rounded to 6e-8 in float32, three times in a
 /// slab test.
-pub const BOX_MARGIN: f32 = 1e-6;
+pub(crate) const BOX_MARGIN: f32 = 1e-6;
 
 /// The intersection of a ray with a face.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -41,7 +41,7 @@ pub struct Ray {
 
 /// The part of a ray inside the box of a mesh, prepared for exact tests of triangles.
 #[derive(Debug)]
-pub struct ClippedRay {
+pub(crate) struct ClippedRay {
     t_min: f64,
     t_max: f64,
     /// Where the ray enters the box, and where it leaves the box or ends.
@@ -57,7 +57,7 @@ pub struct ClippedRay {
 impl ClippedRay {
     /// None if the ray misses the box, or reaches it at a `t` that float64 cannot hold.
     #[inline]
-    pub fn new(ray: &Ray, min: DVec3, max: DVec3) -> Option<Self> {
+    pub(crate) fn new(ray: &Ray, min: DVec3, max: DVec3) -> Option<Self> {
         let magnitude = ray.direction.abs();
         let z = if magnitude.y > magnitude.x { 1 } else { 0 };
         let z = if magnitude.z > magnitude[z] { 2 } else { z };
@@ -82,7 +82,7 @@ impl ClippedRay {
 
     /// The hit of a face with these corners, if it lies within the limits of the ray.
     #[inline]
-    pub fn hit(&self, face: u32, corners: [DVec3; 3]) -> Option<FaceHit> {
+    pub(crate) fn hit(&self, face: u32, corners: [DVec3; 3]) -> Option<FaceHit> {
         let hit = self.sheared.hit(corners)?;
         let t = self.t_start + hit.t * self.unscale;
         (t >= self.t_min && t <= self.t_max && t < f64::INFINITY).then_some(FaceHit { t, face, ..hit })
@@ -91,7 +91,7 @@ impl ClippedRay {
     /// Limit of a float32 search for hits up to `t`, in the scaled direction from the start. It has slack for the
     /// rounding of the values that are compared with it.
     #[inline]
-    pub fn search_limit(&self, t: f64) -> f32 {
+    pub(crate) fn search_limit(&self, t: f64) -> f32 {
         let length = (t.min(self.t_end) - self.t_start) * self.size;
         length as f32 * 1.000_001 + 2.0 * BOX_MARGIN
     }
@@ -120,7 +120,7 @@ fn slab(origin: DVec3, inverse: DVec3, min: DVec3, max: DVec3) -> (f64, f64) {
 
 /// A float64 ray in coordinates whose z axis is the ray.
 #[derive(Debug)]
-pub struct Sheared {
+pub(crate) struct Sheared {
     pub origin: DVec3,
     /// Inverse of the direction, whose largest component is 1 or -1. A zero has an infinite inverse of its sign.
     pub inverse: DVec3,

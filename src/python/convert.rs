@@ -66,7 +66,7 @@ pub(super) fn grid(lower: [f64; 3], upper: [f64; 3], shape: [usize; 3]) -> PyRes
 }
 
 /// The shape (nx, ny, nz) and the samples of an array with x fastest, without a copy.
-pub fn samples<'a, T: numpy::Element>(array: &'a PyReadonlyArray3<'_, T>) -> PyResult<([usize; 3], &'a [T])> {
+pub(super) fn samples<'a, T: numpy::Element>(array: &'a PyReadonlyArray3<'_, T>) -> PyResult<([usize; 3], &'a [T])> {
     let shape = std::array::from_fn(|axis| array.shape()[axis]);
     let samples = array.as_slice().ok().filter(|_| array.is_fortran_contiguous());
     let samples = samples.ok_or_else(|| {

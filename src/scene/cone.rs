@@ -13,7 +13,7 @@ const PAST_EDGE: f32 = 1.25;
 
 /// Largest number of steps of one cone past one instance. Steps of at least half a voxel cross the diagonal of 128^3 in
 /// 450; few cones stay so near to a surface for so long.
-pub const MAX_CONE_STEPS: u32 = 512;
+pub(crate) const MAX_CONE_STEPS: u32 = 512;
 
 /// Result of a cone past one instance.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,7 +39,7 @@ const RIM_ROUNDING: f32 = 1e-5;
 ///
 /// `1/2 + (asin x + x sqrt(1 - x^2)) / pi` by its series, accurate to 0.004. The last term is chosen so that the series
 /// is 1 at x = 1.
-pub fn visible_share(x: f32) -> f32 {
+pub(crate) fn visible_share(x: f32) -> f32 {
     // An edge that rounding has moved slightly inside the rim counts as on the rim. So dark is exactly 0 and lit is
     // exactly 1.
     let x = ((1.0 + RIM_ROUNDING) * x).clamp(-1.0, 1.0);
@@ -143,7 +143,7 @@ impl<'a> ConeSum<'a> {
 }
 
 /// One cone past one instance, in its field space.
-pub struct ConeWalk<'a> {
+pub(crate) struct ConeWalk<'a> {
     pub field: &'a dyn Field,
     pub instance: &'a Instance,
     pub start: Vec3,
@@ -175,7 +175,7 @@ impl ConeWalk<'_> {
     }
 
     /// The axis is free: the smallest clearance in radii, at most `x_known`.
-    pub fn beside(&self, x_known: f32, steps: &mut u32) -> f32 {
+    pub(crate) fn beside(&self, x_known: f32, steps: &mut u32) -> f32 {
         let mut x = x_known;
         let mut t = self.enter;
         for _ in 0..MAX_CONE_STEPS {
@@ -210,7 +210,7 @@ impl ConeWalk<'_> {
     /// Steps of the whole distance cannot cross the surface. Before the first longer step, `hit_from` traces the axis
     /// from the previous step. An axis that is known to be free is not traced. The walk ends where the rest of the cone
     /// cannot come closer to the surface, nor closer than the known edge at `x_known`.
-    pub fn beside_wide(
+    pub(crate) fn beside_wide(
         &self,
         wide: &WideCone<'_>,
         x_known: f32,
@@ -257,7 +257,7 @@ impl ConeWalk<'_> {
 
     /// The axis enters the solid at `t_hit`. Returns its depth in radii, and the offset of a unit direction that would
     /// pass the nearest edge, if that edge is near enough.
-    pub fn inside(&self, t_hit: f32, steps: &mut u32) -> (Cone, Option<Vec3>) {
+    pub(crate) fn inside(&self, t_hit: f32, steps: &mut u32) -> (Cone, Option<Vec3>) {
         let dark = Cone { x: -1.0, is_covered: false };
         let mut deepest = (0.0f32, t_hit);
         // Immediately behind the surface, where the field is below zero.

@@ -27,6 +27,14 @@ pub struct LightRay {
     pub t_max: f64,
 }
 
+/// A cone around a ray from a surface: at the distance `t` its radius is `slope t`.
+#[derive(Debug, Clone, Copy)]
+pub struct LightCone<'a> {
+    pub place: &'a SurfacePoint,
+    pub ray: &'a LightRay,
+    pub slope: f32,
+}
+
 /// Number of cones that divide a light's disc if one is not sufficient.
 pub(crate) const PARTS: u32 = 16;
 

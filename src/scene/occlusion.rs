@@ -23,7 +23,7 @@
 
 use super::cone::{BallAhead, ConeSum, WideCone};
 use super::field::Field;
-use super::light_rays::{LightRay, LightWork, SurfacePoint, basis};
+use super::light_rays::{LightCone, LightRay, LightWork, SurfacePoint, basis};
 use super::shadow::{Casters, bias};
 use super::tree::Line;
 use super::{Instance, Scene};
@@ -286,6 +286,7 @@ impl Casters<'_> {
         occluders: &mut Occluders,
         work: &mut LightWork,
     ) -> f32 {
+        let cone = LightCone { place, ray, slope };
         let direction = ray.direction.as_vec3();
         let split = self.split(place, ray, slope);
         let reach = self.reach(&split, ray);
@@ -313,14 +314,14 @@ impl Casters<'_> {
             };
             sum.wide = Some(WideCone { nearby, least_x: bound, ball });
             for caster in self.casters(item, place, ray, &split) {
-                self.add_cone(&caster, place, ray, slope, x_known, &mut sum, work);
+                self.add_cone(&caster, cone, x_known, &mut sum, work);
             }
             if sum.opaque.x <= -1.0 {
                 break;
             }
         }
         sum.wide = ConeSum::wide(nearby).wide;
-        let is_far = self.add_far(&split, place, ray, slope, &mut sum, work);
+        let is_far = self.add_far(&split, cone, &mut sum, work);
         work.count(is_far);
         sum.share().share
     }

@@ -28,7 +28,7 @@
 use super::cone::{Cone, ConeShare, ConeSum, ConeWalk, WideCone};
 use super::far::{Far, FarLevel, Split};
 use super::field::{Field, FieldRay};
-use super::light_rays::{LightRay, LightWork, PARTS, SurfacePoint, basis, clip, disc_point, toward, widest};
+use super::light_rays::{LightCone, LightRay, LightWork, PARTS, SurfacePoint, basis, clip, disc_point, toward, widest};
 use super::thin::is_clear;
 use super::tree::Line;
 use super::{Instance, Scene};
@@ -85,13 +85,14 @@ impl<'a> Casters<'a> {
         work: &mut LightWork,
     ) -> ConeShare {
         met.clear();
+        let cone = LightCone { place, ray, slope };
         let split = self.split(place, ray, slope);
         let mut sum = ConeSum::NEW;
         let line = Line::cone(place.p.as_vec3(), ray.direction.as_vec3(), slope);
         self.scene.tree.walk(&line, self.reach(&split, ray), |item, limit| {
             let mut x = 1.0f32;
             for caster in self.casters(item, place, ray, &split) {
-                x = x.min(self.add_cone(&caster, place, ray, slope, 1.0, &mut sum, work).x);
+                x = x.min(self.add_cone(&caster, cone, 1.0, &mut sum, work).x);
             }
             if x < 1.0 {
                 met.push(item);
@@ -101,7 +102,7 @@ impl<'a> Casters<'a> {
         let is_far = split.far.is_some() && !sum.opaque.is_covered;
         if is_far {
             for far in self.far_casters(&split, place, ray) {
-                self.add_cone(&far, place, ray, slope, 1.0, &mut sum, work);
+                self.add_cone(&far, cone, 1.0, &mut sum, work);
                 if sum.opaque.is_covered {
                     break;
                 }
@@ -112,20 +113,12 @@ impl<'a> Casters<'a> {
     }
 
     /// Adds the far field to the results of a cone. Returns whether it was evaluated.
-    pub fn add_far(
-        &self,
-        split: &Split,
-        place: &SurfacePoint,
-        ray: &LightRay,
-        slope: f32,
-        sum: &mut ConeSum<'_>,
-        work: &mut LightWork,
-    ) -> bool {
+    pub fn add_far(&self, split: &Split, cone: LightCone<'_>, sum: &mut ConeSum<'_>, work: &mut LightWork) -> bool {
         let is_far = split.far.is_some() && sum.opaque.x > -1.0;
         if is_far {
-            for far in self.far_casters(split, place, ray) {
+            for far in self.far_casters(split, cone.place, cone.ray) {
                 let x_known = sum.opaque.x;
-                self.add_cone(&far, place, ray, slope, x_known, sum, work);
+                self.add_cone(&far, cone, x_known, sum, work);
                 if sum.opaque.x <= -1.0 {
                     break;
                 }
@@ -139,13 +132,12 @@ impl<'a> Casters<'a> {
     pub fn add_cone(
         &self,
         caster: &Caster<'_>,
-        place: &SurfacePoint,
-        ray: &LightRay,
-        slope: f32,
+        cone: LightCone<'_>,
         x_known: f32,
         sum: &mut ConeSum<'_>,
         work: &mut LightWork,
     ) -> Cone {
+        let LightCone { place, ray, slope } = cone;
         work.steps += 1;
         if caster.field.prefers_rays() {
             if !may_meet(caster, place, ray, slope) {
@@ -154,12 +146,12 @@ impl<'a> Casters<'a> {
             sum.thin.block(caster.instance.shade, ray, slope, |thin| self.hit_of(caster, place, thin, work).is_some());
             return Cone { x: 0.0, is_covered: false };
         }
-        let cone = match &sum.wide {
-            Some(wide) => self.wide_cone_past(caster, place, ray, slope, wide, x_known, work),
-            None => self.cone_past(caster, place, ray, slope, x_known, work),
+        let found = match &sum.wide {
+            Some(wide) => self.wide_cone_past(caster, cone, wide, x_known, work),
+            None => self.cone_past(caster, cone, x_known, work),
         };
-        sum.add(caster.instance, cone);
-        cone
+        sum.add(caster.instance, found);
+        found
     }
 
     /// Fraction of a disc of light that passes fields and sheets: angular radius `slope`, `ray` to its centre.
@@ -183,18 +175,19 @@ impl<'a> Casters<'a> {
         let mut total = 0.0;
         for (i, sheets_part) in (0..PARTS).zip(past_sheets) {
             let to_part = toward(ray, axes, slope, disc_point(i, PARTS, 0.0));
+            let cone = LightCone { place, ray: &to_part, slope: part };
             let split = self.split(place, &to_part, part);
             let mut sum = ConeSum::NEW;
             for &item in &met {
                 let x_known = sum.x_known(&self.scene.instances[item as usize]);
                 for caster in self.casters(item, place, &to_part, &split) {
-                    self.add_cone(&caster, place, &to_part, part, x_known, &mut sum, work);
+                    self.add_cone(&caster, cone, x_known, &mut sum, work);
                 }
                 if sum.opaque.x <= -1.0 {
                     break;
                 }
             }
-            let is_far = self.add_far(&split, place, &to_part, part, &mut sum, work);
+            let is_far = self.add_far(&split, cone, &mut sum, work);
             work.count(is_far);
             total += sum.share().share * sheets_part;
         }
@@ -338,18 +331,10 @@ impl<'a> Casters<'a> {
 
     /// Evaluates a cone of radius `slope t` past one occluder. Only edges closer to the axis than `x_known` are
     /// relevant.
-    fn cone_past(
-        &self,
-        caster: &Caster<'_>,
-        place: &SurfacePoint,
-        ray: &LightRay,
-        slope: f32,
-        x_known: f32,
-        work: &mut LightWork,
-    ) -> Cone {
-        let Some(walk) = cone_walk(caster, place, ray, slope, x_known) else { return Cone::FREE };
-        match self.hit_of(caster, place, ray, work) {
-            Some(t) => self.blocked_cone(caster, &walk, t, place, ray, None, work),
+    fn cone_past(&self, caster: &Caster<'_>, cone: LightCone<'_>, x_known: f32, work: &mut LightWork) -> Cone {
+        let Some(walk) = cone_walk(caster, cone, x_known) else { return Cone::FREE };
+        match self.hit_of(caster, cone.place, cone.ray, work) {
+            Some(t) => self.blocked_cone(caster, &walk, t, cone, None, work),
             None if x_known <= 0.0 => Cone::FREE,
             None => Cone { x: walk.beside(x_known, &mut work.steps), is_covered: false },
         }
@@ -359,21 +344,19 @@ impl<'a> Casters<'a> {
     fn wide_cone_past(
         &self,
         caster: &Caster<'_>,
-        place: &SurfacePoint,
-        ray: &LightRay,
-        slope: f32,
+        cone: LightCone<'_>,
         wide: &WideCone<'_>,
         x_known: f32,
         work: &mut LightWork,
     ) -> Cone {
-        let Some(walk) = cone_walk(caster, place, ray, slope, 1.0) else { return Cone::FREE };
+        let Some(walk) = cone_walk(caster, cone, 1.0) else { return Cone::FREE };
         let mut steps = 0;
-        let hit_from = |from| self.hit_from(caster, place, ray, f64::from(from), work);
+        let hit_from = |from| self.hit_from(caster, cone.place, cone.ray, f64::from(from), work);
         let found = walk.beside_wide(wide, x_known, &mut steps, hit_from);
         work.steps += steps;
         match found {
             Ok(x) => Cone { x: x.max(wide.least_x), is_covered: false },
-            Err(t) => self.blocked_cone(caster, &walk, t, place, ray, Some(wide.nearby), work),
+            Err(t) => self.blocked_cone(caster, &walk, t, cone, Some(wide.nearby), work),
         }
     }
 
@@ -383,8 +366,7 @@ impl<'a> Casters<'a> {
         caster: &Caster<'_>,
         walk: &ConeWalk<'_>,
         t_hit: f32,
-        place: &SurfacePoint,
-        ray: &LightRay,
+        LightCone { place, ray, .. }: LightCone<'_>,
         nearby: Option<&[u32]>,
         work: &mut LightWork,
     ) -> Cone {
@@ -407,9 +389,7 @@ impl<'a> Casters<'a> {
 /// the axis.
 fn cone_walk<'a>(
     caster: &Caster<'a>,
-    place: &SurfacePoint,
-    ray: &LightRay,
-    slope: f32,
+    LightCone { place, ray, slope }: LightCone<'_>,
     x_known: f32,
 ) -> Option<ConeWalk<'a>> {
     let Caster { instance, field, bounds, .. } = *caster;
@@ -438,7 +418,7 @@ fn cone_walk<'a>(
 }
 
 /// Distance by which a ray in the field of the own instance starts off the surface, scene units.
-pub fn bias(own: &Instance, place: &SurfacePoint) -> f32 {
+pub(crate) fn bias(own: &Instance, place: &SurfacePoint) -> f32 {
     place.bias_voxels * (own.field_normal_from_scene * place.normal).length()
 }
 

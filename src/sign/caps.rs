@@ -23,7 +23,7 @@ const FAR: f32 = 1e3;
 
 impl CapPack {
     /// `caps` must hold one to eight triangles.
-    pub fn new(caps: &[[DVec3; 3]]) -> Self {
+    pub(super) fn new(caps: &[[DVec3; 3]]) -> Self {
         let mut corners = [[[FAR; WIDTH]; 3]; 3];
         for (lane, cap) in caps.iter().enumerate() {
             for corner in 0..3 {
@@ -49,7 +49,7 @@ impl CapPack {
     /// that float32 cannot determine the side.
     ///
     /// The formula of [`crate::geometry::solid_angle`].
-    pub fn angles(&self, p: Vec3) -> Option<f32> {
+    pub(super) fn angles(&self, p: Vec3) -> Option<f32> {
         #[cfg(target_arch = "x86_64")]
         {
             #[target_feature(enable = "avx2")]
@@ -88,7 +88,7 @@ impl CapPack {
 
     /// Squared distance of `p` to the nearest triangle, and the sum over the rim edges of length / (distance -
     /// radius)^2.
-    pub fn reach(&self, p: Vec3, radius: f32) -> (f32, f32) {
+    pub(super) fn reach(&self, p: Vec3, radius: f32) -> (f32, f32) {
         #[cfg(target_arch = "x86_64")]
         {
             #[target_feature(enable = "avx2")]

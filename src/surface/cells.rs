@@ -17,7 +17,7 @@ use rayon::prelude::*;
 
 /// A cell that the surface passes through.
 #[derive(Debug, Clone, Copy)]
-pub struct SurfaceCell {
+pub(crate) struct SurfaceCell {
     /// Indices of its lower corner, from -1 to n - 1.
     pub index: [i32; 3],
     /// Samples at the corners minus the level; negative inside.
@@ -47,17 +47,17 @@ impl SurfaceCell {
     }
 
     /// Sets of edges, one for each patch.
-    pub fn patches(&self) -> impl Iterator<Item = u16> + use<> {
+    pub(crate) fn patches(&self) -> impl Iterator<Item = u16> + use<> {
         patches(self.inside, self.joined).iter().copied().take_while(|&patch| patch != 0)
     }
 
     /// Whether the edge from the lower corner along an axis is crossed.
-    pub fn owns(&self, axis: usize) -> bool {
+    pub(crate) fn owns(&self, axis: usize) -> bool {
         (self.inside ^ self.inside >> (1 << axis)) & 1 == 1
     }
 
     /// Number of the crossed edge from the lower corner along an axis, among all crossed edges.
-    pub fn edge(&self, axis: usize) -> u32 {
+    pub(crate) fn edge(&self, axis: usize) -> u32 {
         self.first_edge + (0..axis).filter(|&a| self.owns(a)).count() as u32
     }
 }
@@ -72,7 +72,7 @@ fn joins_inside(values: &[f32; 8], face: usize) -> bool {
 
 /// All crossed cells of a grid, sorted by z, then y, then x.
 #[derive(Debug)]
-pub struct SurfaceCells {
+pub(crate) struct SurfaceCells {
     /// Voxels along each axis.
     shape: [i32; 3],
     cells: Vec<SurfaceCell>,
@@ -84,7 +84,7 @@ pub struct SurfaceCells {
 
 impl SurfaceCells {
     /// The crossed cells of a stored field.
-    pub fn of_field<T: Texel>(field: &FieldView<'_, T>, level: f32, progress: &Progress) -> Result<Self, Error> {
+    pub(crate) fn of_field<T: Texel>(field: &FieldView<'_, T>, level: f32, progress: &Progress) -> Result<Self, Error> {
         let shape = field.grid().shape.map(|n| n as i32);
         let [nx, ny, nz] = field.grid().shape;
         progress.set_total(nz as u64 + 1);
@@ -123,7 +123,7 @@ impl SurfaceCells {
     /// The crossed cells of blocks of samples. Block `b` has `side`^3 cells from cell `origins[b]` on, and
     /// `(side + 1)^3` samples, x fastest, from `values[b * (side + 1)^3]` on; a sample outside the grid repeats the
     /// nearest one of the grid. The blocks must not overlap, and hold every cell that the surface passes through.
-    pub fn of_blocks(shape: [i32; 3], side: usize, origins: &[[i32; 3]], values: &[f32], level: f32) -> Self {
+    pub(crate) fn of_blocks(shape: [i32; 3], side: usize, origins: &[[i32; 3]], values: &[f32], level: f32) -> Self {
         let samples = (side + 1).pow(3);
         let blocks = origins.par_iter().zip(values.par_chunks_exact(samples));
         let cells = blocks.flat_map_iter(|(&origin, values)| cells_of_block(shape, side, origin, values, level));
@@ -132,7 +132,11 @@ impl SurfaceCells {
 
     /// The crossed cells of a sparse field. Coarse bricks are read at every voxel centre, so bricks of different levels
     /// see the same values on their common faces.
-    pub fn of_sparse<T: Texel>(field: &SparseView<'_, T>, level: f32, progress: &Progress) -> Result<Self, Error> {
+    pub(crate) fn of_sparse<T: Texel>(
+        field: &SparseView<'_, T>,
+        level: f32,
+        progress: &Progress,
+    ) -> Result<Self, Error> {
         let shape = field.grid().shape.map(|n| n as i32);
         let bricks = field.bricks().map(|n| n as i32);
         progress.set_total(bricks[2] as u64);
@@ -178,26 +182,26 @@ impl SurfaceCells {
     }
 
     /// Voxels along each axis.
-    pub fn shape(&self) -> [i32; 3] {
+    pub(crate) fn shape(&self) -> [i32; 3] {
         self.shape
     }
 
-    pub fn cells(&self) -> &[SurfaceCell] {
+    pub(crate) fn cells(&self) -> &[SurfaceCell] {
         &self.cells
     }
 
     /// Number of patches, one vertex each.
-    pub fn patch_count(&self) -> usize {
+    pub(crate) fn patch_count(&self) -> usize {
         self.patches as usize
     }
 
     /// Number of crossed edges, one quadrilateral each.
-    pub fn edge_count(&self) -> usize {
+    pub(crate) fn edge_count(&self) -> usize {
         self.edges as usize
     }
 
     /// The crossed cell at an index.
-    pub fn find(&self, index: [i32; 3]) -> Option<&SurfaceCell> {
+    pub(crate) fn find(&self, index: [i32; 3]) -> Option<&SurfaceCell> {
         self.position(index).map(|i| &self.cells[i])
     }
 
@@ -329,7 +333,7 @@ fn row(shape: &[i32; 3], y: i32, z: i32) -> usize {
 }
 
 /// The cell that owns an edge of `cell` (the edge starts at its lower corner), and the axis of the edge.
-pub fn owner_of(cell: &SurfaceCell, edge: usize) -> ([i32; 3], usize) {
+pub(crate) fn owner_of(cell: &SurfaceCell, edge: usize) -> ([i32; 3], usize) {
     let low = edge_corners(edge)[0];
     (std::array::from_fn(|axis| cell.index[axis] + (low >> axis & 1) as i32), edge / 4)
 }

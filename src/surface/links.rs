@@ -13,7 +13,7 @@ pub(super) struct PatchLinks {
 }
 
 impl PatchLinks {
-    pub fn new(cells: &SurfaceCells) -> Self {
+    pub(super) fn new(cells: &SurfaceCells) -> Self {
         let mut firsts = Vec::with_capacity(cells.patch_count() + 1);
         firsts.push(0);
         let mut count = 0;
@@ -37,12 +37,12 @@ impl PatchLinks {
     }
 
     /// The crossed edges of a patch.
-    pub fn edges_of(&self, patch: u32) -> &[u32] {
+    pub(super) fn edges_of(&self, patch: u32) -> &[u32] {
         &self.edges[self.firsts[patch as usize] as usize..self.firsts[patch as usize + 1] as usize]
     }
 
     /// The patches around a crossed edge, counter-clockwise seen from its far end.
-    pub fn patches_around(&self, edge: u32) -> [u32; 4] {
+    pub(super) fn patches_around(&self, edge: u32) -> [u32; 4] {
         self.around[edge as usize]
     }
 }

@@ -27,7 +27,7 @@ const CHUNK: usize = 4096;
 const WORKGROUPS: (u64, u64) = (64, 65_535);
 
 /// The trilinear field at points, and the lower bound outside the box. See [`Trilinear::sample`].
-pub fn sample(
+pub(crate) fn sample(
     field: &DeviceField,
     grid: &Grid,
     points: &[DVec3],
@@ -39,7 +39,12 @@ pub fn sample(
 }
 
 /// [`Trilinear::gradients`] of a field in device memory.
-pub fn gradients(field: &DeviceField, grid: &Grid, points: &[DVec3], progress: &Progress) -> Result<Vec<Vec3>, Error> {
+pub(crate) fn gradients(
+    field: &DeviceField,
+    grid: &Grid,
+    points: &[DVec3],
+    progress: &Progress,
+) -> Result<Vec<Vec3>, Error> {
     evaluate(field, grid, points, progress, |cells, p| cells.gradient_or_nan(p))
 }
 
