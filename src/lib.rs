@@ -25,6 +25,11 @@
 //! # Ok::<(), fieldbake::error::Error>(())
 //! ```
 
+#![cfg_attr(
+    not(feature = "python"),
+    allow(dead_code, unused_imports, reason = "the bindings alone use some of the inner items")
+)]
+
 pub mod atlas;
 pub mod bake;
 mod bvh;
