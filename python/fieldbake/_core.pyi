@@ -461,10 +461,6 @@ class Surface:
         """Both ends of each crossed edge, (m, 3) each, and the fraction of the edge before the crossing, (m,)."""
     def use_mesh(self, mesh: Mesh, offset: float, *, unsigned: bool = False) -> None:
         """Use the tangent planes of the surface at a distance from a mesh."""
-    def join_mesh(self, mesh: Mesh, outward: float, *, sharp_only: bool = False) -> None:
-        """Join the tangent planes of a mesh around the vertices. Its faces must agree on the outside; `outward` is 1 if
-        their normals point there, else -1.
-        """
     def use_planes(self, points: NDArray[np.float64], normals: NDArray[np.float64]) -> None:
         """Use the tangent planes through `points` with `normals`, (m, 3) each; a row that is not finite keeps its
         plane.

@@ -174,22 +174,6 @@ impl Surface {
         })?)
     }
 
-    /// Join the tangent planes of a mesh around the vertices. Its faces must agree on the outside; `outward` is 1 if their
-    /// normals point there, else -1.
-    #[pyo3(signature = (mesh, outward, *, sharp_only=false))]
-    fn join_mesh(&self, py: Python<'_>, mesh: PyRef<'_, Mesh>, outward: f64, sharp_only: bool) -> PyResult<()> {
-        let mesh = mesh.0.clone();
-        Ok(run(py, None, |progress| {
-            let crossings = self.crossings.lock().unwrap_or_else(PoisonError::into_inner);
-            let mut extra = self.extra.lock().unwrap_or_else(PoisonError::into_inner);
-            let (surface, planes) = (&self.surface, &extra.0);
-            let joined =
-                surface::join_planes_of_mesh(surface, &crossings, planes, &mesh, outward, sharp_only, progress)?;
-            *extra = (joined, Probes::default());
-            Ok(())
-        })?)
-    }
-
     /// Vertices (n, 3), faces (m, 3) and the number of vertices that were clamped to their cell.
     #[expect(clippy::type_complexity, reason = "two arrays and a count are what Python unpacks")]
     #[pyo3(signature = (*, sharp=true, capped=true))]

@@ -1,6 +1,6 @@
 //! Tangent planes from the mesh that a field was computed from.
 
-use super::{Crossing, ExtraPlanes, LevelSurface};
+use super::{Crossing, LevelSurface};
 use crate::bvh::watertight::Ray;
 use crate::error::Error;
 use crate::mesh::Mesh;
@@ -17,9 +17,6 @@ const REACH_VOXELS: f64 = 0.9;
 /// Offsets below this many voxels use the normals of faces, since the direction to the nearest point has lost its
 /// precision.
 const FLAT_VOXELS: f64 = 1e-3;
-
-/// Slack for the float32 rounding of a bound, relative and in local units: ten times the rounding.
-const SLACK: f64 = 1e-5;
 
 /// Replace the planes of `crossings` by tangent planes of the surface at the distance `offset` from `mesh`, world
 /// units. With `unsigned` the distance is without a sign, so a positive offset surrounds the mesh on both sides.
@@ -52,47 +49,6 @@ pub fn planes_of_mesh(
         }
         progress.advance(chunk.len() as u64)
     })
-}
-
-/// Join the tangent planes of the faces nearest to probes. The faces of the mesh must agree on the outside; `outward` is 1
-/// if their normals point there, else -1. `sharp_only` probes sharp vertices only, see [`LevelSurface::probes`].
-pub fn join_planes_of_mesh(
-    surface: &LevelSurface,
-    crossings: &[Crossing],
-    extra: &ExtraPlanes,
-    mesh: &Mesh,
-    outward: f64,
-    sharp_only: bool,
-    progress: &Progress,
-) -> Result<ExtraPlanes, Error> {
-    mesh.bvh();
-    let probes = surface.probes(crossings, extra, sharp_only);
-    progress.set_total(probes.points.len() as u64);
-    let (points, normals): (Vec<DVec3>, Vec<DVec3>) = probes
-        .points
-        .par_chunks(CHUNK)
-        .map(|chunk| {
-            // A probe is at most as far from the mesh as the last one plus their distance.
-            let mut last: Option<(DVec3, f64)> = None;
-            let planes = chunk.iter().map(|&probe| {
-                let p = mesh.local_from_world(probe);
-                let bound =
-                    last.map_or(f64::INFINITY, |(q, distance)| (distance + p.distance(q)) * (1.0 + SLACK) + SLACK);
-                let found =
-                    mesh.closest_point_within(p, (bound * bound) as f32).unwrap_or_else(|| mesh.closest_point(p));
-                last = Some((p, found.distance));
-                let nearest = mesh.exact_point_on_face(found.face, p);
-                let normal = normal_of(mesh, found.face).unwrap_or(DVec3::NAN);
-                (mesh.world_from_local(nearest.on_triangle.point), normal * outward)
-            });
-            let planes: Vec<(DVec3, DVec3)> = planes.collect();
-            progress.advance(chunk.len() as u64).map(|()| planes)
-        })
-        .collect::<Result<Vec<_>, Error>>()?
-        .into_iter()
-        .flatten()
-        .unzip();
-    Ok(surface.join_planes(crossings, extra, &probes, &points, &normals))
 }
 
 /// The intersection of the crossing's edge with the mesh that is nearest to the crossing, and the normal of its face.

@@ -31,7 +31,7 @@ pub(crate) mod patches;
 mod probes;
 pub(crate) mod qef;
 
-pub use hermite::{join_planes_of_mesh, planes_of_mesh};
+pub use hermite::planes_of_mesh;
 pub use mesh::SurfaceMesh;
 pub use probes::{ExtraPlanes, Probes};
 

@@ -16,9 +16,6 @@ const SHARP_COSINE: f64 = 0.95;
 /// Probes around a sharp vertex lie this far from it along each axis, voxels.
 const STEP: f64 = 0.4;
 
-/// A vertex that the planes of the first probes have moved by less than this, voxels, has no second probes.
-const SETTLED: f64 = 0.02;
-
 /// A plane is added to a patch if its point lies at most this far outside the region where the vertex may lie, voxels.
 const REACH: f64 = 0.1;
 
@@ -62,16 +59,14 @@ impl ExtraPlanes {
 }
 
 impl LevelSurface {
-    /// The probes of all vertices, or only those of the sharp vertices that `extra` has moved.
+    /// The probes of all vertices, or only those of the sharp vertices.
     pub fn probes(&self, crossings: &[Crossing], extra: &ExtraPlanes, sharp_only: bool) -> Probes {
         let is_sharp = self.sharp_patches(crossings);
         let options = MeshOptions { sharp: true, capped: true };
         let (vertices, _) = self.vertices(crossings, extra, options);
-        let before = if sharp_only { self.vertices(crossings, &ExtraPlanes::default(), options).0 } else { Vec::new() };
-        let is_settled = |id: usize| ((vertices[id] - before[id]) / self.spacing).length() <= SETTLED;
         let found: Vec<(u32, DVec3)> = (0..vertices.len())
             .into_par_iter()
-            .filter(|&id| !sharp_only || (is_sharp[id] && !is_settled(id)))
+            .filter(|&id| !sharp_only || is_sharp[id])
             .flat_map_iter(|id| {
                 let (vertex, spacing) = (vertices[id], self.spacing);
                 (0..if is_sharp[id] { 7 } else { 1 }).map(move |i: usize| {

@@ -52,14 +52,6 @@ class MeshSource:
         else:
             surface.use_mesh(self.mesh._core, level + self.half_thickness, unsigned=True)
 
-    def join(self, surface: _core.Surface, level: float, *, sharp_only: bool) -> bool:
-        """Join the planes of the nearest faces in the core. False if their normals do not tell the outside."""
-        facts = self.mesh._core.topology()
-        if self.half_thickness is not None or level != 0 or facts["flipped_faces"] or facts["duplicate_faces"]:
-            return False
-        surface.join_mesh(self.mesh._core, 1.0 if self.mesh.volume >= 0 else -1.0, sharp_only=sharp_only)
-        return True
-
     def planes(self, points: NDArray[np.float64], level: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Evaluate the planes of the nearest faces; at other levels than zero, of spheres around the nearest points."""
         sign = "auto" if self.half_thickness is None else "unsigned"
@@ -67,6 +59,11 @@ class MeshSource:
         if level != 0:
             distances, gradients, *_ = _core.query(self.mesh._core, points, sign=sign)
             return points + gradients * (level - distances)[:, None], gradients
+        facts = self.mesh._core.topology()
+        if facts["flipped_faces"] == 0 and facts["duplicate_faces"] == 0:
+            # The faces agree on the outside, so no point needs a side.
+            nearest, _, _, _, normals = _core.closest_point(self.mesh._core, points)
+            return nearest, normals if self.mesh.volume >= 0 else -normals
         _, gradients, nearest, faces, *_ = _core.query(self.mesh._core, points, sign=sign)
         normals = self.mesh.face_normals[faces]
         turned = np.einsum("ij,ij->i", normals, gradients) < 0
@@ -170,8 +167,6 @@ def extract(surface: _core.Surface, level: float, source: Source | None, *, shar
         source.apply(surface, level)
         # The second probes lie around the places where the planes of the first have put the sharp vertices.
         for sharp_only in (False, True):
-            if isinstance(source, MeshSource) and source.join(surface, level, sharp_only=sharp_only):
-                continue
             probes = surface.probes(sharp_only=sharp_only)
             if len(probes):
                 surface.join_planes(*source.planes(probes, level))
