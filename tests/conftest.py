@@ -14,6 +14,9 @@ from hypothesis import HealthCheck, settings
 #: Devices that the `device` fixture runs a test on.
 DEVICES = ["cpu", "gpu"]
 
+#: A module without tests, which imports an optional package.
+collect_ignore = ["support/warp_kernels.py"]
+
 # The same examples on every run; `HYPOTHESIS_PROFILE=search` looks for new ones.
 settings.register_profile(
     "ci", derandomize=True, deadline=None, max_examples=40, suppress_health_check=[HealthCheck.too_slow]

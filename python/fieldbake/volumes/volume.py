@@ -249,8 +249,9 @@ class Volume(GridField, Loadable, Shaded):
         Examples
         --------
         >>> import fieldbake as fb
-        >>> fb.bake(fb.sphere(), 32).sample([(0, 0, 0), (2, 0, 0)], device="cpu").round(1).tolist()
-        [-1.0, 0.9]
+        >>> distances = fb.bake(fb.sphere(), 33).sample([(0, 0, 0), (2, 0, 0)], device="cpu")
+        >>> [f"{distance:.1f}" for distance in distances]
+        ['-1.0', '1.0']
         """
         flat, shape = checks.points(points)
         return self._sample(flat, checks.choice("filter", filter, ("linear", "nearest")), device).reshape(shape)
