@@ -28,7 +28,7 @@ def test_vertices_are_those_that_came(sphere, offset):
     assert np.array_equal(mesh.vertices, vertices)
     assert np.array_equal(mesh.to_trimesh().vertices, vertices)
     assert np.array_equal(mesh.bounds, [vertices.min(axis=0), vertices.max(axis=0)])
-    again = fb.meshes.convert.as_mesh([(mesh, np.eye(4))])
+    again = fb.as_mesh([(mesh, np.eye(4))])
     assert np.array_equal(again.vertices, vertices)
 
 
