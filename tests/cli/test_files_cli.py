@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import subprocess
 import sys
 
@@ -260,3 +261,25 @@ def test_shells_get_completion():
         result = CliRunner().invoke(app, [], prog_name="fieldbake", env={"_FIELDBAKE_COMPLETE": f"source_{shell}"})
         assert "fieldbake" in result.stdout
     assert "--install-completion" in fieldbake("--help").stdout
+
+
+def test_an_empty_standard_input_is_named():
+    result = CliRunner().invoke(app, ["info", "-"], prog_name="fieldbake", input=b"")
+
+    assert result.exit_code == 1
+    assert result.stderr == "error: -: standard input is empty, or has been read before\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
+def test_fields_are_not_written_to_a_terminal(tmp_path):
+    import pty
+
+    fb.bake(fb.sphere(1), 8).save(tmp_path / "v.npz")
+    terminal, screen = pty.openpty()
+    command = [sys.executable, "-m", "fieldbake", "convert", str(tmp_path / "v.npz"), "-"]
+    done = subprocess.run(command, stdout=screen, stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+    os.close(screen)
+    os.close(terminal)
+
+    assert done.returncode == 2
+    assert "standard output is a terminal" in done.stderr

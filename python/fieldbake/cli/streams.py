@@ -59,6 +59,8 @@ def _kind(first: bytes) -> str | None:
 def check_output(output: Path, endings: tuple[str, ...], option: str = "--output") -> None:
     """Fail before any work if the output could not be written at its end."""
     if is_stream(output):
+        if sys.stdout.isatty():
+            raise typer.BadParameter("standard output is a terminal; name a file, or redirect it", param_hint=option)
         return
     if output.suffix.lower() not in endings:
         raise typer.BadParameter(f"'{output}' must end in {listed(endings)}", param_hint=option)
@@ -82,6 +84,8 @@ def input_file(path: Path, kind: str | None) -> Iterator[Path]:
         raw = Path(folder) / "input"
         with raw.open("wb") as stream:
             shutil.copyfileobj(sys.stdin.buffer, stream)
+        if raw.stat().st_size == 0:
+            raise fb.FormatError("-: standard input is empty, or has been read before")
         with raw.open("rb") as stream:
             ending = f".{kind.lstrip('.')}" if kind else _kind(stream.read(_HEAD))
         if ending is None:

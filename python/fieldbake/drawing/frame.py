@@ -113,12 +113,14 @@ class Frame:
         return bytes_from_unit(rgb)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the image; the ending of the name selects PNG or another format of Pillow.
+        """Write the 8-bit image as .png, .jpg, .webp, .tiff or .bmp, or another format of Pillow.
+
+        The floats of `color`, `depth` and `normal` are arrays: ``numpy.savez(path, depth=frame.depth)`` keeps them.
 
         Raises
         ------
         FormatError
-            For an unknown ending.
+            For another ending.
         OSError
             If the file cannot be written.
         """
