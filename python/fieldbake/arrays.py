@@ -24,7 +24,8 @@ from .drawing.raymarching import picture_arguments
 from .meshes.mesh import check_faces, check_vertices
 from .queries.common import Sign
 from .scenes.camera import Camera
-from .volumes.volume import Volume, check_distances
+from .volumes.stored_samples import check_distances
+from .volumes.volume import Volume
 
 Method = Literal["tree", "brute"]
 

@@ -201,12 +201,11 @@ impl Stack {
         self.top += 1;
     }
 
-    /// The entry at an index below `top`.
+    /// The entry at an index; None from `top` on.
     #[inline(always)]
-    fn at(&self, index: usize) -> (f32, ChildRef) {
-        assert!(index < self.top);
+    fn at(&self, index: usize) -> Option<(f32, ChildRef)> {
         // SAFETY: every slot below `top` has been written, and the type has no destructor.
-        unsafe { self.slots[index].assume_init() }
+        (index < self.top).then(|| unsafe { self.slots[index].assume_init() })
     }
 
     /// The nearest child of a mask that is not zero; the others are pushed.
@@ -231,7 +230,7 @@ impl Stack {
             let farther = if next.0 < nearest.0 { std::mem::replace(&mut nearest, next) } else { next };
             let mut slot = self.top;
             self.push(farther);
-            while slot > bottom && self.at(slot - 1).0 < farther.0 {
+            while slot > bottom && self.at(slot - 1).is_some_and(|above| above.0 < farther.0) {
                 self.slots[slot] = self.slots[slot - 1];
                 slot -= 1;
             }
@@ -243,8 +242,7 @@ impl Stack {
     /// The next box that the ray enters before the limit.
     #[inline(always)]
     fn pop(&mut self, limit: f32) -> Option<ChildRef> {
-        while self.top > 0 {
-            let (near, child) = self.at(self.top - 1);
+        while let Some((near, child)) = self.at(self.top.wrapping_sub(1)) {
             self.top -= 1;
             if near <= limit {
                 return Some(child);

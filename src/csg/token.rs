@@ -27,22 +27,21 @@ pub(super) enum Operation<T> {
     Warp(u32, T),
 }
 
-/// The result of the last token. `apply` computes the result of a token; None ends the fold. The fold of no tokens is
-/// None.
+/// The result of the last token. `apply` computes the result of a token; None ends the fold. The fold is also None
+/// without tokens, and if a token comes before its operands.
 pub(super) fn fold_postfix<T>(tokens: &[Token], mut apply: impl FnMut(Operation<T>) -> Option<T>) -> Option<T> {
     let mut stack: Vec<T> = Vec::new();
     for &token in tokens {
-        let mut pop = || stack.pop().expect("tokens are in postfix order");
         let operation = match token {
             Token::Leaf(leaf) => Operation::Leaf(leaf),
             Token::Combine(i) => {
-                let top = pop();
-                Operation::Combine(i, pop(), top)
+                let top = stack.pop()?;
+                Operation::Combine(i, stack.pop()?, top)
             }
-            Token::DistanceOp(i) => Operation::DistanceOp(i, pop()),
-            Token::Complement => Operation::Complement(pop()),
+            Token::DistanceOp(i) => Operation::DistanceOp(i, stack.pop()?),
+            Token::Complement => Operation::Complement(stack.pop()?),
             Token::Enter(_) => continue,
-            Token::Leave(i) => Operation::Warp(i, pop()),
+            Token::Leave(i) => Operation::Warp(i, stack.pop()?),
         };
         let result = apply(operation)?;
         stack.push(result);

@@ -30,23 +30,21 @@ pub(crate) struct Buffers {
 impl LightBuffers {
     /// The buffers in the memory of a device.
     pub(crate) fn on(&self, context: &Context) -> Result<&Buffers, Error> {
-        let slot = &self.0;
-        if slot.get().is_none() {
-            let storage = |label: &str, items: usize, size: usize| context.storage(label, (items * size) as u64);
-            let made = Buffers {
-                view: context.uniform("view of surfaces", &SurfaceParams::default())?,
-                piece: context.uniform("piece of surfaces", &PieceParams::default())?,
-                counts: storage("counts of beams", 4, size_of::<u32>())?,
-                beams: storage("beams", MOST_BEAMS, size_of::<Beam>())?,
-                answers: storage("answers", MOST_BEAMS, size_of::<Answer>())?,
-                parts: storage("parts of discs", MOST_PARTS, size_of::<Beam>())?,
-                part_answers: storage("answers of parts", MOST_PARTS, size_of::<Answer>())?,
-                edges: storage("cones at edges", MOST_PARTS, size_of::<Beam>())?,
-                parents: storage("divided discs", MOST_PARTS / PARTS as usize, size_of::<u32>())?,
-            };
-            // Another thread cannot have made them: a frame has the scene for itself.
-            let _ = slot.set(made);
+        if let Some(buffers) = self.0.get() {
+            return Ok(buffers);
         }
-        Ok(slot.get().expect("made above"))
+        let storage = |label: &str, items: usize, size: usize| context.storage(label, (items * size) as u64);
+        let made = Buffers {
+            view: context.uniform("view of surfaces", &SurfaceParams::default())?,
+            piece: context.uniform("piece of surfaces", &PieceParams::default())?,
+            counts: storage("counts of beams", 4, size_of::<u32>())?,
+            beams: storage("beams", MOST_BEAMS, size_of::<Beam>())?,
+            answers: storage("answers", MOST_BEAMS, size_of::<Answer>())?,
+            parts: storage("parts of discs", MOST_PARTS, size_of::<Beam>())?,
+            part_answers: storage("answers of parts", MOST_PARTS, size_of::<Answer>())?,
+            edges: storage("cones at edges", MOST_PARTS, size_of::<Beam>())?,
+            parents: storage("divided discs", MOST_PARTS / PARTS as usize, size_of::<u32>())?,
+        };
+        Ok(self.0.get_or_init(|| made))
     }
 }

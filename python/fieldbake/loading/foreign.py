@@ -26,7 +26,8 @@ from ..files.container import read_facts
 from ..files.grid_samples import GridSamples
 from ..files.openvdb_reader import VdbGrid
 from ..volumes.quantized import QuantizedVolume
-from ..volumes.volume import Volume, check_distances
+from ..volumes.stored_samples import check_distances
+from ..volumes.volume import Volume
 from .npz import make_atlas, read_scale
 
 

@@ -19,7 +19,8 @@ from ..files.container import SCALED_FLOAT16_VERSION, members, read_array, read_
 from ..merging.nested import MAX_LEVELS, NestedField
 from ..volumes.quantized import QuantizedVolume
 from ..volumes.sparse import SparseVolume, restore_field
-from ..volumes.volume import Volume, check_distances
+from ..volumes.stored_samples import check_distances
+from ..volumes.volume import Volume
 
 
 def read_archive(archive: zipfile.ZipFile, size: int) -> Volume | SparseVolume | NestedField | Atlas:

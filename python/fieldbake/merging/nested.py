@@ -17,9 +17,10 @@ from ..base.loadable import Loadable
 from ..base.progress import Progress, part_of, progress_callback
 from ..base.report import bytes_text
 from ..files import container
+from ..volumes.convertible import Convertible
 from ..volumes.shaded import Shaded
 from ..volumes.shader import ShaderBuffers, nested_buffers, nested_text
-from ..volumes.volume import Convertible, Volume
+from ..volumes.volume import Volume
 from .merged import MergedField
 
 #: Most levels; a voxel of the outermost level is then 2048 times as long as a voxel of the finest.

@@ -22,10 +22,11 @@ from ..meshes.isosurface import Source
 from . import writers
 from .brick_blocks import blocks_of_bricks, decoded
 from .conventions import Engine, Handedness, Up
+from .convertible import Convertible
 from .grid_field import GridField
 from .shaded import Shaded
 from .shader import ShaderBuffers, sparse_buffers, sparse_text
-from .volume import Convertible, Volume
+from .volume import Volume
 from .writers import SaveOptions
 
 

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .. import _core
 from ..base import checks
 from ..base.encodings import Encoding
-from ..base.errors import ArgumentError
 from ..base.loadable import Loadable
 from ..base.progress import Progress
 from ..base.report import Report, bytes_text
@@ -23,10 +22,10 @@ from ..meshes.isosurface import Source
 from ..meshes.mesh import Mesh
 from . import writers
 from .conventions import Engine, Handedness, Up
-from .grid_field import Filter, GridField
 from .neighbours import grid_of_xarray
 from .shaded import Shaded
 from .shader import ShaderBuffers, volume_buffers, volume_text
+from .stored_samples import StoredSamples, check_distances
 from .writers import SaveOptions
 
 if TYPE_CHECKING:
@@ -48,7 +47,7 @@ class Recipe(NamedTuple):
     device: str
 
 
-class Volume(GridField, Loadable, Shaded):
+class Volume(StoredSamples, Loadable, Shaded):
     """Signed distances on a regular grid: negative inside, in the mesh's own units. Immutable.
 
     Made by :func:`fieldbake.bake`, by :func:`fieldbake.load`, or from an array.
@@ -79,13 +78,10 @@ class Volume(GridField, Loadable, Shaded):
     [[1.0, 0.0, 0.0]]
     """
 
-    __slots__ = ("_field", "_recipe", "_samples")
+    __slots__ = ("_recipe",)
 
     #: How the volume was baked from a mesh; None for other volumes.
     _recipe: Recipe | None
-    # Samples on a graphics device, and on the host. At least one of the two is present.
-    _field: _core.DeviceField | None
-    _samples: NDArray[np.float32] | None
 
     def __init__(
         self,
@@ -148,161 +144,6 @@ class Volume(GridField, Loadable, Shaded):
         """
         samples, bounds, inner = grid_of_xarray(array)
         return Volume(samples, bounds, inner_bounds=inner)
-
-    @property
-    def _distances(self) -> NDArray[np.float32]:
-        """The samples, read back from the device at the first use."""
-        if self._samples is None:
-            assert self._field is not None
-            object.__setattr__(self, "_samples", checks.frozen(self._field.read()))
-        assert self._samples is not None
-        return self._samples
-
-    def _source(self, device: str) -> NDArray[Any] | _core.DeviceField:
-        """The samples at the place where a call with this `device` runs, if they are there."""
-        field = self._field
-        return field if field is not None and field.serves(checks.text("device", device)) else self._distances
-
-    @property
-    def _texels(self) -> NDArray[Any]:
-        """The samples in their stored encoding."""
-        return self._distances
-
-    @property
-    def _scale(self) -> float:
-        """Factor that decodes the stored samples."""
-        return 1.0
-
-    @property
-    def distances(self) -> NDArray[np.float32]:
-        """Samples, (nx, ny, nz) float32, world units, x fastest in memory; a read-only view."""
-        return self._distances[...]
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of the samples, bytes."""
-        nx, ny, nz = self._shape
-        return 4 * nx * ny * nz
-
-    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
-        wanted = np.dtype(np.float32 if dtype is None else dtype)
-        if wanted == self._distances.dtype and not copy:
-            return self._distances[...]
-        if copy is False:
-            raise ValueError(f"distances are float32: {wanted} needs a copy")
-        return np.array(self._distances, dtype=wanted)
-
-    @property
-    def __array_interface__(self) -> dict[str, Any]:
-        return self._distances.__array_interface__
-
-    def __dlpack__(
-        self,
-        *,
-        stream: object = None,
-        max_version: tuple[int, int] | None = None,
-        dl_device: tuple[int, int] | None = None,
-        copy: bool | None = None,
-    ) -> object:
-        """Export the samples by DLPack. Consumers without read-only tensors receive a writable copy."""
-        if stream is not None:
-            raise BufferError("the samples are in host memory, which has no streams")
-        if max_version is None or max_version[0] < 1 or copy or np.lib.NumpyVersion(np.__version__) < "2.1.0":
-            return np.array(self._distances, order="K").__dlpack__()
-        return self._distances.__dlpack__(max_version=max_version, dl_device=dl_device, copy=copy)
-
-    def __dlpack_device__(self) -> tuple[int, int]:
-        return self._distances.__dlpack_device__()
-
-    def sample(self, points: ArrayLike, *, filter: Filter = "linear", device: str = "auto") -> NDArray[np.float32]:
-        """Evaluate the field at points.
-
-        Parameters
-        ----------
-        points : (n, 3) real
-            World positions of any leading shape.
-        filter : "linear" or "nearest", default "linear"
-            Trilinear interpolation of the eight surrounding samples, or the nearest sample.
-        device : str, default "auto"
-            ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`. ``"auto"`` reads the samples from a
-            hardware device if they are only there, else from host memory. A call for another device uploads the samples
-            once, and they stay there.
-
-        Returns
-        -------
-        (n,) float32
-            World units. Outside the box: the proven lower bound sqrt(a^2 + s^2), where `a` is the distance from the box
-            of the outermost samples and `s` a lower bound at the nearest point of that box.
-
-        Raises
-        ------
-        ArgumentError
-            For a wrong shape, a point that is not finite, or an unknown filter.
-        DeviceError
-            If the device is not available or has too little memory.
-
-        Notes
-        -----
-        A device returns the corners of the cells that contain the points, 32 bytes per cell, and the CPU interpolates
-        them. The results of all devices are equal to the bit. The other samples stay on the device.
-
-        Examples
-        --------
-        >>> import fieldbake as fb
-        >>> distances = fb.bake(fb.sphere(), 33).sample([(0, 0, 0), (2, 0, 0)], device="cpu")
-        >>> [f"{distance:.1f}" for distance in distances]
-        ['-1.0', '1.0']
-        """
-        flat, shape = checks.points(points)
-        return self._sample(flat, checks.choice("filter", filter, ("linear", "nearest")), device).reshape(shape)
-
-    def gradient(self, points: ArrayLike, *, device: str = "auto") -> NDArray[np.float32]:
-        """Evaluate the gradient of the trilinear field at points. On the surface it points outwards.
-
-        Parameters
-        ----------
-        points : (n, 3) real
-            World positions of any leading shape. A point outside the box is replaced by the nearest point of the box.
-        device
-            As for :meth:`sample`.
-
-        Returns
-        -------
-        (n, 3) float32
-            Distance per world unit. The length is about 1 away from edges of the field.
-
-        Raises
-        ------
-        ArgumentError, DeviceError
-            As for :meth:`sample`.
-        """
-        flat, shape = checks.points(points)
-        return self._gradient(flat, device).reshape(*shape, 3)
-
-    def _sample(self, points: NDArray[np.float64], filter: str, device: str = "auto") -> NDArray[np.float32]:
-        texels, scale = self._texels_at(device)
-        lower, upper = self._corners()
-        return _core.sample(texels, lower, upper, *self._inner_corners(), points, filter=filter, scale=scale)
-
-    def _gradient(self, points: NDArray[np.float64], device: str = "auto") -> NDArray[np.float32]:
-        texels, scale = self._texels_at(device)
-        return _core.gradient(texels, *self._corners(), points, scale=scale)
-
-    def _texels_at(self, device: str) -> tuple[NDArray[Any] | _core.DeviceField, float]:
-        """The samples at the place where a call with this `device` reads them, and the factor that decodes them."""
-        where, field = checks.text("device", device), self._field
-        if where == "auto":
-            on_host = self._samples is not None or field is None or not field.serves(where)
-            return (self._texels, self._scale) if on_host or field is None else (field, 1.0)
-        if where == "cpu":
-            return self._texels, self._scale
-        if field is None or not field.serves(where):
-            field = _core.DeviceField.upload(self._distances, where)
-            object.__setattr__(self, "_field", field)
-        return field, 1.0
-
-    def _surface(self, level: float) -> _core.Surface:
-        return _core.Surface.of_field(self._texels, *self._corners(), level, scale=self._scale)
 
     def downsample(self, factor: int = 2) -> Volume:
         """Make a coarser volume over the same box.
@@ -562,40 +403,5 @@ class Volume(GridField, Loadable, Shaded):
         return f"{type(self).__name__}({shape} voxels of {voxel} units, {bytes_text(self.nbytes)}{made})"
 
 
-class Convertible:
-    """Base class of fields that are no `Volume`, but have ``to_volume``."""
-
-    __slots__ = ()
-
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any:
-            kind = type(self).__name__
-            if not name.startswith("_") and hasattr(Volume, name):
-                raise AttributeError(f"a {kind} has no {name}; a Volume has: call to_volume().{name}")
-            raise AttributeError(f"'{kind}' object has no attribute '{name}'")
-
-        def __array__(self, *_: Any, **__: Any) -> Any:
-            raise TypeError(
-                f"a {type(self).__name__} is not an array; to_volume() makes a Volume, which converts to one"
-            )
-
-
 def _restore(distances: Any, bounds: Any, inner_bounds: Any, report: Report) -> Volume:
     return Volume(distances, bounds, inner_bounds=inner_bounds, report=report)
-
-
-def check_distances(value: ArrayLike) -> NDArray[np.float32]:
-    """Check samples of shape (nx, ny, nz) and return them as float32 with x fastest, copied only where needed."""
-    array = checks.real_array("distances", value, "(nx, ny, nz)")
-    if array.ndim != 3 or array.size == 0:
-        raise ArgumentError(f"distances: must have shape (nx, ny, nz), got {checks.describe(array)}")
-    with np.errstate(over="ignore", invalid="ignore"):
-        samples = np.asfortranarray(array, dtype=np.float32)
-    # The sum is finite only if all samples are. The slower search runs only if it is not.
-    with np.errstate(over="ignore", invalid="ignore"):
-        suspicious = not np.isfinite(samples.sum(dtype=np.float64))
-    if suspicious and not (finite := np.isfinite(samples)).all():
-        where = tuple(np.argwhere(~finite)[0].tolist())
-        raise ArgumentError(f"distances[{', '.join(map(str, where))}]: must be finite, got {samples[where]}")
-    return samples
