@@ -32,6 +32,7 @@
 //! functions for slices compute the same values faster.
 
 use crate::error::{ArgumentError, choice};
+use crate::simd::with_vectors;
 use half::f16;
 use half::slice::HalfFloatSliceExt;
 
@@ -178,21 +179,11 @@ impl Encoding {
 
     /// Encodes a slice into native-endian bytes. `out` must have [`Encoding::bytes`] per value and be aligned to them.
     pub fn encode_slice(self, values: &[f32], scale: f32, out: &mut [u8]) {
-        #[cfg(target_arch = "x86_64")]
-        #[target_feature(enable = "avx2")]
-        fn wide(encoding: Encoding, values: &[f32], scale: f32, out: &mut [u8]) {
-            encoding.encode_each(values, scale, out);
-        }
-        #[cfg(target_arch = "x86_64")]
-        if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has the registers. The result is tested against `encode` value by value.
-            return unsafe { wide(self, values, scale, out) };
-        }
-        self.encode_each(values, scale, out);
+        with_vectors!((encoding: Encoding = self, values: &[f32] = values, scale: f32 = scale, out: &mut [u8] = out) {
+            encoding.encode_each(values, scale, out)
+        })
     }
 
-    /// Compiled for the baseline processor, and again with wider registers. Multiplications and additions are not
-    /// fused, so both versions give the same bits.
     #[inline(always)]
     fn encode_each(self, values: &[f32], scale: f32, out: &mut [u8]) {
         match self {

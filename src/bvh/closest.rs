@@ -8,6 +8,7 @@ use super::pack::TriangleFrame;
 use super::{Bvh, ChildRef, FAR, MAX_STACK, Node, ROUNDING, WIDTH};
 use crate::geometry::{TrianglePoint, closest_point_on_triangle};
 use crate::mesh::Mesh;
+use crate::simd::with_vectors;
 use glam::{DVec3, Vec3};
 
 /// The nearest face of a point and its squared distance, as compared in float32.
@@ -83,19 +84,9 @@ impl Node {
 impl Bvh {
     /// The nearest face with a squared distance of at most `bound_squared`.
     pub fn nearest(&self, p: Vec3, bound_squared: f32) -> Option<Nearest> {
-        #[cfg(target_arch = "x86_64")]
-        if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has AVX2. The code is the portable one, compiled for wider registers; without
-            // fused operations both give the same bits (tested).
-            return unsafe { self.nearest_avx2(p, bound_squared) };
-        }
-        self.nearest_portable(p, bound_squared)
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
-    fn nearest_avx2(&self, p: Vec3, bound_squared: f32) -> Option<Nearest> {
-        self.nearest_portable(p, bound_squared)
+        with_vectors!((bvh: &Bvh = self, p: Vec3 = p, bound_squared: f32 = bound_squared) -> Option<Nearest> {
+            bvh.nearest_portable(p, bound_squared)
+        })
     }
 
     #[inline(always)]

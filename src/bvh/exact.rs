@@ -12,6 +12,7 @@
 use super::closest::ClosestPoint;
 use super::{Bvh, ChildRef, FAR, MAX_STACK, Node, ROUNDING, WIDTH};
 use crate::mesh::Mesh;
+use crate::simd::with_vectors;
 use glam::DVec3;
 
 /// Number of faces kept before float64 compares them. A list of 4 kB would displace the nodes from the first-level
@@ -87,18 +88,9 @@ impl Mesh {
         if p.abs().max_element() > FAR {
             return self.closest_point_from_afar(p);
         }
-        #[cfg(target_arch = "x86_64")]
-        {
-            #[target_feature(enable = "avx2")]
-            fn wide(mesh: &Mesh, p: DVec3, bound: f64) -> ClosestPoint {
-                mesh.exact_closest_point_near(p, bound)
-            }
-            if std::arch::is_x86_feature_detected!("avx2") {
-                // SAFETY: the processor has AVX2. The code is the portable one, compiled for wider registers.
-                return unsafe { wide(self, p, bound) };
-            }
-        }
-        self.exact_closest_point_near(p, bound)
+        with_vectors!((mesh: &Mesh = self, p: DVec3 = p, bound: f64 = bound) -> ClosestPoint {
+            mesh.exact_closest_point_near(p, bound)
+        })
     }
 
     #[inline(always)]

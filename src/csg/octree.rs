@@ -19,7 +19,7 @@ use super::program::{Joint, PlacedDistanceOp, PlacedWarp, PlacedWarpKind, Progra
 use super::shape::Op;
 use super::solid::Solid;
 use super::token::Token;
-use crate::simd;
+use crate::simd::with_vectors;
 use glam::{DVec3, UVec3};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -282,7 +282,7 @@ fn leaf_values(program: &Program<f32>, tokens: &[Token], points: &[DVec3], scrat
     scratch.values.clear();
     scratch.positions.clear();
     scratch.positions.push(at);
-    simd::with_vectors(|| {
+    with_vectors!((program: &Program<f32> = program, tokens: &[Token] = tokens, scratch: &mut OctreeScratch = scratch) {
         for &token in tokens {
             let at = scratch.positions.last().expect("there is always a position");
             match token {

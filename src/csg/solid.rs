@@ -14,7 +14,7 @@ use crate::error::Error;
 use crate::grid::Grid;
 use crate::memory::allocate_samples;
 use crate::progress::Progress;
-use crate::simd;
+use crate::simd::with_vectors;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::sync::OnceLock;
@@ -192,5 +192,10 @@ pub(super) fn run_wide<F: Real, const N: usize>(
     at: &[[F; N]; 3],
     stack: &mut Stack<F, N>,
 ) -> [F; N] {
-    simd::with_vectors(|| program.run(tokens, at, stack))
+    with_vectors!(
+        [F: Real, const N: usize]
+        (program: &Program<F> = program, tokens: &[Token] = tokens, at: &[[F; N]; 3] = at,
+         stack: &mut Stack<F, N> = stack)
+        -> [F; N] { program.run(tokens, at, stack) }
+    )
 }

@@ -37,7 +37,7 @@ use super::solid::{Solid, slope};
 use crate::bvh::boxes::MAX_STACK;
 use crate::gpu::constants::csg_draw::STILL;
 use crate::gpu::constants::csg_root::{MAX_MARCH_STEPS, MAX_ROOT_STEPS, MIN_STEP, ROOT_WIDTH};
-use crate::simd;
+use crate::simd::with_vectors;
 use glam::{DVec3, Vec3, Vec3A};
 use std::sync::Arc;
 
@@ -349,8 +349,12 @@ fn leaf_slope(leaf: &PlacedLeaf<f64>, p: DVec3) -> DVec3 {
     const CORNERS: [DVec3; 4] =
         [DVec3::new(1.0, -1.0, -1.0), DVec3::new(-1.0, -1.0, 1.0), DVec3::new(-1.0, 1.0, -1.0), DVec3::ONE];
     let at = [0, 1, 2].map(|axis| CORNERS.map(|corner| p[axis] + LEAF_STEP * corner[axis]));
-    let values = simd::with_vectors(|| leaf.distances(&at));
-    CORNERS.iter().zip(values).map(|(&corner, value)| value * corner).sum()
+    CORNERS.iter().zip(wide_distances(leaf, &at)).map(|(&corner, value)| value * corner).sum()
+}
+
+/// The distances of a leaf at four points, with the vector instructions of this machine.
+fn wide_distances(leaf: &PlacedLeaf<f64>, at: &[[f64; 4]; 3]) -> [f64; 4] {
+    with_vectors!((leaf: &PlacedLeaf<f64> = leaf, at: &[[f64; 4]; 3] = at) -> [f64; 4] { leaf.distances(at) })
 }
 
 /// A ray, with the inverse of its direction.

@@ -2,6 +2,7 @@
 
 use crate::bvh::WIDTH;
 use crate::bvh::pack::Pack;
+use crate::simd::with_vectors;
 use glam::{DVec3, Vec3};
 
 /// Eight triangles whose first edge is on the rim of an opening. Empty lanes have three equal corners far away, so
@@ -50,18 +51,7 @@ impl CapPack {
     ///
     /// The formula of [`crate::geometry::solid_angle`].
     pub(super) fn angles(&self, p: Vec3) -> Option<f32> {
-        #[cfg(target_arch = "x86_64")]
-        {
-            #[target_feature(enable = "avx2")]
-            fn wide(pack: &CapPack, p: Vec3) -> Option<f32> {
-                pack.angles_by_lanes(p)
-            }
-            if std::arch::is_x86_feature_detected!("avx2") {
-                // SAFETY: the processor has AVX2.
-                return unsafe { wide(self, p) };
-            }
-        }
-        self.angles_by_lanes(p)
+        with_vectors!((pack: &CapPack = self, p: Vec3 = p) -> Option<f32> { pack.angles_by_lanes(p) })
     }
 
     #[inline(always)]
@@ -89,18 +79,9 @@ impl CapPack {
     /// Squared distance of `p` to the nearest triangle, and the sum over the rim edges of length / (distance -
     /// radius)^2.
     pub(super) fn reach(&self, p: Vec3, radius: f32) -> (f32, f32) {
-        #[cfg(target_arch = "x86_64")]
-        {
-            #[target_feature(enable = "avx2")]
-            fn wide(pack: &CapPack, p: Vec3, radius: f32) -> (f32, f32) {
-                pack.reach_by_lanes(p, radius)
-            }
-            if std::arch::is_x86_feature_detected!("avx2") {
-                // SAFETY: the processor has AVX2.
-                return unsafe { wide(self, p, radius) };
-            }
-        }
-        self.reach_by_lanes(p, radius)
+        with_vectors!((pack: &CapPack = self, p: Vec3 = p, radius: f32 = radius) -> (f32, f32) {
+            pack.reach_by_lanes(p, radius)
+        })
     }
 
     #[inline(always)]

@@ -53,6 +53,7 @@ use crate::bvh::{Bvh, Node, WIDTH};
 use crate::error::Error;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
+use crate::simd::with_vectors;
 use block::{CORNERS, SampleBox, max, min, not_positive, roots};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -235,19 +236,11 @@ struct Tile<'a> {
 impl Tile<'_> {
     /// Computes the samples of the box `low..high`.
     fn fill(&mut self, scratch: &mut BlockScratch, low: [usize; 3], high: [usize; 3]) {
-        #[cfg(target_arch = "x86_64")]
-        if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has AVX2. The code is the portable one, compiled for wider registers; without
-            // fused operations both give the same bits (tested).
-            return unsafe { self.fill_avx2(scratch, low, high) };
-        }
-        self.fill_portable(scratch, low, high);
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
-    fn fill_avx2(&mut self, scratch: &mut BlockScratch, low: [usize; 3], high: [usize; 3]) {
-        self.fill_portable(scratch, low, high);
+        with_vectors!(
+            (tile: &mut Tile<'_> = self, scratch: &mut BlockScratch = scratch,
+             low: [usize; 3] = low, high: [usize; 3] = high)
+            { tile.fill_portable(scratch, low, high) }
+        )
     }
 
     #[inline(always)]
