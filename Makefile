@@ -34,8 +34,9 @@ check: $(VENV)/.lint ## Format, layers, spelling, named paths and wording, in se
 	$(BIN)/python scripts/check_paths.py
 	$(BIN)/python scripts/check_text.py
 
-types: $(VENV)/.built $(VENV)/.test ## Clippy, mypy, and the stub beside the compiled module
+types: $(VENV)/.built $(VENV)/.test ## Clippy, rustdoc, mypy, and the stub beside the compiled module
 	cargo clippy --quiet --all-targets --features python -- --deny warnings
+	RUSTDOCFLAGS="--deny warnings" cargo doc --quiet --no-deps --features python
 	$(BIN)/mypy
 	$(BIN)/python -m mypy.stubtest fieldbake._core --ignore-disjoint-bases
 

@@ -16,9 +16,9 @@
 //!
 //! # Practice
 //!
-//! Build a [`Scene`] once and draw it any number of times by a [`Renderer`](renderer::Renderer). Objects are shared: a
-//! forest of one tree has one field, and [`Scene::moved`] shares them all. A new kind of object casts shadows if it
-//! implements [`field::Field`].
+//! Build a [`Scene`] once and draw it any number of times by a [`Renderer`]. Objects are shared: a forest of one tree
+//! has one field, and [`Scene::moved`] shares them all. A new kind of object casts shadows if it implements
+//! [`field::Field`].
 
 pub(crate) mod article;
 pub(crate) mod cone;
