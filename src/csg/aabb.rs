@@ -8,8 +8,9 @@
 //! ```text
 //! a | b    the pieces of both: the nearest hit is that of the union
 //! a & b    every pair of pieces whose boxes intersect, in the common box
-//! a - b    where a piece of a intersects the box of one of b: their difference there, the piece in up to 26 boxes around
-//! a ^ b    the xor where the boxes of a and b intersect, the pieces of both around
+//! a - b    a piece of a that intersects the box of a piece of b: their difference in the common box, and the piece of
+//!          a in up to 26 boxes around it
+//! a ^ b    the xor where the boxes of a and b intersect; elsewhere the pieces of both
 //! ```
 //!
 //! A ray that enters a box at `t` may already be inside the piece's tree. That is a hit only if the solid's surface is
@@ -127,7 +128,7 @@ pub(super) fn parts(model: &Model) -> Vec<Part> {
     grouped(root.into_iter().filter(|piece| is_finite(&piece.bounds)).map(|piece| (piece.tokens, piece.bounds)))
 }
 
-/// Tokens with one appended. A warp also gets the token that begins it.
+/// Appends a token to a list. For the end of a warp, the token that begins the warp is put in front.
 fn changed(tokens: &[Token], token: Token) -> Arc<[Token]> {
     match token {
         Token::Leave(warp) => [&[Token::Enter(warp)], tokens, &[token]].concat().into(),
@@ -155,7 +156,7 @@ fn combined(op: Op, blend: Blend, a: Operand, b: Operand, join: &Join<'_>) -> Op
     let tokens = join.tokens(&a.tokens, &b.tokens);
     let extent = Extent::combined(op, blend, a.extent, b.extent);
     let width = blend.width();
-    // The zone in which the joint differs from its operands.
+    // Boxes in which the joint may differ from its operands.
     let zone = match (op, blend) {
         (Op::Union, Blend::Sharp) => None,
         (Op::Union | Op::Xor, _) => Some(intersection(&bounds_at(&a, width), &bounds_at(&b, width))),

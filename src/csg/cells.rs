@@ -46,7 +46,7 @@ pub(crate) struct PartProgram {
     pub form: PartKind,
     /// Normal form of a part in closed form; empty for a sphere-traced part.
     pub steps: Box<[Step]>,
-    /// Evaluations of a leaf per evaluation of the part.
+    /// Number of leaf evaluations in one evaluation of the part.
     pub leaves: u32,
     pub inverse_lipschitz: f32,
 }

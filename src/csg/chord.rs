@@ -2,11 +2,11 @@
 //!
 //! # Theory
 //!
-//! A line meets a convex solid in one interval, its *chord*. The chords of a slab, a half space and a ball follow from
-//! a division or a square root. The chords of the other leaves are intersections of these. Operators combine chords as
-//! sets on the line (S. Roth, "Ray Casting for Modeling Solids", 1982). Membership in the whole can change only at an
-//! end of a chord. So the ends are tried in increasing order, and the first end behind which the line is inside is the
-//! hit.
+//! A line intersects a convex solid in one interval, its *chord*. The chords of a slab, a half space and a ball follow
+//! from a division or a square root. The chords of the other leaves are intersections of these. Operators combine
+//! chords as sets on the line (S. Roth, "Ray Casting for Modeling Solids", 1982). Membership in the whole can change
+//! only at an end of a chord. So the ends are tried in increasing order, and the first end behind which the line is
+//! inside is the hit.
 //!
 //! *Normal form.* A part is a tree of unions and intersections of *literals*. A literal is a leaf or the complement of
 //! a leaf: De Morgan's laws push complements down to the leaves, `a - b` is `a & !b`, and `a ^ b` is
@@ -36,7 +36,7 @@ use crate::gpu::constants::csg_chord::{CHORD_FAR, CHORD_PARALLEL, CHORD_STILL};
 pub(crate) use crate::gpu::constants::csg_root::ERODED;
 use glam::{Vec2, Vec3};
 
-/// Largest number of literals of a part in closed form: the chords of all literals and one bit for each are kept.
+/// Largest number of literals of a part in closed form. A search keeps the chord of each literal and a bit per literal.
 pub(crate) const MAX_LEAVES: usize = 12;
 
 /// Method for intersecting rays with a part.
@@ -44,7 +44,7 @@ pub(crate) const MAX_LEAVES: usize = 12;
 pub(crate) enum PartKind {
     /// Sphere tracing of its field.
     Field,
-    /// The nearest of the chords of its leaves.
+    /// Nearest chord of its leaves.
     Union,
     /// Boolean combination of the chords of its literals.
     Chords,
@@ -352,7 +352,7 @@ fn cone(o: Vec3, d: Vec3, [low, high, half_height]: [f32; 3]) -> Chord {
         return Chord::NONE;
     }
     let (middle, slope) = (0.5 * (low + high), 0.5 * (high - low) / half_height);
-    // Solved about the point nearest to the axis, which lies between the ends.
+    // The quadratic is solved about the point nearest to the axis, clamped to the two ends.
     let speed_squared = d.truncate().length_squared();
     let nearest = if speed_squared < CHORD_PARALLEL { 0.0 } else { -o.truncate().dot(d.truncate()) / speed_squared };
     let start = nearest.clamp(ends.from, ends.to);

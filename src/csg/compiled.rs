@@ -27,7 +27,7 @@ use std::fmt::Write;
 /// compile.
 const MAX_STRUCTURES: usize = 32;
 
-/// Largest number of tokens of a structure, for the same reason.
+/// Largest number of tokens of a structure. Longer functions take seconds to compile.
 const MAX_TOKENS: usize = 64;
 
 /// The `form` of the first structure in the kernel.
@@ -191,7 +191,7 @@ fn part_distance(p: vec3f, form: u32, first: u32, count: u32, parameters: u32) -
     switch form {
 ";
 
-/// The structures that get a function, in the order of their names, which does not depend on parameters.
+/// The structures that get a function, sorted. The order does not depend on parameters.
 fn chosen(tracer: &Tracer<'_>) -> BTreeMap<Vec<StructureToken>, usize> {
     let mut boxes = vec![0usize; tracer.programs.len()];
     tracer.boxes.iter().for_each(|cell| boxes[cell.part as usize] += 1);
@@ -208,7 +208,7 @@ fn chosen(tracer: &Tracer<'_>) -> BTreeMap<Vec<StructureToken>, usize> {
     names.into_keys().enumerate().map(|(place, name)| (name, place)).collect()
 }
 
-/// Whether a part is worth a function. The interpreter evaluates baked volumes.
+/// Whether a part is short enough for a function of its own. Parts with baked volumes are always interpreted.
 fn is_short(tracer: &Tracer<'_>, part: &PartProgram) -> bool {
     let is_volume = |token: &Token| match token {
         Token::Leaf(leaf) => {

@@ -30,7 +30,7 @@ pub(super) fn ellipsoid<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let [rx, ry, rz, dx, dy, dz] = *p;
     let [x, y, z] = [x.abs(), y.abs(), z.abs()];
     let [cx, cy, cz] = [rx * x, ry * y, rz * z];
-    // Starts from below: one of the terms is 1 there.
+    // Newton's method starts below the root: one term of the sum is 1 here.
     let mut t = (cx - dx).most(cy - dy).most(cz - dz).most(tiny);
     for _ in 0..ELLIPSOID_STEPS {
         let [wx, wy, wz] = [one / (t + dx), one / (t + dy), one / (t + dz)];
@@ -43,7 +43,7 @@ pub(super) fn ellipsoid<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let shortest = rx.least(ry).least(rz);
     let t_from_zero = t - shortest * shortest;
     let excess = x * (x / (t + dx)) + y * (y / (t + dy)) + z * (z / (t + dz)) - one;
-    // Both have the same sign, or the field is zero within rounding.
+    // `t_from_zero` and `excess` have the same sign, or the field is zero within rounding.
     if t_from_zero > F::default() {
         t_from_zero.sqrt() * excess.most(F::default()).sqrt()
     } else {

@@ -40,14 +40,14 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Side of a workgroup of the picture in pixels, and number of points of a workgroup of the other kernel, as in the
-/// shaders.
+/// Side of a workgroup of `csg_draw` in pixels, and number of points of a workgroup of `csg_points`, as in the shaders.
 const TILE: u32 = 8;
 const GROUP: u64 = 64;
-/// Number of workgroups of a dispatch, and of rows of them: in the first one, and at most.
+/// Number of workgroups of `csg_points` in the first dispatch, and largest number in any; the same for rows of
+/// workgroups of `csg_draw`.
 const WORKGROUPS: (u64, u64) = (4, 65_535);
 const TILE_ROWS: (u64, u64) = (1, 1024);
-/// Number of points on the device at a time.
+/// Number of points in device memory at a time.
 const BATCH: usize = 1 << 20;
 
 /// Tables in device memory.
@@ -356,7 +356,7 @@ fn written_kernel(context: &Arc<Context>, compiled: &Compiled) -> Result<Option<
     Ok(context.written_kernel("csg_draw", "main", source))
 }
 
-/// Nodes, then boxes, and the concatenated tokens of all parts.
+/// The nodes of the tree followed by the boxes, and the concatenated tokens of all parts.
 fn encoded_boxes(tracer: &Tracer<'_>, encoder: &Encoder<'_>, entries: &[Entry]) -> (Vec<CsgBox>, Vec<u32>) {
     let mut tokens = Vec::new();
     let mut ranges = Vec::new();

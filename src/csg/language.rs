@@ -63,7 +63,7 @@ const MODIFIERS: &[Word] = {
     ]
 };
 
-/// The forms that are no rows of a table, for messages.
+/// Usage of the forms that no table lists, for messages.
 const OTHER_USAGES: [(&str, &str); 6] = [
     ("extrude", "(extrude h PROFILE)"),
     ("revolve", "(revolve offset PROFILE)"),

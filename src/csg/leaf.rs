@@ -31,7 +31,8 @@ macro_rules! declare {
             Volume(Arc<VolumeLeaf>, Box<PlacedVolume<F>>),
         }
 
-        /// Numbers of the kinds of leaves. Three kinds of profiles follow each of the last two names.
+        /// The number of each kind of leaf. `Extrude` and `Revolve` are the first of three consecutive numbers, one per
+        /// profile.
         #[derive(Clone, Copy)]
         enum First {
             $($variant,)*

@@ -23,7 +23,7 @@ impl Model {
     }
 }
 
-/// Limits of the scales and shifts of parts, within which float64 can square them.
+/// Smallest scale of a placement, whose inverse is the largest, and largest translation. Float64 can square them.
 const MIN_SCALE: f64 = 1e-30;
 const MAX_REACH: f64 = 1e37;
 
@@ -45,7 +45,7 @@ struct InheritedState {
     warps: usize,
 }
 
-/// Work that is still to be done.
+/// An entry of the stack of pending work.
 enum Task<'a> {
     Visit(&'a Shape, InheritedState),
     Combine { op: Op, blend: Blend, count: usize },
@@ -290,7 +290,7 @@ impl Builder {
         model.extent
     }
 
-    /// Postfix order, with the operand that needs the deeper stack first.
+    /// The tokens of a subtree in postfix order. The operand that needs the deeper stack comes first.
     fn tokens(&self, root: usize) -> (Vec<Token>, Vec<Combine>) {
         enum Step {
             Visit(usize),

@@ -46,7 +46,7 @@ impl Combine {
     }
 }
 
-/// A change of the distance only.
+/// An operation on the distance alone, at the same position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum DistanceOp {
     Offset(f64),
@@ -58,7 +58,7 @@ pub enum DistanceOp {
 pub struct Coat {
     pub above: Option<Arc<Self>>,
     pub color: [f32; 3],
-    /// Whether it replaces colours below it.
+    /// Whether the coat replaces the colours below it.
     pub over: bool,
     pub mask: Option<Mask>,
 }

@@ -28,17 +28,17 @@ use std::sync::Arc;
 const MIN_DEPTH: u32 = 4;
 /// Largest depth.
 const MAX_DEPTH: u32 = 7;
-/// A sphere-traced cell at that depth with at most this many leaves is not divided. One level deeper the limit is twice
-/// as high: eight boxes instead of one must save more than they cost.
+/// A sphere-traced cell at depth [`MIN_DEPTH`] with at most this many leaves is not divided. One level deeper the limit
+/// is twice as high: eight boxes instead of one must save more than they cost.
 const FEW_LEAVES: usize = 2;
-/// The limit for cells whose hits have a closed form, at any depth.
+/// As [`FEW_LEAVES`], for cells whose hits have a closed form, at any depth.
 const FEW_CHORDS: usize = 4;
 /// Number of tokens above which a cell becomes a task of its own.
 const TASK_TOKENS: usize = 48;
 /// Margin of the radius of a cell, relative to the model. Normals are evaluated this close to the faces, and float32
 /// rounds.
 const PAD: f64 = 1e-4;
-/// The root exceeds the bounds by this, so that no surface lies in its faces.
+/// Enlargement of the root beyond the bounds, relative to the model, so that no surface lies in the root's faces.
 const ROOT_PAD: f64 = 1e-3;
 
 /// Number of lattice positions of faces along an axis.

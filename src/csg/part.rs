@@ -47,7 +47,7 @@ pub(crate) fn grouped(pieces: impl IntoIterator<Item = (Arc<[Token]>, [DVec3; 2]
     parts
 }
 
-/// The input of a shader's compilation: operators and kinds of leaves, without their parameters.
+/// A token without its parameters. A list of these determines the text of a specialised kernel.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) enum StructureToken {
     Leaf(&'static str),

@@ -3,12 +3,13 @@
 use super::shape::Kind;
 use glam::{DMat3, DVec3};
 
-/// A placement without its scale: `world = rotation * leaf + translation`. The rotation may include a reflection.
+/// A rotation, which may include a reflection, a translation and a uniform scale. The rotation and the translation
+/// alone are the map `world = rotation * leaf + translation`; the scale is applied to the parameters of the leaf.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Placement {
     pub rotation: DMat3,
     pub translation: DVec3,
-    /// Number of units of the parent in a unit of the placed object.
+    /// Number of units of the parent in one unit of the placed object.
     pub scale: f64,
 }
 
@@ -65,7 +66,7 @@ pub(super) fn reflection(normal: DVec3) -> Placement {
 pub struct Warp {
     pub kind: WarpKind,
     pub place: Placement,
-    /// Upper bound on the ratio of distances inside to distances outside, by which they are divided.
+    /// Upper bound on the stretch, the ratio of distances inside to distances outside. Distances are divided by it.
     pub stretch: Stretch,
 }
 
@@ -79,10 +80,10 @@ pub enum WarpKind {
     Bend(f64),
 }
 
-/// Stretch of a rotation that grows along an axis. The derivative of `R(angle) p` is a rotation plus `rate * r` across
-/// it, at distance `r` from the z axis, so its norm is at most `1 + rate * r`. It is evaluated at `max(r, radius)`,
-/// where `radius` is twice that of the child: a straight segment from a point to the solid never leaves the larger of
-/// its own radius and that.
+/// Stretch of a rotation whose angle grows along an axis. At distance `r` from the z axis, the derivative of the
+/// position is a rotation plus a term of norm `rate * r`, so its norm is at most `1 + rate * r`. The bound is evaluated
+/// at `max(r, radius)`, where `radius` is twice the child's: every point of a straight segment from a point at distance
+/// `r` to the solid is at most that far from the axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stretch {
     pub rate: f64,

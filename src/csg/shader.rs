@@ -137,8 +137,9 @@ impl<'a> Writer<'a> {
         Self { model, program, body, numbers, base, loops, depth: 1, names: 0, colors: None }
     }
 
-    /// Write the statements for tokens and for their paint, which calls `mixed_color`; the name of the colour. `None` where
-    /// nothing is painted, or where a stencil or mask decides. `numbers` are those before its own.
+    /// Generates the statements for the field of tokens and for their paint, which calls `mixed_color`. Returns the
+    /// name of the colour; `None` if nothing is painted, or if the colour depends on a stencil or mask. The parameters
+    /// are appended to `numbers`.
     pub(super) fn write_color(&mut self, tokens: &[Token], numbers: Vec<f32>) -> Option<String> {
         let is_masked = |leaf: &Leaf| {
             successors(leaf.paint.as_deref(), |coat| coat.above.as_deref()).any(|coat| coat.mask.is_some())

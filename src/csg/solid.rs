@@ -149,7 +149,6 @@ impl Solid {
         self.precise.color(&self.model, &self.model.tokens, self.frame.local(p).to_array())
     }
 
-    /// The tables in float64.
     /// The tables that the parts share.
     pub(super) fn tables(&self) -> SharedTables<'_> {
         SharedTables { model: &self.model, frame: self.frame, program: &self.program }

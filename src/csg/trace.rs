@@ -41,14 +41,16 @@ use crate::simd::with_vectors;
 use glam::{DVec3, Vec3, Vec3A};
 use std::sync::Arc;
 
-/// Half the step of the differences for normals in float64: those of a part's field, and those of one leaf's.
+/// Half the step of the central differences in float64 for normals of a part's field, local units.
 const NORMAL_STEP: f64 = 1e-5;
+/// Distance from the hit to the corners of a tetrahedron, along each axis, for the normal of one leaf's field, local
+/// units.
 const LEAF_STEP: f64 = 2e-6;
 
-/// Weights of [`Tracer::cost`], in evaluations of a leaf. Visiting a box; sphere-tracing steps in a box of size 0;
-/// additional steps in a box as large as the model. With these weights the cheapest method is the fastest, or nearly,
-/// on scattered leaves and on the models of `examples/csg`.
+/// Weight of [`Tracer::cost`] for visiting a box, in evaluations of a leaf. With these weights the cheapest method is
+/// the fastest, or nearly, on scattered leaves and on the models of `examples/csg`.
 const BOX_LOOKS: f64 = 2.0;
+/// Estimated sphere-tracing steps in a box of size 0, and additional steps in a box as large as the model.
 const MARCH_LOOKS: [f64; 2] = [2.0, 15.0];
 
 /// A shape, split or whole, prepared for rays. Cloning shares the tables.
@@ -120,8 +122,8 @@ impl<'a> Tracer<'a> {
     }
 
     /// Expected cost of a ray that is not stopped, in evaluations of a leaf times a constant. The fraction of rays that
-    /// reach a box is proportional to its surface area. In it the leaves of its part are evaluated, once or at every
-    /// step.
+    /// reach a box is proportional to its surface area. A ray that reaches a box evaluates all leaves of the box's
+    /// part, once or at every step.
     pub(crate) fn cost(&self) -> f64 {
         let of_box = |cell: &LocalBox| {
             let sides = (cell.upper - cell.lower).as_dvec3();
