@@ -23,7 +23,7 @@ pub(crate) fn evaluate_by_beams(
     wanted: &dyn Fn(u32, u32) -> bool,
     worth: u64,
 ) -> Result<(), Error> {
-    // Rows are processed in bunches, since a beam has 64 bytes.
+    // Rows are processed in bunches that fit into the memory for beams. A beam has 64 bytes.
     let rays = if let SceneShadows::Area(count) = pass.options.shadows { count } else { PARTS } as usize;
     let beams_per_layer = pass.lights.lights.len().max(1) * rays + AO_CONES;
     let mut bunch = Vec::new();
@@ -51,7 +51,7 @@ fn light_bunch(
 ) -> Result<(), Error> {
     let lights = known.lights;
     let mut answers = DeviceResults::ask(pass, device, bunch)?;
-    // Row and layer of each beam from behind.
+    // `behind` has the beams from behind; `owners` has the row and the layer of each.
     let (mut behind, mut owners) = (Vec::new(), Vec::new());
     for (y, i, surface) in bunch.drain(..) {
         let row = &mut known.rows[y];
@@ -160,9 +160,8 @@ impl DeviceResults {
         Ok(Self { direct: Batch::run(pass, device, beams, past_sheets)?, lengths: lengths.into_iter() })
     }
 
-    /// Results for the next surface, and the work; `None` if there are no more results. Light from behind is the
-    /// fraction that remains inside the surface's instance. A ray to each light whose visibility from there is unknown
-    /// is appended to `behind`.
+    /// Stores the results for the next surface in `found` and returns their work; `None` if there are no more results.
+    /// A beam to each light whose visibility behind the surface's own instance is unknown is appended to `behind`.
     fn next(
         &mut self,
         pass: &Pass<'_>,

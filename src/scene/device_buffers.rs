@@ -6,8 +6,9 @@ use crate::gpu::Context;
 use crate::gpu::layout::{Answer, Beam, PieceParams, SurfaceParams};
 use std::sync::OnceLock;
 
-/// Number of beams at a time, and of parts of divided discs: 16 MiB and 32 MiB.
+/// Number of beams in memory at a time: 16 MiB.
 pub(crate) const MOST_BEAMS: usize = 1 << 18;
+/// Number of parts of divided discs in memory at a time: 32 MiB.
 pub(crate) const MOST_PARTS: usize = 1 << 19;
 
 /// Buffers for beams, allocated at the first use.

@@ -53,7 +53,8 @@ impl<'a> DeviceFields<'a> {
         Ok(())
     }
 
-    /// False for a shape that has no function, or beyond the largest number of functions.
+    /// Appends the record and the parameters of a shape. Returns false for a shape that has no function, or beyond the
+    /// largest number of functions.
     pub fn add_shape(&mut self, solid: &Solid) -> Result<bool, DeviceError> {
         let Some(Whole { body, numbers, .. }) = Whole::of(solid, ARRAY, TURNS) else { return Ok(false) };
         let structures = &mut self.kinds.structures;

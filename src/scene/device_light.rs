@@ -22,7 +22,7 @@ use rayon::prelude::*;
 const MOST_DISTANCE: f64 = 16.0;
 /// Number of invocations of a workgroup, as in the shader.
 const GROUP: u32 = 64;
-/// An answer that is the mean of the parts of a disc, as in the shader.
+/// Value of [`Answer::is_proven`] for a disc whose fraction is the mean of its parts, as in the shader.
 const DIVIDED: u32 = 2;
 
 /// Kinds of counts, as in the shader.
@@ -33,7 +33,7 @@ enum Count {
     Edges,
 }
 
-/// Lights the faces that the device found. Returns whether it applies to the picture.
+/// Lights the faces that the device found. Returns false if the method does not apply to the picture.
 pub(crate) fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut LightBuffer) -> Result<bool, Error> {
     let Some(seen) = &pass.buffer.seen else { return Ok(false) };
     let scene = pass.casters.scene;
@@ -174,7 +174,7 @@ struct FaceLight<'a> {
 }
 
 impl FaceLight<'_> {
-    /// The answers for some pixels. `kinds`: whether there are cones and rays.
+    /// The answers for some pixels. `kinds`: whether any light needs cones, and whether any needs rays.
     fn answers(&self, first: usize, count: usize, lights: usize, kinds: [bool; 2]) -> Result<Vec<Answer>, Error> {
         let buffers = self.buffers;
         let mut clears = 1;
@@ -211,7 +211,7 @@ impl FaceLight<'_> {
         Ok(answers)
     }
 
-    /// Divides the undecided discs among some beams.
+    /// Evaluates the discs among the beams that one cone did not decide, by the parts of each disc.
     fn divide(&self, first: usize, count: usize) -> Result<(), Error> {
         let buffers = self.buffers;
         self.reset_counts()?;

@@ -32,7 +32,8 @@ impl DeviceMeshes {
         Ok(Self { meshes, geometry, materials, masks, texels })
     }
 
-    /// Brings the tables up to date with a scene. Objects that are there already stay.
+    /// Brings the tables up to date with a scene. The meshes are uploaded again only if one of them is not in memory
+    /// yet, and so are the masks.
     pub(crate) fn update(&mut self, context: &Context, scene: &Scene) -> Result<(), Error> {
         if !scene_meshes(scene).all(|triangles| self.meshes.contains_key(&address(triangles))) {
             (self.meshes, self.geometry) = upload_meshes(context, scene)?;
@@ -130,7 +131,8 @@ fn upload_masks(context: &Context, scene: &Scene) -> Result<(Masks, [wgpu::Buffe
     Ok((masks, [context.upload("texture levels", &levels)?, context.upload("texels", &texels)?]))
 }
 
-/// Identity of a shared object. Whoever stores it keeps the object alive.
+/// Key of a shared object: its address. Callers keep the object beside the key, so that no other object gets the
+/// address.
 fn address<T>(object: &Arc<T>) -> usize {
     Arc::as_ptr(object).addr()
 }

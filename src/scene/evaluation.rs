@@ -21,13 +21,13 @@ use super::upsampling::gather;
 use crate::error::Error;
 use rayon::prelude::*;
 
-/// Occlusion is evaluated at one of this many pixels along each side. Between these pixels it is interpolated on finer
-/// and finer lattices. A pixel is also evaluated if its neighbours on the coarser lattice lie on other surfaces or
-/// disagree.
+/// Occlusion is evaluated at one of this many pixels along each side. Between these pixels it is interpolated on
+/// lattices that are twice as fine from one to the next. A pixel is also evaluated if its neighbours on the coarser
+/// lattice lie on other surfaces or disagree.
 const OCCLUSION_SCALE: u32 = 4;
 
-/// Progress of one call of [`find`], per row of the picture. It is divisible by each possible number of lattices, 1 to
-/// 3.
+/// Units of progress that one call of [`find`] counts per row of the picture. The number is divisible by each possible
+/// number of lattices, 1 to 3.
 pub(crate) const FIND_WORTH: u64 = 6;
 
 /// Whether the occlusion of a first pass is computed separately from the lights, at its own scale.
@@ -35,7 +35,7 @@ pub(crate) fn shares_occlusion(options: &RenderOptions) -> bool {
     options.occlusion.is_some()
 }
 
-/// Find the occlusion of a pass at its scale, then the lights.
+/// Finds the occlusion of a pass at its scale, then the light that arrives from the lights.
 fn find_apart(pass: &Pass<'_>) -> Result<LightBuffer, Error> {
     let no_lights = Lights { lights: Vec::new() };
     let open = find_at(&Pass { lights: &no_lights, ..*pass }, OCCLUSION_SCALE)?;
@@ -74,7 +74,7 @@ fn find_at(pass: &Pass<'_>, every: u32) -> Result<LightBuffer, Error> {
         && light_faces(pass, device, &mut known)?
         && known.is_almost_complete()
     {
-        // Beams for so few surfaces are not worth an upload.
+        // For so few surfaces the upload of the beams costs more than their evaluation on the CPU.
         ask(&Pass { device: None, ..*pass }, &mut known, &|_, _| true, worth)?;
         return Ok(known);
     }

@@ -14,11 +14,11 @@ pub(crate) const MAX_LAYERS: usize = 16;
 /// Relative tolerance between the depth found by a device and the depth of the same surface on the ray of the pixel.
 /// Devices compute in float32, in units of the object; a hit slightly in front is the same surface.
 const NEARNESS: f64 = 1e-3;
-/// Nearest hit of a view ray with a mesh, local units: beyond the rounding of a position in float64. An eye in the plane
-/// of a face does not see this face.
+/// Smallest distance of a hit of a view ray with a mesh, local units: more than the rounding of a position in float64.
+/// An eye in the plane of a face does not see this face.
 const NEAR: f64 = 1e-12;
 
-/// The layers and steps of a row's pixels, each pixel by `look`.
+/// Draws the pixels of a row by `look`: the layers of all pixels, and the number of steps of each.
 pub(crate) fn draw_row<'a>(
     scene: &'a Scene,
     options: &'a RenderOptions,
@@ -42,7 +42,7 @@ pub(crate) struct Eye<'a> {
     view: &'a View,
     pub x: u32,
     y: u32,
-    /// Whether the search tests each instance; None for all.
+    /// For each instance, whether the search tests it; None if it tests all.
     pub left_over: Option<&'a [bool]>,
     /// Whether the opaque faces of all instances are drawn already.
     pub skips_opaque: bool,
@@ -72,10 +72,10 @@ impl Eye<'_> {
         let scene = self.scene;
         let eye = scene.scene_from_world(self.view.camera.eye);
         let direction_scene = direction / scene.scale;
-        // Boxes are tested in float32, starting beside the scene.
+        // Boxes are tested in float32, on a ray that starts just before the box of the scene.
         let start = (self.depth_of_scene(direction)).max(from);
         let line = Line::new((eye + start * direction_scene).as_vec3(), direction_scene.as_vec3());
-        // Slightly beyond a hit, since boxes are float32.
+        // The limit lies slightly beyond a hit, because boxes are rounded to float32.
         let reach =
             |depth: f64| ((depth - start) * 1.000_01 + 1e-6 / direction_scene.length()).min(f64::from(f32::MAX)) as f32;
         let mut best: Option<Layer> = None;
@@ -118,7 +118,7 @@ impl Eye<'_> {
         as_triangles(&self.scene.instances[item as usize], self.options.primary)
     }
 
-    /// Whether it is a field that the ray of the pixel must hit again after a device found it.
+    /// Whether the hit of a field that a device found must be computed again by the ray of the pixel.
     pub(crate) fn is_met_again(&self, item: u32) -> bool {
         self.scene.instances[item as usize].field.as_ref().is_some_and(|field| field.is_met_again())
     }
@@ -140,7 +140,8 @@ impl Eye<'_> {
         Some(ray.layer(self.x, item, &hit))
     }
 
-    /// The layer of a face that the pixel is known to show; None if its ray misses the face or the mask is cut there.
+    /// The layer of a face that a device found in the pixel; None if the exact ray misses the face or the mask cuts it
+    /// out there.
     pub(crate) fn face(&self, item: u32, face: u32) -> Option<Layer> {
         let eye = self.scene.scene_from_world(self.view.camera.eye);
         let ray = self.mesh_ray(item, eye, self.view.direction(self.x, self.y))?;
@@ -199,7 +200,7 @@ impl Eye<'_> {
         self.field_layer(item, direction, depth, ray.origin + hit.t * ray.direction, &hit, is_cut)
     }
 
-    /// The layer of a field that the pixel is known to show near a depth, scene units, at the exact hit of its ray.
+    /// The layer of a field that a device found near a depth, scene units, at the exact hit of the ray of the pixel.
     pub(crate) fn field_near(&self, item: u32, depth: f64) -> Option<Layer> {
         let depth = depth * self.scene.scale;
         let eye = self.scene.scene_from_world(self.view.camera.eye);
@@ -208,7 +209,7 @@ impl Eye<'_> {
         self.field(item, eye, direction, [from, to], &|_| false, &mut 0)
     }
 
-    /// The layer of a field that the pixel is known to show at a depth, scene units.
+    /// The layer of a field that a device found at a depth, scene units.
     pub(crate) fn field_at(&self, item: u32, depth: f64, at_start: bool) -> Option<Layer> {
         let depth = depth * self.scene.scale;
         let direction = self.view.direction(self.x, self.y);

@@ -55,8 +55,8 @@ impl fmt::Debug for FarField {
     }
 }
 
-/// The surface of a far field is up to about one voxel off, so the edge of a shadow is accurate to an eighth of the
-/// length of the ray.
+/// Default start of the far part of a ray, voxels of the level in which the ray starts. The surface of a far field is
+/// up to about one voxel off, so the edge of a shadow is accurate to an eighth of the length of the ray.
 pub(crate) const FAR_VOXELS: f64 = 8.0;
 
 /// A far field in a scene.

@@ -7,8 +7,8 @@
 //!
 //! Outside its box a sampled field has bounds only. Let `b` be the nearest point of the box at distance `a`, and `s`
 //! the distance there. The surface is at least `sqrt(a^2 + s^2)` away, because the box is convex: rays may step that
-//! far. The nearest surface point of `b`, `q = b - s gradient`, lies on the surface, so `|p - q|` is at least the true
-//! distance. Penumbrae use it; its error is of second order.
+//! far. The point `q = b - s gradient` is the surface point nearest to `b`, so `|p - q|` is at least the true distance
+//! from `p`. Penumbrae use this estimate; its error is of second order.
 
 use super::device_fields::DeviceFields;
 use crate::error::{DeviceError, Error};
@@ -84,7 +84,7 @@ pub trait Field: Send + Sync {
         1.0
     }
 
-    /// Whether distances away from the surface may be far below the truth.
+    /// Whether distances away from the surface may be far below the true ones.
     fn is_loose(&self) -> bool {
         false
     }
@@ -113,8 +113,8 @@ pub trait Field: Send + Sync {
         Ok(false)
     }
 
-    /// Whether the ray of a pixel must hit it again after a device found it: for objects with parts, or with more
-    /// precision than float32.
+    /// Whether a hit that a device found must be computed again by the ray of the pixel on the CPU: for objects with
+    /// parts, or with more precision than float32.
     fn is_met_again(&self) -> bool {
         false
     }

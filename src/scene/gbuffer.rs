@@ -31,7 +31,7 @@ pub struct GBuffer {
     /// Number of steps of each pixel.
     pub steps: Vec<Vec<u32>>,
     pub view: View,
-    /// The same picture in the memory of the device that drew it, if it is there as a whole.
+    /// The same picture in the memory of the device, if the device drew all of it.
     pub seen: Option<DeviceSeen>,
 }
 

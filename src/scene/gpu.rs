@@ -33,13 +33,13 @@ const GROUP: u64 = 64;
 const GROUPS: (u64, u64) = (16, 65_535);
 /// State of a cone that needs a ray past an edge, as in the shader.
 const NEEDS_EDGE: u32 = 2;
-/// The value for infinity in a shader.
+/// Finite value that stands for infinity in shaders.
 const FAR: f32 = 1e30;
 /// Value of [`Beam::is_coarse`] for a wide cone of occlusion, as in the shader.
 pub(crate) const WIDE: u32 = 2;
 /// Index for no far field, as in the shader.
 const NO_FAR: u32 = u32::MAX;
-/// A distance that is given in voxels, as in the shader.
+/// Value of [`BeamParams::far_distance`] for the default distance, a number of voxels, as in the shader.
 const BY_VOXELS: f32 = -1.0;
 
 /// A scene in device memory.
@@ -51,7 +51,7 @@ pub(crate) struct DeviceScene {
     fields: Fields,
     meshes: DeviceMeshes,
     pub(super) light: LightBuffers,
-    /// Whether the device has the field, if any, of each instance and then of each level of the far field.
+    /// For each instance and then each level of the far field: whether the device has its field, or it has none.
     knows: Vec<bool>,
 }
 
@@ -108,7 +108,7 @@ fn fields_of<'a>(scene: &'a Scene, far: Option<&'a Far>) -> impl Iterator<Item =
     scene.instances.iter().chain(levels.iter().map(|level| &level.instance)).filter_map(|i| i.field.as_ref())
 }
 
-/// Identity of a field. Whoever stores it keeps the field alive.
+/// Key of a field: its address. Callers keep the field beside the key, so that no other field gets the address.
 fn address(field: &Arc<dyn Field>) -> usize {
     Arc::as_ptr(field).addr()
 }
@@ -129,8 +129,8 @@ impl DeviceScene {
         })
     }
 
-    /// Makes it the memory of another scene. Objects that both scenes have stay; of the rows those that differ are
-    /// uploaded.
+    /// Updates the memory for another scene. Fields and meshes stay if all those of the new scene are in memory; else
+    /// they are uploaded again. Only rows that differ are uploaded.
     pub(crate) fn update(&mut self, scene: &Scene, far: Option<&Far>) -> Result<(), Error> {
         let context = &self.context;
         if !fields_of(scene, far).all(|field| self.fields.known.contains_key(&address(field))) {

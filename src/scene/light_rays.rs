@@ -13,14 +13,14 @@ pub struct SurfacePoint {
     pub normal: Vec3,
     /// The instance that the surface belongs to.
     pub own: u32,
-    /// Distance between the start of a ray and the own field, voxels.
+    /// Distance by which a ray starts off the field of the own instance, voxels.
     pub bias_voxels: f32,
-    /// The own instance casts no shadow on the place: light that scatters passes through it. Far fields, which contain the
-    /// own instance, are not used then.
+    /// Whether the own instance casts no shadow on the point, because light that scatters passes through it. Far fields
+    /// contain the own instance, so they are not used then.
     pub skips_own: bool,
 }
 
-/// A ray from a place: a unit direction and a length.
+/// A ray from a surface point: a unit direction and a length.
 #[derive(Debug, Clone, Copy)]
 pub struct LightRay {
     pub direction: DVec3,
@@ -81,7 +81,7 @@ impl std::ops::AddAssign for LightWork {
     }
 }
 
-/// The largest radius that a cone has beside a box, scene units.
+/// Largest radius of a cone where it can touch a box, scene units.
 pub(crate) fn widest(place: &SurfacePoint, ray: &LightRay, slope: f32, bounds: &Aabb) -> f32 {
     let p = place.p.as_vec3();
     let far = (p - bounds.min).abs().max((p - bounds.max).abs()).length();

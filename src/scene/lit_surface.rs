@@ -102,7 +102,7 @@ impl<'a> LitSurface<'a> {
         self.layer.normal.dot(ray.direction.as_vec3())
     }
 
-    /// Whether a light must be evaluated. A side that faces away receives none.
+    /// Whether a light must be evaluated. A surface that faces away from the light receives none of it.
     pub fn needs_rays(&self, ray: &LightRay, options: &RenderOptions) -> bool {
         options.shadows != SceneShadows::None && self.cosine(ray) > 0.0
     }
@@ -111,7 +111,8 @@ impl<'a> LitSurface<'a> {
         scene.materials[self.layer.material as usize].scattering != [0.0; 3]
     }
 
-    /// The fraction of a light that needs no evaluation; None if it does.
+    /// Fraction of a light that arrives, where it is known without evaluation: 1 without shadows, 0 on a surface that
+    /// faces away. Else None.
     pub fn plain_share(&self, ray: &LightRay, options: &RenderOptions) -> Option<f32> {
         match options.shadows {
             SceneShadows::None => Some(1.0),
@@ -206,7 +207,7 @@ impl<'a> LitSurface<'a> {
         }
     }
 
-    /// The place for light through the instance.
+    /// The surface point for light through the instance: the instance itself casts no shadow on it.
     pub fn place_behind(&self) -> SurfacePoint {
         SurfacePoint { skips_own: true, ..self.place }
     }

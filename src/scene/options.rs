@@ -6,7 +6,7 @@ use glam::{DVec3, Vec3};
 /// A light in world units.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Light {
-    /// `direction` is that in which the light travels, of any length; `slope` is the tangent of half its angle.
+    /// A light so far away that its disc has the same direction from every point.
     Directional {
         /// Direction in which the light travels, any length.
         direction: DVec3,

@@ -21,7 +21,8 @@ use glam::{DAffine3, DMat3, DVec3};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Whether the CPU must still draw each instance; None if the device draws all visible ones.
+/// For each instance, whether the CPU must still draw it or some of its faces; None if the device draws all visible
+/// ones.
 pub(crate) fn left_over(scene: &Scene, device: &DeviceScene, options: &RenderOptions) -> Option<Vec<bool>> {
     let needs_cpu = |(i, instance): (usize, &Instance)| {
         instance.visible
@@ -123,8 +124,15 @@ fn resolve<'a>(eye: &mut Eye<'a>, seen: [u32; 4], left_over: Option<&'a [bool]>,
     }
 }
 
-/// The device's values for the pixels of some rows: index of the instance + 1, its face and row or flags and depth, a
-/// mark or steps; zero without a hit.
+/// The device's values for the pixels of some rows. All four words are zero without a hit.
+///
+/// ```text
+/// word   face                          field
+/// 0      index of the instance + 1     index of the instance + 1
+/// 1      face of its mesh              flags
+/// 2      row of the draw               depth in scene units, bits of a float32
+/// 3      IS_TRIANGLE                   number of steps
+/// ```
 fn seen_by_device(
     scene: &Scene,
     device: &DeviceScene,

@@ -61,7 +61,7 @@ impl VisibleFace {
         self.unsure < f64::INFINITY && self.unsure <= self.depth * (1.0 + SAME_DEPTH)
     }
 
-    /// Takes a face that surely covers the pixel.
+    /// Adds a face that covers the pixel beyond any rounding error.
     #[inline]
     fn add(&mut self, depth: f64, item: u32, face: u32) {
         let (near, far) = if depth < self.depth { (depth, self.depth) } else { (self.depth, depth) };
@@ -91,7 +91,7 @@ struct RasterMesh<'a> {
 pub(crate) struct Rasterizer<'a> {
     screen: Screen,
     meshes: Vec<RasterMesh<'a>>,
-    /// Whether the search must still test each instance, and their rectangles. None if it need not test any.
+    /// For each instance, whether it is left to the search, and the rectangles of those that are. None if none is.
     left_over: Option<(Vec<bool>, Vec<PixelRectangle>)>,
 }
 
@@ -133,7 +133,7 @@ impl<'a> Rasterizer<'a> {
         seen
     }
 
-    /// Whether the search must look through each pixel of a row, as its boxes cover it.
+    /// For each pixel of a row, whether the box of an instance that is left to the search covers it.
     pub(crate) fn searched(&self, y: u32) -> Vec<bool> {
         let mut columns = vec![false; self.screen.size[0] as usize];
         for [across, rows] in self.left_over.iter().flat_map(|(_, rectangles)| rectangles) {
@@ -144,7 +144,7 @@ impl<'a> Rasterizer<'a> {
         columns
     }
 
-    /// Appends the layers of a pixel. `is_searched`: whether the box of an instance that is not rasterised covers it.
+    /// Appends the layers of a pixel. `is_searched` is its entry of [`Self::searched`].
     pub(crate) fn look<'b>(
         &'b self,
         eye: &mut Eye<'b>,
@@ -292,7 +292,7 @@ impl Screen {
             let abc = vertices.map(|vertex| corners[vertex as usize]);
             if !materials[triangles.material[face] as usize].two_sided {
                 let plane = Plane::new(abc, self.reach);
-                // A face seen from its front has a negative volume with the eye in the mesh's own space.
+                // In the mesh's own space, a face and an eye in front of it span a negative volume.
                 let volume = if is_mirrored { -plane.volume } else { plane.volume };
                 if volume > plane.volume_error {
                     continue;

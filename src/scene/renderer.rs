@@ -89,7 +89,7 @@ pub struct Rendered {
     pub primary_on: [bool; 2],
     /// Duration of each pass by name.
     pub seconds: Vec<(&'static str, f64)>,
-    /// Number of rays and cones to lights and surroundings, and number of those that entered the far field.
+    /// Number of rays and cones to lights and surroundings.
     pub rays: u64,
     /// Number of rays and cones that entered the far field.
     pub far_rays: u64,

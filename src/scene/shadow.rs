@@ -53,7 +53,8 @@ pub struct Caster<'a> {
     part: [f64; 2],
     /// Whether the start is on its own surface.
     is_own: bool,
-    /// Length to skip if the interval begins inside it; only for the far field, see there.
+    /// Length to skip if the interval begins inside the occluder, scene units; above zero only for the far field, see
+    /// [`super::far`].
     skip: f64,
 }
 
@@ -215,8 +216,8 @@ impl<'a> Casters<'a> {
         sum / count as f32
     }
 
-    /// Fraction of a thin ray, and whether it entered the far field. `nearby`: all instances that the ray may meet, if
-    /// they are known.
+    /// Fraction of a thin ray, and whether it entered the far field. `nearby` has all instances that the ray may hit,
+    /// if they are known.
     fn pass_ray(
         &self,
         place: &SurfacePoint,
@@ -305,7 +306,7 @@ impl<'a> Casters<'a> {
         self.hit_from(caster, place, ray, caster.part[0], work)
     }
 
-    /// The same for the part of the ray that begins at `from`, scene units.
+    /// As [`Self::hit_of`], for the part of the ray that begins at `from`, scene units.
     fn hit_from(
         &self,
         caster: &Caster<'_>,

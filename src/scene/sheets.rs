@@ -32,12 +32,13 @@ use glam::{DVec3, Vec2};
 /// Number of rays of a cone. A light's disc has [`PARTS`] cones, so 64 rays.
 const CONE_RAYS: u32 = 4;
 
-/// Number of rays that decide whether a disc is completely lit or dark: on its rim, and spread over it.
+/// Number of rays on the rim of a disc that test whether it is completely lit or dark.
 const RIM_RAYS: u32 = 16;
+/// Number of rays inside the disc for the same test.
 const PROBE_RAYS: u32 = 8;
 
-/// Distance of the start of a ray from its own surface, in sizes of the mesh. Float32 vertices of coplanar faces differ
-/// by a sixteenth of it.
+/// Distance of the start of a ray from its own surface, relative to the size of the mesh. Float32 vertices of coplanar
+/// faces differ by a sixteenth of it.
 const LIFT: f64 = 1e-6;
 
 /// Difference of depths within which two crossings count as one, in scene units and relative.

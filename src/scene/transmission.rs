@@ -31,7 +31,8 @@ use glam::Vec3;
 
 /// The shortest step, voxels.
 const LEAST_VOXELS: f32 = 0.125;
-/// A ray far from the surface takes steps longer than this fraction of its interval in the box.
+/// Largest number of shortest steps in the interval of a ray in the box. In a long interval the shortest step is longer
+/// than [`LEAST_VOXELS`].
 const MOST_STEPS: f32 = 1024.0;
 /// Distance before a visible point at which a ray into the object starts, voxels.
 const BACK_VOXELS: f64 = 1.0;
@@ -55,7 +56,7 @@ pub(crate) fn weight(cosine: f32) -> f32 {
 
 /// The ray through a surface's own field along which its length inside is measured.
 pub struct InsideRay {
-    /// Start at the entrance to the box of the surface, field space; `direction` is that of one scene unit.
+    /// Start at the entrance to the box of the surface, field space. The direction has the length of one scene unit.
     pub ray: FieldRay,
     /// End in the box, scene units from the ray's start.
     pub end: f32,

@@ -13,7 +13,8 @@ const SAME_NORMAL: f32 = 0.95;
 /// Values that differ by less may be averaged, if they are at most two pixels apart. For four pixels the limit is half
 /// as large.
 const AGREE: f32 = 0.125;
-/// The same for occlusion, which has no edges as sharp as those of shadows.
+/// Values of occlusion that differ by less may be averaged. The limit is larger than [`AGREE`], because the edges of
+/// occlusion are softer than those of shadows.
 const AGREE_OPEN: f32 = 0.25;
 /// Smallest sum of the bilinear weights of matching neighbours.
 const ENOUGH: f32 = 0.5;

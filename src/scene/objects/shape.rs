@@ -2,8 +2,8 @@
 //!
 //! # Theory
 //!
-//! Field space is the shape's own local space ([`crate::csg::program::Frame`], a model of size 1/2 to 1) in units of
-//! 1/[`UNITS`]. Rays are those of [`crate::csg::trace`]: roots of the field, part by part, each in its own boxes. A
+//! Field space is the shape's own local space ([`crate::csg::program::LocalFrame`], a model of size 1/2 to 1) in units
+//! of 1/[`UNITS`]. Rays are those of [`crate::csg::trace`]: roots of the field, part by part, each in its own boxes. A
 //! distance is the field over its declared Lipschitz constant, which is a lower bound inside and outside.
 //!
 //! Penumbrae need the distance itself. If the shape is not exact, [`Field::distance_guess`] takes several first-order
