@@ -3,7 +3,7 @@
 //
 // `coarse` computes every fourth sample along each axis and stores its nearest triangle. `main` starts each search from
 // the triangle of the nearest coarse sample, which is already a tight upper bound. Twin of src/bake/dense/mod.rs: the
-// distances are the same, the search is another one.
+// distances are the same, but the search is a different one.
 
 #import bvh
 #import grid

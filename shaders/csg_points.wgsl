@@ -10,9 +10,9 @@ struct CsgPointParams {
 }
 
 @group(0) @binding(0) var<uniform> params: CsgPointParams;
-// Local positions, three numbers a point.
+// Positions in local units, three floats per point.
 @group(0) @binding(4) var<storage, read> points: array<f32>;
-// Local distances, CSG_FAR where the rounds ran out.
+// Distances in local units; CSG_FAR where the invocation ran out of rounds.
 @group(0) @binding(5) var<storage, read_write> distances: array<f32>;
 
 @compute @workgroup_size(64)

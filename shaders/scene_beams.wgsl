@@ -55,7 +55,7 @@ fn reach(p: vec3f, low: vec3f, high: vec3f) -> f32 {
     return length(max(abs(p - low), abs(p - high)));
 }
 
-// The largest radius that a cone from p has beside a box before t_max.
+// Largest radius of a cone from p where it can touch a box before t_max.
 fn widest(p: vec3f, slope: f32, low: vec3f, high: vec3f, t_max: f32) -> f32 {
     if slope <= 0.0 { return 0.0; }
     return min(slope / (1.0 - min(slope, 0.9)) * reach(p, low, high), slope * t_max);
@@ -107,7 +107,7 @@ fn part_in_level(level: u32, beam: Beam, far: vec2f) -> vec2f {
     return clip(beam.p, beam.direction, instances[level].box_min, instances[level].box_max, far);
 }
 
-// The piece of an interval before (0) or behind (1) the interval of the next finer level.
+// The piece of the interval `part` before the interval of the next finer level (`which` = 0) or behind it (1).
 fn piece_of(which: u32, part: vec2f, finer: vec2f) -> vec2f {
     if finer.x > finer.y { return select(NOWHERE, part, which == 0u); }
     return select(vec2f(finer.y, part.y), vec2f(part.x, finer.x), which == 0u);
@@ -229,7 +229,8 @@ fn hit_of(caster: Caster, ray: FieldRay) -> f32 {
     let field = fields[(*to).field];
     var part = caster.part;
     var found = -1.0;
-    // A second round if it must be skipped. The loop has one march, because drivers inline functions.
+    // A hit at the start of a level of the far field is skipped, and a second round searches behind it. The loop has
+    // one march, because drivers inline functions.
     for (var i = 0u; i < 2u; i++) {
         let span = clip(ray.origin, ray.direction, (*to).surface_lower, (*to).surface_upper, part);
         if span.x > span.y { return -1.0; }
@@ -508,8 +509,8 @@ fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
     return vec2f(share * visible_share(x), select(0.0, 1.0, is_proven && x >= 1.0));
 }
 
-// A separate kernel, because a kernel takes the time of everything it contains: to start, and on software devices to
-// run.
+// Evaluates thin rays. Rays and cones have separate kernels, because unused code costs time: at the start of a kernel,
+// and on software devices in every invocation.
 @compute @workgroup_size(64)
 fn rays(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= params.count { return; }
@@ -520,7 +521,7 @@ fn rays(@builtin(global_invocation_id) id: vec3u) {
     answers[beam.owner] = Answer(share, 1u, steps, u32(steps < MAX_STEPS), is_far);
 }
 
-// Most cones need no ray past an edge, and a kernel without those rays is much shorter.
+// Evaluates cones without rays past edges. Most cones need none, and a kernel without those rays is much shorter.
 @compute @workgroup_size(64)
 fn cones(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= params.count { return; }
@@ -533,7 +534,7 @@ fn cones(@builtin(global_invocation_id) id: vec3u) {
     answers[beam.owner] = Answer(found.x, u32(found.y), steps, state, is_far);
 }
 
-// The cones that need such a ray.
+// Evaluates the cones that need a ray past an edge.
 @compute @workgroup_size(64)
 fn edge_cones(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= params.count { return; }

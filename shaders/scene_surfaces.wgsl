@@ -19,10 +19,11 @@ struct SurfaceLight {
 
 struct SurfaceParams {
     eye: vec3f,
-    // Pixels of a row, and their number in memory.
+    // Number of pixels in a row of the picture.
     width: u32,
     // Scene directions of rays, one unit of depth long: through fragment (0, 0), and the changes to the right and down.
     ray: vec3f,
+    // Number of pixels from the start of a row in memory to the start of the next.
     stride: u32,
     ray_x: vec3f,
     light_count: u32,
@@ -51,7 +52,7 @@ struct PieceParams {
 @group(0) @binding(11) var<storage, read_write> counts: array<atomic<u32>, 4>;
 // Output of `divide` and `collect_edges`.
 @group(0) @binding(12) var<storage, read_write> parts: array<Beam>;
-// The answer of each divided disc.
+// Index of the answer of each divided disc.
 @group(0) @binding(13) var<storage, read_write> parents: array<u32>;
 @group(0) @binding(14) var<storage, read> part_answers: array<Answer>;
 

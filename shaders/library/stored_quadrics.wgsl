@@ -39,7 +39,7 @@ fn quadric_times(quadric: Quadric, v: vec4f) -> vec4f {
     return vec4f(dot(quadric.row_x, v), dot(quadric.row_y, v), dot(quadric.row_z, v), dot(quadric.row_w, v));
 }
 
-// The nearest t >= t_min at which a ray, with a direction of length 1, meets a quadric inside its trim sphere; -1 if
+// The nearest t >= t_min at which a ray, with a direction of length 1, crosses a quadric inside its trim sphere; -1 if
 // there is none. The ray is moved to its point nearest to the centre first, so that float32 suffices far away.
 fn intersect_quadric(quadric: Quadric, origin: vec3f, direction: vec3f, t_min: f32) -> f32 {
     let start = dot(quadric.center - origin, direction);

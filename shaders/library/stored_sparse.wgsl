@@ -11,7 +11,7 @@ fn sparse_sample(at: i32) -> f32 {
     return textureLoad(sparse_bricks, vec2i(at % SPARSE_ROW, at / SPARSE_ROW), 0).x * SPARSE_SCALE;
 }
 
-// Bilinear interpolation of the samples of a brick from number `first` on.
+// Bilinear interpolation of the samples of a brick from sample `first` on.
 fn sparse_slice(first: i32, fraction: vec2f) -> f32 {
     let low = mix(sparse_sample(first), sparse_sample(first + 1), fraction.x);
     let high = mix(sparse_sample(first + 8), sparse_sample(first + 9), fraction.x);

@@ -70,7 +70,7 @@ fn cone_chord(o: vec3f, d: vec3f, low: f32, high: f32, half_height: f32) -> vec2
     if ends.x >= ends.y { return NO_CHORD; }
     let middle = 0.5 * (low + high);
     let slope = 0.5 * (high - low) / half_height;
-    // Solved about the point nearest to the axis, which lies between the ends.
+    // The quadratic is solved about the point nearest to the axis, clamped to the two ends.
     let speed_squared = dot(d.xy, d.xy);
     var nearest = 0.0;
     if speed_squared >= CHORD_PARALLEL { nearest = -dot(o.xy, d.xy) / speed_squared; }

@@ -83,7 +83,7 @@ fn cone(at: vec3f, k: array<f32, 6>) -> f32 {
     let r = length(at.xy);
     let cap_radius = select(k[1], k[0], at.z < 0.0);
     let cap = vec2f(max(r - cap_radius, 0.0), abs(at.z) - k[2]);
-    // Along the side, 0 at the top and 1 at the bottom.
+    // Position along the side, 0 at the top and 1 at the bottom.
     let slant = vec2f(k[0] - k[1], -2.0 * k[2]);
     let from_top = vec2f(r - k[1], at.z - k[2]);
     let side = from_top - clamp(dot(from_top, slant) * k[3], 0.0, 1.0) * slant;

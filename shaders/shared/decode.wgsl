@@ -2,16 +2,18 @@
 //
 // A word has four samples of 8 bits, two of 16 or one of 32, the first in the lowest bits.
 
-// The value of a half that is finite. By hand: devices may read the smallest ones as zero, which would be a hit.
+// The value of a finite half. It is decoded by hand, because devices may flush the smallest halves to zero, and a zero
+// would be a hit.
 fn half_value(bits: u32) -> f32 {
     let sign = (bits & 0x8000u) << 16u;
     let magnitude = bits & 0x7fffu;
     if magnitude < 0x400u { return bitcast<f32>(sign | bitcast<u32>(f32(magnitude) * HALF_SUBNORMAL)); }
-    // From an exponent that is 15 too high to one that is 127 too high.
+    // The bias of the exponent changes from 15 to 127.
     return bitcast<f32>(sign | ((magnitude << 13u) + (112u << 23u)));
 }
 
-// `count` bits of a word from bit `first` on, as a signed integer. By shifts: GLSL ES 3.00 has no bitfieldExtract.
+// `count` bits of a word from bit `first` on, as a signed integer. Shifts replace bitfieldExtract, which GLSL ES 3.00
+// does not have.
 fn signed_bits(word: u32, first: u32, count: u32) -> i32 {
     return bitcast<i32>(word << (32u - count - first)) >> (32u - count);
 }
@@ -22,7 +24,7 @@ fn word_of(index: u32, encoding: u32) -> u32 {
     return select(index >> 1u, index >> 2u, encoding == SNORM8);
 }
 
-// The distance of a sample. A half is multiplied by `scale`, and so is the share of a normalised integer.
+// The distance of a sample. A half, or the fraction that a normalised integer stands for, is multiplied by `scale`.
 fn decode_sample(word: u32, index: u32, encoding: u32, scale: f32) -> f32 {
     if encoding == FLOAT32 { return bitcast<f32>(word); }
     if encoding == SNORM8 {

@@ -11,7 +11,8 @@ struct PictureRays {
     start_up: vec3f,
     // The first row of this dispatch.
     first_row: u32,
-    // Direction of that ray, one unit of depth long. One unit to the right or up adds `right` or `up`.
+    // Direction of the ray through the centre of the picture, one unit of depth long. One unit to the right or up on
+    // the plane at depth 1 adds `right` or `up`.
     forward: vec3f,
     // Side of a pixel on the plane at depth 1.
     pixel: f32,

@@ -3,18 +3,19 @@
 struct Beam {
     p: vec3f,
     t_max: f32,
-    // Unit length.
+    // Unit vector.
     direction: vec3f,
     // Growth of a cone's radius with distance; 0 for a ray.
     slope: f32,
     normal: vec3f,
     bias_voxels: f32,
     own: u32,
-    // Only the share of the cone is wanted, not whether it is proven.
+    // 0: the cone of a light's disc, or a ray. 1: a part of a disc, for which only the fraction is used, not whether it
+    // is proven. WIDE: a cone of occlusion.
     is_coarse: u32,
     // 1 if light passes through the own instance: it casts no shadow, and the far field is not used.
     skips_own: u32,
-    // Index of its answer.
+    // Index of the answer of this beam.
     owner: u32,
 }
 
