@@ -14,7 +14,7 @@ pub(super) struct CapPack {
     distances: Pack,
 }
 
-/// Largest rounding error of the result of a lane, in turns times 4 pi; see [`CapPack::angles`].
+/// Largest rounding error of the solid angle of a lane, steradians; see [`CapPack::angles`].
 pub(super) const ANGLE_ERROR: f64 = 1e-4;
 /// A numerator below this fraction of the product of lengths has no certain sign in float32. Coordinates are of about
 /// unit size and rounded to 6e-8, and three of them are multiplied.
@@ -49,7 +49,7 @@ impl CapPack {
     /// Sum of the solid angles as seen from `p`, each within [`ANGLE_ERROR`]. None if `p` is so close to a triangle
     /// that float32 cannot determine the side.
     ///
-    /// The formula of [`crate::geometry::solid_angle`].
+    /// Uses the formula of [`crate::geometry::solid_angle`].
     pub(super) fn angles(&self, p: Vec3) -> Option<f32> {
         with_vectors!((pack: &CapPack = self, p: Vec3 = p) -> Option<f32> { pack.angles_by_lanes(p) })
     }

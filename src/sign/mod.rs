@@ -189,7 +189,7 @@ impl SignRule {
     }
 }
 
-/// The sides of points that follow each other closely. What is known of the last points decides most of the next ones.
+/// The sides of points that follow each other closely. The results for the last points decide most of the next ones.
 #[derive(Debug, Default)]
 pub struct SideWalk {
     /// A ball in which every point is on the same side.

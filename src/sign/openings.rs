@@ -72,8 +72,10 @@ struct CapAngle {
     slope: f64,
 }
 
-/// Errors that a sum over the tree may have: half of a turn decides the nearest integer.
+/// Largest error of the first sum over the tree, steradians: a tenth of a turn. The nearest integer changes after half
+/// a turn.
 const COARSE: f64 = 0.1 * 4.0 * PI;
+/// Largest error of the finer sum, steradians, where the first one leaves the nearest integer open.
 const FINE: f64 = 1e-3 * 4.0 * PI;
 
 /// Offset of the apex from the centre of its rim, in rim sizes. It points away from the planes of typical grids and
@@ -133,7 +135,7 @@ impl Openings {
         openings
     }
 
-    /// Add the node of a range of caps and its descendants. Ranges begin at multiples of the caps of a pack.
+    /// Adds the node of a range of caps and its descendants. Ranges begin at multiples of the caps of a pack.
     fn divide(&mut self, first: usize, end: usize) {
         let index = self.nodes.len();
         let is_leaf = end - first <= WIDTH;
@@ -196,8 +198,8 @@ impl Openings {
         (rounded, clear * share)
     }
 
-    /// Whether no cap comes within `radius` of a point and the fraction has one nearest integer there. False also
-    /// where one value cannot tell.
+    /// Whether no cap comes within `radius` of a point and the fraction has one nearest integer there. The result may
+    /// also be false where both hold but one evaluation does not prove it.
     pub fn is_uniform_within(&self, p: DVec3, radius: f64) -> bool {
         self.caps.is_empty() || self.rounded_within(p, radius).is_some()
     }
@@ -314,7 +316,7 @@ impl CapAngle {
     }
 }
 
-/// Rounding of sums of float64 angles, turns.
+/// Rounding error of a sum of float64 angles, turns.
 const EXACT_ERROR: f64 = 1e-9;
 
 impl CapNode {
@@ -322,7 +324,7 @@ impl CapNode {
         let (mut vector, mut area, mut rim, mut moment) = (DVec3::ZERO, 0.0, 0.0, DVec3::ZERO);
         for &cap in caps {
             let cross = 0.5 * triangle_cross(cap);
-            // A cap without an area still has a place.
+            // A cap without area has a small weight, so that the centroid is defined.
             let weight = cross.length().max(1e-30);
             vector += cross;
             area += weight;

@@ -28,9 +28,9 @@ pub(crate) struct SurfaceCell {
     pub joined: u8,
     /// Faces without crossed edges beyond which no cell is crossed, bit `f` for face `f`.
     pub free: u8,
-    /// Number of its first patch among all patches.
+    /// Index of its first patch among all patches.
     pub first_patch: u32,
-    /// Number of the first of the crossed edges that start at its lower corner, among all crossed edges.
+    /// Index of the first of the crossed edges that start at its lower corner, among all crossed edges.
     pub first_edge: u32,
 }
 
@@ -56,7 +56,7 @@ impl SurfaceCell {
         (self.inside ^ self.inside >> (1 << axis)) & 1 == 1
     }
 
-    /// Number of the crossed edge from the lower corner along an axis, among all crossed edges.
+    /// Index of the crossed edge from the lower corner along an axis, among all crossed edges.
     pub(crate) fn edge(&self, axis: usize) -> u32 {
         self.first_edge + (0..axis).filter(|&a| self.owns(a)).count() as u32
     }
@@ -131,7 +131,7 @@ impl SurfaceCells {
     }
 
     /// The crossed cells of a sparse field. Coarse bricks are read at every voxel centre, so bricks of different levels
-    /// see the same values on their common faces.
+    /// have the same values on their common faces.
     pub(crate) fn of_sparse<T: Texel>(
         field: &SparseView<'_, T>,
         level: f32,
@@ -205,7 +205,7 @@ impl SurfaceCells {
         self.position(index).map(|i| &self.cells[i])
     }
 
-    /// The faces of a cell that have no crossed edge and beyond which no cell is crossed, one bit a face.
+    /// The faces of a cell that have no crossed edge and beyond which no cell is crossed, one bit per face.
     fn free_faces(&self, cell: &SurfaceCell) -> u8 {
         let is_free = |face: usize| {
             let inside = face_corners(face).iter().filter(|&&corner| cell.inside >> corner & 1 == 1).count();
@@ -225,7 +225,7 @@ impl SurfaceCells {
         self.cells[first..last].binary_search_by_key(&index[0], |cell| cell.index[0]).ok().map(|i| first + i)
     }
 
-    /// Keep the mesh a two-manifold. Where both segments of an ambiguous face belong to one patch in either cell, the
+    /// Keeps the mesh a two-manifold. Where both segments of an ambiguous face belong to one patch in either cell, the
     /// two vertices would be joined by two edges of the mesh with the same ends, and four faces would meet there.
     /// Joining the other corners of that face instead parts the patch in both cells. Parting patches never creates
     /// another such face, so one pass over all faces suffices (the rule is that of R. Wenger, "Isosurfaces", 2013, for

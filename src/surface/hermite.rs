@@ -11,18 +11,18 @@ use rayon::prelude::*;
 /// Number of crossings between two checks of the progress.
 const CHUNK: usize = 1024;
 
-/// A surface farther than this many voxels (longest side) from the crossing of the samples is another sheet.
+/// A mesh farther than this many voxels (longest side) from the crossing of the samples counts as another sheet.
 const REACH_VOXELS: f64 = 0.9;
 
 /// Offsets below this many voxels use the normals of faces, since the direction to the nearest point has lost its
 /// precision.
 const FLAT_VOXELS: f64 = 1e-3;
 
-/// Replace the planes of `crossings` by tangent planes of the surface at the distance `offset` from `mesh`, world
+/// Replaces the planes of `crossings` by tangent planes of the surface at the distance `offset` from `mesh`, world
 /// units. With `unsigned` the distance is without a sign, so a positive offset surrounds the mesh on both sides.
 ///
-/// An offset of zero takes the face that the edge crosses. Any other offset takes the sphere around the nearest point.
-/// A crossing keeps its plane where the mesh is farther away than the samples say, as across an opening.
+/// An offset of zero uses the face that the edge crosses. Any other offset uses the sphere around the nearest point. A
+/// crossing keeps its plane where the mesh is farther away than the samples say, as across an opening.
 pub fn planes_of_mesh(
     surface: &LevelSurface,
     crossings: &mut [Crossing],

@@ -3,7 +3,7 @@
 use super::cells::{SurfaceCell, SurfaceCells, owner_of};
 use rayon::prelude::*;
 
-/// The incidence of patches and crossed edges, by their numbers.
+/// The incidence of patches and crossed edges, by their indices.
 #[derive(Debug)]
 pub(super) struct PatchLinks {
     /// First entry in `edges` of each patch, and the number of entries at the end.
@@ -52,7 +52,7 @@ fn edges_of(patch: u16) -> impl Iterator<Item = usize> {
     (0..12).filter(move |edge| patch >> edge & 1 == 1)
 }
 
-/// Numbers of the crossed edges of a cell, patch by patch.
+/// Indices of the crossed edges of a cell, patch by patch.
 fn edges_of_cell(cells: &SurfaceCells, cell: &SurfaceCell) -> impl Iterator<Item = u32> {
     // A cell has a few owners of edges, so each is searched once.
     let mut owners: [Option<&SurfaceCell>; 8] = [None; 8];

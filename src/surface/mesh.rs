@@ -25,8 +25,8 @@ pub struct SurfaceMesh {
 }
 
 impl LevelSurface {
-    /// The mesh over `crossings`, one entry a crossed edge as [`LevelSurface::crossings`] returns them, and over the planes
-    /// that probes have found.
+    /// The mesh over `crossings`, one entry per crossed edge as [`LevelSurface::crossings`] returns them, and over the
+    /// planes that probes have found.
     pub fn mesh(&self, crossings: &[Crossing], extra: &ExtraPlanes, options: MeshOptions) -> SurfaceMesh {
         assert_eq!(crossings.len(), self.edge_count(), "one crossing for each crossed edge");
         let (vertices, clamped) = self.vertices(crossings, extra, options);
@@ -61,16 +61,16 @@ impl LevelSurface {
             .collect();
         let mut vertices: Vec<DVec3> = placed.iter().map(|(vertex, _)| *vertex).collect();
         let mut clamped = placed.iter().filter(|(_, clamped)| *clamped).count();
-        // Planes of the samples alone are not worth a vertex outside its cell.
+        // Only planes of a source justify a vertex outside its cell; planes of the samples alone do not.
         if !extra.is_empty() {
             clamped -= self.free_clamped(&placed, &mut vertices, crossings, extra);
         }
         (vertices, clamped)
     }
 
-    /// Move clamped vertices to their best place up to a voxel outside their region, one after the other, where that folds
-    /// no quadrilateral. A ridge or a corner may pass between the edges of the grid through a cell that has a patch of its
-    /// own. Returns the number of vertices that moved.
+    /// Moves clamped vertices to their best place up to a voxel outside their region, one after the other, if that
+    /// folds no quadrilateral. A ridge or a corner may pass between the edges of the grid through a cell that has a
+    /// patch of its own. Returns the number of vertices that moved.
     fn free_clamped(
         &self,
         placed: &[(DVec3, bool)],
@@ -115,7 +115,7 @@ impl LevelSurface {
         self.links.edges_of(patch).iter().map(|&edge| &crossings[edge as usize])
     }
 
-    /// The vertex of a patch with the number `id`, and whether it was clamped to its cell.
+    /// The vertex of the patch with the index `id`, and whether it was clamped to its cell.
     pub(super) fn vertex(
         &self,
         cell: &SurfaceCell,
@@ -152,9 +152,9 @@ impl LevelSurface {
         planes
     }
 
-    /// Where a vertex of the cell may lie, relative to the lower corner of the cell: within the cell by [`MARGIN`], in the
-    /// next cell across a face if neither the face nor that cell is crossed, and in the box. The tip of a corner that
-    /// holds no voxel centre lies in such a cell.
+    /// The region of the vertices of a cell, relative to its lower corner: the cell without a margin of [`MARGIN`]; the
+    /// next cell across a face as well if neither the face nor that cell is crossed; all of it inside the box. The tip
+    /// of a corner that holds no voxel centre lies in such a next cell.
     pub(super) fn allowed(&self, cell: &SurfaceCell) -> [DVec3; 2] {
         let mut lower = DVec3::splat(MARGIN);
         let mut upper = DVec3::splat(1.0 - MARGIN);

@@ -4,24 +4,26 @@
 //!
 //! The method is dual: one vertex for each surface patch of a cell and one quadrilateral for each crossed edge, whose
 //! corners are the patches around the edge (Nielson, "Dual Marching Cubes", IEEE Visualization 2004). [`patches`]
-//! divides the crossed edges of a cell among its patches by following segments over its faces; both cells of a face see
-//! the same segments, so the patches of all cells together form a closed two-manifold, and so does the mesh, its dual.
-//! The one exception, two patches that share two segments, is removed in [`cells`].
+//! divides the crossed edges of a cell among its patches by following segments over its faces. Both cells of a face
+//! have the same segments, so the patches of all cells together form a closed two-manifold, and so does the mesh, its
+//! dual. The one exception, two patches that share two segments, is removed in [`cells`].
 //!
 //! A vertex is the point of its cell that is nearest to the tangent planes at the crossings of its patch ([`qef`]; Ju,
-//! Losasso, Schaefer and Warren, "Dual Contouring of Hermite Data", SIGGRAPH 2002). Where the planes come from the
-//! source of the field (a mesh, a shape), edges and corners of the source are reproduced; where they come from the
-//! field, they are as sharp as its samples can tell.
+//! Losasso, Schaefer and Warren, "Dual Contouring of Hermite Data", SIGGRAPH 2002). If the planes come from the source
+//! of the field (a mesh, a shape), edges and corners of the source are reproduced. If they come from the samples, edges
+//! and corners are only as sharp as the samples represent them.
 //!
 //! Vertices keep a small distance ([`MARGIN`]) from the faces of their cell that have crossed edges. The four corners
-//! of a quadrilateral belong to the four cells around its edge, hence, seen along the edge, they lie strictly inside
+//! of a quadrilateral belong to the four cells around its edge. Seen along the edge, they therefore lie strictly inside
 //! the four quadrants. Such a quadrilateral has a diagonal that divides it into two triangles of positive area, and
-//! that diagonal is taken: no face is degenerate, and none is folded over.
+//! that diagonal is used: no face is degenerate, and none is folded over.
 //!
 //! # Practice
 //!
-//! [`LevelSurface::of_field`] or [`LevelSurface::of_blocks`], then [`LevelSurface::crossings`], which a source may replace by its own
-//! planes, then [`LevelSurface::probes`] and [`LevelSurface::join_planes`] if there is a source, then [`LevelSurface::mesh`]. The result does not depend on the number of threads.
+//! Call [`LevelSurface::of_field`] or [`LevelSurface::of_blocks`], then [`LevelSurface::crossings`]. A source may
+//! replace the planes of the crossings by its own; it then calls [`LevelSurface::probes`] and
+//! [`LevelSurface::join_planes`]. [`LevelSurface::mesh`] comes last. The result does not depend on the number of
+//! threads.
 
 pub(crate) mod cells;
 mod hermite;

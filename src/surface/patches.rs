@@ -19,10 +19,10 @@
 
 use std::sync::OnceLock;
 
-/// Most patches that a cell can have: one around each of four corners that share no edge.
+/// Largest number of patches of a cell: one around each of four corners that share no edge.
 pub(crate) const MAX_PATCHES: usize = 4;
 
-/// The patches of a cell: a set of edges each, bit `e` for edge `e`. Unused entries are 0.
+/// The patches of a cell: one set of edges per patch, bit `e` for edge `e`. Unused entries are 0.
 pub(crate) type Patches = [u16; MAX_PATCHES];
 
 /// The two corners of an edge, the lower one first.
@@ -63,7 +63,7 @@ pub(crate) fn patches(inside: u8, joined: u8) -> &'static Patches {
     &table[usize::from(inside) * 64 + usize::from(joined & 63)]
 }
 
-/// Follow the segments from face to face until each crossed edge belongs to a cycle.
+/// Follows the segments from face to face until each crossed edge belongs to a cycle.
 fn trace(inside: u8, joined: u8) -> Patches {
     // Each crossed edge lies in two faces and is joined to one other edge in each of them.
     let mut links = [[None::<usize>; 2]; 12];

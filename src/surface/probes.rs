@@ -107,8 +107,8 @@ impl LevelSurface {
         all
     }
 
-    /// Join the planes through `points` with `normals`, one for each probe, to the patches of the probes. Planes that are
-    /// not finite, lie elsewhere or are known already are left out.
+    /// Joins the planes through `points` with `normals`, one for each probe, to the patches of the probes. Planes that
+    /// are not finite, do not belong to the patch or are known already are left out.
     pub fn join_planes(
         &self,
         crossings: &[Crossing],

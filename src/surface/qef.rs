@@ -1,10 +1,10 @@
 //! The point nearest to a set of planes, within a box.
 //!
-//! The vertex of a patch minimises the quadratic error function of Garland and Heckbert's form that Ju, Losasso,
-//! Schaefer and Warren ("Dual Contouring of Hermite Data", 2002) use: the sum of squared distances to the tangent
-//! planes at the crossings. Where the planes leave a direction open (a flat surface, a straight edge) a small pull
-//! towards the mean of the crossings decides. The minimum is taken over the cell, not over all space: a vertex outside
-//! its cell could fold the surface.
+//! The vertex of a patch minimises a quadratic error function: the sum of squared distances to the tangent planes at
+//! the crossings (Garland and Heckbert, as used by Ju, Losasso, Schaefer and Warren, "Dual Contouring of Hermite Data",
+//! 2002). If the planes leave a direction undetermined (a flat surface, a straight edge), a small pull towards the mean
+//! of the crossings determines it. The minimum is taken over the cell, not over all space: a vertex outside its cell
+//! could fold the surface.
 
 use glam::{DMat3, DVec3};
 
@@ -41,7 +41,7 @@ impl Planes {
         self.count += 1.0;
     }
 
-    /// Add the plane through `point` with the unit normal `normal`, which no edge crosses.
+    /// Adds the plane through `point` with the unit normal `normal`, which no edge crosses.
     pub(crate) fn add_plane(&mut self, point: DVec3, normal: DVec3) {
         self.matrix += DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
         self.vector += normal * normal.dot(point);

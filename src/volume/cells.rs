@@ -22,8 +22,8 @@ use std::sync::{Mutex, PoisonError};
 const BATCH: usize = 1 << 20;
 /// Number of points that a thread evaluates at a time.
 const CHUNK: usize = 4096;
-/// Number of workgroups of a dispatch: in the first one, and at most, by the limit of one dimension. Each copies the
-/// corners of 64 cells.
+/// Number of workgroups of the first dispatch, and largest number of any, by the limit of one dimension. A workgroup
+/// copies the corners of 64 cells.
 const WORKGROUPS: (u64, u64) = (64, 65_535);
 
 /// The trilinear field at points, and the lower bound outside the box. See [`Trilinear::sample`].
@@ -97,7 +97,8 @@ struct CellReader<'a> {
     grid: &'a Grid,
     /// Corners of the cells in the order in which they are read; empty while the cells are recorded.
     corners: &'a [[f32; 8]],
-    /// One thread uses a reader; [`Trilinear`] requires that several could.
+    /// Cells that were read, in order. One thread uses a reader, but [`Trilinear`] requires a type that threads can
+    /// share.
     read: Mutex<Vec<[i32; 3]>>,
 }
 

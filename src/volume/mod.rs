@@ -50,7 +50,7 @@ pub struct FieldView<'a, T = f32> {
 }
 
 impl<'a> FieldView<'a> {
-    /// A view of samples on a grid. Fails if their numbers differ.
+    /// A view of samples on a grid. Fails unless there is one sample per voxel.
     pub fn new(grid: Grid, distances: &'a [f32]) -> Result<Self, Error> {
         Self::encoded(grid, distances, 1.0)
     }

@@ -185,7 +185,7 @@ fn lerp(a: f32, b: f32, fraction: f32) -> f32 {
     a + (b - a) * fraction
 }
 
-/// Evaluate `f` at every point, in parallel chunks.
+/// Evaluates `f` at every point, in parallel chunks.
 fn batch<T: Copy + Default + Send>(
     points: &[DVec3],
     progress: &Progress,

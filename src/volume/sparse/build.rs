@@ -33,8 +33,8 @@ pub struct SparseOptions {
     pub tolerance: Option<f64>,
 }
 
-/// A narrower band would leave cells at the surface without samples: the corners of a cell that contains a root are up
-/// to a diagonal, 1.74 voxels, away from it.
+/// Smallest band, in longest sides of a voxel. A narrower band would leave cells at the surface without samples: the
+/// corners of a cell that contains a root are up to a diagonal, 1.74 voxels, away from it.
 const LEAST_BAND: f64 = 2.0;
 
 impl SparseOptions {
@@ -259,8 +259,8 @@ impl<T: Texel, S: SampleSource> RegionJob<'_, T, S> {
         // The samples as they will be stored.
         let limit = self.limit();
         let coarse = self.samples(cube).map(|sample| sample.clamp(-limit, limit));
-        // From here on a lower bound is sufficient: beyond the band, and in cells with a corner that the encoding
-        // clamps.
+        // From the distance `far` on, a lower bound is sufficient: beyond the band, and in cells with a corner that the
+        // encoding clamps.
         let far = if limit < f32::MAX { 0.5 * limit } else { self.builder.field.band };
         let steps = 1usize << cube.level;
         let is_cut = |cell: [usize; 3]| {

@@ -20,8 +20,8 @@
 //! Frisken, Perry, Rockwood and Jones (SIGGRAPH 2000).
 //!
 //! *Elsewhere* a brick stores only its sign, and bounds on the distance at its eight corners, the *nodes*. By Jensen's
-//! inequality ([`super::outside`]) these give a lower bound at every point between them; the band is another. The
-//! larger one is used. Rays leap over such bricks.
+//! inequality ([`super::outside`]) these give a lower bound at every point between them. The half width of the band
+//! gives another one, and the larger of both is used. Rays leap over such bricks.
 //!
 //! # Practice
 //!
