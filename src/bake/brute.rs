@@ -20,7 +20,7 @@ use crate::sign::{SignChoice, SignMethod};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Number of workgroups of 64 samples in a dispatch: in the first one, and at most.
+/// Number of workgroups of 64 samples in the first dispatch, and largest number in any.
 const WORKGROUPS: (u64, u64) = (16, WORKGROUPS_PER_ROW);
 
 /// Bake by brute force. `sign` is `Normal` (article 001), `Parity` (article 003) or `Unsigned`.

@@ -39,7 +39,7 @@ use std::time::Instant;
 
 /// Distance between neighbouring coarse samples along each axis, in samples.
 const STRIDE: usize = super::band::STRIDE;
-/// Number of blocks of a dispatch: in the first one, and at most, by the limit of one dimension of workgroups. The
+/// Number of blocks of the first dispatch, and largest number of any, by the limit of one dimension of workgroups. The
 /// first dispatch is small because a software adapter may compute during the submission, which cannot be interrupted.
 const BLOCKS: (u64, u64) = (4, 65_535);
 /// Relative slack above the half width of the band for the rounding of a square.

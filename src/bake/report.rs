@@ -32,7 +32,7 @@ pub struct Report {
     pub undecided_voxels: usize,
     /// Number of samples with a negative distance.
     pub inside_voxels: usize,
-    /// Number of points of a query, and number of those inside.
+    /// Number of points of a query.
     pub points: usize,
     /// Number of queried points inside.
     pub inside_points: usize,

@@ -101,7 +101,7 @@ impl SignPass<'_> {
         }
     }
 
-    /// Rules that use the closest point.
+    /// Marks the samples inside by their closest points, for the rules that use them.
     fn look_slab(&self, first_plane: usize, planes: usize, mark: &mut impl FnMut(usize)) -> Result<Counts, Error> {
         let [nx, ny] = self.plane();
         let mut counts = Counts::default();
@@ -118,7 +118,7 @@ impl SignPass<'_> {
         Ok(counts)
     }
 
-    /// Exact winding numbers of the closed surface minus the contribution of the cones.
+    /// Marks the samples inside by exact winding numbers of the closed surface minus the contribution of the cones.
     fn count_slab(
         &self,
         first_plane: usize,
@@ -152,7 +152,8 @@ impl SignPass<'_> {
         Ok(counts)
     }
 
-    /// Parity along x and y by plane; parity along z only where those two disagree.
+    /// Marks the samples inside by a vote of three parities: along x and y for whole planes, along z only where those
+    /// two disagree.
     fn vote_slab(&self, first_plane: usize, planes: usize, mark: &mut impl FnMut(usize)) -> Result<Counts, Error> {
         let [nx, ny] = self.plane();
         let surface = ClosedSurface::new(self.mesh, &[]);
@@ -181,7 +182,7 @@ impl SignPass<'_> {
         Ok(counts)
     }
 
-    /// Fast winding numbers of all samples.
+    /// Marks the samples inside by the fast winding number of each.
     fn wind_slab(&self, first_plane: usize, planes: usize, mark: &mut impl FnMut(usize)) -> Result<Counts, Error> {
         let [nx, ny] = self.plane();
         let moments = self.mesh.moments();

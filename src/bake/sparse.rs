@@ -143,7 +143,8 @@ impl SparseJob<'_> {
             return Ok(layer);
         }
         layer.words = vec![0; words_per_row * ny * planes.len()];
-        // The pass would count samples; the progress of the bake counts regions.
+        // The pass counts samples, but the progress of the bake counts regions. The pass therefore has a progress of
+        // its own.
         let apart = Progress::new();
         let pass = SignPass { mesh: self.mesh, local: self.local, rule: self.rule, progress: &apart };
         layer.undecided = layer

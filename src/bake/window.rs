@@ -1,4 +1,4 @@
-//! Parts of a grid that is too large for memory, and the blocks of it that have the surface nowhere near.
+//! Parts of a grid that is too large for memory, and the side of whole blocks of it that contain no surface.
 //!
 //! A window computes the positions of its samples from the whole grid and evaluates each of them by itself, so its
 //! samples have the bits of the whole bake.
@@ -15,9 +15,9 @@ use crate::sign::{SignChoice, SignMethod, SignRule};
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Balls decided between two looks at the progress.
+/// Number of balls between two checks of the progress.
 const CHUNK: usize = 256;
-/// Relative rounding of a distance; ten times what it takes.
+/// Margin for the relative rounding error of a distance, ten times the error.
 const ROUNDING: f64 = 1e-6;
 
 /// Samples `low..low + shape` of the bake of `grid`, world units, x fastest. Distances beyond the band are cut to its

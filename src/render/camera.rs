@@ -10,11 +10,11 @@ use glam::DVec3;
 pub struct Camera {
     /// Position, world space.
     pub eye: DVec3,
-    /// The camera's axes in world space, unit length.
+    /// Unit vector to the right in the picture, world space.
     pub right: DVec3,
-    /// Unit vector upwards in the picture.
+    /// Unit vector upwards in the picture, world space.
     pub up: DVec3,
-    /// Unit vector against the viewing direction.
+    /// Unit vector against the viewing direction, world space.
     pub back: DVec3,
     tan_half_fov: f64,
 }
@@ -85,7 +85,7 @@ impl Camera {
         self.rays_in(DVec3::ONE, options, light_count, start, start_depth)
     }
 
-    /// [`Camera::rays`] in a space with its own length of a unit along each axis.
+    /// [`Camera::rays`] in a space whose units have different lengths along each axis.
     pub(crate) fn rays_in(
         &self,
         units: DVec3,

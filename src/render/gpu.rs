@@ -16,7 +16,7 @@ use crate::progress::Progress;
 
 /// Side of a workgroup in pixels, as in the shader.
 const TILE: u32 = 8;
-/// Number of rows of workgroups in a dispatch: in the first one, and at most.
+/// Number of rows of workgroups in the first dispatch, and largest number in any.
 const TILE_ROWS: (u64, u64) = (4, 1024);
 /// Size of the band of rows that is drawn at a time, bytes of device memory.
 const BAND_BYTES: u64 = 64 << 20;

@@ -27,7 +27,7 @@ impl SampleBox {
         corners
     }
 
-    /// The largest value that a tangent may have at the centre without lying above every bound: the maximum over the
+    /// A tangent lies above the bounds at all corners if its value at the centre exceeds this: the maximum over the
     /// corners of the bound there minus the rise of the tangent to that corner.
     #[inline(always)]
     pub(super) fn slackest(&self, gradient: [f32; 3], bounds: &[f32; CORNERS]) -> f32 {

@@ -26,7 +26,7 @@ pub(in crate::bake) struct Changes<'a> {
     samples: &'a [f32],
     /// Local units per world unit.
     inverse_scale: f32,
-    /// Half the thickness of a two-sided sheet, local units. The samples are less than the distances by it.
+    /// Half the thickness of a two-sided sheet, local units. The samples are the distances minus this.
     half_thickness: Option<f32>,
     slack: f32,
 }

@@ -58,8 +58,9 @@ use block::{CORNERS, SampleBox, max, min, not_positive, roots};
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Number of samples along the side of the blocks that are tasks, and of those that list triangles.
+/// Number of samples along the side of a block that is one task.
 const TASK: usize = 16;
+/// Number of samples along the side of a block that lists its triangles.
 const LEAF: usize = 4;
 /// Number of samples of a group along each axis. A group is evaluated side by side.
 const GROUP: [usize; 3] = [4, 2, 2];
