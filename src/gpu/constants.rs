@@ -231,9 +231,10 @@ wgsl_constants! {
         ROOT_WIDTH: f32 as f32 = 1.2e-7;
     }
     csg_draw {
-        /// Start of a shadow ray above the surface, local units: some of the shortest steps.
+        /// Distance of the start of a shadow ray from the surface, local units: about thirty of the shortest steps.
         SHADOW_BIAS: f32 as f32 = 1e-3;
-        /// Longer than any way through the model from a plane that a slanted ray crosses long before it.
+        /// Larger than the `t` at which a ray of a picture leaves the model. A ray at a grazing angle to the image
+        /// plane has a long way between the plane where it starts and the model.
         FAR_T: f32 as f32 = 1e6;
         /// Replaces a smaller component of a direction, so that its inverse is finite.
         STILL: f32 as f32 = 1e-30;

@@ -8,7 +8,7 @@
 //!
 //! *Practice.* [`choose`] maps the user's `device=` to a device. Every call into wgpu runs inside error scopes, so a
 //! failure is a [`DeviceError`](crate::error::DeviceError) with its reason and never a panic. Waiting checks the
-//! progress of the job ten times a second, so that Ctrl-C works; dispatches are short for the same reason ([`pace`]).
+//! progress of the job every 50 ms, so that Ctrl-C works; dispatches are short for the same reason ([`pace`]).
 //!
 //! OpenGL is not used: its backend loses storage texture writes without an error.
 

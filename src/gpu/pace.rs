@@ -10,8 +10,9 @@ use crate::error::Error;
 use crate::progress::Progress;
 use std::time::{Duration, Instant};
 
-/// Range of the wanted duration of a dispatch.
+/// After a dispatch that is quicker than this, the next one is twice as large.
 const QUICK: Duration = Duration::from_millis(40);
+/// After a dispatch that is slower than this, the next one is half as large.
 const SLOW: Duration = Duration::from_millis(160);
 
 /// Splits `total` units of work into dispatches. `dispatch(first, count)` submits one. Results do not depend on the

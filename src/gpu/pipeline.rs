@@ -61,7 +61,7 @@ impl Context {
         let context = self.clone();
         let source = text.clone();
         let work = move || {
-            // Outside of the lock, so that drawing continues meanwhile.
+            // Compilation runs outside of the lock, so that drawing continues meanwhile.
             let compiled = context.scoped(name, 0, || context.create(name, entry, &source));
             let kernel = compiled.map_or(Written::Refused, Written::Ready);
             context.written.lock().insert(source, kernel);

@@ -1,7 +1,7 @@
 //! Render passes into one target of four words per pixel, with a depth buffer.
 //!
 //! Depth is 1 near the eye and falls to 0 far away, in 32-bit floats. Their precision near 0 compensates for the
-//! hyperbola, so the relative precision of depth is the same everywhere. The larger value wins the depth test.
+//! hyperbola, so the relative precision of depth is the same everywhere. The larger value passes the depth test.
 
 use super::context::Context;
 use super::shader::{Instead, source_instead};
@@ -25,8 +25,9 @@ pub(crate) struct RasterPipelines(Mutex<HashMap<(&'static str, Vec<Instead>), wg
 pub struct RasterTarget {
     seen: wgpu::Texture,
     depth: wgpu::Texture,
-    /// Size in pixels, and number of pixels of a row in memory.
+    /// Size in pixels.
     size: [u32; 2],
+    /// Number of pixels from the start of a row in memory to the start of the next.
     stride: u32,
     rows: wgpu::Buffer,
 }

@@ -69,7 +69,7 @@ gpu_structs! {
         pad_1: u32,
     }
 
-    /// `shaders/shared/bricks.wgsl`.
+    /// `shaders/shared/ray_sparse.wgsl`.
     "raymarch_sparse": struct SparseParams {
         bricks: [u32; 3],
         floor: f32,

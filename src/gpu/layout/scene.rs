@@ -11,7 +11,7 @@ gpu_structs! {
         count: u32,
     }
 
-    /// `shaders/scene_beams.wgsl`.
+    /// `shaders/shared/scene_field.wgsl`.
     "scene_beams": struct SceneInstance {
         field_x: [f32; 4],
         field_y: [f32; 4],
@@ -40,7 +40,7 @@ gpu_structs! {
         pad_3: u32,
     }
 
-    /// `shaders/scene_beams.wgsl`.
+    /// `shaders/shared/scene_field.wgsl`.
     "scene_beams": struct SceneField {
         shape: [u32; 3],
         first_sample: u32,
@@ -50,7 +50,7 @@ gpu_structs! {
         kind: u32,
     }
 
-    /// `shaders/scene_beams.wgsl`.
+    /// `shaders/shared/scene_beam.wgsl`.
     "scene_beams": struct Beam {
         p: [f32; 3],
         t_max: f32,
@@ -64,7 +64,7 @@ gpu_structs! {
         owner: u32,
     }
 
-    /// `shaders/scene_beams.wgsl`.
+    /// `shaders/shared/scene_beam.wgsl`.
     "scene_beams": struct Answer {
         value: f32,
         is_proven: u32,
