@@ -15,7 +15,7 @@ pub(crate) fn allocate_samples(what: &str, count: usize, scratch: usize) -> Resu
         return Ok(Vec::new());
     }
     // SAFETY: the layout is not empty. Zeroed memory comes from the system page by page as it is touched, so the worker
-    // threads share that cost; `Vec` has no fallible way to ask for it.
+    // threads share that cost; `Vec` has no fallible constructor for zeroed memory.
     let start = unsafe { std::alloc::alloc_zeroed(layout) }.cast::<f32>();
     if start.is_null() {
         return Err(refusal(what, needed, None, ADVICE).into());

@@ -28,7 +28,7 @@ pub(crate) fn write_exr(width: usize, height: usize, encoding: Encoding, texels:
     Ok(file.into_inner())
 }
 
-/// Reads the texels of a file of [`write_exr`]. The size is known from elsewhere, and compared before decompression.
+/// Reads the texels of a file of [`write_exr`]. The caller knows the size, which is compared before decompression.
 pub(crate) fn read_exr(bytes: &[u8], width: usize, height: usize, encoding: Encoding) -> Result<Vec<u8>, Error> {
     let found = exr::meta::MetaData::read_from_buffered(Cursor::new(bytes), true);
     let found = found.map_err(|error| failed(&error.to_string()))?;

@@ -117,9 +117,9 @@ fn before(text: &str, entry: &str) -> String {
     text.find(entry).map_or(text, |end| &text[..end]).trim_end().to_owned() + "\n"
 }
 
-/// naga numbers names that occur in several functions, as in `p_2`. A name gets back its plain form where the function
-/// has one number of it. A name that the language reserves has an underscore at its end somewhere, and keeps its
-/// number.
+/// Gives names back their plain form. naga appends numbers to names that occur in several functions, as in `p_2`. The
+/// number is removed in a function where the name has only one. If a name with an underscore at the end occurs in the
+/// text, the language reserves the name, and it keeps its number.
 fn plain_names(text: &str) -> String {
     let mut plain = String::new();
     let mut function = String::new();

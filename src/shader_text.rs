@@ -44,7 +44,7 @@ pub(crate) fn translate(wgsl: &str, language: Language, target: GlslTarget) -> R
     write(&module, &info, language, target)
 }
 
-/// A WGSL text in another language, without what its entry points do not use.
+/// A WGSL text in another language, without the items that its entry points do not use.
 pub(crate) fn translate_used(wgsl: &str, language: Language, target: GlslTarget) -> Result<String, ArgumentError> {
     if language == Language::Wgsl {
         return Ok(wgsl.to_owned());

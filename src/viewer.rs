@@ -27,7 +27,7 @@ pub(crate) struct ViewedKinds {
     pub dense: bool,
     pub sparse: bool,
     pub quadric: bool,
-    /// The encoding of all sampled fields, where it is one.
+    /// The encoding of all sampled fields, if they have the same one.
     pub encoding: Option<Encoding>,
 }
 
@@ -39,7 +39,7 @@ pub(crate) struct ViewerShader {
     pub shapes: Vec<Option<ShapeFunction>>,
 }
 
-/// How the shader evaluates a shape.
+/// The function that evaluates a shape, and its input.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct ShapeFunction {
     /// Index of its function.
@@ -53,7 +53,7 @@ pub(crate) struct ShapeFunction {
     pub inverse_lipschitz: f64,
 }
 
-/// Write the shader for fields of these kinds and for these shapes.
+/// Writes the shader for fields of these kinds and for these shapes.
 pub(crate) fn shader(kinds: ViewedKinds, solids: &[Arc<Solid>], language: Language) -> Result<ViewerShader, Error> {
     let mut functions: Vec<(String, Option<String>)> = Vec::new();
     let mut shapes = Vec::new();

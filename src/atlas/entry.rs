@@ -21,7 +21,7 @@ pub(crate) struct StripEntry {
     pub atlas_index: i32,
     /// Index of the row of strips.
     pub atlas_offset: i32,
-    /// Factor of a texel. In the article these eight bytes are padding, and they are zero for float32.
+    /// Factor of a texel; zero for float32. This field and the next one are padding in the article.
     pub scale: f32,
     pub padding: u32,
 }

@@ -242,7 +242,7 @@ fn corner_range(samples: &[f32], block: &AtlasBlock, cell: [i32; 3], encoding: E
     high - low
 }
 
-/// Run a compute shader on a texture, entries and points.
+/// Runs a compute shader on a texture, entries and points.
 fn run(context: &Context, text: &str, texture: &wgpu::Texture, entries: &[u8], points: &[[f32; 4]]) -> Vec<[f32; 4]> {
     let pipeline = context.compile("atlas sampling", "main", text).unwrap();
     let entries = context.upload("entries", entries).unwrap();

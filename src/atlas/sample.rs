@@ -123,7 +123,7 @@ impl Trilinear for AtlasField<'_> {
     }
 }
 
-/// The same texels read by the article's filter.
+/// A field in the pages of an atlas, read by the article's filter.
 struct BySlice<'a>(&'a AtlasField<'a>);
 
 impl Trilinear for BySlice<'_> {

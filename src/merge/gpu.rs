@@ -34,12 +34,12 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Number of samples of a workgroup, as in the shader.
 const GROUP: u64 = 64;
-/// Number of workgroups of a dispatch: in the first one, and at most.
+/// Number of workgroups of the first dispatch, and largest number of any.
 const GROUPS: (u64, u64) = (16, 65_535);
 /// Error of a grid coordinate computed from a scene position, per grid unit that a scene unit spans along the three
 /// axes together: 3 + 2 x 6 roundings of values up to 2, of 6e-8 each, doubled to cover the device's arithmetic.
 const POSITION_ERROR: f64 = 2e-6;
-/// The same error per voxel of the grid: four roundings.
+/// Error of a grid coordinate per voxel of the grid: four roundings.
 const VOXEL_ERROR: f64 = 2.5e-7;
 
 /// [`super::merge`] with the search on a device. Returns also the number of undecided samples.

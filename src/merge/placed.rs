@@ -20,9 +20,9 @@
 //!   `L = max(d_i - |p - c_i|)`. If all eight are positive, the variance bound `s` of [`crate::volume::outside`] also
 //!   holds, and the larger one is used. (If `p` were inside a part too thin for any corner to be inside, at depth `e`,
 //!   then `d_i <= |p - c_i| - e` and `e <= |p - c_i|`, hence `sum w_i d_i^2 < sum w_i |p - c_i|^2`: `s` would be 0.) At
-//!   a voxel centre this is the sample itself. Between centres, where trilinear interpolation may exceed the distance,
-//!   it is smaller, by at most half the diagonal of a voxel: this occurs if all corners see the same point from behind
-//!   it.
+//!   a voxel centre this is the sample itself. Between centres, trilinear interpolation may exceed the distance. `L` is
+//!   smaller than the interpolated value by at most half the diagonal of a voxel, as in the middle of a cell whose
+//!   eight samples are equal.
 //! - Outside the hull of the centres: `sqrt(a^2 + s^2)` as in [`crate::volume::outside`], from the hull and from the
 //!   box of the surface. Where the surface extends beyond the outermost samples, because the grid's box cuts it, the
 //!   cut counts as surface and the part beyond it is absent, so the bound is at most the distance to the grid's box.

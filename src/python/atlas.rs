@@ -1,7 +1,7 @@
 //! `fieldbake._core.atlas_*`: planning, packing and reading atlases.
 //!
-//! A block crosses as a row of ten u32, the fields of `atlas::Block` in order. Pages cross as bytes
-//! of the shape (pages, size, size * bytes of a texel).
+//! A block is passed as a row of ten u32, the fields of [`AtlasBlock`] in order. Pages are passed as bytes of the shape
+//! (pages, size, size * bytes of a texel).
 
 use super::convert::{points, samples, volume_array};
 use super::device::{DeviceField, choose};

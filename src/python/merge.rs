@@ -94,7 +94,7 @@ pub(super) fn merge<'py>(
                 facts.set_item("undecided", undecided)?;
                 return results(py, merged, shape, facts);
             }
-            // If the user did not ask for a device, exceeding its limits is not an error.
+            // If the user did not request a device, exceeding its limits is not an error.
             Err(Failure::Core(Error::Device(DeviceError::TooLarge { what, needed, limit, .. })))
                 if device == "auto" =>
             {

@@ -132,7 +132,7 @@ impl Texture {
     #[new]
     fn new(py: Python<'_>, pixels: PyReadonlyArray3<'_, u8>) -> PyResult<Self> {
         let (height, width) = (pixels.shape()[0], pixels.shape()[1]);
-        // The slice is ndarray's, since NumPy's accepts columns first as well.
+        // ndarray's `as_slice` is used, because that of NumPy also accepts arrays with columns first.
         let pixels = pixels.as_array();
         let bytes = pixels.as_slice().map_or_else(|| pixels.iter().copied().collect(), <[u8]>::to_vec);
         let made = py.detach(|| CoreTexture::new(&bytes, width, height)).map_err(Failure::from)?;

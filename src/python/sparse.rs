@@ -32,7 +32,7 @@ enum Any {
     Snorm8(Sparse<i8>),
 }
 
-/// A type that has its variant.
+/// An element type, and the variant of [`Any`] that holds it.
 trait Stored: Texel + numpy::Element {
     fn any(field: Sparse<Self>) -> Any
     where

@@ -29,7 +29,7 @@ impl Surface {
         &self,
         change: impl FnOnce(&mut [Crossing]) -> Result<(), crate::error::Error>,
     ) -> Result<(), crate::error::Error> {
-        // A panic in between leaves whole planes, so the data stay valid.
+        // A panic in between leaves every plane complete, so the data stay valid.
         change(&mut self.crossings.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
@@ -152,7 +152,7 @@ impl Surface {
         row_array(py, points.iter().map(DVec3::to_array))
     }
 
-    /// Join the tangent planes through `points` with `normals`, (k, 3) each, one row for each of the last probes.
+    /// Joins the tangent planes through `points` with `normals`, (k, 3) each, one row for each of the last probes.
     fn join_planes(
         &self,
         py: Python<'_>,

@@ -26,7 +26,7 @@ use glam::DVec3;
 
 /// Side of a workgroup in pixels, as in the shader.
 const TILE: u32 = 8;
-/// Number of rows of workgroups of a dispatch: in the first one, and at most.
+/// Number of rows of workgroups of the first dispatch, and largest number of any.
 const TILE_ROWS: (u64, u64) = (1, 1024);
 /// Indices are stored as floats, which represent whole numbers exactly up to this.
 const MAX_INDEX: usize = 1 << 24;
