@@ -89,7 +89,7 @@ impl PartKind {
 /// The normal form of a part of leaves under sharp operators; `None` if it has more than [`MAX_LEAVES`] literals.
 pub(crate) fn steps(program: &Program<f32>, tokens: &[Token]) -> Option<Vec<Step>> {
     let join = |a: &[Step], b: &[Step], step: Step| [a, b, &[step]].concat();
-    // Each operand and its complement.
+    // The steps of each operand, and those of its complement.
     let both = fold_postfix::<[Vec<Step>; 2]>(tokens, |operation| {
         let both = match operation {
             Operation::Leaf(leaf) => [false, true].map(|is_complement| vec![Step::Literal { leaf, is_complement }]),

@@ -152,7 +152,7 @@ impl Needs {
     }
 
     fn text(&self) -> String {
-        // Rounding to a few sizes lets shapes share kernels.
+        // The number is rounded up to one of a few sizes, so that shapes share kernels.
         let leaves = self.leaves.clamp(4, MAX_LEAVES).next_multiple_of(4);
         format!(
             "// Features that the parts of a shape need.

@@ -1,5 +1,5 @@
-//! The s-expressions of "SDF Decomposition" (A. Palecek, 2021) and of the author's program Tangerine. Sizes are full lengths
-//! and diameters, angles are in degrees, and round primitives have z as their axis.
+//! The s-expressions of "SDF Decomposition" (A. Palecek, 2021) and of the author's program Tangerine. Sizes are full
+//! lengths and diameters, angles are in degrees, and round primitives have z as their axis.
 //!
 //! ```text
 //! shape     = ( word number... shape... )          ; a comment runs to the end of its line
@@ -10,8 +10,8 @@
 //!             | mask COLOR subject mask           ; COLOR = r g b from 0 to 1, linear, or #rrggbb
 //! ```
 //!
-//! Names may be written with `-` or `_`; `'` before a parenthesis is skipped. The reader keeps its own stack, so nesting is
-//! limited by memory alone.
+//! Names may be written with `-` or `_`; `'` before a parenthesis is skipped. The reader keeps its own stack, so
+//! nesting is limited by memory alone.
 
 use super::align::aligned;
 use super::primitive::{Primitive, WORDS};

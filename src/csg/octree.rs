@@ -267,7 +267,7 @@ struct OctreeScratch {
     positions: Vec<[[f32; CHILDREN]; 3]>,
     operands: Vec<CellOperand>,
     balls: Vec<(DVec3, f64)>,
-    /// The tokens kept by [`prune`].
+    /// The tokens kept by [`Octree::prune`].
     kept: Vec<Token>,
 }
 

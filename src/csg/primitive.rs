@@ -129,7 +129,7 @@ macro_rules! declare {
         };
 
         impl Primitive {
-            /// The name of the distance function in shaders, which tells structures apart. Messages use it too.
+            /// The name of the distance function in shaders. It distinguishes structures, and messages contain it.
             pub fn name(&self) -> &'static str {
                 match self {
                     $(Self::$variant { .. } => stringify!($function),)*
@@ -355,7 +355,7 @@ impl Primitive {
                 let inner = s * (half - rounding);
                 put(&[inner.x, inner.y, inner.z, s * rounding]);
             }
-            // From the outer box to the middle of the bars, and half a bar.
+            // Half sides of the outer box, and half the thickness of a bar.
             Self::BoxFrame { half, thickness } => {
                 let half = s * half;
                 put(&[half.x, half.y, half.z, 0.5 * s * thickness]);
@@ -398,10 +398,10 @@ impl Primitive {
             Self::HexPrism { apothem, half_height } => put(&[s * apothem, s * half_height]),
             Self::Extrude { half_height, .. } => put(&[s * half_height]),
             Self::Revolve { offset, .. } => put(&[s * offset]),
-            // The level functions of the first three have gradients of at most sqrt(3), that of the last one sqrt(27). For
-            // the diamond, with t = cos^2 x, Cauchy's inequality bounds the square of the gradient by a linear function
-            // of t with the values 3 - cos^2(y - z) - cos^2(y + z) and 1 + cos^2(y - z) + cos^2(y + z) at its ends. A test
-            // bounds the gradient of I-WP by intervals.
+            // The level functions of the first three have gradients of at most sqrt(3), that of the last one sqrt(27).
+            // For the diamond, with t = cos^2 x, Cauchy's inequality bounds the square of the gradient by a linear
+            // function of t with the values 3 - cos^2(y - z) - cos^2(y + z) and 1 + cos^2(y - z) + cos^2(y + z) at its
+            // ends. A test bounds the gradient of I-WP by intervals.
             Self::Gyroid { cell, thickness }
             | Self::SchwarzP { cell, thickness }
             | Self::Diamond { cell, thickness }

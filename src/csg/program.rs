@@ -146,7 +146,7 @@ impl<F: Real> Program<F> {
             DistanceOp::Offset(distance) => PlacedDistanceOp::Offset(unit(distance)),
             DistanceOp::Shell(thickness) => PlacedDistanceOp::Shell(unit(0.5 * thickness)),
         });
-        // A warp may be inside another. The tokens tell which warps are outermost, and only those are placed in the
+        // A warp may be inside another. The tokens show which warps are outermost, and only those are placed in the
         // world.
         let mut is_inner = vec![false; model.warps.len()];
         let mut depth = 0;
@@ -286,7 +286,7 @@ impl<F: Real> PlacedCombine<F> {
                     out[i] = -join.union(-a[i], b[i]);
                 }
             }
-            // In the union and not in the intersection.
+            // The xor is the union minus the intersection.
             Op::Xor => {
                 for i in 0..N {
                     let (either, both) = (join.union(a[i], b[i]), -join.union(-a[i], -b[i]));

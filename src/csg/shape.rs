@@ -46,20 +46,20 @@ pub enum Kind {
     Shell(f64),
     /// The complement of the child.
     Complement,
-    /// Pulled apart at the planes through the origin by this length on each side.
+    /// The child, pulled apart at the planes through the origin by this length on each side.
     Elongate(DVec3),
     /// The mirror image in the plane through the origin with this unit normal.
     Reflect(DVec3),
-    /// The union with that mirror image.
+    /// The union of the child and its mirror image in the plane through the origin with this unit normal.
     Mirror(DVec3),
     /// Copies on a lattice about the origin.
     Repeat {
         spacing: DVec3,
         counts: [u32; 3],
     },
-    /// Rotated about z by this number of degrees per unit of z.
+    /// The child, rotated about z by this number of degrees per unit of z.
     Twist(f64),
-    /// Rotated about z by this number of degrees per unit of x.
+    /// The child, rotated about z by this number of degrees per unit of x.
     Bend(f64),
     /// Linear RGB. `over` replaces colours below; otherwise they stay.
     Paint {
@@ -82,7 +82,7 @@ pub enum Op {
     Intersection,
     /// Points inside the first shape and outside the others.
     Difference,
-    /// In exactly one of the two.
+    /// Points inside exactly one of the two shapes.
     Xor,
 }
 
@@ -261,7 +261,7 @@ impl Shape {
         Self::node(kind, vec![self.clone()])
     }
 
-    /// Painted inside `mask`, or outside.
+    /// The shape, painted inside `mask` or outside of it.
     pub fn stencil(&self, mask: &Self, rgb: [f64; 3], outside: bool) -> Result<Self, ShapeError> {
         Self::node(Kind::Stencil { color: color(rgb)?, outside }, vec![self.clone(), mask.clone()])
     }
@@ -300,7 +300,7 @@ fn color(rgb: [f64; 3]) -> Result<[f32; 3], ShapeError> {
 const FAR_COLOR: f64 = 1e6;
 
 impl Drop for ShapeNode {
-    /// Without recursion: children without other owners are dropped one by one.
+    /// Drops a tree without recursion: children without other owners are dropped one by one.
     fn drop(&mut self) {
         let mut waiting = std::mem::take(&mut self.children);
         while let Some(shape) = waiting.pop() {

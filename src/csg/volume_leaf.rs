@@ -119,7 +119,7 @@ impl<F: Real> PlacedVolume<F> {
         let zero = F::default();
         let half = F::of(0.5);
         let mut outside = zero;
-        // Negative inside: minus the distance to the nearest face.
+        // Largest signed distance to the planes of the faces: inside the box, minus the distance to the nearest face.
         let mut to_face = -F::of(f64::from(f32::MAX));
         let mut cell = [0usize; 3];
         let mut fraction = [zero; 3];

@@ -33,7 +33,7 @@ impl Word {
     pub(crate) fn arguments(&self, numbers: &[f64]) -> Option<Vec<f64>> {
         let mut left = numbers.iter().rev();
         let mut arguments = vec![0.0; self.slots.len()];
-        // From the last to the first, because a rim needs the argument behind it.
+        // The arguments are computed from the last to the first, because a rim needs the argument behind it.
         for (i, slot) in self.slots.iter().enumerate().rev() {
             arguments[i] = match slot {
                 NumberSource::Full(_) => *left.next()?,
