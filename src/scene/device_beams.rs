@@ -245,8 +245,8 @@ fn past_sheets<T: Sync>(
     Ok(found.concat())
 }
 
-/// Appends the beams of a surface: first those of occlusion, then for each light one, or all of an area light. The rays
-/// whose length inside the own instance is needed are appended to `inside`.
+/// Appends the beams of a surface: first the cones of occlusion, then for each light one beam, or all rays of an area
+/// light. The rays whose length inside the own instance is needed are appended to `inside`.
 fn first_beams(pass: &Pass<'_>, surface: &LitSurface<'_>, beams: &mut Vec<Beam>, inside: &mut Vec<Beam>) {
     if let Some(distance) = pass.options.occlusion {
         let cones = surface.place.open_rays(distance / pass.casters.scene.scale);

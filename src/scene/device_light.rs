@@ -17,8 +17,8 @@ use crate::gpu::layout::{Answer, PieceParams, SurfaceLight, SurfaceParams};
 use crate::progress::Progress;
 use rayon::prelude::*;
 
-/// Largest distance of the eye from the middle of the scene, scene units. The device computes positions in float32 along
-/// the ray, and a position must be precise to a fraction of a voxel.
+/// Largest distance of the eye from the middle of the scene, scene units. The device computes positions in float32
+/// along the ray, and a position must be precise to a fraction of a voxel.
 const MOST_DISTANCE: f64 = 16.0;
 /// Number of invocations of a workgroup, as in the shader.
 const GROUP: u32 = 64;
@@ -119,8 +119,8 @@ fn take(pass: &Pass<'_>, known: &mut LightBuffer, first: usize, answers: &[Answe
     })
 }
 
-/// The light on a surface; None if an answer is missing. The CPU evaluates sheets. Where they cover some of the parts of a
-/// divided disc, the fractions of the parts are missing.
+/// The light on a surface; None if an answer is missing. The CPU evaluates sheets. Where they cover some of the parts
+/// of a divided disc, the fractions of the parts are missing.
 fn take_pixel(
     pass: &Pass<'_>,
     surface: &LitSurface<'_>,

@@ -3,10 +3,10 @@
 //!
 //! Light changes slowly over most of a picture, and its evaluation is the main cost. A picture at half resolution
 //! therefore evaluates it at every second pixel of every second row, and a picture with several samples per pixel
-//! evaluates it at the centres of the pixels. All other surfaces take the mean of the four evaluated surfaces around
-//! them, weighted bilinearly, of those that belong to the same instance, lie in their plane and have a similar normal
-//! (joint bilateral upsampling: Kopf et al., SIGGRAPH 2007). Where too few of them match, or where they disagree, as at
-//! the edge of a shadow, the light is evaluated.
+//! evaluates it at the centres of the pixels. Every other surface has the bilinearly weighted mean of those of the four
+//! evaluated surfaces around it that belong to the same instance, lie in its plane and have a similar normal (joint
+//! bilateral upsampling: Kopf et al., SIGGRAPH 2007). Where too few of them match, or where they disagree, as at the
+//! edge of a shadow, the light is evaluated.
 
 use super::RenderOptions;
 use super::device_beams::evaluate_by_beams;

@@ -144,8 +144,8 @@ impl<F: Blocks> SampledField<F> {
         Ok(Self { marcher: Marcher::new(field, progress)?, surface: [lower, upper], spacing, last_point, last_cell })
     }
 
-    /// Unit direction of the gradient at a point on the box with the distance `s`, by differences over one voxel inwards; zero
-    /// where there is none.
+    /// Unit direction of the gradient at a point on the box with the distance `s`, by differences over one voxel
+    /// inwards; zero where there is none.
     fn direction_at_rim(&self, b: Vec3, s: f32) -> Vec3 {
         let last = self.last_point - 0.5;
         let b = b.clamp(Vec3::ZERO, last);
@@ -162,8 +162,8 @@ impl<F: Blocks> SampledField<F> {
 
     /// The trilinear field at the nearest point of the box.
     ///
-    /// The field is constant along an axis past the outermost samples, so the point moves to them: the cells there lie between
-    /// samples.
+    /// The field is constant along an axis past the outermost samples, so the point moves to them: the cells there lie
+    /// between samples.
     #[inline]
     fn sample(&self, p: Vec3) -> f32 {
         let p = p.clamp(Vec3::ZERO, self.last_point - 0.5);

@@ -60,6 +60,7 @@ pub struct DeviceSeen {
     pub stride: u32,
     /// Rows of the drawn instances.
     pub rows: wgpu::Buffer,
-    /// Scene directions of rays, one unit of depth long: through fragment (0, 0), and the changes to the right and down.
+    /// Scene directions of rays, one unit of depth long: through fragment (0, 0), and the changes to the right and
+    /// down.
     pub rays: [DVec3; 3],
 }

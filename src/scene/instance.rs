@@ -24,7 +24,7 @@ pub struct InstanceInput {
     pub opacity: f32,
     /// Whether it blocks light.
     pub casts_shadow: bool,
-    /// Whether the camera sees it.
+    /// Whether it is visible to the camera.
     pub visible: bool,
     /// Identifier in the picture; several instances may be one object.
     pub object: u32,
@@ -48,7 +48,7 @@ pub struct Instance {
     pub shade: f32,
     /// Whether it blocks light.
     pub casts_shadow: bool,
-    /// Whether the camera sees it.
+    /// Whether it is visible to the camera.
     pub visible: bool,
     /// Whether a mask depends on colours of vertices or faces, which devices do not read.
     pub has_colored_mask: bool,

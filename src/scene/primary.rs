@@ -1,8 +1,8 @@
 //! The primary pass: the visible surfaces of each pixel.
 //!
 //! Rays intersect triangles through the mesh's own tree, without gaps and at pixel centres. A rasteriser
-//! ([`super::rasterizer`]) selects the visible face of most pixels without a search. Fields are traced exactly. A search
-//! tests only instances whose box the ray enters and uses the nearest hit: mixed scenes are combined by depth.
+//! ([`super::rasterizer`]) selects the visible face of most pixels without a search. Fields are traced exactly. A
+//! search tests only instances whose box the ray enters and uses the nearest hit: mixed scenes are combined by depth.
 //!
 //! A pixel has a list of layers: the first opaque surface, and the translucent surfaces in front of it.
 

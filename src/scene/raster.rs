@@ -2,7 +2,7 @@
 //!
 //! The device decides only *which* surface each pixel shows: the instance, and its face or the depth of its field. The
 //! code of the CPU's pass ([`super::primary`]) computes position, normal and colour from it in float64, so both passes
-//! give the same picture where they see the same surface. The rasteriser snaps corners to 1/256 of a pixel. If the
+//! give the same picture where they find the same surface. The rasteriser snaps corners to 1/256 of a pixel. If the
 //! exact ray of a pixel misses the chosen face, the CPU draws the pixel.
 //!
 //! A device draws opaque surfaces of the kinds that it supports. The CPU searches for translucent surfaces in front of

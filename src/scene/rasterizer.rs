@@ -3,9 +3,9 @@
 //! # Theory
 //!
 //! In camera space, with the axes right, up and depth and the eye at the origin, the ray of a pixel is `d = (x, y, 1)`.
-//! It intersects the face `a, b, c` where `d.(b x c)`, `d.(c x a)` and `d.(a x b)` have the sign of `v = a.n`, with `n = (b -
-//! a) x (c - a)`, at the depth `v / d.n`. These are linear functions of the pixel, and faces behind the eye need no
-//! clipping (Olano and Greer, *Triangle scan conversion using 2D homogeneous coordinates*, 1997).
+//! It intersects the face `a, b, c` where `d.(b x c)`, `d.(c x a)` and `d.(a x b)` have the sign of `v = a.n`, with
+//! `n = (b - a) x (c - a)`, at the depth `v / d.n`. These are linear functions of the pixel, and faces behind the eye
+//! need no clipping (Olano and Greer, *Triangle scan conversion using 2D homogeneous coordinates*, 1997).
 //!
 //! The rasteriser only selects a face. The primary pass intersects it with the ray as it would have done in a search,
 //! so the picture is the same bit for bit. Where rounding could change the selection (near an edge, or where two faces
@@ -13,9 +13,9 @@
 //!
 //! # Practice
 //!
-//! Meshes with a mask or a translucent material, strongly stretched ones, and those with more faces than pixels on the
-//! screen are left to the search, as are all fields. For these the rasteriser knows the pixels that their boxes cover,
-//! so that no ray is traced elsewhere. Rows are drawn in bands, in parallel.
+//! Meshes with a mask or a translucent material, strongly stretched ones, and those with more than [`FACES_PER_PIXEL`]
+//! faces per pixel of their rectangle on the screen are left to the search, as are all fields. The rasteriser computes
+//! the pixels that their boxes cover, so that no ray is traced elsewhere. Rows are drawn in bands, in parallel.
 
 use super::eye::{Eye, as_triangles, is_opaque};
 use super::gbuffer::{Layer, View};
@@ -87,11 +87,12 @@ struct RasterMesh<'a> {
     rows: Range<u32>,
 }
 
-/// The meshes of a scene as a view sees them.
+/// The meshes of a scene in a view.
 pub(crate) struct Rasterizer<'a> {
     screen: Screen,
     meshes: Vec<RasterMesh<'a>>,
-    /// For each instance, whether it is left to the search, and the rectangles of those that are. None if none is.
+    /// For each instance, whether it is left to the search, and the rectangles of those that are. None if no instance
+    /// is.
     left_over: Option<(Vec<bool>, Vec<PixelRectangle>)>,
 }
 
@@ -243,8 +244,8 @@ impl Screen {
         [p.x / depth - self.first[0] / self.pixel, self.first[1] / self.pixel - p.y / depth]
     }
 
-    /// The pixels that a set of positions may cover: their rectangle, all pixels if some positions are behind the eye, or
-    /// none.
+    /// The pixels that a set of positions may cover: their rectangle, all pixels if some positions are behind the eye,
+    /// or none.
     fn rectangle(&self, points: &[DVec3]) -> Option<PixelRectangle> {
         let [width, height] = self.size;
         let near = NEAR * self.reach;
@@ -465,8 +466,8 @@ mod tests {
         Scene::new(inputs, materials, Vec::new()).unwrap()
     }
 
-    /// The rasteriser and the search give the same layers bit for bit, for eyes outside, among the meshes, in the plane of
-    /// the floor, and far away.
+    /// The rasteriser and the search give the same layers bit for bit, for eyes outside, among the meshes, in the plane
+    /// of the floor, and far away.
     #[test]
     fn the_picture_is_that_of_the_search() {
         let scene = scene();

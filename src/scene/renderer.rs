@@ -2,8 +2,8 @@
 //!
 //! On a graphics device the fields, meshes, textures and rows of a scene stay in device memory between frames
 //! ([`super::gpu`]). A frame with other transforms or materials is a scene of its own that shares the objects
-//! ([`Scene::moved`]), so its picture is the one that a new renderer would draw. Only rows that differ from those of the
-//! frame before are uploaded.
+//! ([`Scene::moved`]), so its picture is the one that a new renderer would draw. Only rows that differ from those of
+//! the frame before are uploaded.
 //!
 //! On the CPU the trees of the meshes and the fields are parts of the scene, and a renderer keeps nothing.
 
@@ -26,8 +26,8 @@ use std::time::Instant;
 /// Draws frames of one scene, or of scenes that share most of their objects.
 #[derive(Default)]
 pub struct Renderer {
-    /// The scene on the device that drew the last frame. A frame takes it out, so two frames at the same time do not wait
-    /// for each other; the second one uploads the scene again.
+    /// The scene on the device that drew the last frame. A frame takes it out, so two frames at the same time do not
+    /// wait for each other; the second one uploads the scene again.
     resident: Mutex<Option<DeviceScene>>,
     /// Transfers of all frames.
     counters: Arc<Counters>,

@@ -91,7 +91,7 @@ impl Casters<'_> {
         }
     }
 
-    /// The same length where the instance has it in closed form.
+    /// The length in closed form; `None` if the field has none.
     pub fn chord(&self, place: &SurfacePoint, ray: &LightRay) -> Option<f32> {
         let instance = &self.scene.instances[place.own as usize];
         let field = instance.field.as_deref()?;

@@ -45,12 +45,12 @@ impl Line {
     pub fn cone(origin: Vec3, direction: Vec3, slope: f32) -> Self {
         let inverse = |d: f32| if d.abs() < 1.0 / PARALLEL { PARALLEL } else { 1.0 / d };
         let inverse = Vec3::new(inverse(direction.x), inverse(direction.y), inverse(direction.z));
-        // A point of the box in the cone lies within `far` of the origin, and its projection onto the axis within `far
-        // / (1 - slope)`.
+        // A point of the box in the cone lies within `far` of the origin, and its projection onto the axis within
+        // `far / (1 - slope)`.
         Self { origin, inverse, spread: 0.0, slope: 0.0 }.with_slope(slope)
     }
 
-    /// The same axis with another slope.
+    /// A cone with the same axis and another slope.
     pub fn with_slope(self, slope: f32) -> Self {
         Self { spread: slope / (1.0 - slope.min(0.9)), slope, ..self }
     }

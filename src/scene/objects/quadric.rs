@@ -69,7 +69,7 @@ impl Field for QuadricField {
     }
 
     fn distance(&self, p: Vec3) -> f32 {
-        // Rounded down, since it is a lower bound.
+        // The value is rounded down, because it is a lower bound.
         (self.local.distance_bound(p.as_dvec3()) * self.voxel()) as f32 * (1.0 - f32::EPSILON)
     }
 
@@ -78,7 +78,7 @@ impl Field for QuadricField {
     }
 
     fn gradient(&self, p: Vec3) -> Vec3 {
-        // Away from the sheet, on the side of the point.
+        // The gradient points away from the sheet, on the side of the point.
         let slope = self.local.m * (p.as_dvec3() / UNITS) + self.local.v;
         let side = if self.local.value(p.as_dvec3() / UNITS) < 0.0 { -1.0 } else { 1.0 };
         (side * slope).normalize_or_zero().as_vec3()
