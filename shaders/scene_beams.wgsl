@@ -271,8 +271,8 @@ struct Cone {
     is_covered: bool,
 }
 
-// Evaluates a cone past one occluder. Only edges closer to the axis than x_known are relevant. Without `with_edges` a cone
-// that needs a ray past an edge sets `needs_edge`.
+// Evaluates a cone past one occluder. Only edges closer to the axis than x_known are relevant. Without `with_edges` a
+// cone that needs a ray past an edge sets `needs_edge`.
 fn cone_past(caster: Caster, beam: Beam, x_known: f32, with_edges: bool) -> Cone {
     let index = caster.index;
     let to = &instances[index];

@@ -60,7 +60,7 @@ fn intersect_quadric(quadric: Quadric, origin: vec3f, direction: vec3f, t_min: f
     if discriminant < 0.0 {
         return -1.0;
     }
-    // Without cancellation: the root of larger magnitude first, the other from the product of both.
+    // The roots, without cancellation: the one of larger magnitude first, the other from the product of both.
     let root = sqrt(discriminant);
     let k = select(root - b, -(b + root), b >= 0.0);
     var hit = 1.0e30;

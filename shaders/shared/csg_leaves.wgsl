@@ -1,5 +1,5 @@
-// The field of one leaf. Twin of PlacedLeaf::distances in src/csg/leaf.rs, which writes the module csg_kinds: the constants
-// of the kinds, and `own_distance`, which selects the distance function of a leaf by its kind.
+// The field of one leaf. Twin of PlacedLeaf::distances in src/csg/leaf.rs, which writes the module csg_kinds: the
+// constants of the kinds, and `own_distance`, which selects the distance function of a leaf by its kind.
 
 #import csg_field
 #import csg_kinds

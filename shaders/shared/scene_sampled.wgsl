@@ -42,8 +42,8 @@ fn sampled_gradient(field: SceneField, point: vec3f) -> vec3f {
     return normalize(slope / largest);
 }
 
-// Unit direction of the gradient at a point of the box with the distance s, by differences over one voxel inwards; zero where
-// there is none.
+// Unit direction of the gradient at a point of the box with the distance s, by differences over one voxel inwards; zero
+// where there is none.
 fn direction_at_rim(field: SceneField, point: vec3f, s: f32) -> vec3f {
     let last = vec3f(field.shape) - 1.0;
     let b = clamp(point, vec3f(0.0), last);

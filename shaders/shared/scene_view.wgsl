@@ -1,4 +1,4 @@
-// Instances as the camera sees them. Twin of src/scene/raster.rs.
+// Instances in the view of the camera. Twin of src/scene/raster.rs.
 
 struct RasterInstance {
     // Rows of the map from the instance's own space to clip space. w is the depth in scene units.
