@@ -1,8 +1,8 @@
 //! The shader of the viewer in browsers, written for the kinds of fields that a view has.
 //!
-//! The WGSL files in `shaders/viewer/` are the source. Each structure of the shapes in a view becomes a function, and naga
-//! writes the whole as GLSL ES 3.00, the language of WebGL 2. The numbers of a shape stay in the data of the view, so that
-//! a changed parameter compiles nothing.
+//! The WGSL files in `shaders/viewer/` are the source. Each structure of the shapes in a view becomes a function, and
+//! naga writes the whole as GLSL ES 3.00, the language of WebGL 2. The numbers of a shape stay in the data of the view,
+//! so that a changed parameter compiles nothing.
 
 use crate::csg::Solid;
 use crate::csg::whole::Whole;
@@ -35,7 +35,8 @@ pub(crate) struct ViewedKinds {
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct ViewerShader {
     pub text: String,
-    /// One entry per shape; `None` for a shape without a function: one that is too large, or that contains a baked volume.
+    /// One entry per shape; `None` for a shape without a function: one that is too large, or that contains a baked
+    /// volume.
     pub shapes: Vec<Option<ShapeFunction>>,
 }
 

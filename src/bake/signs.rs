@@ -159,7 +159,7 @@ impl SignPass<'_> {
         let surface = ClosedSurface::new(self.mesh, &[]);
         let mut counts = Counts::default();
         let (mut along_x, mut along_y) = (vec![0i16; nx * ny], vec![0i16; nx * ny]);
-        // The same row, with the other axis of the plane as the ray.
+        // The axes of the second scan: the rays of the row run along y.
         let across = Axes { ray: 1, column: 0, row: 2 };
         for k in 0..planes {
             let z = first_plane + k;

@@ -200,7 +200,7 @@ wgsl_constants! {
         /// Number of steps of Newton's method. In the worst places a step leaves at most 2/3 of the logarithm of the
         /// error, which is 1e3 there and weighs 1e-8; near the end a step squares the error.
         ELLIPSOID_STEPS: usize as u32 = 12;
-        /// Small beside all that is divided by it, and its inverse times a coordinate is finite.
+        /// Smallest divisor. It is small beside all that is divided, and its inverse times a coordinate is finite.
         ELLIPSOID_TINY: f64 as f32 = 1e-20;
         /// Largest number of corners of a polygon: a device loops over them.
         MAX_CORNERS: usize as u32 = 1024;

@@ -25,7 +25,7 @@ pub trait Derived: Any + Send + Sync {
 /// Largest number of different tables of one mesh.
 const SLOTS: usize = 12;
 
-/// The tables of a mesh, one slot for each type. The first type that finds a free slot takes it for good.
+/// The tables of a mesh, one slot for each type. The first type that finds a free slot keeps it.
 #[derive(Debug, Default)]
 pub(super) struct DerivedTables([OnceLock<TableSlot>; SLOTS]);
 
@@ -40,7 +40,7 @@ struct TableSlot {
 
 type AnyTable = dyn Any + Send + Sync;
 
-/// Hands a table of one mesh to another one with the same faces, if the type of the table can follow the motion.
+/// Passes a table of one mesh to another one with the same faces, if the type of the table can follow the motion.
 fn carry<T: Derived>(table: &AnyTable, before: &Mesh, after: &Mesh) {
     let table: &T = table.downcast_ref().expect("a slot has the type that took it");
     if let Some(next) = table.follow(before, after) {
@@ -69,7 +69,7 @@ impl DerivedTables {
         slots.into_iter().find(|slot| slot.id == id).expect("there is a slot for each type of table")
     }
 
-    /// Hands the tables of `before`, which are these, to `after`, a mesh with the same faces.
+    /// Passes the tables of `before`, which are these, to `after`, a mesh with the same faces.
     pub(super) fn carry(&self, before: &Mesh, after: &Mesh) {
         for slot in self.0.iter().filter_map(OnceLock::get) {
             if let Some(table) = slot.value.get() {

@@ -140,7 +140,8 @@ impl Surface {
         })?)
     }
 
-    /// Points (k, 3) around the vertices where the source has to be evaluated; `sharp_only` leaves out those on smooth parts.
+    /// Points (k, 3) around the vertices where the source has to be evaluated; `sharp_only` leaves out those on smooth
+    /// parts.
     #[pyo3(signature = (*, sharp_only=false))]
     fn probes<'py>(&self, py: Python<'py>, sharp_only: bool) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let points = run(py, None, |_| {

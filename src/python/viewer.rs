@@ -11,7 +11,8 @@ use pyo3::prelude::*;
 /// Index and numbers of a shape's function, centre and scale of its local frame, one over its Lipschitz constant.
 type ShapeRow<'py> = (u32, Bound<'py, PyArray1<f32>>, [f64; 3], f64, f64);
 
-/// The fragment shader of a view, and one entry for each shape; `kinds`: whether it has dense and sparse fields, quadrics.
+/// The fragment shader of a view, and one entry for each shape. `kinds`: whether the view has dense fields, sparse
+/// fields and quadrics.
 #[pyfunction]
 pub(super) fn viewer_shader<'py>(
     py: Python<'py>,

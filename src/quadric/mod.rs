@@ -10,7 +10,7 @@
 //! Two changes are made here. First, the arithmetic is done in the frame of the trim sphere, where the trim sphere is
 //! the unit ball and the largest entry of the matrix is 1 ([`local`]). About the world's origin the entries for a small
 //! sphere far away cancel; in its own frame they do not, at any offset and scale. Second, shadows multiply: light that
-//! crosses several quadrics of opacity `k` arrives with the product of their `1 - k`, where the article takes the
+//! crosses several quadrics of opacity `k` arrives with the product of their `1 - k`, where the article uses the
 //! largest `k`.
 //!
 //! A quadric is a sheet without an inside. Each counts once per shadow ray, however often the ray crosses it. The

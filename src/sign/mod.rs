@@ -221,7 +221,8 @@ impl SideWalk {
         }
     }
 
-    /// Whether a point is inside, and the radius of a ball around it in which the fraction has the same nearest integer.
+    /// Whether a point is inside, and the radius of a ball around it in which the nearest integer of the fraction is
+    /// the same.
     fn counted(&mut self, openings: &Openings, mesh: &Mesh, p: DVec3) -> (bool, f64) {
         let known = self.fraction.map(|(center, radius, rounded)| (rounded, radius - p.distance(center)));
         let (rounded, radius) = known.filter(|&(_, left)| left > 0.0).unwrap_or_else(|| {

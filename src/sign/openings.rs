@@ -12,9 +12,9 @@
 //! the error leaves the nearest integer open, a finer sum follows, and a sum over all caps in float64 at last.
 //!
 //! f jumps only at the caps. Elsewhere its gradient is that of the rim alone, by the Biot-Savart law: |grad f| <= sum
-//! over rim edges of length / (4 pi distance^2). A part of the tree also changes by at most 2 A / (4 pi distance^3). One
-//! value therefore decides a whole ball of samples ([`Openings::rounded_ball`]), and only samples near an opening have a
-//! cost. [`super::winding`] handles meshes that consist of openings.
+//! over rim edges of length / (4 pi distance^2). A part of the tree also changes by at most 2 A / (4 pi distance^3).
+//! One value therefore decides a whole ball of samples ([`Openings::rounded_ball`]), and only samples near an opening
+//! have a cost. [`super::winding`] handles meshes that consist of openings.
 
 use super::caps::{ANGLE_ERROR, CapPack};
 use super::crossing::{Axes, ClosedSurface, crossing};
@@ -36,7 +36,7 @@ pub struct Openings {
     nodes: Vec<CapNode>,
 }
 
-/// Some caps that lie together.
+/// A node of the tree: caps that lie close together.
 #[derive(Debug)]
 struct CapNode {
     /// Ball that contains the caps. Its centre is the centroid of their areas.
@@ -189,8 +189,8 @@ impl Openings {
         let Some((rounded, margin)) = angle.rounded().filter(|&(_, margin)| margin > UNDECIDED) else {
             return (self.round(p).0, 0.0);
         };
-        // No summand of the slope is larger than C / (D - r)^3 at the distance r, if it is C / D^3 here and D is at least
-        // `clear`. For a fraction x of `clear` the change is then at most x clear slope / (1 - x)^3, and
+        // No summand of the slope is larger than C / (D - r)^3 at the distance r, if it is C / D^3 here and D is at
+        // least `clear`. For a fraction x of `clear` the change is then at most x clear slope / (1 - x)^3, and
         // x / (1 - x)^3 <= q holds for x = q / (1 + 3 q).
         let clear = angle.clear.max(0.0);
         let q = margin * 4.0 * PI / (clear * angle.slope * (1.0 + ROUNDING));

@@ -250,8 +250,8 @@ impl SurfaceCells {
     }
 }
 
-/// The samples inside the solid, one bit each. Bit x + 1 of a row stands for sample x, so the padding on both sides has bits
-/// too; they are 0, since padding is outside.
+/// The samples inside the solid, one bit each. Bit x + 1 of a row stands for sample x, so the padding on both sides has
+/// bits too; they are 0, since padding is outside.
 struct InsideBits {
     words_per_row: usize,
     words: Vec<u64>,

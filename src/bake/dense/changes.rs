@@ -1,16 +1,16 @@
 //! The triangles that differ between two meshes, and the blocks of samples whose distance they may change.
 //!
 //! *Theory.* Two meshes have the same faces and some vertices at other positions. Let C be the changed triangles at
-//! their old and their new positions. A sample p with the old distance d(p) keeps it, to the bit, if every triangle of C
-//! is farther than d(p): then an unchanged triangle is nearest before and after, and no new one is nearer. The distance
-//! to C has slope 1, so all samples of a block with the centre c keep their distance if
+//! their old and their new positions. A sample p with the old distance d(p) keeps it, to the bit, if every triangle of
+//! C is farther than d(p): then an unchanged triangle is nearest before and after, and no new one is nearer. The
+//! distance to C has slope 1, so all samples of a block with the centre c keep their distance if
 //!
 //! ```text
 //! distance(c, C) > max over samples p of (d(p) + |p - c|)
 //! ```
 //!
-//! d has slope 1 too. A single sample q therefore bounds the right side by d(q) + |q - c| + 2 r for a block of radius r,
-//! which suffices for large blocks. Both sides are float32. The margin is that of the culling test of the bake.
+//! d has slope 1 too. A single sample q therefore bounds the right side by d(q) + |q - c| + 2 r for a block of radius
+//! r, which suffices for large blocks. Both sides are float32. The margin is that of the culling test of the bake.
 
 use super::super::LocalGrid;
 use super::block::SampleBox;

@@ -106,7 +106,7 @@ pub(super) fn update(
 /// Distance of a sample that is not computed again.
 const KEPT: f32 = -1.0;
 
-/// Fills a grid in parallel, a tile at a time, and hands each sample of the output and its distance, local units, to
+/// Fills a grid in parallel, a tile at a time, and passes each sample of the output and its distance, local units, to
 /// `put`.
 fn fill_tiles(
     mesh: &Mesh,
@@ -150,7 +150,7 @@ struct SharedRows {
 unsafe impl Sync for SharedRows {}
 
 impl SharedRows {
-    /// Hands the samples at the position of a tile, and those of the tile, to `put`.
+    /// Passes the samples at the position of a tile, and those of the tile, to `put`.
     ///
     /// # Safety
     /// The box `low..high` lies in the grid, and no other thread writes to it.
@@ -357,7 +357,7 @@ impl Tile<'_> {
     fn survivors(&self, node: &Node, block: &SampleBox, bounds: &[f32; CORNERS]) -> u8 {
         let mut excess = [0.0f32; WIDTH];
         for i in 0..WIDTH {
-            // From the nearest point of the box to the centre of the block.
+            // Vector from the nearest point of the box to the centre of the block.
             let mut g = [0.0f32; 3];
             for axis in 0..3 {
                 let above_min = block.center[axis] - node.min[axis][i];
