@@ -89,7 +89,7 @@ class AtlasEntry:
         return np.array(self._atlas._models[self._atlas._index(self._index)])
 
     def to_volume(self) -> Volume:
-        """Copy the volume out of the atlas; :meth:`Atlas.unpack`."""
+        """Copy the volume out of the atlas, as :meth:`Atlas.unpack` does."""
         return self._atlas.unpack(self._index)
 
     @property
@@ -140,7 +140,7 @@ class Atlas(PageStore, Viewable, Loadable):
     def entries(self) -> NDArray[Any]:
         """One record per index, read-only: the bytes of a std430 buffer for a shader.
 
-        ``layout="strips"``: the 208 bytes of the article: ``model``, ``inverse_model`` (4, 4), ``inner_min``,
+        ``layout="strips"``: the 208 bytes of the article's struct: ``model``, ``inverse_model`` (4, 4), ``inner_min``,
         ``inner_max``, ``outer_min``, ``outer_max`` (4,), ``atlas_index`` (the page), ``atlas_offset`` (the row of
         strips). ``layout="shelves"``: 240 bytes. The same fields come first, where ``atlas_offset`` is the first texel
         of the block, counted row by row; then ``scale``, ``columns``, ``shape`` (3,), ``gutter``, ``corner`` (2,),
@@ -165,12 +165,12 @@ class Atlas(PageStore, Viewable, Loadable):
             return self._entries
 
     def entry_bytes(self, *, header: bool = False) -> bytes:
-        """The bytes of :attr:`entries`, little-endian, for a storage buffer.
+        """Return the bytes of :attr:`entries`, little-endian, for a storage buffer.
 
         Parameters
         ----------
         header : bool, default False
-            Put the number of entries before them, as the article's buffer has it::
+            Put the number of entries before the entries, as in the buffer of the article::
 
                 layout (std430, binding = 0) buffer PackedSdfOffsetDetailBuffer {
                     int offsetSize;                   // bytes 0 to 3; 12 bytes of padding follow
@@ -392,7 +392,7 @@ class Atlas(PageStore, Viewable, Loadable):
                 container.write(path, {**container.head("atlas", self._encoding), **self._facts()}, arrays)
                 return
             if not self._page_count:
-                raise FormatError(f"{path}: the atlas is empty, and an image of nothing cannot be written")
+                raise FormatError(f"{path}: the atlas is empty, and an image needs at least one page")
             saved = as_written(self, ending)
             volumes = [saved._volume_facts(i) for i in range(len(saved._blocks))]
             images.write(path, saved._pages, {**saved._facts(), "pages": saved._page_count, "volumes": volumes})
@@ -408,7 +408,7 @@ class Atlas(PageStore, Viewable, Loadable):
         }
 
     def _volume_facts(self, i: int) -> dict[str, Any]:
-        """Metadata of the volume in row `i` that an image stores, for people and engines."""
+        """Metadata of the volume in row `i` that the JSON beside an image stores."""
         inner_lower, inner_upper, lower, upper = self._boxes[i].tolist()
         return {
             **{name: self._blocks[name][i].tolist() for name in BLOCK.names or ()},
@@ -420,7 +420,7 @@ class Atlas(PageStore, Viewable, Loadable):
         }
 
     def plot(self, page: int = 0) -> Figure:
-        """Plot one page with the surfaces as lines, and a frame and the index of each volume.
+        """Plot one page: the surfaces as lines, and the frame and the index of each volume.
 
         Parameters
         ----------

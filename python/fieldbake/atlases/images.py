@@ -1,8 +1,8 @@
 """Atlases as images: one channel in an .exr file, or unsigned integers of 16 or 8 bits in a .png file.
 
 The pages lie below each other. A JSON file beside the image stores the metadata of the atlas, with one entry per
-volume. There ``decode`` is the formula for the distance of a texel, and ``texel`` the type of its operand. An entry has
-a ``scale``.
+volume. In this file ``decode`` is the formula for the distance of a texel, ``texel`` is the type of its operand, and
+each entry has the ``scale`` of its volume.
 """
 
 from __future__ import annotations

@@ -38,10 +38,11 @@ def pack(
     ----------
     volumes : list of Volume, SparseVolume, Shape or mesh
         Shapes and meshes, as :func:`fieldbake.bake` takes them, are baked first. Items may be ``(volume, transform)``.
-        The (4, 4) transform becomes the model matrix of the entry. A sparse
-        volume is packed as its whole grid: ``.to_volume()``.
+        The (4, 4) transform becomes the model matrix of the entry. A sparse volume is packed as its whole grid:
+        ``.to_volume()``.
     resolution : int or three ints, default 64
-        Resolution of the meshes and shapes, as for :func:`fieldbake.bake`; strips make cubes of one number.
+        Resolution of the meshes and shapes, as for :func:`fieldbake.bake`. With ``layout="strips"`` a single number
+        gives cubes.
     layout : "shelves" or "strips", default "shelves"
         Shelves: any mix of resolutions; slices are wrapped over rows and placed where a page has free area. Strips:
         equal cubes, exactly as in the article: texel (x + z N, y + row N), 64 fields of 64^3 on a page of 4096 x 4096.
@@ -49,14 +50,14 @@ def pack(
         Width and height of a page, texels. As many pages are opened as are needed. ``"fit"`` chooses the smallest power
         of two that holds all volumes on one page, at most 16384.
     gutter : int, default 1
-        Number of copies of the border around each slice, so that the rounded weights of a hardware sampler do not read
-        a neighbouring slice. Strips have none.
+        Width of the repeated border around each slice, texels. It prevents that the rounded weights of a hardware
+        sampler mix in a neighbouring slice. Strips have none.
     encoding : str, default "float32"
         ``"float32"`` (exact), ``"float16"`` (11 significant bits), or the normalised ``"snorm16"`` and ``"snorm8"``,
-        which divide a band around the surface into 32767 or 127 steps per half width and store distances beyond it as
-        its end. All round toward zero: a stored magnitude never exceeds the true one. All but float32 are stored as
-        fractions of ``entries["scale"]``, which is proportional to the voxel: the error has the same bound in voxels
-        for a mesh of any size. See :meth:`Volume.quantize`.
+        which divide a band around the surface into 32767 or 127 steps per half width and clamp distances beyond it.
+        All round toward zero: a stored magnitude never exceeds the true one. All but float32 are stored as fractions
+        of ``entries["scale"]``, which is proportional to the voxel: the error has the same bound in voxels for a mesh
+        of any size. See :meth:`Volume.quantize`.
     band : float, default 4
         Half width of the band of a normalised encoding, voxels.
     device : str, default "auto"
@@ -77,6 +78,8 @@ def pack(
         volumes other than equal cubes.
     ArgumentError
         If an option is out of range.
+    ShapeError
+        If a shape is unbounded.
     CapacityError
         If the pages do not fit in memory.
     DeviceError

@@ -39,7 +39,7 @@ MAX_FITTING_PAGE = 1 << 14
 VACANT = np.uint32(0xFFFFFFFF)
 
 #: The block of a volume: its page, first texel (x, y), size of a slice with its gutters, slices in a row, gutter, and
-#: voxels along x, y and z. The core and files have it as a row of ten uint32 in this order.
+#: voxels along x, y and z. The core and files store it as a row of ten uint32 in this order.
 BLOCK = np.dtype(
     [
         ("page", "<u4"),
@@ -319,13 +319,13 @@ class PageStore:
 
 
 def _is_worth_it(volumes: list[Volume], device: str) -> bool:
-    """Whether to pack on this device: if the user names it, or if all volumes are already there."""
+    """Whether to pack on this device: if the user names it, or if all volumes are in its memory already."""
     if device == "cpu":
         return False
     return device != "auto" or all(isinstance(volume._source(device), _core.DeviceField) for volume in volumes)
 
 
-#: Objects that are no half of a mesh.
+#: Complete objects. A pair that begins with one of them is (object, transform), and not (vertices, faces).
 _WHOLE = (Volume, SparseVolume, Mesh, Shape, str, os.PathLike)
 
 
@@ -342,7 +342,7 @@ def checked_item(
         return thing.to_volume(), placed
     if isinstance(thing, Volume):
         return thing, placed
-    wanted = f"volumes[{i}]: must be a volume, a mesh, a shape or a pair of one and a (4, 4) transform"
+    wanted = f"volumes[{i}]: must be a volume, a mesh, a shape, or a pair of one of these and a (4, 4) transform"
     if hasattr(thing, "to_volume"):
         raise ArgumentError(f"{wanted}, got {checks.describe(thing)}")
     try:
