@@ -47,18 +47,17 @@ def bake(
 
     Parameters
     ----------
-    mesh : Mesh, path, trimesh.Trimesh, trimesh.Scene, (vertices, faces), or a list of those; or a Shape, or a list
-    of Shapes
-        Items of a list of meshes may be ``(mesh, transform)`` pairs. A list of shapes is baked as their union. Pass the
-        same `Mesh` to several calls to build its search tree only once.
+    mesh : Mesh, path, trimesh.Trimesh, trimesh.Scene, (vertices, faces), Shape, or a list of meshes or of Shapes
+        A list of meshes is baked as one mesh; its items may be ``(mesh, transform)`` pairs. A list of shapes is baked
+        as their union. Pass the same `Mesh` to several calls to build its search tree only once.
     resolution : int or three ints, default 64
         One number: voxels along the longest side of the padded box. The voxels are cubic, and the other sides have
         whole voxels. Three numbers: voxels along x, y and z, which may be oblong.
     voxel_size : float, optional
-        Side of a cubic voxel, world units. It replaces `resolution`.
+        Side of a cubic voxel, world units. It replaces `resolution`, so only one of the two may be given.
     bounds : (2, 3) array, optional
         Box to sample, world units. The default is the box of the mesh and its margin. With a single number as
-        `resolution` it is enlarged about its centre to whole voxels. It may cut the mesh or lie anywhere.
+        `resolution`, the box is enlarged about its centre to whole voxels. It may cut the mesh or lie beside it.
     margin : float, default 0.1
         The box of the mesh is scaled by ``1 + margin`` about its centre. At least one voxel remains on each side.
     sign : str, default "auto"
@@ -67,7 +66,7 @@ def bake(
         normal of the nearest face. ``"unsigned"``: no sign.
     band : float, optional
         Half width, in voxels, of the band around the surface in which distances are exact. Outside the band the sign is
-        right and the magnitude is a lower bound. A band is faster.
+        correct and the magnitude is a lower bound. A narrow band takes less time. The default is all distances.
     two_sided : bool, default False
         Treat the surface as a sheet with a thickness: the distance is the unsigned distance minus half the thickness.
     thickness : float, optional
@@ -102,7 +101,7 @@ def bake(
     Notes
     -----
     Every sample is exact to 1e-6 of the diagonal of the box. The same input gives the same bytes on any number of
-    threads. Warnings of the report are raised once per call as a `SurfaceWarning` and logged to the ``fieldbake``
+    threads. Warnings of the report are issued once per call as a `SurfaceWarning` and logged to the ``fieldbake``
     logger.
 
     Examples
@@ -121,9 +120,9 @@ def bake(
         shape = mesh if isinstance(mesh, Shape) else combine("union", mesh)
         for name, value, usual in (("sign", method, "auto"), ("band", band, None), ("thickness", thickness, None)):
             if value != usual:
-                raise ArgumentError(f"{name}: means nothing for a shape, whose field is signed and complete")
+                raise ArgumentError(f"{name}: does not apply to a shape, whose field is signed and complete")
         if two_sided:
-            raise ArgumentError("two_sided: means nothing for a shape; see Shape.shell")
+            raise ArgumentError("two_sided: does not apply to a shape; see Shape.shell")
         return _bake_shape(shape, resolution, voxel_size, bounds, margin, where, progress)
     if band is not None:
         band = checks.number("band", band, above=0)
@@ -144,7 +143,7 @@ class Job(NamedTuple):
     thickness: float | None
 
     def source(self, sign_method: str) -> MeshSource:
-        """Make the mesh a source of exact tangent planes, given the sign method that was used."""
+        """Return the source of exact tangent planes, given the sign method that was used."""
         if self.thickness is None:
             return MeshSource(self.mesh, 0.0 if sign_method == "unsigned" else None)
         return MeshSource(self.mesh, self.thickness / 2)
@@ -172,13 +171,13 @@ def prepare(
     thickness: float | None,
     box: NDArray[np.float64] | None = None,
 ) -> Job:
-    """Check the arguments that every bake has, and choose the grid. `box` (2, 3) replaces the box of the mesh in it."""
+    """Check the arguments that every bake has, and choose the grid around `box`, (2, 3), or the box of the mesh."""
     method = checks.text("sign", sign)
     two_sided = checks.flag("two_sided", two_sided)
     if thickness is not None:
         thickness = checks.number("thickness", thickness, above=0)
         if not two_sided:
-            raise ArgumentError("thickness: means something only with two_sided=True")
+            raise ArgumentError("thickness: applies only with two_sided=True")
     checked = as_mesh(mesh)
 
     # A sheet extends half its thickness beyond the triangles.
@@ -194,10 +193,10 @@ def prepare(
 
 
 def bake_job(job: Job, band: float | None, device: str, progress: Progress, before: Volume | None = None) -> Volume:
-    """Bake a prepared job. Its warnings are in the report only.
+    """Bake a prepared job. Its warnings are in the report and are not issued.
 
     `before` may be a volume on the same grid with the same options. If it was baked on the CPU from a known mesh, only
-    what differs is baked.
+    the samples that may differ are evaluated.
     """
     grid = job.grid
     distances: NDArray[np.float32] | _core.DeviceField
@@ -248,7 +247,7 @@ def sheet_thickness(grid: Grid) -> float:
 
 
 def log_warnings(report: Report) -> None:
-    """Log the warnings of the report, and raise one `SurfaceWarning` with them."""
+    """Log the warnings of the report, and issue one `SurfaceWarning` with them unless the distances are unsigned."""
     for warning in report.warnings:
         logger.warning("%s", warning)
     if report.sign_method != "unsigned":
@@ -277,7 +276,7 @@ def _bake_shape(
     kind = "exact distances" if shape.exact else "distances or lower bounds of them"
     inside = int(np.count_nonzero(distances < 0))
     nothing = (
-        "no sample is inside: the box does not hold the shape, or its thinnest part is below the voxel of "
+        "no sample is inside: the box does not contain the shape, or the shape is thinner than a voxel of "
         f"{max(grid.spacing):.3g}"
     )
     report = Report(

@@ -40,14 +40,14 @@ def bake_sequence(
     ----------
     frames : iterable
         The first frame is a mesh: anything that :func:`bake` accepts except shapes. Each other frame is a mesh too, or
-        an array (n, 3) of new positions for the vertices of the mesh of the frame before, as for :meth:`Mesh.moved`.
-        Generators are accepted.
+        an array (n, 3) of new positions for the vertices of the previous frame, as for :meth:`Mesh.moved`. Generators
+        are accepted.
     resolution : int or three ints, default 64
         As for :func:`bake`.
     bounds : "common", "follow" or (2, 3) array, default "common"
         Box to sample. ``"common"``: one box around all frames, with `margin`. All frames are read and kept in memory
-        before the first volume, so a generator must end. ``"follow"``: each frame has the box that :func:`bake` chooses
-        for it. An array is the box of all frames, world units. The last two read one frame at a time.
+        before the first volume, so a generator must be finite. ``"follow"``: each frame has the box that :func:`bake`
+        chooses for it. An array is the box of all frames, world units. The last two read one frame at a time.
     voxel_size, margin, sign, band, two_sided, thickness, device, progress
         As for :func:`bake`.
 
@@ -66,8 +66,8 @@ def bake_sequence(
 
     Notes
     -----
-    Frames with the faces of the frame before reuse its work: arrays move the search tree, and samples that no moved
-    triangle can reach are kept; see :meth:`Volume.update`.
+    A frame with the faces of the previous frame reuses its work: the search tree is refitted to an array of positions,
+    and samples that no moved triangle can change are kept; see :meth:`Volume.update`.
 
     Examples
     --------
@@ -104,14 +104,14 @@ def bake_sequence(
 
 
 def _checked(frames: Iterable[Any]) -> Iterator[Any]:
-    """Iterate over the frames, or raise ArgumentError if they are none."""
+    """Return an iterator over the frames, or raise ArgumentError if they are not iterable."""
     if isinstance(frames, (str, os.PathLike)) or not isinstance(frames, Iterable):
         raise ArgumentError(f"frames: must be an iterable of meshes and vertices, got {checks.describe(frames)}")
     return iter(frames)
 
 
 def _meshes(frames: Iterable[Any]) -> Iterator[Mesh]:
-    """Convert each frame to a mesh. Arrays move the mesh of the frame before."""
+    """Convert each frame to a mesh. An array moves the vertices of the previous frame."""
     mesh: Mesh | None = None
     for index, frame in enumerate(frames):
         try:
@@ -120,14 +120,14 @@ def _meshes(frames: Iterable[Any]) -> Iterator[Mesh]:
             elif mesh is not None:
                 mesh = mesh.moved(frame)
             else:
-                raise MeshError("must be a mesh; arrays of vertices move the mesh of the frame before")
+                raise MeshError("must be a mesh; an array of vertices needs a previous frame with faces")
         except MeshError as error:
             raise MeshError(f"frames[{index}]: {error}") from None
         yield mesh
 
 
 def _gather(frames: Iterator[Any]) -> tuple[list[Any], NDArray[np.float64] | None]:
-    """Read all frames. Return them, and the box around all of them; None without a frame."""
+    """Read all frames. Return them, and the box around all of them, (2, 3); None without a frame."""
     kept: list[Any] = []
 
     def remembered() -> Iterator[Any]:

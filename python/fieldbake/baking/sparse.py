@@ -1,4 +1,4 @@
-"""Baking to a sparse volume; of a mesh without the dense grid."""
+"""Baking to a sparse volume. For a mesh the dense grid is never made."""
 
 from __future__ import annotations
 
@@ -43,30 +43,31 @@ def bake_sparse(
     resolution : int or three ints, default 512
         Voxels of the whole grid, as for :func:`bake`.
     band : float, default 4
-        Distance from the surface within which a sample makes its brick stored, voxels; at least 2.
+        A brick is stored if one of its samples is at most this far from the surface, voxels; at least 2.
     tolerance : float or None, default 0.05
         Largest difference, in voxels, by which a coarser brick may differ from the samples in the band that it
         replaces. None never uses coarser bricks, so every stored sample equals that of :func:`bake`.
     encoding : str, default "float32"
-        ``"float32"``, ``"float16"``, ``"snorm16"`` or ``"snorm8"``, rounded toward zero. The band is the scale of the
-        integers.
+        ``"float32"``, ``"float16"``, ``"snorm16"`` or ``"snorm8"``, rounded toward zero. The largest integer represents
+        the band.
 
     Returns
     -------
     SparseVolume
-        Its memory is proportional to the surface, plus 8 bytes per brick of 343 cells.
+        The field. Its memory is proportional to the area of the surface, plus 8 bytes for each brick of 7^3 cells.
 
     Raises
     ------
-    MeshError, ArgumentError, CapacityError
+    MeshError, ShapeError, ArgumentError, CapacityError
         As for :func:`bake`.
 
     Notes
     -----
-    The bake of a mesh never makes the dense grid. A shape is evaluated on the dense grid first, 4 bytes a sample.
+    The bake of a mesh never makes the dense grid. A shape is evaluated on the dense grid first, 4 bytes per sample.
 
-    The bake runs on the CPU. Stored distances equal those of :func:`bake`. A brick far from the surface lies on one
-    side. On closed meshes this is certain. On open meshes all its samples are tested, on triangle soups its corners.
+    The bake runs on the CPU. Stored distances equal those of :func:`bake`. A brick far from the surface is inside or
+    outside as a whole. On closed meshes this is exact. On open meshes all samples of the brick are tested, and on
+    triangle soups its corners.
 
     Examples
     --------

@@ -14,7 +14,7 @@ from .dense import bake_job, log_warnings, place
 
 
 def update(volume: Volume, mesh: MeshLike) -> Volume:
-    """Bake a mesh into the grid of a volume with its options; see :meth:`Volume.update`."""
+    """Bake a mesh into the grid of a volume, with the options of that volume; see :meth:`Volume.update`."""
     checked = as_mesh(mesh)
     lower, upper = volume._corners()
     grid = Grid(lower, upper, volume.resolution)
@@ -26,7 +26,7 @@ def update(volume: Volume, mesh: MeshLike) -> Volume:
 
 
 def _recipe_of(mesh: Mesh, report: Report, voxel: float) -> Recipe:
-    """Restore the options of a bake from its report. The defaults replace what it does not state."""
+    """Restore the options of a bake from its report. Options that the report does not state have their defaults."""
     sign = report.sign_method if report.sign_method in get_args(Sign) else "auto"
     # Twelve digits restore a number of voxels from its product with the size of a voxel.
     band = float(f"{report.band / voxel:.12g}") if report.band > 0 else None
