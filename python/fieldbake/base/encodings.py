@@ -21,7 +21,7 @@ DTYPES: dict[str, np.dtype[Any]] = {
 }
 
 #: Element type of the texels of 3D textures: the encodings, and unsigned bytes with distance 0 at 127.5, for readers
-#: such as three.js that know no signed ones.
+#: such as three.js that do not support signed bytes.
 TEXTURE_DTYPES = {**DTYPES, "unorm8": np.dtype(np.uint8)}
 
 #: Names of all encodings, and of those with fewer than 32 bits per sample.
@@ -36,7 +36,7 @@ DEFAULT_BAND = 4.0
 
 
 def to_unorm8(distances: NDArray[np.float32], scale: float) -> NDArray[np.uint8]:
-    """Distances as the nearest unsigned bytes, ``(byte / 127.5 - 1) * scale``.
+    """Convert distances to the nearest unsigned bytes. A byte represents ``(byte / 127.5 - 1) * scale``.
 
     Distance 0 lies between 127 and 128, so a byte is off by up to half a step, scale / 255. Negative distances become
     127 or less, others 128 or more.
@@ -48,12 +48,12 @@ def to_unorm8(distances: NDArray[np.float32], scale: float) -> NDArray[np.uint8]
 
 
 def from_unorm8(texels: NDArray[np.uint8], scale: float) -> NDArray[np.float32]:
-    """The distances of unsigned bytes."""
+    """Convert unsigned bytes to distances, world units, x fastest in memory."""
     return np.asfortranarray((texels / 127.5 - 1) * scale, np.float32)
 
 
 def scale_of(encoding: str, spacing: Any, band: float) -> float:
-    """The scale of `encoding` on a grid of voxels with the sides `spacing` (3,), world units; `band` is in voxels.
+    """Compute the scale of `encoding`, world units, for voxels with the sides `spacing` (3,); `band` is in voxels.
 
     The scale is 1 for float32. For float16 it is the largest power of two that does not exceed the longest side of a
     voxel. For the normalised encodings it is the half width of the band.
@@ -64,12 +64,12 @@ def scale_of(encoding: str, spacing: Any, band: float) -> float:
 
 
 def largest_scale(distances: NDArray[np.float32]) -> float:
-    """The smallest scale with which a normalised encoding represents all of these distances."""
+    """Compute the smallest scale with which a normalised encoding represents all of these distances."""
     return _core.encoding_scale("snorm16", 1.0, float(np.abs(distances).max()))
 
 
 def texel_rule(ending: str, encoding: str) -> dict[str, str]:
-    """Type of the texels in a file with this ending, and the formula for the distance of a texel."""
+    """Return the type of the texels in a file with this ending, and the formula for the distance of a texel."""
     stored = TEXTURE_DTYPES[encoding]
     if encoding == "unorm8":
         return {"texel": "uint8", "decode": "distance = (texel / 127.5 - 1) * scale"}

@@ -1,6 +1,6 @@
 """The exceptions of fieldbake: one base class, and one class for each kind of failure.
 
-Errors about a value also derive from :class:`ValueError`, so code that does not know fieldbake can catch them. A
+Errors about a value also derive from :class:`ValueError`, so code that handles built-in exceptions catches them. A
 missing file raises :class:`FileNotFoundError`.
 """
 
@@ -100,7 +100,7 @@ class FormatError(Error, ValueError):
 
 
 class SurfaceWarning(UserWarning):
-    """A surface whose inside had to be interpreted: it is open, inside out, or has flipped or one-sided parts.
+    """A surface whose inside is ambiguous: it is open, inside out, or has flipped or one-sided parts.
 
     Examples
     --------

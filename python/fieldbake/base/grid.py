@@ -19,7 +19,7 @@ DEFAULT_RESOLUTION = 64
 #: Largest number of voxels along one side. Beyond it even a slab of one voxel exceeds any memory.
 MAX_SIDE = 2**31 - 1
 
-#: Largest number of voxels of a volume. The core refuses more.
+#: Largest number of voxels of a volume. It is the limit of the core.
 MAX_VOXELS = 2**40
 
 #: Tolerance, in voxels, within which a side counts as a whole number of voxels. It covers the rounding of a division.
@@ -50,7 +50,7 @@ def make_grid(
     margin: float = 0.1,
     border: ArrayLike = 1.0,
 ) -> Grid:
-    """Choose the grid for a surface in the box ``inner``.
+    """Choose the grid for a surface in the box `inner`.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def make_grid(
         One number: voxels along the longest side of the box. The voxels are cubic, and the box is enlarged about its
         centre to whole voxels along the other sides. Three numbers: voxels along x, y and z, which may be oblong.
     voxel_size : float, optional
-        Side of a cubic voxel, world units. It replaces `resolution`.
+        Side of a cubic voxel, world units. It replaces `resolution`, which must then have its default value.
     bounds : (2, 3) array, optional
         Box to sample. It replaces the box of the surface and its margin.
     margin : float, default 0.1
@@ -151,7 +151,8 @@ def _cubic(
     counts = np.maximum(wanted, extent + border_voxels * spacing) / spacing
     if not (counts < MAX_SIDE).all():
         raise ArgumentError(
-            f"{argument}: voxels of {spacing:g} would make {counts.max():.3g} of them along the longest side"
+            f"{argument}: with voxels of {spacing:g} the longest side has {counts.max():.3g} of them, at most "
+            f"{MAX_SIDE} are possible"
         )
     shape = [max(1, math.ceil(count - WHOLE)) for count in counts.tolist()]
     half = np.array(shape) * (spacing / 2)
@@ -176,7 +177,7 @@ def _oblong(
 
 
 def _flat(extent: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Mark the sides of a box that have no extent compared with the longest."""
+    """Mark the sides of a box that have no extent compared with the longest side, (3,)."""
     flat: NDArray[np.bool_] = extent <= WHOLE * extent.max()
     return flat
 

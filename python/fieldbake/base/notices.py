@@ -1,4 +1,4 @@
-"""Warnings that are raised once per call, at the line of the caller."""
+"""Warnings that are issued once per call, at the line of the caller."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ PACKAGE = __name__.partition(".")[0]
 
 
 def warn_surface(messages: Sequence[str]) -> None:
-    """Raise one `SurfaceWarning` with all messages about the surface; nothing if there are none.
+    """Issue one `SurfaceWarning` with all messages about the surface, if there are any.
 
-    Messages about the device start with the name of that argument and become a `PerformanceWarning`.
+    Messages about the device start with ``device=`` and are left out; they have become a `PerformanceWarning`.
     """
     of_surface = [message for message in messages if not message.startswith("device=")]
     if of_surface:

@@ -16,7 +16,7 @@ Progress = bool | Callable[[float], object] | None
 #: Duration after which work on a terminal shows a bar without request, seconds.
 DELAY = 3.0
 
-#: Least time between two states of the bar of a notebook, seconds.
+#: Shortest time between two updates of the bar in a notebook, seconds.
 NOTEBOOK_STEP = 0.2
 
 

@@ -35,7 +35,8 @@ class Report:
     Attributes
     ----------
     sign_method : str
-        ``"winding"``, ``"parity"``, ``"pseudonormal"``, ``"normal"`` or ``"unsigned"``.
+        ``"winding"``, ``"parity"``, ``"pseudonormal"``, ``"normal"`` or ``"unsigned"``; ``"shape"`` for the field of a
+        shape; empty for a field of unknown origin.
     sign_reason : str
         Reason for the choice of the method, in one sentence.
     closed : bool
@@ -48,7 +49,8 @@ class Report:
     degenerate_faces, dropped_vertices : int
         Number of faces without area, and of unused vertices that are not finite; both are left out.
     undecided_voxels, inside_voxels : int
-        Number of voxels where the sign method alone could not decide, and of voxels with a negative distance.
+        Number of voxels where the sign method was close to undecided, for instance by a winding number near 1/2, and
+        of voxels with a negative distance.
     chord_error : float
         Largest distance between the mesh and the solid that it was tessellated from, world units; 0 for other meshes.
     points, inside_points : int
@@ -139,7 +141,7 @@ class Report:
         rows.append(("sign", f"{self.sign_method}: {self.sign_reason}" if self.sign_reason else self.sign_method))
         inside = count_text(self.inside_voxels, "voxel")
         if self.undecided_voxels:
-            inside += f" ({self.undecided_voxels:,} undecided)"
+            inside += f"; the sign of {count_text(self.undecided_voxels, 'voxel')} is uncertain"
         if self.points:
             inside = f"{self.inside_points:,} of {count_text(self.points, 'point')}"
         rows.append(("inside", inside))

@@ -12,7 +12,7 @@ def set_threads(n: int) -> None:
     Parameters
     ----------
     n : int
-        Number of threads, at least 1, that later calls use. Calls in progress keep theirs.
+        Number of threads, at least 1, for later calls. A call in progress keeps its threads.
 
     Raises
     ------

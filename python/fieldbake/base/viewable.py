@@ -22,8 +22,8 @@ class Viewable:
         """Write a live view as one HTML page, which needs no network and no server.
 
         The page draws the surface in WebGL 2, as :func:`fieldbake.raymarch` does: with the same roots, lights,
-        background and camera. It can be turned, moved and zoomed, sliced along any axis, and offset by a level; a
-        double click reports a point with its normal and distance.
+        background and camera. The view can be turned, moved and zoomed, the field sliced along any axis, and another
+        level set drawn. A double click reports a point with its normal and distance.
 
         Parameters
         ----------
@@ -75,9 +75,9 @@ class Viewable:
         ----------
         **options
             ``camera``, ``encoding`` and ``size`` as for :meth:`to_html`. ``parameters`` is a mapping from names to
-            (least, largest): each parameter gets a slider, which makes the object again. The names are those of
-            numbers in a shape, such as ``"radius"`` or ``"cylinder.radius"``, with any object those of the arguments of
-            ``model``, a function that returns an object.
+            (least, largest): each parameter gets a slider, and moving it rebuilds the object. For a shape the names are
+            those of its parameters, such as ``"radius"`` or ``"cylinder.radius"``. With ``model``, a function that
+            returns an object, the names are those of its arguments.
 
         Returns
         -------
