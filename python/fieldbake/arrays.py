@@ -1,7 +1,7 @@
 """The core functions for bare arrays: arrays in, arrays out, no objects kept between calls.
 
-For programs that have mesh and image types of their own. Arrays are used without a copy if their type fits: float32
-distances with x fastest in memory, float64 vertices, int64 faces. All others are converted once.
+They suit programs that have mesh and image types of their own. Arrays are used without a copy if their type fits:
+float32 distances with x fastest in memory, float64 vertices, int64 faces. All others are converted once.
 """
 
 from __future__ import annotations
