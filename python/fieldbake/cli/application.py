@@ -139,7 +139,7 @@ class Command(TyperCommand):
 
 
 class Application(typer.Typer):
-    """An application whose commands are of the class above."""
+    """An application whose commands are of the class :class:`Command`."""
 
     def command(self, name: str | None = None, **options: Any) -> Callable[[_Function], _Function]:
         """Return a decorator that adds a command."""
@@ -180,7 +180,7 @@ def root(
 
 
 def load(*names: str) -> None:
-    """Import the modules of commands, by default of all: this adds the commands to `app`."""
+    """Import the modules of the named commands, by default of all; each import adds its commands to `app`."""
     for name in names or COMMANDS:
         importlib.import_module(f".{COMMANDS[name][0]}", __package__)
 
@@ -197,6 +197,6 @@ def show_rows(title: str, rows: list[tuple[str, str]]) -> None:
 
 def main() -> None:
     """Run the command line."""
-    # What deserves a warning is a row of the tables that commands print.
+    # The tables that commands print have the warnings as rows.
     warnings.simplefilter("ignore", fb.SurfaceWarning)
     app(prog_name="fieldbake")

@@ -27,7 +27,7 @@ Sign = Literal["auto", "winding", "parity", "pseudonormal", "normal", "unsigned"
 
 
 def parse_resolution(text: str) -> int | tuple[int, int, int]:
-    """``64`` or ``64x48x32``."""
+    """Parse a resolution: ``64`` or ``64x48x32``."""
     try:
         sides = [int(side) for side in text.lower().split("x")]
     except ValueError:
@@ -40,7 +40,7 @@ def parse_resolution(text: str) -> int | tuple[int, int, int]:
 
 
 def parse_bounds(text: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """``-1,-1,-1,1,1,1``."""
+    """Parse the lower and the upper corner of a box: ``-1,-1,-1,1,1,1``."""
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
@@ -51,7 +51,7 @@ def parse_bounds(text: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 
 def parse_page_size(text: str) -> int | Literal["fit"]:
-    """``4096`` or ``fit``."""
+    """Parse the size of a page: ``4096`` or ``fit``."""
     if text == "fit":
         return "fit"
     try:
@@ -61,7 +61,7 @@ def parse_page_size(text: str) -> int | Literal["fit"]:
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """``640x480``."""
+    """Parse the width and the height of a picture: ``640x480``."""
     try:
         width, height = (int(side) for side in text.lower().split("x"))
     except ValueError:
@@ -72,7 +72,7 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def parse_vector(text: str) -> tuple[float, float, float]:
-    """``1,2.5,-3``."""
+    """Parse three numbers: ``1,2.5,-3``."""
     try:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
@@ -81,7 +81,7 @@ def parse_vector(text: str) -> tuple[float, float, float]:
 
 
 def resolution_option(example: int) -> Any:
-    """The option of a number of voxels; the example is the number along the longest side."""
+    """Make the option ``--resolution``; its help has `example` as the number of voxels along the longest side."""
     three = f"{example}x{example // 2}x{example // 4}"
     text = f"Voxels along the longest side ({example}), or along x, y and z ({three})."
     return typer.Option("--resolution", "-r", parser=parse_resolution, metavar="N|NxNxN", help=text)
@@ -142,8 +142,8 @@ def bake(
         typer.Option(help="Axes, units and import settings of an engine."),
     ] = None,
     mipmaps: Annotated[bool, typer.Option("--mipmaps", help="Add coarser levels to .dds and .ktx2.")] = False,
-    source: Annotated[str | None, typer.Option("--from", help="Kind of the mesh if MESH is -.")] = None,
-    kind: Annotated[str, typer.Option("--to", help="Kind of the output if it is -.")] = "npz",
+    source: Annotated[str | None, typer.Option("--from", help="Format of the mesh if MESH is -, such as glb.")] = None,
+    kind: Annotated[str, typer.Option("--to", help="Format of the output if it is -, such as vdb.")] = "npz",
     jobs: Annotated[
         int | None,
         typer.Option(help="Number of meshes baked at the same time; for a folder. The default is one per core."),
@@ -159,9 +159,11 @@ def bake(
     """Bake the signed distance field of a mesh into a file, or those of many meshes into a folder."""
     if not is_stream(output) and (not output.suffix or output.is_dir()):
         if sparse or encoding != "float32":
-            raise typer.BadParameter("a folder takes dense float32 fields", param_hint="--sparse, --encoding")
+            raise typer.BadParameter("the results in a folder are dense and float32", param_hint="--sparse, --encoding")
         if bounds is not None or engine is not None or mipmaps:
-            raise typer.BadParameter("a folder takes .npz files", param_hint="--bounds, --engine, --mipmaps")
+            raise typer.BadParameter(
+                "do not apply to the .npz files in a folder", param_hint="--bounds, --engine, --mipmaps"
+            )
         options = {"resolution": resolution, "voxel_size": voxel_size, "margin": margin, "sign": sign, "band": band}
         if voxel_size is not None:
             del options["resolution"]
@@ -195,9 +197,10 @@ def bake(
             if device not in ("auto", "cpu"):
                 raise typer.BadParameter("bricks are baked on the CPU", param_hint="--device")
             if encoding == "unorm8":
-                raise typer.BadParameter("bricks have no unsigned bytes", param_hint="--encoding")
+                raise typer.BadParameter("unorm8 is for textures, and not for bricks", param_hint="--encoding")
             bricks: dict[str, Any] = {"tolerance": tolerance, "encoding": encoding, **surface}
-            # Bricks keep all distances up to their band less half the diagonal of a voxel.
+            # Bricks have all distances up to their band minus half the diagonal of a voxel. A level set from them needs
+            # a band that is wider by a voxel.
             reach = 4.0 if band is None else band + (ending in writers.SPARSE_ENDINGS)
             volume = fb.bake_sparse(things, resolution, band=reach, **bricks)
             volume = save_field(volume, target, None, band, engine, mipmaps=mipmaps)

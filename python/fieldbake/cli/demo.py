@@ -38,7 +38,7 @@ def run(
     progress: Progress = None,
     tell: Callable[[str], object] | None = None,
 ) -> list[Path]:
-    """Bake, save, load, draw and cut; return the files written.
+    """Bake, save, load and draw meshes and draw slices of their fields; return the paths of the files.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def slice_image(volume: Volume, *, height_px: int = 480) -> NDArray[np.uint8]:
     positions[..., upward] = (upper[upward] - (np.arange(height) + 0.5) / height * extent[upward])[:, None]
     distances = volume.sample(positions).astype(np.float64)
 
-    # Colour fades with the distance. Lines are 1.5 pixels wide wherever the field is a distance.
+    # Colour fades with the distance. Lines are 1.5 pixels wide where the gradient of the field has the length 1.
     pixel = extent[upward] / height
     interval = 6 * float(volume.spacing.max())
     fade = np.exp(-np.abs(distances) / (8 * interval))[..., None]

@@ -1,6 +1,6 @@
 """Properties of this installation and this machine, for `doctor`.
 
-A property that cannot be read is None or has an error as text; it never ends the diagnosis.
+A property that cannot be read is None or has an error as text. Such an error never ends the diagnosis.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LIMIT_S = 60.0
 #: Instruction sets that decide speed, as NumPy names them.
 FEATURES = ("SSE42", "AVX", "FMA3", "AVX2", "AVX512F", "NEON", "ASIMD", "SVE")
 
-#: Environment variables that change results or speed. Each name ends a variable or is a prefix.
+#: Environment variables that change results or speed: names, or prefixes of names.
 VARIABLES = ("FIELDBAKE_", "RAYON_", "VK_", "WGPU_", "MESA_", "LIBGL_", "XDG_CACHE_HOME", "PYTHONPATH")
 
 #: Folders in which the Vulkan loader of Linux finds its drivers.
@@ -37,7 +37,7 @@ MODULES = {"pillow": "PIL"}
 
 
 def diagnose(*, self_tests: bool = True) -> dict[str, Any]:
-    """Collect all properties; `problems` lists, as sentences, what does not work."""
+    """Collect all properties. The entry ``problems`` lists all faults as sentences."""
     found: dict[str, Any] = {
         "fieldbake": _own_facts(),
         "python": {"version": platform.python_version(), "implementation": platform.python_implementation()},
@@ -149,7 +149,7 @@ def _vulkan_drivers() -> list[str]:
 
 
 def _devices(self_tests: bool) -> list[dict[str, Any]]:
-    """List the devices and test each. A driver that crashes ends a child process only."""
+    """List the devices and test each in a child process, so that a crash of a driver does not end this process."""
     child_module, error = attempt(importlib.import_module, "fieldbake.scaling.child")
     tests, other_error = attempt(importlib.import_module, "fieldbake.cli.selftests")
     if error or other_error:
@@ -159,7 +159,7 @@ def _devices(self_tests: bool) -> list[dict[str, Any]]:
     try:
         listed, error = attempt(call, tests.list_devices)
         if error:
-            # Loading the drivers failed; the CPU needs none.
+            # The drivers cannot be loaded. The CPU needs none.
             listed = [{"name": "cpu", "backend": "cpu", "type": "cpu", "hardware": False, "limits": {}}]
         if self_tests:
             for device in listed:

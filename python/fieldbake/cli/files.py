@@ -42,7 +42,7 @@ Mipmaps = Annotated[bool, typer.Option("--mipmaps", help="Add coarser levels to 
 def info(
     files: Annotated[list[Path], typer.Argument(help="Files written by fieldbake, grids, or meshes.", metavar="FILE")],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object per file.")] = False,
-    kind: Annotated[str | None, typer.Option("--from", help="Kind of the file if FILE is -.")] = None,
+    kind: Annotated[str | None, typer.Option("--from", help="Format of the file if FILE is -, such as npz.")] = None,
 ) -> None:
     """Describe the contents of files."""
     for path in files:
@@ -66,8 +66,8 @@ def convert(
     band: Band = None,
     engine: Engine = None,
     mipmaps: Mipmaps = False,
-    source: Annotated[str | None, typer.Option("--from", help="Kind of the input if it is -.")] = None,
-    kind: Annotated[str, typer.Option("--to", help="Kind of the output if it is -.")] = "npz",
+    source: Annotated[str | None, typer.Option("--from", help="Format of the input if it is -, such as npz.")] = None,
+    kind: Annotated[str, typer.Option("--to", help="Format of the output if it is -, such as vdb.")] = "npz",
 ) -> None:
     """Write a field, an atlas or a mesh in another format; a field becomes a mesh as its zero surface."""
     check_output(output, (*FIELDS, *MESHES), "OUTPUT")
@@ -80,9 +80,7 @@ def convert(
         found = _load(path)
         if isinstance(found, fb.Mesh):
             if ending not in MESHES:
-                raise fb.FormatError(
-                    f"{file}: is a mesh and not a fieldbake file; `fieldbake bake` makes a field of it"
-                )
+                raise fb.FormatError(f"{file}: is a mesh and not a fieldbake file; `fieldbake bake` computes its field")
             found.save(target)
         elif ending in MESHES:
             if not isinstance(found, (fb.Volume, fb.SparseVolume)):
@@ -93,7 +91,7 @@ def convert(
         else:
             if encoding is not None or engine is not None:
                 raise typer.BadParameter(
-                    f"changes volumes only, {file} holds a {type(found).__name__}",
+                    f"applies to volumes only, {file} holds a {type(found).__name__}",
                     param_hint="--engine" if encoding is None else "--encoding",
                 )
             found.save(target)

@@ -1,4 +1,4 @@
-"""Results of many meshes in a folder: the bake of each, and what is printed at the end."""
+"""Results of many meshes in a folder: the bake of each, and the summary that is printed at the end."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def bake_folder(
 
 
 def finish(rows: Sequence[Mapping[str, Any]], folder: Path) -> None:
-    """Print what was done, name the items that failed, and exit with status 1 if there are any."""
+    """Print the number of results by status and the items that failed; exit with status 1 if an item failed."""
     counts = Counter(row["status"] for row in rows)
     text = ", ".join(f"{counts[status]} {status}" for status in ("done", "skipped", "failed") if counts[status])
     out.print(f"[bold]{escape(str(folder))}[/]  {text or 'nothing to do'}", soft_wrap=True)

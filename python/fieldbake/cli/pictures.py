@@ -47,7 +47,9 @@ def render(
     ] = "soft",
     primary: Annotated[
         Literal["auto", "raster", "raymarch"],
-        typer.Option(help="auto: meshes are rasterised, fields marched; raster: meshes only; raymarch: fields only."),
+        typer.Option(
+            help="auto: rasterise meshes, march fields; raster: draw meshes only; raymarch: draw fields only."
+        ),
     ] = "auto",
     occlusion: Annotated[bool, typer.Option("--occlusion", help="Add ambient occlusion.")] = False,
     samples: Annotated[int, typer.Option(help="Colour samples per pixel for smooth edges: 1, 4, 9, 16, ...")] = 1,

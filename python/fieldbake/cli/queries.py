@@ -131,7 +131,7 @@ def facts_of(mesh: fb.Mesh) -> dict[str, Any]:
 
 
 def _thinnest_part(mesh: fb.Mesh) -> float | None:
-    """Shortest path from the surface through the inside to a face of the opposite side, over many samples."""
+    """Measure the shortest way from a surface sample through the inside to an opposite face; None without one."""
     samples = fb.sample_surface(mesh, THICKNESS_SAMPLES)
     inwards = -samples.normals if mesh.volume >= 0 else samples.normals
     start = 1e-9 * float(np.linalg.norm(mesh.bounds[1] - mesh.bounds[0]))

@@ -44,7 +44,7 @@ def save_field(
 
 
 def check_encoding(ending: str, encoding: str) -> None:
-    """Fail before any work if files with this ending do not have the encoding."""
+    """Raise an error before any work if files with this ending do not have the encoding."""
     known = writers.ENCODINGS.get(ending, ("float32", "float16", "snorm16", "snorm8"))
     if encoding not in known:
         raise typer.BadParameter(f"{ending} files hold {', '.join(known)}, got {encoding}", param_hint="--encoding")

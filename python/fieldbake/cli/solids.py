@@ -19,7 +19,7 @@ Resolution = Annotated[Any, resolution_option(256)]
 Measure = Annotated[
     bool, typer.Option("--measure", help="Also report the largest distances between the result and its source.")
 ]
-#: Words for the operations of `boolean`.
+#: Operations of `boolean` by their symbols.
 OPERATIONS = {"-": "difference", "+": "union", "|": "union", "&": "intersection"}
 
 
@@ -121,6 +121,6 @@ def _finish(made: fb.Mesh, output: Path, measure: bool) -> None:
         rows.append(("bodies", f"{report.bodies:,}, genus {report.genus}"))
         rows.append(("crossing faces", f"{report.self_intersections:,} pairs"))
         if measure:
-            rows.append(("to source", f"{report.distance_to_source:.4g}, voxels of {report.voxel_size:.4g}"))
+            rows.append(("to source", f"{report.distance_to_source:.4g}; a voxel is {report.voxel_size:.4g}"))
             rows.append(("from source", f"{report.distance_from_source:.4g}"))
     show_rows(str(output), rows)

@@ -1,7 +1,7 @@
 """Standard input and output in place of files, and the checks of outputs before any work.
 
-Readers and writers need the name of a file, so the bytes pass through a temporary one. The kind of the input follows
-from its first bytes, or from ``--from``.
+Readers and writers need a named file, so the bytes pass through a temporary file. The format of the input follows from
+its first bytes, or from ``--from``.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _SIGNATURES = (
 )
 #: A line of an OBJ file, which has no signature.
 _OBJ_LINE = re.compile(rb"^[ \t]*(v|vn|vt|f|o|g|s|usemtl|mtllib)[ \t]", re.MULTILINE)
-#: Number of bytes in which the kind of an input is searched. Exporters may write a long comment first.
+#: Number of bytes from which the format of an input is recognised. Exporters may write a long comment first.
 _HEAD = 4096
 
 
@@ -51,13 +51,13 @@ def is_stream(path: Path) -> bool:
 
 
 def _kind(first: bytes) -> str | None:
-    """The ending that the first bytes of a file imply; None if they imply none."""
+    """Return the ending of the format that the first bytes of a file imply; None if no format is recognised."""
     found = next((ending for signature, ending in _SIGNATURES if first.startswith(signature)), None)
     return ".obj" if found is None and _OBJ_LINE.search(first) else found
 
 
 def check_output(output: Path, endings: tuple[str, ...], option: str = "--output") -> None:
-    """Fail before any work if the output could not be written at its end."""
+    """Raise an error before any work if the output could not be written."""
     if is_stream(output):
         if sys.stdout.isatty():
             raise typer.BadParameter("standard output is a terminal; name a file, or redirect it", param_hint=option)
@@ -69,14 +69,14 @@ def check_output(output: Path, endings: tuple[str, ...], option: str = "--output
 
 
 def check_clobber(output: Path) -> None:
-    """Fail if the output exists and --no-clobber is given."""
+    """Raise an error if the output exists and --no-clobber is given."""
     if not Clobber.allowed and output.exists():
         raise FileExistsError(17, "exists, and --no-clobber is given", str(output))
 
 
 @contextmanager
 def input_file(path: Path, kind: str | None) -> Iterator[Path]:
-    """Yield a file to read: `path`, or a copy of standard input if the path means that."""
+    """Yield a file to read: `path`, or a copy of standard input if the path is that of a stream."""
     if not is_stream(path):
         yield path
         return
@@ -89,7 +89,7 @@ def input_file(path: Path, kind: str | None) -> Iterator[Path]:
         with raw.open("rb") as stream:
             ending = f".{kind.lstrip('.')}" if kind else _kind(stream.read(_HEAD))
         if ending is None:
-            raise fb.FormatError("-: the kind of the input is not known from its first bytes; name it with --from")
+            raise fb.FormatError("-: the first bytes of the input show no known format; name the format with --from")
         named = raw.with_name(f"standard input{ending}")
         raw.rename(named)
         yield named
@@ -97,7 +97,7 @@ def input_file(path: Path, kind: str | None) -> Iterator[Path]:
 
 @contextmanager
 def output_file(path: Path, kind: str) -> Iterator[Path]:
-    """Yield a file to write: `path`, or a file that is copied to standard output if the path means that."""
+    """Yield a file to write: `path`, or a file that is copied to standard output if the path is that of a stream."""
     if not is_stream(path):
         yield path
         return

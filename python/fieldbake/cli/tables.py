@@ -1,4 +1,4 @@
-"""Tables that describe objects: labels and texts for people, plain values for JSON."""
+"""Descriptions of objects: labels and texts for tables, plain values for JSON."""
 
 from __future__ import annotations
 

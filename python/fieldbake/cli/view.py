@@ -20,7 +20,7 @@ SCENES = (".glb", ".gltf")
 
 @app.command()
 def view(
-    files: Annotated[list[Path], typer.Argument(help="Meshes, volumes, atlases, shapes (.lisp) or scenes.")],
+    files: Annotated[list[Path], typer.Argument(help="Meshes, volumes, atlases, shapes (.csg, .sexpr) or scenes.")],
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="The page, or with several files the folder, to write.")
     ] = None,
@@ -48,7 +48,7 @@ def view(
 
 
 def _read(file: Path) -> Any:
-    """The object of a file."""
+    """Read the object of a file."""
     kind = file.suffix.lower()
     if kind in (".lisp", ".sexpr", ".csg"):
         return fb.csg.parse(file.read_text(encoding="utf-8"))
