@@ -121,7 +121,7 @@ class PartGroup(NamedTuple):
     Attributes
     ----------
     text : str
-        Text of the structure as a compute shader, as of :meth:`Shape.shader`.
+        The field of the structure as a compute shader, in the form of :meth:`Shape.shader`.
     boxes : (n, 2, 3) float64
         Lower and upper corner of the box of each instance, world units.
     numbers : (n, m) float32
@@ -219,7 +219,7 @@ class Parts(list[Part]):
 
 
 def union(*shapes: Shape | Iterable[Shape], k: float = 0.0, chamfer: float = 0.0) -> Shape:
-    """Unite shapes or lists of shapes, with a smooth joint of width `k` or a chamfered joint of width `chamfer`.
+    """Unite shapes or lists of shapes; joints are smooth over `k` or chamfered by `chamfer`, world units.
 
     Examples
     --------
@@ -231,7 +231,7 @@ def union(*shapes: Shape | Iterable[Shape], k: float = 0.0, chamfer: float = 0.0
 
 
 def intersection(*shapes: Shape | Iterable[Shape], k: float = 0.0, chamfer: float = 0.0) -> Shape:
-    """Intersect shapes, with a smooth joint of width `k` or a chamfered joint of width `chamfer`.
+    """Intersect shapes or lists of shapes; joints are smooth over `k` or chamfered by `chamfer`, world units.
 
     Examples
     --------
@@ -243,7 +243,7 @@ def intersection(*shapes: Shape | Iterable[Shape], k: float = 0.0, chamfer: floa
 
 
 def difference(*shapes: Shape | Iterable[Shape], k: float = 0.0, chamfer: float = 0.0) -> Shape:
-    """Subtract the others from the first shape, with a smooth (`k`) or chamfered joint of that width.
+    """Subtract the other shapes from the first; joints are smooth over `k` or chamfered by `chamfer`, world units.
 
     Examples
     --------
@@ -255,7 +255,7 @@ def difference(*shapes: Shape | Iterable[Shape], k: float = 0.0, chamfer: float 
 
 
 def xor(*shapes: Shape | Iterable[Shape], k: float = 0.0, chamfer: float = 0.0) -> Shape:
-    """Take the symmetric difference from left to right, with a smooth (`k`) or chamfered joint of that width.
+    """Take the symmetric difference from left to right; joints are smooth over `k` or chamfered, world units.
 
     Examples
     --------
@@ -291,7 +291,7 @@ def parse(text: str) -> Shape:
     Python name with hyphens and its Python arguments in order, with diameters in place of radii:
     ``(rounded-box x y z r)``, ``(capped-torus outer tube degrees)``, ``(hex-prism d h)``. The radius of a rounded edge
     stays a radius. Profiles: ``(extrude h PROFILE)`` and ``(revolve offset PROFILE)`` with ``(circle d)``,
-    ``(rectangle w h)`` or ``(polygon x y x y ...)``. A wrong count of numbers is answered with the form of the word.
+    ``(rectangle w h)`` or ``(polygon x y x y ...)``. The error for a wrong count of numbers states the right form.
 
     Operators: ``union``, ``inter``, ``diff``, ``xor``; ``(blend union k a b ...)`` and ``(chamfer union k a b ...)``.
     Modifiers: ``move``, ``move-x``, ``rotate`` (a quaternion x y z w), ``rotate-x``, ``scale``, ``flate`` (offset),
@@ -313,7 +313,7 @@ def parse(text: str) -> Shape:
     found = OPENSCAD.match(text)
     if found:
         raise ShapeError(
-            f"text: '{found[1]}' begins a program of OpenSCAD, whose language is another one. "
+            f"text: '{found[1]}' begins a program of OpenSCAD, a language that is not supported. "
             "Write an s-expression such as (diff (cube 3) (sphere 4)), where sizes are full lengths and diameters"
         )
     return Shape._wrap(_core.Shape.parse(text))
