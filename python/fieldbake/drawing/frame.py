@@ -93,7 +93,8 @@ class Frame:
         Returns
         -------
         (h, w, 3) uint8
-            sRGB, scaled from the smallest to the largest value of the frame; grey for pixels without a value.
+            sRGB. The colours span the range from the smallest to the largest value of the frame; pixels without a
+            value are grey.
 
         Raises
         ------
@@ -152,7 +153,7 @@ def srgb_from_linear(linear: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def check_picture(target: Path) -> str:
-    """The kind of picture that the ending of a file names, if it and its folder can be written."""
+    """Return the image format of the ending of a file; raise an error if it or the folder cannot be written."""
     from PIL import Image
 
     kind = Image.registered_extensions().get(target.suffix.lower())
@@ -165,7 +166,7 @@ def check_picture(target: Path) -> str:
 
 
 def save_image(pixels: NDArray[np.uint8], path: str | os.PathLike[str]) -> None:
-    """Write sRGB bytes (h, w, 3 or 4). The file is either complete or not there."""
+    """Write sRGB bytes (h, w, 3 or 4). The file appears only when it is complete."""
     from PIL import Image
 
     target = Path(path)

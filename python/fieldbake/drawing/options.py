@@ -38,6 +38,6 @@ def checked_color(name: str, value: ArrayLike, channels: int) -> NDArray[np.floa
 
 
 def frame_of(result: dict[str, Any]) -> Frame:
-    """Make a frame of the arrays in a result of the core; the other entries become its report."""
+    """Make a frame from a result of the core: arrays become its arrays, and the other entries its report."""
     arrays = {name: value for name, value in result.items() if isinstance(value, np.ndarray)}
     return Frame(arrays, {name: value for name, value in result.items() if name not in arrays})

@@ -35,13 +35,13 @@ def _figure(width: float, height: float) -> Figure:
         raise Error("plots need the package matplotlib: pip install matplotlib") from None
     # pyplot would keep a reference to the figure and may open a window.
     figure = Figure(figsize=(width, min(height, MOST_HEIGHT)), layout="constrained")
-    # Notebooks know figures of pyplot only.
+    # By themselves, notebooks display figures of pyplot only.
     setattr(figure, "_repr_png_", partial(_png, figure))  # noqa: B010
     return figure
 
 
 def _png(figure: Figure) -> bytes:
-    """A figure as PNG, for notebooks."""
+    """Encode a figure as PNG, for notebooks."""
     buffer = BytesIO()
     figure.savefig(buffer, format="png")
     return buffer.getvalue()
@@ -87,7 +87,7 @@ def _draw(place: Axes, x: NDArray[Any], y: NDArray[Any], distances: NDArray[Any]
 def plot_atlas(atlas: Atlas, page: int = 0) -> Figure:
     """Plot the texels of one page with iso-lines at the surface, a frame around each volume, and its index."""
     if not len(atlas.pages):
-        raise Error("the atlas is empty, there is nothing to plot")
+        raise Error("the atlas is empty; add a volume before you plot it")
     page = checks.integer("page", page, least=0, most=len(atlas.pages) - 1)
     from matplotlib.patches import Rectangle
 
@@ -129,7 +129,7 @@ def plot_atlas(atlas: Atlas, page: int = 0) -> Figure:
 
 
 def frame_of(block: Any) -> tuple[int, int, int, int]:
-    """Left, top, width and height of the rectangle of a block, texels."""
+    """Return left, top, width and height of the rectangle of a block, texels."""
     columns, slices = int(block["columns"]), int(block["shape"][2])
     (x, y), (tile_x, tile_y) = block["corner"].tolist(), block["tile"].tolist()
     return x, y, columns * tile_x, -(-slices // columns) * tile_y

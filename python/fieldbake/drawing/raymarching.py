@@ -62,8 +62,8 @@ def raymarch(
     thing : Volume, SparseVolume, ZarrVolume, NestedField, Shape, Scene, Quadric, list of Quadric, or a mesh
         A Scene has its own lights and materials; :func:`render` draws it with ``primary="raymarch"``. Quadrics are
         drawn in closed form, each in its own reflectance, and `object_id` is the index in the list. Meshes are baked
-        first, with 128 voxels along the longest side. A ZarrVolume is drawn from the level of which a voxel covers
-        about a pixel.
+        first, with 128 voxels along the longest side. A ZarrVolume is drawn from the level whose voxels are about as
+        large as a pixel.
     camera : Camera, optional
         The view. The default fits the surface: ``Camera.fit(volume.inner_bounds)``.
     size : (width, height), default (512, 512)
@@ -84,8 +84,8 @@ def raymarch(
         Colour of pixels without a hit, linear RGB and opacity. The default is (0.025, 0.03, 0.04), a dark slate.
     method : "auto", "whole", "aabb" or "octree", default "auto"
         For shapes only: rays are traced through the whole shape or through the parts of
-        :func:`fieldbake.csg.decompose`. ``"auto"`` takes the method with the lowest estimated cost per ray. All methods
-        give the same picture.
+        :func:`fieldbake.csg.decompose`. ``"auto"`` chooses the method with the lowest estimated cost per ray. All
+        methods give the same picture.
     device : str, default "auto"
         ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`.
     progress : bool or callable, optional
@@ -110,9 +110,10 @@ def raymarch(
     A hit is a root of the trilinear field, not a point within some epsilon: in each voxel the field along the ray is
     a cubic polynomial. Surfaces outside the box of the volume are invisible and cast no shadow.
 
-    A shape is hit where a ray is deeper than 1e-6 of its frame, the least power of two that is not below its longest
-    side. A wall thinner than 2e-6 of the frame is not hit, and faces that coincide leave nothing between them. Parts
-    that are marched, and ``method="whole"``, may miss a ray that is inside for less than 3e-5 of the frame.
+    A ray hits a shape where its depth inside exceeds 1e-6 of the frame. The frame is the least power of two that is not
+    below the longest side of the shape. A wall thinner than 2e-6 of the frame is not hit, and no film remains between
+    coincident faces. Sphere tracing, in some parts and with ``method="whole"``, may miss an interval inside that is
+    shorter than 3e-5 of the frame.
 
     Quantised and sparse volumes are read in their stored form, on the CPU and on a graphics device. A device draws
     sparse volumes and nested fields if their sides have at most 16380 voxels in total. It draws nested fields under
@@ -141,7 +142,7 @@ def raymarch(
         own = {"lights": lights, "ambient": ambient, "color": color, "specular": specular, "shininess": shininess}
         for name, value in {**own, "background": background}.items():
             if value is not None:
-                raise SceneError(f"{name}: a Scene brings its own; make the Scene or its Material with it")
+                raise SceneError(f"{name}: does not apply to a Scene; set it in the Scene or in a Material")
         if filter != "linear":
             raise SceneError('filter: scenes are drawn with "linear" only')
         return render(thing, camera, size=size, primary="raymarch", shadows=shadows, device=device, progress=progress)
@@ -171,7 +172,7 @@ def raymarch(
     if isinstance(thing, Shape):
         return _draw_shape(thing, method, options)
     if method != "auto":
-        raise ArgumentError(f"method: {method!r} is for shapes; a volume has one way to be drawn")
+        raise ArgumentError(f"method: {method!r} applies to shapes only, got a {type(thing).__name__}; leave it out")
     if isinstance(thing, NestedField):
         return _draw_nested(thing, options)
     if isinstance(thing, ZarrVolume):
@@ -251,7 +252,7 @@ def _draw_quadrics(quadrics: Sequence[Quadric], options: _Options) -> Frame:
 
 def _draw_shape(shape: Shape, method: Method, options: _Options) -> Frame:
     if options.filter != "linear":
-        raise ArgumentError('filter: "hardware" reads a volume, and this is a shape; bake it first')
+        raise ArgumentError('filter: "hardware" needs a volume, got a Shape; bake it first')
     camera = options.view_of(shape.bounds)
     if options.needs_scene:
         return options.render([shape], camera, "raymarch", options.device)
@@ -293,7 +294,7 @@ def _draw_volume(volume: Volume | SparseVolume, options: _Options) -> Frame:
 
 
 def _draw_zarr(volume: ZarrVolume, options: _Options) -> Frame:
-    """Draw the level of which a voxel covers about a pixel at the near side of the surface's box."""
+    """Draw the level whose voxels are about as large as a pixel at the near side of the box of the surface."""
     camera = options.view_of(volume.inner_bounds)
     nearest = np.clip(camera.eye, *volume.inner_bounds)
     pixel = 2 * np.tan(np.deg2rad(camera.fov_deg) / 2) / options.size[1]
@@ -302,7 +303,7 @@ def _draw_zarr(volume: ZarrVolume, options: _Options) -> Frame:
 
 def _refuse_hardware(options: _Options) -> None:
     if options.filter != "linear":
-        raise ArgumentError('filter: "hardware" goes with directional lights and shadows "hard" or "none"')
+        raise ArgumentError('filter: "hardware" needs a volume, directional lights, and shadows "hard" or "none"')
 
 
 def picture_arguments(
@@ -335,7 +336,7 @@ def picture_arguments(
 
 
 def _lights(lights: Sequence[Light] | None, camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Directions and colours of lights, (k, 3) each."""
+    """Return directions and colours of lights, (k, 3) each."""
     if lights is None:
         lights = [key_light(camera.pose)]
     if not isinstance(lights, Sequence):

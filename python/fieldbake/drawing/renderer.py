@@ -103,12 +103,12 @@ class Renderer:
         self._core = self._scene._core(self._options.fields_of(instances), device)
         # The core has one instance for each quadric of a list.
         self._rows = np.array([len(i.thing) if isinstance(i.thing, tuple) else 1 for i in instances])
-        # The last materials that a frame was given, and their scene in the core.
+        # The materials of the last frame that replaced any, and the scene of the core with them.
         self._varied: tuple[tuple[Material | None, ...], _core.Scene] | None = None
 
     @property
     def scene(self) -> Scene:
-        """The scene, as the renderer was given it."""
+        """The scene that the renderer was made with."""
         return self._scene
 
     @property
@@ -132,7 +132,7 @@ class Renderer:
         transforms: ArrayLike | Sequence[ArrayLike | None] | None = None,
         materials: Sequence[Material | None] | None = None,
     ) -> Frame:
-        """Draw one frame. What a frame is given holds for this frame only; None is the scene's own.
+        """Draw one frame. The arguments apply to this frame only; None selects the property of the scene.
 
         Parameters
         ----------
@@ -169,7 +169,7 @@ class Renderer:
         return self._options.draw(self._renderer, core, self._scene, camera, lights, bounds)
 
     def frames(self, cameras: Iterable[Camera]) -> Iterator[Frame]:
-        """Draw a frame for each camera, when the iterator is advanced.
+        """Draw a frame for each camera. Each frame is drawn when the iterator is advanced.
 
         Parameters
         ----------
@@ -184,7 +184,7 @@ class Renderer:
         Raises
         ------
         SceneError
-            If `cameras` is not iterable, and for an item that is not a Camera when its frame is due.
+            If `cameras` is not iterable; and, when its frame is drawn, for an item that is not a Camera.
         """
         try:
             views = iter(cameras)

@@ -119,7 +119,7 @@ class Options:
     ) -> Frame:
         """Draw the scene `core`, which has the objects of `scene` and these bounds.
 
-        None is the default camera of the scene, and the default light of the camera.
+        The camera None is the default camera of the scene, and the lights None are the default light of the camera.
         """
         width, height = self.size
         if camera is None:
@@ -166,7 +166,7 @@ def checked_camera(camera: Camera | None) -> Camera | None:
 
 
 def _frame_of(result: dict[str, Any], scene: Scene, lights: int) -> Frame:
-    """Make a frame of the arrays in a result of the core; the other entries become its report."""
+    """Make a frame from a result of the core: arrays become its arrays, and the other entries its report."""
     arrays = {name: value for name, value in result.items() if isinstance(value, np.ndarray)}
     seconds = result["seconds"]
     report = {
