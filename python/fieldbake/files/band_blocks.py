@@ -53,7 +53,7 @@ class BandBlocks:
 def blocks_of_grid(
     distances: NDArray[np.float32], origin: NDArray[np.float64], spacing: NDArray[np.float64], band: float
 ) -> BandBlocks:
-    """The blocks of a dense grid (nx, ny, nz); it is read in slabs of eight slices."""
+    """Divide a dense grid (nx, ny, nz) into blocks. The grid is read in slabs of eight slices."""
     nx, ny, nz = distances.shape
     bx, by, bz = (-(-side // SIDE) for side in distances.shape)
     width = np.float32(band)

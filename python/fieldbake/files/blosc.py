@@ -63,7 +63,7 @@ def _unpack_lz4(packed: memoryview, size: int) -> bytes:
         token = cursor.one("B")
         content += cursor.take(_length(cursor, token >> 4))
         if len(content) > size:
-            raise FormatError("an LZ4 block is longer than it says")
+            raise FormatError("an LZ4 block is longer than its header states")
         if cursor.at == len(packed):
             break
         offset = cursor.one("<H")
@@ -75,7 +75,7 @@ def _unpack_lz4(packed: memoryview, size: int) -> bytes:
         # A copy may overlap the bytes that it produces; then it repeats.
         content += (piece * (length // len(piece) + 1))[:length]
     if len(content) != size:
-        raise FormatError("an LZ4 block is shorter than it says")
+        raise FormatError("an LZ4 block is shorter than its header states")
     return bytes(content)
 
 

@@ -80,7 +80,7 @@ def head(kind: str, encoding: str = "float32") -> dict[str, Any]:
 
 
 def write(path: str | os.PathLike[str], header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
-    """Write an archive of a header and arrays. The file is either complete or not there."""
+    """Write an archive of a header and arrays. The file appears only when it is complete."""
     target = Path(path)
     check_ending(target, header["kind"])
     members: dict[str, Any] = {"header": np.array(json.dumps(header)), **arrays}
@@ -150,9 +150,9 @@ def members(archive: zipfile.ZipFile, size: int) -> dict[str, zipfile.ZipInfo]:
     members: dict[str, zipfile.ZipInfo] = {}
     for info in archive.infolist():
         if info.filename in members:
-            raise FormatError(f"member '{info.filename}' is there twice")
+            raise FormatError(f"member '{info.filename}' appears twice")
         if info.compress_type != zipfile.ZIP_STORED or info.flag_bits & 1:
-            raise FormatError(f"member '{info.filename}' is compressed or encrypted; ours are stored plainly")
+            raise FormatError(f"member '{info.filename}' is compressed or encrypted; fieldbake writes neither")
         if info.file_size != info.compress_size or not 0 <= info.header_offset <= size - info.file_size:
             raise FormatError(f"member '{info.filename}' claims {info.file_size} bytes, the file has {size}")
         members[info.filename] = info
@@ -170,7 +170,7 @@ def read_header(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo]) -
         raise FormatError(f"is not a fieldbake file: its header is {checks.describe(text)}")
     header = json.loads(str(text))
     if not isinstance(header, dict):
-        raise FormatError("is not a fieldbake file: its header does not say so")
+        raise FormatError("is not a fieldbake file: its header does not name the format")
     check_version(header)
     return header
 
@@ -178,7 +178,7 @@ def read_header(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo]) -
 def check_version(header: dict[str, Any]) -> None:
     """Check that fieldbake wrote the file and that this version can read it."""
     if header.get("format") != "fieldbake":
-        raise FormatError("is not a fieldbake file: its header does not say so")
+        raise FormatError("is not a fieldbake file: its header does not name the format")
     version = header.get("version")
     if not isinstance(version, int) or isinstance(version, bool) or version < 1:
         raise FormatError(f"the header's version is {version!r}")
@@ -190,7 +190,7 @@ def check_version(header: dict[str, Any]) -> None:
 
 
 def read_array(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], name: str) -> NDArray[Any]:
-    """Read one .npy member; memory is allocated only after its size was checked."""
+    """Read one .npy member. Its size is checked before memory is allocated."""
     if name not in members:
         raise FormatError(f"member '{name}' is missing")
     with archive.open(members[name]) as stream:
@@ -200,7 +200,7 @@ def read_array(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], na
         read = npy.read_array_header_1_0 if major == 1 else npy.read_array_header_2_0
         shape, fortran_order, dtype = read(stream)
         if dtype.hasobject or dtype.kind not in "fiuU":
-            raise FormatError(f"member '{name}' holds {dtype}, which is never read")
+            raise FormatError(f"member '{name}' holds {dtype}, a type that no fieldbake file has")
         # Python integers do not overflow for a huge shape.
         expected = dtype.itemsize
         for side in shape:

@@ -28,28 +28,28 @@ class Cursor:
         self.at = at
 
     def take(self, count: int) -> memoryview:
-        """The next `count` bytes."""
+        """Return the next `count` bytes."""
         if not 0 <= count <= len(self.data) - self.at:
             raise FormatError(f"{count} bytes from byte {self.at} on are not in the file, which has {len(self.data)}")
         start, self.at = self.at, self.at + count
         return self.data[start : self.at]
 
     def unpack(self, layout: str) -> tuple[Any, ...]:
-        """The next values of a struct."""
+        """Return the next values, of a struct with this layout."""
         return struct.unpack(layout, self.take(struct.calcsize(layout)))
 
     def one(self, layout: str) -> Any:
-        """The next value."""
+        """Return the next value, of this layout."""
         (value,) = self.unpack(layout)
         return value
 
     def array(self, count: int, kind: str) -> NDArray[Any]:
-        """The next `count` numbers; a view of the bytes."""
+        """Return the next `count` numbers as a view of the bytes."""
         return np.frombuffer(self.take(count * np.dtype(kind).itemsize), kind)
 
 
 def inflate(packed: bytes | memoryview, size: int, window: int = 15) -> bytes:
-    """The `size` bytes in a zlib stream. Unpacking stops at that size."""
+    """Unpack a zlib stream of `size` bytes. Unpacking stops at that size."""
     unpacker = zlib.decompressobj(window)
     try:
         content = unpacker.decompress(packed, size)

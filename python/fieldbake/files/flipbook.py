@@ -1,9 +1,9 @@
 """Flipbook sheets: the slices of a field as tiles of one ``.exr`` image, which engines cut into a 3D texture.
 
 Slice z is the tile in column ``z % columns`` of row ``z // columns``, counted from the top left corner. Within a tile
-x runs to the right, and y downwards (the order of the samples in memory) or upwards (for Unity, which turns images
-over). Beside the sheet lie the facts as JSON and, for Unity and Godot, the settings with which they import it. These
-switch off sRGB, compression and mipmaps, which would change the distances.
+x runs to the right, and y downwards (the order of the samples in memory) or upwards (for Unity, which flips images
+vertically). Beside the sheet lie the metadata as JSON and, for Unity and Godot, the import settings. They switch
+off sRGB, compression and mipmaps, which would change the distances.
 """
 
 from __future__ import annotations
@@ -57,10 +57,10 @@ class Sheet:
 
 
 def arrange(shape: tuple[int, int, int], columns: int | None, *, upwards: bool) -> Sheet:
-    """Choose the most nearly square sheet, or one with as many columns as are wanted.
+    """Choose the most nearly square sheet, or the sheet with the given number of columns.
 
-    A sheet without empty tiles is preferred, for engines count all tiles as slices. There may be none, as for a prime
-    number of slices.
+    A sheet without empty tiles is preferred, because engines count all tiles as slices. A prime number of slices has
+    only sheets of one row or one column without empty tiles, which may exceed `MAX_SIDE`.
     """
     nx, ny, nz = shape
     if columns is None:
@@ -78,9 +78,9 @@ def arrange(shape: tuple[int, int, int], columns: int | None, *, upwards: bool) 
 
 
 def read_sheet(facts: Any, shape: list[int]) -> Sheet:
-    """The arrangement that a file states, if it fits a field of this shape."""
+    """Read the arrangement from the metadata of a file, and check that it fits a field of this shape."""
     if not isinstance(facts, dict) or len(shape) != 3 or not all(type(n) is int and 0 < n <= MAX_SIDE for n in shape):
-        raise FormatError("the facts do not describe a sheet")
+        raise FormatError("the metadata does not describe a sheet")
     columns, rows = facts.get("columns"), facts.get("rows")
     if type(columns) is not int or type(rows) is not int or columns < 1 or rows != -(-shape[2] // columns):
         raise FormatError(f"a sheet of {columns} columns and {rows} rows does not fit {shape[2]} slices")
@@ -91,7 +91,7 @@ def read_sheet(facts: Any, shape: list[int]) -> Sheet:
 
 
 def to_pixels(samples: NDArray[Any], sheet: Sheet) -> NDArray[Any]:
-    """The image (height, width) of samples (nx, ny, nz); empty tiles repeat the last slice."""
+    """Arrange samples (nx, ny, nz) as an image (height, width). Empty tiles repeat the last slice."""
     nx, ny, nz = sheet.shape
     tiles = np.empty((sheet.rows * sheet.columns, ny, nx), samples.dtype)
     tiles[:nz] = samples.T[:, ::-1] if sheet.upwards else samples.T
@@ -101,7 +101,7 @@ def to_pixels(samples: NDArray[Any], sheet: Sheet) -> NDArray[Any]:
 
 
 def from_pixels(pixels: NDArray[Any], sheet: Sheet) -> NDArray[Any]:
-    """The samples (nx, ny, nz) of an image, x fastest."""
+    """Extract the samples (nx, ny, nz), x fastest, from an image (height, width)."""
     nx, ny, nz = sheet.shape
     tiles = pixels.reshape(sheet.rows, ny, sheet.columns, nx).transpose(0, 2, 1, 3).reshape(-1, ny, nx)[:nz]
     return np.asfortranarray((tiles[:, ::-1] if sheet.upwards else tiles).T)

@@ -22,9 +22,9 @@ class GridSamples:
     origin, spacing : (3,) float64
         Centre of voxel (0, 0, 0) and size of a voxel, world units.
     facts : dict or None
-        What fieldbake wrote about the field; None in files of other programs.
+        Metadata that fieldbake wrote; None in files of other programs.
     band : float
-        Magnitude beyond which distances are cut off, world units; 0 if they are not.
+        Magnitude to which larger distances are clamped, world units; 0 if they are not clamped.
     """
 
     samples: NDArray[np.float32]
@@ -41,14 +41,14 @@ class GridSamples:
 
 
 def checked_count(sizes: list[int]) -> int:
-    """Number of samples of a grid with these sides."""
+    """Compute the number of samples of a grid with these sides, or raise FormatError for invalid sides."""
     if len(sizes) != 3 or not all(0 < n < 2**31 for n in sizes):
         raise FormatError(f"a grid must have three sides, got {sizes}")
     return sizes[0] * sizes[1] * sizes[2]
 
 
 def as_samples(values: NDArray[Any], sizes: list[int]) -> NDArray[np.float32]:
-    """Numbers in the order x fastest as finite float32 samples (nx, ny, nz)."""
+    """Convert numbers with x fastest to float32 samples (nx, ny, nz), or raise FormatError if one is not finite."""
     with np.errstate(over="ignore", invalid="ignore"):
         samples = np.array(values, np.float32).reshape(sizes, order="F")
     if not np.isfinite(samples).all():

@@ -1,8 +1,8 @@
 """NanoVDB files, ABI 32: the writer of level sets for warp, Omniverse and fVDB.
 
-A file has a header, the facts of the grid, its name and the grid itself. The grid is one block of memory, as a program
-maps it: grid, tree and root records, then all upper nodes, all lower nodes and all leaves. An internal node refers to a
-child by the offset in bytes from itself.
+A file has a header, the metadata of the grid, its name and the grid itself. The grid is one block of memory, as a
+program maps it: grid, tree and root records, then all upper nodes, all lower nodes and all leaves. An internal node
+refers to a child by the offset in bytes from itself.
 
 Source: ``NanoVDB.h`` of OpenVDB, whose comments give the offset of every member.
 """
@@ -177,13 +177,13 @@ class _Tree:
 
     @property
     def box(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """The first and the last index of the active voxels; equal if there are none."""
+        """First and last index of the active voxels, (3,) each; both are zero if there are none."""
         if not len(self.uppers):
             return np.zeros(3, np.int64), np.zeros(3, np.int64)
         return self.uppers["lowest"].min(axis=0).astype(np.int64), self.uppers["highest"].max(axis=0).astype(np.int64)
 
     def write(self, stream: IO[bytes]) -> None:
-        """The records of the tree and the root, and the nodes."""
+        """Write the records of the tree and the root, and the nodes of each level."""
         uppers_at = TREE_BYTES + ROOT_BYTES + TILE_BYTES * len(self.uppers)
         lowers_at = uppers_at + self.uppers.nbytes
         offsets = (lowers_at + self.lowers.nbytes, lowers_at, uppers_at, TREE_BYTES)

@@ -29,14 +29,14 @@ from .openvdb_reader import FARTHEST, VdbGrid, child_corner
 #: "NanoVDB" followed by a digit.
 _MAGIC = b"NanoVDB"
 _ABI = 32
-#: Offset and bytes of the facts of a grid in the header of a file.
+#: Bytes of the header of a file and of the metadata of a grid, and offset of the size of the name in the metadata.
 _HEADER_BYTES, _FACTS_BYTES, _NAME_SIZE_AT = 16, 176, 136
 #: Offsets in the record of a grid.
 _MAP_AT, _CLASS_AT = 296, 632
 
 
 def read(data: bytes) -> VdbGrid:
-    """The first float grid of a file."""
+    """Read the only grid of a file, which holds floats."""
     cursor = Cursor(data)
     magic, version, count, codec = cursor.unpack("<8sI2H")
     if magic[:7] != _MAGIC:

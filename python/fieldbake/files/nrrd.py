@@ -53,7 +53,7 @@ _GZIP_WINDOW = 31
 
 
 def write(stream: IO[bytes], grid: GridSamples, *, compressed: bool) -> None:
-    """Write a grid; its facts are JSON, the value of the key ``fieldbake``."""
+    """Write a grid. Its metadata is JSON, the value of the key ``fieldbake``."""
     directions = " ".join(
         "(" + ",".join(repr(float(grid.spacing[axis])) if axis == row else "0" for axis in range(3)) + ")"
         for row in range(3)
@@ -83,7 +83,7 @@ def write(stream: IO[bytes], grid: GridSamples, *, compressed: bool) -> None:
 
 
 def read(data: bytes) -> GridSamples:
-    """The grid of a file."""
+    """Read the grid of a file."""
     head, _, content = data[:MAX_HEADER_BYTES].partition(b"\n\n")
     content = data[len(head) + 2 :]
     lines = head.decode("utf-8", "replace").replace("\r", "").split("\n")
@@ -140,13 +140,13 @@ def _numbers(text: str) -> NDArray[np.float64]:
 
 
 def _place(header: dict[str, str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Centre of the first sample and size of a voxel."""
+    """Read the centre of the first sample and the size of a voxel, (3,) each."""
     if "space directions" in header:
         rows = [_numbers(text) for text in _VECTOR.findall(header["space directions"])]
         directions = np.array(rows).reshape(-1, 3)
         spacing = np.diag(directions) if directions.shape == (3, 3) else np.zeros(3)
         if not np.array_equal(directions, np.diag(spacing)):
-            raise FormatError("the axes of the grid are rotated or sheared; resample it onto an upright grid")
+            raise FormatError("the axes of the grid are rotated or sheared; resample it onto an axis-aligned grid")
         origin = _numbers(header["space origin"].strip("() ")) if "space origin" in header else np.zeros(3)
     else:
         spacing = _numbers(header["spacings"]) if "spacings" in header else np.ones(3)

@@ -88,7 +88,7 @@ def _halved(value: float) -> float:
 
 
 def mask_bytes(mask: NDArray[np.bool_]) -> bytes:
-    """A node mask: bit n of the bytes is entry n, the lowest bit first."""
+    """Pack a node mask: bit n of the bytes is entry n, the lowest bit first."""
     return np.packbits(mask.reshape(-1), bitorder="little").tobytes()
 
 
@@ -109,7 +109,7 @@ class _Writer:
         self.stream.write(content)
 
     def metadata(self, facts: Mapping[str, Any]) -> None:
-        """Names, types and values; a value is preceded by its size."""
+        """Write names, types and values; each value follows its size."""
         self.put("<I", len(facts))
         for name, value in facts.items():
             self.text(name)
@@ -126,7 +126,7 @@ class _Writer:
             self.stream.write(content)
 
     def transform(self) -> None:
-        """The map from index to world: the position of a voxel's index is its centre."""
+        """Write the map from index to world, in which the index of a voxel is at its centre."""
         scale = self.blocks.spacing
         if np.allclose(scale, scale[0], rtol=1e-9):
             self.text("UniformScaleTranslateMap")
@@ -136,7 +136,7 @@ class _Writer:
             self.put("<3d", *vector)
 
     def values(self, values: NDArray[np.float32], active: NDArray[np.bool_]) -> None:
-        """The values of a node, flat. A value that is not active is +band, -band or, for a child, 0."""
+        """Write the values of a node, flat. A value that is not active is +band, -band or, for a child, 0."""
         if self.compression & ACTIVE_MASK:
             self.stream.write(bytes([ACTIVE_AND_SIGNS]) + mask_bytes(~active & (values > 0)))
             values = values[active]
@@ -159,7 +159,7 @@ class _Writer:
             self.stream.write(packed if content else b"")
 
     def tree(self, active: NDArray[np.bool_]) -> int:
-        """Topology and voxels; returns the offset of the voxels."""
+        """Write topology and voxels, and return the offset of the voxels."""
         lowers = _lower_nodes(self.blocks)
         uppers: dict[tuple[int, int, int], dict[int, _LowerNode]] = {}
         for place, node in lowers.items():
@@ -195,7 +195,7 @@ class _Writer:
         return voxels_at
 
     def node(self, children: NDArray[np.bool_], values: NDArray[np.float32]) -> None:
-        """The masks and the values of an internal node; no tile is active."""
+        """Write the masks and the values of an internal node, in which no tile is active."""
         nothing = np.zeros(len(children), np.bool_)
         self.stream.write(mask_bytes(children) + mask_bytes(nothing))
         self.values(values, nothing)
@@ -214,7 +214,7 @@ class _LowerNode:
 
 
 def _lower_nodes(blocks: BandBlocks) -> dict[tuple[int, int, int], _LowerNode]:
-    """Lower nodes with a block that is stored or lies inside. The key is the position in units of the node's size."""
+    """Make the lower nodes with a block that is stored or inside. The key is the position in units of the node size."""
     counts = [-(-side // LOWER) for side in blocks.inside.shape]
     padded = np.zeros([count * LOWER for count in counts], np.bool_)
     padded[tuple(slice(side) for side in blocks.inside.shape)] = blocks.inside

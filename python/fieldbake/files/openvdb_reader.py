@@ -91,7 +91,7 @@ class VdbGrid:
         return low, high
 
     def dense(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> NDArray[np.float32]:
-        """The values of all voxels from index `low` to index `high`, x fastest."""
+        """Make an array of the values of all voxels from index `low` to index `high`, both included, x fastest."""
         shape = [int(n) for n in high - low + 1]
         count = shape[0] * shape[1] * shape[2]
         if min(shape) < 1 or count > max(LEAST_VOXELS, VOXELS_PER_BYTE * self.file_bytes):
@@ -126,7 +126,7 @@ def _overlap(corner: Any, side: int, low: Any, shape: list[int]) -> tuple[Any, A
 
 
 def read(data: bytes) -> VdbGrid:
-    """The level set of a file, or its first float grid."""
+    """Read the level set of a file, or its first float grid."""
     cursor = Cursor(data)
     if bytes(cursor.take(8)) != MAGIC:
         raise FormatError("is not an OpenVDB file")
@@ -192,7 +192,7 @@ class _Reader:
         self.background = np.float32(0)
 
     def read(self) -> None:
-        """Map, topology and voxels."""
+        """Read the map, the topology and the voxels."""
         self._map()
         cursor = self.cursor
         if cursor.one("<I") != 1:
@@ -225,7 +225,7 @@ class _Reader:
             matrix = self.cursor.array(16, "<f8").reshape(4, 4)
             linear, origin = matrix[:3, :3], matrix[3, :3]
             if not np.array_equal(linear, np.diag(np.diag(linear))):
-                raise FormatError("the grid is rotated or sheared; resample it onto an upright grid")
+                raise FormatError("the grid is rotated or sheared; resample it onto an axis-aligned grid")
             scale = np.diag(linear)
         elif kind in _MAPS:
             is_moved, count = _MAPS[kind]
@@ -243,7 +243,7 @@ class _Reader:
         return np.unpackbits(bits, bitorder="little").view(np.bool_)
 
     def _values(self, active: NDArray[np.bool_]) -> NDArray[np.float32]:
-        """The values of a node; see ``readCompressedValues`` of OpenVDB."""
+        """Read the values of a node; see ``readCompressedValues`` of OpenVDB."""
         rule = self.cursor.one("b")
         if not BACKGROUND <= rule <= ALL_VALUES:
             raise FormatError(f"a node stores its values by the unknown rule {rule}")

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-#: Size of a block before compression, bytes: large beside the 32 KiB that a stream looks back.
+#: Size of a block before compression, bytes: large compared with the window of deflate, 32 KiB.
 BLOCK_BYTES = 4 << 20
 
 #: Filter "up" of the PNG specification: each byte minus the byte above it.
@@ -39,7 +39,7 @@ def write_grey(pixels: NDArray[Any]) -> bytes:
     header = struct.pack(">IIBBBBB", width, height, 8 * pixels.itemsize, 0, 0, 0, 0)
     chunks = [_chunk(b"IHDR", header), _chunk(b"IDAT", b"\x78\x01")]
     chunks += [_chunk(b"IDAT", stream) for _, stream in blocks]
-    # Two bytes end the stream: an empty block with the mark of the last.
+    # Two bytes end the stream: an empty block that is marked as the last.
     chunks += [_chunk(b"IDAT", b"\x03\x00" + struct.pack(">I", checksum)), _chunk(b"IEND", b"")]
     return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 

@@ -37,10 +37,10 @@ def read_beside(path: Path) -> dict[str, Any]:
 def parse(text: str | bytes) -> dict[str, Any]:
     """Parse the metadata in a JSON text."""
     if len(text) > MAX_SIDECAR_BYTES:
-        raise FormatError("the facts are too long")
+        raise FormatError("the metadata is too long")
     facts = json.loads(text) if text else None
     if not isinstance(facts, dict):
-        raise FormatError("is not a fieldbake file: it has no facts of ours")
+        raise FormatError("is not a fieldbake file: its metadata is missing")
     return facts
 
 
@@ -48,4 +48,4 @@ def expect(facts: dict[str, Any], kind: str) -> None:
     """Check that metadata belongs to a file of this kind and of a known version."""
     check_version(facts)
     if facts.get("kind") != kind:
-        raise FormatError(f"holds something else than a {kind}: {str(facts.get('kind'))[:60]}")
+        raise FormatError(f"must hold a {kind}, got the kind {str(facts.get('kind'))[:60]}")

@@ -27,7 +27,7 @@ VULKAN = {"float32": 100, "float16": 76, "snorm16": 71, "snorm8": 10, "unorm8": 
 KTX_MAGIC = b"\xabKTX 20\xbb\r\n\x1a\n"
 #: Offset of the level index, bytes of an entry, and most levels of a texture.
 KTX_LEVELS_AT, KTX_LEVEL_BYTES, MAX_LEVELS = 80, 24, 31
-#: Keys of the facts and of the directions of x, y and z: right, up, and out of the picture ("o") or into it ("i").
+#: Keys of the metadata and of the directions of x, y and z: right, up, and out of the picture ("o") or into it ("i").
 KTX_FACTS, KTX_ORIENTATION = b"fieldbake", b"KTXorientation"
 
 DDS_MAGIC, DDS_HEADER_BYTES, DDS_START = b"DDS ", 124, 148
@@ -47,7 +47,7 @@ class Texture:
     levels : list of (nx, ny, nz) arrays
         Texels, x fastest; each level has half the sides of the one before, rounded down, at least 1.
     facts : str
-        JSON about the field; empty in files that cannot hold it.
+        Metadata of the field as JSON; empty in formats that cannot store it.
     """
 
     encoding: str
@@ -91,7 +91,7 @@ def write_dds(stream: IO[bytes], texture: Texture) -> None:
 
 
 def read_dds(data: bytes) -> Texture:
-    """The texture of a DDS file with the extended header."""
+    """Read the texture of a DDS file with the extended header."""
     cursor = Cursor(data)
     if bytes(cursor.take(4)) != DDS_MAGIC:
         raise FormatError("is not a DDS file")
@@ -143,7 +143,7 @@ def write_ktx2(stream: IO[bytes], texture: Texture, orientation: str, writer: st
 
 
 def _descriptor(encoding: str) -> bytes:
-    """The data format descriptor: one basic block with one linear red sample."""
+    """Make the data format descriptor: one basic block with one linear red sample."""
     dtype = TEXTURE_DTYPES[encoding]
     bits, qualifiers = 8 * dtype.itemsize, 0
     if dtype.kind == "f":
@@ -160,7 +160,7 @@ def _descriptor(encoding: str) -> bytes:
 
 
 def read_ktx2(data: bytes) -> Texture:
-    """The texture of a KTX2 file without supercompression."""
+    """Read the texture of a KTX2 file without supercompression."""
     cursor = Cursor(data)
     if bytes(cursor.take(12)) != KTX_MAGIC:
         raise FormatError("is not a KTX2 file")

@@ -34,7 +34,7 @@ def write(stream: IO[bytes], samples: NDArray[np.float32]) -> None:
 
 
 def read(data: bytes) -> NDArray[np.float32]:
-    """The samples of a file."""
+    """Read the samples of a file, (nx, ny, nz)."""
     cursor = Cursor(data)
     magic = bytes(cursor.take(4))
     if magic == b"VF_V":

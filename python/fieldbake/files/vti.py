@@ -44,7 +44,7 @@ _APPENDED = re.compile(rb'<AppendedData\s+encoding="(raw|base64)"\s*>\s*_')
 
 
 def write(stream: IO[bytes], grid: GridSamples, *, compressed: bool) -> None:
-    """Write a grid; its facts are JSON, the text array ``fieldbake`` of the field data."""
+    """Write a grid. Its metadata is JSON, in the text array ``fieldbake`` of the field data."""
     extent = " ".join(f"0 {side - 1}" for side in grid.samples.shape)
     codes = " ".join(map(str, [*json.dumps(grid.facts).encode(), 0]))
     compressor = f' compressor="{_ZLIB}"' if compressed else ""
@@ -78,7 +78,7 @@ def _words(vector: NDArray[np.float64]) -> str:
 
 
 def read(data: bytes) -> GridSamples:
-    """The grid of a file, and its point data named ``distances``; without that name, its first numbers."""
+    """Read the grid of a file: the point data named ``distances``, or else the first numeric array."""
     start = _APPENDED.search(data)
     is_raw = start is not None and start[1] == b"raw"
     text = data if start is None else data[: start.start()] + b"</VTKFile>"
@@ -97,7 +97,7 @@ def read(data: bytes) -> GridSamples:
     if pieces[0].get("Extent") not in (None, image.get("WholeExtent")):
         raise FormatError("the piece does not have the whole extent")
     if image.get("Direction") is not None and not np.array_equal(_vector(image, "Direction", 9), np.eye(3).reshape(-1)):
-        raise FormatError("the grid is rotated; resample it onto an upright grid")
+        raise FormatError("the grid is rotated; resample it onto an axis-aligned grid")
     spacing, origin = _vector(image, "Spacing", 3), _vector(image, "Origin", 3)
     if not (spacing > 0).all():
         raise FormatError(f"the voxels have the size {spacing.tolist()}")
@@ -160,7 +160,7 @@ class _Arrays:
         self.is_packed = compressor == _ZLIB
 
     def numbers(self, array: Any, count: int) -> NDArray[Any]:
-        """The `count` numbers of a data array."""
+        """Read the `count` numbers of a data array."""
         dtype = np.dtype(self.order + _TYPES[array.get("type")])
         form = array.get("format", "ascii")
         if form == "ascii":
