@@ -1,8 +1,9 @@
 """Readers of the formats that other programs share: grids and textures of volumes, images of atlases.
 
 The writers are in ``volumes/writers.py`` and ``atlases/images.py``, and the layouts of the files in ``files/``. A file
-of another program, without facts of fieldbake's, has the box that its grid has. The JSON beside ``name.exr`` is
-``name.exr.json``. Sizes are compared with each other and with the bytes of the file before anything is unpacked.
+of another program has no metadata of fieldbake, and the box of the volume is that of its grid. The JSON beside
+``name.exr`` is ``name.exr.json``. Sizes are compared with each other and with the bytes of the file before anything is
+unpacked.
 """
 
 from __future__ import annotations
@@ -60,10 +61,10 @@ def _read_texture(path: Path, data: bytes) -> Volume:
 
 
 def _decoded(texels: NDArray[Any], encoding: str, facts: dict[str, Any]) -> Volume:
-    """The volume of texels (nx, ny, nz) with the facts of their file; it keeps an encoding that volumes have."""
+    """Make the volume of texels (nx, ny, nz) with the metadata of their file. Encodings other than unorm8 are kept."""
     sidecar.expect(facts, "volume texture")
     if facts.get("encoding") != encoding:
-        raise FormatError(f"the texels are {encoding}, their facts are of {str(facts.get('encoding'))[:40]}")
+        raise FormatError(f"the texels are {encoding}, the metadata states {str(facts.get('encoding'))[:40]}")
     if encoding == "float32":
         return _own(texels, facts)
     scale = read_scale(facts, "snorm8" if encoding == "unorm8" else encoding)
@@ -83,7 +84,7 @@ def _read_level_set(data: bytes) -> GridSamples:
 
 
 def _on_grid(grid: VdbGrid, facts: dict[str, Any] | None) -> GridSamples:
-    """The dense grid of a tree: that of the facts if they fit, else the active voxels and one around them."""
+    """Make the dense grid of a tree: the grid of the metadata if it fits, else the active voxels and one around."""
     band = grid.background if grid.kind == "level set" else 0.0
     window = None if facts is None else _window_of(grid, facts)
     if window is None:
@@ -94,11 +95,11 @@ def _on_grid(grid: VdbGrid, facts: dict[str, Any] | None) -> GridSamples:
 
 
 def _window_of(grid: VdbGrid, facts: dict[str, Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
-    """First and last voxel of the grid in the facts; None if another program has moved or scaled the tree."""
+    """Find the first and last voxel of the grid in the metadata; None if another program moved or scaled the tree."""
     box = read_facts(facts)[0]
     sizes = facts.get("resolution")
     if not isinstance(sizes, list) or len(sizes) != 3 or not all(type(n) is int and 0 < n < 2**31 for n in sizes):
-        raise FormatError(f"the facts are of {str(sizes)[:60]} voxels")
+        raise FormatError(f"the metadata states {str(sizes)[:60]} voxels")
     spacing = (box[1] - box[0]) / sizes
     first = (box[0] + spacing / 2 - grid.origin) / spacing
     is_near = np.abs(first - np.rint(first)).max() <= 1e-3 and np.abs(first).max() <= openvdb_reader.FARTHEST
@@ -109,10 +110,10 @@ def _window_of(grid: VdbGrid, facts: dict[str, Any]) -> tuple[NDArray[np.int64],
 
 
 def _own(samples: NDArray[np.float32], facts: dict[str, Any], band: float = 0.0) -> Volume:
-    """A volume of samples and the facts that fieldbake wrote about them."""
+    """Make a volume of samples and the metadata that fieldbake wrote."""
     sidecar.expect(facts, "volume texture")
     if facts.get("resolution") != list(samples.shape):
-        raise FormatError(f"the samples are {samples.shape}, their facts are of {str(facts.get('resolution'))[:60]}")
+        raise FormatError(f"the samples are {samples.shape}, the metadata states {str(facts.get('resolution'))[:60]}")
     bounds, inner, report = read_facts(facts)
     if band:
         report = replace(report, band=min(band, report.band or band))
@@ -123,7 +124,7 @@ def _own(samples: NDArray[np.float32], facts: dict[str, Any], band: float = 0.0)
 
 
 def _placed(grid: GridSamples) -> Volume:
-    """A volume of a grid; without facts its box is that of the grid."""
+    """Make a volume of a grid. Without metadata its box is that of the grid."""
     if grid.facts is not None:
         return _own(grid.samples, grid.facts, grid.band)
     try:
@@ -134,7 +135,7 @@ def _placed(grid: GridSamples) -> Volume:
 
 
 def load_sheet(path: Path) -> Volume | Atlas:
-    """Read an .exr image: the sheet of a volume or the pages of an atlas, as its sidecar says."""
+    """Read an .exr image: the sheet of a volume or the pages of an atlas, as its sidecar states."""
     facts = sidecar.read_beside(path)
     if facts.get("kind") != "volume texture":
         return load_image(path)
@@ -214,9 +215,9 @@ def _read_png(path: Path, width: int, height: int, encoding: str) -> NDArray[Any
         with PngImageFile(io.BytesIO(path.read_bytes())) as image:
             modes = ("L",) if texel.itemsize == 1 else ("I;16", "I")
             if image.size != (width, height) or image.mode not in modes:
-                told = f"{image.size} {image.mode}, its facts are of {(width, height)} {encoding}"
+                told = f"{image.size} {image.mode}, the metadata states {(width, height)} {encoding}"
                 raise FormatError(f"the image is {told}")
             values = np.asarray(image).astype(np.int32)
-    except (OSError, SyntaxError) as error:  # Pillow's words for a damaged file
+    except (OSError, SyntaxError) as error:  # Pillow raises these for a damaged file
         raise FormatError(f"the image is damaged ({error})") from None
     return (values - (1 << (8 * texel.itemsize - 1))).astype(texel)

@@ -29,7 +29,7 @@ def read_archive(archive: zipfile.ZipFile, size: int) -> Volume | SparseVolume |
     header = read_header(archive, found)
     reader = _READERS.get(str(header.get("kind")))
     if reader is None:
-        raise FormatError(f"holds something else than a volume: {str(header.get('kind'))[:60]}")
+        raise FormatError(f"must hold a field or an atlas, got the kind {str(header.get('kind'))[:60]}")
     try:
         return reader(archive, found, header)
     except ArgumentError as error:
@@ -116,7 +116,7 @@ def _check_samples(header: dict[str, Any], samples: NDArray[Any], encoding: str,
         wanted = "(nx, ny, nz)" if ndim == 3 else "(n, 8, 8, 8)"
         raise FormatError(f"distances must be {dtype} of shape {wanted}, got {checks.describe(samples)}")
     if ndim == 3 and header.get("resolution") != list(samples.shape):
-        raise FormatError(f"the header says {header.get('resolution')} voxels, the distances are {samples.shape}")
+        raise FormatError(f"the header states {header.get('resolution')} voxels, the distances are {samples.shape}")
 
 
 def _encoding(header: dict[str, Any], known: tuple[str, ...]) -> str:
@@ -150,7 +150,7 @@ def _check_scales(encoding: str, scales: list[float]) -> None:
 
 
 def make_atlas(header: dict[str, Any], arrays: dict[str, NDArray[Any]], reports: Any, pages: NDArray[Any]) -> Atlas:
-    """Make an atlas from the contents of a file, after all of them were compared with each other."""
+    """Check the contents of a file and compare them with each other, then make an atlas of them."""
     try:
         atlas = Atlas(
             layout=checks.choice("layout", header.get("layout"), ("shelves", "strips")),
@@ -165,7 +165,7 @@ def make_atlas(header: dict[str, Any], arrays: dict[str, NDArray[Any]], reports:
     if pages.dtype != encodings.DTYPES[atlas.encoding] or pages.ndim != 3 or pages.shape[1:] != (size, size):
         raise FormatError(f"pages must be (pages, {size}, {size}) {atlas.encoding}, got {checks.describe(pages)}")
     if not pages.flags.c_contiguous or not _all_finite(pages):
-        raise FormatError("pages must be finite, and row by row")
+        raise FormatError("pages must be finite and stored row by row")
 
     rows = len(arrays["blocks"]) if arrays["blocks"].ndim else 0
     wanted: dict[str, tuple[tuple[int, ...], str]] = {
@@ -193,7 +193,7 @@ def make_atlas(header: dict[str, Any], arrays: dict[str, NDArray[Any]], reports:
     live = blocks["page"] != VACANT
     ordered = (boxes[:, 0] <= boxes[:, 1]).all(axis=1) & (boxes[:, 2] < boxes[:, 3]).all(axis=1)
     if not (ordered | ~live).all() or not (np.abs(boxes) <= checks.FAR).all():
-        raise FormatError(f"boxes[{int(np.argmin(ordered | ~live))}] is no box")
+        raise FormatError(f"boxes[{int(np.argmin(ordered | ~live))}] is not a valid box")
     for i in np.flatnonzero(live):
         checks.affine(f"models[{i}]", arrays["models"][i], FormatError)
     if not (arrays["scales"] > 0).all():

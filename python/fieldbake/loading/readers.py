@@ -28,13 +28,14 @@ _FOREIGN: dict[str, Callable[[Path], Volume | Atlas]] = {
 
 
 def load(path: str | os.PathLike[str]) -> Any:
-    """Read what fieldbake wrote, or a grid of another program.
+    """Read a file that fieldbake wrote, or a grid of another program.
 
     Parameters
     ----------
     path : str or path
-        A file of :meth:`Volume.save`, :meth:`Atlas.save` or another ``save``. Of other programs: ``.vdb`` (the level
-        set, or the first float grid; as a dense grid), ``.vti``, ``.nrrd`` and ``.vf``.
+        A file that :meth:`Volume.save`, :meth:`Atlas.save` or another ``save`` wrote. Files of other programs may be
+        ``.vdb`` (the level set, or else the first float grid; read as a dense grid), ``.nvdb`` (one uncompressed float
+        grid), ``.vti``, ``.nrrd`` and ``.vf``.
 
     Returns
     -------
@@ -75,7 +76,7 @@ def load(path: str | os.PathLike[str]) -> Any:
             raise FormatError(f"{path}: is not a fieldbake file; meshes are read by load_mesh or bake") from None
         except MemoryError:
             raise
-        except Exception as error:  # A damaged archive fails in every way there is, seeking before its start too.
+        except Exception as error:  # Readers of damaged archives raise exceptions of any type.
             if isinstance(error, OSError) and error.errno != errno.EINVAL:
                 raise
             raise FormatError(f"{path}: is damaged ({type(error).__name__}: {error})") from error
