@@ -206,7 +206,7 @@ def test_spheres_meet_in_the_circle_of_the_bound(random):
     assert circle.radius == pytest.approx(0.7)
     assert np.allclose(circle.normal, (b - p) / a)
     for arguments in (((0, 0, 0), 1, (3, 0, 0), 1), ((0, 0, 0), 1, (0, 0, 0), 1), ((0, 0, 0), 1, (0.1, 0, 0), 3)):
-        with pytest.raises(fb.ArgumentError, match="do not meet"):
+        with pytest.raises(fb.ArgumentError, match="do not intersect"):
             fb.sphere_intersection(*arguments)
 
 

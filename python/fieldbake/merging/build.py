@@ -78,9 +78,10 @@ def merge(
         Point that the levels surround, such as the position of the camera, world units. The default is the centre of
         the box. Near the edge of a level, the next finer level is moved inwards.
     method : "bound" or "article", default "bound"
-        ``"article"`` is the loop of the article, for comparison: at every sample the least over all instances of the
-        distance to the box plus the sample there. It is slow and not a lower bound: in random scenes of six volumes of
-        20 to 32 voxels it exceeds the distance at 39 to 57 % of the samples outside the boxes, by factors up to 1.23.
+        ``"article"`` is the loop of the article, for comparison: each sample is the minimum over all instances of the
+        distance to the box plus the value at the nearest point of the box. It is slow and not a lower bound: in random
+        scenes of six volumes of 20 to 32 voxels it exceeds the distance at 39 to 57 % of the samples outside the boxes,
+        by factors up to 1.23.
     device : str, default "auto"
         ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`. A graphics device finds the instance with the
         least bound at each sample and the CPU evaluates the bound, so the field is the same bit for bit. If the volumes
@@ -112,10 +113,10 @@ def merge(
     the error of the samples of the volumes. Between samples, trilinear interpolation may exceed the distance by a
     fraction of a merged voxel.
 
-    So a merged surface lies up to 0.87 voxels of its volume outside, and flat faces at an angle to the grid ripple in
-    pictures. A box of 44 voxels, turned by 0.4 radians about (1, 2, 3) and merged at 96 voxels, is off by up to 0.3
-    voxels; the normals of a face lean by 6 degrees in the mean and by 23 at most. Finer volumes ripple less in world
-    units. Instances of a scene are drawn without a merged field and do not ripple.
+    A merged surface therefore lies up to 0.87 voxels of its volume outside the surface, and flat faces at an angle to
+    the grid ripple in pictures. A box of 44 voxels, turned by 0.4 radians about (1, 2, 3) and merged at 96 voxels, is
+    off by up to 0.3 voxels; the normals of a face lean by 6 degrees in the mean and by 23 at most. Finer volumes ripple
+    less in world units. Instances of a scene are drawn without a merged field and do not ripple.
 
     Quadrics are sheets, so their distance is never negative. Inside overlapping solids the field is the most negative
     of their values.
@@ -140,7 +141,7 @@ def merge(
     checks.text("device", device)
     checks.choice("method", method, ("bound", "article"))
     if levels is None and center is not None:
-        raise ArgumentError("center: levels are nested around it; give levels too")
+        raise ArgumentError("center: is the point that nested levels surround; give levels too")
     baked: dict[tuple[int, int], Volume] = {}
     items = items_of(scene)
     placed = [place(f"instances[{number}]", item, baked) for number, item in enumerate(items)]
@@ -229,6 +230,6 @@ def sphere_intersection(s0: ArrayLike, r0: float, s1: ArrayLike, r1: float) -> S
     apart = second - first
     d = float(np.linalg.norm(apart))
     if d == 0 or not abs(r0 - r1) <= d <= r0 + r1:
-        raise ArgumentError(f"r0, r1: spheres of radii {r0:g} and {r1:g} at distance {d:g} do not meet in a circle")
+        raise ArgumentError(f"r0, r1: spheres of radii {r0:g} and {r1:g} do not intersect at the distance {d:g}")
     h = 0.5 + (r0 * r0 - r1 * r1) / (2 * d * d)
     return SphereIntersection(first + h * apart, apart / d, float(np.sqrt(max(0.0, r0 * r0 - (h * d) ** 2))))

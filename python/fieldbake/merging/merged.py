@@ -115,11 +115,11 @@ class MergedField(Volume):
         (1,)
         """
         if not self._owners.size:
-            raise SceneError('changed: a field merged with method="article" cannot be updated; merge it anew')
+            raise SceneError('changed: a field merged with method="article" cannot be updated; merge the scene again')
         placed, indices = self._changed(changed, scene)
         for index in indices:
             if len(placed[index].quadrics) != len(self._placed[index].quadrics):
-                raise SceneError(f"changed: instance {index} is of another kind now; merge anew")
+                raise SceneError(f"changed: instance {index} has another number of quadrics than before; merge again")
         return merge_placed(placed, self._bounds, self._shape, "bound", device, progress, (self, indices))
 
     def _changed(self, changed: Sequence[Any], scene: Any) -> tuple[list[Placed], list[int]]:
@@ -131,7 +131,7 @@ class MergedField(Volume):
             indices = [_index(number, item, count) for number, item in enumerate(changed)]
             items = items_of(scene)
             if len(items) != count:
-                raise SceneError(f"scene: has {len(items)} instances, it was merged with {count}; merge anew")
+                raise SceneError(f"scene: has {len(items)} instances, the field was merged from {count}; merge again")
             baked: dict[tuple[int, int], Volume] = {}
             wanted = set(indices)
             rest = list(self._placed)
@@ -165,7 +165,7 @@ def merge_placed(
     progress: Progress,
     earlier: tuple[MergedField, Sequence[int]] | None,
 ) -> MergedField:
-    """Merge placed fields on a grid; with `earlier` only what the listed items touch is evaluated anew."""
+    """Merge placed fields on a grid. With `earlier`, only samples that the listed items affect are evaluated again."""
     # The core takes the volumes first, each once, and then the quadrics.
     volumes: dict[int, Volume] = {}
     numbers: dict[int, int] = {}

@@ -43,14 +43,14 @@ class NestedField(Loadable, Shaded, Convertible):
     values of the level around it, so the field is continuous between levels.
 
     *Bound.* Let `d` be the distance to the scene. Each value is a mean, with weights that are not negative, of samples
-    `f(q)` at places `q` around the point `p`, whose mean place is `p` itself: trilinear interpolation, done once, or at
-    the edge of a level twice. No sample of a merged field exceeds `d(q)`, and `d(q) <= d(p) + |p - q|`. So the value
-    exceeds `d(p)` by at most the mean of ``|p - q|``, which is at most the root of the mean of its square. Along each
-    axis that mean square is ``f (1 - f) h^2 <= h^2 / 4`` in a cell of side `h`; where it is done twice, the places are
-    those of the finer cells inside and those of the coarser ones at the edge, and since every finer sample lies on the
-    coarser lattice or in the middle of its cells, the mean square is still at most `H^2 / 4` with the coarser side `H`.
-    Together: at most half the diagonal of a voxel of the level that holds the point, or, in the outermost cells of a
-    level, of the one around it.
+    `s(q)` at positions `q` around the point `p`. The weighted mean of the positions is `p` itself, because the weights
+    are those of trilinear interpolation, applied once, or twice at the edge of a level. No sample of a merged field
+    exceeds `d(q)`, and ``d(q) <= d(p) + |p - q|``. So the value exceeds `d(p)` by at most the mean of ``|p - q|``,
+    which is at most the root of the mean of its square. Along each axis that mean square is ``f (1 - f) h^2 <= h^2 / 4``
+    in a cell of side `h`, at the fraction `f` of the cell. Where interpolation is applied twice, every finer sample
+    lies on the coarser lattice or in the middle of its cells. The mean square is then still at most ``H^2 / 4`` with
+    the coarser side `H`. In total the value exceeds the distance by at most half the diagonal of a voxel: of the level
+    that contains the point, or, in the outermost cells of a level, of the level around it.
 
     References
     ----------
@@ -184,7 +184,7 @@ class NestedField(Loadable, Shaded, Convertible):
         """
         merged = [level for level in self._levels if isinstance(level, MergedField)]
         if len(merged) < len(self._levels):
-            raise SceneError("changed: a field that was loaded does not know its scene; merge it anew")
+            raise SceneError("changed: a loaded field has no instances to update; merge the scene again")
         levels = []
         with progress_callback(progress, "merge") as callback:
             for number, level in enumerate(merged):
@@ -213,7 +213,7 @@ class NestedField(Loadable, Shaded, Convertible):
         container.write(path, {**container.head("nested"), **facts}, arrays)
 
     def to_volume(self, level: int = -1) -> Volume:
-        """One level as a volume.
+        """Return one level as a volume.
 
         Parameters
         ----------
@@ -308,7 +308,7 @@ def check_levels(levels: Sequence[Volume]) -> None:
         # The tolerances allow for rounding of coordinates, far below a voxel.
         aligned = np.allclose(start, np.rint(start), atol=1e-3) and np.allclose(2 * fine.spacing, step, rtol=1e-6)
         if not (fits and aligned and fine.resolution == coarse.resolution):
-            raise ArgumentError(f"levels[{number}]: does not lie in the next one, twice as fine and on its lattice")
+            raise ArgumentError(f"levels[{number}]: must lie in the next level, on its lattice and twice as fine")
 
 
 def _join(level: Volume, around: Volume) -> Volume:
