@@ -25,8 +25,8 @@ from .gltf_materials import Document
 from .mesh import ALPHA_MODES, Mesh, Part, check_colors, check_faces, check_uv, check_vertices
 from .neighbours import triangles_of
 
-#: Every argument that accepts a mesh accepts a Mesh, a path, a trimesh.Trimesh or trimesh.Scene, (vertices, faces), or
-#: a list of these, each optionally as (object, transform).
+#: Type of every argument for a mesh: a Mesh, a path, a trimesh.Trimesh or trimesh.Scene, (vertices, faces), or a list
+#: of these, each optionally as (object, transform).
 MeshLike = Any
 
 
@@ -99,10 +99,15 @@ def as_mesh(thing: MeshLike) -> Mesh:
     Parameters
     ----------
     thing : Mesh, path, trimesh.Trimesh, trimesh.Scene, (vertices, faces), or a list of those
-        Also PyVista's PolyData, both triangle meshes of Open3D, and anything with ``tessellate(tolerance)``, such as
-        the solids of build123d and CadQuery: those are tessellated with a chord error of 1e-4 of their diagonal, see
-        `Mesh.chord_error`. Arrays may be of any library that offers ``__array__`` or ``__dlpack__``. Items of a list
-        may be ``(object, transform)`` with a 4x4 world-from-local transform.
+        Other possible objects are PyVista's PolyData, both triangle meshes of Open3D, meshes of meshio, and anything
+        with ``tessellate(tolerance)``, such as the solids of build123d and CadQuery: those are tessellated with a chord
+        error of 1e-4 of their diagonal, see `Mesh.chord_error`. Arrays may be of any library that offers ``__array__``
+        or ``__dlpack__``. Items of a list may be ``(object, transform)`` with a 4x4 world-from-local transform.
+
+    Returns
+    -------
+    Mesh
+        The mesh. A list becomes one mesh, with the parts of all its items.
 
     Raises
     ------
@@ -213,7 +218,8 @@ def _pieces(thing: MeshLike, name: str) -> list[_Piece]:
         return [_Piece(check_vertices(found.vertices), check_faces(found.faces), chord_error=found.chord_error)]
     raise MeshError(
         f"{name}: cannot make a mesh of {checks.describe(thing)}; give a path, a trimesh object, "
-        "(vertices, faces), an object of PyVista, Open3D, build123d or CadQuery, (mesh, transform), or a list of those"
+        "(vertices, faces), an object of PyVista, Open3D, meshio, build123d or CadQuery, (mesh, transform), or a list "
+        "of those"
     )
 
 
@@ -326,7 +332,7 @@ def _announced_faces(kind: str, content: bytes) -> int:
 def _check_is_whole(announced: int, faces: int) -> None:
     """Check that a file is complete; triangulated polygons can only raise the number of faces."""
     if faces < announced:
-        raise ValueError(f"it says {announced} faces and has {faces}; is it complete?")
+        raise ValueError(f"its header announces {announced} faces, it has {faces}; is it complete?")
 
 
 def _resolver(file: Path) -> Any:

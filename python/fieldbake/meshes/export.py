@@ -22,7 +22,7 @@ KINDS = (".stl", ".obj", ".ply", ".glb", ".3mf")
 
 
 def mesh_kind(path: str | os.PathLike[str]) -> str:
-    """Ending of a mesh file in lower case; MeshError for an ending that cannot be written."""
+    """Return the ending of a mesh file in lower case; raise MeshError for an ending that cannot be written."""
     suffix = Path(path).suffix
     if suffix.lower() not in KINDS:
         raise MeshError(f"{path}: a mesh is written as {', '.join(KINDS)}, got the ending '{suffix}'")
@@ -49,7 +49,7 @@ def save_mesh(vertices: Vertices, faces: Faces, path: str | os.PathLike[str]) ->
 
 
 def _write_stl(vertices: Vertices, faces: Faces, stream: IO[bytes]) -> None:
-    """Binary STL: float32 corners of every face and its normal."""
+    """Write binary STL: the normal and the corners of every face, float32."""
     record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
     records = np.zeros(len(faces), record)
     records["normal"] = face_normals(vertices, faces)
@@ -67,7 +67,7 @@ def _write_obj(vertices: Vertices, faces: Faces, stream: IO[bytes]) -> None:
 
 
 def _write_ply(vertices: Vertices, faces: Faces, stream: IO[bytes]) -> None:
-    """Binary PLY with float64 positions."""
+    """Write binary PLY with float64 positions."""
     header = (
         "ply\nformat binary_little_endian 1.0\n"
         f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n"

@@ -14,7 +14,7 @@ from ..base import checks
 #: Decoded images by a digest of their content, as long as a part refers to them.
 _by_content: weakref.WeakValueDictionary[bytes, NDArray[np.uint8]] = weakref.WeakValueDictionary()
 
-#: Digests of PIL images by `id`, each with a reference that tells whether the image still exists.
+#: Digests of PIL images by `id`, each with a weak reference that is dead once the image is deleted.
 _of_image: dict[int, tuple[weakref.ref[Any], bytes]] = {}
 
 

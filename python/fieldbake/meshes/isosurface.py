@@ -24,7 +24,7 @@ ROOT_SHARE = 1e-5
 #: Steps of Newton's method from a probe onto a level set. Fields of distances need one on smooth parts.
 NEWTON_STEPS = 2
 
-#: A gradient shorter than this fraction of one nearby is the mean of two sides of a crease, which are 23 degrees apart.
+#: A gradient shorter than this fraction of a nearby one is the mean of both sides of a crease, of 23 degrees or more.
 CREASE_SLOPE = 0.98
 
 
@@ -61,7 +61,7 @@ class MeshSource:
             return points + gradients * (level - distances)[:, None], gradients
         facts = self.mesh._core.topology()
         if facts["flipped_faces"] == 0 and facts["duplicate_faces"] == 0:
-            # The faces agree on the outside, so no point needs a side.
+            # All faces are oriented alike, so the side of each point is not needed.
             nearest, _, _, _, normals = _core.closest_point(self.mesh._core, points)
             return nearest, normals if self.mesh.volume >= 0 else -normals
         _, gradients, nearest, faces, *_ = _core.query(self.mesh._core, points, sign=sign)

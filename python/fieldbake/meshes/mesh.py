@@ -26,7 +26,13 @@ ALPHA_MODES = ("opaque", "mask", "blend")
 
 
 class Part:
-    """A run of faces with one material.
+    """A contiguous range of faces with one material.
+
+    Parameters
+    ----------
+    image, emission_image : PIL image or (h, w, 3 or 4) uint8, optional
+        sRGB images of the base colour and of the emission, row 0 on top. They are decoded at the first use of `texture`
+        and `emission_texture`. The other parameters are the attributes below.
 
     Attributes
     ----------
@@ -178,7 +184,7 @@ class Mesh(Viewable):
     [[0.0, 0.0, 0.0], [1.0, 1.0, 0.0]]
     >>> Mesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 3)])
     Traceback (most recent call last):
-    fieldbake.errors.MeshError: faces[0] refers to vertex 3, the mesh has 3 vertices (valid: 0 to 2)
+    fieldbake.base.errors.MeshError: faces[0] refers to vertex 3, the mesh has 3 vertices (valid: 0 to 2)
     """
 
     # Report of the extraction from a field.
@@ -221,7 +227,7 @@ class Mesh(Viewable):
                 material["alpha_mode"] = "blend"
             parts = [Part(faces=range(len(triangles)), **material)]
         elif texture is not None or alpha is not None:
-            raise MeshError("parts: give either parts or texture and alpha")
+            raise MeshError("parts: give either parts, or texture and alpha")
         self._part_rows = tuple(part.faces for part in parts)
         self._parts = self._placed(parts)
 
@@ -286,7 +292,7 @@ class Mesh(Viewable):
 
     @property
     def parts(self) -> tuple[Part, ...]:
-        """Runs of faces with one material each."""
+        """Contiguous ranges of faces with one material each."""
         return self._parts
 
     @property
@@ -383,9 +389,9 @@ class Mesh(Viewable):
         Returns
         -------
         Mesh
-            Results with it are equal, bit for bit, to those with a new `Mesh` of these positions and the faces of the
-            input; of several equally near faces either one may be found. Texture coordinates, colours and parts are
-            those of this mesh.
+            A mesh whose results are equal, bit for bit, to those of a new `Mesh` of these positions and the faces of
+            the input. Only the choice between equally near faces may differ. Texture coordinates, colours and parts
+            are those of this mesh.
 
         Raises
         ------
@@ -394,9 +400,10 @@ class Mesh(Viewable):
 
         Notes
         -----
-        The search tree, if it has been built, is refitted to the new positions in linear time. It is built anew once
+        The search tree, if it has been built, is refitted to the new positions in linear time. It is built again once
         its cost by the surface area heuristic is 1.5 times that of its build, or if other faces are degenerate. The
-        connectivity is kept as long as the same vertices coincide. What depends on positions is computed again.
+        connectivity is kept as long as the same vertices coincide. All properties that depend on positions are
+        computed again.
 
         Examples
         --------
@@ -420,7 +427,12 @@ class Mesh(Viewable):
         return restore, (*self._core.state(), *looks, self._parts, self._part_rows, self._chord_error)
 
     def topology(self) -> dict[str, Any]:
-        """Topology of the surface: boundary, non-manifold, flipped, duplicate and degenerate counts, `closed`, ..."""
+        """Return the properties of the surface after equal positions were welded.
+
+        The keys are those of :class:`Report`: ``boundary_edges``, ``nonmanifold_edges``, ``flipped_faces``,
+        ``duplicate_faces``, ``degenerate_faces``, ``dropped_vertices`` and ``components`` are numbers, and ``closed``
+        is a bool.
+        """
         return self._core.topology()
 
     def to_trimesh(self) -> trimesh.Trimesh:
@@ -504,7 +516,7 @@ def check_uv(value: ArrayLike, vertices: int) -> NDArray[np.float32]:
     """Check texture coordinates, one row per vertex, or raise MeshError."""
     array = checks.real_array("uv", value, "(n, 2)", MeshError)
     if array.shape != (vertices, 2):
-        raise MeshError(f"uv: must have shape ({vertices}, 2), one row a vertex, got {checks.describe(array)}")
+        raise MeshError(f"uv: must have shape ({vertices}, 2), one row per vertex, got {checks.describe(array)}")
     return array.astype(np.float32)
 
 
@@ -512,7 +524,7 @@ def check_colors(name: str, value: ArrayLike, count: int, row: str) -> NDArray[n
     """Convert colours to (n, 4) float32, linear RGB and opacity, or raise MeshError. uint8 values are sRGB."""
     array = checks.real_array(name, value, "(n, 3) or (n, 4)", MeshError)
     if array.ndim != 2 or array.shape[0] != count or array.shape[1] not in (3, 4):
-        expected = f"({count}, 3) or ({count}, 4), one row a {row}"
+        expected = f"({count}, 3) or ({count}, 4), one row per {row}"
         raise MeshError(f"{name}: must have shape {expected}, got {checks.describe(array)}")
     colors = np.ones((count, 4), dtype=np.float32)
     if array.dtype == np.uint8:

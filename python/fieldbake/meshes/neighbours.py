@@ -1,4 +1,4 @@
-"""Triangles of objects of other libraries, known by their attributes: PyVista, Open3D, meshio, build123d, CadQuery."""
+"""Triangles of objects of PyVista, Open3D, meshio, build123d and CadQuery, which are recognised by their attributes."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def _diagonal(thing: Any) -> float:
 
 
 def _coordinates(vertex: Any) -> Any:
-    """The three coordinates of a vector, in the notation of either library."""
+    """Return the three coordinates of a vector of any of the libraries."""
     for name in ("to_tuple", "toTuple"):
         if callable(method := getattr(vertex, name, None)):
             return method()
@@ -105,7 +105,7 @@ def _coordinates(vertex: Any) -> Any:
         return vertex.x, vertex.y, vertex.z
     values = tuple(vertex)
     if len(values) != 3:
-        raise MeshError(f"mesh: tessellate() gave a vertex of {len(values)} numbers, expected 3")
+        raise MeshError(f"mesh: tessellate() returned a vertex with {len(values)} coordinates, expected 3")
     return values
 
 

@@ -40,8 +40,8 @@ def normalize(mesh: MeshLike, target: Target = "unit cube") -> Normalized:
         Mesh to normalise. Its faces determine the box; vertices without a face are transformed too.
     target : "unit cube" or "unit sphere", default "unit cube"
         The centre of the box moves to the origin. ``"unit cube"``: the longest side of the box becomes 1, so
-        coordinates are between -0.5 and 0.5. ``"unit sphere"``: the farthest vertex of a face has the distance 1 from
-        the origin.
+        coordinates are between -0.5 and 0.5. ``"unit sphere"``: the distance from the origin to the farthest vertex of
+        a face becomes 1.
 
     Returns
     -------
