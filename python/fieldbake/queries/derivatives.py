@@ -1,4 +1,4 @@
-"""The parts that the differentiable functions of PyTorch and JAX share."""
+"""First derivatives of distances and trilinear samples, for the functions of PyTorch and JAX."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def linearize(vertices: NDArray[Any], faces: NDArray[Any], points: NDArray[Any],
 
 
 def vertex_changes(weights: Any, change: Any) -> Any:
-    """Derivatives with respect to the corners of the nearest faces, (..., 3, 3), from those of the points, (..., 3)."""
+    """Compute derivatives by the corners of the nearest faces, (..., 3, 3), from those by the points, (..., 3)."""
     return -weights[..., :, None] * change[..., None, :]
 
 

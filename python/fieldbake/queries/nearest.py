@@ -249,7 +249,7 @@ def signed_distance(
 
 
 def contains(mesh: MeshLike, points: ArrayLike, *, sign: Sign = "auto", progress: Progress = None) -> NDArray[np.bool_]:
-    """Tell which points are inside a mesh, without computing distances.
+    """Test which points are inside a mesh, without computing distances.
 
     Parameters
     ----------
@@ -263,8 +263,8 @@ def contains(mesh: MeshLike, points: ArrayLike, *, sign: Sign = "auto", progress
     Returns
     -------
     (...) bool
-        True where the signed distance is negative. Points within 1e-7 of the mesh's size of the surface may be counted
-        on either side.
+        True where the signed distance is negative. A point that is nearer to the surface than 1e-7 of the size of the
+        mesh may be classified either way.
 
     Raises
     ------
@@ -304,7 +304,7 @@ def winding_number(
     points : (..., 3) real
         World positions.
     error : float, default 1e-6
-        Largest absolute error. From 0.01 up, surfaces with many openings are evaluated faster, by dipoles.
+        Largest absolute error. If it is 0.01 or more, surfaces with many openings are evaluated faster, by dipoles.
     progress : bool or callable, optional
         True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
 
@@ -321,10 +321,10 @@ def winding_number(
 
     Notes
     -----
-    Faces count as they are wound: flipped and repeated faces count as such, unlike in the sign of distances. The
-    openings are closed by a cone, the winding number of the closed surface is computed exactly, and the solid angle of
-    the cone is subtracted. The cost of a point grows with the number of open edges. Method: solid angles of Van
-    Oosterom and Strackee (1983); dipoles of Barill et al. (2018).
+    Faces count as they are wound: flipped and repeated faces are not repaired, unlike for the sign of distances. The
+    openings are closed by cones, the winding number of the closed surface is computed exactly, and the solid angle of
+    the cones is subtracted. The cost of a point grows with the number of open edges. Solid angles are computed by the
+    formula of Van Oosterom and Strackee (1983), and dipoles as by Barill et al. (2018).
 
     Examples
     --------

@@ -39,7 +39,7 @@ class RayHits(NamedTuple):
 
     @property
     def hit(self) -> NDArray[np.bool_]:
-        """Whether each ray hits anything, (...) bool."""
+        """Whether each ray hits a face, (...) bool."""
         found: NDArray[np.bool_] = self.faces >= 0
         return found
 
@@ -104,8 +104,9 @@ def cast_rays(
 
     Notes
     -----
-    Watertight: a ray from inside a closed mesh always hits, also through an edge or a vertex. Faces are intersected in
-    float64 by Woop, Benthin and Wald, *Watertight Ray/Triangle Intersection* (2013), with exact predicates on ties.
+    The intersections are watertight: a ray from inside a closed mesh always hits a face, also through an edge or a
+    vertex. The test is that of Woop, Benthin and Wald, *Watertight Ray/Triangle Intersection* (2013), in float64, with
+    exact predicates where it gives zero.
 
     Examples
     --------
@@ -130,7 +131,7 @@ def occluded(
     t_max: float = math.inf,
     progress: Progress = None,
 ) -> NDArray[np.bool_]:
-    """Tell which rays hit anything; faster than :func:`cast_rays`.
+    """Test which rays hit a face; this is faster than :func:`cast_rays`.
 
     Parameters
     ----------

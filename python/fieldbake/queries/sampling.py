@@ -153,8 +153,8 @@ def sample_training(
 
     Notes
     -----
-    Recipes of known work. They state deviations for a normalised mesh (see :func:`normalize`); divide those by the
-    diagonal of its box.
+    The table has the settings of published work. Their deviations are those for a normalised mesh (see
+    :func:`normalize`), divided by the diagonal of its box.
 
     ===========================  ================================================  =========
     recipe                       near                                              uniform
@@ -178,7 +178,7 @@ def sample_training(
     start = checks.integer("seed", seed, least=0, most=2**64 - 1)
     share = checks.number("uniform", uniform, least=0)
     if share > 1:
-        raise ArgumentError(f"uniform: must be a share from 0 to 1, got {uniform}")
+        raise ArgumentError(f"uniform: must be a fraction from 0 to 1, got {uniform}")
     deviations = _deviations(near)
     if not deviations and share < 1:
         raise ArgumentError("near: must hold a standard deviation unless uniform is 1")
@@ -205,17 +205,17 @@ def sample_training(
 def thickness(
     mesh: MeshLike, points: ArrayLike, normals: ArrayLike | None = None, *, progress: Progress = None
 ) -> NDArray[np.float64]:
-    """Measure the local thickness of a solid: the largest inscribed ball that touches each point of its surface.
+    """Measure the local thickness of a solid: the diameter of the largest inscribed ball that touches each point.
 
     Parameters
     ----------
     mesh : Mesh or anything :func:`bake` takes
         Pass the same `Mesh` to several calls.
     points : (..., 3) real
-        Points of the surface, world positions; others are moved to their closest points first.
+        Points of the surface, world positions. A point off the surface is replaced by its closest point.
     normals : (..., 3) real, optional
-        Normals of the surface at the points, away from the inside, of any length but zero. Without them the
-        angle-weighted pseudonormals of the closest points are taken.
+        Normals of the surface at the points, which point away from the inside, of any length except zero. The default
+        is the angle-weighted pseudonormals at the closest points.
     progress : bool or callable, optional
         True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
 
@@ -233,10 +233,10 @@ def thickness(
 
     Notes
     -----
-    Shrinking balls (Ma, Bae and Choi 2012) with exact closest points. Walls beside the point bound the ball as well as
-    the one opposite to it: near the edge of a cube the thickness goes to zero. Surface that rises by less than 15
-    degrees above the tangent plane belongs to the same side and does not bound the ball, so that the facets of a smooth
-    body do not count as walls.
+    The balls are found by the shrinking ball method (Ma, Bae and Choi 2012) with exact closest points. Walls beside the
+    point bound the ball as well as the wall opposite to it: near the edge of a cube the thickness goes to zero. Surface
+    that rises by less than 15 degrees above the tangent plane belongs to the same side and does not bound the ball, so
+    that the facets of a smooth body do not count as walls.
 
     References
     ----------
@@ -265,6 +265,6 @@ def thickness(
 
 
 def _deviations(near: Sequence[float]) -> list[float]:
-    """Positive numbers; a single one will do."""
+    """Check the standard deviations: one number above 0, or a sequence of them."""
     values = [near] if np.ndim(near) == 0 else list(near)
     return [checks.number("near", value, above=0) for value in values]
