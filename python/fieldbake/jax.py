@@ -51,7 +51,7 @@ def signed_distance(vertices: Any, faces: Any, points: Any, mesh: Mesh | None = 
     Notes
     -----
     The derivatives are those of :func:`fieldbake.torch.signed_distance`: exact wherever the closest point is unique,
-    and those of one side on the medial axis. The distance is evaluated on the host by `jax.pure_callback`, so this
+    and one-sided on the medial axis. The distance is evaluated on the host by `jax.pure_callback`, so this
     function can be compiled by `jax.jit` and mapped by `jax.vmap`. float64 needs ``jax_enable_x64``.
 
     Examples
@@ -79,7 +79,7 @@ def sample(distances: Any, bounds: Any, points: Any) -> Any:
     bounds : (2, 3) array of floats
         Lower and upper corner of the box, world units, as `Volume.bounds`.
     points : (..., 3) array of floats
-        World positions. Outside the outermost samples the nearest position among them is taken.
+        World positions. A position outside the box of the outermost samples is replaced by the nearest one in it.
 
     Returns
     -------

@@ -128,7 +128,7 @@ def gear(
     hole = checks.number("hole", hole, above=0)
     thickness = checks.number("thickness", thickness, above=0)
     if hole + tooth >= radius:
-        raise ArgumentError(f"hole: {hole:g} and tooth {tooth:g} leave nothing of the radius {radius:g}")
+        raise ArgumentError(f"hole: hole ({hole:g}) plus tooth ({tooth:g}) must be less than radius ({radius:g})")
 
     # Each tooth has eight steps: five at the foot and three at the tip, with flanks between them.
     per_tooth = np.array([0.0, 0.125, 0.25, 0.375, 0.5, 0.6, 0.75, 0.9])
@@ -148,7 +148,7 @@ def gear(
 
 
 def _quads(before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Two triangles for each cell between two tables of rings, each row a ring of vertices."""
+    """Make two triangles for each cell between two tables of vertices, whose rows are rings."""
     a, b = before, after
     c, d = np.roll(after, -1, axis=1), np.roll(before, -1, axis=1)
     return np.stack([a, c, b, a, d, c], axis=-1).reshape(-1, 3).astype(np.int64)

@@ -1,6 +1,6 @@
 """Signed distances and samples that PyTorch can differentiate. Needs the extra ``fieldbake[torch]``.
 
-Tensors are computed on the CPU; those of other devices are copied there and back.
+The functions run on the CPU. Tensors of other devices are copied to it, and results are copied back.
 
 >>> from fieldbake.torch import signed_distance  # doctest: +SKIP
 >>> vertices.requires_grad_()                    # doctest: +SKIP
@@ -75,7 +75,7 @@ def sample(distances: Any, bounds: Any, points: Any) -> Any:
     bounds : (2, 3) tensor of floats
         Lower and upper corner of the box, world units, as `Volume.bounds`.
     points : (..., 3) tensor of floats
-        World positions. Outside the outermost samples the nearest position among them is taken.
+        World positions. A position outside the box of the outermost samples is replaced by the nearest one in it.
 
     Returns
     -------
