@@ -46,11 +46,11 @@ class NestedField(Loadable, Shaded, Convertible):
     `s(q)` at positions `q` around the point `p`. The weighted mean of the positions is `p` itself, because the weights
     are those of trilinear interpolation, applied once, or twice at the edge of a level. No sample of a merged field
     exceeds `d(q)`, and ``d(q) <= d(p) + |p - q|``. So the value exceeds `d(p)` by at most the mean of ``|p - q|``,
-    which is at most the root of the mean of its square. Along each axis that mean square is ``f (1 - f) h^2 <= h^2 / 4``
-    in a cell of side `h`, at the fraction `f` of the cell. Where interpolation is applied twice, every finer sample
-    lies on the coarser lattice or in the middle of its cells. The mean square is then still at most ``H^2 / 4`` with
-    the coarser side `H`. In total the value exceeds the distance by at most half the diagonal of a voxel: of the level
-    that contains the point, or, in the outermost cells of a level, of the level around it.
+    which is at most the root of the mean of its square. In a cell of side `h`, at the fraction `f` of the cell, that
+    mean square is ``f (1 - f) h^2 <= h^2 / 4`` along each axis. Where interpolation is applied twice, every finer
+    sample lies on the coarser lattice or in the middle of its cells. The mean square is then still at most ``H^2 / 4``
+    with the coarser side `H`. In total the value exceeds the distance by at most half the diagonal of a voxel: of the
+    level that contains the point, or, in the outermost cells of a level, of the level around it.
 
     References
     ----------
