@@ -1,4 +1,4 @@
-"""Calls in a child process: a call that crashes, runs out of memory or takes too long ends the child alone."""
+"""Calls in a child process. A call that crashes, runs out of memory or takes too long ends only the child."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ class Child:
         self._process: subprocess.Popen[bytes] | None = None
 
     def call(self, function: Callable[..., Any], *arguments: Any, limit_s: float | None = None) -> Any:
-        """Return what the function returns there, or raise what it raises.
+        """Call a function in the child; return its result, or raise its exception.
 
         Raises
         ------
         ChildError
             If the process dies, or takes longer than `limit_s` seconds.
         UnsendableError
-            If the call cannot be pickled, as functions defined in functions and in the main program cannot.
+            If the call cannot be pickled. Functions that are defined in other functions or in the main program cannot.
         """
         try:
             message = pickle.dumps((function, arguments), pickle.HIGHEST_PROTOCOL)
@@ -73,7 +73,7 @@ class Child:
         except OSError:
             answer = None
         except BaseException:
-            # The answer to an interrupted call would be taken for the answer to the next call.
+            # The next call would receive the answer to the interrupted call.
             self.close()
             raise
         finally:
@@ -132,13 +132,13 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 def _epitaph(code: int) -> str:
     if code >= 0:
-        return f"the process that worked on it ended with exit status {code}"
+        return f"its process ended with exit status {code}"
     try:
         name = signal.Signals(-code).name
     except ValueError:
         name = f"signal {-code}"
-    hint = "; it may have been out of memory" if name == "SIGKILL" else ""
-    return f"the process that worked on it was ended by {name}{hint}"
+    hint = "; the machine may be out of memory" if name == "SIGKILL" else ""
+    return f"its process was ended by {name}{hint}"
 
 
 def _send(stream: IO[bytes], message: bytes) -> None:
@@ -148,7 +148,7 @@ def _send(stream: IO[bytes], message: bytes) -> None:
 
 
 def _receive(stream: IO[bytes]) -> bytes | None:
-    """The next message; None at the end of the stream."""
+    """Read the next message; None at the end of the stream."""
     head = stream.read(_LENGTH.size)
     if len(head) < _LENGTH.size:
         return None

@@ -74,7 +74,7 @@ def of_options(options: Mapping[str, Any]) -> str:
 
 
 def plain(value: Any) -> Any:
-    """The value in the types of JSON: arrays as lists, NumPy numbers as Python numbers."""
+    """Convert a value to the types of JSON: arrays to lists, NumPy numbers to Python numbers."""
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     return np.asarray(value).tolist()

@@ -19,7 +19,7 @@ RETRIES = 2
 
 
 def checked_executor(executor: Any) -> Any:
-    """None, or an object with ``submit``."""
+    """Check that an executor is None or an object with ``submit``."""
     if executor is not None and not callable(getattr(executor, "submit", None)):
         raise ArgumentError(
             "executor: must be None, a pool of concurrent.futures, a dask.distributed.Client or another object with "
@@ -34,12 +34,12 @@ def is_dask(executor: Any) -> bool:
 
 
 def is_local(executor: Any) -> bool:
-    """Whether tasks run in this process, as far as the executor shows it."""
+    """Whether tasks run in this process: without an executor, or in a pool of threads."""
     return executor is None or isinstance(executor, ThreadPoolExecutor)
 
 
 def worker_count(executor: Any) -> int:
-    """Number of tasks that run at the same time; the number of cores where the executor does not say it."""
+    """Number of tasks that run at the same time; the number of cores if the executor does not state it."""
     if is_dask(executor):
         return max(1, sum(int(threads) for threads in executor.nthreads().values()))
     count = getattr(executor, "_max_workers", None)
@@ -120,7 +120,7 @@ def _outcome(future: Any) -> tuple[Any, BaseException | None]:
 
 
 def _next(finished: queue.SimpleQueue[tuple[int, Any]]) -> tuple[int, Any]:
-    """The next finished task. The wait ends often, so that Ctrl-C is noticed on every platform."""
+    """Wait for the next finished task. The wait is divided, so that Ctrl-C interrupts it on every platform."""
     while True:
         try:
             return finished.get(timeout=0.2)

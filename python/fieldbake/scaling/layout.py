@@ -2,13 +2,13 @@
 
 One group has::
 
-    0                 level 0, (nz, ny, nx), one file a shard
-    levels/1, ...     coarser levels: voxels twice as long, baked anew, with the same scale
+    0                 level 0, (nz, ny, nx), one file per shard
+    levels/1, ...     coarser levels: voxels twice as long, baked from the mesh, with the same scale
     far/distances     exact signed distances at the corners of the shards of level 0, float32
     far/states/0, ... for each shard of a level 0 if it is wholly fill, 1 if it is stored
     mesh/...          vertices and faces
 
-Stored values are shares of ``scale``: distances of level 0 within the band, cut to the band beyond it.
+Stored values are fractions of ``scale``, world units. Distances beyond the band are clamped to it.
 """
 
 from __future__ import annotations
@@ -27,10 +27,11 @@ from ..base.grid import Grid
 #: Version of the layout.
 VERSION = 1
 
-#: Levels are added until the longest side has at most so many voxels.
+#: Levels are added until the longest side has at most this many voxels.
 COARSEST = 64
 
-#: Windows are baked this much beyond the band, relative, so that cut values have the largest code despite rounding.
+#: Windows are baked with a band that is wider by this fraction, so that clamped values have the largest code despite
+#: rounding.
 MARGIN = 1e-6
 
 
@@ -61,12 +62,12 @@ class Layout(Grid):
 
     @property
     def scale(self) -> float:
-        """World distance of a stored share of 1."""
+        """Distance that a stored fraction of 1 represents, world units."""
         return float(encodings.scale_of(self.encoding, self.spacing, self.band))
 
     @property
     def fill(self) -> Any:
-        """The stored value of points beyond the band outside."""
+        """Stored value of all points outside the surface and beyond the band."""
         width = np.full((1, 1, 1), np.float32(self.band_width), order="F")
         return _core.encode(width, self.encoding, self.scale)[0, 0, 0]
 
@@ -108,7 +109,7 @@ class Layout(Grid):
 
     @classmethod
     def from_dict(cls, facts: Mapping[str, Any]) -> Layout:
-        """The layout of a store, from its attributes."""
+        """Restore a layout from the attributes of a store."""
         try:
             return cls(
                 lower=_three(facts["lower"], float),

@@ -14,7 +14,7 @@ NAME = "ledger.jsonl"
 
 
 def read(folder: Path) -> dict[str, dict[str, Any]]:
-    """The newest line of each result, by the name of its file. Lines that a crash cut short are left out."""
+    """Read the newest line of each result, by the name of its file. Lines that a crash cut short are left out."""
     newest: dict[str, dict[str, Any]] = {}
     try:
         lines = (folder / NAME).read_text(encoding="utf-8", errors="replace").splitlines()
@@ -30,7 +30,7 @@ def read(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def append(folder: Path, row: Mapping[str, Any]) -> None:
-    """Add a line in one write. A line that a crash cut short before it is ended first."""
+    """Add a line in one write. If a crash has left an incomplete last line, a line break ends it first."""
     path = folder / NAME
     line = json.dumps(dict(row), default=content.plain) + "\n"
     with path.open("ab+") as stream:

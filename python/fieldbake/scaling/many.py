@@ -24,7 +24,7 @@ from ..queries.sampling import sample_training
 from . import content, executors, ledger
 from .child import Child, UnsendableError
 
-#: For each kind of run its function, and the options of that function that all items share.
+#: The function of each kind of run, and the options of that function, which all items share.
 OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
     "bake": ("bake", tuple(name for name in inspect.signature(bake).parameters if name not in ("mesh", "progress"))),
     "sample": ("sample_training", ("n", "near", "uniform", "seed")),
@@ -36,15 +36,15 @@ INTERVAL = 0.1
 
 @dataclass(frozen=True)
 class Asset:
-    """One item, and the file that it is made into."""
+    """One item, and the path of its result."""
 
     item: Any
     target: str
     kind: Literal["bake", "sample"]
     options: Mapping[str, Any]
-    #: Hash of the item; None for a callable, whose mesh is hashed once it is there.
+    #: Hash of the item; None for a callable, whose mesh is hashed after the call.
     content: str | None
-    #: Hash of the mesh of a callable at the last run, if the result of that run can stay.
+    #: Hash of the mesh of a callable at the last run. If the hash is the same, the result of that run is kept.
     known: str | None = None
 
 
@@ -78,7 +78,7 @@ def bake_many(
     resume : bool, default True
         Skip items whose content and options are those of a finished result. Failed items are tried again.
     limit_s : float, optional
-        Stop an item that takes longer, seconds. It counts as failed.
+        Time limit of an item, seconds. An item that takes longer is stopped and counts as failed.
     workers : int, optional
         Number of items that are baked at the same time without an `executor`. By default the number of cores.
     progress : bool or callable, optional
@@ -104,8 +104,8 @@ def bake_many(
     -----
     Each item is baked in a child process of its worker. An item that crashes, runs out of memory or exceeds `limit_s`
     ends that process and no other item. Only items that cannot be pickled are baked in the worker itself. Results are
-    written to a temporary file and renamed, so no result is ever half there. The ledger has one line for each item that
-    was done or has failed.
+    written to a temporary file and renamed, so no result file is ever incomplete. The ledger has one line for each item
+    that was done or has failed.
 
     Examples
     --------
@@ -160,7 +160,7 @@ class Run:
         if self.workers is not None:
             checks.integer("workers", self.workers, least=1, most=1024)
             if self.executor is not None:
-                raise ArgumentError("workers: means nothing with an executor, which has its own")
+                raise ArgumentError("workers: does not apply with an executor, which has its own workers")
         self.options_hash = content.of_options({"kind": self.kind, **self.options})
 
     def rows(self, items: Iterable[Any] | Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -179,7 +179,7 @@ class Run:
             start = time.perf_counter()
             try:
                 found = None if callable(item) and not _is_mesh(item) else content.of_item(item)
-            except Exception as error:  # a file that is missing or broken is the item's own fault
+            except Exception as error:  # a missing or damaged file is an error of this item alone
                 row.update(error=_text(error), seconds=time.perf_counter() - start)
                 ledger.append(self.out, row)
                 first_error = first_error or _named(error, row)
@@ -217,7 +217,7 @@ class Run:
                 self._finish(rows[assets[place][0]], facts, error)
                 done += 1
                 report(done)
-            # A pool whose worker was killed takes no more tasks. Children of this process bake the rest.
+            # A pool whose worker was killed accepts no more tasks. Children of this process bake the rest.
             for place, facts, error in self._results(None, [asset for _, asset in lost]):
                 self._finish(rows[lost[place][0]], facts, error)
                 done += 1
@@ -270,7 +270,7 @@ class Run:
 
 
 def named_items(items: Iterable[Any] | Mapping[str, Any]) -> list[tuple[str, Any]]:
-    """Each item with the stem of its result."""
+    """List each item with the stem of its result."""
     if isinstance(items, (str, os.PathLike)):
         raise ArgumentError(f"items: must be a list of meshes, got the path {os.fspath(items)!r}; put it in a list")
     if isinstance(items, Mapping):
@@ -292,7 +292,7 @@ def named_items(items: Iterable[Any] | Mapping[str, Any]) -> list[tuple[str, Any
 
 
 def check_stems(stems: Sequence[str]) -> None:
-    """Raise if two results would have the same name, also where file systems ignore case."""
+    """Raise an error if two results would have the same name, also on file systems that ignore case."""
     seen: dict[str, int] = {}
     for index, stem in enumerate(stems):
         if not stem:
@@ -328,7 +328,7 @@ def _text(error: BaseException) -> str:
 
 
 def _named(error: BaseException, row: Mapping[str, Any]) -> Exception:
-    """The error, with the item in its message where that is not there yet."""
+    """Return the error with the name of the item in its message."""
     if not isinstance(error, Exception):
         return Error(f"{row['item']}: {error}")
     if isinstance(error, Error) and str(row["item"]) not in str(error):
@@ -359,7 +359,7 @@ def work_in(child: Child, asset: Asset, limit_s: float | None) -> dict[str, Any]
             facts |= child.call(process, asset, limit_s=limit_s)
         except UnsendableError:
             facts |= process(asset)
-    except Exception as error:  # it belongs to the item
+    except Exception as error:  # it becomes the result of the item
         facts |= {"error": _text(error), "exception": error}
     facts["seconds"] = time.perf_counter() - start
     return facts

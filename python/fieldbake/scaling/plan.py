@@ -12,7 +12,7 @@ from ..base.grid import Grid
 from ..meshes.mesh import Mesh
 from .layout import Layout
 
-#: Blocks of shards are divided until at least so many of them cover the grid; then the blocks near the surface are.
+#: Largest number of equal blocks of shards that cover the grid at the start. Only blocks near the surface are divided.
 FIRST_BLOCKS = 4096
 
 #: Relative rounding of radii and distances.
@@ -53,7 +53,7 @@ class Blocks:
 
 
 def stored_shards(mesh: Mesh, layout: Layout, level: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which shards of a level are stored, and which of those have samples in the band; both (sx, sy, sz).
+    """Decide which shards of a level are stored, and which of those have samples in the band, both (sx, sy, sz) bool.
 
     Shards without a sample in the band are stored unless they are wholly outside. Where the sign rule decides each
     sample by itself, a stored shard may turn out to be wholly outside.
@@ -94,7 +94,7 @@ def stored_shards(mesh: Mesh, layout: Layout, level: int) -> tuple[NDArray[np.bo
 def _with_samples_in_band(
     blocks: Blocks, low: NDArray[np.int64], high: NDArray[np.int64], width: float
 ) -> NDArray[np.bool_]:
-    """Which boxes have a sample nearer to the surface than `width`. Boxes are divided until that is decided."""
+    """Decide which boxes have a sample nearer to the surface than `width`, (n,). Undecided boxes are divided."""
     found = np.zeros(len(low), dtype=bool)
     owner = np.arange(len(low))
     while len(low):
@@ -135,7 +135,7 @@ def _corners() -> NDArray[np.int64]:
 
 
 def morton_order(shards: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The rows (n, 3) in the order of a Z-shaped curve."""
+    """Sort rows (n, 3) in Morton order, along a Z-shaped curve."""
     codes = np.zeros(len(shards), dtype=np.int64)
     for bit in range(20):
         for axis in range(3):

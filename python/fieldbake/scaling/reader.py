@@ -68,7 +68,7 @@ class Reader:
                 f"shard {key} of {self.place} is missing; call bake_to_zarr with the same mesh and options to bake it"
             )
         if size == 0:
-            # Zarr takes an empty file for a missing one.
+            # Zarr treats an empty file as a missing one.
             raise self._damage(key, "the file is empty")
         self._known.add((level, index))
 

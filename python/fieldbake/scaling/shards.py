@@ -16,7 +16,7 @@ from .layout import Layout, path_of
 from .plan import Blocks
 from .store import Place, read_mesh
 
-#: Samples along the side of the windows that a shard is baked in. With smaller windows more far samples are skipped.
+#: Samples along the side of a window; a shard is baked window by window. Smaller windows skip more far samples.
 WINDOW = 64
 
 _lock = threading.Lock()
@@ -43,7 +43,7 @@ def mesh_of(place: Place, layout: Layout) -> Mesh:
 
 
 def store_shard(place: Place, layout: Layout, level: int, index: tuple[int, int, int], threads: int | None) -> bool:
-    """Bake one shard and store it in one write. Returns whether it is stored: shards wholly of fill are not."""
+    """Bake one shard and store it in one write. Return whether it is stored; a shard with only fill values is not."""
     global _threads
     if threads is not None and _threads != (os.getpid(), threads):
         set_threads(threads)

@@ -20,7 +20,7 @@ ZSTD_LEVEL = 3
 
 
 def import_zarr() -> Any:
-    """The package zarr, or an error that says how to install it."""
+    """Import the package zarr, or raise an error that states how to install it."""
     try:
         import zarr
         import zarr.codecs
@@ -32,7 +32,7 @@ def import_zarr() -> Any:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a store is. Worker processes receive it and open the store by themselves."""
+    """Location of a store. Worker processes receive it, and each opens the store itself."""
 
     #: A path, a URL or a Zarr store.
     store: Any
@@ -41,7 +41,7 @@ class Place:
 
     @classmethod
     def of(cls, store: Any, options: Mapping[str, Any] | None) -> Place:
-        """Check what the user passed as a store."""
+        """Check the argument `store` of a user."""
         zarr = import_zarr()
         if isinstance(store, os.PathLike):
             store = os.fspath(store)
@@ -57,7 +57,7 @@ class Place:
 
     @property
     def is_shared(self) -> bool:
-        """Whether other processes see the same contents."""
+        """Whether other processes can read the same contents."""
         zarr = import_zarr()
         if isinstance(self.store, str):
             return not self.store.startswith("memory:")
@@ -81,7 +81,7 @@ class Place:
             raise Error(f"store: '{self}' needs a package for its kind of storage: {error}") from error
 
     def existing(self, mode: str) -> Any:
-        """The group, or None if there is nothing."""
+        """Open the group, or return None if there is none."""
         zarr = import_zarr()
         try:
             return self.open(mode)
@@ -89,7 +89,7 @@ class Place:
             return None
 
     def create(self) -> Any:
-        """A new group; what was there is deleted."""
+        """Create a new group. Existing contents are deleted."""
         return self.open("w")
 
 
@@ -125,7 +125,7 @@ def read_layout(group: Any, place: Place) -> Layout:
     """The layout of an open group, or FormatError."""
     facts = group.attrs.get("fieldbake")
     if not isinstance(facts, Mapping):
-        raise FormatError(f"{place}: is a Zarr group that fieldbake has not written, or not finished to create")
+        raise FormatError(f"{place}: is a Zarr group that fieldbake has not written, or has not written completely")
     if facts.get("layout") != layouts.VERSION:
         raise FormatError(
             f"{place}: has layout {facts.get('layout')}, this fieldbake reads {layouts.VERSION}; it was written by "
@@ -135,7 +135,7 @@ def read_layout(group: Any, place: Place) -> Layout:
 
 
 def read_mesh(group: Any) -> Mesh:
-    """The mesh that a store was baked from, with the bits of the original."""
+    """Read the mesh that a store was baked from. It has the bits of the original."""
     parts = group["mesh"]
     rows = np.asarray(parts["rows"][...]) if "rows" in parts else None
     vertices, faces = np.asarray(parts["vertices"][...]), np.asarray(parts["faces"][...])

@@ -62,13 +62,13 @@ def bake_to_zarr(
     resolution : int or three ints, default 4096
         As for :func:`bake`.
     band : float, default 3
-        Distances are kept up to this many voxels from the surface, and cut to that farther away.
+        Half width of the band around the surface, voxels. Larger distances are clamped to it.
     shard : int, default 256
         Samples along the side of a shard: one task, and one file or object of the store.
     chunk : int, default 32
         Samples along the side of a chunk, the smallest part of a shard that is read; it divides `shard`.
     encoding : str, default "snorm16"
-        ``"float32"``, ``"float16"``, ``"snorm16"`` or ``"snorm8"``, with the band as the scale of the integers.
+        ``"float32"``, ``"float16"``, ``"snorm16"`` or ``"snorm8"``. The largest integer represents the band.
     executor : optional
         A pool of `concurrent.futures`, a ``dask.distributed.Client``, or anything with ``submit``. By default the
         threads of this process work on one shard after another.
@@ -92,6 +92,10 @@ def bake_to_zarr(
         If the mesh cannot be read or used.
     ArgumentError
         If an option is invalid, or the store has a bake of another mesh or with other options.
+    FormatError
+        If the store is a Zarr group with other contents.
+    Error
+        If the package zarr is not installed.
     OSError
         If the store cannot be written, for instance because the disk is full. A later call resumes.
 
@@ -227,7 +231,7 @@ def _work(
             if error is not None:
                 raise _explained(error, place, level, shard) from error
             if not stored:
-                # The state of a shard that turned out to be wholly outside; the plan could not know.
+                # The bake found the shard to be wholly outside, which the plan cannot always decide.
                 x, y, z = shard
                 place.open("r+")[f"far/states/{level}"][z, y, x] = 0
             now = time.monotonic()
@@ -249,7 +253,7 @@ def _results(place: store.Place, layout: Layout, tasks: list[Task], executor: An
 
 
 def _explained(error: BaseException, place: store.Place, level: int, shard: tuple[int, int, int]) -> BaseException:
-    """The error of a task, with the shard and what to do."""
+    """Return the error of a task with the shard and a remedy in its message."""
     if not isinstance(error, Exception):
         return error
     key = shard_key(level, shard)

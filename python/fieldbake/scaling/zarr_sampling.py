@@ -11,7 +11,7 @@ from .. import _core
 from .layout import Layout
 from .reader import Reader
 
-#: Lower bounds are reduced by this share, which covers the rounding of stored distances.
+#: Lower bounds are reduced by this fraction, which covers the rounding of stored distances.
 ROUNDING = 1e-6
 
 
@@ -34,7 +34,7 @@ class Sampler:
         self.shape, self.spacing = np.array(layout.shape), np.array(layout.spacing)
         #: Size of a shard, world units.
         self.shard = self.spacing * layout.shard
-        #: Smallest magnitude of a sample that the band has cut.
+        #: Smallest magnitude of a clamped sample, world units.
         self.cut = abs(float(self.decode(np.array([reader.fill]))[0])) * (1 - ROUNDING)
 
     def sample(self, points: NDArray[np.float64], filter: str) -> NDArray[np.float64]:
@@ -80,7 +80,7 @@ class Sampler:
         clipped = np.clip(share, 0, 1)
         variance = (self.shard**2 * clipped * (1 - clipped)).sum(axis=1)
         found = np.sqrt(np.maximum(_trilinear(corners**2, clipped) - variance, 0)) * within
-        # The distance changes by at most the way to a corner.
+        # The distance changes by at most the distance to the corner.
         low, high = (share * self.shard) ** 2, ((share - 1) * self.shard) ** 2
         for i in range(8):
             x, y, z = i >> 2, i >> 1 & 1, i & 1
@@ -111,7 +111,7 @@ class Sampler:
         return self.decode(self.reader.values_at(0, index)).reshape(-1, 2, 2, 2), places - base
 
     def _is_far(self, corners: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Whether all samples of a cell are cut, on one side."""
+        """Whether all samples of a cell are clamped and on the same side, (n,)."""
         low, high = corners.min(axis=(1, 2, 3)), corners.max(axis=(1, 2, 3))
         far: NDArray[np.bool_] = (low >= self.cut) | (high <= -self.cut)
         return far

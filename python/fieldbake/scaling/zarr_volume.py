@@ -38,8 +38,8 @@ BATCH = 1 << 18
 BRICK_CELLS = 7
 EMPTY, EMPTY_INSIDE = 3 << 30, 3 << 30 | 1
 
-#: Half width of the band, voxels, at the levels that pictures are drawn from. The corners of a cell that the surface
-#: crosses are at most its diagonal from the surface, so none of them is cut.
+#: Smallest half width of the band, voxels, at the levels that pictures are drawn from. The corners of a cell that the
+#: surface crosses are at most its diagonal from the surface, so none of them is clamped.
 LEAST_BAND = 3**0.5
 
 #: Memory of the bricks of a picture, bytes.
@@ -104,8 +104,8 @@ class ZarrVolume(GridField):
 
     Notes
     -----
-    Within the band around the surface the stored samples are distances. Beyond it they are cut to the width of the
-    band. Exact distances at the corners of the shards give proven lower bounds there.
+    Within the band around the surface the stored samples are distances. Beyond it they are clamped to the half width of
+    the band. Exact distances at the corners of the shards give proven lower bounds there.
 
     Examples
     --------
@@ -165,7 +165,7 @@ class ZarrVolume(GridField):
 
     @property
     def scale(self) -> float:
-        """World distance of a stored share of 1; of the code 32767 for ``"snorm16"``."""
+        """Distance that a stored fraction of 1 represents, world units; for ``"snorm16"`` this is the code 32767."""
         return self._layout.scale
 
     @property
@@ -354,7 +354,7 @@ class ZarrVolume(GridField):
         return self.to_sparse(level=level)
 
     def _brick_bytes(self, level: int) -> float:
-        """About the memory of the sparse volume of a level."""
+        """Estimate the memory of the sparse volume of a level, bytes."""
         grid = self._layout.level(level)
         # A stored shard has about one layer of bricks, twice as thick as the band.
         per_side = min(self._layout.shard, max(grid.shape)) / BRICK_CELLS
