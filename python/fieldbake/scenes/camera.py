@@ -116,7 +116,7 @@ class Camera:
         aspect: float = 1.0,
         border: float = 0.05,
     ) -> Camera:
-        """Place the camera so that a box fills the picture and lies in its middle.
+        """Make a camera that shows a box in the middle of the picture, as large as it fits.
 
         Parameters
         ----------

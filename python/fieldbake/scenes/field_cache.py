@@ -1,8 +1,8 @@
 """Distance fields of the objects in scenes: baked on demand, kept in memory and, on request, on disk.
 
 The key of a field is a hash of the triangles, the options and the version of the package, so a changed mesh never uses
-an old field. On disk each field is one ``.npz`` file that is either complete or not there: any number of processes may
-share the folder. The folder is ``platformdirs.user_cache_dir("fieldbake")`` or the value of ``FIELDBAKE_CACHE``.
+an old field. On disk each field is one ``.npz`` file that appears only when it is complete, so any number of processes
+may share the folder. The folder is ``platformdirs.user_cache_dir("fieldbake")`` or the value of ``FIELDBAKE_CACHE``.
 Nothing is written unless that variable is set or :func:`use_disk` was called.
 """
 
@@ -92,7 +92,7 @@ def clear() -> None:
 
 
 def of_mesh(mesh: Mesh, resolution: int, device: str, looks: Sequence[Look] | None = None) -> _core.SceneField:
-    """Field of a mesh, baked at its first use. `looks` has one entry per part; the default is the part's own."""
+    """Field of a mesh, baked at its first use. `looks` has the appearance of each part; None means the part's own."""
     key = ("mesh", content_hash(mesh, resolution, looks))
     found = _find(key)
     if found is None:
@@ -152,7 +152,7 @@ def content_hash(mesh: Mesh, resolution: int, looks: Sequence[Look] | None = Non
 
 
 def bake_for_scene(mesh: Mesh, resolution: int, device: str = "auto", looks: Sequence[Look] | None = None) -> Volume:
-    """Bake a mesh with its looks: masked parts are cut out, sheets get a thickness, solids are baked unchanged."""
+    """Bake a mesh for a scene: masked texels are cut out, sheets get a thickness, solids are baked unchanged."""
     looks = _looks(mesh, looks)
     if sheet_of(mesh, looks).is_traced:
         masks = [look.mask for look in looks]
@@ -172,7 +172,7 @@ def _looks(mesh: Mesh, looks: Sequence[Look] | None) -> Sequence[Look]:
 
 
 def _flat_axis(bounds: NDArray[np.float64]) -> int | None:
-    """The axis along which a box has no extent; None if there is none."""
+    """Return the axis along which a box has no extent; None if there is none."""
     extent = bounds[1] - bounds[0]
     axis = int(extent.argmin())
     return axis if extent[axis] <= FLAT * extent.max() else None

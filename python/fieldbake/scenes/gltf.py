@@ -1,7 +1,7 @@
 """Scenes from files: an instance per node, with the cameras and lights of glTF.
 
-trimesh reads meshes, materials and textures, and shares what several nodes refer to. It keeps one camera and no lights,
-so those are read from the JSON of the file.
+trimesh reads meshes, materials and textures, and shares the geometry that several nodes refer to. It keeps one camera
+and no lights, so cameras and lights are read from the JSON of the file.
 """
 
 from __future__ import annotations
@@ -45,8 +45,9 @@ def load_scene(
     Returns
     -------
     Scene
-        The intensities are scaled together, because the units of files differ: the brightest light reaches the centre
-        of the scene with intensity 1. A file without lights gets one light at the camera.
+        The scene. All intensities have a common factor, because the units of files differ: the brightest light reaches
+        the centre of the scene with intensity 1. A file without lights gets the default light of :class:`Scene`. At
+        most 16 lights are kept.
 
     Raises
     ------

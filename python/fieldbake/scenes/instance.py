@@ -50,8 +50,8 @@ class Instance:
     visible : bool, default True
         Whether the instance is visible to the camera.
     opacity : float, default 1
-        Fraction of the light that the instance blocks, for the camera and for shadows. It multiplies the own opacity of
-        a quadric, which applies to shadows only.
+        Fraction of the light that the instance blocks, for the camera and for shadows. For a quadric it multiplies
+        `Quadric.opacity`, which applies to shadows only.
     resolution : int, default 64
         Voxels along the longest side of the field of a mesh.
 

@@ -1,4 +1,4 @@
-"""Lights, and the defaults of every picture. A direction is that in which light travels; colours are linear RGB."""
+"""Lights, and the defaults of every picture. Directions are those in which light travels. Colours are linear RGB."""
 
 from __future__ import annotations
 

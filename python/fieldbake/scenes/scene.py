@@ -19,7 +19,7 @@ from .lights import AMBIENT, BACKGROUND, Light, check_lights
 
 
 class Scene(Viewable):
-    """Instances and lights. Immutable.
+    """Instances, lights and cameras. Immutable.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ class Scene(Viewable):
         return _copy, (self._instances, self._lights, self._ambient, self._background, self._cameras)
 
     def __repr__(self) -> str:
-        lights = "a light at the camera" if self._lights is None else f"{len(self._lights)} lights"
+        lights = "the default light" if self._lights is None else f"{len(self._lights)} lights"
         return f"Scene({len(self._instances)} instances, {lights})"
 
 

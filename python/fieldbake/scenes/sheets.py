@@ -80,7 +80,7 @@ class Sheet(NamedTuple):
 
     #: Light intersects the triangles, because a field would be too thick or has no opacity.
     is_traced: bool
-    #: The camera sees both sides of the faces, whichever way the part is marked.
+    #: Both sides of the faces are visible to the camera, whether or not the part is marked as two-sided.
     is_two_sided: bool
 
 
