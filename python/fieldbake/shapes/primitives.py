@@ -1,4 +1,8 @@
-"""The primitives: simple solids about the origin, and round ones between two points."""
+"""The primitives: simple solids about the origin, and round ones between two points.
+
+All sizes are in world units, and every function raises ShapeError for a size out of range. "Exact" means that the field
+is the Euclidean distance, inside and outside.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +54,7 @@ Point = NDArray[np.float64]
 
 
 def sphere(radius: float = 1.0) -> Shape:
-    """Make a ball. Its field is exact.
+    """Make a ball with this radius, world units, about the origin. Its field is exact.
 
     Examples
     --------
@@ -62,7 +66,7 @@ def sphere(radius: float = 1.0) -> Shape:
 
 
 def ellipsoid(radii: ArrayLike) -> Shape:
-    """Make an ellipsoid with half axes (3,). Its field is exact.
+    """Make an ellipsoid with the half axes `radii` (3,), world units, about the origin. Its field is exact.
 
     Examples
     --------
@@ -74,7 +78,7 @@ def ellipsoid(radii: ArrayLike) -> Shape:
 
 
 def box(size: ArrayLike = 1.0) -> Shape:
-    """Make a box with full sides (3,), or a cube with one side. Its field is exact.
+    """Make a centred box with the full sides `size` (3,), world units, or a cube with one side. Its field is exact.
 
     Examples
     --------
@@ -86,7 +90,7 @@ def box(size: ArrayLike = 1.0) -> Shape:
 
 
 def rounded_box(size: ArrayLike, radius: float) -> Shape:
-    """Make a box with full sides (3,) whose edges are rounded by `radius`. Its field is exact.
+    """Make a centred box with the full sides `size` (3,) and edges of the radius `radius`. Its field is exact.
 
     Examples
     --------
@@ -98,7 +102,7 @@ def rounded_box(size: ArrayLike, radius: float) -> Shape:
 
 
 def box_frame(size: ArrayLike, thickness: float) -> Shape:
-    """Make the twelve edges of a box with full sides (3,), as square bars inside it. Its field is exact outside.
+    """Make the edges of a box with the full sides `size` (3,), as square bars inside it. Its field is exact outside.
 
     Examples
     --------
@@ -110,7 +114,7 @@ def box_frame(size: ArrayLike, thickness: float) -> Shape:
 
 
 def torus(radius: float = 1.0, tube: float = 0.25) -> Shape:
-    """Make a tube of radius `tube` around a circle of `radius` in the plane z = 0. Exact while `tube` <= `radius`.
+    """Make a torus: a tube of radius `tube` around a circle of `radius` at z = 0. Exact while `tube` <= `radius`.
 
     Examples
     --------
@@ -122,7 +126,7 @@ def torus(radius: float = 1.0, tube: float = 0.25) -> Shape:
 
 
 def capped_torus(radius: float, tube: float, angle_deg: float) -> Shape:
-    """Make an arc of a torus with round ends, `angle_deg` degrees long and centred on +x. Exact up to 180 degrees.
+    """Make an arc of a torus with round ends, `angle_deg` degrees wide about +x. Exact up to 180 degrees.
 
     Examples
     --------
@@ -272,7 +276,7 @@ def rounded_cone(radius: float, top_radius: float, height: float) -> Shape:
 
 
 def plane(normal: Axis = "z", offset: float = 0.0) -> Shape:
-    """Make the half space below a plane at `offset` along its normal. Its field is exact; it has no bounds.
+    """Make the half space ``dot(p, normal) <= offset`` of a unit normal. Its field is exact; it has no bounds.
 
     Examples
     --------
@@ -353,7 +357,9 @@ def hex_prism(radius: float = 1.0, height: float = 1.0) -> Shape:
 
 
 def gyroid(cell: float = 1.0, thickness: float = 0.1) -> Shape:
-    """Make a sheet about the gyroid with period `cell`, at least `thickness` thick. A lower bound; no bounds.
+    """Make a sheet about the gyroid with period `cell`, at least `thickness` thick, world units.
+
+    Its field is a lower bound with the slope 1 at most. It has no bounds.
 
     Examples
     --------
@@ -422,8 +428,9 @@ def volume_shape(volume: Volume | SparseVolume) -> Shape:
     Returns
     -------
     Shape
-        A shape whose field is trilinear inside the box. Outside it is ``sqrt(a^2 + s^2)``, where `a` is the distance
-        to the box and `s` the field at the nearest point of the box. `Shape.lipschitz` is the largest slope.
+        A shape whose field is trilinear inside the box. Outside the box the field is ``sqrt(a^2 + s^2)``, where `a` is
+        the distance to the box and `s` the field at the nearest point of the box. `Shape.lipschitz` is the largest
+        slope.
 
     Examples
     --------
@@ -452,7 +459,7 @@ def _is_point(value: object) -> bool:
 def _segment(
     usage: str, start: ArrayLike, end: ArrayLike, rest: tuple[float, ...], names: tuple[str, ...]
 ) -> tuple[Point, Point, list[float]]:
-    """The two ends and the sizes of a primitive between two points."""
+    """Check the two ends and the sizes of a primitive between two points."""
     if len(rest) != len(names):
         raise ShapeError(f"{names[0]}: use {usage} with two points (3,)")
     ends = np.array([numbers("a", start, 3), numbers("b", end, 3)])

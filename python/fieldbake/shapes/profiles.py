@@ -59,7 +59,7 @@ class _Leaf:
         return shape if y == 0 else shape.translate((0.0, 0.0, y))
 
 
-#: Height of a subtracted profile in heights of the extrusion. Its end faces are then far from the solid.
+#: Height of a subtracted profile over that of the extrusion, so that its end faces are far from the solid.
 TALLER = 64.0
 
 
@@ -138,12 +138,12 @@ class Profile:
         return Profile._of(_Combined(op, (self._tree, other._tree)))
 
     def translate(self, offset: ArrayLike) -> Profile:
-        """Move the profile by a vector (2,)."""
+        """Move the profile by a vector (2,), world units."""
         x, y = numbers("offset", offset, 2)
         return Profile._of(self._tree.moved((x, y)))
 
     def rotate(self, degrees: float) -> Profile:
-        """Rotate the profile counter-clockwise about the origin."""
+        """Rotate the profile counter-clockwise about the origin by an angle in degrees."""
         return Profile._of(self._tree.rotated(number("degrees", degrees)))
 
     def scale(self, factor: float) -> Profile:
@@ -169,7 +169,7 @@ class Profile:
 
 
 def circle(radius: float = 1.0) -> Profile:
-    """Make a disc.
+    """Make a disc with this radius, world units, about the origin.
 
     Examples
     --------
@@ -181,7 +181,7 @@ def circle(radius: float = 1.0) -> Profile:
 
 
 def rectangle(size: ArrayLike) -> Profile:
-    """Make a rectangle with full sides (2,).
+    """Make a rectangle with the full sides `size` (2,), world units, about the origin.
 
     Examples
     --------
@@ -193,7 +193,7 @@ def rectangle(size: ArrayLike) -> Profile:
 
 
 def polygon(points: ArrayLike) -> Profile:
-    """Make a closed polygon with corners (n, 2) in either orientation.
+    """Make a closed polygon with the corners `points` (n, 2), world units, in either orientation; n is at least 3.
 
     Examples
     --------
@@ -208,7 +208,9 @@ def polygon(points: ArrayLike) -> Profile:
 
 
 def extrude(profile: Profile, height: float) -> Shape:
-    """Extrude a profile along z by `height`, centred at z = 0. Exact for one primitive that does not cross itself.
+    """Extrude a profile along z to the height `height`, centred at z = 0.
+
+    The field is exact if the profile is a single circle, rectangle or polygon that does not cross itself.
 
     Examples
     --------
@@ -220,7 +222,7 @@ def extrude(profile: Profile, height: float) -> Shape:
 
 
 def revolve(profile: Profile, offset: float = 0.0) -> Shape:
-    """Revolve a profile about z: its x plus `offset` becomes the distance from the axis, its y becomes z.
+    """Revolve a profile about z. Its x plus `offset`, world units, is the distance from the axis, and its y is z.
 
     Examples
     --------

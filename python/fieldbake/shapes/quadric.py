@@ -279,7 +279,7 @@ class Quadric(Viewable):
         trim_z: float = 0.0,
         linear_z: float = 0.0,
     ) -> Quadric:
-        """Make ``diag(diagonal)`` plus ``linear_z * z``, moved to `center`, with its trim sphere `trim_z` above it."""
+        """Make the form ``diag(diagonal)`` plus ``linear_z * z`` about `center`; the trim sphere is `trim_z` above."""
         unknown = set(surface) - {"reflectance", "opacity"}
         if unknown:
             raise TypeError(f"unknown argument '{min(unknown)}'; a surface has reflectance and opacity")
@@ -388,7 +388,7 @@ class Quadric(Viewable):
         return np.concatenate([self._matrix.ravel(), tail])
 
     def _packed(self) -> NDArray[np.float32]:
-        """Its record in :func:`pack_quadrics`, (24,)."""
+        """Convert the quadric to its record in :func:`pack_quadrics`, (24,)."""
         # Adding zero turns -0.0 into 0.0.
         record: NDArray[np.float32] = self._row().astype(np.float32) + np.float32(0)
         return record

@@ -1,7 +1,7 @@
 """Shader text of a shape as one function, to paste into a fragment shader.
 
-The text of a compute shader has the functions of all leaves, buffers and an entry point. Here the parameters become an
-array of constants, and only the definitions remain that the function of the shape needs.
+The text of a compute shader has the functions of all leaves, buffers and an entry point. This module turns the
+parameters into an array of constants, and keeps only the definitions that the function of the shape needs.
 """
 
 from __future__ import annotations
@@ -53,19 +53,19 @@ _NAMES = (
 
 
 def shader_function(text: str, numbers: NDArray[np.float32], language: str, name: str) -> str:
-    """Make the text of one function of the compute text of a shape.
+    """Convert the compute shader of a shape to the text of one function.
 
     Parameters
     ----------
     text : str
         Text of a compute shader that evaluates the shape.
     numbers : (n,) float32
-        Its parameters.
+        Parameters of the shape, the contents of the buffer of the shader.
     language : str
-        Its language.
+        Language of the text: "wgsl", "glsl", "hlsl" or "msl".
     name : str
-        Name of the function. With another name than ``distance_to_shape`` all other definitions begin with it, so that
-        the texts of several shapes can be pasted into one shader.
+        Name of the function. A name other than ``distance_to_shape`` is also put before the names of all other
+        definitions, so that the texts of several shapes can be pasted into one shader.
     """
     for pattern, access in _ACCESSES[language]:
         text = re.sub(pattern, access, text)
@@ -92,7 +92,7 @@ def shader_function(text: str, numbers: NDArray[np.float32], language: str, name
 
 
 def _definitions(text: str) -> Iterator[str]:
-    """The definitions of a text, each with the comment directly before it."""
+    """Split a text into its definitions, each with the comment directly before it."""
     chunk: list[str] = []
     depth = 0
     for line in text.splitlines():
@@ -112,7 +112,7 @@ def _name(chunk: str) -> str | None:
 
 
 def _literal(number: float) -> str:
-    """A number in every language: the shortest decimal that rounds to this float32, with a point."""
+    """Write a number for every language: the shortest decimal that rounds to this float32, with a point."""
     text = np.format_float_scientific(np.float32(number), unique=True, trim="0")
     short = np.format_float_positional(np.float32(number), unique=True, trim="0")
     return short if len(short) <= len(text) else text

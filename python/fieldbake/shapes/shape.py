@@ -33,8 +33,9 @@ class Shape(Viewable):
     """A solid made of primitives and operators. Immutable; every method returns a new shape.
 
     ``a | b`` is the union, ``a & b`` the intersection, ``a - b`` the difference, ``a ^ b`` the symmetric
-    difference, and ``~a`` the complement. An operand may be a Volume, which joins as a leaf. Shapes share their
-    subtrees, so large models are cheap to build.
+    difference, and ``~a`` the complement. An operand may be a Volume, which becomes a leaf. Shapes share their
+    subtrees, so large models are cheap to build. All lengths are in world units. Methods raise ShapeError for an
+    argument that is not finite or out of range.
 
     Examples
     --------
@@ -52,7 +53,7 @@ class Shape(Viewable):
     _core: CoreShape
 
     def __init__(self) -> None:
-        raise ShapeError("shape: is made by sphere(), box() and the like, or csg.parse()")
+        raise ShapeError("shape: is made by functions such as sphere() and box(), or by csg.parse()")
 
     @classmethod
     def _wrap(cls, core: CoreShape) -> Shape:
@@ -90,7 +91,7 @@ class Shape(Viewable):
         return self._changed("complement")
 
     def _combined(self, op: str, other: object, *, is_second: bool = False) -> Shape:
-        """Combine with another operand; a volume joins as a leaf."""
+        """Combine the shape with another operand. A volume becomes a leaf."""
         operand = operand_of(other)
         if operand is None:
             return NotImplemented  # type: ignore[no-any-return]
@@ -113,7 +114,10 @@ class Shape(Viewable):
         return combine("xor", [self, *others], k=k, chamfer=chamfer)
 
     def smooth(self, k: float) -> Shape:
-        """Replace the joint of the root operator by a fillet: ``(a | b).smooth(0.2)``. The field changes within `k`."""
+        """Replace the joint of the root operator by a fillet, as in ``(a | b).smooth(0.2)``.
+
+        The field changes only where the two operands differ by less than `k`, world units.
+        """
         return Shape._wrap(self._core.reblended(arguments.number("k", k), 0.0))
 
     def chamfer(self, width: float) -> Shape:
@@ -127,7 +131,7 @@ class Shape(Viewable):
         return self._changed("translate", *arguments.numbers("offset", offset, 3))
 
     def rotate(self, axis: Axis, degrees: float) -> Shape:
-        """Rotate right-handed about ``"x"``, ``"y"``, ``"z"`` or a vector through the origin."""
+        """Rotate about ``"x"``, ``"y"``, ``"z"`` or a vector (3,) through the origin, right-handed, by degrees."""
         swapped: object = degrees
         if isinstance(swapped, str) or (np.ndim(axis) == 0 and not isinstance(axis, str)):
             raise ShapeError(
@@ -146,7 +150,7 @@ class Shape(Viewable):
         direction *= (1.0 if letter is axis else -1.0) / length
         across = np.cross((0.0, 0.0, 1.0), direction)
         sine = float(np.linalg.norm(across))
-        # Opposite to z, every axis across is as short a way.
+        # Opposite to z, half a turn about any perpendicular axis is the smallest rotation.
         turn = across / sine if sine > 1e-12 else np.array([1.0, 0.0, 0.0])
         degrees = float(np.degrees(np.arctan2(sine, direction[2])))
         return self.rotate(turn.tolist(), degrees) if degrees else self
@@ -156,7 +160,7 @@ class Shape(Viewable):
         return self._changed("scale", arguments.number("factor", factor))
 
     def align(self, anchor: ArrayLike) -> Shape:
-        """Move `anchor` of the bounding box to the origin: -1 is the lower side, 0 the middle, 1 the upper side.
+        """Move the point `anchor` (3,) of the bounding box to the origin; -1 is the lower side, 1 the upper side.
 
         The bounding box is that of the shape with sharp joints; fillets do not enlarge it.
         """
@@ -172,7 +176,7 @@ class Shape(Viewable):
         return self._changed("mirror", *arguments.axis_of("axis", axis))
 
     def repeat(self, spacing: ArrayLike, counts: ArrayLike) -> Shape:
-        """Repeat the shape on a lattice about the origin, `counts` (3,) copies along the axes, `spacing` (3,) apart.
+        """Repeat the shape on a centred lattice: `counts` (3,) copies along the axes, at the distances `spacing` (3,).
 
         The result is the union of all copies, which may overlap. Decomposition makes it cheap to draw.
         """
@@ -189,11 +193,11 @@ class Shape(Viewable):
     # --- deformation
 
     def offset(self, distance: float) -> Shape:
-        """Grow the shape by `distance`; a negative distance shrinks it."""
+        """Grow the shape by `distance`, world units; a negative distance shrinks it."""
         return self._changed("offset", arguments.number("distance", distance))
 
     def shell(self, thickness: float) -> Shape:
-        """Replace the solid by a shell about its surface, half of it inside and half outside."""
+        """Replace the solid by a shell about its surface. Half of `thickness`, world units, lies on each side."""
         return self._changed("shell", arguments.number("thickness", thickness))
 
     def elongate(self, size: ArrayLike) -> Shape:
@@ -202,11 +206,11 @@ class Shape(Viewable):
         return self._changed("elongate", x / 2, y / 2, z / 2)
 
     def twist(self, degrees: float) -> Shape:
-        """Twist about z by `degrees` per unit of z. The field is divided by the largest stretch of space."""
+        """Twist about z by `degrees` per world unit of z. The field is divided by the largest stretch of space."""
         return self._changed("twist", arguments.number("degrees", degrees))
 
     def bend(self, degrees: float) -> Shape:
-        """Bend about z by `degrees` per unit of x. The field is divided by the largest stretch of space."""
+        """Bend about z by `degrees` per world unit of x. The field is divided by the largest stretch of space."""
         return self._changed("bend", arguments.number("degrees", degrees))
 
     # --- colour
@@ -278,7 +282,7 @@ class Shape(Viewable):
 
     @property
     def lipschitz(self) -> float:
-        """The largest slope of the field: 1, except for chamfers and volumes."""
+        """Bound on the slope of the field: 1, except for chamfers and volumes."""
         return self._core.lipschitz
 
     def to_sexpr(self) -> str:
@@ -422,7 +426,7 @@ def _from_sexpr(text: str) -> Shape:
 
 
 def combine(op: str, shapes: Iterable[object], *, k: float = 0.0, chamfer: float = 0.0) -> Shape:
-    """Combine shapes from the left; `op` is "union", "intersection", "difference" or "xor". Lists are taken apart."""
+    """Combine shapes from the left; `op` is "union", "intersection", "difference" or "xor". Lists are flattened."""
     flat: list[object] = []
     for item in shapes:
         flat.extend(item if isinstance(item, (list, tuple)) else [item])
@@ -435,7 +439,7 @@ def combine(op: str, shapes: Iterable[object], *, k: float = 0.0, chamfer: float
 
 
 def operand_of(value: object) -> Shape | None:
-    """A shape of an operand: a Shape itself, or the leaf of a Volume; None for any other object."""
+    """Convert an operand to a shape: a Shape stays, a Volume becomes a leaf; None for any other object."""
     if isinstance(value, Shape):
         return value
     if isinstance(value, Volume):
