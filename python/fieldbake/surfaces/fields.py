@@ -34,7 +34,7 @@ class Field(Protocol):
         """Values (n,) and gradients (n, 3) at points (n, 3)."""
 
     def distances(self, points: Array) -> Array:
-        """Unsigned distances of points (n, 3) near the zero level set from it, (n,)."""
+        """Unsigned distances from the zero level set, (n,), of points (n, 3) near it."""
 
 
 @dataclass(frozen=True)
@@ -206,10 +206,9 @@ class TangentSource:
 
 
 def projected(field: Field, points: Array, level: float = 0.0) -> tuple[Array, Array]:
-    """Points (n, 3) moved onto the tangent plane of the level set, and its normals (n, 3).
+    """Move points (n, 3) onto the tangent planes of the level set; return them and the normals of the planes (n, 3).
 
-    The field is linear along its gradient up to the nearest point of the surface if it is a distance; the step is exact
-    then.
+    A distance is linear along its gradient up to the nearest point of the surface, so for a distance the step is exact.
     """
     values, gradients = field.tangents(points)
     square = np.einsum("ij,ij->i", gradients, gradients)

@@ -1,4 +1,4 @@
-"""The report of a solid: how far it is from its source, and the facts of its surface."""
+"""The report of a solid: its distance from its source, and the properties of its surface."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from ..meshes.mesh import Mesh
 
 @dataclass(frozen=True)
 class SolidReport(SurfaceReport):
-    """Facts of a mesh made by :func:`fieldbake.solid`, `offset`, `shell` or `boolean`.
+    """Properties of a mesh made by :func:`fieldbake.solid`, `offset`, `shell` or `boolean`.
 
-    Every fact is computed when it is first read. `distance_to_source` and `distance_from_source` take about as long as
-    the mesh itself.
+    Every property is computed when it is first read. `distance_to_source` and `distance_from_source` take about as long
+    as the mesh itself.
 
     Attributes
     ----------

@@ -49,8 +49,8 @@ def solid(mesh: MeshLike, resolution: Resolution = 256, *, fill: Fill = "winding
         ``"outer"``: a point is inside if no path on the grid leads from outside to it without crossing a triangle, so
         that everything within the outer surface is filled.
     seal : float, default 0
-        Diameter, voxels, of the largest hole that ``"outer"`` closes. Without it a hole wider than a voxel lets the
-        outside in.
+        Diameter, voxels, of the largest hole that ``"outer"`` closes. With 0, a hole wider than a voxel connects the
+        inside with the outside.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def solid(mesh: MeshLike, resolution: Resolution = 256, *, fill: Fill = "winding
     Raises
     ------
     MeshError
-        If the mesh cannot be used, encloses nothing at this resolution, or an option makes no sense.
+        If the mesh cannot be used, encloses nothing at this resolution, or an option is out of range.
 
     Examples
     --------
@@ -75,7 +75,7 @@ def solid(mesh: MeshLike, resolution: Resolution = 256, *, fill: Fill = "winding
     diameter = _number("seal", seal, least=0)
     field: MeshField | OuterField
     if fill == "outer":
-        # The flood needs space for the seal between the mesh and the box.
+        # The flood needs free voxels between the mesh and the box, in which the seal fits.
         grid = _grid(source.bounds, resolution, border=2 + diameter / 2)
         radius = diameter / 2 * max(grid.spacing)
         field = OuterField(source, _core.OuterSides(source._core, grid.lower, grid.upper, grid.shape, radius))
@@ -104,7 +104,8 @@ def offset(mesh: MeshLike, distance: float, resolution: Resolution = 256) -> Mes
     mesh : Mesh or anything that `as_mesh` takes
         The source. Its inside is that of :func:`fieldbake.signed_distance`.
     distance : float
-        World units. A positive distance grows the solid and rounds its convex edges; a negative one shrinks it.
+        Distance of the new surface from the mesh, world units. A positive distance grows the solid and rounds its
+        convex edges; a negative one shrinks it.
     resolution : int or three ints, default 256
         Voxels along the longest side of the box of the result, or along x, y and z.
 
@@ -135,7 +136,7 @@ def offset(mesh: MeshLike, distance: float, resolution: Resolution = 256) -> Mes
         surface,
         MeshSource(source),
         grid,
-        f"distance: nothing is left of the mesh at {distance:g}; its thickest part is thinner",
+        f"distance: nothing of the mesh is left at {distance:g}, because its thickest part is thinner",
         lambda made: to_ideal(made, field),
         lambda made: from_ideal(made, field, grid),
         level=distance,
@@ -149,7 +150,7 @@ def shell(
     side: Side = "inward",
     open: ArrayLike | str | Sequence[str] = (),
 ) -> Mesh:
-    """Hollow a mesh: make the wall of a thickness along its surface.
+    """Hollow a mesh: make a wall of constant thickness along its surface.
 
     Parameters
     ----------
@@ -160,7 +161,7 @@ def shell(
     resolution : int or three ints, default 256
         Voxels along the longest side of the box of the result, or along x, y and z.
     side : "inward", "outward" or "both", default "inward"
-        Where the wall lies: inside the surface, outside, or half on each side.
+        Position of the wall: inside the surface, outside it, or half on each side.
     open : directions, default none
         Directions in which the wall is left open: ``"x"``, ``"-z"``, a vector (3,), or a sequence of those. Faces whose
         normal is within 45 degrees of a direction get no wall.
@@ -205,7 +206,7 @@ def shell(
         surface,
         TangentSource(field),
         grid,
-        f"thickness: no wall of {thickness:g} is left; it needs about a voxel ({max(grid.spacing):.3g})",
+        f"thickness: no wall of {thickness:g} is left; it must be about a voxel ({max(grid.spacing):.3g}) or more",
         lambda made: to_ideal(made, field),
         lambda made: from_ideal(made, field, grid),
     )
@@ -223,8 +224,8 @@ def boolean(op: Operation, a: MeshLike, b: MeshLike, *, resolution: Resolution =
     resolution : int or three ints, default 256
         Voxels along the longest side of the box of the result, or along x, y and z.
     smooth : float, default 0
-        Width of a fillet where the surfaces meet, world units: the surface changes where the two distances differ by
-        less.
+        Width of a fillet along the intersection of the surfaces, world units. The surface changes only where the two
+        distances differ by less than this width.
 
     Returns
     -------
@@ -286,7 +287,7 @@ def _extracted(
     *,
     level: float = 0.0,
 ) -> Mesh:
-    """Mesh a surface, and attach its report; an empty surface raises `nothing`."""
+    """Extract the mesh of a surface and attach its report. For an empty surface raise MeshError with `nothing`."""
     made = extract(surface, level, source, sharp=True, capped=True)
     if not len(made.faces):
         raise MeshError(nothing)
@@ -296,13 +297,13 @@ def _extracted(
 
 
 def _without_open_faces(mesh: Mesh, directions: ArrayLike | str | Sequence[str]) -> Mesh:
-    """The mesh without the faces that point in one of the directions. Without directions, the mesh itself."""
+    """Return the mesh without the faces that point in one of the directions; without directions, the mesh itself."""
     vectors = [_direction(item) for item in _directions(directions)]
     if not vectors:
         return mesh
     kept = (mesh.face_normals @ np.array(vectors).T <= OPEN_COSINE).all(axis=1)
     if not kept.any():
-        raise MeshError("open: every face of the mesh looks into one of the directions")
+        raise MeshError("open: every face of the mesh points in one of the directions")
     return Mesh(mesh.vertices, mesh.faces[kept].astype(np.int64))
 
 
