@@ -1,7 +1,7 @@
 """The Rust core. Private: use :mod:`fieldbake` or :mod:`fieldbake.arrays`.
 
 The Python layer passes C-contiguous arrays and checks their dtype and shape; values are checked here. Every function
-releases the GIL, stops on Ctrl-C and raises the exception classes of :mod:`fieldbake.errors`.
+releases the GIL, stops on Ctrl-C and raises the exceptions of :mod:`fieldbake.base.errors`.
 """
 
 from collections.abc import Callable, Sequence
@@ -106,11 +106,11 @@ class Mesh:
         were dropped, the input row of each kept one, followed by the number of input vertices.
         """
     def moved(self, vertices: NDArray[np.float64]) -> Mesh:
-        """The mesh with its kept vertices at other positions (n, 3), and with the tables that still hold."""
+        """Copy the mesh with its kept vertices at other positions (n, 3). Tables that stay valid are shared."""
     def self_intersections(self) -> int:
         """Number of pairs of faces without a common vertex that intersect."""
     def deviation(self, other: Mesh) -> tuple[float, float]:
-        """Bounds from below and above of the largest distance from this surface to another one, world units."""
+        """Lower and upper bound on the largest distance from this surface to another one, world units."""
     def sign_warnings(self, sign: str) -> list[str]:
         """Warnings about the sign of this surface by a method."""
     def topology(self) -> dict[str, Any]:
@@ -168,14 +168,15 @@ def bake_window(
     sign: str = "auto",
     band: float | None = None,
 ) -> NDArray[np.float32]:
-    """Samples ``low`` to ``low + size`` of the bake of a grid on the CPU, (sx, sy, sz), with the bits of the whole
-    bake. Distances beyond ``band`` voxels are cut to it."""
+    """Bake the samples ``low`` to ``low + size - 1`` of a grid on the CPU, (sx, sy, sz), with the bits of the whole
+    bake. Distances beyond ``band`` voxels are clamped to it."""
 
 def sides_of_balls(
     mesh: Mesh, centers: NDArray[np.float64], radii: NDArray[np.float64], *, sign: str = "auto"
 ) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
-    """Distance of the surface from the centres (n, 3) of balls, (n,), world units, and the side of all points of
-    each ball, (n,): 1 outside, -1 inside, 0 if the surface is in the ball or the sign rule decides each point."""
+    """Distances of the centres (n, 3) of balls from the surface, (n,), world units, and the side of each ball, (n,): 1
+    if all its points are outside, -1 if all are inside, 0 if it contains a part of the surface or if the sign method
+    has to classify each point."""
 
 def bake_brute(
     mesh: Mesh,
@@ -213,7 +214,7 @@ class DeviceField:
 
 @final
 class Shape:
-    """A CSG tree, compiled at the first evaluation. Numbers are those of :mod:`fieldbake.shapes`."""
+    """A CSG tree, compiled at the first evaluation. ``numbers`` are the parameters in :mod:`fieldbake.shapes`."""
 
     @staticmethod
     def primitive(name: str, numbers: list[float]) -> Shape: ...
@@ -258,7 +259,7 @@ class Shape:
     def shader(self, language: str) -> tuple[str, NDArray[np.float32]]:
         """The text, and the parameters that it reads from its buffer."""
     def decompose(self, method: str) -> tuple[NDArray[np.float64], list[int]]:
-        """Boxes of all parts (n, 2, 3), and the range of the boxes of each part."""
+        """Boxes of all parts (n, 2, 3), and the index of the first box of each part, followed by n."""
     def structures(self, method: str) -> int: ...
     def part(self, method: str, index: int) -> Shape: ...
     def draw(
@@ -466,9 +467,11 @@ class Surface:
         plane.
         """
     def probes(self, *, sharp_only: bool = False) -> NDArray[np.float64]:
-        """Points (k, 3) around the vertices where the source has to be evaluated; without those on smooth parts."""
+        """Points (k, 3) around the vertices at which the source has to be evaluated; with ``sharp_only`` only those
+        around sharp vertices.
+        """
     def join_planes(self, points: NDArray[np.float64], normals: NDArray[np.float64]) -> None:
-        """Join the tangent planes through `points` with `normals`, (k, 3) each, one row for each of the last probes."""
+        """Add the tangent planes through `points` with `normals`, (k, 3) each, one row for each of the last probes."""
     def mesh(self, *, sharp: bool = True, capped: bool = True) -> tuple[NDArray[np.float64], NDArray[np.uint32], int]:
         """Vertices (n, 3), faces (m, 3) and the number of vertices that were clamped to their cell."""
 
@@ -544,7 +547,7 @@ def bake_sparse(
     encoding: str = "float32",
     progress: Callable[[float], object] | None = None,
 ) -> tuple[SparseField, dict[str, Any]]:
-    """Bricks and the report, as for :func:`bake`. ``band`` and ``tolerance`` in voxels."""
+    """Bricks and the report, as for :func:`bake`. ``band`` and ``tolerance`` are in voxels."""
 
 def to_sparse(
     distances: NDArray[Any],
@@ -559,10 +562,10 @@ def to_sparse(
     scale: float = 1.0,
     progress: Callable[[float], object] | None = None,
 ) -> SparseField:
-    """The bricks of a dense field."""
+    """Convert a dense field to bricks. ``band`` and ``tolerance`` are in voxels."""
 
 def encoding_scale(encoding: str, voxel: float, band: float) -> float:
-    """The scale for voxels of this longest side and a band of this width, both in world units."""
+    """Compute the scale for voxels of this longest side and a band of this half width, both in world units."""
 
 def check_scales(encoding: str, scales: list[float]) -> None:
     """Raise ArgumentError unless the scales are valid for the encoding."""
@@ -590,9 +593,9 @@ def raymarch(
     ``size`` (width, height); ``light_directions`` (k, 3), in which light travels; ``light_colors`` (k, 3); ``ambient``;
     ``color``; ``specular``; ``shininess``; ``background``; ``shadows``.
 
-    Keys: ``color`` (h, w, 4) linear RGBA; ``depth`` (h, w) along the viewing axis, inf without a hit; ``normal`` (h, w,
-    3); ``object_id`` (h, w) int32, -1 without a hit; ``shadow`` (h, w) or (h, w, k); ``steps`` (h, w) uint32;
-    ``device``; ``seconds``.
+    The result has these keys: ``color`` (h, w, 4) linear RGBA; ``depth`` (h, w) along the viewing axis, inf without a
+    hit; ``normal`` (h, w, 3); ``object_id`` (h, w) int32, -1 without a hit; ``shadow`` (h, w) or (h, w, k); ``steps``
+    (h, w) uint32; ``device``; ``seconds``.
     """
 
 def raymarch_nested(
@@ -728,10 +731,10 @@ class Scene:
 
 @final
 class Renderer:
-    """Draws frames, and keeps what they have in common in device memory."""
+    """Draws frames, and keeps the data that frames share in device memory."""
 
     def __new__(cls, device: str | None = None) -> Renderer:
-        """Fails if ``device`` is given and not available."""
+        """Raises DeviceError if ``device`` is given and not available."""
     @property
     def counters(self) -> dict[str, int]:
         """``uploads``, ``upload_bytes``, ``submits`` and ``readbacks`` of all frames."""
@@ -757,9 +760,10 @@ class Renderer:
         device: str,
         progress: Callable[[float], object] | None = None,
     ) -> dict[str, Any]:
-        """Draw a scene. Keys are those of :func:`raymarch`, with ``seconds`` as a dict of passes, and: ``rays`` and
-        ``far_rays``, the number of rays and cones to lights and surroundings and of those that entered the far field;
-        ``light_on``, the device of the light pass; ``sheets``, the number of instances whose triangles the CPU traced.
+        """Draw a scene. The result has the keys of :func:`raymarch`, with ``seconds`` as a dict of passes, and further
+        keys: ``rays``, the number of rays and cones for light and occlusion; ``far_rays``, the number of those that
+        entered the far field; ``primary_on`` and ``light_on``, the devices of the two passes; ``sheets``, the number of
+        instances whose triangles the CPU traced.
         """
 
 @final
@@ -890,11 +894,11 @@ def atlas_shader(
 def viewer_shader(
     language: str, kinds: tuple[bool, bool, bool], encoding: str | None, shapes: list[Shape]
 ) -> tuple[str, list[tuple[int, NDArray[np.float32], list[float], float, float] | None]]:
-    """The fragment shader of a view; ``kinds``: whether it has dense and sparse fields and quadrics.
+    """The fragment shader of a view; ``kinds`` states whether the view has dense fields, sparse fields and quadrics.
 
-    ``encoding`` is that of all sampled fields, where it is one. For each shape: the index of its function and the
-    numbers that it reads, centre and scale of its local frame, and one over its Lipschitz constant; None for a shape
-    without a function.
+    ``encoding`` is that of all sampled fields, or None if they differ. For each shape the result has the index of its
+    function, the parameters that it reads, the centre and the scale of its local frame, and the inverse of its
+    Lipschitz constant; None for a shape without a function.
     """
 
 def shader_library(library: str, head: str, language: str) -> str:
@@ -906,7 +910,7 @@ def exr_write(texels: NDArray[np.uint8], width: int, height: int, encoding: str)
     """An OpenEXR file with the channel Y: the bytes of (height, width) float32 or float16."""
 
 def exr_read(bytes: bytes, width: int, height: int, encoding: str) -> bytes:
-    """The texels of such a file, if it has this size; float32 for normalised encodings."""
+    """The texels of a file that :func:`exr_write` wrote, if it has this size; float32 for normalised encodings."""
 
 @final
 class DevicePages:
@@ -929,4 +933,4 @@ def atlas_pack_device(
     device: str,
     progress: Callable[[float], object] | None = None,
 ) -> DevicePages | None:
-    """Fill new pages on a device; fields that are not there are uploaded. None if ``device`` is the CPU."""
+    """Fill new pages on a device. Fields in host memory are uploaded. None if ``device`` is the CPU."""

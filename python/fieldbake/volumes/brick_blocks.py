@@ -17,7 +17,7 @@ from ..files.band_blocks import SIDE, BandBlocks
 
 #: Cells along the side of a brick.
 CELLS = 7
-#: Words of the index: bits 31-30 are the level, 3 for an empty brick; bit 0 of an empty one tells that it lies inside.
+#: Words of the index: bits 31-30 are the level, 3 for an empty brick. Bit 0 of an empty brick is 1 inside the surface.
 LEVEL_SHIFT, EMPTY = 30, 3
 EMPTY_INSIDE = EMPTY << LEVEL_SHIFT | 1
 #: Bricks or blocks that are handled at once.
@@ -33,7 +33,7 @@ def blocks_of_bricks(
     spacing: NDArray[np.float64],
     band: float,
 ) -> BandBlocks:
-    """The blocks of a sparse field; `sample` evaluates it at world positions."""
+    """Make the blocks of a sparse field. `sample` evaluates the field at world positions (..., 3)."""
     arrays = field.arrays()
     index, bricks = arrays["index"], arrays["bricks"]
     shape, width = np.array(field.shape), np.float32(band)

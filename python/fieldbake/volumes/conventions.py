@@ -41,7 +41,7 @@ ENGINES = tuple(_ENGINES)
 
 @dataclass(frozen=True)
 class Convention:
-    """How a file's axes follow from the field's: axis i of the file is ``signs[i]`` times axis ``order[i]``."""
+    """Axes and units of a file: axis i of the file is ``signs[i]`` times axis ``order[i]`` of the field."""
 
     engine: str | None
     handedness: Handedness
@@ -56,12 +56,12 @@ class Convention:
         return self.order == (0, 1, 2) and min(self.signs) > 0 and not self.normalize
 
     def array(self, samples: NDArray[Any]) -> NDArray[Any]:
-        """Samples along the file's axes, x fastest."""
+        """Arrange samples (nx, ny, nz) along the axes of the file, x fastest."""
         turned = samples.transpose(self.order)[tuple(slice(None, None, sign) for sign in self.signs)]
         return np.asfortranarray(turned)
 
     def blocks(self, blocks: BandBlocks, bounds: NDArray[np.float64]) -> BandBlocks:
-        """A level set in the file's space. Blocks stay aligned, so voxels outside the grid may come before it."""
+        """Transform a level set to the space of the file. Blocks stay aligned, so a block may begin before the grid."""
         if self.is_identity:
             return blocks
         order, scale = self.order, self.scale(bounds)
@@ -89,7 +89,7 @@ class Convention:
         )
 
     def box(self, bounds: NDArray[np.float64], placed: NDArray[np.float64]) -> NDArray[np.float64]:
-        """A box in the file's space; `placed` is :meth:`transform` of the outer box."""
+        """Transform a box (2, 3) to the space of the file; `placed` is :meth:`transform` of the outer box."""
         corners = bounds @ placed[:3, :3].T + placed[:3, 3]
         return np.stack([corners.min(axis=0), corners.max(axis=0)])
 
@@ -108,7 +108,7 @@ class Convention:
         return matrix
 
     def facts(self, bounds: NDArray[np.float64]) -> dict[str, Any]:
-        """Metadata of a file on its space; empty if the space is the field's own."""
+        """Metadata of a file about its space; empty if the space is that of the field."""
         if self.is_identity:
             return {}
         told = {"engine": self.engine, "handedness": self.handedness, "up": self.up, "normalized": self.normalize}

@@ -40,10 +40,10 @@ class GridField(Viewable, Neighbours):
         Returns
         -------
         (n,) float32
-            World units. Where the field has no samples, beyond the band of a sparse volume or of a field in a Zarr
-            store: a proven lower bound on the distance, with its sign. Outside the box: the proven lower bound
-            sqrt(a^2 + s^2), where `a` is the distance from the box of the outermost samples and `s` a lower bound at
-            the nearest point of that box.
+            Distances, world units. Beyond the band of a sparse volume or of a field in a Zarr store the field has no
+            samples, and the value is a proven lower bound on the distance, with its sign. Outside the box it is the
+            proven lower bound ``sqrt(a^2 + s^2)``, where `a` is the distance from the box of the outermost samples and
+            `s` a lower bound at the nearest point of that box.
 
         Raises
         ------
@@ -123,8 +123,8 @@ class GridField(Viewable, Neighbours):
         One vertex is made for each surface patch of a cell (G. Nielson, "Dual Marching Cubes", IEEE Visualization
         2004). A quadratic error function places it within its cell (T. Ju et al., "Dual Contouring of Hermite Data",
         SIGGRAPH 2002). The planes are those at the crossed edges of the grid and, if the source is known, those at
-        points around the vertices. Time and additional memory grow with the surface. Straight edges and corners of the
-        source that are some voxels apart are reproduced to a fiftieth of a voxel.
+        points around the vertices. Time and additional memory grow with the area of the surface. Straight edges and
+        corners of the source that are some voxels apart are reproduced to a fiftieth of a voxel.
 
         Examples
         --------
@@ -136,7 +136,7 @@ class GridField(Viewable, Neighbours):
         level = checks.number("level", level)
         kept = self._kept_distance()
         if kept is not None and abs(level) > kept:
-            raise ArgumentError(f"level: must be at most {kept:g} in magnitude, where the distances end, got {level:g}")
+            raise ArgumentError(f"level: must be at most {kept:g} in magnitude, the band of the field, got {level:g}")
         planes = self._geometry if source is None else as_source(source)
         return extract(self._surface(level), level, planes, sharp=sharp, capped=capped)
 

@@ -17,7 +17,7 @@ from .grid_box import GridBox
 
 #: Name of the samples in other libraries.
 NAME = "distances"
-#: Share by which the steps between coordinates may differ.
+#: Fraction by which the steps between coordinates may differ.
 UNEVEN = 1e-4
 #: Slices that are checked at once.
 SLAB = 16
@@ -25,18 +25,18 @@ SLAB = 16
 
 @dataclass(frozen=True)
 class FieldCheck:
-    """How far samples behave like signed distances.
+    """Measurements that show whether samples are signed distances.
 
     Attributes
     ----------
     gradient : float
         Median length of the gradient between voxels; 1 for distances.
     unit_share : float
-        Share of the voxels where that length is from 0.9 to 1.1. The rest lie on edges of the field.
+        Fraction of the voxels where that length is from 0.9 to 1.1. For distances the others lie on edges of the field.
     steepest : float
         Largest change between neighbours, per unit of length; at most 1 for distances and their lower bounds.
     inside_share : float
-        Share of the voxels with a negative sample.
+        Fraction of the voxels with a negative sample.
     sign : str
         ``"negative inside"``, ``"positive inside"`` if the border of the box is negative, ``"unsigned"`` if no sample
         is negative.
@@ -50,7 +50,7 @@ class FieldCheck:
 
     @property
     def is_distance(self) -> bool:
-        """Whether the samples are signed distances, negative inside, as far as these numbers can tell."""
+        """Whether the measurements are those of signed distances, negative inside."""
         # Samples are float32, and distances are rounded; a slope of 1 may come out a little steeper.
         return self.sign == "negative inside" and abs(self.gradient - 1) <= 0.05 and self.steepest <= 1.01
 
@@ -126,12 +126,12 @@ class Neighbours(GridBox):
         return open3d.t.geometry.TriangleMesh(tensor(vertices), tensor(np.ascontiguousarray(mesh.faces, np.int64)))
 
     def check(self) -> FieldCheck:
-        """Measure the gradient and the sign of the samples, which tell whether they are signed distances.
+        """Measure the gradient and the sign of the samples, which show whether they are signed distances.
 
         Returns
         -------
         FieldCheck
-            Its property ``is_distance`` sums it up. Samples that a band cuts off do not count.
+            The measurements. Its property ``is_distance`` combines them. Samples that a band clamps are left out.
 
         Examples
         --------
@@ -176,7 +176,7 @@ class Neighbours(GridBox):
 
 
 def grid_of_xarray(array: Any) -> tuple[NDArray[Any], NDArray[np.float64], Any]:
-    """Samples (nx, ny, nz), box and inner box of a DataArray with the dimensions x, y and z in any order."""
+    """Read samples (nx, ny, nz), box and inner box of a DataArray with the dimensions x, y and z in any order."""
     dims = tuple(str(name) for name in getattr(array, "dims", ()))
     if sorted(dims) != ["x", "y", "z"]:
         raise ArgumentError(f"array: must be a DataArray with the dimensions x, y and z, got {dims or type(array)}")

@@ -74,16 +74,16 @@ class QuantizedVolume(Volume):
 
     @property
     def scale(self) -> float:
-        """Distance that a stored value of 1 stands for, world units.
+        """Distance that a stored value of 1 represents, world units.
 
-        The largest integer of a normalised encoding stands for this distance, and so do all distances beyond it. For
-        float16 the scale is the largest power of two that does not exceed the longest side of a voxel. Distances beyond
-        65504 times the scale are stored as 65504 times the scale.
+        The largest integer of a normalised encoding represents this distance; larger distances are clamped to it. For
+        float16 the scale is the largest power of two that does not exceed the longest side of a voxel, and distances
+        are clamped to 65504 times the scale.
         """
         return self._unit
 
     def error_bound(self, distance: float) -> float:
-        """Bound on the error of a stored distance of this magnitude, world units.
+        """Compute a bound on the error of a stored distance of this magnitude, world units.
 
         The bound holds up to ``scale`` for a normalised encoding, and up to ``65504 * scale`` for float16.
         """

@@ -18,15 +18,15 @@ class Shaded(ABC):
         Parameters
         ----------
         language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
-            GLSL is that of WebGL 2 (ES 3.00); newer versions take it with another first line.
+            GLSL is that of WebGL 2 (ES 3.00). Newer versions accept it with another first line.
 
         Returns
         -------
         str
             The distance at a world position ``p`` is ``field_distance(p)`` for a `Volume`, ``sparse_distance(p)`` for a
             `SparseVolume` and ``nested_distance(p)`` for a `NestedField`; ``field_gradient(p)`` is the gradient of a
-            `Volume`. Box and encoding are constants of the text; the textures are those of :meth:`shader_buffers`. An
-            entry point makes it a whole shader.
+            `Volume`. Box and encoding are constants of the text; the textures are those of :meth:`shader_buffers`. Add
+            an entry point to complete the shader.
 
         Raises
         ------

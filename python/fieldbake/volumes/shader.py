@@ -76,7 +76,7 @@ class Constant(NamedTuple):
 
 
 def _literal(kind: str, value: Any) -> str:
-    """A value in WGSL."""
+    """Write a value in WGSL."""
     number = int if "i" in kind else _float32
     if kind.startswith("vec"):
         return f"{kind}({', '.join(str(number(one)) for one in value)})"
@@ -88,7 +88,7 @@ def _float32(value: Any) -> float:
 
 
 def _place(prefix: str, shape: Any, lower: Any, spacing: Any) -> list[Constant]:
-    """The grid of a field as constants."""
+    """Make the constants that describe the grid of a field."""
     return [
         Constant(f"{prefix}_SHAPE", "vec3i", shape, "Voxels along x, y and z."),
         Constant(f"{prefix}_LOWER", "vec3f", lower, "Lower corner of the box, world units."),
@@ -97,14 +97,14 @@ def _place(prefix: str, shape: Any, lower: Any, spacing: Any) -> list[Constant]:
 
 
 def _text(library: str, header: str, definitions: Iterable[object], language: object) -> str:
-    """The functions of a library after a header and the definitions that they read, in some language."""
+    """Write the functions of a library in a language, after a header and the definitions that they read."""
     chosen: str = checks.choice("language", language, LANGUAGES)
     comment = "".join(f"// {line}\n" for line in header.splitlines())
     return _core.shader_library(library, "\n".join([comment, *map(str, definitions)]), chosen)
 
 
 def texture(name: str, binding: int, texels: NDArray[Any]) -> ShaderBuffer:
-    """A texture of texels [x, y, z] or [x, y]."""
+    """Make a texture of texels [x, y, z] or [x, y]."""
     return ShaderBuffer(name, binding, _FORMATS[str(texels.dtype)], texels.shape, texels.T)
 
 
@@ -178,7 +178,7 @@ def nested_text(levels: Any, language: object) -> str:
 
 
 def _of_level(name: str, comment: str, vectors: list[Any]) -> str:
-    """A function that returns the vector of a level."""
+    """Write a WGSL function that returns the vector of a level."""
     *first, last = (f"return {_literal('vec3f', vector)};" for vector in vectors)
     cases = "".join(f"    if level == {i} {{\n        {case}\n    }}\n" for i, case in enumerate(first))
     return f"// {comment}\nfn {name}(level: i32) -> vec3f {{\n{cases}    {last}\n}}\n"

@@ -1,4 +1,4 @@
-"""Sparse volumes: samples near the surface, a bound on the distance elsewhere."""
+"""Sparse volumes: samples near the surface, and bounds on the distance elsewhere."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class SparseVolume(GridField, Loadable, Shaded, Convertible):
 
     @property
     def distances(self) -> NDArray[np.float32]:
-        """The field on the whole grid, (nx, ny, nz) float32, computed at each use, as large as the dense volume."""
+        """The field on the whole grid, (nx, ny, nz) float32, world units; a new dense array at each use."""
         return checks.frozen(self._core_field.dense())
 
     def to_volume(self) -> Volume:
@@ -108,7 +108,7 @@ class SparseVolume(GridField, Loadable, Shaded, Convertible):
         Parameters
         ----------
         encoding : "float16", "snorm16" or "snorm8"
-            As for :meth:`Volume.quantize`. The largest integer of a normalised encoding stands for the band.
+            As for :meth:`Volume.quantize`. The largest integer of a normalised encoding represents the band.
 
         Returns
         -------

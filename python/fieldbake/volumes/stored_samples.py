@@ -32,7 +32,7 @@ class StoredSamples(GridField):
         return self._samples
 
     def _source(self, device: str) -> NDArray[Any] | _core.DeviceField:
-        """The samples at the place where a call with this `device` runs, if they are there."""
+        """The samples in the memory of the device that a call with this `device` uses, or else in host memory."""
         field = self._field
         return field if field is not None and field.serves(checks.text("device", device)) else self._distances
 
@@ -98,8 +98,8 @@ class StoredSamples(GridField):
             Trilinear interpolation of the eight surrounding samples, or the nearest sample.
         device : str, default "auto"
             ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`. ``"auto"`` reads the samples from a
-            hardware device if they are only there, else from host memory. A call for another device uploads the samples
-            once, and they stay there.
+            hardware device if they are only in its memory, else from host memory. The first call for a named device
+            uploads the samples, which then stay in its memory.
 
         Returns
         -------

@@ -151,7 +151,7 @@ class Volume(StoredSamples, Loadable, Shaded):
         Parameters
         ----------
         factor : int, default 2
-            Each side has 1/`factor` of the voxels, rounded up.
+            Factor by which the number of voxels along each side is divided; the result is rounded up.
 
         Returns
         -------
@@ -288,15 +288,15 @@ class Volume(StoredSamples, Loadable, Shaded):
 
         Notes
         -----
-        If the mesh has the faces of the one before, on the CPU, only the blocks of samples near moved triangles are
-        computed again. The whole grid is baked if most faces moved, if the box of the mesh moved by about an eighth of
-        its size or its longest side passed a power of two (then all positions are rounded differently), with a `band`,
-        with ``sign="pseudonormal"`` or ``"normal"``, and on graphics devices. A volume from a file or an array does
-        not know its mesh and is baked whole, with the options that its report states.
+        If the mesh has the faces of the previous mesh, only the blocks of samples near moved triangles are computed
+        again. The whole grid is baked if most faces moved, if the box of the mesh moved by about an eighth of its size
+        or its longest side passed a power of two (then all positions are rounded differently), with a `band`, with
+        ``sign="pseudonormal"`` or ``"normal"``, and on graphics devices. A volume from a file or an array has no
+        previous mesh; its whole grid is baked, with the options that its report states.
 
         Examples
         --------
-        An instance follows its mesh by the field of the current state:
+        An instance is drawn with the field of the current positions:
 
         >>> import fieldbake as fb
         >>> knot = fb.models.torus_knot()

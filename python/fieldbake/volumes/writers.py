@@ -134,7 +134,7 @@ class Placed:
 
 @dataclass(frozen=True)
 class SaveOptions:
-    """Options of ``save``; None is the default of the format."""
+    """Options of ``save``. None selects the default of the format."""
 
     encoding: str | None = None
     band: float | None = None
@@ -151,7 +151,7 @@ class SaveOptions:
         return convention(self.engine, self.handedness, self.up, self.normalize)
 
     def check(self, ending: str) -> None:
-        """Refuse an option that a format does not have."""
+        """Raise ArgumentError for an option that a format does not have."""
         known = ENCODINGS.get(ending, ("float32",))
         if self.encoding is not None and self.encoding not in known:
             words = container.listed(f'"{name}"' for name in known)
