@@ -23,7 +23,7 @@ from csg import fresh, leaf_size, scattered, scattered_leaves
 
 HERE = Path(__file__).parent
 
-#: How far the camera is away: its rays then differ from parallel ones by less than a pixel of 512.
+#: Distance of the camera, world units. Its rays then differ from parallel rays by less than a pixel of 512.
 FAR = 1000.0
 
 #: Half the side of the square that is drawn.
@@ -122,7 +122,7 @@ class Fidget:
             raise RuntimeError("fidget refuses the tree")
 
     def draw(self, side: int) -> np.ndarray:
-        """Depth below the front of the box; infinite where nothing was hit."""
+        """Depth below the front of the box; infinite for pixels without a hit."""
         matrix = np.diag([REACH, REACH, REACH, 1.0]).astype(np.float32)
         # Column by column; half a pixel, from the corners of the pixels to their middles.
         matrix[3, :2] = REACH / side

@@ -1,4 +1,4 @@
-"""How the cost of a bake grows: with the resolution, with the faces, with the threads. Writes a PNG of three curves.
+"""Time and memory of a bake over the resolution, the number of faces and the number of threads, as a PNG of curves.
 
     python benches/curves.py
 
@@ -26,7 +26,7 @@ USUAL_RESOLUTION, USUAL_FACES = 128, 100_000
 
 
 def one(faces: int, size: int) -> dict[str, float]:
-    """Bake in this process; seconds, and peak MiB above the level before."""
+    """Bake in this process. Returns seconds, and the peak of the memory above the level before, MiB."""
     import fieldbake as fb
 
     _, vertices, indices = meshes.knot(faces)

@@ -22,13 +22,13 @@ import fieldbake as fb
 
 #: Seeds that are finished together, and the seconds of processor time that one file may take.
 BLOCK, MOST_SECONDS = 500, 5.0
-#: Address space of the process, bytes: a reader that trusts a size in a file runs out of it.
+#: Address space of the process, bytes. A reader that allocates an unchecked size from a file exceeds it.
 MEMORY = 6 << 30
 WORDS = (0, 1, 4, 2**31, 2**32 - 1)
 
 
 def sources(folder: Path) -> list[tuple[Path, Path, bytes]]:
-    """Sound files of every format and encoding: the file to damage, the file to read, and the bytes of the first.
+    """Valid files of every format and encoding: the file to damage, the file to read, and the bytes of the first.
 
     The first is the JSON beside the second, or the second itself.
     """

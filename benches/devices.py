@@ -1,4 +1,4 @@
-"""The CPU and a graphics device side by side: the same bake and picture, how long, and how far apart.
+"""The same bake and picture on the CPU and on a graphics device: times, and the largest difference.
 
     python benches/devices.py [--device gpu] [--resolution 64] mesh ...
 

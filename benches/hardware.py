@@ -1,4 +1,4 @@
-"""One command for a day with a graphics card: the tests of devices, then each job on the card beside the processor.
+"""Tests and measurements of a graphics card: the tests of devices, then each job on the card beside the processor.
 
     make hardware    or    python benches/hardware.py [--device gpu] [--small] [--only bake,scene] [--tests BINARY]
 
@@ -34,7 +34,7 @@ ROOT = Path(__file__).parents[1]
 
 
 class Job(NamedTuple):
-    """The request for a stage."""
+    """The parameters of a stage."""
 
     device: str
     small: bool

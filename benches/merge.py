@@ -41,7 +41,7 @@ def shortest(repeat, call):
 
 
 def far_rays(count: int, resolution: int, repeat: int) -> None:
-    """A grove of posts under a sun, with and without a far field: interleaved, the shortest time of each."""
+    """Shortest times of a grove of posts under a sun, with and without a far field, in interleaved runs."""
     random = np.random.default_rng(2)
     post = fb.bake(fb.cylinder(radius=0.25, height=2).rotate("x", 90).translate((0, 1, 0)), 48)
     side = 0.6 * np.sqrt(count)

@@ -1,4 +1,4 @@
-"""The meshes that benchmarks run on."""
+"""The meshes of the benchmarks."""
 
 import os
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ NAMES = ["stanford-bunny", "armadillo", "spot/spot", "dragon"]
 
 
 def find(names: list[str] | None = None) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """Name, float32 vertices and faces of each mesh that is there; pymeshlab's bunny if none is."""
+    """Name, float32 vertices and faces of each mesh that is found; pymeshlab's bunny if there is none."""
     found = False
     for name in names or NAMES:
         for path in (folder / f"{name}{ending}" for folder in FOLDERS for ending in (".obj", ".ply")):
@@ -33,7 +33,7 @@ def load(path: Path) -> tuple[str, np.ndarray, np.ndarray]:
 
 
 def knot(faces: int) -> tuple[str, np.ndarray, np.ndarray]:
-    """A trefoil with about so many faces."""
+    """A trefoil with about this many faces."""
     import fieldbake as fb
 
     sides = max(3, round((faces / 20) ** 0.5))

@@ -33,8 +33,8 @@ import meshes
 
 HERE = Path(__file__).parent
 MARGIN = 1.1
-#: Samples that are checked, enough for every thousandth wrong one to show; and for large meshes as many as the exact
-#: winding number takes half a minute for.
+#: Number of checked samples. A fault of one sample in a thousand is found. For large meshes the exact winding number of
+#: all checked samples takes half a minute.
 CHECKED = 50_000
 CHECKED_TIMES_FACES = 6e9
 #: Voxels on both sides of the surface, for tools that find a band only.
@@ -46,7 +46,7 @@ TRIMESH_FACES = 200_000
 
 @dataclass
 class Case:
-    """A mesh, and the samples of a grid around it with z fastest, or so many random points in the same box."""
+    """A mesh, and the samples of a grid around it with z fastest, or random points in the same box."""
 
     name: str
     vertices: np.ndarray
@@ -271,7 +271,7 @@ def truth(case: Case, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def judge(case: Case, name: str, values: np.ndarray, exact: np.ndarray, winding: np.ndarray) -> dict[str, Any]:
-    """Largest error over the diagonal, and wrong signs."""
+    """Largest error as a fraction of the diagonal, and number of wrong signs."""
     error = np.abs(np.abs(values) - exact)
     if "band" in name:
         error = error[exact <= BAND * (case.bounds[1] - case.bounds[0])[0] / case.resolution]

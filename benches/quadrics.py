@@ -1,4 +1,4 @@
-"""Pictures of 10, 1,000 and 100,000 quadrics: rays a second, and how many quadrics and boxes a ray tries.
+"""Pictures of 10, 1,000 and 100,000 quadrics: rays per second, and numbers of quadrics and boxes tested per ray.
 
     python benches/quadrics.py [--size 256] [--device cpu] [--repeat 3]
 

@@ -43,7 +43,7 @@ def one_point(work: Callable[[], object], count: int = 300) -> float:
 
 
 def rays_of(mesh: fb.Mesh, kind: str, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Coherent: a picture of the mesh. Random: between random points of the box."""
+    """Make coherent rays, those of a picture of the mesh, and random rays between points of its box."""
     lower, upper = mesh.bounds
     center, size = (lower + upper) / 2, float((upper - lower).max())
     if kind == "coherent":
@@ -58,7 +58,7 @@ def rays_of(mesh: fb.Mesh, kind: str, count: int) -> tuple[np.ndarray, np.ndarra
 
 
 def ray_times(mesh: fb.Mesh, scene: Any, kind: str) -> list[float]:
-    """First hits and occlusion, ours and theirs."""
+    """Processor times of first hits and of occlusion by fieldbake and by Open3D."""
     origins, directions = rays_of(mesh, kind, MANY)
     rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
     return least(

@@ -1,4 +1,4 @@
-"""Grids beyond memory and libraries of assets: plan, shards by workers, peak memory of a worker, assets a minute.
+"""Grids beyond memory and libraries of assets: plan, shards by workers, peak memory of a worker, assets per minute.
 
     python benches/scale.py bunny.obj --resolution 1024
 

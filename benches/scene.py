@@ -60,7 +60,7 @@ def forest(count: int, random: np.random.Generator) -> tuple[fb.Scene, fb.Camera
 
 
 def light_of(scene: fb.Scene, camera: fb.Camera, size: tuple[int, int], repeat: int, **options) -> tuple[float, float]:
-    """Milliseconds of the light pass, the shortest, and its steps a pixel. Fields are baked before."""
+    """Shortest time of the light pass, milliseconds, and its steps per pixel. Fields are baked before."""
     plain = fb.render(scene, camera, size=size, **{**options, "shadows": "none", "method": "fieldbake"})
     frames = [fb.render(scene, camera, size=size, **options) for _ in range(repeat)]
     time_ms = min(frame.report["milliseconds"]["light"] for frame in frames)
@@ -81,7 +81,7 @@ def occlusion_against_soft(count: int, size: tuple[int, int], repeat: int) -> tu
 
 
 def embree_rays(scene: fb.Scene, frame: fb.Frame, camera: fb.Camera, cut: int, repeat: int) -> tuple[float, int, float]:
-    """Rays a second, triangles, and the share of equal answers with hard shadows."""
+    """Rays per second, number of triangles, and the fraction of rays with the result of hard shadows."""
     import open3d
 
     soup = []

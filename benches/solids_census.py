@@ -28,7 +28,7 @@ ENDINGS = (".obj", ".glb", ".stl", ".ply", ".off")
 
 
 def problems(mesh):
-    """Everything that is wrong with a mesh, as short texts."""
+    """All faults of a mesh, as short texts."""
     found = faults(mesh.vertices, mesh.faces)
     parts = np.array(mesh.vertices, np.float32, order="C"), np.array(mesh.faces, np.uint32, order="C")
     status = manifold3d.Manifold(manifold3d.Mesh(*parts)).status()

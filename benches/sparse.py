@@ -21,7 +21,7 @@ SIZE = (512, 512)
 
 
 def fastest(jobs: dict[str, Callable[[], Any]], rounds: int) -> dict[str, float]:
-    """Seconds of each job, the least of some alternating runs."""
+    """Shortest time of each job over alternating runs, seconds."""
     best = dict.fromkeys(jobs, float("inf"))
     for _ in range(rounds):
         for name, job in jobs.items():
