@@ -1,4 +1,4 @@
-"""The atlas: where texels go, what comes back, and that sampling it is sampling the volumes."""
+"""The atlas: positions of texels, unpacked volumes, and samples that equal those of the volumes."""
 
 import copy
 import pickle
@@ -29,7 +29,7 @@ ARTICLE_STRUCT = [
     ("atlas_offset", 196, 4),
 ]
 
-#: The most that an encoding changes a distance of at most 1 in a band of 1 unit.
+#: Largest error of each encoding for a distance of at most 1 in a band of 1 unit.
 ENCODING_ERROR = {"float32": 0.0, "float16": 2.0**-10, "snorm16": 1 / 32767, "snorm8": 1 / 127}
 
 

@@ -1,4 +1,4 @@
-"""Atlas files: the same bits back, and no harm from damaged or hostile ones."""
+"""Atlas files: loaded atlases have the same bits, and damaged or hostile files raise FormatError."""
 
 import io
 import json
@@ -44,7 +44,7 @@ def good_file(tmp_path_factory):
 
 
 def rewrite(content, change_header=None, **arrays):
-    """The archive with facts of the header, or arrays, replaced."""
+    """Write the archive again with entries of the header, or arrays, replaced."""
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         members = {info.filename: archive.read(info) for info in archive.infolist()}
     header = json.loads(str(np.load(io.BytesIO(members["header.npy"]))))

@@ -1,4 +1,4 @@
-"""Input that an atlas refuses, and the error messages."""
+"""Invalid input for an atlas, and the error messages."""
 
 import numpy as np
 import pytest

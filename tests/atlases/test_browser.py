@@ -1,4 +1,4 @@
-"""The GLSL that an atlas gives, compiled and run in a browser: WebGL 2 in Chromium, without a window."""
+"""The GLSL text of an atlas, compiled and run in a browser: WebGL 2 in Chromium, without a window."""
 
 import numpy as np
 import pytest

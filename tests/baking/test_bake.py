@@ -1,4 +1,4 @@
-"""The bake: where samples sit, what they hold, what it costs, and how it stops."""
+"""The bake: positions and values of samples, memory and time, progress and cancellation."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""The same calls on a graphics device: same numbers, and failures that can be read."""
+"""Bakes, queries and pictures on a graphics device: the results of the CPU, and clear errors."""
 
 from __future__ import annotations
 

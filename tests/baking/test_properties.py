@@ -1,6 +1,6 @@
-"""Properties that hold for every mesh, searched by hypothesis among random triangles, points and garbage.
+"""Properties that hold for every mesh, tested by hypothesis with random triangles, points and invalid values.
 
-`HYPOTHESIS_PROFILE=search pytest tests/baking/test_properties.py` looks longer and elsewhere.
+`HYPOTHESIS_PROFILE=search pytest tests/baking/test_properties.py` runs more and other examples.
 """
 
 import contextlib
@@ -32,7 +32,7 @@ def surfaces(draw, most=8):
 
 
 def as_mesh(geometry):
-    """The mesh, unless it has no surface at all: that is refused, and tested elsewhere."""
+    """Make the mesh. An example without a surface raises an error, which another test covers, and is skipped."""
     try:
         return fb.Mesh(*geometry)
     except fb.MeshError:
@@ -40,7 +40,7 @@ def as_mesh(geometry):
 
 
 def kept(mesh):
-    """The triangles the package kept. Those without area are dropped, which changes what is nearest."""
+    """The triangles that the mesh kept. Triangles without area are dropped, which may change the nearest one."""
     return meshes.Geometry(mesh.vertices.astype(np.float64), mesh.faces.astype(np.int64))
 
 

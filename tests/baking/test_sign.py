@@ -1,4 +1,4 @@
-"""Inside or outside: every kind of surface by name, against exact winding numbers.
+"""Signs on closed, open and dirty surfaces, against exact winding numbers.
 
 Whole grids are judged by libigl's exact summation, which `test_truth.py` holds against brute force on every shape used
 here.
@@ -13,7 +13,7 @@ import fieldbake as fb
 import meshes
 import truth
 
-#: How far the fast winding number may be off on a mesh that is all openings (Barill et al. 2018, second order, beta 2).
+#: Largest error of the fast winding number on a triangle soup (Barill et al. 2018, second order, beta 2).
 #: Where the exact number is closer to 1/2 than this, either sign will do.
 FAST_WINDING_ERROR = 0.02
 
@@ -21,7 +21,7 @@ SIGNED_METHODS = ["auto", "winding", "parity", "pseudonormal", "normal"]
 
 
 def assert_signs(geometry, points, found, undecided=0.0):
-    """No wrong sign where the point is off the surface and the winding number is not within `undecided` of 1/2."""
+    """Assert correct signs for points off the surface whose winding number is not within `undecided` of 1/2."""
     reference = truth.Reference(*geometry)
     winding, distance = np.abs(reference.winding_number(points)), reference.distance(points)
     clear = np.abs(winding - 0.5) > undecided
@@ -30,7 +30,7 @@ def assert_signs(geometry, points, found, undecided=0.0):
 
 
 def assert_same_field(geometry, found, expected):
-    """Equal but for what the order and direction of faces does to the last bits of either."""
+    """Assert equal fields up to rounding, which depends on the order and the direction of faces."""
     assert np.abs(found.distances - expected.distances).max() <= 2 * truth.tolerance(*geometry).item()
 
 

@@ -1,4 +1,4 @@
-"""Commands on many meshes: folders, exit status and the names of what failed."""
+"""Commands on many meshes: folders, exit status and the names of failed items."""
 
 import numpy as np
 import pytest

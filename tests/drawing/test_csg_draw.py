@@ -1,4 +1,4 @@
-"""Pictures of shapes: closed forms against marching, cameras in awkward places, and kernels written while you draw."""
+"""Pictures of shapes: closed forms against sphere tracing, special cameras, and kernels that are compiled meanwhile."""
 
 import subprocess
 import sys
@@ -131,18 +131,18 @@ def test_the_device_draws_the_parts_of_any_tree(tree, method):
 
 
 def blend(radius, tube):
-    """Two structures are enough to be marched: a torus with a fillet, and a box."""
+    """A torus with a fillet, minus a box: its parts have no closed form, so they are sphere traced."""
     ring = fb.torus(radius, tube).union(fb.sphere(0.5).translate((0.6, 0, 0)), k=0.2)
     return ring - fb.box((0.3, 4, 4))
 
 
 def row(radius):
-    """Balls that overlap or do not, and a bar that is taken away."""
+    """A row of balls, which may overlap, minus a bar."""
     return fb.csg.union(*(fb.sphere(radius).translate((0.5 * i - 2, 0, 0)) for i in range(9))) - fb.box((9, 0.1, 0.1))
 
 
 def draw_until_compiled(shape, device, camera=None, size=(24, 24)):
-    """The first picture, and the first one by a kernel written for the shape."""
+    """Return the first picture, and the first picture by the specialised kernel of the shape."""
     camera = camera or fb.Camera((0, -3, 2), (0, 0, 0))
     first = frame = fb.raymarch(shape, camera, size=size, device=device)
     patience = time.monotonic() + 120

@@ -55,7 +55,7 @@ def side_by_side():
 
 
 def nothing_left():
-    """Two pockets from opposite sides that meet in a wall of no thickness."""
+    """Two pockets from opposite sides, with a wall of no thickness between them."""
     cuts = [rays.placed(rays.box((0.6, 0.6, 0.5)), (0, 0, z)) for z in (-0.25, 0.25)]
     return rays.combine("difference", rays.box((1, 1, 1)), *cuts)
 

@@ -1,4 +1,4 @@
-"""The default light and background: one for all pictures, nothing burnt out, outlines visible."""
+"""The default light and background: the same in all pictures, without clipped highlights, with visible outlines."""
 
 from __future__ import annotations
 

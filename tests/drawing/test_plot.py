@@ -1,4 +1,4 @@
-"""Plots: that they show what is there."""
+"""Plots: slices, iso-lines and frames of volumes at the right positions."""
 
 import io
 

@@ -1,4 +1,4 @@
-"""The first picture: what is hit, how far, how it is lit, and how the arrays lie."""
+"""Pictures of one field: hits, depths, lighting, and the layout of the arrays."""
 
 import os
 
@@ -48,7 +48,7 @@ def camera():
 
 
 def interpolation_error(volume, radius):
-    """The most a trilinear sphere field is off near its surface: h^2 / 8 times the sum of second derivatives, 2 / r."""
+    """Error bound of a trilinear sphere field near its surface: h^2 / 8 times the sum of second derivatives, 2 / r."""
     h = float(volume.spacing.max())
     return h**2 / 8 * 2 / (radius - np.sqrt(3) * h)
 

@@ -1,4 +1,4 @@
-"""Renderers: frames of one scene with what they share kept between them."""
+"""Renderers: frames of one scene, and the data that is kept between them."""
 
 from __future__ import annotations
 

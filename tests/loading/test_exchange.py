@@ -1,4 +1,4 @@
-"""Files for other programs, read back by other readers and by us."""
+"""Files for other programs, read by independent readers and by fieldbake."""
 
 import contextlib
 import json
@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import fieldbake as fb
 from damage import damaged
 
-#: Width of a stored step, as a share of the scale.
+#: Width of a stored step, as a fraction of the scale.
 STEPS = {"snorm16": 32767, "snorm8": 127}
 DTYPES = {"float32": np.float32, "float16": np.float16, "snorm16": np.int16, "snorm8": np.int8}
 #: DXGI_FORMAT and VkFormat of one channel, from the headers of Direct3D and Vulkan.
@@ -47,7 +47,7 @@ def scale_of(volume, encoding, band=4):
 
 
 def stored(volume, encoding, band=4):
-    """Texels [z, y, x] by an independent rule: toward zero, as a share of the scale."""
+    """Texels [z, y, x] by an independent rule: fractions of the scale, rounded toward zero."""
     scale = scale_of(volume, encoding, band)
     values = volume.distances.T.astype(np.float64)
     if encoding == "float32":

@@ -1,4 +1,4 @@
-"""Grids for other programs: OpenVDB, NanoVDB, VTK, NRRD, textures, flipbooks and .vf, by readers that are not ours."""
+"""Grids for other programs: OpenVDB, NanoVDB, VTK, NRRD, textures, flipbooks and .vf, by independent readers."""
 
 import json
 import struct

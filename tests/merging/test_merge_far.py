@@ -1,4 +1,4 @@
-"""Far rays: past a distance a merged field throws the shadows of a scene."""
+"""Far rays: beyond a distance a merged field replaces the instances for shadows and occlusion."""
 
 from __future__ import annotations
 

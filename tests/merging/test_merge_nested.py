@@ -1,4 +1,4 @@
-"""Nested levels: their grids, the bound between and across them, and what they are used for."""
+"""Nested levels: their grids, the bound within and between levels, pictures and updates."""
 
 from __future__ import annotations
 

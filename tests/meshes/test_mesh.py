@@ -1,4 +1,4 @@
-"""Input that becomes a mesh, input that is refused with its message, and the precision at any scale and offset."""
+"""Valid input of meshes, errors for invalid input, and the precision at any scale and offset."""
 
 import struct
 

@@ -1,4 +1,4 @@
-"""Properties of a mesh, its transfer to other processes, and its files."""
+"""Area, volume and normals of a mesh, its transfer to other processes, and its files."""
 
 import copy
 import multiprocessing

@@ -1,4 +1,4 @@
-"""Real models: exact over whole grids, right about the side, and clear about broken files."""
+"""Real models: exact distances and signs over whole grids, and clear errors for damaged files."""
 
 import numpy as np
 import pytest
@@ -9,10 +9,10 @@ import truth
 RESOLUTION = 32
 RANDOM_POINTS = 2_000
 
-#: Closed and wound one way, as the mesh folder's README counts them: not one wrong sign.
+#: Closed and consistently oriented models, as the README of the mesh folder lists them. All signs must be correct.
 CLOSED = ["spot/spot.obj", "armadillo.obj", "rocker-arm.obj", "fandisk.obj"]
 
-#: Open, flat, doubled, turned: exact all the same.
+#: Open, flat, doubled and flipped models, whose distances are exact too.
 OTHERS = [
     "stanford-bunny.obj",
     "suzanne.obj",

@@ -21,7 +21,7 @@ MODULES = ("arrays", "cache", "csg", "jax", "models", "torch")
 
 
 def public_names() -> set[str]:
-    """Full names of everything public that is not a module or the version."""
+    """Full names of all public names except modules and the version."""
     names = {f"fieldbake.{name}" for name in fb.__all__ if name not in MODULES and name != "__version__"}
     for module in MODULES:
         names |= {f"fieldbake.{module}.{name}" for name in importlib.import_module(f"fieldbake.{module}").__all__}

@@ -1,4 +1,4 @@
-"""The packages import each other in one direction, and only public names can be seen from outside."""
+"""The packages import each other in one direction, and only public names are visible from outside."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The pages that introduce the package run as pasted, and their links lead somewhere."""
+"""The code of the README and the first pages runs as pasted, and the targets of their links exist."""
 
 import re
 from pathlib import Path

@@ -15,7 +15,7 @@ SHARED = re.compile(r"^        ([A-Z][A-Z_0-9]+): \w+ as \w+ = ", re.MULTILINE)
 
 
 def value(text):
-    """The number that an expression of either language stands for, or None."""
+    """Evaluate a constant expression of Rust or WGSL; None if it is not constant."""
     text = text.strip().replace("u32::MAX", "0xffffffff").replace("f32::EPSILON", "1.1920929e-7")
     # Types: suffixes and casts.
     text = re.sub(r"_?(?:u32|i32|f32|f64|usize|u64)\b| as \w+", "", text).replace("_", "")

@@ -1,4 +1,4 @@
-"""The closest point: exact against brute force in float64 on every shape, near, far, on the surface and at ties."""
+"""The closest point against brute force in float64 on every mesh: near, far, on the surface and at ties."""
 
 import numpy as np
 import pytest

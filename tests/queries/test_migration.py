@@ -1,4 +1,4 @@
-"""The lines of docs/migration.md give the numbers of the libraries that they replace."""
+"""The lines of docs/migration.md give the results of the libraries that they replace."""
 
 import re
 import shutil

@@ -25,7 +25,7 @@ def placed(name, place):
 
 
 def rounding(geometry):
-    """Rounding of float64 positions: a dozen operations on the largest coordinate and on the box."""
+    """Bound on the rounding of float64 positions: a dozen operations on the largest coordinate and on the box."""
     used = geometry.vertices[geometry.faces].reshape(-1, 3)
     return 64 * FLOAT64_ROUNDING * (np.abs(used).max() + np.ptp(used, axis=0).max())
 

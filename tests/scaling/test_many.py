@@ -1,4 +1,4 @@
-"""Libraries of assets: rows, results, errors of single items, and what a second run does."""
+"""Libraries of assets: rows, results, errors of single items, and second runs."""
 
 import json
 import os

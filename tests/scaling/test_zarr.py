@@ -1,4 +1,4 @@
-"""Fields in Zarr stores: the bits of the whole bake, resumption, damage, and everything that a ZarrVolume does."""
+"""Fields in Zarr stores: the bits of the whole bake, resumption, damaged stores, and all methods of ZarrVolume."""
 
 import contextlib
 import errno

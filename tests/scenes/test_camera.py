@@ -1,4 +1,4 @@
-"""The camera: where it stands, where it looks, what it refuses."""
+"""The camera: its position, its direction, and errors for invalid arguments."""
 
 import copy
 import pickle
@@ -16,7 +16,7 @@ def corners(bounds):
 
 
 def project(camera, points, aspect):
-    """Positions in the picture from -1 to 1, and depth."""
+    """Project points: positions in the picture from -1 to 1, and depths."""
     local = (points - camera.eye) @ camera.pose[:3, :3]
     slope = np.tan(np.radians(camera.fov_deg) / 2)
     depth = -local[:, 2]

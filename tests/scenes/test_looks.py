@@ -1,4 +1,4 @@
-"""Colours of vertices, textures, emission and unlit surfaces against values worked out by hand."""
+"""Colours of vertices, textures, emission and unlit surfaces against values in closed form."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SIZE = (32, 32)
 
 
 def points() -> np.ndarray:
-    """Place of each pixel's centre on the square, (h, w, 2)."""
+    """Position of the centre of each pixel on the square, (h, w, 2)."""
     half = 2 * np.tan(np.radians(53.0) / 2)
     x = ((np.arange(32) + 0.5) / 16 - 1) * half
     return np.stack(np.broadcast_arrays(x[None, :], -x[:, None]), axis=-1)

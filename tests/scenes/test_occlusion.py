@@ -1,4 +1,4 @@
-"""Ambient occlusion: its cost beside soft shadows, and walls that stay closed to wide cones."""
+"""Ambient occlusion: its cost compared with soft shadows, and walls that wide cones must not pass."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CAMERA = fb.Camera((6, 5, 9), (0, -0.6, 0), fov_deg=40)
 
 
 def crowd(count: int) -> fb.Scene:
-    """Knots and balls at random over a floor, as far apart at any count."""
+    """Knots and balls at random positions over a floor, with the same density for any count."""
     random = np.random.default_rng(4)
     things = [fb.models.torus_knot(segments=64, sides=10), fb.Mesh(*meshes.icosphere(3))]
     side = 0.8 * np.sqrt(count)

@@ -1,4 +1,4 @@
-"""Light through objects: albedo x light x visibility where it enters x exp(-length inside / scattering length)."""
+"""Light through objects: albedo * light * visibility at the entry * exp(-length inside / scattering length)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scenes: what is seen against other renderers, shadows against closed forms."""
+"""Scenes: visible surfaces against other renderers, shadows against closed forms."""
 
 from __future__ import annotations
 
@@ -460,7 +460,7 @@ def test_a_leaf_card_casts_the_shadow_of_a_leaf(model_path) -> None:
 
 
 def masked_hits(mesh: fb.Mesh, transform: np.ndarray, points: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Which rays meet a triangle where its mask stands."""
+    """Test which rays hit a triangle at a texel that its mask keeps."""
     import trimesh
 
     vertices = mesh.vertices @ transform[:3, :3].T + transform[:3, 3]

@@ -1,4 +1,4 @@
-"""Scenes on a graphics device: the CPU's picture."""
+"""Scenes on a graphics device: the picture is that of the CPU."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The examples of scenes run as they stand, small."""
+"""The examples of scenes run unchanged, at small sizes."""
 
 from __future__ import annotations
 

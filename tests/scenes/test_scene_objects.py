@@ -1,4 +1,4 @@
-"""Quadrics, shapes, sparse and packed fields in scenes: what is seen, and the shadows of each."""
+"""Quadrics, shapes, sparse and packed fields in scenes: visible surfaces and shadows of each."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def test_quadrics_are_drawn_as_raymarch_draws_them() -> None:
 
 
 def kinds(place: float = 1.0) -> list[fb.Instance]:
-    """One of each, side by side, pushed into each other by a `place` below 1."""
+    """One object of each kind, side by side; they overlap if `place` is below 1."""
     things = [
         fb.models.torus_knot(segments=96, sides=12),
         field(),

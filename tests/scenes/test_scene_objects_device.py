@@ -1,4 +1,4 @@
-"""Things without a dense grid on a graphics device: drawn and lit there, the CPU's picture."""
+"""Objects without a dense grid on a graphics device: they are drawn and lit there, with the picture of the CPU."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def bowl(**surface) -> fb.Quadric:
 
 
 def quadrics() -> list[fb.Instance]:
-    """Sheets that are open, that meet, and that let half of the light through."""
+    """Quadrics that are open, that intersect, and that transmit half of the light."""
     half = [bowl(opacity=0.5), fb.Quadric.cylinder((0, 0, 0.9), 0.4, 0.8, opacity=0.5)]
     return [
         fb.Instance(half, PLACE),

@@ -1,4 +1,4 @@
-"""Shapes: primitives against points on their surface, the language, decomposition, pictures, and what is refused."""
+"""Shapes: primitives against points on their surface, the language, decomposition, pictures, and errors."""
 
 import functools
 import pickle

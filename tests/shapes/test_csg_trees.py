@@ -1,4 +1,4 @@
-"""Random trees: the core's field is NumPy's, parts cover the surface and agree with it, pictures are the same."""
+"""Random trees: the field is that of NumPy, parts cover the surface and equal the whole there, pictures are equal."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def test_fields_are_those_of_numpy(tree):
 @given(truth.trees, st.integers(0, 2**16))
 @settings(max_examples=60)
 def test_fields_bound_the_distance(tree, seed):
-    """No two points differ by more than the Lipschitz constant times what is between them."""
+    """The values at two points differ by at most the Lipschitz constant times the distance between them."""
     first = sample_points(((-2,) * 3, (2,) * 3), 200, seed)
     second = first + np.random.default_rng(seed).normal(0, 0.3, first.shape)
     change = np.abs(tree.shape.distance(first).astype(float) - tree.shape.distance(second))

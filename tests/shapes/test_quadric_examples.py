@@ -1,4 +1,4 @@
-"""The examples of quadrics, of merging and of all things together run as they stand."""
+"""The examples of quadrics, of merging and of the still life run unchanged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The comparisons fail where they must."""
+"""The helpers for comparisons fail for NaN and for values beyond the tolerance."""
 
 import ast
 from collections.abc import Iterator

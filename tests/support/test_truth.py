@@ -1,4 +1,4 @@
-"""The yardstick measured: brute force against closed forms, a second formula and libigl; and the zoo itself."""
+"""The reference results: brute force against closed forms, a second formula and libigl; and the test meshes."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def random():
 
 
 def distance_by_regions(p, a, b, c):
-    """The same by another road: which corner, edge or face `p` is over (Ericson 2005, 5.1.5), one point at a time."""
+    """The same distance by Voronoi regions of corners, edges and the face (Ericson 2005, 5.1.5), for one point."""
     ab, ac = b - a, c - a
     d1, d2 = ab @ (p - a), ac @ (p - a)
     d3, d4 = ab @ (p - b), ac @ (p - b)

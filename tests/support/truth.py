@@ -7,7 +7,7 @@ Three kinds of truth:
 * closed forms (`sphere`, `box`, `torus`, ...) with `facet_error`, the most that flat triangles can be off a curved
   surface.
 
-Negative is inside, as in the package. trimesh counts the other way round: `from_trimesh` is the one place that knows.
+Distances are negative inside, as in the package. trimesh has the opposite sign, which only `from_trimesh` converts.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def closest_point(vertices: ArrayLike, faces: ArrayLike, points: ArrayLike) -> C
 
 
 def winding_number(vertices: ArrayLike, faces: ArrayLike, points: ArrayLike) -> Array:
-    """How often the surface wraps around each point: the sum of the triangles' solid angles over 4 pi.
+    """Winding number of the surface around each point: the sum of the solid angles of the triangles over 4 pi.
 
     Van Oosterom and Strackee, The Solid Angle of a Plane Triangle (1983). 1 inside a closed mesh that faces
     outwards, 0 outside, anything in between near a hole (Jacobson et al. 2013).

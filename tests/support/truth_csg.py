@@ -1,6 +1,6 @@
-"""Truth about shapes in float64 NumPy: which points are inside, where the surface is, and fields of whole trees.
+"""Reference results for shapes in float64 NumPy: the inside, points on the surface, and fields of whole trees.
 
-Two kinds. :data:`SOLIDS` knows each primitive by inequalities and by points on its surface, with no distance
+Two kinds exist. :data:`SOLIDS` describes each primitive by inequalities and by points on its surface, with no distance
 formula at all.
 :class:`Tree` builds a shape and a NumPy function side by side; the functions are those of the definitions (the
 distance to a profile turned or drawn out, the minimum, the fillet), not those of the core.

@@ -1,4 +1,4 @@
-"""An independent reader of OpenVDB files: the layout of version 224 by the book, values as a dictionary of voxels."""
+"""An independent reader of OpenVDB files of version 224. Values are a dictionary of voxels."""
 
 import struct
 import zlib

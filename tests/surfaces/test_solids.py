@@ -1,4 +1,4 @@
-"""Solids, offsets, shells and Booleans: closed two-manifolds, volumes and distances in closed form, mistakes."""
+"""Solids, offsets, shells and Booleans: closed two-manifolds, volumes and distances in closed form, errors."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Volumes in 16 and 8 bits: never more than the true distance, and off by no more than they say."""
+"""Volumes in 16 and 8 bits: magnitudes never exceed the true distance, and errors are within the stated bound."""
 
 from __future__ import annotations
 

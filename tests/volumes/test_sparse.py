@@ -1,4 +1,4 @@
-"""Sparse volumes: bricks that say what the dense field says, and bounds that are bounds."""
+"""Sparse volumes: samples of bricks equal those of the dense field, and bounds never exceed the distance."""
 
 from __future__ import annotations
 
