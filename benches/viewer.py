@@ -43,7 +43,8 @@ SCRIPT = """
     return entries()[0].startTime;
   });
   const still = spent();
-  await page.waitForFunction(() => window.fieldbake);
+  await page.waitForFunction(() => window.fieldbake?.view.times.first, null, { timeout: 300_000, polling: 10 });
+  const live = spent();
   await page.evaluate(() => fieldbake.ready);
   const exact = spent();
   const times = await page.evaluate(() => {
@@ -57,15 +58,14 @@ SCRIPT = """
     const [ms, width] = await page.evaluate(async () => {
       const { view } = fieldbake;
       view.camera.orbit(0.05, 0);
-      const width = Math.round(view.canvas.width / view.coarseness);
       view.times.moving = 0;
       view.redraw("moving");
       while (view.times.moving === 0) await new Promise((done) => setTimeout(done, 1));
-      return [view.times.moving, width];
+      return [view.times.moving, view.times.width];
     });
     moving.push([ms, spent() - before, width]);
   }
-  return { shown, ...times, exact_cpu: exact - still, moving };
+  return { shown, ...times, live_cpu: live - still, exact_cpu: exact - live, moving };
 """
 
 
@@ -93,8 +93,8 @@ def main() -> None:
     print(f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors; processor time in brackets")
     print(f"load event: {value['load']:.0f} ms; first picture on the screen: {value['shown']:.0f} ms")
     print(f"one word on an empty page: {least.value:.0f} ms")
-    print(f"first live picture: {value['first']:.0f} ms after the load event")
-    print(f"exact live picture: {value['still']:.0f} ms after that ({value['exact_cpu']} ms for both)")
+    print(f"first live picture: {value['first']:.0f} ms after the load event ({value['live_cpu']} ms)")
+    print(f"exact live picture: {value['still']:.0f} ms after that ({value['exact_cpu']} ms)")
     wall = sorted(ms for ms, _, _ in value["moving"][10:])
     cpu = sum(ticks for _, ticks, _ in value["moving"][10:]) / len(wall)
     print(f"moving frame: {wall[len(wall) // 2]:.0f} ms ({cpu:.0f} ms), width {value['moving'][-1][2]} pixels")

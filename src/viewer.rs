@@ -15,11 +15,9 @@ use naga::back::glsl::Version;
 use std::fmt::Write;
 use std::sync::Arc;
 
-const GLSL: GlslTarget = GlslTarget {
-    version: Version::Embedded { version: 300, is_webgl: true },
-    stage: ShaderStage::Fragment,
-    entry_point: "main",
-};
+const fn glsl(stage: ShaderStage, entry_point: &'static str) -> GlslTarget {
+    GlslTarget { version: Version::Embedded { version: 300, is_webgl: true }, stage, entry_point }
+}
 
 /// Kinds of fields besides shapes.
 #[derive(Debug, Clone, Copy, Default)]
@@ -76,11 +74,24 @@ pub(crate) fn shader(kinds: ViewedKinds, solids: &[Arc<Solid>], language: Langua
     }
     let has_shape = !functions.is_empty();
     let texts = [("viewer_needs", &*needs(kinds, has_shape)), ("viewer_shapes", &*shapes_text(&functions))];
-    let refused = |reason| DeviceError::Shader { device: "WebGL 2".into(), kernel: "viewer".into(), reason };
-    let wgsl = source_with("viewer", &texts).map_err(refused)?;
+    let wgsl = kernel("viewer", &texts)?;
     let has = [("DENSE", kinds.dense), ("SPARSE", kinds.sparse), ("SHAPE", has_shape), ("QUADRIC", kinds.quadric)];
     let wgsl = has.iter().filter(|(_, has)| !has).fold(wgsl, |text, (name, _)| without_lines(&text, name));
-    Ok(ViewerShader { text: translate_used(&wgsl, language, GLSL)?, shapes })
+    Ok(ViewerShader { text: translate_used(&wgsl, language, glsl(ShaderStage::Fragment, "main"))?, shapes })
+}
+
+/// The vertex and the fragment shader for triangles of level sets.
+pub(crate) fn triangle_shaders(language: Language) -> Result<[String; 2], Error> {
+    let wgsl = kernel("viewer_triangles", &[])?;
+    let corner = translate_used(&wgsl, language, glsl(ShaderStage::Vertex, "triangle_corner"))?;
+    let color = translate_used(&wgsl, language, glsl(ShaderStage::Fragment, "triangle_color"))?;
+    Ok([corner, color])
+}
+
+/// The whole WGSL of a kernel.
+fn kernel(name: &str, instead: &[(&str, &str)]) -> Result<String, Error> {
+    let refused = |reason| DeviceError::Shader { device: "WebGL 2".into(), kernel: name.into(), reason };
+    Ok(source_with(name, instead).map_err(refused)?)
 }
 
 /// Name of the array of numbers before its elements become calls of `number_at`.
@@ -178,6 +189,13 @@ mod tests {
                 assert!(shader(kinds, &solids, Language::Wgsl).unwrap().text.contains("fn main("));
             }
         }
+    }
+
+    #[test]
+    fn triangles_are_valid_in_both_languages() {
+        let glsl = triangle_shaders(Language::Glsl).unwrap();
+        assert!(glsl.iter().all(|text| text.starts_with("#version 300 es\n")));
+        assert!(triangle_shaders(Language::Wgsl).unwrap()[0].contains("fn triangle_corner("));
     }
 
     #[test]

@@ -69,6 +69,7 @@ __all__ = [
     "thickness",
     "to_sparse",
     "viewer_shader",
+    "viewer_triangles",
     "winding_number",
 ]
 
@@ -900,6 +901,9 @@ def viewer_shader(
     function, the parameters that it reads, the centre and the scale of its local frame, and the inverse of its
     Lipschitz constant; None for a shape without a function.
     """
+
+def viewer_triangles(language: str) -> list[str]:
+    """The vertex and the fragment shader for triangles of level sets, in "wgsl" or "glsl"."""
 
 def shader_library(library: str, head: str, language: str) -> str:
     """The functions of "volume", "sparse", "nested" or "quadrics" in a language; ``head`` is WGSL with a comment and

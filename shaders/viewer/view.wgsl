@@ -9,6 +9,7 @@
 #import light
 #import viewer_needs
 #import bricks_march
+#import viewer_table
 #import viewer_data
 #import sampling
 #import quadric
@@ -44,31 +45,12 @@ fn painted(color: vec3f, p: vec3f) -> vec3f {
     return select(color, paint, paint.x >= 0.0);
 }
 
-// The three rows of a 3 x 4 matrix, times a point or a direction.
-fn moved(instance: u32, first: u32, p: vec4f) -> vec3f {
-    return vec3f(
-        dot(frame_at(instance, first), p), dot(frame_at(instance, first + 1u), p), dot(frame_at(instance, first + 2u), p)
-    );
-}
-
-// The transpose of the 3 x 3 part of a 3 x 4 matrix, times a vector.
-fn moved_by_transpose(instance: u32, first: u32, v: vec3f) -> vec3f {
-    return v.x * frame_at(instance, first).xyz + v.y * frame_at(instance, first + 1u).xyz
-        + v.z * frame_at(instance, first + 2u).xyz;
-}
-
 // A direction of any length, unit; `fallback` for zero. Scaled by its largest entry first, so that squares stay in range.
 fn unit_or(v: vec3f, fallback: vec3f) -> vec3f {
     let sizes = abs(v);
     let largest = max(sizes.x, max(sizes.y, sizes.z));
     if largest < TINY { return fallback; }
     return normalize(v / largest);
-}
-
-// IEC 61966-2-1.
-fn srgb(linear: vec3f) -> vec3f {
-    let cut = clamp(linear, vec3f(0.0), vec3f(1.0));
-    return select(1.055 * pow(max(cut, vec3f(0.0031308)), vec3f(1.0 / 2.4)) - 0.055, 12.92 * cut, cut <= vec3f(0.0031308));
 }
 
 // The colours of Frame.heatmap, sRGB.

@@ -32,6 +32,7 @@ pub(crate) const KERNELS: &[(&str, &str)] = &[
     ("scene_triangles", include_str!("../../shaders/scene_triangles.wgsl")),
     ("query_points", include_str!("../../shaders/query_points.wgsl")),
     ("viewer", include_str!("../../shaders/viewer/view.wgsl")),
+    ("viewer_triangles", include_str!("../../shaders/viewer/triangles.wgsl")),
 ];
 
 const SHARED: &[(&str, &str)] = &[
@@ -78,6 +79,7 @@ const SHARED: &[(&str, &str)] = &[
     ("viewer_data", include_str!("../../shaders/viewer/data.wgsl")),
     ("viewer_hits", include_str!("../../shaders/viewer/hits.wgsl")),
     ("viewer_needs", include_str!("../../shaders/viewer/needs.wgsl")),
+    ("viewer_table", include_str!("../../shaders/viewer/table.wgsl")),
     ("viewer_shapes", include_str!("../../shaders/viewer/shapes.wgsl")),
 ];
 

@@ -69,7 +69,7 @@ mod _core {
     #[pymodule_export]
     use super::surface::Surface;
     #[pymodule_export]
-    use super::viewer::viewer_shader;
+    use super::viewer::{viewer_shader, viewer_triangles};
     #[pymodule_export]
     use super::volume::{gradient, resample, sample};
 

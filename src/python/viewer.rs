@@ -1,10 +1,10 @@
-//! `fieldbake._core.viewer_shader`.
+//! `fieldbake._core.viewer_shader` and `viewer_triangles`.
 
 use super::csg::Shape;
 use super::error::Failure;
 use crate::encoding::Encoding;
 use crate::shader_text::Language;
-use crate::viewer::{ShapeFunction, ViewedKinds, shader};
+use crate::viewer::{ShapeFunction, ViewedKinds, shader, triangle_shaders};
 use numpy::{IntoPyArray, PyArray1};
 use pyo3::prelude::*;
 
@@ -30,4 +30,11 @@ pub(super) fn viewer_shader<'py>(
         (found.structure, found.numbers.into_pyarray(py), found.center, found.scale, found.inverse_lipschitz)
     };
     Ok((made.text, made.shapes.into_iter().map(|found| found.map(row)).collect()))
+}
+
+/// The vertex and the fragment shader for triangles of level sets.
+#[pyfunction]
+pub(super) fn viewer_triangles(language: &str) -> PyResult<[String; 2]> {
+    let language = Language::from_name(language).map_err(Failure::from)?;
+    Ok(triangle_shaders(language).map_err(Failure::from)?)
 }

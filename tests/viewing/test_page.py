@@ -54,6 +54,8 @@ CASES = {
     "dense, snorm8 against exact": lambda: (knot(), "snorm8", knot()),
 }
 
+QUICK = ("dense, snorm8", "scene")
+
 
 def differences(
     tmp_path: Path, cases: Sequence[str], size: tuple[int, int]
@@ -84,12 +86,22 @@ def differences(
     return found
 
 
-def test_pages_show_the_pictures_of_raymarch(tmp_path: Path) -> None:
+def check_pages(tmp_path: Path, cases: Sequence[str]) -> None:
     # Shapes and quadrics have no voxels: the knot's are the measure.
     voxel = float(knot().spacing.max())
-    for name, (color, depth) in differences(tmp_path, [*CASES][:-1], SIZE).items():
+    for name, (color, depth) in differences(tmp_path, cases, SIZE).items():
         assert (color <= 2).mean() >= 0.995, (name, (color <= 2).mean())
         assert depth.max() <= 0.01 * voxel, (name, depth.max() / voxel)
+
+
+def test_pages_show_the_pictures_of_raymarch(tmp_path: Path) -> None:
+    # The compilation of the programs takes most of the time. The scene has dense grids, shapes and quadrics.
+    check_pages(tmp_path, QUICK)
+
+
+@pytest.mark.slow
+def test_pages_of_all_fields_show_the_pictures_of_raymarch(tmp_path: Path) -> None:
+    check_pages(tmp_path, [name for name in [*CASES][:-1] if name not in QUICK])
 
 
 @pytest.mark.slow

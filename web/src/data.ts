@@ -5,6 +5,7 @@
 //     uint32 ...    samples of the instances (shaders/viewer/data.wgsl)
 
 import { CameraState } from "./camera";
+import { Grid } from "./surface";
 import { Affine, Vector } from "./vectors";
 
 export interface InstanceData {
@@ -48,6 +49,8 @@ export interface ViewData {
   title: string;
   size: [number, number];
   shader: string;
+  /** The vertex and the fragment shader for triangles. */
+  triangles: [string, string];
   instances: InstanceData[];
   /** Null if the view has only the key light, which moves with the camera. */
   lights: LightData[] | null;
@@ -72,12 +75,15 @@ export interface ViewData {
 
 /** Indices of numbers in a record. */
 const [KIND, ENCODING, SCALE, FIRST, SHAPE, EMPTY, BLOCKS, MASKS] = [0, 1, 2, 3, 4, 7, 8, 11];
-const [LOWER, UPPER, OBJECT, UNIT, INDEX] = [12, 16, 19, 20, 24];
+const [LOWER, FLAGS, UPPER, OBJECT, UNIT, INDEX] = [12, 15, 16, 19, 20, 24];
+const VISIBLE = 1;
 export const [DENSE, SPARSE] = [0, 1];
 /** Largest distance in blocks that the map of empty space stores. */
 const FARTHEST = 32;
 /** Distances in a filtered texture reach so far, texels. */
 const REACH = 8;
+/** Largest number of values in a grid whose level set becomes triangles. */
+const MOST_VALUES = 2 ** 23;
 /** Largest number of texels in a filtered texture. */
 const MOST_TEXELS = 2 ** 25;
 
@@ -87,6 +93,8 @@ export class Data {
   private readonly bytes: Uint8Array;
   /** For each instance, the least sample of each block. */
   private readonly least = new Map<number, Float32Array>();
+  /** For each first sample, the grid of the triangles. */
+  private readonly grids = new Map<number, Grid>();
 
   constructor(buffer: ArrayBuffer) {
     const length = new DataView(buffer).getUint32(0, true);
@@ -143,6 +151,41 @@ export class Data {
     return { size, texels, places: instances.map(({ record }) => (record[KIND] === DENSE ? places.get(record[FIRST])! : [0, 1, 1, 1])) };
   }
 
+  /** The number by which instances of the same dense grid are known. */
+  gridOf(record: number[]): number {
+    return record[FIRST];
+  }
+
+  isVisible(record: number[]): boolean {
+    return (record[FLAGS] & VISIBLE) !== 0;
+  }
+
+  /** A level, world units, in the units of the samples of an instance. */
+  ownLevel(record: number[], level: number): number {
+    return Math.fround(level / record[UNIT]);
+  }
+
+  /** The values of a dense grid; of a large one every `step`-th. */
+  grid(record: number[]): Grid {
+    const known = this.grids.get(record[FIRST]);
+    if (known) return known;
+    const [nx, ny, nz] = record.slice(SHAPE, SHAPE + 3);
+    const step = Math.ceil(Math.cbrt((nx * ny * nz) / MOST_VALUES));
+    const counts = [nx, ny, nz].map((n) => Math.ceil((n - 1) / step) + 1) as Vector;
+    const [cx, cy, cz] = counts;
+    const values = new Float32Array(cx * cy * cz);
+    const sample = this.samples(record);
+    for (let z = 0, i = 0; z < cz; z++) {
+      for (let y = 0; y < cy; y++) {
+        const row = nx * (Math.min(step * y, ny - 1) + ny * Math.min(step * z, nz - 1));
+        for (let x = 0; x < cx; x++) values[i++] = sample(row + Math.min(step * x, nx - 1));
+      }
+    }
+    const made = { counts, values, step };
+    this.grids.set(record[FIRST], made);
+    return made;
+  }
+
   /** The name of an object; several instances may belong to it. */
   nameOf(object: number): string {
     return this.description.instances.find(({ record }) => record[OBJECT] === object)?.name ?? "";
@@ -162,7 +205,7 @@ export class Data {
       if (record[KIND] > SPARSE) continue;
       if (!this.least.has(i)) this.least.set(i, record[KIND] === DENSE ? this.leastOfBlocks(record) : this.leastOfBricks(record));
       const least = this.least.get(i)!;
-      const own = Math.fround(level / record[UNIT]);
+      const own = this.ownLevel(record, level);
       const distance = this.bytes.subarray(4 * record[EMPTY], 4 * record[EMPTY] + least.length);
       for (let b = 0; b < least.length; b++) distance[b] = least[b] <= own ? 0 : FARTHEST;
       if (record[KIND] === DENSE) this.markCells(record, distance, own);

@@ -2,13 +2,16 @@
 
 import { Camera } from "./camera";
 import { Data, FilteredGrids } from "./data";
-import { Affine, Vector, add, direction, inverse, point, product, subtract, times, unit } from "./vectors";
+import { levelSet } from "./surface";
+import { Affine, Vector, add, direction, dot, inverse, point, product, subtract, times, unit } from "./vectors";
 
 /** Texels in a row of the texture of words. */
 const WIDTH = 2048;
 /** Texels in a row of the table of instances, as in shaders/viewer/data.wgsl. */
 const ROW = 24;
 const MOST_LIGHTS = 16;
+/** Uniform blocks of the shaders in the order of their binding points. */
+const BLOCKS = ["View", "Own", "Lights"];
 
 export const Picture = { color: 0, steps: 1, depth: 2, normal: 3, object: 6, slice: 7, error: 8 } as const;
 
@@ -36,12 +39,13 @@ export class Engine {
   readonly mostRows: number;
   readonly mostLayers: number;
   private readonly programs = new Map<string, WebGLProgram>();
+  private readonly linked = new Set<WebGLProgram>();
 
   constructor(onLost: () => void) {
     const gl = this.canvas.getContext("webgl2", {
       alpha: true,
       antialias: false,
-      depth: false,
+      depth: true,
       premultipliedAlpha: false,
       preserveDrawingBuffer: true,
     });
@@ -65,13 +69,14 @@ export class Engine {
     if (!this.isLost) this.gl.getExtension("WEBGL_lose_context")?.loseContext();
   }
 
-  program(fragment: string): WebGLProgram {
+  /** Start the compilation of a program. */
+  private start(fragment: string, vertex: string): WebGLProgram {
     const known = this.programs.get(fragment);
     if (known) return known;
     const { gl } = this;
     const program = gl.createProgram();
     for (const [kind, text] of [
-      [gl.VERTEX_SHADER, VERTEX],
+      [gl.VERTEX_SHADER, vertex],
       [gl.FRAGMENT_SHADER, fragment],
     ] as const) {
       const shader = gl.createShader(kind)!;
@@ -81,13 +86,39 @@ export class Engine {
       gl.deleteShader(shader);
     }
     gl.linkProgram(program);
+    this.programs.set(fragment, program);
+    return program;
+  }
+
+  /** Resolves when a program is compiled, where the browser compiles beside the page. */
+  async compiled(fragment: string, vertex = VERTEX): Promise<void> {
+    const { gl } = this;
+    const program = this.start(fragment, vertex);
+    const extension = gl.getExtension("KHR_parallel_shader_compile");
+    while (extension && !gl.isContextLost() && !gl.getProgramParameter(program, extension.COMPLETION_STATUS_KHR))
+      await new Promise((done) => setTimeout(done, 5));
+  }
+
+  program(fragment: string, vertex = VERTEX): WebGLProgram {
+    const { gl } = this;
+    const program = this.start(fragment, vertex);
+    if (this.linked.has(program)) return program;
     if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
       const logs = (gl.getAttachedShaders(program) ?? []).map((shader) => gl.getShaderInfoLog(shader));
       throw new Unavailable(`The shader was not compiled: ${[gl.getProgramInfoLog(program), ...logs].join(" ")}`);
     }
-    this.programs.set(fragment, program);
+    this.linked.add(program);
     return program;
   }
+}
+
+/** The triangles of a grid on the device. */
+interface Surface {
+  array: WebGLVertexArrayObject;
+  buffers: WebGLBuffer[];
+  count: number;
+  /** Level of the triangles, units of the samples. */
+  level: number;
 }
 
 /** The resources of a view in an engine: its programs, its samples and its table of instances. */
@@ -96,11 +127,21 @@ export class Resources {
   private readonly words: WebGLTexture;
   private readonly frames: WebGLTexture;
   private readonly block: WebGLBuffer;
+  private readonly ownBlock: WebGLBuffer;
+  private readonly lightBlock: WebGLBuffer;
+  /** The table that was filled last. */
+  private table = new Float32Array();
   private readonly inverses: Affine[];
   /** The level for which the words on the device are marked; null before the first upload. */
   private level: number | null = null;
   private grids: FilteredGrids | null = null;
   private filtered: WebGLTexture | null = null;
+  /** The surface of each grid, by its first sample. */
+  private readonly surfaces = new Map<number, Surface>();
+  /** Whether the picture that was prepared last consists of triangles. */
+  private hasTriangles = false;
+  /** Settings of the picture that was prepared last. */
+  private settings!: Settings;
 
   constructor(
     readonly engine: Engine,
@@ -114,6 +155,8 @@ export class Resources {
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.R32UI, WIDTH, Math.max(rows, 1));
     this.frames = this.texture();
     this.block = gl.createBuffer();
+    this.ownBlock = gl.createBuffer();
+    this.lightBlock = gl.createBuffer();
     this.inverses = data.description.instances.map((instance) => inverse(instance.fieldFromWorld));
   }
 
@@ -122,7 +165,8 @@ export class Resources {
     gl.deleteTexture(this.words);
     gl.deleteTexture(this.frames);
     gl.deleteTexture(this.filtered);
-    gl.deleteBuffer(this.block);
+    for (const block of [this.block, this.ownBlock, this.lightBlock]) gl.deleteBuffer(block);
+    for (const surface of this.surfaces.values()) this.freeSurface(surface);
   }
 
   private texture(): WebGLTexture {
@@ -161,6 +205,57 @@ export class Resources {
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 4);
   }
 
+  /** The triangles of an instance at a level, world units. */
+  private surface(record: number[], level: number): Surface {
+    const { gl } = this.engine;
+    const key = this.data.gridOf(record);
+    const own = this.data.ownLevel(record, level);
+    const known = this.surfaces.get(key);
+    if (known?.level === own) return known;
+    if (known) this.freeSurface(known);
+    const { corners, indices } = levelSet(this.data.grid(record), own);
+    const array = gl.createVertexArray();
+    gl.bindVertexArray(array);
+    const buffers = ([[gl.ARRAY_BUFFER, corners], [gl.ELEMENT_ARRAY_BUFFER, indices]] as const).map(([target, values]) => {
+      const buffer = gl.createBuffer();
+      gl.bindBuffer(target, buffer);
+      gl.bufferData(target, values, gl.STATIC_DRAW);
+      return buffer;
+    });
+    for (const place of [0, 1]) {
+      gl.enableVertexAttribArray(place);
+      gl.vertexAttribPointer(place, 3, gl.FLOAT, false, 24, 12 * place);
+    }
+    gl.bindVertexArray(null);
+    const made = { array, buffers, count: indices.length, level: own };
+    this.surfaces.set(key, made);
+    return made;
+  }
+
+  private freeSurface({ array, buffers }: Surface): void {
+    const { gl } = this.engine;
+    gl.deleteVertexArray(array);
+    for (const buffer of buffers) gl.deleteBuffer(buffer);
+  }
+
+  /** The text of the program for a picture. A program without what the picture does not need compiles faster. */
+  private text(settings: Settings, isMotion: boolean): string {
+    let text = this.data.description.shader;
+    if (!settings.slice) text = text.replace("const bool HAS_SLICE = true", "const bool HAS_SLICE = false");
+    if (isMotion) text = text.replace("const bool IS_MOTION = false", "const bool IS_MOTION = true");
+    return text;
+  }
+
+  /** Whether pictures in motion are triangles: those of views of dense grids without a slice. */
+  isSurface(settings: Settings): boolean {
+    return !settings.slice && !this.data.hasOtherThanDense;
+  }
+
+  /** Resolves when the program for a picture at rest is compiled. */
+  compiled(settings: Settings): Promise<void> {
+    return this.engine.compiled(this.text(settings, false));
+  }
+
   /** Set the program and all its input for a picture of this size; `draw` follows. Only colours are drawn in motion. */
   prepare(camera: Camera, settings: Settings, width: number, height: number, picture: number, isMotion = false): void {
     const { gl, canvas } = this.engine;
@@ -173,17 +268,17 @@ export class Resources {
       this.data.markEmpty(settings.level);
       this.upload();
     }
-    if (isMotion && !this.filtered) this.uploadFiltered();
-    // A program without what this picture does not need compiles faster.
-    let text = this.data.description.shader;
-    if (!settings.slice) text = text.replace("const bool HAS_SLICE = true", "const bool HAS_SLICE = false");
-    if (isMotion) text = text.replace("const bool IS_MOTION = false", "const bool IS_MOTION = true");
-    this.program = this.engine.program(text);
+    this.hasTriangles = isMotion && this.isSurface(settings);
+    if (isMotion && !this.hasTriangles && !this.filtered) this.uploadFiltered();
+    const [vertex, fragment] = this.data.description.triangles;
+    this.program = this.hasTriangles ? this.engine.program(fragment, vertex) : this.engine.program(this.text(settings, isMotion));
+    this.settings = settings;
     const lights = this.fillFrames(camera, settings);
     this.fillBlock(camera, settings, width, height, picture, lights);
     gl.viewport(0, 0, width, height);
     gl.useProgram(this.program);
-    gl.uniformBlockBinding(this.program, 0, 0);
+    for (let i = 0; i < gl.getProgramParameter(this.program, gl.ACTIVE_UNIFORM_BLOCKS); i++)
+      gl.uniformBlockBinding(this.program, i, BLOCKS.findIndex((name) => gl.getActiveUniformBlockName(this.program, i)!.startsWith(name)));
     gl.bindBufferBase(gl.UNIFORM_BUFFER, 0, this.block);
     const active = gl.getProgramParameter(this.program, gl.ACTIVE_UNIFORMS);
     for (let i = 0; i < active; i++) {
@@ -203,7 +298,35 @@ export class Resources {
     const { gl, canvas } = this.engine;
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(0, first, canvas.width, rows);
-    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    if (this.hasTriangles) this.drawTriangles();
+    else gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  private drawTriangles(): void {
+    const { gl } = this.engine;
+    const { level, background } = this.settings;
+    const [red, green, blue] = background.map(srgb);
+    gl.clearColor(red, green, blue, background[3]);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    gl.enable(gl.DEPTH_TEST);
+    const { instances } = this.data.description;
+    const put = (place: number, block: WebGLBuffer, values: Float32Array) => {
+      gl.bindBufferBase(gl.UNIFORM_BUFFER, place, block);
+      gl.bufferData(gl.UNIFORM_BUFFER, values, gl.DYNAMIC_DRAW);
+    };
+    const row = (i: number, texels: number) => this.table.subarray(4 * ROW * i, 4 * (ROW * i + texels));
+    const lights = new Float32Array(8 * MOST_LIGHTS);
+    for (let i = instances.length + 1; i < this.table.length / (4 * ROW); i++) lights.set(row(i, 2), 8 * (i - instances.length - 1));
+    put(2, this.lightBlock, lights);
+    instances.forEach(({ record }, i) => {
+      if (!this.data.isVisible(record)) return;
+      const { array, count } = this.surface(record, level);
+      put(1, this.ownBlock, row(i, ROW));
+      gl.bindVertexArray(array);
+      gl.drawElements(gl.TRIANGLES, count, gl.UNSIGNED_INT, 0);
+    });
+    gl.bindVertexArray(null);
+    gl.disable(gl.DEPTH_TEST);
   }
 
   /** The float32 at pixel (x, y), row 0 on top, of the picture that was prepared last. */
@@ -282,9 +405,27 @@ export class Resources {
       put(row, 0, light.kind === 1 ? [...point(sceneFromWorld, light.vector), 1] : [...unit(light.vector), 0]);
       put(row, 1, light.color);
     });
+    this.table = texels;
     gl.bindTexture(gl.TEXTURE_2D, this.frames);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, ROW, rows, 0, gl.RGBA, gl.FLOAT, texels);
     return shining.length;
+  }
+
+  /** Rows of the matrix to clip space, as shaders/viewer/table.wgsl has them; y points down, which naga turns round. */
+  private clip(camera: Camera, width: number, height: number, center: Vector, scale: number): number[] {
+    const from = subtract(camera.eye, center);
+    const row = (axis: Vector, factor: number) => [...times(axis, factor * scale), -factor * dot(axis, from)];
+    const pixel = camera.pixel(height);
+    const depths = corners(this.data.description.bounds).map((corner) => camera.depth(corner));
+    const far = Math.max(...depths, 1e-6 * scale) * 1.1;
+    const near = Math.max(Math.min(...depths) * 0.9, 1e-3 * far);
+    const share = far / (far - near);
+    return [
+      ...row(camera.right, 2 / (width * pixel)),
+      ...row(camera.up, -2 / (height * pixel)),
+      ...[share, -share * near, 0, 0],
+      ...row(camera.back, -1),
+    ];
   }
 
   private fillBlock(camera: Camera, settings: Settings, width: number, height: number, picture: number, lights: number): void {
@@ -314,10 +455,17 @@ export class Resources {
       ...[scale, slice?.cut ? 1 : 0, 0, 0],
       ...(this.grids?.size.map((n) => 1 / n) ?? [1, 1, 1]),
       0,
+      ...this.clip(camera, width, height, center, scale),
+      ...[...times(subtract(camera.eye, center), 1 / scale), 0],
     ];
     gl.bindBuffer(gl.UNIFORM_BUFFER, this.block);
     gl.bufferData(gl.UNIFORM_BUFFER, new Float32Array(values), gl.DYNAMIC_DRAW);
   }
+}
+
+/** A linear colour as sRGB, as in shaders/viewer/table.wgsl. */
+function srgb(linear: number): number {
+  return linear <= 0.0031308 ? 12.92 * linear : 1.055 * Math.min(linear, 1) ** (1 / 2.4) - 0.055;
 }
 
 /** The eight corners of a box. */

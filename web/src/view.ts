@@ -57,16 +57,16 @@ type Drawing = "moving" | "hidden" | "still";
 export class View {
   readonly camera: Camera;
   readonly settings: Settings;
-  /** Milliseconds: the start of the page until the first drawing, the last picture at full size, and the last in motion. */
-  readonly times = { first: 0, still: 0, moving: 0 };
+  /** Milliseconds: the start of the page until the first drawing, the last picture at full size, and the last in motion; its width. */
+  readonly times = { first: 0, still: 0, moving: 0, width: 0 };
   onChange: () => void = () => {};
   onProblem: (message: string) => void = () => {};
   private readonly context: CanvasRenderingContext2D;
   private resources: Resources | null = null;
   /** Number of requests so far. A drawing stops when a later request replaces it. */
   private turn = 0;
-  /** Factor by which the pictures in motion are smaller. */
-  private coarseness = 2;
+  /** Factor by which the pictures in motion are smaller: those of triangles, and those of rays. */
+  private readonly coarseness = { triangles: 1, rays: 2 };
   private isBusy = false;
   private isStale: Drawing | null = null;
   private idle = 0;
@@ -252,8 +252,9 @@ export class View {
     const resources = this.acquire();
     // Steps and errors are those of the exact picture.
     const isFiltered = this.picture === Picture.color;
-    const width = Math.max(1, Math.round(this.canvas.width / this.coarseness));
-    const height = Math.max(1, Math.round(this.canvas.height / this.coarseness));
+    const kind = isFiltered && resources.isSurface(this.settings) ? "triangles" : "rays";
+    const width = Math.max(1, Math.round(this.canvas.width / this.coarseness[kind]));
+    const height = Math.max(1, Math.round(this.canvas.height / this.coarseness[kind]));
     resources.prepare(this.camera, this.settings, width, height, this.picture, isFiltered);
     resources.draw(0, height);
     await finished(resources.engine.gl);
@@ -261,10 +262,11 @@ export class View {
     if (isShown) this.show(width, height);
     const spent = performance.now() - started;
     this.times.moving = spent;
+    this.times.width = width;
     this.times.first ||= performance.now();
     // Time goes with the number of pixels. One slow frame, such as that of a first compilation, changes little.
     const factor = Math.max(0.7, Math.min(1.4, Math.sqrt(spent / MOVING_MS)));
-    this.coarseness = Math.max(1, Math.min(COARSEST, this.coarseness * factor));
+    this.coarseness[kind] = Math.max(1, Math.min(COARSEST, this.coarseness[kind] * factor));
     await new Promise(requestAnimationFrame);
   }
 
@@ -273,6 +275,8 @@ export class View {
     const started = performance.now();
     const resources = this.acquire();
     const { width, height } = this.canvas;
+    await resources.compiled(this.settings);
+    if (this.turn !== turn || this.resources !== resources || resources.engine.isLost) return;
     resources.prepare(this.camera, this.settings, width, height, this.picture);
     // Input is handled between the pieces, and no driver mistakes a long picture for a hang.
     let rows = Math.max(1, Math.round(height / 8));

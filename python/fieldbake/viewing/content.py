@@ -136,6 +136,7 @@ class Content:
             "title": self.title,
             "size": self.size,
             "shader": self._shader(),
+            "triangles": _core.viewer_triangles("glsl"),
             "instances": [_instance_data(item, row, error) for item, row in zip(self.placed, rows, strict=True)],
             "lights": None if self.lights is None else [_light_data(light) for light in self.lights],
             "key": {"direction": KEY_DIRECTION, "color": [KEY_INTENSITY] * 3},

@@ -1,0 +1,81 @@
+// The table of instances, lights and rays of a view: one texture of numbers, which has a row for each instance.
+//
+// Row of an instance, texels of four floats. Indices count words and are below 2^24, so that floats have them exactly.
+//
+//     texel 0-2   start of the rays: of the middle, what one unit to the right and up on the plane at depth 1 adds.
+//                 The fourth number of texel 0 is the depth of the start.
+//           3-5   their direction, one unit of depth long: likewise
+//           6-8   field from scene, rows of 3 x 4
+//           9-11  scene from field
+//           12    colour, strength of the highlight
+//           13    emission, sharpness of the highlight
+//           14    kind, encoding, scale, first sample
+//           15    voxels (3), bytes of empty space
+//           16    blocks or bricks (3), masks of cells
+//           17    lower corner in field space (3), flags
+//           18    upper corner (3), object
+//           19    world units of a distance of 1, bias of shadow rays, structure, 1 / Lipschitz constant
+//           20    index of bricks, nodes, floor, longest step
+//           21    node step (3), errors of the samples (bytes)
+//           22    place in the filtered texture: first layer, texels per voxel, distance of 1.0, one over the
+//                 difference between neighbouring samples that 1 % of the pairs exceed
+//           23    share of the view's largest error at a byte of 255
+//
+// Row `count` has the rays of scene space. The rows after it are lights: direction or position in scene space with 0 or 1,
+// then the colour.
+
+struct View {
+    // Width and height of the picture, pixels; side of a pixel at depth 1; number of instances.
+    size: vec4f,
+    background: vec4f,
+    // Ambient light, strength of ground light (hemisphere) or 1, number of lights, kind of picture.
+    light: vec4f,
+    // Level of the surface, distance of iso-lines, range of colours, largest number of steps: world units.
+    level: vec4f,
+    // Slice plane in scene space: points with dot(xyz, p) = w; xyz zero for none.
+    slice: vec4f,
+    // Box of the slice, scene space.
+    slice_lower: vec4f,
+    slice_upper: vec4f,
+    // World units of a scene unit; 1 cuts the half of the slice on the side of the eye away; two unused numbers.
+    scene: vec4f,
+    // One over the size of the filtered texture; one unused number.
+    filtered: vec4f,
+    // Clip space from scene space: rows for x, y and w. The depth in clip space is clip_z.x * w + clip_z.y.
+    clip_x: vec4f,
+    clip_y: vec4f,
+    clip_z: vec4f,
+    clip_w: vec4f,
+    // Scene space.
+    eye: vec4f,
+}
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(2) var frames: texture_2d<f32>;
+
+const FLAG_VISIBLE: u32 = 1u;
+const FLAG_CASTS: u32 = 2u;
+const FLAG_UNLIT: u32 = 4u;
+
+fn frame_at(row: u32, texel: u32) -> vec4f {
+    return textureLoad(frames, vec2i(i32(texel), i32(row)), 0);
+}
+
+// The three rows of a 3 x 4 matrix, times a point or a direction.
+fn moved(instance: u32, first: u32, p: vec4f) -> vec3f {
+    return vec3f(
+        dot(frame_at(instance, first), p), dot(frame_at(instance, first + 1u), p), dot(frame_at(instance, first + 2u), p)
+    );
+}
+
+// The transpose of the 3 x 3 part of a 3 x 4 matrix, times a vector.
+fn moved_by_transpose(instance: u32, first: u32, v: vec3f) -> vec3f {
+    return v.x * frame_at(instance, first).xyz + v.y * frame_at(instance, first + 1u).xyz
+        + v.z * frame_at(instance, first + 2u).xyz;
+}
+
+// IEC 61966-2-1.
+fn srgb(linear: vec3f) -> vec3f {
+    let cut = clamp(linear, vec3f(0.0), vec3f(1.0));
+    return select(1.055 * pow(max(cut, vec3f(0.0031308)), vec3f(1.0 / 2.4)) - 0.055, 12.92 * cut, cut <= vec3f(0.0031308));
+}
