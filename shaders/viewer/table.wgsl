@@ -15,7 +15,7 @@
 //           17    lower corner in field space (3), flags
 //           18    upper corner (3), object
 //           19    world units of a distance of 1, bias of shadow rays, structure, 1 / Lipschitz constant
-//           20    index of bricks, nodes, floor, longest step
+//           20    index of bricks or vertices and faces of a mesh, nodes, floor, longest step
 //           21    node step (3), errors of the samples (bytes)
 //           22    place in the filtered texture: first layer, texels per voxel, distance of 1.0, one over the
 //                 difference between neighbouring samples that 1 % of the pairs exceed

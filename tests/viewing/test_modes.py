@@ -78,7 +78,7 @@ def heat(share: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(share, np.linspace(0, 1, 5), channel) for channel in zip(*colors, strict=True)], axis=-1)
 
 
-#: Resolves to the colours of the view drawn in motion at the present level and at another one, and what is drawn.
+#: Resolves to the colours of the view drawn in motion: at level 0, at another one, and with the triangles of meshes.
 MOTION = """(async () => {
   while (!window.fieldbake) await new Promise((done) => setTimeout(done, 20));
   await fieldbake.ready;
@@ -86,11 +86,16 @@ MOTION = """(async () => {
   const { width, height } = view.canvas;
   const resources = view.acquire();
   const text = (bytes) => btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(""));
-  return [0, LEVEL].map((level) => {
-    resources.prepare(view.camera, { ...view.settings, level }, width, height, 0, true);
+  const pictures = [[0, false], [LEVEL, false], [0, true]].map(([level, mesh]) => {
+    resources.prepare(view.camera, { ...view.settings, level, mesh }, width, height, 0, true);
     resources.draw(0, height);
-    return { picture: text(resources.read()), isSurface: resources.isSurface(view.settings) };
+    return text(resources.read());
   });
+  const button = [...document.querySelectorAll(".fb-bar button")].find((it) => it.textContent === "mesh");
+  button?.click();
+  await view.settled;
+  const copy = view.canvas.getContext("2d").getImageData(0, 0, width, height).data;
+  return { pictures, rest: text(copy), hasButton: button !== undefined, isSurface: resources.isSurface(view.settings) };
 })()"""
 
 
@@ -106,15 +111,11 @@ def beside() -> NDArray[np.float64]:
     return place
 
 
-def ball() -> fb.Volume:
-    return fb.bake(fb.sphere(radius=0.9), 24, device="cpu")
-
-
 def check_motion(found: NDArray[np.uint8], frame: fb.Frame) -> None:
     """Compare a picture in motion with one of raymarch.
 
-    Filters round their weights to 8 bits, snorm8 has steps of 4 voxels / 127, and triangles cut the corners of their cells.
-    So normals and silhouettes move.
+    Filters round their weights to 8 bits, snorm8 has steps of 4 voxels / 127, and triangles lie beside the
+    surface between their corners. So normals and silhouettes move.
     """
     difference = np.abs(found.astype(int) - frame.image).max(axis=-1)
     assert (difference <= 16).mean() >= 0.93, (difference <= 16).mean()
@@ -123,7 +124,8 @@ def check_motion(found: NDArray[np.uint8], frame: fb.Frame) -> None:
 
 @pytest.mark.slow
 def test_rays_in_motion_and_the_modes_of_sparse_volumes_and_scenes(tmp_path: Path) -> None:
-    scene = fb.Scene([fb.Instance(knot()), fb.Instance(ball(), beside()), fb.Instance(fb.torus(1.9, 0.1))])
+    ball = fb.bake(fb.sphere(radius=0.9), 24, device="cpu")
+    scene = fb.Scene([fb.Instance(knot()), fb.Instance(ball, beside()), fb.Instance(fb.torus(1.9, 0.1))])
     things = {"sparse": knot().to_sparse(), "scene": scene}
     jobs = []
     for name, thing in things.items():
@@ -135,35 +137,36 @@ def test_rays_in_motion_and_the_modes_of_sparse_volumes_and_scenes(tmp_path: Pat
         check_motion(decoded(result.value["motion"]), fb.raymarch(thing, camera(), size=SIZE, device="cpu"))
 
 
-def test_dense_grids_in_motion_are_triangles_of_their_level_sets(tmp_path: Path) -> None:
-    # The second instance is turned and smaller; the lights are of both kinds. Pictures in motion have no shadows.
+def test_dense_grids_in_motion_and_meshes_are_triangles(tmp_path: Path) -> None:
+    # The mesh is turned and smaller; the lights are of both kinds. Pictures of triangles have no shadows.
     lights = [fb.DirectionalLight((-1, -2, -0.7), intensity=0.6), fb.PointLight((3, 5, 4), intensity=0.4)]
     orange = fb.Material(color=(0.9, 0.5, 0.1))
-    scene = fb.Scene(
-        [fb.Instance(knot(), material=orange), fb.Instance(ball(), beside() @ np.diag([1, -1, -1, 1]))], lights
-    )
+    coarse = fb.models.torus_knot(segments=24, sides=5)
+    place = beside() @ np.diag([0.6, -0.6, -0.6, 1])
+    scene = fb.Scene([fb.Instance(knot(), material=orange), fb.Instance(coarse, place, resolution=32)], lights)
     # The box cuts this field, so that its surface has flat parts.
     x, y, z = np.meshgrid(*[(np.arange(32) + 0.5) / 16 - 1] * 3, indexing="ij")
     cut = fb.Volume(np.sqrt((x - 0.8) ** 2 + y**2 + (z - 0.3) ** 2) - 0.75, [(-1, -1, -1), (1, 1, 1)])
     near = fb.Camera((3.2, 1.4, 2.6), (0.2, 0, 0), fov_deg=40)
     level = 0.05
     jobs = []
-    for name, thing, place in (("scene", scene, camera()), ("cut", cut, near)):
+    for name, thing, view in (("scene", scene, camera()), ("cut", cut, near)):
         page = tmp_path / f"{name}.html"
-        thing.to_html(page, camera=place, size=SIZE, encoding="float32")
+        thing.to_html(page, camera=view, size=SIZE, encoding="float32")
         jobs.append({"url": page.as_uri(), "expression": MOTION.replace("LEVEL", str(level))})
     first, second = visit(jobs)
-    for result in (first, second):
+    for result, has_button in ((first, True), (second, False)):
         assert result.value is not None, result.errors
         assert result.errors == []
-        assert all(one["isSurface"] for one in result.value)
-    check_motion(
-        decoded(first.value[0]["picture"]), fb.raymarch(scene, camera(), size=SIZE, shadows="none", device="cpu")
-    )
-    for found, own in zip(second.value, (0, level), strict=True):
-        shifted = fb.Volume(cut.distances - own, cut.bounds)
-        frame = fb.raymarch(shifted, near, size=SIZE, shadows="none", device="cpu")
-        check_motion(decoded(found["picture"]), frame)
+        assert result.value["isSurface"]
+        assert result.value["hasButton"] is has_button
+    options = {"size": SIZE, "shadows": "none", "device": "cpu"}
+    check_motion(decoded(first.value["pictures"][0]), fb.raymarch(scene, camera(), **options))
+    for text in (first.value["pictures"][2], first.value["rest"]):
+        check_motion(decoded(text), fb.render(scene, camera(), **options))
+    for text, own in zip(second.value["pictures"], (0, level), strict=False):
+        frame = fb.raymarch(fb.Volume(cut.distances - own, cut.bounds), near, **options)
+        check_motion(decoded(text), frame)
         assert np.isfinite(frame.depth).mean() > 0.1
 
 

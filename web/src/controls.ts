@@ -100,6 +100,10 @@ export class Controls {
     this.button(bar, "steps", "Steps of each ray, dark for few and light for many", paint("steps"));
     if (description.error !== null)
       this.button(bar, "error", "Difference of the stored samples from the exact ones, dark for small and light for large", paint("error"));
+    if (view.data.hasMesh)
+      this.button(bar, "mesh", "The triangles of meshes, without shadows, in place of their fields", () => this.change(() => {
+        view.settings.mesh = !view.settings.mesh;
+      }));
     this.pages = description.pages.length ? this.addPages() : null;
     this.button(bar, "ground", "Dark or light background", () => this.change(() => {
       const isOwn = view.settings.background === description.background;
@@ -138,7 +142,7 @@ export class Controls {
       const { axis, at } = settings.slice;
       this.place.value = String((at - lower[axis]) / (upper[axis] - lower[axis]));
     }
-    const pressed = { cut: settings.slice?.cut ?? false, light: this.isLight, steps: settings.colors === "steps", error: settings.colors === "error", pages: this.pages?.hidden === false };
+    const pressed = { cut: settings.slice?.cut ?? false, light: this.isLight, steps: settings.colors === "steps", error: settings.colors === "error", mesh: settings.mesh, pages: this.pages?.hidden === false };
     this.refreshScale();
     for (const [name, is] of Object.entries(pressed)) this.buttons.get(name)?.setAttribute("aria-pressed", String(is));
     this.buttons.get("cut")!.disabled = !settings.slice;
@@ -227,7 +231,7 @@ export class Controls {
   private reset(): void {
     const { view } = this;
     view.camera.reset();
-    Object.assign(view.settings, { level: 0, slice: null, light: null, colors: "light", background: view.data.description.background });
+    Object.assign(view.settings, { level: 0, slice: null, light: null, colors: "light", mesh: false, background: view.data.description.background });
     this.isLight = false;
     if (this.pages) this.pages.hidden = true;
     this.change(() => {});

@@ -5,8 +5,8 @@
 //     uint32 ...    samples of the instances (shaders/viewer/data.wgsl)
 
 import { CameraState } from "./camera";
-import { Grid } from "./surface";
-import { Affine, Vector } from "./vectors";
+import { Grid, Triangles } from "./surface";
+import { Affine, Vector, cross, subtract } from "./vectors";
 
 export interface InstanceData {
   name: string;
@@ -19,6 +19,8 @@ export interface InstanceData {
   shininess: number;
   /** Difference between neighbouring samples of a dense grid that 1 % of the pairs exceed, units of the samples. */
   slope: number;
+  /** Numbers of vertices and faces of the mesh whose field this is, where the view has them; null elsewhere. */
+  mesh: [number, number] | null;
   /** Share of the view's largest error at a byte of 255 in the map of errors. */
   errorShare: number;
 }
@@ -163,6 +165,27 @@ export class Data {
   /** A level, world units, in the units of the samples of an instance. */
   ownLevel(record: number[], level: number): number {
     return Math.fround(level / record[UNIT]);
+  }
+
+  /** Whether a picture can have the triangles of a mesh in place of its field. */
+  get hasMesh(): boolean {
+    return !this.hasOtherThanDense && this.description.instances.some(({ mesh }) => mesh);
+  }
+
+  /** The triangles of an instance's mesh, each with its own corners. */
+  mesh({ record, mesh }: InstanceData): Triangles {
+    const [vertices, faces] = mesh!;
+    const start = 4 * record[INDEX];
+    const places = new Float32Array(this.words.buffer, start, 3 * vertices);
+    const indices = new Uint32Array(this.words.buffer, start + 12 * vertices, 3 * faces);
+    const corners = new Float32Array(6 * indices.length);
+    const vertex = (i: number) => [...places.subarray(3 * indices[i], 3 * indices[i] + 3)] as Vector;
+    for (let i = 0; i < indices.length; i += 3) {
+      const [a, b, c] = [vertex(i), vertex(i + 1), vertex(i + 2)];
+      const normal = cross(subtract(b, a), subtract(c, a));
+      [a, b, c].forEach((corner, k) => corners.set([...corner, ...normal], 6 * (i + k)));
+    }
+    return { corners, indices: Uint32Array.from(indices.keys()) };
   }
 
   /** The values of a dense grid; of a large one every `step`-th. */

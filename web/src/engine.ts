@@ -1,7 +1,7 @@
 // WebGL 2: one context for all views of a document, and the resources of each view in it.
 
 import { Camera } from "./camera";
-import { Data, FilteredGrids } from "./data";
+import { Data, FilteredGrids, InstanceData } from "./data";
 import { levelSet } from "./surface";
 import { Affine, Vector, add, direction, dot, inverse, point, product, subtract, times, unit } from "./vectors";
 
@@ -23,6 +23,8 @@ export interface Settings {
   /** Direction in which the key light travels, camera space; null for the lights of the data. */
   light: Vector | null;
   background: [number, number, number, number];
+  /** Whether meshes are drawn as triangles in place of their fields. */
+  mesh: boolean;
   /** What the colours of surfaces show: light, the steps of each ray, or the errors of the stored samples. */
   colors: "light" | "steps" | "error";
 }
@@ -136,7 +138,7 @@ export class Resources {
   private level: number | null = null;
   private grids: FilteredGrids | null = null;
   private filtered: WebGLTexture | null = null;
-  /** The surface of each grid, by its first sample. */
+  /** The surface of each grid, by its first sample, and of each mesh, by -1 less that of its field. */
   private readonly surfaces = new Map<number, Surface>();
   /** Whether the picture that was prepared last consists of triangles. */
   private hasTriangles = false;
@@ -205,15 +207,18 @@ export class Resources {
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 4);
   }
 
-  /** The triangles of an instance at a level, world units. */
-  private surface(record: number[], level: number): Surface {
+  /** The triangles of an instance: those of its mesh, or those of its level set. */
+  private surface(instance: InstanceData): Surface {
     const { gl } = this.engine;
-    const key = this.data.gridOf(record);
-    const own = this.data.ownLevel(record, level);
+    const { record } = instance;
+    const isMesh = this.settings.mesh && instance.mesh !== null;
+    // No grid has a negative number.
+    const key = isMesh ? -1 - this.data.gridOf(record) : this.data.gridOf(record);
+    const own = isMesh ? 0 : this.data.ownLevel(record, this.settings.level);
     const known = this.surfaces.get(key);
     if (known?.level === own) return known;
     if (known) this.freeSurface(known);
-    const { corners, indices } = levelSet(this.data.grid(record), own);
+    const { corners, indices } = isMesh ? this.data.mesh(instance) : levelSet(this.data.grid(record), own);
     const array = gl.createVertexArray();
     gl.bindVertexArray(array);
     const buffers = ([[gl.ARRAY_BUFFER, corners], [gl.ELEMENT_ARRAY_BUFFER, indices]] as const).map(([target, values]) => {
@@ -304,7 +309,7 @@ export class Resources {
 
   private drawTriangles(): void {
     const { gl } = this.engine;
-    const { level, background } = this.settings;
+    const { background } = this.settings;
     const [red, green, blue] = background.map(srgb);
     gl.clearColor(red, green, blue, background[3]);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
@@ -318,9 +323,9 @@ export class Resources {
     const lights = new Float32Array(8 * MOST_LIGHTS);
     for (let i = instances.length + 1; i < this.table.length / (4 * ROW); i++) lights.set(row(i, 2), 8 * (i - instances.length - 1));
     put(2, this.lightBlock, lights);
-    instances.forEach(({ record }, i) => {
-      if (!this.data.isVisible(record)) return;
-      const { array, count } = this.surface(record, level);
+    instances.forEach((instance, i) => {
+      if (!this.data.isVisible(instance.record)) return;
+      const { array, count } = this.surface(instance);
       put(1, this.ownBlock, row(i, ROW));
       gl.bindVertexArray(array);
       gl.drawElements(gl.TRIANGLES, count, gl.UNSIGNED_INT, 0);

@@ -86,7 +86,7 @@ export class View {
   ) {
     this.context = canvas.getContext("2d")!;
     this.camera = new Camera(data.description.camera);
-    this.settings = { level: 0, slice: null, light: null, background: data.description.background, colors: "light" };
+    this.settings = { level: 0, slice: null, light: null, background: data.description.background, mesh: false, colors: "light" };
     users.add(this);
   }
 
@@ -275,11 +275,12 @@ export class View {
     const started = performance.now();
     const resources = this.acquire();
     const { width, height } = this.canvas;
-    await resources.compiled(this.settings);
+    const isTriangles = this.settings.mesh && this.picture === Picture.color && resources.isSurface(this.settings);
+    if (!isTriangles) await resources.compiled(this.settings);
     if (this.turn !== turn || this.resources !== resources || resources.engine.isLost) return;
-    resources.prepare(this.camera, this.settings, width, height, this.picture);
+    resources.prepare(this.camera, this.settings, width, height, this.picture, isTriangles);
     // Input is handled between the pieces, and no driver mistakes a long picture for a hang.
-    let rows = Math.max(1, Math.round(height / 8));
+    let rows = isTriangles ? height : Math.max(1, Math.round(height / 8));
     for (let row = 0; row < height; ) {
       const before = performance.now();
       resources.draw(height - Math.min(height, row + rows), Math.min(rows, height - row));

@@ -167,6 +167,7 @@ def content_of(thing: Any, camera: Camera | None, encoding: str, size: tuple[int
     if isinstance(thing, Mesh):
         volume = bake(thing, PICTURE_RESOLUTION)
         content = content_of(volume, camera, encoding, size)
+        records.add_mesh(content.placed[0].record, thing)
         content.title = f"Mesh, {len(thing.faces):,} faces, drawn by its field of {_shape_text(volume.resolution)}"
         return content
     if isinstance(thing, Scene):
@@ -217,6 +218,8 @@ def _of_scene(scene: Scene, camera: Camera | None, encoding: str, size: tuple[in
             function = next(found)
             if id(thing) not in known:
                 known[id(thing)] = _record(thing, function, encoding)
+                if isinstance(instance.thing, Mesh):
+                    records.add_mesh(known[id(thing)], instance.thing)
             placed.append(_placed(instance, number, thing, known[id(thing)]))
     view = camera or (scene.cameras[0] if scene.cameras else Camera.fit(scene.bounds, aspect=size[0] / size[1]))
     return Content(
@@ -327,6 +330,7 @@ def _instance_data(item: Placed, row: list[float], largest_error: float | None) 
         "emission": list(item.emission),
         "shininess": item.shininess,
         "slope": item.record.slope,
+        "mesh": item.record.mesh,
         "errorShare": (item.record.error or 0.0) * item.scale / (largest_error or 1.0),
     }
 

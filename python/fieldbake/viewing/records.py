@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from .. import _core
 from ..base import encodings
 from ..base.errors import SceneError
+from ..meshes.mesh import Mesh
 from ..shapes.quadric import Quadric
 from ..shapes.shape import Shape
 from ..volumes.quantized import QuantizedVolume
@@ -29,6 +30,9 @@ INDEX, NODES, FLOOR, LONGEST_STEP, NODE_STEP, ERRORS = 24, 25, 26, 27, 28, 31
 
 #: Most words of a view: their indices are float32.
 MOST_WORDS = 1 << 24
+
+#: Most faces of a mesh whose triangles a view has beside its field: about 250 kB of a page.
+MOST_FACES = 20_000
 
 #: Kinds of fields.
 DENSE, SPARSE, SHAPE, QUADRIC = range(4)
@@ -72,6 +76,8 @@ class Record:
     slope: float = 0.0
     #: Largest difference of the stored samples from the exact ones, world units of the object; None if it is not known.
     error: float | None = None
+    #: Numbers of vertices and faces of the mesh whose field this is, where the view has them.
+    mesh: tuple[int, int] | None = None
 
 
 def of_volume(volume: Volume, encoding: str) -> Record:
@@ -117,6 +123,16 @@ def of_volume(volume: Volume, encoding: str) -> Record:
         slope=_slope(stored),
         error=error,
     )
+
+
+def add_mesh(record: Record, mesh: Mesh) -> None:
+    """Store the vertices of a mesh, field space, and its faces beside the dense grid of its field."""
+    if record.mesh is not None or len(mesh.faces) > MOST_FACES:
+        return
+    matrix = record.field_from_object
+    vertices = (mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
+    record.mesh = len(vertices), len(mesh.faces)
+    record.arrays[INDEX] = np.concatenate([_words(vertices), _words(mesh.faces.astype(np.uint32))])
 
 
 def of_sparse(volume: SparseVolume, encoding: str) -> Record:
