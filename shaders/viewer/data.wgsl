@@ -1,5 +1,5 @@
-// The fields of a view: one texture of 32-bit words with the samples, and for pictures in motion one filtered texture with
-// the dense grids, stacked along z. The table of instances (table.wgsl) has the places of both.
+// The fields of a view: one texture of 32-bit words with the samples, and for pictures in motion one filtered texture
+// with the dense grids, stacked along z. The table of instances (table.wgsl) has the places of both.
 
 @group(0) @binding(1) var words: texture_2d<u32>;
 @group(0) @binding(3) var filtered: texture_3d<f32>;

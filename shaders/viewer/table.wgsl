@@ -21,8 +21,8 @@
 //                 difference between neighbouring samples that 1 % of the pairs exceed
 //           23    share of the view's largest error at a byte of 255
 //
-// Row `count` has the rays of scene space. The rows after it are lights: direction or position in scene space with 0 or 1,
-// then the colour.
+// Row `count` has the rays of scene space. The rows after it are lights: direction or position in scene space with 0 or
+// 1, then the colour.
 
 struct View {
     // Width and height of the picture, pixels; side of a pixel at depth 1; number of instances.
