@@ -218,6 +218,11 @@ class Atlas(PageStore, Viewable, Loadable):
     def remove(self, i: int) -> None:
         """Remove a volume. Its texels become zero, and its index and area become free.
 
+        Parameters
+        ----------
+        i : int
+            Index of the volume; negative indices count from the end.
+
         Raises
         ------
         AtlasError
@@ -234,12 +239,22 @@ class Atlas(PageStore, Viewable, Loadable):
             self._changes += 1
 
     def resolution(self, i: int) -> tuple[int, int, int]:
-        """Number of voxels of the volume with index `i` along x, y and z."""
+        """Return the number of voxels of volume `i` along x, y and z; AtlasError if there is no such volume."""
         nx, ny, nz = self._blocks["shape"][self._index(i)].tolist()
         return nx, ny, nz
 
     def unpack(self, i: int) -> Volume:
-        """Copy the volume with index `i` out of the atlas, as its encoding stored it; float32 is exact.
+        """Copy a volume out of the atlas.
+
+        Parameters
+        ----------
+        i : int
+            Index of the volume; negative indices count from the end.
+
+        Returns
+        -------
+        Volume
+            The decoded samples, float32. They equal those of the packed volume if the encoding is float32.
 
         Raises
         ------

@@ -106,7 +106,7 @@ class Report:
 
     @classmethod
     def from_dict(cls, facts: Mapping[str, Any]) -> Report:
-        """Make a report from a mapping; unknown keys are ignored."""
+        """Make a report from a mapping of attributes, as :meth:`to_dict` returns; unknown keys are ignored."""
         known = {item.name for item in fields(cls)}
         return cls(**{name: value for name, value in facts.items() if name in known})
 

@@ -220,6 +220,11 @@ class NestedField(Loadable, Shaded, Convertible):
         level : int, default -1
             Index of the level; 0 is the finest, -1 the outermost, which covers the whole scene.
 
+        Returns
+        -------
+        Volume
+            The merged field of the level, whose outermost samples are as merged.
+
         Raises
         ------
         ArgumentError

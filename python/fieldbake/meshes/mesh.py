@@ -237,7 +237,7 @@ class Mesh(Viewable):
         return None if colors is None else checks.frozen(colors[self._core.source_faces])
 
     def _placed(self, parts: Sequence[Part]) -> tuple[Part, ...]:
-        """Copy parts to the kept ones of their faces, whose rows in the input are `_part_rows`."""
+        """Copy parts for the kept faces. `_part_rows` has the rows of their faces in the input."""
         kept = self._core.source_faces
         return tuple(
             part.with_faces(range(*np.searchsorted(kept, (rows.start, rows.stop)).tolist()))

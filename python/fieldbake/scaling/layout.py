@@ -80,7 +80,7 @@ class Layout(Grid):
         return count
 
     def level(self, level: int) -> Grid:
-        """The grid of a level: the same lower corner, voxels ``2**level`` times as long."""
+        """Make the grid of a level. It has the same lower corner, and voxels ``2**level`` times as long."""
         if level == 0:
             return self
         step = 2**level
@@ -89,7 +89,7 @@ class Layout(Grid):
         return Grid(self.lower, (upper[0], upper[1], upper[2]), (x, y, z))
 
     def counts(self, level: int) -> tuple[int, int, int]:
-        """Shards of a level along x, y and z."""
+        """Number of shards of a level along x, y and z."""
         x, y, z = (-(-n // self.shard) for n in self.level(level).shape)
         return x, y, z
 
@@ -98,7 +98,7 @@ class Layout(Grid):
         return float(self.band / 2**level * (1 + MARGIN))
 
     def box(self, level: int, index: tuple[int, int, int]) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
-        """First sample and number of samples of a shard along x, y and z."""
+        """Index of the first sample and number of samples of a shard, along x, y and z."""
         low = tuple(i * self.shard for i in index)
         size = tuple(min(self.shard, n - a) for n, a in zip(self.level(level).shape, low, strict=True))
         return low, size  # type: ignore[return-value]

@@ -37,13 +37,13 @@ class Blocks:
     def sides(
         self, low: NDArray[np.int64], high: NDArray[np.int64], beyond: float = 0.0
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int8]]:
-        """Distance of the surface from the centres, radii, and the side of the balls enlarged by `beyond`."""
+        """Distances of the centres from the surface, radii, and sides of the balls enlarged by `beyond`, (n,) each."""
         centers, radii = self.balls(low, high)
         distances, sides = _core.sides_of_balls(self.mesh._core, centers, radii + beyond, sign=self.sign)
         return distances, radii, sides
 
     def nearest_samples(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Distance at the sample of each box that is nearest to the point of the surface nearest to its centre."""
+        """Evaluate the distance at one sample per box, (n,): the sample next to the closest point of the box centre."""
         centers, _ = self.balls(low, high)
         found = _core.closest_point(self.mesh._core, centers, device="cpu")[0]
         index = np.clip(np.rint((found - self.lower) / self.spacing - 0.5), low, high - 1)

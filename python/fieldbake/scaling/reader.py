@@ -39,7 +39,7 @@ class Reader:
         self._lock = threading.Lock()
 
     def read(self, level: int, low: Triple, size: Triple) -> NDArray[Any]:
-        """Stored values of a box of samples, (nz, ny, nx)."""
+        """Read the stored values of a box of `size` samples from index `low` on, (nz, ny, nx)."""
         shard = self.layout.shard
         first = [a // shard for a in low]
         last = [(a + n - 1) // shard + 1 for a, n in zip(low, size, strict=True)]
@@ -87,7 +87,7 @@ class Reader:
         return FormatError(f"shard {key} of {self.place} is damaged: {reason}; {advice}")
 
     def bricks(self, level: int, wanted: NDArray[np.int64]) -> NDArray[Any]:
-        """Stored values of chunks (k, 3), as (k, c, c, c) in z, y, x order; past the grid the fill value."""
+        """Read the stored values of chunks (k, 3), (k, c, c, c) in z, y, x order; beyond the grid the fill value."""
         chunk = self.layout.chunk
         out = np.empty((len(wanted), chunk, chunk, chunk), dtype=self.fill.dtype)
         missing = []
@@ -134,7 +134,7 @@ class Reader:
                 self._bricks.popitem(last=False)
 
     def values_at(self, level: int, index: NDArray[np.int64]) -> NDArray[Any]:
-        """Stored values at samples (n, 3), (n,)."""
+        """Read the stored values at samples with the indices (n, 3), (n,)."""
         chunk = self.layout.chunk
         counts = -(-np.array(self.layout.level(level).shape) // chunk)
         brick, inner = index // chunk, index % chunk

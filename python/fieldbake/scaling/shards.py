@@ -34,7 +34,7 @@ def keep_mesh(key: str, mesh: Mesh) -> None:
 
 
 def mesh_of(place: Place, layout: Layout) -> Mesh:
-    """The mesh of a store: the one that this process keeps, or else read from the store."""
+    """Return the mesh of a store: the mesh that this process keeps, or else the one in the store."""
     with _lock:
         if layout.mesh not in _meshes:
             _meshes.clear()
@@ -58,13 +58,13 @@ def store_shard(place: Place, layout: Layout, level: int, index: tuple[int, int,
 
 
 def bake_shard(mesh: Mesh, layout: Layout, level: int, index: tuple[int, int, int]) -> Any:
-    """Stored values of a shard, (nz, ny, nx)."""
+    """Compute the stored values of a shard, (nz, ny, nx)."""
     low, size = layout.box(level, index)
     return bake_box(mesh, layout, level, low, size)
 
 
 def bake_box(mesh: Mesh, layout: Layout, level: int, low: Any, size: Any) -> Any:
-    """Stored values of a box of samples, (nz, ny, nx)."""
+    """Compute the stored values of a box of `size` samples from index `low` on, (nz, ny, nx)."""
     grid = layout.level(level)
     scale, width, band = layout.scale, layout.band_width, layout.band_of(level)
     fill = layout.fill

@@ -103,9 +103,9 @@ def bake_to_zarr(
     -----
     The store is a group of Zarr v3 with sharding and OME-Zarr 0.5 metadata, in the order z, y, x. Its array ``0`` has
     the distances of :func:`bake` with `band`, encoded as :meth:`Volume.quantize` does, bit for bit. Coarser levels
-    are baked anew on grids with voxels 2, 4, ... times as long, and have the same scale. Shards wholly outside the
-    solid and the band are not stored: their value is the fill value. The mesh is stored too, and each worker process
-    reads it once.
+    are baked from the mesh on grids with voxels 2, 4, ... times as long, and have the same scale. Shards wholly outside
+    the solid and the band are not stored: their value is the fill value. The mesh is stored too, and each worker
+    process reads it once.
 
     A shard is stored in one atomic write. Ctrl-C, a killed worker or a killed client leave a store that the same call
     completes: it repeats the plan and bakes what is missing.

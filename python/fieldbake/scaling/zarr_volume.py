@@ -363,7 +363,18 @@ class ZarrVolume(GridField):
         return float(bricks * 512 * self._reader.fill.dtype.itemsize + nodes)
 
     def to_xarray(self, *, level: int = 0) -> xarray.DataArray:
-        """The distances of a level as an xarray.DataArray with dimensions z, y, x; samples are read when needed.
+        """Convert a level to an xarray ``DataArray``.
+
+        Parameters
+        ----------
+        level : int, default 0
+            Level of the pyramid.
+
+        Returns
+        -------
+        xarray.DataArray
+            Distances, world units, with the dimensions z, y, x and the voxel centres as coordinates. Samples are read
+            when they are needed.
 
         Raises
         ------

@@ -31,7 +31,7 @@ class MaterialTable:
         self._known: dict[int, int] = {}
 
     def texture(self, pixels: NDArray[np.uint8]) -> int:
-        """Index of an image; all users of the image share it."""
+        """Return the index of an image; all users of the image share it."""
         key = id(pixels)
         if key not in self._known:
             self._known[key] = len(self.textures)
@@ -40,7 +40,7 @@ class MaterialTable:
         return self._known[key]
 
     def add(self, material: Material | None, look: Look, is_two_sided: bool) -> None:
-        """Add one row; `is_two_sided` applies if the material does not decide it."""
+        """Add one row. `is_two_sided` is used if the material leaves this open."""
         material = material or Material()
         self.materials.append(
             {
@@ -75,7 +75,7 @@ class Rows:
         looks: Sequence[Look],
         sheet: Sheet = NO_SHEET,
     ) -> None:
-        """Add one instance, with a row of the material table for the look of each part."""
+        """Add one instance, with a row of the material table for the appearance of each part."""
         own_colors = instance.material is None or instance.material.color is None
         self.instances.append(
             {

@@ -62,7 +62,12 @@ def use_disk(folder: str | os.PathLike[str] | None = None) -> Path:
     Returns
     -------
     Path
-        The folder in use.
+        The folder in use. It is created if it is missing.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be created.
 
     Examples
     --------

@@ -34,7 +34,7 @@ class Look(NamedTuple):
 
     @classmethod
     def of(cls, material: Material | None, part: Part, is_colored: bool = False) -> Look:
-        """Combine a material with the look of a part; `is_colored` if the mesh has colours of its vertices or faces."""
+        """Combine a material with a part. `is_colored` states that the mesh has colours of its vertices or faces."""
         material = material or Material()
         color: Sequence[float] = part.color
         texture, mode = part.texture, part.alpha_mode
@@ -89,7 +89,7 @@ NO_SHEET = Sheet(is_traced=False, is_two_sided=False)
 
 
 def sheet_of(mesh: Mesh, looks: Sequence[Look]) -> Sheet:
-    """Decide whether a mesh with these looks is a sheet."""
+    """Decide whether a mesh whose parts have these appearances is a sheet."""
     is_flat = _is_flat(mesh)
     is_masked = any(look.mask is not None for look in looks)
     is_open = not is_flat and not mesh.topology()["closed"]

@@ -98,19 +98,34 @@ class Shape(Viewable):
         return combine(op, [operand, self] if is_second else [self, operand])
 
     def union(self, *others: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
-        """Unite the shapes, with a smooth joint of width `k` or a chamfered joint of width `chamfer`."""
+        """Unite the shapes.
+
+        Parameters
+        ----------
+        *others : Shape
+            Further operands.
+        k : float, default 0
+            Width of a smooth joint, world units: the field changes where two operands differ by less. 0 is sharp.
+        chamfer : float, default 0
+            Width of a chamfered joint, world units. 0 is sharp. A joint is smooth or chamfered, and not both.
+
+        Raises
+        ------
+        ShapeError
+            For an operand that is not a Shape, a negative width, or both widths.
+        """
         return combine("union", [self, *others], k=k, chamfer=chamfer)
 
     def intersection(self, *others: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
-        """Intersect the shapes, with a smooth joint of width `k` or a chamfered joint of width `chamfer`."""
+        """Intersect the shapes; operands, joints and errors are those of :meth:`union`."""
         return combine("intersection", [self, *others], k=k, chamfer=chamfer)
 
     def difference(self, *others: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
-        """Subtract the others, with a smooth joint of width `k` or a chamfered joint of width `chamfer`."""
+        """Subtract the other shapes; operands, joints and errors are those of :meth:`union`."""
         return combine("difference", [self, *others], k=k, chamfer=chamfer)
 
     def xor(self, *others: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
-        """Take the symmetric difference from left to right, with a smooth or chamfered joint of that width."""
+        """Take the symmetric difference from left to right; operands, joints and errors are those of :meth:`union`."""
         return combine("xor", [self, *others], k=k, chamfer=chamfer)
 
     def smooth(self, k: float) -> Shape:
@@ -121,7 +136,7 @@ class Shape(Viewable):
         return Shape._wrap(self._core.reblended(arguments.number("k", k), 0.0))
 
     def chamfer(self, width: float) -> Shape:
-        """Replace the joint of the root operator by a flat at 45 degrees that takes `width` off each side."""
+        """Replace the joint of the root operator by a flat at 45 degrees; it takes `width` (world units) off each side."""
         return Shape._wrap(self._core.reblended(0.0, arguments.number("chamfer", width)))
 
     # --- placement
@@ -156,7 +171,7 @@ class Shape(Viewable):
         return self.rotate(turn.tolist(), degrees) if degrees else self
 
     def scale(self, factor: float) -> Shape:
-        """Scale about the origin by the same factor along all axes."""
+        """Scale about the origin by the same factor, above 0, along all axes."""
         return self._changed("scale", arguments.number("factor", factor))
 
     def align(self, anchor: ArrayLike) -> Shape:

@@ -149,7 +149,7 @@ class Intersection:
         return self._blend(a, b), share[:, None] * along_a + (1 - share)[:, None] * along_b
 
     def distances(self, points: Array) -> Array:
-        """Unsigned distances (n,): to the surface of one field inside the other, or to their common curve."""
+        """Unsigned distances (n,): to the part of either surface inside the other field, or to their common curve."""
         (a, along_a), (b, along_b) = self.first.tangents(points), self.second.tangents(points)
         if self.smooth > 0:
             return np.abs(self._blend(a, b))
@@ -201,7 +201,7 @@ class TangentSource:
         surface.use_planes(points, normals)
 
     def planes(self, points: Array, level: float) -> tuple[Array, Array]:
-        """Tangent planes next to points (n, 3): a point and a normal each, (n, 3)."""
+        """Evaluate tangent planes next to points (n, 3): a point and a normal of each, (n, 3)."""
         return projected(self.field, points, level)
 
 

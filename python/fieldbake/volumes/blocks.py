@@ -89,7 +89,7 @@ class _Blocks:
         #: Blocks along each axis, and the numbers of those that were evaluated.
         self.counts = (self.shape + SIDE) // SIDE
         self.known = np.empty(0, np.int64)
-        #: Blocks that have been searched for faces through which the surface leaves.
+        #: Number of batches that have been searched for faces through which the surface leaves.
         self.searched = 1
 
     def numbers(self, origins: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -113,7 +113,7 @@ class _Blocks:
             self.values.append(samples[crossed])
 
     def entered(self) -> NDArray[np.int64]:
-        """Blocks that were not evaluated and that the surface enters from the blocks found last."""
+        """Find the blocks, not yet evaluated, that the surface enters from the blocks of the last search."""
         found = [np.empty((0, 3), np.int64)]
         for origins, values in zip(self.origins[self.searched :], self.values[self.searched :], strict=True):
             inside = (values < self.level).reshape(-1, SIDE + 1, SIDE + 1, SIDE + 1)
@@ -129,7 +129,7 @@ class _Blocks:
         return origins[~np.isin(self.numbers(origins), self.known)]
 
     def surface(self) -> _core.Surface:
-        """The crossed cells of all kept blocks."""
+        """Make the surface of the crossed cells of all kept blocks."""
         blocks = np.concatenate(self.values).reshape(-1, SIDE + 1, SIDE + 1, SIDE + 1)
         starts = np.concatenate(self.origins).astype(np.int32)
         grid = self.grid

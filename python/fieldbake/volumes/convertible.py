@@ -8,7 +8,7 @@ from .volume import Volume
 
 
 class Convertible:
-    """Base class of fields that are no `Volume`, but have ``to_volume``."""
+    """Base class of fields that are not a `Volume`, but convert to one by ``to_volume``."""
 
     __slots__ = ()
 

@@ -83,9 +83,18 @@ class QuantizedVolume(Volume):
         return self._unit
 
     def error_bound(self, distance: float) -> float:
-        """Compute a bound on the error of a stored distance of this magnitude, world units.
+        """Compute a bound on the error of a stored distance.
 
-        The bound holds up to ``scale`` for a normalised encoding, and up to ``65504 * scale`` for float16.
+        Parameters
+        ----------
+        distance : float
+            True distance, world units. The bound holds for magnitudes up to ``scale`` with a normalised encoding, and
+            up to ``65504 * scale`` with float16.
+
+        Returns
+        -------
+        float
+            Largest difference between the true and the stored distance, world units.
         """
         if self._encoding == "float16":
             return max(abs(distance) * 2.0**-10, 2.0**-24 * self._unit)
