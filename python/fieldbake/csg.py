@@ -42,7 +42,7 @@ def __dir__() -> list[str]:
 
 
 class Part:
-    """A smaller shape, and the boxes in which it replaces the whole shape.
+    """A part of a decomposed shape: a smaller shape, and the boxes in which it replaces the whole shape.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class Part:
         return shader_function(self.shape.shader(language), self.shape.shader_numbers(), language, name)
 
     def shader_numbers(self) -> NDArray[np.float32]:
-        """List the parameters of the part: one row of :attr:`PartGroup.numbers`."""
+        """List the parameters of the part, (m,) float32: one row of :attr:`PartGroup.numbers`."""
         return self.shape.shader_numbers()
 
     def __repr__(self) -> str:

@@ -295,7 +295,7 @@ class PageStore:
         return self._bytes()
 
     def _index(self, i: object) -> int:
-        """Check the index of a volume; negative indices count from the end."""
+        """Check the index of a volume, and return it as a row; negative indices count from the end."""
         count = len(self._blocks)
         if count == 0:
             raise AtlasError(f"i: the atlas is empty, it has no volume {i}")

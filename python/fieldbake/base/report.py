@@ -1,4 +1,4 @@
-"""The report of a bake: properties of the surface, the method, time and memory."""
+"""The report of a bake or a query: properties of the surface, the method, time and memory."""
 
 from __future__ import annotations
 

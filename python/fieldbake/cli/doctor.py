@@ -26,7 +26,7 @@ def doctor(
 
 
 def rows_of(found: dict[str, Any]) -> list[tuple[str, str]]:
-    """Labels and texts of a diagnosis."""
+    """Convert a diagnosis to labels and texts."""
     own, python, cpu, cache = found["fieldbake"], found["python"], found["cpu"], found["cache"]
     rows = [
         ("fieldbake", f"{own['version'] or 'unknown version'} in {own['location']}"),

@@ -1,4 +1,4 @@
-"""Pictures of volumes, nested fields, shapes and quadrics, by rays."""
+"""Pictures of volumes, nested fields, shapes and quadrics by ray marching and closed forms."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ class Options:
     primary: Primary
     #: Kind of shadows in the core: also "article".
     march: str
-    #: Range of occlusion, world units. True for a share of the diagonal of the scene, False for none.
+    #: Range of occlusion, world units. True for a fraction of the diagonal of the scene, False for none.
     occlusion: bool | float
     samples: int
     light_scale: int

@@ -74,7 +74,7 @@ CHUNK_BYTES = 16 << 20
 
 
 def head(kind: str, encoding: str = "float32") -> dict[str, Any]:
-    """The entries at the start of every header."""
+    """Make the first entries of a header."""
     version = SCALED_FLOAT16_VERSION if encoding == "float16" else FIRST_VERSION.get(kind, 1)
     return {"format": "fieldbake", "kind": kind, "version": version, "written_by": f"fieldbake {_core.__version__}"}
 
@@ -98,7 +98,7 @@ def check_ending(target: Path, kind: str) -> None:
 
 
 def endings(kind: str) -> str:
-    """The endings of the files that can store a kind of object, as words."""
+    """List the endings of the files that can store a kind of object, for a message."""
     return listed(ENDINGS[kind])
 
 

@@ -42,7 +42,7 @@ class Sheet:
         return self.columns * self.shape[0], self.rows * self.shape[1]
 
     def facts(self) -> dict[str, Any]:
-        """The arrangement for the JSON, with the names that the engines use."""
+        """Describe the arrangement for the JSON, with the names that the engines use."""
         nx, ny, _ = self.shape
         return {
             "columns": self.columns,

@@ -79,7 +79,7 @@ class VdbGrid:
         return self.metadata.get("class", "unknown")
 
     def active_box(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """First and last index of the active voxels."""
+        """Find the first and last index of the active voxels, (3,) each."""
         low, high = np.full(3, FARTHEST), np.full(3, -FARTHEST)
         for corner, active in zip(self.corners, self.active, strict=True):
             held = np.argwhere(active)
@@ -113,7 +113,7 @@ class VdbGrid:
 
 
 def _overlap(corner: Any, side: int, low: Any, shape: list[int]) -> tuple[Any, Any] | None:
-    """Slices of a grid and of a cube at `corner` where the two overlap."""
+    """Compute the slices of a grid and of a cube at `corner` where they overlap; None if they do not."""
     here, there = [], []
     for at, start, size in zip(corner, low, shape, strict=True):
         first = int(at) - int(start)
@@ -315,6 +315,6 @@ class _Reader:
 
 
 def child_corner(corner: tuple[int, int, int], slot: int, side: int, step: int) -> tuple[int, int, int]:
-    """Index of the first voxel of the child in a slot of a node."""
+    """Compute the index of the first voxel of the child in a slot of a node."""
     x, y, z = corner
     return x + slot // (side * side) * step, y + slot // side % side * step, z + slot % side * step

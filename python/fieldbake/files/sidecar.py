@@ -14,7 +14,7 @@ MAX_SIDECAR_BYTES = 64 << 20
 
 
 def beside(path: Path) -> Path:
-    """The path of the sidecar of `path`: the same name with ``.json`` appended."""
+    """Return the path of the sidecar of `path`: the same name with ``.json`` appended."""
     return path.with_name(path.name + ".json")
 
 

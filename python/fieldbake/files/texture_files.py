@@ -56,7 +56,7 @@ class Texture:
 
 
 def level_shapes(shape: Sequence[int]) -> list[tuple[int, int, int]]:
-    """Texels of every mipmap, from the whole texture to a single texel."""
+    """List the shapes (nx, ny, nz) of all mipmaps, from the whole texture to a single texel."""
     shapes = []
     for level in range(max(shape).bit_length()):
         nx, ny, nz = (max(side >> level, 1) for side in shape)

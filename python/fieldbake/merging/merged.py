@@ -1,4 +1,4 @@
-"""A merged field, the instances it was merged from, and its update after instances have moved."""
+"""Merged fields: one field for many instances, and its update after instances have moved."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ NOBODY = np.empty(0, np.uint32)
 
 
 class Placed(NamedTuple):
-    """A field with its transform to the world."""
+    """A volume or a list of quadrics, and its transform to the world."""
 
     thing: Volume | tuple[Quadric, ...]
     transform: NDArray[np.float64]

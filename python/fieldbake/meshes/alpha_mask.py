@@ -1,4 +1,4 @@
-"""Masked surfaces for baking: the parts of triangles that a texture does not cut out."""
+"""Masked surfaces for baking: triangles without the areas that the mask of a texture cuts out."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def kept_triangles(mesh: Mesh, resolution: int, masks: Sequence[NDArray[np.bool_
 
 
 def _standing(triangle: Corners, coordinates: Corners, mask: NDArray[np.bool_], voxel: float) -> Corners:
-    """The remaining pieces of one triangle, (n, 3 corners, 3)."""
+    """Divide one triangle, and return the pieces that the mask keeps, (n, 3 corners, 3)."""
     both = np.concatenate([triangle, coordinates], axis=1)[None]
     longest = np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1).max()
     cuts = int(np.clip(np.ceil(np.log2(max(longest / (EDGE_VOXELS * voxel), 1))), 0, MAX_CUTS))

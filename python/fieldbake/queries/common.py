@@ -33,7 +33,7 @@ def checked_points(mesh: MeshLike, points: object) -> tuple[Mesh, NDArray[np.flo
 
 
 def check_reach(name: str, mesh: Mesh, positions: NDArray[np.float64], limit: float) -> None:
-    """Refuse positions so far out that distances, in mesh sizes, would overflow."""
+    """Raise ArgumentError for positions so far out that distances, in mesh sizes, would overflow."""
     if positions.size == 0:
         return
     # Plain floats are faster here: a NumPy reduction of three numbers takes longer than a query of one point.
@@ -48,7 +48,7 @@ def check_reach(name: str, mesh: Mesh, positions: NDArray[np.float64], limit: fl
 
 
 def source_faces(mesh: MeshLike, checked: Mesh, faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Convert rows of faces to those of the user: of a Mesh, or of the faces that were passed or read. -1 stays."""
+    """Convert rows of the core to rows of a Mesh argument, or of the faces that were passed or read. -1 stays."""
     if mesh is checked:
         return faces
     rows: NDArray[np.int64] = np.where(faces >= 0, checked._core.source_faces[faces], -1)
@@ -56,7 +56,7 @@ def source_faces(mesh: MeshLike, checked: Mesh, faces: NDArray[np.int64]) -> NDA
 
 
 def warn_of_signs(mesh: Mesh, sign: str) -> None:
-    """Warn once if the inside of the surface is ambiguous."""
+    """Issue one warning if the inside of the surface is ambiguous."""
     warn_surface(mesh._core.sign_warnings(sign))
 
 

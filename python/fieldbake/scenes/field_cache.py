@@ -131,12 +131,12 @@ def of_thing(thing: Volume | SparseVolume | NestedField | AtlasEntry | Shape) ->
 
 
 def levels_of(field: Volume | NestedField) -> list[_core.SceneField]:
-    """Fields of the levels of a nested field, finest first, or the one field of a volume."""
+    """List the fields of the levels of a nested field, finest first, or the one field of a volume."""
     return [of_thing(level) for level in (field._joined_levels() if isinstance(field, NestedField) else (field,))]
 
 
 def of_quadrics(quadrics: Sequence[Quadric]) -> list[_core.SceneField]:
-    """The field of each quadric."""
+    """Make the field of each quadric."""
     return _core.SceneField.quadrics(rows_of(quadrics))
 
 

@@ -138,7 +138,7 @@ def capped_torus(radius: float, tube: float, angle_deg: float) -> Shape:
 
 
 def cylinder(radius: Number = 1.0, height: Number = 2.0, *rest: float) -> Shape:
-    """Make a cylinder along z, centred at the origin: ``cylinder(radius, height)``. Its field is exact.
+    """Make a centred cylinder along z of this radius and height, world units. Its field is exact.
 
     ``cylinder(a, b, radius)`` makes one between two points (3,).
 
@@ -189,7 +189,7 @@ def rounded_cylinder(radius: float = 1.0, height: float = 2.0, rounding: float =
 
 
 def capsule(radius: Number = 0.5, height: Number = 1.0, *rest: float) -> Shape:
-    """Make the set of points within `radius` of a segment of length `height` along z. Its field is exact.
+    """Make a capsule: the points within `radius` of a centred segment of length `height` along z. Its field is exact.
 
     ``capsule(a, b, radius)`` takes the ends of the segment, two points (3,).
 
@@ -207,7 +207,7 @@ def capsule(radius: Number = 0.5, height: Number = 1.0, *rest: float) -> Shape:
 
 
 def cone(radius: Number = 1.0, height: Number = 2.0, *rest: float) -> Shape:
-    """Make a cone along z with its apex on top, centred at half its height. Its field is exact.
+    """Make a cone along z: a base of `radius` at -height / 2, the apex at height / 2. Its field is exact.
 
     ``cone(a, b, radius)`` has its base at `a` and its apex at `b`, two points (3,). A fourth argument is the radius at
     `b` of a truncated cone.
@@ -321,7 +321,7 @@ def slab(thickness: float = 1.0, normal: Axis = "z") -> Shape:
 
 
 def pyramid(base: float = 1.0, height: float = 1.0) -> Shape:
-    """Make a centred pyramid along z over a square of side `base`. Its field is exact.
+    """Make a centred pyramid along z of this height over a square of side `base`. Its field is exact.
 
     Examples
     --------
@@ -345,7 +345,7 @@ def octahedron(radius: float = 1.0) -> Shape:
 
 
 def hex_prism(radius: float = 1.0, height: float = 1.0) -> Shape:
-    """Make a centred prism along z over a regular hexagon with corners at `radius`, two of them on x. Exact.
+    """Make a centred prism along z over a hexagon with corners at `radius`, two of them on x. Its field is exact.
 
     Examples
     --------

@@ -136,7 +136,7 @@ class Shape(Viewable):
         return Shape._wrap(self._core.reblended(arguments.number("k", k), 0.0))
 
     def chamfer(self, width: float) -> Shape:
-        """Replace the joint of the root operator by a flat at 45 degrees; it takes `width` (world units) off each side."""
+        """Replace the joint of the root operator by a flat at 45 degrees that takes `width` off each side."""
         return Shape._wrap(self._core.reblended(0.0, arguments.number("chamfer", width)))
 
     # --- placement

@@ -29,7 +29,7 @@ ON_SURFACE = 1e-3
 
 
 def to_ideal(mesh: Mesh, field: Field) -> float:
-    """Largest distance from the surface of a mesh to the zero level set of a field."""
+    """Measure the largest distance from the surface of a mesh to the zero level set of a field, world units."""
     vertices, faces = mesh.vertices, mesh.faces.astype(np.int64)
     # Corners and middles of edges are shared by several faces. Each is evaluated once.
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1), axis=-1)
@@ -65,12 +65,12 @@ def _scores(field: Field, triangles: Array) -> Array:
 
 
 def from_ideal(mesh: Mesh, field: Field, grid: Grid) -> float:
-    """Largest distance from the zero level set of a field to the surface of a mesh."""
+    """Measure the largest distance from the zero level set of a field to the surface of a mesh, world units."""
     spacing = np.array(grid.spacing)
     voxel = float(spacing.max())
 
     def measure(points: Array) -> tuple[Array, Array]:
-        """The points moved onto the level set, and their distances from the mesh; -1 where that fails."""
+        """Move points onto the level set; return them and their distances from the mesh, -1 where that fails."""
         for _ in range(STEPS):
             points = projected(field, points)[0]
             points[~np.isfinite(points).all(axis=1)] = mesh.vertices[0]
@@ -106,7 +106,7 @@ def from_ideal(mesh: Mesh, field: Field, grid: Grid) -> float:
 
 
 def _near(field: Field, grid: Grid) -> list[Array]:
-    """Centres of cubes of half a voxel that the zero level set may pass through, in batches of points (n, 3)."""
+    """Find the cubes of half a voxel that the zero level set may cross; return their centres in batches of (n, 3)."""
     lower, spacing = np.array(grid.lower), np.array(grid.spacing)
     shape = np.array(grid.shape)
     corner = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
