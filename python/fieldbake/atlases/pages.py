@@ -298,7 +298,7 @@ class PageStore:
         """Check the index of a volume, and return it as a row; negative indices count from the end."""
         count = len(self._blocks)
         if count == 0:
-            raise AtlasError(f"i: the atlas is empty, it has no volume {i}")
+            raise AtlasError(f"i: there is no volume {i}, the atlas is empty")
         index = checks.integer("i", i, least=-count, most=count - 1, error=AtlasError) % count
         if self._blocks["page"][index] == VACANT:
             raise AtlasError(f"i: there is no volume {index}, it was removed")

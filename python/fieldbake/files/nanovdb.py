@@ -89,7 +89,7 @@ class _Tree:
 
     def _make_leaves(self, blocks: BandBlocks) -> None:
         corners = blocks.corners
-        # By upper node, then by lower node, then by slot: the order in which the tree is walked.
+        # Leaves are sorted by upper node, then by lower node, then by slot: the order of a traversal of the tree.
         keys = (corners // UPPER_VOXELS, corners // LOWER_VOXELS, corners // SIDE)
         order = np.lexsort([key[:, axis] for key in keys[::-1] for axis in (2, 1, 0)])
         self.corners, active = corners[order], blocks.active[order]

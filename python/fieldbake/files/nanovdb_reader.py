@@ -86,7 +86,7 @@ class _Reader:
             key, child, _, value = cursor.unpack("<QqIf")
             corner = tuple(_signed(key >> shift & 0x1FFFFF) * UPPER_VOXELS for shift in (42, 21, 0))
             if max(map(abs, corner)) > FARTHEST:
-                raise FormatError(f"a node lies at {list(corner)}")
+                raise FormatError(f"a node lies at {list(corner)}, too far from the origin")
             if child:
                 self._node(root_at + child, corner, UPPER, LOWER_VOXELS)
             else:

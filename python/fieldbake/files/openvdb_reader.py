@@ -135,7 +135,7 @@ def read(data: bytes) -> VdbGrid:
         raise FormatError(f"is OpenVDB version {version}; versions 222 to 224 are read: save it again with OpenVDB 3+")
     _, _, has_offsets = cursor.unpack("<IIB")
     if not has_offsets:
-        raise FormatError("the grids have no offsets; save the file again to a disk")
+        raise FormatError("the grids have no offsets; write the file again, and not to a stream")
     cursor.take(36)
     _metadata(cursor)
     count = cursor.one("<I")
@@ -216,7 +216,7 @@ class _Reader:
     def _corner(self, corner: Any) -> tuple[int, int, int]:
         x, y, z = corner
         if max(abs(x), abs(y), abs(z)) > FARTHEST:
-            raise FormatError(f"a node lies at {list(corner)}")
+            raise FormatError(f"a node lies at {list(corner)}, too far from the origin")
         return x, y, z
 
     def _map(self) -> None:

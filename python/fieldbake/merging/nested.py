@@ -23,7 +23,7 @@ from ..volumes.shader import ShaderBuffers, nested_buffers, nested_text
 from ..volumes.volume import Volume
 from .merged import MergedField
 
-#: Most levels; a voxel of the outermost level is then 2048 times as long as a voxel of the finest.
+#: Largest number of levels. A voxel of the outermost level is then 2048 times as long as a voxel of the finest.
 MAX_LEVELS = 12
 
 #: Fewest voxels of a level along each side, so that the finer level fits inside with a border of one voxel.

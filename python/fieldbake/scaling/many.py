@@ -276,7 +276,7 @@ def named_items(items: Iterable[Any] | Mapping[str, Any]) -> list[tuple[str, Any
     if isinstance(items, Mapping):
         for stem in items:
             if not isinstance(stem, str) or not stem or Path(stem).name != stem:
-                raise ArgumentError(f"items: keys are stems of file names, got {checks.describe(stem)}")
+                raise ArgumentError(f"items: keys must be stems of file names, got {checks.describe(stem)}")
         return list(items.items())
     named = []
     for index, item in enumerate(items):

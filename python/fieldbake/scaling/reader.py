@@ -29,7 +29,7 @@ class Reader:
         self.fill = layout.fill
         self._group = group
         self._arrays = [group[path_of(level)] for level in range(layout.level_count)]
-        #: For each level whether a shard is stored, (sx, sy, sz).
+        #: For each level an array (sx, sy, sz): whether each shard is stored.
         self.states = [
             np.asarray(group[f"far/states/{level}"][...]).transpose(2, 1, 0) != 0 for level in range(layout.level_count)
         ]

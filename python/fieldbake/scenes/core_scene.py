@@ -112,7 +112,7 @@ class SceneBuilder:
     """Makes scenes of the core from instances of the same objects, and keeps the converted objects."""
 
     def __init__(self) -> None:
-        # By the id of the object, which the instances keep alive.
+        # The keys have the id of the object, which the instances keep alive.
         self._meshes: dict[tuple[int, bool], _core.SceneMesh] = {}
         self._fields: dict[object, _core.SceneField] = {}
         self._quadrics: dict[int, list[_core.SceneField]] = {}

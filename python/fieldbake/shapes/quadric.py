@@ -80,7 +80,7 @@ class Quadric(Viewable):
             raise ShapeError(f"matrix: entries must be at most {checks.FAR:g}, got {form.tolist()}")
         form = (form + form.T) / 2
         if not form.any():
-            raise ShapeError(f"matrix: must not be zero, its symmetric part is; got {np.asarray(matrix).tolist()}")
+            raise ShapeError(f"matrix: must not be zero in its symmetric part, got {np.asarray(matrix).tolist()}")
         color = checks.vector("reflectance", reflectance, 3, ShapeError)
         if color.min() < 0 or color.max() > checks.FAR:
             raise ShapeError(f"reflectance: must be from 0 to {checks.FAR:g}, got {color.tolist()}")
@@ -222,7 +222,7 @@ class Quadric(Viewable):
         half = _number("height", height, above=0) / 2
         sign = 1 if _sheets(sheets) == 1 else -1
         if sign < 0 and half <= c:
-            raise ShapeError(f"height: two sheets begin at a height of {2 * c:g}, got {2 * half:g}")
+            raise ShapeError(f"height: must be above {2 * c:g} for two sheets, got {2 * half:g}")
         rim = max(a, b) * np.sqrt((half / c) ** 2 + sign)
         diagonal = [(c / a) ** 2, (c / b) ** 2, -1, -sign * c * c]
         return cls._make(center, diagonal, np.hypot(rim, half), surface)

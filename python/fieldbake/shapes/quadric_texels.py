@@ -127,7 +127,7 @@ def wrap_quadrics(packed: ArrayLike, max_side: int = 8192) -> NDArray[np.float32
     per_row = 1 if count <= side else side // RECORD_TEXELS
     height = max(1, -(-count // per_row))
     if height > side:
-        raise ShapeError(f"packed: {count} quadrics do not fit {side} x {side} texels, {per_row * side} do")
+        raise ShapeError(f"packed: {count} quadrics do not fit {side} x {side} texels, at most {per_row * side} do")
     texture = np.zeros((height * per_row, RECORD_TEXELS, 4), np.float32)
     texture[:count] = array
     return texture.reshape(height, per_row * RECORD_TEXELS, 4)

@@ -136,7 +136,7 @@ class GridField(Viewable, Neighbours):
         level = checks.number("level", level)
         kept = self._kept_distance()
         if kept is not None and abs(level) > kept:
-            raise ArgumentError(f"level: must be at most {kept:g} in magnitude, the band of the field, got {level:g}")
+            raise ArgumentError(f"level: must be within {kept:g} of 0, the largest stored distance, got {level:g}")
         planes = self._geometry if source is None else as_source(source)
         return extract(self._surface(level), level, planes, sharp=sharp, capped=capped)
 
