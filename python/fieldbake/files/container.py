@@ -181,7 +181,7 @@ def check_version(header: dict[str, Any]) -> None:
         raise FormatError("is not a fieldbake file: its header does not name the format")
     version = header.get("version")
     if not isinstance(version, int) or isinstance(version, bool) or version < 1:
-        raise FormatError(f"the header's version is {version!r}")
+        raise FormatError(f"the header has the invalid version {version!r}")
     if version > VERSION:
         raise FormatError(
             f"is of version {version}, this fieldbake reads up to {VERSION}; install a newer fieldbake "
@@ -196,7 +196,7 @@ def read_array(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], na
     with archive.open(members[name]) as stream:
         major, minor = npy.read_magic(stream)
         if (major, minor) not in ((1, 0), (2, 0)):
-            raise FormatError(f"member '{name}' is .npy version {major}.{minor}")
+            raise FormatError(f"member '{name}' has .npy version {major}.{minor}; versions 1.0 and 2.0 are read")
         read = npy.read_array_header_1_0 if major == 1 else npy.read_array_header_2_0
         shape, fortran_order, dtype = read(stream)
         if dtype.hasobject or dtype.kind not in "fiuU":
@@ -205,7 +205,7 @@ def read_array(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], na
         expected = dtype.itemsize
         for side in shape:
             if side < 0:
-                raise FormatError(f"member '{name}' has shape {shape}")
+                raise FormatError(f"member '{name}' has the invalid shape {shape}")
             expected *= side
         left = members[name].file_size - stream.tell()
         if expected != left:
@@ -226,7 +226,7 @@ def _fill(stream: IO[bytes], array: NDArray[Any]) -> None:
     while done < len(memory):
         piece = stream.read(min(CHUNK_BYTES, len(memory) - done))
         if not piece:
-            raise FormatError("the file ends too early")
+            raise FormatError("the file is shorter than its directory states")
         memory[done : done + len(piece)] = np.frombuffer(piece, dtype=np.uint8)
         done += len(piece)
 

@@ -86,7 +86,7 @@ def read_sheet(facts: Any, shape: list[int]) -> Sheet:
         raise FormatError(f"a sheet of {columns} columns and {rows} rows does not fit {shape[2]} slices")
     sheet = Sheet((shape[0], shape[1], shape[2]), columns, rows, facts.get("y") == "up")
     if max(sheet.size) > MAX_SIDE:
-        raise FormatError(f"a sheet of {sheet.size} pixels is too large")
+        raise FormatError(f"a sheet of {sheet.size[0]} x {sheet.size[1]} pixels exceeds {MAX_SIDE} pixels a side")
     return sheet
 
 

@@ -50,7 +50,7 @@ def read(data: bytes) -> VdbGrid:
     cursor.seek(_HEADER_BYTES + _FACTS_BYTES * count)
     name = bytes(cursor.take(name_size)).rstrip(b"\0").decode("utf-8", "replace")
     if count > 1:
-        raise FormatError(f"holds {count} grids; save one alone")
+        raise FormatError(f"holds {count} grids; write a file with one grid only")
     return _Reader(memoryview(data)[cursor.at :], name, len(data)).grid
 
 

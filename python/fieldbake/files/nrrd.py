@@ -95,7 +95,7 @@ def read(data: bytes) -> GridSamples:
             continue
         name, colon, value = line.partition(":")
         if not colon:
-            raise FormatError(f"the header has the line {line[:60]!r}")
+            raise FormatError(f"the header has the invalid line {line[:60]!r}")
         if value.startswith("="):
             pairs[name] = value[1:]
         else:
@@ -154,5 +154,5 @@ def _place(header: dict[str, str]) -> tuple[NDArray[np.float64], NDArray[np.floa
         if "axis mins" in header and "cell" in header.get("centerings", header.get("centers", "")):
             origin = origin + spacing / 2
     if not (spacing > 0).all():
-        raise FormatError(f"the voxels have the size {spacing.tolist()}")
+        raise FormatError(f"the voxels must have sizes above 0, got {spacing.tolist()}")
     return origin, np.array(spacing)

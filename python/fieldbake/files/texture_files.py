@@ -108,7 +108,7 @@ def read_dds(data: bytes) -> Texture:
     shapes = _shapes([width, height, depth], max(count, 1))
     levels = [_level(cursor, shape, encoding) for shape in shapes]
     if cursor.at != len(data):
-        raise FormatError(f"{len(data) - DDS_START} bytes are not {width} x {height} x {depth} texels")
+        raise FormatError(f"{len(data) - DDS_START} bytes do not match {width} x {height} x {depth} texels")
     return Texture(encoding, levels)
 
 
@@ -174,7 +174,7 @@ def read_ktx2(data: bytes) -> Texture:
     levels = []
     for shape, (offset, length, _) in zip(shapes, index, strict=True):
         if length != _size(shape, encoding):
-            raise FormatError(f"{length} bytes are not {' x '.join(map(str, shape))} texels")
+            raise FormatError(f"{length} bytes do not match {' x '.join(map(str, shape))} texels")
         cursor.seek(offset)
         levels.append(_level(cursor, shape, encoding))
     cursor.seek(pairs_at)

@@ -100,7 +100,7 @@ def read(data: bytes) -> GridSamples:
         raise FormatError("the grid is rotated; resample it onto an axis-aligned grid")
     spacing, origin = _vector(image, "Spacing", 3), _vector(image, "Origin", 3)
     if not (spacing > 0).all():
-        raise FormatError(f"the voxels have the size {spacing.tolist()}")
+        raise FormatError(f"the voxels must have sizes above 0, got {spacing.tolist()}")
     cells = [int(n) for n in extent[1::2] - extent[::2]]
     origin = origin + extent[::2] * spacing
     arrays = _Arrays(root, appended, is_raw)
@@ -175,7 +175,7 @@ class _Arrays:
             try:
                 offset = int(array.get("offset", "0"))
             except ValueError:
-                raise FormatError(f"the offset is {array.get('offset')[:60]!r}") from None
+                raise FormatError(f"the offset must be a whole number, got {array.get('offset')[:60]!r}") from None
             content = self.appended[offset:] if offset >= 0 else b""
             if not self.is_raw:
                 content = _base64(content)

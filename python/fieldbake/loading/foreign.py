@@ -99,7 +99,7 @@ def _window_of(grid: VdbGrid, facts: dict[str, Any]) -> tuple[NDArray[np.int64],
     box = read_facts(facts)[0]
     sizes = facts.get("resolution")
     if not isinstance(sizes, list) or len(sizes) != 3 or not all(type(n) is int and 0 < n < 2**31 for n in sizes):
-        raise FormatError(f"the metadata states {str(sizes)[:60]} voxels")
+        raise FormatError(f"the metadata must state three numbers of voxels, got {str(sizes)[:60]}")
     spacing = (box[1] - box[0]) / sizes
     first = (box[0] + spacing / 2 - grid.origin) / spacing
     is_near = np.abs(first - np.rint(first)).max() <= 1e-3 and np.abs(first).max() <= openvdb_reader.FARTHEST

@@ -63,7 +63,7 @@ def _read_sparse(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], 
     _check_samples(header, arrays["bricks"], encoding, 4)
     shape = header.get("resolution")
     if not isinstance(shape, list) or len(shape) != 3 or not all(type(n) is int and 0 < n < 2**31 for n in shape):
-        raise FormatError(f"the header's resolution is {shape!r:.60}")
+        raise FormatError(f"the header's resolution must be three whole numbers, got {shape!r:.60}")
     if arrays["bricks"].shape[1:] != (8, 8, 8) or arrays["index"].ndim != 3 or arrays["nodes"].ndim != 3:
         raise FormatError("the bricks, their index or their nodes have the wrong shape")
     if arrays["index"].dtype != np.dtype("<u4") or arrays["nodes"].dtype != np.dtype("<f4"):
@@ -71,7 +71,7 @@ def _read_sparse(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], 
     if encoding not in encodings.STEPS and not np.isfinite(arrays["bricks"]).all():
         raise FormatError("the bricks are not all finite")
     if not (np.isfinite(arrays["nodes"]).all() and (arrays["nodes"] >= 0).all()):
-        raise FormatError("the nodes are not all finite and 0 or more")
+        raise FormatError("the nodes must be finite and not negative")
     corners = checks.triple(bounds[0]), checks.triple(bounds[1])
     size = int(shape[0]), int(shape[1]), int(shape[2])
     field = restore_field(corners, size, _positive(header, "band"), read_scale(header, encoding), arrays)
