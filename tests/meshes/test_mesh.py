@@ -384,3 +384,51 @@ def test_a_tiny_mesh_far_away_is_baked_as_well_as_one_at_home():
 
     assert np.abs(near.distances - far.distances).max() <= 2 * truth.EXACT * truth.diagonal(*here)
     assert far.origin - near.origin == pytest.approx((2.0**20, -(2.0**20), 2.0**20), abs=1e-9)
+
+
+# --- materials that are refused
+
+WRONG_LOOKS = {
+    "a number for parts": ({"parts": 3}, "parts: must be a list of Part"),
+    "text for parts": ({"parts": "leaf"}, "parts: must be a list of Part"),
+    "an item that is no part": ({"parts": [fb.Part(), None]}, r"parts\[1\]: must be a Part"),
+    "a part past the faces": ({"parts": [fb.Part("a", range(13))]}, r"parts\[0\]: range\(0, 13\).*12 faces"),
+    "uv that are not numbers": ({"uv": [[0, NAN]] * 8}, r"uv\[0\]: must be finite.*nan"),
+    "uv past float32": ({"uv": [[0, 0]] * 7 + [[1e300, 0]]}, r"uv\[7\]: must be finite"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG_LOOKS)
+def test_wrong_materials_of_a_mesh_are_refused(name):
+    options, message = WRONG_LOOKS[name]
+
+    with pytest.raises(fb.MeshError, match=message):
+        fb.Mesh(CUBE.vertices, CUBE.faces, **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        ({"faces": 3}, "faces"),
+        ({"faces": None}, "faces"),
+        ({"faces": range(0, 12, 2)}, "faces"),
+        ({"faces": range(-1, 3)}, "faces"),
+        ({"color": (1, 0)}, "color"),
+        ({"color": "red"}, "color"),
+        ({"color": (1, 0, 0, NAN)}, "color"),
+        ({"emission": None}, "emission"),
+        ({"alpha_mode": "glass"}, "alpha_mode"),
+        ({"alpha_cutoff": NAN}, "alpha_cutoff"),
+    ],
+)
+def test_a_wrong_argument_of_a_part_is_refused(options, name):
+    with pytest.raises(fb.Error, match=f"^{name}: must"):
+        fb.Part("leaf", **options)
+
+
+def test_vertices_of_a_file_without_coordinates_get_zero(tmp_path):
+    """Some exporters write NaN there."""
+    file = tmp_path / "sheet.obj"
+    file.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 1\nvt nan nan\nvt 1 1\nf 1/1 2/2 3/3\n")
+
+    assert fb.load_mesh(file).uv.tolist() == [[0, 1], [0, 0], [1, 1]]

@@ -397,20 +397,21 @@ class Atlas(PageStore, Viewable, Loadable):
         OSError
             If the file cannot be written.
         """
-        ending = os.path.splitext(path)[1].lower()  # noqa: PTH122 - bytes and paths alike
+        target = checks.path(path)
+        ending = target.suffix.lower()
         with self._lock:
             if ending not in images.ENDINGS:
                 reports = json.dumps([report.to_dict() for report in self._reports]).encode()
                 arrays = {name: getattr(self, f"_{name}") for name in ("pages", *ARRAYS)}
                 arrays["blocks"] = rows_of(self._blocks)
                 arrays["reports"] = np.frombuffer(reports, np.uint8)
-                container.write(path, {**container.head("atlas", self._encoding), **self._facts()}, arrays)
+                container.write(target, {**container.head("atlas", self._encoding), **self._facts()}, arrays)
                 return
             if not self._page_count:
-                raise FormatError(f"{path}: the atlas is empty, and an image needs at least one page")
+                raise FormatError(f"{target}: the atlas is empty, and an image needs at least one page")
             saved = as_written(self, ending)
             volumes = [saved._volume_facts(i) for i in range(len(saved._blocks))]
-            images.write(path, saved._pages, {**saved._facts(), "pages": saved._page_count, "volumes": volumes})
+            images.write(target, saved._pages, {**saved._facts(), "pages": saved._page_count, "volumes": volumes})
 
     def _facts(self) -> dict[str, Any]:
         """Metadata of the whole atlas that a file stores."""

@@ -7,7 +7,6 @@ each entry has the ``scale`` of its volume.
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +23,11 @@ from ..files.png import write_grey
 ENDINGS = container.ENDINGS["atlas"][1:]
 
 
-def write(path: str | os.PathLike[str], pages: NDArray[Any], facts: dict[str, Any]) -> None:
+def write(target: Path, pages: NDArray[Any], facts: dict[str, Any]) -> None:
     """Write pages (count, size, size) as .exr or .png with the metadata of their atlas.
 
     A .png file stores normalised integers only. A preview of 8 bits is written beside it.
     """
-    target = Path(path)
     ending = target.suffix.lower()
     is_png = ending == ".png"
     stacked = pages.reshape(-1, pages.shape[-1])

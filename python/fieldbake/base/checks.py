@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Sequence
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,12 +33,7 @@ def number(name: str, value: object, *, above: float | None = None, least: float
         wanted += f" above {above:g}"
     if least is not None:
         wanted += f" of at least {least:g}"
-    try:
-        if isinstance(value, (bool, str, bytes, np.bool_)):
-            raise TypeError
-        result = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, OverflowError):
-        raise ArgumentError(f"{name}: must be {wanted}, got {describe(value)}") from None
+    result = _real(name, value, wanted)
     if not abs(result) <= FAR or (above is not None and result <= above) or (least is not None and result < least):
         raise ArgumentError(f"{name}: must be {wanted} (at most {FAR:g}), got {describe(value)}")
     return result
@@ -44,15 +41,21 @@ def number(name: str, value: object, *, above: float | None = None, least: float
 
 def limit(name: str, value: object) -> float:
     """Check a real number that may be infinite."""
-    try:
-        if isinstance(value, (bool, str, bytes, np.bool_)):
-            raise TypeError
-        result = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, OverflowError):
-        raise ArgumentError(f"{name}: must be a number, got {describe(value)}") from None
+    result = _real(name, value, "a number")
     if result != result:
         raise ArgumentError(f"{name}: must be a number, got nan")
     return result
+
+
+def _real(name: str, value: Any, wanted: str) -> float:
+    """Convert a real number; ``wanted`` is the wording of the message. NaN and infinities are left to the caller."""
+    try:
+        # float() drops the imaginary part of a NumPy complex number with a warning only.
+        if isinstance(value, (bool, str, bytes, np.bool_)) or np.iscomplexobj(value):
+            raise TypeError
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise ArgumentError(f"{name}: must be {wanted}, got {describe(value)}") from None
 
 
 def integer(name: str, value: object, *, least: int, most: int, error: type[Error] = ArgumentError) -> int:
@@ -121,7 +124,30 @@ def text(name: str, value: object) -> str:
     """Check a string. The core checks its value."""
     if not isinstance(value, str):
         raise ArgumentError(f"{name}: must be text, got {describe(value)}")
+    if not value:
+        raise ArgumentError(f"{name}: must not be empty text")
     return value
+
+
+def path(value: object, name: str = "path") -> Path:
+    """Check the path of a file: text, bytes or an object with ``__fspath__``."""
+    try:
+        text = os.fsdecode(value)  # type: ignore[arg-type]
+    except TypeError:
+        raise ArgumentError(f"{name}: must be text or a path, got {describe(value)}") from None
+    if not text or "\0" in text:
+        raise ArgumentError(f"{name}: must be the path of a file, got {text!r}")
+    return Path(text)
+
+
+def items(name: str, value: Any) -> Iterable[Any]:
+    """Check that a value can be iterated, and return it."""
+    try:
+        iter(value)
+    except TypeError:
+        raise ArgumentError(f"{name}: must be a list, got {describe(value)}") from None
+    found: Iterable[Any] = value
+    return found
 
 
 def choice(name: str, value: object, wanted: Sequence[str], error: type[Error] = ArgumentError) -> Any:

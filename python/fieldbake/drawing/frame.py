@@ -169,7 +169,7 @@ def save_image(pixels: NDArray[np.uint8], path: str | os.PathLike[str]) -> None:
     """Write sRGB bytes (h, w, 3 or 4). The file appears only when it is complete."""
     from PIL import Image
 
-    target = Path(path)
+    target = checks.path(path)
     suffix = target.suffix.lower()
     kind = check_picture(target)
     image = Image.fromarray(pixels)

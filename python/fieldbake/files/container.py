@@ -81,7 +81,7 @@ def head(kind: str, encoding: str = "float32") -> dict[str, Any]:
 
 def write(path: str | os.PathLike[str], header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
     """Write an archive of a header and arrays. The file appears only when it is complete."""
-    target = Path(path)
+    target = checks.path(path)
     check_ending(target, header["kind"])
     members: dict[str, Any] = {"header": np.array(json.dumps(header)), **arrays}
     with atomic_write(target) as stream:

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 from ..atlases import images
 from ..atlases.atlas import Atlas
+from ..base import checks
 from ..base.errors import FormatError
 from ..volumes import writers
 from ..volumes.volume import Volume
@@ -59,27 +60,28 @@ def load(path: str | os.PathLike[str]) -> Any:
     >>> volume.resolution
     (16, 16, 16)
     """
-    if Path(path).is_dir():
-        raise FormatError(f"{path}: is a directory, not a fieldbake file")
-    with open(path, "rb") as stream:
+    file = checks.path(path)
+    if file.is_dir():
+        raise FormatError(f"{file}: is a directory, not a fieldbake file; open_zarr opens a Zarr store")
+    with file.open("rb") as stream:
         size = os.fstat(stream.fileno()).st_size
         try:
-            if (foreign := _FOREIGN.get(Path(path).suffix.lower())) is not None:
-                return foreign(Path(path))
+            if (foreign := _FOREIGN.get(file.suffix.lower())) is not None:
+                return foreign(file)
             with zipfile.ZipFile(stream) as archive:
                 return read_archive(archive, size)
         except FormatError as error:
-            raise FormatError(f"{path}: {error}") from None
+            raise FormatError(f"{file}: {error}") from None
         except zipfile.BadZipFile as error:
-            if Path(path).suffix.lower() == ".npz":
-                raise FormatError(f"{path}: is damaged or not an .npz file ({error})") from None
-            raise FormatError(f"{path}: is not a fieldbake file; meshes are read by load_mesh or bake") from None
+            if file.suffix.lower() == ".npz":
+                raise FormatError(f"{file}: is damaged or not an .npz file ({error})") from None
+            raise FormatError(f"{file}: is not a fieldbake file; meshes are read by load_mesh or bake") from None
         except MemoryError:
             raise
         except Exception as error:  # Readers of damaged archives raise exceptions of any type.
             if isinstance(error, OSError) and error.errno != errno.EINVAL:
                 raise
-            raise FormatError(f"{path}: is damaged ({type(error).__name__}: {error})") from error
+            raise FormatError(f"{file}: is damaged ({type(error).__name__}: {error})") from error
 
 
 def load_as(kind: type[_Kind], path: str | os.PathLike[str]) -> _Kind:
@@ -87,5 +89,5 @@ def load_as(kind: type[_Kind], path: str | os.PathLike[str]) -> _Kind:
     found = load(path)
     if not isinstance(found, kind):
         name, wanted = (f"{'an' if one[0] in 'AEIOU' else 'a'} {one}" for one in (type(found).__name__, kind.__name__))
-        raise FormatError(f"{os.fspath(path)}: holds {name}, not {wanted}; use fieldbake.load")
+        raise FormatError(f"{checks.path(path)}: holds {name}, not {wanted}; use fieldbake.load")
     return found

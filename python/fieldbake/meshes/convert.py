@@ -90,7 +90,8 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
     >>> mesh.is_closed
     True
     """
-    return _mesh(_from_file(path), os.fspath(path))
+    file = checks.path(path)
+    return _mesh(_from_file(file), str(file))
 
 
 def as_mesh(thing: MeshLike) -> Mesh:
@@ -378,7 +379,9 @@ def _from_trimesh(mesh: Any, name: str = "", document: Document | None = None) -
     if uv is None:
         uv = getattr(visual, "uv", None)
     if uv is not None and np.shape(uv)[:1] == (len(vertices),) and np.ndim(uv) == 2:
-        uv = check_uv(np.asarray(uv)[:, :2], len(vertices))
+        # Some exporters write NaN for vertices without coordinates.
+        known = np.nan_to_num(np.asarray(uv)[:, :2], posinf=0, neginf=0)
+        uv = check_uv(known, len(vertices))
     else:
         uv = None
     vertex_colors, face_colors = _colors(visual, len(vertices), len(faces))

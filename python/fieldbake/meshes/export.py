@@ -5,12 +5,12 @@ from __future__ import annotations
 import io
 import os
 import zipfile
-from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base import checks
 from ..base.errors import MeshError
 from ..files.container import atomic_write
 from .facts import face_normals
@@ -23,7 +23,7 @@ KINDS = (".stl", ".obj", ".ply", ".glb", ".3mf")
 
 def mesh_kind(path: str | os.PathLike[str]) -> str:
     """Return the ending of a mesh file in lower case; raise MeshError for an ending that cannot be written."""
-    suffix = Path(path).suffix
+    suffix = checks.path(path).suffix
     if suffix.lower() not in KINDS:
         raise MeshError(f"{path}: a mesh is written as {', '.join(KINDS)}, got the ending '{suffix}'")
     return suffix.lower()
@@ -31,7 +31,7 @@ def mesh_kind(path: str | os.PathLike[str]) -> str:
 
 def save_mesh(vertices: Vertices, faces: Faces, path: str | os.PathLike[str]) -> None:
     """Write vertices (n, 3) and faces (m, 3) to a file; see `Mesh.save`."""
-    target, kind = Path(path), mesh_kind(path)
+    target, kind = checks.path(path), mesh_kind(path)
     with atomic_write(target) as stream:
         if kind == ".stl":
             _write_stl(vertices, faces, stream)

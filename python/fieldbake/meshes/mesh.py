@@ -25,6 +25,12 @@ if TYPE_CHECKING:
 ALPHA_MODES = ("opaque", "mask", "blend")
 
 
+def _check_rows(value: object) -> None:
+    """Check a run of faces, or raise MeshError."""
+    if not isinstance(value, range) or value.step != 1 or not 0 <= value.start <= value.stop:
+        raise MeshError(f"faces: must be a range of rows, range(first, end), got {checks.describe(value)}")
+
+
 class Part:
     """A contiguous range of faces with one material.
 
@@ -76,13 +82,16 @@ class Part:
         emission_image: Any = None,
         unlit: bool = False,
     ) -> None:
+        _check_rows(faces)
+        red, green, blue, opacity = checks.vector("color", color, 4, MeshError).tolist()
+        red_emission, green_emission, blue_emission = checks.vector("emission", emission, 3, MeshError).tolist()
         self.name = name
         self.faces = faces
-        self.color = color
-        self.alpha_mode = alpha_mode
-        self.alpha_cutoff = alpha_cutoff
+        self.color = (red, green, blue, opacity)
+        self.alpha_mode = checks.choice("alpha_mode", alpha_mode, ALPHA_MODES, MeshError)
+        self.alpha_cutoff = checks.number("alpha_cutoff", alpha_cutoff)
         self.two_sided = two_sided
-        self.emission = emission
+        self.emission = (red_emission, green_emission, blue_emission)
         self.unlit = unlit
         self._image = image
         self._emission_image = emission_image
@@ -228,6 +237,7 @@ class Mesh(Viewable):
             parts = [Part(faces=range(len(triangles)), **material)]
         elif texture is not None or alpha is not None:
             raise MeshError("parts: give either parts, or texture and alpha")
+        parts = check_parts(parts, len(triangles))
         self._part_rows = tuple(part.faces for part in parts)
         self._parts = self._placed(parts)
 
@@ -517,7 +527,24 @@ def check_uv(value: ArrayLike, vertices: int) -> NDArray[np.float32]:
     array = checks.real_array("uv", value, "(n, 2)", MeshError)
     if array.shape != (vertices, 2):
         raise MeshError(f"uv: must have shape ({vertices}, 2), one row per vertex, got {checks.describe(array)}")
-    return array.astype(np.float32)
+    with np.errstate(over="ignore"):
+        coordinates = checks.as_float64(array).astype(np.float32)
+    if not np.isfinite(coordinates).all():
+        row = int(np.flatnonzero(~np.isfinite(coordinates).all(axis=1))[0])
+        raise MeshError(f"uv[{row}]: must be finite, got {array[row].tolist()}")
+    return coordinates
+
+
+def check_parts(value: Any, faces: int) -> tuple[Part, ...]:
+    """Check materials of runs of the faces, or raise MeshError."""
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise MeshError(f"parts: must be a list of Part, got {checks.describe(value)}")
+    for index, part in enumerate(value):
+        if not isinstance(part, Part):
+            raise MeshError(f"parts[{index}]: must be a Part, got {checks.describe(part)}")
+        if part.faces.stop > faces:
+            raise MeshError(f"parts[{index}]: {part.faces} is out of range, the mesh has {faces} faces")
+    return tuple(value)
 
 
 def check_colors(name: str, value: ArrayLike, count: int, row: str) -> NDArray[np.float32]:

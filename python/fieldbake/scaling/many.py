@@ -117,7 +117,7 @@ def bake_many(
     >>> first[0]["status"], second[0]["status"]
     ('done', 'skipped')
     """
-    run = Run("bake", Path(out), options, executor, on_error, resume, limit_s, workers, progress)
+    run = Run("bake", checks.path(out, "out"), options, executor, on_error, resume, limit_s, workers, progress)
     return run.rows(items)
 
 
@@ -130,7 +130,7 @@ def sample_many(
     and ``gradients`` (n, 3), all float32.
     """
     shared = {field.name: options.pop(field.name) for field in fields(Run) if field.name in options}
-    return Run("sample", Path(out), options, **shared).rows(items)
+    return Run("sample", checks.path(out, "out"), options, **shared).rows(items)
 
 
 @dataclass
@@ -279,7 +279,7 @@ def named_items(items: Iterable[Any] | Mapping[str, Any]) -> list[tuple[str, Any
                 raise ArgumentError(f"items: keys must be stems of file names, got {checks.describe(stem)}")
         return list(items.items())
     named = []
-    for index, item in enumerate(items):
+    for index, item in enumerate(checks.items("items", items)):
         name = getattr(item, "__name__", "")
         if isinstance(item, (str, os.PathLike)):
             stem = Path(item).stem

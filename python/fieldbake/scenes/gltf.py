@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base import checks
 from ..base.errors import SceneError
 from ..meshes.convert import load_nodes
 from .camera import Camera
@@ -66,9 +67,10 @@ def load_scene(
     >>> len(scene.instances)
     1
     """
-    nodes = load_nodes(path)
+    file = checks.path(path)
+    nodes = load_nodes(file)
     instances = [Instance(mesh, transform, resolution=resolution) for mesh, transform in nodes]
-    document = _document(Path(path))
+    document = _document(file)
     cameras, lights = [], []
     for node, world_from_node in _nodes(document):
         camera = _camera(document, node, world_from_node)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -380,7 +379,7 @@ class Shape(Viewable):
         >>> (fb.box(2) - fb.sphere(1.2)).save("part.stl", 64)  # doctest: +SKIP
         """
         mesh_kind(path)
-        check_target(Path(path))
+        check_target(checks.path(path))
         mesh = self.to_mesh(resolution, **options)
         if not len(mesh.faces):
             raise MeshError(f"{path}: the shape has no surface in the box")

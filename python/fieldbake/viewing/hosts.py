@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 from ..atlases.atlas import Atlas
@@ -59,14 +58,15 @@ def to_html(
     thing: Any, path: str | os.PathLike[str] | None, camera: Camera | None, encoding: str, size: tuple[int, int]
 ) -> str:
     """The page of an object; see :meth:`fieldbake.Volume.to_html`."""
+    target = None if path is None else checks.path(path)
     text = page_of(checked_content(thing, camera, encoding, size))
     if len(text) > LARGE_PAGE:
         advice = "a sparse or coarser volume" if encoding == "snorm8" else 'encoding="snorm8"'
         warn(
             f"the page has {len(text) / 1e6:.1f} MB, which browsers load slowly; {advice} makes it smaller", UserWarning
         )
-    if path is not None:
-        with atomic_write(Path(path)) as stream:
+    if target is not None:
+        with atomic_write(target) as stream:
             stream.write(text.encode())
     return text
 

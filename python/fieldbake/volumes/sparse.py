@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -176,7 +175,7 @@ class SparseVolume(GridField, Loadable, Shaded, Convertible):
         FormatError, ArgumentError, OSError
             As for :meth:`Volume.save`.
         """
-        target = Path(os.fsdecode(path))
+        target = checks.path(path)
         options = SaveOptions(encoding, band, compression, False, None, engine, handedness, up, normalize)
         if target.suffix.lower() in writers.SPARSE_ENDINGS:
             writers.write(target, self, self._blocks, options)

@@ -371,7 +371,7 @@ class Volume(StoredSamples, Loadable, Shaded):
             If the file cannot be written.
         """
         options = SaveOptions(encoding, band, compression, mipmaps, columns, engine, handedness, up, normalize)
-        self._save(Path(os.fsdecode(path)), options)
+        self._save(checks.path(path), options)
 
     def _save(self, target: Path, options: SaveOptions) -> None:
         if target.suffix.lower() in writers.ENDINGS:
