@@ -7,8 +7,8 @@ SOURCE = Path(__file__).parents[2] / "src"
 
 #: From the bottom to the top. A folder has the name of the file beside it.
 LAYERS = [
-    "error",
-    "memory progress geometry encoding shader_text simd",
+    "error simd",
+    "memory progress geometry encoding shader_text",
     "shader_library",
     "grid openexr",
     "gpu",
