@@ -1,5 +1,8 @@
 """Level sets as closed meshes: topology, edges and corners, bounds, levels, every kind of field."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 
@@ -251,3 +254,15 @@ def test_real_meshes_come_back_closed(name, resolution, model_path):
     mesh = volume.to_mesh()
     assert_solid(mesh, volume.bounds)
     assert mesh.to_trimesh().is_watertight
+
+
+@pytest.mark.parametrize("copied", [lambda mesh: mesh, copy.deepcopy, lambda mesh: pickle.loads(pickle.dumps(mesh))])
+def test_a_mesh_without_faces_has_empty_properties(copied):
+    mesh = copied(fb.Volume(np.ones((2, 2, 2)), [(0, 0, 0), (1, 1, 1)]).to_mesh())
+
+    assert mesh.faces.shape == mesh.face_normals.shape == mesh.vertex_normals.shape == (0, 3)
+    assert (mesh.area, mesh.volume, mesh.nbytes) == (0, 0, 0)
+    assert mesh.is_closed
+    assert mesh.vertex_colors is None
+    assert mesh.face_colors is None
+    assert mesh.report.clamped_vertices == 0

@@ -261,7 +261,8 @@ class Mesh(Viewable):
             mesh = cls(vertices, faces.astype(np.int64))
         else:
             mesh = cls.__new__(cls)
-            mesh._uv, mesh._parts = None, ()
+            mesh._uv = mesh._vertex_colors = mesh._face_colors = None
+            mesh._parts, mesh._chord_error = (), 0.0
             mesh.__dict__.update(vertices=checks.frozen(vertices), faces=checks.frozen(faces))
         mesh._report = report
         return mesh
@@ -328,12 +329,12 @@ class Mesh(Viewable):
     @property
     def nbytes(self) -> int:
         """Bytes of vertices, faces and, once built, the search tree."""
-        return self._core.nbytes
+        return self._core.nbytes if len(self.faces) else 0
 
     @cached_property
     def area(self) -> float:
         """Sum of the areas of all faces, square world units."""
-        return facts.area(self._core.vertices, self.faces)
+        return facts.area(self.vertices, self.faces)
 
     @cached_property
     def volume(self) -> float:
@@ -341,17 +342,18 @@ class Mesh(Viewable):
 
         For an open mesh: the sum of the signed volumes between its faces and the centre of its box.
         """
-        return facts.signed_volume(self._core.vertices, self.faces, self.bounds.mean(axis=0))
+        center = self.bounds.mean(axis=0) if len(self.faces) else np.zeros(3)
+        return facts.signed_volume(self.vertices, self.faces, center)
 
     @cached_property
     def is_closed(self) -> bool:
         """Whether the surface has no opening, after the repairs that `topology` counts."""
-        return bool(self.topology()["closed"])
+        return not len(self.faces) or bool(self.topology()["closed"])
 
     @cached_property
     def face_normals(self) -> NDArray[np.float64]:
         """Unit normals of the faces by their own winding, (m, 3) float64, read-only."""
-        return checks.frozen(facts.face_normals(self._core.vertices, self.faces))
+        return checks.frozen(facts.face_normals(self.vertices, self.faces))
 
     @cached_property
     def vertex_normals(self) -> NDArray[np.float64]:
@@ -359,7 +361,7 @@ class Mesh(Viewable):
 
         Zero for vertices without a face.
         """
-        return checks.frozen(facts.vertex_normals(self._core.vertices, self.faces))
+        return checks.frozen(facts.vertex_normals(self.vertices, self.faces))
 
     @property
     def chord_error(self) -> float:
@@ -433,6 +435,8 @@ class Mesh(Viewable):
         return mesh
 
     def __reduce__(self) -> tuple[Any, ...]:
+        if not len(self.faces):
+            return Mesh._extracted, (self.vertices, self.faces, self._report)
         looks = (self._uv, self._vertex_colors, self._input_face_colors)
         return restore, (*self._core.state(), *looks, self._parts, self._part_rows, self._chord_error)
 
