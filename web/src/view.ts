@@ -32,6 +32,8 @@ const NO_DEPTH = 2e38;
 const MOVING_MS = 80;
 /** Time that each piece of a picture at rest should take, milliseconds. */
 const PIECE_MS = 40;
+/** A picture at rest follows the last one in motion after this time, so that it delays no input, milliseconds. */
+const PAUSE_MS = 120;
 /** A view releases its context after this time without input, milliseconds. */
 const IDLE_MS = 3000;
 /** Largest factor by which a picture in motion is smaller. */
@@ -65,11 +67,12 @@ export class View {
   private resources: Resources | null = null;
   /** Number of requests so far. A drawing stops when a later request replaces it. */
   private turn = 0;
-  /** Factor by which the pictures in motion are smaller: those of triangles, and those of rays. */
-  private readonly coarseness = { triangles: 1, rays: 2 };
+  /** Factor by which pictures in motion are smaller, where they are drawn by rays. */
+  private coarseness = 2;
   private isBusy = false;
   private isStale: Drawing | null = null;
   private idle = 0;
+  private later = 0;
   private waiting: Array<() => void> = [];
   /** How many contexts this view has lost since its last whole picture. */
   private losses = 0;
@@ -116,6 +119,7 @@ export class View {
     this.isClosed = true;
     this.turn++;
     clearTimeout(this.idle);
+    clearTimeout(this.later);
     this.resources?.free();
     this.resources = null;
     users.delete(this);
@@ -139,6 +143,7 @@ export class View {
    */
   redraw(kind: Drawing = "still"): void {
     if (this.isClosed) return;
+    clearTimeout(this.later);
     this.isComplete = this.hasFailed = false;
     this.turn++;
     if (this.isBusy) {
@@ -159,9 +164,15 @@ export class View {
         const next = this.isStale;
         this.isStale = null;
         if (next) this.redraw(next);
-        else if (kind !== "still" && this.resources) this.redraw("still");
+        else if (kind !== "still" && this.resources) this.redrawLater();
         else if (this.isComplete || this.hasFailed) this.settle();
       });
+  }
+
+  /** Draw the picture at rest after a pause. */
+  private redrawLater(): void {
+    clearTimeout(this.later);
+    this.later = window.setTimeout(() => this.redraw("still"), PAUSE_MS);
   }
 
   /** Colours and depths of the present camera and settings, drawn at once. */
@@ -212,7 +223,9 @@ export class View {
   private value(picture: number, x: number, y: number): number {
     const resources = this.acquire();
     resources.prepare(this.camera, this.settings, this.canvas.width, this.canvas.height, picture);
+    // The value replaces the picture in the context, so that an unfinished one is drawn again.
     this.turn++;
+    if (!this.isComplete) this.redrawLater();
     return resources.value(Math.floor(x), Math.floor(y));
   }
 
@@ -252,9 +265,11 @@ export class View {
     const resources = this.acquire();
     // Steps and errors are those of the exact picture.
     const isFiltered = this.picture === Picture.color;
-    const kind = isFiltered && resources.isSurface(this.settings) ? "triangles" : "rays";
-    const width = Math.max(1, Math.round(this.canvas.width / this.coarseness[kind]));
-    const height = Math.max(1, Math.round(this.canvas.height / this.coarseness[kind]));
+    // The time for triangles hardly depends on the number of pixels.
+    const isTriangles = isFiltered && resources.isSurface(this.settings);
+    const share = isTriangles ? 1 : 1 / this.coarseness;
+    const width = Math.max(1, Math.round(this.canvas.width * share));
+    const height = Math.max(1, Math.round(this.canvas.height * share));
     resources.prepare(this.camera, this.settings, width, height, this.picture, isFiltered);
     resources.draw(0, height);
     await finished(resources.engine.gl);
@@ -264,9 +279,9 @@ export class View {
     this.times.moving = spent;
     this.times.width = width;
     this.times.first ||= performance.now();
-    // Time goes with the number of pixels. One slow frame, such as that of a first compilation, changes little.
+    // The time for rays goes with the number of pixels. One slow frame, such as that of a first compilation, changes little.
     const factor = Math.max(0.7, Math.min(1.4, Math.sqrt(spent / MOVING_MS)));
-    this.coarseness[kind] = Math.max(1, Math.min(COARSEST, this.coarseness[kind] * factor));
+    if (!isTriangles) this.coarseness = Math.max(1, Math.min(COARSEST, this.coarseness * factor));
     await new Promise(requestAnimationFrame);
   }
 
