@@ -14,7 +14,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -73,6 +73,9 @@ class Part:
             whole, method, index = self._source
             self._source = Shape._wrap(whole.part(method, index))
         return self._source
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored_part, (self.shape, self.boxes)
 
     def shader(self, language: Language = "wgsl", *, name: str = FUNCTION) -> str:
         """Write the field of this part as a function with its own leaves only, to paste into a fragment shader.
@@ -169,6 +172,9 @@ class Parts(list[Part]):
         """Number of different structures among the parts."""
         return self._structures()
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored_parts, (list(self), self.structures)
+
     def groups(self, language: Language = "wgsl", *, eye: ArrayLike | None = None) -> list[PartGroup]:
         """Group the boxes of all parts by structure, for drawing them as instances.
 
@@ -216,6 +222,16 @@ class Parts(list[Part]):
                 nearest.append(float(distances.min()))
             groups.append(PartGroup(text, boxes, numbers[rows], np.array(members, np.int64)[rows]))
         return groups if place is None else [groups[i] for i in np.argsort(nearest, kind="stable")]
+
+
+def _restored_part(shape: Shape, boxes: NDArray[np.float64]) -> Part:
+    """Restore the part that `Part.__reduce__` pickled."""
+    return Part(shape, checks.frozen(boxes))
+
+
+def _restored_parts(parts: list[Part], structures: int) -> Parts:
+    """Restore the list that `Parts.__reduce__` pickled."""
+    return Parts(parts, structures=lambda: structures)
 
 
 def union(*shapes: Shape | Iterable[Shape], k: float = 0.0, chamfer: float = 0.0) -> Shape:

@@ -542,3 +542,9 @@ def test_object_ids_are_pyrenders() -> None:
     ours = fb.render(fb.Scene(instances), camera, size=(256, 256), shadows="none", device="cpu")
     assert (ours.object_id == theirs[..., 0].astype(int) - 1).mean() > 0.998
     assert set(np.unique(ours.object_id)) == {-1, 0, 1, 2}
+
+
+def test_the_options_of_a_directional_light_are_in_the_order_of_its_signature() -> None:
+    light = fb.DirectionalLight((0, -2, 0), (1, 0.5, 0), 3, 10)
+
+    assert light == fb.DirectionalLight((0, -1, 0), color=(1, 0.5, 0), intensity=3, angle_deg=10)

@@ -1,5 +1,8 @@
 """Parts of a decomposition, grouped by structure for instanced drawing."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 
@@ -58,3 +61,19 @@ def test_mistakes_name_the_argument():
     with pytest.raises(fb.ShapeError, match="language"):
         parts.groups("spirv")
     assert fb.csg.decompose(fb.sphere() & fb.sphere().translate((9, 0, 0))).groups(eye=(0, 0, 0)) == []
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda parts: pickle.loads(pickle.dumps(parts))])
+def test_parts_pickle_and_copy(copied, random):
+    points = random.uniform(-3, 3, (50, 3))
+    parts = fb.csg.decompose(model(), method="aabb")
+    structures = parts.structures
+
+    found = copied(parts)
+
+    assert type(found) is type(parts)
+    assert found.structures == structures
+    assert len(found) == len(parts)
+    for one, other in zip(found, parts, strict=True):
+        assert np.array_equal(one.boxes, other.boxes)
+        assert np.array_equal(one.shape.distance(points), other.shape.distance(points))

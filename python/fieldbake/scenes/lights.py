@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,7 +78,6 @@ class DirectionalLight:
     direction: Sequence[float]
     color: Sequence[float] = (1.0, 1.0, 1.0)
     intensity: float = 1.0
-    _: KW_ONLY
     angle_deg: float = 0.0
 
     def __post_init__(self) -> None:
