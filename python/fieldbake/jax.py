@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from .base.optional import optional_module
 from .meshes.mesh import Mesh
-from .queries.derivatives import interpolate, linearize, optional, vertex_changes
+from .queries.derivatives import interpolate, linearize, vertex_changes
 
 __all__ = ["sample", "signed_distance"]
 
@@ -64,7 +65,7 @@ def signed_distance(vertices: Any, faces: Any, points: Any, mesh: Mesh | None = 
     >>> jax.grad(lambda p: signed_distance(mesh.vertices, mesh.faces, p))(point).tolist()
     [0.0, 0.0, 1.0]
     """
-    jax = optional("jax", "JAX")
+    jax = optional_module("jax", "fieldbake.jax", extra="jax")
     numbers = jax.numpy
     return _distance_function()(mesh, numbers.asarray(vertices), numbers.asarray(faces), numbers.asarray(points))
 
@@ -101,7 +102,7 @@ def sample(distances: Any, bounds: Any, points: Any) -> Any:
     >>> jax.grad(lambda p: sample(volume.distances, volume.bounds, p))(point).round(1).tolist()
     [1.0, 0.0, 0.0]
     """
-    jax = optional("jax", "JAX")
+    jax = optional_module("jax", "fieldbake.jax", extra="jax")
     numbers = jax.numpy
     distances, bounds, points = (numbers.asarray(value) for value in (distances, bounds, points))
     shape = np.array(distances.shape)
@@ -115,7 +116,7 @@ def sample(distances: Any, bounds: Any, points: Any) -> Any:
 @cache
 def _distance_function() -> Any:
     """The function of :func:`signed_distance` with its reverse-mode derivative."""
-    jax = optional("jax", "JAX")
+    jax = optional_module("jax", "fieldbake.jax", extra="jax")
     numbers = jax.numpy
 
     def evaluate(mesh: Mesh | None, vertices: Any, faces: Any, points: Any) -> Any:

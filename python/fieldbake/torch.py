@@ -13,8 +13,9 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+from .base.optional import optional_module
 from .meshes.mesh import Mesh
-from .queries.derivatives import interpolate, linearize, optional, vertex_changes
+from .queries.derivatives import interpolate, linearize, vertex_changes
 
 __all__ = ["sample", "signed_distance"]
 
@@ -96,7 +97,7 @@ def sample(distances: Any, bounds: Any, points: Any) -> Any:
     >>> distances = torch.tensor(volume.distances, requires_grad=True)  # doctest: +SKIP
     >>> sample(distances, volume.bounds, torch.zeros(1, 3)).sum().backward()  # doctest: +SKIP
     """
-    torch = optional("torch", "PyTorch")
+    torch = optional_module("torch", "fieldbake.torch", extra="torch")
     distances, bounds, points = (torch.as_tensor(value) for value in (distances, bounds, points))
     shape = torch.tensor(distances.shape, dtype=points.dtype, device=points.device)
     grid = (points - bounds[0]) / (bounds[1] - bounds[0]) * shape - 0.5
@@ -109,7 +110,7 @@ def sample(distances: Any, bounds: Any, points: Any) -> Any:
 @cache
 def _distance_function() -> Any:
     """The autograd function of :func:`signed_distance`."""
-    torch = optional("torch", "PyTorch")
+    torch = optional_module("torch", "fieldbake.torch", extra="torch")
 
     class SignedDistance(torch.autograd.Function):  # type: ignore[misc, name-defined]
         @staticmethod

@@ -1,5 +1,7 @@
 """Solids, offsets, shells and Booleans: closed two-manifolds, volumes and distances in closed form, errors."""
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -271,3 +273,53 @@ def test_mistakes_are_mesh_errors(call, match):
 def test_a_resolution_must_be_whole_numbers(resolution):
     with pytest.raises(fb.Error, match="resolution"):
         fb.solid(meshes.box(), resolution)
+
+
+# --- fewer faces and thin parts
+
+
+@pytest.mark.parametrize("tolerance", [0.002, 0.02])
+def test_simplified_solids_stay_closed_and_near(tolerance):
+    cube = fb.box(2).to_mesh(24)
+    cases = {
+        "solid": lambda simplify: fb.solid(fb.models.torus_knot(), 40, simplify=simplify),
+        "offset": lambda simplify: fb.offset(cube, 0.3, 32, simplify=simplify),
+        "shell": lambda simplify: fb.shell(cube, 0.3, 32, open="z", simplify=simplify),
+        "boolean": lambda simplify: fb.boolean(
+            "difference", cube, fb.sphere(1.2).to_mesh(24), resolution=32, simplify=simplify
+        ),
+    }
+    for name, make in cases.items():
+        full, made = make(0), make(tolerance)
+        assert_solid(made)
+        assert len(made.faces) < len(full.faces), name
+        assert made.report.genus == full.report.genus, name
+        moved = made.report.distance_to_source
+        assert moved <= full.report.distance_to_source + 1.002 * tolerance, name
+        # The deviation is that of the simplified mesh: its own samples are nowhere farther from the source.
+        samples = surface_samples(made, 20_000)
+        if name == "offset":
+            assert np.abs(box_distance(samples, 1) - 0.3).max() <= moved + 1e-6
+
+
+def test_flat_faces_need_few_triangles():
+    cube = fb.solid(fb.box(2).to_mesh(24), 32, simplify=1e-3)
+    assert len(cube.faces) <= 50
+    assert cube.volume == pytest.approx(8, rel=1e-3)
+
+
+@pytest.mark.parametrize("bad", [-1, np.nan, "much", None])
+def test_a_wrong_tolerance_is_refused(bad):
+    with pytest.raises(fb.MeshError, match="simplify"):
+        fb.solid(fb.models.torus_knot(), 16, simplify=bad)
+
+
+def test_simplify_without_manifold3d_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "manifold3d", None)
+    with pytest.raises(fb.Error, match=r"simplify needs the package manifold3d.*fieldbake\[simplify\]"):
+        fb.solid(fb.models.torus_knot(), 16, simplify=0.01)
+
+
+def test_the_thinnest_part_of_a_shell_is_its_wall():
+    made = fb.shell(fb.box(2).to_mesh(24), 0.3, 40)
+    assert made.report.thinnest_part == pytest.approx(0.3, abs=0.01)

@@ -117,7 +117,11 @@ def test_meshes_of_meshio():
 def test_a_missing_package_is_named(volume, monkeypatch):
     import sys
 
-    for name, method in (("pyvista", "to_pyvista"), ("xarray", "to_xarray"), ("open3d", "to_open3d")):
+    for name, install in (
+        ("pyvista", r"'fieldbake\[pyvista\]'"),
+        ("xarray", r"'fieldbake\[xarray\]'"),
+        ("open3d", "open3d"),
+    ):
         monkeypatch.setitem(sys.modules, name, None)
-        with pytest.raises(fb.Error, match=f"pip install {name}"):
-            getattr(volume, method)()
+        with pytest.raises(fb.Error, match=f"to_{name} needs the package {name}; .* pip install {install}$"):
+            getattr(volume, f"to_{name}")()

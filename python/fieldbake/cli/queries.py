@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 import fieldbake as fb
 
 from ..files.container import atomic_write
+from ..surfaces.report import thinnest_part
 from .application import app, show_rows
 from .commands import Device, Sign
 
@@ -25,10 +26,6 @@ COLUMNS = (
     "face",
     *(f"weight_{corner}" for corner in range(3)),
 )
-
-#: Number of surface samples for the thinnest part, and largest cosine between normals of opposite faces.
-THICKNESS_SAMPLES = 20_000
-FACING = -0.5
 
 
 @app.command()
@@ -126,18 +123,8 @@ def facts_of(mesh: fb.Mesh) -> dict[str, Any]:
         "area": mesh.area,
         "volume": mesh.volume if topology["closed"] else None,
         "bounds": mesh.bounds.tolist(),
-        "thinnest_part": _thinnest_part(mesh),
+        "thinnest_part": thinnest_part(mesh),
     }
-
-
-def _thinnest_part(mesh: fb.Mesh) -> float | None:
-    """Measure the shortest way from a surface sample through the inside to an opposite face; None without one."""
-    samples = fb.sample_surface(mesh, THICKNESS_SAMPLES)
-    inwards = -samples.normals if mesh.volume >= 0 else samples.normals
-    start = 1e-9 * float(np.linalg.norm(mesh.bounds[1] - mesh.bounds[0]))
-    hits = fb.cast_rays(mesh, samples.points, inwards, t_min=start)
-    facing = hits.hit & (np.einsum("ij,ij->i", hits.normals, samples.normals) < FACING)
-    return float(hits.t[facing].min()) if facing.any() else None
 
 
 def _text(value: Any) -> str:

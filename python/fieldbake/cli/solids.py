@@ -19,6 +19,9 @@ Resolution = Annotated[Any, resolution_option(256)]
 Measure = Annotated[
     bool, typer.Option("--measure", help="Also report the largest distances between the result and its source.")
 ]
+Simplify = Annotated[
+    float, typer.Option(help="Remove faces while the surface moves by less than this, world units; by manifold3d.")
+]
 #: Operations of `boolean` by their symbols.
 OPERATIONS = {"-": "difference", "+": "union", "|": "union", "&": "intersection"}
 
@@ -42,6 +45,7 @@ def mesh(
         typer.Option(help="Direction in which --shell leaves the wall open: z, -x or 0,0,1. May be repeated."),
     ] = None,
     resolution: Resolution = "256",
+    simplify: Simplify = 0.0,
     measure: Measure = False,
 ) -> None:
     """Write the surface of a field, a shape or a mesh as a closed mesh."""
@@ -55,6 +59,8 @@ def mesh(
     if is_field or ending in (".csg", ".sexpr"):
         if offset is not None or shell is not None:
             raise typer.BadParameter("is for meshes; use --level for fields and shapes", param_hint="--offset, --shell")
+        if simplify:
+            raise typer.BadParameter("is for meshes, not for fields and shapes", param_hint="--simplify")
         if is_field:
             field = fb.load(file)
             if not hasattr(field, "to_mesh"):
@@ -70,11 +76,11 @@ def mesh(
             raise typer.BadParameter("is for fields and shapes; use --offset for meshes", param_hint="--level")
         if shell is not None:
             directions = [parse_vector(text) if "," in text else text for text in open or []]
-            made = fb.shell(file, shell, resolution, side, directions)
+            made = fb.shell(file, shell, resolution, side, directions, simplify=simplify)
         elif offset is not None:
-            made = fb.offset(file, offset, resolution)
+            made = fb.offset(file, offset, resolution, simplify=simplify)
         else:
-            made = fb.solid(file, resolution)
+            made = fb.solid(file, resolution, simplify=simplify)
     _finish(made, output, measure)
 
 
@@ -88,11 +94,12 @@ def solid(
         typer.Option(help="winding: inside by the winding number; outer: all that the outer surface encloses."),
     ] = "winding",
     seal: Annotated[float, typer.Option(help="Diameter of the holes that --fill outer closes, voxels.")] = 0.0,
+    simplify: Simplify = 0.0,
     measure: Measure = False,
 ) -> None:
     """Write a closed two-manifold mesh made from any triangles."""
     check_output(output, MESHES)
-    _finish(fb.solid(mesh, resolution, fill=fill, seal=seal), output, measure)
+    _finish(fb.solid(mesh, resolution, fill=fill, seal=seal, simplify=simplify), output, measure)
 
 
 @app.command(context_settings={"ignore_unknown_options": True})
@@ -103,12 +110,13 @@ def boolean(
     output: Output,
     resolution: Resolution = "256",
     smooth: Annotated[float, typer.Option(help="Width of a fillet where the surfaces meet, world units.")] = 0.0,
+    simplify: Simplify = 0.0,
     measure: Measure = False,
 ) -> None:
     """Combine two meshes: fieldbake boolean a.stl - b.stl -o c.stl."""
     check_output(output, MESHES)
     op: Any = OPERATIONS.get(operation, operation)
-    _finish(fb.boolean(op, a, b, resolution=resolution, smooth=smooth), output, measure)
+    _finish(fb.boolean(op, a, b, resolution=resolution, smooth=smooth, simplify=simplify), output, measure)
 
 
 def _finish(made: fb.Mesh, output: Path, measure: bool) -> None:
@@ -120,6 +128,8 @@ def _finish(made: fb.Mesh, output: Path, measure: bool) -> None:
     if isinstance(report, fb.SolidReport):
         rows.append(("bodies", f"{report.bodies:,}, genus {report.genus}"))
         rows.append(("crossing faces", f"{report.self_intersections:,} pairs"))
+        if report.thinnest_part is not None:
+            rows.append(("thinnest part", f"{report.thinnest_part:.4g}"))
         if measure:
             rows.append(("to source", f"{report.distance_to_source:.4g}; a voxel is {report.voxel_size:.4g}"))
             rows.append(("from source", f"{report.distance_from_source:.4g}"))

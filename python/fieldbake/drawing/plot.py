@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..atlases.atlas import Atlas
 from ..base import checks
 from ..base.errors import Error
+from ..base.optional import optional_module
 from ..volumes.volume import Volume
 
 if TYPE_CHECKING:
@@ -29,12 +30,9 @@ SLICE_PX = 200
 
 
 def _figure(width: float, height: float) -> Figure:
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise Error("plots need the package matplotlib: pip install matplotlib") from None
     # pyplot would keep a reference to the figure and may open a window.
-    figure = Figure(figsize=(width, min(height, MOST_HEIGHT)), layout="constrained")
+    module = optional_module("matplotlib.figure", "a plot", extra="plot")
+    figure: Figure = module.Figure(figsize=(width, min(height, MOST_HEIGHT)), layout="constrained")
     # By themselves, notebooks display figures of pyplot only.
     setattr(figure, "_repr_png_", partial(_png, figure))  # noqa: B010
     return figure

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import ArgumentError, Error
+from ..base.errors import ArgumentError
 from ..meshes.mesh import Mesh
 from .nearest import query
 
@@ -74,11 +73,3 @@ def interpolate(distances: Any, grid: Any, low: Any, high: Any) -> Any:
         weights = [part[..., axis] if bit else 1 - part[..., axis] for axis, bit in enumerate(corner)]
         total = total + weights[0] * weights[1] * weights[2] * distances[rows]
     return total
-
-
-def optional(module: str, title: str) -> Any:
-    """Import an optional library, `title` in messages, which has an extra of the same name as its module."""
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise Error(f"fieldbake.{module} needs {title}; install it with: pip install 'fieldbake[{module}]'") from error

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..base import checks, encodings
 from ..base.errors import ArgumentError, Error, FormatError
+from ..base.optional import optional_module
 from ..meshes.mesh import Mesh, restore
 from . import layout as layouts
 from .layout import Layout
@@ -21,13 +22,9 @@ ZSTD_LEVEL = 3
 
 def import_zarr() -> Any:
     """Import the package zarr, or raise an error that states how to install it."""
-    try:
-        import zarr
-        import zarr.codecs
-        import zarr.storage
-    except ImportError as error:
-        raise Error("large grids need Zarr 3; install it with: pip install 'fieldbake[zarr]'") from error
-    return zarr
+    for module in ("zarr.codecs", "zarr.storage"):
+        optional_module(module, "a Zarr store", extra="zarr")
+    return optional_module("zarr", "a Zarr store", extra="zarr")
 
 
 @dataclass(frozen=True)

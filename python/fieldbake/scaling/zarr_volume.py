@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _core
 from ..base import checks, encodings
-from ..base.errors import ArgumentError, Error, FormatError
+from ..base.errors import ArgumentError, FormatError
+from ..base.optional import optional_module
 from ..base.report import Report, bytes_text
 from ..meshes.isosurface import MeshSource
 from ..meshes.mesh import Mesh
@@ -382,20 +383,17 @@ class ZarrVolume(GridField):
             If xarray is not installed.
         """
         level = self._checked_level(level)
-        try:
-            import xarray
-        except ImportError as error:
-            raise Error("to_xarray needs xarray; install it with: pip install xarray") from error
+        package = optional_module("xarray", "to_xarray", extra="xarray")
         name = path_of(level)
         group = self._place.open("r")
         parent = f"{group.store_path.path}/levels".lstrip("/") if level else group.store_path.path or None
-        data = xarray.open_zarr(group.store_path.store, group=parent, consolidated=False, chunks=None, zarr_format=3)
+        data = package.open_zarr(group.store_path.store, group=parent, consolidated=False, chunks=None, zarr_format=3)
         array: Any = data[name.rpartition("/")[2]]
         grid = self._layout.level(level)
         steps = encodings.STEPS.get(self.encoding, 1)
         array.attrs = {"scale_factor": self.scale / steps}
         array.encoding = {}
-        array = xarray.decode_cf(array.to_dataset(name="distance"))["distance"]
+        array = package.decode_cf(array.to_dataset(name="distance"))["distance"]
         centers = [
             (axis, l + (np.arange(n) + 0.5) * s)
             for axis, l, n, s in zip("xyz", grid.lower, grid.shape, grid.spacing, strict=True)

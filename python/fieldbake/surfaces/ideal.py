@@ -23,23 +23,29 @@ BATCH = 1 << 20
 PLACES = 512
 ROUNDS = 10
 
+#: Longest edge of a face whose distance is sampled at its corners, middles of edges and centre, voxels.
+MOST_EDGE = 2.0
+
 #: Steps of Newton's method onto a level set, and the largest error after them, voxels.
 STEPS = 3
 ON_SURFACE = 1e-3
 
 
-def to_ideal(mesh: Mesh, field: Field) -> float:
+def to_ideal(mesh: Mesh, field: Field, grid: Grid) -> float:
     """Measure the largest distance from the surface of a mesh to the zero level set of a field, world units."""
     vertices, faces = mesh.vertices, mesh.faces.astype(np.int64)
-    # Corners and middles of edges are shared by several faces. Each is evaluated once.
-    ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1), axis=-1)
-    edges, edge_of = np.unique(ends[..., 0] * len(vertices) + ends[..., 1], return_inverse=True)
-    middles = (vertices[edges // len(vertices)] + vertices[edges % len(vertices)]) / 2
-    corners = vertices[faces]
-    scores = np.maximum(
-        np.maximum(_distances(field, vertices)[faces].max(axis=1), _distances(field, corners.mean(axis=1))),
-        _distances(field, middles)[edge_of.reshape(faces.shape)].max(axis=1),
-    )
+    corners = _short(vertices[faces], MOST_EDGE * max(grid.spacing))
+    if len(corners) > len(faces):
+        scores = _scores(field, corners)
+    else:
+        # Corners and middles of edges are shared by several faces. Each is evaluated once.
+        ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1), axis=-1)
+        edges, edge_of = np.unique(ends[..., 0] * len(vertices) + ends[..., 1], return_inverse=True)
+        middles = (vertices[edges // len(vertices)] + vertices[edges % len(vertices)]) / 2
+        scores = np.maximum(
+            np.maximum(_distances(field, vertices)[faces].max(axis=1), _distances(field, corners.mean(axis=1))),
+            _distances(field, middles)[edge_of.reshape(faces.shape)].max(axis=1),
+        )
     kept = _largest(scores)
     pieces, best = corners[kept], float(scores.max())
     for _ in range(ROUNDS):
@@ -60,8 +66,18 @@ def _scores(field: Field, triangles: Array) -> Array:
     """Largest distance at the corners, the middles of the edges and the centre of triangles (m, 3, 3), (m,)."""
     middles = (triangles + np.roll(triangles, -1, axis=1)) / 2
     points = np.concatenate([triangles, middles, triangles.mean(axis=1, keepdims=True)], axis=1)
-    found: Array = field.distances(points.reshape(-1, 3)).reshape(-1, 7).max(axis=1)
+    found: Array = _distances(field, points.reshape(-1, 3)).reshape(-1, 7).max(axis=1)
     return found
+
+
+def _short(triangles: Array, most: float) -> Array:
+    """Divide triangles (m, 3, 3) into quarters until no edge is longer than `most`."""
+    parts = []
+    while len(triangles):
+        long = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2).max(axis=1) > most
+        parts.append(triangles[~long])
+        triangles = _quarters(triangles[long]).reshape(-1, 3, 3)
+    return np.concatenate(parts)
 
 
 def from_ideal(mesh: Mesh, field: Field, grid: Grid) -> float:

@@ -10,6 +10,12 @@ import numpy as np
 
 from ..base.report import SurfaceReport
 from ..meshes.mesh import Mesh
+from ..queries.rays import cast_rays
+from ..queries.sampling import sample_surface
+
+#: Number of surface samples for the thinnest part, and largest cosine between the normals of opposite faces.
+THICKNESS_SAMPLES = 20_000
+FACING = -0.5
 
 
 @dataclass(frozen=True)
@@ -64,6 +70,11 @@ class SolidReport(SurfaceReport):
         return self._made.area
 
     @cached_property
+    def thinnest_part(self) -> float | None:
+        """Shortest path through the inside to an opposite face, world units, as :func:`thinnest_part` measures it."""
+        return thinnest_part(self._made)
+
+    @cached_property
     def bodies(self) -> int:
         """Number of closed surfaces; a cavity is one too."""
         return int(self._made.topology()["components"])
@@ -99,3 +110,17 @@ class SolidReport(SurfaceReport):
             ("voxel", f"{self.voxel_size:.4g}"),
         ]
         return "\n".join(f"{label:<8}  {text}" for label, text in rows)
+
+
+def thinnest_part(mesh: Mesh) -> float | None:
+    """Shortest path from the surface through the inside to a face of the opposite side, over many samples.
+
+    A path starts at a sample of the surface and is perpendicular to the face there. None if no path meets a face whose
+    normal is turned by at least 120 degrees.
+    """
+    samples = sample_surface(mesh, THICKNESS_SAMPLES)
+    inwards = -samples.normals if mesh.volume >= 0 else samples.normals
+    start = 1e-9 * float(np.linalg.norm(mesh.bounds[1] - mesh.bounds[0]))
+    hits = cast_rays(mesh, samples.points, inwards, t_min=start)
+    facing = hits.hit & (np.einsum("ij,ij->i", hits.normals, samples.normals) < FACING)
+    return float(hits.t[facing].min()) if facing.any() else None

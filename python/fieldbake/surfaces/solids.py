@@ -19,6 +19,7 @@ from ..volumes.blocks import level_set
 from .fields import Field, Intersection, MeshField, OuterField, Shifted, TangentSource, Wall, complement
 from .ideal import from_ideal, to_ideal
 from .report import SolidReport
+from .simplification import check_tolerance, simplified
 
 Operation = Literal["union", "intersection", "difference"]
 Side = Literal["inward", "outward", "both"]
@@ -35,7 +36,14 @@ DIRECTIONS = {
 }
 
 
-def solid(mesh: MeshLike, resolution: Resolution = 256, *, fill: Fill = "winding", seal: float = 0) -> Mesh:
+def solid(
+    mesh: MeshLike,
+    resolution: Resolution = 256,
+    *,
+    fill: Fill = "winding",
+    seal: float = 0,
+    simplify: float = 0,
+) -> Mesh:
     """Make a closed two-manifold mesh of any triangles.
 
     Parameters
@@ -51,6 +59,9 @@ def solid(mesh: MeshLike, resolution: Resolution = 256, *, fill: Fill = "winding
     seal : float, default 0
         Diameter, voxels, of the largest hole that ``"outer"`` closes. With 0, a hole wider than a voxel connects the
         inside with the outside.
+    simplify : float, default 0
+        Largest movement of the surface, world units, by which manifold3d may remove faces (extra ``simplify``). The
+        distances of the report are measured after it.
 
     Returns
     -------
@@ -73,6 +84,7 @@ def solid(mesh: MeshLike, resolution: Resolution = 256, *, fill: Fill = "winding
     source = as_mesh(mesh)
     _word("fill", fill, ("winding", "outer"))
     diameter = _number("seal", seal, least=0)
+    tolerance = check_tolerance(simplify)
     field: MeshField | OuterField
     if fill == "outer":
         # The flood needs free voxels between the mesh and the box, in which the seal fits.
@@ -93,10 +105,11 @@ def solid(mesh: MeshLike, resolution: Resolution = 256, *, fill: Fill = "winding
         f"mesh: {nothing}",
         lambda made: made._core.deviation(source._core)[0],
         lambda made: source._core.deviation(made._core)[0],
+        tolerance=tolerance,
     )
 
 
-def offset(mesh: MeshLike, distance: float, resolution: Resolution = 256) -> Mesh:
+def offset(mesh: MeshLike, distance: float, resolution: Resolution = 256, *, simplify: float = 0) -> Mesh:
     """Make the surface at a distance from a mesh.
 
     Parameters
@@ -108,6 +121,8 @@ def offset(mesh: MeshLike, distance: float, resolution: Resolution = 256) -> Mes
         convex edges; a negative one shrinks it.
     resolution : int or three ints, default 256
         Voxels along the longest side of the box of the result, or along x, y and z.
+    simplify : float, default 0
+        As for :func:`solid`.
 
     Returns
     -------
@@ -128,6 +143,7 @@ def offset(mesh: MeshLike, distance: float, resolution: Resolution = 256) -> Mes
     """
     source = as_mesh(mesh)
     distance = _number("distance", distance)
+    tolerance = check_tolerance(simplify)
     bounds = source.bounds + max(distance, 0.0) * np.array([[-1.0], [1.0]])
     grid = _grid(bounds, resolution)
     field = Shifted(MeshField(source), distance)
@@ -137,9 +153,10 @@ def offset(mesh: MeshLike, distance: float, resolution: Resolution = 256) -> Mes
         MeshSource(source),
         grid,
         f"distance: nothing of the mesh is left at {distance:g}, because its thickest part is thinner",
-        lambda made: to_ideal(made, field),
+        lambda made: to_ideal(made, field, grid),
         lambda made: from_ideal(made, field, grid),
         level=distance,
+        tolerance=tolerance,
     )
 
 
@@ -149,6 +166,8 @@ def shell(
     resolution: Resolution = 256,
     side: Side = "inward",
     open: ArrayLike | str | Sequence[str] = (),
+    *,
+    simplify: float = 0,
 ) -> Mesh:
     """Hollow a mesh: make a wall of constant thickness along its surface.
 
@@ -165,6 +184,8 @@ def shell(
     open : directions, default none
         Directions in which the wall is left open: ``"x"``, ``"-z"``, a vector (3,), or a sequence of those. Faces whose
         normal is within 45 degrees of a direction get no wall.
+    simplify : float, default 0
+        As for :func:`solid`.
 
     Returns
     -------
@@ -188,6 +209,7 @@ def shell(
     if thickness <= 0:
         raise MeshError(f"thickness: must be above 0, got {thickness:g}")
     _word("side", side, ("inward", "outward", "both"))
+    tolerance = check_tolerance(simplify)
     kept = _without_open_faces(source, open)
     reach = {"inward": 0.0, "outward": thickness, "both": thickness / 2}[side]
     grid = _grid(source.bounds + reach * np.array([[-1.0], [1.0]]), resolution)
@@ -207,12 +229,21 @@ def shell(
         TangentSource(field),
         grid,
         f"thickness: no wall of {thickness:g} is left; it must be about a voxel ({max(grid.spacing):.3g}) or more",
-        lambda made: to_ideal(made, field),
+        lambda made: to_ideal(made, field, grid),
         lambda made: from_ideal(made, field, grid),
+        tolerance=tolerance,
     )
 
 
-def boolean(op: Operation, a: MeshLike, b: MeshLike, *, resolution: Resolution = 256, smooth: float = 0) -> Mesh:
+def boolean(
+    op: Operation,
+    a: MeshLike,
+    b: MeshLike,
+    *,
+    resolution: Resolution = 256,
+    smooth: float = 0,
+    simplify: float = 0,
+) -> Mesh:
     """Combine two solids.
 
     Parameters
@@ -226,6 +257,8 @@ def boolean(op: Operation, a: MeshLike, b: MeshLike, *, resolution: Resolution =
     smooth : float, default 0
         Width of a fillet along the intersection of the surfaces, world units. The surface changes only where the two
         distances differ by less than this width.
+    simplify : float, default 0
+        As for :func:`solid`.
 
     Returns
     -------
@@ -247,6 +280,7 @@ def boolean(op: Operation, a: MeshLike, b: MeshLike, *, resolution: Resolution =
     _word("op", op, ("union", "intersection", "difference"))
     first, second = as_mesh(a), as_mesh(b)
     smooth = _number("smooth", smooth, least=0)
+    tolerance = check_tolerance(simplify)
     # A fillet of the union reaches a quarter of its width outside the operands.
     grown = smooth / 4 * np.array([[-1.0], [1.0]])
     boxes = np.array([first.bounds, second.bounds])
@@ -272,8 +306,9 @@ def boolean(op: Operation, a: MeshLike, b: MeshLike, *, resolution: Resolution =
         TangentSource(field),
         grid,
         nothing,
-        lambda made: to_ideal(made, field),
+        lambda made: to_ideal(made, field, grid),
         lambda made: from_ideal(made, field, grid),
+        tolerance=tolerance,
     )
 
 
@@ -285,13 +320,16 @@ def _extracted(
     to_source: Callable[[Mesh], float],
     from_source: Callable[[Mesh], float],
     *,
+    tolerance: float,
     level: float = 0.0,
 ) -> Mesh:
-    """Extract the mesh of a surface and attach its report. For an empty surface raise MeshError with `nothing`."""
+    """Extract the mesh of a surface, simplify it, and attach its report; of an empty one raise `nothing`."""
     made = extract(surface, level, source, sharp=True, capped=True)
     if not len(made.faces):
         raise MeshError(nothing)
     clamped = made.report.clamped_vertices if made.report else 0
+    if tolerance > 0:
+        made = simplified(made, tolerance)
     made._report = SolidReport(clamped, max(grid.spacing), made, to_source, from_source)
     return made
 

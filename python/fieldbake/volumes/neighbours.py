@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base import checks
-from ..base.errors import ArgumentError, Error
+from ..base.errors import ArgumentError
+from ..base.optional import optional_module
 from ..meshes.mesh import Mesh
 from .grid_box import GridBox
 
@@ -77,7 +77,7 @@ class Neighbours(GridBox):
         Error
             If PyVista is not installed.
         """
-        pyvista = _package("pyvista")
+        pyvista = optional_module("pyvista", "to_pyvista", extra="pyvista")
         grid = pyvista.ImageData(dimensions=self.resolution, spacing=tuple(self.spacing), origin=tuple(self.origin))
         grid.point_data.set_array(np.array(self.distances, order="F").ravel(order="F"), NAME)
         grid.set_active_scalars(NAME, preference="point")
@@ -97,7 +97,7 @@ class Neighbours(GridBox):
         Error
             If xarray is not installed.
         """
-        xarray = _package("xarray")
+        xarray = optional_module("xarray", "to_xarray", extra="xarray")
         attributes = {
             "long_name": "signed distance, negative inside",
             "bounds": self.bounds.tolist(),
@@ -119,7 +119,7 @@ class Neighbours(GridBox):
         Error
             If Open3D is not installed.
         """
-        open3d = _package("open3d")
+        open3d = optional_module("open3d", "to_open3d")
         mesh = self.to_mesh()
         tensor = open3d.core.Tensor
         vertices = np.ascontiguousarray(mesh.vertices, np.float32)
@@ -194,10 +194,3 @@ def grid_of_xarray(array: Any) -> tuple[NDArray[Any], NDArray[np.float64], Any]:
             ordered = ordered.isel({name: slice(None, None, -1)})
         lower[axis], upper[axis] = places.min() - abs(step) / 2, places.max() + abs(step) / 2
     return np.asarray(ordered), np.stack([lower, upper]), ordered.attrs.get("inner_bounds")
-
-
-def _package(name: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        raise Error(f"this needs the package {name}: pip install {name}") from None

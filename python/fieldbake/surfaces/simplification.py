@@ -1,0 +1,58 @@
+"""Closed meshes with fewer faces, by the package manifold3d."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..base import checks
+from ..base.errors import ArgumentError, MeshError
+from ..base.optional import optional_module
+from ..base.report import SurfaceReport
+from ..meshes.mesh import Mesh
+
+#: Trials with a smaller tolerance; the mesh itself is the result if none succeeds.
+MOST_TRIALS = 8
+
+
+def check_tolerance(value: float) -> float:
+    """Check the argument `simplify`; above 0 it needs manifold3d."""
+    try:
+        tolerance = checks.number("simplify", value, least=0)
+    except ArgumentError as error:
+        raise MeshError(str(error)) from None
+    if tolerance > 0:
+        _manifold3d()
+    return tolerance
+
+
+def simplified(mesh: Mesh, tolerance: float) -> Mesh:
+    """Collapse edges of a closed two-manifold while the surface moves by at most `tolerance`, world units.
+
+    The vertices of the result are a subset of those of the mesh. manifold3d moves surfaces by up to about twice its own
+    tolerance, so that is reduced until the measured distance, both ways, is within the one that is wanted.
+    """
+    manifold3d = _manifold3d()
+    # manifold3d refuses arrays that are read-only.
+    vertices, faces = np.array(mesh.vertices), np.array(mesh.faces, np.uint64)
+    body = manifold3d.Manifold(manifold3d.Mesh64(vertices, faces))
+    if body.status() != manifold3d.Error.NoError:
+        raise MeshError(f"simplify: manifold3d refused the mesh of {len(faces):,} faces: {body.status().name}")
+    tried = tolerance
+    for _ in range(MOST_TRIALS):
+        made = body.simplify(tried).to_mesh64()
+        if 0 < len(made.tri_verts) < len(faces):
+            kept = np.array(made.vert_properties[:, :3])
+            result = Mesh._extracted(kept, np.array(made.tri_verts, np.uint32), mesh.report or SurfaceReport())
+            moved = max(result._core.deviation(mesh._core)[0], mesh._core.deviation(result._core)[0])
+            if moved <= tolerance:
+                return result
+            tried *= 0.9 * tolerance / moved
+        else:
+            tried /= 2
+    return mesh
+
+
+def _manifold3d() -> Any:
+    return optional_module("manifold3d", "simplify", extra="simplify")
