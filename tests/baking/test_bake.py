@@ -564,3 +564,22 @@ def test_ctrl_c_stops_within_half_a_second(name):
         if latencies[-1] <= CTRL_C:
             return
     assert min(latencies) <= CTRL_C
+
+
+def test_every_bake_takes_a_voxel_size_alone():
+    assert fb.box(2).to_mesh(voxel_size=0.25).is_closed
+    assert fb.bake_sparse(SLAB, voxel_size=0.25).spacing == pytest.approx([0.25] * 3)
+    assert fb.bake_sparse(fb.box(2), voxel_size=0.25).spacing == pytest.approx([0.25] * 3)
+    for make in (
+        lambda: fb.box(2).to_mesh(64, voxel_size=0.25),
+        lambda: fb.bake_sparse(SLAB, 64, voxel_size=0.25),
+        lambda: fb.bake(SLAB, np.array([8, 8, 8]), voxel_size=0.25),
+    ):
+        with pytest.raises(fb.ArgumentError, match="either voxel_size"):
+            make()
+
+
+def test_sparse_and_dense_reports_state_the_same_thickness():
+    sheet = ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
+    dense, sparse = fb.bake(sheet, 24, two_sided=True), fb.bake_sparse(sheet, 24, two_sided=True)
+    assert 0 < dense.report.thickness == sparse.report.thickness

@@ -306,7 +306,7 @@ def test_pack_says_what_cannot_be_packed(cube, tmp_path):
     fieldbake("pack", cube, "-o", tmp_path / "a.npz", "-r", 8, "--page-size", 64)
     nested = fieldbake("pack", tmp_path / "a.npz", "-o", tmp_path / "b.npz")
     assert nested.exit_code == BAD_INPUT
-    assert_one_clear_line(nested, "holds an atlas")
+    assert_one_clear_line(nested, "must hold a volume", "Atlas")
 
     for arguments in (["-o", "a.tiff"], ["-o", "a.npz", "--shader", "a.txt"], ["-o", "a.npz", "--layout", "spiral"]):
         assert fieldbake("pack", cube, *arguments, cwd=tmp_path).exit_code == BAD_USAGE

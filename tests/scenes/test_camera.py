@@ -1,10 +1,12 @@
 """The camera: its position, its direction, and errors for invalid arguments."""
 
 import copy
+import json
 import pickle
 
 import numpy as np
 import pytest
+import trimesh
 
 import fieldbake as fb
 
@@ -155,3 +157,22 @@ def test_a_light_that_makes_no_sense_is_refused(make, message):
 
 def test_the_direction_of_a_light_is_unit():
     assert fb.DirectionalLight((0, -3e300, 4e300)).direction == pytest.approx((0, -0.6, 0.8))
+
+
+def test_the_brightest_lights_of_a_file_are_kept_with_a_warning(tmp_path):
+    path = tmp_path / "lights.gltf"
+    files = trimesh.exchange.gltf.export_gltf(trimesh.Scene(trimesh.creation.box()))
+    for name, content in files.items():
+        (tmp_path / name.replace("model.gltf", path.name)).write_bytes(content)
+    document = json.loads(path.read_text())
+    lights = [{"type": "directional", "intensity": 1.0 + i} for i in range(20)]
+    document["extensions"] = {"KHR_lights_punctual": {"lights": lights}}
+    for i in range(20):
+        document["scenes"][0]["nodes"].append(len(document["nodes"]))
+        document["nodes"].append({"extensions": {"KHR_lights_punctual": {"light": i}}})
+    path.write_text(json.dumps(document))
+
+    with pytest.warns(UserWarning, match="not used: 4 lights"):
+        scene = fb.load_scene(path)
+
+    assert sorted(light.intensity for light in scene.lights) == pytest.approx([(5.0 + i) / 20 for i in range(16)])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from time import perf_counter
 from typing import NamedTuple
 
@@ -170,6 +171,8 @@ def prepare(
     two_sided: bool,
     thickness: float | None,
     box: NDArray[np.float64] | None = None,
+    *,
+    default: int = DEFAULT_RESOLUTION,
 ) -> Job:
     """Check the arguments that every bake has, and choose the grid around `box`, (2, 3), or the box of the mesh."""
     method = checks.text("sign", sign)
@@ -183,11 +186,12 @@ def prepare(
     # A sheet extends half its thickness beyond the triangles.
     grown = 0.0 if thickness is None else thickness / 2
     inner = (checked.bounds if box is None else box) + np.array([[-grown], [grown]])
-    grid = make_grid(inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin)
+    make = partial(make_grid, inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin, default=default)
+    grid = make()
     if two_sided and thickness is None:
         # Samples of the last voxel lie half a voxel inside the box. The sheet must end before them.
         border = 0.5 + sheet_thickness(grid) / (2 * np.array(grid.spacing))
-        grid = make_grid(inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin, border=1.01 * border)
+        grid = make(border=1.01 * border)
         thickness = sheet_thickness(grid)
     return place(checked, check_count(grid), method, thickness)
 

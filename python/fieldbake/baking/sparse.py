@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from .. import _core
 from ..base.encodings import Encoding
-from ..base.grid import Resolution
+from ..base.grid import DEFAULT_RESOLUTION, Resolution
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report
 from ..meshes.convert import MeshLike
@@ -18,10 +18,13 @@ from ..shapes.shape import Shape, all_shapes
 from ..volumes.sparse import SparseVolume, sparse_options
 from .dense import bake, log_warnings, prepare
 
+#: Voxels along the longest side, unless the caller chooses.
+SPARSE_RESOLUTION = 512
+
 
 def bake_sparse(
     mesh: MeshLike | Shape | Sequence[Shape],
-    resolution: Resolution = 512,
+    resolution: Resolution = SPARSE_RESOLUTION,
     *,
     band: float = 4,
     tolerance: float | None = 0.05,
@@ -81,9 +84,10 @@ def bake_sparse(
     """
     options = sparse_options(band, tolerance, encoding)
     if isinstance(mesh, Shape) or all_shapes(mesh):
+        is_default = voxel_size is not None and not np.ndim(resolution) and resolution == SPARSE_RESOLUTION
         dense = bake(
             mesh,
-            resolution,
+            DEFAULT_RESOLUTION if is_default else resolution,
             voxel_size=voxel_size,
             bounds=bounds,
             margin=margin,
@@ -94,7 +98,7 @@ def bake_sparse(
             progress=progress,
         )
         return dense.to_sparse(tolerance=tolerance, band=band, encoding=encoding)
-    job = prepare(mesh, resolution, voxel_size, bounds, margin, sign, two_sided, thickness)
+    job = prepare(mesh, resolution, voxel_size, bounds, margin, sign, two_sided, thickness, default=SPARSE_RESOLUTION)
     with progress_callback(progress, "bake") as callback:
         field, facts = _core.bake_sparse(
             job.mesh._core,
@@ -106,7 +110,7 @@ def bake_sparse(
             progress=callback,
             **options,
         )
-    report = Report.of_mesh(job.mesh, facts)
+    report = Report.of_mesh(job.mesh, {**facts, "thickness": job.thickness or 0.0})
     log_warnings(report)
     return SparseVolume._wrap(
         field, np.array([job.grid.lower, job.grid.upper]), job.inner, report, job.source(report.sign_method)

@@ -49,6 +49,7 @@ def make_grid(
     bounds: ArrayLike | None = None,
     margin: float = 0.1,
     border: ArrayLike = 1.0,
+    default: int = DEFAULT_RESOLUTION,
 ) -> Grid:
     """Choose the grid for a surface in the box `inner`.
 
@@ -68,6 +69,8 @@ def make_grid(
         voxels on each side, as far as the number of voxels allows.
     border : float or (3,), default 1
         Number of voxels left free on each side, along x, y and z.
+    default : int, default 64
+        Default value of `resolution` in the calling function.
 
     Raises
     ------
@@ -83,7 +86,7 @@ def make_grid(
     margin = checks.number("margin", margin, least=0)
     if voxel_size is not None:
         voxel_size = checks.number("voxel_size", voxel_size, above=0)
-        if resolution != DEFAULT_RESOLUTION:
+        if np.ndim(resolution) or resolution != default:
             raise ArgumentError(f"voxel_size: give either voxel_size ({voxel_size:g}) or resolution ({resolution})")
 
     # The smallest box of the grid, and the part of it that must keep the border on both sides.

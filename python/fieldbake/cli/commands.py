@@ -273,7 +273,8 @@ def pack(
             if isinstance(volume, fb.SparseVolume):
                 volume = volume.to_volume()
             if not isinstance(volume, fb.Volume):
-                raise fb.FormatError(f"{file}: holds an atlas, only volumes and meshes can be packed")
+                kind = type(volume).__name__
+                raise fb.FormatError(f"{file}: must hold a volume, a mesh or a sparse volume to be packed, got: {kind}")
         else:
             volume = fb.bake(file, sides, device=device, progress=err.is_terminal)
         volumes.append(volume)

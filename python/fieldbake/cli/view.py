@@ -50,7 +50,7 @@ def view(
 def _read(file: Path) -> Any:
     """Read the object of a file."""
     kind = file.suffix.lower()
-    if kind in (".lisp", ".sexpr", ".csg"):
+    if kind in (".csg", ".sexpr"):
         return fb.csg.parse(file.read_text(encoding="utf-8"))
     if kind in SCENES:
         return fb.load_scene(file)

@@ -192,8 +192,9 @@ def make_atlas(header: dict[str, Any], arrays: dict[str, NDArray[Any]], reports:
         raise FormatError(f"blocks[{int(np.argmin(sound))}] does not lie on the pages")
     live = blocks["page"] != VACANT
     ordered = (boxes[:, 0] <= boxes[:, 1]).all(axis=1) & (boxes[:, 2] < boxes[:, 3]).all(axis=1)
-    if not (ordered | ~live).all() or not (np.abs(boxes) <= checks.FAR).all():
-        raise FormatError(f"boxes[{int(np.argmin(ordered | ~live))}] is not a valid box")
+    valid = (ordered | ~live) & (np.abs(boxes) <= checks.FAR).all(axis=(1, 2))
+    if not valid.all():
+        raise FormatError(f"boxes[{int(np.argmin(valid))}] is not a valid box")
     for i in np.flatnonzero(live):
         checks.affine(f"models[{i}]", arrays["models"][i], FormatError)
     if not (arrays["scales"] > 0).all():

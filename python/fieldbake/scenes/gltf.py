@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import struct
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from ..base.errors import SceneError
 from ..meshes.convert import load_nodes
 from .camera import Camera
 from .instance import INSTANCE_RESOLUTION, Instance
-from .lights import AMBIENT, DirectionalLight, Light, PointLight
+from .lights import AMBIENT, MAX_LIGHTS, DirectionalLight, Light, PointLight
 from .scene import Scene
 
 #: Magic number of a binary glTF file, and kind of its JSON chunk.
@@ -48,7 +49,7 @@ def load_scene(
     Scene
         The scene. All intensities have a common factor, because the units of files differ: the brightest light reaches
         the centre of the scene with intensity 1. A file without lights gets the default light of :class:`Scene`. At
-        most 16 lights are kept.
+        most 16 lights are kept, the brightest at the centre; a warning counts the others.
 
     Raises
     ------
@@ -80,7 +81,7 @@ def load_scene(
         if light is not None:
             lights.append(light)
     bounds = Scene(instances).bounds
-    return Scene(instances, _balanced(lights, bounds.mean(axis=0)), ambient=ambient, cameras=cameras)
+    return Scene(instances, _balanced(file, lights, bounds.mean(axis=0)), ambient=ambient, cameras=cameras)
 
 
 def _document(file: Path) -> dict[str, Any]:
@@ -162,7 +163,7 @@ def _light(document: dict[str, Any], node: dict[str, Any], world_from_node: NDAr
     return PointLight(world_from_node[:3, 3].tolist(), color, intensity)
 
 
-def _balanced(lights: list[Light], center: NDArray[np.float64]) -> list[Light] | None:
+def _balanced(file: Path, lights: list[Light], center: NDArray[np.float64]) -> list[Light] | None:
     """Convert lights to a common scale. Lights of files fall off with distance; those of fieldbake do not."""
     if not lights:
         return None
@@ -181,4 +182,9 @@ def _balanced(lights: list[Light], center: NDArray[np.float64]) -> list[Light] |
             balanced.append(PointLight(light.position, light.color, strength / brightest, light.radius))
         else:
             balanced.append(DirectionalLight(light.direction, light.color, strength / brightest))
-    return balanced[:16]
+    if len(balanced) <= MAX_LIGHTS:
+        return balanced
+    unused = len(balanced) - MAX_LIGHTS
+    warnings.warn(f"{file}: not used: {unused} lights; a Scene has at most {MAX_LIGHTS}", stacklevel=3)
+    strongest = np.sort(np.argsort(-np.array(arriving), kind="stable")[:MAX_LIGHTS])
+    return [balanced[i] for i in strongest]

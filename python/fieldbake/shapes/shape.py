@@ -27,6 +27,9 @@ from .representation import python_text
 
 Language = Literal["wgsl", "glsl", "hlsl", "msl"]
 
+#: Voxels along the longest side of the grid of a mesh, unless the caller chooses.
+MESH_RESOLUTION = 128
+
 
 class Shape(Viewable):
     """A solid made of primitives and operators. Immutable; every method returns a new shape.
@@ -305,7 +308,7 @@ class Shape(Viewable):
 
     def to_mesh(
         self,
-        resolution: Resolution = 128,
+        resolution: Resolution = MESH_RESOLUTION,
         *,
         voxel_size: float | None = None,
         bounds: ArrayLike | None = None,
@@ -348,11 +351,13 @@ class Shape(Viewable):
         True
         """
         inner = self.bounds if bounds is None else checks.box("bounds", bounds)
-        grid = make_grid(inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin)
+        grid = make_grid(
+            inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin, default=MESH_RESOLUTION
+        )
         surface = level_set(self.distance, self.lipschitz, grid, 0.0)
         return extract(surface, 0.0, FieldSource(self.distance, self.gradient), sharp=sharp, capped=capped)
 
-    def save(self, path: str | os.PathLike[str], resolution: Resolution = 128, **options: Any) -> None:
+    def save(self, path: str | os.PathLike[str], resolution: Resolution = MESH_RESOLUTION, **options: Any) -> None:
         """Write the surface of the solid to a mesh file.
 
         Parameters
