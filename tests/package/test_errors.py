@@ -132,6 +132,6 @@ def test_a_value_that_is_no_list_is_refused(call, value):
 
 
 def test_an_empty_name_of_a_device_is_refused():
-    """Every adapter's name contains the empty text, so it would select an adapter nobody named."""
+    """Every adapter's name contains the empty text, so it would select an arbitrary adapter."""
     with pytest.raises(fb.ArgumentError, match="device: must not be empty text"):
         fb.signed_distance(TRIANGLE, (0, 0, 1), device="")
