@@ -12,6 +12,7 @@ import fieldbake as fb
 
 from ..atlases.atlas import Language, as_written
 from ..files.container import ENDINGS
+from ..queries.common import Sign
 from ..volumes import writers
 from .application import app, err, show_rows
 from .folders import bake_folder
@@ -23,7 +24,6 @@ from .tables import atlas_rows, volume_rows
 MESHES = (".stl", ".obj", ".ply", ".glb", ".3mf")
 
 Device = Annotated[str, typer.Option(help='Compute device: "auto", "cpu", "gpu" or a name from `fieldbake devices`.')]
-Sign = Literal["auto", "winding", "parity", "pseudonormal", "normal", "unsigned"]
 
 
 def parse_resolution(text: str) -> int | tuple[int, int, int]:

@@ -13,7 +13,7 @@ import fieldbake as fb
 from ..atlases import images
 from ..atlases.atlas import as_written
 from ..files.container import ENDINGS
-from ..volumes import writers
+from ..volumes import conventions, writers
 from .application import app, show_rows
 from .commands import MESHES
 from .saving import check_encoding, save_field
@@ -25,7 +25,7 @@ FIELDS = tuple(dict.fromkeys(ending for kind in ENDINGS.values() for ending in k
 
 Encoding = Literal["float32", "float16", "snorm16", "snorm8", "unorm8"]
 Engine = Annotated[
-    Literal["unity", "unreal", "godot", "blender", "three"] | None,
+    conventions.Engine | None,
     typer.Option(help="Axes, units and import settings of an engine."),
 ]
 Band = Annotated[

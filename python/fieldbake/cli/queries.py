@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 import fieldbake as fb
 
 from ..files.container import atomic_write
+from ..queries.common import Sign
 from ..surfaces.report import thinnest_part
 from .application import app, show_rows
-from .commands import Device, Sign
+from .commands import Device
 
 #: Names of the columns of a result.
 COLUMNS = (

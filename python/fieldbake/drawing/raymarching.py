@@ -261,7 +261,8 @@ def _draw_shape(shape: Shape, method: Method, options: _Options) -> Frame:
 
 
 def _draw_nested(field: NestedField, options: _Options) -> Frame:
-    _refuse_hardware(options)
+    if options.filter != "linear":
+        raise ArgumentError('filter: "hardware" needs a volume, got a NestedField')
     camera = options.view_of(field.inner_bounds)
     if not options.needs_scene:
         picture = options.arguments(camera)
