@@ -130,8 +130,9 @@ fn main(@builtin(position) position: vec4f) -> @location(0) vec4f {
         let is_there = all(slice_point >= view.slice_lower.xyz) && all(slice_point <= view.slice_upper.xyz);
         let depth = frame_at(count, 0u).w + t;
         if depth > 0.0 && is_there { slice_depth = depth; }
-        // The half on the side of the eye is cut away.
+        // The half on the side of the eye is cut away. The normal of the plane points to that side.
         if view.scene.y == 1.0 && depth > 0.0 && descent < 0.0 { near = depth; }
+        if view.scene.y == 1.0 && descent > 0.0 { near = NO_DEPTH; }
     }
     var slice_value = NO_DEPTH;
     if HAS_SLICE && slice_depth < NO_DEPTH { slice_value = distance_to_scene(slice_point, count) + view.level.x; }

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import fieldbake as fb
-from browser import Visit, visit
+from browser import PIXELS, Visit, visit
 
 SIZE = (80, 64)
 
@@ -38,6 +38,8 @@ MODES = """(async () => {
   });
   const scale = view.data.description.error;
   press("reset");
+  // A pick interrupts the picture, which is drawn again after it.
+  view.pick(1, 1);
   await view.settled;
   return { ...made, legends, scale };
 })()"""
@@ -197,13 +199,7 @@ def test_modes_of_a_view(tmp_path: Path) -> None:
     errors = np.abs(stored - volume.distances)
     depth = decoded(value["depth"]).copy().view(np.float32)[..., 0]
     hit = depth < 1e38
-    height, width = depth.shape
-    pixel = 2 * np.tan(np.radians(camera().fov_deg) / 2) / height
-    x = (np.arange(width) + 0.5 - width / 2) * pixel
-    y = (height / 2 - np.arange(height) - 0.5) * pixel
-    right, up, back, eye = camera().pose[:3].T
-    rays = x[None, :, None] * right + y[:, None, None] * up - back
-    points = eye + rays[hit] * depth[hit][:, None]
+    points = points_of(camera(), depth)
     grid = (points - volume.bounds[0]) / volume.spacing - 0.5
     nearest = tuple(np.clip(np.rint(grid), 0, np.array(volume.resolution) - 1).astype(int).T)
     near = np.abs(volume.distances) <= 0.5 * np.linalg.norm(volume.spacing)
@@ -216,6 +212,33 @@ def test_modes_of_a_view(tmp_path: Path) -> None:
     # A point half way between two samples may take either.
     assert (np.abs(ratio - wanted).max(axis=1) <= 0.03).mean() >= 0.97
     assert len(np.unique(expected, axis=0)) >= 4
+
+
+def test_a_cut_removes_the_whole_half_before_the_slice(tmp_path: Path) -> None:
+    # The eye is near the plane, so that many rays on its side go away from the plane.
+    eye = fb.Camera((0.3, 0.2, 4), (0.1, 0, 0), fov_deg=40)
+    page = tmp_path / "cut.html"
+    fb.bake(fb.sphere(radius=1), 24, device="cpu").to_html(page, camera=eye, size=SIZE)
+    cut = "fieldbake.view.settings.slice = { axis: 0, at: 0.05, cut: true };"
+    (result,) = visit([{"url": page.as_uri(), "expression": PIXELS.replace("const {", f"{cut} const {{", 1)}])
+    _, depth = result.picture
+    hit = np.isfinite(depth)
+    points = points_of(eye, depth)
+    assert (points[..., 0] <= 0.05 + 1e-3).all()
+    # The half behind the plane remains.
+    assert hit.sum() > 200
+
+
+def points_of(view: fb.Camera, depth: NDArray[np.float32]) -> NDArray[np.float64]:
+    """The points of a picture's surfaces, world units, (n, 3)."""
+    hit = np.isfinite(depth) & (depth < 1e38)
+    height, width = depth.shape
+    pixel = 2 * np.tan(np.radians(view.fov_deg) / 2) / height
+    x = (np.arange(width) + 0.5 - width / 2) * pixel
+    y = (height / 2 - np.arange(height) - 0.5) * pixel
+    right, up, back, eye = view.pose[:3].T
+    rays = x[None, :, None] * right + y[:, None, None] * up - back
+    return np.asarray(eye + rays[hit] * depth[hit][:, None], dtype=np.float64)
 
 
 def test_the_pages_of_an_atlas_are_shown(tmp_path: Path) -> None:
