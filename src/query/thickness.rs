@@ -63,6 +63,10 @@ fn radius(mesh: &Mesh, p: DVec3, normal: DVec3) -> f64 {
             break;
         }
         let chord = p - closest.on_triangle.point;
+        // On an edge or a corner the radius falls to the rounding of p, and p itself is found.
+        if chord == DVec3::ZERO {
+            break;
+        }
         let above = chord.dot(normal);
         if above < FLAT * chord.length() {
             break;

@@ -1,5 +1,6 @@
 """Samples of surfaces and training samples by their statistics, thickness by closed forms."""
 
+import itertools
 import subprocess
 import sys
 
@@ -157,6 +158,12 @@ def test_side_walls_bound_the_ball():
     assert fb.thickness(cube, points) == pytest.approx([2, 0.2, 0.6, 0.002], rel=1e-9)
     assert fb.thickness(cube, points, [(3, 0, 0)] * 4) == pytest.approx([2, 0.2, 0.6, 0.002], rel=1e-9)
     assert fb.thickness(meshes.flip(cube), points) == pytest.approx([2, 0.2, 0.6, 0.002], rel=1e-9)
+
+
+@pytest.mark.parametrize("corner", list(itertools.product((-1, 1), repeat=3)))
+def test_the_thickness_at_a_corner_is_zero(corner):
+    half = np.array([1, 0.5, 1.5])
+    assert fb.thickness(meshes.box(-half, half), [corner * half])[0] <= 1e-12
 
 
 def test_the_thickness_of_a_torus_is_its_tube():
