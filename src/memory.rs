@@ -24,6 +24,37 @@ pub(crate) fn allocate_samples(what: &str, count: usize, scratch: usize) -> Resu
     Ok(unsafe { Vec::from_raw_parts(start, count, count) })
 }
 
+/// A result of `count` zero items, in large pages where the system has them: the first write to a page costs a
+/// microsecond at any size of the page.
+pub(crate) fn zeroed_result<T: bytemuck::Zeroable + Copy>(count: usize) -> Vec<T> {
+    let mut items = vec![T::zeroed(); count];
+    prefer_large_pages(&mut items);
+    items
+}
+
+/// Requests large pages for the memory of a long array. If the system has none, the array keeps small pages.
+fn prefer_large_pages<T>(items: &mut [T]) {
+    #[cfg(target_os = "linux")]
+    {
+        use std::ffi::{c_int, c_void};
+        const PAGE: usize = 4096;
+        const LONG: usize = 1 << 22;
+        const MADV_HUGEPAGE: c_int = 14;
+        unsafe extern "C" {
+            fn madvise(start: *mut c_void, length: usize, advice: c_int) -> c_int;
+        }
+        let length = size_of_val(items);
+        let start = items.as_mut_ptr().cast::<u8>();
+        let skipped = start.align_offset(PAGE);
+        if length >= LONG && skipped < length {
+            // SAFETY: the pages lie within the array, and this advice changes no content. A failure leaves the array as it was.
+            unsafe { madvise(start.wrapping_add(skipped).cast(), (length - skipped) / PAGE * PAGE, MADV_HUGEPAGE) };
+        }
+    }
+    #[cfg(not(target_os = "linux"))]
+    let _ = items;
+}
+
 /// Fails if the machine does not have `needed` plus `scratch` bytes free.
 pub(crate) fn require(what: &str, needed: u64, scratch: u64) -> Result<(), Error> {
     require_for(what, needed, scratch, ADVICE)

@@ -44,6 +44,8 @@ use std::ops::Deref;
 
 /// Number of points between two checks of the progress: a few milliseconds of work.
 const CHUNK: usize = 1024;
+/// Largest number of points that are processed in their own order, by the calling thread.
+const FEW: usize = 64;
 /// Number of bits of the Morton code for each axis.
 const MORTON_BITS: u32 = 21;
 /// Slack for the float32 rounding of a bound, relative and in local units: ten times the rounding.
@@ -77,18 +79,18 @@ impl<T> ChunkedResults<T> {
     /// Visits the results in the order of the points. Reading them out of order touches less memory than writing
     /// several arrays out of order.
     fn for_each_row(&self, mut visit: impl FnMut(&T)) {
-        let [chunk] = &self.0[..] else {
-            let mut places = vec![0u32; self.0.iter().map(Vec::len).sum()];
-            for (chunk, answers) in self.0.iter().enumerate() {
-                for (i, (row, _)) in answers.iter().enumerate() {
-                    places[*row as usize] = (chunk * CHUNK + i) as u32;
-                }
-            }
-            places.into_iter().for_each(|place| visit(&self.0[place as usize / CHUNK][place as usize % CHUNK].1));
+        let count = self.0.iter().map(Vec::len).sum();
+        if count <= FEW {
+            self.0.iter().flatten().for_each(|(_, answer)| visit(answer));
             return;
-        };
-        // A few points are processed in their own order.
-        chunk.iter().for_each(|(_, answer)| visit(answer));
+        }
+        let mut places = vec![0u32; count];
+        for (chunk, answers) in self.0.iter().enumerate() {
+            for (i, (row, _)) in answers.iter().enumerate() {
+                places[*row as usize] = (chunk * CHUNK + i) as u32;
+            }
+        }
+        places.into_iter().for_each(|place| visit(&self.0[place as usize / CHUNK][place as usize % CHUNK].1));
     }
 }
 
@@ -197,7 +199,7 @@ fn answer_in_order<T: Send>(
 
 /// Rows in order of the Morton code, or in their own order if there are too few.
 fn curve(points: &[[f64; 3]]) -> Vec<(u64, u32)> {
-    if points.len() <= CHUNK {
+    if points.len() <= FEW {
         return (0..points.len() as u32).map(|row| (0, row)).collect();
     }
     let (lower, upper) = points

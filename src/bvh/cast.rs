@@ -1,11 +1,14 @@
 //! Rays against the tree: the first hit, any hit, or all of them, without a gap between faces that share an edge.
 //!
 //! *Theory.* Eight boxes, then eight triangles, are tested at a time in float32 ([`super::ray_lanes`]). These tests are
-//! conservative: they never reject a hit. The candidates are decided in float64 ([`super::watertight`]).
+//! conservative: they never reject a hit. The candidates are decided in float64 ([`super::watertight`]), so the results
+//! do not depend on the order of the search. Many rays are searched in groups of eight ([`super::packet`]).
 //!
 //! The search starts where the ray enters the box of the mesh. Float32 then represents only the part of the ray inside
 //! the box, at any distance of the origin.
 
+#[cfg(target_arch = "x86_64")]
+use super::packet;
 use super::ray_lanes::{LaneRay, RayPack};
 use super::watertight::{ClippedRay, FaceHit, Ray};
 use super::{Bvh, ChildRef, MAX_STACK, Node, WIDTH};
@@ -44,6 +47,29 @@ impl Mesh {
             f64::NEG_INFINITY
         });
         found
+    }
+
+    /// [`Mesh::first_hit`] of many rays. The results do not depend on `near`, see [`Mesh::traverse_many`].
+    pub fn first_hits(&self, rays: &[Ray], near: bool, hits: &mut Vec<Option<FaceHit>>) {
+        hits.clear();
+        hits.resize(rays.len(), None);
+        self.traverse_many(rays, near, |i, hit| {
+            let is_nearer = |best: &FaceHit| hit.t < best.t || (hit.t == best.t && hit.face < best.face);
+            match &mut hits[i] {
+                Some(best) if !is_nearer(best) => best.t,
+                best => best.insert(hit).t,
+            }
+        });
+    }
+
+    /// [`Mesh::is_occluded`] of many rays.
+    pub fn are_occluded(&self, rays: &[Ray], near: bool, found: &mut Vec<bool>) {
+        found.clear();
+        found.resize(rays.len(), false);
+        self.traverse_many(rays, near, |i, _| {
+            found[i] = true;
+            f64::NEG_INFINITY
+        });
     }
 
     /// The winding number of a local point by one ray to the nearest side of the box. The faces are wound as the
@@ -111,72 +137,157 @@ impl Mesh {
     /// Passes every hit that may lie before the limit to `accept`, in no particular order. `accept` returns the new
     /// limit. The limits of the ray are exact.
     #[inline(always)]
-    fn traverse(&self, ray: &Ray, accept: impl FnMut(FaceHit) -> f64) {
+    fn traverse(&self, ray: &Ray, mut accept: impl FnMut(FaceHit) -> f64) {
+        let tables = self.ray_tables();
+        let Some(ready) = tables.ready(ray) else { return };
         #[cfg(target_arch = "x86_64")]
         {
             #[target_feature(enable = "avx2")]
-            fn wide(mesh: &Mesh, ray: &Ray, accept: impl FnMut(FaceHit) -> f64) {
-                let boxes = |lanes: &LaneRay, node: &Node, limit: f32| lanes.boxes_avx2(node, limit);
+            fn wide(tables: &RayTables<'_>, ray: &ReadyRay, accept: &mut impl FnMut(FaceHit) -> f64) {
                 let triangles = |lanes: &LaneRay, pack: &RayPack, limit: f32| lanes.triangles_avx2(pack, limit);
-                mesh.traverse_by(ray, boxes, triangles, accept);
+                let boxes = |lanes: &LaneRay, node: &Node, limit: f32| lanes.boxes_avx2(node, limit);
+                tables.search(ray, Bvh::ROOT, &mut ray.limit(), boxes, triangles, accept);
             }
             if std::arch::is_x86_feature_detected!("avx2") {
                 // SAFETY: the processor has AVX2.
-                return unsafe { wide(self, ray, accept) };
+                return unsafe { wide(&tables, &ready, &mut accept) };
             }
         }
-        self.traverse_by(ray, LaneRay::boxes, LaneRay::triangles, accept);
+        tables.search(&ready, Bvh::ROOT, &mut ready.limit(), LaneRay::boxes, LaneRay::triangles, &mut accept);
     }
 
+    /// [`Mesh::traverse`] for many rays. `accept` also gets the index of the ray and returns its new limit. Consecutive
+    /// rays that are `near` each other share the upper part of their searches.
     #[inline(always)]
-    fn traverse_by(
+    fn traverse_many(&self, rays: &[Ray], near: bool, mut accept: impl FnMut(usize, FaceHit) -> f64) {
+        #[cfg(target_arch = "x86_64")]
+        {
+            #[target_feature(enable = "avx2")]
+            fn wide(tables: &RayTables<'_>, rays: &[Ray], near: bool, accept: &mut impl FnMut(usize, FaceHit) -> f64) {
+                let mut ready: [Option<ReadyRay>; WIDTH] = [const { None }; WIDTH];
+                for (group, rays) in rays.chunks(WIDTH).enumerate() {
+                    // A loop that only prepares rays works on several of them at once.
+                    for (ready, ray) in ready.iter_mut().zip(rays) {
+                        *ready = tables.ready(ray);
+                    }
+                    let mut accept = |lane: usize, hit: FaceHit| accept(group * WIDTH + lane, hit);
+                    packet::traverse(tables, &ready[..rays.len()], near, &mut accept);
+                }
+            }
+            if std::arch::is_x86_feature_detected!("avx2") {
+                // SAFETY: the processor has AVX2.
+                return unsafe { wide(&self.ray_tables(), rays, near, &mut accept) };
+            }
+        }
+        let _ = near;
+        for (i, ray) in rays.iter().enumerate() {
+            self.traverse(ray, |hit| accept(i, hit));
+        }
+    }
+
+    fn ray_tables(&self) -> RayTables<'_> {
+        let bvh = self.bvh();
+        let [min, max] = [bvh.bounds.min, bvh.bounds.max].map(|corner| corner.as_dvec3());
+        RayTables { mesh: self, bvh, packs: &self.ray_packs().0, min, max }
+    }
+}
+
+/// A ray prepared for a search: its part inside the box of the mesh, in float64 and in float32.
+#[derive(Debug)]
+pub(super) struct ReadyRay {
+    clipped: ClippedRay,
+    pub lanes: LaneRay,
+}
+
+impl ReadyRay {
+    /// The limit of a search of the whole ray.
+    #[inline(always)]
+    pub(super) fn limit(&self) -> f32 {
+        self.clipped.search_limit(f64::INFINITY)
+    }
+}
+
+/// A mesh with the tables that rays need.
+pub(super) struct RayTables<'a> {
+    mesh: &'a Mesh,
+    pub bvh: &'a Bvh,
+    pub packs: &'a [RayPack],
+    min: DVec3,
+    max: DVec3,
+}
+
+impl RayTables<'_> {
+    /// None if the ray misses the box of the mesh.
+    #[inline(always)]
+    fn ready(&self, ray: &Ray) -> Option<ReadyRay> {
+        let clipped = ClippedRay::new(ray, self.min, self.max)?;
+        let lanes = LaneRay::new(&clipped.sheared);
+        Some(ReadyRay { clipped, lanes })
+    }
+
+    /// Searches the part of the tree below `start`. The limit is negative infinity once `accept` returned that.
+    #[inline(always)]
+    pub(super) fn search(
         &self,
-        ray: &Ray,
+        ray: &ReadyRay,
+        start: ChildRef,
+        limit: &mut f32,
         boxes: impl Fn(&LaneRay, &Node, f32) -> (u32, [f32; WIDTH]),
         triangles: impl Fn(&LaneRay, &RayPack, f32) -> u32,
-        mut accept: impl FnMut(FaceHit) -> f64,
+        accept: &mut impl FnMut(FaceHit) -> f64,
     ) {
-        let bvh = self.bvh();
-        let packs = &self.ray_packs().0;
-        let Some(clipped) = ClippedRay::new(ray, bvh.bounds.min.as_dvec3(), bvh.bounds.max.as_dvec3()) else { return };
-        let lanes = LaneRay::new(&clipped.sheared);
-        let mut limit = clipped.search_limit(f64::INFINITY);
         let mut stack = Stack::new();
-        let mut child = Bvh::ROOT;
+        let mut child = start;
         loop {
             if child.is_pack() {
-                let pack = &packs[child.index()];
-                let mut mask = triangles(&lanes, pack, limit);
-                while mask != 0 {
-                    let face = pack.faces[mask.trailing_zeros() as usize];
-                    mask &= mask - 1;
-                    let Some(hit) = self.hit_in_pack(face, &clipped) else { continue };
-                    let t_limit = accept(hit);
-                    if t_limit == f64::NEG_INFINITY {
-                        return;
-                    }
-                    limit = limit.min(clipped.search_limit(t_limit));
+                self.search_pack(ray, child, limit, &triangles, accept);
+                if *limit == f32::NEG_INFINITY {
+                    return;
                 }
             } else {
-                let node = &bvh.nodes[child.index()];
-                let (mask, entered) = boxes(&lanes, node, limit);
+                let node = &self.bvh.nodes[child.index()];
+                let (mask, entered) = boxes(&ray.lanes, node, *limit);
                 if mask != 0 {
                     child = stack.push_all_but_nearest(mask, &entered, &node.children);
                     continue;
                 }
             }
-            child = match stack.pop(limit) {
+            child = match stack.pop(*limit) {
                 Some(next) => next,
                 None => return,
             };
         }
     }
 
+    /// Tests the triangles of one pack.
+    #[inline(always)]
+    pub(super) fn search_pack(
+        &self,
+        ray: &ReadyRay,
+        child: ChildRef,
+        limit: &mut f32,
+        triangles: impl Fn(&LaneRay, &RayPack, f32) -> u32,
+        accept: &mut impl FnMut(FaceHit) -> f64,
+    ) {
+        let pack = &self.packs[child.index()];
+        let mut mask = triangles(&ray.lanes, pack, *limit);
+        while mask != 0 {
+            let face = pack.faces[mask.trailing_zeros() as usize % WIDTH];
+            mask &= mask - 1;
+            let Some(hit) = self.hit_in_pack(face, &ray.clipped) else { continue };
+            *limit = limit.min(ray.clipped.search_limit(accept(hit)));
+            if *limit == f32::NEG_INFINITY {
+                return;
+            }
+        }
+    }
+
     /// The exact test of a candidate. A lane without a face has the face `u32::MAX`.
     #[inline(always)]
     fn hit_in_pack(&self, face: u32, clipped: &ClippedRay) -> Option<FaceHit> {
-        let &[a, b, c] = self.faces().get(face as usize)?;
-        clipped.hit(face, [self.exact_position(a), self.exact_position(b), self.exact_position(c)])
+        let mesh = self.mesh;
+        let &[a, b, c] = mesh.faces().get(face as usize)?;
+        clipped.hit(face, [mesh.exact_position(a), mesh.exact_position(b), mesh.exact_position(c)])
     }
 }
 
@@ -320,8 +431,41 @@ mod tests {
             let ray = Ray { origin, direction, t_min: 0.0, t_max: f64::INFINITY };
             let (mut wide, mut portable) = (Vec::new(), Vec::new());
             mesh.traverse(&ray, |hit| { wide.push(hit); f64::INFINITY });
-            mesh.traverse_by(&ray, LaneRay::boxes, LaneRay::triangles, |hit| { portable.push(hit); f64::INFINITY });
+            let tables = mesh.ray_tables();
+            if let Some(ready) = tables.ready(&ray) {
+                let mut accept = |hit| { portable.push(hit); f64::INFINITY };
+                let mut limit = ready.limit();
+                tables.search(&ready, Bvh::ROOT, &mut limit, LaneRay::boxes, LaneRay::triangles, &mut accept);
+            }
             prop_assert_eq!(wide, portable);
+        }
+    }
+
+    /// Rays in groups have the hits of single rays, if they are near each other and if they are not.
+    #[test]
+    fn groups_have_the_hits_of_single_rays() {
+        let mesh = soup(3000, 0.1, 5);
+        let mut random = uniform(11);
+        let mut vector = || DVec3::new(random(), random(), random()) - 0.5;
+        for spread in [1e-3, 0.1, 2.0] {
+            let (origin, direction) = (2.0 * vector(), vector());
+            let rays: Vec<Ray> = (0..203)
+                .map(|i| Ray {
+                    origin: origin + spread * vector(),
+                    direction: if i % 50 == 7 { DVec3::Y } else { direction + spread * vector() },
+                    t_min: 0.01 * f64::from(i % 3),
+                    t_max: if i % 5 == 0 { 0.4 } else { f64::INFINITY },
+                })
+                .collect();
+            let (mut hits, mut occluded) = (Vec::new(), Vec::new());
+            for near in [false, true] {
+                mesh.first_hits(&rays, near, &mut hits);
+                mesh.are_occluded(&rays, near, &mut occluded);
+                for (i, ray) in rays.iter().enumerate() {
+                    assert_eq!(hits[i], mesh.first_hit(ray, |_| true));
+                    assert_eq!(occluded[i], hits[i].is_some());
+                }
+            }
         }
     }
 

@@ -15,6 +15,8 @@ pub(crate) mod cast;
 pub(crate) mod closest;
 pub(crate) mod exact;
 pub(crate) mod pack;
+#[cfg(target_arch = "x86_64")]
+mod packet;
 pub(crate) mod ray_lanes;
 mod refit;
 pub(crate) mod watertight;

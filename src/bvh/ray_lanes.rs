@@ -89,7 +89,7 @@ impl Mesh {
 }
 
 impl LaneRay {
-    #[inline]
+    #[inline(always)]
     pub(crate) fn new(sheared: &Sheared) -> Self {
         let (position, [x, y, z]) = (sheared.origin.as_vec3().to_array(), sheared.axes);
         let mut ray = Self {
@@ -113,6 +113,17 @@ impl LaneRay {
             }
         }
         ray
+    }
+
+    /// The origin moved by the margin of the boxes for their lower and upper sides, and the inverse of the direction.
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    pub(crate) fn slabs(&self) -> [[f32; 3]; 3] {
+        let ahead = |axis: usize| self.near[axis] < 3;
+        let side = |lower: bool| {
+            std::array::from_fn(|i| if ahead(i) == lower { self.enter_origin[i] } else { self.leave_origin[i] })
+        };
+        [side(true), side(false), self.inverse]
     }
 
     /// Mask of the lanes whose box the ray enters before `limit`, and the t of entry.

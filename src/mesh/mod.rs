@@ -262,7 +262,8 @@ impl Mesh {
     /// Local corners of a face in the precision of the float64 input.
     #[inline]
     pub fn exact_triangle(&self, face: u32) -> [DVec3; 3] {
-        self.faces[face as usize].map(|v| self.exact_position(v))
+        let [a, b, c] = self.faces[face as usize];
+        [self.exact_position(a), self.exact_position(b), self.exact_position(c)]
     }
 
     /// Lower and upper corner of the kept faces, world units.

@@ -6,6 +6,7 @@
 use super::nearest::unit_normal;
 use crate::bvh::watertight::{FaceHit, Ray};
 use crate::error::{ArgumentError, Error};
+use crate::memory::zeroed_result;
 use crate::mesh::Mesh;
 use crate::mesh::derived::Derived;
 use crate::progress::Progress;
@@ -18,8 +19,11 @@ const CHUNK: usize = 1024;
 /// Size of a tree that stays in the cache at any order of the rays, bytes.
 const CACHE: usize = 1 << 20;
 
-/// Number of different keys of [`order_of`].
-const KEYS: usize = 1 << 18;
+/// Largest number of rays of a task. Longer tasks have more neighbours to sort, shorter ones stay in the cache.
+const LARGEST_TASK: usize = 1 << 17;
+
+/// Half the number of bits of a key of [`order_of`].
+const DIGIT_BITS: u32 = 9;
 /// Bits of a number of four bits, with two empty bits after each.
 const SPREAD: [usize; 16] = {
     let mut table = [0; 16];
@@ -70,70 +74,75 @@ pub struct Intersections {
     pub barycentric: Vec<[f64; 3]>,
 }
 
-/// The first hit of one ray, as it is stored in [`RayHits`].
-#[derive(Debug, Clone, Copy)]
-struct RayHit {
-    t: f64,
-    face: i64,
-    weights: [f64; 3],
-    normal: [f64; 3],
-}
-
-/// Result of a ray without a hit.
-const MISS: RayHit = RayHit { t: f64::INFINITY, face: -1, weights: [0.0; 3], normal: [0.0; 3] };
-
 /// The first hit of every ray.
 pub fn cast_rays(mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> Result<RayHits, Error> {
-    let found = trace(mesh, rays, progress, |ray, _| {
-        let Some(hit) = mesh.first_hit(ray, |_| true) else { return MISS };
-        let normal = unit_normal(mesh, mesh.exact_triangle(hit.face), hit.face).to_array();
-        RayHit { t: hit.t, face: hit.face.into(), weights: hit.weights, normal }
-    })?;
     let count = rays.origins.len();
     let mut hits = RayHits {
-        t: vec![0.0; count],
-        faces: vec![0; count],
-        barycentric: vec![[0.0; 3]; count],
-        normals: vec![[0.0; 3]; count],
+        t: zeroed_result(count),
+        faces: zeroed_result(count),
+        barycentric: zeroed_result(count),
+        normals: zeroed_result(count),
     };
-    let columns = (
-        hits.t.par_chunks_mut(CHUNK),
-        hits.faces.par_chunks_mut(CHUNK),
-        hits.barycentric.par_chunks_mut(CHUNK),
-        hits.normals.par_chunks_mut(CHUNK),
-    );
-    columns.into_par_iter().enumerate().for_each(|(chunk, (t, faces, barycentric, normals))| {
-        for (i, hit) in found.rows(chunk * CHUNK..chunk * CHUNK + t.len()).enumerate() {
-            (t[i], faces[i], barycentric[i], normals[i]) = (hit.t, hit.face, hit.weights, hit.normal);
+    let size = task_size(count);
+    let columns = hits.t.chunks_mut(size).zip(hits.faces.chunks_mut(size));
+    let columns = columns.zip(hits.barycentric.chunks_mut(size)).zip(hits.normals.chunks_mut(size));
+    trace(mesh, rays, progress, columns, |batch, (((t, faces), barycentric), normals), found| {
+        mesh.first_hits(batch.rays, batch.near, found);
+        for (&row, hit) in batch.rows.iter().zip(found) {
+            let row = row as usize;
+            match hit {
+                Some(hit) => {
+                    t[row] = hit.t;
+                    faces[row] = hit.face.into();
+                    barycentric[row] = hit.weights;
+                    normals[row] = unit_normal(mesh, mesh.exact_triangle(hit.face), hit.face).to_array();
+                }
+                // The other columns contain zeros.
+                None => (t[row], faces[row]) = (f64::INFINITY, -1),
+            }
         }
-    });
+    })?;
     Ok(hits)
 }
 
 /// Whether each ray hits anything.
 pub fn occluded(mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> Result<Vec<bool>, Error> {
-    Ok(trace(mesh, rays, progress, |ray, _| mesh.is_occluded(ray))?.rows(0..rays.origins.len()).copied().collect())
+    let mut occluded = vec![false; rays.origins.len()];
+    let columns = occluded.chunks_mut(task_size(rays.origins.len()));
+    trace(mesh, rays, progress, columns, |batch, column, found| {
+        mesh.are_occluded(batch.rays, batch.near, found);
+        batch.rows.iter().zip(found).for_each(|(&row, &mut found)| column[row as usize] = found);
+    })?;
+    Ok(occluded)
 }
 
 /// The number of intersections of each ray; an edge or a vertex that several faces share counts once.
 pub fn count_intersections(mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> Result<Vec<i64>, Error> {
     mesh.topology();
-    let counts = trace(mesh, rays, progress, |ray, scratch| {
-        mesh.cast_all(ray, scratch);
-        scratch.len() as i64
+    let mut counts = vec![0; rays.origins.len()];
+    let columns = counts.chunks_mut(task_size(rays.origins.len()));
+    trace(mesh, rays, progress, columns, |batch, column, found| {
+        for (&row, ray) in batch.rows.iter().zip(batch.rays) {
+            mesh.cast_all(ray, found);
+            column[row as usize] = found.len() as i64;
+        }
     })?;
-    Ok(counts.rows(0..rays.origins.len()).copied().collect())
+    Ok(counts)
 }
 
 /// All intersections of all rays.
 pub fn all_intersections(mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> Result<Intersections, Error> {
     mesh.topology();
-    let found = trace(mesh, rays, progress, |ray, scratch| {
-        mesh.cast_all(ray, scratch);
-        scratch.clone()
+    let mut lists = vec![Vec::new(); rays.origins.len()];
+    let columns = lists.chunks_mut(task_size(rays.origins.len()));
+    trace(mesh, rays, progress, columns, |batch, column, found: &mut Vec<FaceHit>| {
+        for (&row, ray) in batch.rows.iter().zip(batch.rays) {
+            mesh.cast_all(ray, found);
+            column[row as usize] = found.clone();
+        }
     })?;
     let mut all = Intersections::default();
-    for (row, hits) in found.rows(0..rays.origins.len()).enumerate() {
+    for (row, hits) in lists.iter().enumerate() {
         for hit in hits {
             all.rays.push(row as i64);
             all.t.push(hit.t);
@@ -144,87 +153,79 @@ pub fn all_intersections(mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> R
     Ok(all)
 }
 
-/// Results in the order in which the rays were traced, in chunks of [`CHUNK`].
-struct Traced<T> {
-    chunks: Vec<Vec<T>>,
-    /// The place of each row in that order; None if the rays were traced in the order of the rows.
-    places: Option<Vec<u32>>,
+/// Number of rays of a task. The result does not depend on it.
+fn task_size(count: usize) -> usize {
+    if count <= CHUNK { CHUNK } else { (count / (4 * rayon::current_num_threads())).clamp(CHUNK, LARGEST_TASK) }
 }
 
-impl<T> Traced<T> {
-    /// The results of these rows. Reading out of order touches less memory than writing several arrays out of order.
-    fn rows(&self, rows: Range<usize>) -> impl Iterator<Item = &T> {
-        rows.map(|row| {
-            let place = self.places.as_ref().map_or(row, |places| places[row] as usize);
-            &self.chunks[place / CHUNK][place % CHUNK]
-        })
-    }
+/// Rays that are searched after each other.
+struct Batch<'a> {
+    rays: &'a [Ray],
+    /// Rows of the rays in their task.
+    rows: &'a [u32],
+    /// Whether consecutive rays are near each other.
+    near: bool,
 }
 
-/// Processes every ray. `answer` also receives a reusable list of hits.
-fn trace<T: Send + Sync>(
+/// Processes every ray. `columns` are the parts of the result, one for each task of [`task_size`] rays. `answer` gets a
+/// batch of rays, the part of their task, and reusable memory.
+fn trace<C: Send, S: Default>(
     mesh: &Mesh,
     rays: &Rays<'_>,
     progress: &Progress,
-    answer: impl Fn(&Ray, &mut Vec<FaceHit>) -> T + Sync,
-) -> Result<Traced<T>, Error> {
+    columns: impl Iterator<Item = C>,
+    answer: impl Fn(&Batch<'_>, &mut C, &mut S) + Sync,
+) -> Result<(), Error> {
     check(rays)?;
     let count = rays.origins.len();
     progress.set_total(count as u64);
     mesh.bvh();
     mesh.ray_packs();
     let scale = mesh.scale().recip();
-    let local = |row: usize| Ray {
-        origin: mesh.local_from_world(DVec3::from_array(rays.origins[row])),
-        direction: DVec3::from_array(rays.directions[row]) * scale,
-        t_min: rays.t_min,
-        t_max: rays.t_max,
+    let near = !is_scattered(mesh, rays);
+    let sorts = !near && count > CHUNK && mesh.bvh().bytes() > CACHE;
+    let size = task_size(count);
+    let answer_task = |(task, mut column): (usize, C)| {
+        let first = task * size;
+        let rows = first..count.min(first + size);
+        let order = if sorts { order_of(mesh, rays, rows) } else { (0..rows.len() as u32).collect() };
+        let (mut rays_of_batch, mut scratch) = (Vec::with_capacity(CHUNK), S::default());
+        for rows in order.chunks(CHUNK) {
+            // Rays are read first: a loop that does nothing else waits for several of them at once.
+            rays_of_batch.clear();
+            rays_of_batch.extend(rows.iter().map(|&row| Ray {
+                origin: mesh.local_from_world(DVec3::from_array(rays.origins[first + row as usize])),
+                direction: DVec3::from_array(rays.directions[first + row as usize]) * scale,
+                t_min: rays.t_min,
+                t_max: rays.t_max,
+            }));
+            answer(&Batch { rays: &rays_of_batch, rows, near }, &mut column, &mut scratch);
+            progress.advance(rows.len() as u64)?;
+        }
+        Ok(())
     };
-    let order = if count > CHUNK && is_scattered(mesh, rays) { Some(order_of(mesh, rays)) } else { None };
-    let answer_chunk = |chunk: usize| {
-        let mut scratch = Vec::new();
-        let places = chunk * CHUNK..count.min((chunk + 1) * CHUNK);
-        // Rays out of order are read first: a loop that does nothing else waits for several of them at once.
-        let rays: Vec<Ray> = match &order {
-            Some(order) => order[places].iter().map(|&row| local(row as usize)).collect(),
-            None => places.map(local).collect(),
-        };
-        let answers: Vec<T> = rays.iter().map(|ray| answer(ray, &mut scratch)).collect();
-        progress.advance(answers.len() as u64)?;
-        Ok(answers)
-    };
+    let tasks: Vec<(usize, C)> = columns.enumerate().collect();
     if count <= CHUNK {
         // A few rays are processed without the worker threads.
-        return Ok(Traced { chunks: vec![answer_chunk(0)?], places: None });
+        return tasks.into_iter().try_for_each(answer_task);
     }
-    let chunks = (0..count.div_ceil(CHUNK)).into_par_iter().map(answer_chunk).collect::<Result<_, Error>>()?;
-    let places = order.map(|order| {
-        let mut places = vec![0u32; count];
-        for (place, row) in order.into_iter().enumerate() {
-            places[row as usize] = place as u32;
-        }
-        places
-    });
-    Ok(Traced { chunks, places })
+    tasks.into_par_iter().try_for_each(answer_task)
 }
 
-/// Whether sorting is worthwhile: the tree is larger than the cache, and consecutive rays are far apart.
+/// Whether consecutive rays are far apart.
 fn is_scattered(mesh: &Mesh, rays: &Rays<'_>) -> bool {
-    if mesh.bvh().bytes() < CACHE {
-        return false;
-    }
     let step = (rays.origins.len() / 64).max(1);
     let unit = |row: usize| DVec3::from_array(rays.directions[row]).normalize_or_zero();
     let local = |row: usize| mesh.local_from_world(DVec3::from_array(rays.origins[row]));
-    let unlike = (0..rays.origins.len() - 1)
+    let unlike = (0..rays.origins.len().saturating_sub(1))
         .step_by(step)
         .filter(|&row| unit(row).dot(unit(row + 1)) < 0.99 || local(row).distance(local(row + 1)) > 0.05);
     unlike.count() > 16
 }
 
-/// Rows by the cell of the origin (16 to a side, along the Morton curve), then by the cell of the direction (8 to a side
-/// of the octahedral map). Rows with equal keys keep their order.
-fn order_of(mesh: &Mesh, rays: &Rays<'_>) -> Vec<u32> {
+/// Rows of a task by the cell of the origin (16 to a side, along the Morton curve), then by the cell of the direction (8
+/// to a side of the octahedral map). Rows with equal keys keep their order.
+fn order_of(mesh: &Mesh, rays: &Rays<'_>, rows: Range<usize>) -> Vec<u32> {
     let key = |row: usize| {
         let origin = (mesh.local_from_world(DVec3::from_array(rays.origins[row])) + 1.0) * 8.0;
         let direction = DVec3::from_array(rays.directions[row]);
@@ -240,19 +241,26 @@ fn order_of(mesh: &Mesh, rays: &Rays<'_>) -> Vec<u32> {
         let curve = SPREAD[cell(origin.x, 16)] << 2 | SPREAD[cell(origin.y, 16)] << 1 | SPREAD[cell(origin.z, 16)];
         (curve << 6 | cell(4.0 * u + 4.0, 8) << 3 | cell(4.0 * v + 4.0, 8)) as u32
     };
-    let keys: Vec<u32> = (0..rays.origins.len()).into_par_iter().map(key).collect();
-    let mut starts = vec![0u32; KEYS + 1];
-    keys.iter().for_each(|&key| starts[key as usize + 1] += 1);
-    for key in 0..KEYS {
-        starts[key + 1] += starts[key];
+    let first = rows.start;
+    let mut order: Vec<(u32, u32)> = rows.map(|row| (key(row), (row - first) as u32)).collect();
+    let mut sorted = vec![(0, 0); order.len()];
+    // Two passes of a counting sort, each by half of the bits.
+    for shift in [0, DIGIT_BITS] {
+        let digit = |key: u32| (key >> shift) as usize % (1 << DIGIT_BITS);
+        let mut places = [0; 1 << DIGIT_BITS];
+        order.iter().for_each(|&(key, _)| places[digit(key)] += 1);
+        let mut start = 0;
+        for place in &mut places {
+            start += std::mem::replace(place, start);
+        }
+        for &(key, row) in &order {
+            let place = &mut places[digit(key)];
+            sorted[*place] = (key, row);
+            *place += 1;
+        }
+        std::mem::swap(&mut order, &mut sorted);
     }
-    let mut order = vec![0u32; keys.len()];
-    for (row, &key) in keys.iter().enumerate() {
-        let place = &mut starts[key as usize];
-        order[*place as usize] = row as u32;
-        *place += 1;
-    }
-    order
+    order.into_iter().map(|(_, row)| row).collect()
 }
 
 fn check(rays: &Rays<'_>) -> Result<(), ArgumentError> {

@@ -7,7 +7,9 @@
 use super::nearest::unit_normal;
 use crate::error::Error;
 use crate::geometry::triangle_cross;
+use crate::memory::zeroed_result;
 use crate::mesh::Mesh;
+use crate::mesh::derived::Derived;
 use crate::progress::Progress;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -33,47 +35,66 @@ pub struct SurfaceSamples {
 /// `count` points, uniform by area.
 pub fn sample_surface(mesh: &Mesh, count: usize, seed: u64, progress: &Progress) -> Result<SurfaceSamples, Error> {
     progress.set_total(count as u64);
-    let areas = Areas::of(mesh);
+    let areas: &Areas = mesh.derived();
     let mut samples = SurfaceSamples {
-        points: vec![[0.0; 3]; count],
-        normals: vec![[0.0; 3]; count],
-        faces: vec![0; count],
-        barycentric: vec![[0.0; 3]; count],
+        points: zeroed_result(count),
+        normals: zeroed_result(count),
+        faces: zeroed_result(count),
+        barycentric: zeroed_result(count),
     };
     let key = mix(seed);
-    samples
-        .points
-        .par_chunks_mut(CHUNK)
-        .zip(samples.normals.par_chunks_mut(CHUNK))
-        .zip(samples.faces.par_chunks_mut(CHUNK))
-        .zip(samples.barycentric.par_chunks_mut(CHUNK))
-        .enumerate()
-        .try_for_each(|(chunk, (((points, normals), faces), barycentric))| {
-            // Loops of one memory access per sample wait for several samples at once.
-            for start in (0..points.len()).step_by(BLOCK) {
-                let block = start..points.len().min(start + BLOCK);
-                let (mut members, mut corners) = ([0u32; BLOCK], [[DVec3::ZERO; 3]; BLOCK]);
-                for i in block.clone() {
-                    members[i - start] = areas.face_at(unit(key, 3 * (chunk * CHUNK + i) as u64));
-                }
-                for i in block.clone() {
-                    corners[i - start] = mesh.exact_triangle(members[i - start]);
-                }
-                for i in block {
-                    let first = 3 * (chunk * CHUNK + i) as u64;
-                    let (v, w) = (unit(key, first + 1), unit(key, first + 2));
-                    let (face, [a, b, c]) = (members[i - start], corners[i - start]);
-                    let root = v.sqrt();
-                    let weights = [1.0 - root, root * (1.0 - w), root * w];
-                    points[i] = mesh.world_from_local(a * weights[0] + b * weights[1] + c * weights[2]).to_array();
-                    normals[i] = unit_normal(mesh, [a, b, c], face).to_array();
-                    faces[i] = i64::from(face);
-                    barycentric[i] = weights;
-                }
+    let columns = samples.points.par_chunks_mut(CHUNK).zip(samples.normals.par_chunks_mut(CHUNK));
+    let columns = columns.zip(samples.faces.par_chunks_mut(CHUNK)).zip(samples.barycentric.par_chunks_mut(CHUNK));
+    columns.enumerate().try_for_each(|(chunk, (((points, normals), faces), barycentric))| {
+        let first = chunk * CHUNK;
+        let order = order_of(key, first, points.len());
+        // Loops of one memory access per sample wait for several samples at once.
+        for block in order.chunks(BLOCK) {
+            let (mut members, mut corners) = ([0u32; BLOCK], [[DVec3::ZERO; 3]; BLOCK]);
+            for (member, &(share, _)) in members.iter_mut().zip(block) {
+                *member = areas.face_at(share);
             }
-            progress.advance(points.len() as u64)
-        })?;
+            for (corners, &face) in corners[..block.len()].iter_mut().zip(&members) {
+                *corners = mesh.exact_triangle(face);
+            }
+            for (&(_, i), (&face, &[a, b, c])) in block.iter().zip(members.iter().zip(&corners)) {
+                let place = 3 * (first + i as usize) as u64;
+                let (v, w) = (unit(key, place + 1), unit(key, place + 2));
+                let root = v.sqrt();
+                let weights = [1.0 - root, root * (1.0 - w), root * w];
+                let i = i as usize;
+                points[i] = mesh.world_from_local(a * weights[0] + b * weights[1] + c * weights[2]).to_array();
+                normals[i] = unit_normal(mesh, [a, b, c], face).to_array();
+                faces[i] = i64::from(face);
+                barycentric[i] = weights;
+            }
+        }
+        progress.advance(points.len() as u64)
+    })?;
     Ok(samples)
+}
+
+/// Number of equal parts of the area by which samples are sorted.
+const PARTS: usize = 1 << 10;
+
+/// The fractions of the area of consecutive samples, with their indices from `first`, nearly in increasing order: faces
+/// that follow each other share vertices and pages of memory.
+fn order_of(key: u64, first: usize, count: usize) -> Vec<(f64, u32)> {
+    let shares: Vec<f64> = (first..first + count).map(|i| unit(key, 3 * i as u64)).collect();
+    let part = |share: f64| (share * PARTS as f64) as usize % PARTS;
+    let mut places = [0; PARTS];
+    shares.iter().for_each(|&share| places[part(share)] += 1);
+    let mut start = 0;
+    for place in &mut places {
+        start += std::mem::replace(place, start);
+    }
+    let mut order = vec![(0.0, 0); count];
+    for (i, &share) in shares.iter().enumerate() {
+        let place = &mut places[part(share)];
+        order[*place] = (share, i as u32);
+        *place += 1;
+    }
+    order
 }
 
 /// Table of the faces by their fraction of the area.
@@ -85,8 +106,8 @@ struct Areas {
     first: Vec<u32>,
 }
 
-impl Areas {
-    fn of(mesh: &Mesh) -> Self {
+impl Derived for Areas {
+    fn derive(mesh: &Mesh) -> Self {
         let count = mesh.faces().len();
         let mut sum = 0.0;
         let sums: Vec<f64> = (0..count as u32)
@@ -107,6 +128,12 @@ impl Areas {
         Self { sums, first }
     }
 
+    fn bytes(&self) -> usize {
+        size_of_val(&self.sums[..]) + size_of_val(&self.first[..])
+    }
+}
+
+impl Areas {
     /// The face that contains a fraction of the area, 0 to 1.
     fn face_at(&self, share: f64) -> u32 {
         let count = self.sums.len();
