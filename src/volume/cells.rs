@@ -147,3 +147,46 @@ fn corners_of(field: &DeviceField, cells: &[[i32; 3]], progress: &Progress) -> R
     context.read("corners of cells", &found, &mut corners, progress)?;
     Ok(corners)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::tests::test_context;
+    use crate::mesh::random::uniform;
+    use crate::volume::FieldView;
+
+    /// A device returns the bits of a field in host memory: between centres, in the outer half voxels, at centres, and
+    /// outside. The field has several slabs, so that cells lie across their ends.
+    #[test]
+    fn a_device_has_the_bits_of_the_host() {
+        let Some(context) = test_context() else { return };
+        let grid = Grid::new(DVec3::new(-1.0, 0.5, 2.0), DVec3::new(1.0, 2.0, 2.5), [5, 4, 9]).unwrap();
+        let mut random = uniform(5);
+        let samples: Vec<f32> = (0..grid.len()).map(|_| random() as f32 - 0.5).collect();
+        let field = DeviceField::allocate(&context, grid.shape, 5 * 4 * 4 * 2).unwrap();
+        assert!(field.slabs().len() > 2);
+        for slab in field.slabs() {
+            let part = &samples[20 * slab.first_plane..][..20 * slab.planes];
+            context.fill("a field", &slab.buffer, part).unwrap();
+        }
+        let mut points: Vec<DVec3> = (0..3 * CHUNK)
+            .map(|_| grid.lower + (grid.upper - grid.lower) * (DVec3::new(random(), random(), random()) * 1.6 - 0.3))
+            .collect();
+        points.extend((0..4).map(|i| grid.center(i, i, 2 * i)));
+        points.push(DVec3::new(f64::NAN, 1.0, 2.2));
+
+        let host = FieldView::new(grid, &samples).unwrap();
+        let bits = |values: Vec<f32>| values.into_iter().map(f32::to_bits).collect::<Vec<_>>();
+        let progress = Progress::new();
+        for inner in [[grid.lower, grid.upper], [DVec3::new(-0.5, 0.8, 2.1), DVec3::new(0.5, 1.6, 2.4)]] {
+            for filter in [SampleFilter::Linear, SampleFilter::Nearest] {
+                let here = host.sample(&points, inner, filter, &progress).unwrap();
+                let there = sample(&field, &grid, &points, inner, filter, &progress).unwrap();
+                assert_eq!(bits(there), bits(here));
+            }
+        }
+        let flat = |values: Vec<Vec3>| bits(values.into_iter().flat_map(|v| v.to_array()).collect());
+        let here = host.gradients(&points, &progress).unwrap();
+        assert_eq!(flat(gradients(&field, &grid, &points, &progress).unwrap()), flat(here));
+    }
+}
