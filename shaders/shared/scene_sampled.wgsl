@@ -42,17 +42,18 @@ fn sampled_gradient(field: SceneField, point: vec3f) -> vec3f {
     return normalize(slope / largest);
 }
 
-// Unit direction of the gradient at a point of the box with the distance s, by differences over one voxel inwards; zero
-// where there is none.
+// Unit direction of the gradient in the cell at a point of the box with the distance s; zero where there is none. The
+// field is linear along an axis in its cell, so the farther face of the cell gives the slope.
 fn direction_at_rim(field: SceneField, point: vec3f, s: f32) -> vec3f {
     let last = vec3f(field.shape) - 1.0;
     let b = clamp(point, vec3f(0.0), last);
-    let inwards = select(vec3f(-1.0), vec3f(1.0), b < 0.5 * last);
+    let first = floor(min(b, max(last - 1.0, vec3f(0.0))));
+    let face = select(first, first + 1.0, b - first < vec3f(0.5));
     var slope: vec3f;
     for (var axis = 0u; axis < 3u; axis++) {
-        var step = vec3f(0.0);
-        step[axis] = inwards[axis];
-        slope[axis] = (sample_field(field, b + step) - s) * inwards[axis];
+        var p = b;
+        p[axis] = face[axis];
+        slope[axis] = (sample_field(field, p) - s) / (face[axis] - b[axis]);
     }
     slope /= field.spacing;
     let largest = max(abs(slope.x), max(abs(slope.y), abs(slope.z)));

@@ -5,6 +5,7 @@
 
 use super::Instance;
 use super::field::Field;
+use super::nearby::Nearby;
 use super::thin::ThinRays;
 use glam::Vec3;
 
@@ -75,7 +76,7 @@ pub struct ConeSum<'a> {
 #[derive(Clone, Copy)]
 pub struct WideCone<'a> {
     /// The instances that the cone and the rays past its edges may meet.
-    pub nearby: &'a [u32],
+    pub nearby: &'a Nearby,
     /// Lower bound, in radii, of the distance between a free axis and the surface of the instance. Distances of its
     /// field may be loose bounds. A positive value proves that the axis is free.
     pub least_x: f32,
@@ -111,7 +112,7 @@ impl<'a> ConeSum<'a> {
         Self { translucent: 1.0, is_proven: true, opaque: Cone::FREE, thin: ThinRays::NEW, wide: None };
 
     /// Initial results of a wide cone of occlusion.
-    pub fn wide(nearby: &'a [u32]) -> Self {
+    pub fn wide(nearby: &'a Nearby) -> Self {
         Self { wide: Some(WideCone { nearby, least_x: -1.0, ball: BallAhead::ENDLESS }), ..Self::NEW }
     }
 

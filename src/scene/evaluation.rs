@@ -6,7 +6,8 @@
 //! evaluates it at the centres of the pixels. Every other surface has the bilinearly weighted mean of those of the four
 //! evaluated surfaces around it that belong to the same instance, lie in its plane and have a similar normal (joint
 //! bilateral upsampling: Kopf et al., SIGGRAPH 2007). Where too few of them match, or where they disagree, as at the
-//! edge of a shadow, the light is evaluated.
+//! edge of a shadow, the light is evaluated. Occlusion is smoother than shadows, so it is evaluated on a coarser lattice,
+//! and its interpolation regards normals and curvature ([`super::upsampling`]).
 
 use super::RenderOptions;
 use super::device_beams::evaluate_by_beams;
@@ -23,12 +24,12 @@ use rayon::prelude::*;
 
 /// Occlusion is evaluated at one of this many pixels along each side. Between these pixels it is interpolated on
 /// lattices that are twice as fine from one to the next. A pixel is also evaluated if its neighbours on the coarser
-/// lattice lie on other surfaces or disagree.
-const OCCLUSION_SCALE: u32 = 4;
+/// lattice lie on other surfaces or disagree, or if another surface is visible near it.
+const OCCLUSION_SCALE: u32 = 8;
 
 /// Units of progress that one call of [`find`] counts per row of the picture. The number is divisible by each possible
-/// number of lattices, 1 to 3.
-pub(crate) const FIND_WORTH: u64 = 6;
+/// number of lattices, 1 to 4.
+pub(crate) const FIND_WORTH: u64 = 12;
 
 /// Whether the occlusion of a first pass is computed separately from the lights, at its own scale.
 pub(crate) fn shares_occlusion(options: &RenderOptions) -> bool {

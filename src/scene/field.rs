@@ -16,7 +16,7 @@ use crate::grid::Grid;
 use crate::progress::Progress;
 use crate::render::blocks::{Blocks, DenseBlock};
 use crate::render::march::{GridRay, Marcher};
-use crate::volume::{Cell, FieldView, Trilinear, trilinear};
+use crate::volume::{Cell, FieldView, Trilinear, trilinear, trilinear_gradient};
 use glam::{DAffine3, DMat3, DVec3, IVec3, Vec3};
 
 /// A ray in field space: `origin + t direction`, with `t` in the unit of the caller.
@@ -144,33 +144,45 @@ impl<F: Blocks> SampledField<F> {
         Ok(Self { marcher: Marcher::new(field, progress)?, surface: [lower, upper], spacing, last_point, last_cell })
     }
 
-    /// Unit direction of the gradient at a point on the box with the distance `s`, by differences over one voxel
-    /// inwards; zero where there is none.
-    fn direction_at_rim(&self, b: Vec3, s: f32) -> Vec3 {
-        let last = self.last_point - 0.5;
-        let b = b.clamp(Vec3::ZERO, last);
-        let inwards = Vec3::select(b.cmplt(0.5 * last), Vec3::ONE, Vec3::NEG_ONE);
-        let change = |step: Vec3| self.sample(b + step * inwards) - s;
-        let slope = inwards * Vec3::new(change(Vec3::X), change(Vec3::Y), change(Vec3::Z)) / self.spacing;
-        let largest = slope.abs().max_element();
-        if largest == 0.0 { Vec3::ZERO } else { (slope / largest).normalize_or_zero() }
-    }
-
     pub fn marcher(&self) -> &Marcher<F> {
         &self.marcher
     }
 
-    /// The trilinear field at the nearest point of the box.
+    /// The corners of the cell at the nearest point of the box, the position in the cell from 0 to 1, and the side of the
+    /// cell in voxels.
     ///
     /// The field is constant along an axis past the outermost samples, so the point moves to them: the cells there lie
     /// between samples.
     #[inline]
-    fn sample(&self, p: Vec3) -> f32 {
+    fn cell_at(&self, p: Vec3) -> ([f32; 8], Vec3, f32) {
         let p = p.clamp(Vec3::ZERO, self.last_point - 0.5);
         // The position is not negative, so the conversion rounds down.
         let cell = self.marcher.field.cell(p.min(self.last_cell).as_ivec3());
-        trilinear(&cell.corners, (p - cell.first.as_vec3()) / cell.size as f32)
+        let size = cell.size as f32;
+        (cell.corners, (p - cell.first.as_vec3()) / size, size)
     }
+
+    /// The trilinear field at the nearest point of the box.
+    #[inline]
+    fn sample(&self, p: Vec3) -> f32 {
+        let (corners, fraction, _) = self.cell_at(p);
+        trilinear(&corners, fraction)
+    }
+
+    /// [`Self::sample`], and the unit direction of the gradient of its cell; zero where there is none.
+    #[inline]
+    fn sample_and_direction(&self, p: Vec3) -> (f32, Vec3) {
+        let (corners, fraction, size) = self.cell_at(p);
+        let slope = trilinear_gradient(&corners, fraction) / (size * self.spacing);
+        (trilinear(&corners, fraction), unit(slope))
+    }
+}
+
+/// The unit vector of a slope; zero if the slope is zero. Division by the largest component keeps squares in range.
+#[inline]
+fn unit(slope: Vec3) -> Vec3 {
+    let largest = slope.abs().max_element();
+    if largest == 0.0 { Vec3::ZERO } else { (slope / largest).normalize_or_zero() }
 }
 
 impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
@@ -215,8 +227,8 @@ impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
         if p == b {
             return distance;
         }
-        let s = self.sample(b);
-        ((p - b) * self.spacing + s.max(0.0) * self.direction_at_rim(b, s)).length()
+        let (s, direction) = self.sample_and_direction(b);
+        ((p - b) * self.spacing + s.max(0.0) * direction).length()
     }
 
     fn gradient(&self, p: Vec3) -> Vec3 {
@@ -226,8 +238,7 @@ impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
         let p = p.max(low).min((self.last_point - 1.0).max(low));
         let across = |half: Vec3| self.sample(p + half) - self.sample(p - half);
         let slope = Vec3::new(across(0.5 * Vec3::X), across(0.5 * Vec3::Y), across(0.5 * Vec3::Z)) / self.spacing;
-        let largest = slope.abs().max_element();
-        if largest == 0.0 { Vec3::ZERO } else { (slope / largest).normalize_or_zero() }
+        unit(slope)
     }
 
     fn is_loose(&self) -> bool {

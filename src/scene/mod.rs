@@ -41,6 +41,7 @@ pub(crate) mod light_rays;
 pub(crate) mod lit_surface;
 pub(crate) mod material;
 pub(crate) mod model;
+pub(crate) mod nearby;
 pub(crate) mod nested;
 pub(crate) mod objects;
 pub(crate) mod occlusion;

@@ -24,6 +24,7 @@
 use super::cone::{BallAhead, ConeSum, WideCone};
 use super::field::Field;
 use super::light_rays::{LightCone, LightRay, LightWork, SurfacePoint, basis};
+use super::nearby::Nearby;
 use super::shadow::{Casters, bias};
 use super::tree::Line;
 use super::{Instance, Scene};
@@ -146,7 +147,7 @@ pub struct Occluders {
     /// Centre and radius of the last search.
     around: Option<(Vec3, f32)>,
     /// The instances that it found.
-    nearby: Vec<u32>,
+    nearby: Nearby,
     /// Whether some instances of `nearby` are not opaque solids.
     is_mixed: bool,
     /// The instances that cones from the place may meet.
@@ -173,10 +174,9 @@ impl Occluders {
         [x, y, z, squared, radius, tangent].into_iter().for_each(Vec::clear);
     }
 
-    fn push(&mut self, item: u32, ball: Ball, p: Vec3) {
-        let way = ball.center - p;
+    fn push(&mut self, item: u32, (way, radius): (Vec3, f32)) {
         let squared = way.length_squared();
-        let tangent = squared - ball.radius * ball.radius;
+        let tangent = squared - radius * radius;
         // Inside a ball all values are 0, and so is the bound.
         let is_outside = tangent > ROUNDING * squared;
         let outside = |value: f32| if is_outside { value } else { 0.0 };
@@ -185,7 +185,7 @@ impl Occluders {
         self.y.push(way.y);
         self.z.push(way.z);
         self.squared.push(squared);
-        self.radius.push(outside(ball.radius));
+        self.radius.push(outside(radius));
         self.tangent.push(outside(tangent.max(0.0).sqrt()));
     }
 
@@ -248,8 +248,8 @@ impl Casters<'_> {
     /// A cone ends at `distance` with the radius `slope distance`. So it meets no surface beyond
     /// `distance (1 + slope)`, and no surface below the lowest point of the balls about the axes of the ring.
     pub fn gather(&self, place: &SurfacePoint, distance: f64, occluders: &mut Occluders) {
-        let Scene { tree, boxes, instances, .. } = self.scene;
-        let (p, up) = (place.p.as_vec3(), place.normal.cmpgt(Vec3::ZERO));
+        let Scene { tree, instances, .. } = self.scene;
+        let p = place.p.as_vec3();
         let reach = distance as f32 * (1.0 + AO_SLOPE) * (1.0 + ROUNDING);
         let depth = distance as f32 * (AO_SLOPE - AO_RING.0 as f32) + ROUNDING * reach;
         let balls = self.scene.balls();
@@ -260,19 +260,18 @@ impl Casters<'_> {
                 let instance = &instances[item as usize];
                 let is_solid = !instance.is_sheet && instance.field.is_some();
                 if is_solid && instance.casts_shadow && instance.shade > 0.0 {
-                    occluders.nearby.push(item);
+                    let ball = &balls[item as usize];
+                    occluders.nearby.push(item, ball.center, ball.radius);
                 }
             });
-            occluders.is_mixed = occluders.nearby.iter().any(|&item| !instances[item as usize].is_opaque_solid());
+            occluders.is_mixed = occluders.nearby.items.iter().any(|&item| !instances[item as usize].is_opaque_solid());
         }
         occluders.clear();
-        for i in 0..occluders.nearby.len() {
-            let item = occluders.nearby[i];
-            let bounds = &boxes[item as usize];
-            let highest = Vec3::select(up, bounds.max, bounds.min);
-            let is_below = (highest - p).dot(place.normal) < -depth;
-            if !is_below && p.distance_squared(p.clamp(bounds.min, bounds.max)) <= reach * reach {
-                occluders.push(item, balls[item as usize], p);
+        for i in 0..occluders.nearby.items.len() {
+            let (way, radius) = occluders.nearby.ball_from(i, p);
+            let is_below = way.dot(place.normal) + radius < -depth;
+            if !is_below && way.length_squared() <= (reach + radius) * (reach + radius) {
+                occluders.push(occluders.nearby.items[i], (way, radius));
             }
         }
     }
@@ -348,7 +347,7 @@ mod tests {
             let direction = way.normalize();
             let mut occluders = Occluders::default();
             for (i, &(center, radius)) in centers.iter().enumerate() {
-                occluders.push(i as u32, Ball { center, radius, field_radius: radius }, p);
+                occluders.push(i as u32, (center - p, radius));
             }
             occluders.meet(direction, AO_SLOPE);
             for (i, &(center, radius)) in centers.iter().enumerate() {

@@ -29,6 +29,7 @@ use super::cone::{Cone, ConeShare, ConeSum, ConeWalk, WideCone};
 use super::far::{Far, FarLevel, Split};
 use super::field::{Field, FieldRay};
 use super::light_rays::{LightCone, LightRay, LightWork, PARTS, SurfacePoint, basis, clip, disc_point, toward, widest};
+use super::nearby::Nearby;
 use super::thin::is_clear;
 use super::tree::Line;
 use super::{Instance, Scene};
@@ -222,7 +223,7 @@ impl<'a> Casters<'a> {
         &self,
         place: &SurfacePoint,
         ray: &LightRay,
-        nearby: Option<&[u32]>,
+        nearby: Option<&Nearby>,
         work: &mut LightWork,
     ) -> (f32, bool) {
         let split = self.split(place, ray, 0.0);
@@ -242,8 +243,9 @@ impl<'a> Casters<'a> {
         match nearby {
             None => self.scene.tree.walk(&line, reach, pass),
             Some(nearby) => {
-                let mut met = nearby.iter().filter(|&&item| line.meets(&self.scene.boxes[item as usize], reach));
-                met.any(|&item| pass(item, reach) < 0.0);
+                let near = nearby.along(place.p.as_vec3(), ray.direction.as_vec3());
+                let mut met = near.filter(|&item| line.meets(&self.scene.boxes[item as usize], reach));
+                met.any(|item| pass(item, reach) < 0.0);
             }
         }
         let is_far = split.far.is_some() && share > 0.0;
@@ -368,7 +370,7 @@ impl<'a> Casters<'a> {
         walk: &ConeWalk<'_>,
         t_hit: f32,
         LightCone { place, ray, .. }: LightCone<'_>,
-        nearby: Option<&[u32]>,
+        nearby: Option<&Nearby>,
         work: &mut LightWork,
     ) -> Cone {
         let (cone, edge) = walk.inside(t_hit, &mut work.steps);

@@ -1,23 +1,57 @@
 //! Light interpolated from evaluated neighbours: joint bilateral upsampling (Kopf et al., SIGGRAPH 2007).
 
-use super::gbuffer::GBuffer;
+use super::gbuffer::{GBuffer, Layer};
 use super::light_buffer::{LightBuffer, stride};
 use super::lit_surface::LitSurface;
 use super::pass::Pass;
 use crate::error::Error;
-use glam::DVec3;
+use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
 /// Smallest cosine between normals of surfaces that share their light: 18 degrees.
 const SAME_NORMAL: f32 = 0.95;
+/// The same for occlusion, whose change with the normal is estimated: 26 degrees.
+const SIMILAR_NORMAL: f32 = 0.9;
 /// Values that differ by less may be averaged, if they are at most two pixels apart. For four pixels the limit is half
 /// as large.
 const AGREE: f32 = 0.125;
-/// Values of occlusion that differ by less may be averaged. The limit is larger than [`AGREE`], because the edges of
-/// occlusion are softer than those of shadows.
-const AGREE_OPEN: f32 = 0.25;
 /// Smallest sum of the bilinear weights of matching neighbours.
 const ENOUGH: f32 = 0.5;
+/// The sum of the weights if all neighbours match, less rounding.
+const ALL: f32 = 1.0 - 1e-4;
+
+/// Limits for the interpolation of occlusion, which is smooth except near contacts. Errors seen in a picture spread over
+/// an area, so the limits fall with the distance between evaluated pixels.
+#[derive(Debug, Clone, Copy)]
+struct OpenLimits {
+    /// Values that differ by less may be averaged.
+    agree: f32,
+    /// Values that differ by less may be interpolated if the values beyond them show how they change.
+    smooth: f32,
+    /// Largest estimate of the error of linear interpolation for that.
+    bend: f32,
+    /// Smallest sum of the bilinear weights of matching neighbours. Values are not extended over four pixels.
+    enough: f32,
+    /// Largest distance in pixels, along rows and columns, of other surfaces whose contact would be missed.
+    apart: u32,
+}
+
+impl OpenLimits {
+    /// Limits for evaluated pixels that are `every` pixels apart.
+    fn new(every: u32) -> Self {
+        let smooth = 1.0 / every as f32;
+        let agree = if every == 1 { 0.25 } else { smooth * smooth };
+        let enough = if every > 4 { ALL } else { ENOUGH };
+        Self { agree, smooth, bend: smooth / 16.0, enough, apart: every * every / 16 }
+    }
+}
+
+/// Smallest difference of values for which their change is estimated.
+const NOTABLE: f32 = 1.0 / 32.0;
+/// Weight of the values beyond the neighbours in the estimate of the change with the normal.
+const BEYOND_WEIGHT: f32 = 0.25;
+/// Variance of the normals, per axis, at which half of a change is attributed to them.
+const NORMAL_VARIANCE: f32 = 0.01;
 
 /// Interpolates light for the surfaces of the pass from a buffer that has light at every `every`-th pixel. Values are
 /// interpolated at every `finer`-th pixel.
@@ -29,19 +63,30 @@ pub(crate) fn gather(
     [every, finer]: [u32; 2],
 ) -> Result<(), Error> {
     let lights = known.lights;
-    let is_open_only = pass.lights.lights.is_empty();
-    let agree = if is_open_only && every <= 2 { AGREE_OPEN } else { AGREE * (2.0 / every as f32).min(1.0) };
+    // Occlusion alone has one value per surface.
+    let open = pass.lights.lights.is_empty().then(|| OpenLimits::new(every));
+    let agree = AGREE * (2.0 / every as f32).min(1.0);
     known.rows.par_iter_mut().enumerate().try_for_each(|(y, row)| {
         let mut neighbours = Vec::with_capacity(4);
         for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
             if !layer.x.is_multiple_of(finer) || !(y as u32).is_multiple_of(finer) {
                 continue;
             }
-            let surface = LitSurface::new(pass.casters.scene, pass.buffer, y, layer);
-            neighbours.clear();
-            fitting(pass, &surface, y, source, asked, every, &mut neighbours);
+            let is_lattice = layer.x.is_multiple_of(every) && (y as u32).is_multiple_of(every);
+            if every > finer && is_lattice {
+                continue;
+            }
             let values = &mut row.values[i * stride(lights)..][..stride(lights)];
+            let around = Around::new(pass.buffer, (y, layer), (source, asked), every);
+            if let Some(limits) = open {
+                let value = around.open_share(&limits, &mut neighbours);
+                row.is_known[i] = value.is_some();
+                values[0] = value.unwrap_or_default();
+                continue;
+            }
+            around.fitting(SAME_NORMAL, &mut neighbours);
             row.is_known[i] = mean(&neighbours, agree, values);
+            let surface = LitSurface::new(pass.casters.scene, pass.buffer, y, layer);
             for (light, share) in pass.lights.lights.iter().zip(&mut values[1..]) {
                 if let Some(plain) = surface.plain_share(&light.seen_from(surface.place.p).0, pass.options) {
                     *share = plain;
@@ -52,61 +97,189 @@ pub(crate) fn gather(
     })
 }
 
-/// The evaluated surfaces around a surface that can share their light with it, and their bilinear weights.
-fn fitting<'a>(
-    pass: &Pass<'_>,
-    surface: &LitSurface<'_>,
+/// A surface, and the evaluated surfaces around it.
+struct Around<'s, 'a> {
+    buffer: &'s GBuffer,
+    layer: &'s Layer,
     y: usize,
-    source: &GBuffer,
+    /// World position of the surface.
+    p: DVec3,
+    /// Half the distance between two evaluated pixels on the surface.
+    apart: f64,
+    /// The picture of the evaluated surfaces, and their light.
+    source: &'s GBuffer,
     asked: &'a LightBuffer,
     every: u32,
-    neighbours: &mut Vec<(&'a [f32], f32)>,
-) {
-    let view = &pass.buffer.view;
-    let eye = view.camera.eye;
-    let p = eye + surface.layer.depth * view.direction(surface.layer.x, y as u32);
-    let normal = surface.layer.normal.as_dvec3();
-    // Half the distance between two evaluated pixels on the surface.
-    let apart = 0.5 * view.camera.pixel_size(view.size[1]) * surface.layer.depth * f64::from(every);
-    let at = |pixel: u32, offset: f64| (f64::from(pixel) + offset - 0.5) / f64::from(every);
-    let (u, v) = (at(surface.layer.x, view.offset[0]), at(y as u32, view.offset[1]));
-    for (dx, dy) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
-        let (column, line) = (u.floor() + dx, v.floor() + dy);
-        let weight = ((1.0 - (u - column).abs()) * (1.0 - (v - line).abs())) as f32;
-        let (x, y) = (column * f64::from(every), line * f64::from(every));
-        if weight <= 0.0 || x < 0.0 || y < 0.0 || y >= f64::from(view.size[1]) {
-            continue;
+}
+
+/// An evaluated surface that can share its light.
+#[derive(Clone, Copy)]
+struct Neighbour<'a> {
+    values: &'a [f32],
+    normal: Vec3,
+    /// Bilinear weight.
+    weight: f32,
+    /// Position in units of the distance between evaluated pixels, relative to the surface.
+    offset: [f64; 2],
+}
+
+impl<'s, 'a> Around<'s, 'a> {
+    /// A layer of row `y`, and the light at every `every`-th pixel of a picture.
+    fn new(
+        buffer: &'s GBuffer,
+        (y, layer): (usize, &'s Layer),
+        (source, asked): (&'s GBuffer, &'a LightBuffer),
+        every: u32,
+    ) -> Self {
+        let view = &buffer.view;
+        let p = view.camera.eye + layer.depth * view.direction(layer.x, y as u32);
+        let apart = 0.5 * view.camera.pixel_size(view.size[1]) * layer.depth * f64::from(every);
+        Self { buffer, layer, y, p, apart, source, asked, every }
+    }
+
+    /// Position of the surface in units of the distance between evaluated pixels.
+    fn position(&self) -> [f64; 2] {
+        let offset = self.buffer.view.offset;
+        let at = |pixel: u32, offset: f64| (f64::from(pixel) + offset - 0.5) / f64::from(self.every);
+        [at(self.layer.x, offset[0]), at(self.y as u32, offset[1])]
+    }
+
+    /// The evaluated surfaces around the surface that can share their light with it. The cosine between the normals is
+    /// at least `least_cosine`.
+    fn fitting(&self, least_cosine: f32, neighbours: &mut Vec<Neighbour<'a>>) {
+        neighbours.clear();
+        let [u, v] = self.position();
+        for (dx, dy) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
+            let (column, line) = (u.floor() + dx, v.floor() + dy);
+            let weight = ((1.0 - (u - column).abs()) * (1.0 - (v - line).abs())) as f32;
+            if weight > 0.0
+                && let Some((values, normal)) = self.evaluated(column, line, least_cosine, 1.0)
+            {
+                neighbours.push(Neighbour { values, normal, weight, offset: [column - u, line - v] });
+            }
+        }
+    }
+
+    /// The values and normal at an evaluated pixel, if its surface belongs to the same instance, lies in the plane of the
+    /// surface, and has a similar normal. Column and line are in units of the distance between evaluated pixels. `far`
+    /// scales the permitted distance from the plane.
+    fn evaluated(&self, column: f64, line: f64, least_cosine: f32, far: f64) -> Option<(&'a [f32], Vec3)> {
+        let (x, y) = (column * f64::from(self.every), line * f64::from(self.every));
+        let view = &self.source.view;
+        if x < 0.0 || y < 0.0 || y >= f64::from(view.size[1]) {
+            return None;
         }
         let (x, y) = (x as u32, y as usize);
-        let layers = &source.rows[y];
+        let layers = &self.source.rows[y];
         let first = layers.partition_point(|layer| layer.x < x);
-        let same = layers[first..].iter().take_while(|layer| layer.x == x).position(|layer| {
-            layer.instance == surface.layer.instance && layer.normal.dot(surface.layer.normal) >= SAME_NORMAL && {
-                let q: DVec3 = eye + layer.depth * source.view.direction(x, y as u32);
-                normal.dot(q - p).abs() <= apart
+        let same = layers[first..].iter().take_while(|layer| layer.x == x).position(|other| {
+            let layer = self.layer;
+            other.instance == layer.instance && other.normal.dot(layer.normal) >= least_cosine && {
+                let q = view.camera.eye + other.depth * view.direction(x, y as u32);
+                layer.normal.as_dvec3().dot(q - self.p).abs() <= far * self.apart
             }
         });
-        if let Some(i) = same {
-            neighbours
-                .push((&asked.rows[y].values[(first + i) * stride(asked.lights)..][..stride(asked.lights)], weight));
+        let i = first + same?;
+        let stride = stride(self.asked.lights);
+        Some((&self.asked.rows[y].values[i * stride..][..stride], layers[i].normal))
+    }
+
+    /// The open fraction interpolated from the neighbours; None if it must be evaluated.
+    ///
+    /// Where the neighbours differ, the values beyond them are used too. A ridge regression attributes changes to the
+    /// normal, because the open fraction of a curved surface varies most with its normal. What remains is interpolated
+    /// along each diagonal, row or column by the cubic polynomial through four values `a, b, c, d`:
+    ///
+    /// ```text
+    ///   (9 b + 9 c - a - d) / 16  =  (b + c) / 2 + (b - a + c - d) / 16
+    /// ```
+    ///
+    /// The second term estimates the error of linear interpolation.
+    fn open_share(&self, limits: &OpenLimits, neighbours: &mut Vec<Neighbour<'a>>) -> Option<f32> {
+        self.fitting(SIMILAR_NORMAL, neighbours);
+        let neighbours = &*neighbours;
+        let total: f32 = neighbours.iter().map(|near| near.weight).sum();
+        if total < limits.enough || !self.is_alone(limits.apart) {
+            return None;
         }
+        let normal = self.layer.normal;
+        let average = |value: &dyn Fn(&Neighbour<'a>) -> f32| {
+            neighbours.iter().map(|near| near.weight * value(near)).sum::<f32>() / total
+        };
+        let mean = average(&|near| near.values[0]);
+        let range = |value: &dyn Fn(&Neighbour<'a>) -> f32| {
+            let low = neighbours.iter().map(value).fold(f32::INFINITY, f32::min);
+            neighbours.iter().map(value).fold(f32::NEG_INFINITY, f32::max) - low
+        };
+        if range(&|near| near.values[0]) <= limits.agree.min(NOTABLE) {
+            return Some(mean);
+        }
+        let [u, v] = self.position();
+        let beyond: [Option<(&[f32], Vec3)>; 4] = std::array::from_fn(|i| {
+            let [x, y] = neighbours.get(i)?.offset;
+            // A sample of a finer picture has no lattice position of its own.
+            let is_lattice = [x, y].iter().all(|along| along.abs() == 0.5 || *along == 0.0);
+            is_lattice.then(|| self.evaluated(u + 3.0 * x, v + 3.0 * y, 0.0, 3.0)).flatten()
+        });
+        let middle = neighbours.iter().map(|near| near.weight * near.normal).sum::<Vec3>() / total;
+        let (mut spread, mut change) = (Mat3::from_diagonal(Vec3::splat(NORMAL_VARIANCE)), Vec3::ZERO);
+        let mut include = |weight: f32, values: &[f32], normal: Vec3| {
+            let off = normal - middle;
+            spread += Mat3::from_cols(weight * off.x * off, weight * off.y * off, weight * off.z * off);
+            change += weight * (values[0] - mean) * off;
+        };
+        for (near, beyond) in neighbours.iter().zip(&beyond) {
+            include(near.weight, near.values, near.normal);
+            if let Some((values, normal)) = beyond {
+                include(BEYOND_WEIGHT * near.weight, values, *normal);
+            }
+        }
+        // No fraction changes faster than that of a half space, by 1 from one normal to its opposite.
+        let slope = (spread.inverse() * change).clamp_length_max(1.0);
+        let level = |values: &[f32], of: Vec3| values[0] + slope.dot(normal - of);
+        let value = average(&|near| level(near.values, near.normal));
+        let range = range(&|near| level(near.values, near.normal));
+        let bend = neighbours.iter().zip(&beyond).map(|(near, beyond)| {
+            let (values, normal) = (*beyond)?;
+            Some(near.weight * (level(near.values, near.normal) - level(values, normal)) / 8.0)
+        });
+        let bend = bend.sum::<Option<f32>>().filter(|_| total >= ALL);
+        let is_smooth = bend.is_some_and(|bend| bend.abs() <= limits.bend && range <= limits.smooth);
+        let bend = bend.unwrap_or_default().clamp(-NOTABLE, NOTABLE);
+        (is_smooth || range <= limits.agree).then(|| (value + bend).clamp(0.0, 1.0))
+    }
+
+    /// Whether no other surface is visible within this many pixels along rows and columns: another instance, or a face
+    /// of the same instance with another normal.
+    fn is_alone(&self, apart: u32) -> bool {
+        let (x, y) = (self.layer.x, self.y);
+        let rows = &self.buffer.rows;
+        let lines = y.saturating_sub(apart as usize)..(y + apart as usize + 1).min(rows.len());
+        apart == 0
+            || lines.into_iter().all(|line| {
+                let first = rows[line].partition_point(|layer| layer.x + apart < x);
+                let mut near = rows[line][first..].iter().take_while(|layer| layer.x <= x + apart);
+                near.all(|other| {
+                    other.instance == self.layer.instance && other.normal.dot(self.layer.normal) >= SIMILAR_NORMAL
+                })
+            })
     }
 }
 
 /// The weighted mean of values; false if there are too few or they differ by more than `agree`.
-fn mean(neighbours: &[(&[f32], f32)], agree: f32, values: &mut [f32]) -> bool {
-    let total: f32 = neighbours.iter().map(|(_, weight)| weight).sum();
+fn mean(neighbours: &[Neighbour<'_>], agree: f32, values: &mut [f32]) -> bool {
+    let total: f32 = neighbours.iter().map(|near| near.weight).sum();
     if total < ENOUGH {
         return false;
     }
     for (i, value) in values.iter_mut().enumerate() {
-        let of = |neighbour: &(&[f32], f32)| neighbour.0[i];
+        let of = |near: &Neighbour<'_>| near.values[i];
         let low = neighbours.iter().map(of).fold(f32::INFINITY, f32::min);
         let high = neighbours.iter().map(of).fold(0.0, f32::max);
         if high - low > agree {
             return false;
         }
-        *value = neighbours.iter().map(|(values, weight)| values[i] * weight).sum::<f32>() / total;
+        *value = neighbours.iter().map(|near| near.values[i] * near.weight).sum::<f32>() / total;
     }
     true
 }

@@ -111,6 +111,33 @@ def test_occlusion_is_that_of_exact_cones(kind: str, device: str) -> None:
     assert abs((open_share - exact).mean()) <= 1 / 64
 
 
+def test_interpolated_occlusion_is_that_of_a_finer_picture() -> None:
+    ball = fb.Mesh(*meshes.icosphere(3))
+    places = [moved(x, 0.35, z, scale=(0.35,) * 3) for x in (-1.5, -0.5, 0.5, 1.5) for z in (-1.5, -0.5, 0.5, 1.5)]
+    instances = [fb.Instance(ball, place, resolution=32) for place in places]
+    scene = fb.Scene([*instances, plane(4, y=0)], lights=[], ambient=1, background=(0, 0, 0))
+    camera = fb.Camera((0, 4, 5), (0, 0, 0), fov_deg=45)
+    shares = []
+    for scale in (1, 3):
+        options = {"size": (scale * 120, scale * 90), "shadows": "none", "device": "cpu"}
+        plain = fb.render(scene, camera, **options)
+        frame = fb.render(scene, camera, **options, ambient_occlusion=1.5)
+        share = frame.color[..., 0] / np.where(np.isfinite(plain.depth), plain.color[..., 0], 1)
+        # The centre of a pixel of the first picture is the centre of every third pixel of the second.
+        shares.append(
+            (share if scale == 1 else share[1::3, 1::3])[
+                np.isfinite(plain.depth)[scale // 2 :: scale, scale // 2 :: scale]
+            ]
+        )
+        evaluated = (frame.steps > plain.steps)[np.isfinite(plain.depth)].mean()
+    error = np.abs(shares[0] - shares[1])
+    assert evaluated <= 0.15
+    # Values that differ by up to 1/4 are averaged at every second pixel, which is off by at most half of it for values
+    # that only rise or fall. Their mean error is a quarter of that.
+    assert (error <= 1 / 8).mean() >= 0.97
+    assert error.mean() <= 1 / 32
+
+
 def test_a_bar_appears_on_a_terminal_in_long_work(monkeypatch) -> None:
     class Terminal(io.StringIO):
         def isatty(self) -> bool:
@@ -130,8 +157,8 @@ def test_a_bar_appears_on_a_terminal_in_long_work(monkeypatch) -> None:
 
 def test_progress_is_reported_within_the_light_pass() -> None:
     fractions: list[float] = []
-    options = {"size": (240, 180), "shadows": "none", "ambient_occlusion": 4.0, "device": "cpu"}
+    options = {"size": (480, 360), "shadows": "none", "ambient_occlusion": 4.0, "device": "cpu"}
     fb.render(crowd(20), CAMERA, progress=fractions.append, **options)
-    # The search for visible surfaces is a fourteenth of the progress. The light pass, which takes longer, reports too.
+    # The search for visible surfaces is a 25th of the progress. The light pass, which takes longer, reports too.
     assert np.all(np.diff(fractions) >= 0)
     assert sum(0.1 <= fraction <= 0.95 for fraction in fractions) >= 2

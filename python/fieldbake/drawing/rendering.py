@@ -50,8 +50,10 @@ def render(
     ambient_occlusion : bool or float, default False
         Whether nearby surfaces darken ambient light, by seven cones over the hemisphere. A number is the largest
         distance of such surfaces, world units. True uses 0.15 of the diagonal of the scene. Occlusion is evaluated at
-        every fourth pixel of every fourth row and interpolated in between. Pixels whose neighbours lie on another
-        surface, or differ by more than 1/16 (1/4 at every second pixel), are evaluated too.
+        every eighth pixel of every eighth row and interpolated in between, on lattices of 4, 2 and 1 pixels. Pixels
+        are evaluated too if another surface is visible near them, if their neighbours lie on another surface, or if
+        the neighbours differ by more than interpolation can follow: at most 1/2 at every second pixel, 1/8 at every
+        eighth.
     samples : int, default 1
         Colour samples per pixel, a square number up to 64: 1, 4, 9, 16, ... Higher values smooth edges. Depth,
         normals and ids are taken at the pixel centre. Lighting is interpolated from neighbouring centres where they
