@@ -10,12 +10,12 @@
 #[cfg(target_arch = "x86_64")]
 use super::packet;
 use super::ray_lanes::{LaneRay, RayPack};
+use super::ray_search::{RayTables, ReadyRay};
 use super::watertight::{ClippedRay, FaceHit, Ray};
-use super::{Bvh, ChildRef, MAX_STACK, Node, WIDTH};
+use super::{Bvh, Node, WIDTH};
 use crate::mesh::Mesh;
 use crate::mesh::topology::Orientation;
 use glam::DVec3;
-use std::mem::MaybeUninit;
 
 impl Mesh {
     /// The first hit of a ray that `accept` returns true for. Among equal distances the lowest face is returned.
@@ -138,7 +138,7 @@ impl Mesh {
     /// limit. The limits of the ray are exact.
     #[inline(always)]
     fn traverse(&self, ray: &Ray, mut accept: impl FnMut(FaceHit) -> f64) {
-        let tables = self.ray_tables();
+        let tables = RayTables::new(self);
         let Some(ready) = tables.ready(ray) else { return };
         #[cfg(target_arch = "x86_64")]
         {
@@ -176,190 +176,13 @@ impl Mesh {
             }
             if std::arch::is_x86_feature_detected!("avx2") {
                 // SAFETY: the processor has AVX2.
-                return unsafe { wide(&self.ray_tables(), rays, near, &mut accept) };
+                return unsafe { wide(&RayTables::new(self), rays, near, &mut accept) };
             }
         }
         let _ = near;
         for (i, ray) in rays.iter().enumerate() {
             self.traverse(ray, |hit| accept(i, hit));
         }
-    }
-
-    fn ray_tables(&self) -> RayTables<'_> {
-        let bvh = self.bvh();
-        let [min, max] = [bvh.bounds.min, bvh.bounds.max].map(|corner| corner.as_dvec3());
-        RayTables { mesh: self, bvh, packs: &self.ray_packs().0, min, max }
-    }
-}
-
-/// A ray prepared for a search: its part inside the box of the mesh, in float64 and in float32.
-#[derive(Debug)]
-pub(super) struct ReadyRay {
-    clipped: ClippedRay,
-    pub lanes: LaneRay,
-}
-
-impl ReadyRay {
-    /// The limit of a search of the whole ray.
-    #[inline(always)]
-    pub(super) fn limit(&self) -> f32 {
-        self.clipped.search_limit(f64::INFINITY)
-    }
-}
-
-/// A mesh with the tables that rays need.
-pub(super) struct RayTables<'a> {
-    mesh: &'a Mesh,
-    pub bvh: &'a Bvh,
-    pub packs: &'a [RayPack],
-    min: DVec3,
-    max: DVec3,
-}
-
-impl RayTables<'_> {
-    /// None if the ray misses the box of the mesh.
-    #[inline(always)]
-    fn ready(&self, ray: &Ray) -> Option<ReadyRay> {
-        let clipped = ClippedRay::new(ray, self.min, self.max)?;
-        let lanes = LaneRay::new(&clipped.sheared);
-        Some(ReadyRay { clipped, lanes })
-    }
-
-    /// Searches the part of the tree below `start`. The limit is negative infinity once `accept` returned that.
-    #[inline(always)]
-    pub(super) fn search(
-        &self,
-        ray: &ReadyRay,
-        start: ChildRef,
-        limit: &mut f32,
-        boxes: impl Fn(&LaneRay, &Node, f32) -> (u32, [f32; WIDTH]),
-        triangles: impl Fn(&LaneRay, &RayPack, f32) -> u32,
-        accept: &mut impl FnMut(FaceHit) -> f64,
-    ) {
-        let mut stack = Stack::new();
-        let mut child = start;
-        loop {
-            if child.is_pack() {
-                self.search_pack(ray, child, limit, &triangles, accept);
-                if *limit == f32::NEG_INFINITY {
-                    return;
-                }
-            } else {
-                let node = &self.bvh.nodes[child.index()];
-                let (mask, entered) = boxes(&ray.lanes, node, *limit);
-                if mask != 0 {
-                    child = stack.push_all_but_nearest(mask, &entered, &node.children);
-                    continue;
-                }
-            }
-            child = match stack.pop(*limit) {
-                Some(next) => next,
-                None => return,
-            };
-        }
-    }
-
-    /// Tests the triangles of one pack.
-    #[inline(always)]
-    pub(super) fn search_pack(
-        &self,
-        ray: &ReadyRay,
-        child: ChildRef,
-        limit: &mut f32,
-        triangles: impl Fn(&LaneRay, &RayPack, f32) -> u32,
-        accept: &mut impl FnMut(FaceHit) -> f64,
-    ) {
-        let pack = &self.packs[child.index()];
-        let mut mask = triangles(&ray.lanes, pack, *limit);
-        while mask != 0 {
-            let face = pack.faces[mask.trailing_zeros() as usize % WIDTH];
-            mask &= mask - 1;
-            let Some(hit) = self.hit_in_pack(face, &ray.clipped) else { continue };
-            *limit = limit.min(ray.clipped.search_limit(accept(hit)));
-            if *limit == f32::NEG_INFINITY {
-                return;
-            }
-        }
-    }
-
-    /// The exact test of a candidate. A lane without a face has the face `u32::MAX`.
-    #[inline(always)]
-    fn hit_in_pack(&self, face: u32, clipped: &ClippedRay) -> Option<FaceHit> {
-        let mesh = self.mesh;
-        let &[a, b, c] = mesh.faces().get(face as usize)?;
-        clipped.hit(face, [mesh.exact_position(a), mesh.exact_position(b), mesh.exact_position(c)])
-    }
-}
-
-/// Boxes that are still to be searched, with the t of entry, the nearest of each node on top.
-///
-/// The memory is not initialised, since that takes longer than a short search.
-struct Stack {
-    slots: [MaybeUninit<(f32, ChildRef)>; MAX_STACK],
-    /// Number of slots in use. All of them have been written.
-    top: usize,
-}
-
-impl Stack {
-    #[inline(always)]
-    fn new() -> Self {
-        Self { slots: [const { MaybeUninit::uninit() }; MAX_STACK], top: 0 }
-    }
-
-    #[inline(always)]
-    fn push(&mut self, entry: (f32, ChildRef)) {
-        self.slots[self.top].write(entry);
-        self.top += 1;
-    }
-
-    /// The entry at an index; None from `top` on.
-    #[inline(always)]
-    fn at(&self, index: usize) -> Option<(f32, ChildRef)> {
-        // SAFETY: every slot below `top` has been written, and the type has no destructor.
-        (index < self.top).then(|| unsafe { self.slots[index].assume_init() })
-    }
-
-    /// The nearest child of a mask that is not zero; the others are pushed.
-    #[inline(always)]
-    fn push_all_but_nearest(
-        &mut self,
-        mut mask: u32,
-        entered: &[f32; WIDTH],
-        children: &[ChildRef; WIDTH],
-    ) -> ChildRef {
-        let mut take = || {
-            let lane = mask.trailing_zeros() as usize & (WIDTH - 1);
-            mask &= mask - 1;
-            ((entered[lane], children[lane]), mask != 0)
-        };
-        let (mut nearest, mut more) = take();
-        let bottom = self.top;
-        while more {
-            let next;
-            (next, more) = take();
-            // The nearer of the two stays out of the stack; the other one goes to its place.
-            let farther = if next.0 < nearest.0 { std::mem::replace(&mut nearest, next) } else { next };
-            let mut slot = self.top;
-            self.push(farther);
-            while slot > bottom && self.at(slot - 1).is_some_and(|above| above.0 < farther.0) {
-                self.slots[slot] = self.slots[slot - 1];
-                slot -= 1;
-            }
-            self.slots[slot].write(farther);
-        }
-        nearest.1
-    }
-
-    /// The next box that the ray enters before the limit.
-    #[inline(always)]
-    fn pop(&mut self, limit: f32) -> Option<ChildRef> {
-        while let Some((near, child)) = self.at(self.top.wrapping_sub(1)) {
-            self.top -= 1;
-            if near <= limit {
-                return Some(child);
-            }
-        }
-        None
     }
 }
 
@@ -431,7 +254,7 @@ mod tests {
             let ray = Ray { origin, direction, t_min: 0.0, t_max: f64::INFINITY };
             let (mut wide, mut portable) = (Vec::new(), Vec::new());
             mesh.traverse(&ray, |hit| { wide.push(hit); f64::INFINITY });
-            let tables = mesh.ray_tables();
+            let tables = RayTables::new(&mesh);
             if let Some(ready) = tables.ready(&ray) {
                 let mut accept = |hit| { portable.push(hit); f64::INFINITY };
                 let mut limit = ready.limit();

@@ -18,6 +18,7 @@ pub(crate) mod pack;
 #[cfg(target_arch = "x86_64")]
 mod packet;
 pub(crate) mod ray_lanes;
+mod ray_search;
 mod refit;
 pub(crate) mod watertight;
 

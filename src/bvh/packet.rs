@@ -6,8 +6,8 @@
 //!
 //! The tests are those of [`super::ray_lanes`], with the same operations.
 
-use super::cast::{RayTables, ReadyRay};
 use super::ray_lanes::{LaneRay, RayPack};
+use super::ray_search::{RayTables, ReadyRay};
 use super::watertight::FaceHit;
 use super::{Bvh, ChildRef, MAX_STACK, Node, WIDTH};
 use std::arch::x86_64::*;

@@ -243,7 +243,7 @@ def test_a_merged_field_stays_a_bound_outside_its_box(random):
         (lambda v: fb.merge([v], 8).update([0]), fb.SceneError, r"changed\[0\]: must be \(index"),
         (lambda v: fb.merge([v], 8).update("0"), fb.SceneError, "changed"),
         (lambda v: fb.merge([v], 8).update([0], scene=[v, v]), fb.SceneError, "has 2 instances"),
-        (lambda v: fb.merge([v], 8).update([0], scene=[fb.Quadric.sphere()]), fb.SceneError, "another kind"),
+        (lambda v: fb.merge([v], 8).update([0], scene=[fb.Quadric.sphere()]), fb.SceneError, "number of quadrics"),
     ],
 )
 def test_mistakes_are_told(call, error, message):
