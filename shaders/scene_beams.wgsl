@@ -393,7 +393,7 @@ const THIN_RAYS: u32 = 8u;
 struct ThinRays {
     shares: array<f32, THIN_RAYS>,
     // Whether an object was near enough to be tested.
-    is_asked: bool,
+    is_tested: bool,
 }
 
 fn all_thin_rays() -> ThinRays {
@@ -448,7 +448,7 @@ fn thin_ray(beam: Beam, i: u32) -> Beam {
 // Multiplies the rays that hit an instance by its transmitted fraction.
 fn block(thin: ptr<function, ThinRays>, caster: Caster, beam: Beam) {
     let to = &instances[caster.index];
-    (*thin).is_asked = true;
+    (*thin).is_tested = true;
     for (var i = 0u; i < THIN_RAYS; i++) {
         steps++;
         let ray = ray_in_field(caster.index, thin_ray(beam, i));
@@ -504,7 +504,7 @@ fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
     }
     if HAS_THIN {
         share *= thin_share(&thin);
-        is_proven = is_proven && !thin.is_asked;
+        is_proven = is_proven && !thin.is_tested;
     }
     return vec2f(share * visible_share(x), select(0.0, 1.0, is_proven && x >= 1.0));
 }

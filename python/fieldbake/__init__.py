@@ -50,8 +50,9 @@ if _TYPE_CHECKING:
     from .merging.merged import MergedField as MergedField
     from .merging.nested import NestedField as NestedField
     from .meshes.convert import as_mesh as as_mesh, load_mesh as load_mesh
-    from .meshes.mesh import Mesh as Mesh, Part as Part
+    from .meshes.mesh import Mesh as Mesh
     from .meshes.normalization import Normalized as Normalized, normalize as normalize
+    from .meshes.part import Part as Part
     from .queries.nearest import (
         ClosestPoints as ClosestPoints,
         Query as Query,
@@ -178,14 +179,12 @@ _NAMES = {
         "as_mesh",
         "load_mesh",
     ),
-    "meshes.mesh": (
-        "Mesh",
-        "Part",
-    ),
+    "meshes.mesh": ("Mesh",),
     "meshes.normalization": (
         "Normalized",
         "normalize",
     ),
+    "meshes.part": ("Part",),
     "queries.nearest": (
         "ClosestPoints",
         "Query",

@@ -21,7 +21,7 @@ from .base.grid import MAX_SIDE
 from .base.report import Report
 from .drawing.options import checked_size
 from .drawing.raymarching import picture_arguments
-from .meshes.mesh import check_faces, check_vertices
+from .meshes.input_arrays import check_faces, check_vertices
 from .queries.common import Sign
 from .scenes.camera import Camera
 from .volumes.stored_samples import check_distances

@@ -60,20 +60,20 @@ pub fn merge_on_device(
     let (undecided, evaluations) = (AtomicU64::new(0), AtomicU64::new(0));
     let rows = distances.par_chunks_mut(nx).zip(owners.par_chunks_mut(nx)).enumerate();
     rows.try_for_each(|(row, (distances, owners))| {
-        let (mut asked, mut looked_at) = (0, 0);
+        let (mut in_row, mut bounds) = (0, 0);
         for (x, (distance, owner)) in distances.iter_mut().zip(owners).enumerate() {
             let p = merger.center(x, row % ny, row / ny);
             if let Some(placed) = placed.get(*owner as usize) {
                 *distance = round_down(placed.lower_bound(p, f64::INFINITY));
-                looked_at += 1;
+                bounds += 1;
                 continue;
             }
-            asked += 1;
+            in_row += 1;
             let mut best = f32::INFINITY;
             merger.tree.around([p, p], f64::INFINITY, |place, limit| {
                 let field = merger.tree.order[place];
                 let bound = placed[field as usize].lower_bound(p, f64::from(best));
-                looked_at += 1;
+                bounds += 1;
                 if bound < f64::from(best) {
                     (best, *owner) = (round_down(bound), field);
                     *limit = f64::from(best);
@@ -81,8 +81,8 @@ pub fn merge_on_device(
             });
             *distance = best;
         }
-        undecided.fetch_add(asked, Ordering::Relaxed);
-        evaluations.fetch_add(looked_at, Ordering::Relaxed);
+        undecided.fetch_add(in_row, Ordering::Relaxed);
+        evaluations.fetch_add(bounds, Ordering::Relaxed);
         progress.advance(nx as u64)
     })?;
     Ok((Merged { distances, owners, evaluations: evaluations.into_inner() }, undecided.into_inner()))

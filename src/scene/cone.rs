@@ -138,7 +138,7 @@ impl<'a> ConeSum<'a> {
         }
         ConeShare {
             share: self.translucent * visible_share(self.opaque.x) * self.thin.share(),
-            is_proven: self.is_proven && self.opaque.x >= 1.0 && !self.thin.is_asked,
+            is_proven: self.is_proven && self.opaque.x >= 1.0 && !self.thin.is_tested,
         }
     }
 }

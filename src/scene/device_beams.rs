@@ -50,7 +50,7 @@ fn light_bunch(
     bunch: &mut Vec<(usize, usize, LitSurface<'_>)>,
 ) -> Result<(), Error> {
     let lights = known.lights;
-    let mut answers = DeviceResults::ask(pass, device, bunch)?;
+    let mut answers = DeviceResults::evaluate(pass, device, bunch)?;
     // `behind` has the beams from behind; `owners` has the row and the layer of each.
     let (mut behind, mut owners) = (Vec::new(), Vec::new());
     for (y, i, surface) in bunch.drain(..) {
@@ -83,7 +83,7 @@ fn light_bunch(
 }
 
 fn too_few(device: &DeviceScene) -> DeviceError {
-    let reason = "it gave fewer answers than it was asked".into();
+    let reason = "it returned fewer results than it received rays".into();
     DeviceError::Failed { device: device.context().label(), what: "the scene's light".into(), reason }
 }
 
@@ -148,7 +148,11 @@ struct DeviceResults {
 }
 
 impl DeviceResults {
-    fn ask(pass: &Pass<'_>, device: &DeviceScene, bunch: &[(usize, usize, LitSurface<'_>)]) -> Result<Self, Error> {
+    fn evaluate(
+        pass: &Pass<'_>,
+        device: &DeviceScene,
+        bunch: &[(usize, usize, LitSurface<'_>)],
+    ) -> Result<Self, Error> {
         let (mut beams, mut inside) = (Vec::new(), Vec::new());
         for (_, _, surface) in bunch {
             first_beams(pass, surface, &mut beams, &mut inside);

@@ -60,7 +60,7 @@ pub(crate) fn find(pass: &Pass<'_>, centre: Option<(&GBuffer, &LightBuffer)>) ->
     };
     let mut known = LightBuffer::new(pass.buffer, pass.lights.lights.len());
     gather(pass, &mut known, buffer, centre, [1, 1])?;
-    ask(pass, &mut known, &|_, _| true, FIND_WORTH)?;
+    evaluate(pass, &mut known, &|_, _| true, FIND_WORTH)?;
     Ok(known)
 }
 
@@ -76,11 +76,11 @@ fn find_at(pass: &Pass<'_>, every: u32) -> Result<LightBuffer, Error> {
         && known.is_almost_complete()
     {
         // For so few surfaces the upload of the beams costs more than their evaluation on the CPU.
-        ask(&Pass { device: None, ..*pass }, &mut known, &|_, _| true, worth)?;
+        evaluate(&Pass { device: None, ..*pass }, &mut known, &|_, _| true, worth)?;
         return Ok(known);
     }
     loop {
-        ask(pass, &mut known, &|x, y| x % every == 0 && y % every == 0, worth)?;
+        evaluate(pass, &mut known, &|x, y| x % every == 0 && y % every == 0, worth)?;
         if every == 1 {
             return Ok(known);
         }
@@ -92,7 +92,7 @@ fn find_at(pass: &Pass<'_>, every: u32) -> Result<LightBuffer, Error> {
 }
 
 /// Evaluates the missing light at the requested pixels. Each row counts as the same amount of progress.
-fn ask(
+fn evaluate(
     pass: &Pass<'_>,
     known: &mut LightBuffer,
     wanted: &(dyn Fn(u32, u32) -> bool + Sync),

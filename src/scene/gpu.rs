@@ -212,8 +212,8 @@ impl DeviceScene {
         ];
         for (entry, is_wanted) in kernels {
             let places: Vec<usize> = (0..beams.len()).filter(|&i| is_wanted(i, &answers[i])).collect();
-            let asked: Vec<Beam> = places.iter().map(|&i| beams[i]).collect();
-            for (i, answer) in places.into_iter().zip(self.ask(entry, params, &asked, progress)?) {
+            let selected: Vec<Beam> = places.iter().map(|&i| beams[i]).collect();
+            for (i, answer) in places.into_iter().zip(self.evaluate(entry, params, &selected, progress)?) {
                 answers[i] = answer;
             }
         }
@@ -237,10 +237,10 @@ impl DeviceScene {
 
     /// The length of each beam inside its own instance.
     pub(crate) fn thicknesses(&self, beams: &[Beam], progress: &Progress) -> Result<Vec<Answer>, Error> {
-        self.ask("thicknesses", BeamParams { far: NO_FAR, ..BeamParams::default() }, beams, progress)
+        self.evaluate("thicknesses", BeamParams { far: NO_FAR, ..BeamParams::default() }, beams, progress)
     }
 
-    fn ask(
+    fn evaluate(
         &self,
         entry: &'static str,
         params: BeamParams,
@@ -253,9 +253,9 @@ impl DeviceScene {
             return Ok(answers);
         }
         let beams: Vec<Beam> = beams.iter().zip(0..).map(|(beam, owner)| Beam { owner, ..*beam }).collect();
-        let asked = context.upload("beams", &beams)?;
+        let uploaded = context.upload("beams", &beams)?;
         let found = context.storage("answers", size_of_val(&answers[..]) as u64)?;
-        self.run(entry, params, &asked, &found, beams.len(), progress)?;
+        self.run(entry, params, &uploaded, &found, beams.len(), progress)?;
         context.read("answers", &found, &mut answers, progress)?;
         Ok(answers)
     }

@@ -63,13 +63,13 @@ impl LightBuffer {
     }
 
     /// Replaces interpolated values by the evaluated ones of another buffer.
-    pub(crate) fn keep(&mut self, asked: Self) {
+    pub(crate) fn keep(&mut self, evaluated: Self) {
         let stride = stride(self.lights);
-        for (row, asked) in self.rows.iter_mut().zip(asked.rows) {
-            for i in (0..asked.is_known.len()).filter(|&i| asked.is_known[i]) {
+        for (row, evaluated) in self.rows.iter_mut().zip(evaluated.rows) {
+            for i in (0..evaluated.is_known.len()).filter(|&i| evaluated.is_known[i]) {
                 row.is_known[i] = true;
-                row.steps[i] = asked.steps[i];
-                row.values[i * stride..][..stride].copy_from_slice(&asked.values[i * stride..][..stride]);
+                row.steps[i] = evaluated.steps[i];
+                row.values[i * stride..][..stride].copy_from_slice(&evaluated.values[i * stride..][..stride]);
             }
         }
     }

@@ -19,15 +19,15 @@ pub(crate) const THIN_RAYS: usize = 8;
 pub struct ThinRays {
     shares: [f32; THIN_RAYS],
     /// Whether an object was near enough to be tested.
-    pub is_asked: bool,
+    pub is_tested: bool,
 }
 
 impl ThinRays {
-    pub const NEW: Self = Self { shares: [1.0; THIN_RAYS], is_asked: false };
+    pub const NEW: Self = Self { shares: [1.0; THIN_RAYS], is_tested: false };
 
     /// Multiplies the rays that hit an object of an opacity by its transmitted fraction.
     pub fn block(&mut self, opacity: f32, ray: &LightRay, slope: f32, mut is_hit: impl FnMut(&LightRay) -> bool) {
-        self.is_asked = true;
+        self.is_tested = true;
         let axes = basis(ray.direction);
         for (i, share) in self.shares.iter_mut().enumerate() {
             if *share > 0.0 && is_hit(&toward(ray, axes, slope, disc_point(i as u32, THIN_RAYS as u32, 0.0))) {

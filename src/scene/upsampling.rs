@@ -53,13 +53,13 @@ const BEYOND_WEIGHT: f32 = 0.25;
 /// Variance of the normals, per axis, at which half of a change is attributed to them.
 const NORMAL_VARIANCE: f32 = 0.01;
 
-/// Interpolates light for the surfaces of the pass from a buffer that has light at every `every`-th pixel. Values are
-/// interpolated at every `finer`-th pixel.
+/// Interpolates light for the surfaces of the pass from `evaluated`, the light on the picture `source`, which has light at
+/// every `every`-th pixel. Values are interpolated at every `finer`-th pixel.
 pub(crate) fn gather(
     pass: &Pass<'_>,
     known: &mut LightBuffer,
     source: &GBuffer,
-    asked: &LightBuffer,
+    evaluated: &LightBuffer,
     [every, finer]: [u32; 2],
 ) -> Result<(), Error> {
     let lights = known.lights;
@@ -77,7 +77,7 @@ pub(crate) fn gather(
                 continue;
             }
             let values = &mut row.values[i * stride(lights)..][..stride(lights)];
-            let around = Around::new(pass.buffer, (y, layer), (source, asked), every);
+            let around = Around::new(pass.buffer, (y, layer), (source, evaluated), every);
             if let Some(limits) = open {
                 let value = around.open_share(&limits, &mut neighbours);
                 row.is_known[i] = value.is_some();
@@ -106,9 +106,11 @@ struct Around<'s, 'a> {
     p: DVec3,
     /// Half the distance between two evaluated pixels on the surface.
     apart: f64,
-    /// The picture of the evaluated surfaces, and their light.
+    /// The picture of the evaluated surfaces.
     source: &'s GBuffer,
-    asked: &'a LightBuffer,
+    /// The light on the surfaces of `source`.
+    light: &'a LightBuffer,
+    /// Distance between evaluated pixels, pixels.
     every: u32,
 }
 
@@ -124,17 +126,18 @@ struct Neighbour<'a> {
 }
 
 impl<'s, 'a> Around<'s, 'a> {
-    /// A layer of row `y`, and the light at every `every`-th pixel of a picture.
+    /// Describes the surroundings of one layer of row `y` of `buffer`. The second pair is the picture of the evaluated
+    /// surfaces and the light on them; every `every`-th pixel of it is evaluated.
     fn new(
         buffer: &'s GBuffer,
         (y, layer): (usize, &'s Layer),
-        (source, asked): (&'s GBuffer, &'a LightBuffer),
+        (source, light): (&'s GBuffer, &'a LightBuffer),
         every: u32,
     ) -> Self {
         let view = &buffer.view;
         let p = view.camera.eye + layer.depth * view.direction(layer.x, y as u32);
         let apart = 0.5 * view.camera.pixel_size(view.size[1]) * layer.depth * f64::from(every);
-        Self { buffer, layer, y, p, apart, source, asked, every }
+        Self { buffer, layer, y, p, apart, source, light, every }
     }
 
     /// Position of the surface in units of the distance between evaluated pixels.
@@ -180,8 +183,8 @@ impl<'s, 'a> Around<'s, 'a> {
             }
         });
         let i = first + same?;
-        let stride = stride(self.asked.lights);
-        Some((&self.asked.rows[y].values[i * stride..][..stride], layers[i].normal))
+        let stride = stride(self.light.lights);
+        Some((&self.light.rows[y].values[i * stride..][..stride], layers[i].normal))
     }
 
     /// The open fraction interpolated from the neighbours; None if it must be evaluated.

@@ -128,13 +128,13 @@ impl Mesh {
 impl SignChoice {
     /// Chooses the rule for a mesh.
     pub fn new(mesh: &Mesh, method: SignMethod) -> Self {
-        let asked_for = |rule| Self { rule, method, reason: "asked for".to_owned() };
+        let chosen = |rule| Self { rule, method, reason: "chosen by the caller".to_owned() };
         match method {
             SignMethod::Auto | SignMethod::Winding => Self::winding(mesh),
-            SignMethod::Parity => asked_for(SignRule::Parity),
-            SignMethod::Pseudonormal => asked_for(SignRule::Pseudonormal),
-            SignMethod::Normal => asked_for(SignRule::Normal),
-            SignMethod::Unsigned => asked_for(SignRule::Unsigned),
+            SignMethod::Parity => chosen(SignRule::Parity),
+            SignMethod::Pseudonormal => chosen(SignRule::Pseudonormal),
+            SignMethod::Normal => chosen(SignRule::Normal),
+            SignMethod::Unsigned => chosen(SignRule::Unsigned),
         }
     }
 

@@ -14,17 +14,6 @@ BOX = np.array([(-1.0, -2.0, -3.0), (1.5, 2.0, 1.0)])
 SHAPE = (9, 7, 5)
 
 
-@pytest.fixture
-def noise(random):
-    """Independent samples: any mix-up of neighbours or axes shows."""
-    return fb.Volume(random.standard_normal(SHAPE), BOX)
-
-
-@pytest.fixture(scope="module")
-def sphere():
-    return fb.bake(meshes.icosphere(3), resolution=32)
-
-
 # --- made by hand
 
 

@@ -13,19 +13,7 @@ import pytest
 import fieldbake as fb
 import meshes
 
-BOX = np.array([(-1.0, -2.0, -3.0), (1.5, 2.0, 1.0)])
 SHAPE = (9, 7, 5)
-
-
-@pytest.fixture
-def noise(random):
-    """Independent samples: any mix-up of neighbours or axes shows."""
-    return fb.Volume(random.standard_normal(SHAPE), BOX)
-
-
-@pytest.fixture(scope="module")
-def sphere():
-    return fb.bake(meshes.icosphere(3), resolution=32)
 
 
 def test_save_and_load_give_the_same_bits(tmp_path):

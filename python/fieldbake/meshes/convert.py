@@ -22,8 +22,10 @@ from numpy.typing import ArrayLike, NDArray
 from ..base import checks
 from ..base.errors import MeshError
 from .gltf_materials import Document
-from .mesh import ALPHA_MODES, Mesh, Part, check_colors, check_faces, check_uv, check_vertices
+from .input_arrays import check_colors, check_faces, check_uv, check_vertices
+from .mesh import Mesh
 from .neighbours import triangles_of
+from .part import ALPHA_MODES, Part
 
 #: Type of every argument for a mesh: a Mesh, a path, a trimesh.Trimesh or trimesh.Scene, (vertices, faces), or a list
 #: of these, each optionally as (object, transform).

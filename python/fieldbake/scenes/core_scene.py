@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
-from ..meshes.mesh import Mesh, Part
+from ..meshes.mesh import Mesh
+from ..meshes.part import Part
 from . import field_cache
 from .instance import Instance
 from .materials import PLAIN, Material, scattering_rgb

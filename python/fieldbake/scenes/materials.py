@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..base import checks
 from ..base.errors import ArgumentError, SceneError
 from ..meshes.images import decoded
-from ..meshes.mesh import ALPHA_MODES
+from ..meshes.part import ALPHA_MODES
 
 #: Colour of an object without a colour of its own, linear RGBA.
 PLAIN = (0.8, 0.8, 0.8, 1.0)

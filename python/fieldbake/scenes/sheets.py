@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..meshes.mesh import Mesh, Part
+from ..meshes.mesh import Mesh
+from ..meshes.part import Part
 from .materials import PLAIN, Material
 
 #: A mesh is flat if it deviates from a plane by less than this fraction of its extent.

@@ -19,7 +19,8 @@ from ..base import checks
 from ..base.errors import SceneError
 from ..drawing.frame import Frame
 from ..drawing.raymarching import PICTURE_RESOLUTION, raymarch
-from ..meshes.mesh import Mesh, Part
+from ..meshes.mesh import Mesh
+from ..meshes.part import Part
 from ..scenes import field_cache
 from ..scenes.camera import Camera
 from ..scenes.instance import Instance
