@@ -30,10 +30,10 @@ def forest(count: int, seed: int = 3) -> list[tuple[fb.Volume, np.ndarray]]:
         tree = np.eye(4)
         tree[:3, :3] *= random.uniform(0.7, 1.4)
         tree[:3, 3] = radius * np.cos(angle), 0, radius * np.sin(angle)
-        for thing, height in ((trunk, 0.6), (crown, 1.0)):
+        for field, height in ((trunk, 0.6), (crown, 1.0)):
             part = upright.copy()
             part[1, 3] = height
-            instances.append((thing, tree @ part))
+            instances.append((field, tree @ part))
     return instances
 
 
@@ -55,7 +55,7 @@ def main() -> None:
         print(f"{resolution}: {len(instances)} instances in {1e3 * field.report.seconds['merge']:.0f} ms")
 
     green = fb.Material(color=(0.35, 0.6, 0.3))
-    scene = fb.Scene([fb.Instance(thing, transform, green) for thing, transform in instances])
+    scene = fb.Scene([fb.Instance(field, transform, green) for field, transform in instances])
     camera = fb.Camera.fit(fields[0].inner_bounds, direction=(-0.4, -0.55, -1))
     frame = fb.render(scene, camera, size=(options.size, options.size), far=fields[0])
     pictures.append(frame.image)

@@ -7,9 +7,9 @@ from fieldbake.viewing.output import frame_html
 SIZE = (480, 360)
 
 
-def live_view(thing: Viewable) -> str:
+def live_view(view: Viewable) -> str:
     """The live view of an object as HTML."""
-    return frame_html(thing.to_html(size=SIZE), SIZE).replace("<iframe", '<iframe loading="lazy"')
+    return frame_html(view.to_html(size=SIZE), SIZE).replace("<iframe", '<iframe loading="lazy"')
 
 
 get_ipython().display_formatter.formatters["text/html"].for_type(Viewable, live_view)  # noqa: F821

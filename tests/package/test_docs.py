@@ -69,6 +69,7 @@ def test_code_of_pages_that_are_not_executed_is_python():
 
 
 def test_notebooks_are_those_of_the_pages():
+    """The notebooks need no run of their own: the fixture `site` executes the same cells in their pages."""
     import nbformat
 
     made = runpy.run_path(str(ROOT / "scripts" / "make_notebooks.py"))

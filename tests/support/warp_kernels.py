@@ -36,3 +36,20 @@ def measure(mesh: Any, points: np.ndarray, ways: np.ndarray) -> tuple[np.ndarray
     wp.launch(_measure, count, [mesh.id, *given, *made], device="cpu")
     distances, feet, t = (one.numpy() for one in made)
     return distances, feet, t
+
+
+@wp.kernel  # type: ignore[untyped-decorator]
+def _sample(
+    volume: wp.uint64,
+    points: wp.array(dtype=wp.vec3),  # type: ignore[valid-type]
+    values: wp.array(dtype=float),  # type: ignore[valid-type]
+) -> None:
+    i = wp.tid()
+    values[i] = wp.volume_sample_f(volume, wp.volume_world_to_index(volume, points[i]), wp.Volume.LINEAR)
+
+
+def sample(volume: Any, points: np.ndarray) -> np.ndarray:
+    """Trilinear samples of a volume at world positions (n, 3), float32, computed on the CPU."""
+    values = wp.zeros(len(points), dtype=float, device="cpu")
+    wp.launch(_sample, len(points), [volume.id, wp.array(points, dtype=wp.vec3, device="cpu"), values], device="cpu")
+    return values.numpy()
