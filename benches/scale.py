@@ -2,7 +2,7 @@
 
     python benches/scale.py bunny.obj --resolution 1024
 
-Ratios are of processor time, so that other load on the machine does not enter. A worker is a fresh process.
+A worker is a fresh process. Times of wall need an idle machine.
 """
 
 import argparse
@@ -30,16 +30,18 @@ def measure_plan(resolution):
     return time.process_time() - start, peak_mib() - before, stored
 
 
-def work(place, layout, tasks):
-    """Bake shards in this process; processor seconds, peak memory before and after, MiB."""
-    mesh = shards.mesh_of(place, layout)
-    mesh._core.topology()
+def ready(place, layout):
+    """Open the mesh of a store in this process and build its tree, as the first task of a worker does."""
+    shards.mesh_of(place, layout)._core.topology()
     reset_peak()
-    before = peak_mib()
+    return peak_mib()
+
+
+def work(place, layout, index):
+    """Bake one shard in this process by one thread; seconds of the processor, and peak memory, MiB."""
     start = time.process_time()
-    for index in tasks:
-        shards.store_shard(place, layout, 0, index, 1)
-    return time.process_time() - start, before, peak_mib()
+    shards.store_shard(place, layout, 0, index, 1)
+    return time.process_time() - start, peak_mib()
 
 
 def prepared(path, resolution, folder):
@@ -51,25 +53,32 @@ def prepared(path, resolution, folder):
     return place, layout, mesh, [tuple(row) for row in plan.morton_order(np.argwhere(near)).tolist()]
 
 
-def measure_workers(path, resolution, count):
-    """Near shards by one process of one thread, and by two of them."""
+def timed_workers(place, layout, tasks, processes):
+    """Bake shards by processes of one thread, one shard a task.
+
+    Returns seconds of wall, seconds of the processor, and memory of a worker before and at its peak, MiB.
+    """
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        # More tasks than processes, so that every process opens the mesh before the clock starts.
+        before = list(pool.map(ready, [place] * 4 * processes, [layout] * 4 * processes))
+        start = time.perf_counter()
+        rows = list(pool.map(work, [place] * len(tasks), [layout] * len(tasks), tasks))
+        wall = time.perf_counter() - start
+    return wall, sum(seconds for seconds, _ in rows), max(before), max(peak for _, peak in rows)
+
+
+def measure_workers(path, resolution, count, pairs):
+    """Near shards by one process of one thread and by two of them, alternately."""
     with tempfile.TemporaryDirectory() as folder:
         place, layout, mesh, near = prepared(path, resolution, Path(folder))
         near = near[: 2 * count]
-        context = get_context("spawn")
-        with ProcessPoolExecutor(1, mp_context=context) as one:
-            alone, before, after = one.submit(work, place, layout, near).result()
-        start = time.perf_counter()
-        with ProcessPoolExecutor(2, mp_context=context) as two:
-            halves = [two.submit(work, place, layout, near[i::2]) for i in range(2)]
-            together = [half.result()[0] for half in halves]
-        wall = time.perf_counter() - start
+        runs = [[timed_workers(place, layout, near, processes) for processes in (1, 2)] for _ in range(pairs)]
     shard = 256**3 * 2 / 2**20
-    print(f"{len(near)} near shards at {resolution}^3: one process {alone:.1f} s of processor time")
-    print(
-        f"  two processes {together[0]:.1f} + {together[1]:.1f} s, longest {max(together):.1f} s ({wall:.1f} s of wall)"
-    )
-    print(f"  speed-up by processor time {alone / max(together):.2f}")
+    print(f"{len(near)} near shards at {resolution}^3, seconds of wall (of the processor)")
+    for one, two in runs:
+        ratio = one[0] / two[0]
+        print(f"  one process {one[0]:.1f} ({one[1]:.1f}), two {two[0]:.1f} ({two[1]:.1f}): {ratio:.2f} times as fast")
+    before, after = (max(run[i] for pair in runs for run in pair) for i in (2, 3))
     print(f"  peak memory {before:.0f} MiB with the mesh ({mesh.nbytes / 2**20:.0f} MiB), {after:.0f} MiB with shards")
     print(f"  that is {after - before - shard:.0f} MiB besides the shard of {shard:.0f} MiB")
 
@@ -98,12 +107,13 @@ def main():
     parser.add_argument("mesh")
     parser.add_argument("--resolution", type=int, default=1024)
     parser.add_argument("--shards", type=int, default=8, help="near shards of each of two workers")
+    parser.add_argument("--pairs", type=int, default=3, help="runs of one process beside two")
     parser.add_argument("--assets", type=int, default=2000)
     arguments = parser.parse_args()
     for resolution in (1024, 2048, 4096, 8192):
         seconds, memory, stored = measure_plan(resolution)
         print(f"plan of a sphere, {resolution}^3: {seconds:.2f} s of processor time, {memory:.0f} MiB, stored {stored}")
-    measure_workers(arguments.mesh, arguments.resolution, arguments.shards)
+    measure_workers(arguments.mesh, arguments.resolution, arguments.shards, arguments.pairs)
     if arguments.assets:
         measure_assets(arguments.assets, 32)
 

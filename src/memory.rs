@@ -24,8 +24,8 @@ pub(crate) fn allocate_samples(what: &str, count: usize, scratch: usize) -> Resu
     Ok(unsafe { Vec::from_raw_parts(start, count, count) })
 }
 
-/// A result of `count` zero items, in large pages where the system has them: the first write to a page costs a
-/// microsecond at any size of the page.
+/// A result of `count` zero items, in large pages where the system has them: one large page takes one page fault, where
+/// 512 small pages take 512.
 pub(crate) fn zeroed_result<T: bytemuck::Zeroable + Copy>(count: usize) -> Vec<T> {
     let mut items = vec![T::zeroed(); count];
     prefer_large_pages(&mut items);

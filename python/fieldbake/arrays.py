@@ -130,7 +130,7 @@ def pack(
     ((1, 64, 64), 208)
     """
     volumes = []
-    for samples in map(check_distances, checks.items("distances", distances)):
+    for samples in map(check_distances, checks.items("distances", distances, "arrays")):
         box = np.array([(0, 0, 0), samples.shape], np.float64)
         volumes.append(Volume._wrap(samples[...], box, box.copy(), Report()))
     atlas = pack_volumes(volumes, layout=layout, page_size=page_size)

@@ -40,12 +40,13 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Side of a workgroup of `csg_draw` in pixels, and number of points of a workgroup of `csg_points`, as in the shaders.
+/// Side of a workgroup of `csg_draw` in pixels, as in the shader.
 const TILE: u32 = 8;
+/// Number of points of a workgroup of `csg_points`, as in the shader.
 const GROUP: u64 = 64;
-/// Number of workgroups of `csg_points` in the first dispatch, and largest number in any; the same for rows of
-/// workgroups of `csg_draw`.
+/// Number of workgroups of `csg_points` in the first dispatch, and largest number in any.
 const WORKGROUPS: (u64, u64) = (4, 65_535);
+/// Number of rows of workgroups of `csg_draw` in the first dispatch, and largest number in any.
 const TILE_ROWS: (u64, u64) = (1, 1024);
 /// Number of points in device memory at a time.
 const BATCH: usize = 1 << 20;

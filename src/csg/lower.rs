@@ -23,8 +23,9 @@ impl Model {
     }
 }
 
-/// Smallest scale of a placement, whose inverse is the largest, and largest translation. Float64 can square them.
+/// Smallest scale of a placement. The largest is `1.0 / MIN_SCALE`. Float64 can square both.
 const MIN_SCALE: f64 = 1e-30;
+/// Largest translation of a placement, world units. Float64 can square it.
 const MAX_REACH: f64 = 1e37;
 
 /// A node of the written-out tree.

@@ -3,8 +3,8 @@
 use super::shape::Kind;
 use glam::{DMat3, DVec3};
 
-/// A rotation, which may include a reflection, a translation and a uniform scale. The rotation and the translation
-/// alone are the map `world = rotation * leaf + translation`; the scale is applied to the parameters of the leaf.
+/// A rotation or reflection, a translation and a uniform scale. `world = rotation * leaf + translation` places a leaf
+/// whose parameters are already scaled.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Placement {
     pub rotation: DMat3,

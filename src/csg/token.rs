@@ -27,24 +27,31 @@ pub(super) enum Operation<T> {
     Warp(u32, T),
 }
 
-/// The result of the last token. `apply` computes the result of a token; None ends the fold. The fold is also None
-/// without tokens, and if a token comes before its operands.
+/// The result of the last token; None without tokens. `apply` computes the result of a token; None ends the fold.
+///
+/// Tokens are in postfix order: no token comes before its operands.
 pub(super) fn fold_postfix<T>(tokens: &[Token], mut apply: impl FnMut(Operation<T>) -> Option<T>) -> Option<T> {
     let mut stack: Vec<T> = Vec::new();
     for &token in tokens {
         let operation = match token {
             Token::Leaf(leaf) => Operation::Leaf(leaf),
             Token::Combine(i) => {
-                let top = stack.pop()?;
-                Operation::Combine(i, stack.pop()?, top)
+                let top = operand(&mut stack)?;
+                Operation::Combine(i, operand(&mut stack)?, top)
             }
-            Token::DistanceOp(i) => Operation::DistanceOp(i, stack.pop()?),
-            Token::Complement => Operation::Complement(stack.pop()?),
+            Token::DistanceOp(i) => Operation::DistanceOp(i, operand(&mut stack)?),
+            Token::Complement => Operation::Complement(operand(&mut stack)?),
             Token::Enter(_) => continue,
-            Token::Leave(i) => Operation::Warp(i, stack.pop()?),
+            Token::Leave(i) => Operation::Warp(i, operand(&mut stack)?),
         };
         let result = apply(operation)?;
         stack.push(result);
     }
+    stack.pop()
+}
+
+/// The operand on top of the stack.
+fn operand<T>(stack: &mut Vec<T>) -> Option<T> {
+    debug_assert!(!stack.is_empty(), "tokens are not in postfix order");
     stack.pop()
 }

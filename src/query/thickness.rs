@@ -25,6 +25,9 @@ const FIRST: f64 = 2.0;
 /// A ball is empty if the surface is at most this much nearer than its radius, relative: ten times the rounding of
 /// float64.
 const EMPTY: f64 = 1e-13;
+/// Rounding of a distance between a centre and the surface, local units: coordinates are at most 1. On an edge or a
+/// corner the radius falls to it.
+const ROUNDING: f64 = 1e-15;
 /// Largest number of searches for one point. Newton's method needs six from a radius a thousand times too large.
 const STEPS: usize = 60;
 
@@ -59,14 +62,10 @@ fn radius(mesh: &Mesh, p: DVec3, normal: DVec3) -> f64 {
     for _ in 0..STEPS {
         let center = p - radius * normal;
         let closest = mesh.exact_closest_point(center, radius * (1.0 + 1e-9));
-        if closest.distance >= radius * (1.0 - EMPTY) {
+        if closest.distance >= radius * (1.0 - EMPTY) - ROUNDING {
             break;
         }
         let chord = p - closest.on_triangle.point;
-        // On an edge or a corner the radius falls to the rounding of p, and p itself is found.
-        if chord == DVec3::ZERO {
-            break;
-        }
         let above = chord.dot(normal);
         if above < FLAT * chord.length() {
             break;

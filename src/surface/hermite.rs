@@ -22,7 +22,7 @@ const FLAT_VOXELS: f64 = 1e-3;
 /// units. With `unsigned` the distance is without a sign, so a positive offset surrounds the mesh on both sides.
 ///
 /// An offset of zero uses the face that the edge crosses. Any other offset uses the sphere around the nearest point. A
-/// crossing keeps its plane where the mesh is farther away than the samples say, as across an opening.
+/// crossing keeps its plane where the mesh is farther away than the samples indicate, as across an opening.
 pub fn planes_of_mesh(
     surface: &LevelSurface,
     crossings: &mut [Crossing],

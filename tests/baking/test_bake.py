@@ -573,7 +573,9 @@ def test_every_bake_takes_a_voxel_size_alone():
     for make in (
         lambda: fb.box(2).to_mesh(64, voxel_size=0.25),
         lambda: fb.bake_sparse(SLAB, 64, voxel_size=0.25),
+        lambda: fb.bake_sparse(fb.box(2), 64, voxel_size=0.25),
         lambda: fb.bake(SLAB, np.array([8, 8, 8]), voxel_size=0.25),
+        lambda: fb.bake(SLAB, [[1], [1, 2]], voxel_size=0.25),
     ):
         with pytest.raises(fb.ArgumentError, match="either voxel_size"):
             make()

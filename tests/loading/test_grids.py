@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 import fieldbake as fb
 import vdb_bytes
 from damage import damaged
+from system_python import openvdb_python
 
 ENDINGS = (".vdb", ".nvdb", ".vti", ".nrrd", ".dds", ".ktx2", ".vf", ".exr")
-SYSTEM_PYTHON = Path("/usr/bin/python3")
 
 
 @pytest.fixture(scope="module")
@@ -143,16 +143,13 @@ vdb.write(answer + ".vdb", [fog, sphere])
 @pytest.fixture(scope="module")
 def openvdb(tmp_path_factory):
     """A function that reads a file by libopenvdb, and a file that libopenvdb wrote."""
-    probe = [SYSTEM_PYTHON, "-c", "import numpy\ntry: import pyopenvdb\nexcept ImportError: import openvdb"]
-    if not SYSTEM_PYTHON.exists() or subprocess.run(probe, capture_output=True, check=False).returncode:
-        pytest.skip("OpenVDB for Python is not installed: apt install python3-openvdb")
+    python = openvdb_python()
     folder = tmp_path_factory.mktemp("openvdb")
 
     def read(path, shape):
         answer = folder / "answer.npz"
-        subprocess.run(
-            [SYSTEM_PYTHON, "-c", OPENVDB, path, answer, json.dumps(shape)], check=True, timeout=60, capture_output=True
-        )
+        command = [python, "-c", OPENVDB, path, answer, json.dumps(shape)]
+        subprocess.run(command, check=True, timeout=60, capture_output=True)
         return dict(np.load(answer)), Path(f"{answer}.vdb")
 
     return read

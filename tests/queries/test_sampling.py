@@ -150,6 +150,20 @@ def test_the_thickness_of_a_slab_is_exact(scale, shift, random):
     assert found == pytest.approx(np.full(50, 0.5 * scale), rel=1e-9 + 1e-15 * shift / scale * 10)
 
 
+@pytest.mark.parametrize("height", [1e-2, 1e-3, 1e-5, 1e-6])
+def test_the_thickness_of_a_thin_turned_plate_is_its_height(height, random):
+    turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
+    vertices, faces = meshes.box((-1, -1, -height / 2), (1, 1, height / 2))
+    plate = fb.Mesh(vertices @ turn.T + 0.3, faces)
+    points = np.column_stack([random.uniform(-0.8, 0.8, (500, 2)), np.full(500, height / 2)]) @ turn.T + 0.3
+    normals = np.tile(turn[:, 2], (500, 1))
+
+    # Coordinates near 1 are rounded by 2^-53, on both sides of the plate.
+    bound = 1e-9 * height + 8 * 2.0**-53
+    assert np.abs(fb.thickness(plate, points, normals) - height).max() <= bound
+    assert np.abs(fb.thickness(plate, points) - height).max() <= bound
+
+
 def test_side_walls_bound_the_ball():
     cube = meshes.box()
     points = [(1, 0, 0), (1, 0.9, 0), (1, 0.5, -0.7), (1, 0.99, 0.999)]

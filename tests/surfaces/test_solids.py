@@ -280,6 +280,7 @@ def test_a_resolution_must_be_whole_numbers(resolution):
 
 @pytest.mark.parametrize("tolerance", [0.002, 0.02])
 def test_simplified_solids_stay_closed_and_near(tolerance):
+    pytest.importorskip("manifold3d")
     cube = fb.box(2).to_mesh(24)
     cases = {
         "solid": lambda simplify: fb.solid(fb.models.torus_knot(), 40, simplify=simplify),
@@ -295,7 +296,8 @@ def test_simplified_solids_stay_closed_and_near(tolerance):
         assert len(made.faces) < len(full.faces), name
         assert made.report.genus == full.report.genus, name
         moved = made.report.distance_to_source
-        assert moved <= full.report.distance_to_source + 1.002 * tolerance, name
+        # A reported distance is at most 0.1 % below the true one.
+        assert moved <= full.report.distance_to_source / 0.999 + tolerance, name
         # The deviation is that of the simplified mesh: its own samples are nowhere farther from the source.
         samples = surface_samples(made, 20_000)
         if name == "offset":
@@ -303,9 +305,17 @@ def test_simplified_solids_stay_closed_and_near(tolerance):
 
 
 def test_flat_faces_need_few_triangles():
+    pytest.importorskip("manifold3d")
     cube = fb.solid(fb.box(2).to_mesh(24), 32, simplify=1e-3)
     assert len(cube.faces) <= 50
     assert cube.volume == pytest.approx(8, rel=1e-3)
+
+
+def test_a_tolerance_beyond_the_size_of_the_mesh_removes_faces():
+    pytest.importorskip("manifold3d")
+    full = fb.solid(fb.models.gear(), 32)
+    for tolerance in (10, 1e6):
+        assert len(fb.solid(fb.models.gear(), 32, simplify=tolerance).faces) < len(full.faces) / 2
 
 
 @pytest.mark.parametrize("bad", [-1, np.nan, "much", None])
@@ -322,4 +332,6 @@ def test_simplify_without_manifold3d_says_what_to_install(monkeypatch):
 
 def test_the_thinnest_part_of_a_shell_is_its_wall():
     made = fb.shell(fb.box(2).to_mesh(24), 0.3, 40)
-    assert made.report.thinnest_part == pytest.approx(0.3, abs=0.01)
+    # Each side of the wall may be off by the distance between the result and the ideal shell.
+    off = max(made.report.distance_to_source, made.report.distance_from_source)
+    assert abs(made.report.thinnest_part - 0.3) <= 2 * off + 1e-6

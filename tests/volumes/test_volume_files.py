@@ -1,4 +1,4 @@
-"""The .npz file of a volume: what it keeps, what it refuses, and what it never does with a damaged file."""
+"""The .npz file of a volume: bits, errors for damaged and hostile files, no unpickling."""
 
 import io
 import json

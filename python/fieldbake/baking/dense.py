@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from time import perf_counter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -118,13 +118,9 @@ def bake(
     method, where = choices(sign, device)
     two_sided = checks.flag("two_sided", two_sided)
     if isinstance(mesh, Shape) or all_shapes(mesh):
-        shape = mesh if isinstance(mesh, Shape) else combine("union", mesh)
-        for name, value, usual in (("sign", method, "auto"), ("band", band, None), ("thickness", thickness, None)):
-            if value != usual:
-                raise ArgumentError(f"{name}: does not apply to a shape, whose field is signed and complete")
-        if two_sided:
-            raise ArgumentError("two_sided: does not apply to a shape; see Shape.shell")
-        return _bake_shape(shape, resolution, voxel_size, bounds, margin, where, progress)
+        unused = {"sign": (method, "auto"), "band": (band, None), "thickness": (thickness, None)}
+        refuse_for_shapes(unused, two_sided)
+        return bake_shape(mesh, resolution, voxel_size, bounds, margin, where, progress)
     if band is not None:
         band = checks.number("band", band, above=0)
     job = prepare(mesh, resolution, voxel_size, bounds, margin, sign, two_sided, thickness)
@@ -258,22 +254,37 @@ def log_warnings(report: Report) -> None:
         warn_surface(report.warnings)
 
 
-def _bake_shape(
-    shape: Shape,
+def refuse_for_shapes(options: Mapping[str, tuple[Any, Any]], two_sided: bool) -> None:
+    """Raise ArgumentError for an option of meshes that is given for a shape: names with values and defaults."""
+    for name, (value, default) in options.items():
+        if value != default:
+            raise ArgumentError(f"{name}: does not apply to a shape, whose field is signed and complete")
+    if two_sided:
+        raise ArgumentError("two_sided: does not apply to a shape; see Shape.shell")
+
+
+def bake_shape(
+    shapes: Shape | Sequence[Shape],
     resolution: Resolution,
     voxel_size: float | None,
     bounds: ArrayLike | None,
     margin: float,
     device: str,
     progress: Progress,
+    *,
+    default: int = DEFAULT_RESOLUTION,
 ) -> Volume:
+    """Bake a shape, or the union of several. `default` is the default resolution of the calling function."""
+    shape = shapes if isinstance(shapes, Shape) else combine("union", shapes)
     try:
         inner = shape.bounds
     except ShapeError:
         if bounds is None:
             raise
         inner = checks.box("bounds", bounds)
-    grid = check_count(make_grid(inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin))
+    grid = check_count(
+        make_grid(inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin, default=default)
+    )
     start = perf_counter()
     with progress_callback(progress, "bake") as callback:
         distances, where = shape._core.bake(grid.lower, grid.upper, grid.shape, device=device, progress=callback)

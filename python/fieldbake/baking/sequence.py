@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator
 from typing import Any, get_args
 
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..base import checks
-from ..base.errors import ArgumentError, MeshError
+from ..base.errors import MeshError
 from ..base.grid import DEFAULT_RESOLUTION, Resolution
 from ..base.progress import Progress
 from ..meshes.convert import as_mesh
@@ -85,7 +84,7 @@ def bake_sequence(
     _, where = choices(sign, device)
     if band is not None:
         band = checks.number("band", band, above=0)
-    read = _checked(frames)
+    read = checks.items("frames", frames, "meshes and vertices")
 
     def choose(mesh: Mesh, around: NDArray[np.float64] | None) -> Job:
         return prepare(mesh, resolution, voxel_size, box, margin, sign, two_sided, thickness, around)
@@ -101,13 +100,6 @@ def bake_sequence(
             yield before
 
     return volumes()
-
-
-def _checked(frames: Iterable[Any]) -> Iterator[Any]:
-    """Return an iterator over the frames, or raise ArgumentError if they are not iterable."""
-    if isinstance(frames, (str, os.PathLike)) or not isinstance(frames, Iterable):
-        raise ArgumentError(f"frames: must be an iterable of meshes and vertices, got {checks.describe(frames)}")
-    return iter(frames)
 
 
 def _meshes(frames: Iterable[Any]) -> Iterator[Mesh]:

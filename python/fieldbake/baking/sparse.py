@@ -8,15 +8,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import _core
+from ..base import checks
 from ..base.encodings import Encoding
-from ..base.grid import DEFAULT_RESOLUTION, Resolution
+from ..base.grid import Resolution
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report
 from ..meshes.convert import MeshLike
 from ..queries.common import Sign
 from ..shapes.shape import Shape, all_shapes
 from ..volumes.sparse import SparseVolume, sparse_options
-from .dense import bake, log_warnings, prepare
+from .dense import bake_shape, log_warnings, prepare, refuse_for_shapes
 
 #: Voxels along the longest side, unless the caller chooses.
 SPARSE_RESOLUTION = 512
@@ -84,19 +85,9 @@ def bake_sparse(
     """
     options = sparse_options(band, tolerance, encoding)
     if isinstance(mesh, Shape) or all_shapes(mesh):
-        is_default = voxel_size is not None and not np.ndim(resolution) and resolution == SPARSE_RESOLUTION
-        dense = bake(
-            mesh,
-            DEFAULT_RESOLUTION if is_default else resolution,
-            voxel_size=voxel_size,
-            bounds=bounds,
-            margin=margin,
-            sign=sign,
-            two_sided=two_sided,
-            thickness=thickness,
-            device="cpu",
-            progress=progress,
-        )
+        unused = {"sign": (checks.text("sign", sign), "auto"), "thickness": (thickness, None)}
+        refuse_for_shapes(unused, checks.flag("two_sided", two_sided))
+        dense = bake_shape(mesh, resolution, voxel_size, bounds, margin, "cpu", progress, default=SPARSE_RESOLUTION)
         return dense.to_sparse(tolerance=tolerance, band=band, encoding=encoding)
     job = prepare(mesh, resolution, voxel_size, bounds, margin, sign, two_sided, thickness, default=SPARSE_RESOLUTION)
     with progress_callback(progress, "bake") as callback:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -51,11 +51,16 @@ def _real(name: str, value: Any, wanted: str) -> float:
     """Convert a real number; ``wanted`` is the wording of the message. NaN and infinities are left to the caller."""
     try:
         # float() drops the imaginary part of a NumPy complex number with a warning only.
-        if isinstance(value, (bool, str, bytes, np.bool_)) or np.iscomplexobj(value):
+        if isinstance(value, (bool, str, bytes, np.bool_)) or _is_complex_array(value):
             raise TypeError
         return float(value)
     except (TypeError, ValueError, OverflowError):
         raise ArgumentError(f"{name}: must be {wanted}, got {describe(value)}") from None
+
+
+def _is_complex_array(value: Any) -> bool:
+    """Whether a value has a complex type of NumPy. The test neither converts nor copies arrays of other libraries."""
+    return getattr(getattr(value, "dtype", None), "kind", "") == "c"
 
 
 def integer(name: str, value: object, *, least: int, most: int, error: type[Error] = ArgumentError) -> int:
@@ -130,24 +135,24 @@ def text(name: str, value: object) -> str:
 
 
 def path(value: object, name: str = "path") -> Path:
-    """Check the path of a file: text, bytes or an object with ``__fspath__``."""
+    """Check a path: text, bytes or an object with ``__fspath__``."""
     try:
         text = os.fsdecode(value)  # type: ignore[arg-type]
     except TypeError:
         raise ArgumentError(f"{name}: must be text or a path, got {describe(value)}") from None
     if not text or "\0" in text:
-        raise ArgumentError(f"{name}: must be the path of a file, got {text!r}")
+        raise ArgumentError(f"{name}: must be a path, got {text!r}")
     return Path(text)
 
 
-def items(name: str, value: Any) -> Iterable[Any]:
-    """Check that a value can be iterated, and return it."""
+def items(name: str, value: Any, of: str, error: type[Error] = ArgumentError) -> Iterator[Any]:
+    """Return an iterator over a value that is neither text nor a path; ``of`` names the items in the message."""
     try:
-        iter(value)
+        if isinstance(value, (str, bytes, os.PathLike)):
+            raise TypeError
+        return iter(value)
     except TypeError:
-        raise ArgumentError(f"{name}: must be a list, got {describe(value)}") from None
-    found: Iterable[Any] = value
-    return found
+        raise error(f"{name}: must be an iterable of {of}, got {describe(value)}") from None
 
 
 def choice(name: str, value: object, wanted: Sequence[str], error: type[Error] = ArgumentError) -> Any:

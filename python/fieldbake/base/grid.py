@@ -86,7 +86,7 @@ def make_grid(
     margin = checks.number("margin", margin, least=0)
     if voxel_size is not None:
         voxel_size = checks.number("voxel_size", voxel_size, above=0)
-        if np.ndim(resolution) or resolution != default:
+        if not isinstance(resolution, (int, np.integer)) or resolution != default:
             raise ArgumentError(f"voxel_size: give either voxel_size ({voxel_size:g}) or resolution ({resolution})")
 
     # The smallest box of the grid, and the part of it that must keep the border on both sides.

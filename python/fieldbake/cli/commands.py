@@ -16,7 +16,7 @@ from ..queries.common import Sign
 from ..volumes import writers
 from .application import app, err, show_rows
 from .folders import bake_folder
-from .saving import check_encoding, save_field
+from .saving import Encoding, Engine, check_encoding, save_field
 from .streams import check_output, input_file, is_stream, output_file
 from .tables import atlas_rows, volume_rows
 
@@ -130,17 +130,14 @@ def bake(
     sparse: Annotated[bool, typer.Option("--sparse", help="Store bricks around the surface only.")] = False,
     tolerance: Annotated[float, typer.Option(help="Largest error of coarser bricks, voxels; for --sparse.")] = 0.05,
     encoding: Annotated[
-        Literal["float32", "float16", "snorm16", "snorm8", "unorm8"],
+        Encoding,
         typer.Option(help="Encoding of the stored samples; unorm8 for .dds and .ktx2."),
     ] = "float32",
     bounds: Annotated[
         Any,
         typer.Option(parser=parse_bounds, metavar="X,Y,Z,X,Y,Z", help="Lower and upper corner of the box to sample."),
     ] = None,
-    engine: Annotated[
-        Literal["unity", "unreal", "godot", "blender", "three"] | None,
-        typer.Option(help="Axes, units and import settings of an engine."),
-    ] = None,
+    engine: Engine = None,
     mipmaps: Annotated[bool, typer.Option("--mipmaps", help="Add coarser levels to .dds and .ktx2.")] = False,
     source: Annotated[str | None, typer.Option("--from", help="Format of the mesh if MESH is -, such as glb.")] = None,
     kind: Annotated[str, typer.Option("--to", help="Format of the output if it is -, such as vdb.")] = "npz",

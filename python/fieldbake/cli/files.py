@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
@@ -13,21 +13,16 @@ import fieldbake as fb
 from ..atlases import images
 from ..atlases.atlas import as_written
 from ..files.container import ENDINGS
-from ..volumes import conventions, writers
+from ..volumes import writers
 from .application import app, show_rows
 from .commands import MESHES
-from .saving import check_encoding, save_field
+from .saving import Encoding, Engine, check_encoding, save_field
 from .streams import check_output, input_file, is_stream, output_file
 from .tables import facts_of, rows_of
 
 #: Endings of all fields and atlases.
 FIELDS = tuple(dict.fromkeys(ending for kind in ENDINGS.values() for ending in kind))
 
-Encoding = Literal["float32", "float16", "snorm16", "snorm8", "unorm8"]
-Engine = Annotated[
-    conventions.Engine | None,
-    typer.Option(help="Axes, units and import settings of an engine."),
-]
 Band = Annotated[
     float | None,
     typer.Option(

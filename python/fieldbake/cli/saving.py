@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import typer
 
 import fieldbake as fb
 
-from ..volumes import writers
+from ..volumes import conventions, writers
+
+Encoding = Literal["float32", "float16", "snorm16", "snorm8", "unorm8"]
+Engine = Annotated[
+    conventions.Engine | None,
+    typer.Option(help="Axes, units and import settings of an engine."),
+]
 
 
 def save_field(

@@ -87,8 +87,7 @@ def plot_atlas(atlas: Atlas, page: int = 0) -> Figure:
     if not len(atlas.pages):
         raise Error("the atlas is empty; add a volume before you plot it")
     page = checks.integer("page", page, least=0, most=len(atlas.pages) - 1)
-    from matplotlib.patches import Rectangle
-
+    patches = optional_module("matplotlib.patches", "a plot", extra="plot")
     texels = atlas.pages[page].astype(np.float32)
     # Only the rows and columns that contain volumes are shown.
     blocks = {i: atlas._blocks[i] for i in atlas.indices if atlas._blocks["page"][i] == page}
@@ -111,7 +110,7 @@ def plot_atlas(atlas: Atlas, page: int = 0) -> Figure:
                 place.contour(
                     left + 0.5 + np.arange(nx), top + 0.5 + np.arange(ny), tile, [0], colors="black", linewidths=0.7
                 )
-        place.add_patch(Rectangle((x, y), width, height, fill=False, edgecolor="black", linewidth=1.2))
+        place.add_patch(patches.Rectangle((x, y), width, height, fill=False, edgecolor="black", linewidth=1.2))
         place.annotate(
             str(i),
             (x, y),

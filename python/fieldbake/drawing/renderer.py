@@ -186,11 +186,7 @@ class Renderer:
         SceneError
             If `cameras` is not iterable; and, when its frame is drawn, for an item that is not a Camera.
         """
-        try:
-            views = iter(cameras)
-        except TypeError:
-            raise SceneError(f"cameras: must be an iterable of Camera, got {checks.describe(cameras)}") from None
-        return self._frames(views)
+        return self._frames(checks.items("cameras", cameras, "Camera", SceneError))
 
     def _frames(self, cameras: Iterator[Camera]) -> Iterator[Frame]:
         for number, camera in enumerate(cameras):

@@ -255,7 +255,7 @@ def _from_file(path: str | os.PathLike[str]) -> list[_Piece]:
 
 def _read_file(path: str | os.PathLike[str], take: Callable[[Any, Document | None], list[_Piece]]) -> list[_Piece]:
     """List the pieces that `take` finds in the scene of a file. Every failure of a reader becomes a MeshError."""
-    file = Path(path)
+    file = checks.path(path, "mesh")
     if file.is_dir():
         raise MeshError(f"{path}: is a directory, not a mesh file")
     # Opening the file here keeps FileNotFoundError and PermissionError unchanged.
@@ -381,9 +381,10 @@ def _from_trimesh(mesh: Any, name: str = "", document: Document | None = None) -
     if uv is None:
         uv = getattr(visual, "uv", None)
     if uv is not None and np.shape(uv)[:1] == (len(vertices),) and np.ndim(uv) == 2:
-        # Some exporters write NaN for vertices without coordinates.
-        known = np.nan_to_num(np.asarray(uv)[:, :2], posinf=0, neginf=0)
-        uv = check_uv(known, len(vertices))
+        # Some exporters write NaN for vertices without coordinates. Values beyond float32 become 0 as well.
+        with np.errstate(over="ignore"):
+            stored = np.asarray(uv)[:, :2].astype(np.float32)
+        uv = check_uv(np.nan_to_num(stored, posinf=0, neginf=0), len(vertices))
     else:
         uv = None
     vertex_colors, face_colors = _colors(visual, len(vertices), len(faces))

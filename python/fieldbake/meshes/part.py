@@ -15,6 +15,9 @@ from .images import decoded
 
 ALPHA_MODES = ("opaque", "mask", "blend")
 
+#: Attributes that are computed from the images on first use.
+DECODED = ("texture", "emission_texture", "alpha")
+
 
 def _check_rows(value: object) -> None:
     """Check a run of faces, or raise MeshError."""
@@ -132,8 +135,8 @@ class Part:
         return checks.frozen(opacity)
 
     def __getstate__(self) -> dict[str, Any]:
-        # Decoded pixels are not pickled, since the image restores them.
-        return {name: value for name, value in self.__dict__.items() if name not in ("texture", "alpha")}
+        # Decoded pixels are not pickled, since the images restore them.
+        return {name: value for name, value in self.__dict__.items() if name not in DECODED}
 
     def __repr__(self) -> str:
         looks = "textured" if self._image is not None else "color " + ", ".join(f"{c:.3g}" for c in self.color)

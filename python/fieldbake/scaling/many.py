@@ -279,7 +279,7 @@ def named_items(items: Iterable[Any] | Mapping[str, Any]) -> list[tuple[str, Any
                 raise ArgumentError(f"items: keys must be stems of file names, got {checks.describe(stem)}")
         return list(items.items())
     named = []
-    for index, item in enumerate(checks.items("items", items)):
+    for index, item in enumerate(checks.items("items", items, "meshes")):
         name = getattr(item, "__name__", "")
         if isinstance(item, (str, os.PathLike)):
             stem = Path(item).stem

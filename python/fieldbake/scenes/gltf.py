@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import struct
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,8 @@ from numpy.typing import NDArray
 
 from ..base import checks
 from ..base.errors import SceneError
+from ..base.notices import warn
+from ..base.report import count_text
 from ..meshes.convert import load_nodes
 from .camera import Camera
 from .instance import INSTANCE_RESOLUTION, Instance
@@ -173,9 +174,8 @@ def _balanced(file: Path, lights: list[Light], center: NDArray[np.float64]) -> l
         else light.intensity
         for light in lights
     ]
-    brightest = max(arriving)
-    if brightest <= 0:
-        return lights
+    # Lights that are all dark stay dark.
+    brightest = max(arriving) or 1.0
     balanced: list[Light] = []
     for light, strength in zip(lights, arriving, strict=True):
         if isinstance(light, PointLight):
@@ -185,6 +185,6 @@ def _balanced(file: Path, lights: list[Light], center: NDArray[np.float64]) -> l
     if len(balanced) <= MAX_LIGHTS:
         return balanced
     unused = len(balanced) - MAX_LIGHTS
-    warnings.warn(f"{file}: not used: {unused} lights; a Scene has at most {MAX_LIGHTS}", stacklevel=3)
+    warn(f"{file}: not used: {count_text(unused, 'light')}; a Scene has at most {MAX_LIGHTS}", UserWarning)
     strongest = np.sort(np.argsort(-np.array(arriving), kind="stable")[:MAX_LIGHTS])
     return [balanced[i] for i in strongest]

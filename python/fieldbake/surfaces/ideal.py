@@ -34,18 +34,20 @@ ON_SURFACE = 1e-3
 def to_ideal(mesh: Mesh, field: Field, grid: Grid) -> float:
     """Measure the largest distance from the surface of a mesh to the zero level set of a field, world units."""
     vertices, faces = mesh.vertices, mesh.faces.astype(np.int64)
-    corners = _short(vertices[faces], MOST_EDGE * max(grid.spacing))
-    if len(corners) > len(faces):
-        scores = _scores(field, corners)
-    else:
-        # Corners and middles of edges are shared by several faces. Each is evaluated once.
-        ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1), axis=-1)
-        edges, edge_of = np.unique(ends[..., 0] * len(vertices) + ends[..., 1], return_inverse=True)
-        middles = (vertices[edges // len(vertices)] + vertices[edges % len(vertices)]) / 2
-        scores = np.maximum(
-            np.maximum(_distances(field, vertices)[faces].max(axis=1), _distances(field, corners.mean(axis=1))),
-            _distances(field, middles)[edge_of.reshape(faces.shape)].max(axis=1),
-        )
+    corners, most = vertices[faces], MOST_EDGE * max(grid.spacing)
+    # Corners and middles of edges are shared by several faces. Each is evaluated once.
+    ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1), axis=-1)
+    edges, edge_of = np.unique(ends[..., 0] * len(vertices) + ends[..., 1], return_inverse=True)
+    middles = (vertices[edges // len(vertices)] + vertices[edges % len(vertices)]) / 2
+    scores = np.maximum(
+        np.maximum(_distances(field, vertices)[faces].max(axis=1), _distances(field, corners.mean(axis=1))),
+        _distances(field, middles)[edge_of.reshape(faces.shape)].max(axis=1),
+    )
+    long = _longest_edges(corners) > most
+    if long.any():
+        parts = _short(corners[long], most)
+        corners = np.concatenate([corners[~long], parts])
+        scores = np.concatenate([scores[~long], _scores(field, parts)])
     kept = _largest(scores)
     pieces, best = corners[kept], float(scores.max())
     for _ in range(ROUNDS):
@@ -70,11 +72,17 @@ def _scores(field: Field, triangles: Array) -> Array:
     return found
 
 
+def _longest_edges(triangles: Array) -> Array:
+    """Length of the longest edge of each of the triangles (m, 3, 3), (m,)."""
+    lengths: Array = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2).max(axis=1)
+    return lengths
+
+
 def _short(triangles: Array, most: float) -> Array:
     """Divide triangles (m, 3, 3) into quarters until no edge is longer than `most`."""
     parts = []
     while len(triangles):
-        long = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2).max(axis=1) > most
+        long = _longest_edges(triangles) > most
         parts.append(triangles[~long])
         triangles = _quarters(triangles[long]).reshape(-1, 3, 3)
     return np.concatenate(parts)

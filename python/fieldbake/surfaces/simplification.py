@@ -30,27 +30,32 @@ def check_tolerance(value: float) -> float:
 def simplified(mesh: Mesh, tolerance: float) -> Mesh:
     """Collapse edges of a closed two-manifold while the surface moves by at most `tolerance`, world units.
 
-    The vertices of the result are a subset of those of the mesh. manifold3d moves surfaces by up to about twice its own
-    tolerance, so that is reduced until the measured distance, both ways, is within the one that is wanted.
+    The vertices of the result are a subset of those of the mesh. manifold3d moves a surface by up to about twice its
+    own tolerance. That tolerance is reduced until the measured distance, in both directions, is at most `tolerance`.
     """
     manifold3d = _manifold3d()
-    # manifold3d refuses arrays that are read-only.
+    # manifold3d needs writable arrays.
     vertices, faces = np.array(mesh.vertices), np.array(mesh.faces, np.uint64)
     body = manifold3d.Manifold(manifold3d.Mesh64(vertices, faces))
     if body.status() != manifold3d.Error.NoError:
-        raise MeshError(f"simplify: manifold3d refused the mesh of {len(faces):,} faces: {body.status().name}")
-    tried = tolerance
+        raise MeshError(f"simplify: manifold3d cannot read the mesh of {len(faces):,} faces: {body.status().name}")
+    # A tolerance beyond the size of the mesh removes every face.
+    tried = min(tolerance, float(np.ptp(mesh.bounds, axis=0).max()))
     for _ in range(MOST_TRIALS):
         made = body.simplify(tried).to_mesh64()
-        if 0 < len(made.tri_verts) < len(faces):
-            kept = np.array(made.vert_properties[:, :3])
-            result = Mesh._extracted(kept, np.array(made.tri_verts, np.uint32), mesh.report or SurfaceReport())
-            moved = max(result._core.deviation(mesh._core)[0], mesh._core.deviation(result._core)[0])
-            if moved <= tolerance:
-                return result
-            tried *= 0.9 * tolerance / moved
-        else:
+        count = len(made.tri_verts)
+        if count == len(faces):
+            return mesh  # A smaller tolerance removes no more faces.
+        if count == 0:
             tried /= 2
+            continue
+        kept = np.array(made.vert_properties[:, :3])
+        result = Mesh._extracted(kept, np.array(made.tri_verts, np.uint32), mesh.report or SurfaceReport())
+        # The second value of a deviation is its upper bound.
+        moved = max(result._core.deviation(mesh._core)[1], mesh._core.deviation(result._core)[1])
+        if moved <= tolerance:
+            return result
+        tried *= 0.9 * tolerance / moved
     return mesh
 
 

@@ -129,8 +129,8 @@ fn every_instruction_set_gives_the_same_bits() {
     );
 }
 
-/// Builds that carried a `TriangleFrame` from block to block failed this on every soup of two triangles or more, where
-/// LLVM's register coalescer processed the frame. `scripts/check_units.sh` runs it for several numbers of codegen
+/// Builds that carried a `TriangleFrame` from block to block failed this on every soup of two triangles or more: LLVM's
+/// register coalescer compiled them wrongly. `scripts/check_units.sh` runs it for several numbers of codegen
 /// units.
 #[test]
 fn no_triangle_is_dropped_in_this_build() {
