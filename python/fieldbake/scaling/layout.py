@@ -5,8 +5,8 @@ One group has::
     0                 level 0, (nz, ny, nx), one file per shard
     levels/1, ...     coarser levels: voxels twice as long, baked from the mesh, with the same scale
     far/distances     exact signed distances at the corners of the shards of level 0, float32
-    far/states/0, ... for each shard of a level 0 if it is wholly fill, 1 if it is stored
-    mesh/...          vertices and faces
+    far/states/0, ... for each shard of a level 0 if it is wholly fill, 1 if it is stored; lost chunks are read as 1
+    mesh/...          vertices and faces, and their hash
 
 Stored values are fractions of ``scale``, world units. Distances beyond the band are clamped to it.
 """

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..base.errors import FormatError
 from .layout import Layout, path_of, shard_key
-from .store import Place, size_of
+from .store import Place, read_array, size_of
 
 #: Memory of the bricks that a reader keeps, bytes.
 CACHE_BYTES = 256 << 20
@@ -31,7 +31,7 @@ class Reader:
         self._arrays = [group[path_of(level)] for level in range(layout.level_count)]
         #: For each level an array (sx, sy, sz): whether each shard is stored.
         self.states = [
-            np.asarray(group[f"far/states/{level}"][...]).transpose(2, 1, 0) != 0 for level in range(layout.level_count)
+            read_array(group, f"far/states/{level}").transpose(2, 1, 0) != 0 for level in range(layout.level_count)
         ]
         self._known: set[tuple[int, Triple]] = set()
         self._bricks: OrderedDict[tuple[int, Triple], NDArray[Any]] = OrderedDict()

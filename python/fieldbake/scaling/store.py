@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..base import checks, encodings
 from ..base.errors import ArgumentError, Error, FormatError
 from ..base.optional import optional_module
 from ..meshes.mesh import Mesh, restore
+from . import content
 from . import layout as layouts
 from .layout import Layout
+
+#: Attribute of a group while its arrays are created. A run that finds it deletes the group and starts again.
+UNFINISHED = "fieldbake_unfinished"
+
+#: Advice for damage outside the levels.
+REPAIR = "call bake_to_zarr with the same mesh and options to repair it"
 
 #: Compression of the chunks. Its checksum finds damage.
 ZSTD_LEVEL = 3
@@ -45,10 +53,13 @@ class Place:
         if isinstance(store, str):
             if not store:
                 raise ArgumentError("store: the path is empty")
-            if "://" not in store:
-                store = os.path.abspath(store)  # noqa: PTH100 - workers may have another working directory
-            return cls(store, None if options is None else dict(options))
-        if isinstance(store, zarr.abc.store.Store):
+            store = store.removeprefix("file://").removeprefix("local://")
+            if "://" in store:
+                return cls(store, None if options is None else dict(options))
+            store = os.path.abspath(store)  # noqa: PTH100 - workers may have another working directory
+        if options:
+            raise ArgumentError(f"storage_options: apply to URLs such as s3://bucket/name, not to {store}")
+        if isinstance(store, (str, zarr.abc.store.Store)):
             return cls(store)
         raise ArgumentError(f"store: must be a path, a URL or a Zarr store, got {checks.describe(store)}")
 
@@ -57,8 +68,14 @@ class Place:
         """Whether other processes can read the same contents."""
         zarr = import_zarr()
         if isinstance(self.store, str):
-            return not self.store.startswith("memory:")
-        return not isinstance(self.store, zarr.storage.MemoryStore)
+            return not any(part.startswith("memory:") for part in self.store.split("::"))
+        inner = self.store
+        while inner is not None:
+            if isinstance(inner, zarr.storage.MemoryStore) or type(inner).__name__ == "MemoryFileSystem":
+                return False
+            # The store of a wrapper, the file system of a store, and that of a cache.
+            inner = next((vars(inner)[name] for name in ("_store", "sync_fs", "fs") if name in vars(inner)), None)
+        return True
 
     def __str__(self) -> str:
         return str(self.store)
@@ -68,14 +85,22 @@ class Place:
         """The last part of the path."""
         return str(self.store).rstrip("/").rsplit("/", 1)[-1].partition(".")[0] or "field"
 
-    def open(self, mode: str) -> Any:
-        """Open the group; FileNotFoundError without one."""
+    def open(self, mode: str, **attributes: Any) -> Any:
+        """Open the group, or create it with attributes; FileNotFoundError without one."""
         zarr = import_zarr()
+        if mode != "r" and not getattr(self.store, "supports_deletes", True):
+            raise ArgumentError(f"store: {self} cannot replace its contents, as a bake must; bake into a folder")
         try:
             options = {"storage_options": self.options} if self.options else {}
-            return zarr.open_group(self.store, mode=mode, zarr_format=3, **options)
+            return zarr.open_group(self.store, mode=mode, zarr_format=3, attributes=attributes or None, **options)
         except ImportError as error:
             raise Error(f"store: '{self}' needs a package for its kind of storage: {error}") from error
+        except (FileNotFoundError, zarr.errors.GroupNotFoundError):
+            raise
+        except (FileExistsError, NotADirectoryError, zarr.errors.ContainsArrayError):
+            raise self.occupied() from None
+        except (TypeError, ValueError) as error:
+            raise ArgumentError(f"store: {self} cannot be opened: {error}") from error
 
     def existing(self, mode: str) -> Any:
         """Open the group, or return None if there is none."""
@@ -85,15 +110,28 @@ class Place:
         except (FileNotFoundError, zarr.errors.GroupNotFoundError):
             return None
 
-    def create(self) -> Any:
-        """Create a new group. Existing contents are deleted."""
-        return self.open("w")
+    def occupied(self) -> FormatError:
+        """The error for a place with contents that fieldbake has not written."""
+        return FormatError(f"store: {self} has other contents than a field of fieldbake; they stay as they are")
 
 
-def create(place: Place, layout: Layout, mesh: Mesh, report: Mapping[str, Any]) -> Any:
-    """Create the group with its empty levels and the mesh. The attributes come last: they make the store valid."""
+def is_ours(group: Any) -> bool:
+    """Whether fieldbake has written a group, or has begun to."""
+    return "fieldbake" in group.attrs or bool(group.attrs.get(UNFINISHED))
+
+
+def create(place: Place, group: Any, layout: Layout, mesh: Mesh, report: Mapping[str, Any]) -> Any:
+    """Create the group with its empty levels and the mesh. The attributes come last: they make the store valid.
+
+    `group` is the group at the place, or None. Its contents are deleted if fieldbake has written them.
+    """
     zarr = import_zarr()
-    group = place.create()
+    if group is None or is_ours(group):
+        group = place.open("w-" if group is None else "w", **{UNFINISHED: True})
+    elif group.attrs or any(True for _ in group.members()):
+        raise place.occupied()
+    else:
+        group.attrs.update({UNFINISHED: True})
     for level in range(layout.level_count):
         parent = group if level == 0 else group.require_group("levels")
         nx, ny, nz = layout.level(level).shape
@@ -108,13 +146,8 @@ def create(place: Place, layout: Layout, mesh: Mesh, report: Mapping[str, Any]) 
             dimension_names=("z", "y", "x"),
             attributes={"scale": float(layout.scale)},
         )
-    vertices, faces, rows = mesh._core.state()
-    parts = group.require_group("mesh")
-    parts.create_array(name="vertices", data=np.asarray(vertices))
-    parts.create_array(name="faces", data=np.asarray(faces))
-    if rows is not None:
-        parts.create_array(name="rows", data=np.asarray(rows))
-    group.attrs.update(layouts.attributes(layout, place.name, report))
+    write_mesh(group, mesh)
+    group.attrs.put(layouts.attributes(layout, place.name, report))
     return group
 
 
@@ -131,12 +164,74 @@ def read_layout(group: Any, place: Place) -> Layout:
     return Layout.from_dict(facts)
 
 
+def write_mesh(group: Any, mesh: Mesh) -> None:
+    """Store the arrays of a mesh, and their hash: a lost chunk of an array is read as zeros."""
+    arrays = _mesh_arrays(mesh)
+    parts = group.create_group("mesh", overwrite=True, attributes={"hash": content.of_arrays(*arrays.values())})
+    for name, array in arrays.items():
+        parts.create_array(name=name, data=array)
+
+
+def _mesh_arrays(mesh: Mesh) -> dict[str, NDArray[Any]]:
+    state = zip(("vertices", "faces", "rows"), mesh._core.state(), strict=True)
+    return {name: np.asarray(array) for name, array in state if array is not None}
+
+
+def has_mesh(group: Any) -> bool:
+    """Whether the arrays of the mesh in a store are complete."""
+    try:
+        _read_mesh_arrays(group)
+    except (KeyError, FormatError):
+        return False
+    return True
+
+
 def read_mesh(group: Any) -> Mesh:
     """Read the mesh that a store was baked from. It has the bits of the original."""
-    parts = group["mesh"]
-    rows = np.asarray(parts["rows"][...]) if "rows" in parts else None
-    vertices, faces = np.asarray(parts["vertices"][...]), np.asarray(parts["faces"][...])
-    return restore(vertices, faces, rows)
+    arrays = _read_mesh_arrays(group)
+    return restore(arrays["vertices"], arrays["faces"], arrays.get("rows"))
+
+
+def _read_mesh_arrays(group: Any) -> dict[str, NDArray[Any]]:
+    arrays = {
+        name: read_array(group, f"mesh/{name}") for name in ("vertices", "faces", "rows") if name in group["mesh"]
+    }
+    if content.of_arrays(*arrays.values()) != group["mesh"].attrs.get("hash"):
+        raise FormatError(f"{group.store_path}: the mesh is damaged; {REPAIR}")
+    return arrays
+
+
+def read_array(group: Any, path: str) -> NDArray[Any]:
+    """Read a whole array besides the levels. Each codec has errors of its own for damaged chunks."""
+    array = group[path]
+    try:
+        return np.asarray(array[...])
+    except Exception as error:
+        raise FormatError(f"{group.store_path}: {path} is damaged ({error}); {REPAIR}") from error
+
+
+def complete(
+    group: Any,
+    path: str,
+    shape: tuple[int, ...],
+    dtype: Any,
+    fill: float,
+    values: Callable[[NDArray[Any]], NDArray[Any]],
+) -> NDArray[Any]:
+    """Store ``values(found)`` in an array of the plan, where `found` is what the store has; return the values.
+
+    The array is created if it is missing. Lost and damaged chunks are found as `fill`.
+    """
+    if path not in group:
+        group.create_array(name=path, shape=shape, dtype=dtype, fill_value=fill, dimension_names=("z", "y", "x"))
+    try:
+        found = read_array(group, path)
+    except FormatError:
+        found = np.full(shape, fill, dtype)
+    wanted = values(found)
+    if not np.array_equal(found, wanted, equal_nan=True):
+        group[path][...] = wanted
+    return wanted
 
 
 def stored_keys(group: Any, level: int) -> set[str]:

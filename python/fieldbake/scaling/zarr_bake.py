@@ -6,16 +6,17 @@ import errno
 import os
 import time
 from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .. import _core
 from ..baking.dense import prepare
 from ..base import checks, encodings
 from ..base.encodings import Encoding
-from ..base.errors import ArgumentError, FormatError
+from ..base.errors import ArgumentError
 from ..base.grid import Resolution
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report
@@ -169,19 +170,16 @@ def _checked_layout(
 
 
 def _prepared_group(place: store.Place, layout: Layout, mesh: Mesh, resume: bool) -> Any:
-    """The group of the store, created if there is none, with the far distances."""
+    """The group of the store, created if there is none, with the whole mesh."""
     group = place.existing("r+")
-    if group is not None and "fieldbake" not in group.attrs and len(list(group.members())):
-        unfinished = {"0", "levels", "mesh", "far"}
-        if not {name for name, _ in group.members()} <= unfinished:
-            raise FormatError(f"store: {place} is a Zarr group with other contents; choose another path")
-        group = None
     if group is not None and "fieldbake" in group.attrs and resume:
         _check_same(place, store.read_layout(group, place), layout)
+        if not store.has_mesh(group):
+            store.write_mesh(group, mesh)
         return group
     facts = _core.query(mesh._core, mesh.bounds.mean(axis=0)[None], sign=layout.sign, device="cpu")[-1]
     facts.update(band=layout.band_width, points=0, inside_points=0, seconds={})
-    return store.create(place, layout, mesh, Report.of_mesh(mesh, facts).to_dict())
+    return store.create(place, group, layout, mesh, Report.of_mesh(mesh, facts).to_dict())
 
 
 def _check_same(place: store.Place, found: Layout, wanted: Layout) -> None:
@@ -202,19 +200,26 @@ Task = tuple[int, tuple[int, int, int]]
 
 
 def _planned_tasks(group: Any, layout: Layout, mesh: Mesh) -> list[Task]:
-    """The shards that are not stored yet: those near the surface first, in Morton order, level by level."""
+    """The shards that are not stored yet: those near the surface first, in Morton order, level by level.
+
+    The far distances and the states are completed. A run may have been killed between an array and its chunks.
+    """
     tasks: list[Task] = []
-    far = group.require_group("far")
-    if "distances" not in far:
-        names = ("z", "y", "x")
-        far.create_array(name="distances", data=plan.far_distances(mesh, layout), dimension_names=names)
-    states = far.require_group("states")
+    shape = tuple(n + 1 for n in reversed(layout.counts(0)))
+
+    def distances(found: NDArray[np.float32]) -> NDArray[np.float32]:
+        return plan.far_distances(mesh, layout) if np.isnan(found).any() else found
+
+    store.complete(group, "far/distances", shape, np.float32, np.nan, distances)
     for level in range(layout.level_count):
         stored, near = plan.stored_shards(mesh, layout, level)
-        if str(level) not in states:
-            states.create_array(name=str(level), data=np.ascontiguousarray(stored.transpose(2, 1, 0).astype(np.uint8)))
+        # Some shards of the plan turned out to be wholly outside; their state is 0.
+        wanted = stored.transpose(2, 1, 0)
+        path = f"far/states/{level}"
+        states = store.complete(group, path, wanted.shape, np.uint8, 1, partial(np.multiply, wanted))
+        stored &= states.transpose(2, 1, 0) != 0
         keys = store.stored_keys(group, level)
-        for part in (near, stored & ~near):
+        for part in (stored & near, stored & ~near):
             for x, y, z in plan.morton_order(np.argwhere(part)).tolist():
                 if shard_key(level, (x, y, z)) not in keys:
                     tasks.append((level, (x, y, z)))

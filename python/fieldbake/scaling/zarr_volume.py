@@ -138,11 +138,11 @@ class ZarrVolume(GridField):
         volume._place, volume._layout = place, layout
         try:
             volume._reader = Reader(place, layout, group)
-            far = np.abs(np.asarray(group["far/distances"][...], dtype=np.float64))
+            far = np.abs(stores.read_array(group, "far/distances").astype(np.float64))
         except KeyError as error:
-            raise FormatError(
-                f"{place}: the plan was not finished ({error} is missing); call bake_to_zarr with the same options"
-            ) from None
+            raise FormatError(f"{place}: the plan was not finished ({error} is missing); {stores.REPAIR}") from None
+        if np.isnan(far).any():
+            raise FormatError(f"{place}: far/distances is not complete; {stores.REPAIR}")
         volume._sampler, volume._geometry = Sampler(layout, volume._reader, far), _StoredMesh(volume)
         facts: Any = group.attrs["fieldbake"]
         report = Report.from_dict(facts["report"])
