@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from .. import _core
 from . import checks
+
+#: The number that `set_threads` has set; 0 is one thread per core.
+_limit = 0
 
 
 def set_threads(n: int) -> None:
@@ -29,4 +35,19 @@ def set_threads(n: int) -> None:
     --------
     >>> set_threads(2)
     """
-    _core.set_threads(checks.integer("n", n, least=1, most=2**16))
+    global _limit
+    _limit = checks.integer("n", n, least=1, most=2**16)
+    _core.set_threads(_limit)
+
+
+@contextmanager
+def limited_threads(n: int | None) -> Iterator[None]:
+    """Limit the worker threads of this process for the duration of a block; None changes nothing."""
+    if n is None:
+        yield
+        return
+    _core.set_threads(n)
+    try:
+        yield
+    finally:
+        _core.set_threads(_limit)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import os
 import pickle
 import signal
@@ -21,7 +22,7 @@ from ..base.errors import Error
 _LENGTH = struct.Struct("<Q")
 
 #: Program of a child. Its import path is the path of its parent. The main program of the parent is not imported again.
-_PROGRAM = "import sys; sys.path[:] = {path!r}; from fieldbake.scaling.child import serve; serve()"
+_PROGRAM = "import sys; sys.path[:] = {path!r}; from fieldbake.scaling import child, many; child.serve()"
 
 
 class ChildError(Error):
@@ -30,6 +31,28 @@ class ChildError(Error):
 
 class UnsendableError(Error):
     """The call cannot be pickled, or the child cannot read it."""
+
+
+class Portable:
+    """A callable that cloudpickle carries to other processes, also from a script or notebook. Dask installs that."""
+
+    def __init__(self, function: Callable[[], Any]) -> None:
+        self.function = function
+
+    def __call__(self) -> Any:
+        """Call the function."""
+        return self.function()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        try:
+            cloudpickle = importlib.import_module("cloudpickle")
+        except ImportError:
+            return Portable, (self.function,)
+        return _portable, (cloudpickle.dumps(self.function),)
+
+
+def _portable(data: bytes) -> Portable:
+    return Portable(pickle.loads(data))
 
 
 class Child:
@@ -51,9 +74,11 @@ class Child:
         """
         try:
             message = pickle.dumps((function, arguments), pickle.HIGHEST_PROTOCOL)
-        except (pickle.PicklingError, AttributeError, TypeError) as error:
+        except Exception as error:  # each type has errors of its own
             raise UnsendableError(str(error)) from error
-        process = self._started()
+        process = self._process
+        if process is None or process.poll() is not None:
+            process = self._start()
         assert process.stdin is not None
         assert process.stdout is not None
         expired = threading.Event()
@@ -102,9 +127,8 @@ class Child:
         if process is not None:
             _end(process)
 
-    def _started(self) -> subprocess.Popen[bytes]:
-        if self._process is not None and self._process.poll() is None:
-            return self._process
+    def _start(self) -> subprocess.Popen[bytes]:
+        """Start the process, and wait until it has imported the package: time limits begin then."""
         self.close()
         environment = dict(os.environ)
         if self._threads is not None:
@@ -118,6 +142,13 @@ class Child:
         )
         # The process ends with the thread that uses it.
         weakref.finalize(self, _end, self._process)
+        assert self._process.stdout is not None
+        try:
+            # The end of a process that does not start is found by the call.
+            _receive(self._process.stdout)
+        except BaseException:
+            self.close()
+            raise
         return self._process
 
 
@@ -167,6 +198,7 @@ def serve() -> None:
     with os.fdopen(os.dup(sys.stdout.fileno()), "wb") as target:
         # Prints of libraries must not mix with the answers.
         os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+        _send(target, b"")
         while (message := _receive(source)) is not None:
             _send(target, _answer(message))
 

@@ -22,7 +22,7 @@ from ..files.container import atomic_write
 from ..meshes.convert import as_mesh
 from ..queries.sampling import sample_training
 from . import content, executors, ledger
-from .child import Child, UnsendableError
+from .child import Child, Portable, UnsendableError
 
 #: The function of each kind of run, and the options of that function, which all items share.
 OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -71,8 +71,7 @@ def bake_many(
     out : path
         Folder for the results and for ``ledger.jsonl``; it is made if it is missing.
     executor : optional
-        A pool of `concurrent.futures`, a ``dask.distributed.Client``, or anything with ``submit``. By default the items
-        are baked in processes of this machine.
+        As for :func:`bake_to_zarr`. By default the items are baked in processes of this machine.
     on_error : "record" or "raise", default "record"
         Record the error of an item and continue, or raise the first one.
     resume : bool, default True
@@ -103,7 +102,8 @@ def bake_many(
     Notes
     -----
     Each item is baked in a child process of its worker. An item that crashes, runs out of memory or exceeds `limit_s`
-    ends that process and no other item. Only items that cannot be pickled are baked in the worker itself. Results are
+    ends that process and no other item. Functions of scripts and notebooks need the package cloudpickle for that;
+    without it they are baked in the worker itself, and fail if there is a `limit_s`. Results are
     written to a temporary file and renamed, so no result file is ever incomplete. The ledger has one line for each item
     that was done or has failed.
 
@@ -192,6 +192,8 @@ class Run:
             known = last.get("content") if last is not None and found is None else None
             if not ledger.is_done(self.out, last, name, known, self.options_hash):
                 known = None
+            if found is None:
+                item = Portable(item)
             assets.append((index, Asset(item, row["path"], self.kind, self.options, found, known)))
         if first_error is not None and self.on_error == "raise":
             raise first_error
@@ -208,9 +210,12 @@ class Run:
             return
         done = len(rows) - len(assets)
         lost: list[tuple[int, Asset]] = []
-        with progress_callback(self.progress, self.kind) as callback:
+        with (
+            progress_callback(self.progress, self.kind) as callback,
+            executors.opened(self.executor) as executor,
+        ):
             report = _throttled(callback, len(rows))
-            for place, facts, error in self._results(self.executor, [asset for _, asset in assets]):
+            for place, facts, error in self._results(executor, [asset for _, asset in assets]):
                 if isinstance(error, BrokenExecutor):
                     lost.append(assets[place])
                     continue
@@ -357,7 +362,12 @@ def work_in(child: Child, asset: Asset, limit_s: float | None) -> dict[str, Any]
     try:
         try:
             facts |= child.call(process, asset, limit_s=limit_s)
-        except UnsendableError:
+        except UnsendableError as error:
+            if limit_s is not None:
+                raise Error(
+                    f"limit_s needs a process of its own for each item, and this one cannot be sent there ({error}); "
+                    "install cloudpickle, or import the function from a module"
+                ) from None
             facts |= process(asset)
     except Exception as error:  # it becomes the result of the item
         facts |= {"error": _text(error), "exception": error}

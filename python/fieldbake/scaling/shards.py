@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import platform
 import threading
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -26,6 +28,22 @@ _meshes: dict[str, Mesh] = {}
 _threads: tuple[int, int] | None = None
 
 
+@dataclass(frozen=True)
+class Threads:
+    """Number of threads for the worker processes, None to leave it. The client limits its own process for a while."""
+
+    count: int | None
+    client: tuple[str, int] = field(default_factory=lambda: (platform.node(), os.getpid()))
+
+    def apply(self) -> None:
+        """Set the number of threads of a worker process."""
+        global _threads
+        if self.count is None or self.client == (platform.node(), os.getpid()) or _threads == (os.getpid(), self.count):
+            return
+        set_threads(self.count)
+        _threads = (os.getpid(), self.count)
+
+
 def keep_mesh(key: str, mesh: Mesh) -> None:
     """Keep one mesh in this process. It replaces the mesh kept before."""
     with _lock:
@@ -42,12 +60,9 @@ def mesh_of(place: Place, layout: Layout) -> Mesh:
         return _meshes[layout.mesh]
 
 
-def store_shard(place: Place, layout: Layout, level: int, index: tuple[int, int, int], threads: int | None) -> bool:
+def store_shard(place: Place, layout: Layout, level: int, index: tuple[int, int, int], threads: Threads) -> bool:
     """Bake one shard and store it in one write. Return whether it is stored; a shard with only fill values is not."""
-    global _threads
-    if threads is not None and _threads != (os.getpid(), threads):
-        set_threads(threads)
-        _threads = (os.getpid(), threads)
+    threads.apply()
     samples = bake_shard(mesh_of(place, layout), layout, level, index)
     if (samples == layout.fill).all():
         return False

@@ -20,6 +20,7 @@ from ..base.errors import ArgumentError
 from ..base.grid import Resolution
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report
+from ..base.threads import limited_threads
 from ..meshes.convert import MeshLike
 from ..meshes.mesh import Mesh
 from ..queries.common import Sign
@@ -71,8 +72,9 @@ def bake_to_zarr(
     encoding : str, default "snorm16"
         ``"float32"``, ``"float16"``, ``"snorm16"`` or ``"snorm8"``. The largest integer represents the band.
     executor : optional
-        A pool of `concurrent.futures`, a ``dask.distributed.Client``, or anything with ``submit``. By default the
-        threads of this process work on one shard after another.
+        A pool of `concurrent.futures`, a ``dask.distributed.Client`` or the address of its scheduler, or anything with
+        ``submit`` whose futures have ``result``, ``done``, ``cancel`` and ``add_done_callback``. By default the threads
+        of this process work on one shard after another.
     resume : bool, default True
         Keep the shards that a run with the same mesh and options has stored. False deletes the contents of the store.
     progress : bool or callable, optional
@@ -120,21 +122,23 @@ def bake_to_zarr(
     """
     place = _place(store, storage_options)
     checks.flag("resume", resume)
+    limit = None if threads is None else checks.integer("threads", threads, least=1, most=2**16)
     executors.checked_executor(executor)
     if not place.is_shared and not executors.is_local(executor):
         raise ArgumentError(
             f"executor: its processes cannot see {place}, which is in the memory of this process; use a path or a URL, "
             "or executor=None"
         )
-    limit = None if threads is None else checks.integer("threads", threads, least=1, most=2**16)
     layout, surface = _checked_layout(mesh, resolution, band, shard, chunk, encoding, bounds, margin, sign)
     shards.keep_mesh(layout.mesh, surface)
     group = _prepared_group(place, layout, surface, resume)
     tasks = _planned_tasks(group, layout, surface)
     if tasks:
-        if limit is None:
-            limit = executors.threads_per_worker(executor)
-        _work(place, layout, tasks, executor, limit, progress)
+        with executors.opened(executor) as pool:
+            if limit is None:
+                limit = executors.threads_per_worker(pool)
+            with limited_threads(limit):
+                _work(place, layout, tasks, pool, shards.Threads(limit), progress)
     return ZarrVolume._open(place)
 
 
@@ -227,7 +231,7 @@ def _planned_tasks(group: Any, layout: Layout, mesh: Mesh) -> list[Task]:
 
 
 def _work(
-    place: store.Place, layout: Layout, tasks: list[Task], executor: Any, threads: int | None, progress: Progress
+    place: store.Place, layout: Layout, tasks: list[Task], executor: Any, threads: shards.Threads, progress: Progress
 ) -> None:
     with progress_callback(progress, "bake") as callback:
         last = 0.0
@@ -245,7 +249,7 @@ def _work(
                 callback(done / len(tasks))
 
 
-def _results(place: store.Place, layout: Layout, tasks: list[Task], executor: Any, threads: int | None) -> Any:
+def _results(place: store.Place, layout: Layout, tasks: list[Task], executor: Any, threads: shards.Threads) -> Any:
     if executor is not None:
         calls = [(place, layout, level, shard, threads) for level, shard in tasks]
         yield from executors.run_tasks(executor, shards.store_shard, calls)
