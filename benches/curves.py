@@ -1,9 +1,10 @@
-"""Time and memory of a bake over the resolution, the number of faces and the number of threads, as a PNG of curves.
+"""Time and memory of a bake over the resolution, the number of faces and the number of threads.
 
     python benches/curves.py
 
 Each point is the median of three whole bakes, tree included, of the trefoil from `fieldbake.models`; threads are set by
 RAYON_NUM_THREADS in a process of their own. Memory is the process's peak above its level before the bake.
+docs/benchmarks.md draws the curves from the JSON file.
 """
 
 import argparse
@@ -72,29 +73,8 @@ def main() -> None:
         "faces": [measure(faces, USUAL_RESOLUTION, cores) for faces in FACES],
         "threads": [measure(USUAL_FACES, USUAL_RESOLUTION, count) for count in threads],
     }
-    name = HERE / "results" / f"{datetime.date.today().isoformat()}-curves"
-    name.with_suffix(".json").write_text(json.dumps(curves, indent=1))
-    draw(curves, name.with_suffix(".png"))
-
-
-def draw(curves: dict[str, list[dict[str, float]]], path: Path) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(1, 3, figsize=(12, 3.6), layout="constrained")
-    for axis, (name, points) in zip(axes, curves.items(), strict=True):
-        x, y = [point[name] for point in points], [point["seconds"] for point in points]
-        axis.loglog(x, y, "o-")
-        axis.set(
-            xlabel="voxels a side" if name == "resolution" else name, ylabel="seconds", title=f"cost against {name}"
-        )
-        axis.set_xticks(x, [f"{value:,.0f}" for value in x])
-        axis.set_yticks(y, [f"{value:.2g}" for value in y])
-        axis.minorticks_off()
-        axis.grid(alpha=0.3)
-    figure.savefig(path, dpi=110)
+    path = HERE / "results" / f"{datetime.date.today().isoformat()}-curves.json"
+    path.write_text(json.dumps(curves, indent=1))
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import fieldbake
 
 DOCS = Path(__file__).parent
 BUILD = DOCS / "build"
+RESULTS = DOCS.parent / "benches" / "results"
 sys.path.insert(0, str(DOCS / "extensions"))
 
 project = "fieldbake"
@@ -63,7 +64,8 @@ def _package_digest() -> str:
     """A digest of the package and of what its pages run, so that no cached output is older than them."""
     digest = hashlib.sha256()
     package = Path(fieldbake.__file__).parent
-    for path in sorted([*package.rglob("*.py"), *package.glob("_core.*"), DOCS / "extensions" / "kernel_startup.py"]):
+    own = [DOCS / "extensions" / "kernel_startup.py", *RESULTS.glob("*-curves.json")]
+    for path in sorted([*package.rglob("*.py"), *package.glob("_core.*"), *own]):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
@@ -78,6 +80,7 @@ shutil.copy(DOCS / "extensions" / "kernel_startup.py", _STARTUP / "00-views.py")
 (_STARTUP.parent / "ipython_kernel_config.py").write_text("get_config().IPKernelApp.log_level = 40\n", encoding="utf-8")
 os.environ["IPYTHONDIR"] = str(BUILD / "ipython")
 os.environ["FIELDBAKE_DEVICE"] = "cpu"
+os.environ["BENCH_RESULTS"] = str(RESULTS)
 # They import the package that this file has imported.
 os.environ["PYTHONPATH"] = os.pathsep.join([str(Path(fieldbake.__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
 os.environ["PYTHONWARNINGS"] = "ignore::UserWarning"

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import typer
 from sphinx.application import Sphinx
+from typer.core import TyperCommand, TyperGroup
 
 from fieldbake.cli.application import app as command_line
 from fieldbake.cli.application import load as load_commands
@@ -36,6 +37,18 @@ def _cell(text: str) -> str:
     return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;").replace("[", "\\[")
 
 
+def _parameters(command: TyperCommand | TyperGroup, context: typer.Context, without: tuple[str, ...] = ()) -> list[str]:
+    """Definition lists of the arguments and options of a command, except those with the names in `without`."""
+    lines = []
+    for parameter in command.get_params(context):
+        record = parameter.get_help_record(context)
+        if record is not None and parameter.name not in without:
+            # The type of an argument is Python's; its name says enough.
+            name = record[0].split()[0] if parameter.param_type_name == "argument" else record[0]
+            lines += [f"`{name}`", f": {_cell(record[1])}", ""]
+    return lines
+
+
 def commands() -> str:
     """A section for each command: its purpose, its arguments and its options, from the objects that parse them."""
     load_commands()  # without it the group has the names of the commands only
@@ -47,7 +60,8 @@ def commands() -> str:
         "command. This page is generated from the program.",
         "",
     ]
-    context = typer.Context(group, info_name="fieldbake")
+    context = typer.Context(group, info_name="fieldbake", **group.context_settings)
+    lines += ["## Options of the program", "", *_parameters(group, context)]
     for name in group.list_commands(context):
         command = group.get_command(context, name)
         if command is None or command.hidden:
@@ -58,12 +72,7 @@ def commands() -> str:
         paragraphs = re.split(r"\n\s*\n", (command.help or "").replace("\b", "").strip())
         for paragraph in paragraphs:
             lines += [_cell(paragraph), ""]
-        for parameter in command.get_params(inner):
-            record = parameter.get_help_record(inner)
-            if record is not None:
-                # The type of an argument is Python's; its name says enough.
-                name = record[0].split()[0] if parameter.param_type_name == "argument" else record[0]
-                lines += [f"`{name}`", f": {_cell(record[1])}", ""]
+        lines += _parameters(command, inner, without=("help",))
     return "\n".join(lines)
 
 

@@ -49,10 +49,12 @@ def test_json_and_text_have_versions_the_cpu_and_its_tests():
     (cpu,) = found["devices"]
     assert (cpu["name"], cpu["backend"]) == ("cpu", "cpu")
     assert cpu["limits"]["threads"] >= 1
-    for path, limit in (("bake", selftests.DISTANCE_TOLERANCE), ("draw", selftests.DEPTH_TOLERANCE)):
+    distance, depth = selftests.DISTANCE_TOLERANCE, selftests.DEPTH_TOLERANCE
+    for path, limit in {"bake": distance, "query": distance, "draw": depth, "render": depth}.items():
         assert cpu["tests"][path]["ok"]
         assert 0 <= cpu["tests"][path]["error"] <= limit
         assert cpu["tests"][path]["seconds"] > 0
+        assert cpu["tests"][path]["first_seconds"] > 0
     rows = " ".join(text for _, text in rows_of(found))
     assert "no graphics adapter was found" in rows
     assert "missing.json (missing)" in rows
@@ -65,7 +67,7 @@ def test_each_adapter_is_tested():
 
     assert found["problems"] == []
     assert [device["name"] for device in found["devices"]] == [device.name for device in fb.devices()]
-    assert all(device["tests"][path]["ok"] for device in found["devices"] for path in ("bake", "draw"))
+    assert all(device["tests"][path]["ok"] for device in found["devices"] for path in selftests.PATHS)
 
 
 @pytest.mark.usefixtures("no_driver")
@@ -77,19 +79,33 @@ def test_a_crash_of_a_driver_is_a_failed_test(monkeypatch):
 
     tests = found["devices"][0]["tests"]
     assert result.exit_code == 1
-    assert [tests[path]["ok"] for path in ("bake", "draw")] == [False, True]
+    assert [tests[path]["ok"] for path in selftests.PATHS] == [False, True, True, True]
     assert signal.Signals.SIGKILL.name in " ".join(found["problems"])
 
 
-def test_a_wrong_result_fails_a_self_test(monkeypatch):
+@pytest.mark.parametrize("path", selftests.PATHS)
+def test_a_wrong_result_fails_a_self_test(monkeypatch, path):
     vertices, faces = meshes.box()
     mesh = fb.Mesh(0.51 * vertices, faces)  # its half side is 0.51
     monkeypatch.setattr(selftests, "_cube", lambda: mesh)
 
     with pytest.raises(fb.Error, match=r"largest error is 0\.01"):
-        selftests.check_bake("cpu")
-    with pytest.raises(fb.Error, match=r"largest error is 0\.01"):
-        selftests.check_draw("cpu")
+        getattr(selftests, f"check_{path}")("cpu")
+
+
+def test_a_missing_shadow_fails_the_test_of_scenes(monkeypatch):
+    scene, ahead = fb.Scene, fb.DirectionalLight((0, 0, -1))
+    monkeypatch.setattr(selftests.fb, "Scene", lambda instances, **_: scene(instances, lights=[ahead]))
+
+    with pytest.raises(fb.Error, match="largest error is 1"):
+        selftests.check_render("cpu")
+
+
+def test_a_result_that_is_not_a_number_fails_a_self_test():
+    errors = iter((0.0, float("nan")))
+
+    with pytest.raises(fb.Error, match="largest error is nan"):
+        selftests._checked(lambda: None, lambda _: next(errors), 1.0)
 
 
 @pytest.mark.usefixtures("no_devices")

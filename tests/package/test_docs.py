@@ -110,3 +110,16 @@ def test_built_pages_show_their_pictures_without_a_network(site: Path):
         assert result.requests == [], page
         assert result.value == [], page
     assert len(pages) > 20
+
+
+@pytest.mark.slow
+def test_the_search_works_without_a_network(site: Path):
+    script = """
+      await page.waitForSelector("#search-results .search li a", { timeout: 60_000 });
+      return page.$$eval("#search-results .search li a", (links) => links.map((link) => link.getAttribute("href")));
+    """
+    [result] = visit([{"url": (site / "search.html").as_uri() + "?q=winding", "script": script}])
+
+    assert result.errors == []
+    assert result.requests == []
+    assert any("concepts/sign.html" in link for link in result.value)

@@ -164,8 +164,8 @@ def _devices(self_tests: bool) -> list[dict[str, Any]]:
         if self_tests:
             for device in listed:
                 device["tests"] = {}
-                for path, test in (("bake", tests.check_bake), ("draw", tests.check_draw)):
-                    result, failure = attempt(call, test, device["name"])
+                for path in tests.PATHS:
+                    result, failure = attempt(call, getattr(tests, f"check_{path}"), device["name"])
                     device["tests"][path] = {**(result or {}), "ok": failure is None, "message": failure}
     finally:
         child.close()

@@ -60,7 +60,8 @@ def _device_text(device: dict[str, Any]) -> str:
 def _test_text(test: dict[str, Any]) -> str:
     if not test["ok"]:
         return f"FAILED, {test['message']}"
-    return f"works, {test['seconds'] * 1e3:.0f} ms, largest error {test['error']:.1e}"
+    first, second = (1e3 * test[name] for name in ("first_seconds", "seconds"))
+    return f"works, {second:.1f} ms (first call {first:.0f} ms), largest error {test['error']:.1e}"
 
 
 def _cache_text(cache: dict[str, Any]) -> str:
