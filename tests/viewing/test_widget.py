@@ -106,11 +106,13 @@ def test_without_anywidget_the_page_is_shown(monkeypatch: pytest.MonkeyPatch) ->
 def test_every_object_has_a_face() -> None:
     knot = fb.models.torus_knot(segments=32, sides=6)
     quadric = fb.Quadric.sphere(radius=1)
-    things = [ball(), ball().to_sparse(), fb.sphere(radius=1), knot, quadric, fb.Scene([knot, quadric])]
+    nested = fb.merge([ball()], 16, levels=2, center=(0, 0, 0))
+    things = [ball(), ball().to_sparse(), fb.sphere(radius=1), knot, quadric, fb.Scene([knot, quadric]), nested]
     for thing in [*things, fb.pack([ball()], page_size=256)]:
         assert thing._repr_png_().startswith(PNG), thing
     assert fb.Volume(np.ones((3, 3, 3)), [(0, 0, 0), (1, 1, 1)])._repr_png_() is None
     assert ball().report._repr_html_().startswith("<table")
+    assert "self-intersections</td>" in fb.solid(knot, 12).report._repr_html_()
     assert ball().plot_slices()._repr_png_().startswith(PNG)
 
 

@@ -28,8 +28,24 @@ def seconds_text(seconds: float) -> str:
     return f"{seconds:.2f} s" if seconds >= 1 else f"{seconds * 1e3:.{2 if seconds < 0.01 else 0}f} ms"
 
 
+class Rows:
+    """A report of labelled rows: `print` shows it as text, and notebooks as a table."""
+
+    def rows(self) -> list[tuple[str, str]]:
+        """List the label and the text of each line of the report."""
+        raise NotImplementedError
+
+    def __str__(self) -> str:
+        return "\n".join(f"{label:<8}  {text}" for label, text in self.rows())
+
+    def _repr_html_(self) -> str:
+        """The rows as a table, for notebooks."""
+        rows = "".join(f"<tr><th>{escape(label)}</th><td>{escape(text)}</td></tr>" for label, text in self.rows())
+        return f'<table style="text-align:left">{rows}</table>'
+
+
 @dataclass(frozen=True)
-class Report:
+class Report(Rows):
     """Properties of the surface and cost of the work. `print` shows all of them as text.
 
     Attributes
@@ -150,14 +166,6 @@ class Report:
         rows.append(("memory", f"{bytes_text(self.peak_bytes)} at most"))
         rows.extend(("warning", warning) for warning in self.warnings)
         return rows
-
-    def __str__(self) -> str:
-        return "\n".join(f"{label:<8}  {text}" for label, text in self.rows())
-
-    def _repr_html_(self) -> str:
-        """The rows as a table, for notebooks."""
-        rows = "".join(f"<tr><th>{escape(label)}</th><td>{escape(text)}</td></tr>" for label, text in self.rows())
-        return f'<table style="text-align:left">{rows}</table>'
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Report.from_dict, (self.to_dict(),)

@@ -1,4 +1,4 @@
-"""The views of an object: a page, and a widget of a notebook."""
+"""The views of an object: a picture, a page, and a widget of a notebook."""
 
 from __future__ import annotations
 
@@ -6,7 +6,19 @@ import os
 from typing import Any, Literal
 
 
-class Viewable:
+class Pictured:
+    """Base class of objects that notebooks show as a picture."""
+
+    __slots__ = ()
+
+    def _repr_png_(self) -> bytes | None:
+        """Draw the object for notebooks, as PNG; None if there is no surface."""
+        from ..viewing import hosts
+
+        return hosts.picture(self)
+
+
+class Viewable(Pictured):
     """Base class of objects that have a live view."""
 
     __slots__ = ()
@@ -93,9 +105,3 @@ class Viewable:
         from ..viewing import hosts
 
         return hosts.show(self, **options)
-
-    def _repr_png_(self) -> bytes | None:
-        """Draw the object for notebooks, as PNG; None if there is no surface."""
-        from ..viewing import hosts
-
-        return hosts.picture(self)

@@ -16,6 +16,7 @@ from ..base.grid import Grid
 from ..base.loadable import Loadable
 from ..base.progress import Progress, part_of, progress_callback
 from ..base.report import bytes_text
+from ..base.viewable import Pictured
 from ..files import container
 from ..volumes.convertible import Convertible
 from ..volumes.shaded import Shaded
@@ -30,7 +31,7 @@ MAX_LEVELS = 12
 LEAST_SIDE = 8
 
 
-class NestedField(Loadable, Shaded, Convertible):
+class NestedField(Loadable, Shaded, Convertible, Pictured):
     """The field of a scene on nested grids, fine near a point and coarse far from it. Made by :func:`merge`.
 
     All levels have the same number of voxels, and each level is twice as large as the one inside it. A loaded field

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _core
 from ..base import checks
 from ..base.errors import ArgumentError, MeshError, SceneError
+from ..base.report import count_text
 from ..base.viewable import Viewable
 from .camera import Camera
 from .core_scene import Fields, SceneBuilder
@@ -124,8 +125,8 @@ class Scene(Viewable):
         return _copy, (self._instances, self._lights, self._ambient, self._background, self._cameras)
 
     def __repr__(self) -> str:
-        lights = "the default light" if self._lights is None else f"{len(self._lights)} lights"
-        return f"Scene({len(self._instances)} instances, {lights})"
+        lights = "the default light" if self._lights is None else count_text(len(self._lights), "light")
+        return f"Scene({count_text(len(self._instances), 'instance')}, {lights})"
 
 
 def _copy(

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..base.report import SurfaceReport
+from ..base.report import Rows, SurfaceReport, count_text
 from ..meshes.mesh import Mesh
 from ..queries.rays import cast_rays
 from ..queries.sampling import sample_surface
@@ -19,7 +19,7 @@ FACING = -0.5
 
 
 @dataclass(frozen=True)
-class SolidReport(SurfaceReport):
+class SolidReport(Rows, SurfaceReport):
     """Properties of a mesh made by :func:`fieldbake.solid`, `offset`, `shell` or `boolean`.
 
     Every property is computed when it is first read. `distance_to_source` and `distance_from_source` take about as long
@@ -101,15 +101,18 @@ class SolidReport(SurfaceReport):
         assert measure is not None
         return measure(self._made)
 
-    def __str__(self) -> str:
-        rows = [
-            ("bodies", f"{self.bodies:,}, genus {self.genus}, {self.self_intersections:,} self-intersections"),
+    def rows(self) -> list[tuple[str, str]]:
+        """List the label and the text of each line of the report."""
+        return [
+            (
+                "bodies",
+                f"{self.bodies:,}, genus {self.genus}, {count_text(self.self_intersections, 'self-intersection')}",
+            ),
             ("volume", f"{self.volume:.6g}"),
             ("area", f"{self.area:.6g}"),
             ("distance", f"{self.distance_to_source:.4g} to the source, {self.distance_from_source:.4g} from it"),
             ("voxel", f"{self.voxel_size:.4g}"),
         ]
-        return "\n".join(f"{label:<8}  {text}" for label, text in rows)
 
 
 def thinnest_part(mesh: Mesh) -> float | None:

@@ -11,8 +11,10 @@ from ..base import checks
 from ..base.errors import ArgumentError, SceneError
 from ..base.notices import warn
 from ..drawing.options import checked_size
+from ..drawing.raymarching import raymarch
 from ..drawing.rendering import render
 from ..files.container import atomic_write
+from ..merging.nested import NestedField
 from ..meshes.mesh import Mesh
 from ..scenes.camera import Camera
 from ..scenes.scene import Scene
@@ -47,8 +49,11 @@ def picture(thing: Any) -> bytes | None:
         # Triangles need no field, and shadows would.
         scene = thing if isinstance(thing, Scene) else Scene([thing])
         return render(scene, size=PICTURE_SIZE, shadows="none", device="cpu")._repr_png_()
-    if isinstance(thing, Volume) and not thing.distances.min() <= 0 <= thing.distances.max():
+    levels = thing.levels if isinstance(thing, NestedField) else [thing] if isinstance(thing, Volume) else None
+    if levels and not any(level.distances.min() <= 0 <= level.distances.max() for level in levels):
         return None
+    if isinstance(thing, NestedField):
+        return raymarch(thing, size=PICTURE_SIZE, device="cpu")._repr_png_()
     if isinstance(thing, Atlas) and not len(thing):
         return None
     return content_of(thing, None, "float32", PICTURE_SIZE).frame(max(PICTURE_SIZE))._repr_png_()
