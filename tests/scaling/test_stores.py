@@ -194,3 +194,56 @@ def test_stores_that_cannot_be_opened_are_errors_of_the_argument(mesh, tmp_path)
         bake(tmp_path / "s.zarr", mesh, storage_options={"key": "test"})
     with pytest.raises(fb.ArgumentError, match=r"store: .*z\.zip"):
         bake(zarr.storage.ZipStore(tmp_path / "z.zip", mode="w"), mesh)
+
+
+def test_shards_that_are_lost_after_the_first_read_are_errors(store):
+    volume = fb.open_zarr(store)
+    assert np.asarray(volume).shape == volume.resolution
+    key = "0/c/0/0/0"
+    (store / key).unlink()
+    with pytest.raises(fb.FormatError, match=f"shard {key} of .* is missing"):
+        volume[0:8, 0:8, 0:8]
+
+
+def test_missing_shards_are_no_fill_values_in_xarray(store):
+    pytest.importorskip("xarray")
+    (store / "0/c/0/1/1").unlink()
+    with pytest.raises(fb.FormatError, match=r"shard 0/c/0/1/1 of .* is missing"):
+        fb.open_zarr(store).to_xarray()
+
+
+def test_another_version_bakes_no_shards_of_a_store(mesh, store):
+    group = zarr.open_group(store, mode="r+")
+    group.attrs.update({"fieldbake": {**group.attrs["fieldbake"], "version": "0.0.1"}})
+    assert bake(store, mesh).resolution == fb.open_zarr(store).resolution
+    (store / "0/c/0/0/0").unlink()
+    with pytest.raises(fb.ArgumentError, match=r"begun by fieldbake 0\.0\.1.*resume=False"):
+        bake(store, mesh)
+
+
+def test_progress_reaches_1_when_nothing_is_left(mesh, store):
+    shares = []
+    bake(store, mesh, progress=shares.append)
+    assert shares == [1.0]
+
+
+@pytest.mark.parametrize(("encoding", "band"), [("float16", 8.5001), ("snorm8", 8.51)])
+def test_near_shards_are_written_though_their_samples_round_to_the_fill_value(tmp_path, encoding, band):
+    box = fb.box((1, 1, 1)).to_mesh(8)
+    bounds = [(-1,) * 3, (1,) * 3]
+    volume = fb.bake_to_zarr(
+        box, tmp_path / "b.zarr", 64, band=band, shard=8, chunk=8, bounds=bounds, encoding=encoding
+    )
+    distances = fb.bake(volume.mesh, 64, bounds=bounds).distances
+    near = (np.abs(distances).reshape((8, 8) * 3) < np.float32(volume.band)).any(axis=(1, 3, 5))
+    found = {key for key in contents(tmp_path / "b.zarr") if key.startswith("0/c/")}
+    assert found >= {f"0/c/{z}/{y}/{x}" for x, y, z in np.argwhere(near).tolist()}
+    assert np.abs(volume.distances - distances.clip(-volume.band, volume.band)).max() <= 0.01 * volume.band
+
+
+def test_pictures_keep_their_bricks(store, monkeypatch):
+    volume = fb.open_zarr(store)
+    first = volume.picture_field()
+    assert volume.picture_field() is first
+    page = volume.to_html(size=(64, 48))
+    assert "<canvas" in page or "<script" in page

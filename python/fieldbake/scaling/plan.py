@@ -83,7 +83,7 @@ def stored_shards(mesh: Mesh, layout: Layout, level: int) -> tuple[NDArray[np.bo
 
     # The remaining shards are near the surface, or their side is not known.
     samples = low * layout.shard, np.minimum((low + 1) * layout.shard, blocks.shape)
-    in_band = _with_samples_in_band(blocks, *samples, layout.band_width)
+    in_band = samples_in_band(blocks, *samples, layout.band_width)
     near[tuple(low[in_band].T)] = True
     rest = low[~in_band]
     if len(rest):
@@ -91,9 +91,7 @@ def stored_shards(mesh: Mesh, layout: Layout, level: int) -> tuple[NDArray[np.bo
     return stored | near, near
 
 
-def _with_samples_in_band(
-    blocks: Blocks, low: NDArray[np.int64], high: NDArray[np.int64], width: float
-) -> NDArray[np.bool_]:
+def samples_in_band(blocks: Blocks, low: NDArray[np.int64], high: NDArray[np.int64], width: float) -> NDArray[np.bool_]:
     """Decide which boxes have a sample nearer to the surface than `width`, (n,). Undecided boxes are divided."""
     found = np.zeros(len(low), dtype=bool)
     owner = np.arange(len(low))

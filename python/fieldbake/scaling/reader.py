@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..base.errors import FormatError
 from .layout import Layout, path_of, shard_key
-from .store import Place, read_array, size_of
+from .store import Place, read_array, size_of, stored_keys
 
 #: Memory of the bricks that a reader keeps, bytes.
 CACHE_BYTES = 256 << 20
@@ -62,15 +62,27 @@ class Reader:
         if (level, index) in self._known:
             return
         key = shard_key(level, index)
-        size = size_of(self._group, key)
+        size = size_of(self.place, self._group, key)
         if size is None:
-            raise FormatError(
-                f"shard {key} of {self.place} is missing; call bake_to_zarr with the same mesh and options to bake it"
-            )
+            raise self._missing(key)
         if size == 0:
             # Zarr treats an empty file as a missing one.
             raise self._damage(key, "the file is empty")
-        self._known.add((level, index))
+        if self.place.folder is None:
+            # A request takes long. The size of a file is read each time, since it may be deleted meanwhile.
+            self._known.add((level, index))
+
+    def require(self, level: int) -> None:
+        """Raise an error if any shard of a level is missing in the store."""
+        keys = stored_keys(self._group, level)
+        for x, y, z in np.argwhere(self.states[level]).tolist():
+            key = shard_key(level, (x, y, z))
+            if key not in keys:
+                raise self._missing(key)
+
+    def _missing(self, key: str) -> FormatError:
+        advice = "call bake_to_zarr with the same mesh and options to bake it"
+        return FormatError(f"shard {key} of {self.place} is missing; {advice}")
 
     def _blame(self, level: int, shards: list[Triple], error: Exception) -> None:
         """Raise FormatError for the shard that cannot be read."""

@@ -15,7 +15,7 @@ from ..base import encodings
 from ..base.threads import set_threads
 from ..meshes.mesh import Mesh
 from .layout import Layout, path_of
-from .plan import Blocks
+from .plan import Blocks, samples_in_band
 from .store import Place, read_mesh
 
 #: Samples along the side of a window; a shard is baked window by window. Smaller windows skip more far samples.
@@ -61,13 +61,22 @@ def mesh_of(place: Place, layout: Layout) -> Mesh:
 
 
 def store_shard(place: Place, layout: Layout, level: int, index: tuple[int, int, int], threads: Threads) -> bool:
-    """Bake one shard and store it in one write. Return whether it is stored; a shard with only fill values is not."""
+    """Bake one shard and store it in one write. Return whether it is stored.
+
+    A shard with only fill values is stored if samples in the band are rounded to them, as float16 does.
+    """
     threads.apply()
-    samples = bake_shard(mesh_of(place, layout), layout, level, index)
-    if (samples == layout.fill).all():
-        return False
-    (x, y, z), (nx, ny, nz) = layout.box(level, index)
+    mesh = mesh_of(place, layout)
+    samples = bake_shard(mesh, layout, level, index)
     array = place.open("r+")[path_of(level)]
+    low, size = layout.box(level, index)
+    if (samples == layout.fill).all():
+        box = np.array([low], dtype=np.int64), np.array([low], dtype=np.int64) + size
+        blocks = Blocks(mesh, layout.level(level), layout.sign)
+        if not samples_in_band(blocks, *box, layout.band_width).any():
+            return False
+        array = array.with_config({"write_empty_chunks": True})
+    (x, y, z), (nx, ny, nz) = low, size
     array[z : z + nz, y : y + ny, x : x + nx] = samples
     return True
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -79,6 +80,14 @@ class Place:
 
     def __str__(self) -> str:
         return str(self.store)
+
+    @property
+    def folder(self) -> str | None:
+        """The folder of a store of files; None for other stores."""
+        if isinstance(self.store, str):
+            return None if "://" in self.store else self.store
+        root = getattr(self.store, "root", None)
+        return os.fspath(root) if isinstance(root, os.PathLike) else None
 
     @property
     def name(self) -> str:
@@ -234,17 +243,20 @@ def complete(
     return wanted
 
 
-def stored_keys(group: Any, level: int) -> set[str]:
-    """Keys of the shards of a level that are stored, relative to the group. Remains of broken writes are deleted."""
+def stored_keys(group: Any, level: int, *, clean: bool = False) -> set[str]:
+    """Keys of the shards of a level that are stored, relative to the group.
+
+    With `clean`, the remains of broken writes are deleted.
+    """
     array = group[layouts.path_of(level)]
     prefix = group.store_path.path
     start = f"{prefix}/" if prefix else ""
     keys = set()
     for key in _listed(array.store_path.store, f"{array.store_path.path}/c/"):
-        if key.endswith(".partial"):
-            _sync(array.store_path.store.delete(key))
-        else:
+        if not key.endswith(".partial"):
             keys.add(key.removeprefix(start))
+        elif clean:
+            _sync(array.store_path.store.delete(key))
     return keys
 
 
@@ -264,10 +276,12 @@ def _sync(work: Any) -> Any:
     return sync(work)
 
 
-def size_of(group: Any, key: str) -> int | None:
+def size_of(place: Place, group: Any, key: str) -> int | None:
     """Bytes of a key of the store, relative to the group; None if it is missing."""
     prefix = group.store_path.path
     try:
+        if place.folder is not None:
+            return Path(place.folder, key).stat().st_size
         return int(_sync(group.store_path.store.getsize(f"{prefix}/{key}" if prefix else key)))
     except FileNotFoundError:
         return None

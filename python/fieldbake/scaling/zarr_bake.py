@@ -94,9 +94,9 @@ def bake_to_zarr(
     MeshError
         If the mesh cannot be read or used.
     ArgumentError
-        If an option is invalid, or the store has a bake of another mesh or with other options.
+        If an option is invalid, or the store has a bake of another mesh, with other options or by another version.
     FormatError
-        If the store is a Zarr group with other contents.
+        If the store has other contents; they stay as they are.
     Error
         If the package zarr is not installed.
     OSError
@@ -134,11 +134,14 @@ def bake_to_zarr(
     group = _prepared_group(place, layout, surface, resume)
     tasks = _planned_tasks(group, layout, surface)
     if tasks:
+        _check_version(place, group)
         with executors.opened(executor) as pool:
             if limit is None:
                 limit = executors.threads_per_worker(pool)
             with limited_threads(limit):
                 _work(place, layout, tasks, pool, shards.Threads(limit), progress)
+    elif callable(progress):
+        progress(1.0)
     return ZarrVolume._open(place)
 
 
@@ -200,6 +203,16 @@ def _check_same(place: store.Place, found: Layout, wanted: Layout) -> None:
     )
 
 
+def _check_version(place: store.Place, group: Any) -> None:
+    """Raise an error if another version would bake the missing shards: its samples may differ in the last bit."""
+    version = group.attrs["fieldbake"].get("version")
+    if version != _core.__version__:
+        raise ArgumentError(
+            f"store: {place} was begun by fieldbake {version}, and this is {_core.__version__}; finish it with that "
+            "version, or pass resume=False to delete it"
+        )
+
+
 Task = tuple[int, tuple[int, int, int]]
 
 
@@ -222,7 +235,7 @@ def _planned_tasks(group: Any, layout: Layout, mesh: Mesh) -> list[Task]:
         path = f"far/states/{level}"
         states = store.complete(group, path, wanted.shape, np.uint8, 1, partial(np.multiply, wanted))
         stored &= states.transpose(2, 1, 0) != 0
-        keys = store.stored_keys(group, level)
+        keys = store.stored_keys(group, level, clean=True)
         for part in (stored & near, stored & ~near):
             for x, y, z in plan.morton_order(np.argwhere(part)).tolist():
                 if shard_key(level, (x, y, z)) not in keys:

@@ -176,6 +176,12 @@ class ZarrVolume(GridField):
         _core.require_memory("the whole grid", 6 * nx * ny * nz, "Read a window or a coarser level.")
         return self._window(0, [0, 0, 0], [nx, ny, nz]).distances
 
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        """The samples of level 0, as :attr:`distances`."""
+        if copy is False:
+            raise ValueError("the samples are in a store: an array of them is a copy")
+        return self.distances.astype(dtype or np.float32, copy=False)
+
     @property
     def store(self) -> Any:
         """The path, URL or Zarr store."""
@@ -341,18 +347,23 @@ class ZarrVolume(GridField):
 
         return raymarch(self, camera, **options)
 
-    def picture_field(self, pixel: float = 0.0) -> SparseVolume:
+    def picture_field(self, pixel: float = 0.0, most: int = PICTURE_BYTES) -> SparseVolume:
         """The field for a picture whose pixels have the side `pixel` at the surface, world units.
 
         The level is the coarsest one with voxels up to that size at which the band is wide enough for interpolation. A
-        coarser one is taken while the bricks would need more than 1 GiB.
+        coarser one is taken while the bricks would need more than `most` bytes. The volume keeps the bricks of the last
+        picture.
         """
         widest = max(0, int(np.log2(max(self._layout.band / LEAST_BAND, 1))))
         fitting = max(0, int(np.log2(max(pixel / self._layout.voxel, 1))))
         level = min(widest, fitting, self._layout.level_count - 1)
-        while level + 1 < self._layout.level_count and self._brick_bytes(level) > PICTURE_BYTES:
+        while level + 1 < self._layout.level_count and self._brick_bytes(level) > most:
             level += 1
-        return self.to_sparse(level=level)
+        kept: tuple[int, SparseVolume] | None = self.__dict__.get("_picture")
+        if kept is None or kept[0] != level:
+            kept = level, self.to_sparse(level=level)
+            self.__dict__["_picture"] = kept
+        return kept[1]
 
     def _brick_bytes(self, level: int) -> float:
         """Estimate the memory of the sparse volume of a level, bytes."""
@@ -379,10 +390,13 @@ class ZarrVolume(GridField):
 
         Raises
         ------
+        FormatError
+            If a shard is missing; the message has its key.
         Error
             If xarray is not installed.
         """
         level = self._checked_level(level)
+        self._reader.require(level)
         package = optional_module("xarray", "to_xarray", extra="xarray")
         name = path_of(level)
         group = self._place.open("r")

@@ -21,6 +21,7 @@ from ..drawing.frame import Frame
 from ..drawing.raymarching import PICTURE_RESOLUTION, raymarch
 from ..meshes.mesh import Mesh
 from ..meshes.part import Part
+from ..scaling.zarr_volume import ZarrVolume
 from ..scenes import field_cache
 from ..scenes.camera import Camera
 from ..scenes.instance import Instance
@@ -38,6 +39,9 @@ from .records import Record
 
 #: Voxels along the longest side of the volume that takes the place of a shape without a function in the shader.
 SHAPE_RESOLUTION = 192
+
+#: Memory of the bricks that take the place of a field in a Zarr store, bytes.
+PAGE_BYTES = 64 << 20
 
 #: Levels of the slider reach so far, as a share of the diagonal of the box.
 LEVEL_SHARE = 0.1
@@ -171,6 +175,8 @@ def content_of(thing: Any, camera: Camera | None, encoding: str, size: tuple[int
         records.add_mesh(content.placed[0].record, thing)
         content.title = f"Mesh, {len(thing.faces):,} faces, drawn by its field of {_shape_text(volume.resolution)}"
         return content
+    if isinstance(thing, ZarrVolume):
+        return content_of(thing.picture_field(most=PAGE_BYTES), camera, encoding, size)
     if isinstance(thing, Scene):
         return _of_scene(thing, camera, encoding, size)
     if isinstance(thing, Atlas):
