@@ -136,7 +136,7 @@ impl<T: Texel> Block for DenseBlock<'_, T> {
     fn corners_around_root(&self, cell: [i32; 3]) -> Option<[f32; 8]> {
         let texels = self.field.texels_around(IVec3::from(cell));
         let all_above_zero = texels.iter().fold(true, |all, texel| all & texel.is_above_zero());
-        if all_above_zero { None } else { Some(texels.map(|texel| texel.decode(self.field.scale()))) }
+        if all_above_zero { None } else { Some(self.field.decode(texels)) }
     }
 }
 

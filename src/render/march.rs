@@ -123,25 +123,26 @@ impl<F: Blocks> Marcher<F> {
 
     /// Traces a ray to its first hit.
     pub fn march(&self, ray: &GridRay) -> March {
-        let shape = self.field.grid().shape.map(|n| n as i32);
+        let shape = self.field.grid().shape;
+        let shape = each_axis(|axis| shape[axis] as i32);
         let line = MarchLine::new(ray);
         let mut t = 0.0f32;
-        let mut cell = [0, 1, 2].map(|axis| floor(line.origin[axis]).clamp(-1, shape[axis] - 1));
+        let mut cell = each_axis(|axis| floor(line.origin[axis]).clamp(-1, shape[axis] - 1));
 
         // Every iteration except the last advances by at least one cell, and never moves back along an axis.
         let max_steps = (shape[0] + shape[1] + shape[2] + 4) as u32;
         let mut steps = 0;
         while steps < max_steps {
-            let index = cell.map(F::block_of);
+            let index = each_axis(|axis| F::block_of(cell[axis]));
             let distance = self.empty.distance(index);
 
             // Leaps to the face of the empty cube around the block.
             if distance > 0 {
                 steps += 1;
-                let first = index.map(|b| F::first_cell(b - (distance - 1)));
+                let first = each_axis(|axis| F::first_cell(index[axis] - (distance - 1)));
                 let cells = (2 * distance - 1) * F::SIDE;
-                let face = [0, 1, 2].map(|axis| if line.forward[axis] { first[axis] + cells } else { first[axis] });
-                let t_faces = [0, 1, 2].map(|axis| line.t_at(axis, face[axis]));
+                let face = each_axis(|axis| if line.forward[axis] { first[axis] + cells } else { first[axis] });
+                let t_faces = each_axis(|axis| line.t_at(axis, face[axis]));
                 let next = first_axis(&t_faces);
                 t = if t_faces[next] > t { t_faces[next] } else { t };
                 if t >= ray.t_max {
@@ -160,16 +161,16 @@ impl<F: Blocks> Marcher<F> {
             // Visits the cells up to the face of the block.
             let block = self.field.block(index);
             let (origin, shift) = (block.origin(), block.cell_shift());
-            let mut local = [0, 1, 2].map(|axis| (cell[axis] - origin[axis]) >> shift);
+            let mut local = each_axis(|axis| (cell[axis] - origin[axis]) >> shift);
             let face = |axis: usize, local: i32| origin[axis] + (line.far_side(axis, local) << shift);
-            let mut t_faces = [0, 1, 2].map(|axis| line.t_at(axis, face(axis, local[axis])));
+            let mut t_faces = each_axis(|axis| line.t_at(axis, face(axis, local[axis])));
             loop {
                 steps += 1;
                 let next = first_axis(&t_faces);
                 let t_face = if t_faces[next] > t { t_faces[next] } else { t };
                 let t_end = if t_face < ray.t_max { t_face } else { ray.t_max };
                 if let Some(corners) = block.corners_around_root(local) {
-                    let corner = [0, 1, 2].map(|axis| origin[axis] + (local[axis] << shift));
+                    let corner = each_axis(|axis| origin[axis] + (local[axis] << shift));
                     if let Some(hit) = hit_in_cell(&corners, ray, corner, shift, t, t_end) {
                         return March { hit: Some(hit), steps };
                     }
@@ -204,6 +205,12 @@ impl<F: Blocks> Marcher<F> {
     }
 }
 
+/// The values of a function for x, y and z. `map` of an array is not inlined in long functions.
+#[inline(always)]
+fn each_axis<T>(value: impl Fn(usize) -> T) -> [T; 3] {
+    [value(0), value(1), value(2)]
+}
+
 /// A ray and its constants.
 struct MarchLine {
     origin: [f32; 3],
@@ -216,8 +223,9 @@ struct MarchLine {
 impl MarchLine {
     fn new(ray: &GridRay) -> Self {
         let direction = ray.direction.to_array();
-        let inverse = direction.map(|d| if d.abs() < PARALLEL_DIRECTION { 0.0 } else { 1.0 / d });
-        Self { origin: ray.origin.to_array(), direction, inverse, forward: direction.map(|d| d > 0.0) }
+        let inverse =
+            each_axis(|axis| if direction[axis].abs() < PARALLEL_DIRECTION { 0.0 } else { 1.0 / direction[axis] });
+        Self { origin: ray.origin.to_array(), direction, inverse, forward: each_axis(|axis| direction[axis] > 0.0) }
     }
 
     /// The side through which the ray leaves a cell along an axis: 0 lower, 1 upper.

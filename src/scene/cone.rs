@@ -5,7 +5,7 @@
 
 use super::Instance;
 use super::field::Field;
-use super::nearby::Nearby;
+use super::nearby::Beside;
 use super::thin::ThinRays;
 use glam::Vec3;
 
@@ -31,6 +31,12 @@ impl Cone {
 
 /// Least step along a wide cone, in radii.
 const WIDE_STEP: f32 = 0.4;
+
+/// Lower bound of the distance between a free axis and a surface, in radii, for the estimate `x` of
+/// [`ConeWalk::beside_wide`].
+pub(crate) fn clearance(x: f32) -> f32 {
+    if x >= 1.0 { 1.0 } else { (x.max(0.0) * x - WIDE_STEP * WIDE_STEP / 4.0).max(0.0).sqrt() }
+}
 
 /// Margin for the rounding of an edge's position, in radii.
 const RIM_ROUNDING: f32 = 1e-5;
@@ -59,7 +65,7 @@ pub struct ConeShare {
 }
 
 /// Accumulated results of a cone.
-pub struct ConeSum<'a> {
+pub struct ConeSum {
     /// Fraction that translucent instances let pass.
     translucent: f32,
     /// Whether opaque instances cover the cone completely.
@@ -68,15 +74,13 @@ pub struct ConeSum<'a> {
     pub opaque: Cone,
     /// Fractions of the thin rays, for instances that are tested by rays.
     pub thin: ThinRays,
-    /// For a wide cone of occlusion: see [`WideCone`].
-    pub wide: Option<WideCone<'a>>,
 }
 
 /// A wide cone of occlusion and what is known about the instance that it passes ([`ConeWalk::beside_wide`]).
 #[derive(Clone, Copy)]
 pub struct WideCone<'a> {
-    /// The instances that the cone and the rays past its edges may meet.
-    pub nearby: &'a Nearby,
+    /// The instances that rays past the cone's edges may meet.
+    pub beside: Beside<'a>,
     /// Lower bound, in radii, of the distance between a free axis and the surface of the instance. Distances of its
     /// field may be loose bounds. A positive value proves that the axis is free.
     pub least_x: f32,
@@ -96,6 +100,13 @@ impl BallAhead {
     /// An unbounded surface.
     pub const ENDLESS: Self = Self { along: 0.0, squared: 0.0, radius: f32::INFINITY };
 
+    /// The largest depth inside this ball of points of the axis at `t` and beyond, in radii `slope t`. Infinite before
+    /// the middle of the ball.
+    fn depth_beyond(&self, t: f32, slope: f32) -> f32 {
+        let distance = (self.squared + t * (t - 2.0 * self.along)).max(0.0).sqrt();
+        if t < self.along { f32::INFINITY } else { ((1.0 + BALL_ROUNDING) * self.radius - distance) / (slope * t) }
+    }
+
     /// Whether balls of radius `slope s` about the axis stay clear of this ball for all `s >= t`. Their distance is
     /// convex in `s`, so it suffices that it is positive and does not decrease at `t`.
     fn is_passed(&self, t: f32, slope: f32) -> bool {
@@ -107,14 +118,8 @@ impl BallAhead {
 /// Relative margin for the rounding of the distance between two balls.
 const BALL_ROUNDING: f32 = 1e-3;
 
-impl<'a> ConeSum<'a> {
-    pub const NEW: Self =
-        Self { translucent: 1.0, is_proven: true, opaque: Cone::FREE, thin: ThinRays::NEW, wide: None };
-
-    /// Initial results of a wide cone of occlusion.
-    pub fn wide(nearby: &'a Nearby) -> Self {
-        Self { wide: Some(WideCone { nearby, least_x: -1.0, ball: BallAhead::ENDLESS }), ..Self::NEW }
-    }
+impl ConeSum {
+    pub const NEW: Self = Self { translucent: 1.0, is_proven: true, opaque: Cone::FREE, thin: ThinRays::NEW };
 
     /// Distance from the axis, in radii, within which another instance can change the result.
     pub fn x_known(&self, instance: &Instance) -> f32 {
@@ -257,8 +262,10 @@ impl ConeWalk<'_> {
     }
 
     /// The axis enters the solid at `t_hit`. Returns its depth in radii, and the offset of a unit direction that would
-    /// pass the nearest edge, if that edge is near enough.
-    pub(crate) fn inside(&self, t_hit: f32, steps: &mut u32) -> (Cone, Option<Vec3>) {
+    /// pass the nearest edge, if that edge is near enough. `ball` contains the surface, if such a ball is known.
+    pub(crate) fn inside(&self, t_hit: f32, ball: Option<&BallAhead>, steps: &mut u32) -> (Cone, Option<Vec3>) {
+        // Under a non-uniform scale the depth is an estimate, which the ball does not bound.
+        let ball = ball.filter(|_| self.instance.is_uniform());
         let dark = Cone { x: -1.0, is_covered: false };
         let mut deepest = (0.0f32, t_hit);
         // Immediately behind the surface, where the field is below zero.
@@ -278,7 +285,7 @@ impl ConeWalk<'_> {
                 deepest = (x, t);
             }
             t += (-0.5 * distance * self.pace).max(self.least_step);
-            if t >= self.leave {
+            if t >= self.leave || ball.is_some_and(|ball| ball.depth_beyond(t, self.slope) <= -deepest.0) {
                 break;
             }
         }
@@ -313,6 +320,23 @@ mod tests {
                 let s = t + 0.02 * i as f32;
                 let distance = (aside * aside + (s - along) * (s - along)).sqrt() - radius;
                 prop_assert!(distance >= x * SLOPE * s, "{s}: {distance}");
+            }
+        }
+    }
+
+    proptest! {
+        /// No point of the axis behind a position is deeper inside a ball than the bound there.
+        #[test]
+        fn no_point_beyond_is_deeper(
+            along in -2.0..2.0f32, aside in 0.0..1.0f32, radius in 0.0..1.0f32, t in 0.01..4.0f32
+        ) {
+            const SLOPE: f32 = 0.577_350_3;
+            let ball = BallAhead { along, squared: along * along + aside * aside, radius };
+            let most = ball.depth_beyond(t, SLOPE);
+            for i in 0..400 {
+                let s = t + 0.02 * i as f32;
+                let depth = radius - (aside * aside + (s - along) * (s - along)).sqrt();
+                prop_assert!(depth <= most * SLOPE * s || depth <= 0.0, "{s}: {depth}");
             }
         }
     }

@@ -15,7 +15,7 @@ pub(crate) const MAX_LAYERS: usize = 16;
 /// Devices compute in float32, in units of the object; a hit slightly in front is the same surface.
 const NEARNESS: f64 = 1e-3;
 /// Smallest distance of a hit of a view ray with a mesh, local units: more than the rounding of a position in float64.
-/// An eye in the plane of a face does not see this face.
+/// A face is not visible from an eye in its plane.
 const NEAR: f64 = 1e-12;
 
 /// Draws the pixels of a row by `look`: the layers of all pixels, and the number of steps of each.

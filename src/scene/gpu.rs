@@ -223,7 +223,7 @@ impl DeviceScene {
             if beam.is_coarse == WIDE {
                 let mut occluders = Occluders::default();
                 casters.gather(&place, ray.t_max, &mut occluders);
-                answer.value = casters.wide_share(&place, &ray, beam.slope, &mut occluders, &mut work);
+                answer.value = casters.wide_share(&place, &ray, &mut occluders, &mut work);
             } else if beam.slope > 0.0 {
                 let cone = casters.whole_cone(&place, &ray, beam.slope, &mut Vec::new(), &mut work);
                 (answer.value, answer.is_proven) = (cone.share, u32::from(cone.is_proven));

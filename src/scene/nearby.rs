@@ -31,19 +31,50 @@ impl Nearby {
         self.radius.push(radius);
     }
 
-    /// Ball `i`, as the vector from a point to its centre, and its radius.
-    #[inline]
-    pub fn ball_from(&self, i: usize, p: Vec3) -> (Vec3, f32) {
-        (Vec3::new(self.x[i], self.y[i], self.z[i]) - p, self.radius[i])
+    /// The centres of the balls along x, y and z, and their radii.
+    pub fn balls(&self) -> [&[f32]; 4] {
+        [&self.x, &self.y, &self.z, &self.radius]
     }
 
-    /// The instances whose balls a ray with a unit direction may meet.
-    pub fn along(&self, p: Vec3, direction: Vec3) -> impl Iterator<Item = u32> {
-        let meets = move |&i: &usize| {
-            let (way, radius) = self.ball_from(i, p);
-            let (along, squared) = (way.dot(direction), way.length_squared());
-            along >= -radius && squared - along * along <= radius * radius + ROUNDING * squared
-        };
-        (0..self.items.len()).filter(meets).map(move |i| self.items[i])
+    /// Whether a ray with a unit direction may intersect ball `i`.
+    fn may_intersect(&self, i: usize, p: Vec3, direction: Vec3) -> bool {
+        let (way, radius) = (Vec3::new(self.x[i], self.y[i], self.z[i]) - p, self.radius[i]);
+        let (along, squared) = (way.dot(direction), way.length_squared());
+        along >= -radius && squared - along * along <= radius * radius + ROUNDING * squared
+    }
+}
+
+/// An instance in a wide cone.
+#[derive(Debug, Clone, Copy)]
+pub struct Met {
+    /// Lower bound of the distance, in radii, between the axis and the surface; at most 0 if there is no bound.
+    pub x: f32,
+    /// Index of the instance in [`Nearby::items`].
+    pub index: u32,
+}
+
+/// The instances beside the axis of a wide cone.
+#[derive(Debug, Clone, Copy)]
+pub struct Beside<'a> {
+    pub nearby: &'a Nearby,
+    /// All instances that come within one radius of the axis.
+    pub met: &'a [Met],
+    /// Radius of the cone per distance.
+    pub slope: f32,
+}
+
+impl Beside<'_> {
+    /// Calls `visit` with each instance that a ray from the apex of the cone may intersect, until `visit` returns false.
+    /// `direction` is the ray's unit direction, `offset` the tangent of its angle from the axis.
+    ///
+    /// At the distance `t` along the axis, the ray is `offset t` away from the axis. It misses an instance whose surface
+    /// is `x` radii away, if `offset < slope x`.
+    pub fn along(&self, p: Vec3, direction: Vec3, offset: f32, mut visit: impl FnMut(u32) -> bool) {
+        let mut pass = |i: usize| !self.nearby.may_intersect(i, p, direction) || visit(self.nearby.items[i]);
+        if offset < self.slope {
+            self.met.iter().all(|met| offset < self.slope * met.x || pass(met.index as usize));
+        } else {
+            (0..self.nearby.items.len()).all(pass);
+        }
     }
 }

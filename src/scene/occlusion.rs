@@ -21,13 +21,14 @@
 //! The value for one instance is at least its bound and does not depend on the others. Therefore the minimum of all
 //! values does not depend on the order.
 
-use super::cone::{BallAhead, ConeSum, WideCone};
+use super::cone::{BallAhead, ConeSum, WideCone, clearance};
 use super::field::Field;
 use super::light_rays::{LightCone, LightRay, LightWork, SurfacePoint, basis};
-use super::nearby::Nearby;
+use super::nearby::{Beside, Met, Nearby};
 use super::shadow::{Casters, bias};
 use super::tree::Line;
 use super::{Instance, Scene};
+use crate::simd::with_vectors;
 use glam::{DMat3, DVec3, Vec3};
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -150,76 +151,153 @@ pub struct Occluders {
     nearby: Nearby,
     /// Whether some instances of `nearby` are not opaque solids.
     is_mixed: bool,
-    /// The instances that cones from the place may meet.
-    items: Vec<u32>,
-    /// Vector from the place to the centre of the ball.
-    x: Vec<f32>,
-    y: Vec<f32>,
-    z: Vec<f32>,
+    /// Vector from the place to the centre of the ball of each nearby instance.
+    way: [Vec<f32>; 3],
     /// Its squared length `c^2`.
     squared: Vec<f32>,
+    /// Radius of the ball; 0 if the place is inside it.
     radius: Vec<f32>,
     /// Length of the tangent from the place to the ball; 0 inside the ball.
     tangent: Vec<f32>,
-    /// Lower bounds of `x` for the current cone, one per instance.
-    bounds: Vec<f32>,
-    /// Bound and index of the instances that the current cone may meet.
-    met: Vec<(f32, u32)>,
+    /// `slope c^2`: a ball whose bound is smaller is met by the cone. Below all bounds if no cone from the place meets it.
+    limit: Vec<f32>,
+    /// The instances that the current cone may meet. The evaluated ones are at the end.
+    met: Vec<Met>,
 }
 
-impl Occluders {
-    fn clear(&mut self) {
-        self.items.clear();
-        let Self { x, y, z, squared, radius, tangent, .. } = self;
-        [x, y, z, squared, radius, tangent].into_iter().for_each(Vec::clear);
-    }
+/// Where occluders of a place may be, scene units.
+#[derive(Debug, Clone, Copy)]
+struct Region {
+    p: Vec3,
+    /// Direction of the hemisphere.
+    normal: Vec3,
+    /// Largest distance from `p`.
+    reach: f32,
+    /// Largest distance below the plane through `p`.
+    depth: f32,
+}
 
-    fn push(&mut self, item: u32, (way, radius): (Vec3, f32)) {
-        let squared = way.length_squared();
-        let tangent = squared - radius * radius;
-        // Inside a ball all values are 0, and so is the bound.
-        let is_outside = tangent > ROUNDING * squared;
-        let outside = |value: f32| if is_outside { value } else { 0.0 };
-        self.items.push(item);
-        self.x.push(way.x);
-        self.y.push(way.y);
-        self.z.push(way.z);
-        self.squared.push(squared);
-        self.radius.push(outside(radius));
-        self.tangent.push(outside(tangent.max(0.0).sqrt()));
-    }
+/// The balls of some instances as seen from a place: see the fields of [`Occluders`].
+struct BallsSeen<'a> {
+    way: [&'a mut [f32]; 3],
+    squared: &'a mut [f32],
+    radius: &'a mut [f32],
+    tangent: &'a mut [f32],
+    limit: &'a mut [f32],
+}
 
-    /// Finds the instances that a cone may meet.
-    fn meet(&mut self, direction: Vec3, slope: f32) {
-        let n = self.items.len();
-        let Self { x, y, z, squared, radius, tangent, bounds, met, .. } = self;
-        let [x, y, z, squared] = [&x[..n], &y[..n], &z[..n], &squared[..n]];
-        let [radius, tangent] = [&radius[..n], &tangent[..n]];
-        bounds.resize(n, 0.0);
-        for (i, bound) in bounds[..n].iter_mut().enumerate() {
-            let along = x[i] * direction.x + y[i] * direction.y + z[i] * direction.z;
-            let aside = (squared[i] - along * along).max(0.0).sqrt();
-            // Sine and cosine of A - B, each times c^2.
-            let sine = aside * tangent[i] - along * radius[i];
-            let cosine = along * tangent[i] + aside * radius[i];
-            let is_behind = cosine < -ROUNDING * squared[i];
-            *bound = if is_behind { f32::INFINITY } else { sine - ROUNDING * squared[i] };
+impl BallsSeen<'_> {
+    #[inline(always)]
+    fn update(self, [x, y, z, radii]: [&[f32]; 4], region: &Region) {
+        let Region { p, normal, reach, depth } = *region;
+        let n = radii.len();
+        let [way_x, way_y, way_z] = self.way.map(|along| &mut along[..n]);
+        let (squared, radius, tangent) = (&mut self.squared[..n], &mut self.radius[..n], &mut self.tangent[..n]);
+        let (limit, x, y, z) = (&mut self.limit[..n], &x[..n], &y[..n], &z[..n]);
+        for i in 0..n {
+            let way = [x[i] - p.x, y[i] - p.y, z[i] - p.z];
+            let c_squared = way[0] * way[0] + way[1] * way[1] + way[2] * way[2];
+            let height = way[0] * normal.x + way[1] * normal.y + way[2] * normal.z;
+            let farthest = reach + radii[i];
+            let is_near = (height + radii[i] >= -depth) & (c_squared <= farthest * farthest);
+            let tangent_squared = c_squared - radii[i] * radii[i];
+            // Inside a ball all values are 0, and so is the bound.
+            let is_outside = tangent_squared > ROUNDING * c_squared;
+            (way_x[i], way_y[i], way_z[i]) = (way[0], way[1], way[2]);
+            squared[i] = c_squared;
+            radius[i] = if is_outside { radii[i] } else { 0.0 };
+            tangent[i] = if is_outside { tangent_squared.sqrt() } else { 0.0 };
+            limit[i] = if is_near { AO_SLOPE * c_squared } else { f32::NEG_INFINITY };
         }
-        met.clear();
-        for (i, &bound) in bounds[..n].iter().enumerate() {
-            if bound <= slope * squared[i] {
+    }
+}
+
+/// Number of balls that are bounded together.
+const LANES: usize = 8;
+
+/// Balls as seen from a place, for reading: see the fields of [`Occluders`]. Their number is a multiple of [`LANES`].
+struct BallBounds<'a> {
+    way: [&'a [f32]; 3],
+    squared: &'a [f32],
+    radius: &'a [f32],
+    tangent: &'a [f32],
+    limit: &'a [f32],
+}
+
+impl BallBounds<'_> {
+    /// Appends the balls that a cone with this axis may meet to `met`.
+    #[inline(always)]
+    fn meet(&self, axis: Vec3, met: &mut Vec<Met>) {
+        let Self { way: [x, y, z], squared, radius, tangent, limit } = self;
+        let [x, y, z] = [x.as_chunks::<LANES>().0, y.as_chunks().0, z.as_chunks().0];
+        let [squared, radius] = [squared.as_chunks::<LANES>().0, radius.as_chunks().0];
+        let [tangent, limit] = [tangent.as_chunks::<LANES>().0, limit.as_chunks().0];
+        let balls = x.iter().zip(y).zip(z).zip(squared).zip(radius).zip(tangent).zip(limit);
+        for (chunk, ((((((x, y), z), squared), radius), tangent), limit)) in balls.enumerate() {
+            // Lower bounds of the distance between the axis and the ball, times `slope c^2`.
+            let mut bounds = [0.0f32; LANES];
+            let mut mask = 0u32;
+            for i in 0..LANES {
+                let along = x[i] * axis.x + y[i] * axis.y + z[i] * axis.z;
+                let aside_squared = squared[i] - along * along;
+                let aside = (if aside_squared > 0.0 { aside_squared } else { 0.0 }).sqrt();
+                // Sine and cosine of A - B, each times c^2.
+                let sine = aside * tangent[i] - along * radius[i];
+                let cosine = along * tangent[i] + aside * radius[i];
+                let is_behind = cosine < -ROUNDING * squared[i];
+                bounds[i] = if is_behind { f32::INFINITY } else { sine - ROUNDING * squared[i] };
+                mask |= u32::from(bounds[i] <= limit[i]) << i;
+            }
+            while mask != 0 {
+                let i = mask.trailing_zeros() as usize;
+                mask &= mask - 1;
                 // Inside a ball both are 0, and there is no bound.
-                let bound = if tangent[i] > 0.0 { bound / (slope * squared[i]) } else { -1.0 };
-                met.push((bound, i as u32));
+                let x = if tangent[i] > 0.0 { bounds[i] / limit[i] } else { -1.0 };
+                met.push(Met { x, index: (LANES * chunk + i) as u32 });
             }
         }
     }
 }
 
-/// Removes the instance with the smallest bound. A cone evaluates few of the instances, so they are not sorted.
-fn take_nearest(met: &mut Vec<(f32, u32)>) -> Option<(f32, u32)> {
-    let at = (0..met.len()).min_by(|&a, &b| met[a].0.total_cmp(&met[b].0))?;
-    Some(met.swap_remove(at))
+impl Occluders {
+    /// Relates the balls of the nearby instances to a place.
+    fn relate(&mut self, region: &Region) {
+        let n = self.nearby.items.len();
+        let Self { nearby, way: [x, y, z], squared, radius, tangent, limit, .. } = self;
+        for values in [&mut *x, y, z, squared, radius, tangent] {
+            values.resize(n.next_multiple_of(LANES), 0.0);
+        }
+        limit.clear();
+        limit.resize(n.next_multiple_of(LANES), f32::NEG_INFINITY);
+        let seen = BallsSeen { way: [x, y, z], squared, radius, tangent, limit };
+        with_vectors!((seen: BallsSeen<'_> = seen, balls: [&[f32]; 4] = nearby.balls(), region: &Region = region) {
+            seen.update(balls, region)
+        })
+    }
+
+    /// Finds the instances that a cone may meet.
+    fn meet(&mut self, axis: Vec3) {
+        let Self { way: [x, y, z], squared, radius, tangent, limit, met, .. } = self;
+        met.clear();
+        let balls = BallBounds { way: [x, y, z], squared, radius, tangent, limit };
+        with_vectors!((balls: BallBounds<'_> = balls, axis: Vec3 = axis, met: &mut Vec<Met> = met) {
+            balls.meet(axis, met)
+        })
+    }
+}
+
+/// Moves the instance with the smallest bound to the end and returns it. A cone evaluates few of the instances, so they
+/// are not sorted.
+fn take_nearest(waiting: &mut [Met]) -> Option<Met> {
+    let last = waiting.len().checked_sub(1)?;
+    let mut nearest = 0;
+    for (i, met) in waiting.iter().enumerate() {
+        if met.x < waiting[nearest].x {
+            nearest = i;
+        }
+    }
+    waiting.swap(nearest, last);
+    Some(waiting[last])
 }
 
 impl Casters<'_> {
@@ -236,7 +314,7 @@ impl Casters<'_> {
         for (ray, weight) in place.open_rays(distance) {
             let past_sheets = self.scene.cone_past_sheets(place, &ray, AO_SLOPE, work);
             if past_sheets > 0.0 {
-                sum += weight * past_sheets * self.wide_share(place, &ray, AO_SLOPE, occluders, work);
+                sum += weight * past_sheets * self.wide_share(place, &ray, occluders, work);
             }
             weights += weight;
         }
@@ -266,61 +344,63 @@ impl Casters<'_> {
             });
             occluders.is_mixed = occluders.nearby.items.iter().any(|&item| !instances[item as usize].is_opaque_solid());
         }
-        occluders.clear();
-        for i in 0..occluders.nearby.items.len() {
-            let (way, radius) = occluders.nearby.ball_from(i, p);
-            let is_below = way.dot(place.normal) + radius < -depth;
-            if !is_below && way.length_squared() <= (reach + radius) * (reach + radius) {
-                occluders.push(occluders.nearby.items[i], (way, radius));
-            }
-        }
+        occluders.relate(&Region { p, normal: place.normal, reach, depth });
     }
 
-    /// Fraction of a wide cone's section that passes the occluders of its place, if edges in it are straight.
+    /// Fraction of the section of a cone of slope [`AO_SLOPE`] that passes the occluders of its place, if edges in it are
+    /// straight.
     pub fn wide_share(
         &self,
         place: &SurfacePoint,
         ray: &LightRay,
-        slope: f32,
         occluders: &mut Occluders,
         work: &mut LightWork,
     ) -> f32 {
+        let slope = AO_SLOPE;
         let cone = LightCone { place, ray, slope };
         let direction = ray.direction.as_vec3();
         let split = self.split(place, ray, slope);
         let reach = self.reach(&split, ray);
         let line = Line::cone(place.p.as_vec3(), direction, slope);
-        occluders.meet(direction, slope);
-        let Occluders { nearby, is_mixed, items, x, y, z, squared, met, .. } = occluders;
-        let mut sum = ConeSum::wide(nearby);
-        while let Some((bound, i)) = take_nearest(met) {
-            if bound >= sum.opaque.x && !*is_mixed {
+        occluders.meet(direction);
+        let Occluders { nearby, is_mixed, way: [x, y, z], squared, met, .. } = occluders;
+        let mut sum = ConeSum::NEW;
+        let mut waiting = met.len();
+        while let Some(nearest) = take_nearest(&mut met[..waiting]) {
+            if nearest.x >= sum.opaque.x && !*is_mixed {
                 break;
             }
-            let i = i as usize;
-            let item = items[i];
-            let x_known = sum.x_known(&self.scene.instances[item as usize]);
+            waiting -= 1;
+            let i = nearest.index as usize;
+            let item = nearby.items[i];
+            let instance = &self.scene.instances[item as usize];
+            let x_known = sum.x_known(instance);
             let bounds = &self.scene.boxes[item as usize];
-            if bound >= x_known || line.span(bounds.min, bounds.max, reach).is_none() {
+            if nearest.x >= x_known || line.span(bounds.min, bounds.max, reach).is_none() {
                 continue;
             }
             // The own field is evaluated from a point that is moved off the surface.
-            let moved = if item == place.own { bias(&self.scene.instances[item as usize], place) } else { 0.0 };
+            let moved = if item == place.own { bias(instance, place) } else { 0.0 };
             let ball = BallAhead {
                 along: Vec3::new(x[i], y[i], z[i]).dot(direction),
                 squared: squared[i],
                 radius: self.scene.balls()[item as usize].radius + moved,
             };
-            sum.wide = Some(WideCone { nearby, least_x: bound, ball });
+            let wide = WideCone { beside: Beside { nearby, met, slope }, least_x: nearest.x, ball };
+            let mut found = 1.0f32;
             for caster in self.casters(item, place, ray, &split) {
-                self.add_cone(&caster, cone, x_known, &mut sum, work);
+                found = found.min(self.add_cone(&caster, cone, x_known, Some(&wide), &mut sum, work).x);
             }
             if sum.opaque.x <= -1.0 {
                 break;
             }
+            // Behind the start of a far field a cone and a ray in it end at different positions.
+            if self.far.is_none() {
+                met[waiting].x = nearest.x.max(clearance(found.min(x_known)));
+            }
         }
-        sum.wide = ConeSum::wide(nearby).wide;
-        let is_far = self.add_far(&split, cone, &mut sum, work);
+        let wide = WideCone { beside: Beside { nearby, met, slope }, least_x: -1.0, ball: BallAhead::ENDLESS };
+        let is_far = self.add_far(&split, cone, Some(&wide), &mut sum, work);
         work.count(is_far);
         sum.share().share
     }
@@ -347,22 +427,36 @@ mod tests {
             let direction = way.normalize();
             let mut occluders = Occluders::default();
             for (i, &(center, radius)) in centers.iter().enumerate() {
-                occluders.push(i as u32, (center - p, radius));
+                occluders.nearby.push(i as u32, center, radius);
             }
-            occluders.meet(direction, AO_SLOPE);
+            let everywhere = Region { p, normal: Vec3::Z, reach: 1e3, depth: 1e3 };
+            occluders.relate(&everywhere);
+            occluders.meet(direction);
             for (i, &(center, radius)) in centers.iter().enumerate() {
                 let x_at = |t: f32| ((center - p - t * direction).length() - radius) / (AO_SLOPE * t);
                 let nearest = (1..2000).map(|i| x_at(i as f32 * 0.003)).fold(f32::INFINITY, f32::min);
-                match occluders.met.iter().find(|&&(_, at)| at as usize == i) {
-                    Some(&(bound, _)) => prop_assert!(bound <= nearest.max(-1.0) + 1e-4, "{bound} {nearest}"),
+                match occluders.met.iter().find(|met| met.index as usize == i) {
+                    Some(met) => prop_assert!(met.x <= nearest.max(-1.0) + 1e-4, "{met:?} {nearest}"),
                     None => prop_assert!(nearest >= 1.0 - 1e-4, "{nearest}"),
                 }
             }
-            let mut least = f32::NEG_INFINITY;
-            while let Some((bound, _)) = take_nearest(&mut occluders.met) {
-                prop_assert!(bound >= least);
-                least = bound;
+            // A ray off the axis is given every ball that it meets.
+            let offset = 0.9 * AO_SLOPE;
+            let past = (direction + offset * direction.any_orthonormal_vector()).normalize();
+            let mut given = Vec::new();
+            let beside = Beside { nearby: &occluders.nearby, met: &occluders.met, slope: AO_SLOPE };
+            beside.along(p, past, offset, |item| { given.push(item as usize); true });
+            for (i, &(center, radius)) in centers.iter().enumerate() {
+                let t = (center - p).dot(past).max(0.0);
+                prop_assert!(given.contains(&i) || (center - p - t * past).length() >= radius * (1.0 - 1e-3));
             }
+            let (mut least, mut waiting) = (f32::NEG_INFINITY, occluders.met.len());
+            while let Some(met) = take_nearest(&mut occluders.met[..waiting]) {
+                prop_assert!(met.x >= least);
+                least = met.x;
+                waiting -= 1;
+            }
+            prop_assert_eq!(waiting, 0);
         }
     }
 

@@ -29,7 +29,7 @@ use super::cone::{Cone, ConeShare, ConeSum, ConeWalk, WideCone};
 use super::far::{Far, FarLevel, Split};
 use super::field::{Field, FieldRay};
 use super::light_rays::{LightCone, LightRay, LightWork, PARTS, SurfacePoint, basis, clip, disc_point, toward, widest};
-use super::nearby::Nearby;
+use super::nearby::Beside;
 use super::thin::is_clear;
 use super::tree::Line;
 use super::{Instance, Scene};
@@ -71,7 +71,7 @@ impl<'a> Casters<'a> {
 
     /// Fraction of a thin ray that passes the fields.
     pub fn field_share(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
-        let (share, is_far) = self.pass_ray(place, ray, None, work);
+        let (share, is_far) = self.pass_ray(place, ray, None, None, work);
         work.count(is_far);
         share
     }
@@ -94,7 +94,7 @@ impl<'a> Casters<'a> {
         self.scene.tree.walk(&line, self.reach(&split, ray), |item, limit| {
             let mut x = 1.0f32;
             for caster in self.casters(item, place, ray, &split) {
-                x = x.min(self.add_cone(&caster, cone, 1.0, &mut sum, work).x);
+                x = x.min(self.add_cone(&caster, cone, 1.0, None, &mut sum, work).x);
             }
             if x < 1.0 {
                 met.push(item);
@@ -104,7 +104,7 @@ impl<'a> Casters<'a> {
         let is_far = split.far.is_some() && !sum.opaque.is_covered;
         if is_far {
             for far in self.far_casters(&split, place, ray) {
-                self.add_cone(&far, cone, 1.0, &mut sum, work);
+                self.add_cone(&far, cone, 1.0, None, &mut sum, work);
                 if sum.opaque.is_covered {
                     break;
                 }
@@ -114,13 +114,21 @@ impl<'a> Casters<'a> {
         sum.share()
     }
 
-    /// Adds the far field to the results of a cone. Returns whether it was evaluated.
-    pub fn add_far(&self, split: &Split, cone: LightCone<'_>, sum: &mut ConeSum<'_>, work: &mut LightWork) -> bool {
+    /// Adds the far field to the results of a cone; `wide` is set for a cone of occlusion. Returns whether the far field
+    /// was evaluated.
+    pub fn add_far(
+        &self,
+        split: &Split,
+        cone: LightCone<'_>,
+        wide: Option<&WideCone<'_>>,
+        sum: &mut ConeSum,
+        work: &mut LightWork,
+    ) -> bool {
         let is_far = split.far.is_some() && sum.opaque.x > -1.0;
         if is_far {
             for far in self.far_casters(split, cone.place, cone.ray) {
                 let x_known = sum.opaque.x;
-                self.add_cone(&far, cone, x_known, sum, work);
+                self.add_cone(&far, cone, x_known, wide, sum, work);
                 if sum.opaque.x <= -1.0 {
                     break;
                 }
@@ -129,14 +137,15 @@ impl<'a> Casters<'a> {
         is_far
     }
 
-    /// Adds one occluder to the results of a cone. Returns the result for this occluder. For an occluder that is tested
-    /// by thin rays, returns only whether the cone may touch it.
+    /// Adds one occluder to the results of a cone; `wide` is set for a cone of occlusion. Returns the result for this
+    /// occluder. For an occluder that is tested by thin rays, returns only whether the cone may touch it.
     pub fn add_cone(
         &self,
         caster: &Caster<'_>,
         cone: LightCone<'_>,
         x_known: f32,
-        sum: &mut ConeSum<'_>,
+        wide: Option<&WideCone<'_>>,
+        sum: &mut ConeSum,
         work: &mut LightWork,
     ) -> Cone {
         let LightCone { place, ray, slope } = cone;
@@ -148,7 +157,7 @@ impl<'a> Casters<'a> {
             sum.thin.block(caster.instance.shade, ray, slope, |thin| self.hit_of(caster, place, thin, work).is_some());
             return Cone { x: 0.0, is_covered: false };
         }
-        let found = match &sum.wide {
+        let found = match wide {
             Some(wide) => self.wide_cone_past(caster, cone, wide, x_known, work),
             None => self.cone_past(caster, cone, x_known, work),
         };
@@ -183,13 +192,13 @@ impl<'a> Casters<'a> {
             for &item in &met {
                 let x_known = sum.x_known(&self.scene.instances[item as usize]);
                 for caster in self.casters(item, place, &to_part, &split) {
-                    self.add_cone(&caster, cone, x_known, &mut sum, work);
+                    self.add_cone(&caster, cone, x_known, None, &mut sum, work);
                 }
                 if sum.opaque.x <= -1.0 {
                     break;
                 }
             }
-            let is_far = self.add_far(&split, cone, &mut sum, work);
+            let is_far = self.add_far(&split, cone, None, &mut sum, work);
             work.count(is_far);
             total += sum.share().share * sheets_part;
         }
@@ -217,13 +226,15 @@ impl<'a> Casters<'a> {
         sum / count as f32
     }
 
-    /// Fraction of a thin ray, and whether it entered the far field. `nearby` has all instances that the ray may hit,
-    /// if they are known.
+    /// Fraction of a thin ray, and whether it entered the far field. The occluder `passed` is known not to be hit. For a
+    /// ray past an edge in a cone of occlusion, `beside` has the instances that the ray may hit, and the tangent of the
+    /// ray's angle from the axis.
     fn pass_ray(
         &self,
         place: &SurfacePoint,
         ray: &LightRay,
-        nearby: Option<&Nearby>,
+        passed: Option<&Instance>,
+        beside: Option<(&Beside<'_>, f32)>,
         work: &mut LightWork,
     ) -> (f32, bool) {
         let split = self.split(place, ray, 0.0);
@@ -233,20 +244,19 @@ impl<'a> Casters<'a> {
         let mut pass = |item: u32, limit: f32| {
             for caster in self.casters(item, place, ray, &split) {
                 work.steps += 1;
-                if self.hit_of(&caster, place, ray, work).is_some() {
+                let is_passed = passed.is_some_and(|passed| std::ptr::eq(passed, caster.instance));
+                if !is_passed && self.hit_of(&caster, place, ray, work).is_some() {
                     share *= 1.0 - caster.instance.shade;
                     break;
                 }
             }
             if share > 0.0 { limit } else { -1.0 }
         };
-        match nearby {
+        match beside {
             None => self.scene.tree.walk(&line, reach, pass),
-            Some(nearby) => {
-                let near = nearby.along(place.p.as_vec3(), ray.direction.as_vec3());
-                let mut met = near.filter(|&item| line.meets(&self.scene.boxes[item as usize], reach));
-                met.any(|item| pass(item, reach) < 0.0);
-            }
+            Some((beside, offset)) => beside.along(place.p.as_vec3(), ray.direction.as_vec3(), offset, |item| {
+                !line.meets(&self.scene.boxes[item as usize], reach) || pass(item, reach) >= 0.0
+            }),
         }
         let is_far = split.far.is_some() && share > 0.0;
         if is_far && self.far_casters(&split, place, ray).any(|far| self.hit_of(&far, place, ray, work).is_some()) {
@@ -359,30 +369,32 @@ impl<'a> Casters<'a> {
         work.steps += steps;
         match found {
             Ok(x) => Cone { x: x.max(wide.least_x), is_covered: false },
-            Err(t) => self.blocked_cone(caster, &walk, t, cone, Some(wide.nearby), work),
+            Err(t) => self.blocked_cone(caster, &walk, t, cone, Some(wide), work),
         }
     }
 
-    /// Evaluates a cone whose axis enters an occluder at `t_hit`.
+    /// Evaluates a cone whose axis enters an occluder at `t_hit`; `wide` is set for a cone of occlusion.
     fn blocked_cone(
         &self,
         caster: &Caster<'_>,
         walk: &ConeWalk<'_>,
         t_hit: f32,
         LightCone { place, ray, .. }: LightCone<'_>,
-        nearby: Option<&Nearby>,
+        wide: Option<&WideCone<'_>>,
         work: &mut LightWork,
     ) -> Cone {
-        let (cone, edge) = walk.inside(t_hit, &mut work.steps);
+        let (cone, edge) = walk.inside(t_hit, wide.map(|wide| &wide.ball), &mut work.steps);
         // The edge counts only if a ray past it is free.
         let is_edge = edge.is_some_and(|edge| {
             let direction = ray.direction + edge.as_dvec3();
             let length = direction.length();
             let past = LightRay { direction: direction / length, t_max: ray.t_max * length };
             // The occluder itself is the likeliest to block the ray.
-            let is_blocked =
-                self.far.is_none() && caster.instance.shade >= 1.0 && self.hit_of(caster, place, &past, work).is_some();
-            !is_blocked && self.pass_ray(place, &past, nearby, work).0 > 0.0
+            let is_first = self.far.is_none() && caster.instance.shade >= 1.0;
+            let passed = is_first.then_some(caster.instance);
+            let beside = wide.map(|wide| (&wide.beside, edge.length()));
+            !(is_first && self.hit_of(caster, place, &past, work).is_some())
+                && self.pass_ray(place, &past, passed, beside, work).0 > 0.0
         });
         if cone.is_covered || is_edge { cone } else { Cone { x: -1.0, is_covered: false } }
     }

@@ -98,7 +98,24 @@ impl<'a, T: Texel> FieldView<'a, T> {
     /// The samples at the corners of a cell; bit 0 of the index is x, bit 1 y, bit 2 z. Cells run from -1 to n - 1.
     #[inline]
     pub fn corners(&self, cell: IVec3) -> [f32; 8] {
-        self.texels_around(cell).map(|texel| texel.decode(self.scale))
+        self.decode(self.texels_around(cell))
+    }
+
+    /// Decodes the samples at the corners of a cell. Written out, because the compiler does not inline `map` here.
+    #[inline]
+    pub fn decode(&self, texels: [T; 8]) -> [f32; 8] {
+        let scale = self.scale;
+        let [a, b, c, d, e, f, g, h] = texels;
+        [
+            a.decode(scale),
+            b.decode(scale),
+            c.decode(scale),
+            d.decode(scale),
+            e.decode(scale),
+            f.decode(scale),
+            g.decode(scale),
+            h.decode(scale),
+        ]
     }
 
     /// [`FieldView::corners`] in the stored encoding.
@@ -106,7 +123,7 @@ impl<'a, T: Texel> FieldView<'a, T> {
     pub fn texels_around(&self, cell: IVec3) -> [T; 8] {
         let [nx, ny, nz] = self.grid.shape;
         // A cell between centres needs no clamping. Negative indices become large ones here.
-        let [x, y, z] = cell.to_array().map(|i| i as u32 as usize);
+        let [x, y, z] = [cell.x as u32 as usize, cell.y as u32 as usize, cell.z as u32 as usize];
         if x + 1 < nx && y + 1 < ny && z + 1 < nz {
             let d = &self.texels[x + nx * (y + ny * z)..];
             let (y, z) = (nx, nx * ny);
