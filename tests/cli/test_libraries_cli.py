@@ -33,6 +33,17 @@ def test_bake_writes_a_folder_and_names_what_failed(library, tmp_path):
     assert (result.exit_code, "2 skipped" in result.stdout) == (0, True)
 
 
+def test_results_in_a_folder_have_the_format_and_encoding(library, tmp_path):
+    options = ["-r", 12, "--jobs", 1, "--to", "dds", "--encoding", "snorm8", "--bounds", "-1,-1,-1,1,1,1"]
+    result = fieldbake("bake", library[0], "-o", tmp_path / "out", *options)
+    assert result.exit_code == 0, result.stderr
+    found = fb.load(tmp_path / "out" / "box_0.dds")
+    assert found.encoding == "snorm8"
+    assert np.allclose(found.bounds, [(-1, -1, -1), (1, 1, 1)])
+    assert fieldbake("bake", *library, "-o", tmp_path / "bad", "--to", "vdb", "--encoding", "snorm8").exit_code == 2
+    assert not (tmp_path / "bad").exists()
+
+
 def test_options_of_folders_need_a_folder(library, tmp_path):
     assert fieldbake("bake", *library, "-o", tmp_path / "one.npz", "--jobs", 2).exit_code == 2
     assert fieldbake("bake", *library, "-o", tmp_path / "many", "--sparse").exit_code == 2

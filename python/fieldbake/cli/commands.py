@@ -105,7 +105,7 @@ def bake(
             "--output",
             "-o",
             help=f"The file to write: {', '.join(ENDINGS['volume'])}; with --sparse {', '.join(ENDINGS['sparse'])}. "
-            "A folder: one .npz for each mesh. - is standard output.",
+            "A folder: one file for each mesh. - is standard output.",
         ),
     ],
     resolution: Resolution = "64",
@@ -140,7 +140,9 @@ def bake(
     engine: Engine = None,
     mipmaps: Annotated[bool, typer.Option("--mipmaps", help="Add coarser levels to .dds and .ktx2.")] = False,
     source: Annotated[str | None, typer.Option("--from", help="Format of the mesh if MESH is -, such as glb.")] = None,
-    kind: Annotated[str, typer.Option("--to", help="Format of the output if it is -, such as vdb.")] = "npz",
+    kind: Annotated[
+        str, typer.Option("--to", help="Format of the output if it is - or a folder, such as vdb.")
+    ] = "npz",
     jobs: Annotated[
         int | None,
         typer.Option(help="Number of meshes baked at the same time; for a folder. The default is one per core."),
@@ -155,16 +157,16 @@ def bake(
 ) -> None:
     """Bake the signed distance field of a mesh into a file, or those of many meshes into a folder."""
     if not is_stream(output) and (not output.suffix or output.is_dir()):
-        if sparse or encoding != "float32":
-            raise typer.BadParameter("the results in a folder are dense and float32", param_hint="--sparse, --encoding")
-        if bounds is not None or engine is not None or mipmaps:
+        if sparse or engine is not None or mipmaps:
             raise typer.BadParameter(
-                "do not apply to the .npz files in a folder", param_hint="--bounds, --engine, --mipmaps"
+                "do not apply to the files in a folder", param_hint="--sparse, --engine, --mipmaps"
             )
+        check_encoding(f".{kind.lstrip('.')}", encoding)
         options = {"resolution": resolution, "voxel_size": voxel_size, "margin": margin, "sign": sign, "band": band}
         if voxel_size is not None:
             del options["resolution"]
-        options |= {"two_sided": two_sided, "thickness": thickness, "device": device}
+        options |= {"two_sided": two_sided, "thickness": thickness, "device": device, "format": kind}
+        options |= {"bounds": bounds, "encoding": None if encoding == "float32" else encoding}
         bake_folder(mesh, output, options, jobs=jobs, limit_s=limit_s, fresh=fresh)
         return
     if jobs is not None or limit_s is not None or fresh:

@@ -15,11 +15,17 @@ from .folders import finish
 @app.command()
 def sample(
     mesh: Annotated[list[Path], typer.Argument(help="Mesh files.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for one .npz for each mesh.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for one .npz for each mesh, or one .zarr.")],
     count: Annotated[int, typer.Option("--count", "-n", help="Number of points for each mesh.")] = 500_000,
     uniform: Annotated[
         float, typer.Option(help="Fraction of the points that are uniform in the box; the others are near the surface.")
     ] = 0.1,
+    near: Annotated[
+        list[float] | None,
+        typer.Option(
+            help="Standard deviation of the points near the surface, as for sample_training; may be repeated."
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the random numbers.")] = 0,
     jobs: Annotated[
         int | None, typer.Option(help="Number of meshes sampled at the same time. The default is one per core.")
@@ -31,6 +37,8 @@ def sample(
 ) -> None:
     """Write training samples of many meshes: points, signed distances and gradients, float32."""
     options: dict[str, Any] = {"n": count, "uniform": uniform, "seed": seed}
+    if near:
+        options["near"] = near
     bar = err.is_terminal
     rows = sample_many(mesh, output, workers=jobs, limit_s=limit_s, resume=not fresh, progress=bar, **options)
     finish(rows, output)

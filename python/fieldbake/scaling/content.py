@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from .. import _core
 from ..meshes.convert import as_mesh
 from ..meshes.mesh import Mesh
+from ..shapes.shape import Shape, all_shapes
 
 #: Bytes read at once.
 _BLOCK = 1 << 20
@@ -63,7 +64,10 @@ def of_arrays(*arrays: NDArray[Any]) -> str:
 
 
 def of_item(item: Any) -> str:
-    """Hash of anything that can be turned into a mesh."""
+    """Hash of anything that can be baked."""
+    if isinstance(item, Shape) or all_shapes(item):
+        shapes = [item] if isinstance(item, Shape) else item
+        return hashlib.sha256("\n".join(shape.to_sexpr() for shape in shapes).encode()).hexdigest()
     return of_file(item) if isinstance(item, (str, os.PathLike)) else of_mesh(as_mesh(item))
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from . import content
+from .results import size_of
 
 NAME = "ledger.jsonl"
 
@@ -48,4 +49,5 @@ def is_done(folder: Path, row: Mapping[str, Any] | None, name: str, content: str
     if (row.get("content"), row.get("options")) != (content, options):
         return False
     target = folder / name
-    return target.is_file() and target.stat().st_size == row.get("bytes")
+    size = size_of(target)
+    return size is not None and size == row.get("bytes")

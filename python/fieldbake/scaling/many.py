@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import os
 import threading
@@ -12,40 +13,23 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
 from ..baking.dense import bake
 from ..base import checks
 from ..base.errors import ArgumentError, Error
 from ..base.progress import Progress, progress_callback
-from ..files.container import atomic_write
-from ..meshes.convert import as_mesh
-from ..queries.sampling import sample_training
-from . import content, executors, ledger
+from . import content, executors, ledger, results
 from .child import Child, Portable, UnsendableError
+from .results import Asset, process
+from .store import import_zarr
 
 #: The function of each kind of run, and the options of that function, which all items share.
 OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
     "bake": ("bake", tuple(name for name in inspect.signature(bake).parameters if name not in ("mesh", "progress"))),
-    "sample": ("sample_training", ("n", "near", "uniform", "seed")),
+    "sample": ("sample_training", ("n", "near", "uniform", "seed", "sign")),
 }
 
 #: Progress reaches a callback at most this often, seconds.
 INTERVAL = 0.1
-
-
-@dataclass(frozen=True)
-class Asset:
-    """One item, and the path of its result."""
-
-    item: Any
-    target: str
-    kind: Literal["bake", "sample"]
-    options: Mapping[str, Any]
-    #: Hash of the item; None for a callable, whose mesh is hashed after the call.
-    content: str | None
-    #: Hash of the mesh of a callable at the last run. If the hash is the same, the result of that run is kept.
-    known: str | None = None
 
 
 def bake_many(
@@ -58,14 +42,16 @@ def bake_many(
     limit_s: float | None = None,
     workers: int | None = None,
     progress: Progress = None,
+    format: str = "npz",
+    encoding: str | None = None,
     **options: Any,
 ) -> list[dict[str, Any]]:
     """Bake each item of a library into a file of its own.
 
     Parameters
     ----------
-    items : iterable of mesh files, meshes, (vertices, faces) or callables; or a mapping of stems to those
-        Everything that :func:`bake` takes as a mesh. A callable without arguments returns such a mesh; it runs where
+    items : iterable of mesh files, meshes, (vertices, faces), shapes or callables; or a mapping of stems to those
+        Everything that :func:`bake` takes. A callable without arguments returns such a mesh or shape; it runs where
         the item is baked. The result is ``out/STEM.npz``. The stem is that of the file, the key of a mapping, the name
         of a function, or else ``item-`` and the position of the item.
     out : path
@@ -82,6 +68,11 @@ def bake_many(
         Number of items that are baked at the same time without an `executor`. By default the number of cores.
     progress : bool or callable, optional
         True draws a bar on stderr; a callable receives the finished fraction of items.
+    format : str, default "npz"
+        Ending of the results; those of :meth:`Volume.save`.
+    encoding : str, optional
+        Encoding of the results, as for :meth:`Volume.save`. In ``.npz`` files it is that of
+        :meth:`Volume.quantize`, with `band` or 4 voxels.
     **options
         Options of :func:`bake`, for all items.
 
@@ -95,7 +86,8 @@ def bake_many(
     Raises
     ------
     ArgumentError
-        If two items have the same stem, or an option is unknown; nothing is baked then.
+        If two items have the same stem, an option is unknown or out of range, or the folder has results of
+        :func:`sample_training`; nothing is baked then.
     Exception
         The error of an item, with `on_error` ``"raise"``. Finished results stay.
 
@@ -117,8 +109,8 @@ def bake_many(
     >>> first[0]["status"], second[0]["status"]
     ('done', 'skipped')
     """
-    run = Run("bake", checks.path(out, "out"), options, executor, on_error, resume, limit_s, workers, progress)
-    return run.rows(items)
+    shared = (executor, on_error, resume, limit_s, workers, progress, format, encoding)
+    return Run("bake", checks.path(out, "out"), options, *shared).rows(items)
 
 
 def sample_many(
@@ -127,7 +119,7 @@ def sample_many(
     """Draw training samples of each item; arguments and rows as for :func:`bake_many`.
 
     The options are those of :func:`sample_training`. A result is an .npz file of ``points`` (n, 3), ``distances`` (n,)
-    and ``gradients`` (n, 3), all float32.
+    and ``gradients`` (n, 3), all float32. If `out` ends in ``.zarr``, it is a group of these arrays in one Zarr store.
     """
     shared = {field.name: options.pop(field.name) for field in fields(Run) if field.name in options}
     return Run("sample", checks.path(out, "out"), options, **shared).rows(items)
@@ -146,6 +138,8 @@ class Run:
     limit_s: float | None = None
     workers: int | None = None
     progress: Progress = None
+    format: str = "npz"
+    encoding: str | None = None
 
     def __post_init__(self) -> None:
         function, known = OPTIONS[self.kind]
@@ -161,30 +155,37 @@ class Run:
             checks.integer("workers", self.workers, least=1, most=1024)
             if self.executor is not None:
                 raise ArgumentError("workers: does not apply with an executor, which has its own workers")
-        self.options_hash = content.of_options({"kind": self.kind, **self.options})
+        self.ending, self.encoding = results.checked_format(self.kind, self.out, self.format, self.encoding)
+        results.check_options(self.kind, self.options)
+        self.options_hash = content.of_options({"kind": self.kind, "encoding": self.encoding, **self.options})
 
     def rows(self, items: Iterable[Any] | Mapping[str, Any]) -> list[dict[str, Any]]:
         """Bake or sample all items."""
         named = named_items(items)
-        check_stems([stem for stem, _ in named])
+        check_stems([stem for stem, _ in named], self.ending)
+        earlier = ledger.read(self.out)
+        self._check_kind(earlier[name] for name in (f"{stem}{self.ending}" for stem, _ in named) if name in earlier)
+        if not self.resume:
+            earlier = {}
         self.out.mkdir(parents=True, exist_ok=True)
-        earlier = ledger.read(self.out) if self.resume else {}
+        if not self.ending:
+            import_zarr().open_group(self.out, mode="a", zarr_format=3)
         rows: list[dict[str, Any]] = []
         assets: list[tuple[int, Asset]] = []
         first_error: Exception | None = None
         for index, (stem, item) in enumerate(named):
             row = self._first_row(stem, item)
             rows.append(row)
-            last = earlier.get(f"{stem}.npz")
+            last = earlier.get(f"{stem}{self.ending}")
             start = time.perf_counter()
             try:
                 found = None if callable(item) and not _is_mesh(item) else content.of_item(item)
             except Exception as error:  # a missing or damaged file is an error of this item alone
                 row.update(error=_text(error), seconds=time.perf_counter() - start)
-                ledger.append(self.out, row)
+                ledger.append(self.out, {**row, "kind": self.kind})
                 first_error = first_error or _named(error, row)
                 continue
-            name = f"{stem}.npz"
+            name = f"{stem}{self.ending}"
             if found is not None and ledger.is_done(self.out, last, name, found, self.options_hash):
                 assert last is not None
                 row.update(status="skipped", seconds=0.0, report=last.get("report"))
@@ -194,7 +195,7 @@ class Run:
                 known = None
             if found is None:
                 item = Portable(item)
-            assets.append((index, Asset(item, row["path"], self.kind, self.options, found, known)))
+            assets.append((index, Asset(item, row["path"], self.kind, self.options, self.encoding, found, known)))
         if first_error is not None and self.on_error == "raise":
             raise first_error
         self._work(rows, assets)
@@ -202,11 +203,21 @@ class Run:
 
     def _first_row(self, stem: str, item: Any) -> dict[str, Any]:
         label = item if isinstance(item, (str, os.PathLike)) else stem
-        path = os.fspath(self.out / f"{stem}.npz")
+        path = os.fspath(self.out / f"{stem}{self.ending}")
         return {"item": label, "path": path, "status": "failed", "seconds": 0.0, "error": None, "report": None}
+
+    def _check_kind(self, earlier: Iterable[Mapping[str, Any]]) -> None:
+        for row in earlier:
+            if row.get("status") == "done" and row.get("kind", self.kind) != self.kind:
+                raise ArgumentError(
+                    f"out: {Path(row['path']).name} in {self.out} is a result of '{row['kind']}', which '{self.kind}' "
+                    "would overwrite; choose another folder"
+                )
 
     def _work(self, rows: list[dict[str, Any]], assets: list[tuple[int, Asset]]) -> None:
         if not assets:
+            if rows and callable(self.progress):
+                self.progress(1.0)
             return
         done = len(rows) - len(assets)
         lost: list[tuple[int, Asset]] = []
@@ -269,7 +280,7 @@ class Run:
                 "bytes": None,
                 **{k: v for k, v in (facts or {}).items() if k in ("content", "bytes")},
             }
-            ledger.append(self.out, {**row, **proof, "options": self.options_hash})
+            ledger.append(self.out, {**row, **proof, "options": self.options_hash, "kind": self.kind})
         if error is not None and self.on_error == "raise":
             raise _named(error, row)
 
@@ -296,7 +307,7 @@ def named_items(items: Iterable[Any] | Mapping[str, Any]) -> list[tuple[str, Any
     return named
 
 
-def check_stems(stems: Sequence[str]) -> None:
+def check_stems(stems: Sequence[str], ending: str) -> None:
     """Raise an error if two results would have the same name, also on file systems that ignore case."""
     seen: dict[str, int] = {}
     for index, stem in enumerate(stems):
@@ -305,7 +316,7 @@ def check_stems(stems: Sequence[str]) -> None:
         first = seen.setdefault(stem.casefold(), index)
         if first != index:
             raise ArgumentError(
-                f"items: number {first} and number {index} would both be written as '{stem}.npz'; rename one, "
+                f"items: number {first} and number {index} would both be written as '{stem}{ending}'; rename one, "
                 "or pass a mapping of stems to items"
             )
 
@@ -336,11 +347,13 @@ def _named(error: BaseException, row: Mapping[str, Any]) -> Exception:
     """Return the error with the name of the item in its message."""
     if not isinstance(error, Exception):
         return Error(f"{row['item']}: {error}")
-    if isinstance(error, Error) and str(row["item"]) not in str(error):
-        try:
+    if str(row["item"]) in str(error):
+        return error
+    if isinstance(error, Error):
+        with contextlib.suppress(TypeError):
             return type(error)(f"{row['item']}: {error}")
-        except TypeError:
-            return error
+    if hasattr(error, "add_note"):
+        error.add_note(f"in item {row['item']}")
     return error
 
 
@@ -373,26 +386,3 @@ def work_in(child: Child, asset: Asset, limit_s: float | None) -> dict[str, Any]
         facts |= {"error": _text(error), "exception": error}
     facts["seconds"] = time.perf_counter() - start
     return facts
-
-
-def process(asset: Asset) -> dict[str, Any]:
-    """Bake or sample an item and write the result."""
-    item = asset.item
-    found = asset.content
-    if found is None:
-        item = as_mesh(item())
-        found = content.of_mesh(item)
-        if found == asset.known:
-            return {"status": "skipped", "content": found}
-    target = Path(asset.target)
-    report = None
-    if asset.kind == "bake":
-        volume = bake(item, **asset.options)
-        volume.save(target)
-        report = volume.report.to_dict()
-    else:
-        samples = sample_training(item, **asset.options)
-        arrays: dict[str, Any] = {name: np.asarray(getattr(samples, name), np.float32) for name in samples._fields}
-        with atomic_write(target) as stream:
-            np.savez(stream, **arrays)
-    return {"status": "done", "content": found, "report": report, "bytes": target.stat().st_size}

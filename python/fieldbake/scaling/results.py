@@ -1,0 +1,150 @@
+"""The work on one item of a library: bake or sample it, and write the result."""
+
+from __future__ import annotations
+
+import shutil
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ..baking.dense import bake
+from ..base import checks
+from ..base.errors import ArgumentError, FormatError
+from ..base.grid import make_grid
+from ..files.container import ENDINGS, atomic_write
+from ..meshes.convert import as_mesh
+from ..queries.sampling import sample_training
+from ..volumes import writers
+from ..volumes.volume import Volume
+from . import content
+from .store import import_zarr
+
+#: Half width of the band of normalised encodings in .npz files, voxels.
+BAND = 4.0
+
+#: Number of points of the samples by which options are checked.
+FEW = 8
+
+
+@dataclass(frozen=True)
+class Asset:
+    """One item, and the path of its result."""
+
+    item: Any
+    target: str
+    kind: Literal["bake", "sample"]
+    options: Mapping[str, Any]
+    encoding: str | None
+    #: Hash of the item; None for a callable, whose mesh is hashed after the call.
+    content: str | None
+    #: Hash of the mesh of a callable at the last run. If the hash is the same, the result of that run is kept.
+    known: str | None = None
+
+
+def process(asset: Asset) -> dict[str, Any]:
+    """Bake or sample an item and write the result."""
+    item = asset.item
+    found = asset.content
+    if found is None:
+        item = item()
+        found = content.of_item(item)
+        if found == asset.known:
+            return {"status": "skipped", "content": found}
+    target = Path(asset.target)
+    report = None
+    if asset.kind == "bake":
+        volume = bake(item, **asset.options)
+        _save(volume, target, asset.encoding, asset.options.get("band"))
+        report = volume.report.to_dict()
+    else:
+        samples = sample_training(as_mesh(item), **asset.options)
+        arrays = {name: np.asarray(getattr(samples, name), np.float32) for name in samples._fields}
+        (_save_group if in_zarr(target) else _save_arrays)(target, arrays)
+    return {"status": "done", "content": found, "report": report, "bytes": size_of(target)}
+
+
+def _save(volume: Volume, target: Path, encoding: str | None, band: float | None) -> None:
+    ending = target.suffix
+    if ending == ".npz":
+        if encoding is not None:
+            volume = volume.quantize(encoding, band=BAND if band is None else band)  # type: ignore[arg-type]
+        volume.save(target)
+        return
+    # A texture without an encoding keeps all distances.
+    has_band = ending in writers.BANDED and not (ending in writers.MIPMAPPED and encoding is None)
+    volume.save(target, encoding=encoding, band=band if has_band else None)
+
+
+def _save_arrays(target: Path, arrays: Mapping[str, Any]) -> None:
+    with atomic_write(target) as stream:
+        np.savez(stream, **arrays)
+
+
+def in_zarr(target: Path) -> bool:
+    """Whether a result is a group in a Zarr store."""
+    return target.parent.suffix == ".zarr"
+
+
+def _save_group(target: Path, arrays: Mapping[str, Any]) -> None:
+    """Write the arrays as a group, under another name first."""
+    if target.exists() and not all((target / name / "zarr.json").is_file() for name in arrays):
+        raise FormatError(f"{target} has other contents than training samples; they stay as they are")
+    partial = target.with_name(f".{target.name}.partial")
+    group = import_zarr().open_group(partial, mode="w", zarr_format=3)
+    for name, array in arrays.items():
+        group.create_array(name=name, data=array)
+    if target.exists():
+        shutil.rmtree(target)
+    partial.rename(target)
+
+
+def size_of(target: Path) -> int | None:
+    """Bytes of a result, a file or a group; None if there is none."""
+    if target.is_file():
+        return target.stat().st_size
+    return sum(part.stat().st_size for part in target.rglob("*") if part.is_file()) if target.is_dir() else None
+
+
+def checked_format(kind: str, out: Path, form: object, encoding: object) -> tuple[str, str | None]:
+    """The ending of the results and their encoding, None for float32."""
+    ending = "." + checks.text("format", form).lower().lstrip(".")
+    if kind == "sample":
+        if out.suffix in (".npz", ".parquet"):
+            raise ArgumentError(f"out: must be a folder or end in .zarr, got {str(out)!r}")
+        return ("" if out.suffix == ".zarr" else ".npz"), None
+    if ending not in ENDINGS["volume"]:
+        raise ArgumentError(f"format: must be one of {', '.join(ENDINGS['volume'])}, got {form!r}")
+    if encoding is None:
+        return ending, None
+    known = writers.ENCODINGS.get(ending, ("float32", "float16", "snorm16", "snorm8") if ending == ".npz" else ())
+    checks.choice("encoding", encoding, known or ("float32",))
+    return ending, None if encoding == "float32" else str(encoding)
+
+
+def check_options(kind: str, options: Mapping[str, Any]) -> None:
+    """Check the options of all items by a small solid, before any work.
+
+    Lengths in world units are checked by themselves, since the size of the meshes is not known here.
+    """
+    solid = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], float), [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
+    chosen = {name: value for name, value in options.items() if value is not None}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        if kind == "sample":
+            count = checks.integer("n", chosen.pop("n", None), least=0, most=2**40)
+            sample_training(solid, min(count, FEW), **chosen)
+            return
+        grid = {name: chosen.pop(name) for name in ("resolution", "voxel_size", "bounds") if name in chosen}
+        if "voxel_size" in grid:
+            checks.number("voxel_size", grid.pop("voxel_size"), above=0)
+            grid["voxel_size"] = 0.5
+        make_grid(np.array([(0.0, 0, 0), (1, 1, 1)]), margin=chosen.get("margin", 0.1), **grid)
+        if "thickness" in chosen:
+            checks.number("thickness", chosen["thickness"], above=0)
+            chosen["thickness"] = 0.5
+        # Workers may have other devices than this machine.
+        bake(solid, **{**chosen, "resolution": 4, "device": "cpu"})

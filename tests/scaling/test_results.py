@@ -1,0 +1,129 @@
+"""Results of libraries: formats, encodings, shapes, samples in one store, and options that are checked before work."""
+
+import numpy as np
+import pytest
+
+import assets
+import fieldbake as fb
+from fieldbake.scaling.many import sample_many
+
+
+@pytest.fixture
+def boxes():
+    return {"a": assets.box(1), "b": assets.box(1.2)}
+
+
+def many(items, out, function=fb.bake_many, **options):
+    return function(items, out, **{"workers": 1, **options})
+
+
+def statuses(rows):
+    return [row["status"] for row in rows]
+
+
+@pytest.mark.parametrize(
+    ("form", "encoding"), [("vdb", None), pytest.param(".dds", "snorm8", marks=pytest.mark.slow), ("npz", "snorm16")]
+)
+def test_results_have_the_format_and_the_encoding(boxes, tmp_path, form, encoding):
+    rows = many(boxes, tmp_path, resolution=8, format=form, encoding=encoding, band=3)
+    ending = "." + form.lstrip(".")
+    assert [row["path"] for row in rows] == [str(tmp_path / f"{stem}{ending}") for stem in boxes]
+    exact = fb.bake(boxes["b"], 8)
+    found = fb.load(rows[1]["path"])
+    if ending != ".vdb":
+        assert found.encoding == encoding
+    width = 3 * exact.spacing[0]
+    # Half a step of snorm8, and the float16 values of a level set.
+    assert np.abs(np.clip(found.distances - exact.distances.clip(-width, width), -1, 1)).max() <= width / 127
+    assert statuses(many(boxes, tmp_path, resolution=8, format=form, encoding=encoding, band=3)) == ["skipped"] * 2
+
+
+def test_shapes_are_items(tmp_path):
+    items = {"ball": fb.sphere(1), "two": [fb.sphere(1), fb.box((1, 1, 1))], "made": lambda: fb.sphere(2)}
+    rows = many(items, tmp_path, resolution=8)
+    assert statuses(rows) == ["done"] * 3
+    assert fb.load(rows[0]["path"]).distances.tobytes() == fb.bake(fb.sphere(1), 8).distances.tobytes()
+    assert statuses(many({**items, "ball": fb.sphere(1.5)}, tmp_path, resolution=8)) == ["done", "skipped", "skipped"]
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        ({"resolution": -4}, "resolution"),
+        ({"resolution": 8, "voxel_size": 0.1}, "voxel_size"),
+        ({"voxel_size": -1}, "voxel_size"),
+        ({"sign": "foo"}, "sign"),
+        ({"margin": -1}, "margin"),
+        ({"band": 0}, "band"),
+        ({"bounds": [0, 1]}, "bounds"),
+        ({"thickness": 1}, "thickness"),
+        ({"format": "stl"}, "format"),
+        ({"encoding": "int4"}, "encoding"),
+        ({"format": "vdb", "encoding": "snorm8"}, "encoding"),
+    ],
+)
+def test_wrong_options_are_errors_before_any_work(boxes, tmp_path, options, name):
+    with pytest.raises(fb.ArgumentError, match=name):
+        many(boxes, tmp_path / "out", **options)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_options_in_units_of_the_meshes_are_right_for_all_sizes(tmp_path):
+    tiny = {"tiny": assets.box(1e-9)}
+    assert statuses(many(tiny, tmp_path / "a", voxel_size=2e-10)) == ["done"]
+    assert statuses(many(tiny, tmp_path / "b", resolution=8, two_sided=True, thickness=4e-10)) == ["done"]
+
+
+@pytest.mark.parametrize("options", [{}, {"n": -5}, {"n": 2.5}, {"n": 5, "uniform": 2}, {"n": 5, "near": [-1]}])
+def test_wrong_options_of_samples_are_errors_before_any_work(boxes, tmp_path, options):
+    with pytest.raises(fb.ArgumentError):
+        many(boxes, tmp_path / "out", sample_many, **options)
+    assert not (tmp_path / "out").exists()
+
+
+def test_samples_and_fields_do_not_overwrite_each_other(boxes, tmp_path):
+    many(boxes, tmp_path, resolution=8)
+    before = (tmp_path / "a.npz").read_bytes()
+    with pytest.raises(fb.ArgumentError, match=r"out: a\.npz in .* is a result of 'bake'"):
+        many(boxes, tmp_path, sample_many, n=5)
+    assert (tmp_path / "a.npz").read_bytes() == before
+    with pytest.raises(fb.ArgumentError, match=r"out: must be a folder or end in \.zarr"):
+        many(boxes, tmp_path / "s.parquet", sample_many, n=5)
+
+
+def test_samples_go_into_one_store(boxes, tmp_path):
+    zarr = pytest.importorskip("zarr")
+    out = tmp_path / "s.zarr"
+    assert statuses(many(boxes, out, sample_many, n=50, seed=3)) == ["done"] * 2
+    group = zarr.open_group(out, mode="r")
+    direct = fb.sample_training(boxes["b"], 50, seed=3)
+    for name in ("points", "distances", "gradients"):
+        assert np.array_equal(group["b"][name][...], np.asarray(getattr(direct, name), np.float32))
+    assert statuses(many(boxes, out, sample_many, n=50, seed=3)) == ["skipped"] * 2
+    boxes["b"] = assets.box(2)
+    assert statuses(many(boxes, out, sample_many, n=50, seed=3)) == ["skipped", "done"]
+    assert not list(out.glob(".*"))
+    (out / "c").mkdir()
+    (out / "c" / "thesis.txt").write_text("work")
+    (row,) = many({"c": boxes["a"]}, out, sample_many, n=50)
+    assert "other contents" in row["error"]
+    assert (out / "c" / "thesis.txt").read_text() == "work"
+
+
+def broken():
+    raise ValueError("boom")
+
+
+def test_errors_of_callables_name_the_item(tmp_path):
+    with pytest.raises(ValueError, match="boom") as caught:
+        many({"one": lambda: broken()}, tmp_path, resolution=8, on_error="raise")
+    if hasattr(caught.value, "add_note"):  # Python 3.11
+        assert caught.value.__notes__ == ["in item one"]
+
+
+def test_progress_reaches_1_when_nothing_is_left(boxes, tmp_path):
+    many(boxes, tmp_path, resolution=8)
+    shares = []
+    many(boxes, tmp_path, resolution=8, progress=shares.append)
+    assert shares == [1.0]
