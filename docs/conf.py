@@ -91,6 +91,7 @@ html_static_path = ["static"]
 html_css_files = ["site.css"]
 html_show_sourcelink = False
 html_copy_source = False
+html_show_search_summary = False  # a page that is opened as a file cannot fetch the others
 html_theme_options = {
     "navbar_align": "left",
     "navbar_persistent": ["search-button"],
