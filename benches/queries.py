@@ -1,6 +1,6 @@
 """Points and rays beside Open3D (Embree): processor time, interleaved in one run.
 
-    make bench     or     .venv/bin/python benches/queries.py [mesh ...]
+    make bench     or     .venv/bin/python benches/queries.py [mesh ...] [--count 1000000]
 
 Prints a table of nanoseconds per item and ratios (above 1: fieldbake is faster). Times are processor time of all
 threads, the smallest of several rounds, so other programs affect them little.
@@ -8,7 +8,7 @@ threads, the smallest of several rounds, so other programs affect them little.
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
 from collections.abc import Callable
 from typing import Any
@@ -18,7 +18,6 @@ import numpy as np
 import fieldbake as fb
 
 ROUNDS = 3
-MANY = 1_000_000
 
 
 def seconds(work: Callable[[], object]) -> float:
@@ -57,9 +56,9 @@ def rays_of(mesh: fb.Mesh, kind: str, count: int) -> tuple[np.ndarray, np.ndarra
     return starts, targets - starts
 
 
-def ray_times(mesh: fb.Mesh, scene: Any, kind: str) -> list[float]:
+def ray_times(mesh: fb.Mesh, scene: Any, kind: str, count: int) -> list[float]:
     """Processor times of first hits and of occlusion by fieldbake and by Open3D."""
-    origins, directions = rays_of(mesh, kind, MANY)
+    origins, directions = rays_of(mesh, kind, count)
     rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
     return least(
         lambda: fb.cast_rays(mesh, origins, directions),
@@ -69,7 +68,7 @@ def ray_times(mesh: fb.Mesh, scene: Any, kind: str) -> list[float]:
     )
 
 
-def bench(name: str, mesh: fb.Mesh) -> None:
+def bench(name: str, mesh: fb.Mesh, count: int) -> None:
     """Measure one mesh: a row for each kind of query."""
     import open3d as o3d
 
@@ -79,7 +78,7 @@ def bench(name: str, mesh: fb.Mesh) -> None:
     )
     lower, upper = mesh.bounds
     center, half = (lower + upper) / 2, (upper - lower) / 2
-    points = center + 1.2 * half * np.random.default_rng(2).uniform(-1, 1, (MANY, 3))
+    points = center + 1.2 * half * np.random.default_rng(2).uniform(-1, 1, (count, 3))
     single = points.astype(np.float32)
     few, few_single = points[:1000], single[:1000]
     one, one_single = points[:1], single[:1]
@@ -110,27 +109,31 @@ def bench(name: str, mesh: fb.Mesh) -> None:
         lambda: scene.compute_signed_distance(single),
         lambda: scene.compute_occupancy(single),
     )
-    row("1 M signed distances", MANY, plain, theirs)
-    row(f"1 M queries with gradients ({full / plain:.2f} x distances)", MANY, full, theirs)
-    row(f"1 M contains ({plain / inside:.2f} x faster than distances)", MANY, inside, occupancy)
+    row("signed distances", count, plain, theirs)
+    row(f"queries with gradients ({full / plain:.2f} x distances)", count, full, theirs)
+    row(f"contains ({plain / inside:.2f} x as fast as distances)", count, inside, occupancy)
     for kind in ("coherent", "random"):
-        hits, shadow, their_hits, their_shadow = ray_times(mesh, scene, kind)
-        row(f"1 M {kind} rays", MANY, hits, their_hits)
-        row(f"1 M {kind} occlusion rays", MANY, shadow, their_shadow)
-    samples = least(lambda: fb.sample_surface(mesh, MANY))[0]
-    rows.append(f"| {name} | 1 M surface samples | {samples / MANY * 1e9:,.0f} | | |")
+        hits, shadow, their_hits, their_shadow = ray_times(mesh, scene, kind, count)
+        row(f"{kind} rays", count, hits, their_hits)
+        row(f"{kind} occlusion rays", count, shadow, their_shadow)
+    samples = least(lambda: fb.sample_surface(mesh, count))[0]
+    rows.append(f"| {name} | surface samples | {samples / count * 1e9:,.0f} | | |")
     print("\n".join(rows), flush=True)
 
 
 def main() -> None:
     """Every mesh of the command line, or two made in code."""
-    meshes = {path: fb.load_mesh(path) for path in sys.argv[1:]} or {
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("meshes", nargs="*", help="mesh files; two meshes made in code if none is given")
+    parser.add_argument("--count", type=int, default=1_000_000, help="points and rays")
+    arguments = parser.parse_args()
+    meshes = {path: fb.load_mesh(path) for path in arguments.meshes} or {
         "torus knot, 46 k faces": fb.models.torus_knot(),
         "torus knot, 1 M faces": fb.models.torus_knot(segments=2600, sides=200),
     }
     print("| mesh | question | fieldbake, ns | Open3D, ns | ratio |\n|---|---|---|---|---|")
     for name, mesh in meshes.items():
-        bench(name, mesh)
+        bench(name, mesh, arguments.count)
 
 
 if __name__ == "__main__":
