@@ -1,8 +1,8 @@
 //! The shader of the viewer in browsers, written for the kinds of fields that a view has.
 //!
 //! The WGSL files in `shaders/viewer/` are the source. Each structure of the shapes in a view becomes a function, and
-//! naga writes the whole as GLSL ES 3.00, the language of WebGL 2. The numbers of a shape stay in the data of the view,
-//! so that a changed parameter compiles nothing.
+//! naga writes the whole as GLSL ES 3.00, the language of WebGL 2; WebGPU compiles the WGSL itself. The parameters of a
+//! shape stay in the data of the view, so that a changed parameter compiles nothing.
 
 use crate::csg::Solid;
 use crate::csg::whole::Whole;
@@ -25,14 +25,19 @@ pub(crate) struct ViewedKinds {
     pub dense: bool,
     pub sparse: bool,
     pub quadric: bool,
+    /// Whether the view has the triangles of meshes.
+    pub mesh: bool,
     /// The encoding of all sampled fields, if they have the same one.
     pub encoding: Option<Encoding>,
 }
 
-/// The shader of a view, and what its data must have for the shapes.
+/// The shaders of a view, and the data that the shapes need.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct ViewerShader {
-    pub text: String,
+    /// The fragment shader of rays.
+    pub rays: String,
+    /// The vertex and the fragment shader of meshes with shadows.
+    pub mesh: Option<[String; 2]>,
     /// One entry per shape; `None` for a shape without a function: one that is too large, or that contains a baked
     /// volume.
     pub shapes: Vec<Option<ShapeFunction>>,
@@ -52,7 +57,7 @@ pub(crate) struct ShapeFunction {
     pub inverse_lipschitz: f64,
 }
 
-/// Writes the shader for fields of these kinds and for these shapes.
+/// Writes the shaders for fields of these kinds and for these shapes.
 pub(crate) fn shader(kinds: ViewedKinds, solids: &[Arc<Solid>], language: Language) -> Result<ViewerShader, Error> {
     let mut functions: Vec<(String, Option<String>)> = Vec::new();
     let mut shapes = Vec::new();
@@ -74,18 +79,39 @@ pub(crate) fn shader(kinds: ViewedKinds, solids: &[Arc<Solid>], language: Langua
     }
     let has_shape = !functions.is_empty();
     let texts = [("viewer_needs", &*needs(kinds, has_shape)), ("viewer_shapes", &*shapes_text(&functions))];
-    let wgsl = kernel("viewer", &texts)?;
     let has = [("DENSE", kinds.dense), ("SPARSE", kinds.sparse), ("SHAPE", has_shape), ("QUADRIC", kinds.quadric)];
-    let wgsl = has.iter().filter(|(_, has)| !has).fold(wgsl, |text, (name, _)| without_lines(&text, name));
-    Ok(ViewerShader { text: translate_used(&wgsl, language, glsl(ShaderStage::Fragment, "main"))?, shapes })
+    let own_kernel = |name| -> Result<String, Error> {
+        let wgsl = kernel(name, &texts)?;
+        Ok(has.iter().filter(|(_, has)| !has).fold(wgsl, |text, (name, _)| without_lines(&text, name)))
+    };
+    let rays = written(&own_kernel("viewer")?, language, glsl(ShaderStage::Fragment, "main"))?;
+    let mesh = if kinds.mesh {
+        Some(triangles(&own_kernel("viewer_mesh")?, language, ["lit_corner", "lit_color"])?)
+    } else {
+        None
+    };
+    Ok(ViewerShader { rays, mesh, shapes })
 }
 
 /// The vertex and the fragment shader for triangles of level sets.
 pub(crate) fn triangle_shaders(language: Language) -> Result<[String; 2], Error> {
-    let wgsl = kernel("viewer_triangles", &[])?;
-    let corner = translate_used(&wgsl, language, glsl(ShaderStage::Vertex, "triangle_corner"))?;
-    let color = translate_used(&wgsl, language, glsl(ShaderStage::Fragment, "triangle_color"))?;
-    Ok([corner, color])
+    triangles(&kernel("viewer_triangles", &[])?, language, ["triangle_corner", "triangle_color"])
+}
+
+/// The vertex and the fragment shader of a kernel with these entry points.
+fn triangles(wgsl: &str, language: Language, [corner, color]: [&'static str; 2]) -> Result<[String; 2], Error> {
+    let corner = written(wgsl, language, glsl(ShaderStage::Vertex, corner))?;
+    Ok([corner, written(wgsl, language, glsl(ShaderStage::Fragment, color))?])
+}
+
+/// The text of one entry point. WGSL stays whole, without its comments and indentation: pages contain it.
+fn written(wgsl: &str, language: Language, target: GlslTarget) -> Result<String, Error> {
+    let text = translate_used(wgsl, language, target)?;
+    if language != Language::Wgsl {
+        return Ok(text);
+    }
+    let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with("//"));
+    Ok(lines.flat_map(|line| [line, "\n"]).collect())
 }
 
 /// The whole WGSL of a kernel.
@@ -115,7 +141,7 @@ fn without_lines(text: &str, name: &str) -> String {
 
 /// The text in place of `shaders/viewer/needs.wgsl`.
 fn needs(kinds: ViewedKinds, has_shape: bool) -> String {
-    let ViewedKinds { dense, sparse, quadric, encoding } = kinds;
+    let ViewedKinds { dense, sparse, quadric, encoding, .. } = kinds;
     let encoding = encoding.and_then(|one| Encoding::ALL.iter().position(|&known| known == one));
     format!(
         "const HAS_DENSE: bool = {dense};\nconst HAS_SPARSE: bool = {sparse};\nconst HAS_SHAPE: bool = {has_shape};\n\
@@ -181,12 +207,18 @@ mod tests {
         for solids in [vec![], texts[1..].iter().map(solid).collect(), texts.iter().map(solid).collect::<Vec<_>>()] {
             for bits in 0..8u8 {
                 let encoding = (bits == 1).then_some(Encoding::Snorm8);
-                let kinds =
-                    ViewedKinds { dense: bits & 1 == 1, sparse: bits & 2 == 2, quadric: bits & 4 == 4, encoding };
+                let [dense, sparse, quadric] = [1, 2, 4].map(|bit| bits & bit == bit);
+                let kinds = ViewedKinds { dense, sparse, quadric, mesh: dense, encoding };
                 let glsl = shader(kinds, &solids, Language::Glsl).unwrap();
-                assert!(glsl.text.starts_with("#version 300 es\n"));
+                assert_eq!(glsl.mesh.is_some(), dense);
+                for text in glsl.mesh.iter().flatten().chain([&glsl.rays]) {
+                    assert!(text.starts_with("#version 300 es\n"));
+                }
                 assert_eq!(glsl.shapes.iter().flatten().count(), solids.len());
-                assert!(shader(kinds, &solids, Language::Wgsl).unwrap().text.contains("fn main("));
+                let wgsl = shader(kinds, &solids, Language::Wgsl).unwrap();
+                assert!(wgsl.rays.contains("fn main("));
+                assert!(!wgsl.rays.contains("\n//"));
+                assert!(wgsl.mesh.is_none_or(|[text, _]| text.contains("fn lit_color(")));
             }
         }
     }

@@ -1,14 +1,14 @@
-// Open pages in Chromium without a network. Standard input: {"executable", "jobs": [{"url", "expression" or "script", "before",
-// "width", "height", "screenshot", "online"}]}. An expression is evaluated in the page; a script is the body of an asynchronous
+// Open pages in Chromium without a network. Standard input: {"executable", "flags", "jobs": [{"url", "expression" or "script",
+// "before", "width", "height", "screenshot", "online"}]}. An expression is evaluated in the page; a script is the body of an asynchronous
 // function of `page`, the object of playwright; `before` runs in each frame before its own scripts.
 // Standard output: one result for each job: its value, errors and warnings of the console, requests.
 import { chromium } from "playwright-core";
 
-const { executable, jobs } = JSON.parse(await new Response(process.stdin).text());
+const { executable, flags, jobs } = JSON.parse(await new Response(process.stdin).text());
 const browser = await chromium.launch({
   executablePath: executable,
   ignoreDefaultArgs: ["--disable-gpu"],
-  args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--disable-dev-shm-usage", "--js-flags=--expose-gc"],
+  args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--disable-dev-shm-usage", "--js-flags=--expose-gc", ...flags],
 });
 const AsyncFunction = (async () => {}).constructor;
 const results = [];

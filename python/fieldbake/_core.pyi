@@ -893,9 +893,12 @@ def atlas_shader(
     """
 
 def viewer_shader(
-    language: str, kinds: tuple[bool, bool, bool], encoding: str | None, shapes: list[Shape]
-) -> tuple[str, list[tuple[int, NDArray[np.float32], list[float], float, float] | None]]:
-    """The fragment shader of a view; ``kinds`` states whether the view has dense fields, sparse fields and quadrics.
+    language: str, kinds: tuple[bool, bool, bool, bool], encoding: str | None, shapes: list[Shape]
+) -> tuple[list[str], list[tuple[int, NDArray[np.float32], list[float], float, float] | None]]:
+    """The shaders of a view; ``kinds`` states whether it has dense fields, sparse fields, quadrics and meshes.
+
+    The first text is the fragment shader of rays. With meshes, their vertex and their fragment shader follow; in "wgsl"
+    each text has all entry points of its kernel.
 
     ``encoding`` is that of all sampled fields, or None if they differ. For each shape the result has the index of its
     function, the parameters that it reads, the centre and the scale of its local frame, and the inverse of its

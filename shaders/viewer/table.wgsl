@@ -19,7 +19,8 @@
 //           21    node step (3), errors of the samples (bytes)
 //           22    place in the filtered texture: first layer, texels per voxel, distance of 1.0, one over the
 //                 difference between neighbouring samples that 1 % of the pairs exceed
-//           23    share of the view's largest error at a byte of 255
+//           23    share of the view's largest error at a byte of 255; 1 if the triangles that are drawn are those of a
+//                 mesh; index of the instance
 //
 // Row `count` has the rays of scene space. The rows after it are lights: direction or position in scene space with 0 or
 // 1, then the colour.
@@ -53,6 +54,9 @@ struct View {
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(2) var frames: texture_2d<f32>;
 
+// The depth of a ray that hits nothing.
+const NO_DEPTH: f32 = 3.0e38;
+
 const FLAG_VISIBLE: u32 = 1u;
 const FLAG_CASTS: u32 = 2u;
 const FLAG_UNLIT: u32 = 4u;
@@ -72,6 +76,21 @@ fn moved(instance: u32, first: u32, p: vec4f) -> vec3f {
 fn moved_by_transpose(instance: u32, first: u32, v: vec3f) -> vec3f {
     return v.x * frame_at(instance, first).xyz + v.y * frame_at(instance, first + 1u).xyz
         + v.z * frame_at(instance, first + 2u).xyz;
+}
+
+// A light as a point of scene space receives it, and the distance to it in scene units.
+struct NearLight {
+    light: Light,
+    reach: f32,
+}
+
+// The light of two texels of a row: `place` is a direction with 0 or a position with 1.
+fn light_from(place: vec4f, color: vec4f, p: vec3f) -> NearLight {
+    let way = place.xyz - p;
+    let reach = max(length(way), 1e-12);
+    let is_point = place.w == 1.0;
+    let direction = select(place.xyz, -way / reach, is_point);
+    return NearLight(Light(direction, 0u, color.xyz, 0u), select(NO_DEPTH, reach, is_point));
 }
 
 // IEC 61966-2-1.

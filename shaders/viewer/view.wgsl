@@ -26,8 +26,6 @@ const PICTURE_OBJECT: u32 = 6u;
 const PICTURE_SLICE: u32 = 7u;
 const PICTURE_ERROR: u32 = 8u;
 
-const NO_DEPTH: f32 = 3.0e38;
-
 struct Found {
     depth: f32,
     instance: u32,
@@ -132,8 +130,9 @@ fn main(@builtin(position) position: vec4f) -> @location(0) vec4f {
         if depth > 0.0 && is_there { slice_depth = depth; }
         // The half on the side of the eye is cut away. The normal of the plane points to that side.
         if view.scene.y == 1.0 && depth > 0.0 && descent < 0.0 { near = depth; }
-        if view.scene.y == 1.0 && descent > 0.0 { near = NO_DEPTH; }
     }
+    // A ray that does not descend to the plane stays in the half of the eye.
+    if HAS_SLICE && view.scene.y == 1.0 && descent >= 0.0 { near = NO_DEPTH; }
     var slice_value = NO_DEPTH;
     if HAS_SLICE && slice_depth < NO_DEPTH { slice_value = distance_to_scene(slice_point, count) + view.level.x; }
     if HAS_SLICE && !IS_MOTION && picture == PICTURE_SLICE { return as_bytes(slice_value); }
@@ -154,14 +153,9 @@ fn main(@builtin(position) position: vec4f) -> @location(0) vec4f {
         var light: Light;
         var reach = NO_DEPTH;
         if r > 0u {
-            let place = frame_at(count + r, 0u);
-            light.color = frame_at(count + r, 1u).xyz;
-            light.direction = place.xyz;
-            if place.w == 1.0 {
-                let way = place.xyz - p_scene;
-                reach = max(length(way), 1e-12);
-                light.direction = -way / reach;
-            }
+            let found_light = light_from(frame_at(count + r, 0u), frame_at(count + r, 1u), p_scene);
+            light = found_light.light;
+            reach = found_light.reach;
             if dot(normal, light.direction) >= 0.0 { continue; }
         }
         var is_dark = false;

@@ -32,6 +32,7 @@ pub(crate) const KERNELS: &[(&str, &str)] = &[
     ("scene_triangles", include_str!("../../shaders/scene_triangles.wgsl")),
     ("query_points", include_str!("../../shaders/query_points.wgsl")),
     ("viewer", include_str!("../../shaders/viewer/view.wgsl")),
+    ("viewer_mesh", include_str!("../../shaders/viewer/mesh.wgsl")),
     ("viewer_triangles", include_str!("../../shaders/viewer/triangles.wgsl")),
 ];
 
@@ -76,6 +77,7 @@ const SHARED: &[(&str, &str)] = &[
     ("samples_encoded", include_str!("../../shaders/shared/samples_encoded.wgsl")),
     ("sampling", include_str!("../../shaders/shared/sampling.wgsl")),
     ("triangle", include_str!("../../shaders/shared/triangle.wgsl")),
+    ("viewer_corner", include_str!("../../shaders/viewer/corner.wgsl")),
     ("viewer_data", include_str!("../../shaders/viewer/data.wgsl")),
     ("viewer_hits", include_str!("../../shaders/viewer/hits.wgsl")),
     ("viewer_needs", include_str!("../../shaders/viewer/needs.wgsl")),

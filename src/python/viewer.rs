@@ -11,25 +11,27 @@ use pyo3::prelude::*;
 /// Index and numbers of a shape's function, centre and scale of its local frame, one over its Lipschitz constant.
 type ShapeRow<'py> = (u32, Bound<'py, PyArray1<f32>>, [f64; 3], f64, f64);
 
-/// The fragment shader of a view, and one entry for each shape. `kinds`: whether the view has dense fields, sparse
-/// fields and quadrics.
+/// The fragment shader of rays, then the vertex and the fragment shader of meshes if the view has any; and one entry for
+/// each shape. `kinds`: whether the view has dense fields, sparse fields, quadrics and triangles of meshes.
 #[pyfunction]
 pub(super) fn viewer_shader<'py>(
     py: Python<'py>,
     language: &str,
-    kinds: [bool; 3],
+    kinds: [bool; 4],
     encoding: Option<&str>,
     shapes: Vec<Py<Shape>>,
-) -> PyResult<(String, Vec<Option<ShapeRow<'py>>>)> {
+) -> PyResult<(Vec<String>, Vec<Option<ShapeRow<'py>>>)> {
     let language = Language::from_name(language).map_err(Failure::from)?;
     let solids = shapes.iter().map(|shape| shape.get().solid(py)).collect::<PyResult<Vec<_>>>()?;
     let encoding = encoding.map(Encoding::from_name).transpose().map_err(Failure::from)?;
-    let [dense, sparse, quadric] = kinds;
-    let made = shader(ViewedKinds { dense, sparse, quadric, encoding }, &solids, language).map_err(Failure::from)?;
+    let [dense, sparse, quadric, mesh] = kinds;
+    let kinds = ViewedKinds { dense, sparse, quadric, mesh, encoding };
+    let made = shader(kinds, &solids, language).map_err(Failure::from)?;
     let row = |found: ShapeFunction| {
         (found.structure, found.numbers.into_pyarray(py), found.center, found.scale, found.inverse_lipschitz)
     };
-    Ok((made.text, made.shapes.into_iter().map(|found| found.map(row)).collect()))
+    let texts = [made.rays].into_iter().chain(made.mesh.into_iter().flatten()).collect();
+    Ok((texts, made.shapes.into_iter().map(|found| found.map(row)).collect()))
 }
 
 /// The vertex and the fragment shader for triangles of level sets.

@@ -7,7 +7,7 @@ import json
 import os
 import shutil
 import subprocess
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ WEB = Path(__file__).parents[2] / "web"
 PIXELS = """(async () => {
   while (!window.fieldbake) await new Promise((done) => setTimeout(done, 20));
   await fieldbake.ready;
-  const { width, height, color, depth } = fieldbake.pixels();
+  const { width, height, color, depth } = await fieldbake.pixels();
   const text = (bytes) => btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(""));
   return { width, height, color: text(color), depth: text(new Uint8Array(depth.buffer)) };
 })()"""
@@ -60,13 +60,13 @@ def node_tool(name: str) -> str:
     return str(tool)
 
 
-def visit(jobs: list[dict[str, Any]], timeout: float = 240) -> list[Visit]:
-    """Open the pages of all jobs in one browser; see web/browse.mjs for what a job has."""
+def visit(jobs: list[dict[str, Any]], timeout: float = 240, flags: Sequence[str] = ()) -> list[Visit]:
+    """Open the pages of all jobs in one browser with more flags; web/browse.mjs describes a job."""
     node_tool("playwright-core")
     browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if browser is None:
         missing("there is no Chromium: install the package chromium")
-    order = json.dumps({"executable": browser, "jobs": jobs})
+    order = json.dumps({"executable": browser, "flags": list(flags), "jobs": jobs})
     command = ["node", str(WEB / "browse.mjs")]
     done = subprocess.run(command, input=order, capture_output=True, text=True, timeout=timeout, check=False)
     assert done.returncode == 0, done.stderr[-2000:]

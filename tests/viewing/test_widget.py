@@ -74,7 +74,7 @@ def test_numbers_of_a_shape_are_parameters() -> None:
     made = (fb.sphere(radius=1.25).translate((0.5, 0, 0)) - fb.cylinder(radius=0.4, height=3)).offset(0.05)
     assert widget._content.shapes[0] == made
     # Numbers are data: the program stays the same, so that the browser compiles nothing.
-    assert widget._content._shader() == before._shader()
+    assert widget._content._programs() == before._programs()
     widget.close()
     blend = fb.sphere(radius=1).union(fb.box(1), k=0.2).show(parameters={"k": (0.1, 0.5)}, size=(16, 16))
     assert blend.parameters == {"k": 0.2}

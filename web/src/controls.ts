@@ -3,8 +3,9 @@
 import { Pick, View, text } from "./view";
 import { Vector, unit } from "./vectors";
 
+// Rounded corners around the canvas, and shadows, would cost a device in software as much as the whole picture.
 const STYLE = `
-.fb-view{display:inline-block;max-width:100%;font:12px/1.4 system-ui,sans-serif;color:#2b3038;background:#f3f4f6;border-radius:8px;overflow:hidden;box-shadow:0 1px 4px #0003;position:relative}
+.fb-view{display:inline-block;max-width:100%;font:12px/1.4 system-ui,sans-serif;color:#2b3038;background:#f3f4f6;position:relative}
 .fb-view *{box-sizing:border-box}
 .fb-view canvas{display:block;touch-action:none;cursor:grab;outline-offset:-2px}
 .fb-view canvas:active{cursor:grabbing}
@@ -101,7 +102,7 @@ export class Controls {
     if (description.error !== null)
       this.button(bar, "error", "Difference of the stored samples from the exact ones, dark for small and light for large", paint("error"));
     if (view.data.hasMesh)
-      this.button(bar, "mesh", "The triangles of meshes, without shadows, in place of their fields", () => this.change(() => {
+      this.button(bar, "mesh", "The triangles of meshes in place of their fields", () => this.change(() => {
         view.settings.mesh = !view.settings.mesh;
       }));
     this.pages = description.pages.length ? this.addPages() : null;
@@ -269,7 +270,7 @@ export class Controls {
     canvas.addEventListener("pointermove", (event) => {
       const before = this.pointers.get(event.pointerId);
       if (!before) {
-        if (view.settings.slice && view.isComplete) this.showValue(place(event));
+        if (view.settings.slice && view.isComplete) void this.showValue(place(event));
         return;
       }
       const [dx, dy] = [event.clientX - before[0], event.clientY - before[1]];
@@ -298,8 +299,8 @@ export class Controls {
       moved(() => view.camera.zoom(Math.exp(Math.max(-0.5, Math.min(0.5, event.deltaY * lines * 0.0015)))));
     }, { ...on, passive: false });
     canvas.addEventListener("contextmenu", (event) => event.preventDefault(), on);
-    canvas.addEventListener("dblclick", (event) => {
-      const pick = view.pick(...place(event));
+    canvas.addEventListener("dblclick", async (event) => {
+      const pick = await view.pick(...place(event));
       if (!pick) return this.say("no surface at this pixel");
       const name = view.data.count > 1 ? view.data.nameOf(pick.object) : "";
       this.say(`${name}   point ${pick.point.map(text).join(", ")}   normal ${pick.normal.map((x) => x.toFixed(3)).join(", ")}   distance ${text(pick.distance)}`);
@@ -330,8 +331,8 @@ export class Controls {
     settings.light = unit([x - (2 * dx) / TURN_PX, y + (2 * dy) / TURN_PX, Math.min(z, -0.05)] as Vector);
   }
 
-  private showValue([x, y]: [number, number]): void {
-    const value = this.view.sliceValue(x, y);
+  private async showValue([x, y]: [number, number]): Promise<void> {
+    const value = await this.view.sliceValue(x, y);
     this.say(value === null ? "" : `distance ${text(value)}`);
   }
 }

@@ -4,13 +4,14 @@
 //     UTF-8         the description, padded with spaces to a multiple of four bytes
 //     uint32 ...    samples of the instances (shaders/viewer/data.wgsl)
 
+import { Program } from "./backend";
 import { CameraState } from "./camera";
 import { Grid, Triangles } from "./surface";
 import { Affine, Vector, cross, subtract } from "./vectors";
 
 export interface InstanceData {
   name: string;
-  /** Texels 14 to 21 of the row of this instance, as shaders/viewer/data.wgsl draws it. */
+  /** Texels 14 to 21 of the row of this instance, as shaders/viewer/table.wgsl draws it. */
   record: number[];
   fieldFromWorld: Affine;
   color: Vector;
@@ -28,8 +29,8 @@ export interface InstanceData {
 /** Dense grids as one texture of signed bytes, stacked along z. */
 export interface FilteredGrids {
   size: Vector;
-  texels: Int8Array;
-  /** Texel 22 of the row of each instance, as shaders/viewer/data.wgsl draws it. */
+  texels: Int8Array<ArrayBuffer>;
+  /** Texel 22 of the row of each instance, as shaders/viewer/table.wgsl draws it. */
   places: number[][];
 }
 
@@ -50,9 +51,8 @@ export interface PageData {
 export interface ViewData {
   title: string;
   size: [number, number];
-  shader: string;
-  /** The vertex and the fragment shader for triangles. */
-  triangles: [string, string];
+  /** Null for the triangles of level sets and of meshes that the view does not draw. */
+  programs: { rays: Program; triangles: Program | null; mesh: Program | null };
   instances: InstanceData[];
   /** Null if the view has only the key light, which moves with the camera. */
   lights: LightData[] | null;
@@ -84,19 +84,20 @@ export const [DENSE, SPARSE] = [0, 1];
 const FARTHEST = 32;
 /** Distances in a filtered texture reach so far, texels. */
 const REACH = 8;
-/** Largest number of values in a grid whose level set becomes triangles. */
-const MOST_VALUES = 2 ** 23;
+/** Largest numbers of values in a grid whose level set becomes triangles: for fast devices, and for slow ones. */
+const FINE_VALUES = 2 ** 23;
+const COARSE_VALUES = 2 ** 18;
 /** Largest number of texels in a filtered texture. */
 const MOST_TEXELS = 2 ** 25;
 
 export class Data {
   readonly description: ViewData;
-  readonly words: Uint32Array;
+  readonly words: Uint32Array<ArrayBuffer>;
   private readonly bytes: Uint8Array;
   /** For each instance, the least sample of each block. */
   private readonly least = new Map<number, Float32Array>();
-  /** For each first sample, the grid of the triangles. */
-  private readonly grids = new Map<number, Grid>();
+  /** The grids of the triangles, by their first sample and the distance between their values. */
+  private readonly grids = new Map<string, Grid>();
 
   constructor(buffer: ArrayBuffer) {
     const length = new DataView(buffer).getUint32(0, true);
@@ -124,7 +125,7 @@ export class Data {
     let size: Vector;
     do {
       step++;
-      counts = [...grids.values()].map(({ record }) => record.slice(SHAPE, SHAPE + 3).map((n) => Math.ceil((n - 1) / step) + 1) as Vector);
+      counts = [...grids.values()].map(({ record }) => this.thinnedCounts(record, step));
       const along = (axis: number) => counts.map((count) => count[axis]);
       size = [Math.max(1, ...along(0)), Math.max(1, ...along(1)), Math.max(1, along(2).reduce((sum, n) => sum + n, 0))];
     } while (Math.max(...size) > most || size[0] * size[1] * size[2] > MOST_TEXELS);
@@ -133,24 +134,33 @@ export class Data {
     const places = new Map<number, number[]>();
     let layer = 0;
     [...grids].forEach(([first, { record, slope }], i) => {
-      const [nx, ny, nz] = record.slice(SHAPE, SHAPE + 3);
       const reach = REACH * step * (slope || 1);
-      const sample = this.samples(record);
-      const [cx, cy, cz] = counts[i];
-      for (let z = 0; z < cz; z++) {
-        for (let y = 0; y < cy; y++) {
-          const row = nx * (Math.min(step * y, ny - 1) + ny * Math.min(step * z, nz - 1));
-          const to = size[0] * (y + size[1] * (layer + z));
-          for (let x = 0; x < cx; x++) {
-            const share = sample(row + Math.min(step * x, nx - 1)) / reach;
-            texels[to + x] = Math.round(127 * Math.max(-1, Math.min(1, share)));
-          }
-        }
-      }
+      const start = layer;
+      this.thinned(record, step, (value, x, y, z) => {
+        texels[x + size[0] * (y + size[1] * (start + z))] = Math.round(127 * Math.max(-1, Math.min(1, value / reach)));
+      });
       places.set(first, [layer, 1 / step, reach, 1 / (slope || 1)]);
-      layer += cz;
+      layer += counts[i][2];
     });
     return { size, texels, places: instances.map(({ record }) => (record[KIND] === DENSE ? places.get(record[FIRST])! : [0, 1, 1, 1])) };
+  }
+
+  /** Samples along each axis if every `step`-th one is kept, and the last one. */
+  private thinnedCounts(record: number[], step: number): Vector {
+    return record.slice(SHAPE, SHAPE + 3).map((n) => Math.ceil((n - 1) / step) + 1) as Vector;
+  }
+
+  /** Pass every `step`-th sample of a dense grid along each axis, and the last one, to `put` with its index. */
+  private thinned(record: number[], step: number, put: (value: number, x: number, y: number, z: number) => void): void {
+    const [nx, ny, nz] = record.slice(SHAPE, SHAPE + 3);
+    const [cx, cy, cz] = this.thinnedCounts(record, step);
+    const sample = this.samples(record);
+    for (let z = 0; z < cz; z++) {
+      for (let y = 0; y < cy; y++) {
+        const row = nx * (Math.min(step * y, ny - 1) + ny * Math.min(step * z, nz - 1));
+        for (let x = 0; x < cx; x++) put(sample(row + Math.min(step * x, nx - 1)), x, y, z);
+      }
+    }
   }
 
   /** The number by which instances of the same dense grid are known. */
@@ -188,24 +198,19 @@ export class Data {
     return { corners, indices: Uint32Array.from(indices.keys()) };
   }
 
-  /** The values of a dense grid; of a large one every `step`-th. */
-  grid(record: number[]): Grid {
-    const known = this.grids.get(record[FIRST]);
-    if (known) return known;
+  /** The values of a dense grid; of a large one every `step`-th. A coarse grid keeps fewer values. */
+  grid(record: number[], isCoarse: boolean): Grid {
     const [nx, ny, nz] = record.slice(SHAPE, SHAPE + 3);
-    const step = Math.ceil(Math.cbrt((nx * ny * nz) / MOST_VALUES));
-    const counts = [nx, ny, nz].map((n) => Math.ceil((n - 1) / step) + 1) as Vector;
-    const [cx, cy, cz] = counts;
-    const values = new Float32Array(cx * cy * cz);
-    const sample = this.samples(record);
-    for (let z = 0, i = 0; z < cz; z++) {
-      for (let y = 0; y < cy; y++) {
-        const row = nx * (Math.min(step * y, ny - 1) + ny * Math.min(step * z, nz - 1));
-        for (let x = 0; x < cx; x++) values[i++] = sample(row + Math.min(step * x, nx - 1));
-      }
-    }
-    const made = { counts, values, step };
-    this.grids.set(record[FIRST], made);
+    const step = Math.ceil(Math.cbrt((nx * ny * nz) / (isCoarse ? COARSE_VALUES : FINE_VALUES)));
+    const key = `${record[FIRST]} ${step}`;
+    const known = this.grids.get(key);
+    if (known) return known;
+    const counts = this.thinnedCounts(record, step);
+    const values = new Float32Array(counts[0] * counts[1] * counts[2]);
+    let i = 0;
+    this.thinned(record, step, (value) => (values[i++] = value));
+    const made: Grid = { counts, values, step, voxels: [nx, ny, nz] };
+    this.grids.set(key, made);
     return made;
   }
 

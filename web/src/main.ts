@@ -2,8 +2,9 @@
 
 import { Controls } from "./controls";
 import { Data } from "./data";
-import { Pixels, View } from "./view";
+import { Pixels, View, requestDevice } from "./view";
 import { inTurn } from "./turns";
+import { isForced } from "./webgpu";
 import { render } from "./widget";
 
 export default { render };
@@ -85,7 +86,7 @@ function drawFirst(view: View, kind: "moving" | "hidden"): Promise<void> {
 interface PageHook {
   /** Resolves when the first picture is drawn, or the view has reported why there is none. */
   ready: Promise<void>;
-  pixels(): Pixels;
+  pixels(): Pixels | Promise<Pixels>;
   view: View;
 }
 
@@ -112,6 +113,7 @@ async function openPage(): Promise<void> {
   const root = document.getElementById("fieldbake-view");
   if (!holder || !root) return;
   await painted();
+  if (isForced) await requestDevice();
   const mounted = mount(root, await inflated(decoded(holder.textContent ?? "")));
   const hook: PageHook = { ready: mounted.view.settled, pixels: () => mounted.view.pixels(), view: mounted.view };
   Object.assign(window, { fieldbake: hook });

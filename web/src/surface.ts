@@ -17,6 +17,8 @@ export interface Grid {
   values: Float32Array;
   /** Voxels between two values. */
   step: number;
+  /** Voxels of the field, whose box ends half a voxel beyond the first and the last one. */
+  voxels: Vector;
 }
 
 /** An array that grows. */
@@ -49,9 +51,11 @@ class List<T extends Float32Array | Uint32Array> {
 const EDGES = Uint8Array.of(0, 2, 4, 6, 0, 1, 4, 5, 0, 1, 2, 3);
 
 const mixed = (p: number, q: number, t: number): number => p + (q - p) * t;
+/** A place on an axis of `n` voxels, within the box. */
+const within = (place: number, n: number): number => Math.max(-0.5, Math.min(n - 0.5, place));
 const cut = (t: number): number => Math.max(0, Math.min(1, t));
 
-export function levelSet({ counts, values, step }: Grid, level: number): Triangles {
+export function levelSet({ counts, values, step, voxels }: Grid, level: number): Triangles {
   const [nx, ny, nz] = counts;
   // Whether each sample is inside, with one layer more on each side.
   const [px, py] = [nx + 2, ny + 2];
@@ -113,9 +117,9 @@ export function levelSet({ counts, values, step }: Grid, level: number): Triangl
     // One step of Newton's method along the gradient, within the cell.
     const away = mixed(low, high, c) / (gx * gx + gy * gy + gz * gz || 1);
     const [to, first] = corners.room(6);
-    to[first] = step * (x - 1 + cut(a - away * gx));
-    to[first + 1] = step * (y - 1 + cut(b - away * gy));
-    to[first + 2] = step * (z - 1 + cut(c - away * gz));
+    to[first] = within(step * (x - 1 + cut(a - away * gx)), voxels[0]);
+    to[first + 1] = within(step * (y - 1 + cut(b - away * gy)), voxels[1]);
+    to[first + 2] = within(step * (z - 1 + cut(c - away * gz)), voxels[2]);
     to[first + 3] = gx;
     to[first + 4] = gy;
     to[first + 5] = gz;

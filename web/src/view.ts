@@ -2,8 +2,11 @@
 
 import { Camera } from "./camera";
 import { Data } from "./data";
-import { Engine, Picture, Resources, Settings, Unavailable } from "./engine";
+import { Picture, Resources, Settings } from "./engine";
+import { Backend, Bytes, Unavailable } from "./backend";
 import { Vector, add, times } from "./vectors";
+import { WebGl } from "./webgl";
+import { WebGpu, requestedDevice } from "./webgpu";
 
 export interface Pick {
   point: Vector;
@@ -36,18 +39,38 @@ const PIECE_MS = 40;
 const PAUSE_MS = 120;
 /** A view releases its context after this time without input, milliseconds. */
 const IDLE_MS = 3000;
+/** A picture of coarse triangles that takes less than this is followed by one of fine ones, about four times as many, milliseconds. */
+const FAST_MS = 12;
 /** Largest factor by which a picture in motion is smaller. */
 const COARSEST = 6;
 
-let shared: Engine | null = null;
+let shared: Backend | null = null;
 const users = new Set<View>();
 
-function engine(): Engine {
+/** The device of WebGPU; null until the browser has one, where it has none, and after a failure. */
+let device: GPUDevice | null = null;
+let request: Promise<void> | null = null;
+
+/** Use WebGPU for the next resources of a view, where the browser has a device. */
+export function requestDevice(): Promise<void> {
+  request ??= requestedDevice().then((found) => {
+    device = found;
+    void found?.lost.then(() => (device = null));
+    // WebGPU reports errors after the call that made them. WebGL 2 draws the picture instead.
+    found?.addEventListener("uncapturederror", () => found.destroy());
+  });
+  return request;
+}
+
+function engine(): Backend {
   if (!shared || shared.isLost) {
-    const made = new Engine(() => {
+    const onLost = () => {
       if (shared === made) shared = null;
       for (const view of users) view.lost(made);
-    });
+    };
+    const made = device ? new WebGpu(device, onLost) : new WebGl(onLost);
+    // WebGL 2 draws the first pictures. A request to a browser without a graphics processor would write a warning.
+    if (made instanceof WebGl && made.isHardware) void requestDevice();
     shared = made;
   }
   return shared;
@@ -69,6 +92,8 @@ export class View {
   private turn = 0;
   /** Factor by which pictures in motion are smaller, where they are drawn by rays. */
   private coarseness = 2;
+  /** Whether pictures in motion have the triangles of coarse grids. */
+  private isCoarse = true;
   private isBusy = false;
   private isStale: Drawing | null = null;
   private idle = 0;
@@ -128,7 +153,7 @@ export class View {
   }
 
   /** Forget the resources of a lost context. An unfinished picture is drawn again in a new context. */
-  lost(engine: Engine): void {
+  lost(engine: Backend): void {
     if (this.resources?.engine !== engine) return;
     this.resources = null;
     if (this.isComplete || this.isClosed) return;
@@ -138,7 +163,8 @@ export class View {
   }
 
   /**
-   * Draw again: a "moving" picture is smaller and filtered, so that it is drawn at once, and a "still" one follows it.
+   * Draw again. A "moving" picture is drawn at once: by triangles at full size, or by rays at a smaller size. A "still" one
+   * follows after a pause.
    * A "hidden" picture is a moving one that leaves the canvas as it is: it prepares the device for the first input.
    */
   redraw(kind: Drawing = "still"): void {
@@ -156,6 +182,11 @@ export class View {
       .catch((problem) => {
         // A lost context is no problem of the view: `lost` draws again.
         if (shared?.isLost) return;
+        if (shared instanceof WebGpu) {
+          // WebGL 2 draws the picture instead.
+          device?.destroy();
+          return;
+        }
         this.hasFailed = true;
         this.onProblem(problem instanceof Unavailable ? problem.message : String(problem));
       })
@@ -175,27 +206,31 @@ export class View {
     this.later = window.setTimeout(() => this.redraw("still"), PAUSE_MS);
   }
 
-  /** Colours and depths of the present camera and settings, drawn at once. */
-  pixels(): Pixels {
+  /** Colours and depths of the present camera and settings, drawn at once; a promise by WebGPU. */
+  pixels(): Pixels | Promise<Pixels> {
     const resources = this.acquire();
     const { width, height } = this.canvas;
     const whole = (picture: number) => {
       resources.prepare(this.camera, this.settings, width, height, picture);
       resources.draw(0, height);
-      return resources.read();
+      return resources.read(width, height);
     };
-    const color = whole(Picture.color);
-    const depth = new Float32Array(whole(Picture.depth).buffer).map((value) => (value < NO_DEPTH ? value : Infinity));
+    const [color, depth] = [whole(Picture.color), whole(Picture.depth)];
     this.redraw();
-    return { width, height, color, depth };
+    const made = (color: Bytes, depth: Bytes): Pixels => {
+      const depths = new Float32Array(depth.buffer).map((value) => (value < NO_DEPTH ? value : Infinity));
+      return { width, height, color: new Uint8Array(color.buffer), depth: depths };
+    };
+    if (color instanceof Promise || depth instanceof Promise) return Promise.all([color, depth]).then((both) => made(...both));
+    return made(color, depth);
   }
 
   /** The surface or slice at a pixel of the canvas, counted from the upper left corner; null on the background. */
-  pick(x: number, y: number): Pick | null {
+  async pick(x: number, y: number): Promise<Pick | null> {
     // The ray goes through the centre of the pixel, as in the shader.
     [x, y] = [Math.floor(x), Math.floor(y)];
-    const slice = this.settings.slice && this.value(Picture.slice, x, y);
-    const depth = this.value(Picture.depth, x, y);
+    const slice = this.settings.slice && (await this.value(Picture.slice, x, y));
+    const depth = await this.value(Picture.depth, x, y);
     const { width, height } = this.canvas;
     const way = this.camera.through(x, y, width, height);
     if (slice !== null && slice < NO_DEPTH && this.settings.slice) {
@@ -208,25 +243,26 @@ export class View {
       }
     }
     if (!(depth < NO_DEPTH)) return null;
-    const normal = [0, 1, 2].map((axis) => this.value(Picture.normal + axis, x, y)) as Vector;
-    const object = Math.round(this.value(Picture.object, x, y));
+    const normal: Vector = [0, 0, 0];
+    for (const axis of [0, 1, 2]) normal[axis] = await this.value(Picture.normal + axis, x, y);
+    const object = Math.round(await this.value(Picture.object, x, y));
     return { point: add(this.camera.eye, times(way, depth)), normal, distance: this.settings.level, depth, object };
   }
 
   /** The distance on the slice at a pixel of the canvas; null where the slice is not visible. */
-  sliceValue(x: number, y: number): number | null {
+  async sliceValue(x: number, y: number): Promise<number | null> {
     if (!this.settings.slice) return null;
-    const value = this.value(Picture.slice, x, y);
+    const value = await this.value(Picture.slice, x, y);
     return value < NO_DEPTH ? value : null;
   }
 
-  private value(picture: number, x: number, y: number): number {
+  private value(picture: number, x: number, y: number): Promise<number> {
     const resources = this.acquire();
     resources.prepare(this.camera, this.settings, this.canvas.width, this.canvas.height, picture);
     // The value replaces the picture in the context, so that an unfinished one is drawn again.
     this.turn++;
     if (!this.isComplete) this.redrawLater();
-    return resources.value(Math.floor(x), Math.floor(y));
+    return resources.value(Math.floor(x), Math.floor(y), this.canvas.height);
   }
 
   private acquire(): Resources {
@@ -251,11 +287,9 @@ export class View {
   }
 
   /** Copy the picture in the context to the canvas. */
-  private show(width: number, height: number): void {
-    const { canvas, context } = this;
-    context.globalCompositeOperation = "copy";
-    context.imageSmoothingEnabled = width !== canvas.width;
-    context.drawImage(this.resources!.engine.canvas, 0, 0, width, height, 0, 0, canvas.width, canvas.height);
+  private async show(resources: Resources): Promise<void> {
+    this.context.globalCompositeOperation = "copy";
+    await resources.engine.show(this.context);
     this.hasDrawn = true;
     this.onChange();
   }
@@ -270,18 +304,20 @@ export class View {
     const share = isTriangles ? 1 : 1 / this.coarseness;
     const width = Math.max(1, Math.round(this.canvas.width * share));
     const height = Math.max(1, Math.round(this.canvas.height * share));
+    resources.isCoarse = this.isCoarse;
     resources.prepare(this.camera, this.settings, width, height, this.picture, isFiltered);
     resources.draw(0, height);
-    await finished(resources.engine.gl);
+    await resources.engine.finished();
     if (this.resources !== resources || resources.engine.isLost) return;
-    if (isShown) this.show(width, height);
+    if (isShown) await this.show(resources);
     const spent = performance.now() - started;
     this.times.moving = spent;
     this.times.width = width;
     this.times.first ||= performance.now();
     // The time for rays goes with the number of pixels. One slow frame, such as that of a first compilation, changes little.
     const factor = Math.max(0.7, Math.min(1.4, Math.sqrt(spent / MOVING_MS)));
-    if (!isTriangles) this.coarseness = Math.max(1, Math.min(COARSEST, this.coarseness * factor));
+    if (isTriangles) this.isCoarse = spent > (this.isCoarse ? FAST_MS : MOVING_MS);
+    else this.coarseness = Math.max(1, Math.min(COARSEST, this.coarseness * factor));
     await new Promise(requestAnimationFrame);
   }
 
@@ -290,22 +326,22 @@ export class View {
     const started = performance.now();
     const resources = this.acquire();
     const { width, height } = this.canvas;
-    const isTriangles = this.settings.mesh && this.picture === Picture.color && resources.isSurface(this.settings);
-    if (!isTriangles) await resources.compiled(this.settings);
+    await resources.compiled(this.settings, this.picture);
     if (this.turn !== turn || this.resources !== resources || resources.engine.isLost) return;
-    resources.prepare(this.camera, this.settings, width, height, this.picture, isTriangles);
+    resources.prepare(this.camera, this.settings, width, height, this.picture);
     // Input is handled between the pieces, and no driver mistakes a long picture for a hang.
-    let rows = isTriangles ? height : Math.max(1, Math.round(height / 8));
+    let rows = Math.max(1, Math.round(height / 8));
     for (let row = 0; row < height; ) {
       const before = performance.now();
       resources.draw(height - Math.min(height, row + rows), Math.min(rows, height - row));
       row += rows;
-      await finished(resources.engine.gl);
+      await resources.engine.finished();
       if (this.turn !== turn || this.resources !== resources || resources.engine.isLost) return;
       const spent = performance.now() - before;
       rows = Math.max(1, Math.min(height, Math.round((rows * PIECE_MS) / Math.max(spent, 1))));
     }
-    this.show(width, height);
+    await this.show(resources);
+    if (this.turn !== turn) return;
     this.times.still = performance.now() - started;
     this.times.first ||= performance.now();
     this.isComplete = true;
@@ -321,18 +357,6 @@ function releaseShared(): void {
   const engine = shared;
   shared = null;
   engine?.release();
-}
-
-/** Resolves when the device has finished all commands so far. */
-async function finished(gl: WebGL2RenderingContext): Promise<void> {
-  const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
-  gl.flush();
-  while (fence && !gl.isContextLost()) {
-    const state = gl.clientWaitSync(fence, 0, 0);
-    if (state === gl.ALREADY_SIGNALED || state === gl.CONDITION_SATISFIED || state === gl.WAIT_FAILED) break;
-    await new Promise((done) => setTimeout(done, 1));
-  }
-  if (fence) gl.deleteSync(fence);
 }
 
 /** A number with four significant digits. */

@@ -115,11 +115,29 @@ class Content:
         data = len(text).to_bytes(4, "little") + text + words.astype("<u4").tobytes()
         return gzip.compress(data, 9, mtime=0)
 
-    def _shader(self) -> str:
+    def _programs(self) -> dict[str, Any]:
+        """The shaders of each program in both languages; None for triangles that the view does not draw.
+
+        Only views of dense grids draw triangles.
+        """
         kinds = {item.record.numbers[records.KIND] for item in self.placed}
         sampled = [item.record for item in self.placed if item.record.numbers[records.KIND] < records.SHAPE]
         encodings = {records.ENCODINGS[int(record.numbers[records.ENCODING])] for record in sampled}
-        return _shader(kinds, encodings, self.shapes)
+        is_dense = kinds == {records.DENSE}
+        has_mesh = is_dense and any(item.record.mesh for item in self.placed)
+        one = next(iter(encodings)) if len(encodings) == 1 else None
+        has = (records.DENSE in kinds, records.SPARSE in kinds, records.QUADRIC in kinds, has_mesh)
+        shapes = [shape._core for shape in self.shapes]
+        texts = {}
+        for language in ("glsl", "wgsl"):
+            rays, *mesh = _core.viewer_shader(language, has, one, shapes)[0]
+            triangles = _core.viewer_triangles(language) if is_dense else []
+            texts[language] = {"rays": [rays], "triangles": triangles, "mesh": mesh}
+        # Each text of WGSL has all entry points of its program.
+        return {
+            name: {"glsl": glsl, "wgsl": texts["wgsl"][name][0]} if glsl else None
+            for name, glsl in texts["glsl"].items()
+        }
 
     def _description(self, rows: list[list[float]]) -> dict[str, Any]:
         lower, upper = self.bounds
@@ -140,8 +158,7 @@ class Content:
         return {
             "title": self.title,
             "size": self.size,
-            "shader": self._shader(),
-            "triangles": _core.viewer_triangles("glsl"),
+            "programs": self._programs(),
             "instances": [_instance_data(item, row, error) for item, row in zip(self.placed, rows, strict=True)],
             "lights": None if self.lights is None else [_light_data(light) for light in self.lights],
             "key": {"direction": KEY_DIRECTION, "color": [KEY_INTENSITY] * 3},
@@ -314,16 +331,9 @@ def _entries_scene(atlas: Atlas) -> Scene:
 def _functions(things: Sequence[Any]) -> list[Any]:
     """One entry for each thing: the function of a shape; None for a shape without one, and for everything else."""
     shapes = [thing for thing in things if isinstance(thing, Shape)]
-    _, functions = _core.viewer_shader("wgsl", (True, False, False), None, [shape._core for shape in shapes])
+    _, functions = _core.viewer_shader("wgsl", (True, False, False, False), None, [shape._core for shape in shapes])
     found = iter(functions)
     return [next(found) if isinstance(thing, Shape) else None for thing in things]
-
-
-def _shader(kinds: set[float], encodings: set[str], shapes: Sequence[Shape]) -> str:
-    """The GLSL for these kinds of fields, encodings and shapes, in the order of `_functions`."""
-    one = next(iter(encodings)) if len(encodings) == 1 else None
-    has = (records.DENSE in kinds, records.SPARSE in kinds, records.QUADRIC in kinds)
-    return _core.viewer_shader("glsl", has, one, [shape._core for shape in shapes])[0]
 
 
 def _instance_data(item: Placed, row: list[float], largest_error: float | None) -> dict[str, Any]:

@@ -6,6 +6,10 @@ import base64
 import html
 from functools import cache
 from importlib import resources
+from io import BytesIO
+
+import numpy as np
+from numpy.typing import NDArray
 
 from .content import Content
 
@@ -42,12 +46,22 @@ def page_of(content: Content) -> str:
     return PAGE.format(
         policy=POLICY,
         title=html.escape(content.title),
-        picture=base64.b64encode(content.frame(STILL_PX)._repr_png_()).decode(),
+        picture=base64.b64encode(small_png(content.frame(STILL_PX).image)).decode(),
         width=width,
         height=height,
         data=base64.b64encode(content.packed()).decode(),
         script=bundle(),
     )
+
+
+def small_png(image: NDArray[np.uint8]) -> bytes:
+    """An image as PNG, which takes longer to compress than other pictures and is about a tenth smaller."""
+    from PIL import Image
+
+    is_opaque = bool((image[..., 3] == 255).all())
+    buffer = BytesIO()
+    Image.fromarray(image[..., :3] if is_opaque else image).save(buffer, format="PNG", optimize=True)
+    return buffer.getvalue()
 
 
 @cache

@@ -1,6 +1,6 @@
 """Input of the shader of a view: a record of 32 numbers for each instance, and the samples of all as 32-bit words.
 
-`shaders/viewer/data.wgsl` draws the layout of a record, which is its texels 14 to 21.
+`shaders/viewer/table.wgsl` draws the layout of a record, which is its texels 14 to 21.
 """
 
 from __future__ import annotations

@@ -1,0 +1,108 @@
+"""Views drawn by WebGPU in Chromium: the same pictures as by WebGL 2, and WebGL 2 where the device is lost."""
+
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fieldbake as fb
+from browser import visit
+
+pytestmark = pytest.mark.slow
+
+SIZE = (128, 96)
+
+#: Flags of Chromium for WebGPU without a graphics processor.
+FLAGS = ("--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader")
+
+#: Resolves to the name of the device, to the canvas, and to pictures: at rest, in motion, depths, a slice, meshes.
+PICTURES = """(async () => {
+  while (!window.fieldbake) await new Promise((done) => setTimeout(done, 20));
+  await fieldbake.ready;
+  const { view } = fieldbake;
+  const { width, height } = view.canvas;
+  const text = (bytes) => btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(""));
+  const api = () => ("device" in view.acquire().engine ? "WebGPU" : "WebGL 2");
+  const found = { api: api(), canvas: text(view.canvas.getContext("2d").getImageData(0, 0, width, height).data) };
+  const slice = { axis: 2, at: 0.1, cut: true };
+  const [motion, depth, sliced, mesh] = [{ isMotion: true }, { picture: 2 }, { slice }, { mesh: true }];
+  const cases = { rest: {}, motion, depth, sliced, mesh };
+  for (const [name, { picture = 0, isMotion = false, ...settings }] of Object.entries(cases)) {
+    const resources = view.acquire();
+    resources.prepare(view.camera, { ...view.settings, ...settings }, width, height, picture, isMotion);
+    resources.draw(0, height);
+    found[name] = text(await resources.read(width, height));
+  }
+  const pick = await view.pick(width / 2 - 12, height / 2);
+  found.pick = pick && pick.point;
+  return found;
+})()"""
+
+#: Loses the device and resolves to the name of the one that draws the next picture.
+LOSE = """(async () => {
+  while (!window.fieldbake) await new Promise((done) => setTimeout(done, 20));
+  await fieldbake.ready;
+  const { view } = fieldbake;
+  const api = () => ("device" in view.acquire().engine ? "WebGPU" : "WebGL 2");
+  const before = api();
+  view.acquire().engine.device.destroy();
+  await new Promise((done) => setTimeout(done, 500));
+  view.camera.orbit(0.3, 0);
+  view.redraw();
+  await view.settled;
+  const { width, height } = view.canvas;
+  const reds = view.canvas.getContext("2d").getImageData(0, 0, width, height).data.filter((_, i) => i % 4 === 0);
+  return { before, after: api(), spread: Math.max(...reds) - Math.min(...reds), hasFailed: view.hasFailed };
+})()"""
+
+
+def pixels(text: str) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(text), np.uint8).reshape(SIZE[1], SIZE[0], 4)
+
+
+def test_webgpu_draws_the_pictures_of_webgl(tmp_path: Path) -> None:
+    knot = fb.models.torus_knot(segments=64, sides=8)
+    volume = fb.bake(knot, 32, device="cpu")
+    place = np.eye(4)
+    place[:3, 3] = 2.4, 0.2, 0.3
+    camera = fb.Camera((3.5, 3.0, 7.5), (0.4, 0, 0), fov_deg=40)
+    mixed = fb.Scene(
+        [volume.to_sparse(), fb.Instance(fb.torus(1, 0.3), place), fb.Quadric.sphere((0, 2, 0), radius=0.6)]
+    )
+    meshes = fb.Scene([fb.Instance(knot, resolution=32), fb.Instance(volume, place)])
+    jobs = []
+    for number, scene in enumerate((mixed, meshes)):
+        page = tmp_path / f"{number}.html"
+        scene.to_html(page, camera=camera, size=SIZE)
+        jobs += [{"url": page.as_uri() + end, "expression": PICTURES} for end in ("", "#webgpu")]
+    results = visit(jobs, timeout=500, flags=FLAGS)
+    for gl, gpu in zip(results[::2], results[1::2], strict=True):
+        assert gl.value is not None, gl.errors
+        assert gpu.value is not None, gpu.errors
+        assert gl.errors == gpu.errors == []
+        assert (gl.value.pop("api"), gpu.value.pop("api")) == ("WebGL 2", "WebGPU")
+        assert gl.value.pop("pick") == pytest.approx(gpu.value.pop("pick"), abs=1e-5)
+        depths = [pixels(result.value.pop("depth")).copy().view(np.float32) for result in (gl, gpu)]
+        assert np.isclose(*depths, rtol=1e-5, atol=0).mean() >= 0.999
+        assert (depths[0] < 1e38).mean() > 0.05
+        for name, text in gl.value.items():
+            difference = np.abs(pixels(text).astype(int) - pixels(gpu.value[name])).max(axis=-1)
+            assert (difference <= 1).mean() >= 0.999, (name, (difference <= 1).mean())
+            assert np.ptp(pixels(text)[..., 0]) > 50, name
+
+
+def test_a_lost_device_is_replaced_by_webgl(tmp_path: Path) -> None:
+    page = tmp_path / "ball.html"
+    fb.bake(fb.sphere(radius=1), 16, device="cpu").to_html(page, size=SIZE)
+    (lost,) = visit([{"url": page.as_uri() + "#webgpu", "expression": LOSE}], flags=FLAGS)
+    assert lost.value is not None, lost.errors
+    assert (lost.value["before"], lost.value["after"]) == ("WebGPU", "WebGL 2")
+    assert lost.value["spread"] > 100
+    assert not lost.value["hasFailed"]
+    # Without an adapter the browser writes a warning of its own, and WebGL 2 draws.
+    (without,) = visit([{"url": page.as_uri() + "#webgpu", "expression": PICTURES}])
+    assert without.value is not None, without.errors
+    assert without.value["api"] == "WebGL 2"
