@@ -106,8 +106,11 @@ export class Resources {
     return this.engine.compiled(this.program(settings, picture, false).program);
   }
 
-  /** Set the program and all its input for a picture of this size; `draw` follows. Only colours are drawn in motion. */
-  prepare(camera: Camera, settings: Settings, width: number, height: number, picture: number, isMotion = false): void {
+  /**
+   * Set the program and all its input for a picture of this size; `draw` follows. Only colours are drawn in motion. Rays go
+   * through the centres of the pixels plus `shift`, pixels to the right and up.
+   */
+  prepare(camera: Camera, settings: Settings, width: number, height: number, picture: number, isMotion = false, shift = [0, 0]): void {
     const { engine, data } = this;
     const { program, hasTriangles } = this.program(settings, picture, isMotion);
     if (settings.level !== this.level && (!isMotion || data.hasOtherThanDense)) {
@@ -120,7 +123,8 @@ export class Resources {
       this.grids = data.filtered(engine.mostLayers);
       this.filtered = engine.texture("filtered", this.grids.size, this.grids.texels);
     }
-    const { texels, lights } = this.frames(camera, settings);
+    const [across, upwards] = shift.map((share) => share * camera.pixel(height));
+    const { texels, lights } = this.frames(camera, settings, add(times(camera.right, across), times(camera.up, upwards)));
     this.table?.free();
     this.table = engine.texture("table", [ROW, texels.length / (4 * ROW), 1], texels);
     const row = (i: number, count: number) => texels.slice(4 * ROW * i, 4 * (ROW * i + count));
@@ -132,7 +136,7 @@ export class Resources {
       program,
       width,
       height,
-      view: this.block(camera, settings, width, height, picture, lights),
+      view: this.block(camera, settings, width, height, picture, lights, shift),
       textures: { words: this.words, filtered: this.filtered, table: this.table },
       triangles: hasTriangles
         ? {
@@ -174,7 +178,7 @@ export class Resources {
   }
 
   /** The table of shaders/viewer/table.wgsl, and its number of lights. */
-  private frames(camera: Camera, settings: Settings): { texels: Float32Array<ArrayBuffer>; lights: number } {
+  private frames(camera: Camera, settings: Settings, shift: Vector): { texels: Float32Array<ArrayBuffer>; lights: number } {
     const { instances, lights, key } = this.data.description;
     const { center, scale } = this.sceneFrame();
     const sceneFromWorld = [1 / scale, 0, 0, -center[0] / scale, 0, 1 / scale, 0, -center[1] / scale, 0, 0, 1 / scale, -center[2] / scale];
@@ -192,7 +196,7 @@ export class Resources {
       const depths = corners.map((corner) => camera.depth(corner));
       const nearest = Math.min(...depths);
       const start = Math.max(0, nearest - 0.01 * (Math.max(...depths) - nearest));
-      const forward = times(camera.back, -1);
+      const forward = subtract(shift, camera.back);
       put(row, 0, [...point(map, add(camera.eye, times(forward, start))), start]);
       put(row, 1, direction(map, times(camera.right, start)));
       put(row, 2, direction(map, times(camera.up, start)));
@@ -222,7 +226,7 @@ export class Resources {
   }
 
   /** Rows of the matrix to clip space, as shaders/viewer/table.wgsl has them; y points down, which naga turns round. */
-  private clip(camera: Camera, width: number, height: number, center: Vector, scale: number): number[] {
+  private clip(camera: Camera, width: number, height: number, center: Vector, scale: number, shift: number[]): number[] {
     const from = subtract(camera.eye, center);
     const row = (axis: Vector, factor: number) => [...times(axis, factor * scale), -factor * dot(axis, from)];
     const pixel = camera.pixel(height);
@@ -230,16 +234,18 @@ export class Resources {
     const far = Math.max(...depths, 1e-6 * scale) * 1.1;
     const near = Math.max(Math.min(...depths) * 0.9, 1e-3 * far);
     const share = far / (far - near);
+    const w = row(camera.back, -1);
+    const shifted = (values: number[], by: number) => values.map((value, i) => value + by * w[i]);
     return [
-      ...row(camera.right, 2 / (width * pixel)),
-      ...row(camera.up, -2 / (height * pixel)),
+      ...shifted(row(camera.right, 2 / (width * pixel)), (-2 * shift[0]) / width),
+      ...shifted(row(camera.up, -2 / (height * pixel)), (2 * shift[1]) / height),
       ...[share, -share * near, 0, 0],
-      ...row(camera.back, -1),
+      ...w,
     ];
   }
 
   /** The block `View` of shaders/viewer/table.wgsl. */
-  private block(camera: Camera, settings: Settings, width: number, height: number, picture: number, lights: number): Float32Array<ArrayBuffer> {
+  private block(camera: Camera, settings: Settings, width: number, height: number, picture: number, lights: number, shift: number[]): Float32Array<ArrayBuffer> {
     const { description, count } = this.data;
     const { center, scale } = this.sceneFrame();
     const [lower, upper] = description.bounds.map((corner) => times(subtract(corner, center), 1 / scale));
@@ -265,7 +271,7 @@ export class Resources {
       ...[scale, slice?.cut ? 1 : 0, 0, 0],
       ...(this.grids?.size.map((n) => 1 / n) ?? [1, 1, 1]),
       0,
-      ...this.clip(camera, width, height, center, scale),
+      ...this.clip(camera, width, height, center, scale, shift),
       ...[...times(subtract(camera.eye, center), 1 / scale), 0],
     ]);
   }

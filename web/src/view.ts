@@ -37,6 +37,11 @@ const MOVING_MS = 80;
 const PIECE_MS = 40;
 /** A picture at rest follows the last one in motion after this time, so that it delays no input, milliseconds. */
 const PAUSE_MS = 120;
+/** An exact picture is smoothed after this time without input, if it was drawn in SMOOTH_MS, milliseconds. */
+const SMOOTH_PAUSE_MS = 500;
+const SMOOTH_MS = 1000;
+/** Places of the four samples of a smooth pixel, pixels from its centre: one in each row and each column of a 4 x 4 grid. */
+const SAMPLES = [[-0.125, -0.375], [0.375, -0.125], [0.125, 0.375], [-0.375, 0.125]];
 /** A view releases its context after this time without input, milliseconds. */
 const IDLE_MS = 3000;
 /** A picture of coarse triangles that takes less than this is followed by one of fine ones, about four times as many, milliseconds. */
@@ -77,13 +82,13 @@ function engine(): Backend {
 }
 
 /** Kinds of drawings; see `View.redraw`. */
-type Drawing = "moving" | "hidden" | "still";
+type Drawing = "moving" | "hidden" | "still" | "smooth";
 
 export class View {
   readonly camera: Camera;
   readonly settings: Settings;
-  /** Milliseconds: the start of the page until the first drawing, the last picture at full size, and the last in motion; its width. */
-  readonly times = { first: 0, still: 0, moving: 0, width: 0 };
+  /** Milliseconds: the start of the page until the first drawing, the last picture at full size, the last smooth one, and the last in motion; its width. */
+  readonly times = { first: 0, still: 0, smooth: 0, moving: 0, width: 0 };
   onChange: () => void = () => {};
   onProblem: (message: string) => void = () => {};
   private readonly context: CanvasRenderingContext2D;
@@ -107,6 +112,8 @@ export class View {
   /** Whether the canvas has the picture at full size of the present camera and settings. */
   isComplete = false;
   isClosed = false;
+  /** Whether exact pictures are followed by smooth ones. The first picture has one sample for each pixel, as raymarch has. */
+  isSmooth = false;
 
   constructor(
     readonly canvas: HTMLCanvasElement,
@@ -164,20 +171,20 @@ export class View {
 
   /**
    * Draw again. A "moving" picture is drawn at once: by triangles at full size, or by rays at a smaller size. A "still" one
-   * follows after a pause.
+   * follows after a pause. A "smooth" one replaces a still one by the mean of four samples for each pixel.
    * A "hidden" picture is a moving one that leaves the canvas as it is: it prepares the device for the first input.
    */
   redraw(kind: Drawing = "still"): void {
     if (this.isClosed) return;
     clearTimeout(this.later);
-    this.isComplete = this.hasFailed = false;
+    if (kind !== "smooth") this.isComplete = this.hasFailed = false;
     this.turn++;
     if (this.isBusy) {
       this.isStale = kind;
       return;
     }
     this.isBusy = true;
-    const work = kind === "still" ? this.drawStill() : this.drawMoving(kind === "moving");
+    const work = kind === "smooth" ? this.drawSmooth() : kind === "still" ? this.drawStill() : this.drawMoving(kind === "moving");
     work
       .catch((problem) => {
         // A lost context is no problem of the view: `lost` draws again.
@@ -195,15 +202,15 @@ export class View {
         const next = this.isStale;
         this.isStale = null;
         if (next) this.redraw(next);
-        else if (kind !== "still" && this.resources) this.redrawLater();
+        else if ((kind === "moving" || kind === "hidden") && this.resources) this.redrawLater();
         else if (this.isComplete || this.hasFailed) this.settle();
       });
   }
 
   /** Draw the picture at rest after a pause. */
-  private redrawLater(): void {
+  private redrawLater(kind: Drawing = "still", pause = PAUSE_MS): void {
     clearTimeout(this.later);
-    this.later = window.setTimeout(() => this.redraw("still"), PAUSE_MS);
+    this.later = window.setTimeout(() => this.redraw(kind), pause);
   }
 
   /** Colours and depths of the present camera and settings, drawn at once; a promise by WebGPU. */
@@ -329,6 +336,19 @@ export class View {
     await resources.compiled(this.settings, this.picture);
     if (this.turn !== turn || this.resources !== resources || resources.engine.isLost) return;
     resources.prepare(this.camera, this.settings, width, height, this.picture);
+    if (!(await this.drawPieces(resources, turn))) return;
+    await this.show(resources);
+    if (this.turn !== turn) return;
+    this.times.still = performance.now() - started;
+    this.times.first ||= performance.now();
+    this.isComplete = true;
+    this.losses = 0;
+    if (this.isSmooth && this.picture === Picture.color && this.times.still < SMOOTH_MS) this.redrawLater("smooth", SMOOTH_PAUSE_MS);
+  }
+
+  /** Draw the prepared picture in pieces; false if a later request replaces it. */
+  private async drawPieces(resources: Resources, turn: number): Promise<boolean> {
+    const { height } = this.canvas;
     // Input is handled between the pieces, and no driver mistakes a long picture for a hang.
     let rows = Math.max(1, Math.round(height / 8));
     for (let row = 0; row < height; ) {
@@ -336,16 +356,35 @@ export class View {
       resources.draw(height - Math.min(height, row + rows), Math.min(rows, height - row));
       row += rows;
       await resources.engine.finished();
-      if (this.turn !== turn || this.resources !== resources || resources.engine.isLost) return;
+      if (this.turn !== turn || this.resources !== resources || resources.engine.isLost) return false;
       const spent = performance.now() - before;
       rows = Math.max(1, Math.min(height, Math.round((rows * PIECE_MS) / Math.max(spent, 1))));
     }
-    await this.show(resources);
+    return true;
+  }
+
+  /** Replace the picture by the mean of four samples for each pixel. */
+  private async drawSmooth(): Promise<void> {
+    const turn = this.turn;
+    const started = performance.now();
+    const resources = this.acquire();
+    const { width, height } = this.canvas;
+    const sums = new Float32Array(4 * width * height);
+    for (const shift of SAMPLES) {
+      resources.prepare(this.camera, this.settings, width, height, this.picture, false, shift);
+      if (!(await this.drawPieces(resources, turn))) return;
+      const bytes = await resources.read(width, height);
+      for (let i = 0; i < sums.length; i += 4) {
+        const opacity = bytes[i + 3];
+        for (let k = 0; k < 3; k++) sums[i + k] += bytes[i + k] * opacity;
+        sums[i + 3] += opacity;
+      }
+    }
     if (this.turn !== turn) return;
-    this.times.still = performance.now() - started;
-    this.times.first ||= performance.now();
-    this.isComplete = true;
-    this.losses = 0;
+    const image = this.context.createImageData(width, height);
+    sums.forEach((sum, i) => (image.data[i] = (i & 3) === 3 ? sum / SAMPLES.length : sum / (sums[i | 3] || 1)));
+    this.context.putImageData(image, 0, 0);
+    this.times.smooth = performance.now() - started;
   }
 
   private get picture(): number {
