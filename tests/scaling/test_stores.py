@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor
@@ -155,6 +156,36 @@ def test_shards_that_turned_out_to_be_outside_are_not_computed_again(mesh, tmp_p
     shares.clear()
     bake(tmp_path / "k.zarr", mesh, progress=shares.append, executor=NoExecutor(), **options)
     assert contents(tmp_path / "k.zarr") == before
+
+
+#: A bake that reports its progress.
+SLOW = """
+import sys, fieldbake as fb
+knot = fb.models.torus_knot(segments=48, sides=6)
+report = lambda share: print(share, flush=True)
+fb.bake_to_zarr(knot, sys.argv[1], 40, shard=8, chunk=8, threads=1, progress=report)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="needs SIGINT")
+def test_an_interrupted_bake_leaves_a_store_that_resumes(mesh, tmp_path):
+    target = tmp_path / "knot.zarr"
+    command = [sys.executable, "-c", SLOW, os.fspath(target)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process.stdout.readline()
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode != 0
+    assert "KeyboardInterrupt" in errors
+    shards = {key for key in contents(target) if key.startswith("0/c/")}
+    assert shards
+    times = {key: (target / key).stat().st_mtime_ns for key in shards}
+    bake(target, mesh, shard=8)
+    bake(tmp_path / "whole" / "knot.zarr", mesh, shard=8)
+    assert contents(target) == contents(tmp_path / "whole" / "knot.zarr")
+    assert len(contents(target)) > len(times)
+    assert {key: (target / key).stat().st_mtime_ns for key in shards} == times
 
 
 class NoExecutor:

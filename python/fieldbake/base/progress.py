@@ -73,14 +73,17 @@ def _notebook_bar(stack: ExitStack, label: str, delay: float) -> Callable[[float
     make: Callable[[str], Any] = display.HTML
     show: Callable[..., Any] = display.display
     shown: list[Any] = []
-    next_time = time.monotonic() + delay
+    start = time.monotonic()
+    next_time = start + delay
 
     def update(share: float) -> None:
         nonlocal next_time
-        if time.monotonic() < next_time:
+        now = time.monotonic()
+        if now < next_time:
             return
-        next_time = time.monotonic() + NOTEBOOK_STEP
-        bar = make(f'{escape(label)} <progress max="1" value="{share:.3f}"></progress>')
+        next_time = now + NOTEBOOK_STEP
+        left = f" {_duration((now - start) * (1 - share) / share)} left" if share > 0 else ""
+        bar = make(f'{escape(label)} <progress max="1" value="{share:.3f}"></progress>{left}')
         if shown:
             shown[0].update(bar)
         else:
@@ -88,6 +91,13 @@ def _notebook_bar(stack: ExitStack, label: str, delay: float) -> Callable[[float
             stack.callback(lambda: shown[0].update(make("")))
 
     return update
+
+
+def _duration(seconds: float) -> str:
+    """Hours, minutes and seconds."""
+    minutes, second = divmod(round(seconds), 60)
+    hour, minute = divmod(minutes, 60)
+    return f"{hour}:{minute:02}:{second:02}"
 
 
 def part_of(callback: Callable[[float], object] | None, number: int, count: int) -> Callable[[float], object] | None:
