@@ -467,6 +467,10 @@ class Surface:
         """Use the tangent planes through `points` with `normals`, (m, 3) each; a row that is not finite keeps its
         plane.
         """
+    def join_mesh(self, mesh: Mesh, inward: bool) -> None:
+        """Add the tangent planes of the faces of a mesh around the sharp vertices. The faces must be oriented alike;
+        `inward` tells that their normals point to the inside.
+        """
     def probes(self, *, sharp_only: bool = False) -> NDArray[np.float64]:
         """Points (k, 3) around the vertices at which the source has to be evaluated; with ``sharp_only`` only those
         around sharp vertices.

@@ -113,6 +113,18 @@ impl Surface {
         })?)
     }
 
+    /// Joins the tangent planes of the faces of a mesh around the sharp vertices. The faces must be oriented alike;
+    /// `inward` tells that their normals point to the inside.
+    fn join_mesh(&self, py: Python<'_>, mesh: PyRef<'_, Mesh>, inward: bool) -> PyResult<()> {
+        let mesh = mesh.0.clone();
+        Ok(run(py, None, |progress| {
+            let crossings = self.crossings.lock().unwrap_or_else(PoisonError::into_inner);
+            let planes = surface::planes_around_of_mesh(&self.surface, &crossings, &mesh, inward, progress)?;
+            *self.extra.lock().unwrap_or_else(PoisonError::into_inner) = (planes, Probes::default());
+            Ok(())
+        })?)
+    }
+
     /// Uses the tangent planes through `points` with `normals`, (m, 3) each; a row that is not finite keeps its plane.
     fn use_planes(
         &self,

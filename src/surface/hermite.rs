@@ -1,6 +1,6 @@
 //! Tangent planes from the mesh that a field was computed from.
 
-use super::{Crossing, LevelSurface};
+use super::{Crossing, ExtraPlanes, LevelSurface};
 use crate::bvh::watertight::Ray;
 use crate::error::Error;
 use crate::mesh::Mesh;
@@ -49,6 +49,34 @@ pub fn planes_of_mesh(
         }
         progress.advance(chunk.len() as u64)
     })
+}
+
+/// The tangent planes of the faces of `mesh` around the sharp vertices. The faces must be oriented alike; `inward` tells
+/// that their normals point to the inside.
+pub fn planes_around_of_mesh(
+    surface: &LevelSurface,
+    crossings: &[Crossing],
+    mesh: &Mesh,
+    inward: bool,
+    progress: &Progress,
+) -> Result<ExtraPlanes, Error> {
+    progress.set_total(surface.cells.cells().len() as u64);
+    mesh.bvh();
+    let sign = if inward { -1.0 } else { 1.0 };
+    let plane = |at: DVec3, near: DVec3, known: &mut Vec<u32>| {
+        let at = mesh.local_from_world(at);
+        // The distance to any point of the mesh bounds the search; the factor covers the rounding of float32.
+        let bound = (at.distance(mesh.local_from_world(near)) * 1.001 + f64::from(f32::EPSILON)) as f32;
+        let bvh = mesh.bvh_within(at.abs().max_element());
+        let nearest = bvh.nearest(at.as_vec3(), bound * bound).or_else(|| bvh.nearest(at.as_vec3(), f32::INFINITY))?;
+        if known.contains(&nearest.face) {
+            return None;
+        }
+        known.push(nearest.face);
+        let point = mesh.closest_point_on_face(nearest.face, at).on_triangle.point;
+        Some((mesh.world_from_local(point), sign * normal_of(mesh, nearest.face)?))
+    };
+    surface.planes_around(crossings, plane, progress)
 }
 
 /// The intersection of the crossing's edge with the mesh that is nearest to the crossing, and the normal of its face.

@@ -3,9 +3,10 @@
 use super::cells::{SurfaceCell, owner_of};
 use super::probes::ExtraPlanes;
 use super::qef::Planes;
+use super::quad::Quad;
 use super::{Crossing, LevelSurface, MARGIN, MeshOptions};
 use crate::volume::{trilinear, trilinear_gradient};
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 use rayon::prelude::*;
 
 /// Number of steps of Newton's method onto the trilinear surface. Each squares the error, which is below a voxel at the
@@ -29,25 +30,31 @@ impl LevelSurface {
     /// planes that probes have found.
     pub fn mesh(&self, crossings: &[Crossing], extra: &ExtraPlanes, options: MeshOptions) -> SurfaceMesh {
         assert_eq!(crossings.len(), self.edge_count(), "one crossing for each crossed edge");
-        let (vertices, clamped) = self.vertices(crossings, extra, options);
-        let faces: Vec<[u32; 3]> = self
-            .cells
-            .cells()
+        // Only planes of a source justify a vertex outside its cell; planes of the samples alone do not.
+        let (mut vertices, mut clamped) = self.vertices(crossings, extra, options, options.sharp && !extra.is_empty());
+        let mut quads = self.quads(&vertices);
+        if !extra.is_empty() {
+            clamped += self.keep_sides(&mut vertices, &mut quads, crossings, extra);
+        }
+        let faces: Vec<[[u32; 3]; 2]> = quads
             .par_iter()
-            .flat_map_iter(|cell| (0..3).filter(|&axis| cell.owns(axis)).map(move |axis| (cell, axis)))
-            .filter(|&(cell, axis)| options.capped || !crossings[cell.edge(axis) as usize].on_box)
-            .flat_map_iter(|(cell, axis)| self.triangles(cell, axis, &vertices))
+            .zip(crossings)
+            .filter(|(_, crossing)| options.capped || !crossing.on_box)
+            .map(|(quad, _)| quad.triangles())
             .collect();
+        let faces = faces.into_flattened();
         let mesh = SurfaceMesh { vertices, faces, clamped };
         if options.capped { mesh } else { mesh.without_unused_vertices() }
     }
 
-    /// The vertices of all patches, and the number of those that were clamped.
+    /// The vertices of all patches, and the number of those that were clamped. `free` vertices may lie outside their
+    /// cell where that folds no face.
     pub(super) fn vertices(
         &self,
         crossings: &[Crossing],
         extra: &ExtraPlanes,
         options: MeshOptions,
+        free: bool,
     ) -> (Vec<DVec3>, usize) {
         let placed: Vec<(DVec3, bool)> = self
             .cells
@@ -56,12 +63,11 @@ impl LevelSurface {
             .flat_map_iter(|cell| {
                 (cell.first_patch..)
                     .zip(cell.patches())
-                    .map(move |(id, _)| self.vertex(cell, id, crossings, extra, options))
+                    .map(move |(id, _)| self.vertex(cell, id, crossings, extra.of(id), options, free))
             })
             .collect();
         let mut vertices: Vec<DVec3> = placed.iter().map(|(vertex, _)| *vertex).collect();
         let mut clamped = placed.iter().filter(|(_, clamped)| *clamped).count();
-        // Only planes of a source justify a vertex outside its cell; planes of the samples alone do not.
         if !extra.is_empty() {
             clamped -= self.free_clamped(&placed, &mut vertices, crossings, extra);
         }
@@ -85,18 +91,18 @@ impl LevelSurface {
                     continue;
                 }
                 let corner = self.world(cell.index, DVec3::ZERO);
-                let [lower, upper] = self.allowed(cell);
-                let planes = self.planes(cell, id, crossings, extra);
+                let [lower, upper] = self.region(cell, cell.free);
+                let planes = self.planes(cell, id, crossings, extra.of(id));
                 let best = planes.minimum(lower - self.spacing, upper + self.spacing).point;
                 let clamped = vertices[id as usize];
                 vertices[id as usize] = (corner + best).clamp(self.lower, self.upper);
                 let folds = (0..12).filter(|edge| patch >> edge & 1 == 1).any(|edge| {
                     let (owner, axis) = owner_of(cell, edge);
-                    self.cells.find(owner).is_none_or(|owner| self.folds(owner, axis, vertices))
+                    self.cells.find(owner).is_none_or(|owner| self.quad(owner, axis, vertices).folds)
                 });
                 if folds {
                     // Planes beyond the cell would bend the surface; the crossings alone may have a place inside.
-                    let own = self.planes(cell, id, crossings, &ExtraPlanes::default()).minimum(lower, upper);
+                    let own = self.planes(cell, id, crossings, &[]).minimum(lower, upper);
                     vertices[id as usize] = if own.clamped { clamped } else { corner + own.point };
                 } else {
                     moved += 1;
@@ -104,6 +110,73 @@ impl LevelSurface {
             }
         }
         moved
+    }
+
+    /// Moves vertices back into their cells until every sample has its side, and updates the quadrilaterals. Returns the
+    /// number of vertices that moved.
+    fn keep_sides(
+        &self,
+        vertices: &mut [DVec3],
+        quads: &mut Vec<Quad>,
+        crossings: &[Crossing],
+        extra: &ExtraPlanes,
+    ) -> usize {
+        let cells = self.cells.cells();
+        let mut count = 0;
+        loop {
+            let before = count;
+            for id in self.misplaced(quads, vertices).into_iter().flat_map(|quad| quads[quad as usize].corners) {
+                let cell = &cells[cells.partition_point(|cell| cell.first_patch <= id) - 1];
+                let corner = self.world(cell.index, DVec3::ZERO);
+                let place = vertices[id as usize] - corner;
+                if place.cmpge(DVec3::ZERO).all() && place.cmple(self.spacing).all() {
+                    continue;
+                }
+                let [lower, upper] = self.region(cell, 0);
+                let place = self.planes(cell, id, crossings, extra.of(id)).minimum(lower, upper).point;
+                vertices[id as usize] = (corner + place).clamp(self.lower, self.upper);
+                count += 1;
+            }
+            if count == before {
+                return count;
+            }
+            *quads = self.quads(vertices);
+        }
+    }
+
+    /// The quadrilaterals that meet an edge of the grid where they may put its ends on the wrong sides.
+    fn misplaced(&self, quads: &[Quad], vertices: &[DVec3]) -> Vec<u32> {
+        let spread = |(cell, axis): (&SurfaceCell, usize)| {
+            let number = cell.edge(axis);
+            let quad = &quads[number as usize];
+            let met = if quad.is_around {
+                vec![]
+            } else {
+                // The edge of the quadrilateral itself has an entry in any case.
+                let places = quad.corners.map(|i| (vertices[i as usize] - self.lower) / self.spacing - 0.5);
+                let met = quad.met_edges(places).into_iter().map(|edge| (edge, 1));
+                met.chain([((cell.index, axis), 0)]).collect()
+            };
+            met.into_iter().map(move |(edge, meets): (([i32; 3], usize), u32)| (edge, number, meets))
+        };
+        let mut met: Vec<_> = self.edge_owners().flat_map_iter(spread).collect();
+        met.par_sort_unstable();
+        met.chunk_by(|a, b| a.0 == b.0)
+            .filter(|met| {
+                let (index, axis) = met[0].0;
+                let crossed = self.cells.find(index).filter(|cell| cell.owns(axis)).map(|cell| cell.edge(axis));
+                let own = crossed.is_some_and(|number| quads[number as usize].is_around);
+                let meets = met.iter().map(|&(_, _, meets)| meets).sum::<u32>() + u32::from(own);
+                (meets % 2 == 1) != crossed.is_some()
+            })
+            .flat_map(|met| met.iter().map(|&(_, number, _)| number))
+            .collect()
+    }
+
+    /// The crossed edges in their order: the cell from whose lower corner each starts, and its axis.
+    fn edge_owners(&self) -> impl ParallelIterator<Item = (&SurfaceCell, usize)> {
+        let cells = self.cells.cells().par_iter();
+        cells.flat_map_iter(|cell| (0..3).filter(|&axis| cell.owns(axis)).map(move |axis| (cell, axis)))
     }
 
     /// The crossings of the edges of a patch.
@@ -121,45 +194,50 @@ impl LevelSurface {
         cell: &SurfaceCell,
         id: u32,
         crossings: &[Crossing],
-        extra: &ExtraPlanes,
+        extra: &[(DVec3, DVec3)],
         options: MeshOptions,
+        free: bool,
     ) -> (DVec3, bool) {
         let corner = self.world(cell.index, DVec3::ZERO);
         let planes = self.planes(cell, id, crossings, extra);
-        let [lower, upper] = self.allowed(cell);
+        let [lower, upper] = self.region(cell, if free { cell.free } else { 0 });
         let (vertex, clamped) = if options.sharp {
             let minimum = planes.minimum(lower, upper);
             (minimum.point, minimum.clamped)
         } else {
-            // Smooth vertices stay in the cell, where its trilinear function holds.
-            let (lower, upper) = (lower.max(DVec3::ZERO), upper.min(self.spacing));
             (self.on_trilinear(cell, planes.mean().clamp(lower, upper), lower, upper), false)
         };
         // The sum rounds; no vertex lies outside the box.
         ((corner + vertex).clamp(self.lower, self.upper), clamped)
     }
 
-    /// The tangent planes of a patch, relative to the lower corner of its cell.
-    fn planes(&self, cell: &SurfaceCell, id: u32, crossings: &[Crossing], extra: &ExtraPlanes) -> Planes {
+    /// The tangent planes of a patch and `extra` ones, relative to the lower corner of its cell.
+    pub(super) fn planes(
+        &self,
+        cell: &SurfaceCell,
+        id: u32,
+        crossings: &[Crossing],
+        extra: &[(DVec3, DVec3)],
+    ) -> Planes {
         let corner = self.world(cell.index, DVec3::ZERO);
         let mut planes = Planes::new();
         for crossing in self.crossings_of(id, crossings) {
             planes.add(crossing.on_edge - corner, crossing.point - corner, crossing.normal);
         }
-        for &(point, normal) in extra.of(id) {
+        for &(point, normal) in extra {
             planes.add_plane(point, normal);
         }
         planes
     }
 
-    /// The region of the vertices of a cell, relative to its lower corner: the cell without a margin of [`MARGIN`]; the
-    /// next cell across a face as well if neither the face nor that cell is crossed; all of it inside the box. The tip
-    /// of a corner that holds no voxel centre lies in such a next cell.
-    pub(super) fn allowed(&self, cell: &SurfaceCell) -> [DVec3; 2] {
+    /// The region of the vertices of a cell, relative to its lower corner: the cell without a margin of [`MARGIN`], and
+    /// the next cell across each face in the set `free`; all of it inside the box. The tip of a corner that holds no
+    /// voxel centre lies in a next cell that is not crossed.
+    pub(super) fn region(&self, cell: &SurfaceCell, free: u8) -> [DVec3; 2] {
         let mut lower = DVec3::splat(MARGIN);
         let mut upper = DVec3::splat(1.0 - MARGIN);
         for axis in 0..3 {
-            let is_free = |side: usize| cell.free >> (2 * axis + side) & 1 == 1;
+            let is_free = |side: usize| free >> (2 * axis + side) & 1 == 1;
             if is_free(0) {
                 lower[axis] -= 1.0;
             }
@@ -193,49 +271,22 @@ impl LevelSurface {
         p
     }
 
-    /// The corners of the quadrilateral around the crossed edge from the lower corner of `cell` along `axis`,
-    /// counter-clockwise seen from outside, and twice the smaller area, voxels squared, of the two triangles of either
-    /// division, seen along the edge.
-    fn quad(&self, cell: &SurfaceCell, axis: usize, vertices: &[DVec3]) -> ([u32; 4], [f64; 2]) {
-        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-        let mut quad = self.links.patches_around(cell.edge(axis));
+    /// The quadrilaterals around all crossed edges, in their order.
+    fn quads(&self, vertices: &[DVec3]) -> Vec<Quad> {
+        self.edge_owners().map(|(cell, axis)| self.quad(cell, axis, vertices)).collect()
+    }
+
+    /// The quadrilateral around the crossed edge from the lower corner of `cell` along `axis`.
+    fn quad(&self, cell: &SurfaceCell, axis: usize, vertices: &[DVec3]) -> Quad {
+        let mut corners = self.links.patches_around(cell.edge(axis));
         // Seen from the outside end of the edge the order must be counter-clockwise.
         let far_is_outside = cell.inside & 1 == 1;
         if !far_is_outside {
-            quad.reverse();
+            corners.reverse();
         }
-        let flat = quad.map(|i| {
-            let p = (vertices[i as usize] - self.world(cell.index, DVec3::ZERO)) / self.spacing;
-            let p = DVec2::new(p[u], p[v]);
-            if far_is_outside { p } else { DVec2::new(p.y, p.x) }
-        });
-        let area = |a: usize, b: usize, c: usize| (flat[b] - flat[a]).perp_dot(flat[c] - flat[a]);
-        (quad, [area(0, 1, 2).min(area(0, 2, 3)), area(1, 2, 3).min(area(1, 3, 0))])
-    }
-
-    /// Whether both divisions of a quadrilateral fold it, seen along its edge.
-    fn folds(&self, cell: &SurfaceCell, axis: usize, vertices: &[DVec3]) -> bool {
-        let (_, areas) = self.quad(cell, axis, vertices);
-        areas.into_iter().all(|area| area <= MARGIN * MARGIN)
-    }
-
-    /// The two triangles across the crossed edge from the lower corner of `cell` along `axis`.
-    fn triangles(&self, cell: &SurfaceCell, axis: usize, vertices: &[DVec3]) -> [[u32; 3]; 2] {
-        let (quad, [first, second]) = self.quad(cell, axis, vertices);
-        let [a, b, c, d] = quad;
-        if self.prefers_first(first, second, quad, vertices) { [[a, b, c], [a, c, d]] } else { [[b, c, d], [b, d, a]] }
-    }
-
-    /// Whether a quadrilateral is better divided from its first to its third corner. `first` and `second` are twice the
-    /// smaller area, voxels squared, of the two triangles of either division, as seen along the edge. A division that
-    /// folds has a negative one. Of two divisions that do not fold, the one with the shorter diagonal is chosen.
-    fn prefers_first(&self, first: f64, second: f64, [a, b, c, d]: [u32; 4], vertices: &[DVec3]) -> bool {
-        let folds = |area: f64| area <= MARGIN * MARGIN;
-        if folds(first) || folds(second) {
-            return first >= second;
-        }
-        let length = |i: u32, j: u32| ((vertices[i as usize] - vertices[j as usize]) / self.spacing).length_squared();
-        length(a, c) <= length(b, d)
+        let start = self.world(cell.index, DVec3::ZERO);
+        let places = corners.map(|i| (vertices[i as usize] - start) / self.spacing);
+        Quad::new(corners, places, axis, far_is_outside)
     }
 }
 

@@ -32,8 +32,9 @@ mod mesh;
 pub(crate) mod patches;
 mod probes;
 pub(crate) mod qef;
+mod quad;
 
-pub use hermite::planes_of_mesh;
+pub use hermite::{planes_around_of_mesh, planes_of_mesh};
 pub use mesh::SurfaceMesh;
 pub use probes::{ExtraPlanes, Probes};
 

@@ -3,10 +3,13 @@
 //! The tip of an edge or corner may lie between the edges of the grid. Then the crossings of a patch do not contain all
 //! faces that meet there. A vertex is *sharp* if its patch, or a neighbouring patch, has different normals. For a sharp
 //! vertex the source is evaluated at points around it, and the tangent planes found there are added to the planes of
-//! the crossings. All other vertices have one probe, at the vertex itself, which moves it onto the surface.
+//! the crossings. All other vertices have one probe, at the vertex itself, which moves it onto the surface. A mesh needs
+//! no probes there: the planes at the crossings are the faces themselves.
 
 use super::cells::SurfaceCell;
 use super::{Crossing, LevelSurface, MeshOptions};
+use crate::error::Error;
+use crate::progress::Progress;
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -26,6 +29,16 @@ const OTHER_SIDE: f64 = -0.1;
 /// A plane within this angle (its cosine) and distance (voxels) of another plane of the patch is left out.
 const SAME: (f64, f64) = (0.9999, 1e-3);
 
+/// Number of times that a vertex of a mesh is probed at most. The second probes lie around the place where the planes of
+/// the first have put it.
+const ROUNDS: usize = 2;
+
+/// Number of cells between two checks of the progress.
+const CHUNK: usize = 256;
+
+/// A vertex that planes have moved farther than this along an axis is probed again at its new place, voxels.
+const MOVED: f64 = 0.1;
+
 /// Points where the source is evaluated.
 #[derive(Debug, Default)]
 pub struct Probes {
@@ -44,6 +57,15 @@ pub struct ExtraPlanes {
 }
 
 impl ExtraPlanes {
+    /// `counts` has the number of planes of each patch.
+    fn new(counts: impl Iterator<Item = u32>, planes: Vec<(DVec3, DVec3)>) -> Self {
+        let ends = counts.scan(0, |end, count| {
+            *end += count;
+            Some(*end)
+        });
+        Self { firsts: std::iter::once(0).chain(ends).collect(), planes }
+    }
+
     /// Whether no plane has joined.
     pub(super) fn is_empty(&self) -> bool {
         self.planes.is_empty()
@@ -58,28 +80,117 @@ impl ExtraPlanes {
     }
 }
 
+/// A patch that planes may join.
+struct PatchRegion<'a> {
+    surface: &'a LevelSurface,
+    /// Lower corner of its cell, world units.
+    corner: DVec3,
+    /// The region of its vertex, relative to the corner.
+    lower: DVec3,
+    upper: DVec3,
+    /// Mean normal of its crossings.
+    normal: DVec3,
+}
+
+impl<'a> PatchRegion<'a> {
+    fn new(surface: &'a LevelSurface, cell: &SurfaceCell, id: u32, crossings: &[Crossing]) -> Self {
+        let [lower, upper] = surface.region(cell, cell.free);
+        let normal: DVec3 = surface.crossings_of(id, crossings).map(|crossing| crossing.normal).sum();
+        let corner = surface.world(cell.index, DVec3::ZERO);
+        Self { surface, corner, lower, upper, normal: normal.normalize_or_zero() }
+    }
+
+    /// Adds the plane through the world position `point` to `planes`, unless it is not finite, does not belong to the
+    /// patch, or is known already.
+    fn join(&self, planes: &mut Vec<(DVec3, DVec3)>, point: DVec3, normal: DVec3) {
+        let Some(normal) = normal.try_normalize().filter(|_| point.is_finite()) else { return };
+        let point = point - self.corner;
+        let reach = self.surface.spacing * REACH;
+        let is_near = point.cmpge(self.lower - reach).all() && point.cmple(self.upper + reach).all();
+        if !is_near || normal.dot(self.normal) <= OTHER_SIDE {
+            return;
+        }
+        let near = SAME.1 * self.surface.spacing.min_element();
+        let is_same = |&(other, direction): &(DVec3, DVec3)| {
+            direction.dot(normal) >= SAME.0 && direction.dot(point - other).abs() <= near
+        };
+        if !planes.iter().any(is_same) {
+            planes.push((point, normal));
+        }
+    }
+}
+
+/// Offsets of the probes around a sharp vertex, voxels.
+fn steps() -> impl Iterator<Item = DVec3> {
+    std::iter::once(DVec3::ZERO).chain(DVec3::AXES.into_iter().flat_map(|axis| [axis * STEP, axis * -STEP]))
+}
+
 impl LevelSurface {
     /// The probes of all vertices, or only those of the sharp vertices.
     pub fn probes(&self, crossings: &[Crossing], extra: &ExtraPlanes, sharp_only: bool) -> Probes {
         let is_sharp = self.sharp_patches(crossings);
         let options = MeshOptions { sharp: true, capped: true };
-        let (vertices, _) = self.vertices(crossings, extra, options);
+        let (vertices, _) = self.vertices(crossings, extra, options, true);
         let found: Vec<(u32, DVec3)> = (0..vertices.len())
             .into_par_iter()
             .filter(|&id| !sharp_only || is_sharp[id])
             .flat_map_iter(|id| {
                 let (vertex, spacing) = (vertices[id], self.spacing);
-                (0..if is_sharp[id] { 7 } else { 1 }).map(move |i: usize| {
-                    let mut step = DVec3::ZERO;
-                    if i > 0 {
-                        step[(i - 1) / 2] = if i % 2 == 1 { STEP } else { -STEP };
-                    }
-                    (id as u32, vertex + step * spacing)
-                })
+                steps()
+                    .take(if is_sharp[id] { usize::MAX } else { 1 })
+                    .map(move |step| (id as u32, vertex + step * spacing))
             })
             .collect();
         let (patches, points) = found.into_iter().unzip();
         Probes { points, patches }
+    }
+
+    /// The planes around all sharp vertices. `plane` returns the tangent plane nearest to a world position: a point and
+    /// a unit normal. Its second argument is a point of the surface near that position. Its third argument lists the
+    /// faces whose planes the patch has; it returns None for those.
+    pub(super) fn planes_around(
+        &self,
+        crossings: &[Crossing],
+        plane: impl Fn(DVec3, DVec3, &mut Vec<u32>) -> Option<(DVec3, DVec3)> + Sync,
+        progress: &Progress,
+    ) -> Result<ExtraPlanes, Error> {
+        let is_sharp = self.sharp_patches(crossings);
+        let options = MeshOptions { sharp: true, capped: true };
+        let chunks = self.cells.cells().par_chunks(CHUNK).map(|cells| {
+            let (mut counts, mut all) = (Vec::with_capacity(cells.len()), Vec::new());
+            let (mut own, mut known) = (Vec::new(), Vec::new());
+            for (cell, id) in
+                cells.iter().flat_map(|cell| (cell.first_patch..).zip(cell.patches()).map(move |(id, _)| (cell, id)))
+            {
+                own.clear();
+                known.clear();
+                if is_sharp[id as usize] {
+                    let region = PatchRegion::new(self, cell, id, crossings);
+                    let mut before = DVec3::INFINITY;
+                    let mut near = self.crossings_of(id, crossings).next().map_or(region.corner, |first| first.point);
+                    for _ in 0..ROUNDS {
+                        let vertex = self.vertex(cell, id, crossings, &own, options, true).0;
+                        if (vertex - before).abs().cmple(self.spacing * MOVED).all() {
+                            break;
+                        }
+                        before = vertex;
+                        for step in steps() {
+                            if let Some((point, normal)) = plane(vertex + step * self.spacing, near, &mut known) {
+                                near = point;
+                                region.join(&mut own, point, normal);
+                            }
+                        }
+                    }
+                }
+                counts.push(own.len() as u32);
+                all.append(&mut own);
+            }
+            progress.advance(cells.len() as u64).map(|()| (counts, all))
+        });
+        let chunks = chunks.collect::<Result<Vec<_>, _>>()?;
+        let counts = chunks.iter().flat_map(|(counts, _)| counts.iter().copied());
+        let planes = chunks.iter().flat_map(|(_, planes)| planes.iter().copied()).collect();
+        Ok(ExtraPlanes::new(counts, planes))
     }
 
     /// Patches with different normals, and their neighbours.
@@ -125,49 +236,14 @@ impl LevelSurface {
                 let first = probes.patches.partition_point(|&other| other < id);
                 let count = probes.patches[first..].iter().take_while(|&&other| other == id).count();
                 let rows = first..first + count;
+                let region = PatchRegion::new(self, cell, id, crossings);
                 let mut planes = extra.of(id).to_vec();
                 for (&point, &normal) in points[rows.clone()].iter().zip(&normals[rows]) {
-                    self.join_plane(cell, id, crossings, &mut planes, point, normal);
+                    region.join(&mut planes, point, normal);
                 }
                 planes
             })
             .collect();
-        let mut firsts = Vec::with_capacity(joined.len() + 1);
-        firsts.push(0);
-        let mut count = 0;
-        for planes in &joined {
-            count += planes.len() as u32;
-            firsts.push(count);
-        }
-        ExtraPlanes { firsts, planes: joined.concat() }
-    }
-
-    fn join_plane(
-        &self,
-        cell: &SurfaceCell,
-        id: u32,
-        crossings: &[Crossing],
-        planes: &mut Vec<(DVec3, DVec3)>,
-        point: DVec3,
-        normal: DVec3,
-    ) {
-        let Some(normal) = normal.try_normalize().filter(|_| point.is_finite()) else { return };
-        let point = point - self.world(cell.index, DVec3::ZERO);
-        let [lower, upper] = self.allowed(cell);
-        let reach = self.spacing * REACH;
-        if point.cmplt(lower - reach).any() || point.cmpgt(upper + reach).any() {
-            return;
-        }
-        let mean: DVec3 = self.crossings_of(id, crossings).map(|crossing| crossing.normal).sum();
-        if normal.dot(mean.normalize_or_zero()) <= OTHER_SIDE {
-            return;
-        }
-        let near = SAME.1 * self.spacing.min_element();
-        let is_same = |&(other, direction): &(DVec3, DVec3)| {
-            direction.dot(normal) >= SAME.0 && direction.dot(point - other).abs() <= near
-        };
-        if !planes.iter().any(is_same) {
-            planes.push((point, normal));
-        }
+        ExtraPlanes::new(joined.iter().map(|planes| planes.len() as u32), joined.concat())
     }
 }

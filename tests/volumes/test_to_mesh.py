@@ -266,3 +266,28 @@ def test_a_mesh_without_faces_has_empty_properties(copied):
     assert mesh.vertex_colors is None
     assert mesh.face_colors is None
     assert mesh.report.clamped_vertices == 0
+
+
+def wrong_sides(volume, mesh):
+    """Number of samples on the wrong side of the mesh. A sample equal to the level is outside."""
+    places = np.moveaxis(np.indices(volume.resolution), 0, -1)
+    inside = fb.contains(mesh, volume.origin + places * volume.spacing)
+    return np.count_nonzero(inside != (np.asarray(volume.distances) < 0))
+
+
+def test_samples_of_noise_keep_their_sides():
+    for seed in range(120):
+        shape = np.random.default_rng(seed).integers(2, 5, 3)
+        volume = random_field(seed, shape)
+        for sharp in (True, False):
+            mesh = volume.to_mesh(sharp=sharp)
+            assert not len(mesh.faces) or wrong_sides(volume, mesh) == 0, seed
+
+
+def test_samples_keep_their_sides_beside_sharp_edges_of_the_source():
+    blade = fb.box((2, 0.3, 1.5)).rotate((1, 2, 3), 50) - fb.box(1.1).rotate((3, 1, 2), 20)
+    spikes = (fb.octahedron(1.2) | fb.cone(0.4, 2.4).rotate((1, 1, 0), 70)) & fb.box((3, 1.1, 3)).rotate("z", 33)
+    for shape in (blade, spikes, turned_box()):
+        for resolution in (9, 17, 30):
+            volume = fb.bake(shape, resolution)
+            assert wrong_sides(volume, volume.to_mesh()) == 0, resolution

@@ -28,14 +28,15 @@ NEWTON_STEPS = 2
 CREASE_SLOPE = 0.98
 
 
+#: A point (n, 3) and a normal (n, 3) of each tangent plane.
+Planes = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
 class Source(Protocol):
     """Geometry that a field was computed from. It replaces the tangent planes of the samples by exact ones."""
 
     def apply(self, surface: _core.Surface, level: float) -> None:
-        """Set the tangent planes of `surface`, the level set of the field at `level`."""
-
-    def planes(self, points: NDArray[np.float64], level: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Evaluate tangent planes of the level set near points (n, 3): a point and a normal each, (n, 3)."""
+        """Set the tangent planes of `surface`, the level set of the field at `level`, and join those around it."""
 
 
 @dataclass(frozen=True)
@@ -47,24 +48,21 @@ class MeshSource:
 
     def apply(self, surface: _core.Surface, level: float) -> None:
         """Use the faces that edges cross. At a level other than zero, use spheres around the nearest points."""
-        if self.half_thickness is None:
-            surface.use_mesh(self.mesh._core, level)
+        level += self.half_thickness or 0.0
+        surface.use_mesh(self.mesh._core, level, unsigned=self.half_thickness is not None)
+        facts = self.mesh._core.topology()
+        if level == 0 and facts["flipped_faces"] == 0 and facts["duplicate_faces"] == 0:
+            # All faces are oriented alike, so the side of each point is not needed.
+            surface.join_mesh(self.mesh._core, inward=self.mesh.volume < 0)
         else:
-            surface.use_mesh(self.mesh._core, level + self.half_thickness, unsigned=True)
+            join_probes(surface, lambda points: self._planes(points, level))
 
-    def planes(self, points: NDArray[np.float64], level: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _planes(self, points: NDArray[np.float64], level: float) -> Planes:
         """Evaluate the planes of the nearest faces; at other levels than zero, of spheres around the nearest points."""
         sign = "auto" if self.half_thickness is None else "unsigned"
-        level += self.half_thickness or 0.0
+        distances, gradients, nearest, faces, *_ = _core.query(self.mesh._core, points, sign=sign)
         if level != 0:
-            distances, gradients, *_ = _core.query(self.mesh._core, points, sign=sign)
             return points + gradients * (level - distances)[:, None], gradients
-        facts = self.mesh._core.topology()
-        if facts["flipped_faces"] == 0 and facts["duplicate_faces"] == 0:
-            # All faces are oriented alike, so the side of each point is not needed.
-            nearest, _, _, _, normals = _core.closest_point(self.mesh._core, points)
-            return nearest, normals if self.mesh.volume >= 0 else -normals
-        _, gradients, nearest, faces, *_ = _core.query(self.mesh._core, points, sign=sign)
         normals = self.mesh.face_normals[faces]
         turned = np.einsum("ij,ij->i", normals, gradients) < 0
         return nearest, np.where(turned[:, None], -normals, normals)
@@ -92,8 +90,9 @@ class FieldSource:
         normals = np.full(points.shape, np.nan)
         normals[found] = self.gradient(points[found])
         surface.use_planes(points, normals)
+        join_probes(surface, lambda points: self._planes(points, level))
 
-    def planes(self, points: NDArray[np.float64], level: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _planes(self, points: NDArray[np.float64], level: float) -> Planes:
         """Move points onto the level set by Newton's method, and evaluate the gradients there.
 
         Rows are nan where the gradient is the mean of two sides of a crease: it is shorter there than at the probe.
@@ -160,15 +159,19 @@ def as_source(source: object) -> Source:
     return MeshSource(as_mesh(source))
 
 
+def join_probes(surface: _core.Surface, planes: Callable[[NDArray[np.float64]], Planes]) -> None:
+    """Join the planes that `planes` evaluates at points (n, 3) around the vertices."""
+    # The second probes lie around the places where the planes of the first have put the sharp vertices.
+    for sharp_only in (False, True):
+        probes = surface.probes(sharp_only=sharp_only)
+        if len(probes):
+            surface.join_planes(*planes(probes))
+
+
 def extract(surface: _core.Surface, level: float, source: Source | None, *, sharp: bool, capped: bool) -> Mesh:
     """Extract the mesh of a level set; see :meth:`fieldbake.Volume.to_mesh`."""
     sharp, capped = checks.flag("sharp", sharp), checks.flag("capped", capped)
     if sharp and source is not None:
         source.apply(surface, level)
-        # The second probes lie around the places where the planes of the first have put the sharp vertices.
-        for sharp_only in (False, True):
-            probes = surface.probes(sharp_only=sharp_only)
-            if len(probes):
-                surface.join_planes(*source.planes(probes, level))
     vertices, faces, clamped = surface.mesh(sharp=sharp, capped=capped)
     return Mesh._extracted(vertices, faces, SurfaceReport(clamped_vertices=clamped))

@@ -89,9 +89,6 @@ class _StoredMesh:
     def apply(self, surface: _core.Surface, level: float) -> None:
         self._source().apply(surface, level)
 
-    def planes(self, points: NDArray[np.float64], level: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        return self._source().planes(points, level)
-
     def _source(self) -> MeshSource:
         unsigned = self._volume.report.sign_method == "unsigned"
         return MeshSource(self._volume.mesh, 0.0 if unsigned else None)
