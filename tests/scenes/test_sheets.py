@@ -313,3 +313,30 @@ def test_cards_of_a_file_are_lit(model_path: Any) -> None:
             light = frame.color[..., :3].sum(axis=-1)[own] / unshadowed.color[..., :3].sum(axis=-1)[own]
             assert own.sum() > 100
             assert (light >= 0.5).mean() >= 0.98
+
+
+@pytest.mark.parametrize("reversed_bodies", [(True,), (False, True), (True, False), (True, True)])
+def test_a_body_wound_inside_out_looks_like_its_solid(reversed_bodies, device):
+    ball = fb.sphere(0.5).to_mesh(12)
+
+    def bodies(is_reversed):
+        parts = [
+            (ball.vertices + [1.2 * i, 0, 0], ball.faces[:, ::-1] if turned else ball.faces)
+            for i, turned in enumerate(is_reversed)
+        ]
+        return fb.as_mesh(parts)
+
+    camera = fb.Camera((1, 1.5, 3), (0.4, 0, 0))
+    frames = [
+        fb.render(
+            fb.Scene([fb.Instance(bodies(turned), resolution=24)]), camera, size=(48, 36), shadows="hard", device=device
+        )
+        for turned in ((False,) * len(reversed_bodies), reversed_bodies)
+    ]
+    solid = np.isfinite(frames[0].depth)
+    assert solid.sum() > 100
+    np.testing.assert_array_equal(np.isfinite(frames[1].depth), solid)
+    # Turned triangles round their plane once more in float32.
+    assert np.abs(frames[1].depth[solid] - frames[0].depth[solid]).max() <= 1e-5
+    assert np.abs(frames[1].normal[solid] - frames[0].normal[solid]).max() <= 1e-5
+    assert (np.abs(frames[1].color - frames[0].color).max(axis=-1) <= 1e-4).mean() >= 0.99
