@@ -70,6 +70,22 @@ pub(crate) fn require_for(what: &str, needed: u64, scratch: u64, advice: &str) -
     }
 }
 
+/// Brings a value into the cache.
+#[inline(always)]
+pub(crate) fn prefetch<T>(value: &T) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        let start = std::ptr::from_ref(value).cast::<i8>();
+        for line in (0..size_of::<T>()).step_by(64) {
+            // SAFETY: a prefetch reads nothing, and the address lies within the value.
+            unsafe { _mm_prefetch::<_MM_HINT_T0>(start.add(line)) };
+        }
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = value;
+}
+
 /// Remedy for a grid that does not fit.
 const ADVICE: &str = "lower the resolution, or bake parts of the box through bounds=";
 

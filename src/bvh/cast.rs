@@ -2,7 +2,8 @@
 //!
 //! *Theory.* Eight boxes, then eight triangles, are tested at a time in float32 ([`super::ray_lanes`]). These tests are
 //! conservative: they never reject a hit. The candidates are decided in float64 ([`super::watertight`]), so the results
-//! do not depend on the order of the search. Many rays are searched in groups of eight ([`super::packet`]).
+//! do not depend on the order of the search. Many rays are searched in packets of eight if they are near
+//! each other ([`super::packet`]), else in turns ([`super::turns`]).
 //!
 //! The search starts where the ray enters the box of the mesh. Float32 then represents only the part of the ray inside
 //! the box, at any distance of the origin.
@@ -11,6 +12,7 @@
 use super::packet;
 use super::ray_lanes::{LaneRay, RayPack};
 use super::ray_search::{RayTables, ReadyRay};
+use super::turns;
 use super::watertight::{ClippedRay, FaceHit, Ray};
 use super::{Bvh, Node, WIDTH};
 use crate::mesh::Mesh;
@@ -62,10 +64,9 @@ impl Mesh {
         });
     }
 
-    /// [`Mesh::is_occluded`] of many rays.
-    pub fn are_occluded(&self, rays: &[Ray], near: bool, found: &mut Vec<bool>) {
-        found.clear();
-        found.resize(rays.len(), false);
+    /// [`Mesh::is_occluded`] of many rays, for as many results.
+    pub fn are_occluded(&self, rays: &[Ray], near: bool, found: &mut [bool]) {
+        found.fill(false);
         self.traverse_many(rays, near, |i, _| {
             found[i] = true;
             f64::NEG_INFINITY
@@ -109,6 +110,22 @@ impl Mesh {
             hits.push(hit);
             f64::INFINITY
         });
+        self.sort_and_merge(hits);
+    }
+
+    /// [`Mesh::cast_all`] of many rays.
+    pub fn all_hits(&self, rays: &[Ray], near: bool, lists: &mut Vec<Vec<FaceHit>>) {
+        lists.resize_with(rays.len(), Vec::new);
+        lists.iter_mut().for_each(Vec::clear);
+        self.traverse_many(rays, near, |i, hit| {
+            lists[i].push(hit);
+            f64::INFINITY
+        });
+        lists.iter_mut().for_each(|hits| self.sort_and_merge(hits));
+    }
+
+    /// Sorts the hits of a ray. Of several hits on an edge or a vertex the first one is kept.
+    fn sort_and_merge(&self, hits: &mut Vec<FaceHit>) {
         hits.sort_unstable_by(|a, b| a.t.total_cmp(&b.t).then(a.face.cmp(&b.face)));
         if hits.iter().filter(|hit| hit.zeros != 0).count() > 1 {
             let mut seen: Vec<[u32; 2]> = Vec::new();
@@ -157,13 +174,18 @@ impl Mesh {
     }
 
     /// [`Mesh::traverse`] for many rays. `accept` also gets the index of the ray and returns its new limit. Consecutive
-    /// rays that are `near` each other share the upper part of their searches.
+    /// rays that are `near` each other share the upper part of their searches; other rays are searched in turns.
     #[inline(always)]
     fn traverse_many(&self, rays: &[Ray], near: bool, mut accept: impl FnMut(usize, FaceHit) -> f64) {
         #[cfg(target_arch = "x86_64")]
         {
             #[target_feature(enable = "avx2")]
             fn wide(tables: &RayTables<'_>, rays: &[Ray], near: bool, accept: &mut impl FnMut(usize, FaceHit) -> f64) {
+                if !near {
+                    let triangles = |lanes: &LaneRay, pack: &RayPack, limit: f32| lanes.triangles_avx2(pack, limit);
+                    let boxes = |lanes: &LaneRay, node: &Node, limit: f32| lanes.boxes_avx2(node, limit);
+                    return turns::traverse(tables, rays, boxes, triangles, accept);
+                }
                 let mut ready: [Option<ReadyRay>; WIDTH] = [const { None }; WIDTH];
                 for (group, rays) in rays.chunks(WIDTH).enumerate() {
                     // A loop that only prepares rays works on several of them at once.
@@ -171,7 +193,7 @@ impl Mesh {
                         *ready = tables.ready(ray);
                     }
                     let mut accept = |lane: usize, hit: FaceHit| accept(group * WIDTH + lane, hit);
-                    packet::traverse(tables, &ready[..rays.len()], near, &mut accept);
+                    packet::traverse(tables, &ready[..rays.len()], &mut accept);
                 }
             }
             if std::arch::is_x86_feature_detected!("avx2") {
@@ -179,9 +201,12 @@ impl Mesh {
                 return unsafe { wide(&RayTables::new(self), rays, near, &mut accept) };
             }
         }
-        let _ = near;
-        for (i, ray) in rays.iter().enumerate() {
-            self.traverse(ray, |hit| accept(i, hit));
+        if near {
+            for (i, ray) in rays.iter().enumerate() {
+                self.traverse(ray, |hit| accept(i, hit));
+            }
+        } else {
+            turns::traverse(&RayTables::new(self), rays, LaneRay::boxes, LaneRay::triangles, &mut accept);
         }
     }
 }
@@ -260,7 +285,11 @@ mod tests {
                 let mut limit = ready.limit();
                 tables.search(&ready, Bvh::ROOT, &mut limit, LaneRay::boxes, LaneRay::triangles, &mut accept);
             }
-            prop_assert_eq!(wide, portable);
+            prop_assert_eq!(&wide, &portable);
+            let mut in_turns = Vec::new();
+            let mut accept = |_, hit| { in_turns.push(hit); f64::INFINITY };
+            turns::traverse(&tables, &[ray], LaneRay::boxes, LaneRay::triangles, &mut accept);
+            prop_assert_eq!(&in_turns, &portable);
         }
     }
 
@@ -280,13 +309,17 @@ mod tests {
                     t_max: if i % 5 == 0 { 0.4 } else { f64::INFINITY },
                 })
                 .collect();
-            let (mut hits, mut occluded) = (Vec::new(), Vec::new());
+            let (mut hits, mut occluded, mut lists) = (Vec::new(), vec![false; rays.len()], Vec::new());
             for near in [false, true] {
                 mesh.first_hits(&rays, near, &mut hits);
                 mesh.are_occluded(&rays, near, &mut occluded);
+                mesh.all_hits(&rays, near, &mut lists);
                 for (i, ray) in rays.iter().enumerate() {
                     assert_eq!(hits[i], mesh.first_hit(ray, |_| true));
                     assert_eq!(occluded[i], hits[i].is_some());
+                    let mut list = Vec::new();
+                    mesh.cast_all(ray, &mut list);
+                    assert_eq!(lists[i], list);
                 }
             }
         }

@@ -20,6 +20,7 @@ mod packet;
 pub(crate) mod ray_lanes;
 mod ray_search;
 mod refit;
+mod turns;
 pub(crate) mod watertight;
 
 use crate::geometry::Aabb;

@@ -2,7 +2,7 @@
 //!
 //! *Theory.* One box is tested against eight rays at a time, and a child is searched by the rays that enter its box.
 //! Near rays visit the same nodes, so they share the reads of the nodes and the order of the children. Where few rays
-//! are left, each is searched on its own: a search of one ray tests eight boxes at a time.
+//! are left, each is searched alone: a search of one ray tests eight boxes at a time.
 //!
 //! The tests are those of [`super::ray_lanes`], with the same operations.
 
@@ -13,7 +13,7 @@ use super::{Bvh, ChildRef, MAX_STACK, Node, WIDTH};
 use std::arch::x86_64::*;
 use std::mem::MaybeUninit;
 
-/// Largest number of rays that are searched one by one, if the rays are near each other.
+/// Largest number of rays that are searched one by one.
 const FEW: u32 = 2;
 
 /// Eight rays side by side. An absent ray has the limit of negative infinity and enters no box.
@@ -36,17 +36,14 @@ struct Entry {
     key: f32,
 }
 
-/// Passes the hits of up to eight rays to `accept` with the index of the ray; see `Mesh::traverse`. Rays that are not
-/// `near` each other are searched one by one.
+/// Passes the hits of up to eight rays to `accept` with the index of the ray; see `Mesh::traverse`.
 #[inline]
 #[target_feature(enable = "avx2")]
 pub(super) fn traverse(
     tables: &RayTables<'_>,
     rays: &[Option<ReadyRay>],
-    near: bool,
     accept: &mut impl FnMut(usize, FaceHit) -> f64,
 ) {
-    let few = if near { FEW } else { WIDTH as u32 };
     let boxes = |lanes: &LaneRay, node: &Node, limit: f32| lanes.boxes_avx2(node, limit);
     let triangles = |lanes: &LaneRay, pack: &RayPack, limit: f32| lanes.triangles_avx2(pack, limit);
     let mut limits = [f32::NEG_INFINITY; WIDTH];
@@ -60,12 +57,12 @@ pub(super) fn traverse(
     if mask == 0 {
         return;
     }
-    let packet = Packet::new(if near { rays } else { &[] });
+    let packet = Packet::new(rays);
     let mut stack = [const { MaybeUninit::<Entry>::uninit() }; MAX_STACK + WIDTH];
     let mut top = 0;
     let mut child = Bvh::ROOT;
     loop {
-        if child.is_pack() || mask.count_ones() <= few {
+        if child.is_pack() || mask.count_ones() <= FEW {
             while mask != 0 {
                 let lane = mask.trailing_zeros() as usize % WIDTH;
                 mask &= mask - 1;

@@ -16,9 +16,11 @@ pub struct RayPack {
     /// Indexed by corner, axis and lane. Absent lanes hold points far outside the box.
     corners: [[[f32; WIDTH]; 3]; 3],
     pub faces: [u32; WIDTH],
+    /// Corners of the faces as vertices of the mesh.
+    pub vertices: [[u32; 3]; WIDTH],
 }
 
-/// Data that rays need besides the tree; 40 bytes per face.
+/// Data that rays need besides the tree; 52 bytes per face.
 #[derive(Debug)]
 pub struct RayPacks(pub Vec<RayPack>);
 
@@ -27,8 +29,10 @@ impl Derived for RayPacks {
         let packs = mesh.bvh().packs.iter().map(|pack| {
             let mut corners = [[[ABSENT; WIDTH]; 3]; 3];
             let mut faces = [u32::MAX; WIDTH];
+            let mut vertices = [[0; 3]; WIDTH];
             for (lane, &face) in pack.faces().iter().enumerate() {
                 faces[lane] = face;
+                vertices[lane] = mesh.faces()[face as usize];
                 for (corner, &vertex) in mesh.faces()[face as usize].iter().enumerate() {
                     let position = mesh.positions()[vertex as usize];
                     for axis in 0..3 {
@@ -36,7 +40,7 @@ impl Derived for RayPacks {
                     }
                 }
             }
-            RayPack { corners, faces }
+            RayPack { corners, faces, vertices }
         });
         Self(packs.collect())
     }

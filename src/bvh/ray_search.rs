@@ -5,6 +5,7 @@
 use super::ray_lanes::{LaneRay, RayPack};
 use super::watertight::{ClippedRay, FaceHit, Ray};
 use super::{Bvh, ChildRef, MAX_STACK, Node, WIDTH};
+use crate::memory::prefetch;
 use crate::mesh::Mesh;
 use glam::DVec3;
 use std::mem::MaybeUninit;
@@ -93,11 +94,25 @@ impl<'a> RayTables<'a> {
         accept: &mut impl FnMut(FaceHit) -> f64,
     ) {
         let pack = &self.packs[child.index()];
-        let mut mask = triangles(&ray.lanes, pack, *limit);
-        while mask != 0 {
-            let face = pack.faces[mask.trailing_zeros() as usize % WIDTH];
-            mask &= mask - 1;
-            let Some(hit) = self.hit_in_pack(face, &ray.clipped) else { continue };
+        let candidates = triangles(&ray.lanes, pack, *limit);
+        self.decide(ray, pack, candidates, limit, accept);
+    }
+
+    /// The exact tests of the candidates of a pack, a mask of its lanes.
+    #[inline(always)]
+    pub(super) fn decide(
+        &self,
+        ray: &ReadyRay,
+        pack: &RayPack,
+        mut candidates: u32,
+        limit: &mut f32,
+        accept: &mut impl FnMut(FaceHit) -> f64,
+    ) {
+        while candidates != 0 {
+            let lane = candidates.trailing_zeros() as usize % WIDTH;
+            candidates &= candidates - 1;
+            let corners = pack.vertices[lane].map(|vertex| self.mesh.exact_position(vertex));
+            let Some(hit) = ray.clipped.hit(pack.faces[lane], corners) else { continue };
             *limit = limit.min(ray.clipped.search_limit(accept(hit)));
             if *limit == f32::NEG_INFINITY {
                 return;
@@ -105,19 +120,31 @@ impl<'a> RayTables<'a> {
         }
     }
 
-    /// The exact test of a candidate. A lane without a face has the face `u32::MAX`.
+    /// Brings a node or a pack into the cache.
     #[inline(always)]
-    fn hit_in_pack(&self, face: u32, clipped: &ClippedRay) -> Option<FaceHit> {
-        let mesh = self.mesh;
-        let &[a, b, c] = mesh.faces().get(face as usize)?;
-        clipped.hit(face, [mesh.exact_position(a), mesh.exact_position(b), mesh.exact_position(c)])
+    pub(super) fn prefetch(&self, child: ChildRef) {
+        if child.is_pack() {
+            prefetch(&self.packs[child.index()]);
+        } else {
+            prefetch(&self.bvh.nodes[child.index()]);
+        }
+    }
+
+    /// Brings the corners of the candidates of a pack into the cache.
+    #[inline(always)]
+    pub(super) fn prefetch_corners(&self, pack: &RayPack, mut candidates: u32) {
+        while candidates != 0 {
+            let lane = candidates.trailing_zeros() as usize % WIDTH;
+            candidates &= candidates - 1;
+            pack.vertices[lane].iter().for_each(|&vertex| prefetch(&self.mesh.world_positions()[vertex as usize]));
+        }
     }
 }
 
 /// Boxes that are still to be searched, with the t of entry, the nearest of each node on top.
 ///
 /// The memory is not initialised, since that takes longer than a short search.
-struct Stack {
+pub(super) struct Stack {
     slots: [MaybeUninit<(f32, ChildRef)>; MAX_STACK],
     /// Number of slots in use. All of them have been written.
     top: usize,
@@ -125,8 +152,12 @@ struct Stack {
 
 impl Stack {
     #[inline(always)]
-    fn new() -> Self {
+    pub(super) const fn new() -> Self {
         Self { slots: [const { MaybeUninit::uninit() }; MAX_STACK], top: 0 }
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.top = 0;
     }
 
     #[inline(always)]
@@ -144,7 +175,7 @@ impl Stack {
 
     /// The nearest child of a mask that is not zero; the others are pushed.
     #[inline(always)]
-    fn push_all_but_nearest(
+    pub(super) fn push_all_but_nearest(
         &mut self,
         mut mask: u32,
         entered: &[f32; WIDTH],
@@ -175,7 +206,7 @@ impl Stack {
 
     /// The next box that the ray enters before the limit.
     #[inline(always)]
-    fn pop(&mut self, limit: f32) -> Option<ChildRef> {
+    pub(super) fn pop(&mut self, limit: f32) -> Option<ChildRef> {
         while let Some((near, child)) = self.at(self.top.wrapping_sub(1)) {
             self.top -= 1;
             if near <= limit {

@@ -8,6 +8,7 @@
 //! answers: no ray passes between faces, and a hit lies on an edge or a vertex if and only if the corresponding functions
 //! are zero.
 
+use crate::geometry::triangle_cross;
 use glam::DVec3;
 use robust::{Coord, orient2d};
 
@@ -27,6 +28,8 @@ pub struct FaceHit {
     pub zeros: u8,
     /// Whether the ray comes from the counter-clockwise side.
     pub is_front: bool,
+    /// Cross product of two edges of the face, local units.
+    pub cross: DVec3,
 }
 
 /// The part of a line that is searched, `t` from `t_min` to `t_max` in multiples of the direction.
@@ -174,7 +177,7 @@ impl Sheared {
         }
         let weights = [edges[0] / sum, edges[1] / sum, edges[2] / sum];
         let t = self.shear[2] * (weights[0] * a[2] + weights[1] * b[2] + weights[2] * c[2]);
-        Some(FaceHit { t, face: 0, weights, zeros, is_front: sum > 0.0 })
+        Some(FaceHit { t, face: 0, weights, zeros, is_front: sum > 0.0, cross: triangle_cross(corners) })
     }
 
     /// A point in the sheared space.

@@ -77,7 +77,7 @@ pub fn closest_points(
         let closest = walk.exact_closest_point(p, row);
         let corners = mesh.exact_triangle(closest.face);
         let weights = barycentric_weights(closest.on_triangle.point, corners, closest.on_triangle.feature);
-        (closest, weights, unit_normal(mesh, corners, closest.face))
+        (closest, weights, unit_normal(mesh, triangle_cross(corners), closest.face))
     })?;
     let count = points.len();
     let mut found = ClosestPoints {
@@ -231,9 +231,9 @@ fn nearest_feature(closest: &ClosestPoint, weights: [f64; 3]) -> Feature {
     }
 }
 
-/// The unit normal of a face by its own winding.
-pub(super) fn unit_normal(mesh: &Mesh, corners: [DVec3; 3], face: u32) -> DVec3 {
-    triangle_cross(corners)
+/// The unit normal of a face by its own winding. `cross` is the cross product of its edges.
+pub(super) fn unit_normal(mesh: &Mesh, cross: DVec3, face: u32) -> DVec3 {
+    cross
         .try_normalize()
         // A face has an area in float32 positions, otherwise it would have been dropped.
         .or_else(|| triangle_cross(mesh.triangle(face)).try_normalize())

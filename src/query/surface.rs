@@ -64,7 +64,7 @@ pub fn sample_surface(mesh: &Mesh, count: usize, seed: u64, progress: &Progress)
                 let weights = [1.0 - root, root * (1.0 - w), root * w];
                 let i = i as usize;
                 points[i] = mesh.world_from_local(a * weights[0] + b * weights[1] + c * weights[2]).to_array();
-                normals[i] = unit_normal(mesh, [a, b, c], face).to_array();
+                normals[i] = unit_normal(mesh, triangle_cross([a, b, c]), face).to_array();
                 faces[i] = i64::from(face);
                 barycentric[i] = weights;
             }
