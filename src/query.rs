@@ -35,6 +35,7 @@ pub use thickness::thickness;
 use crate::bvh::closest::ClosestPoint;
 use crate::error::{ArgumentError, Error};
 use crate::gpu::Place;
+use crate::memory::{prefetch, zeroed_result};
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::sign::{SideWalk, SignChoice, SignMethod, SignRule};
@@ -44,6 +45,8 @@ use std::ops::Deref;
 
 /// Number of points between two checks of the progress: a few milliseconds of work.
 const CHUNK: usize = 1024;
+/// Number of rows from a prefetch to its use.
+const AHEAD: usize = 8;
 /// Largest number of points that are processed in their own order, by the calling thread.
 const FEW: usize = 64;
 /// Number of bits of the Morton code for each axis.
@@ -67,30 +70,47 @@ pub fn signed_distances(
         let unsigned = closest.distance * mesh.scale();
         (if inside && unsigned > 0.0 { -unsigned } else { unsigned }) as f32
     })?;
-    let mut distances = Vec::with_capacity(points.len());
-    answers.for_each_row(|&distance| distances.push(distance));
-    Ok(distances)
+    Ok(answers.into_rows())
 }
 
 /// Results along the curve, in chunks of [`CHUNK`], each with the row of its point.
 struct ChunkedResults<T>(Vec<Vec<(u32, T)>>);
 
-impl<T> ChunkedResults<T> {
-    /// Visits the results in the order of the points. Reading them out of order touches less memory than writing
+impl<T: Sync> ChunkedResults<T> {
+    /// Passes every result to `write` with its part of the columns and its index in that part. `columns` are the parts
+    /// of the output, one for each [`CHUNK`] of rows. Reading the results out of order touches less memory than writing
     /// several arrays out of order.
-    fn for_each_row(&self, mut visit: impl FnMut(&T)) {
-        let count = self.0.iter().map(Vec::len).sum();
-        if count <= FEW {
-            self.0.iter().flatten().for_each(|(_, answer)| visit(answer));
-            return;
-        }
-        let mut places = vec![0u32; count];
+    fn write_rows<C: Send>(&self, columns: impl Iterator<Item = C>, write: impl Fn(&mut C, usize, &T) + Sync) {
+        let mut places = vec![0u32; self.0.iter().map(Vec::len).sum()];
         for (chunk, answers) in self.0.iter().enumerate() {
             for (i, (row, _)) in answers.iter().enumerate() {
                 places[*row as usize] = (chunk * CHUNK + i) as u32;
             }
         }
-        places.into_iter().for_each(|place| visit(&self.0[place as usize / CHUNK][place as usize % CHUNK].1));
+        let result = |place: u32| &self.0[place as usize / CHUNK][place as usize % CHUNK].1;
+        let write_part = |(places, mut column): (&[u32], C)| {
+            for (i, &place) in places.iter().enumerate() {
+                if let Some(&later) = places.get(i + AHEAD) {
+                    prefetch(result(later));
+                }
+                write(&mut column, i, result(place));
+            }
+        };
+        let parts: Vec<_> = places.chunks(CHUNK).zip(columns).collect();
+        if parts.len() <= 1 {
+            // A few rows are written without the worker threads.
+            return parts.into_iter().for_each(write_part);
+        }
+        parts.into_par_iter().for_each(write_part);
+    }
+}
+
+impl<T: Copy + Send + Sync + bytemuck::Zeroable> ChunkedResults<T> {
+    /// The results in the order of the points.
+    fn into_rows(self) -> Vec<T> {
+        let mut rows = zeroed_result(self.0.iter().map(Vec::len).sum());
+        self.write_rows(rows.chunks_mut(CHUNK), |column, i, &result| column[i] = result);
+        rows
     }
 }
 
@@ -186,7 +206,13 @@ fn answer_in_order<T: Send>(
     let answer_chunk = |rows: &[(u64, u32)]| -> Result<Vec<(u32, T)>, Error> {
         let mut walk = Walk { mesh, faces: &faces, last: None, sides: SideWalk::default() };
         let position = |row: u32| mesh.local_from_world(DVec3::from_array(points[row as usize]));
-        let answers = rows.iter().map(|&(_, row)| (row, answer(&mut walk, position(row), row))).collect();
+        let mut answers = Vec::with_capacity(rows.len());
+        for (i, &(_, row)) in rows.iter().enumerate() {
+            if let Some(&(_, later)) = rows.get(i + AHEAD) {
+                prefetch(&points[later as usize]);
+            }
+            answers.push((row, answer(&mut walk, position(row), row)));
+        }
         progress.advance(rows.len() as u64)?;
         Ok(answers)
     };

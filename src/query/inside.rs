@@ -1,6 +1,6 @@
 //! The side and the winding number of points, without distances.
 
-use super::{ChunkedResults, answer_in_order, check_points, prepare};
+use super::{answer_in_order, check_points, prepare};
 use crate::error::Error;
 use crate::gpu::Place;
 use crate::mesh::Mesh;
@@ -32,7 +32,7 @@ pub fn contains(mesh: &Mesh, points: &[[f64; 3]], method: SignMethod, progress: 
             rule => walk.sides.is_inside_without_distance(rule, mesh, p),
         }
     })?;
-    Ok(in_rows(points.len(), &answers))
+    Ok(answers.into_rows())
 }
 
 /// The winding number of each world position, of the faces as they are wound.
@@ -52,15 +52,8 @@ pub fn winding_numbers(mesh: &Mesh, points: &[[f64; 3]], error: f64, progress: &
     let answers = answer_in_order(&Place::Cpu, mesh, points, progress, |_, p, _| {
         if fast { mesh.moments().winding(mesh, p) } else { closure.winding(mesh, p) }
     })?;
-    Ok(in_rows(points.len(), &answers))
+    Ok(answers.into_rows())
 }
 
 /// Error of the dipoles of `sign::winding`, measured on open and closed meshes.
 const DIPOLE_ERROR: f64 = 0.01;
-
-/// Results in the order of the points.
-fn in_rows<T: Copy>(count: usize, answers: &ChunkedResults<T>) -> Vec<T> {
-    let mut rows = Vec::with_capacity(count);
-    answers.for_each_row(|&answer| rows.push(answer));
-    rows
-}

@@ -9,12 +9,13 @@
 //! the surface the side follows from the pseudonormal and float64 positions: the sign rule determines the sides in
 //! front of and behind the surface, and the pseudonormal determines on which of them the point lies.
 
-use super::{Walk, answer_in_order, check_points, prepare};
+use super::{CHUNK, Walk, answer_in_order, check_points, prepare};
 use crate::bake::Report;
 use crate::bvh::closest::ClosestPoint;
 use crate::error::Error;
 use crate::geometry::{Feature, barycentric_weights, triangle_cross};
 use crate::gpu::Place;
+use crate::memory::zeroed_result;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::sign::{SideWalk, SignMethod, SignRule};
@@ -81,18 +82,22 @@ pub fn closest_points(
     })?;
     let count = points.len();
     let mut found = ClosestPoints {
-        points: Vec::with_capacity(count),
-        distances: Vec::with_capacity(count),
-        faces: Vec::with_capacity(count),
-        barycentric: Vec::with_capacity(count),
-        normals: Vec::with_capacity(count),
+        points: zeroed_result(count),
+        distances: zeroed_result(count),
+        faces: zeroed_result(count),
+        barycentric: zeroed_result(count),
+        normals: zeroed_result(count),
     };
-    answers.for_each_row(|(closest, weights, normal)| {
-        found.points.push(mesh.world_from_local(closest.on_triangle.point).to_array());
-        found.distances.push(closest.distance * mesh.scale());
-        found.faces.push(closest.face.into());
-        found.barycentric.push(*weights);
-        found.normals.push(normal.to_array());
+    let columns = found.points.chunks_mut(CHUNK).zip(found.distances.chunks_mut(CHUNK));
+    let columns = columns.zip(found.faces.chunks_mut(CHUNK)).zip(found.barycentric.chunks_mut(CHUNK));
+    let columns = columns.zip(found.normals.chunks_mut(CHUNK));
+    answers.write_rows(columns, |column, i, (closest, weights, normal)| {
+        let ((((points, distances), faces), barycentric), normals) = column;
+        points[i] = mesh.world_from_local(closest.on_triangle.point).to_array();
+        distances[i] = closest.distance * mesh.scale();
+        faces[i] = closest.face.into();
+        barycentric[i] = *weights;
+        normals[i] = normal.to_array();
     });
     Ok(found)
 }
@@ -118,23 +123,28 @@ pub fn query(
     })?;
     let count = points.len();
     let mut found = Query {
-        distances: Vec::with_capacity(count),
-        gradients: Vec::with_capacity(count),
-        points: Vec::with_capacity(count),
-        faces: Vec::with_capacity(count),
-        barycentric: Vec::with_capacity(count),
+        distances: zeroed_result(count),
+        gradients: zeroed_result(count),
+        points: zeroed_result(count),
+        faces: zeroed_result(count),
+        barycentric: zeroed_result(count),
         report: Report::default(),
     };
-    let mut inside_points = 0;
-    answers.for_each_row(|(closest, weights, inside, gradient)| {
+    let columns = found.distances.chunks_mut(CHUNK).zip(found.gradients.chunks_mut(CHUNK));
+    let columns = columns.zip(found.points.chunks_mut(CHUNK)).zip(found.faces.chunks_mut(CHUNK));
+    let mut inside_counts = vec![0usize; count.div_ceil(CHUNK)];
+    let columns = columns.zip(found.barycentric.chunks_mut(CHUNK)).zip(&mut inside_counts);
+    answers.write_rows(columns, |column, i, (closest, weights, inside, gradient)| {
+        let (((((distances, gradients), points), faces), barycentric), inside_count) = column;
+        **inside_count += usize::from(*inside);
         let distance = closest.distance * mesh.scale();
-        inside_points += usize::from(*inside);
-        found.distances.push(if *inside && distance > 0.0 { -distance } else { distance });
-        found.gradients.push(gradient.to_array());
-        found.points.push(mesh.world_from_local(closest.on_triangle.point).to_array());
-        found.faces.push(closest.face.into());
-        found.barycentric.push(*weights);
+        distances[i] = if *inside && distance > 0.0 { -distance } else { distance };
+        gradients[i] = gradient.to_array();
+        points[i] = mesh.world_from_local(closest.on_triangle.point).to_array();
+        faces[i] = closest.face.into();
+        barycentric[i] = *weights;
     });
+    let inside_points = inside_counts.iter().sum();
     found.report = Report::of_query(mesh, &choice, count, inside_points);
     found.report.device = place.label();
     found.report.seconds = vec![("prepare", prepared), ("query", started.elapsed().as_secs_f64() - prepared)];

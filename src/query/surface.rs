@@ -7,11 +7,10 @@
 use super::nearest::unit_normal;
 use crate::error::Error;
 use crate::geometry::triangle_cross;
-use crate::memory::zeroed_result;
+use crate::memory::{prefetch, zeroed_result};
 use crate::mesh::Mesh;
 use crate::mesh::derived::Derived;
 use crate::progress::Progress;
-use glam::DVec3;
 use rayon::prelude::*;
 
 /// Number of samples between two checks of the progress.
@@ -48,16 +47,25 @@ pub fn sample_surface(mesh: &Mesh, count: usize, seed: u64, progress: &Progress)
     columns.enumerate().try_for_each(|(chunk, (((points, normals), faces), barycentric))| {
         let first = chunk * CHUNK;
         let order = order_of(key, first, points.len());
-        // Loops of one memory access per sample wait for several samples at once.
+        // Every loop prefetches what the next one reads, so that the memory of several samples arrives at once.
         for block in order.chunks(BLOCK) {
-            let (mut members, mut corners) = ([0u32; BLOCK], [[DVec3::ZERO; 3]; BLOCK]);
+            let mut members = [0u32; BLOCK];
+            for &(share, _) in block {
+                prefetch(&areas.first[areas.part(share)]);
+            }
+            for &(share, _) in block {
+                prefetch(&areas.sums[areas.first[areas.part(share)] as usize]);
+            }
             for (member, &(share, _)) in members.iter_mut().zip(block) {
                 *member = areas.face_at(share);
+                prefetch(&mesh.faces()[*member as usize]);
             }
-            for (corners, &face) in corners[..block.len()].iter_mut().zip(&members) {
-                *corners = mesh.exact_triangle(face);
+            for &face in &members[..block.len()] {
+                let corners = &mesh.faces()[face as usize];
+                corners.iter().for_each(|&vertex| prefetch(&mesh.world_positions()[vertex as usize]));
             }
-            for (&(_, i), (&face, &[a, b, c])) in block.iter().zip(members.iter().zip(&corners)) {
+            for (&(_, i), &face) in block.iter().zip(&members) {
+                let [a, b, c] = mesh.exact_triangle(face);
                 let place = 3 * (first + i as usize) as u64;
                 let (v, w) = (unit(key, place + 1), unit(key, place + 2));
                 let root = v.sqrt();
@@ -134,11 +142,16 @@ impl Derived for Areas {
 }
 
 impl Areas {
+    /// The equal part of the area that contains a fraction of it, 0 to 1.
+    fn part(&self, share: f64) -> usize {
+        ((share * self.first.len() as f64) as usize).min(self.first.len() - 1)
+    }
+
     /// The face that contains a fraction of the area, 0 to 1.
     fn face_at(&self, share: f64) -> u32 {
         let count = self.sums.len();
         let reached = share * self.sums[count - 1];
-        let mut face = self.first[((share * count as f64) as usize).min(count - 1)] as usize;
+        let mut face = self.first[self.part(share)] as usize;
         // The product may round into the previous part.
         while face > 0 && self.sums[face - 1] > reached {
             face -= 1;

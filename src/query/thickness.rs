@@ -52,9 +52,7 @@ pub fn thickness(
         };
         2.0 * radius(mesh, closest.on_triangle.point, normal) * mesh.scale()
     })?;
-    let mut diameters = Vec::with_capacity(points.len());
-    answers.for_each_row(|&diameter| diameters.push(diameter));
-    Ok(diameters)
+    Ok(answers.into_rows())
 }
 
 fn radius(mesh: &Mesh, p: DVec3, normal: DVec3) -> f64 {
