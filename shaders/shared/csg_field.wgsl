@@ -215,6 +215,11 @@ fn chamfer_union(a: f32, b: f32, width: f32) -> f32 {
     return min(min(a, b), (a + b - width) * 0.70710678);
 }
 
+// A point in the space of a copy on a lattice. The copy is `step` cells after the lower one of the two nearest cells.
+fn nearest_copy(p: vec3f, spacing: vec3f, inverse: vec3f, start: vec3f, last: vec3f, step: vec3f) -> vec3f {
+    return p - spacing * (clamp(floor(p * inverse + start), vec3f(0.0), last) + step);
+}
+
 fn turned_about_z(p: vec3f, angle: f32) -> vec3f {
     let s = sin(angle);
     let c = cos(angle);

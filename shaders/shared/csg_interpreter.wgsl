@@ -5,14 +5,26 @@
 // Depth of the stack. The operand that needs the deeper stack is evaluated first, so no shape needs more.
 const MAX_STACK: u32 = 32u;
 
-// A point in the space inside a warp. Kinds: 0 elongation, 1 twist, 2 bend.
+// The vector in `numbers` from `first` on.
+fn vector_at(first: u32) -> vec3f {
+    return vec3f(numbers[first], numbers[first + 1u], numbers[first + 2u]);
+}
+
+// A point in the space inside a warp. Kinds: 0 elongation, 1 twist, 2 bend, 3 the nearest copy.
 fn warped(warp: u32, p: vec3f) -> vec3f {
     let q = placed(warp, p);
     let a = leaves[warp].a;
     switch leaves[warp].kind {
         case 0u: { return q - clamp(q, -a.xyz, a.xyz); }
         case 1u: { return turned_about_z(q, -a.x * q.z); }
-        default: { return turned_about_z(q, -a.x * q.x); }
+        case 2u: { return turned_about_z(q, -a.x * q.x); }
+        default: {
+            let first = leaves[warp].first;
+            return nearest_copy(
+                q, vector_at(first), vector_at(first + 3u), vector_at(first + 6u), vector_at(first + 9u),
+                vector_at(first + 12u)
+            );
+        }
     }
 }
 
@@ -65,6 +77,7 @@ fn csg_distance(p: vec3f, first: u32, count: u32) -> f32 {
             }
             case TOKEN_OFFSET: { values[top - 1u] -= numbers[index]; }
             case TOKEN_SHELL: { values[top - 1u] = abs(values[top - 1u]) - numbers[index]; }
+            case TOKEN_TIMES: { values[top - 1u] *= numbers[index]; }
             case TOKEN_COMPLEMENT: { values[top - 1u] = -values[top - 1u]; }
             case TOKEN_ENTER: {
                 positions[warps] = at;

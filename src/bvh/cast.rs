@@ -300,7 +300,9 @@ mod tests {
         let mut random = uniform(11);
         let mut vector = || DVec3::new(random(), random(), random()) - 0.5;
         for spread in [1e-3, 0.1, 2.0] {
-            let (origin, direction) = (2.0 * vector(), vector());
+            // The rays run from around one place to around another one near the centre of the soup.
+            let origin = 2.0 * vector();
+            let direction = 0.4 * vector() - origin;
             let rays: Vec<Ray> = (0..203)
                 .map(|i| Ray {
                     origin: origin + spread * vector(),
@@ -322,6 +324,7 @@ mod tests {
                     assert_eq!(lists[i], list);
                 }
             }
+            assert!(hits.iter().flatten().count() > 30);
         }
     }
 

@@ -63,6 +63,13 @@ impl Extent {
         Self { lower: self.lower - grown, upper: self.upper + grown, slack, ..self }
     }
 
+    /// The extent of `factor * field`.
+    pub fn times(self, factor: f64) -> Self {
+        // A field that is steeper than the distance has some slack, see `level`.
+        let slack = if factor > 1.0 { self.slack.max(f64::MIN_POSITIVE) } else { self.slack };
+        Self { growth: self.growth / factor, slack, ..self }
+    }
+
     /// The complement is unbounded.
     pub fn complement(self) -> Self {
         Self { lower: DVec3::NEG_INFINITY, upper: DVec3::INFINITY, unbounded: Some("complement"), ..self }
@@ -110,6 +117,10 @@ impl Extent {
     pub fn warped(self, warp: &Warp) -> Self {
         let inside = match warp.kind {
             WarpKind::Elongate(half) => Self { lower: self.lower - half, upper: self.upper + half, ..self },
+            WarpKind::NearestCopy(lattice) => {
+                let reach = lattice.reach();
+                Self { lower: self.lower - reach, upper: self.upper + reach, ..self }
+            }
             WarpKind::Twist(_) | WarpKind::Bend(_) => {
                 // The distance from the z axis stays the same, the direction may be any.
                 let r = self.radius_about_z();

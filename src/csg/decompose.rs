@@ -80,6 +80,7 @@ fn applied(model: &Model, operation: Operation<Result<Shape, ShapeError>>) -> Re
         Operation::DistanceOp(i, operand) => match model.levels[i as usize] {
             DistanceOp::Offset(distance) => operand?.changed("offset", &[distance]),
             DistanceOp::Shell(thickness) => operand?.changed("shell", &[thickness]),
+            DistanceOp::Times(factor) => operand?.changed("times", &[factor]),
         },
         Operation::Complement(operand) => operand?.changed("complement", &[]),
         Operation::Warp(i, operand) => {
@@ -88,6 +89,11 @@ fn applied(model: &Model, operation: Operation<Result<Shape, ShapeError>>) -> Re
                 WarpKind::Elongate(half) => operand?.changed("elongate", &half.to_array()),
                 WarpKind::Twist(rate) => operand?.changed("twist", &[rate.to_degrees()]),
                 WarpKind::Bend(rate) => operand?.changed("bend", &[rate.to_degrees()]),
+                // The child is one leaf, so every part has all of it, and the other copies belong to the whole shape.
+                WarpKind::NearestCopy(lattice) => {
+                    let counts = lattice.counts.map(f64::from);
+                    operand?.changed("repeat", &[lattice.spacing.to_array(), counts].concat())
+                }
             };
             placed(&warped?, &warp.place)
         }

@@ -84,6 +84,7 @@ impl<'a> Encoder<'a> {
         numbers.extend(program.levels.iter().map(|level| match *level {
             PlacedDistanceOp::Offset(distance) => distance,
             PlacedDistanceOp::Shell(half) => half,
+            PlacedDistanceOp::Times(factor) => factor,
         }));
         let mut leaves: Vec<CsgLeaf> = program.leaves.iter().map(|leaf| encoded(leaf, &mut numbers)).collect();
         let first_warp = leaves.len() as u32;
@@ -92,8 +93,13 @@ impl<'a> Encoder<'a> {
                 PlacedWarpKind::Elongate([x, y, z]) => (0, [x, y, z, 0.0]),
                 PlacedWarpKind::Twist(rate) => (1, [rate, 0.0, 0.0, 0.0]),
                 PlacedWarpKind::Bend(rate) => (2, [rate, 0.0, 0.0, 0.0]),
+                PlacedWarpKind::NearestCopy(_) => (3, [0.0; 4]),
             };
-            CsgLeaf { a, b: [warp.rate, warp.radius], kind, ..placed(&warp.rows, warp.shift) }
+            let first = numbers.len() as u32;
+            if let PlacedWarpKind::NearestCopy(axes) = warp.kind {
+                numbers.extend(by_number(&axes).into_iter().flatten());
+            }
+            CsgLeaf { a, b: [warp.rate, warp.radius], kind, first, ..placed(&warp.rows, warp.shift) }
         }));
         Self { program, leaves, numbers, first_joint, first_level, first_warp }
     }
@@ -114,6 +120,7 @@ impl<'a> Encoder<'a> {
                 let what = match self.program.levels[i as usize] {
                     PlacedDistanceOp::Offset(_) => TOKEN_OFFSET,
                     PlacedDistanceOp::Shell(_) => TOKEN_SHELL,
+                    PlacedDistanceOp::Times(_) => TOKEN_TIMES,
                 };
                 (what, self.first_level + i)
             }
@@ -145,6 +152,11 @@ impl<'a> Encoder<'a> {
             numbers: context.upload("numbers of a shape", &self.numbers)?,
         })
     }
+}
+
+/// The numbers of a lattice in the order of shaders: each as a vector over the axes.
+pub(super) fn by_number(axes: &[[f32; 5]; 3]) -> [[f32; 3]; 5] {
+    std::array::from_fn(|number| axes.map(|axis| axis[number]))
 }
 
 fn placed(rows: &[[f32; 3]; 3], [shift_x, shift_y, shift_z]: [f32; 3]) -> CsgLeaf {

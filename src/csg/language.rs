@@ -51,6 +51,7 @@ const MODIFIERS: &[Word] = {
         modifier("scale", "scale", &[Full("s")]),
         modifier("flate", "offset", &[Full("r")]),
         modifier("shell", "shell", &[Full("t")]),
+        modifier("times", "times", &[Full("factor")]),
         modifier("not", "complement", &[]),
         modifier("elongate", "elongate", &[Half("x"), Half("y"), Half("z")]),
         modifier("mirror", "mirror", &[Full("x"), Full("y"), Full("z")]),

@@ -1,14 +1,15 @@
-//! Lowering of a tree to a model: placements move to the leaves, repetitions are written out, equal leaves are shared.
+//! Lowering of a tree to a model: placements move to the leaves, copies are written out or selected by position, equal
+//! leaves are shared.
 //!
 //! The tree is traversed without recursion, at any depth. The operand that needs the deeper stack comes first (Sethi
 //! and Ullman, 1970), so a model of a million leaves needs a stack of twenty at any nesting.
 
 use super::bounds::Extent;
 use super::model::{Coat, Combine, DistanceOp, Leaf, Mask, MaskDistance, Model};
-use super::placement::{Placement, Stretch, Warp, WarpKind, reflection};
+use super::placement::{Lattice, Placement, Stretch, Warp, WarpKind, reflection};
 use super::primitive::Primitive;
 use super::program::{LocalFrame, Program, Stack};
-use super::shape::{Blend, Kind, Op, Shape};
+use super::shape::{Blend, Kind, MAX_COPIES, MAX_LEAVES, Op, Shape, copies_of, too_many_leaves};
 use super::token::Token;
 use crate::error::ShapeError;
 use crate::gpu::constants::csg_interpreter::MAX_WARPS;
@@ -53,6 +54,23 @@ enum Task<'a> {
     DistanceOp(DistanceOp),
     Complement,
     Warp(WarpKind, Placement),
+}
+
+/// Largest number of changes of the position inside each other, repetitions included.
+fn warp_depth(shape: &Shape) -> usize {
+    let mut deepest = 0;
+    let mut waiting = vec![(shape, 0)];
+    while let Some((shape, depth)) = waiting.pop() {
+        let kind = shape.kind();
+        let is_warp = matches!(kind, Kind::Elongate(_) | Kind::Twist(_) | Kind::Bend(_) | Kind::Repeat { .. });
+        let depth = depth + usize::from(is_warp);
+        deepest = deepest.max(depth);
+        // Deeper levels change no decision, and shared subtrees are visited once per path only down to here.
+        if depth < MAX_WARPS {
+            waiting.extend(shape.children().iter().map(|child| (child, depth)));
+        }
+    }
+    deepest
 }
 
 /// Builds a model from a tree.
@@ -138,6 +156,10 @@ impl Builder {
                 tasks.push(Task::DistanceOp(DistanceOp::Shell(context.place.scale * thickness)));
                 tasks.push(Task::Visit(&children[0], context));
             }
+            Kind::Times(factor) => {
+                tasks.push(Task::DistanceOp(DistanceOp::Times(factor)));
+                tasks.push(Task::Visit(&children[0], context));
+            }
             Kind::Complement => {
                 tasks.push(Task::Complement);
                 tasks.push(Task::Visit(&children[0], context));
@@ -148,6 +170,17 @@ impl Builder {
                 tasks.push(Task::Visit(&children[0], context));
             }
             Kind::Repeat { spacing, counts } => {
+                if let Some(lattice) = self.lattice(&children[0], spacing, counts, &context)? {
+                    // The lower and the upper copy along each axis with several copies.
+                    let uppers = (0..8u8).filter(|upper| (0..3).all(|axis| counts[axis] > 1 || upper >> axis & 1 == 0));
+                    let uppers: Vec<u8> = uppers.collect();
+                    tasks.push(Task::Combine { op: Op::Union, blend: Blend::Sharp, count: uppers.len() });
+                    for upper in uppers {
+                        let kind = WarpKind::NearestCopy(Lattice { upper, ..lattice });
+                        self.enter(kind, &children[0], context.clone(), tasks)?;
+                    }
+                    return Ok(());
+                }
                 let count = counts.iter().map(|&n| n as usize).product();
                 if count > 1 {
                     tasks.push(Task::Combine { op: Op::Union, blend: Blend::Sharp, count });
@@ -188,6 +221,37 @@ impl Builder {
         Ok(())
     }
 
+    /// The lattice of a repetition whose copies are selected by position; None if they are to be written out. The child
+    /// must be one leaf, since a part of a shape may have other operands of the child at each copy. It must fit into its
+    /// cell, and its paint must not depend on the position in the world.
+    fn lattice(
+        &self,
+        child: &Shape,
+        spacing: DVec3,
+        counts: [u32; 3],
+        context: &InheritedState,
+    ) -> Result<Option<Lattice>, ShapeError> {
+        let copies = copies_of(counts);
+        if copies <= MAX_COPIES {
+            return Ok(None);
+        }
+        let has_mask = std::iter::successors(context.coat.as_deref(), |coat| coat.above.as_deref())
+            .any(|coat| coat.mask.is_some());
+        if context.warps + warp_depth(child) < MAX_WARPS && !has_mask {
+            let model = Self::default().build(child)?;
+            let extent = model.extent;
+            let size = extent.upper - extent.lower;
+            let is_leaf = Model::leaf_count(&model.tokens) == 1;
+            let fits = is_leaf && (0..3).all(|axis| counts[axis] == 1 || size[axis] <= spacing[axis].abs());
+            if fits && extent.unbounded.is_none() && !extent.is_empty() {
+                let middle = 0.5 * (extent.lower + extent.upper);
+                return Ok(Some(Lattice { spacing, counts, middle, upper: 0 }));
+            }
+        }
+        let leaves = child.evaluated_leaves().saturating_mul(copies);
+        if leaves > MAX_LEAVES { Err(too_many_leaves(leaves)) } else { Ok(None) }
+    }
+
     fn enter<'a>(
         &mut self,
         kind: WarpKind,
@@ -196,7 +260,7 @@ impl Builder {
         tasks: &mut Vec<Task<'a>>,
     ) -> Result<(), ShapeError> {
         if context.warps == MAX_WARPS {
-            let problem = format!("has more than {MAX_WARPS} of twist, bend and elongate inside each other");
+            let problem = format!("has more than {MAX_WARPS} of twist, bend, elongate and repeat inside each other");
             return Err(ShapeError::argument("shape", problem));
         }
         let scale = context.place.scale;
@@ -205,6 +269,11 @@ impl Builder {
             WarpKind::Elongate(half) => WarpKind::Elongate(scale * half),
             WarpKind::Twist(rate) => WarpKind::Twist(rate / scale),
             WarpKind::Bend(rate) => WarpKind::Bend(rate / scale),
+            WarpKind::NearestCopy(lattice) => WarpKind::NearestCopy(Lattice {
+                spacing: scale * lattice.spacing,
+                middle: scale * lattice.middle,
+                ..lattice
+            }),
         };
         tasks.push(Task::Warp(kind, Placement { scale: 1.0, ..context.place }));
         let place = Placement { scale, ..Placement::HERE };

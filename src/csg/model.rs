@@ -1,4 +1,4 @@
-//! A lowered shape: placements at the leaves, repetitions written out, operators in postfix order.
+//! A lowered shape: placements at the leaves, copies written out or selected by position, operators in postfix order.
 //!
 //! A [`Model`] is a table of leaves and operators and a list of [`Token`]s over them. The list is a program for a stack
 //! machine: a leaf pushes its distance, an operator pops two. A part of a model is a shorter list over the same tables,
@@ -51,6 +51,8 @@ impl Combine {
 pub enum DistanceOp {
     Offset(f64),
     Shell(f64),
+    /// Multiplies the distance by a positive factor.
+    Times(f64),
 }
 
 /// Paint on a leaf; `above` is the paint applied over it, farther up in the tree.
@@ -146,6 +148,7 @@ impl Model {
                 Operation::DistanceOp(i, operand) => match self.levels[i as usize] {
                     DistanceOp::Offset(distance) => operand.level(distance),
                     DistanceOp::Shell(thickness) => operand.level(0.5 * thickness),
+                    DistanceOp::Times(factor) => operand.times(factor),
                 },
                 Operation::Complement(operand) => operand.complement(),
                 Operation::Warp(i, operand) => operand.warped(&self.warps[i as usize]),
@@ -180,17 +183,16 @@ impl Model {
         let constant = fold_postfix::<f64>(tokens, |operation| {
             Some(match operation {
                 Operation::Leaf(leaf) => self.leaves[leaf as usize].primitive.lipschitz(),
-                Operation::Combine(i, a, b) => {
+                Operation::Combine(i, a, b) => match self.combines[i as usize].blend {
                     // The flat of a chamfer: (a + b - k) / sqrt(2).
-                    let flat = match self.combines[i as usize].blend {
-                        Blend::Chamfer(_) => std::f64::consts::SQRT_2,
-                        _ => 1.0,
-                    };
-                    a.max(b) * flat
-                }
-                Operation::DistanceOp(_, operand) | Operation::Complement(operand) | Operation::Warp(_, operand) => {
-                    operand
-                }
+                    Blend::Chamfer(_) => a.max(b).max((a + b) * 0.5f64.sqrt()),
+                    _ => a.max(b),
+                },
+                Operation::DistanceOp(i, operand) => match self.levels[i as usize] {
+                    DistanceOp::Times(factor) => factor * operand,
+                    DistanceOp::Offset(_) | DistanceOp::Shell(_) => operand,
+                },
+                Operation::Complement(operand) | Operation::Warp(_, operand) => operand,
             })
         });
         constant.unwrap_or(1.0)

@@ -197,6 +197,10 @@ impl Octree<'_> {
                             operand.low = nearest - f64::from(half);
                             operand.high = low.abs().max(high.abs()) - f64::from(half);
                         }
+                        PlacedDistanceOp::Times(factor) => {
+                            operand.low *= f64::from(factor);
+                            operand.high *= f64::from(factor);
+                        }
                     }
                     kept.push(token);
                 }
@@ -314,6 +318,14 @@ fn entered(warp: &PlacedWarp<f32>, at: DVec3, radius: f64) -> (DVec3, f64) {
     let [x, y, z] = warp.positions(&position).map(|x| f64::from(x[0]));
     let stretch = match warp.kind {
         PlacedWarpKind::Elongate(_) => 1.0,
+        // The space of the selected copy is torn where another one is selected.
+        PlacedWarpKind::NearestCopy(_) => {
+            if warp.is_one_copy(at, radius) {
+                1.0
+            } else {
+                f64::INFINITY
+            }
+        }
         // The actual stretch over the ball, which may differ from the one that distances are divided by.
         _ => 1.0 + f64::from(warp.rate) * (warp.radius_at(at) + radius),
     };

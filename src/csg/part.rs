@@ -76,12 +76,14 @@ pub(crate) fn structure(model: &Model, tokens: &[Token]) -> Vec<StructureToken> 
             Token::DistanceOp(i) => StructureToken::DistanceOp(match model.levels[i as usize] {
                 DistanceOp::Offset(_) => "offset",
                 DistanceOp::Shell(_) => "shell",
+                DistanceOp::Times(_) => "times",
             }),
             Token::Complement => StructureToken::Complement,
             Token::Enter(i) => StructureToken::Enter(match model.warps[i as usize].kind {
                 WarpKind::Elongate(_) => "elongate",
                 WarpKind::Twist(_) => "twist",
                 WarpKind::Bend(_) => "bend",
+                WarpKind::NearestCopy(_) => "nearest_copy",
             }),
             Token::Leave(_) => StructureToken::Leave,
         })

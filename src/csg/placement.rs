@@ -78,6 +78,47 @@ pub enum WarpKind {
     Twist(f64),
     /// Radians per unit of x.
     Bend(f64),
+    /// One of the copies nearest to a point.
+    NearestCopy(Lattice),
+}
+
+/// Copies about the origin, of which one is selected: along each axis the nearer or the farther one of the two whose
+/// cells are nearest to a point.
+///
+/// Let the box of the child be at most as wide as the spacing along an axis. Let `p` lie between the centres of two
+/// neighbouring boxes, and let `q` be a point of a copy beyond the upper one. Its image `q - spacing` in the next lower
+/// copy is at least as near to `p`, since `q - p` is at least half a spacing along the axis. So the nearest point of all
+/// copies belongs to one of the two copies along each axis, and their union has the distances of the union of all.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Lattice {
+    pub spacing: DVec3,
+    /// Copies along each axis.
+    pub counts: [u32; 3],
+    /// Centre of the box of the child.
+    pub middle: DVec3,
+    /// Bit `a` selects the upper one of the two copies along axis `a`.
+    pub upper: u8,
+}
+
+impl Lattice {
+    /// For each axis: the spacing, its inverse, the position of the origin in cells, the largest lower cell, and the
+    /// step from the lower cell to the copy that is selected, counted from the middle of all copies.
+    pub fn numbers(&self, scale: f64) -> [[f64; 5]; 3] {
+        [0, 1, 2].map(|axis| {
+            let (spacing, count) = (scale * self.spacing[axis], f64::from(self.counts[axis]));
+            if self.counts[axis] == 1 {
+                return [0.0; 5];
+            }
+            let half = 0.5 * (count - 1.0);
+            let step = f64::from(self.upper >> axis & 1) - half;
+            [spacing, 1.0 / spacing, half - self.middle[axis] / self.spacing[axis], count - 2.0, step]
+        })
+    }
+
+    /// Half the distance between the outermost copies along each axis.
+    pub fn reach(&self) -> DVec3 {
+        0.5 * self.spacing.abs() * (DVec3::from(self.counts.map(f64::from)) - 1.0)
+    }
 }
 
 /// Stretch of a rotation whose angle grows along an axis. At distance `r` from the z axis, the derivative of the

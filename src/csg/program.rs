@@ -43,6 +43,8 @@ pub enum PlacedWarpKind<F> {
     Elongate([F; 3]),
     Twist(F),
     Bend(F),
+    /// See [`super::placement::Lattice::numbers`].
+    NearestCopy([[F; 5]; 3]),
 }
 
 /// The tables of a model in local units.
@@ -61,6 +63,7 @@ pub enum PlacedDistanceOp<F> {
     Offset(F),
     /// Half the thickness.
     Shell(F),
+    Times(F),
 }
 
 /// The map from world units to local units.
@@ -145,6 +148,7 @@ impl<F: Real> Program<F> {
         let levels = model.levels.iter().map(|level| match *level {
             DistanceOp::Offset(distance) => PlacedDistanceOp::Offset(unit(distance)),
             DistanceOp::Shell(thickness) => PlacedDistanceOp::Shell(unit(0.5 * thickness)),
+            DistanceOp::Times(factor) => PlacedDistanceOp::Times(F::of(factor)),
         });
         // A warp may be inside another. The tokens show which warps are outermost, and only those are placed in the
         // world.
@@ -165,6 +169,9 @@ impl<F: Real> Program<F> {
                 WarpKind::Elongate(half) => PlacedWarpKind::Elongate((half / s).to_array().map(F::of)),
                 WarpKind::Twist(rate) => PlacedWarpKind::Twist(F::of(rate * s)),
                 WarpKind::Bend(rate) => PlacedWarpKind::Bend(F::of(rate * s)),
+                WarpKind::NearestCopy(lattice) => {
+                    PlacedWarpKind::NearestCopy(lattice.numbers(1.0 / s).map(|axis| axis.map(F::of)))
+                }
             },
             rows: rows(warp.place.rotation),
             shift: shift(warp.place.rotation, warp.place.translation, is_inner),
@@ -212,6 +219,7 @@ impl<F: Real> Program<F> {
                 match self.levels[i as usize] {
                     PlacedDistanceOp::Offset(distance) => values.iter_mut().for_each(|d| *d = *d - distance),
                     PlacedDistanceOp::Shell(half) => values.iter_mut().for_each(|d| *d = d.abs() - half),
+                    PlacedDistanceOp::Times(factor) => values.iter_mut().for_each(|d| *d = *d * factor),
                 }
             }
             Token::Complement => {
@@ -359,12 +367,27 @@ impl<F: Real> PlacedWarp<F> {
                 }
                 PlacedWarpKind::Twist(rate) => turned(x, y, z, -(rate * z)),
                 PlacedWarpKind::Bend(rate) => turned(x, y, z, -(rate * x)),
+                PlacedWarpKind::NearestCopy([a, b, c]) => {
+                    [nearest_copy(x, &a), nearest_copy(y, &b), nearest_copy(z, &c)]
+                }
             };
             for axis in 0..3 {
                 out[axis][i] = q[axis];
             }
         }
         out
+    }
+
+    /// Whether the same copy is selected at all points of a ball, local units. Other warps select nothing.
+    pub fn is_one_copy(&self, local: DVec3, radius: f64) -> bool {
+        let PlacedWarpKind::NearestCopy(axes) = self.kind else { return true };
+        let at = self.placed(local.to_array().map(F::of)).map(F::widen);
+        at.into_iter().zip(axes).all(|(x, axis)| {
+            let [_, inverse, start, last, _] = axis.map(F::widen);
+            let (cell, reach) = (x * inverse + start, radius * inverse.abs());
+            let lower = |cell: f64| cell.floor().clamp(0.0, last.max(0.0));
+            lower(cell - reach) == lower(cell + reach)
+        })
     }
 
     /// Divides by the stretch of the warp at each position.
@@ -378,6 +401,13 @@ impl<F: Real> PlacedWarp<F> {
             values[i] = values[i] / (F::of(1.0) + self.rate * length2(x, y).most(self.radius));
         }
     }
+}
+
+/// A coordinate in the space of the selected copy.
+#[inline(always)]
+fn nearest_copy<F: Real>(x: F, [spacing, inverse, start, last, step]: &[F; 5]) -> F {
+    let lower = (x * *inverse + *start).floor().between(F::default(), *last);
+    x - *spacing * (lower + *step)
 }
 
 /// Rotates about z.

@@ -25,6 +25,7 @@ pub trait Real:
     fn abs(self) -> Self;
     fn sin(self) -> Self;
     fn cos(self) -> Self;
+    fn floor(self) -> Self;
 
     /// Plain comparisons. The standard `min` and `max` handle NaN, which cannot occur here.
     #[inline(always)]
@@ -55,6 +56,10 @@ macro_rules! real {
             #[inline(always)]
             fn sqrt(self) -> Self {
                 self.sqrt()
+            }
+            #[inline(always)]
+            fn floor(self) -> Self {
+                self.floor()
             }
             #[inline(always)]
             fn abs(self) -> Self {

@@ -4,6 +4,7 @@
 //! share one text and one pipeline. [`ShapeShader::numbers`] is the content of that buffer. Positions are in world
 //! units.
 
+use super::gpu::by_number;
 use super::leaf::{Flat, LeafField};
 use super::model::{Leaf, Model};
 use super::part::{StructureToken, structure};
@@ -222,6 +223,7 @@ impl<'a> Writer<'a> {
                     let (call, what) = match self.program.levels[i as usize] {
                         PlacedDistanceOp::Offset(distance) => (format!("{d} - {}", self.number(distance)), "offset"),
                         PlacedDistanceOp::Shell(half) => (format!("abs({d}) - {}", self.number(half)), "shell"),
+                        PlacedDistanceOp::Times(factor) => (format!("{d} * {}", self.number(factor)), "times"),
                     };
                     let name = self.statement("d", &call, what);
                     stack.push(name);
@@ -233,6 +235,7 @@ impl<'a> Writer<'a> {
                         WarpKind::Elongate(_) => "elongate",
                         WarpKind::Twist(_) => "twist",
                         WarpKind::Bend(_) => "bend",
+                        WarpKind::NearestCopy(_) => "the nearest copy",
                     };
                     let place = self.statement("q", &format!("place_at({p}, {at})"), &format!("the space of {what}"));
                     let call = match warp.kind {
@@ -245,6 +248,10 @@ impl<'a> Writer<'a> {
                         }
                         PlacedWarpKind::Bend(rate) => {
                             format!("turned_about_z({place}, -{} * {place}.x)", self.number(rate))
+                        }
+                        PlacedWarpKind::NearestCopy(axes) => {
+                            let vectors = by_number(&axes).map(|v| v.map(|x| self.number(x)).join(", "));
+                            format!("nearest_copy({place}, {})", vectors.map(|v| format!("vec3f({v})")).join(", "))
                         }
                     };
                     let inside = self.statement("q", &call, "");

@@ -22,6 +22,8 @@ pub(crate) struct ShapeNode {
     pub children: Vec<Shape>,
     /// Number of leaves with all repetitions written out.
     leaves: u64,
+    /// As `leaves`, with eight copies for a repetition of more than [`MAX_COPIES`].
+    evaluated: u64,
 }
 
 /// Operation of a node on its children.
@@ -44,6 +46,8 @@ pub enum Kind {
     Offset(f64),
     /// A shell of this thickness about the surface.
     Shell(f64),
+    /// The child with its field multiplied by this factor.
+    Times(f64),
     /// The complement of the child.
     Complement,
     /// The child, pulled apart at the planes through the origin by this length on each side.
@@ -100,6 +104,10 @@ pub enum Blend {
 /// Largest number of leaves of a shape, with repetitions written out.
 pub(crate) const MAX_LEAVES: u64 = 1 << 20;
 
+/// Repetitions of more copies are evaluated at the copies nearest to a point where that is possible. Few copies are
+/// written out, since decomposition and rays use the boxes of each.
+pub(crate) const MAX_COPIES: u64 = 64;
+
 impl Op {
     /// All operators.
     pub const ALL: [Self; 4] = [Self::Union, Self::Intersection, Self::Difference, Self::Xor];
@@ -144,6 +152,7 @@ impl Kind {
             Self::Scale(factor) => ("scale", vec![*factor]),
             Self::Offset(distance) => ("offset", vec![*distance]),
             Self::Shell(thickness) => ("shell", vec![*thickness]),
+            Self::Times(factor) => ("times", vec![*factor]),
             Self::Complement => ("complement", Vec::new()),
             Self::Elongate(half) => ("elongate", half.to_array().to_vec()),
             Self::Reflect(normal) => ("reflect", normal.to_array().to_vec()),
@@ -162,21 +171,22 @@ impl Shape {
     fn node(kind: Kind, children: Vec<Self>) -> Result<Self, ShapeError> {
         let copies = match &kind {
             Kind::Mirror(_) => 2,
-            Kind::Repeat { counts, .. } => counts.iter().map(|&n| u64::from(n)).product(),
+            Kind::Repeat { counts, .. } => copies_of(*counts),
             _ => 1,
         };
-        let below = children.iter().map(|child| child.0.leaves).sum::<u64>().max(1);
+        let selected = if copies > MAX_COPIES { 8 } else { copies };
+        let below = children.iter().map(|child| child.0.leaves).fold(0, u64::saturating_add).max(1);
         let leaves = below.saturating_mul(copies);
-        if leaves > MAX_LEAVES {
-            let problem = format!("has {leaves} leaves with its repetitions written out, the limit is {MAX_LEAVES}");
-            return Err(ShapeError::argument("shape", problem));
+        let evaluated = children.iter().map(Self::evaluated_leaves).sum::<u64>().max(1).saturating_mul(selected);
+        if evaluated > MAX_LEAVES {
+            return Err(too_many_leaves(evaluated));
         }
-        Ok(Self(Arc::new(ShapeNode { kind, children, leaves })))
+        Ok(Self(Arc::new(ShapeNode { kind, children, leaves, evaluated })))
     }
 
     /// A primitive as a shape.
     pub fn primitive(primitive: Primitive) -> Self {
-        Self(Arc::new(ShapeNode { kind: Kind::Primitive(primitive), children: Vec::new(), leaves: 1 }))
+        Self(Arc::new(ShapeNode { kind: Kind::Primitive(primitive), children: Vec::new(), leaves: 1, evaluated: 1 }))
     }
 
     /// A baked field.
@@ -236,6 +246,12 @@ impl Shape {
             }
             ("offset", &[distance]) => Kind::Offset(finite("distance", distance)?),
             ("shell", &[thickness]) => Kind::Shell(positive("thickness", thickness)?),
+            ("times", &[factor]) => {
+                if !(1e-6..=1e6).contains(&factor) {
+                    return Err(ShapeError::argument("factor", format!("must be 1e-6 to 1e6, got {factor}")));
+                }
+                Kind::Times(factor)
+            }
             ("complement", &[]) => Kind::Complement,
             ("elongate", &[x, y, z]) => {
                 Kind::Elongate(DVec3::new(not_negative("size", x)?, not_negative("size", y)?, not_negative("size", z)?))
@@ -243,11 +259,7 @@ impl Shape {
             ("reflect", &[x, y, z]) => Kind::Reflect(unit("axis", x, y, z)?),
             ("mirror", &[x, y, z]) => Kind::Mirror(unit("axis", x, y, z)?),
             ("repeat", &[x, y, z, nx, ny, nz]) => {
-                let count = |n: f64| match n {
-                    n if n >= 1.0 && n.fract() == 0.0 && n <= MAX_LEAVES as f64 => Ok(n as u32),
-                    _ => Err(ShapeError::argument("counts", format!("must be whole numbers of at least 1, got {n}"))),
-                };
-                Kind::Repeat { spacing: vector("spacing", x, y, z)?, counts: [count(nx)?, count(ny)?, count(nz)?] }
+                Kind::Repeat { spacing: vector("spacing", x, y, z)?, counts: counts([nx, ny, nz])? }
             }
             ("twist", &[degrees]) => Kind::Twist(finite("degrees", degrees)?),
             ("bend", &[degrees]) => Kind::Bend(finite("degrees", degrees)?),
@@ -288,6 +300,31 @@ impl Shape {
     pub fn leaf_count(&self) -> u64 {
         self.0.leaves
     }
+
+    /// Number of leaves, with eight copies for a repetition of more than [`MAX_COPIES`].
+    pub(super) fn evaluated_leaves(&self) -> u64 {
+        self.0.evaluated
+    }
+}
+
+/// Number of copies of a repetition.
+pub(super) fn copies_of(counts: [u32; 3]) -> u64 {
+    counts.iter().fold(1, |all: u64, &n| all.saturating_mul(u64::from(n)))
+}
+
+/// The error of a shape with more than [`MAX_LEAVES`] leaves.
+pub(super) fn too_many_leaves(leaves: u64) -> ShapeError {
+    let problem = format!("has {leaves} leaves with its repetitions written out, the limit is {MAX_LEAVES}");
+    ShapeError::argument("shape", problem)
+}
+
+/// The numbers of copies along the axes.
+fn counts(numbers: [f64; 3]) -> Result<[u32; 3], ShapeError> {
+    if let Some(n) = numbers.into_iter().find(|&n| !(n >= 1.0 && n.fract() == 0.0 && n <= MAX_LEAVES as f64)) {
+        let problem = format!("must be whole numbers from 1 to {MAX_LEAVES}, got {n}");
+        return Err(ShapeError::argument("counts", problem));
+    }
+    Ok(numbers.map(|n| n as u32))
 }
 
 fn color(rgb: [f64; 3]) -> Result<[f32; 3], ShapeError> {

@@ -189,6 +189,7 @@ wgsl_constants! {
         TOKEN_COMPLEMENT: u32 as u32 = 7;
         TOKEN_ENTER: u32 as u32 = 8;
         TOKEN_LEAVE: u32 as u32 = 9;
+        TOKEN_TIMES: u32 as u32 = 10;
     }
     csg_interpreter {
         /// Largest number of warps inside each other: a device keeps the position before each.

@@ -6,6 +6,8 @@ is the Euclidean distance, inside and outside.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -15,7 +17,7 @@ from ..base.errors import ShapeError
 from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume
 from .arguments import Axis, axis_of, number, numbers, sides
-from .shape import Shape
+from .shape import Shape, combine
 
 #: The public functions; the package exports all of them.
 __all__ = [
@@ -356,10 +358,22 @@ def hex_prism(radius: float = 1.0, height: float = 1.0) -> Shape:
     return _primitive("hex_prism", number("radius", radius), number("height", height))
 
 
-def gyroid(cell: float = 1.0, thickness: float = 0.1) -> Shape:
-    """Make a sheet about the gyroid with period `cell`, at least `thickness` thick, world units.
+def gyroid(cell: float = 1.0, thickness: float | Shape | Volume | SparseVolume = 0.1) -> Shape:
+    """Make a sheet about the gyroid.
 
-    Its field is a lower bound with the slope 1 at most. It has no bounds.
+    Parameters
+    ----------
+    cell : float, default 1
+        Period of the surface, world units.
+    thickness : float, Shape, Volume or SparseVolume, default 0.1
+        The sheet is at least this thick, world units. A shape or a volume is a field that gives the thickness at each
+        point; the sheet is absent where it is 0 or less. See :meth:`Shape.times` for its slope.
+
+    Returns
+    -------
+    Shape
+        A shape without bounds. Its field is a lower bound of the distance; `Shape.lipschitz` bounds its slope, and is 1
+        for a number.
 
     Examples
     --------
@@ -367,14 +381,33 @@ def gyroid(cell: float = 1.0, thickness: float = 0.1) -> Shape:
     >>> core = fb.sphere(1.0) & fb.gyroid(cell=0.5, thickness=0.05)
     >>> core.bounds.tolist()
     [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]
+
+    The sheet of this core is 0.02 thick at the bottom and 0.12 at the top:
+
+    >>> height = fb.plane("z", -1.0)
+    >>> graded = fb.sphere(1.0) & fb.gyroid(cell=0.5, thickness=height.times(0.05).offset(-0.02))
+    >>> graded.lipschitz
+    1.0
     """
-    return _primitive("gyroid", number("cell", cell), number("thickness", thickness))
+    return _sheet("gyroid", cell, thickness)
 
 
-def schwarz_p(cell: float = 1.0, thickness: float = 0.1) -> Shape:
-    """Make a sheet about the primitive surface of Schwarz with period `cell`, at least `thickness` thick.
+def schwarz_p(cell: float = 1.0, thickness: float | Shape | Volume | SparseVolume = 0.1) -> Shape:
+    """Make a sheet about the primitive surface of Schwarz.
 
-    Its field is a lower bound with the slope 1 at most. It has no bounds.
+    Parameters
+    ----------
+    cell : float, default 1
+        Period of the surface, world units.
+    thickness : float, Shape, Volume or SparseVolume, default 0.1
+        The sheet is at least this thick, world units. A shape or a volume is a field that gives the thickness at each
+        point; the sheet is absent where it is 0 or less. See :meth:`Shape.times` for its slope.
+
+    Returns
+    -------
+    Shape
+        A shape without bounds. Its field is a lower bound of the distance; `Shape.lipschitz` bounds its slope, and is 1
+        for a number.
 
     Examples
     --------
@@ -383,13 +416,25 @@ def schwarz_p(cell: float = 1.0, thickness: float = 0.1) -> Shape:
     >>> core.bounds.tolist()
     [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]
     """
-    return _primitive("schwarz_p", number("cell", cell), number("thickness", thickness))
+    return _sheet("schwarz_p", cell, thickness)
 
 
-def diamond(cell: float = 1.0, thickness: float = 0.1) -> Shape:
-    """Make a sheet about the diamond surface of Schwarz with period `cell`, at least `thickness` thick.
+def diamond(cell: float = 1.0, thickness: float | Shape | Volume | SparseVolume = 0.1) -> Shape:
+    """Make a sheet about the diamond surface of Schwarz.
 
-    Its field is a lower bound with the slope 1 at most. It has no bounds.
+    Parameters
+    ----------
+    cell : float, default 1
+        Period of the surface, world units.
+    thickness : float, Shape, Volume or SparseVolume, default 0.1
+        The sheet is at least this thick, world units. A shape or a volume is a field that gives the thickness at each
+        point; the sheet is absent where it is 0 or less. See :meth:`Shape.times` for its slope.
+
+    Returns
+    -------
+    Shape
+        A shape without bounds. Its field is a lower bound of the distance; `Shape.lipschitz` bounds its slope, and is 1
+        for a number.
 
     Examples
     --------
@@ -398,13 +443,25 @@ def diamond(cell: float = 1.0, thickness: float = 0.1) -> Shape:
     >>> core.bounds.tolist()
     [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]
     """
-    return _primitive("diamond", number("cell", cell), number("thickness", thickness))
+    return _sheet("diamond", cell, thickness)
 
 
-def iwp(cell: float = 1.0, thickness: float = 0.1) -> Shape:
-    """Make a sheet about the I-WP surface of Schoen with period `cell`, at least `thickness` thick.
+def iwp(cell: float = 1.0, thickness: float | Shape | Volume | SparseVolume = 0.1) -> Shape:
+    """Make a sheet about the I-WP surface of Schoen.
 
-    Its field is a lower bound with the slope 1 at most. It has no bounds.
+    Parameters
+    ----------
+    cell : float, default 1
+        Period of the surface, world units.
+    thickness : float, Shape, Volume or SparseVolume, default 0.1
+        The sheet is at least this thick, world units. A shape or a volume is a field that gives the thickness at each
+        point; the sheet is absent where it is 0 or less. See :meth:`Shape.times` for its slope.
+
+    Returns
+    -------
+    Shape
+        A shape without bounds. Its field is a lower bound of the distance; `Shape.lipschitz` bounds its slope, and is 1
+        for a number.
 
     Examples
     --------
@@ -413,7 +470,7 @@ def iwp(cell: float = 1.0, thickness: float = 0.1) -> Shape:
     >>> core.bounds.tolist()
     [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]
     """
-    return _primitive("iwp", number("cell", cell), number("thickness", thickness))
+    return _sheet("iwp", cell, thickness)
 
 
 def volume_shape(volume: Volume | SparseVolume) -> Shape:
@@ -450,6 +507,31 @@ def volume_shape(volume: Volume | SparseVolume) -> Shape:
 
 def _primitive(name: str, *numbers: float) -> Shape:
     return Shape._wrap(_core.Shape.primitive(name, list(numbers)))
+
+
+#: Largest magnitude of the level function of each periodic surface, divided by the bound of its gradient (these bounds
+#: are in src/csg/primitive.rs). I-WP is 3 - (X - Y)^2 - (Y - Z)^2 - (Z - X)^2 for the cosines X, Y and Z, so it lies
+#: between -5 and 3.
+_LARGEST = {
+    "gyroid": 1.5 / math.sqrt(3),
+    "schwarz_p": 3 / math.sqrt(3),
+    "diamond": math.sqrt(2) / math.sqrt(3),
+    "iwp": 5 / math.sqrt(27),
+}
+
+
+def _sheet(name: str, cell: float, thickness: float | Shape | Volume | SparseVolume) -> Shape:
+    """Make a sheet about a periodic surface, whose thickness is a number or a field."""
+    if isinstance(thickness, Volume | SparseVolume):
+        thickness = volume_shape(thickness)
+    if not isinstance(thickness, Shape):
+        return _primitive(name, number("cell", cell), number("thickness", thickness))
+    # Let g be the distance of the sheet of thickness 0, t the thickness, and T/2 the largest value of g. The chamfered
+    # intersection of g - T/2 and -t/2 with the width T/2 is max(g - T/2, -t/2, (g - t/2) / sqrt(2)). The first is at
+    # most 0 everywhere, so the result is at most 0 where t >= 0 and g <= t/2.
+    width = 1.0001 * number("cell", cell) * _LARGEST[name] / (2 * math.pi)
+    whole = _primitive(name, cell, 2 * width)
+    return combine("intersection", [whole, ~thickness.times(0.5)], chamfer=width)
 
 
 def _is_point(value: object) -> bool:

@@ -105,6 +105,7 @@ MODIFIERS: dict[str, Callable[..., str]] = {
     "scale": lambda s: _call("scale", s),
     "flate": lambda r: _call("offset", r),
     "shell": lambda t: _call("shell", t),
+    "times": lambda factor: _call("times", factor),
     "align": lambda *anchor: _call("align", _vector(anchor)),
     "elongate": lambda *size: _call("elongate", _vector(size)),
     "mirror": lambda *axis: _call("mirror", _axis(axis)),

@@ -195,7 +195,10 @@ class Shape(Viewable):
     def repeat(self, spacing: ArrayLike, counts: ArrayLike) -> Shape:
         """Repeat the shape on a centred lattice: `counts` (3,) copies along the axes, at the distances `spacing` (3,).
 
-        The result is the union of all copies, which may overlap. Decomposition makes it cheap to draw.
+        The result is the union of all copies, which may overlap. More than 64 copies of one primitive that fits into
+        its cell, a box with the sides `spacing`, are evaluated at the two nearest ones along each axis. Their cost does
+        not depend on their number. The field is that of the union if the primitive is exact, else a lower bound.
+        Decomposition makes other repetitions cheap to draw.
         """
         return self._changed(
             "repeat", *arguments.numbers("spacing", spacing, 3), *arguments.numbers("counts", counts, 3)
@@ -216,6 +219,14 @@ class Shape(Viewable):
     def shell(self, thickness: float) -> Shape:
         """Replace the solid by a shell about its surface. Half of `thickness`, world units, lies on each side."""
         return self._changed("shell", arguments.number("thickness", thickness))
+
+    def times(self, factor: float) -> Shape:
+        """Multiply the field by `factor`, 1e-6 to 1e6. The solid stays, and the slope of the field changes.
+
+        The field ``shape.times(0.1).offset(-0.02)`` is 0.02 on the surface and changes by 0.1 per unit of distance. It
+        may be the thickness of :func:`gyroid`. The result is a distance only for the factor 1.
+        """
+        return self._changed("times", arguments.number("factor", factor))
 
     def elongate(self, size: ArrayLike) -> Shape:
         """Cut the shape at the coordinate planes and pull the pieces apart by `size` (3,) in total."""
@@ -299,7 +310,7 @@ class Shape(Viewable):
 
     @property
     def lipschitz(self) -> float:
-        """Bound on the slope of the field: 1, except for chamfers and volumes."""
+        """Bound on the slope of the field: 1, except for chamfers, volumes and :meth:`times`."""
         return self._core.lipschitz
 
     def to_sexpr(self) -> str:
