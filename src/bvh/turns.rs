@@ -18,7 +18,7 @@ struct Search {
     /// Index of the ray.
     index: usize,
     limit: f32,
-    /// What is searched in the next turn.
+    /// Node or leaf that the next turn searches.
     child: ChildRef,
     /// Lanes of the pack `child` that the next turn decides in float64. If zero, the next turn finds them.
     candidates: u32,

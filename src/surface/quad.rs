@@ -33,7 +33,7 @@ impl Quad {
         let first = area(a, b, c).min(area(a, c, d));
         let second = area(b, c, d).min(area(b, d, a));
         let limit = MARGIN * MARGIN;
-        // Of two divisions that do not fold, the one with the shorter diagonal is chosen.
+        // The division with the shorter diagonal is chosen if neither folds.
         let joins_first = if first <= limit || second <= limit {
             first >= second
         } else {

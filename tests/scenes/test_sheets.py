@@ -321,7 +321,7 @@ def test_a_body_wound_inside_out_looks_like_its_solid(reversed_bodies, device):
 
     def bodies(is_reversed):
         parts = [
-            (ball.vertices + [1.2 * i, 0, 0], ball.faces[:, ::-1] if turned else ball.faces)
+            (ball.vertices + np.array([1.2 * i, 0, 0]), ball.faces[:, ::-1] if turned else ball.faces)
             for i, turned in enumerate(is_reversed)
         ]
         return fb.as_mesh(parts)
