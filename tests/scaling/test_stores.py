@@ -158,11 +158,13 @@ def test_shards_that_turned_out_to_be_outside_are_not_computed_again(mesh, tmp_p
     assert contents(tmp_path / "k.zarr") == before
 
 
-#: A bake that reports its progress.
+#: A bake that waits after its first shards, so that a signal arrives before its end.
 SLOW = """
-import sys, fieldbake as fb
+import sys, time, fieldbake as fb
 knot = fb.models.torus_knot(segments=48, sides=6)
-report = lambda share: print(share, flush=True)
+def report(share):
+    print(share, flush=True)
+    time.sleep(1)
 fb.bake_to_zarr(knot, sys.argv[1], 40, shard=8, chunk=8, threads=1, progress=report)
 """
 
