@@ -16,9 +16,6 @@
 #import viewer_hits
 #import viewer_corner
 
-// A shadow ray starts at this distance above its triangle, voxels of the field: the two differ by less.
-const BIAS_TRIANGLE: f32 = 1.0;
-
 struct LitCorner {
     @builtin(position) clip: vec4f,
     // Scene space.
@@ -59,7 +56,8 @@ fn lit_color(corner: LitCorner) -> @location(0) vec4f {
     let to_eye = normalize(view.eye.xyz - p);
     let normal = normalize(corner.normal);
     let own_index = u32(own.texels[23].z);
-    let offset = BIAS_TRIANGLE * length(moved_by_transpose(own_index, 9u, normal));
+    // A shadow ray starts one voxel of the field above its triangle: the two differ by less.
+    let offset = length(moved_by_transpose(own_index, 9u, normal));
     let own_start = moved(own_index, 6u, vec4f(p + offset * normal, 1.0));
     let ambient = select(view.light.x, ambient_light(normal, view.light.x), view.light.y == 1.0);
     var color = glow.xyz + ambient * tint.xyz;

@@ -19,6 +19,7 @@ use super::chord::{PartKind, Step};
 use super::compiled::{Compiled, Entry};
 use super::leaf::{Flat, LeafField, PlacedLeaf, kernel_texts};
 use super::picture::{Drawing, PixelScratch, ShapeView, VisiblePoint};
+use super::placement::by_number;
 use super::program::{Joint, PlacedDistanceOp, PlacedWarpKind, Program};
 use super::shape::Op;
 use super::solid::Solid;
@@ -152,11 +153,6 @@ impl<'a> Encoder<'a> {
             numbers: context.upload("numbers of a shape", &self.numbers)?,
         })
     }
-}
-
-/// The numbers of a lattice in the order of shaders: each as a vector over the axes.
-pub(super) fn by_number(axes: &[[f32; 5]; 3]) -> [[f32; 3]; 5] {
-    std::array::from_fn(|number| axes.map(|axis| axis[number]))
 }
 
 fn placed(rows: &[[f32; 3]; 3], [shift_x, shift_y, shift_z]: [f32; 3]) -> CsgLeaf {

@@ -136,3 +136,8 @@ impl Stretch {
         1.0 + self.rate.abs() * r.max(self.radius)
     }
 }
+
+/// The numbers of a lattice in the order of shaders: each as a vector over the axes.
+pub(super) fn by_number(axes: &[[f32; 5]; 3]) -> [[f32; 3]; 5] {
+    std::array::from_fn(|number| axes.map(|axis| axis[number]))
+}

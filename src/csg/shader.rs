@@ -4,11 +4,10 @@
 //! share one text and one pipeline. [`ShapeShader::numbers`] is the content of that buffer. Positions are in world
 //! units.
 
-use super::gpu::by_number;
 use super::leaf::{Flat, LeafField};
 use super::model::{Leaf, Model};
 use super::part::{StructureToken, structure};
-use super::placement::WarpKind;
+use super::placement::{WarpKind, by_number};
 use super::primitive::{PARAMETERS, Primitive};
 use super::program::{Joint, LocalFrame, PlacedDistanceOp, PlacedWarpKind, Program};
 use super::shape::Op;

@@ -134,14 +134,14 @@ def text(name: str, value: object) -> str:
     return value
 
 
-def path(value: object, name: str = "path") -> Path:
+def path(value: object, name: str = "path", error: type[Error] = ArgumentError) -> Path:
     """Check a path: text, bytes or an object with ``__fspath__``."""
     try:
         text = os.fsdecode(value)  # type: ignore[arg-type]
     except TypeError:
-        raise ArgumentError(f"{name}: must be text or a path, got {describe(value)}") from None
+        raise error(f"{name}: must be text or a path, got {describe(value)}") from None
     if not text or "\0" in text:
-        raise ArgumentError(f"{name}: must be a path, got {text!r}")
+        raise error(f"{name}: must be a path, got {text!r}")
     return Path(text)
 
 

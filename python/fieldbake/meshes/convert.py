@@ -255,7 +255,7 @@ def _from_file(path: str | os.PathLike[str]) -> list[_Piece]:
 
 def _read_file(path: str | os.PathLike[str], take: Callable[[Any, Document | None], list[_Piece]]) -> list[_Piece]:
     """List the pieces that `take` finds in the scene of a file. Every failure of a reader becomes a MeshError."""
-    file = checks.path(path, "mesh")
+    file = checks.path(path, "mesh", MeshError)
     if file.is_dir():
         raise MeshError(f"{path}: is a directory, not a mesh file")
     # Opening the file here keeps FileNotFoundError and PermissionError unchanged.
