@@ -45,13 +45,13 @@ SCRIPT = """
   const still = spent();
   await page.waitForFunction(() => window.fieldbake?.view.times.first, null, { timeout: 300_000, polling: 10 });
   const live = spent();
-  await page.evaluate(() => fieldbake.ready);
+  const ready = await page.evaluate(() => fieldbake.ready.then(() => performance.now()));
   const exact = spent();
-  const times = await page.evaluate(() => {
+  const times = await page.evaluate((ready) => {
     const load = performance.getEntriesByType("navigation")[0].loadEventEnd;
-    const { first, still } = fieldbake.view.times;
-    return { first: first - load, load, still };
-  });
+    const { first } = fieldbake.view.times;
+    return { first: first - load, load, still: ready - first };
+  }, ready);
   const moving = [];
   for (let i = 0; i < 40; i++) {
     const before = spent();

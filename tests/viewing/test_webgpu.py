@@ -58,6 +58,51 @@ LOSE = """(async () => {
   return { before, after: api(), spread: Math.max(...reds) - Math.min(...reds), hasFailed: view.hasFailed };
 })()"""
 
+#: Loses the device in a call of WebGPU while the view draws. Resolves to the state of the view after the next picture.
+LOSE_IN = """(async () => {
+  while (!window.fieldbake) await new Promise((done) => setTimeout(done, 20));
+  await fieldbake.ready;
+  const { view } = fieldbake;
+  const api = () => ("device" in view.acquire().engine ? "WebGPU" : "WebGL 2");
+  const before = api();
+  const { device } = view.acquire().engine;
+  let isLost = false;
+  const own = CLASS.prototype.METHOD;
+  CLASS.prototype.METHOD = function (...values) {
+    CLASS.prototype.METHOD = own;
+    const done = own.apply(this, values);
+    device.destroy();
+    isLost = true;
+    return done;
+  };
+  view.camera.orbit(0.3, 0);
+  view.redraw();
+  while (!isLost) await new Promise((done) => setTimeout(done, 5));
+  await new Promise((done) => setTimeout(done, 200));
+  const hasFailed = view.hasFailed;
+  await view.settled;
+  view.camera.orbit(0.3, 0);
+  view.redraw();
+  await view.settled;
+  const { width, height } = view.canvas;
+  const reds = view.canvas.getContext("2d").getImageData(0, 0, width, height).data.filter((_, i) => i % 4 === 0);
+  const spread = Math.max(...reds) - Math.min(...reds);
+  return { before, after: api(), spread, hasFailed, note: document.querySelector(".fb-note").textContent };
+})()"""
+
+#: Resolves to the text of a page that shows its picture only.
+STILL = """(async () => {
+  const state = () => document.documentElement.dataset.fieldbake;
+  for (let i = 0; i < 1000 && !state(); i++) await new Promise((done) => setTimeout(done, 20));
+  return { state: state(), text: document.body.innerText };
+})()"""
+
+#: Leaves the device textures of one row.
+ONE_ROW = """
+  const limits = Object.getOwnPropertyDescriptor(GPUSupportedLimits.prototype, "maxTextureDimension2D");
+  Object.defineProperty(GPUSupportedLimits.prototype, "maxTextureDimension2D", { ...limits, get: () => 1 });
+"""
+
 
 def pixels(text: str) -> np.ndarray:
     return np.frombuffer(base64.b64decode(text), np.uint8).reshape(SIZE[1], SIZE[0], 4)
@@ -106,3 +151,27 @@ def test_a_lost_device_is_replaced_by_webgl(tmp_path: Path) -> None:
     (without,) = visit([{"url": page.as_uri() + "#webgpu", "expression": PICTURES}])
     assert without.value is not None, without.errors
     assert without.value["api"] == "WebGL 2"
+
+
+def test_a_device_that_is_lost_during_a_drawing_is_no_problem_of_the_view(tmp_path: Path) -> None:
+    page = tmp_path / "ball.html"
+    fb.bake(fb.sphere(radius=1), 16, device="cpu").to_html(page, size=SIZE)
+    calls = (("GPUQueue", "onSubmittedWorkDone"), ("GPUBuffer", "mapAsync"))
+    texts = [LOSE_IN.replace("CLASS", name).replace("METHOD", method) for name, method in calls]
+    for lost in visit(
+        [{"url": page.as_uri() + "#webgpu", "expression": text} for text in texts], timeout=120, flags=FLAGS
+    ):
+        assert lost.value is not None, lost.errors
+        assert (lost.value["before"], lost.value["after"]) == ("WebGPU", "WebGL 2")
+        assert lost.value["spread"] > 100
+        assert not lost.value["hasFailed"]
+        assert "Error" not in lost.value["note"]
+
+
+def test_a_view_that_exceeds_the_limits_of_its_device_states_the_reason(tmp_path: Path) -> None:
+    page = tmp_path / "ball.html"
+    fb.bake(fb.sphere(radius=1), 32, device="cpu").to_html(page, size=SIZE)
+    (still,) = visit([{"url": page.as_uri() + "#webgpu", "expression": STILL, "before": ONE_ROW}], flags=FLAGS)
+    assert still.value is not None, still.errors
+    assert still.value["state"] == "still"
+    assert "The samples exceed the textures of this graphics device" in still.value["text"]

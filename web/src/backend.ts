@@ -27,7 +27,7 @@ export interface Pass {
   height: number;
   /** The block `View` of shaders/viewer/table.wgsl. */
   view: Float32Array<ArrayBuffer>;
-  textures: Partial<Record<TextureKind, Texture | null>>;
+  textures: Record<TextureKind, Texture | null>;
   /** The triangles of the picture; null for a picture of rays. */
   triangles: Scenery | null;
 }
@@ -64,8 +64,12 @@ export interface Backend {
 
 export type Bytes = Uint8ClampedArray<ArrayBuffer>;
 
-/** Floats of the blocks `View`, `Own` and `Lights` of the shaders in the order of their binding points. */
-export const BLOCK_FLOATS = [56, 96, 128];
+/** Floats of the block `View` of the shaders. */
+export const VIEW_FLOATS = 56;
+/** Texels in a row of the table of instances, as in shaders/viewer/table.wgsl. */
+export const ROW = 24;
+/** Largest number of lights. Each has two texels. */
+export const MOST_LIGHTS = 16;
 
 /** The reason why a view cannot be drawn, as a sentence for the reader of the page. */
 export class Unavailable extends Error {}

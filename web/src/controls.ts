@@ -35,6 +35,9 @@ const STYLE = `
 /** The colours from 0 to the most steps or the largest error, as `heat` in shaders/viewer/view.wgsl has them. */
 const HEAT = "linear-gradient(90deg,#08081f,#401f73,#b3336b,#f58040,#ffeb99)";
 
+/** A device that is lost while it draws has no values. The next input draws them on another one. */
+const ignore = () => {};
+
 /** Length of a drag that turns the camera by 360 degrees, pixels. */
 const TURN_PX = 500;
 
@@ -89,7 +92,8 @@ export class Controls {
     this.place.value = "0.5";
     this.placeText = element("output", axes);
     this.button(bar, "cut", "Cut away the half before the slice", () => this.change(() => {
-      if (view.settings.slice) view.settings.slice.cut = !view.settings.slice.cut;
+      const { slice } = view.settings;
+      if (slice) view.settings.slice = { ...slice, cut: !slice.cut };
     }));
     this.button(bar, "light", "Drag moves the light (also: Shift and drag)", () => {
       this.isLight = !this.isLight;
@@ -271,7 +275,7 @@ export class Controls {
     canvas.addEventListener("pointermove", (event) => {
       const before = this.pointers.get(event.pointerId);
       if (!before) {
-        if (view.settings.slice && view.isComplete) void this.showValue(place(event));
+        if (view.settings.slice && view.isComplete) void this.showValue(place(event)).catch(ignore);
         return;
       }
       const [dx, dy] = [event.clientX - before[0], event.clientY - before[1]];
@@ -300,13 +304,7 @@ export class Controls {
       moved(() => view.camera.zoom(Math.exp(Math.max(-0.5, Math.min(0.5, event.deltaY * lines * 0.0015)))));
     }, { ...on, passive: false });
     canvas.addEventListener("contextmenu", (event) => event.preventDefault(), on);
-    canvas.addEventListener("dblclick", async (event) => {
-      const pick = await view.pick(...place(event));
-      if (!pick) return this.say("no surface at this pixel");
-      const name = view.data.count > 1 ? view.data.nameOf(pick.object) : "";
-      this.say(`${name}   point ${pick.point.map(text).join(", ")}   normal ${pick.normal.map((x) => x.toFixed(3)).join(", ")}   distance ${text(pick.distance)}`);
-      this.onPick(pick);
-    }, on);
+    canvas.addEventListener("dblclick", (event) => void this.showPick(place(event)).catch(ignore), on);
     canvas.addEventListener("keydown", (event) => {
       const step = Math.PI / 24;
       const acts: Record<string, () => void> = {
@@ -330,6 +328,15 @@ export class Controls {
     const [x, y, z] = settings.light ?? unit(data.description.key.direction);
     // The drag moves the position of the light on a sphere around the object.
     settings.light = unit([x - (2 * dx) / TURN_PX, y + (2 * dy) / TURN_PX, Math.min(z, -0.05)] as Vector);
+  }
+
+  private async showPick([x, y]: [number, number]): Promise<void> {
+    const { view } = this;
+    const pick = await view.pick(x, y);
+    if (!pick) return this.say("no surface at this pixel");
+    const name = view.data.count > 1 ? view.data.nameOf(pick.object) : "";
+    this.say(`${name}   point ${pick.point.map(text).join(", ")}   normal ${pick.normal.map((x) => x.toFixed(3)).join(", ")}   distance ${text(pick.distance)}`);
+    this.onPick(pick);
   }
 
   private async showValue([x, y]: [number, number]): Promise<void> {

@@ -1,6 +1,6 @@
 // The resources of a view on a device: its samples, its table of instances, and the input of its pictures.
 
-import { Backend, Bytes, Program, Shape, Texture, Unavailable } from "./backend";
+import { Backend, Bytes, MOST_LIGHTS, Program, ROW, Shape, Texture, Unavailable } from "./backend";
 import { Camera } from "./camera";
 import { Data, FilteredGrids, InstanceData } from "./data";
 import { levelSet } from "./surface";
@@ -8,9 +8,6 @@ import { Affine, Vector, add, direction, dot, inverse, point, product, subtract,
 
 /** Texels in a row of the texture of words. */
 const WIDTH = 2048;
-/** Texels in a row of the table of instances, as in shaders/viewer/table.wgsl. */
-const ROW = 24;
-const MOST_LIGHTS = 16;
 
 export const Picture = { color: 0, steps: 1, depth: 2, normal: 3, object: 6, slice: 7, error: 8 } as const;
 

@@ -86,7 +86,7 @@ function drawFirst(view: View, kind: "moving" | "hidden"): Promise<void> {
 interface PageHook {
   /** Resolves when the first picture is drawn, or the view has reported why there is none. */
   ready: Promise<void>;
-  pixels(): Pixels | Promise<Pixels>;
+  pixels(): Promise<Pixels>;
   view: View;
 }
 

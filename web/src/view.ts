@@ -3,7 +3,7 @@
 import { Camera } from "./camera";
 import { Data } from "./data";
 import { Picture, Resources, Settings } from "./engine";
-import { Backend, Bytes, Unavailable } from "./backend";
+import { Backend, Unavailable } from "./backend";
 import { Vector, add, times } from "./vectors";
 import { WebGl } from "./webgl";
 import { WebGpu, requestedDevice } from "./webgpu";
@@ -44,13 +44,29 @@ const SMOOTH_MS = 1000;
 const SAMPLES = [[-0.125, -0.375], [0.375, -0.125], [0.125, 0.375], [-0.375, 0.125]];
 /** A view releases its context after this time without input, milliseconds. */
 const IDLE_MS = 3000;
-/** A picture of coarse triangles that takes less than this is followed by one of fine ones, about four times as many, milliseconds. */
+/** A picture of coarse triangles that takes less than this is followed by one of fine ones, four to ten times as many, milliseconds. */
 const FAST_MS = 12;
 /** Largest factor by which a picture in motion is smaller. */
 const COARSEST = 6;
 
 let shared: Backend | null = null;
 const users = new Set<View>();
+
+/** The last drawing of all views of the document. They share one target, so drawings run one after another. */
+let last: Promise<unknown> = Promise.resolve();
+/** Number of urgent drawings that wait: pictures in motion and values of pixels. Pictures at rest stop for them. */
+let urgent = 0;
+
+/** Run a drawing after all earlier ones. */
+function inQueue<T>(isUrgent: boolean, draw: () => Promise<T>): Promise<T> {
+  if (isUrgent) urgent++;
+  const work = last.then(() => {
+    if (isUrgent) urgent--;
+    return draw();
+  });
+  last = work.catch(() => {});
+  return work;
+}
 
 /** The device of WebGPU; null until the browser has one, where it has none, and after a failure. */
 let device: GPUDevice | null = null;
@@ -99,8 +115,12 @@ export class View {
   private coarseness = 2;
   /** Whether pictures in motion have the triangles of coarse grids. */
   private isCoarse = true;
+  /** The level of the last picture in motion. */
+  private movingLevel = NaN;
   private isBusy = false;
   private isStale: Drawing | null = null;
+  /** Ends the wait of a picture at rest for its program. */
+  private stopWaiting = () => {};
   private idle = 0;
   private later = 0;
   private waiting: Array<() => void> = [];
@@ -159,11 +179,12 @@ export class View {
     this.settle();
   }
 
-  /** Forget the resources of a lost context. An unfinished picture is drawn again in a new context. */
+  /** Forget the resources of a lost device. An unfinished picture is drawn again by a new one. */
   lost(engine: Backend): void {
     if (this.resources?.engine !== engine) return;
     this.resources = null;
-    if (this.isComplete || this.isClosed) return;
+    // WebGPU reports errors late, so that a picture that seems complete may have one.
+    if ((this.isComplete && engine instanceof WebGl) || this.isClosed) return;
     // The browser drops a context when other windows make new ones. The delay grows, so that those finish first.
     const delay = (100 + 500 * Math.random()) * 2 ** Math.min(this.losses++, 5);
     setTimeout(() => this.redraw(), delay);
@@ -181,15 +202,23 @@ export class View {
     this.turn++;
     if (this.isBusy) {
       this.isStale = kind;
+      this.stopWaiting();
       return;
     }
     this.isBusy = true;
-    const work = kind === "smooth" ? this.drawSmooth() : kind === "still" ? this.drawStill() : this.drawMoving(kind === "moving");
-    work
+    let used: Backend | null = null;
+    const draw = async () => {
+      const resources = this.acquire();
+      used = resources.engine;
+      if (kind === "smooth") await this.drawSmooth(resources);
+      else if (kind === "still") await this.drawStill(resources);
+      else await this.drawMoving(resources, kind === "moving");
+    };
+    draw()
       .catch((problem) => {
-        // A lost context is no problem of the view: `lost` draws again.
-        if (shared?.isLost) return;
-        if (shared instanceof WebGpu) {
+        // The loss of a device is no problem of the view: `lost` draws again.
+        if (used?.isLost) return;
+        if (used instanceof WebGpu) {
           // WebGL 2 draws the picture instead.
           device?.destroy();
           return;
@@ -213,67 +242,74 @@ export class View {
     this.later = window.setTimeout(() => this.redraw(kind), pause);
   }
 
-  /** Colours and depths of the present camera and settings, drawn at once; a promise by WebGPU. */
-  pixels(): Pixels | Promise<Pixels> {
-    const resources = this.acquire();
-    const { width, height } = this.canvas;
-    const whole = (picture: number) => {
-      resources.prepare(this.camera, this.settings, width, height, picture);
-      resources.draw(0, height);
-      return resources.read(width, height);
-    };
-    const [color, depth] = [whole(Picture.color), whole(Picture.depth)];
-    this.redraw();
-    const made = (color: Bytes, depth: Bytes): Pixels => {
+  /** Colours and depths of the present camera and settings. */
+  pixels(): Promise<Pixels> {
+    return inQueue(true, async () => {
+      const resources = this.acquire();
+      const { width, height } = this.canvas;
+      const whole = (picture: number) => {
+        resources.prepare(this.camera, this.settings, width, height, picture);
+        resources.draw(0, height);
+        return resources.read(width, height);
+      };
+      const [color, depth] = await Promise.all([Picture.color, Picture.depth].map(whole));
       const depths = new Float32Array(depth.buffer).map((value) => (value < NO_DEPTH ? value : Infinity));
       return { width, height, color: new Uint8Array(color.buffer), depth: depths };
-    };
-    if (color instanceof Promise || depth instanceof Promise) return Promise.all([color, depth]).then((both) => made(...both));
-    return made(color, depth);
+    });
   }
 
   /** The surface or slice at a pixel of the canvas, counted from the upper left corner; null on the background. */
   async pick(x: number, y: number): Promise<Pick | null> {
-    // The ray goes through the centre of the pixel, as in the shader.
+    // The ray goes through the centre of the pixel, as in the shader. The camera may turn before the values are there.
     [x, y] = [Math.floor(x), Math.floor(y)];
-    const slice = this.settings.slice && (await this.value(Picture.slice, x, y));
-    const depth = await this.value(Picture.depth, x, y);
-    const { width, height } = this.canvas;
-    const way = this.camera.through(x, y, width, height);
-    if (slice !== null && slice < NO_DEPTH && this.settings.slice) {
-      const { axis, at } = this.settings.slice;
-      const t = (at - this.camera.eye[axis]) / way[axis];
-      if (t > 0 && (t <= depth || this.settings.slice.cut)) {
+    const { eye } = this.camera;
+    const { level, slice } = this.settings;
+    const way = this.camera.through(x, y, this.canvas.width, this.canvas.height);
+    const pictures = [Picture.depth, Picture.object, Picture.normal, Picture.normal + 1, Picture.normal + 2];
+    if (slice) pictures.push(Picture.slice);
+    const [depth, object, nx, ny, nz, distance] = await this.values(pictures, x, y);
+    if (slice && distance < NO_DEPTH) {
+      const { axis, at } = slice;
+      const t = (at - eye[axis]) / way[axis];
+      if (t > 0 && (t <= depth || slice.cut)) {
         const normal: Vector = [0, 0, 0];
         normal[axis] = -Math.sign(way[axis]);
-        return { point: add(this.camera.eye, times(way, t)), normal, distance: slice, depth: t, object: -1 };
+        return { point: add(eye, times(way, t)), normal, distance, depth: t, object: -1 };
       }
     }
     if (!(depth < NO_DEPTH)) return null;
-    const normal: Vector = [0, 0, 0];
-    for (const axis of [0, 1, 2]) normal[axis] = await this.value(Picture.normal + axis, x, y);
-    const object = Math.round(await this.value(Picture.object, x, y));
-    return { point: add(this.camera.eye, times(way, depth)), normal, distance: this.settings.level, depth, object };
+    return { point: add(eye, times(way, depth)), normal: [nx, ny, nz], distance: level, depth, object: Math.round(object) };
   }
 
   /** The distance on the slice at a pixel of the canvas; null where the slice is not visible. */
   async sliceValue(x: number, y: number): Promise<number | null> {
     if (!this.settings.slice) return null;
-    const value = await this.value(Picture.slice, x, y);
+    const [value] = await this.values([Picture.slice], x, y);
     return value < NO_DEPTH ? value : null;
   }
 
-  private value(picture: number, x: number, y: number): Promise<number> {
-    const resources = this.acquire();
-    resources.prepare(this.camera, this.settings, this.canvas.width, this.canvas.height, picture);
-    // The value replaces the picture in the context, so that an unfinished one is drawn again.
-    this.turn++;
-    if (!this.isComplete) this.redrawLater();
-    return resources.value(Math.floor(x), Math.floor(y), this.canvas.height);
+  /** The float32 of each of these pictures at a pixel, for the camera and the settings at the time of the call. */
+  private values(pictures: number[], x: number, y: number): Promise<number[]> {
+    const camera = new Camera(this.camera.state);
+    const settings = { ...this.settings };
+    return inQueue(true, async () => {
+      if (this.isClosed) return pictures.map(() => Infinity);
+      const resources = this.acquire();
+      const { width, height } = this.canvas;
+      const value = (picture: number) => {
+        resources.prepare(camera, settings, width, height, picture);
+        return resources.value(Math.floor(x), Math.floor(y), height);
+      };
+      const found = await Promise.all(pictures.map(value));
+      if (resources.engine.isLost) throw new Error("The graphics device was lost.");
+      return found;
+    });
   }
 
   private acquire(): Resources {
-    if (!this.resources || this.resources.engine.isLost) this.resources = new Resources(engine(), this.data);
+    // A picture may be unfinished on the lost device.
+    if (this.resources?.engine.isLost) this.lost(this.resources.engine);
+    this.resources ??= new Resources(engine(), this.data);
     this.wait();
     return this.resources;
   }
@@ -301,62 +337,81 @@ export class View {
     this.onChange();
   }
 
-  private async drawMoving(isShown: boolean): Promise<void> {
-    const started = performance.now();
-    const resources = this.acquire();
-    // Steps and errors are those of the exact picture.
-    const isFiltered = this.picture === Picture.color;
-    // The time for triangles hardly depends on the number of pixels.
-    const isTriangles = isFiltered && resources.isSurface(this.settings);
-    const share = isTriangles ? 1 : 1 / this.coarseness;
-    const width = Math.max(1, Math.round(this.canvas.width * share));
-    const height = Math.max(1, Math.round(this.canvas.height * share));
-    resources.isCoarse = this.isCoarse;
-    resources.prepare(this.camera, this.settings, width, height, this.picture, isFiltered);
-    resources.draw(0, height);
-    await resources.engine.finished();
-    if (this.resources !== resources || resources.engine.isLost) return;
-    if (isShown) await this.show(resources);
-    const spent = performance.now() - started;
-    this.times.moving = spent;
-    this.times.width = width;
-    this.times.first ||= performance.now();
-    // The time for rays goes with the number of pixels. One slow frame, such as that of a first compilation, changes little.
-    const factor = Math.max(0.7, Math.min(1.4, Math.sqrt(spent / MOVING_MS)));
-    if (isTriangles) this.isCoarse = spent > (this.isCoarse ? FAST_MS : MOVING_MS);
-    else this.coarseness = Math.max(1, Math.min(COARSEST, this.coarseness * factor));
+  /** Whether the device has the resources of a drawing that no later request replaces. */
+  private isCurrent(resources: Resources, turn = this.turn): boolean {
+    return this.turn === turn && this.resources === resources && !resources.engine.isLost;
+  }
+
+  private async drawMoving(resources: Resources, isShown: boolean): Promise<void> {
+    await inQueue(true, async () => {
+      if (!this.isCurrent(resources)) return;
+      // This picture has the camera and the settings of a request that came while it waited.
+      if (isShown && this.isStale === "moving") this.isStale = null;
+      const started = performance.now();
+      // Steps and errors are those of the exact picture.
+      const isFiltered = this.picture === Picture.color;
+      // The time for triangles hardly depends on the number of pixels.
+      const isTriangles = isFiltered && resources.isSurface(this.settings);
+      const share = isTriangles ? 1 : 1 / this.coarseness;
+      const width = Math.max(1, Math.round(this.canvas.width * share));
+      const height = Math.max(1, Math.round(this.canvas.height * share));
+      // The triangles of a new level are made once, so that their time says nothing about the next picture.
+      const isNew = this.settings.level !== this.movingLevel;
+      this.movingLevel = this.settings.level;
+      resources.isCoarse = this.isCoarse || isNew;
+      resources.prepare(this.camera, this.settings, width, height, this.picture, isFiltered);
+      resources.draw(0, height);
+      await resources.engine.finished();
+      if (!this.isCurrent(resources)) return;
+      if (isShown) await this.show(resources);
+      const spent = performance.now() - started;
+      this.times.moving = spent;
+      this.times.width = width;
+      this.times.first ||= performance.now();
+      // The time for rays goes with the number of pixels. One slow frame, such as that of a first compilation, changes little.
+      const factor = Math.max(0.7, Math.min(1.4, Math.sqrt(spent / MOVING_MS)));
+      if (!isTriangles) this.coarseness = Math.max(1, Math.min(COARSEST, this.coarseness * factor));
+      else if (!isNew) this.isCoarse = spent > (this.isCoarse ? FAST_MS : MOVING_MS);
+    });
+    // Other views draw until the browser shows the picture.
     await new Promise(requestAnimationFrame);
   }
 
-  private async drawStill(): Promise<void> {
-    const turn = this.turn;
-    const started = performance.now();
-    const resources = this.acquire();
-    const { width, height } = this.canvas;
-    await resources.compiled(this.settings, this.picture);
-    if (this.turn !== turn || this.resources !== resources || resources.engine.isLost) return;
-    resources.prepare(this.camera, this.settings, width, height, this.picture);
-    if (!(await this.drawPieces(resources, turn))) return;
-    await this.show(resources);
-    if (this.turn !== turn) return;
-    this.times.still = performance.now() - started;
-    this.times.first ||= performance.now();
-    this.isComplete = true;
-    this.losses = 0;
-    if (this.isSmooth && this.picture === Picture.color && this.times.still < SMOOTH_MS) this.redrawLater("smooth", SMOOTH_PAUSE_MS);
+  private async drawStill(resources: Resources): Promise<void> {
+    const { turn } = this;
+    // The browser compiles while other views draw, and until a later request replaces this one.
+    const stopped = new Promise<void>((done) => (this.stopWaiting = done));
+    await Promise.race([resources.compiled(this.settings, this.picture), stopped]);
+    await inQueue(false, async () => {
+      if (!this.isCurrent(resources, turn)) return;
+      const started = performance.now();
+      resources.prepare(this.camera, this.settings, this.canvas.width, this.canvas.height, this.picture);
+      if (!(await this.drawPieces(resources, turn, "still"))) return;
+      await this.show(resources);
+      if (this.turn !== turn) return;
+      this.times.still = performance.now() - started;
+      this.times.first ||= performance.now();
+      this.isComplete = true;
+      this.losses = 0;
+      if (this.isSmooth && this.picture === Picture.color && this.times.still < SMOOTH_MS) this.redrawLater("smooth", SMOOTH_PAUSE_MS);
+    });
   }
 
-  /** Draw the prepared picture in pieces; false if a later request replaces it. */
-  private async drawPieces(resources: Resources, turn: number): Promise<boolean> {
+  /** Draw the prepared picture in pieces; false if a later request replaces it, or if it is drawn later. */
+  private async drawPieces(resources: Resources, turn: number, kind: Drawing): Promise<boolean> {
     const { height } = this.canvas;
     // Input is handled between the pieces, and no driver mistakes a long picture for a hang.
     let rows = Math.max(1, Math.round(height / 8));
     for (let row = 0; row < height; ) {
+      if (urgent > 0) {
+        this.redrawLater(kind, kind === "smooth" ? SMOOTH_PAUSE_MS : PAUSE_MS);
+        return false;
+      }
       const before = performance.now();
       resources.draw(height - Math.min(height, row + rows), Math.min(rows, height - row));
       row += rows;
       await resources.engine.finished();
-      if (this.turn !== turn || this.resources !== resources || resources.engine.isLost) return false;
+      if (!this.isCurrent(resources, turn)) return false;
       const spent = performance.now() - before;
       rows = Math.max(1, Math.min(height, Math.round((rows * PIECE_MS) / Math.max(spent, 1))));
     }
@@ -364,27 +419,29 @@ export class View {
   }
 
   /** Replace the picture by the mean of four samples for each pixel. */
-  private async drawSmooth(): Promise<void> {
-    const turn = this.turn;
-    const started = performance.now();
-    const resources = this.acquire();
-    const { width, height } = this.canvas;
-    const sums = new Float32Array(4 * width * height);
-    for (const shift of SAMPLES) {
-      resources.prepare(this.camera, this.settings, width, height, this.picture, false, shift);
-      if (!(await this.drawPieces(resources, turn))) return;
-      const bytes = await resources.read(width, height);
-      for (let i = 0; i < sums.length; i += 4) {
-        const opacity = bytes[i + 3];
-        for (let k = 0; k < 3; k++) sums[i + k] += bytes[i + k] * opacity;
-        sums[i + 3] += opacity;
+  private drawSmooth(resources: Resources): Promise<void> {
+    const { turn } = this;
+    return inQueue(false, async () => {
+      const started = performance.now();
+      const { width, height } = this.canvas;
+      const sums = new Float32Array(4 * width * height);
+      for (const shift of SAMPLES) {
+        if (!this.isCurrent(resources, turn)) return;
+        resources.prepare(this.camera, this.settings, width, height, this.picture, false, shift);
+        if (!(await this.drawPieces(resources, turn, "smooth"))) return;
+        const bytes = await resources.read(width, height);
+        for (let i = 0; i < sums.length; i += 4) {
+          const opacity = bytes[i + 3];
+          for (let k = 0; k < 3; k++) sums[i + k] += bytes[i + k] * opacity;
+          sums[i + 3] += opacity;
+        }
       }
-    }
-    if (this.turn !== turn) return;
-    const image = this.context.createImageData(width, height);
-    sums.forEach((sum, i) => (image.data[i] = (i & 3) === 3 ? sum / SAMPLES.length : sum / (sums[i | 3] || 1)));
-    this.context.putImageData(image, 0, 0);
-    this.times.smooth = performance.now() - started;
+      if (this.turn !== turn) return;
+      const image = this.context.createImageData(width, height);
+      sums.forEach((sum, i) => (image.data[i] = (i & 3) === 3 ? sum / SAMPLES.length : sum / (sums[i | 3] || 1)));
+      this.context.putImageData(image, 0, 0);
+      this.times.smooth = performance.now() - started;
+    });
   }
 
   private get picture(): number {
@@ -392,10 +449,10 @@ export class View {
   }
 }
 
+/** Release the context of WebGL. The device of WebGPU stays, with its compiled programs. */
 function releaseShared(): void {
-  const engine = shared;
-  shared = null;
-  engine?.release();
+  shared?.release();
+  if (!(shared instanceof WebGpu)) shared = null;
 }
 
 /** A number with four significant digits. */

@@ -1,6 +1,6 @@
 // WebGPU: one device for all views of a document. It compiles the WGSL itself.
 
-import { BLOCK_FLOATS, Backend, Bytes, Pass, Program, Shape, Texture, TextureKind, upright } from "./backend";
+import { Backend, Bytes, MOST_LIGHTS, Pass, Program, ROW, Shape, Texture, TextureKind, VIEW_FLOATS, upright } from "./backend";
 import { Triangles } from "./surface";
 import { Vector } from "./vectors";
 
@@ -8,13 +8,16 @@ const FORMATS = { words: "r32uint", table: "rgba32float", filtered: "r8snorm" } 
 const TEXEL_BYTES = { words: 4, table: 16, filtered: 1 };
 const COLOR = "rgba8unorm";
 const DEPTH = "depth32float";
+/** Bytes of a row of the table, and from one row to the next: devices take offsets at multiples of 256 bytes. */
+const ROW_BYTES = 16 * ROW;
+const ROW_STRIDE = 512;
 
 /** The vertex shader of rays: one triangle over the whole picture. */
 const VERTEX = `@vertex fn whole(@builtin(vertex_index) i: u32) -> @builtin(position) vec4f {
   return vec4f(select(-1.0, 3.0, i == 1u), select(-1.0, 3.0, i == 2u), 0.0, 1.0);
 }`;
 
-interface GpuTexture_ extends Texture {
+interface GpuTexture extends Texture {
   view: GPUTextureView;
 }
 
@@ -30,10 +33,13 @@ export class WebGpu implements Backend {
   isLost = false;
   private readonly layout: GPUBindGroupLayout;
   private readonly pipelines = new Map<string, GPURenderPipeline>();
-  private readonly blocks: GPUBuffer[];
+  /** The blocks `View`, `Own` and `Lights` of the shaders. `Own` has the rows of all instances that are drawn. */
+  private readonly view: GPUBuffer;
+  private own: GPUBuffer;
+  private readonly lights: GPUBuffer;
   private readonly sampler: GPUSampler;
   /** Textures in place of those that a picture does not have. */
-  private readonly missing: Record<TextureKind, GpuTexture_>;
+  private readonly missing: Record<TextureKind, GpuTexture>;
   private target: { color: GPUTexture; depth: GPUTexture; width: number; height: number } | null = null;
   private pass!: Pass;
   private pipeline!: GPURenderPipeline;
@@ -58,15 +64,20 @@ export class WebGpu implements Backend {
       { texture: { sampleType: "unfilterable-float" } },
       { texture: { viewDimension: "3d" } },
       { sampler: {} },
-      { buffer: {} },
+      { buffer: { hasDynamicOffset: true } },
       { buffer: {} },
     ];
     this.layout = device.createBindGroupLayout({ entries: kinds.map((kind, binding) => ({ binding, visibility, ...kind })) });
-    const usage = GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST;
-    this.blocks = BLOCK_FLOATS.map((floats) => device.createBuffer({ size: 4 * floats, usage }));
+    this.view = this.block(4 * VIEW_FLOATS);
+    this.own = this.block(ROW_STRIDE);
+    this.lights = this.block(32 * MOST_LIGHTS);
     this.sampler = device.createSampler({ magFilter: "linear", minFilter: "linear" });
     const empty = (kind: TextureKind) => this.texture(kind, [1, 1, 1], new Uint8Array(TEXEL_BYTES[kind]));
     this.missing = { words: empty("words"), table: empty("table"), filtered: empty("filtered") };
+  }
+
+  private block(size: number): GPUBuffer {
+    return this.device.createBuffer({ size, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
   }
 
   /** The views share the device, which stays for the next picture. */
@@ -76,7 +87,7 @@ export class WebGpu implements Backend {
     this.target = null;
   }
 
-  texture(kind: TextureKind, size: Vector, values: ArrayBufferView<ArrayBuffer>): GpuTexture_ {
+  texture(kind: TextureKind, size: Vector, values: ArrayBufferView<ArrayBuffer>): GpuTexture {
     const usage = GPUTextureUsage.TEXTURE_BINDING | GPUTextureUsage.COPY_DST;
     const dimension = kind === "filtered" ? "3d" : "2d";
     const texture = this.device.createTexture({ size, dimension, format: FORMATS[kind], usage });
@@ -125,7 +136,7 @@ export class WebGpu implements Backend {
 
   prepare(pass: Pass): void {
     const { device } = this;
-    const { width, height, textures } = pass;
+    const { width, height, textures, triangles } = pass;
     this.pass = pass;
     this.isEmpty = true;
     if (this.target?.width !== width || this.target.height !== height) {
@@ -136,48 +147,60 @@ export class WebGpu implements Backend {
     const key = pass.program.wgsl;
     this.pipeline = this.pipelines.get(key) ?? device.createRenderPipeline(this.description(pass.program));
     this.pipelines.set(key, this.pipeline);
-    device.queue.writeBuffer(this.blocks[0], 0, pass.view);
-    if (pass.triangles) device.queue.writeBuffer(this.blocks[2], 0, pass.triangles.lights);
-    const [view, own, lights] = this.blocks.map((buffer) => ({ buffer }));
-    const texture = (kind: TextureKind) => ((textures[kind] as GpuTexture_ | null | undefined) ?? this.missing[kind]).view;
-    const resources = [view, texture("words"), texture("table"), texture("filtered"), this.sampler, own, lights];
+    device.queue.writeBuffer(this.view, 0, pass.view);
+    if (triangles?.instances.length) {
+      const rows = new Float32Array((ROW_STRIDE / 4) * triangles.instances.length);
+      triangles.instances.forEach(({ row }, i) => rows.set(row, (ROW_STRIDE / 4) * i));
+      if (rows.byteLength > this.own.size) {
+        this.own.destroy();
+        this.own = this.block(rows.byteLength);
+      }
+      device.queue.writeBuffer(this.own, 0, rows);
+      device.queue.writeBuffer(this.lights, 0, triangles.lights);
+    }
+    const texture = (kind: TextureKind) => ((textures[kind] as GpuTexture | null) ?? this.missing[kind]).view;
+    const resources = [
+      { buffer: this.view },
+      texture("words"),
+      texture("table"),
+      texture("filtered"),
+      this.sampler,
+      { buffer: this.own, size: ROW_BYTES },
+      { buffer: this.lights },
+    ];
     this.group = device.createBindGroup({ layout: this.layout, entries: resources.map((resource, binding) => ({ binding, resource })) });
   }
 
   draw(first: number, rows: number, x = 0, width = this.pass.width): void {
     const { device } = this;
     const { triangles } = this.pass;
-    const one = (instance?: NonNullable<Pass["triangles"]>["instances"][number]) => {
-      const [r, g, b, a] = triangles?.background ?? [0, 0, 0, 0];
-      const loadOp = this.isEmpty ? "clear" : "load";
-      this.isEmpty = false;
-      const encoder = device.createCommandEncoder();
-      const pass = encoder.beginRenderPass({
-        colorAttachments: [{ view: this.target!.color.createView(), loadOp, clearValue: { r, g, b, a }, storeOp: "store" }],
-        depthStencilAttachment: { view: this.target!.depth.createView(), depthLoadOp: loadOp, depthClearValue: 1, depthStoreOp: "store" },
-      });
-      pass.setPipeline(this.pipeline);
-      pass.setBindGroup(0, this.group);
-      pass.setScissorRect(x, first, width, rows);
-      if (instance) {
-        const { corners, indices, count } = instance.shape as GpuShape;
-        pass.setVertexBuffer(0, corners);
-        pass.setIndexBuffer(indices, "uint32");
-        pass.drawIndexed(count);
-      } else if (!triangles) pass.draw(3);
-      pass.end();
-      device.queue.submit([encoder.finish()]);
-    };
-    if (!triangles?.instances.length) return one();
-    // The queue writes each row of the table before the instance is drawn.
-    for (const instance of triangles.instances) {
-      device.queue.writeBuffer(this.blocks[1], 0, instance.row);
-      one(instance);
+    const [r, g, b, a] = triangles?.background ?? [0, 0, 0, 0];
+    const loadOp = this.isEmpty ? "clear" : "load";
+    this.isEmpty = false;
+    const encoder = device.createCommandEncoder();
+    const pass = encoder.beginRenderPass({
+      colorAttachments: [{ view: this.target!.color.createView(), loadOp, clearValue: { r, g, b, a }, storeOp: "store" }],
+      depthStencilAttachment: { view: this.target!.depth.createView(), depthLoadOp: loadOp, depthClearValue: 1, depthStoreOp: "store" },
+    });
+    pass.setPipeline(this.pipeline);
+    pass.setScissorRect(x, first, width, rows);
+    if (!triangles) {
+      pass.setBindGroup(0, this.group, [0]);
+      pass.draw(3);
     }
+    triangles?.instances.forEach(({ shape }, i) => {
+      const { corners, indices, count } = shape as GpuShape;
+      pass.setBindGroup(0, this.group, [ROW_STRIDE * i]);
+      pass.setVertexBuffer(0, corners);
+      pass.setIndexBuffer(indices, "uint32");
+      pass.drawIndexed(count);
+    });
+    pass.end();
+    device.queue.submit([encoder.finish()]);
   }
 
   async finished(): Promise<void> {
-    await this.device.queue.onSubmittedWorkDone();
+    await Promise.race([this.device.queue.onSubmittedWorkDone(), this.device.lost]);
   }
 
   async read(x: number, y: number, width: number, height: number): Promise<Bytes> {
@@ -197,6 +220,8 @@ export class WebGpu implements Backend {
   async show(context: CanvasRenderingContext2D): Promise<void> {
     const { width, height } = this.target!;
     const { canvas } = context;
+    // The bytes go through memory. A copy of the target to a canvas of WebGPU ends the graphics process of Chromium with
+    // SwiftShader, and needs colours that are multiplied by their opacity.
     const image = new ImageData(await this.read(0, 0, width, height), width, height);
     if (width === canvas.width && height === canvas.height) return context.putImageData(image, 0, 0);
     Object.assign(this.copy, { width, height });

@@ -40,7 +40,7 @@ export async function render({ model, el }: { model: Model; el: HTMLElement }): 
     const light = model.get("light") as Vector | null;
     view.settings.light = light?.length === 3 ? light : null;
     controls.refresh();
-    view.redraw();
+    view.redraw("moving");
   };
   /** Copy the settings of the view to the model after input. */
   const report = () => {
