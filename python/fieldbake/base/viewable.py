@@ -33,9 +33,9 @@ class Viewable(Pictured):
     ) -> str:
         """Write a live view as one HTML page, which needs no network and no server.
 
-        The page draws the surface in WebGL 2, as :func:`fieldbake.raymarch` does: with the same roots, lights,
-        background and camera. The view can be turned, moved and zoomed, the field sliced along any axis, and another
-        level set drawn. A double click reports a point with its normal and distance.
+        The page draws the surface by WebGL 2 or WebGPU, as :func:`fieldbake.raymarch` does: with the same roots,
+        lights, background and camera. The view can be turned, moved and zoomed, the field sliced along any axis, and
+        another level set drawn. A double click reports a point with its normal and distance.
 
         Parameters
         ----------
