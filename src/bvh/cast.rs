@@ -297,18 +297,23 @@ mod tests {
     #[test]
     fn groups_have_the_hits_of_single_rays() {
         let mesh = soup(3000, 0.1, 5);
+        let [a, b, c] = mesh.exact_triangle(0);
+        let centre = (a + b + c) / 3.0;
         let mut random = uniform(11);
         let mut vector = || DVec3::new(random(), random(), random()) - 0.5;
         for spread in [1e-3, 0.1, 2.0] {
-            // The rays run from around one place to around another one near the centre of the soup.
+            // Even rays run to the centre of the first triangle, and odd ones to places around it.
             let origin = 2.0 * vector();
-            let direction = 0.4 * vector() - origin;
             let rays: Vec<Ray> = (0..203)
-                .map(|i| Ray {
-                    origin: origin + spread * vector(),
-                    direction: if i % 50 == 7 { DVec3::Y } else { direction + spread * vector() },
-                    t_min: 0.01 * f64::from(i % 3),
-                    t_max: if i % 5 == 0 { 0.4 } else { f64::INFINITY },
+                .map(|i| {
+                    let origin = origin + spread * vector();
+                    let target = if i % 2 == 0 { centre } else { centre + spread * vector() };
+                    Ray {
+                        origin,
+                        direction: if i % 50 == 7 { DVec3::Y } else { target - origin },
+                        t_min: 0.01 * f64::from(i % 3),
+                        t_max: if i % 5 == 0 { 0.4 } else { f64::INFINITY },
+                    }
                 })
                 .collect();
             let (mut hits, mut occluded, mut lists) = (Vec::new(), vec![false; rays.len()], Vec::new());
@@ -316,6 +321,8 @@ mod tests {
                 mesh.first_hits(&rays, near, &mut hits);
                 mesh.are_occluded(&rays, near, &mut occluded);
                 mesh.all_hits(&rays, near, &mut lists);
+                // Of the 203 rays, 102 are even. The range of 21 of them, the multiples of ten, ends before the centre.
+                assert!(hits.iter().flatten().count() >= 102 - 21);
                 for (i, ray) in rays.iter().enumerate() {
                     assert_eq!(hits[i], mesh.first_hit(ray, |_| true));
                     assert_eq!(occluded[i], hits[i].is_some());

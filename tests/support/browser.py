@@ -16,14 +16,33 @@ import pytest
 
 WEB = Path(__file__).parents[2] / "web"
 
-#: Resolves to the colours and depths of a page's view, after its first picture.
-PIXELS = """(async () => {
+
+def after_first_picture(script: str) -> str:
+    """An expression that runs the script after the first picture of a page; `text` encodes bytes, `drawn` a picture."""
+    return (
+        """(async () => {
   while (!window.fieldbake) await new Promise((done) => setTimeout(done, 20));
   await fieldbake.ready;
-  const { width, height, color, depth } = await fieldbake.pixels();
+  const { view } = fieldbake;
+  const { width, height } = view.canvas;
   const text = (bytes) => btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(""));
+  const drawn = async (picture, isMotion, settings) => {
+    const resources = view.acquire();
+    resources.prepare(view.camera, { ...view.settings, ...settings }, width, height, picture, isMotion);
+    resources.draw(0, height);
+    return text(await resources.read(width, height));
+  };
+"""
+        + script
+        + "})()"
+    )
+
+
+#: Resolves to the colours and depths of a page's view, after its first picture.
+PIXELS = after_first_picture("""
+  const { color, depth } = await fieldbake.pixels();
   return { width, height, color: text(color), depth: text(new Uint8Array(depth.buffer)) };
-})()"""
+""")
 
 
 class Visit(NamedTuple):

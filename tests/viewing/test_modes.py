@@ -10,23 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 import fieldbake as fb
-from browser import PIXELS, Visit, visit
+from browser import PIXELS, Visit, after_first_picture, visit
 
 SIZE = (80, 64)
 
 #: Resolves to the colours of the view drawn in motion, of its errors and steps, and to its depths.
-MODES = """(async () => {
-  while (!window.fieldbake) await new Promise((done) => setTimeout(done, 20));
-  await fieldbake.ready;
-  const { view } = fieldbake;
-  const { width, height } = view.canvas;
-  const text = (bytes) => btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(""));
-  const drawn = async (picture, isMotion) => {
-    const resources = view.acquire();
-    resources.prepare(view.camera, view.settings, width, height, picture, isMotion);
-    resources.draw(0, height);
-    return text(await resources.read(width, height));
-  };
+MODES = after_first_picture("""
   const made = {};
   for (const [name, picture] of [["motion", 0], ["error", 8], ["steps", 1], ["depth", 2]])
     made[name] = await drawn(picture, name === "motion");
@@ -44,12 +33,10 @@ MODES = """(async () => {
   view.pick(1, 1);
   await view.settled;
   return { ...made, legends, scale };
-})()"""
+""")
 
 #: Resolves to what the layer of pages shows after its button was pressed.
-PAGES = """(async () => {
-  while (!window.fieldbake) await new Promise((done) => setTimeout(done, 20));
-  await fieldbake.ready;
+PAGES = after_first_picture("""
   const [layer] = document.querySelectorAll(".fb-pages");
   const before = layer.getBoundingClientRect().height;
   [...document.querySelectorAll(".fb-bar button")].find((it) => it.textContent === "pages").click();
@@ -65,7 +52,7 @@ PAGES = """(async () => {
     boxes: [...figure.querySelectorAll("span")].map(box),
   }));
   return { before, after: layer.getBoundingClientRect().height, figures };
-})()"""
+""")
 
 
 def knot(resolution: int = 40) -> fb.Volume:
@@ -83,13 +70,8 @@ def heat(share: np.ndarray) -> np.ndarray:
 
 
 #: Resolves to the colours of the view drawn in motion: at level 0, at another one, and with the triangles of meshes.
-MOTION = """(async () => {
-  while (!window.fieldbake) await new Promise((done) => setTimeout(done, 20));
-  await fieldbake.ready;
-  const { view } = fieldbake;
-  const { width, height } = view.canvas;
+MOTION = after_first_picture("""
   const resources = view.acquire();
-  const text = (bytes) => btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(""));
   // The least and the largest place of the corners of triangles on each axis, field space.
   const limits = [];
   const shape = resources.engine.shape.bind(resources.engine);
@@ -103,9 +85,7 @@ MOTION = """(async () => {
   };
   const pictures = [];
   for (const [level, mesh] of [[0, false], [LEVEL, false], [0, true]]) {
-    resources.prepare(view.camera, { ...view.settings, level, mesh }, width, height, 0, true);
-    resources.draw(0, height);
-    pictures.push(text(await resources.read(width, height)));
+    pictures.push(await drawn(0, true, { level, mesh }));
   }
   const button = [...document.querySelectorAll(".fb-bar button")].find((it) => it.textContent === "mesh");
   button?.click();
@@ -113,7 +93,7 @@ MOTION = """(async () => {
   const copy = view.canvas.getContext("2d").getImageData(0, 0, width, height).data;
   const isSurface = resources.isSurface(view.settings);
   return { pictures, limits, rest: text(copy), hasButton: button !== undefined, isSurface };
-})()"""
+""")
 
 
 def camera() -> fb.Camera:
@@ -227,12 +207,7 @@ def test_triangles_are_whole_near_the_eye_within_their_box_and_on_both_sides(tmp
 
 
 #: Resolves to the canvas after the first picture, and after the smooth one that follows input.
-SMOOTH = """(async () => {
-  while (!window.fieldbake) await new Promise((done) => setTimeout(done, 20));
-  await fieldbake.ready;
-  const { view } = fieldbake;
-  const { width, height } = view.canvas;
-  const text = (bytes) => btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(""));
+SMOOTH = after_first_picture("""
   const copy = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
   const shown = () => {
     copy.drawImage(view.canvas, 0, 0);
@@ -251,7 +226,7 @@ SMOOTH = """(async () => {
     pictures.push(shown());
   }
   return pictures;
-})()"""
+""")
 
 
 @pytest.mark.slow

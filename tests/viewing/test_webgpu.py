@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import fieldbake as fb
-from browser import visit
+from browser import after_first_picture, visit
 
 pytestmark = pytest.mark.slow
 
@@ -19,33 +19,22 @@ SIZE = (128, 96)
 FLAGS = ("--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader")
 
 #: Resolves to the name of the device, to the canvas, and to pictures: at rest, in motion, depths, a slice, meshes.
-PICTURES = """(async () => {
-  while (!window.fieldbake) await new Promise((done) => setTimeout(done, 20));
-  await fieldbake.ready;
-  const { view } = fieldbake;
-  const { width, height } = view.canvas;
-  const text = (bytes) => btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(""));
+PICTURES = after_first_picture("""
   const api = () => ("device" in view.acquire().engine ? "WebGPU" : "WebGL 2");
   const found = { api: api(), canvas: text(view.canvas.getContext("2d").getImageData(0, 0, width, height).data) };
   const slice = { axis: 2, at: 0.1, cut: true };
   const [motion, depth, sliced, mesh] = [{ isMotion: true }, { picture: 2 }, { slice }, { mesh: true }];
   const cases = { rest: {}, motion, depth, sliced, mesh };
   for (const [name, { picture = 0, isMotion = false, ...settings }] of Object.entries(cases)) {
-    const resources = view.acquire();
-    resources.prepare(view.camera, { ...view.settings, ...settings }, width, height, picture, isMotion);
-    resources.draw(0, height);
-    found[name] = text(await resources.read(width, height));
+    found[name] = await drawn(picture, isMotion, settings);
   }
   const pick = await view.pick(width / 2 - 12, height / 2);
   found.pick = pick && pick.point;
   return found;
-})()"""
+""")
 
 #: Loses the device and resolves to the name of the one that draws the next picture.
-LOSE = """(async () => {
-  while (!window.fieldbake) await new Promise((done) => setTimeout(done, 20));
-  await fieldbake.ready;
-  const { view } = fieldbake;
+LOSE = after_first_picture("""
   const api = () => ("device" in view.acquire().engine ? "WebGPU" : "WebGL 2");
   const before = api();
   view.acquire().engine.device.destroy();
@@ -53,10 +42,9 @@ LOSE = """(async () => {
   view.camera.orbit(0.3, 0);
   view.redraw();
   await view.settled;
-  const { width, height } = view.canvas;
   const reds = view.canvas.getContext("2d").getImageData(0, 0, width, height).data.filter((_, i) => i % 4 === 0);
   return { before, after: api(), spread: Math.max(...reds) - Math.min(...reds), hasFailed: view.hasFailed };
-})()"""
+""")
 
 #: Loses the device in a call of WebGPU while the view draws. Resolves to the state of the view after the next picture.
 LOSE_IN = """(async () => {

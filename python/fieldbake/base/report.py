@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from html import escape
@@ -28,12 +29,12 @@ def seconds_text(seconds: float) -> str:
     return f"{seconds:.2f} s" if seconds >= 1 else f"{seconds * 1e3:.{2 if seconds < 0.01 else 0}f} ms"
 
 
-class Rows:
+class Rows(ABC):
     """A report of labelled rows: `print` shows it as text, and notebooks as a table."""
 
+    @abstractmethod
     def rows(self) -> list[tuple[str, str]]:
         """List the label and the text of each line of the report."""
-        raise NotImplementedError
 
     def __str__(self) -> str:
         return "\n".join(f"{label:<8}  {text}" for label, text in self.rows())

@@ -397,17 +397,13 @@ def schwarz_p(cell: float = 1.0, thickness: float | Shape | Volume | SparseVolum
 
     Parameters
     ----------
-    cell : float, default 1
-        Period of the surface, world units.
-    thickness : float, Shape, Volume or SparseVolume, default 0.1
-        The sheet is at least this thick, world units. A shape or a volume is a field that gives the thickness at each
-        point; the sheet is absent where it is 0 or less. See :meth:`Shape.times` for its slope.
+    cell, thickness
+        As for :func:`gyroid`.
 
     Returns
     -------
     Shape
-        A shape without bounds. Its field is a lower bound of the distance; `Shape.lipschitz` bounds its slope, and is 1
-        for a number.
+        A shape without bounds. Its field is a lower bound of the distance, as for :func:`gyroid`.
 
     Examples
     --------
@@ -424,17 +420,13 @@ def diamond(cell: float = 1.0, thickness: float | Shape | Volume | SparseVolume 
 
     Parameters
     ----------
-    cell : float, default 1
-        Period of the surface, world units.
-    thickness : float, Shape, Volume or SparseVolume, default 0.1
-        The sheet is at least this thick, world units. A shape or a volume is a field that gives the thickness at each
-        point; the sheet is absent where it is 0 or less. See :meth:`Shape.times` for its slope.
+    cell, thickness
+        As for :func:`gyroid`.
 
     Returns
     -------
     Shape
-        A shape without bounds. Its field is a lower bound of the distance; `Shape.lipschitz` bounds its slope, and is 1
-        for a number.
+        A shape without bounds. Its field is a lower bound of the distance, as for :func:`gyroid`.
 
     Examples
     --------
@@ -451,17 +443,13 @@ def iwp(cell: float = 1.0, thickness: float | Shape | Volume | SparseVolume = 0.
 
     Parameters
     ----------
-    cell : float, default 1
-        Period of the surface, world units.
-    thickness : float, Shape, Volume or SparseVolume, default 0.1
-        The sheet is at least this thick, world units. A shape or a volume is a field that gives the thickness at each
-        point; the sheet is absent where it is 0 or less. See :meth:`Shape.times` for its slope.
+    cell, thickness
+        As for :func:`gyroid`.
 
     Returns
     -------
     Shape
-        A shape without bounds. Its field is a lower bound of the distance; `Shape.lipschitz` bounds its slope, and is 1
-        for a number.
+        A shape without bounds. Its field is a lower bound of the distance, as for :func:`gyroid`.
 
     Examples
     --------
