@@ -37,10 +37,10 @@ def ready(place, layout):
     return peak_mib()
 
 
-def work(place, layout, index):
-    """Bake one shard in this process by one thread; seconds of the processor, and peak memory, MiB."""
+def work(place, layout, index, threads):
+    """Bake one shard in this worker process; seconds of the processor, and peak memory, MiB."""
     start = time.process_time()
-    shards.store_shard(place, layout, 0, index, 1)
+    shards.store_shard(place, layout, 0, index, threads)
     return time.process_time() - start, peak_mib()
 
 
@@ -48,7 +48,7 @@ def prepared(path, resolution, folder):
     """A store without shards, and the near shards of level 0."""
     layout, mesh = _checked_layout(path, resolution, 3, 256, 32, "snorm16", None, 0.1, "auto")
     place = store.Place.of(folder / "k.zarr", None)
-    store.create(place, layout, mesh, {})
+    store.create(place, None, layout, mesh, {})
     _, near = plan.stored_shards(mesh, layout, 0)
     return place, layout, mesh, [tuple(row) for row in plan.morton_order(np.argwhere(near)).tolist()]
 
@@ -62,7 +62,8 @@ def timed_workers(place, layout, tasks, processes):
         # More tasks than processes, so that every process opens the mesh before the clock starts.
         before = list(pool.map(ready, [place] * 4 * processes, [layout] * 4 * processes))
         start = time.perf_counter()
-        rows = list(pool.map(work, [place] * len(tasks), [layout] * len(tasks), tasks))
+        threads = [shards.Threads(1)] * len(tasks)
+        rows = list(pool.map(work, [place] * len(tasks), [layout] * len(tasks), tasks, threads))
         wall = time.perf_counter() - start
     return wall, sum(seconds for seconds, _ in rows), max(before), max(peak for _, peak in rows)
 

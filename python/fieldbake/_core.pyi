@@ -114,6 +114,8 @@ class Mesh:
         """Lower and upper bound on the largest distance from this surface to another one, world units."""
     def sign_warnings(self, sign: str) -> list[str]:
         """Warnings about the sign of this surface by a method."""
+    def has_reversed_body(self) -> bool:
+        """Whether a connected part of this closed mesh is wound inside out."""
     def topology(self) -> dict[str, Any]:
         """Properties of the surface, int unless stated otherwise: ``boundary_edges``, ``nonmanifold_edges``,
         ``flipped_faces``, ``duplicate_faces``, ``degenerate_faces`` (dropped), ``dropped_vertices`` (not finite,
@@ -241,6 +243,8 @@ class Shape:
     def is_exact(self) -> bool: ...
     @property
     def lipschitz(self) -> float: ...
+    @property
+    def evaluated_leaves(self) -> int: ...
     @property
     def leaf_count(self) -> int: ...
     def distance(self, points: NDArray[np.float64], device: str) -> NDArray[np.float32]: ...

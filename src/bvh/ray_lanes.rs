@@ -16,7 +16,8 @@ pub struct RayPack {
     /// Indexed by corner, axis and lane. Absent lanes hold points far outside the box.
     corners: [[[f32; WIDTH]; 3]; 3],
     pub faces: [u32; WIDTH],
-    /// Corners of the faces as vertices of the mesh.
+    /// Corners of the faces as vertices of the mesh. An absent lane has `[0; 3]`, a triangle without area, so the exact
+    /// test rejects it.
     pub vertices: [[u32; 3]; WIDTH],
 }
 

@@ -156,10 +156,6 @@ impl Stack {
         Self { slots: [const { MaybeUninit::uninit() }; MAX_STACK], top: 0 }
     }
 
-    pub(super) fn clear(&mut self) {
-        self.top = 0;
-    }
-
     #[inline(always)]
     fn push(&mut self, entry: (f32, ChildRef)) {
         self.slots[self.top].write(entry);

@@ -74,7 +74,6 @@ pub(super) fn traverse(
                     tables.prefetch(child);
                 }
                 None => {
-                    stack.clear();
                     *slot = start();
                     busy -= usize::from(slot.is_none());
                 }

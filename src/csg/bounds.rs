@@ -2,13 +2,14 @@
 //!
 //! An operator may raise or lower the field of its operands (an offset, a fillet), so a box alone is not sufficient. An
 //! [`Extent`] bounds *every* level set: `{field <= t}` lies in the box grown by `slack + growth * t` on every side for
-//! `t > 0`, and shrunk by `-t` for `t < 0`. A box may be inverted: the intersection of two disjoint boxes has a lower
+//! `t > 0`, and shrunk by `-shrink * t` for `t < 0`. A box may be inverted: the intersection of two disjoint boxes has a lower
 //! corner above its upper one. It grows into a proper box at the level at which the two grown boxes touch.
 
 use super::placement::{Placement, Warp, WarpKind};
 use super::primitive::Primitive;
 use super::shape::{Blend, Op};
 use glam::DVec3;
+use std::f64::consts::FRAC_1_SQRT_2;
 
 /// Bounds of the level sets of a field.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -17,13 +18,21 @@ pub struct Extent {
     pub upper: DVec3,
     pub growth: f64,
     pub slack: f64,
+    /// Inverse of the Lipschitz constant of the field; 0 if that is unknown.
+    pub shrink: f64,
     /// Name of the leaf whose side is infinite, for the message.
     pub unbounded: Option<&'static str>,
 }
 
 impl Extent {
-    pub const EMPTY: Self =
-        Self { lower: DVec3::INFINITY, upper: DVec3::NEG_INFINITY, growth: 1.0, slack: 0.0, unbounded: None };
+    pub const EMPTY: Self = Self {
+        lower: DVec3::INFINITY,
+        upper: DVec3::NEG_INFINITY,
+        growth: 1.0,
+        slack: 0.0,
+        shrink: 1.0,
+        unbounded: None,
+    };
 
     /// The box of a placed primitive, tight under any rotation.
     pub fn of_leaf(primitive: &Primitive, place: &Placement) -> Self {
@@ -32,13 +41,15 @@ impl Extent {
         let upper = DVec3::from(axes.map(|axis| place.scale * primitive.support(axis)));
         let lower = DVec3::from(axes.map(|axis| -place.scale * primitive.support(-axis)));
         let (growth, slack) = primitive.growth();
-        Self { growth, slack: place.scale * slack, ..Self::of_box(lower, upper, primitive.name()) }
+        // The field of a leaf with slack may be steeper than the distance.
+        let shrink = if slack > 0.0 { 0.0 } else { 1.0 };
+        Self { growth, slack: place.scale * slack, shrink, ..Self::of_box(lower, upper, primitive.name()) }
             .moved(place.translation)
     }
 
     fn of_box(lower: DVec3, upper: DVec3, name: &'static str) -> Self {
         let is_bounded = lower.is_finite() && upper.is_finite();
-        Self { lower, upper, growth: 1.0, slack: 0.0, unbounded: (!is_bounded).then_some(name) }
+        Self { lower, upper, growth: 1.0, slack: 0.0, shrink: 1.0, unbounded: (!is_bounded).then_some(name) }
     }
 
     fn moved(self, by: DVec3) -> Self {
@@ -52,12 +63,7 @@ impl Extent {
 
     /// The extent of `field - t`.
     pub fn level(self, t: f64) -> Self {
-        let grown = match t {
-            t if t > 0.0 => self.slack + self.growth * t,
-            // A field that may be steeper than the distance shrinks by an unknown smaller amount.
-            _ if self.slack > 0.0 => 0.0,
-            t => t,
-        };
+        let grown = if t > 0.0 { self.slack + self.growth * t } else { self.shrink * t };
         // Growing uses up the slack.
         let slack = if t > 0.0 { 0.0 } else { self.slack };
         Self { lower: self.lower - grown, upper: self.upper + grown, slack, ..self }
@@ -65,9 +71,7 @@ impl Extent {
 
     /// The extent of `factor * field`.
     pub fn times(self, factor: f64) -> Self {
-        // A field that is steeper than the distance has some slack, see `level`.
-        let slack = if factor > 1.0 { self.slack.max(f64::MIN_POSITIVE) } else { self.slack };
-        Self { growth: self.growth / factor, slack, ..self }
+        Self { growth: self.growth / factor, shrink: self.shrink / factor, ..self }
     }
 
     /// The complement is unbounded.
@@ -83,6 +87,7 @@ impl Extent {
             upper,
             growth: self.growth.max(other.growth),
             slack: self.slack.max(other.slack),
+            shrink: self.shrink.min(other.shrink),
             unbounded: if is_bounded { None } else { self.unbounded.or(other.unbounded) },
         }
     }
@@ -93,6 +98,7 @@ impl Extent {
             upper: self.upper.max(other.upper),
             growth: self.growth.max(other.growth),
             slack: self.slack.max(other.slack),
+            shrink: self.shrink.min(other.shrink),
             unbounded: self.unbounded.or(other.unbounded),
         }
     }
@@ -102,9 +108,15 @@ impl Extent {
             Op::Union | Op::Xor => {
                 let both = a.union(b);
                 // A fillet lies where both fields are at most k; see `Blend`.
+                let filleted = |k| both.union(a.level(k).intersection(b.level(k)));
                 match blend {
                     Blend::Sharp => both,
-                    Blend::Smooth(k) | Blend::Chamfer(k) => both.union(a.level(k).intersection(b.level(k))),
+                    Blend::Smooth(k) => filleted(k),
+                    // The field of a chamfer is steeper than its operands by sqrt(2) at most; see `Blend`.
+                    Blend::Chamfer(k) => {
+                        let chamfered = filleted(k);
+                        Self { shrink: chamfered.shrink * FRAC_1_SQRT_2, ..chamfered }
+                    }
                 }
             }
             Op::Intersection => a.intersection(b),

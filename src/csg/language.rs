@@ -440,7 +440,7 @@ fn head(kind: &Kind, out: &mut String) -> Result<(), ShapeError> {
         Kind::Primitive(primitive) => {
             let form = primitive.arguments().and_then(|(name, arguments)| form_of(WORDS, name, &arguments));
             let Some((word, numbers)) = form else {
-                let problem = "holds a baked volume, which s-expressions have no words for";
+                let problem = "contains a baked volume, which cannot be written as an s-expression";
                 return Err(ShapeError::argument("shape", problem));
             };
             put(&[word], &numbers);

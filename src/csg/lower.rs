@@ -80,6 +80,8 @@ struct Builder {
     /// Number of stack entries that the evaluation of an item needs.
     needs: Vec<u32>,
     leaves: Vec<Leaf>,
+    /// Number of leaves with repetitions written out and equal leaves counted each time.
+    written: u64,
     known: HashMap<LeafKey, u32>,
     levels: Vec<DistanceOp>,
     warps: Vec<Warp>,
@@ -137,7 +139,7 @@ impl Builder {
             return Ok(());
         }
         match *shape.kind() {
-            Kind::Primitive(ref primitive) => self.leaf(primitive, &context),
+            Kind::Primitive(ref primitive) => self.leaf(primitive, &context)?,
             Kind::Combine { op, blend } => {
                 let k = context.place.scale;
                 let blend = match blend {
@@ -237,19 +239,19 @@ impl Builder {
         }
         let has_mask = std::iter::successors(context.coat.as_deref(), |coat| coat.above.as_deref())
             .any(|coat| coat.mask.is_some());
-        if context.warps + warp_depth(child) < MAX_WARPS && !has_mask {
-            let model = Self::default().build(child)?;
-            let extent = model.extent;
+        // The nodes below one evaluated leaf form a chain, which is lowered in little time.
+        let is_leaf = child.evaluated_leaves() == 1;
+        if is_leaf && context.warps + warp_depth(child) < MAX_WARPS && !has_mask {
+            let extent = Self::default().build(child)?.extent;
             let size = extent.upper - extent.lower;
-            let is_leaf = Model::leaf_count(&model.tokens) == 1;
-            let fits = is_leaf && (0..3).all(|axis| counts[axis] == 1 || size[axis] <= spacing[axis].abs());
+            let fits = (0..3).all(|axis| counts[axis] == 1 || size[axis] <= spacing[axis].abs());
             if fits && extent.unbounded.is_none() && !extent.is_empty() {
                 let middle = 0.5 * (extent.lower + extent.upper);
                 return Ok(Some(Lattice { spacing, counts, middle, upper: 0 }));
             }
         }
         let leaves = child.evaluated_leaves().saturating_mul(copies);
-        if leaves > MAX_LEAVES { Err(too_many_leaves(leaves)) } else { Ok(None) }
+        if leaves > MAX_LEAVES { Err(too_many_leaves()) } else { Ok(None) }
     }
 
     fn enter<'a>(
@@ -281,7 +283,11 @@ impl Builder {
         Ok(())
     }
 
-    fn leaf(&mut self, primitive: &Primitive, context: &InheritedState) {
+    fn leaf(&mut self, primitive: &Primitive, context: &InheritedState) -> Result<(), ShapeError> {
+        self.written += 1;
+        if self.written > MAX_LEAVES {
+            return Err(too_many_leaves());
+        }
         let place = context.place;
         let mut parameters: Vec<u64> = primitive.parameters(place.scale).map(f64::to_bits).to_vec();
         parameters.extend(place.rotation.to_cols_array().map(|x| (x + 0.0).to_bits()));
@@ -312,6 +318,7 @@ impl Builder {
             });
         }
         self.push(LoweredNode::Leaf(id), 1);
+        Ok(())
     }
 
     fn push(&mut self, item: LoweredNode, need: u32) {

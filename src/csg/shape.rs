@@ -179,7 +179,7 @@ impl Shape {
         let leaves = below.saturating_mul(copies);
         let evaluated = children.iter().map(Self::evaluated_leaves).sum::<u64>().max(1).saturating_mul(selected);
         if evaluated > MAX_LEAVES {
-            return Err(too_many_leaves(evaluated));
+            return Err(too_many_leaves());
         }
         Ok(Self(Arc::new(ShapeNode { kind, children, leaves, evaluated })))
     }
@@ -302,7 +302,7 @@ impl Shape {
     }
 
     /// Number of leaves, with eight copies for a repetition of more than [`MAX_COPIES`].
-    pub(super) fn evaluated_leaves(&self) -> u64 {
+    pub fn evaluated_leaves(&self) -> u64 {
         self.0.evaluated
     }
 }
@@ -313,8 +313,8 @@ pub(super) fn copies_of(counts: [u32; 3]) -> u64 {
 }
 
 /// The error of a shape with more than [`MAX_LEAVES`] leaves.
-pub(super) fn too_many_leaves(leaves: u64) -> ShapeError {
-    let problem = format!("has {leaves} leaves with its repetitions written out, the limit is {MAX_LEAVES}");
+pub(super) fn too_many_leaves() -> ShapeError {
+    let problem = format!("has more leaves than the limit of {MAX_LEAVES}, with repetitions written out");
     ShapeError::argument("shape", problem)
 }
 

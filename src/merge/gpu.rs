@@ -60,20 +60,20 @@ pub fn merge_on_device(
     let (undecided, evaluations) = (AtomicU64::new(0), AtomicU64::new(0));
     let rows = distances.par_chunks_mut(nx).zip(owners.par_chunks_mut(nx)).enumerate();
     rows.try_for_each(|(row, (distances, owners))| {
-        let (mut in_row, mut bounds) = (0, 0);
+        let (mut undecided_in_row, mut evaluated) = (0, 0);
         for (x, (distance, owner)) in distances.iter_mut().zip(owners).enumerate() {
             let p = merger.center(x, row % ny, row / ny);
             if let Some(placed) = placed.get(*owner as usize) {
                 *distance = round_down(placed.lower_bound(p, f64::INFINITY));
-                bounds += 1;
+                evaluated += 1;
                 continue;
             }
-            in_row += 1;
+            undecided_in_row += 1;
             let mut best = f32::INFINITY;
             merger.tree.around([p, p], f64::INFINITY, |place, limit| {
                 let field = merger.tree.order[place];
                 let bound = placed[field as usize].lower_bound(p, f64::from(best));
-                bounds += 1;
+                evaluated += 1;
                 if bound < f64::from(best) {
                     (best, *owner) = (round_down(bound), field);
                     *limit = f64::from(best);
@@ -81,8 +81,8 @@ pub fn merge_on_device(
             });
             *distance = best;
         }
-        undecided.fetch_add(in_row, Ordering::Relaxed);
-        evaluations.fetch_add(bounds, Ordering::Relaxed);
+        undecided.fetch_add(undecided_in_row, Ordering::Relaxed);
+        evaluations.fetch_add(evaluated, Ordering::Relaxed);
         progress.advance(nx as u64)
     })?;
     Ok((Merged { distances, owners, evaluations: evaluations.into_inner() }, undecided.into_inner()))

@@ -15,7 +15,7 @@
 use super::Mesh;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
-use rustc_hash::{FxBuildHasher, FxHashSet};
+use rustc_hash::{FxBuildHasher, FxHashMap, FxHashSet};
 
 /// Contribution of a face to the winding number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -52,6 +52,8 @@ pub struct Topology {
     pub welded: Vec<u32>,
     /// Orientation of each face.
     pub orientation: Vec<Orientation>,
+    /// Component of each face, the index of one of its faces.
+    body: Vec<u32>,
     /// Whether the areas or the volume of a patch decided its direction. If not, the orientation follows from the
     /// connectivity alone.
     is_weighed: bool,
@@ -113,6 +115,7 @@ impl Topology {
             rim.extend(std::iter::repeat_n(walked, net.unsigned_abs() as usize));
         }
         orientation.truncate(mesh.faces().len());
+        let body = (0..orientation.len() as u32).map(|f| bodies.root(f).0).collect();
 
         Self {
             boundary_edges,
@@ -126,6 +129,7 @@ impl Topology {
             rim,
             welded,
             orientation,
+            body,
             is_weighed,
         }
     }
@@ -139,6 +143,21 @@ impl Topology {
         Some(Self { signed_volume: signed_volume(mesh, &self.orientation), ..self.clone() })
     }
 
+    /// Whether the faces of a component, in the directions of the input, enclose a negative volume. The mesh is closed.
+    /// A volume within the rounding of its terms counts as zero.
+    pub fn has_reversed_body(&self, mesh: &Mesh) -> bool {
+        let mut volumes = FxHashMap::<u32, [f64; 2]>::default();
+        for (f, &body) in self.body.iter().enumerate() {
+            if self.orientation[f] != Orientation::Skipped {
+                let volume = volume_under(mesh, f);
+                let [sum, magnitude] = volumes.entry(body).or_default();
+                *sum += volume;
+                *magnitude += volume.abs();
+            }
+        }
+        volumes.values().any(|[sum, magnitude]| *sum < -1e-9 * magnitude)
+    }
+
     /// Corners of a face that determines the sign, in its final orientation: indices into the positions of the mesh.
     pub fn oriented_face(&self, mesh: &Mesh, face: u32) -> Option<[u32; 3]> {
         let [a, b, c] = mesh.faces()[face as usize];
@@ -150,7 +169,10 @@ impl Topology {
     }
 
     pub fn bytes(&self) -> usize {
-        size_of_val(&self.rim[..]) + size_of_val(&self.welded[..]) + size_of_val(&self.orientation[..])
+        size_of_val(&self.rim[..])
+            + size_of_val(&self.welded[..])
+            + size_of_val(&self.orientation[..])
+            + size_of_val(&self.body[..])
     }
 }
 

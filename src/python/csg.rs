@@ -134,6 +134,11 @@ impl Shape {
     }
 
     #[getter]
+    fn evaluated_leaves(&self) -> u64 {
+        self.shape.evaluated_leaves()
+    }
+
+    #[getter]
     fn leaf_count(&self) -> u64 {
         self.shape.leaf_count()
     }

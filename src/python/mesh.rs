@@ -112,6 +112,12 @@ impl Mesh {
         Ok(sign_warnings(self.0.topology(), method))
     }
 
+    /// Whether a connected part of this closed mesh is wound inside out. Builds the connectivity.
+    fn has_reversed_body(&self, py: Python<'_>) -> PyResult<bool> {
+        self.prepare(py)?;
+        Ok(self.0.topology().has_reversed_body(&self.0))
+    }
+
     fn topology<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         self.prepare(py)?;
         let topology = self.0.topology();

@@ -142,7 +142,7 @@ impl Derived for Areas {
 }
 
 impl Areas {
-    /// The equal part of the area that contains a fraction of it, 0 to 1.
+    /// Index in `first` of the part of the area that contains the fraction `share`, 0 to 1.
     fn part(&self, share: f64) -> usize {
         ((share * self.first.len() as f64) as usize).min(self.first.len() - 1)
     }

@@ -46,7 +46,7 @@ impl Nearby {
 
 /// An instance in a wide cone.
 #[derive(Debug, Clone, Copy)]
-pub struct Met {
+pub struct ConeOccluder {
     /// Lower bound of the distance, in radii, between the axis and the surface; at most 0 if there is no bound.
     pub x: f32,
     /// Index of the instance in [`Nearby::items`].
@@ -58,7 +58,7 @@ pub struct Met {
 pub struct Beside<'a> {
     pub nearby: &'a Nearby,
     /// All instances that come within one radius of the axis.
-    pub met: &'a [Met],
+    pub met: &'a [ConeOccluder],
     /// Radius of the cone per distance.
     pub slope: f32,
 }

@@ -24,7 +24,7 @@
 use super::cone::{BallAhead, ConeSum, WideCone, clearance};
 use super::field::Field;
 use super::light_rays::{LightCone, LightRay, LightWork, SurfacePoint, basis};
-use super::nearby::{Beside, Met, Nearby};
+use super::nearby::{Beside, ConeOccluder, Nearby};
 use super::shadow::{Casters, bias};
 use super::tree::Line;
 use super::{Instance, Scene};
@@ -159,10 +159,11 @@ pub struct Occluders {
     radius: Vec<f32>,
     /// Length of the tangent from the place to the ball; 0 inside the ball.
     tangent: Vec<f32>,
-    /// `slope c^2`: a ball whose bound is smaller is met by the cone. Below all bounds if no cone from the place meets it.
+    /// `slope c^2`. A cone may intersect a ball whose bound is at most this. Below all bounds if no cone from the place
+    /// can intersect the ball.
     limit: Vec<f32>,
     /// The instances that the current cone may meet. The evaluated ones are at the end.
-    met: Vec<Met>,
+    met: Vec<ConeOccluder>,
 }
 
 /// Where occluders of a place may be, scene units.
@@ -227,7 +228,7 @@ struct BallBounds<'a> {
 impl BallBounds<'_> {
     /// Appends the balls that a cone with this axis may meet to `met`.
     #[inline(always)]
-    fn meet(&self, axis: Vec3, met: &mut Vec<Met>) {
+    fn meet(&self, axis: Vec3, met: &mut Vec<ConeOccluder>) {
         let Self { way: [x, y, z], squared, radius, tangent, limit } = self;
         let [x, y, z] = [x.as_chunks::<LANES>().0, y.as_chunks().0, z.as_chunks().0];
         let [squared, radius] = [squared.as_chunks::<LANES>().0, radius.as_chunks().0];
@@ -253,7 +254,7 @@ impl BallBounds<'_> {
                 mask &= mask - 1;
                 // Inside a ball both are 0, and there is no bound.
                 let x = if tangent[i] > 0.0 { bounds[i] / limit[i] } else { -1.0 };
-                met.push(Met { x, index: (LANES * chunk + i) as u32 });
+                met.push(ConeOccluder { x, index: (LANES * chunk + i) as u32 });
             }
         }
     }
@@ -280,7 +281,7 @@ impl Occluders {
         let Self { way: [x, y, z], squared, radius, tangent, limit, met, .. } = self;
         met.clear();
         let balls = BallBounds { way: [x, y, z], squared, radius, tangent, limit };
-        with_vectors!((balls: BallBounds<'_> = balls, axis: Vec3 = axis, met: &mut Vec<Met> = met) {
+        with_vectors!((balls: BallBounds<'_> = balls, axis: Vec3 = axis, met: &mut Vec<ConeOccluder> = met) {
             balls.meet(axis, met)
         })
     }
@@ -288,7 +289,7 @@ impl Occluders {
 
 /// Moves the instance with the smallest bound to the end and returns it. A cone evaluates few of the instances, so they
 /// are not sorted.
-fn take_nearest(waiting: &mut [Met]) -> Option<Met> {
+fn take_nearest(waiting: &mut [ConeOccluder]) -> Option<ConeOccluder> {
     let last = waiting.len().checked_sub(1)?;
     let mut nearest = 0;
     for (i, met) in waiting.iter().enumerate() {
@@ -440,15 +441,15 @@ mod tests {
                     None => prop_assert!(nearest >= 1.0 - 1e-4, "{nearest}"),
                 }
             }
-            // A ray off the axis is given every ball that it meets.
+            // `Beside::along` visits every ball that a ray off the axis intersects.
             let offset = 0.9 * AO_SLOPE;
             let past = (direction + offset * direction.any_orthonormal_vector()).normalize();
-            let mut given = Vec::new();
+            let mut visited = Vec::new();
             let beside = Beside { nearby: &occluders.nearby, met: &occluders.met, slope: AO_SLOPE };
-            beside.along(p, past, offset, |item| { given.push(item as usize); true });
+            beside.along(p, past, offset, |item| { visited.push(item as usize); true });
             for (i, &(center, radius)) in centers.iter().enumerate() {
                 let t = (center - p).dot(past).max(0.0);
-                prop_assert!(given.contains(&i) || (center - p - t * past).length() >= radius * (1.0 - 1e-3));
+                prop_assert!(visited.contains(&i) || (center - p - t * past).length() >= radius * (1.0 - 1e-3));
             }
             let (mut least, mut waiting) = (f32::NEG_INFINITY, occluders.met.len());
             while let Some(met) = take_nearest(&mut occluders.met[..waiting]) {

@@ -123,13 +123,16 @@ impl LevelSurface {
     ) -> usize {
         let cells = self.cells.cells();
         let mut count = 0;
+        // Each vertex moves once at most, so the loop ends even where a cell is a few roundings wide.
+        let mut is_moved = vec![false; vertices.len()];
         loop {
             let before = count;
             for id in self.misplaced(quads, vertices).into_iter().flat_map(|quad| quads[quad as usize].corners) {
                 let cell = &cells[cells.partition_point(|cell| cell.first_patch <= id) - 1];
                 let corner = self.world(cell.index, DVec3::ZERO);
                 let place = vertices[id as usize] - corner;
-                if place.cmpge(DVec3::ZERO).all() && place.cmple(self.spacing).all() {
+                let is_inside = place.cmpge(DVec3::ZERO).all() && place.cmple(self.spacing).all();
+                if is_inside || std::mem::replace(&mut is_moved[id as usize], true) {
                     continue;
                 }
                 let [lower, upper] = self.region(cell, 0);

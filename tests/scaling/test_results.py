@@ -34,7 +34,7 @@ def test_results_have_the_format_and_the_encoding(boxes, tmp_path, form, encodin
         assert found.encoding == encoding
     width = 3 * exact.spacing[0]
     # Half a step of snorm8, and the float16 values of a level set.
-    assert np.abs(np.clip(found.distances - exact.distances.clip(-width, width), -1, 1)).max() <= width / 127
+    assert np.abs(found.distances - exact.distances.clip(-width, width)).max() <= width / 127
     assert statuses(many(boxes, tmp_path, resolution=8, format=form, encoding=encoding, band=3)) == ["skipped"] * 2
 
 
@@ -53,6 +53,8 @@ def test_shapes_are_items(tmp_path):
         ({"resolution": 8, "voxel_size": 0.1}, "voxel_size"),
         ({"voxel_size": -1}, "voxel_size"),
         ({"sign": "foo"}, "sign"),
+        ({"sign": None}, "sign"),
+        ({"device": 3}, "device"),
         ({"margin": -1}, "margin"),
         ({"band": 0}, "band"),
         ({"bounds": [0, 1]}, "bounds"),
@@ -80,6 +82,26 @@ def test_wrong_options_of_samples_are_errors_before_any_work(boxes, tmp_path, op
     with pytest.raises(fb.ArgumentError):
         many(boxes, tmp_path / "out", sample_many, **options)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("options", [{"format": "vdb"}, {"encoding": "snorm8"}])
+def test_formats_of_fields_do_not_apply_to_samples(boxes, tmp_path, options):
+    with pytest.raises(fb.ArgumentError, match="format, encoding: do not apply to samples"):
+        many(boxes, tmp_path / "out", sample_many, n=5, **options)
+
+
+def test_a_foreign_array_is_not_a_store_of_samples(boxes, tmp_path):
+    zarr = pytest.importorskip("zarr")
+    zarr.create_array(tmp_path / "s.zarr", shape=(3,), dtype="f4", zarr_format=3)[:] = 7
+    with pytest.raises(fb.FormatError, match="other contents"):
+        many(boxes, tmp_path / "s.zarr", sample_many, n=5)
+    assert zarr.open_array(tmp_path / "s.zarr", mode="r")[0] == 7
+
+
+def test_bounds_and_voxels_have_the_same_units(tmp_path):
+    large = {"large": assets.box(1e12)}
+    options = {"bounds": [[-1e12] * 3, [1e12] * 3], "voxel_size": 4e11}
+    assert statuses(many(large, tmp_path, **options)) == ["done"]
 
 
 def test_samples_and_fields_do_not_overwrite_each_other(boxes, tmp_path):

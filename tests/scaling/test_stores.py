@@ -212,6 +212,13 @@ def test_memory_in_any_form_is_not_shared_with_processes(mesh):
                 bake(memory, mesh, executor=executor)
 
 
+def test_stores_around_native_objects_are_used(mesh, tmp_path):
+    local = zarr.storage.LocalStore(tmp_path / "native.zarr")
+    # Some stores keep an object without attributes, such as one of Rust.
+    local._store = object()
+    assert bake(local, mesh).resolution is not None
+
+
 def test_urls_of_local_files_are_paths(mesh, tmp_path):
     for scheme in ("file", "local"):
         path = tmp_path / f"{scheme}.zarr"

@@ -257,7 +257,7 @@ def log_warnings(report: Report) -> None:
 def refuse_for_shapes(options: Mapping[str, tuple[Any, Any]], two_sided: bool) -> None:
     """Raise ArgumentError for an option of meshes that is given for a shape: names with values and defaults."""
     for name, (value, default) in options.items():
-        if value != default:
+        if value is not default and not (isinstance(value, str) and value == default):
             raise ArgumentError(f"{name}: does not apply to a shape, whose field is signed and complete")
     if two_sided:
         raise ArgumentError("two_sided: does not apply to a shape; see Shape.shell")

@@ -34,7 +34,10 @@ class UnsendableError(Error):
 
 
 class Portable:
-    """A callable that cloudpickle carries to other processes, also from a script or notebook. Dask installs that."""
+    """A callable that cloudpickle carries to other processes, also from a script or notebook.
+
+    The package cloudpickle is installed with Dask.
+    """
 
     def __init__(self, function: Callable[[], Any]) -> None:
         self.function = function

@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from ..baking.dense import bake
 from ..base import checks
-from ..base.errors import ArgumentError, Error
+from ..base.errors import ArgumentError, Error, FormatError
 from ..base.progress import Progress, progress_callback
 from . import content, executors, ledger, results
 from .child import Child, Portable, UnsendableError
@@ -51,9 +51,9 @@ def bake_many(
     Parameters
     ----------
     items : iterable of mesh files, meshes, (vertices, faces), shapes or callables; or a mapping of stems to those
-        Everything that :func:`bake` takes. A callable without arguments returns such a mesh or shape; it runs where
-        the item is baked. The result is ``out/STEM.npz``. The stem is that of the file, the key of a mapping, the name
-        of a function, or else ``item-`` and the position of the item.
+        Everything that :func:`bake` takes, except shapes that contain a volume. A callable without arguments returns
+        such a mesh or shape; it runs where the item is baked. The result is ``out/STEM.npz``. The stem is that of the
+        file, the key of a mapping, the name of a function, or else ``item-`` and the position of the item.
     out : path
         Folder for the results and for ``ledger.jsonl``; it is made if it is missing.
     executor : optional
@@ -118,8 +118,9 @@ def sample_many(
 ) -> list[dict[str, Any]]:
     """Draw training samples of each item; arguments and rows as for :func:`bake_many`.
 
-    The options are those of :func:`sample_training`. A result is an .npz file of ``points`` (n, 3), ``distances`` (n,)
-    and ``gradients`` (n, 3), all float32. If `out` ends in ``.zarr``, it is a group of these arrays in one Zarr store.
+    Items are meshes; for a shape, pass ``shape.to_mesh()``. The options are those of :func:`sample_training`. A result
+    is an .npz file of ``points`` (n, 3), ``distances`` (n,) and ``gradients`` (n, 3), all float32. If `out` ends in
+    ``.zarr``, it is a group of these arrays in one Zarr store.
     """
     shared = {field.name: options.pop(field.name) for field in fields(Run) if field.name in options}
     return Run("sample", checks.path(out, "out"), options, **shared).rows(items)
@@ -169,7 +170,11 @@ class Run:
             earlier = {}
         self.out.mkdir(parents=True, exist_ok=True)
         if not self.ending:
-            import_zarr().open_group(self.out, mode="a", zarr_format=3)
+            zarr = import_zarr()
+            try:
+                zarr.open_group(self.out, mode="a", zarr_format=3)
+            except zarr.errors.ContainsArrayError:
+                raise FormatError(f"out: {self.out} has other contents than training samples; they stay") from None
         rows: list[dict[str, Any]] = []
         assets: list[tuple[int, Asset]] = []
         first_error: Exception | None = None

@@ -113,6 +113,10 @@ def checked_format(kind: str, out: Path, form: object, encoding: object) -> tupl
     """The ending of the results and their encoding, None for float32."""
     ending = "." + checks.text("format", form).lower().lstrip(".")
     if kind == "sample":
+        if ending != ".npz" or encoding is not None:
+            raise ArgumentError(
+                "format, encoding: do not apply to samples, which are float32 in .npz files or a .zarr store"
+            )
         if out.suffix in (".npz", ".parquet"):
             raise ArgumentError(f"out: must be a folder or end in .zarr, got {str(out)!r}")
         return ("" if out.suffix == ".zarr" else ".npz"), None
@@ -131,7 +135,9 @@ def check_options(kind: str, options: Mapping[str, Any]) -> None:
     Lengths in world units are checked by themselves, since the size of the meshes is not known here.
     """
     solid = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], float), [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
-    chosen = {name: value for name, value in options.items() if value is not None}
+    # None is the default of these alone.
+    optional = ("voxel_size", "bounds", "band", "thickness")
+    chosen = {name: value for name, value in options.items() if value is not None or name not in optional}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         if kind == "sample":
@@ -139,12 +145,16 @@ def check_options(kind: str, options: Mapping[str, Any]) -> None:
             sample_training(solid, min(count, FEW), **chosen)
             return
         grid = {name: chosen.pop(name) for name in ("resolution", "voxel_size", "bounds") if name in chosen}
-        if "voxel_size" in grid:
-            checks.number("voxel_size", grid.pop("voxel_size"), above=0)
-            grid["voxel_size"] = 0.5
-        make_grid(np.array([(0.0, 0, 0), (1, 1, 1)]), margin=chosen.get("margin", 0.1), **grid)
+        margin = chosen.get("margin", 0.1)
+        if "voxel_size" in grid and "bounds" not in grid:
+            # A voxel is a length in the units of the meshes. The default margin keeps this grid small.
+            checks.number("voxel_size", grid["voxel_size"], above=0)
+            checks.number("margin", margin, least=0)
+            grid["voxel_size"], margin = 0.5, 0.1
+        make_grid(np.array([(0.0, 0, 0), (1, 1, 1)]), margin=margin, **grid)
         if "thickness" in chosen:
             checks.number("thickness", chosen["thickness"], above=0)
             chosen["thickness"] = 0.5
         # Workers may have other devices than this machine.
+        checks.text("device", chosen.get("device", "auto"))
         bake(solid, **{**chosen, "resolution": 4, "device": "cpu"})

@@ -30,7 +30,10 @@ _threads: tuple[int, int] | None = None
 
 @dataclass(frozen=True)
 class Threads:
-    """Number of threads for the worker processes, None to leave it. The client limits its own process for a while."""
+    """Number of threads of a worker process; None changes nothing.
+
+    It is not applied in the process of the client, which `limited_threads` limits during the bake.
+    """
 
     count: int | None
     client: tuple[str, int] = field(default_factory=lambda: (platform.node(), os.getpid()))

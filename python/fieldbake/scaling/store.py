@@ -75,7 +75,8 @@ class Place:
             if isinstance(inner, zarr.storage.MemoryStore) or type(inner).__name__ == "MemoryFileSystem":
                 return False
             # The store of a wrapper, the file system of a store, and that of a cache.
-            inner = next((vars(inner)[name] for name in ("_store", "sync_fs", "fs") if name in vars(inner)), None)
+            parts = getattr(inner, "__dict__", {})
+            inner = next((parts[name] for name in ("_store", "sync_fs", "fs") if name in parts), None)
         return True
 
     def __str__(self) -> str:

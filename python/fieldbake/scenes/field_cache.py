@@ -123,7 +123,7 @@ def of_thing(thing: Volume | SparseVolume | NestedField | AtlasEntry | Shape) ->
         volume = thing.to_volume()
         return _keep(key, _field(volume), volume.nbytes, thing)
     if isinstance(thing, Shape):
-        return _keep(key, _core.SceneField.shape(thing._core), SHAPE_BYTES * thing._core.leaf_count, thing)
+        return _keep(key, _core.SceneField.shape(thing._core), SHAPE_BYTES * thing._core.evaluated_leaves, thing)
     if isinstance(thing, SparseVolume):
         inner = (checks.triple(corner) for corner in thing.inner_bounds)
         return _keep(key, _core.SceneField.sparse(thing._core_field, *inner), thing.nbytes, thing)

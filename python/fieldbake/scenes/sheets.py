@@ -20,9 +20,6 @@ FLAT = 1e-6
 #: sheet.
 SHEET_SHARE = 0.1
 
-#: A volume is negative if it is below zero by more than this fraction of the largest volume of a body.
-ROUNDING = 1e-9
-
 
 class Look(NamedTuple):
     """The appearance of a part of a mesh under the material of its instance."""
@@ -109,8 +106,9 @@ def sheet_of(mesh: Mesh, looks: Sequence[Look]) -> Sheet:
     )
     is_translucent = bool(translucent) and (is_open or is_two_sided or not is_uniform)
     is_traced = is_translucent or (is_open and _net_area_share(mesh) > SHEET_SHARE)
-    # A closed body that is wound inside out is the same solid. Its faces are visible from behind.
-    return Sheet(is_traced, not is_open and not translucent and _has_reversed_body(mesh))
+    # A closed body that is wound inside out is the same solid. Its faces are visible from behind. The wall of a cavity
+    # counts as such a body too; this differs only for a camera inside the wall.
+    return Sheet(is_traced, not is_open and not translucent and mesh._core.has_reversed_body())
 
 
 def _is_flat(mesh: Mesh) -> bool:
@@ -119,26 +117,6 @@ def _is_flat(mesh: Mesh) -> bool:
     offsets -= offsets.mean(axis=0)
     least, _, most = np.linalg.eigvalsh(offsets.T @ offsets)
     return bool(max(least, 0.0) <= FLAT**2 * most)
-
-
-def _has_reversed_body(mesh: Mesh) -> bool:
-    """Whether a connected part of a closed mesh has a negative volume."""
-    if mesh.volume < 0 or mesh.topology()["components"] == 1:
-        return mesh.volume < 0
-    # Faces of one body share positions, not always indices.
-    places, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    faces = index.reshape(-1)[mesh.faces]
-    body = np.arange(len(places))
-    while True:
-        least = body.copy()
-        np.minimum.at(least, faces, body[faces].min(axis=1)[:, None])
-        least = least[least]
-        if np.array_equal(least, body):
-            break
-        body = least
-    a, b, c = np.moveaxis((places - places.mean(axis=0))[faces], 1, 0)
-    volumes = np.bincount(body[faces[:, 0]], np.einsum("ij,ij->i", a, np.cross(b, c)), len(places))
-    return bool((volumes < -ROUNDING * np.abs(volumes).max()).any())
 
 
 def _net_area_share(mesh: Mesh) -> float:

@@ -367,13 +367,14 @@ def gyroid(cell: float = 1.0, thickness: float | Shape | Volume | SparseVolume =
         Period of the surface, world units.
     thickness : float, Shape, Volume or SparseVolume, default 0.1
         The sheet is at least this thick, world units. A shape or a volume is a field that gives the thickness at each
-        point; the sheet is absent where it is 0 or less. See :meth:`Shape.times` for its slope.
+        point; the sheet may be thinner where the field changes, and is absent where it is 0 or less. See
+        :meth:`Shape.times` for its slope.
 
     Returns
     -------
     Shape
-        A shape without bounds. Its field is a lower bound of the distance; `Shape.lipschitz` bounds its slope, and is 1
-        for a number.
+        A shape without bounds. Its field divided by `Shape.lipschitz` is a lower bound of the distance. For a number
+        `lipschitz` is 1.
 
     Examples
     --------
@@ -403,7 +404,7 @@ def schwarz_p(cell: float = 1.0, thickness: float | Shape | Volume | SparseVolum
     Returns
     -------
     Shape
-        A shape without bounds. Its field is a lower bound of the distance, as for :func:`gyroid`.
+        A shape without bounds, as for :func:`gyroid`.
 
     Examples
     --------
@@ -426,7 +427,7 @@ def diamond(cell: float = 1.0, thickness: float | Shape | Volume | SparseVolume 
     Returns
     -------
     Shape
-        A shape without bounds. Its field is a lower bound of the distance, as for :func:`gyroid`.
+        A shape without bounds, as for :func:`gyroid`.
 
     Examples
     --------
@@ -449,7 +450,7 @@ def iwp(cell: float = 1.0, thickness: float | Shape | Volume | SparseVolume = 0.
     Returns
     -------
     Shape
-        A shape without bounds. Its field is a lower bound of the distance, as for :func:`gyroid`.
+        A shape without bounds, as for :func:`gyroid`.
 
     Examples
     --------
@@ -510,14 +511,15 @@ _LARGEST = {
 
 def _sheet(name: str, cell: float, thickness: float | Shape | Volume | SparseVolume) -> Shape:
     """Make a sheet about a periodic surface, whose thickness is a number or a field."""
+    cell = number("cell", cell)
     if isinstance(thickness, Volume | SparseVolume):
         thickness = volume_shape(thickness)
     if not isinstance(thickness, Shape):
-        return _primitive(name, number("cell", cell), number("thickness", thickness))
+        return _primitive(name, cell, number("thickness", thickness))
     # Let g be the distance of the sheet of thickness 0, t the thickness, and T/2 the largest value of g. The chamfered
     # intersection of g - T/2 and -t/2 with the width T/2 is max(g - T/2, -t/2, (g - t/2) / sqrt(2)). The first is at
     # most 0 everywhere, so the result is at most 0 where t >= 0 and g <= t/2.
-    width = 1.0001 * number("cell", cell) * _LARGEST[name] / (2 * math.pi)
+    width = 1.0001 * cell * _LARGEST[name] / (2 * math.pi)
     whole = _primitive(name, cell, 2 * width)
     return combine("intersection", [whole, ~thickness.times(0.5)], chamfer=width)
 
