@@ -321,7 +321,7 @@ mod tests {
                 mesh.first_hits(&rays, near, &mut hits);
                 mesh.are_occluded(&rays, near, &mut occluded);
                 mesh.all_hits(&rays, near, &mut lists);
-                // Of the 203 rays, 102 are even. The range of 21 of them, the multiples of ten, ends before the centre.
+                // There are 102 even rays. The range of 21 of them, the multiples of ten, ends before the centre.
                 assert!(hits.iter().flatten().count() >= 102 - 21);
                 for (i, ray) in rays.iter().enumerate() {
                     assert_eq!(hits[i], mesh.first_hit(ray, |_| true));
