@@ -1,5 +1,5 @@
-// Pictures at rest of meshes beside their fields: triangles that are lit at each pixel, with shadows from the fields of all
-// instances.
+// Draws the triangles of meshes in still pictures. Each pixel is lit, and rays through the fields of all instances find its
+// shadows.
 
 #import clip
 #import cubic
@@ -31,6 +31,7 @@ fn lit_corner(@location(0) place: vec3f, @location(1) slope: vec3f) -> LitCorner
 }
 
 // Whether the ray to a light hits a field. It starts at `p`, and in the field of instance `own_index` at `own_start`.
+// The same ray as in the loop over lights of view.wgsl, which has one call of `field_hit` for all rays.
 fn is_shadowed(p: vec3f, own_index: u32, own_start: vec3f, near: NearLight) -> bool {
     for (var i = 0u; i < u32(view.size.w); i++) {
         let lower = frame_at(i, 17u);
@@ -56,7 +57,8 @@ fn lit_color(corner: LitCorner) -> @location(0) vec4f {
     let to_eye = normalize(view.eye.xyz - p);
     let normal = normalize(corner.normal);
     let own_index = u32(own.texels[23].z);
-    // A shadow ray starts one voxel of the field above its triangle: the two differ by less.
+    // A shadow ray starts one voxel of the field above its triangle. At most places the field and its triangle differ by less
+    // than that.
     let offset = length(moved_by_transpose(own_index, 9u, normal));
     let own_start = moved(own_index, 6u, vec4f(p + offset * normal, 1.0));
     let ambient = select(view.light.x, ambient_light(normal, view.light.x), view.light.y == 1.0);
