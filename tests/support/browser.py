@@ -16,6 +16,9 @@ import pytest
 
 WEB = Path(__file__).parents[2] / "web"
 
+#: Flags of Chromium for WebGPU without a graphics processor.
+WEBGPU_FLAGS = ("--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader")
+
 
 def after_first_picture(script: str) -> str:
     """An expression that runs the script after the first picture of a page; `text` encodes bytes, `drawn` a picture."""

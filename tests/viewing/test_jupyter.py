@@ -47,10 +47,14 @@ SCRIPT = """
   await wait(".jp-Notebook .cm-content");
   const isIdle = () => document.querySelector(".jp-Notebook-ExecutionIndicator")?.dataset.status === "idle";
   await page.waitForFunction(isIdle, null, { timeout: 120_000 });
-  // Other packages of the environment may have questions at the start.
-  if (await page.$(".jp-Dialog .jp-mod-reject")) await page.click(".jp-Dialog .jp-mod-reject");
-  await page.click(".jp-Notebook .cm-content");
-  await page.keyboard.press("Control+Enter");
+  // Dialogs of other packages may take the first keys. A cell has the prompt "[*]" while it runs, and then its number.
+  const isRun = () => !document.querySelector(".jp-InputPrompt").textContent.includes("[ ]");
+  for (let i = 0; i < 30 && !(await page.evaluate(isRun)); i++) {
+    if (await page.$(".jp-Dialog .jp-mod-reject")) await page.click(".jp-Dialog .jp-mod-reject");
+    await page.click(".jp-Notebook .cm-content");
+    await page.keyboard.press("Control+Enter");
+    await page.waitForTimeout(2000);
+  }
   const canvas = await wait(".fb-view canvas");
   const image = () => canvas.evaluate((it) => it.toDataURL());
   const changed = async (before) => {

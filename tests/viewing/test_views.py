@@ -12,11 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 import fieldbake as fb
-from browser import WEB, node_tool, visit
+from browser import WEB, WEBGPU_FLAGS, node_tool, visit
 from fieldbake.viewing.content import content_of
-
-#: Flags of Chromium for WebGPU without a graphics processor.
-FLAGS = ("--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader")
 
 #: Sizes of the two views.
 SIZES = ((80, 64), (116, 92))
@@ -143,7 +140,7 @@ def visit_views(tmp_path: Path, contents: list[bytes], cameras: list[fb.Camera],
     texts = [base64.b64encode(content).decode() for content in contents]
     states = [{"pose": one.pose.ravel().tolist(), "fov": one.fov_deg, "distance": 5} for one in cameras]
     script = f"await page.waitForLoadState(); return page.evaluate({f'run({texts}, {states}, {list(PIXEL)})'!r});"
-    (result,) = visit([{"url": page.as_uri() + end, "script": script}], flags=FLAGS if end else ())
+    (result,) = visit([{"url": page.as_uri() + end, "script": script}], flags=WEBGPU_FLAGS if end else ())
     assert result.value is not None, result.errors
     assert result.errors == []
     return dict(result.value)

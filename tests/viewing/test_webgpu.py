@@ -9,14 +9,11 @@ import numpy as np
 import pytest
 
 import fieldbake as fb
-from browser import after_first_picture, visit
+from browser import WEBGPU_FLAGS, after_first_picture, visit
 
 pytestmark = pytest.mark.slow
 
 SIZE = (128, 96)
-
-#: Flags of Chromium for WebGPU without a graphics processor.
-FLAGS = ("--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader")
 
 #: Resolves to the name of the device, to the canvas, and to pictures: at rest, in motion, depths, a slice, meshes.
 PICTURES = after_first_picture("""
@@ -47,10 +44,7 @@ LOSE = after_first_picture("""
 """)
 
 #: Loses the device in a call of WebGPU while the view draws. Resolves to the state of the view after the next picture.
-LOSE_IN = """(async () => {
-  while (!window.fieldbake) await new Promise((done) => setTimeout(done, 20));
-  await fieldbake.ready;
-  const { view } = fieldbake;
+LOSE_IN = after_first_picture("""
   const api = () => ("device" in view.acquire().engine ? "WebGPU" : "WebGL 2");
   const before = api();
   const { device } = view.acquire().engine;
@@ -72,11 +66,10 @@ LOSE_IN = """(async () => {
   view.camera.orbit(0.3, 0);
   view.redraw();
   await view.settled;
-  const { width, height } = view.canvas;
   const reds = view.canvas.getContext("2d").getImageData(0, 0, width, height).data.filter((_, i) => i % 4 === 0);
   const spread = Math.max(...reds) - Math.min(...reds);
   return { before, after: api(), spread, hasFailed, note: document.querySelector(".fb-note").textContent };
-})()"""
+""")
 
 #: Resolves to the text of a page that shows its picture only.
 STILL = """(async () => {
@@ -111,7 +104,7 @@ def test_webgpu_draws_the_pictures_of_webgl(tmp_path: Path) -> None:
         page = tmp_path / f"{number}.html"
         scene.to_html(page, camera=camera, size=SIZE)
         jobs += [{"url": page.as_uri() + end, "expression": PICTURES} for end in ("", "#webgpu")]
-    results = visit(jobs, timeout=500, flags=FLAGS)
+    results = visit(jobs, timeout=500, flags=WEBGPU_FLAGS)
     for gl, gpu in zip(results[::2], results[1::2], strict=True):
         assert gl.value is not None, gl.errors
         assert gpu.value is not None, gpu.errors
@@ -130,7 +123,7 @@ def test_webgpu_draws_the_pictures_of_webgl(tmp_path: Path) -> None:
 def test_a_lost_device_is_replaced_by_webgl(tmp_path: Path) -> None:
     page = tmp_path / "ball.html"
     fb.bake(fb.sphere(radius=1), 16, device="cpu").to_html(page, size=SIZE)
-    (lost,) = visit([{"url": page.as_uri() + "#webgpu", "expression": LOSE}], flags=FLAGS)
+    (lost,) = visit([{"url": page.as_uri() + "#webgpu", "expression": LOSE}], flags=WEBGPU_FLAGS)
     assert lost.value is not None, lost.errors
     assert (lost.value["before"], lost.value["after"]) == ("WebGPU", "WebGL 2")
     assert lost.value["spread"] > 100
@@ -147,7 +140,7 @@ def test_a_device_that_is_lost_during_a_drawing_is_no_problem_of_the_view(tmp_pa
     calls = (("GPUQueue", "onSubmittedWorkDone"), ("GPUBuffer", "mapAsync"))
     texts = [LOSE_IN.replace("CLASS", name).replace("METHOD", method) for name, method in calls]
     for lost in visit(
-        [{"url": page.as_uri() + "#webgpu", "expression": text} for text in texts], timeout=120, flags=FLAGS
+        [{"url": page.as_uri() + "#webgpu", "expression": text} for text in texts], timeout=120, flags=WEBGPU_FLAGS
     ):
         assert lost.value is not None, lost.errors
         assert (lost.value["before"], lost.value["after"]) == ("WebGPU", "WebGL 2")
@@ -159,7 +152,7 @@ def test_a_device_that_is_lost_during_a_drawing_is_no_problem_of_the_view(tmp_pa
 def test_a_view_that_exceeds_the_limits_of_its_device_states_the_reason(tmp_path: Path) -> None:
     page = tmp_path / "ball.html"
     fb.bake(fb.sphere(radius=1), 32, device="cpu").to_html(page, size=SIZE)
-    (still,) = visit([{"url": page.as_uri() + "#webgpu", "expression": STILL, "before": ONE_ROW}], flags=FLAGS)
+    (still,) = visit([{"url": page.as_uri() + "#webgpu", "expression": STILL, "before": ONE_ROW}], flags=WEBGPU_FLAGS)
     assert still.value is not None, still.errors
     assert still.value["state"] == "still"
     assert "The samples exceed the textures of this graphics device" in still.value["text"]
