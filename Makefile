@@ -19,7 +19,7 @@ demo: $(VENV)/.built ## Bake real geometry, save it, draw it: pictures in out/
 
 test: check types ## Everything CI runs: format, lints, types, Rust tests, Python tests
 	cargo test --quiet
-	PYOPENGL_PLATFORM=osmesa $(BIN)/pytest -n 2 -m "not slow"
+	PYOPENGL_PLATFORM=osmesa $(BIN)/pytest -n 2 -m "not slow" --durations 20
 
 test-long: $(VENV)/.built $(VENV)/.test $(VENV)/.long $(VENV)/.docs ## The tests that `make test` leaves out: slow ones, and builds of 1 to 256 units
 	PYOPENGL_PLATFORM=osmesa $(BIN)/pytest -n 2 -m slow
