@@ -83,7 +83,7 @@ if _TYPE_CHECKING:
     from .scenes.camera import Camera as Camera
     from .scenes.gltf import load_scene as load_scene
     from .scenes.instance import Instance as Instance
-    from .scenes.lights import DirectionalLight as DirectionalLight, PointLight as PointLight
+    from .scenes.lights import DirectionalLight as DirectionalLight, PointLight as PointLight, SpotLight as SpotLight
     from .scenes.materials import Material as Material
     from .scenes.scene import Scene as Scene
     from .shapes.primitives import (
@@ -221,6 +221,7 @@ _NAMES = {
     "scenes.lights": (
         "DirectionalLight",
         "PointLight",
+        "SpotLight",
     ),
     "scenes.materials": ("Material",),
     "scenes.scene": ("Scene",),

@@ -725,6 +725,10 @@ class PointRow(TypedDict):
     radius: float
     #: Linear RGB.
     color: tuple[float, float, float]
+    #: Distance at which the light ends; None without falloff.
+    range: float | None
+    #: Unit axis of the cone of a spot light, and the cosines of its inner and outer angle; None for all directions.
+    spot: tuple[Sequence[float], tuple[float, float]] | None
 
 @final
 class Scene:

@@ -65,7 +65,7 @@ fn lit_color(corner: LitCorner) -> @location(0) vec4f {
     var color = glow.xyz + ambient * tint.xyz;
     let first = u32(view.size.w) + 1u;
     for (var i = first; i < first + u32(view.light.z); i++) {
-        let near = light_from(frame_at(i, 0u), frame_at(i, 1u), p);
+        let near = light_at(i, p);
         if dot(normal, near.light.direction) >= 0.0 || is_shadowed(p, own_index, own_start, near) { continue; }
         color += light_adds(near.light, tint.xyz, normal, to_eye, tint.w, glow.w);
     }

@@ -22,8 +22,13 @@
 //           23    share of the view's largest error at a byte of 255; 1 if the triangles that are drawn are those of a
 //                 mesh; index of the instance
 //
-// Row `count` has the rays of scene space. The rows after it are lights: direction or position in scene space with 0 or
-// 1, then the colour.
+// Row `count` has the rays of scene space. The rows after it are lights:
+//
+//     texel 0     direction in which the light travels, and 0; or position in scene space, and 1
+//           1     colour, range in scene units; range 0: no falloff. With a range, the colour is the one at a distance of
+//                 one scene unit.
+//           2     axis of the cone of a spot light, cosine of its inner angle
+//           3     cosine of its outer angle: below -1 for all directions; three unused numbers
 
 struct View {
     // Width and height of the picture, pixels; side of a pixel at depth 1; number of instances.
@@ -84,13 +89,31 @@ struct NearLight {
     reach: f32,
 }
 
-// The light of two texels of a row: `place` is a direction with 0 or a position with 1.
-fn light_from(place: vec4f, color: vec4f, p: vec3f) -> NearLight {
+// The light of the texels of a row, as a point of scene space receives it. Twin of `seen_from` in
+// src/scene/lit_surface.rs.
+fn light_from(place: vec4f, color: vec4f, axis: vec4f, outer: f32, p: vec3f) -> NearLight {
+    if place.w == 0.0 { return NearLight(Light(place.xyz, 0u, color.xyz, 0u), NO_DEPTH); }
     let way = place.xyz - p;
     let reach = max(length(way), 1e-12);
-    let is_point = place.w == 1.0;
-    let direction = select(place.xyz, -way / reach, is_point);
-    return NearLight(Light(direction, 0u, color.xyz, 0u), select(NO_DEPTH, reach, is_point));
+    let direction = -way / reach;
+    var left = 1.0;
+    if color.w > 0.0 {
+        let share = min(reach / color.w, 1.0);
+        left = (1.0 - share * share * share * share) / (reach * reach);
+    }
+    let cosine = dot(axis.xyz, direction);
+    if cosine <= outer {
+        left = 0.0;
+    } else if cosine < axis.w {
+        let ramp = (cosine - outer) / (axis.w - outer);
+        left *= ramp * ramp;
+    }
+    return NearLight(Light(direction, 0u, left * color.xyz, 0u), reach);
+}
+
+// The light of a row of the table.
+fn light_at(row: u32, p: vec3f) -> NearLight {
+    return light_from(frame_at(row, 0u), frame_at(row, 1u), frame_at(row, 2u), frame_at(row, 3u).x, p);
 }
 
 // IEC 61966-2-1.

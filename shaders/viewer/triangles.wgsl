@@ -5,9 +5,9 @@
 #import viewer_table
 #import viewer_corner
 
-// Two texels of the table for each light.
+// Four texels of the table for each light.
 struct Lights {
-    texels: array<vec4f, 32>,
+    texels: array<vec4f, 64>,
 }
 
 @group(0) @binding(6) var<uniform> lights: Lights;
@@ -30,7 +30,11 @@ fn triangle_corner(@location(0) place: vec3f, @location(1) slope: vec3f) -> Corn
         let ambient = select(view.light.x, ambient_light(normal, view.light.x), view.light.y == 1.0);
         color = glow.xyz + ambient * tint.xyz;
         for (var i = 0u; i < u32(view.light.z); i++) {
-            let near = light_from(lights.texels[2u * i], lights.texels[2u * i + 1u], p);
+            let first = 4u * i;
+            let outer = lights.texels[first + 3u].x;
+            let near = light_from(
+                lights.texels[first], lights.texels[first + 1u], lights.texels[first + 2u], outer, p
+            );
             color += light_adds(near.light, tint.xyz, normal, to_eye, tint.w, glow.w);
         }
     }

@@ -153,7 +153,7 @@ fn main(@builtin(position) position: vec4f) -> @location(0) vec4f {
         var light: Light;
         var reach = NO_DEPTH;
         if r > 0u {
-            let found_light = light_from(frame_at(count + r, 0u), frame_at(count + r, 1u), p_scene);
+            let found_light = light_at(count + r, p_scene);
             light = found_light.light;
             reach = found_light.reach;
             if dot(normal, light.direction) >= 0.0 { continue; }

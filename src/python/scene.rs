@@ -18,7 +18,7 @@ use crate::scene::nested::NestedField;
 use crate::scene::objects::{QuadricField, ShapeField, SparseBricks};
 use crate::scene::texture::Texture as CoreTexture;
 use crate::scene::triangles::Triangles;
-use crate::scene::{self, Alpha, InstanceInput, Light, Material, Primary, RenderOptions, SceneShadows};
+use crate::scene::{self, Alpha, InstanceInput, Light, Material, Primary, RenderOptions, SceneShadows, Spot};
 use crate::volume::Trilinear;
 use glam::{DAffine3, DMat4, DVec3, Vec2, Vec4};
 use numpy::ndarray::ArrayView2;
@@ -231,8 +231,8 @@ impl MaterialRow {
     }
 }
 
-/// One light, as a dictionary: a directional one with `direction` and `slope`, or a point light with `position` and
-/// `radius`.
+/// One light, as a dictionary: a directional one with `direction` and `slope`, or a point light with `position`,
+/// `radius`, `range` and `spot`.
 #[derive(FromPyObject)]
 enum LightRow {
     #[pyo3(transparent)]
@@ -256,6 +256,9 @@ struct PointRow {
     position: [f64; 3],
     radius: f64,
     color: [f64; 3],
+    range: Option<f64>,
+    /// Axis, and cosines of the inner and outer angle.
+    spot: Option<([f64; 3], [f64; 2])>,
 }
 
 impl From<LightRow> for Light {
@@ -267,9 +270,13 @@ impl From<LightRow> for Light {
                 color: color(row.color),
                 slope: row.slope,
             },
-            LightRow::Point(row) => {
-                Self::Point { position: DVec3::from_array(row.position), color: color(row.color), radius: row.radius }
-            }
+            LightRow::Point(row) => Self::Point {
+                position: DVec3::from_array(row.position),
+                color: color(row.color),
+                radius: row.radius,
+                range: row.range,
+                spot: row.spot.map(|(axis, cosines)| Spot { axis: DVec3::from_array(axis), cosines }),
+            },
         }
     }
 }

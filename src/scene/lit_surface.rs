@@ -6,7 +6,7 @@ use super::light_rays::{LightRay, LightWork, SurfacePoint, basis, disc_point, to
 use super::occlusion::Occluders;
 use super::shadow::Casters;
 use super::transmission::{self, NO_LIGHT};
-use super::{Light, RenderOptions, Scene, SceneShadows};
+use super::{Light, RenderOptions, Scene, SceneShadows, Spot};
 use glam::{DVec3, Vec3};
 
 /// Distance of the start from the surface in voxels. A field's own surface departs from a smooth one by less than an
@@ -34,6 +34,9 @@ pub enum SceneLight {
         position: DVec3,
         color: Vec3,
         radius: f64,
+        /// Range in scene units, with the number of world units in a scene unit; None without falloff.
+        falloff: Option<[f64; 2]>,
+        spot: Option<Spot>,
     },
 }
 
@@ -43,27 +46,61 @@ impl Lights {
             Light::Directional { direction, color, slope } => {
                 SceneLight::Directional { to_light: -direction.normalize(), color, slope }
             }
-            Light::Point { position, color, radius } => {
-                SceneLight::Point { position: scene.scene_from_world(position), color, radius: radius / scene.scale }
-            }
+            Light::Point { position, color, radius, range, spot } => SceneLight::Point {
+                position: scene.scene_from_world(position),
+                color,
+                radius: radius / scene.scale,
+                falloff: range.map(|range| [range / scene.scale, scene.scale]),
+                spot,
+            },
         };
         Self { lights: options.lights.iter().map(in_scene).collect() }
     }
 }
 
 impl SceneLight {
-    /// The ray to the light from a scene point, the light's angular radius as a slope, and its colour.
+    /// The ray to the light from a scene point, the light's angular radius as a slope, and its colour at the point.
     pub fn seen_from(&self, p: DVec3) -> (LightRay, f32, Vec3) {
         match *self {
             Self::Directional { to_light, color, slope } => {
                 (LightRay { direction: to_light, t_max: f64::INFINITY }, slope, color)
             }
-            Self::Point { position, color, radius } => {
+            Self::Point { position, color, radius, falloff, spot } => {
                 let way = position - p;
                 let distance = way.length().max(1e-12);
-                (LightRay { direction: way / distance, t_max: distance }, (radius / distance) as f32, color)
+                let direction = way / distance;
+                let left = falloff.map_or(1.0, |[range, scale]| share_at(distance, range, scale))
+                    * spot.map_or(1.0, |spot| share_of_cone(&spot, -direction));
+                (LightRay { direction, t_max: distance }, (radius / distance) as f32, left as f32 * color)
             }
         }
+    }
+}
+
+/// Largest factor of the falloff, so that colours stay finite.
+const BRIGHTEST: f64 = 1e30;
+
+/// Factor of a light's intensity at a distance below its range, both in scene units of `scale` world units:
+/// `(1 - (d / range)^4) / d^2` with `d` in world units (glTF extension KHR_lights_punctual).
+fn share_at(distance: f64, range: f64, scale: f64) -> f64 {
+    if distance >= range {
+        return 0.0;
+    }
+    let world = distance * scale;
+    ((1.0 - (distance / range).powi(4)) / (world * world)).min(BRIGHTEST)
+}
+
+/// Factor of a spot light's intensity in a unit direction: the square of a linear function of the cosine between the
+/// outer and the inner angle (KHR_lights_punctual).
+fn share_of_cone(spot: &Spot, direction: DVec3) -> f64 {
+    let [inner, outer] = spot.cosines;
+    let cosine = spot.axis.dot(direction);
+    if cosine >= inner {
+        1.0
+    } else if cosine <= outer {
+        0.0
+    } else {
+        ((cosine - outer) / (inner - outer)).powi(2)
     }
 }
 

@@ -23,7 +23,20 @@ pub enum Light {
         color: Vec3,
         /// Radius of the ball that emits the light, world units.
         radius: f64,
+        /// Distance at which the light ends, world units; None without falloff.
+        range: Option<f64>,
+        /// Cone that the light shines into; None for all directions.
+        spot: Option<Spot>,
     },
+}
+
+/// The cone of a spot light. Angles are those between a direction and the axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spot {
+    /// Unit direction of the axis, in which the light travels.
+    pub axis: DVec3,
+    /// Cosines of the angle at which the intensity begins to decrease, and of the angle at which it is zero.
+    pub cosines: [f64; 2],
 }
 
 /// Largest number of lights of a scene.

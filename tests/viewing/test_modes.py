@@ -135,8 +135,12 @@ def test_rays_in_motion_and_the_modes_of_sparse_volumes_and_scenes(tmp_path: Pat
 
 
 def test_dense_grids_in_motion_and_meshes_are_triangles(tmp_path: Path) -> None:
-    # The mesh is turned and smaller; the lights are of both kinds. Pictures in motion have no shadows.
-    lights = [fb.DirectionalLight((-1, -2, -0.7), intensity=0.6), fb.PointLight((3, 5, 4), intensity=0.4)]
+    # The mesh is turned and smaller; the lights are of all kinds. Pictures in motion have no shadows.
+    lights = [
+        fb.DirectionalLight((-1, -2, -0.7), intensity=0.6),
+        fb.PointLight((3, 5, 4), intensity=0.2),
+        fb.SpotLight((0, 4, 3), (0, -0.8, -0.6), 5, 25, intensity=7, range=20),
+    ]
     orange = fb.Material(color=(0.9, 0.5, 0.1))
     coarse = fb.models.torus_knot(segments=24, sides=5)
     place = beside() @ np.diag([0.6, -0.6, -0.6, 1])

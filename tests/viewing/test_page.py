@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import math
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
@@ -37,7 +38,12 @@ def scene() -> fb.Scene:
         fb.Instance(fb.Quadric.sphere((0, 2.2, 0), radius=0.7, reflectance=(0.2, 0.5, 0.9))),
         fb.Instance(fb.box((9, 0.2, 9)).translate((0, -1.6, 0))),
     ]
-    lights = [fb.DirectionalLight((-1, -2, -0.7), intensity=0.6), fb.PointLight((3, 5, 4), intensity=0.4)]
+    lights = [
+        fb.DirectionalLight((-1, -2, -0.7), intensity=0.5),
+        fb.PointLight((3, 5, 4), intensity=0.2),
+        fb.PointLight((-3, 3, 2), (0.3, 1, 0.3), 4, range=9),
+        fb.SpotLight((1, 6, 5), (0, -0.8, -0.6), 8, 20, (1, 0.4, 0.4), 16, range=math.inf),
+    ]
     return fb.Scene(things, lights)
 
 

@@ -32,7 +32,7 @@ export interface Pass {
   triangles: Scenery | null;
 }
 
-/** The triangles of all visible instances, each with its row of the table; two texels for each light. */
+/** The triangles of all visible instances, each with its row of the table; four texels for each light. */
 export interface Scenery {
   background: number[];
   lights: Float32Array<ArrayBuffer>;
@@ -68,8 +68,9 @@ export type Bytes = Uint8ClampedArray<ArrayBuffer>;
 export const VIEW_FLOATS = 56;
 /** Texels in a row of the table of instances, as in shaders/viewer/table.wgsl. */
 export const ROW = 24;
-/** Largest number of lights. Each has two texels. */
+/** Largest number of lights, and the number of texels of each. */
 export const MOST_LIGHTS = 16;
+export const LIGHT_TEXELS = 4;
 
 /** The reason why a view cannot be drawn, as a sentence for the reader of the page. */
 export class Unavailable extends Error {}

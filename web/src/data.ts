@@ -39,6 +39,10 @@ export interface LightData {
   kind: number;
   vector: Vector;
   color: Vector;
+  /** Distance at which the light ends, world units; 0 for a light without falloff. */
+  range: number;
+  /** Axis of the cone of a spot light, and the cosines of its inner and outer angle; null for all directions. */
+  spot: number[] | null;
 }
 
 /** A page of an atlas: its picture as an address, and its volumes in rectangles of left, top, width and height, shares. */

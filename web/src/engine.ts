@@ -1,8 +1,8 @@
 // The resources of a view on a device: its samples, its table of instances, and the input of its pictures.
 
-import { Backend, Bytes, MOST_LIGHTS, Program, ROW, Shape, Texture, Unavailable } from "./backend";
+import { Backend, Bytes, LIGHT_TEXELS, MOST_LIGHTS, Program, ROW, Shape, Texture, Unavailable } from "./backend";
 import { Camera } from "./camera";
-import { Data, FilteredGrids, InstanceData } from "./data";
+import { Data, FilteredGrids, InstanceData, LightData } from "./data";
 import { levelSet } from "./surface";
 import { Affine, Vector, add, direction, dot, inverse, point, product, subtract, times, unit } from "./vectors";
 
@@ -126,8 +126,8 @@ export class Resources {
     this.table = engine.texture("table", [ROW, texels.length / (4 * ROW), 1], texels);
     const row = (i: number, count: number) => texels.slice(4 * ROW * i, 4 * (ROW * i + count));
     const { instances } = data.description;
-    const block = new Float32Array(8 * MOST_LIGHTS);
-    for (let i = 0; i < lights; i++) block.set(row(instances.length + 1 + i, 2), 8 * i);
+    const block = new Float32Array(4 * LIGHT_TEXELS * MOST_LIGHTS);
+    for (let i = 0; i < lights; i++) block.set(row(instances.length + 1 + i, LIGHT_TEXELS), 4 * LIGHT_TEXELS * i);
     const visible = instances.flatMap((instance, i) => (data.isVisible(instance.record) ? [{ instance, row: row(i, ROW) }] : []));
     engine.prepare({
       program,
@@ -182,7 +182,7 @@ export class Resources {
     const worldFromScene = inverse(sceneFromWorld);
     const fromCamera = (v: Vector): Vector =>
       unit(add(add(times(camera.right, v[0]), times(camera.up, v[1])), times(camera.back, v[2])));
-    const keyed = [{ kind: 0, vector: fromCamera(settings.light ?? key.direction), color: key.color }];
+    const keyed: LightData[] = [{ kind: 0, vector: fromCamera(settings.light ?? key.direction), color: key.color, range: 0, spot: null }];
     const shining = (settings.light || !lights ? keyed : lights).slice(0, MOST_LIGHTS);
 
     const rows = instances.length + 1 + shining.length;
@@ -217,7 +217,9 @@ export class Resources {
     shining.forEach((light, i) => {
       const row = instances.length + 1 + i;
       put(row, 0, light.kind === 1 ? [...point(sceneFromWorld, light.vector), 1] : [...unit(light.vector), 0]);
-      put(row, 1, light.color);
+      // With falloff, the colour is the one at a distance of one scene unit.
+      put(row, 1, [...(light.range > 0 ? times(light.color, 1 / scale ** 2) : light.color), light.range / scale]);
+      put(row, 2, light.spot ?? [0, 0, 0, 0, -2]);
     });
     return { texels, lights: shining.length };
   }

@@ -1,6 +1,6 @@
 // WebGPU: one device for all views of a document. It compiles the WGSL itself.
 
-import { Backend, Bytes, MOST_LIGHTS, Pass, Program, ROW, Shape, Texture, TextureKind, VIEW_FLOATS, upright } from "./backend";
+import { Backend, Bytes, LIGHT_TEXELS, MOST_LIGHTS, Pass, Program, ROW, Shape, Texture, TextureKind, VIEW_FLOATS, upright } from "./backend";
 import { Triangles } from "./surface";
 import { Vector } from "./vectors";
 
@@ -70,7 +70,7 @@ export class WebGpu implements Backend {
     this.layout = device.createBindGroupLayout({ entries: kinds.map((kind, binding) => ({ binding, visibility, ...kind })) });
     this.view = this.block(4 * VIEW_FLOATS);
     this.own = this.block(ROW_STRIDE);
-    this.lights = this.block(32 * MOST_LIGHTS);
+    this.lights = this.block(16 * LIGHT_TEXELS * MOST_LIGHTS);
     this.sampler = device.createSampler({ magFilter: "linear", minFilter: "linear" });
     const empty = (kind: TextureKind) => this.texture(kind, [1, 1, 1], new Uint8Array(TEXEL_BYTES[kind]));
     this.missing = { words: empty("words"), table: empty("table"), filtered: empty("filtered") };

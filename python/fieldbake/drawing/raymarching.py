@@ -18,7 +18,7 @@ from ..merging.nested import NestedField
 from ..scaling.zarr_volume import ZarrVolume
 from ..scenes.camera import Camera
 from ..scenes.instance import Instance
-from ..scenes.lights import AMBIENT, BACKGROUND, DirectionalLight, Light, PointLight, key_light
+from ..scenes.lights import AMBIENT, BACKGROUND, DirectionalLight, Light, PointLight, SpotLight, key_light
 from ..scenes.materials import PLAIN, SHININESS, SPECULAR, Material
 from ..scenes.scene import Scene
 from ..shapes.quadric import Quadric, bounds_of, check_quadrics, core_of, is_quadrics
@@ -72,7 +72,7 @@ def raymarch(
         Kind of shadows that the surface casts on itself. ``"soft"`` and ``"area"`` are those of :func:`render`.
     filter : "linear" or "hardware", default "linear"
         Interpolation between samples: exact, or by the texture units of a graphics device (see Notes).
-    lights : sequence of DirectionalLight and PointLight, optional
+    lights : sequence of DirectionalLight, PointLight and SpotLight, optional
         If not given, one white light of intensity 0.64 from above, over the viewer's right shoulder.
     ambient : float, optional
         Ambient light as a fraction of the colour; the default is 0.2.
@@ -202,7 +202,8 @@ class _Options:
     @property
     def needs_scene(self) -> bool:
         """Whether only the light pass of scenes has these shadows and lights."""
-        return self.shadows in ("soft", "area") or any(isinstance(light, PointLight) for light in self.lights or ())
+        placed = (PointLight, SpotLight)
+        return self.shadows in ("soft", "area") or any(isinstance(light, placed) for light in self.lights or ())
 
     def view_of(self, bounds: NDArray[np.float64]) -> Camera:
         """The camera, or the default camera for a box."""

@@ -106,9 +106,10 @@ def render(
     n.h)^shininess + through * albedo))``, in linear RGB. ``open`` is the fraction of the hemisphere that occluders
     leave open, ``arrives`` is the visible fraction of a light, ``n``, ``l`` and ``h`` are unit vectors: the normal, the
     direction to the light and the half vector. ``through`` is the light that passes through the object itself, see
-    :class:`Material`. Lights have no falloff with distance. Penumbrae follow S. Aaltonen, GPU-based clay simulation and
-    ray-tracing tech in Claybook, GDC 2018, and are centred on the hard edge. Where one cone gives no clear result,
-    16 cones divide the disc of the light.
+    :class:`Material`. ``light`` is colour times intensity, and for a :class:`PointLight` or :class:`SpotLight` also the
+    falloff with distance and the share of the cone, which ``frame.shadow`` does not contain. Penumbrae follow S.
+    Aaltonen, GPU-based clay simulation and ray-tracing tech in Claybook, GDC 2018, and are centred on the hard edge.
+    Where one cone gives no clear result, 16 cones divide the disc of the light.
 
     Shadows and occlusion of open sheets, of flat meshes and of meshes with a mask or a translucent texture are those of
     their triangles, with the opacity of the material at each hit; such meshes need no field. Each crossing of a blended

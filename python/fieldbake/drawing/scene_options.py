@@ -18,7 +18,7 @@ from ..scenes import field_cache
 from ..scenes.camera import Camera
 from ..scenes.core_scene import Fields
 from ..scenes.instance import Instance
-from ..scenes.lights import DirectionalLight, Light, key_light
+from ..scenes.lights import DirectionalLight, Light, SpotLight, cone_cosines, key_light
 from ..scenes.materials import scattering_rgb
 from ..scenes.scene import Scene
 from ..volumes.volume import Volume
@@ -201,4 +201,10 @@ def _light_row(light: Light) -> _core.DirectionalRow | _core.PointRow:
     if isinstance(light, DirectionalLight):
         slope = float(np.tan(np.radians(min(light.angle_deg, 170.0) / 2)))
         return {"direction": light.direction, "slope": slope, "color": (red, green, blue)}
-    return {"position": light.position, "radius": light.radius, "color": (red, green, blue)}
+    return {
+        "position": light.position,
+        "radius": light.radius,
+        "color": (red, green, blue),
+        "range": light.range,
+        "spot": (light.direction, cone_cosines(light)) if isinstance(light, SpotLight) else None,
+    }

@@ -7,9 +7,11 @@ and no lights, so cameras and lights are read from the JSON of the file.
 from __future__ import annotations
 
 import json
+import math
 import os
 import struct
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +25,7 @@ from ..base.report import count_text
 from ..meshes.convert import load_nodes
 from .camera import Camera
 from .instance import INSTANCE_RESOLUTION, Instance
-from .lights import AMBIENT, MAX_LIGHTS, DirectionalLight, Light, PointLight
+from .lights import AMBIENT, MAX_LIGHTS, DirectionalLight, Light, PointLight, SpotLight
 from .scene import Scene
 
 #: Magic number of a binary glTF file, and kind of its JSON chunk.
@@ -39,7 +41,8 @@ def load_scene(
     ----------
     path : str or path
         A file of any format that :func:`load_mesh` reads. Nodes that share a mesh share its field. Cameras and lights
-        (``KHR_lights_punctual``) come from glTF files; a spot light becomes a point light.
+        (``KHR_lights_punctual``) come from glTF files. Point and spot lights fall off with distance, also without a
+        range in the file.
     resolution : int, default 64
         Voxels along the longest side of the field of each mesh.
     ambient : float, default 0.2
@@ -49,8 +52,9 @@ def load_scene(
     -------
     Scene
         The scene. All intensities have a common factor, because the units of files differ: the brightest light reaches
-        the centre of the scene with intensity 1. A file without lights gets the default light of :class:`Scene`. At
-        most 16 lights are kept, the brightest at the centre; a warning counts the others.
+        the centre of the scene with intensity 1. A lamp nearer to the centre than a quarter of the scene's diagonal
+        counts as that far away; ranges and cones are ignored for the factor. A file without lights gets the default
+        light of :class:`Scene`. At most 16 lights are kept, the brightest at the centre; a warning counts the others.
 
     Raises
     ------
@@ -81,8 +85,7 @@ def load_scene(
         light = _light(document, node, world_from_node)
         if light is not None:
             lights.append(light)
-    bounds = Scene(instances).bounds
-    return Scene(instances, _balanced(file, lights, bounds.mean(axis=0)), ambient=ambient, cameras=cameras)
+    return Scene(instances, _balanced(file, lights, Scene(instances).bounds), ambient=ambient, cameras=cameras)
 
 
 def _document(file: Path) -> dict[str, Any]:
@@ -159,29 +162,35 @@ def _light(document: dict[str, Any], node: dict[str, Any], world_from_node: NDAr
         return None
     light = document["extensions"]["KHR_lights_punctual"]["lights"][reference["light"]]
     color, intensity = light.get("color", (1.0, 1.0, 1.0)), float(light.get("intensity", 1.0))
+    axis, position = (-world_from_node[:3, 2]).tolist(), world_from_node[:3, 3].tolist()
     if light.get("type") == "directional":
-        return DirectionalLight((-world_from_node[:3, 2]).tolist(), color, intensity)
-    return PointLight(world_from_node[:3, 3].tolist(), color, intensity)
+        return DirectionalLight(axis, color, intensity)
+    # Without a range the falloff is the inverse square alone.
+    reach = float(light.get("range") or math.inf)
+    if light.get("type") != "spot":
+        return PointLight(position, color, intensity, range=reach)
+    cone = light.get("spot", {})
+    outer = min(math.degrees(cone.get("outerConeAngle", math.pi / 4)), 90.0)
+    inner = min(math.degrees(cone.get("innerConeAngle", 0.0)), outer)
+    return SpotLight(position, axis, inner, outer, color, intensity, range=reach)
 
 
-def _balanced(file: Path, lights: list[Light], center: NDArray[np.float64]) -> list[Light] | None:
-    """Convert lights to a common scale. Lights of files fall off with distance; those of fieldbake do not."""
+def _balanced(file: Path, lights: list[Light], bounds: NDArray[np.float64]) -> list[Light] | None:
+    """Multiply the intensities of lights by a common factor, and keep the brightest lights."""
     if not lights:
         return None
-    arriving = [
-        light.intensity / max(float(np.sum((np.array(light.position) - center) ** 2)), 1e-12)
-        if isinstance(light, PointLight)
-        else light.intensity
-        for light in lights
-    ]
+    center, diagonal = bounds.mean(axis=0), float(np.linalg.norm(bounds[1] - bounds[0]))
+
+    def arriving_from(light: Light) -> float:
+        if isinstance(light, DirectionalLight):
+            return light.intensity
+        distance = max(float(np.linalg.norm(np.array(light.position) - center)), diagonal / 4)
+        return light.intensity / distance**2
+
+    arriving = [arriving_from(light) for light in lights]
     # Lights that are all dark stay dark.
     brightest = max(arriving) or 1.0
-    balanced: list[Light] = []
-    for light, strength in zip(lights, arriving, strict=True):
-        if isinstance(light, PointLight):
-            balanced.append(PointLight(light.position, light.color, strength / brightest, light.radius))
-        else:
-            balanced.append(DirectionalLight(light.direction, light.color, strength / brightest))
+    balanced: list[Light] = [replace(light, intensity=light.intensity / brightest) for light in lights]
     if len(balanced) <= MAX_LIGHTS:
         return balanced
     unused = len(balanced) - MAX_LIGHTS

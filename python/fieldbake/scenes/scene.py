@@ -26,7 +26,7 @@ class Scene(Viewable):
     ----------
     instances : sequence of Instance
         Instances in order. Any other object in the sequence becomes an instance with default options.
-    lights : sequence of PointLight and DirectionalLight, optional
+    lights : sequence of PointLight, SpotLight and DirectionalLight, optional
         At most 16 lights. The default is one white light of intensity 0.64 from above, over the viewer's right
         shoulder.
     ambient : float, default 0.2

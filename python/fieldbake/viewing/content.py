@@ -25,7 +25,16 @@ from ..scaling.zarr_volume import ZarrVolume
 from ..scenes import field_cache
 from ..scenes.camera import Camera
 from ..scenes.instance import Instance
-from ..scenes.lights import AMBIENT, BACKGROUND, KEY_DIRECTION, KEY_INTENSITY, DirectionalLight, Light
+from ..scenes.lights import (
+    AMBIENT,
+    BACKGROUND,
+    KEY_DIRECTION,
+    KEY_INTENSITY,
+    DirectionalLight,
+    Light,
+    SpotLight,
+    cone_cosines,
+)
 from ..scenes.materials import PLAIN, SHININESS, SPECULAR, Material
 from ..scenes.scene import Scene
 from ..scenes.sheets import Look
@@ -355,8 +364,11 @@ def _instance_data(item: Placed, row: list[float], largest_error: float | None) 
 def _light_data(light: Light) -> dict[str, Any]:
     color = np.multiply(light.color, light.intensity).tolist()
     if isinstance(light, DirectionalLight):
-        return {"kind": 0, "vector": list(light.direction), "color": color}
-    return {"kind": 1, "vector": list(light.position), "color": color}
+        return {"kind": 0, "vector": list(light.direction), "color": color, "range": 0, "spot": None}
+    spot = [*light.direction, *cone_cosines(light)] if isinstance(light, SpotLight) else None
+    # JSON has no infinity.
+    reach = 0 if light.range is None else min(light.range, 1e30)
+    return {"kind": 1, "vector": list(light.position), "color": color, "range": reach, "spot": spot}
 
 
 def nice_step(value: float) -> float:
