@@ -599,8 +599,9 @@ def raymarch(
     """Draw the zero level set.
 
     ``picture`` must have all of these keys: ``pose`` (4, 4) world from camera, with the viewing axis -Z; ``fov_deg``;
-    ``size`` (width, height); ``light_directions`` (k, 3), in which light travels; ``light_colors`` (k, 3); ``ambient``;
-    ``color``; ``specular``; ``shininess``; ``background``; ``shadows``.
+    ``height`` of the picture in world units for parallel rays, or None; ``size`` (width, height); ``light_directions``
+    (k, 3), in which light travels; ``light_colors`` (k, 3); ``ambient``; ``color``; ``specular``; ``shininess``;
+    ``background``; ``shadows``.
 
     The result has these keys: ``color`` (h, w, 4) linear RGBA; ``depth`` (h, w) along the viewing axis, inf without a
     hit; ``normal`` (h, w, 3); ``object_id`` (h, w) int32, -1 without a hit; ``shadow`` (h, w) or (h, w, k); ``steps``
@@ -757,6 +758,7 @@ class Renderer:
         pose: NDArray[np.float64],
         *,
         fov_deg: float,
+        height: float | None,
         size: tuple[int, int],
         lights: list[DirectionalRow | PointRow],
         primary: str,

@@ -88,7 +88,8 @@ pub(crate) fn draw(
 ) -> Result<Drawing, Error> {
     options.check()?;
     let lights = options.unit_lights()?;
-    let is_eye_inside = tracer.is_inside(camera.eye);
+    // Parallel rays start at different points; each is traced from its own.
+    let is_eye_inside = !camera.is_parallel() && tracer.is_inside(camera.eye);
     let rays = PixelRays::new(tracer, camera, options, lights.len());
     let view = ShapeView { tracer, camera, options, lights: &lights, is_eye_inside, rays };
     match place {

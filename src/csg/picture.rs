@@ -98,7 +98,7 @@ impl PixelRays {
         let frame = tracer.solid.frame;
         let start_depth = camera.depth_before(tracer.bounds.map(|corner| frame.world(corner.as_dvec3())));
         let start = frame.local(camera.eye - start_depth * camera.back);
-        let rays = camera.rays(options, light_count, start, start_depth / frame.scale);
+        let rays = camera.rays(frame.scale, options, light_count, start, start_depth);
         Self {
             start_depth,
             scale: frame.scale,

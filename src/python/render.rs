@@ -85,6 +85,7 @@ pub(super) fn raymarch_nested<'py>(
 pub(super) struct PictureArguments<'py> {
     pose: PyReadonlyArray2<'py, f64>,
     fov_deg: f64,
+    height: Option<f64>,
     size: [u32; 2],
     light_directions: PyReadonlyArray2<'py, f32>,
     light_colors: PyReadonlyArray2<'py, f32>,
@@ -98,7 +99,7 @@ pub(super) struct PictureArguments<'py> {
 
 impl PictureArguments<'_> {
     pub(super) fn read(&self) -> PyResult<(Camera, RaymarchOptions)> {
-        let camera = Camera::from_pose(&pose_matrix(&self.pose)?, self.fov_deg).map_err(Failure::from)?;
+        let camera = camera(&self.pose, self.fov_deg, self.height)?;
         let options = RaymarchOptions {
             size: self.size,
             lights: lights(&self.light_directions, &self.light_colors)?,
@@ -114,7 +115,17 @@ impl PictureArguments<'_> {
     }
 }
 
-pub(super) fn pose_matrix(pose: &PyReadonlyArray2<'_, f64>) -> PyResult<[[f64; 4]; 4]> {
+/// A camera; the height of the picture in world units makes its rays parallel.
+pub(super) fn camera(pose: &PyReadonlyArray2<'_, f64>, fov_deg: f64, height: Option<f64>) -> PyResult<Camera> {
+    let pose = pose_matrix(pose)?;
+    let camera = match height {
+        None => Camera::from_pose(&pose, fov_deg),
+        Some(height) => Camera::orthographic(&pose, height),
+    };
+    Ok(camera.map_err(Failure::from)?)
+}
+
+fn pose_matrix(pose: &PyReadonlyArray2<'_, f64>) -> PyResult<[[f64; 4]; 4]> {
     let pose_array = pose.as_array();
     if pose_array.shape() != [4, 4] {
         let message = format!("pose: must be a (4, 4) matrix, got shape {:?}", pose_array.shape());

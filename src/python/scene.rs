@@ -6,12 +6,11 @@ use super::device::choose;
 use super::error::Failure;
 use super::mesh::Mesh;
 use super::quadric::quadric_rows;
-use super::render::{frame_dict, pose_matrix};
+use super::render::{camera, frame_dict};
 use super::run::run;
 use super::sparse::SparseField;
 use crate::error::SceneError;
 use crate::quadric::Quadrics;
-use crate::render::Camera;
 use crate::scene::far::FarField;
 use crate::scene::field::{DenseField, SampledField};
 use crate::scene::nested::NestedField;
@@ -349,8 +348,8 @@ impl Renderer {
 
     /// Draws a scene.
     #[pyo3(signature = (
-        scene, pose, *, fov_deg, size, lights, primary, shadows, area_samples, ambient, occlusion, far, far_distance,
-        background, exposure, samples, light_scale, device, progress=None
+        scene, pose, *, fov_deg, height, size, lights, primary, shadows, area_samples, ambient, occlusion, far,
+        far_distance, background, exposure, samples, light_scale, device, progress=None
     ))]
     fn frame<'py>(
         &self,
@@ -358,6 +357,7 @@ impl Renderer {
         scene: &Scene,
         pose: PyReadonlyArray2<'py, f64>,
         fov_deg: f64,
+        height: Option<f64>,
         size: [u32; 2],
         lights: Vec<LightRow>,
         primary: &str,
@@ -375,7 +375,7 @@ impl Renderer {
         progress: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let place = choose(py, device)?;
-        let camera = Camera::from_pose(&pose_matrix(&pose)?, fov_deg).map_err(Failure::from)?;
+        let camera = camera(&pose, fov_deg, height)?;
         let options = RenderOptions {
             size,
             primary: match primary {

@@ -45,12 +45,13 @@ impl QuadricView<'_> {
     pub(super) fn draw_pixel(&self, x: usize, y: usize, row: &mut Row<'_>) {
         row.color[4 * x..][..4].copy_from_slice(&self.options.background);
         // Multiples of `direction` are depths.
+        let start = self.camera.pixel_start(x as u32, y as u32, self.options.size);
         let direction = self.camera.pixel_direction(x as u32, y as u32, self.options.size);
-        let (hit, tried) = self.quadrics.first_hit(self.camera.eye, direction, [0.0, f64::INFINITY]);
+        let (hit, tried) = self.quadrics.first_hit(start, direction, [0.0, f64::INFINITY]);
         row.steps[x] = tried;
         let Some(hit) = hit else { return };
 
-        let p = self.camera.eye + hit.t * direction;
+        let p = start + hit.t * direction;
         let shadow = &mut row.shadow[x * row.lights..][..row.lights];
         let to_eye = -direction.normalize().as_vec3();
         let normal = hit.normal.as_vec3();

@@ -43,7 +43,7 @@ pub(super) fn draw(context: &Context, view: &QuadricView<'_>, progress: &Progres
     let start = camera.eye - start_depth * camera.back - quadrics.tree().center;
     let store = Store::new(context, quadrics, bounds)?;
     let mut params = QuadricParams {
-        rays: camera.rays(options, lights.len(), start, start_depth),
+        rays: camera.rays(1.0, options, lights.len(), start, start_depth),
         background: options.background,
         ambient: options.ambient,
         specular: options.specular,

@@ -1,4 +1,5 @@
-//! A pinhole camera in the OpenGL convention: it looks along its -Z axis, +Y is up, +X right.
+//! A camera in the OpenGL convention: it looks along its -Z axis, +Y is up, +X right. Its rays pass through the eye, or
+//! are parallel.
 
 use super::{RaymarchOptions, Shadows};
 use crate::error::{ArgumentError, Error};
@@ -16,7 +17,9 @@ pub struct Camera {
     pub up: DVec3,
     /// Unit vector against the viewing direction, world space.
     pub back: DVec3,
-    tan_half_fov: f64,
+    /// Half the height of the picture: on the plane at depth 1, or at any depth if the rays are parallel.
+    half_height: f64,
+    is_parallel: bool,
 }
 
 /// Largest cosine between two axes of a pose. Poses stored in float32 pass, sheared ones do not.
@@ -28,6 +31,22 @@ impl Camera {
     ///
     /// A scale in the pose is ignored: depth is in world units. A mirrored pose gives a mirrored picture.
     pub fn from_pose(pose: &[[f64; 4]; 4], fov_deg: f64) -> Result<Self, Error> {
+        if !(fov_deg > 0.0 && fov_deg < 180.0) {
+            let problem = format!("must lie between 0 and 180 degrees, got {fov_deg}");
+            return Err(ArgumentError::new("fov_deg", problem).into());
+        }
+        Self::new(pose, (0.5 * fov_deg.to_radians()).tan(), false)
+    }
+
+    /// Makes a camera with parallel rays from its pose and the height of the picture in world units.
+    pub fn orthographic(pose: &[[f64; 4]; 4], height: f64) -> Result<Self, Error> {
+        if !(height > 0.0 && height.is_finite()) {
+            return Err(ArgumentError::new("height", format!("must be finite and above 0, got {height}")).into());
+        }
+        Self::new(pose, 0.5 * height, true)
+    }
+
+    fn new(pose: &[[f64; 4]; 4], half_height: f64, is_parallel: bool) -> Result<Self, Error> {
         let error = |problem: String| Err(ArgumentError::new("pose", problem).into());
         if let Some((row, column)) = entries().find(|&(row, column)| !pose[row][column].is_finite()) {
             return error(format!("[{row}, {column}] is {}, expected a finite number", pose[row][column]));
@@ -52,62 +71,82 @@ impl Camera {
         if skew > LARGEST_SKEW {
             return error(format!("the axes must be perpendicular, the largest cosine between two is {skew:.3}"));
         }
-        if !(fov_deg > 0.0 && fov_deg < 180.0) {
-            let problem = format!("must lie between 0 and 180 degrees, got {fov_deg}");
-            return Err(ArgumentError::new("fov_deg", problem).into());
-        }
-        Ok(Self { eye: column(3), right, up, back, tan_half_fov: (0.5 * fov_deg.to_radians()).tan() })
+        Ok(Self { eye: column(3), right, up, back, half_height, is_parallel })
     }
 
-    /// World direction through the centre of pixel `(x, y)`, row 0 on top. Its component along the viewing axis is 1,
-    /// so a multiple of it is a depth.
-    pub fn pixel_direction(&self, x: u32, y: u32, [width, height]: [u32; 2]) -> DVec3 {
+    /// Whether all rays have the viewing direction.
+    pub fn is_parallel(&self) -> bool {
+        self.is_parallel
+    }
+
+    /// World position at which the ray through the centre of pixel `(x, y)` starts, row 0 on top. Its depth is 0.
+    pub fn pixel_start(&self, x: u32, y: u32, size: [u32; 2]) -> DVec3 {
+        if self.is_parallel { self.eye + self.aside(x, y, size) } else { self.eye }
+    }
+
+    /// World direction of the ray through the centre of pixel `(x, y)`, row 0 on top. Its component along the viewing
+    /// axis is 1, so a multiple of it is a depth.
+    pub fn pixel_direction(&self, x: u32, y: u32, size: [u32; 2]) -> DVec3 {
+        if self.is_parallel { -self.back } else { self.aside(x, y, size) - self.back }
+    }
+
+    /// Offset of the centre of a pixel from the viewing axis: at depth 1, or at any depth if the rays are parallel.
+    fn aside(&self, x: u32, y: u32, [width, height]: [u32; 2]) -> DVec3 {
         let pixel = self.pixel_size(height);
         let right = (x as f64 + 0.5 - 0.5 * width as f64) * pixel;
         let up = (0.5 * height as f64 - 0.5 - y as f64) * pixel;
-        right * self.right + up * self.up - self.back
+        right * self.right + up * self.up
     }
 
     /// Side of a pixel on the plane at depth 1.
     pub fn pixel_size(&self, height: u32) -> f64 {
-        2.0 * self.tan_half_fov / height as f64
+        2.0 * self.half_height / height as f64
     }
 
-    /// The rays of a picture for a device. The ray through the centre of the picture starts at `start`, at the depth
-    /// `start_depth`, both in the units of the rays.
+    /// Side of a pixel on the plane at a depth, world units.
+    pub fn pixel_size_at(&self, height: u32, depth: f64) -> f64 {
+        if self.is_parallel { self.pixel_size(height) } else { self.pixel_size(height) * depth }
+    }
+
+    /// The rays of a picture for a device, in units of `unit` world units. The ray through the centre of the picture
+    /// starts at `start`, in the units of the rays, and at the depth `start_depth`, world units.
     pub(crate) fn rays(
         &self,
+        unit: f64,
         options: &RaymarchOptions,
         light_count: usize,
         start: DVec3,
         start_depth: f64,
     ) -> PictureRays {
-        self.rays_in(DVec3::ONE, options, light_count, start, start_depth)
+        self.rays_in(unit, DVec3::ONE, options, light_count, start, start_depth)
     }
 
-    /// [`Camera::rays`] in a space whose units have different lengths along each axis.
+    /// [`Camera::rays`] in a space whose units have different lengths along each axis: `unit * relative` world units.
     pub(crate) fn rays_in(
         &self,
-        units: DVec3,
+        unit: f64,
+        relative: DVec3,
         options: &RaymarchOptions,
         light_count: usize,
         start: DVec3,
         start_depth: f64,
     ) -> PictureRays {
         let [width, height] = options.size;
-        let to_f32 = |v: DVec3| (v / units).as_vec3().to_array();
+        let to_f32 = |v: DVec3| (v / relative).as_vec3().to_array();
+        // The offset of a pixel applies to the directions of the rays or, if they are parallel, to their starts.
+        let (to_start, to_direction) = if self.is_parallel { (unit.recip(), 0.0) } else { (start_depth / unit, 1.0) };
         PictureRays {
             start: start.as_vec3().to_array(),
             width,
-            start_right: to_f32(start_depth * self.right),
+            start_right: to_f32(to_start * self.right),
             height,
-            start_up: to_f32(start_depth * self.up),
+            start_up: to_f32(to_start * self.up),
             first_row: 0,
             forward: to_f32(-self.back),
             pixel: self.pixel_size(height) as f32,
-            right: to_f32(self.right),
+            right: to_f32(to_direction * self.right),
             light_count: light_count as u32,
-            up: to_f32(self.up),
+            up: to_f32(to_direction * self.up),
             shadows: u32::from(options.shadows == Shadows::Hard),
         }
     }
@@ -153,6 +192,19 @@ pub(super) mod tests {
         // At 90 degrees the picture spans -1 to 1 vertically at depth 1; pixel centres are 1/4 from its edges.
         assert!(near(camera.pixel_direction(0, 0, [4, 4]), DVec3::new(-0.75, 0.75, -1.0)));
         assert!(near(camera.pixel_direction(7, 3, [8, 4]), DVec3::new(1.75, -0.75, -1.0)));
+    }
+
+    #[test]
+    fn parallel_rays_start_at_their_pixels() {
+        let camera = Camera::orthographic(&IDENTITY, 2.0).unwrap();
+        let near = |a: DVec3, b: DVec3| (a - b).length() < 1e-12;
+        assert!(near(camera.pixel_start(0, 0, [4, 4]), DVec3::new(-0.75, 0.75, 0.0)));
+        assert!(near(camera.pixel_start(7, 3, [8, 4]), DVec3::new(1.75, -0.75, 0.0)));
+        assert_eq!(camera.pixel_direction(7, 3, [8, 4]), DVec3::NEG_Z);
+        assert_eq!((camera.pixel_size_at(4, 7.0), camera.pixel_size_at(4, 0.5)), (0.5, 0.5));
+        for height in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            assert!(Camera::orthographic(&IDENTITY, height).unwrap_err().to_string().starts_with("height: "));
+        }
     }
 
     #[test]

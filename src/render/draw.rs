@@ -37,7 +37,6 @@ pub fn raymarch<F: Blocks>(
     let shader = Shader::new(&marcher, options, &lights);
     let view = RaymarchView {
         camera,
-        eye_grid: marcher.field.grid_from_world(camera.eye),
         spacing: marcher.field.grid().spacing(),
         shape: marcher.field.shape(),
         marcher: &marcher,
@@ -169,7 +168,6 @@ fn draw_on_device(
 /// Data shared by all pixels.
 struct RaymarchView<'a, F> {
     camera: &'a Camera,
-    eye_grid: DVec3,
     spacing: DVec3,
     shape: DVec3,
     marcher: &'a Marcher<F>,
@@ -183,9 +181,11 @@ impl<F: Blocks> RaymarchView<'_, F> {
         row.color[4 * x..][..4].copy_from_slice(&self.options.background);
 
         // Multiples of `direction` are depths, in world and in grid space.
+        let start = self.camera.pixel_start(x as u32, y as u32, self.options.size);
         let direction = self.camera.pixel_direction(x as u32, y as u32, self.options.size);
+        let start_grid = self.marcher.field.grid_from_world(start);
         let direction_grid = direction / self.spacing;
-        let Some(clipped) = clip_to_box(self.eye_grid, direction_grid, self.shape) else { return };
+        let Some(clipped) = clip_to_box(start_grid, direction_grid, self.shape) else { return };
         let march = self.marcher.march(&clipped.ray);
         row.steps[x] = march.steps;
         let Some(hit) = march.hit else { return };

@@ -103,7 +103,7 @@ fn params(grid: &Grid, camera: &Camera, options: &RaymarchOptions, lights: usize
     let relative = spacing / unit;
     let start = (camera.eye - start_depth * camera.back - grid.lower) / spacing - 0.5;
     MarchParams {
-        rays: camera.rays_in(relative, options, lights, start, start_depth / unit),
+        rays: camera.rays_in(unit, relative, options, lights, start, start_depth),
         shape: grid.shape.map(|n| n as u32),
         color: options.color.to_array(),
         relative_spacing: relative.as_vec3().to_array(),

@@ -70,7 +70,7 @@ impl Eye<'_> {
     /// The nearest surface from depth `from` to `limit` that is not among the given ones.
     fn next_surface(&mut self, direction: DVec3, from: f64, limit: f64, before: &[Layer]) -> Option<Layer> {
         let scene = self.scene;
-        let eye = scene.scene_from_world(self.view.camera.eye);
+        let eye = scene.scene_from_world(self.start());
         let direction_scene = direction / scene.scale;
         // Boxes are tested in float32, on a ray that starts just before the box of the scene.
         let start = (self.depth_of_scene(direction)).max(from);
@@ -104,12 +104,17 @@ impl Eye<'_> {
         best
     }
 
+    /// World position at which the ray starts.
+    fn start(&self) -> DVec3 {
+        self.view.start(self.x, self.y)
+    }
+
     /// Depth at which the ray approaches the scene's box.
     fn depth_of_scene(&self, direction: DVec3) -> f64 {
         let [lower, upper] = self.scene.bounds();
         let center = (lower + upper) * 0.5;
         let reach = (upper - lower).length();
-        let to_center = (center - self.view.camera.eye).dot(direction) / direction.length_squared();
+        let to_center = (center - self.start()).dot(direction) / direction.length_squared();
         (to_center - reach / direction.length()).max(0.0)
     }
 
@@ -143,7 +148,7 @@ impl Eye<'_> {
     /// The layer of a face that a device found in the pixel; None if the exact ray misses the face or the mask cuts it
     /// out there.
     pub(crate) fn face(&self, item: u32, face: u32) -> Option<Layer> {
-        let eye = self.scene.scene_from_world(self.view.camera.eye);
+        let eye = self.scene.scene_from_world(self.start());
         let ray = self.mesh_ray(item, eye, self.view.direction(self.x, self.y))?;
         let hit = ray.triangles.mesh.hit_of_face(face, &ray.in_tree)?;
         ray.is_seen(&hit).then(|| ray.layer(self.x, item, &hit))
@@ -164,7 +169,7 @@ impl Eye<'_> {
                 t_max: f64::INFINITY,
             },
             direction,
-            pixel: self.view.camera.pixel_size(self.view.size[1]),
+            view: self.view,
         })
     }
 
@@ -203,7 +208,7 @@ impl Eye<'_> {
     /// The layer of a field that a device found near a depth, scene units, at the exact hit of the ray of the pixel.
     pub(crate) fn field_near(&self, item: u32, depth: f64) -> Option<Layer> {
         let depth = depth * self.scene.scale;
-        let eye = self.scene.scene_from_world(self.view.camera.eye);
+        let eye = self.scene.scene_from_world(self.start());
         let direction = self.view.direction(self.x, self.y);
         let (from, to) = ((1.0 - NEARNESS) * depth, (1.0 + NEARNESS) * depth);
         self.field(item, eye, direction, [from, to], &|_| false, &mut 0)
@@ -214,7 +219,7 @@ impl Eye<'_> {
         let depth = depth * self.scene.scale;
         let direction = self.view.direction(self.x, self.y);
         let to_field = self.scene.instances[item as usize].field_from_scene;
-        let eye = to_field.transform_point3(self.scene.scene_from_world(self.view.camera.eye));
+        let eye = to_field.transform_point3(self.scene.scene_from_world(self.start()));
         let p = eye + to_field.matrix3 * (depth / self.scene.scale * direction);
         let [lower, upper] = self.scene.instances[item as usize].field.as_deref()?.surface_bounds();
         let is_outside = eye.cmplt(lower.as_dvec3()).any() || eye.cmpgt(upper.as_dvec3()).any();
@@ -286,8 +291,7 @@ struct MeshRay<'a> {
     in_tree: Ray,
     /// World direction; multiples of it are depths.
     direction: DVec3,
-    /// Side of a pixel at depth 1.
-    pixel: f64,
+    view: &'a View,
 }
 
 impl MeshRay<'_> {
@@ -339,7 +343,7 @@ impl MeshRay<'_> {
         // Side of the pixel on the surface, in units of the tree; larger on slanted surfaces.
         let slant =
             (normal.dot(self.in_tree.direction) / (normal.length() * self.in_tree.direction.length())).abs().max(0.05);
-        let pixel = self.pixel * hit.t * self.in_tree.direction.length() / self.direction.length();
+        let pixel = self.view.pixel_size_at(hit.t) * self.in_tree.direction.length() / self.direction.length();
         let footprint = (pixel / slant.sqrt()) as f32 * triangles.uv_density(hit.face);
         let uv = triangles.uv_at(hit.face, hit.weights.map(|w| w as f32));
         self.scene.textures[texture as usize].sample(uv, footprint)

@@ -25,11 +25,7 @@ pub struct Lights {
 #[derive(Debug, Clone, Copy)]
 pub enum SceneLight {
     /// Unit direction to the light.
-    Directional {
-        to_light: DVec3,
-        color: Vec3,
-        slope: f32,
-    },
+    Directional { to_light: DVec3, color: Vec3, slope: f32 },
     Point {
         position: DVec3,
         color: Vec3,
@@ -124,7 +120,7 @@ impl<'a> LitSurface<'a> {
     pub fn new(scene: &Scene, buffer: &GBuffer, y: usize, layer: &'a Layer) -> Self {
         let direction = buffer.view.direction(layer.x, y as u32);
         let place = SurfacePoint {
-            p: scene.scene_from_world(buffer.view.camera.eye + layer.depth * direction),
+            p: scene.scene_from_world(buffer.view.position(layer.x, y as u32, layer.depth)),
             normal: layer.normal,
             own: layer.instance,
             bias_voxels: if layer.is_triangle { BIAS_TRIANGLE } else { BIAS_FIELD },

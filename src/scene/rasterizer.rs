@@ -14,8 +14,9 @@
 //! # Practice
 //!
 //! Meshes with a mask or a translucent material, strongly stretched ones, and those with more than [`FACES_PER_PIXEL`]
-//! faces per pixel of their rectangle on the screen are left to the search, as are all fields. The rasteriser computes
-//! the pixels that their boxes cover, so that no ray is traced elsewhere. Rows are drawn in bands, in parallel.
+//! faces per pixel of their rectangle on the screen are left to the search, as are all fields, and all meshes if the rays
+//! are parallel. The rasteriser computes the pixels that their boxes cover, so that no ray is traced elsewhere. Rows are
+//! drawn in bands, in parallel.
 
 use super::eye::{Eye, as_triangles, is_opaque};
 use super::gbuffer::{Layer, View};
@@ -107,7 +108,7 @@ impl<'a> Rasterizer<'a> {
                 continue;
             };
             let pixels = rectangle[0].len() * rectangle[1].len();
-            if is_rasterised(scene, instance, options, FACES_PER_PIXEL * pixels) {
+            if !screen.is_parallel && is_rasterised(scene, instance, options, FACES_PER_PIXEL * pixels) {
                 drawn.push(i as u32);
             } else {
                 left[i] = true;
@@ -209,8 +210,9 @@ struct Target<'a> {
 /// Camera space and the pixels in it.
 struct Screen {
     camera_from_scene: DAffine3,
+    is_parallel: bool,
     size: [u32; 2],
-    /// Side of a pixel at depth 1, and the ray through pixel (0, 0).
+    /// Side of a pixel at depth 1, or in scene units if the rays are parallel, and the ray through pixel (0, 0).
     pixel: f64,
     first: [f64; 2],
     /// Largest length of a ray at depth 1.
@@ -225,11 +227,13 @@ impl Screen {
         let eye = scene.scene_from_world(camera.eye);
         // The axes of a camera are perpendicular only within a tolerance.
         let linear = DMat3::from_cols(camera.right, camera.up, -camera.back).inverse();
-        let pixel = camera.pixel_size(view.size[1]);
+        let is_parallel = camera.is_parallel();
+        let pixel = camera.pixel_size(view.size[1]) / if is_parallel { scene.scale } else { 1.0 };
         let [width, height] = view.size.map(f64::from);
         let first = [(view.offset[0] - 0.5 * width) * pixel, (0.5 * height - view.offset[1]) * pixel];
         Self {
             camera_from_scene: DAffine3::from_mat3_translation(linear, -(linear * eye)),
+            is_parallel,
             size: view.size,
             pixel,
             first,
@@ -240,7 +244,7 @@ impl Screen {
 
     /// Column and row, in fractions of pixels, of a position in front of the eye.
     fn project(&self, p: DVec3) -> [f64; 2] {
-        let depth = p.z * self.pixel;
+        let depth = if self.is_parallel { self.pixel } else { p.z * self.pixel };
         [p.x / depth - self.first[0] / self.pixel, self.first[1] / self.pixel - p.y / depth]
     }
 

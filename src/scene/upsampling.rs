@@ -135,8 +135,8 @@ impl<'s, 'a> Around<'s, 'a> {
         every: u32,
     ) -> Self {
         let view = &buffer.view;
-        let p = view.camera.eye + layer.depth * view.direction(layer.x, y as u32);
-        let apart = 0.5 * view.camera.pixel_size(view.size[1]) * layer.depth * f64::from(every);
+        let p = view.position(layer.x, y as u32, layer.depth);
+        let apart = 0.5 * view.pixel_size_at(layer.depth) * f64::from(every);
         Self { buffer, layer, y, p, apart, source, light, every }
     }
 
@@ -178,7 +178,7 @@ impl<'s, 'a> Around<'s, 'a> {
         let same = layers[first..].iter().take_while(|layer| layer.x == x).position(|other| {
             let layer = self.layer;
             other.instance == layer.instance && other.normal.dot(layer.normal) >= least_cosine && {
-                let q = view.camera.eye + other.depth * view.direction(x, y as u32);
+                let q = view.position(x, y as u32, other.depth);
                 layer.normal.as_dvec3().dot(q - self.p).abs() <= far * self.apart
             }
         });

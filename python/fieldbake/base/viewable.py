@@ -42,7 +42,8 @@ class Viewable(Pictured):
         path : str or path, optional
             The file to write. The text is returned in any case.
         camera : fieldbake.Camera, optional
-            The first view. The default is that of :func:`fieldbake.raymarch`: it fits the surface.
+            The first view, a perspective camera. The default is that of :func:`fieldbake.raymarch`: it fits the
+            surface.
         encoding : "snorm8", "float16" or "float32", default "snorm8"
             How samples are stored on the page, as :meth:`Volume.quantize` does: 1, 2 or 4 bytes each before
             compression. Quantised volumes stay as they are; shapes and quadrics have no samples.

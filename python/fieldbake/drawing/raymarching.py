@@ -298,6 +298,8 @@ def _draw_volume(volume: Volume | SparseVolume, options: _Options) -> Frame:
 def _draw_zarr(volume: ZarrVolume, options: _Options) -> Frame:
     """Draw the level whose voxels are about as large as a pixel at the near side of the box of the surface."""
     camera = options.view_of(volume.inner_bounds)
+    if camera.height is not None:
+        return _draw_volume(volume.picture_field(camera.height / options.size[1]), options)
     nearest = np.clip(camera.eye, *volume.inner_bounds)
     pixel = 2 * np.tan(np.deg2rad(camera.fov_deg) / 2) / options.size[1]
     return _draw_volume(volume.picture_field(float(np.linalg.norm(camera.eye - nearest) * pixel)), options)
@@ -325,6 +327,7 @@ def picture_arguments(
     return {
         "pose": camera.pose,
         "fov_deg": camera.fov_deg,
+        "height": camera.height,
         "size": size,
         "light_directions": directions,
         "light_colors": colors,

@@ -134,6 +134,7 @@ class Options:
                 core,
                 camera.pose,
                 fov_deg=camera.fov_deg,
+                height=camera.height,
                 size=self.size,
                 lights=[_light_row(light) for light in lights],
                 primary=self.primary,

@@ -1,4 +1,4 @@
-"""The camera: its position, its viewing direction and its field of view."""
+"""The camera: its position, its viewing direction, and its field of view or the height of its picture."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ RIGID_TOLERANCE = 1e-4
 
 class Camera:
     """A pinhole camera in the pose of OpenGL: it looks along its -Z axis, and +Y points upwards.
+
+    :meth:`orthographic` makes a camera with parallel rays.
 
     Parameters
     ----------
@@ -43,37 +45,21 @@ class Camera:
     [0.0, 0.0, 3.0]
     """
 
-    __slots__ = ("_fov_deg", "_pose", "_target")
+    __slots__ = ("_fov_deg", "_height", "_pose", "_target")
 
     def __init__(
         self, eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0), fov_deg: float = 45.0
     ) -> None:
-        position = checks.vector("eye", eye, 3, SceneError)
-        ahead = checks.vector("target", target, 3, SceneError)
-        upward = checks.vector("up", up, 3, SceneError)
-        for name, place in (("eye", position), ("target", ahead), ("up", upward)):
-            if np.abs(place).max() > checks.FAR:
-                raise SceneError(f"{name}: must be at most {checks.FAR:g} from 0, got {place.tolist()}")
-        if not np.linalg.norm(position - ahead) > 0:
-            raise SceneError(f"target: must differ from eye, both are {position.tolist()}")
-        if not np.linalg.norm(upward) > 0:
-            raise SceneError("up: must have a length, got (0, 0, 0)")
-        backward = (position - ahead) / np.linalg.norm(position - ahead)
-        upward /= np.linalg.norm(upward)
-        if abs(backward @ upward) > PARALLEL:
-            raise SceneError(f"up: must not be parallel to the view, got {upward.tolist()}; try (0, 0, 1)")
-        right = np.cross(upward, backward)
-        right /= np.linalg.norm(right)
-        pose = np.eye(4)
-        pose[:3, 0] = right
-        pose[:3, 1] = np.cross(backward, right)
-        pose[:3, 2] = backward
-        pose[:3, 3] = position
-        self._set(pose, ahead, fov_deg)
+        pose, ahead = _pose(eye, target, up)
+        self._set(pose, ahead, fov_deg, None)
 
-    def _set(self, pose: NDArray[np.float64], target: NDArray[np.float64], fov_deg: float) -> None:
+    def _set(
+        self, pose: NDArray[np.float64], target: NDArray[np.float64], fov_deg: float, height: float | None
+    ) -> None:
+        """Set the properties. With a height the rays are parallel, and the field of view is 0."""
         try:
-            self._fov_deg = checks.number("fov_deg", fov_deg, above=0)
+            self._height = None if height is None else checks.number("height", height, above=0)
+            self._fov_deg = 0.0 if height is not None else checks.number("fov_deg", fov_deg, above=0)
         except ArgumentError as error:
             raise SceneError(str(error)) from None
         if self._fov_deg >= 180:
@@ -82,7 +68,46 @@ class Camera:
         self._target = checks.frozen(target)
 
     @classmethod
-    def from_pose(cls, pose: ArrayLike, fov_deg: float = 45.0) -> Camera:
+    def orthographic(
+        cls, eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0), *, height: float
+    ) -> Camera:
+        """Make a camera with parallel rays, so that objects have the same size at any depth.
+
+        Rays start on the plane through `eye` across the viewing direction; surfaces behind it are invisible. On a
+        graphics device the CPU finds the visible surfaces of scenes for such a camera. Pages and live views have
+        perspective cameras only.
+
+        Parameters
+        ----------
+        eye : (3,)
+            Centre of the picture on the plane where the rays start, world units.
+        target : (3,)
+            A point on the optical axis, world units.
+        up : (3,), default (0, 1, 0)
+            Direction that points upwards in the picture. It need not be perpendicular to the viewing direction.
+        height : float
+            Height of the picture, world units. Its width follows from the size of the picture in pixels.
+
+        Raises
+        ------
+        SceneError
+            If a value is not finite, `eye` equals `target`, `up` is parallel to the view, or `height` is not above 0.
+
+        Examples
+        --------
+        >>> camera = Camera.orthographic((0, 0, 3), (0, 0, 0), height=2.5)
+        >>> camera.height, camera.fov_deg
+        (2.5, 0.0)
+        """
+        camera = cls.__new__(cls)
+        pose, ahead = _pose(eye, target, up)
+        if height is None:
+            raise SceneError("height: must be a finite number above 0, got None")
+        camera._set(pose, ahead, 0.0, height)
+        return camera
+
+    @classmethod
+    def from_pose(cls, pose: ArrayLike, fov_deg: float = 45.0, *, height: float | None = None) -> Camera:
         """Make a camera from the pose of another program, such as pyrender, or of a glTF file.
 
         Parameters
@@ -91,6 +116,8 @@ class Camera:
             World from camera: a rotation and a translation, column vectors.
         fov_deg : float, default 45
             Vertical field of view in degrees.
+        height : float, optional
+            Height of the picture of an orthographic camera, world units; `fov_deg` does not apply then.
 
         Raises
         ------
@@ -102,7 +129,7 @@ class Camera:
         if not np.allclose(rotation.T @ rotation, np.eye(3), atol=RIGID_TOLERANCE) or np.linalg.det(rotation) < 0:
             raise SceneError(f"pose: the 3x3 part must be a rotation, got {rotation.tolist()}")
         camera = cls.__new__(cls)
-        camera._set(matrix, matrix[:3, 3] - matrix[:3, 2], fov_deg)
+        camera._set(matrix, matrix[:3, 3] - matrix[:3, 2], fov_deg, height)
         return camera
 
     @classmethod
@@ -115,6 +142,7 @@ class Camera:
         fov_deg: float = 45.0,
         aspect: float = 1.0,
         border: float = 0.05,
+        orthographic: bool = False,
     ) -> Camera:
         """Make a camera that shows a box in the middle of the picture, as large as it fits.
 
@@ -132,6 +160,8 @@ class Camera:
             Width of the picture over its height.
         border : float, default 0.05
             Fraction of the picture left free around the box.
+        orthographic : bool, default False
+            Whether the rays are parallel; `fov_deg` does not apply then.
 
         Raises
         ------
@@ -144,6 +174,7 @@ class Camera:
         try:
             aspect = checks.number("aspect", aspect, above=0)
             border = checks.number("border", border, least=0)
+            orthographic = checks.flag("orthographic", orthographic)
         except ArgumentError as error:
             raise SceneError(str(error)) from None
         radius = float(np.linalg.norm(box[1] - box[0])) / 2
@@ -154,6 +185,12 @@ class Camera:
         forward /= np.linalg.norm(forward)
         # This camera supplies the axes and the checks; its distance is computed below.
         aim = cls(center - forward * radius, center, up, fov_deg)
+        if orthographic:
+            # The box is symmetric about its centre, so two sums are its half extents in the picture. A line along the
+            # view has none. The eye lies outside the sphere around the box.
+            half = np.abs(aim.pose[:3, :2]).T @ (box[1] - center)
+            height = 2 * (1 + border) * max(float(half[0]) / aspect, float(half[1]), 1e-6 * radius)
+            return cls.orthographic(center - 1.01 * radius * forward, center, up, height=height)
 
         # A corner at (x, y, depth) from the centre is visible from (ex, ey, distance) if |x - ex| <= aspect * slope *
         # (distance - depth) and |y - ey| <= slope * (distance - depth). On each axis two corners attain the limits.
@@ -191,8 +228,13 @@ class Camera:
 
     @property
     def fov_deg(self) -> float:
-        """Vertical field of view, degrees."""
+        """Vertical field of view, degrees; 0 for an orthographic camera."""
         return self._fov_deg
+
+    @property
+    def height(self) -> float | None:
+        """Height of the picture of an orthographic camera, world units; None for a perspective camera."""
+        return self._height
 
     def __setattr__(self, name: str, value: Any) -> None:
         if hasattr(self, name):
@@ -200,14 +242,44 @@ class Camera:
         super().__setattr__(name, value)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restore, (np.array(self._pose), np.array(self._target), self._fov_deg)
+        return _restore, (np.array(self._pose), np.array(self._target), self._fov_deg, self._height)
 
     def __repr__(self) -> str:
         eye, target = (", ".join(f"{x:.4g}" for x in p) for p in (self.eye, self._target))
+        if self._height is not None:
+            return f"Camera.orthographic(eye=({eye}), target=({target}), height={self._height:g})"
         return f"Camera(eye=({eye}), target=({target}), fov_deg={self._fov_deg:g})"
 
 
-def _restore(pose: NDArray[np.float64], target: NDArray[np.float64], fov_deg: float) -> Camera:
+def _pose(eye: ArrayLike, target: ArrayLike, up: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Check the position, the target and the upward direction; return the pose, (4, 4), and the target, (3,)."""
+    position = checks.vector("eye", eye, 3, SceneError)
+    ahead = checks.vector("target", target, 3, SceneError)
+    upward = checks.vector("up", up, 3, SceneError)
+    for name, place in (("eye", position), ("target", ahead), ("up", upward)):
+        if np.abs(place).max() > checks.FAR:
+            raise SceneError(f"{name}: must be at most {checks.FAR:g} from 0, got {place.tolist()}")
+    if not np.linalg.norm(position - ahead) > 0:
+        raise SceneError(f"target: must differ from eye, both are {position.tolist()}")
+    if not np.linalg.norm(upward) > 0:
+        raise SceneError("up: must have a length, got (0, 0, 0)")
+    backward = (position - ahead) / np.linalg.norm(position - ahead)
+    upward /= np.linalg.norm(upward)
+    if abs(backward @ upward) > PARALLEL:
+        raise SceneError(f"up: must not be parallel to the view, got {upward.tolist()}; try (0, 0, 1)")
+    right = np.cross(upward, backward)
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, 0] = right
+    pose[:3, 1] = np.cross(backward, right)
+    pose[:3, 2] = backward
+    pose[:3, 3] = position
+    return pose, ahead
+
+
+def _restore(
+    pose: NDArray[np.float64], target: NDArray[np.float64], fov_deg: float, height: float | None = None
+) -> Camera:
     camera = Camera.__new__(Camera)
-    camera._set(pose, target, fov_deg)
+    camera._set(pose, target, fov_deg, height)
     return camera

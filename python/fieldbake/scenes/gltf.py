@@ -142,16 +142,16 @@ def _transform(node: dict[str, Any]) -> NDArray[np.float64]:
 
 
 def _camera(document: dict[str, Any], node: dict[str, Any], world_from_node: NDArray[np.float64]) -> Camera | None:
-    """Make a perspective camera; the scale of its node is ignored."""
+    """Make a camera; the scale of its node is ignored."""
     if "camera" not in node:
         return None
-    lens = document["cameras"][node["camera"]].get("perspective")
-    if lens is None:
-        return None
+    camera = document["cameras"][node["camera"]]
     pose = world_from_node.copy()
     pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
     try:
-        return Camera.from_pose(pose, float(np.degrees(lens["yfov"])))
+        if "orthographic" in camera:
+            return Camera.from_pose(pose, height=2 * float(camera["orthographic"]["ymag"]))
+        return Camera.from_pose(pose, float(np.degrees(camera["perspective"]["yfov"])))
     except (SceneError, KeyError):
         return None
 

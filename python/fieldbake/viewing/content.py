@@ -17,6 +17,7 @@ from ..atlases.atlas import Atlas, AtlasEntry
 from ..baking.dense import bake
 from ..base import checks
 from ..base.errors import SceneError
+from ..base.notices import warn
 from ..drawing.frame import Frame
 from ..drawing.raymarching import PICTURE_RESOLUTION, raymarch
 from ..meshes.mesh import Mesh
@@ -192,9 +193,11 @@ def content_of(thing: Any, camera: Camera | None, encoding: str, size: tuple[int
     Raises
     ------
     SceneError
-        If the object has no view.
+        If the object has no view, or for an orthographic camera.
     """
     aspect = size[0] / size[1]
+    if camera is not None:
+        check_perspective(camera)
     if isinstance(thing, Mesh):
         volume = bake(thing, PICTURE_RESOLUTION)
         content = content_of(volume, camera, encoding, size)
@@ -241,6 +244,13 @@ def content_of(thing: Any, camera: Camera | None, encoding: str, size: tuple[int
     return Content(title, [placed], shapes, np.asarray(bounds, dtype=np.float64), view, size, drawn=drawn)
 
 
+def check_perspective(camera: Camera) -> Camera:
+    """Refuse an orthographic camera, which the viewer does not draw."""
+    if camera.height is not None:
+        raise SceneError(f"camera: a view needs a perspective camera, got {camera!r}; use Camera(eye, target)")
+    return camera
+
+
 def _of_scene(scene: Scene, camera: Camera | None, encoding: str, size: tuple[int, int]) -> Content:
     things = [_field_of(instance) for instance in scene.instances]
     found = iter(_functions([thing for group in things for thing in group]))
@@ -254,7 +264,10 @@ def _of_scene(scene: Scene, camera: Camera | None, encoding: str, size: tuple[in
                 if isinstance(instance.thing, Mesh):
                     records.add_mesh(known[id(thing)], instance.thing)
             placed.append(_placed(instance, number, thing, known[id(thing)]))
-    view = camera or (scene.cameras[0] if scene.cameras else Camera.fit(scene.bounds, aspect=size[0] / size[1]))
+    own = next((camera for camera in scene.cameras if camera.height is None), None)
+    if camera is None and scene.cameras and own is None:
+        warn("cameras: all are orthographic, and a view needs a perspective one; it fits the scene", UserWarning)
+    view = camera or own or Camera.fit(scene.bounds, aspect=size[0] / size[1])
     return Content(
         f"Scene of {len(scene.instances)} instances" if len(scene.instances) > 1 else "Scene",
         placed,

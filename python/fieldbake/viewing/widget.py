@@ -13,7 +13,7 @@ import traitlets
 
 from ..base.errors import ArgumentError
 from ..scenes.camera import Camera
-from .content import Content
+from .content import Content, check_perspective
 from .output import STATIC, frame_html
 from .page import bundle, page_of
 
@@ -128,6 +128,10 @@ class ViewWidget(anywidget.AnyWidget):
     def on_pick(self, callback: Callable[[Picked], object]) -> None:
         """Call a function with every point that is picked by a double click."""
         self.observe(lambda change: callback(change["new"]) if change["new"] is not None else None, "picked")
+
+    @traitlets.validate("camera")
+    def _check_camera(self, proposal: Any) -> Any:
+        return None if proposal["value"] is None else check_perspective(proposal["value"])
 
     @traitlets.validate("light")
     def _check_light(self, proposal: Any) -> Any:
