@@ -21,8 +21,9 @@ struct MarchParams {
     background: vec4f,
     specular: f32,
     shininess: f32,
+    // Distance of the start of a shadow ray from the surface, voxels.
+    bias_voxels: f32,
     pad_0: u32,
-    pad_1: u32,
 }
 
 struct Pixel {
@@ -67,7 +68,7 @@ fn share_that_arrives(p_grid: vec3f, normal: vec3f, to_light: vec3f) -> f32 {
     if dot(normal, to_light) <= 0.0 { return 0.0; }
     // The bias is the extent of a voxel along the normal.
     let voxel = length(normal * params.relative_spacing);
-    let origin = p_grid + SHADOW_BIAS_VOXELS * voxel * normal / params.relative_spacing;
+    let origin = p_grid + params.bias_voxels * voxel * normal / params.relative_spacing;
     let ray = clip_to_box(origin, to_light / params.relative_spacing, params.shape);
     if !ray.is_in_box { return 1.0; }
     return select(1.0, 0.0, first_hit(ray).is_hit);

@@ -142,6 +142,9 @@ wgsl_constants! {
     ray {
         PARALLEL: f32 as f32 = PARALLEL_DIRECTION;
     }
+    raymarch_nearest {
+        PARALLEL: f32 as f32 = PARALLEL_DIRECTION;
+    }
     ray_filtered {
         /// Largest number of steps of a ray: more than twice the voxels along the diagonal of the largest 3D texture
         /// that devices offer.
@@ -164,12 +167,6 @@ wgsl_constants! {
         /// Ambient light from below, as a fraction of the ambient light from above.
         GROUND_SHARE: f32 as f32 = 0.4;
         MAX_LIGHTS: usize as u32 = 64;
-    }
-    picture {
-        /// Distance of the origin of a shadow ray from the surface, voxels. A trilinear surface departs from a smooth
-        /// one by h^2 / (8 R), less than an eighth of a voxel for a radius of a voxel or more. A grazing ray rises by
-        /// the same amount again over the next voxels.
-        SHADOW_BIAS_VOXELS: f32 as f32 = 0.5;
     }
     csg_tables {
         /// Lowest bit of the opcode of a token.

@@ -24,6 +24,7 @@ pub(crate) const KERNELS: &[(&str, &str)] = &[
     ("raymarch", include_str!("../../shaders/raymarch.wgsl")),
     ("raymarch_encoded", include_str!("../../shaders/raymarch_encoded.wgsl")),
     ("raymarch_filtered", include_str!("../../shaders/raymarch_filtered.wgsl")),
+    ("raymarch_nearest", include_str!("../../shaders/raymarch_nearest.wgsl")),
     ("raymarch_nested", include_str!("../../shaders/raymarch_nested.wgsl")),
     ("raymarch_sparse", include_str!("../../shaders/raymarch_sparse.wgsl")),
     ("scene_beams", include_str!("../../shaders/scene_beams.wgsl")),

@@ -86,8 +86,8 @@ pub fn raymarch_at(
     }
 }
 
-/// Draws samples in any encoding at a place. A graphics device decodes them when it reads them, except for its texture
-/// hardware, which receives decoded values.
+/// Draws samples in any encoding at a place. A graphics device decodes them when it reads them if they are interpolated
+/// linearly; otherwise it receives decoded values.
 pub fn raymarch_view<T: Texel>(
     place: &Place,
     field: FieldView<'_, T>,
@@ -105,7 +105,8 @@ pub fn raymarch_view<T: Texel>(
     }
 }
 
-/// Draws a sparse field at a place, from its bricks. The texture hardware of a graphics device receives the whole grid.
+/// Draws a sparse field at a place, from its bricks. A graphics device receives the whole grid unless the field is
+/// interpolated linearly.
 pub fn raymarch_sparse<T: Texel>(
     place: &Place,
     field: SparseView<'_, T>,
@@ -186,22 +187,23 @@ impl<F: Blocks> RaymarchView<'_, F> {
         let start_grid = self.marcher.field.grid_from_world(start);
         let direction_grid = direction / self.spacing;
         let Some(clipped) = clip_to_box(start_grid, direction_grid, self.shape) else { return };
-        let march = self.marcher.march(&clipped.ray);
+        let march = self.marcher.trace(&clipped.ray, self.options.filter);
         row.steps[x] = march.steps;
         let Some(hit) = march.hit else { return };
 
         let p_grid = clipped.ray.origin + hit.t * clipped.ray.direction;
         let to_eye = -direction.normalize().as_vec3();
-        let normal = match (hit.at_start, clipped.enter_axis) {
-            // The hit lies on a face of the box, which cuts the solid.
-            (true, Some(axis)) => {
+        // The hit lies on a face of the box, which cuts the solid, or on a face of a voxel.
+        let face = if hit.at_start { clipped.enter_axis } else { hit.face };
+        let normal = match face {
+            Some(axis) => {
                 let mut normal = Vec3::ZERO;
                 normal[axis] = to_eye[axis].signum();
                 normal
             }
             // The eye is inside the solid.
-            (true, None) => to_eye,
-            (false, _) => self.shader.normal(p_grid, to_eye),
+            None if hit.at_start => to_eye,
+            None => self.shader.normal(p_grid, to_eye),
         };
         let shadow = &mut row.shadow[x * row.lights..][..row.lights];
         let color = self.shader.shade(&PixelHit { p_grid, normal, to_eye }, shadow);

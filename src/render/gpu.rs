@@ -111,6 +111,7 @@ fn params(grid: &Grid, camera: &Camera, options: &RaymarchOptions, lights: usize
         ambient: options.ambient,
         specular: options.specular,
         shininess: options.shininess,
+        bias_voxels: options.filter.bias_voxels(),
         ..MarchParams::default()
     }
 }

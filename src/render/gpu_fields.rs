@@ -51,9 +51,10 @@ impl MarchedField {
     pub(super) fn dense(field: &DeviceField, grid: &Grid, filter: Filter) -> Result<Self, Error> {
         let context = field.context().clone();
         Ok(match filter {
-            Filter::Linear => {
+            Filter::Linear | Filter::Nearest => {
+                let kernel = if filter == Filter::Linear { "raymarch" } else { "raymarch_nearest" };
                 let buffers = vec![(1, whole(field)?.clone())];
-                Self { context, kernel: "raymarch", buffers, texture: None }
+                Self { context, kernel, buffers, texture: None }
             }
             Filter::Hardware => {
                 let texture = Some(texture(field, grid)?);

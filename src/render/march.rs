@@ -26,6 +26,8 @@
 use super::blocks::{Block, Blocks};
 use super::cubic::Cubic;
 use super::empty::EmptySpace;
+use super::options::Filter;
+use super::voxels;
 use crate::error::Error;
 use crate::gpu::constants::{FAR_ALONG_RAY, PARALLEL_DIRECTION};
 use crate::progress::Progress;
@@ -92,6 +94,8 @@ pub struct FieldHit {
     pub t: f32,
     /// Whether the field is <= 0 at the start of the ray.
     pub at_start: bool,
+    /// Axis across the face of the voxel that the ray enters; None on a trilinear surface.
+    pub face: Option<usize>,
 }
 
 /// Result of a ray.
@@ -121,7 +125,12 @@ impl<F: Blocks> Marcher<F> {
         &self.empty
     }
 
-    /// Traces a ray to its first hit.
+    /// Traces a ray to its first hit with the field of a filter.
+    pub(super) fn trace(&self, ray: &GridRay, filter: Filter) -> March {
+        if filter == Filter::Nearest { voxels::march(self, ray) } else { self.march(ray) }
+    }
+
+    /// Traces a ray to its first hit with the trilinear field.
     pub fn march(&self, ray: &GridRay) -> March {
         let shape = self.field.grid().shape;
         let shape = each_axis(|axis| shape[axis] as i32);
@@ -207,21 +216,21 @@ impl<F: Blocks> Marcher<F> {
 
 /// The values of a function for x, y and z. `map` of an array is not inlined in long functions.
 #[inline(always)]
-fn each_axis<T>(value: impl Fn(usize) -> T) -> [T; 3] {
+pub(super) fn each_axis<T>(value: impl Fn(usize) -> T) -> [T; 3] {
     [value(0), value(1), value(2)]
 }
 
 /// A ray and its constants.
-struct MarchLine {
-    origin: [f32; 3],
+pub(super) struct MarchLine {
+    pub origin: [f32; 3],
     direction: [f32; 3],
     /// `t` per voxel; 0 where the ray is parallel to the faces.
     inverse: [f32; 3],
-    forward: [bool; 3],
+    pub forward: [bool; 3],
 }
 
 impl MarchLine {
-    fn new(ray: &GridRay) -> Self {
+    pub fn new(ray: &GridRay) -> Self {
         let direction = ray.direction.to_array();
         let inverse =
             each_axis(|axis| if direction[axis].abs() < PARALLEL_DIRECTION { 0.0 } else { 1.0 / direction[axis] });
@@ -234,10 +243,16 @@ impl MarchLine {
         if self.forward[axis] { cell + 1 } else { cell }
     }
 
-    /// The `t` at which the ray crosses a face.
+    /// The `t` at which the ray crosses a face of a cell.
     #[inline]
     fn t_at(&self, axis: usize, face: i32) -> f32 {
-        if self.inverse[axis] == 0.0 { FAR_ALONG_RAY } else { (face as f32 - self.origin[axis]) * self.inverse[axis] }
+        self.t_at_plane(axis, face as f32)
+    }
+
+    /// The `t` at which the ray crosses a plane across an axis.
+    #[inline]
+    pub fn t_at_plane(&self, axis: usize, coordinate: f32) -> f32 {
+        if self.inverse[axis] == 0.0 { FAR_ALONG_RAY } else { (coordinate - self.origin[axis]) * self.inverse[axis] }
     }
 }
 
@@ -251,12 +266,12 @@ fn hit_in_cell(corners: &[f32; 8], ray: &GridRay, first: [i32; 3], shift: u32, t
     let cubic = Cubic::along_ray(corners, p, ray.direction * per_voxel);
     // Scaling by the largest corner keeps products of coefficients in range.
     let s = cubic.scaled(1.0 / largest(corners)).first_root(t_end - t)?;
-    Some(FieldHit { t: t + s, at_start: t + s == 0.0 && cubic.c0 <= 0.0 })
+    Some(FieldHit { t: t + s, at_start: t + s == 0.0 && cubic.c0 <= 0.0, face: None })
 }
 
 /// The axis whose face comes first.
 #[inline]
-fn first_axis(t_faces: &[f32; 3]) -> usize {
+pub(super) fn first_axis(t_faces: &[f32; 3]) -> usize {
     let [x, y, z] = *t_faces;
     if x <= y && x <= z {
         0

@@ -8,7 +8,7 @@
 //! world. Everything after that is f32 with bounded loops, so that a shader can do the same.
 //!
 //! The picture shows the solid "field <= 0, inside the box". Where the box cuts it, the cut is drawn as a flat face. A
-//! camera inside the solid sees it at depth 0.
+//! camera inside the solid sees it at depth 0. With [`Filter::Nearest`] the field is constant in each voxel ([`voxels`]).
 //!
 //! # Practice
 //!
@@ -29,6 +29,7 @@ mod gpu_tests;
 pub(crate) mod march;
 pub(crate) mod options;
 pub(crate) mod shade;
+mod voxels;
 
 pub use camera::Camera;
 pub use draw::{Source, raymarch, raymarch_at, raymarch_nested, raymarch_on_device, raymarch_sparse, raymarch_view};

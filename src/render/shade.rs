@@ -6,15 +6,14 @@
 //! continuous. Where the ray enters the solid through a face of the box, the visible surface is the cut, and the normal
 //! is that of the face.
 //!
-//! A shadow ray is traced like any other ([`super::march`]). It starts [`SHADOW_BIAS_VOXELS`] above the surface, along
-//! the normal. The bias is in voxels, because it must clear the facets of the trilinear surface, whose size is that of
-//! a voxel. A side that faces away from a light receives none of it.
+//! A shadow ray is traced like any other ([`super::march`]). It starts [`super::Filter::bias_voxels`] above the surface,
+//! along the normal. The bias is in voxels, because it must clear the facets of the trilinear surface, whose size is that
+//! of a voxel. A side that faces away from a light receives none of it.
 
 use super::blocks::Blocks;
 use super::march::{Marcher, clip_to_box, floor};
 use super::{DirectionalLight, RaymarchOptions, Shadows};
 use crate::gpu::constants::light::GROUND_SHARE;
-use crate::gpu::constants::picture::SHADOW_BIAS_VOXELS;
 use glam::{DVec3, IVec3, Vec3};
 
 /// Intersection of the ray of a pixel with the surface.
@@ -140,11 +139,11 @@ impl<'a, F: Blocks> Shader<'a, F> {
         }
         // The bias is the extent of a voxel along the normal.
         let voxel = (surface.normal * self.relative_spacing).length();
-        let bias = SHADOW_BIAS_VOXELS * voxel * surface.normal / self.relative_spacing;
+        let bias = self.options.filter.bias_voxels() * voxel * surface.normal / self.relative_spacing;
         let origin = surface.p_grid + bias;
         let direction = to_light / self.relative_spacing;
         match clip_to_box(origin.as_dvec3(), direction.as_dvec3(), self.shape) {
-            Some(clipped) if self.marcher.march(&clipped.ray).hit.is_some() => 0.0,
+            Some(clipped) if self.marcher.trace(&clipped.ray, self.options.filter).hit.is_some() => 0.0,
             _ => 1.0,
         }
     }

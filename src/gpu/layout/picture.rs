@@ -57,8 +57,8 @@ gpu_structs! {
         background: [f32; 4],
         specular: f32,
         shininess: f32,
+        bias_voxels: f32,
         pad_0: u32,
-        pad_1: u32,
     }
 
     /// `shaders/shared/samples_encoded.wgsl`.
