@@ -764,7 +764,7 @@ class Renderer:
         primary: str,
         shadows: str,
         area_samples: int,
-        ambient: float,
+        ambient: float | list[list[list[float]]],
         occlusion: float | None,
         far: list[SceneField],
         far_distance: float | None,
@@ -775,7 +775,9 @@ class Renderer:
         device: str,
         progress: Callable[[float], object] | None = None,
     ) -> dict[str, Any]:
-        """Draw a scene. The result has the keys of :func:`raymarch`, with ``seconds`` as a dict of passes, and further
+        """Draw a scene. ``ambient`` is a number, or quadratic forms of the normal and 1 for red, green and blue, (3, 4, 4).
+
+        The result has the keys of :func:`raymarch`, with ``seconds`` as a dict of passes, and further
         keys: ``rays``, the number of rays and cones for light and occlusion; ``far_rays``, the number of those that
         entered the far field; ``primary_on`` and ``light_on``, the devices of the two passes; ``sheets``, the number of
         instances whose triangles the CPU traced.

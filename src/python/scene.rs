@@ -17,9 +17,9 @@ use crate::scene::nested::NestedField;
 use crate::scene::objects::{QuadricField, ShapeField, SparseBricks};
 use crate::scene::texture::Texture as CoreTexture;
 use crate::scene::triangles::Triangles;
-use crate::scene::{self, Alpha, InstanceInput, Light, Material, Primary, RenderOptions, SceneShadows, Spot};
+use crate::scene::{self, Alpha, Ambient, InstanceInput, Light, Material, Primary, RenderOptions, SceneShadows, Spot};
 use crate::volume::Trilinear;
-use glam::{DAffine3, DMat4, DVec3, Vec2, Vec4};
+use glam::{DAffine3, DMat4, DVec3, Mat4, Vec2, Vec4};
 use numpy::ndarray::ArrayView2;
 use numpy::{PyArray2, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -280,6 +280,27 @@ impl From<LightRow> for Light {
     }
 }
 
+/// A number, or three 4x4 matrices.
+#[derive(FromPyObject)]
+enum AmbientLight {
+    #[pyo3(transparent)]
+    Constant(f32),
+    #[pyo3(transparent)]
+    Surroundings([[[f32; 4]; 4]; 3]),
+}
+
+impl From<AmbientLight> for Ambient {
+    fn from(light: AmbientLight) -> Self {
+        match light {
+            AmbientLight::Constant(share) => Self::Constant(share),
+            // The matrices are symmetric, so rows are columns.
+            AmbientLight::Surroundings(forms) => {
+                Self::Surroundings(Box::new(forms.map(|form| Mat4::from_cols_array_2d(&form))))
+            }
+        }
+    }
+}
+
 #[pymethods]
 impl Scene {
     #[new]
@@ -363,7 +384,7 @@ impl Renderer {
         primary: &str,
         shadows: &str,
         area_samples: u32,
-        ambient: f32,
+        ambient: AmbientLight,
         occlusion: Option<f64>,
         far: Vec<Py<SceneField>>,
         far_distance: Option<f64>,
@@ -393,7 +414,7 @@ impl Renderer {
                 other => return Err(unknown("shadows", "\"soft\", \"hard\", \"none\" or \"area\"", other)),
             },
             lights: lights.into_iter().map(Light::from).collect(),
-            ambient,
+            ambient: ambient.into(),
             occlusion,
             far: (!far.is_empty()).then(|| FarField {
                 levels: far.iter().map(|level| level.get().0.clone()).collect(),

@@ -8,6 +8,7 @@
 //!         + sum over lights of  through * light * albedo * (1 - max(0, n.l))^2
 //! ```
 //!
+//! `ambient` is the light from everywhere on the normal ([`super::options`]).
 //! `arrives` is the visible fraction of the light ([`super::shadow`]), 0 on a side that faces away. `open` is the mean
 //! of cones over the hemisphere ([`super::occlusion`]), each weighted by its cosine; occluders beyond a given distance
 //! do not count. `through` is the fraction of the light that arrives through the instance itself
@@ -72,7 +73,7 @@ impl LitSurface<'_> {
         if material.unlit {
             return self.layer.emission + albedo;
         }
-        let mut color = self.layer.emission + options.ambient * found.open * albedo;
+        let mut color = self.layer.emission + options.ambient.on(self.layer.normal) * found.open * albedo;
         for ((light, &share), &through) in lights.lights.iter().zip(found.shares).zip(found.through) {
             let (ray, _, light_color) = light.seen_from(self.place.p);
             let cosine = self.cosine(&ray);

@@ -63,7 +63,7 @@ pub(crate) mod upsampling;
 pub use instance::{Instance, InstanceInput};
 pub use material::{Alpha, Material};
 pub use model::Scene;
-pub use options::{Light, MAX_LIGHTS, Primary, RenderOptions, SceneShadows, Spot};
+pub use options::{Ambient, Light, MAX_LIGHTS, Primary, RenderOptions, SceneShadows, Spot};
 pub use renderer::{Rendered, Renderer};
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Lights, and the options of a picture of a scene.
 
 use super::far::FarField;
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Mat4, Vec3};
 
 /// A light in world units.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -37,6 +37,30 @@ pub struct Spot {
     pub axis: DVec3,
     /// Cosines of the angle at which the intensity begins to decrease, and of the angle at which it is zero.
     pub cosines: [f64; 2],
+}
+
+/// Light from everywhere.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Ambient {
+    /// The same light from all directions, as a fraction of a light of colour 1.
+    Constant(f32),
+    /// For red, green and blue, the symmetric matrix `M` of the light that a white surface with the unit normal `n`
+    /// reflects, `(n, 1)^T M (n, 1)`.
+    Surroundings(Box<[Mat4; 3]>),
+}
+
+impl Ambient {
+    /// Linear RGB of a white surface with a unit normal, world space.
+    pub fn on(&self, normal: Vec3) -> Vec3 {
+        match self {
+            Self::Constant(share) => Vec3::splat(*share),
+            Self::Surroundings(forms) => {
+                let n = normal.extend(1.0);
+                // Below zero is an error of the quadratic form.
+                Vec3::from_array([0, 1, 2].map(|channel| n.dot(forms[channel] * n).max(0.0)))
+            }
+        }
+    }
 }
 
 /// Largest number of lights of a scene.
@@ -81,8 +105,8 @@ pub struct RenderOptions {
     pub shadows: SceneShadows,
     /// The lights, at most [`MAX_LIGHTS`].
     pub lights: Vec<Light>,
-    /// Ambient light, as a fraction of a light of colour 1.
-    pub ambient: f32,
+    /// Ambient light.
+    pub ambient: Ambient,
     /// Range of occlusion of the ambient light, world units; None without occlusion.
     pub occlusion: Option<f64>,
     /// Far field for rays beyond a distance; without it the instances are evaluated everywhere.

@@ -396,7 +396,7 @@ impl Plane {
 #[cfg(test)]
 mod tests {
     use super::super::triangles::Triangles;
-    use super::super::{InstanceInput, Material, Primary, SceneShadows};
+    use super::super::{Ambient, InstanceInput, Material, Primary, SceneShadows};
     use super::*;
     use crate::progress::Progress;
     use crate::render::Camera;
@@ -480,7 +480,7 @@ mod tests {
             primary: Primary::Auto,
             shadows: SceneShadows::None,
             lights: Vec::new(),
-            ambient: 1.0,
+            ambient: Ambient::Constant(1.0),
             occlusion: None,
             far: None,
             background: [0.0; 4],

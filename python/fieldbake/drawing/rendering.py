@@ -103,7 +103,8 @@ def render(
     Notes
     -----
     ``color = exposure * (ambient * open * albedo + sum of arrives * light * (max(0, n.l) * albedo + specular * max(0,
-    n.h)^shininess + through * albedo))``, in linear RGB. ``open`` is the fraction of the hemisphere that occluders
+    n.h)^shininess + through * albedo))``, in linear RGB. ``ambient`` is the ambient light of the scene around the normal,
+    ``open`` is the fraction of the hemisphere that occluders
     leave open, ``arrives`` is the visible fraction of a light, ``n``, ``l`` and ``h`` are unit vectors: the normal, the
     direction to the light and the half vector. ``through`` is the light that passes through the object itself, see
     :class:`Material`. ``light`` is colour times intensity, and for a :class:`PointLight` or :class:`SpotLight` also the

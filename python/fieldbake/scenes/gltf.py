@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..base import checks
 from ..base.errors import SceneError
@@ -33,7 +33,7 @@ MAGIC, JSON_CHUNK = b"glTF", b"JSON"
 
 
 def load_scene(
-    path: str | os.PathLike[str], *, resolution: int = INSTANCE_RESOLUTION, ambient: float = AMBIENT
+    path: str | os.PathLike[str], *, resolution: int = INSTANCE_RESOLUTION, ambient: ArrayLike = AMBIENT
 ) -> Scene:
     """Read a file as a scene.
 
@@ -45,8 +45,8 @@ def load_scene(
         range in the file.
     resolution : int, default 64
         Voxels along the longest side of the field of each mesh.
-    ambient : float, default 0.2
-        Light from everywhere, as a fraction of the colour.
+    ambient : float, (3,) or (height, width, 3), default 0.2
+        Light from everywhere, as for :class:`Scene`.
 
     Returns
     -------

@@ -10,13 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _core
 from ..base import checks
-from ..base.errors import ArgumentError, MeshError, SceneError
+from ..base.errors import MeshError, SceneError
 from ..base.report import count_text
 from ..base.viewable import Viewable
 from .camera import Camera
 from .core_scene import Fields, SceneBuilder
 from .instance import Instance
 from .lights import AMBIENT, BACKGROUND, Light, check_lights
+from .surroundings import Ambient, checked_ambient
 
 
 class Scene(Viewable):
@@ -29,8 +30,12 @@ class Scene(Viewable):
     lights : sequence of PointLight, SpotLight and DirectionalLight, optional
         At most 16 lights. The default is one white light of intensity 0.64 from above, over the viewer's right
         shoulder.
-    ambient : float, default 0.2
-        Light from everywhere, as a fraction of the colour.
+    ambient : float, (3,) or (height, width, 3), default 0.2
+        Light from everywhere, as a fraction of the colour: a number, a colour, or an image of the surroundings, linear
+        RGB. Row 0 of the image is the direction +Y, the last row -Y. The middle of the picture is the direction -Z, and
+        a quarter of its width to the right is +X. Two rows, such as ``[[[1, 1, 1]], [[0.2, 0.2, 0.2]]]``, are a sky and
+        a ground. Surfaces reflect the light of all directions around their normal, smoothed by spherical harmonics of
+        degree 2: the error is at most 6.2 % of the range of the image. Occlusion reduces it as a whole.
     background : (3,) or (4,), default (0.025, 0.03, 0.04)
         Colour of pixels without a hit, linear RGB and opacity. The default is a dark slate, against which the outlines
         of both white and black objects are visible.
@@ -59,7 +64,7 @@ class Scene(Viewable):
         instances: Sequence[Any],
         lights: Sequence[Light] | None = None,
         *,
-        ambient: float = AMBIENT,
+        ambient: ArrayLike = AMBIENT,
         background: ArrayLike = BACKGROUND,
         cameras: Sequence[Camera] = (),
     ) -> None:
@@ -69,10 +74,7 @@ class Scene(Viewable):
             raise SceneError("instances: the scene is empty; give at least one Instance")
         self._instances = tuple(_instance(number, item) for number, item in enumerate(instances))
         self._lights = None if lights is None else check_lights(lights)
-        try:
-            self._ambient = checks.number("ambient", ambient, least=0)
-        except ArgumentError as error:
-            raise SceneError(str(error)) from None
+        self._ambient = checked_ambient(ambient)
         self._background = _background(background)
         for camera in cameras:
             if not isinstance(camera, Camera):
@@ -100,8 +102,8 @@ class Scene(Viewable):
         return self._cameras
 
     @property
-    def ambient(self) -> float:
-        """Light from everywhere, as a fraction of the colour."""
+    def ambient(self) -> Ambient:
+        """Light from everywhere, as a fraction of the colour: a number, or an image (height, width, 3), read-only."""
         return self._ambient
 
     @property
@@ -132,7 +134,7 @@ class Scene(Viewable):
 def _copy(
     instances: Sequence[Instance],
     lights: Sequence[Light] | None,
-    ambient: float,
+    ambient: Ambient,
     background: ArrayLike,
     cameras: Sequence[Camera],
 ) -> Scene:

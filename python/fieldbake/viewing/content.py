@@ -39,6 +39,7 @@ from ..scenes.lights import (
 from ..scenes.materials import PLAIN, SHININESS, SPECULAR, Material
 from ..scenes.scene import Scene
 from ..scenes.sheets import Look
+from ..scenes.surroundings import mean_of
 from ..shapes.quadric import Quadric
 from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume
@@ -267,6 +268,8 @@ def _of_scene(scene: Scene, camera: Camera | None, encoding: str, size: tuple[in
     own = next((camera for camera in scene.cameras if camera.height is None), None)
     if camera is None and scene.cameras and own is None:
         warn("cameras: all are orthographic, and a view needs a perspective one; it fits the scene", UserWarning)
+    if not isinstance(scene.ambient, float):
+        warn("ambient: a view has ambient light without colour and direction; it draws the mean", UserWarning)
     view = camera or own or Camera.fit(scene.bounds, aspect=size[0] / size[1])
     return Content(
         f"Scene of {len(scene.instances)} instances" if len(scene.instances) > 1 else "Scene",
@@ -276,7 +279,7 @@ def _of_scene(scene: Scene, camera: Camera | None, encoding: str, size: tuple[in
         view,
         size,
         lights=scene.lights,
-        ambient=scene.ambient,
+        ambient=mean_of(scene.ambient),
         background=scene._background,
         hemisphere=False,
         drawn=scene,
