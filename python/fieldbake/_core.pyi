@@ -775,7 +775,7 @@ class Renderer:
         device: str,
         progress: Callable[[float], object] | None = None,
     ) -> dict[str, Any]:
-        """Draw a scene. ``ambient`` is a number, or quadratic forms of the normal and 1 for red, green and blue, (3, 4, 4).
+        """Draw a scene. ``ambient`` is a number, or a quadratic form of the normal and 1 for each channel, (3, 4, 4).
 
         The result has the keys of :func:`raymarch`, with ``seconds`` as a dict of passes, and further
         keys: ``rays``, the number of rays and cones for light and occlusion; ``far_rays``, the number of those that

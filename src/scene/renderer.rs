@@ -59,10 +59,14 @@ impl Renderer {
             }
             Place::Gpu(context) => context,
         };
+        let start = Instant::now();
         let device = self.on_device(context, scene, far.as_ref())?;
+        let upload = start.elapsed().as_secs_f64();
         let rendered = draw(scene, far.as_ref(), Some(&device), camera, options, progress);
         *self.slot() = Some(device);
-        rendered
+        let mut rendered = rendered?;
+        rendered.seconds.insert(0, ("upload", upload));
+        Ok(rendered)
     }
 
     /// The scene in the memory of a device.
@@ -87,7 +91,7 @@ pub struct Rendered {
     pub frame: Frame,
     /// Whether surfaces were found on the device, and on the CPU.
     pub primary_on: [bool; 2],
-    /// Duration of each pass by name.
+    /// Duration of each stage by name: the upload of changes to a device, and the passes.
     pub seconds: Vec<(&'static str, f64)>,
     /// Number of rays and cones to lights and surroundings.
     pub rays: u64,

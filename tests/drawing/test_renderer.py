@@ -98,6 +98,14 @@ def test_the_cpu_transfers_nothing(scene) -> None:
     assert renderer.counters == {"uploads": 0, "upload_bytes": 0, "submits": 0, "readbacks": 0}
 
 
+def test_a_report_has_the_time_of_each_stage(scene, device) -> None:
+    frame = fb.Renderer(scene, size=(8, 6), device=device).frame()
+    stages = frame.report["milliseconds"]
+    assert set(stages) == {"primary", "light"} | ({"upload"} if device == "gpu" else set())
+    assert min(stages.values()) > 0
+    assert frame.report["seconds"] == pytest.approx(sum(stages.values()) / 1e3)
+
+
 def turntable(count: int):
     for i in range(count):
         angle = 2 * np.pi * i / count

@@ -88,10 +88,10 @@ def render(
     -------
     Frame
         Colour, depth, normals, object ids, shadows and steps as arrays. ``report`` has ``device``, the total
-        ``seconds``, ``devices`` and ``milliseconds`` of the passes, ``sheets``, the number of instances whose triangles
-        are traced for light (by the CPU, for pictures of every device), and two counters: ``rays``, the number of
-        shadow, occlusion and scattering rays and cones, and ``far_rays``, the number of those that entered the far
-        field.
+        ``seconds``, ``devices`` of the passes, ``milliseconds`` of the stages (``"primary"``, ``"light"`` and, for a
+        graphics device, ``"upload"``), ``sheets``, the number of instances whose triangles are traced for light (by the
+        CPU, for pictures of every device), and two counters: ``rays``, the number of shadow, occlusion and scattering
+        rays and cones, and ``far_rays``, the number of those that entered the far field.
 
     Raises
     ------
@@ -103,14 +103,14 @@ def render(
     Notes
     -----
     ``color = exposure * (ambient * open * albedo + sum of arrives * light * (max(0, n.l) * albedo + specular * max(0,
-    n.h)^shininess + through * albedo))``, in linear RGB. ``ambient`` is the ambient light of the scene around the normal,
-    ``open`` is the fraction of the hemisphere that occluders
-    leave open, ``arrives`` is the visible fraction of a light, ``n``, ``l`` and ``h`` are unit vectors: the normal, the
-    direction to the light and the half vector. ``through`` is the light that passes through the object itself, see
-    :class:`Material`. ``light`` is colour times intensity, and for a :class:`PointLight` or :class:`SpotLight` also the
-    falloff with distance and the share of the cone, which ``frame.shadow`` does not contain. Penumbrae follow S.
-    Aaltonen, GPU-based clay simulation and ray-tracing tech in Claybook, GDC 2018, and are centred on the hard edge.
-    Where one cone gives no clear result, 16 cones divide the disc of the light.
+    n.h)^shininess + through * albedo))``, in linear RGB. ``ambient`` is the ambient light of the scene around the
+    normal, ``open`` the fraction of the hemisphere that occluders leave open, and ``arrives`` the visible fraction of a
+    light. ``n``, ``l`` and ``h`` are unit vectors: the normal, the direction to the light and the half vector.
+    ``through`` is the light that passes through the object itself, see :class:`Material`. ``light`` is colour times
+    intensity, and for a :class:`PointLight` or :class:`SpotLight` also the falloff with distance and the share of the
+    cone, which ``frame.shadow`` does not contain. Penumbrae follow S. Aaltonen, GPU-based clay simulation and
+    ray-tracing tech in Claybook, GDC 2018, and are centred on the hard edge. Where one cone gives no clear result, 16
+    cones divide the disc of the light.
 
     Shadows and occlusion of open sheets, of flat meshes and of meshes with a mask or a translucent texture are those of
     their triangles, with the opacity of the material at each hit; such meshes need no field. Each crossing of a blended

@@ -5,9 +5,9 @@ A white surface with the unit normal n, without occlusion, reflects the fraction
     1 / (4 pi) * integral over directions w of  L(w) * 4 max(0, n.w)
 
 of the light L. Ramamoorthi and Hanrahan (An efficient representation for irradiance environment maps, SIGGRAPH 2001)
-replace the kernel by its spherical harmonics up to degree 2, ``4 max(0, t)  ~  1 + 2 t + 5/8 (3 t^2 - 1)``. The result is
-a quadratic form of n. The two kernels differ by 0.123 in the mean over the sphere, and their difference has the mean 0, so
-the error is at most 0.062 times the range of L.
+replace the kernel by its spherical harmonics up to degree 2, ``4 max(0, t)  ~  1 + 2 t + 5/8 (3 t^2 - 1)``. The result
+is a quadratic form of n. The two kernels differ by 0.123 in the mean over the sphere, and their difference has the mean
+0, so the error is at most 0.062 times the range of L.
 """
 
 from __future__ import annotations
