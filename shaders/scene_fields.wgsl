@@ -43,8 +43,10 @@ struct FieldSeen {
 @fragment
 fn field_seen(corner: BoxCorner, @builtin(front_facing) is_front: bool) -> FieldSeen {
     if is_front { discard; }
-    let index = rows[corner.row].index;
-    let ray = FieldRay(rows[corner.row].eye, ray_through(corner.row, corner.position.xy));
+    let row = corner.row;
+    let index = rows[row].index;
+    let through = ray_through(row, corner.position.xy);
+    let ray = FieldRay(through.start, through.along);
     steps = 0u;
     let to = &instances[index];
     let span = clip(ray.origin, ray.direction, (*to).surface_lower, (*to).surface_upper, vec2f(0.0, FAR_T));
@@ -54,5 +56,7 @@ fn field_seen(corner: BoxCorner, @builtin(front_facing) is_front: bool) -> Field
     if hit < 0.0 && !ran_out { discard; }
     let t = max(span.x + max(hit, 0.0), NEAR);
     let flags = select(0u, AT_START, hit == 0.0) | select(0u, RAN_OUT, ran_out);
-    return FieldSeen(vec4u(index + 1u, flags, bitcast<u32>(t), steps), NEAR / t);
+    let linear_depth = dot(rows[row].clip_depth, vec4f(ray.origin + t * ray.direction, 1.0));
+    let depth = select(NEAR / t, linear_depth, rows[row].is_parallel != 0u);
+    return FieldSeen(vec4u(index + 1u, flags, bitcast<u32>(t), steps), depth);
 }

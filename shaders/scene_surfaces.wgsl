@@ -84,8 +84,9 @@ fn surface_beams(@builtin(global_invocation_id) id: vec3u) {
 
     // The hit in the space of the mesh's tree.
     let fragment = vec2f(f32(x), f32(y)) + 0.5;
-    let along = ray_through(row, fragment);
-    let eye = rows[row].eye;
+    let ray = ray_through(row, fragment);
+    let along = ray.along;
+    let eye = ray.start;
     let first = FACE_FLOATS * (rows[row].first_face + seen.y);
     let a = vector_at(first);
     let ab = vector_at(first + 3u) - a;

@@ -93,10 +93,11 @@ fn footprint_on(corner: Corner) -> f32 {
     let uv_ab = coordinates[vertices.y] - uv_a;
     let uv_ac = coordinates[vertices.z] - uv_a;
     let density = sqrt(abs(uv_ab.x * uv_ac.y - uv_ab.y * uv_ac.x) / max(area, 1e-30));
-    let along = ray_through(corner.row, corner.position.xy);
+    let along = ray_through(corner.row, corner.position.xy).along;
     let slant = max(abs(dot(normal, along)) / max(area * length(along), 1e-30), 0.05);
     // Side of the pixel at this depth, in the mesh's own space. `position.w` is 1 / w.
-    let aside = (corner.position.xy - rows[corner.row].middle) * rows[corner.row].pixel;
+    var aside = (corner.position.xy - rows[corner.row].middle) * rows[corner.row].pixel;
+    if rows[corner.row].is_parallel != 0u { aside = vec2f(0.0); }
     let pixel = rows[corner.row].pixel / corner.position.w * length(along) / sqrt(1.0 + dot(aside, aside));
     return pixel / sqrt(slant) * density;
 }

@@ -222,15 +222,15 @@ pub(super) fn each_axis<T>(value: impl Fn(usize) -> T) -> [T; 3] {
 
 /// A ray and its constants.
 pub(super) struct MarchLine {
-    pub origin: [f32; 3],
+    pub(super) origin: [f32; 3],
     direction: [f32; 3],
     /// `t` per voxel; 0 where the ray is parallel to the faces.
     inverse: [f32; 3],
-    pub forward: [bool; 3],
+    pub(super) forward: [bool; 3],
 }
 
 impl MarchLine {
-    pub fn new(ray: &GridRay) -> Self {
+    pub(super) fn new(ray: &GridRay) -> Self {
         let direction = ray.direction.to_array();
         let inverse =
             each_axis(|axis| if direction[axis].abs() < PARALLEL_DIRECTION { 0.0 } else { 1.0 / direction[axis] });
@@ -251,7 +251,7 @@ impl MarchLine {
 
     /// The `t` at which the ray crosses a plane across an axis.
     #[inline]
-    pub fn t_at_plane(&self, axis: usize, coordinate: f32) -> f32 {
+    pub(super) fn t_at_plane(&self, axis: usize, coordinate: f32) -> f32 {
         if self.inverse[axis] == 0.0 { FAR_ALONG_RAY } else { (coordinate - self.origin[axis]) * self.inverse[axis] }
     }
 }

@@ -13,6 +13,7 @@ use super::gbuffer::{DeviceSeen, GBuffer, Layer, View};
 use super::gpu::DeviceScene;
 use super::{Instance, Material, Primary, RenderOptions, Scene};
 use crate::error::Error;
+use crate::geometry::Aabb;
 use crate::gpu::layout::RasterInstance;
 use crate::gpu::raster::Draw;
 use crate::progress::Progress;
@@ -187,14 +188,30 @@ fn seen_by_device(
     Ok((seen, DeviceSeen { pixels, stride, rows: rows_buffer, rays: band.ray }))
 }
 
+/// Depth before and behind the scene that the depth buffer of parallel rays includes, scene units. It is more than the
+/// margin of the boxes that the shader draws.
+const DEPTH_MARGIN: f64 = 0.01;
+
+/// The range of depths of a scene in front of the eye, scene units; `depth` is a linear function and its value at 0.
+fn depths(scene: &Scene, (axis, at_zero): (DVec3, f64)) -> [f64; 2] {
+    let all = scene.boxes.iter().fold(Aabb::EMPTY, |all, &b| all.union(b));
+    let (lower, upper) = (all.min.as_dvec3(), all.max.as_dvec3());
+    let middle = axis.dot(0.5 * (lower + upper)) + at_zero;
+    let reach = axis.abs().dot(0.5 * (upper - lower)) + DEPTH_MARGIN;
+    let near = (middle - reach).max(0.0);
+    [near, (middle + reach).max(near + DEPTH_MARGIN)]
+}
+
 /// Rows of a picture as a separate render target.
 struct RowBand<'a> {
     scene: &'a Scene,
-    /// Clip space from scene space: x, y and w.
+    /// Clip space from scene space: x, y and w; if the rays are parallel, z in place of w, which is 1.
     clip_from_scene: [(DVec3, f64); 3],
-    eye: DVec3,
-    /// Scene directions of rays, one unit of depth long: through fragment (0, 0), and the changes to the right and
-    /// down.
+    is_parallel: bool,
+    /// Start of the ray through fragment (0, 0) in scene space.
+    start: DVec3,
+    /// Scene direction of the ray through fragment (0, 0), one unit of depth long; and the changes of the direction to the
+    /// right and down, or of the start if the rays are parallel.
     ray: [DVec3; 3],
     middle: [f64; 2],
     pixel: f64,
@@ -205,22 +222,35 @@ impl<'a> RowBand<'a> {
     fn new(scene: &'a Scene, view: &View, first_row: u32, row_count: u32) -> Self {
         let Camera { right, up, back, .. } = view.camera;
         let [width, height] = view.size.map(f64::from);
-        let (rows, pixel) = (f64::from(row_count), view.camera.pixel_size(view.size[1]));
+        let is_parallel = view.camera.is_parallel();
+        let unit = if is_parallel { scene.scale } else { 1.0 };
+        let (rows, pixel) = (f64::from(row_count), view.camera.pixel_size(view.size[1]) / unit);
         let eye = scene.scene_from_world(view.camera.eye);
         // The viewing axis in fragments of the band; the rays pass through `offset` of each.
         let middle = [0.5 * width + 0.5 - view.offset[0], 0.5 * height + 0.5 - view.offset[1] - f64::from(first_row)];
         let linear = |axis: DVec3| (axis, -axis.dot(eye));
         let sum = |a: (DVec3, f64), s: f64, b: (DVec3, f64), t: f64| (s * a.0 + t * b.0, s * a.1 + t * b.1);
         let depth = linear(-back);
+        // The third row of the map, and w.
+        let (clip_depth, w) = if is_parallel {
+            let [near, far] = depths(scene, depth);
+            let one = (DVec3::ZERO, 1.0);
+            (sum(depth, -1.0 / (far - near), one, far / (far - near)), one)
+        } else {
+            (depth, depth)
+        };
+        let first = pixel * (middle[1] * up - middle[0] * right);
+        let (to_start, to_ray) = if is_parallel { (first, DVec3::ZERO) } else { (DVec3::ZERO, first) };
         Self {
             scene,
             clip_from_scene: [
-                sum(linear(right), 2.0 / (width * pixel), depth, 2.0 * middle[0] / width - 1.0),
-                sum(linear(up), 2.0 / (rows * pixel), depth, 1.0 - 2.0 * middle[1] / rows),
-                depth,
+                sum(linear(right), 2.0 / (width * pixel), w, 2.0 * middle[0] / width - 1.0),
+                sum(linear(up), 2.0 / (rows * pixel), w, 1.0 - 2.0 * middle[1] / rows),
+                clip_depth,
             ],
-            eye,
-            ray: [-back - pixel * (middle[0] * right - middle[1] * up), pixel * right, -pixel * up],
+            is_parallel,
+            start: eye + to_start,
+            ray: [to_ray - back, pixel * right, -pixel * up],
             middle,
             pixel,
             is_mirrored: right.cross(up).dot(back) < 0.0,
@@ -232,7 +262,7 @@ impl<'a> RowBand<'a> {
         let instance = &self.scene.instances[index];
         let own_from_scene = if span.is_some() { instance.tree_from_scene } else { instance.field_from_scene };
         let scene_from_own: DAffine3 = own_from_scene.inverse();
-        let [clip_x, clip_y, clip_w] = self.clip_from_scene.map(|(axis, offset)| {
+        let [clip_x, clip_y, clip_depth] = self.clip_from_scene.map(|(axis, offset)| {
             let along = scene_from_own.matrix3.transpose() * axis;
             [along.x, along.y, along.z, axis.dot(scene_from_own.translation) + offset].map(|value| value as f32)
         });
@@ -241,8 +271,8 @@ impl<'a> RowBand<'a> {
         RasterInstance {
             clip_x,
             clip_y,
-            clip_w,
-            eye: own_from_scene.transform_point3(self.eye).as_vec3().to_array(),
+            clip_depth,
+            start: own_from_scene.transform_point3(self.start).as_vec3().to_array(),
             index: index as u32,
             ray,
             first_face: span.map_or(0, |span| span.start / 3),
@@ -252,7 +282,7 @@ impl<'a> RowBand<'a> {
             is_mirrored: u32::from((own_from_scene.matrix3.determinant() < 0.0) != self.is_mirrored),
             middle: self.middle.map(|value| value as f32),
             pixel: self.pixel as f32,
-            pad_0: 0,
+            is_parallel: u32::from(self.is_parallel),
         }
     }
 }

@@ -121,8 +121,6 @@ fn draw(
 
     let casters = Casters { scene, far };
     let light_device = device.filter(|device| device.knows_all());
-    // Rasterisation on a device assumes that the rays pass through the eye.
-    let raster_device = device.filter(|_| !camera.is_parallel());
     let lights = Lights::new(scene, options);
     let mut seconds = vec![("primary", 0.0), ("light", 0.0)];
     let counters = RayCounters::default();
@@ -137,7 +135,7 @@ fn draw(
             Some(i) => [i % sides, i / sides].map(|k| (f64::from(k) + 0.5) / f64::from(sides)),
         };
         let start = Instant::now();
-        let buffer = match raster_device {
+        let buffer = match device {
             None => primary::draw(scene, camera, options, offset, progress)?,
             Some(device) => raster::draw(scene, device, camera, options, offset, progress)?,
         };
@@ -169,7 +167,7 @@ fn draw(
         let share = 1.0 / (sides * sides) as f32;
         frame.color = sum.into_iter().map(|color| color * share).collect();
     }
-    let primary_on = match raster_device {
+    let primary_on = match device {
         None => [false, true],
         Some(device) => [true, raster::left_over(scene, device, options).is_some()],
     };

@@ -87,9 +87,9 @@ def test_voxels_are_those_of_a_search_of_all(shape, share, camera, device):
     clear = np.ones(len(depth), bool)
     for shift in ((0.01, 0), (-0.01, 0), (0, 0.01), (0, -0.01)):
         near_depth, near_axis, _, near_light = truth(volume, view, shift)
-        same = (near_axis == axis) & (near_light == light) & (np.isfinite(near_depth) == np.isfinite(depth))
-        clear &= same & ~(np.abs(np.where(same, near_depth - depth, 0)) > 0.05)
-    clear &= np.isfinite(depth) | (frame.depth.ravel() == np.inf)
+        clear &= (near_axis == axis) & (near_light == light) & (np.isfinite(near_depth) == np.isfinite(depth))
+        both = np.isfinite(near_depth) & np.isfinite(depth)
+        clear[both] &= np.abs(near_depth[both] - depth[both]) <= 0.05
     assert clear.mean() > 0.9
     hit = clear & np.isfinite(depth)
     assert hit.sum() > 5
@@ -118,7 +118,7 @@ def test_the_picture_is_the_sign_of_the_nearest_samples(device):
     x, y = (np.arange(24) + 0.5) / 3, 6 - (np.arange(18) + 0.5) / 3
     points = np.stack([*np.broadcast_arrays(x[None], y[:, None]), np.full((18, 24), 4.5)], axis=-1)
     inside = volume.sample(points, filter="nearest") <= 0
-    assert np.array_equal(inside, frame.depth == 2)
+    assert np.array_equal(inside, frame.depth < 2.5)
 
 
 @pytest.mark.parametrize("kind", ["snorm8", "float16", "sparse"])

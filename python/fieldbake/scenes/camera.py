@@ -73,9 +73,8 @@ class Camera:
     ) -> Camera:
         """Make a camera with parallel rays, so that objects have the same size at any depth.
 
-        Rays start on the plane through `eye` across the viewing direction; surfaces behind it are invisible. On a
-        graphics device the CPU finds the visible surfaces of scenes for such a camera. Pages and live views have
-        perspective cameras only.
+        Rays start on the plane through `eye` across the viewing direction; surfaces behind it are invisible. Pages and
+        live views have perspective cameras only.
 
         Parameters
         ----------

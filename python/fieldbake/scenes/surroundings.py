@@ -81,7 +81,8 @@ def _moments(image: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
     xz = np.diff(np.cos(angle) ** 2 / 2)
 
     def integral(row: NDArray[np.float64], column: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.einsum("hwc,h,w->c", image, row, column) / (4 * np.pi)
+        channels: NDArray[np.float64] = np.einsum("hwc,h,w->c", image, row, column) / (4 * np.pi)
+        return channels
 
     first = np.stack([integral(c1, x), integral(s1, full), integral(c1, z)], axis=-1)
     xy, yz, zx = integral(cs, x), integral(cs, z), integral(c2, xz)

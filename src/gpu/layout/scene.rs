@@ -120,8 +120,8 @@ gpu_structs! {
     "scene_fields": struct RasterInstance {
         clip_x: [f32; 4],
         clip_y: [f32; 4],
-        clip_w: [f32; 4],
-        eye: [f32; 3],
+        clip_depth: [f32; 4],
+        start: [f32; 3],
         index: u32,
         ray: [f32; 3],
         first_face: u32,
@@ -131,7 +131,7 @@ gpu_structs! {
         is_mirrored: u32,
         middle: [f32; 2],
         pixel: f32,
-        pad_0: u32,
+        is_parallel: u32,
     }
 
     /// `shaders/scene_triangles.wgsl`.
