@@ -8,7 +8,9 @@
 //! [`super::dense`].
 //!
 //! Rules that count by planes ([`super::signs`]) classify a layer of regions at a time, one bit per sample. The other
-//! rules classify single samples, in bricks near the surface only.
+//! rules classify single samples, in bricks near the surface and at the corners of all others. The side of an open mesh
+//! changes far from its triangles too; the bricks there are found from their neighbours
+//! ([`SparseBuilder::follow`](crate::volume::sparse::build::SparseBuilder::follow)).
 //!
 //! # Cost
 //!
@@ -89,6 +91,9 @@ pub fn bake_sparse<T: Texel>(
         undecided += source.undecided;
         layer_bytes = layer_bytes.max(size_of_val(&source.words[..]));
     }
+    if job.judges_by_corners() {
+        builder.follow(&job.layer(0..0, progress)?, progress)?;
+    }
     let field = builder.finish();
     stage("bricks", start);
 
@@ -132,14 +137,24 @@ impl SparseJob<'_> {
         f64::from(row(0).min(row(nx)).min(row(nx * ny)).min(row(nx * ny + nx)))
     }
 
+    /// Whether the rule counts by planes, which gives the side of every sample.
+    fn counts_planes(&self) -> bool {
+        matches!(self.rule, SignRule::Counted(_) | SignRule::Parity)
+    }
+
+    /// Whether the side of a brick far from the mesh follows from its corners alone, although the side may change across
+    /// an opening.
+    fn judges_by_corners(&self) -> bool {
+        !(self.is_closed || self.counts_planes() || self.half_thickness > 0.0)
+    }
+
     /// Signs of the planes of a layer, for rules that count by planes.
     fn layer(&self, planes: Range<usize>, progress: &Progress) -> Result<RegionLayer<'_>, Error> {
         let [nx, ny, _] = self.local.shape();
         let words_per_row = nx.div_ceil(64);
-        let by_planes = matches!(self.rule, SignRule::Counted(_) | SignRule::Parity);
         let mut layer =
             RegionLayer { job: self, first_plane: planes.start, words_per_row, words: Vec::new(), undecided: 0 };
-        if !by_planes {
+        if !self.counts_planes() {
             return Ok(layer);
         }
         layer.words = vec![0; words_per_row * ny * planes.len()];

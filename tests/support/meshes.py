@@ -166,6 +166,20 @@ def soup(count: int = 200, seed: int = 1) -> Geometry:
     return Geometry(corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
 
 
+def stacked_sheets() -> Geometry:
+    """Twelve squares above each other, all facing up, and four far triangles that widen the box.
+
+    The winding number exceeds 1/2 far above and below the squares, up to the box.
+    """
+    corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
+    squares = [np.c_[corners, np.full(4, z)] for z in np.linspace(-0.05, 0.05, 12)]
+    quads = [(np.array([(0, 1, 2), (0, 2, 3)]) + 4 * i) for i in range(12)]
+    ends = np.array([(1, 1, 0.9), (-1, 1, -0.9), (-1, -1, 0.9), (1, -1, -0.9)])
+    small = [end * (1 - 0.02 * np.eye(3)) for end in ends]
+    triangles = [np.array([(0, 1, 2)]) + 48 + 3 * i for i in range(4)]
+    return Geometry(np.concatenate(squares + small), np.concatenate(quads + triangles))
+
+
 # --- damage
 
 

@@ -7,7 +7,7 @@
 
 use super::{
     BRICK_CELLS, BRICK_LEN, BRICK_SAMPLES, Entry, MAX_LEVEL, REGION_BRICKS, SparseField, Texel, brick_counts,
-    coarse_value, node_grid,
+    coarse_value, node_grid, sample_in_brick,
 };
 use crate::error::{ArgumentError, Error};
 use crate::grid::Grid;
@@ -83,8 +83,8 @@ pub(crate) enum Side {
 /// Builds the regions of a sparse field and joins them.
 #[derive(Debug)]
 pub(crate) struct SparseBuilder<T> {
-    field: SparseField<T>,
-    bricks: [usize; 3],
+    pub(super) field: SparseField<T>,
+    pub(super) bricks: [usize; 3],
     tolerance: Option<f32>,
 }
 
@@ -147,6 +147,28 @@ impl<T: Texel> SparseBuilder<T> {
             }
         }
         Ok(())
+    }
+
+    /// The samples of a brick, x fastest. Those beyond the faces of the box repeat the ones on the faces.
+    pub(super) fn samples_of_brick<S: SampleSource>(
+        &self,
+        source: &S,
+        worker: &mut S::Worker,
+        brick: [usize; 3],
+    ) -> [f32; BRICK_LEN] {
+        let SampleBox { low, high } = self.clipped(brick, 1);
+        let side = |axis: usize| high[axis] - low[axis];
+        let place = |[x, y, z]: [usize; 3]| x - low[0] + side(0) * (y - low[1] + side(1) * (z - low[2]));
+        let mut own = [0.0; BRICK_LEN];
+        source.samples(worker, &SampleBox { low, high }, &mut |sample, distance| own[place(sample)] = distance);
+        std::array::from_fn(|i| {
+            let local = sample_in_brick(i);
+            let nearest = |axis: usize| {
+                let sample = (brick[axis] * BRICK_CELLS + local[axis]).saturating_sub(1);
+                sample.clamp(low[axis], high[axis] - 1)
+            };
+            own[place([0, 1, 2].map(nearest))]
+        })
     }
 
     pub(crate) fn finish(mut self) -> SparseField<T> {
@@ -278,7 +300,8 @@ impl<T: Texel, S: SampleSource> RegionJob<'_, T, S> {
                     let value = coarse_value(&coarse, at, cube.level);
                     let truth = samples[place([x, y, z])];
                     let error = (value - truth.clamp(-limit, limit)).abs();
-                    if error <= tolerance {
+                    // Beyond the band a neighbour may be empty and store only its side.
+                    if error <= tolerance && (truth.abs() < self.builder.field.band || value * truth > 0.0) {
                         continue;
                     }
                     let cell = at.map(|i| (i / steps).min(BRICK_CELLS - 1));
@@ -334,7 +357,7 @@ impl<T: Texel, S: SampleSource> RegionJob<'_, T, S> {
     fn samples(&self, cube: &Cube) -> [f32; BRICK_LEN] {
         let first = cube.corner.map(|brick| brick * BRICK_CELLS);
         std::array::from_fn(|i| {
-            let at = [i % BRICK_SAMPLES, i / BRICK_SAMPLES % BRICK_SAMPLES, i / (BRICK_SAMPLES * BRICK_SAMPLES)];
+            let at = sample_in_brick(i);
             self.worker.samples[place([0, 1, 2].map(|axis| first[axis] + (at[axis] << cube.level)))]
         })
     }
@@ -345,27 +368,11 @@ impl<T: Texel, S: SampleSource> RegionJob<'_, T, S> {
             return;
         }
         let brick = self.brick(i);
-        let bounds = self.builder.clipped(brick, 1);
-        let corner = self.corner;
-        // Position of a sample of the grid in the region; sample -1 comes first.
-        let in_region = |sample: [usize; 3]| [0, 1, 2].map(|axis| sample[axis] + 1 - corner[axis] * BRICK_CELLS);
-        let Worker { source, samples } = &mut *self.worker;
-        self.source.samples(source, &bounds, &mut |sample, distance| samples[place(in_region(sample))] = distance);
-
-        // Samples beyond the faces of the box repeat those on the faces.
         let first = unravel(i).map(|brick| brick * BRICK_CELLS);
-        let nearest = |axis: usize, i: usize| {
-            i.clamp(bounds.low[axis] + 1 - corner[axis] * BRICK_CELLS, bounds.high[axis] - corner[axis] * BRICK_CELLS)
-        };
-        for z in first[2]..=first[2] + BRICK_CELLS {
-            for y in first[1]..=first[1] + BRICK_CELLS {
-                for x in first[0]..=first[0] + BRICK_CELLS {
-                    let from = [nearest(0, x), nearest(1, y), nearest(2, z)];
-                    if from != [x, y, z] {
-                        samples[place([x, y, z])] = samples[place(from)];
-                    }
-                }
-            }
+        let Worker { source, samples } = &mut *self.worker;
+        for (at, sample) in self.builder.samples_of_brick(self.source, source, brick).into_iter().enumerate() {
+            let local = sample_in_brick(at);
+            samples[place([0, 1, 2].map(|axis| first[axis] + local[axis]))] = sample;
         }
     }
 

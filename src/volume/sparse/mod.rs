@@ -29,6 +29,7 @@
 //! of the bricks is proportional to the surface.
 
 pub(crate) mod build;
+mod follow;
 #[cfg(test)]
 mod tests;
 
@@ -272,16 +273,20 @@ impl<'a, T: Texel> SparseView<'a, T> {
         Ok(samples)
     }
 
-    /// The field at the voxel centres around a stored brick: grid coordinates of the first one, and [`BRICK_LEN`]
-    /// values, x fastest, equal to those of [`SparseView::dense`]. Voxels outside the grid repeat the nearest voxel.
-    /// None for an empty brick.
+    /// The field at the voxel centres around a brick: grid coordinates of the first one, and [`BRICK_LEN`] values, x
+    /// fastest, equal to those of [`SparseView::dense`]. Voxels outside the grid repeat the nearest voxel. None for an
+    /// empty brick, unless the box cuts the solid there.
     pub fn voxels_of_brick(&self, of_brick: [i32; 3]) -> Option<([i32; 3], [f32; BRICK_LEN])> {
-        let Entry::Stored { .. } = self.entry(of_brick) else { return None };
         let origin = brick_origin(of_brick, 0);
+        let at_box =
+            (0..3).any(|axis| origin[axis] < 0 || origin[axis] + BRICK_CELLS as i32 >= self.grid.shape[axis] as i32);
+        match self.entry(of_brick) {
+            Entry::Empty { inside } if !(inside && at_box) => return None,
+            _ => {}
+        }
         let last = IVec3::from(self.grid.shape.map(|n| n as i32 - 1));
         let value = |i: usize| {
-            let local = [i % BRICK_SAMPLES, i / BRICK_SAMPLES % BRICK_SAMPLES, i / (BRICK_SAMPLES * BRICK_SAMPLES)];
-            let voxel = IVec3::from(origin) + IVec3::from(local.map(|i| i as i32));
+            let voxel = IVec3::from(origin) + IVec3::from(sample_in_brick(i).map(|i| i as i32));
             self.at_voxel(voxel.clamp(IVec3::ZERO, last))
         };
         Some((origin, std::array::from_fn(value)))
@@ -325,6 +330,12 @@ impl<'a, T: Texel> SparseView<'a, T> {
         let bound = round_down(bound);
         if inside { -bound } else { bound }
     }
+}
+
+/// Position in its brick of a sample by its index, x fastest.
+#[inline]
+fn sample_in_brick(i: usize) -> [usize; 3] {
+    [i % BRICK_SAMPLES, i / BRICK_SAMPLES % BRICK_SAMPLES, i / (BRICK_SAMPLES * BRICK_SAMPLES)]
 }
 
 /// Grid coordinates of sample 0 of the brick of a given level that covers the brick `of_brick`.
