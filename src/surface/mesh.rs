@@ -13,6 +13,9 @@ use rayon::prelude::*;
 /// start.
 const NEWTON_STEPS: usize = 4;
 
+/// Largest number of times that clamped vertices are tried at their best places.
+const FREE_PASSES: usize = 4;
+
 /// Triangles of a level set.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct SurfaceMesh {
@@ -35,6 +38,12 @@ impl LevelSurface {
         let mut quads = self.quads(&vertices);
         if !extra.is_empty() {
             clamped += self.keep_sides(&mut vertices, &mut quads, crossings, extra);
+        }
+        if self.separate(&mut vertices) {
+            quads = self.quads(&vertices);
+            if !extra.is_empty() {
+                clamped += self.keep_sides(&mut vertices, &mut quads, crossings, extra);
+            }
         }
         let faces: Vec<[[u32; 3]; 2]> = quads
             .par_iter()
@@ -76,7 +85,7 @@ impl LevelSurface {
 
     /// Moves clamped vertices to their best place up to a voxel outside their region, one after the other, if that
     /// folds no quadrilateral. A ridge or a corner may pass between the edges of the grid through a cell that has a
-    /// patch of its own. Returns the number of vertices that moved.
+    /// patch of its own. Returns the number of vertices that moved there.
     fn free_clamped(
         &self,
         placed: &[(DVec3, bool)],
@@ -84,32 +93,61 @@ impl LevelSurface {
         crossings: &[Crossing],
         extra: &ExtraPlanes,
     ) -> usize {
-        let mut moved = 0;
-        for cell in self.cells.cells() {
-            for (id, patch) in (cell.first_patch..).zip(cell.patches()) {
-                if !placed[id as usize].1 {
-                    continue;
-                }
-                let corner = self.world(cell.index, DVec3::ZERO);
+        let patches = self.cells.cells().iter().flat_map(|cell| {
+            let ids = (cell.first_patch..).take(cell.patches().count());
+            ids.map(move |id| (cell, id))
+        });
+        let mut waiting: Vec<(&SurfaceCell, u32, DVec3)> = patches
+            .filter(|&(_, id)| placed[id as usize].1)
+            .map(|(cell, id)| {
                 let [lower, upper] = self.region(cell, cell.free);
                 let planes = self.planes(cell, id, crossings, extra.of(id));
                 let best = planes.minimum(lower - self.spacing, upper + self.spacing).point;
-                let clamped = vertices[id as usize];
-                vertices[id as usize] = (corner + best).clamp(self.lower, self.upper);
-                let folds = (0..12).filter(|edge| patch >> edge & 1 == 1).any(|edge| {
-                    let (owner, axis) = owner_of(cell, edge);
-                    self.cells.find(owner).is_none_or(|owner| self.quad(owner, axis, vertices).folds)
-                });
-                if folds {
-                    // Planes beyond the cell would bend the surface; the crossings alone may have a place inside.
-                    let own = self.planes(cell, id, crossings, &[]).minimum(lower, upper);
-                    vertices[id as usize] = if own.clamped { clamped } else { corner + own.point };
-                } else {
-                    moved += 1;
-                }
+                (cell, id, (self.world(cell.index, DVec3::ZERO) + best).clamp(self.lower, self.upper))
+            })
+            .collect();
+        let count = waiting.len();
+        // A vertex that cannot move at first may do so when its neighbours have moved.
+        for _ in 0..FREE_PASSES {
+            let before = waiting.len();
+            waiting.retain(|&(cell, id, best)| !self.moves_to(cell, id, best, vertices));
+            if waiting.len() == before {
+                break;
             }
         }
-        moved
+        for &(cell, id, best) in &waiting {
+            // The error decreases all the way to the best place.
+            let start = vertices[id as usize];
+            if [0.75, 0.5, 0.25].into_iter().any(|share| self.moves_to(cell, id, start.lerp(best, share), vertices)) {
+                continue;
+            }
+            // Planes beyond the cell would bend the surface; the crossings alone may have a place inside.
+            let [lower, upper] = self.region(cell, cell.free);
+            let own = self.planes(cell, id, crossings, &[]).minimum(lower, upper);
+            if !own.clamped {
+                vertices[id as usize] = self.world(cell.index, DVec3::ZERO) + own.point;
+            }
+        }
+        count - waiting.len()
+    }
+
+    /// Moves the vertex of a patch to a place, world units, unless that folds a quadrilateral. Returns whether it moved.
+    fn moves_to(&self, cell: &SurfaceCell, id: u32, place: DVec3, vertices: &mut [DVec3]) -> bool {
+        let before = std::mem::replace(&mut vertices[id as usize], place);
+        let folds = self.folds_around(cell, id, vertices);
+        if folds {
+            vertices[id as usize] = before;
+        }
+        !folds
+    }
+
+    /// Whether a quadrilateral at the vertex of a patch is folded.
+    pub(super) fn folds_around(&self, cell: &SurfaceCell, id: u32, vertices: &[DVec3]) -> bool {
+        let patch = cell.patches().nth((id - cell.first_patch) as usize).unwrap_or(0);
+        (0..12).filter(|edge| patch >> edge & 1 == 1).any(|edge| {
+            let (owner, axis) = owner_of(cell, edge);
+            self.cells.find(owner).is_none_or(|owner| self.quad(owner, axis, vertices).folds)
+        })
     }
 
     /// Moves vertices back into their cells until every sample has its side, and updates the quadrilaterals. Returns the
@@ -206,7 +244,11 @@ impl LevelSurface {
         let [lower, upper] = self.region(cell, if free { cell.free } else { 0 });
         let (vertex, clamped) = if options.sharp {
             let minimum = planes.minimum(lower, upper);
-            (minimum.point, minimum.clamped)
+            let [lower, upper] = self.region(cell, 0);
+            let is_within = minimum.point.cmpge(lower).all() && minimum.point.cmple(upper).all();
+            let is_free = is_within && !minimum.clamped;
+            let point = if is_free { planes.refined(minimum.point, lower, upper) } else { minimum.point };
+            (point, minimum.clamped)
         } else {
             (self.on_trilinear(cell, planes.mean().clamp(lower, upper), lower, upper), false)
         };

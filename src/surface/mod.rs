@@ -16,7 +16,8 @@
 //! Vertices keep a small distance ([`MARGIN`]) from the faces of their cell that have crossed edges. The four corners
 //! of a quadrilateral belong to the four cells around its edge. Seen along the edge, they therefore lie strictly inside
 //! the four quadrants. Such a quadrilateral has a diagonal that divides it into two triangles of positive area, and
-//! that diagonal is used: no face is degenerate, and none is folded over.
+//! that diagonal is used: no face is degenerate, and none is folded over. No two vertices are equal in single precision
+//! ([`separate`]), so files without indices keep the two-manifold.
 //!
 //! # Practice
 //!
@@ -33,6 +34,7 @@ pub(crate) mod patches;
 mod probes;
 pub(crate) mod qef;
 mod quad;
+mod separate;
 
 pub use hermite::{planes_around_of_mesh, planes_of_mesh};
 pub use mesh::SurfaceMesh;

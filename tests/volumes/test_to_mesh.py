@@ -214,6 +214,56 @@ def test_a_sparse_volume_gives_the_mesh_of_its_samples(tolerance):
     assert np.array_equal(mesh.faces, dense.faces)
 
 
+@pytest.mark.parametrize("tolerance", [None, 0.05])
+def test_a_sparse_field_that_the_box_cuts_is_capped(tolerance):
+    # The box cuts the ball deep inside, where no brick is stored.
+    options = {"resolution": (40, 80, 80), "bounds": [(0, -2, -2), (2, 2, 2)]}
+    ball = meshes.icosphere(3)
+    sparse = fb.bake_sparse(ball, tolerance=tolerance, **options)
+    mesh = sparse.to_mesh()
+    assert_solid(mesh, sparse.bounds)
+    assert mesh.bounds[0][0] == 0
+    assert truth.volume(mesh.vertices, mesh.faces) == pytest.approx(truth.volume(*ball) / 2, rel=0.01)
+    assert_solid(sparse.to_mesh(-sparse.band / 2), sparse.bounds)
+
+
+def test_a_sparse_field_follows_the_surface_across_openings():
+    # Far from the sheets the surface of the winding number 1/2 passes through bricks whose corners have one side.
+    sheets = meshes.stacked_sheets()
+    for resolution in (40, 57):
+        dense, sparse = fb.bake(sheets, resolution), fb.bake_sparse(sheets, resolution, tolerance=None)
+        mesh = sparse.to_mesh()
+        assert_solid(mesh, sparse.bounds)
+        assert len(mesh.faces) == len(dense.to_mesh().faces)
+        assert np.array_equal(sparse.distances < 0, dense.distances < 0)
+
+
+def equal_positions(mesh):
+    """Number of vertices at the float32 position of another one."""
+    vertices = mesh.vertices.astype(np.float32)
+    return len(vertices) - len(np.unique(vertices, axis=0))
+
+
+def test_no_two_vertices_have_one_position_in_single_precision():
+    for seed in range(200):
+        volume = random_field(seed, np.random.default_rng(seed).integers(3, 8, 3))
+        assert equal_positions(volume.to_mesh()) == 0, seed
+
+
+def test_an_stl_file_of_thin_sheets_is_read_back_as_a_two_manifold(tmp_path):
+    # The sheets grow from a fraction of a voxel, so many cells hold a vertex of either side.
+    ramp = fb.plane("x", -1.0).times(0.08)
+    core = fb.sphere(1.0) & fb.gyroid(0.5, ramp)
+    mesh = core.to_mesh(40)
+    assert_solid(mesh)
+    assert equal_positions(mesh) == 0
+    mesh.save(tmp_path / "core.stl")
+    read = fb.load_mesh(tmp_path / "core.stl")
+    assert read.topology()["closed"]
+    # The file repeats each vertex in every face.
+    assert len(np.unique(read.vertices, axis=0)) == len(mesh.vertices)
+
+
 @pytest.mark.parametrize("encoding", ["float16", "snorm16", "snorm8"])
 def test_a_quantized_volume_gives_a_closed_mesh(encoding):
     volume = fb.bake(meshes.torus(), 40)
