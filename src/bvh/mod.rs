@@ -14,6 +14,7 @@ mod build;
 pub(crate) mod cast;
 pub(crate) mod closest;
 pub(crate) mod exact;
+mod group;
 pub(crate) mod pack;
 #[cfg(target_arch = "x86_64")]
 mod packet;

@@ -1,5 +1,6 @@
 //! Tangent planes from the mesh that a field was computed from.
 
+use super::probes::PROBES;
 use super::{Crossing, ExtraPlanes, LevelSurface};
 use crate::bvh::watertight::Ray;
 use crate::error::Error;
@@ -63,20 +64,39 @@ pub fn planes_around_of_mesh(
     progress.set_total(surface.cells.cells().len() as u64);
     mesh.bvh();
     let sign = if inward { -1.0 } else { 1.0 };
-    let plane = |at: DVec3, near: DVec3, known: &mut Vec<u32>| {
-        let at = mesh.local_from_world(at);
-        // The distance to any point of the mesh bounds the search; the factor covers the rounding of float32.
-        let bound = (at.distance(mesh.local_from_world(near)) * 1.001 + f64::from(f32::EPSILON)) as f32;
-        let bvh = mesh.bvh_within(at.abs().max_element());
-        let nearest = bvh.nearest(at.as_vec3(), bound * bound).or_else(|| bvh.nearest(at.as_vec3(), f32::INFINITY))?;
-        if known.contains(&nearest.face) {
-            return None;
+    let planes = |places: &[DVec3; PROBES], near: DVec3, known: &mut Vec<u32>, found: &mut Vec<(DVec3, DVec3)>| {
+        let points = places.map(|place| mesh.local_from_world(place));
+        for (face, point) in nearest_faces(mesh, &points, mesh.local_from_world(near)).into_iter().zip(points) {
+            if known.contains(&face) {
+                continue;
+            }
+            known.push(face);
+            let nearest = mesh.closest_point_on_face(face, point).on_triangle.point;
+            found.extend(normal_of(mesh, face).map(|normal| (mesh.world_from_local(nearest), sign * normal)));
         }
-        known.push(nearest.face);
-        let point = mesh.closest_point_on_face(nearest.face, at).on_triangle.point;
-        Some((mesh.world_from_local(point), sign * normal_of(mesh, nearest.face)?))
     };
-    surface.planes_around(crossings, plane, progress)
+    surface.planes_around(crossings, planes, progress)
+}
+
+/// The nearest faces of points around the first one, in local units. `near` is a point of the mesh.
+fn nearest_faces(mesh: &Mesh, points: &[DVec3; PROBES], near: DVec3) -> [u32; PROBES] {
+    let reach = points.iter().map(|point| point.distance(points[0])).fold(0.0, f64::max);
+    let bvh = mesh.bvh_within(points[0].abs().max_element() + reach);
+    let nearest = |point: DVec3, bound: f64| {
+        // The factor covers the rounding of float32.
+        let bound = (bound * 1.001 + f64::from(f32::EPSILON)) as f32;
+        bvh.nearest(point.as_vec3(), bound * bound).or_else(|| bvh.nearest(point.as_vec3(), f32::INFINITY))
+    };
+    let Some(first) = nearest(points[0], points[0].distance(near)) else { return [0; PROBES] };
+    // The surface lies within `distance` of the first point, so within `distance + reach` of every other one. The
+    // triangle that is nearest to it lies within `reach` more of the first point.
+    let distance = f64::from(first.distance_squared).sqrt();
+    let radius = (distance + 2.0 * reach) * 1.001 + f64::from(f32::EPSILON);
+    let rows = [0, 1, 2].map(|axis| std::array::from_fn(|i| points[i.min(PROBES - 1)][axis] as f32));
+    match bvh.nearest_of_group(points[0].as_vec3(), radius as f32, &rows) {
+        Some(faces) => std::array::from_fn(|i| faces[i]),
+        None => points.map(|point| nearest(point, distance + reach).map_or(first.face, |nearest| nearest.face)),
+    }
 }
 
 /// The intersection of the crossing's edge with the mesh that is nearest to the crossing, and the normal of its face.

@@ -120,9 +120,13 @@ impl<'a> PatchRegion<'a> {
     }
 }
 
-/// Offsets of the probes around a sharp vertex, voxels.
-fn steps() -> impl Iterator<Item = DVec3> {
-    std::iter::once(DVec3::ZERO).chain(DVec3::AXES.into_iter().flat_map(|axis| [axis * STEP, axis * -STEP]))
+/// Number of probes of a sharp vertex.
+pub(super) const PROBES: usize = 7;
+
+/// Offsets of the probes around a sharp vertex, voxels. The first is the vertex itself.
+fn steps() -> [DVec3; PROBES] {
+    let [x, y, z] = DVec3::AXES.map(|axis| axis * STEP);
+    [DVec3::ZERO, x, -x, y, -y, z, -z]
 }
 
 impl LevelSurface {
@@ -137,7 +141,8 @@ impl LevelSurface {
             .flat_map_iter(|id| {
                 let (vertex, spacing) = (vertices[id], self.spacing);
                 steps()
-                    .take(if is_sharp[id] { usize::MAX } else { 1 })
+                    .into_iter()
+                    .take(if is_sharp[id] { PROBES } else { 1 })
                     .map(move |step| (id as u32, vertex + step * spacing))
             })
             .collect();
@@ -145,20 +150,20 @@ impl LevelSurface {
         Probes { points, patches }
     }
 
-    /// The planes around all sharp vertices. `plane` returns the tangent plane nearest to a world position: a point and
-    /// a unit normal. Its second argument is a point of the surface near that position. Its third argument lists the
-    /// faces whose planes the patch has; it returns None for those.
+    /// The planes around all sharp vertices. `planes` evaluates the tangent planes nearest to the probes of a vertex,
+    /// world positions, and appends them to its last argument: a point and a unit normal each. Its second argument is a
+    /// point of the surface near the vertex. Its third argument lists the faces whose planes the patch has already.
     pub(super) fn planes_around(
         &self,
         crossings: &[Crossing],
-        plane: impl Fn(DVec3, DVec3, &mut Vec<u32>) -> Option<(DVec3, DVec3)> + Sync,
+        planes: impl Fn(&[DVec3; PROBES], DVec3, &mut Vec<u32>, &mut Vec<(DVec3, DVec3)>) + Sync,
         progress: &Progress,
     ) -> Result<ExtraPlanes, Error> {
         let is_sharp = self.sharp_patches(crossings);
         let options = MeshOptions { sharp: true, capped: true };
         let chunks = self.cells.cells().par_chunks(CHUNK).map(|cells| {
             let (mut counts, mut all) = (Vec::with_capacity(cells.len()), Vec::new());
-            let (mut own, mut known) = (Vec::new(), Vec::new());
+            let (mut own, mut known, mut found) = (Vec::new(), Vec::new(), Vec::new());
             for (cell, id) in
                 cells.iter().flat_map(|cell| (cell.first_patch..).zip(cell.patches()).map(move |(id, _)| (cell, id)))
             {
@@ -174,11 +179,11 @@ impl LevelSurface {
                             break;
                         }
                         before = vertex;
-                        for step in steps() {
-                            if let Some((point, normal)) = plane(vertex + step * self.spacing, near, &mut known) {
-                                near = point;
-                                region.join(&mut own, point, normal);
-                            }
+                        let places = steps().map(|step| vertex + step * self.spacing);
+                        planes(&places, near, &mut known, &mut found);
+                        for (point, normal) in found.drain(..) {
+                            near = point;
+                            region.join(&mut own, point, normal);
                         }
                     }
                 }
