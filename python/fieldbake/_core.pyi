@@ -37,6 +37,7 @@ __all__ = [
     "atlas_texture_coordinates",
     "atlas_write",
     "bake",
+    "bake_blocks",
     "bake_brute",
     "bake_sparse",
     "bake_update",
@@ -173,6 +174,19 @@ def bake_window(
 ) -> NDArray[np.float32]:
     """Bake the samples ``low`` to ``low + size - 1`` of a grid on the CPU, (sx, sy, sz), with the bits of the whole
     bake. Distances beyond ``band`` voxels are clamped to it."""
+
+def bake_blocks(
+    mesh: Mesh,
+    lower: tuple[float, float, float],
+    upper: tuple[float, float, float],
+    shape: tuple[int, int, int],
+    origins: NDArray[np.int32],
+    side: int,
+    *,
+    sign: str = "auto",
+) -> NDArray[np.float32]:
+    """Bake the samples of blocks of a grid on the CPU, (k, (side + 1)^3), x fastest. The first sample of a block is a
+    row of ``origins`` (k, 3). Samples outside the grid repeat the nearest one of the grid."""
 
 def sides_of_balls(
     mesh: Mesh, centers: NDArray[np.float64], radii: NDArray[np.float64], *, sign: str = "auto"

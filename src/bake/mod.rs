@@ -5,6 +5,7 @@
 //! divided by slabs of the grid, never by threads, so the same input gives the same bytes on any number of threads.
 
 mod band;
+mod blocks;
 mod brute;
 mod cpu;
 mod dense;
@@ -17,6 +18,7 @@ mod sparse;
 mod update;
 mod window;
 
+pub use blocks::bake_blocks;
 pub use brute::bake_brute;
 pub use report::{Report, sign_warnings};
 pub use sparse::bake_sparse;

@@ -1,4 +1,4 @@
-//! `fieldbake._core.bake`, `bake_update`, `bake_window`, `sides_of_balls` and `bake_brute`.
+//! `fieldbake._core.bake`, `bake_blocks`, `bake_update`, `bake_window`, `sides_of_balls` and `bake_brute`.
 
 use super::convert::{self, grid, rows, volume_array};
 use super::device::{DeviceField, choose};
@@ -6,13 +6,15 @@ use super::error::{Failure, exception};
 use super::mesh::Mesh;
 use super::run::run;
 use crate::bake::{
-    BakeOptions, BakedField, Before, Report, bake_at, bake_brute as brute, bake_window as window,
-    sides_of_balls as balls, update,
+    BakeOptions, BakedField, Before, Report, bake_at, bake_blocks as blocks, bake_brute as brute,
+    bake_window as window, sides_of_balls as balls, update,
 };
 use crate::error::DeviceError;
 use crate::gpu::Place;
 use crate::sign::SignMethod;
-use numpy::{IntoPyArray, PyArray1, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
+use numpy::{
+    IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
+};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -96,6 +98,29 @@ pub(super) fn bake_window<'py>(
     let options = BakeOptions { sign, band, thickness: None };
     let samples = run(py, None, |progress| window(&mesh, &grid, low, size, &options, progress))?;
     volume_array(py, samples, size)
+}
+
+/// Distances at the samples of blocks (k, (side + 1)^3), x fastest. The first sample of a block is a row of `origins`
+/// (k, 3). Samples outside the grid repeat the nearest one of the grid.
+#[pyfunction]
+#[pyo3(signature = (mesh, lower, upper, shape, origins, side, *, sign="auto"))]
+pub(super) fn bake_blocks<'py>(
+    py: Python<'py>,
+    mesh: &Mesh,
+    lower: [f64; 3],
+    upper: [f64; 3],
+    shape: [usize; 3],
+    origins: PyReadonlyArray2<'py, i32>,
+    side: usize,
+    sign: &str,
+) -> PyResult<Bound<'py, PyArray2<f32>>> {
+    mesh.prepare(py)?;
+    let mesh = mesh.0.clone();
+    let grid = grid(lower, upper, shape)?;
+    let origins = rows(&origins, "origins")?;
+    let sign = sign.parse::<SignMethod>().map_err(Failure::from)?;
+    let samples = run(py, None, |progress| blocks(&mesh, &grid, side, origins, sign, progress))?;
+    samples.into_pyarray(py).reshape([origins.len(), (side + 1).pow(3)])
 }
 
 /// Distance of the surface from the centres (n, 3) of balls, (n,), and the side of each ball, (n,): 1 outside, -1

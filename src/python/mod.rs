@@ -37,7 +37,7 @@ mod _core {
         atlas_sound, atlas_texture_coordinates, atlas_write, require_memory,
     };
     #[pymodule_export]
-    use super::bake::{bake, bake_brute, bake_update, bake_window, sides_of_balls};
+    use super::bake::{bake, bake_blocks, bake_brute, bake_update, bake_window, sides_of_balls};
     #[pymodule_export]
     use super::csg::Shape;
     #[pymodule_export]

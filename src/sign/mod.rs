@@ -189,11 +189,15 @@ impl SignRule {
     }
 }
 
-/// The sides of points that follow each other closely. The results for the last points decide most of the next ones.
+/// Margin for the error of a distance whose face was chosen in float32, local units: six times the error.
+const CARRY_MARGIN: f64 = 2e-6;
+
+/// The sides of points that follow each other closely. The side of a point is carried over to the next one if no surface
+/// lies between them.
 #[derive(Debug, Default)]
 pub struct SideWalk {
-    /// A ball in which every point is on the same side.
-    side: Option<(DVec3, f64, bool)>,
+    /// The last point, its distance from the surface, and whether it is inside.
+    last: Option<(DVec3, f64, bool)>,
     /// A ball in which the fraction of the openings has one nearest integer, and that contains no cap.
     fraction: Option<(DVec3, f64, i8)>,
 }
@@ -201,37 +205,55 @@ pub struct SideWalk {
 impl SideWalk {
     /// [`SignRule::is_inside`] of the next point.
     pub fn is_inside(&mut self, rule: &SignRule, mesh: &Mesh, p: DVec3, closest: &ClosestPoint) -> bool {
-        let SignRule::Counted(openings) = rule else { return rule.is_inside(mesh, p, closest) };
-        if let Some((center, radius, inside)) = self.side
-            && p.distance(center) < radius
-        {
-            return inside;
+        match rule {
+            SignRule::Counted(openings) => self.carried_or_counted(openings, mesh, p, closest.distance),
+            _ => rule.is_inside(mesh, p, closest),
         }
-        let (inside, radius) = self.counted(openings, mesh, p);
-        // No surface lies within the distance, and no cap within the radius, so the count is the same there.
-        self.side = Some((p, closest.distance.min(radius) * (1.0 - 1e-9), inside));
+    }
+
+    /// [`SignRule::is_inside`] of the next point, at a distance from the surface, local units.
+    pub fn is_inside_at(&mut self, rule: &SignRule, mesh: &Mesh, p: DVec3, distance: f64) -> bool {
+        match rule {
+            SignRule::Counted(openings) => self.carried_or_counted(openings, mesh, p, distance),
+            SignRule::Pseudonormal | SignRule::Normal => rule.is_inside(mesh, p, &mesh.closest_point(p)),
+            _ => rule.is_inside_without_distance(mesh, p),
+        }
+    }
+
+    fn carried_or_counted(&mut self, openings: &Openings, mesh: &Mesh, p: DVec3, distance: f64) -> bool {
+        // Every point between two points is nearer to one of them than the surface is, if they are nearer to each other
+        // than the sum of their distances. In the ball of the fraction no cap lies between them either.
+        let is_clear = |&(q, other, _): &(DVec3, f64, bool)| {
+            p.distance(q) < (distance + other) * (1.0 - 1e-5) - CARRY_MARGIN
+                && self
+                    .fraction
+                    .is_some_and(|(center, radius, _)| p.distance(center) < radius && q.distance(center) < radius)
+        };
+        let inside = match self.last.filter(is_clear) {
+            Some((_, _, inside)) => inside,
+            None => self.counted(openings, mesh, p),
+        };
+        self.last = Some((p, distance, inside));
         inside
     }
 
     /// [`SignRule::is_inside_without_distance`] of the next point.
     pub fn is_inside_without_distance(&mut self, rule: &SignRule, mesh: &Mesh, p: DVec3) -> bool {
         match rule {
-            SignRule::Counted(openings) => self.counted(openings, mesh, p).0,
+            SignRule::Counted(openings) => self.counted(openings, mesh, p),
             _ => rule.is_inside_without_distance(mesh, p),
         }
     }
 
-    /// Whether a point is inside, and the radius of a ball around it in which the nearest integer of the fraction is
-    /// the same.
-    fn counted(&mut self, openings: &Openings, mesh: &Mesh, p: DVec3) -> (bool, f64) {
-        let known = self.fraction.map(|(center, radius, rounded)| (rounded, radius - p.distance(center)));
-        let (rounded, radius) = known.filter(|&(_, left)| left > 0.0).unwrap_or_else(|| {
+    /// Whether a point is inside. The nearest integer of the fraction is kept for the next points.
+    fn counted(&mut self, openings: &Openings, mesh: &Mesh, p: DVec3) -> bool {
+        let known = self.fraction.filter(|&(center, radius, _)| p.distance(center) < radius);
+        let rounded = known.map(|(_, _, rounded)| rounded).unwrap_or_else(|| {
             let (rounded, radius) = openings.rounded_ball(p);
-            let radius = radius * (1.0 - 1e-9);
-            self.fraction = Some((p, radius, rounded));
-            (rounded, radius)
+            self.fraction = Some((p, radius * (1.0 - 1e-9), rounded));
+            rounded
         });
-        (openings.winding(mesh, p) != i32::from(rounded), radius)
+        openings.winding(mesh, p) != i32::from(rounded)
     }
 }
 

@@ -46,6 +46,14 @@ def test_an_open_mesh_is_closed_across_its_opening():
     assert mesh.volume == pytest.approx(8, rel=0.01)
 
 
+def test_an_inside_that_reaches_the_box_is_closed_there():
+    for resolution in (40, 57):
+        mesh = fb.solid(meshes.stacked_sheets(), resolution)
+        assert_solid(mesh)
+        # The winding number is 1/2 at the height 1.29 above the squares, and the box ends at 0.9 and a voxel.
+        assert np.abs(mesh.bounds[:, 2]).min() >= 0.9
+
+
 def test_a_soup_gives_a_closed_mesh_or_an_error():
     random = np.random.default_rng(4)
     corners = random.normal(size=(60, 1, 3)) + 0.6 * random.normal(size=(60, 3, 3))
@@ -90,7 +98,11 @@ def test_scale_and_place_change_no_triangle(scale, shift):
     here = fb.solid(meshes.knot(), 40)
     there = fb.solid(meshes.scale_and_shift(meshes.knot(), scale, (shift, -shift, shift)), 40)
     assert_solid(there)
-    assert there.volume == pytest.approx(here.volume * scale**3, rel=1e-4)
+    assert len(there.vertices) == len(here.vertices)
+    # Where an edge of the grid meets an edge of the mesh, rounding decides which of two faces gives the plane, and
+    # whether a vertex is clamped. About a tenth of the 3,738 vertices move within the surface. Each changes the volume
+    # by up to a twentieth of a cubic voxel. The standard deviation is 0.05 * sqrt(374) * 0.167^3, 4e-4 of the volume.
+    assert there.volume == pytest.approx(here.volume * scale**3, rel=1.2e-3)
 
 
 # --- offset

@@ -24,6 +24,9 @@ ROOT_SHARE = 1e-5
 #: Steps of Newton's method from a probe onto a level set. Fields of distances need one on smooth parts.
 NEWTON_STEPS = 2
 
+#: Probes whose tangent planes are evaluated at once: 100 MB of results of a query.
+BATCH = 1 << 20
+
 #: A gradient shorter than this fraction of a nearby one is the mean of both sides of a crease, of 23 degrees or more.
 CREASE_SLOPE = 0.98
 
@@ -163,9 +166,13 @@ def join_probes(surface: _core.Surface, planes: Callable[[NDArray[np.float64]], 
     """Join the planes that `planes` evaluates at points (n, 3) around the vertices."""
     # The second probes lie around the places where the planes of the first have put the sharp vertices.
     for sharp_only in (False, True):
-        probes = surface.probes(sharp_only=sharp_only)
-        if len(probes):
-            surface.join_planes(*planes(probes))
+        points = surface.probes(sharp_only=sharp_only)
+        if len(points):
+            normals = np.empty_like(points)
+            for first in range(0, len(points), BATCH):
+                rows = slice(first, first + BATCH)
+                points[rows], normals[rows] = planes(points[rows])
+            surface.join_planes(points, normals)
 
 
 def extract(surface: _core.Surface, level: float, source: Source | None, *, sharp: bool, capped: bool) -> Mesh:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .. import _core
 from ..meshes.mesh import Mesh
+from ..volumes.blocks import SIDE, Blocks
 
 Array = NDArray[np.float64]
 
@@ -29,6 +30,9 @@ class Field(Protocol):
 
     def values(self, points: Array) -> Array:
         """Values at points (n, 3), (n,)."""
+
+    def samples(self, blocks: Blocks) -> Array:
+        """Values at the samples of k blocks, (k, n)."""
 
     def tangents(self, points: Array) -> tuple[Array, Array]:
         """Values (n,) and gradients (n, 3) at points (n, 3)."""
@@ -54,6 +58,12 @@ class MeshField:
         found = _core.signed_distance(self.mesh._core, np.ascontiguousarray(points), sign=self.sign)
         return found.astype(np.float64)
 
+    def samples(self, blocks: Blocks) -> Array:
+        """Distances at the samples of k blocks, (k, n)."""
+        grid, origins = blocks.grid, blocks.origins.astype(np.int32)
+        found = _core.bake_blocks(self.mesh._core, grid.lower, grid.upper, grid.shape, origins, SIDE, sign=self.sign)
+        return found.astype(np.float64)
+
     def tangents(self, points: Array) -> tuple[Array, Array]:
         """Distances (n,) and unit gradients (n, 3)."""
         distances, gradients, *_ = _core.query(self.mesh._core, np.ascontiguousarray(points), sign=self.sign)
@@ -73,8 +83,15 @@ class OuterField:
 
     def values(self, points: Array) -> Array:
         """Signed distances at samples (n, 3), (n,)."""
-        distances = MeshField(self.mesh, unsigned=True).values(points)
-        return np.where(self.sides.is_outside(np.ascontiguousarray(points)), distances, -distances)
+        return self._with_sides(MeshField(self.mesh, unsigned=True).values(points), points)
+
+    def samples(self, blocks: Blocks) -> Array:
+        """Signed distances at the samples of k blocks, (k, n)."""
+        return self._with_sides(MeshField(self.mesh, unsigned=True).samples(blocks), blocks.points)
+
+    def _with_sides(self, distances: Array, points: Array) -> Array:
+        outside = self.sides.is_outside(np.ascontiguousarray(points)).reshape(distances.shape)
+        return np.where(outside, distances, -distances)
 
 
 @dataclass(frozen=True)
@@ -88,6 +105,10 @@ class Shifted:
     def values(self, points: Array) -> Array:
         """Values at points (n, 3), (n,)."""
         return self.sign * self.field.values(points) - self.distance
+
+    def samples(self, blocks: Blocks) -> Array:
+        """Values at the samples of k blocks, (k, n)."""
+        return self.sign * self.field.samples(blocks) - self.distance
 
     def tangents(self, points: Array) -> tuple[Array, Array]:
         """Values (n,) and gradients (n, 3)."""
@@ -109,7 +130,13 @@ class Wall:
 
     def values(self, points: Array) -> Array:
         """Values at points (n, 3), (n,)."""
-        found = self.field.values(points)
+        return self._between(self.field.values(points))
+
+    def samples(self, blocks: Blocks) -> Array:
+        """Values at the samples of k blocks, (k, n)."""
+        return self._between(self.field.samples(blocks))
+
+    def _between(self, found: Array) -> Array:
         return np.maximum(self.lower - found, found - self.upper)
 
     def tangents(self, points: Array) -> tuple[Array, Array]:
@@ -139,6 +166,14 @@ class Intersection:
     def values(self, points: Array) -> Array:
         """Values at points (n, 3), (n,)."""
         return self._blend(self.first.values(points), self.second.values(points))
+
+    def samples(self, blocks: Blocks) -> Array:
+        """Values at the samples of k blocks, (k, n)."""
+        found = self.first.samples(blocks)
+        # A block outside the first solid lies outside the intersection, whatever the second field is there.
+        rows = np.flatnonzero(~(found > 0).all(axis=1))
+        found[rows] = self._blend(found[rows], self.second.samples(Blocks(blocks.grid, blocks.origins[rows])))
+        return found
 
     def tangents(self, points: Array) -> tuple[Array, Array]:
         """Values (n,) and gradients (n, 3)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,44 @@ BATCH = 4_096
 
 Evaluate = Callable[[NDArray[np.float64]], NDArray[Any]]
 
+#: Offsets of the samples of a block from its first one, x fastest, ((SIDE + 1)^3, 3).
+AROUND = np.stack(np.meshgrid(*[np.arange(SIDE + 1)] * 3, indexing="ij"), axis=-1)[..., ::-1].reshape(-1, 3)
 
-def level_set(evaluate: Evaluate, lipschitz: float, grid: Grid, level: float, *, follow: bool = False) -> _core.Surface:
+
+@dataclass(frozen=True)
+class Blocks:
+    """Blocks of `SIDE`^3 cells of a grid, each with the samples at the corners of its cells.
+
+    Attributes
+    ----------
+    grid : Grid
+        Box and voxels of the samples.
+    origins : (k, 3) int64
+        The first sample of each block. A sample outside the grid repeats the nearest one of the grid.
+    """
+
+    grid: Grid
+    origins: NDArray[np.int64]
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """World positions of all samples, (k * n, 3), n = (SIDE + 1)^3."""
+        lower, shape = np.array(self.grid.lower), np.array(self.grid.shape)
+        spacing = (np.array(self.grid.upper) - lower) / shape
+        index = np.clip(self.origins[:, None] + AROUND, 0, shape - 1)
+        points: NDArray[np.float64] = (lower + (index + 0.5) * spacing).reshape(-1, 3)
+        return points
+
+
+def level_set(
+    evaluate: Evaluate,
+    lipschitz: float,
+    grid: Grid,
+    level: float,
+    *,
+    samples: Callable[[Blocks], NDArray[Any]] | None = None,
+    follow: bool = False,
+) -> _core.Surface:
     """Find the cells of a grid that the level set of a field crosses.
 
     Parameters
@@ -34,6 +71,8 @@ def level_set(evaluate: Evaluate, lipschitz: float, grid: Grid, level: float, *,
         Box and voxels of the samples.
     level : float
         Value of the field on the surface.
+    samples : callable, optional
+        Maps blocks to the values of all their samples, (k, n). The default evaluates each sample by `evaluate`.
     follow : bool, default False
         Also evaluate every block that the surface enters from an evaluated one. The bound does not find such a block
         where the sign of the field jumps, as across the opening of a mesh.
@@ -66,7 +105,12 @@ def level_set(evaluate: Evaluate, lipschitz: float, grid: Grid, level: float, *,
         origins = (origins[:, None] + steps).reshape(-1, 3)
         origins = origins[(origins < shape).all(axis=1)]
 
-    blocks = _Blocks(evaluate, grid, level)
+    if samples is None:
+
+        def samples(blocks: Blocks) -> NDArray[Any]:
+            return np.asarray(evaluate(blocks.points)).reshape(len(blocks.origins), -1)
+
+    blocks = _Crossed(samples, grid, level)
     blocks.add(origins)
     while follow and len(origins):
         origins = blocks.entered()
@@ -74,18 +118,14 @@ def level_set(evaluate: Evaluate, lipschitz: float, grid: Grid, level: float, *,
     return blocks.surface()
 
 
-class _Blocks:
+class _Crossed:
     """Blocks of samples that the surface crosses."""
 
-    def __init__(self, evaluate: Evaluate, grid: Grid, level: float) -> None:
+    def __init__(self, evaluate: Callable[[Blocks], NDArray[Any]], grid: Grid, level: float) -> None:
         self.evaluate, self.grid, self.level = evaluate, grid, level
-        self.lower, self.shape = np.array(grid.lower), np.array(grid.shape)
-        self.spacing = (np.array(grid.upper) - self.lower) / self.shape
-        self.around = np.stack(np.meshgrid(*[np.arange(SIDE + 1)] * 3, indexing="ij"), axis=-1)[..., ::-1].reshape(
-            -1, 3
-        )
+        self.shape = np.array(grid.shape)
         self.origins = [np.empty((0, 3), np.int64)]
-        self.values = [np.empty((0, len(self.around)), np.float32)]
+        self.values = [np.empty((0, len(AROUND)), np.float32)]
         #: Blocks along each axis, and the numbers of those that were evaluated.
         self.counts = (self.shape + SIDE) // SIDE
         self.known = np.empty(0, np.int64)
@@ -102,21 +142,25 @@ class _Blocks:
         self.known = np.union1d(self.known, self.numbers(origins))
         for first in range(0, len(origins), BATCH):
             batch = origins[first : first + BATCH]
-            index = np.clip(batch[:, None] + self.around, 0, self.shape - 1)
-            points = (self.lower + (index + 0.5) * self.spacing).reshape(-1, 3)
-            samples = np.asarray(self.evaluate(points), dtype=np.float32).reshape(len(batch), -1)
-            # A block that lies inside completely has a surface only where the box cuts it.
-            inside = samples < self.level
-            at_box = (batch < 0).any(axis=1) | (batch + SIDE >= self.shape).any(axis=1)
-            crossed = inside.any(axis=1) & (at_box | ~inside.all(axis=1))
+            samples = np.asarray(self.evaluate(Blocks(self.grid, batch)), dtype=np.float32)
+            inside = self.inside(batch, samples)
+            crossed = inside.any(axis=1) & ~inside.all(axis=1)
             self.origins.append(batch[crossed])
             self.values.append(samples[crossed])
+
+    def inside(self, origins: NDArray[np.int64], samples: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Find the samples (k, n) of blocks that lie inside. Places beyond the box are outside: there the box cuts."""
+        inside: NDArray[np.bool_] = samples < self.level
+        at_box = np.flatnonzero((origins < 0).any(axis=1) | (origins + SIDE >= self.shape).any(axis=1))
+        places = origins[at_box, None] + AROUND
+        inside[at_box] &= ((places >= 0) & (places < self.shape)).all(axis=2)
+        return inside
 
     def entered(self) -> NDArray[np.int64]:
         """Find the blocks, not yet evaluated, that the surface enters from the blocks of the last search."""
         found = [np.empty((0, 3), np.int64)]
         for origins, values in zip(self.origins[self.searched :], self.values[self.searched :], strict=True):
-            inside = (values < self.level).reshape(-1, SIDE + 1, SIDE + 1, SIDE + 1)
+            inside = self.inside(origins, values).reshape(-1, SIDE + 1, SIDE + 1, SIDE + 1)
             for axis in range(3):
                 for end, step in ((0, -SIDE), (SIDE, SIDE)):
                     face = np.take(inside, end, axis=3 - axis).reshape(len(inside), (SIDE + 1) ** 2)

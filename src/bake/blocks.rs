@@ -1,0 +1,107 @@
+//! Signed distances in blocks of a grid, for surfaces that are extracted without the whole grid.
+//!
+//! The samples of a block share their candidates for the nearest triangle ([`super::dense`]). The side of a sample is
+//! mostly that of its neighbour ([`SideWalk`]), so it is counted beside the surface only.
+
+use super::{BakeOptions, LocalGrid, dense};
+use crate::error::Error;
+use crate::grid::Grid;
+use crate::memory::allocate_samples;
+use crate::mesh::Mesh;
+use crate::progress::Progress;
+use crate::sign::{SideWalk, SignChoice, SignMethod};
+use rayon::prelude::*;
+
+/// Distances, world units, at the `(side + 1)^3` samples of each block, x fastest; the first sample of a block is
+/// `origins[b]`. A sample outside the grid repeats the nearest one of the grid.
+pub fn bake_blocks(
+    mesh: &Mesh,
+    grid: &Grid,
+    side: usize,
+    origins: &[[i32; 3]],
+    sign: SignMethod,
+    progress: &Progress,
+) -> Result<Vec<f32>, Error> {
+    BakeOptions { sign, ..BakeOptions::default() }.check(mesh, grid)?;
+    let count = (side + 1).pow(3);
+    let mut values = allocate_samples(&format!("{} blocks of samples", origins.len()), origins.len() * count, 0)?;
+    progress.set_total(origins.len() as u64);
+    rayon::join(|| mesh.bvh(), || mesh.topology());
+    let made;
+    let rule = match sign {
+        SignMethod::Auto | SignMethod::Winding => &mesh.winding_choice().rule,
+        _ => {
+            made = SignChoice::new(mesh, sign);
+            &made.rule
+        }
+    };
+    rule.prepare(mesh);
+    let whole = LocalGrid::new(grid, mesh);
+    values.par_chunks_mut(count).zip(origins).try_for_each(|(values, origin)| {
+        let place = |axis: usize, i: i32| (origin[axis] + i).clamp(0, grid.shape[axis] as i32 - 1) as usize;
+        let low = [0, 1, 2].map(|axis| place(axis, 0));
+        let shape = [0, 1, 2].map(|axis| place(axis, side as i32) - low[axis] + 1);
+        let part = whole.part(low, shape);
+        let mut own = vec![0.0; shape.iter().product()];
+        // One task of the dense bake. Its progress is private and is never cancelled.
+        dense::distances(mesh, &part, f32::INFINITY, 1.0, &Progress::new(), &mut own)?;
+        let mut walk = SideWalk::default();
+        for (row, distances) in own.chunks_mut(shape[0]).enumerate() {
+            for i in 0..distances.len() {
+                // Every second row runs backwards, so that samples follow their neighbours.
+                let x = if row % 2 == 0 { i } else { distances.len() - 1 - i };
+                let p = part.at([x, row % shape[1], row / shape[1]]);
+                let distance = f64::from(distances[x]);
+                let is_inside = walk.is_inside_at(rule, mesh, p, distance) && distance > 0.0;
+                let distance = (distance * mesh.scale()) as f32;
+                distances[x] = if is_inside { -distance } else { distance };
+            }
+        }
+        let from = |axis: usize, i: usize| place(axis, i as i32) - low[axis];
+        for (i, value) in values.iter_mut().enumerate() {
+            let local = [i % (side + 1), i / (side + 1) % (side + 1), i / (side + 1).pow(2)];
+            let [x, y, z] = [0, 1, 2].map(|axis| from(axis, local[axis]));
+            *value = own[x + shape[0] * (y + shape[1] * z)];
+        }
+        progress.advance(1)
+    })?;
+    Ok(values)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bake::bake;
+    use crate::mesh::random::soup;
+    use glam::DVec3;
+
+    #[test]
+    fn blocks_have_the_samples_of_the_whole_bake() {
+        let grid = Grid::new(DVec3::splat(-0.3), DVec3::splat(1.4), [19, 23, 17]).unwrap();
+        let corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let faces = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
+        let closed = Mesh::new(&corners, &faces).unwrap();
+        let open = Mesh::new(&corners, &faces[1..]).unwrap();
+        let side = 6;
+        let origins: Vec<[i32; 3]> =
+            (0..64).map(|i| [i % 4, i / 4 % 4, i / 16].map(|block| block * side as i32 - 1)).collect();
+        for mesh in [closed, open, soup(48, 0.3, 7)] {
+            for (name, sign) in SignMethod::NAMES {
+                let options = BakeOptions { sign, ..Default::default() };
+                let whole = bake(&mesh, &grid, &options, &Progress::new()).unwrap().distances;
+                let blocks = bake_blocks(&mesh, &grid, side, &origins, sign, &Progress::new()).unwrap();
+                for (origin, values) in origins.iter().zip(blocks.chunks(343)) {
+                    for (i, value) in values.iter().enumerate() {
+                        let local = [i % 7, i / 7 % 7, i / 49];
+                        let [x, y, z] = [0, 1, 2].map(|axis| {
+                            (origin[axis] + local[axis] as i32).clamp(0, grid.shape[axis] as i32 - 1) as usize
+                        });
+                        let expected = whole[grid.offset(x, y, z)];
+                        // Both distances are rounded to float32; the sides are the same.
+                        assert!((value - expected).abs() <= 1e-6, "{name} {origin:?} {i}: {value} {expected}");
+                    }
+                }
+            }
+        }
+    }
+}
