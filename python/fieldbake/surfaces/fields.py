@@ -170,7 +170,7 @@ class Intersection:
     def samples(self, blocks: Blocks) -> Array:
         """Values at the samples of k blocks, (k, n)."""
         found = self.first.samples(blocks)
-        # A block outside the first solid lies outside the intersection, whatever the second field is there.
+        # A block outside the first solid lies outside the intersection, so the second field is not needed there.
         rows = np.flatnonzero(~(found > 0).all(axis=1))
         found[rows] = self._blend(found[rows], self.second.samples(Blocks(blocks.grid, blocks.origins[rows])))
         return found
