@@ -75,22 +75,26 @@ impl Camera {
     }
 
     /// Whether all rays have the viewing direction.
+    #[inline]
     pub fn is_parallel(&self) -> bool {
         self.is_parallel
     }
 
     /// World position at which the ray through the centre of pixel `(x, y)` starts, row 0 on top. Its depth is 0.
+    #[inline]
     pub fn pixel_start(&self, x: u32, y: u32, size: [u32; 2]) -> DVec3 {
         if self.is_parallel { self.eye + self.aside(x, y, size) } else { self.eye }
     }
 
     /// World direction of the ray through the centre of pixel `(x, y)`, row 0 on top. Its component along the viewing
     /// axis is 1, so a multiple of it is a depth.
+    #[inline]
     pub fn pixel_direction(&self, x: u32, y: u32, size: [u32; 2]) -> DVec3 {
         if self.is_parallel { -self.back } else { self.aside(x, y, size) - self.back }
     }
 
     /// Offset of the centre of a pixel from the viewing axis: at depth 1, or at any depth if the rays are parallel.
+    #[inline]
     fn aside(&self, x: u32, y: u32, [width, height]: [u32; 2]) -> DVec3 {
         let pixel = self.pixel_size(height);
         let right = (x as f64 + 0.5 - 0.5 * width as f64) * pixel;
@@ -99,11 +103,13 @@ impl Camera {
     }
 
     /// Side of a pixel on the plane at depth 1.
+    #[inline]
     pub fn pixel_size(&self, height: u32) -> f64 {
         2.0 * self.half_height / height as f64
     }
 
     /// Side of a pixel on the plane at a depth, world units.
+    #[inline]
     pub fn pixel_size_at(&self, height: u32, depth: f64) -> f64 {
         if self.is_parallel { self.pixel_size(height) } else { self.pixel_size(height) * depth }
     }

@@ -45,29 +45,34 @@ pub struct View {
 
 impl View {
     /// World position at which a pixel's ray starts, at depth 0.
+    #[inline]
     pub fn start(&self, x: u32, y: u32) -> DVec3 {
         let start = self.camera.pixel_start(x, y, self.size);
         if self.camera.is_parallel() { start + self.aside() } else { start }
     }
 
     /// World direction of a pixel's ray; multiples of it are depths.
+    #[inline]
     pub fn direction(&self, x: u32, y: u32) -> DVec3 {
         let direction = self.camera.pixel_direction(x, y, self.size);
         if self.camera.is_parallel() { direction } else { direction + self.aside() }
     }
 
     /// World position at a depth on a pixel's ray.
+    #[inline]
     pub fn position(&self, x: u32, y: u32, depth: f64) -> DVec3 {
         self.start(x, y) + depth * self.direction(x, y)
     }
 
     /// Offset of the rays from the centres of their pixels: at depth 1, or at any depth if they are parallel.
+    #[inline]
     fn aside(&self) -> DVec3 {
         self.camera.pixel_size(self.size[1])
             * ((self.offset[0] - 0.5) * self.camera.right - (self.offset[1] - 0.5) * self.camera.up)
     }
 
     /// Side of a pixel at a depth, world units.
+    #[inline]
     pub fn pixel_size_at(&self, depth: f64) -> f64 {
         self.camera.pixel_size_at(self.size[1], depth)
     }

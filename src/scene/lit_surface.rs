@@ -120,7 +120,7 @@ impl<'a> LitSurface<'a> {
     pub fn new(scene: &Scene, buffer: &GBuffer, y: usize, layer: &'a Layer) -> Self {
         let direction = buffer.view.direction(layer.x, y as u32);
         let place = SurfacePoint {
-            p: scene.scene_from_world(buffer.view.position(layer.x, y as u32, layer.depth)),
+            p: scene.scene_from_world(buffer.view.start(layer.x, y as u32) + layer.depth * direction),
             normal: layer.normal,
             own: layer.instance,
             bias_voxels: if layer.is_triangle { BIAS_TRIANGLE } else { BIAS_FIELD },
