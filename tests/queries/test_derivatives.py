@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import fieldbake as fb
 import meshes
@@ -232,7 +233,7 @@ for module in (fb.torch, fb.jax):
     subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
 
 
-def test_the_example_fits(jax):
+def test_the_example_fits(jax, tmp_path):
     import importlib.util
     from pathlib import Path
 
@@ -245,3 +246,7 @@ def test_the_example_fits(jax):
 
     assert losses[-1] < 0.2 * losses[0]
     assert mesh.is_closed
+    example.draw(mesh, losses, tmp_path / "fit.png", size=64)
+    pixels = np.asarray(Image.open(tmp_path / "fit.png").convert("L"), dtype=int)
+    # Each quarter of the width has a body or a curve: dark pixels on a white background.
+    assert all((part < 160).sum() > 50 for part in np.array_split(pixels, 4, axis=1))
