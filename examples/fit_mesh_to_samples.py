@@ -69,8 +69,8 @@ def draw(fitted: fb.Mesh, losses: list[float], path: str | os.PathLike[str], siz
     figure = Figure(figsize=(4.4 * size / 100, 0.75 * size / 100 + 0.5), dpi=100, layout="constrained")
     axes = figure.subplots(1, 4, width_ratios=(1, 1, 1, 1.3))
     objects = {"start": starting_mesh(), "target": TARGET, f"after {len(losses)} steps": fitted}
-    for axis, (title, thing) in zip(axes, objects.items(), strict=False):
-        axis.imshow(fb.raymarch(thing, camera, **view).image)
+    for axis, (title, drawn) in zip(axes[:3], objects.items(), strict=True):
+        axis.imshow(fb.raymarch(drawn, camera, **view).image)
         axis.set_title(title)
         axis.axis("off")
     axes[3].semilogy(range(1, len(losses) + 1), losses)

@@ -6,7 +6,8 @@
 //! the same side as p. For open meshes this holds in the part of that ball that does not intersect the cones that close
 //! the openings.
 //!
-//! On a graphics device, the nearest faces of all points are searched at once ([`device`]).
+//! On a graphics device, the nearest faces of all points are searched at once ([`device`]), and so are the faces that
+//! rays may hit ([`device_rays`]).
 //!
 //! [`signed_distances`] uses the nearest face of the float32 search. [`nearest`] compares in float64 and returns all
 //! properties of the nearest point.
@@ -15,6 +16,7 @@
 
 mod deviation;
 mod device;
+mod device_rays;
 mod inside;
 mod nearest;
 mod outer;

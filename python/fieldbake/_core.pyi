@@ -374,6 +374,7 @@ def cast_rays(
     *,
     t_min: float = 0.0,
     t_max: float = ...,
+    device: str = "auto",
     progress: Callable[[float], object] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """First hits: t (n,), faces (n,), barycentric coordinates (n, 3), unit face normals (n, 3)."""
@@ -385,6 +386,7 @@ def occluded(
     *,
     t_min: float = 0.0,
     t_max: float = ...,
+    device: str = "auto",
     progress: Callable[[float], object] | None = None,
 ) -> NDArray[np.bool_]:
     """Whether each ray hits anything, (n,)."""
@@ -396,6 +398,7 @@ def count_intersections(
     *,
     t_min: float = 0.0,
     t_max: float = ...,
+    device: str = "auto",
     progress: Callable[[float], object] | None = None,
 ) -> NDArray[np.int64]:
     """Number of intersections of each ray, (n,)."""
@@ -407,6 +410,7 @@ def all_intersections(
     *,
     t_min: float = 0.0,
     t_max: float = ...,
+    device: str = "auto",
     progress: Callable[[float], object] | None = None,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
     """All intersections by ray and t: rays (k,), t (k,), faces (k,), barycentric coordinates (k, 3)."""

@@ -7,8 +7,10 @@
 use super::pack::TriangleFrame;
 use super::{Bvh, ChildRef, WIDTH};
 use crate::geometry::Aabb;
-use crate::gpu::constants::bvh::{LEAF as LEAF_FLAG, LEAF_ONE, MAX_STACK, NOTHING};
+use crate::gpu::constants::tree::{LEAF as LEAF_FLAG, LEAF_ONE, MAX_STACK, NOTHING};
 use crate::gpu::layout::{Node, Triangle};
+use crate::mesh::Mesh;
+use crate::mesh::derived::Derived;
 use glam::Vec3;
 
 /// Largest number of triangles of a leaf.
@@ -38,6 +40,17 @@ type ChildPosition = (usize, ChildSide);
 enum ChildSide {
     Left,
     Right,
+}
+
+/// Queries on a device keep the tree with the mesh, as queries on the CPU keep theirs.
+impl Derived for BinaryTree {
+    fn derive(mesh: &Mesh) -> Self {
+        Self::new(mesh.built_bvh(), mesh.positions(), mesh.faces())
+    }
+
+    fn bytes(&self) -> usize {
+        size_of_val(&self.nodes[..]) + size_of_val(&self.triangles[..])
+    }
 }
 
 impl BinaryTree {

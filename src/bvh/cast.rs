@@ -15,6 +15,7 @@ use super::ray_search::{RayTables, ReadyRay};
 use super::turns;
 use super::watertight::{ClippedRay, FaceHit, Ray};
 use super::{Bvh, Node, WIDTH};
+use crate::gpu::layout::{CastRay, Corners};
 use crate::mesh::Mesh;
 use crate::mesh::topology::Orientation;
 use glam::DVec3;
@@ -25,8 +26,7 @@ impl Mesh {
     pub fn first_hit(&self, ray: &Ray, mut accept: impl FnMut(&FaceHit) -> bool) -> Option<FaceHit> {
         let mut best: Option<FaceHit> = None;
         self.traverse(ray, |hit| {
-            let is_nearer = best.is_none_or(|best| hit.t < best.t || (hit.t == best.t && hit.face < best.face));
-            if is_nearer && accept(&hit) {
+            if best.is_none_or(|best| is_before(&hit, &best)) && accept(&hit) {
                 best = Some(hit);
             }
             best.map_or(f64::INFINITY, |best| best.t)
@@ -36,9 +36,49 @@ impl Mesh {
 
     /// The intersection of a ray with one face, equal to that of [`Mesh::first_hit`].
     pub fn hit_of_face(&self, face: u32, ray: &Ray) -> Option<FaceHit> {
+        self.clipped(ray)?.hit(face, self.exact_triangle(face))
+    }
+
+    /// The part of a ray inside the box of the mesh.
+    fn clipped(&self, ray: &Ray) -> Option<ClippedRay> {
         let bounds = self.bvh().bounds;
-        let clipped = ClippedRay::new(ray, bounds.min.as_dvec3(), bounds.max.as_dvec3())?;
-        clipped.hit(face, self.exact_triangle(face))
+        ClippedRay::new(ray, bounds.min.as_dvec3(), bounds.max.as_dvec3())
+    }
+
+    /// A ray for a search on a device. Its limit is negative if the CPU must search it.
+    pub(crate) fn device_ray(&self, ray: &Ray) -> CastRay {
+        let clipped = self.clipped(ray).and_then(|clipped| clipped.for_device());
+        clipped.unwrap_or(CastRay { limit: -1.0, ..CastRay::default() })
+    }
+
+    /// The corners of a face for a search on a device.
+    pub(crate) fn device_corners(&self, face: u32) -> Corners {
+        let [a, b, c] = self.faces()[face as usize].map(|vertex| self.positions()[vertex as usize].to_array());
+        Corners { a, face, b, c, ..Corners::default() }
+    }
+
+    /// [`Mesh::first_hit`] of a ray that hits no other faces.
+    pub(crate) fn first_hit_of_faces(&self, faces: &[u32], ray: &Ray) -> Option<FaceHit> {
+        self.hits_of_faces(faces, ray).reduce(|best, hit| if is_before(&hit, &best) { hit } else { best })
+    }
+
+    /// [`Mesh::is_occluded`] of a ray that hits no other faces.
+    pub(crate) fn is_occluded_by_faces(&self, faces: &[u32], ray: &Ray) -> bool {
+        self.hits_of_faces(faces, ray).next().is_some()
+    }
+
+    /// [`Mesh::cast_all`] of a ray that hits no other faces.
+    pub(crate) fn cast_at_faces(&self, faces: &[u32], ray: &Ray, hits: &mut Vec<FaceHit>) {
+        hits.clear();
+        hits.extend(self.hits_of_faces(faces, ray));
+        self.sort_and_merge(hits);
+    }
+
+    fn hits_of_faces(&self, faces: &[u32], ray: &Ray) -> impl Iterator<Item = FaceHit> {
+        let clipped = if faces.is_empty() { None } else { self.clipped(ray) };
+        clipped
+            .into_iter()
+            .flat_map(move |clipped| faces.iter().filter_map(move |&face| clipped.hit(face, self.exact_triangle(face))))
     }
 
     /// Whether a ray hits anything.
@@ -55,12 +95,9 @@ impl Mesh {
     pub fn first_hits(&self, rays: &[Ray], near: bool, hits: &mut Vec<Option<FaceHit>>) {
         hits.clear();
         hits.resize(rays.len(), None);
-        self.traverse_many(rays, near, |i, hit| {
-            let is_nearer = |best: &FaceHit| hit.t < best.t || (hit.t == best.t && hit.face < best.face);
-            match &mut hits[i] {
-                Some(best) if !is_nearer(best) => best.t,
-                best => best.insert(hit).t,
-            }
+        self.traverse_many(rays, near, |i, hit| match &mut hits[i] {
+            Some(best) if !is_before(&hit, best) => best.t,
+            best => best.insert(hit).t,
         });
     }
 
@@ -209,6 +246,12 @@ impl Mesh {
             turns::traverse(&RayTables::new(self), rays, LaneRay::boxes, LaneRay::triangles, &mut accept);
         }
     }
+}
+
+/// Whether a hit precedes another one: it is nearer, or equally near with a lower face.
+#[inline(always)]
+fn is_before(hit: &FaceHit, other: &FaceHit) -> bool {
+    hit.t < other.t || (hit.t == other.t && hit.face < other.face)
 }
 
 #[cfg(test)]

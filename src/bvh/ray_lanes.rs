@@ -5,6 +5,7 @@
 
 use super::watertight::{BOX_MARGIN, Sheared};
 use super::{Node, WIDTH};
+use crate::gpu::constants::cast_rays::SHEAR_ROUNDING;
 use crate::mesh::Mesh;
 use crate::mesh::derived::Derived;
 use glam::DVec3;
@@ -51,14 +52,11 @@ impl Derived for RayPacks {
     }
 }
 
-/// Rounding error of a sheared float32 coordinate, local units. Vertices, origin, shear and four operations on values
-/// below 2.2 are rounded to 6e-8 each. The float64 positions differ from the float32 ones by 3e-8.
-const SHEAR_ROUNDING: f32 = 1e-6;
 /// Rounding error of a product of two sheared coordinates, relative to the square of the largest: three roundings of
 /// 6e-8.
 const PRODUCT_ROUNDING: f32 = 3e-7;
 /// Largest magnitude of an inverse component of the direction. Its products with local coordinates are finite.
-const PARALLEL: f64 = 1e30;
+pub(super) const PARALLEL: f64 = 1e30;
 /// Coordinates of absent lanes.
 const ABSENT: f32 = 1e4;
 

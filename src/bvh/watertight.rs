@@ -8,13 +8,16 @@
 //! answers: no ray passes between faces, and a hit lies on an edge or a vertex if and only if the corresponding functions
 //! are zero.
 
+use super::ray_lanes::PARALLEL;
 use crate::geometry::triangle_cross;
+pub(crate) use crate::gpu::constants::cast_rays::BOX_MARGIN;
+use crate::gpu::layout::CastRay;
 use glam::DVec3;
 use robust::{Coord, orient2d};
 
-/// Margin of boxes in ray tests, local units. Coordinates are below 1 and rounded to 6e-8 in float32, three times in a
-/// slab test.
-pub(crate) const BOX_MARGIN: f32 = 1e-6;
+/// Largest distance of a ray's origin from the box for a search on a device, in the scaled direction. The rounding of
+/// `t` to float64 is then far below the margins of the search.
+const DEVICE_REACH: f64 = 1e6;
 
 /// The intersection of a ray with a face.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -98,6 +101,28 @@ impl ClippedRay {
     pub(crate) fn search_limit(&self, t: f64) -> f32 {
         let length = (smaller(t, self.t_end) - self.t_start) * self.size;
         length as f32 * 1.000_001 + 2.0 * BOX_MARGIN
+    }
+
+    /// The ray for a search on a device; None if float32 does not represent its range of `t`.
+    pub(crate) fn for_device(&self) -> Option<CastRay> {
+        let limit = self.search_limit(f64::INFINITY);
+        let is_near = (self.t_start * self.size).abs() <= DEVICE_REACH;
+        if !is_near || !limit.is_finite() {
+            return None;
+        }
+        let Sheared { origin, inverse, axes: [x, y, z], shear } = self.sheared;
+        let mut direction = [0.0; 3];
+        direction[x] = (shear[0] * shear[2]) as f32;
+        direction[y] = (shear[1] * shear[2]) as f32;
+        direction[z] = shear[2] as f32;
+        Some(CastRay {
+            origin: origin.as_vec3().to_array(),
+            limit,
+            direction,
+            axis: z as u32,
+            inverse: inverse.clamp(DVec3::splat(-PARALLEL), DVec3::splat(PARALLEL)).as_vec3().to_array(),
+            pad_0: 0,
+        })
     }
 }
 

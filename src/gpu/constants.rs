@@ -67,10 +67,12 @@ const SAMPLE_GROUPS_PER_ROW: u64 = 32_768;
 
 wgsl_constants! {
     bvh {
-        /// Capacity of the stack of a search: each level of the eight-wide tree takes three entries, a pack one.
-        MAX_STACK: usize as u32 = 96;
         /// Larger than any squared distance in local coordinates.
         FAR: f32 as f32 = FAR_SQUARED;
+    }
+    tree {
+        /// Capacity of the stack of a search: each level of the eight-wide tree takes three entries, a pack one.
+        MAX_STACK: usize as u32 = 96;
         /// Bit of a child that is a leaf.
         LEAF: u32 as u32 = 1 << 31;
         /// Unit of the number of triangles less one in a leaf.
@@ -79,6 +81,30 @@ wgsl_constants! {
         LEAF_FIRST: u32 as u32 = LEAF_ONE - 1;
         /// Replaces a child that does not exist.
         NOTHING: u32 as u32 = u32::MAX;
+    }
+    cast_rays {
+        /// Searches: for the first hit, for any hit, or for all hits.
+        FIRST: u32 as u32 = 0;
+        ANY: u32 as u32 = 1;
+        ALL: u32 as u32 = 2;
+        /// Replaces the first face of a ray that the CPU has to search.
+        UNDECIDED: u32 as u32 = u32::MAX - 1;
+        /// Replaces the first face of a ray that certainly hits a face, in a search for any hit.
+        CERTAIN: u32 as u32 = u32::MAX - 2;
+        /// Margin of boxes, local units. The coordinates of a box and of a ray, of magnitude below 1, are rounded to
+        /// 3e-8 each; two differences of them are rounded to 1.2e-7 each.
+        BOX_MARGIN: f32 as f32 = 1e-6;
+        /// Error of a sheared coordinate, local units. A vertex and the origin are rounded to 3e-8 each, their difference
+        /// to 1.2e-7. The product with the direction doubles this and adds 1.5e-7; the last difference adds 2.4e-7.
+        SHEAR_ROUNDING: f32 as f32 = 1e-6;
+        /// Error of an edge function on a device, relative to the square of the largest sheared coordinate: a difference
+        /// of two products. WGSL rounds a result to either neighbour, so four roundings are 1.2e-7 each.
+        PRODUCT_ROUNDING: f32 as f32 = 5e-7;
+        /// Error of a `t` beside that of the edge functions, local units: 1.8e-7 of the coordinates, and fifteen
+        /// roundings of values below 1.
+        T_MARGIN: f32 as f32 = 4e-6;
+        /// Larger than every `t`.
+        FAR_T: f32 as f32 = FAR_ALONG_RAY;
     }
     bake_distance {
         /// Side of the block of samples that a workgroup evaluates.

@@ -124,8 +124,8 @@ pub fn devices() -> Vec<DeviceInfo> {
 }
 
 /// The adapters at the first call in this process. Loading the drivers takes 50 to 250 ms.
-fn offered() -> Vec<DeviceInfo> {
-    static OFFERED: Mutex<Option<Vec<DeviceInfo>>> = Mutex::new(None);
+fn offered() -> Arc<[DeviceInfo]> {
+    static OFFERED: Mutex<Option<Arc<[DeviceInfo]>>> = Mutex::new(None);
     let mut offered = OFFERED.lock().unwrap_or_else(PoisonError::into_inner);
     offered.get_or_insert_with(|| enumerate().1.iter().map(describe).collect()).clone()
 }

@@ -1,10 +1,12 @@
 //! `fieldbake._core.cast_rays`, `occluded`, `count_intersections` and `all_intersections`.
 
 use super::convert::{owned_rows, rows};
+use super::device::choose;
 use super::mesh::Mesh;
 use super::query::FEW;
 use super::run::run_sized;
 use crate::error::Error;
+use crate::gpu::Place;
 use crate::progress::Progress;
 use crate::query::{self, Rays};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2};
@@ -16,19 +18,21 @@ fn with_rays<T: Send>(
     mesh: &Mesh,
     [origins, directions]: [&PyReadonlyArray2<'_, f64>; 2],
     (t_min, t_max): (f64, f64),
+    device: &str,
     progress: Option<&Bound<'_, PyAny>>,
-    job: impl FnOnce(&crate::mesh::Mesh, &Rays<'_>, &Progress) -> Result<T, Error> + Send,
+    job: impl FnOnce(&Place, &crate::mesh::Mesh, &Rays<'_>, &Progress) -> Result<T, Error> + Send,
 ) -> PyResult<T> {
     mesh.prepare(py)?;
     let mesh = mesh.0.clone();
     let rays = Rays { origins: rows(origins, "origins")?, directions: rows(directions, "directions")?, t_min, t_max };
-    let is_short = rays.origins.len() <= FEW && mesh.is_prepared_for_rays();
-    Ok(run_sized(py, progress, is_short, |progress| job(&mesh, &rays, progress))?)
+    let place = choose(py, device)?;
+    let is_short = rays.origins.len() <= FEW && matches!(place, Place::Cpu) && mesh.is_prepared_for_rays();
+    Ok(run_sized(py, progress, is_short, |progress| job(&place, &mesh, &rays, progress))?)
 }
 
 /// First hits: t (n,), faces (n,), barycentric coordinates (n, 3) and face normals (n, 3).
 #[pyfunction]
-#[pyo3(signature = (mesh, origins, directions, *, t_min=0.0, t_max=f64::INFINITY, progress=None))]
+#[pyo3(signature = (mesh, origins, directions, *, t_min=0.0, t_max=f64::INFINITY, device="auto", progress=None))]
 #[expect(clippy::type_complexity, reason = "a tuple of arrays is what Python unpacks")]
 pub(super) fn cast_rays<'py>(
     py: Python<'py>,
@@ -37,6 +41,7 @@ pub(super) fn cast_rays<'py>(
     directions: PyReadonlyArray2<'py, f64>,
     t_min: f64,
     t_max: f64,
+    device: &str,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<(
     Bound<'py, PyArray1<f64>>,
@@ -44,7 +49,7 @@ pub(super) fn cast_rays<'py>(
     Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray2<f64>>,
 )> {
-    let hits = with_rays(py, mesh, [&origins, &directions], (t_min, t_max), progress, query::cast_rays)?;
+    let hits = with_rays(py, mesh, [&origins, &directions], (t_min, t_max), device, progress, query::cast_rays)?;
     Ok((
         hits.t.into_pyarray(py),
         hits.faces.into_pyarray(py),
@@ -55,7 +60,7 @@ pub(super) fn cast_rays<'py>(
 
 /// Whether each ray hits anything, (n,).
 #[pyfunction]
-#[pyo3(signature = (mesh, origins, directions, *, t_min=0.0, t_max=f64::INFINITY, progress=None))]
+#[pyo3(signature = (mesh, origins, directions, *, t_min=0.0, t_max=f64::INFINITY, device="auto", progress=None))]
 pub(super) fn occluded<'py>(
     py: Python<'py>,
     mesh: &Mesh,
@@ -63,15 +68,16 @@ pub(super) fn occluded<'py>(
     directions: PyReadonlyArray2<'py, f64>,
     t_min: f64,
     t_max: f64,
+    device: &str,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyArray1<bool>>> {
-    let found = with_rays(py, mesh, [&origins, &directions], (t_min, t_max), progress, query::occluded)?;
+    let found = with_rays(py, mesh, [&origins, &directions], (t_min, t_max), device, progress, query::occluded)?;
     Ok(found.into_pyarray(py))
 }
 
 /// Number of intersections of each ray, (n,).
 #[pyfunction]
-#[pyo3(signature = (mesh, origins, directions, *, t_min=0.0, t_max=f64::INFINITY, progress=None))]
+#[pyo3(signature = (mesh, origins, directions, *, t_min=0.0, t_max=f64::INFINITY, device="auto", progress=None))]
 pub(super) fn count_intersections<'py>(
     py: Python<'py>,
     mesh: &Mesh,
@@ -79,15 +85,17 @@ pub(super) fn count_intersections<'py>(
     directions: PyReadonlyArray2<'py, f64>,
     t_min: f64,
     t_max: f64,
+    device: &str,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyArray1<i64>>> {
-    let found = with_rays(py, mesh, [&origins, &directions], (t_min, t_max), progress, query::count_intersections)?;
+    let found =
+        with_rays(py, mesh, [&origins, &directions], (t_min, t_max), device, progress, query::count_intersections)?;
     Ok(found.into_pyarray(py))
 }
 
 /// All intersections by ray and t: rays (k,), t (k,), faces (k,) and barycentric coordinates (k, 3).
 #[pyfunction]
-#[pyo3(signature = (mesh, origins, directions, *, t_min=0.0, t_max=f64::INFINITY, progress=None))]
+#[pyo3(signature = (mesh, origins, directions, *, t_min=0.0, t_max=f64::INFINITY, device="auto", progress=None))]
 #[expect(clippy::type_complexity, reason = "a tuple of arrays is what Python unpacks")]
 pub(super) fn all_intersections<'py>(
     py: Python<'py>,
@@ -96,6 +104,7 @@ pub(super) fn all_intersections<'py>(
     directions: PyReadonlyArray2<'py, f64>,
     t_min: f64,
     t_max: f64,
+    device: &str,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<(
     Bound<'py, PyArray1<i64>>,
@@ -103,7 +112,8 @@ pub(super) fn all_intersections<'py>(
     Bound<'py, PyArray1<i64>>,
     Bound<'py, PyArray2<f64>>,
 )> {
-    let found = with_rays(py, mesh, [&origins, &directions], (t_min, t_max), progress, query::all_intersections)?;
+    let found =
+        with_rays(py, mesh, [&origins, &directions], (t_min, t_max), device, progress, query::all_intersections)?;
     Ok((
         found.rays.into_pyarray(py),
         found.t.into_pyarray(py),

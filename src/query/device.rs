@@ -5,7 +5,7 @@
 use crate::bvh::binary::BinaryTree;
 use crate::error::Error;
 use crate::gpu::Context;
-pub(super) use crate::gpu::constants::bvh::NOTHING as UNFINISHED;
+pub(super) use crate::gpu::constants::tree::NOTHING as UNFINISHED;
 use crate::gpu::layout::QueryParams;
 use crate::gpu::pace::in_pieces;
 use crate::mesh::Mesh;
@@ -29,7 +29,7 @@ pub(super) fn nearest_faces(
     if points.is_empty() {
         return Ok(faces);
     }
-    let tree = BinaryTree::new(mesh.built_bvh(), mesh.positions(), mesh.faces());
+    let tree: &BinaryTree = mesh.derived();
     let nodes = context.upload("tree", &tree.nodes)?;
     let triangles = context.upload("triangles", &tree.triangles)?;
     let kernel = context.kernel("query_points", "main")?;

@@ -2,18 +2,24 @@
 //!
 //! Rays come in any order. Neighbouring rays (pictures, scans) are searched in packets, other rays in turns. The results
 //! do not depend on the choice, which a few samples of the rays decide.
+//!
+//! A graphics device searches all rays at once for the faces that they may hit ([`super::device_rays`]). The CPU then
+//! computes the hits of these faces.
 
+use super::device_rays::{Candidates, Search, candidates};
 use super::nearest::unit_normal;
-use crate::bvh::watertight::Ray;
+use crate::bvh::watertight::{FaceHit, Ray};
 use crate::error::{ArgumentError, Error};
+use crate::gpu::Place;
 use crate::memory::zeroed_result;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use glam::DVec3;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Number of rays of a task, between two checks of the progress.
-const CHUNK: usize = 1024;
+pub(super) const CHUNK: usize = 1024;
 
 /// World-space rays: as many origins as directions, and the common range of `t` in lengths of the direction.
 #[derive(Debug, Clone, Copy)]
@@ -26,6 +32,19 @@ pub struct Rays<'a> {
     pub t_min: f64,
     /// Largest parameter of a hit, lengths of the direction.
     pub t_max: f64,
+}
+
+impl Rays<'_> {
+    /// Some rows in local coordinates.
+    pub(super) fn local(&self, mesh: &Mesh, rows: Range<usize>) -> impl Iterator<Item = Ray> {
+        let scale = mesh.scale().recip();
+        self.origins[rows.clone()].iter().zip(&self.directions[rows]).map(move |(&origin, &direction)| Ray {
+            origin: mesh.local_from_world(DVec3::from_array(origin)),
+            direction: DVec3::from_array(direction) * scale,
+            t_min: self.t_min,
+            t_max: self.t_max,
+        })
+    }
 }
 
 /// First hits, one entry per ray.
@@ -55,7 +74,7 @@ pub struct Intersections {
 }
 
 /// The first hit of every ray.
-pub fn cast_rays(mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> Result<RayHits, Error> {
+pub fn cast_rays(place: &Place, mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> Result<RayHits, Error> {
     let count = rays.origins.len();
     let mut hits = RayHits {
         t: zeroed_result(count),
@@ -65,50 +84,68 @@ pub fn cast_rays(mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> Result<Ra
     };
     let columns = hits.t.chunks_mut(CHUNK).zip(hits.faces.chunks_mut(CHUNK));
     let columns = columns.zip(hits.barycentric.chunks_mut(CHUNK)).zip(hits.normals.chunks_mut(CHUNK));
-    trace(mesh, rays, progress, columns, |batch, (((t, faces), barycentric), normals), found| {
-        mesh.first_hits(batch.rays, batch.near, found);
-        for (i, hit) in found.iter().enumerate() {
-            match hit {
-                Some(hit) => {
-                    t[i] = hit.t;
-                    faces[i] = hit.face.into();
-                    barycentric[i] = hit.weights;
-                    normals[i] = unit_normal(mesh, hit.cross, hit.face).to_array();
+    trace(
+        place,
+        Search::First,
+        mesh,
+        rays,
+        progress,
+        columns,
+        |batch, (((t, faces), barycentric), normals), found| {
+            batch.first_hits(mesh, found);
+            for (i, hit) in found.iter().enumerate() {
+                match hit {
+                    Some(hit) => {
+                        t[i] = hit.t;
+                        faces[i] = hit.face.into();
+                        barycentric[i] = hit.weights;
+                        normals[i] = unit_normal(mesh, hit.cross, hit.face).to_array();
+                    }
+                    // The other columns contain zeros.
+                    None => (t[i], faces[i]) = (f64::INFINITY, -1),
                 }
-                // The other columns contain zeros.
-                None => (t[i], faces[i]) = (f64::INFINITY, -1),
             }
-        }
-    })?;
+        },
+    )?;
     Ok(hits)
 }
 
 /// Whether each ray hits anything.
-pub fn occluded(mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> Result<Vec<bool>, Error> {
+pub fn occluded(place: &Place, mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> Result<Vec<bool>, Error> {
     let mut occluded = vec![false; rays.origins.len()];
-    trace(mesh, rays, progress, occluded.chunks_mut(CHUNK), |batch, column, _: &mut ()| {
-        mesh.are_occluded(batch.rays, batch.near, column);
+    trace(place, Search::Any, mesh, rays, progress, occluded.chunks_mut(CHUNK), |batch, column, _: &mut ()| {
+        batch.are_occluded(mesh, column);
     })?;
     Ok(occluded)
 }
 
 /// The number of intersections of each ray; an edge or a vertex that several faces share counts once.
-pub fn count_intersections(mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> Result<Vec<i64>, Error> {
+pub fn count_intersections(
+    place: &Place,
+    mesh: &Mesh,
+    rays: &Rays<'_>,
+    progress: &Progress,
+) -> Result<Vec<i64>, Error> {
     mesh.topology();
     let mut counts = vec![0; rays.origins.len()];
-    trace(mesh, rays, progress, counts.chunks_mut(CHUNK), |batch, column, lists| {
-        mesh.all_hits(batch.rays, batch.near, lists);
+    trace(place, Search::All, mesh, rays, progress, counts.chunks_mut(CHUNK), |batch, column, lists| {
+        batch.all_hits(mesh, lists);
         column.iter_mut().zip(lists).for_each(|(count, hits)| *count = hits.len() as i64);
     })?;
     Ok(counts)
 }
 
 /// All intersections of all rays.
-pub fn all_intersections(mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> Result<Intersections, Error> {
+pub fn all_intersections(
+    place: &Place,
+    mesh: &Mesh,
+    rays: &Rays<'_>,
+    progress: &Progress,
+) -> Result<Intersections, Error> {
     mesh.topology();
     let mut lists = vec![Vec::new(); rays.origins.len()];
-    trace(mesh, rays, progress, lists.chunks_mut(CHUNK), |batch, column, found| {
-        mesh.all_hits(batch.rays, batch.near, found);
+    trace(place, Search::All, mesh, rays, progress, lists.chunks_mut(CHUNK), |batch, column, found| {
+        batch.all_hits(mesh, found);
         column.iter_mut().zip(found).for_each(|(list, hits)| list.clone_from(hits));
     })?;
     let mut all = Intersections::default();
@@ -128,11 +165,45 @@ struct Batch<'a> {
     rays: &'a [Ray],
     /// Whether consecutive rays are near each other.
     near: bool,
+    /// The faces that a device found for each ray; None if the CPU searches.
+    found: Option<&'a [Candidates]>,
+}
+
+impl Batch<'_> {
+    fn first_hits(&self, mesh: &Mesh, hits: &mut Vec<Option<FaceHit>>) {
+        let Some(found) = self.found else { return mesh.first_hits(self.rays, self.near, hits) };
+        hits.clear();
+        hits.extend(self.rays.iter().zip(found).map(|(ray, found)| match found.faces() {
+            Some(faces) => mesh.first_hit_of_faces(faces, ray),
+            None => mesh.first_hit(ray, |_| true),
+        }));
+    }
+
+    fn are_occluded(&self, mesh: &Mesh, occluded: &mut [bool]) {
+        let Some(found) = self.found else { return mesh.are_occluded(self.rays, self.near, occluded) };
+        for (occluded, (ray, found)) in occluded.iter_mut().zip(self.rays.iter().zip(found)) {
+            *occluded = found.is_certain()
+                || found.faces().map_or_else(|| mesh.is_occluded(ray), |faces| mesh.is_occluded_by_faces(faces, ray));
+        }
+    }
+
+    fn all_hits(&self, mesh: &Mesh, lists: &mut Vec<Vec<FaceHit>>) {
+        let Some(found) = self.found else { return mesh.all_hits(self.rays, self.near, lists) };
+        lists.resize_with(self.rays.len(), Vec::new);
+        for (list, (ray, found)) in lists.iter_mut().zip(self.rays.iter().zip(found)) {
+            match found.faces() {
+                Some(faces) => mesh.cast_at_faces(faces, ray, list),
+                None => mesh.cast_all(ray, list),
+            }
+        }
+    }
 }
 
 /// Processes every ray. `columns` are the parts of the result, one for each [`CHUNK`] of rays. `answer` gets a batch of
 /// rays, their part of the result, and reusable memory.
 fn trace<C: Send, S: Default>(
+    place: &Place,
+    search: Search,
     mesh: &Mesh,
     rays: &Rays<'_>,
     progress: &Progress,
@@ -141,22 +212,20 @@ fn trace<C: Send, S: Default>(
 ) -> Result<(), Error> {
     check(rays)?;
     let count = rays.origins.len();
-    progress.set_total(count as u64);
+    progress.set_total(place.passes() * count as u64);
     mesh.bvh();
     mesh.ray_packs();
-    let scale = mesh.scale().recip();
+    let found = match place {
+        Place::Cpu => Vec::new(),
+        Place::Gpu(context) => candidates(context, mesh, rays, search, progress)?,
+    };
     let near = !is_scattered(mesh, rays);
     let answer_task = |memory: &mut (Vec<Ray>, S), (task, mut column): (usize, C)| {
         let rows = task * CHUNK..count.min((task + 1) * CHUNK);
         let (batch, scratch) = memory;
         batch.clear();
-        batch.extend(rays.origins[rows.clone()].iter().zip(&rays.directions[rows]).map(|(&origin, &direction)| Ray {
-            origin: mesh.local_from_world(DVec3::from_array(origin)),
-            direction: DVec3::from_array(direction) * scale,
-            t_min: rays.t_min,
-            t_max: rays.t_max,
-        }));
-        answer(&Batch { rays: batch, near }, &mut column, scratch);
+        batch.extend(rays.local(mesh, rows.clone()));
+        answer(&Batch { rays: batch, near, found: found.get(rows) }, &mut column, scratch);
         progress.advance(batch.len() as u64)
     };
     let memory = || (Vec::with_capacity(count.min(CHUNK)), S::default());

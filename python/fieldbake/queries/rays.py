@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +16,11 @@ from ..base.progress import Progress, progress_callback
 from ..meshes.convert import MeshLike, as_mesh
 from ..meshes.mesh import Mesh
 from .common import shaped, source_faces
+
+#: With fewer rays, or fewer rays than one for this many vertices, ``device="auto"`` takes the CPU: a device first
+#: receives the whole mesh, and all devices return the same bits.
+DEVICE_RAYS = 4096
+VERTICES_PER_RAY = 8
 
 
 class RayHits(NamedTuple):
@@ -72,6 +78,7 @@ def cast_rays(
     *,
     t_min: float = 0.0,
     t_max: float = math.inf,
+    device: str = "auto",
     progress: Progress = None,
 ) -> RayHits:
     """Find the first face that each ray hits.
@@ -86,6 +93,9 @@ def cast_rays(
         World vectors of any length except zero. A single origin or direction is used for all rays.
     t_min, t_max : float, default 0 and infinity
         Range of the ray, both ends included, in lengths of the direction.
+    device : str, default "auto"
+        ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`. ``"auto"`` takes the CPU for fewer than 4,096
+        rays and for fewer rays than an eighth of the vertices, since the mesh is copied to the device first.
     progress : bool or callable, optional
         True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
 
@@ -101,12 +111,18 @@ def cast_rays(
     ArgumentError
         For shapes that do not fit together, positions or directions that are not finite, a direction of length zero,
         a direction whose largest component is below 2.3e-308, and ``t_min > t_max``.
+    DeviceError
+        If the device is unknown or fails.
 
     Notes
     -----
     The intersections are watertight: a ray from inside a closed mesh always hits a face, also through an edge or a
     vertex. The test is that of Woop, Benthin and Wald, *Watertight Ray/Triangle Intersection* (2013), in float64, with
     exact predicates where it gives zero.
+
+    A graphics device searches in float32 for the faces that a ray may hit, and the CPU computes the hits of these faces
+    in float64. The CPU searches the rays that float32 does not decide, those with more than eight candidate faces, and
+    those that start more than a million box sizes away. All devices therefore return the same bits.
 
     Examples
     --------
@@ -116,9 +132,9 @@ def cast_rays(
     >>> hits.t.tolist(), hits.faces.tolist(), hits.hit.tolist()
     ([1.5, inf], [0, -1], [True, False])
     """
-    checked, rays, shape, limits = _checked_rays(mesh, origins, directions, t_min, t_max)
+    checked, rays, shape, options = _checked_rays(mesh, origins, directions, t_min, t_max, device)
     with progress_callback(progress, "cast rays") as callback:
-        t, faces, weights, normals = _core.cast_rays(checked._core, *rays, **limits, progress=callback)
+        t, faces, weights, normals = _core.cast_rays(checked._core, *rays, **options, progress=callback)
     return RayHits(*shaped(shape, t, source_faces(mesh, checked, faces), weights, normals))
 
 
@@ -129,13 +145,14 @@ def occluded(
     *,
     t_min: float = 0.0,
     t_max: float = math.inf,
+    device: str = "auto",
     progress: Progress = None,
 ) -> NDArray[np.bool_]:
     """Test which rays hit a face; this is faster than :func:`cast_rays`.
 
     Parameters
     ----------
-    mesh, origins, directions, t_min, t_max, progress
+    mesh, origins, directions, t_min, t_max, device, progress
         As for :func:`cast_rays`.
 
     Returns
@@ -145,7 +162,7 @@ def occluded(
 
     Raises
     ------
-    MeshError, ArgumentError
+    MeshError, ArgumentError, DeviceError
         As for :func:`cast_rays`.
 
     Examples
@@ -155,9 +172,9 @@ def occluded(
     >>> occluded(triangle, [(0.25, 0.25, 3), (2, 2, 3)], (0, 0, -1)).tolist()
     [True, False]
     """
-    checked, rays, shape, limits = _checked_rays(mesh, origins, directions, t_min, t_max)
+    checked, rays, shape, options = _checked_rays(mesh, origins, directions, t_min, t_max, device)
     with progress_callback(progress, "occlusion") as callback:
-        return _core.occluded(checked._core, *rays, **limits, progress=callback).reshape(shape)
+        return _core.occluded(checked._core, *rays, **options, progress=callback).reshape(shape)
 
 
 def count_intersections(
@@ -167,13 +184,14 @@ def count_intersections(
     *,
     t_min: float = 0.0,
     t_max: float = math.inf,
+    device: str = "auto",
     progress: Progress = None,
 ) -> NDArray[np.int64]:
     """Count the intersections of each ray; an edge or a vertex that several faces share counts once.
 
     Parameters
     ----------
-    mesh, origins, directions, t_min, t_max, progress
+    mesh, origins, directions, t_min, t_max, device, progress
         As for :func:`cast_rays`.
 
     Returns
@@ -183,7 +201,7 @@ def count_intersections(
 
     Raises
     ------
-    MeshError, ArgumentError
+    MeshError, ArgumentError, DeviceError
         As for :func:`cast_rays`.
 
     Examples
@@ -193,9 +211,9 @@ def count_intersections(
     >>> count_intersections(knot, (-9, 0.1, 0.2), (1, 0, 0)).item() % 2
     0
     """
-    checked, rays, shape, limits = _checked_rays(mesh, origins, directions, t_min, t_max)
+    checked, rays, shape, options = _checked_rays(mesh, origins, directions, t_min, t_max, device)
     with progress_callback(progress, "count intersections") as callback:
-        return _core.count_intersections(checked._core, *rays, **limits, progress=callback).reshape(shape)
+        return _core.count_intersections(checked._core, *rays, **options, progress=callback).reshape(shape)
 
 
 def all_intersections(
@@ -205,13 +223,14 @@ def all_intersections(
     *,
     t_min: float = 0.0,
     t_max: float = math.inf,
+    device: str = "auto",
     progress: Progress = None,
 ) -> Intersections:
     """List every intersection of every ray.
 
     Parameters
     ----------
-    mesh, origins, directions, t_min, t_max, progress
+    mesh, origins, directions, t_min, t_max, device, progress
         As for :func:`cast_rays`.
 
     Returns
@@ -222,7 +241,7 @@ def all_intersections(
 
     Raises
     ------
-    MeshError, ArgumentError
+    MeshError, ArgumentError, DeviceError
         As for :func:`cast_rays`.
 
     Examples
@@ -234,16 +253,16 @@ def all_intersections(
     >>> found.rays.tolist(), found.t.tolist(), found.faces.tolist()
     ([1, 1], [2.0, 3.0], [1, 0])
     """
-    checked, rays, _, limits = _checked_rays(mesh, origins, directions, t_min, t_max)
+    checked, rays, _, options = _checked_rays(mesh, origins, directions, t_min, t_max, device)
     with progress_callback(progress, "all intersections") as callback:
-        rows, t, faces, weights = _core.all_intersections(checked._core, *rays, **limits, progress=callback)
+        rows, t, faces, weights = _core.all_intersections(checked._core, *rays, **options, progress=callback)
     return Intersections(rows, t, source_faces(mesh, checked, faces), weights)
 
 
 def _checked_rays(
-    mesh: MeshLike, origins: ArrayLike, directions: ArrayLike, t_min: float, t_max: float
+    mesh: MeshLike, origins: ArrayLike, directions: ArrayLike, t_min: float, t_max: float, device: str
 ) -> tuple[Mesh, tuple[NDArray[np.float64], NDArray[np.float64]], tuple[int, ...], dict[str, Any]]:
-    """Check mesh, origins, directions and limits of rays.
+    """Check mesh, origins, directions, limits and device of rays.
 
     Origins and directions become (n, 3) arrays of equal length; their leading shape is returned too.
     """
@@ -261,7 +280,11 @@ def _checked_rays(
             ) from None
         starts = np.ascontiguousarray(np.broadcast_to(starts.reshape(*start_shape, 3), (*shape, 3))).reshape(-1, 3)
         vectors = np.ascontiguousarray(np.broadcast_to(vectors.reshape(*vector_shape, 3), (*shape, 3))).reshape(-1, 3)
-    limits = {"t_min": checks.limit("t_min", t_min), "t_max": checks.limit("t_max", t_max)}
-    if limits["t_min"] > limits["t_max"]:
+    first, last = checks.limit("t_min", t_min), checks.limit("t_max", t_max)
+    if first > last:
         raise ArgumentError(f"t_min: must be at most t_max ({t_max:g}), got {t_min:g}")
-    return as_mesh(mesh), (starts, vectors), shape, limits
+    where, checked = checks.text("device", device), as_mesh(mesh)
+    if where == "auto" and not os.environ.get("FIELDBAKE_DEVICE"):
+        few = len(starts) < DEVICE_RAYS or VERTICES_PER_RAY * len(starts) < len(checked.vertices)
+        where = "cpu" if few else where
+    return checked, (starts, vectors), shape, {"t_min": first, "t_max": last, "device": where}

@@ -124,6 +124,6 @@ def thinnest_part(mesh: Mesh) -> float | None:
     samples = sample_surface(mesh, THICKNESS_SAMPLES)
     inwards = -samples.normals if mesh.volume >= 0 else samples.normals
     start = 1e-9 * float(np.linalg.norm(mesh.bounds[1] - mesh.bounds[0]))
-    hits = cast_rays(mesh, samples.points, inwards, t_min=start)
+    hits = cast_rays(mesh, samples.points, inwards, t_min=start, device="cpu")
     facing = hits.hit & (np.einsum("ij,ij->i", hits.normals, samples.normals) < FACING)
     return float(hits.t[facing].min()) if facing.any() else None

@@ -1,7 +1,7 @@
 //! Structs of bakes and of queries of points.
 
 gpu_structs! {
-    /// A node of the binary tree; `shaders/shared/bvh.wgsl`.
+    /// A node of the binary tree; `shaders/shared/tree.wgsl`.
     "bake_distance": struct Node {
         left_min: [f32; 3],
         /// A child: the index of a node, or a leaf (see `bvh::binary`).
@@ -87,6 +87,40 @@ gpu_structs! {
         first: u32,
         count: u32,
         pad_0: u32,
+        pad_1: u32,
+    }
+
+    /// `shaders/cast_rays.wgsl`.
+    "cast_rays": struct CastParams {
+        first: u32,
+        count: u32,
+        /// Kind of search.
+        mode: u32,
+        pad_0: u32,
+    }
+
+    /// A ray, clipped to the box of a mesh, in local units.
+    "cast_rays": struct CastRay {
+        /// Position at which the ray enters the box.
+        origin: [f32; 3],
+        /// Largest `t` of a hit, in the scaled direction from `origin`; negative if the device must not search.
+        limit: f32,
+        /// The direction, divided by the magnitude of its largest component.
+        direction: [f32; 3],
+        /// Axis of the largest component.
+        axis: u32,
+        /// Reciprocals of the scaled direction.
+        inverse: [f32; 3],
+        pad_0: u32,
+    }
+
+    /// The corners of a triangle, local units.
+    "cast_rays": struct Corners {
+        a: [f32; 3],
+        face: u32,
+        b: [f32; 3],
+        pad_0: u32,
+        c: [f32; 3],
         pad_1: u32,
     }
 }
