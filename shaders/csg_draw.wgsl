@@ -237,6 +237,8 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         pixel.cell = hit.cell;
         p = from_eye.start + hit.t * direction;
         pixel.normal = surface_normal(p, direction, hit.cell);
+        // A parallel ray that starts inside the solid hits it there. The surface faces the camera.
+        if hit.t == 0.0 && all(params.rays.right == vec3f(0.0)) { pixel.normal = -direction; }
         if params.rays.shadows == 0u { break; }
     }
     if !has_rounds() { pixel.state = PIXEL_RAN_OUT; }

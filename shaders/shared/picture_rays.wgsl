@@ -12,9 +12,9 @@ struct PictureRays {
     // The first row of this dispatch.
     first_row: u32,
     // Direction of the ray through the centre of the picture, one unit of depth long. One unit to the right or up on
-    // the plane at depth 1 adds `right` or `up`.
+    // the plane at depth 1 adds `right` or `up`. Both are zero if the rays are parallel; then only the starts differ.
     forward: vec3f,
-    // Side of a pixel on the plane at depth 1.
+    // Side of a pixel: on the plane at depth 1, or at any depth if the rays are parallel.
     pixel: f32,
     right: vec3f,
     light_count: u32,

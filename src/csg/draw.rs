@@ -88,7 +88,7 @@ pub(crate) fn draw(
 ) -> Result<Drawing, Error> {
     options.check()?;
     let lights = options.unit_lights()?;
-    // Parallel rays start at different points; each is traced from its own.
+    // The rays of an orthographic camera start at different points, so `draw_pixel` decides for each.
     let is_eye_inside = !camera.is_parallel() && tracer.is_inside(camera.eye);
     let rays = PixelRays::new(tracer, camera, options, lights.len());
     let view = ShapeView { tracer, camera, options, lights: &lights, is_eye_inside, rays };

@@ -146,7 +146,12 @@ impl ShapeView<'_> {
         row.steps[x] = scratch.work.steps - before;
         let Some(hit) = hit else { return };
         let p = ray.origin + hit.t * ray.direction;
-        let normal = self.tracer.normal(p, ray.direction, hit.part, &mut scratch.slope).unwrap_or(-ray.direction);
+        // A parallel ray that starts inside the solid hits it there. The surface faces the camera.
+        let starts_inside = hit.t == 0.0 && self.camera.is_parallel();
+        let normal = (!starts_inside)
+            .then(|| self.tracer.normal(p, ray.direction, hit.part, &mut scratch.slope))
+            .flatten()
+            .unwrap_or(-ray.direction);
         let seen = VisiblePoint { p, depth: self.rays.depth(&ray, hit.t), normal, part: Some(hit.part) };
         self.finish(x, row, &seen, ray.direction, |to_light| {
             self.share_that_arrives(p, normal, to_light, &mut scratch.march)

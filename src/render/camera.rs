@@ -102,7 +102,7 @@ impl Camera {
         right * self.right + up * self.up
     }
 
-    /// Side of a pixel on the plane at depth 1.
+    /// Side of a pixel: on the plane at depth 1, or at any depth if the rays are parallel.
     #[inline]
     pub fn pixel_size(&self, height: u32) -> f64 {
         2.0 * self.half_height / height as f64

@@ -44,8 +44,8 @@ pub(crate) fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut Lig
         SceneShadows::Hard | SceneShadows::Soft => pass.lights.lights.len(),
         SceneShadows::Area(_) | SceneShadows::Article => return Ok(false),
     };
-    let is_near = eye.length() <= MOST_DISTANCE && !pass.buffer.view.camera.is_parallel();
-    if lights == 0 || pass.options.occlusion.is_some() || !is_near || device.faces().is_none() {
+    let is_exact = eye.length() <= MOST_DISTANCE && !pass.buffer.view.camera.is_parallel();
+    if lights == 0 || pass.options.occlusion.is_some() || !is_exact || device.faces().is_none() {
         return Ok(false);
     }
     let mut view = SurfaceParams {

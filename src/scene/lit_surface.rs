@@ -67,13 +67,14 @@ impl SceneLight {
                 let direction = way / distance;
                 let left = falloff.map_or(1.0, |[range, scale]| share_at(distance, range, scale))
                     * spot.map_or(1.0, |spot| share_of_cone(&spot, -direction));
-                (LightRay { direction, t_max: distance }, (radius / distance) as f32, left as f32 * color)
+                let color = (left.min(f64::MAX) * color.as_dvec3()).min(DVec3::splat(BRIGHTEST)).as_vec3();
+                (LightRay { direction, t_max: distance }, (radius / distance) as f32, color)
             }
         }
     }
 }
 
-/// Largest factor of the falloff, so that colours stay finite.
+/// Largest colour of a light at a point, so that sums and products with a cosine stay finite in float32.
 const BRIGHTEST: f64 = 1e30;
 
 /// Factor of a light's intensity at a distance below its range, both in scene units of `scale` world units:
@@ -83,7 +84,7 @@ fn share_at(distance: f64, range: f64, scale: f64) -> f64 {
         return 0.0;
     }
     let world = distance * scale;
-    ((1.0 - (distance / range).powi(4)) / (world * world)).min(BRIGHTEST)
+    (1.0 - (distance / range).powi(4)) / (world * world)
 }
 
 /// Factor of a spot light's intensity in a unit direction: the square of a linear function of the cosine between the

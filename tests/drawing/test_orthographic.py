@@ -246,3 +246,13 @@ def test_cameras_of_files_are_read_and_pages_use_a_perspective_one(tmp_path):
     assert not exceeds(np.abs(frame.depth[np.isfinite(frame.depth)] - 2.5), 1e-6).any()
     with pytest.warns(UserWarning, match="perspective"):
         assert "<script" in scene.to_html(size=(32, 32))
+
+
+@pytest.mark.parametrize("shape", [fb.sphere(1), fb.sphere(0.5).offset(0.5)], ids=["closed form", "marched"])
+def test_rays_that_start_inside_a_shape_hit_a_surface_that_faces_the_camera(shape, device):
+    camera = fb.Camera.orthographic((0.1, 0.05, 0), (0.1, 0.05, -1), height=0.5)
+
+    frame = fb.raymarch(shape, camera, size=(8, 8), device=device)
+
+    assert (frame.depth == 0).all()
+    assert np.abs(frame.normal - camera.pose[:3, 2]).max() <= 1e-6

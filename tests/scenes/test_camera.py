@@ -159,20 +159,43 @@ def test_the_direction_of_a_light_is_unit():
     assert fb.DirectionalLight((0, -3e300, 4e300)).direction == pytest.approx((0, -0.6, 0.8))
 
 
-def test_the_brightest_lights_of_a_file_are_kept_with_a_warning(tmp_path):
-    path = tmp_path / "lights.gltf"
+def saved_lights(path, lights):
+    """Write a glTF file of a box with these lights, each in a node of its own."""
     files = trimesh.exchange.gltf.export_gltf(trimesh.Scene(trimesh.creation.box()))
     for name, content in files.items():
-        (tmp_path / name.replace("model.gltf", path.name)).write_bytes(content)
+        (path.parent / name.replace("model.gltf", path.name)).write_bytes(content)
     document = json.loads(path.read_text())
-    lights = [{"type": "directional", "intensity": 1.0 + i} for i in range(20)]
     document["extensions"] = {"KHR_lights_punctual": {"lights": lights}}
-    for i in range(20):
+    for i in range(len(lights)):
         document["scenes"][0]["nodes"].append(len(document["nodes"]))
         document["nodes"].append({"extensions": {"KHR_lights_punctual": {"light": i}}})
     path.write_text(json.dumps(document))
+
+
+def test_the_brightest_lights_of_a_file_are_kept_with_a_warning(tmp_path):
+    path = tmp_path / "lights.gltf"
+    saved_lights(path, [{"type": "directional", "intensity": 1.0 + i} for i in range(20)])
 
     with pytest.warns(UserWarning, match="not used: 4 lights"):
         scene = fb.load_scene(path)
 
     assert sorted(light.intensity for light in scene.lights) == pytest.approx([(5.0 + i) / 20 for i in range(16)])
+
+
+@pytest.mark.parametrize(
+    "light",
+    [
+        {"type": "spot", "spot": {"outerConeAngle": 0}},
+        {"type": "point", "range": -1},
+        {"type": "point", "range": "far"},
+        {"type": "point", "intensity": None},
+    ],
+)
+def test_a_malformed_light_of_a_file_is_left_out_with_a_warning(tmp_path, light):
+    path = tmp_path / "lights.gltf"
+    saved_lights(path, [light, {"type": "spot", "spot": None}, {"type": "spot", "spot": {"innerConeAngle": -1e-17}}])
+
+    with pytest.warns(UserWarning, match="a light is not used"):
+        scene = fb.load_scene(path)
+
+    assert [type(light) for light in scene.lights] == [fb.SpotLight, fb.SpotLight]

@@ -150,6 +150,7 @@ def test_views_draw_the_mean_with_a_warning():
         "bright",
         None,
         (1, 2),
+        [[1, 2], [3]],
         (1, -1, 1),
         (1, np.nan, 1),
         np.ones((4, 8)),

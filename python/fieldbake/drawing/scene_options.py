@@ -21,7 +21,6 @@ from ..scenes.instance import Instance
 from ..scenes.lights import DirectionalLight, Light, SpotLight, cone_cosines, key_light
 from ..scenes.materials import scattering_rgb
 from ..scenes.scene import Scene
-from ..scenes.surroundings import form_of
 from ..volumes.volume import Volume
 from .frame import Frame
 from .options import checked_size
@@ -141,7 +140,7 @@ class Options:
                 primary=self.primary,
                 shadows=self.march,
                 area_samples=self.area_samples,
-                ambient=form_of(scene.ambient),
+                ambient=scene._ambient_form,
                 occlusion=occlusion,
                 far=[] if self.far is None else field_cache.levels_of(self.far),
                 far_distance=self.far_distance,

@@ -82,7 +82,11 @@ def load_scene(
         camera = _camera(document, node, world_from_node)
         if camera is not None:
             cameras.append(camera)
-        light = _light(document, node, world_from_node)
+        try:
+            light = _light(document, node, world_from_node)
+        except (SceneError, TypeError, ValueError, AttributeError, LookupError) as error:
+            warn(f"{file}: a light is not used: {error}", UserWarning)
+            continue
         if light is not None:
             lights.append(light)
     return Scene(instances, _balanced(file, lights, Scene(instances).bounds), ambient=ambient, cameras=cameras)
@@ -169,9 +173,9 @@ def _light(document: dict[str, Any], node: dict[str, Any], world_from_node: NDAr
     reach = float(light.get("range") or math.inf)
     if light.get("type") != "spot":
         return PointLight(position, color, intensity, range=reach)
-    cone = light.get("spot", {})
+    cone = light.get("spot") or {}
     outer = min(math.degrees(cone.get("outerConeAngle", math.pi / 4)), 90.0)
-    inner = min(math.degrees(cone.get("innerConeAngle", 0.0)), outer)
+    inner = min(max(math.degrees(cone.get("innerConeAngle", 0.0)), 0.0), outer)
     return SpotLight(position, axis, inner, outer, color, intensity, range=reach)
 
 

@@ -17,7 +17,7 @@ from .camera import Camera
 from .core_scene import Fields, SceneBuilder
 from .instance import Instance
 from .lights import AMBIENT, BACKGROUND, Light, check_lights
-from .surroundings import Ambient, checked_ambient
+from .surroundings import Ambient, checked_ambient, form_of
 
 
 class Scene(Viewable):
@@ -32,10 +32,11 @@ class Scene(Viewable):
         shoulder.
     ambient : float, (3,) or (height, width, 3), default 0.2
         Light from everywhere, as a fraction of the colour: a number, a colour, or an image of the surroundings, linear
-        RGB. Row 0 of the image is the direction +Y, the last row -Y. The middle of the picture is the direction -Z, and
-        a quarter of its width to the right is +X. Two rows, such as ``[[[1, 1, 1]], [[0.2, 0.2, 0.2]]]``, are a sky and
-        a ground. Surfaces reflect the light of all directions around their normal, smoothed by spherical harmonics of
-        degree 2: the error is at most 6.2 % of the range of the image. Occlusion reduces it as a whole.
+        RGB. The top edge of the image is the direction +Y, the bottom edge -Y. The middle of the picture is the
+        direction -Z, and a quarter of its width to the right is +X. Two rows, such as
+        ``[[[1, 1, 1]], [[0.2, 0.2, 0.2]]]``, are a sky and a ground. Surfaces reflect the light of all directions
+        around their normal, smoothed by spherical harmonics of degree 2: the error is at most 6.2 % of the range of the
+        image. Occlusion reduces it as a whole.
     background : (3,) or (4,), default (0.025, 0.03, 0.04)
         Colour of pixels without a hit, linear RGB and opacity. The default is a dark slate, against which the outlines
         of both white and black objects are visible.
@@ -75,6 +76,7 @@ class Scene(Viewable):
         self._instances = tuple(_instance(number, item) for number, item in enumerate(instances))
         self._lights = None if lights is None else check_lights(lights)
         self._ambient = checked_ambient(ambient)
+        self._ambient_form = form_of(self._ambient)
         self._background = _background(background)
         for camera in cameras:
             if not isinstance(camera, Camera):

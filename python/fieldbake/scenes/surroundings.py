@@ -24,12 +24,12 @@ Ambient = float | NDArray[np.float64]
 
 def checked_ambient(value: ArrayLike) -> Ambient:
     """Check ambient light: a number, a colour (3,), or an image (height, width, 3)."""
-    if np.ndim(value) == 0:
+    array = checks.real_array("ambient", value, "(3,) or (height, width, 3)", SceneError)
+    if array.ndim == 0:
         try:
             return checks.number("ambient", value, least=0)
         except ArgumentError as error:
             raise SceneError(str(error)) from None
-    array = checks.real_array("ambient", value, "(3,) or (height, width, 3)", SceneError)
     if array.shape == (3,):
         array = array[None, None]
     if array.ndim != 3 or array.shape[2] != 3 or array.size == 0:
