@@ -8,9 +8,9 @@
 //! [`super::dense`].
 //!
 //! Rules that count by planes ([`super::signs`]) classify a layer of regions at a time, one bit per sample. The other
-//! rules classify single samples, in bricks near the surface and at the corners of all others. The side of an open mesh
-//! changes far from its triangles too; the bricks there are found from their neighbours
-//! ([`SparseBuilder::follow`](crate::volume::sparse::build::SparseBuilder::follow)).
+//! rules classify single samples: all samples of bricks near the surface, and corners of the others, one corner if the
+//! mesh is closed. The side of an open mesh changes far from its triangles too; the bricks there are found from their
+//! neighbours ([`SparseBuilder::follow`](crate::volume::sparse::build::SparseBuilder::follow)).
 //!
 //! # Cost
 //!

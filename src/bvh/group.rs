@@ -12,7 +12,7 @@ const MOST: usize = 48;
 
 impl Bvh {
     /// The nearest face of each of eight points, x, y and z in rows, as [`Bvh::nearest`] finds it. Every nearest triangle
-    /// must lie within `radius` of `center`. None if many triangles do.
+    /// must lie within `radius` of `center`. None if no triangle, or more than [`MOST`], lie within `radius`.
     pub fn nearest_of_group(&self, center: Vec3, radius: f32, points: &[[f32; WIDTH]; 3]) -> Option<[u32; WIDTH]> {
         with_vectors!((
             bvh: &Bvh = self, center: Vec3 = center, radius: f32 = radius, points: &[[f32; WIDTH]; 3] = points

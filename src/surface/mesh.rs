@@ -23,8 +23,8 @@ pub struct SurfaceMesh {
     pub vertices: Vec<DVec3>,
     /// Counter-clockwise seen from the side of larger values.
     pub faces: Vec<[u32; 3]>,
-    /// Number of vertices whose optimal position is outside the region around their cell in which the surface cannot
-    /// fold. They lie on the border of that region.
+    /// Number of vertices that are not at their optimal position, because it lies outside the region around their cell in
+    /// which the surface cannot fold.
     pub clamped: usize,
 }
 

@@ -16,8 +16,9 @@
 //! Vertices keep a small distance ([`MARGIN`]) from the faces of their cell that have crossed edges. The four corners
 //! of a quadrilateral belong to the four cells around its edge. Seen along the edge, they therefore lie strictly inside
 //! the four quadrants. Such a quadrilateral has a diagonal that divides it into two triangles of positive area, and
-//! that diagonal is used: no face is degenerate, and none is folded over. No two vertices are equal in single precision
-//! ([`separate`]), so files without indices keep the two-manifold.
+//! that diagonal is used: no face is degenerate, and none is folded over. Vertices that are equal in single precision are
+//! moved apart ([`separate`]), so files without indices keep the two-manifold. This needs a grid whose quarter of a voxel
+//! has a float32 value of its own.
 //!
 //! # Practice
 //!

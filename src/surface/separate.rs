@@ -1,10 +1,10 @@
 //! Vertices with equal positions in single precision.
 //!
-//! Files such as STL have no indices, and their readers join vertices at the same float32 position. If two sheets of the
-//! surface touch there, the joined vertex has two fans of faces, and an edge may get four faces. Vertices inside different
-//! cells are two margins apart ([`MARGIN`]), so equal positions occur for two patches of one cell, and for vertices outside
-//! their cells, as at the tip of a corner. The former are moved apart within their cell, which folds no quadrilateral, the
-//! latter towards their own cell.
+//! Files such as STL have no indices, and their readers join vertices at the same float32 position. If two sheets of
+//! the surface touch there, the joined vertex has two fans of faces, and an edge may get four faces. Vertices inside
+//! different cells are two margins apart ([`MARGIN`]), so equal positions occur for two patches of one cell, and for
+//! vertices outside their cells, as at the tip of a corner. Patches of one cell are moved apart within the cell, which
+//! folds no quadrilateral. Vertices outside their cells are moved towards their own cell.
 
 use super::{LevelSurface, MARGIN};
 use glam::DVec3;
@@ -13,7 +13,7 @@ use rayon::prelude::*;
 /// Length of one step apart, voxels. The patches of a cell are at most four, so they stay within a margin.
 const STEP: f64 = MARGIN / 4.0;
 
-/// Number of passes. A vertex that is moved may meet another one, which the next pass moves.
+/// Number of passes. A moved vertex may get the position of another one, which the next pass moves.
 const PASSES: usize = 8;
 
 impl LevelSurface {

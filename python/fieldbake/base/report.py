@@ -185,8 +185,8 @@ class SurfaceReport:
     Attributes
     ----------
     clamped_vertices : int
-        Number of vertices whose nearest point to the tangent planes lies outside their cell. They lie on the border of
-        the cell.
+        Number of vertices that are not at the nearest point to their tangent planes: it lies outside their cell, and a
+        face would fold there, or a sample would change its side.
     """
 
     clamped_vertices: int = 0

@@ -28,7 +28,8 @@ class SolidReport(Rows, SurfaceReport):
     Attributes
     ----------
     clamped_vertices : int
-        Vertices whose nearest point to the tangent planes lies outside their cell; they lie on the border of the cell.
+        Number of vertices that are not at the nearest point to their tangent planes: it lies outside their cell, and a
+        face would fold there, or a sample would change its side.
     voxel_size : float
         Side of a voxel of the grid, world units.
 

@@ -1,9 +1,9 @@
 //! Bricks that the surface enters through their faces.
 //!
-//! A source may judge a whole brick by some of its samples. The sign of a field of an open mesh jumps across the openings,
-//! far from all triangles, so the surface may pass between those samples. A neighbour of such a brick then has samples of
-//! the other side on the common face. [`SparseBuilder::follow`] stores these bricks, then the bricks that the surface
-//! enters from them, until no surface leaves the stored bricks.
+//! A source may derive the side of a whole brick from some of its samples. The sign of a field of an open mesh jumps
+//! across the openings, far from all triangles, so the surface may pass between those samples. A neighbour of such a
+//! brick then has samples of the other side on the common face. [`SparseBuilder::follow`] stores these bricks, then the
+//! bricks that the surface enters from them, until no surface leaves the stored bricks.
 
 use super::build::{SampleSource, SparseBuilder};
 use super::{BRICK_CELLS, BRICK_LEN, Entry, SparseView, Texel, brick_origin};
