@@ -3,7 +3,7 @@
 //! The tests allow for the rounding of their own operations, so that they never reject a hit. The portable functions and
 //! the AVX2 functions apply the same operations in the same order and give the same bits.
 
-use super::watertight::{BOX_MARGIN, Sheared};
+use super::watertight::{BOX_MARGIN, PARALLEL, Sheared};
 use super::{Node, WIDTH};
 use crate::gpu::constants::cast_rays::SHEAR_ROUNDING;
 use crate::mesh::Mesh;
@@ -55,8 +55,6 @@ impl Derived for RayPacks {
 /// Rounding error of a product of two sheared coordinates, relative to the square of the largest: three roundings of
 /// 6e-8.
 const PRODUCT_ROUNDING: f32 = 3e-7;
-/// Largest magnitude of an inverse component of the direction. Its products with local coordinates are finite.
-pub(super) const PARALLEL: f64 = 1e30;
 /// Coordinates of absent lanes.
 const ABSENT: f32 = 1e4;
 

@@ -8,12 +8,14 @@
 //! answers: no ray passes between faces, and a hit lies on an edge or a vertex if and only if the corresponding functions
 //! are zero.
 
-use super::ray_lanes::PARALLEL;
 use crate::geometry::triangle_cross;
 pub(crate) use crate::gpu::constants::cast_rays::BOX_MARGIN;
 use crate::gpu::layout::CastRay;
 use glam::DVec3;
 use robust::{Coord, orient2d};
+
+/// Largest magnitude of an inverse component of the direction. Its products with local coordinates are finite.
+pub(super) const PARALLEL: f64 = 1e30;
 
 /// Largest distance of a ray's origin from the box for a search on a device, in the scaled direction. The rounding of
 /// `t` to float64 is then far below the margins of the search.

@@ -4,7 +4,7 @@
 //! The CPU computes the hits of these faces in float64. It searches the rays itself for which more faces would be
 //! needed, so the results are those of the CPU, to the bit.
 
-use super::rays::{CHUNK, Rays};
+use super::ray_list::{CHUNK, Rays};
 use crate::bvh::binary::BinaryTree;
 use crate::error::Error;
 use crate::gpu::Context;

@@ -26,8 +26,6 @@
 use super::blocks::{Block, Blocks};
 use super::cubic::Cubic;
 use super::empty::EmptySpace;
-use super::options::Filter;
-use super::voxels;
 use crate::error::Error;
 use crate::gpu::constants::{FAR_ALONG_RAY, PARALLEL_DIRECTION};
 use crate::progress::Progress;
@@ -123,11 +121,6 @@ impl<F: Blocks> Marcher<F> {
     /// The empty blocks of the field.
     pub fn empty(&self) -> &EmptySpace {
         &self.empty
-    }
-
-    /// Traces a ray to its first hit with the field of a filter.
-    pub(super) fn trace(&self, ray: &GridRay, filter: Filter) -> March {
-        if filter == Filter::Nearest { voxels::march(self, ray) } else { self.march(ray) }
     }
 
     /// Traces a ray to its first hit with the trilinear field.

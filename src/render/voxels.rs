@@ -6,10 +6,18 @@
 
 use super::blocks::Blocks;
 use super::march::{FieldHit, GridRay, March, MarchLine, Marcher, each_axis, first_axis, floor};
+use super::options::Filter;
 use glam::IVec3;
 
+impl<F: Blocks> Marcher<F> {
+    /// Traces a ray to its first hit with the field of a filter.
+    pub(super) fn trace(&self, ray: &GridRay, filter: Filter) -> March {
+        if filter == Filter::Nearest { march(self, ray) } else { self.march(ray) }
+    }
+}
+
 /// Traces a ray to the first voxel of the solid.
-pub(super) fn march<F: Blocks>(marcher: &Marcher<F>, ray: &GridRay) -> March {
+fn march<F: Blocks>(marcher: &Marcher<F>, ray: &GridRay) -> March {
     let shape = marcher.field.grid().shape;
     let last = each_axis(|axis| shape[axis] as i32 - 1);
     let line = MarchLine::new(ray);

@@ -17,8 +17,8 @@
 //! of a quadrilateral belong to the four cells around its edge. Seen along the edge, they therefore lie strictly inside
 //! the four quadrants. Such a quadrilateral has a diagonal that divides it into two triangles of positive area, and
 //! that diagonal is used: no face is degenerate, and none is folded over. Vertices that are equal in single precision are
-//! moved apart ([`separate`]), so files without indices keep the two-manifold. This needs a grid whose quarter of a voxel
-//! has a float32 value of its own.
+//! moved apart ([`separate`]), so files without indices keep the two-manifold. They stay equal far from the origin, where
+//! float32 is coarser than 1/512 of a voxel.
 //!
 //! # Practice
 //!

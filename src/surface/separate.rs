@@ -13,17 +13,20 @@ use rayon::prelude::*;
 /// Length of one step apart, voxels. The patches of a cell are at most four, so they stay within a margin.
 const STEP: f64 = MARGIN / 4.0;
 
+/// Longest step apart, voxels. Far from the origin, float32 is too coarse for shorter ones.
+const FARTHEST: f64 = 1.0 / 256.0;
+
 /// Number of passes. A moved vertex may get the position of another one, which the next pass moves.
 const PASSES: usize = 8;
 
 impl LevelSurface {
     /// Moves vertices until no two of them are equal in single precision. Returns whether a vertex has moved. Positions
-    /// remain equal where float32 cannot represent the quarter of a voxel, far from the origin.
+    /// remain equal far from the origin, where that would move them by more than [`FARTHEST`].
     pub(super) fn separate(&self, vertices: &mut [DVec3]) -> bool {
         // The distance between neighbouring float32 numbers is at most this.
         let rounding = self.lower.abs().max(self.upper.abs()) * f64::from(f32::EPSILON);
         let step = (self.spacing * STEP).max(2.0 * rounding);
-        if step.cmpgt(0.25 * self.spacing).all() {
+        if step.cmpgt(FARTHEST * self.spacing).any() {
             return false;
         }
         let cells = self.cells.cells();
