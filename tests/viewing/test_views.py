@@ -163,6 +163,7 @@ def check_views(tmp_path: Path, end: str, api: str) -> None:
         for text, volume, camera, size in zip(found[name], volumes, cameras, SIZES, strict=True):
             frame = fb.raymarch(volume, camera, size=size, device="cpu")
             difference = np.abs(decoded(text, size).astype(int) - frame.image).max(axis=-1)
+            # The bounds of the contract for the page beside `raymarch`.
             assert (difference <= 2).mean() >= 0.995, (name, size, (difference <= 2).mean())
             assert np.ptp(frame.image[..., 0]) > 50
     # The point that was picked is the one of the camera at that time.
@@ -173,6 +174,7 @@ def check_views(tmp_path: Path, end: str, api: str) -> None:
     right, up, back, eye = camera.pose[:3].T
     way = (column + 0.5 - size[0] / 2) * pixel * right + (size[1] / 2 - row - 0.5) * pixel * up - back
     voxel = float(knot.spacing.max())
+    # The bound of the contract for depths.
     assert found["picked"]["depth"] == pytest.approx(depth, abs=0.01 * voxel)
     assert found["picked"]["point"] == pytest.approx(eye + depth * way, abs=0.01 * voxel)
     assert found["isFirst"] is True

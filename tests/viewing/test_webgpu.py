@@ -78,7 +78,7 @@ STILL = """(async () => {
   return { state: state(), text: document.body.innerText };
 })()"""
 
-#: Leaves the device textures of one row.
+#: Limits the textures of the device to one row.
 ONE_ROW = """
   const limits = Object.getOwnPropertyDescriptor(GPUSupportedLimits.prototype, "maxTextureDimension2D");
   Object.defineProperty(GPUSupportedLimits.prototype, "maxTextureDimension2D", { ...limits, get: () => 1 });
