@@ -210,6 +210,39 @@ def test_triangles_are_whole_near_the_eye_within_their_box_and_on_both_sides(tmp
     assert (difference <= 16).mean() >= 0.975
 
 
+#: Resolves to the numbers of triangles of a picture in motion and of the picture at rest that follows.
+STEADY = after_first_picture("""
+  view.rest();
+  const { engine } = view.acquire();
+  const counts = [];
+  const shape = engine.shape.bind(engine);
+  engine.shape = (triangles) => {
+    counts.push(triangles.indices.length / 3);
+    return shape(triangles);
+  };
+  view.settings.mesh = true;
+  view.redraw("moving");
+  await view.settled;
+  return counts;
+""")
+
+
+def test_pictures_at_rest_have_the_triangles_of_fine_grids(tmp_path: Path) -> None:
+    knot = fb.models.torus_knot(segments=24, sides=5)
+    # A coarse grid keeps every second sample of this one.
+    ball = fb.bake(fb.sphere(radius=0.9), 72, device="cpu")
+    page = tmp_path / "scene.html"
+    fb.Scene([fb.Instance(knot, resolution=32), fb.Instance(ball, beside())]).to_html(page, size=SIZE)
+    (result,) = visit([{"url": page.as_uri(), "expression": STEADY}])
+    assert result.value is not None, result.errors
+    assert result.errors == []
+    # Both pictures have the triangles of the mesh.
+    mesh, coarse, fine = result.value
+    assert mesh == len(knot.faces)
+    # The number of triangles goes with the square of the resolution: by 4 from one grid to the other.
+    assert fine >= 3 * coarse
+
+
 #: Resolves to the canvas after the first picture, and after the smooth one that follows input.
 SMOOTH = after_first_picture("""
   const copy = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });

@@ -41,8 +41,9 @@ const until = async (test) => {
 
 window.run = async (contents, cameras, [x, y]) => {
   if (isForced) await requestDevice();
-  const buffers = contents.map((content) => inflated(Uint8Array.from(atob(content), (one) => one.charCodeAt(0))));
-  const [first, second] = (await Promise.all(buffers)).map((buffer) => {
+  const bytes = contents.map((content) => Uint8Array.from(atob(content), (one) => one.charCodeAt(0)));
+  const buffers = await Promise.all(bytes.map(inflated));
+  const [first, second] = buffers.map((buffer) => {
     const root = document.createElement("div");
     document.body.append(root);
     return mount(root, buffer).view;
@@ -85,16 +86,32 @@ window.run = async (contents, cameras, [x, y]) => {
     sizes.push(triangles.indices.length);
     return shape(triangles);
   };
-  let isSteady = true;
-  second.isCoarse = false;
-  for (const level of [0.02, 0.04, 0.06, 0.06]) {
-    second.settings.level = level;
+  const moved = async () => {
     second.times.moving = 0;
     second.redraw("moving");
     await until(() => second.times.moving > 0 && !second.isBusy);
-    // A frame with a new level does not decide about the next one.
-    if (sizes.length < 4) isSteady &&= !second.isCoarse;
+  };
+  const finished = engine.finished.bind(engine);
+  // Frames with a new level take longer than the 80 ms of a frame in motion, and do not decide about the next frame.
+  engine.finished = async () => {
+    await finished();
+    await new Promise((done) => setTimeout(done, 100));
+  };
+  let isSteady = true;
+  second.isCoarse = false;
+  for (const level of [0.02, 0.04, 0.06]) {
+    second.settings.level = level;
+    await moved();
+    isSteady &&= second.times.moving > 80 && !second.isCoarse;
   }
+  delete engine.finished;
+  await moved();
+  await second.settled;
+
+  // A parameter slider replaces the data. Its frames in motion have the triangles of the coarse grid.
+  second.isCoarse = false;
+  second.replace(buffers[1]);
+  await until(() => sizes.length > 4 && !second.isBusy);
   await second.settled;
 
   // Input does not wait for the program of a picture at rest.
@@ -179,9 +196,9 @@ def check_views(tmp_path: Path, end: str, api: str) -> None:
     assert found["picked"]["point"] == pytest.approx(eye + depth * way, abs=0.01 * voxel)
     assert found["isFirst"] is True
     # The number of triangles goes with the square of the resolution: by 4 from one grid to the other.
-    *coarse, fine = found["sizes"]
+    *coarse, fine, replaced = found["sizes"]
     assert len(coarse) == 3
-    assert fine >= 3 * max(coarse)
+    assert fine >= 3 * max(*coarse, replaced)
     assert found["isSteady"]
     assert found["isMoved"]
     assert found["isSmooth"]

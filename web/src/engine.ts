@@ -44,8 +44,10 @@ export class Resources {
   private grids: FilteredGrids | null = null;
   /** The surface of each grid, by its first sample and step, and of each mesh, by the first sample of its field. */
   private readonly surfaces = new Map<string, Surface>();
-  /** Whether the triangles of level sets come from coarse grids. */
+  /** Whether the triangles of level sets in motion come from coarse grids. */
   isCoarse = true;
+  /** The level of the last picture in motion; NaN before the first one. */
+  movingLevel = NaN;
 
   constructor(
     readonly engine: Backend,
@@ -63,9 +65,9 @@ export class Resources {
   }
 
   /** The triangles of an instance: those of its mesh, or those of its level set. */
-  private surface(instance: InstanceData, settings: Settings): Shape {
+  private surface(instance: InstanceData, settings: Settings, isMotion: boolean): Shape {
     const { record } = instance;
-    const grid = this.isMesh(instance, settings) ? null : this.data.grid(record, this.isCoarse);
+    const grid = this.isMesh(instance, settings) ? null : this.data.grid(record, isMotion && this.isCoarse);
     const key = `${this.data.gridOf(record)} ${grid?.step ?? "mesh"}`;
     const level = grid ? this.data.ownLevel(record, settings.level) : 0;
     const known = this.surfaces.get(key);
@@ -139,7 +141,7 @@ export class Resources {
         ? {
             background: [...settings.background.slice(0, 3).map(srgb), settings.background[3]],
             lights: block,
-            instances: visible.map(({ instance, row }) => ({ shape: this.surface(instance, settings), row })),
+            instances: visible.map(({ instance, row }) => ({ shape: this.surface(instance, settings, isMotion), row })),
           }
         : null,
     });

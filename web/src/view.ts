@@ -115,8 +115,6 @@ export class View {
   private coarseness = 2;
   /** Whether pictures in motion have the triangles of coarse grids. */
   private isCoarse = true;
-  /** The level of the last picture in motion. */
-  private movingLevel = NaN;
   private isBusy = false;
   private isStale: Drawing | null = null;
   /** Ends the wait of a picture at rest for its program. */
@@ -337,7 +335,11 @@ export class View {
     this.onChange();
   }
 
-  /** Whether the device has the resources of a drawing that no later request replaces. */
+  /**
+   * Whether a drawing that started with `resources` and `turn` may go on after a wait. It stops after `redraw` or `close`, which
+   * change the turn; after `rest` or `replace`, which free the resources; and after the loss of the device. A picture in motion
+   * draws the camera of the latest request, so that it passes no turn: only freed resources and a lost device stop it.
+   */
   private isCurrent(resources: Resources, turn = this.turn): boolean {
     return this.turn === turn && this.resources === resources && !resources.engine.isLost;
   }
@@ -355,9 +357,9 @@ export class View {
       const share = isTriangles ? 1 : 1 / this.coarseness;
       const width = Math.max(1, Math.round(this.canvas.width * share));
       const height = Math.max(1, Math.round(this.canvas.height * share));
-      // The triangles of a new level are made once, so that their time says nothing about the next picture.
-      const isNew = this.settings.level !== this.movingLevel;
-      this.movingLevel = this.settings.level;
+      // The triangles of a new level or of new data are made once, so that their time says nothing about the next picture.
+      const isNew = this.settings.level !== resources.movingLevel;
+      resources.movingLevel = this.settings.level;
       resources.isCoarse = this.isCoarse || isNew;
       resources.prepare(this.camera, this.settings, width, height, this.picture, isFiltered);
       resources.draw(0, height);
