@@ -71,6 +71,48 @@ LOSE_IN = after_first_picture("""
   return { before, after: api(), spread, hasFailed, note: document.querySelector(".fb-note").textContent };
 """)
 
+#: Counts the compilations of each program in `compiled`, and makes those beside the page take 300 ms longer.
+COUNT_PROGRAMS = """
+  window.compiled = {};
+  const create = GPUDevice.prototype.createShaderModule;
+  GPUDevice.prototype.createShaderModule = function (description) {
+    // Every program of rays has the same vertex shader.
+    const { code } = description;
+    if (code.includes("@fragment")) compiled[code] = (compiled[code] ?? 0) + 1;
+    return create.call(this, description);
+  };
+  const compile = GPUDevice.prototype.createRenderPipelineAsync;
+  GPUDevice.prototype.createRenderPipelineAsync = async function (...values) {
+    await new Promise((done) => setTimeout(done, 300));
+    return compile.apply(this, values);
+  };
+"""
+
+#: Interrupts a picture at rest and a pick that wait for their program, and draws eight pictures. Resolves to the
+#: compilations of each program, and to the callbacks that the pictures leave on the promise of the loss of the device.
+INTERRUPT = after_first_picture("""
+  view.settings.slice = { axis: 2, at: 0, cut: true };
+  view.redraw();
+  await new Promise((done) => setTimeout(done, 50));
+  view.redraw();
+  const pick = view.pick(width / 2, height / 2);
+  await view.settled;
+  await pick;
+  const api = "device" in view.acquire().engine ? "WebGPU" : "WebGL 2";
+  const { lost } = view.acquire().engine.device;
+  let callbacks = 0;
+  lost.then = (...values) => {
+    callbacks++;
+    return Promise.prototype.then.apply(lost, values);
+  };
+  for (let i = 0; i < 8; i++) {
+    view.camera.orbit(0.1, 0);
+    view.redraw();
+    await view.settled;
+  }
+  return { api, counts: Object.values(compiled), callbacks };
+""")
+
 #: Resolves to the text of a page that shows its picture only.
 STILL = """(async () => {
   const state = () => document.documentElement.dataset.fieldbake;
@@ -118,6 +160,18 @@ def test_webgpu_draws_the_pictures_of_webgl(tmp_path: Path) -> None:
             difference = np.abs(pixels(text).astype(int) - pixels(gpu.value[name])).max(axis=-1)
             assert (difference <= 1).mean() >= 0.999, (name, (difference <= 1).mean())
             assert np.ptp(pixels(text)[..., 0]) > 50, name
+
+
+def test_each_program_is_compiled_once_and_pictures_leave_no_callback(tmp_path: Path) -> None:
+    page = tmp_path / "ball.html"
+    fb.bake(fb.sphere(radius=1), 16, device="cpu").to_html(page, size=SIZE)
+    job = {"url": page.as_uri() + "#webgpu", "expression": INTERRUPT, "before": COUNT_PROGRAMS}
+    (result,) = visit([job], flags=WEBGPU_FLAGS)
+    assert result.value is not None, result.errors
+    assert result.value["api"] == "WebGPU"
+    # Triangles in motion, rays without and with a slice.
+    assert result.value["counts"] == [1, 1, 1]
+    assert result.value["callbacks"] == 0
 
 
 def test_a_lost_device_is_replaced_by_webgl(tmp_path: Path) -> None:

@@ -241,7 +241,8 @@ export class View {
   }
 
   /** Colours and depths of the present camera and settings. */
-  pixels(): Promise<Pixels> {
+  async pixels(): Promise<Pixels> {
+    await this.compiled(this.settings, [Picture.color, Picture.depth]);
     return inQueue(true, async () => {
       const resources = this.acquire();
       const { width, height } = this.canvas;
@@ -287,9 +288,10 @@ export class View {
   }
 
   /** The float32 of each of these pictures at a pixel, for the camera and the settings at the time of the call. */
-  private values(pictures: number[], x: number, y: number): Promise<number[]> {
+  private async values(pictures: number[], x: number, y: number): Promise<number[]> {
     const camera = new Camera(this.camera.state);
     const settings = { ...this.settings };
+    await this.compiled(settings, pictures);
     return inQueue(true, async () => {
       if (this.isClosed) return pictures.map(() => Infinity);
       const resources = this.acquire();
@@ -302,6 +304,13 @@ export class View {
       if (resources.engine.isLost) throw new Error("The graphics device was lost.");
       return found;
     });
+  }
+
+  /** Resolves when the browser has compiled the programs of these pictures at rest, beside the page and other drawings. */
+  private async compiled(settings: Settings, pictures: number[]): Promise<void> {
+    if (this.isClosed) return;
+    const resources = this.acquire();
+    await Promise.all(pictures.map((picture) => resources.compiled(settings, picture)));
   }
 
   private acquire(): Resources {

@@ -8,9 +8,11 @@ const FORMATS = { words: "r32uint", table: "rgba32float", filtered: "r8snorm" } 
 const TEXEL_BYTES = { words: 4, table: 16, filtered: 1 };
 const COLOR = "rgba8unorm";
 const DEPTH = "depth32float";
-/** Bytes of a row of the table, and from one row to the next: devices take offsets at multiples of 256 bytes. */
-const ROW_BYTES = 16 * ROW;
-const ROW_STRIDE = 512;
+/** The next multiple of 256 bytes. Offsets of uniforms and rows of copies are such multiples on every device. */
+const aligned = (bytes: number): number => 256 * Math.ceil(bytes / 256);
+/** Bytes of a row of the table, and from one row to the next. */
+const ROW_BYTES = TEXEL_BYTES.table * ROW;
+const ROW_STRIDE = aligned(ROW_BYTES);
 
 /** The vertex shader of rays: one triangle over the whole picture. */
 const VERTEX = `@vertex fn whole(@builtin(vertex_index) i: u32) -> @builtin(position) vec4f {
@@ -33,6 +35,10 @@ export class WebGpu implements Backend {
   isLost = false;
   private readonly layout: GPUBindGroupLayout;
   private readonly pipelines = new Map<string, GPURenderPipeline>();
+  /** The programs that the browser compiles beside the page, so that none is compiled twice. */
+  private readonly compiling = new Map<string, Promise<void>>();
+  /** Ends the wait of the one drawing that runs. */
+  private stopWaiting = () => {};
   /** The blocks `View`, `Own` and `Lights` of the shaders. `Own` has the rows of all instances that are drawn. */
   private readonly view: GPUBuffer;
   private own: GPUBuffer;
@@ -55,6 +61,7 @@ export class WebGpu implements Backend {
     this.mostLayers = device.limits.maxTextureDimension3D;
     void device.lost.then(() => {
       this.isLost = true;
+      this.stopWaiting();
       onLost();
     });
     const visibility = GPUShaderStage.VERTEX | GPUShaderStage.FRAGMENT;
@@ -130,8 +137,11 @@ export class WebGpu implements Backend {
   }
 
   async compiled(program: Program): Promise<void> {
-    if (!this.pipelines.has(program.wgsl))
-      this.pipelines.set(program.wgsl, await this.device.createRenderPipelineAsync(this.description(program)));
+    const key = program.wgsl;
+    if (this.pipelines.has(key)) return;
+    const compile = async () => void this.pipelines.set(key, await this.device.createRenderPipelineAsync(this.description(program)));
+    if (!this.compiling.has(key)) this.compiling.set(key, compile());
+    await this.compiling.get(key);
   }
 
   prepare(pass: Pass): void {
@@ -199,13 +209,17 @@ export class WebGpu implements Backend {
     device.queue.submit([encoder.finish()]);
   }
 
-  async finished(): Promise<void> {
-    await Promise.race([this.device.queue.onSubmittedWorkDone(), this.device.lost]);
+  finished(): Promise<void> {
+    // A race with `device.lost` would leave a callback there for each picture, until the device is lost.
+    return new Promise((done, fail) => {
+      this.stopWaiting = done;
+      this.device.queue.onSubmittedWorkDone().then(done, fail);
+    });
   }
 
   async read(x: number, y: number, width: number, height: number): Promise<Bytes> {
     const { device } = this;
-    const stride = 256 * Math.ceil((4 * width) / 256);
+    const stride = aligned(4 * width);
     const buffer = device.createBuffer({ size: stride * height, usage: GPUBufferUsage.COPY_DST | GPUBufferUsage.MAP_READ });
     const encoder = device.createCommandEncoder();
     const origin = [x, this.target!.height - y - height];
