@@ -1,6 +1,6 @@
 // The controls of a view: the pointer and the keyboard move the camera and pick points, a bar below has the settings.
 
-import { Pick, View, text } from "./view";
+import { Pick, View, sentence, text } from "./view";
 import { Vector, unit } from "./vectors";
 
 // Rounded corners around the canvas, and shadows, would cost a device in software as much as the whole picture.
@@ -14,7 +14,7 @@ const STYLE = `
 .fb-bar input[type=range]{width:70px;margin:0;accent-color:#2f7fb5}
 .fb-bar button,.fb-bar select{font:inherit;color:inherit;border:1px solid #c9ced6;border-radius:5px;background:#fff;padding:1px 7px;cursor:pointer}
 .fb-bar output{min-width:3.2em;font-variant-numeric:tabular-nums}
-.fb-note{padding:0 9px 6px;display:flex;gap:0 14px;flex-wrap:wrap;color:#5d6572;min-height:1.9em;font-variant-numeric:tabular-nums}
+.fb-note{padding:0 9px 6px;display:flex;gap:0 14px;flex-wrap:wrap;color:#5d6572;min-height:1.9em;font-variant-numeric:tabular-nums;overflow-wrap:anywhere}
 .fb-note b{font-weight:600;color:#2b3038}
 .fb-dark{background:#20242b;color:#dfe3ea}
 .fb-dark .fb-note{color:#99a1ad}.fb-dark .fb-note b{color:#dfe3ea}
@@ -34,9 +34,6 @@ const STYLE = `
 
 /** The colours from 0 to the most steps or the largest error, as `heat` in shaders/viewer/view.wgsl has them. */
 const HEAT = "linear-gradient(90deg,#08081f,#401f73,#b3336b,#f58040,#ffeb99)";
-
-/** A device that is lost while it draws has no values. The next input draws them on another one. */
-const ignore = () => {};
 
 /** Length of a drag that turns the camera by 360 degrees, pixels. */
 const TURN_PX = 500;
@@ -71,6 +68,9 @@ export class Controls {
   private readonly buttons = new Map<string, HTMLButtonElement>();
   private readonly pointers = new Map<number, [number, number]>();
   private readonly stop = new AbortController();
+  /** The latest pixel below the pointer whose value is not yet requested, and whether a value is on its way. */
+  private hovered: [number, number] | null = null;
+  private isHovering = false;
   private isLight = false;
 
   constructor(
@@ -258,6 +258,7 @@ export class Controls {
     const { view } = this;
     canvas.tabIndex = 0;
     const moved = (act: () => void) => this.change(act, true);
+    const failed = (problem: unknown) => this.say(sentence(problem));
     const place = (event: MouseEvent): [number, number] => {
       const box = canvas.getBoundingClientRect();
       return [
@@ -275,7 +276,7 @@ export class Controls {
     canvas.addEventListener("pointermove", (event) => {
       const before = this.pointers.get(event.pointerId);
       if (!before) {
-        if (view.settings.slice && view.isComplete) void this.showValue(place(event)).catch(ignore);
+        if (view.settings.slice && view.isComplete) void this.showValue(place(event)).catch(failed);
         return;
       }
       const [dx, dy] = [event.clientX - before[0], event.clientY - before[1]];
@@ -304,7 +305,7 @@ export class Controls {
       moved(() => view.camera.zoom(Math.exp(Math.max(-0.5, Math.min(0.5, event.deltaY * lines * 0.0015)))));
     }, { ...on, passive: false });
     canvas.addEventListener("contextmenu", (event) => event.preventDefault(), on);
-    canvas.addEventListener("dblclick", (event) => void this.showPick(place(event)).catch(ignore), on);
+    canvas.addEventListener("dblclick", (event) => void this.showPick(place(event)).catch(failed), on);
     canvas.addEventListener("keydown", (event) => {
       const step = Math.PI / 24;
       const acts: Record<string, () => void> = {
@@ -339,8 +340,20 @@ export class Controls {
     this.onPick(pick);
   }
 
-  private async showValue([x, y]: [number, number]): Promise<void> {
-    const value = await this.view.sliceValue(x, y);
-    this.say(value === null ? "" : `distance ${text(value)}`);
+  /** Show the distance at a pixel. A pointer moves faster than a slow device answers: pixels between two answers are skipped. */
+  private async showValue(pixel: [number, number]): Promise<void> {
+    this.hovered = pixel;
+    if (this.isHovering) return;
+    this.isHovering = true;
+    try {
+      while (this.hovered) {
+        const [x, y]: [number, number] = this.hovered;
+        this.hovered = null;
+        const value = await this.view.sliceValue(x, y);
+        this.say(value === null ? "" : `distance ${text(value)}`);
+      }
+    } finally {
+      this.isHovering = false;
+    }
   }
 }

@@ -222,7 +222,7 @@ export class View {
           return;
         }
         this.hasFailed = true;
-        this.onProblem(problem instanceof Unavailable ? problem.message : String(problem));
+        this.onProblem(sentence(problem));
       })
       .finally(() => {
         this.isBusy = false;
@@ -300,8 +300,12 @@ export class View {
         resources.prepare(camera, settings, width, height, picture);
         return resources.value(Math.floor(x), Math.floor(y), height);
       };
-      const found = await Promise.all(pictures.map(value));
-      if (resources.engine.isLost) throw new Error("The graphics device was lost.");
+      // A lost device may fail in any call.
+      const found = await Promise.all(pictures.map(value)).catch((problem) => {
+        if (resources.engine.isLost) return [];
+        throw problem;
+      });
+      if (resources.engine.isLost) throw new Unavailable("The graphics device was lost. The next input uses another one.");
       return found;
     });
   }
@@ -466,7 +470,14 @@ function releaseShared(): void {
   if (!(shared instanceof WebGpu)) shared = null;
 }
 
-/** A number with four significant digits. */
+/** A number with four significant digits, at most eleven characters long. */
 export function text(value: number): string {
-  return value === 0 ? "0" : Number(value.toPrecision(4)).toString();
+  const short = Number(value.toPrecision(4));
+  const size = Math.abs(short);
+  return size === 0 || (size >= 1e-4 && size < 1e6) ? String(short) : short.toExponential();
+}
+
+/** An error as a sentence for the reader of the page. */
+export function sentence(problem: unknown): string {
+  return problem instanceof Unavailable ? problem.message : String(problem);
 }
