@@ -99,6 +99,27 @@ def test_twenty_pages_of_one_document_keep_their_pictures(tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
+def test_pages_outside_the_screen_do_not_delay_the_others(tmp_path: Path) -> None:
+    # Chromium paints nothing in frames outside the screen, so that they get no animation frames.
+    frame = frame_html(ball().to_html(size=SIZE), SIZE)
+    path = tmp_path / "long.html"
+    path.write_text("<!doctype html><body>" + 7 * f"{frame}<div style='height: 3000px'></div>", encoding="utf-8")
+    script = (
+        COMMON
+        + """
+      await page.waitForLoadState();
+      await page.evaluate(() => document.querySelectorAll("iframe")[6].scrollIntoView());
+      const frames = page.frames().slice(1);
+      const wait = { timeout: 60_000, polling: 100 };
+      return Promise.all(frames.map((frame) => frame.waitForFunction(isReady, null, wait).then(() => 1, () => 0)));
+    """
+    )
+    (result,) = visit([{"url": path.as_uri(), "script": script}])
+    assert result.errors == []
+    assert result.value == [1] * 7
+
+
+@pytest.mark.slow
 def test_lost_contexts_are_rebuilt(tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     ball().to_html(page, size=SIZE)

@@ -2,7 +2,7 @@
 
 import { Controls } from "./controls";
 import { Data } from "./data";
-import { Pixels, View, requestDevice } from "./view";
+import { Pixels, View, nextPaint, requestDevice } from "./view";
 import { inTurn } from "./turns";
 import { isForced } from "./webgpu";
 import { render } from "./widget";
@@ -90,14 +90,6 @@ interface PageHook {
   view: View;
 }
 
-/** Resolves after the browser has painted the page, or after 500 ms where it paints nothing. */
-function painted(): Promise<void> {
-  return new Promise((done) => {
-    requestAnimationFrame(() => setTimeout(done));
-    setTimeout(done, 500);
-  });
-}
-
 /** The bytes of a text in base64. Browsers before 2025 lack the function for it, which is a hundred times faster. */
 function decoded(text: string): Uint8Array<ArrayBuffer> {
   const { fromBase64 } = Uint8Array as { fromBase64?: (text: string) => Uint8Array<ArrayBuffer> };
@@ -112,7 +104,9 @@ async function openPage(): Promise<void> {
   const holder = document.getElementById("fieldbake-data");
   const root = document.getElementById("fieldbake-view");
   if (!holder || !root) return;
-  await painted();
+  // The browser paints the picture of the page first.
+  await nextPaint();
+  await new Promise((done) => setTimeout(done));
   if (isForced) await requestDevice();
   const mounted = mount(root, await inflated(decoded(holder.textContent ?? "")));
   const hook: PageHook = { ready: mounted.view.settled, pixels: () => mounted.view.pixels(), view: mounted.view };

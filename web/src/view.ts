@@ -57,6 +57,14 @@ let last: Promise<unknown> = Promise.resolve();
 /** Number of urgent drawings that wait: pictures in motion and values of pixels. Pictures at rest stop for them. */
 let urgent = 0;
 
+/** Resolves before the browser paints, or after 500 ms: a page in a frame outside the screen is not painted. */
+export function nextPaint(): Promise<void> {
+  return new Promise((done) => {
+    requestAnimationFrame(() => done());
+    setTimeout(done, 500);
+  });
+}
+
 /** Run a drawing after all earlier ones. */
 function inQueue<T>(isUrgent: boolean, draw: () => Promise<T>): Promise<T> {
   if (isUrgent) urgent++;
@@ -389,7 +397,7 @@ export class View {
       else if (!isNew) this.isCoarse = spent > (this.isCoarse ? FAST_MS : MOVING_MS);
     });
     // Other views draw until the browser shows the picture.
-    await new Promise(requestAnimationFrame);
+    await nextPaint();
   }
 
   private async drawStill(resources: Resources): Promise<void> {
