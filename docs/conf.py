@@ -26,6 +26,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "generated_pages",
     "mathml",
+    "property_text",
 ]
 # A word of a docstring, such as the type "faces", may name several attributes.
 # Files of results that are included below a title may skip a level of headings.

@@ -113,6 +113,17 @@ def test_built_pages_show_their_pictures_without_a_network(site: Path):
 
 
 @pytest.mark.slow
+def test_descriptions_of_properties_are_whole(site: Path):
+    """Words before a colon are no type of the property."""
+    for page, words in (
+        ("meshes", "signed by the winding: negative for a mesh that is inside out"),
+        ("queries", "(..., 3) float64: they point away from the inside"),
+    ):
+        text = re.sub(r"<[^>]+>", "", (site / "reference" / f"{page}.html").read_text(encoding="utf-8"))
+        assert words in " ".join(text.split())
+
+
+@pytest.mark.slow
 def test_the_search_works_without_a_network(site: Path):
     script = """
       await page.waitForSelector("#search-results .search li a", { timeout: 60_000 });
