@@ -124,6 +124,28 @@ def test_descriptions_of_properties_are_whole(site: Path):
 
 
 @pytest.mark.slow
+def test_code_stays_within_narrow_pages(site: Path):
+    # Names of code beyond the right border, except in tables, and the least width of long names in tables, pixels.
+    expression = """(() => {
+      const names = [...document.querySelectorAll("article code")].filter((name) => !name.closest("table, pre"));
+      const box = (name) => name.getBoundingClientRect();
+      const wide = names.filter((name) => box(name).right > innerWidth).map((name) => name.textContent);
+      const calls = [...document.querySelectorAll("article td code")].filter((name) => name.textContent.length > 10);
+      return { wide, least: Math.min(...calls.map((name) => box(name).width)) };
+    })()"""
+    jobs = [
+        {"url": (site / page).as_uri(), "expression": expression, "width": 390}
+        for page in ("howto/engines.html", "migration.html")
+    ]
+    engines, migration = visit(jobs)
+    for result in (engines, migration):
+        assert result.value is not None, result.errors
+        assert result.value["wide"] == []
+    # A character has about 8 pixels.
+    assert migration.value["least"] >= 75
+
+
+@pytest.mark.slow
 def test_the_search_works_without_a_network(site: Path):
     script = """
       await page.waitForSelector("#search-results .search li a", { timeout: 60_000 });
