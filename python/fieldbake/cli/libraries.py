@@ -23,7 +23,9 @@ def sample(
     near: Annotated[
         list[float] | None,
         typer.Option(
-            help="Standard deviation of the points near the surface, as for sample_training; may be repeated."
+            metavar="FRACTION",
+            help="Standard deviation of the points near the surface, fractions of the diagonal of the mesh's box; "
+            "may be repeated.",
         ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the random numbers.")] = 0,

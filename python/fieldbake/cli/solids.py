@@ -42,7 +42,10 @@ def mesh(
     ] = "inward",
     open: Annotated[
         list[str] | None,
-        typer.Option(help="Direction in which --shell leaves the wall open: z, -x or 0,0,1. May be repeated."),
+        typer.Option(
+            metavar="DIRECTION",
+            help="Direction in which --shell leaves the wall open: z, -x or 0,0,1. May be repeated.",
+        ),
     ] = None,
     resolution: Resolution = "256",
     simplify: Simplify = 0.0,
