@@ -431,7 +431,7 @@ def test_what_is_no_volume_is_baked_first(camera):
         ({"color": (1, 1)}, fb.ArgumentError, "color"),
         ({"color": (1, 1, -1)}, fb.ArgumentError, "color"),
         ({"background": (1, 1)}, fb.ArgumentError, "background"),
-        ({"lights": ["sun"]}, fb.SceneError, r"lights\[0\]"),
+        ({"lights": ["sun"]}, fb.SceneError, r"lights\[0\]: must be a DirectionalLight, PointLight or SpotLight"),
         ({"device": "abacus"}, fb.DeviceError, "abacus"),
     ],
     ids=str,

@@ -356,7 +356,9 @@ def _lights(lights: Sequence[Light] | None, camera: Camera) -> tuple[NDArray[np.
         raise SceneError(f"lights: must be a list of DirectionalLight, got {checks.describe(lights)}")
     for number, light in enumerate(lights):
         if not isinstance(light, DirectionalLight):
-            raise SceneError(f"lights[{number}]: raymarch draws DirectionalLight only, got {checks.describe(light)}")
+            raise SceneError(
+                f"lights[{number}]: must be a DirectionalLight, PointLight or SpotLight, got {checks.describe(light)}"
+            )
     directions = [light.direction for light in lights if isinstance(light, DirectionalLight)]
     colors = [np.multiply(light.color, light.intensity) for light in lights]
     return (
