@@ -48,6 +48,5 @@ fn is_solid<F: Blocks>(marcher: &Marcher<F>, voxel: [i32; 3]) -> bool {
     if marcher.empty().distance(voxel.map(F::block_of)) > 0 {
         return false;
     }
-    let voxel = IVec3::from(voxel);
-    marcher.field.cell(voxel).at(voxel.as_dvec3()) <= 0.0
+    marcher.field.at_voxel(IVec3::from(voxel)) <= 0.0
 }

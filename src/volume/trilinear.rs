@@ -81,7 +81,13 @@ pub trait Trilinear: Sync {
         // A point on the upper face rounds to n.
         let voxel = self.clamp_to_box(self.grid_from_world(p)).round();
         let voxel = voxel.max(DVec3::ZERO).min(self.shape() - 1.0);
-        self.cell(voxel.as_ivec3()).at(voxel)
+        self.at_voxel(voxel.as_ivec3())
+    }
+
+    /// The sample of a voxel.
+    #[inline]
+    fn at_voxel(&self, voxel: IVec3) -> f32 {
+        self.cell(voxel).at(voxel.as_dvec3())
     }
 
     /// Gradient of the trilinear field, distance per world unit. A point outside the box is replaced by the nearest
