@@ -37,7 +37,13 @@ struct BeamParams {
 
 const MAX_DEPTH: u32 = 34u;
 const MAX_CONE_STEPS: u32 = 512u;
+// Twins of the constants in cone.rs and shadow.rs.
+const TAU: f32 = 6.2831855;
+const EDGE_DIRECTIONS: u32 = 8u;
+const EDGE_COSINE: f32 = 0.9238795;
 const PAST_EDGE: f32 = 1.25;
+const FULL_CLEARANCE: f32 = 0.5;
+const END_FADE: f32 = 0.5;
 const WIDE: u32 = 2u;
 // Least step along a wide cone, in radii.
 const WIDE_STEP: f32 = 0.4;
@@ -274,26 +280,12 @@ struct Cone {
 // Evaluates a cone past one occluder. Only edges closer to the axis than x_known are relevant. Without `with_edges` a
 // cone that needs a ray past an edge sets `needs_edge`.
 fn cone_past(caster: Caster, beam: Beam, x_known: f32, with_edges: bool) -> Cone {
-    let index = caster.index;
-    let to = &instances[index];
-    let field = fields[(*to).field];
-    let ray = ray_in_field(index, beam);
-    let speed = length(ray.direction);
-    let needed = beam.slope * max(x_known, 0.0);
-    let grown = (*to).field_extent * widest(beam.p, needed, (*to).box_min, (*to).box_max, beam.t_max);
-    let lower = (*to).surface_lower - grown;
-    let upper = (*to).surface_upper + grown;
-    var span = clip(ray.origin, ray.direction, lower, upper, caster.part);
+    let ray = ray_in_field(caster.index, beam);
+    let span = cone_span(caster, beam, ray, x_known);
     if span.x > span.y { return Cone(1.0, false); }
-    // Only levels of the far field are skipped.
-    if caster.skip > 0.0 && sampled_distance(field, ray.origin + span.x * ray.direction) <= 0.0 {
-        span = clip(ray.origin, ray.direction, lower, upper, caster.part + vec2f(caster.skip, 0.0));
-        if span.x > span.y { return Cone(1.0, false); }
-    }
-    let least_step = 0.5 / speed;
     let t_hit = hit_of(caster, ray);
     if t_hit < 0.0 && x_known <= 0.0 { return Cone(1.0, false); }
-    let deepest = nearest_edge(beam, index, ray, x_known, span, least_step, t_hit);
+    let deepest = nearest_edge(beam, caster.index, ray, x_known, span, t_hit);
     if t_hit < 0.0 { return Cone(deepest.x, false); }
     if deepest.x <= -1.0 { return Cone(-1.0, true); }
     // A disc with a blocked axis that no occluder covers is divided, so its own fraction is not used.
@@ -302,36 +294,81 @@ fn cone_past(caster: Caster, beam: Beam, x_known: f32, with_edges: bool) -> Cone
         needs_edge = true;
         return Cone(-1.0, false);
     }
+    var most = most_room_past(caster, beam, ray, deepest);
+    if beam.is_coarse == WIDE { most = max(most, 1.0 - (beam.t_max - t_hit) / (END_FADE * beam.slope * beam.t_max)); }
+    return Cone(most * (1.0 + deepest.x) - 1.0, false);
+}
 
-    // The nearest surface across the ray. It counts as an edge only if a ray just beyond it is free.
-    let p = ray.origin + deepest.y * ray.direction;
-    let normal = scene_normal(index, field_gradient(field, p));
-    let aside = normal - dot(normal, beam.direction) * beam.direction;
-    let size = length(aside);
-    if size < TINY { return Cone(-1.0, false); }
-    let past = PAST_EDGE * -deepest.x * beam.slope
-        + least_step * (*to).largest_stretch / (*to).least_stretch / deepest.y;
-    if past > 2.0 * beam.slope { return Cone(-1.0, false); }
-    var edge = beam;
-    edge.slope = 0.0;
-    edge.direction = beam.direction + past * (aside / size);
-    let longer = length(edge.direction);
-    edge.direction /= longer;
-    edge.t_max = min(beam.t_max * longer, FAR_T);
-    let was_far = is_far;
-    let passes = ray_share(edge);
-    is_far = was_far;
-    if passes > 0.0 { return Cone(deepest.x, false); }
-    return Cone(-1.0, false);
+// The interval of a cone in which the surface of an occluder may come within `x_known` radii of the axis.
+fn cone_span(caster: Caster, beam: Beam, ray: FieldRay, x_known: f32) -> vec2f {
+    let to = &instances[caster.index];
+    let needed = beam.slope * max(x_known, 0.0);
+    let grown = (*to).field_extent * widest(beam.p, needed, (*to).box_min, (*to).box_max, beam.t_max);
+    let lower = (*to).surface_lower - grown;
+    let upper = (*to).surface_upper + grown;
+    let span = clip(ray.origin, ray.direction, lower, upper, caster.part);
+    // Only levels of the far field are skipped.
+    if span.x > span.y || caster.skip == 0.0 { return span; }
+    if sampled_distance(fields[(*to).field], ray.origin + span.x * ray.direction) > 0.0 { return span; }
+    return clip(ray.origin, ray.direction, lower, upper, caster.part + vec2f(caster.skip, 0.0));
+}
+
+// The largest clearance of rays past the edges of an occluder in radii, from 0 to 1: see `rays_past` in cone.rs.
+fn most_room_past(caster: Caster, beam: Beam, ray: FieldRay, deepest: vec2f) -> f32 {
+    let index = caster.index;
+    let to = &instances[index];
+    let t = deepest.y;
+    let depth = -deepest.x * beam.slope * t;
+    let beyond = PAST_EDGE * depth + 0.5 / length(ray.direction) * (*to).largest_stretch / (*to).least_stretch;
+    if beyond > 2.0 * beam.slope * t { return 0.0; }
+    let slope = FULL_CLEARANCE * (beyond * EDGE_COSINE - depth) / t;
+    let axes = axes_of(beam.direction);
+    let p = ray.origin + t * ray.direction;
+    var bounds: array<f32, EDGE_DIRECTIONS>;
+    for (var i = 0u; i < EDGE_DIRECTIONS; i++) {
+        steps++;
+        let angle = f32(i) * (TAU / f32(EDGE_DIRECTIONS));
+        let aside = cos(angle) * axes.right + sin(angle) * axes.up;
+        let q = p + field_direction(index, beyond * aside);
+        bounds[i] = min(across(index, field_distance(fields[(*to).field], q), q) / (slope * t), 1.0);
+    }
+    var most = 0.0;
+    for (var round = 0u; round < EDGE_DIRECTIONS; round++) {
+        var first = 0u;
+        for (var i = 1u; i < EDGE_DIRECTIONS; i++) {
+            if bounds[i] > bounds[first] { first = i; }
+        }
+        let bound = bounds[first];
+        if bound <= most { break; }
+        bounds[first] = 0.0;
+        let angle = f32(first) * (TAU / f32(EDGE_DIRECTIONS));
+        var past = beam;
+        past.slope = slope;
+        past.is_coarse = 1u;
+        past.direction = beam.direction + beyond / t * (cos(angle) * axes.right + sin(angle) * axes.up);
+        let longer = length(past.direction);
+        past.direction /= longer;
+        past.t_max = min(beam.t_max * longer, FAR_T);
+        let past_ray = ray_in_field(index, past);
+        let span = cone_span(caster, past, past_ray, 1.0);
+        var room = bound;
+        if span.x <= span.y { room = min(room, nearest_edge(past, index, past_ray, 1.0, span, -1.0).x); }
+        if room <= most { continue; }
+        past.slope = 0.0;
+        let was_far = is_far;
+        let passes = ray_share(past);
+        is_far = was_far;
+        if passes > 0.0 { most = room; }
+    }
+    return most;
 }
 
 // The nearest edge on the axis of a cone, in radii, and its position. A free axis has a smallest clearance, at most
 // x_known. An axis that enters the occluder at t_hit has a depth behind it, which is negative. One loop computes both,
 // because drivers inline functions.
-fn nearest_edge(
-    beam: Beam, index: u32, ray: FieldRay, x_known: f32, span: vec2f, least_step: f32, t_hit: f32
-) -> vec2f {
+fn nearest_edge(beam: Beam, index: u32, ray: FieldRay, x_known: f32, span: vec2f, t_hit: f32) -> vec2f {
     let field = fields[instances[index].field];
+    let least_step = 0.5 / length(ray.direction);
     let pace = 1.0 / length(local_direction(index, beam.direction));
     let is_blocked = t_hit >= 0.0;
     var nearest = vec2f(select(x_known, 0.0, is_blocked), t_hit);
@@ -354,7 +391,7 @@ fn nearest_edge(
             clear = across(index, local, p);
             let x = clear / radius;
             if x < nearest.x { nearest = vec2f(x, t); }
-            if x <= -1.0 { break; }
+            if x <= -1.0 || (x <= 0.0 && !is_blocked) { break; }
         }
         let along = (before * before - clear * clear + step * step) / (2.0 * step);
         if is_wide && step > 0.0 && step <= before && along > 0.0 && along < step {
@@ -362,12 +399,19 @@ fn nearest_edge(
             let closest = sqrt(max(before * before - along * along, 0.0));
             nearest.x = min(nearest.x, closest / (beam.slope * (t - step + along)));
         }
+        if is_wide && t >= span.y { break; }
         before = clear;
         step = select(distance, -distance, is_blocked) * pace;
         // Near a narrow cone, half steps find the closest approach to 3 %.
         if is_wide { step = max(step, WIDE_STEP * radius); }
         else if is_blocked || step < 2.0 * radius { step *= 0.5; }
         step = max(step, least_step);
+        // A wide cone is evaluated at its end, see `beside_wide` in cone.rs.
+        if is_wide && t + step >= span.y {
+            step = span.y - t;
+            t = span.y;
+            continue;
+        }
         t += step;
         if t >= span.y { break; }
     }

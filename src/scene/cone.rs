@@ -9,8 +9,18 @@ use super::nearby::Beside;
 use super::thin::ThinRays;
 use glam::Vec3;
 
+/// Number of directions around the axis of a blocked cone in which an edge is sought. A straight edge is at most 22.5
+/// degrees away from one of them.
+pub(crate) const EDGE_DIRECTIONS: usize = 8;
+/// Cosine of half the angle between two of these directions.
+const EDGE_COSINE: f32 = 0.923_879_5;
+
 /// Distance beyond an edge at which a ray must pass to prove the edge, in depths of the axis.
 const PAST_EDGE: f32 = 1.25;
+
+/// Fraction of the clearance beyond a straight edge at which the edge counts completely. The rest covers convex and
+/// concave edges, and distances that a field rounds.
+const FULL_CLEARANCE: f32 = 0.5;
 
 /// Largest number of steps of one cone past one instance. Steps of at least half a voxel cross the diagonal of 128^3 in
 /// 450; few cones stay so near to a surface for so long.
@@ -154,7 +164,6 @@ pub(crate) struct ConeWalk<'a> {
     pub instance: &'a Instance,
     pub start: Vec3,
     pub direction: Vec3,
-    pub ray_scene: Vec3,
     pub enter: f32,
     pub leave: f32,
     pub slope: f32,
@@ -192,6 +201,9 @@ impl ConeWalk<'_> {
             if distance * self.instance.stretch[0] < x * radius {
                 let clear = self.across(self.field.distance_guess(p, distance).max(0.0), p);
                 x = x.min(clear / radius);
+                if x <= 0.0 {
+                    break;
+                }
             }
             // Near a surface, half steps find the closest approach to 3 %.
             let step = distance * self.pace;
@@ -235,7 +247,7 @@ impl ConeWalk<'_> {
             let distance = self.field.distance(p);
             let free = distance * self.pace;
             let next = free.max(WIDE_STEP * radius).max(self.least_step);
-            if next > free && !is_free {
+            if next > free && !is_free && t < self.leave {
                 if let Some(t_hit) = hit_from(t - step) {
                     return Err(t_hit);
                 }
@@ -251,22 +263,24 @@ impl ConeWalk<'_> {
                 let closest = (before * before - along * along).max(0.0).sqrt();
                 x = x.min(closest / (self.slope * (t - step + along)));
             }
+            if t >= self.leave {
+                break;
+            }
             before = clear;
-            step = next;
-            t += step;
-            if t >= self.leave || wide.ball.is_passed(t, self.slope * x.min(x_known).max(0.0)) {
+            // The last evaluation is at the end, so that an approach there enters the result without a jump.
+            (step, t) = if t + next < self.leave { (next, t + next) } else { (self.leave - t, self.leave) };
+            if wide.ball.is_passed(t, self.slope * x.min(x_known).max(0.0)) {
                 break;
             }
         }
         Ok(x)
     }
 
-    /// The axis enters the solid at `t_hit`. Returns its depth in radii, and the offset of a unit direction that would
-    /// pass the nearest edge, if that edge is near enough. `ball` contains the surface, if such a ball is known.
-    pub(crate) fn inside(&self, t_hit: f32, ball: Option<&BallAhead>, steps: &mut u32) -> (Cone, Option<Vec3>) {
+    /// The axis enters the solid at `t_hit`. Returns its depth in radii, and the position of the deepest point, if the
+    /// solid does not cover the whole section there. `ball` contains the surface, if such a ball is known.
+    pub(crate) fn inside(&self, t_hit: f32, ball: Option<&BallAhead>, steps: &mut u32) -> (f32, f32) {
         // Under a non-uniform scale the depth is an estimate, which the ball does not bound.
         let ball = ball.filter(|_| self.instance.is_uniform());
-        let dark = Cone { x: -1.0, is_covered: false };
         let mut deepest = (0.0f32, t_hit);
         // Immediately behind the surface, where the field is below zero.
         let mut t = t_hit + 0.5 * self.least_step;
@@ -278,28 +292,65 @@ impl ConeWalk<'_> {
                 break;
             }
             let x = self.across(distance, p) / (self.slope * t);
-            if x <= -1.0 {
-                return (Cone { x: -1.0, is_covered: true }, None);
-            }
             if x < deepest.0 {
                 deepest = (x, t);
+            }
+            if x <= -1.0 {
+                break;
             }
             t += (-0.5 * distance * self.pace).max(self.least_step);
             if t >= self.leave || ball.is_some_and(|ball| ball.depth_beyond(t, self.slope) <= -deepest.0) {
                 break;
             }
         }
-        // The nearest surface across the ray, and a ray just beyond it.
-        let (x, t) = deepest;
-        let p = self.at(t);
-        let normal = self.instance.local_from_scene.transpose() * self.field.gradient(p);
-        let across = normal - normal.dot(self.ray_scene) * self.ray_scene;
-        let Some(across) = across.try_normalize() else { return (dark, None) };
-        let past =
-            PAST_EDGE * -x * self.slope + self.least_step * self.instance.stretch[1] / self.instance.stretch[0] / t;
-        let edge = (past <= 2.0 * self.slope).then_some(past * across);
-        (Cone { x, is_covered: false }, edge)
+        deepest
     }
+
+    /// Rays from the apex beyond the nearest edge of a solid in which the axis is deepest at `t`, with the depth `x` in
+    /// radii, and the number of these rays. `right` and `up` are unit vectors across the axis. The clearance of each ray
+    /// is known at `t` only, so it is an upper bound. The largest bound comes first.
+    pub(crate) fn rays_past(
+        &self,
+        (x, t): (f32, f32),
+        [right, up]: [Vec3; 2],
+        steps: &mut u32,
+    ) -> ([RayPast; EDGE_DIRECTIONS], usize) {
+        let half_voxel = self.least_step * self.instance.stretch[1] / self.instance.stretch[0];
+        let depth = -x * self.slope * t;
+        let beyond = PAST_EDGE * depth + half_voxel;
+        let slope = FULL_CLEARANCE * (beyond * EDGE_COSINE - depth) / t;
+        let mut rays = [RayPast { offset: Vec3::ZERO, slope, most: 0.0 }; EDGE_DIRECTIONS];
+        let mut count = 0;
+        // A ray that leaves the cone by its radius says nothing about the section of the cone.
+        if beyond > 2.0 * self.slope * t {
+            return (rays, 0);
+        }
+        let step = self.instance.field_from_scene.matrix3.as_mat3();
+        for i in 0..EDGE_DIRECTIONS {
+            let (sine, cosine) = (i as f32 * (std::f32::consts::TAU / EDGE_DIRECTIONS as f32)).sin_cos();
+            let aside = cosine * right + sine * up;
+            *steps += 1;
+            let p = self.at(t) + step * (beyond * aside);
+            let clear = self.across(self.field.distance(p), p);
+            if clear > 0.0 {
+                rays[count] = RayPast { offset: beyond / t * aside, slope, most: (clear / (slope * t)).min(1.0) };
+                count += 1;
+            }
+        }
+        rays[..count].sort_by(|a, b| b.most.total_cmp(&a.most));
+        (rays, count)
+    }
+}
+
+/// A ray beyond the nearest edge of a solid that blocks the axis of a cone.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct RayPast {
+    /// Its offset from the unit direction of the axis.
+    pub offset: Vec3,
+    /// The edge counts completely if the ray is the axis of a free cone of this slope.
+    pub slope: f32,
+    /// Upper bound of its clearance, in radii of that cone.
+    pub most: f32,
 }
 
 #[cfg(test)]

@@ -18,14 +18,17 @@
 //! [`PARTS`] narrow cones that divide the disc evenly, in which edges are straight enough.
 //!
 //! If the axis itself is blocked, the depth inside gives the distance of the edge only if there is an edge: the middle
-//! of a thin wall is as shallow as its rim. A ray is therefore traced just beyond the presumed edge, and the edge
-//! counts only if that ray arrives. Closed walls do not leak light, at any thickness and in any number of parts.
+//! of a thin wall is as shallow as its rim. Rays just beyond the presumed edge are therefore evaluated, in
+//! [`super::cone::EDGE_DIRECTIONS`] directions around the axis. The edge counts as far as the widest of them stays clear
+//! of the occluder and of all others. So the result changes continuously where an edge comes close to other parts, and
+//! where the axis passes the middle of a rod. Closed walls do not leak light, at any thickness and in any number of
+//! parts.
 //!
 //! *Bias.* Only the surface's own instance needs a bias, because its field and its triangles differ by a fraction of a
 //! voxel: the ray starts a number of voxels off the surface. No constant is in world units, so the scale of the scene
 //! has no effect. Other instances touch the surface without a gap.
 
-use super::cone::{Cone, ConeShare, ConeSum, ConeWalk, WideCone};
+use super::cone::{Cone, ConeShare, ConeSum, ConeWalk, RayPast, WideCone};
 use super::far::{Far, FarLevel, Split};
 use super::field::{Field, FieldRay};
 use super::light_rays::{LightCone, LightRay, LightWork, PARTS, SurfacePoint, basis, clip, disc_point, toward, widest};
@@ -35,6 +38,9 @@ use super::tree::Line;
 use super::{Instance, Scene};
 use crate::geometry::Aabb;
 use glam::DVec3;
+
+/// Length in which an occluder at the end of a cone of occlusion fades out, in radii of the cone's end.
+const END_FADE: f32 = 0.5;
 
 /// The occluders of a picture: the instances of a scene and, past a distance, one far field for all of them
 /// ([`super::far`]).
@@ -383,20 +389,50 @@ impl<'a> Casters<'a> {
         wide: Option<&WideCone<'_>>,
         work: &mut LightWork,
     ) -> Cone {
-        let (cone, edge) = walk.inside(t_hit, wide.map(|wide| &wide.ball), &mut work.steps);
-        // The edge counts only if a ray past it is free.
-        let is_edge = edge.is_some_and(|edge| {
-            let direction = ray.direction + edge.as_dvec3();
-            let length = direction.length();
-            let past = LightRay { direction: direction / length, t_max: ray.t_max * length };
-            // The occluder itself is the likeliest to block the ray.
-            let is_first = self.far.is_none() && caster.instance.shade >= 1.0;
-            let passed = is_first.then_some(caster.instance);
-            let beside = wide.map(|wide| (&wide.beside, edge.length()));
-            !(is_first && self.hit_of(caster, place, &past, work).is_some())
-                && self.pass_ray(place, &past, passed, beside, work).0 > 0.0
-        });
-        if cone.is_covered || is_edge { cone } else { Cone { x: -1.0, is_covered: false } }
+        let deepest = walk.inside(t_hit, wide.map(|wide| &wide.ball), &mut work.steps);
+        if deepest.0 <= -1.0 {
+            return Cone { x: -1.0, is_covered: true };
+        }
+        // The edge counts as far as a ray past it has room.
+        let axes = basis(ray.direction).map(|axis| axis.as_vec3());
+        let (rays, count) = walk.rays_past(deepest, axes, &mut work.steps);
+        let mut most = 0.0f32;
+        for past in &rays[..count] {
+            if past.most <= most {
+                break;
+            }
+            let room = self.room_past(caster, past, place, ray, wide, work);
+            if room > most {
+                most = room;
+            }
+        }
+        if wide.is_some() {
+            // The end of the cone is open: an occluder at the end of the reach fades out.
+            most = most.max(1.0 - (ray.t_max as f32 - t_hit) / (END_FADE * walk.slope * ray.t_max as f32));
+        }
+        Cone { x: most * (1.0 + deepest.0) - 1.0, is_covered: false }
+    }
+
+    /// The clearance of a ray past an edge of an occluder in radii, from 0 to 1. It is 0 if another occluder blocks the
+    /// ray.
+    fn room_past(
+        &self,
+        caster: &Caster<'_>,
+        past: &RayPast,
+        place: &SurfacePoint,
+        ray: &LightRay,
+        wide: Option<&WideCone<'_>>,
+        work: &mut LightWork,
+    ) -> f32 {
+        let direction = ray.direction + past.offset.as_dvec3();
+        let length = direction.length();
+        let ray = LightRay { direction: direction / length, t_max: ray.t_max * length };
+        let cone = LightCone { place, ray: &ray, slope: past.slope };
+        let room = cone_walk(caster, cone, 1.0).map_or(1.0, |walk| walk.beside(1.0, &mut work.steps));
+        let room = room.min(past.most);
+        let passed = self.far.is_none().then_some(caster.instance);
+        let beside = wide.map(|wide| (&wide.beside, past.offset.length()));
+        if room > 0.0 && self.pass_ray(place, &ray, passed, beside, work).0 > 0.0 { room } else { 0.0 }
     }
 }
 
@@ -423,7 +459,6 @@ fn cone_walk<'a>(
         // From the entry on, float32 is sufficient.
         start: (origin + enter * direction).as_vec3(),
         direction: direction.as_vec3(),
-        ray_scene: ray.direction.as_vec3(),
         enter: enter as f32,
         leave: leave as f32,
         slope,

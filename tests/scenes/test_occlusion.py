@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+import trimesh
 
 import fieldbake as fb
 import meshes
@@ -111,6 +112,25 @@ def test_occlusion_is_that_of_exact_cones(kind: str, device: str) -> None:
     assert (error <= 1 / 16 + 1 / 7 / 4).mean() >= 0.98
     # Culled occluders would brighten the floor as a whole.
     assert abs((open_share - exact).mean()) <= 1 / 64
+
+
+@pytest.mark.parametrize("reach", [1.2, 2.0, 3.0])
+def test_occlusion_under_a_long_tube_depends_on_the_distance_from_it_alone(reach: float, device: str) -> None:
+    cylinder = trimesh.creation.cylinder(0.35, 12, sections=48)
+    tube = fb.bake(fb.Mesh(cylinder.vertices, cylinder.faces), 96, device="cpu")
+    scene = fb.Scene([fb.Instance(tube, moved(0, 1.2, 0)), plane(8, y=0)], lights=[], ambient=1, background=(0, 0, 0))
+    camera = fb.Camera((5, 4, 0.3), (0, 0.4, 0), fov_deg=50)
+    options = {"size": (400, 300), "shadows": "none", "device": device}
+    plain, frame = (fb.render(scene, camera, **options, ambient_occlusion=wanted) for wanted in (False, reach))
+    place = positions(plain, camera)
+    # The ends of the tube are out of reach.
+    near = (np.asarray(plain.object_id) == 1) & (np.abs(place[..., 2]) <= 2.5)
+    share = frame.color[..., 0][near] / plain.color[..., 0][near]
+    column = np.floor(place[..., 0][near] / 0.02).astype(int)
+    ranges = [np.ptp(share[column == i]) for i in np.unique(column) if np.sum(column == i) >= 5]
+    assert len(ranges) > 300
+    # A cone of the ring has an eighth of the weight. A jump of half of its fraction would be a visible line.
+    assert np.max(ranges) <= 1 / 16
 
 
 def test_interpolated_occlusion_is_that_of_a_finer_picture() -> None:
