@@ -1,8 +1,14 @@
 //! Tangent planes from the mesh that a field was computed from.
+//!
+//! On an edge or a vertex of the mesh several faces meet. A point outside a convex edge has the same distance from both
+//! of its faces, and rounding would decide which is the nearest. Such points therefore use all the faces: a probe adds
+//! all of their planes, and a crossing has the mean of their normals.
 
 use super::probes::PROBES;
 use super::{Crossing, ExtraPlanes, LevelSurface};
-use crate::bvh::watertight::Ray;
+use crate::bvh::Bvh;
+use crate::bvh::closest::ClosestPoint;
+use crate::bvh::watertight::{FaceHit, Ray};
 use crate::error::Error;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
@@ -18,6 +24,9 @@ const REACH_VOXELS: f64 = 0.9;
 /// Offsets below this many voxels use the normals of faces, since the direction to the nearest point has lost its
 /// precision.
 const FLAT_VOXELS: f64 = 1e-3;
+
+/// Faces are equally near if their distances differ by at most this, local units: a million roundings of float64.
+const TIE: f64 = 1e-9;
 
 /// Replaces the planes of `crossings` by tangent planes of the surface at the distance `offset` from `mesh`, world
 /// units. With `unsigned` the distance is without a sign, so a positive offset surrounds the mesh on both sides.
@@ -35,10 +44,16 @@ pub fn planes_of_mesh(
     let voxel = surface.spacing.max_element();
     progress.set_total(crossings.len() as u64);
     mesh.bvh();
-    crossings.par_chunks_mut(CHUNK).try_for_each(|chunk| {
-        for crossing in chunk.iter_mut().filter(|crossing| !crossing.on_box) {
-            let plane = if !unsigned && offset.abs() <= FLAT_VOXELS * voxel {
-                crossed_face(surface, mesh, crossing).or_else(|| nearest_face(mesh, crossing, REACH_VOXELS * voxel))
+    let is_flat = !unsigned && offset.abs() <= FLAT_VOXELS * voxel;
+    crossings.par_chunks_mut(CHUNK).try_for_each_init(Vec::new, |hits, chunk| {
+        if is_flat {
+            let rays: Vec<Ray> = chunk.iter().map(|crossing| ray_of_edge(surface, mesh, crossing)).collect();
+            mesh.all_hits(&rays, true, hits);
+        }
+        for (i, crossing) in chunk.iter_mut().enumerate().filter(|(_, crossing)| !crossing.on_box) {
+            let plane = if is_flat {
+                crossed_face(surface, mesh, crossing, &hits[i])
+                    .or_else(|| nearest_face(mesh, crossing, REACH_VOXELS * voxel))
             } else {
                 offset_plane(mesh, crossing, offset, unsigned, REACH_VOXELS * voxel)
             };
@@ -66,59 +81,115 @@ pub fn planes_around_of_mesh(
     let sign = if inward { -1.0 } else { 1.0 };
     let planes = |places: &[DVec3; PROBES], near: DVec3, known: &mut Vec<u32>, found: &mut Vec<(DVec3, DVec3)>| {
         let points = places.map(|place| mesh.local_from_world(place));
-        for (face, point) in nearest_faces(mesh, &points, mesh.local_from_world(near)).into_iter().zip(points) {
-            if known.contains(&face) {
-                continue;
-            }
-            known.push(face);
-            let nearest = mesh.closest_point_on_face(face, point).on_triangle.point;
-            found.extend(normal_of(mesh, face).map(|normal| (mesh.world_from_local(nearest), sign * normal)));
-        }
+        nearest_faces(mesh, &points, mesh.local_from_world(near), known, |closest| {
+            let point = mesh.world_from_local(closest.on_triangle.point);
+            found.extend(normal_of(mesh, closest.face).map(|normal| (point, sign * normal)));
+        });
     };
     surface.planes_around(crossings, planes, progress)
 }
 
-/// The nearest faces of points around the first one, in local units. `near` is a point of the mesh.
-fn nearest_faces(mesh: &Mesh, points: &[DVec3; PROBES], near: DVec3) -> [u32; PROBES] {
-    let reach = points.iter().map(|point| point.distance(points[0])).fold(0.0, f64::max);
-    let bvh = mesh.bvh_within(points[0].abs().max_element() + reach);
+/// Finds the nearest faces of points around the first one, local units: for each point in order all nearest faces, in
+/// ascending order. Those that are not in `known` are added to it and passed to `on_face`. `near` is a point of the
+/// mesh.
+fn nearest_faces(
+    mesh: &Mesh,
+    points: &[DVec3; PROBES],
+    near: DVec3,
+    known: &mut Vec<u32>,
+    mut on_face: impl FnMut(ClosestPoint),
+) {
+    let step = points.iter().map(|point| point.distance(points[0])).fold(0.0, f64::max);
+    let reach = points[0].abs().max_element() + step;
+    let bvh = mesh.bvh_within(reach);
+    let slack = Bvh::nearest_slack(reach);
     let nearest = |point: DVec3, bound: f64| {
         // The factor covers the rounding of float32.
         let bound = (bound * 1.001 + f64::from(f32::EPSILON)) as f32;
-        bvh.nearest(point.as_vec3(), bound * bound).or_else(|| bvh.nearest(point.as_vec3(), f32::INFINITY))
+        let found = bvh.nearest(point.as_vec3(), bound * bound).or_else(|| bvh.nearest(point.as_vec3(), f32::INFINITY));
+        found.map_or(0.0, |found| found.distance_squared.sqrt())
     };
-    let Some(first) = nearest(points[0], points[0].distance(near)) else { return [0; PROBES] };
-    // The surface lies within `distance` of the first point, so within `distance + reach` of every other one. The
-    // triangle that is nearest to it lies within `reach` more of the first point.
-    let distance = f64::from(first.distance_squared).sqrt();
-    let radius = (distance + 2.0 * reach) * 1.001 + f64::from(f32::EPSILON);
+    // The surface lies within `distance` of the first point, so within `distance + step` of every other one. The
+    // triangle that is nearest to it lies within `step` more of the first point.
+    let distance = f64::from(nearest(points[0], points[0].distance(near)));
+    let radius = ((distance + 2.0 * step) * 1.001 + f64::from(f32::EPSILON)) as f32 + slack;
     let rows = [0, 1, 2].map(|axis| std::array::from_fn(|i| points[i.min(PROBES - 1)][axis] as f32));
-    match bvh.nearest_of_group(points[0].as_vec3(), radius as f32, &rows) {
-        Some(faces) => std::array::from_fn(|i| faces[i]),
-        None => points.map(|point| nearest(point, distance + reach).map_or(first.face, |nearest| nearest.face)),
+    let mut found = Vec::with_capacity(2 * PROBES);
+    if !bvh.nearest_of_group(points[0].as_vec3(), radius, &rows, slack, &mut found) {
+        for (i, &point) in points.iter().enumerate() {
+            let least = nearest(point, distance + step);
+            bvh.faces_within(point.as_vec3(), least + slack, |face| found.push((face, 1 << i)));
+        }
+    }
+    // The order must not depend on the tree.
+    found.sort_unstable();
+    let mut closest = Vec::with_capacity(PROBES);
+    for (i, &point) in points.iter().enumerate() {
+        let faces = found.iter().filter(|(_, of)| of >> i & 1 == 1).map(|&(face, _)| face);
+        if faces.clone().all(|face| known.contains(&face)) {
+            continue;
+        }
+        closest.clear();
+        closest.extend(faces.map(|face| mesh.exact_point_on_face(face, point)));
+        let least = closest.iter().map(|found| found.distance).fold(f64::INFINITY, f64::min);
+        for &found in closest.iter().filter(|found| found.distance <= least + TIE) {
+            if !known.contains(&found.face) {
+                known.push(found.face);
+                on_face(found);
+            }
+        }
     }
 }
 
-/// The intersection of the crossing's edge with the mesh that is nearest to the crossing, and the normal of its face.
-fn crossed_face(surface: &LevelSurface, mesh: &Mesh, crossing: &Crossing) -> Option<(DVec3, DVec3)> {
+/// The crossing's edge in local units, `t` from 0 to 1.
+fn ray_of_edge(surface: &LevelSurface, mesh: &Mesh, crossing: &Crossing) -> Ray {
+    let [origin, tip] = surface.ends(crossing).map(|end| mesh.local_from_world(end));
+    Ray { origin, direction: tip - origin, t_min: 0.0, t_max: 1.0 }
+}
+
+/// Moves the crossing to the nearest of the intersections of its edge with the mesh. Returns the point and the normal
+/// there.
+fn crossed_face(
+    surface: &LevelSurface,
+    mesh: &Mesh,
+    crossing: &mut Crossing,
+    hits: &[FaceHit],
+) -> Option<(DVec3, DVec3)> {
+    let away = |hit: &FaceHit| (hit.t - crossing.share).abs();
+    let hit = hits.iter().min_by(|a, b| away(a).total_cmp(&away(b)))?;
     let [start, end] = surface.ends(crossing);
-    let (origin, tip) = (mesh.local_from_world(start), mesh.local_from_world(end));
-    let mut best = (f64::INFINITY, None);
-    mesh.first_hit(&Ray { origin, direction: tip - origin, t_min: 0.0, t_max: 1.0 }, |hit| {
-        if (hit.t - crossing.share).abs() < best.0 {
-            best = ((hit.t - crossing.share).abs(), Some(*hit));
-        }
-        false
-    });
-    let hit = best.1?;
-    Some((start + (end - start) * hit.t, normal_of(mesh, hit.face)?))
+    let point = start + (end - start) * hit.t;
+    let normal = if hit.weights.iter().any(|&weight| weight <= TIE) {
+        mean_normal(mesh, mesh.local_from_world(point), 0.0, crossing.normal)
+    } else {
+        hit.cross.try_normalize()
+    };
+    (crossing.on_edge, crossing.share) = (point, hit.t);
+    Some((point, normal?))
 }
 
 /// The nearest point of the mesh and the normal of its face.
 fn nearest_face(mesh: &Mesh, crossing: &Crossing, reach: f64) -> Option<(DVec3, DVec3)> {
-    let closest = mesh.closest_point(mesh.local_from_world(crossing.on_edge));
+    let p = mesh.local_from_world(crossing.on_edge);
+    let closest = mesh.exact_closest_point(p, f64::INFINITY);
     (closest.distance * mesh.scale() <= reach).then_some(())?;
-    Some((mesh.world_from_local(closest.on_triangle.point), normal_of(mesh, closest.face)?))
+    let normal = mean_normal(mesh, p, closest.distance, crossing.normal);
+    Some((mesh.world_from_local(closest.on_triangle.point), normal?))
+}
+
+/// The mean of the unit normals of the faces nearest to a local position, each turned towards `side`. `distance` is the
+/// distance of one of them.
+fn mean_normal(mesh: &Mesh, p: DVec3, distance: f64, side: DVec3) -> Option<DVec3> {
+    let reach = p.abs().max_element();
+    let radius = distance as f32 + Bvh::nearest_slack(reach);
+    let mut faces = Vec::new();
+    mesh.bvh_within(reach).faces_within(p.as_vec3(), radius, |face| faces.push(mesh.exact_point_on_face(face, p)));
+    // The order of the sum must not depend on the tree.
+    faces.sort_unstable_by_key(|closest| closest.face);
+    let least = faces.iter().map(|closest| closest.distance).fold(f64::INFINITY, f64::min);
+    let nearest = faces.iter().filter(|closest| closest.distance <= least + TIE);
+    let normals = nearest.filter_map(|closest| normal_of(mesh, closest.face));
+    normals.map(|normal| if normal.dot(side) < 0.0 { -normal } else { normal }).sum::<DVec3>().try_normalize()
 }
 
 /// The tangent plane of the offset surface on the line from the nearest point of the mesh through the crossing.
@@ -134,6 +205,49 @@ fn offset_plane(mesh: &Mesh, crossing: &Crossing, offset: f64, unsigned: bool, r
 
 /// Unit normal of a face, in the order of its corners.
 fn normal_of(mesh: &Mesh, face: u32) -> Option<DVec3> {
-    let [a, b, c] = mesh.triangle(face);
+    let [a, b, c] = mesh.exact_triangle(face);
     (b - a).cross(c - a).try_normalize()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::random::uniform;
+    use glam::DQuat;
+
+    /// A cube in a random position.
+    fn turned_cube(seed: u64) -> Mesh {
+        let mut random = uniform(seed);
+        let mut random = || random() - 0.5;
+        let turn = DQuat::from_xyzw(random(), random(), random(), random()).normalize();
+        let corner = |i: usize| turn * (DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2) as f64) - 0.5);
+        let vertices: Vec<[f64; 3]> = (0..8).map(|i| corner(i).to_array()).collect();
+        let quads = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+        let faces: Vec<[i64; 3]> = quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
+        Mesh::new(&vertices, &faces).unwrap()
+    }
+
+    #[test]
+    fn all_faces_at_an_edge_or_a_vertex_are_nearest_to_the_points_outside_it() {
+        for seed in 0..50 {
+            let cube = turned_cube(seed);
+            for (a, b) in (0..8).flat_map(|a| (a..8).map(move |b| (a, b))) {
+                let is_there = |face: &u32| [a, b].iter().all(|v| cube.faces()[*face as usize].contains(v));
+                let expected: Vec<u32> = (0..12).filter(is_there).collect();
+                // Other pairs of vertices are joined by no edge.
+                if expected.is_empty() {
+                    continue;
+                }
+                let foot = 0.5 * (cube.exact_position(a) + cube.exact_position(b));
+                let normals: Vec<DVec3> = expected.iter().filter_map(|&face| normal_of(&cube, face)).collect();
+                let outward = normals.iter().sum::<DVec3>().normalize();
+                let mut found = Vec::new();
+                nearest_faces(&cube, &[foot + 0.1 * outward; PROBES], foot, &mut found, |_| ());
+                assert_eq!(found, expected, "seed {seed}, vertices {a} and {b}");
+                let mean = mean_normal(&cube, foot, 0.0, outward).unwrap();
+                // Rounding moves the foot off the edge by 1e-16.
+                assert!((mean - outward).length() <= 1e-12, "seed {seed}, vertices {a} and {b}");
+            }
+        }
+    }
 }

@@ -93,16 +93,18 @@ def test_a_seal_closes_a_leak():
     assert mesh.volume == pytest.approx(8, rel=0.01)
 
 
-@pytest.mark.parametrize(("scale", "shift"), [(1e-3, 0), (1e3, 1e6)])
+@pytest.mark.parametrize(("scale", "shift"), [(1e-3, 0), (3, 0), (1e3, 1e6)])
 def test_scale_and_place_change_no_triangle(scale, shift):
     here = fb.solid(meshes.knot(), 40)
     there = fb.solid(meshes.scale_and_shift(meshes.knot(), scale, (shift, -shift, shift)), 40)
     assert_solid(there)
     assert len(there.vertices) == len(here.vertices)
-    # Where an edge of the grid meets an edge of the mesh, rounding decides which of two faces gives the plane, and
-    # whether a vertex is clamped. About a tenth of the 3,738 vertices move within the surface. Each changes the volume
-    # by up to a twentieth of a cubic voxel. The standard deviation is 0.05 * sqrt(374) * 0.167^3, 4e-4 of the volume.
-    assert there.volume == pytest.approx(here.volume * scale**3, rel=1.2e-3)
+    assert there.volume == pytest.approx(here.volume * scale**3, rel=1e-4)
+    # The float32 samples round differently, which may exchange the nearest face of a probe that is equally far from two
+    # parts of the mesh. Few of the 3,738 vertices have such a probe.
+    back = (there.vertices - [shift, -shift, shift]) / scale
+    stays = np.linalg.norm(back - here.vertices, axis=1) <= 1e-3 * here.report.voxel_size
+    assert np.count_nonzero(~stays) <= 5
 
 
 # --- offset
