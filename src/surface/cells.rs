@@ -200,6 +200,18 @@ impl SurfaceCells {
         self.edges as usize
     }
 
+    /// The cell of a patch.
+    pub(crate) fn of_patch(&self, patch: u32) -> &SurfaceCell {
+        &self.cells[self.cells.partition_point(|cell| cell.first_patch <= patch) - 1]
+    }
+
+    /// The cell from whose lower corner a crossed edge starts, and its axis.
+    pub(crate) fn of_edge(&self, edge: u32) -> (&SurfaceCell, usize) {
+        let cell = &self.cells[self.cells.partition_point(|cell| cell.first_edge <= edge) - 1];
+        let mut axes = (0..3).filter(|&axis| cell.owns(axis));
+        (cell, axes.nth((edge - cell.first_edge) as usize).expect("the edge is one of the cell's"))
+    }
+
     /// The crossed cell at an index.
     pub(crate) fn find(&self, index: [i32; 3]) -> Option<&SurfaceCell> {
         self.position(index).map(|i| &self.cells[i])

@@ -1,6 +1,6 @@
 //! Vertices and faces of the dual mesh.
 
-use super::cells::{SurfaceCell, owner_of};
+use super::cells::SurfaceCell;
 use super::probes::ExtraPlanes;
 use super::qef::Planes;
 use super::quad::Quad;
@@ -28,23 +28,26 @@ pub struct SurfaceMesh {
     pub clamped: usize,
 }
 
+/// The vertices of all patches.
+#[derive(Debug)]
+pub(super) struct Vertices {
+    /// Positions in world units.
+    pub places: Vec<DVec3>,
+    /// Whether each vertex counts as clamped; see [`SurfaceMesh::clamped`].
+    pub is_clamped: Vec<bool>,
+}
+
+/// An edge of the grid (the sample where it starts, and its axis), a quadrilateral, and how often that meets the edge.
+type Meeting = (([i32; 3], usize), u32, u32);
+
 impl LevelSurface {
     /// The mesh over `crossings`, one entry per crossed edge as [`LevelSurface::crossings`] returns them, and over the
     /// planes that probes have found.
     pub fn mesh(&self, crossings: &[Crossing], extra: &ExtraPlanes, options: MeshOptions) -> SurfaceMesh {
         assert_eq!(crossings.len(), self.edge_count(), "one crossing for each crossed edge");
         // Only planes of a source justify a vertex outside its cell; planes of the samples alone do not.
-        let (mut vertices, mut clamped) = self.vertices(crossings, extra, options, options.sharp && !extra.is_empty());
-        let mut quads = self.quads(&vertices);
-        if !extra.is_empty() {
-            clamped += self.keep_sides(&mut vertices, &mut quads, crossings, extra);
-        }
-        if self.separate(&mut vertices) {
-            quads = self.quads(&vertices);
-            if !extra.is_empty() {
-                clamped += self.keep_sides(&mut vertices, &mut quads, crossings, extra);
-            }
-        }
+        let mut vertices = self.vertices(crossings, extra, options, options.sharp && !extra.is_empty());
+        let quads = self.settle(&mut vertices, crossings, extra);
         let faces: Vec<[[u32; 3]; 2]> = quads
             .par_iter()
             .zip(crossings)
@@ -52,19 +55,19 @@ impl LevelSurface {
             .map(|(quad, _)| quad.triangles())
             .collect();
         let faces = faces.into_flattened();
-        let mesh = SurfaceMesh { vertices, faces, clamped };
+        let clamped = vertices.is_clamped.iter().filter(|&&is_clamped| is_clamped).count();
+        let mesh = SurfaceMesh { vertices: vertices.places, faces, clamped };
         if options.capped { mesh } else { mesh.without_unused_vertices() }
     }
 
-    /// The vertices of all patches, and the number of those that were clamped. `free` vertices may lie outside their
-    /// cell where that folds no face.
+    /// The vertices of all patches. `free` vertices may lie outside their cell where that folds no face.
     pub(super) fn vertices(
         &self,
         crossings: &[Crossing],
         extra: &ExtraPlanes,
         options: MeshOptions,
         free: bool,
-    ) -> (Vec<DVec3>, usize) {
+    ) -> Vertices {
         let placed: Vec<(DVec3, bool)> = self
             .cells
             .cells()
@@ -75,30 +78,45 @@ impl LevelSurface {
                     .map(move |(id, _)| self.vertex(cell, id, crossings, extra.of(id), options, free))
             })
             .collect();
-        let mut vertices: Vec<DVec3> = placed.iter().map(|(vertex, _)| *vertex).collect();
-        let mut clamped = placed.iter().filter(|(_, clamped)| *clamped).count();
+        let (places, is_clamped) = placed.into_iter().unzip();
+        let mut vertices = Vertices { places, is_clamped };
         if !extra.is_empty() {
-            clamped -= self.free_clamped(&placed, &mut vertices, crossings, extra);
+            self.free_clamped(&mut vertices, crossings, extra);
         }
-        (vertices, clamped)
+        vertices
+    }
+
+    /// Moves vertices until every sample has its side and no two vertices are equal in single precision. Returns the
+    /// quadrilaterals.
+    pub(super) fn settle(&self, vertices: &mut Vertices, crossings: &[Crossing], extra: &ExtraPlanes) -> Vec<Quad> {
+        let mut quads = self.quads(&vertices.places);
+        let mut is_back = vec![false; vertices.places.len()];
+        // Without planes of a source no vertex lies outside its cell.
+        let mut keep_sides = |vertices: &mut Vertices, quads: &mut [Quad]| {
+            !extra.is_empty() && self.keep_sides(vertices, quads, &mut is_back, crossings, extra)
+        };
+        keep_sides(vertices, &mut quads);
+        // A vertex that has moved back into its cell stays there. Each moves back once at most, so the loop ends.
+        loop {
+            let moved = self.separate(&mut vertices.places);
+            self.update_quads(&moved, &vertices.places, &mut quads);
+            if moved.is_empty() || !keep_sides(vertices, &mut quads) {
+                return quads;
+            }
+        }
     }
 
     /// Moves clamped vertices to their best place up to a voxel outside their region, one after the other, if that
-    /// folds no quadrilateral. A ridge or a corner may pass between the edges of the grid through a cell that has a
-    /// patch of its own. Returns the number of vertices that moved there.
-    fn free_clamped(
-        &self,
-        placed: &[(DVec3, bool)],
-        vertices: &mut [DVec3],
-        crossings: &[Crossing],
-        extra: &ExtraPlanes,
-    ) -> usize {
+    /// folds no quadrilateral; they are then no longer clamped. A ridge or a corner may pass between the edges of the
+    /// grid through a cell that has a patch of its own.
+    fn free_clamped(&self, vertices: &mut Vertices, crossings: &[Crossing], extra: &ExtraPlanes) {
+        let Vertices { places: vertices, is_clamped } = vertices;
         let patches = self.cells.cells().iter().flat_map(|cell| {
             let ids = (cell.first_patch..).take(cell.patches().count());
             ids.map(move |id| (cell, id))
         });
         let mut waiting: Vec<(&SurfaceCell, u32, DVec3)> = patches
-            .filter(|&(_, id)| placed[id as usize].1)
+            .filter(|&(_, id)| is_clamped[id as usize])
             .map(|(cell, id)| {
                 let [lower, upper] = self.region(cell, cell.free);
                 let planes = self.planes(cell, id, crossings, extra.of(id));
@@ -106,11 +124,13 @@ impl LevelSurface {
                 (cell, id, (self.world(cell.index, DVec3::ZERO) + best).clamp(self.lower, self.upper))
             })
             .collect();
-        let count = waiting.len();
         // A vertex that cannot move at first may do so when its neighbours have moved.
         for _ in 0..FREE_PASSES {
             let before = waiting.len();
-            waiting.retain(|&(cell, id, best)| !self.moves_to(cell, id, best, vertices));
+            waiting.retain(|&(_, id, best)| {
+                is_clamped[id as usize] = !self.moves_to(id, best, vertices);
+                is_clamped[id as usize]
+            });
             if waiting.len() == before {
                 break;
             }
@@ -118,7 +138,7 @@ impl LevelSurface {
         for &(cell, id, best) in &waiting {
             // The error decreases all the way to the best place.
             let start = vertices[id as usize];
-            if [0.75, 0.5, 0.25].into_iter().any(|share| self.moves_to(cell, id, start.lerp(best, share), vertices)) {
+            if [0.75, 0.5, 0.25].into_iter().any(|share| self.moves_to(id, start.lerp(best, share), vertices)) {
                 continue;
             }
             // Planes beyond the cell would bend the surface; the crossings alone may have a place inside.
@@ -128,13 +148,12 @@ impl LevelSurface {
                 vertices[id as usize] = self.world(cell.index, DVec3::ZERO) + own.point;
             }
         }
-        count - waiting.len()
     }
 
     /// Moves the vertex of a patch to a place, world units, unless that folds a quadrilateral. Returns whether it moved.
-    fn moves_to(&self, cell: &SurfaceCell, id: u32, place: DVec3, vertices: &mut [DVec3]) -> bool {
+    fn moves_to(&self, id: u32, place: DVec3, vertices: &mut [DVec3]) -> bool {
         let before = std::mem::replace(&mut vertices[id as usize], place);
-        let folds = self.folds_around(cell, id, vertices);
+        let folds = self.folds_around(id, vertices);
         if folds {
             vertices[id as usize] = before;
         }
@@ -142,66 +161,75 @@ impl LevelSurface {
     }
 
     /// Whether a quadrilateral at the vertex of a patch is folded.
-    pub(super) fn folds_around(&self, cell: &SurfaceCell, id: u32, vertices: &[DVec3]) -> bool {
-        let patch = cell.patches().nth((id - cell.first_patch) as usize).unwrap_or(0);
-        (0..12).filter(|edge| patch >> edge & 1 == 1).any(|edge| {
-            let (owner, axis) = owner_of(cell, edge);
-            self.cells.find(owner).is_none_or(|owner| self.quad(owner, axis, vertices).folds)
+    pub(super) fn folds_around(&self, id: u32, vertices: &[DVec3]) -> bool {
+        self.links.edges_of(id).iter().any(|&edge| {
+            let (owner, axis) = self.cells.of_edge(edge);
+            self.quad(owner, axis, vertices).folds
         })
     }
 
-    /// Moves vertices back into their cells until every sample has its side, and updates the quadrilaterals. Returns the
-    /// number of vertices that moved.
+    /// Moves vertices back into their cells until every sample has its side, and updates the quadrilaterals. The vertices
+    /// are then clamped, and their entries in `is_back` are set. Each moves once at most, so the loop ends even where a
+    /// cell is a few roundings wide. Returns whether a vertex has moved.
     fn keep_sides(
         &self,
-        vertices: &mut [DVec3],
-        quads: &mut Vec<Quad>,
+        vertices: &mut Vertices,
+        quads: &mut [Quad],
+        is_back: &mut [bool],
         crossings: &[Crossing],
         extra: &ExtraPlanes,
-    ) -> usize {
-        let cells = self.cells.cells();
-        let mut count = 0;
-        // Each vertex moves once at most, so the loop ends even where a cell is a few roundings wide.
-        let mut is_moved = vec![false; vertices.len()];
+    ) -> bool {
+        let Vertices { places: vertices, is_clamped } = vertices;
+        let edges = (0..quads.len() as u32).into_par_iter();
+        let mut met: Vec<Meeting> = edges.flat_map_iter(|edge| self.met_edges(edge, quads, vertices)).collect();
+        met.par_sort_unstable();
+        let mut has_moved = false;
         loop {
-            let before = count;
-            for id in self.misplaced(quads, vertices).into_iter().flat_map(|quad| quads[quad as usize].corners) {
-                let cell = &cells[cells.partition_point(|cell| cell.first_patch <= id) - 1];
+            let mut moved = Vec::new();
+            for id in self.misplaced(&met, quads).into_iter().flat_map(|quad| quads[quad as usize].corners) {
+                let cell = self.cells.of_patch(id);
                 let corner = self.world(cell.index, DVec3::ZERO);
                 let place = vertices[id as usize] - corner;
                 let is_inside = place.cmpge(DVec3::ZERO).all() && place.cmple(self.spacing).all();
-                if is_inside || std::mem::replace(&mut is_moved[id as usize], true) {
+                if is_inside || std::mem::replace(&mut is_back[id as usize], true) {
                     continue;
                 }
                 let [lower, upper] = self.region(cell, 0);
                 let place = self.planes(cell, id, crossings, extra.of(id)).minimum(lower, upper).point;
                 vertices[id as usize] = (corner + place).clamp(self.lower, self.upper);
-                count += 1;
+                is_clamped[id as usize] = true;
+                moved.push(id);
             }
-            if count == before {
-                return count;
+            if moved.is_empty() {
+                return has_moved;
             }
-            *quads = self.quads(vertices);
+            has_moved = true;
+            let mut changed = self.update_quads(&moved, vertices, quads);
+            changed.sort_unstable();
+            changed.dedup();
+            met.retain(|&(_, quad, _)| changed.binary_search(&quad).is_err());
+            met.extend(changed.iter().flat_map(|&edge| self.met_edges(edge, quads, vertices)));
+            // A stable sort takes linear time for few new entries.
+            met.sort();
         }
     }
 
-    /// The quadrilaterals that meet an edge of the grid where they may put its ends on the wrong sides.
-    fn misplaced(&self, quads: &[Quad], vertices: &[DVec3]) -> Vec<u32> {
-        let spread = |(cell, axis): (&SurfaceCell, usize)| {
-            let number = cell.edge(axis);
-            let quad = &quads[number as usize];
-            let met = if quad.is_around {
-                vec![]
-            } else {
-                // The edge of the quadrilateral itself has an entry in any case.
-                let places = quad.corners.map(|i| (vertices[i as usize] - self.lower) / self.spacing - 0.5);
-                let met = quad.met_edges(places).into_iter().map(|edge| (edge, 1));
-                met.chain([((cell.index, axis), 0)]).collect()
-            };
-            met.into_iter().map(move |(edge, meets): (([i32; 3], usize), u32)| (edge, number, meets))
-        };
-        let mut met: Vec<_> = self.edge_owners().flat_map_iter(spread).collect();
-        met.par_sort_unstable();
+    /// The edges of the grid that the quadrilateral around a crossed edge meets, and the crossed edge itself. None if the
+    /// quadrilateral meets its own edge alone.
+    fn met_edges(&self, edge: u32, quads: &[Quad], vertices: &[DVec3]) -> Vec<Meeting> {
+        let quad = &quads[edge as usize];
+        if quad.is_around {
+            return Vec::new();
+        }
+        let (cell, axis) = self.cells.of_edge(edge);
+        let places = quad.corners.map(|i| (vertices[i as usize] - self.lower) / self.spacing - 0.5);
+        let met = quad.met_edges(places).into_iter().map(|met| (met, edge, 1));
+        met.chain([((cell.index, axis), edge, 0)]).collect()
+    }
+
+    /// The quadrilaterals that meet an edge of the grid where they may put its ends on the wrong sides. `met` has the
+    /// edges that quadrilaterals meet, sorted.
+    fn misplaced(&self, met: &[Meeting], quads: &[Quad]) -> Vec<u32> {
         met.chunk_by(|a, b| a.0 == b.0)
             .filter(|met| {
                 let (index, axis) = met[0].0;
@@ -212,6 +240,16 @@ impl LevelSurface {
             })
             .flat_map(|met| met.iter().map(|&(_, number, _)| number))
             .collect()
+    }
+
+    /// Computes the quadrilaterals at the vertices of some patches again. Returns their crossed edges.
+    fn update_quads(&self, patches: &[u32], vertices: &[DVec3], quads: &mut [Quad]) -> Vec<u32> {
+        let edges: Vec<u32> = patches.iter().flat_map(|&patch| self.links.edges_of(patch)).copied().collect();
+        for &edge in &edges {
+            let (cell, axis) = self.cells.of_edge(edge);
+            quads[edge as usize] = self.quad(cell, axis, vertices);
+        }
+        edges
     }
 
     /// The crossed edges in their order: the cell from whose lower corner each starts, and its axis.

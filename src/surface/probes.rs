@@ -134,7 +134,7 @@ impl LevelSurface {
     pub fn probes(&self, crossings: &[Crossing], extra: &ExtraPlanes, sharp_only: bool) -> Probes {
         let is_sharp = self.sharp_patches(crossings);
         let options = MeshOptions { sharp: true, capped: true };
-        let (vertices, _) = self.vertices(crossings, extra, options, true);
+        let vertices = self.vertices(crossings, extra, options, true).places;
         let found: Vec<(u32, DVec3)> = (0..vertices.len())
             .into_par_iter()
             .filter(|&id| !sharp_only || is_sharp[id])

@@ -20,25 +20,24 @@ const FARTHEST: f64 = 1.0 / 256.0;
 const PASSES: usize = 8;
 
 impl LevelSurface {
-    /// Moves vertices until no two of them are equal in single precision. Returns whether a vertex has moved. Positions
-    /// remain equal far from the origin, where that would move them by more than [`FARTHEST`].
-    pub(super) fn separate(&self, vertices: &mut [DVec3]) -> bool {
+    /// Moves vertices until no two of them are equal in single precision. Returns the patches of those that have moved.
+    /// Positions remain equal far from the origin, where that would move them by more than [`FARTHEST`].
+    pub(super) fn separate(&self, vertices: &mut [DVec3]) -> Vec<u32> {
         // The distance between neighbouring float32 numbers is at most this.
         let rounding = self.lower.abs().max(self.upper.abs()) * f64::from(f32::EPSILON);
         let step = (self.spacing * STEP).max(2.0 * rounding);
         if step.cmpgt(FARTHEST * self.spacing).any() {
-            return false;
+            return Vec::new();
         }
-        let cells = self.cells.cells();
-        let mut has_moved = false;
+        let mut moved = Vec::new();
         for _ in 0..PASSES {
             let equal = equal_positions(vertices);
             if equal.is_empty() {
                 break;
             }
-            has_moved = true;
             for (count, id) in equal {
-                let cell = &cells[cells.partition_point(|cell| cell.first_patch <= id) - 1];
+                moved.push(id);
+                let cell = self.cells.of_patch(id);
                 let corner = self.world(cell.index, DVec3::ZERO);
                 let [lower, upper] = self.region(cell, 0);
                 let place = vertices[id as usize] - corner;
@@ -51,13 +50,13 @@ impl LevelSurface {
                     vertices[id as usize] = at((nearest + towards * step).clamp(lower, upper));
                 } else {
                     vertices[id as usize] = at(place + (nearest - place).clamp(-step, step));
-                    if self.folds_around(cell, id, vertices) {
+                    if self.folds_around(id, vertices) {
                         vertices[id as usize] = at(nearest);
                     }
                 }
             }
         }
-        has_moved
+        moved
     }
 }
 
@@ -96,18 +95,18 @@ mod tests {
         let field = FieldView::new(grid, &distances).unwrap();
         let surface = LevelSurface::of_field(&field, 0.0, &Progress::new()).unwrap();
         let options = MeshOptions { sharp: true, capped: true };
-        let (mut vertices, _) = surface.vertices(&surface.crossings(), &ExtraPlanes::default(), options, false);
+        let mut vertices = surface.vertices(&surface.crossings(), &ExtraPlanes::default(), options, false).places;
         let middle = surface.cells.cells().iter().find(|cell| cell.index == [0; 3]).unwrap();
         let ids: Vec<u32> = (middle.first_patch..).zip(middle.patches()).map(|(id, _)| id).collect();
         assert_eq!(ids.len(), 2);
         for place in [DVec3::splat(101.0), DVec3::splat(100.5 + MARGIN)] {
             ids.iter().for_each(|&id| vertices[id as usize] = place);
-            assert!(surface.separate(&mut vertices));
+            assert_eq!(surface.separate(&mut vertices), [ids[1]]);
             assert!(equal_positions(&vertices).is_empty());
             assert_eq!(vertices[ids[0] as usize], place);
             let moved = vertices[ids[1] as usize];
             assert!(moved.cmpge(DVec3::splat(100.5)).all() && moved.cmple(DVec3::splat(101.5)).all());
-            assert!(!surface.separate(&mut vertices));
+            assert!(surface.separate(&mut vertices).is_empty());
         }
     }
 }

@@ -217,3 +217,49 @@ fn nearest_plane(mesh: &crate::mesh::Mesh, p: DVec3) -> (DVec3, DVec3) {
     let [a, b, c] = mesh.triangle(closest.face);
     (mesh.world_from_local(closest.on_triangle.point), (b - a).cross(c - a).normalize())
 }
+
+/// A level set of noise, with planes of a source through points on a lattice of half voxels around its vertices: many
+/// vertices are pulled out of their cells, and to equal places.
+fn pulled_noise(seed: u64) -> (LevelSurface, Vec<f32>, SurfaceMesh) {
+    let mut random = noise(seed);
+    let grid = Grid::new(DVec3::ZERO, DVec3::splat(5.0), [5, 5, 5]).unwrap();
+    let distances: Vec<f32> = (0..grid.len()).map(|_| random()).collect();
+    let field = FieldView::new(grid, &distances).unwrap();
+    let surface = LevelSurface::of_field(&field, 0.0, &Progress::new()).unwrap();
+    let (crossings, none) = (surface.crossings(), ExtraPlanes::default());
+    let probes = surface.probes(&crossings, &none, false);
+    let points: Vec<DVec3> = probes.points.iter().map(|p| (2.0 * p).round() / 2.0).collect();
+    let normals: Vec<DVec3> = points.iter().map(|_| DVec3::from_array([0; 3].map(|_| f64::from(random())))).collect();
+    let extra = surface.join_planes(&crossings, &none, &probes, &points, &normals);
+    let mesh = surface.mesh(&crossings, &extra, SHARP);
+    (surface, distances, mesh)
+}
+
+/// The winding number of a mesh, by the solid angles of its faces (van Oosterom and Strackee, 1983).
+fn winding(mesh: &SurfaceMesh, p: DVec3) -> f64 {
+    let angle = |face: &[u32; 3]| {
+        let [a, b, c] = face.map(|i| mesh.vertices[i as usize] - p);
+        let [la, lb, lc] = [a, b, c].map(DVec3::length);
+        let bottom = la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb;
+        2.0 * a.dot(b.cross(c)).atan2(bottom)
+    };
+    mesh.faces.iter().map(angle).sum::<f64>() / (4.0 * PI)
+}
+
+#[test]
+fn vertices_outside_their_cells_keep_samples_on_their_sides_and_do_not_meet() {
+    for seed in 0..300 {
+        let (surface, distances, mesh) = pulled_noise(seed);
+        assert_two_manifold(&mesh);
+        assert!(mesh.clamped <= mesh.vertices.len(), "{} of {} vertices", mesh.clamped, mesh.vertices.len());
+        let mut places: Vec<[u32; 3]> =
+            mesh.vertices.iter().map(|p| p.as_vec3().to_array().map(|x| (x + 0.0).to_bits())).collect();
+        places.sort_unstable();
+        assert!(places.windows(2).all(|pair| pair[0] != pair[1]), "seed {seed}: equal positions");
+        for (i, &value) in distances.iter().enumerate() {
+            let p = surface.world([i % 5, i / 5 % 5, i / 25].map(|i| i as i32), DVec3::ZERO);
+            let is_inside = winding(&mesh, p).round() as i64 % 2 != 0;
+            assert_eq!(is_inside, value < 0.0, "seed {seed}: sample {i}");
+        }
+    }
+}
