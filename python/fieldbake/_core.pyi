@@ -183,10 +183,11 @@ def bake_blocks(
     origins: NDArray[np.int32],
     side: int,
     *,
-    sign: str = "auto",
+    unsigned: bool = False,
 ) -> NDArray[np.float32]:
     """Bake the samples of blocks of a grid on the CPU, (k, (side + 1)^3), x fastest. The first sample of a block is a
-    row of ``origins`` (k, 3). Samples outside the grid repeat the nearest one of the grid."""
+    row of ``origins`` (k, 3). Samples outside the grid repeat the nearest one of the grid. Distances are negative
+    inside by the winding number, or without a sign if ``unsigned``."""
 
 def sides_of_balls(
     mesh: Mesh, centers: NDArray[np.float64], radii: NDArray[np.float64], *, sign: str = "auto"

@@ -3,65 +3,55 @@
 //! The samples of a block share their candidates for the nearest triangle ([`super::dense`]). The side of a sample is
 //! mostly that of its neighbour ([`SideWalk`]), so it is counted beside the surface only.
 
-use super::{BakeOptions, LocalGrid, dense};
+use super::{BakeOptions, LocalGrid};
 use crate::error::Error;
 use crate::grid::Grid;
 use crate::memory::allocate_samples;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
-use crate::sign::{SideWalk, SignChoice, SignMethod};
+use crate::sign::{SideWalk, SignRule};
+use crate::volume::sparse::build::SampleBox;
 use rayon::prelude::*;
 
 /// Distances, world units, at the `(side + 1)^3` samples of each block, x fastest; the first sample of a block is
-/// `origins[b]`. A sample outside the grid repeats the nearest one of the grid.
+/// `origins[b]`. A sample outside the grid repeats the nearest one of the grid. Distances are negative inside by the
+/// winding number, or without a sign if `unsigned`.
 pub fn bake_blocks(
     mesh: &Mesh,
     grid: &Grid,
     side: usize,
     origins: &[[i32; 3]],
-    sign: SignMethod,
+    unsigned: bool,
     progress: &Progress,
 ) -> Result<Vec<f32>, Error> {
-    BakeOptions { sign, ..BakeOptions::default() }.check(mesh, grid)?;
+    BakeOptions::default().check(mesh, grid)?;
     let count = (side + 1).pow(3);
     let mut values = allocate_samples(&format!("{} blocks of samples", origins.len()), origins.len() * count, 0)?;
     progress.set_total(origins.len() as u64);
     rayon::join(|| mesh.bvh(), || mesh.topology());
-    let made;
-    let rule = match sign {
-        SignMethod::Auto | SignMethod::Winding => &mesh.winding_choice().rule,
-        _ => {
-            made = SignChoice::new(mesh, sign);
-            &made.rule
-        }
-    };
+    let rule = if unsigned { &SignRule::Unsigned } else { &mesh.winding_choice().rule };
     rule.prepare(mesh);
     let whole = LocalGrid::new(grid, mesh);
     values.par_chunks_mut(count).zip(origins).try_for_each(|(values, origin)| {
-        let place = |axis: usize, i: i32| (origin[axis] + i).clamp(0, grid.shape[axis] as i32 - 1) as usize;
-        let low = [0, 1, 2].map(|axis| place(axis, 0));
-        let shape = [0, 1, 2].map(|axis| place(axis, side as i32) - low[axis] + 1);
-        let part = whole.part(low, shape);
-        let mut own = vec![0.0; shape.iter().product()];
-        // One task of the dense bake. Its progress is private and is never cancelled.
-        dense::distances(mesh, &part, f32::INFINITY, 1.0, &Progress::new(), &mut own)?;
+        let bounds = SampleBox::clipped(*origin, side + 1, grid.shape);
+        let [nx, ny, nz] = bounds.shape();
+        let mut own = vec![0.0; nx * ny * nz];
+        whole.distances_in(&bounds, mesh, 1.0, &mut own);
+        let part = whole.part(bounds.low, bounds.shape());
         let mut walk = SideWalk::default();
-        for (row, distances) in own.chunks_mut(shape[0]).enumerate() {
-            for i in 0..distances.len() {
+        for (row, distances) in own.chunks_mut(nx).enumerate() {
+            for i in 0..nx {
                 // Every second row runs backwards, so that samples follow their neighbours.
-                let x = if row % 2 == 0 { i } else { distances.len() - 1 - i };
-                let p = part.at([x, row % shape[1], row / shape[1]]);
+                let x = if row % 2 == 0 { i } else { nx - 1 - i };
                 let distance = f64::from(distances[x]);
-                let is_inside = walk.is_inside_at(rule, mesh, p, distance) && distance > 0.0;
-                let distance = (distance * mesh.scale()) as f32;
-                distances[x] = if is_inside { -distance } else { distance };
+                let is_inside = walk.is_inside_at(rule, mesh, part.at([x, row % ny, row / ny]), distance);
+                let world = (distance * mesh.scale()) as f32;
+                distances[x] = if is_inside && distance > 0.0 { -world } else { world };
             }
         }
-        let from = |axis: usize, i: usize| place(axis, i as i32) - low[axis];
         for (i, value) in values.iter_mut().enumerate() {
-            let local = [i % (side + 1), i / (side + 1) % (side + 1), i / (side + 1).pow(2)];
-            let [x, y, z] = [0, 1, 2].map(|axis| from(axis, local[axis]));
-            *value = own[x + shape[0] * (y + shape[1] * z)];
+            let step = [i % (side + 1), i / (side + 1) % (side + 1), i / (side + 1).pow(2)];
+            *value = own[bounds.nearest([0, 1, 2].map(|axis| origin[axis] + step[axis] as i32))];
         }
         progress.advance(1)
     })?;
@@ -73,6 +63,7 @@ mod tests {
     use super::*;
     use crate::bake::bake;
     use crate::mesh::random::soup;
+    use crate::sign::SignMethod;
     use glam::DVec3;
 
     #[test]
@@ -86,10 +77,10 @@ mod tests {
         let origins: Vec<[i32; 3]> =
             (0..64).map(|i| [i % 4, i / 4 % 4, i / 16].map(|block| block * side as i32 - 1)).collect();
         for mesh in [closed, open, soup(48, 0.3, 7)] {
-            for (name, sign) in SignMethod::NAMES {
+            for (name, sign) in [("auto", SignMethod::Auto), ("unsigned", SignMethod::Unsigned)] {
                 let options = BakeOptions { sign, ..Default::default() };
                 let whole = bake(&mesh, &grid, &options, &Progress::new()).unwrap().distances;
-                let blocks = bake_blocks(&mesh, &grid, side, &origins, sign, &Progress::new()).unwrap();
+                let blocks = bake_blocks(&mesh, &grid, side, &origins, name == "unsigned", &Progress::new()).unwrap();
                 for (origin, values) in origins.iter().zip(blocks.chunks(343)) {
                     for (i, value) in values.iter().enumerate() {
                         let local = [i % 7, i / 7 % 7, i / 49];

@@ -33,6 +33,7 @@ use crate::progress::Progress;
 use crate::sign::crossing::Samples;
 use crate::sign::{SignChoice, SignMethod};
 use crate::volume::device::DeviceField;
+use crate::volume::sparse::build::SampleBox;
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -150,6 +151,12 @@ impl LocalGrid {
             Samples { start: whole.start + low[axis], count: shape[axis], ..whole }
         };
         Self { axes: [0, 1, 2].map(part) }
+    }
+
+    /// Unsigned distances of the samples of a small box, times `scale`.
+    fn distances_in(&self, of: &SampleBox, mesh: &Mesh, scale: f32, out: &mut [f32]) {
+        // One task of the dense bake. Its progress is private, and only a cancelled progress is an error.
+        let _ = dense::distances(mesh, &self.part(of.low, of.shape()), f32::INFINITY, scale, &Progress::new(), out);
     }
 
     pub(crate) fn at(&self, [x, y, z]: [usize; 3]) -> DVec3 {

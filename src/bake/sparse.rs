@@ -91,7 +91,7 @@ pub fn bake_sparse<T: Texel>(
         undecided += source.undecided;
         layer_bytes = layer_bytes.max(size_of_val(&source.words[..]));
     }
-    if job.judges_by_corners() {
+    if job.sides_by_corners() {
         builder.follow(&job.layer(0..0, progress)?, progress)?;
     }
     let field = builder.finish();
@@ -144,8 +144,9 @@ impl SparseJob<'_> {
 
     /// Whether the side of a brick far from the mesh follows from its corners alone, although the side may change across
     /// an opening.
-    fn judges_by_corners(&self) -> bool {
-        !(self.is_closed || self.counts_planes() || self.half_thickness > 0.0)
+    fn sides_by_corners(&self) -> bool {
+        let by_point = matches!(self.rule, SignRule::Winding | SignRule::Pseudonormal | SignRule::Normal);
+        by_point && !self.is_closed
     }
 
     /// Signs of the planes of a layer, for rules that count by planes.
@@ -254,11 +255,9 @@ impl SampleSource for RegionLayer<'_> {
     fn samples(&self, (): &mut (), of: &SampleBox, put: &mut dyn FnMut([usize; 3], f32)) {
         let job = self.job;
         let mut distances = [0.0; BRICK_LEN];
-        let shape = [0, 1, 2].map(|axis| of.high[axis] - of.low[axis]);
+        let shape = of.shape();
         let distances = &mut distances[..shape.iter().product()];
-        let part = job.local.part(of.low, shape);
-        // One task of the dense bake. Its progress is private and is never cancelled.
-        let _ = dense::distances(job.mesh, &part, f32::INFINITY, job.mesh.scale() as f32, &Progress::new(), distances);
+        job.local.distances_in(of, job.mesh, job.mesh.scale() as f32, distances);
         for (i, &distance) in distances.iter().enumerate() {
             let step = [i % shape[0], i / shape[0] % shape[1], i / (shape[0] * shape[1])];
             let sample = [0, 1, 2].map(|axis| of.low[axis] + step[axis]);

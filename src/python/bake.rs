@@ -103,7 +103,7 @@ pub(super) fn bake_window<'py>(
 /// Distances at the samples of blocks (k, (side + 1)^3), x fastest. The first sample of a block is a row of `origins`
 /// (k, 3). Samples outside the grid repeat the nearest one of the grid.
 #[pyfunction]
-#[pyo3(signature = (mesh, lower, upper, shape, origins, side, *, sign="auto"))]
+#[pyo3(signature = (mesh, lower, upper, shape, origins, side, *, unsigned=false))]
 pub(super) fn bake_blocks<'py>(
     py: Python<'py>,
     mesh: &Mesh,
@@ -112,14 +112,13 @@ pub(super) fn bake_blocks<'py>(
     shape: [usize; 3],
     origins: PyReadonlyArray2<'py, i32>,
     side: usize,
-    sign: &str,
+    unsigned: bool,
 ) -> PyResult<Bound<'py, PyArray2<f32>>> {
     mesh.prepare(py)?;
     let mesh = mesh.0.clone();
     let grid = grid(lower, upper, shape)?;
     let origins = rows(&origins, "origins")?;
-    let sign = sign.parse::<SignMethod>().map_err(Failure::from)?;
-    let samples = run(py, None, |progress| blocks(&mesh, &grid, side, origins, sign, progress))?;
+    let samples = run(py, None, |progress| blocks(&mesh, &grid, side, origins, unsigned, progress))?;
     samples.into_pyarray(py).reshape([origins.len(), (side + 1).pow(3)])
 }
 

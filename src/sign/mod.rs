@@ -211,11 +211,10 @@ impl SideWalk {
         }
     }
 
-    /// [`SignRule::is_inside`] of the next point, at a distance from the surface, local units.
+    /// [`SignRule::is_inside_without_distance`] of the next point, at a distance from the surface, local units.
     pub fn is_inside_at(&mut self, rule: &SignRule, mesh: &Mesh, p: DVec3, distance: f64) -> bool {
         match rule {
             SignRule::Counted(openings) => self.carried_or_counted(openings, mesh, p, distance),
-            SignRule::Pseudonormal | SignRule::Normal => rule.is_inside(mesh, p, &mesh.closest_point(p)),
             _ => rule.is_inside_without_distance(mesh, p),
         }
     }

@@ -61,7 +61,9 @@ class MeshField:
     def samples(self, blocks: Blocks) -> Array:
         """Distances at the samples of k blocks, (k, n)."""
         grid, origins = blocks.grid, blocks.origins.astype(np.int32)
-        found = _core.bake_blocks(self.mesh._core, grid.lower, grid.upper, grid.shape, origins, SIDE, sign=self.sign)
+        found = _core.bake_blocks(
+            self.mesh._core, grid.lower, grid.upper, grid.shape, origins, SIDE, unsigned=self.unsigned
+        )
         return found.astype(np.float64)
 
     def tangents(self, points: Array) -> tuple[Array, Array]:

@@ -43,11 +43,9 @@ class Blocks:
     @property
     def points(self) -> NDArray[np.float64]:
         """World positions of all samples, (k * n, 3), n = (SIDE + 1)^3."""
-        lower, shape = np.array(self.grid.lower), np.array(self.grid.shape)
-        spacing = (np.array(self.grid.upper) - lower) / shape
-        index = np.clip(self.origins[:, None] + AROUND, 0, shape - 1)
-        points: NDArray[np.float64] = (lower + (index + 0.5) * spacing).reshape(-1, 3)
-        return points
+        index = np.clip(self.origins[:, None] + AROUND, 0, np.array(self.grid.shape) - 1)
+        points: NDArray[np.float64] = self.grid.lower + (index + 0.5) * self.grid.spacing
+        return points.reshape(-1, 3)
 
 
 def level_set(
@@ -83,8 +81,7 @@ def level_set(
     surface, unless it lies at the box inside the solid. Blocks start as large as the grid and are divided into eight
     until they have `SIDE` cells a side.
     """
-    lower, shape = np.array(grid.lower), np.array(grid.shape)
-    spacing = (np.array(grid.upper) - lower) / shape
+    lower, shape, spacing = (np.array(values) for values in (grid.lower, grid.shape, grid.spacing))
     # Cells run from -1 to n - 1, so there are n + 1 along each axis.
     side = SIDE
     while side < (shape + 1).max():

@@ -73,6 +73,30 @@ pub(crate) struct SampleBox {
     pub high: [usize; 3],
 }
 
+impl SampleBox {
+    /// The samples of a grid of `shape` among `count` along each axis from `first` on; at least the nearest one.
+    pub(crate) fn clipped(first: [i32; 3], count: usize, shape: [usize; 3]) -> Self {
+        let clip = |axis: usize, i: i32| (i.max(0) as usize).min(shape[axis] - 1);
+        Self {
+            low: [0, 1, 2].map(|axis| clip(axis, first[axis])),
+            high: [0, 1, 2].map(|axis| clip(axis, first[axis] + count as i32 - 1) + 1),
+        }
+    }
+
+    pub(crate) fn shape(&self) -> [usize; 3] {
+        [0, 1, 2].map(|axis| self.high[axis] - self.low[axis])
+    }
+
+    /// Index of a sample in `samples` of this box, x fastest. A sample outside the box is replaced by the nearest one of
+    /// the box.
+    pub(crate) fn nearest(&self, sample: [i32; 3]) -> usize {
+        let [x, y, z] = [0, 1, 2]
+            .map(|axis| (sample[axis].max(0) as usize).clamp(self.low[axis], self.high[axis] - 1) - self.low[axis]);
+        let [nx, ny, _] = self.shape();
+        x + nx * (y + ny * z)
+    }
+}
+
 /// The side of the surface on which a whole box lies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Side {
@@ -156,18 +180,14 @@ impl<T: Texel> SparseBuilder<T> {
         worker: &mut S::Worker,
         brick: [usize; 3],
     ) -> [f32; BRICK_LEN] {
-        let SampleBox { low, high } = self.clipped(brick, 1);
-        let side = |axis: usize| high[axis] - low[axis];
-        let place = |[x, y, z]: [usize; 3]| x - low[0] + side(0) * (y - low[1] + side(1) * (z - low[2]));
+        let bounds = self.clipped(brick, 1);
         let mut own = [0.0; BRICK_LEN];
-        source.samples(worker, &SampleBox { low, high }, &mut |sample, distance| own[place(sample)] = distance);
+        source
+            .samples(worker, &bounds, &mut |sample, distance| own[bounds.nearest(sample.map(|i| i as i32))] = distance);
+        let first = first_sample(brick);
         std::array::from_fn(|i| {
             let local = sample_in_brick(i);
-            let nearest = |axis: usize| {
-                let sample = (brick[axis] * BRICK_CELLS + local[axis]).saturating_sub(1);
-                sample.clamp(low[axis], high[axis] - 1)
-            };
-            own[place([0, 1, 2].map(nearest))]
+            own[bounds.nearest([0, 1, 2].map(|axis| first[axis] + local[axis] as i32))]
         })
     }
 
@@ -178,13 +198,13 @@ impl<T: Texel> SparseBuilder<T> {
 
     /// The samples of `count` bricks along each axis from `brick` on, clipped to the grid.
     fn clipped(&self, brick: [usize; 3], count: usize) -> SampleBox {
-        let shape = self.field.grid.shape;
-        SampleBox {
-            // Sample -1 repeats sample 0; the other end repeats the last sample.
-            low: [0, 1, 2].map(|axis| (brick[axis] * BRICK_CELLS).saturating_sub(1).min(shape[axis] - 1)),
-            high: [0, 1, 2].map(|axis| ((brick[axis] + count) * BRICK_CELLS).min(shape[axis])),
-        }
+        SampleBox::clipped(first_sample(brick), count * BRICK_CELLS + 1, self.field.grid.shape)
     }
+}
+
+/// The first sample of a brick. The bricks start one sample before the grid.
+fn first_sample(brick: [usize; 3]) -> [i32; 3] {
+    brick.map(|brick| (brick * BRICK_CELLS) as i32 - 1)
 }
 
 /// The contribution of a region to the field.
