@@ -396,6 +396,8 @@ def test_a_volume_is_pickled_and_read_by_threads(volume, mesh):
     assert repr(volume).startswith("ZarrVolume(97 x 100 x ")
     assert "voxels as snorm16" in repr(volume)
     assert volume.report.closed
+    # The report is written before the shards, so it states no number of voxels inside and no times.
+    assert [label for label, _ in volume.report.rows()] == ["surface", "sign", "device", "memory"]
     with pytest.raises(AttributeError):
         volume._layout = None
 

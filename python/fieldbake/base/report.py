@@ -67,7 +67,7 @@ class Report(Rows):
         Number of faces without area, and of unused vertices that are not finite; both are left out.
     undecided_voxels, inside_voxels : int
         Number of voxels where the sign method was close to undecided, for instance by a winding number near 1/2, and
-        of voxels with a negative distance.
+        of voxels with a negative distance. Both are 0 for a Zarr store, whose report is written before its shards.
     chord_error : float
         Largest distance between the mesh and the solid that it was tessellated from, world units; 0 for other meshes.
     points, inside_points : int
@@ -161,9 +161,11 @@ class Report(Rows):
             inside += f"; the sign of {count_text(self.undecided_voxels, 'voxel')} is uncertain"
         if self.points:
             inside = f"{self.inside_points:,} of {count_text(self.points, 'point')}"
-        rows.append(("inside", inside))
+        # The report of a Zarr store is written before its shards are baked: it has no stages, and nothing is counted.
         stages = ", ".join(f"{stage} {seconds_text(seconds)}" for stage, seconds in self.seconds.items())
-        rows.append(("time", f"{stages} on {self.device}" if stages else f"on {self.device}"))
+        if stages:
+            rows.append(("inside", inside))
+        rows.append(("time", f"{stages} on {self.device}") if stages else ("device", self.device))
         rows.append(("memory", f"{bytes_text(self.peak_bytes)} at most"))
         rows.extend(("warning", warning) for warning in self.warnings)
         return rows
