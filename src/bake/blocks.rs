@@ -34,8 +34,8 @@ pub fn bake_blocks(
     let whole = LocalGrid::new(grid, mesh);
     values.par_chunks_mut(count).zip(origins).try_for_each(|(values, origin)| {
         let bounds = SampleBox::clipped(*origin, side + 1, grid.shape);
-        let [nx, ny, nz] = bounds.shape();
-        let mut own = vec![0.0; nx * ny * nz];
+        let [nx, ny, _] = bounds.shape();
+        let mut own = vec![0.0; bounds.len()];
         whole.distances_in(&bounds, mesh, 1.0, &mut own);
         let part = whole.part(bounds.low, bounds.shape());
         let mut walk = SideWalk::default();
@@ -49,10 +49,7 @@ pub fn bake_blocks(
                 distances[x] = if is_inside && distance > 0.0 { -world } else { world };
             }
         }
-        for (i, value) in values.iter_mut().enumerate() {
-            let step = [i % (side + 1), i / (side + 1) % (side + 1), i / (side + 1).pow(2)];
-            *value = own[bounds.nearest([0, 1, 2].map(|axis| origin[axis] + step[axis] as i32))];
-        }
+        bounds.spread(&own, *origin, side + 1, values);
         progress.advance(1)
     })?;
     Ok(values)

@@ -87,13 +87,32 @@ impl SampleBox {
         [0, 1, 2].map(|axis| self.high[axis] - self.low[axis])
     }
 
-    /// Index of a sample in `samples` of this box, x fastest. A sample outside the box is replaced by the nearest one of
-    /// the box.
-    pub(crate) fn nearest(&self, sample: [i32; 3]) -> usize {
-        let [x, y, z] = [0, 1, 2]
-            .map(|axis| (sample[axis].max(0) as usize).clamp(self.low[axis], self.high[axis] - 1) - self.low[axis]);
+    /// Number of samples.
+    pub(crate) fn len(&self) -> usize {
+        self.shape().iter().product()
+    }
+
+    /// Index of a sample of this box, x fastest.
+    #[inline]
+    fn place(&self, [x, y, z]: [usize; 3]) -> usize {
         let [nx, ny, _] = self.shape();
-        x + nx * (y + ny * z)
+        x - self.low[0] + nx * (y - self.low[1] + ny * (z - self.low[2]))
+    }
+
+    /// Spreads the samples of this box over `count` along each axis from `first` on, x fastest. A sample outside the box
+    /// repeats the nearest one of the box.
+    pub(crate) fn spread(&self, samples: &[f32], first: [i32; 3], count: usize, out: &mut [f32]) {
+        if samples.len() == out.len() {
+            return out.copy_from_slice(samples);
+        }
+        for (i, value) in out.iter_mut().enumerate() {
+            let step = [i % count, i / count % count, i / (count * count)];
+            let nearest = |axis: usize| {
+                let sample = (first[axis] + step[axis] as i32).max(0) as usize;
+                sample.clamp(self.low[axis], self.high[axis] - 1)
+            };
+            *value = samples[self.place([0, 1, 2].map(nearest))];
+        }
     }
 }
 
@@ -182,13 +201,10 @@ impl<T: Texel> SparseBuilder<T> {
     ) -> [f32; BRICK_LEN] {
         let bounds = self.clipped(brick, 1);
         let mut own = [0.0; BRICK_LEN];
-        source
-            .samples(worker, &bounds, &mut |sample, distance| own[bounds.nearest(sample.map(|i| i as i32))] = distance);
-        let first = first_sample(brick);
-        std::array::from_fn(|i| {
-            let local = sample_in_brick(i);
-            own[bounds.nearest([0, 1, 2].map(|axis| first[axis] + local[axis] as i32))]
-        })
+        source.samples(worker, &bounds, &mut |sample, distance| own[bounds.place(sample)] = distance);
+        let mut samples = [0.0; BRICK_LEN];
+        bounds.spread(&own[..bounds.len()], first_sample(brick), BRICK_SAMPLES, &mut samples);
+        samples
     }
 
     pub(crate) fn finish(mut self) -> SparseField<T> {
