@@ -18,7 +18,7 @@ struct CastParams {
 struct CastRay {
     // Position at which the ray enters the box of the mesh.
     origin: vec3f,
-    // Largest t of a hit. Negative if the CPU must search.
+    // Largest t of a hit; MISSED or UNSUITED, which are negative, if the device must not search.
     limit: f32,
     // The direction, scaled so that its largest component is 1 or -1.
     direction: vec3f,
@@ -141,7 +141,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     var dropped = FAR_T;
     // No result has a larger t.
     var limit = ray.limit;
-    var is_complete = false;
+    var is_complete = ray.limit == MISSED;
     var is_certain = false;
     var stack: array<u32, MAX_STACK>;
     var stack_enter: array<f32, MAX_STACK>;

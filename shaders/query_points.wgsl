@@ -10,7 +10,7 @@ struct QueryParams {
     pad_1: u32,
 }
 
-@group(0) @binding(0) var<uniform> params: QueryParams;
+@group(0) @binding(0) var<storage, read> params: QueryParams;
 // Positions in local coordinates, three floats per point.
 @group(0) @binding(3) var<storage, read> points: array<f32>;
 // Index of the nearest face of each point; NOTHING where the search ran out of rounds.

@@ -38,7 +38,7 @@ pub use thickness::thickness;
 
 use crate::bvh::closest::ClosestPoint;
 use crate::error::{ArgumentError, Error};
-use crate::gpu::Place;
+use crate::gpu::{self, Place};
 use crate::memory::{prefetch, zeroed_result};
 use crate::mesh::Mesh;
 use crate::progress::Progress;
@@ -55,6 +55,10 @@ const AHEAD: usize = 8;
 const FEW: usize = 64;
 /// Number of bits of the Morton code for each axis.
 const MORTON_BITS: u32 = 21;
+/// With fewer points or rays, or fewer of them than one for this many vertices, `device="auto"` takes the CPU: a device
+/// first receives the whole mesh.
+const DEVICE_ROWS: usize = 4096;
+const VERTICES_PER_ROW: usize = 8;
 /// Slack for the float32 rounding of a bound, relative and in local units: ten times the rounding.
 const SLACK: (f64, f64) = (1e-5, 1e-6);
 
@@ -75,6 +79,15 @@ pub fn signed_distances(
         (if inside && unsigned > 0.0 { -unsigned } else { unsigned }) as f32
     })?;
     Ok(answers.into_rows())
+}
+
+/// The `device=` for as many points or rays: "cpu" in place of "auto" for few of them.
+pub fn device_for<'a>(device: &'a str, mesh: &Mesh, rows: usize) -> &'a str {
+    if device == "auto" && are_few(mesh, rows) && !gpu::is_overridden() { "cpu" } else { device }
+}
+
+fn are_few(mesh: &Mesh, rows: usize) -> bool {
+    rows < DEVICE_ROWS || VERTICES_PER_ROW * rows < mesh.positions().len()
 }
 
 /// Results along the curve, in chunks of [`CHUNK`], each with the row of its point.
@@ -334,6 +347,17 @@ mod tests {
         assert!(along < 0.2 * as_given, "{along} {as_given}");
         rows.sort_unstable();
         assert!(rows.iter().enumerate().all(|(i, &row)| i as u32 == row));
+    }
+
+    #[test]
+    fn few_points_stay_on_the_cpu() {
+        let (small, large) = (open_box(2), open_box(90));
+        let least = large.positions().len() / VERTICES_PER_ROW;
+        assert!(least > DEVICE_ROWS);
+        assert!(are_few(&small, DEVICE_ROWS - 1) && !are_few(&small, DEVICE_ROWS));
+        assert!(are_few(&large, least - 1) && !are_few(&large, least + 1));
+        // A device with a name is never replaced.
+        assert_eq!(["gpu", "abacus"].map(|device| device_for(device, &small, 1)), ["gpu", "abacus"]);
     }
 
     #[test]

@@ -154,7 +154,7 @@ impl<'a> DeviceJob<'a> {
             progress,
             width: options.band.map(|voxels| voxels * local.step().max_element()),
             nodes: context.upload("tree", &tree.nodes)?,
-            triangles: context.upload("triangles", &tree.triangles)?,
+            triangles: context.upload("triangles", &tree.frames(mesh))?,
             axes: context.upload("sample positions", &positions(&local))?,
             coarse,
             coarse_slots: context.storage("coarse triangles", 4 * count)?,

@@ -2,16 +2,18 @@
 //!
 //! A device does not evaluate eight children of one point at once, so each eight-wide node becomes three levels of
 //! two-wide nodes. The children of a node are in the order of the splits that made them, so halving that list gives
-//! compact boxes. A node holds the boxes of its two children and has 64 bytes; a triangle has 80.
+//! compact boxes. A node holds the boxes of its two children and has 64 bytes. The triangles are tables beside the tree,
+//! in the order of its leaves: frames of 80 bytes for distances, corners of 48 bytes for rays.
 
 use super::pack::TriangleFrame;
 use super::{Bvh, ChildRef, WIDTH};
 use crate::geometry::Aabb;
 use crate::gpu::constants::tree::{LEAF as LEAF_FLAG, LEAF_ONE, MAX_STACK, NOTHING};
-use crate::gpu::layout::{Node, Triangle};
+use crate::gpu::layout::{Corners, Node, Triangle};
 use crate::mesh::Mesh;
 use crate::mesh::derived::Derived;
 use glam::Vec3;
+use rayon::prelude::*;
 
 /// Largest number of triangles of a leaf.
 pub(crate) const LEAF: usize = 4;
@@ -20,17 +22,23 @@ const _: () = assert!(super::build::MAX_DEPTH * 3 + 2 <= MAX_STACK);
 /// The box of an absent child is a point at this distance. It is never the nearest, and its square is a valid float32.
 const FAR_AWAY: f32 = 1e18;
 
-/// Nodes and triangles, ready to upload. The root is node 0.
+/// Nodes, ready to upload, and the face of each triangle of the leaves. The root is node 0.
 #[derive(Debug)]
 pub(crate) struct BinaryTree {
     pub nodes: Vec<Node>,
-    pub triangles: Vec<Triangle>,
+    pub faces: Vec<u32>,
 }
+
+/// The frames of the triangles in the order of the leaves, for distances.
+pub(crate) struct LeafFrames(pub Vec<Triangle>);
+
+/// The corners of the triangles in the order of the leaves, for rays.
+pub(crate) struct LeafCorners(pub Vec<Corners>);
 
 /// A future child: part of the children of an eight-wide node, or of the triangles of a pack.
 enum FutureChild {
     Children(Vec<(Aabb, ChildRef)>),
-    Triangles(Vec<(Aabb, u32, TriangleFrame)>),
+    Triangles(Vec<(Aabb, u32)>),
 }
 
 /// Position at which a child is written: a node, and its left or right side.
@@ -42,21 +50,45 @@ enum ChildSide {
     Right,
 }
 
-/// Queries on a device keep the tree with the mesh, as queries on the CPU keep theirs.
+/// Queries on a device keep the tree and the triangles with the mesh, as queries on the CPU keep theirs.
 impl Derived for BinaryTree {
     fn derive(mesh: &Mesh) -> Self {
         Self::new(mesh.built_bvh(), mesh.positions(), mesh.faces())
     }
 
     fn bytes(&self) -> usize {
-        size_of_val(&self.nodes[..]) + size_of_val(&self.triangles[..])
+        size_of_val(&self.nodes[..]) + size_of_val(&self.faces[..])
+    }
+}
+
+impl Derived for LeafFrames {
+    fn derive(mesh: &Mesh) -> Self {
+        Self(mesh.derived::<BinaryTree>().frames(mesh))
+    }
+
+    fn bytes(&self) -> usize {
+        size_of_val(&self.0[..])
+    }
+}
+
+impl Derived for LeafCorners {
+    fn derive(mesh: &Mesh) -> Self {
+        let corners = |&face: &u32| {
+            let [a, b, c] = mesh.faces()[face as usize].map(|vertex| mesh.positions()[vertex as usize].to_array());
+            Corners { a, face, b, c, ..Corners::default() }
+        };
+        Self(mesh.derived::<BinaryTree>().faces.par_iter().map(corners).collect())
+    }
+
+    fn bytes(&self) -> usize {
+        size_of_val(&self.0[..])
     }
 }
 
 impl BinaryTree {
     /// `positions` and `faces` must be those from which the tree was built.
     pub(crate) fn new(bvh: &Bvh, positions: &[Vec3], faces: &[[u32; 3]]) -> Self {
-        let mut tree = Self { nodes: vec![absent()], triangles: Vec::with_capacity(faces.len()) };
+        let mut tree = Self { nodes: vec![absent()], faces: Vec::with_capacity(faces.len()) };
         let expand = |child: ChildRef| expand(bvh, positions, faces, child);
         // The root is always an inner node. The tree of a single leaf has it on the left.
         let mut waiting: Vec<(ChildPosition, FutureChild)> = Vec::new();
@@ -74,9 +106,9 @@ impl BinaryTree {
                     waiting.extend([((index, ChildSide::Right), right), ((index, ChildSide::Left), left)]);
                 }
                 Err(FutureChild::Triangles(triangles)) => {
-                    let first = tree.triangles.len() as u32;
+                    let first = tree.faces.len() as u32;
                     tree.set(place, bounds, LEAF_FLAG + LEAF_ONE * (triangles.len() as u32 - 1) + first);
-                    tree.triangles.extend(triangles.iter().map(|(_, face, frame)| frame.for_device(*face)));
+                    tree.faces.extend(triangles.iter().map(|(_, face)| face));
                 }
                 // A single child is used directly.
                 Err(FutureChild::Children(children)) => {
@@ -85,6 +117,11 @@ impl BinaryTree {
             }
         }
         tree
+    }
+
+    /// The frames of the triangles in the order of the leaves.
+    pub(crate) fn frames(&self, mesh: &Mesh) -> Vec<Triangle> {
+        self.faces.par_iter().map(|&face| TriangleFrame::new(mesh.triangle(face)).for_device(face)).collect()
     }
 
     fn set(&mut self, (index, side): ChildPosition, bounds: Aabb, child: u32) {
@@ -102,8 +139,7 @@ fn expand(bvh: &Bvh, positions: &[Vec3], faces: &[[u32; 3]], child: ChildRef) ->
     if child.is_pack() {
         let pack = &bvh.packs[child.index()];
         let box_of = |face: u32| Aabb::of_points(&faces[face as usize].map(|v| positions[v as usize]));
-        let lanes = pack.faces().iter().enumerate();
-        return FutureChild::Triangles(lanes.map(|(lane, &face)| (box_of(face), face, pack.frame(lane))).collect());
+        return FutureChild::Triangles(pack.faces().iter().map(|&face| (box_of(face), face)).collect());
     }
     let node = &bvh.nodes[child.index()];
     let corner = |of: &[[f32; WIDTH]; 3], i: usize| Vec3::new(of[0][i], of[1][i], of[2][i]);
@@ -118,7 +154,7 @@ impl FutureChild {
         let join = |bounds: Aabb, of: &Aabb| bounds.union(*of);
         match self {
             Self::Children(children) => children.iter().map(|(bounds, _)| bounds).fold(Aabb::EMPTY, join),
-            Self::Triangles(triangles) => triangles.iter().map(|(bounds, ..)| bounds).fold(Aabb::EMPTY, join),
+            Self::Triangles(triangles) => triangles.iter().map(|(bounds, _)| bounds).fold(Aabb::EMPTY, join),
         }
     }
 
@@ -177,7 +213,7 @@ mod tests {
             if child >= LEAF_FLAG {
                 let (first, count) = (child & (LEAF_ONE - 1), (child - LEAF_FLAG) / LEAF_ONE + 1);
                 for slot in first..first + count {
-                    best = best.min(frames[tree.triangles[slot as usize].face as usize].distance_squared(p));
+                    best = best.min(frames[tree.faces[slot as usize] as usize].distance_squared(p));
                 }
                 continue;
             }
@@ -199,7 +235,7 @@ mod tests {
             let mesh = soup(faces, 0.1, faces as u64);
             let tree = BinaryTree::new(mesh.bvh(), mesh.positions(), mesh.faces());
 
-            let mut named: Vec<u32> = tree.triangles.iter().map(|triangle| triangle.face).collect();
+            let mut named = tree.faces.clone();
             named.sort_unstable();
             assert_eq!(named, (0..mesh.faces().len() as u32).collect::<Vec<_>>());
             let frames: Vec<_> =

@@ -15,7 +15,8 @@ use super::ray_search::{RayTables, ReadyRay};
 use super::turns;
 use super::watertight::{ClippedRay, FaceHit, Ray};
 use super::{Bvh, Node, WIDTH};
-use crate::gpu::layout::{CastRay, Corners};
+use crate::gpu::constants::cast_rays::{MISSED, UNSUITED};
+use crate::gpu::layout::CastRay;
 use crate::mesh::Mesh;
 use crate::mesh::topology::Orientation;
 use glam::DVec3;
@@ -45,16 +46,11 @@ impl Mesh {
         ClippedRay::new(ray, bounds.min.as_dvec3(), bounds.max.as_dvec3())
     }
 
-    /// A ray for a search on a device. Its limit is negative if the CPU must search it.
+    /// A ray for a search on a device. Its limit is [`MISSED`] or [`UNSUITED`] if the device must not search it.
     pub(crate) fn device_ray(&self, ray: &Ray) -> CastRay {
-        let clipped = self.clipped(ray).and_then(|clipped| clipped.for_device());
-        clipped.unwrap_or(CastRay { limit: -1.0, ..CastRay::default() })
-    }
-
-    /// The corners of a face for a search on a device.
-    pub(crate) fn device_corners(&self, face: u32) -> Corners {
-        let [a, b, c] = self.faces()[face as usize].map(|vertex| self.positions()[vertex as usize].to_array());
-        Corners { a, face, b, c, ..Corners::default() }
+        let without_search = |limit: f32| CastRay { limit, ..CastRay::default() };
+        let Some(clipped) = self.clipped(ray) else { return without_search(MISSED) };
+        clipped.for_device().unwrap_or_else(|| without_search(UNSUITED))
     }
 
     /// [`Mesh::first_hit`] of a ray that hits no other faces.

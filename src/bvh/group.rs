@@ -4,7 +4,7 @@
 //! triangles in this ball, and each is compared with the eight points side by side. Where several triangles are nearest
 //! up to the rounding of float32, as beside an edge of the mesh, all of them are returned.
 
-use super::{Bvh, ChildRef, MAX_STACK, ROUNDING, WIDTH};
+use super::{Bvh, ROUNDING, WIDTH};
 use crate::simd::with_vectors;
 use glam::Vec3;
 
@@ -38,62 +38,43 @@ impl Bvh {
             slack: f32 = slack,
             found: &mut Vec<(u32, u8)> = found,
         ) -> bool {
-            bvh.nearest_of_group_portable(center, radius, points, slack, found)
-        })
-    }
-
-    #[inline(always)]
-    fn nearest_of_group_portable(
-        &self,
-        center: Vec3,
-        radius: f32,
-        points: &[[f32; WIDTH]; 3],
-        slack: f32,
-        found: &mut Vec<(u32, u8)>,
-    ) -> bool {
-        let limit = radius * radius;
-        let mut best = [f32::INFINITY; WIDTH];
-        let mut faces = [(0, [0.0; WIDTH]); MOST];
-        let mut stack = [ChildRef::NONE; MAX_STACK];
-        stack[0] = Self::ROOT;
-        let (mut top, mut count) = (1, 0);
-        while top > 0 {
-            top -= 1;
-            let child = stack[top];
-            if child.is_pack() {
-                let pack = &self.packs[child.index()];
-                let near = pack.distances_squared(center);
-                for lane in (0..pack.faces().len()).filter(|&lane| near[lane] <= limit) {
-                    if count == MOST {
-                        return false;
+            let limit = radius * radius;
+            let mut best = [f32::INFINITY; WIDTH];
+            let mut faces = [(0, [0.0; WIDTH]); MOST];
+            let mut count = 0;
+            let is_complete = bvh.visit_while(
+                |node| node.distances_squared(center).map(|squared| squared <= limit),
+                |pack| {
+                    let near = pack.distances_squared(center);
+                    for lane in (0..pack.faces().len()).filter(|&lane| near[lane] <= limit) {
+                        if count == MOST {
+                            return false;
+                        }
+                        let squared = pack.frame(lane).distances_squared(*points);
+                        faces[count] = (pack.face(lane), squared);
+                        count += 1;
+                        for i in 0..WIDTH {
+                            best[i] = if squared[i] < best[i] { squared[i] } else { best[i] };
+                        }
                     }
-                    let squared = pack.frame(lane).distances_squared(*points);
-                    faces[count] = (pack.face(lane), squared);
-                    count += 1;
-                    for i in 0..WIDTH {
-                        best[i] = if squared[i] < best[i] { squared[i] } else { best[i] };
-                    }
+                    true
+                },
+            );
+            if !is_complete {
+                return false;
+            }
+            let limits = best.map(|squared| (squared.sqrt() + slack) * (squared.sqrt() + slack));
+            for (face, squared) in &faces[..count] {
+                let mut nearest = 0;
+                for i in 0..WIDTH {
+                    nearest |= u8::from(squared[i] <= limits[i]) << i;
                 }
-                continue;
+                if nearest != 0 {
+                    found.push((*face, nearest));
+                }
             }
-            let node = &self.nodes[child.index()];
-            let found = node.distances_squared(center);
-            for lane in (0..WIDTH).filter(|&lane| found[lane] <= limit && !node.children[lane].is_none()) {
-                stack[top] = node.children[lane];
-                top += 1;
-            }
-        }
-        let limits = best.map(|squared| (squared.sqrt() + slack) * (squared.sqrt() + slack));
-        for (face, squared) in &faces[..count] {
-            let mut nearest = 0;
-            for i in 0..WIDTH {
-                nearest |= u8::from(squared[i] <= limits[i]) << i;
-            }
-            if nearest != 0 {
-                found.push((*face, nearest));
-            }
-        }
-        count > 0
+            count > 0
+        })
     }
 }
 

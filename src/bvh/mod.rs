@@ -157,6 +157,19 @@ impl Bvh {
     /// [`Bvh::visit`] without an allocation, in another order, for traversals of about a microsecond.
     #[inline]
     pub fn visit_in_place(&self, overlaps: impl Fn(&Node) -> [bool; WIDTH], mut on_pack: impl FnMut(&Pack)) {
+        self.visit_while(overlaps, |pack| {
+            on_pack(pack);
+            true
+        });
+    }
+
+    /// [`Bvh::visit_in_place`] until `on_pack` returns false. Returns whether all packs were visited.
+    #[inline(always)]
+    pub fn visit_while(
+        &self,
+        overlaps: impl Fn(&Node) -> [bool; WIDTH],
+        mut on_pack: impl FnMut(&Pack) -> bool,
+    ) -> bool {
         let mut stack = [ChildRef::NONE; MAX_STACK];
         stack[0] = Self::ROOT;
         let mut top = 1;
@@ -170,13 +183,16 @@ impl Bvh {
                     continue;
                 }
                 if child.is_pack() {
-                    on_pack(&self.packs[child.index()]);
+                    if !on_pack(&self.packs[child.index()]) {
+                        return false;
+                    }
                 } else {
                     stack[top] = child;
                     top += 1;
                 }
             }
         }
+        true
     }
 
     /// Visits all nodes and packs whose box `overlaps` accepts, in memory order.

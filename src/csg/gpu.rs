@@ -30,7 +30,7 @@ use crate::gpu::constants::csg_draw::{MAX_LIGHTS, PIXEL_HIT, PIXEL_RAN_OUT};
 use crate::gpu::constants::csg_field::CSG_FAR;
 use crate::gpu::constants::csg_tables::*;
 use crate::gpu::layout::{CsgBox, CsgDrawParams, CsgLeaf, CsgPixel, CsgPointParams};
-use crate::gpu::pace::in_pieces;
+use crate::gpu::pace::{in_groups, in_pieces};
 use crate::gpu::shader::source_with;
 use crate::gpu::{Context, Place};
 use crate::grid::Grid;
@@ -43,10 +43,6 @@ use std::sync::Arc;
 
 /// Side of a workgroup of `csg_draw` in pixels, as in the shader.
 const TILE: u32 = 8;
-/// Number of points of a workgroup of `csg_points`, as in the shader.
-const GROUP: u64 = 64;
-/// Number of workgroups of `csg_points` in the first dispatch, and largest number in any.
-const WORKGROUPS: (u64, u64) = (4, 65_535);
 /// Number of rows of workgroups of `csg_draw` in the first dispatch, and largest number in any.
 const TILE_ROWS: (u64, u64) = (1, 1024);
 /// Number of points in device memory at a time.
@@ -227,13 +223,11 @@ fn distances(solid: &Solid, context: &Context, points: &[DVec3], progress: &Prog
             (5, &found),
         ];
         let group = context.bind("points of a shape", &kernel, &buffers)?;
-        let groups = (points.len() as u64).div_ceil(GROUP);
-        in_pieces(context, "the shape kernel", groups, WORKGROUPS.0, WORKGROUPS.1, progress, |first, count| {
-            params.first = (GROUP * first) as u32;
-            params.count = ((GROUP * count) as u32).min(points.len() as u32 - params.first);
+        in_groups(context, "the shape kernel", points.len(), progress, |first, count, workgroups| {
+            (params.first, params.count) = (first, count);
             context.write("point parameters", &uniform, 0, &[params])?;
-            progress.advance(params.count.into())?;
-            Ok(context.dispatch("points of a shape", &kernel, &group, [count as u32, 1, 1])?)
+            progress.advance(count.into())?;
+            Ok(context.dispatch("points of a shape", &kernel, &group, workgroups)?)
         })?;
         context.read("distances", &found, out, progress)?;
         // The CPU evaluates the points that ran out of rounds.

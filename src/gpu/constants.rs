@@ -87,6 +87,10 @@ wgsl_constants! {
         FIRST: u32 as u32 = 0;
         ANY: u32 as u32 = 1;
         ALL: u32 as u32 = 2;
+        /// Limit of a ray that misses the box of the mesh and therefore hits no face.
+        MISSED: f32 as f32 = -1.0;
+        /// Limit of a ray that float32 does not represent. The CPU has to search it.
+        UNSUITED: f32 as f32 = -2.0;
         /// Replaces the first face of a ray that the CPU has to search.
         UNDECIDED: u32 as u32 = u32::MAX - 1;
         /// Replaces the first face of a ray that certainly hits a face, in a search for any hit.
@@ -95,7 +99,9 @@ wgsl_constants! {
         /// 3e-8 each; two differences of them are rounded to 1.2e-7 each.
         BOX_MARGIN: f32 as f32 = 1e-6;
         /// Error of a sheared coordinate, local units. A vertex and the origin are rounded to 3e-8 each, their difference
-        /// to 1.2e-7. The product with the direction doubles this and adds 1.5e-7; the last difference adds 2.4e-7.
+        /// to 1.2e-7. The product with the direction doubles this and adds 1.5e-7; the last difference adds 2.4e-7. The
+        /// product of two errors needs no term: up to a size of 2e-6 the slack exceeds every edge function, and above it
+        /// the unused part of this constant covers the product.
         SHEAR_ROUNDING: f32 as f32 = 1e-6;
         /// Error of an edge function on a device, relative to the square of the largest sheared coordinate: a difference
         /// of two products. WGSL rounds a result to either neighbour, so four roundings are 1.2e-7 each.

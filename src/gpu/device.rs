@@ -69,10 +69,19 @@ impl Place {
 /// Environment variable that replaces `device="auto"`.
 pub(crate) const OVERRIDE: &str = "FIELDBAKE_DEVICE";
 
+/// Whether the environment replaces "auto".
+pub fn is_overridden() -> bool {
+    overriding().is_some()
+}
+
+fn overriding() -> Option<String> {
+    std::env::var(OVERRIDE).ok().filter(|name| !name.is_empty())
+}
+
 /// The device for a user's `device=`: "auto" (hardware, else the CPU), "cpu", "gpu" (hardware, else a software adapter)
 /// or an adapter by name.
 pub fn choose(device: &str) -> Result<Place, DeviceError> {
-    let named = std::env::var(OVERRIDE).ok().filter(|name| device == "auto" && !name.is_empty());
+    let named = if device == "auto" { overriding() } else { None };
     let device = named.as_deref().unwrap_or(device);
     match device {
         "cpu" => Ok(Place::Cpu),

@@ -28,4 +28,4 @@ pub(crate) mod texture;
 pub(crate) mod tests;
 
 pub use context::{Context, context};
-pub use device::{DeviceInfo, Place, choose, devices};
+pub use device::{DeviceInfo, Place, choose, devices, is_overridden};

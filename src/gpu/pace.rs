@@ -15,6 +15,28 @@ const QUICK: Duration = Duration::from_millis(40);
 /// After a dispatch that is slower than this, the next one is half as large.
 const SLOW: Duration = Duration::from_millis(160);
 
+/// Number of invocations of a workgroup of the kernels with one invocation for each item of a list, as in the shaders.
+const GROUP: u64 = 64;
+/// Number of workgroups of a dispatch of these kernels: in the first one, and at most, by the limit of one dimension.
+const GROUPS: (u64, u64) = (16, 65_535);
+
+/// [`in_pieces`] for the items of a list, with one invocation for each. `dispatch(first, count, workgroups)` submits
+/// `count` items from `first` on.
+pub(crate) fn in_groups(
+    context: &Context,
+    what: &str,
+    total: usize,
+    progress: &Progress,
+    mut dispatch: impl FnMut(u32, u32, [u32; 3]) -> Result<wgpu::SubmissionIndex, Error>,
+) -> Result<(), Error> {
+    let groups = (total as u64).div_ceil(GROUP);
+    in_pieces(context, what, groups, GROUPS.0, GROUPS.1, progress, |first, groups| {
+        let first = GROUP * first;
+        let count = (GROUP * groups).min(total as u64 - first);
+        dispatch(first as u32, count as u32, [groups as u32, 1, 1])
+    })
+}
+
 /// Splits `total` units of work into dispatches. `dispatch(first, count)` submits one. Results do not depend on the
 /// split.
 ///

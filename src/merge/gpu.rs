@@ -21,7 +21,7 @@ use crate::error::Error;
 use crate::gpu::Context;
 use crate::gpu::constants::merge_owners::UNDECIDED;
 use crate::gpu::layout::{MergeField, MergeGrid, MergeNode, MergeParams};
-use crate::gpu::pace::in_pieces;
+use crate::gpu::pace::in_groups;
 use crate::grid::Grid;
 use crate::memory::allocate_samples;
 use crate::progress::Progress;
@@ -32,10 +32,6 @@ use rayon::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Number of samples of a workgroup, as in the shader.
-const GROUP: u64 = 64;
-/// Number of workgroups of the first dispatch, and largest number of any.
-const GROUPS: (u64, u64) = (16, 65_535);
 /// Error of a grid coordinate computed from a scene position, per grid unit that a scene unit spans along the three
 /// axes together: 3 + 2 x 6 roundings of values up to 2, of 6e-8 each, doubled to cover the device's arithmetic.
 const POSITION_ERROR: f64 = 2e-6;
@@ -155,15 +151,11 @@ fn find_owners(
 
     for (slab, owners) in owners.chunks_mut(nx * ny * planes).enumerate() {
         params.first_plane = (slab * planes) as u32;
-        let count = owners.len() as u64;
-        let groups = count.div_ceil(GROUP);
-        in_pieces(context, "the merge", groups, GROUPS.0, GROUPS.1, progress, |first, pieces| {
-            params.first = (first * GROUP) as u32;
-            params.count = (pieces * GROUP).min(count - first * GROUP) as u32;
+        in_groups(context, "the merge", owners.len(), progress, |first, count, workgroups| {
+            (params.first, params.count) = (first, count);
             context.write("merge parameters", &uniform, 0, &[params])?;
-            let submission = context.dispatch("merge", &kernel, &group, [pieces as u32, 1, 1])?;
-            progress.advance(u64::from(params.count))?;
-            Ok(submission)
+            progress.advance(count.into())?;
+            Ok(context.dispatch("merge", &kernel, &group, workgroups)?)
         })?;
         context.read("owners", &found, owners, progress)?;
     }

@@ -31,7 +31,7 @@ pub(super) fn signed_distance<'py>(
     mesh.prepare(py)?;
     let mesh = mesh.0.clone();
     let points = rows(&points, "points")?;
-    let place = choose(py, device)?;
+    let place = choose(py, core::device_for(device, &mesh, points.len()))?;
     let method = sign.parse::<SignMethod>().map_err(Failure::from)?;
     let distances = run_sized(py, progress, is_short(&mesh, points.len(), &place), |progress| {
         core::signed_distances(&place, &mesh, points, method, progress)
@@ -59,7 +59,7 @@ pub(super) fn closest_point<'py>(
     mesh.prepare(py)?;
     let mesh = mesh.0.clone();
     let points = rows(&points, "points")?;
-    let place = choose(py, device)?;
+    let place = choose(py, core::device_for(device, &mesh, points.len()))?;
     let found = run_sized(py, progress, is_short(&mesh, points.len(), &place), |progress| {
         core::closest_points(&place, &mesh, points, progress)
     })?;
@@ -94,7 +94,7 @@ pub(super) fn query<'py>(
     mesh.prepare(py)?;
     let mesh = mesh.0.clone();
     let points = rows(&points, "points")?;
-    let place = choose(py, device)?;
+    let place = choose(py, core::device_for(device, &mesh, points.len()))?;
     let method = sign.parse::<SignMethod>().map_err(Failure::from)?;
     let found = run_sized(py, progress, is_short(&mesh, points.len(), &place), |progress| {
         core::query(&place, &mesh, points, method, progress)

@@ -25,7 +25,7 @@ fn with_rays<T: Send>(
     mesh.prepare(py)?;
     let mesh = mesh.0.clone();
     let rays = Rays { origins: rows(origins, "origins")?, directions: rows(directions, "directions")?, t_min, t_max };
-    let place = choose(py, device)?;
+    let place = choose(py, query::device_for(device, &mesh, rays.origins.len()))?;
     let is_short = rays.origins.len() <= FEW && matches!(place, Place::Cpu) && mesh.is_prepared_for_rays();
     Ok(run_sized(py, progress, is_short, |progress| job(&place, &mesh, &rays, progress))?)
 }

@@ -134,7 +134,7 @@ pub fn all_intersections(
 /// Rays that are searched together.
 struct Batch<'a> {
     rays: &'a [Ray],
-    /// Whether consecutive rays are near each other.
+    /// Whether consecutive rays are near each other. The search by a device does not use this.
     near: bool,
     /// The faces that a device found for each ray; None if the CPU searches.
     found: Option<&'a [Candidates]>,
@@ -185,12 +185,13 @@ fn trace<C: Send, S: Default>(
     let count = rays.origins.len();
     progress.set_total(place.passes() * count as u64);
     mesh.bvh();
-    mesh.ray_packs();
-    let found = match place {
-        Place::Cpu => Vec::new(),
-        Place::Gpu(context) => candidates(context, mesh, rays, search, progress)?,
+    let (found, near) = match place {
+        Place::Cpu => {
+            mesh.ray_packs();
+            (Vec::new(), !is_scattered(mesh, rays))
+        }
+        Place::Gpu(context) => (candidates(context, mesh, rays, search, progress)?, false),
     };
-    let near = !is_scattered(mesh, rays);
     let answer_task = |memory: &mut (Vec<Ray>, S), (task, mut column): (usize, C)| {
         let rows = task * CHUNK..count.min((task + 1) * CHUNK);
         let (batch, scratch) = memory;

@@ -18,7 +18,7 @@ use crate::error::Error;
 use crate::geometry::Aabb;
 use crate::gpu::Context;
 use crate::gpu::layout::{Answer, Beam, BeamParams, SceneInstance, SceneNode};
-use crate::gpu::pace::in_pieces;
+use crate::gpu::pace::in_groups;
 use crate::gpu::shader::Instead;
 use crate::gpu::table::Table;
 use crate::progress::Progress;
@@ -27,10 +27,6 @@ use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::sync::Arc;
 
-/// Number of invocations of a workgroup, as in the shader.
-const GROUP: u64 = 64;
-/// Number of workgroups of a dispatch: in the first one, and at most.
-const GROUPS: (u64, u64) = (16, 65_535);
 /// State of a cone that needs a ray past an edge, as in the shader.
 const NEEDS_EDGE: u32 = 2;
 /// Finite value that stands for infinity in shaders.
@@ -296,13 +292,11 @@ impl DeviceScene {
         };
         let used: Vec<_> = all.into_iter().filter(|(binding, _)| !unused.contains(binding)).collect();
         let group = context.bind("scene_beams", &kernel, &used)?;
-        let groups = (count as u64).div_ceil(GROUP);
-        in_pieces(context, "the scene's light", groups, GROUPS.0, GROUPS.1, progress, |first, pieces| {
-            params.first = (first * GROUP) as u32;
-            params.count = ((pieces * GROUP) as u32).min(count as u32 - params.first);
+        in_groups(context, "the scene's light", count, progress, |first, count, workgroups| {
+            (params.first, params.count) = (first, count);
             context.write("beam parameters", &uniform, 0, &[params])?;
             progress.check()?;
-            Ok(context.dispatch("scene_beams", &kernel, &group, [pieces as u32, 1, 1])?)
+            Ok(context.dispatch("scene_beams", &kernel, &group, workgroups)?)
         })
     }
 }

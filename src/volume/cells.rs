@@ -11,7 +11,7 @@ use super::device::DeviceField;
 use super::{Cell, SampleFilter, Trilinear, outside};
 use crate::error::Error;
 use crate::gpu::layout::CellParams;
-use crate::gpu::pace::in_pieces;
+use crate::gpu::pace::in_groups;
 use crate::grid::Grid;
 use crate::progress::Progress;
 use glam::{DVec3, IVec3, Vec3};
@@ -22,9 +22,6 @@ use std::sync::{Mutex, PoisonError};
 const BATCH: usize = 1 << 20;
 /// Number of points that a thread evaluates at a time.
 const CHUNK: usize = 4096;
-/// Number of workgroups of the first dispatch, and largest number of any, by the limit of one dimension. A workgroup
-/// copies the corners of 64 cells.
-const WORKGROUPS: (u64, u64) = (64, 65_535);
 
 /// The trilinear field at points, and the lower bound outside the box. See [`Trilinear::sample`].
 pub(crate) fn sample(
@@ -136,12 +133,10 @@ fn corners_of(field: &DeviceField, cells: &[[i32; 3]], progress: &Progress) -> R
         let uniform = context.uniform("parameters of cells", &params)?;
         let buffers = [(0, &uniform), (1, &slab.buffer), (2, &positions), (3, &found)];
         let group = context.bind("cells", &kernel, &buffers)?;
-        let workgroups = (cells.len() as u64).div_ceil(64);
-        in_pieces(context, "the kernel of cells", workgroups, WORKGROUPS.0, WORKGROUPS.1, progress, |first, count| {
-            params.first = 64 * first as u32;
-            params.count = (64 * count as u32).min(cells.len() as u32 - params.first);
+        in_groups(context, "the kernel of cells", cells.len(), progress, |first, count, workgroups| {
+            (params.first, params.count) = (first, count);
             context.write("parameters of cells", &uniform, 0, &[params])?;
-            Ok(context.dispatch("cells", &kernel, &group, [count as u32, 1, 1])?)
+            Ok(context.dispatch("cells", &kernel, &group, workgroups)?)
         })?;
     }
     context.read("corners of cells", &found, &mut corners, progress)?;

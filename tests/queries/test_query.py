@@ -199,6 +199,14 @@ def test_a_device_answers_alike(gpu):
     assert np.abs(np.linalg.norm(found.gradients, axis=1) - 1).max() <= 1e-12
 
 
+def test_few_points_stay_on_the_cpu_unless_the_environment_names_a_device(gpu, monkeypatch):
+    monkeypatch.delenv("FIELDBAKE_DEVICE", raising=False)
+    assert fb.query(meshes.box(), np.zeros((4095, 3))).report.device == "cpu"
+
+    monkeypatch.setenv("FIELDBAKE_DEVICE", gpu)
+    assert fb.query(meshes.box(), np.zeros((1, 3))).report.device != "cpu"
+
+
 @pytest.mark.parametrize(
     "call",
     [

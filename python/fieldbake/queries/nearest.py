@@ -93,7 +93,8 @@ def closest_point(
     points : (..., 3) real
         World positions.
     device : str, default "auto"
-        ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`.
+        ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`. ``"auto"`` takes the CPU for fewer than 4,096
+        points and for fewer points than an eighth of the vertices, since the mesh is copied to the device first.
     progress : bool or callable, optional
         True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
 
@@ -148,8 +149,10 @@ def query(
         Pass the same `Mesh` to several calls: its search tree is built once.
     points : (..., 3) real
         World positions.
-    sign, device, progress
+    sign, progress
         As for :func:`bake`.
+    device : str, default "auto"
+        As for :func:`closest_point`.
 
     Returns
     -------
@@ -214,8 +217,10 @@ def signed_distance(
         Pass the same `Mesh` to several calls: its search tree is built once.
     points : (..., 3) real
         World positions.
-    sign, device, progress
+    sign, progress
         As for :func:`bake`.
+    device : str, default "auto"
+        As for :func:`closest_point`.
 
     Returns
     -------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,11 +15,6 @@ from ..base.progress import Progress, progress_callback
 from ..meshes.convert import MeshLike, as_mesh
 from ..meshes.mesh import Mesh
 from .common import shaped, source_faces
-
-#: With fewer rays, or fewer rays than one for this many vertices, ``device="auto"`` takes the CPU: a device first
-#: receives the whole mesh, and all devices return the same bits.
-DEVICE_RAYS = 4096
-VERTICES_PER_RAY = 8
 
 
 class RayHits(NamedTuple):
@@ -283,8 +277,5 @@ def _checked_rays(
     first, last = checks.limit("t_min", t_min), checks.limit("t_max", t_max)
     if first > last:
         raise ArgumentError(f"t_min: must be at most t_max ({t_max:g}), got {t_min:g}")
-    where, checked = checks.text("device", device), as_mesh(mesh)
-    if where == "auto" and not os.environ.get("FIELDBAKE_DEVICE"):
-        few = len(starts) < DEVICE_RAYS or VERTICES_PER_RAY * len(starts) < len(checked.vertices)
-        where = "cpu" if few else where
-    return checked, (starts, vectors), shape, {"t_min": first, "t_max": last, "device": where}
+    options = {"t_min": first, "t_max": last, "device": checks.text("device", device)}
+    return as_mesh(mesh), (starts, vectors), shape, options

@@ -133,8 +133,10 @@ def sample_training(
         near the surface.
     seed : int, default 0
         From 0 to 2^64 - 1. The same seed gives the same points on any number of threads.
-    sign, device, progress
+    sign, progress
         As for :func:`bake`.
+    device : str, default "auto"
+        As for :func:`closest_point`.
 
     Returns
     -------
