@@ -166,7 +166,8 @@ struct Walk<'a> {
     mesh: &'a Mesh,
     /// The nearest face of each point if a device has searched; else empty.
     faces: &'a [u32],
-    last: Option<(DVec3, f64)>,
+    /// The closest point of the previous point.
+    last: Option<DVec3>,
     sides: SideWalk,
 }
 
@@ -178,7 +179,7 @@ impl Walk<'_> {
         let bound = self.bound(p);
         let found = self.mesh.closest_point_within(p, (bound * bound) as f32);
         let closest = found.unwrap_or_else(|| self.mesh.closest_point(p));
-        self.last = Some((p, closest.distance));
+        self.last = Some(closest.on_triangle.point);
         closest
     }
 
@@ -188,7 +189,7 @@ impl Walk<'_> {
             return self.mesh.exact_point_on_face(face, p);
         }
         let closest = self.mesh.exact_closest_point(p, self.bound(p));
-        self.last = Some((p, closest.distance));
+        self.last = Some(closest.on_triangle.point);
         closest
     }
 
@@ -196,9 +197,9 @@ impl Walk<'_> {
         self.faces.get(row as usize).copied().filter(|&face| face != device::UNFINISHED)
     }
 
-    /// An upper bound on the distance at `p`: that of the previous point plus the distance from it.
+    /// An upper bound on the distance at `p`: that to the closest point of the previous point.
     fn bound(&self, p: DVec3) -> f64 {
-        let bound = self.last.map_or(f64::INFINITY, |(q, distance)| distance + p.distance(q));
+        let bound = self.last.map_or(f64::INFINITY, |closest| p.distance(closest));
         bound * (1.0 + SLACK.0) + SLACK.1
     }
 
@@ -220,12 +221,12 @@ fn answer_in_order<T: Send>(
         Place::Cpu => Vec::new(),
         Place::Gpu(context) => device::nearest_faces(context, mesh, points, progress)?,
     };
-    let answer_chunk = |rows: &[(u64, u32)]| -> Result<Vec<(u32, T)>, Error> {
+    let answer_chunk = |rows: &[u32]| -> Result<Vec<(u32, T)>, Error> {
         let mut walk = Walk { mesh, faces: &faces, last: None, sides: SideWalk::default() };
         let position = |row: u32| mesh.local_from_world(DVec3::from_array(points[row as usize]));
         let mut answers = Vec::with_capacity(rows.len());
-        for (i, &(_, row)) in rows.iter().enumerate() {
-            if let Some(&(_, later)) = rows.get(i + AHEAD) {
+        for (i, &row) in rows.iter().enumerate() {
+            if let Some(&later) = rows.get(i + AHEAD) {
                 prefetch(&points[later as usize]);
             }
             answers.push((row, answer(&mut walk, position(row), row)));
@@ -241,26 +242,30 @@ fn answer_in_order<T: Send>(
 }
 
 /// Rows in order of the Morton code, or in their own order if there are too few.
-fn curve(points: &[[f64; 3]]) -> Vec<(u64, u32)> {
+fn curve(points: &[[f64; 3]]) -> Vec<u32> {
     if points.len() <= FEW {
-        return (0..points.len() as u32).map(|row| (0, row)).collect();
+        return (0..points.len() as u32).collect();
     }
     let (lower, upper) = points
         .iter()
         .map(|&p| DVec3::from_array(p))
         .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(lower, upper), p| (lower.min(p), upper.max(p)));
+    // A key is the code of a point above its row: half the memory of a pair. At most 32 bits of a row leave 10 bits of
+    // the code for each axis.
+    let row_bits = points.len().ilog2() + 1;
+    let axis_bits = MORTON_BITS.min((u64::BITS - row_bits) / 3);
     // Halves are subtracted, because the difference of two finite numbers may overflow.
-    let cells = f64::from(1u32 << MORTON_BITS) - 1.0;
+    let cells = f64::from(1u32 << axis_bits) - 1.0;
     let scale = cells * 0.5 / (upper * 0.5 - lower * 0.5).max(DVec3::splat(f64::MIN_POSITIVE));
-    let code = |&p: &[f64; 3]| {
+    let key = |(row, &p): (usize, &[f64; 3])| {
         let cell = (DVec3::from_array(p) * 0.5 - lower * 0.5) * 2.0 * scale;
         // Casting saturates.
-        spread(cell.x as u64) | spread(cell.y as u64) << 1 | spread(cell.z as u64) << 2
+        let code = spread(cell.x as u64) | spread(cell.y as u64) << 1 | spread(cell.z as u64) << 2;
+        code << row_bits | row as u64
     };
-    let mut order: Vec<(u64, u32)> =
-        points.par_iter().map(code).zip((0..points.len() as u32).into_par_iter()).collect();
-    order.par_sort_unstable();
-    order
+    let mut keys: Vec<u64> = points.par_iter().enumerate().map(key).collect();
+    keys.par_sort_unstable();
+    keys.into_par_iter().map(|key| (key & ((1 << row_bits) - 1)) as u32).collect()
 }
 
 /// Two empty bits after each of the low 21 bits.
@@ -339,8 +344,7 @@ mod tests {
     #[test]
     fn the_curve_visits_every_point_once_and_near_ones_together() {
         let points = scattered(5000);
-        let order = curve(&points);
-        let mut rows: Vec<u32> = order.iter().map(|&(_, row)| row).collect();
+        let mut rows = curve(&points);
         let at = |row: u32| DVec3::from_array(points[row as usize]);
         let along: f64 = rows.windows(2).map(|pair| at(pair[0]).distance(at(pair[1]))).sum();
         let as_given: f64 = (1..points.len() as u32).map(|row| at(row).distance(at(row - 1))).sum();

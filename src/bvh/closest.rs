@@ -5,11 +5,12 @@
 //! the tree of a build ([`Mesh::bvh_within`]).
 
 use super::pack::TriangleFrame;
-use super::{Bvh, ChildRef, FAR, MAX_STACK, Node, ROUNDING, WIDTH};
+use super::stack::Stack;
+use super::{Bvh, FAR, Node, ROUNDING, WIDTH};
 use crate::geometry::{TrianglePoint, closest_point_on_triangle};
 use crate::mesh::Mesh;
 use crate::simd::with_vectors;
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec3, Vec4};
 
 /// The nearest face of a point and its squared distance, as compared in float32.
 #[derive(Debug, Clone, Copy)]
@@ -66,19 +67,34 @@ impl Node {
     #[inline(always)]
     pub fn distances_squared(&self, p: Vec3) -> [f32; WIDTH] {
         let mut result = [0.0; WIDTH];
-        for i in 0..WIDTH {
-            let mut sum = 0.0;
-            for axis in 0..3 {
-                let below = self.min[axis][i] - p[axis];
-                let above = p[axis] - self.max[axis][i];
+        // With the lanes in the inner loop, each operation of an axis is one vector instruction.
+        for axis in 0..3 {
+            let (low, high, p) = (&self.min[axis], &self.max[axis], p[axis]);
+            for i in 0..WIDTH {
+                let (below, above) = (low[i] - p, p - high[i]);
                 let outside = if below > above { below } else { above };
                 let outside = if outside > 0.0 { outside } else { 0.0 };
-                sum += outside * outside;
+                result[i] += outside * outside;
             }
-            result[i] = sum;
         }
         result
     }
+}
+
+/// Mask of the lanes whose value is at most `limit`.
+#[inline(always)]
+pub(super) fn mask_within(values: &[f32; WIDTH], limit: f32) -> u32 {
+    // The compiler finds the instruction for a mask in these types only.
+    let [a, b, c, d, e, f, g, h] = *values;
+    let half = |row: [f32; 4]| Vec4::from_array(row).cmple(Vec4::splat(limit)).bitmask();
+    half([a, b, c, d]) | half([e, f, g, h]) << 4
+}
+
+#[inline(always)]
+pub(super) fn least_of(values: &[f32; WIDTH]) -> f32 {
+    let less = |x: f32, y: f32| if x < y { x } else { y };
+    let halves: [f32; 4] = std::array::from_fn(|i| less(values[i], values[i + 4]));
+    less(less(halves[0], halves[2]), less(halves[1], halves[3]))
 }
 
 impl Bvh {
@@ -91,54 +107,47 @@ impl Bvh {
 
     #[inline(always)]
     fn nearest_portable(&self, p: Vec3, bound_squared: f32) -> Option<Nearest> {
-        let mut stack = [(0.0f32, ChildRef::NONE); MAX_STACK];
-        stack[0] = (0.0, Bvh::ROOT);
-        let mut top = 1;
+        let mut stack = Stack::new();
+        let mut child = Bvh::ROOT;
         let mut best = bound_squared;
         // A box may be dropped beyond the rounding of a distance to it and of one to a triangle in it.
         let reach = f64::from(p.abs().max_element());
         let slack = if reach <= FAR { (2.0 * ROUNDING * (1.0 + reach)) as f32 } else { 0.0 };
         let beyond = |squared: f32| {
             let limit = squared.sqrt() + slack;
-            limit * limit
+            // The box of an absent child is infinitely far and stays beyond every limit.
+            (limit * limit).min(f32::MAX)
         };
         let mut limit = beyond(best);
         let mut nearest: Option<(Slot, u32)> = None;
-        while top > 0 {
-            top -= 1;
-            let (box_squared, child) = stack[top];
-            if box_squared > limit {
-                continue;
-            }
+        loop {
             if child.is_pack() {
                 let pack = &self.packs[child.index()];
                 let found = pack.distances_squared(p);
-                for lane in 0..WIDTH {
-                    let face = pack.face(lane);
-                    let is_lower = || nearest.is_none_or(|(_, lowest)| face < lowest);
-                    if found[lane] < best || (found[lane] == best && is_lower()) {
-                        best = found[lane];
-                        nearest = Some((Slot { pack: child.index() as u32, lane: lane as u8 }, face));
+                let least = least_of(&found);
+                if least <= best {
+                    for lane in pack.lanes_within(&found, least) {
+                        let face = pack.face(lane);
+                        if least < best || nearest.is_none_or(|(_, lowest)| face < lowest) {
+                            best = least;
+                            nearest = Some((Slot { pack: child.index() as u32, lane: lane as u8 }, face));
+                        }
                     }
+                    limit = beyond(best);
                 }
-                limit = beyond(best);
-                continue;
-            }
-            // Pushes the children that may contain a nearer triangle, the nearest on top.
-            let node = &self.nodes[child.index()];
-            let found = node.distances_squared(p);
-            let bottom = top;
-            for lane in 0..WIDTH {
-                if found[lane] <= limit && !node.children[lane].is_none() {
-                    let mut slot = top;
-                    while slot > bottom && stack[slot - 1].0 < found[lane] {
-                        stack[slot] = stack[slot - 1];
-                        slot -= 1;
-                    }
-                    stack[slot] = (found[lane], node.children[lane]);
-                    top += 1;
+            } else {
+                let node = &self.nodes[child.index()];
+                let found = node.distances_squared(p);
+                let mask = mask_within(&found, limit);
+                if mask != 0 {
+                    child = stack.push_all_but_nearest(mask, &found, &node.children);
+                    continue;
                 }
             }
+            child = match stack.pop(limit) {
+                Some(next) => next,
+                None => break,
+            };
         }
         nearest.map(|(slot, face)| Nearest { slot, face, distance_squared: best })
     }

@@ -9,8 +9,9 @@
 //! The rounding grows with the distance. Beyond [`FAR`] local units the search would keep too many faces, and the boxes
 //! are compared in float64 instead.
 
-use super::closest::ClosestPoint;
-use super::{Bvh, ChildRef, FAR, MAX_STACK, Node, ROUNDING, WIDTH};
+use super::closest::{ClosestPoint, least_of, mask_within};
+use super::stack::Stack;
+use super::{Bvh, FAR, Node, ROUNDING, WIDTH};
 use crate::mesh::Mesh;
 use crate::simd::with_vectors;
 use glam::DVec3;
@@ -101,39 +102,39 @@ impl Mesh {
         let mut candidates = ExactCandidates::new(self, p);
         let reach = bound as f32 + slack;
         // Squared distances: the best one, and the largest one that float64 may still prefer.
-        let mut limit = reach * reach * (1.0 + 1e-6);
+        // The box of an absent child is infinitely far and stays beyond every limit.
+        let mut limit = (reach * reach * (1.0 + 1e-6)).min(f32::MAX);
         let mut best = limit;
-        let mut stack = [(0.0f32, ChildRef::NONE); MAX_STACK];
-        stack[0] = (0.0, Bvh::ROOT);
-        let mut top = 1;
-        while top > 0 {
-            top -= 1;
-            let (box_squared, child) = stack[top];
-            if box_squared > limit {
-                continue;
-            }
+        let mut stack = Stack::new();
+        let mut child = Bvh::ROOT;
+        loop {
             if child.is_pack() {
                 let pack = &bvh.packs[child.index()];
                 let found = pack.distances_squared(p_single);
-                let least = found.iter().fold(f32::INFINITY, |least, &x| if x < least { x } else { least });
-                if least > limit {
-                    continue;
-                }
+                let least = least_of(&found);
                 if least < best {
                     best = least;
                     let reach = best.sqrt() + slack;
                     limit = limit.min(reach * reach);
                 }
-                for (lane, &face) in pack.faces().iter().enumerate() {
-                    if found[lane] <= limit {
-                        candidates.keep(found[lane], face, limit);
+                if least <= limit {
+                    for lane in pack.lanes_within(&found, limit) {
+                        candidates.keep(found[lane], pack.face(lane), limit);
                     }
                 }
-                continue;
+            } else {
+                let node = &bvh.nodes[child.index()];
+                let found = node.distances_squared(p_single);
+                let mask = mask_within(&found, limit);
+                if mask != 0 {
+                    child = stack.push_all_but_nearest(mask, &found, &node.children);
+                    continue;
+                }
             }
-            let node = &bvh.nodes[child.index()];
-            let found = node.distances_squared(p_single);
-            top = push_nearest_last(&mut stack, top, node, &found, limit);
+            child = match stack.pop(limit) {
+                Some(next) => next,
+                None => break,
+            };
         }
         candidates.compare_all(limit);
         // A bound that is too small leaves no candidate. The unbounded search always finds one.
@@ -173,30 +174,6 @@ impl Mesh {
         let on_triangle = crate::geometry::closest_point_on_triangle(p, self.exact_triangle(face));
         ClosestPoint { face, distance: on_triangle.point.distance(p), on_triangle }
     }
-}
-
-/// Pushes the children within the limit, the nearest on top; returns the new top.
-#[inline(always)]
-fn push_nearest_last(
-    stack: &mut [(f32, ChildRef); MAX_STACK],
-    bottom: usize,
-    node: &Node,
-    squared: &[f32; WIDTH],
-    limit: f32,
-) -> usize {
-    let mut top = bottom;
-    for lane in 0..WIDTH {
-        if squared[lane] <= limit && !node.children[lane].is_none() {
-            let mut slot = top;
-            while slot > bottom && stack[slot - 1].0 < squared[lane] {
-                stack[slot] = stack[slot - 1];
-                slot -= 1;
-            }
-            stack[slot] = (squared[lane], node.children[lane]);
-            top += 1;
-        }
-    }
-    top
 }
 
 /// A lower bound on the distance from `p` to the contents of a lane's box.

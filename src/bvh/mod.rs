@@ -21,6 +21,7 @@ mod packet;
 pub(crate) mod ray_lanes;
 mod ray_search;
 mod refit;
+mod stack;
 mod turns;
 pub(crate) mod watertight;
 

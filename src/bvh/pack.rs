@@ -9,6 +9,7 @@
 //! and the distance of `p` to a few 1e-7 of |p - a|, even if it is much smaller than |p - a|.
 
 use super::WIDTH;
+use super::closest::mask_within;
 use crate::gpu::layout::Triangle;
 use glam::{DVec2, DVec3, Vec3};
 
@@ -167,6 +168,17 @@ impl Pack {
     /// Bit i is set if lane i holds a triangle.
     pub fn mask(&self) -> u8 {
         u8::MAX >> (WIDTH as u32 - self.count)
+    }
+
+    /// The triangles whose value is at most `limit`, in order of their lanes.
+    #[inline(always)]
+    pub(super) fn lanes_within(&self, values: &[f32; WIDTH], limit: f32) -> impl Iterator<Item = usize> + use<> {
+        let mut mask = mask_within(values, limit) & u32::from(self.mask());
+        std::iter::from_fn(move || {
+            let lane = (mask != 0).then(|| mask.trailing_zeros() as usize % WIDTH)?;
+            mask &= mask - 1;
+            Some(lane)
+        })
     }
 
     /// The triangle of a lane.

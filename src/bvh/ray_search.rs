@@ -1,14 +1,12 @@
 //! The search of the tree by one ray, which [`super::cast`] and [`super::packet`] share.
-//!
-//! The nearest child is searched first; the others wait on a stack in the order of their distances.
 
 use super::ray_lanes::{LaneRay, RayPack};
+use super::stack::Stack;
 use super::watertight::{ClippedRay, FaceHit, Ray};
-use super::{Bvh, ChildRef, MAX_STACK, Node, WIDTH};
+use super::{Bvh, ChildRef, Node, WIDTH};
 use crate::memory::prefetch;
 use crate::mesh::Mesh;
 use glam::DVec3;
-use std::mem::MaybeUninit;
 
 /// A ray prepared for a search: its part inside the box of the mesh, in float64 and in float32.
 #[derive(Debug)]
@@ -138,77 +136,5 @@ impl<'a> RayTables<'a> {
             candidates &= candidates - 1;
             pack.vertices[lane].iter().for_each(|&vertex| prefetch(&self.mesh.world_positions()[vertex as usize]));
         }
-    }
-}
-
-/// Boxes that are still to be searched, with the t of entry, the nearest of each node on top.
-///
-/// The memory is not initialised, since that takes longer than a short search.
-pub(super) struct Stack {
-    slots: [MaybeUninit<(f32, ChildRef)>; MAX_STACK],
-    /// Number of slots in use. All of them have been written.
-    top: usize,
-}
-
-impl Stack {
-    #[inline(always)]
-    pub(super) const fn new() -> Self {
-        Self { slots: [const { MaybeUninit::uninit() }; MAX_STACK], top: 0 }
-    }
-
-    #[inline(always)]
-    fn push(&mut self, entry: (f32, ChildRef)) {
-        self.slots[self.top].write(entry);
-        self.top += 1;
-    }
-
-    /// The entry at an index; None from `top` on.
-    #[inline(always)]
-    fn at(&self, index: usize) -> Option<(f32, ChildRef)> {
-        // SAFETY: every slot below `top` has been written, and the type has no destructor.
-        (index < self.top).then(|| unsafe { self.slots[index].assume_init() })
-    }
-
-    /// The nearest child of a mask that is not zero; the others are pushed.
-    #[inline(always)]
-    pub(super) fn push_all_but_nearest(
-        &mut self,
-        mut mask: u32,
-        entered: &[f32; WIDTH],
-        children: &[ChildRef; WIDTH],
-    ) -> ChildRef {
-        let mut take = || {
-            let lane = mask.trailing_zeros() as usize & (WIDTH - 1);
-            mask &= mask - 1;
-            ((entered[lane], children[lane]), mask != 0)
-        };
-        let (mut nearest, mut more) = take();
-        let bottom = self.top;
-        while more {
-            let next;
-            (next, more) = take();
-            // The nearer of the two stays out of the stack; the other one goes to its place.
-            let farther = if next.0 < nearest.0 { std::mem::replace(&mut nearest, next) } else { next };
-            let mut slot = self.top;
-            self.push(farther);
-            while slot > bottom && self.at(slot - 1).is_some_and(|above| above.0 < farther.0) {
-                self.slots[slot] = self.slots[slot - 1];
-                slot -= 1;
-            }
-            self.slots[slot].write(farther);
-        }
-        nearest.1
-    }
-
-    /// The next box that the ray enters before the limit.
-    #[inline(always)]
-    pub(super) fn pop(&mut self, limit: f32) -> Option<ChildRef> {
-        while let Some((near, child)) = self.at(self.top.wrapping_sub(1)) {
-            self.top -= 1;
-            if near <= limit {
-                return Some(child);
-            }
-        }
-        None
     }
 }

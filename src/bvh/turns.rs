@@ -5,7 +5,8 @@
 //! The other rays are searched while the memory arrives.
 
 use super::ray_lanes::{LaneRay, RayPack};
-use super::ray_search::{RayTables, ReadyRay, Stack};
+use super::ray_search::{RayTables, ReadyRay};
+use super::stack::Stack;
 use super::watertight::{FaceHit, Ray};
 use super::{Bvh, ChildRef, Node, WIDTH};
 
