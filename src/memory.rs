@@ -32,6 +32,13 @@ pub(crate) fn zeroed_result<T: bytemuck::Zeroable + Copy>(count: usize) -> Vec<T
     items
 }
 
+/// An empty array with space for `count` items, in large pages where the system has them.
+pub(crate) fn with_room<T>(count: usize) -> Vec<T> {
+    let mut items = Vec::with_capacity(count);
+    prefer_large_pages(items.spare_capacity_mut());
+    items
+}
+
 /// Requests large pages for the memory of a long array. If the system has none, the array keeps small pages.
 fn prefer_large_pages<T>(items: &mut [T]) {
     #[cfg(target_os = "linux")]

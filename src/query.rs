@@ -1,8 +1,8 @@
 //! Closest points and signed distances at arbitrary positions.
 //!
 //! *Theory.* Many points are processed along a space-filling curve (Morton order of their positions), so that
-//! neighbouring points share work: the nodes of the tree are in the cache, the last triangle bounds the search, and the
-//! side can be carried over by the shell lemma. No surface lies within the distance of p, so every point there is on
+//! neighbouring points share work: the nodes of the tree are in the cache, the closest point of one bounds the search of
+//! the next, and the side can be carried over by the shell lemma. No surface lies within the distance of p, so every point there is on
 //! the same side as p. For open meshes this holds in the part of that ball that does not intersect the cones that close
 //! the openings.
 //!
@@ -39,12 +39,13 @@ pub use thickness::thickness;
 use crate::bvh::closest::ClosestPoint;
 use crate::error::{ArgumentError, Error};
 use crate::gpu::{self, Place};
-use crate::memory::{prefetch, zeroed_result};
+use crate::memory::{prefetch, with_room, zeroed_result};
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::sign::{SideWalk, SignChoice, SignMethod, SignRule};
 use glam::DVec3;
 use rayon::prelude::*;
+use std::mem::MaybeUninit;
 use std::ops::Deref;
 
 /// Number of points between two checks of the progress: a few milliseconds of work.
@@ -90,21 +91,23 @@ fn are_few(mesh: &Mesh, rows: usize) -> bool {
     rows < DEVICE_ROWS || VERTICES_PER_ROW * rows < mesh.positions().len()
 }
 
-/// Results along the curve, in chunks of [`CHUNK`], each with the row of its point.
-struct ChunkedResults<T>(Vec<Vec<(u32, T)>>);
+/// Results along the curve.
+struct Answers<T> {
+    /// The row of each result.
+    order: Vec<u32>,
+    results: Vec<T>,
+}
 
-impl<T: Sync> ChunkedResults<T> {
+impl<T: Copy + Sync> Answers<T> {
     /// Passes every result to `write` with its part of the columns and its index in that part. `columns` are the parts
     /// of the output, one for each [`CHUNK`] of rows. Reading the results out of order touches less memory than writing
     /// several arrays out of order.
     fn write_rows<C: Send>(&self, columns: impl Iterator<Item = C>, write: impl Fn(&mut C, usize, &T) + Sync) {
-        let mut places = vec![0u32; self.0.iter().map(Vec::len).sum()];
-        for (chunk, answers) in self.0.iter().enumerate() {
-            for (i, (row, _)) in answers.iter().enumerate() {
-                places[*row as usize] = (chunk * CHUNK + i) as u32;
-            }
+        let mut places = vec![0u32; self.order.len()];
+        for (place, &row) in self.order.iter().enumerate() {
+            places[row as usize] = place as u32;
         }
-        let result = |place: u32| &self.0[place as usize / CHUNK][place as usize % CHUNK].1;
+        let result = |place: u32| &self.results[place as usize];
         let write_part = |(places, mut column): (&[u32], C)| {
             for (i, &place) in places.iter().enumerate() {
                 if let Some(&later) = places.get(i + AHEAD) {
@@ -122,10 +125,10 @@ impl<T: Sync> ChunkedResults<T> {
     }
 }
 
-impl<T: Copy + Send + Sync + bytemuck::Zeroable> ChunkedResults<T> {
+impl<T: Copy + Sync + Send + bytemuck::Zeroable> Answers<T> {
     /// The results in the order of the points.
     fn into_rows(self) -> Vec<T> {
-        let mut rows = zeroed_result(self.0.iter().map(Vec::len).sum());
+        let mut rows = zeroed_result(self.order.len());
         self.write_rows(rows.chunks_mut(CHUNK), |column, i, &result| column[i] = result);
         rows
     }
@@ -209,36 +212,40 @@ impl Walk<'_> {
 }
 
 /// Processes every point, with near points after each other.
-fn answer_in_order<T: Send>(
+fn answer_in_order<T: Copy + Send>(
     place: &Place,
     mesh: &Mesh,
     points: &[[f64; 3]],
     progress: &Progress,
     answer: impl Fn(&mut Walk<'_>, DVec3, u32) -> T + Sync,
-) -> Result<ChunkedResults<T>, Error> {
+) -> Result<Answers<T>, Error> {
     progress.set_total(place.passes() * points.len() as u64);
     let faces = match place {
         Place::Cpu => Vec::new(),
         Place::Gpu(context) => device::nearest_faces(context, mesh, points, progress)?,
     };
-    let answer_chunk = |rows: &[u32]| -> Result<Vec<(u32, T)>, Error> {
+    let answer_chunk = |(rows, results): (&[u32], &mut [MaybeUninit<T>])| -> Result<(), Error> {
         let mut walk = Walk { mesh, faces: &faces, last: None, sides: SideWalk::default() };
-        let position = |row: u32| mesh.local_from_world(DVec3::from_array(points[row as usize]));
-        let mut answers = Vec::with_capacity(rows.len());
-        for (i, &row) in rows.iter().enumerate() {
+        for (i, (&row, result)) in rows.iter().zip(results).enumerate() {
             if let Some(&later) = rows.get(i + AHEAD) {
                 prefetch(&points[later as usize]);
             }
-            answers.push((row, answer(&mut walk, position(row), row)));
+            let p = mesh.local_from_world(DVec3::from_array(points[row as usize]));
+            result.write(answer(&mut walk, p, row));
         }
-        progress.advance(rows.len() as u64)?;
-        Ok(answers)
+        progress.advance(rows.len() as u64)
     };
     let order = curve(points);
+    let mut results = with_room(order.len());
+    let room = &mut results.spare_capacity_mut()[..order.len()];
     if order.len() <= CHUNK {
-        return Ok(ChunkedResults(vec![answer_chunk(&order)?]));
+        answer_chunk((&order, room))?;
+    } else {
+        order.par_chunks(CHUNK).zip(room.par_chunks_mut(CHUNK)).try_for_each(answer_chunk)?;
     }
-    Ok(ChunkedResults(order.par_chunks(CHUNK).map(answer_chunk).collect::<Result<_, Error>>()?))
+    // SAFETY: without an error every chunk has written all of its results, and the chunks are all of the order.
+    unsafe { results.set_len(order.len()) };
+    Ok(Answers { order, results })
 }
 
 /// Rows in order of the Morton code, or in their own order if there are too few.

@@ -211,7 +211,7 @@ fn enter_box(node: &BoxNode, origin: DVec3, direction: DVec3, inverse: DVec3, ra
 const SLAB_SLACK: f64 = 1e-14;
 
 /// The largest f32 that does not exceed each coordinate.
-fn round_down(p: DVec3) -> Vec3 {
+pub(crate) fn round_down(p: DVec3) -> Vec3 {
     Vec3::from_array(p.to_array().map(|x| {
         let rounded = x as f32;
         if f64::from(rounded) > x { rounded.next_down() } else { rounded }

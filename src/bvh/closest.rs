@@ -4,13 +4,14 @@
 //! only beyond the rounding of float32, so that the result does not depend on the tree. Points far from the mesh use
 //! the tree of a build ([`Mesh::bvh_within`]).
 
+use super::lanes::{least_of, mask_within};
 use super::pack::TriangleFrame;
 use super::stack::Stack;
 use super::{Bvh, FAR, Node, ROUNDING, WIDTH};
 use crate::geometry::{TrianglePoint, closest_point_on_triangle};
 use crate::mesh::Mesh;
 use crate::simd::with_vectors;
-use glam::{DVec3, Vec3, Vec4};
+use glam::{DVec3, Vec3};
 
 /// The nearest face of a point and its squared distance, as compared in float32.
 #[derive(Debug, Clone, Copy)]
@@ -81,22 +82,6 @@ impl Node {
     }
 }
 
-/// Mask of the lanes whose value is at most `limit`.
-#[inline(always)]
-pub(super) fn mask_within(values: &[f32; WIDTH], limit: f32) -> u32 {
-    // The compiler finds the instruction for a mask in these types only.
-    let [a, b, c, d, e, f, g, h] = *values;
-    let half = |row: [f32; 4]| Vec4::from_array(row).cmple(Vec4::splat(limit)).bitmask();
-    half([a, b, c, d]) | half([e, f, g, h]) << 4
-}
-
-#[inline(always)]
-pub(super) fn least_of(values: &[f32; WIDTH]) -> f32 {
-    let less = |x: f32, y: f32| if x < y { x } else { y };
-    let halves: [f32; 4] = std::array::from_fn(|i| less(values[i], values[i + 4]));
-    less(less(halves[0], halves[2]), less(halves[1], halves[3]))
-}
-
 impl Bvh {
     /// The nearest face with a squared distance of at most `bound_squared`.
     pub fn nearest(&self, p: Vec3, bound_squared: f32) -> Option<Nearest> {
@@ -161,7 +146,7 @@ impl Bvh {
     pub fn faces_within(&self, p: Vec3, radius: f32, mut on_face: impl FnMut(u32)) {
         let radius_squared = radius * radius;
         self.visit(
-            |node| node.distances_squared(p).map(|d| d <= radius_squared),
+            |node| mask_within(&node.distances_squared(p), radius_squared),
             |pack| {
                 let found = pack.distances_squared(p);
                 for (lane, &face) in pack.faces().iter().enumerate() {

@@ -9,7 +9,8 @@
 //! The rounding grows with the distance. Beyond [`FAR`] local units the search would keep too many faces, and the boxes
 //! are compared in float64 instead.
 
-use super::closest::{ClosestPoint, least_of, mask_within};
+use super::closest::ClosestPoint;
+use super::lanes::{least_of, mask_within};
 use super::stack::Stack;
 use super::{Bvh, FAR, Node, ROUNDING, WIDTH};
 use crate::mesh::Mesh;

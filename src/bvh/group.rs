@@ -4,6 +4,7 @@
 //! triangles in this ball, and each is compared with the eight points side by side. Where several triangles are nearest
 //! up to the rounding of float32, as beside an edge of the mesh, all of them are returned.
 
+use super::lanes::mask_within;
 use super::{Bvh, ROUNDING, WIDTH};
 use crate::simd::with_vectors;
 use glam::Vec3;
@@ -43,7 +44,7 @@ impl Bvh {
             let mut faces = [(0, [0.0; WIDTH]); MOST];
             let mut count = 0;
             let is_complete = bvh.visit_while(
-                |node| node.distances_squared(center).map(|squared| squared <= limit),
+                |node| mask_within(&node.distances_squared(center), limit),
                 |pack| {
                     let near = pack.distances_squared(center);
                     for lane in (0..pack.faces().len()).filter(|&lane| near[lane] <= limit) {

@@ -15,6 +15,7 @@ pub(crate) mod cast;
 pub(crate) mod closest;
 pub(crate) mod exact;
 mod group;
+mod lanes;
 pub(crate) mod pack;
 #[cfg(target_arch = "x86_64")]
 mod packet;
@@ -28,7 +29,7 @@ pub(crate) mod watertight;
 use crate::geometry::Aabb;
 use crate::mesh::Mesh;
 use crate::mesh::derived::Derived;
-use glam::Vec3;
+use glam::{Vec3, Vec4};
 use pack::Pack;
 
 /// Number of lanes of a node and of a pack.
@@ -155,32 +156,29 @@ impl Bvh {
         build::build(positions, faces)
     }
 
-    /// [`Bvh::visit`] without an allocation, in another order, for traversals of about a microsecond.
+    /// Visits all packs below the children whose lanes `overlaps` returns, a mask, in no particular order.
     #[inline]
-    pub fn visit_in_place(&self, overlaps: impl Fn(&Node) -> [bool; WIDTH], mut on_pack: impl FnMut(&Pack)) {
+    pub fn visit(&self, overlaps: impl Fn(&Node) -> u32, mut on_pack: impl FnMut(&Pack)) {
         self.visit_while(overlaps, |pack| {
             on_pack(pack);
             true
         });
     }
 
-    /// [`Bvh::visit_in_place`] until `on_pack` returns false. Returns whether all packs were visited.
+    /// [`Bvh::visit`] until `on_pack` returns false. Returns whether all packs were visited.
     #[inline(always)]
-    pub fn visit_while(
-        &self,
-        overlaps: impl Fn(&Node) -> [bool; WIDTH],
-        mut on_pack: impl FnMut(&Pack) -> bool,
-    ) -> bool {
+    pub fn visit_while(&self, overlaps: impl Fn(&Node) -> u32, mut on_pack: impl FnMut(&Pack) -> bool) -> bool {
         let mut stack = [ChildRef::NONE; MAX_STACK];
         stack[0] = Self::ROOT;
         let mut top = 1;
         while top > 0 {
             top -= 1;
             let node = &self.nodes[stack[top].index()];
-            let accepted = overlaps(node);
-            for lane in 0..WIDTH {
-                let child = node.children[lane];
-                if !accepted[lane] || child.is_none() {
+            let mut mask = overlaps(node);
+            while mask != 0 {
+                let child = node.children[mask.trailing_zeros() as usize % WIDTH];
+                mask &= mask - 1;
+                if child.is_none() {
                     continue;
                 }
                 if child.is_pack() {
@@ -195,26 +193,6 @@ impl Bvh {
         }
         true
     }
-
-    /// Visits all nodes and packs whose box `overlaps` accepts, in memory order.
-    pub fn visit(&self, overlaps: impl Fn(&Node) -> [bool; WIDTH], mut on_pack: impl FnMut(&Pack)) {
-        let mut stack = vec![0usize];
-        while let Some(index) = stack.pop() {
-            let node = &self.nodes[index];
-            let accepted = overlaps(node);
-            for lane in 0..WIDTH {
-                let child = node.children[lane];
-                if !accepted[lane] || child.is_none() {
-                    continue;
-                }
-                if child.is_pack() {
-                    on_pack(&self.packs[child.index()]);
-                } else {
-                    stack.push(child.index());
-                }
-            }
-        }
-    }
 }
 
 impl Node {
@@ -223,6 +201,21 @@ impl Node {
     pub fn rows(&self) -> &[[f32; WIDTH]; 6] {
         // SAFETY: the struct has C layout and begins with `min` and `max`, six rows without padding.
         unsafe { &*std::ptr::from_ref(self).cast() }
+    }
+
+    /// Mask of the lanes whose box has min <= high and max >= low along every axis: those that overlap the box from `low`
+    /// to `high`.
+    #[inline(always)]
+    pub fn overlaps(&self, low: Vec3, high: Vec3) -> u32 {
+        let half = |first: usize| {
+            let row = |of: &[[f32; WIDTH]; 3], axis: usize| Vec4::from_slice(&of[axis][first..first + 4]);
+            let along = |axis: usize| {
+                let (min, max) = (row(&self.min, axis), row(&self.max, axis));
+                min.cmple(Vec4::splat(high[axis])) & max.cmpge(Vec4::splat(low[axis]))
+            };
+            (along(0) & along(1) & along(2)).bitmask()
+        };
+        half(0) | half(4) << 4
     }
 
     fn empty() -> Self {

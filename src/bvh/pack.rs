@@ -9,7 +9,7 @@
 //! and the distance of `p` to a few 1e-7 of |p - a|, even if it is much smaller than |p - a|.
 
 use super::WIDTH;
-use super::closest::mask_within;
+use super::lanes::mask_within;
 use crate::gpu::layout::Triangle;
 use glam::{DVec2, DVec3, Vec3};
 

@@ -23,6 +23,35 @@ pub struct TrianglePoint {
     pub point: DVec3,
     /// The part of the triangle that has the point.
     pub feature: Feature,
+    /// Barycentric weights of the point: not negative, with a sum of 1.
+    pub weights: [f64; 3],
+}
+
+impl TrianglePoint {
+    #[inline(always)]
+    fn at_vertex(i: u8, point: DVec3) -> Self {
+        let mut weights = [0.0; 3];
+        weights[usize::from(i)] = 1.0;
+        Self { point, feature: Feature::Vertex(i), weights }
+    }
+
+    /// A point of edge `i`. `t` is the weight of the corner `to` and 1 - `t` that of the corner `from`.
+    #[inline(always)]
+    fn on_edge(i: u8, point: DVec3, [from, to]: [usize; 2], t: f64) -> Self {
+        let mut weights = [0.0; 3];
+        weights[from] = 1.0 - t;
+        weights[to] = t;
+        Self { point, feature: Feature::Edge(i), weights }
+    }
+
+    /// A point inside the triangle. `areas` are proportional to the weights.
+    #[inline(always)]
+    fn in_face(point: DVec3, areas: [f64; 3]) -> Self {
+        // Rounding may make a weight near zero negative.
+        let areas = areas.map(|area| area.max(0.0));
+        let scale = 1.0 / (areas[0] + areas[1] + areas[2]);
+        Self { point, feature: Feature::Face, weights: areas.map(|area| area * scale) }
+    }
 }
 
 /// Closest point to `p` on triangle `abc`, by Voronoi regions.
@@ -31,7 +60,6 @@ pub struct TrianglePoint {
 /// barycentrics, which the region tests have shown to be positive. On slivers the products of those tests cancel, so
 /// slivers are decided by the projection onto the plane and by the edges.
 pub fn closest_point_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> TrianglePoint {
-    let at = |point, feature| TrianglePoint { point, feature };
     let (ab, ac) = (b - a, c - a);
     let longest = ab.length_squared().max(ac.length_squared()).max((c - b).length_squared());
     if ab.cross(ac).length_squared() <= SLIVER * longest * longest {
@@ -41,32 +69,35 @@ pub fn closest_point_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> TrianglePoi
     let ap = p - a;
     let (d1, d2) = (ab.dot(ap), ac.dot(ap));
     if d1 <= 0.0 && d2 <= 0.0 {
-        return at(a, Feature::Vertex(0));
+        return TrianglePoint::at_vertex(0, a);
     }
     let bp = p - b;
     let (d3, d4) = (ab.dot(bp), ac.dot(bp));
     if d3 >= 0.0 && d4 <= d3 {
-        return at(b, Feature::Vertex(1));
+        return TrianglePoint::at_vertex(1, b);
     }
     let vc = d1 * d4 - d3 * d2;
     if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
-        return at(a + ab * (d1 / (d1 - d3)), Feature::Edge(0));
+        let t = d1 / (d1 - d3);
+        return TrianglePoint::on_edge(0, a + ab * t, [0, 1], t);
     }
     let cp = p - c;
     let (d5, d6) = (ab.dot(cp), ac.dot(cp));
     if d6 >= 0.0 && d5 <= d6 {
-        return at(c, Feature::Vertex(2));
+        return TrianglePoint::at_vertex(2, c);
     }
     let vb = d5 * d2 - d1 * d6;
     if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
-        return at(a + ac * (d2 / (d2 - d6)), Feature::Edge(2));
+        let t = d2 / (d2 - d6);
+        return TrianglePoint::on_edge(2, a + ac * t, [0, 2], t);
     }
     let va = d3 * d6 - d5 * d4;
     if va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0 {
-        return at(b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6))), Feature::Edge(1));
+        let t = (d4 - d3) / ((d4 - d3) + (d5 - d6));
+        return TrianglePoint::on_edge(1, b + (c - b) * t, [1, 2], t);
     }
     let scale = 1.0 / (va + vb + vc);
-    at(a + ab * (vb * scale) + ac * (vc * scale), Feature::Face)
+    TrianglePoint::in_face(a + ab * (vb * scale) + ac * (vc * scale), [va, vb, vc])
 }
 
 /// Squared sine of an angle below which float64 does not determine the plane of a triangle to 1e-6. Only its edges are
@@ -84,7 +115,8 @@ fn closest_point_on_sliver(p: DVec3, corners: [DVec3; 3]) -> TrianglePoint {
     let inside = |u: DVec3, v: DVec3| (v - u).cross(p - u).dot(normal) >= 0.0;
     if resolved && inside(a, b) && inside(b, c) && inside(c, a) {
         let point = p - normal * (normal.dot(p - a) / normal.length_squared());
-        return TrianglePoint { point, feature: Feature::Face };
+        let area = |u: DVec3, v: DVec3| (u - point).cross(v - point).dot(normal);
+        return TrianglePoint::in_face(point, [area(b, c), area(c, a), area(a, b)]);
     }
     closest_point_on_edges(p, corners)
 }
@@ -94,42 +126,18 @@ fn closest_point_on_edges(p: DVec3, corners: [DVec3; 3]) -> TrianglePoint {
         let next = (i + 1) % 3;
         let (a, b) = (corners[usize::from(i)], corners[usize::from(next)]);
         let t = (p - a).dot(b - a) / (b - a).length_squared();
-        let (point, feature) = if t <= 0.0 {
-            (a, Feature::Vertex(i))
+        if t <= 0.0 {
+            TrianglePoint::at_vertex(i, a)
         } else if t >= 1.0 {
-            (b, Feature::Vertex(next))
+            TrianglePoint::at_vertex(next, b)
         } else {
-            (a + (b - a) * t, Feature::Edge(i))
-        };
-        TrianglePoint { point, feature }
+            TrianglePoint::on_edge(i, a + (b - a) * t, [usize::from(i), usize::from(next)], t)
+        }
     };
     let nearer = |x: TrianglePoint, y: TrianglePoint| {
         if y.point.distance_squared(p) < x.point.distance_squared(p) { y } else { x }
     };
     nearer(nearer(on_edge(0), on_edge(1)), on_edge(2))
-}
-
-/// Barycentric weights of a point of a triangle: non-negative, with a sum of 1. `feature` contains the point.
-pub fn barycentric_weights(point: DVec3, [a, b, c]: [DVec3; 3], feature: Feature) -> [f64; 3] {
-    let corners = [a, b, c];
-    let mut weights = [0.0; 3];
-    match feature {
-        Feature::Vertex(i) => weights[usize::from(i)] = 1.0,
-        Feature::Edge(i) => {
-            let (from, to) = (usize::from(i), usize::from((i + 1) % 3));
-            let along = corners[to] - corners[from];
-            let t = ((point - corners[from]).dot(along) / along.length_squared()).clamp(0.0, 1.0);
-            weights[from] = 1.0 - t;
-            weights[to] = t;
-        }
-        Feature::Face => {
-            let normal = (b - a).cross(c - a);
-            let areas = [(b, c), (c, a), (a, b)].map(|(u, v)| (u - point).cross(v - point).dot(normal).max(0.0));
-            let sum = areas[0] + areas[1] + areas[2];
-            weights = areas.map(|area| area / sum);
-        }
-    }
-    weights
 }
 
 /// Cross product of two edges: normal direction, and twice the area in its length.
@@ -162,7 +170,10 @@ mod tests {
         /// No point of a fine barycentric lattice is closer, and the point found lies on the triangle.
         #[test]
         fn closest_point_beats_a_lattice(p in vector(), a in vector(), b in vector(), c in vector()) {
-            let found = closest_point_on_triangle(p, [a, b, c]).point;
+            let TrianglePoint { point: found, weights: [u, v, w], .. } = closest_point_on_triangle(p, [a, b, c]);
+            prop_assert!(u.min(v).min(w) >= 0.0 && (u + v + w - 1.0).abs() <= 1e-15);
+            // The weights of a sliver of width 1e-3 are rounded by a thousand roundings of its corners.
+            prop_assert!((a * u + b * v + c * w).distance(found) <= 1e-12);
             let best = found.distance(p);
             let n = 24;
             let mut nearest_lattice = f64::INFINITY;
@@ -185,8 +196,10 @@ mod tests {
     fn a_needle_is_as_near_as_its_edges() {
         let corners = [DVec3::Z, DVec3::new(0.1, 0.0, 0.9), DVec3::new(1e-17, 3e-18, 1.0)];
         let p = DVec3::new(0.05, 0.3, 0.95);
-        let found = closest_point_on_triangle(p, corners).point;
+        let TrianglePoint { point: found, weights, .. } = closest_point_on_triangle(p, corners);
         assert!((found - DVec3::new(0.05, 0.0, 0.95)).length() < 1e-15, "{found}");
+        let [u, v, w] = weights;
+        assert!((corners[0] * u + corners[1] * v + corners[2] * w - found).length() < 1e-15, "{weights:?}");
     }
 
     #[test]

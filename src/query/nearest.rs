@@ -1,9 +1,9 @@
 //! The nearest point of a mesh in float64: position, distance, face, barycentric coordinates, normal, side and
 //! gradient.
 //!
-//! The gradient of the distance at p with closest point c is (p - c) / |p - c|, negated inside. Where c lies within a
-//! face that is the normal of the face, which keeps its accuracy as the distance goes to zero. On the surface the
-//! gradient is the angle-weighted pseudonormal of the nearest feature, turned to point away from the inside.
+//! The gradient of the distance at p with closest point c is (p - c) / |p - c|, negated inside. Within [`NEAR`] of a face
+//! it is the normal of the face, which keeps its accuracy as the distance goes to zero. On the surface the gradient is
+//! the angle-weighted pseudonormal of the nearest feature, turned to point away from the inside.
 //!
 //! Signs are decided with float32 positions, which differ from the mesh's own by 3e-8 local units. Within [`NEAR`] of
 //! the surface the side follows from the pseudonormal and float64 positions: the sign rule determines the sides in
@@ -13,7 +13,7 @@ use super::{CHUNK, Walk, answer_in_order, check_points, prepare};
 use crate::bake::Report;
 use crate::bvh::closest::ClosestPoint;
 use crate::error::Error;
-use crate::geometry::{Feature, barycentric_weights, triangle_cross};
+use crate::geometry::{Feature, triangle_cross};
 use crate::gpu::Place;
 use crate::memory::zeroed_result;
 use crate::mesh::Mesh;
@@ -76,9 +76,7 @@ pub fn closest_points(
     mesh.bvh();
     let answers = answer_in_order(place, mesh, points, progress, |walk, p, row| {
         let closest = walk.exact_closest_point(p, row);
-        let corners = mesh.exact_triangle(closest.face);
-        let weights = barycentric_weights(closest.on_triangle.point, corners, closest.on_triangle.feature);
-        (closest, weights, unit_normal(mesh, triangle_cross(corners), closest.face))
+        (closest, unit_normal(mesh, triangle_cross(mesh.exact_triangle(closest.face)), closest.face))
     })?;
     let count = points.len();
     let mut found = ClosestPoints {
@@ -91,12 +89,12 @@ pub fn closest_points(
     let columns = found.points.chunks_mut(CHUNK).zip(found.distances.chunks_mut(CHUNK));
     let columns = columns.zip(found.faces.chunks_mut(CHUNK)).zip(found.barycentric.chunks_mut(CHUNK));
     let columns = columns.zip(found.normals.chunks_mut(CHUNK));
-    answers.write_rows(columns, |column, i, (closest, weights, normal)| {
+    answers.write_rows(columns, |column, i, (closest, normal)| {
         let ((((points, distances), faces), barycentric), normals) = column;
         points[i] = mesh.world_from_local(closest.on_triangle.point).to_array();
         distances[i] = closest.distance * mesh.scale();
         faces[i] = closest.face.into();
-        barycentric[i] = *weights;
+        barycentric[i] = closest.on_triangle.weights;
         normals[i] = normal.to_array();
     });
     Ok(found)
@@ -116,10 +114,8 @@ pub fn query(
     let prepared = started.elapsed().as_secs_f64();
     let answers = answer_in_order(place, mesh, points, progress, |walk, p, row| {
         let closest = walk.exact_closest_point(p, row);
-        let corners = mesh.exact_triangle(closest.face);
-        let weights = barycentric_weights(closest.on_triangle.point, corners, closest.on_triangle.feature);
-        let (inside, gradient) = side_and_gradient(walk, &choice.rule, p, &closest, corners, weights);
-        (closest, weights, inside, gradient)
+        let (inside, gradient) = side_and_gradient(walk, &choice.rule, p, &closest);
+        (closest, inside, gradient)
     })?;
     let count = points.len();
     let mut found = Query {
@@ -134,7 +130,7 @@ pub fn query(
     let columns = columns.zip(found.points.chunks_mut(CHUNK)).zip(found.faces.chunks_mut(CHUNK));
     let mut inside_counts = vec![0usize; count.div_ceil(CHUNK)];
     let columns = columns.zip(found.barycentric.chunks_mut(CHUNK)).zip(&mut inside_counts);
-    answers.write_rows(columns, |column, i, (closest, weights, inside, gradient)| {
+    answers.write_rows(columns, |column, i, (closest, inside, gradient)| {
         let (((((distances, gradients), points), faces), barycentric), inside_count) = column;
         **inside_count += usize::from(*inside);
         let distance = closest.distance * mesh.scale();
@@ -142,7 +138,7 @@ pub fn query(
         gradients[i] = gradient.to_array();
         points[i] = mesh.world_from_local(closest.on_triangle.point).to_array();
         faces[i] = closest.face.into();
-        barycentric[i] = *weights;
+        barycentric[i] = closest.on_triangle.weights;
     });
     let inside_points = inside_counts.iter().sum();
     found.report = Report::of_query(mesh, &choice, count, inside_points);
@@ -153,25 +149,18 @@ pub fn query(
 }
 
 /// Whether a point is inside, and the unit gradient of its signed distance.
-fn side_and_gradient(
-    walk: &mut Walk<'_>,
-    rule: &SignRule,
-    p: DVec3,
-    closest: &ClosestPoint,
-    corners: [DVec3; 3],
-    weights: [f64; 3],
-) -> (bool, DVec3) {
+fn side_and_gradient(walk: &mut Walk<'_>, rule: &SignRule, p: DVec3, closest: &ClosestPoint) -> (bool, DVec3) {
     let away = p - closest.on_triangle.point;
     if closest.distance > NEAR {
         let inside = walk.is_inside(rule, p, closest);
-        let unit = direction_from(away, closest, corners);
+        let unit = away / closest.distance;
         return (inside, if inside { -unit } else { unit });
     }
     let mesh = walk.mesh;
     // The rounding of a position is that of the larger of its local and world coordinates.
     let magnitude = 1.0 + mesh.center().abs().max_element() / mesh.scale();
     let on_surface = closest.distance <= ON_SURFACE * magnitude;
-    let feature = if on_surface { nearest_feature(closest, weights) } else { closest.on_triangle.feature };
+    let feature = if on_surface { nearest_feature(closest) } else { closest.on_triangle.feature };
     let (normal, front, back) = sides(mesh, rule, &mut walk.sides, closest, feature);
     let outwards = if front && !back { -normal } else { normal };
     if on_surface {
@@ -181,7 +170,7 @@ fn side_and_gradient(
     if closest.distance <= NO_DIRECTION * magnitude && feature != Feature::Face {
         return (inside, outwards);
     }
-    let unit = direction_from(away, closest, corners);
+    let unit = direction_from(away, closest, mesh.exact_triangle(closest.face));
     (inside, if inside { -unit } else { unit })
 }
 
@@ -209,9 +198,7 @@ fn sides(
 
 /// The unit pseudonormal at a closest point, turned away from the inside; unchanged if both sides are alike.
 pub(super) fn outward_normal(mesh: &Mesh, rule: &SignRule, closest: &ClosestPoint) -> DVec3 {
-    let corners = mesh.exact_triangle(closest.face);
-    let weights = barycentric_weights(closest.on_triangle.point, corners, closest.on_triangle.feature);
-    let feature = nearest_feature(closest, weights);
+    let feature = nearest_feature(closest);
     let (normal, front, back) = sides(mesh, rule, &mut SideWalk::default(), closest, feature);
     if front && !back { -normal } else { normal }
 }
@@ -230,7 +217,8 @@ fn direction_from(away: DVec3, closest: &ClosestPoint, corners: [DVec3; 3]) -> D
 }
 
 /// The feature that contains a point of the surface: an edge or a vertex if the other weights vanish.
-fn nearest_feature(closest: &ClosestPoint, weights: [f64; 3]) -> Feature {
+fn nearest_feature(closest: &ClosestPoint) -> Feature {
+    let weights = closest.on_triangle.weights;
     let largest = (0..3u8).max_by(|&i, &j| weights[usize::from(i)].total_cmp(&weights[usize::from(j)])).unwrap_or(0);
     let vanishing = |i: u8| weights[usize::from(i)] < ON_EDGE;
     let vertices: Vec<u8> = (0..3).filter(|&i| vanishing(i)).collect();

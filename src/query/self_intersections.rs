@@ -4,7 +4,6 @@
 //! float32 positions (crate `robust`). Faces with a common vertex are excluded, since they touch there by construction.
 //! Faces that only touch, and overlapping faces in one plane, do not count.
 
-use crate::bvh::{Node, WIDTH};
 use crate::error::Error;
 use crate::geometry::Aabb;
 use crate::mesh::Mesh;
@@ -40,8 +39,8 @@ fn crossings_of(mesh: &Mesh, face: u32) -> u64 {
     let welded = |face: u32| mesh.faces()[face as usize].map(|v| mesh.topology().welded[v as usize]);
     let own = welded(face);
     let mut count = 0;
-    mesh.bvh().visit_in_place(
-        |node| overlaps(node, &bounds),
+    mesh.bvh().visit(
+        |node| node.overlaps(bounds.min, bounds.max),
         |pack| {
             for &other in pack.faces() {
                 if other > face
@@ -54,12 +53,6 @@ fn crossings_of(mesh: &Mesh, face: u32) -> u64 {
         },
     );
     count
-}
-
-fn overlaps(node: &Node, bounds: &Aabb) -> [bool; WIDTH] {
-    std::array::from_fn(|lane| {
-        (0..3).all(|axis| node.min[axis][lane] <= bounds.max[axis] && node.max[axis][lane] >= bounds.min[axis])
-    })
 }
 
 /// Whether an edge of either triangle passes through the inside of the other.

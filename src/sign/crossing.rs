@@ -16,10 +16,11 @@
 //!
 //! On a grid, one row of columns shares all work for an edge: an edge splits the row at one column.
 
-use crate::bvh::{Bvh, Node, WIDTH};
+use crate::bvh::boxes::round_down;
+use crate::bvh::{Bvh, Node};
 use crate::mesh::Mesh;
 use crate::mesh::topology::Topology;
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use robust::{Coord, Coord3D, orient2d, orient3d};
 
 /// Direction of the rays and the two axes of the projection: a right-handed triple.
@@ -55,22 +56,24 @@ impl<'a> ClosedSurface<'a> {
     /// Winding number of a local point by the ray in the positive direction of `axes.ray`.
     pub(crate) fn winding(&self, p: DVec3, axes: Axes) -> i32 {
         let mut winding = 0;
-        self.for_each_candidate(|node| ray_overlaps(node, p, axes), |triangle| winding += crossing(p, triangle, axes));
+        let ray = RayBox::new(p, axes, 0.0);
+        self.for_each_candidate(|node| ray.overlaps(node), |triangle| winding += crossing(p, triangle, axes));
         winding
     }
 
     /// Number of faces that the ray crosses, in any direction.
     pub(crate) fn crossings(&self, p: DVec3, axes: Axes) -> u32 {
         let mut count = 0;
+        let ray = RayBox::new(p, axes, 0.0);
         self.for_each_candidate(
-            |node| ray_overlaps(node, p, axes),
+            |node| ray.overlaps(node),
             |triangle| count += crossing(p, triangle, axes).unsigned_abs(),
         );
         count
     }
 
-    fn for_each_candidate(&self, overlaps: impl Fn(&Node) -> [bool; WIDTH], mut on_triangle: impl FnMut([DVec3; 3])) {
-        self.bvh.visit_in_place(overlaps, |pack| {
+    fn for_each_candidate(&self, overlaps: impl Fn(&Node) -> u32, mut on_triangle: impl FnMut([DVec3; 3])) {
+        self.bvh.visit(overlaps, |pack| {
             for &face in pack.faces() {
                 if let Some(corners) = self.topology.oriented_face(self.mesh, face) {
                     on_triangle(corners.map(|v| self.mesh.positions()[v as usize].as_dvec3()));
@@ -81,13 +84,33 @@ impl<'a> ClosedSurface<'a> {
     }
 }
 
-/// Mask of the children that the ray from `p` can intersect. Boxes are compared exactly in float64, so no child is
-/// missed.
-fn ray_overlaps(node: &Node, p: DVec3, axes: Axes) -> [bool; WIDTH] {
-    std::array::from_fn(|i| {
-        let between = |axis: usize| f64::from(node.min[axis][i]) <= p[axis] && p[axis] <= f64::from(node.max[axis][i]);
-        between(axes.column) && between(axes.row) && p[axes.ray] <= f64::from(node.max[axes.ray][i])
-    })
+/// The points of a ray along an axis, or of a row of such rays, as a box for comparisons with the boxes of nodes.
+///
+/// A float32 bound of a node is at most a float64 coordinate if and only if it is at most that coordinate, rounded down.
+/// The comparisons are therefore exact, and no child is missed.
+pub(super) struct RayBox {
+    low: Vec3,
+    high: Vec3,
+}
+
+impl RayBox {
+    /// The ray from `p` in the positive direction of `axes.ray`, for boxes that may be too small by `margin`.
+    pub(super) fn new(p: DVec3, axes: Axes, margin: f64) -> Self {
+        let mut end = p;
+        end[axes.ray] = f64::INFINITY;
+        Self::between(p - margin, end + margin)
+    }
+
+    /// All points from `low` to `high`, which may be infinite.
+    fn between(low: DVec3, high: DVec3) -> Self {
+        Self { low: -round_down(-low), high: round_down(high) }
+    }
+
+    /// Mask of the children that the rays can intersect.
+    #[inline(always)]
+    pub(super) fn overlaps(&self, node: &Node) -> u32 {
+        node.overlaps(self.low, self.high)
+    }
 }
 
 /// +1 if the ray from `p` leaves through the triangle, -1 if it enters, 0 if it misses.
@@ -166,15 +189,14 @@ pub(crate) fn scan_row(
 ) {
     debug_assert_eq!(windings.len(), columns.count * along.count);
     windings.fill(0);
-    let overlaps = |node: &Node| -> [bool; WIDTH] {
-        std::array::from_fn(|i| {
-            f64::from(node.min[axes.row][i]) <= row
-                && row <= f64::from(node.max[axes.row][i])
-                && columns.at(0) <= f64::from(node.max[axes.column][i])
-                && f64::from(node.min[axes.column][i]) <= columns.at(columns.count - 1)
-        })
-    };
-    surface.for_each_candidate(overlaps, |triangle| mark_row(triangle, axes, row, columns, along, 1, windings));
+    let (mut low, mut high) = (DVec3::NEG_INFINITY, DVec3::INFINITY);
+    (low[axes.row], high[axes.row]) = (row, row);
+    (low[axes.column], high[axes.column]) = (columns.at(0), columns.at(columns.count - 1));
+    let rays = RayBox::between(low, high);
+    surface.for_each_candidate(
+        |node| rays.overlaps(node),
+        |triangle| mark_row(triangle, axes, row, columns, along, 1, windings),
+    );
     sum_marks(along, windings);
 }
 

@@ -11,8 +11,7 @@
 //! part of the closed surface. If the rims have more edges than the mesh has faces, the solid angles of the faces
 //! themselves are summed.
 
-use super::crossing::{Axes, crossing};
-use crate::bvh::{Node, WIDTH};
+use super::crossing::{Axes, RayBox, crossing};
 use crate::geometry::solid_angle;
 use crate::mesh::Mesh;
 use crate::mesh::derived::Derived;
@@ -87,8 +86,9 @@ impl RawClosure {
         }
         let mut count = 0;
         let axes = Axes::X;
-        mesh.bvh().visit_in_place(
-            |node| may_meet(node, p, axes),
+        let ray = RayBox::new(p, axes, BOX_ROUNDING);
+        mesh.bvh().visit(
+            |node| ray.overlaps(node),
             |pack| {
                 for &face in pack.faces() {
                     count += crossing(p, mesh.exact_triangle(face), axes);
@@ -104,15 +104,6 @@ impl RawClosure {
 
 fn angle_from(p: DVec3, corners: [DVec3; 3]) -> f64 {
     solid_angle(corners.map(|corner| corner - p))
-}
-
-/// Mask of the children that the ray from `p` in the positive direction of `axes.ray` can intersect.
-fn may_meet(node: &Node, p: DVec3, axes: Axes) -> [bool; WIDTH] {
-    std::array::from_fn(|lane| {
-        let below = |axis: usize| p[axis] <= f64::from(node.max[axis][lane]) + BOX_ROUNDING;
-        let above = |axis: usize| p[axis] >= f64::from(node.min[axis][lane]) - BOX_ROUNDING;
-        below(axes.column) && above(axes.column) && below(axes.row) && above(axes.row) && below(axes.ray)
-    })
 }
 
 #[cfg(test)]

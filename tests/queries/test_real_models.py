@@ -34,6 +34,11 @@ def geometry(request, model):
     return meshes.scale_and_shift(model, scale, (shift, -shift, shift / 2))
 
 
+def rounding(geometry):
+    """Bound on the rounding of positions: 2^-53 of the largest coordinate, in some 64 operations."""
+    return 64 * 2.0**-53 * (np.abs(geometry.vertices).max() + np.ptp(geometry.vertices, axis=0).max())
+
+
 @pytest.mark.slow
 def test_points_agree_with_brute_force(geometry):
     mesh = fb.Mesh(*geometry)
@@ -43,8 +48,7 @@ def test_points_agree_with_brute_force(geometry):
 
     expected = truth.closest_point(*geometry, points)
     winding = truth.winding_number(*geometry, points)
-    # Positions are rounded to 2^-53 of the largest coordinate; some 64 operations follow.
-    room = 64 * 2.0**-53 * (np.abs(geometry.vertices).max() + np.ptp(geometry.vertices, axis=0).max())
+    room = rounding(geometry)
     assert np.abs(closest.distances - expected.distances).max() <= room
     assert np.abs(np.abs(found.distances) - expected.distances).max() <= room
     for result in (closest, found):
@@ -84,3 +88,20 @@ def test_rays_agree_with_brute_force(geometry):
     assert np.array_equal(fb.count_intersections(mesh, origins, directions)[clear], counts[clear])
     assert np.array_equal(np.bincount(listed.rays, minlength=COUNT)[clear], counts[clear])
     assert np.array_equal(fb.occluded(mesh, origins, directions), hits.hit)
+
+
+@pytest.mark.slow
+def test_samples_agree_with_brute_force(geometry):
+    mesh = fb.Mesh(*geometry)
+
+    surface, training = fb.sample_surface(mesh, COUNT, seed=3), fb.sample_training(mesh, COUNT, seed=3)
+
+    room = rounding(geometry)
+    assert truth.closest_point(*geometry, surface.points).distances.max() <= room
+    corners = truth.corners(*geometry)[surface.faces]
+    assert np.abs((surface.barycentric[:, :, None] * corners).sum(axis=1) - surface.points).max() <= room
+    expected = truth.closest_point(*geometry, training.points).distances
+    assert np.abs(np.abs(training.distances) - expected).max() <= room
+    if mesh.is_closed:
+        inside = np.abs(truth.winding_number(*geometry, training.points)) > 0.5
+        assert np.array_equal(training.distances < 0, inside)
