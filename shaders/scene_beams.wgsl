@@ -36,17 +36,8 @@ struct BeamParams {
 @group(0) @binding(8) var<storage, read_write> answers: array<Answer>;
 
 const MAX_DEPTH: u32 = 34u;
-const MAX_CONE_STEPS: u32 = 512u;
-// Twins of the constants in cone.rs and shadow.rs.
 const TAU: f32 = 6.2831855;
-const EDGE_DIRECTIONS: u32 = 8u;
-const EDGE_COSINE: f32 = 0.9238795;
-const PAST_EDGE: f32 = 1.25;
-const FULL_CLEARANCE: f32 = 0.5;
-const END_FADE: f32 = 0.5;
 const WIDE: u32 = 2u;
-// Least step along a wide cone, in radii.
-const WIDE_STEP: f32 = 0.4;
 const FAR_VOXELS: f32 = 8.0;
 const NO_INSTANCE: u32 = 0xffffffffu;
 const NOWHERE: vec2f = vec2f(1.0, 0.0);
@@ -294,7 +285,7 @@ fn cone_past(caster: Caster, beam: Beam, x_known: f32, with_edges: bool) -> Cone
         needs_edge = true;
         return Cone(-1.0, false);
     }
-    var most = most_room_past(caster, beam, ray, deepest);
+    var most = largest_clearance_past(caster, beam, ray, deepest);
     if beam.is_coarse == WIDE { most = max(most, 1.0 - (beam.t_max - t_hit) / (END_FADE * beam.slope * beam.t_max)); }
     return Cone(most * (1.0 + deepest.x) - 1.0, false);
 }
@@ -314,7 +305,7 @@ fn cone_span(caster: Caster, beam: Beam, ray: FieldRay, x_known: f32) -> vec2f {
 }
 
 // The largest clearance of rays past the edges of an occluder in radii, from 0 to 1: see `rays_past` in cone.rs.
-fn most_room_past(caster: Caster, beam: Beam, ray: FieldRay, deepest: vec2f) -> f32 {
+fn largest_clearance_past(caster: Caster, beam: Beam, ray: FieldRay, deepest: vec2f) -> f32 {
     let index = caster.index;
     let to = &instances[index];
     let t = deepest.y;
@@ -349,23 +340,39 @@ fn most_room_past(caster: Caster, beam: Beam, ray: FieldRay, deepest: vec2f) -> 
         let longer = length(past.direction);
         past.direction /= longer;
         past.t_max = min(beam.t_max * longer, FAR_T);
-        let past_ray = ray_in_field(index, past);
-        let span = cone_span(caster, past, past_ray, 1.0);
-        var room = bound;
-        if span.x <= span.y { room = min(room, nearest_edge(past, index, past_ray, 1.0, span, -1.0).x); }
-        if room <= most { continue; }
-        past.slope = 0.0;
         let was_far = is_far;
-        let passes = ray_share(past);
+        most = max(most, min(bound, clearance_along(past, index, most)));
         is_far = was_far;
-        if passes > 0.0 { most = room; }
     }
     return most;
 }
 
-// The nearest edge on the axis of a cone, in radii, and its position. A free axis has a smallest clearance, at most
-// x_known. An axis that enters the occluder at t_hit has a depth behind it, which is negative. One loop computes both,
-// because drivers inline functions.
+// The least clearance of the axis of a narrow cone in radii, from 0 to 1: beside the occluder `past`, and beside the others
+// that are opaque. The search ends if it is at most `least`.
+fn clearance_along(beam: Beam, past: u32, least: f32) -> f32 {
+    var clearance = 1.0;
+    var walk = begin_walk(beam);
+    for (var caster = next_caster(&walk, beam); caster.index != NO_INSTANCE; caster = next_caster(&walk, beam)) {
+        if instances[caster.index].opacity < 1.0 && caster.index != past { continue; }
+        let ray = ray_in_field(caster.index, beam);
+        var is_free = false;
+        if !HAS_THIN || instances[caster.index].prefers_rays == 0u {
+            let span = cone_span(caster, beam, ray, clearance);
+            if span.x > span.y { continue; }
+            let nearest = nearest_edge(beam, caster.index, ray, clearance, span, -1.0);
+            clearance = nearest.x;
+            is_free = nearest.y < 0.0;
+        }
+        if clearance > least && !is_free && hit_of(caster, ray) >= 0.0 { return 0.0; }
+        if clearance <= least { break; }
+    }
+    return clearance;
+}
+
+// The nearest edge on the axis of a cone, in radii, and a position. For a free axis this is the smallest clearance, at
+// most x_known, and -1, or 0 if a shortest step may have crossed a thin wall. For an axis that enters the occluder at
+// t_hit it is the depth behind it, which is negative, and its position. One loop computes both, because drivers inline
+// functions.
 fn nearest_edge(beam: Beam, index: u32, ray: FieldRay, x_known: f32, span: vec2f, t_hit: f32) -> vec2f {
     let field = fields[instances[index].field];
     let least_step = 0.5 / length(ray.direction);
@@ -390,7 +397,7 @@ fn nearest_edge(beam: Beam, index: u32, ray: FieldRay, x_known: f32, span: vec2f
             if !is_blocked { local = max(field_guess(field, p), 0.0); }
             clear = across(index, local, p);
             let x = clear / radius;
-            if x < nearest.x { nearest = vec2f(x, t); }
+            if x < nearest.x { nearest = vec2f(x, select(nearest.y, t, is_blocked)); }
             if x <= -1.0 || (x <= 0.0 && !is_blocked) { break; }
         }
         let along = (before * before - clear * clear + step * step) / (2.0 * step);
@@ -402,6 +409,7 @@ fn nearest_edge(beam: Beam, index: u32, ray: FieldRay, x_known: f32, span: vec2f
         if is_wide && t >= span.y { break; }
         before = clear;
         step = select(distance, -distance, is_blocked) * pace;
+        if !is_blocked && step < least_step { nearest.y = 0.0; }
         // Near a narrow cone, half steps find the closest approach to 3 %.
         if is_wide { step = max(step, WIDE_STEP * radius); }
         else if is_blocked || step < 2.0 * radius { step *= 0.5; }

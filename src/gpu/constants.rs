@@ -195,6 +195,26 @@ wgsl_constants! {
         /// parameter that the root is added to.
         SMALLEST_STEP: f32 as f32 = f32::EPSILON;
     }
+    scene_beams {
+        /// Largest number of steps of one cone past one instance. Steps of at least half a voxel cross the diagonal of
+        /// 128^3 in 450; few cones stay so near to a surface for so long.
+        MAX_CONE_STEPS: u32 as u32 = 512;
+        /// Least step along a wide cone, in radii.
+        WIDE_STEP: f32 as f32 = 0.4;
+        /// Number of directions around the axis of a blocked cone in which an edge is sought. A straight edge is at most
+        /// 22.5 degrees away from one of them, so a ray at [`PAST_EDGE`] is at least 15 % of the depth beyond the edge.
+        EDGE_DIRECTIONS: usize as u32 = 8;
+        /// Cosine of half the angle between two of these directions.
+        EDGE_COSINE: f32 as f32 = 0.923_879_5;
+        /// Distance beyond an edge at which a ray must pass to prove the edge, in depths of the axis.
+        PAST_EDGE: f32 as f32 = 1.25;
+        /// Fraction of the clearance beyond a straight edge at which the edge counts completely. The rest covers the
+        /// curvature of edges, and the rounding of distances in a field.
+        FULL_CLEARANCE: f32 as f32 = 0.5;
+        /// Length in which an occluder at the end of a cone of occlusion fades out, in radii of the cone's end. An
+        /// occluder covers the section only if the axis is inside it for a radius, so the fade may be as long as that.
+        END_FADE: f32 as f32 = 0.5;
+    }
     light {
         /// Ambient light from below, as a fraction of the ambient light from above.
         GROUND_SHARE: f32 as f32 = 0.4;

@@ -7,24 +7,10 @@ use super::Instance;
 use super::field::Field;
 use super::nearby::Beside;
 use super::thin::ThinRays;
+use crate::gpu::constants::scene_beams::{
+    EDGE_COSINE, EDGE_DIRECTIONS, FULL_CLEARANCE, MAX_CONE_STEPS, PAST_EDGE, WIDE_STEP,
+};
 use glam::Vec3;
-
-/// Number of directions around the axis of a blocked cone in which an edge is sought. A straight edge is at most 22.5
-/// degrees away from one of them.
-pub(crate) const EDGE_DIRECTIONS: usize = 8;
-/// Cosine of half the angle between two of these directions.
-const EDGE_COSINE: f32 = 0.923_879_5;
-
-/// Distance beyond an edge at which a ray must pass to prove the edge, in depths of the axis.
-const PAST_EDGE: f32 = 1.25;
-
-/// Fraction of the clearance beyond a straight edge at which the edge counts completely. The rest covers convex and
-/// concave edges, and distances that a field rounds.
-const FULL_CLEARANCE: f32 = 0.5;
-
-/// Largest number of steps of one cone past one instance. Steps of at least half a voxel cross the diagonal of 128^3 in
-/// 450; few cones stay so near to a surface for so long.
-pub(crate) const MAX_CONE_STEPS: u32 = 512;
 
 /// Result of a cone past one instance.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,9 +24,6 @@ pub struct Cone {
 impl Cone {
     pub const FREE: Self = Self { x: 1.0, is_covered: false };
 }
-
-/// Least step along a wide cone, in radii.
-const WIDE_STEP: f32 = 0.4;
 
 /// Lower bound of the distance between a free axis and a surface, in radii, for the estimate `x` of
 /// [`ConeWalk::beside_wide`].
@@ -189,9 +172,10 @@ impl ConeWalk<'_> {
         if length > 0.0 { distance / length } else { distance * self.instance.stretch[0] }
     }
 
-    /// The axis is free: the smallest clearance in radii, at most `x_known`.
-    pub(crate) fn beside(&self, x_known: f32, steps: &mut u32) -> f32 {
-        let mut x = x_known;
+    /// The smallest clearance of a free axis in radii, at most `x_known`, and whether the steps prove that the axis is
+    /// free. The shortest step, half a voxel, may cross a thin wall.
+    pub(crate) fn beside(&self, x_known: f32, steps: &mut u32) -> (f32, bool) {
+        let (mut x, mut is_free) = (x_known, true);
         let mut t = self.enter;
         for _ in 0..MAX_CONE_STEPS {
             *steps += 1;
@@ -207,13 +191,14 @@ impl ConeWalk<'_> {
             }
             // Near a surface, half steps find the closest approach to 3 %.
             let step = distance * self.pace;
+            is_free &= step >= self.least_step;
             let step = if step < 2.0 * radius { 0.5 * step } else { step };
             t += step.max(self.least_step);
             if t >= self.leave {
                 break;
             }
         }
-        x
+        (x, is_free)
     }
 
     /// The smallest clearance of a wide cone of occlusion in radii, at most 1. If the axis enters the object, returns
@@ -276,8 +261,9 @@ impl ConeWalk<'_> {
         Ok(x)
     }
 
-    /// The axis enters the solid at `t_hit`. Returns its depth in radii, and the position of the deepest point, if the
-    /// solid does not cover the whole section there. `ball` contains the surface, if such a ball is known.
+    /// The axis enters the solid at `t_hit`. Returns the signed distance of the nearest edge in radii, at most 0, and the
+    /// position of the deepest point, to which that distance belongs. At -1 or below the solid covers the whole section,
+    /// and the walk ends there. `ball` contains the surface, if such a ball is known.
     pub(crate) fn inside(&self, t_hit: f32, ball: Option<&BallAhead>, steps: &mut u32) -> (f32, f32) {
         // Under a non-uniform scale the depth is an estimate, which the ball does not bound.
         let ball = ball.filter(|_| self.instance.is_uniform());
@@ -306,9 +292,9 @@ impl ConeWalk<'_> {
         deepest
     }
 
-    /// Rays from the apex beyond the nearest edge of a solid in which the axis is deepest at `t`, with the depth `x` in
-    /// radii, and the number of these rays. `right` and `up` are unit vectors across the axis. The clearance of each ray
-    /// is known at `t` only, so it is an upper bound. The largest bound comes first.
+    /// Rays from the apex beyond the nearest edge of a solid, and their number. At its deepest point `t` the axis has the
+    /// signed distance `x` from the edge in radii, which is negative. `right` and `up` are unit vectors across the axis.
+    /// The clearance of each ray is known at `t` only, so it is an upper bound. The largest bound comes first.
     pub(crate) fn rays_past(
         &self,
         (x, t): (f32, f32),
@@ -321,7 +307,7 @@ impl ConeWalk<'_> {
         let slope = FULL_CLEARANCE * (beyond * EDGE_COSINE - depth) / t;
         let mut rays = [RayPast { offset: Vec3::ZERO, slope, most: 0.0 }; EDGE_DIRECTIONS];
         let mut count = 0;
-        // A ray that leaves the cone by its radius says nothing about the section of the cone.
+        // A ray so far outside the cone does not bound the visible fraction of its section.
         if beyond > 2.0 * self.slope * t {
             return (rays, 0);
         }

@@ -36,10 +36,12 @@ impl Nearby {
         [&self.x, &self.y, &self.z, &self.radius]
     }
 
-    /// Whether a ray with a unit direction may intersect ball `i`.
-    fn may_intersect(&self, i: usize, p: Vec3, direction: Vec3) -> bool {
+    /// Whether a cone of radius `slope` per distance around a unit direction may intersect ball `i`.
+    fn may_intersect(&self, i: usize, p: Vec3, direction: Vec3, slope: f32) -> bool {
         let (way, radius) = (Vec3::new(self.x[i], self.y[i], self.z[i]) - p, self.radius[i]);
         let (along, squared) = (way.dot(direction), way.length_squared());
+        // The widest part of the cone that can touch the ball.
+        let radius = radius + slope * (along.max(0.0) + radius);
         along >= -radius && squared - along * along <= radius * radius + ROUNDING * squared
     }
 }
@@ -64,15 +66,18 @@ pub struct Beside<'a> {
 }
 
 impl Beside<'_> {
-    /// Calls `visit` with each instance that a ray from the apex of the cone may intersect, until `visit` returns false.
-    /// `direction` is the ray's unit direction, `offset` the tangent of its angle from the axis.
+    /// Calls `visit` with each instance that a narrow cone from the apex of the cone may intersect, until `visit` returns
+    /// false. `direction` is the unit direction of its axis, `offset` the tangent of the angle between the axes, and
+    /// `width` its radius for a distance of 1 along the axis of the wide cone.
     ///
-    /// At the distance `t` along the axis, the ray is `offset t` away from the axis. It misses an instance whose surface
-    /// is `x` radii away, if `offset < slope x`.
-    pub fn along(&self, p: Vec3, direction: Vec3, offset: f32, mut visit: impl FnMut(u32) -> bool) {
-        let mut pass = |i: usize| !self.nearby.may_intersect(i, p, direction) || visit(self.nearby.items[i]);
-        if offset < self.slope {
-            self.met.iter().all(|met| offset < self.slope * met.x || pass(met.index as usize));
+    /// At the distance `t` along the axis, the narrow cone is `(offset - width) t` to `(offset + width) t` away from the
+    /// axis. It misses an instance whose surface is `x` radii away, if `offset + width < slope x`.
+    pub fn along(&self, p: Vec3, direction: Vec3, offset: f32, width: f32, mut visit: impl FnMut(u32) -> bool) {
+        let length = (1.0 + offset * offset).sqrt();
+        let mut pass =
+            |i: usize| !self.nearby.may_intersect(i, p, direction, width / length) || visit(self.nearby.items[i]);
+        if offset + width < self.slope {
+            self.met.iter().all(|met| offset + width < self.slope * met.x || pass(met.index as usize));
         } else {
             (0..self.nearby.items.len()).all(pass);
         }

@@ -441,15 +441,16 @@ mod tests {
                     None => prop_assert!(nearest >= 1.0 - 1e-4, "{nearest}"),
                 }
             }
-            // `Beside::along` visits every ball that a ray off the axis intersects.
+            // `Beside::along` visits every ball that a narrow cone off the axis intersects.
             let offset = 0.9 * AO_SLOPE;
             let past = (direction + offset * direction.any_orthonormal_vector()).normalize();
             let mut visited = Vec::new();
             let beside = Beside { nearby: &occluders.nearby, met: &occluders.met, slope: AO_SLOPE };
-            beside.along(p, past, offset, |item| { visited.push(item as usize); true });
+            beside.along(p, past, offset, 0.1, |item| { visited.push(item as usize); true });
             for (i, &(center, radius)) in centers.iter().enumerate() {
                 let t = (center - p).dot(past).max(0.0);
-                prop_assert!(visited.contains(&i) || (center - p - t * past).length() >= radius * (1.0 - 1e-3));
+                let width = 0.1 * t / (1.0 + offset * offset).sqrt();
+                prop_assert!(visited.contains(&i) || (center - p - t * past).length() >= (radius + width) * (1.0 - 1e-3));
             }
             let (mut least, mut waiting) = (f32::NEG_INFINITY, occluders.met.len());
             while let Some(met) = take_nearest(&mut occluders.met[..waiting]) {

@@ -18,11 +18,10 @@
 //! [`PARTS`] narrow cones that divide the disc evenly, in which edges are straight enough.
 //!
 //! If the axis itself is blocked, the depth inside gives the distance of the edge only if there is an edge: the middle
-//! of a thin wall is as shallow as its rim. Rays just beyond the presumed edge are therefore evaluated, in
-//! [`super::cone::EDGE_DIRECTIONS`] directions around the axis. The edge counts as far as the widest of them stays clear
-//! of the occluder and of all others. So the result changes continuously where an edge comes close to other parts, and
-//! where the axis passes the middle of a rod. Closed walls do not leak light, at any thickness and in any number of
-//! parts.
+//! of a thin wall is as shallow as its rim. Rays just beyond the presumed edge are therefore evaluated, in eight
+//! directions around the axis. The edge counts in proportion to the largest clearance of these rays from all occluders.
+//! So the result changes continuously where an edge comes close to other parts, and where the axis passes the middle of
+//! a rod. Closed walls do not leak light, at any thickness and in any number of parts.
 //!
 //! *Bias.* Only the surface's own instance needs a bias, because its field and its triangles differ by a fraction of a
 //! voxel: the ray starts a number of voxels off the surface. No constant is in world units, so the scale of the scene
@@ -32,15 +31,12 @@ use super::cone::{Cone, ConeShare, ConeSum, ConeWalk, RayPast, WideCone};
 use super::far::{Far, FarLevel, Split};
 use super::field::{Field, FieldRay};
 use super::light_rays::{LightCone, LightRay, LightWork, PARTS, SurfacePoint, basis, clip, disc_point, toward, widest};
-use super::nearby::Beside;
 use super::thin::is_clear;
 use super::tree::Line;
 use super::{Instance, Scene};
 use crate::geometry::Aabb;
+use crate::gpu::constants::scene_beams::END_FADE;
 use glam::DVec3;
-
-/// Length in which an occluder at the end of a cone of occlusion fades out, in radii of the cone's end.
-const END_FADE: f32 = 0.5;
 
 /// The occluders of a picture: the instances of a scene and, past a distance, one far field for all of them
 /// ([`super::far`]).
@@ -77,7 +73,7 @@ impl<'a> Casters<'a> {
 
     /// Fraction of a thin ray that passes the fields.
     pub fn field_share(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
-        let (share, is_far) = self.pass_ray(place, ray, None, None, work);
+        let (share, is_far) = self.pass_ray(place, ray, work);
         work.count(is_far);
         share
     }
@@ -232,38 +228,21 @@ impl<'a> Casters<'a> {
         sum / count as f32
     }
 
-    /// Fraction of a thin ray, and whether it entered the far field. The occluder `passed` is known not to be hit. For a
-    /// ray past an edge in a cone of occlusion, `beside` has the instances that the ray may hit, and the tangent of the
-    /// ray's angle from the axis.
-    fn pass_ray(
-        &self,
-        place: &SurfacePoint,
-        ray: &LightRay,
-        passed: Option<&Instance>,
-        beside: Option<(&Beside<'_>, f32)>,
-        work: &mut LightWork,
-    ) -> (f32, bool) {
+    /// Fraction of a thin ray, and whether it entered the far field.
+    fn pass_ray(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> (f32, bool) {
         let split = self.split(place, ray, 0.0);
         let mut share = 1.0;
         let line = Line::new(place.p.as_vec3(), ray.direction.as_vec3());
-        let reach = self.reach(&split, ray);
-        let mut pass = |item: u32, limit: f32| {
+        self.scene.tree.walk(&line, self.reach(&split, ray), |item, limit| {
             for caster in self.casters(item, place, ray, &split) {
                 work.steps += 1;
-                let is_passed = passed.is_some_and(|passed| std::ptr::eq(passed, caster.instance));
-                if !is_passed && self.hit_of(&caster, place, ray, work).is_some() {
+                if self.hit_of(&caster, place, ray, work).is_some() {
                     share *= 1.0 - caster.instance.shade;
                     break;
                 }
             }
             if share > 0.0 { limit } else { -1.0 }
-        };
-        match beside {
-            None => self.scene.tree.walk(&line, reach, pass),
-            Some((beside, offset)) => beside.along(place.p.as_vec3(), ray.direction.as_vec3(), offset, |item| {
-                !line.meets(&self.scene.boxes[item as usize], reach) || pass(item, reach) >= 0.0
-            }),
-        }
+        });
         let is_far = split.far.is_some() && share > 0.0;
         if is_far && self.far_casters(&split, place, ray).any(|far| self.hit_of(&far, place, ray, work).is_some()) {
             share = 0.0;
@@ -355,7 +334,7 @@ impl<'a> Casters<'a> {
         match self.hit_of(caster, cone.place, cone.ray, work) {
             Some(t) => self.blocked_cone(caster, &walk, t, cone, None, work),
             None if x_known <= 0.0 => Cone::FREE,
-            None => Cone { x: walk.beside(x_known, &mut work.steps), is_covered: false },
+            None => Cone { x: walk.beside(x_known, &mut work.steps).0, is_covered: false },
         }
     }
 
@@ -385,15 +364,15 @@ impl<'a> Casters<'a> {
         caster: &Caster<'_>,
         walk: &ConeWalk<'_>,
         t_hit: f32,
-        LightCone { place, ray, .. }: LightCone<'_>,
+        cone: LightCone<'_>,
         wide: Option<&WideCone<'_>>,
         work: &mut LightWork,
     ) -> Cone {
+        let ray = cone.ray;
         let deepest = walk.inside(t_hit, wide.map(|wide| &wide.ball), &mut work.steps);
         if deepest.0 <= -1.0 {
             return Cone { x: -1.0, is_covered: true };
         }
-        // The edge counts as far as a ray past it has room.
         let axes = basis(ray.direction).map(|axis| axis.as_vec3());
         let (rays, count) = walk.rays_past(deepest, axes, &mut work.steps);
         let mut most = 0.0f32;
@@ -401,10 +380,7 @@ impl<'a> Casters<'a> {
             if past.most <= most {
                 break;
             }
-            let room = self.room_past(caster, past, place, ray, wide, work);
-            if room > most {
-                most = room;
-            }
+            most = most.max(self.clearance_past(caster, past, cone, most, wide, work));
         }
         if wide.is_some() {
             // The end of the cone is open: an occluder at the end of the reach fades out.
@@ -413,14 +389,14 @@ impl<'a> Casters<'a> {
         Cone { x: most * (1.0 + deepest.0) - 1.0, is_covered: false }
     }
 
-    /// The clearance of a ray past an edge of an occluder in radii, from 0 to 1. It is 0 if another occluder blocks the
-    /// ray.
-    fn room_past(
+    /// The least clearance of a ray past an edge of an occluder, beside that occluder and all other opaque ones: radii of
+    /// the ray's narrow cone, from 0 to 1. The search ends if it is at most `least`.
+    fn clearance_past(
         &self,
         caster: &Caster<'_>,
         past: &RayPast,
-        place: &SurfacePoint,
-        ray: &LightRay,
+        LightCone { place, ray, .. }: LightCone<'_>,
+        least: f32,
         wide: Option<&WideCone<'_>>,
         work: &mut LightWork,
     ) -> f32 {
@@ -428,11 +404,49 @@ impl<'a> Casters<'a> {
         let length = direction.length();
         let ray = LightRay { direction: direction / length, t_max: ray.t_max * length };
         let cone = LightCone { place, ray: &ray, slope: past.slope };
-        let room = cone_walk(caster, cone, 1.0).map_or(1.0, |walk| walk.beside(1.0, &mut work.steps));
-        let room = room.min(past.most);
-        let passed = self.far.is_none().then_some(caster.instance);
-        let beside = wide.map(|wide| (&wide.beside, past.offset.length()));
-        if room > 0.0 && self.pass_ray(place, &ray, passed, beside, work).0 > 0.0 { room } else { 0.0 }
+        let split = self.split(place, &ray, past.slope);
+        // The occluder itself is the likeliest to be near.
+        let mut clearance = past.most.min(self.clearance_beside(caster, cone, past.most, work));
+        let mut pass = |item: u32, limit: f32| {
+            for other in self.casters(item, place, &ray, &split) {
+                let is_other = !std::ptr::eq(other.instance, caster.instance) && other.instance.shade >= 1.0;
+                if is_other && clearance > least {
+                    clearance = clearance.min(self.clearance_beside(&other, cone, clearance, work));
+                }
+            }
+            if clearance > least { limit } else { -1.0 }
+        };
+        let line = Line::cone(place.p.as_vec3(), ray.direction.as_vec3(), past.slope);
+        let reach = self.reach(&split, &ray);
+        match wide {
+            None => self.scene.tree.walk(&line, reach, pass),
+            Some(wide) => {
+                let (offset, width) = (past.offset.length(), past.slope * length as f32);
+                wide.beside.along(place.p.as_vec3(), ray.direction.as_vec3(), offset, width, |item| {
+                    let bounds = &self.scene.boxes[item as usize];
+                    line.span(bounds.min, bounds.max, reach).is_none() || pass(item, reach) >= 0.0
+                });
+            }
+        }
+        if split.far.is_some() && clearance > least {
+            for far in self.far_casters(&split, place, &ray) {
+                clearance = clearance.min(self.clearance_beside(&far, cone, clearance, work));
+            }
+        }
+        clearance
+    }
+
+    /// The clearance of the axis of a narrow cone beside one occluder in radii, from 0 to 1. A clearance above `x_known`
+    /// need not be exact.
+    fn clearance_beside(&self, caster: &Caster<'_>, cone: LightCone<'_>, x_known: f32, work: &mut LightWork) -> f32 {
+        work.steps += 1;
+        let walk = cone_walk(caster, cone, x_known);
+        let (clearance, is_free) = match walk.filter(|_| !caster.field.prefers_rays()) {
+            Some(walk) => walk.beside(x_known, &mut work.steps),
+            None => (1.0, !caster.field.prefers_rays()),
+        };
+        let is_hit = !is_free && clearance > 0.0 && self.hit_of(caster, cone.place, cone.ray, work).is_some();
+        if is_hit { 0.0 } else { clearance }
     }
 }
 

@@ -31,7 +31,7 @@ const TIE: f64 = 1e-9;
 /// Replaces the planes of `crossings` by tangent planes of the surface at the distance `offset` from `mesh`, world
 /// units. With `unsigned` the distance is without a sign, so a positive offset surrounds the mesh on both sides.
 ///
-/// An offset of zero uses the face that the edge crosses. Any other offset uses the sphere around the nearest point. A
+/// An offset of zero moves a crossing to the intersection of its edge with the mesh, and uses the face there. Any other offset uses the sphere around the nearest point. A
 /// crossing keeps its plane where the mesh is farther away than the samples indicate, as across an opening.
 pub fn planes_of_mesh(
     surface: &LevelSurface,
@@ -43,7 +43,9 @@ pub fn planes_of_mesh(
 ) -> Result<(), Error> {
     let voxel = surface.spacing.max_element();
     progress.set_total(crossings.len() as u64);
-    mesh.bvh();
+    // Made here, because work that waits for a table inside this loop could wait for itself.
+    rayon::join(|| mesh.bvh(), || mesh.topology());
+    mesh.ray_packs();
     let is_flat = !unsigned && offset.abs() <= FLAT_VOXELS * voxel;
     crossings.par_chunks_mut(CHUNK).try_for_each_init(Vec::new, |hits, chunk| {
         if is_flat {
@@ -164,8 +166,9 @@ fn crossed_face(
     } else {
         hit.cross.try_normalize()
     };
+    let normal = normal?;
     (crossing.on_edge, crossing.share) = (point, hit.t);
-    Some((point, normal?))
+    Some((point, normal))
 }
 
 /// The nearest point of the mesh and the normal of its face.

@@ -353,7 +353,7 @@ def _lights(lights: Sequence[Light] | None, camera: Camera) -> tuple[NDArray[np.
     if lights is None:
         lights = [key_light(camera.pose)]
     if not isinstance(lights, Sequence):
-        raise SceneError(f"lights: must be a list of DirectionalLight, got {checks.describe(lights)}")
+        raise SceneError(f"lights: must be a list of lights, got {checks.describe(lights)}")
     for number, light in enumerate(lights):
         if not isinstance(light, DirectionalLight):
             raise SceneError(
