@@ -1,4 +1,4 @@
-"""Docstrings of properties and attributes as plain text: napoleon takes the words before the first colon for a type."""
+"""Keep napoleon from reading the words before the first colon of a property's docstring as its type."""
 
 from __future__ import annotations
 

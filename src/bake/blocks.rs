@@ -4,7 +4,7 @@
 //! mostly that of its neighbour ([`SideWalk`]), so it is counted beside the surface only.
 
 use super::{BakeOptions, LocalGrid};
-use crate::error::Error;
+use crate::error::{ArgumentError, Error};
 use crate::grid::Grid;
 use crate::memory::allocate_samples;
 use crate::mesh::Mesh;
@@ -12,6 +12,9 @@ use crate::progress::Progress;
 use crate::sign::{SideWalk, SignRule};
 use crate::volume::sparse::build::SampleBox;
 use rayon::prelude::*;
+
+/// Largest side of a block, voxels: 4 GiB of samples.
+const MOST_SIDE: usize = 1023;
 
 /// Distances, world units, at the `(side + 1)^3` samples of each block, x fastest; the first sample of a block is
 /// `origins[b]`. A sample outside the grid repeats the nearest one of the grid. Distances are negative inside by the
@@ -25,6 +28,9 @@ pub fn bake_blocks(
     progress: &Progress,
 ) -> Result<Vec<f32>, Error> {
     BakeOptions::default().check(mesh, grid)?;
+    if !(1..=MOST_SIDE).contains(&side) {
+        return Err(ArgumentError::new("side", format!("must be from 1 to {MOST_SIDE}, got {side}")).into());
+    }
     let count = (side + 1).pow(3);
     let mut values = allocate_samples(&format!("{} blocks of samples", origins.len()), origins.len() * count, 0)?;
     progress.set_total(origins.len() as u64);

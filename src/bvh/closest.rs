@@ -7,7 +7,7 @@
 use super::lanes::{least_of, mask_within};
 use super::pack::TriangleFrame;
 use super::stack::Stack;
-use super::{Bvh, FAR, Node, ROUNDING, WIDTH};
+use super::{Bvh, FAR, Node, WIDTH};
 use crate::geometry::{TrianglePoint, closest_point_on_triangle};
 use crate::mesh::Mesh;
 use crate::simd::with_vectors;
@@ -97,7 +97,7 @@ impl Bvh {
         let mut best = bound_squared;
         // A box may be dropped beyond the rounding of a distance to it and of one to a triangle in it.
         let reach = f64::from(p.abs().max_element());
-        let slack = if reach <= FAR { (2.0 * ROUNDING * (1.0 + reach)) as f32 } else { 0.0 };
+        let slack = if reach <= FAR { Bvh::nearest_slack(reach) } else { 0.0 };
         let beyond = |squared: f32| {
             let limit = squared.sqrt() + slack;
             // The box of an absent child is infinitely far and stays beyond every limit.

@@ -12,7 +12,7 @@
 use super::closest::ClosestPoint;
 use super::lanes::{least_of, mask_within};
 use super::stack::Stack;
-use super::{Bvh, FAR, Node, ROUNDING, WIDTH};
+use super::{Bvh, FAR, Node, WIDTH};
 use crate::mesh::Mesh;
 use crate::simd::with_vectors;
 use glam::DVec3;
@@ -99,7 +99,7 @@ impl Mesh {
     fn exact_closest_point_near(&self, p: DVec3, bound: f64) -> ClosestPoint {
         let bvh = self.bvh();
         let p_single = p.as_vec3();
-        let slack = (2.0 * ROUNDING * (1.0 + p.abs().max_element())) as f32;
+        let slack = Bvh::nearest_slack(p.abs().max_element());
         let mut candidates = ExactCandidates::new(self, p);
         let reach = bound as f32 + slack;
         // Squared distances: the best one, and the largest one that float64 may still prefer.

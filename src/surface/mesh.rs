@@ -37,7 +37,8 @@ pub(super) struct Vertices {
     pub is_clamped: Vec<bool>,
 }
 
-/// An edge of the grid (the sample where it starts, and its axis), a quadrilateral, and how often that meets the edge.
+/// An edge of the grid (the sample where it starts, and its axis), a quadrilateral, and the number of their
+/// intersections.
 type Meeting = (([i32; 3], usize), u32, u32);
 
 impl LevelSurface {
@@ -86,8 +87,8 @@ impl LevelSurface {
         vertices
     }
 
-    /// Moves vertices until every sample has its side and no two vertices are equal in single precision. Returns the
-    /// quadrilaterals.
+    /// Moves vertices until every sample has its side and no two vertices are equal in single precision, except as
+    /// [`Self::separate`] states. Returns the quadrilaterals.
     pub(super) fn settle(&self, vertices: &mut Vertices, crossings: &[Crossing], extra: &ExtraPlanes) -> Vec<Quad> {
         let mut quads = self.quads(&vertices.places);
         let mut is_back = vec![false; vertices.places.len()];
@@ -214,8 +215,8 @@ impl LevelSurface {
         }
     }
 
-    /// The edges of the grid that the quadrilateral around a crossed edge meets, and the crossed edge itself. None if the
-    /// quadrilateral meets its own edge alone.
+    /// The edges of the grid that the quadrilateral around a crossed edge intersects, and the crossed edge itself. Empty if
+    /// the quadrilateral intersects its own edge alone.
     fn met_edges(&self, edge: u32, quads: &[Quad], vertices: &[DVec3]) -> Vec<Meeting> {
         let quad = &quads[edge as usize];
         if quad.is_around {

@@ -114,7 +114,7 @@ def test_built_pages_show_their_pictures_without_a_network(site: Path):
 
 @pytest.mark.slow
 def test_descriptions_of_properties_are_whole(site: Path):
-    """Words before a colon are no type of the property."""
+    """The description of a property keeps the words before its first colon."""
     for page, words in (
         ("meshes", "signed by the winding: negative for a mesh that is inside out"),
         ("queries", "(..., 3) float64: they point away from the inside"),
@@ -125,7 +125,8 @@ def test_descriptions_of_properties_are_whole(site: Path):
 
 @pytest.mark.slow
 def test_code_stays_within_narrow_pages(site: Path):
-    # Names of code beyond the right border, except in tables, and the least width of long names in tables, pixels.
+    # Returns the names of code beyond the right border, except in tables, and the least width of long names in tables,
+    # pixels.
     expression = """(() => {
       const names = [...document.querySelectorAll("article code")].filter((name) => !name.closest("table, pre"));
       const box = (name) => name.getBoundingClientRect();

@@ -340,7 +340,7 @@ export class Controls {
     this.onPick(pick);
   }
 
-  /** Show the distance at a pixel. A pointer moves faster than a slow device answers: pixels between two answers are skipped. */
+  /** Show the distance at a pixel. Pixels that the pointer passes while a value is read are skipped. */
   private async showValue(pixel: [number, number]): Promise<void> {
     this.hovered = pixel;
     if (this.isHovering) return;

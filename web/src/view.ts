@@ -57,11 +57,14 @@ let last: Promise<unknown> = Promise.resolve();
 /** Number of urgent drawings that wait: pictures in motion and values of pixels. Pictures at rest stop for them. */
 let urgent = 0;
 
-/** Resolves before the browser paints, or after 500 ms: a page in a frame outside the screen is not painted. */
+/** Longest wait for the browser to paint, milliseconds: a page in a frame outside the screen is not painted. */
+const PAINT_MS = 500;
+
+/** Resolves before the browser paints, or after `PAINT_MS`. */
 export function nextPaint(): Promise<void> {
   return new Promise((done) => {
     requestAnimationFrame(() => done());
-    setTimeout(done, 500);
+    setTimeout(done, PAINT_MS);
   });
 }
 
@@ -359,7 +362,7 @@ export class View {
   /**
    * Whether a drawing that started with `resources` and `turn` may go on after a wait. It stops after `redraw` or `close`, which
    * change the turn; after `rest` or `replace`, which free the resources; and after the loss of the device. A picture in motion
-   * draws the camera of the latest request, so that it passes no turn: only freed resources and a lost device stop it.
+   * draws the camera of the latest request, so it is called without `turn`: only freed resources and a lost device stop it.
    */
   private isCurrent(resources: Resources, turn = this.turn): boolean {
     return this.turn === turn && this.resources === resources && !resources.engine.isLost;
@@ -378,7 +381,7 @@ export class View {
       const share = isTriangles ? 1 : 1 / this.coarseness;
       const width = Math.max(1, Math.round(this.canvas.width * share));
       const height = Math.max(1, Math.round(this.canvas.height * share));
-      // The triangles of a new level or of new data are made once, so that their time says nothing about the next picture.
+      // The triangles of a new level or of new data are made once, so their time is not used to choose the next grid.
       const isNew = this.settings.level !== resources.movingLevel;
       resources.movingLevel = this.settings.level;
       resources.isCoarse = this.isCoarse || isNew;

@@ -79,7 +79,7 @@ impl SampleBox {
         let clip = |axis: usize, i: i32| (i.max(0) as usize).min(shape[axis] - 1);
         Self {
             low: [0, 1, 2].map(|axis| clip(axis, first[axis])),
-            high: [0, 1, 2].map(|axis| clip(axis, first[axis] + count as i32 - 1) + 1),
+            high: [0, 1, 2].map(|axis| clip(axis, first[axis].saturating_add(count as i32 - 1)) + 1),
         }
     }
 
