@@ -369,10 +369,10 @@ fn clearance_along(beam: Beam, past: u32, least: f32) -> f32 {
     return clearance;
 }
 
-// The nearest edge on the axis of a cone, in radii, and a position. For a free axis this is the smallest clearance, at
-// most x_known, and -1, or 0 if a shortest step may have crossed a thin wall. For an axis that enters the occluder at
-// t_hit it is the depth behind it, which is negative, and its position. One loop computes both, because drivers inline
-// functions.
+// The nearest edge on the axis of a cone. One loop computes all results, because drivers inline functions:
+//   free axis:     (smallest clearance in radii, at most x_known; -1)
+//   the same, if the steps do not prove that the axis is free:     (that clearance; 0)
+//   axis that enters the occluder at t_hit:     (signed distance of the edge in radii, negative; t of the deepest point)
 fn nearest_edge(beam: Beam, index: u32, ray: FieldRay, x_known: f32, span: vec2f, t_hit: f32) -> vec2f {
     let field = fields[instances[index].field];
     let least_step = 0.5 / length(ray.direction);
@@ -421,8 +421,9 @@ fn nearest_edge(beam: Beam, index: u32, ray: FieldRay, x_known: f32, span: vec2f
             continue;
         }
         t += step;
-        if t >= span.y { break; }
+        if t >= span.y { return nearest; }
     }
+    if !is_blocked && !is_wide { nearest.y = 0.0; }
     return nearest;
 }
 

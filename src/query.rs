@@ -1,10 +1,10 @@
 //! Closest points and signed distances at arbitrary positions.
 //!
 //! *Theory.* Many points are processed along a space-filling curve (Morton order of their positions), so that
-//! neighbouring points share work: the nodes of the tree are in the cache, the closest point of one bounds the search of
-//! the next, and the side can be carried over by the shell lemma. No surface lies within the distance of p, so every point there is on
-//! the same side as p. For open meshes this holds in the part of that ball that does not intersect the cones that close
-//! the openings.
+//! neighbouring points share work: the nodes of the tree are in the cache, the distance to the previous point's closest
+//! point bounds the next search, and the side can be carried over by the shell lemma. No surface lies within the
+//! distance of p, so every point there is on the same side as p. For open meshes this holds in the part of that ball that
+//! does not intersect the cones that close the openings.
 //!
 //! On a graphics device, the nearest faces of all points are searched at once ([`device`]), and so are the faces that
 //! rays may hit ([`device_rays`]).
@@ -56,9 +56,10 @@ const AHEAD: usize = 8;
 const FEW: usize = 64;
 /// Number of bits of the Morton code for each axis.
 const MORTON_BITS: u32 = 21;
-/// With fewer points or rays, or fewer of them than one for this many vertices, `device="auto"` takes the CPU: a device
-/// first receives the whole mesh.
+/// Fewest points or rays that `device="auto"` sends to a device. The CPU searches fewer in a few milliseconds, in which a
+/// device does not start.
 const DEVICE_ROWS: usize = 4096;
+/// Largest number of vertices for each point or ray that `device="auto"` sends to a device, which copies the mesh first.
 const VERTICES_PER_ROW: usize = 8;
 /// Slack for the float32 rounding of a bound, relative and in local units: ten times the rounding.
 const SLACK: (f64, f64) = (1e-5, 1e-6);
@@ -82,7 +83,8 @@ pub fn signed_distances(
     Ok(answers.into_rows())
 }
 
-/// The `device=` for as many points or rays: "cpu" in place of "auto" for few of them.
+/// Replaces "auto" by "cpu" if `rows` points or rays are too few for a device. Other names are returned unchanged, and so
+/// is "auto" if the environment names a device.
 pub fn device_for<'a>(device: &'a str, mesh: &Mesh, rows: usize) -> &'a str {
     if device == "auto" && are_few(mesh, rows) && !gpu::is_overridden() { "cpu" } else { device }
 }
@@ -243,7 +245,7 @@ fn answer_in_order<T: Copy + Send>(
     } else {
         order.par_chunks(CHUNK).zip(room.par_chunks_mut(CHUNK)).try_for_each(answer_chunk)?;
     }
-    // SAFETY: without an error every chunk has written all of its results, and the chunks are all of the order.
+    // SAFETY: without an error each chunk has written one result for each of its rows, and the chunks cover all rows.
     unsafe { results.set_len(order.len()) };
     Ok(Answers { order, results })
 }

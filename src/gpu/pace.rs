@@ -17,8 +17,9 @@ const SLOW: Duration = Duration::from_millis(160);
 
 /// Number of invocations of a workgroup of the kernels with one invocation for each item of a list, as in the shaders.
 const GROUP: u64 = 64;
-/// Number of workgroups of a dispatch of these kernels: in the first one, and at most, by the limit of one dimension.
-const GROUPS: (u64, u64) = (16, 65_535);
+/// Number of workgroups of a dispatch of these kernels: at least, so that 256 items of the slowest shape take less than
+/// [`SLOW`] on software adapters, and at most, by the limit of one dimension.
+const GROUPS: (u64, u64) = (4, 65_535);
 
 /// [`in_pieces`] for the items of a list, with one invocation for each. `dispatch(first, count, workgroups)` submits
 /// `count` items from `first` on.

@@ -16,7 +16,8 @@ use glam::DVec3;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Size of the items and of the results on a device at a time, bytes. Any binding holds them.
+/// Size of the items and of the results on a device at a time, bytes: half of 128 MiB, the default limit of
+/// a binding.
 const BATCH_BYTES: usize = 1 << 26;
 
 /// The nearest face of every point, on a device.
@@ -30,20 +31,20 @@ pub(super) fn nearest_faces(
     let local = |point: &[f64; 3]| mesh.local_from_world(DVec3::from_array(*point)).as_vec3().to_array();
     let items = |rows: Range<usize>| -> Vec<[f32; 3]> { points[rows].par_iter().map(local).collect() };
     let params = |first, count| QueryParams { first, count, ..QueryParams::default() };
-    let triangles: &LeafFrames = mesh.derived();
-    search_tree(context, "query_points", mesh, &triangles.0, items, params, &mut faces, progress)?;
+    let triangles = || &mesh.derived::<LeafFrames>().0[..];
+    search_tree(context, "query_points", mesh, triangles, items, params, &mut faces, progress)?;
     Ok(faces)
 }
 
 /// Runs a kernel that searches the tree of a mesh for every item of a list and writes a result for each to `found`. The
 /// kernel binds parameters, nodes, `triangles`, items and results, in this order. `items` are those of some rows, and
 /// `params(first, count)` the parameters of a dispatch for some items of a batch.
-#[expect(clippy::too_many_arguments, reason = "they are the five bindings of the kernel and what it runs on")]
-pub(super) fn search_tree<P: Pod, T: Pod, I: Pod, R: Pod>(
+#[expect(clippy::too_many_arguments, reason = "each is an input of one search")]
+pub(super) fn search_tree<'a, P: Pod, T: Pod, I: Pod, R: Pod>(
     context: &Context,
     kernel: &'static str,
-    mesh: &Mesh,
-    triangles: &[T],
+    mesh: &'a Mesh,
+    triangles: impl FnOnce() -> &'a [T],
     items: impl Fn(Range<usize>) -> Vec<I>,
     params: impl Fn(u32, u32) -> P,
     found: &mut [R],
@@ -57,7 +58,7 @@ pub(super) fn search_tree<P: Pod, T: Pod, I: Pod, R: Pod>(
     let pipeline = context.kernel(kernel, "main")?;
     let parameters = context.parameters("search parameters", &params(0, 0))?;
     let nodes = context.upload("tree", &tree.nodes)?;
-    let triangles = context.upload("triangles", triangles)?;
+    let triangles = context.upload("triangles", triangles())?;
     let queries = context.storage("search items", (batch * size_of::<I>()) as u64)?;
     let results = context.storage("search results", (batch * size_of::<R>()) as u64)?;
     let buffers = [(0, &parameters), (1, &nodes), (2, &triangles), (3, &queries), (4, &results)];

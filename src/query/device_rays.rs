@@ -66,8 +66,8 @@ pub(super) fn candidates(
         Search::All => ALL,
     };
     let params = |first, count| CastParams { first, count, mode, ..CastParams::default() };
-    let triangles: &LeafCorners = mesh.derived();
-    search_tree(context, "cast_rays", mesh, &triangles.0, items, params, &mut found, progress)?;
+    let triangles = || &mesh.derived::<LeafCorners>().0[..];
+    search_tree(context, "cast_rays", mesh, triangles, items, params, &mut found, progress)?;
     Ok(found)
 }
 

@@ -153,8 +153,9 @@ fn side_and_gradient(walk: &mut Walk<'_>, rule: &SignRule, p: DVec3, closest: &C
     let away = p - closest.on_triangle.point;
     if closest.distance > NEAR {
         let inside = walk.is_inside(rule, p, closest);
-        let unit = away / closest.distance;
-        return (inside, if inside { -unit } else { unit });
+        // A difference, not a change of sign, so that equal coordinates give 0 and not -0.
+        let outwards = if inside { closest.on_triangle.point - p } else { away };
+        return (inside, outwards / closest.distance);
     }
     let mesh = walk.mesh;
     // The rounding of a position is that of the larger of its local and world coordinates.

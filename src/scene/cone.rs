@@ -175,7 +175,7 @@ impl ConeWalk<'_> {
     /// The smallest clearance of a free axis in radii, at most `x_known`, and whether the steps prove that the axis is
     /// free. The shortest step, half a voxel, may cross a thin wall.
     pub(crate) fn beside(&self, x_known: f32, steps: &mut u32) -> (f32, bool) {
-        let (mut x, mut is_free) = (x_known, true);
+        let (mut x, mut is_free, mut is_proven) = (x_known, false, true);
         let mut t = self.enter;
         for _ in 0..MAX_CONE_STEPS {
             *steps += 1;
@@ -191,10 +191,11 @@ impl ConeWalk<'_> {
             }
             // Near a surface, half steps find the closest approach to 3 %.
             let step = distance * self.pace;
-            is_free &= step >= self.least_step;
+            is_proven &= step >= self.least_step;
             let step = if step < 2.0 * radius { 0.5 * step } else { step };
             t += step.max(self.least_step);
             if t >= self.leave {
+                is_free = is_proven;
                 break;
             }
         }

@@ -18,8 +18,9 @@
 //! [`PARTS`] narrow cones that divide the disc evenly, in which edges are straight enough.
 //!
 //! If the axis itself is blocked, the depth inside gives the distance of the edge only if there is an edge: the middle
-//! of a thin wall is as shallow as its rim. Rays just beyond the presumed edge are therefore evaluated, in eight
-//! directions around the axis. The edge counts in proportion to the largest clearance of these rays from all occluders.
+//! of a thin wall is as shallow as its rim. Rays just beyond the presumed edge are therefore evaluated, in
+//! [`EDGE_DIRECTIONS`](crate::gpu::constants::scene_beams::EDGE_DIRECTIONS) around the axis. The edge counts in
+//! proportion to the largest clearance of these rays from this occluder and from all opaque ones.
 //! So the result changes continuously where an edge comes close to other parts, and where the axis passes the middle of
 //! a rod. Closed walls do not leak light, at any thickness and in any number of parts.
 //!
@@ -409,8 +410,10 @@ impl<'a> Casters<'a> {
         let mut clearance = past.most.min(self.clearance_beside(caster, cone, past.most, work));
         let mut pass = |item: u32, limit: f32| {
             for other in self.casters(item, place, &ray, &split) {
-                let is_other = !std::ptr::eq(other.instance, caster.instance) && other.instance.shade >= 1.0;
-                if is_other && clearance > least {
+                // `caster` is all of its instance, unless a far field divides the ray.
+                let is_same = std::ptr::eq(other.instance, caster.instance);
+                let counts = if is_same { self.far.is_some() } else { other.instance.shade >= 1.0 };
+                if counts && clearance > least {
                     clearance = clearance.min(self.clearance_beside(&other, cone, clearance, work));
                 }
             }

@@ -211,8 +211,8 @@ impl SideWalk {
         }
     }
 
-    /// [`SignRule::is_inside_without_distance`] of the next point, at a distance from the surface, local units. Rules
-    /// that need the closest point have no inside here.
+    /// [`SignRule::is_inside_without_distance`] of the next point, at a distance from the surface, local units. Returns
+    /// false for rules that need the closest point.
     pub fn is_inside_at(&mut self, rule: &SignRule, mesh: &Mesh, p: DVec3, distance: f64) -> bool {
         match rule {
             SignRule::Counted(openings) => self.carried_or_counted(openings, mesh, p, distance),

@@ -31,8 +31,9 @@ const TIE: f64 = 1e-9;
 /// Replaces the planes of `crossings` by tangent planes of the surface at the distance `offset` from `mesh`, world
 /// units. With `unsigned` the distance is without a sign, so a positive offset surrounds the mesh on both sides.
 ///
-/// An offset of zero moves a crossing to the intersection of its edge with the mesh, and uses the face there. Any other offset uses the sphere around the nearest point. A
-/// crossing keeps its plane where the mesh is farther away than the samples indicate, as across an opening.
+/// A signed offset of at most [`FLAT_VOXELS`] moves a crossing to the intersection of its edge with the mesh, and uses the
+/// face there. Any other offset uses the sphere around the nearest point. A crossing keeps its plane where the mesh is
+/// farther away than the samples indicate, as across an opening.
 pub fn planes_of_mesh(
     surface: &LevelSurface,
     crossings: &mut [Crossing],
@@ -43,10 +44,13 @@ pub fn planes_of_mesh(
 ) -> Result<(), Error> {
     let voxel = surface.spacing.max_element();
     progress.set_total(crossings.len() as u64);
-    // Made here, because work that waits for a table inside this loop could wait for itself.
+    // The tables are built before the loop. A worker that builds one inside it may steal a chunk that needs the same
+    // table, and would wait for itself.
     rayon::join(|| mesh.bvh(), || mesh.topology());
-    mesh.ray_packs();
     let is_flat = !unsigned && offset.abs() <= FLAT_VOXELS * voxel;
+    if is_flat {
+        mesh.ray_packs();
+    }
     crossings.par_chunks_mut(CHUNK).try_for_each_init(Vec::new, |hits, chunk| {
         if is_flat {
             let rays: Vec<Ray> = chunk.iter().map(|crossing| ray_of_edge(surface, mesh, crossing)).collect();

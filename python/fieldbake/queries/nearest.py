@@ -93,8 +93,8 @@ def closest_point(
     points : (..., 3) real
         World positions.
     device : str, default "auto"
-        ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`. ``"auto"`` takes the CPU for fewer than 4,096
-        points and for fewer points than an eighth of the vertices, since the mesh is copied to the device first.
+        ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`. ``"auto"`` uses the CPU if there are fewer
+        than 4,096 points, or fewer points than an eighth of the number of vertices: copying the mesh takes longer.
     progress : bool or callable, optional
         True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
 

@@ -88,8 +88,8 @@ def cast_rays(
     t_min, t_max : float, default 0 and infinity
         Range of the ray, both ends included, in lengths of the direction.
     device : str, default "auto"
-        ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`. ``"auto"`` takes the CPU for fewer than 4,096
-        rays and for fewer rays than an eighth of the vertices, since the mesh is copied to the device first.
+        ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`. ``"auto"`` uses the CPU if there are fewer
+        than 4,096 rays, or fewer rays than an eighth of the number of vertices: copying the mesh takes longer.
     progress : bool or callable, optional
         True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
 

@@ -108,7 +108,7 @@ impl SampleBox {
         for (i, value) in out.iter_mut().enumerate() {
             let step = [i % count, i / count % count, i / (count * count)];
             let nearest = |axis: usize| {
-                let sample = (first[axis] + step[axis] as i32).max(0) as usize;
+                let sample = first[axis].saturating_add(step[axis] as i32).max(0) as usize;
                 sample.clamp(self.low[axis], self.high[axis] - 1)
             };
             *value = samples[self.place([0, 1, 2].map(nearest))];
