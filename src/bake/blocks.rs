@@ -70,6 +70,21 @@ mod tests {
     use glam::DVec3;
 
     #[test]
+    fn blocks_far_outside_repeat_a_corner_and_sides_are_limited() {
+        let grid = Grid::new(DVec3::splat(-0.3), DVec3::splat(1.4), [5, 6, 7]).unwrap();
+        let mesh = soup(12, 0.3, 7);
+        let blocks = |side, first: i32| bake_blocks(&mesh, &grid, side, &[[first; 3]], true, &Progress::new());
+        let whole = bake_blocks(&mesh, &grid, 6, &[[0; 3]], true, &Progress::new()).unwrap();
+        for (first, corner) in [(i32::MIN, 0), (i32::MAX - 1, whole.len() - 1)] {
+            let values = blocks(2, first).unwrap();
+            assert!(values.len() == 27 && values.iter().all(|&value| value == whole[corner]), "{first}");
+        }
+        for side in [0, MOST_SIDE + 1, usize::MAX] {
+            assert!(blocks(side, 0).is_err_and(|error| error.to_string().contains("side")), "{side}");
+        }
+    }
+
+    #[test]
     fn blocks_have_the_samples_of_the_whole_bake() {
         let grid = Grid::new(DVec3::splat(-0.3), DVec3::splat(1.4), [19, 23, 17]).unwrap();
         let corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
