@@ -136,7 +136,7 @@ def test_dask_executors_and_addresses(mesh, tmp_path):
     bake(tmp_path / "here.zarr", mesh)
     with (
         distributed.LocalCluster(
-            1, processes=False, threads_per_worker=2, dashboard_address=None, silence_logs=50
+            1, processes=False, threads_per_worker=2, dashboard_address=":0", silence_logs=50
         ) as cluster,
         distributed.Client(cluster) as client,
     ):

@@ -440,7 +440,7 @@ def test_without_zarr_there_is_one_clear_error(tmp_path):
 def test_dask_gives_equal_bytes(store, mesh, tmp_path):
     distributed = pytest.importorskip("distributed")
     with (
-        distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster,
+        distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=":0", silence_logs=50) as cluster,
         distributed.Client(cluster) as client,
     ):
         bake_knot(tmp_path / "k.zarr", mesh, executor=client)
