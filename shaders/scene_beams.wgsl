@@ -1,244 +1,17 @@
 // Computes the fraction of thin rays and cones that passes the instances of a scene. Twin of src/scene/shadow.rs and
 // cone.rs.
 
-#import scene_objects
-#import scene_beam
+#import scene_occluders
 
-struct SceneNode {
-    min: vec3f,
-    // Leaf: first item. Inner node: left child; the right child follows it.
-    first: u32,
-    max: vec3f,
-    // Number of items in a leaf; 0 for an inner node.
-    count: u32,
-}
-
-struct BeamParams {
-    first: u32,
-    count: u32,
-    // Index of the finest level of the far field among the instances; the other levels follow. NO_INSTANCE without a
-    // far field.
-    far: u32,
-    far_levels: u32,
-    // 1 if no instance must be evaluated beyond the far field's distance.
-    far_holds_all: u32,
-    // Distance at which the far field starts. Negative: FAR_VOXELS voxels of the level in which a beam starts.
-    far_distance: f32,
-    pad_0: u32,
-    pad_1: u32,
-}
-
-@group(0) @binding(0) var<uniform> params: BeamParams;
-@group(0) @binding(1) var<storage, read> nodes: array<SceneNode>;
-// Indices of instances, leaf by leaf.
-@group(0) @binding(2) var<storage, read> items: array<u32>;
 @group(0) @binding(7) var<storage, read> beams: array<Beam>;
 @group(0) @binding(8) var<storage, read_write> answers: array<Answer>;
 
-const MAX_DEPTH: u32 = 34u;
 const TAU: f32 = 6.2831855;
 const WIDE: u32 = 2u;
-const FAR_VOXELS: f32 = 8.0;
-const NO_INSTANCE: u32 = 0xffffffffu;
-const NOWHERE: vec2f = vec2f(1.0, 0.0);
 
-var<private> is_far: u32;
 var<private> needs_edge: bool;
 
-// ---- boxes
-
-// Largest distance from a point to a box.
-fn reach(p: vec3f, low: vec3f, high: vec3f) -> f32 {
-    return length(max(abs(p - low), abs(p - high)));
-}
-
-// Largest radius of a cone from p where it can touch a box before t_max.
-fn widest(p: vec3f, slope: f32, low: vec3f, high: vec3f, t_max: f32) -> f32 {
-    if slope <= 0.0 { return 0.0; }
-    return min(slope / (1.0 - min(slope, 0.9)) * reach(p, low, high), slope * t_max);
-}
-
-fn meets(beam: Beam, low: vec3f, high: vec3f, t_max: f32) -> bool {
-    let grown = widest(beam.p, beam.slope, low, high, t_max);
-    let span = clip(beam.p, beam.direction, low - grown, high + grown, vec2f(0.0, t_max));
-    return span.x <= span.y * 1.000001;
-}
-
-// ---- the far field, twin of src/scene/far.rs
-
-// The split of a beam into intervals for the instances and for the far field.
-struct Split {
-    // End of the interval for the instances.
-    near: f32,
-    // Start of the second interval for the instances; FAR_T if there is none.
-    rest: f32,
-    // Interval for the far field; empty if from > to.
-    far: vec2f,
-}
-
-fn far_distance_from(p: vec3f) -> f32 {
-    if params.far_distance >= 0.0 { return params.far_distance; }
-    let last = params.far + params.far_levels - 1u;
-    for (var level = params.far; level < last; level++) {
-        let to = &instances[level];
-        if all(p >= (*to).box_min) && all(p <= (*to).box_max) { return FAR_VOXELS * (*to).voxel; }
-    }
-    return FAR_VOXELS * instances[last].voxel;
-}
-
-fn split_of(beam: Beam) -> Split {
-    let whole = Split(beam.t_max, FAR_T, NOWHERE);
-    if params.far == NO_INSTANCE || beam.skips_own != 0u { return whole; }
-    let to = &instances[params.far + params.far_levels - 1u];
-    let grown = widest(beam.p, beam.slope, (*to).box_min, (*to).box_max, beam.t_max);
-    let part = vec2f(far_distance_from(beam.p), beam.t_max);
-    let span = clip(beam.p, beam.direction, (*to).box_min - grown, (*to).box_max + grown, part);
-    if span.x >= span.y { return whole; }
-    let needs_rest = span.y < beam.t_max && params.far_holds_all == 0u;
-    return Split(span.x, select(FAR_T, span.y, needs_rest), span);
-}
-
-// The far interval of a beam inside the box of a level.
-fn part_in_level(level: u32, beam: Beam, far: vec2f) -> vec2f {
-    if level == params.far + params.far_levels - 1u { return far; }
-    return clip(beam.p, beam.direction, instances[level].box_min, instances[level].box_max, far);
-}
-
-// The piece of the interval `part` before the interval of the next finer level (`which` = 0) or behind it (1).
-fn piece_of(which: u32, part: vec2f, finer: vec2f) -> vec2f {
-    if finer.x > finer.y { return select(NOWHERE, part, which == 0u); }
-    return select(vec2f(finer.y, part.y), vec2f(part.x, finer.x), which == 0u);
-}
-
-// ---- instances
-
-fn ray_in_field(index: u32, beam: Beam) -> FieldRay {
-    let to = &instances[index];
-    var p = beam.p;
-    if index == beam.own {
-        let n = beam.normal;
-        let voxel = length(vec3f(dot((*to).normal_x, n), dot((*to).normal_y, n), dot((*to).normal_z, n)));
-        p += beam.bias_voxels * voxel * n;
-    }
-    let at = vec4f(p, 1.0);
-    var ray: FieldRay;
-    ray.origin = vec3f(dot((*to).field_x, at), dot((*to).field_y, at), dot((*to).field_z, at));
-    ray.direction = field_direction(index, beam.direction);
-    return ray;
-}
-
-// An occluder on an interval of a beam: an instance, or a level of the far field.
-struct Caster {
-    index: u32,
-    part: vec2f,
-    // Length to skip if the interval begins inside it.
-    skip: f32,
-}
-
-// A search along a beam: through the tree, then through the levels of the far field.
-struct Walk {
-    stack: array<u32, MAX_DEPTH>,
-    top: u32,
-    // The rest of a leaf: a range of indices in `items`.
-    next: u32,
-    end: u32,
-    split: Split,
-    // Length of the search through the tree.
-    reach: f32,
-    // An instance that must be evaluated again on the second interval of the beam.
-    again: u32,
-    // Number of visited pieces of levels, two per level, and the interval of the previous level.
-    pieces: u32,
-    finer: vec2f,
-}
-
-fn begin_walk(beam: Beam) -> Walk {
-    var walk: Walk;
-    walk.top = 1u;
-    walk.split = split_of(beam);
-    let has_far = walk.split.far.x <= walk.split.far.y;
-    let is_near = has_far && walk.split.rest >= FAR_T && params.far_holds_all != 0u;
-    walk.reach = select(beam.t_max, walk.split.near, is_near);
-    walk.again = NO_INSTANCE;
-    walk.finer = NOWHERE;
-    return walk;
-}
-
-// The next occluder whose box the beam enters; NO_INSTANCE at the end.
-fn next_caster(walk: ptr<function, Walk>, beam: Beam) -> Caster {
-    if (*walk).again != NO_INSTANCE {
-        let again = Caster((*walk).again, vec2f((*walk).split.rest, beam.t_max), 0.0);
-        (*walk).again = NO_INSTANCE;
-        return again;
-    }
-    while steps < MAX_STEPS {
-        if (*walk).next < (*walk).end {
-            let index = items[(*walk).next];
-            (*walk).next++;
-            let opacity = instances[index].opacity;
-            if instances[index].casts_shadow == 0u || opacity == 0.0 { continue; }
-            if beam.skips_own != 0u && index == beam.own { continue; }
-            // The far field contains opaque solids only.
-            let is_whole = opacity < 1.0 || (HAS_THIN && instances[index].prefers_rays != 0u);
-            if is_whole { return Caster(index, vec2f(0.0, beam.t_max), 0.0); }
-            if (*walk).split.rest < FAR_T { (*walk).again = index; }
-            return Caster(index, vec2f(0.0, (*walk).split.near), 0.0);
-        }
-        if (*walk).top == 0u { break; }
-        steps++;
-        (*walk).top--;
-        let node = nodes[(*walk).stack[(*walk).top]];
-        if !meets(beam, node.min, node.max, (*walk).reach) { continue; }
-        if node.count == 0u {
-            (*walk).stack[(*walk).top] = node.first;
-            (*walk).stack[(*walk).top + 1u] = node.first + 1u;
-            (*walk).top += 2u;
-        } else {
-            (*walk).next = node.first;
-            (*walk).end = node.first + node.count;
-        }
-    }
-    return next_level(walk, beam);
-}
-
-// The next level of the far field on its next piece of the beam.
-fn next_level(walk: ptr<function, Walk>, beam: Beam) -> Caster {
-    let far = (*walk).split.far;
-    if far.x > far.y { return Caster(NO_INSTANCE, NOWHERE, 0.0); }
-    is_far = 1u;
-    while (*walk).pieces < 2u * params.far_levels {
-        let level = params.far + (*walk).pieces / 2u;
-        let which = (*walk).pieces % 2u;
-        (*walk).pieces++;
-        let part = part_in_level(level, beam, far);
-        let piece = piece_of(which, part, (*walk).finer);
-        if which == 1u && part.x <= part.y { (*walk).finer = part; }
-        if piece.x < piece.y {
-            return Caster(level, piece, select(0.0, instances[level].voxel, piece.x == far.x));
-        }
-    }
-    return Caster(NO_INSTANCE, NOWHERE, 0.0);
-}
-
-// The t at which a beam enters an occluder, or -1.
-fn hit_of(caster: Caster, ray: FieldRay) -> f32 {
-    let to = &instances[caster.index];
-    let field = fields[(*to).field];
-    var part = caster.part;
-    var found = -1.0;
-    // A hit at the start of a level of the far field is skipped, and a second round searches behind it. The loop has
-    // one march, because drivers inline functions.
-    for (var i = 0u; i < 2u; i++) {
-        let span = clip(ray.origin, ray.direction, (*to).surface_lower, (*to).surface_upper, part);
-        if span.x > span.y { return -1.0; }
-        let hit = field_hit(field, ray.origin + span.x * ray.direction, ray.direction, span.y - span.x);
-        if hit < 0.0 { return -1.0; }
-        found = hit + span.x;
-        if found != part.x || caster.skip == 0.0 { break; }
-        part.x += caster.skip;
-    }
-    return found;
-}
+// ---- rays
 
 // Fraction of a thin ray that passes.
 fn ray_share(beam: Beam) -> f32 {
@@ -252,6 +25,8 @@ fn ray_share(beam: Beam) -> f32 {
     }
     return share;
 }
+
+// ---- cones, twin of src/scene/cone.rs
 
 // Scene distance across the beam for a local distance at a point.
 fn across(index: u32, distance: f32, p: vec3f) -> f32 {

@@ -63,6 +63,7 @@ const SHARED: &[(&str, &str)] = &[
     ("ray", include_str!("../../shaders/shared/ray.wgsl")),
     ("ray_filtered", include_str!("../../shaders/shared/ray_filtered.wgsl")),
     ("scene_beam", include_str!("../../shaders/shared/scene_beam.wgsl")),
+    ("scene_occluders", include_str!("../../shaders/shared/scene_occluders.wgsl")),
     ("scene_dense", include_str!("../../shaders/shared/scene_dense.wgsl")),
     ("scene_field", include_str!("../../shaders/shared/scene_field.wgsl")),
     ("scene_quadric", include_str!("../../shaders/shared/scene_quadric.wgsl")),

@@ -209,6 +209,7 @@ impl SurfaceCells {
     pub(crate) fn of_edge(&self, edge: u32) -> (&SurfaceCell, usize) {
         let cell = &self.cells[self.cells.partition_point(|cell| cell.first_edge <= edge) - 1];
         let mut axes = (0..3).filter(|&axis| cell.owns(axis));
+        // The next cell's first edge follows after one edge for each axis that this cell owns, so the axis exists.
         (cell, axes.nth((edge - cell.first_edge) as usize).expect("the edge is one of the cell's"))
     }
 
