@@ -6,7 +6,6 @@
 
 use super::lanes::{least_of, mask_within};
 use super::pack::TriangleFrame;
-use super::stack::Stack;
 use super::{Bvh, FAR, Node, WIDTH};
 use crate::geometry::{TrianglePoint, closest_point_on_triangle};
 use crate::mesh::Mesh;
@@ -92,48 +91,30 @@ impl Bvh {
 
     #[inline(always)]
     fn nearest_portable(&self, p: Vec3, bound_squared: f32) -> Option<Nearest> {
-        let mut stack = Stack::new();
-        let mut child = Bvh::ROOT;
         let mut best = bound_squared;
         // A box may be dropped beyond the rounding of a distance to it and of one to a triangle in it.
         let reach = f64::from(p.abs().max_element());
         let slack = if reach <= FAR { Bvh::nearest_slack(reach) } else { 0.0 };
         let beyond = |squared: f32| {
             let limit = squared.sqrt() + slack;
-            // The box of an absent child is infinitely far and stays beyond every limit.
             (limit * limit).min(f32::MAX)
         };
         let mut limit = beyond(best);
         let mut nearest: Option<(Slot, u32)> = None;
-        loop {
-            if child.is_pack() {
-                let pack = &self.packs[child.index()];
-                let found = pack.distances_squared(p);
-                let least = least_of(&found);
-                if least <= best {
-                    for lane in pack.lanes_within(&found, least) {
-                        let face = pack.face(lane);
-                        if least < best || nearest.is_none_or(|(_, lowest)| face < lowest) {
-                            best = least;
-                            nearest = Some((Slot { pack: child.index() as u32, lane: lane as u8 }, face));
-                        }
+        self.visit_nearest(p, limit, |pack, index, found| {
+            let least = least_of(found);
+            if least <= best {
+                for lane in pack.lanes_within(found, least) {
+                    let face = pack.face(lane);
+                    if least < best || nearest.is_none_or(|(_, lowest)| face < lowest) {
+                        best = least;
+                        nearest = Some((Slot { pack: index as u32, lane: lane as u8 }, face));
                     }
-                    limit = beyond(best);
                 }
-            } else {
-                let node = &self.nodes[child.index()];
-                let found = node.distances_squared(p);
-                let mask = mask_within(&found, limit);
-                if mask != 0 {
-                    child = stack.push_all_but_nearest(mask, &found, &node.children);
-                    continue;
-                }
+                limit = beyond(best);
             }
-            child = match stack.pop(limit) {
-                Some(next) => next,
-                None => break,
-            };
-        }
+            limit
+        });
         nearest.map(|(slot, face)| Nearest { slot, face, distance_squared: best })
     }
 

@@ -10,8 +10,7 @@
 //! are compared in float64 instead.
 
 use super::closest::ClosestPoint;
-use super::lanes::{least_of, mask_within};
-use super::stack::Stack;
+use super::lanes::least_of;
 use super::{Bvh, FAR, Node, WIDTH};
 use crate::mesh::Mesh;
 use crate::simd::with_vectors;
@@ -103,40 +102,22 @@ impl Mesh {
         let mut candidates = ExactCandidates::new(self, p);
         let reach = bound as f32 + slack;
         // Squared distances: the best one, and the largest one that float64 may still prefer.
-        // The box of an absent child is infinitely far and stays beyond every limit.
         let mut limit = (reach * reach * (1.0 + 1e-6)).min(f32::MAX);
         let mut best = limit;
-        let mut stack = Stack::new();
-        let mut child = Bvh::ROOT;
-        loop {
-            if child.is_pack() {
-                let pack = &bvh.packs[child.index()];
-                let found = pack.distances_squared(p_single);
-                let least = least_of(&found);
-                if least < best {
-                    best = least;
-                    let reach = best.sqrt() + slack;
-                    limit = limit.min(reach * reach);
-                }
-                if least <= limit {
-                    for lane in pack.lanes_within(&found, limit) {
-                        candidates.keep(found[lane], pack.face(lane), limit);
-                    }
-                }
-            } else {
-                let node = &bvh.nodes[child.index()];
-                let found = node.distances_squared(p_single);
-                let mask = mask_within(&found, limit);
-                if mask != 0 {
-                    child = stack.push_all_but_nearest(mask, &found, &node.children);
-                    continue;
+        bvh.visit_nearest(p_single, limit, |pack, _, found| {
+            let least = least_of(found);
+            if least < best {
+                best = least;
+                let reach = best.sqrt() + slack;
+                limit = limit.min(reach * reach);
+            }
+            if least <= limit {
+                for lane in pack.lanes_within(found, limit) {
+                    candidates.keep(found[lane], pack.face(lane), limit);
                 }
             }
-            child = match stack.pop(limit) {
-                Some(next) => next,
-                None => break,
-            };
-        }
+            limit
+        });
         candidates.compare_all(limit);
         // A bound that is too small leaves no candidate. The unbounded search always finds one.
         candidates.best.unwrap_or_else(|| self.closest_point_from_afar(p))

@@ -30,7 +30,9 @@ use crate::geometry::Aabb;
 use crate::mesh::Mesh;
 use crate::mesh::derived::Derived;
 use glam::{Vec3, Vec4};
+use lanes::mask_within;
 use pack::Pack;
+use stack::Stack;
 
 /// Number of lanes of a node and of a pack.
 pub(crate) const WIDTH: usize = 8;
@@ -192,6 +194,33 @@ impl Bvh {
             }
         }
         true
+    }
+
+    /// Visits packs near `p`, those of the nearest boxes first. `on_pack` receives a pack, its index and the squared
+    /// distances of its faces from `p`. It returns the largest squared distance of the boxes that are still searched,
+    /// which begins as `limit` and must be finite: the box of an absent child is infinitely far.
+    #[inline(always)]
+    fn visit_nearest(&self, p: Vec3, mut limit: f32, mut on_pack: impl FnMut(&Pack, usize, &[f32; WIDTH]) -> f32) {
+        let mut stack = Stack::new();
+        let mut child = Self::ROOT;
+        loop {
+            if child.is_pack() {
+                let pack = &self.packs[child.index()];
+                limit = on_pack(pack, child.index(), &pack.distances_squared(p));
+            } else {
+                let node = &self.nodes[child.index()];
+                let found = node.distances_squared(p);
+                let mask = mask_within(&found, limit);
+                if mask != 0 {
+                    child = stack.push_all_but_nearest(mask, &found, &node.children);
+                    continue;
+                }
+            }
+            child = match stack.pop(limit) {
+                Some(next) => next,
+                None => return,
+            };
+        }
     }
 }
 
