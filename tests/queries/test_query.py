@@ -201,6 +201,7 @@ def test_a_device_answers_alike(gpu):
 
 def test_few_points_stay_on_the_cpu_unless_the_environment_names_a_device(gpu, monkeypatch):
     monkeypatch.delenv("FIELDBAKE_DEVICE", raising=False)
+    # A check for machines with a graphics card, since "auto" uses no software adapter.
     assert fb.query(meshes.box(), np.zeros((4095, 3))).report.device == "cpu"
 
     monkeypatch.setenv("FIELDBAKE_DEVICE", gpu)

@@ -93,18 +93,18 @@ def test_a_seal_closes_a_leak():
     assert mesh.volume == pytest.approx(8, rel=0.01)
 
 
-@pytest.mark.parametrize(("scale", "shift"), [(1e-3, 0), (3, 0), (1e3, 1e6)])
-def test_scale_and_place_change_no_triangle(scale, shift):
+@pytest.mark.parametrize(("scale", "shift", "moved"), [(1e-3, 0, 0), (3, 0, 2), (1e3, 1e6, 0)])
+def test_scale_and_place_change_no_triangle(scale, shift, moved):
     here = fb.solid(meshes.knot(), 40)
     there = fb.solid(meshes.scale_and_shift(meshes.knot(), scale, (shift, -shift, shift)), 40)
     assert_solid(there)
     assert len(there.vertices) == len(here.vertices)
     assert there.volume == pytest.approx(here.volume * scale**3, rel=1e-4)
-    # The float32 samples round differently, which may exchange the nearest face of a probe that is equally far from two
-    # parts of the mesh. Few of the 3,738 vertices have such a probe.
+    # The float32 samples round differently, which exchanges the nearest face of a probe that is equally far from two
+    # parts of the mesh. At a scale of 3 two of the 3,738 vertices have such a probe.
     back = (there.vertices - [shift, -shift, shift]) / scale
     stays = np.linalg.norm(back - here.vertices, axis=1) <= 1e-3 * here.report.voxel_size
-    assert np.count_nonzero(~stays) <= 5
+    assert np.count_nonzero(~stays) <= moved
 
 
 # --- offset
