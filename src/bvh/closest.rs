@@ -19,6 +19,8 @@ pub struct Nearest {
     pub slot: Slot,
     pub face: u32,
     pub distance_squared: f32,
+    /// Number of packs that the search measured.
+    pub packs: u32,
 }
 
 /// Position of a triangle in the tree.
@@ -101,7 +103,9 @@ impl Bvh {
         };
         let mut limit = beyond(best);
         let mut nearest: Option<(Slot, u32)> = None;
+        let mut packs = 0;
         self.visit_nearest(p, limit, |pack, index, found| {
+            packs += 1;
             let least = least_of(found);
             if least <= best {
                 for lane in pack.lanes_within(found, least) {
@@ -115,7 +119,7 @@ impl Bvh {
             }
             limit
         });
-        nearest.map(|(slot, face)| Nearest { slot, face, distance_squared: best })
+        nearest.map(|(slot, face)| Nearest { slot, face, distance_squared: best, packs })
     }
 
     /// The triangle in a slot.

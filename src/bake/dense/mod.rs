@@ -19,8 +19,11 @@
 //! tests their children, opens those larger than itself, and passes the rest on. T is the triangle nearest to the
 //! centre. A block of 4^3 opens the remaining nodes down to single triangles and stores the tangent of each. Groups of
 //! 16 samples then need no new geometry: the tangents still hold, and the smallest distances so far are the bound,
-//! sample by sample, in any order; the nearest triangles come first. If a block has too many triangles for a list, each
-//! of its samples is searched separately.
+//! sample by sample, in any order; the nearest triangles come first.
+//!
+//! Where triangles are smaller than voxels a block has many of them, and a search for each of its samples costs less.
+//! The cost of a search is predicted by the number of packs that the search at the centre of the 8^3 block measured,
+//! and the cost of a list by its number of packs.
 //!
 //! # Rounding
 //!
@@ -65,9 +68,14 @@ const LEAF: usize = 4;
 /// Number of samples of a group along each axis. A group is evaluated side by side.
 const GROUP: [usize; 3] = [4, 2, 2];
 const LANES: usize = GROUP[0] * GROUP[1] * GROUP[2];
-/// Number of packs in a list above which one search per sample of the block is cheaper. This happens if triangles are
-/// much smaller than voxels. On 870,000 faces at 64^3, 400 was the fastest of 100, 200, 400, 800 and no limit.
-const MOST_PACKS: usize = 400;
+/// Cost of a search for one sample that measures no pack, in visits of a node.
+const SEARCH_COST: u32 = 8;
+/// Cost of a pack in a search: its measurement and about one node above it.
+const SEARCHED_PACK_COST: u32 = 3;
+/// Cost of a pack in the list of a block: tangents, culling, sorting, and the evaluation at all samples. Of 6, 10, 16,
+/// 26, 40 and 60, the last two were slower on meshes whose triangles are about as large as voxels, and the first three
+/// on meshes with much smaller triangles.
+const LISTED_PACK_COST: u32 = 26;
 /// Margin of the culling test, relative to the largest coordinate: ten times the rounding error of either side.
 const SLACK: f32 = 4e-6;
 
@@ -268,6 +276,7 @@ impl Tile<'_> {
             let bound = self.just_beyond(first, block.center);
             let found = self.bvh.nearest(block.center, bound);
             let (of_parent, squared) = found.map_or((first, bound), |nearest| (nearest.slot, nearest.distance_squared));
+            let search_cost = SEARCH_COST + SEARCHED_PACK_COST * found.map_or(1, |nearest| nearest.packs);
             if self.is_beyond(&block, squared) {
                 continue;
             }
@@ -295,8 +304,10 @@ impl Tile<'_> {
                 }
                 stack.clear();
                 stack.extend_from_slice(middle);
-                self.list_packs(&block, near, stack, packs);
-                if packs.len() > MOST_PACKS {
+                let count = sub.1.iter().zip(sub.0).map(|(high, low)| high - low).product::<usize>();
+                let most = count * search_cost as usize / LISTED_PACK_COST as usize;
+                self.list_packs(&block, near, most, stack, packs);
+                if packs.len() > most {
                     previous = self.search(near, sub.0, sub.1);
                 } else {
                     previous = self.list_triangles(&block, near, packs, tangents, list);
@@ -372,9 +383,9 @@ impl Tile<'_> {
         not_positive(&excess)
     }
 
-    /// The packs that pass the culling test of a block. Stops once they are too many for a list.
+    /// The packs that pass the culling test of a block. Stops once there are more than `most`.
     #[inline(always)]
-    fn list_packs(&self, block: &SampleBox, near: Slot, stack: &mut Candidates, packs: &mut Candidates) {
+    fn list_packs(&self, block: &SampleBox, near: Slot, most: usize, stack: &mut Candidates, packs: &mut Candidates) {
         let bounds = roots(self.bvh.frame(near).distances_squared(block.corners()));
         packs.clear();
         while let Some((index, mask)) = stack.pop() {
@@ -387,7 +398,7 @@ impl Tile<'_> {
                 let list = if child.is_pack() { &mut *packs } else { &mut *stack };
                 list.push((child.index() as u32, u8::MAX));
             }
-            if packs.len() > MOST_PACKS {
+            if packs.len() > most {
                 return;
             }
         }
