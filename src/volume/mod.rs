@@ -38,6 +38,7 @@ pub use trilinear::{Cell, SampleFilter, Trilinear, trilinear, trilinear_gradient
 
 use crate::error::{ArgumentError, Error};
 use crate::grid::Grid;
+use crate::memory::prefetch;
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
@@ -164,6 +165,19 @@ impl<T: Texel> Trilinear for FieldView<'_, T> {
 
     fn distance_bound(&self, p: DVec3, inner: [DVec3; 2]) -> f32 {
         outside::bound_outside(self, p, inner)
+    }
+
+    #[inline]
+    fn prefetch(&self, p: DVec3) {
+        // Truncation finds another cell only in the outer half voxel, where an address next to the sample is enough.
+        let p_grid = self.grid_from_world(p).max(DVec3::ZERO).min(self.shape() - 1.0);
+        let [nx, ny, _] = self.grid.shape;
+        let first = self.grid.offset(p_grid.x as usize, p_grid.y as usize, p_grid.z as usize);
+        for row in [0, nx, nx * ny, nx * ny + nx] {
+            if let Some(texel) = self.texels.get(first + row) {
+                prefetch(texel);
+            }
+        }
     }
 }
 
