@@ -1,34 +1,15 @@
-//! OpenEXR files of one channel, for the pages of an atlas and for sheets of slices.
+//! Reads OpenEXR files of one channel: the pages of an atlas and sheets of slices.
 //!
-//! The crate `exr` encodes and decodes. The size in a file is compared with the expected one before its texels are
-//! decompressed.
+//! The crate `exr` decodes; `python/fieldbake/files/exr.py` encodes. The size in a file is compared with the expected one
+//! before its texels are decompressed.
 
 use crate::encoding::Encoding;
 use crate::error::{Error, FormatError};
 use exr::prelude as openexr;
-use exr::prelude::{ReadChannels, ReadLayers, WritableImage};
-use half::f16;
+use exr::prelude::{ReadChannels, ReadLayers};
 use std::io::Cursor;
 
-/// An OpenEXR file with one channel, `Y`: FLOAT for f32, HALF for f16. ZIP compression, without loss.
-pub(crate) fn write_exr(width: usize, height: usize, encoding: Encoding, texels: &[u8]) -> Result<Vec<u8>, Error> {
-    let samples = match encoding {
-        Encoding::Float16 => {
-            let halves = bytemuck::cast_slice::<_, u16>(texels).iter().map(|&bits| f16::from_bits(bits)).collect();
-            openexr::FlatSamples::F16(halves)
-        }
-        _ => openexr::FlatSamples::F32(bytemuck::cast_slice(texels).to_vec()),
-    };
-    let channels = openexr::AnyChannels::sort([openexr::AnyChannel::new("Y", samples)].into_iter().collect());
-    let attributes = openexr::LayerAttributes::named("fieldbake atlas");
-    let encoding = openexr::Encoding { compression: openexr::Compression::ZIP16, ..openexr::Encoding::FAST_LOSSLESS };
-    let layer = openexr::Layer::new((width, height), attributes, encoding, channels);
-    let mut file = Cursor::new(Vec::new());
-    openexr::Image::from_layer(layer).write().to_buffered(&mut file).map_err(|error| failed(&error.to_string()))?;
-    Ok(file.into_inner())
-}
-
-/// Reads the texels of a file of [`write_exr`]. The caller knows the size, which is compared before decompression.
+/// Reads the texels of a file of one channel, FLOAT or HALF. The caller knows the size, which is compared before decompression.
 pub(crate) fn read_exr(bytes: &[u8], width: usize, height: usize, encoding: Encoding) -> Result<Vec<u8>, Error> {
     let found = exr::meta::MetaData::read_from_buffered(Cursor::new(bytes), true);
     let found = found.map_err(|error| failed(&error.to_string()))?;
@@ -66,7 +47,28 @@ fn failed(reason: &str) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use exr::prelude::WritableImage;
+    use half::f16;
     use proptest::prelude::*;
+
+    /// An OpenEXR file with one channel, `Y`: FLOAT for f32, HALF for f16. ZIP compression, without loss.
+    fn write_exr(width: usize, height: usize, encoding: Encoding, texels: &[u8]) -> Result<Vec<u8>, Error> {
+        let samples = match encoding {
+            Encoding::Float16 => {
+                let halves = bytemuck::cast_slice::<_, u16>(texels).iter().map(|&bits| f16::from_bits(bits)).collect();
+                openexr::FlatSamples::F16(halves)
+            }
+            _ => openexr::FlatSamples::F32(bytemuck::cast_slice(texels).to_vec()),
+        };
+        let channels = openexr::AnyChannels::sort([openexr::AnyChannel::new("Y", samples)].into_iter().collect());
+        let attributes = openexr::LayerAttributes::named("fieldbake atlas");
+        let encoding =
+            openexr::Encoding { compression: openexr::Compression::ZIP16, ..openexr::Encoding::FAST_LOSSLESS };
+        let layer = openexr::Layer::new((width, height), attributes, encoding, channels);
+        let mut file = Cursor::new(Vec::new());
+        openexr::Image::from_layer(layer).write().to_buffered(&mut file).map_err(|error| failed(&error.to_string()))?;
+        Ok(file.into_inner())
+    }
 
     #[test]
     fn pages_come_back() {

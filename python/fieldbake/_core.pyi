@@ -52,7 +52,6 @@ __all__ = [
     "encode",
     "encoding_scale",
     "exr_read",
-    "exr_write",
     "gradient",
     "merge",
     "occluded",
@@ -948,11 +947,8 @@ def shader_library(library: str, head: str, language: str) -> str:
     the constants that they read.
     """
 
-def exr_write(texels: NDArray[np.uint8], width: int, height: int, encoding: str) -> bytes:
-    """An OpenEXR file with the channel Y: the bytes of (height, width) float32 or float16."""
-
 def exr_read(bytes: bytes, width: int, height: int, encoding: str) -> bytes:
-    """The texels of a file that :func:`exr_write` wrote, if it has this size; float32 for normalised encodings."""
+    """The texels of an OpenEXR file of one channel, if it has this size; float32 for normalised encodings."""
 
 @final
 class DevicePages:

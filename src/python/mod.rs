@@ -47,7 +47,7 @@ mod _core {
     #[pymodule_export]
     use super::mesh::Mesh;
     #[pymodule_export]
-    use super::openexr::{exr_read, exr_write};
+    use super::openexr::exr_read;
     #[pymodule_export]
     use super::quadric::Quadrics;
     #[pymodule_export]

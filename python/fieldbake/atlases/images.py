@@ -7,16 +7,17 @@ each entry has the ``scale`` of its volume.
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core
 from ..base.encodings import texel_rule
 from ..files import container, sidecar
 from ..files.container import atomic_write, head
+from ..files.exr import write_channel
 from ..files.png import write_grey
 
 #: Endings of the files that :func:`write` can write.
@@ -31,22 +32,16 @@ def write(target: Path, pages: NDArray[Any], facts: dict[str, Any]) -> None:
     ending = target.suffix.lower()
     is_png = ending == ".png"
     stacked = pages.reshape(-1, pages.shape[-1])
-    content = write_grey(_unsigned(stacked)) if is_png else _exr(stacked)
+    # An .exr stores the value that a sampler returns for a normalised integer. Rounding recovers the integer.
+    is_float = stacked.dtype.kind == "f"
+    content = write_grey(stacked, _unsigned) if is_png else write_channel(stacked if is_float else _shares(stacked))
     encoding = facts["encoding"]
     sidecar.write_beside(target, {**head("atlas image", encoding), **texel_rule(ending, encoding), **facts})
     with atomic_write(target) as stream:
         stream.write(content)
     if is_png:
         with atomic_write(target.with_suffix(".preview.png")) as stream:
-            stream.write(write_grey(_preview(stacked)))
-
-
-def _exr(stacked: NDArray[Any]) -> bytes:
-    height, width = stacked.shape
-    encoding = "float16" if stacked.dtype == np.float16 else "float32"
-    # The value that a sampler returns for a normalised integer. Rounding recovers the integer.
-    values = stacked if stacked.dtype.kind == "f" else _shares(stacked)
-    return _core.exr_write(np.ascontiguousarray(values).reshape(-1).view(np.uint8), width, height, encoding)
+            stream.write(write_grey(stacked, _preview))
 
 
 def _shares(texels: NDArray[Any]) -> NDArray[np.float32]:
@@ -64,9 +59,12 @@ def _unsigned(stacked: NDArray[Any]) -> NDArray[Any]:
 
 def _preview(stacked: NDArray[Any]) -> NDArray[np.uint8]:
     """Make a grey preview: the surface is mid-grey, the inside dark."""
-    bits = 8 * stacked.itemsize
+    return _greys(stacked.dtype.newbyteorder("=").str).take(_unsigned(stacked))
+
+
+@functools.cache
+def _greys(kind: str) -> NDArray[np.uint8]:
+    """One grey for each of the 256 or 65,536 texels that exist, by :func:`_unsigned` of the texel."""
+    bits = 8 * np.dtype(kind).itemsize
     texels = np.arange(1 << bits, dtype=np.int64) - (1 << (bits - 1))
-    # One grey for each of the 256 or 65,536 texels that exist.
-    greys = np.round(127.5 + 127.5 * _shares(texels.astype(stacked.dtype))).astype(np.uint8)
-    preview: NDArray[np.uint8] = greys[_unsigned(stacked)]
-    return preview
+    return np.round(127.5 + 127.5 * _shares(texels.astype(kind))).astype(np.uint8)

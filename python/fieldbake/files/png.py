@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -23,20 +24,19 @@ BLOCK_BYTES = 4 << 20
 UP = 2
 
 
-def write_grey(pixels: NDArray[Any]) -> bytes:
-    """Encode unsigned integers (height, width) of 8 or 16 bits as a .png file."""
-    height, width = pixels.shape
-    stored = pixels.astype(pixels.dtype.newbyteorder(">"), copy=False)
-    rows = np.ascontiguousarray(stored).view(np.uint8).reshape(height, width * pixels.itemsize)
-    step = max(1, BLOCK_BYTES // (rows.shape[1] + 1))
+def write_grey(values: NDArray[Any], grey: Callable[[NDArray[Any]], NDArray[Any]] = np.asarray) -> bytes:
+    """Encode values (height, width) as a .png file. `grey` converts rows of them to unsigned integers, 8 or 16 bits."""
+    height, width = values.shape
+    itemsize = grey(values[:1]).itemsize
+    step = max(1, BLOCK_BYTES // (width * itemsize + 1))
     starts = range(0, height, step)
     # zlib and NumPy release the lock of the interpreter.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        blocks = list(pool.map(lambda start: _compressed(rows, start, step), starts))
+        blocks = list(pool.map(lambda start: _compressed(values, grey, start, step), starts))
     checksum = 1
     for filtered, _ in blocks:
         checksum = zlib.adler32(filtered.data, checksum)
-    header = struct.pack(">IIBBBBB", width, height, 8 * pixels.itemsize, 0, 0, 0, 0)
+    header = struct.pack(">IIBBBBB", width, height, 8 * itemsize, 0, 0, 0, 0)
     chunks = [_chunk(b"IHDR", header), _chunk(b"IDAT", b"\x78\x01")]
     chunks += [_chunk(b"IDAT", stream) for _, stream in blocks]
     # Two bytes end the stream: an empty block that is marked as the last.
@@ -44,14 +44,18 @@ def write_grey(pixels: NDArray[Any]) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 
 
-def _compressed(rows: NDArray[np.uint8], start: int, step: int) -> tuple[NDArray[np.uint8], bytes]:
-    """Filter and compress a block of rows."""
-    block = rows[start : start + step]
-    filtered = np.empty((len(block), block.shape[1] + 1), np.uint8)
+def _compressed(
+    values: NDArray[Any], grey: Callable[[NDArray[Any]], NDArray[Any]], start: int, step: int
+) -> tuple[NDArray[np.uint8], bytes]:
+    """Convert, filter and compress a block of rows."""
+    greys = grey(values[max(start - 1, 0) : start + step])
+    rows = greys.astype(greys.dtype.newbyteorder(">"), order="C").view(np.uint8)
+    filtered = np.empty((len(rows) - (start > 0), rows.shape[1] + 1), np.uint8)
     filtered[:, 0] = UP
-    # The row above the first one of the image is zero.
-    filtered[0, 1:] = block[0] - rows[start - 1] if start else block[0]
-    np.subtract(block[1:], block[:-1], out=filtered[1:, 1:])
+    if not start:
+        # The row above the first one of the image is zero.
+        filtered[0, 1:] = rows[0]
+    np.subtract(rows[1:], rows[:-1], out=filtered[int(start == 0) :, 1:])
     stream = zlib.compressobj(1, zlib.DEFLATED, -15, 9, zlib.Z_RLE)
     return filtered, stream.compress(filtered.data) + stream.flush(zlib.Z_FULL_FLUSH)
 

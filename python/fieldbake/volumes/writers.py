@@ -33,6 +33,7 @@ from ..base.errors import ArgumentError
 from ..files import container, flipbook, nanovdb, nrrd, openvdb, sidecar, texture_files, vector_field, vti
 from ..files.band_blocks import BandBlocks
 from ..files.container import atomic_write, head
+from ..files.exr import write_channel
 from ..files.grid_samples import GridSamples
 from .conventions import Convention, convention
 from .grid_field import GridField
@@ -222,7 +223,7 @@ def _sheet(file: _File) -> None:
     columns = 1 if file.options.columns is None and file.field.way.engine == "godot" else file.options.columns
     sheet = flipbook.arrange(file.field.resolution, columns, upwards=file.field.way.engine == "unity")
     pixels = flipbook.to_pixels(_texels(file.field.distances, encoding, scale), sheet)
-    content = _core.exr_write(pixels.reshape(-1).view(np.uint8), *sheet.size, encoding)
+    content = write_channel(pixels)
     facts = {**_texel_facts(file.target, encoding, scale, file.field.facts), "sheet": sheet.facts()}
     sidecar.write_beside(file.target, facts)
     with atomic_write(file.target) as stream:
