@@ -9,7 +9,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := $(shell find src shaders -type f 2>/dev/null) Cargo.toml Cargo.lock pyproject.toml
 
-.PHONY: help demo test test-long check types bench hardware docs fix wheel portable clean
+.PHONY: help demo test test-long check types bench bench-quick hardware docs fix wheel portable clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -43,12 +43,11 @@ types: $(VENV)/.built $(VENV)/.test ## Clippy, rustdoc, mypy, and the stub besid
 docs: $(VENV)/.built $(VENV)/.docs ## Execute and build the documentation site: docs/build/html/index.html
 	$(BIN)/python -m sphinx -W --keep-going --quiet docs docs/build/html
 
-bench: $(VENV)/.built $(VENV)/.bench ## Bake real meshes side by side with other tools
-	$(BIN)/python benches/peers.py
-	$(BIN)/python benches/devices.py
-	$(BIN)/python benches/exactness.py
-	$(BIN)/python benches/curves.py
-	for bench in queries atlas sparse csg csg_peers quadrics merge scene; do $(BIN)/python benches/$$bench.py; done
+bench: $(VENV)/.built $(VENV)/.bench ## Every benchmark beside other tools, in 40 minutes; goes on after an interruption
+	$(BIN)/python benches/run.py
+
+bench-quick: $(VENV)/.built ## Core figures in 3 minutes, compared with the last recorded ones
+	$(BIN)/python benches/quick.py
 
 hardware: $(VENV)/.built $(VENV)/.test ## Test and measure a graphics card: benches/results/DATE-hardware-CARD.md
 	$(BIN)/python benches/hardware.py

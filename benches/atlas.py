@@ -9,29 +9,17 @@ less. The copy writes as many bytes as packing does, into newly allocated memory
 from __future__ import annotations
 
 import argparse
-import time
 
 import numpy as np
 
 import fieldbake as fb
-
-
-def seconds(call) -> tuple[float, float]:
-    """Elapsed time and processor time of a call, seconds."""
-    start, used = time.perf_counter(), time.process_time()
-    call()
-    return time.perf_counter() - start, time.process_time() - used
+from measuring import interleaved
 
 
 def side_by_side(calls: dict, repeat: int) -> dict[str, tuple[float, float]]:
-    """Median times of each call, run in turn."""
-    for call in calls.values():
-        call()
-    times = {name: [] for name in calls}
-    for _ in range(repeat):
-        for name, call in calls.items():
-            times[name].append(seconds(call))
-    return {name: tuple(np.median(values, axis=0).tolist()) for name, values in times.items()}
+    """Median elapsed and processor times of each call, run in turn after one call that warms up."""
+    interleaved(calls, 1)
+    return {name: (took.median, float(np.median(took.cpu))) for name, took in interleaved(calls, repeat).items()}
 
 
 def show(title: str, times: dict[str, tuple[float, float]], yardstick: str) -> None:

@@ -10,11 +10,11 @@ rays of the pixels, divided by the number of pixels.
 from __future__ import annotations
 
 import argparse
-import time
 
 import numpy as np
 
 import fieldbake as fb
+from measuring import interleaved, timed
 
 ARTICLE = "(union (cube 3) (diff (cube 4) (move -2 -2 2 (sphere 5))))"
 
@@ -48,17 +48,6 @@ def scattered(count: int) -> fb.Shape:
     return fb.csg.union(*added) - fb.csg.union(*removed) if removed else fb.csg.union(*added)
 
 
-def best(run, prepare=lambda: None, repeats: int = 3) -> tuple[float, object]:
-    """Shortest time of several runs, and the result; `prepare` makes the argument of each run and is not timed."""
-    times, result = [], None
-    for _ in range(repeats):
-        argument = prepare()
-        start = time.perf_counter()
-        result = run() if argument is None else run(argument)
-        times.append(time.perf_counter() - start)
-    return min(times), result
-
-
 def fresh(shape: fb.Shape) -> fb.Shape:
     """The same shape without its cached results."""
     made = shape.translate((0, 0, 0))
@@ -81,15 +70,22 @@ def main() -> None:
     )
     for name, shape in models:
         camera = fb.Camera.fit(shape.bounds, direction=(-0.5, -0.4, -1))
-        split, parts = best(fb.csg.decompose, lambda shape=shape: fresh(shape))
-        rows = {}
-        for _ in range(options.repeats):
-            for method in ("whole", "auto"):
-                start = time.perf_counter()
-                frame = fb.raymarch(shape, camera, size=size, method=method, device=options.device)
-                seconds = min(time.perf_counter() - start, rows.get(method, (np.inf,))[0])
-                rows[method] = seconds, frame.report["leaf_evaluations"] / (size[0] * size[1]), frame.report["boxes"]
-        (slow, many, _), (fast, few, drawn) = rows["whole"], rows["auto"]
+        unsplit = iter([fresh(shape) for _ in range(3)])
+        decomposition = timed(lambda unsplit=unsplit: fb.csg.decompose(next(unsplit)), 3)
+        split, parts = decomposition.least, decomposition.result
+        times = interleaved(
+            {
+                method: lambda shape=shape, camera=camera, method=method: fb.raymarch(
+                    shape, camera, size=size, method=method, device=options.device
+                )
+                for method in ("whole", "auto")
+            },
+            options.repeats,
+        )
+        whole, frame = times["whole"].result, times["auto"].result
+        slow, fast = times["whole"].least, times["auto"].least
+        many, few = (found.report["leaf_evaluations"] / (size[0] * size[1]) for found in (whole, frame))
+        drawn = frame.report["boxes"]
         boxes = sum(len(part.boxes) for part in parts)
         print(
             f"{name:26} {split * 1e3:7.1f} ms {len(parts):6} {boxes:6} {parts.structures:7}"

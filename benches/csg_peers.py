@@ -13,13 +13,13 @@ from __future__ import annotations
 import argparse
 import ctypes
 import subprocess
-import time
 from pathlib import Path
 
 import numpy as np
 
 import fieldbake as fb
 from csg import fresh, leaf_size, scattered, scattered_leaves
+from measuring import Times, absent, interleaved, record
 
 HERE = Path(__file__).parent
 
@@ -138,11 +138,9 @@ def draw_ours(shape: fb.Shape, side: int) -> np.ndarray:
 
 
 def fogleman(count: int):
-    """The model in fogleman/sdf, or None without it."""
-    try:
-        import sdf
-    except ImportError:
-        return None
+    """The model in fogleman/sdf."""
+    import sdf
+
     size = leaf_size(count)
     makers = {
         "sphere": lambda: sdf.sphere(size / 2),
@@ -157,26 +155,22 @@ def fogleman(count: int):
     return sdf.difference(whole, *removed) if removed else whole
 
 
-def timed(run) -> tuple[float, object]:
-    start = time.perf_counter()
-    result = run()
-    return time.perf_counter() - start, result
-
-
 def compare_pictures(library: ctypes.CDLL, count: int, side: int) -> None:
-    times: dict[str, list[float]] = {"ours first": [], "ours next": [], "fidget first": [], "fidget next": []}
+    times = {name: Times() for name in ("ours first", "ours next", "fidget first", "fidget next")}
     shape = scattered(count)
     for _ in range(3):
         ours = fresh(shape)
-        times["ours first"].append(timed(lambda ours=ours: draw_ours(ours, side))[0])
-        seconds, other = timed(lambda: (peer := Fidget(library, count), peer.draw(side))[0])
-        times["fidget first"].append(seconds)
-        seconds, depth = timed(lambda ours=ours: draw_ours(ours, side))
-        times["ours next"].append(seconds)
-        seconds, voxels = timed(lambda other=other: other.draw(side))
-        times["fidget next"].append(seconds)
+        times["ours first"].run(lambda ours=ours: draw_ours(ours, side))
+        times["fidget first"].run(lambda: (peer := Fidget(library, count), peer.draw(side))[0])
+        other = times["fidget first"].result
+        times["ours next"].run(lambda ours=ours: draw_ours(ours, side))
+        times["fidget next"].run(lambda other=other: other.draw(side))
         library.fidget_free(other.shape)
-    best = {name: min(values) for name, values in times.items()}
+    depth, voxels = times["ours next"].result, times["fidget next"].result
+    best = {name: took.least for name, took in times.items()}
+    for which in ("first", "next"):
+        question = f"{which} picture of a shape, {count:,} leaves, {side} px"
+        record(question, "fidget", best[f"ours {which}"], best[f"fidget {which}"])
     both = np.isfinite(depth) & np.isfinite(voxels)
     # A voxel, and the slant of its pixel: all but outlines agree.
     agree = np.abs(depth[both] - voxels[both]) < 4 * 2 * REACH / side
@@ -187,24 +181,20 @@ def compare_pictures(library: ctypes.CDLL, count: int, side: int) -> None:
 
 
 def compare_grids(count: int, grid: int) -> None:
-    other = fogleman(count)
-    if other is None:
-        print("fogleman/sdf is not installed (PyPI sdf-fork), left out")
-        return
-    shape = scattered(count)
+    other, shape = fogleman(count), scattered(count)
     middle = (np.arange(grid) + 0.5) / grid * 2 * REACH - REACH
     points = np.stack(np.meshgrid(middle, middle, middle, indexing="ij"), axis=-1).reshape(-1, 3)
     bounds = [(-REACH,) * 3, (REACH,) * 3]
-    ours, theirs = [], []
-    for _ in range(2):
-        seconds, volume = timed(lambda: fb.bake(fresh(shape), grid, bounds=bounds, margin=0, device="cpu"))
-        ours.append(seconds)
-        seconds, values = timed(lambda: other(points).reshape((grid,) * 3))
-        theirs.append(seconds)
-    apart = np.abs(volume.distances - values).max()
+    jobs = {
+        "ours": lambda: fb.bake(fresh(shape), grid, bounds=bounds, margin=0, device="cpu"),
+        "theirs": lambda: other(points).reshape((grid,) * 3),
+    }
+    baked, evaluated = interleaved(jobs, 2).values()
+    record(f"grid of a shape, {count} leaves, {grid}^3", "sdf-fork", baked.least, evaluated.least)
+    apart = np.abs(baked.result.distances - evaluated.result).max()
     print(
-        f"{count:6} leaves  ours {min(ours) * 1e3:8.1f} ms  fogleman/sdf {min(theirs) * 1e3:8.1f} ms"
-        f"  {min(theirs) / min(ours):6.1f}x  largest difference {apart:.1e}"
+        f"{count:6} leaves  ours {baked.least * 1e3:8.1f} ms  fogleman/sdf {evaluated.least * 1e3:8.1f} ms"
+        f"  {evaluated.least / baked.least:6.1f}x  largest difference {apart:.1e}"
     )
 
 
@@ -213,13 +203,20 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=512, help="pixels along a side")
     parser.add_argument("--grid", type=int, default=64, help="samples along a side")
     options = parser.parse_args()
-    library = fidget_library()
-    print(f"pictures of {options.size} x {options.size} pixels beside fidget 0.5.1 (JIT, CPU)")
-    for count in (3, 10, 100, 1000):
-        compare_pictures(library, count, options.size)
+    try:
+        library = fidget_library()
+    except (OSError, subprocess.CalledProcessError) as error:
+        absent("fidget", error)
+    else:
+        print(f"pictures of {options.size} x {options.size} pixels beside fidget 0.5.1 (JIT, CPU)")
+        for count in (3, 10, 100, 1000):
+            compare_pictures(library, count, options.size)
     print(f"grids of {options.grid} cubed beside fogleman/sdf (NumPy)")
-    for count in (3, 10, 100):
-        compare_grids(count, options.grid)
+    try:
+        for count in (3, 10, 100):
+            compare_grids(count, options.grid)
+    except ImportError as error:
+        absent("sdf-fork", error)
 
 
 if __name__ == "__main__":

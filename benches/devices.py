@@ -10,22 +10,19 @@ from __future__ import annotations
 
 import argparse
 import functools
-import time
 from pathlib import Path
 
 import numpy as np
 
 import fieldbake as fb
+from measuring import timed
 
 
 def best_of(count, call):
     """Result and the shortest time, after one call that warms up."""
-    result, shortest = call(), float("inf")
-    for _ in range(count):
-        start = time.perf_counter()
-        result = call()
-        shortest = min(shortest, time.perf_counter() - start)
-    return result, shortest
+    call()
+    times = timed(call, count)
+    return times.result, times.least
 
 
 def main() -> None:

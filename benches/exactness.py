@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 import meshes
-from peers import HERE, machine
+from measuring import machine
+from peers import HERE
 
 
 def library() -> ctypes.CDLL:

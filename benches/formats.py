@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-import time
 from pathlib import Path
 
 import fieldbake as fb
+from measuring import timed
 
 FORMATS = (
     (".npz", {}),
@@ -44,15 +44,12 @@ def main() -> None:
         rows = [(volume, *row) for row in FORMATS] + [(sparse, ".vdb", {}), (sparse, ".nvdb", {})]
         for field, ending, extra in rows:
             path = Path(folder) / f"field{ending}"
-            start = time.process_time()
-            field.save(path, **extra)
-            middle = time.process_time()
-            fb.load(path)
-            end = time.process_time()
+            written = timed(lambda field=field, path=path, extra=extra: field.save(path, **extra)).least_cpu
+            read = timed(lambda path=path: fb.load(path)).least_cpu
             words = ", ".join(f"{name} {value}" for name, value in extra.items()) or "-"
             words = f"sparse, {words}" if field is sparse else words
             size = path.stat().st_size / 2**20
-            print(f"| {ending} | {words} | {size:.2f} | {middle - start:.2f} | {end - middle:.2f} |")
+            print(f"| {ending} | {words} | {size:.2f} | {written:.2f} | {read:.2f} |")
 
 
 if __name__ == "__main__":

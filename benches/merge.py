@@ -9,11 +9,11 @@ them.
 from __future__ import annotations
 
 import argparse
-import time
 
 import numpy as np
 
 import fieldbake as fb
+from measuring import timed
 
 
 def scattered(count: int, random: np.random.Generator) -> list[tuple[fb.Volume, np.ndarray]]:
@@ -32,12 +32,8 @@ def scattered(count: int, random: np.random.Generator) -> list[tuple[fb.Volume, 
 
 def shortest(repeat, call):
     """The result and the shortest time."""
-    best = float("inf")
-    for _ in range(repeat):
-        start = time.perf_counter()
-        result = call()
-        best = min(best, time.perf_counter() - start)
-    return result, best
+    times = timed(call, repeat)
+    return times.result, times.least
 
 
 def far_rays(count: int, resolution: int, repeat: int) -> None:

@@ -8,7 +8,6 @@ Prints three tables in Markdown. Every ratio above 1 means that the moving mesh 
 from __future__ import annotations
 
 import sys
-import time
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 import fieldbake as fb
+from measuring import interleaved, timed
 from meshes import find
 
 ROUNDS = 5
@@ -24,9 +24,8 @@ RESOLUTION = 128
 
 def seconds(work: Callable[[], Any]) -> tuple[float, Any]:
     """Processor time of all threads in one call, and the result."""
-    start = time.process_time()
-    result = work()
-    return time.process_time() - start, result
+    times = timed(work)
+    return times.least_cpu, times.result
 
 
 def first_query(mesh: fb.Mesh) -> fb.Mesh:
@@ -62,12 +61,12 @@ def refit_table(vertices: np.ndarray, faces: np.ndarray) -> None:
         ("all vertices bend by 0.2", bent(vertices, 0.2)),
         ("5 % of the vertices", patch(vertices, 3, 0.05, 0.02 * size)),
     ):
-        times = np.full(2, np.inf)
-        for _ in range(ROUNDS):
-            built = seconds(lambda p=positions: first_query(fb.Mesh(p, faces)))[0]
-            moved = seconds(lambda p=positions: first_query(mesh.moved(p)))[0]
-            times = np.minimum(times, (built, moved))
-        print(f"| {name} | {times[0] * 1e3:.1f} | {times[1] * 1e3:.1f} | {times[0] / times[1]:.1f} |")
+        jobs = {
+            "built": lambda p=positions: first_query(fb.Mesh(p, faces)),
+            "moved": lambda p=positions: first_query(mesh.moved(p)),
+        }
+        built, moved = (times.least_cpu for times in interleaved(jobs, ROUNDS).values())
+        print(f"| {name} | {built * 1e3:.1f} | {moved * 1e3:.1f} | {built / moved:.1f} |")
 
 
 def update_table(vertices: np.ndarray, faces: np.ndarray) -> None:

@@ -15,12 +15,9 @@ import argparse
 import ctypes
 import datetime
 import json
-import os
-import platform
 import statistics
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,8 +25,8 @@ from typing import Any
 
 import numpy as np
 
-import memory
 import meshes
+from measuring import absent, interleaved, machine, peak_mib, record, reset_peak
 
 HERE = Path(__file__).parent
 MARGIN = 1.1
@@ -81,6 +78,12 @@ Run = Callable[[Case], "np.ndarray | Callable[[], np.ndarray]"]
 
 #: Tools that return unsigned distances.
 UNSIGNED = {"FCPW, unsigned", "fieldbake, unsigned"}
+
+#: Tools that compute less than signed distances: the job of fieldbake that they are compared with, and its name.
+OURS = {
+    "FCPW, unsigned": ("fieldbake, unsigned", "unsigned distances"),
+    "OpenVDB, band=3": ("fieldbake, band=3", "a band of 3 voxels"),
+}
 
 
 def fieldbake(case: Case, sign: str = "auto") -> np.ndarray:
@@ -140,6 +143,30 @@ def pysdf(case: Case) -> np.ndarray:
     from pysdf import SDF
 
     return -SDF(case.vertices, case.faces)(case.points32)
+
+
+def warp() -> Run:
+    """Closest points with the sign of the fast winding number, on one thread: its kernels use no more on a CPU."""
+    import warp as wp
+
+    wp.config.quiet = True
+
+    @wp.kernel
+    def signed(mesh: wp.uint64, points: wp.array(dtype=wp.vec3), out: wp.array(dtype=wp.float32)):
+        i = wp.tid()
+        found = wp.mesh_query_point_sign_winding_number(mesh, points[i], 1.0e30)
+        out[i] = found.sign * wp.length(points[i] - wp.mesh_eval_position(mesh, found.face, found.u, found.v))
+
+    def run(case: Case) -> np.ndarray:
+        with wp.ScopedDevice("cpu"):
+            points, faces = wp.array(case.vertices, dtype=wp.vec3), wp.array(case.faces.ravel().astype(np.int32))
+            mesh = wp.Mesh(points=points, indices=faces, support_winding_number=True)
+            samples = wp.array(case.points32, dtype=wp.vec3)
+            out = wp.empty(len(samples), dtype=wp.float32)
+            wp.launch(signed, dim=len(samples), inputs=[mesh.id, samples, out])
+            return out.numpy()
+
+    return run
 
 
 def parry() -> Run:
@@ -230,6 +257,7 @@ def peers(names: list[str] | None = None) -> dict[str, Run]:
         "FCPW, unsigned": lambda: fcpw,
         "libigl": lambda: libigl,
         "pysdf": lambda: pysdf,
+        "warp, one thread": warp,
         "trimesh": lambda: trimesh_points,
     }
     tiny = Case("tiny", *_tetrahedron(), 4)
@@ -241,7 +269,7 @@ def peers(names: list[str] | None = None) -> dict[str, Run]:
             run = make()
             run(tiny)
         except Exception as error:
-            print(f"{name} is left out: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}")
+            absent(name, error)
         else:
             found[name] = run
     return found
@@ -281,7 +309,7 @@ def judge(case: Case, name: str, values: np.ndarray, exact: np.ndarray, winding:
     return facts if name in UNSIGNED else {**facts, "wrong": int(wrong.sum())}
 
 
-def peak_mib(case: Case, name: str) -> float:
+def peak_of(case: Case, name: str) -> float:
     """Peak memory of a tool in a process of its own, above the level before it starts, MiB."""
     code = "import peers, sys; print(peers.own_peak_mib(sys.stdin.buffer, sys.argv[1], *map(int, sys.argv[2:])))"
     numbers = [str(n) for n in (case.resolution, case.random_points, len(case.vertices))]
@@ -298,10 +326,10 @@ def own_peak_mib(mesh: Any, name: str, resolution: int, random_points: int, vert
     case = Case("mesh", vertices, faces, resolution, random_points)
     # Its library, its threads.
     run = peers([name])[name]
-    memory.reset_peak()
-    before = memory.peak_mib()
+    reset_peak()
+    before = peak_mib()
     run(case)
-    return memory.peak_mib() - before
+    return peak_mib() - before
 
 
 def measure(case: Case, runs: dict[str, Run], repetitions: int) -> list[dict[str, Any]]:
@@ -311,26 +339,15 @@ def measure(case: Case, runs: dict[str, Run], repetitions: int) -> list[dict[str
         runs = {name: run for name, run in runs.items() if "band" not in name and name != "trimesh"}
     if len(case.faces) > TRIMESH_FACES:
         runs = {name: run for name, run in runs.items() if name != "trimesh"}
-    values: dict[str, np.ndarray] = {}
-    seconds: dict[str, list[float]] = {name: [] for name in runs}
-    cpu: dict[str, list[float]] = {name: [] for name in runs}
-    for repetition in range(repetitions):
-        for name, run in runs.items():
-            # Long runs are not repeated.
-            if repetition and min(seconds[name]) > 20:
-                continue
-            wall, busy = time.perf_counter(), time.process_time()
-            result = run(case)
-            seconds[name].append(time.perf_counter() - wall)
-            cpu[name].append(time.process_time() - busy)
-            values[name] = result() if callable(result) else result
+    times = interleaved({name: lambda run=run: run(case) for name, run in runs.items()}, repetitions)
+    values = {name: took.result() if callable(took.result) else took.result for name, took in times.items()}
     many = min(CHECKED, int(CHECKED_TIMES_FACES / len(case.faces)))
     sampled = checked(case, many)[0]
     usual, few = truth(case, many), truth(case, TRIMESH_POINTS)
-    base = statistics.median(seconds["fieldbake"])
+    base = times["fieldbake"].median
     rows = []
     for name in runs:
-        median = statistics.median(seconds[name])
+        median = times[name].median
         count = min(TRIMESH_POINTS, len(case.points)) if name == "trimesh" else len(case.points)
         rows.append(
             {
@@ -339,8 +356,8 @@ def measure(case: Case, runs: dict[str, Run], repetitions: int) -> list[dict[str
                 "nanoseconds": median / count * 1e9,
                 # Per sample, so that tools that computed only some samples are comparable.
                 "ratio": (median / count) / (base / len(case.points)),
-                "threads": statistics.median(cpu[name]) / median,
-                "peak_mib": peak_mib(case, name),
+                "threads": statistics.median(times[name].cpu) / median,
+                "peak_mib": peak_of(case, name),
                 **(
                     judge(case, name, values[name], *few)
                     if name == "trimesh"
@@ -348,6 +365,11 @@ def measure(case: Case, runs: dict[str, Run], repetitions: int) -> list[dict[str
                 ),
             }
         )
+    for row in rows:
+        ours, question = OURS.get(row["tool"], ("fieldbake", "signed distances"))
+        if not row["tool"].startswith("fieldbake"):
+            took = next(other["nanoseconds"] for other in rows if other["tool"] == ours)
+            record(f"{question}, {case.name}, {case.samples}", row["tool"].split(",")[0], took, row["nanoseconds"])
     return rows
 
 
@@ -375,15 +397,6 @@ def table(case: Case, rows: list[dict[str, Any]]) -> str:
             f"| {row['threads']:.1f} | {row['peak_mib']:,.0f} MiB | {row['error']:.1e} | {signs} |"
         )
     return "\n".join(lines) + "\n"
-
-
-def machine() -> str:
-    processor = platform.processor() or platform.machine()
-    for line in Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []:
-        if line.startswith("model name"):
-            processor = line.split(":")[1].strip()
-            break
-    return f"{processor}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
 
 
 def main() -> None:

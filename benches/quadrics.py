@@ -9,13 +9,13 @@ loop, measured with up to 64 quadrics (that many are tried one by one) and scale
 from __future__ import annotations
 
 import argparse
-import time
 
 import numpy as np
 
 import fieldbake as fb
 from fieldbake import _core
 from fieldbake.drawing.raymarching import picture_arguments
+from measuring import timed
 
 LOOP = 64
 
@@ -43,14 +43,9 @@ def main() -> None:
 
     def seconds(rows):
         quadrics = _core.Quadrics(rows)
-        shortest, tried = float("inf"), 0.0
-        for _ in range(options.repeat):
-            start = time.perf_counter()
-            picture = picture_arguments(camera, (options.size, options.size), shadows="none")
-            frame = quadrics.draw(picture, options.device)
-            shortest = min(shortest, time.perf_counter() - start)
-            tried = float(frame["steps"].mean())
-        return shortest, tried
+        picture = picture_arguments(camera, (options.size, options.size), shadows="none")
+        drawn = timed(lambda: quadrics.draw(picture, options.device), options.repeat)
+        return drawn.least, float(drawn.result["steps"].mean())
 
     rays = options.size**2
     loop, _ = seconds(balls(LOOP, np.random.default_rng(2)))

@@ -9,31 +9,20 @@ threads, the smallest of several rounds, so other programs affect them little.
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 import fieldbake as fb
+from measuring import interleaved, record
 
 ROUNDS = 3
 
 
-def seconds(work: Callable[[], object]) -> float:
-    """Processor time of one call."""
-    start = time.process_time()
-    work()
-    return time.process_time() - start
-
-
 def least(*works: Callable[[], object]) -> list[float]:
     """Least processor time of each, taken in turns."""
-    best = [np.inf] * len(works)
-    for _ in range(ROUNDS):
-        for i, work in enumerate(works):
-            best[i] = min(best[i], seconds(work))
-    return best
+    return [times.least_cpu for times in interleaved(dict(enumerate(works)), ROUNDS).values()]
 
 
 def one_point(work: Callable[[], object], count: int = 300) -> float:
@@ -88,6 +77,7 @@ def bench(name: str, mesh: fb.Mesh, count: int) -> None:
         rows.append(
             f"| {name} | {label} | {ours / items * 1e9:,.0f} | {theirs / items * 1e9:,.0f} | {theirs / ours:.2f} |"
         )
+        record(f"{label}, {name}", "Embree" if "rays" in label else "Open3D", ours / items, theirs / items)
 
     # The trees are built first.
     fb.query(mesh, one), fb.cast_rays(mesh, one, one), scene.compute_signed_distance(one_single)
@@ -110,8 +100,8 @@ def bench(name: str, mesh: fb.Mesh, count: int) -> None:
         lambda: scene.compute_occupancy(single),
     )
     row("signed distances", count, plain, theirs)
-    row(f"queries with gradients ({full / plain:.2f} x distances)", count, full, theirs)
-    row(f"contains ({plain / inside:.2f} x as fast as distances)", count, inside, occupancy)
+    row("queries with gradients", count, full, theirs)
+    row("contains", count, inside, occupancy)
     for kind in ("coherent", "random"):
         hits, shadow, their_hits, their_shadow = ray_times(mesh, scene, kind, count)
         row(f"{kind} rays", count, hits, their_hits)

@@ -11,13 +11,12 @@ from __future__ import annotations
 
 import argparse
 import datetime
-import time
 from pathlib import Path
 
 import numpy as np
 
 import fieldbake as fb
-from peers import machine
+from measuring import machine, timed
 from scene import forest
 
 
@@ -31,17 +30,20 @@ def turned(camera: fb.Camera, angle: float) -> fb.Camera:
 def row(count: int, size: tuple[int, int], frames: int, device: str) -> str:
     scene, camera = forest(count, np.random.default_rng(7))
     fb.cache.clear()
-    start = time.process_time()
-    renderer = fb.Renderer(scene, size=size, device=device)
-    renderer.frame(camera)
-    first = time.process_time() - start
+
+    def start() -> fb.Renderer:
+        renderer = fb.Renderer(scene, size=size, device=device)
+        renderer.frame(camera)
+        return renderer
+
+    started = timed(start)
+    renderer, first = started.result, started.least_cpu
     before = renderer.counters
     times, stages = [], []
     for i in range(frames):
-        start = time.process_time()
-        frame = renderer.frame(turned(camera, 0.1 * (i + 1)))
-        times.append(time.process_time() - start)
-        stages.append(frame.report["milliseconds"])
+        drawn = timed(lambda i=i: renderer.frame(turned(camera, 0.1 * (i + 1))))
+        times.append(drawn.least_cpu)
+        stages.append(drawn.result.report["milliseconds"])
     after = renderer.counters
     moved = [(after[name] - before[name]) / frames for name in ("uploads", "upload_bytes", "submits", "readbacks")]
     walls = " | ".join(f"{min(stage[name] for stage in stages):,.0f}" for name in ("primary", "light"))

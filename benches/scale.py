@@ -17,7 +17,7 @@ import numpy as np
 import fieldbake as fb
 from fieldbake.scaling import plan, shards, store
 from fieldbake.scaling.zarr_bake import _checked_layout
-from memory import peak_mib, reset_peak
+from measuring import peak_mib, reset_peak
 
 
 def measure_plan(resolution):

@@ -15,13 +15,12 @@ from __future__ import annotations
 
 import argparse
 import datetime
-import time
 from pathlib import Path
 
 import numpy as np
 
 import fieldbake as fb
-from peers import machine
+from measuring import absent, interleaved, machine, record, timed
 
 SUN = fb.DirectionalLight((-1.0, -0.8, -0.35), angle_deg=1.5)
 
@@ -71,13 +70,12 @@ def occlusion_against_soft(count: int, size: tuple[int, int], repeat: int) -> tu
     """Processor seconds of a picture with soft shadows, and of one with occlusion alone; the shortest, interleaved."""
     scene, camera = forest(count, np.random.default_rng(7))
     fb.render(scene, camera, size=(16, 16), device="cpu")
-    best = [np.inf, np.inf]
-    for _ in range(repeat):
-        for i, options in enumerate(({"shadows": "soft"}, {"shadows": "none", "ambient_occlusion": True})):
-            start = time.process_time()
-            fb.render(scene, camera, size=size, device="cpu", **options)
-            best[i] = min(best[i], time.process_time() - start)
-    return best[0], best[1]
+    jobs = {
+        "soft": lambda: fb.render(scene, camera, size=size, device="cpu", shadows="soft"),
+        "open": lambda: fb.render(scene, camera, size=size, device="cpu", shadows="none", ambient_occlusion=True),
+    }
+    soft, opened = interleaved(jobs, repeat).values()
+    return soft.least_cpu, opened.least_cpu
 
 
 def embree_rays(scene: fb.Scene, frame: fb.Frame, camera: fb.Camera, cut: int, repeat: int) -> tuple[float, int, float]:
@@ -107,13 +105,9 @@ def embree_rays(scene: fb.Scene, frame: fb.Frame, camera: fb.Camera, cut: int, r
     points = camera.eye + (frame.depth[..., None] * ways)[faces_light] + 1e-3 * frame.normal[faces_light]
     rays = np.concatenate([points, np.broadcast_to(to_light, points.shape)], axis=1).astype(np.float32)
     caster.test_occlusions(rays[:100])
-    best = np.inf
-    for _ in range(repeat):
-        start = time.perf_counter()
-        dark = caster.test_occlusions(rays).numpy()
-        best = min(best, time.perf_counter() - start)
-    agree = float((dark == (frame.shadow[faces_light] == 0)).mean())
-    return len(rays) / best, len(triangles), agree
+    cast = timed(lambda: caster.test_occlusions(rays).numpy(), repeat)
+    agree = float((cast.result == (frame.shadow[faces_light] == 0)).mean())
+    return len(rays) / cast.least, len(triangles), agree
 
 
 def report(options: argparse.Namespace) -> list[str]:
@@ -166,9 +160,10 @@ def report(options: argparse.Namespace) -> list[str]:
     try:
         for cut in (0, 3):
             rate, count, agree = embree_rays(scene, frame, camera, cut, options.repeat)
+            record(f"hard shadow rays of {count:,} triangles", "Embree", hard[0] / 1e3, lit.sum() / rate)
             lines.append(f"| Embree by Open3D, {count:,} triangles | {rate:,.0f} | {agree:.1%} |")
-    except ImportError:
-        lines.append("| Embree: Open3D is not installed | | |")
+    except ImportError as error:
+        absent("Embree", error)
     return lines
 
 

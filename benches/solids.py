@@ -9,42 +9,39 @@ if they are installed. `--large` adds the offset at 1024 voxels with its peak me
 from __future__ import annotations
 
 import argparse
-import resource
-import time
 
 import numpy as np
 
 import fieldbake as fb
+from measuring import absent, peak_mib, record, timed
 
 
 def least(call, rounds=3):
     """The least processor time and the result of a call."""
-    times = []
-    for _ in range(rounds):
-        start = time.process_time()
-        result = call()
-        times.append(time.process_time() - start)
-    return min(times), result
+    times = timed(call, rounds)
+    return times.least_cpu, times.result
 
 
 def extraction(mesh, resolution):
     volume = fb.bake(mesh, resolution)
-    seconds, made = least(volume.to_mesh)
+    extracted, made = least(volume.to_mesh)
     smooth, _ = least(lambda: volume.to_mesh(sharp=False))
     voxel = volume.spacing.max()
     error = np.abs(fb.closest_point(mesh, made.vertices).distances).mean() / voxel
     print(
-        f"to_mesh {resolution}: {seconds:.3f} s, sharp=False {smooth:.3f} s, "
+        f"to_mesh {resolution}: {extracted:.3f} s, sharp=False {smooth:.3f} s, "
         f"mean distance of vertices {error:.4f} voxels"
     )
     try:
         from skimage.measure import marching_cubes
-    except ImportError:
+    except ImportError as error:
+        absent("scikit-image", error)
         return
     distances = np.asarray(volume.distances)
     seconds, (vertices, *_) = least(lambda: marching_cubes(distances, 0.0))
     points = volume.origin + vertices * volume.spacing
     error = fb.closest_point(mesh, points).distances.mean() / voxel
+    record(f"mesh of a grid, {resolution}^3", "scikit-image", extracted, seconds)
     print(f"marching_cubes of scikit-image: {seconds:.3f} s, mean distance of vertices {error:.4f} voxels")
 
 
@@ -58,9 +55,8 @@ def solids(mesh, resolution):
     }
     for name, job in jobs.items():
         seconds, made = least(job, 1)
-        start = time.process_time()
-        to, back = made.report.distance_to_source, made.report.distance_from_source
-        measured = time.process_time() - start
+        report = made.report
+        measured, (to, back) = least(lambda report=report: (report.distance_to_source, report.distance_from_source), 1)
         voxel = made.report.voxel_size
         print(
             f"{name} {resolution}: {seconds:.2f} s, {len(made.faces):,} faces, "
@@ -87,11 +83,11 @@ def booleans(resolution):
 
 def large(mesh):
     size = float(np.linalg.norm(mesh.bounds[1] - mesh.bounds[0]))
-    start, used = time.perf_counter(), time.process_time()
-    made = fb.offset(mesh, 0.02 * size, 1024)
-    seconds, used = time.perf_counter() - start, time.process_time() - used
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    print(f"offset 1024: {seconds:.1f} s ({used:.1f} s of processors), {len(made.faces):,} faces, peak {peak:.2f} GiB")
+    times = timed(lambda: fb.offset(mesh, 0.02 * size, 1024))
+    print(
+        f"offset 1024: {times.least:.1f} s ({times.least_cpu:.1f} s of processors), {len(times.result.faces):,} faces, "
+        f"peak {peak_mib() / 1024:.2f} GiB"
+    )
 
 
 def main() -> None:

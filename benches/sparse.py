@@ -9,26 +9,14 @@ Runs alternate, so that other work on the machine touches both alike; the least 
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Callable
-from typing import Any
 
 import fieldbake as fb
+from measuring import interleaved
 from meshes import find
 
 #: Pixels of the pictures.
 SIZE = (512, 512)
-
-
-def fastest(jobs: dict[str, Callable[[], Any]], rounds: int) -> dict[str, float]:
-    """Shortest time of each job over alternating runs, seconds."""
-    best = dict.fromkeys(jobs, float("inf"))
-    for _ in range(rounds):
-        for name, job in jobs.items():
-            start = time.perf_counter()
-            job()
-            best[name] = min(best[name], time.perf_counter() - start)
-    return best
 
 
 def compare(mesh: fb.Mesh, resolution: int, rounds: int) -> None:
@@ -43,17 +31,17 @@ def compare(mesh: fb.Mesh, resolution: int, rounds: int) -> None:
     }
     baked = {name: form() for name, form in forms.items()}
     camera = fb.Camera.fit(baked["dense"].inner_bounds)
-    baking = fastest(forms, rounds)
+    baking = interleaved(forms, rounds)
     pictures = {
         name: lambda volume=volume: fb.raymarch(volume, camera, size=SIZE, device="cpu")
         for name, volume in baked.items()
     }
-    drawing = fastest(pictures, 3 * rounds)
+    drawing = interleaved(pictures, 3 * rounds)
     dense = baked["dense"].nbytes
     print(f"\n{mesh} at {resolution}\n{'':<24} {'bake':>8} {'draw':>8} {'MiB':>8} {'share':>7}")
     for name, volume in baked.items():
         size = f"{volume.nbytes / 2**20:8.1f} {volume.nbytes / dense:7.1%}"
-        print(f"{name:<24} {baking[name]:6.2f} s {drawing[name] * 1e3:5.0f} ms {size}")
+        print(f"{name:<24} {baking[name].least:6.2f} s {drawing[name].least * 1e3:5.0f} ms {size}")
 
 
 def main() -> None:
