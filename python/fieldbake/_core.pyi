@@ -784,6 +784,8 @@ class Renderer:
         area_samples: int,
         ambient: float | list[list[list[float]]],
         occlusion: float | None,
+        bounces: int,
+        bounce_samples: int,
         far: list[SceneField],
         far_distance: float | None,
         background: tuple[float, float, float, float],
@@ -796,7 +798,8 @@ class Renderer:
         """Draw a scene. ``ambient`` is a number, or a quadratic form of the normal and 1 for each channel, (3, 4, 4).
 
         The result has the keys of :func:`raymarch`, with ``seconds`` as a dict of passes, and further
-        keys: ``rays``, the number of rays and cones for light and occlusion; ``far_rays``, the number of those that
+        keys: ``rays`` (h, w) uint32, the number of rays and cones for light of each pixel; ``ray_count``, that of the
+        picture; ``far_rays``, the number of those that
         entered the far field; ``primary_on`` and ``light_on``, the devices of the two passes; ``sheets``, the number of
         instances whose triangles the CPU traced.
         """

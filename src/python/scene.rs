@@ -1,6 +1,6 @@
 //! `fieldbake._core.Scene` and its parts, and `Renderer`.
 
-use super::convert::{Field, row_array};
+use super::convert::{Field, image_array, row_array};
 use super::csg::Shape;
 use super::device::choose;
 use super::error::Failure;
@@ -17,7 +17,9 @@ use crate::scene::nested::NestedField;
 use crate::scene::objects::{QuadricField, ShapeField, SparseBricks};
 use crate::scene::texture::Texture as CoreTexture;
 use crate::scene::triangles::Triangles;
-use crate::scene::{self, Alpha, Ambient, InstanceInput, Light, Material, Primary, RenderOptions, SceneShadows, Spot};
+use crate::scene::{
+    self, Alpha, Ambient, BounceOptions, InstanceInput, Light, Material, Primary, RenderOptions, SceneShadows, Spot,
+};
 use crate::volume::Trilinear;
 use glam::{DAffine3, DMat4, DVec3, Mat4, Vec2, Vec4};
 use numpy::ndarray::ArrayView2;
@@ -369,7 +371,8 @@ impl Renderer {
 
     /// Draws a scene.
     #[pyo3(signature = (
-        scene, pose, *, fov_deg, height, size, lights, primary, shadows, area_samples, ambient, occlusion, far,
+        scene, pose, *, fov_deg, height, size, lights, primary, shadows, area_samples, ambient, occlusion, bounces,
+        bounce_samples, far,
         far_distance, background, exposure, samples, light_scale, device, progress=None
     ))]
     fn frame<'py>(
@@ -386,6 +389,8 @@ impl Renderer {
         area_samples: u32,
         ambient: AmbientLight,
         occlusion: Option<f64>,
+        bounces: u32,
+        bounce_samples: u32,
         far: Vec<Py<SceneField>>,
         far_distance: Option<f64>,
         background: [f32; 4],
@@ -416,6 +421,7 @@ impl Renderer {
             lights: lights.into_iter().map(Light::from).collect(),
             ambient: ambient.into(),
             occlusion,
+            bounces: (bounces > 0).then_some(BounceOptions { count: bounces, samples: bounce_samples }),
             far: (!far.is_empty()).then(|| FarField {
                 levels: far.iter().map(|level| level.get().0.clone()).collect(),
                 distance: far_distance,
@@ -428,6 +434,7 @@ impl Renderer {
         let scene = scene.0.clone();
         let rendered = run(py, progress, |progress| self.0.frame(&place, &scene, &camera, &options, progress))?;
         let images = frame_dict(py, rendered.frame)?;
+        images.set_item("rays", image_array(py, rendered.pixel_rays, &[size[1] as usize, size[0] as usize])?)?;
         let lit_at = if rendered.is_lit_on_device { place.label() } else { "cpu".to_owned() };
         images.set_item("light_on", lit_at)?;
         images.set_item("device", place.label())?;
@@ -440,7 +447,7 @@ impl Renderer {
         }
         images.set_item("seconds", seconds)?;
         images.set_item("sheets", rendered.sheets)?;
-        images.set_item("rays", rendered.rays)?;
+        images.set_item("ray_count", rendered.rays)?;
         images.set_item("far_rays", rendered.far_rays)?;
         Ok(images)
     }

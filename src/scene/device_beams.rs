@@ -58,7 +58,7 @@ fn light_bunch(
         let mut found = parts_of(&mut row.values[i * stride(lights)..][..stride(lights)], lights);
         let work = answers.next(pass, &surface, &mut found, &mut behind).ok_or_else(|| too_few(device))?;
         owners.resize(behind.len(), (y, i));
-        row.steps[i] = work.steps;
+        row.work[i] = work;
         pass.counters.add(work);
         row.is_known[i] = true;
     }
@@ -76,7 +76,7 @@ fn light_bunch(
         let found = parts_of(&mut row.values[i * stride(lights)..][..stride(lights)], lights);
         let through = &mut found.through[light];
         *through = (Vec3::from_array(*through) + visible * left).to_array();
-        row.steps[i] += work.steps;
+        row.work[i] += work;
         pass.counters.add(work);
     }
     Ok(())

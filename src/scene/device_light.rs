@@ -110,7 +110,7 @@ fn take(pass: &Pass<'_>, known: &mut LightBuffer, first: usize, answers: &[Answe
             let mut found = answers[(pixel - first) * lights..][..lights].iter();
             let values = &mut row.values[i * stride(lights)..][..stride(lights)];
             if let Some(work) = take_pixel(pass, &surface, &mut found, values) {
-                row.steps[i] = work.steps;
+                row.work[i] = work;
                 row.is_known[i] = true;
                 total += work;
             }

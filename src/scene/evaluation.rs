@@ -6,14 +6,15 @@
 //! evaluates it at the centres of the pixels. Every other surface has the bilinearly weighted mean of those of the four
 //! evaluated surfaces around it that belong to the same instance, lie in its plane and have a similar normal (joint
 //! bilateral upsampling: Kopf et al., SIGGRAPH 2007). Where too few of them match, or where they disagree, as at the
-//! edge of a shadow, the light is evaluated. Occlusion is smoother than shadows, so it is evaluated on a coarser lattice,
-//! and its interpolation regards normals and curvature ([`super::upsampling`]).
+//! edge of a shadow, the light is evaluated. Occlusion and indirect light are smoother than shadows, so they are evaluated
+//! on a coarser lattice, and their interpolation regards normals and curvature ([`super::upsampling`]).
 
 use super::RenderOptions;
+use super::bounces::Bounces;
 use super::device_beams::evaluate_by_beams;
 use super::device_light::light_faces;
 use super::gbuffer::GBuffer;
-use super::light_buffer::{LightBuffer, parts_of, stride};
+use super::light_buffer::{LightBuffer, parts_of};
 use super::light_rays::LightWork;
 use super::lit_surface::{Lights, LitSurface};
 use super::occlusion::Occluders;
@@ -22,31 +23,37 @@ use super::upsampling::gather;
 use crate::error::Error;
 use rayon::prelude::*;
 
-/// Occlusion is evaluated at one of this many pixels along each side. Between these pixels it is interpolated on
+/// Occlusion and indirect light are evaluated at one of this many pixels along each side. Between these pixels it is interpolated on
 /// lattices that are twice as fine from one to the next. A pixel is also evaluated if its neighbours on the coarser
 /// lattice lie on other surfaces or disagree, or if another surface is visible near it.
-const OCCLUSION_SCALE: u32 = 8;
+const SMOOTH_SCALE: u32 = 8;
+
+/// Smallest number of evaluated pixels along the shorter side of a picture with indirect light. Its walls are large, and
+/// the light on them changes slowly but much.
+const LEAST_LATTICE: u32 = 32;
 
 /// Units of progress that one call of [`find`] counts per row of the picture. The number is divisible by each possible
 /// number of lattices, 1 to 4.
 pub(crate) const FIND_WORTH: u64 = 12;
 
-/// Whether the occlusion of a first pass is computed separately from the lights, at its own scale.
-pub(crate) fn shares_occlusion(options: &RenderOptions) -> bool {
-    options.occlusion.is_some()
+/// Number of calls of [`find`] and [`find_bounces`], by which a picture of this number of passes counts its progress.
+pub(crate) fn find_count(options: &RenderOptions, passes: u32) -> u64 {
+    let per_pass = 1 + u64::from(options.bounces.is_some());
+    // The occlusion of a first pass is computed separately from the lights, at its own scale.
+    u64::from(passes) * per_pass + u64::from(options.occlusion.is_some())
 }
 
 /// Finds the occlusion of a pass at its scale, then the light that arrives from the lights.
 fn find_apart(pass: &Pass<'_>) -> Result<LightBuffer, Error> {
     let no_lights = Lights { lights: Vec::new() };
-    let open = find_at(&Pass { lights: &no_lights, ..*pass }, OCCLUSION_SCALE)?;
+    let open = find_at(&Pass { lights: &no_lights, ..*pass }, SMOOTH_SCALE)?;
     let options = RenderOptions { occlusion: None, ..pass.options.clone() };
     let mut known = find_at(&Pass { options: &options, ..*pass }, options.light_scale)?;
-    let stride = stride(known.lights);
+    let stride = known.stride;
     for (row, open) in known.rows.iter_mut().zip(&open.rows) {
-        for (i, (&value, steps)) in open.values.iter().zip(&open.steps).enumerate() {
+        for (i, (&value, &work)) in open.values.iter().zip(&open.work).enumerate() {
             row.values[i * stride] = value;
-            row.steps[i] += steps;
+            row.work[i] += work;
         }
     }
     Ok(known)
@@ -55,19 +62,51 @@ fn find_apart(pass: &Pass<'_>) -> Result<LightBuffer, Error> {
 /// Computes the light of a pass. If a G-buffer with light is given, the light is interpolated from it wherever its
 /// values agree.
 pub(crate) fn find(pass: &Pass<'_>, centre: Option<(&GBuffer, &LightBuffer)>) -> Result<LightBuffer, Error> {
-    let Some((buffer, centre)) = centre else {
-        return if shares_occlusion(pass.options) { find_apart(pass) } else { find_at(pass, pass.options.light_scale) };
-    };
-    let mut known = LightBuffer::new(pass.buffer, pass.lights.lights.len());
+    match centre {
+        Some((buffer, centre)) => find_between(pass, buffer, centre),
+        None if pass.options.occlusion.is_some() => find_apart(pass),
+        None => find_at(pass, pass.options.light_scale),
+    }
+}
+
+/// Computes the indirect light of a pass, as [`find`] does for the lights.
+pub(crate) fn find_bounces(
+    pass: &Pass<'_>,
+    bounces: &Bounces<'_>,
+    centre: Option<(&GBuffer, &LightBuffer)>,
+) -> Result<LightBuffer, Error> {
+    let no_lights = Lights { lights: Vec::new() };
+    let pass = Pass { lights: &no_lights, bounces: Some(bounces), device: None, ..*pass };
+    match centre {
+        None => {
+            let [width, height] = pass.options.size;
+            let mut every = SMOOTH_SCALE;
+            while every > 1 && every * LEAST_LATTICE > width.min(height) {
+                every /= 2;
+            }
+            find_at(&pass, every)
+        }
+        Some((buffer, centre)) => find_between(&pass, buffer, centre),
+    }
+}
+
+/// Interpolates light from a G-buffer at the centres of the pixels, and evaluates the rest.
+fn find_between(pass: &Pass<'_>, buffer: &GBuffer, centre: &LightBuffer) -> Result<LightBuffer, Error> {
+    let mut known = unknown(pass);
     gather(pass, &mut known, buffer, centre, [1, 1])?;
     evaluate(pass, &mut known, &|_, _| true, FIND_WORTH)?;
     Ok(known)
 }
 
+/// A buffer for the light of a pass.
+fn unknown(pass: &Pass<'_>) -> LightBuffer {
+    LightBuffer::new(pass.buffer, pass.bounces.is_none().then_some(pass.lights.lights.len()))
+}
+
 /// Evaluates every pixel of a lattice whose pixels are `every` apart. Then the lattice is halved until it is the
 /// picture: each step interpolates from the coarser lattice, and evaluates the pixels whose neighbours disagree.
 fn find_at(pass: &Pass<'_>, every: u32) -> Result<LightBuffer, Error> {
-    let mut known = LightBuffer::new(pass.buffer, pass.lights.lights.len());
+    let mut known = unknown(pass);
     let worth = FIND_WORTH / u64::from(every.ilog2() + 1);
     let mut every = every;
     if every == 1
@@ -84,7 +123,7 @@ fn find_at(pass: &Pass<'_>, every: u32) -> Result<LightBuffer, Error> {
         if every == 1 {
             return Ok(known);
         }
-        let coarse = std::mem::replace(&mut known, LightBuffer::new(pass.buffer, pass.lights.lights.len()));
+        let coarse = std::mem::replace(&mut known, unknown(pass));
         gather(pass, &mut known, pass.buffer, &coarse, [every, every / 2])?;
         known.keep(coarse);
         every /= 2;
@@ -101,15 +140,28 @@ fn evaluate(
     if let Some(device) = pass.device {
         return evaluate_by_beams(pass, device, known, wanted, worth);
     }
-    let lights = known.lights;
+    let (lights, stride) = (known.lights, known.stride);
     known.rows.par_iter_mut().enumerate().try_for_each(|(y, row)| {
         let (mut total, mut occluders) = (LightWork::default(), Occluders::default());
         for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
             if !row.is_known[i] && wanted(layer.x, y as u32) {
                 let surface = LitSurface::new(pass.casters.scene, pass.buffer, y, layer);
-                let mut found = parts_of(&mut row.values[i * stride(lights)..][..stride(lights)], lights);
-                let work = surface.look(pass.casters, pass.lights, pass.options, &mut occluders, &mut found);
-                row.steps[i] = work.steps;
+                let values = &mut row.values[i * stride..][..stride];
+                let work = match pass.bounces {
+                    Some(bounces) => {
+                        let mut work = LightWork::default();
+                        // A surface without lighting reflects nothing.
+                        if !pass.casters.scene.materials[layer.material as usize].unlit {
+                            values.copy_from_slice(&bounces.light_on(&surface.place, &mut work).to_array());
+                        }
+                        work
+                    }
+                    None => {
+                        let mut found = parts_of(values, lights);
+                        surface.look(pass.casters, pass.lights, pass.options, &mut occluders, &mut found)
+                    }
+                };
+                row.work[i] = work;
                 total += work;
                 row.is_known[i] = true;
             }

@@ -1,5 +1,6 @@
 //! The search for the surfaces of one pixel.
 
+use super::face_look::{FaceLook, field_color, field_emission};
 use super::field::{FieldHit, FieldRay};
 use super::gbuffer::{Layer, View};
 use super::tree::Line;
@@ -255,10 +256,7 @@ impl Eye<'_> {
             (instance.scene_from_normal * look.normal).normalize_or(to_eye)
         };
         let material = &self.scene.materials[instance.first_material as usize];
-        let mut color = Vec4::from_array(material.color);
-        if let Some(own) = look.color.filter(|_| instance.own_colors) {
-            color = Vec3::from_array(own).extend(color.w);
-        }
+        let mut color = field_color(instance, material, &look).extend(material.color[3]);
         if material.alpha != Alpha::Blend {
             color.w = 1.0;
         }
@@ -270,12 +268,7 @@ impl Eye<'_> {
             depth,
             normal,
             color,
-            // Fields have no texture coordinates.
-            emission: if material.emission_texture.is_none() {
-                Vec3::from_array(material.emission)
-            } else {
-                Vec3::ZERO
-            },
+            emission: field_emission(material),
             is_triangle: false,
             is_from_device: false,
         })
@@ -295,12 +288,12 @@ struct MeshRay<'a> {
 }
 
 impl MeshRay<'_> {
-    fn material_index(&self, hit: &FaceHit) -> u32 {
-        self.instance.first_material + self.triangles.material[hit.face as usize]
+    fn look(&self, hit: &FaceHit) -> FaceLook<'_> {
+        FaceLook::new(self.scene, self.instance, self.triangles, hit.face, hit.weights)
     }
 
     fn material(&self, hit: &FaceHit) -> &Material {
-        &self.scene.materials[self.material_index(hit) as usize]
+        self.look(hit).material()
     }
 
     /// Whether a face is visible from this side, and not cut out by its mask.
@@ -318,35 +311,17 @@ impl MeshRay<'_> {
     }
 
     fn color(&self, hit: &FaceHit) -> Vec4 {
-        let (material, triangles) = (self.material(hit), self.triangles);
-        let factor = Vec4::from_array(material.color) * triangles.color_at(hit.face, hit.weights.map(|w| w as f32));
-        match material.texture {
-            None => factor,
-            Some(texture) => factor * self.texel(texture, hit),
-        }
+        self.look(hit).color(|| self.pixel(hit))
     }
 
-    fn emission(&self, hit: &FaceHit) -> Vec3 {
-        let material = self.material(hit);
-        let factor = Vec3::from_array(material.emission);
-        match material.emission_texture {
-            Some(texture) if factor != Vec3::ZERO => factor * self.texel(texture, hit).truncate(),
-            _ => factor,
-        }
-    }
-
-    /// Linear RGB and opacity of a texture at a hit.
-    fn texel(&self, texture: u32, hit: &FaceHit) -> Vec4 {
-        let triangles = self.triangles;
-        let [a, b, c] = triangles.mesh.triangle(hit.face);
+    /// Side of the pixel on the surface, in units of the tree; larger on slanted surfaces.
+    fn pixel(&self, hit: &FaceHit) -> f64 {
+        let [a, b, c] = self.triangles.mesh.triangle(hit.face);
         let normal = (b - a).cross(c - a);
-        // Side of the pixel on the surface, in units of the tree; larger on slanted surfaces.
         let slant =
             (normal.dot(self.in_tree.direction) / (normal.length() * self.in_tree.direction.length())).abs().max(0.05);
         let pixel = self.view.pixel_size_at(hit.t) * self.in_tree.direction.length() / self.direction.length();
-        let footprint = (pixel / slant.sqrt()) as f32 * triangles.uv_density(hit.face);
-        let uv = triangles.uv_at(hit.face, hit.weights.map(|w| w as f32));
-        self.scene.textures[texture as usize].sample(uv, footprint)
+        pixel / slant.sqrt()
     }
 
     fn layer(&self, x: u32, item: u32, hit: &FaceHit) -> Layer {
@@ -355,20 +330,15 @@ impl MeshRay<'_> {
             color.w = 1.0;
         }
         color.w *= self.instance.opacity;
-        let to_scene = self.instance.scene_from_normal;
-        let smooth = self.triangles.normal_at(hit.face, hit.weights.map(|w| w as f32));
-        let of_face = || {
-            let [a, b, c] = self.triangles.mesh.triangle(hit.face);
-            to_scene * (b - a).cross(c - a).normalize_or_zero().as_vec3()
-        };
+        let look = self.look(hit);
         Layer {
             x,
             instance: item,
-            material: self.material_index(hit),
+            material: look.material_index(),
             depth: hit.t,
-            normal: toward_eye((to_scene * smooth).normalize_or_zero(), self.direction, of_face, hit.is_front),
+            normal: look.normal_toward(self.direction.as_vec3(), hit.is_front),
             color,
-            emission: self.emission(hit),
+            emission: look.emission(|| self.pixel(hit)),
             is_triangle: true,
             is_from_device: false,
         }
@@ -383,15 +353,4 @@ pub(crate) fn is_opaque(instance: &Instance, material: &Material) -> bool {
 /// Whether the primary pass draws the triangles of an instance.
 pub(crate) fn as_triangles(instance: &Instance, primary: Primary) -> bool {
     instance.triangles.is_some() && primary != Primary::Raymarch
-}
-
-/// A smooth normal on the visible side of the face. At a silhouette it may point away from the eye; the normal of the
-/// face is used there.
-fn toward_eye(normal: Vec3, direction: DVec3, of_face: impl Fn() -> Vec3, is_front: bool) -> Vec3 {
-    let normal = if is_front { normal } else { -normal };
-    if normal.dot(direction.as_vec3()) < 0.0 {
-        return normal;
-    }
-    let face = of_face().normalize_or_zero();
-    if is_front { face } else { -face }
 }

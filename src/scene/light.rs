@@ -11,26 +11,32 @@
 //! `ambient` is the light from everywhere on the normal ([`super::options`]).
 //! `arrives` is the visible fraction of the light ([`super::shadow`]), 0 on a side that faces away. `open` is the mean
 //! of cones over the hemisphere ([`super::occlusion`]), each weighted by its cosine; occluders beyond a given distance
-//! do not count. `through` is the fraction of the light that arrives through the instance itself
+//! do not count. With indirect light ([`super::bounces`]), `ambient * open` is replaced by it. `through` is the fraction of the light that arrives through the instance itself
 //! ([`super::transmission`]). A side that faces away receives all of it. On the lit side its weight falls with the
 //! cosine, so the picture is continuous where the cosine is 0, and no surface emits more light than arrives.
 
+use super::Scene;
 use super::light_buffer::{LightBuffer, LightSample};
 use super::lit_surface::{Lights, LitSurface};
 use super::pass::Pass;
-use super::{RenderOptions, Scene};
 use crate::error::Error;
 use crate::render::Frame;
 use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 
-/// Shades the layers with the light on them, and composes them over the background.
-pub(crate) fn compose(pass: &Pass<'_>, known: &LightBuffer) -> Result<Frame, Error> {
+/// Shades the layers with the light on them, and composes them over the background. Returns the picture, and the number of
+/// rays and cones of the light in each pixel.
+pub(crate) fn compose(
+    pass: &Pass<'_>,
+    known: &LightBuffer,
+    indirect: Option<&LightBuffer>,
+) -> Result<(Frame, Vec<u32>), Error> {
     let &Pass { casters, buffer, lights, options, progress, .. } = pass;
     let scene = casters.scene;
     let [width, height] = options.size.map(|n| n as usize);
     let mut frame = Frame::new(width, height, lights.lights.len());
-    frame.rows().into_par_iter().enumerate().try_for_each(|(y, row)| {
+    let mut rays = vec![0; width * height];
+    frame.rows().into_par_iter().zip(rays.par_chunks_mut(width)).enumerate().try_for_each(|(y, (row, rays))| {
         row.steps.copy_from_slice(&buffer.steps[y]);
         let layers = &buffer.rows[y];
         let mut next = 0;
@@ -40,9 +46,17 @@ pub(crate) fn compose(pass: &Pass<'_>, known: &LightBuffer) -> Result<Frame, Err
             let mut is_first = true;
             while let Some(layer) = layers.get(next).filter(|layer| layer.x as usize == x) {
                 let surface = LitSurface::new(scene, buffer, y, layer);
-                let (found, steps) = known.at(y, next);
-                row.steps[x] += steps;
-                let light = surface.shade(scene, lights, options, &found);
+                let (found, mut work) = known.at(y, next);
+                let arrives = match indirect.map(|indirect| indirect.values_at(y, next)) {
+                    Some((values, indirect)) => {
+                        work += indirect;
+                        Vec3::from_slice(values)
+                    }
+                    None => options.ambient.on(layer.normal) * found.open,
+                };
+                row.steps[x] += work.steps;
+                rays[x] += work.rays;
+                let light = surface.shade(scene, lights, arrives, &found);
                 color += passes * layer.color.w * light.extend(1.0);
                 passes *= 1.0 - layer.color.w;
                 // The pixel belongs to the first surface that covers at least half of the background.
@@ -62,18 +76,18 @@ pub(crate) fn compose(pass: &Pass<'_>, known: &LightBuffer) -> Result<Frame, Err
         }
         progress.check()
     })?;
-    Ok(frame)
+    Ok((frame, rays))
 }
 
 impl LitSurface<'_> {
-    /// Linear RGB of the lit surface.
-    fn shade(&self, scene: &Scene, lights: &Lights, options: &RenderOptions, found: &LightSample<'_>) -> Vec3 {
+    /// Linear RGB of the lit surface. `ambient` is the reflection of all light but that of the lights by a white surface.
+    fn shade(&self, scene: &Scene, lights: &Lights, ambient: Vec3, found: &LightSample<'_>) -> Vec3 {
         let material = &scene.materials[self.layer.material as usize];
         let albedo = self.layer.color.truncate();
         if material.unlit {
             return self.layer.emission + albedo;
         }
-        let mut color = self.layer.emission + options.ambient.on(self.layer.normal) * found.open * albedo;
+        let mut color = self.layer.emission + ambient * albedo;
         for ((light, &share), &through) in lights.lights.iter().zip(found.shares).zip(found.through) {
             let (ray, _, light_color) = light.seen_from(self.place.p);
             let cosine = self.cosine(&ray);

@@ -1,6 +1,7 @@
 //! The light on the surfaces of a G-buffer.
 
 use super::gbuffer::{GBuffer, Layer};
+use super::light_rays::LightWork;
 
 /// Light on one layer.
 #[derive(Debug, Clone, Copy)]
@@ -25,26 +26,36 @@ pub struct LightSampleMut<'a> {
 pub(crate) struct LightBuffer {
     /// Number of lights.
     pub lights: usize,
+    /// Number of values of a layer.
+    pub(super) stride: usize,
     pub(super) rows: Vec<LightRow>,
 }
 
 #[derive(Default)]
 pub(super) struct LightRow {
     pub is_known: Vec<bool>,
-    /// For each layer: ambient fraction, one fraction per light, three fractions per light for transmitted light.
+    /// For each layer: ambient fraction, one fraction per light, three fractions per light for transmitted light. In a
+    /// buffer of indirect light: RGB.
     pub values: Vec<f32>,
-    pub steps: Vec<u32>,
+    pub work: Vec<LightWork>,
 }
 
 impl LightBuffer {
-    /// Nothing evaluated yet.
-    pub(crate) fn new(buffer: &GBuffer, lights: usize) -> Self {
+    /// Nothing evaluated yet; `lights` is None for indirect light.
+    pub(crate) fn new(buffer: &GBuffer, lights: Option<usize>) -> Self {
+        let stride = lights.map_or(3, stride);
         let row = |layers: &Vec<Layer>| LightRow {
             is_known: vec![false; layers.len()],
-            values: vec![0.0; layers.len() * stride(lights)],
-            steps: vec![0; layers.len()],
+            values: vec![0.0; layers.len() * stride],
+            work: vec![LightWork::default(); layers.len()],
         };
-        Self { lights, rows: buffer.rows.iter().map(row).collect() }
+        Self { lights: lights.unwrap_or(0), stride, rows: buffer.rows.iter().map(row).collect() }
+    }
+
+    /// The values of layer `i` in row `y`, and the work for them.
+    pub(super) fn values_at(&self, y: usize, i: usize) -> (&[f32], LightWork) {
+        let row = &self.rows[y];
+        (&row.values[i * self.stride..][..self.stride], row.work[i])
     }
 
     /// Whether the light of at most one layer in [`FEW`] is missing.
@@ -54,21 +65,20 @@ impl LightBuffer {
         missing * FEW <= count
     }
 
-    /// Light on layer `i` in row `y`, and the number of steps for it.
-    pub(crate) fn at(&self, y: usize, i: usize) -> (LightSample<'_>, u32) {
-        let row = &self.rows[y];
-        let values = &row.values[i * stride(self.lights)..][..stride(self.lights)];
+    /// Light on layer `i` in row `y`, and the work for it.
+    pub(crate) fn at(&self, y: usize, i: usize) -> (LightSample<'_>, LightWork) {
+        let (values, work) = self.values_at(y, i);
         let (shares, through) = values[1..].split_at(self.lights);
-        (LightSample { open: values[0], shares, through: through.as_chunks().0 }, row.steps[i])
+        (LightSample { open: values[0], shares, through: through.as_chunks().0 }, work)
     }
 
     /// Replaces interpolated values by the evaluated ones of another buffer.
     pub(crate) fn keep(&mut self, evaluated: Self) {
-        let stride = stride(self.lights);
+        let stride = self.stride;
         for (row, evaluated) in self.rows.iter_mut().zip(evaluated.rows) {
             for i in (0..evaluated.is_known.len()).filter(|&i| evaluated.is_known[i]) {
                 row.is_known[i] = true;
-                row.steps[i] = evaluated.steps[i];
+                row.work[i] = evaluated.work[i];
                 row.values[i * stride..][..stride].copy_from_slice(&evaluated.values[i * stride..][..stride]);
             }
         }

@@ -12,7 +12,7 @@ use glam::{DVec3, Vec3};
 /// Distance of the start from the surface in voxels. A field's own surface departs from a smooth one by less than an
 /// eighth of a voxel, and half a voxel clears it. A triangle and the field baked from it differ by up to a third of a
 /// voxel more.
-const BIAS_FIELD: f32 = 0.5;
+pub(crate) const BIAS_FIELD: f32 = 0.5;
 pub(crate) const BIAS_TRIANGLE: f32 = 1.0;
 
 /// The lights of a picture in scene space.

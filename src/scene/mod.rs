@@ -21,14 +21,17 @@
 //! [`field::Field`].
 
 pub(crate) mod article;
+pub(crate) mod bounces;
 pub(crate) mod cone;
 pub(crate) mod device_beams;
 pub(crate) mod device_buffers;
 pub(crate) mod device_fields;
 pub(crate) mod device_light;
 pub(crate) mod device_meshes;
+pub(crate) mod emitters;
 pub(crate) mod evaluation;
 pub(crate) mod eye;
+pub(crate) mod face_look;
 pub(crate) mod far;
 pub(crate) mod field;
 pub(crate) mod gbuffer;
@@ -37,6 +40,7 @@ pub(crate) mod instance;
 pub(crate) mod kinds;
 pub(crate) mod light;
 pub(crate) mod light_buffer;
+pub(crate) mod light_hits;
 pub(crate) mod light_rays;
 pub(crate) mod lit_surface;
 pub(crate) mod material;
@@ -60,6 +64,7 @@ pub(crate) mod tree;
 pub(crate) mod triangles;
 pub(crate) mod upsampling;
 
+pub use bounces::{BounceOptions, MAX_BOUNCES};
 pub use instance::{Instance, InstanceInput};
 pub use material::{Alpha, Material};
 pub use model::Scene;

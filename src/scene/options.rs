@@ -1,7 +1,8 @@
 //! Lights, and the options of a picture of a scene.
 
+use super::bounces::BounceOptions;
 use super::far::FarField;
-use glam::{DVec3, Mat4, Vec3};
+use glam::{DVec3, Mat3, Mat4, Vec3};
 
 /// A light in world units.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -61,6 +62,30 @@ impl Ambient {
             }
         }
     }
+
+    /// Linear RGB of the light from a unit direction, world space. Its reflection by a white surface is [`Self::on`].
+    ///
+    /// With the mean `a` of the light and its moments `b` and `C`, the reflection is `15/8 n.Cn + 2 n.b + 3/8 a` and the
+    /// light of the same spherical harmonics `15/2 n.Cn + 3 n.b - 3/2 a`.
+    pub fn from(&self, direction: Vec3) -> Vec3 {
+        match self {
+            Self::Constant(share) => Vec3::splat(*share),
+            Self::Surroundings(forms) => Vec3::from_array([0, 1, 2].map(|channel| {
+                let form = &forms[channel];
+                let first = direction.dot(form.w_axis.truncate());
+                let second = direction.dot(Mat3::from_mat4(*form) * direction);
+                4.0 * second + 3.0 * first - 4.0 * form.w_axis.w
+            })),
+        }
+    }
+
+    /// Whether no light comes from anywhere.
+    pub fn is_dark(&self) -> bool {
+        match self {
+            Self::Constant(share) => *share == 0.0,
+            Self::Surroundings(forms) => forms.iter().all(|form| *form == Mat4::ZERO),
+        }
+    }
 }
 
 /// Largest number of lights of a scene.
@@ -109,6 +134,8 @@ pub struct RenderOptions {
     pub ambient: Ambient,
     /// Range of occlusion of the ambient light, world units; None without occlusion.
     pub occlusion: Option<f64>,
+    /// Indirect diffuse light in place of the ambient light and its occlusion; None without.
+    pub bounces: Option<BounceOptions>,
     /// Far field for rays beyond a distance; without it the instances are evaluated everywhere.
     pub far: Option<FarField>,
     /// Linear RGBA of pixels without a hit.

@@ -482,6 +482,7 @@ mod tests {
             lights: Vec::new(),
             ambient: Ambient::Constant(1.0),
             occlusion: None,
+            bounces: None,
             far: None,
             background: [0.0; 4],
             exposure: 1.0,

@@ -7,14 +7,17 @@
 //!
 //! On the CPU the trees of the meshes and the fields are parts of the scene, and a renderer keeps nothing.
 
+use super::bounces::Bounces;
 use super::evaluation;
 use super::far::Far;
+use super::gbuffer::GBuffer;
 use super::gpu::DeviceScene;
+use super::light_buffer::LightBuffer;
 use super::light_rays::RayCounters;
 use super::lit_surface::Lights;
 use super::pass::Pass;
 use super::shadow::Casters;
-use super::{MAX_LIGHTS, Primary, RenderOptions, Scene, SceneShadows, light, primary, raster};
+use super::{MAX_BOUNCES, MAX_LIGHTS, Primary, RenderOptions, Scene, SceneShadows, light, primary, raster};
 use crate::error::{DeviceError, Error, SceneError};
 use crate::gpu::buffer::Counters;
 use crate::gpu::{Context, Place};
@@ -89,6 +92,8 @@ impl Renderer {
 pub struct Rendered {
     /// The picture.
     pub frame: Frame,
+    /// Number of rays and cones of the light in each pixel, through its centre.
+    pub pixel_rays: Vec<u32>,
     /// Whether surfaces were found on the device, and on the CPU.
     pub primary_on: [bool; 2],
     /// Duration of each stage by name: the upload of changes to a device, and the passes.
@@ -116,18 +121,21 @@ fn draw(
     let passes = if sides == 1 { 1 } else { 1 + sides * sides };
     // Each pass advances the progress by one for each row in which it finds surfaces, and by more for each row in which
     // it finds their light.
-    let finds = u64::from(passes) + u64::from(evaluation::shares_occlusion(options));
+    let finds = evaluation::find_count(options, passes);
     progress.set_total((u64::from(passes) + finds * evaluation::FIND_WORTH) * u64::from(options.size[1]));
 
     let casters = Casters { scene, far };
     let light_device = device.filter(|device| device.knows_all());
     let lights = Lights::new(scene, options);
     let mut seconds = vec![("primary", 0.0), ("light", 0.0)];
+    let bounces = Bounces::new(&casters, &lights, options);
+    seconds.extend(bounces.is_some().then_some(("bounces", 0.0)));
     let counters = RayCounters::default();
     let mut frame: Option<Frame> = None;
+    let mut pixel_rays = Vec::new();
     let mut sum: Vec<f32> = Vec::new();
     // Results of the first pass for the others.
-    let mut centre = None;
+    let mut centre: Option<(GBuffer, LightBuffer, Option<LightBuffer>)> = None;
     for pass in 0..passes {
         // The first pass goes through the pixel centres. The others divide each pixel evenly, for its colour only.
         let offset = match pass.checked_sub(1) {
@@ -145,21 +153,31 @@ fn draw(
             casters: &casters,
             buffer: &buffer,
             lights: &lights,
+            bounces: None,
             options,
             device: light_device,
             counters: &counters,
             progress,
         };
-        let known = evaluation::find(&look, centre.as_ref().map(|(buffer, known)| (buffer, known)))?;
-        let lit = light::compose(&look, &known)?;
+        let known = evaluation::find(&look, centre.as_ref().map(|(buffer, known, _)| (buffer, known)))?;
+        seconds[1].1 += start.elapsed().as_secs_f64();
+        let mut indirect = None;
+        if let Some(bounces) = &bounces {
+            let start = Instant::now();
+            let centre = centre.as_ref().and_then(|(buffer, _, indirect)| Some((buffer, indirect.as_ref()?)));
+            indirect = Some(evaluation::find_bounces(&look, bounces, centre)?);
+            seconds[2].1 += start.elapsed().as_secs_f64();
+        }
+        let start = Instant::now();
+        let (lit, rays) = light::compose(&look, &known, indirect.as_ref())?;
         seconds[1].1 += start.elapsed().as_secs_f64();
         match &mut frame {
-            None => frame = Some(lit),
+            None => (frame, pixel_rays) = (Some(lit), rays),
             Some(_) if sum.is_empty() => sum = lit.color,
             Some(_) => sum.iter_mut().zip(lit.color).for_each(|(sum, color)| *sum += color),
         }
         if pass == 0 {
-            centre = Some((buffer, known));
+            centre = Some((buffer, known, indirect));
         }
     }
     let mut frame = frame.expect("at least one pass");
@@ -173,6 +191,7 @@ fn draw(
     };
     Ok(Rendered {
         frame,
+        pixel_rays,
         primary_on,
         sheets: scene.sheets.len(),
         is_lit_on_device: light_device.is_some(),
@@ -200,6 +219,15 @@ fn check(scene: &Scene, options: &RenderOptions) -> Result<(), Error> {
     }
     if !(1..=2).contains(&options.light_scale) {
         return error("light_scale", format!("must be 1 or 2, got {}", options.light_scale));
+    }
+    if let Some(bounces) = &options.bounces {
+        if !(1..=MAX_BOUNCES).contains(&bounces.count) || bounces.samples == 0 {
+            let problem = format!("must be 1 to {MAX_BOUNCES} with at least one path, got {bounces:?}");
+            return error("bounces", problem);
+        }
+        if options.occlusion.is_some() {
+            return error("ambient_occlusion", "bounces contain the occlusion already; leave it out".to_owned());
+        }
     }
     for instance in scene.instances.iter().filter(|instance| instance.visible) {
         let i = instance.object;

@@ -30,7 +30,7 @@
 
 use super::cone::{Cone, ConeShare, ConeSum, ConeWalk, RayPast, WideCone};
 use super::far::{Far, FarLevel, Split};
-use super::field::{Field, FieldRay};
+use super::field::{Field, FieldHit, FieldRay};
 use super::light_rays::{LightCone, LightRay, LightWork, PARTS, SurfacePoint, basis, clip, disc_point, toward, widest};
 use super::thin::is_clear;
 use super::tree::Line;
@@ -56,7 +56,7 @@ pub struct Caster<'a> {
     /// Interval in which it is evaluated, scene units.
     part: [f64; 2],
     /// Whether the start is on its own surface.
-    is_own: bool,
+    pub is_own: bool,
     /// Length to skip if the interval begins inside the occluder, scene units; above zero only for the far field, see
     /// [`super::far`].
     skip: f64,
@@ -301,18 +301,18 @@ impl<'a> Casters<'a> {
 
     /// The position at which a ray enters an occluder, scene units.
     fn hit_of(&self, caster: &Caster<'_>, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> Option<f32> {
-        self.hit_from(caster, place, ray, caster.part[0], work)
+        self.hit_from(caster, place, ray, caster.part[0], work).map(|hit| hit.t)
     }
 
-    /// As [`Self::hit_of`], for the part of the ray that begins at `from`, scene units.
-    fn hit_from(
+    /// The first hit of a ray with an occluder at `from` or later, scene units.
+    pub fn hit_from(
         &self,
         caster: &Caster<'_>,
         place: &SurfacePoint,
         ray: &LightRay,
         from: f64,
         work: &mut LightWork,
-    ) -> Option<f32> {
+    ) -> Option<FieldHit> {
         let (origin, direction) = ray_in_field(caster.instance, caster.is_own, place, ray);
         let [lower, upper] = caster.field.surface_bounds();
         let mut first_hit = |from: f64| {
@@ -320,11 +320,11 @@ impl<'a> Casters<'a> {
             let start = FieldRay { origin: (origin + enter * direction).as_vec3(), direction: direction.as_vec3() };
             let (hit, taken) = caster.field.first_hit(&start, (leave - enter) as f32);
             work.steps += taken;
-            hit.map(|hit| (hit.t + enter as f32, hit.at_start))
+            hit.map(|hit| FieldHit { t: hit.t + enter as f32, ..hit })
         };
         match first_hit(from)? {
-            (_, true) if caster.skip > 0.0 => first_hit(caster.part[0] + caster.skip).map(|(t, _)| t),
-            (t, _) => Some(t),
+            hit if hit.at_start && caster.skip > 0.0 => first_hit(caster.part[0] + caster.skip),
+            hit => Some(hit),
         }
     }
 
@@ -350,7 +350,7 @@ impl<'a> Casters<'a> {
     ) -> Cone {
         let Some(walk) = cone_walk(caster, cone, 1.0) else { return Cone::FREE };
         let mut steps = 0;
-        let hit_from = |from| self.hit_from(caster, cone.place, cone.ray, f64::from(from), work);
+        let hit_from = |from| self.hit_from(caster, cone.place, cone.ray, f64::from(from), work).map(|hit| hit.t);
         let found = walk.beside_wide(wide, x_known, &mut steps, hit_from);
         work.steps += steps;
         match found {

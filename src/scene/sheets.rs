@@ -19,6 +19,7 @@
 //!
 //! Sheets are evaluated on the CPU for pictures of every device, so their shadows do not depend on it.
 
+use super::light_hits::LEAST_OPACITY;
 use super::light_rays::{LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
 use super::lit_surface::{Lights, LitSurface};
 use super::occlusion::AO_SLOPE;
@@ -220,6 +221,23 @@ impl Scene {
         share
     }
 
+    /// The nearest face on a thin ray that blocks at least [`LEAST_OPACITY`] of the light, with the instance that it belongs to.
+    pub fn first_face(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> Option<(u32, FaceHit)> {
+        let mut nearest: Option<(u32, FaceHit)> = None;
+        let start = self.lifted(place, ray);
+        for item in self.sheets.near(place, ray, 0.0) {
+            work.steps += 1;
+            let instance = &self.instances[item as usize];
+            let Some(triangles) = instance.triangles.as_deref() else { continue };
+            let t_max = nearest.map_or(ray.t_max, |(_, hit)| hit.t);
+            let hit = triangles.mesh.first_hit(&ray_in_tree(instance, start, ray, t_max), |hit| {
+                instance.opacity * self.opacity_at(instance, triangles, hit) >= LEAST_OPACITY
+            });
+            nearest = hit.map(|hit| (item, hit)).or(nearest);
+        }
+        nearest
+    }
+
     /// Start of a ray: slightly off its own surface, on the side to which it goes.
     fn lifted(&self, place: &SurfacePoint, ray: &LightRay) -> DVec3 {
         let own = &self.instances[place.own as usize];
@@ -232,9 +250,7 @@ impl Scene {
     /// Fraction of a ray that one sheet lets pass.
     fn instance_share(&self, instance: &Instance, start: DVec3, ray: &LightRay) -> f32 {
         let Some(triangles) = instance.triangles.as_deref() else { return 1.0 };
-        let origin = instance.tree_from_scene.transform_point3(start);
-        let direction = instance.tree_from_scene.matrix3 * ray.direction;
-        let in_tree = watertight::Ray { origin, direction, t_min: 0.0, t_max: ray.t_max };
+        let in_tree = ray_in_tree(instance, start, ray, ray.t_max);
         let mut share = 1.0;
         let mut depths = [0.0; CROSSINGS];
         let mut crossings = 0;
@@ -270,4 +286,11 @@ impl Scene {
             Alpha::Blend => color().clamp(0.0, 1.0),
         }
     }
+}
+
+/// A ray from `start` in the space of the tree of an instance.
+fn ray_in_tree(instance: &Instance, start: DVec3, ray: &LightRay, t_max: f64) -> watertight::Ray {
+    let origin = instance.tree_from_scene.transform_point3(start);
+    let direction = instance.tree_from_scene.matrix3 * ray.direction;
+    watertight::Ray { origin, direction, t_min: 0.0, t_max }
 }

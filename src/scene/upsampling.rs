@@ -1,7 +1,7 @@
 //! Light interpolated from evaluated neighbours: joint bilateral upsampling (Kopf et al., SIGGRAPH 2007).
 
 use super::gbuffer::{GBuffer, Layer};
-use super::light_buffer::{LightBuffer, stride};
+use super::light_buffer::LightBuffer;
 use super::lit_surface::LitSurface;
 use super::pass::Pass;
 use crate::error::Error;
@@ -20,8 +20,8 @@ const ENOUGH: f32 = 0.5;
 /// The sum of the weights if all neighbours match, less rounding.
 const ALL: f32 = 1.0 - 1e-4;
 
-/// Limits for the interpolation of occlusion, which is smooth except near contacts. Errors seen in a picture spread over
-/// an area, so the limits fall with the distance between evaluated pixels.
+/// Limits for the interpolation of occlusion and indirect light, which are smooth except near contacts. Errors seen in a
+/// picture spread over an area, so the limits fall with the distance between evaluated pixels.
 #[derive(Debug, Clone, Copy)]
 struct OpenLimits {
     /// Values that differ by less may be averaged.
@@ -46,6 +46,8 @@ impl OpenLimits {
     }
 }
 
+/// Smallest level of indirect light, times the exposure, to which limits are relative.
+const LEAST_LEVEL: f32 = 1.0 / 16.0;
 /// Smallest difference of values for which their change is estimated.
 const NOTABLE: f32 = 1.0 / 32.0;
 /// Weight of the values beyond the neighbours in the estimate of the change with the normal.
@@ -62,8 +64,8 @@ pub(crate) fn gather(
     evaluated: &LightBuffer,
     [every, finer]: [u32; 2],
 ) -> Result<(), Error> {
-    let lights = known.lights;
-    // Occlusion alone has one value per surface.
+    let stride = known.stride;
+    // Without lights, these are the values of occlusion or of indirect light.
     let open = pass.lights.lights.is_empty().then(|| OpenLimits::new(every));
     let agree = AGREE * (2.0 / every as f32).min(1.0);
     known.rows.par_iter_mut().enumerate().try_for_each(|(y, row)| {
@@ -76,12 +78,11 @@ pub(crate) fn gather(
             if every > finer && is_lattice {
                 continue;
             }
-            let values = &mut row.values[i * stride(lights)..][..stride(lights)];
+            let values = &mut row.values[i * stride..][..stride];
             let around = Around::new(pass.buffer, (y, layer), (source, evaluated), every);
             if let Some(limits) = open {
-                let value = around.open_share(&limits, &mut neighbours);
-                row.is_known[i] = value.is_some();
-                values[0] = value.unwrap_or_default();
+                let unit = pass.bounces.map(|_| LEAST_LEVEL / pass.options.exposure.max(f32::MIN_POSITIVE));
+                row.is_known[i] = around.smooth_light(&limits, unit, &mut neighbours, values);
                 continue;
             }
             around.fitting(SAME_NORMAL, &mut neighbours);
@@ -183,14 +184,39 @@ impl<'s, 'a> Around<'s, 'a> {
             }
         });
         let i = first + same?;
-        let stride = stride(self.light.lights);
-        Some((&self.light.rows[y].values[i * stride..][..stride], layers[i].normal))
+        Some((self.light.values_at(y, i).0, layers[i].normal))
     }
 
-    /// The open fraction interpolated from the neighbours; None if it must be evaluated.
+    /// Interpolates occlusion or indirect light from the neighbours; false if it must be evaluated.
+    ///
+    /// Limits are relative to 1 for occlusion, and to the level of the neighbours for indirect light: at least
+    /// `least_level`, which is None for occlusion.
+    fn smooth_light(
+        &self,
+        limits: &OpenLimits,
+        least_level: Option<f32>,
+        neighbours: &mut Vec<Neighbour<'a>>,
+        values: &mut [f32],
+    ) -> bool {
+        self.fitting(SIMILAR_NORMAL, neighbours);
+        let total: f32 = neighbours.iter().map(|near| near.weight).sum();
+        if total < limits.enough || !self.is_alone(limits.apart) {
+            return false;
+        }
+        let brightest = |near: &Neighbour<'_>| near.values.iter().copied().fold(0.0, f32::max);
+        let level = neighbours.iter().map(|near| near.weight * brightest(near)).sum::<f32>() / total;
+        let (unit, most) = least_level.map_or((1.0, 1.0), |least| (level.max(least), f32::INFINITY));
+        values.iter_mut().enumerate().all(|(channel, value)| {
+            let found = self.smooth_value(limits, neighbours, &|values| values[channel] / unit);
+            *value = unit * found.unwrap_or_default().clamp(0.0, most);
+            found.is_some()
+        })
+    }
+
+    /// One value of [`Self::smooth_light`]; None if it must be evaluated.
     ///
     /// Where the neighbours differ, the values beyond them are used too. A ridge regression attributes changes to the
-    /// normal, because the open fraction of a curved surface varies most with its normal. What remains is interpolated
+    /// normal, because the light on a curved surface varies most with its normal. What remains is interpolated
     /// along each diagonal, row or column by the cubic polynomial through four values `a, b, c, d`:
     ///
     /// ```text
@@ -198,23 +224,23 @@ impl<'s, 'a> Around<'s, 'a> {
     /// ```
     ///
     /// The second term estimates the error of linear interpolation.
-    fn open_share(&self, limits: &OpenLimits, neighbours: &mut Vec<Neighbour<'a>>) -> Option<f32> {
-        self.fitting(SIMILAR_NORMAL, neighbours);
-        let neighbours = &*neighbours;
+    fn smooth_value(
+        &self,
+        limits: &OpenLimits,
+        neighbours: &[Neighbour<'a>],
+        value_of: &dyn Fn(&[f32]) -> f32,
+    ) -> Option<f32> {
         let total: f32 = neighbours.iter().map(|near| near.weight).sum();
-        if total < limits.enough || !self.is_alone(limits.apart) {
-            return None;
-        }
         let normal = self.layer.normal;
         let average = |value: &dyn Fn(&Neighbour<'a>) -> f32| {
             neighbours.iter().map(|near| near.weight * value(near)).sum::<f32>() / total
         };
-        let mean = average(&|near| near.values[0]);
+        let mean = average(&|near| value_of(near.values));
         let range = |value: &dyn Fn(&Neighbour<'a>) -> f32| {
             let low = neighbours.iter().map(value).fold(f32::INFINITY, f32::min);
             neighbours.iter().map(value).fold(f32::NEG_INFINITY, f32::max) - low
         };
-        if range(&|near| near.values[0]) <= limits.agree.min(NOTABLE) {
+        if range(&|near| value_of(near.values)) <= limits.agree.min(NOTABLE) {
             return Some(mean);
         }
         let [u, v] = self.position();
@@ -229,7 +255,7 @@ impl<'s, 'a> Around<'s, 'a> {
         let mut include = |weight: f32, values: &[f32], normal: Vec3| {
             let off = normal - middle;
             spread += Mat3::from_cols(weight * off.x * off, weight * off.y * off, weight * off.z * off);
-            change += weight * (values[0] - mean) * off;
+            change += weight * (value_of(values) - mean) * off;
         };
         for (near, beyond) in neighbours.iter().zip(&beyond) {
             include(near.weight, near.values, near.normal);
@@ -239,7 +265,7 @@ impl<'s, 'a> Around<'s, 'a> {
         }
         // No fraction changes faster than that of a half space, by 1 from one normal to its opposite.
         let slope = (spread.inverse() * change).clamp_length_max(1.0);
-        let level = |values: &[f32], of: Vec3| values[0] + slope.dot(normal - of);
+        let level = |values: &[f32], of: Vec3| value_of(values) + slope.dot(normal - of);
         let value = average(&|near| level(near.values, near.normal));
         let range = range(&|near| level(near.values, near.normal));
         let bend = neighbours.iter().zip(&beyond).map(|(near, beyond)| {
@@ -249,7 +275,7 @@ impl<'s, 'a> Around<'s, 'a> {
         let bend = bend.sum::<Option<f32>>().filter(|_| total >= ALL);
         let is_smooth = bend.is_some_and(|bend| bend.abs() <= limits.bend && range <= limits.smooth);
         let bend = bend.unwrap_or_default().clamp(-NOTABLE, NOTABLE);
-        (is_smooth || range <= limits.agree).then(|| (value + bend).clamp(0.0, 1.0))
+        (is_smooth || range <= limits.agree).then_some(value + bend)
     }
 
     /// Whether no other surface is visible within this many pixels along rows and columns: another instance, or a face

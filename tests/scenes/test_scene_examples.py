@@ -18,6 +18,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
     ("name", "options", "shape", "said"),
     [
         ("monkey_over_floor.py", ["--size", "48"], (48, 144), "soft"),
+        ("room.py", ["--size", "24", "--samples", "1", "--paths", "16"], (24, 48), "mean difference"),
         ("forest.py", ["--trees", "9", "--size", "64", "36"], (36, 64), "light"),
     ],
 )

@@ -52,6 +52,10 @@ def render(
         ),
     ] = "auto",
     occlusion: Annotated[bool, typer.Option("--occlusion", help="Add ambient occlusion.")] = False,
+    bounces: Annotated[
+        int,
+        typer.Option(help="Diffuse reflections of light between surfaces, 0 to 4. Emissive surfaces then give light."),
+    ] = 0,
     samples: Annotated[int, typer.Option(help="Colour samples per pixel for smooth edges: 1, 4, 9, 16, ...")] = 1,
     light: Annotated[
         list[Any] | None,
@@ -66,7 +70,7 @@ def render(
     ] = 2.0,
     floor: Annotated[bool, typer.Option("--floor", help="Add a floor below the scene.")] = False,
     heatmap: Annotated[
-        Literal["steps", "depth", "shadow"] | None, typer.Option(help="Show this quantity instead of colours.")
+        Literal["steps", "rays", "depth", "shadow"] | None, typer.Option(help="Show this quantity instead of colours.")
     ] = None,
     device: Device = "auto",
 ) -> None:
@@ -91,6 +95,7 @@ def render(
         primary=primary,
         shadows=shadows,
         ambient_occlusion=occlusion,
+        bounces=bounces,
         samples=samples,
         device=device,
         progress=err.is_terminal,

@@ -7,19 +7,19 @@ from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..base import checks
-from ..base.errors import FormatError
+from ..base.errors import ArgumentError, FormatError
 from ..files.container import atomic_write, check_target
 
-Quantity = Literal["steps", "depth", "shadow"]
+Quantity = Literal["steps", "rays", "depth", "shadow"]
 
 #: Names of the arrays of a frame.
-ARRAYS = ("color", "depth", "normal", "object_id", "shadow", "steps")
+ARRAYS = ("color", "depth", "normal", "object_id", "shadow", "steps", "rays")
 
 #: Evenly spaced stops of the heat map from dark to light, (5, 3), sRGB from 0 to 1.
 HEAT = np.array(
@@ -50,7 +50,10 @@ class Frame:
     shadow : (h, w) or (h, w, lights) float32
         Fraction of the light that arrives: 1 is lit, 0 is in shadow.
     steps : (h, w) uint32
-        Number of steps of each ray.
+        Number of steps of all rays and cones of the pixel.
+    rays : (h, w) uint32 or None
+        Number of rays and cones to lights and surroundings that were evaluated for the pixel: 0 where its light is
+        interpolated. None in pictures of :func:`raymarch`.
     report : mapping
         ``device``, ``seconds`` and other properties of the work.
 
@@ -69,6 +72,8 @@ class Frame:
         self.object_id: NDArray[np.int32] = checks.frozen(arrays["object_id"])
         self.shadow: NDArray[np.float32] = checks.frozen(arrays["shadow"])
         self.steps: NDArray[np.uint32] = checks.frozen(arrays["steps"])
+        rays = arrays.get("rays")
+        self.rays: NDArray[np.uint32] | None = None if rays is None else checks.frozen(rays)
         self.report: Mapping[str, Any] = MappingProxyType(dict(report))
 
     @property
@@ -87,7 +92,7 @@ class Frame:
 
         Parameters
         ----------
-        quantity : "steps", "depth" or "shadow", default "steps"
+        quantity : "steps", "rays", "depth" or "shadow", default "steps"
             The array. For several lights, the mean of their shadows.
 
         Returns
@@ -99,9 +104,11 @@ class Frame:
         Raises
         ------
         ArgumentError
-            For an unknown quantity.
+            For an unknown quantity, and for ``"rays"`` in a picture without them.
         """
-        checks.choice("quantity", quantity, ("steps", "depth", "shadow"))
+        checks.choice("quantity", quantity, get_args(Quantity))
+        if getattr(self, quantity) is None:
+            raise ArgumentError(f"quantity: this picture has no {quantity}; pictures of render() have them")
         values = np.asarray(getattr(self, quantity), dtype=np.float64)
         if values.ndim == 3:
             values = values.mean(axis=-1)
@@ -138,7 +145,7 @@ class Frame:
         return buffer.getvalue()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        arrays = {name: np.array(getattr(self, name)) for name in ARRAYS}
+        arrays = {name: np.array(value) for name in ARRAYS if (value := getattr(self, name)) is not None}
         return Frame, (arrays, dict(self.report))
 
     def __repr__(self) -> str:

@@ -38,7 +38,9 @@ class Renderer:
         Size of the frames, pixels.
     device : str, default "auto"
         ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`.
-    shadows, ambient_occlusion, primary, samples, light_scale, exposure, area_samples, far, far_distance, method
+    shadows, ambient_occlusion, bounces, bounce_samples, primary, samples
+        As for :func:`render`.
+    light_scale, exposure, area_samples, far, far_distance, method
         As for :func:`render`.
     progress : bool or callable, optional
         As for :func:`render`, for each frame.
@@ -72,6 +74,8 @@ class Renderer:
         device: str = "auto",
         shadows: SceneShadows = "soft",
         ambient_occlusion: bool | float = False,
+        bounces: int = 0,
+        bounce_samples: int = 256,
         primary: Primary = "auto",
         samples: int = 1,
         light_scale: int = 1,
@@ -88,6 +92,8 @@ class Renderer:
             primary=primary,
             shadows=shadows,
             ambient_occlusion=ambient_occlusion,
+            bounces=bounces,
+            bounce_samples=bounce_samples,
             samples=samples,
             light_scale=light_scale,
             exposure=exposure,

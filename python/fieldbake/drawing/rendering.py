@@ -20,6 +20,8 @@ def render(
     primary: Primary = "auto",
     shadows: SceneShadows = "soft",
     ambient_occlusion: bool | float = False,
+    bounces: int = 0,
+    bounce_samples: int = 256,
     samples: int = 1,
     light_scale: int = 1,
     exposure: float = 1.0,
@@ -54,6 +56,16 @@ def render(
         are evaluated too if another surface is visible near them, if their neighbours lie on another surface, or if
         the neighbours differ by more than interpolation can follow: at most 1/2 at every second pixel, 1/8 at every
         eighth.
+    bounces : int from 0 to 4, default 0
+        Largest number of diffuse reflections on the way of the light to the visible surface. 0 draws the light of the
+        lights alone, with ambient light that arrives everywhere. 1 and more trace paths from each surface through the
+        distance fields and sheets. The paths collect the reflected light of the lights, the emission of surfaces, so
+        that emissive materials are area lights, and the ambient light where it is not blocked. They replace
+        `ambient_occlusion` and do not use `far`. Paths are evaluated on the CPU for pictures of every device, and
+        interpolated between pixels like occlusion.
+    bounce_samples : int, default 256
+        Number of paths for each evaluated surface with `bounces`. All surfaces use the same directions, relative to
+        their normals, so too few paths cause faint bands instead of noise. The time is proportional to the number.
     samples : int, default 1
         Colour samples per pixel, a square number up to 64: 1, 4, 9, 16, ... Higher values smooth edges. Depth,
         normals and ids are taken at the pixel centre. Lighting is interpolated from neighbouring centres where they
@@ -87,11 +99,12 @@ def render(
     Returns
     -------
     Frame
-        Colour, depth, normals, object ids, shadows and steps as arrays. ``report`` has ``device``, the total
-        ``seconds``, ``devices`` of the passes, ``milliseconds`` of the stages (``"primary"``, ``"light"`` and, for a
-        graphics device, ``"upload"``), ``sheets``, the number of instances whose triangles are traced for light (by the
-        CPU, for pictures of every device), and two counters: ``rays``, the number of shadow, occlusion and scattering
-        rays and cones, and ``far_rays``, the number of those that entered the far field.
+        Colour, depth, normals, object ids, shadows, steps and rays as arrays. ``report`` has ``device``, the total
+        ``seconds``, ``devices`` of the passes, ``milliseconds`` of the stages (``"primary"``, ``"light"``,
+        ``"bounces"`` where there are any and, for a graphics device, ``"upload"``), ``sheets``, the number of
+        instances whose triangles are traced for light (by the CPU, for pictures of every device), and two counters:
+        ``rays``, the number of shadow, occlusion, scattering and bounce rays and cones, and ``far_rays``, the number
+        of those that entered the far field.
 
     Raises
     ------
@@ -111,6 +124,13 @@ def render(
     cone, which ``frame.shadow`` does not contain. Penumbrae follow S. Aaltonen, GPU-based clay simulation and
     ray-tracing tech in Claybook, GDC 2018, and are centred on the hard edge. Where one cone gives no clear result, 16
     cones divide the disc of the light.
+
+    With `bounces`, ``ambient * open`` is the mean of the light that arrives along `bounce_samples` cosine-weighted
+    directions. A path continues at the first instance that casts shadows and whose opacity is at least 1/2. It
+    collects emission there, and the light of the lights as with ``shadows="hard"``. Each path also has one point on
+    the emissive faces of meshes; the balance heuristic combines both techniques. Paths ignore highlights and
+    scattering. Surroundings given as an image are smoothed as described for :class:`Scene`. In a closed room, 256
+    paths differ from a path tracer by 2 % in the mean.
 
     Shadows and occlusion of open sheets, of flat meshes and of meshes with a mask or a translucent texture are those of
     their triangles, with the opacity of the material at each hit; such meshes need no field. Each crossing of a blended
@@ -134,6 +154,8 @@ def render(
         primary=primary,
         shadows=shadows,
         ambient_occlusion=ambient_occlusion,
+        bounces=bounces,
+        bounce_samples=bounce_samples,
         samples=samples,
         light_scale=light_scale,
         exposure=exposure,

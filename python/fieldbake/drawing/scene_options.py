@@ -42,6 +42,8 @@ class Options:
     march: str
     #: Range of occlusion, world units. True for a fraction of the diagonal of the scene, False for none.
     occlusion: bool | float
+    bounces: int
+    bounce_samples: int
     samples: int
     light_scale: int
     exposure: float
@@ -59,6 +61,8 @@ class Options:
         primary: Primary,
         shadows: SceneShadows,
         ambient_occlusion: bool | float,
+        bounces: int,
+        bounce_samples: int,
         samples: int,
         light_scale: int,
         exposure: float,
@@ -85,6 +89,8 @@ class Options:
                 primary,
                 "article" if method == "article" and shadows != "none" else shadows,
                 ambient_occlusion,
+                checks.integer("bounces", bounces, least=0, most=4),
+                checks.integer("bounce_samples", bounce_samples, least=1, most=65536),
                 checks.integer("samples", samples, least=1, most=64),
                 checks.integer("light_scale", light_scale, least=1, most=2),
                 checks.number("exposure", exposure, least=0),
@@ -104,7 +110,7 @@ class Options:
         )
         is_marched = self.primary == "raymarch"
         return Fields(
-            of_solids=self.march != "none" or bool(self.occlusion) or is_marched or scatters,
+            of_solids=self.march != "none" or bool(self.occlusion) or self.bounces > 0 or is_marched or scatters,
             of_sheets=is_marched or self.march == "article",
         )
 
@@ -142,6 +148,8 @@ class Options:
                 area_samples=self.area_samples,
                 ambient=scene._ambient_form,
                 occlusion=occlusion,
+                bounces=self.bounces,
+                bounce_samples=self.bounce_samples,
                 far=[] if self.far is None else field_cache.levels_of(self.far),
                 far_distance=self.far_distance,
                 background=scene._background,
@@ -178,7 +186,7 @@ def _frame_of(result: dict[str, Any], scene: Scene, lights: int) -> Frame:
         "instances": len(scene.instances),
         "lights": lights,
         "sheets": result["sheets"],
-        "rays": result["rays"],
+        "rays": result["ray_count"],
         "far_rays": result["far_rays"],
     }
     return Frame(arrays, report)

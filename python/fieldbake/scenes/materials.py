@@ -46,8 +46,8 @@ class Material:
         Whether faces are visible from behind. The default is that of the object. Flat and masked meshes are then
         visible from both sides. An open mesh with two-sided faces is a sheet without an inside.
     emission : (3,), optional
-        Linear RGB that the surface emits, added to the picture. It does not light other surfaces. The default is that
-        of the object if `color` and `texture` are not given either.
+        Linear RGB that the surface emits, added to the picture. It lights other surfaces in pictures with ``bounces``,
+        see :func:`render`. The default is that of the object if `color` and `texture` are not given either.
     unlit : bool, optional
         Whether the colour is shown unchanged, without lighting. The default is that of the object.
     scattering : float or (3,), default 0
