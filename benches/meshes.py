@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 #: Folders with real models, in addition to those of Python packages.
 FOLDERS = [Path(os.environ.get("FIELDBAKE_MESHES", "../shared/meshes"))]
@@ -28,6 +27,8 @@ def find(names: list[str] | None = None) -> Iterator[tuple[str, np.ndarray, np.n
 
 def load(path: Path) -> tuple[str, np.ndarray, np.ndarray]:
     """Load one file, with vertices rounded to float32 so that every tool gets the same mesh."""
+    import trimesh
+
     mesh = trimesh.load(path, process=False, force="mesh")
     return path.stem, np.ascontiguousarray(mesh.vertices, np.float32), np.ascontiguousarray(mesh.faces, np.uint32)
 
