@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -117,7 +118,7 @@ def main() -> None:
     parser.add_argument("meshes", nargs="*", help="mesh files; two meshes made in code if none is given")
     parser.add_argument("--count", type=int, default=1_000_000, help="points and rays")
     arguments = parser.parse_args()
-    meshes = {path: fb.load_mesh(path) for path in arguments.meshes} or {
+    meshes = {Path(path).stem: fb.load_mesh(path) for path in arguments.meshes} or {
         "torus knot, 46 k faces": fb.models.torus_knot(),
         "torus knot, 1 M faces": fb.models.torus_knot(segments=2600, sides=200),
     }

@@ -160,7 +160,9 @@ def main() -> None:
     text = summary(state)
     print("\n" + text)
     if len(state["benches"]) == len(BENCHES):
-        UNFINISHED.rename(RESULTS / f"{state['date']}-bench.json")
+        path = RESULTS / f"{state['date']}-bench.json"
+        path.write_text(json.dumps({**state, "questions": questions(state["benches"]), "summary": text}, indent=1))
+        UNFINISHED.unlink()
         (RESULTS / f"{state['date']}-bench.md").write_text(text)
 
 

@@ -65,7 +65,7 @@ def _package_digest() -> str:
     """A digest of the package and of what its pages run, so that no cached output is older than them."""
     digest = hashlib.sha256()
     package = Path(fieldbake.__file__).parent
-    own = [DOCS / "extensions" / "kernel_startup.py", *RESULTS.glob("*-curves.json")]
+    own = [DOCS / "extensions" / "kernel_startup.py", *RESULTS.glob("*.json")]
     for path in sorted([*package.rglob("*.py"), *package.rglob("*.js"), *package.glob("_core.*"), *own]):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
