@@ -46,6 +46,9 @@ const CHUNK_POINTS: usize = 16 * LANES;
 /// errors by the rounding of the field and by the curvature of the surface are equal, about 1e-10.
 const GRADIENT_STEP: f64 = 6e-6;
 
+/// Number of points whose gradients are evaluated together: six lanes each.
+const GRADIENTS: usize = LANES / 6;
+
 impl Solid {
     /// Lowers and compiles a shape.
     pub fn new(shape: &Shape) -> Result<Self, Error> {
@@ -105,18 +108,68 @@ impl Solid {
         let mut out = vec![[0.0f32; 3]; points.len()];
         progress.set_total(points.len() as u64);
         out.par_chunks_mut(CHUNK_POINTS).zip(points.par_chunks(CHUNK_POINTS)).try_for_each_init(
-            Stack::<f64, 6>::default,
+            Stack::<f64, LANES>::default,
             |stack, (out, points)| {
-                for (out, &p) in out.iter_mut().zip(points) {
-                    let local = self.frame.local(p);
-                    // The step is proportional to the rounding of positions far away.
-                    let step = GRADIENT_STEP * local.abs().max_element().max(1.0);
-                    *out = slope(&self.precise, &self.model.tokens, local, step, stack).as_vec3().to_array();
+                for (out, points) in out.chunks_mut(GRADIENTS).zip(points.chunks(GRADIENTS)) {
+                    let (mut at, mut steps) = ([[0.0; LANES]; 3], [0.0; GRADIENTS]);
+                    for (i, &p) in points.iter().enumerate() {
+                        let local = self.frame.local(p);
+                        // The step is proportional to the rounding of positions far away.
+                        steps[i] = GRADIENT_STEP * local.abs().max_element().max(1.0);
+                        for axis in 0..3 {
+                            at[axis][6 * i..6 * i + 6].fill(local[axis]);
+                            at[axis][6 * i + 2 * axis] += steps[i];
+                            at[axis][6 * i + 2 * axis + 1] -= steps[i];
+                        }
+                    }
+                    let values = run_wide(&self.precise, &self.model.tokens, &at, stack);
+                    for ((out, values), step) in out.iter_mut().zip(values.chunks_exact(6)).zip(steps) {
+                        let across = |axis: usize| (values[2 * axis] - values[2 * axis + 1]) / (2.0 * step);
+                        *out = [across(0) as f32, across(1) as f32, across(2) as f32];
+                    }
                 }
                 progress.advance(points.len() as u64)
             },
         )?;
         Ok(out)
+    }
+
+    /// Samples of blocks of a grid, `(side + 1)^3` each, x fastest. The first sample of a block is its entry in
+    /// `origins`; a sample outside the grid repeats the nearest one of the grid.
+    pub fn blocks(
+        &self,
+        grid: &Grid,
+        side: usize,
+        origins: &[[i32; 3]],
+        progress: &Progress,
+    ) -> Result<Vec<f32>, Error> {
+        let n = side + 1;
+        let mut samples = allocate_samples("the samples of blocks", origins.len() * n.pow(3), 0)?;
+        progress.set_total(origins.len() as u64);
+        samples.par_chunks_mut(n.pow(3)).zip(origins).try_for_each_init(
+            Stack::<f64, LANES>::default,
+            |stack, (samples, origin)| {
+                let local = |i: usize| {
+                    let clamped =
+                        |axis: usize| (origin[axis] + i as i32).clamp(0, grid.shape[axis] as i32 - 1) as usize;
+                    self.frame.local(grid.center(clamped(0), clamped(1), clamped(2))).to_array()
+                };
+                let along: Vec<[f64; 3]> = (0..n).map(local).collect();
+                for (first, out) in (0..).step_by(LANES).zip(samples.chunks_mut(LANES)) {
+                    let mut at = [[0.0; LANES]; 3];
+                    for i in 0..out.len() {
+                        let place = [(first + i) % n, (first + i) / n % n, (first + i) / (n * n)];
+                        (0..3).for_each(|axis| at[axis][i] = along[place[axis]][axis]);
+                    }
+                    let values = run_wide(&self.precise, &self.model.tokens, &at, stack);
+                    for (out, value) in out.iter_mut().zip(values) {
+                        *out = saturated(value * self.frame.scale);
+                    }
+                }
+                progress.advance(1)
+            },
+        )?;
+        Ok(samples)
     }
 
     /// Samples at the voxel centres of a grid, x fastest.
