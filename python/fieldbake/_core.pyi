@@ -23,6 +23,7 @@ __all__ = [
     "Shape",
     "SparseField",
     "Surface",
+    "SurfaceBlocks",
     "Texture",
     "__version__",
     "all_intersections",
@@ -265,6 +266,15 @@ class Shape:
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float32]: ...
     def color(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
         """Linear RGB; nan where the shape is not painted."""
+    def bake_blocks(
+        self,
+        lower: tuple[float, float, float],
+        upper: tuple[float, float, float],
+        shape: tuple[int, int, int],
+        origins: NDArray[np.int32],
+        side: int,
+    ) -> NDArray[np.float32]:
+        """The samples of blocks of a grid (k, (side + 1)^3), x fastest; see :func:`bake_blocks`."""
     def bake(
         self,
         lower: tuple[float, float, float],
@@ -466,21 +476,8 @@ class Surface:
     ) -> Surface:
         """The level set of samples (nx, ny, nz) in any encoding."""
     @staticmethod
-    def of_blocks(
-        origins: NDArray[np.int32],
-        values: NDArray[np.float32],
-        lower: tuple[float, float, float],
-        upper: tuple[float, float, float],
-        shape: tuple[int, int, int],
-        level: float,
-    ) -> Surface:
-        """The level set of blocks of samples (k, n, n, n), z slowest, whose first cells are `origins` (k, 3)."""
-    @staticmethod
     def of_sparse(field: SparseField, level: float) -> Surface:
         """The level set of a sparse field."""
-    @property
-    def edge_count(self) -> int:
-        """Number of crossed edges."""
     def edges(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Both ends of each crossed edge, (m, 3) each, and the fraction of the edge before the crossing, (m,)."""
     def use_mesh(self, mesh: Mesh, offset: float, *, unsigned: bool = False) -> None:
@@ -493,14 +490,36 @@ class Surface:
         """Add the tangent planes of the faces of a mesh around the sharp vertices. The faces must be oriented alike;
         `inward` tells that their normals point to the inside.
         """
+    def join_offset(self, mesh: Mesh, offset: float, unsigned: bool) -> bool:
+        """Add the tangent planes of the surface at a distance from a mesh around all vertices. Return False, and add
+        none, if the distance is too small for that.
+        """
     def probes(self, *, sharp_only: bool = False) -> NDArray[np.float64]:
         """Points (k, 3) around the vertices at which the source has to be evaluated; with ``sharp_only`` only those
         around sharp vertices.
         """
     def join_planes(self, points: NDArray[np.float64], normals: NDArray[np.float64]) -> None:
         """Add the tangent planes through `points` with `normals`, (k, 3) each, one row for each of the last probes."""
-    def mesh(self, *, sharp: bool = True, capped: bool = True) -> tuple[NDArray[np.float64], NDArray[np.uint32], int]:
-        """Vertices (n, 3), faces (m, 3) and the number of vertices that were clamped to their cell."""
+    def mesh(self, *, sharp: bool = True, capped: bool = True) -> tuple[NDArray[np.float64], NDArray[np.int64], int]:
+        """Vertices (n, 3), faces (m, 3) and the number of vertices that were clamped to their cell. It is the last
+        call, since it frees the surface.
+        """
+
+@final
+class SurfaceBlocks:
+    """Blocks of samples, from which the surface is made."""
+
+    def __new__(
+        cls,
+        lower: tuple[float, float, float],
+        upper: tuple[float, float, float],
+        shape: tuple[int, int, int],
+        level: float,
+    ) -> SurfaceBlocks: ...
+    def add(self, origins: NDArray[np.int32], values: NDArray[np.float32]) -> None:
+        """Add blocks of samples (k, n, n, n), z slowest, whose first cells are `origins` (k, 3)."""
+    def surface(self) -> Surface:
+        """The level set in all blocks, which are freed."""
 
 @final
 class OuterSides:

@@ -67,7 +67,7 @@ mod _core {
     #[pymodule_export]
     use super::sparse::{SparseField, bake_sparse, check_scales, decode, encode, encoding_scale, to_sparse};
     #[pymodule_export]
-    use super::surface::Surface;
+    use super::surface::{Surface, SurfaceBlocks};
     #[pymodule_export]
     use super::viewer::{viewer_shader, viewer_triangles};
     #[pymodule_export]

@@ -1,37 +1,52 @@
-//! `fieldbake._core.Surface`.
+//! `fieldbake._core.Surface` and `SurfaceBlocks`.
 
-use super::convert::{Field, grid, points, row_array, rows, with_texels};
-use super::error::exception;
+use super::convert::{Field, grid, owned_rows, points, rows, with_texels};
+use super::error::{Failure, exception};
 use super::mesh::Mesh;
 use super::run::run;
 use super::sparse::SparseField;
-use crate::surface::{self, Crossing, ExtraPlanes, MeshOptions, Probes};
+use crate::error::{ArgumentError, Error};
+use crate::progress::Progress;
+use crate::surface::{self, Crossing, ExtraPlanes, LevelSurface, MeshOptions, Probes};
 use glam::DVec3;
-use numpy::{PyArray1, PyArray2, PyReadonlyArray2, PyReadonlyArray4, PyUntypedArrayMethods};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2, PyReadonlyArray4, PyUntypedArrayMethods};
 use pyo3::prelude::*;
+use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
-/// The crossed cells of a level set and the tangent planes at their crossed edges.
+/// The crossed cells of a level set and the tangent planes at their crossed edges. Making the mesh frees them.
 #[pyclass(frozen, module = "fieldbake._core")]
-pub struct Surface {
-    surface: surface::LevelSurface,
-    crossings: Mutex<Vec<Crossing>>,
-    extra: Mutex<(ExtraPlanes, Probes)>,
+pub struct Surface(Mutex<Option<State>>);
+
+struct State {
+    surface: LevelSurface,
+    crossings: Vec<Crossing>,
+    extra: ExtraPlanes,
+    probes: Probes,
 }
 
 impl Surface {
-    fn new(surface: surface::LevelSurface) -> Self {
-        let crossings = Mutex::new(surface.crossings());
-        Self { surface, crossings, extra: Mutex::default() }
+    fn new(surface: LevelSurface) -> Self {
+        let crossings = surface.crossings();
+        Self(Mutex::new(Some(State { surface, crossings, extra: ExtraPlanes::default(), probes: Probes::default() })))
     }
 
-    fn change(
+    /// Calls `change` without the interpreter lock.
+    fn with<T: Send>(
         &self,
-        change: impl FnOnce(&mut [Crossing]) -> Result<(), crate::error::Error>,
-    ) -> Result<(), crate::error::Error> {
-        // A panic in between leaves every plane complete, so the data stay valid.
-        change(&mut self.crossings.lock().unwrap_or_else(PoisonError::into_inner))
+        py: Python<'_>,
+        change: impl FnOnce(&mut State, &Progress) -> Result<T, Error> + Send,
+    ) -> PyResult<T> {
+        Ok(run(py, None, |progress| {
+            // A panic leaves every plane complete, so the data stay valid.
+            let mut state = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+            change(state.as_mut().ok_or_else(mesh_was_made)?, progress)
+        })?)
     }
+}
+
+fn mesh_was_made() -> Error {
+    ArgumentError::new("surface", "its mesh was made already".to_owned()).into()
 }
 
 #[pymethods]
@@ -49,32 +64,8 @@ impl Surface {
     ) -> PyResult<Self> {
         with_texels!(distances, PyReadonlyArray3, |array| {
             let field = Field::encoded(&array, lower, upper, scale)?;
-            Ok(run(py, None, |progress| {
-                Ok(Self::new(surface::LevelSurface::of_field(&field.view()?, level, progress)?))
-            })?)
+            Ok(run(py, None, |progress| Ok(Self::new(LevelSurface::of_field(&field.view()?, level, progress)?)))?)
         })
-    }
-
-    /// The level set of blocks of samples (k, n, n, n), z slowest, whose first cells are `origins` (k, 3).
-    #[staticmethod]
-    fn of_blocks(
-        py: Python<'_>,
-        origins: PyReadonlyArray2<'_, i32>,
-        values: PyReadonlyArray4<'_, f32>,
-        lower: [f64; 3],
-        upper: [f64; 3],
-        shape: [usize; 3],
-        level: f32,
-    ) -> PyResult<Self> {
-        let grid = grid(lower, upper, shape)?;
-        let origins = rows(&origins, "origins")?;
-        let side = values.shape()[1].saturating_sub(1);
-        let flat = values.as_slice().ok().filter(|_| values.shape()[1..].iter().all(|&n| n == side + 1 && n > 1));
-        let flat = flat.ok_or_else(|| {
-            let message = "values: must be a C-contiguous (k, n, n, n) array with n of at least 2";
-            exception(py, "ArgumentError", message.to_owned())
-        })?;
-        Ok(run(py, None, |_| Ok(Self::new(surface::LevelSurface::of_blocks(&grid, side, origins, flat, level)?)))?)
     }
 
     /// The level set of a sparse field.
@@ -84,45 +75,50 @@ impl Surface {
         Ok(run(py, None, |progress| Ok(Self::new(field.surface(level, progress)?)))?)
     }
 
-    /// Number of crossed edges.
-    #[getter]
-    fn edge_count(&self) -> usize {
-        self.surface.edge_count()
-    }
-
     /// Both ends of each crossed edge, (m, 3) each, and the fraction of the edge before the crossing, (m,).
     #[expect(clippy::type_complexity, reason = "a triple of arrays is what Python unpacks")]
     fn edges<'py>(
         &self,
         py: Python<'py>,
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
-        let crossings = self.crossings.lock().unwrap_or_else(PoisonError::into_inner);
-        let end = |i: usize| crossings.iter().map(move |crossing| self.surface.ends(crossing)[i].to_array());
-        let shares = PyArray1::from_iter(py, crossings.iter().map(|crossing| crossing.share));
-        Ok((row_array(py, end(0))?, row_array(py, end(1))?, shares))
+        let (starts, ends, shares) = self.with(py, |state, _| {
+            let edges = (0..state.crossings.len()).into_par_iter().map(|edge| state.surface.edge(edge));
+            let (starts, ends) = edges.map(|edge| (edge.start.to_array(), edge.at(1.0).to_array())).unzip();
+            Ok((starts, ends, state.crossings.iter().map(|crossing| f64::from(crossing.share)).collect::<Vec<_>>()))
+        })?;
+        Ok((owned_rows(py, starts)?, owned_rows(py, ends)?, shares.into_pyarray(py)))
     }
 
     /// Uses the tangent planes of the surface at a distance from a mesh.
     #[pyo3(signature = (mesh, offset, *, unsigned=false))]
     fn use_mesh(&self, py: Python<'_>, mesh: PyRef<'_, Mesh>, offset: f64, unsigned: bool) -> PyResult<()> {
         let mesh = mesh.0.clone();
-        Ok(run(py, None, |progress| {
-            self.change(|crossings| {
-                surface::planes_of_mesh(&self.surface, crossings, &mesh, offset, unsigned, progress)
-            })
-        })?)
+        self.with(py, |state, progress| {
+            surface::planes_of_mesh(&state.surface, &mut state.crossings, &mesh, offset, unsigned, progress)
+        })
     }
 
     /// Joins the tangent planes of the faces of a mesh around the sharp vertices. The faces must be oriented alike;
     /// `inward` tells that their normals point to the inside.
     fn join_mesh(&self, py: Python<'_>, mesh: PyRef<'_, Mesh>, inward: bool) -> PyResult<()> {
         let mesh = mesh.0.clone();
-        Ok(run(py, None, |progress| {
-            let crossings = self.crossings.lock().unwrap_or_else(PoisonError::into_inner);
-            let planes = surface::planes_around_of_mesh(&self.surface, &crossings, &mesh, inward, progress)?;
-            *self.extra.lock().unwrap_or_else(PoisonError::into_inner) = (planes, Probes::default());
+        self.with(py, |state, progress| {
+            state.extra = surface::planes_around_of_mesh(&state.surface, &state.crossings, &mesh, inward, progress)?;
             Ok(())
-        })?)
+        })
+    }
+
+    /// Joins the tangent planes of the surface at a distance from a mesh around all vertices. Returns False, and joins
+    /// none, if the distance is too small for that.
+    fn join_offset(&self, py: Python<'_>, mesh: PyRef<'_, Mesh>, offset: f64, unsigned: bool) -> PyResult<bool> {
+        let mesh = mesh.0.clone();
+        self.with(py, |state, progress| {
+            let State { surface, crossings, .. } = state;
+            let planes = surface::planes_around_of_offset(surface, crossings, &mesh, offset, unsigned, progress)?;
+            let is_joined = planes.is_some();
+            state.extra = planes.unwrap_or_default();
+            Ok(is_joined)
+        })
     }
 
     /// Uses the tangent planes through `points` with `normals`, (m, 3) each; a row that is not finite keeps its plane.
@@ -132,37 +128,27 @@ impl Surface {
         #[pyo3(from_py_with = points)] points: Vec<DVec3>,
         #[pyo3(from_py_with = points)] normals: Vec<DVec3>,
     ) -> PyResult<()> {
-        let count = self.surface.edge_count();
-        if points.len() != count || normals.len() != count {
-            let message =
-                format!("points and normals: must have {count} rows, got {} and {}", points.len(), normals.len());
-            return Err(exception(py, "ArgumentError", message));
-        }
-        Ok(run(py, None, |_| {
-            self.change(|crossings| {
-                for ((crossing, &point), &normal) in crossings.iter_mut().zip(&points).zip(&normals) {
-                    let Some(normal) = normal.try_normalize().filter(|_| point.is_finite() && !crossing.on_box) else {
-                        continue;
-                    };
-                    let outward = if normal.dot(crossing.normal) < 0.0 { -normal } else { normal };
-                    (crossing.point, crossing.normal) = (point, outward);
+        self.with(py, |state, _| {
+            check_rows(&points, &normals, state.crossings.len())?;
+            let rows = points.par_iter().zip(&normals).enumerate();
+            state.crossings.par_iter_mut().zip(rows).for_each(|(crossing, (edge, (&point, normal)))| {
+                if let Some(normal) = normal.try_normalize().filter(|_| point.is_finite() && !crossing.on_box) {
+                    crossing.set_plane(state.surface.edge(edge).at(crossing.share), point, normal);
                 }
-                Ok(())
-            })
-        })?)
+            });
+            Ok(())
+        })
     }
 
     /// Points (k, 3) around the vertices where the source has to be evaluated; `sharp_only` leaves out those on smooth
     /// parts.
     #[pyo3(signature = (*, sharp_only=false))]
     fn probes<'py>(&self, py: Python<'py>, sharp_only: bool) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let points = run(py, None, |_| {
-            let crossings = self.crossings.lock().unwrap_or_else(PoisonError::into_inner);
-            let mut extra = self.extra.lock().unwrap_or_else(PoisonError::into_inner);
-            extra.1 = self.surface.probes(&crossings, &extra.0, sharp_only);
-            Ok(extra.1.points.clone())
+        let points = self.with(py, |state, _| {
+            state.probes = state.surface.probes(&state.crossings, &state.extra, sharp_only);
+            Ok(bytemuck::cast_slice(&state.probes.points).to_vec())
         })?;
-        row_array(py, points.iter().map(DVec3::to_array))
+        owned_rows(py, points)
     }
 
     /// Joins the tangent planes through `points` with `normals`, (k, 3) each, one row for each of the last probes.
@@ -172,22 +158,16 @@ impl Surface {
         #[pyo3(from_py_with = points)] points: Vec<DVec3>,
         #[pyo3(from_py_with = points)] normals: Vec<DVec3>,
     ) -> PyResult<()> {
-        let count = self.extra.lock().unwrap_or_else(PoisonError::into_inner).1.points.len();
-        if points.len() != count || normals.len() != count {
-            let message =
-                format!("points and normals: must have {count} rows, got {} and {}", points.len(), normals.len());
-            return Err(exception(py, "ArgumentError", message));
-        }
-        Ok(run(py, None, |_| {
-            let crossings = self.crossings.lock().unwrap_or_else(PoisonError::into_inner);
-            let mut extra = self.extra.lock().unwrap_or_else(PoisonError::into_inner);
-            let (planes, probes) = &*extra;
-            *extra = (self.surface.join_planes(&crossings, planes, probes, &points, &normals), Probes::default());
+        self.with(py, |state, _| {
+            let State { surface, crossings, extra, probes } = state;
+            check_rows(&points, &normals, probes.points.len())?;
+            *extra = surface.join_planes(crossings, extra, probes, &points, &normals);
+            *probes = Probes::default();
             Ok(())
-        })?)
+        })
     }
 
-    /// Vertices (n, 3), faces (m, 3) and the number of vertices that were clamped to their cell.
+    /// Vertices (n, 3), faces (m, 3) and the number of vertices that were clamped to their cell. The surface is freed.
     #[expect(clippy::type_complexity, reason = "two arrays and a count are what Python unpacks")]
     #[pyo3(signature = (*, sharp=true, capped=true))]
     fn mesh<'py>(
@@ -195,13 +175,65 @@ impl Surface {
         py: Python<'py>,
         sharp: bool,
         capped: bool,
-    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<u32>>, usize)> {
-        let mesh = run(py, None, |_| {
-            let crossings = self.crossings.lock().unwrap_or_else(PoisonError::into_inner);
-            let extra = self.extra.lock().unwrap_or_else(PoisonError::into_inner);
-            Ok(self.surface.mesh(&crossings, &extra.0, MeshOptions { sharp, capped }))
+    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<i64>>, usize)> {
+        let (vertices, faces, clamped) = run(py, None, |_| {
+            let state = self.0.lock().unwrap_or_else(PoisonError::into_inner).take().ok_or_else(mesh_was_made)?;
+            let State { surface, crossings, extra, .. } = state;
+            let mesh = surface.into_mesh(crossings, extra, MeshOptions { sharp, capped });
+            // The constructor of meshes takes int64.
+            let faces: Vec<[i64; 3]> = mesh.faces.into_par_iter().map(|face| face.map(i64::from)).collect();
+            Ok((mesh.vertices, faces, mesh.clamped))
         })?;
-        let vertices = row_array(py, mesh.vertices.iter().map(DVec3::to_array))?;
-        Ok((vertices, row_array(py, mesh.faces.into_iter())?, mesh.clamped))
+        Ok((owned_rows(py, bytemuck::cast_vec(vertices))?, owned_rows(py, faces)?, clamped))
+    }
+}
+
+/// Checks that there is a point and a normal for each of `count` rows.
+fn check_rows(points: &[DVec3], normals: &[DVec3], count: usize) -> Result<(), Error> {
+    if points.len() == count && normals.len() == count {
+        return Ok(());
+    }
+    let problem = format!("must have {count} rows, got {} and {}", points.len(), normals.len());
+    Err(ArgumentError::new("points and normals", problem).into())
+}
+
+/// Blocks of samples, from which the surface is made.
+#[pyclass(frozen, module = "fieldbake._core")]
+pub struct SurfaceBlocks(Mutex<Option<surface::SurfaceBlocks>>);
+
+#[pymethods]
+impl SurfaceBlocks {
+    #[new]
+    fn new(lower: [f64; 3], upper: [f64; 3], shape: [usize; 3], level: f32) -> PyResult<Self> {
+        let blocks = surface::SurfaceBlocks::new(grid(lower, upper, shape)?, level).map_err(Failure::from)?;
+        Ok(Self(Mutex::new(Some(blocks))))
+    }
+
+    /// Adds blocks of samples (k, n, n, n), z slowest, whose first cells are `origins` (k, 3).
+    fn add(
+        &self,
+        py: Python<'_>,
+        origins: PyReadonlyArray2<'_, i32>,
+        values: PyReadonlyArray4<'_, f32>,
+    ) -> PyResult<()> {
+        let origins = rows(&origins, "origins")?;
+        let side = values.shape()[1].saturating_sub(1);
+        let flat = values.as_slice().ok().filter(|_| values.shape()[1..].iter().all(|&n| n == side + 1 && n > 1));
+        let flat = flat.ok_or_else(|| {
+            let message = "values: must be a C-contiguous (k, n, n, n) array with n of at least 2";
+            exception(py, "ArgumentError", message.to_owned())
+        })?;
+        Ok(run(py, None, |_| {
+            let mut blocks = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+            blocks.as_mut().ok_or_else(mesh_was_made)?.add(side, origins, flat)
+        })?)
+    }
+
+    /// The level set in all blocks, which are freed.
+    fn surface(&self, py: Python<'_>) -> PyResult<Surface> {
+        Ok(run(py, None, |_| {
+            let blocks = self.0.lock().unwrap_or_else(PoisonError::into_inner).take().ok_or_else(mesh_was_made)?;
+            Ok(Surface::new(blocks.surface()))
+        })?)
     }
 }

@@ -8,7 +8,7 @@
 //!
 //! Memory grows with the number of crossed cells, plus one value per row of cells.
 
-use super::patches::{edge_corners, face_corners, face_edges, is_ambiguous, patches};
+use super::patches::{face_corners, face_edges, is_ambiguous, patches};
 use crate::error::Error;
 use crate::progress::Progress;
 use crate::volume::sparse::{BRICK_CELLS, SparseView};
@@ -62,6 +62,11 @@ impl SurfaceCell {
     }
 }
 
+/// The crossed edges that start at the lower corners of some cells: the cell and the axis.
+pub(crate) fn edges_from(cells: &[SurfaceCell]) -> impl Iterator<Item = (&SurfaceCell, usize)> {
+    cells.iter().flat_map(|cell| (0..3).filter(|&axis| cell.owns(axis)).map(move |axis| (cell, axis)))
+}
+
 /// Whether the bilinear function of an ambiguous face is inside at its saddle point (Nielson and Hamann, "The
 /// Asymptotic Decider", 1991). Both cells of a face compare the same products, so they agree.
 fn joins_inside(values: &[f32; 8], face: usize) -> bool {
@@ -69,6 +74,9 @@ fn joins_inside(values: &[f32; 8], face: usize) -> bool {
     let (first, second) = (a * c, b * d);
     if a < 0.0 { first > second } else { second > first }
 }
+
+/// Number of cells that one task processes.
+const CHUNK: usize = 1024;
 
 /// All crossed cells of a grid, sorted by z, then y, then x.
 #[derive(Debug)]
@@ -79,7 +87,8 @@ pub(crate) struct SurfaceCells {
     /// First cell of each row; rows are sorted by z, then y, from -1.
     rows: Vec<u32>,
     patches: u32,
-    edges: u32,
+    /// The cell from whose lower corner each crossed edge starts.
+    owners: Vec<u32>,
 }
 
 impl SurfaceCells {
@@ -120,16 +129,6 @@ impl SurfaceCells {
         Ok(Self::new(shape, slabs.concat()))
     }
 
-    /// The crossed cells of blocks of samples. Block `b` has `side`^3 cells from cell `origins[b]` on, and
-    /// `(side + 1)^3` samples, x fastest, from `values[b * (side + 1)^3]` on; a sample outside the grid repeats the
-    /// nearest one of the grid. The blocks must not overlap, and hold every cell that the surface passes through.
-    pub(crate) fn of_blocks(shape: [i32; 3], side: usize, origins: &[[i32; 3]], values: &[f32], level: f32) -> Self {
-        let samples = (side + 1).pow(3);
-        let blocks = origins.par_iter().zip(values.par_chunks_exact(samples));
-        let cells = blocks.flat_map_iter(|(&origin, values)| cells_of_block(shape, side, origin, values, level));
-        Self::sorted(shape, cells.collect())
-    }
-
     /// The crossed cells of a sparse field. Coarse bricks are read at every voxel centre, so bricks of different levels
     /// have the same values on their common faces.
     pub(crate) fn of_sparse<T: Texel>(
@@ -157,26 +156,32 @@ impl SurfaceCells {
         Ok(Self::sorted(shape, slabs.concat()))
     }
 
-    fn sorted(shape: [i32; 3], mut cells: Vec<SurfaceCell>) -> Self {
+    /// The surface through cells in any order.
+    pub(crate) fn sorted(shape: [i32; 3], mut cells: Vec<SurfaceCell>) -> Self {
         cells.par_sort_unstable_by_key(|cell| (cell.index[2], cell.index[1], cell.index[0]));
         Self::new(shape, cells)
     }
 
     fn new(shape: [i32; 3], cells: Vec<SurfaceCell>) -> Self {
         let row_count = (shape[1] + 1) as usize * (shape[2] + 1) as usize;
-        let mut surface = Self { shape, cells, rows: Vec::with_capacity(row_count + 1), patches: 0, edges: 0 };
+        let mut surface =
+            Self { shape, cells, rows: Vec::with_capacity(row_count + 1), patches: 0, owners: Vec::new() };
         for (i, cell) in surface.cells.iter().enumerate() {
             let row = row(&shape, cell.index[1], cell.index[2]);
             surface.rows.resize(row + 1, i as u32);
         }
         surface.rows.resize(row_count + 1, surface.cells.len() as u32);
         surface.part_doubly_joined_patches();
-        let free: Vec<u8> = surface.cells.par_iter().map(|cell| surface.free_faces(cell)).collect();
-        surface.cells.iter_mut().zip(free).for_each(|(cell, free)| cell.free = free);
-        for cell in &mut surface.cells {
-            (cell.first_patch, cell.first_edge) = (surface.patches, surface.edges);
+        let mut free = vec![0u8; surface.cells.len()];
+        free.par_chunks_mut(CHUNK).zip(surface.cells.par_chunks(CHUNK)).for_each(|(free, cells)| {
+            let mut search = surface.search();
+            free.iter_mut().zip(cells).for_each(|(free, cell)| *free = free_faces(cell, &mut search));
+        });
+        for (number, (cell, free)) in surface.cells.iter_mut().zip(free).enumerate() {
+            (cell.free, cell.first_patch, cell.first_edge) = (free, surface.patches, surface.owners.len() as u32);
             surface.patches += cell.patches().count() as u32;
-            surface.edges += (0..3).filter(|&axis| cell.owns(axis)).count() as u32;
+            let edges = (0..3).filter(|&axis| cell.owns(axis)).count();
+            surface.owners.extend(std::iter::repeat_n(number as u32, edges));
         }
         surface
     }
@@ -197,7 +202,47 @@ impl SurfaceCells {
 
     /// Number of crossed edges, one quadrilateral each.
     pub(crate) fn edge_count(&self) -> usize {
-        self.edges as usize
+        self.owners.len()
+    }
+
+    /// One value for each patch, in order. `fill` computes those of some consecutive cells.
+    pub(crate) fn for_patches<T: Copy + Send>(
+        &self,
+        empty: T,
+        fill: impl Fn(&[SurfaceCell], &mut [T]) + Sync + Send,
+    ) -> Vec<T> {
+        self.for_parts(self.patch_count(), empty, |cell| cell.first_patch, fill)
+    }
+
+    /// One value for each crossed edge, in order. `fill` computes those of some consecutive cells.
+    pub(crate) fn for_edges<T: Copy + Send>(
+        &self,
+        empty: T,
+        fill: impl Fn(&[SurfaceCell], &mut [T]) + Sync + Send,
+    ) -> Vec<T> {
+        self.for_parts(self.edge_count(), empty, |cell| cell.first_edge, fill)
+    }
+
+    /// `count` values, of which those of a cell start at the index `first`. `fill` computes those of some consecutive
+    /// cells.
+    pub(crate) fn for_parts<T: Copy + Send>(
+        &self,
+        count: usize,
+        empty: T,
+        first: impl Fn(&SurfaceCell) -> u32,
+        fill: impl Fn(&[SurfaceCell], &mut [T]) + Sync + Send,
+    ) -> Vec<T> {
+        let mut all = vec![empty; count];
+        let mut parts = Vec::with_capacity(self.cells.len().div_ceil(CHUNK));
+        let mut rest = &mut all[..];
+        for (start, cells) in (0..).step_by(CHUNK).zip(self.cells.chunks(CHUNK)) {
+            let end = self.cells.get(start + CHUNK).map_or(count, |cell| first(cell) as usize);
+            let (part, after) = rest.split_at_mut(end - first(&cells[0]) as usize);
+            parts.push((cells, part));
+            rest = after;
+        }
+        parts.into_par_iter().for_each(|(cells, part)| fill(cells, part));
+        all
     }
 
     /// The cell of a patch.
@@ -207,7 +252,7 @@ impl SurfaceCells {
 
     /// The cell from whose lower corner a crossed edge starts, and its axis.
     pub(crate) fn of_edge(&self, edge: u32) -> (&SurfaceCell, usize) {
-        let cell = &self.cells[self.cells.partition_point(|cell| cell.first_edge <= edge) - 1];
+        let cell = &self.cells[self.owners[edge as usize] as usize];
         let mut axes = (0..3).filter(|&axis| cell.owns(axis));
         // The next cell's first edge follows after one edge for each axis that this cell owns, so the axis exists.
         (cell, axes.nth((edge - cell.first_edge) as usize).expect("the edge is one of the cell's"))
@@ -218,15 +263,9 @@ impl SurfaceCells {
         self.position(index).map(|i| &self.cells[i])
     }
 
-    /// The faces of a cell that have no crossed edge and beyond which no cell is crossed, one bit per face.
-    fn free_faces(&self, cell: &SurfaceCell) -> u8 {
-        let is_free = |face: usize| {
-            let inside = face_corners(face).iter().filter(|&&corner| cell.inside >> corner & 1 == 1).count();
-            let mut next = cell.index;
-            next[face / 2] += if face % 2 == 1 { 1 } else { -1 };
-            inside % 4 == 0 && self.position(next).is_none()
-        };
-        (0..6).filter(|&face| is_free(face)).fold(0, |bits, face| bits | 1 << face)
+    /// A search for the neighbours of cells.
+    pub(crate) fn search(&self) -> NeighbourSearch<'_> {
+        NeighbourSearch { cells: self, rows: [(usize::MAX, 0); 9] }
     }
 
     fn position(&self, index: [i32; 3]) -> Option<usize> {
@@ -261,6 +300,49 @@ impl SurfaceCells {
             }
         }
     }
+}
+
+/// A search for the neighbours of cells, which takes constant time if the cells are visited in their order: each row is
+/// searched from the place of its last result.
+pub(crate) struct NeighbourSearch<'a> {
+    cells: &'a SurfaceCells,
+    /// A row and a cell of it, for each of the rows around the cell.
+    rows: [(usize, usize); 9],
+}
+
+impl<'a> NeighbourSearch<'a> {
+    /// The crossed cell whose index differs from that of `cell` by -1, 0 or 1 along each axis.
+    pub(crate) fn find(&mut self, cell: &SurfaceCell, step: [i32; 3]) -> Option<&'a SurfaceCell> {
+        let index: [i32; 3] = std::array::from_fn(|axis| cell.index[axis] + step[axis]);
+        if index.iter().zip(&self.cells.shape).any(|(&i, &n)| i < -1 || i >= n) {
+            return None;
+        }
+        let row = row(&self.cells.shape, index[1], index[2]);
+        let [first, end] = [self.cells.rows[row] as usize, self.cells.rows[row + 1] as usize];
+        let (last_row, at) = &mut self.rows[(step[1] + 1 + 3 * (step[2] + 1)) as usize];
+        if *last_row != row {
+            (*last_row, *at) = (row, first);
+        }
+        let cells = &self.cells.cells;
+        while *at < end && cells[*at].index[0] < index[0] {
+            *at += 1;
+        }
+        while *at > first && cells[*at - 1].index[0] >= index[0] {
+            *at -= 1;
+        }
+        cells[..end].get(*at).filter(|cell| cell.index[0] == index[0])
+    }
+}
+
+/// The faces of a cell that have no crossed edge and beyond which no cell is crossed, one bit per face.
+fn free_faces(cell: &SurfaceCell, search: &mut NeighbourSearch<'_>) -> u8 {
+    let mut is_free = |face: usize| {
+        let inside = face_corners(face).iter().filter(|&&corner| cell.inside >> corner & 1 == 1).count();
+        let mut step = [0; 3];
+        step[face / 2] = if face % 2 == 1 { 1 } else { -1 };
+        inside % 4 == 0 && search.find(cell, step).is_none()
+    };
+    (0..6).filter(|&face| is_free(face)).fold(0, |bits, face| bits | 1 << face)
 }
 
 /// The samples inside the solid, one bit each. Bit x + 1 of a row stands for sample x, so the padding on both sides has
@@ -303,8 +385,9 @@ impl InsideBits {
     }
 }
 
-/// The crossed cells of one block of samples; see [`SurfaceCells::of_blocks`].
-fn cells_of_block(
+/// The crossed cells of one block of samples, x fastest. It has `side`^3 cells from cell `origin` on, and
+/// `(side + 1)^3` samples; a sample outside the grid repeats the nearest one of the grid.
+pub(crate) fn cells_of_block(
     shape: [i32; 3],
     side: usize,
     origin: [i32; 3],
@@ -343,10 +426,4 @@ fn one_patch(cell: &SurfaceCell, face: usize) -> bool {
 
 fn row(shape: &[i32; 3], y: i32, z: i32) -> usize {
     (y + 1) as usize + (shape[1] + 1) as usize * (z + 1) as usize
-}
-
-/// The cell that owns an edge of `cell` (the edge starts at its lower corner), and the axis of the edge.
-pub(crate) fn owner_of(cell: &SurfaceCell, edge: usize) -> ([i32; 3], usize) {
-    let low = edge_corners(edge)[0];
-    (std::array::from_fn(|axis| cell.index[axis] + (low >> axis & 1) as i32), edge / 4)
 }

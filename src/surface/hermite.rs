@@ -5,7 +5,7 @@
 //! all of their planes, and a crossing has the mean of their normals.
 
 use super::probes::PROBES;
-use super::{Crossing, ExtraPlanes, LevelSurface};
+use super::{CrossedEdge, Crossing, ExtraPlanes, LevelSurface};
 use crate::bvh::Bvh;
 use crate::bvh::closest::ClosestPoint;
 use crate::bvh::watertight::{FaceHit, Ray};
@@ -14,6 +14,7 @@ use crate::mesh::Mesh;
 use crate::progress::Progress;
 use glam::DVec3;
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Number of crossings between two checks of the progress.
 const CHUNK: usize = 1024;
@@ -24,6 +25,9 @@ const REACH_VOXELS: f64 = 0.9;
 /// Offsets below this many voxels use the normals of faces, since the direction to the nearest point has lost its
 /// precision.
 const FLAT_VOXELS: f64 = 1e-3;
+
+/// Smallest offset, voxels, whose surface is so far from the mesh that all points near it lie on one side of the mesh.
+const FAR_VOXELS: f64 = 2.0;
 
 /// Faces are equally near if their distances differ by at most this, local units: a million roundings of float64.
 const TIE: f64 = 1e-9;
@@ -51,26 +55,54 @@ pub fn planes_of_mesh(
     if is_flat {
         mesh.ray_packs();
     }
-    crossings.par_chunks_mut(CHUNK).try_for_each_init(Vec::new, |hits, chunk| {
+    let reach = REACH_VOXELS * voxel;
+    crossings.par_chunks_mut(CHUNK).enumerate().try_for_each_init(Vec::new, |hits, (i, chunk)| {
+        let edges = (i * CHUNK..).take(chunk.len()).map(|edge| surface.edge(edge));
         if is_flat {
-            let rays: Vec<Ray> = chunk.iter().map(|crossing| ray_of_edge(surface, mesh, crossing)).collect();
+            let rays: Vec<Ray> = edges.clone().map(|edge| ray_of_edge(mesh, &edge)).collect();
             mesh.all_hits(&rays, true, hits);
         }
-        for (i, crossing) in chunk.iter_mut().enumerate().filter(|(_, crossing)| !crossing.on_box) {
+        for (i, (crossing, edge)) in
+            chunk.iter_mut().zip(edges).enumerate().filter(|(_, (crossing, _))| !crossing.on_box)
+        {
             let plane = if is_flat {
-                crossed_face(surface, mesh, crossing, &hits[i])
-                    .or_else(|| nearest_face(mesh, crossing, REACH_VOXELS * voxel))
+                crossed_face(mesh, crossing, &edge, &hits[i])
+                    .or_else(|| nearest_face(mesh, edge.at(crossing.share), crossing.normal, reach))
             } else {
-                offset_plane(mesh, crossing, offset, unsigned, REACH_VOXELS * voxel)
+                offset_plane(mesh, edge.at(crossing.share), offset, unsigned, reach)
             };
+            // The winding of the face does not matter.
             if let Some((point, normal)) = plane {
-                // The plane faces the larger values of the samples, independent of the winding of the face.
-                let outward = if normal.dot(crossing.normal) < 0.0 { -normal } else { normal };
-                (crossing.point, crossing.normal) = (point, outward);
+                crossing.set_plane(edge.at(crossing.share), point, normal);
             }
         }
         progress.advance(chunk.len() as u64)
     })
+}
+
+/// The tangent planes of the surface at the distance `offset` from `mesh` around all vertices; see [`planes_of_mesh`].
+/// None if the offset is so small that the side of the mesh on which a point lies is uncertain.
+pub fn planes_around_of_offset(
+    surface: &LevelSurface,
+    crossings: &[Crossing],
+    mesh: &Arc<Mesh>,
+    offset: f64,
+    unsigned: bool,
+    progress: &Progress,
+) -> Result<Option<ExtraPlanes>, Error> {
+    let voxel = surface.spacing.max_element();
+    if offset.abs() < FAR_VOXELS * voxel {
+        return Ok(None);
+    }
+    progress.set_total(surface.cells.cells().len() as u64);
+    mesh.bvh();
+    let mesh = Arc::clone(mesh);
+    let plane = move |place: DVec3| offset_plane(&mesh, place, offset, unsigned, REACH_VOXELS * voxel);
+    let around = |places: &[DVec3; PROBES], _: DVec3, _: &mut Vec<u32>, found: &mut Vec<(DVec3, DVec3)>| {
+        found.extend(places.iter().filter_map(|&place| plane(place)));
+    };
+    let planes = surface.planes_around(crossings, around, progress)?;
+    Ok(Some(planes.with_probe(Box::new(plane))))
 }
 
 /// The tangent planes of the faces of `mesh` around the sharp vertices. The faces must be oriented alike; `inward` tells
@@ -147,40 +179,34 @@ fn nearest_faces(
     }
 }
 
-/// The crossing's edge in local units, `t` from 0 to 1.
-fn ray_of_edge(surface: &LevelSurface, mesh: &Mesh, crossing: &Crossing) -> Ray {
-    let [origin, tip] = surface.ends(crossing).map(|end| mesh.local_from_world(end));
+/// An edge in local units, `t` from 0 to 1.
+fn ray_of_edge(mesh: &Mesh, edge: &CrossedEdge) -> Ray {
+    let [origin, tip] = [edge.start, edge.start + edge.along].map(|end| mesh.local_from_world(end));
     Ray { origin, direction: tip - origin, t_min: 0.0, t_max: 1.0 }
 }
 
 /// Moves the crossing to the nearest of the intersections of its edge with the mesh. Returns the point and the normal
 /// there.
-fn crossed_face(
-    surface: &LevelSurface,
-    mesh: &Mesh,
-    crossing: &mut Crossing,
-    hits: &[FaceHit],
-) -> Option<(DVec3, DVec3)> {
-    let away = |hit: &FaceHit| (hit.t - crossing.share).abs();
+fn crossed_face(mesh: &Mesh, crossing: &mut Crossing, edge: &CrossedEdge, hits: &[FaceHit]) -> Option<(DVec3, DVec3)> {
+    let away = |hit: &FaceHit| (hit.t - f64::from(crossing.share)).abs();
     let hit = hits.iter().min_by(|a, b| away(a).total_cmp(&away(b)))?;
-    let [start, end] = surface.ends(crossing);
-    let point = start + (end - start) * hit.t;
+    let point = edge.start + edge.along * hit.t;
     let normal = if hit.weights.iter().any(|&weight| weight <= TIE) {
         mean_normal(mesh, mesh.local_from_world(point), 0.0, crossing.normal)
     } else {
         hit.cross.try_normalize()
     };
     let normal = normal?;
-    (crossing.on_edge, crossing.share) = (point, hit.t);
+    crossing.share = hit.t as f32;
     Some((point, normal))
 }
 
-/// The nearest point of the mesh and the normal of its face.
-fn nearest_face(mesh: &Mesh, crossing: &Crossing, reach: f64) -> Option<(DVec3, DVec3)> {
-    let p = mesh.local_from_world(crossing.on_edge);
+/// The point of the mesh nearest to a world position, and the normal of its face, turned towards `side`.
+fn nearest_face(mesh: &Mesh, place: DVec3, side: DVec3, reach: f64) -> Option<(DVec3, DVec3)> {
+    let p = mesh.local_from_world(place);
     let closest = mesh.exact_closest_point(p, f64::INFINITY);
     (closest.distance * mesh.scale() <= reach).then_some(())?;
-    let normal = mean_normal(mesh, p, closest.distance, crossing.normal);
+    let normal = mean_normal(mesh, p, closest.distance, side);
     Some((mesh.world_from_local(closest.on_triangle.point), normal?))
 }
 
@@ -199,13 +225,13 @@ fn mean_normal(mesh: &Mesh, p: DVec3, distance: f64, side: DVec3) -> Option<DVec
     normals.map(|normal| if normal.dot(side) < 0.0 { -normal } else { normal }).sum::<DVec3>().try_normalize()
 }
 
-/// The tangent plane of the offset surface on the line from the nearest point of the mesh through the crossing.
-fn offset_plane(mesh: &Mesh, crossing: &Crossing, offset: f64, unsigned: bool, reach: f64) -> Option<(DVec3, DVec3)> {
-    let closest = mesh.closest_point(mesh.local_from_world(crossing.on_edge));
+/// The tangent plane of the offset surface on the line from the nearest point of the mesh through a world position.
+fn offset_plane(mesh: &Mesh, place: DVec3, offset: f64, unsigned: bool, reach: f64) -> Option<(DVec3, DVec3)> {
+    let closest = mesh.closest_point(mesh.local_from_world(place));
     let distance = closest.distance * mesh.scale();
     ((distance - offset.abs()).abs() <= reach && distance > 0.0).then_some(())?;
     let nearest = mesh.world_from_local(closest.on_triangle.point);
-    let away = (crossing.on_edge - nearest).normalize_or_zero();
+    let away = (place - nearest).normalize_or_zero();
     let outward = if unsigned || offset > 0.0 { away } else { -away };
     (outward != DVec3::ZERO).then_some((nearest + outward * offset, outward))
 }

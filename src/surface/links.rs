@@ -1,7 +1,7 @@
 //! The crossed edges that bound each patch, and the patches around each crossed edge.
 
-use super::cells::{SurfaceCell, SurfaceCells, owner_of};
-use rayon::prelude::*;
+use super::cells::{NeighbourSearch, SurfaceCell, SurfaceCells};
+use super::patches::edge_corners;
 
 /// The incidence of patches and crossed edges, by their indices.
 #[derive(Debug)]
@@ -21,7 +21,11 @@ impl PatchLinks {
             count += patch.count_ones();
             firsts.push(count);
         }
-        let edges: Vec<u32> = cells.cells().par_iter().flat_map_iter(|cell| edges_of_cell(cells, cell)).collect();
+        let first = |cell: &SurfaceCell| firsts[cell.first_patch as usize];
+        let edges = cells.for_parts(count as usize, 0, first, |cells_of_part, edges| {
+            let (mut search, mut edges) = (cells.search(), edges.iter_mut());
+            cells_of_part.iter().for_each(|cell| edges_of_cell(cell, &mut search, &mut edges));
+        });
         let mut around = vec![[0; 4]; cells.edge_count()];
         let mut entries = edges.iter();
         for cell in cells.cells() {
@@ -48,20 +52,23 @@ impl PatchLinks {
 }
 
 /// Edges of a cell in a set of edges.
-fn edges_of(patch: u16) -> impl Iterator<Item = usize> {
+pub(super) fn edges_of(patch: u16) -> impl Iterator<Item = usize> {
     (0..12).filter(move |edge| patch >> edge & 1 == 1)
 }
 
-/// Indices of the crossed edges of a cell, patch by patch.
-fn edges_of_cell(cells: &SurfaceCells, cell: &SurfaceCell) -> impl Iterator<Item = u32> {
-    // A cell has a few owners of edges, so each is searched once.
+/// Indices of the crossed edges of a cell, patch by patch, into the next entries of `out`.
+fn edges_of_cell<'a>(
+    cell: &SurfaceCell,
+    search: &mut NeighbourSearch<'_>,
+    out: &mut impl Iterator<Item = &'a mut u32>,
+) {
+    // A cell has a few owners of edges, so each is searched once. An edge starts at the lower corner of its owner.
     let mut owners: [Option<&SurfaceCell>; 8] = [None; 8];
-    cell.patches().flat_map(edges_of).map(move |edge| {
-        let (index, axis) = owner_of(cell, edge);
-        let offset: usize = (0..3).map(|axis| ((index[axis] - cell.index[axis]) as usize) << axis).sum();
-        let owner = owners[offset].or_else(|| cells.find(index));
-        owners[offset] = owner;
+    for (edge, out) in cell.patches().flat_map(edges_of).zip(out) {
+        let low = edge_corners(edge)[0];
+        let step = std::array::from_fn(|axis| (low >> axis & 1) as i32);
+        owners[low] = owners[low].or_else(|| search.find(cell, step));
         // The cell that owns a crossed edge is crossed, so it is found.
-        owner.map_or(0, |owner| owner.edge(axis))
-    })
+        *out = owners[low].map_or(0, |owner| owner.edge(edge / 4));
+    }
 }

@@ -1,13 +1,16 @@
 //! Vertices and faces of the dual mesh.
 
-use super::cells::SurfaceCell;
-use super::probes::ExtraPlanes;
+use super::cells::{SurfaceCell, edges_from};
+use super::links::{PatchLinks, edges_of};
+use super::patches::edge_corners;
+use super::probes::{ExtraPlanes, PatchRegion};
 use super::qef::Planes;
 use super::quad::Quad;
 use super::{Crossing, LevelSurface, MARGIN, MeshOptions};
 use crate::volume::{trilinear, trilinear_gradient};
 use glam::DVec3;
 use rayon::prelude::*;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Number of steps of Newton's method onto the trilinear surface. Each squares the error, which is below a voxel at the
 /// start.
@@ -44,21 +47,31 @@ type Meeting = (([i32; 3], usize), u32, u32);
 impl LevelSurface {
     /// The mesh over `crossings`, one entry per crossed edge as [`LevelSurface::crossings`] returns them, and over the
     /// planes that probes have found.
-    pub fn mesh(&self, crossings: &[Crossing], extra: &ExtraPlanes, options: MeshOptions) -> SurfaceMesh {
+    ///
+    /// Everything that the faces do not need is freed before they are made.
+    pub fn into_mesh(self, crossings: Vec<Crossing>, extra: ExtraPlanes, options: MeshOptions) -> SurfaceMesh {
+        let (vertices, quads) = self.settled(&crossings, &extra, options);
+        let is_open = if options.capped { Vec::new() } else { on_box(&crossings) };
+        let links = self.links;
+        drop((self.cells, crossings, extra));
+        SurfaceMesh::new(vertices, &quads, &links, &is_open)
+    }
+
+    /// As [`Self::into_mesh`], but keeps the surface.
+    #[cfg(test)]
+    pub(super) fn mesh(&self, crossings: &[Crossing], extra: &ExtraPlanes, options: MeshOptions) -> SurfaceMesh {
+        let (vertices, quads) = self.settled(crossings, extra, options);
+        let is_open = if options.capped { Vec::new() } else { on_box(crossings) };
+        SurfaceMesh::new(vertices, &quads, &self.links, &is_open)
+    }
+
+    /// The vertices of all patches and the quadrilaterals around all crossed edges.
+    fn settled(&self, crossings: &[Crossing], extra: &ExtraPlanes, options: MeshOptions) -> (Vertices, Vec<Quad>) {
         assert_eq!(crossings.len(), self.edge_count(), "one crossing for each crossed edge");
         // Only planes of a source justify a vertex outside its cell; planes of the samples alone do not.
         let mut vertices = self.vertices(crossings, extra, options, options.sharp && !extra.is_empty());
         let quads = self.settle(&mut vertices, crossings, extra);
-        let faces: Vec<[[u32; 3]; 2]> = quads
-            .par_iter()
-            .zip(crossings)
-            .filter(|(_, crossing)| options.capped || !crossing.on_box)
-            .map(|(quad, _)| quad.triangles())
-            .collect();
-        let faces = faces.into_flattened();
-        let clamped = vertices.is_clamped.iter().filter(|&&is_clamped| is_clamped).count();
-        let mesh = SurfaceMesh { vertices: vertices.places, faces, clamped };
-        if options.capped { mesh } else { mesh.without_unused_vertices() }
+        (vertices, quads)
     }
 
     /// The vertices of all patches. `free` vertices may lie outside their cell where that folds no face.
@@ -69,17 +82,22 @@ impl LevelSurface {
         options: MeshOptions,
         free: bool,
     ) -> Vertices {
-        let placed: Vec<(DVec3, bool)> = self
-            .cells
-            .cells()
-            .par_iter()
-            .flat_map_iter(|cell| {
-                (cell.first_patch..)
-                    .zip(cell.patches())
-                    .map(move |(id, _)| self.vertex(cell, id, crossings, extra.of(id), options, free))
-            })
-            .collect();
-        let (places, is_clamped) = placed.into_iter().unzip();
+        let is_clamped: Vec<AtomicBool> = (0..self.cells.patch_count()).map(|_| AtomicBool::new(false)).collect();
+        let places = self.cells.for_patches(DVec3::ZERO, |cells, places| {
+            let mut own = Vec::new();
+            for ((cell, id), place) in patches_of(cells).zip(places) {
+                let mut placed = self.vertex(cell, id, crossings, extra.of(id), options, free);
+                let probe = extra.probe().filter(|_| options.sharp && extra.of(id).is_empty());
+                if let Some((point, normal)) = probe.and_then(|probe| probe(placed.0)) {
+                    own.clear();
+                    PatchRegion::new(self, cell, id, crossings).join(&mut own, point, normal);
+                    placed = self.vertex(cell, id, crossings, &own, options, free);
+                }
+                *place = placed.0;
+                is_clamped[id as usize].store(placed.1, Ordering::Relaxed);
+            }
+        });
+        let is_clamped = is_clamped.into_iter().map(AtomicBool::into_inner).collect();
         let mut vertices = Vertices { places, is_clamped };
         if !extra.is_empty() {
             self.free_clamped(&mut vertices, crossings, extra);
@@ -112,11 +130,7 @@ impl LevelSurface {
     /// grid through a cell that has a patch of its own.
     fn free_clamped(&self, vertices: &mut Vertices, crossings: &[Crossing], extra: &ExtraPlanes) {
         let Vertices { places: vertices, is_clamped } = vertices;
-        let patches = self.cells.cells().iter().flat_map(|cell| {
-            let ids = (cell.first_patch..).take(cell.patches().count());
-            ids.map(move |id| (cell, id))
-        });
-        let mut waiting: Vec<(&SurfaceCell, u32, DVec3)> = patches
+        let mut waiting: Vec<(&SurfaceCell, u32, DVec3)> = patches_of(self.cells.cells())
             .filter(|&(_, id)| is_clamped[id as usize])
             .map(|(cell, id)| {
                 let [lower, upper] = self.region(cell, cell.free);
@@ -187,7 +201,7 @@ impl LevelSurface {
         let mut has_moved = false;
         loop {
             let mut moved = Vec::new();
-            for id in self.misplaced(&met, quads).into_iter().flat_map(|quad| quads[quad as usize].corners) {
+            for id in self.misplaced(&met, quads).into_iter().flat_map(|edge| self.links.patches_around(edge)) {
                 let cell = self.cells.of_patch(id);
                 let corner = self.world(cell.index, DVec3::ZERO);
                 let place = vertices[id as usize] - corner;
@@ -223,7 +237,7 @@ impl LevelSurface {
             return Vec::new();
         }
         let (cell, axis) = self.cells.of_edge(edge);
-        let places = quad.corners.map(|i| (vertices[i as usize] - self.lower) / self.spacing - 0.5);
+        let places = corners(&self.links, edge, quad).map(|i| (vertices[i as usize] - self.lower) / self.spacing - 0.5);
         let met = quad.met_edges(places).into_iter().map(|met| (met, edge, 1));
         met.chain([((cell.index, axis), edge, 0)]).collect()
     }
@@ -251,12 +265,6 @@ impl LevelSurface {
             quads[edge as usize] = self.quad(cell, axis, vertices);
         }
         edges
-    }
-
-    /// The crossed edges in their order: the cell from whose lower corner each starts, and its axis.
-    fn edge_owners(&self) -> impl ParallelIterator<Item = (&SurfaceCell, usize)> {
-        let cells = self.cells.cells().par_iter();
-        cells.flat_map_iter(|cell| (0..3).filter(|&axis| cell.owns(axis)).map(move |axis| (cell, axis)))
     }
 
     /// The crossings of the edges of a patch.
@@ -303,10 +311,14 @@ impl LevelSurface {
         crossings: &[Crossing],
         extra: &[(DVec3, DVec3)],
     ) -> Planes {
-        let corner = self.world(cell.index, DVec3::ZERO);
         let mut planes = Planes::new();
-        for crossing in self.crossings_of(id, crossings) {
-            planes.add(crossing.on_edge - corner, crossing.point - corner, crossing.normal);
+        // A cell has four patches at most, so the patch with this index is there.
+        let edges = cell.patches().nth((id - cell.first_patch) as usize).unwrap_or(0);
+        for (edge, crossing) in edges_of(edges).zip(self.crossings_of(id, crossings)) {
+            let low = edge_corners(edge)[0];
+            let mut on_edge = DVec3::new((low & 1) as f64, (low >> 1 & 1) as f64, (low >> 2) as f64);
+            on_edge[edge / 4] = f64::from(crossing.share);
+            planes.add(on_edge * self.spacing, crossing.normal, crossing.height);
         }
         for &(point, normal) in extra {
             planes.add_plane(point, normal);
@@ -357,7 +369,11 @@ impl LevelSurface {
 
     /// The quadrilaterals around all crossed edges, in their order.
     fn quads(&self, vertices: &[DVec3]) -> Vec<Quad> {
-        self.edge_owners().map(|(cell, axis)| self.quad(cell, axis, vertices)).collect()
+        self.cells.for_edges(Quad::default(), |cells, quads| {
+            for ((cell, axis), quad) in edges_from(cells).zip(quads) {
+                *quad = self.quad(cell, axis, vertices);
+            }
+        })
     }
 
     /// The quadrilateral around the crossed edge from the lower corner of `cell` along `axis`.
@@ -370,11 +386,45 @@ impl LevelSurface {
         }
         let start = self.world(cell.index, DVec3::ZERO);
         let places = corners.map(|i| (vertices[i as usize] - start) / self.spacing);
-        Quad::new(corners, places, axis, far_is_outside)
+        Quad::new(places, axis, far_is_outside)
     }
 }
 
+/// The patches of some cells: the cell, and the index among all patches.
+pub(super) fn patches_of(cells: &[SurfaceCell]) -> impl Iterator<Item = (&SurfaceCell, u32)> {
+    cells.iter().flat_map(|cell| (cell.first_patch..).zip(cell.patches()).map(move |(id, _)| (cell, id)))
+}
+
+/// The vertices of the quadrilateral around a crossed edge, counter-clockwise seen from outside.
+fn corners(links: &PatchLinks, edge: u32, quad: &Quad) -> [u32; 4] {
+    let mut corners = links.patches_around(edge);
+    if !quad.far_is_outside {
+        corners.reverse();
+    }
+    corners
+}
+
+/// Whether each crossed edge leaves the box.
+fn on_box(crossings: &[Crossing]) -> Vec<bool> {
+    crossings.iter().map(|crossing| crossing.on_box).collect()
+}
+
 impl SurfaceMesh {
+    /// The mesh of all quadrilaterals, without those around the edges that `is_open` marks; it may be empty.
+    fn new(vertices: Vertices, quads: &[Quad], links: &PatchLinks, is_open: &[bool]) -> Self {
+        let mut faces = vec![[[0; 3]; 2]; quads.len()];
+        let numbered = faces.par_iter_mut().zip(quads.par_iter().enumerate());
+        numbered.for_each(|(faces, (edge, quad))| *faces = quad.triangles(corners(links, edge as u32, quad)));
+        let clamped = vertices.is_clamped.iter().filter(|&&is_clamped| is_clamped).count();
+        let capped = Self { vertices: vertices.places, faces: Vec::new(), clamped };
+        if is_open.is_empty() {
+            return Self { faces: faces.into_flattened(), ..capped };
+        }
+        let mut is_open = is_open.iter();
+        faces.retain(|_| is_open.next().is_some_and(|is_open| !is_open));
+        Self { faces: faces.into_flattened(), ..capped }.without_unused_vertices()
+    }
+
     fn without_unused_vertices(self) -> Self {
         let mut number = vec![u32::MAX; self.vertices.len()];
         self.faces.iter().flatten().for_each(|&i| number[i as usize] = 0);

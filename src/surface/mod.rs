@@ -22,11 +22,12 @@
 //!
 //! # Practice
 //!
-//! Call [`LevelSurface::of_field`] or [`LevelSurface::of_blocks`], then [`LevelSurface::crossings`]. A source may
+//! Call [`LevelSurface::of_field`] or [`SurfaceBlocks::surface`], then [`LevelSurface::crossings`]. A source may
 //! replace the planes of the crossings by its own; it then calls [`LevelSurface::probes`] and
-//! [`LevelSurface::join_planes`]. [`LevelSurface::mesh`] comes last. The result does not depend on the number of
+//! [`LevelSurface::join_planes`]. [`LevelSurface::into_mesh`] comes last. The result does not depend on the number of
 //! threads.
 
+mod blocks;
 pub(crate) mod cells;
 mod hermite;
 mod links;
@@ -37,7 +38,8 @@ pub(crate) mod qef;
 mod quad;
 mod separate;
 
-pub use hermite::{planes_around_of_mesh, planes_of_mesh};
+pub use blocks::SurfaceBlocks;
+pub use hermite::{planes_around_of_mesh, planes_around_of_offset, planes_of_mesh};
 pub use mesh::SurfaceMesh;
 pub use probes::{ExtraPlanes, Probes};
 
@@ -46,10 +48,9 @@ use crate::grid::Grid;
 use crate::progress::Progress;
 use crate::volume::sparse::SparseView;
 use crate::volume::{FieldView, Texel, Trilinear};
-use cells::{SurfaceCell, SurfaceCells};
+use cells::{NeighbourSearch, SurfaceCell, SurfaceCells, edges_from};
 use glam::DVec3;
 use links::PatchLinks;
-use rayon::prelude::*;
 
 /// Smallest distance of a vertex from the faces of its cell, voxels.
 pub const MARGIN: f64 = 1.0 / 1024.0;
@@ -77,18 +78,40 @@ pub struct LevelSurface {
 /// The tangent plane of the surface where an edge crosses it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Crossing {
-    /// Position of the crossing, world units.
-    pub on_edge: DVec3,
-    /// Axis that the edge is parallel to.
-    pub axis: u8,
-    /// Fraction of the edge before the crossing, from 0 to 1.
-    pub share: f64,
-    /// A point of the plane, world units.
-    pub point: DVec3,
-    /// Unit normal, towards larger values.
+    /// Unit normal of the plane, towards larger values.
     pub normal: DVec3,
+    /// Distance from the crossing to the plane along the normal, world units.
+    pub height: f64,
+    /// Fraction of the edge before the crossing, from 0 to 1.
+    pub share: f32,
     /// Whether the edge leaves the box: the plane is then a face of the box.
     pub on_box: bool,
+}
+
+impl Crossing {
+    /// Replaces the plane by one through `point`. `on_edge` is the crossing, and the normal of the plane may face either
+    /// side.
+    pub(crate) fn set_plane(&mut self, on_edge: DVec3, point: DVec3, normal: DVec3) {
+        // The plane faces the larger values of the samples.
+        self.normal = if normal.dot(self.normal) < 0.0 { -normal } else { normal };
+        self.height = (point - on_edge).dot(self.normal);
+    }
+}
+
+/// A crossed edge of the grid.
+#[derive(Debug, Clone, Copy)]
+pub struct CrossedEdge {
+    /// The voxel centre where it starts, world units.
+    pub start: DVec3,
+    /// From its start to its end, world units.
+    pub along: DVec3,
+}
+
+impl CrossedEdge {
+    /// The point at a fraction of the edge.
+    pub fn at(&self, share: f32) -> DVec3 {
+        self.start + self.along * f64::from(share)
+    }
 }
 
 impl LevelSurface {
@@ -97,28 +120,6 @@ impl LevelSurface {
         check_level(level)?;
         check_shape(field.grid().shape)?;
         Ok(Self::new(field.grid(), SurfaceCells::of_field(field, level, progress)?))
-    }
-
-    /// The surface in blocks of samples; see [`SurfaceCells::of_blocks`].
-    pub fn of_blocks(
-        grid: &Grid,
-        side: usize,
-        origins: &[[i32; 3]],
-        values: &[f32],
-        level: f32,
-    ) -> Result<Self, Error> {
-        check_level(level)?;
-        check_shape(grid.shape)?;
-        let samples = (side + 1).pow(3);
-        if values.len() != origins.len() * samples {
-            let problem = format!("{} blocks need {samples} values each, got {}", origins.len(), values.len());
-            return Err(ArgumentError::new("values", problem).into());
-        }
-        if values.iter().any(|value| !value.is_finite()) {
-            return Err(ArgumentError::new("values", "must be finite").into());
-        }
-        let cells = SurfaceCells::of_blocks(grid.shape.map(|n| n as i32), side, origins, values, level);
-        Ok(Self::new(grid, cells))
     }
 
     /// The surface where a sparse field equals `level`. Bricks are stored within the band alone, so a level beyond what
@@ -156,26 +157,25 @@ impl LevelSurface {
     /// The crossings of all crossed edges, in order of their cells, from the samples alone: the root of the linear
     /// function along the edge, and the gradient of the samples there by central differences.
     pub fn crossings(&self) -> Vec<Crossing> {
-        self.cells
-            .cells()
-            .par_iter()
-            .flat_map_iter(|cell| (0..3).filter(|&axis| cell.owns(axis)).map(|axis| self.crossing(cell, axis)))
-            .collect()
+        let empty = Crossing { normal: DVec3::ZERO, height: 0.0, share: 0.0, on_box: false };
+        self.cells.for_edges(empty, |cells, crossings| {
+            let mut search = self.cells.search();
+            for ((cell, axis), crossing) in edges_from(cells).zip(crossings) {
+                *crossing = self.crossing(cell, axis, &mut search);
+            }
+        })
     }
 
-    fn crossing(&self, cell: &SurfaceCell, axis: usize) -> Crossing {
+    fn crossing(&self, cell: &SurfaceCell, axis: usize, search: &mut NeighbourSearch<'_>) -> Crossing {
         let far = 1 << axis;
         let [start, end] = [cell.values[0], cell.values[far]].map(f64::from);
         let share = start / (start - end);
-        let mut fraction = DVec3::ZERO;
-        fraction[axis] = share;
-        let on_edge = self.world(cell.index, fraction);
         let mut gradient = DVec3::ZERO;
         gradient[axis] = end - start;
         let on_box = self.is_padding(cell.index[axis], axis) || self.is_padding(cell.index[axis] + 1, axis);
         if !on_box {
             for other in (0..3).filter(|&other| other != axis) {
-                gradient[other] = self.slope(cell, [0, far], share, other);
+                gradient[other] = self.slope(cell, [0, far], share, other, search);
             }
         }
         let gradient = gradient / self.spacing;
@@ -183,22 +183,29 @@ impl LevelSurface {
         if normal == DVec3::ZERO {
             normal[axis] = (end - start).signum();
         }
-        Crossing { on_edge, axis: axis as u8, share, point: on_edge, normal, on_box }
+        Crossing { normal, height: 0.0, share: share as f32, on_box }
     }
 
     /// Difference of the field along the axis `other`, per voxel, at a fraction of the way from one corner of the cell
     /// to the next: the mean of the differences on both sides, or the one that does not use the padding.
-    fn slope(&self, cell: &SurfaceCell, corners: [usize; 2], share: f64, other: usize) -> f64 {
+    fn slope(
+        &self,
+        cell: &SurfaceCell,
+        corners: [usize; 2],
+        share: f64,
+        other: usize,
+        search: &mut NeighbourSearch<'_>,
+    ) -> f64 {
         let step = 1 << other;
         let between = |cell: &SurfaceCell, offset: usize| {
             let [start, end] = corners.map(|corner| f64::from(cell.values[corner | offset]));
             start + (end - start) * share
         };
-        let mut before = cell.index;
-        before[other] -= 1;
+        let mut before = [0; 3];
+        before[other] = -1;
         let upper = (!self.is_padding(cell.index[other] + 1, other)).then(|| between(cell, step) - between(cell, 0));
-        let lower = (!self.is_padding(before[other], other))
-            .then(|| self.cells.find(before))
+        let lower = (!self.is_padding(cell.index[other] - 1, other))
+            .then(|| search.find(cell, before))
             .flatten()
             .map(|cell| between(cell, step) - between(cell, 0));
         match (lower, upper) {
@@ -208,12 +215,12 @@ impl LevelSurface {
         }
     }
 
-    /// The voxel centres that a crossed edge joins, world units.
-    pub fn ends(&self, crossing: &Crossing) -> [DVec3; 2] {
-        let mut step = DVec3::ZERO;
-        step[usize::from(crossing.axis)] = self.spacing[usize::from(crossing.axis)];
-        let start = crossing.on_edge - step * crossing.share;
-        [start, start + step]
+    /// The crossed edge with an index among all crossed edges.
+    pub fn edge(&self, edge: usize) -> CrossedEdge {
+        let (cell, axis) = self.cells.of_edge(edge as u32);
+        let mut along = DVec3::ZERO;
+        along[axis] = self.spacing[axis];
+        CrossedEdge { start: self.world(cell.index, DVec3::ZERO), along }
     }
 
     /// Whether a voxel index along an axis lies outside the grid.

@@ -7,6 +7,7 @@
 //! no probes there: the planes at the crossings are the faces themselves.
 
 use super::cells::SurfaceCell;
+use super::mesh::patches_of;
 use super::{Crossing, LevelSurface, MeshOptions};
 use crate::error::Error;
 use crate::progress::Progress;
@@ -48,12 +49,17 @@ pub struct Probes {
     patches: Vec<u32>,
 }
 
+/// Evaluates the tangent plane nearest to a world position: a point of it and its unit normal.
+pub(super) type Probe = dyn Fn(DVec3) -> Option<(DVec3, DVec3)> + Send + Sync;
+
 /// Planes that joined the patches: a point, relative to the lower corner of the cell, and a unit normal.
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub struct ExtraPlanes {
     /// First plane of each patch, and the number of planes at the end; empty without planes.
     firsts: Vec<u32>,
     planes: Vec<(DVec3, DVec3)>,
+    /// Evaluates the plane of a patch without planes when its vertex is placed, so that it is not stored.
+    probe: Option<Box<Probe>>,
 }
 
 impl ExtraPlanes {
@@ -63,12 +69,22 @@ impl ExtraPlanes {
             *end += count;
             Some(*end)
         });
-        Self { firsts: std::iter::once(0).chain(ends).collect(), planes }
+        Self { firsts: std::iter::once(0).chain(ends).collect(), planes, probe: None }
+    }
+
+    /// These planes, and those that `probe` evaluates at the vertices of all other patches.
+    pub(super) fn with_probe(self, probe: Box<Probe>) -> Self {
+        Self { probe: Some(probe), ..self }
     }
 
     /// Whether no plane has joined.
     pub(super) fn is_empty(&self) -> bool {
-        self.planes.is_empty()
+        self.planes.is_empty() && self.probe.is_none()
+    }
+
+    /// Evaluates the plane of a patch without planes.
+    pub(super) fn probe(&self) -> Option<&Probe> {
+        self.probe.as_deref()
     }
 
     /// The planes of a patch.
@@ -81,7 +97,7 @@ impl ExtraPlanes {
 }
 
 /// A patch that planes may join.
-struct PatchRegion<'a> {
+pub(super) struct PatchRegion<'a> {
     surface: &'a LevelSurface,
     /// Lower corner of its cell, world units.
     corner: DVec3,
@@ -93,7 +109,7 @@ struct PatchRegion<'a> {
 }
 
 impl<'a> PatchRegion<'a> {
-    fn new(surface: &'a LevelSurface, cell: &SurfaceCell, id: u32, crossings: &[Crossing]) -> Self {
+    pub(super) fn new(surface: &'a LevelSurface, cell: &SurfaceCell, id: u32, crossings: &[Crossing]) -> Self {
         let [lower, upper] = surface.region(cell, cell.free);
         let normal: DVec3 = surface.crossings_of(id, crossings).map(|crossing| crossing.normal).sum();
         let corner = surface.world(cell.index, DVec3::ZERO);
@@ -102,7 +118,7 @@ impl<'a> PatchRegion<'a> {
 
     /// Adds the plane through the world position `point` to `planes`, unless it is not finite, does not belong to the
     /// patch, or is known already.
-    fn join(&self, planes: &mut Vec<(DVec3, DVec3)>, point: DVec3, normal: DVec3) {
+    pub(super) fn join(&self, planes: &mut Vec<(DVec3, DVec3)>, point: DVec3, normal: DVec3) {
         let Some(normal) = normal.try_normalize().filter(|_| point.is_finite()) else { return };
         let point = point - self.corner;
         let reach = self.surface.spacing * REACH;
@@ -164,15 +180,13 @@ impl LevelSurface {
         let chunks = self.cells.cells().par_chunks(CHUNK).map(|cells| {
             let (mut counts, mut all) = (Vec::with_capacity(cells.len()), Vec::new());
             let (mut own, mut known, mut found) = (Vec::new(), Vec::new(), Vec::new());
-            for (cell, id) in
-                cells.iter().flat_map(|cell| (cell.first_patch..).zip(cell.patches()).map(move |(id, _)| (cell, id)))
-            {
+            for (cell, id) in patches_of(cells) {
                 own.clear();
                 known.clear();
                 if is_sharp[id as usize] {
                     let region = PatchRegion::new(self, cell, id, crossings);
                     let mut before = DVec3::INFINITY;
-                    let mut near = self.crossings_of(id, crossings).next().map_or(region.corner, |first| first.point);
+                    let mut near = self.point_near(id, crossings);
                     for _ in 0..ROUNDS {
                         let vertex = self.vertex(cell, id, crossings, &own, options, true).0;
                         if (vertex - before).abs().cmple(self.spacing * MOVED).all() {
@@ -198,21 +212,24 @@ impl LevelSurface {
         Ok(ExtraPlanes::new(counts, planes))
     }
 
+    /// A point of the plane at the first crossing of a patch, world units.
+    fn point_near(&self, id: u32, crossings: &[Crossing]) -> DVec3 {
+        // A patch has three crossed edges or more.
+        let edge = self.links.edges_of(id)[0] as usize;
+        let crossing = &crossings[edge];
+        self.edge(edge).at(crossing.share) + crossing.normal * crossing.height
+    }
+
     /// Patches with different normals, and their neighbours.
     fn sharp_patches(&self, crossings: &[Crossing]) -> Vec<bool> {
-        let own: Vec<bool> = self
-            .cells
-            .cells()
-            .par_iter()
-            .flat_map_iter(|cell| {
-                (cell.first_patch..).zip(cell.patches()).map(move |(id, _)| {
-                    let mut normals = self.crossings_of(id, crossings).map(|crossing| crossing.normal);
-                    let first = normals.next().unwrap_or(DVec3::X);
-                    // The angle to the first normal is at least half of the largest angle.
-                    normals.any(|normal| normal.dot(first) < SHARP_COSINE)
-                })
-            })
-            .collect();
+        let own = self.cells.for_patches(false, |cells, is_sharp| {
+            for ((_, id), is_sharp) in patches_of(cells).zip(is_sharp) {
+                let mut normals = self.crossings_of(id, crossings).map(|crossing| crossing.normal);
+                let first = normals.next().unwrap_or(DVec3::X);
+                // The angle to the first normal is at least half of the largest angle.
+                *is_sharp = normals.any(|normal| normal.dot(first) < SHARP_COSINE);
+            }
+        });
         let mut all = own.clone();
         for edge in 0..self.edge_count() as u32 {
             let around = self.links.patches_around(edge);

@@ -41,17 +41,23 @@ impl Planes {
         Self { matrix: DMat3::ZERO, ..Self::default() }
     }
 
-    /// Adds the plane through `point` with the unit normal `normal`; `crossing` contributes to the mean.
-    pub(crate) fn add(&mut self, crossing: DVec3, point: DVec3, normal: DVec3) {
-        self.add_plane(point, normal);
+    /// Adds the plane with the unit normal `normal` at the distance `height` from `crossing`, which contributes to the
+    /// mean.
+    pub(crate) fn add(&mut self, crossing: DVec3, normal: DVec3, height: f64) {
+        self.add_normal(normal, normal.dot(crossing) + height);
         self.mean += crossing;
         self.count += 1.0;
     }
 
     /// Adds the plane through `point` with the unit normal `normal`, which no edge crosses.
     pub(crate) fn add_plane(&mut self, point: DVec3, normal: DVec3) {
+        self.add_normal(normal, normal.dot(point));
+    }
+
+    /// Adds the plane of the points `p` with `normal . p = distance`.
+    fn add_normal(&mut self, normal: DVec3, distance: f64) {
         self.matrix += DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
-        self.vector += normal * normal.dot(point);
+        self.vector += normal * distance;
     }
 
     /// The mean of the crossings.
@@ -126,7 +132,7 @@ mod tests {
     fn planes(list: &[(DVec3, DVec3)]) -> Planes {
         let mut planes = Planes::new();
         for &(point, normal) in list {
-            planes.add(point, point, normal);
+            planes.add(point, normal, 0.0);
         }
         planes
     }
@@ -154,7 +160,8 @@ mod tests {
         for turn in [0.0, 120.0, 240.0f64] {
             let (y, x) = turn.to_radians().sin_cos();
             let normal = DVec3::new(x * sine, y * sine, cosine);
-            planes.add(corner - DVec3::new(0.3, 0.4, 0.0), corner, normal);
+            let crossing = corner - DVec3::new(0.3, 0.4, 0.0);
+            planes.add(crossing, normal, normal.dot(corner - crossing));
         }
         let found = planes.minimum(DVec3::ZERO, DVec3::ONE);
         assert!(!found.clamped);

@@ -9,10 +9,10 @@ use super::MARGIN;
 use glam::{DVec2, DVec3};
 
 /// The four vertices around a crossed edge.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Quad {
-    /// Indices of the vertices, counter-clockwise seen from outside.
-    pub corners: [u32; 4],
+    /// Whether the far end of the edge is outside; its corners are counter-clockwise seen from outside.
+    pub far_is_outside: bool,
     /// Whether the first and the third corner are joined, else the second and the fourth.
     joins_first: bool,
     /// Whether both divisions fold a triangle over, as seen along the edge.
@@ -25,7 +25,7 @@ impl Quad {
     /// `places` has the positions of the corners relative to the start of the edge, voxels. The edge is one voxel long
     /// and parallel to `axis`. The corners are counter-clockwise seen from the far end if `far_is_outside`.
     #[inline]
-    pub(super) fn new(corners: [u32; 4], places: [DVec3; 4], axis: usize, far_is_outside: bool) -> Self {
+    pub(super) fn new(places: [DVec3; 4], axis: usize, far_is_outside: bool) -> Self {
         let (u, v) = if far_is_outside { ((axis + 1) % 3, (axis + 2) % 3) } else { ((axis + 2) % 3, (axis + 1) % 3) };
         let [a, b, c, d] = [0, 1, 2, 3].map(|i: usize| DVec2::new(places[i][u], places[i][v]));
         // Twice the area of the smaller triangle of each division, voxels squared; negative if it is folded over.
@@ -42,17 +42,17 @@ impl Quad {
         let is_in_cell = |p: &DVec3| p[u].abs() < 1.0 && p[v].abs() < 1.0 && p[axis] > 0.0 && p[axis] < 1.0;
         let turns = a.perp_dot(b) > 0.0 && b.perp_dot(c) > 0.0 && c.perp_dot(d) > 0.0 && d.perp_dot(a) > 0.0;
         let is_around = turns && places.iter().all(is_in_cell);
-        Self { corners, joins_first, folds: first <= limit && second <= limit, is_around }
+        Self { far_is_outside, joins_first, folds: first <= limit && second <= limit, is_around }
     }
 
-    /// Positions in `corners` of the corners of both triangles.
+    /// Positions among the four corners of the corners of both triangles.
     fn indices(&self) -> [[usize; 3]; 2] {
         if self.joins_first { [[0, 1, 2], [0, 2, 3]] } else { [[1, 2, 3], [1, 3, 0]] }
     }
 
-    /// Both triangles, as indices of vertices.
-    pub(super) fn triangles(&self) -> [[u32; 3]; 2] {
-        self.indices().map(|triangle| triangle.map(|i| self.corners[i]))
+    /// Both triangles, as indices of vertices. `corners` are the vertices of the quadrilateral.
+    pub(super) fn triangles(&self, corners: [u32; 4]) -> [[u32; 3]; 2] {
+        self.indices().map(|triangle| triangle.map(|i| corners[i]))
     }
 
     /// The edges of the grid that the triangles meet: the index of the sample where each starts, and its axis. `places`
@@ -90,7 +90,7 @@ mod tests {
     use super::*;
 
     fn quad(places: [[f64; 3]; 4]) -> Quad {
-        Quad::new([0, 1, 2, 3], places.map(DVec3::from_array), 2, true)
+        Quad::new(places.map(DVec3::from_array), 2, true)
     }
 
     #[test]

@@ -64,11 +64,14 @@ impl LevelSurface {
 /// the position, from 1, and their index.
 fn equal_positions(vertices: &[DVec3]) -> Vec<(u32, u32)> {
     // The sum with zero turns -0 into 0.
-    let key = |id: usize| vertices[id].as_vec3().to_array().map(|x| (x + 0.0).to_bits());
-    let mut keys: Vec<([u32; 3], u32)> = (0..vertices.len()).into_par_iter().map(|id| (key(id), id as u32)).collect();
+    let key = |id: usize| {
+        let [x, y, z] = vertices[id].as_vec3().to_array().map(|x| (x + 0.0).to_bits());
+        (u64::from(x) << 32 | u64::from(y), z, id as u32)
+    };
+    let mut keys: Vec<(u64, u32, u32)> = (0..vertices.len()).into_par_iter().map(key).collect();
     keys.par_sort_unstable();
-    let groups = keys.chunk_by(|a, b| a.0 == b.0).filter(|group| group.len() > 1);
-    groups.flat_map(|group| group.iter().enumerate().skip(1).map(|(count, &(_, id))| (count as u32, id))).collect()
+    let groups = keys.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)).filter(|group| group.len() > 1);
+    groups.flat_map(|group| group.iter().enumerate().skip(1).map(|(count, &(.., id))| (count as u32, id))).collect()
 }
 
 #[cfg(test)]

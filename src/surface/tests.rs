@@ -119,7 +119,12 @@ fn blocks_give_the_mesh_of_the_whole_grid() {
             }
         }
     }
-    let surface = LevelSurface::of_blocks(&grid, side, &origins, &values, 0.05).unwrap();
+    let mut blocks = SurfaceBlocks::new(grid, 0.05).unwrap();
+    let half = origins.len() / 2;
+    let (first, second) = values.split_at(half * (side + 1).pow(3));
+    blocks.add(side, &origins[..half], first).unwrap();
+    blocks.add(side, &origins[half..], second).unwrap();
+    let surface = blocks.surface();
     let mesh = surface.mesh(&surface.crossings(), &ExtraPlanes::default(), SHARP);
     assert_eq!(mesh, mesh_of(grid, &distances, 0.05, SHARP));
 }

@@ -118,6 +118,18 @@ def test_the_offset_of_a_sphere_is_a_sphere(distance):
     assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - (1 + distance)).max() <= 1e-3 * (1 + distance) + 3.3e-4
 
 
+def test_the_planes_of_a_far_offset_are_those_of_the_query():
+    # Offsets above two voxels take their planes from the nearest points, smaller ones from the query with its side.
+    shape = meshes.box()
+    for distance in (0.3, -0.3):
+        mesh = fb.offset(shape, distance, 40)
+        assert_solid(mesh)
+        assert abs(distance) > 2 * mesh.report.voxel_size
+        off = np.abs(fb.signed_distance(shape, mesh.vertices) - distance)
+        # A tangent plane of a sphere of this radius is h^2 / (2 r) away from it at a distance h, here the diagonal.
+        assert off.max() <= 3 * mesh.report.voxel_size**2 / (2 * abs(distance))
+
+
 def test_the_offset_of_a_box_has_round_edges_outside_and_sharp_ones_inside():
     grown, shrunk = fb.offset(meshes.box(), 0.3, 48), fb.offset(meshes.box(), -0.3, 48)
     assert_solid(grown)

@@ -341,3 +341,11 @@ def test_samples_keep_their_sides_beside_sharp_edges_of_the_source():
         for resolution in (9, 17, 30):
             volume = fb.bake(shape, resolution)
             assert wrong_sides(volume, volume.to_mesh()) == 0, resolution
+
+
+def test_a_surface_gives_its_mesh_once():
+    volume = fb.bake(meshes.icosphere(2), 12)
+    surface = volume._surface(0.0)
+    surface.mesh()
+    with pytest.raises(fb.ArgumentError, match="made already"):
+        surface.mesh()

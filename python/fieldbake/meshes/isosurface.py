@@ -57,7 +57,7 @@ class MeshSource:
         if level == 0 and facts["flipped_faces"] == 0 and facts["duplicate_faces"] == 0:
             # All faces are oriented alike, so the side of each point is not needed.
             surface.join_mesh(self.mesh._core, inward=self.mesh.volume < 0)
-        else:
+        elif not surface.join_offset(self.mesh._core, level, unsigned=self.half_thickness is not None):
             join_probes(surface, lambda points: self._planes(points, level))
 
     def _planes(self, points: NDArray[np.float64], level: float) -> Planes:

@@ -130,15 +130,15 @@ class Mesh(Viewable):
         )
 
     @classmethod
-    def _extracted(cls, vertices: NDArray[np.float64], faces: NDArray[np.uint32], report: SurfaceReport) -> Mesh:
+    def _extracted(cls, vertices: NDArray[np.float64], faces: NDArray[Any], report: SurfaceReport) -> Mesh:
         """Make the mesh of a level set, the only kind of mesh that may have no faces."""
         if len(faces):
-            mesh = cls(vertices, faces.astype(np.int64))
+            mesh = cls(vertices, faces.astype(np.int64, copy=False))
         else:
             mesh = cls.__new__(cls)
             mesh._uv = mesh._vertex_colors = mesh._face_colors = None
             mesh._parts, mesh._chord_error = (), 0.0
-            mesh.__dict__.update(vertices=checks.frozen(vertices), faces=checks.frozen(faces))
+            mesh.__dict__.update(vertices=checks.frozen(vertices), faces=checks.frozen(faces.astype(np.uint32)))
         mesh._report = report
         return mesh
 

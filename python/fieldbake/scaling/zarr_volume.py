@@ -317,8 +317,7 @@ class ZarrVolume(GridField):
         return nodes
 
     def _surface(self, level: float) -> _core.Surface:
-        kept_origins: list[NDArray[np.int32]] = [np.empty((0, 3), np.int32)]
-        kept_values: list[NDArray[np.float32]] = [np.empty((0, *(SIDE + 1,) * 3), np.float32)]
+        surface = _core.SurfaceBlocks(self._layout.lower, self._layout.upper, self.resolution, level)
         shape = np.array(self.resolution)
         for first, blocks, least, largest in self._reader.blocks(0, SIDE):
             # Decoding keeps the order of the values.
@@ -327,12 +326,10 @@ class ZarrVolume(GridField):
             origins = (first + steps) * SIDE - 1
             at_box = (origins < 0).any(axis=1) | (origins + SIDE >= shape).any(axis=1)
             crossed = (low < level) & (at_box | (high >= level))
-            kept_origins.append(origins[crossed].astype(np.int32))
             chosen = blocks[crossed.reshape(least.shape)]
             decoded: Any = self._sampler.decode(chosen.reshape(-1)).astype(np.float32)
-            kept_values.append(decoded.reshape(chosen.shape))
-        starts, samples = np.concatenate(kept_origins), np.concatenate(kept_values)
-        return _core.Surface.of_blocks(starts, samples, self._layout.lower, self._layout.upper, self.resolution, level)
+            surface.add(origins[crossed].astype(np.int32), decoded.reshape(chosen.shape))
+        return surface.surface()
 
     def _kept_distance(self) -> float | None:
         # Any point lies within half a voxel's diagonal of a sample.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -107,27 +107,26 @@ def level_set(
         def samples(blocks: Blocks) -> NDArray[Any]:
             return np.asarray(evaluate(blocks.points)).reshape(len(blocks.origins), -1)
 
-    blocks = _Crossed(samples, grid, level)
+    blocks = _Crossed(samples, grid, level, follow=follow)
     blocks.add(origins)
     while follow and len(origins):
         origins = blocks.entered()
         blocks.add(origins)
-    return blocks.surface()
+    return blocks.cells.surface()
 
 
 class _Crossed:
     """Blocks of samples that the surface crosses."""
 
-    def __init__(self, evaluate: Callable[[Blocks], NDArray[Any]], grid: Grid, level: float) -> None:
-        self.evaluate, self.grid, self.level = evaluate, grid, level
+    def __init__(self, evaluate: Callable[[Blocks], NDArray[Any]], grid: Grid, level: float, *, follow: bool) -> None:
+        self.evaluate, self.grid, self.level, self.follow = evaluate, grid, level, follow
         self.shape = np.array(grid.shape)
-        self.origins = [np.empty((0, 3), np.int64)]
-        self.values = [np.empty((0, len(AROUND)), np.float32)]
+        self.cells = _core.SurfaceBlocks(grid.lower, grid.upper, grid.shape, level)
         #: Blocks along each axis, and the numbers of those that were evaluated.
         self.counts = (self.shape + SIDE) // SIDE
         self.known = np.empty(0, np.int64)
-        #: Number of batches that have been searched for faces through which the surface leaves.
-        self.searched = 1
+        #: Blocks that the surface enters from blocks added since the last search.
+        self.next = [np.empty((0, 3), np.int64)]
 
     def numbers(self, origins: NDArray[np.int64]) -> NDArray[np.int64]:
         """Number of each block among all blocks of the grid."""
@@ -142,8 +141,10 @@ class _Crossed:
             samples = np.asarray(self.evaluate(Blocks(self.grid, batch)), dtype=np.float32)
             inside = self.inside(batch, samples)
             crossed = inside.any(axis=1) & ~inside.all(axis=1)
-            self.origins.append(batch[crossed])
-            self.values.append(samples[crossed])
+            kept = samples[crossed].reshape(-1, SIDE + 1, SIDE + 1, SIDE + 1)
+            self.cells.add(batch[crossed].astype(np.int32), kept)
+            if self.follow:
+                self.next += self.neighbours(batch[crossed], inside[crossed].reshape(kept.shape))
 
     def inside(self, origins: NDArray[np.int64], samples: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Find the samples (k, n) of blocks that lie inside. Places beyond the box are outside: there the box cuts."""
@@ -153,25 +154,18 @@ class _Crossed:
         inside[at_box] &= ((places >= 0) & (places < self.shape)).all(axis=2)
         return inside
 
+    def neighbours(self, origins: NDArray[np.int64], inside: NDArray[np.bool_]) -> Iterator[NDArray[np.int64]]:
+        """Yield the blocks that the surface enters through the faces of blocks; `inside` has all their samples."""
+        for axis in range(3):
+            for end, step in ((0, -SIDE), (SIDE, SIDE)):
+                face = np.take(inside, end, axis=3 - axis).reshape(len(inside), (SIDE + 1) ** 2)
+                entered = origins[face.any(axis=1) & ~face.all(axis=1)]
+                entered[:, axis] += step
+                yield entered
+
     def entered(self) -> NDArray[np.int64]:
-        """Find the blocks, not yet evaluated, that the surface enters from the blocks of the last search."""
-        found = [np.empty((0, 3), np.int64)]
-        for origins, values in zip(self.origins[self.searched :], self.values[self.searched :], strict=True):
-            inside = self.inside(origins, values).reshape(-1, SIDE + 1, SIDE + 1, SIDE + 1)
-            for axis in range(3):
-                for end, step in ((0, -SIDE), (SIDE, SIDE)):
-                    face = np.take(inside, end, axis=3 - axis).reshape(len(inside), (SIDE + 1) ** 2)
-                    next_origins = origins[face.any(axis=1) & ~face.all(axis=1)].copy()
-                    next_origins[:, axis] += step
-                    found.append(next_origins)
-        self.searched = len(self.origins)
-        origins = np.unique(np.concatenate(found), axis=0)
+        """Find the blocks, not yet evaluated, that the surface enters from those added since the last call."""
+        origins = np.unique(np.concatenate(self.next), axis=0)
+        self.next = [np.empty((0, 3), np.int64)]
         origins = origins[((origins >= -1) & (origins < self.shape)).all(axis=1)]
         return origins[~np.isin(self.numbers(origins), self.known)]
-
-    def surface(self) -> _core.Surface:
-        """Make the surface of the crossed cells of all kept blocks."""
-        blocks = np.concatenate(self.values).reshape(-1, SIDE + 1, SIDE + 1, SIDE + 1)
-        starts = np.concatenate(self.origins).astype(np.int32)
-        grid = self.grid
-        return _core.Surface.of_blocks(starts, blocks, grid.lower, grid.upper, grid.shape, self.level)

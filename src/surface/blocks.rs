@@ -1,0 +1,48 @@
+//! A level set from blocks of samples, a few blocks at a time.
+
+use super::cells::{SurfaceCell, SurfaceCells, cells_of_block};
+use super::{LevelSurface, check_level, check_shape};
+use crate::error::{ArgumentError, Error};
+use crate::grid::Grid;
+use rayon::prelude::*;
+
+/// The crossed cells of blocks of samples. The samples themselves are not kept.
+#[derive(Debug)]
+pub struct SurfaceBlocks {
+    grid: Grid,
+    level: f32,
+    cells: Vec<SurfaceCell>,
+}
+
+impl SurfaceBlocks {
+    /// No blocks yet.
+    pub fn new(grid: Grid, level: f32) -> Result<Self, Error> {
+        check_level(level)?;
+        check_shape(grid.shape)?;
+        Ok(Self { grid, level, cells: Vec::new() })
+    }
+
+    /// Adds blocks. Block `b` has `side`^3 cells from cell `origins[b]` on, and `(side + 1)^3` samples, x fastest, from
+    /// `values[b * (side + 1)^3]` on; a sample outside the grid repeats the nearest one of the grid. The blocks of all
+    /// calls must not overlap, and hold every cell that the surface passes through.
+    pub fn add(&mut self, side: usize, origins: &[[i32; 3]], values: &[f32]) -> Result<(), Error> {
+        let samples = (side + 1).pow(3);
+        if values.len() != origins.len() * samples {
+            let problem = format!("{} blocks need {samples} values each, got {}", origins.len(), values.len());
+            return Err(ArgumentError::new("values", problem).into());
+        }
+        if values.iter().any(|value| !value.is_finite()) {
+            return Err(ArgumentError::new("values", "must be finite").into());
+        }
+        let (shape, level) = (self.grid.shape.map(|n| n as i32), self.level);
+        let blocks = origins.par_iter().zip(values.par_chunks_exact(samples));
+        let cells = blocks.flat_map_iter(|(&origin, values)| cells_of_block(shape, side, origin, values, level));
+        self.cells.append(&mut cells.collect());
+        Ok(())
+    }
+
+    /// The surface in all blocks.
+    pub fn surface(self) -> LevelSurface {
+        LevelSurface::new(&self.grid, SurfaceCells::sorted(self.grid.shape.map(|n| n as i32), self.cells))
+    }
+}
