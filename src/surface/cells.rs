@@ -62,6 +62,11 @@ impl SurfaceCell {
     }
 }
 
+/// The patches of some cells: the cell, and the index among all patches.
+pub(crate) fn patches_of(cells: &[SurfaceCell]) -> impl Iterator<Item = (&SurfaceCell, u32)> {
+    cells.iter().flat_map(|cell| (cell.first_patch..).zip(cell.patches()).map(move |(id, _)| (cell, id)))
+}
+
 /// The crossed edges that start at the lower corners of some cells: the cell and the axis.
 pub(crate) fn edges_from(cells: &[SurfaceCell]) -> impl Iterator<Item = (&SurfaceCell, usize)> {
     cells.iter().flat_map(|cell| (0..3).filter(|&axis| cell.owns(axis)).map(move |axis| (cell, axis)))

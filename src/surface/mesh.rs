@@ -1,6 +1,6 @@
 //! Vertices and faces of the dual mesh.
 
-use super::cells::{SurfaceCell, edges_from};
+use super::cells::{SurfaceCell, edges_from, patches_of};
 use super::links::{PatchLinks, edges_of};
 use super::patches::edge_corners;
 use super::probes::{ExtraPlanes, PatchRegion};
@@ -388,11 +388,6 @@ impl LevelSurface {
         let places = corners.map(|i| (vertices[i as usize] - start) / self.spacing);
         Quad::new(places, axis, far_is_outside)
     }
-}
-
-/// The patches of some cells: the cell, and the index among all patches.
-pub(super) fn patches_of(cells: &[SurfaceCell]) -> impl Iterator<Item = (&SurfaceCell, u32)> {
-    cells.iter().flat_map(|cell| (cell.first_patch..).zip(cell.patches()).map(move |(id, _)| (cell, id)))
 }
 
 /// The vertices of the quadrilateral around a crossed edge, counter-clockwise seen from outside.

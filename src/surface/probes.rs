@@ -6,8 +6,7 @@
 //! the crossings. All other vertices have one probe, at the vertex itself, which moves it onto the surface. A mesh needs
 //! no probes there: the planes at the crossings are the faces themselves.
 
-use super::cells::SurfaceCell;
-use super::mesh::patches_of;
+use super::cells::{SurfaceCell, patches_of};
 use super::{Crossing, LevelSurface, MeshOptions};
 use crate::error::Error;
 use crate::progress::Progress;
