@@ -10,6 +10,7 @@
 
 #[cfg(target_arch = "x86_64")]
 use super::packet;
+use super::ray_group::RayGroup;
 use super::ray_lanes::{LaneRay, RayPack};
 use super::ray_search::{RayTables, ReadyRay};
 use super::turns;
@@ -87,23 +88,15 @@ impl Mesh {
         found
     }
 
-    /// [`Mesh::first_hit`] of many rays. The results do not depend on `near`, see [`Mesh::traverse_many`].
-    pub fn first_hits(&self, rays: &[Ray], near: bool, hits: &mut Vec<Option<FaceHit>>) {
-        hits.clear();
-        hits.resize(rays.len(), None);
-        self.traverse_many(rays, near, |i, hit| match &mut hits[i] {
-            Some(best) if !is_before(&hit, best) => best.t,
-            best => best.insert(hit).t,
-        });
+    /// [`Mesh::first_hit`] of many rays. `finish` receives the index of each ray and its hit, in no particular order. The
+    /// results do not depend on `near`, see [`Mesh::traverse_many`].
+    pub fn first_hits(&self, rays: impl Iterator<Item = Ray>, near: bool, finish: impl FnMut(usize, Option<FaceHit>)) {
+        self.traverse_many(rays, near, FirstHits(finish));
     }
 
-    /// [`Mesh::is_occluded`] of many rays, for as many results.
-    pub fn are_occluded(&self, rays: &[Ray], near: bool, found: &mut [bool]) {
-        found.fill(false);
-        self.traverse_many(rays, near, |i, _| {
-            found[i] = true;
-            f64::NEG_INFINITY
-        });
+    /// [`Mesh::is_occluded`] of many rays. `finish` is that of [`Mesh::first_hits`].
+    pub fn are_occluded(&self, rays: impl Iterator<Item = Ray>, near: bool, finish: impl FnMut(usize, bool)) {
+        self.traverse_many(rays, near, Occlusion(finish));
     }
 
     /// The winding number of a local point by one ray to the nearest side of the box. The faces are wound as the
@@ -147,14 +140,10 @@ impl Mesh {
     }
 
     /// [`Mesh::cast_all`] of many rays.
-    pub fn all_hits(&self, rays: &[Ray], near: bool, lists: &mut Vec<Vec<FaceHit>>) {
+    pub fn all_hits(&self, rays: impl ExactSizeIterator<Item = Ray>, near: bool, lists: &mut Vec<Vec<FaceHit>>) {
         lists.resize_with(rays.len(), Vec::new);
         lists.iter_mut().for_each(Vec::clear);
-        self.traverse_many(rays, near, |i, hit| {
-            lists[i].push(hit);
-            f64::INFINITY
-        });
-        lists.iter_mut().for_each(|hits| self.sort_and_merge(hits));
+        self.traverse_many(rays, near, AllHits { mesh: self, lists });
     }
 
     /// Sorts the hits of a ray. Of several hits on an edge or a vertex the first one is kept.
@@ -206,41 +195,131 @@ impl Mesh {
         tables.search(&ready, Bvh::ROOT, &mut ready.limit(), LaneRay::boxes, LaneRay::triangles, &mut accept);
     }
 
-    /// [`Mesh::traverse`] for many rays. `accept` also gets the index of the ray and returns its new limit. Consecutive
-    /// rays that are `near` each other share the upper part of their searches; other rays are searched in turns.
+    /// [`Mesh::traverse`] for many rays. Consecutive rays that are `near` each other share the upper part of their
+    /// searches; other rays are searched in turns.
     #[inline(always)]
-    fn traverse_many(&self, rays: &[Ray], near: bool, mut accept: impl FnMut(usize, FaceHit) -> f64) {
+    fn traverse_many<K: Default>(
+        &self,
+        mut rays: impl Iterator<Item = Ray>,
+        near: bool,
+        mut collector: impl Collector<Kept = K>,
+    ) {
+        let tables = RayTables::new(self);
         #[cfg(target_arch = "x86_64")]
         {
             #[target_feature(enable = "avx2")]
-            fn wide(tables: &RayTables<'_>, rays: &[Ray], near: bool, accept: &mut impl FnMut(usize, FaceHit) -> f64) {
+            fn wide<K: Default>(
+                tables: &RayTables<'_>,
+                rays: &mut impl Iterator<Item = Ray>,
+                near: bool,
+                collector: &mut impl Collector<Kept = K>,
+            ) {
                 if !near {
+                    let clip = |group: &mut RayGroup| group.clip_avx2(tables.min, tables.max);
                     let triangles = |lanes: &LaneRay, pack: &RayPack, limit: f32| lanes.triangles_avx2(pack, limit);
                     let boxes = |lanes: &LaneRay, node: &Node, limit: f32| lanes.boxes_avx2(node, limit);
-                    return turns::traverse(tables, rays, boxes, triangles, accept);
+                    return turns::traverse(tables, rays, clip, boxes, triangles, collector);
                 }
-                let mut ready: [Option<ReadyRay>; WIDTH] = [const { None }; WIDTH];
-                for (group, rays) in rays.chunks(WIDTH).enumerate() {
-                    // A loop that only prepares rays works on several of them at once.
-                    for (ready, ray) in ready.iter_mut().zip(rays) {
-                        *ready = tables.ready(ray);
+                let mut group = RayGroup::new();
+                let mut kept: [K; WIDTH] = std::array::from_fn(|_| K::default());
+                let mut first = 0;
+                while group.fill(rays) {
+                    group.clip_avx2(tables.min, tables.max);
+                    packet::traverse(tables, &group, &mut |lane, hit| collector.accept(&mut kept[lane], hit));
+                    for (lane, kept) in kept[..group.count].iter_mut().enumerate() {
+                        collector.finish(first + lane, kept);
                     }
-                    let mut accept = |lane: usize, hit: FaceHit| accept(group * WIDTH + lane, hit);
-                    packet::traverse(tables, &ready[..rays.len()], &mut accept);
+                    first += group.count;
                 }
             }
             if std::arch::is_x86_feature_detected!("avx2") {
                 // SAFETY: the processor has AVX2.
-                return unsafe { wide(&RayTables::new(self), rays, near, &mut accept) };
+                return unsafe { wide(&tables, &mut rays, near, &mut collector) };
             }
         }
         if near {
-            for (i, ray) in rays.iter().enumerate() {
-                self.traverse(ray, |hit| accept(i, hit));
+            let mut kept = K::default();
+            for (i, ray) in rays.enumerate() {
+                self.traverse(&ray, |hit| collector.accept(&mut kept, hit));
+                collector.finish(i, &mut kept);
             }
         } else {
-            turns::traverse(&RayTables::new(self), rays, LaneRay::boxes, LaneRay::triangles, &mut accept);
+            let clip = |group: &mut RayGroup| group.clip(tables.min, tables.max);
+            turns::traverse(&tables, rays, clip, LaneRay::boxes, LaneRay::triangles, &mut collector);
         }
+    }
+}
+
+/// The result of many rays.
+pub(super) trait Collector {
+    /// What a search keeps of the hits of its ray.
+    type Kept;
+
+    /// Adds a hit, and returns the new limit of the ray; see `Mesh::traverse`.
+    fn accept(&mut self, kept: &mut Self::Kept, hit: FaceHit) -> f64;
+
+    /// Receives the index of a ray after its search, and resets what was kept.
+    fn finish(&mut self, index: usize, kept: &mut Self::Kept);
+}
+
+/// Passes the first hit of each ray to a function.
+struct FirstHits<F>(F);
+
+impl<F: FnMut(usize, Option<FaceHit>)> Collector for FirstHits<F> {
+    type Kept = Option<FaceHit>;
+
+    #[inline(always)]
+    fn accept(&mut self, best: &mut Option<FaceHit>, hit: FaceHit) -> f64 {
+        match best {
+            Some(best) if !is_before(&hit, best) => best.t,
+            best => best.insert(hit).t,
+        }
+    }
+
+    #[inline(always)]
+    fn finish(&mut self, index: usize, best: &mut Option<FaceHit>) {
+        (self.0)(index, best.take());
+    }
+}
+
+/// Passes to a function whether each ray hits anything.
+struct Occlusion<F>(F);
+
+impl<F: FnMut(usize, bool)> Collector for Occlusion<F> {
+    type Kept = bool;
+
+    #[inline(always)]
+    fn accept(&mut self, found: &mut bool, _: FaceHit) -> f64 {
+        *found = true;
+        f64::NEG_INFINITY
+    }
+
+    #[inline(always)]
+    fn finish(&mut self, index: usize, found: &mut bool) {
+        (self.0)(index, std::mem::take(found));
+    }
+}
+
+/// Fills the list of each ray. The lists must be empty at first.
+struct AllHits<'a> {
+    mesh: &'a Mesh,
+    lists: &'a mut [Vec<FaceHit>],
+}
+
+impl Collector for AllHits<'_> {
+    type Kept = Vec<FaceHit>;
+
+    #[inline(always)]
+    fn accept(&mut self, hits: &mut Vec<FaceHit>, hit: FaceHit) -> f64 {
+        hits.push(hit);
+        f64::INFINITY
+    }
+
+    #[inline(always)]
+    fn finish(&mut self, index: usize, hits: &mut Vec<FaceHit>) {
+        self.mesh.sort_and_merge(hits);
+        // The empty list takes the hits of a later ray.
+        std::mem::swap(&mut self.lists[index], hits);
     }
 }
 
@@ -325,10 +404,12 @@ mod tests {
                 tables.search(&ready, Bvh::ROOT, &mut limit, LaneRay::boxes, LaneRay::triangles, &mut accept);
             }
             prop_assert_eq!(&wide, &portable);
-            let mut in_turns = Vec::new();
-            let mut accept = |_, hit| { in_turns.push(hit); f64::INFINITY };
-            turns::traverse(&tables, &[ray], LaneRay::boxes, LaneRay::triangles, &mut accept);
-            prop_assert_eq!(&in_turns, &portable);
+            let mut in_turns = [Vec::new()];
+            let mut collector = AllHits { mesh: &mesh, lists: &mut in_turns };
+            let clip = |group: &mut RayGroup| group.clip(tables.min, tables.max);
+            turns::traverse(&tables, [ray].into_iter(), clip, LaneRay::boxes, LaneRay::triangles, &mut collector);
+            mesh.sort_and_merge(&mut portable);
+            prop_assert_eq!(&in_turns[0], &portable);
         }
     }
 
@@ -355,11 +436,11 @@ mod tests {
                     }
                 })
                 .collect();
-            let (mut hits, mut occluded, mut lists) = (Vec::new(), vec![false; rays.len()], Vec::new());
+            let (mut hits, mut occluded, mut lists) = (vec![None; rays.len()], vec![false; rays.len()], Vec::new());
             for near in [false, true] {
-                mesh.first_hits(&rays, near, &mut hits);
-                mesh.are_occluded(&rays, near, &mut occluded);
-                mesh.all_hits(&rays, near, &mut lists);
+                mesh.first_hits(rays.iter().copied(), near, |i, hit| hits[i] = hit);
+                mesh.are_occluded(rays.iter().copied(), near, |i, found| occluded[i] = found);
+                mesh.all_hits(rays.iter().copied(), near, &mut lists);
                 // There are 102 even rays. The range of 21 of them, the multiples of ten, ends before the centre.
                 assert!(hits.iter().flatten().count() >= 102 - 21);
                 for (i, ray) in rays.iter().enumerate() {

@@ -19,6 +19,7 @@ mod lanes;
 pub(crate) mod pack;
 #[cfg(target_arch = "x86_64")]
 mod packet;
+mod ray_group;
 pub(crate) mod ray_lanes;
 mod ray_search;
 mod refit;

@@ -6,6 +6,7 @@
 //!
 //! The tests are those of [`super::ray_lanes`], with the same operations.
 
+use super::ray_group::{RayGroup, Slabs};
 use super::ray_lanes::{LaneRay, RayPack};
 use super::ray_search::{RayTables, ReadyRay};
 use super::watertight::FaceHit;
@@ -36,28 +37,25 @@ struct Entry {
     key: f32,
 }
 
-/// Passes the hits of up to eight rays to `accept` with the index of the ray; see `Mesh::traverse`.
+/// Passes the hits of the rays of a clipped group to `accept` with the lane of the ray; see `Mesh::traverse`.
 #[inline]
 #[target_feature(enable = "avx2")]
-pub(super) fn traverse(
-    tables: &RayTables<'_>,
-    rays: &[Option<ReadyRay>],
-    accept: &mut impl FnMut(usize, FaceHit) -> f64,
-) {
+pub(super) fn traverse(tables: &RayTables<'_>, group: &RayGroup, accept: &mut impl FnMut(usize, FaceHit) -> f64) {
     let boxes = |lanes: &LaneRay, node: &Node, limit: f32| lanes.boxes_avx2(node, limit);
     let triangles = |lanes: &LaneRay, pack: &RayPack, limit: f32| lanes.triangles_avx2(pack, limit);
-    let mut limits = [f32::NEG_INFINITY; WIDTH];
-    let mut mask = 0u32;
-    for (lane, ray) in rays.iter().enumerate() {
-        if let Some(ray) = ray {
-            limits[lane] = ray.limit();
-            mask |= 1 << lane;
-        }
-    }
+    let mut mask = group.mask;
     if mask == 0 {
         return;
     }
-    let packet = Packet::new(rays);
+    let mut limits = group.slabs.limits;
+    for (lane, limit) in limits.iter_mut().enumerate() {
+        if mask >> lane & 1 == 0 {
+            *limit = f32::NEG_INFINITY;
+        }
+    }
+    // Most rays that miss the surface need no tests of their own.
+    let mut ready = [const { None::<ReadyRay> }; WIDTH];
+    let packet = Packet::new(&group.slabs);
     let mut stack = [const { MaybeUninit::<Entry>::uninit() }; MAX_STACK + WIDTH];
     let mut top = 0;
     let mut child = Bvh::ROOT;
@@ -66,7 +64,7 @@ pub(super) fn traverse(
             while mask != 0 {
                 let lane = mask.trailing_zeros() as usize % WIDTH;
                 mask &= mask - 1;
-                let Some(ray) = &rays[lane] else { continue };
+                let ray = &*ready[lane].get_or_insert_with(|| group.ready(lane));
                 let mut accept = |hit: FaceHit| accept(lane, hit);
                 if child.is_pack() {
                     tables.search_pack(ray, child, &mut limits[lane], triangles, &mut accept);
@@ -120,19 +118,8 @@ pub(super) fn traverse(
 impl Packet {
     #[inline]
     #[target_feature(enable = "avx2")]
-    fn new(rays: &[Option<ReadyRay>]) -> Self {
-        let mut rows = [[[0.0f32; WIDTH]; 3]; 3];
-        for (lane, ray) in rays.iter().enumerate() {
-            if let Some(ray) = ray {
-                let [low, high, inverse] = ray.lanes.slabs();
-                for axis in 0..3 {
-                    rows[0][axis][lane] = low[axis];
-                    rows[1][axis][lane] = high[axis];
-                    rows[2][axis][lane] = inverse[axis];
-                }
-            }
-        }
-        let [low, high, inverse] = &rows;
+    fn new(slabs: &Slabs) -> Self {
+        let Slabs { low, high, inverse, .. } = slabs;
         Self {
             low: [load(&low[0]), load(&low[1]), load(&low[2])],
             high: [load(&high[0]), load(&high[1]), load(&high[2])],

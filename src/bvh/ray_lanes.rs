@@ -117,8 +117,7 @@ impl LaneRay {
     }
 
     /// The origin moved by the margin of the boxes for their lower and upper sides, and the inverse of the direction.
-    #[cfg(target_arch = "x86_64")]
-    #[inline(always)]
+    #[cfg(all(test, target_arch = "x86_64"))]
     pub(crate) fn slabs(&self) -> [[f32; 3]; 3] {
         let ahead = |axis: usize| self.near[axis] < 3;
         let side = |lower: bool| {

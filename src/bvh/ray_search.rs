@@ -2,7 +2,7 @@
 
 use super::ray_lanes::{LaneRay, RayPack};
 use super::stack::Stack;
-use super::watertight::{ClippedRay, FaceHit, Ray};
+use super::watertight::{Clip, ClippedRay, FaceHit, Ray};
 use super::{Bvh, ChildRef, Node, WIDTH};
 use crate::memory::prefetch;
 use crate::mesh::Mesh;
@@ -16,6 +16,13 @@ pub(super) struct ReadyRay {
 }
 
 impl ReadyRay {
+    #[inline(always)]
+    pub(super) fn new(ray: &Ray, clip: &Clip) -> Self {
+        let clipped = ClippedRay::from_clip(ray, clip);
+        let lanes = LaneRay::new(&clipped.sheared);
+        Self { clipped, lanes }
+    }
+
     /// The limit of a search of the whole ray.
     #[inline(always)]
     pub(super) fn limit(&self) -> f32 {
@@ -28,8 +35,9 @@ pub(super) struct RayTables<'a> {
     mesh: &'a Mesh,
     pub bvh: &'a Bvh,
     pub packs: &'a [RayPack],
-    min: DVec3,
-    max: DVec3,
+    /// The box of the mesh.
+    pub min: DVec3,
+    pub max: DVec3,
 }
 
 impl<'a> RayTables<'a> {
@@ -42,9 +50,7 @@ impl<'a> RayTables<'a> {
     /// None if the ray misses the box of the mesh.
     #[inline(always)]
     pub(super) fn ready(&self, ray: &Ray) -> Option<ReadyRay> {
-        let clipped = ClippedRay::new(ray, self.min, self.max)?;
-        let lanes = LaneRay::new(&clipped.sheared);
-        Some(ReadyRay { clipped, lanes })
+        Clip::of(ray, self.min, self.max).map(|clip| ReadyRay::new(ray, &clip))
     }
 
     /// Searches the part of the tree below `start`. The limit is negative infinity once `accept` returned that.

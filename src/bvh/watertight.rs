@@ -17,6 +17,9 @@ use robust::{Coord, orient2d};
 /// Largest magnitude of an inverse component of the direction. Its products with local coordinates are finite.
 pub(super) const PARALLEL: f64 = 1e30;
 
+/// Margin of the ends of a ray inside the box for their rounding, relative to the distance of the origin.
+pub(super) const FAR_MARGIN: f64 = 1e-14;
+
 /// Largest distance of a ray's origin from the box for a search on a device, in the scaled direction. The rounding of
 /// `t` to float64 is then far below the margins of the search.
 const DEVICE_REACH: f64 = 1e6;
@@ -62,22 +65,33 @@ pub(crate) struct ClippedRay {
     pub sheared: Sheared,
 }
 
-impl ClippedRay {
+/// Limits of a ray inside a box, and the scale of its direction.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct Clip {
+    pub t_start: f64,
+    pub t_end: f64,
+    /// See [`ClippedRay`].
+    pub size: f64,
+    pub unscale: f64,
+    /// Inverse of the scaled direction.
+    pub inverse: DVec3,
+    /// Axis of the largest component of the direction, the first one of equal components.
+    pub axis: usize,
+}
+
+impl Clip {
     /// None if the ray misses the box, or reaches it at a `t` that float64 cannot hold.
     #[inline(always)]
-    pub(crate) fn new(ray: &Ray, min: DVec3, max: DVec3) -> Option<Self> {
+    pub(super) fn of(ray: &Ray, min: DVec3, max: DVec3) -> Option<Self> {
         let magnitude = ray.direction.abs().to_array();
-        let z = usize::from(magnitude[1] > magnitude[0]);
-        let z = if magnitude[2] > magnitude[z] { 2 } else { z };
+        let axis = usize::from(magnitude[1] > magnitude[0]);
+        let axis = if magnitude[2] > magnitude[axis] { 2 } else { axis };
         // The only divisions. The ray is scaled by its largest component.
         let reciprocal = ray.direction.recip();
-        let (size, reciprocal_z) = (magnitude[z], reciprocal.to_array()[z]);
-        let unscale = reciprocal_z.abs();
+        let (size, unscale) = (magnitude[axis], reciprocal.to_array()[axis].abs());
         if unscale.is_infinite() {
             return None;
         }
-        let mut direction = (ray.direction * unscale).to_array();
-        direction[z] = 1f64.copysign(reciprocal_z);
         let inverse = reciprocal * size;
         let (enter, leave) = slab(ray.origin, inverse, min, max);
         let (t_start, t_end) = (larger(enter * unscale, ray.t_min), smaller(leave * unscale, ray.t_max));
@@ -85,8 +99,24 @@ impl ClippedRay {
         if enter > leave || t_start > t_end || t_start.is_infinite() {
             return None;
         }
-        let sheared = Sheared::new(ray.origin + t_start * ray.direction, direction, inverse, z);
-        Some(Self { t_min: ray.t_min, t_max: ray.t_max, t_start, t_end, size, unscale, sheared })
+        Some(Self { t_start, t_end, size, unscale, inverse, axis })
+    }
+}
+
+impl ClippedRay {
+    /// None if the ray misses the box, or reaches it at a `t` that float64 cannot hold.
+    #[inline(always)]
+    pub(crate) fn new(ray: &Ray, min: DVec3, max: DVec3) -> Option<Self> {
+        Clip::of(ray, min, max).map(|clip| Self::from_clip(ray, &clip))
+    }
+
+    #[inline(always)]
+    pub(super) fn from_clip(ray: &Ray, clip: &Clip) -> Self {
+        let Clip { t_start, t_end, size, unscale, inverse, axis } = *clip;
+        let mut direction = (ray.direction * unscale).to_array();
+        direction[axis] = 1f64.copysign(direction[axis]);
+        let sheared = Sheared::new(ray.origin + t_start * ray.direction, direction, inverse, axis);
+        Self { t_min: ray.t_min, t_max: ray.t_max, t_start, t_end, size, unscale, sheared }
     }
 
     /// The hit of a face with these corners, if it lies within the limits of the ray.
@@ -146,7 +176,7 @@ fn slab(origin: DVec3, inverse: DVec3, min: DVec3, max: DVec3) -> (f64, f64) {
         return (f64::INFINITY, f64::NEG_INFINITY);
     }
     // For origins far away the ends are rounded by more than the margin.
-    let room = 1e-14 * enter.abs().max(leave.abs());
+    let room = FAR_MARGIN * enter.abs().max(leave.abs());
     (enter - room, leave + room)
 }
 

@@ -23,7 +23,7 @@ pub struct Rays<'a> {
 
 impl Rays<'_> {
     /// Some rows in local coordinates.
-    pub(super) fn local(&self, mesh: &Mesh, rows: Range<usize>) -> impl Iterator<Item = Ray> {
+    pub(super) fn local(&self, mesh: &Mesh, rows: Range<usize>) -> impl ExactSizeIterator<Item = Ray> {
         let scale = mesh.scale().recip();
         self.origins[rows.clone()].iter().zip(&self.directions[rows]).map(move |(&origin, &direction)| Ray {
             origin: mesh.local_from_world(DVec3::from_array(origin)),

@@ -17,6 +17,7 @@ use crate::mesh::Mesh;
 use crate::progress::Progress;
 use glam::DVec3;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// First hits, one entry per ray.
 #[derive(Debug, Clone, Default)]
@@ -62,20 +63,17 @@ pub fn cast_rays(place: &Place, mesh: &Mesh, rays: &Rays<'_>, progress: &Progres
         rays,
         progress,
         columns,
-        |batch, (((t, faces), barycentric), normals), found| {
-            batch.first_hits(mesh, found);
-            for (i, hit) in found.iter().enumerate() {
-                match hit {
-                    Some(hit) => {
-                        t[i] = hit.t;
-                        faces[i] = hit.face.into();
-                        barycentric[i] = hit.weights;
-                        normals[i] = unit_normal(mesh, hit.cross, hit.face).to_array();
-                    }
-                    // The other columns contain zeros.
-                    None => (t[i], faces[i]) = (f64::INFINITY, -1),
+        |batch, (((t, faces), barycentric), normals), _: &mut ()| {
+            batch.first_hits(mesh, |i, hit| match hit {
+                Some(hit) => {
+                    t[i] = hit.t;
+                    faces[i] = hit.face.into();
+                    barycentric[i] = hit.weights;
+                    normals[i] = unit_normal(mesh, hit.cross, hit.face).to_array();
                 }
-            }
+                // The other columns contain zeros.
+                None => (t[i], faces[i]) = (f64::INFINITY, -1),
+            });
         },
     )?;
     Ok(hits)
@@ -85,7 +83,7 @@ pub fn cast_rays(place: &Place, mesh: &Mesh, rays: &Rays<'_>, progress: &Progres
 pub fn occluded(place: &Place, mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> Result<Vec<bool>, Error> {
     let mut occluded = vec![false; rays.origins.len()];
     trace(place, Search::Any, mesh, rays, progress, occluded.chunks_mut(CHUNK), |batch, column, _: &mut ()| {
-        batch.are_occluded(mesh, column);
+        batch.are_occluded(mesh, |i, found| column[i] = found);
     })?;
     Ok(occluded)
 }
@@ -133,7 +131,8 @@ pub fn all_intersections(
 
 /// Rays that are searched together.
 struct Batch<'a> {
-    rays: &'a [Ray],
+    rays: &'a Rays<'a>,
+    rows: Range<usize>,
     /// Whether consecutive rays are near each other. The search by a device does not use this.
     near: bool,
     /// The faces that a device found for each ray; None if the CPU searches.
@@ -141,30 +140,38 @@ struct Batch<'a> {
 }
 
 impl Batch<'_> {
-    fn first_hits(&self, mesh: &Mesh, hits: &mut Vec<Option<FaceHit>>) {
-        let Some(found) = self.found else { return mesh.first_hits(self.rays, self.near, hits) };
-        hits.clear();
-        hits.extend(self.rays.iter().zip(found).map(|(ray, found)| match found.faces() {
-            Some(faces) => mesh.first_hit_of_faces(faces, ray),
-            None => mesh.first_hit(ray, |_| true),
-        }));
+    fn local(&self, mesh: &Mesh) -> impl ExactSizeIterator<Item = Ray> {
+        self.rays.local(mesh, self.rows.clone())
     }
 
-    fn are_occluded(&self, mesh: &Mesh, occluded: &mut [bool]) {
-        let Some(found) = self.found else { return mesh.are_occluded(self.rays, self.near, occluded) };
-        for (occluded, (ray, found)) in occluded.iter_mut().zip(self.rays.iter().zip(found)) {
-            *occluded = found.is_certain()
-                || found.faces().map_or_else(|| mesh.is_occluded(ray), |faces| mesh.is_occluded_by_faces(faces, ray));
+    /// Passes the index of each ray in the batch and its first hit to `finish`, in no particular order.
+    fn first_hits(&self, mesh: &Mesh, mut finish: impl FnMut(usize, Option<FaceHit>)) {
+        let Some(found) = self.found else { return mesh.first_hits(self.local(mesh), self.near, finish) };
+        for (i, (ray, found)) in self.local(mesh).zip(found).enumerate() {
+            let hit = match found.faces() {
+                Some(faces) => mesh.first_hit_of_faces(faces, &ray),
+                None => mesh.first_hit(&ray, |_| true),
+            };
+            finish(i, hit);
+        }
+    }
+
+    /// Passes the index of each ray in the batch and whether it hits anything to `finish`, in no particular order.
+    fn are_occluded(&self, mesh: &Mesh, mut finish: impl FnMut(usize, bool)) {
+        let Some(found) = self.found else { return mesh.are_occluded(self.local(mesh), self.near, finish) };
+        for (i, (ray, found)) in self.local(mesh).zip(found).enumerate() {
+            let by_faces = || found.faces().map(|faces| mesh.is_occluded_by_faces(faces, &ray));
+            finish(i, found.is_certain() || by_faces().unwrap_or_else(|| mesh.is_occluded(&ray)));
         }
     }
 
     fn all_hits(&self, mesh: &Mesh, lists: &mut Vec<Vec<FaceHit>>) {
-        let Some(found) = self.found else { return mesh.all_hits(self.rays, self.near, lists) };
-        lists.resize_with(self.rays.len(), Vec::new);
-        for (list, (ray, found)) in lists.iter_mut().zip(self.rays.iter().zip(found)) {
+        let Some(found) = self.found else { return mesh.all_hits(self.local(mesh), self.near, lists) };
+        lists.resize_with(self.rows.len(), Vec::new);
+        for (list, (ray, found)) in lists.iter_mut().zip(self.local(mesh).zip(found)) {
             match found.faces() {
-                Some(faces) => mesh.cast_at_faces(faces, ray, list),
-                None => mesh.cast_all(ray, list),
+                Some(faces) => mesh.cast_at_faces(faces, &ray, list),
+                None => mesh.cast_all(&ray, list),
             }
         }
     }
@@ -192,21 +199,18 @@ fn trace<C: Send, S: Default>(
         }
         Place::Gpu(context) => (candidates(context, mesh, rays, search, progress)?, false),
     };
-    let answer_task = |memory: &mut (Vec<Ray>, S), (task, mut column): (usize, C)| {
+    let answer_task = |scratch: &mut S, (task, mut column): (usize, C)| {
         let rows = task * CHUNK..count.min((task + 1) * CHUNK);
-        let (batch, scratch) = memory;
-        batch.clear();
-        batch.extend(rays.local(mesh, rows.clone()));
-        answer(&Batch { rays: batch, near, found: found.get(rows) }, &mut column, scratch);
-        progress.advance(batch.len() as u64)
+        let items = rows.len() as u64;
+        answer(&Batch { rays, rows: rows.clone(), near, found: found.get(rows) }, &mut column, scratch);
+        progress.advance(items)
     };
-    let memory = || (Vec::with_capacity(count.min(CHUNK)), S::default());
     let mut tasks = columns.enumerate();
     if count <= CHUNK {
         // A few rays are processed without the worker threads.
-        return tasks.try_for_each(|task| answer_task(&mut memory(), task));
+        return tasks.try_for_each(|task| answer_task(&mut S::default(), task));
     }
-    tasks.collect::<Vec<_>>().into_par_iter().try_for_each_init(memory, answer_task)
+    tasks.collect::<Vec<_>>().into_par_iter().try_for_each_init(S::default, answer_task)
 }
 
 /// Whether consecutive rays are far apart.

@@ -60,7 +60,7 @@ pub fn planes_of_mesh(
         let edges = (i * CHUNK..).take(chunk.len()).map(|edge| surface.edge(edge));
         if is_flat {
             let rays: Vec<Ray> = edges.clone().map(|edge| ray_of_edge(mesh, &edge)).collect();
-            mesh.all_hits(&rays, true, hits);
+            mesh.all_hits(rays.iter().copied(), true, hits);
         }
         for (i, (crossing, edge)) in
             chunk.iter_mut().zip(edges).enumerate().filter(|(_, (crossing, _))| !crossing.on_box)
