@@ -12,7 +12,9 @@
 use super::packet;
 use super::ray_group::RayGroup;
 use super::ray_lanes::{LaneRay, RayPack};
-use super::ray_search::{RayTables, ReadyRay};
+use super::ray_search::{Collector, RayTables, ReadyRay};
+#[cfg(target_arch = "x86_64")]
+use super::sorted_stack::SortedStack;
 use super::turns;
 use super::watertight::{ClippedRay, FaceHit, Ray};
 use super::{Bvh, Node, WIDTH};
@@ -217,8 +219,10 @@ impl Mesh {
                 if !near {
                     let clip = |group: &mut RayGroup| group.clip_avx2(tables.min, tables.max);
                     let triangles = |lanes: &LaneRay, pack: &RayPack, limit: f32| lanes.triangles_avx2(pack, limit);
-                    let boxes = |lanes: &LaneRay, node: &Node, limit: f32| lanes.boxes_avx2(node, limit);
-                    return turns::traverse(tables, rays, clip, boxes, triangles, collector);
+                    let push = |lanes: &LaneRay, node: &Node, limit: f32, stack: &mut SortedStack| {
+                        lanes.push_boxes_avx2(node, limit, stack);
+                    };
+                    return turns::traverse(tables, rays, clip, push, triangles, collector);
                 }
                 let mut group = RayGroup::new();
                 let mut kept: [K; WIDTH] = std::array::from_fn(|_| K::default());
@@ -245,21 +249,9 @@ impl Mesh {
             }
         } else {
             let clip = |group: &mut RayGroup| group.clip(tables.min, tables.max);
-            turns::traverse(&tables, rays, clip, LaneRay::boxes, LaneRay::triangles, &mut collector);
+            turns::traverse(&tables, rays, clip, LaneRay::push_boxes, LaneRay::triangles, &mut collector);
         }
     }
-}
-
-/// The result of many rays.
-pub(super) trait Collector {
-    /// What a search keeps of the hits of its ray.
-    type Kept;
-
-    /// Adds a hit, and returns the new limit of the ray; see `Mesh::traverse`.
-    fn accept(&mut self, kept: &mut Self::Kept, hit: FaceHit) -> f64;
-
-    /// Receives the index of a ray after its search, and resets what was kept.
-    fn finish(&mut self, index: usize, kept: &mut Self::Kept);
 }
 
 /// Passes the first hit of each ray to a function.
@@ -407,7 +399,7 @@ mod tests {
             let mut in_turns = [Vec::new()];
             let mut collector = AllHits { mesh: &mesh, lists: &mut in_turns };
             let clip = |group: &mut RayGroup| group.clip(tables.min, tables.max);
-            turns::traverse(&tables, [ray].into_iter(), clip, LaneRay::boxes, LaneRay::triangles, &mut collector);
+            turns::traverse(&tables, [ray].into_iter(), clip, LaneRay::push_boxes, LaneRay::triangles, &mut collector);
             mesh.sort_and_merge(&mut portable);
             prop_assert_eq!(&in_turns[0], &portable);
         }

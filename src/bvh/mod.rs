@@ -23,6 +23,7 @@ mod ray_group;
 pub(crate) mod ray_lanes;
 mod ray_search;
 mod refit;
+mod sorted_stack;
 mod stack;
 mod turns;
 pub(crate) mod watertight;

@@ -3,6 +3,7 @@
 //! The tests allow for the rounding of their own operations, so that they never reject a hit. The portable functions and
 //! the AVX2 functions apply the same operations in the same order and give the same bits.
 
+use super::sorted_stack::SortedStack;
 use super::watertight::{BOX_MARGIN, PARALLEL, Sheared};
 use super::{Node, WIDTH};
 use crate::gpu::constants::cast_rays::SHEAR_ROUNDING;
@@ -148,6 +149,13 @@ impl LaneRay {
         (mask, entered)
     }
 
+    /// Adds the children whose box the ray enters before `limit` to a stack.
+    #[inline(always)]
+    pub(super) fn push_boxes(&self, node: &Node, limit: f32, stack: &mut SortedStack) {
+        let (mask, entered) = self.boxes(node, limit);
+        stack.push(mask, &entered, &node.children);
+    }
+
     /// Mask of the lanes whose triangle the ray may hit before `limit`.
     #[inline(always)]
     pub(crate) fn triangles(&self, pack: &RayPack, limit: f32) -> u32 {
@@ -177,7 +185,7 @@ impl LaneRay {
 
 #[cfg(target_arch = "x86_64")]
 mod avx2 {
-    use super::{BOX_MARGIN, LaneRay, Node, PRODUCT_ROUNDING, RayPack, SHEAR_ROUNDING, WIDTH};
+    use super::{BOX_MARGIN, LaneRay, Node, PRODUCT_ROUNDING, RayPack, SHEAR_ROUNDING, SortedStack, WIDTH};
     use std::arch::x86_64::*;
 
     /// Loads eight values of an array into a register. It is a macro, because a closure or a generic function would be
@@ -215,6 +223,25 @@ mod avx2 {
         #[inline]
         #[target_feature(enable = "avx2")]
         pub(in crate::bvh) fn boxes_avx2(&self, node: &Node, limit: f32) -> (u32, [f32; WIDTH]) {
+            let (found, enter) = self.enter_boxes(node, limit);
+            let mut entered = [0.0f32; WIDTH];
+            // SAFETY: the array has eight floats, and the store needs no alignment.
+            unsafe { _mm256_storeu_ps(entered.as_mut_ptr(), enter) };
+            (_mm256_movemask_ps(found) as u32, entered)
+        }
+
+        /// [`LaneRay::push_boxes`] in eight lanes.
+        #[inline]
+        #[target_feature(enable = "avx2")]
+        pub(in crate::bvh) fn push_boxes_avx2(&self, node: &Node, limit: f32, stack: &mut SortedStack) {
+            let (found, enter) = self.enter_boxes(node, limit);
+            stack.push_avx2(found, enter, &node.children);
+        }
+
+        /// All bits of the lanes whose box the ray enters before `limit`, and the t of entry.
+        #[inline]
+        #[target_feature(enable = "avx2")]
+        fn enter_boxes(&self, node: &Node, limit: f32) -> (__m256, __m256) {
             let rows = node.rows();
             let mut enter = _mm256_setzero_ps();
             let mut leave = _mm256_set1_ps(limit);
@@ -227,11 +254,7 @@ mod avx2 {
                 leave = _mm256_min_ps(far, leave);
             }
             let leave = _mm256_mul_ps(leave, _mm256_set1_ps(1.000_001));
-            let mask = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(enter, leave));
-            let mut entered = [0.0f32; WIDTH];
-            // SAFETY: the array has eight floats, and the store needs no alignment.
-            unsafe { _mm256_storeu_ps(entered.as_mut_ptr(), enter) };
-            (mask as u32, entered)
+            (_mm256_cmp_ps::<_CMP_LE_OQ>(enter, leave), enter)
         }
 
         /// [`LaneRay::triangles`] in eight lanes: the same operations, the same bits.

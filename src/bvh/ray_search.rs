@@ -15,6 +15,18 @@ pub(super) struct ReadyRay {
     pub lanes: LaneRay,
 }
 
+/// The result of many rays.
+pub(super) trait Collector {
+    /// State of one ray during its search.
+    type Kept;
+
+    /// Adds a hit, and returns the new limit of the ray; see `Mesh::traverse`.
+    fn accept(&mut self, kept: &mut Self::Kept, hit: FaceHit) -> f64;
+
+    /// Receives the index of a ray after its search, and resets what was kept.
+    fn finish(&mut self, index: usize, kept: &mut Self::Kept);
+}
+
 impl ReadyRay {
     #[inline(always)]
     pub(super) fn new(ray: &Ray, clip: &Clip) -> Self {
@@ -121,16 +133,6 @@ impl<'a> RayTables<'a> {
             if *limit == f32::NEG_INFINITY {
                 return;
             }
-        }
-    }
-
-    /// Brings a node or a pack into the cache.
-    #[inline(always)]
-    pub(super) fn prefetch(&self, child: ChildRef) {
-        if child.is_pack() {
-            prefetch(&self.packs[child.index()]);
-        } else {
-            prefetch(&self.bvh.nodes[child.index()]);
         }
     }
 
