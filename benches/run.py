@@ -74,6 +74,9 @@ def run(command: list[str], limit_s: int) -> dict[str, Any]:
                 end = f"stopped at its limit of {limit_s} s"
                 os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
+            except BaseException:
+                os.killpg(process.pid, signal.SIGKILL)
+                raise
         rows = [json.loads(line) for line in record.read_text().splitlines()]
         text = output.read_text(errors="replace")
     return {"end": end, "seconds": time.monotonic() - start, "load": load, "rows": rows, "output": text}
@@ -81,7 +84,7 @@ def run(command: list[str], limit_s: int) -> dict[str, Any]:
 
 def duration(seconds: float) -> str:
     """A time with three digits in a unit of its size."""
-    unit, factor = next((u, f) for u, f in (("s", 1), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)) if seconds * f >= 1)
+    unit, factor = next((u, f) for u, f in (("s", 1), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)) if seconds * f >= 1 or u == "ns")
     return f"{seconds * factor:.3g} {unit}"
 
 
@@ -130,6 +133,9 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="benchmarks to run; all if not given")
     parser.add_argument("--fresh", action="store_true", help="start over instead of going on with an unfinished run")
     options = parser.parse_args()
+    unknown = set(options.names) - {name for name, *_ in BENCHES}
+    if unknown:
+        parser.error(f"unknown benchmarks: {', '.join(sorted(unknown))}")
 
     git = ["git", "describe", "--always", "--dirty", "--exclude=*"]
     commit = subprocess.run(git, cwd=HERE, capture_output=True, text=True).stdout.strip() or "unknown"

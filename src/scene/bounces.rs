@@ -9,10 +9,11 @@
 //! - the light of the surroundings, where it leaves the scene;
 //! - the emission of each surface that it hits, together with one point on the emissive faces for each of its vertices
 //!   ([`super::emitters`]);
-//! - the light of lamps on each surface that it hits, times the albedo of the path so far.
+//! - the light of the lights on each surface that it hits, times the albedo of the path so far.
 //!
-//! It ends after a number of bounces. The light of lamps that arrives at the visible surface directly is that of the light
-//! pass ([`super::shadow`]). Rays find fields and sheets ([`super::light_hits`]), so this light agrees with the shadows.
+//! A path ends at the largest number of bounces. Its light has not the direct light at the visible surface, which the
+//! light pass computes ([`super::shadow`]). Rays find fields and sheets ([`super::light_hits`]), so indirect light agrees
+//! with the shadows.
 //!
 //! All surfaces use the same points of the disc and the same further samples. The error is therefore smooth across a
 //! surface instead of noise, and it can be interpolated ([`super::upsampling`]).
@@ -39,8 +40,8 @@ pub const MAX_BOUNCES: u32 = 4;
 /// Number of values of a sample for each vertex of its path: two for a point on the emitters, two for a direction.
 const PER_VERTEX: usize = 4;
 
-/// One prime number for each value of a path: value `i` of the samples is the Richtmyer sequence of multiples of the root
-/// of prime `i`.
+/// One prime number for each value of a path: value `i` of the samples is the Richtmyer sequence of multiples of the
+/// root of prime `i`.
 const PRIMES: [f64; PER_VERTEX * (MAX_BOUNCES as usize + 1)] = [
     2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0, 19.0, 23.0, 29.0, 31.0, 37.0, 41.0, 43.0, 47.0, 53.0, 59.0, 61.0, 67.0, 71.0,
 ];
@@ -126,13 +127,13 @@ impl<'a> Bounces<'a> {
                 break;
             }
             at = hit.place;
-            sum += weight * self.from_lights(&at, work);
+            sum += weight * self.direct_light(&at, work);
         }
         sum
     }
 
-    /// The light of lamps that a white surface reflects.
-    fn from_lights(&self, place: &SurfacePoint, work: &mut LightWork) -> Vec3 {
+    /// The direct light that a white surface reflects.
+    fn direct_light(&self, place: &SurfacePoint, work: &mut LightWork) -> Vec3 {
         let mut sum = Vec3::ZERO;
         for light in &self.lights.lights {
             let (ray, _, color) = light.seen_from(place.p);

@@ -1,7 +1,7 @@
 //! The emissive faces of a scene as area lights: random points on them, and their density.
 
 use super::face_look::FaceLook;
-use super::light_hits::LightHit;
+use super::light_hits::{LEAST_OPACITY, LightHit};
 use super::light_rays::{LightRay, LightWork, SurfacePoint};
 use super::shadow::Casters;
 use super::{Instance, Material, Scene};
@@ -12,7 +12,7 @@ use std::f64::consts::PI;
 const FIELD_VOXELS: f64 = 3.0;
 /// Relative distance within which a hit lies on a face.
 const SAME_PLACE: f64 = 1e-4;
-/// Smallest cosine by which a distance from a plane is converted to one along a ray.
+/// Smallest cosine by which the distance from a field is converted to one along a ray.
 const LEAST_COSINE: f64 = 0.1;
 
 /// A face that emits light, scene units.
@@ -49,6 +49,10 @@ impl Emitters {
             let materials = instance.own_materials(&scene.materials);
             let emits = blocks_light(instance) && materials.iter().any(|material| brightness(material) > 0.0);
             let Some(triangles) = instance.triangles.as_ref().filter(|_| emits) else { continue };
+            // The normals of a solid must point outwards. The light of others is found by directions alone.
+            if !instance.is_sheet && triangles.mesh.topology().has_reversed_body(&triangles.mesh) {
+                continue;
+            }
             let scene_from_tree = instance.tree_from_scene.inverse();
             let side = scene_from_tree.matrix3.determinant().signum();
             for face in 0..triangles.mesh.faces().len() as u32 {
@@ -65,7 +69,7 @@ impl Emitters {
                         corner: a,
                         edges: [b - a, c - a],
                         normal: side * cross.normalize(),
-                        is_two_sided: material.two_sided,
+                        is_two_sided: material.two_sided && instance.is_sheet,
                         end,
                     });
                     emitters.has_instance[item] = true;
@@ -83,8 +87,8 @@ impl Emitters {
         self.faces.last().map_or(0.0, |face| face.end)
     }
 
-    /// Share of the light of a hit that a path counts which found it by a cosine-weighted direction. The rest belongs to
-    /// points drawn on the emitters, see [`Self::light`].
+    /// Weight of the emission of a hit that a path found by a cosine-weighted direction. Points drawn on the emitters
+    /// have the rest of the weight, see [`Self::light`].
     pub(crate) fn share_of_direction(
         &self,
         scene: &Scene,
@@ -100,7 +104,8 @@ impl Emitters {
         balance(density_of_direction(place, ray), per_area * hit.t * hit.t / cosine.max(f64::MIN_POSITIVE))
     }
 
-    /// The light of one point on the emitters that a white surface reflects, RGB. `at` selects the point, each 0 to 1.
+    /// The light of one point on the emitters that a white surface reflects, RGB. The two values of `at`, from 0 to 1,
+    /// select the point.
     ///
     /// Directions and points are combined by the balance heuristic (Veach and Guibas, *Optimally combining sampling
     /// techniques for Monte Carlo rendering*, SIGGRAPH 1995). No value exceeds the emission.
@@ -121,6 +126,7 @@ impl Emitters {
         let t = way.length();
         let ray = LightRay { direction: way / t, t_max: t };
         let cosine = -emitter.normal.dot(ray.direction);
+        let is_front = cosine > 0.0;
         let cosine = if emitter.is_two_sided { cosine.abs() } else { cosine };
         let arrives = density_of_direction(place, &ray);
         // A point at a distance of zero has no direction.
@@ -131,11 +137,16 @@ impl Emitters {
         let instance = &scene.instances[emitter.instance as usize];
         let voxel = f64::from((instance.field_normal_from_scene * emitter.normal.as_vec3()).length());
         let off_field = if instance.is_sheet { 0.0 } else { FIELD_VOXELS * voxel / cosine.max(LEAST_COSINE) };
+        // Rays to sheets start off the surface.
+        let lift = scene.lift(place) / cosine;
         let is_visible = casters
             .first_surface(place, &ray, work)
-            .is_none_or(|hit| hit.place.own == emitter.instance && hit.t >= t - off_field.max(SAME_PLACE * t));
+            .is_none_or(|hit| hit.place.own == emitter.instance && hit.t >= t - lift - off_field.max(SAME_PLACE * t));
         let Some(triangles) = instance.triangles.as_deref().filter(|_| is_visible) else { return Vec3::ZERO };
         let face = FaceLook::new(scene, instance, triangles, emitter.face, weights);
+        if instance.is_sheet && instance.opacity * face.opacity(is_front) < LEAST_OPACITY {
+            return Vec3::ZERO;
+        }
         let per_area = brightness(face.material()) / self.total();
         face.emission(|| 0.0) * balance(arrives, per_area * t * t / cosine)
     }
@@ -143,7 +154,7 @@ impl Emitters {
 
 /// Whether rays of light find an instance.
 fn blocks_light(instance: &Instance) -> bool {
-    instance.casts_shadow && instance.shade > 0.0 && (instance.is_sheet || instance.field.is_some())
+    instance.casts_shadow && (instance.is_sheet || instance.field.is_some() && instance.shade >= LEAST_OPACITY)
 }
 
 /// Density of cosine-weighted directions along a ray, per steradian.

@@ -6,8 +6,8 @@
 //! evaluates it at the centres of the pixels. Every other surface has the bilinearly weighted mean of those of the four
 //! evaluated surfaces around it that belong to the same instance, lie in its plane and have a similar normal (joint
 //! bilateral upsampling: Kopf et al., SIGGRAPH 2007). Where too few of them match, or where they disagree, as at the
-//! edge of a shadow, the light is evaluated. Occlusion and indirect light are smoother than shadows, so they are evaluated
-//! on a coarser lattice, and their interpolation regards normals and curvature ([`super::upsampling`]).
+//! edge of a shadow, the light is evaluated. Occlusion and indirect light are smoother than shadows, so they are
+//! evaluated on a coarser lattice, and their interpolation regards normals and curvature ([`super::upsampling`]).
 
 use super::RenderOptions;
 use super::bounces::Bounces;
@@ -23,13 +23,13 @@ use super::upsampling::gather;
 use crate::error::Error;
 use rayon::prelude::*;
 
-/// Occlusion and indirect light are evaluated at one of this many pixels along each side. Between these pixels it is interpolated on
-/// lattices that are twice as fine from one to the next. A pixel is also evaluated if its neighbours on the coarser
-/// lattice lie on other surfaces or disagree, or if another surface is visible near it.
+/// Occlusion and indirect light are evaluated at one of this many pixels along each side. Between these pixels they are
+/// interpolated on lattices that are twice as fine from one to the next. A pixel is also evaluated if its neighbours on
+/// the coarser lattice lie on other surfaces or disagree, or if another surface is visible near it.
 const SMOOTH_SCALE: u32 = 8;
 
-/// Smallest number of evaluated pixels along the shorter side of a picture with indirect light. Its walls are large, and
-/// the light on them changes slowly but much.
+/// Smallest number of evaluated pixels along the shorter side of a picture with indirect light. The light on a large
+/// wall changes slowly, but much from one side to the other.
 const LEAST_LATTICE: u32 = 32;
 
 /// Units of progress that one call of [`find`] counts per row of the picture. The number is divisible by each possible
@@ -150,10 +150,9 @@ fn evaluate(
                 let work = match pass.bounces {
                     Some(bounces) => {
                         let mut work = LightWork::default();
-                        // A surface without lighting reflects nothing.
-                        if !pass.casters.scene.materials[layer.material as usize].unlit {
-                            values.copy_from_slice(&bounces.light_on(&surface.place, &mut work).to_array());
-                        }
+                        // Neighbours with another material interpolate the light of surfaces without lighting too.
+                        values.copy_from_slice(&bounces.light_on(&surface.place, &mut work).to_array());
+                        pass.progress.check()?;
                         work
                     }
                     None => {

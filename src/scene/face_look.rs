@@ -2,7 +2,7 @@
 
 use super::field::SurfaceLook;
 use super::triangles::Triangles;
-use super::{Instance, Material, Scene};
+use super::{Alpha, Instance, Material, Scene};
 use glam::{Vec3, Vec4};
 
 /// A point on a face of an instance with triangles.
@@ -42,6 +42,22 @@ impl<'a> FaceLook<'a> {
         match material.texture {
             None => factor,
             Some(texture) => factor * self.texel(texture, footprint()),
+        }
+    }
+
+    /// Opacity without that of the instance. A translucent solid is one layer: a ray counts where it enters.
+    pub(crate) fn opacity(&self, is_front: bool) -> f32 {
+        let material = self.material();
+        let alpha = || {
+            let texture = material.texture.map(|texture| &self.scene.textures[texture as usize]);
+            let uv = || self.triangles.uv_at(self.face, self.weights);
+            material.color[3] * texture.map_or(1.0, |texture| texture.opacity(uv()))
+        };
+        match material.alpha {
+            Alpha::Opaque => 1.0,
+            Alpha::Mask(cutoff) => f32::from(u8::from(alpha() >= cutoff)),
+            Alpha::Blend if !material.two_sided && !is_front && self.triangles.mesh.topology().closed => 0.0,
+            Alpha::Blend => alpha().clamp(0.0, 1.0),
         }
     }
 

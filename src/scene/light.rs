@@ -11,9 +11,10 @@
 //! `ambient` is the light from everywhere on the normal ([`super::options`]).
 //! `arrives` is the visible fraction of the light ([`super::shadow`]), 0 on a side that faces away. `open` is the mean
 //! of cones over the hemisphere ([`super::occlusion`]), each weighted by its cosine; occluders beyond a given distance
-//! do not count. With indirect light ([`super::bounces`]), `ambient * open` is replaced by it. `through` is the fraction of the light that arrives through the instance itself
-//! ([`super::transmission`]). A side that faces away receives all of it. On the lit side its weight falls with the
-//! cosine, so the picture is continuous where the cosine is 0, and no surface emits more light than arrives.
+//! do not count. Indirect light ([`super::bounces`]) replaces `ambient * open`. `through` is the fraction of the light
+//! that arrives through the instance itself ([`super::transmission`]). A side that faces away receives all of it. On the
+//! lit side its weight falls with the cosine, so the picture is continuous where the cosine is 0, and no surface emits
+//! more light than arrives.
 
 use super::Scene;
 use super::light_buffer::{LightBuffer, LightSample};
@@ -24,8 +25,8 @@ use crate::render::Frame;
 use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 
-/// Shades the layers with the light on them, and composes them over the background. Returns the picture, and the number of
-/// rays and cones of the light in each pixel.
+/// Shades the layers with the light on them, and composes them over the background. Returns the picture, and the number
+/// of rays and cones of the light in each pixel.
 pub(crate) fn compose(
     pass: &Pass<'_>,
     known: &LightBuffer,

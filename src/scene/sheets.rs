@@ -19,13 +19,13 @@
 //!
 //! Sheets are evaluated on the CPU for pictures of every device, so their shadows do not depend on it.
 
+use super::face_look::FaceLook;
 use super::light_hits::LEAST_OPACITY;
 use super::light_rays::{LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
 use super::lit_surface::{Lights, LitSurface};
 use super::occlusion::AO_SLOPE;
 use super::tree::{Line, Tree};
-use super::triangles::Triangles;
-use super::{Alpha, Instance, RenderOptions, Scene, SceneShadows};
+use super::{Instance, RenderOptions, Scene, SceneShadows};
 use crate::bvh::watertight::{self, FaceHit};
 use crate::geometry::Aabb;
 use glam::{DVec3, Vec2};
@@ -231,7 +231,8 @@ impl Scene {
             let Some(triangles) = instance.triangles.as_deref() else { continue };
             let t_max = nearest.map_or(ray.t_max, |(_, hit)| hit.t);
             let hit = triangles.mesh.first_hit(&ray_in_tree(instance, start, ray, t_max), |hit| {
-                instance.opacity * self.opacity_at(instance, triangles, hit) >= LEAST_OPACITY
+                instance.opacity * FaceLook::new(self, instance, triangles, hit.face, hit.weights).opacity(hit.is_front)
+                    >= LEAST_OPACITY
             });
             nearest = hit.map(|hit| (item, hit)).or(nearest);
         }
@@ -240,11 +241,14 @@ impl Scene {
 
     /// Start of a ray: slightly off its own surface, on the side to which it goes.
     fn lifted(&self, place: &SurfacePoint, ray: &LightRay) -> DVec3 {
-        let own = &self.instances[place.own as usize];
-        let Some(triangles) = &own.triangles else { return place.p };
-        let lift = LIFT * triangles.mesh.scale() * f64::from(own.stretch[1]);
         let normal = place.normal.as_dvec3();
-        place.p + lift.copysign(normal.dot(ray.direction)) * normal
+        place.p + self.lift(place).copysign(normal.dot(ray.direction)) * normal
+    }
+
+    /// Distance of the start of a ray from its own surface, scene units.
+    pub(super) fn lift(&self, place: &SurfacePoint) -> f64 {
+        let own = &self.instances[place.own as usize];
+        own.triangles.as_ref().map_or(0.0, |triangles| LIFT * triangles.mesh.scale() * f64::from(own.stretch[1]))
     }
 
     /// Fraction of a ray that one sheet lets pass.
@@ -255,7 +259,8 @@ impl Scene {
         let mut depths = [0.0; CROSSINGS];
         let mut crossings = 0;
         triangles.mesh.first_hit(&in_tree, |hit| {
-            let opacity = instance.opacity * self.opacity_at(instance, triangles, hit);
+            let opacity = instance.opacity
+                * FaceLook::new(self, instance, triangles, hit.face, hit.weights).opacity(hit.is_front);
             let is_same = |depth: &f64| (hit.t - depth).abs() <= SAME_DEPTH * (1.0 + hit.t);
             if opacity > 0.0 && !depths[..crossings].iter().any(is_same) {
                 share *= 1.0 - opacity;
@@ -267,24 +272,6 @@ impl Scene {
             share <= 0.0
         });
         share
-    }
-
-    /// Opacity of a mesh at a hit, without that of the instance. A translucent solid is one layer: a ray counts where
-    /// it enters.
-    fn opacity_at(&self, instance: &Instance, triangles: &Triangles, hit: &FaceHit) -> f32 {
-        let index = instance.first_material + triangles.material[hit.face as usize];
-        let material = &self.materials[index as usize];
-        let color = || {
-            let texture = material.texture.map(|texture| &self.textures[texture as usize]);
-            let uv = || triangles.uv_at(hit.face, hit.weights.map(|w| w as f32));
-            material.color[3] * texture.map_or(1.0, |texture| texture.opacity(uv()))
-        };
-        match material.alpha {
-            Alpha::Opaque => 1.0,
-            Alpha::Mask(cutoff) => f32::from(u8::from(color() >= cutoff)),
-            Alpha::Blend if !material.two_sided && !hit.is_front && triangles.mesh.topology().closed => 0.0,
-            Alpha::Blend => color().clamp(0.0, 1.0),
-        }
     }
 }
 

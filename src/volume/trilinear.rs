@@ -110,7 +110,7 @@ pub trait Trilinear: Sync {
         (per_voxel.as_dvec3() / self.grid().spacing()).as_vec3()
     }
 
-    /// Brings the samples around a world point into the cache, if the field knows a cheap way to their addresses.
+    /// Brings the samples around a world point into the cache, if their addresses are cheap to compute.
     #[inline]
     fn prefetch(&self, _p: DVec3) {}
 

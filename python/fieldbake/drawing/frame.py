@@ -52,8 +52,8 @@ class Frame:
     steps : (h, w) uint32
         Number of steps of all rays and cones of the pixel.
     rays : (h, w) uint32 or None
-        Number of rays and cones to lights and surroundings that were evaluated for the pixel: 0 where its light is
-        interpolated. None in pictures of :func:`raymarch`.
+        Number of rays and cones to lights and surroundings that were evaluated for the centre of the pixel: 0 where
+        its light is interpolated. None in pictures of :func:`raymarch`.
     report : mapping
         ``device``, ``seconds`` and other properties of the work.
 

@@ -84,6 +84,8 @@ class Options:
                 ambient_occlusion = bool(ambient_occlusion)
             else:
                 ambient_occlusion = checks.number("ambient_occlusion", ambient_occlusion, above=0)
+            if bounces and ambient_occlusion is not False:
+                raise ArgumentError("ambient_occlusion: bounces contain the occlusion already; leave it out")
             return cls(
                 size,
                 primary,

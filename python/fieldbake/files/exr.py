@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 BLOCK_ROWS, ZIP = 16, 3
 
 #: Codes of the types of a channel.
-TYPES = {"<f2": 1, "<f4": 2}
+TYPES = {np.dtype("<f2"): 1, np.dtype("<f4"): 2}
 
 
 def write_channel(values: NDArray[Any]) -> bytes:
@@ -33,7 +33,7 @@ def write_channel(values: NDArray[Any]) -> bytes:
     stored = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
     height, width = stored.shape
     window = struct.pack("<4i", 0, 0, width - 1, height - 1)
-    channel = b"Y\0" + struct.pack("<iB3xii", TYPES[f"<f{stored.itemsize}"], 0, 1, 1) + b"\0"
+    channel = b"Y\0" + struct.pack("<iB3xii", TYPES[stored.dtype], 0, 1, 1) + b"\0"
     header = b"v/1\x01" + struct.pack("<i", 2)
     for name, kind, content in (
         ("channels", "chlist", channel),
