@@ -84,7 +84,9 @@ def run(command: list[str], limit_s: int) -> dict[str, Any]:
 
 def duration(seconds: float) -> str:
     """A time with three digits in a unit of its size."""
-    unit, factor = next((u, f) for u, f in (("s", 1), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)) if seconds * f >= 1 or u == "ns")
+    unit, factor = next(
+        (u, f) for u, f in (("s", 1), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)) if seconds * f >= 1 or u == "ns"
+    )
     return f"{seconds * factor:.3g} {unit}"
 
 

@@ -9,7 +9,8 @@ use exr::prelude as openexr;
 use exr::prelude::{ReadChannels, ReadLayers};
 use std::io::Cursor;
 
-/// Reads the texels of a file of one channel, FLOAT or HALF. The caller knows the size, which is compared before decompression.
+/// Reads the texels of a file of one channel, FLOAT or HALF. The caller knows the size, which is compared before
+/// decompression.
 pub(crate) fn read_exr(bytes: &[u8], width: usize, height: usize, encoding: Encoding) -> Result<Vec<u8>, Error> {
     let found = exr::meta::MetaData::read_from_buffered(Cursor::new(bytes), true);
     let found = found.map_err(|error| failed(&error.to_string()))?;

@@ -103,21 +103,33 @@ def share_of_ball(x):
     return 0.5**2 / (1 + x**2) ** 1.5
 
 
+def ball(step=1):
+    """A ball of triangles above the floor; with the step -1 the normals point inwards."""
+    vertices, faces = meshes.icosphere(4, 0.5, (0, 1, 0))
+    return fb.Mesh(vertices, np.asarray(faces)[:, ::step])
+
+
+#: Each emitter, its form factor, and properties of its material.
 EMITTERS = {
-    "disc": (lambda: disc(0.7, 1.0), share_of_disc),
-    "mesh of a ball": (lambda: fb.Mesh(*meshes.icosphere(4, 0.5, (0, 1, 0))), share_of_ball),
-    "shape of a ball": (lambda: fb.sphere(0.5).translate((0, 1, 0)), share_of_ball),
-    "quadric": (lambda: fb.Quadric.sphere((0, 1, 0), 0.5), share_of_ball),
+    "disc": (lambda: disc(0.7, 1.0), share_of_disc, {}),
+    "two-sided disc": (lambda: disc(0.7, 1.0), share_of_disc, {"two_sided": True}),
+    "cut-out disc": (lambda: disc(0.7, 1.0), np.zeros_like, {"color": (0, 0, 0, 0.2), "alpha_mode": "mask"}),
+    "mesh of a ball": (ball, share_of_ball, {}),
+    "two-sided ball": (ball, share_of_ball, {"two_sided": True}),
+    "ball wound inside out": (lambda: ball(-1), share_of_ball, {}),
+    "translucent ball": (ball, np.zeros_like, {"color": (0, 0, 0, 0.3)}),
+    "shape of a ball": (lambda: fb.sphere(0.5).translate((0, 1, 0)), share_of_ball, {}),
+    "quadric": (lambda: fb.Quadric.sphere((0, 1, 0), 0.5), share_of_ball, {}),
 }
 
 
 @pytest.mark.parametrize("name", EMITTERS)
 def test_emissive_surfaces_light_a_floor_by_their_form_factor(name):
-    make, share = EMITTERS[name]
+    make, share, look = EMITTERS[name]
     emission, albedo = np.array((2.0, 1.0, 0.5)), np.array((0.9, 0.6, 0.3))
     floor = fb.Instance(plane(4, 0), material=fb.Material(color=albedo, specular=0))
-    emitter = fb.Instance(make(), material=fb.Material(color=(0, 0, 0), emission=emission, specular=0), visible=False)
-    scene = fb.Scene([floor, emitter], [], ambient=0)
+    material = fb.Material(**{"color": (0, 0, 0), "emission": emission, "specular": 0, **look})
+    scene = fb.Scene([floor, fb.Instance(make(), material=material, visible=False)], [], ambient=0)
 
     frame = fb.render(scene, ABOVE, size=(48, 48), bounces=1, bounce_samples=1024, device="cpu")
 
@@ -125,11 +137,49 @@ def test_emissive_surfaces_light_a_floor_by_their_form_factor(name):
     x = np.hypot(points[..., 0], points[..., 2])
     relative = frame.color[..., :3] / (emission * albedo) - share(x)[..., None]
     # At the axis sin^2 of the half angle.
-    assert share(0.0) == pytest.approx(0.49 / 1.49 if name == "disc" else 0.25)
+    assert share_of_disc(0.0) == pytest.approx(0.49 / 1.49)
+    assert share_of_ball(0.0) == pytest.approx(0.25)
     # Each of 1,024 directions has a weight of 0.001, and up to 10 too many or too few hit the emitter.
     assert np.abs(relative).max() <= 0.01
     # Random directions would have a mean error of about 0.15.
     assert np.abs(relative).mean() <= 0.04 * share(x).mean()
+
+
+@pytest.mark.parametrize("side", [4.0, 400.0])
+def test_a_sheet_near_a_large_floor_lights_it_by_its_form_factor(side):
+    above = np.array([(-1, 2, -1), (1, 2, -1), (1, 2, 1), (-1, 2, 1)]) / 4
+    panel = fb.Mesh(above, [(0, 1, 2), (0, 2, 3)])
+    floor = fb.Instance(plane(side, 0), material=fb.Material(color=(1, 1, 1), specular=0))
+    lit = fb.Instance(panel, material=fb.Material(emission=(1, 1, 1), specular=0), visible=False)
+    camera = fb.Camera((0, 3, 0), (0, 0, 0), up=(0, 0, 1), fov_deg=1)
+
+    frame = fb.render(fb.Scene([floor, lit], [], ambient=0), camera, size=(8, 8), bounces=1, device="cpu")
+
+    # A square of the side 0.5 at the height 0.5, from the point below its centre.
+    expected = 4 / math.tau * 2 * math.sqrt(0.2) * math.atan(math.sqrt(0.2))
+    assert np.abs(frame.color[..., :3] - expected).max() <= 0.01
+
+
+def test_surfaces_beside_unlit_ones_have_their_light():
+    # Strips of the floor, lit and unlit in turns, are narrower than the distance between evaluated pixels.
+    edges = np.linspace(-2, 2, 49)
+    corners = np.array([(x, 0, z) for x in edges for z in (-2, 2)])
+    rows = 2 * np.arange(48)
+    faces = np.stack([rows, rows + 1, rows + 3, rows, rows + 3, rows + 2], axis=1).reshape(-1, 3)
+    strips = faces.reshape(24, 2, 2, 3)
+    faces = np.concatenate([strips[:, 0], strips[:, 1]])
+    parts = [
+        fb.Part("lit", range(48), color=(1, 1, 1, 1)),
+        fb.Part("unlit", range(48, 96), color=(1, 0, 0, 1), unlit=True),
+    ]
+    floor = fb.Instance(fb.Mesh(corners, faces.reshape(-1, 3), parts=parts))
+
+    frame = fb.render(fb.Scene([floor], [], ambient=0.5), ABOVE, size=(256, 256), bounces=1, device="cpu")
+
+    colors = frame.color[frame.object_id == 0][:, :3]
+    shows_unlit = np.abs(colors - (1, 0, 0)).max(axis=1) <= 1e-6
+    assert 0.3 <= shows_unlit.mean() <= 0.7
+    assert np.abs(colors[~shows_unlit] - 0.5).max() <= 0.01
 
 
 def test_a_convex_object_under_even_light_has_its_albedo_times_the_light():
@@ -195,9 +245,15 @@ def test_frames_of_a_renderer_have_bounces():
     options = {"size": (48, 36), "bounces": 1, "bounce_samples": 64, "device": "cpu"}
 
     frame = fb.render(scene, CAMERA, **options)
-    again = fb.Renderer(scene, **options).frame(CAMERA)
+    renderer = fb.Renderer(scene, **options)
+    again = renderer.frame(CAMERA)
+    glow = [fb.Material(emission=(1, 1, 1))] + [None] * (len(scene.instances) - 1)
+    glowing = renderer.frame(CAMERA, materials=glow)
 
     assert np.array_equal(again.color, frame.color)
+    others = glowing.object_id > 0
+    assert glowing.color[others][:, :3].mean() > 1.5 * frame.color[others][:, :3].mean()
+    assert np.array_equal(renderer.frame(CAMERA).color, frame.color)
     assert frame.report["milliseconds"]["bounces"] > 0
     assert "bounces" not in fb.render(scene, CAMERA, size=(8, 8), device="cpu").report["milliseconds"]
 

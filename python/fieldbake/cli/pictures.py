@@ -54,7 +54,9 @@ def render(
     occlusion: Annotated[bool, typer.Option("--occlusion", help="Add ambient occlusion.")] = False,
     bounces: Annotated[
         int,
-        typer.Option(help="Diffuse reflections of light between surfaces, 0 to 4. Emissive surfaces then light others."),
+        typer.Option(
+            help="Diffuse reflections of light between surfaces, 0 to 4. Emissive surfaces then light others."
+        ),
     ] = 0,
     samples: Annotated[int, typer.Option(help="Colour samples per pixel for smooth edges: 1, 4, 9, 16, ...")] = 1,
     light: Annotated[
