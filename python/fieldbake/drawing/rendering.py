@@ -128,9 +128,10 @@ def render(
     With `bounces`, ``ambient * open`` is the mean of the light that arrives along `bounce_samples` cosine-weighted
     directions. A path continues at the first instance that casts shadows and whose opacity is at least 1/2. It
     collects emission there, and the light of the lights as with ``shadows="hard"``. Each vertex of a path also has one
-    point on the emissive faces of meshes; the balance heuristic combines both techniques. Surfaces of an opacity
-    below 1/2 and instances without shadows light nothing. Paths ignore highlights and scattering. Surroundings given as an image are smoothed as described for :class:`Scene`. In a closed room, 256
-    paths differ from a path tracer by 2 % in the mean.
+    point on the emissive faces of meshes; the balance heuristic combines both techniques. Surfaces of an opacity below
+    1/2 and instances without shadows light nothing. Paths ignore highlights and scattering. Surroundings given as an
+    image are smoothed as described for :class:`Scene`. In a closed room, 256 paths differ from a path tracer by 2 % in
+    the mean.
 
     Shadows and occlusion of open sheets, of flat meshes and of meshes with a mask or a translucent texture are those of
     their triangles, with the opacity of the material at each hit; such meshes need no field. Each crossing of a blended
