@@ -131,6 +131,19 @@ def test_the_threads_of_a_bake_are_those_of_the_bake_alone(mesh, tmp_path, monke
     assert counts[2:] == [2, 1, 2]
 
 
+def test_threads_of_python_follow_the_limit(monkeypatch):
+    monkeypatch.setattr(_core, "set_threads", lambda _count: None)
+    monkeypatch.setattr(threads, "_limit", 0)
+    monkeypatch.setenv("RAYON_NUM_THREADS", "not a number")
+    assert threads.thread_count() == os.cpu_count()
+    monkeypatch.setenv("RAYON_NUM_THREADS", "3")
+    assert threads.thread_count() == 3
+    fb.set_threads(5)
+    with threads.limited_threads(2):
+        assert threads.thread_count() == 2
+    assert threads.thread_count() == 5
+
+
 def test_dask_executors_and_addresses(mesh, tmp_path):
     distributed = pytest.importorskip("distributed")
     bake(tmp_path / "here.zarr", mesh)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -40,14 +41,23 @@ def set_threads(n: int) -> None:
     _core.set_threads(_limit)
 
 
+def thread_count() -> int:
+    """The number of threads for work of Python: the limit of `set_threads`, RAYON_NUM_THREADS, or one per core."""
+    variable = os.environ.get("RAYON_NUM_THREADS", "")
+    return _limit or int(variable if variable.isdecimal() else 0) or os.cpu_count() or 1
+
+
 @contextmanager
 def limited_threads(n: int | None) -> Iterator[None]:
     """Limit the worker threads of this process for the duration of a block; None changes nothing."""
     if n is None:
         yield
         return
+    global _limit
+    before, _limit = _limit, n
     _core.set_threads(n)
     try:
         yield
     finally:
-        _core.set_threads(_limit)
+        _limit = before
+        _core.set_threads(before)

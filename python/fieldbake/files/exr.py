@@ -12,7 +12,6 @@ either. Layout: https://openexr.com/en/latest/OpenEXRFileLayout.html.
 
 from __future__ import annotations
 
-import os
 import struct
 import zlib
 from concurrent.futures import ThreadPoolExecutor
@@ -20,6 +19,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..base.threads import thread_count
 
 #: Rows of a block, and the code of the compression with such blocks.
 BLOCK_ROWS, ZIP = 16, 3
@@ -49,7 +50,7 @@ def write_channel(values: NDArray[Any]) -> bytes:
         header += f"{name}\0{kind}\0".encode() + struct.pack("<i", len(content)) + content
     header += b"\0"
     # zlib and NumPy release the lock of the interpreter.
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(thread_count()) as pool:
         blocks = list(pool.map(lambda row: _block(stored, row), range(0, height, BLOCK_ROWS)))
     first = len(header) + 8 * len(blocks)
     starts = first + np.cumsum([0, *(len(block) for block in blocks[:-1])], dtype="<u8")

@@ -7,7 +7,6 @@ the time of a general search. Blocks do not depend on the number of threads, so 
 
 from __future__ import annotations
 
-import os
 import struct
 import zlib
 from collections.abc import Callable
@@ -16,6 +15,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..base.threads import thread_count
 
 #: Size of a block before compression, bytes: large compared with the window of deflate, 32 KiB.
 BLOCK_BYTES = 4 << 20
@@ -31,7 +32,7 @@ def write_grey(values: NDArray[Any], grey: Callable[[NDArray[Any]], NDArray[Any]
     step = max(1, BLOCK_BYTES // (width * itemsize + 1))
     starts = range(0, height, step)
     # zlib and NumPy release the lock of the interpreter.
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(thread_count()) as pool:
         blocks = list(pool.map(lambda start: _compressed(values, grey, start, step), starts))
     checksum = 1
     for filtered, _ in blocks:
