@@ -1,7 +1,7 @@
 //! Reads OpenEXR files of one channel: the pages of an atlas and sheets of slices.
 //!
-//! The crate `exr` decodes; `python/fieldbake/files/exr.py` encodes. The size in a file is compared with the expected one
-//! before its texels are decompressed.
+//! The crate `exr` decodes; `python/fieldbake/files/exr.py` encodes. The size in a file is compared with the expected
+//! one before its texels are decompressed.
 
 use crate::encoding::Encoding;
 use crate::error::{Error, FormatError};

@@ -12,8 +12,8 @@
 //! - the light of the lights on each surface that it hits, times the albedo of the path so far.
 //!
 //! A path ends at the largest number of bounces. Its light has not the direct light at the visible surface, which the
-//! light pass computes ([`super::shadow`]). Rays find fields and sheets ([`super::light_hits`]), so indirect light agrees
-//! with the shadows.
+//! light pass computes ([`super::shadow`]). Rays find fields and sheets ([`super::light_hits`]), so indirect light
+//! agrees with the shadows.
 //!
 //! All surfaces use the same points of the disc and the same further samples. The error is therefore smooth across a
 //! surface instead of noise, and it can be interpolated ([`super::upsampling`]).

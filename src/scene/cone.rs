@@ -262,9 +262,9 @@ impl ConeWalk<'_> {
         Ok(x)
     }
 
-    /// The axis enters the solid at `t_hit`. Returns the signed distance of the nearest edge in radii, at most 0, and the
-    /// position of the deepest point, to which that distance belongs. At -1 or below the solid covers the whole section,
-    /// and the walk ends there. `ball` contains the surface, if such a ball is known.
+    /// The axis enters the solid at `t_hit`. Returns the signed distance of the nearest edge in radii, at most 0, and
+    /// the position of the deepest point, to which that distance belongs. At -1 or below the solid covers the whole
+    /// section, and the walk ends there. `ball` contains the surface, if such a ball is known.
     pub(crate) fn inside(&self, t_hit: f32, ball: Option<&BallAhead>, steps: &mut u32) -> (f32, f32) {
         // Under a non-uniform scale the depth is an estimate, which the ball does not bound.
         let ball = ball.filter(|_| self.instance.is_uniform());
@@ -293,9 +293,9 @@ impl ConeWalk<'_> {
         deepest
     }
 
-    /// Rays from the apex beyond the nearest edge of a solid, and their number. At its deepest point `t` the axis has the
-    /// signed distance `x` from the edge in radii, which is negative. `right` and `up` are unit vectors across the axis.
-    /// The clearance of each ray is known at `t` only, so it is an upper bound. The largest bound comes first.
+    /// Rays from the apex beyond the nearest edge of a solid, and their number. At its deepest point `t` the axis has
+    /// the signed distance `x` from the edge in radii, which is negative. `right` and `up` are unit vectors across the
+    /// axis. The clearance of each ray is known at `t` only, so it is an upper bound. The largest bound comes first.
     pub(crate) fn rays_past(
         &self,
         (x, t): (f32, f32),

@@ -1,9 +1,9 @@
 //! The light on the faces that a device found, without leaving the device: the beams are made from the picture in its
 //! memory (`shaders/scene_surfaces.wgsl`), and only their results are read back.
 //!
-//! It applies to faces of meshes under hard and soft shadows without occlusion, in pictures whose rays start at the eye.
-//! Everything else is left to [`super::device_beams`]: fields, translucent surfaces, light through objects, and pixels that
-//! the CPU drew.
+//! It applies to faces of meshes under hard and soft shadows without occlusion, in pictures whose rays start at the
+//! eye. Everything else is left to [`super::device_beams`]: fields, translucent surfaces, light through objects, and
+//! pixels that the CPU drew.
 
 use super::SceneShadows;
 use super::device_buffers::{Buffers, MOST_BEAMS, MOST_PARTS};

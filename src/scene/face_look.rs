@@ -35,7 +35,8 @@ impl<'a> FaceLook<'a> {
         &self.scene.materials[self.material_index() as usize]
     }
 
-    /// Linear RGB and opacity. Textures are averaged over a square of the side `footprint`, in units of the mesh's tree.
+    /// Linear RGB and opacity. Textures are averaged over a square of the side `footprint`, in units of the mesh's
+    /// tree.
     pub(crate) fn color(&self, footprint: impl FnOnce() -> f64) -> Vec4 {
         let material = self.material();
         let factor = Vec4::from_array(material.color) * self.triangles.color_at(self.face, self.weights);

@@ -148,8 +148,8 @@ impl<F: Blocks> SampledField<F> {
         &self.marcher
     }
 
-    /// The corners of the cell at the nearest point of the box, the position in the cell from 0 to 1, and the side of the
-    /// cell in voxels.
+    /// The corners of the cell at the nearest point of the box, the position in the cell from 0 to 1, and the side of
+    /// the cell in voxels.
     ///
     /// The field is constant along an axis past the outermost samples, so the point moves to them: the cells there lie
     /// between samples.

@@ -12,9 +12,9 @@
 //! `arrives` is the visible fraction of the light ([`super::shadow`]), 0 on a side that faces away. `open` is the mean
 //! of cones over the hemisphere ([`super::occlusion`]), each weighted by its cosine; occluders beyond a given distance
 //! do not count. Indirect light ([`super::bounces`]) replaces `ambient * open`. `through` is the fraction of the light
-//! that arrives through the instance itself ([`super::transmission`]). A side that faces away receives all of it. On the
-//! lit side its weight falls with the cosine, so the picture is continuous where the cosine is 0, and no surface emits
-//! more light than arrives.
+//! that arrives through the instance itself ([`super::transmission`]). A side that faces away receives all of it. On
+//! the lit side its weight falls with the cosine, so the picture is continuous where the cosine is 0, and no surface
+//! emits more light than arrives.
 
 use super::Scene;
 use super::light_buffer::{LightBuffer, LightSample};
@@ -81,7 +81,8 @@ pub(crate) fn compose(
 }
 
 impl LitSurface<'_> {
-    /// Linear RGB of the lit surface. `ambient` is the reflection of all light but that of the lights by a white surface.
+    /// Linear RGB of the lit surface. `ambient` is the reflection of all light but that of the lights by a white
+    /// surface.
     fn shade(&self, scene: &Scene, lights: &Lights, ambient: Vec3, found: &LightSample<'_>) -> Vec3 {
         let material = &scene.materials[self.layer.material as usize];
         let albedo = self.layer.color.truncate();

@@ -66,12 +66,12 @@ pub struct Beside<'a> {
 }
 
 impl Beside<'_> {
-    /// Calls `visit` with each instance that a narrow cone from the apex of the cone may intersect, until `visit` returns
-    /// false. `direction` is the unit direction of its axis, `offset` the tangent of the angle between the axes, and
-    /// `width` its radius for a distance of 1 along the axis of the wide cone.
+    /// Calls `visit` with each instance that a narrow cone from the apex of the cone may intersect, until `visit`
+    /// returns false. `direction` is the unit direction of its axis, `offset` the tangent of the angle between the
+    /// axes, and `width` its radius for a distance of 1 along the axis of the wide cone.
     ///
-    /// At the distance `t` along the axis, the narrow cone is `(offset - width) t` to `(offset + width) t` away from the
-    /// axis. It misses an instance whose surface is `x` radii away, if `offset + width < slope x`.
+    /// At the distance `t` along the axis, the narrow cone is `(offset - width) t` to `(offset + width) t` away from
+    /// the axis. It misses an instance whose surface is `x` radii away, if `offset + width < slope x`.
     pub fn along(&self, p: Vec3, direction: Vec3, offset: f32, width: f32, mut visit: impl FnMut(u32) -> bool) {
         let length = (1.0 + offset * offset).sqrt();
         let mut pass =

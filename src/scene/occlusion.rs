@@ -348,8 +348,8 @@ impl Casters<'_> {
         occluders.relate(&Region { p, normal: place.normal, reach, depth });
     }
 
-    /// Fraction of the section of a cone of slope [`AO_SLOPE`] that passes the occluders of its place, if edges in it are
-    /// straight.
+    /// Fraction of the section of a cone of slope [`AO_SLOPE`] that passes the occluders of its place, if edges in it
+    /// are straight.
     pub fn wide_share(
         &self,
         place: &SurfacePoint,

@@ -65,8 +65,8 @@ impl Ambient {
 
     /// Linear RGB of the light from a unit direction, world space. Its reflection by a white surface is [`Self::on`].
     ///
-    /// With the mean `a` of the light and its moments `b` and `C`, the reflection is `15/8 n.Cn + 2 n.b + 3/8 a` and the
-    /// light of the same spherical harmonics `15/2 n.Cn + 3 n.b - 3/2 a`.
+    /// With the mean `a` of the light and its moments `b` and `C`, the reflection is `15/8 n.Cn + 2 n.b + 3/8 a` and
+    /// the light of the same spherical harmonics `15/2 n.Cn + 3 n.b - 3/2 a`.
     pub fn from(&self, direction: Vec3) -> Vec3 {
         match self {
             Self::Constant(share) => Vec3::splat(*share),

@@ -210,8 +210,8 @@ struct RowBand<'a> {
     is_parallel: bool,
     /// Start of the ray through fragment (0, 0) in scene space.
     start: DVec3,
-    /// Scene direction of the ray through fragment (0, 0), one unit of depth long; and the changes of the direction to the
-    /// right and down, or of the start if the rays are parallel.
+    /// Scene direction of the ray through fragment (0, 0), one unit of depth long; and the changes of the direction to
+    /// the right and down, or of the start if the rays are parallel.
     ray: [DVec3; 3],
     middle: [f64; 2],
     pixel: f64,

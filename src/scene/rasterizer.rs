@@ -14,9 +14,9 @@
 //! # Practice
 //!
 //! Meshes with a mask or a translucent material, strongly stretched ones, and those with more than [`FACES_PER_PIXEL`]
-//! faces per pixel of their rectangle on the screen are left to the search, as are all fields, and all meshes if the rays
-//! are parallel. The rasteriser computes the pixels that their boxes cover, so that no ray is traced elsewhere. Rows are
-//! drawn in bands, in parallel.
+//! faces per pixel of their rectangle on the screen are left to the search, as are all fields, and all meshes if the
+//! rays are parallel. The rasteriser computes the pixels that their boxes cover, so that no ray is traced elsewhere.
+//! Rows are drawn in bands, in parallel.
 
 use super::eye::{Eye, as_triangles, is_opaque};
 use super::gbuffer::{Layer, View};

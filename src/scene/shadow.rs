@@ -117,8 +117,8 @@ impl<'a> Casters<'a> {
         sum.share()
     }
 
-    /// Adds the far field to the results of a cone; `wide` is set for a cone of occlusion. Returns whether the far field
-    /// was evaluated.
+    /// Adds the far field to the results of a cone; `wide` is set for a cone of occlusion. Returns whether the far
+    /// field was evaluated.
     pub fn add_far(
         &self,
         split: &Split,
@@ -390,8 +390,8 @@ impl<'a> Casters<'a> {
         Cone { x: most * (1.0 + deepest.0) - 1.0, is_covered: false }
     }
 
-    /// The least clearance of a ray past an edge of an occluder, beside that occluder and all other opaque ones: radii of
-    /// the ray's narrow cone, from 0 to 1. The search ends if it is at most `least`.
+    /// The least clearance of a ray past an edge of an occluder, beside that occluder and all other opaque ones: radii
+    /// of the ray's narrow cone, from 0 to 1. The search ends if it is at most `least`.
     fn clearance_past(
         &self,
         caster: &Caster<'_>,
@@ -439,8 +439,8 @@ impl<'a> Casters<'a> {
         clearance
     }
 
-    /// The clearance of the axis of a narrow cone beside one occluder in radii, from 0 to 1. A clearance above `x_known`
-    /// need not be exact.
+    /// The clearance of the axis of a narrow cone beside one occluder in radii, from 0 to 1. A clearance above
+    /// `x_known` need not be exact.
     fn clearance_beside(&self, caster: &Caster<'_>, cone: LightCone<'_>, x_known: f32, work: &mut LightWork) -> f32 {
         work.steps += 1;
         let walk = cone_walk(caster, cone, x_known);

@@ -221,7 +221,8 @@ impl Scene {
         share
     }
 
-    /// The nearest face on a thin ray that blocks at least [`LEAST_OPACITY`] of the light, with the instance that it belongs to.
+    /// The nearest face on a thin ray that blocks at least [`LEAST_OPACITY`] of the light, with the instance that it
+    /// belongs to.
     pub fn first_face(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> Option<(u32, FaceHit)> {
         let mut nearest: Option<(u32, FaceHit)> = None;
         let start = self.lifted(place, ray);

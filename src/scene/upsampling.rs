@@ -20,8 +20,8 @@ const ENOUGH: f32 = 0.5;
 /// The sum of the weights if all neighbours match, less rounding.
 const ALL: f32 = 1.0 - 1e-4;
 
-/// Limits for the interpolation of occlusion and indirect light, which are smooth except near contacts. Errors seen in a
-/// picture spread over an area, so the limits fall with the distance between evaluated pixels.
+/// Limits for the interpolation of occlusion and indirect light, which are smooth except near contacts. Errors seen in
+/// a picture spread over an area, so the limits fall with the distance between evaluated pixels.
 #[derive(Debug, Clone, Copy)]
 struct OpenLimits {
     /// Values that differ by less may be averaged.
@@ -55,8 +55,8 @@ const BEYOND_WEIGHT: f32 = 0.25;
 /// Variance of the normals, per axis, at which half of a change is attributed to them.
 const NORMAL_VARIANCE: f32 = 0.01;
 
-/// Interpolates light for the surfaces of the pass from `evaluated`, the light on the picture `source`, which has light at
-/// every `every`-th pixel. Values are interpolated at every `finer`-th pixel.
+/// Interpolates light for the surfaces of the pass from `evaluated`, the light on the picture `source`, which has light
+/// at every `every`-th pixel. Values are interpolated at every `finer`-th pixel.
 pub(crate) fn gather(
     pass: &Pass<'_>,
     known: &mut LightBuffer,
@@ -164,9 +164,9 @@ impl<'s, 'a> Around<'s, 'a> {
         }
     }
 
-    /// The values and normal at an evaluated pixel, if its surface belongs to the same instance, lies in the plane of the
-    /// surface, and has a similar normal. Column and line are in units of the distance between evaluated pixels. `far`
-    /// scales the permitted distance from the plane.
+    /// The values and normal at an evaluated pixel, if its surface belongs to the same instance, lies in the plane of
+    /// the surface, and has a similar normal. Column and line are in units of the distance between evaluated pixels.
+    /// `far` scales the permitted distance from the plane.
     fn evaluated(&self, column: f64, line: f64, least_cosine: f32, far: f64) -> Option<(&'a [f32], Vec3)> {
         let (x, y) = (column * f64::from(self.every), line * f64::from(self.every));
         let view = &self.source.view;
