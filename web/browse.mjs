@@ -1,6 +1,6 @@
 // Open pages in Chromium without a network. Standard input: {"executable", "flags", "jobs": [{"url", "expression" or "script",
-// "before", "width", "height", "screenshot", "online"}]}. An expression is evaluated in the page; a script is the body of an asynchronous
-// function of `page`, the object of playwright; `before` runs in each frame before its own scripts.
+// "before", "width", "height", "screenshot", "online"}]}. An expression is evaluated in the page when it is loaded; a script is the body of
+// an asynchronous function of `page`, the object of playwright, and starts before; `before` runs in each frame before its own scripts.
 // Standard output: one result for each job: its value, errors and warnings of the console, requests.
 import { chromium } from "playwright-core";
 
@@ -23,7 +23,7 @@ for (const job of jobs) {
   if (job.before) await page.addInitScript(job.before);
   let value = null;
   try {
-    await page.goto(job.url, { waitUntil: "commit", timeout: 120_000 });
+    await page.goto(job.url, { waitUntil: job.script ? "commit" : "load", timeout: 120_000 });
     value = job.script ? await new AsyncFunction("page", job.script)(page) : await page.evaluate(job.expression);
     if (job.screenshot) await page.screenshot({ path: job.screenshot });
   } catch (error) {

@@ -132,7 +132,7 @@ def test_code_stays_within_narrow_pages(site: Path):
       const box = (name) => name.getBoundingClientRect();
       const wide = names.filter((name) => box(name).right > innerWidth).map((name) => name.textContent);
       const calls = [...document.querySelectorAll("article td code")].filter((name) => name.textContent.length > 10);
-      return { wide, least: Math.min(...calls.map((name) => box(name).width)) };
+      return { names: names.length, wide, least: Math.min(...calls.map((name) => box(name).width)) };
     })()"""
     jobs = [
         {"url": (site / page).as_uri(), "expression": expression, "width": 390}
@@ -141,6 +141,7 @@ def test_code_stays_within_narrow_pages(site: Path):
     engines, migration = visit(jobs)
     for result in (engines, migration):
         assert result.value is not None, result.errors
+        assert result.value["names"] > 0
         assert result.value["wide"] == []
     # A character has about 8 pixels.
     assert migration.value["least"] >= 75
