@@ -23,6 +23,8 @@ use super::light_rays::{LightRay, LightWork, SurfacePoint, basis, disc_point};
 use super::lit_surface::Lights;
 use super::shadow::Casters;
 use super::{Ambient, RenderOptions, SceneShadows};
+use crate::error::Error;
+use crate::progress::Progress;
 use glam::{DVec3, Vec2, Vec3};
 
 /// Number of bounces and of paths for each surface.
@@ -63,24 +65,29 @@ pub(crate) struct Bounces<'a> {
 
 impl<'a> Bounces<'a> {
     /// None if the picture has no indirect light.
-    pub(crate) fn new(casters: &Casters<'a>, lights: &'a Lights, options: &'a RenderOptions) -> Option<Self> {
-        let bounces = options.bounces?;
+    pub(crate) fn new(
+        casters: &Casters<'a>,
+        lights: &'a Lights,
+        options: &'a RenderOptions,
+        progress: &Progress,
+    ) -> Result<Option<Self>, Error> {
+        let Some(bounces) = options.bounces else { return Ok(None) };
         let scene = casters.scene;
         // Trees are built here: see `Sheets::new`.
         for triangles in scene.instances.iter().filter_map(|instance| instance.triangles.as_ref()) {
             triangles.mesh.bvh();
         }
         let emits = scene.materials.iter().any(|material| material.unlit || material.emission != [0.0; 3]);
-        Some(Self {
+        Ok(Some(Self {
             // A far field has no colours.
             casters: Casters { far: None, ..*casters },
             lights,
             ambient: &options.ambient,
-            emitters: Emitters::new(scene),
+            emitters: Emitters::new(scene, progress)?,
             has_shadows: options.shadows != SceneShadows::None,
             has_glow: emits || !options.ambient.is_dark(),
             options: bounces,
-        })
+        }))
     }
 
     /// Linear RGB of the indirect light that a white surface reflects.

@@ -4,9 +4,15 @@ use super::face_look::FaceLook;
 use super::light_hits::{LEAST_OPACITY, LightHit};
 use super::light_rays::{LightRay, LightWork, SurfacePoint};
 use super::shadow::Casters;
+use super::triangles::Triangles;
 use super::{Instance, Material, Scene};
-use glam::{DVec3, Vec3};
+use crate::error::Error;
+use crate::memory::require_for;
+use crate::progress::Progress;
+use glam::{DAffine3, DVec3, Vec3};
+use rayon::prelude::*;
 use std::f64::consts::PI;
+use std::ops::Range;
 
 /// Distance between a face and the surface of its field, voxels: with a margin for the trilinear interpolation.
 const FIELD_VOXELS: f64 = 3.0;
@@ -15,16 +21,17 @@ const SAME_PLACE: f64 = 1e-4;
 /// Smallest cosine by which the distance from a field is converted to one along a ray.
 const LEAST_COSINE: f64 = 0.1;
 
-/// A face that emits light, scene units.
+/// Number of faces between two checks of the progress: about a millisecond.
+const BATCH: usize = 1 << 14;
+/// Remedy for a table of faces that does not fit.
+const ADVICE: &str = "emit light from fewer instances or faces, or leave out bounces=";
+
+/// A face that emits light.
+#[derive(Clone, Copy)]
 struct Emitter {
     instance: u32,
     face: u32,
-    corner: DVec3,
-    edges: [DVec3; 2],
-    /// Unit normal of the side that emits.
-    normal: DVec3,
-    is_two_sided: bool,
-    /// Sum of area times brightness of this face and all before it.
+    /// Sum of area times brightness of this face and all before it, scene units.
     end: f64,
 }
 
@@ -41,42 +48,49 @@ fn brightness(material: &Material) -> f64 {
     if material.unlit { 0.0 } else { f64::from(Vec3::from_array(material.emission).element_sum()) / 3.0 }
 }
 
+/// A face in scene space: its first corner, the edges from there to the two others, and their cross product.
+struct PlacedFace {
+    corner: DVec3,
+    edges: [DVec3; 2],
+    cross: DVec3,
+}
+
+impl PlacedFace {
+    fn new(triangles: &Triangles, face: u32, scene_from_tree: DAffine3) -> Self {
+        let [a, b, c] = triangles.mesh.triangle(face).map(|p| scene_from_tree.transform_point3(p));
+        Self { corner: a, edges: [b - a, c - a], cross: (b - a).cross(c - a) }
+    }
+}
+
 impl Emitters {
-    pub(crate) fn new(scene: &Scene) -> Self {
-        let mut emitters = Self { faces: Vec::new(), has_instance: vec![false; scene.instances.len()] };
-        let mut end = 0.0;
+    pub(crate) fn new(scene: &Scene, progress: &Progress) -> Result<Self, Error> {
+        let mut batches = Vec::new();
         for (item, instance) in scene.instances.iter().enumerate() {
-            let materials = instance.own_materials(&scene.materials);
-            let emits = blocks_light(instance) && materials.iter().any(|material| brightness(material) > 0.0);
-            let Some(triangles) = instance.triangles.as_ref().filter(|_| emits) else { continue };
-            // The normals of a solid must point outwards. The light of others is found by directions alone.
-            if !instance.is_sheet && triangles.mesh.topology().has_reversed_body(&triangles.mesh) {
-                continue;
-            }
-            let scene_from_tree = instance.tree_from_scene.inverse();
-            let side = scene_from_tree.matrix3.determinant().signum();
-            for face in 0..triangles.mesh.faces().len() as u32 {
-                let material = &materials[triangles.material[face as usize] as usize];
-                let brightness = brightness(material);
-                let [a, b, c] = triangles.mesh.triangle(face).map(|p| scene_from_tree.transform_point3(p));
-                let cross = (b - a).cross(c - a);
-                let weight = 0.5 * cross.length() * brightness;
-                if weight > 0.0 && weight.is_finite() {
-                    end += weight;
-                    emitters.faces.push(Emitter {
-                        instance: item as u32,
-                        face,
-                        corner: a,
-                        edges: [b - a, c - a],
-                        normal: side * cross.normalize(),
-                        is_two_sided: material.two_sided && instance.is_sheet,
-                        end,
-                    });
-                    emitters.has_instance[item] = true;
-                }
-            }
+            progress.check()?;
+            let Some(triangles) = emissive_mesh(scene, instance) else { continue };
+            let count = triangles.mesh.faces().len();
+            batches.extend((0..count).step_by(BATCH).map(|first| (item, first..count.min(first + BATCH))));
         }
-        emitters
+        let count: usize = batches.iter().map(|(_, faces)| faces.len()).sum();
+        let needed = (count * size_of::<Emitter>()) as u64;
+        require_for(&format!("a table of {count} emissive faces"), needed, needed, ADVICE)?;
+
+        let batches = batches
+            .into_par_iter()
+            .map(|(item, faces)| {
+                progress.check()?;
+                Ok(weights(scene, item, faces))
+            })
+            .collect::<Result<Vec<_>, Error>>()?;
+        let mut faces = batches.concat();
+        let mut has_instance = vec![false; scene.instances.len()];
+        let mut sum = 0.0;
+        for face in &mut faces {
+            has_instance[face.instance as usize] = true;
+            sum += face.end;
+            face.end = sum;
+        }
+        Ok(Self { faces, has_instance })
     }
 
     pub(crate) fn is_empty(&self) -> bool {
@@ -122,34 +136,62 @@ impl Emitters {
         let start = if i == 0 { 0.0 } else { self.faces[i - 1].end };
         let u = ((target - start) / (emitter.end - start)).clamp(0.0, 1.0).sqrt();
         let weights = [1.0 - u, u * (1.0 - at[1]), u * at[1]];
-        let way = emitter.corner + weights[1] * emitter.edges[0] + weights[2] * emitter.edges[1] - place.p;
+        let scene = casters.scene;
+        let instance = &scene.instances[emitter.instance as usize];
+        let Some(triangles) = instance.triangles.as_deref() else { return Vec3::ZERO };
+        let scene_from_tree = instance.tree_from_scene.inverse();
+        let placed = PlacedFace::new(triangles, emitter.face, scene_from_tree);
+        // The normal of the side that emits.
+        let normal = scene_from_tree.matrix3.determinant().signum() * placed.cross.normalize();
+        let face = FaceLook::new(scene, instance, triangles, emitter.face, weights);
+        let way = placed.corner + weights[1] * placed.edges[0] + weights[2] * placed.edges[1] - place.p;
         let t = way.length();
         let ray = LightRay { direction: way / t, t_max: t };
-        let cosine = -emitter.normal.dot(ray.direction);
+        let cosine = -normal.dot(ray.direction);
         let is_front = cosine > 0.0;
-        let cosine = if emitter.is_two_sided { cosine.abs() } else { cosine };
+        let cosine = if instance.is_sheet && face.material().two_sided { cosine.abs() } else { cosine };
         let arrives = density_of_direction(place, &ray);
         // A point at a distance of zero has no direction.
         if !(t > 0.0 && cosine > 0.0 && arrives > 0.0) {
             return Vec3::ZERO;
         }
-        let scene = casters.scene;
-        let instance = &scene.instances[emitter.instance as usize];
-        let voxel = f64::from((instance.field_normal_from_scene * emitter.normal.as_vec3()).length());
+        let voxel = f64::from((instance.field_normal_from_scene * normal.as_vec3()).length());
         let off_field = if instance.is_sheet { 0.0 } else { FIELD_VOXELS * voxel / cosine.max(LEAST_COSINE) };
         // Rays to sheets start off the surface.
         let lift = scene.lift(place) / cosine;
         let is_visible = casters
             .first_surface(place, &ray, work)
             .is_none_or(|hit| hit.place.own == emitter.instance && hit.t >= t - lift - off_field.max(SAME_PLACE * t));
-        let Some(triangles) = instance.triangles.as_deref().filter(|_| is_visible) else { return Vec3::ZERO };
-        let face = FaceLook::new(scene, instance, triangles, emitter.face, weights);
-        if instance.is_sheet && instance.opacity * face.opacity(is_front) < LEAST_OPACITY {
+        if !is_visible || instance.is_sheet && instance.opacity * face.opacity(is_front) < LEAST_OPACITY {
             return Vec3::ZERO;
         }
         let per_area = brightness(face.material()) / self.total();
         face.emission(|| 0.0) * balance(arrives, per_area * t * t / cosine)
     }
+}
+
+/// The mesh of an instance, if its faces may emit light.
+fn emissive_mesh<'a>(scene: &Scene, instance: &'a Instance) -> Option<&'a Triangles> {
+    let materials = instance.own_materials(&scene.materials);
+    let emits = blocks_light(instance) && materials.iter().any(|material| brightness(material) > 0.0);
+    let triangles = instance.triangles.as_deref().filter(|_| emits)?;
+    // The normals of a solid must point outwards. The light of others is found by directions alone.
+    let is_usable = instance.is_sheet || !triangles.mesh.topology().has_reversed_body(&triangles.mesh);
+    is_usable.then_some(triangles)
+}
+
+/// The faces in a range that emit light. `end` of each is its own area times brightness.
+fn weights(scene: &Scene, item: usize, faces: Range<usize>) -> Vec<Emitter> {
+    let instance = &scene.instances[item];
+    let Some(triangles) = instance.triangles.as_deref() else { return Vec::new() };
+    let materials = instance.own_materials(&scene.materials);
+    let scene_from_tree = instance.tree_from_scene.inverse();
+    let emitter = |face: usize| {
+        let brightness = brightness(&materials[triangles.material[face] as usize]);
+        let end = 0.5 * PlacedFace::new(triangles, face as u32, scene_from_tree).cross.length() * brightness;
+        (end > 0.0 && end.is_finite()).then_some(Emitter { instance: item as u32, face: face as u32, end })
+    };
+    faces.filter_map(emitter).collect()
 }
 
 /// Whether rays of light find an instance.

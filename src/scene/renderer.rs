@@ -128,7 +128,7 @@ fn draw(
     let light_device = device.filter(|device| device.knows_all());
     let lights = Lights::new(scene, options);
     let mut seconds = vec![("primary", 0.0), ("light", 0.0)];
-    let bounces = Bounces::new(&casters, &lights, options);
+    let bounces = Bounces::new(&casters, &lights, options, progress)?;
     seconds.extend(bounces.is_some().then_some(("bounces", 0.0)));
     let counters = RayCounters::default();
     let mut frame: Option<Frame> = None;

@@ -56,7 +56,7 @@ pub struct Caster<'a> {
     /// Interval in which it is evaluated, scene units.
     part: [f64; 2],
     /// Whether the start is on its own surface.
-    pub is_own: bool,
+    is_own: bool,
     /// Length to skip if the interval begins inside the occluder, scene units; above zero only for the far field, see
     /// [`super::far`].
     skip: f64,

@@ -300,6 +300,20 @@ def test_unusable_bounces_are_refused(name, options):
         fb.render(fb.sphere(), size=(8, 8), device="cpu", **options)
 
 
+def test_more_emissive_faces_than_memory_are_refused_with_their_size():
+    # A sheet of a million faces, 40,000 times.
+    side = 708
+    x, z = np.meshgrid(np.linspace(-1, 1, side + 1), np.linspace(-1, 1, side + 1), indexing="ij")
+    corners = (np.arange(side)[:, None] * (side + 1) + np.arange(side)).ravel()
+    faces = [corners + np.array(offsets)[:, None] for offsets in ((0, 1, side + 2), (0, side + 2, side + 1))]
+    sheet = fb.Mesh(np.stack([x, 0 * x, z], axis=-1).reshape(-1, 3), np.concatenate(faces, axis=1).T)
+    scene = fb.Scene([fb.Instance(sheet, material=fb.Material(emission=(1, 1, 1)))] * 40_000, [])
+    count = 40_000 * len(sheet.faces)
+
+    with pytest.raises(fb.CapacityError, match=rf"{count} emissive faces needs {16 * count} bytes .*bounces"):
+        fb.render(scene, ABOVE, size=(2, 2), bounces=1, device="cpu")
+
+
 def test_the_heat_map_of_rays_counts_those_of_each_pixel(device):
     scene = scene_of(room.room(), [LAMP], ambient=0.1)
     occluded = fb.render(scene, CAMERA, size=(32, 24), ambient_occlusion=True, device=device)
