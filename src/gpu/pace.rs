@@ -28,10 +28,23 @@ pub(crate) fn in_groups(
     what: &str,
     total: usize,
     progress: &Progress,
+    dispatch: impl FnMut(u32, u32, [u32; 3]) -> Result<wgpu::SubmissionIndex, Error>,
+) -> Result<(), Error> {
+    in_groups_from(context, what, total, &mut 0, progress, dispatch)
+}
+
+/// [`in_groups`] for a job that is repeated. `size` is the number of workgroups of the first dispatch, or 0 for
+/// the default; it becomes the number with which the same job should start the next time.
+pub(crate) fn in_groups_from(
+    context: &Context,
+    what: &str,
+    total: usize,
+    size: &mut u64,
+    progress: &Progress,
     mut dispatch: impl FnMut(u32, u32, [u32; 3]) -> Result<wgpu::SubmissionIndex, Error>,
 ) -> Result<(), Error> {
     let groups = (total as u64).div_ceil(GROUP);
-    in_pieces(context, what, groups, GROUPS.0, GROUPS.1, progress, |first, groups| {
+    adapted(context, what, groups, GROUPS, size, progress, |first, groups| {
         let first = GROUP * first;
         let count = (GROUP * groups).min(total as u64 - first);
         dispatch(first as u32, count as u32, [groups as u32, 1, 1])
@@ -49,30 +62,61 @@ pub(crate) fn in_pieces(
     smallest: u64,
     largest: u64,
     progress: &Progress,
+    dispatch: impl FnMut(u64, u64) -> Result<wgpu::SubmissionIndex, Error>,
+) -> Result<(), Error> {
+    adapted(context, what, total, (smallest, largest), &mut 0, progress, dispatch)
+}
+
+/// [`in_pieces`] that starts with dispatches of `size` units. Sets `size` to the number with which the same job should
+/// start the next time: a quarter of the last adapted one, since the job may be slower then.
+fn adapted(
+    context: &Context,
+    what: &str,
+    total: u64,
+    (smallest, largest): (u64, u64),
+    size: &mut u64,
+    progress: &Progress,
     mut dispatch: impl FnMut(u64, u64) -> Result<wgpu::SubmissionIndex, Error>,
 ) -> Result<(), Error> {
-    let mut size = smallest;
+    let mut pace = Pace { size: (*size).clamp(smallest, largest), smallest, largest };
     let mut first = 0;
     let mut waiting: Option<wgpu::SubmissionIndex> = None;
     let mut since = Instant::now();
     while first < total {
-        let count = size.min(total - first);
+        let count = pace.size.min(total - first);
         let submission = dispatch(first, count)?;
         first += count;
         if let Some(earlier) = waiting.replace(submission) {
             context.wait(what, &earlier, progress)?;
-            let took = since.elapsed();
+            pace.adapt(since.elapsed());
             since = Instant::now();
-            if took < QUICK {
-                size = (size * 2).min(largest);
-            } else if took > SLOW {
-                size = (size / 2).max(smallest);
-            }
         }
         progress.check()?;
     }
-    match waiting {
-        Some(last) => context.wait(what, &last, progress),
-        None => Ok(()),
+    if let Some(last) = waiting {
+        context.wait(what, &last, progress)?;
+        // The last dispatch may be small, so a short time shows nothing.
+        pace.adapt(since.elapsed().max(QUICK));
+    }
+    // A job of few dispatches shows only that its first size is not too large.
+    *size = if pace.size < *size { pace.size / 4 } else { (*size).max(pace.size / 4) };
+    Ok(())
+}
+
+/// The size of the next dispatch, and its limits.
+struct Pace {
+    size: u64,
+    smallest: u64,
+    largest: u64,
+}
+
+impl Pace {
+    /// Adapts the size to the duration of a dispatch.
+    fn adapt(&mut self, took: Duration) {
+        if took < QUICK {
+            self.size = (self.size * 2).min(self.largest);
+        } else if took > SLOW {
+            self.size = (self.size / 2).max(self.smallest);
+        }
     }
 }

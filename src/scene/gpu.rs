@@ -18,14 +18,14 @@ use crate::error::Error;
 use crate::geometry::Aabb;
 use crate::gpu::Context;
 use crate::gpu::layout::{Answer, Beam, BeamParams, SceneInstance, SceneNode};
-use crate::gpu::pace::in_groups;
+use crate::gpu::pace::in_groups_from;
 use crate::gpu::shader::Instead;
 use crate::gpu::table::Table;
 use crate::progress::Progress;
 use glam::{Mat3, Vec3};
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// State of a cone that needs a ray past an edge, as in the shader.
 const NEEDS_EDGE: u32 = 2;
@@ -49,6 +49,8 @@ pub(crate) struct DeviceScene {
     pub(super) light: LightBuffers,
     /// For each instance and then each level of the far field: whether the device has its field, or it has none.
     knows: Vec<bool>,
+    /// Numbers of workgroups with which the kernels of beams start, by entry point.
+    paces: Mutex<HashMap<&'static str, u64>>,
 }
 
 /// The fields of a scene in device memory.
@@ -122,6 +124,7 @@ impl DeviceScene {
             meshes: DeviceMeshes::upload(context, scene)?,
             light: LightBuffers::default(),
             knows,
+            paces: Mutex::default(),
         })
     }
 
@@ -131,6 +134,7 @@ impl DeviceScene {
         let context = &self.context;
         if !fields_of(scene, far).all(|field| self.fields.known.contains_key(&address(field))) {
             self.fields = Fields::upload(context, scene, far)?;
+            self.paces = Mutex::default();
         }
         let (rows, knows) = self.fields.rows(scene, far);
         self.knows = knows;
@@ -292,12 +296,16 @@ impl DeviceScene {
         };
         let used: Vec<_> = all.into_iter().filter(|(binding, _)| !unused.contains(binding)).collect();
         let group = context.bind("scene_beams", &kernel, &used)?;
-        in_groups(context, "the scene's light", count, progress, |first, count, workgroups| {
+        let paces = || self.paces.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut size = paces().get(entry).copied().unwrap_or(0);
+        in_groups_from(context, "the scene's light", count, &mut size, progress, |first, count, workgroups| {
             (params.first, params.count) = (first, count);
             context.write("beam parameters", &uniform, 0, &[params])?;
             progress.check()?;
             Ok(context.dispatch("scene_beams", &kernel, &group, workgroups)?)
-        })
+        })?;
+        paces().insert(entry, size);
+        Ok(())
     }
 }
 
