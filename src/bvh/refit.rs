@@ -10,6 +10,7 @@
 use super::pack::Pack;
 use super::{Bvh, Node, WIDTH};
 use crate::geometry::Aabb;
+use crate::memory::with_room;
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -30,7 +31,7 @@ impl Bvh {
             }
             (if has_moved { Pack::new(after, faces, pack.faces()) } else { pack.clone() }, bounds)
         };
-        let (mut packs, mut pack_bounds) = (Vec::new(), Vec::new());
+        let (mut packs, mut pack_bounds) = (with_room(self.packs.len()), Vec::new());
         self.packs.par_iter().map(refit).unzip_into_vecs(&mut packs, &mut pack_bounds);
 
         let mut nodes = self.nodes.clone();
