@@ -30,6 +30,8 @@ import fieldbake as fb
 
 #: Time limits, seconds: of one stage, and of all stages together.
 STAGE_LIMIT, TOTAL_LIMIT = 480, 1500
+#: Time limit of the test suites together, seconds: their results so far are shown before the stage is stopped.
+SUITES_LIMIT = STAGE_LIMIT - 30
 ROOT = Path(__file__).parents[1]
 
 
@@ -80,10 +82,17 @@ def suites(job: Job) -> None:
         )
     if not commands:
         print("No test program was given and pytest is not installed: no tests were run.")
+    end = time.monotonic() + SUITES_LIMIT
     for command in commands:
-        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-        print(f"`{Path(command[0]).name} {' '.join(command[1:])}` ended with status {done.returncode}:\n")
-        print("```text\n" + "\n".join((done.stdout + done.stderr).strip().splitlines()[-25:]) + "\n```\n")
+        limit = max(1, end - time.monotonic())
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+        try:
+            done = subprocess.run(command, cwd=ROOT, check=False, timeout=limit, **pipes)
+            output, how = done.stdout, f"ended with status {done.returncode}"
+        except subprocess.TimeoutExpired as error:
+            output, how = error.stdout or b"", f"was stopped after {limit:.0f} s"
+        print(f"`{Path(command[0]).name} {' '.join(command[1:])}` {how}:\n")
+        print("```text\n" + "\n".join(output.decode(errors="replace").strip().splitlines()[-25:]) + "\n```\n")
 
 
 def bake(job: Job) -> None:
