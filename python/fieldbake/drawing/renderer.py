@@ -28,7 +28,10 @@ class Renderer:
     """A scene prepared for many frames.
 
     Fields are baked when the renderer is made. Meshes, fields, textures and compiled kernels stay in the memory of the
-    device as long as the renderer exists. A frame uploads only what differs from the frame before.
+    device as long as the renderer exists. A frame uploads only what differs from the frame before, and the rays to
+    lights that the CPU makes: those from fields and translucent surfaces, those through objects that scatter light, and
+    all of them with `ambient_occlusion`, ``shadows="area"``, ``light_scale=2`` or a camera with parallel rays. The CPU
+    also makes the colours, and the indirect light of `bounces`.
 
     Parameters
     ----------
