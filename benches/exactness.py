@@ -20,7 +20,7 @@ from measuring import machine
 from peers import HERE
 
 
-def library() -> ctypes.CDLL:
+def brute_library() -> ctypes.CDLL:
     """Build the library, once."""
     folder = HERE / "brute"
     subprocess.run(["cargo", "build", "--release", "--quiet"], cwd=folder, check=True)
@@ -82,7 +82,7 @@ def main() -> None:
 
     files = (path for folder in meshes.FOLDERS for path in sorted(folder.rglob("*")))
     chosen = arguments.mesh or [path for path in files if path.suffix in {".obj", ".ply", ".stl", ".glb"}]
-    brute = library()
+    brute = brute_library()
     today = datetime.date.today().isoformat()
     text = f"# Exactness, {today}\n\n{machine()}. "
     text += f"Every sample of {arguments.resolution}^3 against float64 brute force.\n\n"
