@@ -12,6 +12,7 @@
 use super::closest::ClosestPoint;
 use super::lanes::least_of;
 use super::{Bvh, FAR, Node, WIDTH};
+use crate::geometry::Feature;
 use crate::mesh::Mesh;
 use crate::simd::with_vectors;
 use glam::DVec3;
@@ -38,6 +39,9 @@ impl<'a> ExactCandidates<'a> {
 
     /// Compares one face in float64.
     fn compare(&mut self, face: u32) {
+        if self.is_tied_at_a_vertex(face) {
+            return;
+        }
         let found = self.mesh.exact_point_on_face(face, self.p);
         let nearer = |best: &ClosestPoint| {
             found.distance < best.distance || (found.distance == best.distance && found.face < best.face)
@@ -45,6 +49,19 @@ impl<'a> ExactCandidates<'a> {
         if self.best.as_ref().is_none_or(nearer) {
             self.best = Some(found);
         }
+    }
+
+    /// Whether a face shares the best point, a vertex, has no nearer one, and has a higher index. Convex vertices are the
+    /// closest points of many positions, and all their faces are candidates then.
+    fn is_tied_at_a_vertex(&self, face: u32) -> bool {
+        let Some(ClosestPoint { face: best, on_triangle, .. }) = self.best else { return false };
+        let Feature::Vertex(corner) = on_triangle.feature else { return false };
+        let faces = self.mesh.faces();
+        let (vertex, corners) = (faces[best as usize][usize::from(corner)], faces[face as usize]);
+        let Some(shared) = corners.iter().position(|&corner| corner == vertex) else { return false };
+        let away = self.p - on_triangle.point;
+        let leads_away = |corner: u32| (self.mesh.exact_position(corner) - on_triangle.point).dot(away) <= 0.0;
+        face > best && leads_away(corners[(shared + 1) % 3]) && leads_away(corners[(shared + 2) % 3])
     }
 
     #[inline(always)]
@@ -67,18 +84,19 @@ impl<'a> ExactCandidates<'a> {
         }
         self.count = left;
         if left > KEPT / 2 {
-            self.compare_all(limit);
+            self.compare_kept();
         }
     }
 
-    fn compare_all(&mut self, limit: f32) {
-        for i in 0..self.count {
-            let (squared, face) = self.kept[i];
-            if squared <= limit {
-                self.compare(face);
-            }
+    /// Compares the kept faces, the lowest one first: the others at the same vertex cost little then.
+    fn compare_kept(&mut self) {
+        let count = std::mem::take(&mut self.count);
+        if count > 2 {
+            self.kept[..count].sort_unstable_by_key(|&(_, face)| face);
         }
-        self.count = 0;
+        for i in 0..count {
+            self.compare(self.kept[i].1);
+        }
     }
 }
 
@@ -118,7 +136,8 @@ impl Mesh {
             }
             limit
         });
-        candidates.compare_all(limit);
+        candidates.drop_beyond(limit);
+        candidates.compare_kept();
         // A bound that is too small leaves no candidate. The unbounded search always finds one.
         candidates.best.unwrap_or_else(|| self.closest_point_from_afar(p))
     }
