@@ -1,17 +1,23 @@
 //! Local thickness: the largest ball inside that touches a point of the surface.
 //!
-//! *Theory.* A ball that touches the surface at p with outward unit normal n has its centre at p - r n. If the surface
-//! has a point q nearer to the centre than r, the ball through p and q is smaller: r' = |p - q|^2 / (2 n.(p - q)). The
-//! radii decrease to the largest empty ball (Ma, Bae and Choi, *3D medial axis point approximation using nearest
-//! neighbors and the normal field*, 2012). The step is that of Newton's method, so a few searches suffice.
+//! *Theory.* A ball that touches the surface at p with outward unit normal n has its centre at p - r n. The ball through
+//! p and another point q of the surface has the radius |p - q|^2 / (2 n.(p - q)), and the thickness is twice the least
+//! of these radii. The search is that of the shrinking ball (Ma, Bae and Choi, *3D medial axis point approximation using
+//! nearest neighbors and the normal field*, 2012): the point nearest to the centre gives the next, smaller ball, which
+//! is a step of Newton's method.
 //!
-//! A facet beside p that is tilted by a few degrees limits every ball near the common edge, however thick the body is.
-//! A point q at less than [`FLAT`] above the tangent plane, as seen from p, therefore belongs to the same side and ends
-//! the search.
+//! A facet beside p that is tilted by a few degrees would limit every ball near the common edge, however thick the body
+//! is. Points at less than [`FLAT`] above the tangent plane, as seen from p, belong to the same side and are left out.
+//! Where such a point is the nearest one, every triangle in the ball is searched for its least ball. The points that
+//! count form a convex cone, and the points in a ball a convex set. The least ball of a triangle is therefore found by
+//! Newton's method on the whole triangle or, where that leaves the cone, on the boundary of the cone.
 
 use super::nearest::outward_normal;
 use super::{answer_in_order, check_points, prepare};
+use crate::bvh::Bvh;
+use crate::bvh::watertight::Ray;
 use crate::error::{ArgumentError, Error};
+use crate::geometry::{closest_point_on_triangle, triangle_cross};
 use crate::gpu::Place;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
@@ -28,6 +34,10 @@ const EMPTY: f64 = 1e-13;
 /// Rounding of a distance between a centre and the surface, local units: coordinates are at most 1. On an edge or a
 /// corner the radius falls to it.
 const ROUNDING: f64 = 1e-15;
+/// Height of the cone's apex below the point, local units: the rounding of the point's distance from its own face.
+const APEX: f64 = 4.0 * ROUNDING;
+/// Least distance of the opposite surface, local units. The ray may hit the point's own face nearer to its origin.
+const OPPOSITE: f64 = 1e-12;
 /// Largest number of searches for one point. Newton's method needs six from a radius a thousand times too large.
 const STEPS: usize = 60;
 
@@ -55,26 +65,138 @@ pub fn thickness(
     Ok(answers.into_rows())
 }
 
-fn radius(mesh: &Mesh, p: DVec3, normal: DVec3) -> f64 {
-    let mut radius = FIRST;
-    for _ in 0..STEPS {
-        let center = p - radius * normal;
-        let closest = mesh.exact_closest_point(center, radius * (1.0 + 1e-9));
-        if closest.distance >= radius * (1.0 - EMPTY) - ROUNDING {
-            break;
-        }
-        let chord = p - closest.on_triangle.point;
-        let above = chord.dot(normal);
-        if above < FLAT * chord.length() {
-            break;
-        }
-        let smaller = chord.length_squared() / (2.0 * above);
-        if smaller >= radius {
-            break;
-        }
-        radius = smaller;
+/// The largest ball that touches a point of the surface, as found so far.
+#[derive(Clone, Copy)]
+struct Ball {
+    point: DVec3,
+    normal: DVec3,
+    radius: f64,
+}
+
+impl Ball {
+    fn center(&self) -> DVec3 {
+        self.point - self.radius * self.normal
     }
-    if radius < FIRST { radius } else { f64::INFINITY }
+
+    fn contains(&self, distance_from_center: f64) -> bool {
+        distance_from_center < self.radius * (1.0 - EMPTY) - ROUNDING
+    }
+
+    /// Whether a point is high enough above the tangent plane to bound the ball.
+    fn is_bounded_at(&self, q: DVec3) -> bool {
+        let chord = self.apex() - q;
+        chord.dot(self.normal) >= FLAT * chord.length()
+    }
+
+    /// The apex of the cone of points that may bound the ball. It lies below the point by its rounding, which would
+    /// otherwise see its own face at any angle.
+    fn apex(&self) -> DVec3 {
+        self.point - APEX * self.normal
+    }
+
+    /// Radius of the ball through a point below the tangent plane.
+    fn radius_through(&self, q: DVec3) -> f64 {
+        let chord = self.point - q;
+        chord.length_squared() / (2.0 * chord.dot(self.normal))
+    }
+
+    /// This ball, or the largest one that no point of the triangle bounds if that is smaller.
+    fn beside_triangle(self, corners: [DVec3; 3]) -> Self {
+        let (mut least, mut touching) = (self, None);
+        for _ in 0..STEPS {
+            let q = closest_point_on_triangle(least.center(), corners).point;
+            if !least.contains(q.distance(least.center())) {
+                break;
+            }
+            least.radius = self.radius_through(q);
+            touching = Some(q);
+        }
+        match touching {
+            None => self,
+            Some(q) if self.is_bounded_at(q) => least,
+            Some(_) => self.beside_flat_triangle(corners),
+        }
+    }
+
+    /// [`Ball::beside_triangle`] for a triangle whose least ball touches it outside the cone: the constrained least ball
+    /// touches it on the cone's boundary. There the radius is |p - q| / (2 [`FLAT`]), so the nearest point to the apex
+    /// is sought, on the edges and on the conic section inside the triangle.
+    fn beside_flat_triangle(mut self, corners: [DVec3; 3]) -> Self {
+        let (apex, normal) = (self.apex(), self.normal);
+        let mut consider = |q: DVec3| {
+            // The roots of a line near the apex are nearly equal and have lost half of their digits.
+            let (chord, radius) = (apex - q, self.radius_through(q));
+            if chord.dot(normal) >= FLAT * (1.0 - 1e-9) * chord.length() && radius < self.radius {
+                self.radius = radius;
+            }
+        };
+        for (from, to) in [(0, 1), (1, 2), (2, 0)] {
+            let (w, e) = (apex - corners[from], corners[to] - corners[from]);
+            // (w - t e).n = FLAT |w - t e|, squared.
+            let (wn, en) = (w.dot(normal), e.dot(normal));
+            let a = en * en - FLAT * FLAT * e.length_squared();
+            let half_b = wn * en - FLAT * FLAT * w.dot(e);
+            let c = wn * wn - FLAT * FLAT * w.length_squared();
+            let root = (half_b * half_b - a * c).sqrt();
+            for t in [(half_b + root) / a, (half_b - root) / a] {
+                // Without a root `t` is NaN, and the range does not contain it.
+                if (0.0..=1.0).contains(&t) {
+                    consider(corners[from] + t * e);
+                }
+            }
+        }
+        let cross = triangle_cross(corners);
+        let Some(face_normal) = cross.try_normalize() else { return self };
+        let level = (face_normal - face_normal.dot(normal) * normal)
+            .try_normalize()
+            .unwrap_or_else(|| normal.any_orthonormal_vector());
+        for sign in [-1.0, 1.0] {
+            let direction = -FLAT * normal + sign * (1.0 - FLAT * FLAT).sqrt() * level;
+            let along = (corners[0] - apex).dot(face_normal) / direction.dot(face_normal);
+            let q = apex + along * direction;
+            let inside = |i: usize, j: usize| (corners[j] - corners[i]).cross(q - corners[i]).dot(cross) >= 0.0;
+            if inside(0, 1) && inside(1, 2) && inside(2, 0) {
+                consider(q);
+            }
+        }
+        self
+    }
+}
+
+fn radius(mesh: &Mesh, point: DVec3, normal: DVec3) -> f64 {
+    let mut ball = Ball { point, normal, radius: FIRST };
+    // The surface opposite to the point gives a first ball.
+    let ray = Ray { origin: point, direction: -normal, t_min: OPPOSITE, t_max: 2.0 * FIRST };
+    if let Some(hit) = mesh.first_hit(&ray, |_| true) {
+        ball.radius = hit.t / 2.0;
+    }
+    for _ in 0..STEPS {
+        let closest = mesh.exact_closest_point(ball.center(), ball.radius * (1.0 + 1e-9));
+        if !ball.contains(closest.distance) {
+            break;
+        }
+        if !ball.is_bounded_at(closest.on_triangle.point) {
+            ball = beside_all_triangles(mesh, ball);
+            break;
+        }
+        let smaller = ball.radius_through(closest.on_triangle.point);
+        if smaller >= ball.radius {
+            break;
+        }
+        ball.radius = smaller;
+    }
+    if ball.radius < FIRST { ball.radius } else { f64::INFINITY }
+}
+
+/// The largest ball that no triangle bounds. `ball` contains all triangles that may bound a smaller one.
+fn beside_all_triangles(mesh: &Mesh, ball: Ball) -> Ball {
+    let (mut least, center) = (ball, ball.center());
+    let reach = center.abs().max_element();
+    let limit = ball.radius as f32 + Bvh::nearest_slack(reach);
+    mesh.bvh_within(reach).faces_within(center.as_vec3(), limit, |face| {
+        least = least.beside_triangle(mesh.exact_triangle(face));
+    });
+    least
 }
 
 fn check_normals(points: &[[f64; 3]], normals: Option<&[[f64; 3]]>) -> Result<(), ArgumentError> {

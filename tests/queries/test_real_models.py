@@ -105,3 +105,22 @@ def test_samples_agree_with_brute_force(geometry):
     if mesh.is_closed:
         inside = np.abs(truth.winding_number(*geometry, training.points)) > 0.5
         assert np.array_equal(training.distances < 0, inside)
+
+
+@pytest.mark.slow
+def test_thickness_agrees_with_brute_force(geometry):
+    mesh = fb.Mesh(*geometry)
+    surface = fb.sample_surface(mesh, COUNT, seed=5)
+    normals = mesh.face_normals[surface.faces]
+
+    diameters = fb.thickness(mesh, surface.points, normals)
+
+    largest = 4 * np.ptp(geometry.vertices, axis=0).max()
+    for point, normal, diameter in zip(surface.points, normals, diameters, strict=True):
+        radius = min(diameter / 2, largest)
+        # Surface below 15 degrees does not bound the ball. Without other surface in it, a ball is too small.
+        bounded = [
+            truth.is_ball_bounded(*geometry, point, normal, radius * factor, np.sin(np.radians(15)))
+            for factor in (1 - 1e-4, 1 + 1e-4)
+        ]
+        assert bounded == [False, np.isfinite(diameter)]

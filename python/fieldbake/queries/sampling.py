@@ -237,8 +237,8 @@ def thickness(
     -----
     The balls are found by the shrinking ball method (Ma, Bae and Choi 2012) with exact closest points. Walls beside the
     point bound the ball as well as the wall opposite to it: near the edge of a cube the thickness goes to zero. Surface
-    that rises by less than 15 degrees above the tangent plane belongs to the same side and does not bound the ball, so
-    that the facets of a smooth body do not count as walls.
+    that is seen from the point at less than 15 degrees above the tangent plane belongs to the same side and does not
+    bound the ball, so that the facets of a smooth body do not count as walls.
 
     References
     ----------
