@@ -276,7 +276,7 @@ impl Tile<'_> {
             let bound = self.just_beyond(first, block.center);
             let found = self.bvh.nearest(block.center, bound);
             let (of_parent, squared) = found.map_or((first, bound), |nearest| (nearest.slot, nearest.distance_squared));
-            let search_cost = SEARCH_COST + SEARCHED_PACK_COST * found.map_or(1, |nearest| nearest.packs);
+            let searched = found.map_or(1, |nearest| nearest.packs);
             if self.is_beyond(&block, squared) {
                 continue;
             }
@@ -305,7 +305,7 @@ impl Tile<'_> {
                 stack.clear();
                 stack.extend_from_slice(middle);
                 let count = sub.1.iter().zip(sub.0).map(|(high, low)| high - low).product::<usize>();
-                let most = count * search_cost as usize / LISTED_PACK_COST as usize;
+                let most = most_packs(count, searched);
                 self.list_packs(&block, near, most, stack, packs);
                 if packs.len() > most {
                     previous = self.search(near, sub.0, sub.1);
@@ -541,6 +541,12 @@ impl Tile<'_> {
             }
         }
     }
+}
+
+/// The largest number of packs in the list of a block of `samples` samples. With more of them, searches of `searched`
+/// packs each, one for each sample, cost less.
+fn most_packs(samples: usize, searched: u32) -> usize {
+    samples * (SEARCH_COST + SEARCHED_PACK_COST * searched) as usize / LISTED_PACK_COST as usize
 }
 
 /// Divides a box of samples into blocks of at most `side` samples, x fastest.

@@ -76,11 +76,37 @@ fn a_sphere_seen_from_its_centre_is_exact() {
 fn voxels_much_larger_than_triangles_are_exact() {
     let mesh = sphere(100, 1.0);
     assert_exact(&mesh, DVec3::splat(-1.1), DVec3::splat(1.1), [7, 6, 5]);
-    // Beside the sphere a search measures few packs, so that the samples of blocks with many packs are searched one by one.
     let (low, high) = (DVec3::new(0.5, -1.1, -1.1), DVec3::new(2.7, 1.1, 1.1));
-    assert!(mesh.bvh().nearest(((low + high) / 2.0).as_vec3(), f32::INFINITY).unwrap().packs < 20);
-    assert!(mesh.bvh().packs.len() > 2000);
     assert_exact(&mesh, low, high, [7, 6, 5]);
+
+    // Beside the sphere a search measures few packs and the first block has many, so its samples are searched one by
+    // one. Inside the sphere each search measures many packs, so the block has a list.
+    assert!(packs_and_most(&mesh, low, high, [7, 6, 5]).is_gt());
+    assert!(packs_and_most(&mesh, DVec3::splat(-0.1), DVec3::splat(0.1), [7, 6, 5]).is_lt());
+}
+
+/// Compares the number of packs of the first block of a grid with the most that a list holds.
+fn packs_and_most(mesh: &Mesh, lower: DVec3, upper: DVec3, shape: [usize; 3]) -> std::cmp::Ordering {
+    let local = LocalGrid::new(&Grid::new(lower, upper, shape).unwrap(), mesh);
+    let bvh = mesh.bvh();
+    let samples = [f32::INFINITY; TASK * TASK * TASK];
+    let tile = Tile { bvh, grid: &local, slack: SLACK, limit: f32::INFINITY, changes: None, low: [0; 3], samples };
+    let searched = bvh.nearest(tile.block([0; 3], shape).center, f32::INFINITY).unwrap().packs;
+    let block = tile.block([0; 3], [LEAF; 3]);
+    let near = bvh.nearest(block.center, f32::INFINITY).unwrap().slot;
+    let (mut stack, mut packs) = (vec![(0, u8::MAX)], Vec::new());
+    tile.list_packs(&block, near, usize::MAX, &mut stack, &mut packs);
+    packs.len().cmp(&most_packs(LEAF * LEAF * LEAF, searched))
+}
+
+/// A list costs 26 for each pack; a search costs 8, and 3 for each pack that it measures.
+#[test]
+fn a_list_holds_as_many_packs_as_searches_would_cost() {
+    assert_eq!(most_packs(64, 6), 64);
+    assert_eq!(most_packs(64, 1), 27);
+    assert_eq!(most_packs(8, 6), 8);
+    assert_eq!(most_packs(1, 1), 0);
+    assert_eq!(most_packs(64, 1 << 20), 64 * (8 + (3 << 20)) / 26);
 }
 
 #[test]
