@@ -28,6 +28,10 @@ pub(super) struct Primitive {
 }
 
 impl Primitive {
+    fn new(positions: &[Vec3], corners: &[u32; 3], face: u32) -> Self {
+        Self { bounds: Aabb::of_points(&corners.map(|v| positions[v as usize])), face }
+    }
+
     /// Twice the centre of the box. Only the order of centres is used.
     #[inline(always)]
     fn center(&self) -> Vec3A {
@@ -41,15 +45,19 @@ enum Subtree {
     Inner(Vec<(Aabb, Subtree)>),
 }
 
+/// The tree over all faces.
 pub(super) fn build(positions: &[Vec3], faces: &[[u32; 3]]) -> Bvh {
-    let mut primitives: Vec<Primitive> = faces
-        .par_iter()
-        .enumerate()
-        .map(|(face, corners)| Primitive {
-            bounds: Aabb::of_points(&corners.map(|v| positions[v as usize])),
-            face: face as u32,
-        })
-        .collect();
+    let primitive = |(face, corners)| Primitive::new(positions, corners, face as u32);
+    build_over(positions, faces, faces.par_iter().enumerate().map(primitive).collect())
+}
+
+/// The tree over some of the faces.
+pub(super) fn build_of(positions: &[Vec3], faces: &[[u32; 3]], members: &[u32]) -> Bvh {
+    let primitive = |&face: &u32| Primitive::new(positions, &faces[face as usize], face);
+    build_over(positions, faces, members.par_iter().map(primitive).collect())
+}
+
+fn build_over(positions: &[Vec3], faces: &[[u32; 3]], mut primitives: Vec<Primitive>) -> Bvh {
     let bounds = bounds_of(&primitives);
     let root = subdivide(&mut primitives, 0, 0);
     // The root is always an inner node, even over a single leaf.
@@ -72,7 +80,8 @@ pub(super) fn build(positions: &[Vec3], faces: &[[u32; 3]]) -> Bvh {
         })
         .collect();
     let built_cost = Bvh::cost(&nodes);
-    Bvh { nodes, packs, bounds, built_cost, is_refitted: false }
+    let has_equal_boxes = Bvh::has_equal_boxes(&nodes);
+    Bvh { nodes, packs, bounds, built_cost, is_refitted: false, has_equal_boxes }
 }
 
 pub(super) fn bounds_of(primitives: &[Primitive]) -> Aabb {

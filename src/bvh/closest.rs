@@ -46,7 +46,7 @@ impl Mesh {
 
     /// The closest point, or None if every squared float32 distance exceeds `bound_squared`.
     pub fn closest_point_within(&self, p: DVec3, bound_squared: f32) -> Option<ClosestPoint> {
-        let nearest = self.bvh_within(p.abs().max_element()).nearest(p.as_vec3(), bound_squared)?;
+        let nearest = self.distance_bvh(p.abs().max_element()).nearest(p.as_vec3(), bound_squared)?;
         Some(self.closest_point_on_face(nearest.face, p))
     }
 
@@ -173,6 +173,34 @@ mod tests {
             prop_assert_eq!(dispatched.face, portable.face);
             prop_assert_eq!(dispatched.distance_squared.to_bits(), portable.distance_squared.to_bits());
         }
+    }
+
+    /// Thousands of equal faces cost as much as one, and the lowest of equal faces is returned.
+    #[test]
+    fn equal_faces_are_measured_once() {
+        let soup = soup(40, 0.3, 5);
+        let corners = |face: usize| soup.faces()[face % 40].map(|v| soup.world_positions()[v as usize]);
+        let vertices: Vec<[f64; 3]> = (0..4000).flat_map(corners).collect();
+        let faces: Vec<[i64; 3]> = (0..4000).map(|face| [3 * face, 3 * face + 1, 3 * face + 2]).collect();
+        let mesh = Mesh::new(&vertices, &faces).unwrap();
+        assert!(mesh.bvh().packs.len() >= 500);
+        let mut next = crate::mesh::random::uniform(3);
+        for far in [1.0, 1.0, 1.0, 7.0, 9.0, 1e4] {
+            let p = DVec3::new(next() - 0.5, next() - 0.5, next() - 0.5) * far;
+            let nearest = mesh.distance_bvh(far).nearest(p.as_vec3(), f32::INFINITY).unwrap();
+            let expected = mesh.bvh_within(far).nearest(p.as_vec3(), f32::INFINITY).unwrap();
+            assert!(nearest.packs <= 12 && expected.packs >= 12, "{} {}", nearest.packs, expected.packs);
+            assert_eq!((nearest.face, nearest.distance_squared), (expected.face, expected.distance_squared));
+            assert!(nearest.face < 40);
+            let exact = mesh.exact_closest_point(p, f64::INFINITY);
+            let all = (0..4000).map(|face| mesh.exact_point_on_face(face, p));
+            let least = all.reduce(|best, next| if next.distance < best.distance { next } else { best }).unwrap();
+            assert_eq!((exact.face, exact.distance), (least.face, least.distance));
+        }
+        // Rays and other queries still have all faces.
+        let mut found = 0;
+        mesh.bvh().faces_within(Vec3::ZERO, 10.0, |_| found += 1);
+        assert_eq!(found, 4000);
     }
 
     #[test]

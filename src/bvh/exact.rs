@@ -114,7 +114,7 @@ impl Mesh {
 
     #[inline(always)]
     fn exact_closest_point_near(&self, p: DVec3, bound: f64) -> ClosestPoint {
-        let bvh = self.bvh();
+        let bvh = self.distance_bvh(p.abs().max_element());
         let p_single = p.as_vec3();
         let slack = Bvh::nearest_slack(p.abs().max_element());
         let mut candidates = ExactCandidates::new(self, p);
@@ -144,7 +144,7 @@ impl Mesh {
 
     /// The closest point by float64 boxes, for points outside the range of the float32 search.
     fn closest_point_from_afar(&self, p: DVec3) -> ClosestPoint {
-        let bvh = self.bvh();
+        let bvh = self.distance_bvh(p.abs().max_element());
         let mut candidates = ExactCandidates::new(self, p);
         candidates.compare(bvh.nearest(p.as_vec3(), f32::INFINITY).map_or(0, |nearest| nearest.face));
         let mut stack = vec![(0.0f64, Bvh::ROOT)];

@@ -34,6 +34,7 @@ use crate::mesh::derived::Derived;
 use glam::{Vec3, Vec4};
 use lanes::mask_within;
 use pack::Pack;
+use rustc_hash::FxHashSet;
 use stack::Stack;
 
 /// Number of lanes of a node and of a pack.
@@ -89,6 +90,8 @@ pub struct Bvh {
     built_cost: f64,
     /// Whether the boxes were refitted since.
     is_refitted: bool,
+    /// Whether neighbouring children have equal boxes, as those over many equal faces do.
+    has_equal_boxes: bool,
 }
 
 /// Largest local coordinate of a point for which searches bound the rounding of float32, so that their results do not
@@ -133,6 +136,14 @@ impl Mesh {
         if reach <= FAR { self.bvh() } else { self.built_bvh() }
     }
 
+    /// The tree for closest points whose largest local coordinate is `reach`. Faces that repeat an earlier one exactly are
+    /// not in it if there are many: each is as near as the other, so that a search would measure all of them. Among
+    /// equally near faces the lowest one is returned, which is in this tree.
+    pub fn distance_bvh(&self, reach: f64) -> &Bvh {
+        let bvh = self.bvh_within(reach);
+        if bvh.has_equal_boxes { self.derived::<DistinctBvh>().0.as_ref().unwrap_or(bvh) } else { bvh }
+    }
+
     /// Whether the tree and the connectivity have been built, so that a query starts at once.
     pub fn is_prepared(&self) -> bool {
         self.has_derived::<Bvh>() && self.has_topology()
@@ -149,6 +160,25 @@ impl Derived for BuiltBvh {
 
     fn bytes(&self) -> usize {
         self.0.bytes()
+    }
+}
+
+/// The tree over the first of each set of faces with equal corners in equal order; None if all faces are different. See
+/// [`Mesh::distance_bvh`].
+struct DistinctBvh(Option<Bvh>);
+
+impl Derived for DistinctBvh {
+    fn derive(mesh: &Mesh) -> Self {
+        let mut seen = FxHashSet::default();
+        let position = |v: u32| mesh.world_positions()[v as usize].map(f64::to_bits);
+        let is_first = |&face: &u32| seen.insert(mesh.faces()[face as usize].map(position));
+        let members: Vec<u32> = (0..mesh.faces().len() as u32).filter(is_first).collect();
+        let is_smaller = members.len() < mesh.faces().len();
+        Self(is_smaller.then(|| build::build_of(mesh.positions(), mesh.faces(), &members)))
+    }
+
+    fn bytes(&self) -> usize {
+        self.0.as_ref().map_or(0, Bvh::bytes)
     }
 }
 

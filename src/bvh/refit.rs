@@ -48,7 +48,16 @@ impl Bvh {
         }
         let is_good = Self::cost(&nodes) <= MOST_GROWTH * self.built_cost;
         let bounds = nodes[0].bounds();
-        is_good.then_some(Self { nodes, packs, bounds, built_cost: self.built_cost, is_refitted: true })
+        let (built_cost, has_equal_boxes) = (self.built_cost, Self::has_equal_boxes(&nodes));
+        is_good.then_some(Self { nodes, packs, bounds, built_cost, is_refitted: true, has_equal_boxes })
+    }
+
+    /// Whether neighbouring children of a node have equal boxes.
+    pub(super) fn has_equal_boxes(nodes: &[Node]) -> bool {
+        let is_equal = |node: &Node, lane: usize| {
+            !node.children[lane].is_none() && node.lane_bounds(lane - 1) == node.lane_bounds(lane)
+        };
+        nodes.iter().any(|node| (1..WIDTH).any(|lane| is_equal(node, lane)))
     }
 
     /// Expected number of nodes and packs below the root that a random ray through its box visits.

@@ -23,7 +23,7 @@ pub trait Derived: Any + Send + Sync {
 }
 
 /// Largest number of different tables of one mesh.
-const SLOTS: usize = 12;
+const SLOTS: usize = 16;
 
 /// The tables of a mesh, one slot for each type. The first type that finds a free slot keeps it.
 #[derive(Debug, Default)]

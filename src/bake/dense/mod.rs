@@ -129,7 +129,7 @@ fn fill_tiles(
     let tasks = shape.map(|n| n.div_ceil(TASK));
     let rows = SharedRows { samples: out.as_mut_ptr(), shape };
     let reach = reach(grid);
-    let bvh = mesh.bvh_within(reach);
+    let bvh = mesh.distance_bvh(reach);
     let slack = SLACK * (reach as f32).max(1.0);
     let empty = if changes.is_some() { KEPT } else { f32::INFINITY };
     (0..tasks.iter().product::<usize>()).into_par_iter().try_for_each_init(BlockScratch::default, |scratch, task| {
