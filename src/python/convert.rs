@@ -29,6 +29,11 @@ pub(super) fn volume_array<'py>(
     array.permute(Some([2, 1, 0]))
 }
 
+/// The points of an (n, 3) array, without a copy.
+pub(super) fn positions<'a>(array: &'a PyReadonlyArray2<'_, f64>) -> PyResult<&'a [DVec3]> {
+    Ok(bytemuck::cast_slice(rows(array, "points")?))
+}
+
 /// Converts an (n, 3) array of points for the core.
 pub(super) fn points(array: &Bound<'_, PyAny>) -> PyResult<Vec<DVec3>> {
     let array: PyReadonlyArray2<'_, f64> = array.extract()?;

@@ -39,7 +39,8 @@ pub use trilinear::{Cell, SampleFilter, Trilinear, trilinear, trilinear_gradient
 use crate::error::{ArgumentError, Error};
 use crate::grid::Grid;
 use crate::memory::prefetch;
-use glam::{DVec3, IVec3};
+use crate::simd::with_vectors;
+use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 /// A grid and its distances, x fastest, in any encoding.
@@ -103,7 +104,7 @@ impl<'a, T: Texel> FieldView<'a, T> {
     }
 
     /// Decodes the samples at the corners of a cell. Written out, because the compiler does not inline `map` here.
-    #[inline]
+    #[inline(always)]
     pub fn decode(&self, texels: [T; 8]) -> [f32; 8] {
         let scale = self.scale;
         let [a, b, c, d, e, f, g, h] = texels;
@@ -126,11 +127,42 @@ impl<'a, T: Texel> FieldView<'a, T> {
         // A cell between centres needs no clamping. Negative indices become large ones here.
         let [x, y, z] = [cell.x as u32 as usize, cell.y as u32 as usize, cell.z as u32 as usize];
         if x + 1 < nx && y + 1 < ny && z + 1 < nz {
-            let d = &self.texels[x + nx * (y + ny * z)..];
-            let (y, z) = (nx, nx * ny);
-            return [d[0], d[1], d[y], d[y + 1], d[z], d[z + 1], d[y + z], d[y + z + 1]];
+            return corners_of_first(&self.texels[x + nx * (y + ny * z)..], nx, nx * ny);
         }
         self.clamped_texels(cell)
+    }
+
+    /// Values of the field at points. The samples of a group of points are requested from memory before the first of them
+    /// is used, so that their latencies overlap.
+    #[inline(always)]
+    fn sample_in_groups(&self, points: &[DVec3], inner: [DVec3; 2], values: &mut [f32]) {
+        let (lower, spacing, last) = (self.grid.lower, self.grid.spacing(), self.shape() - 1.0);
+        let [nx, ny, _] = self.grid.shape;
+        let mut firsts = [0; GROUP];
+        let mut fractions = [Vec3::ZERO; GROUP];
+        for (points, values) in points.chunks(GROUP).zip(values.chunks_mut(GROUP)) {
+            for (i, &p) in points.iter().enumerate() {
+                // As in `Trilinear::sample_linear`. A point between centres lies in the box.
+                let p_grid = (p - lower) / spacing - 0.5;
+                let is_between = p_grid.cmpge(DVec3::ZERO).all() && p_grid.cmplt(last).all();
+                let cell = if is_between { p_grid.floor() } else { DVec3::ZERO };
+                fractions[i] = (p_grid - cell).as_vec3();
+                let [x, y, z] = cell.as_ivec3().to_array().map(|i| i as usize);
+                let first = x + nx * (y + ny * z);
+                for row in [0, nx, nx * ny, nx * ny + nx] {
+                    if let Some(texel) = self.texels.get(first + row) {
+                        prefetch(texel);
+                    }
+                }
+                firsts[i] = if is_between { first } else { usize::MAX };
+            }
+            for (i, value) in values.iter_mut().enumerate() {
+                *value = match self.texels.get(firsts[i]..) {
+                    Some(texels) => trilinear(&self.decode(corners_of_first(texels, nx, nx * ny)), fractions[i]),
+                    None => self.sample_or_bound(points[i], inner, SampleFilter::Linear),
+                };
+            }
+        }
     }
 
     #[cold]
@@ -153,6 +185,17 @@ impl<'a, T: Texel> FieldView<'a, T> {
     }
 }
 
+/// Number of points whose samples are requested together.
+const GROUP: usize = 32;
+
+/// The samples at the corners of a cell, of which `texels` begin with the first; `y` and `z` are the steps to the next
+/// sample along these axes.
+#[inline(always)]
+fn corners_of_first<T: Texel>(texels: &[T], y: usize, z: usize) -> [T; 8] {
+    let d = &texels[..y + z + 2];
+    [d[0], d[1], d[y], d[y + 1], d[z], d[z + 1], d[y + z], d[y + z + 1]]
+}
+
 impl<T: Texel> Trilinear for FieldView<'_, T> {
     fn grid(&self) -> &Grid {
         &self.grid
@@ -165,6 +208,20 @@ impl<T: Texel> Trilinear for FieldView<'_, T> {
 
     fn distance_bound(&self, p: DVec3, inner: [DVec3; 2]) -> f32 {
         outside::bound_outside(self, p, inner)
+    }
+
+    fn sample_chunk(&self, points: &[DVec3], inner: [DVec3; 2], filter: SampleFilter, values: &mut [f32]) {
+        if filter == SampleFilter::Nearest {
+            for (value, &p) in values.iter_mut().zip(points) {
+                *value = self.sample_or_bound(p, inner, filter);
+            }
+            return;
+        }
+        with_vectors!(
+            [T: Texel] (field: &FieldView<'_, T> = self, points: &[DVec3] = points, inner: [DVec3; 2] = inner,
+             values: &mut [f32] = values)
+            { field.sample_in_groups(points, inner, values) }
+        )
     }
 
     #[inline]
@@ -185,7 +242,6 @@ impl<T: Texel> Trilinear for FieldView<'_, T> {
 mod tests {
     use super::*;
     use crate::progress::Progress;
-    use glam::Vec3;
     use proptest::prelude::*;
 
     /// A field that trilinear interpolation reproduces: every product of x, y, z to the first power.
@@ -251,6 +307,36 @@ mod tests {
                 let slope = (field.sample_linear(p + offset) as f64 - field.sample_linear(p - offset) as f64) / (2.0 * step * h[axis]);
                 let tolerance = 8.0 * f32::EPSILON as f64 / (2.0 * step * h[axis]);
                 prop_assert!((slope - field.gradient(p)[axis] as f64).abs() <= tolerance);
+            }
+        }
+    }
+
+    /// A batch has the bits of single points: between centres, on them, in the outer half voxel, outside, and at NaN.
+    #[test]
+    fn a_batch_has_the_bits_of_single_points() {
+        let mut random = crate::mesh::random::uniform(7);
+        for shape in [[5, 4, 3], [1, 6, 2], [2, 1, 1], [40, 3, 17]] {
+            let grid = Grid { shape, ..oblong_grid() };
+            let distances: Vec<f32> = (0..grid.len()).map(|_| random() as f32 - 0.5).collect();
+            let field = FieldView::new(grid, &distances).unwrap();
+            let texels: Vec<i16> = (0..grid.len()).map(|_| (random() * 65535.0) as i32 as i16).collect();
+            let encoded = FieldView::encoded(grid, &texels, 0.7).unwrap();
+            let mut points: Vec<DVec3> = (0..500)
+                .map(|_| {
+                    grid.lower + (grid.upper - grid.lower) * (DVec3::new(random(), random(), random()) * 1.4 - 0.2)
+                })
+                .collect();
+            points.extend(
+                (0..grid.len()).map(|i| grid.center(i % shape[0], i / shape[0] % shape[1], i / (shape[0] * shape[1]))),
+            );
+            points.extend([grid.lower, grid.upper, DVec3::new(0.0, f64::NAN, 2.1), DVec3::INFINITY]);
+            let inner = [grid.lower, grid.upper];
+            let bits = |values: Vec<f32>| values.into_iter().map(f32::to_bits).collect::<Vec<_>>();
+            for filter in [SampleFilter::Linear, SampleFilter::Nearest] {
+                let single = points.iter().map(|&p| field.sample_or_bound(p, inner, filter)).collect();
+                assert_eq!(bits(field.sample(&points, inner, filter, &Progress::new()).unwrap()), bits(single));
+                let single = points.iter().map(|&p| encoded.sample_or_bound(p, inner, filter)).collect();
+                assert_eq!(bits(encoded.sample(&points, inner, filter, &Progress::new()).unwrap()), bits(single));
             }
         }
     }

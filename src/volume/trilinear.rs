@@ -2,7 +2,9 @@
 
 use crate::error::{ArgumentError, Error, choice};
 use crate::grid::Grid;
+use crate::memory::zeroed_result;
 use crate::progress::Progress;
+use bytemuck::Zeroable;
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
@@ -122,7 +124,12 @@ pub trait Trilinear: Sync {
         filter: SampleFilter,
         progress: &Progress,
     ) -> Result<Vec<f32>, Error> {
-        batch(points, progress, |p| self.prefetch(p), |p| self.sample_or_bound(p, inner, filter))
+        batch(points, progress, |points, values| self.sample_chunk(points, inner, filter, values))
+    }
+
+    /// [`Trilinear::sample`] of a few points.
+    fn sample_chunk(&self, points: &[DVec3], inner: [DVec3; 2], filter: SampleFilter, values: &mut [f32]) {
+        in_order(points, values, |p| self.prefetch(p), |p| self.sample_or_bound(p, inner, filter));
     }
 
     /// The field at one point. See [`Trilinear::sample`].
@@ -141,7 +148,9 @@ pub trait Trilinear: Sync {
 
     /// [`Trilinear::gradient`] at points. A NaN coordinate gives NaN.
     fn gradients(&self, points: &[DVec3], progress: &Progress) -> Result<Vec<Vec3>, Error> {
-        batch(points, progress, |p| self.prefetch(p), |p| self.gradient_or_nan(p))
+        batch(points, progress, |points, values| {
+            in_order(points, values, |p| self.prefetch(p), |p| self.gradient_or_nan(p));
+        })
     }
 
     /// The gradient at one point. See [`Trilinear::gradients`].
@@ -172,7 +181,7 @@ pub trait Trilinear: Sync {
 }
 
 /// The trilinear function of a cell's corners: along x, then y, then z.
-#[inline]
+#[inline(always)]
 pub fn trilinear(corners: &[f32; 8], fraction: Vec3) -> f32 {
     let x00 = lerp(corners[0], corners[1], fraction.x);
     let x10 = lerp(corners[2], corners[3], fraction.x);
@@ -194,28 +203,32 @@ pub fn trilinear_gradient(corners: &[f32; 8], fraction: Vec3) -> Vec3 {
     Vec3::new(along_x, along_y, along_z)
 }
 
-#[inline]
+#[inline(always)]
 fn lerp(a: f32, b: f32, fraction: f32) -> f32 {
     a + (b - a) * fraction
 }
 
-/// Evaluates `f` at every point, in parallel chunks. `prefetch` is called some points earlier.
-fn batch<T: Copy + Default + Send>(
+/// Evaluates parts of the points in parallel.
+fn batch<T: Zeroable + Copy + Send>(
     points: &[DVec3],
     progress: &Progress,
-    prefetch: impl Fn(DVec3) + Sync,
-    f: impl Fn(DVec3) -> T + Sync,
+    evaluate: impl Fn(&[DVec3], &mut [T]) + Sync,
 ) -> Result<Vec<T>, Error> {
     progress.set_total(points.len() as u64);
-    let mut values = vec![T::default(); points.len()];
+    let mut values = zeroed_result(points.len());
     values.par_chunks_mut(CHUNK_POINTS).zip(points.par_chunks(CHUNK_POINTS)).try_for_each(|(values, points)| {
-        for (i, (value, &p)) in values.iter_mut().zip(points).enumerate() {
-            if let Some(&later) = points.get(i + PREFETCH_POINTS) {
-                prefetch(later);
-            }
-            *value = f(p);
-        }
+        evaluate(points, values);
         progress.advance(points.len() as u64)
     })?;
     Ok(values)
+}
+
+/// Evaluates `f` at every point. `prefetch` is called some points earlier.
+fn in_order<T>(points: &[DVec3], values: &mut [T], prefetch: impl Fn(DVec3), f: impl Fn(DVec3) -> T) {
+    for (i, (value, &p)) in values.iter_mut().zip(points).enumerate() {
+        if let Some(&later) = points.get(i + PREFETCH_POINTS) {
+            prefetch(later);
+        }
+        *value = f(p);
+    }
 }
