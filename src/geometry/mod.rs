@@ -4,4 +4,4 @@ mod aabb;
 mod triangle;
 
 pub use aabb::Aabb;
-pub use triangle::{Feature, TrianglePoint, closest_point_on_triangle, solid_angle, triangle_cross};
+pub use triangle::{Feature, SolidAngles, TrianglePoint, closest_point_on_triangle, solid_angle, triangle_cross};

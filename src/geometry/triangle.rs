@@ -4,6 +4,7 @@
 //! that a stored distance is rounded to float32 only once and the closest *feature* (face, edge or vertex) is known.
 
 use glam::DVec3;
+use std::f64::consts::TAU;
 
 /// The feature of a triangle that contains its closest point. Edge `i` joins corner `i` and corner `(i + 1) % 3`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -149,11 +150,91 @@ pub fn triangle_cross([a, b, c]: [DVec3; 3]) -> DVec3 {
 /// from behind (its counter-clockwise side faces away), so that a closed mesh that faces outwards gives +4 pi inside.
 ///
 /// Van Oosterom and Strackee, *The solid angle of a plane triangle*, IEEE Trans. Biomed. Eng. 30(2), 1983.
-pub fn solid_angle([a, b, c]: [DVec3; 3]) -> f64 {
+pub fn solid_angle(corners: [DVec3; 3]) -> f64 {
+    let (numerator, denominator) = tangent_of_half(corners);
+    2.0 * numerator.atan2(denominator)
+}
+
+/// Numerator and denominator of the tangent of half the solid angle.
+#[inline(always)]
+fn tangent_of_half([a, b, c]: [DVec3; 3]) -> (f64, f64) {
     let (la, lb, lc) = (a.length(), b.length(), c.length());
     let numerator = a.dot(b.cross(c));
     let denominator = la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb;
-    2.0 * numerator.atan2(denominator)
+    (numerator, denominator)
+}
+
+/// A sum of solid angles with one arc tangent.
+///
+/// Half a solid angle is the argument of the complex number denominator + i numerator. Arguments add up when complex
+/// numbers are multiplied, except for whole turns, which are counted.
+#[derive(Debug, Clone, Copy)]
+pub struct SolidAngles {
+    /// Real and imaginary part of the product of all factors so far. The larger of them lies in [`RANGE`].
+    product: (f64, f64),
+    /// Turns that the argument of the product lacks.
+    turns: i32,
+}
+
+/// Size of factors and products without overflow or underflow of their product.
+const RANGE: std::ops::Range<f64> = 1e-100..1e100;
+
+impl Default for SolidAngles {
+    fn default() -> Self {
+        Self { product: (1.0, 0.0), turns: 0 }
+    }
+}
+
+impl SolidAngles {
+    /// Adds [`solid_angle`] of a triangle.
+    #[inline(always)]
+    pub fn add(&mut self, corners: [DVec3; 3]) {
+        let (numerator, denominator) = tangent_of_half(corners);
+        self.multiply(numerator, denominator);
+    }
+
+    /// [`SolidAngles::add`] of a triangle with the sign of `side`, which is computed only if rounding may change the sign.
+    #[inline(always)]
+    pub fn add_sided(&mut self, corners: [DVec3; 3], side: impl FnOnce() -> f64) {
+        let (mut numerator, denominator) = tangent_of_half(corners);
+        // A triple product is rounded by less than 20 ulps of the product of the lengths, also for rounded corners.
+        let [a, b, c] = corners.map(DVec3::length_squared);
+        if numerator * numerator <= 1e-28 * a * b * c {
+            numerator = side();
+        }
+        self.multiply(numerator, denominator);
+    }
+
+    #[inline(always)]
+    fn multiply(&mut self, mut y: f64, mut x: f64) {
+        let size = x.abs().max(y.abs());
+        if !RANGE.contains(&size) {
+            // At a corner of the triangle both are zero, and so is the angle.
+            if size == 0.0 {
+                return;
+            }
+            (x, y) = (x / size, y / size);
+        }
+        let (a, b) = self.product;
+        // Arguments on the same side of the real axis add up to at most one turn. Beyond half a turn the argument of the
+        // product is one turn less (or more, below the axis). Both factors are left of the imaginary axis then, or the
+        // product is on the other side of the real axis. Adding zero makes a negative zero positive.
+        let (real, imaginary) = (a * x - b * y, a * y + b * x + 0.0);
+        let is_above = b >= 0.0;
+        if is_above == (y >= 0.0) && ((a < 0.0 && x < 0.0) || is_above != (imaginary >= 0.0)) {
+            self.turns += if is_above { 1 } else { -1 };
+        }
+        self.product = (real, imaginary);
+        let size = real.abs().max(imaginary.abs());
+        if !RANGE.contains(&size) {
+            self.product = (real / size, imaginary / size);
+        }
+    }
+
+    /// The sum, steradians.
+    pub fn sum(&self) -> f64 {
+        2.0 * (self.product.1.atan2(self.product.0) + f64::from(self.turns) * TAU)
+    }
 }
 
 #[cfg(test)]
@@ -213,6 +294,42 @@ mod tests {
         assert_eq!(feature(-1.0, -1.0), Feature::Vertex(0));
         assert_eq!(feature(2.0, 0.0), Feature::Vertex(1));
         assert_eq!(feature(0.0, 2.0), Feature::Vertex(2));
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(500))]
+        /// One arc tangent gives the sum of many, seen from far away, from close by, and through whole turns.
+        #[test]
+        fn angles_add_up(
+            triangles in proptest::collection::vec([vector(), vector(), vector()], 0..40), repeated in 1usize..8,
+            scale in prop::sample::select(vec![1e-9, 1e-3, 1.0, 1e9])
+        ) {
+            let mut sum = SolidAngles::default();
+            let mut expected = 0.0;
+            for corners in triangles.iter().map(|corners| corners.map(|corner| corner * scale)) {
+                // Repetitions of a triangle near the origin add up to several turns on one side.
+                for _ in 0..repeated {
+                    sum.add_sided(corners, || tangent_of_half(corners).0);
+                    expected += solid_angle(corners);
+                }
+            }
+            prop_assert!((sum.sum() - expected).abs() <= 1e-12, "{} {expected}", sum.sum());
+        }
+    }
+
+    #[test]
+    fn half_spaces_add_up_to_whole_turns() {
+        // The origin lies in the triangle, so each has the angle of a half space, on the side of its positive zero.
+        let around = [DVec3::X, DVec3::new(-1.0, 1.0, 0.0), DVec3::new(-1.0, -1.0, 0.0)];
+        let beside = [DVec3::X, DVec3::Y, DVec3::ZERO];
+        for count in 1..5 {
+            let mut sum = SolidAngles::default();
+            for _ in 0..count {
+                sum.add(around);
+                sum.add(beside);
+            }
+            assert!((sum.sum() - f64::from(count) * solid_angle(around)).abs() <= 1e-14, "{count} {}", sum.sum());
+        }
     }
 
     #[test]

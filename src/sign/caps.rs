@@ -1,15 +1,18 @@
 //! Solid angles of many triangles at once in float32 lanes, with a test that detects insufficient accuracy.
 
+use super::closing::Cap;
 use crate::bvh::WIDTH;
 use crate::bvh::pack::Pack;
 use crate::simd::with_vectors;
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 
-/// Eight triangles whose first edge is on the rim of an opening. Empty lanes have three equal corners far away, so
-/// their angle is zero.
+/// Eight triangles whose first edge is on the rim of an opening or is a chord. Empty lanes have three equal corners far
+/// away, so their angle is zero.
 #[derive(Debug)]
 pub(super) struct CapPack {
     corners: [[[f32; WIDTH]; 3]; 3],
+    /// 1 for the triangles with an edge on the rim, 0 for those with a chord.
+    on_rim: [f32; WIDTH],
     /// The same triangles in the form for the closest-point search.
     distances: Pack,
 }
@@ -24,19 +27,21 @@ const FAR: f32 = 1e3;
 
 impl CapPack {
     /// `caps` must hold one to eight triangles.
-    pub(super) fn new(caps: &[[DVec3; 3]]) -> Self {
+    pub(super) fn new(caps: &[Cap]) -> Self {
         let mut corners = [[[FAR; WIDTH]; 3]; 3];
+        let mut on_rim = [0.0; WIDTH];
         for (lane, cap) in caps.iter().enumerate() {
             for corner in 0..3 {
                 for axis in 0..3 {
-                    corners[corner][axis][lane] = cap[corner][axis] as f32;
+                    corners[corner][axis][lane] = cap.corners[corner][axis] as f32;
                 }
             }
+            on_rim[lane] = if cap.is_on_rim { 1.0 } else { 0.0 };
         }
-        let positions: Vec<Vec3> = caps.iter().flatten().map(|p| p.as_vec3()).collect();
+        let positions: Vec<Vec3> = caps.iter().flat_map(|cap| cap.corners).map(|p| p.as_vec3()).collect();
         let faces: Vec<[u32; 3]> = (0..caps.len() as u32).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
         let members: Vec<u32> = (0..caps.len() as u32).collect();
-        Self { corners, distances: Pack::new(&positions, &faces, &members) }
+        Self { corners, on_rim, distances: Pack::new(&positions, &faces, &members) }
     }
 
     /// A corner of the triangle of one lane, relative to `p`.
@@ -96,7 +101,7 @@ impl CapPack {
             let t = t.clamp(0.0, 1.0);
             let q = [a[0] + t * along[0], a[1] + t * along[1], a[2] + t * along[2]];
             let reach = (q[0] * q[0] + q[1] * q[1] + q[2] * q[2]).sqrt() - radius;
-            change[i] = squared.sqrt() / (reach * reach);
+            change[i] = self.on_rim[i] * squared.sqrt() / (reach * reach);
         }
         (nearest, change.iter().sum())
     }
@@ -125,17 +130,24 @@ fn arctangent(y: f32, x: f32) -> f32 {
 mod tests {
     use super::*;
     use crate::geometry::solid_angle;
+    use glam::DVec3;
     use proptest::prelude::*;
 
     fn vector() -> impl Strategy<Value = DVec3> {
         (-0.5..0.5f32, -0.5..0.5f32, -0.5..0.5f32).prop_map(|(x, y, z)| Vec3::new(x, y, z).as_dvec3())
     }
 
+    fn pack(caps: &[[DVec3; 3]]) -> CapPack {
+        let caps: Vec<Cap> =
+            caps.iter().map(|&corners| Cap { corners, is_on_rim: true, walk: 0, center: DVec3::ZERO }).collect();
+        CapPack::new(&caps)
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(3000))]
         #[test]
         fn lanes_match_float64(p in vector(), caps in proptest::collection::vec([vector(), vector(), vector()], 1..8)) {
-            if let Some(found) = CapPack::new(&caps).angles(p.as_vec3()) {
+            if let Some(found) = pack(&caps).angles(p.as_vec3()) {
                 let exact: f64 = caps.iter().map(|cap| solid_angle(cap.map(|corner| corner - p))).sum();
                 prop_assert!((f64::from(found) - exact).abs() < ANGLE_ERROR * caps.len() as f64, "{found} {exact}");
             }
@@ -150,7 +162,7 @@ mod tests {
     #[test]
     fn a_point_on_a_face_is_left_to_exact_arithmetic() {
         let cap = [DVec3::ZERO, DVec3::X, DVec3::Y];
-        assert_eq!(CapPack::new(&[cap]).angles(Vec3::new(0.25, 0.25, 0.0)), None);
-        assert!(CapPack::new(&[cap]).angles(Vec3::new(1.25, 0.25, 0.0)).is_some());
+        assert_eq!(pack(&[cap]).angles(Vec3::new(0.25, 0.25, 0.0)), None);
+        assert!(pack(&[cap]).angles(Vec3::new(1.25, 0.25, 0.0)).is_some());
     }
 }

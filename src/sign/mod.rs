@@ -5,7 +5,7 @@
 //! | surface | rule | exact |
 //! |---|---|---|
 //! | closed | winding number counted by rays ([`crossing`]) | yes, by exact predicates |
-//! | few open edges | the same with the openings closed, less the cones' angle ([`openings`]) | yes |
+//! | few or long openings | the same with the openings closed, less the cones' angle ([`openings`]) | yes |
 //! | soup | fast winding number ([`winding`]) | to about 0.01 of a turn |
 //!
 //! A point is inside if the magnitude of its winding number exceeds 1/2. Nested and overlapping parts are solid, a
@@ -14,6 +14,7 @@
 //! fails.
 
 mod caps;
+mod closing;
 pub(crate) mod crossing;
 pub(crate) mod openings;
 pub(crate) mod pseudonormal;
@@ -105,9 +106,6 @@ pub struct SignChoice {
     pub reason: String,
 }
 
-/// Largest number of rim edges that are closed by cones. Samples near an opening cost a sum over the tree of its caps.
-const MAX_CAPS: usize = 2048;
-
 impl Derived for SignChoice {
     fn derive(mesh: &Mesh) -> Self {
         Self::new(mesh, SignMethod::Auto)
@@ -142,11 +140,10 @@ impl SignChoice {
     fn winding(mesh: &Mesh) -> Self {
         let topology = mesh.topology();
         let rim = topology.rim.len();
-        let few = rim <= MAX_CAPS && rim * 8 <= mesh.faces().len().max(64);
         let (rule, reason) = if topology.closed {
             let reason = "the surface is closed: exact winding number by counted crossings".to_owned();
             (SignRule::Counted(Openings::default()), reason)
-        } else if few {
+        } else if Openings::suit(mesh) {
             let how = "exact generalised winding number, openings closed by cones";
             (SignRule::Counted(Openings::of(mesh)), format!("the surface has {rim} open edges: {how}"))
         } else {

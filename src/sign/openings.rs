@@ -1,29 +1,32 @@
 //! Exact generalised winding numbers of a mesh with a few openings, by closing them.
 //!
-//! *Theory.* Close every opening with a cone of triangles from its rim to one apex. The closed surface has an integer
-//! winding number W, counted by rays (see `crossing`). The solid angle is additive: w(mesh) = W - f, where f is the
-//! winding number of the cones alone. Inside means |w| > 1/2 (either direction of the faces counts as a surface), and
+//! *Theory.* Close every opening with cones of triangles (see `closing`). The closed surface has an integer winding
+//! number W, counted by rays (see `crossing`). The solid angle is additive: w(mesh) = W - f, where f is the winding
+//! number of the cones alone. Inside means |w| > 1/2 (either direction of the faces counts as a surface), and
 //! for an integer W this is equivalent to **W != round(f)**.
 //!
-//! f is summed over a tree of the caps, the triangles of all cones. A part of the tree with the area A and the area
-//! vector N, in a ball of the radius R around the centroid c, contributes the angle of its dipole, N.x / |x|^3 with
-//! x = c - p. The field r / |r|^3 has the slope 2 / |r|^3, so the error of the dipole is at most 2 A R / (|x| - R)^3.
-//! Parts whose error is too large for their share of the total are divided; leaves are summed triangle by triangle. If
-//! the error leaves the nearest integer open, a finer sum follows, and a sum over all caps in float64 at last.
+//! f is summed over a tree of the caps, the triangles of all cones. A part of the tree with the area A, the area vector
+//! N and the first moment C, in a ball of the radius R around the centroid c, contributes N.x / |x|^3 +
+//! (tr C - 3 x.C x / |x|^2) / |x|^3 with x = c - p: the Taylor polynomial of the field r / |r|^3 at c. The second
+//! derivative of this field, which is the third one of 1 / |r|, is at most 6 / |r|^4, so the error is at most
+//! 3 A R^2 / (|x| - R)^4. Parts whose error is too large for their share of the total are divided; leaves are summed
+//! triangle by triangle. If the error leaves the nearest integer open, a finer sum follows, and a sum over all caps in
+//! float64 at last.
 //!
 //! f jumps only at the caps. Elsewhere its gradient is that of the rim alone, by the Biot-Savart law: |grad f| <= sum
-//! over rim edges of length / (4 pi distance^2). A part of the tree also changes by at most 2 A / (4 pi distance^3).
+//! over rim edges of length / (4 pi distance^2). A part of the tree with all caps of its rims also changes by at most
+//! 2 A / (4 pi distance^3).
 //! One value therefore decides a whole ball of samples ([`Openings::rounded_ball`]), and only samples near an opening
 //! have a cost. [`super::winding`] handles meshes that consist of openings.
 
 use super::caps::{ANGLE_ERROR, CapPack};
+use super::closing::{self, Cap};
 use super::crossing::{Axes, ClosedSurface, crossing};
 use crate::bvh::WIDTH;
-use crate::geometry::triangle_cross;
+use crate::geometry::{SolidAngles, triangle_cross};
 use crate::mesh::Mesh;
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use robust::{Coord3D, orient3d};
-use std::collections::{BTreeMap, HashMap};
 use std::f64::consts::PI;
 
 /// The caps over the rims of all openings, local units. Empty for a closed mesh.
@@ -45,12 +48,19 @@ struct CapNode {
     /// Sum of the area vectors, and of the areas.
     vector: DVec3,
     area: f64,
+    /// First moment: the sum of the outer products of offset from the centre and area vector.
+    moment: DMat3,
     /// Length of the rim edges of the caps.
     rim: f64,
     /// Index of the first node that follows the descendants of this one.
     next: usize,
-    /// First cap. A leaf has the caps of one pack.
+    /// Whether the node has all caps of each of its walks.
+    is_whole: bool,
+    /// First cap, and number of caps.
     first: usize,
+    count: usize,
+    /// Pack of a leaf.
+    pack: usize,
     is_leaf: bool,
 }
 
@@ -78,9 +88,13 @@ const COARSE: f64 = 0.1 * 4.0 * PI;
 /// Largest error of the finer sum, steradians, where the first one leaves the nearest integer open.
 const FINE: f64 = 1e-3 * 4.0 * PI;
 
-/// Offset of the apex from the centre of its rim, in rim sizes. It points away from the planes of typical grids and
-/// models, so that no sample lies on a cone by symmetry.
-const APEX_OFFSET: DVec3 = DVec3::new(0.003_69, 0.005_37, 0.007_58);
+/// Largest number of rim edges of any openings, such as scattered holes. Samples near an opening cost a sum over the tree
+/// of its caps.
+const FEW_EDGES: usize = 2048;
+/// Mean number of edges of the openings from which more edges are closed. Only the samples near the rim have a cost then.
+const LONG_RIM: usize = 64;
+/// Largest number of rim edges of long openings. Each plane of samples is compared with each cap.
+const MOST_EDGES: usize = 1 << 16;
 
 /// A sample counts as undecided if its winding number is closer to 1/2 than this.
 const UNDECIDED: f64 = 0.05;
@@ -90,73 +104,63 @@ const ROUNDING: f64 = 1e-5;
 
 impl Openings {
     pub fn of(mesh: &Mesh) -> Self {
-        let rim = &mesh.topology().rim;
-        let position = |v: u32| mesh.positions()[v as usize].as_dvec3();
-
-        // Rim edges that share vertices belong to one opening.
-        let mut opening_of: HashMap<u32, u32> = HashMap::new();
-        fn root(opening_of: &mut HashMap<u32, u32>, mut v: u32) -> u32 {
-            loop {
-                let parent = *opening_of.entry(v).or_insert(v);
-                if parent == v {
-                    return v;
-                }
-                let grand = opening_of[&parent];
-                opening_of.insert(v, grand);
-                v = grand;
-            }
+        let mut parts = closing::caps(mesh);
+        let mut openings = Self::default();
+        if !parts.is_empty() {
+            openings.divide(0, true, &mut parts);
         }
-        for &[from, to] in rim {
-            let (a, b) = (root(&mut opening_of, from), root(&mut opening_of, to));
-            opening_of.insert(a.max(b), a.min(b));
-        }
-
-        // Every vertex of a rim is the end of as many edges as it is the start, so the mean over edge starts is the
-        // mean over the rim.
-        let mut rims: HashMap<u32, (DVec3, usize, DVec3, DVec3)> = HashMap::new();
-        for &[from, _] in rim {
-            let p = position(from);
-            let entry = rims.entry(root(&mut opening_of, from)).or_insert((DVec3::ZERO, 0, p, p));
-            *entry = (entry.0 + p, entry.1 + 1, entry.2.min(p), entry.3.max(p));
-        }
-        let mut by_opening: BTreeMap<u32, Vec<[DVec3; 3]>> = BTreeMap::new();
-        for &[from, to] in rim {
-            let opening = root(&mut opening_of, from);
-            let (sum, count, low, high) = rims[&opening];
-            let apex = sum / count as f64 + APEX_OFFSET * (high - low).max_element();
-            // The closing face traverses the edge backwards. The predicates are fastest with coordinates of few bits.
-            by_opening.entry(opening).or_default().push([position(to), position(from), apex.as_vec3().as_dvec3()]);
-        }
-        let mut openings = Self { caps: by_opening.into_values().flatten().collect(), ..Self::default() };
-        if !openings.caps.is_empty() {
-            openings.divide(0, openings.caps.len());
-        }
-        openings.packs = openings.caps.chunks(WIDTH).map(CapPack::new).collect();
+        openings.caps = parts.iter().map(|cap| cap.corners).collect();
         openings
     }
 
-    /// Adds the node of a range of caps and its descendants. Ranges begin at multiples of the caps of a pack.
-    fn divide(&mut self, first: usize, end: usize) {
+    /// Whether the openings of a mesh are closed by caps: there are few of them, or they are long.
+    pub fn suit(mesh: &Mesh) -> bool {
+        let (rim, faces) = (&mesh.topology().rim, mesh.faces().len());
+        if rim.len() <= FEW_EDGES && rim.len() * 8 <= faces.max(64) {
+            return true;
+        }
+        rim.len() <= MOST_EDGES.min(2 * faces) && closing::rims(rim).len() * LONG_RIM <= rim.len()
+    }
+
+    /// Adds the node of a range of caps, of which the first has the index `first`, and its descendants. Sorts the range.
+    /// Walks are kept together as long as a node has several.
+    fn divide(&mut self, first: usize, is_whole: bool, caps: &mut [Cap]) {
         let index = self.nodes.len();
-        let is_leaf = end - first <= WIDTH;
-        self.nodes.push(CapNode { is_leaf, ..CapNode::new(first, &self.caps[first..end]) });
-        if !is_leaf {
-            let centroid = |cap: &[DVec3; 3]| (cap[0] + cap[1] + cap[2]) / 3.0;
-            let centroids = self.caps[first..end].iter().map(centroid);
-            let (low, high) =
-                centroids.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
+        let is_leaf = caps.len() <= WIDTH;
+        let pack = self.packs.len();
+        self.nodes.push(CapNode { is_leaf, is_whole, pack, ..CapNode::new(first, caps) });
+        if is_leaf {
+            self.packs.push(CapPack::new(caps));
+        } else {
+            let has_one_walk = caps.iter().all(|cap| cap.walk == caps[0].walk);
+            let centroid = |cap: &Cap| (cap.corners[0] + cap.corners[1] + cap.corners[2]) / 3.0;
+            let center = |cap: &Cap| if has_one_walk { centroid(cap) } else { cap.center };
+            let (low, high) = caps
+                .iter()
+                .map(center)
+                .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
             let axis = (high - low).max_position();
-            self.caps[first..end].sort_by(|a, b| centroid(a)[axis].total_cmp(&centroid(b)[axis]));
-            let middle = first + ((end - first) / 2).next_multiple_of(WIDTH);
-            self.divide(first, middle);
-            self.divide(middle, end);
+            caps.sort_by(|a, b| center(a)[axis].total_cmp(&center(b)[axis]).then(a.walk.cmp(&b.walk)));
+            let half = caps.len() / 2;
+            let middle = if has_one_walk {
+                half.next_multiple_of(WIDTH)
+            } else {
+                // The end of the walk in the middle, or its start if it is the last one.
+                let walk = caps[half].walk;
+                let end = caps.iter().rposition(|cap| cap.walk == walk).map_or(half, |last| last + 1);
+                let start = caps.iter().position(|cap| cap.walk == walk).unwrap_or(half);
+                if end < caps.len() { end } else { start }
+            };
+            let (left, right) = caps.split_at_mut(middle);
+            self.divide(first, is_whole && !has_one_walk, left);
+            self.divide(first + left.len(), is_whole && !has_one_walk, right);
         }
         self.nodes[index].next = self.nodes.len();
     }
 
     /// Winding number of the caps alone, with the rounding of float64.
     pub fn fraction(&self, p: DVec3) -> f64 {
-        self.caps.iter().map(|cap| angle_from(p, cap)).sum::<f64>() / (4.0 * PI)
+        turns_at(p, &self.caps)
     }
 
     /// Winding number of a mesh whose openings are closed by the caps.
@@ -270,17 +274,21 @@ impl Openings {
             let to = node.center - p;
             let distance = to.length();
             let reach = distance - node.radius;
-            if reach > radius && 2.0 * node.radius <= share * reach * reach * reach {
+            let (fourth, square) = (reach.powi(4), node.radius * node.radius);
+            if reach > radius && 3.0 * square <= share * fourth {
                 let left = reach - radius;
-                found.sum += node.vector.dot(to) / (distance * distance * distance);
-                found.error += 2.0 * node.area * node.radius / (reach * reach * reach);
+                let trace = node.moment.x_axis.x + node.moment.y_axis.y + node.moment.z_axis.z;
+                let along = to.dot(node.moment * to) / (distance * distance);
+                found.sum += (node.vector.dot(to) + trace - 3.0 * along) / (distance * distance * distance);
+                found.error += 3.0 * node.area * square / fourth;
                 found.clear = found.clear.min(reach);
-                found.slope += (node.rim / (left * left)).min(2.0 * node.area / (left * left * left));
+                let by_rim = node.rim / (left * left);
+                found.slope += if node.is_whole { by_rim.min(2.0 * node.area / (left * left * left)) } else { by_rim };
                 i = node.next;
                 continue;
             }
             if node.is_leaf {
-                let pack = &self.packs[node.first / WIDTH];
+                let pack = &self.packs[node.pack];
                 let (nearest, slope) = pack.reach(p.as_vec3(), radius as f32);
                 found.clear = found.clear.min(f64::from(nearest.sqrt()) * (1.0 - ROUNDING) - ROUNDING);
                 found.slope += f64::from(slope);
@@ -292,7 +300,7 @@ impl Openings {
                         found.sum += f64::from(sum);
                         found.error += ANGLE_ERROR * WIDTH as f64;
                     }
-                    None => found.sum += self.caps_of(node).iter().map(|cap| angle_from(p, cap)).sum::<f64>(),
+                    None => found.sum += turns_at(p, self.caps_of(node)) * (4.0 * PI),
                 }
             }
             i += 1;
@@ -301,7 +309,7 @@ impl Openings {
     }
 
     fn caps_of(&self, leaf: &CapNode) -> &[[DVec3; 3]] {
-        &self.caps[leaf.first..(leaf.first + WIDTH).min(self.caps.len())]
+        &self.caps[leaf.first..leaf.first + leaf.count]
     }
 }
 
@@ -320,30 +328,51 @@ impl CapAngle {
 const EXACT_ERROR: f64 = 1e-9;
 
 impl CapNode {
-    fn new(first: usize, caps: &[[DVec3; 3]]) -> Self {
+    fn new(first: usize, caps: &[Cap]) -> Self {
         let (mut vector, mut area, mut rim, mut moment) = (DVec3::ZERO, 0.0, 0.0, DVec3::ZERO);
-        for &cap in caps {
+        for &Cap { corners: cap, is_on_rim, .. } in caps {
             let cross = 0.5 * triangle_cross(cap);
             // A cap without area has a small weight, so that the centroid is defined.
             let weight = cross.length().max(1e-30);
             vector += cross;
             area += weight;
             moment += (cap[0] + cap[1] + cap[2]) / 3.0 * weight;
-            rim += cap[0].distance(cap[1]);
+            rim += if is_on_rim { cap[0].distance(cap[1]) } else { 0.0 };
         }
         let center = moment / area;
-        let radius = caps.iter().flatten().map(|p| p.distance(center)).fold(0.0, f64::max) * (1.0 + 1e-9) + 1e-12;
-        Self { center, radius, vector, area, rim, next: 0, first, is_leaf: true }
+        let outer = |cap: &Cap| {
+            let [a, b, c] = cap.corners;
+            let (d, vector) = ((a + b + c) / 3.0 - center, 0.5 * triangle_cross(cap.corners));
+            DMat3::from_cols(d * vector.x, d * vector.y, d * vector.z)
+        };
+        let first_moment = caps.iter().map(outer).fold(DMat3::ZERO, |sum, outer| sum + outer);
+        let radius = caps.iter().flat_map(|cap| cap.corners).map(|p| p.distance(center)).fold(0.0, f64::max)
+            * (1.0 + 1e-9)
+            + 1e-12;
+        Self {
+            center,
+            radius,
+            vector,
+            area,
+            moment: first_moment,
+            rim,
+            next: 0,
+            is_whole: true,
+            first,
+            count: caps.len(),
+            pack: 0,
+            is_leaf: true,
+        }
     }
 }
 
-/// Solid angle of a triangle as seen from `p`. The side of `p` comes from the exact predicate that also decides the
-/// crossings, so that the jump of the angle and that of the count lie on the same side of the cone.
-fn angle_from(p: DVec3, corners: &[DVec3; 3]) -> f64 {
+/// Sum of the solid angles of caps as seen from `p`, turns. The side of `p` is that of the exact predicate that also
+/// decides the crossings, so that the jump of the angle and that of the count lie on the same side of the cone.
+fn turns_at(p: DVec3, caps: &[[DVec3; 3]]) -> f64 {
     let at = |q: DVec3| Coord3D { x: q.x, y: q.y, z: q.z };
-    let numerator = orient3d(at(corners[0]), at(corners[1]), at(corners[2]), at(p));
-    let [a, b, c] = corners.map(|corner| corner - p);
-    let (la, lb, lc) = (a.length(), b.length(), c.length());
-    let denominator = la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb;
-    2.0 * numerator.atan2(denominator)
+    let mut angles = SolidAngles::default();
+    for cap in caps {
+        angles.add_sided(cap.map(|corner| corner - p), || orient3d(at(cap[0]), at(cap[1]), at(cap[2]), at(p)));
+    }
+    angles.sum() / (4.0 * PI)
 }

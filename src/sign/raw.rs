@@ -12,7 +12,7 @@
 //! themselves are summed.
 
 use super::crossing::{Axes, RayBox, crossing};
-use crate::geometry::solid_angle;
+use crate::geometry::SolidAngles;
 use crate::mesh::Mesh;
 use crate::mesh::derived::Derived;
 use glam::DVec3;
@@ -82,7 +82,7 @@ impl RawClosure {
     pub fn winding(&self, mesh: &Mesh, p: DVec3) -> f64 {
         if self.cone.len() > mesh.faces().len() {
             let faces = 0..mesh.faces().len() as u32;
-            return faces.map(|face| angle_from(p, mesh.exact_triangle(face))).sum::<f64>() / (4.0 * PI);
+            return turns_at(p, faces.map(|face| mesh.exact_triangle(face)));
         }
         let mut count = 0;
         let axes = Axes::X;
@@ -97,18 +97,21 @@ impl RawClosure {
         );
         let extra = self.cone.iter().chain(&self.flat);
         count += extra.map(|&triangle| crossing(p, triangle, axes)).sum::<i32>();
-        let cone = self.cone.iter().map(|&triangle| angle_from(p, triangle)).sum::<f64>() / (4.0 * PI);
-        f64::from(count) - cone
+        f64::from(count) - turns_at(p, self.cone.iter().copied())
     }
 }
 
-fn angle_from(p: DVec3, corners: [DVec3; 3]) -> f64 {
-    solid_angle(corners.map(|corner| corner - p))
+/// Sum of the solid angles of triangles as seen from `p`, turns.
+fn turns_at(p: DVec3, triangles: impl Iterator<Item = [DVec3; 3]>) -> f64 {
+    let mut angles = SolidAngles::default();
+    triangles.for_each(|corners| angles.add(corners.map(|corner| corner - p)));
+    angles.sum() / (4.0 * PI)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::solid_angle;
     use crate::mesh::random::{soup, uniform};
 
     #[test]
@@ -131,7 +134,8 @@ mod tests {
             for _ in 0..200 {
                 let p = DVec3::new(random(), random(), random());
                 let faces = 0..mesh.faces().len() as u32;
-                let sum: f64 = faces.map(|face| angle_from(p, mesh.exact_triangle(face))).sum();
+                let corners = |face| mesh.exact_triangle(face).map(|corner| corner - p);
+                let sum: f64 = faces.map(|face| solid_angle(corners(face))).sum();
                 let found = closure.winding(&mesh, p);
                 assert!((found - sum / (4.0 * PI)).abs() < 1e-12, "{p} {found} {}", sum / (4.0 * PI));
             }

@@ -155,6 +155,35 @@ proptest! {
         prop_assert_eq!(seen, 23 * 22 * 21);
     }
 
+    /// The same for openings with long rims, whose closing triangles have several levels: blocks of the size of voxels
+    /// and larger, near the rim and inside it.
+    #[test]
+    fn block_decisions_hold_within_long_rims(seed in any::<u64>(), bend in 0.0..0.3f64, step in 0.01..0.1f64) {
+        let mesh = fan(1000, bend);
+        let openings = Openings::of(&mesh);
+        prop_assert!(openings.caps.len() <= 1300);
+        let mut next = uniform(seed);
+        let corner = DVec3::new(next() - 0.6, next() - 0.6, 0.3 * (next() - 0.6));
+        let at = |voxel: [usize; 3]| corner + DVec3::from_array(voxel.map(|i| i as f64 * step));
+        let block = SampleBlock { low: [0; 3], high: [9, 8, 7], at: &at };
+        let rule = SignRule::Counted(Openings::of(&mesh));
+        openings.for_each_rounded_fraction(&block, &mut |voxel, rounded| {
+            let p = at(voxel);
+            assert_eq!(rounded, openings.fraction(p).round() as i8);
+            assert_eq!(rounded, openings.rounded_ball(p).0);
+            let winding = brute_force(&mesh, p).abs();
+            assert!(rule.is_inside_without_distance(&mesh, p) == (winding > 0.5) || (winding - 0.5).abs() < 1e-9);
+        });
+        // Neither the slope nor the clearance of a ball is too small: points of the ball have its integer.
+        for _ in 0..20 {
+            let p = DVec3::new(next() - 0.5, next() - 0.5, next() - 0.5);
+            let (rounded, radius) = openings.rounded_ball(p);
+            let direction = DVec3::new(next() - 0.5, next() - 0.5, next() - 0.5).normalize();
+            let q = p + direction * radius.min(3.0) * 0.999;
+            assert_eq!(rounded, openings.fraction(q).round() as i8, "{p} {q}");
+        }
+    }
+
     /// Points that follow each other have the sides of single points, among scattered openings.
     #[test]
     fn a_walk_has_the_sides_of_its_points(seed in any::<u64>(), every in 6usize..40) {
@@ -192,6 +221,21 @@ proptest! {
         prop_assert!(error < 0.01, "{error}");
     }
 
+    /// The same bound for slivers, which are cut into pieces.
+    #[test]
+    fn winding_numbers_of_slivers_are_good_to_a_hundredth(
+        seed in any::<u64>(), width in prop::sample::select(vec![1e-4, 1e-3, 0.03])
+    ) {
+        let mut next = uniform(seed);
+        let mesh = slivers(1500, width, &mut next);
+        prop_assert!(mesh.moments().has_pieces());
+        for _ in 0..40 {
+            let p = DVec3::new(next() - 0.5, next() - 0.5, next() - 0.5);
+            let error = (mesh.moments().winding(&mesh, p) - brute_force(&mesh, p)).abs();
+            prop_assert!(error < 0.01, "{p} {error}");
+        }
+    }
+
     /// On a clean mesh every rule gives the same answer.
     #[test]
     fn all_rules_agree_on_a_clean_mesh(seed in any::<u64>(), x in -1.3..1.3f64, y in -1.3..1.3f64, z in -1.3..1.3f64) {
@@ -208,6 +252,40 @@ proptest! {
     }
 }
 
+/// Slivers of length 1 with random directions, some of which repeat others.
+fn slivers(count: usize, width: f64, next: &mut impl FnMut() -> f64) -> Mesh {
+    let (mut vertices, mut faces) = (Vec::new(), Vec::new());
+    let mut vector = || [0; 3].map(|_| 2.0 * next() - 1.0);
+    for i in 0..count {
+        let (center, along, beside) = (vector(), vector(), vector());
+        let first = vertices.len() as i64;
+        for (t, s) in [(-0.5, 0.0), (0.5, 0.0), (0.3, width)] {
+            vertices.push([0, 1, 2].map(|axis| center[axis] + t * along[axis] + s * beside[axis]));
+        }
+        faces.extend(std::iter::repeat_n([first, first + 1, first + 2], 1 + usize::from(i % 50 == 0)));
+    }
+    mesh(&vertices, &faces)
+}
+
+/// A disc of slivers around its centre, bent by `bend`.
+fn fan(count: usize, bend: f64) -> Mesh {
+    let rim = (0..count).map(|i| {
+        let angle = 2.0 * PI * i as f64 / count as f64;
+        [angle.cos(), angle.sin(), bend * (5.0 * angle).sin()]
+    });
+    let vertices: Vec<[f64; 3]> = std::iter::once([0.0; 3]).chain(rim).collect();
+    let count = count as i64;
+    let faces: Vec<[i64; 3]> = (0..count).map(|i| [0, 1 + i, 1 + (i + 1) % count]).collect();
+    mesh(&vertices, &faces)
+}
+
+#[test]
+fn only_meshes_with_many_slivers_are_cut() {
+    let (vertices, faces) = bumpy_sphere(3);
+    assert!(!mesh(&vertices, &faces).moments().has_pieces());
+    assert!(!fan(60, 0.1).moments().has_pieces());
+}
+
 #[test]
 fn auto_takes_the_strongest_rule() {
     let (vertices, faces) = bumpy_sphere(1);
@@ -216,6 +294,8 @@ fn auto_takes_the_strongest_rule() {
     assert!(matches!(choose(&faces[1..]).rule, SignRule::Counted(openings) if openings.caps.len() == 3));
     let scattered: Vec<[i64; 3]> = faces.iter().copied().step_by(2).collect();
     assert!(matches!(choose(&scattered).rule, SignRule::Winding));
+    let disc = SignChoice::new(&fan(3000, 0.1), SignMethod::Auto);
+    assert!(matches!(disc.rule, SignRule::Counted(openings) if openings.caps.len() > 3000));
 }
 
 #[test]

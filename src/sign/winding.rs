@@ -13,9 +13,13 @@
 //! Only the symmetric part of C contributes: six values. A part is far if |x| exceeds [`BETA`] times its radius; near
 //! leaves are summed exactly. The error is of order (radius/|x|)^2 of the angle of a part. On the test meshes it stays
 //! below 0.01, and only the comparison with 1/2 is used.
+//!
+//! *Slivers.* A long thin triangle makes the radius of its node large, so that few points are far from it. Solid angles
+//! are additive, so the faces may be divided without a change of the sum. If a mesh has many slivers, they are cut
+//! into short pieces, and the moments are those of a tree over the pieces.
 
 use crate::bvh::{Bvh, ChildRef, MAX_STACK, WIDTH};
-use crate::geometry::{solid_angle, triangle_cross};
+use crate::geometry::{SolidAngles, triangle_cross};
 use crate::mesh::Mesh;
 use crate::mesh::derived::Derived;
 use crate::mesh::topology::direction;
@@ -38,10 +42,76 @@ struct NodeMoments {
     first: [[f32; WIDTH]; 6],
 }
 
-/// Moments of every node of a mesh's tree.
+/// Moments of every node of a mesh's tree, or of the tree over its pieces.
 #[derive(Debug)]
 pub struct Moments {
     nodes: Vec<NodeMoments>,
+    pieces: Option<Pieces>,
+}
+
+/// The faces of a mesh, of which the slivers are cut into pieces, and the tree over all of them.
+#[derive(Debug)]
+struct Pieces {
+    bvh: Bvh,
+    /// Corners in the orientation of the topology, local units.
+    triangles: Vec<[DVec3; 3]>,
+}
+
+/// A face is a sliver if its longest edge is more than this many times its height.
+const SLIVER: f64 = 16.0;
+/// The longest edge of a sliver is divided by this. A sliver becomes twice as many pieces.
+const CUTS: f64 = 8.0;
+/// Slivers are cut if a point in the unit box is expected to lie near more of them. The dipoles of the others cost about
+/// as much as the exact angles of so many faces.
+const MOST_NEAR: f64 = 64.0;
+
+impl Pieces {
+    /// The pieces of a mesh with many slivers; None for other meshes.
+    fn of(mesh: &Mesh) -> Option<Self> {
+        let faces = 0..mesh.faces().len() as u32;
+        let length = |face: u32| {
+            let corners = mesh.triangle(face);
+            let longest = longest_edge(corners).1;
+            (longest > SLIVER * triangle_cross(corners).length()).then_some(longest.sqrt())
+        };
+        // A sliver is near in a ball of BETA times half its length. The volume of that ball is 8 times its length cubed.
+        let near: f64 = faces.clone().filter_map(length).map(|length| (8.0 * length.powi(3)).min(1.0)).sum();
+        if near <= MOST_NEAR {
+            return None;
+        }
+        let mut triangles = Vec::with_capacity(2 * mesh.faces().len());
+        for face in faces {
+            if let Some(corners) = mesh.topology().oriented_face(mesh, face) {
+                let corners = corners.map(|v| mesh.positions()[v as usize].as_dvec3());
+                cut(corners, length(face).map_or(f64::INFINITY, |length| length / CUTS), &mut triangles);
+            }
+        }
+        if triangles.is_empty() {
+            return None;
+        }
+        let positions: Vec<Vec3> = triangles.as_flattened().iter().map(|corner| corner.as_vec3()).collect();
+        let faces: Vec<[u32; 3]> = (0..triangles.len() as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+        Some(Self { bvh: Bvh::build(&positions, &faces), triangles })
+    }
+}
+
+/// The longest edge of a triangle, from corner i to the next one: i and the squared length.
+fn longest_edge([a, b, c]: [DVec3; 3]) -> (usize, f64) {
+    let squared = [a.distance_squared(b), b.distance_squared(c), c.distance_squared(a)];
+    (1..3).fold((0, squared[0]), |longest, i| if squared[i] > longest.1 { (i, squared[i]) } else { longest })
+}
+
+/// Divides a triangle until no edge is longer than `most`: halves the longest edge.
+fn cut(triangle: [DVec3; 3], most: f64, pieces: &mut Vec<[DVec3; 3]>) {
+    let (i, squared) = longest_edge(triangle);
+    if squared <= most * most {
+        pieces.push(triangle);
+        return;
+    }
+    let [from, to, apex] = [0, 1, 2].map(|k| triangle[(i + k) % 3]);
+    let middle = (from + to) * 0.5;
+    cut([from, middle, apex], most, pieces);
+    cut([middle, to, apex], most, pieces);
 }
 
 /// Moments of a set of faces about its centre.
@@ -54,11 +124,10 @@ struct FaceCluster {
 }
 
 impl FaceCluster {
-    fn of_faces(mesh: &Mesh, faces: &[u32]) -> Self {
-        let members = faces.iter().map(|&face| {
-            let [a, b, c] = mesh.triangle(face);
+    /// The cluster of triangles, each with the factor of its area vector.
+    fn of_triangles(triangles: impl Iterator<Item = ([DVec3; 3], f64)>) -> Self {
+        let members = triangles.map(|([a, b, c], turned)| {
             let area = triangle_cross([a, b, c]) * 0.5;
-            let turned = direction(mesh.topology().orientation[face as usize]);
             Self { weight: area.length(), center: (a + b + c) / 3.0, area: area * turned, first: DMat3::ZERO }
         });
         Self::join(members.collect())
@@ -80,7 +149,8 @@ impl FaceCluster {
 
 impl Derived for Moments {
     fn derive(mesh: &Mesh) -> Self {
-        let bvh = mesh.built_bvh();
+        let pieces = Pieces::of(mesh);
+        let bvh = tree(mesh, pieces.as_ref());
         let empty = NodeMoments {
             center: [[0.0; WIDTH]; 3],
             far_squared: [0.0; WIDTH],
@@ -96,7 +166,8 @@ impl Derived for Moments {
             for lane in (0..WIDTH).filter(|&lane| !node.children[lane].is_none()) {
                 let child = node.children[lane];
                 let part = if child.is_pack() {
-                    FaceCluster::of_faces(mesh, bvh.packs[child.index()].faces())
+                    let members = bvh.packs[child.index()].faces();
+                    FaceCluster::of_triangles(members.iter().map(|&member| triangle(mesh, pieces.as_ref(), member)))
                 } else {
                     parts[child.index()]
                 };
@@ -109,11 +180,25 @@ impl Derived for Moments {
             }
             parts[index] = FaceCluster::join(children);
         }
-        Self { nodes }
+        Self { nodes, pieces }
     }
 
     fn bytes(&self) -> usize {
-        size_of_val(&self.nodes[..])
+        let pieces = self.pieces.as_ref().map_or(0, |pieces| pieces.bvh.bytes() + size_of_val(&pieces.triangles[..]));
+        size_of_val(&self.nodes[..]) + pieces
+    }
+}
+
+/// The tree of the moments.
+fn tree<'a>(mesh: &'a Mesh, pieces: Option<&'a Pieces>) -> &'a Bvh {
+    pieces.map_or_else(|| mesh.built_bvh(), |pieces| &pieces.bvh)
+}
+
+/// A triangle of that tree, and the factor of its area vector in the orientation of the topology.
+fn triangle(mesh: &Mesh, pieces: Option<&Pieces>, member: u32) -> ([DVec3; 3], f64) {
+    match pieces {
+        Some(pieces) => (pieces.triangles[member as usize], 1.0),
+        None => (mesh.triangle(member), direction(mesh.topology().orientation[member as usize])),
     }
 }
 
@@ -125,9 +210,16 @@ impl Mesh {
 }
 
 impl Moments {
+    /// Whether the mesh has slivers that were cut.
+    #[cfg(test)]
+    pub fn has_pieces(&self) -> bool {
+        self.pieces.is_some()
+    }
+
     /// Winding number of a local point.
     pub fn winding(&self, mesh: &Mesh, p: DVec3) -> f64 {
-        let bvh = mesh.built_bvh();
+        let pieces = self.pieces.as_ref();
+        let bvh = tree(mesh, pieces);
         let p_single = p.as_vec3();
         let mut stack = [ChildRef::NONE; MAX_STACK];
         stack[0] = Bvh::ROOT;
@@ -137,7 +229,15 @@ impl Moments {
             top -= 1;
             let child = stack[top];
             if child.is_pack() {
-                angle += bvh.packs[child.index()].faces().iter().map(|&face| face_angle(mesh, face, p)).sum::<f64>();
+                let mut angles = SolidAngles::default();
+                for &member in bvh.packs[child.index()].faces() {
+                    let ([a, b, c], turned) = triangle(mesh, pieces, member);
+                    if turned != 0.0 {
+                        let [b, c] = if turned > 0.0 { [b, c] } else { [c, b] };
+                        angles.add([a - p, b - p, c - p]);
+                    }
+                }
+                angle += angles.sum();
                 continue;
             }
             let node = &bvh.nodes[child.index()];
@@ -156,12 +256,6 @@ impl Moments {
         }
         angle / (4.0 * PI)
     }
-}
-
-/// Exact solid angle of a face in the orientation of the topology.
-fn face_angle(mesh: &Mesh, face: u32, p: DVec3) -> f64 {
-    let turned = direction(mesh.topology().orientation[face as usize]);
-    if turned == 0.0 { 0.0 } else { turned * solid_angle(mesh.triangle(face).map(|corner| corner - p)) }
 }
 
 impl NodeMoments {

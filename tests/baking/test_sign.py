@@ -259,6 +259,21 @@ def test_a_doubled_mesh_is_the_same_solid(double):
     assert_same_field(sphere, volume, fb.bake(sphere, resolution=24))
 
 
+@pytest.mark.filterwarnings("ignore::fieldbake.SurfaceWarning")
+def test_a_long_opening_is_exact():
+    # A cone of 2,500 slivers without its base: the opening has as many edges as the mesh has faces.
+    count = 2_500
+    angle = 2 * np.pi * np.arange(count) / count
+    vertices = np.concatenate([[(0, 0, 1.5)], np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)])
+    corners = np.arange(count)
+    cone = vertices, np.stack([0 * corners, 1 + corners, 1 + (corners + 1) % count], axis=1)
+
+    volume = fb.bake(cone, resolution=12)
+
+    assert 0 < volume.report.inside_voxels < volume.distances.size
+    assert_signs(cone, voxel_centres(volume), volume.distances.ravel(), undecided=1e-9)
+
+
 def test_a_hole_the_size_of_one_triangle_does_not_leak():
     sphere = meshes.icosphere()
     pierced = meshes.Geometry(sphere.vertices, sphere.faces[1:])
