@@ -4,6 +4,7 @@
 use super::pack::Pack;
 use super::{Bvh, ChildRef, Node, WIDTH};
 use crate::geometry::Aabb;
+use crate::memory::with_room;
 use glam::{Vec3, Vec3A};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -48,13 +49,20 @@ enum Subtree {
 /// The tree over all faces.
 pub(super) fn build(positions: &[Vec3], faces: &[[u32; 3]]) -> Bvh {
     let primitive = |(face, corners)| Primitive::new(positions, corners, face as u32);
-    build_over(positions, faces, faces.par_iter().enumerate().map(primitive).collect())
+    build_over(positions, faces, collected(faces.par_iter().enumerate().map(primitive)))
 }
 
 /// The tree over some of the faces.
 pub(super) fn build_of(positions: &[Vec3], faces: &[[u32; 3]], members: &[u32]) -> Bvh {
     let primitive = |&face: &u32| Primitive::new(positions, &faces[face as usize], face);
-    build_over(positions, faces, members.par_iter().map(primitive).collect())
+    build_over(positions, faces, collected(members.par_iter().map(primitive)))
+}
+
+/// The items in an array with large pages.
+fn collected<T: Send>(items: impl IndexedParallelIterator<Item = T>) -> Vec<T> {
+    let mut array = with_room(items.len());
+    items.collect_into_vec(&mut array);
+    array
 }
 
 fn build_over(positions: &[Vec3], faces: &[[u32; 3]], mut primitives: Vec<Primitive>) -> Bvh {
@@ -69,16 +77,13 @@ fn build_over(positions: &[Vec3], faces: &[[u32; 3]], mut primitives: Vec<Primit
     let mut nodes = Vec::new();
     let mut leaves = Vec::new();
     flatten(children, &mut nodes, &mut leaves);
-    let packs = leaves
-        .par_iter()
-        .map(|&(start, count)| {
-            let mut members = [0; WIDTH];
-            for (member, primitive) in members.iter_mut().zip(&primitives[start..start + count]) {
-                *member = primitive.face;
-            }
-            Pack::new(positions, faces, &members[..count])
-        })
-        .collect();
+    let packs = collected(leaves.par_iter().map(|&(start, count)| {
+        let mut members = [0; WIDTH];
+        for (member, primitive) in members.iter_mut().zip(&primitives[start..start + count]) {
+            *member = primitive.face;
+        }
+        Pack::new(positions, faces, &members[..count])
+    }));
     let built_cost = Bvh::cost(&nodes);
     let has_equal_boxes = Bvh::has_equal_boxes(&nodes);
     Bvh { nodes, packs, bounds, built_cost, is_refitted: false, has_equal_boxes }

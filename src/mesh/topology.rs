@@ -13,6 +13,7 @@
 //! for an integer winding number everywhere. It allows nested, hollow, touching and self-intersecting surfaces.
 
 use super::Mesh;
+use crate::memory::with_room;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use rustc_hash::{FxBuildHasher, FxHashMap, FxHashSet};
@@ -76,13 +77,15 @@ impl Topology {
     pub fn of(mesh: &Mesh) -> Self {
         let welded = weld(mesh);
         // Degenerate faces close the surface around them. After welding they must still have three corners.
-        let faces: Vec<[u32; 3]> =
-            mesh.faces().iter().chain(mesh.degenerate_faces()).map(|face| face.map(|v| welded[v as usize])).collect();
+        let mut faces: Vec<[u32; 3]> = with_room(mesh.faces().len() + mesh.degenerate_faces().len());
+        faces.extend(mesh.faces().iter().chain(mesh.degenerate_faces()).map(|face| face.map(|v| welded[v as usize])));
         let mut orientation = vec![Orientation::Kept; faces.len()];
         let duplicate_faces = skip_duplicates(welded.len(), &faces, &mut orientation);
 
         let half_edges = half_edges(welded.len(), &faces, &orientation);
-        let edges: Vec<&[HalfEdge]> = half_edges.chunk_by(|a, b| (a.low, a.high) == (b.low, b.high)).collect();
+        // Most edges have two faces.
+        let mut edges: Vec<&[HalfEdge]> = with_room(half_edges.len() / 2);
+        edges.extend(half_edges.chunk_by(|a, b| (a.low, a.high) == (b.low, b.high)));
         let boundary_edges = edges.iter().filter(|edge| edge.len() == 1).count();
         let nonmanifold_edges = edges.iter().filter(|edge| edge.len() > 2).count();
 
@@ -188,7 +191,8 @@ pub(crate) fn direction(orientation: Orientation) -> f64 {
 /// For each vertex the lowest index with the same position, where -0 equals 0.
 fn weld(mesh: &Mesh) -> Vec<u32> {
     // Keys stored beside their rows sort several times faster than keys that are looked up.
-    let mut order: Vec<([u32; 3], u32)> = mesh.positions().iter().map(position_key).zip(0..).collect();
+    let mut order: Vec<([u32; 3], u32)> = with_room(mesh.positions().len());
+    order.extend(mesh.positions().iter().map(position_key).zip(0..));
     order.par_sort_unstable();
     let mut welded = vec![0; order.len()];
     for group in order.chunk_by(|a, b| a.0 == b.0) {
@@ -267,7 +271,8 @@ fn sort_by_vertex<T: Copy + Ord>(
         starts[v + 1] += starts[v];
     }
     let Some(any) = items.clone().next() else { return Vec::new() };
-    let mut sorted = vec![any; starts[vertices] as usize];
+    let mut sorted = with_room(starts[vertices] as usize);
+    sorted.resize(starts[vertices] as usize, any);
     for item in items {
         let place = &mut starts[vertex(&item) as usize];
         sorted[*place as usize] = item;
@@ -292,11 +297,19 @@ fn orient(
         faces: [usize; 2],
         open: bool,
     }
-    let mut of_root = vec![Patch::default(); faces.len()];
+    // A mesh has few patches, so that a table of all faces would consist of unused pages.
+    let mut patch_of = vec![0u32; faces.len()];
+    let mut found = Vec::new();
+    for f in 0..faces.len() {
+        if patches.root(f as u32).0 as usize == f {
+            patch_of[f] = found.len() as u32;
+            found.push(Patch::default());
+        }
+    }
     for edge in edges {
         if edge.len() != 2 {
             for half_edge in *edge {
-                of_root[patches.root(half_edge.face).0 as usize].open = true;
+                found[patch_of[patches.root(half_edge.face).0 as usize] as usize].open = true;
             }
         }
     }
@@ -305,7 +318,7 @@ fn orient(
             continue;
         }
         let (root, turned) = patches.root(f as u32);
-        let patch = &mut of_root[root as usize];
+        let patch = &mut found[patch_of[root as usize] as usize];
         patch.faces[usize::from(turned)] += 1;
         if f < mesh.faces().len() {
             let side = if turned { -1.0 } else { 1.0 };
@@ -317,7 +330,7 @@ fn orient(
     let (mut flipped, mut is_weighed) = (0, false);
     for f in 0..faces.len() {
         let (root, turned) = patches.root(f as u32);
-        let patch = &of_root[root as usize];
+        let patch = &found[patch_of[root as usize] as usize];
         if orientation[f] == Orientation::Skipped || patches.conflicts.contains(&root) || patch.faces.contains(&0) {
             continue;
         }
