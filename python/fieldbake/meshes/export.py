@@ -20,6 +20,9 @@ Faces = NDArray[np.uint32]
 
 KINDS = (".stl", ".obj", ".ply", ".glb", ".3mf")
 
+#: Faces of an STL file that are written at once. Larger temporary arrays leave the caches of the processor.
+STL_BATCH = 1 << 14
+
 
 def mesh_kind(path: str | os.PathLike[str]) -> str:
     """Return the ending of a mesh file in lower case; raise MeshError for an ending that cannot be written."""
@@ -51,12 +54,14 @@ def save_mesh(vertices: Vertices, faces: Faces, path: str | os.PathLike[str]) ->
 def _write_stl(vertices: Vertices, faces: Faces, stream: IO[bytes]) -> None:
     """Write binary STL: the normal and the corners of every face, float32."""
     record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-    records = np.zeros(len(faces), record)
-    records["normal"] = face_normals(vertices, faces)
-    records["corners"] = vertices[faces]
+    records = np.zeros(min(len(faces), STL_BATCH), record)
     stream.write(b"fieldbake".ljust(80))
-    stream.write(np.uint32(len(records)).tobytes())
-    stream.write(records.tobytes())
+    stream.write(np.uint32(len(faces)).tobytes())
+    for first in range(0, len(faces), STL_BATCH):
+        rows = faces[first : first + STL_BATCH]
+        records["normal"][: len(rows)] = face_normals(vertices, rows)
+        records["corners"][: len(rows)] = vertices[rows]
+        stream.write(records[: len(rows)].tobytes())
 
 
 def _write_obj(vertices: Vertices, faces: Faces, stream: IO[bytes]) -> None:

@@ -45,9 +45,11 @@ def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.uint32]) -> 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Normalise vectors to length 1; zero vectors stay zero."""
-    # Dividing by the largest component first keeps the squares in range.
-    largest = np.abs(vectors).max(axis=1, keepdims=True, initial=0.0)
-    scaled = np.divide(vectors, largest, out=np.zeros_like(vectors), where=largest > 0)
-    lengths = np.linalg.norm(scaled, axis=1, keepdims=True)
-    unit: NDArray[np.float64] = np.divide(scaled, lengths, out=scaled, where=lengths > 0)
-    return unit
+    # Dividing by the largest component first keeps the squares in range. Columns are faster than rows of three numbers.
+    x, y, z = vectors.T
+    largest = np.maximum(np.maximum(np.abs(x), np.abs(y)), np.abs(z))
+    largest[largest == 0] = 1.0
+    x, y, z = x / largest, y / largest, z / largest
+    lengths = np.sqrt(x * x + y * y + z * z)
+    lengths[lengths == 0] = 1.0
+    return np.stack([x / lengths, y / lengths, z / lengths], axis=1)
