@@ -342,6 +342,7 @@ fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
 @compute @workgroup_size(64)
 fn rays(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= params.count { return; }
+    begin_invocation(id);
     steps = 0u;
     is_far = 0u;
     let beam = beams[params.first + id.x];
@@ -353,6 +354,7 @@ fn rays(@builtin(global_invocation_id) id: vec3u) {
 @compute @workgroup_size(64)
 fn cones(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= params.count { return; }
+    begin_invocation(id);
     steps = 0u;
     is_far = 0u;
     needs_edge = false;
@@ -366,6 +368,7 @@ fn cones(@builtin(global_invocation_id) id: vec3u) {
 @compute @workgroup_size(64)
 fn edge_cones(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= params.count { return; }
+    begin_invocation(id);
     steps = 0u;
     is_far = 0u;
     needs_edge = false;
@@ -394,6 +397,7 @@ fn length_between(before: vec2f, here: vec2f) -> f32 {
 @compute @workgroup_size(64)
 fn thicknesses(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= params.count { return; }
+    begin_invocation(id);
     var beam = beams[params.first + id.x];
     steps = 0u;
     let enters = dot(beam.normal, beam.direction) < 0.0;

@@ -71,9 +71,11 @@ fn add_beam(beam: Beam) {
 @compute @workgroup_size(64)
 fn surface_beams(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= piece.count { return; }
+    begin_invocation(id);
     let first_answer = id.x * view.light_count;
-    if piece.clears != 0u {
-        for (var k = 0u; k < view.light_count; k++) { answers[first_answer + k] = Answer(); }
+    let light_count = view.light_count + zero;
+    if piece.clears + zero != 0u {
+        for (var k = 0u; k < light_count; k++) { answers[first_answer + k] = Answer(); }
     }
     let x = (piece.first + id.x) % view.width;
     let y = (piece.first + id.x) / view.width;
@@ -114,7 +116,7 @@ fn surface_beams(@builtin(global_invocation_id) id: vec3u) {
     beam.normal = normalize(normal);
     beam.bias_voxels = view.bias_voxels;
     beam.own = index;
-    for (var i = 0u; i < view.light_count; i++) {
+    for (var i = 0u; i < light_count; i++) {
         let light = view.lights[i];
         beam.direction = light.place;
         beam.t_max = FAR_T;
@@ -126,7 +128,7 @@ fn surface_beams(@builtin(global_invocation_id) id: vec3u) {
             beam.slope = light.size / beam.t_max;
         }
         beam.owner = first_answer + i;
-        let is_wanted = (beam.slope > 0.0) == (piece.wants_cones != 0u);
+        let is_wanted = (beam.slope > 0.0) == (piece.wants_cones + zero != 0u);
         if is_wanted && dot(beam.normal, beam.direction) > 0.0 { add_beam(beam); }
     }
 }

@@ -72,8 +72,8 @@ struct Split {
 }
 
 fn far_distance_from(p: vec3f) -> f32 {
-    if params.far_distance >= 0.0 { return params.far_distance; }
-    let last = params.far + params.far_levels - 1u;
+    if params.far_distance + f32(zero) >= 0.0 { return params.far_distance; }
+    let last = params.far + params.far_levels - 1u + zero;
     for (var level = params.far; level < last; level++) {
         let to = &instances[level];
         if all(p >= (*to).box_min) && all(p <= (*to).box_max) { return FAR_VOXELS * (*to).voxel; }
@@ -83,13 +83,13 @@ fn far_distance_from(p: vec3f) -> f32 {
 
 fn split_of(beam: Beam) -> Split {
     let whole = Split(beam.t_max, FAR_T, NOWHERE);
-    if params.far == NO_INSTANCE || beam.skips_own != 0u { return whole; }
+    if params.far + zero == NO_INSTANCE || beam.skips_own != 0u { return whole; }
     let to = &instances[params.far + params.far_levels - 1u];
     let grown = widest(beam.p, beam.slope, (*to).box_min, (*to).box_max, beam.t_max);
     let part = vec2f(far_distance_from(beam.p), beam.t_max);
     let span = clip(beam.p, beam.direction, (*to).box_min - grown, (*to).box_max + grown, part);
     if span.x >= span.y { return whole; }
-    let needs_rest = span.y < beam.t_max && params.far_holds_all == 0u;
+    let needs_rest = span.y < beam.t_max && params.far_holds_all + zero == 0u;
     return Split(span.x, select(FAR_T, span.y, needs_rest), span);
 }
 
@@ -152,7 +152,7 @@ fn begin_walk(beam: Beam) -> Walk {
     walk.top = 1u;
     walk.split = split_of(beam);
     let has_far = walk.split.far.x <= walk.split.far.y;
-    let is_near = has_far && walk.split.rest >= FAR_T && params.far_holds_all != 0u;
+    let is_near = has_far && walk.split.rest >= FAR_T && params.far_holds_all + zero != 0u;
     walk.reach = select(beam.t_max, walk.split.near, is_near);
     walk.again = NO_INSTANCE;
     walk.finer = NOWHERE;
@@ -201,7 +201,7 @@ fn next_level(walk: ptr<function, Walk>, beam: Beam) -> Caster {
     let far = (*walk).split.far;
     if far.x > far.y { return Caster(NO_INSTANCE, NOWHERE, 0.0); }
     is_far = 1u;
-    while (*walk).pieces < 2u * params.far_levels {
+    while (*walk).pieces < 2u * params.far_levels + zero {
         let level = params.far + (*walk).pieces / 2u;
         let which = (*walk).pieces % 2u;
         (*walk).pieces++;
