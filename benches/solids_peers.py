@@ -26,6 +26,9 @@ import fieldbake as fb
 #: libigl evaluates every this many slices of the grid; its time is that of these slices times this number.
 EVERY_SLICE = 32
 
+#: Radius, voxels, of the ball around a corner or a point of an edge in which there may be no other sharp edge.
+CLEAR = 1.25
+
 
 def least(call, rounds=3):
     """The least processor time and the result of a call."""
@@ -210,11 +213,56 @@ def corners(options):
     to_rim = fb.closest_point(made, rim).distances.max()
     print(f"cut cylinder, 64 voxels: vertices {np.abs(field).max() / voxel:.4f}, rim {to_rim / voxel:.4f} voxels")
     fandisk = fb.load_mesh(options.models / "fandisk.obj")
-    for resolution in (64, 128):
-        made = fb.solid(fandisk, resolution)
-        to, back = made.report.distance_to_source, made.report.distance_from_source
-        voxel = made.report.voxel_size
-        print(f"fandisk, {resolution} voxels: {to / voxel:.3f} voxels to the source, {back / voxel:.3f} from it")
+    for resolution in (32, 64, 128):
+        features_of(fandisk, resolution)
+
+
+def features_of(mesh, resolution):
+    """Distance of clear corners and straight edges of a mesh from the extracted surface, voxels.
+
+    A corner is clear if all points of sharp edges (20 degrees or more) within `CLEAR` voxels lie on its own edges.
+    A point of an edge is clear if they lie on the line of the edge: the edge is straight there, and no other is near.
+    """
+    from scipy.spatial import cKDTree
+
+    volume = fb.bake(mesh, resolution)
+    made, voxel = volume.to_mesh(), volume.spacing.max()
+    vertices, normals = np.array(mesh.vertices), np.array(mesh.face_normals)
+    faces = np.array(mesh.faces, dtype=np.int64)
+    sides = np.sort(np.concatenate([np.roll(faces, -i, axis=1)[:, :2] for i in range(3)]), axis=1)
+    order = np.lexsort(sides.T)
+    pairs = np.flatnonzero((np.diff(sides[order], axis=0) == 0).all(axis=1))
+    first, second = (order[pairs + i] % len(faces) for i in (0, 1))
+    edges = sides[order[pairs[(normals[first] * normals[second]).sum(axis=1) < np.cos(np.radians(20))]]]
+    corners = np.flatnonzero(np.bincount(edges.ravel()) >= 3)
+
+    starts, along = vertices[edges[:, 0]], np.diff(vertices[edges], axis=1)[:, 0]
+    counts = np.maximum(2, np.ceil(np.linalg.norm(along, axis=1) / (voxel / 8))).astype(int)
+    rows = np.repeat(np.arange(len(edges)), counts)
+    shares = np.concatenate([(np.arange(count) + 0.5) / count for count in counts])
+    points, lines = starts[rows] + along[rows] * shares[:, None], along[rows]
+    tree = cKDTree(points)
+
+    def clear(at, rays, both_ways):
+        """Whether the points of edges around `at` lie on one of some rays, or lines, from there."""
+        away = points[tree.query_ball_point(at, CLEAR * voxel)] - at
+        rays = rays / np.linalg.norm(rays, axis=1)[:, None]
+        reach = away @ rays.T
+        off = away[:, None] - (reach if both_ways else np.maximum(reach, 0))[:, :, None] * rays
+        return np.linalg.norm(off, axis=2).min(axis=1).max() <= 0.02 * voxel
+
+    own = [vertices[edges[(edges == corner).any(axis=1)].sum(axis=1) - corner] - vertices[corner] for corner in corners]
+    is_clear = np.array([clear(vertices[corner], rays, False) for corner, rays in zip(corners, own, strict=True)])
+    is_straight = np.array([clear(at, line[None], True) for at, line in zip(points, lines, strict=True)])
+    at_corners = np.array([np.linalg.norm(made.vertices - vertices[corner], axis=1).min() for corner in corners])
+    at_edges = fb.closest_point(made, points[is_straight]).distances / voxel
+    off = np.abs(fb.signed_distance(mesh, made.vertices)) / voxel
+    print(
+        f"{resolution} voxels: {is_clear.sum()} of {len(corners)} corners clear, off by "
+        f"{at_corners[is_clear].max() / voxel:.4f}, all by {at_corners.max() / voxel:.4f}; {is_straight.mean():.0%} of "
+        f"the edges clear and straight, off by {at_edges.max():.4f}, {(at_edges > 0.02).mean():.2%} by more than 0.02; "
+        f"vertices off by {off.mean():.5f}, {np.mean(off > 0.02):.2%} by more than 0.02"
+    )
 
 
 def turned(axis, degrees):

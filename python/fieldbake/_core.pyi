@@ -266,15 +266,6 @@ class Shape:
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float32]: ...
     def color(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
         """Linear RGB; nan where the shape is not painted."""
-    def bake_blocks(
-        self,
-        lower: tuple[float, float, float],
-        upper: tuple[float, float, float],
-        shape: tuple[int, int, int],
-        origins: NDArray[np.int32],
-        side: int,
-    ) -> NDArray[np.float32]:
-        """The samples of blocks of a grid (k, (side + 1)^3), x fastest; see :func:`bake_blocks`."""
     def bake(
         self,
         lower: tuple[float, float, float],
@@ -478,6 +469,17 @@ class Surface:
     @staticmethod
     def of_sparse(field: SparseField, level: float) -> Surface:
         """The level set of a sparse field."""
+    @staticmethod
+    def of_shape(
+        shape: Shape,
+        lower: tuple[float, float, float],
+        upper: tuple[float, float, float],
+        voxels: tuple[int, int, int],
+        level: float,
+    ) -> Surface:
+        """The level set of a shape on a grid."""
+    def use_shape(self, shape: Shape, level: float) -> None:
+        """Use the tangent planes of the level set of a shape, and add those around all vertices."""
     def edges(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Both ends of each crossed edge, (m, 3) each, and the fraction of the edge before the crossing, (m,)."""
     def use_mesh(self, mesh: Mesh, offset: float, *, unsigned: bool = False) -> None:

@@ -22,10 +22,12 @@ pub(crate) mod chord;
 mod compiled;
 pub(crate) mod decompose;
 pub(crate) mod draw;
+mod dual;
 mod field;
 mod gpu;
 pub(crate) mod language;
 mod leaf;
+mod level;
 mod lower;
 pub(crate) mod model;
 mod octree;
@@ -47,5 +49,6 @@ mod word;
 
 #[cfg(test)]
 pub(crate) use leaf::kernel_texts;
+pub use level::{level_surface, planes_around_of_shape, planes_of_shape};
 pub use shape::{Blend, Op, Shape};
 pub use solid::Solid;

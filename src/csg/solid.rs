@@ -134,42 +134,33 @@ impl Solid {
         Ok(out)
     }
 
-    /// Samples of blocks of a grid, `(side + 1)^3` each, x fastest. The first sample of a block is its entry in
-    /// `origins`; a sample outside the grid repeats the nearest one of the grid.
-    pub fn blocks(
+    /// Samples of a block of a grid, `(side + 1)^3`, x fastest, from the sample `origin` on. A sample outside the grid
+    /// repeats the nearest one of the grid.
+    pub(super) fn samples_of_block(
         &self,
         grid: &Grid,
         side: usize,
-        origins: &[[i32; 3]],
-        progress: &Progress,
-    ) -> Result<Vec<f32>, Error> {
+        origin: [i32; 3],
+        stack: &mut Stack<f64, LANES>,
+        samples: &mut [f32],
+    ) {
         let n = side + 1;
-        let mut samples = allocate_samples("the samples of blocks", origins.len() * n.pow(3), 0)?;
-        progress.set_total(origins.len() as u64);
-        samples.par_chunks_mut(n.pow(3)).zip(origins).try_for_each_init(
-            Stack::<f64, LANES>::default,
-            |stack, (samples, origin)| {
-                let local = |i: usize| {
-                    let clamped =
-                        |axis: usize| (origin[axis] + i as i32).clamp(0, grid.shape[axis] as i32 - 1) as usize;
-                    self.frame.local(grid.center(clamped(0), clamped(1), clamped(2))).to_array()
-                };
-                let along: Vec<[f64; 3]> = (0..n).map(local).collect();
-                for (first, out) in (0..).step_by(LANES).zip(samples.chunks_mut(LANES)) {
-                    let mut at = [[0.0; LANES]; 3];
-                    for i in 0..out.len() {
-                        let place = [(first + i) % n, (first + i) / n % n, (first + i) / (n * n)];
-                        (0..3).for_each(|axis| at[axis][i] = along[place[axis]][axis]);
-                    }
-                    let values = run_wide(&self.precise, &self.model.tokens, &at, stack);
-                    for (out, value) in out.iter_mut().zip(values) {
-                        *out = saturated(value * self.frame.scale);
-                    }
-                }
-                progress.advance(1)
-            },
-        )?;
-        Ok(samples)
+        let local = |i: usize| {
+            let clamped = |axis: usize| (origin[axis] + i as i32).clamp(0, grid.shape[axis] as i32 - 1) as usize;
+            self.frame.local(grid.center(clamped(0), clamped(1), clamped(2))).to_array()
+        };
+        let along: Vec<[f64; 3]> = (0..n).map(local).collect();
+        for (first, out) in (0..).step_by(LANES).zip(samples.chunks_mut(LANES)) {
+            let mut at = [[0.0; LANES]; 3];
+            for i in 0..out.len() {
+                let place = [(first + i) % n, (first + i) / n % n, (first + i) / (n * n)];
+                (0..3).for_each(|axis| at[axis][i] = along[place[axis]][axis]);
+            }
+            let values = run_wide(&self.precise, &self.model.tokens, &at, stack);
+            for (out, value) in out.iter_mut().zip(values) {
+                *out = saturated(value * self.frame.scale);
+            }
+        }
     }
 
     /// Samples at the voxel centres of a grid, x fastest.

@@ -1,6 +1,6 @@
 //! `fieldbake._core.Shape`.
 
-use super::convert::{Field, grid, points, row_array, rows, volume_array};
+use super::convert::{Field, grid, points, row_array, volume_array};
 use super::device::choose;
 use super::error::Failure;
 use super::render::{PictureArguments, images_of};
@@ -16,7 +16,7 @@ use crate::error::{Error, ShapeError};
 use crate::shader_text::Language;
 use crate::volume::Trilinear;
 use glam::DVec3;
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray3};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::collections::HashSet;
@@ -191,23 +191,6 @@ impl Shape {
         let solid = self.solid(py)?;
         let samples = run(py, progress, |progress| solid.bake_at(&place, &grid, progress))?;
         Ok((volume_array(py, samples, shape)?, place.label()))
-    }
-
-    /// The samples of blocks of a grid (k, (side + 1)^3), x fastest; see `bake_blocks`.
-    fn bake_blocks<'py>(
-        &self,
-        py: Python<'py>,
-        lower: [f64; 3],
-        upper: [f64; 3],
-        shape: [usize; 3],
-        origins: PyReadonlyArray2<'py, i32>,
-        side: usize,
-    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let grid = grid(lower, upper, shape)?;
-        let solid = self.solid(py)?;
-        let origins = rows(&origins, "origins")?;
-        let samples = run(py, None, |progress| solid.blocks(&grid, side, origins, progress))?;
-        samples.into_pyarray(py).reshape([origins.len(), (side + 1).pow(3)])
     }
 
     /// The field in a shading language, and the parameters that it reads.

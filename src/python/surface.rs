@@ -1,10 +1,12 @@
 //! `fieldbake._core.Surface` and `SurfaceBlocks`.
 
 use super::convert::{Field, grid, owned_rows, points, rows, with_texels};
+use super::csg::Shape;
 use super::error::{Failure, exception};
 use super::mesh::Mesh;
 use super::run::run;
 use super::sparse::SparseField;
+use crate::csg::{level_surface, planes_around_of_shape, planes_of_shape};
 use crate::error::{ArgumentError, Error};
 use crate::progress::Progress;
 use crate::surface::{self, Crossing, ExtraPlanes, LevelSurface, MeshOptions, Probes};
@@ -73,6 +75,31 @@ impl Surface {
     fn of_sparse(py: Python<'_>, field: PyRef<'_, SparseField>, level: f32) -> PyResult<Self> {
         let field = &*field;
         Ok(run(py, None, |progress| Ok(Self::new(field.surface(level, progress)?)))?)
+    }
+
+    /// The level set of a shape on a grid.
+    #[staticmethod]
+    fn of_shape(
+        py: Python<'_>,
+        shape: PyRef<'_, Shape>,
+        lower: [f64; 3],
+        upper: [f64; 3],
+        voxels: [usize; 3],
+        level: f32,
+    ) -> PyResult<Self> {
+        let (solid, grid) = (shape.solid(py)?, grid(lower, upper, voxels)?);
+        Ok(run(py, None, |progress| Ok(Self::new(level_surface(&solid, &grid, level, progress)?)))?)
+    }
+
+    /// Uses the tangent planes of the level set of a shape, and joins those around all vertices.
+    fn use_shape(&self, py: Python<'_>, shape: PyRef<'_, Shape>, level: f64) -> PyResult<()> {
+        let solid = shape.solid(py)?;
+        self.with(py, |state, progress| {
+            let State { surface, crossings, .. } = state;
+            planes_of_shape(surface, crossings, &solid, level, progress)?;
+            state.extra = planes_around_of_shape(surface, crossings, &solid, level, progress)?;
+            Ok(())
+        })
     }
 
     /// Both ends of each crossed edge, (m, 3) each, and the fraction of the edge before the crossing, (m,).

@@ -4,6 +4,7 @@ use super::cells::{SurfaceCell, SurfaceCells, cells_of_block};
 use super::{LevelSurface, check_level, check_shape};
 use crate::error::{ArgumentError, Error};
 use crate::grid::Grid;
+use crate::progress::Progress;
 use rayon::prelude::*;
 
 /// The crossed cells of blocks of samples. The samples themselves are not kept.
@@ -38,6 +39,34 @@ impl SurfaceBlocks {
         let blocks = origins.par_iter().zip(values.par_chunks_exact(samples));
         let cells = blocks.flat_map_iter(|(&origin, values)| cells_of_block(shape, side, origin, values, level));
         self.cells.append(&mut cells.collect());
+        Ok(())
+    }
+
+    /// As [`Self::add`], with samples that `fill` writes for the block at an origin. `init` makes its first argument,
+    /// one for each thread.
+    pub(crate) fn add_evaluated<S>(
+        &mut self,
+        side: usize,
+        origins: &[[i32; 3]],
+        init: impl Fn() -> S + Sync + Send,
+        fill: impl Fn(&mut S, [i32; 3], &mut [f32]) + Sync + Send,
+        progress: &Progress,
+    ) -> Result<(), Error> {
+        let (shape, level) = (self.grid.shape.map(|n| n as i32), self.level);
+        progress.set_total(origins.len() as u64);
+        let blocks = origins.par_iter().map_init(
+            || (init(), vec![0.0; (side + 1).pow(3)]),
+            |(state, samples), &origin| {
+                fill(state, origin, samples);
+                if samples.iter().any(|value| !value.is_finite()) {
+                    return Err(ArgumentError::new("values", "must be finite").into());
+                }
+                let cells: Vec<SurfaceCell> = cells_of_block(shape, side, origin, samples, level).collect();
+                progress.advance(1).map(|()| cells)
+            },
+        );
+        let cells: Vec<Vec<SurfaceCell>> = blocks.collect::<Result<_, Error>>()?;
+        self.cells.extend(cells.into_iter().flatten());
         Ok(())
     }
 

@@ -4,8 +4,8 @@
 //! of its faces, and rounding would decide which is the nearest. Such points therefore use all the faces: a probe adds
 //! all of their planes, and a crossing has the mean of their normals.
 
-use super::probes::PROBES;
-use super::{CrossedEdge, Crossing, ExtraPlanes, LevelSurface};
+use super::probes::{NEAR_STEP, PROBES, Place};
+use super::{CrossedEdge, Crossing, ExtraPlanes, LevelSurface, probes};
 use crate::bvh::Bvh;
 use crate::bvh::closest::ClosestPoint;
 use crate::bvh::watertight::{FaceHit, Ray};
@@ -102,38 +102,72 @@ pub fn planes_around_of_offset(
         found.extend(places.iter().filter_map(|&place| plane(place)));
     };
     let planes = surface.planes_around(crossings, around, progress)?;
-    Ok(Some(planes.with_probe(Box::new(plane))))
+    let nearby = move |places: &[Place], found: &mut dyn FnMut(usize, DVec3, DVec3)| {
+        for (i, place) in places.iter().enumerate().filter(|(_, place)| !place.is_sharp) {
+            if let Some((point, normal)) = plane(place.point) {
+                found(i, point, normal);
+            }
+        }
+    };
+    Ok(Some(planes.with_nearby(Box::new(nearby), false)))
 }
 
-/// The tangent planes of the faces of `mesh` around the sharp vertices. The faces must be oriented alike; `inward` tells
-/// that their normals point to the inside.
+/// The tangent planes of the faces of `mesh` around the sharp vertices, and close to vertices with an error. The faces
+/// must be oriented alike; `inward` tells that their normals point to the inside.
 pub fn planes_around_of_mesh(
     surface: &LevelSurface,
     crossings: &[Crossing],
-    mesh: &Mesh,
+    mesh: &Arc<Mesh>,
     inward: bool,
     progress: &Progress,
 ) -> Result<ExtraPlanes, Error> {
     progress.set_total(surface.cells.cells().len() as u64);
     mesh.bvh();
     let sign = if inward { -1.0 } else { 1.0 };
-    let planes = |places: &[DVec3; PROBES], near: DVec3, known: &mut Vec<u32>, found: &mut Vec<(DVec3, DVec3)>| {
+    let around = |places: &[DVec3; PROBES], near: DVec3, known: &mut Vec<u32>, found: &mut Vec<(DVec3, DVec3)>| {
         let points = places.map(|place| mesh.local_from_world(place));
-        nearest_faces(mesh, &points, mesh.local_from_world(near), known, |closest| {
-            let point = mesh.world_from_local(closest.on_triangle.point);
-            found.extend(normal_of(mesh, closest.face).map(|normal| (point, sign * normal)));
-        });
+        let bound = points[0].distance(mesh.local_from_world(near));
+        nearest_faces(mesh, &points, bound, known, |closest| found.extend(plane_of(mesh, &closest, sign)));
     };
-    surface.planes_around(crossings, planes, progress)
+    let planes = surface.planes_around(crossings, around, progress)?;
+    let mesh = Arc::clone(mesh);
+    let step = NEAR_STEP * surface.spacing;
+    let bound = step.max_element() / mesh.scale();
+    let nearby = move |places: &[Place], found: &mut dyn FnMut(usize, DVec3, DVec3)| {
+        let mut known = Vec::new();
+        for (i, place) in places.iter().enumerate() {
+            known.clear();
+            if place.is_sharp {
+                let points = probes::around(place.point, step).map(|point| mesh.local_from_world(point));
+                nearest_faces(&mesh, &points, bound, &mut known, |closest| {
+                    if let Some((point, normal)) = plane_of(&mesh, &closest, sign) {
+                        found(i, point, normal);
+                    }
+                });
+            } else {
+                let closest = mesh.exact_closest_point(mesh.local_from_world(place.point), f64::INFINITY);
+                if let Some((point, normal)) = plane_of(&mesh, &closest, sign) {
+                    found(i, point, normal);
+                }
+            }
+        }
+    };
+    Ok(planes.with_nearby(Box::new(nearby), true))
+}
+
+/// The plane of the face at a closest point, world units; its normal is multiplied by `sign`.
+fn plane_of(mesh: &Mesh, closest: &ClosestPoint, sign: f64) -> Option<(DVec3, DVec3)> {
+    let normal = normal_of(mesh, closest.face)?;
+    Some((mesh.world_from_local(closest.on_triangle.point), sign * normal))
 }
 
 /// Finds the nearest faces of points around the first one, local units: for each point in order all nearest faces, in
-/// ascending order. Those that are not in `known` are added to it and passed to `on_face`. `near` is a point of the
-/// mesh.
+/// ascending order. Those that are not in `known` are added to it and passed to `on_face`. `bound` is the probable
+/// distance of the first point from the mesh; a smaller one costs a second search.
 fn nearest_faces(
     mesh: &Mesh,
     points: &[DVec3; PROBES],
-    near: DVec3,
+    bound: f64,
     known: &mut Vec<u32>,
     mut on_face: impl FnMut(ClosestPoint),
 ) {
@@ -149,7 +183,7 @@ fn nearest_faces(
     };
     // The surface lies within `distance` of the first point, so within `distance + step` of every other one. The
     // triangle that is nearest to it lies within `step` more of the first point.
-    let distance = f64::from(nearest(points[0], points[0].distance(near)));
+    let distance = f64::from(nearest(points[0], bound));
     let radius = ((distance + 2.0 * step) * 1.001 + f64::from(f32::EPSILON)) as f32 + slack;
     let rows = [0, 1, 2].map(|axis| std::array::from_fn(|i| points[i.min(PROBES - 1)][axis] as f32));
     let mut found = Vec::with_capacity(2 * PROBES);
@@ -275,7 +309,7 @@ mod tests {
                 let normals: Vec<DVec3> = expected.iter().filter_map(|&face| normal_of(&cube, face)).collect();
                 let outward = normals.iter().sum::<DVec3>().normalize();
                 let mut found = Vec::new();
-                nearest_faces(&cube, &[foot + 0.1 * outward; PROBES], foot, &mut found, |_| ());
+                nearest_faces(&cube, &[foot + 0.1 * outward; PROBES], 0.1, &mut found, |_| ());
                 assert_eq!(found, expected, "seed {seed}, vertices {a} and {b}");
                 let mean = mean_normal(&cube, foot, 0.0, outward).unwrap();
                 // Rounding moves the foot off the edge by 1e-16.

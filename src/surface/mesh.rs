@@ -3,7 +3,7 @@
 use super::cells::{SurfaceCell, edges_from, patches_of};
 use super::links::{PatchLinks, edges_of};
 use super::patches::edge_corners;
-use super::probes::{ExtraPlanes, PatchRegion};
+use super::probes::{ExtraPlanes, Nearby, PatchRegion, Place, SHARP_COSINE};
 use super::qef::Planes;
 use super::quad::Quad;
 use super::{Crossing, LevelSurface, MARGIN, MeshOptions};
@@ -18,6 +18,13 @@ const NEWTON_STEPS: usize = 4;
 
 /// Largest number of times that clamped vertices are tried at their best places.
 const FREE_PASSES: usize = 4;
+
+/// A vertex on flat faces is corrected if the root of the sum of its squared distances to the planes of its patch is
+/// larger, voxels.
+const LEAST_ERROR: f64 = 0.005;
+
+/// Largest correction of a vertex along an axis, voxels. Planes that move it farther belong to another feature.
+const FARTHEST: f64 = 0.25;
 
 /// Triangles of a level set.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -83,18 +90,22 @@ impl LevelSurface {
         free: bool,
     ) -> Vertices {
         let is_clamped: Vec<AtomicBool> = (0..self.cells.patch_count()).map(|_| AtomicBool::new(false)).collect();
+        let nearby = extra.nearby().filter(|_| options.sharp);
         let places = self.cells.for_patches(DVec3::ZERO, |cells, places| {
-            let mut own = Vec::new();
-            for ((cell, id), place) in patches_of(cells).zip(places) {
-                let mut placed = self.vertex(cell, id, crossings, extra.of(id), options, free);
-                let probe = extra.probe().filter(|_| options.sharp && extra.of(id).is_empty());
-                if let Some((point, normal)) = probe.and_then(|probe| probe(placed.0)) {
-                    own.clear();
-                    PatchRegion::new(self, cell, id, crossings).join(&mut own, point, normal);
-                    placed = self.vertex(cell, id, crossings, &own, options, free);
+            let mut waiting = Vec::new();
+            for (i, (cell, id)) in patches_of(cells).enumerate() {
+                let planes = self.planes(cell, id, crossings, extra.of(id));
+                let (place, clamped) = self.vertex(cell, &planes, options, free);
+                places[i] = place;
+                is_clamped[id as usize].store(clamped, Ordering::Relaxed);
+                let Some((_, is_flat)) = nearby.filter(|_| !clamped) else { continue };
+                let error = || planes.error(place - self.world(cell.index, DVec3::ZERO));
+                if !is_flat || error() > (LEAST_ERROR * self.spacing.min_element()).powi(2) {
+                    waiting.push((i, cell, id));
                 }
-                *place = placed.0;
-                is_clamped[id as usize].store(placed.1, Ordering::Relaxed);
+            }
+            if let Some(nearby) = nearby {
+                self.correct(places, &waiting, crossings, extra, nearby);
             }
         });
         let is_clamped = is_clamped.into_iter().map(AtomicBool::into_inner).collect();
@@ -103,6 +114,46 @@ impl LevelSurface {
             self.free_clamped(&mut vertices, crossings, extra);
         }
         vertices
+    }
+
+    /// Corrects vertices by the planes of the source close to them; see [`super::probes`]. `waiting` has the indices of the
+    /// vertices in `places`, their cells and patches. `is_flat` tells that the source consists of flat faces.
+    fn correct(
+        &self,
+        places: &mut [DVec3],
+        waiting: &[(usize, &SurfaceCell, u32)],
+        crossings: &[Crossing],
+        extra: &ExtraPlanes,
+        (nearby, is_flat): (&Nearby, bool),
+    ) {
+        let targets = waiting.iter().map(|&(i, _, id)| Place { point: places[i], is_sharp: !extra.of(id).is_empty() });
+        let targets: Vec<Place> = targets.collect();
+        let mut found = Vec::with_capacity(waiting.len());
+        nearby(&targets, &mut |row, point, normal| found.push((row, point, normal)));
+        let mut own = Vec::new();
+        for near in found.chunk_by(|a, b| a.0 == b.0) {
+            let (i, cell, id) = waiting[near[0].0];
+            let corner = self.world(cell.index, DVec3::ZERO);
+            let [lower, upper] = self.region(cell, 0);
+            own.clear();
+            let region = PatchRegion::new(self, cell, id, crossings);
+            near.iter().for_each(|&(_, point, normal)| region.join(&mut own, point, normal));
+            let before = places[i] - corner;
+            let is_crease = own.iter().any(|plane| plane.1.dot(own[0].1) < SHARP_COSINE);
+            let after = if is_flat || is_crease {
+                let mut planes = Planes::new();
+                own.iter().for_each(|&(point, normal)| planes.add_near(point, normal));
+                planes.refined(before, lower, upper)
+            } else if targets[near[0].0].is_sharp {
+                // The planes around the vertex balance the curvature already.
+                continue;
+            } else {
+                self.planes(cell, id, crossings, &own).minimum(lower, upper).point
+            };
+            if !own.is_empty() && (after - before).abs().cmple(self.spacing * FARTHEST).all() {
+                places[i] = (corner + after).clamp(self.lower, self.upper);
+            }
+        }
     }
 
     /// Moves vertices until every sample has its side and no two vertices are equal in single precision, except as
@@ -276,18 +327,15 @@ impl LevelSurface {
         self.links.edges_of(patch).iter().map(|&edge| &crossings[edge as usize])
     }
 
-    /// The vertex of the patch with the index `id`, and whether it was clamped to its cell.
+    /// The vertex of a patch with the tangent planes `planes`, and whether it was clamped to its cell.
     pub(super) fn vertex(
         &self,
         cell: &SurfaceCell,
-        id: u32,
-        crossings: &[Crossing],
-        extra: &[(DVec3, DVec3)],
+        planes: &Planes,
         options: MeshOptions,
         free: bool,
     ) -> (DVec3, bool) {
         let corner = self.world(cell.index, DVec3::ZERO);
-        let planes = self.planes(cell, id, crossings, extra);
         let [lower, upper] = self.region(cell, if free { cell.free } else { 0 });
         let (vertex, clamped) = if options.sharp {
             let minimum = planes.minimum(lower, upper);

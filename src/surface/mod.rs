@@ -10,8 +10,9 @@
 //!
 //! A vertex is the point of its cell that is nearest to the tangent planes at the crossings of its patch ([`qef`]; Ju,
 //! Losasso, Schaefer and Warren, "Dual Contouring of Hermite Data", SIGGRAPH 2002). If the planes come from the source
-//! of the field (a mesh, a shape), edges and corners of the source are reproduced. If they come from the samples, edges
-//! and corners are only as sharp as the samples represent them.
+//! of the field (a mesh, a shape), edges and corners of the source are reproduced, and vertices within their cells are
+//! corrected by the planes of the source close to them ([`probes`]). If the planes come from the samples, edges and
+//! corners are only as sharp as the samples represent them.
 //!
 //! Vertices keep a small distance ([`MARGIN`]) from the faces of their cell that have crossed edges. The four corners
 //! of a quadrilateral belong to the four cells around its edge. Seen along the edge, they therefore lie strictly inside
@@ -33,7 +34,7 @@ mod hermite;
 mod links;
 mod mesh;
 pub(crate) mod patches;
-mod probes;
+pub(crate) mod probes;
 pub(crate) mod qef;
 mod quad;
 mod separate;
@@ -142,6 +143,11 @@ impl LevelSurface {
     /// Number of crossed edges.
     pub fn edge_count(&self) -> usize {
         self.cells.edge_count()
+    }
+
+    /// Number of crossed cells.
+    pub fn cell_count(&self) -> usize {
+        self.cells.cells().len()
     }
 
     /// Voxel size, world units.

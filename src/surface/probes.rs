@@ -3,8 +3,14 @@
 //! The tip of an edge or corner may lie between the edges of the grid. Then the crossings of a patch do not contain all
 //! faces that meet there. A vertex is *sharp* if its patch, or a neighbouring patch, has different normals. For a sharp
 //! vertex the source is evaluated at points around it, and the tangent planes found there are added to the planes of
-//! the crossings. All other vertices have one probe, at the vertex itself, which moves it onto the surface. A mesh needs
-//! no probes there: the planes at the crossings are the faces themselves.
+//! the crossings.
+//!
+//! Planes up to a voxel away do not meet on the surface where it is curved. A vertex within its cell is therefore
+//! corrected at last: the source is evaluated close to it, at [`NEAR_STEP`] around a sharp vertex and at the vertex
+//! itself else ([`ExtraPlanes::with_nearby`]). A vertex at a crease, or on small flat faces, moves onto the planes found.
+//! On a curved smooth part the plane joins those of the patch: the vertex stays slightly outside, and the faces between
+//! vertices slightly inside, so that the volume is kept. Crossings of a mesh have its faces as planes, so a vertex that
+//! lies on all of them needs no correction.
 
 use super::cells::{SurfaceCell, patches_of};
 use super::{Crossing, LevelSurface, MeshOptions};
@@ -14,10 +20,14 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 /// Patches with normals farther apart than the angle with this cosine, 18 degrees, are sharp.
-const SHARP_COSINE: f64 = 0.95;
+pub(super) const SHARP_COSINE: f64 = 0.95;
 
 /// Probes around a sharp vertex lie this far from it along each axis, voxels.
 const STEP: f64 = 0.4;
+
+/// Probes that correct a vertex lie this far from it along each axis, voxels. Within this distance the source is flat
+/// but for its creases.
+pub(crate) const NEAR_STEP: f64 = 0.1;
 
 /// A plane is added to a patch if its point lies at most this far outside the region where the vertex may lie, voxels.
 const REACH: f64 = 0.1;
@@ -48,8 +58,18 @@ pub struct Probes {
     patches: Vec<u32>,
 }
 
-/// Evaluates the tangent plane nearest to a world position: a point of it and its unit normal.
-pub(super) type Probe = dyn Fn(DVec3) -> Option<(DVec3, DVec3)> + Send + Sync;
+/// A vertex whose place the source corrects.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Place {
+    /// World position.
+    pub point: DVec3,
+    /// Whether several tangent planes meet near it; else one plane suffices.
+    pub is_sharp: bool,
+}
+
+/// Evaluates the tangent planes close to some places: the index of the place, a point of the plane and its normal are
+/// passed to the second argument, in order of the places.
+pub(crate) type Nearby = dyn Fn(&[Place], &mut dyn FnMut(usize, DVec3, DVec3)) + Send + Sync;
 
 /// Planes that joined the patches: a point, relative to the lower corner of the cell, and a unit normal.
 #[derive(Default)]
@@ -57,8 +77,10 @@ pub struct ExtraPlanes {
     /// First plane of each patch, and the number of planes at the end; empty without planes.
     firsts: Vec<u32>,
     planes: Vec<(DVec3, DVec3)>,
-    /// Evaluates the plane of a patch without planes when its vertex is placed, so that it is not stored.
-    probe: Option<Box<Probe>>,
+    /// Evaluates planes close to the vertices when they are placed, so that those planes are not stored.
+    nearby: Option<Box<Nearby>>,
+    /// Whether the source consists of flat faces.
+    is_flat: bool,
 }
 
 impl ExtraPlanes {
@@ -68,22 +90,23 @@ impl ExtraPlanes {
             *end += count;
             Some(*end)
         });
-        Self { firsts: std::iter::once(0).chain(ends).collect(), planes, probe: None }
+        Self { firsts: std::iter::once(0).chain(ends).collect(), planes, nearby: None, is_flat: false }
     }
 
-    /// These planes, and those that `probe` evaluates at the vertices of all other patches.
-    pub(super) fn with_probe(self, probe: Box<Probe>) -> Self {
-        Self { probe: Some(probe), ..self }
+    /// These planes, and those that `nearby` evaluates close to the vertices. `is_flat` tells that the source consists of
+    /// flat faces.
+    pub(crate) fn with_nearby(self, nearby: Box<Nearby>, is_flat: bool) -> Self {
+        Self { nearby: Some(nearby), is_flat, ..self }
     }
 
     /// Whether no plane has joined.
     pub(super) fn is_empty(&self) -> bool {
-        self.planes.is_empty() && self.probe.is_none()
+        self.planes.is_empty() && self.nearby.is_none()
     }
 
-    /// Evaluates the plane of a patch without planes.
-    pub(super) fn probe(&self) -> Option<&Probe> {
-        self.probe.as_deref()
+    /// Evaluates the planes close to vertices, and whether the source consists of flat faces.
+    pub(super) fn nearby(&self) -> Option<(&Nearby, bool)> {
+        self.nearby.as_deref().map(|nearby| (nearby, self.is_flat))
     }
 
     /// The planes of a patch.
@@ -136,12 +159,12 @@ impl<'a> PatchRegion<'a> {
 }
 
 /// Number of probes of a sharp vertex.
-pub(super) const PROBES: usize = 7;
+pub(crate) const PROBES: usize = 7;
 
-/// Offsets of the probes around a sharp vertex, voxels. The first is the vertex itself.
-fn steps() -> [DVec3; PROBES] {
-    let [x, y, z] = DVec3::AXES.map(|axis| axis * STEP);
-    [DVec3::ZERO, x, -x, y, -y, z, -z]
+/// A point and the six points at the distance `step` from it along the axes.
+pub(crate) fn around(point: DVec3, step: DVec3) -> [DVec3; PROBES] {
+    let [x, y, z] = DVec3::AXES.map(|axis| axis * step);
+    [DVec3::ZERO, x, -x, y, -y, z, -z].map(|offset| point + offset)
 }
 
 impl LevelSurface {
@@ -154,11 +177,8 @@ impl LevelSurface {
             .into_par_iter()
             .filter(|&id| !sharp_only || is_sharp[id])
             .flat_map_iter(|id| {
-                let (vertex, spacing) = (vertices[id], self.spacing);
-                steps()
-                    .into_iter()
-                    .take(if is_sharp[id] { PROBES } else { 1 })
-                    .map(move |step| (id as u32, vertex + step * spacing))
+                let places = around(vertices[id], STEP * self.spacing);
+                places.into_iter().take(if is_sharp[id] { PROBES } else { 1 }).map(move |place| (id as u32, place))
             })
             .collect();
         let (patches, points) = found.into_iter().unzip();
@@ -168,7 +188,7 @@ impl LevelSurface {
     /// The planes around all sharp vertices. `planes` evaluates the tangent planes nearest to the probes of a vertex,
     /// world positions, and appends them to its last argument: a point and a unit normal each. Its second argument is a
     /// point of the surface near the vertex. Its third argument lists the faces whose planes the patch has already.
-    pub(super) fn planes_around(
+    pub(crate) fn planes_around(
         &self,
         crossings: &[Crossing],
         planes: impl Fn(&[DVec3; PROBES], DVec3, &mut Vec<u32>, &mut Vec<(DVec3, DVec3)>) + Sync,
@@ -187,13 +207,13 @@ impl LevelSurface {
                     let mut before = DVec3::INFINITY;
                     let mut near = self.point_near(id, crossings);
                     for _ in 0..ROUNDS {
-                        let vertex = self.vertex(cell, id, crossings, &own, options, true).0;
+                        let planes_of_patch = self.planes(cell, id, crossings, &own);
+                        let vertex = self.vertex(cell, &planes_of_patch, options, true).0;
                         if (vertex - before).abs().cmple(self.spacing * MOVED).all() {
                             break;
                         }
                         before = vertex;
-                        let places = steps().map(|step| vertex + step * self.spacing);
-                        planes(&places, near, &mut known, &mut found);
+                        planes(&around(vertex, STEP * self.spacing), near, &mut known, &mut found);
                         for (point, normal) in found.drain(..) {
                             near = point;
                             region.join(&mut own, point, normal);

@@ -24,6 +24,8 @@ const REFINEMENTS: usize = 2;
 pub(crate) struct Planes {
     matrix: DMat3,
     vector: DVec3,
+    /// Sum of the squared distances of the planes from the origin.
+    constant: f64,
     mean: DVec3,
     count: f64,
 }
@@ -58,6 +60,18 @@ impl Planes {
     fn add_normal(&mut self, normal: DVec3, distance: f64) {
         self.matrix += DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
         self.vector += normal * distance;
+        self.constant += distance * distance;
+    }
+
+    /// Adds a plane as [`Self::add_plane`] does. It adds to the weight of the pull, and has no crossing.
+    pub(crate) fn add_near(&mut self, point: DVec3, normal: DVec3) {
+        self.add_plane(point, normal);
+        self.count += 1.0;
+    }
+
+    /// The sum of the squared distances of a point from the planes.
+    pub(crate) fn error(&self, point: DVec3) -> f64 {
+        point.dot(self.matrix * point) - 2.0 * self.vector.dot(point) + self.constant
     }
 
     /// The mean of the crossings.

@@ -276,12 +276,12 @@ fn a_vertex_counts_as_clamped_once() {
         // The vertices that are not where the planes put them, up to a voxel outside their regions.
         let is_elsewhere = |id: u32, &place: &DVec3| {
             let cell = surface.cells.of_patch(id);
-            let (best, clamped) = surface.vertex(cell, id, &crossings, extra.of(id), SHARP, true);
+            let planes = surface.planes(cell, id, &crossings, extra.of(id));
+            let (best, clamped) = surface.vertex(cell, &planes, SHARP, true);
             if !clamped {
                 return place != best;
             }
             let [lower, upper] = surface.region(cell, cell.free);
-            let planes = surface.planes(cell, id, &crossings, extra.of(id));
             let best = planes.minimum(lower - surface.spacing, upper + surface.spacing).point;
             place != (surface.world(cell.index, DVec3::ZERO) + best).clamp(surface.lower, surface.upper)
         };

@@ -98,6 +98,54 @@ def test_a_turned_cube_keeps_corners_edges_and_faces(resolution):
             assert np.linalg.norm(local - corner, axis=1).min() <= SHARP * voxel
 
 
+class Field:
+    """A field and its gradient, evaluated in Python."""
+
+    def __init__(self, shape):
+        self.distance, self.gradient = shape.distance, shape.gradient
+
+
+@pytest.mark.parametrize("resolution", [32, 64])
+def test_the_rims_of_a_cut_cylinder_are_sharp(resolution):
+    # The cut meets the side at angles from 70 to 110 degrees.
+    normal = np.array([0.3, 0.2, 1.0]) / np.linalg.norm([0.3, 0.2, 1.0])
+    shape = fb.cylinder(1, 3) & fb.plane(normal.tolist(), -0.4)
+    volume = fb.bake(shape, resolution)
+    angles = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    rims = np.concatenate(
+        [
+            np.column_stack([circle, (-0.4 - circle @ normal[:2]) / normal[2]]),
+            np.column_stack([circle, np.full(400, -1.5)]),
+        ]
+    )
+    voxel = volume.spacing.max()
+    for mesh in (shape.to_mesh(resolution), volume.to_mesh(), volume.to_mesh(source=Field(shape))):
+        assert_solid(mesh)
+        radius, height = np.hypot(*mesh.vertices[:, :2].T), mesh.vertices[:, 2]
+        off = np.max([radius - 1, np.abs(height) - 1.5, mesh.vertices @ normal + 0.4], axis=0)
+        assert np.abs(off).max() <= SHARP * voxel
+        # The edges of the mesh are chords of the rims.
+        assert fb.closest_point(mesh, rims).distances.max() <= SHARP * voxel + voxel**2 / 8
+
+
+def test_vertices_lie_on_facets_smaller_than_a_voxel():
+    # A prism with 48 sides; a side is 0.13 wide, and so is a voxel at this resolution.
+    angles = 2 * np.pi * np.arange(48) / 48
+    rim = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    vertices = np.concatenate([np.column_stack([rim, np.full(48, z)]) for z in (-1, 1)] + [[(0, 0, -1), (0, 0, 1)]])
+    i, j = np.arange(48), np.roll(np.arange(48), -1)
+    corners = ((i, j, j + 48), (i, j + 48, i + 48), (j, i, np.full(48, 96)), (i + 48, j + 48, np.full(48, 97)))
+    faces = np.concatenate([np.column_stack(columns) for columns in corners])
+    geometry = vertices @ turn_matrix((1.0, 2.0, 3.0), 40).T, faces
+    volume = fb.bake(geometry, 24)
+    mesh = volume.to_mesh()
+    assert_solid(mesh, volume.bounds)
+    off = np.abs(fb.signed_distance(geometry, mesh.vertices)) / volume.spacing.max()
+    assert off.max() <= SHARP
+    assert off.mean() <= SHARP / 20
+
+
 def turn_matrix(axis, degrees):
     x, y, z = np.array(axis) / np.linalg.norm(axis)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

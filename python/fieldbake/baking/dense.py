@@ -20,7 +20,7 @@ from ..base.notices import warn_surface
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report
 from ..meshes.convert import MeshLike, as_mesh
-from ..meshes.isosurface import FieldSource, MeshSource
+from ..meshes.isosurface import MeshSource, ShapeSource
 from ..meshes.mesh import Mesh
 from ..queries.common import Sign, check_reach, choices
 from ..shapes.shape import Shape, all_shapes, combine
@@ -305,5 +305,5 @@ def bake_shape(
         warnings=() if inside else (nothing,),
     )
     log_warnings(report)
-    source = FieldSource(shape.distance, shape.gradient)
+    source = ShapeSource(shape._core)
     return Volume._wrap(distances, np.array([grid.lower, grid.upper]), inner.copy(), report, source)

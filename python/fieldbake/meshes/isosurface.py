@@ -72,6 +72,17 @@ class MeshSource:
 
 
 @dataclass(frozen=True)
+class ShapeSource:
+    """A shape, evaluated by the core."""
+
+    shape: _core.Shape
+
+    def apply(self, surface: _core.Surface, level: float) -> None:
+        """Find the root on each crossed edge and the tangent plane there, then the planes around the vertices."""
+        surface.use_shape(self.shape, level)
+
+
+@dataclass(frozen=True)
 class FieldSource:
     """A field that can be evaluated at any point.
 
@@ -96,22 +107,24 @@ class FieldSource:
         join_probes(surface, lambda points: self._planes(points, level))
 
     def _planes(self, points: NDArray[np.float64], level: float) -> Planes:
-        """Move points onto the level set by Newton's method, and evaluate the gradients there.
+        """Move points to the level set by Newton's method, and evaluate the planes there.
 
-        Rows are nan where the gradient is the mean of two sides of a crease: it is shorter there than at the probe.
+        A plane is the level set of the linear function with the value and the gradient at the last point. At a sharp
+        edge steps alternate between its sides; the plane of a flat side is exact although the point lies off it. Rows
+        are nan where the gradient is the mean of two sides of a crease: it is shorter there than at the probe.
         """
-        slopes = np.zeros(len(points))
-        for _ in range(NEWTON_STEPS):
+        slopes, before = np.zeros(len(points)), np.full(len(points), np.inf)
+        lost = np.zeros(len(points), dtype=np.bool_)
+        for _ in range(NEWTON_STEPS + 1):
             values, gradients = self._values(points, level), np.asarray(self.gradient(points), dtype=np.float64)
             square = np.einsum("ij,ij->i", gradients, gradients)
-            slopes = np.maximum(slopes, np.sqrt(square))
+            kept = (np.abs(values) <= before + 1e-12) & (np.sqrt(square) >= CREASE_SLOPE * slopes)
+            slopes, before = np.maximum(slopes, np.sqrt(square)), np.abs(values)
             with np.errstate(divide="ignore", invalid="ignore"):
                 points = points - gradients * np.where(square > 1e-12, values / square, np.nan)[:, None]
-            points[~np.isfinite(points).all(axis=1)] = 0.0
-        gradients = np.asarray(self.gradient(points), dtype=np.float64)
-        kept = np.abs(self._values(points, level)) <= np.abs(values) + 1e-12
-        kept &= np.linalg.norm(gradients, axis=1) >= CREASE_SLOPE * slopes
-        return np.where(kept[:, None], points, np.nan), gradients
+            lost |= ~np.isfinite(points).all(axis=1)
+            points[lost] = 0.0
+        return np.where((kept & ~lost)[:, None], points, np.nan), gradients
 
     def roots(
         self,
@@ -155,6 +168,9 @@ class FieldSource:
 
 def as_source(source: object) -> Source:
     """Make a source of a mesh, of an object that converts to one, or of an object with a field and its gradient."""
+    core = getattr(source, "_core", None)
+    if isinstance(core, _core.Shape):
+        return ShapeSource(core)
     evaluate = getattr(source, "distance", None) or getattr(source, "sample", None)
     gradient = getattr(source, "gradient", None)
     if callable(evaluate) and callable(gradient):

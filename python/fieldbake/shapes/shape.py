@@ -17,9 +17,8 @@ from ..base.grid import Resolution, make_grid
 from ..base.viewable import Viewable
 from ..files.container import check_target
 from ..meshes.export import mesh_kind
-from ..meshes.isosurface import FieldSource, extract
+from ..meshes.isosurface import ShapeSource, extract
 from ..meshes.mesh import Mesh
-from ..volumes.blocks import SIDE, Blocks, level_set
 from ..volumes.volume import Volume
 from . import arguments
 from .arguments import Axis
@@ -365,12 +364,8 @@ class Shape(Viewable):
         grid = make_grid(
             inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin, default=MESH_RESOLUTION
         )
-        surface = level_set(self.distance, self.lipschitz, grid, 0.0, samples=self._samples)
-        return extract(surface, 0.0, FieldSource(self.distance, self.gradient), sharp=sharp, capped=capped)
-
-    def _samples(self, blocks: Blocks) -> NDArray[np.float32]:
-        grid, origins = blocks.grid, blocks.origins.astype(np.int32)
-        return self._core.bake_blocks(grid.lower, grid.upper, grid.shape, origins, SIDE)
+        surface = _core.Surface.of_shape(self._core, grid.lower, grid.upper, grid.shape, 0.0)
+        return extract(surface, 0.0, ShapeSource(self._core), sharp=sharp, capped=capped)
 
     def save(self, path: str | os.PathLike[str], resolution: Resolution = MESH_RESOLUTION, **options: Any) -> None:
         """Write the surface of the solid to a mesh file.
