@@ -138,7 +138,9 @@ impl Ball {
             let half_b = wn * en - FLAT * FLAT * w.dot(e);
             let c = wn * wn - FLAT * FLAT * w.length_squared();
             let root = (half_b * half_b - a * c).sqrt();
-            for t in [(half_b + root) / a, (half_b - root) / a] {
+            // Where the edge is parallel to the cone, a vanishes and one of the roots is c / (2 half_b).
+            let larger = half_b + root.copysign(half_b);
+            for t in [larger / a, c / larger] {
                 // Without a root `t` is NaN, and the range does not contain it.
                 if (0.0..=1.0).contains(&t) {
                     consider(corners[from] + t * e);
@@ -194,7 +196,13 @@ fn beside_all_triangles(mesh: &Mesh, ball: Ball) -> Ball {
     let reach = center.abs().max_element();
     let limit = ball.radius as f32 + Bvh::nearest_slack(reach);
     mesh.bvh_within(reach).faces_within(center.as_vec3(), limit, |face| {
-        least = least.beside_triangle(mesh.exact_triangle(face));
+        let corners = mesh.exact_triangle(face);
+        let nearest = closest_point_on_triangle(least.center(), corners).point;
+        if nearest.distance(least.center()) <= least.radius * (1.0 + 1e-9) {
+            // Each triangle is searched from the same ball, so that their order in the tree does not change the result.
+            let found = ball.beside_triangle(corners);
+            least.radius = least.radius.min(found.radius);
+        }
     });
     least
 }
@@ -212,5 +220,57 @@ fn check_normals(points: &[[f64; 3]], normals: Option<&[[f64; 3]]>) -> Result<()
             Err(ArgumentError::new("normals", problem))
         }
         None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const AT_ORIGIN: Ball = Ball { point: DVec3::ZERO, normal: DVec3::Z, radius: FIRST };
+
+    /// The least radius of balls through the points of a lattice on a triangle, and the number of points that bound one.
+    fn least_of_lattice([a, b, c]: [DVec3; 3]) -> (f64, usize) {
+        const SIDE: usize = 400;
+        let (mut least, mut count) = (FIRST, 0);
+        for i in 0..=SIDE {
+            for j in 0..=SIDE - i {
+                let [u, v] = [i, j].map(|k| k as f64 / SIDE as f64);
+                let q = a + u * (b - a) + v * (c - a);
+                if AT_ORIGIN.is_bounded_at(q) {
+                    least = least.min(AT_ORIGIN.radius_through(q));
+                    count += 1;
+                }
+            }
+        }
+        (least, count)
+    }
+
+    proptest! {
+        /// No point of a lattice has a smaller ball, and the best one is near the result if many points count.
+        #[test]
+        fn the_least_ball_of_a_triangle_is_that_of_a_lattice(
+            corners in prop::array::uniform3((-0.5..0.5f64, -0.5..0.5f64, -0.4..0.05f64))
+        ) {
+            let corners = corners.map(|(x, y, z)| DVec3::new(x, y, z));
+            let (least, count) = least_of_lattice(corners);
+            let found = AT_ORIGIN.beside_triangle(corners).radius;
+            prop_assert!(found <= least * (1.0 + 1e-9), "{found} {least}");
+            prop_assert!(count <= 2000 || least <= 1.05 * found, "{found} {least}");
+        }
+    }
+
+    /// Edges at 15 degrees have one crossing with the cone, and their quadratic equations have almost no square term.
+    #[test]
+    fn edges_parallel_to_the_cone_are_crossed() {
+        let along = 0.3 * DVec3::new((1.0 - FLAT * FLAT).sqrt(), 0.0, -FLAT);
+        for k in 0..40 {
+            let a = DVec3::new(0.1, 0.2 + 0.001 * f64::from(k), -0.05);
+            let corners = [a, a + along, DVec3::new(0.1, 0.5, -0.05)];
+            let (least, _) = least_of_lattice(corners);
+            let found = AT_ORIGIN.beside_triangle(corners).radius;
+            assert!(found <= least * (1.0 + 1e-9) && least <= 1.01 * found, "{k}: {found} {least}");
+        }
     }
 }
