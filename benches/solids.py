@@ -49,7 +49,7 @@ def solids(mesh, resolution):
     size = float(np.linalg.norm(mesh.bounds[1] - mesh.bounds[0]))
     jobs = {
         "solid": lambda: fb.solid(mesh, resolution),
-        "solid, outer": lambda: fb.solid(mesh, resolution, fill="outer"),
+        "solid, outer": lambda: fb.solid(mesh, resolution, fill="outer", seal=resolution // 6),
         "offset": lambda: fb.offset(mesh, 0.02 * size, resolution),
         "shell": lambda: fb.shell(mesh, 0.02 * size, resolution),
     }

@@ -85,7 +85,7 @@ def test_a_seal_closes_a_leak():
     quads += [(i, (i + 1) % 4, (i + 1) % 4 + 4, i + 4) for i in range(4)]
     quads += [(i + 4, (i + 1) % 4 + 4, (i + 1) % 4 + 8, i + 8) for i in range(4)]
     holed = (vertices, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
-    with pytest.raises(fb.MeshError):
+    with pytest.raises(fb.MeshError, match="close them by a larger seal=, got 0"):
         fb.solid(holed, 40, fill="outer")
     # The hole is 8 voxels wide.
     mesh = fb.solid(holed, 40, fill="outer", seal=10)

@@ -98,6 +98,8 @@ def solid(
         field = MeshField(source)
     surface = level_set(field.values, 1.0, grid, 0.0, samples=field.samples, follow=True)
     nothing = "it encloses no voxel centre. Raise the resolution, or give sheets a thickness by shell(..., side='both')"
+    if fill == "outer":
+        nothing += f". If it has openings, close them by a larger seal=, got {seal}, or use fill='winding'"
     return _extracted(
         surface,
         MeshSource(source),
