@@ -73,7 +73,7 @@ def timed(job: Callable[[], Any], rounds: int = 1) -> Times:
 
 
 def record(question: str, peer: str, ours: float, theirs: float) -> None:
-    """Add a comparison to the summary of `run.py`: the times of fieldbake and of a peer for the same work, in one unit.
+    """Add a comparison to the summary of `run.py`: the times of fieldbake and of a peer for the same work, seconds.
 
     A program that is started by hand has no summary, and the call does nothing.
     """

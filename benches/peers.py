@@ -369,7 +369,8 @@ def measure(case: Case, runs: dict[str, Run], repetitions: int) -> list[dict[str
         ours, question = OURS.get(row["tool"], ("fieldbake", "signed distances"))
         if not row["tool"].startswith("fieldbake"):
             took = next(other["nanoseconds"] for other in rows if other["tool"] == ours)
-            record(f"{question}, {case.name}, {case.samples}", row["tool"].split(",")[0], took, row["nanoseconds"])
+            peer, seconds = row["tool"].split(",")[0], 1e-9 * row["nanoseconds"]
+            record(f"{question}, {case.name}, {case.samples}", peer, 1e-9 * took, seconds)
     return rows
 
 
