@@ -12,7 +12,7 @@ use crate::error::Error;
 use crate::grid::Grid;
 use crate::progress::Progress;
 use crate::surface::probes::{NEAR_STEP, PROBES, Place, around};
-use crate::surface::{Crossing, ExtraPlanes, LevelSurface, SurfaceBlocks};
+use crate::surface::{CrossedEdge, Crossing, ExtraPlanes, LevelSurface, SurfaceBlocks};
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -35,6 +35,10 @@ const ROOT_STEPS: usize = 48;
 
 /// A crossing is found once a step is at most this fraction of an edge, a tenth of the resolution of the vertices.
 const ROOT_SHARE: f64 = 1e-5;
+
+/// A sample has either sign if a step of Newton's method from it is at most this fraction of an edge. Samples are
+/// float32, so their error is about 1e-7 of the size of the grid, 4e-4 of an edge with 4096 voxels a side.
+const SIGN_SHARE: f64 = 1e-3;
 
 /// A step aside, local units, in a direction that no face is likely to have.
 const ASIDE: DVec3 = DVec3::new(4.3e-8, 5.7e-8, 7.1e-8);
@@ -137,7 +141,8 @@ impl Tangents {
     }
 
     /// Moves the crossings of some edges, from the edge with the index `first` on, to the roots of the field, and uses
-    /// the planes there. Newton's method with bisection, so that every root is found.
+    /// the planes there. Newton's method with bisection, so that every root is found. A crossing stays as it was where
+    /// the field has no root, for instance if it belongs to another shape that is merged into the samples.
     fn cross(&self, surface: &LevelSurface, first: usize, crossings: &mut [Crossing]) {
         let mut stack = Stack::default();
         let mut searches: Vec<Search> = Vec::with_capacity(crossings.len());
@@ -160,11 +165,17 @@ impl Tangents {
                 for (i, at) in group.enumerate() {
                     let mut search = searches[at];
                     let (value, slope) = found[i];
-                    let next = search.step(value, slope.dot(edges[i].along), step % 3 == 2);
+                    let rate = slope.dot(edges[i].along);
+                    let next = search.step(value, rate, step % 3 == 2);
                     if !is_last && (next - search.share).abs() > ROOT_SHARE {
                         search.share = next;
                         searches[kept] = search;
                         kept += 1;
+                        continue;
+                    }
+                    // The crossing of the samples may be a root already.
+                    let is_known = step == 0 && is_root(value, rate, ROOT_SHARE);
+                    if !is_known && search.is_open() && !self.changes_sign(&edges[i], search.rises, &mut stack) {
                         continue;
                     }
                     let crossing = &mut crossings[search.edge];
@@ -178,6 +189,23 @@ impl Tangents {
             searches.truncate(kept);
         }
     }
+
+    /// Whether the field changes its sign along an edge, from negative to positive if it `rises`. An end that nearly
+    /// is a root has either sign; see [`SIGN_SHARE`].
+    fn changes_sign(&self, edge: &CrossedEdge, rises: bool, stack: &mut Stack<Dual, POINTS>) -> bool {
+        let ends = self.evaluate(&[edge.start, edge.start + edge.along], stack);
+        let is_negative = [rises, !rises];
+        (0..2).all(|end| {
+            let (value, slope) = ends[end];
+            (value < 0.0) == is_negative[end] || is_root(value, slope.dot(edge.along), SIGN_SHARE)
+        })
+    }
+}
+
+/// Whether a step of Newton's method from a place with this value, and this derivative along its edge, is at most
+/// `share` of the edge.
+fn is_root(value: f64, rate: f64, share: f64) -> bool {
+    value.abs() <= share * rate.abs()
 }
 
 /// The search for the crossing of one edge.
@@ -204,6 +232,11 @@ impl Search {
         let is_within = next >= self.low - ROOT_SHARE && next <= self.high + ROOT_SHARE;
         let is_found = (next - self.share).abs() <= ROOT_SHARE;
         if is_within && (is_found || !bisect) { next } else { 0.5 * (self.low + self.high) }
+    }
+
+    /// Whether the interval still has an end of the edge, so that the sign of the field there may be unknown.
+    fn is_open(&self) -> bool {
+        self.low == 0.0 || self.high == 1.0
     }
 }
 
@@ -299,6 +332,20 @@ mod tests {
             assert!((on_plane.dot(faces[nearest]).abs() - 1.0).abs() <= 1e-12, "{i}");
             // The crossing lies on the cube too.
             assert!(crossing.height.abs() <= 1e-5, "{i}");
+        }
+    }
+
+    #[test]
+    fn crossings_without_a_root_stay_as_they_were() {
+        let (solid, grid) = turned("(box 2 2 2)");
+        let progress = Progress::new();
+        let surface = level_surface(&solid, &grid, 0.0, &progress).unwrap();
+        let before = surface.crossings();
+        // Both lie more than a voxel off the surface of the box: one within it, the other around it.
+        for text in ["(box 1 1 1)", "(box 3 3 3)"] {
+            let mut crossings = before.clone();
+            planes_of_shape(&surface, &mut crossings, &turned(text).0, 0.0, &progress).unwrap();
+            assert!(crossings == before, "{text}");
         }
     }
 

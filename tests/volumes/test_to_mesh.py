@@ -178,6 +178,20 @@ def test_another_field_or_mesh_can_be_the_source():
         loaded.to_mesh(source=object())
 
 
+def test_edges_that_the_source_does_not_cross_keep_the_planes_of_the_samples():
+    volume = fb.bake(fb.sphere(1), 32)
+    # Half of the radius, seven voxels, lies between the surface of the samples and that of the source.
+    mesh = volume.to_mesh(source=fb.sphere(0.5))
+    assert_solid(mesh, volume.bounds)
+    blunt = fb.Volume(volume.distances, volume.bounds).to_mesh()
+    assert len(mesh.vertices) == len(blunt.vertices)
+    # A tangent plane of the unit sphere is d^2 / 2 off at the distance d; crossings are at most a voxel from a vertex,
+    # and the slope of the samples errs by as much again.
+    for vertices in (mesh.vertices, blunt.vertices):
+        error = np.abs(np.linalg.norm(vertices, axis=1) - 1)
+        assert error.max() <= volume.spacing.max() ** 2
+
+
 @pytest.mark.parametrize("level", [-0.3, -0.05, 0.04, 0.2])
 def test_a_level_grows_and_shrinks(level):
     volume = fb.bake(meshes.icosphere(4), 48, margin=0.5)
