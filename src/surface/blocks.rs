@@ -4,8 +4,12 @@ use super::cells::{SurfaceCell, SurfaceCells, cells_of_block};
 use super::{LevelSurface, check_level, check_shape};
 use crate::error::{ArgumentError, Error};
 use crate::grid::Grid;
+use crate::memory::require;
 use crate::progress::Progress;
 use rayon::prelude::*;
+
+/// Number of blocks whose cells are found between two checks of the free memory.
+const BATCH: usize = 4096;
 
 /// The crossed cells of blocks of samples. The samples themselves are not kept.
 #[derive(Debug)]
@@ -54,19 +58,34 @@ impl SurfaceBlocks {
     ) -> Result<(), Error> {
         let (shape, level) = (self.grid.shape.map(|n| n as i32), self.level);
         progress.set_total(origins.len() as u64);
-        let blocks = origins.par_iter().map_init(
-            || (init(), vec![0.0; (side + 1).pow(3)]),
-            |(state, samples), &origin| {
-                fill(state, origin, samples);
-                if samples.iter().any(|value| !value.is_finite()) {
-                    return Err(ArgumentError::new("values", "must be finite").into());
-                }
-                let cells: Vec<SurfaceCell> = cells_of_block(shape, side, origin, samples, level).collect();
-                progress.advance(1).map(|()| cells)
-            },
-        );
-        let cells: Vec<Vec<SurfaceCell>> = blocks.collect::<Result<_, Error>>()?;
-        self.cells.extend(cells.into_iter().flatten());
+        for origins in origins.chunks(BATCH) {
+            let blocks = origins.par_iter().map_init(
+                || (init(), vec![0.0; (side + 1).pow(3)]),
+                |(state, samples), &origin| {
+                    fill(state, origin, samples);
+                    if samples.iter().any(|value| !value.is_finite()) {
+                        return Err(ArgumentError::new("values", "must be finite").into());
+                    }
+                    let cells: Vec<SurfaceCell> = cells_of_block(shape, side, origin, samples, level).collect();
+                    progress.advance(1).map(|()| cells)
+                },
+            );
+            let cells: Vec<Vec<SurfaceCell>> = blocks.collect::<Result<_, Error>>()?;
+            self.reserve(cells.iter().map(Vec::len).sum())?;
+            self.cells.extend(cells.into_iter().flatten());
+        }
+        Ok(())
+    }
+
+    /// Reserves space for `count` more cells, or fails if the machine does not have the memory.
+    fn reserve(&mut self, count: usize) -> Result<(), Error> {
+        let (wanted, space) = (self.cells.len() + count, self.cells.capacity());
+        if wanted > space {
+            // The new array exists beside the old one while the cells are copied, and is at least twice as long.
+            let bytes = wanted.max(2 * space) * size_of::<SurfaceCell>();
+            require("the cells of a surface", bytes as u64, 0)?;
+            self.cells.reserve(count);
+        }
         Ok(())
     }
 
