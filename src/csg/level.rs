@@ -1,9 +1,12 @@
 //! Level sets of shapes as surfaces: the cells of a grid that they cross, and their exact tangent planes.
 //!
 //! Blocks whose centre is farther from the level than the Lipschitz constant times their half diagonal contain no part
-//! of the surface; the samples of all other blocks are evaluated. A tangent plane comes from one evaluation with [`Dual`]
-//! numbers: the field is replaced by its linear function there, and the plane is the level set of this function. On the
-//! flat side of a crease the plane is therefore exact even where the point lies off the surface.
+//! of the surface; the samples of all other blocks are evaluated. `python/fieldbake/volumes/blocks.py` divides a grid
+//! in the same way for fields of meshes.
+//!
+//! A tangent plane comes from one evaluation with [`Dual`] numbers: the field is replaced by its linear function there,
+//! and the plane is the level set of this function. On the flat side of a crease the plane is therefore exact even
+//! where the point lies off the surface.
 
 use super::dual::Dual;
 use super::program::{Program, Stack};
@@ -97,8 +100,9 @@ impl Tangents {
         Self { solid: Arc::clone(solid), program: Program::new(&solid.model, solid.frame), level }
     }
 
-    /// The linear functions at up to [`POINTS`] world positions, the rest repeats the last one: the field minus the level
-    /// at the position, and its gradient. A function that has no gradient there is that of a point beside it.
+    /// The linear functions at up to [`POINTS`] world positions: the field minus the level at the position, and its
+    /// gradient. With fewer positions, the remaining entries repeat the last one. Where the field has no gradient, the
+    /// function is that of a point beside the position.
     fn evaluate(&self, points: &[DVec3], stack: &mut Stack<Dual, POINTS>) -> [(f64, DVec3); POINTS] {
         let points: [DVec3; POINTS] = std::array::from_fn(|i| points[i.min(points.len() - 1)]);
         let found = self.values(&points, stack);

@@ -96,7 +96,7 @@ def solid(
     else:
         grid = _grid(source.bounds, resolution)
         field = MeshField(source)
-    surface = level_set(field.values, 1.0, grid, 0.0, samples=field.samples, follow=True)
+    surface = level_set(field.values, grid, 0.0, samples=field.samples)
     nothing = "it encloses no voxel centre. Raise the resolution, or give sheets a thickness by shell(..., side='both')"
     if fill == "outer":
         nothing += f". If it has openings, close them by a larger seal=, got {seal}, or use fill='winding'"
@@ -149,7 +149,7 @@ def offset(mesh: MeshLike, distance: float, resolution: Resolution = 256, *, sim
     bounds = source.bounds + max(distance, 0.0) * np.array([[-1.0], [1.0]])
     grid = _grid(bounds, resolution)
     field = Shifted(MeshField(source), distance)
-    surface = level_set(field.field.values, 1.0, grid, distance, samples=field.field.samples, follow=True)
+    surface = level_set(field.field.values, grid, distance, samples=field.field.samples)
     return _extracted(
         surface,
         MeshSource(source),
@@ -225,7 +225,7 @@ def shell(
         near = Shifted(MeshField(kept, unsigned=True), thickness)
         within = MeshField(source) if side == "inward" else complement(MeshField(source))
         field = Intersection(within, near)
-    surface = level_set(field.values, 1.0, grid, 0.0, samples=field.samples, follow=True)
+    surface = level_set(field.values, grid, 0.0, samples=field.samples)
     return _extracted(
         surface,
         TangentSource(field),
@@ -302,7 +302,7 @@ def boolean(
         field = complement(Intersection(complement(one), complement(two), smooth))
     else:
         field = Intersection(one, two if op == "intersection" else complement(two), smooth)
-    surface = level_set(field.values, 1.0, grid, 0.0, samples=field.samples, follow=True)
+    surface = level_set(field.values, grid, 0.0, samples=field.samples)
     return _extracted(
         surface,
         TangentSource(field),

@@ -1,4 +1,7 @@
-"""Samples of a field in blocks around a level set. The Lipschitz bound of the field excludes all other blocks."""
+"""Samples of a field of distances in blocks around a level set. The values at the centres exclude all other blocks.
+
+``src/csg/level.rs`` divides a grid in the same way for shapes.
+"""
 
 from __future__ import annotations
 
@@ -50,36 +53,30 @@ class Blocks:
 
 def level_set(
     evaluate: Evaluate,
-    lipschitz: float,
     grid: Grid,
     level: float,
     *,
-    samples: Callable[[Blocks], NDArray[Any]] | None = None,
-    follow: bool = False,
+    samples: Callable[[Blocks], NDArray[Any]],
 ) -> _core.Surface:
     """Find the cells of a grid that the level set of a field crosses.
 
     Parameters
     ----------
     evaluate : callable
-        Maps points, (n, 3) float64, to values, (n,). The values change by at most `lipschitz` per unit of length.
-    lipschitz : float
-        Upper bound on the length of the gradient.
+        Maps points, (n, 3) float64, to values, (n,). Their absolute values change by at most 1 per unit of length.
     grid : Grid
         Box and voxels of the samples.
     level : float
         Value of the field on the surface.
-    samples : callable, optional
-        Maps blocks to the values of all their samples, (k, n). The default evaluates each sample by `evaluate`.
-    follow : bool, default False
-        Also evaluate every block that the surface enters from an evaluated one. The bound does not find such a block
-        where the sign of the field jumps, as across the opening of a mesh.
+    samples : callable
+        Maps blocks to the values of all their samples, (k, n).
 
     Notes
     -----
-    A block whose value at the centre differs from the level by more than `lipschitz` times its half diagonal has no
-    surface, unless it lies at the box inside the solid. Blocks start as large as the grid and are divided into eight
-    until they have `SIDE` cells a side.
+    A block whose value at the centre differs from the level by more than its half diagonal has no surface, unless it
+    lies at the box inside the solid. Blocks start as large as the grid and are divided into eight until they have
+    `SIDE` cells a side. This does not find the blocks where the sign of the field jumps, as across the opening of a
+    mesh. Every block that the surface enters from an evaluated one is therefore evaluated too.
     """
     lower, shape, spacing = (np.array(values) for values in (grid.lower, grid.shape, grid.spacing))
     # Cells run from -1 to n - 1, so there are n + 1 along each axis.
@@ -89,7 +86,7 @@ def level_set(
     origins = np.full((1, 3), -1, dtype=np.int64)
     while True:
         centers = lower + (origins + side / 2 + 0.5) * spacing
-        reach = lipschitz * side / 2 * float(np.linalg.norm(spacing))
+        reach = side / 2 * float(np.linalg.norm(spacing))
         values = np.asarray(evaluate(centers), dtype=np.float64) - level
         # The box cuts the solid in blocks that are inside everywhere.
         cut = (values < 0) & ((origins < 0) | (origins + side >= shape)).any(axis=1)
@@ -102,14 +99,9 @@ def level_set(
         origins = (origins[:, None] + steps).reshape(-1, 3)
         origins = origins[(origins < shape).all(axis=1)]
 
-    if samples is None:
-
-        def samples(blocks: Blocks) -> NDArray[Any]:
-            return np.asarray(evaluate(blocks.points)).reshape(len(blocks.origins), -1)
-
-    blocks = _Crossed(samples, grid, level, follow=follow)
+    blocks = _Crossed(samples, grid, level)
     blocks.add(origins)
-    while follow and len(origins):
+    while len(origins):
         origins = blocks.entered()
         blocks.add(origins)
     return blocks.cells.surface()
@@ -118,8 +110,8 @@ def level_set(
 class _Crossed:
     """Blocks of samples that the surface crosses."""
 
-    def __init__(self, evaluate: Callable[[Blocks], NDArray[Any]], grid: Grid, level: float, *, follow: bool) -> None:
-        self.evaluate, self.grid, self.level, self.follow = evaluate, grid, level, follow
+    def __init__(self, evaluate: Callable[[Blocks], NDArray[Any]], grid: Grid, level: float) -> None:
+        self.evaluate, self.grid, self.level = evaluate, grid, level
         self.shape = np.array(grid.shape)
         self.cells = _core.SurfaceBlocks(grid.lower, grid.upper, grid.shape, level)
         #: Blocks along each axis, and the numbers of those that were evaluated.
@@ -143,8 +135,7 @@ class _Crossed:
             crossed = inside.any(axis=1) & ~inside.all(axis=1)
             kept = samples[crossed].reshape(-1, SIDE + 1, SIDE + 1, SIDE + 1)
             self.cells.add(batch[crossed].astype(np.int32), kept)
-            if self.follow:
-                self.next += self.neighbours(batch[crossed], inside[crossed].reshape(kept.shape))
+            self.next += self.neighbours(batch[crossed], inside[crossed].reshape(kept.shape))
 
     def inside(self, origins: NDArray[np.int64], samples: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Find the samples (k, n) of blocks that lie inside. Places beyond the box are outside: there the box cuts."""
