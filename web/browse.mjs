@@ -1,7 +1,8 @@
-// Open pages in Chromium without a network. Standard input: {"executable", "flags", "jobs": [{"url", "expression" or "script",
-// "before", "width", "height", "screenshot", "online"}]}. An expression is evaluated in the page when it is loaded; a script is the body of
-// an asynchronous function of `page`, the object of playwright, and starts before; `before` runs in each frame before its own scripts.
-// Standard output: one result for each job: its value, errors and warnings of the console, requests.
+// Open pages in Chromium without a network. Standard input: {"executable", "flags", "jobs": [{"url",
+// "expression" or "script", "before", "width", "height", "screenshot", "online"}]}. An expression is evaluated in the
+// page when it is loaded; a script is the body of an asynchronous function of `page`, the object of playwright, and
+// starts before; `before` runs in each frame before its own scripts. Standard output: one result for each job: its
+// value, errors and warnings of the console, requests.
 import { chromium } from "playwright-core";
 
 const { executable, flags, jobs } = JSON.parse(await new Response(process.stdin).text());

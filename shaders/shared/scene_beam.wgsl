@@ -1,7 +1,8 @@
 // Rays and cones of the light pass, and their results.
 
-// 0 in every invocation, which no compiler can know. Mesa's software driver compiles a kernel again for new values of the
-// uniforms that alone decide a branch, and keeps every variant. Such a branch depends on the sum with this number.
+// 0 in every invocation, but not a constant for a compiler. Mesa's software driver compiles a kernel again for new
+// values of the uniforms that alone decide a branch, and keeps every variant. Such a branch depends on the sum with
+// this number.
 var<private> zero: u32;
 
 fn begin_invocation(id: vec3u) {

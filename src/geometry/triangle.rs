@@ -193,7 +193,8 @@ impl SolidAngles {
         self.multiply(numerator, denominator);
     }
 
-    /// [`SolidAngles::add`] of a triangle with the sign of `side`, which is computed only if rounding may change the sign.
+    /// [`SolidAngles::add`] of a triangle with the sign of `side`, which is computed only if rounding may change the
+    /// sign.
     #[inline(always)]
     pub fn add_sided(&mut self, corners: [DVec3; 3], side: impl FnOnce() -> f64) {
         let (mut numerator, denominator) = tangent_of_half(corners);
@@ -216,9 +217,9 @@ impl SolidAngles {
             (x, y) = (x / size, y / size);
         }
         let (a, b) = self.product;
-        // Arguments on the same side of the real axis add up to at most one turn. Beyond half a turn the argument of the
-        // product is one turn less (or more, below the axis). Both factors are left of the imaginary axis then, or the
-        // product is on the other side of the real axis. Adding zero makes a negative zero positive.
+        // Arguments on the same side of the real axis add up to at most one turn. Beyond half a turn the argument of
+        // the product is one turn less (or more, below the axis). Both factors are left of the imaginary axis then, or
+        // the product is on the other side of the real axis. Adding zero makes a negative zero positive.
         let (real, imaginary) = (a * x - b * y, a * y + b * x + 0.0);
         let is_above = b >= 0.0;
         if is_above == (y >= 0.0) && ((a < 0.0 && x < 0.0) || is_above != (imaginary >= 0.0)) {

@@ -116,8 +116,8 @@ impl LevelSurface {
         vertices
     }
 
-    /// Corrects vertices by the planes of the source close to them; see [`super::probes`]. `waiting` has the indices of the
-    /// vertices in `places`, their cells and patches. `is_flat` tells that the source consists of flat faces.
+    /// Corrects vertices by the planes of the source close to them; see [`super::probes`]. `waiting` has the indices of
+    /// the vertices in `places`, their cells and patches. `is_flat` states that the source consists of flat faces.
     fn correct(
         &self,
         places: &mut [DVec3],

@@ -6,11 +6,11 @@
 //! the crossings.
 //!
 //! Planes up to a voxel away do not meet on the surface where it is curved. A vertex within its cell is therefore
-//! corrected at last: the source is evaluated close to it, at [`NEAR_STEP`] around a sharp vertex and at the vertex
-//! itself else ([`ExtraPlanes::with_nearby`]). A vertex at a crease, or on small flat faces, moves onto the planes found.
-//! On a curved smooth part the plane joins those of the patch: the vertex stays slightly outside, and the faces between
-//! vertices slightly inside, so that the volume is kept. Crossings of a mesh have its faces as planes, so a vertex that
-//! lies on all of them needs no correction.
+//! finally corrected: the source is evaluated close to it, at [`NEAR_STEP`] around a sharp vertex, otherwise at the
+//! vertex itself ([`ExtraPlanes::with_nearby`]). A vertex at a crease, or on small flat faces, moves onto the planes
+//! found. On a curved smooth part the plane joins those of the patch: the vertex stays slightly outside, and the faces
+//! between vertices slightly inside, so that the volume is kept. Crossings of a mesh have its faces as planes, so a
+//! vertex that lies on all of them needs no correction.
 
 use super::cells::{SurfaceCell, patches_of};
 use super::{Crossing, LevelSurface, MeshOptions};
@@ -68,7 +68,7 @@ pub(crate) struct Place {
 }
 
 /// Evaluates the tangent planes close to some places: the index of the place, a point of the plane and its normal are
-/// passed to the second argument, in order of the places.
+/// passed to the second argument. The planes of one place follow each other; the places may come in any order.
 pub(crate) type Nearby = dyn Fn(&[Place], &mut dyn FnMut(usize, DVec3, DVec3)) + Send + Sync;
 
 /// Planes that joined the patches: a point, relative to the lower corner of the cell, and a unit normal.
@@ -93,8 +93,8 @@ impl ExtraPlanes {
         Self { firsts: std::iter::once(0).chain(ends).collect(), planes, nearby: None, is_flat: false }
     }
 
-    /// These planes, and those that `nearby` evaluates close to the vertices. `is_flat` tells that the source consists of
-    /// flat faces.
+    /// These planes, and those that `nearby` evaluates close to the vertices. `is_flat` states that the source consists
+    /// of flat faces.
     pub(crate) fn with_nearby(self, nearby: Box<Nearby>, is_flat: bool) -> Self {
         Self { nearby: Some(nearby), is_flat, ..self }
     }

@@ -132,8 +132,8 @@ impl<'a, T: Texel> FieldView<'a, T> {
         self.clamped_texels(cell)
     }
 
-    /// Values of the field at points. The samples of a group of points are requested from memory before the first of them
-    /// is used, so that their latencies overlap.
+    /// Values of the field at points. The samples of a group of points are requested from memory before the first of
+    /// them is used, so that their latencies overlap.
     #[inline(always)]
     fn sample_in_groups(&self, points: &[DVec3], inner: [DVec3; 2], values: &mut [f32]) {
         let (lower, spacing, last) = (self.grid.lower, self.grid.spacing(), self.shape() - 1.0);
