@@ -128,10 +128,11 @@ impl SignPass<'_> {
     ) -> Result<Counts, Error> {
         let [nx, ny] = self.plane();
         let mut counts = Counts::default();
-        let mut fractions = vec![0i8; if openings.caps.is_empty() { 0 } else { nx * ny * planes }];
+        // Modulo 2^16, as the winding numbers of `scan_row`.
+        let mut fractions = vec![0i16; if openings.caps.is_empty() { 0 } else { nx * ny * planes }];
         if !openings.caps.is_empty() {
             let at = |[x, y, z]: [usize; 3]| self.local.at([x, y, first_plane + z]);
-            let mut set = |[x, y, z]: [usize; 3], rounded| fractions[x + nx * (y + ny * z)] = rounded;
+            let mut set = |[x, y, z]: [usize; 3], rounded: i32| fractions[x + nx * (y + ny * z)] = rounded as i16;
             let block = SampleBlock { low: [0; 3], high: [nx, ny, planes], at: &at };
             counts.undecided = openings.for_each_rounded_fraction(&block, &mut set);
         }
@@ -142,7 +143,7 @@ impl SignPass<'_> {
             scan_row(&surface, Axes::X, row, &self.local.axes[1], &self.local.axes[0], &mut windings);
             for (i, &winding) in windings.iter().enumerate() {
                 let rounded = fractions.get(k * nx * ny + i).copied().unwrap_or(0);
-                if winding != i16::from(rounded) {
+                if winding != rounded {
                     mark(k * nx * ny + i);
                     counts.inside += 1;
                 }

@@ -168,7 +168,7 @@ impl SignRule {
         match self {
             Self::Counted(openings) => {
                 let (rounded, _) = openings.rounded_ball(p);
-                openings.winding(mesh, p) != i32::from(rounded)
+                openings.winding(mesh, p) != rounded
             }
             Self::Winding => mesh.moments().winding(mesh, p).abs() > 0.5,
             Self::Parity => parity(mesh, p).0,
@@ -196,7 +196,7 @@ pub struct SideWalk {
     /// The last point, its distance from the surface, and whether it is inside.
     last: Option<(DVec3, f64, bool)>,
     /// A ball in which the fraction of the openings has one nearest integer, and that contains no cap.
-    fraction: Option<(DVec3, f64, i8)>,
+    fraction: Option<(DVec3, f64, i32)>,
 }
 
 impl SideWalk {
@@ -250,7 +250,7 @@ impl SideWalk {
             self.fraction = Some((p, radius * (1.0 - 1e-9), rounded));
             rounded
         });
-        openings.winding(mesh, p) != i32::from(rounded)
+        openings.winding(mesh, p) != rounded
     }
 }
 

@@ -185,7 +185,7 @@ impl Openings {
 
     /// The integer nearest to the fraction at a point, and the radius of a ball in which it is the same and that
     /// contains no cap. The radius is 0 where the fraction is close to the middle between two integers.
-    pub fn rounded_ball(&self, p: DVec3) -> (i8, f64) {
+    pub fn rounded_ball(&self, p: DVec3) -> (i32, f64) {
         if self.caps.is_empty() {
             return (0, f64::INFINITY);
         }
@@ -209,7 +209,7 @@ impl Openings {
     }
 
     /// The nearest integer of the fraction at a point, and whether it is certain.
-    fn round(&self, p: DVec3) -> (i8, bool) {
+    fn round(&self, p: DVec3) -> (i32, bool) {
         if let Some((rounded, margin)) = self.sum(p, 0.0, COARSE, false).rounded()
             && margin > UNDECIDED
         {
@@ -219,12 +219,12 @@ impl Openings {
             return (rounded, margin >= UNDECIDED);
         }
         let fraction = self.fraction(p);
-        (fraction.round() as i8, (fraction - fraction.round()).abs() <= 0.5 - UNDECIDED)
+        (fraction.round() as i32, (fraction - fraction.round()).abs() <= 0.5 - UNDECIDED)
     }
 
     /// Computes the nearest integer of the fraction at each sample of a block and passes it to `set`. Returns the
     /// number of samples that were close to undecided.
-    pub fn for_each_rounded_fraction(&self, block: &SampleBlock<'_>, set: &mut impl FnMut([usize; 3], i8)) -> usize {
+    pub fn for_each_rounded_fraction(&self, block: &SampleBlock<'_>, set: &mut impl FnMut([usize; 3], i32)) -> usize {
         let &SampleBlock { low, high, at } = block;
         let (first, last) = (at(low), at(high.map(|i| i - 1)));
         let center = (first + last) * 0.5;
@@ -256,7 +256,7 @@ impl Openings {
 
     /// The integer nearest to the fraction everywhere within `radius` of `center`; None if a single value is not
     /// sufficient.
-    fn rounded_within(&self, center: DVec3, radius: f64) -> Option<i8> {
+    fn rounded_within(&self, center: DVec3, radius: f64) -> Option<i32> {
         let angle = self.sum(center, radius, COARSE, false);
         let is_clear = angle.clear > radius * (1.0 + ROUNDING) + ROUNDING;
         let (rounded, margin) = angle.rounded().filter(|_| is_clear)?;
@@ -316,11 +316,11 @@ impl Openings {
 impl CapAngle {
     /// The nearest number of whole turns, and the distance of the fraction from the middle between two numbers less its
     /// error. None if the error leaves the number open.
-    fn rounded(&self) -> Option<(i8, f64)> {
+    fn rounded(&self) -> Option<(i32, f64)> {
         let fraction = self.sum / (4.0 * PI);
         let rounded = fraction.round();
         let margin = 0.5 - (fraction - rounded).abs() - self.error / (4.0 * PI) - EXACT_ERROR;
-        (margin > 0.0).then_some((rounded as i8, margin))
+        (margin > 0.0).then_some((rounded as i32, margin))
     }
 }
 

@@ -149,7 +149,7 @@ proptest! {
         let block = SampleBlock { low: [0; 3], high: [23, 22, 21], at: &at };
         openings.for_each_rounded_fraction(&block, &mut |voxel, rounded| {
             seen += 1;
-            assert_eq!(rounded, openings.fraction(at(voxel)).round() as i8);
+            assert_eq!(rounded, openings.fraction(at(voxel)).round() as i32);
             assert_eq!(rounded, openings.rounded_ball(at(voxel)).0);
         });
         prop_assert_eq!(seen, 23 * 22 * 21);
@@ -169,7 +169,7 @@ proptest! {
         let rule = SignRule::Counted(Openings::of(&mesh));
         openings.for_each_rounded_fraction(&block, &mut |voxel, rounded| {
             let p = at(voxel);
-            assert_eq!(rounded, openings.fraction(p).round() as i8);
+            assert_eq!(rounded, openings.fraction(p).round() as i32);
             assert_eq!(rounded, openings.rounded_ball(p).0);
             let winding = brute_force(&mesh, p).abs();
             assert!(rule.is_inside_without_distance(&mesh, p) == (winding > 0.5) || (winding - 0.5).abs() < 1e-9);
@@ -180,7 +180,7 @@ proptest! {
             let (rounded, radius) = openings.rounded_ball(p);
             let direction = DVec3::new(next() - 0.5, next() - 0.5, next() - 0.5).normalize();
             let q = p + direction * radius.min(3.0) * 0.999;
-            assert_eq!(rounded, openings.fraction(q).round() as i8, "{p} {q}");
+            assert_eq!(rounded, openings.fraction(q).round() as i32, "{p} {q}");
         }
     }
 
@@ -284,6 +284,41 @@ fn only_meshes_with_many_slivers_are_cut() {
     let (vertices, faces) = bumpy_sphere(3);
     assert!(!mesh(&vertices, &faces).moments().has_pieces());
     assert!(!fan(60, 0.1).moments().has_pieces());
+}
+
+/// Hundreds of discs over as many reversed ones: their winding numbers, and those of their caps, exceed the range of
+/// eight bits and nearly cancel.
+#[test]
+fn the_side_is_right_among_hundreds_of_openings() {
+    const EDGES: i64 = 64;
+    let (mut vertices, mut faces) = (Vec::<[f64; 3]>::new(), Vec::<[i64; 3]>::new());
+    let mut add_disc = |z: f64, is_reversed: bool| {
+        let first = vertices.len() as i64;
+        vertices.push([0.0, 0.0, z]);
+        vertices.extend((0..EDGES).map(|i| {
+            let angle = 2.0 * PI * i as f64 / EDGES as f64;
+            [angle.cos(), angle.sin(), z]
+        }));
+        faces.extend((0..EDGES).map(|i| {
+            let (from, to) = (first + 1 + i, first + 1 + (i + 1) % EDGES);
+            if is_reversed { [first, to, from] } else { [first, from, to] }
+        }));
+    };
+    (0..300).for_each(|i| add_disc(-0.01 * f64::from(i) / 299.0, false));
+    (0..311).for_each(|i| add_disc(-0.03 - 0.02 * f64::from(i) / 310.0, true));
+    let mesh = mesh(&vertices, &faces);
+    let p = mesh.local_from_world(DVec3::new(0.007, 0.011, 0.002));
+    assert!(brute_force(&mesh, p).abs() < 0.4);
+    let rule = SignChoice::new(&mesh, SignMethod::Auto).rule;
+    let SignRule::Counted(openings) = &rule else { panic!("the openings are not closed by caps") };
+    let winding = openings.winding(&mesh, p);
+    assert!(winding.abs() > 128, "{winding}");
+    assert_eq!(openings.rounded_ball(p).0, winding);
+    let at = |_: [usize; 3]| p;
+    let block = SampleBlock { low: [0; 3], high: [1; 3], at: &at };
+    openings.for_each_rounded_fraction(&block, &mut |_, rounded| assert_eq!(rounded, winding));
+    assert!(!rule.is_inside_without_distance(&mesh, p));
+    assert!(!SideWalk::default().is_inside_without_distance(&rule, &mesh, p));
 }
 
 #[test]
