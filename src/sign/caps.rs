@@ -19,8 +19,9 @@ pub(super) struct CapPack {
 
 /// Largest rounding error of the solid angle of a lane, steradians; see [`CapPack::angles`].
 pub(super) const ANGLE_ERROR: f64 = 1e-4;
-/// A numerator below this fraction of the product of lengths has no certain sign in float32. Coordinates are of about
-/// unit size and rounded to 6e-8, and three of them are multiplied.
+/// A numerator below this fraction of the product of lengths has no certain sign in float32. The vectors from the point
+/// to the corners are rounded by a fraction of 6e-8 of their lengths, and three of them are multiplied. The rounding of
+/// the point itself is not included: near a small triangle it is larger than this fraction of the lengths.
 const FLAT: f32 = 1e-5;
 /// Corners of an empty lane.
 const FAR: f32 = 1e3;
@@ -52,7 +53,7 @@ impl CapPack {
     }
 
     /// Sum of the solid angles as seen from `p`, each within [`ANGLE_ERROR`]. None if `p` is so close to a triangle
-    /// that float32 cannot determine the side.
+    /// that float32 cannot determine the side. The caller excludes points whose rounding to float32 changes the angles.
     ///
     /// Uses the formula of [`crate::geometry::solid_angle`].
     pub(super) fn angles(&self, p: Vec3) -> Option<f32> {

@@ -101,6 +101,11 @@ const UNDECIDED: f64 = 0.05;
 
 /// Relative and absolute margin for float32 in a distance: a hundred times its rounding.
 const ROUNDING: f64 = 1e-5;
+/// Squared distance up to which the caps of a leaf are summed in float64: a distance of 3e-4. Rounding to float32 moves
+/// a point near the caps by up to 3e-8, possibly to the other side of a cap. By the law of Biot and Savart it changes
+/// the angle of a leaf at the distance d by at most about 4 * 3e-8 / d steradians, which is within the error of a leaf
+/// from this distance on.
+const CLOSE_SQUARED: f32 = 1e-7;
 
 impl Openings {
     pub fn of(mesh: &Mesh) -> Self {
@@ -264,8 +269,8 @@ impl Openings {
     }
 
     /// The solid angle of all caps at a point, with an error of at most `error` steradians and the rounding of the
-    /// leaves. The slope holds within `radius`; the sum ends at the first cap within that radius. With `exact` the
-    /// leaves are summed in float64.
+    /// leaves. The slope holds within `radius`; the sum ends at the first cap within that radius. With `exact` all leaves
+    /// are summed in float64, otherwise only those close to the point.
     fn sum(&self, p: DVec3, radius: f64, error: f64, exact: bool) -> CapAngle {
         let mut found = CapAngle { sum: 0.0, error: 0.0, clear: f64::INFINITY, slope: 0.0 };
         let share = error / self.nodes.first().map_or(1.0, |root| root.area.max(f64::MIN_POSITIVE));
@@ -295,7 +300,8 @@ impl Openings {
                 if radius > 0.0 && found.clear <= radius {
                     return found;
                 }
-                match pack.angles(p.as_vec3()).filter(|_| !exact) {
+                let is_single = !exact && nearest > CLOSE_SQUARED;
+                match is_single.then(|| pack.angles(p.as_vec3())).flatten() {
                     Some(sum) => {
                         found.sum += f64::from(sum);
                         found.error += ANGLE_ERROR * WIDTH as f64;

@@ -321,6 +321,36 @@ fn the_side_is_right_among_hundreds_of_openings() {
     assert!(!SideWalk::default().is_inside_without_distance(&rule, &mesh, p));
 }
 
+/// Rounding to float32 may move a point to the other side of a small cap. The skew openings are small against the mesh,
+/// and most of the points are closer to a cap than this rounding.
+#[test]
+fn the_fraction_beside_a_small_cap_is_that_of_the_point() {
+    let mut next = uniform(7);
+    let (mut vertices, mut faces) = (Vec::<[f64; 3]>::new(), Vec::<[i64; 3]>::new());
+    for i in 0..40 {
+        let center = [0; 3].map(|_| next() - 0.5);
+        vertices.extend((0..4).map(|_| center.map(|x| x + 1e-4 * (next() - 0.5))));
+        faces.extend([[0, 1, 2], [0, 2, 3]].map(|face: [i64; 3]| face.map(|v| 4 * i + v)));
+    }
+    let mesh = mesh(&vertices, &faces);
+    let openings = Openings::of(&mesh);
+    assert_eq!(openings.caps.len(), 160);
+    let mut decided = 0;
+    for &cap in &openings.caps {
+        let normal = triangle_cross(cap).normalize();
+        for _ in 0..20 {
+            let p = (cap[0] + cap[1] + cap[2]) / 3.0 + normal * (2e-8 * (next() - 0.5));
+            let fraction = openings.fraction(p);
+            // Nearer to 1/2 the side is open in any precision.
+            if (fraction - fraction.round()).abs() < 0.44 {
+                decided += 1;
+                assert_eq!(openings.rounded_ball(p).0, fraction.round() as i32, "{p} {fraction}");
+            }
+        }
+    }
+    assert!(decided > 200, "{decided}");
+}
+
 #[test]
 fn auto_takes_the_strongest_rule() {
     let (vertices, faces) = bumpy_sphere(1);
