@@ -253,7 +253,7 @@ proptest! {
 }
 
 /// Slivers of length 1 with random directions, some of which repeat others.
-fn slivers(count: usize, width: f64, next: &mut impl FnMut() -> f64) -> Mesh {
+pub(super) fn slivers(count: usize, width: f64, next: &mut impl FnMut() -> f64) -> Mesh {
     let (mut vertices, mut faces) = (Vec::new(), Vec::new());
     let mut vector = || [0; 3].map(|_| 2.0 * next() - 1.0);
     for i in 0..count {
