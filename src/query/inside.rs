@@ -55,5 +55,6 @@ pub fn winding_numbers(mesh: &Mesh, points: &[[f64; 3]], error: f64, progress: &
     Ok(answers.into_rows())
 }
 
-/// Error of the dipoles of `sign::winding`, measured on open and closed meshes.
+/// Typical error of the dipoles of `sign::winding`, turns: an estimate from test meshes, not a bound. Close to large
+/// smooth sheets the error may be ten times larger.
 const DIPOLE_ERROR: f64 = 0.01;

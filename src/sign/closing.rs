@@ -1,9 +1,10 @@
 //! Triangles that close the openings of a mesh.
 //!
 //! The rim of an opening is divided into closed walks. A short walk is closed by a cone to one apex. The cone of a long
-//! walk would consist of long slivers, and no sum over a tree of slivers is fast. A long walk is therefore cut into runs
-//! of [`RUN`] edges; a small cone closes each run and its chord, and the chords make a shorter walk. The triangles
-//! are then about as long as they are wide, and most of them lie close to the rim.
+//! walk would consist of slivers as long as the opening, and no sum over a tree of such slivers is fast. A long walk is
+//! therefore cut into runs of [`RUN`] edges; a small cone closes each run and its chord, and the chords make a shorter
+//! walk. Most triangles are then no longer than such a run, and lie close to the rim. Beside a straight rim they are
+//! still slivers, because the run and its chord coincide.
 
 use crate::mesh::Mesh;
 use glam::DVec3;
@@ -21,8 +22,8 @@ pub(super) struct Cap {
     pub center: DVec3,
 }
 
-/// Offset of an apex from the centre of its edges, in sizes of their box. It points away from the planes of typical grids
-/// and models, so that no sample lies on a cone by symmetry.
+/// Offset of an apex from the centre of its edges, in sizes of their box. It points away from the planes of typical
+/// grids and models, so that no sample lies on a cone by symmetry.
 const APEX_OFFSET: DVec3 = DVec3::new(0.003_69, 0.005_37, 0.007_58);
 /// A walk with more edges is cut into runs.
 const LONGEST_CONE: usize = 64;

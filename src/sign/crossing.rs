@@ -86,8 +86,8 @@ impl<'a> ClosedSurface<'a> {
 
 /// The points of a ray along an axis, or of a row of such rays, as a box for comparisons with the boxes of nodes.
 ///
-/// A float32 bound of a node is at most a float64 coordinate if and only if it is at most that coordinate, rounded down.
-/// The comparisons are therefore exact, and no child is missed.
+/// A float32 bound of a node is at most a float64 coordinate if and only if it is at most that coordinate, rounded
+/// down. The comparisons are therefore exact, and no child is missed.
 pub(super) struct RayBox {
     low: Vec3,
     high: Vec3,

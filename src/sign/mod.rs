@@ -5,8 +5,8 @@
 //! | surface | rule | exact |
 //! |---|---|---|
 //! | closed | winding number counted by rays ([`crossing`]) | yes, by exact predicates |
-//! | few or long openings | the same with the openings closed, less the cones' angle ([`openings`]) | yes |
-//! | soup | fast winding number ([`winding`]) | to about 0.01 of a turn |
+//! | few or long openings | the same with the openings closed, less the caps' angle ([`openings`]) | yes |
+//! | soup | fast winding number ([`winding`]) | no: an estimate, less accurate near large smooth sheets |
 //!
 //! A point is inside if the magnitude of its winding number exceeds 1/2. Nested and overlapping parts are solid, a
 //! reversed shell inside a solid is a cavity, and a mesh that is wound inside out is the same solid. The distance never
@@ -81,7 +81,7 @@ impl FromStr for SignMethod {
 /// A rule bound to a mesh, ready for evaluation.
 #[derive(Debug)]
 pub enum SignRule {
-    /// Winding number of a mesh whose openings, if any, are closed by cones.
+    /// Winding number of a mesh whose openings, if any, are closed by caps.
     Counted(Openings),
     /// Fast winding number.
     Winding,
@@ -189,8 +189,8 @@ impl SignRule {
 /// Margin for the error of a distance whose face was chosen in float32, local units: six times the error.
 const CARRY_MARGIN: f64 = 2e-6;
 
-/// The sides of points that follow each other closely. The side of a point is carried over to the next one if no surface
-/// lies between them.
+/// The sides of points that follow each other closely. The side of a point is carried over to the next one if no
+/// surface lies between them.
 #[derive(Debug, Default)]
 pub struct SideWalk {
     /// The last point, its distance from the surface, and whether it is inside.

@@ -1,4 +1,4 @@
-//! Exact generalised winding numbers of a mesh with a few openings, by closing them.
+//! Exact generalised winding numbers of a mesh with few or long openings, by closing them.
 //!
 //! *Theory.* Close every opening with cones of triangles (see `closing`). The closed surface has an integer winding
 //! number W, counted by rays (see `crossing`). The solid angle is additive: w(mesh) = W - f, where f is the winding
@@ -88,10 +88,11 @@ const COARSE: f64 = 0.1 * 4.0 * PI;
 /// Largest error of the finer sum, steradians, where the first one leaves the nearest integer open.
 const FINE: f64 = 1e-3 * 4.0 * PI;
 
-/// Largest number of rim edges of any openings, such as scattered holes. Samples near an opening cost a sum over the tree
-/// of its caps.
+/// Largest number of rim edges of any openings, such as scattered holes. Samples near an opening cost a sum over the
+/// tree of its caps.
 const FEW_EDGES: usize = 2048;
-/// Mean number of edges of the openings from which more edges are closed. Only the samples near the rim have a cost then.
+/// Mean number of edges of the openings from which more edges are closed. Only the samples near the rim have a cost
+/// then.
 const LONG_RIM: usize = 64;
 /// Largest number of rim edges of long openings. Each plane of samples is compared with each cap.
 const MOST_EDGES: usize = 1 << 16;
@@ -127,8 +128,8 @@ impl Openings {
         rim.len() <= MOST_EDGES.min(2 * faces) && closing::rims(rim).len() * LONG_RIM <= rim.len()
     }
 
-    /// Adds the node of a range of caps, of which the first has the index `first`, and its descendants. Sorts the range.
-    /// Walks are kept together as long as a node has several.
+    /// Adds the node of a range of caps, of which the first has the index `first`, and its descendants. Sorts the
+    /// range. Walks are kept together as long as a node has several.
     fn divide(&mut self, first: usize, is_whole: bool, caps: &mut [Cap]) {
         let index = self.nodes.len();
         let is_leaf = caps.len() <= WIDTH;
@@ -269,8 +270,8 @@ impl Openings {
     }
 
     /// The solid angle of all caps at a point, with an error of at most `error` steradians and the rounding of the
-    /// leaves. The slope holds within `radius`; the sum ends at the first cap within that radius. With `exact` all leaves
-    /// are summed in float64, otherwise only those close to the point.
+    /// leaves. The slope holds within `radius`; the sum ends at the first cap within that radius. With `exact` all
+    /// leaves are summed in float64, otherwise only those close to the point.
     fn sum(&self, p: DVec3, radius: f64, error: f64, exact: bool) -> CapAngle {
         let mut found = CapAngle { sum: 0.0, error: 0.0, clear: f64::INFINITY, slope: 0.0 };
         let share = error / self.nodes.first().map_or(1.0, |root| root.area.max(f64::MIN_POSITIVE));

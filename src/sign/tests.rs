@@ -246,7 +246,8 @@ proptest! {
         // The nudge of the `normal` rule is 1e-4, so the rule is not accurate at smaller distances.
         prop_assume!(closest.distance > 1e-3);
         let inside = brute_force(&mesh, p) > 0.5;
-        for rule in [SignRule::Counted(Openings::default()), SignRule::Winding, SignRule::Parity, SignRule::Pseudonormal] {
+        let counted = SignRule::Counted(Openings::default());
+        for rule in [counted, SignRule::Winding, SignRule::Parity, SignRule::Pseudonormal] {
             prop_assert_eq!(rule.is_inside(&mesh, p, &closest), inside, "{:?}", rule);
         }
     }
