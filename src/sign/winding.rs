@@ -12,8 +12,8 @@
 //!
 //! Only the symmetric part of C contributes: six values. A part is far if |x| exceeds [`BETA`] times its radius; near
 //! leaves are summed exactly. The error is of order (radius/|x|)^2 of the angle of a part. There is no proven bound of
-//! the sum: it stays below 0.01 of a turn on the test meshes, but the errors of the parts of a large smooth sheet have
-//! the same sign close to it, and 0.1 was measured there. Only the comparison with 1/2 is used.
+//! the sum. It stays below 0.01 of a turn on the test meshes; 0.1 was measured close to a large smooth sheet. Only the
+//! comparison with 1/2 is used.
 //!
 //! *Slivers.* A long thin triangle makes the radius of its node large, so that few points are far from it. Solid angles
 //! are additive, so the faces may be divided without a change of the sum. If a mesh has many slivers, they are cut
