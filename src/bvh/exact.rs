@@ -51,8 +51,8 @@ impl<'a> ExactCandidates<'a> {
         }
     }
 
-    /// Whether a face shares the best point, a vertex, has no nearer one, and has a higher index. Convex vertices are the
-    /// closest points of many positions, and all their faces are candidates then.
+    /// Whether a face shares the best point, which is a vertex, has no nearer point, and has a higher index. Convex
+    /// vertices are the closest points of many positions, and all their faces are candidates then.
     fn is_tied_at_a_vertex(&self, face: u32) -> bool {
         let Some(ClosestPoint { face: best, on_triangle, .. }) = self.best else { return false };
         let Feature::Vertex(corner) = on_triangle.feature else { return false };

@@ -30,7 +30,7 @@ pub(crate) mod watertight;
 
 use crate::geometry::Aabb;
 use crate::mesh::Mesh;
-use crate::mesh::derived::Derived;
+use crate::mesh::derived::{Derived, on_own_threads};
 use glam::{Vec3, Vec4};
 use lanes::mask_within;
 use pack::Pack;
@@ -136,15 +136,16 @@ impl Mesh {
         if reach <= FAR { self.bvh() } else { self.built_bvh() }
     }
 
-    /// The tree for closest points whose largest local coordinate is `reach`. Faces that repeat an earlier one exactly are
-    /// not in it if there are many: each is as near as the other, so that a search would measure all of them. Among
-    /// equally near faces the lowest one is returned, which is in this tree.
+    /// The tree for closest points whose largest local coordinate is `reach`. If there are many, faces that repeat an
+    /// earlier one exactly are not in it: all are equally near, so that a search would measure all of them. Among equally
+    /// near faces the lowest one is returned, which is in this tree.
     pub fn distance_bvh(&self, reach: f64) -> &Bvh {
         let bvh = self.bvh_within(reach);
         if bvh.has_equal_boxes { self.derived::<DistinctBvh>().0.as_ref().unwrap_or(bvh) } else { bvh }
     }
 
-    /// Whether the tree and the connectivity have been built, so that a query starts at once.
+    /// Whether the tree and the connectivity have been built. A query then starts at once, except the first one of a mesh
+    /// that needs another tree.
     pub fn is_prepared(&self) -> bool {
         self.has_derived::<Bvh>() && self.has_topology()
     }
@@ -155,7 +156,7 @@ struct BuiltBvh(Bvh);
 
 impl Derived for BuiltBvh {
     fn derive(mesh: &Mesh) -> Self {
-        Self(Bvh::build(mesh.positions(), mesh.faces()))
+        Self(on_own_threads(|| Bvh::build(mesh.positions(), mesh.faces())))
     }
 
     fn bytes(&self) -> usize {
@@ -174,7 +175,7 @@ impl Derived for DistinctBvh {
         let is_first = |&face: &u32| seen.insert(mesh.faces()[face as usize].map(position));
         let members: Vec<u32> = (0..mesh.faces().len() as u32).filter(is_first).collect();
         let is_smaller = members.len() < mesh.faces().len();
-        Self(is_smaller.then(|| build::build_of(mesh.positions(), mesh.faces(), &members)))
+        Self(is_smaller.then(|| on_own_threads(|| build::build_of(mesh.positions(), mesh.faces(), &members))))
     }
 
     fn bytes(&self) -> usize {

@@ -3,6 +3,7 @@
 
 use super::Mesh;
 use std::any::{Any, TypeId};
+use std::panic::resume_unwind;
 use std::sync::OnceLock;
 
 /// A table that follows from a mesh.
@@ -102,10 +103,26 @@ impl Mesh {
     }
 }
 
+/// Runs a job on worker threads of its own, and waits for it without taking other jobs.
+///
+/// A worker thread that waits for a part of its job takes other jobs of its pool meanwhile. If such a job needs the table
+/// that the thread is deriving, it waits forever. Tables that are first needed within a query are derived by this
+/// function for that reason.
+pub(crate) fn on_own_threads<T: Send>(job: impl FnOnce() -> T + Send) -> T {
+    // Outside of a pool, asking for the number of threads would start the global pool.
+    let threads = rayon::current_thread_index().map_or(1, |_| rayon::current_num_threads());
+    let run = || match rayon::ThreadPoolBuilder::new().num_threads(threads).build() {
+        Ok(pool) => pool.install(job),
+        Err(_) => job(),
+    };
+    std::thread::scope(|scope| scope.spawn(run).join()).unwrap_or_else(|panic| resume_unwind(panic))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::mesh::random::soup;
+    use rayon::prelude::*;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     static BUILT: AtomicUsize = AtomicUsize::new(0);
@@ -144,5 +161,34 @@ mod tests {
         assert_eq!(BUILT.load(Ordering::Relaxed), 3);
         assert!(mesh.has_derived::<Count<2>>());
         assert_eq!(mesh.bytes() - before, 12 + 13 + 14);
+    }
+
+    /// A sum that all worker threads compute.
+    struct Sum(u32);
+
+    impl Derived for Sum {
+        fn derive(_: &Mesh) -> Self {
+            Self(on_own_threads(|| {
+                assert!(rayon::current_thread_index().is_some());
+                (0..4000u32).into_par_iter().with_max_len(1).sum()
+            }))
+        }
+
+        fn bytes(&self) -> usize {
+            0
+        }
+    }
+
+    #[test]
+    fn tables_that_are_first_needed_by_worker_threads_do_not_block_them() {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
+        for _ in 0..20 {
+            let mesh = soup(12, 0.5, 3);
+            let sum = |_| mesh.derived::<Sum>().0;
+            let sums: Vec<u32> = pool.install(|| (0..300u32).into_par_iter().with_max_len(1).map(sum).collect());
+            assert_eq!(sums, [3999 * 4000 / 2; 300]);
+        }
+        // Outside of a pool as well.
+        assert_eq!(soup(12, 0.5, 3).derived::<Sum>().0, 3999 * 4000 / 2);
     }
 }

@@ -23,7 +23,7 @@
 use crate::bvh::{Bvh, ChildRef, MAX_STACK, WIDTH};
 use crate::geometry::{SolidAngles, triangle_cross};
 use crate::mesh::Mesh;
-use crate::mesh::derived::Derived;
+use crate::mesh::derived::{Derived, on_own_threads};
 use crate::mesh::topology::direction;
 use glam::{DMat3, DVec3, Vec3};
 use std::f64::consts::PI;
@@ -103,7 +103,7 @@ impl Pieces {
         // A piece may have no area after rounding to float32. Its frame in the packs is then undefined, but only the
         // boxes and the members of this tree are read, which are defined for every piece. Angles and moments are
         // computed from the float64 corners, so such a piece counts like any other.
-        Some(Self { bvh: Bvh::build(&positions, &faces), triangles })
+        Some(Self { bvh: on_own_threads(|| Bvh::build(&positions, &faces)), triangles })
     }
 }
 

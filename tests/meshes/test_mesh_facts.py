@@ -101,6 +101,39 @@ def test_meshes_cross_to_worker_processes(method):
         assert pool.apply_async(fb.signed_distance, (mesh, points)).get(timeout=60) == expected
 
 
+def repeated_faces():
+    vertices, faces = meshes.icosphere(3)
+    return fb.Mesh(vertices, np.repeat(faces, 10, axis=0))
+
+
+def slivers():
+    angles = np.linspace(0, 2 * np.pi, 600, endpoint=False)
+    rim = np.stack([np.cos(angles), np.sin(angles), 0.01 * np.sin(5 * angles)], axis=1)
+    corners = np.stack([0 * rim, rim, 1.001 * np.roll(rim, -1, axis=0)], axis=1)
+    return fb.Mesh(corners.reshape(-1, 3), np.arange(3 * len(rim)).reshape(-1, 3))
+
+
+@pytest.mark.parametrize("make", [repeated_faces, slivers])
+@pytest.mark.parametrize("count", [1, 5000])
+def test_a_forked_process_derives_the_tables_of_its_first_query(make, count):
+    if "fork" not in multiprocessing.get_all_start_methods():
+        pytest.skip("no fork here")
+    points = np.random.default_rng(4).uniform(-1, 1, (count, 3))
+    expected = fb.signed_distance(make(), points)
+    mesh = make()
+    fb.cast_rays(mesh, [(0, 0, 3)], [(0, 0, -1)])  # builds the tree, but not the tables of distances
+    context = multiprocessing.get_context("fork")
+    results = context.SimpleQueue()
+    child = context.Process(target=lambda: results.put(fb.signed_distance(mesh, points)))
+
+    child.start()
+    child.join(60)
+
+    child.kill()
+    assert child.exitcode == 0
+    assert np.array_equal(results.get(), expected)
+
+
 def test_scenes_travel():
     camera = fb.Camera((3, 2, 4), (0, 0, 0))
     light = fb.DirectionalLight((0, -1, 0))
