@@ -172,6 +172,11 @@ def main() -> None:
     print("\n" + text)
     if len(state["benches"]) == len(BENCHES):
         path = RESULTS / f"{state['date']}-bench.json"
+        # The outputs name folders of this machine.
+        state["benches"] = {
+            name: {key: value for key, value in bench.items() if key != "output"}
+            for name, bench in state["benches"].items()
+        }
         path.write_text(json.dumps({**state, "questions": questions(state["benches"]), "summary": text}, indent=1))
         UNFINISHED.unlink()
         (RESULTS / f"{state['date']}-bench.md").write_text(text)
