@@ -149,12 +149,14 @@ def test_code_stays_within_narrow_pages(site: Path):
 
 @pytest.mark.slow
 def test_the_search_works_without_a_network(site: Path):
+    # The page lists the results one after another.
     script = """
-      await page.waitForSelector("#search-results .search li a", { timeout: 60_000 });
-      return page.$$eval("#search-results .search li a", (links) => links.map((link) => link.getAttribute("href")));
+      const link = '#search-results .search li a[href*="concepts/sign.html"]';
+      await page.waitForSelector(link, { timeout: 60_000 });
+      return page.$$eval(link, (links) => links.length);
     """
     [result] = visit([{"url": (site / "search.html").as_uri() + "?q=winding", "script": script}])
 
     assert result.errors == []
     assert result.requests == []
-    assert any("concepts/sign.html" in link for link in result.value)
+    assert result.value >= 1
