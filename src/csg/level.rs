@@ -13,6 +13,7 @@ use super::program::{Program, Stack};
 use super::solid::{LANES, Solid, run_wide};
 use crate::error::Error;
 use crate::grid::Grid;
+use crate::memory::require;
 use crate::progress::Progress;
 use crate::surface::probes::{NEAR_STEP, PROBES, Place, around};
 use crate::surface::{CrossedEdge, Crossing, ExtraPlanes, LevelSurface, SurfaceBlocks};
@@ -55,6 +56,7 @@ pub fn level_surface(solid: &Solid, grid: &Grid, level: f32, progress: &Progress
     let shape = IVec3::from_array(grid.shape.map(|n| n as i32));
     // Cells run from -1 to n - 1, so there are n + 1 along each axis.
     let mut side = SIDE as i32;
+    // The shape is below 2^30, as `SurfaceBlocks::new` has checked, so the side is at most 2^30.
     while side <= shape.max_element() {
         side *= 2;
     }
@@ -76,6 +78,8 @@ pub fn level_surface(solid: &Solid, grid: &Grid, level: f32, progress: &Progress
             break;
         }
         side /= 2;
+        // A block has an origin, a centre and a value, and the vectors grow by doubling.
+        require("the blocks around a surface", (8 * origins.len() * 128) as u64, 0)?;
         let corner = |i: i32| side * IVec3::new(i & 1, i >> 1 & 1, i >> 2);
         let children = origins.iter().flat_map(|&origin| (0..8).map(move |i| origin + corner(i)));
         origins = children.filter(|origin| origin.cmplt(shape).all()).collect();
@@ -317,6 +321,16 @@ mod tests {
         let shape = parse(text).unwrap().changed("rotate", &[1.0, 2.0, 3.0, 40.0]).unwrap();
         let grid = Grid::new(DVec3::splat(-2.0), DVec3::splat(2.0), [16; 3]).unwrap();
         (Arc::new(Solid::new(&shape).unwrap()), grid)
+    }
+
+    #[test]
+    fn grids_with_too_many_voxels_along_an_axis_are_refused() {
+        let (solid, _) = turned("(box 2 2 2)");
+        for n in [1 << 30, (1 << 31) - 2] {
+            let grid = Grid::new(DVec3::splat(-2.0), DVec3::splat(2.0), [n, 1, 1]).unwrap();
+            let error = level_surface(&solid, &grid, 0.0, &Progress::new()).unwrap_err().to_string();
+            assert!(error.ends_with("voxels are too many for one mesh"), "{error}");
+        }
     }
 
     #[test]

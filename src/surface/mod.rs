@@ -242,9 +242,13 @@ fn check_level(level: f32) -> Result<(), Error> {
     Err(ArgumentError::new("level", format!("must be finite, got {level}")).into())
 }
 
+/// Number of voxels along an axis from which a grid is too large. A block of cells may begin in the grid and be longer
+/// than it, and its end must fit in 32 bits.
+const MOST_VOXELS: usize = 1 << 30;
+
 /// Indices of cells and vertices are 32 bits.
 fn check_shape(shape: [usize; 3]) -> Result<(), Error> {
-    if shape.iter().all(|&n| n < i32::MAX as usize) && shape[1].saturating_mul(shape[2]) < u32::MAX as usize {
+    if shape.iter().all(|&n| n < MOST_VOXELS) && shape[1].saturating_mul(shape[2]) < u32::MAX as usize {
         return Ok(());
     }
     Err(ArgumentError::new("distances", format!("{shape:?} voxels are too many for one mesh")).into())
