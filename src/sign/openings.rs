@@ -94,8 +94,9 @@ const FEW_EDGES: usize = 2048;
 /// Mean number of edges of the openings from which more edges are closed. Only the samples near the rim have a cost
 /// then.
 const LONG_RIM: usize = 64;
-/// Largest number of rim edges of long openings. Each plane of samples is compared with each cap.
-const MOST_EDGES: usize = 1 << 16;
+/// Largest number of rim edges of long openings. An edge takes 480 bytes while the caps are divided: 0.5 GB at the
+/// limit. Each plane of samples is compared with each cap.
+const MOST_EDGES: usize = 1 << 20;
 
 /// A sample counts as undecided if its winding number is closer to 1/2 than this.
 const UNDECIDED: f64 = 0.05;

@@ -216,6 +216,21 @@ def test_a_box_without_a_lid_still_has_an_inside():
     assert_signs(meshes.open_box(), voxel_centres(volume), volume.distances.ravel(), undecided=FAST_WINDING_ERROR)
 
 
+def test_the_opening_of_a_cone_of_100_000_slivers_is_exact():
+    """The opening covers at most half of the sphere of directions, so the inside is that of the cone with its base."""
+    angle = np.linspace(0, 2 * np.pi, 100_000, endpoint=False)
+    ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    around = np.arange(len(ring))
+    faces = np.stack([0 * around, 1 + around, 1 + (around + 1) % len(ring)], axis=1)
+    cone = fb.Mesh(np.vstack([(0.0, 0.0, 1.0), ring]), faces)
+    points = np.random.default_rng(4).uniform((-1.2, -1.2, -0.5), (1.2, 1.2, 1.2), (2000, 3))
+    radius, height = np.hypot(points[:, 0], points[:, 1]), points[:, 2]
+    clear = (np.abs(radius + height - 1) > 1e-6) & (np.abs(height) > 1e-6)
+    found = fb.contains(cone, points)
+    np.testing.assert_array_equal(found[clear], ((height > 0) & (radius + height < 1))[clear])
+    assert found.any()
+
+
 @pytest.mark.parametrize("name", ["triangle", "flat_sheet"])
 def test_a_sheet_has_no_inside_and_the_report_says_what_to_do(name):
     volume = fb.bake(meshes.OPEN[name](), resolution=16)
