@@ -5,6 +5,7 @@
 #import scene_view
 #import scene_field
 #import scene_beam
+#import scene_counts
 
 struct SurfaceLight {
     // Unit direction to the light, or its position in scene space.
@@ -29,56 +30,69 @@ struct SurfaceParams {
     light_count: u32,
     ray_y: vec3f,
     bias_voxels: f32,
+    // Number of rows of the picture, of tiles in a row, and of tiles.
+    height: u32,
+    tile_columns: u32,
+    tile_count: u32,
+    // Distance in the picture between tiles that follow each other, in tiles.
+    tile_step: u32,
     lights: array<SurfaceLight, 16>,
 }
 
-struct PieceParams {
+// Tiles of this dispatch, and parameters of the other kernels, which have only the first two words.
+struct TileParams {
     first: u32,
     count: u32,
-    // 1: make cones, 0: make rays.
-    wants_cones: u32,
-    // 1: reset the answers.
-    clears: u32,
+    // First tile of the next dispatch.
+    next: u32,
+    // The tile with the first answer in memory.
+    start: u32,
 }
 
 @group(0) @binding(1) var<uniform> view: SurfaceParams;
-@group(0) @binding(2) var<uniform> piece: PieceParams;
+@group(0) @binding(2) var<uniform> piece: TileParams;
 @group(0) @binding(7) var<storage, read> seen_pixels: array<vec4u>;
 // Three corners and three normals of each face, in the space of the mesh's tree.
 @group(0) @binding(8) var<storage, read> faces: array<f32>;
 @group(0) @binding(9) var<storage, read_write> beams: array<Beam>;
 @group(0) @binding(10) var<storage, read_write> answers: array<Answer>;
-// Number of beams, of divided discs and of collected cones.
-@group(0) @binding(11) var<storage, read_write> counts: array<atomic<u32>, 4>;
+// Numbers of items: see scene_counts.
+@group(0) @binding(11) var<storage, read_write> counts: array<atomic<u32>, COUNTS>;
 // Output of `divide` and `collect_edges`.
 @group(0) @binding(12) var<storage, read_write> parts: array<Beam>;
-// Index of the answer of each divided disc.
-@group(0) @binding(13) var<storage, read_write> parents: array<u32>;
+// Index of the beam of each disc that is divided.
+@group(0) @binding(13) var<storage, read_write> discs: array<u32>;
 @group(0) @binding(14) var<storage, read> part_answers: array<Answer>;
 
 const IS_TRIANGLE: u32 = 0xffffffffu;
 const FACE_FLOATS: u32 = 18u;
-const PARTS: u32 = 16u;
 
 fn vector_at(i: u32) -> vec3f {
     return vec3f(faces[i], faces[i + 1u], faces[i + 2u]);
 }
 
+// Cones fill the buffer from its start, rays from its end.
 fn add_beam(beam: Beam) {
-    beams[atomicAdd(&counts[0], 1u)] = beam;
+    if beam.slope > 0.0 {
+        beams[atomicAdd(&counts[CONES], 1u)] = beam;
+    } else {
+        beams[arrayLength(&beams) - 1u - atomicAdd(&counts[RAYS], 1u)] = beam;
+    }
 }
 
+// Makes the beams of one tile in each workgroup. Consecutive tiles are far apart in the picture, so that a range of
+// them costs about the same as any other. Eight consecutive invocations have 4 x 2 pixels.
 @compute @workgroup_size(64)
-fn surface_beams(@builtin(global_invocation_id) id: vec3u) {
-    if id.x >= piece.count { return; }
+fn surface_beams(@builtin(global_invocation_id) id: vec3u, @builtin(local_invocation_index) lane: u32) {
     begin_invocation(id);
-    let first_answer = id.x * view.light_count;
+    let tile = piece.first + id.x / GROUP;
+    let place = tile % SPREAD * view.tile_step + tile / SPREAD;
+    let x = place % view.tile_columns * TILE + (lane & 3u) + ((lane >> 1u) & 4u);
+    let y = place / view.tile_columns * TILE + ((lane >> 2u) & 1u) + ((lane >> 3u) & 6u);
+    if place >= view.tile_count || x >= view.width || y >= view.height { return; }
     let light_count = view.light_count + zero;
-    if piece.clears + zero != 0u {
-        for (var k = 0u; k < light_count; k++) { answers[first_answer + k] = Answer(); }
-    }
-    let x = (piece.first + id.x) % view.width;
-    let y = (piece.first + id.x) / view.width;
+    let first_answer = ((tile - piece.start) * GROUP + lane) * light_count;
+    for (var k = 0u; k < light_count; k++) { answers[first_answer + k] = Answer(); }
     let seen = seen_pixels[y * view.stride + x];
     if seen.x == 0u || seen.w != IS_TRIANGLE { return; }
     let index = seen.x - 1u;
@@ -128,20 +142,24 @@ fn surface_beams(@builtin(global_invocation_id) id: vec3u) {
             beam.slope = light.size / beam.t_max;
         }
         beam.owner = first_answer + i;
-        let is_wanted = (beam.slope > 0.0) == (piece.wants_cones + zero != 0u);
-        if is_wanted && dot(beam.normal, beam.direction) > 0.0 { add_beam(beam); }
+        if dot(beam.normal, beam.direction) > 0.0 { add_beam(beam); }
     }
 }
 
-// Divides the discs of lights that one cone does not decide into narrow cones.
+// Collects the discs of lights that one cone does not decide.
+@compute @workgroup_size(64)
+fn collect_discs(@builtin(global_invocation_id) id: vec3u) {
+    if id.x >= piece.count { return; }
+    let found = answers[beams[id.x].owner];
+    if found.is_proven != 0u || found.is_complete != 1u { return; }
+    discs[atomicAdd(&counts[DISCS], 1u)] = id.x;
+}
+
+// Divides discs into narrow cones.
 @compute @workgroup_size(64)
 fn divide(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= piece.count { return; }
-    let disc = beams[piece.first + id.x];
-    let found = answers[disc.owner];
-    if found.is_proven != 0u || found.is_complete != 1u { return; }
-    let slot = atomicAdd(&counts[1], 1u);
-    parents[slot] = disc.owner;
+    let disc = beams[discs[piece.first + id.x]];
     let axes = axes_of(disc.direction);
     var part = disc;
     part.slope = disc.slope / sqrt(f32(PARTS));
@@ -152,7 +170,7 @@ fn divide(@builtin(global_invocation_id) id: vec3u) {
         let way = disc.direction + radius * (cos(angle) * axes.right + sin(angle) * axes.up);
         part.direction = normalize(way);
         part.t_max = min(disc.t_max * length(way), FAR_T);
-        part.owner = PARTS * slot + i;
+        part.owner = PARTS * id.x + i;
         parts[part.owner] = part;
     }
 }
@@ -161,15 +179,15 @@ fn divide(@builtin(global_invocation_id) id: vec3u) {
 @compute @workgroup_size(64)
 fn collect_edges(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= piece.count { return; }
-    let beam = beams[piece.first + id.x];
-    if answers[beam.owner].is_complete == NEEDS_EDGE { parts[atomicAdd(&counts[2], 1u)] = beam; }
+    let beam = beams[id.x];
+    if answers[beam.owner].is_complete == NEEDS_EDGE { parts[atomicAdd(&counts[EDGES], 1u)] = beam; }
 }
 
 // Replaces the answers of divided discs by the means of their parts.
 @compute @workgroup_size(64)
 fn join_parts(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= piece.count { return; }
-    let parent = parents[id.x];
+    let parent = beams[discs[piece.first + id.x]].owner;
     var found = answers[parent];
     var sum = 0.0;
     for (var i = 0u; i < PARTS; i++) {

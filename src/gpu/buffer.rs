@@ -33,6 +33,35 @@ const WORD: usize = size_of::<u32>();
 /// Remedy for a buffer that is too large.
 const ADVICE: &str = "lower the resolution, bake parts of the box through bounds=, or use device=\"cpu\"";
 
+/// Memory for results that a submission copies, which the host can map.
+#[derive(Debug)]
+pub struct ReadBack {
+    staging: wgpu::Buffer,
+    /// Whether the last copy is mapped.
+    is_mapped: Arc<AtomicBool>,
+}
+
+impl ReadBack {
+    /// The size in bytes.
+    pub fn size(&self) -> u64 {
+        self.staging.size()
+    }
+
+    /// Records the copy of a part of a buffer to the start of the memory.
+    pub(super) fn record(&self, encoder: &mut wgpu::CommandEncoder, from: &wgpu::Buffer, offset: u64, bytes: u64) {
+        encoder.copy_buffer_to_buffer(from, offset, &self.staging, 0, bytes);
+    }
+
+    /// Requests the mapping of the copied bytes, after the submission of the copy.
+    pub(super) fn map(&self, bytes: u64) {
+        self.is_mapped.store(false, Ordering::Release);
+        let done = self.is_mapped.clone();
+        self.staging.map_async(wgpu::MapMode::Read, 0..bytes, move |result| {
+            done.store(result.is_ok(), Ordering::Release);
+        });
+    }
+}
+
 impl Context {
     /// The largest buffer that a kernel can bind as a whole, bytes; a multiple of 256.
     pub fn max_binding(&self) -> u64 {
@@ -75,6 +104,12 @@ impl Context {
         let buffer = self.storage(label, size_of::<T>() as u64)?;
         self.write(label, &buffer, 0, std::slice::from_ref(value))?;
         Ok(buffer)
+    }
+
+    /// A zeroed buffer for parameters or sizes of dispatches that a kernel writes.
+    pub fn written_by_kernels(&self, label: &str, bytes: u64) -> Result<wgpu::Buffer, DeviceError> {
+        use wgpu::BufferUsages as Usage;
+        self.allocate(label, bytes, Usage::STORAGE | Usage::UNIFORM | Usage::INDIRECT | Usage::COPY_DST)
     }
 
     /// A storage buffer with `items`; one zeroed item if there are none, since an empty buffer cannot be bound.
@@ -147,34 +182,50 @@ impl Context {
         if total == 0 {
             return Ok(());
         }
-        let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
-        let staging = self.allocate(label, total.min(STAGING_BYTES), usage)?;
+        let memory = self.read_back(label, total.min(STAGING_BYTES))?;
         for (i, part) in bytes.chunks_mut(STAGING_BYTES as usize).enumerate() {
             let (offset, size) = (i as u64 * STAGING_BYTES, part.len() as u64);
-            let mapped = Arc::new(AtomicBool::new(false));
-            let done = mapped.clone();
             let submission = self.guarded(label, size, || {
                 let mut encoder =
                     self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
-                encoder.copy_buffer_to_buffer(buffer, offset, &staging, 0, size);
+                memory.record(&mut encoder, buffer, offset, size);
                 let submission = self.submit(Some(encoder.finish()));
-                staging.map_async(wgpu::MapMode::Read, 0..size, move |result| {
-                    done.store(result.is_ok(), Ordering::Release);
-                });
+                memory.map(size);
                 submission
             })?;
             self.wait(label, &submission, progress)?;
-            if !mapped.load(Ordering::Acquire) {
-                self.check(label)?;
-                return Err(self.failed(label, "the result could not be mapped".into()).into());
-            }
-            let view = staging.get_mapped_range(0..size).map_err(|error| self.failed(label, error.to_string()))?;
-            part.copy_from_slice(&view);
-            drop(view);
-            staging.unmap();
+            self.take(label, &memory, part)?;
         }
         self.counters.readbacks.fetch_add(1, Ordering::Relaxed);
-        self.counters.readback_bytes.fetch_add(total, Ordering::Relaxed);
+        Ok(())
+    }
+
+    /// Memory for results of at most this size, bytes.
+    pub fn read_back(&self, label: &str, bytes: u64) -> Result<ReadBack, DeviceError> {
+        let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
+        Ok(ReadBack { staging: self.allocate(label, bytes, usage)?, is_mapped: Arc::default() })
+    }
+
+    /// Reads the bytes that a finished submission copied, and unmaps them.
+    pub(super) fn take<T: Pod>(&self, label: &str, memory: &ReadBack, out: &mut [T]) -> Result<(), DeviceError> {
+        if !memory.is_mapped.load(Ordering::Acquire) {
+            self.check(label)?;
+            return Err(self.failed(label, "the result could not be mapped".into()));
+        }
+        let bytes: &mut [u8] = bytemuck::cast_slice_mut(out);
+        let range = 0..bytes.len() as u64;
+        let view = memory.staging.get_mapped_range(range).map_err(|error| self.failed(label, error.to_string()))?;
+        bytes.copy_from_slice(&view);
+        drop(view);
+        memory.staging.unmap();
+        self.counters.readback_bytes.fetch_add(bytes.len() as u64, Ordering::Relaxed);
+        Ok(())
+    }
+
+    /// Reads results that a finished submission copied.
+    pub fn finish<T: Pod>(&self, label: &str, memory: &ReadBack, out: &mut [T]) -> Result<(), DeviceError> {
+        self.take(label, memory, out)?;
+        self.counters.readbacks.fetch_add(1, Ordering::Relaxed);
         Ok(())
     }
 

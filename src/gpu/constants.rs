@@ -215,6 +215,38 @@ wgsl_constants! {
         /// occluder covers the section only if the axis is inside it for a radius, so the fade may be as long as that.
         END_FADE: f32 as f32 = 0.5;
     }
+    scene_counts {
+        /// Words of the counts of a light pass: cones, rays, discs that one cone did not decide, the first of these
+        /// discs in a round, and cones of the round that need a ray past an edge. The numbers of beams and of discs
+        /// that fit into their buffers follow.
+        CONES: u32 as u32 = 0;
+        RAYS: u32 as u32 = 1;
+        DISCS: u32 as u32 = 2;
+        FIRST_DISC: u32 as u32 = 3;
+        EDGES: u32 as u32 = 4;
+        BEAMS_FIT: u32 as u32 = 5;
+        DISCS_FIT: u32 as u32 = 6;
+        COUNTS: u32 as u32 = 8;
+        /// Stages, each with its number of workgroups and its parameters.
+        STAGE_TILES: u32 as u32 = 0;
+        STAGE_CONES: u32 as u32 = 1;
+        STAGE_RAYS: u32 as u32 = 2;
+        STAGE_DISCS: u32 as u32 = 3;
+        STAGE_PARTS: u32 as u32 = 4;
+        STAGE_EDGES: u32 as u32 = 5;
+        STAGES: u32 as u32 = 6;
+        /// Number of words from the parameters of a stage to those of the next one: 256 bytes, the largest alignment of
+        /// uniform buffers.
+        STRIDE: u32 as u32 = 64;
+        /// Number of invocations of a workgroup, and of the pixels of a tile.
+        GROUP: u32 as u32 = 64;
+        /// Side of a tile, pixels.
+        TILE: u32 as u32 = 8;
+        /// Number of tiles that follow each other and are spread evenly over the picture.
+        SPREAD: u32 as u32 = 64;
+        /// Number of cones that divide a light's disc if one is not sufficient.
+        PARTS: u32 as u32 = 16;
+    }
     light {
         /// Ambient light from below, as a fraction of the ambient light from above.
         GROUND_SHARE: f32 as f32 = 0.4;

@@ -100,7 +100,8 @@ impl Context {
         let adapter = adapters.into_iter().find(|adapter| describe(adapter).label() == info.label());
         let adapter = adapter.ok_or_else(|| unavailable("the driver no longer offers it".into()))?;
         let limits = adapter.limits();
-        let can_compute = adapter.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::COMPUTE_SHADERS);
+        let needed = wgpu::DownlevelFlags::COMPUTE_SHADERS | wgpu::DownlevelFlags::INDIRECT_EXECUTION;
+        let can_compute = adapter.get_downlevel_capabilities().flags.contains(needed);
         check_adapter(can_compute, &limits).map_err(unavailable)?;
 
         let wanted = wgpu::Features::FLOAT32_FILTERABLE | wgpu::Features::TIMESTAMP_QUERY;
@@ -233,7 +234,7 @@ impl Trouble {
 /// Whether an adapter has the features and limits of the kernels; otherwise the reason.
 pub(super) fn check_adapter(can_compute: bool, limits: &wgpu::Limits) -> Result<(), String> {
     if !can_compute {
-        return Err("it has no compute shaders".into());
+        return Err("it has no compute shaders with indirect dispatches".into());
     }
     let needs = [
         ("storage buffers per shader stage", limits.max_storage_buffers_per_shader_stage, STORAGE_BUFFERS),

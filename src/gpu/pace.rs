@@ -51,6 +51,60 @@ pub(crate) fn in_groups_from(
     })
 }
 
+/// Longest predicted duration of a submission, s. The prediction may be too short by a factor of four.
+const LONG: f64 = 0.5;
+
+/// Items of a job whose cost is known in advance except for a factor. Any range of at least 64 items must have about
+/// the mean cost.
+pub(crate) struct Items {
+    pub count: u64,
+    /// Number of items of the first submission if the factor is unknown.
+    pub smallest: u64,
+    /// Mean amount of work of an item, in any unit.
+    pub cost: f64,
+}
+
+/// Splits a job that is repeated into submissions, each as large as [`LONG`] permits. `rate` is the time for one unit of
+/// work in s, or 0 if it is unknown; it becomes the one of this job. `submit(first, count)` submits items.
+pub(crate) fn by_rate(
+    context: &Context,
+    what: &str,
+    items: &Items,
+    rate: &mut f64,
+    progress: &Progress,
+    mut submit: impl FnMut(u64, u64) -> Result<wgpu::SubmissionIndex, Error>,
+) -> Result<(), Error> {
+    let longest = |rate: f64| ((LONG / (rate * items.cost)) as u64).max(items.smallest);
+    let mut size = if *rate > 0.0 { longest(*rate) } else { items.smallest };
+    let mut measured: Vec<(u64, f64)> = Vec::new();
+    let mut first = 0;
+    let mut waiting: Option<(u64, wgpu::SubmissionIndex)> = None;
+    let mut since = Instant::now();
+    while first < items.count || waiting.is_some() {
+        let count = size.min(items.count - first);
+        let next = if count > 0 { Some((count, submit(first, count)?)) } else { None };
+        first += count;
+        if let Some((count, earlier)) = std::mem::replace(&mut waiting, next) {
+            context.wait(what, &earlier, progress)?;
+            let found = since.elapsed().as_secs_f64() / (count as f64 * items.cost);
+            since = Instant::now();
+            measured.push((count, found));
+            size = longest(found).min(2 * size);
+        }
+        progress.check()?;
+    }
+    *rate = rate_of(&measured).unwrap_or(*rate);
+    Ok(())
+}
+
+/// The rate of a job by the numbers of items of its submissions and their rates: the least one of the large
+/// submissions. Other work on the machine, and the compilation of kernels at their first use, only adds time.
+fn rate_of(measured: &[(u64, f64)]) -> Option<f64> {
+    let largest = measured.iter().map(|&(count, _)| count).max()?;
+    let large = measured.iter().filter(|&&(count, _)| 2 * count >= largest);
+    large.map(|&(_, rate)| rate).min_by(f64::total_cmp)
+}
+
 /// Splits `total` units of work into dispatches. `dispatch(first, count)` submits one. Results do not depend on the
 /// split.
 ///
@@ -118,5 +172,18 @@ impl Pace {
         } else if took > SLOW {
             self.size = (self.size / 2).max(self.smallest);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::rate_of;
+
+    #[test]
+    fn the_rate_is_the_least_of_the_large_submissions() {
+        assert_eq!(rate_of(&[]), None);
+        // The first submission includes the compilation of kernels, and a small one may cover only the background.
+        assert_eq!(rate_of(&[(4, 9.0), (4, 0.1), (8, 0.2), (16, 3.0), (32, 2.0), (20, 2.5)]), Some(2.0));
+        assert_eq!(rate_of(&[(30, 4.0)]), Some(4.0));
     }
 }

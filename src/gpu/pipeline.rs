@@ -1,9 +1,11 @@
 //! Compiled kernels, one per entry point and context, and their dispatch.
 
+use super::buffer::ReadBack;
 use super::context::Context;
 use super::shader::{Instead, source_instead};
 use crate::error::DeviceError;
 use std::collections::HashMap;
+use std::num::NonZeroU64;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Kernels by name, entry point and overrides of imported files.
@@ -25,6 +27,97 @@ enum Written {
     Ready(wgpu::ComputePipeline),
     /// The driver refused it; it is not compiled again.
     Refused,
+}
+
+/// The invocations of one kernel in a submission.
+#[derive(Debug, Clone)]
+pub struct Dispatch<'a> {
+    pub pipeline: &'a wgpu::ComputePipeline,
+    pub group: &'a wgpu::BindGroup,
+    pub size: DispatchSize<'a>,
+}
+
+/// Number of workgroups of a dispatch.
+#[derive(Debug, Clone, Copy)]
+pub enum DispatchSize<'a> {
+    Known([u32; 3]),
+    /// Three words in device memory at an offset in bytes.
+    At(&'a wgpu::Buffer, u64),
+}
+
+/// A range of a buffer at a binding: the number of the binding, the buffer, the offset and the size in bytes.
+pub(crate) type BoundRange<'a> = (u32, &'a wgpu::Buffer, u64, u64);
+
+/// A binding with a whole buffer.
+pub(crate) fn whole((binding, buffer): (u32, &wgpu::Buffer)) -> BoundRange<'_> {
+    (binding, buffer, 0, buffer.size())
+}
+
+/// Bind groups by name. A group is made again only if its pipeline or one of its buffers is another one.
+#[derive(Debug, Default)]
+pub(crate) struct BindGroups(Mutex<HashMap<&'static str, KeptGroup>>);
+
+#[derive(Debug)]
+struct KeptGroup {
+    pipeline: AnyPipeline,
+    bindings: Vec<(u32, wgpu::Buffer, u64, u64)>,
+    group: wgpu::BindGroup,
+}
+
+/// A pipeline with a layout of its own.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum AnyPipeline {
+    Compute(wgpu::ComputePipeline),
+    Raster(wgpu::RenderPipeline),
+}
+
+impl AnyPipeline {
+    fn layout(&self) -> wgpu::BindGroupLayout {
+        match self {
+            Self::Compute(pipeline) => pipeline.get_bind_group_layout(0),
+            Self::Raster(pipeline) => pipeline.get_bind_group_layout(0),
+        }
+    }
+}
+
+impl BindGroups {
+    /// The group of a name.
+    pub(crate) fn get(
+        &self,
+        context: &Context,
+        name: &'static str,
+        pipeline: AnyPipeline,
+        bindings: &[BoundRange<'_>],
+    ) -> Result<wgpu::BindGroup, DeviceError> {
+        let mut groups = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_same = |kept: &KeptGroup| {
+            let ranges = kept.bindings.iter().map(|(binding, buffer, offset, size)| (*binding, buffer, *offset, *size));
+            kept.pipeline == pipeline && ranges.eq(bindings.iter().copied())
+        };
+        if let Some(kept) = groups.get(name).filter(|kept| is_same(kept)) {
+            return Ok(kept.group.clone());
+        }
+        let entries: Vec<_> = bindings
+            .iter()
+            .map(|&(binding, buffer, offset, size)| wgpu::BindGroupEntry {
+                binding,
+                resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+                    buffer,
+                    offset,
+                    size: NonZeroU64::new(size),
+                }),
+            })
+            .collect();
+        let group = context.guarded(name, 0, || {
+            let layout = &pipeline.layout();
+            let descriptor = wgpu::BindGroupDescriptor { label: Some(name), layout, entries: &entries };
+            context.device.create_bind_group(&descriptor)
+        })?;
+        let owned = |&(binding, buffer, offset, size): &BoundRange<'_>| (binding, buffer.clone(), offset, size);
+        let bindings = bindings.iter().map(owned).collect();
+        groups.insert(name, KeptGroup { pipeline, bindings, group: group.clone() });
+        Ok(group)
+    }
 }
 
 /// Largest number of generated kernels that are kept. Beyond it all of them are dropped.
@@ -167,17 +260,39 @@ impl Context {
         group: &wgpu::BindGroup,
         workgroups: [u32; 3],
     ) -> Result<wgpu::SubmissionIndex, DeviceError> {
+        self.submit_all(label, &[Dispatch { pipeline, group, size: DispatchSize::Known(workgroups) }], None)
+    }
+
+    /// Queues dispatches in order, in one submission, and then the copy of the first bytes of a buffer for the host.
+    pub fn submit_all(
+        &self,
+        label: &str,
+        dispatches: &[Dispatch<'_>],
+        result: Option<(&wgpu::Buffer, u64, &ReadBack)>,
+    ) -> Result<wgpu::SubmissionIndex, DeviceError> {
         self.guarded(label, 0, || {
             let mut encoder =
                 self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
             {
                 let mut pass = encoder
                     .begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some(label), timestamp_writes: None });
-                pass.set_pipeline(pipeline);
-                pass.set_bind_group(0, group, &[]);
-                pass.dispatch_workgroups(workgroups[0], workgroups[1], workgroups[2]);
+                for Dispatch { pipeline, group, size } in dispatches {
+                    pass.set_pipeline(pipeline);
+                    pass.set_bind_group(0, *group, &[]);
+                    match *size {
+                        DispatchSize::Known([x, y, z]) => pass.dispatch_workgroups(x, y, z),
+                        DispatchSize::At(buffer, offset) => pass.dispatch_workgroups_indirect(buffer, offset),
+                    }
+                }
             }
-            self.submit(Some(encoder.finish()))
+            if let Some((from, bytes, memory)) = result {
+                memory.record(&mut encoder, from, 0, bytes);
+            }
+            let submission = self.submit(Some(encoder.finish()));
+            if let Some((_, bytes, memory)) = result {
+                memory.map(bytes);
+            }
+            submission
         })
     }
 }

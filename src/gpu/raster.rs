@@ -3,6 +3,7 @@
 //! Depth is 1 near the eye and falls to 0 far away, in 32-bit floats. Their precision near 0 compensates for the
 //! hyperbola, so the relative precision of depth is the same everywhere. The larger value passes the depth test.
 
+use super::buffer::ReadBack;
 use super::context::Context;
 use super::shader::{Instead, source_instead};
 use crate::error::{DeviceError, Error};
@@ -20,16 +21,18 @@ const PIXEL_BYTES: u32 = 16;
 #[derive(Debug, Default)]
 pub(crate) struct RasterPipelines(Mutex<HashMap<(&'static str, Vec<Instead>), wgpu::RenderPipeline>>);
 
-/// The target of a pass.
+/// The target of a pass, and memory for its pixels on the host.
 #[derive(Debug)]
 pub struct RasterTarget {
     seen: wgpu::Texture,
-    depth: wgpu::Texture,
+    seen_view: wgpu::TextureView,
+    depth_view: wgpu::TextureView,
     /// Size in pixels.
-    size: [u32; 2],
+    pub size: [u32; 2],
     /// Number of pixels from the start of a row in memory to the start of the next.
     stride: u32,
     rows: wgpu::Buffer,
+    result: ReadBack,
 }
 
 /// One draw call of a pass.
@@ -104,26 +107,6 @@ impl Context {
         Ok(pipeline)
     }
 
-    /// Binds whole buffers to group 0 of a raster pipeline.
-    pub fn bind_raster(
-        &self,
-        label: &str,
-        pipeline: &wgpu::RenderPipeline,
-        buffers: &[(u32, &wgpu::Buffer)],
-    ) -> Result<wgpu::BindGroup, DeviceError> {
-        let entries: Vec<_> = buffers
-            .iter()
-            .map(|&(binding, buffer)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
-            .collect();
-        self.guarded(label, 0, || {
-            self.device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some(label),
-                layout: &pipeline.get_bind_group_layout(0),
-                entries: &entries,
-            })
-        })
-    }
-
     /// A target of the given size in pixels.
     pub fn raster_target(&self, label: &str, [width, height]: [u32; 2]) -> Result<RasterTarget, DeviceError> {
         // Rows of a copy are aligned to 256 bytes.
@@ -147,13 +130,18 @@ impl Context {
             })
         };
         let rows = self.storage(label, bytes)?;
-        let (seen, depth) = self.guarded(label, 2 * bytes, || {
-            (texture(SEEN, wgpu::TextureUsages::COPY_SRC), texture(DEPTH, wgpu::TextureUsages::empty()))
-        })?;
-        Ok(RasterTarget { seen, depth, size: [width, height], stride, rows })
+        let result = self.read_back(label, bytes)?;
+        let view = |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
+        self.guarded(label, 2 * bytes, || {
+            let seen = texture(SEEN, wgpu::TextureUsages::COPY_SRC);
+            let seen_view = view(&seen);
+            let depth_view = view(&texture(DEPTH, wgpu::TextureUsages::empty()));
+            RasterTarget { seen, seen_view, depth_view, size: [width, height], stride, rows, result }
+        })
     }
 
-    /// Clears the target, draws, and reads back four words per pixel, zero where no fragment was drawn.
+    /// Clears the target, draws, and reads back four words per pixel, zero where no fragment was drawn. After an error
+    /// the target cannot be used again.
     pub fn raster(
         &self,
         label: &str,
@@ -162,16 +150,14 @@ impl Context {
         progress: &Progress,
     ) -> Result<Vec<[u32; 4]>, Error> {
         let [width, height] = target.size;
-        let view = |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
         let submission = self.guarded(label, 0, || {
-            let (seen, depth) = (view(&target.seen), view(&target.depth));
             let mut encoder =
                 self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
             {
                 let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
                     label: Some(label),
                     color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                        view: &seen,
+                        view: &target.seen_view,
                         depth_slice: None,
                         resolve_target: None,
                         ops: wgpu::Operations {
@@ -180,7 +166,7 @@ impl Context {
                         },
                     })],
                     depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                        view: &depth,
+                        view: &target.depth_view,
                         depth_ops: Some(wgpu::Operations {
                             load: wgpu::LoadOp::Clear(0.0),
                             store: wgpu::StoreOp::Discard,
@@ -210,11 +196,14 @@ impl Context {
                 },
                 target.seen.size(),
             );
-            self.submit(Some(encoder.finish()))
+            target.result.record(&mut encoder, &target.rows, 0, target.rows.size());
+            let submission = self.submit(Some(encoder.finish()));
+            target.result.map(target.rows.size());
+            submission
         })?;
         self.wait(label, &submission, progress)?;
         let mut pixels = vec![[0u32; 4]; target.stride as usize * height as usize];
-        self.read(label, &target.rows, &mut pixels, progress)?;
+        self.finish(label, &target.result, &mut pixels)?;
         let rows = pixels.chunks_exact(target.stride as usize);
         Ok(rows.flat_map(|row| &row[..width as usize]).copied().collect())
     }

@@ -6,7 +6,7 @@
 //! pixels that the CPU drew.
 
 use super::SceneShadows;
-use super::device_buffers::{Buffers, MOST_BEAMS, MOST_PARTS};
+use super::device_buffers::{Buffers, STAGE_BYTES};
 use super::gbuffer::DeviceSeen;
 use super::gpu::{DeviceScene, work_of};
 use super::light_buffer::{LightBuffer, parts_of, stride};
@@ -14,25 +14,28 @@ use super::light_rays::{LightWork, PARTS};
 use super::lit_surface::{BIAS_TRIANGLE, LitSurface, SceneLight};
 use super::pass::Pass;
 use crate::error::Error;
-use crate::gpu::layout::{Answer, PieceParams, SurfaceLight, SurfaceParams};
+use crate::gpu::Context;
+use crate::gpu::constants::scene_counts::{
+    GROUP, SPREAD, STAGE_CONES, STAGE_DISCS, STAGE_EDGES, STAGE_PARTS, STAGE_RAYS, STAGE_TILES, TILE,
+};
+use crate::gpu::layout::{Answer, BeamParams, SurfaceLight, SurfaceParams, TileParams};
+use crate::gpu::pace::{Items, by_rate};
+use crate::gpu::pipeline::{BoundRange, Dispatch, DispatchSize, whole};
+use crate::gpu::shader::Instead;
 use crate::progress::Progress;
 use rayon::prelude::*;
+use std::ops::Range;
+use std::sync::{Mutex, PoisonError};
 
 /// Largest distance of the eye from the middle of the scene, scene units. The device computes positions in float32
 /// along the ray, and a position must be precise to a fraction of a voxel.
 const MOST_DISTANCE: f64 = 16.0;
-/// Number of invocations of a workgroup, as in the shader.
-const GROUP: u32 = 64;
 /// Value of [`Answer::is_proven`] for a disc whose fraction is the mean of its parts, as in the shader.
 const DIVIDED: u32 = 2;
-
-/// Kinds of counts, as in the shader.
-#[derive(Clone, Copy)]
-enum Count {
-    Beams,
-    Discs,
-    Edges,
-}
+/// Largest number of answers in memory at a time: 40 MiB.
+const MOST_ANSWERS: u64 = 1 << 21;
+/// Number of tiles of the first submission if the time for one is unknown: 256 beams of one light.
+const FIRST_TILES: u64 = 4;
 
 /// Lights the faces that the device found. Returns false if the method does not apply to the picture.
 pub(crate) fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut LightBuffer) -> Result<bool, Error> {
@@ -63,19 +66,59 @@ pub(crate) fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut Lig
         *row = light_row(light, pass.options.shadows);
     }
     let rows = &view.lights[..lights];
-    let kinds = [rows.iter().any(|row| row.size > 0.0), rows.iter().any(|row| row.size <= 0.0)];
-    let work = FaceLight { pass, device, seen, progress: pass.progress, buffers: device.light.on(device.context())? };
-    device.context().write("view of surfaces", &work.buffers.view, 0, &[view])?;
-
-    let width = pass.options.size[0] as usize;
-    let pixels = width * pass.options.size[1] as usize;
-    let chunk = (MOST_BEAMS / lights).min(pixels);
-    for first in (0..pixels).step_by(chunk) {
-        let count = chunk.min(pixels - first);
-        let answers = work.answers(first, count, lights, kinds)?;
-        take(pass, known, first, &answers)?;
+    let has_cones = rows.iter().any(|row| row.size > 0.0);
+    let has_rays = rows.iter().any(|row| row.size <= 0.0);
+    let faces = pass.buffer.rows.iter().flatten().filter(|layer| layer.is_from_device).count();
+    if faces == 0 {
+        return Ok(true);
+    }
+    let context = device.context();
+    let tiles = Tiles::of(pass.options.size);
+    (view.height, view.tile_columns) = (pass.options.size[1], tiles.columns);
+    (view.tile_count, view.tile_step) = (tiles.count, tiles.step);
+    let tile_answers = u64::from(GROUP) * lights as u64;
+    let chunk = (MOST_ANSWERS / tile_answers).min(tiles.places());
+    let buffers = device.light.on(context, chunk * tile_answers)?;
+    context.write("view of surfaces", &buffers.view, 0, &[view])?;
+    buffers.set_beam_params(context, DeviceScene::beam_params(pass.casters))?;
+    let work = FaceLight::new(device, seen, &buffers, [has_cones, has_rays])?;
+    let cost = (faces * lights) as f64 / tiles.places() as f64;
+    for start in (0..tiles.places()).step_by(chunk as usize) {
+        let count = chunk.min(tiles.places() - start);
+        let answers = work.answers(start, count, tile_answers, cost, pass.progress)?;
+        let range = start as u32..(start + count) as u32;
+        take(pass, known, &tiles, range, &answers)?;
     }
     Ok(true)
+}
+
+/// The tiles of a picture: squares of [`TILE`] pixels. The device processes them in an order in which [`SPREAD`]
+/// consecutive tiles are spread evenly over the picture: a tile's place in this order, `place`, is at
+/// `place % SPREAD * step + place / SPREAD` in the picture.
+struct Tiles {
+    columns: u32,
+    count: u32,
+    step: u32,
+}
+
+impl Tiles {
+    fn of([width, height]: [u32; 2]) -> Self {
+        let columns = width.div_ceil(TILE);
+        let count = columns * height.div_ceil(TILE);
+        Self { columns, count, step: count.div_ceil(SPREAD) }
+    }
+
+    /// Number of places in the order, some of which may have no tile.
+    fn places(&self) -> u64 {
+        u64::from(self.step) * u64::from(SPREAD)
+    }
+
+    /// The place of a pixel's tile, and the number of the pixel in its tile: blocks of 4 x 2 pixels, row by row.
+    fn place(&self, x: u32, y: u32) -> (u32, u32) {
+        let tile = y / TILE * self.columns + x / TILE;
+        let lane = (x & 3) | (y & 1) << 2 | (x & 4) << 1 | (y & 6) << 3;
+        (tile % self.step * SPREAD + tile / self.step, lane)
+    }
 }
 
 fn light_row(light: &SceneLight, shadows: SceneShadows) -> SurfaceLight {
@@ -87,27 +130,29 @@ fn light_row(light: &SceneLight, shadows: SceneShadows) -> SurfaceLight {
     SurfaceLight { place: place.as_vec3().to_array(), size, is_point, ..SurfaceLight::default() }
 }
 
-/// Stores the answers for a range of pixels.
-fn take(pass: &Pass<'_>, known: &mut LightBuffer, first: usize, answers: &[Answer]) -> Result<(), Error> {
+/// Stores the answers for a range of places of tiles.
+fn take(
+    pass: &Pass<'_>,
+    known: &mut LightBuffer,
+    tiles: &Tiles,
+    range: Range<u32>,
+    answers: &[Answer],
+) -> Result<(), Error> {
     let scene = pass.casters.scene;
-    let width = pass.options.size[0] as usize;
     let lights = pass.lights.lights.len();
-    let range = first..first + answers.len() / lights;
     known.rows.par_iter_mut().enumerate().try_for_each(|(y, row)| {
-        if (y + 1) * width <= range.start || y * width >= range.end {
-            return Ok(());
-        }
         let mut total = LightWork::default();
         for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
-            let pixel = y * width + layer.x as usize;
-            if !layer.is_from_device || !range.contains(&pixel) {
+            let (place, lane) = tiles.place(layer.x, y as u32);
+            if !layer.is_from_device || !range.contains(&place) {
                 continue;
             }
             let surface = LitSurface::new(scene, pass.buffer, y, layer);
             if surface.scatters(scene) {
                 continue;
             }
-            let mut found = answers[(pixel - first) * lights..][..lights].iter();
+            let first = ((place - range.start) * GROUP + lane) as usize * lights;
+            let mut found = answers[first..][..lights].iter();
             let values = &mut row.values[i * stride(lights)..][..stride(lights)];
             if let Some(work) = take_pixel(pass, &surface, &mut found, values) {
                 row.work[i] = work;
@@ -166,120 +211,180 @@ fn take_pixel(
 }
 
 /// The kernels on the buffers of one picture.
+///
+/// A submission has the following dispatches for each bunch of tiles that fits into the buffers. The device counts the
+/// items of each, and a kernel with one invocation writes the number of workgroups of the next
+/// (`shaders/scene_stages.wgsl`), so the host needs no count.
+///
+/// ```text
+///   next_tiles, surface_beams, count_beams     beams of the lights on the visible faces
+///   cones, rays                                their answers
+///   collect_discs                              discs that one cone does not decide
+///   rounds, each for some of these discs:
+///     next_discs, divide, cones                their parts, and the answers of the parts
+///     collect_edges, count_edges, edge_cones   parts that need a ray past an edge
+///     join_parts                               answers of the discs
+/// ```
 struct FaceLight<'a> {
-    pass: &'a Pass<'a>,
-    device: &'a DeviceScene,
-    seen: &'a DeviceSeen,
-    progress: &'a Progress,
+    context: &'a Context,
+    rate: &'a Mutex<f64>,
     buffers: &'a Buffers,
+    /// Kernels of a bunch, and those of each round.
+    bunch: Vec<Kernel>,
+    round: Vec<Kernel>,
 }
 
-impl FaceLight<'_> {
-    /// The answers for some pixels. `kinds`: whether any light needs cones, and whether any needs rays.
-    fn answers(&self, first: usize, count: usize, lights: usize, kinds: [bool; 2]) -> Result<Vec<Answer>, Error> {
-        let buffers = self.buffers;
-        let mut clears = 1;
-        for (is_wanted, wants_cones) in kinds.into_iter().zip([1, 0]) {
-            if !is_wanted {
-                continue;
-            }
-            self.reset_counts()?;
-            let bindings = [
-                (0, &self.seen.rows),
-                (1, &buffers.view),
-                (3, self.device.instances()),
-                (7, &self.seen.pixels),
-                (8, self.device.faces().expect("checked before")),
-                (9, &buffers.beams),
-                (10, &buffers.answers),
-                (11, &buffers.counts),
-            ];
-            let piece = PieceParams { first: first as u32, count: count as u32, wants_cones, clears };
-            self.dispatch("surface_beams", piece, &bindings)?;
-            clears = 0;
-            let beams = self.count(Count::Beams)?;
-            if wants_cones == 0 {
-                self.run("rays", &buffers.beams, &buffers.answers, beams)?;
-                continue;
-            }
-            self.run("cones", &buffers.beams, &buffers.answers, beams)?;
-            for first in (0..beams).step_by(MOST_PARTS / PARTS as usize) {
-                self.divide(first, (MOST_PARTS / PARTS as usize).min(beams - first))?;
-            }
+/// A kernel with its buffers.
+struct Kernel {
+    pipeline: wgpu::ComputePipeline,
+    group: wgpu::BindGroup,
+    size: Size,
+}
+
+/// Number of workgroups of a kernel: one, one for each tile of the bunch, or that of a stage.
+#[derive(Clone, Copy)]
+enum Size {
+    One,
+    Tiles,
+    Stage(u32),
+}
+
+impl<'a> FaceLight<'a> {
+    /// The kernels for a picture. The last argument tells whether any light needs cones, and whether any needs rays.
+    fn new(
+        device: &'a DeviceScene,
+        seen: &DeviceSeen,
+        buffers: &'a Buffers,
+        [has_cones, has_rays]: [bool; 2],
+    ) -> Result<Self, Error> {
+        let Buffers { view, counts, groups, params, beams, answers, discs, parts, part_answers, edges, .. } = buffers;
+        let texts = device.texts();
+        let kernel = |name, file, entry, texts: &[Instead], bindings: &[BoundRange<'_>], size| {
+            let (pipeline, group) = device.kernel(name, file, entry, texts, bindings)?;
+            Ok::<_, Error>(Kernel { pipeline, group, size })
+        };
+        let stages = |entry: &'static str, bindings: &[(u32, &wgpu::Buffer)]| {
+            let bindings: Vec<_> = bindings.iter().copied().map(whole).collect();
+            kernel(entry, "scene_stages", entry, &[], &bindings, Size::One)
+        };
+        let surfaces = |entry: &'static str, size: Size, bindings: &[(u32, &wgpu::Buffer)]| {
+            let stage = if let Size::Stage(stage) = size { stage } else { STAGE_TILES };
+            let parameters = (2, params, u64::from(stage) * STAGE_BYTES, size_of::<TileParams>() as u64);
+            let bindings: Vec<_> = bindings.iter().copied().map(whole).chain([parameters]).collect();
+            kernel(entry, "scene_surfaces", entry, &[], &bindings, size)
+        };
+        let evaluate = |name, entry, stage: u32, beams, answers| {
+            let parameters = (0, params, u64::from(stage) * STAGE_BYTES, size_of::<BeamParams>() as u64);
+            let bindings = device.beam_bindings(entry, parameters, beams, answers);
+            kernel(name, "scene_beams", entry, &texts, &bindings, Size::Stage(stage))
+        };
+        let faces = device.faces().expect("checked before");
+        let of_surfaces = [
+            (0, &seen.rows),
+            (1, view),
+            (3, device.instances()),
+            (7, &seen.pixels),
+            (8, faces),
+            (9, beams),
+            (10, answers),
+            (11, counts),
+        ];
+        let mut bunch = vec![
+            stages("next_tiles", &[(0, counts), (2, params)])?,
+            surfaces("surface_beams", Size::Tiles, &of_surfaces)?,
+            stages("count_beams", &[(0, counts), (1, groups), (2, params)])?,
+        ];
+        let mut round = Vec::new();
+        if has_rays {
+            bunch.push(evaluate("rays of surfaces", "rays", STAGE_RAYS, beams, answers)?);
         }
-        let mut answers = vec![Answer::default(); count * lights];
-        self.device.context().read("answers", &buffers.answers, &mut answers, self.progress)?;
+        if has_cones {
+            let cones = Size::Stage(STAGE_CONES);
+            let (of_discs, of_parts) = (Size::Stage(STAGE_DISCS), Size::Stage(STAGE_PARTS));
+            bunch.push(evaluate("cones of surfaces", "cones", STAGE_CONES, beams, answers)?);
+            bunch.push(surfaces("collect_discs", cones, &[(9, beams), (10, answers), (11, counts), (13, discs)])?);
+            round.push(stages("next_discs", &[(0, counts), (1, groups), (2, params)])?);
+            round.push(surfaces("divide", of_discs, &[(9, beams), (12, parts), (13, discs)])?);
+            round.push(evaluate("cones of parts", "cones", STAGE_PARTS, parts, part_answers)?);
+            let at_edges = [(9, parts), (10, part_answers), (11, counts), (12, edges)];
+            round.push(surfaces("collect_edges", of_parts, &at_edges)?);
+            round.push(stages("count_edges", &[(0, counts), (1, groups), (2, params)])?);
+            round.push(evaluate("cones at edges", "edge_cones", STAGE_EDGES, edges, part_answers)?);
+            let joined = [(9, beams), (10, answers), (13, discs), (14, part_answers)];
+            round.push(surfaces("join_parts", of_discs, &joined)?);
+        }
+        Ok(Self { context: device.context(), rate: &device.light_rate, buffers, bunch, round })
+    }
+
+    /// The answers for `count` places of tiles from `start` on, with `tile_answers` each and this mean cost.
+    fn answers(
+        &self,
+        start: u64,
+        count: u64,
+        tile_answers: u64,
+        cost: f64,
+        progress: &Progress,
+    ) -> Result<Vec<Answer>, Error> {
+        let (context, buffers) = (self.context, self.buffers);
+        let mut answers = vec![Answer::default(); (count * tile_answers) as usize];
+        let bytes = size_of_val(&answers[..]) as u64;
+        let result = buffers.result(context)?;
+        let bunch = u64::from(buffers.beams_fit) / tile_answers;
+        let items = Items { count, smallest: FIRST_TILES, cost };
+        let rate = || self.rate.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut found = *rate();
+        by_rate(context, "the scene's light", &items, &mut found, progress, |first, tiles| {
+            let params =
+                TileParams { count: bunch as u32, next: (start + first) as u32, start: start as u32, first: 0 };
+            let offset = u64::from(STAGE_TILES) * STAGE_BYTES;
+            context.write("tiles of surfaces", &buffers.params, offset, &[params])?;
+            let mut dispatches = Vec::new();
+            for from in (0..tiles).step_by(bunch as usize) {
+                let size = bunch.min(tiles - from);
+                let rounds = (size * tile_answers).div_ceil(u64::from(buffers.discs_fit));
+                let rounds = std::iter::repeat_n(&self.round, rounds as usize).flatten();
+                dispatches.extend(self.bunch.iter().chain(rounds).map(|kernel| kernel.dispatch(buffers, size as u32)));
+            }
+            let copy = (first + tiles == count).then_some((&buffers.answers, bytes, &result));
+            Ok(context.submit_all("the scene's light", &dispatches, copy)?)
+        })?;
+        *rate() = found;
+        context.finish("answers", &result, &mut answers)?;
+        buffers.keep_result(result);
         Ok(answers)
     }
+}
 
-    /// Evaluates the discs among the beams that one cone did not decide, by the parts of each disc.
-    fn divide(&self, first: usize, count: usize) -> Result<(), Error> {
-        let buffers = self.buffers;
-        self.reset_counts()?;
-        let piece = PieceParams { first: first as u32, count: count as u32, ..PieceParams::default() };
-        let bindings = [
-            (9, &buffers.beams),
-            (10, &buffers.answers),
-            (11, &buffers.counts),
-            (12, &buffers.parts),
-            (13, &buffers.parents),
-        ];
-        self.dispatch("divide", piece, &bindings)?;
-        let discs = self.count(Count::Discs)?;
-        if discs == 0 {
-            return Ok(());
+impl Kernel {
+    fn dispatch<'a>(&'a self, buffers: &'a Buffers, tiles: u32) -> Dispatch<'a> {
+        let size = match self.size {
+            Size::One => DispatchSize::Known([1, 1, 1]),
+            Size::Tiles => DispatchSize::Known([tiles, 1, 1]),
+            Size::Stage(stage) => DispatchSize::At(&buffers.groups, u64::from(stage) * size_of::<[u32; 4]>() as u64),
+        };
+        Dispatch { pipeline: &self.pipeline, group: &self.group, size }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_pixel_has_a_place_of_its_own() {
+        for size in [[1, 1], [8, 8], [9, 1], [161, 97], [640, 481]] {
+            let tiles = Tiles::of(size);
+            let mut is_used = vec![false; tiles.places() as usize * GROUP as usize];
+            for (y, x) in (0..size[1]).flat_map(|y| (0..size[0]).map(move |x| (y, x))) {
+                let (place, lane) = tiles.place(x, y);
+                // The shader's map from places to pixels.
+                let at = place % SPREAD * tiles.step + place / SPREAD;
+                assert!(at < tiles.count);
+                assert_eq!(at % tiles.columns * TILE + (lane & 3) + ((lane >> 1) & 4), x);
+                assert_eq!(at / tiles.columns * TILE + ((lane >> 2) & 1) + ((lane >> 3) & 6), y);
+                let slot = (place * GROUP + lane) as usize;
+                assert!(!std::mem::replace(&mut is_used[slot], true), "{x}, {y}");
+            }
         }
-        self.run("cones", &buffers.parts, &buffers.part_answers, discs * PARTS as usize)?;
-        self.edges(&buffers.parts, &buffers.part_answers, discs * PARTS as usize)?;
-        let piece = PieceParams { count: discs as u32, ..PieceParams::default() };
-        let bindings = [(10, &buffers.answers), (13, &buffers.parents), (14, &buffers.part_answers)];
-        self.dispatch("join_parts", piece, &bindings)
-    }
-
-    /// Evaluates the cones that need a ray past an edge.
-    fn edges(&self, beams: &wgpu::Buffer, answers: &wgpu::Buffer, count: usize) -> Result<(), Error> {
-        let buffers = self.buffers;
-        self.reset_counts()?;
-        let piece = PieceParams { count: count as u32, ..PieceParams::default() };
-        let bindings = [(9, beams), (10, answers), (11, &buffers.counts), (12, &buffers.edges)];
-        self.dispatch("collect_edges", piece, &bindings)?;
-        let edges = self.count(Count::Edges)?;
-        self.run("edge_cones", &buffers.edges, answers, edges)
-    }
-
-    fn run(
-        &self,
-        entry: &'static str,
-        beams: &wgpu::Buffer,
-        answers: &wgpu::Buffer,
-        count: usize,
-    ) -> Result<(), Error> {
-        let params = DeviceScene::beam_params(self.pass.casters);
-        self.device.run(entry, params, beams, answers, count, self.progress)
-    }
-
-    fn dispatch(
-        &self,
-        entry: &'static str,
-        piece: PieceParams,
-        bindings: &[(u32, &wgpu::Buffer)],
-    ) -> Result<(), Error> {
-        let context = self.device.context();
-        context.write("piece of surfaces", &self.buffers.piece, 0, &[piece])?;
-        let kernel = context.kernel_with("scene_surfaces", entry, &[])?;
-        let all: Vec<_> = bindings.iter().copied().chain([(2, &self.buffers.piece)]).collect();
-        let group = context.bind("scene_surfaces", &kernel, &all)?;
-        context.dispatch("scene_surfaces", &kernel, &group, [piece.count.div_ceil(GROUP), 1, 1])?;
-        Ok(())
-    }
-
-    fn reset_counts(&self) -> Result<(), Error> {
-        Ok(self.device.context().write("counts of beams", &self.buffers.counts, 0, &[0u32; 4])?)
-    }
-
-    fn count(&self, which: Count) -> Result<usize, Error> {
-        let mut counts = [0u32; 4];
-        self.device.context().read("counts of beams", &self.buffers.counts, &mut counts, self.progress)?;
-        Ok(counts[which as usize] as usize)
     }
 }

@@ -17,8 +17,10 @@ use super::{Instance, Scene};
 use crate::error::Error;
 use crate::geometry::Aabb;
 use crate::gpu::Context;
-use crate::gpu::layout::{Answer, Beam, BeamParams, SceneInstance, SceneNode};
+use crate::gpu::layout::{Answer, Beam, BeamParams, RasterInstance, SceneInstance, SceneNode};
 use crate::gpu::pace::in_groups_from;
+use crate::gpu::pipeline::{AnyPipeline, BindGroups, BoundRange, whole};
+use crate::gpu::raster::RasterTarget;
 use crate::gpu::shader::Instead;
 use crate::gpu::table::Table;
 use crate::progress::Progress;
@@ -51,6 +53,33 @@ pub(crate) struct DeviceScene {
     knows: Vec<bool>,
     /// Numbers of workgroups with which the kernels of beams start, by entry point.
     paces: Mutex<HashMap<&'static str, u64>>,
+    /// Time for the light on a face by one light, s; 0 if it is unknown.
+    pub(super) light_rate: Mutex<f64>,
+    pub(super) groups: BindGroups,
+    /// Memory of the primary pass.
+    pub(super) raster: Mutex<RasterMemory>,
+}
+
+/// Memory of the primary pass, allocated at the first use.
+#[derive(Default)]
+pub(crate) struct RasterMemory {
+    /// Rows of the drawn instances.
+    pub rows: Option<Table<RasterInstance>>,
+    pub target: Option<RasterTarget>,
+}
+
+impl RasterMemory {
+    /// Replaces the rows of the drawn instances. Returns their buffer.
+    pub(crate) fn set_rows(&mut self, context: &Context, rows: Vec<RasterInstance>) -> Result<wgpu::Buffer, Error> {
+        let table = match self.rows.take() {
+            Some(mut table) => {
+                table.set(context, rows)?;
+                table
+            }
+            None => Table::new(context, "raster instances", rows)?,
+        };
+        Ok(self.rows.insert(table).buffer().clone())
+    }
 }
 
 /// The fields of a scene in device memory.
@@ -125,6 +154,9 @@ impl DeviceScene {
             light: LightBuffers::default(),
             knows,
             paces: Mutex::default(),
+            light_rate: Mutex::default(),
+            groups: BindGroups::default(),
+            raster: Mutex::default(),
         })
     }
 
@@ -135,6 +167,7 @@ impl DeviceScene {
         if !fields_of(scene, far).all(|field| self.fields.known.contains_key(&address(field))) {
             self.fields = Fields::upload(context, scene, far)?;
             self.paces = Mutex::default();
+            self.light_rate = Mutex::default();
         }
         let (rows, knows) = self.fields.rows(scene, far);
         self.knows = knows;
@@ -240,6 +273,49 @@ impl DeviceScene {
         self.evaluate("thicknesses", BeamParams { far: NO_FAR, ..BeamParams::default() }, beams, progress)
     }
 
+    /// The buffers of a kernel that evaluates beams.
+    pub(crate) fn beam_bindings<'a>(
+        &'a self,
+        entry: &str,
+        params: BoundRange<'a>,
+        beams: &'a wgpu::Buffer,
+        answers: &'a wgpu::Buffer,
+    ) -> Vec<BoundRange<'a>> {
+        let scene = [
+            (1, self.nodes.buffer()),
+            (2, self.items.buffer()),
+            (3, self.instances.buffer()),
+            (4, &self.fields.records),
+            (5, &self.fields.samples),
+            (6, &self.fields.blocks),
+            (7, beams),
+            (8, answers),
+        ];
+        // The layout contains only the buffers that the entry point reads: a thickness needs no tree, and the distance
+        // of a dense grid no blocks.
+        let unused: &[u32] = match (entry, self.fields.kinds.sparse) {
+            ("rays" | "cones" | "edge_cones", _) => &[],
+            (_, true) => &[1, 2],
+            (_, false) => &[1, 2, 6],
+        };
+        let used = scene.into_iter().filter(|(binding, _)| !unused.contains(binding));
+        std::iter::once(params).chain(used.map(whole)).collect()
+    }
+
+    /// A kernel and its buffers. `name` is one of a kernel with these buffers.
+    pub(crate) fn kernel(
+        &self,
+        name: &'static str,
+        file: &'static str,
+        entry: &'static str,
+        instead: &[Instead],
+        bindings: &[BoundRange<'_>],
+    ) -> Result<(wgpu::ComputePipeline, wgpu::BindGroup), Error> {
+        let pipeline = self.context.kernel_with(file, entry, instead)?;
+        let group = self.groups.get(&self.context, name, AnyPipeline::Compute(pipeline.clone()), bindings)?;
+        Ok((pipeline, group))
+    }
+
     fn evaluate(
         &self,
         entry: &'static str,
@@ -276,26 +352,9 @@ impl DeviceScene {
         let context = &self.context;
         let uniform = context.uniform("beam parameters", &params)?;
         let kernel = context.kernel_with("scene_beams", entry, &self.texts())?;
-        let all = [
-            (0, &uniform),
-            (1, self.nodes.buffer()),
-            (2, self.items.buffer()),
-            (3, self.instances.buffer()),
-            (4, &self.fields.records),
-            (5, &self.fields.samples),
-            (6, &self.fields.blocks),
-            (7, beams),
-            (8, answers),
-        ];
-        // The layout contains only the buffers that the entry point reads: a thickness needs no tree, and the distance
-        // of a dense grid no blocks.
-        let unused: &[u32] = match (entry, self.fields.kinds.sparse) {
-            ("rays" | "cones" | "edge_cones", _) => &[],
-            (_, true) => &[1, 2],
-            (_, false) => &[1, 2, 6],
-        };
-        let used: Vec<_> = all.into_iter().filter(|(binding, _)| !unused.contains(binding)).collect();
-        let group = context.bind("scene_beams", &kernel, &used)?;
+        let bindings = self.beam_bindings(entry, whole((0, &uniform)), beams, answers);
+        let bindings: Vec<_> = bindings.into_iter().map(|(binding, buffer, ..)| (binding, buffer)).collect();
+        let group = context.bind("scene_beams", &kernel, &bindings)?;
         let paces = || self.paces.lock().unwrap_or_else(PoisonError::into_inner);
         let mut size = paces().get(entry).copied().unwrap_or(0);
         in_groups_from(context, "the scene's light", count, &mut size, progress, |first, count, workgroups| {

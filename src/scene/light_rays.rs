@@ -35,8 +35,7 @@ pub struct LightCone<'a> {
     pub slope: f32,
 }
 
-/// Number of cones that divide a light's disc if one is not sufficient.
-pub(crate) const PARTS: u32 = 16;
+pub(crate) use crate::gpu::constants::scene_counts::PARTS;
 
 /// Two unit vectors at right angles to a unit vector and to each other (Duff et al., *Building an orthonormal basis,
 /// revisited*, JCGT 6(1), 2017).

@@ -15,12 +15,14 @@ use super::{Instance, Material, Primary, RenderOptions, Scene};
 use crate::error::Error;
 use crate::geometry::Aabb;
 use crate::gpu::layout::RasterInstance;
+use crate::gpu::pipeline::{AnyPipeline, whole};
 use crate::gpu::raster::Draw;
 use crate::progress::Progress;
 use crate::render::Camera;
 use glam::{DAffine3, DMat3, DVec3};
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::PoisonError;
 
 /// For each instance, whether the CPU must still draw it or some of its faces; None if the device draws all visible
 /// ones.
@@ -162,15 +164,20 @@ fn seen_by_device(
     drawn.sort_by_key(|(span, i)| (span.as_ref().map_or(u32::MAX, |span| span.start), *i));
     let rows: Vec<_> = drawn.iter().map(|(span, i)| band.row(*i, span.as_ref())).collect();
 
-    let rows_buffer = context.upload("raster instances", &rows)?;
+    let mut memory = device.raster.lock().unwrap_or_else(PoisonError::into_inner);
+    let rows_buffer = memory.set_rows(context, rows)?;
     let triangles = context.raster_pipeline("scene_triangles", "triangle_corner", "triangle_seen", &[])?;
     let fields = context.raster_pipeline("scene_fields", "box_corner", "field_seen", &device.texts())?;
     let mut bindings = vec![(0, &rows_buffer)];
     bindings.extend((1..).zip(meshes.buffers()));
-    let triangles_group = context.bind_raster("scene_triangles", &triangles, &bindings)?;
+    let group = |name: &'static str, pipeline: &wgpu::RenderPipeline, bindings: &[(u32, &wgpu::Buffer)]| {
+        let bindings: Vec<_> = bindings.iter().copied().map(whole).collect();
+        device.groups.get(context, name, AnyPipeline::Raster(pipeline.clone()), &bindings)
+    };
+    let triangles_group = group("scene_triangles", &triangles, &bindings)?;
     bindings.truncate(1);
     bindings.extend(device.field_bindings());
-    let fields_group = context.bind_raster("scene_fields", &fields, &bindings)?;
+    let fields_group = group("scene_fields", &fields, &bindings)?;
 
     let mut draws = Vec::new();
     let mut first = 0;
@@ -182,9 +189,14 @@ fn seen_by_device(
             None => Draw { pipeline: &fields, group: &fields_group, vertices: 0..36, instances },
         });
     }
-    let target = context.raster_target("primary pass", [view.size[0], row_count])?;
+    let size = [view.size[0], row_count];
+    let target = match memory.target.take().filter(|target| target.size == size) {
+        Some(target) => target,
+        None => context.raster_target("primary pass", size)?,
+    };
     let seen = context.raster("primary pass", &target, &draws, progress)?;
     let (pixels, stride) = target.pixels();
+    memory.target = Some(target);
     Ok((seen, DeviceSeen { pixels, stride, rows: rows_buffer, rays: band.ray }))
 }
 

@@ -105,15 +105,19 @@ gpu_structs! {
         light_count: u32,
         ray_y: [f32; 3],
         bias_voxels: f32,
+        height: u32,
+        tile_columns: u32,
+        tile_count: u32,
+        tile_step: u32,
         lights: [SurfaceLight; 16],
     }
 
     /// `shaders/scene_surfaces.wgsl`.
-    "scene_surfaces": struct PieceParams {
+    "scene_surfaces": struct TileParams {
         first: u32,
         count: u32,
-        wants_cones: u32,
-        clears: u32,
+        next: u32,
+        start: u32,
     }
 
     /// `shaders/shared/scene_view.wgsl`.
