@@ -62,17 +62,16 @@ impl Report {
             closed: topology.closed,
             ..Self::default()
         };
-        report.warnings = orientation_warnings(topology);
+        report.warnings = orientation_warnings(mesh);
         report
     }
 
     /// The report of a query with `points` points, of which `inside` are inside.
     pub fn of_query(mesh: &Mesh, choice: &SignChoice, points: usize, inside: usize) -> Self {
-        let topology = mesh.topology();
-        let mut report = Self::new(mesh, topology, choice);
+        let mut report = Self::new(mesh, mesh.topology(), choice);
         report.points = points;
         report.inside_points = inside;
-        report.warnings = sign_warnings(topology, choice.method);
+        report.warnings = sign_warnings(mesh, choice.method);
         report
     }
 
@@ -111,20 +110,22 @@ impl Report {
 }
 
 /// Warnings about the sign of a surface that hold for all points; none for unsigned distances.
-pub fn sign_warnings(topology: &Topology, method: SignMethod) -> Vec<String> {
+pub fn sign_warnings(mesh: &Mesh, method: SignMethod) -> Vec<String> {
     if method == SignMethod::Unsigned {
         return Vec::new();
     }
-    let mut warnings = orientation_warnings(topology);
+    let topology = mesh.topology();
+    let mut warnings = orientation_warnings(mesh);
     if !topology.closed {
         warnings.push(opening_warning(topology.boundary_edges));
     }
     warnings
 }
 
-fn orientation_warnings(topology: &Topology) -> Vec<String> {
+fn orientation_warnings(mesh: &Mesh) -> Vec<String> {
+    let topology = mesh.topology();
     let mut warnings = Vec::new();
-    if topology.closed && topology.signed_volume < 0.0 {
+    if topology.closed && topology.signed_volume(mesh) < 0.0 {
         warnings.push("the mesh is inside out; it was read as the same solid, right side out".into());
     }
     if topology.flipped_faces > 0 {

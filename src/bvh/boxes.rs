@@ -8,7 +8,7 @@
 //! shorten the range. The items of a leaf are adjacent in [`BoxTree::order`]. A caller that stores its items in that
 //! order needs no further index.
 
-use super::build::{Primitive, bounds_of, split, split_in_half};
+use super::build::{Extent, Primitive, split, split_in_half};
 use crate::geometry::Aabb;
 pub(crate) use crate::gpu::constants::BOX_STACK as MAX_STACK;
 use glam::{DVec3, Vec3};
@@ -52,12 +52,13 @@ impl BoxTree {
             .enumerate()
             .map(|(i, [lower, upper])| {
                 let bounds = Aabb { min: round_down(*lower - center), max: -round_down(center - *upper) };
-                Primitive { bounds, face: i as u32 }
+                Primitive::new(bounds, i as u32)
             })
             .collect();
         let mut nodes = vec![BoxNode { min: Vec3::ZERO, max: Vec3::ZERO, first: 0, count: 0 }];
-        subdivide(&mut primitives, &mut nodes, 0, 0, 0);
-        Self { nodes, order: primitives.iter().map(|primitive| primitive.face).collect(), center }
+        let extent = Extent::of(&primitives);
+        subdivide(&mut primitives, &extent, &mut nodes, 0, 0, 0);
+        Self { nodes, order: primitives.iter().map(|primitive| primitive.index()).collect(), center }
     }
 
     /// Visits the items of all leaves whose box the ray `origin + t direction` intersects for a `t` in `range`, near
@@ -167,25 +168,28 @@ impl BoxTree {
 pub(crate) const DISTANCE_SLACK: f64 = 1e-12;
 
 /// Fills node `index` with a range of items; `start` is the position of the range in the order.
-fn subdivide(primitives: &mut [Primitive], nodes: &mut Vec<BoxNode>, index: usize, start: usize, depth: usize) {
-    let bounds = bounds_of(primitives);
-    let node = |first: usize, count: usize| BoxNode {
-        min: bounds.min,
-        max: bounds.max,
-        first: first as u32,
-        count: count as u32,
-    };
+fn subdivide(
+    primitives: &mut [Primitive],
+    extent: &Extent,
+    nodes: &mut Vec<BoxNode>,
+    index: usize,
+    start: usize,
+    depth: usize,
+) {
+    let Aabb { min, max } = extent.bounds;
+    let node = |first: usize, count: usize| BoxNode { min, max, first: first as u32, count: count as u32 };
     if primitives.len() <= LEAF {
         nodes[index] = node(start, primitives.len());
         return;
     }
-    let (middle, ..) = if depth < HALVE_FROM { split(primitives) } else { split_in_half(primitives) };
+    let (middle, of_left, of_right) =
+        if depth < HALVE_FROM { split(primitives, extent) } else { split_in_half(primitives, &extent.bounds) };
     let first = nodes.len();
     nodes[index] = node(first, 0);
     nodes.extend([node(0, 0); 2]);
     let (left, right) = primitives.split_at_mut(middle);
-    subdivide(left, nodes, first, start, depth + 1);
-    subdivide(right, nodes, first + 1, start + middle, depth + 1);
+    subdivide(left, &of_left, nodes, first, start, depth + 1);
+    subdivide(right, &of_right, nodes, first + 1, start + middle, depth + 1);
 }
 
 /// The t at which a ray enters the box of a node, if it lies in the range.

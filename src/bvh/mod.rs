@@ -5,7 +5,7 @@
 //! the binned surface area heuristic (Wald, *On fast construction of SAH-based bounding volume hierarchies*, 2007); the
 //! largest child is split until there are eight (Ylitie et al. 2017 do this after a binary build).
 //!
-//! *Practice.* [`Bvh::build`] costs about 0.3 us per face and thread, and 110 bytes per face. [`closest`] finds nearest
+//! *Practice.* [`Bvh::build`] costs about 0.3 us of processor time and 110 bytes per face. [`closest`] finds nearest
 //! triangles; other modules traverse the tree with [`Bvh::visit`].
 
 pub(crate) mod binary;

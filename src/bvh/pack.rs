@@ -11,6 +11,7 @@
 use super::WIDTH;
 use super::lanes::mask_within;
 use crate::gpu::layout::Triangle;
+use crate::simd::with_vectors;
 use glam::{DVec2, DVec3, Vec3};
 
 /// One triangle in its own frame.
@@ -39,23 +40,34 @@ struct Offset {
 }
 
 impl TriangleFrame {
-    #[inline]
+    /// Without branches, so that a loop over triangles compiles to vector instructions.
+    #[inline(always)]
     pub fn new([a, b, c]: [DVec3; 3]) -> Self {
         // The longest edge comes first, because its direction is the most accurate.
         let (ab, bc, ca) = (a.distance_squared(b), b.distance_squared(c), c.distance_squared(a));
-        let (a, b, c) = if ca > ab && ca > bc {
-            (c, a, b)
-        } else if bc > ab {
-            (b, c, a)
-        } else {
-            (a, b, c)
+        let (starts_at_c, starts_at_b) = ((ca > ab) & (ca > bc), bc > ab);
+        let choice = |a, b, c| {
+            if starts_at_c {
+                c
+            } else if starts_at_b {
+                b
+            } else {
+                a
+            }
         };
+        let corner =
+            |[a, b, c]: [DVec3; 3]| DVec3::new(choice(a.x, b.x, c.x), choice(a.y, b.y, c.y), choice(a.z, b.z, c.z));
+        let (a, b, c) = (corner([a, b, c]), corner([b, c, a]), corner([c, a, b]));
 
         let u = (b - a).normalize();
         // Perpendicular to u. The cross product of a sliver may consist of rounding only; any plane through the edge is
         // then valid.
         let cross = u.cross(c - a);
-        let n = (cross - u * cross.dot(u)).try_normalize().unwrap_or_else(|| u.any_orthonormal_vector());
+        let across = cross - u * cross.dot(u);
+        let (scale, any) = (across.length_recip(), u.any_orthonormal_vector());
+        let has_normal = (scale > 0.0) & (scale < f64::INFINITY);
+        let select = |x: f64, any: f64| if has_normal { x * scale } else { any };
+        let n = DVec3::new(select(across.x, any.x), select(across.y, any.y), select(across.z, any.z));
         let v = n.cross(u);
         let length = (b - a).length();
         let apex = DVec2::new((c - a).dot(u), (c - a).dot(v));
@@ -134,25 +146,35 @@ const FRAME_FLOATS: usize = size_of::<TriangleFrame>() / size_of::<f32>();
 
 impl Pack {
     pub fn new(positions: &[Vec3], faces: &[[u32; 3]], members: &[u32]) -> Self {
-        let mut pack = Self { frames: [[0.0; WIDTH]; FRAME_FLOATS], faces: [0; WIDTH], count: members.len() as u32 };
-        for lane in 0..WIDTH {
-            // Empty lanes repeat the first triangle.
-            let Some(&face) = members.get(lane) else {
-                for row in &mut pack.frames {
-                    row[lane] = row[0];
+        with_vectors!(
+            (positions: &[Vec3] = positions, faces: &[[u32; 3]] = faces, members: &[u32] = members) -> Pack
+            { Pack::new_portable(positions, faces, members) }
+        )
+    }
+
+    #[inline(always)]
+    fn new_portable(positions: &[Vec3], faces: &[[u32; 3]], members: &[u32]) -> Self {
+        // Empty lanes repeat the first triangle.
+        let faces_of_lanes: [u32; WIDTH] = std::array::from_fn(|lane| *members.get(lane).unwrap_or(&members[0]));
+        // Coordinates by corner, axis and lane.
+        let mut corners = [[[0.0; WIDTH]; 3]; 3];
+        for (lane, &face) in faces_of_lanes.iter().enumerate() {
+            for (corner, &vertex) in corners.iter_mut().zip(&faces[face as usize]) {
+                let position = positions[vertex as usize];
+                for axis in 0..3 {
+                    corner[axis][lane] = position[axis];
                 }
-                pack.faces[lane] = members[0];
-                continue;
-            };
-            let [a, b, c] = faces[face as usize];
-            let corner = |v: u32| positions[v as usize].as_dvec3();
-            let floats = TriangleFrame::new([corner(a), corner(b), corner(c)]).floats();
-            for i in 0..FRAME_FLOATS {
-                pack.frames[i][lane] = floats[i];
             }
-            pack.faces[lane] = face;
         }
-        pack
+        let mut frames = [[0.0; WIDTH]; FRAME_FLOATS];
+        for lane in 0..WIDTH {
+            let corner = |i: usize| DVec3::from([0, 1, 2].map(|axis| f64::from(corners[i][axis][lane])));
+            let floats = TriangleFrame::new([corner(0), corner(1), corner(2)]).floats();
+            for row in 0..FRAME_FLOATS {
+                frames[row][lane] = floats[row];
+            }
+        }
+        Self { frames, faces: faces_of_lanes, count: members.len() as u32 }
     }
 
     /// The faces in this pack.
@@ -235,6 +257,7 @@ impl TriangleFrame {
         Triangle { a, face, u, length, v, left_length, n, right_length, left, right }
     }
 
+    #[inline(always)]
     fn floats(&self) -> [f32; FRAME_FLOATS] {
         let Self { a, u, v, n, length, left, left_length, right, right_length } = *self;
         let mut floats = [0.0; FRAME_FLOATS];

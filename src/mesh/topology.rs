@@ -13,10 +13,12 @@
 //! for an integer winding number everywhere. It allows nested, hollow, touching and self-intersecting surfaces.
 
 use super::Mesh;
-use crate::memory::with_room;
+use crate::memory::{with_room, zeroed_result};
 use glam::{DVec3, Vec3};
-use rayon::prelude::*;
-use rustc_hash::{FxBuildHasher, FxHashMap, FxHashSet};
+use rustc_hash::{FxHashMap, FxHashSet};
+use std::borrow::Cow;
+use std::ops::Range;
+use std::sync::OnceLock;
 
 /// Contribution of a face to the winding number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -44,8 +46,6 @@ pub struct Topology {
     pub components: usize,
     /// Whether there is no opening: the winding number is an integer everywhere.
     pub closed: bool,
-    /// Enclosed volume in local units, negative if the mesh is inside out. Defined for a closed mesh.
-    pub signed_volume: f64,
     /// Net directed edges of the openings, as vertex pairs in the direction in which the faces traverse them, with
     /// repetition.
     pub rim: Vec<[u32; 2]>,
@@ -58,65 +58,71 @@ pub struct Topology {
     /// Whether the areas or the volume of a patch decided its direction. If not, the orientation follows from the
     /// connectivity alone.
     is_weighed: bool,
+    signed_volume: OnceLock<f64>,
 }
 
 /// A patch whose two directions differ in area by less than this fraction is oriented to positive volume.
 const MAJORITY: f64 = 0.6;
 
-/// A directed edge of a face, its vertices sorted.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-struct HalfEdge {
-    low: u32,
-    high: u32,
-    face: u32,
-    /// Whether the face traverses the edge from the higher to the lower vertex.
-    reversed: bool,
-}
-
 impl Topology {
     pub fn of(mesh: &Mesh) -> Self {
-        let welded = weld(mesh);
-        // Degenerate faces close the surface around them. After welding they must still have three corners.
-        let mut faces: Vec<[u32; 3]> = with_room(mesh.faces().len() + mesh.degenerate_faces().len());
-        faces.extend(mesh.faces().iter().chain(mesh.degenerate_faces()).map(|face| face.map(|v| welded[v as usize])));
+        let welded = weld(mesh.positions());
+        let faces = welded_faces(mesh, &welded);
         let mut orientation = vec![Orientation::Kept; faces.len()];
-        let duplicate_faces = skip_duplicates(welded.len(), &faces, &mut orientation);
-
-        let half_edges = half_edges(welded.len(), &faces, &orientation);
-        // Most edges have two faces.
-        let mut edges: Vec<&[HalfEdge]> = with_room(half_edges.len() / 2);
-        edges.extend(half_edges.chunk_by(|a, b| (a.low, a.high) == (b.low, b.high)));
-        let boundary_edges = edges.iter().filter(|edge| edge.len() == 1).count();
-        let nonmanifold_edges = edges.iter().filter(|edge| edge.len() > 2).count();
-
-        let mut bodies = DisjointSets::new(faces.len());
-        let mut patches = DisjointSets::new(faces.len());
-        for edge in &edges {
-            for pair in edge.windows(2) {
-                bodies.join(pair[0].face, pair[1].face, false);
-            }
-            if let [a, b] = edge {
-                // Two faces agree if they traverse their common edge in opposite directions.
-                patches.join(a.face, b.face, a.reversed == b.reversed);
-            }
+        let mut duplicate_faces = 0;
+        let mut half_edges = HalfEdges::of(welded.len(), &faces, &orientation);
+        if half_edges.may_repeat {
+            duplicate_faces = skip_duplicates(&faces, &mut orientation);
+            half_edges = HalfEdges::of(welded.len(), &faces, &orientation);
         }
-        let components = (0..faces.len() as u32)
-            .filter(|&f| orientation[f as usize] != Orientation::Skipped && bodies.root(f).0 == f)
-            .count();
+
+        let (mut boundary_edges, mut nonmanifold_edges) = (0, 0);
+        let mut patches = DisjointSets::new(faces.len());
+        // The edges without exactly two faces. All others are balanced once their patch is oriented.
+        let mut uneven = Vec::new();
+        for edge in half_edges.edges() {
+            if let [a, b] = half_edges.items[edge.range()] {
+                // Two faces agree if they traverse their common edge in opposite directions.
+                patches.join(a.face(), b.face(), a.is_reversed() == b.is_reversed());
+                continue;
+            }
+            boundary_edges += usize::from(edge.range().len() == 1);
+            nonmanifold_edges += usize::from(edge.range().len() > 2);
+            uneven.push(edge);
+        }
         let unorientable_patches = patches.conflicts.len();
-        let (flipped_faces, is_weighed) = orient(mesh, &faces, &edges, &mut patches, &mut orientation);
+        let sides: Vec<(u32, bool)> = (0..faces.len() as u32).map(|f| patches.root(f)).collect();
+        let (flipped_faces, is_weighed) =
+            orient(mesh, &half_edges, &uneven, &sides, &patches.conflicts, &mut orientation);
 
         // The unbalanced edges are the rim of the openings.
         let mut rim = Vec::new();
-        for edge in &edges {
-            let net: i32 = edge
-                .iter()
-                .map(|e| if e.reversed != (orientation[e.face as usize] == Orientation::Flipped) { -1 } else { 1 })
-                .sum();
-            let HalfEdge { low, high, .. } = edge[0];
+        let all_edges: Vec<Edge>;
+        let candidates = if unorientable_patches > 0 {
+            all_edges = half_edges.edges().collect();
+            &all_edges
+        } else {
+            &uneven
+        };
+        for edge in candidates {
+            let items = &half_edges.items[edge.range()];
+            let is_reversed =
+                |e: &HalfEdge| e.is_reversed() != (orientation[e.face() as usize] == Orientation::Flipped);
+            let net: i32 = items.iter().map(|e| if is_reversed(e) { -1 } else { 1 }).sum();
+            let (low, high) = (edge.low, items[0].high());
             let walked = if net > 0 { [low, high] } else { [high, low] };
             rim.extend(std::iter::repeat_n(walked, net.unsigned_abs() as usize));
         }
+
+        // Faces at an edge of more than two faces belong to one component, but not to one patch.
+        let mut bodies = patches;
+        for edge in &uneven {
+            for pair in half_edges.items[edge.range()].windows(2) {
+                bodies.join(pair[0].face(), pair[1].face(), false);
+            }
+        }
+        let is_first = |&f: &u32| orientation[f as usize] != Orientation::Skipped && bodies.root(f).0 == f;
+        let components = (0..faces.len() as u32).filter(is_first).count();
         orientation.truncate(mesh.faces().len());
         let body = (0..orientation.len() as u32).map(|f| bodies.root(f).0).collect();
 
@@ -128,22 +134,26 @@ impl Topology {
             unorientable_patches,
             components,
             closed: rim.is_empty(),
-            signed_volume: signed_volume(mesh, &orientation),
             rim,
             welded,
             orientation,
             body,
             is_weighed,
+            signed_volume: OnceLock::new(),
         }
     }
 
     /// The connectivity of `mesh`, which has the same faces at moved vertices. None if it may differ from this one:
     /// other vertices coincide, or areas decide the direction of a patch.
     pub fn follow(&self, mesh: &Mesh) -> Option<Self> {
-        if self.is_weighed || !is_welded(mesh, &self.welded) {
-            return None;
-        }
-        Some(Self { signed_volume: signed_volume(mesh, &self.orientation), ..self.clone() })
+        let is_equal = !self.is_weighed && weld(mesh.positions()) == self.welded;
+        is_equal.then(|| Self { signed_volume: OnceLock::new(), ..self.clone() })
+    }
+
+    /// Volume that the oriented faces enclose, local units; negative if the mesh is inside out. Defined for a closed mesh.
+    pub fn signed_volume(&self, mesh: &Mesh) -> f64 {
+        let volume = |f: usize| direction(self.orientation[f]) * volume_under(mesh, f);
+        *self.signed_volume.get_or_init(|| (0..mesh.faces().len()).map(volume).sum())
     }
 
     /// Whether the faces of a component, in the directions of the input, enclose a negative volume. The mesh is closed.
@@ -188,106 +198,183 @@ pub(crate) fn direction(orientation: Orientation) -> f64 {
     }
 }
 
-/// For each vertex the lowest index with the same position, where -0 equals 0.
-fn weld(mesh: &Mesh) -> Vec<u32> {
-    // Keys stored beside their rows sort several times faster than keys that are looked up.
-    let mut order: Vec<([u32; 3], u32)> = with_room(mesh.positions().len());
-    order.extend(mesh.positions().iter().map(position_key).zip(0..));
-    order.par_sort_unstable();
-    let mut welded = vec![0; order.len()];
-    for group in order.chunk_by(|a, b| a.0 == b.0) {
-        for &(_, v) in group {
-            welded[v as usize] = group[0].1;
+/// The lowest index of a vertex with the same position, for each vertex.
+fn weld(positions: &[Vec3]) -> Vec<u32> {
+    const FREE: u32 = u32::MAX;
+    // A table of the first vertex at each position, at most half full. A position is found at the place of its hash, or
+    // behind it.
+    let size = (2 * positions.len()).next_power_of_two().max(2);
+    let mut table = vec![FREE; size];
+    let first_at = |(p, v): (&Vec3, u32)| {
+        let mut place = (position_hash(p) >> (u64::BITS - size.trailing_zeros())) as usize;
+        loop {
+            let first = table[place];
+            if first == FREE {
+                table[place] = v;
+                return v;
+            }
+            if positions[first as usize] == *p {
+                return first;
+            }
+            place = (place + 1) % size;
         }
+    };
+    positions.iter().zip(0..).map(first_at).collect()
+}
+
+/// A number that equal positions share, where -0 equals 0. Its upper bits depend on all bits of the position.
+#[inline(always)]
+fn position_hash(p: &Vec3) -> u64 {
+    /// Odd, with about as many ones as zeros: 2^64 divided by the golden ratio.
+    const FACTOR: u64 = 0x9E37_79B9_7F4A_7C15;
+    let [x, y, z] = [p.x, p.y, p.z].map(|coordinate| u64::from((coordinate + 0.0).to_bits()));
+    let first = (x | y << 32).wrapping_mul(FACTOR);
+    ((first ^ first >> 32) + z).wrapping_mul(FACTOR)
+}
+
+/// All faces with their welded vertices. Degenerate faces close the surface around them; after welding they must still
+/// have three corners.
+fn welded_faces<'a>(mesh: &'a Mesh, welded: &[u32]) -> Cow<'a, [[u32; 3]]> {
+    let are_welded = welded.iter().zip(0..).all(|(&first, v)| first == v);
+    if are_welded && mesh.degenerate_faces().is_empty() {
+        return Cow::Borrowed(mesh.faces());
     }
-    welded
+    let mut faces: Vec<[u32; 3]> = with_room(mesh.faces().len() + mesh.degenerate_faces().len());
+    faces.extend(mesh.faces().iter().chain(mesh.degenerate_faces()).map(|face| face.map(|v| welded[v as usize])));
+    Cow::Owned(faces)
 }
 
-/// A key that equal positions share, where -0 equals 0.
-fn position_key(p: &Vec3) -> [u32; 3] {
-    [(p.x + 0.0).to_bits(), (p.y + 0.0).to_bits(), (p.z + 0.0).to_bits()]
-}
-
-/// Whether `welded` is the result of [`weld`], in linear time.
-fn is_welded(mesh: &Mesh, welded: &[u32]) -> bool {
-    let positions = mesh.positions();
-    let mut seen = FxHashSet::with_capacity_and_hasher(positions.len(), FxBuildHasher);
-    welded.iter().enumerate().all(|(v, &first)| {
-        if first as usize == v {
-            seen.insert(position_key(&positions[v]))
-        } else {
-            positions[v] == positions[first as usize]
-        }
-    })
-}
-
-/// Marks every face with the same three corners as an earlier one.
-fn skip_duplicates(vertices: usize, faces: &[[u32; 3]], orientation: &mut [Orientation]) -> usize {
-    let corners = |face: &[u32; 3]| {
+/// Marks every face with the same three corners as an earlier one, and faces that lost a corner to welding, which have
+/// no orientation. Returns the number of the former.
+fn skip_duplicates(faces: &[[u32; 3]], orientation: &mut [Orientation]) -> usize {
+    let mut seen = FxHashSet::default();
+    let mut duplicates = 0;
+    for (face, orientation) in faces.iter().zip(orientation) {
         let mut corners = *face;
         corners.sort_unstable();
-        corners
-    };
-    let order = sort_by_vertex(vertices, faces.iter().map(corners).zip(0..), |(corners, _)| corners[0]);
-    let mut duplicates = 0;
-    for group in order.chunk_by(|a, b| a.0 == b.0) {
-        for &(_, f) in &group[1..] {
-            orientation[f as usize] = Orientation::Skipped;
-            duplicates += 1;
-        }
-    }
-    // Faces that lost a corner to welding have no orientation.
-    for (f, &[a, b, c]) in faces.iter().enumerate() {
-        if a == b || b == c || c == a {
-            orientation[f] = Orientation::Skipped;
+        let is_new = seen.insert(corners);
+        duplicates += usize::from(!is_new);
+        if !is_new || has_repeated_corner(face) {
+            *orientation = Orientation::Skipped;
         }
     }
     duplicates
 }
 
-fn half_edges(vertices: usize, faces: &[[u32; 3]], orientation: &[Orientation]) -> Vec<HalfEdge> {
-    let of_face = |(f, &[a, b, c]): (usize, &[u32; 3])| {
-        [(a, b), (b, c), (c, a)].map(|(from, to)| HalfEdge {
-            low: from.min(to),
-            high: from.max(to),
-            face: f as u32,
-            reversed: from > to,
+fn has_repeated_corner(&[a, b, c]: &[u32; 3]) -> bool {
+    a == b || b == c || c == a
+}
+
+/// An edge of a face without its lower vertex. In order: the higher vertex, the face, and whether the face traverses the
+/// edge from the higher to the lower vertex.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, bytemuck::Zeroable)]
+#[repr(transparent)]
+struct HalfEdge(u64);
+
+impl HalfEdge {
+    fn new(high: u32, face: u32, is_reversed: bool) -> Self {
+        Self(u64::from(high) << 32 | u64::from(face) << 1 | u64::from(is_reversed))
+    }
+
+    fn high(self) -> u32 {
+        (self.0 >> 32) as u32
+    }
+
+    fn face(self) -> u32 {
+        self.0 as u32 >> 1
+    }
+
+    fn is_reversed(self) -> bool {
+        self.0 & 1 == 1
+    }
+}
+
+/// The half-edges of some faces, sorted by the lower vertex, then in their own order.
+struct HalfEdges {
+    items: Vec<HalfEdge>,
+    /// End of the items of each lower vertex.
+    ends: Vec<u32>,
+    /// Whether two faces may have the same corners, or a face a repeated one.
+    may_repeat: bool,
+}
+
+/// The half-edges between two vertices.
+#[derive(Clone, Copy)]
+struct Edge {
+    low: u32,
+    start: u32,
+    end: u32,
+}
+
+impl Edge {
+    fn range(&self) -> Range<usize> {
+        self.start as usize..self.end as usize
+    }
+}
+
+impl HalfEdges {
+    /// The half-edges of all faces that are not skipped.
+    fn of(vertices: usize, faces: &[[u32; 3]], orientation: &[Orientation]) -> Self {
+        let taking_part = || faces.iter().zip(0..).filter(|&(_, f)| orientation[f as usize] != Orientation::Skipped);
+        // Distributes the half-edges to their lower vertices. Filling advances the start of each vertex to its end.
+        let mut ends = vec![0u32; vertices + 1];
+        let mut may_repeat = false;
+        for (face @ &[a, b, c], _) in taking_part() {
+            for low in [a.min(b), b.min(c), c.min(a)] {
+                ends[low as usize + 1] += 1;
+            }
+            may_repeat |= has_repeated_corner(face);
+        }
+        for v in 0..vertices {
+            ends[v + 1] += ends[v];
+        }
+        let mut items = zeroed_result(ends[vertices] as usize);
+        for (&[a, b, c], f) in taking_part() {
+            for (from, to) in [(a, b), (b, c), (c, a)] {
+                let place = &mut ends[from.min(to) as usize];
+                items[*place as usize] = HalfEdge::new(from.max(to), f, from > to);
+                *place += 1;
+            }
+        }
+
+        // Faces with the same corners share edges, where they have the same third vertex.
+        let third = |e: HalfEdge| faces[e.face() as usize].iter().fold(0, |all, v| all ^ v);
+        let mut start = 0;
+        for &end in &ends[..vertices] {
+            let of_vertex = &mut items[start..end as usize];
+            of_vertex.sort_unstable();
+            may_repeat |= of_vertex.windows(2).any(|e| e[0].high() == e[1].high() && third(e[0]) == third(e[1]))
+                || of_vertex.windows(3).any(|e| e[0].high() == e[2].high());
+            start = end as usize;
+        }
+        Self { items, ends, may_repeat }
+    }
+
+    /// In the order of their lower, then of their higher vertices.
+    fn edges(&self) -> impl Iterator<Item = Edge> {
+        let (mut low, mut start) = (0, 0);
+        std::iter::from_fn(move || {
+            let high = self.items.get(start)?.high();
+            while self.ends[low] as usize <= start {
+                low += 1;
+            }
+            let of_vertex = &self.items[start..self.ends[low] as usize];
+            let count = of_vertex.iter().take_while(|e| e.high() == high).count();
+            let edge = Edge { low: low as u32, start: start as u32, end: (start + count) as u32 };
+            start += count;
+            Some(edge)
         })
-    };
-    let taking_part = faces.iter().enumerate().filter(|(f, _)| orientation[*f] != Orientation::Skipped);
-    sort_by_vertex(vertices, taking_part.flat_map(of_face), |half_edge| half_edge.low)
+    }
 }
 
-/// Sorts items by the vertex that comes first in them: distributes them to the vertices, then sorts the items of each.
-fn sort_by_vertex<T: Copy + Ord>(
-    vertices: usize,
-    items: impl Iterator<Item = T> + Clone,
-    vertex: impl Fn(&T) -> u32,
-) -> Vec<T> {
-    // Start of the items of each vertex. Filling advances each start to that of the next vertex.
-    let mut starts = vec![0u32; vertices + 1];
-    items.clone().for_each(|item| starts[vertex(&item) as usize + 1] += 1);
-    for v in 0..vertices {
-        starts[v + 1] += starts[v];
-    }
-    let Some(any) = items.clone().next() else { return Vec::new() };
-    let mut sorted = with_room(starts[vertices] as usize);
-    sorted.resize(starts[vertices] as usize, any);
-    for item in items {
-        let place = &mut starts[vertex(&item) as usize];
-        sorted[*place as usize] = item;
-        *place += 1;
-    }
-    sorted.chunk_by_mut(|a, b| vertex(a) == vertex(b)).for_each(<[T]>::sort_unstable);
-    sorted
-}
-
-/// Flips the faces of each patch to agree. Returns the number of flipped faces, and whether areas or volumes decided.
+/// Flips the faces of each patch to agree. `sides` are the patch of each face, and whether the face is turned relative to
+/// it. Returns the number of flipped faces, and whether areas or volumes decided.
 fn orient(
     mesh: &Mesh,
-    faces: &[[u32; 3]],
-    edges: &[&[HalfEdge]],
-    patches: &mut DisjointSets,
+    half_edges: &HalfEdges,
+    uneven: &[Edge],
+    sides: &[(u32, bool)],
+    conflicts: &FxHashSet<u32>,
     orientation: &mut [Orientation],
 ) -> (usize, bool) {
     #[derive(Clone, Copy, Default)]
@@ -298,40 +385,43 @@ fn orient(
         open: bool,
     }
     // A mesh has few patches, so that a table of all faces would consist of unused pages.
-    let mut patch_of = vec![0u32; faces.len()];
+    let mut patch_of = vec![0u32; sides.len()];
     let mut found = Vec::new();
-    for f in 0..faces.len() {
-        if patches.root(f as u32).0 as usize == f {
+    for (f, &(root, _)) in sides.iter().enumerate() {
+        if root as usize == f {
             patch_of[f] = found.len() as u32;
             found.push(Patch::default());
         }
     }
-    for edge in edges {
-        if edge.len() != 2 {
-            for half_edge in *edge {
-                found[patch_of[patches.root(half_edge.face).0 as usize] as usize].open = true;
-            }
+    for (f, &(root, turned)) in sides.iter().enumerate() {
+        if orientation[f] != Orientation::Skipped {
+            found[patch_of[root as usize] as usize].faces[usize::from(turned)] += 1;
         }
     }
-    for f in 0..faces.len() {
+    // Patches whose faces agree, the most frequent ones, stay as they are.
+    if !found.iter().any(|patch| patch.faces[0] > 0 && patch.faces[1] > 0) {
+        return (0, false);
+    }
+    for edge in uneven {
+        for half_edge in &half_edges.items[edge.range()] {
+            found[patch_of[sides[half_edge.face() as usize].0 as usize] as usize].open = true;
+        }
+    }
+    for f in 0..mesh.faces().len() {
         if orientation[f] == Orientation::Skipped {
             continue;
         }
-        let (root, turned) = patches.root(f as u32);
+        let (root, turned) = sides[f];
         let patch = &mut found[patch_of[root as usize] as usize];
-        patch.faces[usize::from(turned)] += 1;
-        if f < mesh.faces().len() {
-            let side = if turned { -1.0 } else { 1.0 };
-            patch.area[usize::from(turned)] += crate::geometry::triangle_cross(mesh.triangle(f as u32)).length();
-            patch.volume += side * volume_under(mesh, f);
-        }
+        let side = if turned { -1.0 } else { 1.0 };
+        patch.area[usize::from(turned)] += crate::geometry::triangle_cross(mesh.triangle(f as u32)).length();
+        patch.volume += side * volume_under(mesh, f);
     }
 
     let (mut flipped, mut is_weighed) = (0, false);
-    for f in 0..faces.len() {
-        let (root, turned) = patches.root(f as u32);
+    for (f, &(root, turned)) in sides.iter().enumerate() {
         let patch = &found[patch_of[root as usize] as usize];
-        if orientation[f] == Orientation::Skipped || patches.conflicts.contains(&root) || patch.faces.contains(&0) {
+        if orientation[f] == Orientation::Skipped || conflicts.contains(&root) || patch.faces.contains(&0) {
             continue;
         }
         is_weighed = true;
@@ -347,11 +437,6 @@ fn orient(
     (flipped, is_weighed)
 }
 
-/// Volume that the oriented faces enclose, local units.
-fn signed_volume(mesh: &Mesh, orientation: &[Orientation]) -> f64 {
-    (0..mesh.faces().len()).map(|f| direction(orientation[f]) * volume_under(mesh, f)).sum()
-}
-
 /// Signed volume of the tetrahedron that a face spans with the centre of the mesh.
 fn volume_under(mesh: &Mesh, face: usize) -> f64 {
     let [a, b, c]: [DVec3; 3] = mesh.triangle(face as u32);
@@ -360,37 +445,52 @@ fn volume_under(mesh: &Mesh, face: usize) -> f64 {
 
 /// Union-find that also stores, for each element, whether it is flipped relative to its root.
 struct DisjointSets {
-    parent: Vec<u32>,
-    turned: Vec<bool>,
+    parents: Vec<Parent>,
     size: Vec<u32>,
     /// Roots of sets that were joined to themselves with opposite orientation.
-    conflicts: std::collections::HashSet<u32>,
+    conflicts: FxHashSet<u32>,
+}
+
+/// The parent of an element, and in the lowest bit whether the element is flipped relative to it.
+#[derive(Clone, Copy)]
+struct Parent(u32);
+
+impl Parent {
+    fn new(index: u32, turned: bool) -> Self {
+        Self(index << 1 | u32::from(turned))
+    }
+
+    fn index(self) -> u32 {
+        self.0 >> 1
+    }
+
+    fn turned(self) -> bool {
+        self.0 & 1 == 1
+    }
 }
 
 impl DisjointSets {
     fn new(n: usize) -> Self {
-        Self {
-            parent: (0..n as u32).collect(),
-            turned: vec![false; n],
-            size: vec![1; n],
-            conflicts: std::collections::HashSet::new(),
-        }
+        let parents = (0..n as u32).map(|i| Parent::new(i, false)).collect();
+        Self { parents, size: vec![1; n], conflicts: FxHashSet::default() }
     }
 
     /// The root of `x`, and whether `x` is flipped relative to it. Halves the path.
     fn root(&mut self, mut x: u32) -> (u32, bool) {
         let mut turned = false;
-        while self.parent[x as usize] != x {
-            let parent = self.parent[x as usize];
-            let grand = self.parent[parent as usize];
-            if grand != parent {
-                self.turned[x as usize] ^= self.turned[parent as usize];
-                self.parent[x as usize] = grand;
+        loop {
+            let mut parent = self.parents[x as usize];
+            if parent.index() == x {
+                return (x, turned);
             }
-            turned ^= self.turned[x as usize];
-            x = self.parent[x as usize];
+            let grand = self.parents[parent.index() as usize];
+            if grand.index() != parent.index() {
+                parent = Parent::new(grand.index(), parent.turned() ^ grand.turned());
+                self.parents[x as usize] = parent;
+            }
+            turned ^= parent.turned();
+            x = parent.index();
         }
-        (x, turned)
     }
 
     /// Joins two sets; `turned` tells whether `b` is flipped relative to `a`.
@@ -405,10 +505,9 @@ impl DisjointSets {
         }
         let (parent, child) =
             if self.size[root_a as usize] >= self.size[root_b as usize] { (root_a, root_b) } else { (root_b, root_a) };
-        self.parent[child as usize] = parent;
-        self.turned[child as usize] = relative;
+        self.parents[child as usize] = Parent::new(parent, relative);
         self.size[parent as usize] += self.size[child as usize];
-        if self.conflicts.remove(&child) {
+        if !self.conflicts.is_empty() && self.conflicts.remove(&child) {
             self.conflicts.insert(parent);
         }
     }
@@ -417,6 +516,20 @@ impl DisjointSets {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Points of a small grid, where many coincide, and both zeros occur.
+        #[test]
+        fn welding_finds_the_first_vertex_at_each_position(grid in prop::collection::vec(0u32..64, 0..100)) {
+            let coordinate = |i: u32| if i == 3 { -0.0 } else { i as f32 * 0.25 };
+            let at = |&i: &u32| Vec3::from([i, i / 4, i / 16].map(|i| coordinate(i % 4)));
+            let positions: Vec<Vec3> = grid.iter().map(at).collect();
+            let first = |p| positions.iter().position(|q| q == p).map(|first| first as u32);
+            let brute: Vec<Option<u32>> = positions.iter().map(first).collect();
+            prop_assert_eq!(weld(&positions).into_iter().map(Some).collect::<Vec<_>>(), brute);
+        }
+    }
 
     /// A unit cube from eight corners, twelve outward faces.
     fn cube() -> (Vec<[f64; 3]>, Vec<[i64; 3]>) {
@@ -430,13 +543,18 @@ mod tests {
         Topology::of(&Mesh::new(vertices, faces).unwrap())
     }
 
+    fn volume(vertices: &[[f64; 3]], faces: &[[i64; 3]]) -> f64 {
+        let mesh = Mesh::new(vertices, faces).unwrap();
+        mesh.topology().signed_volume(&mesh)
+    }
+
     #[test]
     fn a_cube_is_closed() {
         let (vertices, faces) = cube();
         let found = topology(&vertices, &faces);
         assert!(found.closed);
         assert_eq!((found.boundary_edges, found.flipped_faces, found.components), (0, 0, 1));
-        assert!((found.signed_volume - 1.0).abs() < 1e-12);
+        assert!((volume(&vertices, &faces) - 1.0).abs() < 1e-12);
     }
 
     #[test]
@@ -465,7 +583,7 @@ mod tests {
         let found = topology(&vertices, &faces);
         assert!(found.closed);
         assert_eq!(found.flipped_faces, 2);
-        assert!((found.signed_volume - 1.0).abs() < 1e-12);
+        assert!((volume(&vertices, &faces) - 1.0).abs() < 1e-12);
     }
 
     #[test]
@@ -477,7 +595,7 @@ mod tests {
         let found = topology(&vertices, &faces);
         assert!(found.closed);
         assert_eq!((found.duplicate_faces, found.nonmanifold_edges), (12, 0));
-        assert!((found.signed_volume - 1.0).abs() < 1e-12);
+        assert!((volume(&vertices, &faces) - 1.0).abs() < 1e-12);
     }
 
     #[test]

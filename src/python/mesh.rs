@@ -109,7 +109,7 @@ impl Mesh {
     fn sign_warnings(&self, py: Python<'_>, sign: &str) -> PyResult<Vec<String>> {
         let method = sign.parse::<SignMethod>().map_err(Failure::from)?;
         self.prepare(py)?;
-        Ok(sign_warnings(self.0.topology(), method))
+        Ok(sign_warnings(&self.0, method))
     }
 
     /// Whether a connected part of this closed mesh is wound inside out. Builds the connectivity.
