@@ -109,6 +109,8 @@ class Mesh:
         """
     def moved(self, vertices: NDArray[np.float64]) -> Mesh:
         """Copy the mesh with its kept vertices at other positions (n, 3). Tables that stay valid are shared."""
+    def stl_records(self, first: int, count: int) -> NDArray[np.uint8]:
+        """Records of a binary STL file, 50 bytes for each of at most ``count`` faces from face ``first`` on, (k,)."""
     def self_intersections(self) -> int:
         """Number of pairs of faces without a common vertex that intersect."""
     def deviation(self, other: Mesh) -> tuple[float, float]:

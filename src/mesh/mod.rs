@@ -15,6 +15,7 @@
 pub(crate) mod derived;
 #[cfg(test)]
 pub(crate) mod random;
+mod stl;
 pub(crate) mod topology;
 
 use crate::error::MeshError;

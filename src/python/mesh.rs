@@ -8,7 +8,7 @@ use crate::mesh;
 use crate::query::{count_self_intersections, deviation};
 use crate::sign::SignMethod;
 use numpy::ndarray::ArrayView2;
-use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::{Arc, Mutex, TryLockError};
@@ -91,6 +91,12 @@ impl Mesh {
         let vertices = rows(&vertices, "vertices")?;
         let moved = run(py, None, |_| Ok(self.0.moved(vertices)))?;
         Ok(Self(Arc::new(moved.map_err(Failure::from)?)))
+    }
+
+    /// Records of a binary STL file, 50 bytes for each of at most `count` faces from the face `first` on.
+    fn stl_records<'py>(&self, py: Python<'py>, first: usize, count: usize) -> PyResult<Bound<'py, PyArray1<u8>>> {
+        let mesh = &self.0;
+        Ok(run(py, None, |_| Ok(mesh.stl_records(first, count)))?.into_pyarray(py))
     }
 
     /// Number of pairs of faces without a common vertex that intersect.

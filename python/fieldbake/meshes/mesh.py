@@ -263,7 +263,7 @@ class Mesh(Viewable):
         -----
         Only the geometry is written, without texture coordinates and images.
         """
-        save_mesh(self.vertices, self.faces, path)
+        save_mesh(self.vertices, self.faces, lambda *rows: self._core.stl_records(*rows), path)
 
     def moved(self, vertices: ArrayLike) -> Mesh:
         """Move the vertices and keep the faces. This mesh stays as it is.
