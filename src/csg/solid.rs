@@ -150,11 +150,16 @@ impl Solid {
             self.frame.local(grid.center(clamped(0), clamped(1), clamped(2))).to_array()
         };
         let along: Vec<[f64; 3]> = (0..n).map(local).collect();
-        for (first, out) in (0..).step_by(LANES).zip(samples.chunks_mut(LANES)) {
+        let mut places: Vec<[f64; 3]> = Vec::with_capacity(samples.len());
+        for [_, _, z] in &along {
+            for [_, y, _] in &along {
+                places.extend(along.iter().map(|[x, ..]| [*x, *y, *z]));
+            }
+        }
+        for (places, out) in places.chunks(LANES).zip(samples.chunks_mut(LANES)) {
             let mut at = [[0.0; LANES]; 3];
-            for i in 0..out.len() {
-                let place = [(first + i) % n, (first + i) / n % n, (first + i) / (n * n)];
-                (0..3).for_each(|axis| at[axis][i] = along[place[axis]][axis]);
+            for (i, place) in places.iter().enumerate() {
+                (0..3).for_each(|axis| at[axis][i] = place[axis]);
             }
             let values = run_wide(&self.precise, &self.model.tokens, &at, stack);
             for (out, value) in out.iter_mut().zip(values) {

@@ -66,7 +66,7 @@ impl SurfaceBlocks {
                     if samples.iter().any(|value| !value.is_finite()) {
                         return Err(ArgumentError::new("values", "must be finite").into());
                     }
-                    let cells: Vec<SurfaceCell> = cells_of_block(shape, side, origin, samples, level).collect();
+                    let cells = cells_of_block(shape, side, origin, samples, level);
                     progress.advance(1).map(|()| cells)
                 },
             );

@@ -163,7 +163,9 @@ impl SurfaceCells {
 
     /// The surface through cells in any order.
     pub(crate) fn sorted(shape: [i32; 3], mut cells: Vec<SurfaceCell>) -> Self {
-        cells.par_sort_unstable_by_key(|cell| (cell.index[2], cell.index[1], cell.index[0]));
+        // Keys are sorted first, since they are smaller than cells. A row has 33 bits at most, and x + 1 has 31.
+        let key = |[x, y, z]: [i32; 3]| (row(&shape, y, z) as u64) << 31 | (x + 1) as u64;
+        cells.par_sort_by_cached_key(|cell| key(cell.index));
         Self::new(shape, cells)
     }
 
@@ -398,29 +400,38 @@ pub(crate) fn cells_of_block(
     origin: [i32; 3],
     samples: &[f32],
     level: f32,
-) -> impl Iterator<Item = SurfaceCell> {
+) -> Vec<SurfaceCell> {
+    let mut found = Vec::new();
     let n = side + 1;
     let inside = samples.iter().filter(|&&value| value < level).count();
     // Padding is outside, so a block that is inside everywhere may still have crossed cells at the box.
     let interior = (0..3).all(|axis| origin[axis] >= 0 && origin[axis] + (side as i32) < shape[axis]);
-    let crossed = inside > 0 && !(interior && inside == samples.len());
-    let offsets: [usize; 8] = std::array::from_fn(|c| (c & 1) + n * ((c >> 1 & 1) + n * (c >> 2)));
-    let count = if crossed { side * side * side } else { 0 };
-    (0..count).filter_map(move |i| {
-        let local = [i % side, i / side % side, i / (side * side)];
-        let index: [i32; 3] = std::array::from_fn(|axis| origin[axis] + local[axis] as i32);
-        if (0..3).any(|axis| index[axis] < -1 || index[axis] >= shape[axis]) {
-            return None;
+    if inside == 0 || (interior && inside == samples.len()) {
+        return found;
+    }
+    for (z, y) in (0..side).flat_map(|z| (0..side).map(move |y| (z, y))) {
+        let rows: [&[f32]; 4] = std::array::from_fn(|r| &samples[n * (y + (r & 1) + n * (z + (r >> 1)))..][..n]);
+        let column = |x: usize| (0..4).fold(0u8, |bits, r| bits | u8::from(rows[r][x] < level) << r);
+        let mut next = column(0);
+        for x in 0..side {
+            let here = std::mem::replace(&mut next, column(x + 1));
+            if interior && (here | next == 0 || here & next == 15) {
+                continue;
+            }
+            let index = [0, 1, 2].map(|axis| origin[axis] + [x, y, z][axis] as i32);
+            if (0..3).any(|axis| index[axis] < -1 || index[axis] >= shape[axis]) {
+                continue;
+            }
+            let values = std::array::from_fn(|c| {
+                let value = rows[c >> 1][x + (c & 1)] - level;
+                let at = |axis: usize| index[axis] + (c >> axis & 1) as i32;
+                let padded = !interior && (0..3).any(|axis| at(axis) < 0 || at(axis) >= shape[axis]);
+                if padded { value.abs() } else { value }
+            });
+            found.extend(SurfaceCell::new(index, values));
         }
-        let first = local[0] + n * (local[1] + n * local[2]);
-        let values = std::array::from_fn(|c| {
-            let value = samples[first + offsets[c]] - level;
-            let at = |axis: usize| index[axis] + (c >> axis & 1) as i32;
-            let padded = (0..3).any(|axis| at(axis) < 0 || at(axis) >= shape[axis]);
-            if padded { value.abs() } else { value }
-        });
-        SurfaceCell::new(index, values)
-    })
+    }
+    found
 }
 
 /// Whether all four edges of an ambiguous face belong to one patch of the cell.
