@@ -3,7 +3,8 @@
 //! A [`Dual`] is a value and the three partial derivatives of the value. Arithmetic follows the rules of calculus
 //! (forward-mode automatic differentiation; R. Wengert, "A simple automatic derivative evaluation program", 1964), so
 //! the gradient is exact up to rounding. A comparison compares the values alone. Where two operands of a minimum meet
-//! in a crease, the gradient is therefore that of one side, never a mean of both.
+//! in a crease, the gradient is therefore that of one side, never a mean of both. The value has the bits of the same
+//! evaluation in float64.
 
 use super::real::Real;
 use glam::DVec3;
@@ -108,8 +109,7 @@ impl Div for Dual {
     type Output = Self;
     #[inline(always)]
     fn div(self, other: Self) -> Self {
-        let inverse = 1.0 / other.value;
-        let value = self.value * inverse;
+        let (value, inverse) = (self.value / other.value, 1.0 / other.value);
         self.zip(other, value, |a, b| (a - value * b) * inverse)
     }
 }

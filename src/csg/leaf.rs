@@ -16,6 +16,33 @@ use crate::gpu::shader::Instead;
 use std::fmt::Write;
 use std::sync::Arc;
 
+/// The values of a function of the position in the space of a leaf, at each point. A macro, because the compiler may
+/// leave a closure as one function for the baseline of the target; see [`crate::simd`].
+macro_rules! each {
+    ($leaf:ident, $at:ident, |$q:pat_param| $value:expr) => {{
+        let mut out = [F::default(); N];
+        let [sx, sy, sz] = $leaf.shift;
+        if $leaf.is_turned {
+            let [a, b, c] = &$leaf.rows;
+            for i in 0..N {
+                let (x, y, z) = ($at[0][i], $at[1][i], $at[2][i]);
+                let $q = [
+                    a[0] * x + a[1] * y + a[2] * z + sx,
+                    b[0] * x + b[1] * y + b[2] * z + sy,
+                    c[0] * x + c[1] * y + c[2] * z + sz,
+                ];
+                out[i] = $value;
+            }
+        } else {
+            for i in 0..N {
+                let $q = [$at[0][i] + sx, $at[1][i] + sy, $at[2][i] + sz];
+                out[i] = $value;
+            }
+        }
+        out
+    }};
+}
+
 macro_rules! declare {
     ($(
         $(#[$help:meta])+
@@ -93,12 +120,14 @@ macro_rules! declare {
             /// The field at `N` points, local units.
             #[inline(always)]
             pub fn distances<const N: usize>(&self, at: &[[F; N]; 3]) -> [F; N] {
-                let p = &self.parameters;
+                let (leaf, p) = (self, &self.parameters);
                 match &self.field {
-                    $(LeafField::$variant => self.each(at, |q| field::$function(q, p)),)*
-                    LeafField::Extrude(flat) => self.each(at, |[x, y, z]| field::extrude(flat.distance(x, y), z, p[0])),
-                    LeafField::Revolve(flat) => self.each(at, |[x, y, z]| flat.distance(length2(x, y) - p[0], z)),
-                    LeafField::Volume(volume, placed) => self.each(at, |q| placed.distance(volume.distances(), q)),
+                    $(LeafField::$variant => each!(leaf, at, |q| field::$function(q, p)),)*
+                    LeafField::Extrude(flat) => {
+                        each!(leaf, at, |[x, y, z]| field::extrude(flat.distance(x, y), z, p[0]))
+                    }
+                    LeafField::Revolve(flat) => each!(leaf, at, |[x, y, z]| flat.distance(length2(x, y) - p[0], z)),
+                    LeafField::Volume(volume, placed) => each!(leaf, at, |q| placed.distance(volume.distances(), q)),
                 }
             }
         }
@@ -249,31 +278,6 @@ pub struct PlacedLeaf<F> {
     pub is_turned: bool,
     pub parameters: [F; PARAMETERS],
     pub field: LeafField<F>,
-}
-
-impl<F: Real> PlacedLeaf<F> {
-    /// Evaluates a function of the position in the leaf's space at each point.
-    #[inline(always)]
-    fn each<const N: usize>(&self, at: &[[F; N]; 3], distance: impl Fn([F; 3]) -> F) -> [F; N] {
-        let mut out = [F::default(); N];
-        let [sx, sy, sz] = self.shift;
-        if self.is_turned {
-            let [a, b, c] = &self.rows;
-            for i in 0..N {
-                let (x, y, z) = (at[0][i], at[1][i], at[2][i]);
-                out[i] = distance([
-                    a[0] * x + a[1] * y + a[2] * z + sx,
-                    b[0] * x + b[1] * y + b[2] * z + sy,
-                    c[0] * x + c[1] * y + c[2] * z + sz,
-                ]);
-            }
-        } else {
-            for i in 0..N {
-                out[i] = distance([at[0][i] + sx, at[1][i] + sy, at[2][i] + sz]);
-            }
-        }
-        out
-    }
 }
 
 #[cfg(test)]

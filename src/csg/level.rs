@@ -8,6 +8,7 @@
 //! and the plane is the level set of this function. On the flat side of a crease the plane is therefore exact even
 //! where the point lies off the surface.
 
+use super::deciding::DecidingTokens;
 use super::dual::Dual;
 use super::program::{Program, Stack};
 use super::solid::{LANES, Solid, run_wide};
@@ -92,6 +93,13 @@ pub fn level_surface(solid: &Solid, grid: &Grid, level: f32, progress: &Progress
     Ok(blocks.surface())
 }
 
+/// Buffers of evaluations.
+#[derive(Default)]
+struct Scratch {
+    stack: Stack<Dual, POINTS>,
+    deciding: DecidingTokens<POINTS>,
+}
+
 /// A shape whose tangent planes are evaluated.
 struct Tangents {
     solid: Arc<Solid>,
@@ -107,40 +115,45 @@ impl Tangents {
     /// The linear functions at up to [`POINTS`] world positions: the field minus the level at the position, and its
     /// gradient. With fewer positions, the remaining entries repeat the last one. Where the field has no gradient, the
     /// function is that of a point beside the position.
-    fn evaluate(&self, points: &[DVec3], stack: &mut Stack<Dual, POINTS>) -> [(f64, DVec3); POINTS] {
+    fn evaluate(&self, points: &[DVec3], scratch: &mut Scratch) -> [(f64, DVec3); POINTS] {
         let points: [DVec3; POINTS] = std::array::from_fn(|i| points[i.min(points.len() - 1)]);
-        let found = self.values(&points, stack);
+        let found = self.values(&points, scratch);
         let is_flat = found.map(|(_, slope)| slope.length_squared() <= LEAST_SQUARE);
         if !is_flat.contains(&true) {
             return found;
         }
         // Lengths have no gradient where they are zero, as on the surface of a cone.
         let aside = self.solid.frame.scale * ASIDE;
-        let beside = self.values(&points.map(|point| point + aside), stack);
+        let beside = self.values(&points.map(|point| point + aside), scratch);
         std::array::from_fn(|i| {
             let (value, slope) = beside[i];
             if is_flat[i] { (value - slope.dot(aside), slope) } else { found[i] }
         })
     }
 
-    fn values(&self, points: &[DVec3; POINTS], stack: &mut Stack<Dual, POINTS>) -> [(f64, DVec3); POINTS] {
-        let mut at = [[Dual::default(); POINTS]; 3];
+    fn values(&self, points: &[DVec3; POINTS], scratch: &mut Scratch) -> [(f64, DVec3); POINTS] {
+        let (mut places, mut at) = ([[0.0; POINTS]; 3], [[Dual::default(); POINTS]; 3]);
         for (i, &point) in points.iter().enumerate() {
-            let local = Dual::position(self.solid.frame.local(point));
-            (0..3).for_each(|axis| at[axis][i] = local[axis]);
+            let local = self.solid.frame.local(point);
+            let dual = Dual::position(local);
+            (0..3).for_each(|axis| (places[axis][i], at[axis][i]) = (local[axis], dual[axis]));
         }
-        let values = run_wide(&self.program, &self.solid.model.tokens, &at, stack);
+        let mut tokens = &self.solid.model.tokens[..];
+        if !self.program.combines.is_empty() {
+            tokens = scratch.deciding.find(self.solid.precise(), tokens, &places);
+        }
+        let values = run_wide(&self.program, tokens, &at, &mut scratch.stack);
         // The gradient is the same in local units, since values and positions are scaled alike.
         values.map(|dual| (dual.value * self.solid.frame.scale - self.level, DVec3::from_array(dual.slope)))
     }
 
     /// The tangent planes next to up to [`POINTS`] world positions: a point and a normal of any length. None where the
     /// field has no gradient, or where a step of Newton's method leads away from the level.
-    fn planes(&self, points: &[DVec3], stack: &mut Stack<Dual, POINTS>) -> [Option<(DVec3, DVec3)>; POINTS] {
-        let first = self.evaluate(points, stack);
+    fn planes(&self, points: &[DVec3], scratch: &mut Scratch) -> [Option<(DVec3, DVec3)>; POINTS] {
+        let first = self.evaluate(points, scratch);
         let moved: [Option<DVec3>; POINTS] =
             std::array::from_fn(|i| points.get(i).and_then(|&point| foot(point, first[i])));
-        let second = self.evaluate(&moved.map(|point| point.unwrap_or(points[0])), stack);
+        let second = self.evaluate(&moved.map(|point| point.unwrap_or(points[0])), scratch);
         std::array::from_fn(|i| {
             let point =
                 moved[i].filter(|_| second[i].0.abs() <= first[i].0.abs() + f64::EPSILON * self.solid.frame.scale)?;
@@ -152,7 +165,7 @@ impl Tangents {
     /// the planes there. Newton's method with bisection, so that every root is found. A crossing stays as it was where
     /// the field has no root, for instance if it belongs to another shape that is merged into the samples.
     fn cross(&self, surface: &LevelSurface, first: usize, crossings: &mut [Crossing]) {
-        let mut stack = Stack::default();
+        let mut scratch = Scratch::default();
         let mut searches: Vec<Search> = Vec::with_capacity(crossings.len());
         searches.extend(crossings.iter().enumerate().filter(|(_, crossing)| !crossing.on_box).map(|(i, crossing)| {
             let along = surface.edge(first + i).along;
@@ -169,7 +182,7 @@ impl Tangents {
                 let places: [DVec3; POINTS] = std::array::from_fn(|i| {
                     edges[i].start + edges[i].along * searches[(start + i).min(group.end - 1)].share
                 });
-                let found = self.evaluate(&places, &mut stack);
+                let found = self.evaluate(&places, &mut scratch);
                 for (i, at) in group.enumerate() {
                     let mut search = searches[at];
                     let (value, slope) = found[i];
@@ -183,7 +196,7 @@ impl Tangents {
                     }
                     // The crossing of the samples may be a root already.
                     let is_known = step == 0 && is_root(value, rate, ROOT_SHARE);
-                    if !is_known && search.is_open() && !self.changes_sign(&edges[i], search.rises, &mut stack) {
+                    if !is_known && search.is_open() && !self.changes_sign(&edges[i], search.rises, &mut scratch) {
                         continue;
                     }
                     let crossing = &mut crossings[search.edge];
@@ -200,8 +213,8 @@ impl Tangents {
 
     /// Whether the field changes its sign along an edge, from negative to positive if it `rises`. An end that nearly
     /// is a root has either sign; see [`SIGN_SHARE`].
-    fn changes_sign(&self, edge: &CrossedEdge, rises: bool, stack: &mut Stack<Dual, POINTS>) -> bool {
-        let ends = self.evaluate(&[edge.start, edge.start + edge.along], stack);
+    fn changes_sign(&self, edge: &CrossedEdge, rises: bool, scratch: &mut Scratch) -> bool {
+        let ends = self.evaluate(&[edge.start, edge.start + edge.along], scratch);
         let is_negative = [rises, !rises];
         (0..2).all(|end| {
             let (value, slope) = ends[end];
@@ -282,18 +295,19 @@ pub fn planes_around_of_shape(
     progress.set_total(surface.cell_count() as u64);
     let planes = surface.planes_around(
         crossings,
-        |places: &[DVec3; PROBES], _, _, found| {
-            found.extend(tangents.planes(places, &mut Stack::default()).into_iter().flatten());
+        Scratch::default,
+        |scratch, places: &[DVec3; PROBES], _, _, found| {
+            found.extend(tangents.planes(places, scratch).into_iter().flatten());
         },
         progress,
     )?;
     let step = NEAR_STEP * surface.spacing();
     let nearby = move |places: &[Place], found: &mut dyn FnMut(usize, DVec3, DVec3)| {
-        let mut stack = Stack::default();
+        let mut scratch = Scratch::default();
         let mut smooth = Vec::with_capacity(places.len());
         for (i, place) in places.iter().enumerate() {
             if place.is_sharp {
-                let planes = tangents.planes(&around(place.point, step), &mut stack);
+                let planes = tangents.planes(&around(place.point, step), &mut scratch);
                 planes.into_iter().flatten().for_each(|(point, normal)| found(i, point, normal));
             } else {
                 smooth.push((i, place.point));
@@ -301,7 +315,7 @@ pub fn planes_around_of_shape(
         }
         for group in smooth.chunks(POINTS) {
             let points: [DVec3; POINTS] = std::array::from_fn(|i| group[i.min(group.len() - 1)].1);
-            for (&(i, point), linear) in group.iter().zip(tangents.evaluate(&points, &mut stack)) {
+            for (&(i, point), linear) in group.iter().zip(tangents.evaluate(&points, &mut scratch)) {
                 if let Some(on_plane) = foot(point, linear) {
                     found(i, on_plane, linear.1);
                 }
@@ -387,7 +401,7 @@ mod tests {
             for (points, (values, slopes)) in
                 points.chunks(POINTS).zip(values.chunks(POINTS).zip(slopes.chunks(POINTS)))
             {
-                let found = tangents.evaluate(points, &mut Stack::default());
+                let found = tangents.evaluate(points, &mut Scratch::default());
                 for ((value, slope), (expected, difference)) in found.into_iter().zip(values.iter().zip(slopes)) {
                     assert!((value - f64::from(*expected)).abs() <= 1e-6, "{text}");
                     // Differences are means of both sides within their step of a crease.
@@ -407,7 +421,7 @@ mod tests {
         let turn = glam::DQuat::from_axis_angle(axis, 40f64.to_radians());
         for angle in 0..64 {
             let (sine, cosine) = f64::from(angle).sin_cos();
-            let (_, slope) = tangents.evaluate(&[turn * DVec3::new(cosine, sine, 0.0)], &mut Stack::default())[0];
+            let (_, slope) = tangents.evaluate(&[turn * DVec3::new(cosine, sine, 0.0)], &mut Scratch::default())[0];
             // The step aside is 1e-7 local units, 4e-7 world units.
             assert!((slope - turn * DVec3::new(cosine, sine, 0.0)).length() <= 1e-6, "{angle}");
         }

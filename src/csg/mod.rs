@@ -20,6 +20,7 @@ mod cells;
 mod checks;
 pub(crate) mod chord;
 mod compiled;
+mod deciding;
 pub(crate) mod decompose;
 pub(crate) mod draw;
 mod dual;

@@ -114,6 +114,22 @@ impl<F: Real, const N: usize> Default for Stack<F, N> {
     }
 }
 
+impl<F: Real, const N: usize> Stack<F, N> {
+    /// Begins an evaluation at `N` points, local units.
+    #[inline(always)]
+    pub(super) fn start(&mut self, at: &[[F; N]; 3]) {
+        self.values.clear();
+        self.positions.clear();
+        self.positions.push(*at);
+    }
+
+    /// The last two values, in the order of their evaluation.
+    #[inline(always)]
+    pub(super) fn top_two(&self) -> Option<[&[F; N]; 2]> {
+        self.values.last_chunk().map(|[first, second]| [first, second])
+    }
+}
+
 impl<F: Real> Program<F> {
     pub fn new(model: &Model, frame: LocalFrame) -> Self {
         let s = frame.scale;
@@ -190,17 +206,16 @@ impl<F: Real> Program<F> {
     /// The field at `N` points, local units.
     #[inline(always)]
     pub fn run<const N: usize>(&self, tokens: &[Token], at: &[[F; N]; 3], stack: &mut Stack<F, N>) -> [F; N] {
-        stack.values.clear();
-        stack.positions.clear();
-        stack.positions.push(*at);
+        stack.start(at);
         for &token in tokens {
             self.step(token, stack);
         }
         stack.values.pop().unwrap_or([F::of(f64::from(f32::MAX)); N])
     }
 
+    /// Evaluates one token.
     #[inline(always)]
-    fn step<const N: usize>(&self, token: Token, stack: &mut Stack<F, N>) {
+    pub(super) fn step<const N: usize>(&self, token: Token, stack: &mut Stack<F, N>) {
         match token {
             Token::Leaf(leaf) => {
                 let at = stack.positions.last().expect("there is always a position");

@@ -29,6 +29,10 @@ const FLAT_VOXELS: f64 = 1e-3;
 /// Smallest offset, voxels, whose surface is so far from the mesh that all points near it lie on one side of the mesh.
 const FAR_VOXELS: f64 = 2.0;
 
+/// A bound on the distance of a point is used in place of the distance if the probes around the point are this many
+/// times as far away. The search within the larger radius then costs less than that of the distance.
+const SHORT: f64 = 2.0;
+
 /// Faces are equally near if their distances differ by at most this, local units: a million roundings of float64.
 const TIE: f64 = 1e-9;
 
@@ -98,10 +102,10 @@ pub fn planes_around_of_offset(
     mesh.bvh();
     let mesh = Arc::clone(mesh);
     let plane = move |place: DVec3| offset_plane(&mesh, place, offset, unsigned, REACH_VOXELS * voxel);
-    let around = |places: &[DVec3; PROBES], _: DVec3, _: &mut Vec<u32>, found: &mut Vec<(DVec3, DVec3)>| {
+    let around = |(): &mut (), places: &[DVec3; PROBES], _, _: &mut _, found: &mut Vec<(DVec3, DVec3)>| {
         found.extend(places.iter().filter_map(|&place| plane(place)));
     };
-    let planes = surface.planes_around(crossings, around, progress)?;
+    let planes = surface.planes_around(crossings, || (), around, progress)?;
     let nearby = move |places: &[Place], found: &mut dyn FnMut(usize, DVec3, DVec3)| {
         for (i, place) in places.iter().enumerate().filter(|(_, place)| !place.is_sharp) {
             if let Some((point, normal)) = plane(place.point) {
@@ -124,15 +128,16 @@ pub fn planes_around_of_mesh(
     progress.set_total(surface.cells.cells().len() as u64);
     mesh.bvh();
     let sign = if inward { -1.0 } else { 1.0 };
-    let around = |places: &[DVec3; PROBES], near: DVec3, known: &mut Vec<u32>, found: &mut Vec<(DVec3, DVec3)>| {
+    let around = |(): &mut (), places: &[DVec3; PROBES], near, known: &mut _, found: &mut Vec<(DVec3, DVec3)>| {
         let points = places.map(|place| mesh.local_from_world(place));
         let bound = points[0].distance(mesh.local_from_world(near));
         nearest_faces(mesh, &points, bound, known, |closest| found.extend(plane_of(mesh, &closest, sign)));
     };
-    let planes = surface.planes_around(crossings, around, progress)?;
+    let planes = surface.planes_around(crossings, || (), around, progress)?;
     let mesh = Arc::clone(mesh);
     let step = NEAR_STEP * surface.spacing;
-    let bound = step.max_element() / mesh.scale();
+    // Most vertices lie within this distance of the mesh.
+    let bound = 0.4 * step.max_element() / mesh.scale();
     let nearby = move |places: &[Place], found: &mut dyn FnMut(usize, DVec3, DVec3)| {
         let mut known = Vec::new();
         for (i, place) in places.iter().enumerate() {
@@ -163,7 +168,7 @@ fn plane_of(mesh: &Mesh, closest: &ClosestPoint, sign: f64) -> Option<(DVec3, DV
 
 /// Finds the nearest faces of points around the first one, local units: for each point in order all nearest faces, in
 /// ascending order. Those that are not in `known` are added to it and passed to `on_face`. `bound` is the probable
-/// distance of the first point from the mesh; a smaller one costs a second search.
+/// distance of the first point from the mesh; a smaller one costs further searches.
 fn nearest_faces(
     mesh: &Mesh,
     points: &[DVec3; PROBES],
@@ -181,16 +186,27 @@ fn nearest_faces(
         let found = bvh.nearest(point.as_vec3(), bound * bound).or_else(|| bvh.nearest(point.as_vec3(), f32::INFINITY));
         found.map_or(0.0, |found| found.distance_squared.sqrt())
     };
-    // The surface lies within `distance` of the first point, so within `distance + step` of every other one. The
-    // triangle that is nearest to it lies within `step` more of the first point.
-    let distance = f64::from(nearest(points[0], bound));
-    let radius = ((distance + 2.0 * step) * 1.001 + f64::from(f32::EPSILON)) as f32 + slack;
     let rows = [0, 1, 2].map(|axis| std::array::from_fn(|i| points[i.min(PROBES - 1)][axis] as f32));
     let mut found = Vec::with_capacity(2 * PROBES);
-    if !bvh.nearest_of_group(points[0].as_vec3(), radius, &rows, slack, &mut found) {
-        for (i, &point) in points.iter().enumerate() {
-            let least = nearest(point, distance + step);
-            bvh.faces_within(point.as_vec3(), least + slack, |face| found.push((face, 1 << i)));
+    // The surface lies within `distance` of the first point, so within `distance + step` of every other one. The
+    // triangle that is nearest to it lies within `step` more of the first point.
+    let group = |distance: f64, found: &mut Vec<(u32, u8)>| {
+        let radius = ((distance + 2.0 * step) * 1.001 + f64::from(f32::EPSILON)) as f32 + slack;
+        bvh.nearest_of_group(points[0].as_vec3(), radius, &rows, slack, found)
+    };
+    // A small bound takes the place of the distance if it is not smaller.
+    let is_found = step >= SHORT * bound && group(bound, &mut found) && {
+        let mut of_first = found.iter().filter(|(_, of)| of & 1 == 1);
+        of_first.any(|&(face, _)| mesh.exact_point_on_face(face, points[0]).distance <= bound)
+    };
+    if !is_found {
+        found.clear();
+        let distance = f64::from(nearest(points[0], bound));
+        if !group(distance, &mut found) {
+            for (i, &point) in points.iter().enumerate() {
+                let least = nearest(point, distance + step);
+                bvh.faces_within(point.as_vec3(), least + slack, |face| found.push((face, 1 << i)));
+            }
         }
     }
     // The order must not depend on the tree.

@@ -4,7 +4,7 @@ use super::cells::{SurfaceCell, edges_from, patches_of};
 use super::links::{PatchLinks, edges_of};
 use super::patches::edge_corners;
 use super::probes::{ExtraPlanes, Nearby, PatchRegion, Place, SHARP_COSINE};
-use super::qef::Planes;
+use super::qef::{Planes, is_within};
 use super::quad::Quad;
 use super::{Crossing, LevelSurface, MARGIN, MeshOptions};
 use crate::volume::{trilinear, trilinear_gradient};
@@ -16,8 +16,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// start.
 const NEWTON_STEPS: usize = 4;
 
+/// Number of clamped vertices that one task processes.
+const CHUNK: usize = 256;
+
 /// Largest number of times that clamped vertices are tried at their best places.
 const FREE_PASSES: usize = 4;
+
+/// A corrected vertex does not move closer than this to another one of its quadrilaterals, voxels: the least distance
+/// of vertices in different cells.
+const APART: f64 = 2.0 * MARGIN;
 
 /// A vertex on flat faces is corrected if the root of the sum of its squared distances to the planes of its patch is
 /// larger, voxels.
@@ -45,6 +52,15 @@ pub(super) struct Vertices {
     pub places: Vec<DVec3>,
     /// Whether each vertex counts as clamped; see [`SurfaceMesh::clamped`].
     pub is_clamped: Vec<bool>,
+}
+
+/// A vertex that may move to `place`, world units.
+#[derive(Debug, Clone, Copy)]
+struct Loose<'a> {
+    cell: &'a SurfaceCell,
+    /// Its patch.
+    id: u32,
+    place: DVec3,
 }
 
 /// An edge of the grid (the sample where it starts, and its axis), a quadrilateral, and the number of their
@@ -93,19 +109,21 @@ impl LevelSurface {
         let nearby = extra.nearby().filter(|_| options.sharp);
         let places = self.cells.for_patches(DVec3::ZERO, |cells, places| {
             let mut waiting = Vec::new();
-            for (i, (cell, id)) in patches_of(cells).enumerate() {
+            for ((cell, id), to) in patches_of(cells).zip(&mut *places) {
                 let planes = self.planes(cell, id, crossings, extra.of(id));
                 let (place, clamped) = self.vertex(cell, &planes, options, free);
-                places[i] = place;
+                *to = place;
                 is_clamped[id as usize].store(clamped, Ordering::Relaxed);
                 let Some((_, is_flat)) = nearby.filter(|_| !clamped) else { continue };
                 let error = || planes.error(place - self.world(cell.index, DVec3::ZERO));
                 if !is_flat || error() > (LEAST_ERROR * self.spacing.min_element()).powi(2) {
-                    waiting.push((i, cell, id));
+                    waiting.push(Loose { cell, id, place });
                 }
             }
             if let Some(nearby) = nearby {
-                self.correct(places, &waiting, crossings, extra, nearby);
+                self.correct(&mut waiting, false, crossings, extra, nearby);
+                let first = cells[0].first_patch;
+                waiting.iter().for_each(|vertex| places[(vertex.id - first) as usize] = vertex.place);
             }
         });
         let is_clamped = is_clamped.into_iter().map(AtomicBool::into_inner).collect();
@@ -116,42 +134,48 @@ impl LevelSurface {
         vertices
     }
 
-    /// Corrects vertices by the planes of the source close to them; see [`super::probes`]. `waiting` has the indices of
-    /// the vertices in `places`, their cells and patches. `is_flat` states that the source consists of flat faces.
+    /// Corrects vertices by the planes of the source close to them; see [`super::probes`]. They move within their
+    /// cells, or within a voxel of their regions if they are `free`. `is_flat` states that the source consists of flat
+    /// faces.
     fn correct(
         &self,
-        places: &mut [DVec3],
-        waiting: &[(usize, &SurfaceCell, u32)],
+        vertices: &mut [Loose<'_>],
+        free: bool,
         crossings: &[Crossing],
         extra: &ExtraPlanes,
         (nearby, is_flat): (&Nearby, bool),
     ) {
-        let targets = waiting.iter().map(|&(i, _, id)| Place { point: places[i], is_sharp: !extra.of(id).is_empty() });
-        let targets: Vec<Place> = targets.collect();
-        let mut found = Vec::with_capacity(waiting.len());
+        let place = |vertex: &Loose<'_>| Place { point: vertex.place, is_sharp: !extra.of(vertex.id).is_empty() };
+        let targets: Vec<Place> = vertices.iter().map(place).collect();
+        let mut found = Vec::with_capacity(targets.len());
         nearby(&targets, &mut |row, point, normal| found.push((row, point, normal)));
         let mut own = Vec::new();
         for near in found.chunk_by(|a, b| a.0 == b.0) {
-            let (i, cell, id) = waiting[near[0].0];
+            let Loose { cell, id, place } = &mut vertices[near[0].0];
             let corner = self.world(cell.index, DVec3::ZERO);
-            let [lower, upper] = self.region(cell, 0);
+            let [lower, upper] = if free { self.region_beyond(cell) } else { self.region(cell, 0) };
             own.clear();
-            let region = PatchRegion::new(self, cell, id, crossings);
+            let region = PatchRegion::new(self, cell, *id, crossings, if free { 1.0 } else { 0.0 });
             near.iter().for_each(|&(_, point, normal)| region.join(&mut own, point, normal));
-            let before = places[i] - corner;
+            let before = *place - corner;
             let is_crease = own.iter().any(|plane| plane.1.dot(own[0].1) < SHARP_COSINE);
             let after = if is_flat || is_crease {
                 let mut planes = Planes::new();
                 own.iter().for_each(|&(point, normal)| planes.add_near(point, normal));
-                planes.refined(before, lower, upper)
+                // An edge may pass beside the cell. Planes that do not meet in it belong to a corner outside, and on
+                // smooth parts vertices slightly outside balance the faces.
+                let best = planes.moved(before, lower, upper);
+                let meet = planes.error(best) <= (LEAST_ERROR * self.spacing.min_element()).powi(2);
+                let to_edge = is_crease && meet && is_within(before, [lower, upper]);
+                if to_edge { best } else { planes.refined(before, lower, upper) }
             } else if targets[near[0].0].is_sharp {
                 // The planes around the vertex balance the curvature already.
                 continue;
             } else {
-                self.planes(cell, id, crossings, &own).minimum(lower, upper).point
+                self.planes(cell, *id, crossings, &own).minimum(lower, upper).point
             };
             if !own.is_empty() && (after - before).abs().cmple(self.spacing * FARTHEST).all() {
-                places[i] = (corner + after).clamp(self.lower, self.upper);
+                *place = (corner + after).clamp(self.lower, self.upper);
             }
         }
     }
@@ -181,27 +205,37 @@ impl LevelSurface {
     /// grid through a cell that has a patch of its own.
     fn free_clamped(&self, vertices: &mut Vertices, crossings: &[Crossing], extra: &ExtraPlanes) {
         let Vertices { places: vertices, is_clamped } = vertices;
-        let mut waiting: Vec<(&SurfaceCell, u32, DVec3)> = patches_of(self.cells.cells())
-            .filter(|&(_, id)| is_clamped[id as usize])
+        let clamped = patches_of(self.cells.cells()).filter(|&(_, id)| is_clamped[id as usize]);
+        let best: Vec<Loose<'_>> = clamped
             .map(|(cell, id)| {
-                let [lower, upper] = self.region(cell, cell.free);
-                let planes = self.planes(cell, id, crossings, extra.of(id));
-                let best = planes.minimum(lower - self.spacing, upper + self.spacing).point;
-                (cell, id, (self.world(cell.index, DVec3::ZERO) + best).clamp(self.lower, self.upper))
+                let [lower, upper] = self.region_beyond(cell);
+                let best = self.planes(cell, id, crossings, extra.of(id)).minimum(lower, upper).point;
+                Loose { cell, id, place: (self.world(cell.index, DVec3::ZERO) + best).clamp(self.lower, self.upper) }
             })
             .collect();
+        let mut corrected = best.clone();
+        if let Some(nearby) = extra.nearby() {
+            let parts = corrected.par_chunks_mut(CHUNK);
+            parts.for_each(|vertices| self.correct(vertices, true, crossings, extra, nearby));
+        }
+        let mut waiting: Vec<(Loose<'_>, DVec3)> =
+            best.into_iter().zip(corrected).map(|(best, corrected)| (best, corrected.place)).collect();
         // A vertex that cannot move at first may do so when its neighbours have moved.
         for _ in 0..FREE_PASSES {
             let before = waiting.len();
-            waiting.retain(|&(_, id, best)| {
-                is_clamped[id as usize] = !self.moves_to(id, best, vertices);
-                is_clamped[id as usize]
+            waiting.retain(|&(Loose { id, place, .. }, corrected)| {
+                // Two vertices must not have the same place, as at a corner.
+                let is_apart = self.is_apart(id, corrected, vertices);
+                let has_moved =
+                    (is_apart && self.moves_to(id, corrected, vertices)) || self.moves_to(id, place, vertices);
+                is_clamped[id as usize] = !has_moved;
+                !has_moved
             });
             if waiting.len() == before {
                 break;
             }
         }
-        for &(cell, id, best) in &waiting {
+        for &(Loose { cell, id, place: best }, _) in &waiting {
             // The error decreases all the way to the best place.
             let start = vertices[id as usize];
             if [0.75, 0.5, 0.25].into_iter().any(|share| self.moves_to(id, start.lerp(best, share), vertices)) {
@@ -214,6 +248,12 @@ impl LevelSurface {
                 vertices[id as usize] = self.world(cell.index, DVec3::ZERO) + own.point;
             }
         }
+    }
+
+    /// Whether a place, world units, is at least [`APART`] from all other vertices of the quadrilaterals at a patch.
+    fn is_apart(&self, id: u32, place: DVec3, vertices: &[DVec3]) -> bool {
+        let mut others = self.links.edges_of(id).iter().flat_map(|&edge| self.links.patches_around(edge));
+        others.all(|other| other == id || ((vertices[other as usize] - place) / self.spacing).length() >= APART)
     }
 
     /// Moves the vertex of a patch to a place, world units, unless that folds a quadrilateral. Returns whether it moved.
@@ -340,8 +380,7 @@ impl LevelSurface {
         let (vertex, clamped) = if options.sharp {
             let minimum = planes.minimum(lower, upper);
             let [lower, upper] = self.region(cell, 0);
-            let is_within = minimum.point.cmpge(lower).all() && minimum.point.cmple(upper).all();
-            let is_free = is_within && !minimum.clamped;
+            let is_free = is_within(minimum.point, [lower, upper]) && !minimum.clamped;
             let point = if is_free { planes.refined(minimum.point, lower, upper) } else { minimum.point };
             (point, minimum.clamped)
         } else {
@@ -394,6 +433,12 @@ impl LevelSurface {
             upper[axis] = upper[axis].min(box_lower + f64::from(self.cells.shape()[axis]));
         }
         [lower * self.spacing, upper * self.spacing]
+    }
+
+    /// The region of a vertex outside its cell, relative to the lower corner of the cell: a voxel more on all sides.
+    fn region_beyond(&self, cell: &SurfaceCell) -> [DVec3; 2] {
+        let [lower, upper] = self.region(cell, cell.free);
+        [lower - self.spacing, upper + self.spacing]
     }
 
     /// A point of the cell moved onto the surface of its trilinear function.

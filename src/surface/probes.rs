@@ -5,12 +5,12 @@
 //! vertex the source is evaluated at points around it, and the tangent planes found there are added to the planes of
 //! the crossings.
 //!
-//! Planes up to a voxel away do not meet on the surface where it is curved. A vertex within its cell is therefore
-//! finally corrected: the source is evaluated close to it, at [`NEAR_STEP`] around a sharp vertex, otherwise at the
-//! vertex itself ([`ExtraPlanes::with_nearby`]). A vertex at a crease, or on small flat faces, moves onto the planes
-//! found. On a curved smooth part the plane joins those of the patch: the vertex stays slightly outside, and the faces
-//! between vertices slightly inside, so that the volume is kept. Crossings of a mesh have its faces as planes, so a
-//! vertex that lies on all of them needs no correction.
+//! Planes up to a voxel away do not meet on the surface where it is curved. A vertex within its cell, or the best place
+//! of a vertex outside its cell, is therefore finally corrected: the source is evaluated close to it, at [`NEAR_STEP`]
+//! around a sharp vertex, otherwise at the vertex itself ([`ExtraPlanes::with_nearby`]). A vertex at a crease, or on
+//! small flat faces, moves onto the planes found. On a curved smooth part the plane joins those of the patch: the
+//! vertex stays slightly outside, and the faces between vertices slightly inside, so that the volume is kept. Crossings
+//! of a mesh have its faces as planes, so a vertex that lies on all of them needs no correction.
 
 use super::cells::{SurfaceCell, patches_of};
 use super::{Crossing, LevelSurface, MeshOptions};
@@ -131,8 +131,16 @@ pub(super) struct PatchRegion<'a> {
 }
 
 impl<'a> PatchRegion<'a> {
-    pub(super) fn new(surface: &'a LevelSurface, cell: &SurfaceCell, id: u32, crossings: &[Crossing]) -> Self {
+    /// The vertex may lie `beyond` voxels outside the region of its cell.
+    pub(super) fn new(
+        surface: &'a LevelSurface,
+        cell: &SurfaceCell,
+        id: u32,
+        crossings: &[Crossing],
+        beyond: f64,
+    ) -> Self {
         let [lower, upper] = surface.region(cell, cell.free);
+        let [lower, upper] = [lower - beyond * surface.spacing, upper + beyond * surface.spacing];
         let normal: DVec3 = surface.crossings_of(id, crossings).map(|crossing| crossing.normal).sum();
         let corner = surface.world(cell.index, DVec3::ZERO);
         Self { surface, corner, lower, upper, normal: normal.normalize_or_zero() }
@@ -186,12 +194,14 @@ impl LevelSurface {
     }
 
     /// The planes around all sharp vertices. `planes` evaluates the tangent planes nearest to the probes of a vertex,
-    /// world positions, and appends them to its last argument: a point and a unit normal each. Its second argument is a
-    /// point of the surface near the vertex. Its third argument lists the faces whose planes the patch has already.
-    pub(crate) fn planes_around(
+    /// world positions, and appends them to its last argument: a point and a unit normal each. Its first argument
+    /// comes from `init`, one for some consecutive cells. Its third argument is a point of the surface near the vertex.
+    /// Its fourth argument lists the faces whose planes the patch has already.
+    pub(crate) fn planes_around<S>(
         &self,
         crossings: &[Crossing],
-        planes: impl Fn(&[DVec3; PROBES], DVec3, &mut Vec<u32>, &mut Vec<(DVec3, DVec3)>) + Sync,
+        init: impl Fn() -> S + Sync,
+        planes: impl Fn(&mut S, &[DVec3; PROBES], DVec3, &mut Vec<u32>, &mut Vec<(DVec3, DVec3)>) + Sync,
         progress: &Progress,
     ) -> Result<ExtraPlanes, Error> {
         let is_sharp = self.sharp_patches(crossings);
@@ -199,11 +209,12 @@ impl LevelSurface {
         let chunks = self.cells.cells().par_chunks(CHUNK).map(|cells| {
             let (mut counts, mut all) = (Vec::with_capacity(cells.len()), Vec::new());
             let (mut own, mut known, mut found) = (Vec::new(), Vec::new(), Vec::new());
+            let mut state = init();
             for (cell, id) in patches_of(cells) {
                 own.clear();
                 known.clear();
                 if is_sharp[id as usize] {
-                    let region = PatchRegion::new(self, cell, id, crossings);
+                    let region = PatchRegion::new(self, cell, id, crossings, 0.0);
                     let mut before = DVec3::INFINITY;
                     let mut near = self.point_near(id, crossings);
                     for _ in 0..ROUNDS {
@@ -213,7 +224,7 @@ impl LevelSurface {
                             break;
                         }
                         before = vertex;
-                        planes(&around(vertex, STEP * self.spacing), near, &mut known, &mut found);
+                        planes(&mut state, &around(vertex, STEP * self.spacing), near, &mut known, &mut found);
                         for (point, normal) in found.drain(..) {
                             near = point;
                             region.join(&mut own, point, normal);
@@ -277,7 +288,7 @@ impl LevelSurface {
                 let first = probes.patches.partition_point(|&other| other < id);
                 let count = probes.patches[first..].iter().take_while(|&&other| other == id).count();
                 let rows = first..first + count;
-                let region = PatchRegion::new(self, cell, id, crossings);
+                let region = PatchRegion::new(self, cell, id, crossings, 0.0);
                 let mut planes = extra.of(id).to_vec();
                 for (&point, &normal) in points[rows.clone()].iter().zip(&normals[rows]) {
                     region.join(&mut planes, point, normal);

@@ -90,7 +90,7 @@ impl Planes {
     pub(crate) fn minimum(&self, lower: DVec3, upper: DVec3) -> Minimum {
         let (matrix, vector) = self.pulled(self.mean());
         let free = matrix.inverse() * vector;
-        if free.cmpge(lower).all() && free.cmple(upper).all() {
+        if is_within(free, [lower, upper]) {
             return Minimum { point: free, clamped: false };
         }
         Minimum { point: constrained(matrix, vector, lower, upper), clamped: true }
@@ -102,13 +102,27 @@ impl Planes {
         let inverse = self.pulled(point).0.inverse();
         for _ in 0..REFINEMENTS {
             let next = inverse * self.pulled(point).1;
-            if !(next.cmpge(lower).all() && next.cmple(upper).all()) {
+            if !is_within(next, [lower, upper]) {
                 break;
             }
             point = next;
         }
         point
     }
+
+    /// As [`Self::refined`], or the best point of the box if the first minimum lies outside.
+    pub(crate) fn moved(&self, point: DVec3, lower: DVec3, upper: DVec3) -> DVec3 {
+        let (matrix, vector) = self.pulled(point);
+        if is_within(matrix.inverse() * vector, [lower, upper]) {
+            return self.refined(point, lower, upper);
+        }
+        constrained(matrix, vector, lower, upper)
+    }
+}
+
+/// Whether a point lies in the box from a lower to an upper corner.
+pub(crate) fn is_within(point: DVec3, [lower, upper]: [DVec3; 2]) -> bool {
+    point.cmpge(lower).all() && point.cmple(upper).all()
 }
 
 /// The minimum of `v' A v - 2 b' v` over a box, A positive definite: the best among the stationary points on the faces,
@@ -117,22 +131,22 @@ fn constrained(matrix: DMat3, vector: DVec3, lower: DVec3, upper: DVec3) -> DVec
     let value = |v: DVec3| v.dot(matrix * v) - 2.0 * vector.dot(v);
     let mut best = (f64::INFINITY, 0.5 * (lower + upper));
     for choice in 1..27 {
-        let at = [choice % 3, choice / 3 % 3, choice / 9];
-        let mut system = matrix;
-        let mut right = vector;
-        for (axis, &end) in at.iter().enumerate() {
-            if end > 0 {
-                // Replaces the row by "coordinate = end".
-                for column in 0..3 {
-                    system.col_mut(column)[axis] = if column == axis { 1.0 } else { 0.0 };
-                }
-                right[axis] = if end == 1 { lower[axis] } else { upper[axis] };
+        let ends = [choice % 3, choice / 3 % 3, choice / 9];
+        let mut point = DVec3::from_array([0, 1, 2].map(|axis| [0.0, lower[axis], upper[axis]][ends[axis]]));
+        // The gradient is zero along the free axes.
+        let right = vector - matrix * point;
+        let mut free = (0..3).filter(|&axis| ends[axis] == 0);
+        match (free.next(), free.next()) {
+            (Some(i), Some(j)) => {
+                let (a, b, d) = (matrix.col(i)[i], matrix.col(i)[j], matrix.col(j)[j]);
+                let inverse = 1.0 / (a * d - b * b);
+                point[i] = (d * right[i] - b * right[j]) * inverse;
+                point[j] = (a * right[j] - b * right[i]) * inverse;
             }
+            (Some(i), None) => point[i] = right[i] / matrix.col(i)[i],
+            _ => {}
         }
-        let point = system.inverse() * right;
-        // Rounding moves a coordinate slightly away from the end at which it was fixed.
-        let point = DVec3::select(glam::BVec3::new(at[0] > 0, at[1] > 0, at[2] > 0), point.clamp(lower, upper), point);
-        if point.cmpge(lower).all() && point.cmple(upper).all() && value(point) < best.0 {
+        if is_within(point, [lower, upper]) && value(point) < best.0 {
             best = (value(point), point);
         }
     }

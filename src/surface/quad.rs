@@ -8,6 +8,10 @@
 use super::MARGIN;
 use glam::{DVec2, DVec3};
 
+/// A division with a triangle of at most this area, seen along the edge, is slender: twice the area, voxels squared.
+/// Three corners of a quadrilateral may lie on one edge of the source.
+const SLENDER: f64 = MARGIN;
+
 /// The four vertices around a crossed edge.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Quad {
@@ -33,8 +37,8 @@ impl Quad {
         let first = area(a, b, c).min(area(a, c, d));
         let second = area(b, c, d).min(area(b, d, a));
         let limit = MARGIN * MARGIN;
-        // The division with the shorter diagonal is chosen if neither folds.
-        let joins_first = if first <= limit || second <= limit {
+        // The division with the shorter diagonal is chosen if neither folds or is slender.
+        let joins_first = if first <= SLENDER || second <= SLENDER {
             first >= second
         } else {
             places[0].distance_squared(places[2]) <= places[1].distance_squared(places[3])
@@ -99,6 +103,14 @@ mod tests {
         let quad = quad(places);
         assert!(quad.is_around && !quad.folds);
         assert_eq!(quad.met_edges(places.map(DVec3::from_array)), [([0, 0, 0], 2)]);
+    }
+
+    #[test]
+    fn no_triangle_has_three_corners_on_a_line() {
+        // The first three corners are nearly on a line, and the diagonal between the first and the third is shorter.
+        let quad = quad([[-0.4, -0.4, 0.5], [0.02, -0.0015, 0.5], [0.4, 0.36, 0.5], [-0.9, 0.9, 0.5]]);
+        assert!(!quad.folds);
+        assert_eq!(quad.triangles([0, 1, 2, 3]), [[1, 2, 3], [1, 3, 0]]);
     }
 
     #[test]

@@ -129,6 +129,32 @@ def test_the_rims_of_a_cut_cylinder_are_sharp(resolution):
         assert fb.closest_point(mesh, rims).distances.max() <= SHARP * voxel + voxel**2 / 8
 
 
+@pytest.mark.parametrize(
+    ("axis", "degrees", "resolution"),
+    [((1, 2, 3), 10, 32), ((1, 2, 3), 40, 24), ((1, 2, 3), 40, 40), ((3, 1, 2), 12, 36)],
+)
+def test_straight_edges_of_a_curved_face_are_sharp_in_every_cell(axis, degrees, resolution):
+    # Half of a cylinder. Its edges touch many cells only a little, and its normal turns by 3 to 5 degrees a voxel.
+    count = 129
+    angles = np.linspace(0, np.pi, count)
+    arc = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    i, j = np.arange(count), np.roll(np.arange(count), -1)
+    inner = np.arange(1, count - 1)
+    sides = np.concatenate([np.column_stack((i, j, j + count)), np.column_stack((i, j + count, i + count))])
+    lid = np.column_stack((0 * inner, inner + 1, inner))
+    faces = np.concatenate([sides, lid, lid[:, ::-1] + count])
+    matrix = turn_matrix(axis, degrees)
+    vertices = np.concatenate([np.column_stack([arc, np.full(count, z)]) for z in (-1.0, 1.0)]) @ matrix.T
+    volume = fb.bake((vertices, faces), resolution)
+    mesh = volume.to_mesh()
+    assert_solid(mesh, volume.bounds)
+    voxel = volume.spacing.max()
+    heights = np.linspace(1.25 * voxel - 1, 1 - 1.25 * voxel, 400)
+    for x in (-1.0, 1.0):
+        edge = np.column_stack([np.full(400, x), np.zeros(400), heights]) @ matrix.T
+        assert fb.closest_point(mesh, edge).distances.max() <= SHARP / 2 * voxel
+
+
 def test_vertices_lie_on_facets_smaller_than_a_voxel():
     # A prism with 48 sides; a side is 0.13 wide, and so is a voxel at this resolution.
     angles = 2 * np.pi * np.arange(48) / 48
