@@ -1,7 +1,8 @@
 """Check comments, docstrings and documents for openings and words that make a sentence hard to understand.
 
 A paragraph of documentation starts with its subject or its verb, not with a fragment that depends on the line before.
-Data are not people, so verbs of speech have no place in it.
+Data are not people, so verbs of speech have no place in it. Comments of Rust and WGSL, which no formatter wraps, have
+the width of the code.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import re
 import sys
 from itertools import groupby
 
-from check_paths import texts, tracked
+from check_paths import ROOT, texts, tracked
 
 #: Openings of a paragraph that has no subject. "What " is one too, except in the headings of documents.
 OPENINGS = ("Of ", "That ", "In place of ", "Who ", "What of ")
@@ -20,6 +21,9 @@ WORDS = re.compile(
     r"\b(asked|asks|told|whom|nobody|whatever|matters|dear|as it stands|fight over|holds back|takes part|who is)\b",
     re.IGNORECASE,
 )
+
+#: Largest number of columns of a comment, as in rustfmt.toml.
+COLUMNS = 120
 
 #: Marks of comments, bullets and docstrings in front of the first word.
 MARKS = re.compile(r'^[\s/!#:*>-]*(?:r?""")?')
@@ -35,12 +39,21 @@ def paragraphs(name: str) -> list[tuple[int, list[str]]]:
     return [(block[0][0], [line for _, line in block]) for block in blocks]
 
 
+def wide_comments(name: str) -> list[int]:
+    """The numbers of the lines of a file that are comments with more than `COLUMNS` columns."""
+    lines = (ROOT / name).read_text(encoding="utf-8").splitlines()
+    return [i for i, line in enumerate(lines, 1) if line.lstrip().startswith("//") and len(line) > COLUMNS]
+
+
 def main() -> int:
     """Print each fault; the exit status is 1 if there is one."""
     faults = 0
     for name in tracked():
         if not name.endswith((".md", ".rs", ".wgsl", ".py")) or name.startswith("benches/results/"):
             continue
+        for number in wide_comments(name) if name.endswith((".rs", ".wgsl")) else ():
+            print(f"{name}:{number}: a comment has at most {COLUMNS} columns")
+            faults += 1
         for first, lines in paragraphs(name):
             is_riddle = lines[0].startswith(OPENINGS) or (lines[0].startswith("What ") and not name.endswith(".md"))
             if is_riddle:

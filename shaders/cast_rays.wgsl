@@ -1,8 +1,8 @@
 // Finds the triangles that each ray of a list may hit. Twin of src/bvh/cast.rs.
 //
 // The tests are those of src/bvh/ray_lanes.rs, with bounds on the rounding of WGSL, which may round a result to either
-// neighbour and may fuse a product with a sum. They never reject a hit. A hit is certain if no such rounding can undo it.
-// The CPU computes the hits of the triangles in float64, so the results do not depend on this search.
+// neighbour and may fuse a product with a sum. They never reject a hit. A hit is certain if no such rounding can undo
+// it. The CPU computes the hits of the triangles in float64, so the results do not depend on this search.
 
 #import tree
 
@@ -114,8 +114,8 @@ fn triangle_hit(triangle: Corners, ray: CastRay, along: vec3f) -> TriangleHit {
     hit.low = min(t.x, min(t.y, t.z));
     hit.high = max(t.x, max(t.y, t.z));
     // The weights of the corners are edges / sum. The slack changes a weight w by (1 + 3 |w|) slack / (|sum| - 3 slack)
-    // at most. The weights are between -1/16 and 9/8 here, so all three together change by less than 9 slack / |sum|, and
-    // t by half of that times its range over the corners.
+    // at most. The weights are between -1/16 and 9/8 here, so all three together change by less than 9 slack / |sum|,
+    // and t by half of that times its range over the corners.
     if abs(sum) > 16.0 * slack {
         let middle = t.x + (edges.y * (t.y - t.x) + edges.z * (t.z - t.x)) / sum;
         let reach = 5.0 * slack / abs(sum) * (hit.high - hit.low);

@@ -122,8 +122,8 @@ fn largest_clearance_past(caster: Caster, beam: Beam, ray: FieldRay, deepest: ve
     return most;
 }
 
-// The least clearance of the axis of a narrow cone in radii, from 0 to 1: beside the occluder `past`, and beside the others
-// that are opaque. The search ends if it is at most `least`.
+// The least clearance of the axis of a narrow cone in radii, from 0 to 1: beside the occluder `past`, and beside the
+// others that are opaque. The search ends if it is at most `least`.
 fn clearance_along(beam: Beam, past: u32, least: f32) -> f32 {
     var clearance = 1.0;
     var walk = begin_walk(beam);
@@ -147,7 +147,8 @@ fn clearance_along(beam: Beam, past: u32, least: f32) -> f32 {
 // The nearest edge on the axis of a cone. One loop computes all results, because drivers inline functions:
 //   free axis:     (smallest clearance in radii, at most x_known; -1)
 //   the same, if the steps do not prove that the axis is free:     (that clearance; 0)
-//   axis that enters the occluder at t_hit:     (signed distance of the edge in radii, negative; t of the deepest point)
+//   axis that enters the occluder at t_hit:     (signed distance of the edge in radii, negative; t of the deepest
+//   point)
 fn nearest_edge(beam: Beam, index: u32, ray: FieldRay, x_known: f32, span: vec2f, t_hit: f32) -> vec2f {
     let field = fields[instances[index].field];
     let least_step = 0.5 / length(ray.direction);

@@ -1,5 +1,5 @@
-// Sizes of the dispatches of a light pass, from numbers that earlier dispatches counted. Each kernel has one invocation,
-// and each of the other dispatches has workgroups of 64 invocations.
+// Sizes of the dispatches of a light pass, from numbers that earlier dispatches counted. Each kernel has one
+// invocation, and each of the other dispatches has workgroups of 64 invocations.
 
 #import scene_counts
 

@@ -54,7 +54,8 @@ fn prefer_large_pages<T>(items: &mut [T]) {
         let start = items.as_mut_ptr().cast::<u8>();
         let skipped = start.align_offset(PAGE);
         if length >= LONG && skipped < length {
-            // SAFETY: the pages lie within the array, and this advice changes no content. A failure leaves the array as it was.
+            // SAFETY: the pages lie within the array, and this advice changes no content. A failure leaves the array as
+            // it was.
             unsafe { madvise(start.wrapping_add(skipped).cast(), (length - skipped) / PAGE * PAGE, MADV_HUGEPAGE) };
         }
     }

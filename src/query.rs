@@ -3,8 +3,8 @@
 //! *Theory.* Many points are processed along a space-filling curve (Morton order of their positions), so that
 //! neighbouring points share work: the nodes of the tree are in the cache, the distance to the previous point's closest
 //! point bounds the next search, and the side can be carried over by the shell lemma. No surface lies within the
-//! distance of p, so every point there is on the same side as p. For open meshes this holds in the part of that ball that
-//! does not intersect the cones that close the openings.
+//! distance of p, so every point there is on the same side as p. For open meshes this holds in the part of that ball
+//! that does not intersect the cones that close the openings.
 //!
 //! On a graphics device, the nearest faces of all points are searched at once ([`device`]), and so are the faces that
 //! rays may hit ([`device_rays`]).
@@ -56,10 +56,11 @@ const AHEAD: usize = 8;
 const FEW: usize = 64;
 /// Number of bits of the Morton code for each axis.
 const MORTON_BITS: u32 = 21;
-/// Fewest points or rays that `device="auto"` sends to a device. The CPU searches fewer in a few milliseconds, in which a
-/// device does not start.
+/// Fewest points or rays that `device="auto"` sends to a device. The CPU searches fewer in a few milliseconds, in which
+/// a device does not start.
 const DEVICE_ROWS: usize = 4096;
-/// Largest number of vertices for each point or ray that `device="auto"` sends to a device, which copies the mesh first.
+/// Largest number of vertices for each point or ray that `device="auto"` sends to a device, which copies the mesh
+/// first.
 const VERTICES_PER_ROW: usize = 8;
 /// Slack for the float32 rounding of a bound, relative and in local units: ten times the rounding.
 const SLACK: (f64, f64) = (1e-5, 1e-6);
@@ -83,8 +84,8 @@ pub fn signed_distances(
     Ok(answers.into_rows())
 }
 
-/// Replaces "auto" by "cpu" if `rows` points or rays are too few for a device. Other names are returned unchanged, and so
-/// is "auto" if the environment names a device.
+/// Replaces "auto" by "cpu" if `rows` points or rays are too few for a device. Other names are returned unchanged, and
+/// so is "auto" if the environment names a device.
 pub fn device_for<'a>(device: &'a str, mesh: &Mesh, rows: usize) -> &'a str {
     if device == "auto" && are_few(mesh, rows) && !gpu::is_overridden() { "cpu" } else { device }
 }

@@ -1,8 +1,8 @@
 // Instances in the view of the camera. Twin of src/scene/raster.rs.
 
 struct RasterInstance {
-    // Rows of the map from the instance's own space to clip space. The third is w, the depth in scene units; if the rays
-    // are parallel it is z.
+    // Rows of the map from the instance's own space to clip space. The third is w, the depth in scene units; if the
+    // rays are parallel it is z.
     clip_x: vec4f,
     clip_y: vec4f,
     clip_depth: vec4f,
@@ -10,8 +10,8 @@ struct RasterInstance {
     start: vec3f,
     // Index of the instance in the scene's list.
     index: u32,
-    // Direction of the ray through pixel (0, 0), one scene unit of depth long. Its change per pixel along x and y follows,
-    // or that of the start if the rays are parallel.
+    // Direction of the ray through pixel (0, 0), one scene unit of depth long. Its change per pixel along x and y
+    // follows, or that of the start if the rays are parallel.
     ray: vec3f,
     first_face: u32,
     ray_x: vec3f,

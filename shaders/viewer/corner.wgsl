@@ -13,8 +13,8 @@ fn corner_point(place: vec3f) -> vec3f {
     return vec3f(dot(own.texels[9], p), dot(own.texels[10], p), dot(own.texels[11], p));
 }
 
-// The unit normal in scene space from a vector along the gradient in field space. The normal of a mesh points to the eye,
-// because a mesh may be open or wound inside out.
+// The unit normal in scene space from a vector along the gradient in field space. The normal of a mesh points to the
+// eye, because a mesh may be open or wound inside out.
 fn corner_normal(slope: vec3f, to_eye: vec3f) -> vec3f {
     let along = slope.x * own.texels[6].xyz + slope.y * own.texels[7].xyz + slope.z * own.texels[8].xyz;
     let normal = along / max(length(along), SHORTEST);

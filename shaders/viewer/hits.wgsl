@@ -1,8 +1,8 @@
-// Where rays meet the fields of a view, and their distances: one function for each kind of field. Rays and positions are
-// those of field space; distances are in the field's own units.
+// Where rays meet the fields of a view, and their distances: one function for each kind of field. Rays and positions
+// are those of field space; distances are in the field's own units.
 
-// The part of a ray between two corners of a box. It computes what `clip_between` does without a loop over the axes, because
-// software devices are slow at indices that vary.
+// The part of a ray between two corners of a box. It computes what `clip_between` does without a loop over the axes,
+// because software devices are slow at indices that vary.
 fn clip_to_field(origin: vec3f, direction: vec3f, lower: vec3f, upper: vec3f) -> ClippedRay {
     var clipped: ClippedRay;
     clipped.enter_axis = NO_AXIS;
@@ -43,8 +43,8 @@ fn filtered_value(p: vec3f) -> f32 {
     return textureSampleLevel(filtered, linear_filter, texel * view.filtered.xyz, 0.0).x * filter_place.z - level;
 }
 
-// Sphere tracing with steps for neighbouring samples that differ by at most 1 / filter_place.w. A step that passes through
-// the surface returns to the zero of the line between its ends.
+// Sphere tracing with steps for neighbouring samples that differ by at most 1 / filter_place.w. A step that passes
+// through the surface returns to the zero of the line between its ends.
 fn filtered_hit(origin: vec3f, direction: vec3f, t_max: f32) -> f32 {
     let least = LEAST_STEP / filter_place.y;
     let near = NEAR_SURFACE / filter_place.y;
@@ -77,9 +77,9 @@ fn may_have_root(index: u32, cell: vec3i) -> bool {
     return ((mask >> (local.x + 4u * local.y + 16u * (local.z & 1u))) & 1u) == 1u;
 }
 
-// The first t in [0, t_max] where the field is not above the level, or -1; the direction is unit. The inner loop leaps over
-// empty blocks of 4^3 cells and passes cells without a root; the outer loop solves the cubic in the others. So lanes of a
-// software device that are in different places of their rays wait less for each other.
+// The first t in [0, t_max] where the field is not above the level, or -1; the direction is unit. The inner loop leaps
+// over empty blocks of 4^3 cells and passes cells without a root; the outer loop solves the cubic in the others. So
+// lanes of a software device that are in different places of their rays wait less for each other.
 fn dense_hit(origin: vec3f, direction: vec3f, t_max: f32) -> f32 {
     if IS_MOTION { return filtered_hit(origin, direction, t_max); }
     let last_cell = vec3i(shape) - 1;

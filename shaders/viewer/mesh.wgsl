@@ -1,5 +1,5 @@
-// Draws the triangles of meshes in still pictures. Each pixel is lit, and rays through the fields of all instances find its
-// shadows.
+// Draws the triangles of meshes in still pictures. Each pixel is lit, and rays through the fields of all instances find
+// its shadows.
 
 #import clip
 #import cubic
@@ -57,8 +57,8 @@ fn lit_color(corner: LitCorner) -> @location(0) vec4f {
     let to_eye = normalize(view.eye.xyz - p);
     let normal = normalize(corner.normal);
     let own_index = u32(own.texels[23].z);
-    // A shadow ray starts one voxel of the field above its triangle. At most places the field and its triangle differ by less
-    // than that.
+    // A shadow ray starts one voxel of the field above its triangle. At most places the field and its triangle differ
+    // by less than that.
     let offset = length(moved_by_transpose(own_index, 9u, normal));
     let own_start = moved(own_index, 6u, vec4f(p + offset * normal, 1.0));
     let ambient = select(view.light.x, ambient_light(normal, view.light.x), view.light.y == 1.0);

@@ -1,5 +1,6 @@
-// The picture of a view in a browser: a fragment finds the first hit of its ray among the fields of all instances, sends a
-// ray to each light, and shades the hit as fieldbake.raymarch does. Twin of src/render/shade.rs and src/scene/light.rs.
+// The picture of a view in a browser: a fragment finds the first hit of its ray among the fields of all instances,
+// sends a ray to each light, and shades the hit as fieldbake.raymarch does. Twin of src/render/shade.rs and
+// src/scene/light.rs.
 //
 // One loop holds the ray from the eye and the rays to the lights, because drivers inline functions at each call.
 
@@ -43,7 +44,8 @@ fn painted(color: vec3f, p: vec3f) -> vec3f {
     return select(color, paint, paint.x >= 0.0);
 }
 
-// A direction of any length, unit; `fallback` for zero. Scaled by its largest entry first, so that squares stay in range.
+// A direction of any length, unit; `fallback` for zero. Scaled by its largest entry first, so that squares stay in
+// range.
 fn unit_or(v: vec3f, fallback: vec3f) -> vec3f {
     let sizes = abs(v);
     let largest = max(sizes.x, max(sizes.y, sizes.z));

@@ -142,8 +142,8 @@ impl SparseJob<'_> {
         matches!(self.rule, SignRule::Counted(_) | SignRule::Parity)
     }
 
-    /// Whether the side of a brick far from the mesh follows from its corners alone, although the side may change across
-    /// an opening.
+    /// Whether the side of a brick far from the mesh follows from its corners alone, although the side may change
+    /// across an opening.
     fn sides_by_corners(&self) -> bool {
         let by_point = matches!(self.rule, SignRule::Winding | SignRule::Pseudonormal | SignRule::Normal);
         by_point && !self.is_closed

@@ -2,8 +2,8 @@
 //!
 //! A device does not evaluate eight children of one point at once, so each eight-wide node becomes three levels of
 //! two-wide nodes. The children of a node are in the order of the splits that made them, so halving that list gives
-//! compact boxes. A node holds the boxes of its two children and has 64 bytes. The triangles are tables beside the tree,
-//! in the order of its leaves: frames of 80 bytes for distances, corners of 48 bytes for rays.
+//! compact boxes. A node holds the boxes of its two children and has 64 bytes. The triangles are tables beside the
+//! tree, in the order of its leaves: frames of 80 bytes for distances, corners of 48 bytes for rays.
 
 use super::pack::TriangleFrame;
 use super::{Bvh, ChildRef, WIDTH};

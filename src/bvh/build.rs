@@ -24,8 +24,8 @@ pub(super) const MAX_DEPTH: usize = HALVE_FROM + 11;
 /// The box of a triangle during the build.
 #[derive(Clone, Copy)]
 pub(super) struct Primitive {
-    /// The fourth lane has the bits of the index plus [`FIRST_INDEX`]. Differences of two such numbers are not subnormal,
-    /// so that arithmetic on all lanes is fast and the fourth one can be ignored.
+    /// The fourth lane has the bits of the index plus [`FIRST_INDEX`]. Differences of two such numbers are not
+    /// subnormal, so that arithmetic on all lanes is fast and the fourth one can be ignored.
     min: Vec4,
     max: Vec4,
 }

@@ -90,8 +90,8 @@ impl Mesh {
         found
     }
 
-    /// [`Mesh::first_hit`] of many rays. `finish` receives the index of each ray and its hit, in no particular order. The
-    /// results do not depend on `near`, see [`Mesh::traverse_many`].
+    /// [`Mesh::first_hit`] of many rays. `finish` receives the index of each ray and its hit, in no particular order.
+    /// The results do not depend on `near`, see [`Mesh::traverse_many`].
     pub fn first_hits(&self, rays: impl Iterator<Item = Ray>, near: bool, finish: impl FnMut(usize, Option<FaceHit>)) {
         self.traverse_many(rays, near, FirstHits(finish));
     }

@@ -13,16 +13,16 @@ use glam::Vec3;
 const MOST: usize = 48;
 
 impl Bvh {
-    /// Twice the rounding of a float32 distance at a point whose largest coordinate is `reach`: a face may be the nearest
-    /// one if its distance exceeds the least distance by at most this.
+    /// Twice the rounding of a float32 distance at a point whose largest coordinate is `reach`: a face may be the
+    /// nearest one if its distance exceeds the least distance by at most this.
     pub fn nearest_slack(reach: f64) -> f32 {
         (2.0 * ROUNDING * (1.0 + reach)) as f32
     }
 
     /// Appends the faces that may be the nearest of one of eight points, x, y and z in rows: the distance exceeds the
-    /// least one by at most `slack`. Each has the set of those points, bit i for point i. These triangles must lie within
-    /// `radius` of `center`. Returns false, and appends nothing, if no triangle, or more than [`MOST`], lie within
-    /// `radius`.
+    /// least one by at most `slack`. Each has the set of those points, bit i for point i. These triangles must lie
+    /// within `radius` of `center`. Returns false, and appends nothing, if no triangle, or more than [`MOST`], lie
+    /// within `radius`.
     pub fn nearest_of_group(
         &self,
         center: Vec3,

@@ -137,15 +137,15 @@ impl Mesh {
     }
 
     /// The tree for closest points whose largest local coordinate is `reach`. If there are many, faces that repeat an
-    /// earlier one exactly are not in it: all are equally near, so that a search would measure all of them. Among equally
-    /// near faces the lowest one is returned, which is in this tree.
+    /// earlier one exactly are not in it: all are equally near, so that a search would measure all of them. Among
+    /// equally near faces the lowest one is returned, which is in this tree.
     pub fn distance_bvh(&self, reach: f64) -> &Bvh {
         let bvh = self.bvh_within(reach);
         if bvh.has_equal_boxes { self.derived::<DistinctBvh>().0.as_ref().unwrap_or(bvh) } else { bvh }
     }
 
-    /// Whether the tree and the connectivity have been built. A query then starts at once, except the first one of a mesh
-    /// that needs another tree.
+    /// Whether the tree and the connectivity have been built. A query then starts at once, except the first one of a
+    /// mesh that needs another tree.
     pub fn is_prepared(&self) -> bool {
         self.has_derived::<Bvh>() && self.has_topology()
     }
@@ -265,8 +265,8 @@ impl Node {
         unsafe { &*std::ptr::from_ref(self).cast() }
     }
 
-    /// Mask of the lanes whose box has min <= high and max >= low along every axis: those that overlap the box from `low`
-    /// to `high`.
+    /// Mask of the lanes whose box has min <= high and max >= low along every axis: those that overlap the box from
+    /// `low` to `high`.
     #[inline(always)]
     pub fn overlaps(&self, low: Vec3, high: Vec3) -> u32 {
         let half = |first: usize| {

@@ -1,7 +1,8 @@
 //! Eight consecutive rays, prepared side by side for a search.
 //!
-//! Many rays of a picture miss the mesh or its triangles. Their preparation therefore takes as long as their search, and
-//! the AVX2 functions prepare four rays at a time. They apply the operations of [`Clip::of`] and give the same bits.
+//! Many rays of a picture miss the mesh or its triangles. Their preparation therefore takes as long as their search,
+//! and the AVX2 functions prepare four rays at a time. They apply the operations of [`Clip::of`] and give the same
+//! bits.
 
 use super::WIDTH;
 use super::ray_search::ReadyRay;

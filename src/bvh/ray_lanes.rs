@@ -1,7 +1,7 @@
 //! Conservative float32 tests of a ray against eight boxes or eight triangles.
 //!
-//! The tests allow for the rounding of their own operations, so that they never reject a hit. The portable functions and
-//! the AVX2 functions apply the same operations in the same order and give the same bits.
+//! The tests allow for the rounding of their own operations, so that they never reject a hit. The portable functions
+//! and the AVX2 functions apply the same operations in the same order and give the same bits.
 
 use super::sorted_stack::SortedStack;
 use super::watertight::{BOX_MARGIN, PARALLEL, Sheared};

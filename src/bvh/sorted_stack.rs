@@ -1,8 +1,8 @@
 //! The stack of a depth-first search that sorts the children of a node without branches.
 //!
 //! The number of children that a search enters and their order are hard to foresee, and a branch that depends on them
-//! costs more than the comparisons of a sorting network. A key holds the distance of a child above its lane: the distance
-//! is rounded down to a multiple of eight in its last place.
+//! costs more than the comparisons of a sorting network. A key holds the distance of a child above its lane: the
+//! distance is rounded down to a multiple of eight in its last place.
 
 use super::{ChildRef, MAX_STACK, WIDTH};
 
@@ -81,7 +81,8 @@ mod avx2 {
             let rounded = _mm256_andnot_si256(_mm256_set1_epi32(LANE), _mm256_castps_si256(distances));
             let keys = _mm256_or_si256(rounded, lanes);
             let mut keys = _mm256_blendv_epi8(_mm256_set1_epi32(ABSENT), keys, _mm256_castps_si256(entered));
-            // A bitonic network in decreasing order: the partners of lane i are i ^ 1, i ^ 3, i ^ 1, i ^ 7, i ^ 2, i ^ 1.
+            // A bitonic network in decreasing order: the partners of lane i are i ^ 1, i ^ 3, i ^ 1, i ^ 7, i ^ 2, i ^
+            // 1.
             let reverse = _mm256_setr_epi32(7, 6, 5, 4, 3, 2, 1, 0);
             layer!(keys, _mm256_shuffle_epi32::<0xb1>(keys), 0xaa);
             layer!(keys, _mm256_shuffle_epi32::<0x1b>(keys), 0xcc);

@@ -1,12 +1,12 @@
 //! The exact test of a ray against one triangle.
 //!
 //! *Theory.* The triangle is moved into a space that is sheared along the ray (Woop, Benthin and Wald, *Watertight
-//! Ray/Triangle Intersection*, JCGT 2(1), 2013). The ray becomes the point (0, 0) of a plane, a triangle is hit where its
-//! three edge functions have no two opposite signs, and both faces of an edge evaluate the same function of the same two
-//! points. We add exact signs: a difference of two rounded products has the right sign or is zero, and where it is zero
-//! the exact predicate of Shewchuk (crate `robust`) decides. The projected surface is therefore continuous with exact
-//! answers: no ray passes between faces, and a hit lies on an edge or a vertex if and only if the corresponding functions
-//! are zero.
+//! Ray/Triangle Intersection*, JCGT 2(1), 2013). The ray becomes the point (0, 0) of a plane, a triangle is hit where
+//! its three edge functions have no two opposite signs, and both faces of an edge evaluate the same function of the
+//! same two points. We add exact signs: a difference of two rounded products has the right sign or is zero, and where
+//! it is zero the exact predicate of Shewchuk (crate `robust`) decides. The projected surface is therefore continuous
+//! with exact answers: no ray passes between faces, and a hit lies on an edge or a vertex if and only if the
+//! corresponding functions are zero.
 
 use crate::geometry::triangle_cross;
 pub(crate) use crate::gpu::constants::cast_rays::BOX_MARGIN;

@@ -2,8 +2,8 @@
 //!
 //! An operator may raise or lower the field of its operands (an offset, a fillet), so a box alone is not sufficient. An
 //! [`Extent`] bounds *every* level set: `{field <= t}` lies in the box grown by `slack + growth * t` on every side for
-//! `t > 0`, and shrunk by `-shrink * t` for `t < 0`. A box may be inverted: the intersection of two disjoint boxes has a lower
-//! corner above its upper one. It grows into a proper box at the level at which the two grown boxes touch.
+//! `t > 0`, and shrunk by `-shrink * t` for `t < 0`. A box may be inverted: the intersection of two disjoint boxes has
+//! a lower corner above its upper one. It grows into a proper box at the level at which the two grown boxes touch.
 
 use super::placement::{Placement, Warp, WarpKind};
 use super::primitive::Primitive;

@@ -5,7 +5,8 @@
 //! shape     = ( word number... shape... )          ; a comment runs to the end of its line
 //! shapes      the rows of the table of primitives (primitive.rs), and extrude h PROFILE | revolve offset PROFILE
 //!             ; PROFILE = (circle d) | (rectangle w h) | (polygon x y x y ...)
-//! operators   union | inter | diff | xor, and (blend union k a b ...), (chamfer union k a b ...); blend-union k a b ...
+//! operators   union | inter | diff | xor, and (blend union k a b ...), (chamfer union k a b ...);
+//!             blend-union k a b ...
 //! modifiers   the rows of MODIFIERS, and rotate qx qy qz qw | align x y z | stencil COLOR subject mask
 //!             | mask COLOR subject mask           ; COLOR = r g b from 0 to 1, linear, or #rrggbb
 //! ```

@@ -224,8 +224,8 @@ impl Builder {
     }
 
     /// The lattice of a repetition whose copies are selected by position; None if they are to be written out. The child
-    /// must be one leaf, since a part of a shape may have other operands of the child at each copy. It must fit into its
-    /// cell, and its paint must not depend on the position in the world.
+    /// must be one leaf, since a part of a shape may have other operands of the child at each copy. It must fit into
+    /// its cell, and its paint must not depend on the position in the world.
     fn lattice(
         &self,
         child: &Shape,

@@ -87,8 +87,8 @@ pub enum WarpKind {
 ///
 /// Let the box of the child be at most as wide as the spacing along an axis. Let `p` lie between the centres of two
 /// neighbouring boxes, and let `q` be a point of a copy beyond the upper one. Its image `q - spacing` in the next lower
-/// copy is at least as near to `p`, since `q - p` is at least half a spacing along the axis. So the nearest point of all
-/// copies belongs to one of the two copies along each axis, and their union has the distances of the union of all.
+/// copy is at least as near to `p`, since `q - p` is at least half a spacing along the axis. So the nearest point of
+/// all copies belongs to one of the two copies along each axis, and their union has the distances of the union of all.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lattice {
     pub spacing: DVec3,

@@ -98,13 +98,13 @@ wgsl_constants! {
         /// Margin of boxes, local units. The coordinates of a box and of a ray, of magnitude below 1, are rounded to
         /// 3e-8 each; two differences of them are rounded to 1.2e-7 each.
         BOX_MARGIN: f32 as f32 = 1e-6;
-        /// Error of a sheared coordinate, local units. A vertex and the origin are rounded to 3e-8 each, their difference
-        /// to 1.2e-7. The product with the direction doubles this and adds 1.5e-7; the last difference adds 2.4e-7. The
-        /// product of two errors needs no term: up to a size of 2e-6 the slack exceeds every edge function, and above it
-        /// the unused part of this constant covers the product.
+        /// Error of a sheared coordinate, local units. A vertex and the origin are rounded to 3e-8 each, their
+        /// difference to 1.2e-7. The product with the direction doubles this and adds 1.5e-7; the last difference adds
+        /// 2.4e-7. The product of two errors needs no term: up to a size of 2e-6 the slack exceeds every edge function,
+        /// and above it the unused part of this constant covers the product.
         SHEAR_ROUNDING: f32 as f32 = 1e-6;
-        /// Error of an edge function on a device, relative to the square of the largest sheared coordinate: a difference
-        /// of two products. WGSL rounds a result to either neighbour, so four roundings are 1.2e-7 each.
+        /// Error of an edge function on a device, relative to the square of the largest sheared coordinate: a
+        /// difference of two products. WGSL rounds a result to either neighbour, so four roundings are 1.2e-7 each.
         PRODUCT_ROUNDING: f32 as f32 = 5e-7;
         /// Error of a `t` beside that of the edge functions, local units: 1.8e-7 of the coordinates, and fifteen
         /// roundings of values below 1.
@@ -201,7 +201,8 @@ wgsl_constants! {
         MAX_CONE_STEPS: u32 as u32 = 512;
         /// Least step along a wide cone, in radii.
         WIDE_STEP: f32 as f32 = 0.4;
-        /// Number of directions around the axis of a blocked cone in which an edge is sought. A straight edge is at most
+        /// Number of directions around the axis of a blocked cone in which an edge is sought. A straight edge is at
+        /// most
         /// 22.5 degrees away from one of them, so a ray at [`PAST_EDGE`] is at least 15 % of the depth beyond the edge.
         EDGE_DIRECTIONS: usize as u32 = 8;
         /// Cosine of half the angle between two of these directions.

@@ -64,8 +64,8 @@ pub(crate) struct Items {
     pub cost: f64,
 }
 
-/// Splits a job that is repeated into submissions, each as large as [`LONG`] permits. `rate` is the time for one unit of
-/// work in s, or 0 if it is unknown; it becomes the one of this job. `submit(first, count)` submits items.
+/// Splits a job that is repeated into submissions, each as large as [`LONG`] permits. `rate` is the time for one unit
+/// of work in s, or 0 if it is unknown; it becomes the one of this job. `submit(first, count)` submits items.
 pub(crate) fn by_rate(
     context: &Context,
     what: &str,

@@ -105,8 +105,8 @@ impl Mesh {
 
 /// Runs a job on worker threads of its own, and waits for it without taking other jobs.
 ///
-/// A worker thread that waits for a part of its job takes other jobs of its pool meanwhile. If such a job needs the table
-/// that the thread is deriving, it waits forever. Tables that are first needed within a query are derived by this
+/// A worker thread that waits for a part of its job takes other jobs of its pool meanwhile. If such a job needs the
+/// table that the thread is deriving, it waits forever. Tables that are first needed within a query are derived by this
 /// function for that reason.
 pub(crate) fn on_own_threads<T: Send>(job: impl FnOnce() -> T + Send) -> T {
     // Outside of a pool, asking for the number of threads would start the global pool.

@@ -150,7 +150,8 @@ impl Topology {
         is_equal.then(|| Self { signed_volume: OnceLock::new(), ..self.clone() })
     }
 
-    /// Volume that the oriented faces enclose, local units; negative if the mesh is inside out. Defined for a closed mesh.
+    /// Volume that the oriented faces enclose, local units; negative if the mesh is inside out. Defined for a closed
+    /// mesh.
     pub fn signed_volume(&self, mesh: &Mesh) -> f64 {
         let volume = |f: usize| direction(self.orientation[f]) * volume_under(mesh, f);
         *self.signed_volume.get_or_init(|| (0..mesh.faces().len()).map(volume).sum())
@@ -265,8 +266,8 @@ fn has_repeated_corner(&[a, b, c]: &[u32; 3]) -> bool {
     a == b || b == c || c == a
 }
 
-/// An edge of a face without its lower vertex. In order: the higher vertex, the face, and whether the face traverses the
-/// edge from the higher to the lower vertex.
+/// An edge of a face without its lower vertex. In order: the higher vertex, the face, and whether the face traverses
+/// the edge from the higher to the lower vertex.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, bytemuck::Zeroable)]
 #[repr(transparent)]
 struct HalfEdge(u64);
@@ -367,8 +368,8 @@ impl HalfEdges {
     }
 }
 
-/// Flips the faces of each patch to agree. `sides` are the patch of each face, and whether the face is turned relative to
-/// it. Returns the number of flipped faces, and whether areas or volumes decided.
+/// Flips the faces of each patch to agree. `sides` are the patch of each face, and whether the face is turned relative
+/// to it. Returns the number of flipped faces, and whether areas or volumes decided.
 fn orient(
     mesh: &Mesh,
     half_edges: &HalfEdges,

@@ -11,8 +11,8 @@ use pyo3::prelude::*;
 /// Index and numbers of a shape's function, centre and scale of its local frame, one over its Lipschitz constant.
 type ShapeRow<'py> = (u32, Bound<'py, PyArray1<f32>>, [f64; 3], f64, f64);
 
-/// The fragment shader of rays, then the vertex and the fragment shader of meshes if the view has any; and one entry for
-/// each shape. `kinds`: whether the view has dense fields, sparse fields, quadrics and triangles of meshes.
+/// The fragment shader of rays, then the vertex and the fragment shader of meshes if the view has any; and one entry
+/// for each shape. `kinds`: whether the view has dense fields, sparse fields, quadrics and triangles of meshes.
 #[pyfunction]
 pub(super) fn viewer_shader<'py>(
     py: Python<'py>,

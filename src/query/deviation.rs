@@ -1,16 +1,16 @@
 //! The largest distance from the surface of one mesh to another, within a proven bound.
 //!
-//! *Theory.* The distance to one triangle F is a convex function, so over a triangle T it is largest at a corner of T. The
-//! distance to a mesh is the least over its faces, hence `max over T of d <= max over the corners c of T of d(c, F)` for
-//! every face F. The nearest faces of the corners of T are tried as F. The bound is exact where T lies over one face, and
-//! elsewhere T is divided: branch and bound, largest bound first. Distances at corners bound the result from below. This is
-//! the scheme of M. Tang, M. Lee and Y. Kim, "Interactive Hausdorff distance computation for general polygonal models", ACM
-//! Transactions on Graphics 28 (2009).
+//! *Theory.* The distance to one triangle F is a convex function, so over a triangle T it is largest at a corner of T.
+//! The distance to a mesh is the least over its faces, hence `max over T of d <= max over the corners c of T of d(c,
+//! F)` for every face F. The nearest faces of the corners of T are tried as F. The bound is exact where T lies over one
+//! face, and elsewhere T is divided: branch and bound, largest bound first. Distances at corners bound the result from
+//! below. This is the scheme of M. Tang, M. Lee and Y. Kim, "Interactive Hausdorff distance computation for general
+//! polygonal models", ACM Transactions on Graphics 28 (2009).
 //!
 //! A triangle over two faces that meet in an edge would have to be halved down to the size of the deviation. It is cut
-//! instead by the plane through that edge that bisects the angle of the faces, so each piece lies over one face. Some cuts
-//! in a row are followed by halving the longest side of the box, which shrinks every piece in the end. The pieces are
-//! convex polygons: a cut divides only the pieces that it is made for.
+//! instead by the plane through that edge that bisects the angle of the faces, so each piece lies over one face. Some
+//! cuts in a row are followed by halving the longest side of the box, which shrinks every piece in the end. The pieces
+//! are convex polygons: a cut divides only the pieces that it is made for.
 //!
 //! Pieces are taken from the pool in batches of fixed size, so the result does not depend on the number of threads.
 

@@ -1,8 +1,8 @@
 //! The search for the faces that rays may hit, on a graphics device (`shaders/cast_rays.wgsl`).
 //!
-//! The device searches in float32 and returns up to [`SLOTS`] faces for each ray. They include every face of the result.
-//! The CPU computes the hits of these faces in float64. It searches the rays itself for which more faces would be
-//! needed, so the results are those of the CPU, to the bit.
+//! The device searches in float32 and returns up to [`SLOTS`] faces for each ray. They include every face of the
+//! result. The CPU computes the hits of these faces in float64. It searches the rays itself for which more faces would
+//! be needed, so the results are those of the CPU, to the bit.
 
 use super::device::search_tree;
 use super::ray_list::{CHUNK, Rays};
@@ -118,11 +118,11 @@ mod tests {
                 listed += usize::from(hits.len() <= SLOTS);
             }
         }
-        // Each kind of result must be frequent, or the comparisons above would mean little: a quarter of the rays hits, a
-        // quarter has all of its hits in the list, and half of the rays that run away start outside the box.
+        // Each kind of result must be frequent, or the comparisons above would mean little: a quarter of the rays hits,
+        // a quarter has all of its hits in the list, and half of the rays that run away start outside the box.
         assert!(occluded > 500 && listed > 500 && missed > 250, "{occluded} {listed} {missed}");
-        // The CPU searches rays with more than eight candidates before the first certain hit. The soup has four layers of
-        // faces along a line, so eight within the uncertainty of one hit are rare: one percent.
+        // The CPU searches rays with more than eight candidates before the first certain hit. The soup has four layers
+        // of faces along a line, so eight within the uncertainty of one hit are rare: one percent.
         assert!(undecided <= 20, "{undecided}");
         // A hit is uncertain within about 1e-5 of an edge: 1e-3 of the area of a face of size 0.1 with a narrow shape.
         // Two percent leave room for narrower faces.

@@ -1,9 +1,9 @@
 //! The nearest point of a mesh in float64: position, distance, face, barycentric coordinates, normal, side and
 //! gradient.
 //!
-//! The gradient of the distance at p with closest point c is (p - c) / |p - c|, negated inside. Within [`NEAR`] of a face
-//! it is the normal of the face, which keeps its accuracy as the distance goes to zero. On the surface the gradient is
-//! the angle-weighted pseudonormal of the nearest feature, turned to point away from the inside.
+//! The gradient of the distance at p with closest point c is (p - c) / |p - c|, negated inside. Within [`NEAR`] of a
+//! face it is the normal of the face, which keeps its accuracy as the distance goes to zero. On the surface the
+//! gradient is the angle-weighted pseudonormal of the nearest feature, turned to point away from the inside.
 //!
 //! Signs are decided with float32 positions, which differ from the mesh's own by 3e-8 local units. Within [`NEAR`] of
 //! the surface the side follows from the pseudonormal and float64 positions: the sign rule determines the sides in

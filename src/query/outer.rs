@@ -1,14 +1,14 @@
 //! Samples of a grid outside the outer surface of a mesh: a flood from the box reaches them.
 //!
-//! *Theory.* The flood walks from sample to sample along the axes and does not cross a triangle. Blocks of 8^3 samples that
-//! no triangle comes near are one node of the walk; in all others each sample is one. A step needs a test for a crossing only
-//! where the distances at its ends add up to its length or less.
+//! *Theory.* The flood walks from sample to sample along the axes and does not cross a triangle. Blocks of 8^3 samples
+//! that no triangle comes near are one node of the walk; in all others each sample is one. A step needs a test for a
+//! crossing only where the distances at its ends add up to its length or less.
 //!
-//! With a seal of radius r the flood first visits only samples farther than r plus half a voxel from the mesh, which cannot
-//! pass an opening of radius r. The remaining samples follow in the order of their distance, largest first: each takes the
-//! side of its neighbour with the largest distance, so it climbs the distance field to the space that it belongs to. The
-//! two spaces meet where the distance is smallest between them, in the middle of an opening (a watershed). A sample without
-//! a higher neighbour lies in a gap that is too narrow, which is inside.
+//! With a seal of radius r the flood first visits only samples farther than r plus half a voxel from the mesh, which
+//! cannot pass an opening of radius r. The remaining samples follow in the order of their distance, largest first: each
+//! takes the side of its neighbour with the largest distance, so it climbs the distance field to the space that it
+//! belongs to. The two spaces meet where the distance is smallest between them, in the middle of an opening (a
+//! watershed). A sample without a higher neighbour lies in a gap that is too narrow, which is inside.
 
 use crate::bvh::watertight::Ray;
 use crate::error::Error;

@@ -1,7 +1,7 @@
 //! Arbitrary rays against a mesh: first hits, occlusion, counts and lists of all intersections.
 //!
-//! Rays come in any order. Neighbouring rays (pictures, scans) are searched in packets, other rays in turns. The results
-//! do not depend on the choice, which a few samples of the rays decide.
+//! Rays come in any order. Neighbouring rays (pictures, scans) are searched in packets, other rays in turns. The
+//! results do not depend on the choice, which a few samples of the rays decide.
 //!
 //! A graphics device searches all rays at once for the faces that they may hit ([`super::device_rays`]). The CPU then
 //! computes the hits of these faces.

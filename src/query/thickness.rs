@@ -1,10 +1,10 @@
 //! Local thickness: the largest ball inside that touches a point of the surface.
 //!
-//! *Theory.* A ball that touches the surface at p with outward unit normal n has its centre at p - r n. The ball through
-//! p and another point q of the surface has the radius |p - q|^2 / (2 n.(p - q)), and the thickness is twice the least
-//! of these radii. The search is that of the shrinking ball (Ma, Bae and Choi, *3D medial axis point approximation using
-//! nearest neighbors and the normal field*, 2012): the point nearest to the centre gives the next, smaller ball, which
-//! is a step of Newton's method.
+//! *Theory.* A ball that touches the surface at p with outward unit normal n has its centre at p - r n. The ball
+//! through p and another point q of the surface has the radius |p - q|^2 / (2 n.(p - q)), and the thickness is twice
+//! the least of these radii. The search is that of the shrinking ball (Ma, Bae and Choi, *3D medial axis point
+//! approximation using nearest neighbors and the normal field*, 2012): the point nearest to the centre gives the next,
+//! smaller ball, which is a step of Newton's method.
 //!
 //! A facet beside p that is tilted by a few degrees would limit every ball near the common edge, however thick the body
 //! is. Points at less than [`FLAT`] above the tangent plane, as seen from p, belong to the same side and are left out.
@@ -118,9 +118,9 @@ impl Ball {
         }
     }
 
-    /// [`Ball::beside_triangle`] for a triangle whose least ball touches it outside the cone: the constrained least ball
-    /// touches it on the cone's boundary. There the radius is |p - q| / (2 [`FLAT`]), so the nearest point to the apex
-    /// is sought, on the edges and on the conic section inside the triangle.
+    /// [`Ball::beside_triangle`] for a triangle whose least ball touches it outside the cone: the constrained least
+    /// ball touches it on the cone's boundary. There the radius is |p - q| / (2 [`FLAT`]), so the nearest point to the
+    /// apex is sought, on the edges and on the conic section inside the triangle.
     fn beside_flat_triangle(mut self, corners: [DVec3; 3]) -> Self {
         let (apex, normal) = (self.apex(), self.normal);
         let mut consider = |q: DVec3| {
@@ -230,7 +230,8 @@ mod tests {
 
     const AT_ORIGIN: Ball = Ball { point: DVec3::ZERO, normal: DVec3::Z, radius: FIRST };
 
-    /// The least radius of balls through the points of a lattice on a triangle, and the number of points that bound one.
+    /// The least radius of balls through the points of a lattice on a triangle, and the number of points that bound
+    /// one.
     fn least_of_lattice([a, b, c]: [DVec3; 3]) -> (f64, usize) {
         const SIDE: usize = 400;
         let (mut least, mut count) = (FIRST, 0);

@@ -8,7 +8,8 @@
 //! world. Everything after that is f32 with bounded loops, so that a shader can do the same.
 //!
 //! The picture shows the solid "field <= 0, inside the box". Where the box cuts it, the cut is drawn as a flat face. A
-//! camera inside the solid sees it at depth 0. With [`Filter::Nearest`] the field is constant in each voxel ([`voxels`]).
+//! camera inside the solid sees it at depth 0. With [`Filter::Nearest`] the field is constant in each voxel
+//! ([`voxels`]).
 //!
 //! # Practice
 //!

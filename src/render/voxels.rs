@@ -1,8 +1,8 @@
 //! The first voxel on a ray whose sample is <= 0.
 //!
-//! The field of the nearest samples is constant in each voxel, so the solid is a union of voxels. The ray visits the voxels
-//! on its way (Amanatides and Woo 1987), and a hit is the face through which it enters a voxel of the solid. Twin of
-//! `shaders/raymarch_nearest.wgsl`.
+//! The field of the nearest samples is constant in each voxel, so the solid is a union of voxels. The ray visits the
+//! voxels on its way (Amanatides and Woo 1987), and a hit is the face through which it enters a voxel of the solid.
+//! Twin of `shaders/raymarch_nearest.wgsl`.
 
 use super::blocks::Blocks;
 use super::march::{FieldHit, GridRay, March, MarchLine, Marcher, each_axis, first_axis, floor};

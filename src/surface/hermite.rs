@@ -39,9 +39,9 @@ const TIE: f64 = 1e-9;
 /// Replaces the planes of `crossings` by tangent planes of the surface at the distance `offset` from `mesh`, world
 /// units. With `unsigned` the distance is without a sign, so a positive offset surrounds the mesh on both sides.
 ///
-/// A signed offset of at most [`FLAT_VOXELS`] moves a crossing to the intersection of its edge with the mesh, and uses the
-/// face there. Any other offset uses the sphere around the nearest point. A crossing keeps its plane where the mesh is
-/// farther away than the samples indicate, as across an opening.
+/// A signed offset of at most [`FLAT_VOXELS`] moves a crossing to the intersection of its edge with the mesh, and uses
+/// the face there. Any other offset uses the sphere around the nearest point. A crossing keeps its plane where the mesh
+/// is farther away than the samples indicate, as across an opening.
 pub fn planes_of_mesh(
     surface: &LevelSurface,
     crossings: &mut [Crossing],

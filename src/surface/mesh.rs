@@ -40,8 +40,8 @@ pub struct SurfaceMesh {
     pub vertices: Vec<DVec3>,
     /// Counter-clockwise seen from the side of larger values.
     pub faces: Vec<[u32; 3]>,
-    /// Number of vertices that are not at their optimal position, because it lies outside the region around their cell in
-    /// which the surface cannot fold.
+    /// Number of vertices that are not at their optimal position, because it lies outside the region around their cell
+    /// in which the surface cannot fold.
     pub clamped: usize,
 }
 
@@ -256,7 +256,8 @@ impl LevelSurface {
         others.all(|other| other == id || ((vertices[other as usize] - place) / self.spacing).length() >= APART)
     }
 
-    /// Moves the vertex of a patch to a place, world units, unless that folds a quadrilateral. Returns whether it moved.
+    /// Moves the vertex of a patch to a place, world units, unless that folds a quadrilateral. Returns whether it
+    /// moved.
     fn moves_to(&self, id: u32, place: DVec3, vertices: &mut [DVec3]) -> bool {
         let before = std::mem::replace(&mut vertices[id as usize], place);
         let folds = self.folds_around(id, vertices);
@@ -274,9 +275,9 @@ impl LevelSurface {
         })
     }
 
-    /// Moves vertices back into their cells until every sample has its side, and updates the quadrilaterals. The vertices
-    /// are then clamped, and their entries in `is_back` are set. Each moves once at most, so the loop ends even where a
-    /// cell is a few roundings wide. Returns whether a vertex has moved.
+    /// Moves vertices back into their cells until every sample has its side, and updates the quadrilaterals. The
+    /// vertices are then clamped, and their entries in `is_back` are set. Each moves once at most, so the loop ends
+    /// even where a cell is a few roundings wide. Returns whether a vertex has moved.
     fn keep_sides(
         &self,
         vertices: &mut Vertices,
@@ -320,8 +321,8 @@ impl LevelSurface {
         }
     }
 
-    /// The edges of the grid that the quadrilateral around a crossed edge intersects, and the crossed edge itself. Empty if
-    /// the quadrilateral intersects its own edge alone.
+    /// The edges of the grid that the quadrilateral around a crossed edge intersects, and the crossed edge itself.
+    /// Empty if the quadrilateral intersects its own edge alone.
     fn met_edges(&self, edge: u32, quads: &[Quad], vertices: &[DVec3]) -> Vec<Meeting> {
         let quad = &quads[edge as usize];
         if quad.is_around {

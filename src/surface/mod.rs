@@ -17,9 +17,9 @@
 //! Vertices keep a small distance ([`MARGIN`]) from the faces of their cell that have crossed edges. The four corners
 //! of a quadrilateral belong to the four cells around its edge. Seen along the edge, they therefore lie strictly inside
 //! the four quadrants. Such a quadrilateral has a diagonal that divides it into two triangles of positive area, and
-//! that diagonal is used: no face is degenerate, and none is folded over. Vertices that are equal in single precision are
-//! moved apart ([`separate`]), so files without indices keep the two-manifold. They stay equal far from the origin, where
-//! float32 is coarser than 1/512 of a voxel.
+//! that diagonal is used: no face is degenerate, and none is folded over. Vertices that are equal in single precision
+//! are moved apart ([`separate`]), so files without indices keep the two-manifold. They stay equal far from the origin,
+//! where float32 is coarser than 1/512 of a voxel.
 //!
 //! # Practice
 //!
@@ -90,8 +90,8 @@ pub struct Crossing {
 }
 
 impl Crossing {
-    /// Replaces the plane by one through `point`. `on_edge` is the crossing, and the normal of the plane may face either
-    /// side.
+    /// Replaces the plane by one through `point`. `on_edge` is the crossing, and the normal of the plane may face
+    /// either side.
     pub(crate) fn set_plane(&mut self, on_edge: DVec3, point: DVec3, normal: DVec3) {
         // The plane faces the larger values of the samples.
         self.normal = if normal.dot(self.normal) < 0.0 { -normal } else { normal };

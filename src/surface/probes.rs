@@ -39,8 +39,8 @@ const OTHER_SIDE: f64 = -0.1;
 /// A plane within this angle (its cosine) and distance (voxels) of another plane of the patch is left out.
 const SAME: (f64, f64) = (0.9999, 1e-3);
 
-/// Number of times that a vertex of a mesh is probed at most. The second probes lie around the place where the planes of
-/// the first have put it.
+/// Number of times that a vertex of a mesh is probed at most. The second probes lie around the place where the planes
+/// of the first have put it.
 const ROUNDS: usize = 2;
 
 /// Number of cells between two checks of the progress.

@@ -3,16 +3,16 @@
 //! The vertex of a patch minimises a quadratic error function: the sum of squared distances to the tangent planes at
 //! the crossings (Garland and Heckbert, as used by Ju, Losasso, Schaefer and Warren, "Dual Contouring of Hermite Data",
 //! 2002). If the planes leave a direction undetermined (a flat surface, a straight edge), a small pull towards the mean
-//! of the crossings determines it. The pull also displaces the vertex of an obtuse edge or corner, whose planes determine
-//! its place weakly. The minimisation is therefore repeated with a pull towards its last result (iterated Tikhonov
-//! regularisation), which multiplies the displacement by the same small factor each time and leaves undetermined
-//! directions as they are. The minimum is taken over the cell, not over all space: a vertex outside its cell could fold
-//! the surface.
+//! of the crossings determines it. The pull also displaces the vertex of an obtuse edge or corner, whose planes
+//! determine its place weakly. The minimisation is therefore repeated with a pull towards its last result (iterated
+//! Tikhonov regularisation), which multiplies the displacement by the same small factor each time and leaves
+//! undetermined directions as they are. The minimum is taken over the cell, not over all space: a vertex outside its
+//! cell could fold the surface.
 
 use glam::{DMat3, DVec3};
 
-/// Weight of the pull, relative to one plane. At the corner of a cube the first pull moves the vertex by a thousandth of
-/// its distance from the mean.
+/// Weight of the pull, relative to one plane. At the corner of a cube the first pull moves the vertex by a thousandth
+/// of its distance from the mean.
 const PULL: f64 = 1e-3;
 
 /// Number of further minimisations. The displacement of a ridge whose faces enclose 160 degrees is 3 % of the distance

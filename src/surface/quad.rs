@@ -1,9 +1,9 @@
 //! The quadrilateral around a crossed edge, and its division into two triangles.
 //!
 //! The samples at the ends of an edge of the grid lie on different sides of the mesh if the mesh meets the edge an odd
-//! number of times, so every sample has its side if that holds for the crossed edges alone. A quadrilateral whose corners
-//! lie in the four cells around its edge meets this edge once and no other. One with a corner outside these cells may
-//! meet any edge near it; [`Quad::met_edges`] lists them.
+//! number of times, so every sample has its side if that holds for the crossed edges alone. A quadrilateral whose
+//! corners lie in the four cells around its edge meets this edge once and no other. One with a corner outside these
+//! cells may meet any edge near it; [`Quad::met_edges`] lists them.
 
 use super::MARGIN;
 use glam::{DVec2, DVec3};

@@ -103,7 +103,8 @@ gpu_structs! {
     "cast_rays": struct CastRay {
         /// Position at which the ray enters the box.
         origin: [f32; 3],
-        /// Largest `t` of a hit, in the scaled direction from `origin`; MISSED or UNSUITED if the device must not search.
+        /// Largest `t` of a hit, in the scaled direction from `origin`; MISSED or UNSUITED if the device must not
+        /// search.
         limit: f32,
         /// The direction, divided by the magnitude of its largest component.
         direction: [f32; 3],

@@ -99,8 +99,8 @@ impl SampleBox {
         x - self.low[0] + nx * (y - self.low[1] + ny * (z - self.low[2]))
     }
 
-    /// Spreads the samples of this box over `count` along each axis from `first` on, x fastest. A sample outside the box
-    /// repeats the nearest one of the box.
+    /// Spreads the samples of this box over `count` along each axis from `first` on, x fastest. A sample outside the
+    /// box repeats the nearest one of the box.
     pub(crate) fn spread(&self, samples: &[f32], first: [i32; 3], count: usize, out: &mut [f32]) {
         if samples.len() == out.len() {
             return out.copy_from_slice(samples);
