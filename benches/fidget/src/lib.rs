@@ -18,8 +18,8 @@ pub unsafe extern "C" fn fidget_open(text: *const u8, length: usize) -> *mut Jit
     shape.map_or(std::ptr::null_mut(), |shape| Box::into_raw(Box::new(shape)))
 }
 
-/// Draw the box from -1 to 1 of the viewing space, seen from +z without perspective, on all cores, `side` pixels and voxels
-/// along each axis. `depths` gets the voxel that was hit, 0 for none.
+/// Draw the box from -1 to 1 of the viewing space, seen from +z without perspective, on all cores, `side` pixels and
+/// voxels along each axis. `depths` gets the voxel that was hit, 0 for none.
 ///
 /// # Safety
 /// `shape` comes from `fidget_open`, `model_from_view` points to 16 floats, column by column, `depths` to the pixels.
