@@ -59,7 +59,7 @@ def _write_stl(count: int, records: StlRecords, stream: IO[bytes]) -> None:
     stream.write(b"fieldbake".ljust(80))
     stream.write(np.uint32(count).tobytes())
     for first in range(0, count, STL_BATCH):
-        stream.write(records(first, STL_BATCH))
+        stream.write(records(first, STL_BATCH).data)
 
 
 def _write_obj(vertices: Vertices, faces: Faces, stream: IO[bytes]) -> None:
